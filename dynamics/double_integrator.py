@@ -1,0 +1,25 @@
+"""A point mass that is pushed."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from dynamics.model import LinearModel
+
+
+@dataclass(frozen=True)
+class DoubleIntegrator(LinearModel):
+    """r̈ = u in the plane or in space."""
+
+    axes: int = 2
+
+    def __post_init__(self) -> None:
+        """Refuse what is neither a plane nor space."""
+        if self.axes not in (2, 3):
+            raise ValueError(f"a double integrator has 2 or 3 axes, got {self.axes}")
+
+    def A(self, t: float) -> Float[Array, "n n"]:
+        """State matrix, constant in time."""
+        return np.kron([[0.0, 1.0], [0.0, 0.0]], np.eye(self.axes))
