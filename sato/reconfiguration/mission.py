@@ -1,0 +1,87 @@
+"""What a swarm is asked to do: a frozen value, complete at construction. SI units."""
+
+from dataclasses import dataclass
+from math import inf
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray as Array
+
+from dynamics import LinearModel
+
+Norm = Literal[1, 2, "inf"]
+
+
+@dataclass(frozen=True)
+class Loss:
+    """Agents that fall silent and vanish."""
+
+    kind: Literal["middle", "random", "agents"]  # nearest the centre, drawn, or named
+    share: float = 0.0  # of the live agents, for "middle" and "random"
+    agents: tuple[int, ...] = ()  # for "agents"
+    at_step: int = 0  # control steps after the start of the leg; 0 is before it
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """Agents that come in: rows of `Reconfiguration.start` that were not alive before."""
+
+    agents: tuple[int, ...]
+    at_step: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Leg:
+    """One reconfiguration: a shape to take up and the time to do it in."""
+
+    targets: Float[Array, "targets n"]  # states, ordered so that every prefix keeps the shape
+    steps: int
+    losses: tuple[Loss, ...] = ()
+    arrivals: tuple[Arrival, ...] = ()
+    recount: bool = False  # m from the bids of the leg before [Morgan2016, Method 1, line 31]
+
+
+@dataclass(frozen=True, eq=False)
+class Reconfiguration:
+    """A swarm that takes up one shape after another [Morgan2016, Method 3]."""
+
+    model: LinearModel
+    start: Float[Array, "agents n"]  # states; a joining agent's is where it comes in
+    alive: Bool[Array, " agents"]  # who is there at the start
+    legs: tuple[Leg, ...]
+    step: float  # Δt [s]
+    comm_radius: float  # [m]
+    collision_radius: float  # [m]
+    max_control: float  # [m/s²], in the control norm
+    max_speed: float = inf  # [m/s]
+    fuel_norm: Norm = 1
+    control_norm: Norm = "inf"
+    horizon_steps: int = 4  # avoidance looks this far
+    replan_steps: int = 4
+    auction_steps: int = 4
+    believed: int = 0  # m of every agent before the first leg; 0 means as many as are alive
+    cost: Literal["fuel", "distance"] = "fuel"  # what the auction minimises, before the tie-break
+    tie_break: float = 0.2  # w; 0 is the printed method
+    epsilon: float | None = None  # bid increment on the scale of the cost; None is ½ w s²
+    bidder_ids: bool = True  # false is the printed method
+    disturbance: float = 0.0  # standard deviation of an acceleration held over a step [m/s²]
+    position_noise: float = 0.0  # of what an agent believes of its state [m]
+    velocity_noise: float = 0.0  # [m/s]
+    position_tolerance: float = 1e-6  # within which a target counts as reached [m]
+    velocity_tolerance: float = 1e-6  # [m/s]
+
+    @property
+    def spacing(self) -> float:
+        """Least distance between two targets of a leg [m]."""
+        d = self.model.axes
+        return min(least_distance(leg.targets[:, :d]) for leg in self.legs)
+
+
+def least_distance(points: Float[Array, "k d"]) -> float:
+    """Least distance between any two points; infinite for fewer than two."""
+    from scipy.spatial import cKDTree
+
+    if len(points) < 2:
+        return inf
+    return float(np.min(cKDTree(points).query(points, k=2)[0][:, 1]))
