@@ -1,0 +1,278 @@
+"""What a run leaves behind: frames, stacked, in one file that explains itself."""
+
+import json
+import os
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
+
+if TYPE_CHECKING:  # xarray takes a second to load; the mission's package itself imports Frame
+    import xarray
+
+    import sato.check
+    import sato.reconfiguration.mission
+
+RUN_FILE, SUMMARY_FILE = "run.nc", "summary.json"
+
+
+class RunFileError(ValueError):
+    """A run file that cannot be read; the message names the file."""
+
+
+class Frame(NamedTuple):
+    """One control instant."""
+
+    time: float  # [s]
+    position: Float[Array, "agents d"]  # [m]
+    velocity: Float[Array, "agents d"]  # [m/s]
+    alive: Bool[Array, " agents"]
+    component: Int[Array, " agents"]  # −1 while not alive
+    control: Float[Array, "agents d"]  # commanded, held from now on; NaN where there is none [m/s²]
+    applied_control: Float[Array, "agents d"]  # what the plant integrates [m/s²]
+    leg: int  # under way from this instant on; the last frame keeps the last leg
+    target: Int[Array, " agents"]  # held; −1 none
+    believed: Int[Array, " agents"]  # how many targets each agent bids on
+    measured: Float[Array, "agents n"] | None  # what the agents believe of their state, under noise
+    events: tuple[dict[str, Any], ...]  # {"kind": …, "agents": […], …}; the record adds the time
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A run: everything that happened, and what is said of it."""
+
+    data: "xarray.Dataset"
+    summary: dict[str, Any]
+
+    @classmethod
+    def of(
+        cls,
+        frames: Iterable[Frame],
+        mission: "sato.reconfiguration.mission.Reconfiguration",
+        scenario_text: str,
+        *,
+        name: str,
+        seed: int,
+        version: str,
+        wall_s: float,
+        peak_memory_mib: float,
+        complete: bool = True,
+    ) -> "Run":
+        """Collect a run from the frames of a system.
+
+        Args:
+            frames: One a control instant, in the order of time; at least one.
+            mission: What was flown.
+            scenario_text: The whole scenario as TOML, so that the run can be repeated.
+            name: Name of the scenario.
+            seed: Seed of everything that was drawn.
+            version: Version of this library.
+            wall_s: How long the flight took to compute [s].
+            peak_memory_mib: The most memory that it took [MiB].
+            complete: False where the flight was interrupted.
+        """
+        frames = list(frames)
+        if not frames:
+            raise ValueError("a run needs at least one frame")
+        about = {
+            "system": "reconfiguration",
+            "name": name,
+            "seed": seed,
+            "version": version,
+            "wall_s": float(wall_s),
+            "peak_memory_mib": float(peak_memory_mib),
+        }
+        limits = {
+            "comm_radius_m": mission.comm_radius,
+            "collision_radius_m": mission.collision_radius,
+            "max_control_m_s2": mission.max_control,
+            "max_speed_m_s": mission.max_speed,
+        }
+        variables = {**_over_time(frames), **_events(frames), **_over_legs(frames, mission)}
+        data = _dataset(
+            variables,
+            {**about, "scenario": scenario_text, "complete": int(complete), **limits},
+        )
+        return cls(data, _first_words(data.attrs))
+
+    def save(self, folder: str | Path) -> Path:
+        """Write run.nc and summary.json, each whole or not at all; returns the folder."""
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        packed = {name: {"zlib": True} for name, v in self.data.variables.items() if _packs(v)}
+        words = json.dumps(self.summary, indent=2, default=plain, allow_nan=False) + "\n"
+        with tempfile.TemporaryDirectory(prefix=".saving-", dir=folder) as workshop:
+            run, summary = Path(workshop, RUN_FILE), Path(workshop, SUMMARY_FILE)
+            self.data.to_netcdf(run, engine="h5netcdf", encoding=packed)
+            summary.write_text(words, encoding="utf-8")
+            os.replace(run, folder / RUN_FILE)
+            os.replace(summary, folder / SUMMARY_FILE)
+        return folder
+
+    def check(self) -> "sato.check.Report":
+        """Judge the run by recomputing what it promises."""
+        from sato.check import judge
+
+        return judge(self)
+
+    def plot(self, folder: str | Path) -> list[Path]:
+        """Draw the run's figures into a folder; returns their paths."""
+        from sato.plots import plot
+
+        return plot(self, Path(folder))
+
+    def events(self, *kinds: str) -> list[dict[str, Any]]:
+        """Everything that happened, in the order of time; of the given kinds only, if any."""
+        heard = [json.loads(str(e)) for e in self.data["event"].values]
+        return [e for e in heard if not kinds or e["kind"] in kinds]
+
+
+def load(path: str | Path) -> Run:
+    """Read a run from its folder, or from the run file itself.
+
+    Raises:
+        RunFileError: The file is missing, damaged, or not a run.
+    """
+    import xarray
+
+    path = Path(path)
+    file = path / RUN_FILE if path.is_dir() else path
+    if not file.is_file():
+        raise RunFileError(f"{file}: there is no such run file; `sato run` writes one")
+    try:
+        data = xarray.load_dataset(file, engine="h5netcdf")
+    except Exception as error:  # a damaged file makes h5py raise whatever it stumbles over
+        raise RunFileError(
+            f"{file}: cannot be read as netCDF-4, so it is damaged, cut short or something else; "
+            "fly the scenario again"
+        ) from error
+    lacking = [n for n in _REQUIRED if n not in data.variables]
+    lacking += [n for n in _ATTRIBUTES if n not in data.attrs]
+    if lacking:
+        raise RunFileError(
+            f"{file}: is not a run of this project, for it has no {', '.join(lacking)}"
+        )
+    return Run(data, _summary(file.with_name(SUMMARY_FILE)) or _first_words(data.attrs))
+
+
+def plain(value: object) -> object:
+    """What JSON cannot write by itself: NumPy's arrays and scalars."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise TypeError(f"cannot write {type(value).__name__} as JSON")
+
+
+# Name: its axes, unit and meaning. An entry without agents counts for the whole swarm.
+_MEANING: dict[str, tuple[tuple[str, ...], str, str]] = {
+    "time": (("time",), "s", "time since the start"),
+    "control_instant": (("time",), "1", "whether a control is commanded at this time"),
+    "position": (("time", "agent", "axis"), "m", "true position"),
+    "velocity": (("time", "agent", "axis"), "m/s", "true velocity"),
+    "alive": (("time", "agent"), "1", "whether the agent takes part"),
+    "component": (("time", "agent"), "1", "connected component of the network, -1 not alive"),
+    "event": (("event",), "1", "what happened, as JSON with time and agents"),
+    "control": (("time", "agent", "axis"), "m/s2", "commanded control, held to the next instant"),
+    "applied_control": (("time", "agent", "axis"), "m/s2", "control with thrust errors"),
+    "measured_position": (("time", "agent", "axis"), "m", "position as the agent believes it"),
+    "measured_velocity": (("time", "agent", "axis"), "m/s", "velocity as the agent believes it"),
+    "leg": (("time",), "1", "leg under way"),
+    "target": (("time", "agent"), "1", "index of the target that the agent holds, -1 none"),
+    "believed": (("time", "agent"), "1", "number of targets that the agent bids on"),
+    "target_position": (("leg", "target", "axis"), "m", "position of each target"),
+    "target_velocity": (("leg", "target", "axis"), "m/s", "velocity of each target"),
+    "targets_believed": (("leg", "agent"), "1", "believed at the end of the leg, -1 none"),
+}
+_MAY_LACK = {"measured_position", "measured_velocity", "believed"}
+_REQUIRED = [name for name in _MEANING if name not in _MAY_LACK]
+_ATTRIBUTES = ("system", "scenario", "name", "seed", "version")
+
+
+def _over_time(frames: Sequence[Frame]) -> dict[str, Array]:
+    stacked = {
+        name: np.array([getattr(f, name) for f in frames])
+        for name in Frame._fields
+        if name not in ("measured", "events")
+    }
+    # An interrupted flight commands nothing from its last instant on.
+    for name in ("control", "applied_control"):
+        stacked[name][-1] = np.nan
+    stacked["control_instant"] = np.ones(len(frames), dtype=bool)
+    if any(f.measured is not None for f in frames):
+        d = frames[0].position.shape[1]
+        seen = np.array([_belief(f) for f in frames])
+        stacked["measured_position"], stacked["measured_velocity"] = seen[..., :d], seen[..., d:]
+    return stacked
+
+
+def _belief(frame: Frame) -> Float[Array, "agents n"]:
+    if frame.measured is not None:
+        return frame.measured
+    return np.full((len(frame.position), 2 * frame.position.shape[1]), np.nan)
+
+
+def _events(frames: Sequence[Frame]) -> dict[str, Array]:
+    told = [
+        json.dumps({"time": float(f.time), **event}, default=plain)
+        for f in frames
+        for event in f.events
+    ]
+    return {"event": np.array(told, dtype=object)}
+
+
+def _over_legs(
+    frames: Sequence[Frame], mission: "sato.reconfiguration.mission.Reconfiguration"
+) -> dict[str, Array]:
+    d, legs = mission.model.axes, mission.legs
+    most = max(len(leg.targets) for leg in legs)
+    targets = np.full((len(legs), most, 2 * d), np.nan)
+    for states, leg in zip(targets, legs, strict=True):
+        states[: len(leg.targets)] = leg.targets
+    believed = np.full((len(legs), len(mission.start)), -1)
+    for event in (e for f in frames for e in f.events if e["kind"] == "leg_end"):
+        live = np.asarray(event["agents"], dtype=int)
+        believed[event["leg"], live] = np.asarray(event["believed"])[live]
+    return {
+        "target_position": targets[..., :d],
+        "target_velocity": targets[..., d:],
+        "targets_believed": believed,
+    }
+
+
+def _dataset(variables: Mapping[str, Array], attributes: dict[str, Any]) -> "xarray.Dataset":
+    import xarray
+
+    arrays = {}
+    for name, values in variables.items():
+        dimensions, unit, meaning = _MEANING[name]
+        arrays[name] = (dimensions, values, {"units": unit, "long_name": meaning})
+    return xarray.Dataset(arrays, attrs=attributes)
+
+
+def _packs(variable: "xarray.Variable") -> bool:
+    return variable.ndim > 1 and variable.dtype.kind in "biuf"
+
+
+def _first_words(attributes: Mapping[Any, Any]) -> dict[str, Any]:
+    words = {"system": attributes["system"], "scenario": attributes["name"]}
+    for name in ("seed", "version", "wall_s", "peak_memory_mib"):
+        with suppress(KeyError):
+            value = attributes[name]
+            words[name] = value.item() if isinstance(value, np.generic) else value
+    return words
+
+
+def _summary(file: Path) -> dict[str, Any]:
+    if not file.is_file():
+        return {}
+    try:
+        return dict(json.loads(file.read_text(encoding="utf-8")))
+    except (ValueError, OSError) as error:
+        raise RunFileError(
+            f"{file}: is not readable JSON; delete it, the run file beside it is enough"
+        ) from error
