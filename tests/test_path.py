@@ -1,0 +1,206 @@
+"""Paths between samples, checked against dense sampling, scipy and their own laws."""
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy.integrate import solve_ivp
+from scipy.optimize import minimize_scalar, nnls
+
+from dynamics import ClohessyWiltshire, DoubleIntegrator, hold
+from dynamics.path import (
+    at,
+    between,
+    controls,
+    error_bound,
+    hull_distance,
+    least_separation,
+    sampled_separations,
+    separations,
+)
+
+number = st.floats(-10, 10, allow_subnormal=False).map(lambda v: 0.0 if abs(v) < 1e-9 else v)
+hulls = st.sampled_from([2, 3]).flatmap(lambda d: arrays(float, (4, d), elements=number))
+line = st.tuples(
+    arrays(float, (1, 3), elements=number),
+    arrays(float, (1, 3), elements=number),
+    arrays(float, (4, 1), elements=st.floats(-2, 2)),
+).map(lambda t: t[0] + t[2] * t[1])
+
+
+def swarm(rng, agents=12, steps=9, axes=2, box=4.0):
+    model = DoubleIntegrator(axes)
+    x0 = np.hstack([rng.uniform(0, box, (agents, axes)), rng.normal(0, 0.4, (agents, axes))])
+    u = rng.normal(0, 0.5, (agents, steps, axes))
+    return model, hold(model, 0.7, steps).roll(x0, u), u
+
+
+def parts(x, axes):
+    x = np.moveaxis(x, 0, 1)
+    return x[..., :axes], x[..., axes:], np.ones(x.shape[:2], bool)
+
+
+@pytest.mark.parametrize("axes", [2, 3])
+def test_pieces_are_the_path_of_a_double_integrator(rng, axes):
+    model, x, u = swarm(rng, axes=axes)
+    fine = between(hold(model, 0.7 / 5, 9 * 5), x, u)
+    pieces = controls(x[..., :axes], x[..., axes:], 0.7)
+    for j in range(5):
+        np.testing.assert_allclose(at(pieces, j / 5), fine[:, j:-1:5, :axes], atol=1e-12)
+    assert error_bound(model, x, u, 0.7) == 0.0
+
+
+def test_states_between_agree_with_an_integrator(rng):
+    model = ClohessyWiltshire(1.1e-3)
+    x0, u = rng.normal(0, [300] * 3 + [0.5] * 3), rng.normal(0, 1e-3, (2, 3))
+    x = hold(model, 60.0, 2).roll(x0, u)
+    fine = between(hold(model, 15.0, 8), x, u)
+    for k in range(2):
+        flown = solve_ivp(
+            lambda t, y, k=k: model.rate(t, y, u[k]), (0, 60), x[k], t_eval=[15, 30, 45],
+            rtol=1e-12, atol=1e-9,
+        )
+        np.testing.assert_allclose(fine[4 * k + 1 : 4 * k + 4], flown.y.T, rtol=1e-9, atol=1e-7)
+    np.testing.assert_array_equal(fine[::4], x)
+
+
+def test_fine_steps_must_divide_the_coarse_ones(rng):
+    model, x, u = swarm(rng)
+    with pytest.raises(ValueError, match="10 fine steps do not divide 9 steps evenly"):
+        between(hold(model, 0.1, 10), x, u)
+
+
+def test_what_the_cubic_misses_is_within_its_bound_and_the_bound_is_tight(rng):
+    model = ClohessyWiltshire(1.1e-3)
+    x0 = rng.normal(0, [1000] * 3 + [2.0] * 3, (6, 6))
+    u = rng.normal(0, 1e-2, (6, 4, 3))
+    x = hold(model, 60.0, 4).roll(x0, u)
+    fine = between(hold(model, 60.0 / 16, 64), x, u)[..., :3]
+    pieces = controls(x[..., :3], x[..., 3:], 60.0)
+    missed = max(
+        np.linalg.norm(at(pieces, j / 16) - fine[:, j:-1:16], axis=-1).max() for j in range(16)
+    )
+    bound = error_bound(model, x, u, 60.0)
+    assert 0.5 * bound < missed <= bound
+
+
+@settings(deadline=None, max_examples=300)
+@given(st.one_of(hulls, line))
+@example(np.zeros((4, 2)))
+@example(np.outer([1.0, 2.0, 3.0, 4.0], [0.1, 0.3]))
+@example(np.outer([-1.0, 2.0, 3.0, 4.0], [0.1, 0.3, 0.7]))
+def test_the_hull_lies_beyond_its_nearest_point_and_the_point_in_the_hull(b):
+    distance, nearest = hull_distance(b)
+    scale = float(np.abs(b).max()) or 1.0
+    if distance > 0:
+        n = nearest / distance
+        assert np.linalg.norm(n) == pytest.approx(1, abs=1e-14)
+        assert (b @ n >= distance - 1e-12 * scale).all()
+    # Some point of the hull is as near: weights w ≥ 0 with Σ w = 1 and Σ w b = nearest.
+    heavy = 1e3 * scale
+    w, miss = nnls(np.vstack([b.T, np.full(4, heavy)]), np.append(nearest, heavy))
+    assert miss <= 1e-7 * scale
+    assert np.linalg.norm(w @ b) <= distance + 1e-7 * scale
+
+
+def test_many_hulls_at_once_are_the_hulls_one_by_one(rng):
+    b = rng.normal(size=(3, 5, 4, 3)) + 0.8
+    distance, nearest = hull_distance(b)
+    assert distance.shape == (3, 5) and nearest.shape == (3, 5, 3)
+    for i in np.ndindex(3, 5):
+        one, point = hull_distance(b[i])
+        assert one == distance[i] and (point == nearest[i]).all()
+
+
+def test_a_hull_around_the_origin_is_at_no_distance():
+    square = np.array([[1.0, 1], [-1, 1], [-1, -1], [1, -1]])
+    corners = np.array([[1.0, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]])
+    assert hull_distance(square)[0] == 0 and hull_distance(corners)[0] == 0
+    assert hull_distance(corners + np.array([1.1, 0, 0]))[0] == pytest.approx(0.1)
+
+
+def test_hulls_are_of_the_plane_or_of_space():
+    with pytest.raises(ValueError, match="2 or 3 axes, got 1"):
+        hull_distance(np.zeros((4, 1)))
+
+
+@pytest.mark.parametrize("axes", [2, 3])
+def test_separation_is_the_least_over_pairs_and_time(rng, axes):
+    _, x, _ = swarm(rng, agents=6, axes=axes, box=3.0)
+    position, velocity, alive = parts(x, axes)
+    found = separations(position, velocity, alive, 0.7)
+    b = controls(x[..., :axes], x[..., axes:], 0.7)
+    t = np.linspace(0, 1, 201)
+    for k in range(9):
+        least = np.inf
+        for i in range(6):
+            for j in range(i):
+                r = b[i, k] - b[j, k]
+                size = np.linalg.norm(at(np.broadcast_to(r, (201, 4, axes)), t), axis=1)
+                best = t[int(np.argmin(size))]
+                near = minimize_scalar(
+                    lambda f, r=r: np.linalg.norm(at(r, float(f))),
+                    bounds=(max(best - 0.005, 0), min(best + 0.005, 1)),
+                    method="bounded", options={"xatol": 1e-10},
+                )
+                least = min(least, near.fun, size[0], size[-1])
+        assert found.distance[k] == pytest.approx(least, rel=1e-9)
+        i, j = found.pair[k]
+        there = np.linalg.norm(at(b[i, k] - b[j, k], float(found.fraction[k])))
+        assert there == pytest.approx(found.distance[k], rel=1e-12)
+    assert found.least.distance == found.distance.min()
+    assert least_separation(position, velocity, alive, 0.7) == found.least
+    samples = sampled_separations(position, alive)
+    assert (found.distance <= np.minimum(samples[:-1], samples[1:])).all()
+
+
+def test_a_head_on_pass_is_found_between_the_samples():
+    position = np.array([[[-1.0, 0.01], [1.0, 0.0]], [[1.0, 0.01], [-1.0, 0.0]]])
+    velocity = np.array([[[2.0, 0], [-2, 0]]] * 2)
+    found = least_separation(position, velocity, np.ones((2, 2), bool), 1.0)
+    assert found.distance == pytest.approx(0.01, rel=1e-12)
+    assert found.fraction == pytest.approx(0.5) and found.piece == 0 and found.pair == (0, 1)
+
+
+def test_a_collision_is_found_to_the_last_digit():
+    position = np.array([[[-0.7, 0.3], [1.0, 0.0]], [[0.9, -0.2], [-1.0, 0.0]]])
+    meet = 0.375
+    velocity = (position[1] - position[0])[None].repeat(2, axis=0)
+    velocity[:, 1] = velocity[:, 0] * 0.5
+    there = position[0, 0] + meet * velocity[0, 0]
+    position[0, 1] = there - meet * velocity[0, 1]
+    position[1, 1] = position[0, 1] + velocity[0, 1]
+    found = least_separation(position, velocity, np.ones((2, 2), bool), 1.0)
+    assert found.distance < 1e-15 and found.fraction == pytest.approx(meet, abs=1e-12)
+
+
+def test_two_agents_on_one_another_are_at_no_distance_all_along(rng):
+    _, x, _ = swarm(rng, agents=1)
+    position, velocity, alive = parts(np.repeat(x, 2, axis=0), 2)
+    assert (separations(position, velocity, alive, 0.7).distance == 0).all()
+
+
+def test_only_live_agents_count_and_the_lost_until_they_are_lost(rng):
+    _, x, _ = swarm(rng, agents=3)
+    position, velocity, alive = parts(x, 2)
+    alive[4:, 2] = False
+    whole = separations(position, velocity, np.ones_like(alive), 0.7)
+    found = separations(position, velocity, alive, 0.7)
+    pair = separations(position[:, :2], velocity[:, :2], alive[:, :2], 0.7)
+    np.testing.assert_array_equal(found.distance[:4], whole.distance[:4])
+    np.testing.assert_array_equal(found.distance[4:], pair.distance[4:])
+    position[5:, 2] = np.nan
+    gone = separations(position, velocity, alive, 0.7)
+    np.testing.assert_array_equal(gone.distance, found.distance)
+    alive[:, 1:] = False
+    alone = separations(position, velocity, alive, 0.7)
+    assert np.isinf(alone.distance).all() and alone.least.pair == (-1, -1)
+
+
+def test_pieces_may_have_their_own_lengths(rng):
+    _, x, _ = swarm(rng, steps=4)
+    position, velocity, alive = parts(x, 2)
+    one = separations(position, velocity, alive, 0.7)
+    each = separations(position, velocity, alive, np.full(4, 0.7))
+    np.testing.assert_array_equal(one.distance, each.distance)
