@@ -1,0 +1,164 @@
+"""What it costs every agent to take up every target, all at once [Morgan2016, Problem 6]."""
+
+from math import inf, isfinite
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray as Array
+
+from dynamics import Steps
+from problems.avoidance import Avoidance, no_spaces
+from problems.conic import Infeasible
+from problems.least_fuel import least_fuel, response
+from problems.transfer import Flight, Transfer, ends_first
+
+# A slope of the weights that keeps optima unique and costs no more than this part of the fuel.
+SLOPE = 1e-7
+
+
+class Prices(NamedTuple):
+    """Least fuel for every agent and target, no collisions."""
+
+    fuel: Float[Array, "agents targets"]  # [m/s]; where out of reach, above every feasible price
+    reachable: Bool[Array, "agents targets"]
+    exact: Bool[Array, "agents targets"]  # else a lower bound: that path breaks the speed limit
+    gap: float  # largest relative distance of a price from its dual bound
+
+
+def price(
+    steps: Steps,
+    start: Float[Array, "agents n"],
+    goals: Float[Array, "targets n"],
+    max_control: float,
+    max_speed: float = inf,
+) -> Prices:
+    """Price every pair for q = 1 and r = ∞, exactly but for the speed limit.
+
+    The pairs share everything but their displacement, see `least_fuel`. A pair whose
+    cheapest path breaks the speed limit keeps that price, which the limit can only
+    raise, and is marked; `price_within_speed` settles it.
+
+    Args:
+        steps: The remaining steps, the same for all.
+        start: Where the agents are.
+        goals: Where they might have to be at the end.
+        max_control: U [m/s²].
+        max_speed: V [m/s].
+    """
+    b = displacements(steps, start, goals)
+    weight = ends_first(len(steps), SLOPE)
+    agents, targets, n = b.shape
+    burns = least_fuel(steps, b.reshape(-1, n), max_control, weight)
+    reachable = np.isfinite(burns.fuel)
+    exact = np.ones_like(reachable)
+    if isfinite(max_speed) and len(steps) > 1:
+        x0 = np.repeat(start, targets, axis=0)
+        exact = _keeps_speed(steps.A, steps.B, steps.z, x0, burns.u, max_speed * (1 + 1e-9))
+        exact |= ~reachable
+    slack = burns.fuel[reachable] - burns.bound[reachable]
+    gap = np.abs(slack) / np.maximum(np.abs(burns.bound[reachable]), 1e-9 * max_control * steps.dt)
+    fuel = np.where(reachable, burns.fuel, out_of_reach(steps, max_control))
+    shape = (agents, targets)
+    return Prices(
+        fuel.reshape(shape),
+        reachable.reshape(shape),
+        exact.reshape(shape),
+        float(gap.max(initial=0.0)),
+    )
+
+
+def price_within_speed(transfer: Transfer, start: Array, goal: Array) -> Flight | None:
+    """The exact answer for one pair that the speed limit binds; None where out of reach."""
+    try:
+        return Avoidance(transfer).solve(start, goal, no_spaces(transfer)).flight
+    except Infeasible:
+        return None
+
+
+def exact(
+    steps: Steps,
+    start: Float[Array, "agents n"],
+    goals: Float[Array, "targets n"],
+    max_control: float,
+    max_speed: float = inf,
+) -> Prices:
+    """Price every pair exactly, those that the speed limit binds one by one.
+
+    Args:
+        steps: The remaining steps, the same for all.
+        start: Where the agents are.
+        goals: Where they might have to be at the end.
+        max_control: U [m/s²].
+        max_speed: V [m/s].
+    """
+    prices = price(steps, start, goals, max_control, max_speed)
+    fuel, reachable = prices.fuel.copy(), prices.reachable.copy()
+    transfer = Transfer(steps, max_control, max_speed)
+    for i, j in np.argwhere(~prices.exact):
+        flight = price_within_speed(transfer, start[i], goals[j])
+        reachable[i, j] = flight is not None
+        fuel[i, j] = out_of_reach(steps, max_control) if flight is None else flight.fuel
+    return Prices(fuel, reachable, np.ones_like(reachable), prices.gap)
+
+
+def out_of_reach(steps: Steps, max_control: float) -> float:
+    """A finite price above that of every flight there is: twice all that can be burnt [m/s]."""
+    return 2 * steps.dt * max(len(steps), 1) * steps.axes * max_control
+
+
+def displacements(
+    steps: Steps, start: Float[Array, "agents n"], goals: Float[Array, "targets n"]
+) -> Float[Array, "agents targets n"]:
+    """Goal minus where the free motion ends, for every pair."""
+    free = steps.roll(start, np.zeros((len(start), len(steps), steps.axes)))[:, -1]
+    return goals[None] - free[:, None]
+
+
+def distance(
+    steps: Steps, start: Float[Array, "agents n"], goals: Float[Array, "targets n"]
+) -> Float[Array, "agents targets"]:
+    """Straight distance, the algebraic cost of [Morgan2016, Remark 3] [m]."""
+    d = steps.axes
+    return np.linalg.norm(goals[None, :, :d] - start[:, None, :d], axis=2)
+
+
+def energy(
+    steps: Steps, start: Float[Array, "agents n"], goals: Float[Array, "targets n"]
+) -> Float[Array, "agents targets"]:
+    """Least control energy, Δt Σ ‖u‖₂² = bᵀ (C Cᵀ)⁻¹ b Δt, without limits [m²/s³].
+
+    Strictly convex in the displacement b: the assignment of least energy has paths of
+    least energy that do not cross, whatever the linear dynamics.
+    """
+    C = response(steps).reshape(2 * steps.axes, -1)
+    b = displacements(steps, start, goals)
+    R = np.linalg.qr(C.T)[1]
+    return steps.dt * (np.linalg.solve(R.T, b.reshape(-1, len(R)).T) ** 2).sum(0).reshape(
+        b.shape[:2]
+    )
+
+
+@numba.njit(cache=True, parallel=True)  # type: ignore[misc]  # numba has no types
+def _keeps_speed(A, B, z, start, u, limit):  # type: ignore[no-untyped-def]
+    pairs, T, m = u.shape
+    n = start.shape[1]
+    keeps = np.ones(pairs, np.bool_)
+    for p in numba.prange(pairs):
+        x, after = start[p].copy(), np.empty(n)
+        for k in range(T - 1):
+            speed = 0.0
+            for a in range(n):
+                after[a] = z[k, a]
+                for c in range(n):
+                    after[a] += A[k, a, c] * x[c]
+                for c in range(m):
+                    after[a] += B[k, a, c] * u[p, k, c]
+                if a >= m:
+                    speed += after[a] ** 2
+            x[:] = after
+            if speed > limit**2:
+                keeps[p] = False
+                break
+    return keeps

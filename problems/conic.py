@@ -1,0 +1,108 @@
+"""The one standard form, and an answer that can judge itself."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+from scipy.sparse import csc_array
+
+TOLERANCE = 1e-6  # relative; a "solved" with larger residuals or gap is not solved
+
+
+@dataclass(frozen=True, eq=False)
+class Conic:
+    """minimise qᵀx  subject to  b − A x ∈ {0}ᶻ × ℝ₊ˡ × Q₁ × Q₂ × …
+
+    Rows stand in that order; Q are second-order cones, (t, y) with ‖y‖₂ ≤ t.
+    """
+
+    q: Float[Array, " n"]
+    A: csc_array  # m rows
+    b: Float[Array, " m"]
+    zero: int  # z, rows that are equations
+    nonnegative: int  # l, rows that are inequalities
+    cones: tuple[int, ...] = ()  # sizes of the second-order cones
+
+    def __post_init__(self) -> None:
+        """Refuse rows that belong to no cone."""
+        rows = self.zero + self.nonnegative + sum(self.cones)
+        if self.A.shape != (rows, len(self.q)) or len(self.b) != rows:
+            raise ValueError(
+                f"the cones have {rows} rows and the cost {len(self.q)} columns, "
+                f"but A is {self.A.shape} and b has {len(self.b)}"
+            )
+
+    def outside(self, s: Float[Array, " m"], dual: bool = False) -> float:
+        """How far s is from the cone, or from its dual: the largest violation."""
+        z, l = self.zero, self.nonnegative
+        worst = [0.0] if dual else [float(np.abs(s[:z]).max(initial=0.0))]
+        worst.append(float(-s[z : z + l].min(initial=0.0)))
+        start = z + l
+        for size in self.cones:
+            t, y = s[start], s[start + 1 : start + size]
+            worst.append(float(np.linalg.norm(y) - t))
+            start += size
+        return max(worst)
+
+
+class Answer(NamedTuple):
+    """What a solver says, and what recomputing shows of it."""
+
+    x: Float[Array, " n"]
+    y: Float[Array, " m"]  # duals, with q + Aᵀy = 0 and y in the dual cone
+    primal_residual: float  # distance of b − A x from the cone, relative
+    dual_residual: float  # of q + Aᵀy from zero and of y from the dual cone, relative
+    gap: float  # |qᵀx + bᵀy|, relative
+
+    @classmethod
+    def of(cls, problem: Conic, x: Float[Array, " n"], y: Float[Array, " m"]) -> "Answer":
+        """Recompute residuals and gap from the numbers alone."""
+        q, A, b = problem.q, problem.A, problem.b
+        value = float(q @ x)
+        primal = problem.outside(b - A @ x) / (1 + np.abs(b).max(initial=0.0))
+        stationary = float(np.abs(q + A.T @ y).max(initial=0.0))
+        dual = max(stationary, problem.outside(y, dual=True)) / (1 + np.abs(q).max(initial=0.0))
+        gap = abs(value + float(b @ y)) / (1 + abs(value))
+        return cls(x, y, float(primal), float(dual), gap)
+
+    @property
+    def worst(self) -> float:
+        """The largest of residuals and gap."""
+        return max(self.primal_residual, self.dual_residual, self.gap)
+
+
+class Unsolved(RuntimeError):
+    """A solver gave no answer that stands. The problem is kept, so it can be replayed."""
+
+    def __init__(self, problem: object, why: str) -> None:
+        """Keep the problem and say how the attempt ended."""
+        super().__init__(why)
+        self.problem = problem
+
+
+class Infeasible(Unsolved):
+    """No point satisfies every constraint."""
+
+
+Solver = Callable[[Conic], Answer]
+
+
+def solve(problem: Conic, solver: Solver) -> Answer:
+    """Solve, and believe the answer only after recomputing it.
+
+    Raises:
+        Infeasible: The solver proved that no point satisfies every constraint.
+        Unsolved: It stopped for another reason, or its answer fails the residuals.
+    """
+    answer = solver(problem)
+    if not answer.worst <= TOLERANCE:
+        raise Unsolved(
+            problem,
+            f"the solver said solved, but the primal residual is {answer.primal_residual:.1e}, "
+            f"the dual residual {answer.dual_residual:.1e} and the gap {answer.gap:.1e}, "
+            f"above {TOLERANCE:.0e}",
+        )
+    return answer

@@ -1,0 +1,306 @@
+"""Least ℓ₁ fuel for one system and very many end points.
+
+    minimise  Σ_j w_j |u_j|   subject to  C u = b,  |u_j| ≤ U
+
+Only b differs from one question to the next. The dual has as many variables as the
+state and no constraints,
+
+    maximise  λᵀb − U Σ_j max(0, |c_jᵀλ| − w_j),
+
+so every choice of a basis (as many columns j with |c_jᵀλ| = w_j as there are rows)
+is a point of it, and the best basis of one question is a start for the next. From
+there the dual simplex method with the long-step rule walks uphill: it lets go of one
+basic column and passes kinks of the dual for as long as the slope stays positive
+[Maros2003]. It ends after a few pivots at the exact optimum, or with a direction
+along which the dual grows without bound, which proves that b is out of reach.
+"""
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray as Array
+from scipy.sparse.csgraph import connected_components
+
+from dynamics import Steps
+
+PIVOTS = 10_000  # far above what any question took; a question that needs more is not answered
+
+
+class Burns(NamedTuple):
+    """Answers to every question, each with what proves it."""
+
+    u: Float[Array, "questions T m"]  # [m/s²]; NaN where the end is out of reach
+    fuel: Float[Array, " questions"]  # Δt Σ |u| [m/s]; infinite where out of reach
+    bound: Float[Array, " questions"]  # Δt × the dual value: weighted fuel is never below it
+
+
+def least_fuel(
+    steps: Steps,
+    displacement: Float[Array, "questions n"],
+    max_control: float,
+    weight: Float[Array, " T"],
+) -> Burns:
+    """Least fuel to displace the free motion's end, for many displacements.
+
+    Axes that do not act on one another are separate questions, and are answered so.
+
+    Args:
+        steps: Dynamics, the same for all.
+        displacement: x_f − Φ x₀ − (drift), one row a question.
+        max_control: U, the largest |u| on each axis [m/s²].
+        weight: Price of a unit of |u[k]|, near 1; a slope in it breaks ties.
+    """
+    T, m = len(steps), steps.axes
+    questions = len(displacement)
+    u = np.zeros((questions, T, m))
+    bound = np.zeros(questions)
+    for states, inputs in separate_axes(steps):
+        C = response(steps)[np.ix_(states, range(T), inputs)]
+        answer, dual = _answer(C, displacement[:, states], max_control, weight)
+        u[:, :, inputs] = answer
+        bound += dual * steps.dt
+    fuel = steps.dt * np.abs(u).sum(axis=(1, 2))
+    return Burns(u, np.where(np.isnan(fuel), np.inf, fuel), bound)
+
+
+def response(steps: Steps) -> Float[Array, "n T m"]:
+    """C: what a unit of u[k] does to the last state."""
+    n, m = steps.B.shape[1:]
+    C = np.empty((n, len(steps), m))
+    after = np.eye(n)
+    for k in reversed(range(len(steps))):
+        C[:, k] = after @ steps.B[k]
+        after = after @ steps.A[k]
+    return C
+
+
+def separate_axes(steps: Steps) -> list[tuple[Int[Array, " s"], Int[Array, " i"]]]:
+    """Groups of states and inputs that do not act on one another."""
+    n, m = steps.B.shape[1:]
+    acts = np.zeros((n + m, n + m))
+    acts[:n, :n] = np.abs(steps.A).sum(axis=0) if len(steps) else np.eye(n)
+    acts[:n, n:] = np.abs(steps.B).sum(axis=0)
+    count, group = connected_components(acts, directed=False)
+    members = [np.flatnonzero(group == g) for g in range(count)]
+    return [(part[part < n], part[part >= n] - n) for part in members]
+
+
+def _answer(
+    C: Float[Array, "s T i"], b: Float[Array, "questions s"], U: float, weight: Float[Array, " T"]
+) -> tuple[Float[Array, "questions T i"], Float[Array, " questions"]]:
+    s, T, i = C.shape
+    columns = C.reshape(s, T * i)
+    if np.linalg.matrix_rank(columns) < s:
+        return _too_short(columns, b, U, (T, i))
+    # Rows made orthonormal: the same questions, well conditioned.
+    Q, R = np.linalg.qr(columns.T)
+    whitened = np.linalg.solve(R.T, b.T).T
+    w = np.repeat(weight, i)
+    u, dual = _solve_all(np.ascontiguousarray(Q), np.ascontiguousarray(whitened), U, w)
+    return u.reshape(-1, T, i), dual
+
+
+def _too_short(
+    columns: Array, b: Array, U: float, shape: tuple[int, int]
+) -> tuple[Array, Array]:
+    # Fewer steps than it takes to reach every state: at most one u can do it.
+    u = b @ np.linalg.pinv(columns).T if columns.size else np.zeros((len(b), 0))
+    miss = np.abs(u @ columns.T - b).max(axis=1)
+    fails = (miss > 1e-9 * (1 + np.abs(b).max(axis=1))) | (np.abs(u) > U).any(axis=1)
+    u[fails] = np.nan
+    dual = np.where(fails, np.inf, np.abs(np.nan_to_num(u)).sum(axis=1))
+    return (u if u.size else np.where(fails[:, None], np.nan, u)).reshape(-1, *shape), dual
+
+
+@numba.njit(cache=True, parallel=True)  # type: ignore[misc]  # numba has no types
+def _solve_all(Q, b, U, w):  # type: ignore[no-untyped-def]
+    questions, n = len(b), len(Q)
+    u = np.empty((questions, n))
+    dual = np.empty(questions)
+    lots = min(questions, 64)
+    for lot in numba.prange(lots):
+        # Within a lot each question starts from the basis that answered the one before.
+        basis, sign = _first_basis(Q)
+        for q in range(lot * questions // lots, (lot + 1) * questions // lots):
+            dual[q] = _solve(Q, b[q], U, w, basis, sign, u[q])
+    return u, dual
+
+
+@numba.njit(cache=True)  # type: ignore[misc]
+def _first_basis(Q):  # type: ignore[no-untyped-def]
+    # Greedy: each column is the one that reaches furthest out of the span of those before.
+    n, m = Q.shape
+    rest = Q.copy()
+    basis = np.empty(m, np.int64)
+    for i in range(m):
+        best, size = 0, -1.0
+        for j in range(n):
+            norm = 0.0
+            for a in range(m):
+                norm += rest[j, a] ** 2
+            if norm > size:
+                best, size = j, norm
+        basis[i] = best
+        axis = rest[best] / np.sqrt(size)
+        for j in range(n):
+            along = 0.0
+            for a in range(m):
+                along += rest[j, a] * axis[a]
+            for a in range(m):
+                rest[j, a] -= along * axis[a]
+    return basis, np.ones(m)
+
+
+@numba.njit(cache=True)  # type: ignore[misc]
+def _solve(Q, b, U, w, basis, sign, u):  # type: ignore[no-untyped-def]
+    """Answer one question; `basis` and `sign` are the start and become the end.
+
+    Returns the dual value; infinity, and u = NaN, where b is out of reach.
+    """
+    n, m = Q.shape
+    tolerance = 1e-11 * (U + np.abs(b).max())
+    inverse, λ, v, state = _start(Q, w, basis, sign)
+    r = b.copy()
+    for j in range(n):
+        if state[j] != 0.0:
+            for a in range(m):
+                r[a] -= U * state[j] * Q[j, a]
+    α = np.empty(n)
+    when = np.empty(2 * n)
+    who = np.empty(2 * n, np.int64)
+    for _ in range(PIVOTS):
+        # The basic control that breaks its bounds by most.
+        out, worst, up = -1, tolerance, False
+        for i in range(m):
+            y = 0.0
+            for a in range(m):
+                y += inverse[i, a] * r[a]
+            y *= sign[i]
+            if -y > worst:
+                out, worst, up = i, -y, False
+            if y - U > worst:
+                out, worst, up = i, y - U, True
+        if out < 0:
+            return _finish(Q, b, U, w, basis, inverse, λ, v, state, r, u)
+        turn = sign[out] if up else -sign[out]
+        kinks = 0
+        for j in range(n):
+            α[j] = 0.0
+            for a in range(m):
+                α[j] += Q[j, a] * inverse[out, a]
+            α[j] *= turn
+        for i in range(m):
+            α[basis[i]] = 0.0
+        # The column let go is a kink ahead too, where it is let go towards zero and beyond.
+        left = basis[out]
+        α[left] = turn
+        v[left] = sign[out] * w[left]
+        if up:
+            state[left] = sign[out]
+            for a in range(m):
+                r[a] -= U * sign[out] * Q[left, a]
+        for j in range(n):
+            if abs(α[j]) < 1e-13:
+                continue
+            ahead = 1.0 if α[j] > 0 else -1.0
+            if state[j] == 0.0:
+                when[kinks], who[kinks] = max(0.0, (ahead * w[j] - v[j]) / α[j]), j
+                kinks += 1
+            elif state[j] != ahead:
+                when[kinks], who[kinks] = max(0.0, (-ahead * w[j] - v[j]) / α[j]), j
+                when[kinks + 1], who[kinks + 1] = max(0.0, (ahead * w[j] - v[j]) / α[j]), j
+                kinks += 2
+        order = np.argsort(when[:kinks])
+        slope, enter = worst, -1
+        for o in order:
+            j = who[o]
+            slope -= U * abs(α[j])
+            if slope <= 0.0:
+                enter = o
+                break
+            # Passed: the control flips from one bound to nothing, or from nothing to a bound.
+            ahead = 1.0 if α[j] > 0 else -1.0
+            new = ahead if state[j] == 0.0 else 0.0
+            for a in range(m):
+                r[a] -= U * (new - state[j]) * Q[j, a]
+            state[j] = new
+        if enter < 0:
+            u[:] = np.nan
+            return np.inf
+        j, t = who[enter], when[enter]
+        for k in range(n):
+            v[k] += t * α[k]
+        for a in range(m):
+            λ[a] += t * turn * inverse[out, a]
+        ahead = 1.0 if α[j] > 0 else -1.0
+        if state[j] != 0.0:
+            for a in range(m):
+                r[a] += U * state[j] * Q[j, a]
+            sign[out] = state[j]
+        else:
+            sign[out] = ahead
+        state[j] = 0.0
+        basis[out] = j
+        _exchange(inverse, Q[j], out)
+    u[:] = np.nan
+    return np.nan
+
+
+@numba.njit(cache=True)  # type: ignore[misc]
+def _start(Q, w, basis, sign):  # type: ignore[no-untyped-def]
+    n, m = Q.shape
+    inverse = np.linalg.inv(Q[basis].T.copy())
+    λ = np.zeros(m)
+    for i in range(m):
+        for a in range(m):
+            λ[a] += sign[i] * w[basis[i]] * inverse[i, a]
+    v, state = np.empty(n), np.zeros(n)
+    for j in range(n):
+        v[j] = 0.0
+        for a in range(m):
+            v[j] += Q[j, a] * λ[a]
+        if v[j] > w[j]:
+            state[j] = 1.0
+        elif v[j] < -w[j]:
+            state[j] = -1.0
+    for i in range(m):
+        state[basis[i]] = 0.0
+    return inverse, λ, v, state
+
+
+@numba.njit(cache=True)  # type: ignore[misc]
+def _exchange(inverse, column, out):  # type: ignore[no-untyped-def]
+    m = len(column)
+    coordinates = np.zeros(m)
+    for i in range(m):
+        for a in range(m):
+            coordinates[i] += inverse[i, a] * column[a]
+    for a in range(m):
+        inverse[out, a] /= coordinates[out]
+    for i in range(m):
+        if i != out:
+            for a in range(m):
+                inverse[i, a] -= coordinates[i] * inverse[out, a]
+
+
+@numba.njit(cache=True)  # type: ignore[misc]
+def _finish(Q, b, U, w, basis, inverse, λ, v, state, r, u):  # type: ignore[no-untyped-def]
+    n, m = Q.shape
+    for j in range(n):
+        u[j] = U * state[j]
+    for i in range(m):
+        y = 0.0
+        for a in range(m):
+            y += inverse[i, a] * r[a]
+        u[basis[i]] = min(max(y, -U), U)
+    dual = 0.0
+    for a in range(m):
+        dual += λ[a] * b[a]
+    for j in range(n):
+        over = 0.0
+        for a in range(m):
+            over += Q[j, a] * λ[a]
+        dual -= U * max(0.0, abs(over) - w[j])
+    return dual

@@ -1,0 +1,128 @@
+"""Fuel-optimal transfer of one agent from a state to a state [Morgan2016, Problem 6]."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import inf, isfinite
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from dynamics import Steps
+from problems.conic import Infeasible, Unsolved
+
+Norm = Literal[1, 2, "inf"]
+
+
+class Flight(NamedTuple):
+    """One trajectory and its price."""
+
+    x: Float[Array, "T+1 n"]  # states
+    u: Float[Array, "T m"]  # accelerations, held over each step [m/s²]
+    fuel: float  # Δt Σ ‖u[k]‖ [m/s]
+
+
+@dataclass(frozen=True, eq=False)
+class Transfer:
+    """Reach the goal with the least fuel.
+
+        minimise    Δt Σ w[k] ‖u[k]‖_q
+        subject to  x[k+1] = A[k] x[k] + B[k] u[k] + z[k]    (10)
+                    ‖u[k]‖_r ≤ U                             (12)
+                    x[0] = start,  x[T] = goal               (14), (18)
+                    ‖H x[k]‖₂ ≤ V,  k = 1 … T−1              (66)
+
+    The speeds at both ends are data and not decisions. The weights are 1 in the paper.
+    With q = 1 the optimum is often not unique, and a slight slope in the weights says
+    which of the equals is meant (`ends_first`).
+    """
+
+    steps: Steps
+    max_control: float  # U [m/s²]
+    max_speed: float = inf  # V [m/s]
+    fuel_norm: Norm = 1  # q
+    control_norm: Norm = "inf"  # r
+    slope: float = 0.0  # by which burns in the middle cost more than burns at the ends
+
+    def __post_init__(self) -> None:
+        """Refuse limits that no flight could keep."""
+        if not self.max_control > 0 or not self.max_speed > 0:
+            raise ValueError(
+                "limits must be positive, got "
+                f"max_control = {self.max_control} and max_speed = {self.max_speed}"
+            )
+
+    @cached_property
+    def weight(self) -> Float[Array, " T"]:
+        """w, the price of a unit of control at each step."""
+        return ends_first(len(self.steps), self.slope)
+
+    def solve(self, start: Float[Array, " n"], goal: Float[Array, " n"]) -> Flight:
+        """Fly from start to goal, by the statement.
+
+        Raises:
+            Infeasible: The goal is out of reach in this time.
+        """
+        problem, x, u = self._compiled
+        parameters = problem.param_dict
+        parameters["start"].value, parameters["goal"].value = start, goal
+        solve_statement(self, problem)
+        return self.flight(start, np.asarray(u.value))
+
+    def flight(self, start: Float[Array, " n"], u: Float[Array, "T m"]) -> Flight:
+        """The flight under given controls."""
+        order = np.inf if self.fuel_norm == "inf" else self.fuel_norm
+        fuel = self.steps.dt * float(np.linalg.norm(u, order, axis=1).sum())
+        return Flight(self.steps.roll(start, u), u, fuel)
+
+    @cached_property
+    def _compiled(self) -> tuple[Any, Any, Any]:
+        import cvxpy as cp
+
+        n = self.steps.A.shape[1]
+        start, goal = cp.Parameter(n, name="start"), cp.Parameter(n, name="goal")
+        x, u, effort, limits = self.statement(start)
+        arrive = x[len(self.steps)] == goal
+        return cp.Problem(cp.Minimize(effort), [*limits, arrive]), x, u
+
+    def statement(self, start: Any) -> tuple[Any, Any, Any, list[Any]]:
+        """Variables, cost and constraints in CVXPY, all but the arrival."""
+        import cvxpy as cp
+
+        A, B, z, dt = self.steps.A, self.steps.B, self.steps.z, self.steps.dt
+        T, n, m = B.shape
+        x, u = cp.Variable((T + 1, n)), cp.Variable((T, m))
+        effort = dt * self.weight @ cp.norm(u, self.fuel_norm, axis=1)
+        motion = [x[k + 1] == A[k] @ x[k] + B[k] @ u[k] + z[k] for k in range(T)]
+        limits = [x[0] == start, *motion, cp.norm(u, self.control_norm, axis=1) <= self.max_control]
+        if isfinite(self.max_speed) and T > 1:
+            limits.append(cp.norm(x[1:T, n // 2 :], 2, axis=1) <= self.max_speed)
+        return x, u, effort, limits
+
+
+def ends_first(T: int, slope: float) -> Float[Array, " T"]:
+    """Weights of 1 at both ends that rise to 1 + slope in the middle.
+
+    Concave in time: among burns of equal fuel, those nearest the ends are cheapest, so
+    that what lies between them is flown straight, and the optimum is unique.
+    """
+    k = np.arange(T)
+    return 1 + slope * (1 - ((2 * k - T + 1) / max(T - 1, 1)) ** 2)
+
+
+def solve_statement(question: object, problem: Any) -> None:
+    """Solve a CVXPY problem in place.
+
+    Raises:
+        Infeasible: No point satisfies every constraint.
+        Unsolved: The solver stopped for any other reason.
+    """
+    import cvxpy as cp
+
+    tight = {"tol_gap_abs": 1e-9, "tol_gap_rel": 1e-9, "tol_feas": 1e-9}
+    problem.solve(solver=cp.CLARABEL, **tight)
+    if problem.status in (cp.INFEASIBLE, cp.INFEASIBLE_INACCURATE):
+        raise Infeasible(question, f"{type(question).__name__} is infeasible")
+    if problem.status != cp.OPTIMAL:
+        raise Unsolved(question, f"{type(question).__name__} ended as {problem.status}")
