@@ -1,0 +1,107 @@
+"""Targets from a file of points."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from sato.shapes.order import in_order
+from sato.shapes.sizing import Centre, Draft, check_count, place
+
+HEADERS = ("x,y", "x_m,y_m", "x,y,z", "x_m,y_m,z_m")
+
+
+def points(
+    path: str | Path,
+    count: int | None = None,
+    *,
+    keep_order: bool = False,
+    spacing: float | None = None,
+    minimum_spacing: float = 0.0,
+    centre: Centre = "origin",
+) -> Float[Array, "count d"]:
+    """Targets listed in a CSV file: two or three columns of metres.
+
+    A first line `x,y`, `x,y,z` or `x_m,y_m`, `x_m,y_m,z_m` may name them; empty lines and lines
+    that begin with # are skipped.
+
+    Args:
+        path: The file.
+        count: How many targets, the first in the order; without it, all.
+        keep_order: Leave the points in the order of the file, which may not keep the shape in
+            every prefix; otherwise they are put in farthest-point order.
+        spacing: Scale the points to this least distance between two of the targets [m].
+        minimum_spacing: Refuse targets that stand closer [m].
+        centre: Where the middle of the bounding box of all points goes; "given" leaves them
+            where the file has them.
+
+    Raises:
+        ValueError: The file cannot be read, a line is not a point, two points coincide, there
+            are too few, or they would stand too close.
+    """
+    if count is not None:
+        check_count(count)
+    listed = _read(Path(path))
+    if count is not None and count > len(listed):
+        raise ValueError(f"{path} lists {len(listed)} points, fewer than the {count} asked for")
+    middle = (listed.min(axis=0) + listed.max(axis=0)) / 2
+    chosen = listed if keep_order else listed[in_order(listed)]
+    draft = Draft(f"the list {path}", chosen[:count], middle, None, 1.0)
+    return place(draft, spacing=spacing, size=None, minimum_spacing=minimum_spacing, centre=centre)
+
+
+def _read(path: Path) -> Float[Array, "k d"]:
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except FileNotFoundError as error:
+        raise ValueError(f"there is no file {path}") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} cannot be read as a list of points: {error}") from error
+    rows: list[list[float]] = []
+    numbers: list[int] = []
+    for number, line in enumerate(lines, start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        cells = [cell.strip() for cell in next(csv.reader([line]))]
+        if not rows and ",".join(cells).lower() in HEADERS:
+            continue
+        rows.append(_point(path, number, cells, len(rows[0]) if rows else None))
+        numbers.append(number)
+    if not rows:
+        raise ValueError(f"{path} lists no points")
+    listed = np.array(rows)
+    _refuse_twins(path, listed, numbers)
+    return listed
+
+
+def _point(path: Path, number: int, cells: list[str], columns: int | None) -> list[float]:
+    if len(cells) not in (2, 3) or (columns is not None and len(cells) != columns):
+        raise ValueError(
+            f"{path}, line {number}: {columns or '2 or 3'} columns of metres are wanted, "
+            f"got {len(cells)}"
+        )
+    try:
+        point = [float(cell) for cell in cells]
+    except ValueError as error:
+        raise ValueError(
+            f"{path}, line {number}: not numbers: {', '.join(cells)} "
+            "(a first line may name the columns, x_m,y_m or x_m,y_m,z_m)"
+        ) from error
+    if not np.isfinite(point).all():
+        raise ValueError(f"{path}, line {number}: a coordinate is not finite: {', '.join(cells)}")
+    return point
+
+
+def _refuse_twins(path: Path, listed: Float[Array, "k d"], numbers: list[int]) -> None:
+    from scipy.spatial import cKDTree
+
+    # Closer than rounding can tell apart, on the scale of the whole list.
+    twins = cKDTree(listed).query_pairs(1e-12 * float(np.abs(listed).max()))
+    if twins:
+        first, second = min(twins)
+        raise ValueError(
+            f"{path}: lines {numbers[first]} and {numbers[second]} are the same point, and two "
+            "agents cannot share it"
+        )

@@ -1,0 +1,120 @@
+"""Areas of the plane, and targets spread over them."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray as Array
+
+from sato.shapes.order import TIE, farthest, spread
+from sato.shapes.sizing import Draft
+
+CANDIDATES = 30_000  # places among which the targets of a region are chosen, about
+PER_TARGET = 40  # and at least this many for each of them
+ROUGH = 200  # rows and columns of a first look
+LARGEST_GRID = 4_000_000  # cells of a bounding box: keeps a sliver across it affordable
+
+
+class Region(NamedTuple):
+    """Where targets may stand: many places, dense enough to stand for the whole area."""
+
+    what: str  # as it stands in a message
+    places: Float[Array, "k 2"]
+    lower: Float[Array, " 2"]  # corners of the bounding box
+    upper: Float[Array, " 2"]
+
+    def draft(self, count: int) -> Draft:
+        """Spread targets over the region, each as far as can be from those before it."""
+        chosen = farthest(self.places, count)
+
+        def most(spacing: float) -> int:
+            return max(1, int(np.sum(chosen.spacing >= spacing * (1 + 2 * TIE))))
+
+        return Draft(
+            self.what,
+            self.places[chosen.rows],
+            (self.lower + self.upper) / 2,
+            "height",
+            float(self.upper[1] - self.lower[1]),
+            most,
+        )
+
+
+def enclosed(what: str, outlines: Sequence[Float[Array, "_ 2"]], count: int) -> Region:
+    """Region that closed outlines enclose.
+
+    A place is inside where the outlines wind around it (a hole runs the other way round, as in
+    fonts). Places stand on a grid and, so that edges and corners are kept, on the outlines.
+
+    Raises:
+        ValueError: The outlines enclose nothing.
+    """
+    start = np.concatenate(outlines)
+    end = np.concatenate([np.roll(outline, -1, axis=0) for outline in outlines])
+    lower, upper = start.min(axis=0), start.max(axis=0)
+    box = upper - lower
+    area = max(_signed_area(start, end), _rough_area(start, end))
+    if not area > 1e-9 * float(box.max()) ** 2:
+        raise ValueError(f"{what} encloses no area")
+    length = float(np.linalg.norm(end - start, axis=1).sum())
+    wanted = max(CANDIDATES, PER_TARGET * count)
+    step = max(
+        float(np.sqrt(area / wanted)), length / wanted, float(np.sqrt(box.prod() / LARGEST_GRID))
+    )
+    x, y = (_middles(lower[axis], upper[axis], step) for axis in (0, 1))
+    row, column = np.nonzero(_winding(start, end, x, y))
+    edge, grid = _along(start, end, step), np.column_stack([x[column], y[row]])
+    # The outlines come first: where two places are as good, the edge is taken.
+    places = np.concatenate([edge[spread(len(edge))], grid[spread(len(grid))]])
+    return Region(what, places, lower, upper)
+
+
+def _signed_area(start: Float[Array, "edges 2"], end: Float[Array, "edges 2"]) -> float:
+    # Exact, except where outlines cross and parts of them cancel.
+    a, b = start - start.min(axis=0), end - start.min(axis=0)
+    return abs(float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))) / 2
+
+
+def _rough_area(start: Float[Array, "edges 2"], end: Float[Array, "edges 2"]) -> float:
+    lower, box = start.min(axis=0), np.ptp(start, axis=0)
+    x, y = (lower + (np.arange(ROUGH)[:, None] + 0.5) / ROUGH * box).T
+    inside = _winding(start, end, x, y)
+    # Two in a row: an outline that only goes back over itself may enclose a place by rounding.
+    return float((inside[:, 1:] & inside[:, :-1]).mean() * box.prod())
+
+
+def _middles(lower: float, upper: float, step: float) -> Float[Array, " cells"]:
+    # Even about the middle, so that a symmetric outline has symmetric places.
+    cells = max(1, round((upper - lower) / step))
+    return lower + (np.arange(cells) + 0.5) * ((upper - lower) / cells)
+
+
+def _winding(
+    start: Float[Array, "edges 2"],
+    end: Float[Array, "edges 2"],
+    x: Float[Array, " columns"],
+    y: Float[Array, " rows"],
+) -> Bool[Array, "rows columns"]:
+    # Each edge turns the winding number of every place to the right of it in the rows it crosses.
+    # Half-open in y, so that a vertex in a row counts once.
+    up = (start[:, 1] <= y[:, None]) & (y[:, None] < end[:, 1])
+    down = (end[:, 1] <= y[:, None]) & (y[:, None] < start[:, 1])
+    row, edge = np.nonzero(up | down)
+    (x0, y0), (dx, dy) = start[edge].T, (end - start)[edge].T
+    column = np.searchsorted(x, x0 + (y[row] - y0) * dx / dy)
+    turns = np.zeros((len(y), len(x) + 1), dtype=np.int64)
+    np.add.at(turns, (row, column), np.where(up[row, edge], 1, -1))
+    inside: Array = turns.cumsum(axis=1)[:, :-1] != 0
+    return inside
+
+
+def _along(
+    start: Float[Array, "edges 2"], end: Float[Array, "edges 2"], step: float
+) -> Float[Array, "k 2"]:
+    pieces = np.ceil(np.linalg.norm(end - start, axis=1) / step).astype(int)
+    edge = np.repeat(np.arange(len(start)), pieces)
+    piece = np.arange(len(edge)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    share = piece / pieces[edge]
+    along: Array = start[edge] + share[:, None] * (end - start)[edge]
+    return along
