@@ -1,0 +1,199 @@
+"""How to get there: a flight for every agent, first alone, then among its neighbours."""
+
+from math import ceil, isfinite
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray as Array
+
+from dynamics import hold
+from dynamics.path import error_bound
+from problems.auction_cost import price_within_speed
+from problems.avoidance import Avoidance, no_spaces
+from problems.conic import Unsolved
+from problems.least_fuel import least_fuel
+from problems.transfer import Flight, Transfer
+from sato.network import Network
+from sato.reconfiguration.bidding import Minds, steps_left
+from sato.reconfiguration.mission import Leg, Reconfiguration
+from sato.scp import Horizon, Planner, planner, settle
+
+SLOPE = 1e-3  # of the fuel's weights: burns at the ends, straight paths between
+MOST_PIECES = 12  # in a step
+
+Event = dict[str, Any]
+
+
+class Plans(NamedTuple):
+    """What each agent is about to fly, and since when."""
+
+    flights: dict[int, Flight]
+    targets: dict[int, int]
+    made: int  # steps since the start of the leg
+
+    def control(self, k: int, alive: Bool[Array, " agents"]) -> Float[Array, "agents m"]:
+        """Controls at a step of the leg; none once a flight is over, NaN for the dead."""
+        m = next(iter(self.flights.values())).u.shape[1]
+        control = np.full((len(alive), m), np.nan)
+        for i in np.flatnonzero(alive):
+            u = self.flights[i].u
+            control[i] = u[k - self.made] if k - self.made < len(u) else 0.0
+        return control
+
+    def rest(self, i: int, target: int, k: int, T: int) -> Float[Array, "T m"] | None:
+        """What is left of an agent's controls, if they still lead where it wants in T steps."""
+        if self.targets.get(i) != target:
+            return None
+        u = self.flights[i].u[k - self.made :]
+        return u if len(u) == T else None
+
+
+NO_PLANS = Plans({}, {}, 0)
+
+
+def plan(
+    mission: Reconfiguration,
+    leg: Leg,
+    minds: Minds,
+    network: Network,
+    state: Float[Array, "agents n"],
+    spent: Float[Array, " agents"],
+    before: Plans,
+    k: int,
+    solves: int = 0,
+) -> tuple[Plans, list[Event]]:
+    """Plan for every live agent.
+
+    Args:
+        mission: What is flown.
+        leg: The leg under way.
+        minds: What the agents remember: their targets and clocks.
+        network: Who hears whom.
+        state: What each agent knows of its own state.
+        spent: Fuel that each has burnt [m/s]; who has more left gives way.
+        before: The plans flown so far.
+        k: Steps since the start of the leg.
+        solves: Programmes that were solved for this replan already.
+    """
+    horizon = look_ahead(mission, k)
+    planners: dict[int, Planner] = {}
+    late: list[int] = []
+    for clock in np.unique(minds.clock[network.alive]):
+        those = np.flatnonzero(network.alive & (minds.clock == clock))
+        steps = steps_left(mission, leg, int(clock), k)
+        transfer = Transfer(
+            steps,
+            mission.max_control,
+            mission.max_speed,
+            mission.fuel_norm,
+            mission.control_norm,
+            SLOPE,
+        )
+        goals = leg.targets[minds.target[those]]
+        flights, counted = alone(transfer, state[those], goals)
+        solves += counted
+        for i, goal, flight in zip(those.tolist(), goals, flights, strict=True):
+            if flight is None:
+                rest = before.rest(i, int(minds.target[i]), k, len(steps))
+                if rest is not None:
+                    flight = transfer.flight(state[i], rest)
+                else:
+                    flight = nearest(transfer, state[i], goal)
+                    solves += 1
+                    late.append(i)
+            rank = (len(steps) > 0, -float(spent[i]), i)
+            planners[i] = planner(rank, goal, transfer, horizon, flight)
+    planners, exchanges = settle(planners, network.hears)
+    solves += sum(p.solves for p in planners.values())
+    events: list[Event] = [
+        {"kind": "replan", "agents": [], "solves": solves, "exchanges": exchanges}
+    ]
+    events += _what_gave_way(mission, planners, late)
+    flights = {i: p.flight for i, p in planners.items()}
+    return Plans(flights, {i: int(minds.target[i]) for i in planners}, k), events
+
+
+def look_ahead(mission: Reconfiguration, k: int) -> Horizon:
+    """The avoidance horizon from step k of a leg on.
+
+    A step is cut so finely that two agents at full speed move by about R_col in a piece.
+    """
+    fast = mission.max_speed if isfinite(mission.max_speed) else 0.0
+    S = min(MOST_PIECES, max(1, ceil(2 * fast * mission.step / mission.collision_radius)))
+    T, start = mission.horizon_steps, k * mission.step
+    return Horizon(
+        hold(mission.model, mission.step, T, start),
+        hold(mission.model, mission.step / S, T * S, start),
+        mission.collision_radius + _margin(mission, mission.step / S),
+    )
+
+
+def _margin(mission: Reconfiguration, h: float) -> float:
+    # What the pieces of two agents could miss, at the states that the mission begins and
+    # ends with and under full control, twice over for what lies between.
+    ends = np.concatenate([mission.start, *(leg.targets for leg in mission.legs)])
+    x = np.stack([ends, ends], axis=1)
+    u = np.full((len(ends), 1, mission.model.axes), mission.max_control)
+    return 4 * error_bound(mission.model, x, u, h)
+
+
+def alone(
+    transfer: Transfer, start: Float[Array, "agents n"], goals: Float[Array, "agents n"]
+) -> tuple[list[Flight | None], int]:
+    """The flight of every agent as if it were alone, and the programmes that took.
+
+    None where the goal is out of reach.
+    """
+    steps = transfer.steps
+    if len(steps) == 0:
+        return [transfer.flight(x, np.zeros((0, steps.axes))) for x in start], 0
+    if (transfer.fuel_norm, transfer.control_norm) != (1, "inf"):
+        return [price_within_speed(transfer, x, g) for x, g in zip(start, goals, strict=True)], len(
+            start
+        )
+    b = goals - steps.roll(start, np.zeros((len(start), len(steps), steps.axes)))[:, -1]
+    burns = least_fuel(steps, b, transfer.max_control, transfer.weight)
+    flights: list[Flight | None] = []
+    solves = 0
+    for x, goal, u in zip(start, goals, burns.u, strict=True):
+        if np.isnan(u).any():
+            flights.append(None)
+            continue
+        flight = transfer.flight(x, u)
+        speed = np.linalg.norm(flight.x[1:-1, steps.axes :], axis=1).max(initial=0.0)
+        if speed > transfer.max_speed * (1 + 1e-9):
+            solves += 1
+            flights.append(price_within_speed(transfer, x, goal))
+        else:
+            flights.append(flight)
+    return flights, solves
+
+
+def nearest(transfer: Transfer, start: Float[Array, " n"], goal: Float[Array, " n"]) -> Flight:
+    """The flight that ends as near the goal as can be; coasting if nothing better is found."""
+    try:
+        return Avoidance(transfer).solve(start, goal, no_spaces(transfer), "arrival").flight
+    except Unsolved:
+        return transfer.flight(start, np.zeros(transfer.steps.B.shape[::2]))
+
+
+def _what_gave_way(
+    mission: Reconfiguration, planners: dict[int, Planner], late: list[int]
+) -> list[Event]:
+    tight = 1e-6 * mission.collision_radius
+    slack = {i: p.slack for i, p in planners.items() if p.slack > tight}
+    braked = [i for i, p in planners.items() if p.late > mission.position_tolerance]
+    failed = [i for i, p in planners.items() if p.failed]
+    events: list[Event] = []
+    if slack:
+        events.append({"kind": "slack", "agents": list(slack), "amount_m": list(slack.values())})
+    if braked:
+        events.append({"kind": "braked", "agents": braked})
+    if late:
+        what = "the target is out of reach in the time that is left"
+        events.append({"kind": "infeasible", "agents": late, "what": what})
+    if failed:
+        what = "no flight keeps clear of those that go before"
+        events.append({"kind": "infeasible", "agents": failed, "what": what})
+    return events
