@@ -1,0 +1,103 @@
+"""Whether everybody can be somewhere in time, asked before anything is flown."""
+
+from math import inf
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray as Array
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import maximum_bipartite_matching
+
+from dynamics import DoubleIntegrator, hold
+from problems.auction_cost import price
+from sato.reconfiguration.mission import Reconfiguration
+from sato.scenario.refusal import Refusal
+
+LONGEST = 64  # times the steps that were asked for; beyond, time is not what is missing
+
+
+def check_reach(mission: Reconfiguration) -> None:
+    """Refuse a first leg in which somebody has nowhere to be.
+
+    Looks at the limits on control, and on speed where a necessary condition has a closed
+    form: what passes can still turn out to be out of reach on the way.
+
+    Raises:
+        Refusal: An agent can reach none of the targets that it bids on, or too few of them can
+            be reached for everybody to have one; says for which agent, and what time would do.
+    """
+    steps = mission.legs[0].steps
+    left = _left_over(mission, steps)
+    if left is None:
+        return
+    agent, alone = left
+    enough = _enough(mission, steps)
+    cure = (
+        f"steps = {enough} would do"
+        if enough is not None
+        else f"even {LONGEST * steps} steps are not enough"
+    )
+    what = (
+        "can reach none of its targets"
+        if alone
+        else "is left without a target, for the others need all that it can reach,"
+    )
+    raise Refusal(
+        "leg.0.steps",
+        f"agent {agent} {what} in {steps} steps of {mission.step:g} s; {cure}, "
+        "or a larger model.max_control_m_s2 or max_speed_m_s",
+    )
+
+
+def _enough(mission: Reconfiguration, steps: int) -> int | None:
+    few, many = steps, 2 * steps
+    while _left_over(mission, many) is not None:
+        few, many = many, 2 * many
+        if many > LONGEST * steps:
+            return None
+    while many - few > 1:
+        middle = (few + many) // 2
+        few, many = (few, middle) if _left_over(mission, middle) is None else (middle, many)
+    return many
+
+
+def _left_over(mission: Reconfiguration, steps: int) -> tuple[int, bool] | None:
+    # An agent without a target, and whether none is within its reach.
+    live = np.flatnonzero(mission.alive)
+    wanted = max(mission.believed, len(live))
+    reachable = _reachable(mission, mission.start[live], mission.legs[0].targets[:wanted], steps)
+    nowhere = np.flatnonzero(~reachable.any(axis=1))
+    if nowhere.size:
+        return int(live[nowhere[0]]), True
+    matched = maximum_bipartite_matching(csr_array(reachable), perm_type="column")
+    alone = np.flatnonzero(matched < 0)
+    return (int(live[alone[0]]), False) if alone.size else None
+
+
+def _reachable(
+    mission: Reconfiguration, start: Float[Array, "k n"], goals: Float[Array, "m n"], steps: int
+) -> Bool[Array, "k m"]:
+    held = hold(mission.model, mission.step, steps)
+    # The box of r = ∞ holds the other norms' balls: what is out of its reach is out of theirs.
+    reachable = price(held, start, goals, mission.max_control).reachable
+    if isinstance(mission.model, DoubleIntegrator) and mission.max_speed < inf:
+        reachable &= _least_time(mission, start, goals) <= steps * mission.step * (1 + 1e-9)
+    return np.asarray(reachable)
+
+
+def _least_time(
+    mission: Reconfiguration, start: Float[Array, "k n"], goals: Float[Array, "m n"]
+) -> Float[Array, "k m"]:
+    # Along the straight line from start to goal, a point that is no faster than V and, where it
+    # starts at rest, no stronger than the box is in that direction: a bound from below.
+    d = mission.model.axes
+    way = goals[None, :, :d] - start[:, None, :d]
+    far = np.linalg.norm(way, axis=2)
+    V = mission.max_speed
+    strength = mission.max_control * np.abs(way).sum(axis=2) / np.where(far > 0, far, 1.0)
+    strength = np.where(far > 0, strength, 1.0)
+    trapezium = np.where(
+        far * strength >= V**2, far / V + V / strength, 2 * np.sqrt(far / strength)
+    )
+    at_rest = ~start[:, None, d:].any(axis=2)
+    return np.asarray(np.where(at_rest, trapezium, far / V))

@@ -1,0 +1,87 @@
+"""SYSTEM 1 as a file."""
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import tomli_w
+from pydantic import Field, PrivateAttr, model_validator
+
+from sato.reconfiguration.mission import Reconfiguration
+from sato.scenario.build import build
+from sato.scenario.legs import check_legs, wanted
+from sato.scenario.reach import check_reach
+from sato.scenario.refusal import Refusal, ScenarioError
+from sato.scenario.start import portable
+from sato.scenario.tables import (
+    AnyModel,
+    Disturbance,
+    LegTable,
+    Plan,
+    Swarm,
+    check_detectable,
+    detectable,
+)
+from sato.scenario.units import Table
+
+
+class ReconfigurationFile(Table):
+    """A swarm that takes up one shape after another, as it stands in a file."""
+
+    system: Literal["reconfiguration"]
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    swarm: Swarm
+    model: AnyModel
+    plan: Plan
+    disturbance: Disturbance = Disturbance()
+    leg: Annotated[list[LegTable], Field(min_length=1)]
+
+    _source: str = PrivateAttr(default="scenario")  # in messages: where it was read from
+
+    def model_post_init(self, context: Any) -> None:
+        """Remember the name of the file."""
+        if isinstance(context, dict):
+            self._source = context.get("source", self._source)
+
+    @model_validator(mode="after")
+    def _hangs_together(self) -> "ReconfigurationFile":
+        check_detectable(self.swarm, self.model, self.plan)
+        check_legs(self.swarm, self.leg)
+        return self
+
+    @property
+    def undetectable(self) -> bool:
+        """Whether two agents might meet unseen, against [Morgan2016, Prop. 9]."""
+        return not detectable(self.swarm, self.model, self.plan)
+
+    def build(self, rng: np.random.Generator) -> Reconfiguration:
+        """The mission, with everything drawn that is left to chance.
+
+        Args:
+            rng: Draws the random starts; the same state gives the same mission.
+
+        Raises:
+            ScenarioError: The starts or the targets cannot be as they are asked for, or cannot
+                be reached.
+        """
+        try:
+            mission = build(self.swarm, self.model, self.plan, self.disturbance, self.leg, rng)
+            check_reach(mission)
+        except Refusal as refusal:
+            raise ScenarioError(f"{self._source}: {refusal}") from refusal
+        return mission
+
+    def to_toml(self) -> str:
+        """The whole scenario, so that it can be repeated from this text alone."""
+        axes = self.model.model().axes
+        legs = []
+        for leg, most in zip(self.leg, wanted(self.swarm, self.leg), strict=True):
+            shape = leg.shape.portable(leg.targets or most, axes)
+            joins = [
+                join.model_copy(update={"start": portable(join.start, join.agents, axes)})
+                for join in leg.join
+            ]
+            legs.append(leg.model_copy(update={"shape": shape, "join": joins}))
+        start = portable(self.swarm.start, self.swarm.agents, axes)
+        swarm = self.swarm.model_copy(update={"start": start})
+        alone = self.model_copy(update={"leg": legs, "swarm": swarm})
+        return tomli_w.dumps(alone.model_dump(exclude_none=True))
