@@ -1,0 +1,165 @@
+"""Who hears whom, rounds of messages, and how agents learn their diameter."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sato.network import (
+    Network,
+    News,
+    Surveyor,
+    flood,
+    learn_diameter,
+    rounds,
+    survey,
+    surveyed,
+)
+
+LAW = settings(deadline=None, derandomize=True)
+
+
+@st.composite
+def networks(draw: st.DrawFn, most: int = 12) -> Network:
+    agents = draw(st.integers(1, most))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    alive = rng.random(agents) < draw(st.sampled_from([1.0, 0.8]))
+    hears = np.triu(rng.random((agents, agents)) < draw(st.sampled_from([0.1, 0.2, 0.5])), 1)
+    return Network((hears | hears.T) & alive & alive[:, None], alive)
+
+
+def line(agents: int) -> Network:
+    place = np.arange(agents)
+    hears = np.abs(place - place[:, None]) == 1
+    return Network(hears, np.ones(agents, dtype=bool))
+
+
+def all_hops(network: Network) -> np.ndarray:
+    # By powers of the adjacency: an opinion independent of any shortest-path code.
+    agents = len(network.alive)
+    hops = np.full((agents, agents), np.inf)
+    reach = np.eye(agents, dtype=bool)
+    for d in range(agents):
+        hops[reach & np.isinf(hops)] = d
+        reach = (reach.astype(int) @ (network.hears | np.eye(agents, dtype=bool))) > 0
+    return hops
+
+
+@LAW
+@given(networks())
+def test_agents_learn_the_diameter_that_all_paths_have(network):
+    hops = all_hops(network)
+    expected = [
+        int(
+            max(
+                hops[i, j]
+                for i in np.flatnonzero(np.isfinite(hops[a]))
+                for j in np.flatnonzero(np.isfinite(hops[a]))
+            )
+        )
+        for a in range(len(hops))
+    ]
+    assert learn_diameter(network).tolist() == expected
+    assert network.diameter.tolist() == expected
+    assert np.array_equal(network.hops, hops)
+
+
+@LAW
+@given(networks())
+def test_an_agent_knows_its_diameter_three_eccentricities_after_the_start(network):
+    states = [Surveyor(News(frozenset([i]))) for i in range(len(network.alive))]
+    history = list(rounds(network, states, survey, lambda s: s.news, surveyed))
+    for i in np.flatnonzero(network.alive):
+        e = int(
+            np.max(all_hops(network)[i], where=network.component == network.component[i], initial=0)
+        )
+        assert history[-1][i].eccentricity == e
+        assert history[-1][i].round == 3 * e + 1
+        assert 3 * e + 1 <= 3 * network.diameter[i] + 1
+
+
+@LAW
+@given(networks())
+def test_components_are_what_paths_connect(network):
+    hops, component = all_hops(network), network.component
+    for i in range(len(hops)):
+        if not network.alive[i]:
+            assert component[i] == -1
+            continue
+        together = (component == component[i]).tolist()
+        assert together == np.isfinite(hops[i]).tolist()
+    seen = [c for c in component.tolist() if c >= 0]
+    assert list(dict.fromkeys(seen)) == list(range(len(set(seen))))  # by lowest member
+
+
+@LAW
+@given(networks(), st.integers(0, 2**32 - 1))
+def test_flooding_agrees_on_the_largest_of_each_component(network, seed):
+    values = np.random.default_rng(seed).integers(1, 50, len(network.alive))
+    assert flood(network, values.tolist(), max) == network.largest(values).tolist()
+
+
+def test_news_travels_one_hop_a_round():
+    network = line(6)
+    states = [frozenset([i]) for i in range(6)]
+    history = rounds(
+        network,
+        states,
+        lambda mine, inbox: mine.union(*inbox),
+        lambda mine: mine,
+        lambda mine: len(mine) == 6,
+    )
+    for r, now in enumerate(history, start=1):
+        for i in range(6):
+            assert now[i] == {j for j in range(6) if abs(i - j) <= r}
+
+
+def test_an_agent_hears_its_neighbours_and_the_finished_but_nobody_else():
+    network = line(4)
+    inboxes = {i: [] for i in range(4)}
+
+    def act(state: tuple[int, int], inbox: list[int]) -> tuple[int, int]:
+        inboxes[state[0]].append(inbox)
+        return state[0], state[1] - 1
+
+    # Agent i finishes after i + 1 rounds and tells its number all the time.
+    states = [(i, i + 1) for i in range(4)]
+    assert len(list(rounds(network, states, act, lambda s: s[0], lambda s: s[1] == 0))) == 4
+    assert inboxes == {0: [[1]], 1: [[0, 2]] * 2, 2: [[1, 3]] * 3, 3: [[2]] * 4}
+
+
+def test_the_dead_neither_act_nor_are_heard():
+    alive = np.array([True, False, True])
+    network = Network.within(np.array([[0.0], [1.0], [2.0]]), 1.5, alive)
+    assert [n.tolist() for n in network.neighbours] == [[], [], []]
+    assert network.component.tolist() == [0, -1, 1]
+    assert flood(network, [1, 9, 2], max) == [1, 9, 2]
+
+
+def test_exactly_the_radius_apart_is_still_heard():
+    network = Network.within(np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 9.1]]), 5.0, np.full(3, True))
+    assert [n.tolist() for n in network.neighbours] == [[1], [0], []]
+
+
+def test_the_position_of_the_dead_does_not_matter():
+    position = np.array([[0.0, 0.0], [np.nan, np.nan], [1.0, 0.0]])
+    network = Network.within(position, 2.0, np.array([True, False, True]))
+    assert network.diameter.tolist() == [1, 0, 1]
+
+
+def test_a_swarm_of_nobody_has_no_components():
+    network = Network.within(np.zeros((2, 3)), 1.0, np.full(2, False))
+    assert network.component.tolist() == [-1, -1]
+    assert learn_diameter(network).tolist() == [0, 0]
+
+
+def test_what_is_no_network_is_refused():
+    one_way = np.array([[False, True], [False, False]])
+    with pytest.raises(ValueError, match="agent 0 hears agent 1 but not the other way round"):
+        Network(one_way, np.full(2, True))
+    with pytest.raises(ValueError, match="agent 1 is its own neighbour"):
+        Network(np.diag([False, True]), np.full(2, True))
+    with pytest.raises(ValueError, match="agent 1 is not alive but has neighbours"):
+        Network(one_way | one_way.T, np.array([True, False]))
+    with pytest.raises(ValueError, match="must be positive, got -1"):
+        Network.within(np.zeros((2, 2)), -1.0, np.full(2, True))

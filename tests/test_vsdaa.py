@@ -1,0 +1,315 @@
+"""VSDAA: one agent's part against the compiled rounds, laws, and the central optimum."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from problems.assignment import assign
+from sato.auction import NOBODY
+from sato.network import Network
+from sato.vsdaa import OutOfTargets, by_messages, vsdaa
+from sato.vsdaa.kernel import Swarm, gather, play
+
+LAW = settings(deadline=None, derandomize=True, max_examples=60)
+
+
+class Case(NamedTuple):
+    """The arguments of an auction."""
+
+    cost: np.ndarray
+    network: Network
+    believed: np.ndarray
+    epsilon: float
+
+
+def line(agents: int) -> Network:
+    place = np.arange(agents)
+    return Network(np.abs(place - place[:, None]) == 1, np.full(agents, True))
+
+
+def ring(agents: int) -> Network:
+    apart = np.abs(np.arange(agents) - np.arange(agents)[:, None])
+    return Network((apart == 1) | (apart == agents - 1), np.full(agents, True))
+
+
+def random_graph(rng: np.random.Generator, agents: int, share: float, alive: float) -> Network:
+    live = rng.random(agents) < alive
+    hears = np.triu(rng.random((agents, agents)) < share, 1)
+    return Network((hears | hears.T) & live & live[:, None], live)
+
+
+def costs(rng: np.random.Generator, kind: str, agents: int, targets: int) -> np.ndarray:
+    if kind == "ties":
+        return rng.integers(0, 3, (agents, targets)).astype(float)
+    if kind == "all equal":
+        return np.ones((agents, targets))
+    if kind == "grid":  # distances on a lattice: many ties
+        start, goal = (rng.permutation(36)[:n] for n in (agents, targets))
+        return np.hypot(start[:, None] // 6 - goal // 6, start[:, None] % 6 - goal % 6)
+    if kind == "circle":
+        angle = 2 * np.pi * np.arange(targets) / targets
+        start = rng.normal(size=(agents, 1, 2))
+        return np.linalg.norm(start - np.stack([np.cos(angle), np.sin(angle)], 1), axis=2)
+    return rng.random((agents, targets)) + (10.0 if kind == "far" else 0.0)
+
+
+@st.composite
+def cases(draw: st.DrawFn, most: int = 9) -> Case:
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    agents, spare = draw(st.integers(1, most)), draw(st.integers(0, 4))
+    shape = draw(st.sampled_from(["line", "ring", "dense", "sparse", "losses"]))
+    if shape in ("line", "ring"):
+        network = {"line": line, "ring": ring if agents > 2 else line}[shape](agents)
+    else:
+        network = random_graph(
+            rng, agents, 0.6 if shape == "dense" else 0.25, 0.7 if shape == "losses" else 1.0
+        )
+    kind = draw(st.sampled_from(["random", "far", "ties", "all equal", "grid", "circle"]))
+    targets = agents + spare
+    m = draw(st.integers(1, targets))
+    believed = rng.integers(1, m + 1, agents) if draw(st.booleans()) else np.full(agents, m)
+    epsilon = draw(st.sampled_from([0.01, 0.03, 0.25, 1.0]))
+    return Case(costs(rng, kind, agents, targets), network, believed, epsilon)
+
+
+def kernel(case: Case, ids: bool, rounds: int) -> list[Swarm]:
+    """All agents after each round, for that many rounds; the last is repeated."""
+    swarm, history = gather(case.cost, case.network, case.believed), []
+    for _ in play(swarm, case.epsilon, ids, stride=1):
+        history.append(Swarm(*(field.copy() for field in swarm)))
+    return history + [history[-1]] * (rounds - len(history))
+
+
+def definition(case: Case, ids: bool, rounds: int = 0) -> list:
+    history = list(by_messages(*case, ids=ids))
+    return history + [history[-1]] * (rounds - len(history))
+
+
+@pytest.mark.parametrize("ids", [True, False])
+@settings(LAW, max_examples=150)
+@given(case=cases())
+def test_the_compiled_rounds_are_the_definition_bit_for_bit(ids, case):
+    if not case.network.alive.any():
+        return
+    try:
+        agents = definition(case, ids)
+    except OutOfTargets as expected:
+        with pytest.raises(OutOfTargets) as found:
+            vsdaa(*case, ids=ids)
+        assert (found.value.agent, found.value.round) == (expected.agent, expected.round)
+        return
+    swarms = kernel(case, ids, len(agents))
+    agents = definition(case, ids, len(swarms))
+    for r, (now, swarm) in enumerate(zip(agents, swarms, strict=True), start=1):
+        for i in np.flatnonzero(case.network.alive):
+            me = now[i]
+            assert me.book.price.tobytes() == swarm.price[i].tobytes()
+            assert me.book.holder.tobytes() == swarm.holder[i].tobytes()
+            assert (me.believed, me.target) == (swarm.believed[i], swarm.target[i])
+            assert me.quiet == min(r - swarm.last[i], swarm.patience[i])
+            assert me.bids == swarm.bids[i]
+
+
+@pytest.mark.parametrize("ids", [True, False])
+@given(case=cases())
+@LAW
+def test_both_report_the_same_end(ids, case):
+    if not case.network.alive.any():
+        return
+    try:
+        history = definition(case, ids)
+    except OutOfTargets:
+        return
+    auction = vsdaa(*case, ids=ids)
+    live = np.flatnonzero(case.network.alive)
+    last = [history[-1][i] for i in live]
+    assert auction.rounds == len(history)
+    assert auction.target[live].tolist() == [agent.target for agent in last]
+    assert auction.bidders[live].tolist() == [agent.book.bidders for agent in last]
+    assert auction.bids == sum(agent.bids for agent in last)
+    assert np.all(auction.target[~case.network.alive] == -1)
+
+
+def check_promises(case: Case) -> None:
+    """Every promise of the auction, component by component."""
+    cost, network, believed, epsilon = case
+    auction = vsdaa(*case)
+    for c in range(network.component.max(initial=-1) + 1):
+        members = np.flatnonzero(network.component == c)
+        n, target = len(members), auction.target[members]
+        m = max(n, int(believed[members].max()))
+        assert len(set(target.tolist())) == n
+        assert set(auction.believed[members].tolist()) == {m}
+        assert set(auction.bidders[members].tolist()) == {n}
+        assert np.all(auction.price[members] == auction.price[members[0]])
+        best = cost[members, assign(cost[members, :m])].sum()
+        paid = cost[members, target].sum()
+        assert best - 1e-9 <= paid <= best + n * epsilon + 1e-9
+
+
+@settings(LAW, max_examples=300)
+@given(cases(most=14))
+def test_each_component_is_unique_agrees_and_is_near_optimal(case):
+    check_promises(case)
+
+
+@pytest.mark.parametrize("kind", ["random", "grid", "circle", "all equal"])
+def test_every_first_belief_ends_right(rng, kind):
+    cost = costs(rng, kind, 9, 12)
+    for m in range(1, 13):
+        check_promises(Case(cost, ring(9), np.full(9, m), 1e-2))
+
+
+@pytest.mark.parametrize("share", [0.05, 0.1])
+def test_a_swarm_of_sixty_in_pieces_ends_right(rng, share):
+    network = random_graph(rng, 60, share, 0.9)
+    check_promises(Case(rng.random((60, 70)), network, rng.integers(20, 71, 60), 1e-3))
+
+
+def test_agents_that_disagree_on_m_agree_on_the_largest_first(rng):
+    believed = np.array([3, 7, 2, 5])
+    auction = vsdaa(rng.random((4, 8)), line(4), believed, 1e-2)
+    assert auction.believed.tolist() == [7, 7, 7, 7]
+
+
+def test_a_lone_agent_takes_its_cheapest_target_in_one_round():
+    auction = vsdaa(np.array([[3.0, 1.0, 2.0]]), line(1), np.array([3]), 0.1)
+    assert auction.target.tolist() == [1]
+    assert (auction.rounds, auction.bids, auction.bidders.tolist()) == (1, 1, [1])
+
+
+def test_a_lone_agent_that_knows_of_one_target_only_takes_it():
+    auction = vsdaa(np.array([[3.0, 1.0, 2.0]]), line(1), np.array([1]), 0.1)
+    assert auction.target.tolist() == [0]
+
+
+def books_differ(before: tuple, after: tuple, r: int, i: int) -> bool:
+    (price, holder), (price_2, holder_2) = before, after
+    return (
+        price[r][i].tobytes() != price_2[r][i].tobytes()
+        or holder[r][i].tobytes() != holder_2[r][i].tobytes()
+    )
+
+
+def books_by_messages(case: Case, rounds: int) -> tuple:
+    history = definition(case, True, rounds)
+    return (
+        [[agent.book.price for agent in now] for now in history],
+        [[agent.book.holder for agent in now] for now in history],
+    )
+
+
+def books_by_kernel(case: Case, rounds: int) -> tuple:
+    history = kernel(case, True, rounds)
+    return [swarm.price for swarm in history], [swarm.holder for swarm in history]
+
+
+@pytest.mark.parametrize("books", [books_by_messages, books_by_kernel])
+@pytest.mark.parametrize("believed", [3, 12])
+def test_what_an_agent_pays_is_not_known_h_hops_away_before_round_h(rng, books, believed):
+    cost = rng.random((10, 12))
+    changed = cost.copy()
+    changed[0] = rng.random(12)
+    changed[0, np.argmin(cost[0, :believed])] = 2.0  # so that it bids elsewhere at once
+    network, m = line(10), np.full(10, believed)
+    before, after = (books(Case(c, network, m, 1e-2), 40) for c in (cost, changed))
+    for hops in range(10):
+        # Index r is the book after r + 1 rounds; the first bid is heard a hop away in the second.
+        for r in range(hops):
+            assert not books_differ(before, after, r, hops)
+    assert books_differ(before, after, 0, 0)
+    assert any(books_differ(before, after, r, 9) for r in range(9, 40))
+
+
+@pytest.mark.parametrize("books", [books_by_messages, books_by_kernel])
+def test_the_light_cone_holds_on_any_graph(rng, books):
+    for _ in range(5):
+        network = random_graph(rng, 14, 0.15, 1.0)
+        cost = rng.random((14, 16))
+        changed = cost.copy()
+        changed[3] = rng.random(16)
+        before, after = (books(Case(c, network, np.full(14, 9), 1e-2), 30) for c in (cost, changed))
+        for i, hops in enumerate(network.hops[3]):
+            for r in range(int(min(hops, 30))):
+                assert not books_differ(before, after, r, i)
+
+
+def test_printed_bids_that_tie_leave_one_target_to_two_agents():
+    # Everybody bids the same on target 0 and, without numbers, believes to hold it.
+    case = Case(np.ones((4, 6)), line(4), np.full(4, 1), 0.1)
+    assert vsdaa(*case, ids=False).target.tolist() == [0, 0, 0, 0]
+    assert sorted(vsdaa(*case, ids=True).target.tolist()) == [0, 1, 2, 3]
+
+
+def test_the_printed_method_is_near_optimal_where_nothing_ties(rng):
+    cost = rng.random((12, 15))
+    auction = vsdaa(cost, ring(12), np.full(12, 15), 1e-2, ids=False)
+    paid, best = cost[range(12), auction.target].sum(), cost[range(12), assign(cost)].sum()
+    assert len(set(auction.target.tolist())) == 12
+    assert best - 1e-9 <= paid <= best + 12 * 1e-2
+
+
+def test_with_a_common_m_the_last_bid_keeps_the_bound_of_proposition_1(rng):
+    # [Morgan2016, eq. 20]; the proof ignores growing m, so m starts at N.
+    for agents in (3, 8, 20):
+        cost, network = rng.random((agents, agents)), ring(agents)
+        auction = vsdaa(cost, network, np.full(agents, agents), 1e-2)
+        steps = np.ceil((cost.max(axis=1) - cost.min(axis=1)) / 1e-2).max()
+        assert auction.last_bid_round <= network.diameter[0] * (agents - 1) * steps
+
+
+def test_agents_far_behind_a_price_wall_still_end(rng):
+    # Out of reach is a large finite cost; here four agents fight for three good targets.
+    cost = rng.random((6, 8))
+    cost[:4, 3:] += 1e3
+    check_promises(Case(cost, line(6), np.full(6, 8), 1e-2))
+
+
+@pytest.mark.parametrize("run", [vsdaa, lambda *case: list(by_messages(*case))])
+def test_more_agents_than_targets_say_so_with_evidence(rng, run):
+    with pytest.raises(OutOfTargets, match="found all 3 targets taken") as found:
+        run(rng.random((5, 3)), line(5), np.full(5, 2), 0.1)
+    assert found.value.targets == 3
+    assert found.value.round > 1
+
+
+def test_a_swarm_of_nobody_ends_at_once():
+    network = Network(np.zeros((2, 2), dtype=bool), np.full(2, False))
+    auction = vsdaa(np.full((2, 3), np.nan), network, np.zeros(2, dtype=int), 0.1)
+    assert auction.target.tolist() == [-1, -1]
+    assert (auction.rounds, auction.bids) == (0, 0)
+
+
+def test_the_dead_need_no_costs(rng):
+    alive = np.array([True, False, True])
+    network = Network.within(np.array([[0.0], [1.0], [2.0]]), 3.0, alive)
+    cost = rng.random((3, 3))
+    cost[1] = np.nan
+    auction = vsdaa(cost, network, np.array([2, 0, 2]), 1e-2)
+    assert auction.target[1] == NOBODY
+    assert len({*auction.target[alive].tolist()}) == 2
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"cost": np.array([[0.0, np.inf], [0, 0]])}, "cost of target 1 for agent 0 is inf"),
+        (
+            {"cost": np.zeros((3, 2)), "believed": np.array([1, 1, 1])},
+            "costs for 3 agents, a network of 2, m of 3: there must be a row",
+        ),
+        ({"believed": np.array([1, 3])}, "agent 1 believes in 3 targets: from 1 to the 2"),
+        ({"believed": np.array([0, 1])}, "agent 0 believes in 0 targets"),
+        ({"epsilon": 0.0}, "the bid increment is 0.0"),
+        ({"epsilon": float("nan")}, "the bid increment is nan"),
+        ({"cost": np.full((2, 2), 1e15)}, "the bid increment is 0.1: it must be"),
+    ],
+)
+def test_wrong_input_is_refused_with_what_would_do(change, sentence):
+    case = Case(np.zeros((2, 2)), line(2), np.array([1, 1]), 0.1)._replace(**change)
+    for run in (vsdaa, by_messages):
+        with pytest.raises(ValueError, match=sentence):
+            run(*case)
