@@ -27,6 +27,7 @@ class ClohessyWiltshire(LinearModel):
 
     n: float  # mean motion of the chief [rad/s]
     axes: ClassVar[int] = 3
+    constant: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         """Refuse an orbit that does not turn."""

@@ -63,15 +63,9 @@ def hold(model: LinearModel, dt: float, count: int, start: float = 0.0) -> Steps
     """
     if not dt > 0 or count < 0:
         raise ValueError(f"a step must be positive and a count not negative, got {dt} and {count}")
-    parts: list[tuple[Array, Array, Array]] = []
-    last: tuple[Array, Array, Array] | None = None
-    for k in range(count):
-        t = start + (k + 0.5) * dt
-        now = model.A(t), model.B(t), model.z(t)
-        same = last is not None and all(map(np.array_equal, now, last))
-        parts.append(parts[-1] if same else _hold(*now, dt))
-        last = now
-    return _stack(parts, model, dt)
+    moments = 1 if model.constant else count
+    parts = [_hold(model, start + (k + 0.5) * dt, dt) for k in range(min(moments, count))]
+    return _stack(parts * (count if model.constant else 1), model, dt)
 
 
 def _stack(parts: list[tuple[Array, Array, Array]], model: LinearModel, dt: float) -> Steps:
@@ -82,8 +76,9 @@ def _stack(parts: list[tuple[Array, Array, Array]], model: LinearModel, dt: floa
     return Steps(A, B, z, dt)
 
 
-def _hold(A: Array, B: Array, z: Array, dt: float) -> tuple[Array, Array, Array]:
+def _hold(model: LinearModel, t: float, dt: float) -> tuple[Array, Array, Array]:
     # exp([[A, B, z], [0, 0, 0]] dt) = [[A_d, B_d, z_d], [0, I]]  [VanLoan1978]
+    A, B, z = model.A(t), model.B(t), model.z(t)
     n, m = B.shape
     M = np.zeros((n + m + 1, n + m + 1))
     M[:n, :n], M[:n, n : n + m], M[:n, -1] = A, B, z

@@ -1,6 +1,7 @@
 """A point mass that is pushed."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -14,6 +15,7 @@ class DoubleIntegrator(LinearModel):
     """r̈ = u in the plane or in space."""
 
     axes: int = 2
+    constant: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         """Refuse what is neither a plane nor space."""

@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -27,6 +27,8 @@ class LinearModel(Model):
     To add a linear model, write its axes and A, and z where the model is affine.
     Discretisation, problems and simulations then accept it as it is.
     """
+
+    constant: ClassVar[bool] = False  # whether A, B and z are the same at all times
 
     @abstractmethod
     def A(self, t: float) -> Float[Array, "n n"]:

@@ -51,8 +51,13 @@ def least_fuel(
         displacement: x_f − Φ x₀ − (drift), one row a question.
         max_control: U, the largest |u| on each axis [m/s²].
         weight: Price of a unit of |u[k]|, near 1; a slope in it breaks ties.
+
+    Raises:
+        ValueError: There is no step to burn in.
     """
     T, m = len(steps), steps.axes
+    if T == 0:
+        raise ValueError("there must be at least one step to burn in")
     questions = len(displacement)
     u = np.zeros((questions, T, m))
     bound = np.zeros(questions)
@@ -80,7 +85,7 @@ def separate_axes(steps: Steps) -> list[tuple[Int[Array, " s"], Int[Array, " i"]
     """Groups of states and inputs that do not act on one another."""
     n, m = steps.B.shape[1:]
     acts = np.zeros((n + m, n + m))
-    acts[:n, :n] = np.abs(steps.A).sum(axis=0) if len(steps) else np.eye(n)
+    acts[:n, :n] = np.abs(steps.A).sum(axis=0)
     acts[:n, n:] = np.abs(steps.B).sum(axis=0)
     count, group = connected_components(acts, directed=False)
     members = [np.flatnonzero(group == g) for g in range(count)]
@@ -106,12 +111,12 @@ def _too_short(
     columns: Array, b: Array, U: float, shape: tuple[int, int]
 ) -> tuple[Array, Array]:
     # Fewer steps than it takes to reach every state: at most one u can do it.
-    u = b @ np.linalg.pinv(columns).T if columns.size else np.zeros((len(b), 0))
+    u = b @ np.linalg.pinv(columns).T
     miss = np.abs(u @ columns.T - b).max(axis=1)
     fails = (miss > 1e-9 * (1 + np.abs(b).max(axis=1))) | (np.abs(u) > U).any(axis=1)
     u[fails] = np.nan
     dual = np.where(fails, np.inf, np.abs(np.nan_to_num(u)).sum(axis=1))
-    return (u if u.size else np.where(fails[:, None], np.nan, u)).reshape(-1, *shape), dual
+    return u.reshape(-1, *shape), dual
 
 
 @numba.njit(cache=True, parallel=True)  # type: ignore[misc]  # numba has no types
@@ -212,14 +217,17 @@ def _solve(Q, b, U, w, basis, sign, u):  # type: ignore[no-untyped-def]
                 when[kinks], who[kinks] = max(0.0, (-ahead * w[j] - v[j]) / α[j]), j
                 when[kinks + 1], who[kinks + 1] = max(0.0, (ahead * w[j] - v[j]) / α[j]), j
                 kinks += 2
-        order = np.argsort(when[:kinks])
+        _heapify(when, who, kinks)
         slope, enter = worst, -1
-        for o in order:
-            j = who[o]
+        while kinks > 0:
+            j = who[0]
             slope -= U * abs(α[j])
             if slope <= 0.0:
-                enter = o
+                enter = j
                 break
+            kinks -= 1
+            when[0], who[0] = when[kinks], who[kinks]
+            _sink(when, who, 0, kinks)
             # Passed: the control flips from one bound to nothing, or from nothing to a bound.
             ahead = 1.0 if α[j] > 0 else -1.0
             new = ahead if state[j] == 0.0 else 0.0
@@ -229,7 +237,7 @@ def _solve(Q, b, U, w, basis, sign, u):  # type: ignore[no-untyped-def]
         if enter < 0:
             u[:] = np.nan
             return np.inf
-        j, t = who[enter], when[enter]
+        j, t = enter, when[0]
         for k in range(n):
             v[k] += t * α[k]
         for a in range(m):
@@ -249,9 +257,41 @@ def _solve(Q, b, U, w, basis, sign, u):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)  # type: ignore[misc]
+def _heapify(when, who, count):  # type: ignore[no-untyped-def]
+    for i in range(count // 2 - 1, -1, -1):
+        _sink(when, who, i, count)
+
+
+@numba.njit(cache=True)  # type: ignore[misc]
+def _sink(when, who, i, count):  # type: ignore[no-untyped-def]
+    t, j = when[i], who[i]
+    while 2 * i + 1 < count:
+        child = 2 * i + 1
+        if child + 1 < count and when[child + 1] < when[child]:
+            child += 1
+        if when[child] >= t:
+            break
+        when[i], who[i] = when[child], who[child]
+        i = child
+    when[i], who[i] = t, j
+
+
+@numba.njit(cache=True)  # type: ignore[misc]
 def _start(Q, w, basis, sign):  # type: ignore[no-untyped-def]
     n, m = Q.shape
-    inverse = np.linalg.inv(Q[basis].T.copy())
+    inverse = np.eye(m)
+    for i in range(m):
+        # Columns enter one by one where they pivot best: the inverse, by Gauss and Jordan.
+        best, size = i, 0.0
+        for k in range(i, m):
+            along = 0.0
+            for a in range(m):
+                along += inverse[i, a] * Q[basis[k], a]
+            if abs(along) > size:
+                best, size = k, abs(along)
+        basis[i], basis[best] = basis[best], basis[i]
+        sign[i], sign[best] = sign[best], sign[i]
+        _exchange(inverse, Q[basis[i]], i)
     λ = np.zeros(m)
     for i in range(m):
         for a in range(m):

@@ -156,11 +156,21 @@ def steps_left(mission: Reconfiguration, leg: Leg, clock: int, now: int) -> Step
 def _price(
     mission: Reconfiguration, leg: Leg, steps: Steps, state: Array
 ) -> tuple[Array, Array, Array]:
+    if len(steps) == 0:
+        here = _arrived(mission, state, leg.targets)
+        return np.where(here, 0.0, out_of_reach(steps, mission.max_control)), here, here | ~here
     prices = price(steps, state, leg.targets, mission.max_control, mission.max_speed)
     if mission.cost == "distance":
         straight = distance(steps, state, leg.targets)
         return straight, prices.reachable, np.ones_like(prices.exact)
     return prices.fuel, prices.reachable, prices.exact
+
+
+def _arrived(mission: Reconfiguration, state: Array, targets: Array) -> Array:
+    d = mission.model.axes
+    miss = np.abs(state[:, None] - targets)
+    near = miss[..., :d].max(axis=2) <= mission.position_tolerance
+    return np.asarray(near & (miss[..., d:].max(axis=2) <= mission.velocity_tolerance))
 
 
 def _tie_break(mission: Reconfiguration, leg: Leg, steps: Steps, state: Array) -> Array:

@@ -153,21 +153,18 @@ def alone(
             start
         )
     b = goals - steps.roll(start, np.zeros((len(start), len(steps), steps.axes)))[:, -1]
-    burns = least_fuel(steps, b, transfer.max_control, transfer.weight)
+    u = least_fuel(steps, b, transfer.max_control, transfer.weight).u
+    x = steps.roll(start, u)
+    fuel = steps.dt * np.abs(u).sum(axis=(1, 2))
+    speed = np.linalg.norm(x[:, 1:-1, steps.axes :], axis=2).max(axis=1, initial=0.0)
     flights: list[Flight | None] = []
-    solves = 0
-    for x, goal, u in zip(start, goals, burns.u, strict=True):
-        if np.isnan(u).any():
-            flights.append(None)
-            continue
-        flight = transfer.flight(x, u)
-        speed = np.linalg.norm(flight.x[1:-1, steps.axes :], axis=1).max(initial=0.0)
-        if speed > transfer.max_speed * (1 + 1e-9):
-            solves += 1
-            flights.append(price_within_speed(transfer, x, goal))
-        else:
-            flights.append(flight)
-    return flights, solves
+    for i in range(len(start)):
+        reached = not np.isnan(fuel[i])
+        flights.append(Flight(x[i], u[i], float(fuel[i])) if reached else None)
+    fast = np.flatnonzero(speed > transfer.max_speed * (1 + 1e-9))
+    for i in fast:
+        flights[i] = price_within_speed(transfer, start[i], goals[i])
+    return flights, len(fast)
 
 
 def nearest(transfer: Transfer, start: Float[Array, " n"], goal: Float[Array, " n"]) -> Flight:
