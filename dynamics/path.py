@@ -164,7 +164,8 @@ def sampled_separations(
     position: Float[Array, "instants agents d"], alive: Bool[Array, "instants agents"]
 ) -> Float[Array, " instants"]:
     """Least distance of any two live agents at every instant; infinite for fewer than two."""
-    return np.array([_nearest(p[a]) for p, a in zip(position, alive, strict=True)])
+    there = alive & np.isfinite(position).all(axis=2)
+    return np.array([_nearest(p[a]) for p, a in zip(position, there, strict=True)])
 
 
 def error_bound(
@@ -191,6 +192,8 @@ def error_bound(
         term = rate @ np.linalg.matrix_power(A, 3).T
         total = np.linalg.norm(term[..., :d], axis=-1)
         for j in range(1, 40):
+            if not term.any():
+                break
             term = term @ A.T * (h / j)
             total = total + np.linalg.norm(term[..., :d], axis=-1)
         worst = max(worst, float(np.max(total, initial=0.0, where=np.isfinite(total))))

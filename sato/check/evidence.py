@@ -1,0 +1,151 @@
+"""What a run file holds, as arrays, beside the mission that its own text describes."""
+
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
+
+from dynamics.discretise import Steps, hold
+from dynamics.path import Separations, between, error_bound, separations
+from sato.reconfiguration.mission import Reconfiguration
+
+if TYPE_CHECKING:
+    import xarray
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """One leg as it was flown, told by the events at its ends."""
+
+    leg: int
+    first: int  # instant at which it starts
+    last: int  # instant at which it ends; the last of the run where it never did
+    end: dict[str, Any] | None  # the event at its end; None where the run stopped before
+
+    @property
+    def steps(self) -> int:
+        """Control steps that it took."""
+        return self.last - self.first
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """A run as recorded, and the mission rebuilt from its scenario."""
+
+    mission: Reconfiguration
+    attributes: dict[str, Any]
+    time: Float[Array, " instants"]
+    state: Float[Array, "instants agents n"]
+    alive: Bool[Array, "instants agents"]
+    component: Int[Array, "instants agents"]
+    control: Float[Array, "instants agents d"]
+    applied: Float[Array, "instants agents d"]
+    leg: Int[Array, " instants"]
+    target: Int[Array, "instants agents"]
+    goals: Float[Array, "legs targets n"]  # states; NaN where a leg has fewer
+    believed: Int[Array, "legs agents"]
+    events: tuple[dict[str, Any], ...]
+
+    @classmethod
+    def of(cls, data: "xarray.Dataset", mission: Reconfiguration) -> "Evidence":
+        """Read a run's data."""
+
+        def both(name: str) -> Array:
+            parts = [np.asarray(data[f"{name}{part}"], dtype=float) for part in _PARTS[name]]
+            return np.concatenate(parts, axis=-1)
+
+        return cls(
+            mission=mission,
+            attributes={str(k): v for k, v in data.attrs.items()},
+            time=np.asarray(data["time"], dtype=float),
+            state=both(""),
+            alive=np.asarray(data["alive"], dtype=bool),
+            component=np.asarray(data["component"]),
+            control=np.asarray(data["control"], dtype=float),
+            applied=np.asarray(data["applied_control"], dtype=float),
+            leg=np.asarray(data["leg"]),
+            target=np.asarray(data["target"]),
+            goals=both("target_"),
+            believed=np.asarray(data["targets_believed"]),
+            events=tuple(json.loads(str(e)) for e in np.asarray(data["event"])),
+        )
+
+    @property
+    def axes(self) -> int:
+        """Axes of space."""
+        return self.mission.model.axes
+
+    @property
+    def position(self) -> Float[Array, "instants agents d"]:
+        """True positions [m]."""
+        return self.state[..., : self.axes]
+
+    @property
+    def velocity(self) -> Float[Array, "instants agents d"]:
+        """True velocities [m/s]."""
+        return self.state[..., self.axes :]
+
+    @cached_property
+    def at(self) -> tuple[int, ...]:
+        """The instant of each event: the nearest one."""
+        when = np.array([float(e["time"]) for e in self.events])
+        middles = (self.time[1:] + self.time[:-1]) / 2
+        return tuple(int(k) for k in np.searchsorted(np.sort(middles), when))
+
+    def told(self, *kinds: str) -> list[tuple[int, dict[str, Any]]]:
+        """Events of some kinds, each with its instant."""
+        return [(k, e) for k, e in zip(self.at, self.events, strict=True) if e["kind"] in kinds]
+
+    @cached_property
+    def stretches(self) -> tuple[Stretch, ...]:
+        """The legs that were begun, in order."""
+        ends = {int(e["leg"]): (k, e) for k, e in self.told("leg_end")}
+        found = []
+        for first, event in self.told("leg_start"):
+            leg = int(event["leg"])
+            last, end = ends.get(leg, (len(self.time) - 1, None))
+            found.append(Stretch(leg, first, max(first, last), end))
+        return tuple(found)
+
+    @cached_property
+    def steps(self) -> Steps:
+        """The dynamics from each instant to the next."""
+        return hold(self.mission.model, self.mission.step, len(self.time) - 1)
+
+    @cached_property
+    def flies(self) -> Bool[Array, "steps agents"]:
+        """Who flies each step: those alive at its start, also if they are lost at its end."""
+        return self.alive[:-1]
+
+    @cached_property
+    def refinement(self) -> int:
+        """Pieces a step is cut into: one where a cubic is exact, else a second long at most."""
+        x, u = self.paths
+        if error_bound(self.mission.model, x, u, self.mission.step) == 0:
+            return 1
+        return int(np.ceil(self.mission.step))
+
+    @cached_property
+    def paths(self) -> tuple[Float[Array, "agents instants n"], Float[Array, "agents steps d"]]:
+        """States and applied controls, one path an agent."""
+        return np.moveaxis(self.state, 0, 1), np.moveaxis(self.applied[:-1], 0, 1)
+
+    @cached_property
+    def pieces(self) -> tuple[Separations, float]:
+        """The closest two agents of every piece, and how much closer they may have been."""
+        s, (x, u), model = self.refinement, self.paths, self.mission.model
+        h = self.mission.step / s
+        if s > 1:
+            x = between(hold(model, h, s * u.shape[-2]), x, u)
+            u = np.repeat(u, s, axis=-2)
+        fine = np.moveaxis(x, 1, 0)
+        alive = np.vstack([np.repeat(self.alive[:-1], s, axis=0), self.alive[-1:]])
+        found = separations(fine[..., : self.axes], fine[..., self.axes :], alive, h)
+        return found, 2 * error_bound(model, x, u, h)
+
+
+_PARTS = {"": ("position", "velocity"), "target_": ("position", "velocity")}

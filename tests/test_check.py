@@ -1,0 +1,495 @@
+"""The judge, judged: an honest run passes, and one that is altered anywhere does not."""
+
+import json
+from contextlib import suppress
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from dynamics import ClohessyWiltshire, DoubleIntegrator, hold
+from problems.assignment import assign
+from problems.conic import Infeasible
+from problems.transfer import Transfer
+from sato.check import Evidence, examine
+from sato.check.promises import assignment, times
+from sato.network import Network
+from sato.reconfiguration.mission import Arrival, Leg, Loss, Reconfiguration
+from sato.record import Frame, Run
+
+
+def square(corner: tuple[float, float], spacing: float) -> np.ndarray:
+    """Nine targets at rest on a lattice."""
+    grid = np.stack(np.meshgrid(np.arange(3), np.arange(3), indexing="ij"), -1)
+    return np.hstack([grid.reshape(-1, 2) * spacing + np.array(corner), np.zeros((9, 2))])
+
+
+def mission(agents: int = 6, **changed: object) -> Reconfiguration:
+    """A row that becomes a square and, one lost and one come in, moves on."""
+    x = np.arange(agents + 1) * 1.2
+    start = np.stack([x, 0.1 * x, 0 * x, 0 * x], axis=1)
+    start[agents, :2] = [6.5, 5.0]
+    first = square((1.0, 3.0), 1.0)
+    second = square((4.0, 6.0), 1.1)
+    plain = Reconfiguration(
+        model=DoubleIntegrator(2),
+        start=start,
+        alive=np.arange(agents + 1) < agents,
+        legs=(
+            Leg(first, steps=12),
+            Leg(
+                second,
+                steps=10,
+                losses=(Loss("agents", agents=(2,)),),
+                arrivals=(Arrival((agents,), at_step=3),),
+            ),
+        ),
+        step=1.5,
+        comm_radius=3.5,
+        collision_radius=0.2,
+        max_control=0.3,
+        max_speed=1.0,
+        horizon_steps=1,
+        believed=agents,
+    )
+    return replace(plain, **changed)
+
+
+def fly_straight(mission: Reconfiguration) -> list[Frame]:
+    """Each leg: the optimal assignment by squared distance, and least-norm controls."""
+    d = mission.model.axes
+    x, alive = mission.start.copy(), mission.alive.copy()
+    target = np.full(len(x), -1)
+    believed = np.full(len(x), mission.believed)
+    frames, k, ending = [], 0, ()
+    for number, leg in enumerate(mission.legs):
+        steps = hold(mission.model, mission.step, leg.steps)
+        events = list(ending)
+        for loss in leg.losses:
+            alive[list(loss.agents)] = False
+            target[list(loss.agents)] = -1
+            events.append({"kind": "loss", "agents": list(loss.agents)})
+        events.append({"kind": "leg_start", "leg": number, "agents": np.flatnonzero(alive)})
+        u = np.full((len(x), leg.steps, d), np.nan)
+        joining = {0: np.flatnonzero(alive)}
+        joining |= {a.at_step: np.array(a.agents) for a in leg.arrivals}
+        for step in range(leg.steps):
+            if step in joining:
+                who = joining[step]
+                if step:
+                    alive[who] = True
+                    events.append({"kind": "join", "agents": who})
+                free = np.setdiff1d(np.arange(mission.believed), target[alive] if step else [])
+                apart = np.linalg.norm(x[who, None, :d] - leg.targets[free, :d], axis=2) ** 2
+                target[who] = free[assign(apart)]
+                events.append({"kind": "assignment", "agents": who, "target": target[who]})
+                rest = steps[slice(step, None)]
+                u[who, step:] = least_norm(rest, x[who], leg.targets[target[who]])
+            events.append({"kind": "replan", "agents": np.flatnonzero(alive), "solves": 2})
+            labels = Network.within(x[:, :d], mission.comm_radius, alive).component
+            frames.append(
+                Frame(
+                    k * mission.step,
+                    x[:, :d].copy(),
+                    x[:, d:].copy(),
+                    alive.copy(),
+                    labels,
+                    u[:, step].copy(),
+                    u[:, step].copy(),
+                    number,
+                    target.copy(),
+                    believed.copy(),
+                    None,
+                    tuple(events),
+                )
+            )
+            x[alive] = steps[slice(step, step + 1)].roll(x[alive], u[alive, step : step + 1])[:, -1]
+            events, k = [], k + 1
+        labels = Network.within(x[:, :d], mission.comm_radius, alive).component
+        end = {"kind": "leg_end", "leg": number, "agents": np.flatnonzero(alive)}
+        end |= {"target": target.copy(), "believed": believed.copy(), "component": labels}
+        ending = (end,)
+    nothing = np.full((len(x), d), np.nan)
+    frames.append(
+        Frame(
+            k * mission.step,
+            x[:, :d].copy(),
+            x[:, d:].copy(),
+            alive.copy(),
+            labels,
+            nothing,
+            nothing,
+            number,
+            target.copy(),
+            believed.copy(),
+            None,
+            ending,
+        )
+    )
+    return frames
+
+
+def least_norm(steps, start, goal):
+    """Controls of least sum of squares that fly from start to goal."""
+    T, d = len(steps), steps.axes
+    response = np.stack(
+        [steps.roll(0 * start[0], e)[-1] for e in np.eye(T * d).reshape(-1, T, d)], axis=1
+    )
+    free = steps.roll(start, np.zeros((len(start), T, d)))[:, -1]
+    return ((goal - free) @ np.linalg.pinv(response).T).reshape(len(start), T, d)
+
+
+def recorded(mission: Reconfiguration, frames: list[Frame] | None = None) -> Run:
+    """The run in its file's form."""
+    return Run.of(
+        frames or fly_straight(mission),
+        mission,
+        "",
+        name="by hand",
+        seed=3,
+        version="0",
+        wall_s=1.0,
+        peak_memory_mib=1.0,
+    )
+
+
+@pytest.fixture(scope="module")
+def flown():
+    return recorded(mission())
+
+
+def broken(run: Run, about: Reconfiguration | None = None) -> set[str]:
+    return {p.name for p in examine(run.data, about or mission()).broken}
+
+
+def altered(run: Run) -> Run:
+    return Run(run.data.copy(deep=True), dict(run.summary))
+
+
+def test_an_honest_run_keeps_its_promises(flown):
+    report = examine(flown.data, mission())
+    assert report.kept, report.broken
+    assert bool(report) and report.broken == ()
+    json.dumps(report.as_dict(), allow_nan=False)
+
+
+STATES = ["position", "velocity"]
+
+
+@pytest.mark.parametrize("name", STATES)
+@pytest.mark.parametrize("instant", [0, 1, 11, 12, 13, 21, 22])
+def test_a_state_altered_by_a_millionth_is_caught(flown, name, instant):
+    run = altered(flown)
+    run.data[name][instant, 4, 1] += 1e-6
+    assert "flight" in broken(run)
+
+
+@pytest.mark.parametrize("name", STATES)
+def test_a_state_of_the_absent_is_not_free_either(flown, name):
+    run = altered(flown)
+    run.data[name][18, 2, 0] += 1e-6
+    assert "flight" in broken(run)
+    run = altered(flown)
+    run.data[name][5, 6, 0] += 1e-6
+    assert "flight" in broken(run)
+
+
+@pytest.mark.parametrize("instant", [0, 7, 12, 21])
+def test_a_control_altered_by_a_millionth_is_caught(flown, instant):
+    for name, expected in [("applied_control", {"flight", "applied"}), ("control", {"applied"})]:
+        run = altered(flown)
+        run.data[name][instant, 1, 0] += 1e-6
+        assert broken(run) >= expected
+    run = altered(flown)
+    for name in ("control", "applied_control"):
+        run.data[name][instant, 1, 0] += 1e-6
+    assert "flight" in broken(run)
+
+
+@pytest.mark.parametrize("instant", range(23))
+def test_a_target_altered_is_caught_at_any_instant(flown, instant):
+    for agent, value in [(0, 8), (3, -1), (2, 5)]:
+        run = altered(flown)
+        if int(run.data["target"][instant, agent]) == value:
+            continue
+        run.data["target"][instant, agent] = value
+        assert not assignment(Evidence.of(run.data, mission())).kept
+
+
+@pytest.mark.parametrize("instant", range(23))
+def test_a_time_altered_by_a_millionth_is_caught(flown, instant):
+    run = altered(flown)
+    time = run.data["time"].values.copy()
+    time[instant] += 1e-6
+    run.data["time"] = ("time", time)
+    assert not times(Evidence.of(run.data, mission())).kept
+
+
+def test_times_that_do_not_increase_are_caught(flown):
+    run = altered(flown)
+    time = run.data["time"].values.copy()
+    time[5] = time[4]
+    run.data["time"] = ("time", time)
+    [promise] = [p for p in examine(run.data, mission()).broken if p.name == "times"]
+    assert promise.sentence == "time does not increase from instant 4 to 5"
+
+
+@pytest.mark.parametrize(
+    ("name", "where", "value", "promise"),
+    [
+        ("alive", (15, 3), False, "alive"),
+        ("alive", (15, 2), True, "alive"),
+        ("component", (6, 1), 9, "component"),
+        ("component", (16, 2), 0, "component"),
+        ("leg", (11,), 1, "legs"),
+        ("leg", (22,), 0, "legs"),
+        ("target_position", (0, 2, 1), 3.7, "targets"),
+        ("target_velocity", (1, 8, 0), 1e-6, "targets"),
+        ("targets_believed", (0, 3), 5, "believed"),
+        ("position", (4, 4, 0), np.nan, "numbers"),
+        ("control", (4, 4, 0), np.nan, "numbers"),
+    ],
+)
+def test_anything_else_altered_is_caught(flown, name, where, value, promise):
+    run = altered(flown)
+    run.data[name][where] = value
+    assert promise in broken(run)
+
+
+def tell(run: Run, change) -> Run:
+    """The run with its events rewritten."""
+    events = [json.loads(str(e)) for e in run.data["event"].values]
+    told = np.array([json.dumps(e) for e in change(events)], dtype=object)
+    return Run(run.data.drop_vars("event").assign(event=("event", told)), run.summary)
+
+
+def test_an_assignment_without_its_event_is_caught(flown):
+    seen = tell(flown, lambda events: [e for e in events if e["kind"] != "assignment"])
+    assert "assignment" in broken(seen)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("target", [0] * 7), ("component", [0, 1, 2, 3, 4, 5, 6]), ("agents", [0])]
+)
+def test_the_end_of_a_leg_must_be_what_the_instants_before_it_say(flown, key, value):
+    def change(events):
+        return [e | {key: value} if e["kind"] == "leg_end" else e for e in events]
+
+    assert "legs" in broken(tell(flown, change))
+
+
+def test_a_loss_without_its_event_is_caught(flown):
+    assert "alive" in broken(tell(flown, lambda all: [e for e in all if e["kind"] != "loss"]))
+
+
+def test_an_infeasible_programme_is_not_passed_over(flown):
+    event = {"time": 3.0, "kind": "infeasible", "agents": [1], "what": "avoidance"}
+    assert broken(tell(flown, lambda events: [*events, event])) == {"feasible"}
+
+
+def test_a_run_cut_short_is_not_complete():
+    frames = fly_straight(mission())[:15]
+    report = examine(recorded(mission(), frames).data, mission())
+    assert {p.name for p in report.broken} == {"complete", "reached"}
+    assert report.summary["reached"] is False
+    assert [leg["reached"] for leg in report.summary["legs"]] == [True, False]
+    assert "fuel_lower_bound_m_s" not in report.summary
+
+
+def test_limits_are_judged_by_the_scenario(flown):
+    assert broken(flown, mission(max_control=0.05)) >= {"control"}
+    assert broken(flown, mission(max_speed=0.3)) >= {"speed"}
+    assert "control" in broken(flown, mission(max_control=0.12, control_norm=1))
+    assert broken(flown, mission(comm_radius=1.1)) >= {"component"}
+
+
+def test_a_target_missed_is_a_leg_not_reached():
+    about = mission()
+    moved = about.legs[0].targets + np.array([0, 2e-6, 0, 0])
+    elsewhere = replace(about, legs=(replace(about.legs[0], targets=moved), about.legs[1]))
+    run = recorded(about)
+    run.data["target_position"][0] = moved[:, :2]
+    assert broken(run, elsewhere) == {"reached"}
+    summary = examine(run.data, elsewhere).summary
+    assert summary["legs"][0]["holes"] == 6 and summary["legs"][1]["holes"] == 0
+    assert summary["legs"][0]["worst_position_error_m"] == pytest.approx(2e-6, rel=1e-6)
+
+
+def test_the_words_of_the_summary(flown):
+    said = examine(flown.data, mission()).summary
+    first, second = said["legs"]
+    assert said["reached"] and said["agents"] == 7 and said["seed"] == 3
+    assert (first["reached"], first["duplicates"], first["holes"]) == (True, 0, 0)
+    assert (first["steps"], second["steps"]) == (12, 10)
+    # Six of nine targets of a lattice are taken; the third row is one spacing away.
+    assert first["gap"] == pytest.approx(1.0)
+    assert first["components_at_start"] == 1 and first["components_at_end"] == 1
+    assert said["solves"] == 2 * 22
+    assert said["slack_used"] == said["braked"] == 0
+    assert "undetectable" not in said
+
+
+def test_holes_and_duplicates_are_counted(flown):
+    def doubled(events):
+        ends = [e for e in events if e["kind"] == "leg_end" and e["leg"] == 1]
+        ends[0]["target"][0] = ends[0]["target"][1]
+        return events
+
+    assert examine(tell(flown, doubled).data, mission()).summary["legs"][1]["duplicates"] == 1
+
+    def hopeful(events):
+        for e in events:
+            if e["kind"] == "leg_end":
+                e["believed"] = [8] * 7
+        return events
+
+    said = examine(tell(flown, hopeful).data, mission()).summary
+    assert said["legs"][0]["holes"] == 2
+
+
+def test_fuel_is_the_norm_of_the_commanded_control_over_time(flown):
+    u = np.nan_to_num(flown.data["control"].values)
+    for norm, order in [(1, 1), (2, 2), ("inf", np.inf)]:
+        said = examine(flown.data, mission(fuel_norm=norm)).summary
+        expected = 1.5 * np.linalg.norm(u, order, axis=2).sum()
+        assert said["fuel_m_s"] == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("speed", [1.0, 0.45])
+def test_the_lower_bound_is_the_central_optimum_of_problem_6(flown, speed):
+    about = mission(max_speed=speed)
+    report = examine(flown.data, about)
+    step, expected, own = about.step, 0.0, np.zeros(7)
+    for leg, (first, last) in enumerate(pairwise([0, 12, 22])):
+        alive = flown.data["alive"].values[last - 1]
+        agents = np.flatnonzero(alive)
+        cost = np.full((len(agents), 6), 1e3)
+        for row, i in enumerate(agents):
+            came = first + int(np.argmax(flown.data["alive"].values[first:, i]))
+            start = np.hstack([flown.data[n].values[came, i] for n in STATES])
+            transfer = Transfer(hold(about.model, step, last - came), 0.3, speed)
+            for j in range(6):
+                with suppress(Infeasible):
+                    cost[row, j] = transfer.solve(start, about.legs[leg].targets[j]).fuel
+        expected += cost[np.arange(len(agents)), assign(cost)].sum()
+        held = flown.data["target"].values[last - 1, agents]
+        own[agents] += cost[np.arange(len(agents)), held]
+    assert report.summary["fuel_lower_bound_m_s"] == pytest.approx(expected, rel=1e-5)
+    assert report.summary["fuel_m_s"] > expected
+    there = np.arange(7) != 2  # lost after the first leg
+    np.testing.assert_allclose(report.fuel_bound[there], own[there], rtol=1e-5)
+    assert (report.fuel >= report.fuel_bound * (1 - 1e-6))[there].all()
+
+
+def test_a_few_agents_are_bounded_in_other_norms_too(flown):
+    one = examine(flown.data, mission()).summary["fuel_lower_bound_m_s"]
+    two = examine(flown.data, mission(fuel_norm=2)).summary["fuel_lower_bound_m_s"]
+    assert one / 2**0.5 <= two <= one
+
+
+def crossing(gap: float) -> Reconfiguration:
+    start = np.array([[-4.0, 0, 0, 0], [4.0, gap, 0, 0]])
+    goals = np.array([[4.0, 0, 0, 0], [-4.0, gap, 0, 0]])
+    return mission(
+        agents=1,
+        start=start,
+        alive=np.ones(2, bool),
+        legs=(Leg(goals, 15),),
+        comm_radius=9.0,
+        max_speed=2.0,
+    )
+
+
+def test_a_collision_between_the_samples_is_caught():
+    for gap, expected in [(0.15, {"separation"}), (0.25, set())]:
+        about = crossing(gap)
+        frames = fly_crossed(about)
+        report = examine(recorded(about, frames).data, about)
+        assert {p.name for p in report.broken} == expected
+        assert report.summary["min_separation_m"] == pytest.approx(gap, rel=1e-9)
+        assert report.summary["min_separation_at_samples_m"] > 0.3
+
+
+def fly_crossed(about: Reconfiguration) -> list[Frame]:
+    frames = []
+    steps = hold(about.model, about.step, 15)
+    u = least_norm(steps, about.start, about.legs[0].targets)
+    x = steps.roll(about.start, u)
+    u = np.concatenate([u, np.full((2, 1, 2), np.nan)], axis=1)
+    everyone = {"agents": [0, 1], "target": [0, 1], "component": [0, 0], "believed": [2, 2]}
+    for k in range(16):
+        events = []
+        if k == 0:
+            events += [{"kind": "leg_start", "leg": 0, "agents": [0, 1]}]
+            events += [{"kind": "assignment", "agents": [0, 1], "target": [0, 1]}]
+        if k == 15:
+            events += [{"kind": "leg_end", "leg": 0} | everyone]
+        labels = np.zeros(2, dtype=int)
+        frames.append(
+            Frame(
+                k * about.step,
+                x[:, k, :2],
+                x[:, k, 2:],
+                np.ones(2, bool),
+                labels,
+                u[:, k],
+                u[:, k],
+                0,
+                np.arange(2),
+                np.full(2, 2),
+                None,
+                tuple(events),
+            )
+        )
+    return frames
+
+
+def test_an_orbit_is_judged_a_second_at_a_time_and_says_what_it_may_miss(rng):
+    model = ClohessyWiltshire(1.1e-3)
+    place = np.array([[0.0, 0, 0], [0, 300, 0], [100, 600, 50], [0, 900, 0]])
+    start = np.hstack([place, model.bounded(place)])
+    goal = place[[1, 0, 3, 2]] + [0, 40.0, 200.0]
+    goals = np.hstack([goal, model.bounded(goal)])
+    about = mission(
+        model=model,
+        start=start,
+        alive=np.ones(4, bool),
+        legs=(Leg(goals, 20),),
+        step=60.0,
+        comm_radius=2e3,
+        collision_radius=10.0,
+        max_control=0.01,
+        max_speed=4.0,
+        believed=4,
+        position_tolerance=1e-3,
+    )
+    run = recorded(about)
+    report = examine(run.data, about)
+    assert report.kept, report.broken
+    [promise] = [p for p in report.promises if p.name == "separation"]
+    assert "known to" in promise.sentence
+    fine = np.linspace(0, 60, 61)
+    x, u = (np.moveaxis(np.asarray(a), 0, 1) for a in (run.data["position"], run.data["control"]))
+    v = np.moveaxis(np.asarray(run.data["velocity"]), 0, 1)
+    least = np.inf
+    for dt in fine[1:]:
+        later = hold(model, float(dt), 1)
+        for k in range(20):
+            there = later.roll(np.hstack([x[:, k], v[:, k]]), u[:, k : k + 1])[:, -1, :3]
+            apart = np.linalg.norm(there[:, None] - there[None], axis=2) + 1e9 * np.eye(4)
+            least = min(least, apart.min())
+    assert report.summary["min_separation_m"] <= least + 1e-9
+    assert report.summary["min_separation_m"] == pytest.approx(least, rel=1e-3)
+
+
+def test_a_disturbed_run_may_differ_from_its_commands_by_the_disturbance_alone(rng):
+    about = mission(disturbance=1e-3, position_tolerance=1.0, velocity_tolerance=1.0)
+    run = recorded(about)
+    assert broken(run, about) == set()
+    run.data["applied_control"][3, 1, 1] += 0.1
+    assert broken(run, about) >= {"applied", "flight"}
+
+
+def test_out_of_earshot_is_said_where_proposition_9_does_not_hold(flown):
+    assert examine(flown.data, mission(horizon_steps=2)).summary["undetectable"] is True
