@@ -72,8 +72,7 @@ class Transfer:
 
     def flight(self, start: Float[Array, " n"], u: Float[Array, "T m"]) -> Flight:
         """The flight under given controls."""
-        order = np.inf if self.fuel_norm == "inf" else self.fuel_norm
-        fuel = self.steps.dt * float(np.linalg.norm(u, order, axis=1).sum())
+        fuel = float(fuel_spent(u, self.steps.dt, self.fuel_norm))
         return Flight(self.steps.roll(start, u), u, fuel)
 
     @cached_property
@@ -99,6 +98,14 @@ class Transfer:
         if isfinite(self.max_speed) and T > 1:
             limits.append(cp.norm(x[1:T, n // 2 :], 2, axis=1) <= self.max_speed)
         return x, u, effort, limits
+
+
+def fuel_spent(
+    u: Float[Array, "*agents T m"], dt: float, norm: Norm
+) -> Float[Array, "*agents"] | float:
+    """Δt Σ ‖u[k]‖, without the weights [m/s]."""
+    order = np.inf if norm == "inf" else norm
+    return dt * np.linalg.norm(u, order, axis=-1).sum(axis=-1)
 
 
 def ends_first(T: int, slope: float) -> Float[Array, " T"]:

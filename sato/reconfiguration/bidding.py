@@ -52,6 +52,7 @@ def decide(
     minds: Minds,
     network: Network,
     state: Float[Array, "agents n"],
+    planned: Float[Array, " agents"],
     now: int,
 ) -> Decision:
     """Let every component bid, and set its clock back where the number of bids changed.
@@ -64,17 +65,19 @@ def decide(
         minds: What the agents remember.
         network: Who hears whom.
         state: What each agent knows of its own state.
+        planned: Fuel left in the plan to the target that each holds; infinite without one.
         now: Steps since the start of the leg.
     """
     minds = share(minds, network)
-    result = _bid(mission, leg, minds, network, state, now)
+    result = _bid(mission, leg, minds, network, state, planned, now)
     counted, solves = result.auction.bidders, result.solves
     changed = (minds.bidders > 0) & (counted != minds.bidders)
     due = network.alive & (minds.clock > 0) & (changed | result.unreached)
     reset = network.largest(due.astype(int)).astype(bool) & network.alive
     if reset.any():
         minds = replace(minds, clock=np.where(reset, 0, minds.clock))
-        result = _bid(mission, leg, minds, network, state, now)
+        planned = np.where(reset, np.inf, planned)
+        result = _bid(mission, leg, minds, network, state, planned, now)
         solves += result.solves
     return Decision(_remember(minds, result.auction, network, now), reset, solves)
 
@@ -107,6 +110,7 @@ def _bid(
     minds: Minds,
     network: Network,
     state: Array,
+    planned: Array,
     now: int,
 ) -> _Bids:
     # A price that is only a lower bound is settled when it wins; the auction is then run
@@ -122,6 +126,7 @@ def _bid(
         ahead[int(clock)] = steps
         fuel[those], reachable[those], exact[those] = _price(mission, leg, steps, state[those])
         tie[those] = _tie_break(mission, leg, steps, state[those])
+    _keep_planned(fuel, reachable, exact, minds, planned)
     scale = leg.steps * mission.step / 2
     solves = 0
     while True:
@@ -146,6 +151,16 @@ def _bid(
             fuel[i, j] = ceiling if flight is None else flight.fuel
             reachable[i, j], exact[i, j] = flight is not None, True
             solves += 1
+
+
+def _keep_planned(
+    fuel: Array, reachable: Array, exact: Array, minds: Minds, planned: Array
+) -> None:
+    # A plan that was found stays good: where it is tight, rounding must not call it out of reach.
+    for i in np.flatnonzero(np.isfinite(planned)):
+        j = minds.target[i]
+        if not reachable[i, j]:
+            fuel[i, j], reachable[i, j], exact[i, j] = planned[i], True, True
 
 
 def steps_left(mission: Reconfiguration, leg: Leg, clock: int, now: int) -> Steps:

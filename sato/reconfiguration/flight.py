@@ -9,10 +9,11 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from dynamics import hold
+from problems.transfer import fuel_spent
 from sato.network import Network
 from sato.reconfiguration.bidding import Minds, decide
 from sato.reconfiguration.mission import Leg, Loss, Reconfiguration
-from sato.reconfiguration.planning import NO_PLANS, Plans, plan
+from sato.reconfiguration.planning import NO_PLANS, Plans, fuel_left, plan
 from sato.record import Frame
 
 PATIENCE = 20  # times its steps after which a leg is given up
@@ -98,7 +99,8 @@ def _replan(
     events: list[Event] = []
     solves = 0
     if bids:
-        decision = decide(mission, leg, swarm.minds, network, measured, k)
+        planned = fuel_left(mission, leg, swarm.minds, swarm.plans, k)
+        decision = decide(mission, leg, swarm.minds, network, measured, planned, k)
         moved = swarm.alive & (decision.minds.target != swarm.minds.target)
         if decision.reset.any():
             events.append({"kind": "reset", "agents": _numbers(decision.reset)})
@@ -132,8 +134,7 @@ def _advance(
     step = hold(mission.model, mission.step, 1, swarm.now * mission.step)
     flown = step.roll(swarm.x, np.nan_to_num(applied)[:, None])[:, 1]
     alive = swarm.alive
-    order = np.inf if mission.fuel_norm == "inf" else mission.fuel_norm
-    burnt = mission.step * np.linalg.norm(np.nan_to_num(control), order, axis=1)
+    burnt = fuel_spent(np.nan_to_num(control)[:, None], mission.step, mission.fuel_norm)
     clock = np.where(alive, np.minimum(swarm.minds.clock + 1, leg.steps), 0)
     arrived = alive & (clock == leg.steps) & (swarm.minds.clock < leg.steps)
     events: list[Event] = []

@@ -13,7 +13,7 @@ from problems.auction_cost import price_within_speed
 from problems.avoidance import Avoidance, no_spaces
 from problems.conic import Unsolved
 from problems.least_fuel import least_fuel
-from problems.transfer import Flight, Transfer
+from problems.transfer import Flight, Transfer, fuel_spent
 from sato.network import Network
 from sato.reconfiguration.bidding import Minds, steps_left
 from sato.reconfiguration.mission import Leg, Reconfiguration
@@ -29,7 +29,7 @@ class Plans(NamedTuple):
     """What each agent is about to fly, and since when."""
 
     flights: dict[int, Flight]
-    targets: dict[int, int]
+    ends: dict[int, int]  # the target that a flight ends at; absent where it ends elsewhere
     made: int  # steps since the start of the leg
 
     def control(self, k: int, alive: Bool[Array, " agents"]) -> Float[Array, "agents m"]:
@@ -42,8 +42,8 @@ class Plans(NamedTuple):
         return control
 
     def rest(self, i: int, target: int, k: int, T: int) -> Float[Array, "T m"] | None:
-        """What is left of an agent's controls, if they still lead where it wants in T steps."""
-        if self.targets.get(i) != target:
+        """What is left of an agent's controls, if they still lead to its target in T steps."""
+        if self.ends.get(i) != target:
             return None
         u = self.flights[i].u[k - self.made :]
         return u if len(u) == T else None
@@ -111,7 +111,21 @@ def plan(
     ]
     events += _what_gave_way(mission, planners, late)
     flights = {i: p.flight for i, p in planners.items()}
-    return Plans(flights, {i: int(minds.target[i]) for i in planners}, k), events
+    astray = {i for event in events for i in event["agents"]}
+    ends = {i: int(minds.target[i]) for i in planners if i not in astray}
+    return Plans(flights, ends, k), events
+
+
+def fuel_left(
+    mission: Reconfiguration, leg: Leg, minds: Minds, plans: Plans, k: int
+) -> Float[Array, " agents"]:
+    """Fuel in what is left of each agent's plan; infinite where it has none that serves [m/s]."""
+    fuel = np.full(len(minds.target), np.inf)
+    for i, target in plans.ends.items():
+        u = plans.rest(i, target, k, leg.steps - int(minds.clock[i]))
+        if u is not None and target == minds.target[i]:
+            fuel[i] = fuel_spent(u, mission.step, mission.fuel_norm)
+    return fuel
 
 
 def look_ahead(mission: Reconfiguration, k: int) -> Horizon:
