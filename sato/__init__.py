@@ -1,0 +1,56 @@
+"""Planning for swarms of vehicles: who goes where, and how to get there.
+
+    import sato
+
+    run = sato.run("uiuc", seed=1)
+    print(run.summary["reached"], run.check().kept)
+    run.save("runs/uiuc-1")
+
+What takes long to import is imported when it is asked for.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sato.flying import run
+    from sato.record import Run, RunFileError, load
+    from sato.scenario import ScenarioError, ScenarioFile, names, parse, read
+
+_HOME = {
+    "run": "sato.flying",
+    "Run": "sato.record",
+    "RunFileError": "sato.record",
+    "load": "sato.record",
+    "ScenarioError": "sato.scenario",
+    "ScenarioFile": "sato.scenario",
+    "parse": "sato.scenario",
+    "read": "sato.scenario",
+    "names": "sato.scenario",
+}
+
+__all__ = [
+    "Run",
+    "RunFileError",
+    "ScenarioError",
+    "ScenarioFile",
+    "load",
+    "names",
+    "parse",
+    "read",
+    "run",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("sato")
+    if name in _HOME:
+        return getattr(import_module(_HOME[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_HOME, "__version__"])

@@ -84,7 +84,7 @@ def _scaled(mission: Reconfiguration, plan: Plan) -> Reconfiguration:
     alone = not isfinite(mission.spacing)
     s = mission.collision_radius if alone else mission.spacing
     near = plan.position_tolerance_m or TOLERANCE * s
-    automatic = mission.tie_break * s**2 / 2 if alone else None
+    automatic = mission.tie_break * s**2 / 2 or None if alone else None
     return replace(
         mission,
         position_tolerance=near,

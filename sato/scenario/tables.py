@@ -126,12 +126,6 @@ class Plan(Table):
                 f"{self.auction_steps} is no multiple of replan_steps = {self.replan_steps}; "
                 f"{below or self.replan_steps} would do",
             )
-        if self.epsilon == "auto" and self.tie_break == 0:
-            raise Refusal(
-                "epsilon",
-                '"auto" is ½ w s², which is nothing for tie_break = 0; '
-                "a number would do, about a hundredth of the range of the costs",
-            )
         return self
 
 

@@ -1,0 +1,187 @@
+"""The command line. Says what happened in a sentence, and keeps what takes long for later."""
+
+import json
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NoReturn
+
+import typer
+
+if TYPE_CHECKING:
+    from sato.record import Run
+
+DONE, SHORT, REFUSED = 0, 1, 2  # did what was asked; ran and did not; not even begun
+
+app = typer.Typer(
+    help="Planning for swarms of vehicles: who goes where, and how to get there.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # its help would take longer to import than to read
+)
+
+RunFolder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a run.")]
+
+
+def main() -> None:
+    """Entry point."""
+    app()
+
+
+@app.callback(invoke_without_command=True)
+def _about(
+    version: Annotated[bool, typer.Option("--version", help="Say the version and stop.")] = False,
+) -> None:
+    if version:
+        from importlib.metadata import version as version_of
+
+        typer.echo(version_of("sato"))
+        raise typer.Exit(DONE)
+
+
+@app.command()
+def scenarios() -> None:
+    """List the built-in scenarios."""
+    with _plainly():
+        from sato.scenario import names
+
+        known = names()
+        width = max(map(len, known))
+        for name, says in known.items():
+            typer.echo(f"{name:{width}}  {says}")
+
+
+@app.command()
+def run(
+    scenario: Annotated[
+        str, typer.Argument(metavar="NAME|FILE.toml", help="A built-in scenario, or a file.")
+    ],
+    seed: Annotated[int, typer.Option(min=0, help="Of everything that is drawn.")] = 0,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Where to write; runs/NAME-SEED.")
+    ] = None,
+    override: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="TABLE.KEY=VALUE", help="Change the scenario; repeatable."),
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Say nothing but what is wrong.")] = False,
+) -> None:
+    """Fly a scenario; write DIR/run.nc and DIR/summary.json."""
+    with _plainly():
+        from sato.flying import run as fly
+        from sato.scenario import read
+        from sato.terminal import progress, tell
+
+        asked = read(scenario, override or ())
+        folder = out or Path("runs", f"{asked.name}-{seed}")
+        _refuse_unwritable(folder)
+        with progress(quiet) as watch:
+            flown = fly(asked, seed=seed, progress=watch)
+        flown.save(folder)
+        if not quiet:
+            tell(flown, folder)
+        raise typer.Exit(_verdict(flown))
+
+
+@app.command()
+def check(
+    folder: RunFolder,
+    as_json: Annotated[bool, typer.Option("--json", help="Everything, for a machine.")] = False,
+) -> None:
+    """Judge a run from its file alone; exit 1 if any promise is broken."""
+    with _plainly():
+        from sato.record import load, plain
+        from sato.terminal import tell_promises
+
+        report = load(folder).check()
+        if as_json:
+            typer.echo(json.dumps(report.as_dict(), indent=2, default=plain))
+        else:
+            tell_promises(report)
+        raise typer.Exit(DONE if report.kept else SHORT)
+
+
+@app.command()
+def plot(
+    folder: RunFolder,
+    pdf: Annotated[bool, typer.Option("--pdf", help="PDF instead of PNG.")] = False,
+) -> None:
+    """Draw the figures of a run into its folder."""
+    with _plainly():
+        from sato.plots import plot as draw
+        from sato.record import load
+
+        for path in draw(load(folder), _folder_of(folder), pdf=pdf):
+            typer.echo(str(path))
+
+
+@app.command()
+def animate(folder: RunFolder) -> None:
+    """Film a run into its folder: MP4, or GIF where ffmpeg is missing."""
+    with _plainly():
+        from sato.animate import animate as film
+        from sato.record import load
+
+        typer.echo(str(film(load(folder), _folder_of(folder))))
+
+
+@contextmanager
+def _plainly() -> Iterator[None]:
+    # Whatever goes wrong becomes a sentence and an exit code.
+    try:
+        yield
+    except (typer.Exit, typer.Abort):
+        raise
+    except KeyboardInterrupt:
+        _stop("interrupted before there was anything to keep", SHORT)
+    except ValueError as error:
+        _stop(str(error), REFUSED)
+    except OSError as error:
+        _stop(f"{error.filename or 'a file'}: {error.strerror or error}", SHORT)
+    except RuntimeError as error:
+        _stop(str(error), SHORT)
+    except Exception as error:
+        if os.environ.get("SATO_TRACEBACK"):
+            raise
+        _stop(
+            f"this is a fault of the program, not of its input: {type(error).__name__}: {error} "
+            "(SATO_TRACEBACK=1 shows where)",
+            SHORT,
+        )
+
+
+def _stop(sentence: str, code: int) -> NoReturn:
+    typer.echo(f"sato: {' '.join(sentence.split())}", err=True)
+    raise typer.Exit(code)
+
+
+def _refuse_unwritable(folder: Path) -> None:
+    # Only trying tells; what the attempt makes is taken away again.
+    made: list[Path] = []
+    try:
+        for part in reversed([folder, *folder.parents]):
+            if not part.exists():
+                part.mkdir()
+                made.append(part)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise ValueError(
+            f"{folder}: cannot be written to: {error.strerror}; --out takes another folder"
+        ) from error
+    finally:
+        for part in reversed(made):
+            part.rmdir()
+
+
+def _folder_of(run: Path) -> Path:
+    return run if run.is_dir() else run.parent
+
+
+def _verdict(run: "Run") -> int:
+    said = run.summary
+    done = said.get("reached") and said.get("broken") == [] and "stopped" not in said
+    return DONE if done else SHORT

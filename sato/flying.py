@@ -1,0 +1,114 @@
+"""From a scenario to a run: draw, fly, judge."""
+
+import sys
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+import sato.reconfiguration
+from problems.conic import Unsolved
+from sato.reconfiguration import Reconfiguration
+from sato.record import Frame, Run
+from sato.scenario import ScenarioFile, read
+
+Progress = Callable[[Reconfiguration, Frame], object]
+
+
+def run(
+    scenario: str | Path | ScenarioFile,
+    *,
+    seed: int = 0,
+    overrides: Iterable[str] = (),
+    progress: Progress | None = None,
+) -> Run:
+    """Fly a scenario and judge what came of it.
+
+    The same seed and version give the same run. Ctrl-C, or a programme without an answer,
+    ends the flight early: the run then holds what was flown, its attribute `complete` is 0,
+    and `stopped` says why.
+
+    Args:
+        scenario: A built-in name, a TOML file, or what `read` made of one.
+        seed: Of everything that is drawn.
+        overrides: Each "table.key=value"; only with a name or a file.
+        progress: Called with the mission and each frame.
+
+    Raises:
+        ScenarioError: The scenario cannot be flown; nothing was.
+    """
+    if seed < 0:
+        raise ValueError(f"a seed must not be negative, got {seed}")
+    if isinstance(scenario, ScenarioFile):
+        if tuple(overrides):
+            raise ValueError("overrides go with the name of a scenario, not with one already read")
+    else:
+        scenario = read(scenario, overrides)
+    began = perf_counter()
+    # On matrices as small as these, threads of BLAS only wait for each other.
+    with threadpool_limits(1, user_api="blas"):
+        rng = np.random.default_rng(seed)
+        mission = scenario.build(rng)
+        frames, stopped = _flown(mission, rng, progress)
+        flown = Run.of(
+            frames,
+            mission,
+            scenario.to_toml(),
+            name=scenario.name,
+            seed=seed,
+            version=version("sato"),
+            wall_s=perf_counter() - began,
+            peak_memory_mib=peak_memory(),
+            complete=not stopped,
+        )
+        if stopped:
+            flown.data.attrs["stopped"] = stopped
+        return judged(flown)
+
+
+def judged(run: Run) -> Run:
+    """The run with all that can be said of it in its summary."""
+    summary = dict(run.summary)
+    if not run.data.attrs["complete"]:
+        summary["stopped"] = run.data.attrs.get("stopped", "")
+    # Who stops the flight may stop the judging too, and still keeps what was flown.
+    with suppress(KeyboardInterrupt):
+        report = run.check()
+        summary |= report.summary
+        summary["broken"] = [promise.name for promise in report.promises if not promise.kept]
+    return replace(run, summary=summary)
+
+
+def peak_memory() -> float:
+    """The most memory that this process has held [MiB]; NaN where the system does not say."""
+    try:
+        import resource
+    except ImportError:
+        return float("nan")
+    unit = 1 if sys.platform == "darwin" else 1024  # bytes there, KiB elsewhere
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**20
+
+
+def _flown(
+    mission: Reconfiguration, rng: np.random.Generator, progress: Progress | None
+) -> tuple[list[Frame], str]:
+    frames: list[Frame] = []
+    try:
+        for frame in sato.reconfiguration.fly(mission, rng):
+            frames.append(frame)
+            if progress is not None:
+                progress(mission, frame)
+    except KeyboardInterrupt:
+        if not frames:
+            raise
+        return frames, "interrupted"
+    except Unsolved as error:
+        if not frames:
+            raise
+        return frames, str(error)
+    return frames, ""
