@@ -31,7 +31,7 @@ class HalfSpaces(NamedTuple):
     on_control: Float[Array, "rows m"]
     least: Float[Array, " rows"]
 
-    def missing(self, x: Float[Array, "T+1 n"], u: Float[Array, "T m"]) -> Float[Array, " rows"]:
+    def missing(self, x: Float[Array, "instants n"], u: Float[Array, "T m"]) -> Float[Array, " rows"]:
         """By how much each row is broken; negative where it holds with room."""
         kept = (self.on_state * x[self.step]).sum(1) + (self.on_control * u[self.step]).sum(1)
         return self.least - kept

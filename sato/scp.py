@@ -5,29 +5,22 @@ its neighbours, keeps clear of those that go before it, and tells its own. `sett
 runs the same for all agents and calls it only where something binds; a test holds the
 two equal, exchange by exchange.
 
-The distance is kept by pieces of path and not at samples. Two agents are apart over a
-piece when the hull of its relative control points is outside the circle of radius R:
-that is Problem 4 here, it implies the same for the continuous path, and Propositions
-4 to 6 hold for it with the normals chosen as the directions to the hulls.
+What "apart" means, and how it is made convex, is in `problems.convexify`.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from dynamics import Steps
-from dynamics.path import hull_distance
 from problems.avoidance import Avoidance, HalfSpaces, Passage, Yield
 from problems.conic import Unsolved
+from problems.convexify import Horizon, apart, half_spaces, normals
 from problems.transfer import Flight, Transfer
 
 STILL = 1e-3  # ε_SCP over R: a path that moves less has converged
-HOLD = 1e-6  # part of R by which paths are planned to be further apart than asked
 # What may give way, and on which side of a colliding neighbour to pass: tried in this order.
 ATTEMPTS: tuple[tuple[Yield, bool], ...] = (
     ("nothing", False),
@@ -39,66 +32,6 @@ ATTEMPTS: tuple[tuple[Yield, bool], ...] = (
 MOST_SOLVES = 15  # after which an agent that is clear stops improving (Proposition 4 keeps it safe)
 
 
-@dataclass(frozen=True, eq=False)
-class Horizon:
-    """The steps for which collisions are looked for, cut into pieces between the samples."""
-
-    ahead: Steps  # the steps to come, at least as many as the horizon has
-    fine: Steps  # the same time in steps a whole number of times shorter
-    radius: float  # R_col, with what the pieces could miss [m]
-
-    @cached_property
-    def pieces(self) -> int:
-        """Pieces in a step."""
-        return len(self.fine) // len(self.ahead)
-
-    @property
-    def steps(self) -> int:
-        """T_H."""
-        return len(self.ahead)
-
-    @cached_property
-    def keep(self) -> float:
-        """The distance that paths are planned to keep [m]."""
-        return self.radius * (1 + HOLD)
-
-    @cached_property
-    def frames(self) -> tuple[Array, Array, Array]:
-        """P, Q, r: control points c = P x[k] + Q u[k] + r, as (T_H, pieces, 4, d, ·)."""
-        T, S, d, h = self.steps, self.pieces, self.ahead.axes, self.fine.dt
-        n = 2 * d
-        P, Q, r = np.zeros((T, S, 4, d, n)), np.zeros((T, S, 4, d, d)), np.zeros((T, S, 4, d))
-        third = np.concatenate([np.eye(d), np.eye(d) * h / 3], axis=1)
-        back = np.concatenate([np.eye(d), -np.eye(d) * h / 3], axis=1)
-        pick = np.stack([np.eye(d, n), third, back, np.eye(d, n)])
-        for k in range(T):
-            x, u, z = np.eye(n), np.zeros((n, d)), np.zeros(n)
-            for s in range(S):
-                A, B, c = (m[k * S + s] for m in (self.fine.A, self.fine.B, self.fine.z))
-                after = A @ x, A @ u + B, A @ z + c
-                for i in range(4):
-                    x_i, u_i, z_i = (x, u, z) if i < 2 else after
-                    P[k, s, i], Q[k, s, i], r[k, s, i] = pick[i] @ x_i, pick[i] @ u_i, pick[i] @ z_i
-                x, u, z = after
-        return P, Q, r
-
-    def path(
-        self, x: Float[Array, "*agents T+1 n"], u: Float[Array, "*agents T m"]
-    ) -> Float[Array, "*agents pieces 4 d"]:
-        """Control points over the horizon; after its last step an agent drifts."""
-        P, Q, r = self.frames
-        T = min(u.shape[-2], self.steps)
-        rest = self.steps - T
-        still = np.zeros((*u.shape[:-2], rest, u.shape[-1]))
-        after = self.ahead[T:].roll(x[..., T, :], still)
-        X = np.concatenate([x[..., :T, :], after[..., :-1, :]], axis=-2)
-        U = np.concatenate([u[..., :T, :], still], axis=-2)
-        points = (
-            np.einsum("ksidn,...kn->...ksid", P, X) + np.einsum("ksidm,...km->...ksid", Q, U) + r
-        )
-        return points.reshape(*points.shape[:-4], -1, 4, self.ahead.axes)
-
-
 class Plan(NamedTuple):
     """What an agent tells its neighbours."""
 
@@ -108,7 +41,7 @@ class Plan(NamedTuple):
 
 
 class Planner(NamedTuple):
-    """One agent that plans: all that it knows."""
+    """One agent that plans: all that it knows. Before the first exchange `flight` is `free`."""
 
     rank: tuple[bool, float, int]  # (it can still move, −fuel spent, number) [Remark 5]
     goal: Float[Array, " n"]
@@ -116,7 +49,7 @@ class Planner(NamedTuple):
     horizon: Horizon
     free: Flight  # its flight if it were alone: iterate 0
     flight: Flight  # the nominal
-    path: Float[Array, "pieces 4 d"]
+    path: Float[Array, "pieces 4 d"]  # of the nominal, over the horizon
     settled: bool = False
     steady: bool = True  # the nominal answered the last programme, or none was needed
     heard: tuple[Plan, ...] = ()  # whom it answered then
@@ -129,18 +62,6 @@ class Planner(NamedTuple):
     def plan(self) -> Plan:
         """What it tells."""
         return Plan(self.rank, self.path, self.settled)
-
-
-def planner(
-    rank: tuple[bool, float, int],
-    goal: Float[Array, " n"],
-    transfer: Transfer,
-    horizon: Horizon,
-    free: Flight,
-) -> Planner:
-    """An agent before the first exchange, with the flight it would take alone."""
-    path = horizon.path(free.x, free.u)
-    return Planner(rank, goal, transfer, horizon, free, free, path)
 
 
 def revise(agent: Planner, inbox: list[Plan]) -> Planner:
@@ -175,22 +96,11 @@ def clear(path: Float[Array, "pieces 4 d"], above: tuple[Plan, ...], radius: flo
     return not above or bool(apart(path - np.stack([p.path for p in above]), radius).all())
 
 
-def apart(relative: Float[Array, "*pairs 4 d"], radius: float) -> Bool[Array, "*pairs"]:
-    """Whether the hull of the control points stays outside the circle."""
-    middle = relative.mean(axis=-2)
-    spread = np.linalg.norm(relative - middle[..., None, :], axis=-1).max(axis=-1)
-    outside = np.asarray(np.linalg.norm(middle, axis=-1) - spread >= radius)
-    near = ~outside
-    if near.any():
-        outside[near] = hull_distance(relative[near])[0] >= radius
-    return outside
-
-
 def _answer(agent: Planner, above: tuple[Plan, ...]) -> Planner:
     """The next iterate, and whether it stands still."""
     free = agent.horizon.path(agent.free.x, agent.free.u)
     if clear(free, above, agent.horizon.radius):
-        after = agent._replace(flight=agent.free, path=free, late=0.0, slack=0.0, solves=agent.solves)
+        after = agent._replace(flight=agent.free, path=free, late=0.0, slack=0.0)
     else:
         after = _around(agent, above)
     moved = float(np.abs(after.flight.x - agent.flight.x).max())
@@ -200,10 +110,11 @@ def _answer(agent: Planner, above: tuple[Plan, ...]) -> Planner:
 
 def _around(agent: Planner, above: tuple[Plan, ...]) -> Planner:
     """Solve Problem 7 about the nominal; what gives way gives way last to separation."""
-    relative = agent.path - np.stack([plan.path for plan in above])
+    others = np.stack([plan.path for plan in above])
     solves = agent.solves
     for gives, other_side in ATTEMPTS:
-        spaces = _half_spaces(agent, above, normals(relative, agent.horizon.keep, other_side))
+        normal = normals(agent.path - others, agent.horizon.keep, other_side)
+        spaces = half_spaces(agent.horizon, len(agent.flight.u), others, normal)
         solves += 1
         try:
             passage = _solve(agent, spaces, gives)
@@ -236,82 +147,6 @@ def _only(spaces: HalfSpaces, rows: Bool[Array, " rows"]) -> HalfSpaces:
     return HalfSpaces(*(field[rows] for field in spaces))
 
 
-def _half_spaces(
-    agent: Planner, above: tuple[Plan, ...], n: Float[Array, "above pieces d"]
-) -> HalfSpaces:
-    """n·(c − c̄) ≥ R for every control point that the agent can still move."""
-    P, Q, r = agent.horizon.frames
-    d, S = r.shape[-1], r.shape[1]
-    T = min(len(agent.flight.u), len(P))
-    n = n.reshape(len(above), -1, S, d)[:, :T]
-    theirs = np.stack([plan.path for plan in above]).reshape(len(above), -1, S, 4, d)[:, :T]
-    on_state = np.einsum("aksd,ksidn->aksin", n, P[:T])
-    on_control = np.einsum("aksd,ksidm->aksim", n, Q[:T])
-    least = agent.horizon.keep + np.einsum("aksd,aksid->aksi", n, theirs - r[:T])
-    step = np.broadcast_to(np.arange(T)[:, None, None], least.shape[1:])
-    movable = (step > 0) | np.any(Q[:T] != 0, axis=(3, 4))
-    rows = np.broadcast_to(movable, least.shape).ravel()
-    return HalfSpaces(
-        np.broadcast_to(step, least.shape).ravel()[rows],
-        on_state.reshape(-1, 2 * d)[rows],
-        on_control.reshape(-1, d)[rows],
-        least.ravel()[rows],
-    )
-
-
-def normals(
-    relative: Float[Array, "above pieces 4 d"], keep: float, other_side: bool = False
-) -> Float[Array, "above pieces d"]:
-    """Directions of the half-spaces, a unit vector a piece [Morgan2016, Fig. 2].
-
-    Over a piece that is clear: from the other agent to the nominal, which then satisfies
-    its own half-space. Two nominals that collide have no such directions, so theirs are
-    read off a nominal that is pushed aside at the closest approach, more and more as it
-    gets there, until it just passes.
-
-    Args:
-        relative: Control points of the nominal less those of the others [m].
-        keep: Distance to keep [m].
-        other_side: Push a colliding nominal to the far side instead of the near one.
-    """
-    distance, nearest = hull_distance(relative)
-    pushed = relative
-    collides = np.flatnonzero(distance.min(axis=1) < keep)
-    if len(collides):
-        pushed = relative.copy()
-        for a in collides:
-            pushed[a] += _push(relative[a], distance[a], nearest[a], keep, other_side)
-        distance, nearest = hull_distance(pushed)
-    inside = distance <= 0
-    nearest[inside] = pushed[inside].mean(axis=-2)  # only where even the push is in vain
-    length = np.linalg.norm(nearest, axis=-1, keepdims=True)
-    return nearest / np.maximum(length, 1e-300)
-
-
-def _push(
-    relative: Array, distance: Array, nearest: Array, keep: float, other_side: bool
-) -> Float[Array, "pieces 4 d"]:
-    p = int(np.argmin(distance))
-    miss = float(distance[p])
-    aside = nearest[p] / miss if miss > 1e-6 * keep else _square(relative[p])
-    far = keep + miss if other_side else keep - miss
-    aside = -aside if other_side else aside
-    # Control points stand at thirds of a piece; the push grows as the reach of a control.
-    time = np.arange(len(relative))[:, None] + np.arange(4) / 3
-    ramp = np.minimum(1.0, time / (p + 0.5)) ** 2
-    return np.asarray(1.2 * far * ramp[..., None] * aside)
-
-
-def _square(piece: Float[Array, "4 d"]) -> Float[Array, " d"]:
-    """A unit vector across the motion: to its right in the plane, and as near it in space."""
-    along = piece[-1] - piece[0]
-    across = np.zeros_like(along)
-    across[:2] = along[1], -along[0]
-    if not across.any():
-        across[0] = 1.0
-    return across / np.linalg.norm(across)
-
-
 def settle(
     planners: dict[int, Planner], hears: Bool[Array, "agents agents"]
 ) -> tuple[dict[int, Planner], int]:
@@ -325,8 +160,8 @@ def settle(
         The agents settled, and the number of exchanges it took.
     """
     exchanges = 0
-    for planners in exchanged(planners, hears):
-        exchanges += 1
+    for now in exchanged(planners, hears):
+        planners, exchanges = now, exchanges + 1
     return planners, exchanges
 
 

@@ -133,7 +133,10 @@ def _bid(
         main = scale * fuel if mission.cost == "fuel" else fuel
         cost = bid_costs(main + mission.tie_break * tie, reachable, minds, network)
         auction = vsdaa(
-            cost, network, minds.believed, _epsilon(mission, leg, cost, network),
+            cost,
+            network,
+            minds.believed,
+            _epsilon(mission, leg, cost, network),
             ids=mission.bidder_ids,
         )
         winners = np.flatnonzero(network.alive)

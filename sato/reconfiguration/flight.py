@@ -42,9 +42,7 @@ def fly(mission: Reconfiguration, rng: np.random.Generator) -> Iterator[Frame]:
     believed = mission.believed or int(mission.alive.sum())
     # Who joins later knows of no more than its own need, and learns m from who it meets.
     m = np.where(mission.alive, believed, 1)
-    swarm = Swarm(
-        mission.start, mission.alive, np.zeros(len(m)), Minds.fresh(m), NO_PLANS, 0
-    )
+    swarm = Swarm(mission.start, mission.alive, np.zeros(len(m)), Minds.fresh(m), NO_PLANS, 0)
     events: list[Event] = []
     for number, leg in enumerate(mission.legs):
         m = swarm.minds.believed
@@ -168,9 +166,7 @@ def _come_and_go(
     return swarm._replace(alive=alive, minds=minds), events
 
 
-def _lost(
-    loss: Loss, position: Array, alive: Array, rng: np.random.Generator
-) -> list[int]:
+def _lost(loss: Loss, position: Array, alive: Array, rng: np.random.Generator) -> list[int]:
     live = np.flatnonzero(alive)
     if loss.kind == "agents":
         return [i for i in loss.agents if alive[i]]

@@ -12,12 +12,13 @@ from dynamics.path import error_bound
 from problems.auction_cost import price_within_speed
 from problems.avoidance import Avoidance, no_spaces
 from problems.conic import Unsolved
+from problems.convexify import Horizon
 from problems.least_fuel import least_fuel
 from problems.transfer import Flight, Transfer, fuel_spent
 from sato.network import Network
 from sato.reconfiguration.bidding import Minds, steps_left
 from sato.reconfiguration.mission import Leg, Reconfiguration
-from sato.scp import Horizon, Planner, planner, settle
+from sato.scp import Planner, settle
 
 SLOPE = 1e-3  # of the fuel's weights: burns at the ends, straight paths between
 MOST_PIECES = 12  # in a step
@@ -93,6 +94,7 @@ def plan(
         goals = leg.targets[minds.target[those]]
         flights, counted = alone(transfer, state[those], goals)
         solves += counted
+        found: list[Flight] = []
         for i, goal, flight in zip(those.tolist(), goals, flights, strict=True):
             if flight is None:
                 rest = before.rest(i, int(minds.target[i]), k, len(steps))
@@ -102,8 +104,11 @@ def plan(
                     flight = nearest(transfer, state[i], goal)
                     solves += 1
                     late.append(i)
+            found.append(flight)
+        paths = horizon.path(np.stack([f.x for f in found]), np.stack([f.u for f in found]))
+        for i, goal, flight, path in zip(those.tolist(), goals, found, paths, strict=True):
             rank = (len(steps) > 0, -float(spent[i]), i)
-            planners[i] = planner(rank, goal, transfer, horizon, flight)
+            planners[i] = Planner(rank, goal, transfer, horizon, flight, flight, path)
     planners, exchanges = settle(planners, network.hears)
     solves += sum(p.solves for p in planners.values())
     events: list[Event] = [

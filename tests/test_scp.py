@@ -1,0 +1,273 @@
+"""Sequential convex programming: laws of Method 2, and the definition against the fast path."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from dynamics import DoubleIntegrator, hold
+from dynamics.path import separations
+from problems.avoidance import Avoidance
+from problems.conic import solve
+from problems.convexify import Horizon, apart, half_spaces, normals
+from problems.solvers import solve_clarabel
+from problems.transfer import Flight, Transfer
+from sato.scp import STILL, Plan, Planner, by_messages, exchanged, revise, settle
+
+T, STEP, RADIUS = 12, 1.0, 0.5
+
+
+def problem(axes=2, horizon_steps=T, speed=0.6):
+    model = DoubleIntegrator(axes)
+    transfer = Transfer(hold(model, STEP, T), 0.2, speed, slope=1e-3)
+    ahead = hold(model, STEP, horizon_steps)
+    return transfer, Horizon(ahead, hold(model, STEP / 2, 2 * horizon_steps), RADIUS)
+
+
+def agent(number, start, goal, transfer, horizon, spent=0.0, velocity=0.0):
+    start = np.concatenate([start, np.full(len(start), velocity) * (np.arange(len(start)) == 0)])
+    goal = np.concatenate([goal, np.zeros(len(goal))])
+    free = Avoidance(transfer).solve(start, goal, half_spaces_of_nobody(horizon)).flight
+    path = horizon.path(free.x, free.u)
+    return Planner((True, -spent, number), goal, transfer, horizon, free, free, path)
+
+
+def half_spaces_of_nobody(horizon):
+    d = horizon.ahead.axes
+    pieces = horizon.steps * horizon.pieces
+    return half_spaces(horizon, T, np.zeros((0, pieces, 4, d)), np.zeros((0, pieces, d)))
+
+
+def crowd(rng, count, axes=2, box=3.0):
+    """Agents that start apart and have goals apart, on the other side of one another."""
+    transfer, horizon = problem(axes)
+    ends = []
+    for _ in range(2):
+        points = []
+        while len(points) < count:
+            p = rng.uniform(-box / 2, box / 2, axes)
+            if all(np.linalg.norm(p - q) > 1.5 * RADIUS for q in points):
+                points.append(p)
+        ends.append(np.array(points))
+    return {i: agent(i, ends[0][i], ends[1][i], transfer, horizon) for i in range(count)}
+
+
+def everybody(planners):
+    count = len(planners)
+    return ~np.eye(count, dtype=bool)
+
+
+def continuous_separation(planners):
+    x = np.stack([p.flight.x for p in planners.values()], axis=1)
+    d = x.shape[2] // 2
+    alive = np.ones(x.shape[:2], dtype=bool)
+    return separations(x[..., :d], x[..., d:], alive, STEP).least.distance
+
+
+def weighted(flight, transfer):
+    return STEP * float(transfer.weight @ np.abs(flight.u).sum(axis=1))
+
+
+@pytest.mark.parametrize(("count", "axes"), [(4, 2), (8, 2), (8, 3)])
+def test_the_fast_path_equals_the_definition_exchange_by_exchange(rng, count, axes):
+    planners = crowd(rng, count, axes)
+    hears = everybody(planners)
+    hears[0, -1] = hears[-1, 0] = False
+    slow, fast = list(by_messages(planners, hears)), list(exchanged(planners, hears))
+    assert len(slow) == len(fast) > 1
+    for a, b in zip(slow, fast, strict=True):
+        for i in planners:
+            assert a[i].settled == b[i].settled
+            np.testing.assert_array_equal(a[i].flight.x, b[i].flight.x)
+            np.testing.assert_array_equal(a[i].path, b[i].path)
+
+
+@pytest.mark.parametrize("axes", [2, 3])
+def test_the_continuous_paths_keep_the_distance(rng, axes):
+    for _ in range(5):
+        planners = crowd(rng, 6, axes, box=4.0)
+        after, _ = settle(planners, everybody(planners))
+        assert all(p.slack == 0 and not p.failed for p in after.values())
+        assert continuous_separation(after) >= RADIUS
+
+
+def test_dense_samples_agree_that_the_distance_is_kept(rng):
+    planners = crowd(rng, 6)
+    after, _ = settle(planners, everybody(planners))
+    model = DoubleIntegrator(2)
+    fine = hold(model, STEP / 50, T * 50)
+    paths = np.stack(
+        [fine.roll(p.flight.x[0], np.repeat(p.flight.u, 50, axis=0)) for p in after.values()]
+    )[..., :2]
+    apart_by = np.linalg.norm(paths[:, None] - paths[None], axis=-1)
+    assert apart_by[~np.eye(6, dtype=bool)].min() >= RADIUS
+
+
+def test_without_anybody_to_avoid_the_lone_flight_is_the_answer(rng):
+    transfer, horizon = problem()
+    far = {i: agent(i, [10.0 * i, 0.0], [10.0 * i, 1.0], transfer, horizon) for i in range(4)}
+    after, exchanges = settle(far, everybody(far))
+    assert exchanges == 4  # each waits to hear that those before it have settled
+    assert all(after[i].flight is far[i].free and after[i].solves == 0 for i in far)
+
+
+def test_iterates_among_fixed_paths_stay_feasible_and_do_not_get_dearer(rng):
+    # Propositions 4 and 6: once an iterate keeps clear, so does the next, at no higher cost.
+    improved = 0
+    for _ in range(8):
+        planners = crowd(rng, 5)
+        others = [Plan((False, 0.0, i), planners[i].path, True) for i in range(4)]
+        me, costs = planners[4], []
+        for _ in range(10):
+            after = revise(me._replace(settled=False, steady=False), others)
+            relative = after.path - np.stack([p.path for p in others])
+            if not (apart(relative, RADIUS).all() and after.late == after.slack == 0):
+                break
+            costs.append(weighted(after.flight, me.transfer))
+            me = after
+        assert all(b <= a + 1e-7 for a, b in pairwise(costs))
+        improved += len(costs) > 2 and costs[-1] < costs[0] - 1e-6
+    assert improved > 0
+
+
+def test_the_end_satisfies_the_first_order_conditions_of_the_nonconvex_problem(rng):
+    # Theorem 7: a fixed point of the convex programme is a KKT point of Problem 4. The
+    # programme about the end is solved afresh and its residuals recomputed.
+    tested = 0
+    for _ in range(6):
+        planners = crowd(rng, 5)
+        after, _ = settle(planners, everybody(planners))
+        for i, me in after.items():
+            above = np.stack([p.path for j, p in after.items() if j < i] or [me.path + 100])
+            if me.solves == 0 or me.solves >= 15:
+                continue
+            normal = normals(me.path - above, me.horizon.keep)
+            spaces = half_spaces(me.horizon, T, above, normal)
+            programme = Avoidance(me.transfer)
+            fast = list(range(1, T))
+            conic = programme._assemble(me.flight.x[0], me.goal, spaces, "nothing", fast)
+            answer = solve(conic, solve_clarabel)
+            assert answer.worst < 1e-7
+            # The end is feasible for it and as cheap as its optimum: its multipliers serve.
+            assert spaces.missing(me.flight.x, me.flight.u).max() <= 1e-6 * RADIUS
+            cost = weighted(me.flight, me.transfer)
+            assert cost <= float(conic.q @ answer.x) * (1 + STILL) + 1e-7
+            tested += 1
+    assert tested > 5
+
+
+def test_agents_settle_in_the_order_of_their_priorities(rng):
+    # Theorem 8.
+    planners = crowd(rng, 6)
+    hears = everybody(planners)
+    when = {}
+    for exchange, now in enumerate(by_messages(planners, hears)):
+        for i, p in now.items():
+            if p.settled:
+                when.setdefault(i, exchange)
+    assert all(when[i] < when[j] for i, j in pairwise(range(6)))
+
+
+def test_who_has_more_fuel_left_gives_way(rng):
+    transfer, horizon = problem()
+    ends = ([-1.5, 0.0], [1.5, 0.0])
+    for spent in ((0.0, 1.0), (1.0, 0.0)):
+        pair = {
+            0: agent(0, *ends, transfer, horizon, spent[0]),
+            1: agent(1, *ends[::-1], transfer, horizon, spent[1]),
+        }
+        after, _ = settle(pair, everybody(pair))
+        gives_way = int(np.argmin(spent))
+        assert after[1 - gives_way].flight is pair[1 - gives_way].free
+        assert after[gives_way].solves > 0
+        assert continuous_separation(after) >= RADIUS
+
+
+def test_head_on_with_no_miss_at_all_is_parted(rng):
+    transfer, horizon = problem()
+    pair = {
+        0: agent(0, [-1.5, 0.0], [1.5, 0.0], transfer, horizon),
+        1: agent(1, [1.5, 0.0], [-1.5, 0.0], transfer, horizon),
+    }
+    after, _ = settle(pair, everybody(pair))
+    assert after[1].slack == after[1].late == 0
+    assert continuous_separation(after) >= RADIUS
+
+
+def test_what_gives_way_first_is_the_arrival_and_then_the_separation():
+    transfer, horizon = problem()
+    # The goal is held by one who cannot move: it stops short and says by how much.
+    parked = Plan((False, 0.0, 0), np.full((horizon.steps * 2, 4, 2), [1.0, 0.0]), True)
+    me = revise(agent(1, [-1.0, 0.0], [1.0, 0.0], transfer, horizon), [parked])
+    assert me.late > 0.4 and me.slack == 0
+    assert apart(me.path - parked.path, RADIUS).all()
+    # Somebody flies through it faster than it can get away.
+    time = np.arange(horizon.steps * 2)[:, None] / 2 + np.arange(4) / 6
+    through = np.stack([5 - 4 * time, np.zeros_like(time)], axis=-1)
+    rammed = revise(
+        agent(1, [0.0, 0.1], [0.0, 1.0], transfer, horizon), [parked._replace(path=through)]
+    )
+    assert rammed.slack > 0.01
+
+
+def test_news_travels_one_hop_an_exchange(rng):
+    # The light cone: a row of agents, each in the way of the next. What changes at one end
+    # cannot be known h hops away before exchange h, to the last bit.
+    transfer, horizon = problem()
+    row = {i: agent(i, [0.51 * i, 0.0], [0.51 * i, 0.9], transfer, horizon) for i in range(7)}
+    other = dict(row)
+    other[0] = agent(0, [0.0, 0.0], [0.0, 0.9], transfer, horizon, velocity=0.2)
+    hears = np.abs(np.subtract.outer(np.arange(7), np.arange(7))) == 1
+    for run in (by_messages, exchanged):
+        one, two = list(run(row, hears)), list(run(other, hears))
+        reached = 0
+        for w, (a, b) in enumerate(zip(one, two, strict=False)):
+            differs = [i for i in row if not np.array_equal(a[i].flight.x, b[i].flight.x)]
+            reached = max([reached, *differs])
+            assert reached <= w + 1  # the exchange of index 0 is the first
+        assert reached >= 3
+
+
+def test_an_agent_that_is_settled_hears_no_more(rng):
+    me = crowd(rng, 2)[1]._replace(settled=True)
+    ram = Plan((False, 0.0, 0), me.path, True)
+    assert revise(me, [ram]) is me
+
+
+def test_nobody_plans_with_nobody():
+    assert settle({}, np.zeros((3, 3), dtype=bool)) == ({}, 0)
+
+
+def test_paths_pass_through_the_states_and_drift_after_the_last_step():
+    transfer, horizon = problem(horizon_steps=T + 4)
+    me = agent(0, [0.0, 0.0], [2.0, 1.0], transfer, horizon)
+    start, end = me.path[::2, 0], me.path[1::2, 3]
+    np.testing.assert_allclose(start[: T + 1], me.flight.x[:, :2], atol=1e-12)
+    np.testing.assert_allclose(end[:T], me.flight.x[1:, :2], atol=1e-12)
+    np.testing.assert_allclose(end[T:], np.tile(me.flight.x[-1, :2], (4, 1)), atol=1e-8)
+
+
+def test_a_clear_nominal_satisfies_its_own_half_spaces(rng):
+    # Proposition 5, for hulls: n·b ≥ distance of the hull.
+    relative = rng.normal(size=(50, 8, 4, 2)) * 0.3 + rng.normal(size=(50, 8, 1, 2)) * 3
+    keep = apart(relative, RADIUS).all(axis=1)
+    n = normals(relative[keep], RADIUS)
+    assert np.einsum("akd,akid->aki", n, relative[keep]).min() >= RADIUS * (1 - 1e-12)
+    np.testing.assert_allclose(np.linalg.norm(n, axis=-1), 1, rtol=1e-12)
+
+
+def test_normals_of_a_collision_lead_past_it_on_the_side_that_is_asked():
+    time = np.arange(16)[:, None] + np.arange(4) / 3
+    straight = np.stack([(time - 8.5) * 0.3, np.full_like(time, 0.1)], axis=-1)[None]
+    near, far = normals(straight, RADIUS), normals(straight, RADIUS, other_side=True)
+    middle = 8
+    assert near[0, middle, 1] > 0.9 and far[0, middle, 1] < -0.9
+    assert np.isfinite(near).all() and np.isfinite(far).all()
+
+
+def test_flights_are_the_same_twice(rng):
+    planners = crowd(rng, 6)
+    first, second = (settle(planners, everybody(planners))[0] for _ in range(2))
+    for i in planners:
+        assert isinstance(first[i].flight, Flight)
+        np.testing.assert_array_equal(first[i].flight.u, second[i].flight.u)
