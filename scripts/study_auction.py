@@ -1,0 +1,167 @@
+"""VSDAA on many connected swarms: python scripts/study_auction.py --instances 1000.
+
+Random starts to random targets, and grids (ties of cost); m too small, right and too large;
+bids of 1e-2 and 1e-3 of the range of the cost, and of ½ w s². The cost is that of
+`sato run`: |Δx| + |Δy| + w d², with s the least spacing of the targets.
+"""
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from itertools import cycle, islice, product
+from typing import NamedTuple
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+from scipy.spatial import cKDTree
+
+from problems.assignment import assign
+from sato.network import Network
+from sato.vsdaa import vsdaa
+
+SIZES = (5, 10, 20, 40, 60, 90, 123)
+PLACES = ("random", "grid")
+BELIEFS = (0.3, 1.0, 1.25)  # m at the start, over N
+BIDS = ("1e-2 range", "1e-3 range", "½ w s²")
+TIE_BREAK = 0.2  # w [1/m]
+
+
+class Kind(NamedTuple):
+    """What an instance is like."""
+
+    agents: int
+    places: str
+    belief: float
+    bid: str
+
+
+class Outcome(NamedTuple):
+    """How one auction went."""
+
+    good: bool
+    rounds: int
+    of_bound: float  # round of the last bid over the bound of [Morgan2016, eq. 20]
+    gap: float  # cost above the optimum, over N ε
+    seconds: float
+
+
+def scatter(rng: np.random.Generator, count: int, apart: float, side: float) -> np.ndarray:
+    """Points in a square, drawn one by one and kept where they are far enough from others."""
+    points = np.empty((0, 2))
+    while len(points) < count:
+        point = rng.uniform(0, side, 2)
+        if np.all(np.linalg.norm(points - point, axis=1) >= apart):
+            points = np.vstack([points, point])
+    return points
+
+
+def places(rng: np.random.Generator, kind: str, agents: int, targets: int) -> list[np.ndarray]:
+    """Starts and targets."""
+    if kind == "random":
+        side = 1.6 * np.sqrt(targets)
+        return [scatter(rng, agents, 0.8, side), scatter(rng, targets, 0.9, side)]
+    side = int(np.ceil(np.sqrt(targets)))
+    grid = np.stack(np.divmod(np.arange(side**2), side), axis=1).astype(float)
+    return [rng.permutation(grid)[:agents], rng.permutation(grid)[:targets]]
+
+
+def connected(position: np.ndarray) -> Network:
+    """The network of the shortest reach, from about 7 neighbours each, that is connected."""
+    side = np.ptp(position, axis=0).max() + 1.0
+    radius, alive = side * np.sqrt(7 / np.pi / len(position)), np.full(len(position), True)
+    while (network := Network.within(position, radius, alive)).component.max() > 0:
+        radius *= 1.1
+    return network
+
+
+def trial(seed: int, number: int, kind: Kind) -> Outcome:
+    """One auction, held to its promises."""
+    rng = np.random.default_rng((seed, number))
+    agents, m = kind.agents, max(1, round(kind.belief * kind.agents))
+    start, goal = places(rng, kind.places, agents, max(agents, m) + max(10, agents // 4))
+    move = goal - start[:, None]
+    cost = np.abs(move).sum(axis=2) + TIE_BREAK * (move**2).sum(axis=2)
+    spacing = cKDTree(goal).query(goal, k=2)[0][:, 1].min()
+    epsilon = {
+        "1e-2 range": 1e-2 * np.ptp(cost),
+        "1e-3 range": 1e-3 * np.ptp(cost),
+        "½ w s²": 0.5 * TIE_BREAK * spacing**2,
+    }[kind.bid]
+    network, everyone, used = connected(start), np.arange(agents), max(agents, m)
+
+    begin = time.perf_counter()
+    auction = vsdaa(cost, network, np.full(agents, m), float(epsilon))
+    seconds = time.perf_counter() - begin
+
+    best = cost[everyone, assign(cost[:, :used])].sum()
+    gap = (cost[everyone, auction.target].sum() - best) / (agents * epsilon)
+    steps = np.ceil(np.ptp(cost[:, :used], axis=1) / epsilon).max()
+    bound = network.diameter[0] * (agents - 1) * steps
+    good = len(set(auction.target)) == agents and np.all(auction.believed == used)
+    return Outcome(
+        bool(good and -1e-9 <= gap <= 1 + 1e-9),
+        auction.rounds,
+        auction.last_bid_round / bound,
+        gap,
+        seconds,
+    )
+
+
+def summary(rows: list[Outcome]) -> list[str]:
+    """The numbers of some auctions, as cells."""
+    good, rounds, of_bound, gap, seconds = (np.array(column) for column in zip(*rows, strict=True))
+    return [
+        f"{good.sum()}/{len(rows)}",
+        f"{np.median(rounds):.0f} / {rounds.max()}",
+        f"{np.median(of_bound):.4f} / {of_bound.max():.4f}",
+        f"{np.median(gap):.3f} / {gap.max():.3f}",
+        f"{1e3 * np.median(seconds):.1f} / {1e3 * seconds.max():.1f}",
+    ]
+
+
+def table(kinds: list[Kind], outcomes: list[Outcome]) -> Table:
+    """Rows by size, by first belief and bid, by places, and all; each median / worst."""
+    result = Table(title=f"VSDAA, {len(kinds)} connected instances: median / worst")
+    for column in ("", "good", "rounds", "last bid / Prop. 1", "gap / Nε", "ms"):
+        result.add_column(column, justify="right")
+    groups: list[Callable[[Kind], str]] = [
+        lambda kind: f"N = {kind.agents}",
+        lambda kind: f"m = {kind.belief} N, ε = {kind.bid}",
+        lambda kind: kind.places,
+        lambda kind: "all",
+    ]
+    for name in groups:
+        rows: dict[str, list[Outcome]] = {}
+        for kind, outcome in zip(kinds, outcomes, strict=True):
+            rows.setdefault(name(kind), []).append(outcome)
+        for key, members in rows.items():
+            result.add_row(key, *summary(members))
+        result.add_section()
+    return result
+
+
+def main() -> int:
+    """Run the study; 1 if any auction broke a promise."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--instances", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+
+    kinds = [
+        Kind(*k) for k in islice(cycle(product(SIZES, PLACES, BELIEFS, BIDS)), options.instances)
+    ]
+    trial(options.seed, 0, kinds[0])  # compiles
+    work = track(kinds, "auctions", console=Console(stderr=True), transient=True)
+    outcomes = [trial(options.seed, number, kind) for number, kind in enumerate(work)]
+    Console(width=110).print(table(kinds, outcomes))
+    broken = [n for n, outcome in enumerate(outcomes) if not outcome.good]
+    for n in broken:
+        print(f"instance {n}, {kinds[n]}: {outcomes[n]}", file=sys.stderr)
+    return 1 if broken else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
