@@ -9,25 +9,27 @@ What "apart" means, and how it is made convex, is in `problems.convexify`.
 """
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from problems.avoidance import Avoidance, HalfSpaces, Passage, Yield
+from problems.avoidance import Avoidance, HalfSpaces, Passage, Yield, no_spaces
 from problems.conic import Unsolved
 from problems.convexify import Horizon, apart, half_spaces, normals
 from problems.transfer import Flight, Transfer
 
 STILL = 1e-3  # ε_SCP over R: a path that moves less has converged
-# What may give way, and on which side of a colliding neighbour to pass: tried in this order.
-ATTEMPTS: tuple[tuple[Yield, bool], ...] = (
-    ("nothing", False),
-    ("nothing", True),
-    ("arrival", False),
-    ("arrival", True),
-    ("separation", False),
+# What may give way, and about what to convexify where nominals collide: past the neighbours
+# on the near side, on the far side, or about standing still. Tried in this order.
+ATTEMPTS: tuple[tuple[Yield, Literal["near", "far", "stand"]], ...] = (
+    ("nothing", "near"),
+    ("nothing", "far"),
+    ("arrival", "near"),
+    ("arrival", "far"),
+    ("arrival", "stand"),
+    ("separation", "near"),
 )
 MOST_SOLVES = 15  # after which an agent that is clear stops improving (Proposition 4 keeps it safe)
 
@@ -100,7 +102,7 @@ def _answer(agent: Planner, above: tuple[Plan, ...]) -> Planner:
     """The next iterate, and whether it stands still."""
     free = agent.horizon.path(agent.free.x, agent.free.u)
     if clear(free, above, agent.horizon.radius):
-        after = agent._replace(flight=agent.free, path=free, late=0.0, slack=0.0)
+        after = agent._replace(flight=agent.free, path=free, late=0.0, slack=0.0, failed=False)
     else:
         after = _around(agent, above)
     moved = float(np.abs(after.flight.x - agent.flight.x).max())
@@ -112,11 +114,12 @@ def _around(agent: Planner, above: tuple[Plan, ...]) -> Planner:
     """Solve Problem 7 about the nominal; what gives way gives way last to separation."""
     others = np.stack([plan.path for plan in above])
     solves = agent.solves
-    for gives, other_side in ATTEMPTS:
-        normal = normals(agent.path - others, agent.horizon.keep, other_side)
-        spaces = half_spaces(agent.horizon, len(agent.flight.u), others, normal)
+    for gives, way in ATTEMPTS:
         solves += 1
         try:
+            nominal = _standing(agent) if way == "stand" else agent.path
+            normal = normals(nominal - others, agent.horizon.keep, other_side=way == "far")
+            spaces = half_spaces(agent.horizon, len(agent.flight.u), others, normal)
             passage = _solve(agent, spaces, gives)
         except Unsolved:
             continue
@@ -126,8 +129,17 @@ def _around(agent: Planner, above: tuple[Plan, ...]) -> Planner:
             solves=solves,
             late=passage.late,
             slack=passage.slack,
+            failed=False,
         )
     return agent._replace(solves=solves, failed=True)
+
+
+def _standing(agent: Planner) -> Float[Array, "pieces 4 d"]:
+    """The path of an agent that comes to rest where it is, as nearly as it can."""
+    start = agent.flight.x[0]
+    here = np.concatenate([start[: len(start) // 2], np.zeros(len(start) // 2)])
+    rest = Avoidance(agent.transfer).solve(start, here, no_spaces(agent.transfer), "arrival")
+    return agent.horizon.path(rest.flight.x, rest.flight.u)
 
 
 def _solve(agent: Planner, spaces: HalfSpaces, gives: Yield) -> Passage:
