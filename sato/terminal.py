@@ -28,7 +28,7 @@ def progress(quiet: bool) -> Iterator[Callable[[Reconfiguration, Frame], None] |
     else:
         said = "leg {task.fields[leg]}, step {task.completed} of {task.total}, {task.fields[words]}"
         columns = (BarColumn(), TextColumn(said), TimeElapsedColumn())
-        with Progress(*columns, console=Console(stdfile=sys.stderr)) as bar:
+        with Progress(*columns, console=Console(stderr=True)) as bar:
             yield _Bar(bar)
 
 
@@ -68,7 +68,8 @@ class _Bar(_Watch):
 
     def __call__(self, mission: Reconfiguration, frame: Frame) -> None:
         planned = sum(leg.steps for leg in mission.legs)
-        fields: dict[str, Any] = {"leg": f"{frame.leg + 1} of {len(mission.legs)}", "words": self.words(frame)}
+        leg = f"{frame.leg + 1} of {len(mission.legs)}"
+        fields: dict[str, Any] = {"leg": leg, "words": self.words(frame)}
         if self.task is None:
             self.task = self.bar.add_task("", total=planned, **fields)
         left = sum(leg.steps for leg in mission.legs[frame.leg + 1 :])

@@ -1,9 +1,10 @@
 """Whether everybody can be somewhere in time, asked before anything is flown."""
 
-from math import inf
+from math import floor, inf
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
@@ -14,6 +15,14 @@ from sato.reconfiguration.mission import Reconfiguration
 from sato.scenario.refusal import Refusal
 
 LONGEST = 64  # times the steps that were asked for; beyond, time is not what is missing
+MUCH = 20_000_000  # pairs × steps, above which no longer time is tried
+
+
+class Lacking(NamedTuple):
+    """An agent with nowhere to be."""
+
+    agent: int
+    alone: bool  # it reaches nothing at all; else the others need all that it reaches
 
 
 def check_reach(mission: Reconfiguration) -> None:
@@ -27,51 +36,55 @@ def check_reach(mission: Reconfiguration) -> None:
             be reached for everybody to have one; says for which agent, and what time would do.
     """
     steps = mission.legs[0].steps
-    left = _left_over(mission, steps)
-    if left is None:
+    lacking = _lacking(mission, steps)
+    if lacking is None:
         return
-    agent, alone = left
-    enough = _enough(mission, steps)
-    cure = (
-        f"steps = {enough} would do"
-        if enough is not None
-        else f"even {LONGEST * steps} steps are not enough"
-    )
     what = (
         "can reach none of its targets"
-        if alone
+        if lacking.alone
         else "is left without a target, for the others need all that it can reach,"
     )
+    enough = _enough(mission, steps)
+    time = f"steps = {enough} would do, or" if enough else "what would do is far more steps, or"
     raise Refusal(
         "leg.0.steps",
-        f"agent {agent} {what} in {steps} steps of {mission.step:g} s; {cure}, "
-        "or a larger model.max_control_m_s2 or max_speed_m_s",
+        f"agent {lacking.agent} {what} in {steps} steps of {mission.step:g} s; {time} a larger "
+        "model.max_control_m_s2 or max_speed_m_s",
     )
 
 
 def _enough(mission: Reconfiguration, steps: int) -> int | None:
+    pairs = len(mission.start) * len(mission.legs[0].targets)
     few, many = steps, 2 * steps
-    while _left_over(mission, many) is not None:
+    while _lacking(mission, many) is not None:
         few, many = many, 2 * many
-        if many > LONGEST * steps:
+        if many > LONGEST * steps or many * pairs > MUCH:
             return None
     while many - few > 1:
         middle = (few + many) // 2
-        few, many = (few, middle) if _left_over(mission, middle) is None else (middle, many)
+        few, many = (few, middle) if _lacking(mission, middle) is None else (middle, many)
     return many
 
 
-def _left_over(mission: Reconfiguration, steps: int) -> tuple[int, bool] | None:
-    # An agent without a target, and whether none is within its reach.
-    live = np.flatnonzero(mission.alive)
-    wanted = max(mission.believed, len(live))
+def _lacking(mission: Reconfiguration, steps: int) -> Lacking | None:
+    live, spare = _starting(mission)
+    wanted = max(mission.believed, len(live) - spare)
     reachable = _reachable(mission, mission.start[live], mission.legs[0].targets[:wanted], steps)
     nowhere = np.flatnonzero(~reachable.any(axis=1))
-    if nowhere.size:
-        return int(live[nowhere[0]]), True
+    if nowhere.size > spare:
+        return Lacking(int(live[nowhere[0]]), True)
     matched = maximum_bipartite_matching(csr_array(reachable), perm_type="column")
-    alone = np.flatnonzero(matched < 0)
-    return (int(live[alone[0]]), False) if alone.size else None
+    left = np.flatnonzero(matched < 0)
+    return Lacking(int(live[left[0]]), False) if left.size > spare else None
+
+
+def _starting(mission: Reconfiguration) -> tuple[Int[Array, " live"], int]:
+    # Who begins the first leg, and how many of them at least are lost before it, yet unnamed.
+    alive, spare = mission.alive.copy(), 0
+    for loss in (loss for loss in mission.legs[0].losses if loss.at_step == 0):
+        alive[list(loss.agents)] = False
+        spare += floor(loss.share * (alive.sum() - spare))
+    return np.flatnonzero(alive), spare
 
 
 def _reachable(

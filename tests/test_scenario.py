@@ -1,0 +1,515 @@
+"""Scenario files: units, what is drawn, what is refused, and that they repeat themselves."""
+
+import re
+import tomllib
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.distance import pdist
+
+from dynamics import ClohessyWiltshire
+from sato.network import Network
+from sato.reconfiguration.mission import Reconfiguration
+from sato.scenario import BUILT_IN, ScenarioError, ScenarioFile, names, parse, read
+from sato.scenario.legs import wanted
+from sato.scenario.reach import check_reach
+from sato.scenario.refusal import Refusal, downward, upward
+from sato.scenario.units import SI, UNITS, Table, meaning
+
+TINY = """
+system = "reconfiguration"
+name = "tiny"
+
+[swarm]
+agents = 3
+start = { kind = "points", positions_m = [[0.0, 0.0], [2.0, 0.0], [4.0, 0.0]] }
+comm_radius_m = 5.0
+collision_radius_m = 0.5
+
+[model]
+kind = "double_integrator"
+max_control_m_s2 = 0.1
+max_speed_m_s = 0.5
+
+[plan]
+step_s = 1.0
+horizon_steps = 4
+replan_steps = 4
+
+[[leg]]
+shape = { kind = "ring", spacing_m = 2.0 }
+steps = 20
+
+[[leg]]
+shape = { kind = "lattice", spacing_m = 1.5 }
+steps = 20
+"""
+
+
+def tiny(*overrides: str) -> ScenarioFile:
+    return parse(TINY, overrides)
+
+
+def built(*overrides: str) -> Reconfiguration:
+    return tiny(*overrides).build(np.random.default_rng(0))
+
+
+def refusal(*overrides: str) -> str:
+    with pytest.raises(ScenarioError) as caught:
+        built(*overrides)
+    return str(caught.value)
+
+
+# Units.
+
+
+class Measured(Table):
+    """One number of each kind."""
+
+    far_m: float = 0.0
+    fast_m_s: float = 0.0
+    strong_m_s2: float = 0.0
+    long_s: float = 0.0
+    turned_rad: float = 0.0
+    turning_rad_s: float = 0.0
+    often_hz: float = 0.0
+    count: int = 0
+
+
+BASE = {
+    "length": "far",
+    "speed": "fast",
+    "acceleration": "strong",
+    "time": "long",
+    "angle": "turned",
+    "rotation": "turning",
+    "frequency": "often",
+}
+
+
+@given(st.sampled_from(list(UNITS)), st.floats(-1e6, 1e6))
+def test_a_number_in_any_unit_of_its_kind_becomes_si(suffix, value):
+    kind, factor = UNITS[suffix]
+    table = Measured.model_validate({BASE[kind] + suffix: value})
+    assert getattr(table, BASE[kind] + SI[kind]) == value * factor
+
+
+@given(st.sampled_from(list(UNITS)), st.sampled_from(list(BASE)))
+def test_a_unit_of_another_kind_is_refused_with_the_key_that_was_meant(suffix, kind):
+    key, field = BASE[kind] + suffix, BASE[kind] + SI[kind]
+    if UNITS[suffix].kind == kind:
+        assert meaning(key, Measured.model_fields) == (field, UNITS[suffix].factor)
+    else:
+        with pytest.raises(Refusal, match=f"write {field}$"):
+            meaning(key, Measured.model_fields)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "one"),
+    [("_km", 1000.0), ("_min", 60.0), ("_mm_s", 0.001), ("_mm_s2", 0.001), ("_deg", np.pi / 180)],
+)
+def test_units_are_as_large_as_they_are(suffix, one):
+    assert UNITS[suffix].factor == pytest.approx(one, rel=1e-15)
+
+
+def test_lists_and_lists_of_lists_have_units_too():
+    assert tiny("swarm.start.positions_km=[[0,0],[1,0],[2,-3]]").swarm.start.positions_m == [
+        [0.0, 0.0],
+        [1000.0, 0.0],
+        [2000.0, -3000.0],
+    ]
+
+
+def test_a_quantity_said_twice_is_refused():
+    text = TINY.replace("comm_radius_m = 5.0", "comm_radius_m = 5.0\ncomm_radius_km = 0.005")
+    with pytest.raises(ScenarioError, match=r"swarm\.comm_radius_km: is said twice"):
+        parse(text)
+
+
+# What is built.
+
+
+@pytest.mark.parametrize("name", sorted(names()))
+def test_every_built_in_scenario_can_be_flown_and_says_what_it_shows(name):
+    read(name).build(np.random.default_rng(0))
+    assert len(names()[name]) > 20
+
+
+@pytest.mark.parametrize("name", sorted(names()))
+def test_a_scenario_written_out_is_the_same_scenario(name):
+    scenario = read(name)
+    again = parse(scenario.to_toml())
+    assert again.model_dump() == scenario.model_dump()
+    assert again.to_toml() == scenario.to_toml()
+
+
+def test_the_file_on_disk_and_the_builtin_name_are_one():
+    assert read(BUILT_IN / "uiuc.toml").to_toml() == read("uiuc").to_toml()
+
+
+def test_the_same_seed_draws_the_same_starts_and_another_seed_others():
+    scenario = read("uiuc")
+    first, again, other = (scenario.build(np.random.default_rng(s)).start for s in (4, 4, 5))
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_uiuc_starts_apart_at_rest_and_in_several_networks(seed):
+    mission = read("uiuc").build(np.random.default_rng(seed))
+    assert mission.start.shape == (123, 4)
+    assert pdist(mission.start[:, :2]).min() >= 0.8
+    assert np.abs(mission.start[:, :2]).max() <= 29.0 / 2
+    assert not mission.start[:, 2:].any()
+    network = Network.within(mission.start[:, :2], mission.comm_radius, mission.alive)
+    assert network.component.max() + 1 >= 5
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("agents", [1, 10, 100])
+def test_the_box_of_random_grows_so_that_the_network_holds(dimension, agents):
+    scenario = read("random", [f"dimension={dimension}", f"agents={agents}"])
+    mission = scenario.build(np.random.default_rng(1))
+    assert mission.start.shape == (agents, 2 * dimension)
+    position = mission.start[:, :dimension]
+    network = Network.within(position, mission.comm_radius, mission.alive)
+    assert network.component.max() == 0
+
+
+def test_what_the_file_leaves_out_follows_from_what_it_says():
+    mission = built()
+    assert (mission.horizon_steps, mission.replan_steps, mission.auction_steps) == (4, 4, 4)
+    assert mission.spacing == pytest.approx(1.5)
+    assert mission.position_tolerance == pytest.approx(1.5e-6)
+    assert mission.velocity_tolerance == pytest.approx(1.5e-6)
+    assert [len(leg.targets) for leg in mission.legs] == [3, 3]
+    assert mission.epsilon is None
+
+
+def test_what_the_file_says_reaches_the_mission():
+    mission = built(
+        "replan_steps=2",
+        "auction_steps=4",
+        "epsilon=0.5",
+        "tie_break=0.1",
+        "cost=distance",
+        "ids=false",
+        "believed=2",
+        "position_tolerance_m=0.01",
+        "velocity_tolerance_m_s=0.02",
+        "disturbance.acceleration_mm_s2=1",
+        "disturbance.position_m=0.1",
+        "disturbance.velocity_m_s=0.2",
+        "control_norm=2",
+        'fuel_norm="inf"',
+        "leg.0.lose=[{kind='agents',agents=[1]},{kind='random',share=0.3,at_step=5}]",
+        "leg.1.lose={kind='middle',share=0.5}",
+        "leg.1.recount=true",
+    )
+    assert (mission.replan_steps, mission.auction_steps, mission.epsilon) == (2, 4, 0.5)
+    assert (mission.tie_break, mission.cost, mission.bidder_ids) == (0.1, "distance", False)
+    assert (mission.position_tolerance, mission.velocity_tolerance) == (0.01, 0.02)
+    assert (mission.disturbance, mission.position_noise, mission.velocity_noise) == (1e-3, 0.1, 0.2)
+    assert (mission.control_norm, mission.fuel_norm, mission.believed) == (2, "inf", 2)
+    assert [
+        (loss.kind, loss.share, loss.agents, loss.at_step) for loss in mission.legs[0].losses
+    ] == [
+        ("agents", 0.0, (1,), 0),
+        ("random", 0.3, (), 5),
+    ]
+    assert (mission.legs[1].losses[0].kind, mission.legs[1].recount) == ("middle", True)
+
+
+def test_spacecraft_start_and_end_on_orbits_that_close():
+    mission = read("random_cw").build(np.random.default_rng(0))
+    assert isinstance(mission.model, ClohessyWiltshire)
+    # Period of a circular orbit at 6878 km: 94.6 min [Vallado2013, sec. 1.3].
+    assert 2 * np.pi / mission.model.n / 60 == pytest.approx(94.6, abs=0.05)
+    for states in (mission.start, mission.legs[0].targets):
+        np.testing.assert_array_equal(states[:, 3:], mission.model.bounded(states[:, :3]))
+    assert not mission.legs[0].targets[:, 2].any()
+
+
+def test_the_mean_motion_may_be_given_instead_of_the_orbit():
+    limits = "max_control_m_s2=1,max_speed_m_s=9"
+    model = f'model={{kind="clohessy_wiltshire",mean_motion_deg_s=0.06,{limits}}}'
+    scenario = read("random_cw", [model, "allow_undetectable=true"])
+    assert scenario.model.model().n == pytest.approx(np.radians(0.06))
+
+
+def test_a_single_agent_with_a_single_target_has_a_tolerance():
+    mission = built("agents=1", "positions_m=[[0,0]]", "shape.spacing_m=1")
+    assert mission.position_tolerance == pytest.approx(0.5e-6)
+    assert mission.epsilon == pytest.approx(0.2 * 0.5**2 / 2)
+
+
+def test_flat_shapes_lie_in_the_plane_and_lattices_fill_space_unless_they_are_told_to():
+    space = "model.dimension=3"
+    start = "positions_m=[[0,0,1],[2,0,-1],[4,0,0]]"
+    mission = built(space, start, "leg.0.shape.centre_m=[1,2,3]")
+    ring, ball = (leg.targets[:, :3] for leg in mission.legs)
+    np.testing.assert_array_equal(ring[:, 2], 3.0)
+    np.testing.assert_allclose(ring.mean(axis=0), [1, 2, 3])
+    assert read("random3d").build(np.random.default_rng(0)).legs[0].targets[:, 2].any()
+    flat = read("random3d", ["flat=true"]).build(np.random.default_rng(0))
+    assert not flat.legs[0].targets[:, 2].any()
+    assert ball.shape == (3, 3)
+
+
+def test_polygons_and_points_stay_where_they_are_unless_a_centre_is_given():
+    points = "leg.0.shape={kind='points',positions_m=[[1,1],[3,1],[5,1]]}"
+    np.testing.assert_array_equal(np.sort(built(points).legs[0].targets[:, 0]), [1.0, 3.0, 5.0])
+    moved = built(points, "leg.0.shape.centre_m=[0,0]").legs[0].targets
+    np.testing.assert_allclose(np.sort(moved[:, 0]), [-2.0, 0.0, 2.0], atol=1e-12)
+
+
+# Who comes and goes.
+
+
+def test_those_who_join_wait_outside_and_keep_clear_of_those_who_are_there():
+    join = "{agents=5,start={kind='random',box_m=8,separation_m=0.6}}"
+    mission = built(f"leg.1.join={join}", "leg.1.steps=60")
+    assert mission.alive.tolist() == [True] * 3 + [False] * 5
+    assert mission.legs[1].arrivals[0].agents == (3, 4, 5, 6, 7)
+    there = mission.legs[0].targets[:, :2]
+    assert pdist(np.concatenate([there, mission.start[3:, :2]])).min() >= 0.5
+    assert len(mission.legs[1].targets) == 8
+
+
+def test_who_joins_on_top_of_another_is_refused():
+    join = "leg.0.join={agents=1,start={kind='points',positions_m=[[2.1,0]]}}"
+    assert "leg.0.join.0.start: agent 0 starts 0.1 m from one who is there" in refusal(join)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "expected"),
+    [
+        ([], [3, 3]),
+        (["believed=5"], [5, 5]),
+        (["believed=2"], [3, 3]),
+        (["believed=5", "leg.1.recount=true"], [5, 3]),
+        (["leg.1.lose={kind='agents',agents=[0,2]}"], [3, 3]),
+        (["leg.0.lose={kind='agents',agents=[0]}"], [3, 3]),
+        (["leg.0.lose={kind='agents',agents=[0]}", "leg.1.recount=true"], [3, 2]),
+        (
+            [
+                "leg.0.lose={kind='agents',agents=[0]}",
+                "leg.1.lose={kind='agents',agents=[0]}",
+                "leg.1.recount=true",
+            ],
+            [3, 2],
+        ),
+        (["leg.0.lose={kind='random',share=0.4}", "leg.1.recount=true"], [3, 2]),
+        (["leg.1.join={agents=2,start={kind='lattice',spacing_m=9}}"], [3, 5]),
+    ],
+)
+def test_the_targets_that_are_needed_follow_those_who_are_there(overrides, expected):
+    scenario = tiny(*overrides)
+    assert wanted(scenario.swarm, scenario.leg) == expected
+
+
+# Files beside a scenario.
+
+
+def test_files_are_found_beside_the_scenario_and_carried_in_what_is_written_out(
+    tmp_path, monkeypatch
+):
+    from PIL import Image
+
+    (tmp_path / "beside").mkdir()
+    rows = "x_m,y_m\n0,0\n2.5,0.1\n5,0\n7.5,0.3\n"
+    (tmp_path / "beside" / "points.csv").write_text(rows)
+    Image.new("L", (30, 20), 0).save(tmp_path / "beside" / "black.png")
+    text = TINY.replace('{ kind = "ring"', '{ kind = "points", file = "points.csv"').replace(
+        '{ kind = "lattice"', '{ kind = "picture", file = "black.png"'
+    )
+    (tmp_path / "beside" / "mine.toml").write_text(text)
+    monkeypatch.chdir(tmp_path)
+    scenario = read("beside/mine.toml", ["leg.0.steps=30", "leg.1.shape.centre_m=[3,4]"])
+    mission = scenario.build(np.random.default_rng(0))
+    alone = scenario.to_toml()
+    assert "points.csv" not in alone
+    assert "black.png" not in alone
+    for one, other in zip(
+        mission.legs, parse(alone).build(np.random.default_rng(0)).legs, strict=True
+    ):
+        np.testing.assert_array_equal(one.targets, other.targets)
+
+
+def test_starts_may_be_listed_in_a_file_too(tmp_path):
+    (tmp_path / "starts.csv").write_text("0,0\n2,0\n4,1\n")
+    text = TINY.replace("positions_m = [[0.0, 0.0], [2.0, 0.0], [4.0, 0.0]]", 'file = "starts.csv"')
+    scenario = parse(text, folder=tmp_path)
+    mission = scenario.build(np.random.default_rng(0))
+    np.testing.assert_array_equal(mission.start[:, :2], [[0, 0], [2, 0], [4, 1]])
+    again = parse(scenario.to_toml()).build(np.random.default_rng(0))
+    np.testing.assert_array_equal(again.start, mission.start)
+
+
+def test_a_font_that_need_not_be_installed_elsewhere_is_carried_as_points():
+    shape = "leg.0.shape={kind='text',text='I',spacing_m=1,font='DejaVu Serif'}"
+    carried = tomllib.loads(tiny(shape).to_toml())["leg"][0]["shape"]
+    assert carried["kind"] == "points"
+    assert tomllib.loads(tiny(shape.replace(",font='DejaVu Serif'", "")).to_toml())["leg"][0][
+        "shape"
+    ] == {"kind": "text", "text": "I", "spacing_m": 1.0}
+
+
+# Overrides.
+
+
+def test_a_key_alone_changes_the_only_table_that_has_it():
+    assert tiny("comm_radius_km=0.007").swarm.comm_radius_m == 7.0
+    assert read("letters", ["text=SWARM"]).leg[0].shape.text == "SWARM"
+    assert [leg.steps for leg in tiny("steps=33").leg] == [33, 33]
+
+
+def test_a_number_picks_one_leg_and_without_it_all_are_meant():
+    assert [leg.steps for leg in tiny("leg.1.steps=33").leg] == [20, 33]
+    assert [leg.steps for leg in tiny("leg.steps=33").leg] == [33, 33]
+    shapes = tiny("leg.shape.spacing_m=3").leg
+    assert [leg.shape.spacing_m for leg in shapes] == [3.0, 3.0]
+
+
+def test_a_key_of_some_legs_changes_those_only():
+    assert tiny("leg.shape.radius_m=3", "leg.0.shape.radius_m=4").leg[0].shape.radius_m == 4.0
+    changed = read("uiuc", ["share=0.1"])
+    assert [[loss.share for loss in leg.lose] for leg in changed.leg] == [[], [], [0.1], []]
+
+
+def test_tables_that_the_file_does_not_have_can_be_set():
+    assert tiny("disturbance.position_m=0.1").disturbance.position_m == 0.1
+
+
+def test_a_table_can_be_set_as_a_whole_and_then_in_part():
+    start = "start={kind='random',box_m=9,separation_m=0.6}"
+    assert tiny(start, "box_m=12").swarm.start.box_m == 12.0
+
+
+@pytest.mark.parametrize("written", ['"A = B"', "A = B", "A\nb = 1"])
+def test_bare_text_needs_no_quotes(written):
+    shape = "leg.0.shape={kind='text',text='I',spacing_m=1}"
+    assert tiny(shape, f"text={written}").leg[0].shape.text == written.strip('"')
+
+
+def test_a_missing_unit_in_an_override_is_named():
+    assert "comm_radius: has no unit; write comm_radius_m" in refusal("comm_radius=5")
+
+
+# What is refused, and whether that which is said to do does.
+
+
+def cures(sentence: str) -> list[str]:
+    return re.findall(r"([a-z_]+\.[a-z_0-9]+ = [-.\de]+|plan\.allow_undetectable = true)", sentence)
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        ["comm_radius_m=3"],
+        ["max_speed_m_s=0.777"],
+        ["horizon_steps=9"],
+        ["step_s=1.7"],
+        ["collision_radius_m=0.9", "comm_radius_m=1.3"],
+    ],
+)
+def test_every_cure_for_proposition_9_does(broken):
+    said = refusal(*broken)
+    found = cures(said)
+    assert len(found) >= 3, said
+    for cure in found:
+        key, value = cure.split(" = ")
+        shorter = ["replan_steps=1", "auction_steps=1"] if "horizon" in key else []
+        scenario = tiny(*broken, *shorter, f"{key}={value}")
+        assert scenario.undetectable == ("allow" in cure), cure
+
+
+def test_proposition_9_holds_with_equality():
+    assert not tiny("comm_radius_m=4.5").undetectable
+    assert "Proposition 9" in refusal("comm_radius_m=4.4999")
+
+
+def test_an_unlimited_speed_cannot_be_detected_in_time():
+    text = TINY.replace("max_speed_m_s = 0.5\n", "")
+    with pytest.raises(ScenarioError, match=r"no model\.max_speed_m_s.*max_speed_m_s = 0\.5625"):
+        parse(text)
+    assert parse(text, ["allow_undetectable=true"]).undetectable
+
+
+def test_the_time_that_is_said_to_do_does_and_a_step_less_does_not():
+    said = refusal("leg.0.steps=2")
+    enough = int(re.search(r"steps = (\d+) would do", said)[1])
+    built(f"leg.0.steps={enough}")
+    assert f"in {enough - 1} steps" in refusal(f"leg.0.steps={enough - 1}")
+
+
+def test_reach_counts_targets_and_not_only_agents():
+    # Both can reach the first target in time, and neither the second.
+    mission = built(
+        "agents=2",
+        "positions_m=[[-0.6,0],[0.6,0]]",
+        "leg.0.shape={kind='points',positions_m=[[0,0],[0,90]],keep_order=true}",
+        "leg.0.steps=400",
+    )
+    from dataclasses import replace
+
+    hurried = replace(mission, legs=(replace(mission.legs[0], steps=30),))
+    with pytest.raises(Refusal, match=r"agent \d is left without a target"):
+        check_reach(hurried)
+
+
+def test_who_is_lost_before_the_start_needs_no_target():
+    near = "positions_m=[[0,0],[2,0],[400,0]]"
+    assert "agent 2 can reach none" in refusal(near)
+    built(near, "leg.0.lose={kind='agents',agents=[2]}")
+    built(near, "leg.0.lose={kind='random',share=0.4}")
+    assert "agent 2 can reach none" in refusal(near, "leg.0.lose={kind='random',share=0.3}")
+
+
+def test_a_speed_limit_can_put_targets_out_of_reach():
+    far = "leg.0.shape.centre_m=[30,0]"
+    built(far, "leg.0.steps=80")
+    assert "steps = " in refusal(far, "leg.0.steps=50")
+
+
+@pytest.mark.parametrize("kind", ["ring", "lattice"])
+def test_the_size_that_is_said_to_do_does(kind):
+    shape = f"leg.0.shape={{kind='{kind}',radius_m=0.1}}"
+    said = refusal("agents=3", shape)
+    enough = re.search(r"radius of ([\d.]+) m,? ", said.split("apart")[1])[1]
+    built(shape, f"leg.0.shape.radius_m={enough}")
+
+
+def test_the_box_that_is_said_to_do_does():
+    start = "start={kind='random',box_m=3,separation_m=0.8}"
+    more = ("agents=40", "leg.steps=60")
+    enough = re.search(r"box_m = ([\d.]+) would do", refusal(start, *more))[1]
+    built(start, *more, f"box_m={enough}")
+
+
+def test_more_networks_than_agents_can_make_are_refused():
+    start = "start={kind='random',box_m=3,separation_m=0.8,min_components=3}"
+    assert "none of 200 drawings in a box of 3 m has 3 components" in refusal(start)
+    assert "asks for 1" in refusal(f"{start[:-1]},connected=true}}")
+
+
+@given(st.floats(1e-6, 1e6))
+def test_what_is_rounded_upward_is_never_less_and_downward_never_more(value):
+    slack = 1e-9 * value  # for the last digits of binary numbers
+    assert value - slack <= float(upward(value)) <= value * 1.0011
+    assert value * 0.9989 <= float(downward(value)) <= value + slack
+
+
+def test_messages_name_the_file_and_the_place(tmp_path):
+    (tmp_path / "mine.toml").write_text(TINY.replace("steps = 20", "steps = 20.5"))
+    with pytest.raises(ScenarioError) as caught:
+        read(tmp_path / "mine.toml")
+    place = f"{tmp_path}/mine.toml: leg.0.steps: must be a whole number, got 20.5"
+    assert str(caught.value) == place
+
+
+def test_a_text_without_a_name_takes_that_of_its_file(tmp_path):
+    (tmp_path / "mine.toml").write_text(TINY.replace('name = "tiny"\n', ""))
+    assert read(tmp_path / "mine.toml").name == "mine"
