@@ -13,6 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
+from dynamics import ClohessyWiltshire
+
 if TYPE_CHECKING:  # xarray takes a second to load; the mission's package itself imports Frame
     import xarray
 
@@ -95,6 +97,7 @@ class Run:
             "max_speed_m_s": mission.max_speed,
         }
         variables = {**_over_time(frames), **_events(frames), **_over_legs(frames, mission)}
+        variables |= _chief(frames, mission)
         data = _dataset(
             variables,
             {**about, "scenario": scenario_text, "complete": int(complete), **limits},
@@ -187,8 +190,10 @@ _MEANING: dict[str, tuple[tuple[str, ...], str, str]] = {
     "target_position": (("leg", "target", "axis"), "m", "position of each target"),
     "target_velocity": (("leg", "target", "axis"), "m/s", "velocity of each target"),
     "targets_believed": (("leg", "agent"), "1", "believed at the end of the leg, -1 none"),
+    "element": (("element",), "1", "name of the chief's element"),
+    "chief": (("time", "element"), "rad/s, rad", "circular orbit that the agents fly about"),
 }
-_MAY_LACK = {"measured_position", "measured_velocity", "believed"}
+_MAY_LACK = {"measured_position", "measured_velocity", "believed", "element", "chief"}
 _REQUIRED = [name for name in _MEANING if name not in _MAY_LACK]
 _ATTRIBUTES = ("system", "scenario", "name", "seed", "version")
 
@@ -242,6 +247,16 @@ def _over_legs(
         "target_velocity": targets[..., d:],
         "targets_believed": believed,
     }
+
+
+def _chief(
+    frames: Sequence[Frame], mission: "sato.reconfiguration.mission.Reconfiguration"
+) -> dict[str, Array]:
+    if not isinstance(mission.model, ClohessyWiltshire):
+        return {}
+    n = mission.model.n
+    orbit = [(n, n * frame.time) for frame in frames]
+    return {"element": np.array(["mean_motion", "latitude_argument"]), "chief": np.array(orbit)}
 
 
 def _dataset(variables: Mapping[str, Array], attributes: dict[str, Any]) -> "xarray.Dataset":

@@ -1,12 +1,13 @@
 """The run file: what goes in comes out, whole or not at all."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import sato.record
-from dynamics import DoubleIntegrator
+from dynamics import ClohessyWiltshire, DoubleIntegrator
 from sato.reconfiguration.mission import Leg, Reconfiguration
 from sato.record import Frame, Run, RunFileError, load
 
@@ -105,6 +106,26 @@ def test_short_legs_are_padded_and_beliefs_are_those_of_the_live_at_the_end(rng)
     assert np.isnan(data["target_position"][0, 2]).all()
     np.testing.assert_array_equal(data["target_position"][1, 2], [2.0, 2.0])
     np.testing.assert_array_equal(data["targets_believed"], [[2, 3], [3, -1]])
+
+
+def test_in_orbit_the_chief_is_on_file(rng, tmp_path):
+    orbit = replace(
+        mission(),
+        model=ClohessyWiltshire(1e-3),
+        start=np.zeros((2, 6)),
+        legs=(Leg(np.zeros((2, 6)), steps=2), Leg(np.zeros((2, 6)), steps=1)),
+    )
+    about = {"name": "o", "seed": 0, "version": "0", "wall_s": 0.0, "peak_memory_mib": 0.0}
+    in_space = [
+        f._replace(**{n: rng.normal(size=(2, 3)) for n in ("position", "velocity", "control")})
+        for f in frames(rng)
+    ]
+    in_space = [f._replace(applied_control=f.control) for f in in_space]
+    Run.of(in_space, orbit, "", **about).save(tmp_path)
+    chief = load(tmp_path).data["chief"]
+    np.testing.assert_allclose(chief.sel(element="mean_motion"), 1e-3)
+    np.testing.assert_allclose(chief.sel(element="latitude_argument"), 1e-3 * np.arange(4))
+    assert chief.attrs["units"] and chief["element"].attrs["long_name"]
 
 
 def test_events_carry_their_time(rng):
