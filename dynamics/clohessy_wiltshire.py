@@ -4,7 +4,8 @@ Axes: x radially out, y along the orbit, z along its normal. Velocities are thos
 seen in the rotating frame.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from math import inf
 from typing import ClassVar
 
 import numpy as np
@@ -26,13 +27,13 @@ class ClohessyWiltshire(LinearModel):
     """
 
     n: float  # mean motion of the chief [rad/s]
-    axes: ClassVar[int] = 3
+    axes: int = field(default=3, init=False, repr=False)
     constant: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         """Refuse an orbit that does not turn."""
-        if not self.n > 0:
-            raise ValueError(f"mean motion must be positive, got n = {self.n} rad/s")
+        if not 0 < self.n < inf:
+            raise ValueError(f"mean motion must be positive and finite, got n = {self.n} rad/s")
 
     def A(self, t: float) -> Float[Array, "6 6"]:
         """State matrix, constant in time."""
@@ -46,6 +47,6 @@ class ClohessyWiltshire(LinearModel):
 
         ẏ = −2nx cancels the drift along the orbit; the other axes are left at rest.
         """
-        velocity = np.zeros_like(position)
+        velocity = np.zeros(position.shape)
         velocity[..., 1] = -2 * self.n * position[..., 0]
         return velocity

@@ -1,6 +1,7 @@
 """From rates to steps."""
 
 from dataclasses import dataclass
+from math import inf
 
 import numpy as np
 from jaxtyping import Float
@@ -29,7 +30,7 @@ class Steps:
     @property
     def axes(self) -> int:
         """Axes of space."""
-        return self.B.shape[2]
+        return int(self.B.shape[2])
 
     def __getitem__(self, window: slice) -> "Steps":
         return Steps(self.A[window], self.B[window], self.z[window], self.dt)
@@ -40,9 +41,7 @@ class Steps:
         """States visited from x under the inputs u, for one agent or for many."""
         states = [x]
         for k in range(u.shape[-2]):
-            states.append(
-                states[-1] @ self.A[k].T + u[..., k, :] @ self.B[k].T + self.z[k]
-            )
+            states.append(states[-1] @ self.A[k].T + u[..., k, :] @ self.B[k].T + self.z[k])
         return np.stack(states, axis=-2)
 
 
@@ -61,8 +60,10 @@ def hold(model: LinearModel, dt: float, count: int, start: float = 0.0) -> Steps
     Raises:
         ValueError: The step is not positive or the count negative.
     """
-    if not dt > 0 or count < 0:
-        raise ValueError(f"a step must be positive and a count not negative, got {dt} and {count}")
+    if not 0 < dt < inf or count < 0:
+        raise ValueError(
+            f"a step must be positive and finite and a count not negative, got {dt} and {count}"
+        )
     moments = 1 if model.constant else count
     parts = [_hold(model, start + (k + 0.5) * dt, dt) for k in range(min(moments, count))]
     return _stack(parts * (count if model.constant else 1), model, dt)

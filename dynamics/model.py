@@ -45,7 +45,7 @@ class LinearModel(Model):
 
     def rate(self, t: float, x: Float[Array, " n"], u: Float[Array, " m"]) -> Float[Array, " n"]:
         """Rate of change of the state."""
-        return self.A(t) @ x + self.B(t) @ u + self.z(t)
+        return np.asarray(self.A(t) @ x + self.B(t) @ u + self.z(t))
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,4 +113,4 @@ class Linearised(LinearModel):
         """What the linear terms leave of the rate on the nominal."""
         x, u = self.nominal(t)
         A, B = self.model.jacobian(t, x, u)
-        return self.model.rate(t, x, u) - A @ x - B @ u
+        return np.asarray(self.model.rate(t, x, u) - A @ x - B @ u)

@@ -1,0 +1,1 @@
+"""What to decide, once. Knows no swarm."""

@@ -77,7 +77,7 @@ class Horizon:
         points = (
             np.einsum("ksidn,...kn->...ksid", P, X) + np.einsum("ksidm,...km->...ksid", Q, U) + r
         )
-        return points.reshape(*points.shape[:-4], -1, 4, self.ahead.axes)
+        return np.asarray(points).reshape(*points.shape[:-4], -1, 4, self.ahead.axes)
 
 
 def apart(relative: Float[Array, "*pairs 4 d"], radius: float) -> Bool[Array, "*pairs"]:
@@ -150,7 +150,7 @@ def normals(
     inside = distance <= 0
     nearest[inside] = pushed[inside].mean(axis=-2)  # only where even the push is in vain
     length = np.linalg.norm(nearest, axis=-1, keepdims=True)
-    return nearest / np.maximum(length, 1e-300)
+    return np.asarray(nearest / np.maximum(length, 1e-300))
 
 
 def _push(
@@ -174,4 +174,4 @@ def _square(piece: Float[Array, "4 d"]) -> Float[Array, " d"]:
     across[:2] = along[1], -along[0]
     if not across.any():
         across[0] = 1.0
-    return across / np.linalg.norm(across)
+    return np.asarray(across / np.linalg.norm(across))
