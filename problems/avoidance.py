@@ -31,10 +31,12 @@ class HalfSpaces(NamedTuple):
     on_control: Float[Array, "rows m"]
     least: Float[Array, " rows"]
 
-    def missing(self, x: Float[Array, "instants n"], u: Float[Array, "T m"]) -> Float[Array, " rows"]:
+    def missing(
+        self, x: Float[Array, "instants n"], u: Float[Array, "T m"]
+    ) -> Float[Array, " rows"]:
         """By how much each row is broken; negative where it holds with room."""
         kept = (self.on_state * x[self.step]).sum(1) + (self.on_control * u[self.step]).sum(1)
-        return self.least - kept
+        return np.asarray(self.least - kept)
 
 
 class Passage(NamedTuple):
@@ -71,6 +73,7 @@ class Avoidance:
         Raises:
             Infeasible: No flight does it, without breaking more than `gives` allows.
         """
+        self.transfer.needs_steps()
         if (self.transfer.fuel_norm, self.transfer.control_norm) == (1, "inf"):
             return self._solve_assembled(start, goal, spaces, gives)
         return self.solve_stated(start, goal, spaces, gives)
@@ -90,7 +93,8 @@ class Avoidance:
         )
         apart = [kept + slack >= spaces.least] if len(spaces.least) else []
         price = self._price
-        cost = effort + price * cp.norm1(cp.multiply(self._units, late)) + 10 * price * cp.sum(slack)
+        missed = cp.norm1(cp.multiply(self._units, late)) + 10 * cp.sum(slack)
+        cost = effort + price * missed
         fixed = []
         if gives == "nothing":
             fixed.append(late == 0)
@@ -145,24 +149,13 @@ class Avoidance:
         T, m = len(self.transfer.steps), self.transfer.steps.axes
         plus, minus = answer.x[: T * m], answer.x[T * m : 2 * T * m]
         U = self.transfer.max_control
-        return np.clip(U * (plus - minus), -U, U).reshape(T, m)
-
-    @cached_property
-    def _response(self) -> tuple[Array, Array]:
-        """R, with x[k] = Φ[k] x₀ + ζ[k] + R[k] u and u flattened, and R[T] = Q_Rᵀ Qᵀ."""
-        steps = self.transfer.steps
-        T, n, m = steps.B.shape
-        R = np.zeros((T + 1, n, T * m))
-        for k in range(T):
-            R[k + 1] = steps.A[k] @ R[k]
-            R[k + 1, :, k * m : (k + 1) * m] += steps.B[k]
-        return R, np.linalg.qr(R[T].T)[1].T
+        return np.asarray(np.clip(U * (plus - minus), -U, U)).reshape(T, m)
 
     def _assemble(
         self, start: Array, goal: Array, spaces: HalfSpaces, gives: Yield, fast: list[int]
     ) -> Conic:
         # Unknowns: u⁺ and u⁻ in units of U, then lateness ± in metres, then slack.
-        transfer, (R, lower) = self.transfer, self._response
+        transfer, (R, lower) = self.transfer, self.transfer.response
         T, n, m = transfer.steps.B.shape
         U, N, rows = transfer.max_control, T * m, len(spaces.least)
         free = transfer.steps.roll(start, np.zeros((T, m)))
@@ -173,9 +166,7 @@ class Avoidance:
 
         fuel = U * transfer.steps.dt * np.repeat(transfer.weight, m)
         price = self._price
-        q = np.concatenate(
-            [fuel, fuel, np.full(2 * lates, price), np.full(slacks, 10 * price)]
-        )
+        q = np.concatenate([fuel, fuel, np.full(2 * lates, price), np.full(slacks, 10 * price)])
 
         whiten = np.linalg.inv(lower)
         arrive = np.zeros((n, columns))

@@ -1,6 +1,6 @@
 """The one standard form, and an answer that can judge itself."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -10,11 +10,14 @@ from numpy import ndarray as Array
 from scipy.sparse import csc_array
 
 TOLERANCE = 1e-6  # relative; a "solved" with larger residuals or gap is not solved
+FAR = 1e-3  # of a proof: no point smaller than 1 / FAR, in the units of the problem
 
 
 @dataclass(frozen=True, eq=False)
 class Conic:
-    """minimise qᵀx  subject to  b − A x ∈ {0}ᶻ × ℝ₊ˡ × Q₁ × Q₂ × …
+    """A linear cost over cones.
+
+        minimise qᵀx  subject to  b − A x ∈ {0}ᶻ × ℝ₊ˡ × Q₁ × Q₂ × …
 
     Rows stand in that order; Q are second-order cones, (t, y) with ‖y‖₂ ≤ t.
     """
@@ -27,25 +30,33 @@ class Conic:
     cones: tuple[int, ...] = ()  # sizes of the second-order cones
 
     def __post_init__(self) -> None:
-        """Refuse rows that belong to no cone."""
+        """Refuse rows that belong to no cone, and numbers that are none."""
         rows = self.zero + self.nonnegative + sum(self.cones)
         if self.A.shape != (rows, len(self.q)) or len(self.b) != rows:
             raise ValueError(
                 f"the cones have {rows} rows and the cost {len(self.q)} columns, "
                 f"but A is {self.A.shape} and b has {len(self.b)}"
             )
+        for name, numbers in (("q", self.q), ("A", self.A.data), ("b", self.b)):
+            if not np.isfinite(numbers).all():
+                raise ValueError(f"{name} must be finite: leave out the row that is not wanted")
 
     def outside(self, s: Float[Array, " m"], dual: bool = False) -> float:
         """How far s is from the cone, or from its dual: the largest violation."""
-        z, l = self.zero, self.nonnegative
-        worst = [0.0] if dual else [float(np.abs(s[:z]).max(initial=0.0))]
-        worst.append(float(-s[z : z + l].min(initial=0.0)))
-        start = z + l
+        linear = self.zero + self.nonnegative
+        worst = [0.0] if dual else [np.abs(s[: self.zero]).max(initial=0.0)]
+        worst.append(-s[self.zero : linear].min(initial=0.0))
+        start = linear
         for size in self.cones:
             t, y = s[start], s[start + 1 : start + size]
-            worst.append(float(np.linalg.norm(y) - t))
+            worst.append(np.linalg.norm(y) - t)
             start += size
-        return max(worst)
+        return _largest(worst)
+
+
+def _largest(numbers: Sequence[float | np.floating]) -> float:
+    # NaN where one of them is: the built-in max would lose it, and a lie with it.
+    return float(np.max(np.array(numbers)))
 
 
 class Answer(NamedTuple):
@@ -64,14 +75,16 @@ class Answer(NamedTuple):
         value = float(q @ x)
         primal = problem.outside(b - A @ x) / (1 + np.abs(b).max(initial=0.0))
         stationary = float(np.abs(q + A.T @ y).max(initial=0.0))
-        dual = max(stationary, problem.outside(y, dual=True)) / (1 + np.abs(q).max(initial=0.0))
+        dual = _largest([stationary, problem.outside(y, dual=True)]) / (
+            1 + np.abs(q).max(initial=0.0)
+        )
         gap = abs(value + float(b @ y)) / (1 + abs(value))
-        return cls(x, y, float(primal), float(dual), gap)
+        return cls(x, y, float(primal), float(dual), float(gap))
 
     @property
     def worst(self) -> float:
-        """The largest of residuals and gap."""
-        return max(self.primal_residual, self.dual_residual, self.gap)
+        """The largest of residuals and gap; NaN where one of them is."""
+        return _largest([self.primal_residual, self.dual_residual, self.gap])
 
 
 class Unsolved(RuntimeError):
@@ -84,7 +97,19 @@ class Unsolved(RuntimeError):
 
 
 class Infeasible(Unsolved):
-    """No point satisfies every constraint."""
+    """No point satisfies every constraint, and here is why.
+
+    The ray y is in the dual cone, Aᵀy = 0 and bᵀy = −1: a point x would give
+    0 ≤ yᵀ(b − A x) = −1. What is left of Aᵀy says how large x would have to be, at
+    least 1 / ‖Aᵀy‖₁.
+    """
+
+    ray: Float[Array, " m"] | None
+
+    def __init__(self, problem: object, why: str, ray: Float[Array, " m"] | None = None) -> None:
+        """Keep the proof with the problem."""
+        super().__init__(problem, why)
+        self.ray = ray
 
 
 Solver = Callable[[Conic], Answer]
@@ -95,9 +120,13 @@ def solve(problem: Conic, solver: Solver) -> Answer:
 
     Raises:
         Infeasible: The solver proved that no point satisfies every constraint.
-        Unsolved: It stopped for another reason, or its answer fails the residuals.
+        Unsolved: It stopped for another reason, or its answer or proof fails the residuals.
     """
-    answer = solver(problem)
+    try:
+        answer = solver(problem)
+    except Infeasible as verdict:
+        _believe(problem, verdict)
+        raise
     if not answer.worst <= TOLERANCE:
         raise Unsolved(
             problem,
@@ -106,3 +135,21 @@ def solve(problem: Conic, solver: Solver) -> Answer:
             f"above {TOLERANCE:.0e}",
         )
     return answer
+
+
+def _believe(problem: Conic, verdict: Infeasible) -> None:
+    y = verdict.ray
+    if y is None:
+        raise Unsolved(problem, f"{verdict}, but no proof came with it") from verdict
+    against = -float(problem.b @ y)
+    if not against > 0:
+        raise Unsolved(problem, f"{verdict}, but its ray proves nothing: bᵀy ≥ 0") from verdict
+    y = y / against
+    size, outside = float(np.abs(problem.A.T @ y).sum()), problem.outside(y, dual=True)
+    if not (size <= FAR and outside <= FAR):
+        raise Unsolved(
+            problem,
+            f"{verdict}, but its ray leaves {size:.1e} of Aᵀy = 0 and is {outside:.1e} "
+            f"outside the dual cone, above {FAR:.0e}",
+        ) from verdict
+    verdict.ray = y

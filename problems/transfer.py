@@ -3,14 +3,17 @@
 from dataclasses import dataclass
 from functools import cached_property
 from math import inf, isfinite
+from types import SimpleNamespace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
+from scipy.sparse import csc_array
 
 from dynamics import Steps
-from problems.conic import Infeasible, Unsolved
+from problems.conic import Conic, Infeasible, Unsolved, solve
+from problems.solvers import solve_clarabel
 
 Norm = Literal[1, 2, "inf"]
 
@@ -47,9 +50,9 @@ class Transfer:
 
     def __post_init__(self) -> None:
         """Refuse limits that no flight could keep."""
-        if not self.max_control > 0 or not self.max_speed > 0:
+        if not 0 < self.max_control < inf or not self.max_speed > 0:
             raise ValueError(
-                "limits must be positive, got "
+                "limits must be positive, and that of the control finite, got "
                 f"max_control = {self.max_control} and max_speed = {self.max_speed}"
             )
 
@@ -58,13 +61,39 @@ class Transfer:
         """w, the price of a unit of control at each step."""
         return ends_first(len(self.steps), self.slope)
 
+    @cached_property
+    def response(self) -> tuple[Array, Array]:
+        """R and L, for all that eliminates the states.
+
+        x[k] = Φ[k] x₀ + ζ[k] + R[k] u with u flattened, and L⁻¹ R[T] has orthonormal rows;
+        L is the identity where the steps are too few to reach every state.
+        """
+        T, n, m = self.steps.B.shape
+        R = np.zeros((T + 1, n, T * m))
+        for k in range(T):
+            R[k + 1] = self.steps.A[k] @ R[k]
+            R[k + 1, :, k * m : (k + 1) * m] += self.steps.B[k]
+        if np.linalg.matrix_rank(R[T]) < n:
+            return R, np.eye(n)
+        return R, np.linalg.qr(R[T].T)[1].T
+
+    def needs_steps(self) -> None:
+        """Refuse a question that leaves no step to burn in.
+
+        Raises:
+            ValueError: There is none.
+        """
+        if len(self.steps) == 0:
+            raise ValueError("there must be at least one step to burn in")
+
     def solve(self, start: Float[Array, " n"], goal: Float[Array, " n"]) -> Flight:
         """Fly from start to goal, by the statement.
 
         Raises:
             Infeasible: The goal is out of reach in this time.
         """
-        problem, x, u = self._compiled
+        self.needs_steps()
+        problem, u = self._compiled
         parameters = problem.param_dict
         parameters["start"].value, parameters["goal"].value = start, goal
         solve_statement(self, problem)
@@ -76,14 +105,14 @@ class Transfer:
         return Flight(self.steps.roll(start, u), u, fuel)
 
     @cached_property
-    def _compiled(self) -> tuple[Any, Any, Any]:
+    def _compiled(self) -> tuple[Any, Any]:
         import cvxpy as cp
 
         n = self.steps.A.shape[1]
         start, goal = cp.Parameter(n, name="start"), cp.Parameter(n, name="goal")
         x, u, effort, limits = self.statement(start)
         arrive = x[len(self.steps)] == goal
-        return cp.Problem(cp.Minimize(effort), [*limits, arrive]), x, u
+        return cp.Problem(cp.Minimize(effort), [*limits, arrive]), u
 
     def statement(self, start: Any) -> tuple[Any, Any, Any, list[Any]]:
         """Variables, cost and constraints in CVXPY, all but the arrival."""
@@ -105,7 +134,8 @@ def fuel_spent(
 ) -> Float[Array, "*agents"] | float:
     """Δt Σ ‖u[k]‖, without the weights [m/s]."""
     order = np.inf if norm == "inf" else norm
-    return dt * np.linalg.norm(u, order, axis=-1).sum(axis=-1)
+    spent: Array = dt * np.linalg.norm(u, order, axis=-1).sum(axis=-1)
+    return spent
 
 
 def ends_first(T: int, slope: float) -> Float[Array, " T"]:
@@ -115,11 +145,12 @@ def ends_first(T: int, slope: float) -> Float[Array, " T"]:
     that what lies between them is flown straight, and the optimum is unique.
     """
     k = np.arange(T)
-    return 1 + slope * (1 - ((2 * k - T + 1) / max(T - 1, 1)) ** 2)
+    bump: Array = 1 - ((2 * k - T + 1) / max(T - 1, 1)) ** 2
+    return 1 + slope * bump
 
 
 def solve_statement(question: object, problem: Any) -> None:
-    """Solve a CVXPY problem in place.
+    """Solve a CVXPY problem in place, through the same door as every other.
 
     Raises:
         Infeasible: No point satisfies every constraint.
@@ -127,9 +158,25 @@ def solve_statement(question: object, problem: Any) -> None:
     """
     import cvxpy as cp
 
-    tight = {"tol_gap_abs": 1e-9, "tol_gap_rel": 1e-9, "tol_feas": 1e-9}
-    problem.solve(solver=cp.CLARABEL, **tight)
-    if problem.status in (cp.INFEASIBLE, cp.INFEASIBLE_INACCURATE):
-        raise Infeasible(question, f"{type(question).__name__} is infeasible")
-    if problem.status != cp.OPTIMAL:
-        raise Unsolved(question, f"{type(question).__name__} ended as {problem.status}")
+    data, chain, inverse = problem.get_problem_data(cp.CLARABEL, solver_opts={})
+    rows = data["dims"]
+    conic = Conic(
+        data["c"], csc_array(data["A"]), data["b"], rows.zero, rows.nonneg, tuple(rows.soc)
+    )
+    name = type(question).__name__
+    try:
+        answer = solve(conic, solve_clarabel)
+    except Infeasible as verdict:
+        raise Infeasible(question, f"{name} is infeasible: {verdict}", verdict.ray) from verdict
+    except Unsolved as verdict:
+        raise Unsolved(question, f"{name} is not solved: {verdict}") from verdict
+    # CVXPY reads the answer as if it had asked for it.
+    said = SimpleNamespace(
+        status="Solved",
+        x=answer.x,
+        z=answer.y,
+        obj_val=float(conic.q @ answer.x),
+        solve_time=0.0,
+        iterations=0,
+    )
+    problem.unpack_results(said, chain, inverse)

@@ -6,6 +6,9 @@ from scipy.sparse import csc_array
 
 from problems.conic import Answer, Conic, Infeasible, Unsolved
 
+# Ends that come with a point. Whether it is an answer is judged by its residuals.
+JUDGED = ("Solved", "AlmostSolved", "InsufficientProgress")
+
 
 def solve_clarabel(problem: Conic) -> Answer:
     """Solve with Clarabel.
@@ -23,8 +26,8 @@ def solve_clarabel(problem: Conic) -> Answer:
     solution = solver.solve()
     status = str(solution.status)
     if status in ("PrimalInfeasible", "AlmostPrimalInfeasible"):
-        raise Infeasible(problem, f"Clarabel: {status}")
-    if status not in ("Solved", "AlmostSolved"):
+        raise Infeasible(problem, f"Clarabel: {status}", np.array(solution.z))
+    if status not in JUDGED:
         raise Unsolved(problem, f"Clarabel stopped: {status}")
     return Answer.of(problem, np.array(solution.x), np.array(solution.z))
 

@@ -2,6 +2,7 @@
 
 import highspy
 import numpy as np
+from numpy import ndarray as Array
 
 from problems.conic import Answer, Conic, Infeasible, Unsolved
 
@@ -21,12 +22,26 @@ def solve_highs(problem: Conic) -> Answer:
     solver.passModel(_model(problem))
     solver.run()
     status = solver.getModelStatus()
+    if status == highspy.HighsModelStatus.kUnboundedOrInfeasible:  # presolve did not say which
+        solver.setOptionValue("presolve", "off")
+        solver.run()
+        status = solver.getModelStatus()
     if status == highspy.HighsModelStatus.kInfeasible:
-        raise Infeasible(problem, "HiGHS: infeasible")
+        raise Infeasible(problem, "HiGHS: infeasible", _ray(solver))
     if status != highspy.HighsModelStatus.kOptimal:
         raise Unsolved(problem, f"HiGHS stopped: {solver.modelStatusToString(status)}")
     solution = solver.getSolution()
     return Answer.of(problem, np.array(solution.col_value), -np.array(solution.row_dual))
+
+
+def _ray(solver: highspy.Highs) -> Array | None:
+    _, found, ray = solver.getDualRay()
+    if not found:  # presolve found out, and keeps no proof
+        solver.setOptionValue("presolve", "off")
+        solver.clearSolver()
+        solver.run()
+        _, found, ray = solver.getDualRay()
+    return -np.array(ray) if found else None
 
 
 def _model(problem: Conic) -> highspy.HighsLp:
