@@ -46,11 +46,17 @@ def price(
         goals: Where they might have to be at the end.
         max_control: U [m/s²].
         max_speed: V [m/s].
+
+    Raises:
+        ValueError: A limit is not positive, a number not finite, or no step is left.
     """
+    if not max_speed > 0:
+        raise ValueError(f"max_speed must be positive, got {max_speed}")
     b = displacements(steps, start, goals)
     weight = ends_first(len(steps), SLOPE)
     agents, targets, n = b.shape
-    burns = least_fuel(steps, b.reshape(-1, n), max_control, weight)
+    # One lot an agent: what it pays does not depend on where the others are, to the last bit.
+    burns = least_fuel(steps, b.reshape(-1, n), max_control, weight, lots=agents)
     reachable = np.isfinite(burns.fuel)
     exact = np.ones_like(reachable)
     if isfinite(max_speed) and len(steps) > 1:
@@ -113,7 +119,7 @@ def displacements(
 ) -> Float[Array, "agents targets n"]:
     """Goal minus where the free motion ends, for every pair."""
     free = steps.roll(start, np.zeros((len(start), len(steps), steps.axes)))[:, -1]
-    return goals[None] - free[:, None]
+    return np.asarray(goals[None] - free[:, None])
 
 
 def distance(
@@ -121,7 +127,7 @@ def distance(
 ) -> Float[Array, "agents targets"]:
     """Straight distance, the algebraic cost of [Morgan2016, Remark 3] [m]."""
     d = steps.axes
-    return np.linalg.norm(goals[None, :, :d] - start[:, None, :d], axis=2)
+    return np.asarray(np.linalg.norm(goals[None, :, :d] - start[:, None, :d], axis=2))
 
 
 def energy(
@@ -130,18 +136,21 @@ def energy(
     """Least control energy, Δt Σ ‖u‖₂² = bᵀ (C Cᵀ)⁻¹ b Δt, without limits [m²/s³].
 
     Strictly convex in the displacement b: the assignment of least energy has paths of
-    least energy that do not cross, whatever the linear dynamics.
+    least energy that do not cross, whatever the linear dynamics. With too few steps to
+    reach every state it is the energy of coming nearest.
     """
     C = response(steps).reshape(2 * steps.axes, -1)
     b = displacements(steps, start, goals)
-    R = np.linalg.qr(C.T)[1]
-    return steps.dt * (np.linalg.solve(R.T, b.reshape(-1, len(R)).T) ** 2).sum(0).reshape(
-        b.shape[:2]
-    )
+    rows = b.reshape(-1, len(C)).T
+    if np.linalg.matrix_rank(C) == len(C):
+        u = np.linalg.solve(np.linalg.qr(C.T)[1].T, rows)  # as long as the controls themselves
+    else:
+        u = np.linalg.pinv(C) @ rows
+    return np.asarray(steps.dt * (u**2).sum(axis=0).reshape(b.shape[:2]))
 
 
-@numba.njit(cache=True, parallel=True)  # type: ignore[misc]  # numba has no types
-def _keeps_speed(A, B, z, start, u, limit):  # type: ignore[no-untyped-def]
+@numba.njit(cache=True, parallel=True)
+def _keeps_speed(A, B, z, start, u, limit):  # type: ignore[no-untyped-def]  # numba has no types
     pairs, T, m = u.shape
     n = start.shape[1]
     keeps = np.ones(pairs, np.bool_)

@@ -15,17 +15,24 @@ basic column and passes kinks of the dual for as long as the slope stays positiv
 along which the dual grows without bound, which proves that b is out of reach.
 """
 
+from math import isfinite
 from typing import NamedTuple
 
 import numba
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
+from scipy.sparse import csc_array
 from scipy.sparse.csgraph import connected_components
 
 from dynamics import Steps
+from problems.conic import Conic, Infeasible, solve
 
-PIVOTS = 10_000  # far above what any question took; a question that needs more is not answered
+PIVOTS = 10_000  # far above what any question took; one that needs more is asked of HiGHS
+PROVEN = 1e-9  # relative; an answer with a larger residual or gap is asked of HiGHS
+LOTS = 64
+
+ANSWERED, OUT_OF_REACH, UNPROVEN = 0, 1, 2
 
 
 class Burns(NamedTuple):
@@ -41,33 +48,53 @@ def least_fuel(
     displacement: Float[Array, "questions n"],
     max_control: float,
     weight: Float[Array, " T"],
+    lots: int = LOTS,
 ) -> Burns:
     """Least fuel to displace the free motion's end, for many displacements.
 
     Axes that do not act on one another are separate questions, and are answered so.
+    Every answer is checked by its residual and its gap, and every "out of reach" by the
+    direction that proves it; what fails is asked of HiGHS.
 
     Args:
         steps: Dynamics, the same for all.
         displacement: x_f − Φ x₀ − (drift), one row a question.
         max_control: U, the largest |u| on each axis [m/s²].
         weight: Price of a unit of |u[k]|, near 1; a slope in it breaks ties.
+        lots: Equal parts into which the questions are split, in their order. Answers do
+            not depend on the questions of other lots, not even in the last bit.
 
     Raises:
-        ValueError: There is no step to burn in.
+        ValueError: There is no step to burn in, or a number that makes no sense.
+        Unsolved: Not even HiGHS has an answer that can be proven.
     """
     T, m = len(steps), steps.axes
-    if T == 0:
-        raise ValueError("there must be at least one step to burn in")
+    _check(T, displacement, max_control, weight)
     questions = len(displacement)
     u = np.zeros((questions, T, m))
-    bound = np.zeros(questions)
+    fuel, bound = np.zeros(questions), np.zeros(questions)
     for states, inputs in separate_axes(steps):
-        C = response(steps)[np.ix_(states, range(T), inputs)]
-        answer, dual = _answer(C, displacement[:, states], max_control, weight)
-        u[:, :, inputs] = answer
-        bound += dual * steps.dt
-    fuel = steps.dt * np.abs(u).sum(axis=(1, 2))
-    return Burns(u, np.where(np.isnan(fuel), np.inf, fuel), bound)
+        C = response(steps)[states][:, :, inputs]
+        answer, dual = _answer(C, displacement[:, states], max_control, weight, lots)
+        for i, axis in enumerate(inputs):
+            u[:, :, axis] = answer[:, :, i]
+        fuel += steps.dt * np.abs(answer).reshape(questions, -1).sum(axis=1)
+        bound += steps.dt * dual
+    beyond = np.isinf(bound)
+    u[beyond], fuel[beyond] = np.nan, np.inf
+    return Burns(u, fuel, bound)
+
+
+def _check(T: int, displacement: Array, max_control: float, weight: Array) -> None:
+    if T == 0:
+        raise ValueError("there must be at least one step to burn in")
+    if not (0 < max_control and isfinite(max_control)):
+        raise ValueError(f"max_control must be positive and finite, got {max_control}")
+    if weight.shape != (T,) or not (weight > 0).all():
+        raise ValueError(f"there must be a positive weight for each of {T} steps, got {weight}")
+    if not np.isfinite(displacement).all():
+        q = int(np.flatnonzero(~np.isfinite(displacement).all(axis=1))[0])
+        raise ValueError(f"displacement {q} is not finite: {displacement[q]}")
 
 
 def response(steps: Steps) -> Float[Array, "n T m"]:
@@ -93,47 +120,85 @@ def separate_axes(steps: Steps) -> list[tuple[Int[Array, " s"], Int[Array, " i"]
 
 
 def _answer(
-    C: Float[Array, "s T i"], b: Float[Array, "questions s"], U: float, weight: Float[Array, " T"]
+    C: Float[Array, "s T i"],
+    b: Float[Array, "questions s"],
+    U: float,
+    weight: Float[Array, " T"],
+    lots: int,
 ) -> tuple[Float[Array, "questions T i"], Float[Array, " questions"]]:
     s, T, i = C.shape
-    columns = C.reshape(s, T * i)
-    if np.linalg.matrix_rank(columns) < s:
-        return _too_short(columns, b, U, (T, i))
-    # Rows made orthonormal: the same questions, well conditioned.
-    Q, R = np.linalg.qr(columns.T)
-    whitened = np.linalg.solve(R.T, b.T).T
+    Q, whitened, missed = _whiten(C.reshape(s, T * i), b, U)
     w = np.repeat(weight, i)
-    u, dual = _solve_all(np.ascontiguousarray(Q), np.ascontiguousarray(whitened), U, w)
+    if Q.shape[1] == 0:
+        u, dual = np.zeros((len(b), T * i)), np.zeros(len(b))
+        u[missed], dual[missed] = np.nan, np.inf
+        return u.reshape(-1, T, i), dual
+    u, dual, status = _solve_all(Q, whitened, U, w, max(1, min(len(b), lots)), PIVOTS)
+    for q in np.flatnonzero(status == UNPROVEN):
+        u[q], dual[q] = _ask_highs(Q, whitened[q], U, w)
+    u[missed], dual[missed] = np.nan, np.inf
     return u.reshape(-1, T, i), dual
 
 
-def _too_short(
-    columns: Array, b: Array, U: float, shape: tuple[int, int]
-) -> tuple[Array, Array]:
-    # Fewer steps than it takes to reach every state: at most one u can do it.
-    u = b @ np.linalg.pinv(columns).T
-    miss = np.abs(u @ columns.T - b).max(axis=1)
-    fails = (miss > 1e-9 * (1 + np.abs(b).max(axis=1))) | (np.abs(u) > U).any(axis=1)
-    u[fails] = np.nan
-    dual = np.where(fails, np.inf, np.abs(np.nan_to_num(u)).sum(axis=1))
-    return u.reshape(-1, *shape), dual
+def _whiten(
+    columns: Float[Array, "s N"], b: Float[Array, "questions s"], U: float
+) -> tuple[Float[Array, "N r"], Float[Array, "questions r"], Int[Array, " missed"]]:
+    """Rows made orthonormal: the same questions, well conditioned.
+
+    With fewer steps than it takes to reach every state, what no control reaches is left
+    out, and questions that ask for it are listed.
+    """
+    if columns.size == 0:
+        return np.zeros((columns.shape[1], 0)), np.zeros((len(b), 0)), np.flatnonzero(b.any(axis=1))
+    if np.linalg.matrix_rank(columns) == len(columns):
+        Q, R = np.linalg.qr(columns.T)
+        whitened = np.linalg.solve(R.T, b.T).T
+        return np.ascontiguousarray(Q), np.ascontiguousarray(whitened), np.zeros(0, np.int64)
+    # States in metres and in metres a second are made comparable before a rank is read.
+    unit = np.maximum(np.abs(columns).max(axis=1, initial=0.0), 1e-300)
+    left, size, right = np.linalg.svd(columns / unit[:, None], full_matrices=False)
+    keep = size > 1e-12 * size.max(initial=0.0)
+    left, size, right = left[:, keep], size[keep], right[keep]
+    along = (b / unit) @ left
+    missing = np.abs(b / unit - along @ left.T).max(axis=1, initial=0.0)
+    missed = np.flatnonzero(missing > PROVEN * (U + np.abs(b / unit).max(axis=1, initial=0.0)))
+    return np.ascontiguousarray(right.T), np.ascontiguousarray(along / size), missed
 
 
-@numba.njit(cache=True, parallel=True)  # type: ignore[misc]  # numba has no types
-def _solve_all(Q, b, U, w):  # type: ignore[no-untyped-def]
+def _ask_highs(
+    Q: Float[Array, "N r"], b: Float[Array, " r"], U: float, w: Float[Array, " N"]
+) -> tuple[Float[Array, " N"], float]:
+    """One question by another way; the dual is infinite where it is out of reach."""
+    from problems.solvers import solve_highs
+
+    N, r = Q.shape
+    box = np.vstack([np.eye(2 * N), -np.eye(2 * N)])
+    A = np.vstack([np.concatenate([Q.T, -Q.T], axis=1), box])
+    limits = np.concatenate([b / U, np.ones(2 * N), np.zeros(2 * N)])
+    problem = Conic(np.concatenate([w, w]), csc_array(A), limits, r, 4 * N)
+    try:
+        answer = solve(problem, solve_highs)
+    except Infeasible:
+        return np.full(N, np.nan), np.inf
+    return U * (answer.x[:N] - answer.x[N:]), -U * float(limits @ answer.y)
+
+
+@numba.njit(cache=True, parallel=True)
+def _solve_all(Q, b, U, w, lots, pivots):  # type: ignore[no-untyped-def]  # numba has no types
     questions, n = len(b), len(Q)
     u = np.empty((questions, n))
     dual = np.empty(questions)
-    lots = min(questions, 64)
+    status = np.empty(questions, np.int64)
+    rows = np.ascontiguousarray(Q.T)
     for lot in numba.prange(lots):
         # Within a lot each question starts from the basis that answered the one before.
         basis, sign = _first_basis(Q)
         for q in range(lot * questions // lots, (lot + 1) * questions // lots):
-            dual[q] = _solve(Q, b[q], U, w, basis, sign, u[q])
-    return u, dual
+            status[q], dual[q] = _solve(Q, rows, b[q], U, w, basis, sign, pivots, u[q])
+    return u, dual, status
 
 
-@numba.njit(cache=True)  # type: ignore[misc]
+@numba.njit(cache=True)
 def _first_basis(Q):  # type: ignore[no-untyped-def]
     # Greedy: each column is the one that reaches furthest out of the span of those before.
     n, m = Q.shape
@@ -158,15 +223,15 @@ def _first_basis(Q):  # type: ignore[no-untyped-def]
     return basis, np.ones(m)
 
 
-@numba.njit(cache=True)  # type: ignore[misc]
-def _solve(Q, b, U, w, basis, sign, u):  # type: ignore[no-untyped-def]
+@numba.njit(cache=True)
+def _solve(Q, rows, b, U, w, basis, sign, pivots, u):  # type: ignore[no-untyped-def]
     """Answer one question; `basis` and `sign` are the start and become the end.
 
-    Returns the dual value; infinity, and u = NaN, where b is out of reach.
+    Returns how it ended and the dual value: infinity, and u = NaN, where b is out of reach.
     """
     n, m = Q.shape
     tolerance = 1e-11 * (U + np.abs(b).max())
-    inverse, λ, v, state = _start(Q, w, basis, sign)
+    inverse, λ, v, state = _start(Q, rows, w, basis, sign)
     r = b.copy()
     for j in range(n):
         if state[j] != 0.0:
@@ -175,7 +240,7 @@ def _solve(Q, b, U, w, basis, sign, u):  # type: ignore[no-untyped-def]
     α = np.empty(n)
     when = np.empty(2 * n)
     who = np.empty(2 * n, np.int64)
-    for _ in range(PIVOTS):
+    for _ in range(pivots):
         # The basic control that breaks its bounds by most.
         out, worst, up = -1, tolerance, False
         for i in range(m):
@@ -188,13 +253,14 @@ def _solve(Q, b, U, w, basis, sign, u):  # type: ignore[no-untyped-def]
             if y - U > worst:
                 out, worst, up = i, y - U, True
         if out < 0:
-            return _finish(Q, b, U, w, basis, inverse, λ, v, state, r, u)
+            return _finish(rows, b, U, w, basis, inverse, λ, state, r, u, α)
         turn = sign[out] if up else -sign[out]
         kinks = 0
+        α[:] = 0.0
+        for a in range(m):
+            for j in range(n):
+                α[j] += rows[a, j] * inverse[out, a]
         for j in range(n):
-            α[j] = 0.0
-            for a in range(m):
-                α[j] += Q[j, a] * inverse[out, a]
             α[j] *= turn
         for i in range(m):
             α[basis[i]] = 0.0
@@ -236,7 +302,7 @@ def _solve(Q, b, U, w, basis, sign, u):  # type: ignore[no-untyped-def]
             state[j] = new
         if enter < 0:
             u[:] = np.nan
-            return np.inf
+            return _beyond(rows, b, U, turn * inverse[out], α), np.inf
         j, t = enter, when[0]
         for k in range(n):
             v[k] += t * α[k]
@@ -253,16 +319,16 @@ def _solve(Q, b, U, w, basis, sign, u):  # type: ignore[no-untyped-def]
         basis[out] = j
         _exchange(inverse, Q[j], out)
     u[:] = np.nan
-    return np.nan
+    return UNPROVEN, np.nan
 
 
-@numba.njit(cache=True)  # type: ignore[misc]
+@numba.njit(cache=True)
 def _heapify(when, who, count):  # type: ignore[no-untyped-def]
     for i in range(count // 2 - 1, -1, -1):
         _sink(when, who, i, count)
 
 
-@numba.njit(cache=True)  # type: ignore[misc]
+@numba.njit(cache=True)
 def _sink(when, who, i, count):  # type: ignore[no-untyped-def]
     t, j = when[i], who[i]
     while 2 * i + 1 < count:
@@ -276,8 +342,8 @@ def _sink(when, who, i, count):  # type: ignore[no-untyped-def]
     when[i], who[i] = t, j
 
 
-@numba.njit(cache=True)  # type: ignore[misc]
-def _start(Q, w, basis, sign):  # type: ignore[no-untyped-def]
+@numba.njit(cache=True)
+def _start(Q, rows, w, basis, sign):  # type: ignore[no-untyped-def]
     n, m = Q.shape
     inverse = np.eye(m)
     for i in range(m):
@@ -296,11 +362,11 @@ def _start(Q, w, basis, sign):  # type: ignore[no-untyped-def]
     for i in range(m):
         for a in range(m):
             λ[a] += sign[i] * w[basis[i]] * inverse[i, a]
-    v, state = np.empty(n), np.zeros(n)
+    v, state = np.zeros(n), np.zeros(n)
+    for a in range(m):
+        for j in range(n):
+            v[j] += rows[a, j] * λ[a]
     for j in range(n):
-        v[j] = 0.0
-        for a in range(m):
-            v[j] += Q[j, a] * λ[a]
         if v[j] > w[j]:
             state[j] = 1.0
         elif v[j] < -w[j]:
@@ -310,7 +376,7 @@ def _start(Q, w, basis, sign):  # type: ignore[no-untyped-def]
     return inverse, λ, v, state
 
 
-@numba.njit(cache=True)  # type: ignore[misc]
+@numba.njit(cache=True)
 def _exchange(inverse, column, out):  # type: ignore[no-untyped-def]
     m = len(column)
     coordinates = np.zeros(m)
@@ -325,9 +391,9 @@ def _exchange(inverse, column, out):  # type: ignore[no-untyped-def]
                 inverse[i, a] -= coordinates[i] * inverse[out, a]
 
 
-@numba.njit(cache=True)  # type: ignore[misc]
-def _finish(Q, b, U, w, basis, inverse, λ, v, state, r, u):  # type: ignore[no-untyped-def]
-    n, m = Q.shape
+@numba.njit(cache=True)
+def _finish(rows, b, U, w, basis, inverse, λ, state, r, u, over):  # type: ignore[no-untyped-def]
+    m, n = rows.shape
     for j in range(n):
         u[j] = U * state[j]
     for i in range(m):
@@ -335,12 +401,33 @@ def _finish(Q, b, U, w, basis, inverse, λ, v, state, r, u):  # type: ignore[no-
         for a in range(m):
             y += inverse[i, a] * r[a]
         u[basis[i]] = min(max(y, -U), U)
-    dual = 0.0
+    # Recomputed from u and λ alone, whatever has drifted on the way.
+    dual, price, missing, most = 0.0, 0.0, 0.0, 0.0
+    over[:] = 0.0
     for a in range(m):
         dual += λ[a] * b[a]
+        rest = b[a]
+        for j in range(n):
+            over[j] += rows[a, j] * λ[a]
+            rest -= rows[a, j] * u[j]
+        missing, most = max(missing, abs(rest)), max(most, abs(b[a]))
     for j in range(n):
-        over = 0.0
-        for a in range(m):
-            over += Q[j, a] * λ[a]
-        dual -= U * max(0.0, abs(over) - w[j])
-    return dual
+        dual -= U * max(0.0, abs(over[j]) - w[j])
+        price += w[j] * abs(u[j])
+    proven = missing <= PROVEN * (U + most) and abs(price - dual) <= PROVEN * (U + price)
+    return (ANSWERED if proven else UNPROVEN), dual
+
+
+@numba.njit(cache=True)
+def _beyond(rows, b, U, ray, along):  # type: ignore[no-untyped-def]
+    """Whether the dual grows without bound along a direction."""
+    m, n = rows.shape
+    gain, most = 0.0, 0.0
+    along[:] = 0.0
+    for a in range(m):
+        gain += ray[a] * b[a]
+        for j in range(n):
+            along[j] += rows[a, j] * ray[a]
+    for j in range(n):
+        most += U * abs(along[j])
+    return OUT_OF_REACH if gain - most > 1e-13 * (abs(gain) + most) else UNPROVEN
