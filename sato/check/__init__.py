@@ -17,7 +17,17 @@ from sato.record import Run
 if TYPE_CHECKING:
     import xarray
 
-__all__ = ["Bound", "Evidence", "Promise", "Report", "Stretch", "examine", "judge", "rebuild"]
+__all__ = [
+    "Bound",
+    "Evidence",
+    "Promise",
+    "Report",
+    "Stretch",
+    "bound_of_each",
+    "examine",
+    "judge",
+    "rebuild",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +75,7 @@ def examine(data: "xarray.Dataset", mission: Reconfiguration) -> Report:
         promises(evidence, bounds),
         summarise(evidence, bounds),
         burnt(evidence).sum(axis=0),
-        _bound_of_each(evidence, bounds),
+        bound_of_each(evidence, bounds),
     )
 
 
@@ -76,8 +86,8 @@ def rebuild(data: "xarray.Dataset") -> Reconfiguration:
     return parse(str(data.attrs["scenario"])).build(np.random.default_rng(int(data.attrs["seed"])))
 
 
-def _bound_of_each(evidence: Evidence, bounds: list[Bound | None]) -> Float[Array, " agents"]:
-    # Known for agents whose every leg is priced: the others' would be compared with too little.
+def bound_of_each(evidence: Evidence, bounds: list[Bound | None]) -> Float[Array, " agents"]:
+    """Least fuel of each agent to the targets it held; NaN unless all its legs are priced."""
     total = np.zeros(evidence.alive.shape[1])
     for stretch, bound in zip(evidence.stretches, bounds, strict=True):
         priced = np.full(len(total), np.nan)

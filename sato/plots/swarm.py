@@ -1,0 +1,211 @@
+"""The swarm from above: stage by stage, along the first leg, and the paths it flew."""
+
+import tomllib
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from matplotlib.collections import EllipseCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy import ndarray as Array
+
+from sato.check.evidence import Evidence, Stretch
+from sato.check.words import at_end
+from sato.plots.look import (
+    ALONE,
+    BLUE,
+    GREY,
+    PALE,
+    RED,
+    Space,
+    entitle,
+    key_of,
+    letter,
+    marked,
+    panels,
+)
+
+_COLUMNS = {1: 1, 2: 3, 3: 4}  # of a legend under so many panels
+
+
+class Snapshot(NamedTuple):
+    """The swarm at an instant."""
+
+    title: str
+    position: Float[Array, "agents d"]  # [m]
+    component: Int[Array, " agents"]  # −1 while not alive
+    goals: Float[Array, "targets d"]  # [m]
+
+
+def stages(evidence: Evidence) -> Figure:
+    """The swarm at the start, after each leg and after each loss [Morgan2016, Fig. 4]."""
+    names = leg_names(evidence)
+    shots = [_at(evidence, 0, "start")]
+    for stretch in evidence.stretches:
+        lost = _lost_at(evidence, stretch.first)
+        if lost and stretch.first:
+            before = shots[-1].goals
+            title = f"{_many(lost, 'agent')} lost"
+            shots.append(_at(evidence, stretch.first, title)._replace(goals=before))
+        _, live, believed, component = at_end(evidence, stretch)
+        title = f"after leg {stretch.leg + 1}, {names[stretch.leg]}"
+        if stretch.end is None:
+            title = f"leg {stretch.leg + 1}, {names[stretch.leg]}, not ended"
+        goals = _first(evidence, stretch.leg, int(believed[live].max(initial=0)))
+        where = evidence.position[stretch.last]
+        shots.append(Snapshot(title, where, np.where(live, component, -1), goals))
+    return _draw(evidence, shots)
+
+
+def first_leg(evidence: Evidence) -> Figure:
+    """Six instants of the first leg [Morgan2016, Fig. 5]."""
+    [stretch] = evidence.stretches[:1] or [Stretch(0, 0, len(evidence.time) - 1, None)]
+    # Closer together where most happens: networks merge early.
+    when = np.unique(np.round(stretch.steps * np.linspace(0, 1, 6) ** 1.3).astype(int))
+    shots: list[Snapshot] = []
+    for k in when + stretch.first:
+        shot = _at(evidence, int(k), f"t = {evidence.time[k]:g} s")
+        if k == stretch.last and stretch.end is not None:
+            _, live, _, component = at_end(evidence, stretch)
+            shot = shot._replace(component=np.where(live, component, -1))
+        shots.append(shot._replace(goals=shots[0].goals if shots else shot.goals))
+    return _draw(evidence, shots)
+
+
+def trajectories(evidence: Evidence) -> Figure:
+    """The paths of each leg; those of agents that changed their mind stand out."""
+    legs = [s for s in evidence.stretches if s.steps]
+    space = Space.around(evidence.position, *_all_goals(evidence), margin=_margin(evidence))
+    figure, axes = panels(max(len(legs), 1), space, columns=2, width=3.8)
+    scale, _ = space.unit
+    names = leg_names(evidence)
+    for i, (ax, stretch) in enumerate(zip(axes, legs, strict=False)):
+        window = slice(stretch.first, stretch.last + 1)
+        path = evidence.position[window] / scale
+        flies = evidence.alive[stretch.first : stretch.last]
+        target = np.where(flies, evidence.target[stretch.first : stretch.last], -1)
+        turned = np.array([len(np.unique(t[t >= 0])) > 1 for t in target.T])
+        for a in np.flatnonzero(flies.any(axis=0)):
+            there = np.append(flies[:, a], flies[-1, a])
+            colour = RED if turned[a] else BLUE
+            ax.plot(
+                *path[there, a].T, lw=0.7, color=colour, alpha=0.75, zorder=3 if turned[a] else 2
+            )
+        first, last = flies.any(axis=0), flies[-1]
+        start = path[np.argmax(flies[:, first], axis=0), np.flatnonzero(first)]
+        ax.plot(*start.T, ls="", marker="o", ms=2.6, mfc="white", mec=GREY, mew=0.6, zorder=4)
+        ax.plot(*path[-1, last].T, ls="", marker="o", ms=2.6, color="black", mew=0, zorder=5)
+        entitle(ax, f"{letter(i)} leg {stretch.leg + 1}, {names[stretch.leg]}")
+    key = [
+        Line2D([], [], color=BLUE, lw=1, label="kept its target"),
+        Line2D([], [], color=RED, lw=1, label="changed its target on the way"),
+        Line2D([], [], ls="", marker="o", ms=4, mfc="white", mec=GREY, label="start"),
+        Line2D([], [], ls="", marker="o", ms=4, color="black", mew=0, label="end"),
+    ]
+    figure.legend(handles=key, loc="outside lower center", ncols=4 if len(axes) > 1 else 2)
+    return figure
+
+
+def leg_names(evidence: Evidence) -> list[str]:
+    """What each leg forms, in the words of the scenario."""
+    try:
+        said = tomllib.loads(str(evidence.attributes["scenario"])).get("leg", [])
+    except tomllib.TOMLDecodeError:
+        said = []
+    names = []
+    for i in range(len(evidence.mission.legs)):
+        shape = said[i].get("shape", {}) if i < len(said) else {}
+        text = shape.get("text")
+        names.append(f"‘{text}’" if text else str(shape.get("kind", "shape")))
+    return names
+
+
+def draw_swarm(
+    ax: Any, shot: Snapshot, space: Space, radius: float | None = None, size: float = 14.0
+) -> None:
+    """Agents marked by component, targets as light crosses, circles of a radius if one is given."""
+    scale, _ = space.unit
+    goals = shot.goals / scale
+    depth = {} if space.axes == 2 else {"depthshade": False}
+    ax.scatter(*goals.T, marker="x", s=size * 0.8, lw=0.6, color=PALE, zorder=1, **depth)
+    for members, look in marked(shot.component):
+        at = shot.position[members] / scale
+        if radius is not None and space.axes == 2:
+            wide = np.full(len(at), 2 * radius / scale)
+            circles = EllipseCollection(
+                wide,
+                wide,
+                0 * wide,
+                units="xy",
+                offsets=at,
+                offset_transform=ax.transData,
+                facecolors="none",
+                edgecolors=look.colour,
+                linestyles=":",
+                linewidths=0.5,
+                alpha=0.45,
+                zorder=2,
+            )
+            ax.add_collection(circles)
+        s = size * 0.6 if look is ALONE else size
+        ax.scatter(*at.T, marker=look.shape, s=s, color=look.colour, lw=0, zorder=3, **depth)
+
+
+def _draw(evidence: Evidence, shots: list[Snapshot]) -> Figure:
+    there = [s.position[s.component >= 0] for s in shots]
+    radius = evidence.mission.comm_radius / 2
+    flat = evidence.axes == 2
+    margin = min(radius, 4 * _margin(evidence)) if flat else _margin(evidence)
+    space = Space.around(*there, *(s.goals for s in shots), margin=margin)
+    figure, axes = panels(len(shots), space)
+    for i, (ax, shot) in enumerate(zip(axes, shots, strict=True)):
+        draw_swarm(ax, shot, space, radius)
+        count = len(np.unique(shot.component[shot.component >= 0]))
+        entitle(ax, f"{letter(i)} {shot.title}\n{_many(count, 'component')}")
+    groups = [marked(s.component) for s in shots]
+    ranks = max(sum(look is not ALONE for _, look in g) for g in groups)
+    alone = any(look is ALONE for g in groups for _, look in g)
+    key = key_of(ranks, alone)
+    key.append(Line2D([], [], ls="", marker="x", color=PALE, ms=4.5, label="target"))
+    if flat:
+        key.append(
+            Line2D([], [], ls=":", color=GREY, lw=0.8, label="half the communication radius")
+        )
+    figure.legend(
+        handles=key, loc="outside lower center", ncols=min(len(key), 1 + min(len(axes), 3))
+    )
+    return figure
+
+
+def _at(evidence: Evidence, k: int, title: str) -> Snapshot:
+    leg = int(evidence.leg[k])
+    m = int(evidence.believed[leg].max(initial=0)) or int(evidence.alive[k].sum())
+    return Snapshot(title, evidence.position[k], evidence.component[k], _first(evidence, leg, m))
+
+
+def _first(evidence: Evidence, leg: int, m: int) -> Float[Array, "targets d"]:
+    goals = evidence.goals[leg]
+    goals = goals[np.isfinite(goals).all(axis=1)]
+    return np.asarray(goals[: m or len(goals), : evidence.axes])
+
+
+def believed_goals(evidence: Evidence, leg: int) -> Float[Array, "targets d"]:
+    """The targets of a leg that anybody believed in; all of them if it never ended."""
+    return _first(evidence, leg, int(evidence.believed[leg].max(initial=0)))
+
+
+def _all_goals(evidence: Evidence) -> list[Float[Array, "targets d"]]:
+    return [believed_goals(evidence, leg) for leg in range(len(evidence.goals))]
+
+
+def _margin(evidence: Evidence) -> float:
+    return 0.6 * evidence.mission.spacing if np.isfinite(evidence.mission.spacing) else 1.0
+
+
+def _lost_at(evidence: Evidence, k: int) -> int:
+    return sum(len(e["agents"]) for at, e in evidence.told("loss") if at == k)
+
+
+def _many(count: int, what: str) -> str:
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"

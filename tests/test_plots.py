@@ -1,0 +1,264 @@
+"""Figures and films: they show what the data hold, and nothing runs out of the picture."""
+
+import os
+from itertools import combinations
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.text import Text
+from PIL import Image
+from test_check import crossing, fly_crossed, fly_straight, mission, recorded
+
+import sato.animate
+import sato.plots
+from dynamics import ClohessyWiltshire
+from sato.animate import animate
+from sato.check import Evidence
+from sato.plots import FIGURES, plot
+from sato.plots.look import ALONE, STYLE, mark, marked
+from sato.reconfiguration.mission import Leg
+
+LETTERS = """
+[[leg]]
+shape = { kind = "text", text = "U" }
+[[leg]]
+shape = { kind = "ring" }
+"""
+
+
+def orbit():
+    """Twelve craft that become a ring in space, seen from their chief."""
+    model = ClohessyWiltshire(1.1e-3)
+    place = np.random.default_rng(2).uniform(-1500, 1500, (12, 3))
+    turn = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+    ring = np.stack([500 * np.cos(turn), 1000 * np.sin(turn), 800 * np.cos(turn)], axis=1)
+    start, goals = (np.hstack([p, model.bounded(p)]) for p in (place, ring))
+    return mission(
+        model=model, start=start, alive=np.ones(12, bool), legs=(Leg(goals, 20),), step=60.0,
+        comm_radius=1200.0, collision_radius=50.0, max_control=0.01, max_speed=6.0, believed=12,
+    )  # fmt: skip
+
+
+def plane_run():
+    start = mission().start.copy()
+    start[2:, 0] += 0.5  # the row falls apart: two, three and one
+    start[5, 0] += 0.5
+    about = mission(comm_radius=1.21, start=start)
+    run = recorded(about)
+    run.data.attrs["scenario"] = LETTERS
+    return run, about
+
+
+def orbit_run():
+    about = orbit()
+    return recorded(about), about
+
+
+def pair_run():
+    about = crossing(0.3)
+    return recorded(about, fly_crossed(about)), about
+
+
+def stopped_run():
+    about = mission()
+    return recorded(about, fly_straight(about)[:15]), about
+
+
+def only_start_run():
+    about = mission()
+    return recorded(about, fly_straight(about)[:1]), about
+
+
+RUNS = {
+    "plane": plane_run,
+    "orbit": orbit_run,
+    "pair": pair_run,
+    "stopped": stopped_run,
+    "only start": only_start_run,
+}
+
+
+@pytest.fixture(scope="module", params=RUNS)
+def evidence(request):
+    run, about = RUNS[request.param]()
+    return Evidence.of(run.data, about)
+
+
+@pytest.fixture
+def plane(monkeypatch):
+    run, about = plane_run()
+    for module in (sato.plots, sato.animate):
+        monkeypatch.setattr(module, "rebuild", lambda _: about)
+    return run, Evidence.of(run.data, about)
+
+
+def drawn(name, evidence):
+    with matplotlib.rc_context(STYLE):
+        figure = FIGURES[name](evidence)
+        FigureCanvasAgg(figure).draw()
+    return figure
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_no_words_run_out_of_the_picture_or_over_one_another(evidence, name):
+    figure = drawn(name, evidence)
+    renderer = figure.canvas.get_renderer()
+    inside = figure.bbox.padded(1.0)
+    words = [t for t in figure.findobj(Text) if t.get_visible() and t.get_text().strip()]
+    boxes = [(t.get_text(), t.get_window_extent(renderer)) for t in words]
+    assert len(boxes) > 3
+    for text, box in boxes:
+        # Ticks beyond the limits are not drawn.
+        if text.lstrip("−").replace(".", "").isdigit():
+            continue
+        assert inside.x0 <= box.x0 and box.x1 <= inside.x1, text
+        assert inside.y0 <= box.y0 and box.y1 <= inside.y1, text
+    titles = [ax.title.get_window_extent(renderer) for ax in figure.axes if ax.get_title()]
+    for one, other in combinations(titles, 2):
+        assert not one.overlaps(other)
+
+
+@pytest.mark.parametrize("name", ["stages", "first-leg", "trajectories"])
+def test_panels_share_their_limits_and_their_scale(evidence, name):
+    axes = drawn(name, evidence).axes
+    assert len({(ax.get_xlim(), ax.get_ylim()) for ax in axes}) == 1
+    if evidence.axes == 2:
+        assert all(ax.get_aspect() == 1 for ax in axes)
+        assert axes[0].get_ylabel().endswith("[m]") and axes[-1].get_xlabel().endswith("[m]")
+    else:
+        assert {ax.get_zlabel() for ax in axes} <= {"z [km]", "z [m]"}
+
+
+def test_stages_are_the_start_every_end_of_a_leg_and_every_loss(plane):
+    _, evidence = plane
+    axes = drawn("stages", evidence).axes
+    titles = [ax.get_title().split("\n")[0] for ax in axes]
+    assert titles == [
+        "(a) start",
+        "(b) after leg 1, ‘U’",
+        "(c) 1 agent lost",
+        "(d) after leg 2, ring",
+    ]
+    assert [ax.get_title().split("\n")[1] for ax in axes[:2]] == ["3 components", "1 component"]
+
+
+def points(ax):
+    """Where agents stand in a panel."""
+    return np.vstack([c.get_offsets() for c in ax.collections if c.get_zorder() == 3])
+
+
+def test_agents_stand_where_they_are_and_the_lost_are_gone(plane):
+    _, evidence = plane
+    axes = drawn("stages", evidence).axes
+    for ax, k, lost in zip(axes, [0, 12, 12, 22], [[6], [6], [2, 6], [2]], strict=True):
+        there = np.delete(evidence.position[k], lost, axis=0)
+        found = points(ax)
+        assert sorted(map(tuple, found)) == sorted(map(tuple, there))
+
+
+def test_components_differ_by_colour_and_shape_and_those_alone_are_grey():
+    component = np.array([4, 1, 4, 2, 1, 4, -1, 7])
+    found = [(members.tolist(), look) for members, look in marked(component)]
+    assert found == [([0, 2, 5], mark(0)), ([1, 4], mark(1)), ([3, 7], ALONE)]
+    assert len({mark(rank) for rank in range(56)}) == 56
+    for rank in range(55):
+        assert mark(rank).colour != mark(rank + 1).colour
+        assert mark(rank).shape != mark(rank + 1).shape
+
+
+def test_separation_is_drawn_between_the_samples_too():
+    run, about = pair_run()
+    evidence = Evidence.of(run.data, about)
+    ax = drawn("separation", evidence).axes[0]
+    [steps] = [p for p in ax.patches if hasattr(p, "get_data")]
+    assert steps.get_data().values.min() == pytest.approx(0.3, rel=1e-9)
+    labels = [t.get_text() for t in ax.figure.legends[0].get_texts()]
+    assert "least: 0.3 m" in labels and "collision radius, 0.2 m" in labels
+
+
+def test_no_agent_burns_less_than_its_bound(plane):
+    ax = drawn("fuel", plane[1]).axes[0]
+    dots = np.vstack([line.get_xydata() for line in ax.lines[1:]])
+    assert len(dots) == 7
+    assert (dots[:, 1] >= dots[:, 0] * (1 - 1e-6)).all()
+
+
+def test_the_half_plane_keeps_a_real_pair_apart():
+    run, about = pair_run()
+    axes = drawn("half-space", Evidence.of(run.data, about)).axes
+    assert len(axes) == 3
+    [edge] = [line for line in axes[2].lines if line.get_color() == "#D55E00"]
+    a, b = edge.get_xydata()
+    [control] = [line for line in axes[2].lines if line.get_marker() == "D"]
+    normal = np.array([a[1] - b[1], b[0] - a[0]]) / np.linalg.norm(b - a)
+    # Tangent to the circle, and the step's four points beyond it.
+    assert abs(normal @ a) == pytest.approx(about.collision_radius, rel=1e-9)
+    side = np.sign(normal @ a)
+    assert (side * (control.get_xydata() @ normal) >= about.collision_radius).all()
+
+
+def test_all_figures_are_written_as_png_or_as_pdf(plane, tmp_path):
+    run, _ = plane
+    paths = plot(run, tmp_path / "new" / "folder")
+    assert [p.name for p in paths] == [f"{name}.png" for name in FIGURES]
+    for path in paths:
+        with Image.open(path) as image:
+            assert image.width > 600 and len(image.convert("RGB").getcolors(1 << 20)) > 20
+    for path in plot(run, tmp_path, pdf=True):
+        assert path.read_bytes().startswith(b"%PDF")
+
+
+def test_drawing_leaves_the_settings_of_matplotlib_alone(plane, tmp_path):
+    before = dict(matplotlib.rcParams)
+    plot(plane[0], tmp_path)
+    assert dict(matplotlib.rcParams) == before
+
+
+@pytest.mark.parametrize("kind", ["plane", "orbit"])
+def test_without_ffmpeg_the_film_is_a_gif(kind, tmp_path, monkeypatch):
+    run, about = RUNS[kind]()
+    monkeypatch.setattr(sato.animate, "rebuild", lambda _: about)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    told = []
+    path = animate(run, tmp_path, fps=10, frames=7, progress=lambda i, n: told.append((i, n)))
+    assert path == tmp_path / "run.gif"
+    with Image.open(path) as film:
+        assert film.n_frames == 7 and film.info["duration"] == 100
+        first = film.convert("RGB").tobytes()
+        film.seek(6)
+        assert film.convert("RGB").tobytes() != first
+    assert told == [(i + 1, 7) for i in range(7)]
+
+
+def test_with_ffmpeg_the_film_is_an_mp4(plane, tmp_path, monkeypatch):
+    # A stand-in that keeps what it is sent: raw frames of four bytes a pixel.
+    tool = tmp_path / "ffmpeg"
+    tool.write_text(
+        '#!/bin/sh\nfor last; do :; done\necho "$@" > "$last.said"\nexec cat > "$last"\n'
+    )
+    tool.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    path = animate(plane[0], tmp_path, fps=25, frames=3)
+    assert path == tmp_path / "run.mp4"
+    said = (tmp_path / "run.mp4.said").read_text().split()
+    width, height = map(int, said[said.index("-s") + 1].split("x"))
+    assert path.stat().st_size == 3 * 4 * width * height
+    assert said[said.index("-framerate") + 1] == "25" and "yuv420p" in said
+
+
+def test_a_film_moves_on_the_cubic_pieces_between_the_instants(plane):
+    _, evidence = plane
+    scene = sato.animate.Scene(evidence)
+    scene.show(3.25)
+    moved = points(scene.axes)
+    h, u = evidence.mission.step, evidence.applied[3, :6]
+    x, v = evidence.position[3, :6], evidence.velocity[3, :6]
+    there = x + v * h / 4 + u * (h / 4) ** 2 / 2
+    np.testing.assert_allclose(sorted(map(tuple, moved)), sorted(map(tuple, there)), atol=1e-12)
+
+
+def test_a_film_of_nothing_is_refused(plane, tmp_path):
+    with pytest.raises(ValueError, match="got 0 frames at 20 a second"):
+        animate(plane[0], tmp_path, frames=0)
