@@ -99,13 +99,16 @@ def panels(
     count: int, space: Space, columns: int = 3, width: float = 3.0
 ) -> tuple[Figure, list[Any]]:
     """A figure of equal panels that share their limits, labelled only at its edges."""
-    columns = min(columns, count)
+    columns = min(columns, count) if count != 4 else 2
     rows = ceil(count / columns)
     figure = Figure(
         figsize=(width * columns + 0.5, rows * (width * space.aspect + 0.35) + 0.75),
     )
-    figure.set_layout_engine("compressed", h_pad=0.09)
     flat = space.axes == 2
+    if flat:
+        figure.set_layout_engine("compressed", h_pad=0.09)
+    else:  # the room that the labels of a view of space take is not all seen by the layout
+        figure.set_layout_engine("constrained", rect=(0, 0, 0.96, 1))
     axes = [
         figure.add_subplot(rows, columns, i + 1, **({} if flat else {"projection": "3d"}))
         for i in range(count)
@@ -160,7 +163,7 @@ def _dot(look: Mark, label: str, size: float = 4.5) -> Line2D:
 
 def entitle(ax: Any, title: str) -> None:
     """Give a panel its title; above a view of space there is room to spare."""
-    ax.set_title(title, y=0.94 if hasattr(ax, "get_zlim") else None)
+    ax.set_title(title, y=0.96 if hasattr(ax, "get_zlim") else None)
 
 
 def letter(i: int) -> str:

@@ -149,6 +149,7 @@ def draw_swarm(
             )
             ax.add_collection(circles)
         s = size * 0.6 if look is ALONE else size
+        s = s * 1.7 if look.shape == "*" else s  # which fills little of its square
         ax.scatter(*at.T, marker=look.shape, s=s, color=look.colour, lw=0, zorder=3, **depth)
 
 
@@ -172,9 +173,7 @@ def _draw(evidence: Evidence, shots: list[Snapshot]) -> Figure:
         key.append(
             Line2D([], [], ls=":", color=GREY, lw=0.8, label="half the communication radius")
         )
-    figure.legend(
-        handles=key, loc="outside lower center", ncols=min(len(key), 1 + min(len(axes), 3))
-    )
+    figure.legend(handles=key, loc="outside lower center", ncols=_COLUMNS[min(len(axes), 3)])
     return figure
 
 
