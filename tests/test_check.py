@@ -7,13 +7,16 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+import sato
 from dynamics import ClohessyWiltshire, DoubleIntegrator, hold
 from problems.assignment import assign
 from problems.conic import Infeasible
 from problems.transfer import Transfer
 from sato.check import Evidence, examine
 from sato.check.promises import assignment, times
+from sato.cli import app
 from sato.network import Network
 from sato.reconfiguration.mission import Arrival, Leg, Loss, Reconfiguration
 from sato.record import Frame, Run
@@ -493,3 +496,81 @@ def test_a_disturbed_run_may_differ_from_its_commands_by_the_disturbance_alone(r
 
 def test_out_of_earshot_is_said_where_proposition_9_does_not_hold(flown):
     assert examine(flown.data, mission(horizon_steps=2)).summary["undetectable"] is True
+
+
+TINY = """
+system = "reconfiguration"
+name = "tiny"
+[swarm]
+agents = 8
+start = { kind = "random", box_m = 7.0, separation_m = 0.8 }
+comm_radius_m = 4.0
+collision_radius_m = 0.5
+[model]
+kind = "double_integrator"
+dimension = 2
+max_control_m_s2 = 0.1
+max_speed_m_s = 0.3
+[plan]
+step_s = 1.0
+horizon_steps = 4
+replan_steps = 4
+auction_steps = 4
+[[leg]]
+shape = { kind = "ring", spacing_m = 1.0 }
+targets = 10
+steps = 30
+[[leg]]
+shape = { kind = "lattice", spacing_m = 1.0 }
+targets = 10
+steps = 30
+lose = { kind = "middle", share = 0.25 }
+"""
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("tiny")
+    return sato.run(sato.parse(TINY), seed=0).save(folder)
+
+
+def verdict(folder) -> int:
+    return CliRunner().invoke(app, ["check", str(folder), "--json"]).exit_code
+
+
+def test_a_run_that_was_flown_passes_from_its_file_alone(saved):
+    report = sato.load(saved).check()
+    assert report.kept, report.broken
+    said = CliRunner().invoke(app, ["check", str(saved), "--json"])
+    assert said.exit_code == 0
+    assert json.loads(said.stdout) == json.loads(json.dumps(report.as_dict()))
+    assert json.loads((saved / "summary.json").read_text()).items() >= report.summary.items()
+
+
+@pytest.mark.parametrize(
+    ("name", "by"),
+    [
+        ("position", 1e-6),
+        ("velocity", 1e-6),
+        ("control", 1e-6),
+        ("applied_control", 1e-6),
+        ("target", 1),
+        ("time", 1e-6),
+        ("target_position", 1e-6),
+    ],
+)
+def test_a_run_file_altered_in_one_place_fails(saved, tmp_path, rng, name, by):
+    run = sato.load(saved)
+    values = run.data[name].values.copy()
+    known = np.argwhere(np.isfinite(values))
+    where = tuple(rng.choice(known))
+    values[where] += by
+    run.data[name] = (run.data[name].dims, values, run.data[name].attrs)
+    run.save(tmp_path)
+    assert verdict(tmp_path) == 1, where
+
+
+def test_a_file_cut_short_is_refused_and_not_judged(saved, tmp_path):
+    whole = (saved / "run.nc").read_bytes()
+    (tmp_path / "run.nc").write_bytes(whole[: len(whole) // 2])
+    assert verdict(tmp_path) == 2

@@ -306,7 +306,7 @@ def _largest(values: Float[Array, "*k"] | Bool[Array, "*k"]) -> float:
 
 
 def _none(name: str, count: int | np.integer, what: str) -> Promise:
-    text = what if what.startswith(("legs", "every")) else f"{int(count)} {what}"
+    text = what if what.startswith(("legs", "every")) else f"{int(count) or 'no'} {what}"
     return Promise(name, int(count) == 0, float(count), 0.0, text)
 
 
