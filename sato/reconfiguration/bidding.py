@@ -1,6 +1,7 @@
 """Who goes where: prices, claims, the auction and the clock [Morgan2016, Method 3, lines 3-13]."""
 
 from dataclasses import dataclass, replace
+from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
@@ -8,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from dynamics import DoubleIntegrator, Steps, hold
-from problems.auction_cost import distance, energy, out_of_reach, price, price_within_speed
+from problems.auction_cost import distance, energy, price, price_within_speed
 from problems.transfer import Transfer
 from sato.network import Network
 from sato.reconfiguration.mission import Leg, Reconfiguration, least_distance
@@ -131,7 +132,8 @@ def _bid(
     solves = 0
     while True:
         main = scale * fuel if mission.cost == "fuel" else fuel
-        cost = bid_costs(main + mission.tie_break * tie, reachable, minds, network)
+        main = np.where(reachable, main, 0.0) + mission.tie_break * tie
+        cost = bid_costs(main, reachable, minds, network)
         auction = vsdaa(
             cost,
             network,
@@ -150,8 +152,7 @@ def _bid(
             steps = ahead[int(minds.clock[i])]
             transfer = Transfer(steps, mission.max_control, mission.max_speed)
             flight = price_within_speed(transfer, state[i], leg.targets[j])
-            ceiling = out_of_reach(steps, mission.max_control)
-            fuel[i, j] = ceiling if flight is None else flight.fuel
+            fuel[i, j] = 0.0 if flight is None else flight.fuel
             reachable[i, j], exact[i, j] = flight is not None, True
             solves += 1
 
@@ -176,7 +177,7 @@ def _price(
 ) -> tuple[Array, Array, Array]:
     if len(steps) == 0:
         here = _arrived(mission, state, leg.targets)
-        return np.where(here, 0.0, out_of_reach(steps, mission.max_control)), here, here | ~here
+        return np.zeros(here.shape), here, np.ones(here.shape, dtype=bool)
     prices = price(steps, state, leg.targets, mission.max_control, mission.max_speed)
     if mission.cost == "distance":
         straight = distance(steps, state, leg.targets)
@@ -209,19 +210,33 @@ def bid_costs(
     reachable: Bool[Array, "agents targets"],
     minds: Minds,
     network: Network,
+    least_wall: float = 1.0,
 ) -> Float[Array, "agents targets"]:
-    """What each agent bids by: its cost, what it holds a little cheaper, absent claims dearer.
+    """What each agent bids by: its cost, and three rules that it can keep by itself.
 
+    A target out of reach costs more than every other that is not, by what tells the
+    others apart: rounds grow as prices over ε, so a wall is no higher than it must be.
     A target claimed by an agent that is out of hearing is left alone while others are
     free: otherwise who loses sight of the holder turns back, is told off, and forgets.
+    A target that it holds already is a little cheaper.
+
+    Args:
+        cost: What each target costs each agent; where out of reach, only the tie-break.
+        reachable: Which can be reached.
+        minds: What the agents remember.
+        network: Who hears whom.
+        least_wall: By how much, at the least, what is out of reach or claimed costs more.
     """
     bid = cost.copy()
     for i in np.flatnonzero(network.alive):
-        mine = cost[i][reachable[i]]
+        within = reachable[i]
+        mine = cost[i][within]
         span = float(np.ptp(mine)) if len(mine) else 0.0
+        wall = max(span, least_wall)
+        bid[i][~within] += (mine.max() if len(mine) else 0.0) + wall
         absent = (minds.heard[i] >= 0) & (network.component != network.component[i])
         taken = np.unique(minds.claimed[i][absent])
-        bid[i, taken[taken >= 0]] += span
+        bid[i, taken[taken >= 0]] += wall
         if minds.target[i] >= 0:
             bid[i, minds.target[i]] -= HELD * span
     return bid
@@ -233,8 +248,10 @@ def _epsilon(
     if mission.epsilon is not None:
         return mission.epsilon
     if mission.tie_break > 0:
-        return 0.5 * mission.tie_break * least_distance(leg.targets[:, : mission.model.axes]) ** 2
-    return COARSE * float(np.ptp(cost[network.alive], axis=1).max())
+        s = least_distance(leg.targets[:, : mission.model.axes])
+        return 0.5 * mission.tie_break * (s if isfinite(s) else 1.0) ** 2
+    span = float(np.ptp(cost[network.alive], axis=1).max())
+    return COARSE * (span if span > 0 else 1.0)
 
 
 def _remember(minds: Minds, auction: Auction, network: Network, now: int) -> Minds:
