@@ -82,18 +82,19 @@ def tell(run: Run, folder: Path) -> None:
     """The summary as a table, legs side by side."""
     said = dict(run.summary)
     legs = said.pop("legs", [])
-    title = f"{said.pop('scenario')}, seed {said.pop('seed')}, version {said.pop('version')}"
-    table = Table(title=title, title_justify="left", show_header=bool(legs))
+    table = Table()
     table.add_column("")
     for number in range(1, len(legs) + 1):
         table.add_column(f"leg {number}", justify="right")
     for name in dict.fromkeys(name for leg in legs for name in leg):
         table.add_row(_spelt(name), *[_short(leg.get(name)) for leg in legs])
-    table.add_section()
+    whole = Table(show_header=False)
     for name, value in said.items():
-        table.add_row(_spelt(name), _short(value))
+        whole.add_row(_spelt(name), _short(value))
     console = Console()
-    console.print(table)
+    if legs:
+        console.print(table)
+    console.print(whole)
     console.print(f"{folder}", highlight=False, markup=False, soft_wrap=True)
 
 
