@@ -1,11 +1,14 @@
 """What it costs every agent to take up every target, all at once [Morgan2016, Problem 6]."""
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from math import inf, isfinite
-from typing import NamedTuple
+from threading import local
+from typing import NamedTuple, no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from dynamics import Steps
@@ -13,6 +16,7 @@ from problems.avoidance import Avoidance, no_spaces
 from problems.conic import Infeasible
 from problems.least_fuel import least_fuel, response
 from problems.transfer import Flight, Transfer, ends_first
+from problems.within_speed import WithinSpeed
 
 # A slope of the weights that keeps optima unique and costs no more than this part of the fuel.
 SLOPE = 1e-7
@@ -75,12 +79,27 @@ def price(
     )
 
 
-def price_within_speed(transfer: Transfer, start: Array, goal: Array) -> Flight | None:
+def price_within_speed(
+    transfer: Transfer, start: Float[Array, " n"], goal: Float[Array, " n"]
+) -> Flight | None:
     """The exact answer for one pair that the speed limit binds; None where out of reach."""
+    paper = (transfer.fuel_norm, transfer.control_norm) == (1, "inf")
     try:
+        if paper and isfinite(transfer.max_speed):
+            return _within_speed(transfer).solve(start, goal)
         return Avoidance(transfer).solve(start, goal, no_spaces(transfer)).flight
     except Infeasible:
         return None
+
+
+_kept = local()  # a solver is of one thread, and of the last transfer that was asked about
+
+
+def _within_speed(transfer: Transfer) -> WithinSpeed:
+    last: WithinSpeed | None = getattr(_kept, "last", None)
+    if last is None or last.transfer is not transfer:
+        last = _kept.last = WithinSpeed(transfer)
+    return last
 
 
 def exact(
@@ -102,10 +121,16 @@ def exact(
     prices = price(steps, start, goals, max_control, max_speed)
     fuel, reachable = prices.fuel.copy(), prices.reachable.copy()
     transfer = Transfer(steps, max_control, max_speed)
-    for i, j in np.argwhere(~prices.exact):
-        flight = price_within_speed(transfer, start[i], goals[j])
-        reachable[i, j] = flight is not None
-        fuel[i, j] = out_of_reach(steps, max_control) if flight is None else flight.fuel
+    pairs = np.argwhere(~prices.exact)
+
+    def settle(pair: Int[Array, " 2"]) -> Flight | None:
+        return price_within_speed(transfer, start[pair[0]], goals[pair[1]])
+
+    # Clarabel lets other threads run while it solves.
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for (i, j), flight in zip(pairs, pool.map(settle, pairs), strict=True):
+            reachable[i, j] = flight is not None
+            fuel[i, j] = out_of_reach(steps, max_control) if flight is None else flight.fuel
     return Prices(fuel, reachable, np.ones_like(reachable), prices.gap)
 
 
@@ -150,7 +175,8 @@ def energy(
 
 
 @numba.njit(cache=True, parallel=True)
-def _keeps_speed(A, B, z, start, u, limit):  # type: ignore[no-untyped-def]  # numba has no types
+@no_type_check
+def _keeps_speed(A, B, z, start, u, limit):
     pairs, T, m = u.shape
     n = start.shape[1]
     keeps = np.ones(pairs, np.bool_)
