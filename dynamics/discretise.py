@@ -1,6 +1,7 @@
 """From rates to steps."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import inf
 
 import numpy as np
@@ -64,9 +65,9 @@ def hold(model: LinearModel, dt: float, count: int, start: float = 0.0) -> Steps
         raise ValueError(
             f"a step must be positive and finite and a count not negative, got {dt} and {count}"
         )
-    moments = 1 if model.constant else count
-    parts = [_hold(model, start + (k + 0.5) * dt, dt) for k in range(min(moments, count))]
-    return _stack(parts * (count if model.constant else 1), model, dt)
+    if model.constant:
+        return _stack([_hold_always(model, dt)] * count, model, dt)
+    return _stack([_hold(model, start + (k + 0.5) * dt, dt) for k in range(count)], model, dt)
 
 
 def _stack(parts: list[tuple[Array, Array, Array]], model: LinearModel, dt: float) -> Steps:
@@ -75,6 +76,11 @@ def _stack(parts: list[tuple[Array, Array, Array]], model: LinearModel, dt: floa
     B = np.array([p[1] for p in parts]).reshape(-1, n, m)
     z = np.array([p[2] for p in parts]).reshape(-1, n)
     return Steps(A, B, z, dt)
+
+
+@lru_cache(maxsize=64)
+def _hold_always(model: LinearModel, dt: float) -> tuple[Array, Array, Array]:
+    return _hold(model, 0.0, dt)
 
 
 def _hold(model: LinearModel, t: float, dt: float) -> tuple[Array, Array, Array]:

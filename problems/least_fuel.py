@@ -16,7 +16,7 @@ along which the dual grows without bound, which proves that b is out of reach.
 """
 
 from math import isfinite
-from typing import NamedTuple
+from typing import NamedTuple, no_type_check
 
 import numba
 import numpy as np
@@ -184,7 +184,8 @@ def _ask_highs(
 
 
 @numba.njit(cache=True, parallel=True)
-def _solve_all(Q, b, U, w, lots, pivots):  # type: ignore[no-untyped-def]  # numba has no types
+@no_type_check
+def _solve_all(Q, b, U, w, lots, pivots):
     questions, n = len(b), len(Q)
     u = np.empty((questions, n))
     dual = np.empty(questions)
@@ -199,7 +200,8 @@ def _solve_all(Q, b, U, w, lots, pivots):  # type: ignore[no-untyped-def]  # num
 
 
 @numba.njit(cache=True)
-def _first_basis(Q):  # type: ignore[no-untyped-def]
+@no_type_check
+def _first_basis(Q):
     # Greedy: each column is the one that reaches furthest out of the span of those before.
     n, m = Q.shape
     rest = Q.copy()
@@ -224,7 +226,8 @@ def _first_basis(Q):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _solve(Q, rows, b, U, w, basis, sign, pivots, u):  # type: ignore[no-untyped-def]
+@no_type_check
+def _solve(Q, rows, b, U, w, basis, sign, pivots, u):
     """Answer one question; `basis` and `sign` are the start and become the end.
 
     Returns how it ended and the dual value: infinity, and u = NaN, where b is out of reach.
@@ -323,13 +326,15 @@ def _solve(Q, rows, b, U, w, basis, sign, pivots, u):  # type: ignore[no-untyped
 
 
 @numba.njit(cache=True)
-def _heapify(when, who, count):  # type: ignore[no-untyped-def]
+@no_type_check
+def _heapify(when, who, count):
     for i in range(count // 2 - 1, -1, -1):
         _sink(when, who, i, count)
 
 
 @numba.njit(cache=True)
-def _sink(when, who, i, count):  # type: ignore[no-untyped-def]
+@no_type_check
+def _sink(when, who, i, count):
     t, j = when[i], who[i]
     while 2 * i + 1 < count:
         child = 2 * i + 1
@@ -343,7 +348,8 @@ def _sink(when, who, i, count):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _start(Q, rows, w, basis, sign):  # type: ignore[no-untyped-def]
+@no_type_check
+def _start(Q, rows, w, basis, sign):
     n, m = Q.shape
     inverse = np.eye(m)
     for i in range(m):
@@ -377,7 +383,8 @@ def _start(Q, rows, w, basis, sign):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _exchange(inverse, column, out):  # type: ignore[no-untyped-def]
+@no_type_check
+def _exchange(inverse, column, out):
     m = len(column)
     coordinates = np.zeros(m)
     for i in range(m):
@@ -392,7 +399,8 @@ def _exchange(inverse, column, out):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _finish(rows, b, U, w, basis, inverse, λ, state, r, u, over):  # type: ignore[no-untyped-def]
+@no_type_check
+def _finish(rows, b, U, w, basis, inverse, λ, state, r, u, over):
     m, n = rows.shape
     for j in range(n):
         u[j] = U * state[j]
@@ -419,7 +427,8 @@ def _finish(rows, b, U, w, basis, inverse, λ, state, r, u, over):  # type: igno
 
 
 @numba.njit(cache=True)
-def _beyond(rows, b, U, ray, along):  # type: ignore[no-untyped-def]
+@no_type_check
+def _beyond(rows, b, U, ray, along):
     """Whether the dual grows without bound along a direction."""
     m, n = rows.shape
     gain, most = 0.0, 0.0

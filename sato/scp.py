@@ -8,7 +8,7 @@ two equal, exchange by exchange.
 What "apart" means, and how it is made convex, is in `problems.convexify`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ from problems.avoidance import Avoidance, HalfSpaces, Passage, Yield, no_spaces
 from problems.conic import Unsolved
 from problems.convexify import Horizon, apart, half_spaces, normals
 from problems.transfer import Flight, Transfer
+from sato.network import Network, rounds
 
 STILL = 1e-3  # ε_SCP over R: a path that moves less has converged
 # What may give way, and about what to convexify where nominals collide: past the neighbours
@@ -159,41 +160,38 @@ def _only(spaces: HalfSpaces, rows: Bool[Array, " rows"]) -> HalfSpaces:
     return HalfSpaces(*(field[rows] for field in spaces))
 
 
-def settle(
-    planners: dict[int, Planner], hears: Bool[Array, "agents agents"]
-) -> tuple[dict[int, Planner], int]:
+def settle(planners: Mapping[int, Planner], network: Network) -> tuple[dict[int, Planner], int]:
     """Method 2 for all agents: exchange until every one is settled.
 
     Args:
-        planners: The agents that plan, by number.
-        hears: Who hears whom.
+        planners: Every live agent, by number.
+        network: Who hears whom.
 
     Returns:
         The agents settled, and the number of exchanges it took.
     """
-    exchanges = 0
-    for now in exchanged(planners, hears):
-        planners, exchanges = now, exchanges + 1
-    return planners, exchanges
+    history = [dict(planners), *exchanged(planners, network)]
+    return history[-1], len(history) - 1
 
 
-def by_messages(
-    planners: dict[int, Planner], hears: Bool[Array, "agents agents"]
-) -> Iterator[dict[int, Planner]]:
+def by_messages(planners: Mapping[int, Planner], network: Network) -> Iterator[dict[int, Planner]]:
     """Run the definition itself: every agent after every exchange."""
-    now = planners
-    while not all(agent.settled for agent in now.values()):
-        told = {i: agent.plan for i, agent in now.items()}
-        now = {
-            i: revise(agent, [told[j] for j in np.flatnonzero(hears[i]) if j in told])
-            for i, agent in now.items()
-        }
-        yield now
+    states = [planners.get(i) for i in range(len(network.alive))]
+
+    def act(agent: Planner | None, inbox: list[Plan | None]) -> Planner | None:
+        return agent and revise(agent, [plan for plan in inbox if plan])
+
+    def tell(agent: Planner | None) -> Plan | None:
+        return agent and agent.plan
+
+    def done(agent: Planner | None) -> bool:
+        return agent is None or agent.settled
+
+    for now in rounds(network, states, act, tell, done):
+        yield {i: agent for i, agent in enumerate(now) if agent}
 
 
-def exchanged(
-    planners: dict[int, Planner], hears: Bool[Array, "agents agents"]
-) -> Iterator[dict[int, Planner]]:
+def exchanged(planners: Mapping[int, Planner], network: Network) -> Iterator[dict[int, Planner]]:
     """The same as `by_messages`, geometry for all at once and only where paths changed.
 
     Exchanges in which an agent has nothing to solve only carry whether it is settled.
@@ -205,10 +203,10 @@ def exchanged(
     radius = now[0].horizon.radius
     order = np.empty(len(now), dtype=int)
     order[sorted(range(len(now)), key=lambda i: now[i].rank)] = np.arange(len(now))
-    above = hears[np.ix_(numbers, numbers)] & (order < order[:, None])
+    above = network.hears[np.ix_(numbers, numbers)] & (order < order[:, None])
     lower, upper = np.nonzero(above)
     paths = np.stack([agent.path for agent in now])
-    meets = ~apart(paths[lower] - paths[upper], radius).all(axis=-1)
+    meets = np.asarray(~apart(paths[lower] - paths[upper], radius).all(axis=-1))
     settled, solved = np.zeros(len(now), dtype=bool), np.zeros(len(now), dtype=bool)
     while not settled.all():
         binds = np.zeros(len(now), dtype=bool)
@@ -219,7 +217,7 @@ def exchanged(
         settled = settled | (~acts & ~waits)
         now = [a._replace(settled=True) if s else a for a, s in zip(now, settled, strict=True)]
         moved = np.zeros(len(now), dtype=bool)
-        for i in np.flatnonzero(acts):
+        for i in np.flatnonzero(acts).tolist():
             after = revise(now[i], [told[j] for j in np.flatnonzero(above[i])])
             moved[i] = after.path is not now[i].path
             now[i], solved[i], settled[i] = after, after.solves > 0, after.settled

@@ -12,6 +12,7 @@ from problems.conic import solve
 from problems.convexify import Horizon, apart, half_spaces, normals
 from problems.solvers import solve_clarabel
 from problems.transfer import Flight, Transfer
+from sato.network import Network
 from sato.scp import STILL, Plan, Planner, by_messages, exchanged, revise, settle
 
 T, STEP, RADIUS = 12, 1.0, 0.5
@@ -54,7 +55,11 @@ def crowd(rng, count, axes=2, box=3.0):
 
 def everybody(planners):
     count = len(planners)
-    return ~np.eye(count, dtype=bool)
+    return heard(~np.eye(count, dtype=bool))
+
+
+def heard(hears):
+    return Network(hears, np.ones(len(hears), dtype=bool))
 
 
 def continuous_separation(planners):
@@ -71,9 +76,10 @@ def weighted(flight, transfer):
 @pytest.mark.parametrize(("count", "axes"), [(4, 2), (8, 2), (8, 3)])
 def test_the_fast_path_equals_the_definition_exchange_by_exchange(rng, count, axes):
     planners = crowd(rng, count, axes)
-    hears = everybody(planners)
+    hears = ~np.eye(count, dtype=bool)
     hears[0, -1] = hears[-1, 0] = False
-    slow, fast = list(by_messages(planners, hears)), list(exchanged(planners, hears))
+    network = heard(hears)
+    slow, fast = list(by_messages(planners, network)), list(exchanged(planners, network))
     assert len(slow) == len(fast) > 1
     for a, b in zip(slow, fast, strict=True):
         for i in planners:
@@ -159,9 +165,8 @@ def test_the_end_satisfies_the_first_order_conditions_of_the_nonconvex_problem(r
 def test_agents_settle_in_the_order_of_their_priorities(rng):
     # Theorem 8.
     planners = crowd(rng, 6)
-    hears = everybody(planners)
     when = {}
-    for exchange, now in enumerate(by_messages(planners, hears)):
+    for exchange, now in enumerate(by_messages(planners, everybody(planners))):
         for i, p in now.items():
             if p.settled:
                 when.setdefault(i, exchange)
@@ -217,9 +222,9 @@ def test_news_travels_one_hop_an_exchange(rng):
     row = {i: agent(i, [0.51 * i, 0.0], [0.51 * i, 0.9], transfer, horizon) for i in range(7)}
     other = dict(row)
     other[0] = agent(0, [0.0, 0.0], [0.0, 0.9], transfer, horizon, velocity=0.2)
-    hears = np.abs(np.subtract.outer(np.arange(7), np.arange(7))) == 1
+    network = heard(np.abs(np.subtract.outer(np.arange(7), np.arange(7))) == 1)
     for run in (by_messages, exchanged):
-        one, two = list(run(row, hears)), list(run(other, hears))
+        one, two = list(run(row, network)), list(run(other, network))
         reached = 0
         for w, (a, b) in enumerate(zip(one, two, strict=False)):
             differs = [i for i in row if not np.array_equal(a[i].flight.x, b[i].flight.x)]
@@ -235,7 +240,7 @@ def test_an_agent_that_is_settled_hears_no_more(rng):
 
 
 def test_nobody_plans_with_nobody():
-    assert settle({}, np.zeros((3, 3), dtype=bool)) == ({}, 0)
+    assert settle({}, Network(np.zeros((3, 3), dtype=bool), np.zeros(3, dtype=bool))) == ({}, 0)
 
 
 def test_paths_pass_through_the_states_and_drift_after_the_last_step():

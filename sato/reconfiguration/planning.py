@@ -37,7 +37,7 @@ class Plans(NamedTuple):
         """Controls at a step of the leg; none once a flight is over, NaN for the dead."""
         m = next(iter(self.flights.values())).u.shape[1]
         control = np.full((len(alive), m), np.nan)
-        for i in np.flatnonzero(alive):
+        for i in np.flatnonzero(alive).tolist():
             u = self.flights[i].u
             control[i] = u[k - self.made] if k - self.made < len(u) else 0.0
         return control
@@ -109,16 +109,16 @@ def plan(
         for i, goal, flight, path in zip(those.tolist(), goals, found, paths, strict=True):
             rank = (len(steps) > 0, -float(spent[i]), i)
             planners[i] = Planner(rank, goal, transfer, horizon, flight, flight, path)
-    planners, exchanges = settle(planners, network.hears)
+    planners, exchanges = settle(planners, network)
     solves += sum(p.solves for p in planners.values())
     events: list[Event] = [
         {"kind": "replan", "agents": [], "solves": solves, "exchanges": exchanges}
     ]
     events += _what_gave_way(mission, planners, late)
-    flights = {i: p.flight for i, p in planners.items()}
+    chosen = {i: p.flight for i, p in planners.items()}
     astray = {i for event in events for i in event["agents"]}
     ends = {i: int(minds.target[i]) for i in planners if i not in astray}
-    return Plans(flights, ends, k), events
+    return Plans(chosen, ends, k), events
 
 
 def fuel_left(
@@ -181,7 +181,7 @@ def alone(
         reached = not np.isnan(fuel[i])
         flights.append(Flight(x[i], u[i], float(fuel[i])) if reached else None)
     fast = np.flatnonzero(speed > transfer.max_speed * (1 + 1e-9))
-    for i in fast:
+    for i in fast.tolist():
         flights[i] = price_within_speed(transfer, start[i], goals[i])
     return flights, len(fast)
 
