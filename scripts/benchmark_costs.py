@@ -1,0 +1,290 @@
+"""How fast and how exact are the auction's costs? Against HiGHS and Clarabel, in one run.
+
+HiGHS judges the prices. Clarabel is given every advantage: the states eliminated (kept,
+where there is a speed limit, for that is faster then), one object built once, only the
+right-hand side updated, presolve off. Both take turns, so that whatever else the machine
+does slows both; ratios are medians over the turns.
+"""
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from math import inf
+from typing import Annotated, NamedTuple
+
+import clarabel
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+from scipy.sparse import block_diag, csc_array, eye_array, hstack, kron, vstack
+from threadpoolctl import threadpool_limits
+
+from dynamics import ClohessyWiltshire, DoubleIntegrator, Steps, hold
+from problems.auction_cost import Prices, displacements, exact, price
+from problems.conic import Conic, Infeasible, solve
+from problems.least_fuel import least_fuel, response
+from problems.solvers import solve_highs
+from problems.transfer import ends_first
+
+ERROR = 1e-6
+MEAN_MOTION = np.sqrt(3.986004418e14 / 6878e3**3)  # circular orbit of 6878 km [rad/s]
+
+
+class Case(NamedTuple):
+    """One row of the table."""
+
+    name: str
+    steps: Steps
+    start: np.ndarray
+    goals: np.ndarray
+    max_control: float
+    max_speed: float
+    ratio: float  # to reach
+    turns: int
+
+    def price(self) -> Prices:
+        """All pairs."""
+        ask = price if self.max_speed == inf else exact
+        return ask(self.steps, self.start, self.goals, self.max_control, self.max_speed)
+
+
+class Condensed:
+    """min Σ|u| s.t. C u = b, |u| ≤ U, by u⁺ and u⁻ in units of U."""
+
+    def __init__(self, case: Case) -> None:
+        C = response(case.steps).reshape(case.start.shape[1], -1)
+        self.scale = np.abs(C).max(axis=1) * case.max_control
+        C = C * case.max_control / self.scale[:, None]
+        N = 2 * C.shape[1]
+        self.A = csc_array(vstack([np.hstack([C, -C]), eye_array(N), -eye_array(N)]))
+        self.q = np.full(N, case.steps.dt * case.max_control)
+        self.limits = np.concatenate([np.ones(N), np.zeros(N)])
+        self.zero, self.cones = len(C), ()
+        self.b = displacements(case.steps, case.start, case.goals)
+
+    def problem(self, i: int, j: int) -> Conic:
+        """One pair."""
+        b = np.concatenate([self.b[i, j] / self.scale, self.limits])
+        return Conic(self.q, self.A, b, self.zero, len(self.limits), self.cones)
+
+
+class Stated:
+    """The same with the states x[1] … x[T] kept, and a cone for each speed."""
+
+    def __init__(self, case: Case) -> None:
+        self.case = case
+        T, n, m = case.steps.B.shape
+        burns = case.max_control * block_diag(list(case.steps.B))
+        flow = eye_array(T * n) - kron(eye_array(T, k=-1), np.eye(n)) @ block_diag(
+            [*case.steps.A[1:], np.eye(n)]
+        )
+        arrive = eye_array(n, T * n, k=(T - 1) * n)
+        N, X = 2 * T * m, T * n
+        none = csc_array((n, N))
+        pick = np.vstack([np.zeros((1, n)), np.eye(n)[m:]])
+        cones = kron(eye_array(T - 1, T), pick)
+        self.A = csc_array(
+            vstack(
+                [
+                    hstack([-burns, burns, flow]),
+                    hstack([none, arrive]),
+                    eye_array(N, N + X),
+                    -eye_array(N, N + X),
+                    hstack([csc_array(((m + 1) * (T - 1), N)), -cones]),
+                ]
+            )
+        )
+        self.q = np.concatenate([np.full(N, case.steps.dt * case.max_control), np.zeros(X)])
+        self.zero, self.nonnegative = X + n, 2 * N
+        self.cones = (m + 1,) * (T - 1)
+        tops = np.tile([case.max_speed, *np.zeros(m)], T - 1)
+        self.limits = np.concatenate([np.ones(N), np.zeros(N), tops])
+
+    def problem(self, i: int, j: int) -> Conic:
+        """One pair."""
+        steps = self.case.steps
+        first = steps.z.copy()
+        first[0] += steps.A[0] @ self.case.start[i]
+        b = np.concatenate([first.ravel(), self.case.goals[j], self.limits])
+        return Conic(self.q, self.A, b, self.zero, self.nonnegative, self.cones)
+
+
+class Clarabel:
+    """One object, built once."""
+
+    def __init__(self, first: Conic) -> None:
+        settings = clarabel.DefaultSettings()
+        settings.verbose, settings.presolve_enable, settings.max_threads = False, False, 1
+        cones = [clarabel.ZeroConeT(first.zero), clarabel.NonnegativeConeT(first.nonnegative)]
+        cones += [clarabel.SecondOrderConeT(size) for size in first.cones]
+        P = csc_array((len(first.q), len(first.q)))
+        self.solver = clarabel.DefaultSolver(P, first.q, first.A, first.b, cones, settings)
+
+    def fuel(self, problem: Conic) -> float:
+        """Its price; infinite where out of reach, NaN where there is none."""
+        self.solver.update(b=problem.b)
+        solution = self.solver.solve()
+        if "Infeasible" in str(solution.status):
+            return inf
+        return float(solution.obj_val) if "Solved" in str(solution.status) else np.nan
+
+
+def plane(agents: int, speed: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """From a box to a disc; speeds up to a bound at both ends."""
+    start, goals = rng.uniform(0, 29, (agents, 2)), rng.uniform(9, 20, (agents, 2))
+    turn, size = rng.uniform(0, 2 * np.pi, (2, agents)), rng.uniform(0, speed, (2, agents))
+    v = size[..., None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    return np.hstack([start, v[0]]), np.hstack([goals, v[1]])
+
+
+def orbit(agents: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """From a cloud to a circle that closes, 1 km about the chief."""
+    model, turn = ClohessyWiltshire(MEAN_MOTION), 2 * np.pi * np.arange(agents) / agents
+    cloud = rng.uniform(-1500, 1500, (agents, 3))
+    circle = [np.sin(turn) / 2, np.cos(turn), np.sqrt(3) / 2 * np.sin(turn)]
+    along = [np.cos(turn) / 2, -np.sin(turn), np.sqrt(3) / 2 * np.cos(turn)]
+    goals = 1000 * np.vstack([circle, MEAN_MOTION * np.array(along)]).T
+    return np.hstack([cloud, model.bounded(cloud)]), goals
+
+
+def cases(rng: np.random.Generator) -> list[Case]:
+    """The rows; speed limits are set so that they bind on a fifth of the pairs."""
+    long = hold(DoubleIntegrator(2), 1.0, 80)
+    sky = hold(ClohessyWiltshire(MEAN_MOTION), 60.0, 24)
+    still, swift = plane(123, 0.0, rng), plane(48, 0.3, rng)
+    cloud = orbit(48, rng)
+    return [
+        Case("123 × 123, double integrator", long, *still, 0.3, inf, 100, 10),
+        Case("48 × 48, Clohessy–Wiltshire", sky, *cloud, 0.01, inf, 10, 10),
+        Case("the same, with a speed limit", sky, *cloud, 0.01, binding(sky, *cloud, 0.01), 0, 3),
+        Case("48 × 48, plane, speed limit", long, *swift, 0.03, binding(long, *swift, 0.03), 0, 3),
+    ]
+
+
+def binding(steps: Steps, start: np.ndarray, goals: np.ndarray, max_control: float) -> float:
+    """A speed that the cheapest paths of a fifth of the pairs exceed."""
+    b = displacements(steps, start, goals)
+    u = least_fuel(steps, b.reshape(-1, b.shape[2]), max_control, ends_first(len(steps), 1e-7)).u
+    x = steps.roll(np.repeat(start, len(goals), axis=0), u)[:, 1:-1, steps.axes :]
+    peak = np.linalg.norm(x, axis=2).max(axis=1)
+    return float(np.quantile(peak[np.isfinite(peak)], 0.8))
+
+
+class Result(NamedTuple):
+    """What was measured."""
+
+    seconds: float
+    clarabel: float
+    ratio: float
+    error: float
+    judged: str
+    binds: float
+
+
+def measure(case: Case, pairs: int, rng: np.random.Generator) -> Result:
+    """Take turns, then judge."""
+    limited = case.max_speed < inf
+    form = Stated(case) if limited else Condensed(case)
+    solver, prices = Clarabel(form.problem(0, 0)), case.price()
+    shape = prices.fuel.shape
+    ours, theirs = [], []
+    each = max(1, pairs // case.turns)
+    for _ in range(case.turns):
+        begin = time.perf_counter()
+        case.price()
+        ours.append(time.perf_counter() - begin)
+        asked = [form.problem(*rng.integers(shape)) for _ in range(each)]
+        begin = time.perf_counter()
+        for problem in asked:
+            solver.fuel(problem)
+        theirs.append((time.perf_counter() - begin) / each * prices.fuel.size)
+    if limited:
+        found = price(case.steps, case.start, case.goals, case.max_control, case.max_speed)
+        doubtful = np.argwhere(~found.exact)
+        judged = rng.permutation(doubtful)[: 5 * pairs]
+        truth = [solver.fuel(form.problem(*pair)) for pair in judged]
+        binds, judge = len(doubtful) / prices.fuel.size, "Clarabel"
+    else:
+        judged = rng.integers(shape, size=(5 * pairs, 2))
+        truth = [highs(form.problem(*pair)) for pair in judged]
+        binds, judge = 0.0, "HiGHS"
+    error = largest_error(prices, judged, np.array(truth))
+    within = int(np.isfinite(truth).sum())
+    ratio = float(np.median(np.array(theirs) / np.array(ours)))
+    said = f"{judge}, {len(judged)} pairs, {within} in reach"
+    return Result(float(np.median(ours)), float(np.median(theirs)), ratio, error, said, binds)
+
+
+def highs(problem: Conic) -> float:
+    """The judge's price."""
+    try:
+        return float(problem.q @ solve(problem, solve_highs).x)
+    except Infeasible:
+        return inf
+
+
+def largest_error(prices: Prices, pairs: np.ndarray, truth: np.ndarray) -> float:
+    """Relative; infinite where one says out of reach and the other not."""
+    i, j = pairs.T
+    fuel = np.where(prices.reachable[i, j], prices.fuel[i, j], inf)
+    if (np.isfinite(fuel) != np.isfinite(truth)).any():
+        return inf
+    fuel, truth = fuel[np.isfinite(truth)], truth[np.isfinite(truth)]
+    return float((np.abs(fuel - truth) / np.maximum(truth, 1e-9)).max(initial=0.0))
+
+
+COLD = """
+import time, numpy as np
+from dynamics import DoubleIntegrator, hold
+from problems.auction_cost import price
+steps, x = hold(DoubleIntegrator(2), 1.0, 80), np.zeros((123, 4))
+begin = time.perf_counter()
+price(steps, x, x + 1.0, 0.3, 0.3)
+print(time.perf_counter() - begin)
+"""
+
+
+def first_call() -> tuple[float, float]:
+    """Seconds for the first prices of a process: with nothing compiled, and with the cache."""
+    with tempfile.TemporaryDirectory() as cache:
+        env = os.environ | {"NUMBA_CACHE_DIR": cache}
+        run = [sys.executable, "-c", COLD]
+        cold, cached = (
+            float(subprocess.run(run, env=env, check=True, capture_output=True, text=True).stdout)
+            for _ in range(2)
+        )
+    return cold, cached
+
+
+def main(
+    pairs: Annotated[
+        int, typer.Option(help="Pairs that Clarabel is timed on; 5 × are judged.")
+    ] = 100,
+    seed: int = 0,
+    cold: Annotated[bool, typer.Option(help="Also time the first call of a process.")] = True,
+) -> None:
+    """Print the table; exit 1 where a target is missed."""
+    rng = np.random.default_rng(seed)
+    table = Table("costs", "binds", "all [ms]", "Clarabel [s]", "ratio", "error", "judge")
+    missed = False
+    with threadpool_limits(1):
+        for case in cases(rng):
+            r = measure(case, pairs, rng)
+            failed = not (r.error <= ERROR and r.ratio >= case.ratio)
+            missed |= failed
+            ratio = f"{r.ratio:.0f}" + (f" (≥ {case.ratio:.0f})" if case.ratio else "")
+            numbers = (f"{r.binds:.0%}", f"{r.seconds * 1e3:.1f}", f"{r.clarabel:.2f}", ratio)
+            style = "red" if failed else None
+            table.add_row(case.name, *numbers, f"{r.error:.1e}", r.judged, style=style)
+    Console(width=120).print(table)
+    if cold:
+        nothing, cached = first_call()
+        print(f"first call of a process: {nothing:.1f} s to compile, {cached:.2f} s from the cache")
+    raise typer.Exit(int(missed))
+
+
+if __name__ == "__main__":
+    typer.run(main)

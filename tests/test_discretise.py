@@ -1,0 +1,156 @@
+"""Holding the input over a step: laws, an integrator, and an integral."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import quad_vec, solve_ivp
+from scipy.linalg import expm
+
+from dynamics import ClohessyWiltshire, DoubleIntegrator, LinearModel, Steps, hold
+
+short = st.floats(1e-3, 200)
+
+
+@dataclass(frozen=True)
+class Swinging(LinearModel):
+    """An oscillator whose stiffness and wind change in time."""
+
+    axes: int = 2
+
+    def A(self, t):
+        """Stiffness that comes and goes."""
+        A = np.zeros((4, 4))
+        A[:2, 2:] = np.eye(2)
+        A[2:, :2] = -(1 + 0.5 * np.sin(t)) * np.array([[1.0, 0.2], [0.2, 2.0]])
+        return A
+
+    def z(self, t):
+        """Wind."""
+        return np.array([0, 0, 0.1 * np.cos(t), 0.2])
+
+
+def random_steps(rng, count, axes=2):
+    n = 2 * axes
+    shapes = (count, n, n), (count, n, axes), (count, n)
+    return Steps(*(rng.normal(size=shape) / n for shape in shapes), 1.0)
+
+
+@given(short)
+def test_two_half_steps_make_a_step(dt):
+    model = ClohessyWiltshire(1.1e-3)
+    whole, half = hold(model, dt, 1), hold(model, dt / 2, 1)
+    A, B = half.A[0], half.B[0]
+    np.testing.assert_allclose(A @ A, whole.A[0], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(A @ B + B, whole.B[0], rtol=1e-12, atol=1e-12)
+
+
+@given(short)
+def test_a_step_back_undoes_a_step(dt):
+    A = hold(ClohessyWiltshire(1.1e-3), dt, 1).A[0]
+    back = expm(-dt * ClohessyWiltshire(1.1e-3).A(0.0))
+    np.testing.assert_allclose(back @ A, np.eye(6), atol=1e-12)
+
+
+@given(short)
+def test_volume_in_phase_space_is_conserved(dt):
+    for model in (DoubleIntegrator(3), ClohessyWiltshire(1.1e-3)):
+        assert np.linalg.det(hold(model, dt, 1).A[0]) == pytest.approx(1, rel=1e-9)
+
+
+@settings(deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(0, 6), st.sampled_from([(), (1,), (5,), (2, 3)]))
+def test_the_roll_of_many_is_the_roll_of_each(seed, count, many):
+    rng = np.random.default_rng(seed)
+    steps = random_steps(rng, count)
+    x, u = rng.normal(size=(*many, 4)), rng.normal(size=(*many, count, 2))
+    together = steps.roll(x, u)
+    assert together.shape == (*many, count + 1, 4)
+    for index in np.ndindex(many):
+        np.testing.assert_allclose(together[index], steps.roll(x[index], u[index]), atol=1e-13)
+
+
+def test_the_roll_is_affine_in_state_and_input(rng):
+    steps = random_steps(rng, 6)
+    x, u = rng.normal(size=(2, 4)), rng.normal(size=(2, 6, 2))
+    mixed = steps.roll(0.3 * x[0] + 0.7 * x[1], 0.3 * u[0] + 0.7 * u[1])
+    each = steps.roll(x, u)
+    np.testing.assert_allclose(mixed, 0.3 * each[0] + 0.7 * each[1], atol=1e-13)
+
+
+def test_a_window_of_steps_goes_on_where_the_steps_before_it_ended(rng):
+    steps = random_steps(rng, 7)
+    x, u = rng.normal(size=4), rng.normal(size=(7, 2))
+    path = steps.roll(x, u)
+    np.testing.assert_allclose(steps[3:].roll(path[3], u[3:]), path[3:], atol=1e-13)
+    assert (len(steps[3:]), steps.axes, steps[3:].dt) == (4, 2, steps.dt)
+
+
+def test_fewer_inputs_than_steps_roll_as_far_as_they_go(rng):
+    steps = random_steps(rng, 7)
+    x, u = rng.normal(size=4), rng.normal(size=(7, 2))
+    np.testing.assert_array_equal(steps.roll(x, u[:4]), steps.roll(x, u)[:5])
+
+
+def test_a_constant_model_has_the_same_matrices_whenever_it_begins():
+    early, late = (hold(ClohessyWiltshire(1.1e-3), 60.0, 3, start) for start in (0.0, 1e4))
+    np.testing.assert_array_equal(early.A, late.A)
+    np.testing.assert_array_equal(early.B[0], late.B[2])
+
+
+def test_a_changing_model_discretised_in_one_go_or_in_two_is_the_same():
+    whole, rest = hold(Swinging(), 0.1, 9, start=1.0), hold(Swinging(), 0.1, 4, start=1.5)
+    np.testing.assert_allclose(whole.A[5:], rest.A, atol=1e-14)
+    np.testing.assert_allclose(whole.z[5:], rest.z, atol=1e-14)
+
+
+def test_no_steps_are_no_steps():
+    none = hold(DoubleIntegrator(2), 1.0, 0)
+    assert len(none) == 0
+    assert none.B.shape == (0, 4, 2)
+    path = none.roll(np.arange(4.0), np.zeros((0, 2)))
+    np.testing.assert_array_equal(path, [[0.0, 1.0, 2.0, 3.0]])
+
+
+@given(short, st.sampled_from([DoubleIntegrator(2), ClohessyWiltshire(1.1e-3)]))
+def test_van_loan_agrees_with_the_integral_of_the_exponential(dt, model):
+    steps = hold(model, dt, 1)
+    A, B = model.A(0.0), model.B(0.0)
+    np.testing.assert_allclose(steps.A[0], expm(A * dt), rtol=1e-12, atol=1e-12)
+    integral, _ = quad_vec(lambda s: expm(A * s) @ B, 0, dt, epsabs=1e-12, epsrel=1e-12)
+    np.testing.assert_allclose(steps.B[0], integral, rtol=1e-10, atol=1e-12)
+
+
+def flown(model, x, u, dt):
+    for k, push in enumerate(u):
+        span = (k * dt, (k + 1) * dt)
+        rate = lambda t, x, push=push: model.rate(t, x, push)  # noqa: E731
+        x = solve_ivp(rate, span, x, rtol=1e-11, atol=1e-12).y[:, -1]
+    return x
+
+
+def test_a_constant_model_is_held_exactly(rng):
+    model = ClohessyWiltshire(1.1e-3)
+    x, u = rng.normal(0, [300] * 3 + [0.5] * 3), rng.normal(0, 1e-3, (4, 3))
+    path = hold(model, 90.0, 4).roll(x, u)
+    np.testing.assert_allclose(path[-1], flown(model, x, u, 90.0), rtol=1e-8, atol=1e-8)
+
+
+def test_a_changing_model_is_held_to_second_order():
+    x, u, model = np.array([1.0, -0.5, 0.2, 0.0]), np.array([[0.3, -0.2]]), Swinging()
+    truth = flown(model, x, np.tile(u, (4, 1)), 0.5)
+    errors = []
+    for parts in (5, 10, 20):
+        end = hold(model, 0.5 / parts, 4 * parts).roll(x, np.tile(u, (4 * parts, 1)))[-1]
+        errors.append(np.abs(end - truth).max())
+    np.testing.assert_allclose(np.divide(errors[:-1], errors[1:]), 4, atol=0.2)
+
+
+@pytest.mark.parametrize(
+    ("dt", "count"), [(0.0, 3), (-1.0, 3), (np.nan, 3), (np.inf, 3), (1.0, -1)]
+)
+def test_a_step_takes_time(dt, count):
+    with pytest.raises(ValueError, match="a step must be positive"):
+        hold(DoubleIntegrator(2), dt, count)

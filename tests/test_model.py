@@ -1,0 +1,121 @@
+"""Models: linear ones by hand, nonlinear ones by algorithmic differentiation."""
+
+import casadi
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from dynamics import DoubleIntegrator, Linearised, LinearModel, SymbolicModel, hold
+
+GRAVITY = 9.81  # [m/s²]
+angles = st.tuples(*[st.floats(-3, 3) for _ in range(6)])
+
+
+def swing(t, x, u):
+    """Two pendulums of 1 m, the second hung in a wind that grows, and with drag."""
+    return casadi.vertcat(
+        x[2:],
+        -GRAVITY * casadi.sin(x[0]) + u[0] * casadi.cos(x[0]),
+        -GRAVITY * casadi.sin(x[1]) - 0.1 * x[3] * x[3] + u[1] + 0.3 * t,
+    )
+
+
+def slopes(x, u):
+    A, B = np.zeros((4, 4)), np.zeros((4, 2))
+    A[:2, 2:] = np.eye(2)
+    A[2, 0] = -GRAVITY * np.cos(x[0]) - u[0] * np.sin(x[0])
+    A[3, 1], A[3, 3] = -GRAVITY * np.cos(x[1]), -0.2 * x[3]
+    B[2, 0], B[3, 1] = np.cos(x[0]), 1.0
+    return A, B
+
+
+pendulum = SymbolicModel(2, swing)
+
+
+class Wind(LinearModel):
+    """r̈ = u + w, without more being said than A and z."""
+
+    axes = 2
+
+    def A(self, t):
+        """Straight on."""
+        return DoubleIntegrator(2).A(t)
+
+    def z(self, t):
+        """The wind."""
+        return np.array([0.0, 0.0, 0.5, -t])
+
+
+@given(angles)
+def test_jacobians_are_those_found_by_hand(values):
+    x, u = np.array(values[:4]), np.array(values[4:])
+    A, B = pendulum.jacobian(0.4, x, u)
+    by_hand = slopes(x, u)
+    np.testing.assert_allclose(A, by_hand[0], atol=1e-13)
+    np.testing.assert_allclose(B, by_hand[1], atol=1e-13)
+
+
+@given(angles)
+def test_jacobians_agree_with_finite_differences(values):
+    x, u, h = np.array(values[:4]), np.array(values[4:]), 1e-6
+    A, B = pendulum.jacobian(0.4, x, u)
+    for i in range(4):
+        e = h * np.eye(4)[i]
+        change = pendulum.rate(0.4, x + e, u) - pendulum.rate(0.4, x - e, u)
+        np.testing.assert_allclose(A[:, i], change / (2 * h), atol=1e-7)
+    for i in range(2):
+        e = h * np.eye(2)[i]
+        change = pendulum.rate(0.4, x, u + e) - pendulum.rate(0.4, x, u - e)
+        np.testing.assert_allclose(B[:, i], change / (2 * h), atol=1e-7)
+
+
+@given(angles, st.floats(-5, 5))
+def test_on_the_nominal_the_linearised_rate_is_the_rate(values, t):
+    x, u = np.array(values[:4]), np.array(values[4:])
+    linear = Linearised(pendulum, lambda t: (x, u))
+    np.testing.assert_allclose(linear.rate(t, x, u), pendulum.rate(t, x, u), atol=1e-12)
+
+
+def test_the_linearised_rate_is_wrong_by_the_square_of_the_distance(rng):
+    x, u = rng.normal(size=4), rng.normal(size=2)
+    away = rng.normal(size=4)
+    linear = Linearised(pendulum, lambda t: (x, u))
+    errors = [
+        np.abs(linear.rate(0.0, x + h * away, u) - pendulum.rate(0.0, x + h * away, u)).max()
+        for h in (1e-2, 1e-3)
+    ]
+    assert 80 < errors[0] / errors[1] < 125
+
+
+def test_a_linear_model_lives_where_the_nonlinear_one_does():
+    linear = Linearised(pendulum, lambda t: (np.zeros(4), np.zeros(2)))
+    assert linear.axes == 2
+    assert not linear.constant
+
+
+def test_a_model_needs_no_more_than_its_matrices():
+    wind = Wind()
+    rate = wind.rate(2.0, np.array([1.0, 2, 3, 4]), np.array([0.25, 1.0]))
+    np.testing.assert_array_equal(rate, [3.0, 4.0, 0.75, -1.0])
+
+
+def test_near_the_nominal_the_linearised_pendulum_flies_as_the_true_one():
+    start, push, dt, count = np.array([0.6, -0.3, 0.0, 0.2]), np.array([0.5, -0.4]), 0.02, 60
+    exactly = {"rtol": 1e-11, "atol": 1e-12}
+
+    def flown(x, u):
+        rate = lambda t, x: pendulum.rate(t, x, u)  # noqa: E731
+        return solve_ivp(rate, (0, dt * count), x, dense_output=True, **exactly).sol
+
+    nominal = flown(start, push)
+    steps = hold(Linearised(pendulum, lambda t: (nominal(t), push)), dt, count)
+    # On the nominal only the freezing at mid-step is left, of second order in dt.
+    held = np.tile(push, (count, 1))
+    assert np.abs(steps.roll(start, held)[-1] - nominal(dt * count)).max() < 2e-4
+    # A little away from it, the error of the difference is of second order in the distance.
+    apart, more = np.array([1e-3, -2e-3, 1e-3, 0.0]), np.array([1e-3, 2e-3])
+    truth = flown(start + apart, push + more)(dt * count) - nominal(dt * count)
+    linear = steps.roll(start + apart, held + more)[-1] - steps.roll(start, held)[-1]
+    assert np.abs(truth).max() > 1e-3
+    assert np.abs(linear - truth).max() < 1e-2 * np.abs(truth).max()
