@@ -78,7 +78,7 @@ def least_fuel(
         answer, dual = _answer(C, displacement[:, states], max_control, weight, lots)
         for i, axis in enumerate(inputs):
             u[:, :, axis] = answer[:, :, i]
-        fuel += steps.dt * np.abs(answer).reshape(questions, -1).sum(axis=1)
+        fuel += steps.dt * np.abs(answer).sum(axis=(1, 2))
         bound += steps.dt * dual
     beyond = np.isinf(bound)
     u[beyond], fuel[beyond] = np.nan, np.inf
@@ -132,12 +132,12 @@ def _answer(
     if Q.shape[1] == 0:
         u, dual = np.zeros((len(b), T * i)), np.zeros(len(b))
         u[missed], dual[missed] = np.nan, np.inf
-        return u.reshape(-1, T, i), dual
+        return u.reshape(len(b), T, i), dual
     u, dual, status = _solve_all(Q, whitened, U, w, max(1, min(len(b), lots)), PIVOTS)
     for q in np.flatnonzero(status == UNPROVEN):
         u[q], dual[q] = _ask_highs(Q, whitened[q], U, w)
     u[missed], dual[missed] = np.nan, np.inf
-    return u.reshape(-1, T, i), dual
+    return u.reshape(len(b), T, i), dual
 
 
 def _whiten(
