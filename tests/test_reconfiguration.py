@@ -248,3 +248,20 @@ def test_the_printed_auction_flies_as_well(rng):
     mission = replace(gathering(3), bidder_ids=False, tie_break=0.0)
     frames = flown(mission)
     assert_reached(mission, frames)
+
+
+def test_a_loss_is_noticed_when_the_next_auction_is_due():
+    # Silence is all there is to hear: until then nobody changes what it does.
+    leg = Leg(at_rest(row(6, 4.0)), 40, losses=(Loss("agents", agents=(2,), at_step=9),))
+    whole = Leg(at_rest(row(6, 4.0)), 40)
+    with_loss, without = flown(mission_of(row(6, 0.0), leg)), flown(mission_of(row(6, 0.0), whole))
+    others = [0, 1, 3, 4, 5]
+    for k in range(12):
+        np.testing.assert_array_equal(with_loss[k].control[others], without[k].control[others])
+    assert "reset" in [e["kind"] for e in with_loss[12].events]
+
+
+def test_when_all_are_lost_the_flight_ends():
+    leg = Leg(at_rest(row(3, 2.0)), 20, losses=(Loss("random", share=1.0, at_step=4),))
+    frames = flown(mission_of(row(3, 0.0), leg))
+    assert not frames[-1].alive.any() and leg_ends(frames)[0][1]["agents"] == []

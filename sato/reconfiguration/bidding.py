@@ -16,7 +16,7 @@ from sato.reconfiguration.mission import Leg, Reconfiguration, least_distance
 from sato.vsdaa import Auction, vsdaa
 
 HELD = 0.02  # of an agent's range of costs by which the target that it holds is cheaper
-COARSE = 0.01  # ε over the range of costs, where there is no tie-break to tell it
+COARSE = 0.01  # ε over the extent of the shape, where there is no tie-break to tell it
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +138,7 @@ def _bid(
             cost,
             network,
             minds.believed,
-            _epsilon(mission, leg, cost, network),
+            _epsilon(mission, leg),
             ids=mission.bidder_ids,
         )
         winners = np.flatnonzero(network.alive)
@@ -242,16 +242,16 @@ def bid_costs(
     return bid
 
 
-def _epsilon(
-    mission: Reconfiguration, leg: Leg, cost: Float[Array, "agents targets"], network: Network
-) -> float:
+def _epsilon(mission: Reconfiguration, leg: Leg) -> float:
+    # From the mission alone, so that all agents know the same.
     if mission.epsilon is not None:
         return mission.epsilon
-    if mission.tie_break > 0:
-        s = least_distance(leg.targets[:, : mission.model.axes])
-        return 0.5 * mission.tie_break * (s if isfinite(s) else 1.0) ** 2
-    span = float(np.ptp(cost[network.alive], axis=1).max())
-    return COARSE * (span if span > 0 else 1.0)
+    places = leg.targets[:, : mission.model.axes]
+    if mission.tie_break == 0:
+        extent = float(np.linalg.norm(np.ptp(places, axis=0)))
+        return COARSE * (extent if extent > 0 else 1.0)
+    spacing = least_distance(places)
+    return 0.5 * mission.tie_break * (spacing if isfinite(spacing) else 1.0) ** 2
 
 
 def _remember(minds: Minds, auction: Auction, network: Network, now: int) -> Minds:

@@ -64,18 +64,19 @@ def _fly_leg(
 ) -> Any:
     leg = mission.legs[number]
     for k in range(PATIENCE * leg.steps):
-        before = swarm.alive
         swarm, changes = _come_and_go(mission, leg, swarm, k, rng)
         events += changes
         if k > 0 and (swarm.minds.clock[swarm.alive] >= leg.steps).all():
             break
         network = _network(mission, swarm)
         measured = _measure(mission, swarm, rng)
-        if k % mission.replan_steps == 0 or changes:
-            bids = k % mission.auction_steps == 0 or not np.array_equal(before, swarm.alive)
+        # Who joins calls for an auction at once; a loss is noticed when the next one is due.
+        called = any(event["kind"] == "join" for event in changes)
+        if k % mission.replan_steps == 0 or called:
+            bids = k % mission.auction_steps == 0 or called
             swarm, told = _replan(mission, leg, swarm, network, measured, k, bids)
             events += told
-        control = swarm.plans.control(k, swarm.alive)
+        control = swarm.plans.control(k, swarm.alive, mission.model.axes)
         shaken = control + mission.disturbance * rng.standard_normal(control.shape)
         applied = shaken if mission.disturbance else control
         seen = measured if mission.position_noise or mission.velocity_noise else None

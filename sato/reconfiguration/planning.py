@@ -33,10 +33,9 @@ class Plans(NamedTuple):
     ends: dict[int, int]  # the target that a flight ends at; absent where it ends elsewhere
     made: int  # steps since the start of the leg
 
-    def control(self, k: int, alive: Bool[Array, " agents"]) -> Float[Array, "agents m"]:
+    def control(self, k: int, alive: Bool[Array, " agents"], axes: int) -> Float[Array, "agents m"]:
         """Controls at a step of the leg; none once a flight is over, NaN for the dead."""
-        m = next(iter(self.flights.values())).u.shape[1]
-        control = np.full((len(alive), m), np.nan)
+        control = np.full((len(alive), axes), np.nan)
         for i in np.flatnonzero(alive).tolist():
             u = self.flights[i].u
             control[i] = u[k - self.made] if k - self.made < len(u) else 0.0
