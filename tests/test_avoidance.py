@@ -1,0 +1,188 @@
+"""Transfers among half-spaces: the assembled path against the statement."""
+
+from math import inf
+
+import numpy as np
+import pytest
+
+from dynamics import ClohessyWiltshire, DoubleIntegrator, hold
+from problems.avoidance import Avoidance, HalfSpaces, no_spaces
+from problems.conic import Infeasible
+from problems.transfer import Transfer
+
+plane = hold(DoubleIntegrator(2), 1.0, 12)
+space = hold(DoubleIntegrator(3), 1.0, 12)
+orbit = hold(ClohessyWiltshire(1.1e-3), 60.0, 10)
+start, goal = np.array([0.0, 0, 0, 0]), np.array([3.0, 0.5, 0, 0])
+
+
+def wall(steps, directions, least):
+    """At each step n · (position + h/3 velocity) ≥ least, as for a control point of the path."""
+    T, d = len(steps), steps.axes
+    on_state = np.concatenate([directions, directions * steps.dt / 3], axis=1)
+    least = np.broadcast_to(least, T).astype(float)
+    return HalfSpaces(np.arange(T), on_state, 0.1 * directions[:, :d], least)
+
+
+def detour(steps=plane, least=0.4, first=3, last=9):
+    """Stay to one side in the middle of the flight, where the cheapest path is not."""
+    direction = np.zeros((len(steps), steps.axes))
+    direction[:, 1] = 1.0
+    spaces = wall(steps, direction, least)
+    inside = (spaces.step >= first) & (spaces.step < last)
+    return HalfSpaces(*(part[inside] for part in spaces))
+
+
+def ends(steps):
+    x, g = np.zeros(2 * steps.axes), np.zeros(2 * steps.axes)
+    g[:2] = 3.0, 0.5
+    return x, g
+
+
+def test_without_half_spaces_it_is_the_transfer(rng):
+    for steps, U in ((plane, 0.2), (space, 0.2), (orbit, 0.01)):
+        for V in (inf, 0.45 if steps is not orbit else 3.0):
+            transfer = Transfer(steps, U, V)
+            d = steps.axes
+            x0 = np.concatenate([rng.normal(0, 1, d), rng.normal(0, 0.1, d)])
+            xf = steps.roll(x0, rng.uniform(-U / 4, U / 4, (len(steps), d)))[-1]
+            stated = transfer.solve(x0, xf)
+            passage = Avoidance(transfer).solve(x0, xf, no_spaces(transfer))
+            assert passage.flight.fuel == pytest.approx(stated.fuel, rel=1e-6)
+            np.testing.assert_allclose(passage.flight.x[-1], xf, atol=1e-6)
+            assert passage.late == passage.slack == 0
+
+
+@pytest.mark.parametrize("V", [inf, 0.305])
+@pytest.mark.parametrize("gives", ["nothing", "arrival", "separation"])
+@pytest.mark.parametrize("steps", [plane, space], ids=["2-D", "3-D"])
+def test_the_assembled_path_is_the_statement(steps, gives, V):
+    spaces, (x0, xf) = detour(steps), ends(steps)
+    avoid = Avoidance(Transfer(steps, 0.25, V, slope=1e-2))
+    fast, stated = (solve(x0, xf, spaces, gives) for solve in (avoid.solve, avoid.solve_stated))
+    w = avoid.transfer.weight
+    priced = [w @ np.abs(p.flight.u).sum(axis=1) for p in (fast, stated)]
+    assert priced[0] == pytest.approx(priced[1], rel=1e-6)
+    np.testing.assert_allclose(fast.flight.x, stated.flight.x, atol=1e-4)  # the optimum is unique
+    if V < inf:
+        assert np.linalg.norm(stated.flight.x[1:-1, steps.axes :], axis=1).max() > 0.999 * V
+    for passage in (fast, stated):
+        x, u, _ = passage.flight
+        assert spaces.missing(x, u).max() < 1e-7
+        np.testing.assert_allclose(x[-1], xf, atol=1e-7)
+        assert np.abs(u).max() <= 0.25 * (1 + 1e-7)
+        assert np.linalg.norm(x[1:-1, steps.axes :], axis=1).max() <= V * (1 + 1e-6)
+        assert max(passage.late, passage.slack) < 1e-7
+
+
+@pytest.mark.parametrize("V", [inf, 0.3])
+def test_what_gives_is_the_same_in_both(V):
+    """The goal is out of reach, or the half-spaces are, by much."""
+    far = np.array([9.0, 0, 0, 0])
+    avoid = Avoidance(Transfer(plane, 0.1, V, slope=1e-2))
+    for target, spaces in ((far, no_spaces(avoid.transfer)), (far, detour())):
+        passages = [
+            solve(start, target, spaces, "arrival") for solve in (avoid.solve, avoid.solve_stated)
+        ]
+        assert passages[0].late == pytest.approx(passages[1].late, rel=1e-5)
+        assert passages[0].late > 1
+        assert spaces.missing(*passages[0].flight[:2]).max(initial=0) < 1e-7
+    passages = [
+        solve(start, goal, detour(least=4.0), "separation")
+        for solve in (avoid.solve, avoid.solve_stated)
+    ]
+    assert passages[0].slack == pytest.approx(passages[1].slack, rel=1e-4)
+    assert passages[0].slack > 0.5
+
+
+def test_what_may_give_does_not_where_nothing_must():
+    avoid = Avoidance(Transfer(plane, 0.25))
+    strict = avoid.solve(start, goal, detour()).flight.fuel
+    for gives in ("arrival", "separation"):
+        passage = avoid.solve(start, goal, detour(), gives)
+        assert passage.flight.fuel == pytest.approx(strict, rel=1e-6)
+        assert max(passage.late, passage.slack) < 1e-8
+
+
+def test_the_arrival_gives_before_the_separation():
+    # Held to one side until the last step, the goal on the other side cannot be reached.
+    spaces = detour(last=12)
+    avoid = Avoidance(Transfer(plane, 0.1))
+    with pytest.raises(Infeasible):
+        avoid.solve(start, -goal, spaces)
+    passage = avoid.solve(start, -goal, spaces, "separation")
+    assert passage.slack < 1e-7
+    assert passage.late > 0.1
+    assert avoid.solve(start, -goal, spaces, "arrival").late == pytest.approx(
+        passage.late, rel=1e-5
+    )
+
+
+def test_half_spaces_that_hold_anyway_change_nothing():
+    avoid = Avoidance(Transfer(plane, 0.25, slope=1e-2))
+    plain = avoid.solve(start, goal, no_spaces(avoid.transfer)).flight
+    loose = avoid.solve(start, goal, detour(least=-5.0)).flight
+    np.testing.assert_allclose(loose.x, plain.x, atol=1e-6)
+
+
+def test_fuel_does_not_fall_as_half_spaces_close_in():
+    avoid = Avoidance(Transfer(plane, 0.25))
+    fuel = [avoid.solve(start, goal, detour(least=h)).flight.fuel for h in (-1, 0.2, 0.4, 0.6, 0.8)]
+    assert (np.diff(fuel) > -1e-8).all()
+    assert fuel[-1] > 1.2 * fuel[0]
+
+
+def test_what_is_missing_is_what_the_definition_says(rng):
+    spaces = HalfSpaces(
+        np.array([2, 5]), rng.normal(size=(2, 4)), rng.normal(size=(2, 2)), rng.normal(size=2)
+    )
+    x, u = rng.normal(size=(13, 4)), rng.normal(size=(12, 2))
+    for row, k in enumerate((2, 5)):
+        kept = spaces.on_state[row] @ x[k] + spaces.on_control[row] @ u[k]
+        assert spaces.missing(x, u)[row] == pytest.approx(spaces.least[row] - kept)
+
+
+def test_other_norms_go_by_the_statement():
+    for q, r in ((2, 2), ("inf", 1)):
+        avoid = Avoidance(Transfer(plane, 0.4, 0.6, q, r))
+        passage = avoid.solve(start, goal, detour())
+        x, u, fuel = passage.flight
+        assert detour().missing(x, u).max() < 1e-7
+        np.testing.assert_allclose(x[-1], goal, atol=1e-7)
+        size = {1: np.abs(u).sum(1), 2: np.linalg.norm(u, axis=1), "inf": np.abs(u).max(1)}
+        assert size[r].max() <= 0.4 * (1 + 1e-7)
+        assert fuel == pytest.approx(size[q].sum())
+        assert fuel > Transfer(plane, 0.4, 0.6, q, r).solve(start, goal).fuel * (1 + 1e-6)
+
+
+@pytest.mark.parametrize("solve", ["solve", "solve_stated"])
+def test_what_cannot_be_is_infeasible(solve):
+    avoid = Avoidance(Transfer(plane, 0.1))
+    with pytest.raises(Infeasible):
+        getattr(avoid, solve)(start, 20 * goal, no_spaces(avoid.transfer))
+    with pytest.raises(Infeasible):
+        getattr(avoid, solve)(start, goal, detour(least=9.0))
+
+
+@pytest.mark.parametrize("gives", ["nothing", "arrival", "separation"])
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_step_or_two_do_what_they_can(rng, gives, count):
+    steps = plane[:count]
+    avoid, u = Avoidance(Transfer(steps, 0.1, 5.0)), rng.uniform(-0.1, 0.1, (count, 2))
+    x = steps.roll(start, u)
+    passage = avoid.solve(start, x[-1], no_spaces(avoid.transfer), gives)
+    np.testing.assert_allclose(passage.flight.u, u, atol=1e-6)
+    if gives == "nothing":
+        with pytest.raises(Infeasible):
+            avoid.solve(start, goal, no_spaces(avoid.transfer), gives)
+    else:
+        passage = avoid.solve(start, goal, no_spaces(avoid.transfer), gives)
+        stated = avoid.solve_stated(start, goal, no_spaces(avoid.transfer), gives)
+        assert passage.late == pytest.approx(stated.late, rel=1e-5)
+        np.testing.assert_allclose(passage.flight.u, stated.flight.u, atol=1e-5)
+
+
+def test_no_steps_are_refused():
+    avoid = Avoidance(Transfer(plane[:0], 0.1))
+    with pytest.raises(ValueError, match="at least one step"):
+        avoid.solve(start, goal, no_spaces(avoid.transfer))
