@@ -101,3 +101,22 @@ def test_what_needs_another_programme_is_refused(changes):
 def test_no_steps_are_refused():
     with pytest.raises(ValueError, match="at least one step"):
         WithinSpeed(Transfer(plane[:0], 0.1, 0.5))
+
+
+def test_a_proof_for_one_pair_serves_others_that_it_holds_for():
+    """In 16 s nobody flies 9 m at 0.35 m/s; the second time that takes no solver."""
+    transfer = Transfer(plane, 0.1, 0.35)
+    programme, start, far = WithinSpeed(transfer), np.zeros(4), np.array([9.0, 0, 0, 0])
+    with pytest.raises(Infeasible, match="Clarabel"):
+        programme.solve(start, far)
+    for goal in (far, np.array([10.0, 2.0, 0, 0])):
+        with pytest.raises(Infeasible, match="the proof for another pair") as verdict:
+            programme.solve(start, goal)
+        problem, y = verdict.value.problem, verdict.value.ray
+        assert problem.b @ y == pytest.approx(-1)
+        assert np.abs(problem.A.T @ y).sum() < 1e-5
+        assert problem.outside(y, dual=True) < 1e-5
+    with pytest.raises(Infeasible, match="Clarabel"):  # the other way it says nothing
+        programme.solve(start, -far)
+    near = np.array([3.0, 0, 0, 0])
+    assert programme.solve(start, near).fuel == pytest.approx(transfer.solve(start, near).fuel)
