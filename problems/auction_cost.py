@@ -13,7 +13,7 @@ from numpy import ndarray as Array
 
 from dynamics import Steps
 from problems.avoidance import Avoidance, no_spaces
-from problems.conic import Infeasible
+from problems.conic import Unsolved
 from problems.least_fuel import least_fuel, response
 from problems.transfer import Flight, Transfer, ends_first
 from problems.within_speed import WithinSpeed
@@ -82,13 +82,19 @@ def price(
 def price_within_speed(
     transfer: Transfer, start: Float[Array, " n"], goal: Float[Array, " n"]
 ) -> Flight | None:
-    """The exact answer for one pair that the speed limit binds; None where out of reach."""
+    """The exact answer for one pair that the speed limit binds.
+
+    Returns:
+        None where the goal is out of reach, or so near the edge of reach (seen up to
+        1e-3 of the way to it) that nothing can be proven either way: a flight there
+        would have no room for anything.
+    """
     paper = (transfer.fuel_norm, transfer.control_norm) == (1, "inf")
     try:
         if paper and isfinite(transfer.max_speed):
             return _within_speed(transfer).solve(start, goal)
         return Avoidance(transfer).solve(start, goal, no_spaces(transfer)).flight
-    except Infeasible:
+    except Unsolved:
         return None
 
 

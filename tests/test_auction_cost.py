@@ -142,6 +142,25 @@ def test_settling_one_pair_is_for_all_norms(rng):
         assert price_within_speed(transfer, start, goal + 100.0) is None
 
 
+def test_at_the_edge_of_reach_a_pair_is_in_reach_or_not(rng):
+    transfer = Transfer(plane, 0.3, 0.3)
+    for _ in range(4):
+        start = np.concatenate([rng.normal(0, 5, 2), rng.normal(0, 0.1, 2)])
+        middle = plane.roll(start, np.zeros((20, 2)))[-1] * [1, 1, 0, 0]
+        way = np.concatenate([rng.normal(0, 20, 2), np.zeros(2)])
+        inside, outside = 0.0, 1.0
+        assert price_within_speed(transfer, start, middle + way) is None
+        while outside - inside > 1e-7:
+            part = (inside + outside) / 2
+            flight = price_within_speed(transfer, start, middle + part * way)
+            if flight is None:
+                outside = part
+            else:
+                inside = part
+                np.testing.assert_allclose(flight.x[-1], middle + part * way, atol=1e-5)
+        assert 0 < inside
+
+
 def test_displacements_are_goals_less_coasting(rng):
     start, goals = swarm(rng, orbit, 300.0)
     b = displacements(orbit, start, goals)
