@@ -2,8 +2,9 @@
 
 HiGHS judges the prices. Clarabel is given every advantage: the states eliminated (kept,
 where there is a speed limit, for that is faster then), one object built once, only the
-right-hand side updated, presolve off. Both take turns, so that whatever else the machine
-does slows both; ratios are medians over the turns.
+right-hand side updated, presolve off; it works through the pairs one by one, where all
+prices at once use all cores. Both take turns, so that whatever else the machine does slows
+both; ratios are medians over the turns.
 """
 
 import os

@@ -75,7 +75,7 @@ def test_answers_arrive_within_the_limit_and_are_proven(rng, steps):
     assert np.isposinf(burns.fuel[~found]).all() and np.isposinf(burns.bound[~found]).all()
 
 
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=25)
 @given(seeds, any_model)
 def test_the_way_back_costs_the_same_and_scale_is_scale(seed, steps):
     rng, U, w = np.random.default_rng(seed), 0.05, even(len(steps))
@@ -88,7 +88,7 @@ def test_the_way_back_costs_the_same_and_scale_is_scale(seed, steps):
         np.testing.assert_allclose(scaled, scale * fuel, rtol=1e-9, atol=scale * tiny)
 
 
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=25)
 @given(seeds, any_model)
 def test_fuel_is_convex_in_the_displacement_and_falls_with_the_limit(seed, steps):
     rng, U, w = np.random.default_rng(seed), 0.05, even(len(steps))
@@ -100,7 +100,7 @@ def test_fuel_is_convex_in_the_displacement_and_falls_with_the_limit(seed, steps
     assert (least_fuel(steps, a, 2 * U, w).fuel <= both[0] + tiny).all()
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=25)
 @given(seeds, st.integers(1, 6), st.sampled_from([DoubleIntegrator(2), ClohessyWiltshire(1.1e-3)]))
 def test_every_end_that_some_control_reaches_is_reached_for_no_more(seed, count, model):
     steps = hold(model, 30.0, count)
