@@ -72,12 +72,15 @@ def run(
     """Fly a scenario; write DIR/run.nc and DIR/summary.json."""
     with _plainly():
         from sato.flying import run as fly
+        from sato.record import RUN_FILE
         from sato.scenario import read
         from sato.terminal import progress, tell
 
         asked = read(scenario, override or ())
         folder = out or Path("runs", f"{asked.name}-{seed}")
         _refuse_unwritable(folder)
+        if not quiet and (folder / RUN_FILE).exists():
+            typer.echo(f"sato: {folder}: the run that is there will be overwritten", err=True)
         with progress(quiet) as watch:
             flown = fly(asked, seed=seed, progress=watch)
         flown.save(folder)

@@ -1,8 +1,10 @@
 """From a scenario to a run: draw, fly, judge."""
 
+import signal
 import sys
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -64,18 +66,14 @@ def run(
             version=version("sato"),
             wall_s=perf_counter() - began,
             peak_memory_mib=peak_memory(),
-            complete=not stopped,
+            stopped=stopped,
         )
-        if stopped:
-            flown.data.attrs["stopped"] = stopped
         return judged(flown)
 
 
 def judged(run: Run) -> Run:
     """The run with all that can be said of it in its summary."""
     summary = dict(run.summary)
-    if not run.data.attrs["complete"]:
-        summary["stopped"] = run.data.attrs.get("stopped", "")
     # Who stops the flight may stop the judging too, and still keeps what was flown.
     with suppress(KeyboardInterrupt):
         report = run.check()
@@ -99,10 +97,13 @@ def _flown(
 ) -> tuple[list[Frame], str]:
     frames: list[Frame] = []
     try:
-        for frame in sato.reconfiguration.fly(mission, rng):
-            frames.append(frame)
-            if progress is not None:
-                progress(mission, frame)
+        with _interruptible() as asked:
+            for frame in sato.reconfiguration.fly(mission, rng):
+                frames.append(frame)
+                if progress is not None:
+                    progress(mission, frame)
+                if asked.is_set():
+                    return frames, "interrupted"
     except KeyboardInterrupt:
         if not frames:
             raise
@@ -112,3 +113,25 @@ def _flown(
             raise
         return frames, str(error)
     return frames, ""
+
+
+@contextmanager
+def _interruptible() -> Iterator[threading.Event]:
+    # Compiled code cannot pass on an interruption that finds it at work, so the first Ctrl-C
+    # waits for the next instant; a second one does not.
+    asked = threading.Event()
+    former = signal.getsignal(signal.SIGINT)
+    here = threading.current_thread() is threading.main_thread()
+    if not here or former is not signal.default_int_handler:
+        yield asked
+        return
+
+    def note(number: int, frame: object) -> None:
+        asked.set()
+        signal.signal(signal.SIGINT, former)
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield asked
+    finally:
+        signal.signal(signal.SIGINT, former)

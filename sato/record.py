@@ -1,5 +1,6 @@
 """What a run leaves behind: frames, stacked, in one file that explains itself."""
 
+import hashlib
 import json
 import os
 import tempfile
@@ -64,7 +65,7 @@ class Run:
         version: str,
         wall_s: float,
         peak_memory_mib: float,
-        complete: bool = True,
+        stopped: str = "",
     ) -> "Run":
         """Collect a run from the frames of a system.
 
@@ -77,7 +78,7 @@ class Run:
             version: Version of this library.
             wall_s: How long the flight took to compute [s].
             peak_memory_mib: The most memory that it took [MiB].
-            complete: False where the flight was interrupted.
+            stopped: Why the flight ended before it was over; empty where it did not.
         """
         frames = list(frames)
         if not frames:
@@ -90,19 +91,14 @@ class Run:
             "wall_s": float(wall_s),
             "peak_memory_mib": float(peak_memory_mib),
         }
-        limits = {
-            "comm_radius_m": mission.comm_radius,
-            "collision_radius_m": mission.collision_radius,
-            "max_control_m_s2": mission.max_control,
-            "max_speed_m_s": mission.max_speed,
-        }
+        about |= {"scenario": scenario_text, "complete": int(not stopped)} | limits(mission)
+        if stopped:
+            about["stopped"] = stopped
         variables = {**_over_time(frames), **_events(frames), **_over_legs(frames, mission)}
         variables |= _chief(frames, mission)
-        data = _dataset(
-            variables,
-            {**about, "scenario": scenario_text, "complete": int(complete), **limits},
-        )
-        return cls(data, _first_words(data.attrs))
+        data = _dataset(variables, about)
+        data.attrs["digest"] = digest(data)
+        return cls(data, first_words(data.attrs))
 
     def save(self, folder: str | Path) -> Path:
         """Write run.nc and summary.json, each whole or not at all; returns the folder."""
@@ -161,7 +157,42 @@ def load(path: str | Path) -> Run:
         raise RunFileError(
             f"{file}: is not a run of this project, for it has no {', '.join(lacking)}"
         )
-    return Run(data, _summary(file.with_name(SUMMARY_FILE)) or _first_words(data.attrs))
+    return Run(data, _summary(file.with_name(SUMMARY_FILE)) or first_words(data.attrs))
+
+
+def limits(mission: "sato.reconfiguration.mission.Reconfiguration") -> dict[str, float]:
+    """The radii and limits that a run file says in its attributes."""
+    return {
+        "comm_radius_m": mission.comm_radius,
+        "collision_radius_m": mission.collision_radius,
+        "max_control_m_s2": mission.max_control,
+        "max_speed_m_s": mission.max_speed,
+    }
+
+
+def digest(data: "xarray.Dataset") -> str:
+    """SHA-256 of all that a run says but what it took to compute: the same of the same flight."""
+    said = hashlib.sha256()
+    about = {str(k): v for k, v in data.attrs.items() if k not in _NOT_OF_THE_FLIGHT}
+    said.update(json.dumps(about, sort_keys=True, default=plain).encode())
+    for name in sorted(map(str, data.variables)):
+        values = np.asarray(data.variables[name].values)
+        said.update(f"{name} {values.shape}".encode())
+        if values.dtype.kind in "biuf":
+            said.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
+        else:
+            said.update("\0".join(map(str, values.ravel())).encode())
+    return said.hexdigest()
+
+
+def first_words(attributes: Mapping[Any, Any]) -> dict[str, Any]:
+    """What a summary says before the run is judged."""
+    words = {"system": attributes["system"], "scenario": attributes["name"]}
+    for name in ("seed", "version", "wall_s", "peak_memory_mib", "stopped"):
+        with suppress(KeyError):
+            value = attributes[name]
+            words[name] = value.item() if isinstance(value, np.generic) else value
+    return words
 
 
 def plain(value: object) -> object:
@@ -195,6 +226,7 @@ _MEANING: dict[str, tuple[tuple[str, ...], str, str]] = {
 }
 _MAY_LACK = {"measured_position", "measured_velocity", "believed", "element", "chief"}
 _REQUIRED = [name for name in _MEANING if name not in _MAY_LACK]
+_NOT_OF_THE_FLIGHT = ("digest", "wall_s", "peak_memory_mib")
 _ATTRIBUTES = ("system", "scenario", "name", "seed", "version")
 
 
@@ -273,20 +305,14 @@ def _packs(variable: "xarray.Variable") -> bool:
     return variable.ndim > 1 and variable.dtype.kind in "biuf"
 
 
-def _first_words(attributes: Mapping[Any, Any]) -> dict[str, Any]:
-    words = {"system": attributes["system"], "scenario": attributes["name"]}
-    for name in ("seed", "version", "wall_s", "peak_memory_mib"):
-        with suppress(KeyError):
-            value = attributes[name]
-            words[name] = value.item() if isinstance(value, np.generic) else value
-    return words
-
-
 def _summary(file: Path) -> dict[str, Any]:
     if not file.is_file():
         return {}
     try:
-        return dict(json.loads(file.read_text(encoding="utf-8")))
+        said = json.loads(file.read_text(encoding="utf-8"))
+        if not isinstance(said, dict):
+            raise ValueError("not a table")
+        return said
     except (ValueError, OSError) as error:
         raise RunFileError(
             f"{file}: is not readable JSON; delete it, the run file beside it is enough"

@@ -90,7 +90,8 @@ def tell(run: Run, folder: Path) -> None:
         table.add_row(_spelt(name), *[_short(leg.get(name)) for leg in legs])
     whole = Table(show_header=False)
     for name, value in said.items():
-        whole.add_row(_spelt(name), _short(value))
+        limit = said.get("collision_radius_m") if name.startswith("min_separation") else None
+        whole.add_row(_spelt(name), _short(value, limit))
     console = Console()
     if legs:
         console.print(table)
@@ -105,7 +106,7 @@ def tell_promises(report: "sato.check.Report") -> None:
         table.add_column(name)
     for p in report.promises:
         kept = "yes" if p.kept else "NO"
-        table.add_row(p.name, kept, _short(p.value), _short(p.tolerance), p.sentence)
+        table.add_row(p.name, kept, _short(p.value, p.tolerance), _short(p.tolerance), p.sentence)
     Console().print(table)
 
 
@@ -116,11 +117,16 @@ def _spelt(name: str) -> str:
     return name.replace("_", " ")
 
 
-def _short(value: object) -> str:
+def _short(value: object, beside: float | None = None) -> str:
+    # With as many digits as it takes to tell it from what stands beside it.
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
-        return f"{value:.4g}"
+        digits = 4
+        if beside is not None and beside != value:
+            while digits < 16 and f"{value:.{digits}g}" == f"{beside:.{digits}g}":
+                digits += 1
+        return f"{value:.{digits}g}"
     if isinstance(value, list):
         return ", ".join(map(str, value)) or "none"
     return "" if value is None else str(value)

@@ -15,7 +15,7 @@ from problems.assignment import assign
 from problems.conic import Infeasible
 from problems.transfer import Transfer
 from sato.check import Evidence, examine
-from sato.check.promises import assignment, times
+from sato.check.account import assignment, times
 from sato.cli import app
 from sato.network import Network
 from sato.reconfiguration.mission import Arrival, Leg, Loss, Reconfiguration
@@ -163,7 +163,7 @@ def flown():
 
 
 def broken(run: Run, about: Reconfiguration | None = None) -> set[str]:
-    return {p.name for p in examine(run.data, about or mission()).broken}
+    return {p.name for p in examine(run.data, about or mission()).broken} - {"unaltered"}
 
 
 def altered(run: Run) -> Run:
@@ -574,3 +574,64 @@ def test_a_file_cut_short_is_refused_and_not_judged(saved, tmp_path):
     whole = (saved / "run.nc").read_bytes()
     (tmp_path / "run.nc").write_bytes(whole[: len(whole) // 2])
     assert verdict(tmp_path) == 2
+
+
+SHAKEN = [
+    "disturbance.acceleration_m_s2=1e-4",
+    "disturbance.position_m=1e-3",
+    "disturbance.velocity_m_s=1e-4",
+    "leg.1.lose={kind='random',share=0.25,at_step=3}",
+]
+
+
+@pytest.fixture(scope="module")
+def shaken():
+    return sato.run(sato.parse(TINY, SHAKEN), seed=4)
+
+
+def test_a_shaken_run_is_reached_within_what_chance_allows(shaken):
+    assert shaken.check().kept, shaken.check().broken
+
+
+@pytest.mark.parametrize(
+    ("name", "promise"),
+    [
+        ("measured_position", "measured"),
+        ("measured_velocity", "measured"),
+        ("control", "applied"),
+        ("applied_control", "flight"),
+        ("position", "flight"),
+    ],
+)
+def test_what_chance_did_is_drawn_again_and_not_taken_on_trust(shaken, rng, name, promise):
+    for _ in range(5):
+        run = altered(shaken)
+        values = run.data[name].values
+        values[tuple(rng.choice(np.argwhere(np.isfinite(values))))] += 1e-7
+        assert promise in {p.name for p in run.check().broken}
+
+
+@pytest.mark.parametrize("name", ["believed", "control_instant", "event", "component"])
+def test_whatever_is_altered_the_file_is_not_what_was_written(shaken, name):
+    run = altered(shaken)
+    values = run.data[name].values.copy()
+    values.flat[0] = "{}" if name == "event" else 1 - int(values.flat[0])
+    run.data[name] = (run.data[name].dims, values)
+    if name == "event":
+        with pytest.raises(sato.RunFileError, match="was altered since it was written"):
+            run.check()
+    else:
+        assert "unaltered" in {p.name for p in run.check().broken}
+
+
+def test_radii_in_the_attributes_are_the_scenarios(flown):
+    run = altered(flown)
+    run.data.attrs["comm_radius_m"] *= 1 + 1e-9
+    assert broken(run) == {"attributes"}
+
+
+def test_a_summary_that_says_something_else_is_caught(saved, tmp_path):
+    run = sato.load(saved)
+    for name, value in [("reached", False), ("fuel_m_s", 0.1), ("slack_used", 1), ("braked", "no")]:
+        [promise] = replace(run, summary=run.summary | {name: value}).check().broken
+        assert promise.name == "summary" and promise.sentence.endswith(name)

@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -408,3 +409,36 @@ def test_the_installed_command_refuses_as_its_parts_do(home):
 
 def test_the_version_is_that_of_the_package():
     assert call("--version").stdout.strip() == sato.__version__
+
+
+def test_numbers_that_differ_do_not_read_the_same():
+    from sato.terminal import _short
+
+    assert _short(0.5000005, 0.5) == "0.5000005"
+    assert _short(0.4999999995, 0.5) != _short(0.5)
+    assert _short(1.2345678, 0.5) == "1.235" and _short(0.5, 0.5) == "0.5"
+
+
+def test_a_run_that_is_there_is_said_to_be_overwritten(home):
+    first = call("run", "tiny.toml", "--out", "there")
+    again = call("run", "tiny.toml", "--out", "there")
+    words = "there: the run that is there will be overwritten"
+    assert words not in first.stderr and words in again.stderr
+
+
+def test_two_who_look_further_than_they_hear_collide_and_it_is_said(home):
+    said = call("run", "undetectable", "--out", "unseen")
+    summary = json.loads((home / "unseen" / "summary.json").read_text())
+    assert said.exit_code == 1 and summary["undetectable"] and summary["broken"] == ["separation"]
+    assert summary["min_separation_m"] < 0.5 * summary["collision_radius_m"]
+
+
+def test_a_signal_waits_for_the_next_instant_and_keeps_what_was_flown(home):
+    def interrupt(mission, frame):
+        if frame.time >= 3:
+            signal.raise_signal(signal.SIGINT)
+
+    run = sato.run("tiny.toml", progress=interrupt)
+    assert run.summary["stopped"] == "interrupted" and len(run.data["time"]) == 4
+    [promise] = [p for p in run.check().broken if p.name == "complete"]
+    assert "not completed (interrupted)" in promise.sentence

@@ -147,7 +147,7 @@ def test_a_run_in_which_nothing_happened_is_a_run(rng, tmp_path):
 
 
 def test_an_interrupted_run_is_readable(rng, tmp_path):
-    run_of(frames(rng)[:2], complete=False).save(tmp_path)
+    run_of(frames(rng)[:2], stopped="interrupted").save(tmp_path)
     data = load(tmp_path).data
     assert (data.sizes["time"], data.attrs["complete"]) == (2, 0)
     np.testing.assert_array_equal(data["targets_believed"], [[-1, -1], [-1, -1]])

@@ -36,7 +36,6 @@ max_speed_m_s = 0.5
 [plan]
 step_s = 1.0
 horizon_steps = 4
-replan_steps = 4
 
 [[leg]]
 shape = { kind = "ring", spacing_m = 2.0 }
@@ -513,3 +512,15 @@ def test_messages_name_the_file_and_the_place(tmp_path):
 def test_a_text_without_a_name_takes_that_of_its_file(tmp_path):
     (tmp_path / "mine.toml").write_text(TINY.replace('name = "tiny"\n', ""))
     assert read(tmp_path / "mine.toml").name == "mine"
+
+
+def test_what_counts_as_reached_grows_with_what_goes_wrong():
+    calm, shaken = built(), built("disturbance.acceleration_m_s2=1e-4")
+    assert (shaken.replan_steps, shaken.auction_steps) == (1, 1)
+    assert shaken.position_tolerance > 100 * calm.position_tolerance
+    worse = built("disturbance.acceleration_m_s2=1e-3")
+    ratio = (worse.position_tolerance - calm.position_tolerance) / (
+        shaken.position_tolerance - calm.position_tolerance
+    )
+    assert ratio == pytest.approx(10)
+    assert built("disturbance.acceleration_m_s2=1e-4", "replan_steps=2").replan_steps == 2

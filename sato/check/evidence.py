@@ -12,6 +12,7 @@ from numpy import ndarray as Array
 from dynamics.discretise import Steps, hold
 from dynamics.path import Separations, between, error_bound, separations
 from sato.reconfiguration.mission import Reconfiguration
+from sato.record import digest
 
 if TYPE_CHECKING:
     import xarray
@@ -44,18 +45,20 @@ class Evidence:
     component: Int[Array, "instants agents"]
     control: Float[Array, "instants agents d"]
     applied: Float[Array, "instants agents d"]
+    measured: Float[Array, "instants agents n"] | None  # where it differs from the state
     leg: Int[Array, " instants"]
     target: Int[Array, "instants agents"]
     goals: Float[Array, "legs targets n"]  # states; NaN where a leg has fewer
     believed: Int[Array, "legs agents"]
     events: tuple[dict[str, Any], ...]
+    unaltered: bool  # since the file was written
 
     @classmethod
     def of(cls, data: "xarray.Dataset", mission: Reconfiguration) -> "Evidence":
         """Read a run's data."""
 
         def both(name: str) -> Array:
-            parts = [np.asarray(data[f"{name}{part}"], dtype=float) for part in _PARTS[name]]
+            parts = [np.asarray(data[f"{name}{part}"], dtype=float) for part in _PARTS]
             return np.concatenate(parts, axis=-1)
 
         return cls(
@@ -65,6 +68,7 @@ class Evidence:
             state=both(""),
             alive=np.asarray(data["alive"], dtype=bool),
             component=np.asarray(data["component"]),
+            measured=both("measured_") if "measured_position" in data else None,
             control=np.asarray(data["control"], dtype=float),
             applied=np.asarray(data["applied_control"], dtype=float),
             leg=np.asarray(data["leg"]),
@@ -72,6 +76,7 @@ class Evidence:
             goals=both("target_"),
             believed=np.asarray(data["targets_believed"]),
             events=tuple(json.loads(str(e)) for e in np.asarray(data["event"])),
+            unaltered=data.attrs.get("digest") == digest(data),
         )
 
     @property
@@ -148,4 +153,4 @@ class Evidence:
         return found, 2 * error_bound(model, x, u, h)
 
 
-_PARTS = {"": ("position", "velocity"), "target_": ("position", "velocity")}
+_PARTS = ("position", "velocity")

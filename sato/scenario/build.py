@@ -1,14 +1,14 @@
 """From the tables of a file to the mission that is flown."""
 
 from dataclasses import replace
-from math import inf, isfinite
+from math import ceil, inf, isfinite
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics import ClohessyWiltshire, LinearModel
+from dynamics import ClohessyWiltshire, LinearModel, hold
 from sato.reconfiguration.mission import Arrival, Leg, Reconfiguration
 from sato.scenario.legs import lost, occupied, wanted
 from sato.scenario.refusal import Refusal
@@ -16,6 +16,7 @@ from sato.scenario.start import AnyStart, Listed, Place, positions
 from sato.scenario.tables import AnyModel, Disturbance, LegTable, Plan, Swarm
 
 TOLERANCE = 1e-6  # of the least spacing of the targets: what counts as there
+SIGMAS = 6.0  # of what chance adds to it: an agent is further out once in 10⁷ arrivals
 
 
 class Space(NamedTuple):
@@ -83,14 +84,38 @@ def _scaled(mission: Reconfiguration, plan: Plan) -> Reconfiguration:
     # A single target has no spacing; the least distance that there may be will do.
     alone = not isfinite(mission.spacing)
     s = mission.collision_radius if alone else mission.spacing
-    near = plan.position_tolerance_m or TOLERANCE * s
+    astray, drifting = _missed(mission)
+    near = TOLERANCE * s + astray
     automatic = mission.tie_break * s**2 / 2 or None if alone else None
     return replace(
         mission,
-        position_tolerance=near,
-        velocity_tolerance=plan.velocity_tolerance_m_s or near / mission.step,
+        position_tolerance=plan.position_tolerance_m or near,
+        velocity_tolerance=plan.velocity_tolerance_m_s
+        or (plan.position_tolerance_m or TOLERANCE * s) / mission.step + drifting,
         epsilon=automatic if plan.epsilon == "auto" else plan.epsilon,
     )
+
+
+def _missed(mission: Reconfiguration) -> tuple[float, float]:
+    """How far chance leaves an agent from its target [m], and how fast [m/s].
+
+    An agent that brakes with all it has mends nothing, and two steps is the least in which a
+    control sets both place and speed right. What it believed wrongly when it planned before
+    that, and the pushes since, remain.
+    """
+    d = mission.model.axes
+    places = np.concatenate([mission.start, *(leg.targets for leg in mission.legs)])[:, :d]
+    soonest = min(leg.steps for leg in mission.legs) * mission.step
+    fast = min(mission.max_speed, 2 * float(np.ptp(places, axis=0).max()) / soonest)
+    braking = ceil(fast / (mission.max_control * mission.step))
+    left = hold(mission.model, mission.step, 1 + mission.replan_steps + braking)
+    noise = np.repeat([mission.position_noise, mission.velocity_noise], d)
+    spread = np.diag(noise**2)
+    for A, B in zip(left.A, left.B, strict=True):
+        spread = A @ spread @ A.T + mission.disturbance**2 * B @ B.T
+    worst = [np.linalg.eigvalsh(part).max() for part in (spread[:d, :d], spread[d:, d:])]
+    place, speed = SIGMAS * np.sqrt(np.maximum(worst, 0.0))
+    return float(place), float(speed)
 
 
 def _targets(space: Space, number: int, leg: LegTable, most: int) -> Float[Array, "k n"]:

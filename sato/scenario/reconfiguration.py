@@ -42,6 +42,17 @@ class ReconfigurationFile(Table):
         if isinstance(context, dict):
             self._source = context.get("source", self._source)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _often_where_it_is_shaken(cls, data: Any) -> Any:
+        # What is not said of the periods follows from the horizon, or from what goes wrong.
+        plan, shaken = (data.get(key) for key in ("plan", "disturbance"))
+        if not isinstance(plan, dict) or not isinstance(shaken, dict):
+            return data
+        if not any(isinstance(size, int | float) and size > 0 for size in shaken.values()):
+            return data
+        return data | {"plan": {"replan_steps": 1} | plan}
+
     @model_validator(mode="after")
     def _hangs_together(self) -> "ReconfigurationFile":
         check_detectable(self.swarm, self.model, self.plan)

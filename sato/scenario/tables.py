@@ -93,14 +93,14 @@ class Plan(Table):
 
     step_s: PositiveFloat
     horizon_steps: PositiveInt
-    replan_steps: PositiveInt  # without it, every horizon
+    replan_steps: PositiveInt  # without it, every horizon; every step under a disturbance
     auction_steps: PositiveInt  # without it, every replan
     epsilon: PositiveFloat | Literal["auto"] = "auto"
     tie_break: NonNegativeFloat = 0.2
     cost: Literal["fuel", "distance"] = "fuel"
     ids: bool = True
     allow_undetectable: bool = False
-    position_tolerance_m: PositiveFloat | None = None
+    position_tolerance_m: PositiveFloat | None = None  # without it, as `sato.scenario.build` says
     velocity_tolerance_m_s: PositiveFloat | None = None
 
     @model_validator(mode="before")
