@@ -102,8 +102,8 @@ def _find(name: str | Path) -> tuple[Path, str]:
         what = "is a folder" if file.is_dir() else "there is no such file"
         raise ScenarioError(f"{file}: {what}; a scenario is a TOML file, or one of {listed(known)}")
     meant = nearest(str(name), known)
-    hint = f"did you mean {meant}? " if meant else ""
-    raise ScenarioError(f'there is no scenario "{name}"; {hint}There are {listed(known, "and")}')
+    hint = f"did you mean {meant}? There" if meant else "there"
+    raise ScenarioError(f'there is no scenario "{name}"; {hint} are {listed(known, "and")}')
 
 
 def _located(value: Any, folder: Path, key: str = "") -> Any:

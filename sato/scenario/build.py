@@ -105,11 +105,13 @@ def _missed(mission: Reconfiguration) -> tuple[float, float]:
     """
     d = mission.model.axes
     places = np.concatenate([mission.start, *(leg.targets for leg in mission.legs)])[:, :d]
-    soonest = min(leg.steps for leg in mission.legs) * mission.step
-    fast = min(mission.max_speed, 2 * float(np.ptp(places, axis=0).max()) / soonest)
-    braking = ceil(fast / (mission.max_control * mission.step))
-    left = hold(mission.model, mission.step, 1 + mission.replan_steps + braking)
     noise = np.repeat([mission.position_noise, mission.velocity_noise], d)
+    if not noise.any() and not mission.disturbance:
+        return 0.0, 0.0
+    steps = min(leg.steps for leg in mission.legs)
+    fast = min(mission.max_speed, 2 * float(np.ptp(places, axis=0).max()) / (steps * mission.step))
+    braking = ceil(min(fast / (mission.max_control * mission.step), steps))
+    left = hold(mission.model, mission.step, 1 + mission.replan_steps + braking)
     spread = np.diag(noise**2)
     for A, B in zip(left.A, left.B, strict=True):
         spread = A @ spread @ A.T + mission.disturbance**2 * B @ B.T

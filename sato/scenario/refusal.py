@@ -113,6 +113,10 @@ def _what(error: ErrorDetails) -> str:
             return f"must be a finite number, {got}"
         case "string_type":
             return f"must be text in quotes, {got}"
+        case "string_pattern_mismatch":
+            return (
+                f"must be of letters, digits, '_', '.' and '-', the first a letter or digit, {got}"
+            )
         case "bool_type":
             return f"must be true or false, {got}"
         case "list_type":
