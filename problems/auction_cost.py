@@ -2,6 +2,7 @@
 
 import os
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from math import inf, isfinite
 from threading import local
 from typing import NamedTuple, no_type_check
@@ -13,7 +14,7 @@ from numpy import ndarray as Array
 
 from dynamics import Steps
 from problems.avoidance import Avoidance, no_spaces
-from problems.conic import Unsolved
+from problems.conic import TOLERANCE, Unsolved
 from problems.least_fuel import least_fuel, response
 from problems.transfer import Flight, Transfer, ends_first
 from problems.within_speed import WithinSpeed
@@ -138,6 +139,28 @@ def exact(
             reachable[i, j] = flight is not None
             fuel[i, j] = out_of_reach(steps, max_control) if flight is None else flight.fuel
     return Prices(fuel, reachable, np.ones_like(reachable), prices.gap)
+
+
+def price_stated(
+    transfer: Transfer, start: Float[Array, "agents n"], goals: Float[Array, "targets n"]
+) -> Prices:
+    """Price every pair by the statement, for norms other than q = 1 and r = ∞.
+
+    About ten milliseconds a pair.
+
+    Args:
+        transfer: The remaining steps, the limits and the norms.
+        start: Where the agents are.
+        goals: Where they might have to be at the end.
+    """
+    shape = (len(start), len(goals))
+    fuel = np.full(shape, out_of_reach(transfer.steps, transfer.max_control))
+    reachable = np.zeros(shape, dtype=bool)
+    for i, j in np.ndindex(*shape):
+        with suppress(Unsolved):  # as `price_within_speed`, also at the very edge of reach
+            fuel[i, j] = transfer.solve(start[i], goals[j]).fuel
+            reachable[i, j] = True
+    return Prices(fuel, reachable, np.ones(shape, dtype=bool), TOLERANCE)
 
 
 def out_of_reach(steps: Steps, max_control: float) -> float:

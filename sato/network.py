@@ -1,7 +1,8 @@
-"""Who hears whom now, and rounds of messages: the only caller of what one agent does.
+"""Who hears whom now, and rounds of messages.
 
 An agent's part in a protocol is a pure function of its own state and of the messages
-of its neighbours. `rounds` calls it for all agents at once; nothing else does.
+of its neighbours. `rounds` calls it for all agents, and defines what a protocol does.
+Where a fast path stands in for the rounds, a test holds it equal to them.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -57,6 +58,11 @@ class Network:
         np.fill_diagonal(near, False)
         hears[np.ix_(live, live)] = near
         return cls(hears, alive.copy())
+
+    def among(self, which: Bool[Array, " agents"]) -> "Network":
+        """The part of it that is made of some whole components."""
+        stay = self.alive & which
+        return Network(self.hears & stay & stay[:, None], stay)
 
     @cached_property
     def neighbours(self) -> tuple[Int[Array, " _"], ...]:

@@ -11,9 +11,11 @@ from numpy import ndarray as Array
 from dynamics import hold
 from problems.transfer import fuel_spent
 from sato.network import Network
-from sato.reconfiguration.bidding import Minds, decide
+from sato.reconfiguration.bidding import decide
 from sato.reconfiguration.mission import Leg, Loss, Reconfiguration
-from sato.reconfiguration.planning import NO_PLANS, Plans, fuel_left, plan
+from sato.reconfiguration.moment import Moment
+from sato.reconfiguration.planning import NO_PLANS, Plans, plan
+from sato.reconfiguration.pricing import Minds
 from sato.record import Frame
 
 PATIENCE = 20  # times its steps after which a leg is given up
@@ -63,19 +65,27 @@ def _fly_leg(
     rng: np.random.Generator,
 ) -> Any:
     leg = mission.legs[number]
-    for k in range(PATIENCE * leg.steps):
+    for k in range(PATIENCE * leg.steps + 1):
         swarm, changes = _come_and_go(mission, leg, swarm, k, rng)
         events += changes
         if k > 0 and (swarm.minds.clock[swarm.alive] >= leg.steps).all():
             break
+        if k == PATIENCE * leg.steps:
+            what = f"the leg is given up after {PATIENCE} times its steps"
+            events.append({"kind": "infeasible", "agents": _numbers(swarm.alive), "what": what})
+            break
         network = _network(mission, swarm)
         measured = _measure(mission, swarm, rng)
-        # Who joins calls for an auction at once; a loss is noticed when the next one is due.
-        called = any(event["kind"] == "join" for event in changes)
-        if k % mission.replan_steps == 0 or called:
-            bids = k % mission.auction_steps == 0 or called
-            swarm, told = _replan(mission, leg, swarm, network, measured, k, bids)
-            events += told
+        # Who joins calls for an auction in its network at once; a loss is silence, and is
+        # noticed when the next auction is due.
+        joined = [i for event in changes if event["kind"] == "join" for i in event["agents"]]
+        called = network.among(np.isin(network.component, network.component[joined]))
+        others = network.among(~called.alive)
+        for part, bids in ((called, True), (others, k % mission.auction_steps == 0)):
+            if part.alive.any() and (part is called or k % mission.replan_steps == 0):
+                moment = Moment(mission, leg, part, measured, k, swarm.now * mission.step)
+                swarm, told = _replan(moment, swarm, bids)
+                events += told
         control = swarm.plans.control(k, swarm.alive, mission.model.axes)
         shaken = control + mission.disturbance * rng.standard_normal(control.shape)
         applied = shaken if mission.disturbance else control
@@ -86,20 +96,11 @@ def _fly_leg(
     return swarm, events
 
 
-def _replan(
-    mission: Reconfiguration,
-    leg: Leg,
-    swarm: Swarm,
-    network: Network,
-    measured: Float[Array, "agents n"],
-    k: int,
-    bids: bool,
-) -> tuple[Swarm, list[Event]]:
+def _replan(moment: Moment, swarm: Swarm, bids: bool) -> tuple[Swarm, list[Event]]:
     events: list[Event] = []
     solves = 0
     if bids:
-        planned = fuel_left(mission, leg, swarm.minds, swarm.plans, k)
-        decision = decide(mission, leg, swarm.minds, network, measured, planned, k)
+        decision = decide(moment, swarm.minds, swarm.plans.fuel_left(moment, swarm.minds))
         moved = swarm.alive & (decision.minds.target != swarm.minds.target)
         if decision.reset.any():
             events.append({"kind": "reset", "agents": _numbers(decision.reset)})
@@ -107,9 +108,7 @@ def _replan(
             targets = decision.minds.target[moved].tolist()
             events.append({"kind": "assignment", "agents": _numbers(moved), "target": targets})
         swarm, solves = swarm._replace(minds=decision.minds), decision.solves
-    plans, told = plan(
-        mission, leg, swarm.minds, network, measured, swarm.spent, swarm.plans, k, solves
-    )
+    plans, told = plan(moment, swarm.minds, swarm.spent, swarm.plans, solves)
     return swarm._replace(plans=plans), events + told
 
 

@@ -71,6 +71,30 @@ class Reconfiguration:
     position_tolerance: float = 1e-6  # within which a target counts as reached [m]
     velocity_tolerance: float = 1e-6  # [m/s]
 
+    def __post_init__(self) -> None:
+        """Refuse what no flight could mean."""
+        if not self.legs or any(leg.steps < 1 for leg in self.legs):
+            raise ValueError("a mission needs at least one leg, and each leg at least one step")
+        if self.alive.shape != self.start.shape[:1] or not np.isfinite(self.start).all():
+            raise ValueError("every agent needs a finite start and a word on whether it is there")
+        if not (self.step > 0 and self.comm_radius > 0 and self.collision_radius > 0):
+            raise ValueError(
+                "the step, the communication and the collision radius must be positive"
+            )
+        if min(self.horizon_steps, self.replan_steps, self.auction_steps) < 1:
+            raise ValueError("the horizon and the periods must be at least one step long")
+        if self.replan_steps > self.horizon_steps or self.auction_steps > self.horizon_steps:
+            raise ValueError(
+                f"replan_steps = {self.replan_steps} and auction_steps = {self.auction_steps} must "
+                f"not exceed horizon_steps = {self.horizon_steps}: agents that claim one target "
+                "must bid against each other before they can meet"
+            )
+        if self.auction_steps % self.replan_steps:
+            raise ValueError(
+                f"auction_steps = {self.auction_steps} must be a multiple of "
+                f"replan_steps = {self.replan_steps}: an auction is followed by a plan"
+            )
+
     @property
     def spacing(self) -> float:
         """Least distance between two targets of a leg [m]."""

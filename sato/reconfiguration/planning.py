@@ -15,9 +15,9 @@ from problems.conic import Unsolved
 from problems.convexify import Horizon
 from problems.least_fuel import least_fuel
 from problems.transfer import Flight, Transfer, fuel_spent
-from sato.network import Network
-from sato.reconfiguration.bidding import Minds, steps_left
-from sato.reconfiguration.mission import Leg, Reconfiguration
+from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.moment import Moment
+from sato.reconfiguration.pricing import Minds
 from sato.scp import Planner, settle
 
 SLOPE = 1e-3  # of the fuel's weights: burns at the ends, straight paths between
@@ -31,72 +31,76 @@ class Plans(NamedTuple):
 
     flights: dict[int, Flight]
     ends: dict[int, int]  # the target that a flight ends at; absent where it ends elsewhere
-    made: int  # steps since the start of the leg
+    made: dict[int, int]  # steps since the start of the leg
 
     def control(self, k: int, alive: Bool[Array, " agents"], axes: int) -> Float[Array, "agents m"]:
         """Controls at a step of the leg; none once a flight is over, NaN for the dead."""
         control = np.full((len(alive), axes), np.nan)
         for i in np.flatnonzero(alive).tolist():
-            u = self.flights[i].u
-            control[i] = u[k - self.made] if k - self.made < len(u) else 0.0
+            u = self.flights[i].u[k - self.made[i] :]
+            control[i] = u[0] if len(u) else 0.0
         return control
 
     def rest(self, i: int, target: int, k: int, T: int) -> Float[Array, "T m"] | None:
         """What is left of an agent's controls, if they still lead to its target in T steps."""
         if self.ends.get(i) != target:
             return None
-        u = self.flights[i].u[k - self.made :]
+        u = self.flights[i].u[k - self.made[i] :]
         return u if len(u) == T else None
 
+    def fuel_left(self, moment: Moment, minds: Minds) -> Float[Array, " agents"]:
+        """Fuel in what is left of each agent's plan; infinite where none serves it [m/s]."""
+        mission, fuel = moment.mission, np.full(len(minds.target), np.inf)
+        for i in self.ends:
+            left = moment.leg.steps - int(minds.clock[i])
+            u = self.rest(i, int(minds.target[i]), moment.step, left)
+            if u is not None:
+                fuel[i] = fuel_spent(u, mission.step, mission.fuel_norm)
+        return fuel
 
-NO_PLANS = Plans({}, {}, 0)
+    def but(self, newer: "Plans") -> "Plans":
+        """These plans, with those of some agents replaced by newer ones."""
+        ends = {i: target for i, target in self.ends.items() if i not in newer.flights}
+        return Plans(
+            {**self.flights, **newer.flights}, {**ends, **newer.ends}, {**self.made, **newer.made}
+        )
+
+
+NO_PLANS = Plans({}, {}, {})
 
 
 def plan(
-    mission: Reconfiguration,
-    leg: Leg,
+    moment: Moment,
     minds: Minds,
-    network: Network,
-    state: Float[Array, "agents n"],
     spent: Float[Array, " agents"],
     before: Plans,
-    k: int,
     solves: int = 0,
 ) -> tuple[Plans, list[Event]]:
-    """Plan for every live agent.
+    """Plan for every agent that decides.
 
     Args:
-        mission: What is flown.
-        leg: The leg under way.
+        moment: What there is to decide with.
         minds: What the agents remember: their targets and clocks.
-        network: Who hears whom.
-        state: What each agent knows of its own state.
         spent: Fuel that each has burnt [m/s]; who has more left gives way.
         before: The plans flown so far.
-        k: Steps since the start of the leg.
         solves: Programmes that were solved for this replan already.
     """
-    horizon = look_ahead(mission, k)
+    mission, network, state = moment.mission, moment.network, moment.state
+    horizon = look_ahead(mission, moment.time)
     planners: dict[int, Planner] = {}
     late: list[int] = []
     for clock in np.unique(minds.clock[network.alive]):
         those = np.flatnonzero(network.alive & (minds.clock == clock))
-        steps = steps_left(mission, leg, int(clock), k)
-        transfer = Transfer(
-            steps,
-            mission.max_control,
-            mission.max_speed,
-            mission.fuel_norm,
-            mission.control_norm,
-            SLOPE,
-        )
-        goals = leg.targets[minds.target[those]]
+        steps = moment.steps_left(int(clock))
+        limits = mission.max_control, mission.max_speed
+        transfer = Transfer(steps, *limits, mission.fuel_norm, mission.control_norm, SLOPE)
+        goals = moment.leg.targets[minds.target[those]]
         flights, counted = alone(transfer, state[those], goals)
         solves += counted
         found: list[Flight] = []
         for i, goal, flight in zip(those.tolist(), goals, flights, strict=True):
             if flight is None:
-                rest = before.rest(i, int(minds.target[i]), k, len(steps))
+                rest = before.rest(i, int(minds.target[i]), moment.step, len(steps))
                 if rest is not None:
                     flight = transfer.flight(state[i], rest)
                 else:
@@ -117,32 +121,20 @@ def plan(
     chosen = {i: p.flight for i, p in planners.items()}
     astray = {i for event in events for i in event["agents"]}
     ends = {i: int(minds.target[i]) for i in planners if i not in astray}
-    return Plans(chosen, ends, k), events
+    return before.but(Plans(chosen, ends, dict.fromkeys(planners, moment.step))), events
 
 
-def fuel_left(
-    mission: Reconfiguration, leg: Leg, minds: Minds, plans: Plans, k: int
-) -> Float[Array, " agents"]:
-    """Fuel in what is left of each agent's plan; infinite where it has none that serves [m/s]."""
-    fuel = np.full(len(minds.target), np.inf)
-    for i, target in plans.ends.items():
-        u = plans.rest(i, target, k, leg.steps - int(minds.clock[i]))
-        if u is not None and target == minds.target[i]:
-            fuel[i] = fuel_spent(u, mission.step, mission.fuel_norm)
-    return fuel
-
-
-def look_ahead(mission: Reconfiguration, k: int) -> Horizon:
-    """The avoidance horizon from step k of a leg on.
+def look_ahead(mission: Reconfiguration, time: float) -> Horizon:
+    """The avoidance horizon from a time on.
 
     A step is cut so finely that two agents at full speed move by about R_col in a piece.
     """
     fast = mission.max_speed if isfinite(mission.max_speed) else 0.0
     S = min(MOST_PIECES, max(1, ceil(2 * fast * mission.step / mission.collision_radius)))
-    T, start = mission.horizon_steps, k * mission.step
+    T = mission.horizon_steps
     return Horizon(
-        hold(mission.model, mission.step, T, start),
-        hold(mission.model, mission.step / S, T * S, start),
+        hold(mission.model, mission.step, T, time),
+        hold(mission.model, mission.step / S, T * S, time),
         mission.collision_radius + _margin(mission, mission.step / S),
     )
 
@@ -198,8 +190,8 @@ def _what_gave_way(
 ) -> list[Event]:
     tight = 1e-6 * mission.collision_radius
     slack = {i: p.slack for i, p in planners.items() if p.slack > tight}
-    braked = [i for i, p in planners.items() if p.late > mission.position_tolerance]
     failed = [i for i, p in planners.items() if p.failed]
+    braked = [i for i, p in planners.items() if i in late or p.failed or _stops_short(mission, p)]
     events: list[Event] = []
     if slack:
         events.append({"kind": "slack", "agents": list(slack), "amount_m": list(slack.values())})
@@ -212,3 +204,10 @@ def _what_gave_way(
         what = "no flight keeps clear of those that go before"
         events.append({"kind": "infeasible", "agents": failed, "what": what})
     return events
+
+
+def _stops_short(mission: Reconfiguration, planner: Planner) -> bool:
+    d = mission.model.axes
+    miss = np.abs(planner.flight.x[-1] - planner.goal)
+    off = (miss[:d] > mission.position_tolerance).any()
+    return planner.late > 0 and bool(off or (miss[d:] > mission.velocity_tolerance).any())

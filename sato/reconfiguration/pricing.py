@@ -1,0 +1,180 @@
+"""What each agent bids by: the price of every target, and three rules of its own."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
+
+from dynamics import DoubleIntegrator, Steps
+from problems.auction_cost import distance, energy, price, price_stated, price_within_speed
+from problems.transfer import Transfer
+from sato.network import Network
+from sato.reconfiguration.mission import Leg, Reconfiguration
+from sato.reconfiguration.moment import Moment
+
+HELD = 0.02  # of an agent's range of costs by which the target that it holds is cheaper
+LEAST_WALL = 1.0  # by which a target to be left alone is dearer, at the least [m]
+
+
+@dataclass(frozen=True, eq=False)
+class Minds:
+    """What every agent remembers of this leg, a row each."""
+
+    target: Int[Array, " agents"]  # held; −1 none
+    believed: Int[Array, " agents"]  # m
+    bidders: Int[Array, " agents"]  # heard of in the last auction; 0 before the first
+    clock: Int[Array, " agents"]  # steps since the start or the last reset
+    claimed: Int[Array, "agents agents"]  # the target that another was last known to hold; −1 none
+    heard: Int[Array, "agents agents"]  # when that was said, in steps; −1 never
+
+    @classmethod
+    def fresh(cls, believed: Int[Array, " agents"]) -> "Minds":
+        """At the start of a leg: nothing but m."""
+        N = len(believed)
+        nothing, never = np.full(N, -1), np.full((N, N), -1)
+        zero = np.zeros(N, dtype=int)
+        return cls(nothing, believed, zero, zero, never, never)
+
+
+class Offers(NamedTuple):
+    """What every target costs every agent, before the rules."""
+
+    cost: Float[Array, "agents targets"]  # [m]; where out of reach, the tie-break alone
+    reachable: Bool[Array, "agents targets"]
+    exact: Bool[Array, "agents targets"]  # else a lower bound, and perhaps out of reach
+
+
+def offers(moment: Moment, minds: Minds, planned: Float[Array, " agents"]) -> Offers:
+    """Price every target for every agent that decides.
+
+    Args:
+        moment: What there is to decide with.
+        minds: What the agents remember.
+        planned: Fuel left in the plan to the target that each holds; infinite without one.
+    """
+    mission, leg = moment.mission, moment.leg
+    N, M = len(moment.state), len(leg.targets)
+    cost, tie = np.zeros((N, M)), np.zeros((N, M))
+    reachable, exact = np.ones((N, M), dtype=bool), np.ones((N, M), dtype=bool)
+    for clock in np.unique(minds.clock[moment.network.alive]):
+        those = np.flatnonzero(moment.network.alive & (minds.clock == clock))
+        steps, x = moment.steps_left(int(clock)), moment.state[those]
+        cost[those], reachable[those], exact[those] = _main(mission, leg, steps, x)
+        tie[those] = _tie_break(mission, leg, steps, x)
+    # A plan that was found stays good: where it is tight, rounding must not call it out of reach.
+    for i in np.flatnonzero(np.isfinite(planned)):
+        j = minds.target[i]
+        if not reachable[i, j]:
+            straight = distance(moment.steps_left(0), moment.state[[i]], leg.targets[[j]])[0, 0]
+            by_fuel = _scale(mission, leg) * planned[i]
+            cost[i, j] = by_fuel if mission.cost == "fuel" else straight
+            reachable[i, j] = exact[i, j] = True
+    return Offers(np.where(reachable, cost, 0.0) + mission.tie_break * tie, reachable, exact)
+
+
+def settled(moment: Moment, minds: Minds, offered: Offers, pairs: list[tuple[int, int]]) -> Offers:
+    """The offers with the prices of some pairs made exact."""
+    mission, leg = moment.mission, moment.leg
+    cost, reachable, exact = (field.copy() for field in offered)
+    for i, j in pairs:
+        steps = moment.steps_left(int(minds.clock[i]))
+        transfer = Transfer(steps, mission.max_control, mission.max_speed)
+        flight = price_within_speed(transfer, moment.state[i], leg.targets[j])
+        tie = mission.tie_break * _tie_break(mission, leg, steps, moment.state[[i]])[0, j]
+        exact[i, j], reachable[i, j] = True, flight is not None
+        if flight is None:
+            cost[i, j] = tie
+        elif mission.cost == "fuel":
+            cost[i, j] = _scale(mission, leg) * flight.fuel + tie
+    return Offers(cost, reachable, exact)
+
+
+def bid_costs(
+    offered: Offers, minds: Minds, network: Network, firm: Bool[Array, " agents"] | None = None
+) -> Float[Array, "agents targets"]:
+    """What each agent bids by: its cost, and three rules that it can keep by itself.
+
+    A target out of reach costs more than every other that is not. Rounds grow as prices
+    over ε, so this wall is only as high as its range of costs; where somebody won a
+    target out of reach all the same, its network bids again behind a `firm` one, which no
+    exchange of targets among them can be worth.
+    A target claimed by an agent that is out of hearing is left alone while others are
+    free, if that claim is newer than all that are made within hearing: otherwise who
+    loses sight of the holder turns back, is told off, and forgets.
+    A target that it holds already is a little cheaper.
+
+    Whoever is in hearing an agent knows from learning the diameter; the greatest range of
+    costs among them, and whether somebody won a target out of reach, from flooding.
+    """
+    bid = offered.cost.copy()
+    span = np.array([_span(offered, i) for i in range(len(bid))])
+    for i in np.flatnonzero(network.alive):
+        near = network.component == network.component[i]
+        within = offered.reachable[i]
+        wall = max(float(span[i]), LEAST_WALL)
+        high = 2 * near.sum() * max(float(span[near].max()), LEAST_WALL)
+        top = float(bid[i][within].max()) if within.any() else 0.0
+        bid[i][~within] += top + (high if firm is not None and firm[i] else wall)
+        bid[i, _taken(minds, int(i), near, bid.shape[1])] += wall
+        if minds.target[i] >= 0:
+            bid[i, minds.target[i]] -= HELD * span[i]
+    return bid
+
+
+def _span(offered: Offers, i: int) -> float:
+    mine = offered.cost[i][offered.reachable[i]]
+    return float(np.ptp(mine)) if len(mine) else 0.0
+
+
+def _taken(minds: Minds, i: int, near: Array, targets: int) -> Bool[Array, " targets"]:
+    """Targets whose newest claim, as far as agent i has heard, is of somebody absent."""
+    here, away = np.full(targets, -1), np.full(targets, -1)
+    claimed, heard = minds.claimed[i], minds.heard[i]
+    known = claimed >= 0
+    np.maximum.at(here, claimed[known & near], heard[known & near])
+    np.maximum.at(away, claimed[known & ~near], heard[known & ~near])
+    return away > here
+
+
+def _scale(mission: Reconfiguration, leg: Leg) -> float:
+    # From rest to rest a metre on one axis takes 2/τ of fuel: with this it costs 1.
+    return leg.steps * mission.step / 2
+
+
+def _main(
+    mission: Reconfiguration, leg: Leg, steps: Steps, state: Array
+) -> tuple[Array, Array, Array]:
+    if len(steps) == 0:
+        here = _arrived(mission, state, leg.targets)
+        return np.zeros(here.shape), here, np.ones(here.shape, dtype=bool)
+    if (mission.fuel_norm, mission.control_norm) == (1, "inf"):
+        prices = price(steps, state, leg.targets, mission.max_control, mission.max_speed)
+    else:
+        limits = mission.max_control, mission.max_speed
+        transfer = Transfer(steps, *limits, mission.fuel_norm, mission.control_norm)
+        prices = price_stated(transfer, state, leg.targets)
+    if mission.cost == "distance":
+        return distance(steps, state, leg.targets), prices.reachable, prices.exact
+    return _scale(mission, leg) * prices.fuel, prices.reachable, prices.exact
+
+
+def _arrived(
+    mission: Reconfiguration, state: Array, targets: Array
+) -> Bool[Array, "agents targets"]:
+    d = mission.model.axes
+    miss = np.abs(state[:, None] - targets)
+    near = miss[..., :d].max(axis=2) <= mission.position_tolerance
+    return np.asarray(near & (miss[..., d:].max(axis=2) <= mission.velocity_tolerance))
+
+
+def _tie_break(mission: Reconfiguration, leg: Leg, steps: Steps, state: Array) -> Array:
+    """d², or where distance means nothing the least control energy on the same scale [m²]."""
+    if isinstance(mission.model, DoubleIntegrator):
+        return distance(steps, state, leg.targets) ** 2
+    if len(steps) == 0:
+        return np.zeros((len(state), len(leg.targets)))
+    # From rest to rest over d a double integrator spends 12 d²/τ³.
+    duration = len(steps) * mission.step
+    return duration**3 / 12 * energy(steps, state, leg.targets)
