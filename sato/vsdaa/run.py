@@ -19,8 +19,7 @@ class Auction(NamedTuple):
     target: Int[Array, " agents"]  # −1 for who is not alive
     believed: Int[Array, " agents"]  # m, the number of targets bid on
     bidders: Int[Array, " agents"]  # holders in the agent's own book: the bidders it heard of
-    rounds: int  # until the last agent stopped, counted from the first bid
-    preparation: int  # rounds before that: 3 D + 1 to learn D, D to agree on m
+    rounds: int  # until the last agent stopped, from the first bid; learning D and m took 4 D + 1
     bids: int
     last_bid_round: int
     price: Float[Array, "agents targets"]  # signed, as in the agents' books
@@ -85,7 +84,6 @@ def vsdaa(
         believed=swarm.believed,
         bidders=np.count_nonzero(swarm.holder != NOBODY, axis=1),
         rounds=int(ends.max(initial=0)),
-        preparation=int(4 * network.diameter.max(initial=0) + 1),
         bids=int(swarm.bids.sum()),
         last_bid_round=int(swarm.last_bid.max(initial=0)),
         price=swarm.price,
