@@ -18,6 +18,7 @@ from problems.conic import Unsolved
 from sato.reconfiguration import Reconfiguration
 from sato.record import Frame, Run
 from sato.scenario import ScenarioFile, read
+from sato.vsdaa import OutOfTargets
 
 Progress = Callable[[Reconfiguration, Frame], object]
 
@@ -108,7 +109,7 @@ def _flown(
         if not frames:
             raise
         return frames, "interrupted"
-    except Unsolved as error:
+    except (Unsolved, OutOfTargets) as error:
         if not frames:
             raise
         return frames, str(error)
