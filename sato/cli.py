@@ -97,9 +97,10 @@ def check(
     """Judge a run from its file alone; exit 1 if any promise is broken."""
     with _plainly():
         from sato.record import load, plain
-        from sato.terminal import tell_promises
+        from sato.terminal import tell_promises, waiting
 
-        report = load(folder).check()
+        with waiting("judging the run by recomputing it"):
+            report = load(folder).check()
         if as_json:
             typer.echo(json.dumps(report.as_dict(), indent=2, default=plain))
         else:
@@ -116,8 +117,11 @@ def plot(
     with _plainly():
         from sato.plots import plot as draw
         from sato.record import load
+        from sato.terminal import waiting
 
-        for path in draw(load(folder), _folder_of(folder), pdf=pdf):
+        with waiting("drawing"):
+            figures = draw(load(folder), _folder_of(folder), pdf=pdf)
+        for path in figures:
             typer.echo(str(path))
 
 
@@ -127,8 +131,11 @@ def animate(folder: RunFolder) -> None:
     with _plainly():
         from sato.animate import animate as film
         from sato.record import load
+        from sato.terminal import counted
 
-        typer.echo(str(film(load(folder), _folder_of(folder))))
+        with counted("filming") as progress:
+            film_at = film(load(folder), _folder_of(folder), progress=progress)
+        typer.echo(str(film_at))
 
 
 @contextmanager

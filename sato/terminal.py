@@ -2,12 +2,12 @@
 
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from sato.reconfiguration import Reconfiguration
@@ -30,6 +30,23 @@ def progress(quiet: bool) -> Iterator[Callable[[Reconfiguration, Frame], None] |
         columns = (BarColumn(), TextColumn(said), TimeElapsedColumn())
         with Progress(*columns, console=Console(stderr=True)) as bar:
             yield _Bar(bar)
+
+
+@contextmanager
+def counted(doing: str) -> Iterator[Callable[[int, int], None]]:
+    """A bar for what is counted, on a terminal; nothing elsewhere."""
+    if not sys.stderr.isatty():
+        yield lambda done, total: None
+        return
+    columns = (TextColumn(doing), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(doing)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def waiting(doing: str) -> AbstractContextManager[object]:
+    """A sign of life while something uncounted goes on, on a terminal; nothing elsewhere."""
+    return Console(stderr=True).status(doing) if sys.stderr.isatty() else nullcontext()
 
 
 class _Watch:
