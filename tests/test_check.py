@@ -54,6 +54,8 @@ def mission(agents: int = 6, **changed: object) -> Reconfiguration:
         max_control=0.3,
         max_speed=1.0,
         horizon_steps=1,
+        replan_steps=1,
+        auction_steps=1,
         believed=agents,
     )
     return replace(plain, **changed)
