@@ -524,3 +524,9 @@ def test_what_counts_as_reached_grows_with_what_goes_wrong():
     )
     assert ratio == pytest.approx(10)
     assert built("disturbance.acceleration_m_s2=1e-4", "replan_steps=2").replan_steps == 2
+
+
+def test_an_auction_must_come_before_two_who_claim_one_target_can_meet():
+    text = read("random").to_toml()
+    with pytest.raises(ScenarioError, match=r"plan.auction_steps: 8 is more .* 4 would do"):
+        parse(text, ["plan.auction_steps=8"])

@@ -119,6 +119,13 @@ class Plan(Table):
                 f"{self.replan_steps} is more than horizon_steps = {self.horizon_steps}, so "
                 f"collisions would be left unseen; at most {self.horizon_steps} would do",
             )
+        if self.auction_steps > self.horizon_steps:
+            most = self.horizon_steps // self.replan_steps * self.replan_steps
+            raise Refusal(
+                "auction_steps",
+                f"{self.auction_steps} is more than horizon_steps = {self.horizon_steps}, so two "
+                f"agents could reach one target before they bid for it; {most} would do",
+            )
         if self.auction_steps % self.replan_steps:
             below = self.auction_steps // self.replan_steps * self.replan_steps
             raise Refusal(
