@@ -1,11 +1,11 @@
 """Who hears whom now, and rounds of messages.
 
 An agent's part in a protocol is a pure function of its own state and of the messages
-of its neighbours. `rounds` calls it for all agents, and defines what a protocol does.
-Where a fast path stands in for the rounds, a test holds it equal to them.
+of its neighbours. `play` is the only caller of it, and `rounds`, which plays all agents,
+defines what a protocol does. Where a fast path stands in, a test holds it equal to them.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, TypeVar
@@ -128,13 +128,34 @@ def rounds(
     """
     now = list(states)
     while True:
-        running = [i for i in np.flatnonzero(network.alive) if not done(now[i])]
+        running = [i for i in np.flatnonzero(network.alive).tolist() if not done(now[i])]
         if not running:
             return
         told = [tell(state) for state in now]
-        for i in running:
-            now[i] = act(now[i], [told[j] for j in network.neighbours[i]])
+        for i, state in play(network, now, act, told, running).items():
+            now[i] = state
         yield list(now)
+
+
+def play(
+    network: Network,
+    states: Sequence[State],
+    act: Callable[[State, list[Message]], State],
+    told: Sequence[Message],
+    who: Iterable[int],
+) -> dict[int, State]:
+    """One round for some agents: each hears its neighbours and acts once.
+
+    Nothing else calls what an agent does.
+
+    Args:
+        network: Who hears whom.
+        states: State of each agent before the round.
+        act: What one agent does: a pure function of its own state and what it hears.
+        told: What each agent has told.
+        who: Those who act.
+    """
+    return {i: act(states[i], [told[j] for j in network.neighbours[i]]) for i in who}
 
 
 def settle(

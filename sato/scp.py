@@ -19,7 +19,7 @@ from problems.avoidance import Avoidance, HalfSpaces, Passage, Yield, no_spaces
 from problems.conic import Unsolved
 from problems.convexify import Horizon, apart, half_spaces, normals
 from problems.transfer import Flight, Transfer
-from sato.network import Network, rounds
+from sato.network import Network, play, rounds
 
 STILL = 1e-3  # ε_SCP over R: a path that moves less has converged
 # What may give way, and about what to convexify where nominals collide: past the neighbours
@@ -178,17 +178,19 @@ def by_messages(planners: Mapping[int, Planner], network: Network) -> Iterator[d
     """Run the definition itself: every agent after every exchange."""
     states = [planners.get(i) for i in range(len(network.alive))]
 
-    def act(agent: Planner | None, inbox: list[Plan | None]) -> Planner | None:
-        return agent and revise(agent, [plan for plan in inbox if plan])
-
-    def tell(agent: Planner | None) -> Plan | None:
-        return agent and agent.plan
-
     def done(agent: Planner | None) -> bool:
         return agent is None or agent.settled
 
-    for now in rounds(network, states, act, tell, done):
+    for now in rounds(network, states, _revise, _tell, done):
         yield {i: agent for i, agent in enumerate(now) if agent}
+
+
+def _revise(agent: Planner | None, inbox: list[Plan | None]) -> Planner | None:
+    return agent and revise(agent, [plan for plan in inbox if plan])
+
+
+def _tell(agent: Planner | None) -> Plan | None:
+    return agent and agent.plan
 
 
 def exchanged(planners: Mapping[int, Planner], network: Network) -> Iterator[dict[int, Planner]]:
@@ -213,12 +215,17 @@ def exchanged(planners: Mapping[int, Planner], network: Network) -> Iterator[dic
         binds[lower[meets]] = True
         waits = (above & ~settled).any(axis=1)
         acts = ~settled & (binds | solved)
-        told = [agent.plan for agent in now] if acts.any() else []
+        states: list[Planner | None] = [None] * len(network.alive)
+        for number, agent in zip(numbers, now, strict=True):
+            states[number] = agent
+        told = [_tell(agent) for agent in states] if acts.any() else []
         settled = settled | (~acts & ~waits)
         now = [a._replace(settled=True) if s else a for a, s in zip(now, settled, strict=True)]
         moved = np.zeros(len(now), dtype=bool)
-        for i in np.flatnonzero(acts).tolist():
-            after = revise(now[i], [told[j] for j in np.flatnonzero(above[i])])
+        acting = np.flatnonzero(acts).tolist()
+        acted = play(network, states, _revise, told, [numbers[i] for i in acting])
+        for i in acting:
+            after = acted[numbers[i]] or now[i]
             moved[i] = after.path is not now[i].path
             now[i], solved[i], settled[i] = after, after.solves > 0, after.settled
             paths[i] = after.path
