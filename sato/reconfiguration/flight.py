@@ -76,16 +76,11 @@ def _fly_leg(
             break
         network = _network(mission, swarm)
         measured = _measure(mission, swarm, rng)
-        # Who joins calls for an auction in its network at once; a loss is silence, and is
-        # noticed when the next auction is due.
         joined = [i for event in changes if event["kind"] == "join" for i in event["agents"]]
-        called = network.among(np.isin(network.component, network.component[joined]))
-        others = network.among(~called.alive)
-        for part, bids in ((called, True), (others, k % mission.auction_steps == 0)):
-            if part.alive.any() and (part is called or k % mission.replan_steps == 0):
-                moment = Moment(mission, leg, part, measured, k, swarm.now * mission.step)
-                swarm, told = _replan(moment, swarm, bids)
-                events += told
+        for part, bids in _who_decides(mission, network, joined, k):
+            moment = Moment(mission, leg, part, measured, k, swarm.now * mission.step)
+            swarm, told = _replan(moment, swarm, bids)
+            events += told
         control = swarm.plans.control(k, swarm.alive, mission.model.axes)
         shaken = control + mission.disturbance * rng.standard_normal(control.shape)
         applied = shaken if mission.disturbance else control
@@ -94,6 +89,23 @@ def _fly_leg(
         swarm, events = _advance(mission, leg, swarm, control, applied)
     events.append(_end(mission, number, swarm))
     return swarm, events
+
+
+def _who_decides(
+    mission: Reconfiguration, network: Network, joined: list[int], k: int
+) -> list[tuple[Network, bool]]:
+    """The networks that plan at a step, and whether they bid first.
+
+    Who joins calls for an auction in its network at once; a loss is silence, and is
+    noticed when the next auction is due.
+    """
+    called: list[tuple[Network, bool]] = []
+    if joined:
+        those = np.isin(network.component, network.component[joined])
+        called, network = [(network.among(those), True)], network.among(~those)
+    if k % mission.replan_steps == 0 and network.alive.any():
+        called.append((network, k % mission.auction_steps == 0))
+    return called
 
 
 def _replan(moment: Moment, swarm: Swarm, bids: bool) -> tuple[Swarm, list[Event]]:

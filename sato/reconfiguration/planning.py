@@ -1,5 +1,6 @@
 """How to get there: a flight for every agent, first alone, then among its neighbours."""
 
+from functools import lru_cache
 from math import ceil, isfinite
 from typing import Any, NamedTuple
 
@@ -139,6 +140,7 @@ def look_ahead(mission: Reconfiguration, time: float) -> Horizon:
     )
 
 
+@lru_cache(maxsize=8)  # the same at every replan of a mission
 def _margin(mission: Reconfiguration, h: float) -> float:
     # What the pieces of two agents could miss, at the states that the mission begins and
     # ends with and under full control, twice over for what lies between.

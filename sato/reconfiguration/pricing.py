@@ -78,11 +78,14 @@ def settled(moment: Moment, minds: Minds, offered: Offers, pairs: list[tuple[int
     """The offers with the prices of some pairs made exact."""
     mission, leg = moment.mission, moment.leg
     cost, reachable, exact = (field.copy() for field in offered)
-    for i, j in pairs:
-        steps = moment.steps_left(int(minds.clock[i]))
-        transfer = Transfer(steps, mission.max_control, mission.max_speed)
+    # One transfer a clock: what it compiles serves all of its pairs.
+    limits = mission.max_control, mission.max_speed
+    clocks = {int(minds.clock[i]) for i, _ in pairs}
+    transfers = {clock: Transfer(moment.steps_left(clock), *limits) for clock in clocks}
+    for i, j in sorted(pairs, key=lambda pair: minds.clock[pair[0]]):
+        transfer = transfers[int(minds.clock[i])]
         flight = price_within_speed(transfer, moment.state[i], leg.targets[j])
-        tie = mission.tie_break * _tie_break(mission, leg, steps, moment.state[[i]])[0, j]
+        tie = mission.tie_break * _tie_break(mission, leg, transfer.steps, moment.state[[i]])[0, j]
         exact[i, j], reachable[i, j] = True, flight is not None
         if flight is None:
             cost[i, j] = tie
