@@ -17,8 +17,27 @@ class Model(ABC):
     axes: int  # axes of space, d: the state has 2 d entries, the input d
 
     @abstractmethod
-    def rate(self, t: float, x: Float[Array, " n"], u: Float[Array, " m"]) -> Float[Array, " n"]:
-        """Rate of change of the state."""
+    def rate(self, t: float, x: Float[Array, "*k n"], u: Float[Array, "*k m"]) -> Array:
+        """Rate of change of the state, of one or of many."""
+
+
+class NonlinearModel(Model):
+    """A model that can be linearised about any of its states.
+
+    Times, states and inputs may be stacked: their leading axes broadcast.
+    """
+
+    @abstractmethod
+    def rate(
+        self, t: float | Float[Array, "*t"], x: Float[Array, "*k n"], u: Float[Array, "*k m"]
+    ) -> Float[Array, "*k n"]:
+        """Rate of change of the state, of one or of many."""
+
+    @abstractmethod
+    def jacobian(
+        self, t: float | Float[Array, "*t"], x: Float[Array, "*k n"], u: Float[Array, "*k m"]
+    ) -> tuple[Float[Array, "*k n n"], Float[Array, "*k n m"]]:
+        """∂f/∂x and ∂f/∂u."""
 
 
 class LinearModel(Model):
@@ -43,13 +62,13 @@ class LinearModel(Model):
         """Affine term."""
         return np.zeros(2 * self.axes)
 
-    def rate(self, t: float, x: Float[Array, " n"], u: Float[Array, " m"]) -> Float[Array, " n"]:
-        """Rate of change of the state."""
-        return np.asarray(self.A(t) @ x + self.B(t) @ u + self.z(t))
+    def rate(self, t: float, x: Float[Array, "*k n"], u: Float[Array, "*k m"]) -> Array:
+        """Rate of change of the state, of one or of many."""
+        return np.asarray(x @ self.A(t).T + u @ self.B(t).T + self.z(t))
 
 
 @dataclass(frozen=True, eq=False)
-class SymbolicModel(Model):
+class SymbolicModel(NonlinearModel):
     """A model written in CasADi's symbols, so that it can be linearised exactly.
 
     Args:
@@ -60,16 +79,31 @@ class SymbolicModel(Model):
     axes: int
     formula: Callable[[Any, Any, Any], Any]
 
-    def rate(self, t: float, x: Float[Array, " n"], u: Float[Array, " m"]) -> Float[Array, " n"]:
-        """Rate of change of the state."""
-        return np.asarray(self._functions[0](t, x, u), dtype=float).ravel()
+    def rate(
+        self, t: float | Float[Array, "*t"], x: Float[Array, "*k n"], u: Float[Array, "*k m"]
+    ) -> Float[Array, "*k n"]:
+        """Rate of change of the state, of one or of many."""
+        (found,) = self._each(self._functions[0], t, x, u)
+        return found[..., 0]
 
     def jacobian(
-        self, t: float, x: Float[Array, " n"], u: Float[Array, " m"]
-    ) -> tuple[Float[Array, "n n"], Float[Array, "n m"]]:
+        self, t: float | Float[Array, "*t"], x: Float[Array, "*k n"], u: Float[Array, "*k m"]
+    ) -> tuple[Float[Array, "*k n n"], Float[Array, "*k n m"]]:
         """∂f/∂x and ∂f/∂u, by algorithmic differentiation."""
-        A, B = self._functions[1](t, x, u)
-        return np.asarray(A, dtype=float), np.asarray(B, dtype=float)
+        A, B = self._each(self._functions[1], t, x, u)
+        return A, B
+
+    def _each(self, function: Any, t: Any, x: Array, u: Array) -> list[Array]:
+        lead = np.broadcast_shapes(np.shape(t), x.shape[:-1], u.shape[:-1])
+        rows = zip(
+            np.broadcast_to(t, lead).ravel(),
+            np.broadcast_to(x, (*lead, x.shape[-1])).reshape(-1, x.shape[-1]),
+            np.broadcast_to(u, (*lead, u.shape[-1])).reshape(-1, u.shape[-1]),
+            strict=True,
+        )
+        found = [function.call([float(s), *row]) for s, *row in rows]
+        stacked = [np.array([np.asarray(m, dtype=float) for m in part]) for part in zip(*found)]
+        return [part.reshape(*lead, *part.shape[1:]) for part in stacked]
 
     @cached_property
     def _functions(self) -> tuple[Any, Any]:
@@ -94,8 +128,14 @@ class Linearised(LinearModel):
     The error is of second order in the distance from the nominal.
     """
 
-    model: SymbolicModel
+    model: NonlinearModel
     nominal: Callable[[float], tuple[Array, Array]]  # t ↦ (x̄, ū)
+
+    @classmethod
+    def at_origin(cls, model: NonlinearModel) -> "Linearised":
+        """About staying at the origin: in orbit, the chief itself."""
+        still = np.zeros(2 * model.axes), np.zeros(model.axes)
+        return cls(model, lambda t: still)
 
     def __post_init__(self) -> None:
         """Live in the same space as the model."""

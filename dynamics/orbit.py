@@ -209,16 +209,21 @@ def frame_rates(chief: Float[Array, "*k 6"], k_J2: float) -> FrameRates:
     )
 
 
+def chief_size(chief: Float[Array, " 6"]) -> Float[Array, " 6"]:
+    """How large each of the six numbers is about, also where it happens to be 0."""
+    r, _, h, *_ = chief
+    return np.array([r, h / r, h, 1.0, 1.0, 1.0])
+
+
 @lru_cache(maxsize=256)
 def _piece(orbit: Orbit, j: int) -> Any:
     start = np.array(orbit.start) if j == 0 else _piece(orbit, j - 1).y[:, -1]
-    size = np.array([orbit.r, orbit.h / orbit.r, orbit.h, 1, 1, 1])
     return solve_ivp(
         lambda t, y: chief_rate(y, orbit.mu, orbit.k_J2),
         (j * SPAN, (j + 1) * SPAN),
         start,
         method="DOP853",
         rtol=RTOL,
-        atol=RTOL * size,
+        atol=RTOL * chief_size(start),
         dense_output=True,
     )

@@ -1,0 +1,210 @@
+"""Relative motion under the Earth's oblateness, exactly [Xu2008; Morgan2016, Sec. VI.B].
+
+Axes: x radially out, y along the orbit, z along its normal, of the chief's osculating
+orbit. Velocities are those seen in this frame, which turns with ω = (ω_x, 0, ω_z).
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+from scipy.integrate import solve_ivp
+
+from dynamics.model import NonlinearModel
+from dynamics.orbit import Orbit, chief_rate, chief_size, frame_rates
+
+RTOL = 1e-13  # of `J2.propagate`: below a micrometre an orbit later
+ABSOLUTE = np.repeat([1e-9, 1e-12], 3)  # in a step [m, m/s]
+LEAST_COSINE = 0.02  # of the argument of latitude, for spacecraft out of the chief's plane
+
+
+@dataclass(frozen=True)
+class J2(NonlinearModel):
+    """Motion relative to a chief, both under two bodies and J2.
+
+        l̈ = −2 ω × l̇ − α × l − ω × (ω × l) + g(R) − g(r x̂) + u,    R = r x̂ + l
+
+    with g the attraction of the oblate Earth. Exact at any separation: only forces other
+    than these are left out. With k_J2 = 0 it is Kepler's relative motion.
+    """
+
+    orbit: Orbit
+    axes: int = field(default=3, init=False, repr=False)
+
+    def rate(
+        self, t: float | Float[Array, "*t"], x: Float[Array, "*k 6"], u: Float[Array, "*k 3"]
+    ) -> Float[Array, "*k 6"]:
+        """Rate of change of the state, of one or of many."""
+        return self._rate(self.orbit.at(t), x, u)
+
+    def jacobian(
+        self, t: float | Float[Array, "*t"], x: Float[Array, "*k 6"], u: Float[Array, "*k 3"]
+    ) -> tuple[Float[Array, "*k 6 6"], Float[Array, "*k 6 3"]]:
+        """∂f/∂x and ∂f/∂u."""
+        chief = self.orbit.at(t)
+        turn, turning = _rotation(chief, self.orbit)
+        pull = gravity_gradient(_from_centre(chief, x[..., :3]), _pole(chief), self.orbit)
+        B = np.zeros((*pull.shape[:-2], 6, 3))
+        A = np.zeros((*pull.shape[:-2], 6, 6))
+        A[..., :3, 3:] = B[..., 3:, :] = np.eye(3)
+        A[..., 3:, :3] = pull - turning
+        A[..., 3:, 3:] = -2 * turn
+        return A, B
+
+    def propagate(
+        self, x: Float[Array, "*k 6"], times: Float[Array, " instants"], start: float = 0.0
+    ) -> Float[Array, "instants *k 6"]:
+        """Free flight, integrated together with the chief.
+
+        Args:
+            x: States at `start`.
+            times: At which states are wanted, in increasing order [s].
+            start: When the flight begins [s].
+        """
+        lead = x.shape[:-1]
+
+        def rate(t: float, y: Array) -> Array:
+            chief, own = y[:6], y[6:].reshape(*lead, 6)
+            moved = chief_rate(chief, self.orbit.mu, self.orbit.k_J2)
+            return np.concatenate([moved, self._rate(chief, own, np.zeros(3)).ravel()])
+
+        y = np.concatenate([self.orbit.at(start), x.ravel()])
+        allowed = np.concatenate([RTOL * chief_size(y[:6]), np.tile(ABSOLUTE, x.size // 6)])
+        flown = np.empty((len(times), x.size))
+        # From instant to instant: what lies between is known to a lower order only.
+        for k, (before, after) in enumerate(zip([start, *times[:-1]], times, strict=True)):
+            if after > before:
+                span = (float(before), float(after))
+                y = solve_ivp(rate, span, y, method="DOP853", rtol=RTOL, atol=allowed).y[:, -1]
+            flown[k] = y[6:]
+        return flown.reshape(len(times), *lead, 6)
+
+    def _rate(self, chief: Array, x: Array, u: Array) -> Array:
+        turn, turning = _rotation(chief, self.orbit)
+        pole = _pole(chief)
+        l, v = x[..., :3], x[..., 3:]  # noqa: E741
+        pull = gravity(_from_centre(chief, l), pole, self.orbit)
+        pull = pull - gravity(_from_centre(chief, np.zeros(3)), pole, self.orbit)
+        a = pull + u - _times(turning, l) - 2 * _times(turn, v)
+        return np.concatenate([np.broadcast_to(v, a.shape), a], axis=-1)
+
+
+def gravity(
+    R: Float[Array, "*k 3"], pole: Float[Array, "*k 3"], orbit: Orbit
+) -> Float[Array, "*k 3"]:
+    """Attraction of the oblate Earth at R from its centre, g = −η² R − ζ s [m/s²].
+
+    Args:
+        R: Place, in any axes [m].
+        pole: s, the unit vector along the Earth's axis, in the same axes.
+        orbit: Whose gravity it is.
+    """
+    mu, k = orbit.mu, orbit.k_J2
+    rho2 = (R * R).sum(axis=-1, keepdims=True)
+    rho, Z = np.sqrt(rho2), (R * pole).sum(axis=-1, keepdims=True)
+    eta2 = mu / (rho * rho2) + k / (rho * rho2**2) * (1 - 5 * Z**2 / rho2)
+    return np.asarray(-eta2 * R - 2 * k * Z / (rho * rho2**2) * pole)
+
+
+def gravity_gradient(
+    R: Float[Array, "*k 3"], pole: Float[Array, "*k 3"], orbit: Orbit
+) -> Float[Array, "*k 3 3"]:
+    """∂g/∂R [1/s²], see `gravity`."""
+    mu, k = orbit.mu, orbit.k_J2
+    R, pole = np.broadcast_arrays(R, pole)
+    rho = np.linalg.norm(R, axis=-1)[..., None, None]
+    Z = (R * pole).sum(axis=-1)[..., None, None]
+    eta2 = mu / rho**3 + k / rho**5 - 5 * k * Z**2 / rho**7
+    along = 3 * mu / rho**5 + 5 * k / rho**7 - 35 * k * Z**2 / rho**9
+    RR, Rs, ss = (a[..., :, None] * b[..., None, :] for a, b in ((R, R), (R, pole), (pole, pole)))
+    cross = 10 * k * Z / rho**7 * (Rs + np.swapaxes(Rs, -1, -2))
+    return np.asarray(-eta2 * np.eye(3) + along * RR + cross - 2 * k / rho**5 * ss)
+
+
+def invariant_velocity(
+    orbit: Orbit, position: Float[Array, "*k 3"], t: float = 0.0
+) -> Float[Array, "*k 3"]:
+    """Velocity with which a spacecraft stays near the chief under J2, without thrust [m/s].
+
+        ẋ = ω_z y / 2             on a centred 2:1 ellipse about a circular chief
+        ż = −ω_z z tan θ          no difference in inclination, so nodes drift alike
+        ẏ: the same energy as the chief's, J2 included
+
+    The steps are those of [Morgan2012], which does away with the drift of the linear
+    equations, then with that of the nonlinear ones, then with what J2 adds; matching the
+    exact energy does all three. Along the orbit it leaves a few centimetres an orbit at a
+    kilometre for points in the plane.
+
+    Args:
+        orbit: The chief's.
+        position: Relative to the chief, in its frame [m].
+        t: When it is there [s].
+
+    Raises:
+        ValueError: A point out of the plane when the chief is near |θ| = 90°, where no
+            velocity does it.
+    """
+    chief = orbit.at(t)
+    r, v_x, h, _, _, theta = chief
+    x, y, z = np.moveaxis(position, -1, 0)
+    rates = frame_rates(chief, orbit.k_J2)
+    out = np.abs(z) > 1e-9 * r
+    if out.any() and abs(np.cos(theta)) < LEAST_COSINE:
+        raise ValueError(
+            f"the chief is at argument of latitude {np.degrees(theta) % 360:.4g}°, and out of its "
+            "plane nothing stays near it unless it crosses the plane within "
+            f"{np.degrees(np.arcsin(LEAST_COSINE)):.2g}° of 90° and 270°; start at another "
+            "latitude, or in the plane (z = 0)"
+        )
+    v = np.zeros(position.shape)
+    v[..., 0] = rates.omega_z * y / 2
+    v[..., 2] = np.where(out, -rates.omega_z * z * np.tan(theta), 0.0)
+    pole = _pole(chief)
+    energy = (v_x**2 + (h / r) ** 2) / 2 + _potential(_from_centre(chief, np.zeros(3)), pole, orbit)
+    left = 2 * (energy - _potential(_from_centre(chief, position), pole, orbit))
+    radial = v_x + v[..., 0] - rates.omega_z * y
+    normal = v[..., 2] + rates.omega_x * y
+    transverse = np.sqrt(left - radial**2 - normal**2)
+    v[..., 1] = transverse - rates.omega_z * x + rates.omega_x * z - h / r
+    return v
+
+
+def _potential(R: Array, pole: Array, orbit: Orbit) -> Array:
+    rho = np.linalg.norm(R, axis=-1)
+    Z = (R * pole).sum(axis=-1)
+    return np.asarray(-orbit.mu / rho - orbit.k_J2 / rho**3 * (1 / 3 - (Z / rho) ** 2))
+
+
+def _from_centre(chief: Array, l: Array) -> Array:  # noqa: E741
+    return np.asarray(l + chief[..., :1] * np.array([1.0, 0.0, 0.0]))
+
+
+def _pole(chief: Array) -> Array:
+    """The Earth's axis in the chief's frame."""
+    i, theta = chief[..., 4], chief[..., 5]
+    return np.stack([np.sin(i) * np.sin(theta), np.sin(i) * np.cos(theta), np.cos(i)], axis=-1)
+
+
+def _rotation(chief: Array, orbit: Orbit) -> tuple[Array, Array]:
+    """[ω]× and [α]× + [ω]×²."""
+    rates = frame_rates(chief, orbit.k_J2)
+    turn = _cross(rates.omega_x, rates.omega_z)
+    return turn, _cross(rates.alpha_x, rates.alpha_z) + turn @ turn
+
+
+def _cross(a: Array, c: Array) -> Array:
+    """The matrix of a cross product with (a, 0, c)."""
+    zero = np.zeros_like(a)
+    return np.stack(
+        [
+            np.stack([zero, -c, zero], axis=-1),
+            np.stack([c, zero, -a], axis=-1),
+            np.stack([zero, a, zero], axis=-1),
+        ],
+        axis=-2,
+    )
+
+
+def _times(matrix: Array, vector: Array) -> Array:
+    return np.asarray(np.einsum("...ab,...b->...a", matrix, vector))
