@@ -1,5 +1,6 @@
 """From rates to steps."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from math import inf
@@ -7,9 +8,12 @@ from math import inf
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from dynamics.model import LinearModel
+from dynamics.model import LinearModel, NonlinearModel
+
+RTOL, ATOL = 1e-11, 1e-11  # of a step's matrices, in SI units
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,24 +21,29 @@ class Steps:
     """x[k+1] = A[k] x[k] + B[k] u[k] + z[k],  k = 0 … T−1  [Morgan2016, eq. 10].
 
     Matrices are always stacked over time, so nothing downstream asks whether the
-    model was time-varying.
+    model was time-varying. Steps of many agents, each with its own, have the agents'
+    axis before that of time; `of` picks one.
     """
 
-    A: Float[Array, "T n n"]
-    B: Float[Array, "T n m"]
-    z: Float[Array, "T n"]
+    A: Float[Array, "*agents T n n"]
+    B: Float[Array, "*agents T n m"]
+    z: Float[Array, "*agents T n"]
     dt: float  # [s]
 
     def __len__(self) -> int:
-        return len(self.A)
+        return int(self.A.shape[-3])
 
     @property
     def axes(self) -> int:
         """Axes of space."""
-        return int(self.B.shape[2])
+        return int(self.B.shape[-1])
 
     def __getitem__(self, window: slice) -> "Steps":
         return Steps(self.A[window], self.B[window], self.z[window], self.dt)
+
+    def of(self, agent: int) -> "Steps":
+        """The steps of one of many agents."""
+        return Steps(self.A[agent], self.B[agent], self.z[agent], self.dt)
 
     def roll(
         self, x: Float[Array, "*agents n"], u: Float[Array, "*agents T m"]
@@ -49,8 +58,8 @@ class Steps:
 def hold(model: LinearModel, dt: float, count: int, start: float = 0.0) -> Steps:
     """Discretise with the input held over each step [Morgan2016, eq. 11].
 
-    Exact for a model whose matrices are constant. Others are frozen at the middle
-    of each step, which is accurate to second order in dt.
+    Exact for a model whose matrices are constant. For others the linear equations are
+    integrated over each step, to eleven digits; they are not frozen as in eq. 11.
 
     Args:
         model: The model.
@@ -61,26 +70,99 @@ def hold(model: LinearModel, dt: float, count: int, start: float = 0.0) -> Steps
     Raises:
         ValueError: The step is not positive or the count negative.
     """
+    _check(dt, count)
+    if model.constant:
+        once = _hold_always(model, dt)
+        return Steps(*(np.repeat(part[None], count, axis=0) for part in once), dt)
+    return _hold_varying(model, dt, count, start)
+
+
+def follow(
+    model: NonlinearModel,
+    x: Float[Array, "*agents instants n"],
+    u: Float[Array, "*agents T m"],
+    dt: float,
+    start: float = 0.0,
+) -> Steps:
+    """Discretise about each agent's own nominal path [Morgan2016, eqs. 7 to 10].
+
+    Each step is linearised about the motion that begins at its own nominal state under
+    its own nominal input, so it is exact there: what is left is of second order in the
+    distance from the nominal, and none of it comes from the discretisation.
+
+    Args:
+        model: The model.
+        x: Nominal states at the instants; the last one is not needed.
+        u: Nominal inputs, held over each step.
+        dt: Length of a step [s].
+        start: Time of the first instant [s].
+
+    Returns:
+        A[k], B[k] and z[k] of every agent, with the agents' axes before that of time.
+
+    Raises:
+        ValueError: The step is not positive.
+    """
+    T, n, m = u.shape[-2], x.shape[-1], u.shape[-1]
+    _check(dt, T)
+    x0, times = x[..., :T, :], start + dt * np.arange(T)
+    lead = x0.shape[:-1]
+
+    def rate(t: float, y: Array) -> Array:
+        state = y.reshape(*lead, n, 1 + n + m)
+        A, B = model.jacobian(times + t, state[..., 0], u)
+        moved = A @ state
+        moved[..., 0] = model.rate(times + t, state[..., 0], u)
+        moved[..., 1 + n :] += B
+        return moved.ravel()
+
+    begin = np.zeros((*lead, n, 1 + n + m))
+    begin[..., 0], begin[..., 1 : 1 + n] = x0, np.eye(n)
+    end = _integrate(rate, begin.ravel(), dt).reshape(begin.shape)
+    A, B = end[..., 1 : 1 + n], end[..., 1 + n :]
+    z = end[..., 0] - _times(A, x0) - _times(B, u)
+    return Steps(A, B, z, dt)
+
+
+def _check(dt: float, count: int) -> None:
     if not 0 < dt < inf or count < 0:
         raise ValueError(
             f"a step must be positive and finite and a count not negative, got {dt} and {count}"
         )
-    if model.constant:
-        return _stack([_hold_always(model, dt)] * count, model, dt)
-    return _stack([_hold(model, start + (k + 0.5) * dt, dt) for k in range(count)], model, dt)
-
-
-def _stack(parts: list[tuple[Array, Array, Array]], model: LinearModel, dt: float) -> Steps:
-    n, m = 2 * model.axes, model.axes
-    A = np.array([p[0] for p in parts]).reshape(-1, n, n)
-    B = np.array([p[1] for p in parts]).reshape(-1, n, m)
-    z = np.array([p[2] for p in parts]).reshape(-1, n)
-    return Steps(A, B, z, dt)
 
 
 @lru_cache(maxsize=64)
 def _hold_always(model: LinearModel, dt: float) -> tuple[Array, Array, Array]:
     return _hold(model, 0.0, dt)
+
+
+@lru_cache(maxsize=64)  # a plan asks for the same steps again and again
+def _hold_varying(model: LinearModel, dt: float, count: int, start: float) -> Steps:
+    n, m = 2 * model.axes, model.axes
+    times = start + dt * np.arange(count)
+
+    def rate(t: float, y: Array) -> Array:
+        A, B, z = model.matrices(times + t)
+        moved = A @ y.reshape(count, n, n + m + 1)
+        moved[:, :, n : n + m] += B
+        moved[:, :, -1] += z
+        return moved.ravel()
+
+    begin = np.broadcast_to(np.eye(n, n + m + 1), (count, n, n + m + 1))
+    end = _integrate(rate, begin.ravel(), dt).reshape(begin.shape)
+    return Steps(end[..., :n], end[..., n : n + m], end[..., -1], dt)
+
+
+def _integrate(rate: Callable[[float, Array], Array], begin: Array, dt: float) -> Array:
+    # One step of an eighth-order method is what a control step mostly takes.
+    if not begin.size:
+        return begin
+    found = solve_ivp(rate, (0.0, dt), begin, "DOP853", first_step=dt, rtol=RTOL, atol=ATOL)
+    return np.asarray(found.y[:, -1])
+
+
+def _times(matrix: Array, vector: Array) -> Array:
+    return np.asarray(np.einsum("...ab,...b->...a", matrix, vector))
 
 
 def _hold(model: LinearModel, t: float, dt: float) -> tuple[Array, Array, Array]:

@@ -62,6 +62,14 @@ class LinearModel(Model):
         """Affine term."""
         return np.zeros(2 * self.axes)
 
+    def matrices(
+        self, times: Float[Array, " k"]
+    ) -> tuple[Float[Array, "k n n"], Float[Array, "k n m"], Float[Array, "k n"]]:
+        """A, B and z at many times; one by one, where a model knows nothing better."""
+        each = [(self.A(t), self.B(t), self.z(t)) for t in times.tolist()]
+        A, B, z = (np.array(part) for part in zip(*each, strict=True))
+        return A, B, z
+
     def rate(self, t: float, x: Float[Array, "*k n"], u: Float[Array, "*k m"]) -> Array:
         """Rate of change of the state, of one or of many."""
         return np.asarray(x @ self.A(t).T + u @ self.B(t).T + self.z(t))
@@ -102,7 +110,7 @@ class SymbolicModel(NonlinearModel):
             strict=True,
         )
         found = [function.call([float(s), *row]) for s, *row in rows]
-        stacked = [np.array([np.asarray(m, dtype=float) for m in part]) for part in zip(*found)]
+        stacked = [np.array(list(map(np.asarray, part))) for part in zip(*found, strict=True)]
         return [part.reshape(*lead, *part.shape[1:]) for part in stacked]
 
     @cached_property
@@ -133,7 +141,7 @@ class Linearised(LinearModel):
 
     @classmethod
     def at_origin(cls, model: NonlinearModel) -> "Linearised":
-        """About staying at the origin: in orbit, the chief itself."""
+        """About staying at the origin: in orbit, about the chief."""
         still = np.zeros(2 * model.axes), np.zeros(model.axes)
         return cls(model, lambda t: still)
 
@@ -143,14 +151,21 @@ class Linearised(LinearModel):
 
     def A(self, t: float) -> Float[Array, "n n"]:
         """State matrix on the nominal."""
-        return self.model.jacobian(t, *self.nominal(t))[0]
+        return self.matrices(np.array([t]))[0][0]
 
     def B(self, t: float) -> Float[Array, "n m"]:
         """Input matrix on the nominal."""
-        return self.model.jacobian(t, *self.nominal(t))[1]
+        return self.matrices(np.array([t]))[1][0]
 
     def z(self, t: float) -> Float[Array, " n"]:
         """What the linear terms leave of the rate on the nominal."""
-        x, u = self.nominal(t)
-        A, B = self.model.jacobian(t, x, u)
-        return np.asarray(self.model.rate(t, x, u) - A @ x - B @ u)
+        return self.matrices(np.array([t]))[2][0]
+
+    def matrices(
+        self, times: Float[Array, " k"]
+    ) -> tuple[Float[Array, "k n n"], Float[Array, "k n m"], Float[Array, "k n"]]:
+        """A, B and z at many times."""
+        x, u = (np.array(part) for part in zip(*map(self.nominal, times.tolist()), strict=True))
+        A, B = self.model.jacobian(times, x, u)
+        rest = np.einsum("kab,kb->ka", A, x) + np.einsum("kab,kb->ka", B, u)
+        return A, B, self.model.rate(times, x, u) - rest
