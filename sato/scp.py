@@ -8,7 +8,7 @@ two equal, exchange by exchange.
 What "apart" means, and how it is made convex, is in `problems.convexify`.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -53,6 +53,7 @@ class Planner(NamedTuple):
     free: Flight  # its flight if it were alone: iterate 0
     flight: Flight  # the nominal
     path: Float[Array, "pieces 4 d"]  # of the nominal, over the horizon
+    about: Callable[[Flight], Transfer] | None = None  # linearises about a nominal; None: no need
     settled: bool = False
     steady: bool = True  # the nominal answered the last programme, or none was needed
     heard: tuple[Plan, ...] = ()  # whom it answered then
@@ -113,6 +114,8 @@ def _answer(agent: Planner, above: tuple[Plan, ...]) -> Planner:
 
 def _around(agent: Planner, above: tuple[Plan, ...]) -> Planner:
     """Solve Problem 7 about the nominal; what gives way gives way last to separation."""
+    if agent.about is not None:
+        agent = agent._replace(transfer=agent.about(agent.flight))
     others = np.stack([plan.path for plan in above])
     solves = agent.solves
     for gives, way in ATTEMPTS:

@@ -28,7 +28,9 @@ class Decision(NamedTuple):
 def decide(moment: Moment, minds: Minds, planned: Float[Array, " agents"]) -> Decision:
     """Let every network bid, and set its clock back where the number of bids changed.
 
-    A network whose clock goes back bids again, with the time that it now has.
+    A clock also goes back where somebody won a target out of its reach; a mission may have
+    it that this is the only reason. A network whose clock goes back bids again, with the
+    time that it now has.
 
     Args:
         moment: What there is to decide with.
@@ -41,7 +43,8 @@ def decide(moment: Moment, minds: Minds, planned: Float[Array, " agents"]) -> De
     sale = _sell(moment, minds, np.where(reset, np.inf, planned))
     solves = sale.solves
     changed = (minds.bidders > 0) & (sale.auction.bidders != minds.bidders)
-    due = network.alive & (minds.clock > 0) & (changed | sale.unreached)
+    calls = sale.unreached | changed if moment.mission.reset == "change" else sale.unreached
+    due = network.alive & (minds.clock > 0) & calls
     due = network.largest(due.astype(int)).astype(bool) & network.alive
     if due.any():
         reset = reset | due

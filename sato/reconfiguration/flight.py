@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from dynamics import hold
 from problems.transfer import fuel_spent
 from sato.network import Network
+from sato.reconfiguration.actuators import inexact, push
 from sato.reconfiguration.bidding import decide
 from sato.reconfiguration.mission import Leg, Loss, Reconfiguration
 from sato.reconfiguration.moment import Moment
@@ -77,13 +77,12 @@ def _fly_leg(
         network = _network(mission, swarm)
         measured = _measure(mission, swarm, rng)
         joined = [i for event in changes if event["kind"] == "join" for i in event["agents"]]
-        for part, bids in _who_decides(mission, network, joined, k):
+        for part, bids in _who_decides(mission, leg, swarm, network, joined, k):
             moment = Moment(mission, leg, part, measured, k, swarm.now * mission.step)
             swarm, told = _replan(moment, swarm, bids)
             events += told
         control = swarm.plans.control(k, swarm.alive, mission.model.axes)
-        shaken = control + mission.disturbance * rng.standard_normal(control.shape)
-        applied = shaken if mission.disturbance else control
+        applied = _apply(mission, control, rng)
         seen = measured if mission.position_noise or mission.velocity_noise else None
         yield _frame(mission, number, swarm, network, control, applied, seen, events)
         swarm, events = _advance(mission, leg, swarm, control, applied)
@@ -92,17 +91,21 @@ def _fly_leg(
 
 
 def _who_decides(
-    mission: Reconfiguration, network: Network, joined: list[int], k: int
+    mission: Reconfiguration, leg: Leg, swarm: Swarm, network: Network, joined: list[int], k: int
 ) -> list[tuple[Network, bool]]:
     """The networks that plan at a step, and whether they bid first.
 
     Who joins calls for an auction in its network at once; a loss is silence, and is
-    noticed when the next auction is due.
+    noticed when the next auction is due. A network that is about to arrive keeps to its
+    plans: with so few steps left, a small correction takes much thrust.
     """
     called: list[tuple[Network, bool]] = []
     if joined:
         those = np.isin(network.component, network.component[joined])
         called, network = [(network.among(those), True)], network.among(~those)
+    left = leg.steps - swarm.minds.clock
+    unsure = (left >= mission.commit_steps) | ~swarm.plans.lead_there(swarm.minds, k, left)
+    network = network.among(network.largest(unsure.astype(int)).astype(bool))
     if k % mission.replan_steps == 0 and network.alive.any():
         called.append((network, k % mission.auction_steps == 0))
     return called
@@ -138,12 +141,21 @@ def _measure(
     return np.asarray(swarm.x + noise * rng.standard_normal(swarm.x.shape))
 
 
+def _apply(
+    mission: Reconfiguration, control: Float[Array, "agents d"], rng: np.random.Generator
+) -> Float[Array, "agents d"]:
+    wind = mission.disturbance * rng.standard_normal(control.shape)
+    if inexact(mission):
+        agents, d = control.shape
+        control = push(mission, control, rng.standard_normal((agents, 1 + d)))
+    return control + wind if mission.disturbance else control
+
+
 def _advance(
     mission: Reconfiguration, leg: Leg, swarm: Swarm, control: Array, applied: Array
 ) -> tuple[Swarm, list[Event]]:
-    step = hold(mission.model, mission.step, 1, swarm.now * mission.step)
-    flown = step.roll(swarm.x, np.nan_to_num(applied)[:, None])[:, 1]
-    alive = swarm.alive
+    alive, time = swarm.alive, swarm.now * mission.step
+    flown = mission.truth.fly(swarm.x, np.nan_to_num(applied), time, mission.step)[1]
     burnt = fuel_spent(np.nan_to_num(control)[:, None], mission.step, mission.fuel_norm)
     clock = np.where(alive, np.minimum(swarm.minds.clock + 1, leg.steps), 0)
     arrived = alive & (clock == leg.steps) & (swarm.minds.clock < leg.steps)

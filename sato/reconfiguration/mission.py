@@ -1,6 +1,7 @@
 """What a swarm is asked to do: a frozen value, complete at construction. SI units."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from math import inf
 from typing import Literal
 
@@ -8,7 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from dynamics import LinearModel
+from dynamics.model import LinearModel, NonlinearModel
+from dynamics.plant import Modelled, Plant
 
 Norm = Literal[1, 2, "inf"]
 
@@ -46,7 +48,7 @@ class Leg:
 class Reconfiguration:
     """A swarm that takes up one shape after another [Morgan2016, Method 3]."""
 
-    model: LinearModel
+    model: LinearModel  # shared by all agents: what auctions price by
     start: Float[Array, "agents n"]  # states; a joining agent's is where it comes in
     alive: Bool[Array, " agents"]  # who is there at the start
     legs: tuple[Leg, ...]
@@ -65,9 +67,17 @@ class Reconfiguration:
     tie_break: float = 0.2  # w; 0 is the printed method
     epsilon: float | None = None  # bid increment on the scale of the cost; None is ½ w s²
     bidder_ids: bool = True  # false is the printed method
+    reset: Literal["change", "need"] = "change"  # of a clock: where the number of bids changed, or
+    # only where somebody cannot make it in the time that is left
+    commit_steps: int = 0  # from which on, before the end, an agent keeps to its plan
+    margin: float = 0.0  # beyond the collision radius that plans keep: for what models miss [m]
+    nonlinear: NonlinearModel | None = None  # re-linearised by each agent about its own nominal
+    plant: Plant | None = None  # what flies; None is the shared model itself
     disturbance: float = 0.0  # standard deviation of an acceleration held over a step [m/s²]
     position_noise: float = 0.0  # of what an agent believes of its state [m]
     velocity_noise: float = 0.0  # [m/s]
+    thrust_error: float = 0.0  # standard deviation of a thrust's size, relative
+    pointing_error: float = 0.0  # standard deviation of a thrust's direction [rad]
     position_tolerance: float = 1e-6  # within which a target counts as reached [m]
     velocity_tolerance: float = 1e-6  # [m/s]
 
@@ -89,11 +99,18 @@ class Reconfiguration:
                 f"not exceed horizon_steps = {self.horizon_steps}: agents that claim one target "
                 "must bid against each other before they can meet"
             )
+        if self.margin < 0 or self.commit_steps < 0:
+            raise ValueError("a margin and the steps at the end cannot be negative")
         if self.auction_steps % self.replan_steps:
             raise ValueError(
                 f"auction_steps = {self.auction_steps} must be a multiple of "
                 f"replan_steps = {self.replan_steps}: an auction is followed by a plan"
             )
+
+    @cached_property
+    def truth(self) -> Plant:
+        """What the vehicles really do."""
+        return self.plant or Modelled(self.model)
 
     @property
     def spacing(self) -> float:

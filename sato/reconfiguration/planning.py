@@ -1,14 +1,16 @@
 """How to get there: a flight for every agent, first alone, then among its neighbours."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from math import ceil, isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from dynamics import hold
+from dynamics.discretise import Steps, follow, hold
 from dynamics.path import error_bound
 from problems.auction_cost import price_within_speed
 from problems.avoidance import Avoidance, no_spaces
@@ -48,6 +50,16 @@ class Plans(NamedTuple):
             return None
         u = self.flights[i].u[k - self.made[i] :]
         return u if len(u) == T else None
+
+    def lead_there(
+        self, minds: Minds, k: int, left: Int[Array, " agents"]
+    ) -> Bool[Array, " agents"]:
+        """Who has a plan that leads to its target in the steps that it has left."""
+        there = [
+            self.rest(i, int(target), k, int(left[i])) is not None
+            for i, target in enumerate(minds.target)
+        ]
+        return np.array(there, dtype=bool)
 
     def fuel_left(self, moment: Moment, minds: Minds) -> Float[Array, " agents"]:
         """Fuel in what is left of each agent's plan; infinite where none serves it [m/s]."""
@@ -91,28 +103,20 @@ def plan(
     planners: dict[int, Planner] = {}
     late: list[int] = []
     for clock in np.unique(minds.clock[network.alive]):
-        those = np.flatnonzero(network.alive & (minds.clock == clock))
+        those = np.flatnonzero(network.alive & (minds.clock == clock)).tolist()
         steps = moment.steps_left(int(clock))
-        limits = mission.max_control, mission.max_speed
-        transfer = Transfer(steps, *limits, mission.fuel_norm, mission.control_norm, SLOPE)
         goals = moment.leg.targets[minds.target[those]]
-        flights, counted = alone(transfer, state[those], goals)
+        rests = [before.rest(i, int(minds.target[i]), moment.step, len(steps)) for i in those]
+        routes, counted = _undisturbed(moment, steps, state[those], goals, rests)
         solves += counted
-        found: list[Flight] = []
-        for i, goal, flight in zip(those.tolist(), goals, flights, strict=True):
-            if flight is None:
-                rest = before.rest(i, int(minds.target[i]), moment.step, len(steps))
-                if rest is not None:
-                    flight = transfer.flight(state[i], rest)
-                else:
-                    flight = nearest(transfer, state[i], goal)
-                    solves += 1
-                    late.append(i)
-            found.append(flight)
-        paths = horizon.path(np.stack([f.x for f in found]), np.stack([f.u for f in found]))
-        for i, goal, flight, path in zip(those.tolist(), goals, found, paths, strict=True):
+        paths = horizon.path(
+            *(np.stack(part) for part in zip(*(r.flight[:2] for r in routes), strict=True))
+        )
+        for i, goal, route, path in zip(those, goals, routes, paths, strict=True):
             rank = (len(steps) > 0, -float(spent[i]), i)
-            planners[i] = Planner(rank, goal, transfer, horizon, flight, flight, path)
+            flight, about = route.flight, _linearisation(moment, route.transfer)
+            planners[i] = Planner(rank, goal, route.transfer, horizon, flight, flight, path, about)
+            late += [i] if route.misses else []
     planners, exchanges = settle(planners, network)
     solves += sum(p.solves for p in planners.values())
     events: list[Event] = [
@@ -123,6 +127,66 @@ def plan(
     astray = {i for event in events for i in event["agents"]}
     ends = {i: int(minds.target[i]) for i in planners if i not in astray}
     return before.but(Plans(chosen, ends, dict.fromkeys(planners, moment.step))), events
+
+
+class _Route(NamedTuple):
+    """How an agent would fly if it were alone."""
+
+    transfer: Transfer  # with its own dynamics
+    flight: Flight
+    misses: bool  # its goal, and no plan of before leads there either
+
+
+def _undisturbed(
+    moment: Moment,
+    steps: Steps,
+    state: Float[Array, "those n"],
+    goals: Float[Array, "those n"],
+    rests: list[Array | None],
+) -> tuple[list[_Route], int]:
+    """The route of every agent, and the programmes that took.
+
+    By the shared linearisation first; where the dynamics depend on the state, about that
+    once more, which leaves nothing of the first error that could be seen.
+    """
+    mission = moment.mission
+    limits = mission.max_control, mission.max_speed
+    shared = Transfer(steps, *limits, mission.fuel_norm, mission.control_norm, SLOPE)
+    found, solves = alone(shared, state, goals)
+    transfers = [shared] * len(state)
+    if mission.nonlinear is not None and len(steps):
+        asked = zip(found, state, goals, rests, strict=True)
+        nominal = [f or _stand_in(shared, x, goal, rest) for f, x, goal, rest in asked]
+        x, u = (np.stack(part) for part in zip(*(f[:2] for f in nominal), strict=True))
+        own = follow(mission.nonlinear, x, u, mission.step, moment.time)
+        transfers = [replace(shared, steps=own.of(a)) for a in range(len(state))]
+        again = [alone(*q) for q in zip(transfers, state[:, None], goals[:, None], strict=True)]
+        found, solves = [f for (f,), _ in again], solves + sum(count for _, count in again)
+    routes = []
+    for transfer, flight, x, goal, rest in zip(transfers, found, state, goals, rests, strict=True):
+        flown = flight or _stand_in(transfer, x, goal, rest)
+        misses = flight is None and rest is None
+        routes.append(_Route(transfer, flown, misses))
+    return routes, solves + sum(route.misses for route in routes)
+
+
+def _stand_in(
+    transfer: Transfer, start: Array, goal: Array, rest: Float[Array, "T m"] | None
+) -> Flight:
+    """Where the goal is out of reach: the plan of before, or as near as can be."""
+    return nearest(transfer, start, goal) if rest is None else transfer.flight(start, rest)
+
+
+def _linearisation(moment: Moment, transfer: Transfer) -> Callable[[Flight], Transfer] | None:
+    """What an agent does to linearise its dynamics about a flight; None where it need not."""
+    model, step, time = moment.mission.nonlinear, moment.mission.step, moment.time
+    if model is None:
+        return None
+
+    def about(flight: Flight) -> Transfer:
+        return replace(transfer, steps=follow(model, flight.x, flight.u, step, time))
+
+    return about
 
 
 def look_ahead(mission: Reconfiguration, time: float) -> Horizon:
@@ -136,7 +200,7 @@ def look_ahead(mission: Reconfiguration, time: float) -> Horizon:
     return Horizon(
         hold(mission.model, mission.step, T, time),
         hold(mission.model, mission.step / S, T * S, time),
-        mission.collision_radius + _margin(mission, mission.step / S),
+        mission.collision_radius + mission.margin + _margin(mission, mission.step / S),
     )
 
 
