@@ -1,0 +1,93 @@
+"""Drag in an atmosphere that thins out exponentially and turns with the Earth."""
+
+from dataclasses import dataclass
+from math import inf
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from dynamics.orbit import EARTH_RADIUS, EARTH_ROTATION
+
+# Altitude [km], density there [kg/m³] and scale height above it [km]: the rows in which
+# spacecraft stay in orbit of [Vallado2013, table 8-4].
+TABLE = (
+    (150, 2.070e-9, 22.523),
+    (180, 5.464e-10, 29.740),
+    (200, 2.789e-10, 37.105),
+    (250, 7.248e-11, 45.546),
+    (300, 2.418e-11, 53.628),
+    (350, 9.518e-12, 53.298),
+    (400, 3.725e-12, 58.515),
+    (450, 1.585e-12, 60.828),
+    (500, 6.967e-13, 63.822),
+    (600, 1.454e-13, 71.835),
+    (700, 3.614e-14, 88.667),
+    (800, 1.170e-14, 124.64),
+    (900, 5.245e-15, 181.05),
+    (1000, 3.019e-15, 268.00),
+)
+
+
+@dataclass(frozen=True)
+class Atmosphere:
+    """Air of density ρ₀ exp(−(h − h₀)/H) at altitude h above a sphere of the Earth's radius.
+
+    As it stands, that of 500 to 600 km at moderate solar activity; the real one is several
+    times thinner or denser as the Sun has it.
+    """
+
+    density: float = 6.967e-13  # ρ₀ [kg/m³]
+    altitude: float = 500e3  # h₀ [m]
+    scale_height: float = 63.822e3  # H [m]
+    rotation: float = EARTH_ROTATION  # about the Earth's axis [rad/s]
+
+    def __post_init__(self) -> None:
+        """Refuse air that is not air."""
+        if not (0 <= self.density < inf and 0 < self.scale_height < inf):
+            raise ValueError(
+                "an atmosphere has a density that is not negative and a positive scale height, "
+                f"got {self.density} kg/m³ and {self.scale_height} m"
+            )
+
+    @classmethod
+    def near(cls, altitude: float) -> "Atmosphere":
+        """The air at and some way above an altitude [m] [Vallado2013, table 8-4].
+
+        Raises:
+            ValueError: It is below the table, where no spacecraft stays in orbit.
+        """
+        below = [row for row in TABLE if row[0] * 1e3 <= altitude]
+        if not below:
+            raise ValueError(
+                f"the atmosphere's table begins at {TABLE[0][0]} km, below which no spacecraft "
+                f"stays up, got {altitude / 1e3:.4g} km; altitudes here are in metres"
+            )
+        height, density, scale = below[-1]
+        return cls(density, height * 1e3, scale * 1e3)
+
+    def density_at(self, position: Float[Array, "*k 3"]) -> Float[Array, "*k"]:
+        """Density [kg/m³] at places in inertial axes [m]."""
+        r = np.sqrt((position * position).sum(axis=-1))
+        above = r - (EARTH_RADIUS + self.altitude)
+        return np.asarray(self.density * np.exp(-above / self.scale_height))
+
+    def drag(
+        self,
+        position: Float[Array, "*k 3"],
+        velocity: Float[Array, "*k 3"],
+        ballistic: float | Float[Array, "*#k"],
+    ) -> Float[Array, "*k 3"]:
+        """Deceleration −½ ρ B |v| v, with v the velocity against the turning air [m/s²].
+
+        Args:
+            position: In inertial axes [m].
+            velocity: In inertial axes [m/s].
+            ballistic: Ballistic coefficient B = C_D A/m [m²/kg].
+        """
+        against = velocity.copy()
+        against[..., 0] += self.rotation * position[..., 1]
+        against[..., 1] -= self.rotation * position[..., 0]
+        speed = np.sqrt((against * against).sum(axis=-1))
+        strength = -0.5 * ballistic * self.density_at(position) * speed
+        return np.asarray(strength[..., None] * against)

@@ -1,0 +1,98 @@
+"""What the vehicles really do, as opposed to what a plan thinks they do."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from dynamics.discretise import hold
+from dynamics.model import LinearModel
+from dynamics.orbit import Orbit
+
+
+class Plant(ABC):
+    """What the vehicles really do.
+
+    A plant remembers nothing: the same call gives the same states, bit for bit, whatever
+    was asked before. Rows of NaN are vehicles that are not there; they stay NaN.
+    """
+
+    @abstractmethod
+    def fly(
+        self,
+        x: Float[Array, "agents n"],
+        u: Float[Array, "agents m"],
+        t: float,
+        dt: float,
+        pieces: int = 1,
+    ) -> Float[Array, "{pieces}+1 agents n"]:
+        """States at equal instants from t to t + dt, the first of them x itself.
+
+        Args:
+            x: States at t; in orbit, in the chief's frame.
+            u: Accelerations, held in the same axes [m/s²].
+            t: When the flight begins [s].
+            dt: How long it takes [s].
+            pieces: Into how many parts the instants divide it.
+
+        Raises:
+            ValueError: The states or the inputs are not what this plant flies.
+        """
+
+    @abstractmethod
+    def chief(self, t: float) -> Float[Array, " 6"] | None:
+        """The six numbers of the chief's orbit at a time, or None where there is no orbit."""
+
+
+@dataclass(frozen=True, eq=False)
+class Modelled(Plant):
+    """Vehicles that do exactly what a linear model says."""
+
+    model: LinearModel
+    orbit: Orbit | None = None  # that of the chief, where there is one
+
+    def fly(
+        self,
+        x: Float[Array, "agents n"],
+        u: Float[Array, "agents m"],
+        t: float,
+        dt: float,
+        pieces: int = 1,
+    ) -> Float[Array, "{pieces}+1 agents n"]:
+        """States at equal instants from t to t + dt, the first of them x itself."""
+        check_flight(x, u, dt, pieces, self.model.axes)
+        steps = hold(self.model, dt / pieces, pieces, t)
+        held = np.repeat(u[:, None], pieces, axis=1)
+        return np.moveaxis(steps.roll(x, held), 1, 0)
+
+    def chief(self, t: float) -> Float[Array, " 6"] | None:
+        """The six numbers of the chief's orbit at a time, or None where there is no orbit."""
+        return None if self.orbit is None else self.orbit.at(t)
+
+
+def check_flight(x: Array, u: Array, dt: float, pieces: int, axes: int) -> None:
+    """Refuse a flight that means nothing in a space of so many axes.
+
+    Raises:
+        ValueError: Shapes do not fit, the time is not positive, there are no pieces, or a
+            vehicle that is there has an input that is not finite.
+    """
+    if x.ndim != 2 or x.shape[1] != 2 * axes or u.shape != (len(x), axes):
+        raise ValueError(
+            f"vehicles in {axes} axes have states of shape (agents, {2 * axes}) and accelerations "
+            f"of shape (agents, {axes}), got {x.shape} and {u.shape}"
+        )
+    if not 0 < dt < np.inf or pieces < 1:
+        raise ValueError(
+            f"a flight takes some time and has at least one piece, got dt = {dt} s and {pieces}"
+        )
+    lost = np.flatnonzero(present(x) & ~np.isfinite(u).all(axis=1))
+    if len(lost):
+        raise ValueError(f"vehicle {lost[0]} is there, but its acceleration is {u[lost[0]]}")
+
+
+def present(x: Float[Array, "agents n"]) -> Array:
+    """Which vehicles are there: those whose state has no NaN."""
+    return np.asarray(np.isfinite(x).all(axis=1))
