@@ -7,19 +7,19 @@ and velocities at both ends,
 
 and it never leaves their convex hull. For a double integrator under a held input it
 is the path itself; for other models it is off by at most max |p⁗| h⁴/384, which
-`error_bound` bounds.
+`error_bound` bounds for constant matrices, and `missed_by_halves` measures for any path.
 """
 
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from scipy.spatial import cKDTree
 
 from dynamics.closest import closest_pair
-from dynamics.discretise import Steps
+from dynamics.discretise import Steps, hold
+from dynamics.hull import hulls
 from dynamics.model import LinearModel
 
 
@@ -125,7 +125,7 @@ def hull_distance(
     if d not in (2, 3):
         raise ValueError(f"points have 2 or 3 axes, got {d}")
     flat = np.ascontiguousarray(points, dtype=float).reshape(-1, 4, d)
-    distance, nearest = _hulls(flat)
+    distance, nearest = hulls(flat)
     return distance.reshape(points.shape[:-2]), nearest.reshape(*points.shape[:-2], d)
 
 
@@ -169,7 +169,7 @@ def sampled_separations(
     return np.array([_nearest(p[a]) for p, a in zip(position, there, strict=True)])
 
 
-def error_bound(
+def missed(
     model: LinearModel,
     x: Float[Array, "*agents instants n"],
     u: Float[Array, "*agents K m"],
@@ -178,28 +178,98 @@ def error_bound(
 ) -> float:
     """How far a path may be from its cubic pieces, at most [m].
 
+    Two agents may be closer than their pieces by twice as much. For a model whose matrices
+    are constant it is `error_bound`, which is proven. For others it is measured: every piece
+    is flown from its start in two halves, and its cubic compared with the middle, as in
+    `missed_by_halves`.
+
+    Args:
+        model: What moves the agents.
+        x: States at the start of each piece; one at the end of the last is not needed.
+        u: Inputs, held over each piece.
+        h: Length of the pieces [s].
+        start: Time of the first instant [s].
+    """
+    if model.constant:
+        return error_bound(model, x, u, h)
+    K, d = u.shape[-2], model.axes
+    halves = hold(model, h / 2, 2 * K, start)
+    states = [x[..., :K, :]]
+    for j in range(2):
+        A, B, z = halves.A[j::2], halves.B[j::2], halves.z[j::2]
+        moved = np.einsum("kab,...kb->...ka", A, states[-1]) + z
+        states.append(moved + np.einsum("kab,...kb->...ka", B, u))
+    path = np.stack(states, axis=-2)
+    return _off_the_middles(path[..., :d], path[..., d:], h / 2)
+
+
+def missed_by_halves(
+    position: Float[Array, "*agents instants d"],
+    velocity: Float[Array, "*agents instants d"],
+    h: float,
+) -> float:
+    """How far a path may be from its cubic pieces, as pieces of twice the length show [m].
+
+    Those miss p⁗ (2h)⁴/384 at their middles, which are instants of the path, and pieces of
+    length h a sixteenth of it. It is a measurement, good while p⁗ hardly changes over two
+    pieces and the input stays the same in both. Nobody is there where numbers are not finite.
+    Two agents may be closer than their pieces by twice as much.
+
+    Args:
+        position: At the instants, an odd number of them [m].
+        velocity: At the instants [m/s].
+        h: Time between them [s].
+
+    Raises:
+        ValueError: Some instant is the end of half a piece.
+    """
+    if position.shape[-2] % 2 == 0:
+        raise ValueError(
+            f"{position.shape[-2]} instants do not make pieces of twice the length: "
+            "an odd number does"
+        )
+    return _off_the_middles(position, velocity, h) / 16
+
+
+def error_bound(
+    model: LinearModel,
+    x: Float[Array, "*agents instants n"],
+    u: Float[Array, "*agents K m"],
+    h: float,
+) -> float:
+    """How far a path may be from its cubic pieces, proven for constant matrices [m].
+
     With ẋ = A x + B u + z and the input held, p⁗(t) is the position part of
     A³ e^{At} ẋ(0), whose Taylor series is summed term by term in norm; the cubic
     misses at most max |p⁗| h⁴/384. Two agents may be closer than their pieces by
-    twice as much. A model whose matrices vary is taken as `hold` flies it, frozen
-    at the middle of each piece.
+    twice as much.
+
+    Raises:
+        ValueError: The matrices change in time.
     """
-    K, d = u.shape[-2], model.axes
-    worst = 0.0
-    for k in range(K):
-        t = start + (k + 0.5) * h
-        A = model.A(t)
-        rate = x[..., k, :] @ A.T + u[..., k, :] @ model.B(t).T + model.z(t)
-        rate = np.where(np.isfinite(rate), rate, 0.0)  # nobody there
-        term = rate @ np.linalg.matrix_power(A, 3).T
-        total = np.linalg.norm(term[..., :d], axis=-1)
-        for j in range(1, 40):
-            if not term.any():
-                break
-            term = term @ A.T * (h / j)
-            total = total + np.linalg.norm(term[..., :d], axis=-1)
-        worst = max(worst, float(np.max(total, initial=0.0)))
-    return worst * h**4 / 384
+    if not model.constant:
+        raise ValueError(
+            f"{type(model).__name__} changes in time, so nothing is proven of its cubic pieces: "
+            "ask `missed`, which measures"
+        )
+    d, A = model.axes, model.A(0.0)
+    rate = x[..., : u.shape[-2], :] @ A.T + u @ model.B(0.0).T + model.z(0.0)
+    rate = np.where(np.isfinite(rate), rate, 0.0)  # nobody there
+    term = rate @ np.linalg.matrix_power(A, 3).T
+    total = np.linalg.norm(term[..., :d], axis=-1)
+    for j in range(1, 40):
+        if not term.any():
+            break
+        term = term @ A.T * (h / j)
+        total = total + np.linalg.norm(term[..., :d], axis=-1)
+    return float(np.max(total, initial=0.0)) * h**4 / 384
+
+
+def _off_the_middles(position: Array, velocity: Array, h: float) -> float:
+    """What cubic pieces from every other instant to the next such miss between them."""
+    pieces = controls(position[..., ::2, :], velocity[..., ::2, :], 2 * h)
+    off = np.linalg.norm(at(pieces, 0.5) - position[..., 1::2, :], axis=-1)
+    return float(np.max(off, initial=0.0, where=np.isfinite(off)))
 
 
 def _nearest(points: Float[Array, "k d"]) -> float:
@@ -218,67 +288,3 @@ def _closest(b: Float[Array, "flies 4 d"]) -> tuple[float, float, Int[Array, " 2
     pairs = cKDTree(middle).query_pairs(radius, output_type="ndarray")
     distance, fraction, best = closest_pair(b, pairs)
     return float(distance), float(fraction), pairs[best]
-
-
-@numba.njit(cache=True)
-@no_type_check
-def _hulls(points):
-    count, _, d = points.shape
-    distance, nearest = np.zeros(count), np.zeros((count, d))
-    best, n = np.empty(d), np.empty(d)
-    for q in range(count):
-        b = points[q]
-        least = 0.0
-        best[:] = 0.0
-        for i in range(4):
-            n[:] = b[i]
-            least = _try(b, n, least, best)
-            for j in range(i):
-                if d == 2:
-                    n[0], n[1] = b[j, 1] - b[i, 1], b[i, 0] - b[j, 0]
-                    least = _try(b, n, least, best)
-                    continue
-                n[:] = b[i]
-                _square(n, b[j] - b[i])
-                least = _try(b, n, least, best)
-                for m in range(j):
-                    e, f = b[j] - b[i], b[m] - b[i]
-                    n[0] = e[1] * f[2] - e[2] * f[1]
-                    n[1] = e[2] * f[0] - e[0] * f[2]
-                    n[2] = e[0] * f[1] - e[1] * f[0]
-                    least = _try(b, n, least, best)
-        distance[q] = least
-        nearest[q] = least * best
-    return distance, nearest
-
-
-@numba.njit(cache=True)
-@no_type_check
-def _square(n, e):
-    # Take from n what lies along e; twice, so that what is left is square to rounding.
-    size = (e * e).sum()
-    if size > 0.0:
-        for _ in range(2):
-            n -= e * ((n * e).sum() / size)
-
-
-@numba.njit(cache=True)
-@no_type_check
-def _try(b, n, least, best):
-    # Both sides of the line or plane square to n.
-    size = np.sqrt((n * n).sum())
-    if size < 1e-150:
-        return least
-    low, high = np.inf, -np.inf
-    for i in range(4):
-        along = 0.0
-        for a in range(len(n)):
-            along += n[a] / size * b[i, a]
-        low, high = min(low, along), max(high, along)
-    if low > least:
-        best[:] = n / size
-        return low
-    if -high > least:
-        best[:] = -n / size
-        return -high
-    return least

@@ -8,7 +8,10 @@ from hypothesis.extra.numpy import arrays
 from scipy.integrate import solve_ivp
 from scipy.optimize import minimize_scalar, nnls
 
-from dynamics import ClohessyWiltshire, DoubleIntegrator, hold
+from dynamics import ClohessyWiltshire, DoubleIntegrator, Linearised, hold
+from dynamics.inertial import Inertial
+from dynamics.j2 import J2
+from dynamics.orbit import Orbit
 from dynamics.path import (
     at,
     between,
@@ -16,6 +19,8 @@ from dynamics.path import (
     error_bound,
     hull_distance,
     least_separation,
+    missed,
+    missed_by_halves,
     sampled_separations,
     separations,
 )
@@ -82,11 +87,62 @@ def test_what_the_cubic_misses_is_within_its_bound_and_the_bound_is_tight(rng):
     x = hold(model, 60.0, 4).roll(x0, u)
     fine = between(hold(model, 60.0 / 16, 64), x, u)[..., :3]
     pieces = controls(x[..., :3], x[..., 3:], 60.0)
-    missed = max(
+    off = max(
         np.linalg.norm(at(pieces, j / 16) - fine[:, j:-1:16], axis=-1).max() for j in range(16)
     )
     bound = error_bound(model, x, u, 60.0)
-    assert 0.5 * bound < missed <= bound
+    assert 0.5 * bound < off <= bound
+    assert missed(model, x, u, 60.0, start=7.0) == bound
+
+
+ORBIT = Orbit.of_elements(7500e3, 0.1, 0.8)
+
+
+def test_the_bound_is_refused_where_it_is_not_proven(rng):
+    model = Linearised.at_origin(J2(ORBIT))
+    with pytest.raises(ValueError, match="Linearised changes in time"):
+        error_bound(model, np.zeros((2, 6)), np.zeros((1, 3)), 1.0)
+
+
+def test_what_pieces_of_a_changing_model_miss_is_measured(rng):
+    model, start, h = Linearised.at_origin(J2(ORBIT)), 300.0, 20.0
+    x0, u = rng.normal(0, [1000] * 3 + [2.0] * 3, (6, 6)), rng.normal(0, 1e-2, (6, 4, 3))
+    x = hold(model, h, 4, start).roll(x0, u)
+    fine = between(hold(model, h / 16, 64, start), x, u)[..., :3]
+    pieces = controls(x[..., :3], x[..., 3:], h)
+    off = max(
+        np.linalg.norm(at(pieces, j / 16) - fine[:, j:-1:16], axis=-1).max() for j in range(16)
+    )
+    assert missed(model, x, u, h, start) == pytest.approx(off, rel=2e-3)
+    # The ends of the pieces need not be known, and who is not there misses nothing.
+    x[:, 4] = np.nan
+    x, u = np.vstack([x, np.full((1, 5, 6), np.nan)]), np.vstack([u, np.full((1, 4, 3), np.nan)])
+    assert missed(model, x, u, h, start) == pytest.approx(off, rel=2e-3)
+
+
+def test_what_pieces_of_any_flight_miss_is_seen_in_pieces_of_twice_the_length(rng):
+    plant = Inertial(ORBIT)
+    x0, u = rng.normal(0, [1000] * 3 + [2.0] * 3, (6, 6)), rng.normal(0, 1e-2, (6, 3))
+    fine = np.moveaxis(plant.fly(x0, u, 500.0, 120.0, 96), 0, 1)
+    position, velocity = fine[..., :3], fine[..., 3:]
+    pieces = controls(position[:, ::8], velocity[:, ::8], 10.0)
+    off = max(
+        np.linalg.norm(at(pieces, j / 8) - position[:, j:-1:8], axis=-1).max() for j in range(8)
+    )
+    found = missed_by_halves(position[:, ::8], velocity[:, ::8], 10.0)
+    assert found == pytest.approx(off, rel=0.05)
+    position[2] = np.nan
+    assert 0 < missed_by_halves(position[:, ::8], velocity[:, ::8], 10.0) <= found
+    with pytest.raises(ValueError, match="12 instants do not make pieces of twice the length"):
+        missed_by_halves(position[:, :12], velocity[:, :12], 1.25)
+
+
+@pytest.mark.parametrize("axes", [2, 3])
+def test_nothing_is_missed_of_a_double_integrator(rng, axes):
+    model, x, u = swarm(rng, axes=axes)
+    assert missed(model, x, u, 0.7) == 0.0
+    held = hold(model, 0.7, 8).roll(x[:, 0], np.repeat(u[:, :1], 8, axis=1))
+    assert missed_by_halves(held[..., :axes], held[..., axes:], 0.7) < 1e-13
 
 
 @settings(deadline=None, max_examples=300)
