@@ -72,8 +72,8 @@ def hold(model: LinearModel, dt: float, count: int, start: float = 0.0) -> Steps
     """
     _check(dt, count)
     if model.constant:
-        once = _hold_always(model, dt)
-        return Steps(*(np.repeat(part[None], count, axis=0) for part in once), dt)
+        A, B, z = (np.repeat(part[None], count, axis=0) for part in _hold_always(model, dt))
+        return Steps(A, B, z, dt)
     return _hold_varying(model, dt, count, start)
 
 
@@ -114,7 +114,7 @@ def follow(
         moved = A @ state
         moved[..., 0] = model.rate(times + t, state[..., 0], u)
         moved[..., 1 + n :] += B
-        return moved.ravel()
+        return np.asarray(moved.ravel())
 
     begin = np.zeros((*lead, n, 1 + n + m))
     begin[..., 0], begin[..., 1 : 1 + n] = x0, np.eye(n)
@@ -146,7 +146,7 @@ def _hold_varying(model: LinearModel, dt: float, count: int, start: float) -> St
         moved = A @ y.reshape(count, n, n + m + 1)
         moved[:, :, n : n + m] += B
         moved[:, :, -1] += z
-        return moved.ravel()
+        return np.asarray(moved.ravel())
 
     begin = np.broadcast_to(np.eye(n, n + m + 1), (count, n, n + m + 1))
     end = _integrate(rate, begin.ravel(), dt).reshape(begin.shape)

@@ -33,14 +33,14 @@ class J2(NonlinearModel):
     axes: int = field(default=3, init=False, repr=False)
 
     def rate(
-        self, t: float | Float[Array, "*t"], x: Float[Array, "*k 6"], u: Float[Array, "*k 3"]
-    ) -> Float[Array, "*k 6"]:
+        self, t: float | Float[Array, "*#k"], x: Float[Array, "*#k 6"], u: Float[Array, "*#k 3"]
+    ) -> Float[Array, "... 6"]:
         """Rate of change of the state, of one or of many."""
         return self._rate(self.orbit.at(t), x, u)
 
     def jacobian(
-        self, t: float | Float[Array, "*t"], x: Float[Array, "*k 6"], u: Float[Array, "*k 3"]
-    ) -> tuple[Float[Array, "*k 6 6"], Float[Array, "*k 6 3"]]:
+        self, t: float | Float[Array, "*#k"], x: Float[Array, "*#k 6"], u: Float[Array, "*#k 3"]
+    ) -> tuple[Float[Array, "... 6 6"], Float[Array, "... 6 3"]]:
         """∂f/∂x and ∂f/∂u."""
         chief = self.orbit.at(t)
         turn, turning = _rotation(chief, self.orbit)
@@ -91,8 +91,8 @@ class J2(NonlinearModel):
 
 
 def gravity(
-    R: Float[Array, "*k 3"], pole: Float[Array, "*k 3"], orbit: Orbit
-) -> Float[Array, "*k 3"]:
+    R: Float[Array, "*#k 3"], pole: Float[Array, "*#k 3"], orbit: Orbit
+) -> Float[Array, "... 3"]:
     """Attraction of the oblate Earth at R from its centre, g = −η² R − ζ s [m/s²].
 
     Args:
@@ -108,8 +108,8 @@ def gravity(
 
 
 def gravity_gradient(
-    R: Float[Array, "*k 3"], pole: Float[Array, "*k 3"], orbit: Orbit
-) -> Float[Array, "*k 3 3"]:
+    R: Float[Array, "*#k 3"], pole: Float[Array, "*#k 3"], orbit: Orbit
+) -> Float[Array, "... 3 3"]:
     """∂g/∂R [1/s²], see `gravity`."""
     mu, k = orbit.mu, orbit.k_J2
     R, pole = np.broadcast_arrays(R, pole)
@@ -193,7 +193,7 @@ def _rotation(chief: Array, orbit: Orbit) -> tuple[Array, Array]:
     return turn, _cross(rates.alpha_x, rates.alpha_z) + turn @ turn
 
 
-def _cross(a: Array, c: Array) -> Array:
+def _cross(a: Float[Array, "*k"] | float, c: Float[Array, "*k"] | float) -> Array:
     """The matrix of a cross product with (a, 0, c)."""
     zero = np.zeros_like(a)
     return np.stack(

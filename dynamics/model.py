@@ -29,14 +29,14 @@ class NonlinearModel(Model):
 
     @abstractmethod
     def rate(
-        self, t: float | Float[Array, "*t"], x: Float[Array, "*k n"], u: Float[Array, "*k m"]
-    ) -> Float[Array, "*k n"]:
+        self, t: float | Float[Array, "*#k"], x: Float[Array, "*#k n"], u: Float[Array, "*#k m"]
+    ) -> Float[Array, "... n"]:
         """Rate of change of the state, of one or of many."""
 
     @abstractmethod
     def jacobian(
-        self, t: float | Float[Array, "*t"], x: Float[Array, "*k n"], u: Float[Array, "*k m"]
-    ) -> tuple[Float[Array, "*k n n"], Float[Array, "*k n m"]]:
+        self, t: float | Float[Array, "*#k"], x: Float[Array, "*#k n"], u: Float[Array, "*#k m"]
+    ) -> tuple[Float[Array, "... n n"], Float[Array, "... n m"]]:
         """∂f/∂x and ∂f/∂u."""
 
 
@@ -88,15 +88,15 @@ class SymbolicModel(NonlinearModel):
     formula: Callable[[Any, Any, Any], Any]
 
     def rate(
-        self, t: float | Float[Array, "*t"], x: Float[Array, "*k n"], u: Float[Array, "*k m"]
-    ) -> Float[Array, "*k n"]:
+        self, t: float | Float[Array, "*#k"], x: Float[Array, "*#k n"], u: Float[Array, "*#k m"]
+    ) -> Float[Array, "... n"]:
         """Rate of change of the state, of one or of many."""
         (found,) = self._each(self._functions[0], t, x, u)
         return found[..., 0]
 
     def jacobian(
-        self, t: float | Float[Array, "*t"], x: Float[Array, "*k n"], u: Float[Array, "*k m"]
-    ) -> tuple[Float[Array, "*k n n"], Float[Array, "*k n m"]]:
+        self, t: float | Float[Array, "*#k"], x: Float[Array, "*#k n"], u: Float[Array, "*#k m"]
+    ) -> tuple[Float[Array, "... n n"], Float[Array, "... n m"]]:
         """∂f/∂x and ∂f/∂u, by algorithmic differentiation."""
         A, B = self._each(self._functions[1], t, x, u)
         return A, B

@@ -29,10 +29,10 @@ RTOL = 1e-13  # of the integration: about what doubles can hold
 class FrameRates(NamedTuple):
     """How the chief's frame turns: ω = (ω_x, 0, ω_z), α = (α_x, 0, α_z)."""
 
-    omega_x: Float[Array, "*k"]  # [rad/s]
-    omega_z: Float[Array, "*k"]
-    alpha_x: Float[Array, "*k"]  # [rad/s²]
-    alpha_z: Float[Array, "*k"]
+    omega_x: Float[Array, "*k"] | float  # [rad/s]
+    omega_z: Float[Array, "*k"] | float
+    alpha_x: Float[Array, "*k"] | float  # [rad/s²]
+    alpha_z: Float[Array, "*k"] | float
 
 
 @dataclass(frozen=True)

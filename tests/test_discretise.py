@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import casadi
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,7 +10,8 @@ from hypothesis import strategies as st
 from scipy.integrate import quad_vec, solve_ivp
 from scipy.linalg import expm
 
-from dynamics import ClohessyWiltshire, DoubleIntegrator, LinearModel, Steps, hold
+from dynamics import ClohessyWiltshire, DoubleIntegrator, LinearModel, Steps, SymbolicModel, hold
+from dynamics.discretise import follow
 
 short = st.floats(1e-3, 200)
 
@@ -138,14 +140,44 @@ def test_a_constant_model_is_held_exactly(rng):
     np.testing.assert_allclose(path[-1], flown(model, x, u, 90.0), rtol=1e-8, atol=1e-8)
 
 
-def test_a_changing_model_is_held_to_second_order():
+@pytest.mark.parametrize("parts", [1, 5])
+def test_a_changing_model_is_held_exactly(parts):
     x, u, model = np.array([1.0, -0.5, 0.2, 0.0]), np.array([[0.3, -0.2]]), Swinging()
     truth = flown(model, x, np.tile(u, (4, 1)), 0.5)
-    errors = []
-    for parts in (5, 10, 20):
-        end = hold(model, 0.5 / parts, 4 * parts).roll(x, np.tile(u, (4 * parts, 1)))[-1]
-        errors.append(np.abs(end - truth).max())
-    np.testing.assert_allclose(np.divide(errors[:-1], errors[1:]), 4, atol=0.2)
+    end = hold(model, 0.5 / parts, 4 * parts).roll(x, np.tile(u, (4 * parts, 1)))[-1]
+    np.testing.assert_allclose(end, truth, rtol=0, atol=1e-9)
+
+
+def swing(t, x, u):
+    return casadi.vertcat(x[1], -casadi.sin(x[0]) * (2 + casadi.sin(t)) + u[0])
+
+
+def test_steps_about_a_path_are_those_of_each_agent(rng):
+    model, u = SymbolicModel(1, swing), rng.normal(size=(3, 4, 1))
+    x = rng.normal(size=(3, 5, 2))
+    together = follow(model, x, u, 0.3, start=0.7)
+    assert len(together) == 4
+    for i in range(3):
+        alone, own = follow(model, x[i], u[i], 0.3, start=0.7), together.of(i)
+        np.testing.assert_allclose(own.A, alone.A, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(own.z, alone.z, rtol=0, atol=1e-9)
+
+
+def test_steps_about_a_path_have_the_slopes_of_the_motion(rng):
+    model, u = SymbolicModel(1, swing), np.array([[0.4]])
+    x, h = np.array([[0.8, -0.3], [0.0, 0.0]]), 1e-5
+    steps = follow(model, x, u, 0.5)
+
+    def end(state, push):
+        rate = lambda t, y: model.rate(t, y, push)  # noqa: E731
+        return solve_ivp(rate, (0, 0.5), state, "DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
+
+    for i, e in enumerate(np.eye(2)):
+        slope = (end(x[0] + h * e, u[0]) - end(x[0] - h * e, u[0])) / (2 * h)
+        np.testing.assert_allclose(steps.A[0, :, i], slope, atol=1e-8)
+    slope = (end(x[0], u[0] + h) - end(x[0], u[0] - h)) / (2 * h)
+    np.testing.assert_allclose(steps.B[0, :, 0], slope, atol=1e-8)
+    np.testing.assert_allclose(steps.roll(x[0], u)[-1], end(x[0], u[0]), atol=1e-10)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from dynamics.discretise import Steps, follow, hold
-from dynamics.path import error_bound
+from dynamics.path import missed
 from problems.auction_cost import price_within_speed
 from problems.avoidance import Avoidance, no_spaces
 from problems.conic import Unsolved
@@ -211,7 +211,7 @@ def _margin(mission: Reconfiguration, h: float) -> float:
     ends = np.concatenate([mission.start, *(leg.targets for leg in mission.legs)])
     x = np.stack([ends, ends], axis=1)
     u = np.full((len(ends), 1, mission.model.axes), mission.max_control)
-    return 4 * error_bound(mission.model, x, u, h)
+    return 4 * missed(mission.model, x, u, h)
 
 
 def alone(
