@@ -130,4 +130,4 @@ def _waves(w: float, t: Array) -> tuple[Array, Array, Array]:
     x = np.minimum(angle**2, 0.25)
     series = 1 - x / 20 * (1 - x / 42 * (1 - x / 72 * (1 - x / 110 * (1 - x / 156))))
     L = np.where(np.abs(angle) < 0.5, t**3 / 6 * series, (t - S) / w**2)
-    return S, V, L
+    return np.asarray(S), np.asarray(V), L

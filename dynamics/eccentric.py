@@ -22,9 +22,9 @@ IN_PLANE = np.array([0, 1, 3, 4])  # of the state
 class Place(NamedTuple):
     """Where the chief is on its ellipse."""
 
-    e_sin: Array  # e sin f, f the true anomaly
-    rho: Array  # 1 + e cos f = p/r
-    turn: Array  # ω = ḟ, the rate of the frame [rad/s]
+    e_sin: Array | float  # e sin f, f the true anomaly
+    rho: Array | float  # 1 + e cos f = p/r
+    turn: Array | float  # ω = ḟ, the rate of the frame [rad/s]
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class Eccentric(LinearModel):
         w = at.turn
         pull = w**2 / at.rho  # μ/r³
         alpha = -2 * w**2 * at.e_sin / at.rho
-        A = np.zeros((*w.shape, 6, 6))
+        A = np.zeros((*np.shape(w), 6, 6))
         A[..., :3, 3:] = np.eye(3)
         A[..., 3, 0], A[..., 3, 1], A[..., 3, 4] = w**2 + 2 * pull, alpha, 2 * w
         A[..., 4, 0], A[..., 4, 1], A[..., 4, 3] = -alpha, w**2 - pull, -2 * w
@@ -133,7 +133,7 @@ class Eccentric(LinearModel):
             end: Until when [s]; before the start, too.
         """
         f0, f1 = np.broadcast_arrays(self.anomaly_at(start), self.anomaly_at(end))
-        J = self._k * (np.asarray(end, dtype=float) - start)
+        J = np.asarray(self._k * np.subtract(end, start))
         plane = self._solutions(f1, J) @ np.linalg.inv(self._solutions(f0, np.zeros_like(J)))
         scaled = np.zeros((*f0.shape, 6, 6))
         scaled[..., IN_PLANE[:, None], IN_PLANE] = plane
@@ -199,7 +199,7 @@ class Eccentric(LinearModel):
         return _blocks(1 / at.rho, np.zeros_like(f), self._k * at.e_sin, self._k * at.rho)
 
 
-def _blocks(a: Array, b: Array, c: Array, d: Array) -> Array:
+def _blocks(a: Array | float, b: Array, c: Array | float, d: Array | float) -> Array:
     """[[a, b], [c, d]] for each of the three axes."""
     both = np.stack([np.stack([a, b], axis=-1), np.stack([c, d], axis=-1)], axis=-2)
     return np.asarray(np.kron(both, np.eye(3)))

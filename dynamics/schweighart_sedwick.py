@@ -59,9 +59,11 @@ class SchweighartSedwick(Circular):
     def about(cls, orbit: Orbit) -> "SchweighartSedwick":
         """About the circle on which the averaged J2 leaves the energy that the orbit has.
 
-        Its rate is the orbit's own on average, to about a millionth where the eccentricity
-        is of the order of J2; with the semi-major axis of an instant, it would be wrong by
-        up to three thousandths, for under J2 that axis swings by kilometres in each orbit.
+        Its rates are the orbit's own on average, to about a hundred-thousandth where the
+        eccentricity is of the order of J2. With the semi-major axis of an instant they would
+        be wrong by up to three thousandths, for J2 makes that axis swing by kilometres in
+        each orbit; across the plane it would show as 20 m an orbit for each km. In the plane
+        one is as good as the other: the start's own share in what is averaged away decides.
         """
         mu, k = orbit.mu, orbit.k_J2
         first = cls(orbit.semi_major_axis, orbit.inclination, mu, k)

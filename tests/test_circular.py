@@ -1,0 +1,136 @@
+"""Closed forms about a circle: laws, exponentials and an integrator.
+
+Errors of Φ are relative to its largest entry, with velocities counted in units of the
+orbit's rate times a metre; those of Γ likewise, with time counted in radians of the orbit.
+"""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from dynamics import hold
+from dynamics.clohessy_wiltshire import ClohessyWiltshire
+from dynamics.schweighart_sedwick import SchweighartSedwick
+
+MODELS = [
+    ClohessyWiltshire(1.1e-3),
+    SchweighartSedwick(6878e3, np.radians(45)),
+    SchweighartSedwick(7200e3, np.radians(98)),
+]
+models = pytest.mark.parametrize("model", MODELS, ids=["Clohessy", "Schweighart45", "98"])
+times = st.floats(-2e4, 2e4)
+any_model = st.sampled_from(MODELS)
+
+
+def units(model):
+    return np.repeat([1.0, model.coriolis], 3)
+
+
+def scaled(model, Phi):
+    return Phi * units(model) / units(model)[:, None]
+
+
+def assert_same(model, Phi, other, rtol):
+    a, b = scaled(model, Phi), scaled(model, other)
+    np.testing.assert_allclose(a, b, rtol=0, atol=rtol * np.abs(b).max())
+
+
+@models
+def test_at_no_time_nothing_has_happened(model):
+    np.testing.assert_array_equal(model.transition(0.0), np.eye(6))
+    np.testing.assert_array_equal(model.held(0.0), np.zeros((6, 3)))
+
+
+@given(any_model, times, times)
+def test_one_time_after_another_is_their_sum(model, first, then):
+    both = model.transition(then) @ model.transition(first)
+    assert_same(model, both, model.transition(first + then), 1e-10)
+
+
+@given(any_model, st.floats(0, 1e4), st.floats(0, 1e4))
+def test_an_acceleration_held_on_is_one_held_for_longer(model, first, then):
+    both = model.transition(then) @ model.held(first) + model.held(then)
+    unit = units(model)[:, None] / model.coriolis**2
+    whole = model.held(first + then)
+    np.testing.assert_allclose(both / unit, whole / unit, rtol=1e-11, atol=1e-9)
+
+
+@given(any_model, times)
+def test_volume_in_phase_space_is_conserved(model, t):
+    assert np.linalg.det(scaled(model, model.transition(t))) == pytest.approx(1, abs=1e-9)
+
+
+@models
+def test_many_times_are_each_by_itself(model, rng):
+    t = rng.uniform(0, 6e3, (2, 3))
+    Phi, Gamma = model.transition(t), model.held(t)
+    assert Phi.shape == (2, 3, 6, 6)
+    assert Gamma.shape == (2, 3, 6, 3)
+    np.testing.assert_array_equal(Phi[1, 2], model.transition(t[1, 2]))
+    np.testing.assert_array_equal(Gamma[1, 2], model.held(t[1, 2]))
+
+
+@models
+def test_a_bounded_orbit_closes_whatever_its_radial_speed(model, rng):
+    x = rng.uniform(-1500, 1500, (20, 6)) * units(model)
+    x[:, 4] = model.bounded(x[:, :3])[:, 1]
+    turn = 2 * np.pi / model.rate_in_plane
+    end = x @ model.transition(turn).T
+    np.testing.assert_allclose(end[:, [0, 1, 3, 4]], x[:, [0, 1, 3, 4]], atol=1e-8)
+    half = x @ model.transition(turn / 2).T
+    assert np.abs(half - x)[:, :2].max() > 1000  # it went somewhere
+
+
+@models
+def test_a_centred_orbit_is_opposite_after_half_a_turn(model, rng):
+    place = rng.uniform(-1500, 1500, (20, 3))
+    x = np.hstack([place, model.centred(place)])
+    half = x @ model.transition(np.pi / model.rate_in_plane).T
+    np.testing.assert_allclose(half[:, [0, 1, 3, 4]], -x[:, [0, 1, 3, 4]], atol=1e-8)
+
+
+@models
+def test_the_drift_is_the_stated_one(model, rng):
+    x = rng.uniform(-1000, 1000, 6) * units(model)
+    turn = 2 * np.pi / model.rate_in_plane
+    D = x[4] + 2 * model.coriolis * x[0]
+    moved = (model.transition(turn) @ x - x)[[0, 1, 3, 4]]
+    drift = -model.stretch / model.rate_in_plane**2 * D * turn
+    np.testing.assert_allclose(moved, [0, drift, 0, 0], atol=1e-7)
+
+
+@models
+@pytest.mark.parametrize("t", [1e-3, 1.0, 60.0, 450.0, 460.0, 1440.0])
+def test_a_step_that_is_held_is_the_closed_form_in_every_entry(model, t):
+    step = hold(model, t, 1)
+    for closed, found in ((model.transition(t), step.A[0]), (model.held(t), step.B[0])):
+        np.testing.assert_array_equal(closed != 0, found != 0)
+        np.testing.assert_allclose(closed, found, rtol=1e-10, atol=0)
+
+
+@given(any_model, times)
+def test_the_closed_form_is_the_exponential(model, t):
+    # The exponential, by squaring, is the less exact of the two.
+    assert_same(model, model.transition(t), expm(model.A(0.0) * t), 1e-11)
+
+
+@models
+def test_the_closed_forms_solve_their_equations(model):
+    """A second opinion: DOP853 over three periods, Φ and Γ side by side."""
+    unit, end = units(model), 6 * np.pi / model.coriolis
+    A = model.A(0.0) * unit / unit[:, None]
+    B = model.B(0.0) / unit[:, None]
+
+    def rate(t, y):
+        y = y.reshape(6, 9)
+        return (A @ y + np.hstack([np.zeros((6, 6)), B])).ravel()
+
+    begin = np.eye(6, 9).ravel()
+    y = solve_ivp(rate, (0, end), begin, method="DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
+    Phi, Gamma = np.split(y.reshape(6, 9), [6], axis=1)
+    assert_same(model, model.transition(end), Phi * unit[:, None] / unit, 1e-11)
+    error = np.abs(model.held(end) / unit[:, None] - Gamma).max()
+    assert error <= 1e-11 * np.abs(Gamma).max()
