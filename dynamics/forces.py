@@ -26,9 +26,7 @@ class Forces:
         self, state: Float[Array, "*k 6"], ballistic: float | Float[Array, "*#k"] | None = None
     ) -> Float[Array, "*k 3"]:
         """Acceleration of one vehicle or of many [m/s²]."""
-        position = state[..., :3]
-        r2 = (position * position).sum(axis=-1, keepdims=True)
-        pull = -self.mu / (r2 * np.sqrt(r2)) * position + self._oblateness(position)
+        pull = self._gravity(state[..., :3], self.mu)
         return np.asarray(pull if ballistic is None else pull + self._drag(state, ballistic))
 
     def difference(
@@ -42,7 +40,7 @@ class Forces:
 
         Subtracting two accelerations would leave a few digits of two bodies' pull, which
         differs by a ten-thousandth in a kilometre. Encke's form keeps them all
-        [Battin1999, Sec. 8.4], with r the vehicle's distance and R the chief's:
+        [Vallado2013, Sec. 8.3], with r the vehicle's distance and R the chief's:
 
             μ R/R³ − μ r/r³ = −μ/R³ (d − F r),  F = 1 − (1 + q)^(−3/2),  q = d·(d + 2R)/R²
 
@@ -57,11 +55,29 @@ class Forces:
         q = (d * (d + 2 * R)).sum(axis=-1, keepdims=True) / R2
         F = -np.expm1(-1.5 * np.log1p(q))
         pull = -self.mu / R2**1.5 * (d - F * (R + d))
-        pull += self._oblateness(R + d) - self._oblateness(R)
+        pull += self._gravity(R + d, 0.0) - self._gravity(R, 0.0)
         if ballistic is None:
             return np.asarray(pull)
         drag = self._drag(chief + offset, ballistic)
         return np.asarray(pull + drag - self._drag(chief, chief_ballistic))
+
+    def coefficients(
+        self, ballistic: float | Float[Array, " each"] | None, count: int
+    ) -> Float[Array, " {count}"] | None:
+        """A ballistic coefficient for each of so many vehicles, or None where there is no air.
+
+        Raises:
+            ValueError: `check` refuses them, or there are more or fewer than vehicles.
+        """
+        self.check(ballistic)
+        if self.atmosphere is None or ballistic is None:
+            return None
+        if np.shape(ballistic) not in ((), (count,)):
+            raise ValueError(
+                "give one ballistic coefficient for all or one for every vehicle: there are "
+                f"{count} vehicles and {np.size(ballistic)} coefficients"
+            )
+        return np.broadcast_to(np.asarray(ballistic, dtype=float), (count,))
 
     def check(self, ballistic: float | Float[Array, "*k"] | None) -> None:
         """Refuse an atmosphere without ballistic coefficients, and the other way round.
@@ -87,13 +103,16 @@ class Forces:
                 f"ballistic coefficients are finite and not negative, got {np.min(ballistic)} m²/kg"
             )
 
-    def _oblateness(self, position: Array) -> Array:
-        # −∇ of −k/r³ (1/3 − (Z/r)²), with Z along the Earth's axis.
-        r2 = (position * position).sum(axis=-1, keepdims=True)
-        Z = position[..., 2:]
-        strength = -self.k_J2 / (r2 * r2 * np.sqrt(r2))
-        pull = strength * (1 - 5 * Z * Z / r2) * position
-        pull[..., 2:] += 2 * strength * Z
+    def _gravity(self, position: Array, mu: float) -> Array:
+        # −∇ of −μ/r − k/r³ (1/3 − (Z/r)²), with Z along the Earth's axis; axis by axis, for
+        # sums over a short last axis would take half of the time.
+        X, Y, Z = position[..., 0], position[..., 1], position[..., 2]
+        r2 = X * X + Y * Y + Z * Z
+        r = np.sqrt(r2)
+        bulge = self.k_J2 / (r2 * r2 * r)
+        strength = mu / (r2 * r) + bulge * (1 - 5 * Z * Z / r2)
+        pull = -strength[..., None] * position
+        pull[..., 2] -= 2 * bulge * Z
         return np.asarray(pull)
 
     def _drag(self, state: Array, ballistic: float | Array) -> Array:

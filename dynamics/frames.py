@@ -42,7 +42,7 @@ class LVLH:
     ) -> "LVLH":
         """The frame of a chief with this inertial state.
 
-            ω_z = h/r²,    ω_x = r a_n/h    [Alfriend2009, Sec. 2.3]
+            ω_z = h/r²,    ω_x = r a_n/h    [Xu2008]
 
         Args:
             chief: Its inertial position and velocity [m, m/s].

@@ -35,7 +35,7 @@ class Inertial(Plant):
 
     Args:
         orbit: The chief's at time 0, and the Earth's gravity.
-        ballistic: Coefficient C_D A/m of each vehicle, where there is an atmosphere [m²/kg].
+        ballistic: Coefficient C_D A/m of all vehicles or of each, where there is air [m²/kg].
         chief_ballistic: That of the chief.
         atmosphere: None is no drag.
 
@@ -44,7 +44,7 @@ class Inertial(Plant):
     """
 
     orbit: Orbit
-    ballistic: Float[Array, " agents"] | None = None
+    ballistic: float | Float[Array, " agents"] | None = None
     chief_ballistic: float = 0.0  # [m²/kg]
     atmosphere: Atmosphere | None = None
 
@@ -68,13 +68,13 @@ class Inertial(Plant):
             Impact: A vehicle or the chief meets the Earth.
         """
         check_flight(x, u, dt, pieces, axes=3)
-        if self.ballistic is not None and len(self.ballistic) != len(x):
-            raise ValueError(f"{len(self.ballistic)} ballistic coefficients for {len(x)} vehicles")
+        air = self._forces.coefficients(self.ballistic, len(x))
         here = np.flatnonzero(present(x))
         chief = self._state(t)
         offset = self._frame(chief).to_offset(x[here])
         instants = np.linspace(0, dt, pieces + 1)[1:]
-        flown = self._integrate(np.vstack([chief, offset]), t, instants, here, u[here])
+        air = None if air is None else air[here]
+        flown = self._integrate(np.vstack([chief, offset]), t, instants, here, u[here], air)
         result = np.full((pieces + 1, *x.shape), np.nan)
         result[0] = x
         result[1:, here] = self._frame(flown[:, 0]).from_offset(flown[:, 1:])
@@ -96,18 +96,25 @@ class Inertial(Plant):
 
     def _alone(self, chief: Array, t: float, dt: float) -> Array:
         nobody = np.array([], dtype=int)
-        flown = self._integrate(chief[None], t, np.array([dt]), nobody, np.zeros((0, 3)))
+        flown = self._integrate(chief[None], t, np.array([dt]), nobody, np.zeros((0, 3)), None)
         return np.asarray(flown[0, 0])
 
     def _frame(self, chief: Array) -> LVLH:
         return LVLH.of_state(chief, self._forces.acceleration(chief, self._chief_air))
 
-    def _integrate(self, start: Array, t: float, times: Array, here: Array, push: Array) -> Array:
+    def _integrate(
+        self,
+        start: Array,
+        t: float,
+        times: Array,
+        here: Array,
+        push: Array,
+        air: Array | None,
+    ) -> Array:
         """The chief and the offsets of those who are here, at times after t."""
         size = np.linalg.norm(start[0].reshape(2, 3), axis=1).repeat(3)
         offsets = np.tile(OFFSET / np.sqrt(len(start)), (len(here), 1))
         allowed = np.vstack([RTOL * size, offsets])
-        air = None if self.ballistic is None else self.ballistic[here]
 
         def rate(t: float, y: Array) -> Array:
             now = y.reshape(-1, 6)

@@ -86,7 +86,8 @@ def check_flight(x: Array, u: Array, dt: float, pieces: int, axes: int) -> None:
         )
     if not 0 < dt < np.inf or pieces < 1:
         raise ValueError(
-            f"a flight takes some time and has at least one piece, got dt = {dt} s and {pieces}"
+            "a flight takes some time and has at least one piece, got "
+            f"dt = {dt} s, pieces = {pieces}"
         )
     lost = np.flatnonzero(present(x) & ~np.isfinite(u).all(axis=1))
     if len(lost):

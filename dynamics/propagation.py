@@ -38,7 +38,7 @@ def propagate(
     state: Float[Array, "agents 6"],
     times: Float[Array, " instants"],
     forces: Forces = GRAVITY,
-    ballistic: Float[Array, " agents"] | None = None,
+    ballistic: float | Float[Array, " each"] | None = None,
     accuracy: float = 1e-9,
 ) -> Float[Array, "instants agents 6"]:
     """Fly many spacecraft at once without thrust, all in one integration.
@@ -47,7 +47,7 @@ def propagate(
         state: Inertial positions and velocities at time 0 [m, m/s].
         times: At which states are wanted, increasing from 0 or later [s].
         forces: What pulls at them; two bodies and J2 if nothing is said.
-        ballistic: Coefficient C_D A/m of each, where there is an atmosphere [m²/kg].
+        ballistic: Coefficient C_D A/m of all or of each, where there is an atmosphere [m²/kg].
         accuracy: Largest error of any one spacecraft after an orbit, as a fraction of its
             distance from the Earth's centre. Later it grows with the square of the orbits.
 
@@ -56,11 +56,8 @@ def propagate(
             lacks ballistic coefficients.
         Impact: A spacecraft meets the Earth.
     """
-    forces.check(ballistic)
     _check_start(state, times, accuracy)
-    if ballistic is not None and ballistic.shape != (len(state),):
-        raise ValueError(f"{len(state)} vehicles need as many coefficients, got {len(ballistic)}")
-    air = ballistic if forces.atmosphere is not None else None
+    air = forces.coefficients(ballistic, len(state))
 
     def rate(t: float, y: Array) -> Array:
         now = y.reshape(-1, 6)

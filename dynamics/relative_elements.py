@@ -19,7 +19,7 @@ EQUATORIAL = 1e-8
 
 
 class RelativeElements(NamedTuple):
-    """A deputy's orbit relative to the chief's, without dimension [DAmico2010, eq. 2.2].
+    """A deputy's orbit relative to the chief's, without dimension [DAmico2010, Chapter 2].
 
         δa   = (a_d − a_c)/a_c
         δλ   = u_d − u_c + (Ω_d − Ω_c) cos i_c,    u = M + ω
@@ -110,7 +110,7 @@ class RelativeElements(NamedTuple):
         return frame.from_inertial(deputy.state(mu))
 
     def near_circular(self, chief: Elements, mu: float = EARTH_MU) -> Float[Array, "*k 6"]:
-        """States in the chief's frame to first order [DAmico2010, eq. 2.17].
+        """States in the chief's frame to first order [DAmico2010, Chapter 2].
 
         Good to second order in the elements for a circular chief, and off by the fraction e
         for others.

@@ -45,6 +45,7 @@ def test_states_go_to_inertial_space_and_back_within_its_last_digit(chief, seed)
     x = some(rng, (20,))
     back = frame.from_inertial(frame.to_inertial(x))
     digit = np.spacing(np.linalg.norm(chief.reshape(2, 3), axis=1) + 2 * NEAR[::3])
+    digit[1] += np.linalg.norm(frame.omega) * digit[0]
     error = np.linalg.norm((back - x).reshape(-1, 2, 3), axis=2)
     assert np.all(error <= 3 * digit)  # one is a nanometre in low orbit
 
