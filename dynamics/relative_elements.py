@@ -142,7 +142,7 @@ def _with_vehicles(frame: LVLH, x: Array) -> Array:
 
 def _refuse_equatorial(whose: str, inclination: float | Array) -> None:
     flat = np.ravel(inclination)
-    wrong = ~(np.sin(flat) > EQUATORIAL)
+    wrong = np.abs(np.sin(flat)) <= EQUATORIAL
     if wrong.any():
         raise ValueError(
             "quasi-nonsingular relative elements are singular for an equatorial orbit, whose "

@@ -142,8 +142,10 @@ def test_an_equatorial_chief_is_refused_with_what_would_do(tilt):
         one("longitude", 1e-4).deputy(flat)
 
 
-def test_an_equatorial_deputy_is_refused():
-    with pytest.raises(ValueError, match=r"the deputy has an inclination of -5"):
+def test_a_deputy_on_the_equator_or_past_it_is_refused():
+    with pytest.raises(ValueError, match=r"the deputy has an inclination of 0°"):
+        one("inclination_x", -0.9).deputy(near_circle())
+    with pytest.raises(ValueError, match=r"between 0 and 180 degrees, got -5\.7"):
         one("inclination_x", -1.0).deputy(near_circle())
 
 
