@@ -5,6 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dynamics import ClohessyWiltshire, hold
+from dynamics.orbit import Orbit
 
 n = np.sqrt(3.986004418e14 / 6878e3**3)  # circular orbit of 6878 km
 model = ClohessyWiltshire(float(n))
@@ -78,6 +79,37 @@ def test_the_equations_are_those_of_two_bodies_nearby():
     linear = coast(np.concatenate([offset, velocity]), time, 10)[-1, :3]
     assert np.linalg.norm(truth) > 100
     np.testing.assert_allclose(linear, truth, atol=0.01)  # separation² over radius: 6 mm
+
+
+def test_the_closed_forms_are_the_printed_ones():
+    """The solution as textbooks print it [Clohessy1960], entry by entry."""
+    t = 1440.0
+    c, s, a = np.cos(n * t), np.sin(n * t), n * t
+    Phi = [
+        [4 - 3 * c, 0, 0, s / n, 2 * (1 - c) / n, 0],
+        [6 * (s - a), 1, 0, -2 * (1 - c) / n, (4 * s - 3 * a) / n, 0],
+        [0, 0, c, 0, 0, s / n],
+        [3 * n * s, 0, 0, c, 2 * s, 0],
+        [-6 * n * (1 - c), 0, 0, -2 * s, 4 * c - 3, 0],
+        [0, 0, -n * s, 0, 0, c],
+    ]
+    Gamma = [
+        [(1 - c) / n**2, 2 * (a - s) / n**2, 0],
+        [-2 * (a - s) / n**2, 4 * (1 - c) / n**2 - 1.5 * t**2, 0],
+        [0, 0, (1 - c) / n**2],
+        [s / n, 2 * (1 - c) / n, 0],
+        [-2 * (1 - c) / n, 4 * s / n - 3 * t, 0],
+        [0, 0, s / n],
+    ]
+    np.testing.assert_allclose(model.transition(t), Phi, rtol=1e-13, atol=0)
+    np.testing.assert_allclose(model.held(t), Gamma, rtol=1e-13, atol=0)
+
+
+def test_about_an_orbit_it_turns_as_the_orbit_does():
+    orbit = Orbit.of_elements(6878e3, inclination=0.8, anomaly=1.0)
+    assert ClohessyWiltshire.about(orbit).n == pytest.approx(n, rel=1e-13)
+    eccentric = Orbit.of_elements(8600e3, 0.2, anomaly=2.0)
+    assert eccentric.period * ClohessyWiltshire.about(eccentric).n == pytest.approx(2 * np.pi)
 
 
 @pytest.mark.parametrize("bad", [0.0, -1e-3, np.nan, np.inf])
