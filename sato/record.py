@@ -14,7 +14,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from dynamics import ClohessyWiltshire
+from dynamics.inertial import Inertial
+from dynamics.plant import Modelled, Plant
+from sato.record_variables import ELEMENTS, MAY_LACK, MEANING, dataset
 
 if TYPE_CHECKING:  # xarray takes a second to load; the mission's package itself imports Frame
     import xarray
@@ -96,7 +98,7 @@ class Run:
             about["stopped"] = stopped
         variables = {**_over_time(frames), **_events(frames), **_over_legs(frames, mission)}
         variables |= _chief(frames, mission)
-        data = _dataset(variables, about)
+        data = dataset(variables, about)
         data.attrs["digest"] = digest(data)
         return cls(data, first_words(data.attrs))
 
@@ -161,12 +163,13 @@ def load(path: str | Path) -> Run:
 
 
 def limits(mission: "sato.reconfiguration.mission.Reconfiguration") -> dict[str, float]:
-    """The radii and limits that a run file says in its attributes."""
+    """The radii, limits and constants that a run file says in its attributes."""
     return {
         "comm_radius_m": mission.comm_radius,
         "collision_radius_m": mission.collision_radius,
         "max_control_m_s2": mission.max_control,
         "max_speed_m_s": mission.max_speed,
+        **_gravity(mission.truth),
     }
 
 
@@ -202,32 +205,14 @@ def plain(value: object) -> object:
     raise TypeError(f"cannot write {type(value).__name__} as JSON")
 
 
-# Name: its axes, unit and meaning. An entry without agents counts for the whole swarm.
-_MEANING: dict[str, tuple[tuple[str, ...], str, str]] = {
-    "time": (("time",), "s", "time since the start"),
-    "control_instant": (("time",), "1", "whether a control is commanded at this time"),
-    "position": (("time", "agent", "axis"), "m", "true position"),
-    "velocity": (("time", "agent", "axis"), "m/s", "true velocity"),
-    "alive": (("time", "agent"), "1", "whether the agent takes part"),
-    "component": (("time", "agent"), "1", "connected component of the network, -1 not alive"),
-    "event": (("event",), "1", "what happened, as JSON with time and agents"),
-    "control": (("time", "agent", "axis"), "m/s2", "commanded control, held to the next instant"),
-    "applied_control": (("time", "agent", "axis"), "m/s2", "control with thrust errors"),
-    "measured_position": (("time", "agent", "axis"), "m", "position as the agent believes it"),
-    "measured_velocity": (("time", "agent", "axis"), "m/s", "velocity as the agent believes it"),
-    "leg": (("time",), "1", "leg under way"),
-    "target": (("time", "agent"), "1", "index of the target that the agent holds, -1 none"),
-    "believed": (("time", "agent"), "1", "number of targets that the agent bids on"),
-    "target_position": (("leg", "target", "axis"), "m", "position of each target"),
-    "target_velocity": (("leg", "target", "axis"), "m/s", "velocity of each target"),
-    "targets_believed": (("leg", "agent"), "1", "believed at the end of the leg, -1 none"),
-    "element": (("element",), "1", "name of the chief's element"),
-    "chief": (("time", "element"), "rad/s, rad", "circular orbit that the agents fly about"),
-}
-_MAY_LACK = {"measured_position", "measured_velocity", "believed", "element", "chief"}
-_REQUIRED = [name for name in _MEANING if name not in _MAY_LACK]
+_REQUIRED = [name for name in MEANING if name not in MAY_LACK]
 _NOT_OF_THE_FLIGHT = ("digest", "wall_s", "peak_memory_mib")
 _ATTRIBUTES = ("system", "scenario", "name", "seed", "version")
+
+
+def _gravity(plant: Plant) -> dict[str, float]:
+    orbit = plant.orbit if isinstance(plant, Inertial | Modelled) else None
+    return {} if orbit is None else {"mu_m3_s2": orbit.mu, "k_j2_m5_s2": orbit.k_J2}
 
 
 def _over_time(frames: Sequence[Frame]) -> dict[str, Array]:
@@ -284,21 +269,9 @@ def _over_legs(
 def _chief(
     frames: Sequence[Frame], mission: "sato.reconfiguration.mission.Reconfiguration"
 ) -> dict[str, Array]:
-    if not isinstance(mission.model, ClohessyWiltshire):
-        return {}
-    n = mission.model.n
-    orbit = [(n, n * frame.time) for frame in frames]
-    return {"element": np.array(["mean_motion", "latitude_argument"]), "chief": np.array(orbit)}
-
-
-def _dataset(variables: Mapping[str, Array], attributes: dict[str, Any]) -> "xarray.Dataset":
-    import xarray
-
-    arrays = {}
-    for name, values in variables.items():
-        dimensions, unit, meaning = _MEANING[name]
-        arrays[name] = (dimensions, values, {"units": unit, "long_name": meaning})
-    return xarray.Dataset(arrays, attrs=attributes)
+    flown = [mission.truth.chief(frame.time) for frame in frames]
+    known = [chief for chief in flown if chief is not None]
+    return {"element": np.array(ELEMENTS), "chief": np.array(known)} if known else {}
 
 
 def _packs(variable: "xarray.Variable") -> bool:

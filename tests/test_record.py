@@ -1,13 +1,16 @@
 """The run file: what goes in comes out, whole or not at all."""
 
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 import sato.record
 from dynamics import ClohessyWiltshire, DoubleIntegrator
+from dynamics.inertial import Inertial
+from dynamics.orbit import Orbit
+from dynamics.plant import Modelled
 from sato.reconfiguration.mission import Leg, Reconfiguration
 from sato.record import Frame, Run, RunFileError, load
 
@@ -108,10 +111,19 @@ def test_short_legs_are_padded_and_beliefs_are_those_of_the_live_at_the_end(rng)
     np.testing.assert_array_equal(data["targets_believed"], [[2, 3], [3, -1]])
 
 
-def test_in_orbit_the_chief_is_on_file(rng, tmp_path):
+ORBIT = Orbit.of_elements(7000e3, 0.01, 0.9, node=0.3, perigee=0.2, k_J2=2.633e25)
+PLANTS = {
+    "inertial": Inertial(ORBIT),
+    "model": Modelled(ClohessyWiltshire.about(ORBIT), ORBIT),
+    "nowhere": Modelled(ClohessyWiltshire.about(ORBIT)),
+}
+
+
+def run_in_orbit(rng: np.random.Generator, plant: str) -> Run:
     orbit = replace(
         mission(),
-        model=ClohessyWiltshire(1e-3),
+        model=ClohessyWiltshire.about(ORBIT),
+        plant=PLANTS[plant],
         start=np.zeros((2, 6)),
         legs=(Leg(np.zeros((2, 6)), steps=2), Leg(np.zeros((2, 6)), steps=1)),
     )
@@ -121,11 +133,28 @@ def test_in_orbit_the_chief_is_on_file(rng, tmp_path):
         for f in frames(rng)
     ]
     in_space = [f._replace(applied_control=f.control) for f in in_space]
-    Run.of(in_space, orbit, "", **about).save(tmp_path)
-    chief = load(tmp_path).data["chief"]
-    np.testing.assert_allclose(chief.sel(element="mean_motion"), 1e-3)
-    np.testing.assert_allclose(chief.sel(element="latitude_argument"), 1e-3 * np.arange(4))
-    assert chief.attrs["units"] and chief["element"].attrs["long_name"]
+    return Run.of(in_space, orbit, "", **about)
+
+
+@pytest.mark.parametrize("plant", ["inertial", "model"])
+def test_in_orbit_the_chief_of_the_plant_is_on_file(rng, tmp_path, plant):
+    run_in_orbit(rng, plant).save(tmp_path)
+    data = load(tmp_path).data
+    chief = data["chief"]
+    assert chief.dims == ("time", "element")
+    assert chief["element"].values.tolist() == [f.name for f in fields(Orbit)][:6]
+    np.testing.assert_allclose(chief, ORBIT.at(np.arange(4.0)), rtol=1e-12, atol=1e-12)
+    units = chief.attrs["units"].split(", ")
+    assert (
+        units == ["m", "m/s", "m2/s", "rad", "rad", "rad"] and chief["element"].attrs["long_name"]
+    )
+    assert (data.attrs["mu_m3_s2"], data.attrs["k_j2_m5_s2"]) == (ORBIT.mu, 2.633e25)
+
+
+def test_where_there_is_no_orbit_there_is_no_chief_on_file(rng):
+    for data in (run_in_orbit(rng, "nowhere").data, run_of(frames(rng)).data):
+        assert "chief" not in data and "element" not in data
+        assert "mu_m3_s2" not in data.attrs
 
 
 def test_events_carry_their_time(rng):

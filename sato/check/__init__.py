@@ -70,7 +70,7 @@ def judge(run: "Run | xarray.Dataset") -> Report:
     mission, rng = _drawn_anew(data)
     try:
         report = examine(data, mission, rng)
-    except (LookupError, TypeError, ValueError) as error:
+    except (LookupError, TypeError, ValueError, RuntimeError) as error:
         if data.attrs.get("digest") == digest(data):
             raise
         raise RunFileError(

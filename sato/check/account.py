@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 from numpy import ndarray as Array
 
+from dynamics.orbit import chief_size
 from sato.check.evidence import Evidence, Stretch
 from sato.check.promise import RELATIVE, Promise, largest, none, within
 from sato.check.words import at_end
@@ -37,6 +38,20 @@ def times(evidence: Evidence) -> Promise:
         )
     tolerance = 1e-9 * step
     return within("times", off, tolerance, "s off from one control step to the next")
+
+
+def chief(evidence: Evidence) -> Promise:
+    """The chief's orbit on file is the plant's, at every instant."""
+    plant, step, said = evidence.mission.truth, evidence.mission.step, evidence.chief
+    flown = [plant.chief(k * step) for k in range(len(evidence.time))]
+    known = np.array([six for six in flown if six is not None])
+    if said is None or not len(known):
+        odd = (said is None) != (not len(known))
+        return none("chief", odd, "lack of a chief's orbit, or orbit where the plant has none")
+    if said.shape != known.shape:
+        return none("chief", 1, "orbit of a chief with another number of entries than the plant's")
+    off = largest(np.abs(said - known) / chief_size(known[0]))
+    return within("chief", off, RELATIVE, "off from the orbit of the plant's chief, relative")
 
 
 def numbers(evidence: Evidence) -> Promise:

@@ -7,6 +7,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from sato.check.evidence import Evidence, Stretch
+from sato.reconfiguration.actuators import inexact, push
 
 
 class Chance(NamedTuple):
@@ -17,7 +18,7 @@ class Chance(NamedTuple):
 
 
 def drawn(evidence: Evidence, rng: np.random.Generator) -> Chance:
-    """Draw again, in the order of the flight: losses, measurements, disturbances.
+    """Draw again, in the order of the flight: losses, measurements, disturbances, thrusts.
 
     Args:
         evidence: What was recorded; who was lost is taken from its events.
@@ -33,6 +34,9 @@ def drawn(evidence: Evidence, rng: np.random.Generator) -> Chance:
             if noise.any():
                 seen[k] = noise * rng.standard_normal((agents, n))
             pushed[k] = mission.disturbance * rng.standard_normal((agents, d))
+            if inexact(mission):
+                told = evidence.control[k]
+                pushed[k] += push(mission, told, rng.standard_normal((agents, 1 + d))) - told
     return Chance(seen, pushed)
 
 

@@ -10,9 +10,12 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from dynamics.discretise import Steps, hold
-from dynamics.path import Separations, between, error_bound, separations
+from dynamics.model import LinearModel
+from dynamics.path import Separations, error_bound, missed_by_halves, separations
+from dynamics.plant import Modelled
 from sato.reconfiguration.mission import Reconfiguration
 from sato.record import digest
+from sato.record_variables import ELEMENTS
 
 if TYPE_CHECKING:
     import xarray
@@ -50,6 +53,7 @@ class Evidence:
     target: Int[Array, "instants agents"]
     goals: Float[Array, "legs targets n"]  # states; NaN where a leg has fewer
     believed: Int[Array, "legs agents"]
+    chief: Float[Array, "instants elements"] | None  # the six of its orbit, where there is one
     events: tuple[dict[str, Any], ...]
     unaltered: bool  # since the file was written
 
@@ -75,6 +79,7 @@ class Evidence:
             target=np.asarray(data["target"]),
             goals=both("target_"),
             believed=np.asarray(data["targets_believed"]),
+            chief=_chief(data),
             events=tuple(json.loads(str(e)) for e in np.asarray(data["event"])),
             unaltered=data.attrs.get("digest") == digest(data),
         )
@@ -118,7 +123,7 @@ class Evidence:
 
     @cached_property
     def steps(self) -> Steps:
-        """The dynamics from each instant to the next."""
+        """The shared model from each instant to the next."""
         return hold(self.mission.model, self.mission.step, len(self.time) - 1)
 
     @cached_property
@@ -126,31 +131,69 @@ class Evidence:
         """Who flies each step: those alive at its start, also if they are lost at its end."""
         return self.alive[:-1]
 
-    @cached_property
-    def refinement(self) -> int:
-        """Pieces a step is cut into: one where a cubic is exact, else a second long at most."""
-        x, u = self.paths
-        if error_bound(self.mission.model, x, u, self.mission.step) == 0:
-            return 1
-        return int(np.ceil(self.mission.step))
+    def flown(self, pieces: int = 1) -> Float[Array, "steps {pieces}+1 agents n"]:
+        """Every step flown again by the plant, from the recorded state by the applied control.
+
+        NaN for who does not fly, and for whom numbers are lacking.
+        """
+        mission, agents = self.mission, self.state.shape[1]
+        found = np.empty((len(self.flies), pieces + 1, agents, self.state.shape[2]))
+        lacking = ~self.flies | ~np.isfinite(self.applied[:-1]).all(axis=2)
+        u = np.where(lacking[..., None], 0.0, self.applied[:-1])
+        for k, x in enumerate(self.state[:-1]):
+            found[k] = mission.truth.fly(x, u[k], k * mission.step, mission.step, pieces)
+        found[np.broadcast_to(lacking[:, None], found.shape[:3])] = np.nan
+        return found
 
     @cached_property
-    def paths(self) -> tuple[Float[Array, "agents instants n"], Float[Array, "agents steps d"]]:
-        """States and applied controls, one path an agent."""
-        return np.moveaxis(self.state, 0, 1), np.moveaxis(self.applied[:-1], 0, 1)
+    def refinement(self) -> int:
+        """Pieces a step is cut into: one where a cubic is exact, else a second long at most.
+
+        Where what they miss is measured, there is an even number of them.
+        """
+        step = self.mission.step
+        if self._constant is None:
+            return 2 * int(np.ceil(step / 2))
+        x, u = np.moveaxis(self.state, 0, 1), np.moveaxis(self.applied[:-1], 0, 1)
+        return 1 if error_bound(self._constant, x, u, step) == 0 else int(np.ceil(step))
 
     @cached_property
     def pieces(self) -> tuple[Separations, float]:
-        """The closest two agents of every piece, and how much closer they may have been."""
-        s, (x, u), model = self.refinement, self.paths, self.mission.model
+        """The closest two agents of every piece, and how much closer they may have been.
+
+        Pieces lie between states of the plant itself. That two agents may have been closer
+        by twice of what one piece misses is proven where the plant is a model with constant
+        matrices (`error_bound`) and measured elsewhere (`missed_by_halves`).
+        """
+        s, d = self.refinement, self.axes
         h = self.mission.step / s
+        x = np.repeat(self.state, s, axis=0)[: (len(self.state) - 1) * s + 1]
         if s > 1:
-            x = between(hold(model, h, s * u.shape[-2]), x, u)
-            u = np.repeat(u, s, axis=-2)
-        fine = np.moveaxis(x, 1, 0)
-        alive = np.vstack([np.repeat(self.alive[:-1], s, axis=0), self.alive[-1:]])
-        found = separations(fine[..., : self.axes], fine[..., self.axes :], alive, h)
-        return found, 2 * error_bound(model, x, u, h)
+            flown = self.flown(s)
+            for j in range(1, s):
+                x[j::s] = flown[:, j]
+        alive = np.vstack([np.repeat(self.flies, s, axis=0), self.alive[-1:]])
+        found = separations(x[..., :d], x[..., d:], alive, h)
+        return found, 2 * self._missed(np.moveaxis(x, 0, 1), h)
+
+    def _missed(self, x: Float[Array, "agents instants n"], h: float) -> float:
+        s, d = self.refinement, self.axes
+        if self._constant is None:
+            return missed_by_halves(x[..., :d], x[..., d:], h)
+        u = np.repeat(np.moveaxis(self.applied[:-1], 0, 1), s, axis=1)
+        return error_bound(self._constant, x, u, h)
+
+    @property
+    def _constant(self) -> LinearModel | None:
+        """The model with constant matrices that flew, if it was one."""
+        plant = self.mission.truth
+        return plant.model if isinstance(plant, Modelled) and plant.model.constant else None
+
+
+def _chief(data: "xarray.Dataset") -> Float[Array, "instants elements"] | None:
+    if "chief" not in data:
+        return None
+    return np.asarray(data["chief"].sel(element=list(ELEMENTS)), dtype=float)
 
 
 _PARTS = ("position", "velocity")

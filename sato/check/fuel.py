@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from dynamics.discretise import hold
 from problems.assignment import assign
 from sato.check.evidence import Evidence, Stretch
+from sato.check.prediction import came, end_by_model
 from sato.reconfiguration.mission import Norm
 
 FEW = 600  # pairs that are solved one by one, where no method for all at once exists
@@ -29,6 +29,7 @@ class Bound(NamedTuple):
     total: float  # of the central optimum [m/s]
     agents: Int[Array, " survivors"]
     own: Float[Array, " survivors"]  # of each agent, to the target that it held at the end [m/s]
+    mend: Float[Array, " survivors"]  # to be led there by the shared model, see `least` [m/s]
 
 
 def burnt(evidence: Evidence) -> Float[Array, "steps agents"]:
@@ -44,10 +45,16 @@ def size(u: Float[Array, "*k d"], norm: Norm) -> Float[Array, "*k"]:
 
 
 def least(evidence: Evidence, stretch: Stretch) -> Bound | None:
-    """Lower bound on the fuel of a leg.
+    """Lower bound on the fuel of a leg, by the model that all agents share.
 
     It counts the agents that were there at the end, each from where it was at the start
-    of the leg, or where it came in. None where the bound cannot be had: the leg never
+    of the leg, or where it came in. A plant that is not the model may take an agent to its
+    target for less. By the model, its commanded controls would have ended somewhere else,
+    and as much fuel as it takes to move that end to the target, alone and without limits
+    but that of the control, is what its plant can have saved it (`mend`): while limits do
+    not bind, the price of a transfer grows by no more than the price of the difference.
+
+    None where the bound cannot be had: the leg never
     ended, an agent could not have made its way, or the instance is too large for norms
     that have no method for all pairs at once.
     """
@@ -72,7 +79,30 @@ def least(evidence: Evidence, stretch: Stretch) -> Bound | None:
         _settle(prices, int(i), int(held[i]))
     own = np.where(held >= 0, prices.fuel[who, held], np.nan)
     total = float(prices.fuel[who, chosen].sum())
-    return Bound(total, agents, own) if np.isfinite(total) else None
+    if not np.isfinite(total):
+        return None
+    return Bound(total, agents, own, _mend(evidence, stretch, agents, held))
+
+
+def _mend(
+    evidence: Evidence,
+    stretch: Stretch,
+    agents: Int[Array, " survivors"],
+    held: Int[Array, " survivors"],
+) -> Float[Array, " survivors"]:
+    # With fuel counted as |u|₁, which is at least as much as in the other norms.
+    from problems.least_fuel import least_fuel
+
+    end = end_by_model(evidence, stretch, agents, evidence.control)
+    off = evidence.goals[stretch.leg][held] - end
+    first, price = came(evidence, stretch, agents), np.full(len(agents), np.inf)
+    known = (first < stretch.last) & (held >= 0) & np.isfinite(off).all(axis=1)
+    for k in np.unique(first[known]):
+        who = np.flatnonzero((first == k) & known)
+        steps = evidence.steps[slice(k, stretch.last)]
+        limit, weight = evidence.mission.max_control, np.ones(len(steps))
+        price[who] = least_fuel(steps, off[who], limit, weight).fuel
+    return price
 
 
 def _optimum(prices: Prices, m: int) -> Int[Array, " survivors"]:
@@ -112,21 +142,17 @@ def _prices(
     together = norms == (1, "inf")
     if not together and len(agents) * len(goals) > FEW:
         return None
-    came = stretch.first + np.argmax(evidence.alive[stretch.first :, agents], axis=0)
-    start = evidence.state[came, agents]
-    if (came >= stretch.last).any() or not np.isfinite(start).all():
+    first = came(evidence, stretch, agents)
+    start = evidence.state[first, agents]
+    if (first >= stretch.last).any() or not np.isfinite(start).all():
         return None
     transfers = {
-        int(k): Transfer(
-            hold(mission.model, mission.step, stretch.last - int(k), float(evidence.time[k])),
-            *limits,
-            *norms,
-        )
-        for k in np.unique(came)
+        int(k): Transfer(evidence.steps[slice(k, stretch.last)], *limits, *norms)
+        for k in np.unique(first)
     }
 
     def settle(i: int, j: int) -> float:
-        transfer = transfers[int(came[i])]
+        transfer = transfers[int(first[i])]
         if together:
             flight = price_within_speed(transfer, start[i], goals[j])
             return np.inf if flight is None else flight.fuel
@@ -138,7 +164,7 @@ def _prices(
     fuel = np.zeros((len(agents), len(goals)))
     exact = np.zeros(fuel.shape, dtype=bool)
     for k, transfer in transfers.items():
-        who = np.flatnonzero(came == k)
+        who = np.flatnonzero(first == k)
         if together:
             found = price(transfer.steps, start[who], goals, *limits)
             fuel[who] = np.where(found.reachable, found.fuel, np.inf)

@@ -8,20 +8,14 @@ from dynamics.path import sampled_separations
 from sato.check.chance import Chance
 from sato.check.evidence import Evidence
 from sato.check.fuel import size
+from sato.check.prediction import SIGMAS, faster_than_planned
 from sato.check.promise import RELATIVE, Promise, below, largest, none, within
-
-SIGMAS = 8.0  # a normal draw is further out once in 10¹⁵
 
 
 def flight(evidence: Evidence) -> Promise:
-    """Every step, flown again from the recorded state by the applied control, ends as recorded."""
-    x, u, steps = evidence.state, evidence.applied[:-1], evidence.steps
-    flown = (
-        np.einsum("kab,kib->kia", steps.A, x[:-1])
-        + np.einsum("kab,kib->kia", steps.B, u)
-        + steps.z[:, None]
-    )
-    off = np.abs(flown - x[1:]) / _scale(evidence)
+    """Every step, flown again by the plant under the applied control, ends as recorded."""
+    x = evidence.state
+    off = np.abs(evidence.flown()[:, 1] - x[1:]) / _scale(evidence)
     # The dead stay where they are, so that nothing of the file is beyond the check.
     still = ~evidence.alive[:-1] & ~evidence.alive[1:]
     resting = np.abs(x[1:] - x[:-1]) / _scale(evidence)
@@ -31,16 +25,19 @@ def flight(evidence: Evidence) -> Promise:
 
 
 def applied(evidence: Evidence, chance: Chance | None) -> Promise:
-    """The applied control is the commanded one and the disturbance that the seed gives."""
+    """The applied control is the commanded one, with the errors and disturbances of the seed."""
+    mission = evidence.mission
     pushed = (evidence.applied - evidence.control)[:-1]
-    text = "m/s² between commanded and applied control"
+    tilt = (1 + SIGMAS * mission.thrust_error) * mission.pointing_error
+    wrong = mission.thrust_error + tilt * evidence.axes**0.5
+    thrust = np.linalg.norm(evidence.control[:-1][evidence.flies], axis=-1, keepdims=True)
     return _as_drawn(
         "applied",
         pushed[evidence.flies],
         None if chance is None else chance.pushed[evidence.flies],
-        np.asarray(evidence.mission.disturbance),
+        mission.disturbance + wrong * thrust,
         float(np.nanmax(np.abs(evidence.applied), initial=0.0)),
-        text,
+        "m/s² between commanded and applied control",
     )
 
 
@@ -68,13 +65,19 @@ def control_limit(evidence: Evidence) -> Promise:
 
 
 def speed_limit(evidence: Evidence) -> Promise:
-    """No agent is faster than it may be, but for what noise adds before it is noticed."""
-    mission = evidence.mission
-    speed = np.linalg.norm(evidence.velocity[evidence.alive], axis=-1)
-    noise = mission.replan_steps * mission.step * mission.disturbance + mission.velocity_noise
-    slack = SIGMAS * noise * evidence.axes**0.5
-    limit = mission.max_speed + slack if slack else mission.max_speed
-    return below("speed", largest(speed), limit, 1e-9, "m/s flown")
+    """No agent is faster than it may be, but for what it could not know when it planned.
+
+    That is what the plant, the thrusters and the disturbance did otherwise than the shared
+    model since the last plan, recomputed to the last digit, and what noise in the measured
+    state may do, see `faster_than_planned`.
+    """
+    limit, there = evidence.mission.max_speed, evidence.alive
+    speed = np.linalg.norm(evidence.velocity[there], axis=-1)
+    if not len(speed) or not np.isfinite(limit):
+        return below("speed", largest(speed), limit, 1e-9, "m/s flown")
+    allowed = limit + faster_than_planned(evidence)[there]
+    worst = int(np.argmax(speed - allowed))
+    return below("speed", float(speed[worst]), float(allowed[worst]), 1e-9, "m/s flown")
 
 
 def separation(evidence: Evidence) -> Promise:

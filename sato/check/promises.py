@@ -5,6 +5,7 @@ from sato.check.account import (
     assignment,
     attributes,
     believed,
+    chief,
     component,
     legs,
     numbers,
@@ -30,6 +31,7 @@ def promises(
         complete(evidence),
         attributes(evidence),
         times(evidence),
+        chief(evidence),
         numbers(evidence),
         start(evidence),
         alive(evidence),
@@ -80,18 +82,16 @@ def arrival(evidence: Evidence) -> Promise:
 
 
 def fuel(evidence: Evidence, bounds: list[Bound | None]) -> Promise:
-    """No leg burnt less than the least that it could have."""
+    """No leg that was reached burnt less than the least that it could have.
+
+    The least is that of the shared model. A plant that did otherwise may have saved as much
+    as it would cost the model to mend that (`Bound.mend`), and so much less is allowed.
+    """
     burn, short, text = burnt(evidence), 0.0, "a leg's fuel below its lower bound, relative"
-    mission = evidence.mission
     for stretch, bound in zip(evidence.stretches, bounds, strict=True):
-        # Where a leg was not reached, or the plant was pushed, less fuel is no wonder.
-        if bound is None or not reached(evidence, stretch) or mission.disturbance:
+        if bound is None or not reached(evidence, stretch):
             continue
         spent = float(burn[stretch.first : stretch.last, bound.agents].sum())
-        slack = (
-            2
-            * len(bound.agents)
-            * (mission.velocity_tolerance + mission.position_tolerance / mission.step)
-        )
-        short = max(short, (bound.total - spent - slack) / max(bound.total, 1e-12))
+        saved = float(bound.mend.sum())
+        short = max(short, (bound.total - spent - saved) / max(bound.total, 1e-12))
     return within("fuel", short, 1e-6, text)

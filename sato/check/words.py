@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from dynamics.path import sampled_separations
 from sato.check.evidence import Evidence, Stretch
 from sato.check.fuel import Bound, burnt
+from sato.check.prediction import end_by_model
 from sato.reconfiguration.mission import least_distance
 
 
@@ -36,12 +37,27 @@ def summarise(evidence: Evidence, bounds: list[Bound | None]) -> dict[str, Any]:
         "infeasible": _count(evidence, "infeasible"),
         "legs": legs,
     }
+    if mission.truth.chief(0.0) is not None:
+        said |= _in_orbit(evidence)
     known = [b.total for b in bounds if b is not None]
     if len(known) == len(mission.legs):
         said["fuel_lower_bound_m_s"] = sum(known)
     if not detectable(evidence):
         said["undetectable"] = True
     return {k: v for k, v in said.items() if not (isinstance(v, float) and not np.isfinite(v))}
+
+
+def model_error(evidence: Evidence, stretch: Stretch) -> float:
+    """How far the plant ended a leg from where the shared model would have, at most [m].
+
+    Over the agents that were there at the end, each from where it was at the leg's start, or
+    where it came in, under the controls that were applied to it.
+    """
+    _, live, _, _ = at_end(evidence, stretch)
+    agents = np.flatnonzero(live)
+    end = end_by_model(evidence, stretch, agents, evidence.applied)
+    off = (evidence.state[stretch.last, agents] - end)[:, : evidence.axes]
+    return float(np.linalg.norm(off, axis=1).max(initial=0.0))
 
 
 def describe(evidence: Evidence, stretch: Stretch) -> dict[str, Any]:
@@ -141,6 +157,18 @@ def detectable(evidence: Evidence) -> bool:
     m = evidence.mission
     reach = 2 * m.max_speed * m.horizon_steps * m.step + m.collision_radius
     return bool(not np.isfinite(reach) or m.comm_radius >= reach * (1 - 1e-12))
+
+
+def _in_orbit(evidence: Evidence) -> dict[str, Any]:
+    # Fuel of the agents that are there at the end: who was lost had less to do.
+    fuel = burnt(evidence).sum(axis=0)[evidence.alive[-1]]
+    said: dict[str, Any] = {
+        "model_error_m": max((model_error(evidence, s) for s in evidence.stretches), default=0.0)
+    }
+    if len(fuel):
+        each = {"mean": fuel.mean(), "least": fuel.min(), "most": fuel.max()}
+        said["fuel_per_agent_m_s"] = {name: float(value) for name, value in each.items()}
+    return said
 
 
 def _targets(evidence: Evidence, stretch: Stretch) -> Float[Array, "targets d"]:
