@@ -18,12 +18,14 @@ from PIL import Image
 
 from dynamics.path import at, controls
 from sato.check import Evidence, rebuild
-from sato.plots.look import STYLE, Space, entitle, set_space
-from sato.plots.swarm import Snapshot, believed_goals, draw_swarm, leg_names
+from sato.plots.look import STYLE
+from sato.plots.swarm import Snapshot, all_goals, draw_swarm, leg_names, margin
+from sato.plots.view import Space, entitle, set_space, view_of
 from sato.record import Run
 
 FRAMES = 300
 TRAIL = 12  # control steps
+SMOOTH = 8  # frames a control step, at most
 DPI = 110
 COLOURS = 64  # of a GIF
 
@@ -101,14 +103,13 @@ class Scene:
     """The axes, and all that is known before the first frame."""
 
     def __init__(self, evidence: Evidence) -> None:
-        self._evidence = evidence
-        self._names = leg_names(evidence)
-        x = np.moveaxis(evidence.position, 0, 1), np.moveaxis(evidence.velocity, 0, 1)
+        self._evidence, self._view = evidence, view_of(evidence)
+        self._names, self._goals = leg_names(evidence), all_goals(evidence)
+        self._position = self._view.of(evidence.position)
+        x = np.moveaxis(self._position, 0, 1), np.moveaxis(self._view.of(evidence.velocity), 0, 1)
         self._pieces = np.moveaxis(controls(*x, evidence.mission.step), 0, 1)
-        goals = [believed_goals(evidence, leg) for leg in range(len(evidence.goals))]
-        self._goals = goals
-        shown = np.where(evidence.alive[..., None], evidence.position, np.nan)
-        self._space = Space.around(shown, *goals, margin=0.5 * _spacing(evidence))
+        shown = np.where(evidence.alive[..., None], self._position, np.nan)
+        self._space = Space.around(self._view, shown, *self._goals, margin=margin(evidence))
         height = 5.4 * min(self._space.aspect, 1.6) + 0.6
         figure = Figure(figsize=(6.0, height), dpi=DPI, layout="constrained")
         self.canvas = FigureCanvasAgg(figure)
@@ -132,22 +133,26 @@ class Scene:
         count = len(np.unique(component[component >= 0]))
         entitle(
             ax,
-            f"leg {leg + 1}, {self._names[leg]}     t = {moment * evidence.mission.step:.0f} s"
+            f"leg {leg + 1}, {self._names[leg]}     t = {self._clock(moment)}"
             f"     {int(evidence.alive[k].sum())} agents in {count} "
             f"{'component' if count == 1 else 'components'}",
         )
 
+    def _clock(self, moment: float) -> str:
+        view, seconds = self._view, moment * self._evidence.mission.step
+        return f"{seconds * view.second:.{1 if view.time == 'min' else 0}f} {view.time}"
+
     def _where(self, moment: float) -> Float[Array, "agents d"]:
         k = int(moment)
         if k >= len(self._pieces):
-            return np.asarray(self._evidence.position[-1])
+            return np.asarray(self._position[-1])
         return np.asarray(at(self._pieces[k], np.full(len(self._pieces[k]), moment - k)))
 
     def _trails(self, moment: float, k: int) -> None:
         evidence = self._evidence
         scale, _ = self._space.unit
         since = max(0, k - TRAIL)
-        path = np.concatenate([evidence.position[since : k + 1], self._where(moment)[None]]) / scale
+        path = np.concatenate([self._position[since : k + 1], self._where(moment)[None]]) / scale
         lines = path[:, evidence.alive[since : k + 1].all(axis=0)].swapaxes(0, 1)
         kind = LineCollection if self._space.axes == 2 else Line3DCollection
         self.axes.add_collection(kind(list(lines), colors="#b9cbd8", lw=0.8, zorder=1.5))
@@ -155,9 +160,4 @@ class Scene:
 
 def _moments(evidence: Evidence, frames: int) -> Float[Array, " frames"]:
     steps = len(evidence.time) - 1
-    return np.linspace(0, steps, max(2, min(frames, 4 * steps + 1)) if steps else 1)
-
-
-def _spacing(evidence: Evidence) -> float:
-    spacing = evidence.mission.spacing
-    return spacing if np.isfinite(spacing) else 1.0
+    return np.linspace(0, steps, max(2, min(frames, SMOOTH * steps + 1)) if steps else 1)

@@ -9,16 +9,21 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
 from PIL import Image
-from test_check import crossing, fly_crossed, fly_straight, mission, recorded
+from test_check import crossing, fly_crossed, fly_straight, mission, recorded, replace
 
 import sato.animate
 import sato.plots
 from dynamics import ClohessyWiltshire
+from dynamics.orbit import Orbit
+from dynamics.plant import Modelled
 from sato.animate import animate
 from sato.check import Evidence
-from sato.plots import FIGURES, plot
+from sato.plots import FIGURES, IN_ORBIT, plot
 from sato.plots.look import ALONE, STYLE, mark, marked
-from sato.reconfiguration.mission import Leg
+from sato.plots.measures import spent
+from sato.plots.orbital import PIECES, smooth
+from sato.plots.view import in_orbit
+from sato.reconfiguration.mission import Leg, Loss
 
 LETTERS = """
 [[leg]]
@@ -28,8 +33,8 @@ shape = { kind = "ring" }
 """
 
 
-def orbit():
-    """Twelve craft that become a ring in space, seen from their chief."""
+def box():
+    """Twelve craft that become a ring in space, about no chief in particular."""
     model = ClohessyWiltshire(1.1e-3)
     place = np.random.default_rng(2).uniform(-1500, 1500, (12, 3))
     turn = np.linspace(0, 2 * np.pi, 12, endpoint=False)
@@ -51,9 +56,42 @@ def plane_run():
     return run, about
 
 
+def orbit():
+    """The same about a chief, in two legs, of which the second begins with a loss."""
+    about = box()
+    orbit = Orbit.of_elements(6878e3, inclination=0.8)
+    [leg] = about.legs
+    again = Leg(leg.targets[::-1].copy(), 12, losses=(Loss("agents", agents=(3,)),))
+    return replace(about, legs=(leg, again), plant=Modelled(about.model, orbit))
+
+
+def box_run():
+    about = box()
+    return recorded(about), about
+
+
 def orbit_run():
     about = orbit()
     return recorded(about), about
+
+
+def flat_orbit_run():
+    about = orbit()
+    start = about.start.copy()
+    start[:, 2::3] = 0
+    leg = Leg(about.legs[0].targets * [1, 1, 0, 1, 1, 0], 18)
+    about = replace(about, start=start, legs=(leg,))
+    return recorded(about), about
+
+
+def stopped_orbit_run():
+    about = orbit()
+    return recorded(about, fly_straight(about)[:24]), about
+
+
+def only_start_orbit_run():
+    about = orbit()
+    return recorded(about, fly_straight(about)[:1]), about
 
 
 def pair_run():
@@ -73,7 +111,11 @@ def only_start_run():
 
 RUNS = {
     "plane": plane_run,
+    "box": box_run,
     "orbit": orbit_run,
+    "flat orbit": flat_orbit_run,
+    "stopped orbit": stopped_orbit_run,
+    "only start, in orbit": only_start_orbit_run,
     "pair": pair_run,
     "stopped": stopped_run,
     "only start": only_start_run,
@@ -96,13 +138,15 @@ def plane(monkeypatch):
 
 def drawn(name, evidence):
     with matplotlib.rc_context(STYLE):
-        figure = FIGURES[name](evidence)
+        figure = (FIGURES | IN_ORBIT)[name](evidence)
         FigureCanvasAgg(figure).draw()
     return figure
 
 
-@pytest.mark.parametrize("name", FIGURES)
+@pytest.mark.parametrize("name", FIGURES | IN_ORBIT)
 def test_no_words_run_out_of_the_picture_or_over_one_another(evidence, name):
+    if name in IN_ORBIT and not in_orbit(evidence):
+        pytest.skip("drawn of runs about a chief only")
     figure = drawn(name, evidence)
     renderer = figure.canvas.get_renderer()
     inside = figure.bbox.padded(1.0)
@@ -124,11 +168,15 @@ def test_no_words_run_out_of_the_picture_or_over_one_another(evidence, name):
 def test_panels_share_their_limits_and_their_scale(evidence, name):
     axes = drawn(name, evidence).axes
     assert len({(ax.get_xlim(), ax.get_ylim()) for ax in axes}) == 1
-    if evidence.axes == 2:
-        assert all(ax.get_aspect() == 1 for ax in axes)
-        assert axes[0].get_ylabel().endswith("[m]") and axes[-1].get_xlabel().endswith("[m]")
+    if in_orbit(evidence):
+        assert axes[0].get_ylabel() == "x, radial [km]"
+        assert axes[-1].get_xlabel() == "y, along-track [km]"
+    elif evidence.axes == 2:
+        assert axes[0].get_ylabel() == "y [m]" and axes[-1].get_xlabel() == "x [m]"
     else:
-        assert {ax.get_zlabel() for ax in axes} <= {"z [km]", "z [m]"}
+        assert {ax.get_zlabel() for ax in axes} == {"z [km]"}
+    if not hasattr(axes[0], "get_zlabel"):
+        assert all(ax.get_aspect() == 1 for ax in axes)
 
 
 def test_stages_are_the_start_every_end_of_a_leg_and_every_loss(plane):
@@ -199,6 +247,82 @@ def test_the_half_plane_keeps_a_real_pair_apart():
     assert (side * (control.get_xydata() @ normal) >= about.collision_radius).all()
 
 
+@pytest.fixture
+def ring(monkeypatch):
+    run, about = orbit_run()
+    for module in (sato.plots, sato.animate):
+        monkeypatch.setattr(module, "rebuild", lambda _: about)
+    return run, Evidence.of(run.data, about)
+
+
+def test_in_orbit_where_the_swarm_goes_is_to_the_right_and_the_zenith_is_up(ring):
+    _, evidence = ring
+    [*_, last] = drawn("instants", evidence).axes
+    there = evidence.position[-1, evidence.alive[-1]][:, [1, 0]] / 1000
+    assert sorted(map(tuple, points(last))) == sorted(map(tuple, there))
+
+
+def test_instants_are_the_thirds_of_every_leg_in_minutes(ring):
+    _, evidence = ring
+    titles = [ax.get_title() for ax in drawn("instants", evidence).axes]
+    minutes = [0, 7, 13, 20, 20, 24, 28, 32]  # legs of 20 and of 12 steps of a minute
+    assert titles == [f"({c}) {t} min, shape" for c, t in zip("abcdefgh", minutes, strict=True)]
+
+
+def test_who_is_lost_between_two_legs_is_seen_at_the_end_of_the_first(ring):
+    _, evidence = ring
+    ends = drawn("instants", evidence).axes[3:5]
+    assert [len(points(ax)) for ax in ends] == [12, 11]
+
+
+def test_paths_are_drawn_along_the_cubics_and_end_where_an_agent_is_lost(ring):
+    _, evidence = ring
+    path = smooth(evidence)
+    there = np.where(evidence.alive[..., None], evidence.position, np.nan)
+    np.testing.assert_allclose(path[::PIECES], there, atol=1e-9)
+    half, h = path[PIECES // 2 :: PIECES], evidence.mission.step
+    (x, v), flies = (evidence.position, evidence.velocity), evidence.alive[:-1]
+    cubic = (x[:-1] + x[1:]) / 2 + h * (v[:-1] - v[1:]) / 8
+    np.testing.assert_allclose(half, np.where(flies[..., None], cubic, np.nan), atol=1e-9)
+
+
+def test_a_swarm_in_its_plane_is_not_squashed_by_the_view_of_space():
+    run, about = flat_orbit_run()
+    [ax] = drawn("space", Evidence.of(run.data, about)).axes
+    assert (ax.get_xlabel(), ax.get_ylabel(), ax.get_zlabel()) == (
+        "x, radial [km]", "y, along-track [km]", "z, normal [km]",
+    )  # fmt: skip
+    size = np.ptp([ax.get_xlim(), ax.get_ylim(), ax.get_zlim()], axis=1)
+    assert size[2] == pytest.approx(0.4 * size.max())
+    assert sum(ax.get_zlim()) == pytest.approx(0, abs=1e-9)
+
+
+def test_delta_v_is_what_was_burnt_and_its_balance_is_the_lorenz_curve(ring):
+    _, evidence = ring
+    bars, shares = drawn("delta-v", evidence).axes
+    found = spent(evidence)
+    heights = [bar.get_height() for bar in bars.patches]
+    np.testing.assert_allclose(sorted(heights), sorted(found.fuel))
+    [curve] = [line for line in shares.lines if line.get_label() == "this swarm"]
+    x, y = curve.get_xydata().T
+    assert (x[0], y[0], x[-1], y[-1]) == pytest.approx((0, 0, 100, 100))
+    assert (np.diff(y, 2) > -1e-9).all() and (y <= x + 1e-9).all()
+    [words] = [t.get_text() for t in shares.texts]
+    assert f"mean {found.fuel[found.stays].mean():.3g} m/s" in words
+    assert f"standard deviation {found.fuel[found.stays].std():.3g} m/s" in words
+
+
+def test_the_least_for_the_target_held_is_below_each_bar():
+    run, about = flat_orbit_run()
+    found = spent(Evidence.of(run.data, about))
+    assert np.isfinite(found.least).all() and (found.least <= found.fuel * (1 + 1e-6)).all()
+
+
+def test_figures_of_orbits_are_written_beside_the_others(ring, tmp_path):
+    paths = plot(ring[0], tmp_path)
+    assert [p.stem for p in paths] == [*FIGURES, *IN_ORBIT]
+
+
 def test_all_figures_are_written_as_png_or_as_pdf(plane, tmp_path):
     run, _ = plane
     paths = plot(run, tmp_path / "new" / "folder")
@@ -216,7 +340,7 @@ def test_drawing_leaves_the_settings_of_matplotlib_alone(plane, tmp_path):
     assert dict(matplotlib.rcParams) == before
 
 
-@pytest.mark.parametrize("kind", ["plane", "orbit"])
+@pytest.mark.parametrize("kind", ["plane", "box", "orbit"])
 def test_without_ffmpeg_the_film_is_a_gif(kind, tmp_path, monkeypatch):
     run, about = RUNS[kind]()
     monkeypatch.setattr(sato.animate, "rebuild", lambda _: about)

@@ -1,4 +1,4 @@
-"""The figures of a run, in the manner of the paper's [Morgan2016, Figs. 2, 4 and 5]."""
+"""The figures of a run, in the manner of the paper's [Morgan2016, Figs. 2, 4, 5 and 6]."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -10,11 +10,13 @@ from matplotlib.figure import Figure
 from sato.check import Evidence, rebuild
 from sato.plots.half_space import half_space
 from sato.plots.look import STYLE
-from sato.plots.measures import fuel, separation
+from sato.plots.measures import delta_v, fuel, separation
+from sato.plots.orbital import instants, space
 from sato.plots.swarm import first_leg, stages, trajectories
+from sato.plots.view import in_orbit
 from sato.record import Run
 
-__all__ = ["FIGURES", "plot"]
+__all__ = ["FIGURES", "IN_ORBIT", "plot"]
 
 FIGURES: dict[str, Callable[[Evidence], Figure]] = {
     "stages": stages,
@@ -23,6 +25,11 @@ FIGURES: dict[str, Callable[[Evidence], Figure]] = {
     "half-space": half_space,
     "separation": separation,
     "fuel": fuel,
+}
+IN_ORBIT: dict[str, Callable[[Evidence], Figure]] = {
+    "instants": instants,
+    "space": space,
+    "delta-v": delta_v,
 }
 
 
@@ -35,13 +42,14 @@ def plot(run: Run, directory: str | Path, pdf: bool = False) -> list[Path]:
         pdf: PDF instead of PNG.
 
     Returns:
-        The files, `stages` first.
+        The files, `stages` first; those of `IN_ORBIT` only of a run about a chief.
     """
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     evidence = Evidence.of(run.data, rebuild(run.data))
+    figures = FIGURES | IN_ORBIT if in_orbit(evidence) else FIGURES
     paths = []
-    for name, draw in FIGURES.items():
+    for name, draw in figures.items():
         path = directory / f"{name}.{'pdf' if pdf else 'png'}"
         with matplotlib.rc_context(STYLE):
             figure = draw(evidence)

@@ -11,7 +11,8 @@ from numpy import ndarray as Array
 
 from dynamics.path import at, controls, hull_distance
 from sato.check.evidence import Evidence
-from sato.plots.look import BLUE, DARK, GREEN, RED, letter
+from sato.plots.look import BLUE, DARK, GREEN, RED
+from sato.plots.view import letter
 
 _FORBIDDEN: dict[str, Any] = {"facecolor": RED, "alpha": 0.18, "edgecolor": "none"}
 

@@ -18,19 +18,17 @@ from sato.plots.look import (
     GREY,
     PALE,
     RED,
-    Space,
-    entitle,
     key_of,
-    letter,
     marked,
-    panels,
 )
+from sato.plots.view import Space, entitle, letter, panels, view_of
 
 _COLUMNS = {1: 1, 2: 3, 3: 4}  # of a legend under so many panels
+WIDE = 0.2  # of what is shown: circles from this radius on hide more than they show
 
 
 class Snapshot(NamedTuple):
-    """The swarm at an instant."""
+    """The swarm at an instant, in the coordinates that are shown."""
 
     title: str
     position: Float[Array, "agents d"]  # [m]
@@ -53,19 +51,20 @@ def stages(evidence: Evidence) -> Figure:
         if stretch.end is None:
             title = f"leg {stretch.leg + 1}, {names[stretch.leg]}, not ended"
         goals = _first(evidence, stretch.leg, int(believed[live].max(initial=0)))
-        where = evidence.position[stretch.last]
+        where = view_of(evidence).of(evidence.position[stretch.last])
         shots.append(Snapshot(title, where, np.where(live, component, -1), goals))
     return _draw(evidence, shots)
 
 
 def first_leg(evidence: Evidence) -> Figure:
     """Six instants of the first leg [Morgan2016, Fig. 5]."""
+    view = view_of(evidence)
     [stretch] = evidence.stretches[:1] or [Stretch(0, 0, len(evidence.time) - 1, None)]
     # Closer together where most happens: networks merge early.
     when = np.unique(np.round(stretch.steps * np.linspace(0, 1, 6) ** 1.3).astype(int))
     shots: list[Snapshot] = []
     for k in when + stretch.first:
-        shot = _at(evidence, int(k), f"t = {evidence.time[k]:g} s")
+        shot = _at(evidence, int(k), f"t = {view.when(evidence.time[k])}")
         if k == stretch.last and stretch.end is not None:
             _, live, _, component = at_end(evidence, stretch)
             shot = shot._replace(component=np.where(live, component, -1))
@@ -76,13 +75,15 @@ def first_leg(evidence: Evidence) -> Figure:
 def trajectories(evidence: Evidence) -> Figure:
     """The paths of each leg; those of agents that changed their mind stand out."""
     legs = [s for s in evidence.stretches if s.steps]
-    space = Space.around(evidence.position, *_all_goals(evidence), margin=_margin(evidence))
+    view = view_of(evidence)
+    position, goals = view.of(evidence.position), all_goals(evidence)
+    space = Space.around(view, position, *goals, margin=margin(evidence))
     figure, axes = panels(max(len(legs), 1), space, columns=2, width=3.8)
     scale, _ = space.unit
     names = leg_names(evidence)
     for i, (ax, stretch) in enumerate(zip(axes, legs, strict=False)):
         window = slice(stretch.first, stretch.last + 1)
-        path = evidence.position[window] / scale
+        path = position[window] / scale
         flies = evidence.alive[stretch.first : stretch.last]
         target = np.where(flies, evidence.target[stretch.first : stretch.last], -1)
         turned = np.array([len(np.unique(t[t >= 0])) > 1 for t in target.T])
@@ -122,13 +123,30 @@ def leg_names(evidence: Evidence) -> list[str]:
 
 
 def draw_swarm(
-    ax: Any, shot: Snapshot, space: Space, radius: float | None = None, size: float = 14.0
+    ax: Any,
+    shot: Snapshot,
+    space: Space,
+    radius: float | None = None,
+    size: float = 14.0,
+    rings: bool = False,
 ) -> None:
-    """Agents marked by component, targets as light crosses, circles of a radius if one is given."""
+    """Agents marked by component, and targets as light crosses.
+
+    Args:
+        ax: Where to draw.
+        shot: What is drawn.
+        space: What of space the axes show.
+        radius: Of circles about the agents, if there are any [m].
+        size: Of the marks.
+        rings: Light rings for targets, which an agent fills when it is there.
+    """
     scale, _ = space.unit
     goals = shot.goals / scale
     depth = {} if space.axes == 2 else {"depthshade": False}
-    ax.scatter(*goals.T, marker="x", s=size * 0.8, lw=0.6, color=PALE, zorder=1, **depth)
+    if rings:
+        ax.scatter(*goals.T, s=size * 3, lw=0.7, fc="none", ec=PALE, zorder=1, **depth)
+    else:
+        ax.scatter(*goals.T, marker="x", s=size * 0.8, lw=0.6, color=PALE, zorder=1, **depth)
     for members, look in marked(shot.component):
         at = shot.position[members] / scale
         if radius is not None and space.axes == 2:
@@ -155,21 +173,21 @@ def draw_swarm(
 
 def _draw(evidence: Evidence, shots: list[Snapshot]) -> Figure:
     there = [s.position[s.component >= 0] for s in shots]
+    shown = [*there, *(s.goals for s in shots)]
+    view, room = view_of(evidence), margin(evidence)
+    space = Space.around(view, *shown, margin=room)
     radius = evidence.mission.comm_radius / 2
-    flat = evidence.axes == 2
-    margin = min(radius, 4 * _margin(evidence)) if flat else _margin(evidence)
-    space = Space.around(*there, *(s.goals for s in shots), margin=margin)
+    circles = space.axes == 2 and radius < WIDE * float((space.high - space.low).max())
+    if circles:
+        space = Space.around(view, *shown, margin=min(radius, 4 * room))
     figure, axes = panels(len(shots), space)
     for i, (ax, shot) in enumerate(zip(axes, shots, strict=True)):
-        draw_swarm(ax, shot, space, radius)
+        draw_swarm(ax, shot, space, radius if circles else None)
         count = len(np.unique(shot.component[shot.component >= 0]))
         entitle(ax, f"{letter(i)} {shot.title}\n{_many(count, 'component')}")
-    groups = [marked(s.component) for s in shots]
-    ranks = max(sum(look is not ALONE for _, look in g) for g in groups)
-    alone = any(look is ALONE for g in groups for _, look in g)
-    key = key_of(ranks, alone)
+    key = key_of_components(shots)
     key.append(Line2D([], [], ls="", marker="x", color=PALE, ms=4.5, label="target"))
-    if flat:
+    if circles:
         key.append(
             Line2D([], [], ls=":", color=GREY, lw=0.8, label="half the communication radius")
         )
@@ -177,28 +195,38 @@ def _draw(evidence: Evidence, shots: list[Snapshot]) -> Figure:
     return figure
 
 
+def key_of_components(shots: list[Snapshot]) -> list[Line2D]:
+    """Legend entries of the components that are seen in any of the snapshots."""
+    groups = [marked(s.component) for s in shots]
+    ranks = max(sum(look is not ALONE for _, look in g) for g in groups)
+    return key_of(ranks, any(look is ALONE for g in groups for _, look in g))
+
+
 def _at(evidence: Evidence, k: int, title: str) -> Snapshot:
     leg = int(evidence.leg[k])
     m = int(evidence.believed[leg].max(initial=0)) or int(evidence.alive[k].sum())
-    return Snapshot(title, evidence.position[k], evidence.component[k], _first(evidence, leg, m))
+    where = view_of(evidence).of(evidence.position[k])
+    return Snapshot(title, where, evidence.component[k], _first(evidence, leg, m))
 
 
 def _first(evidence: Evidence, leg: int, m: int) -> Float[Array, "targets d"]:
     goals = evidence.goals[leg]
     goals = goals[np.isfinite(goals).all(axis=1)]
-    return np.asarray(goals[: m or len(goals), : evidence.axes])
+    return view_of(evidence).of(goals[: m or len(goals)])
 
 
 def believed_goals(evidence: Evidence, leg: int) -> Float[Array, "targets d"]:
-    """The targets of a leg that anybody believed in; all of them if it never ended."""
+    """The targets of a leg that anybody believed in, as shown; all if it never ended."""
     return _first(evidence, leg, int(evidence.believed[leg].max(initial=0)))
 
 
-def _all_goals(evidence: Evidence) -> list[Float[Array, "targets d"]]:
+def all_goals(evidence: Evidence) -> list[Float[Array, "targets d"]]:
+    """The believed targets of every leg, as shown."""
     return [believed_goals(evidence, leg) for leg in range(len(evidence.goals))]
 
 
-def _margin(evidence: Evidence) -> float:
+def margin(evidence: Evidence) -> float:
+    """Room around what is shown [m]."""
     return 0.6 * evidence.mission.spacing if np.isfinite(evidence.mission.spacing) else 1.0
 
 
