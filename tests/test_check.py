@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 import sato
 from dynamics import ClohessyWiltshire, DoubleIntegrator, hold
+from dynamics.propagation import Impact
 from problems.assignment import assign
 from problems.conic import Infeasible
 from problems.transfer import Transfer
@@ -624,6 +625,19 @@ def test_whatever_is_altered_the_file_is_not_what_was_written(shaken, name):
             run.check()
     else:
         assert "unaltered" in {p.name for p in run.check().broken}
+
+
+def test_an_altered_run_that_can_no_longer_be_flown_is_refused(shaken, monkeypatch):
+    def crash(*_: object) -> None:
+        raise Impact(3, 60.0)
+
+    monkeypatch.setattr(sato.check, "examine", crash)
+    with pytest.raises(Impact):
+        shaken.check()
+    run = altered(shaken)
+    run.data["position"][2, 1, 0] -= 7e6
+    with pytest.raises(sato.RunFileError, match=r"altered .* vehicle 3 meets the Earth"):
+        run.check()
 
 
 def test_radii_in_the_attributes_are_the_scenarios(flown):
