@@ -54,9 +54,8 @@ def least(evidence: Evidence, stretch: Stretch) -> Bound | None:
     but that of the control, is what its plant can have saved it (`mend`): while limits do
     not bind, the price of a transfer grows by no more than the price of the difference.
 
-    None where the bound cannot be had: the leg never
-    ended, an agent could not have made its way, or the instance is too large for norms
-    that have no method for all pairs at once.
+    None where the bound cannot be had: the leg never ended, an agent could not have made
+    its way, or the instance is too large for norms that have no method for all pairs at once.
     """
     if stretch.end is None or not stretch.steps:
         return None
