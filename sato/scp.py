@@ -44,7 +44,11 @@ class Plan(NamedTuple):
 
 
 class Planner(NamedTuple):
-    """One agent that plans: all that it knows. Before the first exchange `flight` is `free`."""
+    """One agent that plans: all that it knows.
+
+    Before the first exchange `flight` is `free`, or the plan that it had, where that went
+    another way to keep clear: so it stays on the side on which it passes.
+    """
 
     rank: tuple[bool, float, int]  # (it can still move, −fuel spent, number) [Remark 5]
     goal: Float[Array, " n"]
@@ -87,12 +91,17 @@ def must_solve(agent: Planner, above: tuple[Plan, ...]) -> bool:
     """Whether an agent has a programme to solve: something binds, and it is news."""
     if len(agent.flight.u) == 0:
         return False
-    if agent.solves == 0:
+    if untouched(agent):
         return not clear(agent.path, above, agent.horizon.radius)
     heard = len(above) == len(agent.heard) and all(
         np.array_equal(a.path, b.path) for a, b in zip(above, agent.heard, strict=True)
     )
     return not (heard and agent.steady)
+
+
+def untouched(agent: Planner) -> bool:
+    """Whether an agent flies as if it were alone and has never had reason to ask."""
+    return agent.solves == 0 and agent.flight is agent.free and agent.steady
 
 
 def clear(path: Float[Array, "pieces 4 d"], above: tuple[Plan, ...], radius: float) -> bool:
@@ -212,12 +221,13 @@ def exchanged(planners: Mapping[int, Planner], network: Network) -> Iterator[dic
     lower, upper = np.nonzero(above)
     paths = np.stack([agent.path for agent in now])
     meets = np.asarray(~apart(paths[lower] - paths[upper], radius).all(axis=-1))
-    settled, solved = np.zeros(len(now), dtype=bool), np.zeros(len(now), dtype=bool)
+    settled = np.zeros(len(now), dtype=bool)
+    busy = np.array([not untouched(agent) for agent in now])
     while not settled.all():
         binds = np.zeros(len(now), dtype=bool)
         binds[lower[meets]] = True
         waits = (above & ~settled).any(axis=1)
-        acts = ~settled & (binds | solved)
+        acts = ~settled & (binds | busy)
         states: list[Planner | None] = [None] * len(network.alive)
         for number, agent in zip(numbers, now, strict=True):
             states[number] = agent
@@ -230,7 +240,8 @@ def exchanged(planners: Mapping[int, Planner], network: Network) -> Iterator[dic
         for i in acting:
             after = acted[numbers[i]] or now[i]
             moved[i] = after.path is not now[i].path
-            now[i], solved[i], settled[i] = after, after.solves > 0, after.settled
+            now[i], settled[i] = after, after.settled
+            busy[i] = not untouched(after)
             paths[i] = after.path
         afresh = moved[lower] | moved[upper]
         meets[afresh] = ~apart(paths[lower[afresh]] - paths[upper[afresh]], radius).all(axis=-1)

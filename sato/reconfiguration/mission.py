@@ -60,6 +60,7 @@ class Reconfiguration:
     fuel_norm: Norm = 1
     control_norm: Norm = "inf"
     horizon_steps: int = 4  # avoidance looks this far
+    foresight_steps: int = 0  # and this far among agents in earshot, if that is further
     replan_steps: int = 4
     auction_steps: int = 4
     believed: int = 0  # m of every agent before the first leg; 0 means as many as are alive

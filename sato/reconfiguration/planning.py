@@ -21,7 +21,7 @@ from problems.transfer import Flight, Transfer, fuel_spent
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.moment import Moment
 from sato.reconfiguration.pricing import Minds
-from sato.scp import Planner, settle
+from sato.scp import STILL, Planner, settle
 
 SLOPE = 1e-3  # of the fuel's weights: burns at the ends, straight paths between
 MOST_PIECES = 12  # in a step
@@ -106,16 +106,17 @@ def plan(
         those = np.flatnonzero(network.alive & (minds.clock == clock)).tolist()
         steps = moment.steps_left(int(clock))
         goals = moment.leg.targets[minds.target[those]]
-        rests = [before.rest(i, int(minds.target[i]), moment.step, len(steps)) for i in those]
-        routes, counted = _undisturbed(moment, steps, state[those], goals, rests)
+        rests = {i: before.rest(i, int(minds.target[i]), moment.step, len(steps)) for i in those}
+        routes, counted = _undisturbed(moment, steps, state[those], goals, list(rests.values()))
         solves += counted
         paths = horizon.path(
             *(np.stack(part) for part in zip(*(r.flight[:2] for r in routes), strict=True))
         )
         for i, goal, route, path in zip(those, goals, routes, paths, strict=True):
             rank = (len(steps) > 0, -float(spent[i]), i)
-            flight, about = route.flight, _linearisation(moment, route.transfer)
-            planners[i] = Planner(rank, goal, route.transfer, horizon, flight, flight, path, about)
+            free, about = route.flight, _linearisation(moment, route.transfer)
+            planner = Planner(rank, goal, route.transfer, horizon, free, free, path, about)
+            planners[i] = _as_before(planner, rests[i])
             late += [i] if route.misses else []
     planners, exchanges = settle(planners, network)
     solves += sum(p.solves for p in planners.values())
@@ -170,6 +171,17 @@ def _undisturbed(
     return routes, solves + sum(route.misses for route in routes)
 
 
+def _as_before(agent: Planner, rest: Float[Array, "T m"] | None) -> Planner:
+    """Begin with the plan of before, where that kept clear of somebody by going another way."""
+    if rest is None:
+        return agent
+    prior = agent.transfer.flight(agent.free.x[0], rest)
+    if float(np.abs(prior.x - agent.free.x).max()) <= STILL * agent.horizon.radius:
+        return agent
+    path = agent.horizon.path(prior.x, prior.u)
+    return agent._replace(flight=prior, path=path, steady=False)
+
+
 def _stand_in(
     transfer: Transfer, start: Array, goal: Array, rest: Float[Array, "T m"] | None
 ) -> Flight:
@@ -196,7 +208,7 @@ def look_ahead(mission: Reconfiguration, time: float) -> Horizon:
     """
     fast = mission.max_speed if isfinite(mission.max_speed) else 0.0
     S = min(MOST_PIECES, max(1, ceil(2 * fast * mission.step / mission.collision_radius)))
-    T = mission.horizon_steps
+    T = max(mission.horizon_steps, mission.foresight_steps)
     return Horizon(
         hold(mission.model, mission.step, T, time),
         hold(mission.model, mission.step / S, T * S, time),
