@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from problems.avoidance import Avoidance, HalfSpaces, Passage, Yield, no_spaces
@@ -21,6 +21,7 @@ from problems.convexify import Horizon, apart, half_spaces, normals
 from problems.transfer import Flight, Transfer
 from sato.network import Network, play, rounds
 
+LEANING = 1e-3  # of R: a half-space with less room than this may bind
 STILL = 1e-3  # ε_SCP over R: a path that moves less has converged
 # What may give way, and about what to convexify where nominals collide: past the neighbours
 # on the near side, on the far side, or about standing still. Tried in this order.
@@ -156,16 +157,25 @@ def _standing(agent: Planner) -> Float[Array, "pieces 4 d"]:
 
 
 def _solve(agent: Planner, spaces: HalfSpaces, gives: Yield) -> Passage:
-    # Most half-spaces do not bind: those that the answer would break are added to it.
-    programme = Avoidance(agent.transfer)
-    room = -spaces.missing(agent.flight.x, agent.flight.u)
-    chosen = room < 0.5 * agent.horizon.radius
+    # Few half-spaces bind: those on which the nominal leans, and at each step the one that
+    # the answer would break most, until it breaks none.
+    programme, nominal, R = Avoidance(agent.transfer), agent.flight, agent.horizon.radius
+    chosen = np.abs(spaces.missing(nominal.x, nominal.u)) < LEANING * R
+    over = spaces.missing(agent.free.x, agent.free.u)
     while True:
-        passage = programme.solve(agent.flight.x[0], agent.goal, _only(spaces, chosen), gives)
-        broken = spaces.missing(*passage.flight[:2]) > passage.slack + 1e-7 * agent.horizon.radius
-        if not (broken & ~chosen).any():
+        chosen |= _worst_of_each_step(spaces.step, np.where(chosen, 0.0, over), 1e-7 * R)
+        passage = programme.solve(nominal.x[0], agent.goal, _only(spaces, chosen), gives)
+        over = spaces.missing(passage.flight.x, passage.flight.u) - passage.slack
+        if not ((over > 1e-7 * R) & ~chosen).any():
             return passage
-        chosen |= broken
+
+
+def _worst_of_each_step(
+    step: Int[Array, " rows"], over: Float[Array, " rows"], tolerance: float
+) -> Bool[Array, " rows"]:
+    worst = np.full(int(step.max(initial=-1)) + 1, tolerance)
+    np.maximum.at(worst, step, over)
+    return np.asarray((over >= worst[step]) & (over > tolerance))
 
 
 def _only(spaces: HalfSpaces, rows: Bool[Array, " rows"]) -> HalfSpaces:

@@ -82,9 +82,20 @@ def parked(number, place, transfer, horizon):
     return Planner((False, 0.0, number), x, over, horizon, flight, flight, path)
 
 
+def as_before(planners, former):
+    """The same agents, who begin with the plans that others of their number ended with."""
+    begun = {}
+    for i, p in planners.items():
+        flight = former[i].flight
+        path = p.horizon.path(flight.x, flight.u)
+        begun[i] = p._replace(flight=flight, path=path, steady=False)
+    return begun
+
+
 @pytest.mark.parametrize(("count", "axes"), [(4, 2), (8, 2), (8, 3)])
-def test_the_fast_path_equals_the_definition_exchange_by_exchange(rng, count, axes):
-    # Any network, any order of priorities, some who cannot move.
+@pytest.mark.parametrize("again", [False, True])
+def test_the_fast_path_equals_the_definition_exchange_by_exchange(rng, count, axes, again):
+    # Any network, any order of priorities, some who cannot move, some with plans of before.
     longest = 0
     for _ in range(4):
         planners = crowd(rng, count, axes)
@@ -94,6 +105,10 @@ def test_the_fast_path_equals_the_definition_exchange_by_exchange(rng, count, ax
         planners[0] = parked(0, still.flight.x[0, :axes], still.transfer, still.horizon)
         hears = np.triu(rng.random((count, count)) < 0.7, 1)
         network = heard(hears | hears.T)
+        if again:
+            after, _ = settle(planners, network)
+            some = {i: p for i, p in planners.items() if 0 < i < count // 2 + 1}
+            planners |= as_before(some, after)
         slow, fast = list(by_messages(planners, network)), list(exchanged(planners, network))
         assert len(slow) == len(fast)
         longest = max(longest, len(slow))
@@ -216,6 +231,32 @@ def test_head_on_with_no_miss_at_all_is_parted(rng):
     after, _ = settle(pair, everybody(pair))
     assert after[1].slack == after[1].late == 0
     assert continuous_separation(after) >= RADIUS
+
+
+@pytest.mark.parametrize("side", [-0.7, 0.7])
+def test_an_agent_stays_on_the_side_on_which_it_passes(side):
+    transfer, horizon = problem()
+    pair = {
+        0: agent(0, [-1.5, 0.0], [1.5, 0.0], transfer, horizon),
+        1: agent(1, [1.5, 0.01], [-1.5, 0.01], transfer, horizon),
+    }
+    x, u = pair[1].free.x.copy(), pair[1].free.u
+    x[1:-1, 1] += side  # a plan that went that way round
+    begun = pair[1]._replace(flight=Flight(x, u, 0.0), path=horizon.path(x, u), steady=False)
+    after, _ = settle(pair | {1: begun}, everybody(pair))
+    assert after[1].late == after[1].slack == 0
+    assert np.sign(after[1].flight.x[T // 2, 1]) == np.sign(side)
+    assert continuous_separation(after) >= RADIUS
+
+
+def test_an_agent_whose_way_has_become_free_takes_it(rng):
+    planners = crowd(rng, 5)
+    after, _ = settle(planners, everybody(planners))
+    last = max((p for p in after.values() if p.solves), key=lambda p: p.rank).rank[2]
+    begun = as_before({last: planners[last]}, after)
+    alone, _ = settle(begun, heard(np.zeros((5, 5), dtype=bool)))
+    assert alone[last].flight is planners[last].free
+    assert alone[last].settled and alone[last].solves == 0
 
 
 def test_what_gives_way_first_is_the_arrival_and_then_the_separation():

@@ -99,7 +99,8 @@ def plan(
         solves: Programmes that were solved for this replan already.
     """
     mission, network, state = moment.mission, moment.network, moment.state
-    horizon = look_ahead(mission, moment.time)
+    left = moment.leg.steps - int(minds.clock[network.alive].min(initial=moment.leg.steps))
+    horizon = look_ahead(mission, moment.time, left)
     planners: dict[int, Planner] = {}
     late: list[int] = []
     for clock in np.unique(minds.clock[network.alive]):
@@ -201,14 +202,15 @@ def _linearisation(moment: Moment, transfer: Transfer) -> Callable[[Flight], Tra
     return about
 
 
-def look_ahead(mission: Reconfiguration, time: float) -> Horizon:
-    """The avoidance horizon from a time on.
+def look_ahead(mission: Reconfiguration, time: float, left: int) -> Horizon:
+    """The avoidance horizon from a time on, when the last agent has some steps left.
 
-    A step is cut so finely that two agents at full speed move by about R_col in a piece.
+    T_H steps, or as far as is foreseen among agents in earshot, but not past the last
+    arrival. A step is cut so finely that two agents at full speed move by about R_col in a piece.
     """
     fast = mission.max_speed if isfinite(mission.max_speed) else 0.0
     S = min(MOST_PIECES, max(1, ceil(2 * fast * mission.step / mission.collision_radius)))
-    T = max(mission.horizon_steps, mission.foresight_steps)
+    T = max(mission.horizon_steps, min(mission.foresight_steps, left))
     return Horizon(
         hold(mission.model, mission.step, T, time),
         hold(mission.model, mission.step / S, T * S, time),
