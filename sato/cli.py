@@ -3,10 +3,11 @@
 import json
 import os
 import tempfile
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, NoReturn, TextIO
 
 import typer
 
@@ -138,11 +139,37 @@ def animate(folder: RunFolder) -> None:
         typer.echo(str(film_at))
 
 
+@app.command()
+def export(
+    folder: RunFolder,
+    form: Annotated[
+        str,
+        typer.Option(
+            "--format", metavar="oem|csv", help="CCSDS OEM, a file an object; or one table."
+        ),
+    ] = "oem",
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="PATH", help="Where to write; DIR/oem/ or DIR/trajectories.csv."),
+    ] = None,
+) -> None:
+    """Write the trajectories of a run for other tools."""
+    with _plainly():
+        from sato.export import HOME
+        from sato.export import export as write
+        from sato.record import load
+
+        run = load(folder)
+        typer.echo(str(write(run, out or _folder_of(folder) / HOME.get(form, form), form)))
+
+
 @contextmanager
 def _plainly() -> Iterator[None]:
-    # Whatever goes wrong becomes a sentence and an exit code.
+    # Whatever goes wrong becomes a sentence and an exit code, and every warning a line.
     try:
-        yield
+        with warnings.catch_warnings():
+            warnings.showwarning = _warn
+            yield
     except (typer.Exit, typer.Abort):
         raise
     except KeyboardInterrupt:
@@ -161,6 +188,18 @@ def _plainly() -> Iterator[None]:
             "(SATO_TRACEBACK=1 shows where)",
             SHORT,
         )
+
+
+def _warn(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    # Where in the program it arose is no help to who wrote the scenario.
+    typer.echo(f"warning: {' '.join(str(message).split())}", err=True)
 
 
 def _stop(sentence: str, code: int) -> NoReturn:

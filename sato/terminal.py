@@ -108,7 +108,11 @@ def tell(run: Run, folder: Path) -> None:
     whole = Table(show_header=False)
     for name, value in said.items():
         limit = said.get("collision_radius_m") if name.startswith("min_separation") else None
-        whole.add_row(_spelt(name), _short(value, limit))
+        if name == "fuel_per_agent_m_s":
+            for which, each in value.items():
+                whole.add_row(f"Δv per spacecraft, {which}, m/s", _short(each))
+        else:
+            whole.add_row(_spelt(name), _short(value, limit))
     console = Console()
     if legs:
         console.print(table)

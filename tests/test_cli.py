@@ -5,17 +5,19 @@ import os
 import signal
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray
 from typer.testing import CliRunner, Result
 
 import sato
 import sato.reconfiguration
 from sato.cli import app
-from sato.record import Frame
-from sato.terminal import progress
+from sato.record import Frame, Run
+from sato.terminal import progress, tell
 
 TINY = """
 system = "reconfiguration"
@@ -152,9 +154,9 @@ REFUSED = {
     "a share above the whole": ("leg.lose={kind='middle',share=1.5}", ["leg.0.lose", "less than"]),
     "a loss of nobody": ("leg.lose={kind='agents',agents=[3]}", ["leg.0.lose.agents", "0 to 2"]),
     "a centre in another space": ("shape.centre_m=[1]", ["leg.0.shape.centre_m", "2 coordinates"]),
-    "two orbits": (
+    "an orbital model without an orbit": (
         "model={kind='clohessy_wiltshire',max_control_m_s2=0.1}",
-        ["model", "semi_major_axis_km or mean_motion_rad_s"],
+        ["model.kind", "a [chief] with semi_major_axis_km", 'kind = "double_integrator"'],
     ),
     "a name that is no folder": ("name='../up'", ["name"]),
 }
@@ -214,7 +216,7 @@ def test_a_folder_that_cannot_be_written_is_refused_before_anything_is_flown(
     assert "--out" in said
 
 
-@pytest.mark.parametrize("command", ["check", "plot", "animate"])
+@pytest.mark.parametrize("command", ["check", "plot", "animate", "export"])
 @pytest.mark.parametrize("content", [None, b"", b"\x89HDF\r\n\x1a\nand no more", b"text"])
 def test_an_unreadable_run_is_refused_by_name(home, command, content):
     (home / "old").mkdir()
@@ -274,6 +276,57 @@ def test_quiet_says_nothing(home):
     result = call("run", "tiny.toml", "--quiet", "--out", "here")
     assert (result.stdout, result.stderr) == ("", "")
     assert (home / "here" / "run.nc").exists()
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_warning_is_a_line_on_the_error_stream_also_when_quiet(home, monkeypatch):
+    real = sato.reconfiguration.fly
+
+    def doubtful(*given: object) -> object:
+        warnings.warn("the model is wrong by 7 m;\n   another would do", stacklevel=1)
+        yield from real(*given)
+
+    monkeypatch.setattr(sato.reconfiguration, "fly", doubtful)
+    result = call("run", "tiny.toml", "--quiet", "--out", "here")
+    assert result.exit_code == 0
+    said = "warning: the model is wrong by 7 m; another would do\n"
+    assert (result.stdout, result.stderr) == ("", said)
+
+
+def test_trajectories_are_exported_beside_the_run_or_where_it_is_asked(home):
+    call("run", "tiny.toml", "--quiet", "--out", "here")
+    beside = call("export", "here", "--format", "csv")
+    assert (beside.exit_code, beside.stdout) == (0, "here/trajectories.csv\n")
+    there = call("export", "here/run.nc", "--format", "csv", "--out", "new/all.csv")
+    assert (there.exit_code, there.stdout) == (0, "new/all.csv\n")
+    table = Path("new/all.csv").read_text()
+    assert table == Path("here/trajectories.csv").read_text()
+    assert table.startswith("object,time_s,x_m,y_m,vx_m_s,vy_m_s\nagent-0,0.0,0.0,0.0,")
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        ([], 2, "only scenarios with a [chief] fly in orbit, and the format csv"),
+        (["--format", "stk"], 2, 'there is no format "stk", only oem and csv'),
+        (["--format", "csv", "--out", "here"], 2, "here: is a folder"),
+        (["--format", "csv", "--out", "tiny.toml/x"], 1, "tiny.toml/x: "),
+    ],
+)
+def test_an_export_that_cannot_be_is_refused_in_a_sentence(home, words, code, said):
+    call("run", "tiny.toml", "--quiet", "--out", "here")
+    result = call("export", "here", *words)
+    assert result.exit_code == code
+    assert said in sentence(result)
+    assert sorted(p.name for p in (home / "here").iterdir()) == ["run.nc", "summary.json"]
+
+
+def test_in_orbit_the_fuel_of_each_spacecraft_is_told(capsys):
+    each = {"mean": 1.25, "least": 0.5, "most": 2.0}
+    tell(Run(xarray.Dataset(), {"fuel_m_s": 15.0, "fuel_per_agent_m_s": each}), Path("here"))
+    said = capsys.readouterr().out
+    for words in ("Δv per spacecraft, mean, m/s", "1.25", "most, m/s", "fuel, m/s"):
+        assert words in said
 
 
 def test_progress_goes_to_the_error_stream_a_line_a_leg(home):

@@ -64,7 +64,7 @@ def separation(evidence: Evidence) -> Figure:
     if np.isfinite(between).any():
         k = int(np.nanargmin(np.where(np.isfinite(between), between, np.nan)))
         ax.plot((t[k] + t[k + 1]) / 2, between[k], "v", ms=5, color=DARK, mew=0, zorder=5,
-                label=f"least: {between[k]:.4g} m")  # fmt: skip
+                label=f"least: {between[k]:.6g} m")  # fmt: skip
     for k, event in evidence.told("loss"):
         ax.axvline(t[k], color=GREY, ls=":", lw=0.8)
         ax.annotate(

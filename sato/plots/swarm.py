@@ -80,13 +80,14 @@ def trajectories(evidence: Evidence) -> Figure:
     space = Space.around(view, position, *goals, margin=margin(evidence))
     figure, axes = panels(max(len(legs), 1), space, columns=2, width=3.8)
     scale, _ = space.unit
-    names = leg_names(evidence)
+    names, some = leg_names(evidence), False
     for i, (ax, stretch) in enumerate(zip(axes, legs, strict=False)):
         window = slice(stretch.first, stretch.last + 1)
         path = position[window] / scale
         flies = evidence.alive[stretch.first : stretch.last]
         target = np.where(flies, evidence.target[stretch.first : stretch.last], -1)
         turned = np.array([len(np.unique(t[t >= 0])) > 1 for t in target.T])
+        some |= bool(turned.any())
         for a in np.flatnonzero(flies.any(axis=0)):
             there = np.append(flies[:, a], flies[-1, a])
             colour = RED if turned[a] else BLUE
@@ -98,9 +99,10 @@ def trajectories(evidence: Evidence) -> Figure:
         ax.plot(*start.T, ls="", marker="o", ms=2.6, mfc="white", mec=GREY, mew=0.6, zorder=4)
         ax.plot(*path[-1, last].T, ls="", marker="o", ms=2.6, color="black", mew=0, zorder=5)
         entitle(ax, f"{letter(i)} leg {stretch.leg + 1}, {names[stretch.leg]}")
-    key = [
-        Line2D([], [], color=BLUE, lw=1, label="kept its target"),
-        Line2D([], [], color=RED, lw=1, label="changed its target on the way"),
+    key = [Line2D([], [], color=BLUE, lw=1, label="kept its target")]
+    if some:
+        key.append(Line2D([], [], color=RED, lw=1, label="changed its target on the way"))
+    key += [
         Line2D([], [], ls="", marker="o", ms=4, mfc="white", mec=GREY, label="start"),
         Line2D([], [], ls="", marker="o", ms=4, color="black", mew=0, label="end"),
     ]
