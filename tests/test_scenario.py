@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.distance import pdist
 
-from dynamics import ClohessyWiltshire
 from sato.network import Network
 from sato.reconfiguration.mission import Reconfiguration
 from sato.scenario import BUILT_IN, ScenarioError, ScenarioFile, names, parse, read
@@ -74,6 +73,8 @@ class Measured(Table):
     turned_rad: float = 0.0
     turning_rad_s: float = 0.0
     often_hz: float = 0.0
+    thick_kg_m3: float = 0.0
+    ballistic_m2_kg: float = 0.0
     count: int = 0
 
 
@@ -85,6 +86,8 @@ BASE = {
     "angle": "turned",
     "rotation": "turning",
     "frequency": "often",
+    "density": "thick",
+    "area for a mass": "ballistic",
 }
 
 
@@ -219,23 +222,6 @@ def test_what_the_file_says_reaches_the_mission():
         ("random", 0.3, (), 5),
     ]
     assert (mission.legs[1].losses[0].kind, mission.legs[1].recount) == ("middle", True)
-
-
-def test_spacecraft_start_and_end_on_orbits_that_close():
-    mission = read("random_cw").build(np.random.default_rng(0))
-    assert isinstance(mission.model, ClohessyWiltshire)
-    # Period of a circular orbit at 6878 km: 94.6 min [Vallado2013, sec. 1.3].
-    assert 2 * np.pi / mission.model.n / 60 == pytest.approx(94.6, abs=0.05)
-    for states in (mission.start, mission.legs[0].targets):
-        np.testing.assert_array_equal(states[:, 3:], mission.model.bounded(states[:, :3]))
-    assert not mission.legs[0].targets[:, 2].any()
-
-
-def test_the_mean_motion_may_be_given_instead_of_the_orbit():
-    limits = "max_control_m_s2=1,max_speed_m_s=9"
-    model = f'model={{kind="clohessy_wiltshire",mean_motion_deg_s=0.06,{limits}}}'
-    scenario = read("random_cw", [model, "allow_undetectable=true"])
-    assert scenario.model.model().n == pytest.approx(np.radians(0.06))
 
 
 def test_a_single_agent_with_a_single_target_has_a_tolerance():

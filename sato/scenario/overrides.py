@@ -51,6 +51,8 @@ def override(data: dict[str, Any], setting: str, schema: type[Table]) -> None:
         for old in [k for k in spot.data if _same(k, meant[0], spot.kind)]:
             del spot.data[old]
         spot.data[key] = _value(written.strip())
+    for name in [name for name, table in data.items() if table == {}]:
+        del data[name]  # looked into, and not what was meant
 
 
 def _spots(kind: type[Table], data: dict[str, Any], path: Path = ()) -> Iterator[Spot]:

@@ -1,5 +1,6 @@
 """Whether everybody can be somewhere in time, asked before anything is flown."""
 
+from dataclasses import replace
 from math import floor, inf
 from typing import NamedTuple
 
@@ -12,9 +13,11 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 from dynamics import DoubleIntegrator, hold
 from problems.auction_cost import price
 from sato.reconfiguration.mission import Reconfiguration
-from sato.scenario.refusal import Refusal
+from sato.scenario.refusal import Refusal, listed, upward
 
 LONGEST = 64  # times the steps that were asked for; beyond, time is not what is missing
+STRONGEST = 64  # times the control that there is; beyond, it is not what is missing either
+FINE = 1.01  # to which part the control that would do is found
 MUCH = 20_000_000  # pairs × steps, above which no longer time is tried
 
 
@@ -33,7 +36,8 @@ def check_reach(mission: Reconfiguration) -> None:
 
     Raises:
         Refusal: An agent can reach none of the targets that it bids on, or too few of them can
-            be reached for everybody to have one; says for which agent, and what time would do.
+            be reached for everybody to have one; says for which agent, and what time or thrust
+            would do.
     """
     steps = mission.legs[0].steps
     lacking = _lacking(mission, steps)
@@ -44,12 +48,14 @@ def check_reach(mission: Reconfiguration) -> None:
         if lacking.alone
         else "is left without a target, for the others need all that it can reach,"
     )
-    enough = _enough(mission, steps)
-    time = f"steps = {enough} would do, or" if enough else "what would do is far more steps, or"
+    time, thrust = _enough(mission, steps), _strong(mission, steps)
+    cures = [f"steps = {time}"] if time else []
+    cures += [f"model.max_control_m_s2 = {thrust}"] if thrust else []
+    cures = cures or ["far more steps, a larger model.max_control_m_s2 or max_speed_m_s"]
     raise Refusal(
         "leg.0.steps",
-        f"agent {lacking.agent} {what} in {steps} steps of {mission.step:g} s; {time} a larger "
-        "model.max_control_m_s2 or max_speed_m_s",
+        f"agent {lacking.agent} {what} in {steps} steps of {mission.step:g} s; "
+        f"{listed(cures)} would do",
     )
 
 
@@ -64,6 +70,21 @@ def _enough(mission: Reconfiguration, steps: int) -> int | None:
         middle = (few + many) // 2
         few, many = (few, middle) if _lacking(mission, middle) is None else (middle, many)
     return many
+
+
+def _strong(mission: Reconfiguration, steps: int) -> str | None:
+    def does(thrust: float) -> bool:
+        return _lacking(replace(mission, max_control=thrust), steps) is None
+
+    weak, strong = mission.max_control, 2 * mission.max_control
+    while not does(strong):
+        weak, strong = strong, 2 * strong
+        if strong > STRONGEST * mission.max_control:
+            return None
+    while strong > weak * FINE:
+        middle = (weak * strong) ** 0.5
+        weak, strong = (weak, middle) if does(middle) else (middle, strong)
+    return upward(strong)
 
 
 def _lacking(mission: Reconfiguration, steps: int) -> Lacking | None:

@@ -1,5 +1,6 @@
 """SYSTEM 1 as a file."""
 
+import warnings
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -8,20 +9,17 @@ from pydantic import Field, PrivateAttr, model_validator
 
 from sato.reconfiguration.mission import Reconfiguration
 from sato.scenario.build import build
+from sato.scenario.detect import check_detectable, detectable
 from sato.scenario.legs import check_legs, wanted
+from sato.scenario.models import AnyModel
+from sato.scenario.orbital import Chief, PlantTable
 from sato.scenario.reach import check_reach
 from sato.scenario.refusal import Refusal, ScenarioError
 from sato.scenario.start import portable
-from sato.scenario.tables import (
-    AnyModel,
-    Disturbance,
-    LegTable,
-    Plan,
-    Swarm,
-    check_detectable,
-    detectable,
-)
+from sato.scenario.tables import Disturbance, LegTable, Plan, Swarm, check_noise, check_plan
 from sato.scenario.units import Table
+from sato.scenario.validity import doubt
+from sato.scenario.world import World, check_kinds, check_world
 
 
 class ReconfigurationFile(Table):
@@ -30,7 +28,9 @@ class ReconfigurationFile(Table):
     system: Literal["reconfiguration"]
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
     swarm: Swarm
+    chief: Chief | None = None
     model: AnyModel
+    plant: PlantTable = PlantTable()
     plan: Plan
     disturbance: Disturbance = Disturbance()
     leg: Annotated[list[LegTable], Field(min_length=1)]
@@ -44,20 +44,31 @@ class ReconfigurationFile(Table):
 
     @model_validator(mode="before")
     @classmethod
-    def _often_where_it_is_shaken(cls, data: Any) -> Any:
+    def _often_where_it_goes_wrong(cls, data: Any) -> Any:
         # What is not said of the periods follows from the horizon, or from what goes wrong.
-        plan, shaken = (data.get(key) for key in ("plan", "disturbance"))
-        if not isinstance(plan, dict) or not isinstance(shaken, dict):
+        if not isinstance(data, dict):
             return data
-        if not any(isinstance(size, int | float) and size > 0 for size in shaken.values()):
+        check_kinds(data)
+        plan, shaken, plant = (data.get(key) or {} for key in ("plan", "disturbance", "plant"))
+        if not all(isinstance(table, dict) for table in (plan, shaken, plant)) or not plan:
+            return data
+        wrong = any(isinstance(size, int | float) and size > 0 for size in shaken.values())
+        if not wrong and ("chief" not in data or plant.get("kind") == "model"):
             return data
         return data | {"plan": {"replan_steps": 1} | plan}
 
     @model_validator(mode="after")
     def _hangs_together(self) -> "ReconfigurationFile":
+        check_world(self._world)
         check_detectable(self.swarm, self.model, self.plan)
         check_legs(self.swarm, self.leg)
+        check_plan(self.plan, self.leg)
+        check_noise(self.swarm, self.disturbance)
         return self
+
+    @property
+    def _world(self) -> World:
+        return World(self.model, self.chief, self.plant)
 
     @property
     def undetectable(self) -> bool:
@@ -75,15 +86,28 @@ class ReconfigurationFile(Table):
                 be reached.
         """
         try:
-            mission = build(self.swarm, self.model, self.plan, self.disturbance, self.leg, rng)
+            mission = build(self.swarm, self._world, self.plan, self.disturbance, self.leg, rng)
             check_reach(mission)
         except Refusal as refusal:
             raise ScenarioError(f"{self._source}: {refusal}") from refusal
         return mission
 
+    def warn(self, mission: Reconfiguration) -> None:
+        """Warn of a model that does not hold where the mission flies.
+
+        Apart from `build`, for a mission is built again whenever its run is judged.
+
+        Args:
+            mission: What `build` made of this.
+        """
+        if self.chief is None:
+            return
+        if (doubtful := doubt(mission, self.chief.orbit, self.model.kind)) is not None:
+            warnings.warn(doubtful, stacklevel=2)
+
     def to_toml(self) -> str:
         """The whole scenario, so that it can be repeated from this text alone."""
-        axes = self.model.model().axes
+        axes = self.model.axes
         legs = []
         for leg, most in zip(self.leg, wanted(self.swarm, self.leg), strict=True):
             shape = leg.shape.portable(leg.targets or most, axes)

@@ -5,7 +5,7 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
-from pydantic import Field, PositiveFloat, PositiveInt
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from sato.network import Network
 from sato.reconfiguration.mission import least_distance
@@ -33,6 +33,7 @@ class Random(Table):
 
     kind: Literal["random"]
     box_m: PositiveFloat | None = None  # side; without it, each agent hears about ten others
+    depth_m: NonNegativeFloat | None = None  # side along z; without it, as the others; 0 is flat
     separation_m: PositiveFloat
     centre_m: list[float] | None = None
     min_components: PositiveInt | None = None  # of the network at the start
@@ -54,6 +55,9 @@ class Random(Table):
                 f"{self.separation_m:g} lets agents start closer than the collision radius; "
                 f"{place.collision_radius:g} or more would do",
             )
+        if self.depth_m is not None and (place.axes == 2 or self.box_m is None):
+            lacking = "a model in space" if place.axes == 2 else "a box_m for its other sides"
+            raise Refusal("depth_m", f"needs {lacking}")
         box = self.box_m or _roomy(count, place)
         middle = centre(self.centre_m, place.axes)
         components = 0
@@ -86,10 +90,12 @@ class Random(Table):
         rng: np.random.Generator,
     ) -> Float[Array, "count d"]:
         points = np.concatenate([place.taken, np.empty((count, place.axes))])
+        half = np.array([box, box, box if self.depth_m is None else self.depth_m]) / 2
+        half = half[: place.axes]
         last = len(points)
         k, misses = len(place.taken), 0
         while k < last:
-            thrown = middle + rng.uniform(-box / 2, box / 2, place.axes)
+            thrown = middle + rng.uniform(-half, half)
             if np.all(np.sum((points[:k] - thrown) ** 2, axis=1) >= self.separation_m**2):
                 points[k] = thrown
                 k, misses = k + 1, 0
@@ -98,9 +104,14 @@ class Random(Table):
         return points[len(place.taken) :]
 
     def _full(self, count: int, box: float, done: int, place: Place) -> str:
-        s, d = self.separation_m, place.axes
-        ball = {2: np.pi / 4, 3: np.pi / 6}[d] * s**d
-        enough = ((count + len(place.taken)) * ball / FULL[d]) ** (1 / d)
+        s, everyone = self.separation_m, count + len(place.taken)
+        disc, ball = np.pi / 4 * s**2 / FULL[2], np.pi / 6 * s**3 / FULL[3]
+        if place.axes == 2 or (self.depth_m is not None and self.depth_m < s):
+            enough = (everyone * disc) ** (1 / 2)
+        elif self.depth_m is None:
+            enough = (everyone * ball) ** (1 / 3)
+        else:
+            enough = (everyone * ball / self.depth_m) ** (1 / 2)
         room = f"box_m = {upward(enough)} would do" if enough > box else "put it elsewhere"
         return (
             f"a box of {box:.4g} m is full after {done} of {count} agents {s:g} m apart; "

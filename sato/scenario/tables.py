@@ -1,6 +1,6 @@
 """The tables of a reconfiguration scenario, each key with what it may be."""
 
-from math import floor, inf, sqrt
+from math import degrees, inf, pi
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -13,27 +13,26 @@ from pydantic import (
     model_validator,
 )
 
-from dynamics import ClohessyWiltshire, DoubleIntegrator
-from sato.scenario.refusal import Refusal, downward, listed, upward
+from sato.scenario.refusal import Refusal, downward, shown
 from sato.scenario.shape import AnyShape
 from sato.scenario.start import AnyStart
 from sato.scenario.units import Table
 
-EARTH_MU = 3.986004418e14  # gravitational parameter [m³/s²] [IERS2010, table 1.1]
-
-
-def _not_a_flag(value: Any) -> Any:
-    # To Python, true is 1.
-    if isinstance(value, bool):
-        raise Refusal("", 'must be 1, 2 or "inf"')
-    return value
+MOST_POINTING = pi / 6  # standard deviation beyond which directions mean nothing [rad]
 
 
 def _as_list(value: Any) -> Any:
     return [value] if isinstance(value, dict) else value
 
 
-Norm = Annotated[Literal[1, 2, "inf"], BeforeValidator(_not_a_flag)]
+def _auto_or_number(value: Any) -> Any:
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if value is None or value == "auto" or (number and 0 <= value < inf):
+        return value
+    raise Refusal("", f'must be a number that is not negative, or "auto", got {shown(value)}')
+
+
+Automatic = Annotated[float | Literal["auto"], BeforeValidator(_auto_or_number)]
 
 
 class Swarm(Table):
@@ -46,48 +45,6 @@ class Swarm(Table):
     believed: PositiveInt | None = None  # m of every agent at the start; without it, all agents
 
 
-class _Model(Table):
-    max_control_m_s2: PositiveFloat
-    max_speed_m_s: PositiveFloat | None = None
-    control_norm: Norm = "inf"
-    fuel_norm: Norm = 1
-
-
-class PointMasses(_Model):
-    """r̈ = u."""
-
-    kind: Literal["double_integrator"]
-    dimension: Literal[2, 3] = 2
-
-    def model(self) -> DoubleIntegrator:
-        """The model that moves the agents."""
-        return DoubleIntegrator(self.dimension)
-
-
-class CircularOrbit(_Model):
-    """Relative motion about a circular orbit of the Earth."""
-
-    kind: Literal["clohessy_wiltshire"]
-    semi_major_axis_m: PositiveFloat | None = None
-    mean_motion_rad_s: PositiveFloat | None = None
-
-    @model_validator(mode="after")
-    def _one_orbit(self) -> "CircularOrbit":
-        if (self.semi_major_axis_m is None) == (self.mean_motion_rad_s is None):
-            raise Refusal("", "give semi_major_axis_km or mean_motion_rad_s, one of them")
-        return self
-
-    def model(self) -> ClohessyWiltshire:
-        """The model that moves the agents."""
-        if self.mean_motion_rad_s is not None:
-            return ClohessyWiltshire(self.mean_motion_rad_s)
-        assert self.semi_major_axis_m is not None
-        return ClohessyWiltshire(sqrt(EARTH_MU / self.semi_major_axis_m**3))
-
-
-AnyModel = Annotated[PointMasses | CircularOrbit, Field(discriminator="kind")]
-
-
 class Plan(Table):
     """When is decided what, and how finely."""
 
@@ -95,12 +52,15 @@ class Plan(Table):
     horizon_steps: PositiveInt
     replan_steps: PositiveInt  # without it, every horizon; every step under a disturbance
     auction_steps: PositiveInt  # without it, every replan
-    epsilon: PositiveFloat | Literal["auto"] = "auto"
+    epsilon: Automatic = "auto"
     tie_break: NonNegativeFloat = 0.2
     cost: Literal["fuel", "distance"] = "fuel"
     ids: bool = True
+    reset: Literal["change", "need"] = "change"
+    commit_steps: NonNegativeInt = 0
+    margin_m: Automatic | None = None  # without it, "auto" about a chief, else none
     allow_undetectable: bool = False
-    position_tolerance_m: PositiveFloat | None = None  # without it, as `sato.scenario.build` says
+    position_tolerance_m: PositiveFloat | None = None  # without it, see `sato.scenario.tolerance`
     velocity_tolerance_m_s: PositiveFloat | None = None
 
     @model_validator(mode="before")
@@ -113,6 +73,8 @@ class Plan(Table):
 
     @model_validator(mode="after")
     def _periods_nest(self) -> "Plan":
+        if self.epsilon == 0:
+            raise Refusal("epsilon", 'must be positive, or "auto", got 0')
         if self.replan_steps > self.horizon_steps:
             raise Refusal(
                 "replan_steps",
@@ -142,6 +104,26 @@ class Disturbance(Table):
     acceleration_m_s2: NonNegativeFloat = 0.0
     position_m: NonNegativeFloat = 0.0
     velocity_m_s: NonNegativeFloat = 0.0
+    thrust: NonNegativeFloat = 0.0  # of its size, as a part of it
+    pointing_rad: NonNegativeFloat = 0.0  # of its direction
+
+    @model_validator(mode="after")
+    def _thrusters_thrust(self) -> "Disturbance":
+        if self.thrust >= 1:
+            raise Refusal(
+                "thrust",
+                f"{self.thrust:g} is a standard deviation of {100 * self.thrust:g} % of the "
+                f"thrust, of which it is a part; {self.thrust / 100:g} would be "
+                f"{self.thrust:g} %",
+            )
+        if self.pointing_rad > MOST_POINTING:
+            raise Refusal(
+                "pointing_rad",
+                f"{self.pointing_rad:.4g} is {degrees(self.pointing_rad):.4g} degrees, with which "
+                f"a thruster points anywhere; at most pointing_deg = "
+                f"{degrees(MOST_POINTING):.0f} would do",
+            )
+        return self
 
 
 class LoseShare(Table):
@@ -194,45 +176,31 @@ class LegTable(Table):
         return self
 
 
-def detectable(swarm: Swarm, model: AnyModel, plan: Plan) -> bool:
-    """Whether two agents that could meet within the horizon hear each other at its start.
-
-        R_comm ≥ 2 V_max T_H Δt + R_col
-
-    [Morgan2016, Proposition 9].
-    """
-    return swarm.comm_radius_m >= _least_radius(swarm, model, plan) * (1 - 1e-12)
-
-
-def check_detectable(swarm: Swarm, model: AnyModel, plan: Plan) -> None:
-    """Refuse agents that could meet unseen, unless that is what is to be shown.
+def check_plan(plan: Plan, legs: list[LegTable]) -> None:
+    """Something of every leg is left to plan in.
 
     Raises:
-        Refusal: They could; says which radius, speed or horizon would do.
+        Refusal: An agent would keep to its first plan to the end.
     """
-    if plan.allow_undetectable or detectable(swarm, model, plan):
-        return
-    needed, speed = _least_radius(swarm, model, plan), model.max_speed_m_s
-    room = swarm.comm_radius_m - swarm.collision_radius_m
-    cures = []
-    if speed is not None:
-        cures.append(f"swarm.comm_radius_m = {upward(needed)}")
-    if room > 0:
-        slower = room / (2 * plan.horizon_steps * plan.step_s)
-        cures.append(f"model.max_speed_m_s = {downward(slower)}")
-    if speed is not None and (shorter := floor(room / (2 * speed * plan.step_s) + 1e-9)) > 0:
-        cures.append(f"plan.horizon_steps = {shorter}")
-    if not cures:
-        cures.append("a larger comm_radius_m with a model.max_speed_m_s")
-    limit = f"{needed:.4g} m" if speed else "infinite, for there is no model.max_speed_m_s"
-    raise Refusal(
-        "swarm.comm_radius_m",
-        f"{swarm.comm_radius_m:g} is less than 2 V_max T_H Δt + R_col, which is {limit}, so two "
-        f"agents could meet within the horizon unseen (Proposition 9); {listed(cures)} would do, "
-        "and plan.allow_undetectable = true flies it all the same",
-    )
+    for number, leg in enumerate(legs):
+        if plan.commit_steps >= leg.steps:
+            raise Refusal(
+                "plan.commit_steps",
+                f"{plan.commit_steps} leaves nothing to replan in of leg {number}, which has "
+                f"{leg.steps} steps; at most {leg.steps - 1} would do",
+            )
 
 
-def _least_radius(swarm: Swarm, model: AnyModel, plan: Plan) -> float:
-    speed = model.max_speed_m_s or inf
-    return 2 * speed * plan.horizon_steps * plan.step_s + swarm.collision_radius_m
+def check_noise(swarm: Swarm, disturbance: Disturbance) -> None:
+    """Agents know their places better than they have to keep apart.
+
+    Raises:
+        Refusal: They do not.
+    """
+    if disturbance.position_m >= swarm.collision_radius_m:
+        raise Refusal(
+            "disturbance.position_m",
+            f"{disturbance.position_m:g} is not less than swarm.collision_radius_m = "
+            f"{swarm.collision_radius_m:g}, so agents could not know whether they collide; "
+            f"{downward(swarm.collision_radius_m / 50)} would do",
+        )

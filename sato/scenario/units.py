@@ -20,6 +20,8 @@ class Unit(NamedTuple):
 UNITS = {
     "_mm_s2": Unit("acceleration", 1e-3),
     "_m_s2": Unit("acceleration", 1.0),
+    "_kg_m3": Unit("density", 1.0),
+    "_m2_kg": Unit("area for a mass", 1.0),
     "_mm_s": Unit("speed", 1e-3),
     "_m_s": Unit("speed", 1.0),
     "_rad_s": Unit("rotation", 1.0),
@@ -77,7 +79,7 @@ def meaning(key: str, fields: Mapping[str, object]) -> tuple[str, float]:
         right = _split(measured[base])[1]
         assert right is not None
         raise Refusal(
-            key, f"is in a unit of {unit.kind}, and it is a {right.kind}; write {measured[base]}"
+            key, f"is in a unit of {unit.kind}, not of {right.kind}; write {measured[base]}"
         )
     if unit is not None and base in fields:
         raise Refusal(key, f"is a number without a unit; write {base}")

@@ -1,0 +1,68 @@
+"""What counts as there, where it is not said."""
+
+from math import ceil, isfinite
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from dynamics import DoubleIntegrator, hold
+from problems.auction_cost import price
+from sato.reconfiguration.mission import Reconfiguration
+from sato.scenario.tables import Plan
+
+TOLERANCE = 1e-6  # of the least spacing of the targets: what counts as there
+SIGMAS = 6.0  # of what chance adds to it: an agent is further out once in 10⁷ arrivals
+
+
+def tolerances(mission: Reconfiguration, plan: Plan) -> tuple[float, float, float | None]:
+    """In position [m] and velocity [m/s], and ε where the targets say nothing of it."""
+    # A single target has no spacing; the least distance that there may be will do.
+    alone = not isfinite(mission.spacing)
+    s = mission.collision_radius if alone else mission.spacing
+    astray, drifting = _missed(mission)
+    near = plan.position_tolerance_m or TOLERANCE * s + astray
+    slow = plan.velocity_tolerance_m_s or (
+        (plan.position_tolerance_m or TOLERANCE * s) / mission.step + drifting
+    )
+    return near, slow, mission.tie_break * s**2 / 2 or None if alone else None
+
+
+def _missed(mission: Reconfiguration) -> tuple[float, float]:
+    """How far chance leaves an agent from its target [m], and how fast [m/s].
+
+    An agent that brakes with all it has mends nothing, nor does one that keeps to its plan
+    at the end, and two steps is the least in which a control sets both place and speed
+    right. What it believed wrongly when it planned before that, and the pushes since, remain.
+    """
+    d = mission.model.axes
+    noise = np.repeat([mission.position_noise, mission.velocity_noise], d)
+    thrust = mission.max_control * np.hypot(mission.thrust_error, mission.pointing_error)
+    if not noise.any() and not mission.disturbance and not thrust:
+        return 0.0, 0.0
+    steps = min(leg.steps for leg in mission.legs)
+    braking = ceil(min(_braked(mission, steps) / (mission.max_control * mission.step), steps))
+    last = max(2, mission.commit_steps) + mission.replan_steps - 1 + braking
+    left = hold(mission.model, mission.step, last)
+    spread = np.diag(noise**2)
+    for A, B in zip(left.A, left.B, strict=True):
+        spread = A @ spread @ A.T + (mission.disturbance**2 + thrust**2) * B @ B.T
+    worst = [np.linalg.eigvalsh(part).max() for part in (spread[:d, :d], spread[d:, d:])]
+    place, speed = SIGMAS * np.sqrt(np.maximum(worst, 0.0))
+    return float(place), float(speed)
+
+
+def _braked(mission: Reconfiguration, steps: int) -> float:
+    """The most speed that an agent has to lose on arrival [m/s]."""
+    d = mission.model.axes
+    if isinstance(mission.model, DoubleIntegrator):
+        places = np.concatenate([mission.start, *(leg.targets for leg in mission.legs)])[:, :d]
+        fast = 2 * float(np.ptp(places, axis=0).max()) / (steps * mission.step)
+        return min(mission.max_speed, fast)
+    # In orbit most of a speed belongs to the path; what is braked is at most what is burnt.
+    burnt, start, t = 0.0, mission.start[mission.alive], 0.0
+    for leg in mission.legs:
+        held = hold(mission.model, mission.step, leg.steps, t)
+        fuel = price(held, start, leg.targets, mission.max_control).fuel
+        burnt = max(burnt, float(fuel[linear_sum_assignment(fuel)].max()))
+        start, t = leg.targets, t + leg.steps * mission.step
+    return min(mission.max_speed, burnt)

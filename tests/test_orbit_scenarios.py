@@ -1,0 +1,663 @@
+"""Scenarios in orbit: chiefs, models and plants, what they start with, and what is refused."""
+
+import re
+import warnings
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import pdist
+
+from dynamics import ClohessyWiltshire, Linearised, hold
+from dynamics.atmosphere import Atmosphere
+from dynamics.eccentric import Eccentric
+from dynamics.frames import inertial_state
+from dynamics.inertial import Inertial
+from dynamics.j2 import J2, invariant_velocity
+from dynamics.orbit import EARTH_J2, EARTH_MU, EARTH_RADIUS, Orbit
+from dynamics.plant import Modelled
+from dynamics.schweighart_sedwick import SchweighartSedwick
+from sato.reconfiguration.mission import Reconfiguration
+from sato.scenario import ScenarioError, ScenarioFile, parse, read
+from sato.scenario.margin import margin
+from sato.scenario.models import ABOUT
+from sato.scenario.validity import BeyondValidity
+from sato.scenario.world import ORBITAL
+
+ORBITS = ("eccentric", "orbit", "orbit200", "orbit3d", "random_cw")
+
+FEW = """
+system = "reconfiguration"
+name = "few"
+
+[swarm]
+agents = 4
+start = { kind = "random", box_km = 2, depth_m = 0, separation_m = 150 }
+comm_radius_km = 2
+collision_radius_m = 50
+
+[chief]
+semi_major_axis_km = 6878
+inclination_deg = 45
+
+[model]
+kind = "j2"
+max_control_mm_s2 = 10
+max_speed_m_s = 4
+
+[plan]
+step_min = 1
+horizon_steps = 4
+tie_break = 5e-4
+margin_m = 0
+
+[[leg]]
+shape = { kind = "ring", radius_km = 1 }
+steps = 24
+"""
+
+
+def few(*overrides: str) -> ScenarioFile:
+    return parse(FEW, overrides)
+
+
+def built(*overrides: str, seed: int = 0) -> Reconfiguration:
+    return few(*overrides).build(np.random.default_rng(seed))
+
+
+def refusal(*overrides: str, name: str = "") -> str:
+    with pytest.raises(ScenarioError) as caught:
+        scenario = read(name, overrides) if name else few(*overrides)
+        scenario.build(np.random.default_rng(0))
+    return str(caught.value)
+
+
+@cache
+def builtin(name: str) -> Reconfiguration:
+    return read(name).build(np.random.default_rng(1))
+
+
+def cure(said: str, key: str) -> str:
+    """The value of a key that is said to do."""
+    found = re.search(rf"{key} = ([-\d.]+)", said)
+    assert found, said
+    return found[1].rstrip(".")
+
+
+# What is built.
+
+
+@pytest.mark.parametrize("name", ORBITS)
+@pytest.mark.parametrize("kind", ORBITAL)
+def test_every_model_flies_every_orbit_by_changing_one_line(name, kind):
+    mission = read(name, [f"model.kind={kind}", "agents=6"]).build(np.random.default_rng(0))
+    assert mission.model.axes == 3
+    assert (mission.nonlinear is not None) == (kind == "j2" and name != "random_cw")
+
+
+def test_every_kind_of_model_is_about_the_orbit_of_the_chief():
+    orbit = few("chief.eccentricity=0.05").chief.orbit
+    kinds = {
+        "clohessy_wiltshire": ClohessyWiltshire,
+        "schweighart_sedwick": SchweighartSedwick,
+        "eccentric": Eccentric,
+        "j2": Linearised,
+    }
+    assert set(kinds) == set(ORBITAL) == set(ABOUT)
+    for kind, model in kinds.items():
+        found = built(f"model.kind={kind}", "chief.eccentricity=0.05").model
+        assert type(found) is model
+        np.testing.assert_array_equal(found.A(100.0), ABOUT[kind](orbit).A(100.0))
+
+
+@pytest.mark.parametrize("name", ORBITS)
+def test_starts_and_targets_have_velocities_that_do_not_drift_under_j2(name):
+    mission, orbit = builtin(name), read(name).chief.orbit
+    arrival = mission.legs[0].steps * mission.step
+    for states, t in ((mission.start, 0.0), (mission.legs[0].targets, arrival)):
+        expected = invariant_velocity(orbit, states[:, :3], t)
+        np.testing.assert_array_equal(states[:, 3:], expected)
+
+
+def test_velocities_are_the_same_for_every_model_so_that_models_can_be_compared():
+    missions = [built(f"model.kind={kind}", "agents=6") for kind in ORBITAL]
+    for other in missions[1:]:
+        np.testing.assert_array_equal(other.start, missions[0].start)
+        np.testing.assert_array_equal(other.legs[0].targets, missions[0].legs[0].targets)
+
+
+def test_who_joins_and_later_legs_have_the_velocities_of_their_own_time():
+    join = "{agents=2,at_step=5,start={kind='points',positions_m=[[1500,0,0],[0,1900,0]]}}"
+    ring = "{kind='ring',radius_km=1}"
+    tilted = "{kind='ring',radius_km=1,normal=[-0.5,0,1]}"
+    scenario = few(
+        "chief.eccentricity=0.05",
+        "chief.anomaly_deg=-100",
+        f"leg=[{{shape={ring},steps=24}},{{shape={tilted},steps=30,join={join}}}]",
+    )
+    mission, orbit = scenario.build(np.random.default_rng(0)), scenario.chief.orbit
+    at = [(mission.start[:4], 0), (mission.start[4:], 29)]
+    at += [(mission.legs[0].targets, 24), (mission.legs[1].targets, 54)]
+    for states, steps in at:
+        expected = invariant_velocity(orbit, states[:, :3], 60.0 * steps)
+        np.testing.assert_array_equal(states[:, 3:], expected)
+    assert np.ptp(mission.legs[1].targets[:, 2]) > 500
+
+
+@pytest.mark.parametrize("name", ["orbit", "eccentric", "orbit200"])
+def test_planar_scenarios_start_and_end_in_the_plane_of_the_chief(name):
+    mission = builtin(name)
+    assert not mission.start[:, 2].any()
+    assert not mission.legs[0].targets[:, 2].any()
+
+
+def test_a_depth_bounds_the_third_axis_alone():
+    mission = builtin("orbit3d")
+    assert np.abs(mission.start[:, :2]).max() > 1000
+    assert 400 < np.abs(mission.start[:, 2]).max() <= 500
+    assert np.ptp(mission.legs[0].targets[:, 2]) > 500
+    # Without it a box is a cube, drawn as it always was.
+    cube = read("random3d").build(np.random.default_rng(0)).start[:, :3]
+    assert np.ptp(cube[:, 2]) == pytest.approx(np.ptp(cube[:, 0]), rel=0.5)
+
+
+def test_two_hundred_spacecraft_have_room_all_the_way_round():
+    mission = builtin("orbit200")
+    assert len(mission.start) == len(mission.legs[0].targets) == 200
+    assert pdist(mission.start[:, :3]).min() >= 150
+    # On drift-free paths, (x, y) is (y/2, −2x) a quarter of an orbit later.
+    x, y = mission.legs[0].targets[:, :2].T
+    assert pdist(np.stack([y / 2, -2 * x], axis=1)).min() > mission.collision_radius
+
+
+def test_what_plans_and_what_flies_are_as_the_tables_say():
+    mission = built()
+    assert isinstance(mission.nonlinear, J2)
+    assert isinstance(mission.plant, Inertial)
+    assert mission.plant.ballistic is None
+    assert built("relinearise=false").nonlinear is None
+    assert built("model.kind=eccentric").nonlinear is None
+    planned = built("plant.kind=model")
+    assert isinstance(planned.plant, Modelled)
+    assert planned.nonlinear is None
+    np.testing.assert_array_equal(planned.truth.chief(60.0), planned.plant.orbit.at(60.0))
+    assert read("uiuc").build(np.random.default_rng(0)).plant is None
+
+
+def test_what_the_plan_and_the_noise_say_reaches_the_mission():
+    mission = built(
+        "reset=need",
+        "commit_steps=3",
+        "margin_m=7",
+        "disturbance.thrust=0.05",
+        "disturbance.pointing_deg=1",
+    )
+    assert (mission.reset, mission.commit_steps, mission.margin) == ("need", 3, 7.0)
+    assert mission.thrust_error == 0.05
+    assert mission.pointing_error == pytest.approx(np.radians(1))
+    assert (built().reset, built().commit_steps) == ("change", 0)
+
+
+def test_what_flies_off_its_plan_is_replanned_every_step_unless_it_is_said_otherwise():
+    assert built().replan_steps == 1
+    assert built("plant.kind=model").replan_steps == 4
+    assert built("replan_steps=2").replan_steps == 2
+
+
+# Chiefs.
+
+
+def test_the_chief_is_what_its_elements_say():
+    orbit = few(
+        "chief.eccentricity=0.02",
+        "chief.node_deg=10",
+        "chief.perigee_deg=20",
+        "chief.anomaly_deg=30",
+    ).chief.orbit
+    assert orbit.semi_major_axis == pytest.approx(6878e3)
+    assert orbit.eccentricity == pytest.approx(0.02)
+    assert np.degrees([orbit.inclination, orbit.node, orbit.latitude]) == pytest.approx(
+        [45, 10, 50]
+    )
+    # Period of a circular orbit at 6878 km: 94.6 min [Vallado2013, sec. 1.3].
+    assert few().chief.orbit.period / 60 == pytest.approx(94.6, abs=0.05)
+
+
+def test_the_chief_may_be_given_by_its_state():
+    elements = few("chief.eccentricity=0.02", "chief.anomaly_deg=30").chief.orbit
+    state = inertial_state(np.array(elements.start))
+    position, velocity = state[:3].tolist(), state[3:].tolist()
+    given = few(f"chief={{position_m={position},velocity_m_s={velocity}}}")
+    np.testing.assert_allclose(given.chief.orbit.start, elements.start, rtol=1e-12, atol=1e-9)
+    again = parse(given.to_toml())
+    assert again.chief.orbit == given.chief.orbit
+
+
+def test_the_oblateness_is_the_earths_unless_it_is_said_otherwise():
+    assert few().chief.orbit == Orbit.of_elements(6878e3, inclination=np.radians(45))
+    assert few("chief.j2=0").chief.orbit.k_J2 == 0
+    assert few().chief.j2 == EARTH_J2
+
+
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [
+        ("2027-03-01T12:00:00", "2027-03-01T12:00:00"),
+        ('"2027-03-01T12:00:00"', "2027-03-01T12:00:00"),
+        ("2027-03-01", "2027-03-01T00:00:00"),
+        ("2027-03-01T12:00:00Z", "2027-03-01T12:00:00"),
+        ("2027-03-01T12:00:00+02:00", "2027-03-01T10:00:00"),
+    ],
+)
+def test_the_epoch_is_in_utc_however_it_is_written(written, meant):
+    assert few(f"chief.epoch={written}").chief.epoch == meant
+
+
+# Drag.
+
+DRAG = ("plant.drag=true", "plant.ballistic_m2_kg=0.01")
+
+
+def test_drag_takes_the_air_at_the_perigee_unless_another_is_given():
+    plant = built(*DRAG).plant
+    assert plant.atmosphere == Atmosphere.near(6878e3 - EARTH_RADIUS)
+    np.testing.assert_array_equal(plant.ballistic, 0.01)
+    assert plant.chief_ballistic == 0.01
+    thin = built(
+        *DRAG,
+        "plant.density_kg_m3=1e-13",
+        "plant.altitude_km=600",
+        "plant.scale_height_km=70",
+        "plant.chief_ballistic_m2_kg=0.02",
+    ).plant
+    assert thin.atmosphere == Atmosphere(1e-13, 600e3, 70e3)
+    assert thin.chief_ballistic == 0.02
+
+
+def test_ballistic_coefficients_are_drawn_after_the_starts_from_the_same_seed():
+    spread = (*DRAG, "plant.ballistic_spread=0.2")
+    first, again, other = (built(*spread, seed=seed) for seed in (3, 3, 4))
+    np.testing.assert_array_equal(first.plant.ballistic, again.plant.ballistic)
+    assert not np.array_equal(first.plant.ballistic, other.plant.ballistic)
+    assert np.abs(first.plant.ballistic / 0.01 - 1).max() <= 0.2
+    assert np.ptp(first.plant.ballistic) > 0
+    np.testing.assert_array_equal(first.start, built(seed=3).start)
+
+
+# The margin.
+
+AUTO = "margin_m=auto"
+
+
+def test_the_margin_is_nothing_where_plans_are_what_is_flown():
+    assert built(AUTO, "plant.kind=model").margin == 0.0
+    assert built(AUTO).margin < 1e-6
+    assert read("uiuc").build(np.random.default_rng(0)).margin == 0.0
+
+
+def test_the_margin_is_twice_what_the_model_misses_until_the_next_plan():
+    wrong = (AUTO, "model.kind=clohessy_wiltshire", "chief.eccentricity=0.05")
+    coarse = built(*wrong)
+    shared = hold(coarse.model, 60.0, 1, 0.0)
+    still = np.zeros((4, 3))
+    off = coarse.truth.fly(coarse.start, still, 0.0, 60.0)[-1]
+    off = (off - shared.roll(coarse.start, still[:, None])[:, -1])[:, :3]
+    assert coarse.margin >= 2 * np.linalg.norm(off, axis=1).max() > 0.01
+    longer = built(*wrong, "replan_steps=2")
+    assert 4 < longer.margin / coarse.margin < 8  # between t² and t³
+    # Drag alone, re-linearised: ½ a t² of the difference between two craft.
+    mission = built(AUTO, *DRAG, "plant.ballistic_spread=0.5")
+    dragged, plant = mission.margin, mission.plant
+    density, speed = plant.atmosphere.density_at(np.array([6878e3, 0.0, 0.0])), 7400.0
+    worst = np.abs(plant.ballistic - 0.01).max()
+    expected = 2 * (0.5 * density * worst * speed**2) * 60.0**2 / 2
+    assert dragged == pytest.approx(expected, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("noise", "each"),
+    [
+        ({"position_noise": 2.0}, 2.0),
+        ({"velocity_noise": 0.01}, 0.01 * 120),
+        ({"thrust_error": 0.05, "pointing_error": 0.02}, 0.01 * 0.07 * 120**2 / 2),
+        ({"disturbance": 1e-4}, 1e-4 * 120**2 / 2),
+    ],
+)
+def test_the_margin_has_five_sigmas_of_what_chance_adds_to_two(noise, each):
+    calm = built("plant.kind=model", "replan_steps=2")
+    assert margin(replace(calm, **noise)) == pytest.approx(5 * 2**0.5 * each)
+
+
+def test_noise_of_every_kind_adds_up_as_squares():
+    mission = built("plant.kind=model", "replan_steps=1")
+    both = margin(replace(mission, position_noise=1.0, velocity_noise=0.05))
+    assert both == pytest.approx(5 * np.sqrt(2 * (1 + 9)))
+
+
+def test_a_margin_that_targets_leave_no_room_for_is_refused_with_one_that_does():
+    near = "leg.0.shape={kind='ring',spacing_m=60}"
+    said = refusal(AUTO, near, "disturbance.position_m=2")
+    assert "plan.margin_m: auto gives 14." in said
+    built(near, "disturbance.position_m=2", f"margin_m={cure(said, 'margin_m')}")
+    assert "takes 30 m beyond the collision radius" in refusal(near, "margin_m=30")
+
+
+def test_a_planar_swarm_keeps_its_margin_for_itself_unless_it_asks():
+    shaken = ["disturbance.position_m=0.02"]
+    assert read("random", shaken).build(np.random.default_rng(0)).margin == 0.0
+    asked = read("random", [*shaken, "margin_m=auto"]).build(np.random.default_rng(0))
+    assert asked.margin == pytest.approx(5 * 2**0.5 * 0.02)
+
+
+# What counts as reached.
+
+
+def test_what_counts_as_reached_grows_with_thrust_errors_and_the_steps_they_are_left_for():
+    given = "disturbance.thrust=0.05"
+    calm, shaken = built(), built(given)
+    assert shaken.position_tolerance > 100 * calm.position_tolerance
+    tolerances = [built(given, f"commit_steps={k}").position_tolerance for k in (0, 2, 3, 6)]
+    assert tolerances[0] == tolerances[1] < tolerances[2] < tolerances[3]
+    pointing = built("disturbance.pointing_rad=0.05")
+    assert pointing.position_tolerance == pytest.approx(shaken.position_tolerance)
+
+
+# Models beyond what they are good for.
+
+
+def test_a_model_that_is_wrong_where_the_swarm_flies_is_warned_of_with_its_error():
+    scenario = read("orbit", ["model.kind=clohessy_wiltshire", "box_km=3.5"])
+    mission = scenario.build(np.random.default_rng(0))
+    with pytest.warns(BeyondValidity) as caught:
+        scenario.warn(mission)
+    said = str(caught[0].message)
+    stated = re.fullmatch(
+        r"clohessy_wiltshire is wrong by ([\d.]+) m after 1440 s of free flight for agent (\d+), "
+        r"which starts ([\d.]+) m from the chief: more than a tenth of the collision radius of "
+        r'50 m; model.kind = "j2" would do',
+        said,
+    )
+    assert stated, said
+    error, agent, away = float(stated[1]), int(stated[2]), float(stated[3])
+    assert np.linalg.norm(mission.start[agent, :3]) == pytest.approx(away, rel=1e-3)
+    state = mission.start[[agent]]
+    exact = Inertial(scenario.chief.orbit).fly(state, np.zeros((1, 3)), 0.0, 1440.0)[-1]
+    told = mission.model.transition(1440.0) @ state[0]
+    assert np.linalg.norm((exact[0] - told)[:3]) == pytest.approx(error, rel=1e-2)
+    assert error > 5
+
+
+@pytest.mark.parametrize(
+    ("overrides", "cure"),
+    [
+        (["model.kind=eccentric", "chief.eccentricity=0.2", "semi_major_axis_km=8600"], None),
+        (["model.kind=clohessy_wiltshire", "chief.eccentricity=0.02"], 'model.kind = "j2"'),
+        (["model.kind=schweighart_sedwick", "chief.eccentricity=0.02"], 'model.kind = "j2"'),
+        (["relinearise=false"], None),
+        (["relinearise=false", "collision_radius_m=0.1"], "model.relinearise = true"),
+        (["collision_radius_m=0.1"], None),
+    ],
+)
+def test_only_what_misses_more_than_a_tenth_of_the_radius_is_warned_of(overrides, cure):
+    scenario = few(*overrides)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        scenario.warn(scenario.build(np.random.default_rng(0)))
+    assert len(told) == (cure is not None)
+    if cure:
+        assert str(told[0].message).endswith(f"{cure} would do")
+
+
+def test_building_alone_warns_of_nothing_for_judges_build_again():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        read("eccentric", ["model.kind=clohessy_wiltshire"]).build(np.random.default_rng(0))
+
+
+# What is refused, and whether that which is said to do does.
+
+
+@pytest.mark.parametrize(
+    ("overrides", "key"),
+    [
+        (["chief.eccentricity=1.2"], "eccentricity"),
+        (["chief.eccentricity=1"], "eccentricity"),
+        (["chief.eccentricity=0.2"], "eccentricity"),
+        (["chief.eccentricity=0.2"], "semi_major_axis_km"),
+        (["chief.semi_major_axis_km=500"], "semi_major_axis_km"),
+        (["chief.semi_major_axis_km=6000", "chief.eccentricity=0.1"], "semi_major_axis_km"),
+    ],
+)
+def test_an_orbit_that_is_none_is_refused_with_one_that_is(overrides, key):
+    said = refusal(*overrides)
+    assert said.startswith("scenario: chief.")
+    found = few(*overrides, f"chief.{key}={cure(said, key)}").chief.orbit
+    assert found.semi_major_axis * (1 - found.eccentricity) > EARTH_RADIUS
+
+
+FAST = [0.0, 12e3, 0.0]
+REFUSED = {
+    "an orbit that is no ellipse": (
+        ["chief.eccentricity=1.2"],
+        "chief.eccentricity: 1.2 is no ellipse",
+    ),
+    "a perigee inside the Earth": (
+        ["chief.eccentricity=0.1"],
+        "chief.eccentricity: puts the perigee 6190.2 km from the Earth's centre, inside the Earth, "
+        "whose radius is 6378 km",
+    ),
+    "an altitude for an axis": (
+        ["chief.semi_major_axis_km=500"],
+        "chief.semi_major_axis_m: puts the perigee 500 km from the Earth's centre",
+    ),
+    "elements and a state": (
+        ["chief.position_km=[6878,0,0]", "chief.velocity_m_s=[0,7612,0]"],
+        "chief.semi_major_axis_m: is an element of the orbit, and so is position_m, which gives it "
+        "another way; give elements, or position_m and velocity_m_s, but not both",
+    ),
+    "neither elements nor a state": (
+        ["chief={eccentricity=0.1}"],
+        "chief.semi_major_axis_m: is missing; an orbit is given by semi_major_axis_km = 6878, say",
+    ),
+    "half a state": (
+        ["chief={position_km=[6878,0,0]}"],
+        "chief.velocity_m_s: is missing; an orbit is given by",
+    ),
+    "a state in the plane": (
+        ["chief={position_km=[6878,0],velocity_m_s=[0,7612,0]}"],
+        "chief.position_m: needs 3 coordinates, got 2",
+    ),
+    "a state that escapes": (
+        [f"chief={{position_km=[6878,0,0],velocity_m_s={FAST}}}"],
+        "chief.velocity_m_s: an orbit with eccentricity 1.485 never comes back; relative motion "
+        "here is about an ellipse, with 0 ≤ e < 1; square to position_m, 7612.",
+    ),
+    "a state inside the Earth": (
+        ["chief={position_km=[6000,0,0],velocity_m_s=[0,7612,0]}"],
+        "chief.position_m: is 6000 km from the Earth's centre, inside the Earth",
+    ),
+    "a state that falls": (
+        ["chief={position_km=[6878,0,0],velocity_m_s=[100,0,0]}"],
+        "chief.velocity_m_s: ",
+    ),
+    "an inclination beyond the poles": (
+        ["chief.inclination_deg=200"],
+        "chief.inclination_rad: lies between 0 and 180 degrees, got 200",
+    ),
+    "another planet": (["chief.j2=0.3"], "chief.j2: must be less than 0.05, got 0.3"),
+    "an epoch that is none": (
+        ["chief.epoch=tomorrow"],
+        'chief.epoch: must be a date and time in UTC; "2026-01-01T00:00:00" would do',
+    ),
+    "an orbit for point masses": (
+        ["model.kind=double_integrator"],
+        'model.kind: "double_integrator" knows no orbit, and this scenario has a [chief]; '
+        '"clohessy_wiltshire", "schweighart_sedwick", "eccentric" or "j2" would do',
+    ),
+    "the old place of the orbit": (
+        ["model={kind='j2',semi_major_axis_km=6878,max_control_mm_s2=10}"],
+        "model.semi_major_axis_km: there is no such key",
+    ),
+    "drag without coefficients": (
+        ["plant.drag=true"],
+        "plant.ballistic_m2_kg: is missing, and drag needs the coefficient C_D A/m; "
+        "ballistic_m2_kg = 0.01 (say 2.2 × 0.5 m² / 110 kg) would do",
+    ),
+    "coefficients without drag": (
+        ["plant.ballistic_m2_kg=0.01"],
+        "plant.ballistic_m2_kg: does nothing without drag; drag = true would put it to use",
+    ),
+    "differences without drag": (["plant.ballistic_spread=0.2"], "plant.ballistic_spread: does"),
+    "air without drag": (["plant.altitude_km=500"], "plant.altitude_m: does nothing without drag"),
+    "drag in a model": (
+        [*DRAG, "plant.kind=model"],
+        'plant.drag: the model knows no air; kind = "inertial" would do',
+    ),
+    "half an atmosphere": (
+        [*DRAG, "plant.altitude_km=500"],
+        "plant.density_kg_m3: is missing; density_kg_m3, altitude_m and scale_height_m are given",
+    ),
+    "air below the table": (
+        [*DRAG, "chief.semi_major_axis_km=6500"],
+        "plant.drag: finds no air at the chief's perigee: the atmosphere's table begins at 150 km",
+    ),
+    "a coefficient without its unit": (
+        ["plant.drag=true", "plant.ballistic=0.01"],
+        "plant.ballistic: has no unit; write ballistic_m2_kg",
+    ),
+    "thrust errors in percent": (
+        ["disturbance.thrust=5"],
+        "disturbance.thrust: 5 is a standard deviation of 500 % of the thrust, of which it is a "
+        "part; 0.05 would be 5 %",
+    ),
+    "a negative thrust error": (
+        ["disturbance.thrust=-0.1"],
+        "disturbance.thrust: must not be negative, got -0.1",
+    ),
+    "thrust that points anywhere": (
+        ["disturbance.pointing_rad=1"],
+        "disturbance.pointing_rad: 1 is 57.3 degrees, with which a thruster points anywhere; at "
+        "most pointing_deg = 30 would do",
+    ),
+    "places worse than the radius": (
+        ["disturbance.position_m=60"],
+        "disturbance.position_m: 60 is not less than swarm.collision_radius_m = 50, so agents "
+        "could not know whether they collide; 1 would do",
+    ),
+    "a margin that is none": (
+        ["margin_m=-1"],
+        'plan.margin_m: must be a number that is not negative, or "auto", got -1',
+    ),
+    "an increment in words": (
+        ["epsilon=aut"],
+        "plan.epsilon: must be a number that is not negative",
+    ),
+    "no increment": (["epsilon=0"], 'plan.epsilon: must be positive, or "auto", got 0'),
+    "a margin in words": (["margin_m=large"], 'or "auto", got "large"'),
+    "a leg without replanning": (
+        ["commit_steps=24"],
+        "plan.commit_steps: 24 leaves nothing to replan in of leg 0, which has 24 steps; at most",
+    ),
+    "a depth without a box": (
+        ["start={kind='random',separation_m=150,depth_m=0}"],
+        "swarm.start.depth_m: needs a box_m for its other sides",
+    ),
+    "a box that is full": (
+        ["box_km=0.1"],
+        "swarm.start.box_m: a box of 100 m is full after 1 of 4 agents",
+    ),
+}
+
+
+@pytest.mark.parametrize(("overrides", "words"), REFUSED.values(), ids=REFUSED.keys())
+def test_bad_input_is_refused_by_its_key_in_a_sentence(overrides, words):
+    assert words in refusal(*overrides)
+
+
+@pytest.mark.parametrize("kind", ORBITAL)
+def test_a_planar_scenario_asked_for_an_orbital_model_is_told_what_that_takes(kind):
+    said = refusal(f"model.kind={kind}", name="uiuc")
+    assert said == (
+        f'uiuc: model.kind: "{kind}" moves about an orbit in three axes, and this scenario has '
+        "none; a [chief] with semi_major_axis_km = 6878, say, and a swarm in space would do, as "
+        'the scenario orbit has them, or here kind = "double_integrator"'
+    )
+
+
+@pytest.mark.parametrize(
+    ("overrides", "key"),
+    [(["plant.kind=inertial"], "plant.kind"), (list(DRAG), "plant.drag")],
+)
+def test_a_plant_about_the_earth_without_a_chief_is_refused(overrides, key):
+    said = refusal(*overrides, name="random")
+    assert f"random: {key}: takes place about the Earth, and this scenario has no [chief]" in said
+
+
+def test_a_planar_model_has_no_depth():
+    assert "swarm.start.depth_m: needs a model in space" in refusal("depth_m=1", name="random")
+
+
+@pytest.mark.parametrize("depth", ["depth_m=0", "depth_m=100", "depth_m=900"])
+def test_the_flat_box_that_is_said_to_do_does(depth):
+    crowd = ("agents=40", depth)
+    enough = cure(refusal(*crowd, "box_km=0.3"), "box_m")
+    built(*crowd, f"box_m={enough}")
+
+
+def test_points_out_of_the_plane_at_the_wrong_latitude_are_refused_with_an_anomaly_that_does():
+    high = ("start={kind='points',positions_m=[[0,0,500],[0,500,0],[0,-500,0],[500,0,0]]}",)
+    said = refusal(*high, "chief.anomaly_deg=90")
+    assert "swarm.start: lies out of the plane of the chief's orbit, and 0 s after" in said
+    assert "at 90° of argument of latitude, too near 90° or 270°" in said
+    built(*high, f"chief.anomaly_deg={cure(said, 'chief.anomaly_deg')}")
+    tilted = "leg.0.shape={kind='ring',radius_km=1,normal=[-0.5,0,1]}"
+    said = refusal(tilted, "chief.anomaly_deg=-1.4")
+    assert "leg.0.shape: lies out of the plane of the chief's orbit, and 1440 s after" in said
+    built(tilted, f"chief.anomaly_deg={cure(said, 'chief.anomaly_deg')}")
+    said = refusal(tilted, "chief.anomaly_deg=0")
+    assert re.search(r"leg.0.shape: target \d+ has to be taken up at [\d.]+ m/s, faster", said)
+    built(tilted, f"chief.anomaly_deg={cure(said, 'chief.anomaly_deg')}")
+    by_state = f"chief={{position_km=[0,0,6878],velocity_m_s=[{(EARTH_MU / 6878e3) ** 0.5},0,0]}}"
+    assert "another start along the orbit would do, or places in the plane" in refusal(
+        *high, by_state
+    )
+
+
+@pytest.mark.parametrize("weak", ["max_control_mm_s2=0.5", "max_control_mm_s2=0.1"])
+def test_the_thrust_and_the_time_that_are_said_to_do_do(weak):
+    said = refusal(weak)
+    thrust = cure(said, r"model\.max_control_m_s2")
+    built(f"max_control_m_s2={thrust}")
+    assert "can reach none" in refusal(f"max_control_m_s2={0.98 * float(thrust)}") or (
+        "is left without" in refusal(f"max_control_m_s2={0.98 * float(thrust)}")
+    )
+    if "leg.0.steps: agent" in said and " steps = " in said:
+        built(weak, f"leg.0.steps={cure(said, ' steps')}")
+
+
+def test_overrides_reach_tables_that_the_file_leaves_out():
+    assert few("chief.eccentricity=0.02").chief.eccentricity == 0.02
+    assert few(*DRAG).plant.drag is True
+    assert few("ballistic_spread=0.1", *DRAG).plant.ballistic_spread == 0.1
+    assert read("uiuc", ["agents=40"]).chief is None
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        [],
+        [*DRAG, "plant.ballistic_spread=0.2"],
+        ["chief.eccentricity=0.02", "chief.anomaly_deg=30", "margin_m=3", "commit_steps=2"],
+        ["plant.kind=model", "model.kind=eccentric", "disturbance.thrust=0.01"],
+    ],
+)
+def test_a_scenario_written_out_builds_the_same_mission(overrides):
+    scenario = few(*overrides)
+    again = parse(scenario.to_toml())
+    assert again.model_dump() == scenario.model_dump()
+    one, other = (s.build(np.random.default_rng(5)) for s in (scenario, again))
+    np.testing.assert_array_equal(one.start, other.start)
+    np.testing.assert_array_equal(one.legs[0].targets, other.legs[0].targets)
+    assert (one.margin, one.position_tolerance) == (other.margin, other.position_tolerance)
+    assert type(one.plant) is type(other.plant)
