@@ -12,8 +12,9 @@ from problems.transfer import Transfer
 from sato.network import Network
 from sato.reconfiguration import Arrival, Leg, Loss, Reconfiguration, fly
 from sato.reconfiguration.moment import Moment
-from sato.reconfiguration.planning import NO_PLANS, SLOPE, alone, plan
+from sato.reconfiguration.planning import NO_PLANS, plan
 from sato.reconfiguration.pricing import Minds
+from sato.reconfiguration.routes import SLOPE, alone
 
 SPACING = 1.0
 

@@ -1,7 +1,5 @@
-"""How to get there: a flight for every agent, first alone, then among its neighbours."""
+"""How to get there: a flight for every agent among its neighbours."""
 
-from collections.abc import Callable
-from dataclasses import replace
 from functools import lru_cache
 from math import ceil, isfinite
 from typing import Any, NamedTuple
@@ -10,20 +8,16 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from dynamics.discretise import Steps, follow, hold
+from dynamics.discretise import hold
 from dynamics.path import missed
-from problems.auction_cost import price_within_speed
-from problems.avoidance import Avoidance, no_spaces
-from problems.conic import Unsolved
 from problems.convexify import Horizon
-from problems.least_fuel import least_fuel
-from problems.transfer import Flight, Transfer, fuel_spent
+from problems.transfer import Flight, fuel_spent
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.moment import Moment
 from sato.reconfiguration.pricing import Minds
+from sato.reconfiguration.routes import linearisation, undisturbed
 from sato.scp import STILL, Planner, settle
 
-SLOPE = 1e-3  # of the fuel's weights: burns at the ends, straight paths between
 MOST_PIECES = 12  # in a step
 
 Event = dict[str, Any]
@@ -108,14 +102,14 @@ def plan(
         steps = moment.steps_left(int(clock))
         goals = moment.leg.targets[minds.target[those]]
         rests = {i: before.rest(i, int(minds.target[i]), moment.step, len(steps)) for i in those}
-        routes, counted = _undisturbed(moment, steps, state[those], goals, list(rests.values()))
+        routes, counted = undisturbed(moment, steps, state[those], goals, list(rests.values()))
         solves += counted
         paths = horizon.path(
             *(np.stack(part) for part in zip(*(r.flight[:2] for r in routes), strict=True))
         )
         for i, goal, route, path in zip(those, goals, routes, paths, strict=True):
             rank = (len(steps) > 0, -float(spent[i]), i)
-            free, about = route.flight, _linearisation(moment, route.transfer)
+            free, about = route.flight, linearisation(moment, route.transfer)
             planner = Planner(rank, goal, route.transfer, horizon, free, free, path, about)
             planners[i] = _as_before(planner, rests[i])
             late += [i] if route.misses else []
@@ -131,47 +125,6 @@ def plan(
     return before.but(Plans(chosen, ends, dict.fromkeys(planners, moment.step))), events
 
 
-class _Route(NamedTuple):
-    """How an agent would fly if it were alone."""
-
-    transfer: Transfer  # with its own dynamics
-    flight: Flight
-    misses: bool  # its goal, and no plan of before leads there either
-
-
-def _undisturbed(
-    moment: Moment,
-    steps: Steps,
-    state: Float[Array, "those n"],
-    goals: Float[Array, "those n"],
-    rests: list[Array | None],
-) -> tuple[list[_Route], int]:
-    """The route of every agent, and the programmes that took.
-
-    By the shared linearisation first; where the dynamics depend on the state, about that
-    once more, which leaves nothing of the first error that could be seen.
-    """
-    mission = moment.mission
-    limits = mission.max_control, mission.max_speed
-    shared = Transfer(steps, *limits, mission.fuel_norm, mission.control_norm, SLOPE)
-    found, solves = alone(shared, state, goals)
-    transfers = [shared] * len(state)
-    if mission.nonlinear is not None and len(steps):
-        asked = zip(found, state, goals, rests, strict=True)
-        nominal = [f or _stand_in(shared, x, goal, rest) for f, x, goal, rest in asked]
-        x, u = (np.stack(part) for part in zip(*(f[:2] for f in nominal), strict=True))
-        own = follow(mission.nonlinear, x, u, mission.step, moment.time)
-        transfers = [replace(shared, steps=own.of(a)) for a in range(len(state))]
-        again = [alone(*q) for q in zip(transfers, state[:, None], goals[:, None], strict=True)]
-        found, solves = [f for (f,), _ in again], solves + sum(count for _, count in again)
-    routes = []
-    for transfer, flight, x, goal, rest in zip(transfers, found, state, goals, rests, strict=True):
-        flown = flight or _stand_in(transfer, x, goal, rest)
-        misses = flight is None and rest is None
-        routes.append(_Route(transfer, flown, misses))
-    return routes, solves + sum(route.misses for route in routes)
-
-
 def _as_before(agent: Planner, rest: Float[Array, "T m"] | None) -> Planner:
     """Begin with the plan of before, where that kept clear of somebody by going another way."""
     if rest is None:
@@ -181,25 +134,6 @@ def _as_before(agent: Planner, rest: Float[Array, "T m"] | None) -> Planner:
         return agent
     path = agent.horizon.path(prior.x, prior.u)
     return agent._replace(flight=prior, path=path, steady=False)
-
-
-def _stand_in(
-    transfer: Transfer, start: Array, goal: Array, rest: Float[Array, "T m"] | None
-) -> Flight:
-    """Where the goal is out of reach: the plan of before, or as near as can be."""
-    return nearest(transfer, start, goal) if rest is None else transfer.flight(start, rest)
-
-
-def _linearisation(moment: Moment, transfer: Transfer) -> Callable[[Flight], Transfer] | None:
-    """What an agent does to linearise its dynamics about a flight; None where it need not."""
-    model, step, time = moment.mission.nonlinear, moment.mission.step, moment.time
-    if model is None:
-        return None
-
-    def about(flight: Flight) -> Transfer:
-        return replace(transfer, steps=follow(model, flight.x, flight.u, step, time))
-
-    return about
 
 
 def look_ahead(mission: Reconfiguration, time: float, left: int) -> Horizon:
@@ -226,43 +160,6 @@ def _margin(mission: Reconfiguration, h: float) -> float:
     x = np.stack([ends, ends], axis=1)
     u = np.full((len(ends), 1, mission.model.axes), mission.max_control)
     return 4 * missed(mission.model, x, u, h)
-
-
-def alone(
-    transfer: Transfer, start: Float[Array, "agents n"], goals: Float[Array, "agents n"]
-) -> tuple[list[Flight | None], int]:
-    """The flight of every agent as if it were alone, and the programmes that took.
-
-    None where the goal is out of reach.
-    """
-    steps = transfer.steps
-    if len(steps) == 0:
-        return [transfer.flight(x, np.zeros((0, steps.axes))) for x in start], 0
-    if (transfer.fuel_norm, transfer.control_norm) != (1, "inf"):
-        return [price_within_speed(transfer, x, g) for x, g in zip(start, goals, strict=True)], len(
-            start
-        )
-    b = goals - steps.roll(start, np.zeros((len(start), len(steps), steps.axes)))[:, -1]
-    u = least_fuel(steps, b, transfer.max_control, transfer.weight).u
-    x = steps.roll(start, u)
-    fuel = steps.dt * np.abs(u).sum(axis=(1, 2))
-    speed = np.linalg.norm(x[:, 1:-1, steps.axes :], axis=2).max(axis=1, initial=0.0)
-    flights: list[Flight | None] = []
-    for i in range(len(start)):
-        reached = not np.isnan(fuel[i])
-        flights.append(Flight(x[i], u[i], float(fuel[i])) if reached else None)
-    fast = np.flatnonzero(speed > transfer.max_speed * (1 + 1e-9))
-    for i in fast.tolist():
-        flights[i] = price_within_speed(transfer, start[i], goals[i])
-    return flights, len(fast)
-
-
-def nearest(transfer: Transfer, start: Float[Array, " n"], goal: Float[Array, " n"]) -> Flight:
-    """The flight that ends as near the goal as can be; coasting if nothing better is found."""
-    try:
-        return Avoidance(transfer).solve(start, goal, no_spaces(transfer), "arrival").flight
-    except Unsolved:
-        return transfer.flight(start, np.zeros(transfer.steps.B.shape[::2]))
 
 
 def _what_gave_way(
