@@ -189,14 +189,17 @@ def test_what_the_plan_and_the_noise_say_reaches_the_mission():
     mission = built(
         "reset=need",
         "commit_steps=3",
+        "foresight_steps=24",
         "margin_m=7",
         "disturbance.thrust=0.05",
         "disturbance.pointing_deg=1",
     )
     assert (mission.reset, mission.commit_steps, mission.margin) == ("need", 3, 7.0)
+    assert (mission.horizon_steps, mission.foresight_steps) == (4, 24)
     assert mission.thrust_error == 0.05
     assert mission.pointing_error == pytest.approx(np.radians(1))
-    assert (built().reset, built().commit_steps) == ("change", 0)
+    calm = built()
+    assert (calm.reset, calm.commit_steps, calm.foresight_steps) == ("change", 0, 0)
 
 
 def test_what_flies_off_its_plan_is_replanned_every_step_unless_it_is_said_otherwise():

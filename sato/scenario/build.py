@@ -77,6 +77,7 @@ def build(
         fuel_norm=world.moves.fuel_norm,
         control_norm=world.moves.control_norm,
         horizon_steps=plan.horizon_steps,
+        foresight_steps=plan.foresight_steps,
         replan_steps=plan.replan_steps,
         auction_steps=plan.auction_steps,
         believed=swarm.believed or 0,

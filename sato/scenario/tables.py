@@ -49,7 +49,8 @@ class Plan(Table):
     """When is decided what, and how finely."""
 
     step_s: PositiveFloat
-    horizon_steps: PositiveInt
+    horizon_steps: PositiveInt  # avoidance looks this far,
+    foresight_steps: NonNegativeInt = 0  # and, if it is further, this far among those in earshot
     replan_steps: PositiveInt  # without it, every horizon; every step under a disturbance
     auction_steps: PositiveInt  # without it, every replan
     epsilon: Automatic = "auto"
