@@ -40,6 +40,7 @@ def instants(evidence: Evidence) -> Figure:
     path = view.of(smooth(evidence))
     space = Space.around(view, path, *all_goals(evidence), margin=margin(evidence))
     many = len(legs) > 1
+    size = float(np.clip(900 / len(path[0]), 5, 15))  # of the marks, smaller where it is crowded
     figure, axes = panels(len(SHARES) * len(legs), space, len(SHARES), 2.6 if many else 3.4)
     shots = []
     for i, ax in enumerate(axes):
@@ -49,7 +50,7 @@ def instants(evidence: Evidence) -> Figure:
         shot = _shot(evidence, leg, k)
         _tails(ax, path[since * PIECES : k * PIECES + 1] / space.unit[0])
         ax.plot(0, 0, ms=5, zorder=1, **CHIEF)
-        draw_swarm(ax, shot, space, size=15.0, rings=True)
+        draw_swarm(ax, shot, space, size=size, rings=True)
         entitle(ax, f"{letter(i)} {shot.title}" + many * f", {names[leg.leg]}")
         shots.append(shot)
     tail = "path of late" if many else _tail(evidence, legs[0])
