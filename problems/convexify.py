@@ -8,6 +8,7 @@ directions to the hulls, Propositions 4 to 6 hold for it word for word.
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -16,6 +17,8 @@ from numpy import ndarray as Array
 from dynamics import Steps
 from dynamics.path import hull_distance
 from problems.avoidance import HalfSpaces
+
+Way = Literal["near", "far", "over", "under"]
 
 HOLD = 1e-6  # part of R by which paths are planned to be further apart than asked
 
@@ -125,7 +128,7 @@ def half_spaces(
 
 
 def normals(
-    relative: Float[Array, "above pieces 4 d"], keep: float, other_side: bool = False
+    relative: Float[Array, "above pieces 4 d"], keep: float, way: Way = "near"
 ) -> Float[Array, "above pieces d"]:
     """Directions of the half-spaces, a unit vector a piece [Morgan2016, Fig. 2].
 
@@ -137,7 +140,8 @@ def normals(
     Args:
         relative: Control points of the nominal less those of the others [m].
         keep: Distance to keep [m].
-        other_side: Push a colliding nominal to the far side instead of the near one.
+        way: Where to push a colliding nominal: to the side on which it passes already, to the
+            other, or, in space, over or under the plane of the miss and the motion.
     """
     distance, nearest = hull_distance(relative)
     pushed = relative
@@ -145,7 +149,7 @@ def normals(
     if len(collides):
         pushed = relative.copy()
         for a in collides:
-            pushed[a] += _push(relative[a], distance[a], nearest[a], keep, other_side)
+            pushed[a] += _push(relative[a], distance[a], nearest[a], keep, way)
         distance, nearest = hull_distance(pushed)
     inside = distance <= 0
     nearest[inside] = pushed[inside].mean(axis=-2)  # only where even the push is in vain
@@ -154,17 +158,23 @@ def normals(
 
 
 def _push(
-    relative: Array, distance: Array, nearest: Array, keep: float, other_side: bool
+    relative: Array, distance: Array, nearest: Array, keep: float, way: Way
 ) -> Float[Array, "pieces 4 d"]:
     p = int(np.argmin(distance))
     miss = float(distance[p])
     aside = nearest[p] / miss if miss > 1e-6 * keep else _square(relative[p])
-    far = keep + miss if other_side else keep - miss
-    aside = -aside if other_side else aside
+    push = (keep - miss) * aside
+    if way == "far":
+        push = -(keep + miss) * aside
+    elif way != "near":
+        up = np.cross(aside, relative[p, -1] - relative[p, 0])
+        size = float(np.linalg.norm(up))
+        up = up / size if size > 0 else _square(np.tile(aside, (4, 1)) * np.arange(4)[:, None])
+        push = (keep**2 - miss**2) ** 0.5 * (up if way == "over" else -up)
     # Control points stand at thirds of a piece; the push grows as the reach of a control.
     time = np.arange(len(relative))[:, None] + np.arange(4) / 3
     ramp = np.minimum(1.0, time / (p + 0.5)) ** 2
-    return np.asarray(1.2 * far * ramp[..., None] * aside)
+    return np.asarray(1.2 * ramp[..., None] * push)
 
 
 def _square(piece: Float[Array, "4 d"]) -> Float[Array, " d"]:

@@ -17,17 +17,17 @@ from numpy import ndarray as Array
 
 from problems.avoidance import Avoidance, HalfSpaces, Passage, Yield, no_spaces
 from problems.conic import Unsolved
-from problems.convexify import Horizon, apart, half_spaces, normals
+from problems.convexify import Horizon, Way, apart, half_spaces, normals
 from problems.transfer import Flight, Transfer
 from sato.network import Network, play, rounds
 
 LEANING = 1e-3  # of R: a half-space with less room than this may bind
 STILL = 1e-3  # ε_SCP over R: a path that moves less has converged
-# What may give way, and about what to convexify where nominals collide: past the neighbours
-# on the near side, on the far side, or about standing still. Tried in this order.
-ATTEMPTS: tuple[tuple[Yield, Literal["near", "far", "stand"]], ...] = (
-    ("nothing", "near"),
-    ("nothing", "far"),
+# Ways past the neighbours where nominals collide, by the axes of space: the cheapest is taken.
+WAYS: dict[int, tuple[Way, ...]] = {2: ("near", "far"), 3: ("near", "far", "over", "under")}
+# Where there is none, what may give way, and about what to convexify: past the neighbours on
+# the near side, on the far side, or about standing still. Tried in this order.
+RELENTING: tuple[tuple[Yield, Literal["near", "far", "stand"]], ...] = (
     ("arrival", "near"),
     ("arrival", "far"),
     ("arrival", "stand"),
@@ -127,32 +127,65 @@ def _around(agent: Planner, above: tuple[Plan, ...]) -> Planner:
     if agent.about is not None:
         agent = agent._replace(transfer=agent.about(agent.flight))
     others = np.stack([plan.path for plan in above])
-    solves = agent.solves
-    for gives, way in ATTEMPTS:
-        solves += 1
-        try:
-            nominal = _standing(agent) if way == "stand" else agent.path
-            normal = normals(nominal - others, agent.horizon.keep, other_side=way == "far")
-            spaces = half_spaces(agent.horizon, len(agent.flight.u), others, normal)
-            passage = _solve(agent, spaces, gives)
-        except Unsolved:
-            continue
-        return agent._replace(
-            flight=passage.flight,
-            path=agent.horizon.path(passage.flight.x, passage.flight.u),
-            solves=solves,
-            late=passage.late,
-            slack=passage.slack,
-            failed=False,
-        )
-    return agent._replace(solves=solves, failed=True)
+    collides = not clear(agent.path, above, agent.horizon.keep)
+    ways = WAYS[others.shape[-1]] if collides else ("near",)
+    tried = [_past(agent, others, agent.path, way) for way in ways]
+    passages, solves = [p for p in tried if p is not None], agent.solves + len(ways)
+    passage = min(passages, key=lambda p: p.flight.fuel, default=None)
+    if passage is None:
+        passage, count = _relenting(agent, others)
+        solves += count
+    if passage is None:
+        return agent._replace(solves=solves, failed=True)
+    return agent._replace(
+        flight=passage.flight,
+        path=agent.horizon.path(passage.flight.x, passage.flight.u),
+        solves=solves,
+        late=passage.late,
+        slack=passage.slack,
+        failed=False,
+    )
 
 
-def _standing(agent: Planner) -> Float[Array, "pieces 4 d"]:
+def _relenting(
+    agent: Planner, others: Float[Array, "above pieces 4 d"]
+) -> tuple[Passage | None, int]:
+    """The first that is found with something given up, and the programmes that took."""
+    for count, (gives, way) in enumerate(RELENTING, 1):
+        if way == "stand":
+            nominal = _standing(agent)
+            passage = None if nominal is None else _past(agent, others, nominal, "near", gives)
+        else:
+            passage = _past(agent, others, agent.path, way, gives)
+        if passage is not None:
+            return passage, count
+    return None, len(RELENTING)
+
+
+def _past(
+    agent: Planner,
+    others: Float[Array, "above pieces 4 d"],
+    nominal: Float[Array, "pieces 4 d"],
+    way: Way,
+    gives: Yield = "nothing",
+) -> Passage | None:
+    """Problem 7 about a nominal; None where it has no answer."""
+    normal = normals(nominal - others, agent.horizon.keep, way)
+    spaces = half_spaces(agent.horizon, len(agent.flight.u), others, normal)
+    try:
+        return _solve(agent, spaces, gives)
+    except Unsolved:
+        return None
+
+
+def _standing(agent: Planner) -> Float[Array, "pieces 4 d"] | None:
     """The path of an agent that comes to rest where it is, as nearly as it can."""
     start = agent.flight.x[0]
     here = np.concatenate([start[: len(start) // 2], np.zeros(len(start) // 2)])
-    rest = Avoidance(agent.transfer).solve(start, here, no_spaces(agent.transfer), "arrival")
+    try:
+        rest = Avoidance(agent.transfer).solve(start, here, no_spaces(agent.transfer), "arrival")
+    except Unsolved:
+        return None
     return agent.horizon.path(rest.flight.x, rest.flight.u)
 
 

@@ -324,10 +324,36 @@ def test_a_clear_nominal_satisfies_its_own_half_spaces(rng):
 def test_normals_of_a_collision_lead_past_it_on_the_side_that_is_asked():
     time = np.arange(16)[:, None] + np.arange(4) / 3
     straight = np.stack([(time - 8.5) * 0.3, np.full_like(time, 0.1)], axis=-1)[None]
-    near, far = normals(straight, RADIUS), normals(straight, RADIUS, other_side=True)
+    near, far = normals(straight, RADIUS), normals(straight, RADIUS, "far")
     middle = 8
     assert near[0, middle, 1] > 0.9 and far[0, middle, 1] < -0.9
     assert np.isfinite(near).all() and np.isfinite(far).all()
+
+
+def test_in_space_a_collision_can_be_passed_over_and_under():
+    time = np.arange(16)[:, None] + np.arange(4) / 3
+    along, miss = (time - 8.5) * 0.3, np.full_like(time, 0.1)
+    straight = np.stack([along, miss, np.zeros_like(time)], axis=-1)[None]
+    over, under = (normals(straight, RADIUS, way)[0, 8] for way in ("over", "under"))
+    assert abs(over[2]) > 0.9 and over[2] == pytest.approx(-under[2], rel=1e-9)
+
+
+def test_the_cheapest_way_past_is_taken():
+    # Somebody stands in the way, a little to one side and far above the middle of the other.
+    transfer, horizon = problem(axes=3)
+    start, goal = [-1.5, 0.0, 0.0], [1.5, 0.0, 0.0]
+    mover = agent(1, start, goal, transfer, horizon)
+    stands = parked(0, np.array([0.0, 0.05, -0.3]), transfer, horizon)
+    stands = stands._replace(rank=(False, 0.0, 0))
+    after, _ = settle({0: stands, 1: mover}, everybody({0: stands, 1: mover}))
+    fuel = after[1].flight.fuel
+    for axis, side in ((1, 1), (1, -1), (2, 1), (2, -1)):
+        x = mover.free.x.copy()
+        x[1:-1, axis] += 0.8 * side
+        path = horizon.path(x, mover.free.u)
+        other = mover._replace(flight=Flight(x, mover.free.u, 0.0), path=path, steady=False)
+        round_there, _ = settle({0: stands, 1: other}, everybody({0: stands, 1: other}))
+        assert fuel <= round_there[1].flight.fuel * (1 + 1e-3)
 
 
 def test_flights_are_the_same_twice(rng):
