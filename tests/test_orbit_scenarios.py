@@ -558,9 +558,9 @@ REFUSED = {
     ),
     "no increment": (["epsilon=0"], 'plan.epsilon: must be positive, or "auto", got 0'),
     "a margin in words": (["margin_m=large"], 'or "auto", got "large"'),
-    "a leg without replanning": (
-        ["commit_steps=24"],
-        "plan.commit_steps: 24 leaves nothing to replan in of leg 0, which has 24 steps; at most",
+    "keeping to a plan beyond the leg": (
+        ["commit_steps=25"],
+        "plan.commit_steps: 25 is more than the 24 steps of leg 0; at most 24 would do, with which",
     ),
     "a depth without a box": (
         ["start={kind='random',separation_m=150,depth_m=0}"],

@@ -178,17 +178,17 @@ class LegTable(Table):
 
 
 def check_plan(plan: Plan, legs: list[LegTable]) -> None:
-    """Something of every leg is left to plan in.
+    """Agents keep to their plans within a leg at most; over all of it is flying open-loop.
 
     Raises:
-        Refusal: An agent would keep to its first plan to the end.
+        Refusal: For longer than that.
     """
     for number, leg in enumerate(legs):
-        if plan.commit_steps >= leg.steps:
+        if plan.commit_steps > leg.steps:
             raise Refusal(
                 "plan.commit_steps",
-                f"{plan.commit_steps} leaves nothing to replan in of leg {number}, which has "
-                f"{leg.steps} steps; at most {leg.steps - 1} would do",
+                f"{plan.commit_steps} is more than the {leg.steps} steps of leg {number}; at most "
+                f"{leg.steps} would do, with which the first plan is flown to the end",
             )
 
 
