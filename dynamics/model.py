@@ -151,15 +151,15 @@ class Linearised(LinearModel):
 
     def A(self, t: float) -> Float[Array, "n n"]:
         """State matrix on the nominal."""
-        return self.matrices(np.array([t]))[0][0]
+        return np.asarray(self.matrices(np.array([t]))[0][0])
 
     def B(self, t: float) -> Float[Array, "n m"]:
         """Input matrix on the nominal."""
-        return self.matrices(np.array([t]))[1][0]
+        return np.asarray(self.matrices(np.array([t]))[1][0])
 
     def z(self, t: float) -> Float[Array, " n"]:
         """What the linear terms leave of the rate on the nominal."""
-        return self.matrices(np.array([t]))[2][0]
+        return np.asarray(self.matrices(np.array([t]))[2][0])
 
     def matrices(
         self, times: Float[Array, " k"]

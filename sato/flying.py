@@ -42,6 +42,9 @@ def run(
         overrides: Each "table.key=value"; only with a name or a file.
         progress: Called with the mission and each frame.
 
+    Warns:
+        BeyondValidity: The model is wrong where the swarm flies, see `sato.scenario.validity`.
+
     Raises:
         ScenarioError: The scenario cannot be flown; nothing was.
     """
@@ -57,6 +60,7 @@ def run(
     with threadpool_limits(1, user_api="blas"):
         rng = np.random.default_rng(seed)
         mission = scenario.build(rng)
+        scenario.warn(mission)
         frames, stopped = _flown(mission, rng, progress)
         flown = Run.of(
             frames,

@@ -128,6 +128,12 @@ class Run:
 
         return plot(self, Path(folder))
 
+    def export(self, path: str | Path, format: str = "oem") -> Path:
+        """Write the trajectories for other tools, see `sato.export`."""
+        from sato.export import export
+
+        return export(self, path, format)
+
     def events(self, *kinds: str) -> list[dict[str, Any]]:
         """Everything that happened, in the order of time; of the given kinds only, if any."""
         heard = [json.loads(str(e)) for e in self.data["event"].values]
