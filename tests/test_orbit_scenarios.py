@@ -360,8 +360,8 @@ def test_what_counts_as_reached_grows_with_thrust_errors_and_the_steps_they_are_
     given = "disturbance.thrust=0.05"
     calm, shaken = built(), built(given)
     assert shaken.position_tolerance > 100 * calm.position_tolerance
-    tolerances = [built(given, f"commit_steps={k}").position_tolerance for k in (0, 2, 3, 6)]
-    assert tolerances[0] == tolerances[1] < tolerances[2] < tolerances[3]
+    few, more, most = (built(given, f"commit_steps={k}").position_tolerance for k in (0, 6, 9))
+    assert few < more < most
     pointing = built("disturbance.pointing_rad=0.05")
     assert pointing.position_tolerance == pytest.approx(shaken.position_tolerance)
 

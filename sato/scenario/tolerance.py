@@ -30,21 +30,24 @@ def tolerances(mission: Reconfiguration, plan: Plan) -> tuple[float, float, floa
 def _missed(mission: Reconfiguration) -> tuple[float, float]:
     """How far chance leaves an agent from its target [m], and how fast [m/s].
 
-    An agent that brakes with all it has mends nothing, nor does one that keeps to its plan
-    at the end, and two steps is the least in which a control sets both place and speed
-    right. What it believed wrongly when it planned before that, and the pushes since, remain.
+    An agent that brakes with all it has mends nothing, and two steps before that are the
+    least in which a control sets both place and speed right; nor does one mend anything that
+    keeps to its plan at the end. What it believed wrongly when it planned last, and the
+    pushes since, remain, and what its thrusters did otherwise while it braked.
     """
     d = mission.model.axes
     noise = np.repeat([mission.position_noise, mission.velocity_noise], d)
-    thrust = mission.max_control * np.hypot(mission.thrust_error, mission.pointing_error)
-    if not noise.any() and not mission.disturbance and not thrust:
+    wrong = mission.max_control * np.hypot(mission.thrust_error, mission.pointing_error)
+    if not noise.any() and not mission.disturbance and not wrong:
         return 0.0, 0.0
     steps = min(leg.steps for leg in mission.legs)
     braking = ceil(min(_braked(mission, steps) / (mission.max_control * mission.step), steps))
-    last = max(2, mission.commit_steps) + mission.replan_steps - 1 + braking
-    left = hold(mission.model, mission.step, last)
+    blind = max(braking + 2, mission.commit_steps) + mission.replan_steps - 1
+    thrusting = max(braking, mission.commit_steps) + mission.replan_steps - 1
+    left = hold(mission.model, mission.step, blind)
     spread = np.diag(noise**2)
-    for A, B in zip(left.A, left.B, strict=True):
+    for k, (A, B) in enumerate(zip(left.A, left.B, strict=True)):
+        thrust = wrong if k >= blind - thrusting else 0.0
         spread = A @ spread @ A.T + (mission.disturbance**2 + thrust**2) * B @ B.T
     worst = [np.linalg.eigvalsh(part).max() for part in (spread[:d, :d], spread[d:, d:])]
     place, speed = SIGMAS * np.sqrt(np.maximum(worst, 0.0))
@@ -58,11 +61,11 @@ def _braked(mission: Reconfiguration, steps: int) -> float:
         places = np.concatenate([mission.start, *(leg.targets for leg in mission.legs)])[:, :d]
         fast = 2 * float(np.ptp(places, axis=0).max()) / (steps * mission.step)
         return min(mission.max_speed, fast)
-    # In orbit most of a speed belongs to the path; what is braked is at most what is burnt.
+    # In orbit most of a speed belongs to the path; what is braked is about half of what is burnt.
     burnt, start, t = 0.0, mission.start[mission.alive], 0.0
     for leg in mission.legs:
         held = hold(mission.model, mission.step, leg.steps, t)
         fuel = price(held, start, leg.targets, mission.max_control).fuel
         burnt = max(burnt, float(fuel[linear_sum_assignment(fuel)].max()))
         start, t = leg.targets, t + leg.steps * mission.step
-    return min(mission.max_speed, burnt)
+    return min(mission.max_speed, burnt / 2)
