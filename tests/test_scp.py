@@ -173,8 +173,8 @@ def test_iterates_among_fixed_paths_stay_feasible_and_do_not_get_dearer(rng):
 def test_the_end_satisfies_the_first_order_conditions_of_the_nonconvex_problem(rng, monkeypatch):
     # Theorem 7: a fixed point of the convex programme is a KKT point of Problem 4. About the
     # end there must be multipliers that are dual feasible, and complementary with the end.
-    monkeypatch.setattr("sato.scp.STILL", 1e-6)
-    monkeypatch.setattr("sato.scp.MOST_SOLVES", 100)
+    monkeypatch.setattr("sato.scp.agent.STILL", 1e-6)
+    monkeypatch.setattr("sato.scp.agent.MOST_SOLVES", 100)
     tested = 0
     for _ in range(6):
         planners = crowd(rng, 5)

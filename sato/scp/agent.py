@@ -1,14 +1,10 @@
-"""Collision-free paths by sequential convex programming [Morgan2016, Method 2].
+"""What one agent does in an exchange [Morgan2016, Method 2].
 
-`revise` is the definition: what one agent does in an exchange. It hears the paths of
-its neighbours, keeps clear of those that go before it, and tells its own. `settle`
-runs the same for all agents and calls it only where something binds; a test holds the
-two equal, exchange by exchange.
-
-What "apart" means, and how it is made convex, is in `problems.convexify`.
+It hears the paths of its neighbours, keeps clear of those that go before it, and tells
+its own.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -17,11 +13,11 @@ from numpy import ndarray as Array
 
 from problems.avoidance import Avoidance, HalfSpaces, Passage, Yield, no_spaces
 from problems.conic import Unsolved
-from problems.convexify import Horizon, Way, apart, half_spaces, normals
+from problems.convexify import Horizon, Way, apart, balls_apart, half_spaces, normals
 from problems.transfer import Flight, Transfer
-from sato.network import Network, play, rounds
 
 LEANING = 1e-3  # of R: a half-space with less room than this may bind
+NEAR = 2.0  # times R: who comes closer has half-spaces from the first
 STILL = 1e-3  # ε_SCP over R: a path that moves less has converged
 # Ways past the neighbours where nominals collide, by the axes of space: the cheapest is taken.
 WAYS: dict[int, tuple[Way, ...]] = {2: ("near", "far"), 3: ("near", "far", "over", "under")}
@@ -33,7 +29,7 @@ RELENTING: tuple[tuple[Yield, Literal["near", "far", "stand"]], ...] = (
     ("arrival", "stand"),
     ("separation", "near"),
 )
-MOST_SOLVES = 15  # after which an agent that is clear stops improving (Proposition 4 keeps it safe)
+MOST_SOLVES = 20  # after which an agent that is clear stops improving (Proposition 4 keeps it safe)
 
 
 class Plan(NamedTuple):
@@ -71,6 +67,24 @@ class Planner(NamedTuple):
     def plan(self) -> Plan:
         """What it tells."""
         return Plan(self.rank, self.path, self.settled)
+
+
+class Others(NamedTuple):
+    """Those whom an agent keeps clear of."""
+
+    paths: Float[Array, "above pieces 4 d"]
+    near: Bool[Array, " above"]  # who comes near its nominal; the rest need no half-spaces yet
+
+    @classmethod
+    def of(cls, agent: Planner, above: tuple[Plan, ...]) -> "Others":
+        """Sort out who is near."""
+        paths = np.stack([plan.path for plan in above])
+        far = balls_apart(agent.path - paths, NEAR * agent.horizon.radius)
+        return cls(paths, np.asarray(~far.all(axis=1)))
+
+    def met(self, path: Float[Array, "pieces 4 d"], radius: float) -> Bool[Array, " above"]:
+        """Whose path another would meet."""
+        return np.asarray(~apart(path - self.paths, radius).all(axis=1))
 
 
 def revise(agent: Planner, inbox: list[Plan]) -> Planner:
@@ -126,9 +140,9 @@ def _around(agent: Planner, above: tuple[Plan, ...]) -> Planner:
     """Solve Problem 7 about the nominal; what gives way gives way last to separation."""
     if agent.about is not None:
         agent = agent._replace(transfer=agent.about(agent.flight))
-    others = np.stack([plan.path for plan in above])
+    others = Others.of(agent, above)
     collides = not clear(agent.path, above, agent.horizon.keep)
-    ways = WAYS[others.shape[-1]] if collides else ("near",)
+    ways = WAYS[agent.path.shape[-1]] if collides else ("near",)
     tried = [_past(agent, others, agent.path, way) for way in ways]
     passages, solves = [p for p in tried if p is not None], agent.solves + len(ways)
     passage = min(passages, key=lambda p: p.flight.fuel, default=None)
@@ -147,9 +161,7 @@ def _around(agent: Planner, above: tuple[Plan, ...]) -> Planner:
     )
 
 
-def _relenting(
-    agent: Planner, others: Float[Array, "above pieces 4 d"]
-) -> tuple[Passage | None, int]:
+def _relenting(agent: Planner, others: Others) -> tuple[Passage | None, int]:
     """The first that is found with something given up, and the programmes that took."""
     for count, (gives, way) in enumerate(RELENTING, 1):
         if way == "stand":
@@ -164,18 +176,25 @@ def _relenting(
 
 def _past(
     agent: Planner,
-    others: Float[Array, "above pieces 4 d"],
+    others: Others,
     nominal: Float[Array, "pieces 4 d"],
     way: Way,
     gives: Yield = "nothing",
 ) -> Passage | None:
     """Problem 7 about a nominal; None where it has no answer."""
-    normal = normals(nominal - others, agent.horizon.keep, way)
-    spaces = half_spaces(agent.horizon, len(agent.flight.u), others, normal)
-    try:
-        return _solve(agent, spaces, gives)
-    except Unsolved:
-        return None
+    near = others.near
+    while True:
+        paths = others.paths[near]
+        normal = normals(nominal - paths, agent.horizon.keep, way)
+        spaces = half_spaces(agent.horizon, len(agent.flight.u), paths, normal)
+        try:
+            passage = _solve(agent, spaces, gives)
+        except Unsolved:
+            return None
+        met = others.met(agent.horizon.path(*passage.flight[:2]), agent.horizon.radius) & ~near
+        if not met.any():
+            return passage
+        near = near | met
 
 
 def _standing(agent: Planner) -> Float[Array, "pieces 4 d"] | None:
@@ -213,79 +232,3 @@ def _worst_of_each_step(
 
 def _only(spaces: HalfSpaces, rows: Bool[Array, " rows"]) -> HalfSpaces:
     return HalfSpaces(*(field[rows] for field in spaces))
-
-
-def settle(planners: Mapping[int, Planner], network: Network) -> tuple[dict[int, Planner], int]:
-    """Method 2 for all agents: exchange until every one is settled.
-
-    Args:
-        planners: Every live agent, by number.
-        network: Who hears whom.
-
-    Returns:
-        The agents settled, and the number of exchanges it took.
-    """
-    history = [dict(planners), *exchanged(planners, network)]
-    return history[-1], len(history) - 1
-
-
-def by_messages(planners: Mapping[int, Planner], network: Network) -> Iterator[dict[int, Planner]]:
-    """Run the definition itself: every agent after every exchange."""
-    states = [planners.get(i) for i in range(len(network.alive))]
-
-    def done(agent: Planner | None) -> bool:
-        return agent is None or agent.settled
-
-    for now in rounds(network, states, _revise, _tell, done):
-        yield {i: agent for i, agent in enumerate(now) if agent}
-
-
-def _revise(agent: Planner | None, inbox: list[Plan | None]) -> Planner | None:
-    return agent and revise(agent, [plan for plan in inbox if plan])
-
-
-def _tell(agent: Planner | None) -> Plan | None:
-    return agent and agent.plan
-
-
-def exchanged(planners: Mapping[int, Planner], network: Network) -> Iterator[dict[int, Planner]]:
-    """The same as `by_messages`, geometry for all at once and only where paths changed.
-
-    Exchanges in which an agent has nothing to solve only carry whether it is settled.
-    """
-    numbers = sorted(planners)
-    now = [planners[i] for i in numbers]
-    if not now:
-        return
-    radius = now[0].horizon.radius
-    order = np.empty(len(now), dtype=int)
-    order[sorted(range(len(now)), key=lambda i: now[i].rank)] = np.arange(len(now))
-    above = network.hears[np.ix_(numbers, numbers)] & (order < order[:, None])
-    lower, upper = np.nonzero(above)
-    paths = np.stack([agent.path for agent in now])
-    meets = np.asarray(~apart(paths[lower] - paths[upper], radius).all(axis=-1))
-    settled = np.zeros(len(now), dtype=bool)
-    busy = np.array([not untouched(agent) for agent in now])
-    while not settled.all():
-        binds = np.zeros(len(now), dtype=bool)
-        binds[lower[meets]] = True
-        waits = (above & ~settled).any(axis=1)
-        acts = ~settled & (binds | busy)
-        states: list[Planner | None] = [None] * len(network.alive)
-        for number, agent in zip(numbers, now, strict=True):
-            states[number] = agent
-        told = [_tell(agent) for agent in states] if acts.any() else []
-        settled = settled | (~acts & ~waits)
-        now = [a._replace(settled=True) if s else a for a, s in zip(now, settled, strict=True)]
-        moved = np.zeros(len(now), dtype=bool)
-        acting = np.flatnonzero(acts).tolist()
-        acted = play(network, states, _revise, told, [numbers[i] for i in acting])
-        for i in acting:
-            after = acted[numbers[i]] or now[i]
-            moved[i] = after.path is not now[i].path
-            now[i], settled[i] = after, after.settled
-            busy[i] = not untouched(after)
-            paths[i] = after.path
-        afresh = moved[lower] | moved[upper]
-        meets[afresh] = ~apart(paths[lower[afresh]] - paths[upper[afresh]], radius).all(axis=-1)
-        yield dict(zip(numbers, now, strict=True))

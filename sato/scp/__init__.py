@@ -1,0 +1,14 @@
+"""Collision-free paths by sequential convex programming [Morgan2016, Method 2].
+
+`revise` is the definition: what one agent does in an exchange. It hears the paths of
+its neighbours, keeps clear of those that go before it, and tells its own. `settle`
+runs the same for all agents and calls it only where something binds; a test holds the
+two equal, exchange by exchange.
+
+What "apart" means, and how it is made convex, is in `problems.convexify`.
+"""
+
+from sato.scp.agent import STILL, Plan, Planner, revise
+from sato.scp.run import by_messages, exchanged, settle
+
+__all__ = ["STILL", "Plan", "Planner", "by_messages", "exchanged", "revise", "settle"]
