@@ -93,8 +93,7 @@ def plan(
         solves: Programmes that were solved for this replan already.
     """
     mission, network, state = moment.mission, moment.network, moment.state
-    left = moment.leg.steps - int(minds.clock[network.alive].min(initial=moment.leg.steps))
-    horizon = look_ahead(mission, moment.time, left)
+    horizon = look_ahead(mission, moment.time, moment.leg.steps - moment.step)
     planners: dict[int, Planner] = {}
     late: list[int] = []
     for clock in np.unique(minds.clock[network.alive]):
@@ -137,10 +136,10 @@ def _as_before(agent: Planner, rest: Float[Array, "T m"] | None) -> Planner:
 
 
 def look_ahead(mission: Reconfiguration, time: float, left: int) -> Horizon:
-    """The avoidance horizon from a time on, when the last agent has some steps left.
+    """The avoidance horizon from a time on, when so many steps of the leg are left as asked for.
 
-    T_H steps, or as far as is foreseen among agents in earshot, but not past the last
-    arrival. A step is cut so finely that two agents at full speed move by about R_col in a piece.
+    T_H steps, or as far as is foreseen among agents in earshot, but not past the end of a
+    leg that takes the time asked for, which all agents know. A step is cut so finely that two agents at full speed move by about R_col in a piece.
     """
     fast = mission.max_speed if isfinite(mission.max_speed) else 0.0
     S = min(MOST_PIECES, max(1, ceil(2 * fast * mission.step / mission.collision_radius)))
