@@ -1,7 +1,5 @@
 """What it costs every agent to take up every target, all at once [Morgan2016, Problem 6]."""
 
-import os
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from math import inf, isfinite
 from threading import local
@@ -9,13 +7,13 @@ from typing import NamedTuple, no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from dynamics import Steps
 from problems.avoidance import Avoidance, no_spaces
 from problems.conic import TOLERANCE, Unsolved
-from problems.least_fuel import least_fuel, response
+from problems.least_fuel import Burns, least_fuel, response
 from problems.transfer import Flight, Transfer, ends_first
 from problems.within_speed import WithinSpeed
 
@@ -68,15 +66,13 @@ def price(
         x0 = np.repeat(start, targets, axis=0)
         exact = _keeps_speed(steps.A, steps.B, steps.z, x0, burns.u, max_speed * (1 + 1e-9))
         exact |= ~reachable
-    slack = burns.fuel[reachable] - burns.bound[reachable]
-    gap = np.abs(slack) / np.maximum(np.abs(burns.bound[reachable]), 1e-9 * max_control * steps.dt)
     fuel = np.where(reachable, burns.fuel, out_of_reach(steps, max_control))
     shape = (agents, targets)
     return Prices(
         fuel.reshape(shape),
         reachable.reshape(shape),
         exact.reshape(shape),
-        float(gap.max(initial=0.0)),
+        _gap(burns, steps, max_control),
     )
 
 
@@ -86,9 +82,8 @@ def price_within_speed(
     """The exact answer for one pair that the speed limit binds.
 
     Returns:
-        None where the goal is out of reach, or so near the edge of reach (seen up to
-        1e-3 of the way to it) that nothing can be proven either way: a flight there
-        would have no room for anything.
+        None where the goal is out of reach, or, which is rare and not seen but at the very
+        edge of reach, where nothing can be proven either way.
     """
     paper = (transfer.fuel_norm, transfer.control_norm) == (1, "inf")
     try:
@@ -116,7 +111,7 @@ def exact(
     max_control: float,
     max_speed: float = inf,
 ) -> Prices:
-    """Price every pair exactly, those that the speed limit binds one by one.
+    """Price every pair exactly, also those that the speed limit binds.
 
     Args:
         steps: The remaining steps, the same for all.
@@ -126,19 +121,25 @@ def exact(
         max_speed: V [m/s].
     """
     prices = price(steps, start, goals, max_control, max_speed)
+    agent, target = np.nonzero(~prices.exact)
+    if len(agent) == 0:
+        return prices
+    within = WithinSpeed(Transfer(steps, max_control, max_speed, slope=SLOPE))
+    first = np.searchsorted(agent, np.arange(len(start) + 1))  # one lot an agent, as in `price`
+    burns = within.burns(start[agent], goals[target], first)
+    reached = np.isfinite(burns.fuel)
     fuel, reachable = prices.fuel.copy(), prices.reachable.copy()
-    transfer = Transfer(steps, max_control, max_speed)
-    pairs = np.argwhere(~prices.exact)
+    fuel[agent, target] = np.where(reached, burns.fuel, out_of_reach(steps, max_control))
+    reachable[agent, target] = reached
+    gap = max(prices.gap, _gap(burns, steps, max_control))
+    return Prices(fuel, reachable, np.ones_like(reachable), gap)
 
-    def settle(pair: Int[Array, " 2"]) -> Flight | None:
-        return price_within_speed(transfer, start[pair[0]], goals[pair[1]])
 
-    # Clarabel lets other threads run while it solves.
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for (i, j), flight in zip(pairs, pool.map(settle, pairs), strict=True):
-            reachable[i, j] = flight is not None
-            fuel[i, j] = out_of_reach(steps, max_control) if flight is None else flight.fuel
-    return Prices(fuel, reachable, np.ones_like(reachable), prices.gap)
+def _gap(burns: Burns, steps: Steps, max_control: float) -> float:
+    # Of all that are in reach, the largest relative one.
+    fuel, bound = burns.fuel[np.isfinite(burns.fuel)], burns.bound[np.isfinite(burns.fuel)]
+    gap = np.abs(fuel - bound) / np.maximum(np.abs(bound), 1e-9 * max_control * steps.dt)
+    return float(gap.max(initial=0.0))
 
 
 def price_stated(

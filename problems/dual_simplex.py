@@ -1,7 +1,7 @@
 """The dual simplex method with the long-step rule, compiled [Maros2003].
 
-What is answered, and why this way, stands in `least_fuel`. Columns are rows here: Q is
-(columns, rows of the programme), with orthonormal columns.
+Why this way stands in `least_fuel`, and the programme in `tableau`. Every basis is a point
+of the dual, also with a row more: rows may be added at the top, and the climb goes on.
 """
 
 from typing import no_type_check
@@ -9,165 +9,131 @@ from typing import no_type_check
 import numba
 import numpy as np
 
-PROVEN = 1e-9  # relative; an answer with a larger residual or gap is not proven
+from problems.proof import ANSWERED, OUT_OF_REACH, UNPROVEN
+from problems.tableau import exchange, flip, start
 
-ANSWERED, OUT_OF_REACH, UNPROVEN = 0, 1, 2
+EXACT = 1e-11  # bounds that are broken by less are kept
+FLAT = 1e-11  # a slope of the dual, in rows of length one, that is none
+SHARP = 1e-7  # a pivot, against the others of its column, after which all is computed anew
+THIN = 1e-8  # the same for slacks, behind which there is no slope at all: too small a pivot
 
 
-@numba.njit(cache=True, parallel=True)
+@numba.njit
 @no_type_check
-def solve_all(Q, b, U, w, lots, pivots):
-    """Answer every question, lot by lot.
+def climb(d, equations, pivots, exact):
+    """Walk uphill to the top of the dual, after computing everything anew where the desk is worn.
 
-    Returns u, the dual values and how each question ended.
+    Returns ANSWERED, or OUT_OF_REACH with the direction of endless ascent in `ρ`, or
+    UNPROVEN after too many pivots.
     """
-    questions, n = len(b), len(Q)
-    u = np.empty((questions, n))
-    dual = np.empty(questions)
-    status = np.empty(questions, np.int64)
-    rows = np.ascontiguousarray(Q.T)
-    for lot in numba.prange(lots):
-        # Within a lot each question starts from the basis that answered the one before.
-        basis, sign = _first_basis(Q)
-        for q in range(lot * questions // lots, (lot + 1) * questions // lots):
-            status[q], dual[q] = _solve(Q, rows, b[q], U, w, basis, sign, pivots, u[q])
-    return u, dual, status
-
-
-@numba.njit(cache=True)
-@no_type_check
-def _first_basis(Q):
-    # Greedy: each column is the one that reaches furthest out of the span of those before.
-    n, m = Q.shape
-    rest = Q.copy()
-    basis = np.empty(m, np.int64)
-    for i in range(m):
-        best, size = 0, -1.0
-        for j in range(n):
-            norm = 0.0
-            for a in range(m):
-                norm += rest[j, a] ** 2
-            if norm > size:
-                best, size = j, norm
-        basis[i] = best
-        axis = rest[best] / np.sqrt(size)
-        for j in range(n):
-            along = 0.0
-            for a in range(m):
-                along += rest[j, a] * axis[a]
-            for a in range(m):
-                rest[j, a] -= along * axis[a]
-    return basis, np.ones(m)
-
-
-@numba.njit(cache=True)
-@no_type_check
-def _solve(Q, rows, b, U, w, basis, sign, pivots, u):
-    """Answer one question; `basis` and `sign` are the start and become the end.
-
-    Returns how it ended and the dual value: infinity, and u = NaN, where b is out of reach.
-    """
-    n, m = Q.shape
-    tolerance = 1e-11 * (U + np.abs(b).max())
-    inverse, λ, v, state = _start(Q, rows, w, basis, sign)
-    r = b.copy()
-    for j in range(n):
-        if state[j] != 0.0:
-            for a in range(m):
-                r[a] -= U * state[j] * Q[j, a]
-    α = np.empty(n)
-    when = np.empty(2 * n)
-    who = np.empty(2 * n, np.int64)
+    M, n = d.used[0], len(d.w)
+    most = 0.0
+    for a in range(M):
+        most = max(most, abs(d.b[a]))
+    tolerance = exact * (1 + most)
     for _ in range(pivots):
-        # The basic control that breaks its bounds by most.
-        out, worst, up = -1, tolerance, False
-        for i in range(m):
-            y = 0.0
-            for a in range(m):
-                y += inverse[i, a] * r[a]
-            y *= sign[i]
-            if -y > worst:
-                out, worst, up = i, -y, False
-            if y - U > worst:
-                out, worst, up = i, y - U, True
+        if d.worn[0] and not start(d):
+            break
+        out, worst, up = _who_leaves(d, tolerance)
         if out < 0:
-            return _finish(rows, b, U, w, basis, inverse, λ, state, r, u, α)
-        turn = sign[out] if up else -sign[out]
-        kinks = 0
-        α[:] = 0.0
-        for a in range(m):
-            for j in range(n):
-                α[j] += rows[a, j] * inverse[out, a]
-        for j in range(n):
-            α[j] *= turn
-        for i in range(m):
-            α[basis[i]] = 0.0
-        # The column let go is a kink ahead too, where it is let go towards zero and beyond.
-        left = basis[out]
-        α[left] = turn
-        v[left] = sign[out] * w[left]
-        if up:
-            state[left] = sign[out]
-            for a in range(m):
-                r[a] -= U * sign[out] * Q[left, a]
-        for j in range(n):
-            if abs(α[j]) < 1e-13:
-                continue
-            ahead = 1.0 if α[j] > 0 else -1.0
-            if state[j] == 0.0:
-                when[kinks], who[kinks] = max(0.0, (ahead * w[j] - v[j]) / α[j]), j
-                kinks += 1
-            elif state[j] != ahead:
-                when[kinks], who[kinks] = max(0.0, (-ahead * w[j] - v[j]) / α[j]), j
-                when[kinks + 1], who[kinks + 1] = max(0.0, (ahead * w[j] - v[j]) / α[j]), j
-                kinks += 2
-        _heapify(when, who, kinks)
-        slope, enter = worst, -1
-        while kinks > 0:
-            j = who[0]
-            slope -= U * abs(α[j])
-            if slope <= 0.0:
-                enter = j
-                break
-            kinks -= 1
-            when[0], who[0] = when[kinks], who[kinks]
-            _sink(when, who, 0, kinks)
-            # Passed: the control flips from one bound to nothing, or from nothing to a bound.
-            ahead = 1.0 if α[j] > 0 else -1.0
-            new = ahead if state[j] == 0.0 else 0.0
-            for a in range(m):
-                r[a] -= U * (new - state[j]) * Q[j, a]
-            state[j] = new
+            return ANSWERED
+        left = d.basis[out]
+        turn = -1.0 if left >= n else d.sign[out] if up else -d.sign[out]
+        d.α[:] = 0.0
+        for a in range(M):
+            step = d.ρ[a] = turn * d.inverse[a, out]
+            for j in range(d.reach[a]):
+                d.α[j] += d.rows[a, j] * step
+        for i in range(M):
+            if d.basis[i] < n:
+                d.α[d.basis[i]] = 0.0
+        if left < n:
+            # It is a kink ahead too, where it is let go towards zero and beyond.
+            d.α[left] = turn
+            d.v[left] = d.sign[out] * d.w[left]
+            if up:
+                flip(d, left, d.sign[out])
+        enter, t = _who_enters(d, equations, worst, np.sqrt(d.norm[out]))
         if enter < 0:
-            u[:] = np.nan
-            return _beyond(rows, b, U, turn * inverse[out], α), np.inf
-        j, t = enter, when[0]
+            return OUT_OF_REACH
         for k in range(n):
-            v[k] += t * α[k]
-        for a in range(m):
-            λ[a] += t * turn * inverse[out, a]
-        ahead = 1.0 if α[j] > 0 else -1.0
-        if state[j] != 0.0:
-            for a in range(m):
-                r[a] += U * state[j] * Q[j, a]
-            sign[out] = state[j]
+            d.v[k] += t * d.α[k]
+        for a in range(M):
+            d.λ[a] += t * d.ρ[a]
+        if left >= n:
+            d.loose[left - n] = False
+        if enter < n:
+            ahead = 1.0 if d.α[enter] > 0 else -1.0
+            d.sign[out] = d.state[enter] if d.state[enter] != 0.0 else ahead
+            flip(d, enter, 0.0)
         else:
-            sign[out] = ahead
-        state[j] = 0.0
-        basis[out] = j
-        _exchange(inverse, Q[j], out)
-    u[:] = np.nan
-    return UNPROVEN, np.nan
+            d.sign[out], d.loose[enter - n], d.λ[enter - n] = 1.0, True, 0.0
+        d.basis[out] = enter
+        d.worn[0] = exchange(d, enter, out) < SHARP
+    return UNPROVEN
 
 
-@numba.njit(cache=True)
+@numba.njit
 @no_type_check
-def _heapify(when, who, count):
-    for i in range(count // 2 - 1, -1, -1):
-        _sink(when, who, i, count)
+def _who_leaves(d, tolerance):
+    # The steepest way uphill: by how much a bound is broken, over the length of the direction.
+    M, n = d.used[0], len(d.w)
+    d.y[:M], d.norm[:M] = 0.0, 0.0
+    for a in range(M):
+        r = d.r[a]
+        for i in range(M):
+            d.y[i] += d.inverse[a, i] * r
+            d.norm[i] += d.inverse[a, i] ** 2
+    out, worst, up, steepest = -1, 0.0, False, 0.0
+    for i in range(M):
+        broken, over = -d.y[i], False
+        if d.basis[i] < n:
+            broken *= d.sign[i]
+            over = -broken - 1.0 > broken
+            broken = -broken - 1.0 if over else broken
+        if broken > tolerance and broken**2 > steepest * d.norm[i]:
+            out, worst, up, steepest = i, broken, over, broken**2 / d.norm[i]
+    return out, worst, up
 
 
-@numba.njit(cache=True)
+@numba.njit
+@no_type_check
+def _who_enters(d, equations, slope, length):
+    M, n, kinks = d.used[0], len(d.w), 0
+    for j in range(n):
+        if abs(d.α[j]) < FLAT * length:
+            continue
+        ahead = 1.0 if d.α[j] > 0 else -1.0
+        if d.state[j] == 0.0:
+            d.when[kinks], d.who[kinks] = max(0.0, (ahead * d.w[j] - d.v[j]) / d.α[j]), j
+            kinks += 1
+        elif d.state[j] != ahead:
+            d.when[kinks], d.who[kinks] = max(0.0, (-ahead * d.w[j] - d.v[j]) / d.α[j]), j
+            d.when[kinks + 1], d.who[kinks + 1] = max(0.0, (ahead * d.w[j] - d.v[j]) / d.α[j]), j
+            kinks += 2
+    for a in range(equations, M):
+        if not d.loose[a] and d.ρ[a] > THIN * length:
+            d.when[kinks], d.who[kinks] = max(0.0, -d.λ[a] / d.ρ[a]), n + a
+            kinks += 1
+    for i in range(kinks // 2 - 1, -1, -1):
+        _sink(d.when, d.who, i, kinks)
+    while kinks > 0:
+        j = d.who[0]
+        if j >= n:
+            return j, d.when[0]  # no slack is negative: behind this kink the dual falls at once
+        slope -= abs(d.α[j])
+        if slope <= 0.0:
+            return j, d.when[0]
+        kinks -= 1
+        d.when[0], d.who[0] = d.when[kinks], d.who[kinks]
+        _sink(d.when, d.who, 0, kinks)
+        # Passed: the control flips from one bound to nothing, or from nothing to a bound.
+        ahead = 1.0 if d.α[j] > 0 else -1.0
+        flip(d, j, ahead if d.state[j] == 0.0 else 0.0)
+    return -1, 0.0
+
+
+@numba.njit
 @no_type_check
 def _sink(when, who, i, count):
     t, j = when[i], who[i]
@@ -180,98 +146,3 @@ def _sink(when, who, i, count):
         when[i], who[i] = when[child], who[child]
         i = child
     when[i], who[i] = t, j
-
-
-@numba.njit(cache=True)
-@no_type_check
-def _start(Q, rows, w, basis, sign):
-    n, m = Q.shape
-    inverse = np.eye(m)
-    for i in range(m):
-        # Columns enter one by one where they pivot best: the inverse, by Gauss and Jordan.
-        best, size = i, 0.0
-        for k in range(i, m):
-            along = 0.0
-            for a in range(m):
-                along += inverse[i, a] * Q[basis[k], a]
-            if abs(along) > size:
-                best, size = k, abs(along)
-        basis[i], basis[best] = basis[best], basis[i]
-        sign[i], sign[best] = sign[best], sign[i]
-        _exchange(inverse, Q[basis[i]], i)
-    λ = np.zeros(m)
-    for i in range(m):
-        for a in range(m):
-            λ[a] += sign[i] * w[basis[i]] * inverse[i, a]
-    v, state = np.zeros(n), np.zeros(n)
-    for a in range(m):
-        for j in range(n):
-            v[j] += rows[a, j] * λ[a]
-    for j in range(n):
-        if v[j] > w[j]:
-            state[j] = 1.0
-        elif v[j] < -w[j]:
-            state[j] = -1.0
-    for i in range(m):
-        state[basis[i]] = 0.0
-    return inverse, λ, v, state
-
-
-@numba.njit(cache=True)
-@no_type_check
-def _exchange(inverse, column, out):
-    m = len(column)
-    coordinates = np.zeros(m)
-    for i in range(m):
-        for a in range(m):
-            coordinates[i] += inverse[i, a] * column[a]
-    for a in range(m):
-        inverse[out, a] /= coordinates[out]
-    for i in range(m):
-        if i != out:
-            for a in range(m):
-                inverse[i, a] -= coordinates[i] * inverse[out, a]
-
-
-@numba.njit(cache=True)
-@no_type_check
-def _finish(rows, b, U, w, basis, inverse, λ, state, r, u, over):
-    m, n = rows.shape
-    for j in range(n):
-        u[j] = U * state[j]
-    for i in range(m):
-        y = 0.0
-        for a in range(m):
-            y += inverse[i, a] * r[a]
-        u[basis[i]] = min(max(y, -U), U)
-    # Recomputed from u and λ alone, whatever has drifted on the way.
-    dual, price, missing, most = 0.0, 0.0, 0.0, 0.0
-    over[:] = 0.0
-    for a in range(m):
-        dual += λ[a] * b[a]
-        rest = b[a]
-        for j in range(n):
-            over[j] += rows[a, j] * λ[a]
-            rest -= rows[a, j] * u[j]
-        missing, most = max(missing, abs(rest)), max(most, abs(b[a]))
-    for j in range(n):
-        dual -= U * max(0.0, abs(over[j]) - w[j])
-        price += w[j] * abs(u[j])
-    proven = missing <= PROVEN * (U + most) and abs(price - dual) <= PROVEN * (U + price)
-    return (ANSWERED if proven else UNPROVEN), dual
-
-
-@numba.njit(cache=True)
-@no_type_check
-def _beyond(rows, b, U, ray, along):
-    """Whether the dual grows without bound along a direction."""
-    m, n = rows.shape
-    gain, most = 0.0, 0.0
-    along[:] = 0.0
-    for a in range(m):
-        gain += ray[a] * b[a]
-        for j in range(n):
-            along[j] += rows[a, j] * ray[a]
-    for j in range(n):
-        most += U * abs(along[j])
-    return OUT_OF_REACH if gain - most > 1e-13 * (abs(gain) + most) else UNPROVEN

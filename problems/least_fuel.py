@@ -26,7 +26,9 @@ from scipy.sparse.csgraph import connected_components
 
 from dynamics import Steps
 from problems.conic import Conic, Infeasible, solve
-from problems.dual_simplex import PROVEN, UNPROVEN, solve_all
+from problems.lots import answer
+from problems.proof import UNPROVEN, Shared
+from problems.whitening import Whitened
 
 PIVOTS = 10_000  # far above what any question took; one that needs more is asked of HiGHS
 LOTS = 64
@@ -124,42 +126,22 @@ def _answer(
     lots: int,
 ) -> tuple[Float[Array, "questions T i"], Float[Array, " questions"]]:
     s, T, i = C.shape
-    Q, whitened, missed = _whiten(C.reshape(s, T * i), b, U)
+    rows = Whitened.of(C.reshape(s, T * i))
+    Q, (whitened, missed) = rows.Q, rows.ask(b, U)
     w = np.repeat(weight, i)
     if Q.shape[1] == 0:
         u, dual = np.zeros((len(b), T * i)), np.zeros(len(b))
         u[missed], dual[missed] = np.nan, np.inf
         return u.reshape(len(b), T, i), dual
-    u, dual, status = solve_all(Q, whitened, U, w, max(1, min(len(b), lots)), PIVOTS)
-    for q in np.flatnonzero(status == UNPROVEN):
+    lots = max(1, min(len(b), lots))
+    first = np.arange(lots + 1) * len(b) // lots
+    shared = Shared(Q, w, np.zeros((0, 1, len(Q))))
+    found = answer(shared, whitened / U, np.zeros((len(b), 0, 1)), first, PIVOTS)
+    u, dual = U * found.x, U * found.bound
+    for q in np.flatnonzero(found.status == UNPROVEN):
         u[q], dual[q] = _ask_highs(Q, whitened[q], U, w)
     u[missed], dual[missed] = np.nan, np.inf
     return u.reshape(len(b), T, i), dual
-
-
-def _whiten(
-    columns: Float[Array, "s N"], b: Float[Array, "questions s"], U: float
-) -> tuple[Float[Array, "N r"], Float[Array, "questions r"], Int[Array, " missed"]]:
-    """Rows made orthonormal: the same questions, well conditioned.
-
-    With fewer steps than it takes to reach every state, what no control reaches is left
-    out, and questions that ask for it are listed.
-    """
-    if columns.size == 0:
-        return np.zeros((columns.shape[1], 0)), np.zeros((len(b), 0)), np.flatnonzero(b.any(axis=1))
-    if np.linalg.matrix_rank(columns) == len(columns):
-        Q, R = np.linalg.qr(columns.T)
-        whitened = np.linalg.solve(R.T, b.T).T
-        return np.ascontiguousarray(Q), np.ascontiguousarray(whitened), np.zeros(0, np.int64)
-    # States in metres and in metres a second are made comparable before a rank is read.
-    unit = np.maximum(np.abs(columns).max(axis=1, initial=0.0), 1e-300)
-    left, size, right = np.linalg.svd(columns / unit[:, None], full_matrices=False)
-    keep = size > 1e-12 * size.max(initial=0.0)
-    left, size, right = left[:, keep], size[keep], right[keep]
-    along = (b / unit) @ left
-    missing = np.abs(b / unit - along @ left.T).max(axis=1, initial=0.0)
-    missed = np.flatnonzero(missing > PROVEN * (U + np.abs(b / unit).max(axis=1, initial=0.0)))
-    return np.ascontiguousarray(right.T), np.ascontiguousarray(along / size), missed
 
 
 def _ask_highs(

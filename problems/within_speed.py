@@ -1,36 +1,36 @@
-"""Transfers that the speed limit binds: many questions, one programme.
+"""Transfers that the speed limit binds: any number of them, by cutting planes.
 
-Among half-spaces the states are best eliminated. Here every step carries a cone, and
-with the states kept the programme is sparse: ten times faster for 80 steps.
+What is done for each stands in `speed_cuts`; here are the units, the weights, and what
+happens to the few that do not end well.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import count
 from math import isfinite
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
-from scipy.sparse import block_array, csc_array, eye_array, kron
 
-from problems.conic import FAR, Answer, Conic, Infeasible, solve
-from problems.solvers.clarabel import Again
-from problems.transfer import Flight, Transfer
+from problems.conic import Infeasible, Unsolved
+from problems.least_fuel import Burns
+from problems.lots import answer
+from problems.proof import UNPROVEN, Shared
+from problems.speed_cones import SpeedCones
+from problems.transfer import Flight, Transfer, ends_first
+from problems.whitening import Whitened
 
-PROOFS = 100  # kept
-SHARE = 1e-3  # of what a proof had to say on its own pair, and has to say on another
+PIVOTS = 1_000  # of one climb; a question that needs more is asked of Clarabel
+SLOPE = 1e-8  # of the weights at least: it breaks ties, and costs no more than this part of fuel
 
 
 @dataclass(frozen=True, eq=False)
 class WithinSpeed:
     """The statement of `Transfer` for q = 1 and r = ∞, solved over and over.
 
-    Unknowns are u⁺ and u⁻ in units of U, and y[1] … y[T−1], the distance of the states
-    from the free motion, in units of V and of what V covers in the time: all are of the
-    order of 1, and only the right-hand side knows of start and goal. One thread at a
-    time.
+    Every answer arrives, keeps the limits (that of the speed to 1e-9) and costs no more
+    than 3e-8 above its dual bound, and every "out of reach" has its proof; all of that is
+    recomputed from the answer. What fails is asked of Clarabel (`SpeedCones`).
     """
 
     transfer: Transfer
@@ -50,93 +50,80 @@ class WithinSpeed:
 
         Raises:
             Infeasible: The goal is out of reach in this time.
+            Unsolved: Neither could be proven.
         """
-        transfer, first = self.transfer, self._first
-        T, n, m = transfer.steps.B.shape
-        drift, flow = self._coasting
+        burns = self.burns(start[None], goal[None])
+        if np.isinf(burns.fuel[0]):
+            raise Infeasible(self.transfer, "the dual grows without bound: out of reach")
+        if np.isnan(burns.fuel[0]):
+            raise Unsolved(self.transfer, "neither a flight nor that there is none can be proven")
+        return self.transfer.flight(start, burns.u[0])
+
+    def burns(
+        self,
+        start: Float[Array, "pairs n"],
+        goal: Float[Array, "pairs n"],
+        first: Int[Array, " fences"] | None = None,
+    ) -> Burns:
+        """What many flights take; fuel is NaN where neither it nor the contrary can be proven.
+
+        Args:
+            start: Where each begins.
+            goal: Where each ends.
+            first: The pair with which each lot begins, and at the end how many there are.
+                Answers do not depend on the pairs of other lots, not even in the last bit.
+        """
+        transfer, U = self.transfer, self.transfer.max_control
+        T, _, m = transfer.steps.B.shape
+        pairs, (drift, flow) = len(start), self._coasting
         free = drift + np.tensordot(start, flow, 1)
-        b = first.b.copy()
-        b[(T - 1) * n : T * n] = (goal - free[T]) / self._units
-        b[first.zero + first.nonnegative :].reshape(T - 1, m + 1)[:, 1:] = (
-            free[1:T, m:] / transfer.max_speed
+        white, missed = self._rows.ask(goal - free[:, T], U)
+        found = answer(
+            self._shared,
+            white / U,
+            np.ascontiguousarray(free[:, 1:T, m:]) / transfer.max_speed,
+            np.array([0, pairs]) if first is None else first,
+            PIVOTS,
         )
-        answer = solve(
-            Conic(first.q, first.A, b, first.zero, first.nonnegative, first.cones), self._ask
-        )
-        U = transfer.max_control
-        u = np.clip(U * (answer.x[: T * m] - answer.x[T * m : 2 * T * m]), -U, U)
-        return transfer.flight(start, u.reshape(T, m))
+        u = U * found.x.reshape(pairs, T, m)
+        bound = transfer.steps.dt * U * found.bound / (1 + SLOPE)
+        u[missed], bound[missed] = np.nan, np.inf
+        for q in np.setdiff1d(np.flatnonzero(found.status == UNPROVEN), missed):
+            u[q], bound[q] = self._ask_clarabel(start[q], goal[q])
+        fuel = transfer.steps.dt * np.abs(u).sum(axis=(1, 2))
+        fuel[np.isinf(bound)] = np.inf
+        return Burns(u, fuel, bound)
+
+    def _ask_clarabel(
+        self, start: Float[Array, " n"], goal: Float[Array, " n"]
+    ) -> tuple[Float[Array, "T m"] | float, float]:
+        try:
+            flight = self._cones.solve(start, goal)
+        except Infeasible:
+            return np.nan, np.inf
+        except Unsolved:
+            return np.nan, np.nan
+        return flight.u, flight.fuel
 
     @cached_property
-    def _units(self) -> Float[Array, " n"]:
-        steps, V = self.transfer.steps, self.transfer.max_speed
-        return np.repeat([V * len(steps) * steps.dt, V], steps.axes)
+    def _cones(self) -> SpeedCones:
+        return SpeedCones(self.transfer)
 
-    def _ask(self, problem: Conic) -> Answer:
-        # A proof does not know of start and goal, only what it proves does: what showed one
-        # pair to be out of reach shows the same of many others.
-        against = -(self._proofs @ problem.b)
-        best = int(np.argmax(against))
-        if against[best] > SHARE:
-            why = "the proof for another pair holds for this one"
-            raise Infeasible(problem, why, self._proofs[best].copy())
-        try:
-            return self._again(problem)
-        except Infeasible as verdict:
-            y = verdict.ray
-            if y is not None and problem.b @ y < 0:
-                y = y / -(problem.b @ y)
-                rest = float(np.abs(problem.A.T @ y).sum()) + problem.outside(y, dual=True)
-                if rest <= SHARE * FAR:
-                    self._proofs[next(self._count) % PROOFS] = y
-            raise
+    @cached_property
+    def _rows(self) -> Whitened:
+        return Whitened.of(self.transfer.response[0][-1])
+
+    @cached_property
+    def _shared(self) -> Shared:
+        transfer = self.transfer
+        T, _, m = transfer.steps.B.shape
+        weight = transfer.weight if transfer.slope >= SLOPE else ends_first(T, SLOPE)
+        per = transfer.max_control / transfer.max_speed
+        push = np.ascontiguousarray(transfer.response[0][1:T, m:]) * per
+        return Shared(self._rows.Q, np.repeat(weight, m), push)
 
     @cached_property
     def _coasting(self) -> tuple[Float[Array, "instants n"], Float[Array, "n instants n"]]:
         T, n, m = self.transfer.steps.B.shape
         drift = self.transfer.steps.roll(np.zeros(n), np.zeros((T, m)))
         return drift, self.transfer.steps.roll(np.eye(n), np.zeros((n, T, m))) - drift
-
-    @cached_property
-    def _proofs(self) -> Float[Array, "proofs rows"]:
-        return np.zeros((PROOFS, len(self._first.b)))
-
-    @cached_property
-    def _count(self) -> Iterator[int]:
-        return count()
-
-    @cached_property
-    def _again(self) -> Again:
-        return Again(self._first)
-
-    @cached_property
-    def _first(self) -> Conic:
-        steps, U, units = self.transfer.steps, self.transfer.max_control, self._units
-        T, n, m = steps.B.shape
-        burns, states = 2 * T * m, (T - 1) * n
-        # A[k] y[k] + B[k] u[k] − y[k+1] = 0, and the last y is data.
-        push = np.zeros((T, n, T, m))
-        carry = np.zeros((T, n, T - 1, n))
-        for k in range(T):
-            push[k, :, k] = U * steps.B[k] / units[:, None]
-            if k > 0:
-                carry[k, :, k - 1] = steps.A[k] * units / units[:, None]
-            if k < T - 1:
-                carry[k, :, k] = -np.eye(n)
-        burn = push.reshape(T * n, T * m)
-        speed = np.zeros((m + 1, n))
-        speed[1:, m:] = -np.eye(m)
-        A = block_array(
-            [
-                [csc_array(np.hstack([burn, -burn])), csc_array(carry.reshape(T * n, states))],
-                [eye_array(burns), None],
-                [-eye_array(burns), None],
-                [None, kron(eye_array(T - 1), csc_array(speed))],
-            ]
-        )
-        q = np.zeros(burns + states)
-        q[:burns] = np.tile(U * steps.dt * np.repeat(self.transfer.weight, m), 2)
-        tops = np.zeros((T - 1, m + 1))
-        tops[:, 0] = 1
-        b = np.concatenate([np.zeros(T * n), np.ones(burns), np.zeros(burns), tops.ravel()])
-        return Conic(q, csc_array(A), b, T * n, 2 * burns, (m + 1,) * (T - 1))

@@ -1,0 +1,115 @@
+"""What an answer or a verdict is worth, recomputed from its numbers alone, compiled.
+
+    minimise  Σ_j w_j |x_j|  subject to  Qᵀx = b,  |x_j| ≤ 1,  ‖s_k + P_k x‖₂ ≤ 1
+
+with velocities s_k + P_k x, everything in units of the limits. For any λ and p_k whatever
+
+    λᵀb + Σ_k (p_kᵀs_k − ‖p_k‖₂) − Σ_j max(0, |v_j| − w_j),   v = Q λ − Σ_k P_kᵀp_k
+
+is a lower bound on the cost; and where it is positive with w = 0, no x keeps the limits.
+"""
+
+from typing import NamedTuple, no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+PROVEN = 1e-9  # relative; an answer with a larger residual or gap is not proven
+GAP = 3e-8  # the same for the gap where speeds are at the limit; most have 1e-14
+
+ANSWERED, OUT_OF_REACH, UNPROVEN = 0, 1, 2
+
+
+class Shared(NamedTuple):
+    """What many questions have in common: all but b and s."""
+
+    Q: Float[Array, "N m"]  # with orthonormal columns
+    w: Float[Array, " N"]
+    push: Float[Array, "K d N"]  # P; no K where no speed is limited
+
+
+class Question(NamedTuple):
+    """What one question asks for."""
+
+    b: Float[Array, " m"]
+    free: Float[Array, "K d"]  # s, the velocities without control
+
+
+@numba.njit
+@no_type_check
+def judge(shared, question, x, λ, p):
+    """Whether controls keep every limit and cost what the bound says, and the bound."""
+    Q, b = shared.Q, question.b
+    bound, _ = _bound(shared, question, λ, p, 1.0)
+    price, missing, most = 0.0, 0.0, 0.0
+    for a in range(len(b)):
+        rest = b[a]
+        for j in range(len(x)):
+            rest -= Q[j, a] * x[j]
+        missing, most = max(missing, abs(rest)), max(most, abs(b[a]))
+    for j in range(len(x)):
+        if abs(x[j]) > 1:
+            return UNPROVEN, bound
+        price += shared.w[j] * abs(x[j])
+    gap = GAP if p.any() else PROVEN
+    proven = missing <= PROVEN * (1 + most) and abs(price - bound) <= PROVEN + gap * price
+    if proven and len(p) > 0:
+        proven = speeds(shared, question, x, np.empty(p.shape)) <= 1 + PROVEN
+    return (ANSWERED if proven else UNPROVEN), bound
+
+
+@numba.njit
+@no_type_check
+def shows_out_of_reach(shared, question, λ, p):
+    """Whether the dual grows without bound along a direction."""
+    value, size = _bound(shared, question, λ, p, 0.0)
+    return value > 1e-13 * size
+
+
+@numba.njit
+@no_type_check
+def speeds(shared, question, x, velocity):
+    """The largest speed under given controls; the velocities are written in place."""
+    K, d, n = shared.push.shape
+    largest = 0.0
+    for k in range(K):
+        square = 0.0
+        for c in range(d):
+            velocity[k, c] = question.free[k, c]
+            for j in range(n):
+                velocity[k, c] += shared.push[k, c, j] * x[j]
+            square += velocity[k, c] ** 2
+        largest = max(largest, square)
+    return np.sqrt(largest)
+
+
+@numba.njit
+@no_type_check
+def _bound(shared, question, λ, p, weight):
+    # The bound with weights times a number, and the sum of the sizes of its terms.
+    Q, b, (n, m) = shared.Q, question.b, shared.Q.shape
+    v = np.zeros(n)
+    value, size = 0.0, 0.0
+    for a in range(m):
+        value += λ[a] * b[a]
+        size += abs(λ[a] * b[a])
+        for j in range(n):
+            v[j] += Q[j, a] * λ[a]
+    for k in range(len(p)):
+        square = 0.0
+        for c in range(p.shape[1]):
+            square += p[k, c] ** 2
+            value += p[k, c] * question.free[k, c]
+            size += abs(p[k, c] * question.free[k, c])
+            if p[k, c] != 0.0:
+                for j in range(n):
+                    v[j] -= shared.push[k, c, j] * p[k, c]
+        value -= np.sqrt(square)
+        size += np.sqrt(square)
+    for j in range(n):
+        over = max(0.0, abs(v[j]) - weight * shared.w[j])
+        value -= over
+        size += over
+    return value, size

@@ -1,0 +1,242 @@
+"""What the dual simplex method works on: rows that may be added, and a basis, compiled.
+
+    minimise  Σ_j w_j |x_j|   subject to  a_iᵀx = b_i  in the first rows,
+                                          a_iᵀx ≤ b_i  in those added later,  |x_j| ≤ 1
+
+A column below the number of controls is a control, others are the slacks of added rows.
+"""
+
+from typing import NamedTuple, no_type_check
+
+import numba
+import numpy as np
+from numpy import ndarray as Array
+
+SINGULAR = 1e-14  # a pivot, of rows of length one, with which a basis is none
+
+
+class Desk(NamedTuple):
+    """What one programme is worked on with; all fields are changed in place."""
+
+    rows: Array  # a_i, one after the other; there is room for more
+    reach: Array  # of each row, the controls from which on it is zero
+    b: Array
+    used: Array  # [rows in use]
+    worn: Array  # [whether to compute everything anew before going on]
+    w: Array
+    basis: Array  # the column in each place
+    sign: Array  # of the basic controls
+    loose: Array  # whether the slack of a row is basic
+    inverse: Array  # of the basis, transposed: places are along the second axis
+    λ: Array
+    v: Array  # Σ_i λ_i a_i
+    state: Array  # of the controls that are not basic: −1, 0 or 1
+    r: Array  # b less what those controls use of it
+    y: Array  # what is in each place
+    α: Array  # the other fields are scratch
+    ρ: Array
+    place: Array
+    norm: Array
+    when: Array
+    who: Array
+
+
+@numba.njit
+@no_type_check
+def desk(Q, w, room):
+    """An empty desk for equations Qᵀx = b, with room for more rows."""
+    n, m = Q.shape
+    size = m + room
+    rows, inverse, lines = np.zeros((size, n)), np.empty((size, size)), np.zeros((7, size))
+    rows[:m] = Q.T
+    basis, kinks = np.zeros(size, np.int64), 2 * n + size
+    basis[:m] = first_basis(Q)
+    return Desk(
+        rows,
+        np.full(size, n),
+        lines[0],
+        np.full(1, m),
+        np.ones(1, np.bool_),
+        w,
+        basis,
+        np.ones(size),
+        np.zeros(size, np.bool_),
+        inverse,
+        lines[1],
+        np.zeros(n),
+        np.zeros(n),
+        lines[2],
+        lines[3],
+        np.zeros(n),
+        lines[4],
+        lines[5],
+        lines[6],
+        np.empty(kinks),
+        np.empty(kinks, np.int64),
+    )
+
+
+@numba.njit
+@no_type_check
+def first_basis(Q):
+    """Greedy: each column is the one that reaches furthest out of the span of those before."""
+    n, m = Q.shape
+    rest = Q.copy()
+    basis = np.empty(m, np.int64)
+    for i in range(m):
+        best, size = 0, -1.0
+        for j in range(n):
+            norm = 0.0
+            for a in range(m):
+                norm += rest[j, a] ** 2
+            if norm > size:
+                best, size = j, norm
+        basis[i] = best
+        axis = rest[best] / np.sqrt(size)
+        for j in range(n):
+            along = 0.0
+            for a in range(m):
+                along += rest[j, a] * axis[a]
+            for a in range(m):
+                rest[j, a] -= along * axis[a]
+    return basis
+
+
+@numba.njit
+@no_type_check
+def start(d):
+    """Everything anew from rows, basis and signs; False where that is no basis."""
+    M, n = d.used[0], len(d.w)
+    for a in range(M):
+        for i in range(M):
+            d.inverse[a, i] = 1.0 if a == i else 0.0
+        d.loose[a] = False
+    for i in range(M):
+        # Columns enter one by one where they pivot best: the inverse, by Gauss and Jordan.
+        best, size = i, -1.0
+        for k in range(i, M):
+            j, along = d.basis[k], 0.0
+            if j < n:
+                for a in range(M):
+                    along += d.inverse[a, i] * d.rows[a, j]
+            else:
+                along = d.inverse[j - n, i]
+            if abs(along) > size:
+                best, size = k, abs(along)
+        if not size > SINGULAR:
+            return False
+        d.basis[i], d.basis[best] = d.basis[best], d.basis[i]
+        d.sign[i], d.sign[best] = d.sign[best], d.sign[i]
+        exchange(d, d.basis[i], i)
+    for a in range(M):
+        d.λ[a] = 0.0
+        for i in range(M):
+            if d.basis[i] < n:
+                d.λ[a] += d.sign[i] * d.w[d.basis[i]] * d.inverse[a, i]
+    for i in range(M):
+        if d.basis[i] >= n:
+            d.loose[d.basis[i] - n] = True
+    d.v[:] = 0.0
+    for a in range(M):
+        for j in range(d.reach[a]):
+            d.v[j] += d.rows[a, j] * d.λ[a]
+    for j in range(n):
+        d.state[j] = 1.0 if d.v[j] > d.w[j] else -1.0 if d.v[j] < -d.w[j] else 0.0
+    for i in range(M):
+        if d.basis[i] < n:
+            d.state[d.basis[i]] = 0.0
+    for a in range(M):
+        _what_is_left(d, a)
+    d.worn[0] = False
+    return True
+
+
+@numba.njit
+@no_type_check
+def add_row(d):
+    """Take into use the row that was written after the last one, a_iᵀx ≤ b_i."""
+    M, n = d.used[0], len(d.w)
+    d.inverse[M, :M] = 0.0
+    for a in range(M + 1):
+        d.inverse[a, M] = 0.0
+    for i in range(M):
+        if d.basis[i] < n:
+            along = d.rows[M, d.basis[i]]
+            for a in range(M):
+                d.inverse[a, M] -= along * d.inverse[a, i]
+    d.inverse[M, M] = 1.0
+    d.basis[M], d.sign[M], d.λ[M], d.loose[M] = n + M, 1.0, 0.0, True
+    _what_is_left(d, M)
+    d.used[0] = M + 1
+
+
+@numba.njit
+@no_type_check
+def drop_row(d, row):
+    """Forget an added row whose slack is basic; the last row takes its number."""
+    M, n = d.used[0], len(d.w)
+    end, out = M - 1, -1
+    for i in range(M):
+        if d.basis[i] == n + row:
+            out = i
+    d.basis[out], d.sign[out] = d.basis[end], d.sign[end]
+    for a in range(M):
+        d.inverse[a, out] = d.inverse[a, end]
+    d.inverse[row, :end] = d.inverse[end, :end]
+    d.rows[row], d.reach[row] = d.rows[end], d.reach[end]
+    d.b[row], d.λ[row], d.r[row], d.loose[row] = d.b[end], d.λ[end], d.r[end], d.loose[end]
+    for i in range(end):
+        if d.basis[i] == n + end:
+            d.basis[i] = n + row
+    d.used[0] = end
+
+
+@numba.njit
+@no_type_check
+def exchange(d, column, out):
+    """Let a column into a basis; how small the pivot is against its neighbours."""
+    M, n = d.used[0], len(d.w)
+    if column < n:
+        d.place[:M] = 0.0
+        for a in range(M):
+            part = d.rows[a, column]
+            for i in range(M):
+                d.place[i] += d.inverse[a, i] * part
+    else:
+        d.place[:M] = d.inverse[column - n, :M]
+    pivot, largest = d.place[out], np.abs(d.place[:M]).max()
+    d.place[out] = 0.0
+    for a in range(M):
+        part = d.inverse[a, out] / pivot
+        for i in range(M):
+            d.inverse[a, i] -= d.place[i] * part
+        d.inverse[a, out] = part
+    return abs(pivot) / largest
+
+
+@numba.njit
+@no_type_check
+def flip(d, j, new):
+    """Put a control that is not basic at another of −1, 0 and 1."""
+    change = new - d.state[j]
+    for a in range(d.used[0]):
+        d.r[a] -= change * d.rows[a, j]
+    d.state[j] = new
+
+
+@numba.njit
+@no_type_check
+def _what_is_left(d, a):
+    d.r[a] = d.b[a]
+    for j in range(len(d.w)):
+        d.r[a] -= d.state[j] * d.rows[a, j]
+
+
+@numba.njit
+@no_type_check
+def read(d, x):
+    """The controls at this basis, within their bounds."""
+    x[:] = d.state
+    for i in range(d.used[0]):
+        if d.basis[i] < len(x):
+            x[d.basis[i]] = min(max(d.y[i], -1.0), 1.0)
