@@ -171,6 +171,8 @@ class Orbit:
             raise ValueError(f"the chief's orbit is known from time 0 on, got t = {times.min()} s")
         found = np.empty((*times.shape, 6))
         piece = (times // SPAN).astype(int)
+        for j in range(int(piece.max(initial=0))):
+            _piece(self, j)  # each begins where the one before ends
         for j in np.unique(piece):
             found[piece == j] = _piece(self, int(j)).sol(times[piece == j]).T
         return found
@@ -215,7 +217,7 @@ def chief_size(chief: Float[Array, " 6"]) -> Float[Array, " 6"]:
     return np.array([r, h / r, h, 1.0, 1.0, 1.0])
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=4096)
 def _piece(orbit: Orbit, j: int) -> Any:
     start = np.array(orbit.start) if j == 0 else _piece(orbit, j - 1).y[:, -1]
     return solve_ivp(

@@ -170,6 +170,15 @@ def test_about_an_ellipse_they_leave_what_the_turning_of_its_perigee_brings():
     assert drift(long, ring, 8) <= 1.0
 
 
+@given(st.floats(0.0, 0.3), st.floats(-1.2, 1.2))
+def test_out_of_the_plane_they_leave_no_difference_in_inclination(e, latitude):
+    orbit = Orbit.of_elements(9e6 / (1 - e), e, pi / 4, anomaly=latitude)
+    place = np.array([0.0, 0.0, 1000.0])
+    frame = LVLH.of_chief(np.array(orbit.start), orbit.k_J2)
+    deputy = frame.to_inertial(np.hstack([place, invariant_velocity(orbit, place)]))
+    assert abs(osculating(deputy)[4] - orbit.inclination) * orbit.r < 0.5
+
+
 def test_out_of_the_plane_there_is_no_such_velocity_at_the_top_of_an_orbit():
     top = Orbit.of_elements(6878e3, inclination=pi / 4, anomaly=pi / 2)
     with pytest.raises(ValueError, match=r"latitude 90°.*in the plane \(z = 0\)"):

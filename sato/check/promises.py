@@ -1,5 +1,7 @@
 """What a run promises, each judged by recomputing it."""
 
+import numpy as np
+
 from sato.check.account import (
     alive,
     assignment,
@@ -18,7 +20,7 @@ from sato.check.chance import Chance
 from sato.check.evidence import Evidence
 from sato.check.fuel import Bound, burnt
 from sato.check.motion import applied, control_limit, flight, measured, separation, speed_limit
-from sato.check.promise import Promise, none, within
+from sato.check.promise import Promise, largest, none, within
 from sato.check.words import reached
 
 
@@ -93,5 +95,5 @@ def fuel(evidence: Evidence, bounds: list[Bound | None]) -> Promise:
             continue
         spent = float(burn[stretch.first : stretch.last, bound.agents].sum())
         saved = float(bound.mend.sum())
-        short = max(short, (bound.total - spent - saved) / max(bound.total, 1e-12))
+        short = largest(np.array([short, (bound.total - spent - saved) / max(bound.total, 1e-12)]))
     return within("fuel", short, 1e-6, text)

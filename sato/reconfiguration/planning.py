@@ -139,7 +139,8 @@ def look_ahead(mission: Reconfiguration, time: float, left: int) -> Horizon:
     """The avoidance horizon from a time on, when so many steps of the leg are left as asked for.
 
     T_H steps, or as far as is foreseen among agents in earshot, but not past the end of a
-    leg that takes the time asked for, which all agents know. A step is cut so finely that two agents at full speed move by about R_col in a piece.
+    leg that takes the time asked for, which all agents know. A step is cut so finely that
+    two agents at full speed move by about R_col in a piece.
     """
     fast = mission.max_speed if isfinite(mission.max_speed) else 0.0
     S = min(MOST_PIECES, max(1, ceil(2 * fast * mission.step / mission.collision_radius)))

@@ -3,14 +3,12 @@
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
-from scipy.integrate import solve_ivp
 
 from dynamics import hold
 from dynamics.plant import Modelled
 from sato.reconfiguration.mission import Reconfiguration
 
 SIGMAS = 5.0  # of what chance adds to the distance of two: beyond it once in 10⁶
-RTOL = 1e-11  # of the planning model, integrated: far below what is looked for
 
 
 def margin(mission: Reconfiguration) -> float:
@@ -18,10 +16,11 @@ def margin(mission: Reconfiguration) -> float:
 
         2 max |model − plant| + 5 σ,    both over τ, the time between two plans
 
-    The first is the largest error of the planning model, re-linearised where it is, over τ
-    from any start or target, under full control either way; twice, for the errors of two may
-    point at each other. It is 0 where the model is what flies. The second
-    is of the distance of two:
+    The first is the largest error of the model that all agents share over τ, under full
+    control on all axes, either way; twice, for the errors of two may point at each other. An
+    agent that re-linearises plans better than this, but the paths between its samples are
+    those of the shared model. It is 0 where the model is what flies. The second is of the
+    distance of two:
 
         σ² = 2 (σ_p² + (σ_v τ)² + (U (σ_u + σ_a) τ²/2)² + (σ_w τ²/2)²)
 
@@ -31,7 +30,7 @@ def margin(mission: Reconfiguration) -> float:
     Args:
         mission: Complete but for its margin.
     """
-    return 2 * _unmodelled(mission) + SIGMAS * _astray(mission)
+    return 2 * unmodelled(mission, mission.replan_steps) + SIGMAS * _astray(mission)
 
 
 def _astray(mission: Reconfiguration) -> float:
@@ -46,23 +45,26 @@ def _astray(mission: Reconfiguration) -> float:
     return float(np.linalg.norm(each) * 2**0.5)
 
 
-def _unmodelled(mission: Reconfiguration) -> float:
+def unmodelled(mission: Reconfiguration, steps: int) -> float:
+    """Largest error of the shared model over some steps, see `margin` [m].
+
+    It is taken from all starts and targets, at nine instants of the time asked for.
+    """
     if isinstance(mission.truth, Modelled):
         return 0.0
-    arrivals = np.cumsum([leg.steps for leg in mission.legs]) * mission.step
-    beginnings = [(mission.start, 0.0)]
-    beginnings += [(leg.targets, float(t)) for leg, t in zip(mission.legs, arrivals, strict=True)]
-    return max(_worst(mission, x, t) for x, t in beginnings)
+    whole = sum(leg.steps for leg in mission.legs) * mission.step
+    states = np.concatenate([mission.start, *(leg.targets for leg in mission.legs)])
+    return max(_worst(mission, states, t, steps) for t in np.linspace(0, whole, 9).tolist())
 
 
-def _worst(mission: Reconfiguration, states: Float[Array, "k n"], t: float) -> float:
-    tau = mission.replan_steps * mission.step
-    worst = 0.0
-    for rows in _lots(states, len(mission.start)):
-        for u in _pushes(mission):
-            held = np.tile(u, (len(rows), 1))
-            flown = mission.truth.fly(rows, held, t, tau)[-1]
-            off = (flown - _planned(mission, rows, held, t))[:, : mission.model.axes]
+def _worst(mission: Reconfiguration, states: Float[Array, "k n"], t: float, steps: int) -> float:
+    worst, held = 0.0, hold(mission.model, mission.step, steps, t)
+    for x in _lots(states, len(mission.start)):
+        for u in (mission.max_control, -mission.max_control):
+            push = np.full((len(x), mission.model.axes), u)
+            flown = mission.truth.fly(x, push, t, steps * mission.step)[-1]
+            planned = held.roll(x, np.repeat(push[:, None], steps, axis=1))[:, -1]
+            off = (flown - planned)[:, : mission.model.axes]
             worst = max(worst, float(np.nanmax(np.linalg.norm(off, axis=1))))
     return worst
 
@@ -73,31 +75,3 @@ def _lots(states: Float[Array, "k n"], agents: int) -> list[Float[Array, "agents
     padded = np.full((lots * agents, states.shape[1]), np.nan)
     padded[: len(states)] = states
     return list(padded.reshape(lots, agents, -1))
-
-
-def _pushes(mission: Reconfiguration) -> tuple[Float[Array, " d"], Float[Array, " d"]]:
-    # Of two opposite pushes one adds to the error without any, so nothing worse lies between.
-    full = np.full(mission.model.axes, mission.max_control)
-    return full, -full
-
-
-def _planned(
-    mission: Reconfiguration, x: Float[Array, "k n"], u: Float[Array, "k d"], t: float
-) -> Float[Array, "k n"]:
-    if (exact := mission.nonlinear) is None:
-        steps = hold(mission.model, mission.step, mission.replan_steps, t)
-        held = np.repeat(u[:, None], mission.replan_steps, axis=1)
-        return np.asarray(steps.roll(x, held)[:, -1])
-    there = np.isfinite(x).all(axis=1)
-    begin, push = x[there], u[there]
-    found = solve_ivp(
-        lambda s, y: exact.rate(s, y.reshape(begin.shape), push).ravel(),
-        (t, t + mission.replan_steps * mission.step),
-        begin.ravel(),
-        "DOP853",
-        rtol=RTOL,
-        atol=RTOL,
-    )
-    planned = np.full_like(x, np.nan)
-    planned[there] = found.y[:, -1].reshape(begin.shape)
-    return planned

@@ -8,6 +8,7 @@ from scipy.optimize import linear_sum_assignment
 from dynamics import DoubleIntegrator, hold
 from problems.auction_cost import price
 from sato.reconfiguration.mission import Reconfiguration
+from sato.scenario.margin import unmodelled
 from sato.scenario.tables import Plan
 
 TOLERANCE = 1e-6  # of the least spacing of the targets: what counts as there
@@ -20,11 +21,23 @@ def tolerances(mission: Reconfiguration, plan: Plan) -> tuple[float, float, floa
     alone = not isfinite(mission.spacing)
     s = mission.collision_radius if alone else mission.spacing
     astray, drifting = _missed(mission)
-    near = plan.position_tolerance_m or TOLERANCE * s + astray
+    wrong, sliding = _misled(mission) if plan.position_tolerance_m is None else (0.0, 0.0)
+    near = plan.position_tolerance_m or TOLERANCE * s + astray + wrong
     slow = plan.velocity_tolerance_m_s or (
-        (plan.position_tolerance_m or TOLERANCE * s) / mission.step + drifting
+        (plan.position_tolerance_m or TOLERANCE * s) / mission.step + drifting + sliding
     )
     return near, slow, mission.tie_break * s**2 / 2 or None if alone else None
+
+
+def _misled(mission: Reconfiguration) -> tuple[float, float]:
+    """How far a wrong model leaves an agent from its target [m], and how fast [m/s].
+
+    What it gets wrong is mended until the last plan, and no further; an acceleration that it
+    leaves out gains speed as twice the way over the time.
+    """
+    blind = max(1, mission.commit_steps) + mission.replan_steps - 1
+    wrong = unmodelled(mission, blind)
+    return wrong, 2 * wrong / (blind * mission.step)
 
 
 def _missed(mission: Reconfiguration) -> tuple[float, float]:

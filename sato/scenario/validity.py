@@ -5,6 +5,7 @@ import numpy as np
 from dynamics import hold
 from dynamics.j2 import J2
 from dynamics.orbit import Orbit
+from dynamics.plant import Modelled
 from sato.reconfiguration.mission import Reconfiguration
 
 PART = 0.1  # of the collision radius: the error from which on a model is no longer good
@@ -19,14 +20,14 @@ def doubt(mission: Reconfiguration, orbit: Orbit, kind: str) -> BeyondValidity |
 
     Compares it with the exact motion under J2: the free flight of all who are there at the
     start, until the end of the first leg. A model that is re-linearised about each agent's
-    own path is exact to first order everywhere.
+    own path is exact to first order everywhere, and a model that flies itself is what it is.
 
     Args:
         mission: What is to be flown.
         orbit: The chief's.
         kind: Of the model, as a scenario calls it.
     """
-    if mission.nonlinear is not None:
+    if mission.nonlinear is not None or isinstance(mission.truth, Modelled):
         return None
     start, steps = mission.start[mission.alive], mission.legs[0].steps
     T = steps * mission.step

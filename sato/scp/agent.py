@@ -29,7 +29,7 @@ RELENTING: tuple[tuple[Yield, Literal["near", "far", "stand"]], ...] = (
     ("arrival", "stand"),
     ("separation", "near"),
 )
-MOST_SOLVES = 20  # after which an agent that is clear stops improving (Proposition 4 keeps it safe)
+MOST_SOLVES = 20  # programmes, after which an agent stops improving (Proposition 4 keeps it safe)
 
 
 class Plan(NamedTuple):
@@ -141,7 +141,7 @@ def _around(agent: Planner, above: tuple[Plan, ...]) -> Planner:
     if agent.about is not None:
         agent = agent._replace(transfer=agent.about(agent.flight))
     others = Others.of(agent, above)
-    collides = not clear(agent.path, above, agent.horizon.keep)
+    collides = not clear(agent.path, above, agent.horizon.radius)
     ways = WAYS[agent.path.shape[-1]] if collides else ("near",)
     tried = [_past(agent, others, agent.path, way) for way in ways]
     passages, solves = [p for p in tried if p is not None], agent.solves + len(ways)
