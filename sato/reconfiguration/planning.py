@@ -119,7 +119,8 @@ def plan(
     ]
     events += _what_gave_way(mission, planners, late)
     chosen = {i: p.flight for i, p in planners.items()}
-    astray = {i for event in events for i in event["agents"]}
+    # Who comes too close to somebody may still arrive.
+    astray = {i for event in events if event["kind"] != "slack" for i in event["agents"]}
     ends = {i: int(minds.target[i]) for i in planners if i not in astray}
     return before.but(Plans(chosen, ends, dict.fromkeys(planners, moment.step))), events
 
