@@ -26,49 +26,48 @@ def climb(d, equations, pivots, exact):
     Returns ANSWERED, or OUT_OF_REACH with the direction of endless ascent in `ρ`, or
     UNPROVEN after too many pivots.
     """
-    M, n = d.used[0], len(d.w)
-    most = 0.0
+    M, n, most = d.used[0], len(d.w), 0.0
     for a in range(M):
         most = max(most, abs(d.b[a]))
-    tolerance = exact * (1 + most)
+    basis, sign, inverse, rows, α, ρ = d.basis, d.sign, d.inverse, d.rows, d.α, d.ρ
     for _ in range(pivots):
         if d.worn[0] and not start(d):
             break
-        out, worst, up = _who_leaves(d, tolerance)
+        out, worst, up = _who_leaves(d, exact * (1 + most))
         if out < 0:
             return ANSWERED
-        left = d.basis[out]
-        turn = -1.0 if left >= n else d.sign[out] if up else -d.sign[out]
-        d.α[:] = 0.0
+        left = basis[out]
+        turn = -1.0 if left >= n else sign[out] if up else -sign[out]
+        α[:] = 0.0
         for a in range(M):
-            step = d.ρ[a] = turn * d.inverse[a, out]
+            ρ[a] = turn * inverse[a, out]
             for j in range(d.reach[a]):
-                d.α[j] += d.rows[a, j] * step
+                α[j] += rows[a, j] * ρ[a]
         for i in range(M):
-            if d.basis[i] < n:
-                d.α[d.basis[i]] = 0.0
+            if basis[i] < n:
+                α[basis[i]] = 0.0
         if left < n:
             # It is a kink ahead too, where it is let go towards zero and beyond.
-            d.α[left] = turn
-            d.v[left] = d.sign[out] * d.w[left]
+            α[left] = turn
+            d.v[left] = sign[out] * d.w[left]
             if up:
-                flip(d, left, d.sign[out])
+                flip(d, left, sign[out])
         enter, t = _who_enters(d, equations, worst, np.sqrt(d.norm[out]))
         if enter < 0:
             return OUT_OF_REACH
         for k in range(n):
-            d.v[k] += t * d.α[k]
+            d.v[k] += t * α[k]
         for a in range(M):
-            d.λ[a] += t * d.ρ[a]
+            d.λ[a] += t * ρ[a]
         if left >= n:
             d.loose[left - n] = False
         if enter < n:
-            ahead = 1.0 if d.α[enter] > 0 else -1.0
-            d.sign[out] = d.state[enter] if d.state[enter] != 0.0 else ahead
+            ahead = 1.0 if α[enter] > 0 else -1.0
+            sign[out] = d.state[enter] if d.state[enter] != 0.0 else ahead
             flip(d, enter, 0.0)
         else:
-            d.sign[out], d.loose[enter - n], d.λ[enter - n] = 1.0, True, 0.0
-        d.basis[out] = enter
+            sign[out], d.loose[enter - n], d.λ[enter - n] = 1.0, True, 0.0
+        basis[out] = enter
         d.worn[0] = exchange(d, enter, out) < SHARP
     return UNPROVEN
 
@@ -77,22 +76,23 @@ def climb(d, equations, pivots, exact):
 @no_type_check
 def _who_leaves(d, tolerance):
     # The steepest way uphill: by how much a bound is broken, over the length of the direction.
-    M, n = d.used[0], len(d.w)
-    d.y[:M], d.norm[:M] = 0.0, 0.0
+    M, n, r, inverse, y, norm = d.used[0], len(d.w), d.r, d.inverse, d.y, d.norm
+    for i in range(M):
+        y[i], norm[i] = 0.0, 0.0
     for a in range(M):
-        r = d.r[a]
         for i in range(M):
-            d.y[i] += d.inverse[a, i] * r
-            d.norm[i] += d.inverse[a, i] ** 2
+            y[i] += inverse[a, i] * r[a]
+            norm[i] += inverse[a, i] ** 2
+    basis, sign = d.basis, d.sign
     out, worst, up, steepest = -1, 0.0, False, 0.0
     for i in range(M):
-        broken, over = -d.y[i], False
-        if d.basis[i] < n:
-            broken *= d.sign[i]
+        broken, over = -y[i], False
+        if basis[i] < n:
+            broken *= sign[i]
             over = -broken - 1.0 > broken
             broken = -broken - 1.0 if over else broken
-        if broken > tolerance and broken**2 > steepest * d.norm[i]:
-            out, worst, up, steepest = i, broken, over, broken**2 / d.norm[i]
+        if broken > tolerance and broken**2 > steepest * norm[i]:
+            out, worst, up, steepest = i, broken, over, broken**2 / norm[i]
     return out, worst, up
 
 
@@ -100,36 +100,38 @@ def _who_leaves(d, tolerance):
 @no_type_check
 def _who_enters(d, equations, slope, length):
     M, n, kinks = d.used[0], len(d.w), 0
+    w, v, α, state, when, who = d.w, d.v, d.α, d.state, d.when, d.who
     for j in range(n):
-        if abs(d.α[j]) < FLAT * length:
+        if abs(α[j]) < FLAT * length:
             continue
-        ahead = 1.0 if d.α[j] > 0 else -1.0
-        if d.state[j] == 0.0:
-            d.when[kinks], d.who[kinks] = max(0.0, (ahead * d.w[j] - d.v[j]) / d.α[j]), j
+        ahead = 1.0 if α[j] > 0 else -1.0
+        if state[j] == 0.0:
+            when[kinks], who[kinks] = max(0.0, (ahead * w[j] - v[j]) / α[j]), j
             kinks += 1
-        elif d.state[j] != ahead:
-            d.when[kinks], d.who[kinks] = max(0.0, (-ahead * d.w[j] - d.v[j]) / d.α[j]), j
-            d.when[kinks + 1], d.who[kinks + 1] = max(0.0, (ahead * d.w[j] - d.v[j]) / d.α[j]), j
+        elif state[j] != ahead:
+            when[kinks], who[kinks] = max(0.0, (-ahead * w[j] - v[j]) / α[j]), j
+            when[kinks + 1], who[kinks + 1] = max(0.0, (ahead * w[j] - v[j]) / α[j]), j
             kinks += 2
+    ρ, λ, loose = d.ρ, d.λ, d.loose
     for a in range(equations, M):
-        if not d.loose[a] and d.ρ[a] > THIN * length:
-            d.when[kinks], d.who[kinks] = max(0.0, -d.λ[a] / d.ρ[a]), n + a
+        if not loose[a] and ρ[a] > THIN * length:
+            when[kinks], who[kinks] = max(0.0, -λ[a] / ρ[a]), n + a
             kinks += 1
     for i in range(kinks // 2 - 1, -1, -1):
-        _sink(d.when, d.who, i, kinks)
+        _sink(when, who, i, kinks)
     while kinks > 0:
-        j = d.who[0]
+        j = who[0]
         if j >= n:
-            return j, d.when[0]  # no slack is negative: behind this kink the dual falls at once
-        slope -= abs(d.α[j])
+            return j, when[0]  # no slack is negative: behind this kink the dual falls at once
+        slope -= abs(α[j])
         if slope <= 0.0:
-            return j, d.when[0]
+            return j, when[0]
         kinks -= 1
-        d.when[0], d.who[0] = d.when[kinks], d.who[kinks]
-        _sink(d.when, d.who, 0, kinks)
+        when[0], who[0] = when[kinks], who[kinks]
+        _sink(when, who, 0, kinks)
         # Passed: the control flips from one bound to nothing, or from nothing to a bound.
-        ahead = 1.0 if d.α[j] > 0 else -1.0
-        flip(d, j, ahead if d.state[j] == 0.0 else 0.0)
+        ahead = 1.0 if α[j] > 0 else -1.0
+        flip(d, j, ahead if state[j] == 0.0 else 0.0)
     return -1, 0.0
 
 

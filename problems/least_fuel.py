@@ -126,16 +126,16 @@ def _answer(
     lots: int,
 ) -> tuple[Float[Array, "questions T i"], Float[Array, " questions"]]:
     s, T, i = C.shape
-    rows = Whitened.of(C.reshape(s, T * i))
-    Q, (whitened, missed) = rows.Q, rows.ask(b, U)
+    white = Whitened.of(C.reshape(s, T * i))
+    Q, (whitened, missed) = white.rows, white.ask(b, U)
     w = np.repeat(weight, i)
-    if Q.shape[1] == 0:
+    if len(Q) == 0:
         u, dual = np.zeros((len(b), T * i)), np.zeros(len(b))
         u[missed], dual[missed] = np.nan, np.inf
         return u.reshape(len(b), T, i), dual
     lots = max(1, min(len(b), lots))
     first = np.arange(lots + 1) * len(b) // lots
-    shared = Shared(Q, w, np.zeros((0, 1, len(Q))))
+    shared = Shared(Q, w, np.zeros((0, 1, T * i)))
     found = answer(shared, whitened / U, np.zeros((len(b), 0, 1)), first, PIVOTS)
     u, dual = U * found.x, U * found.bound
     for q in np.flatnonzero(found.status == UNPROVEN):
@@ -145,14 +145,14 @@ def _answer(
 
 
 def _ask_highs(
-    Q: Float[Array, "N r"], b: Float[Array, " r"], U: float, w: Float[Array, " N"]
+    Q: Float[Array, "r N"], b: Float[Array, " r"], U: float, w: Float[Array, " N"]
 ) -> tuple[Float[Array, " N"], float]:
     """One question by another way; the dual is infinite where it is out of reach."""
     from problems.solvers import solve_highs
 
-    N, r = Q.shape
+    r, N = Q.shape
     box = np.vstack([np.eye(2 * N), -np.eye(2 * N)])
-    A = np.vstack([np.concatenate([Q.T, -Q.T], axis=1), box])
+    A = np.vstack([np.concatenate([Q, -Q], axis=1), box])
     limits = np.concatenate([b / U, np.ones(2 * N), np.zeros(2 * N)])
     problem = Conic(np.concatenate([w, w]), csc_array(A), limits, r, 4 * N)
     try:

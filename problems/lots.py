@@ -2,6 +2,7 @@
 
 import os
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, no_type_check
 from zlib import crc32
@@ -11,8 +12,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
-from problems import speed_cuts
 from problems.proof import Shared
+from problems.speed_cuts import solve_lot
+
+PARTS = 8  # of the work, for each core
+FEW = 500  # questions without a speed limit, which one core answers before others are awake
 
 
 class Answers(NamedTuple):
@@ -40,7 +44,7 @@ def answer(
         first: The question with which each lot begins, and at the end how many there are.
         pivots: After how many a climb is given up.
     """
-    questions, N = len(b), len(shared.Q)
+    questions, N = len(b), len(shared.w)
     found = Answers(
         np.empty((questions, N)),
         np.empty(questions),
@@ -48,17 +52,20 @@ def answer(
         np.empty(questions, np.int64),
     )
 
-    def one(lot: int) -> None:
-        here = slice(first[lot], first[lot + 1])
-        _solve_lot(shared, b[here], free[here], pivots, *(field[here] for field in found))
+    def some(bounds: Array) -> None:
+        here = slice(bounds[0], bounds[-1])
+        fields = (field[here] for field in found)
+        _solve_lots(shared, b[here], free[here], bounds - bounds[0], pivots, *fields)
 
-    lots = [lot for lot in range(len(first) - 1) if first[lot] < first[lot + 1]]
-    if len(lots) < 2:
-        for lot in lots:
-            one(lot)
+    # Some take far longer than others: many parts of the work keep every core busy.
+    threads, lots = os.cpu_count() or 1, len(first) - 1
+    parts = min(lots, PARTS * threads)
+    if parts < 2 or (len(shared.push) == 0 and questions < FEW):
+        some(first)
         return found
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        list(pool.map(one, lots))
+    cuts = np.arange(parts + 1) * lots // parts
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(some, (first[a : b + 1] for a, b in pairwise(cuts))))
     return found
 
 
@@ -67,13 +74,14 @@ def _kernel(stamp: int) -> Any:
     # stamp is of all the files that are compiled into this one function.
     @numba.njit(cache=True, nogil=True)
     @no_type_check
-    def solve_lot(shared, b, free, pivots, x, bound, status, rounds):
-        if stamp >= 0:
-            speed_cuts.solve_lot(shared, b, free, pivots, x, bound, status, rounds)
+    def solve_lots(shared, b, free, first, pivots, x, bound, status, rounds):
+        for lot in range(len(first) - 1 if stamp >= 0 else 0):
+            l = slice(first[lot], first[lot + 1])  # noqa: E741
+            solve_lot(shared, b[l], free[l], pivots, x[l], bound[l], status[l], rounds[l])
 
-    return solve_lot
+    return solve_lots
 
 
 _FILES = ("dual_simplex", "polish", "proof", "speed_cuts", "tableau")
 _SOURCES = (Path(__file__).with_name(f"{name}.py").read_bytes() for name in _FILES)
-_solve_lot = _kernel(crc32(b"".join(_SOURCES)))
+_solve_lots = _kernel(crc32(b"".join(_SOURCES)))

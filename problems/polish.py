@@ -17,6 +17,8 @@ import numba
 import numpy as np
 from numpy import ndarray as Array
 
+from problems.tableau import dot
+
 STEPS = 6
 CLOSE = 1e-13  # of a root
 LOST = 10.0  # a residual from which nothing good comes
@@ -84,9 +86,7 @@ def _gather(g, shared, question):
     for i in range(K):
         k = g.limited[i]
         for c in range(g.velocity.shape[1]):
-            g.velocity[i, c] = question.free[k, c]
-            for j in range(len(g.x)):
-                g.velocity[i, c] += shared.push[k, c, j] * g.x[j]
+            g.velocity[i, c] = question.free[k, c] + dot(shared.push[k, c], g.x, len(g.x))
             for f in range(F):
                 g.push[i, c, f] = shared.push[k, c, g.free[f]]
 
@@ -113,11 +113,9 @@ def _residuals(g, shared, question):
                     A[f, h] += part * g.push[i, c, h]
         r[F + m + i] = (1 - square) / 2
     for a in range(m):
-        r[F + a] = question.b[a]
-        for j in range(len(g.x)):
-            r[F + a] -= shared.Q[j, a] * g.x[j]
+        r[F + a] = question.b[a] - dot(shared.rows[a], g.x, len(g.x))
         for f in range(F):
-            A[F + a, f] = shared.Q[g.free[f], a]
+            A[F + a, f] = shared.rows[a, g.free[f]]
             A[f, F + a] = -A[F + a, f]
     for f in range(F):
         r[f] = -shared.w[g.free[f]] * g.sign[f]

@@ -1,10 +1,10 @@
 """What an answer or a verdict is worth, recomputed from its numbers alone, compiled.
 
-    minimise  Σ_j w_j |x_j|  subject to  Qᵀx = b,  |x_j| ≤ 1,  ‖s_k + P_k x‖₂ ≤ 1
+    minimise  Σ_j w_j |x_j|  subject to  Q x = b,  |x_j| ≤ 1,  ‖s_k + P_k x‖₂ ≤ 1
 
 with velocities s_k + P_k x, everything in units of the limits. For any λ and p_k whatever
 
-    λᵀb + Σ_k (p_kᵀs_k − ‖p_k‖₂) − Σ_j max(0, |v_j| − w_j),   v = Q λ − Σ_k P_kᵀp_k
+    λᵀb + Σ_k (p_kᵀs_k − ‖p_k‖₂) − Σ_j max(0, |v_j| − w_j),   v = Qᵀλ − Σ_k P_kᵀp_k
 
 is a lower bound on the cost; and where it is positive with w = 0, no x keeps the limits.
 """
@@ -16,6 +16,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from problems.tableau import dot
+
 PROVEN = 1e-9  # relative; an answer with a larger residual or gap is not proven
 GAP = 3e-8  # the same for the gap where speeds are at the limit; most have 1e-14
 
@@ -25,9 +27,9 @@ ANSWERED, OUT_OF_REACH, UNPROVEN = 0, 1, 2
 class Shared(NamedTuple):
     """What many questions have in common: all but b and s."""
 
-    Q: Float[Array, "N m"]  # with orthonormal columns
+    rows: Float[Array, "m N"]  # Q, of orthonormal rows
     w: Float[Array, " N"]
-    push: Float[Array, "K d N"]  # P; no K where no speed is limited
+    push: Float[Array, "K d N"]  # P, with zeros for what is burnt later; K = 0 without a limit
 
 
 class Question(NamedTuple):
@@ -41,14 +43,12 @@ class Question(NamedTuple):
 @no_type_check
 def judge(shared, question, x, λ, p):
     """Whether controls keep every limit and cost what the bound says, and the bound."""
-    Q, b = shared.Q, question.b
+    rows, b = shared.rows, question.b
     bound, _ = _bound(shared, question, λ, p, 1.0)
     price, missing, most = 0.0, 0.0, 0.0
     for a in range(len(b)):
-        rest = b[a]
-        for j in range(len(x)):
-            rest -= Q[j, a] * x[j]
-        missing, most = max(missing, abs(rest)), max(most, abs(b[a]))
+        missing = max(missing, abs(b[a] - dot(rows[a], x, len(x))))
+        most = max(most, abs(b[a]))
     for j in range(len(x)):
         if abs(x[j]) > 1:
             return UNPROVEN, bound
@@ -77,9 +77,7 @@ def speeds(shared, question, x, velocity):
     for k in range(K):
         square = 0.0
         for c in range(d):
-            velocity[k, c] = question.free[k, c]
-            for j in range(n):
-                velocity[k, c] += shared.push[k, c, j] * x[j]
+            velocity[k, c] = question.free[k, c] + dot(shared.push[k, c], x, n)
             square += velocity[k, c] ** 2
         largest = max(largest, square)
     return np.sqrt(largest)
@@ -89,14 +87,14 @@ def speeds(shared, question, x, velocity):
 @no_type_check
 def _bound(shared, question, λ, p, weight):
     # The bound with weights times a number, and the sum of the sizes of its terms.
-    Q, b, (n, m) = shared.Q, question.b, shared.Q.shape
+    rows, b, (m, n) = shared.rows, question.b, shared.rows.shape
     v = np.zeros(n)
     value, size = 0.0, 0.0
     for a in range(m):
         value += λ[a] * b[a]
         size += abs(λ[a] * b[a])
         for j in range(n):
-            v[j] += Q[j, a] * λ[a]
+            v[j] += rows[a, j] * λ[a]
     for k in range(len(p)):
         square = 0.0
         for c in range(p.shape[1]):

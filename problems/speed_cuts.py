@@ -26,7 +26,7 @@ from problems.proof import (
     shows_out_of_reach,
     speeds,
 )
-from problems.tableau import add_row, desk, drop_row, read
+from problems.tableau import add_row, desk, dot, drop_row, read
 
 ROUNDS = 200
 REPAIRS = 10  # of a basis that has lost its accuracy
@@ -56,9 +56,9 @@ class Limits(NamedTuple):
 @no_type_check
 def solve_lot(shared, b, free, pivots, x, bound, status, rounds):
     """Answer one question after the other, each from where the one before began its cuts."""
-    (n, m), (K, axes, _) = shared.Q.shape, shared.push.shape
+    (m, n), (K, axes, _) = shared.rows.shape, shared.push.shape
     room = ROOM + 3 * K if K > 0 else 0
-    d, g = desk(shared.Q, shared.w, room), guess(n, m, K, axes)
+    d, g = desk(shared.rows, shared.w, room), guess(n, m, K, axes)
     cuts = Cuts(np.zeros(room, np.int64), np.zeros((room, axes)), np.ones(room))
     limits = Limits(np.zeros((K, axes)), np.zeros((K, axes)), np.zeros((K, axes)))
     basis, sign = d.basis[:m].copy(), d.sign[:m].copy()
@@ -87,7 +87,7 @@ def _solve(shared, question, d, g, cuts, limits, pivots, basis, sign, x):
             _together(d, cuts, m, d.ρ, limits.p)
             if shows_out_of_reach(shared, question, d.ρ, limits.p):
                 return OUT_OF_REACH, np.inf, turn
-        if ended != ANSWERED or _drifted(d, x, exact):
+        if ended != ANSWERED or (d.used[0] > m and _drifted(d, x, exact)):
             repairs += 1
             if repairs > REPAIRS:
                 return UNPROVEN, np.nan, turn
@@ -123,9 +123,7 @@ def _drifted(d, x, exact):
     # Whether rows do not hold that should at this basis.
     worst = 0.0
     for a in range(d.used[0]):
-        rest = d.b[a]
-        for j in range(d.reach[a]):
-            rest -= d.rows[a, j] * x[j]
+        rest = d.b[a] - dot(d.rows[a], x, d.reach[a])
         worst = max(worst, -rest if d.loose[a] else abs(rest))
     return worst > 1e-9 + 100 * exact
 
@@ -220,7 +218,7 @@ def _cut(shared, question, d, cuts, limits):
         M = d.used[0]
         if M >= len(d.b):
             return False
-        normal, row, size = cuts.normal[M - m], d.rows[M], 0.0
+        normal, row = cuts.normal[M - m], d.rows[M]
         row[:], d.b[M], d.reach[M] = 0.0, 1.0, (k + 1) * (n // (K + 1))
         for c in range(axes):
             # Where Newton's method would go is where the limit will be met.
@@ -229,9 +227,8 @@ def _cut(shared, question, d, cuts, limits):
             d.b[M] -= normal[c] * question.free[k, c]
             for j in range(d.reach[M]):
                 row[j] += normal[c] * shared.push[k, c, j]
-        for j in range(n):
-            size += row[j] ** 2
-        size = np.sqrt(size) if size > NOTHING**2 else 1.0
+        size = np.sqrt(dot(row, row, n))
+        size = size if size > NOTHING else 1.0
         for j in range(n):
             row[j] /= size
         d.b[M] /= size

@@ -41,16 +41,26 @@ class Desk(NamedTuple):
     who: Array
 
 
+@numba.njit(fastmath={"reassoc"})  # in any order, so that it runs several terms wide
+@no_type_check
+def dot(a, b, count):
+    """Σ_j a_j b_j over the first so many."""
+    total = 0.0
+    for j in range(count):
+        total += a[j] * b[j]
+    return total
+
+
 @numba.njit
 @no_type_check
-def desk(Q, w, room):
-    """An empty desk for equations Qᵀx = b, with room for more rows."""
-    n, m = Q.shape
+def desk(first, w, room):
+    """An empty desk for equations with given coefficients, with room for more rows."""
+    m, n = first.shape
     size = m + room
     rows, inverse, lines = np.zeros((size, n)), np.empty((size, size)), np.zeros((7, size))
-    rows[:m] = Q.T
+    rows[:m] = first
     basis, kinks = np.zeros(size, np.int64), 2 * n + size
-    basis[:m] = first_basis(Q)
+    basis[:m] = first_basis(first)
     return Desk(
         rows,
         np.full(size, n),
@@ -78,10 +88,10 @@ def desk(Q, w, room):
 
 @numba.njit
 @no_type_check
-def first_basis(Q):
+def first_basis(rows):
     """Greedy: each column is the one that reaches furthest out of the span of those before."""
-    n, m = Q.shape
-    rest = Q.copy()
+    m, n = rows.shape
+    rest = rows.T.copy()
     basis = np.empty(m, np.int64)
     for i in range(m):
         best, size = 0, -1.0
@@ -106,47 +116,45 @@ def first_basis(Q):
 @no_type_check
 def start(d):
     """Everything anew from rows, basis and signs; False where that is no basis."""
-    M, n = d.used[0], len(d.w)
+    M, n, rows, inverse, basis, sign = d.used[0], len(d.w), d.rows, d.inverse, d.basis, d.sign
     for a in range(M):
         for i in range(M):
-            d.inverse[a, i] = 1.0 if a == i else 0.0
-        d.loose[a] = False
+            inverse[a, i] = 1.0 if a == i else 0.0
     for i in range(M):
         # Columns enter one by one where they pivot best: the inverse, by Gauss and Jordan.
         best, size = i, -1.0
         for k in range(i, M):
-            j, along = d.basis[k], 0.0
+            j, along = basis[k], 0.0
             if j < n:
                 for a in range(M):
-                    along += d.inverse[a, i] * d.rows[a, j]
+                    along += inverse[a, i] * rows[a, j]
             else:
-                along = d.inverse[j - n, i]
+                along = inverse[j - n, i]
             if abs(along) > size:
                 best, size = k, abs(along)
         if not size > SINGULAR:
             return False
-        d.basis[i], d.basis[best] = d.basis[best], d.basis[i]
-        d.sign[i], d.sign[best] = d.sign[best], d.sign[i]
-        exchange(d, d.basis[i], i)
+        basis[i], basis[best] = basis[best], basis[i]
+        sign[i], sign[best] = sign[best], sign[i]
+        exchange(d, basis[i], i)
+    w, v, λ, state, loose = d.w, d.v, d.λ, d.state, d.loose
+    v[:] = 0.0
     for a in range(M):
-        d.λ[a] = 0.0
+        λ[a], loose[a] = 0.0, False
         for i in range(M):
-            if d.basis[i] < n:
-                d.λ[a] += d.sign[i] * d.w[d.basis[i]] * d.inverse[a, i]
-    for i in range(M):
-        if d.basis[i] >= n:
-            d.loose[d.basis[i] - n] = True
-    d.v[:] = 0.0
-    for a in range(M):
+            if basis[i] < n:
+                λ[a] += sign[i] * w[basis[i]] * inverse[a, i]
         for j in range(d.reach[a]):
-            d.v[j] += d.rows[a, j] * d.λ[a]
+            v[j] += rows[a, j] * λ[a]
     for j in range(n):
-        d.state[j] = 1.0 if d.v[j] > d.w[j] else -1.0 if d.v[j] < -d.w[j] else 0.0
+        state[j] = 1.0 if v[j] > w[j] else -1.0 if v[j] < -w[j] else 0.0
     for i in range(M):
-        if d.basis[i] < n:
-            d.state[d.basis[i]] = 0.0
+        if basis[i] < n:
+            state[basis[i]] = 0.0
+        else:
+            loose[basis[i] - n] = True
     for a in range(M):
-        _what_is_left(d, a)
+        d.r[a] = d.b[a] - dot(rows[a], state, d.reach[a])
     d.worn[0] = False
     return True
 
@@ -166,7 +174,7 @@ def add_row(d):
                 d.inverse[a, M] -= along * d.inverse[a, i]
     d.inverse[M, M] = 1.0
     d.basis[M], d.sign[M], d.λ[M], d.loose[M] = n + M, 1.0, 0.0, True
-    _what_is_left(d, M)
+    d.r[M] = d.b[M] - dot(d.rows[M], d.state, d.reach[M])
     d.used[0] = M + 1
 
 
@@ -195,22 +203,24 @@ def drop_row(d, row):
 @no_type_check
 def exchange(d, column, out):
     """Let a column into a basis; how small the pivot is against its neighbours."""
-    M, n = d.used[0], len(d.w)
-    if column < n:
-        d.place[:M] = 0.0
-        for a in range(M):
-            part = d.rows[a, column]
-            for i in range(M):
-                d.place[i] += d.inverse[a, i] * part
-    else:
-        d.place[:M] = d.inverse[column - n, :M]
-    pivot, largest = d.place[out], np.abs(d.place[:M]).max()
-    d.place[out] = 0.0
-    for a in range(M):
-        part = d.inverse[a, out] / pivot
+    M, rows, inverse, place = d.used[0], d.rows, d.inverse, d.place
+    if column < len(d.w):
         for i in range(M):
-            d.inverse[a, i] -= d.place[i] * part
-        d.inverse[a, out] = part
+            place[i] = 0.0
+        for a in range(M):
+            for i in range(M):
+                place[i] += inverse[a, i] * rows[a, column]
+    else:
+        place[:M] = inverse[column - len(d.w), :M]
+    pivot, largest = place[out], 0.0
+    for i in range(M):
+        largest = max(largest, abs(place[i]))
+    place[out] = 0.0
+    for a in range(M):
+        part = inverse[a, out] / pivot
+        for i in range(M):
+            inverse[a, i] -= place[i] * part
+        inverse[a, out] = part
     return abs(pivot) / largest
 
 
@@ -222,14 +232,6 @@ def flip(d, j, new):
     for a in range(d.used[0]):
         d.r[a] -= change * d.rows[a, j]
     d.state[j] = new
-
-
-@numba.njit
-@no_type_check
-def _what_is_left(d, a):
-    d.r[a] = d.b[a]
-    for j in range(len(d.w)):
-        d.r[a] -= d.state[j] * d.rows[a, j]
 
 
 @numba.njit

@@ -11,14 +11,14 @@ from problems.proof import PROVEN
 
 @dataclass(frozen=True, eq=False)
 class Whitened:
-    """Qᵀu = b' in place of C u = b.
+    """Q u = b' in place of C u = b.
 
     With fewer steps than it takes to reach every state, what no control reaches is left
     out, and questions that ask for it are listed.
     """
 
-    Q: Float[Array, "N r"]
-    factor: Float[Array, "s r"]  # L of C = L Qᵀ, in the units below
+    rows: Float[Array, "r N"]  # Q
+    factor: Float[Array, "s r"]  # L of C = L Q, in the units below
     unit: Float[Array, " s"]  # of the rows of C
     full: bool  # whether no row had to be left out
 
@@ -30,12 +30,12 @@ class Whitened:
             return cls(np.zeros((0, 0)), np.zeros((s, 0)), np.ones(s), False)
         if np.linalg.matrix_rank(columns) == s:
             Q, R = np.linalg.qr(columns.T)
-            return cls(np.ascontiguousarray(Q), R.T, np.ones(s), True)
+            return cls(np.ascontiguousarray(Q.T), R.T, np.ones(s), True)
         # States in metres and in metres a second are made comparable before a rank is read.
         unit = np.maximum(np.abs(columns).max(axis=1, initial=0.0), 1e-300)
         left, size, right = np.linalg.svd(columns / unit[:, None], full_matrices=False)
         keep = size > 1e-12 * size.max(initial=0.0)
-        return cls(np.ascontiguousarray(right[keep].T), left[:, keep] * size[keep], unit, False)
+        return cls(right[keep], left[:, keep] * size[keep], unit, False)
 
     def ask(
         self, b: Float[Array, "questions s"], U: float

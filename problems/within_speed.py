@@ -77,7 +77,7 @@ class WithinSpeed:
         T, _, m = transfer.steps.B.shape
         pairs, (drift, flow) = len(start), self._coasting
         free = drift + np.tensordot(start, flow, 1)
-        white, missed = self._rows.ask(goal - free[:, T], U)
+        white, missed = self._white.ask(goal - free[:, T], U)
         found = answer(
             self._shared,
             white / U,
@@ -110,7 +110,7 @@ class WithinSpeed:
         return SpeedCones(self.transfer)
 
     @cached_property
-    def _rows(self) -> Whitened:
+    def _white(self) -> Whitened:
         return Whitened.of(self.transfer.response[0][-1])
 
     @cached_property
@@ -120,7 +120,7 @@ class WithinSpeed:
         weight = transfer.weight if transfer.slope >= SLOPE else ends_first(T, SLOPE)
         per = transfer.max_control / transfer.max_speed
         push = np.ascontiguousarray(transfer.response[0][1:T, m:]) * per
-        return Shared(self._rows.Q, np.repeat(weight, m), push)
+        return Shared(self._white.rows, np.repeat(weight, m), push)
 
     @cached_property
     def _coasting(self) -> tuple[Float[Array, "instants n"], Float[Array, "n instants n"]]:

@@ -67,12 +67,17 @@ def test_a_price_is_of_its_pair_alone(seed, which):
     np.testing.assert_array_equal(part.reachable, whole.reachable[np.ix_(agents, targets)])
 
 
+@pytest.mark.parametrize("ask", [price, exact])
 @both
-def test_what_an_agent_pays_does_not_know_where_another_is_to_the_last_bit(rng, steps, size, U):
+def test_what_an_agent_pays_does_not_know_where_another_is_to_the_last_bit(
+    rng, steps, size, U, ask
+):
     start, goals = swarm(rng, steps, size, 9, 30)
-    before = price(steps, start, goals, U)
+    V = 2.5 * size / (len(steps) * steps.dt)
+    before = ask(steps, start, goals, U, V)
+    assert 20 < (~price(steps, start, goals, U, V).exact).sum() < 200
     start[4] += size
-    after = price(steps, start, goals, U)
+    after = ask(steps, start, goals, U, V)
     others = np.arange(9) != 4
     np.testing.assert_array_equal(before.fuel[others], after.fuel[others])
     assert (before.fuel[4] != after.fuel[4]).any()
@@ -117,6 +122,7 @@ def test_a_speed_limit_is_priced_exactly_pair_by_pair(rng, steps, U, V, few):
     binds = ~lower.exact
     assert 0.03 < binds.mean() < 0.7
     assert prices.exact.all()
+    assert prices.gap < 2e-7  # that of the slope which breaks ties, and that of the proof
     np.testing.assert_array_equal(prices.fuel[~binds], lower.fuel[~binds])
     dearer = 0
     for i, j in [*np.argwhere(binds)[:25], *np.argwhere(~binds & lower.reachable)[:5]]:

@@ -218,7 +218,7 @@ def test_an_answer_that_cannot_be_proven_is_asked_of_highs(rng, monkeypatch):
 
     def ask(Q, b, U, w):
         asked.append(b)
-        return np.zeros(len(Q)), 0.0
+        return np.zeros(Q.shape[1]), 0.0
 
     monkeypatch.setattr(module, "_ask_highs", ask)
     least_fuel(plane, b, 0.1, even(20))

@@ -1,0 +1,92 @@
+"""What proofs are worth: no bound above a cost, no proof against what can be done."""
+
+import ast
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import problems.lots as lots
+from problems.lots import answer
+from problems.proof import ANSWERED, PROVEN, Question, Shared, judge, shows_out_of_reach
+
+seeds = st.integers(0, 2**32 - 1)
+N, M, K, D = 15, 3, 4, 2
+
+
+def programme(rng):
+    """Coefficients, controls inside the box, and the question that they are an answer to."""
+    rows = np.linalg.qr(rng.normal(size=(N, M)))[0].T.copy()
+    push = rng.normal(size=(K, D, N)) / 3
+    for k in range(K):
+        push[k, :, (k + 1) * N // (K + 1) :] = 0  # what is burnt later changes no speed
+    shared = Shared(rows, rng.uniform(0.5, 1.5, N), push)
+    x = rng.uniform(-1, 1, N) * (rng.random(N) < 0.5)
+    free = rng.normal(size=(K, D)) / 3
+    free /= max(1.0, 1.02 * np.linalg.norm(free + shared.push @ x, axis=1).max())
+    x /= max(1.0, 1.02 * np.linalg.norm(free + shared.push @ x, axis=1).max())
+    inside = np.linalg.norm(free + shared.push @ x, axis=1).max() <= 1
+    return shared, Question(rows @ x, free), x, inside
+
+
+def best(shared, question):
+    return answer(shared, question.b[None], question.free[None], np.array([0, 1]), 1000)
+
+
+@settings(max_examples=60)
+@given(seeds, st.floats(-3, 3))
+def test_no_bound_is_above_a_cost_that_is_paid(seed, power):
+    rng = np.random.default_rng(seed)
+    shared, question, x, inside = programme(rng)
+    λ, p = 10**power * rng.normal(size=M), 10**power * rng.normal(size=(K, D))
+    _, bound = judge(shared, question, x, λ, p)
+    if inside:
+        assert bound <= shared.w @ np.abs(x) + 1e-9 * 10**power
+        assert not shows_out_of_reach(shared, question, λ, p)
+
+
+@settings(max_examples=40)
+@given(seeds)
+def test_what_is_found_costs_no_more_than_what_is_known(seed):
+    shared, question, x, inside = programme(np.random.default_rng(seed))
+    found = best(shared, question)
+    if inside:
+        assert found.status[0] == ANSWERED
+        assert shared.w @ np.abs(found.x[0]) <= (shared.w @ np.abs(x)) * (1 + 1e-7) + 1e-9
+    if found.status[0] == ANSWERED:
+        assert np.abs(shared.rows @ found.x[0] - question.b).max() <= 2e-9
+        speed = np.linalg.norm(question.free + shared.push @ found.x[0], axis=1)
+        assert speed.max() <= 1 + 2 * PROVEN
+
+
+@pytest.mark.parametrize("spoilt", ["answer", "box", "speed", "price", "bound"])
+def test_an_answer_that_is_spoilt_is_not_proven(rng, spoilt):
+    # Along a line, one step of it: x = b, and the bound of λ = w is w |b|.
+    shared = Shared(np.ones((1, 1)), np.ones(1), np.ones((1, 1, 1)))
+    b, free, x, λ = np.array([0.5]), np.array([[0.2]]), np.array([0.5]), np.ones(1)
+    p = np.zeros((1, 1))
+    assert judge(shared, Question(b, free), x, λ, p) == (ANSWERED, 0.5)
+    if spoilt == "answer":
+        b = b + 1e-7
+    elif spoilt == "box":
+        b, x = b + 0.6, x + 0.6
+    elif spoilt == "speed":
+        free = free + 0.3 + 1e-7
+    elif spoilt == "price":
+        x = -x
+    else:
+        λ = 0.9 * λ
+    assert judge(shared, Question(b, free), x, λ, p)[0] != ANSWERED
+
+
+def test_the_kernel_is_compiled_anew_when_any_of_its_files_changes():
+    folder, known, todo = Path(lots.__file__).parent, set(), {"speed_cuts"}
+    while todo:
+        name = todo.pop()
+        known.add(name)
+        tree = ast.parse((folder / f"{name}.py").read_text())
+        names = {n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
+        todo |= {n.removeprefix("problems.") for n in names if n.startswith("problems.")} - known
+    assert known == set(lots._FILES)
