@@ -18,7 +18,7 @@ SHARP = 1e-7  # a pivot, against the others of its column, after which all is co
 THIN = 1e-8  # the same for slacks, behind which there is no slope at all: too small a pivot
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 @no_type_check
 def climb(d, equations, pivots, exact):
     """Walk uphill to the top of the dual, after computing everything anew where the desk is worn.
@@ -72,7 +72,7 @@ def climb(d, equations, pivots, exact):
     return UNPROVEN
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 @no_type_check
 def _who_leaves(d, tolerance):
     # The steepest way uphill: by how much a bound is broken, over the length of the direction.
@@ -96,7 +96,7 @@ def _who_leaves(d, tolerance):
     return out, worst, up
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 @no_type_check
 def _who_enters(d, equations, slope, length):
     M, n, kinks = d.used[0], len(d.w), 0
@@ -135,7 +135,7 @@ def _who_enters(d, equations, slope, length):
     return -1, 0.0
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 @no_type_check
 def _sink(when, who, i, count):
     t, j = when[i], who[i]

@@ -3,17 +3,14 @@
 import os
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
-from pathlib import Path
-from typing import Any, NamedTuple, no_type_check
-from zlib import crc32
+from typing import NamedTuple
 
-import numba
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from problems.proof import Shared
-from problems.speed_cuts import solve_lot
+from problems.speed_cuts import solve_lots
 
 PARTS = 8  # of the work, for each core
 FEW = 500  # questions without a speed limit, which one core answers before others are awake
@@ -55,7 +52,7 @@ def answer(
     def some(bounds: Array) -> None:
         here = slice(bounds[0], bounds[-1])
         fields = (field[here] for field in found)
-        _solve_lots(shared, b[here], free[here], bounds - bounds[0], pivots, *fields)
+        solve_lots(shared, b[here], free[here], bounds - bounds[0], pivots, *fields)
 
     # Some take far longer than others: many parts of the work keep every core busy.
     threads, lots = os.cpu_count() or 1, len(first) - 1
@@ -67,21 +64,3 @@ def answer(
     with ThreadPoolExecutor(threads) as pool:
         list(pool.map(some, (first[a : b + 1] for a, b in pairwise(cuts))))
     return found
-
-
-def _kernel(stamp: int) -> Any:
-    # Numba compiles anew when the file of a function changes, or what it closes over. The
-    # stamp is of all the files that are compiled into this one function.
-    @numba.njit(cache=True, nogil=True)
-    @no_type_check
-    def solve_lots(shared, b, free, first, pivots, x, bound, status, rounds):
-        for lot in range(len(first) - 1 if stamp >= 0 else 0):
-            l = slice(first[lot], first[lot + 1])  # noqa: E741
-            solve_lot(shared, b[l], free[l], pivots, x[l], bound[l], status[l], rounds[l])
-
-    return solve_lots
-
-
-_FILES = ("dual_simplex", "polish", "proof", "speed_cuts", "tableau")
-_SOURCES = (Path(__file__).with_name(f"{name}.py").read_bytes() for name in _FILES)
-_solve_lots = _kernel(crc32(b"".join(_SOURCES)))

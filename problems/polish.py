@@ -40,7 +40,7 @@ class Guess(NamedTuple):
     push: Array
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 @no_type_check
 def guess(n, m, K, d):
     """An empty guess."""
@@ -51,7 +51,7 @@ def guess(n, m, K, d):
     return Guess(parts, free, sign, limited, x, λ, μ, velocity, matrix, right, push)
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 @no_type_check
 def polish(g, shared, question):
     """Improve a guess to the root; False where it leads nowhere."""
@@ -79,7 +79,7 @@ def polish(g, shared, question):
     return False
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 @no_type_check
 def _gather(g, shared, question):
     F, K = g.parts
@@ -91,7 +91,7 @@ def _gather(g, shared, question):
                 g.push[i, c, f] = shared.push[k, c, g.free[f]]
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 @no_type_check
 def _residuals(g, shared, question):
     # Fills the matrix and the right-hand side of a Newton step; returns the largest residual.
@@ -127,7 +127,7 @@ def _residuals(g, shared, question):
     return np.abs(r[:size]).max()
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 @no_type_check
 def _solve(A, r, size):
     # Gauss with partial pivoting, in place.

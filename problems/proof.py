@@ -39,7 +39,7 @@ class Question(NamedTuple):
     free: Float[Array, "K d"]  # s, the velocities without control
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 @no_type_check
 def judge(shared, question, x, λ, p):
     """Whether controls keep every limit and cost what the bound says, and the bound."""
@@ -60,7 +60,7 @@ def judge(shared, question, x, λ, p):
     return (ANSWERED if proven else UNPROVEN), bound
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 @no_type_check
 def shows_out_of_reach(shared, question, λ, p):
     """Whether the dual grows without bound along a direction."""
@@ -68,7 +68,7 @@ def shows_out_of_reach(shared, question, λ, p):
     return value > 1e-13 * size
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 @no_type_check
 def speeds(shared, question, x, velocity):
     """The largest speed under given controls; the velocities are written in place."""
@@ -83,7 +83,7 @@ def speeds(shared, question, x, velocity):
     return np.sqrt(largest)
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 @no_type_check
 def _bound(shared, question, λ, p, weight):
     # The bound with weights times a number, and the sum of the sizes of its terms.

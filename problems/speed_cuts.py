@@ -8,7 +8,9 @@ from there. The value never rises above the optimum. Once all speeds are near th
 by `proof` before it counts.
 """
 
-from typing import NamedTuple, no_type_check
+from pathlib import Path
+from typing import Any, NamedTuple, no_type_check
+from zlib import crc32
 
 import numba
 import numpy as np
@@ -26,9 +28,9 @@ from problems.proof import (
     shows_out_of_reach,
     speeds,
 )
-from problems.tableau import add_row, desk, dot, drop_row, read
+from problems.tableau import add_row, copy, desk, dot, drop_row, read
 
-ROUNDS = 200
+ROUNDS = 100
 REPAIRS = 10  # of a basis that has lost its accuracy
 ROOM = 100  # for cuts, and three more a step
 NEAR = 1e-2  # by which speeds may be above the limit when Newton's method is tried
@@ -52,28 +54,7 @@ class Limits(NamedTuple):
     normal: Array  # where Newton's method would have the velocity; zero where it says nothing
 
 
-@numba.njit
-@no_type_check
-def solve_lot(shared, b, free, pivots, x, bound, status, rounds):
-    """Answer one question after the other, each from where the one before began its cuts."""
-    (m, n), (K, axes, _) = shared.rows.shape, shared.push.shape
-    room = ROOM + 3 * K if K > 0 else 0
-    d, g = desk(shared.rows, shared.w, room), guess(n, m, K, axes)
-    cuts = Cuts(np.zeros(room, np.int64), np.zeros((room, axes)), np.ones(room))
-    limits = Limits(np.zeros((K, axes)), np.zeros((K, axes)), np.zeros((K, axes)))
-    basis, sign = d.basis[:m].copy(), d.sign[:m].copy()
-    for q in range(len(b)):
-        d.used[0], d.worn[0] = m, True
-        d.basis[:m], d.sign[:m], d.b[:m] = basis, sign, b[q]
-        question = Question(b[q], free[q])
-        status[q], bound[q], rounds[q] = _solve(
-            shared, question, d, g, cuts, limits, pivots, basis, sign, x[q]
-        )
-        if status[q] != ANSWERED:
-            x[q] = np.nan
-
-
-@numba.njit
+@numba.njit(error_model="numpy")
 @no_type_check
 def _solve(shared, question, d, g, cuts, limits, pivots, basis, sign, x):
     # Climb and cut until no speed is above the limit.
@@ -81,7 +62,8 @@ def _solve(shared, question, d, g, cuts, limits, pivots, basis, sign, x):
     for turn in range(ROUNDS):
         ended = climb(d, m, pivots, exact)
         if turn == 0:
-            basis[:], sign[:] = d.basis[:m], d.sign[:m]
+            copy(basis, d.basis, m)
+            copy(sign, d.sign, m)
         read(d, x)
         if ended == OUT_OF_REACH:
             _together(d, cuts, m, d.ρ, limits.p)
@@ -93,7 +75,7 @@ def _solve(shared, question, d, g, cuts, limits, pivots, basis, sign, x):
                 return UNPROVEN, np.nan, turn
             if ended == UNPROVEN:
                 exact *= 10
-                _back(d, basis, sign)
+                _back(d, basis, sign, m)
             d.worn[0] = True
             continue
         over = speeds(shared, question, x, limits.velocity) - 1.0
@@ -117,7 +99,7 @@ def _solve(shared, question, d, g, cuts, limits, pivots, basis, sign, x):
     return UNPROVEN, np.nan, ROUNDS
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 @no_type_check
 def _drifted(d, x, exact):
     # Whether rows do not hold that should at this basis.
@@ -128,17 +110,18 @@ def _drifted(d, x, exact):
     return worst > 1e-9 + 100 * exact
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 @no_type_check
-def _back(d, basis, sign):
-    # To the basis without cuts; these stay, with their slacks basic.
-    m = len(basis)
-    d.basis[:m], d.sign[:m] = basis, sign
+def _back(d, basis, sign, m):
+    # To a basis without cuts; these stay, with their slacks basic.
+    d.worn[0] = True
+    copy(d.basis, basis, m)
+    copy(d.sign, sign, m)
     for a in range(m, d.used[0]):
         d.basis[a], d.sign[a] = len(d.w) + a, 1.0
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 @no_type_check
 def _together(d, cuts, m, λ, p):
     p[:] = 0.0
@@ -148,12 +131,13 @@ def _together(d, cuts, m, λ, p):
             p[cuts.step[i], c] -= part * cuts.normal[i, c]
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 @no_type_check
 def _jump(shared, question, d, g, limits, x):
     # To where Newton's method leads; the controls are changed only if that is the answer.
     m, (K, axes) = len(question.b), limits.p.shape
-    g.x[:], g.λ[:] = x, d.λ[:m]
+    copy(g.x, x, len(x))
+    copy(g.λ, d.λ, m)
     controls, limited = 0, 0
     for i in range(d.used[0]):
         if d.basis[i] < len(x):
@@ -174,8 +158,9 @@ def _jump(shared, question, d, g, limits, x):
     for i in range(limited):
         k = g.limited[i]
         right &= g.μ[i] >= 0.0
-        limits.normal[k] = g.velocity[i]
-        limits.p[k] = g.μ[i] * g.velocity[i]
+        for c in range(axes):
+            limits.normal[k, c] = g.velocity[i, c]
+            limits.p[k, c] = g.μ[i] * g.velocity[i, c]
     for j in range(len(x)):
         right &= abs(g.x[j]) <= 1 + PROVEN
         g.x[j] = min(max(g.x[j], -1.0), 1.0)
@@ -183,11 +168,11 @@ def _jump(shared, question, d, g, limits, x):
         return UNPROVEN, np.nan
     verdict, bound = judge(shared, question, g.x, g.λ, limits.p)
     if verdict == ANSWERED:
-        x[:] = g.x
+        copy(x, g.x, len(x))
     return verdict, bound
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 @no_type_check
 def _drop(d, cuts, m):
     # Cuts that the velocity does not touch; it comes back to few of them.
@@ -199,10 +184,10 @@ def _drop(d, cuts, m):
             d.y[i] = d.y[end]
             drop_row(d, row)
             cuts.step[row - m], cuts.size[row - m] = cuts.step[end - m], cuts.size[end - m]
-            cuts.normal[row - m] = cuts.normal[end - m]
+            copy(cuts.normal[row - m], cuts.normal[end - m], cuts.normal.shape[1])
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 @no_type_check
 def _cut(shared, question, d, cuts, limits):
     # One half-space for each speed above the limit; False where there is no room.
@@ -235,3 +220,36 @@ def _cut(shared, question, d, cuts, limits):
         cuts.step[M - m], cuts.size[M - m] = k, size
         add_row(d)
     return True
+
+
+def _kernel(stamp: int) -> Any:
+    # Numba compiles anew when the file of a function changes, or what it closes over. The
+    # stamp is of all the files that are compiled into this one function.
+    @numba.njit(cache=True, nogil=True, error_model="numpy")
+    @no_type_check
+    def solve_lots(shared, b, free, first, pivots, x, bound, status, rounds):
+        (m, n), (K, axes, _) = shared.rows.shape, shared.push.shape
+        room = ROOM + 3 * K if K > 0 else 0
+        for lot in range(len(first) - 1 if stamp >= 0 else 0):
+            d, g = desk(shared.rows, shared.w, room), guess(n, m, K, axes)
+            cuts = Cuts(np.zeros(room, np.int64), np.zeros((room, axes)), np.ones(room))
+            limits = Limits(np.zeros((K, axes)), np.zeros((K, axes)), np.zeros((K, axes)))
+            basis, sign = d.basis.copy(), d.sign.copy()
+            for q in range(first[lot], first[lot + 1]):
+                # From where the one before in the lot began its cuts.
+                d.used[0] = m
+                _back(d, basis, sign, m)
+                copy(d.b, b[q], m)
+                question = Question(b[q], free[q])
+                status[q], bound[q], rounds[q] = _solve(
+                    shared, question, d, g, cuts, limits, pivots, basis, sign, x[q]
+                )
+                if status[q] != ANSWERED:
+                    x[q] = np.nan
+
+    return solve_lots
+
+
+FILES = ("dual_simplex", "polish", "proof", "speed_cuts", "tableau")
+_SOURCES = (Path(__file__).with_name(f"{name}.py").read_bytes() for name in FILES)
+solve_lots = _kernel(crc32(b"".join(_SOURCES)))

@@ -41,7 +41,15 @@ class Desk(NamedTuple):
     who: Array
 
 
-@numba.njit(fastmath={"reassoc"})  # in any order, so that it runs several terms wide
+@numba.njit(error_model="numpy")
+@no_type_check
+def copy(into, source, count):
+    """The first so many numbers; assigning a slice takes a hundred times as long to compile."""
+    for i in range(count):
+        into[i] = source[i]
+
+
+@numba.njit(error_model="numpy", fastmath={"reassoc"})  # any order: several terms at a time
 @no_type_check
 def dot(a, b, count):
     """Σ_j a_j b_j over the first so many."""
@@ -51,16 +59,17 @@ def dot(a, b, count):
     return total
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 @no_type_check
 def desk(first, w, room):
     """An empty desk for equations with given coefficients, with room for more rows."""
     m, n = first.shape
     size = m + room
     rows, inverse, lines = np.zeros((size, n)), np.empty((size, size)), np.zeros((7, size))
-    rows[:m] = first
     basis, kinks = np.zeros(size, np.int64), 2 * n + size
-    basis[:m] = first_basis(first)
+    for a in range(m):
+        copy(rows[a], first[a], n)
+    copy(basis, first_basis(first), m)
     return Desk(
         rows,
         np.full(size, n),
@@ -86,7 +95,7 @@ def desk(first, w, room):
     )
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 @no_type_check
 def first_basis(rows):
     """Greedy: each column is the one that reaches furthest out of the span of those before."""
@@ -112,7 +121,7 @@ def first_basis(rows):
     return basis
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 @no_type_check
 def start(d):
     """Everything anew from rows, basis and signs; False where that is no basis."""
@@ -159,14 +168,13 @@ def start(d):
     return True
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 @no_type_check
 def add_row(d):
     """Take into use the row that was written after the last one, a_iᵀx ≤ b_i."""
     M, n = d.used[0], len(d.w)
-    d.inverse[M, :M] = 0.0
     for a in range(M + 1):
-        d.inverse[a, M] = 0.0
+        d.inverse[a, M] = d.inverse[M, a] = 0.0
     for i in range(M):
         if d.basis[i] < n:
             along = d.rows[M, d.basis[i]]
@@ -178,7 +186,7 @@ def add_row(d):
     d.used[0] = M + 1
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 @no_type_check
 def drop_row(d, row):
     """Forget an added row whose slack is basic; the last row takes its number."""
@@ -190,8 +198,9 @@ def drop_row(d, row):
     d.basis[out], d.sign[out] = d.basis[end], d.sign[end]
     for a in range(M):
         d.inverse[a, out] = d.inverse[a, end]
-    d.inverse[row, :end] = d.inverse[end, :end]
-    d.rows[row], d.reach[row] = d.rows[end], d.reach[end]
+    copy(d.inverse[row], d.inverse[end], end)
+    copy(d.rows[row], d.rows[end], n)
+    d.reach[row] = d.reach[end]
     d.b[row], d.λ[row], d.r[row], d.loose[row] = d.b[end], d.λ[end], d.r[end], d.loose[end]
     for i in range(end):
         if d.basis[i] == n + end:
@@ -199,7 +208,7 @@ def drop_row(d, row):
     d.used[0] = end
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 @no_type_check
 def exchange(d, column, out):
     """Let a column into a basis; how small the pivot is against its neighbours."""
@@ -211,7 +220,7 @@ def exchange(d, column, out):
             for i in range(M):
                 place[i] += inverse[a, i] * rows[a, column]
     else:
-        place[:M] = inverse[column - len(d.w), :M]
+        copy(place, inverse[column - len(d.w)], M)
     pivot, largest = place[out], 0.0
     for i in range(M):
         largest = max(largest, abs(place[i]))
@@ -224,7 +233,7 @@ def exchange(d, column, out):
     return abs(pivot) / largest
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 @no_type_check
 def flip(d, j, new):
     """Put a control that is not basic at another of −1, 0 and 1."""
@@ -234,11 +243,11 @@ def flip(d, j, new):
     d.state[j] = new
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 @no_type_check
 def read(d, x):
     """The controls at this basis, within their bounds."""
-    x[:] = d.state
+    copy(x, d.state, len(x))
     for i in range(d.used[0]):
         if d.basis[i] < len(x):
             x[d.basis[i]] = min(max(d.y[i], -1.0), 1.0)

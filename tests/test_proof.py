@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import problems.lots as lots
+import problems.speed_cuts as speed_cuts
 from problems.lots import answer
 from problems.proof import ANSWERED, PROVEN, Question, Shared, judge, shows_out_of_reach
 
@@ -82,11 +82,11 @@ def test_an_answer_that_is_spoilt_is_not_proven(rng, spoilt):
 
 
 def test_the_kernel_is_compiled_anew_when_any_of_its_files_changes():
-    folder, known, todo = Path(lots.__file__).parent, set(), {"speed_cuts"}
+    folder, known, todo = Path(speed_cuts.__file__).parent, set(), {"speed_cuts"}
     while todo:
         name = todo.pop()
         known.add(name)
         tree = ast.parse((folder / f"{name}.py").read_text())
         names = {n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
         todo |= {n.removeprefix("problems.") for n in names if n.startswith("problems.")} - known
-    assert known == set(lots._FILES)
+    assert known == set(speed_cuts.FILES)
