@@ -486,7 +486,15 @@ def test_two_who_look_further_than_they_hear_collide_and_it_is_said(home):
     assert summary["min_separation_m"] < 0.5 * summary["collision_radius_m"]
 
 
-def test_a_signal_waits_for_the_next_instant_and_keeps_what_was_flown(home):
+@pytest.fixture
+def interruptible():
+    # Who starts the tests in the background may have had the signal ignored.
+    former = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, former)
+
+
+def test_a_signal_waits_for_the_next_instant_and_keeps_what_was_flown(home, interruptible):
     def interrupt(mission, frame):
         if frame.time >= 3:
             signal.raise_signal(signal.SIGINT)
