@@ -1,0 +1,161 @@
+"""What gains must satisfy in one of the two directions, and what bounds their rate."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Inexact
+from numpy import ndarray as Array
+from scipy.linalg import cho_factor, cho_solve, eigvalsh
+
+NOTHING = 1e-9  # of what it could be: taken for zero
+ROUNDED = 1e-13  # relative: what eigenvalues are exact to
+
+
+class NoMatrix(RuntimeError):
+    """The graph and the kernel leave no matrix but those of trace 0.
+
+    Attributes:
+        dual: Matrix Y on the non-edges with Qᴴ Y Q = I, which proves it.
+    """
+
+    def __init__(self, dual: Inexact[Array, "n n"]) -> None:
+        super().__init__("no matrix with this graph and kernel has a positive trace")
+        self.dual = dual
+
+
+class Split(NamedTuple):
+    """A matrix parted in two by a projection."""
+
+    kept: Inexact[Array, "n n"]  # L, the nearest that fits
+    dropped: Inexact[Array, "n n"]  # Y, what stood at the non-edges
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """How fast can a formation be made to form, in the plane or upwards?
+
+    maximise t  subject to  L ⪰ t (I − K Kᴴ),  L K = 0,  tr L = m,  L_ij = 0 at non-edges
+
+    over Hermitian L; the gain is −L, and its rate t. The kernel K is complex in the plane
+    and real upwards [Lusk2020, eq. 5 and 7]; m = n − r counts the eigenvalues that are not
+    in it, so that their mean is 1. With Q the complement of K and L = Q Z Qᴴ this is the
+    programme in Z that the paper states.
+
+    The dual is over Hermitian Y with entries at the non-edges alone:
+
+    minimise −l / (μ − l),   l = λ_min(Qᴴ Y Q),   μ = tr(Qᴴ Y Q) / m
+    """
+
+    kernel: Inexact[Array, "n r"]  # K, of orthonormal columns
+    graph: Bool[Array, "n n"]
+
+    @property
+    def m(self) -> int:
+        """The number of eigenvalues outside the kernel."""
+        n, r = self.kernel.shape
+        return int(n - r)
+
+    @property
+    def complete(self) -> bool:
+        """Whether the graph lacks no edge."""
+        return bool(self._keep.all())
+
+    def project(self, W: Inexact[Array, "n n"]) -> Inexact[Array, "n n"]:
+        """The nearest Hermitian L with L K = 0, tr L = m and zeros at the non-edges.
+
+        Raises:
+            NoMatrix: There is none.
+        """
+        return self.split(W).kept
+
+    def split(self, W: Inexact[Array, "n n"]) -> Split:
+        """The projection of a Hermitian matrix and what it drops at the non-edges.
+
+        Raises:
+            NoMatrix: There is none to project on.
+        """
+        kept, dropped = self._part(W)
+        unit, rest = self._unit
+        lack = (self.m - kept.trace().real) / unit.trace().real
+        return Split(kept + lack * unit, dropped + lack * rest)
+
+    def rate(self, L: Inexact[Array, "n n"]) -> float:
+        """The least eigenvalue of L on the complement of the kernel."""
+        return float(eigvalsh(self.lift(L), subset_by_index=[0, 0], check_finite=False)[0])
+
+    def bound(self, Y: Inexact[Array, "n n"]) -> float:
+        """A rate that no L exceeds, from any Hermitian Y on the non-edges.
+
+        Proof. Let W = Qᴴ Y Q and S = W − l I, positive semidefinite by the choice of l.
+        For every L = Q Z Qᴴ of the question ⟨W, Z⟩ = ⟨Y, L⟩ = 0, so ⟨S, Z⟩ = −l m. With
+        Z ⪰ t I follows t tr S ≤ −l m, and tr S = (μ − l) m. It does not matter where Y
+        comes from. Entries at edges are left out here, so that the proof always holds.
+        """
+        Y = np.where(self._keep, 0, Y + Y.conj().T)
+        inside = Y - self.kernel @ (self.kernel.conj().T @ Y)
+        inside = inside - (inside @ self.kernel) @ self.kernel.conj().T
+        if np.linalg.norm(inside) <= NOTHING * np.linalg.norm(Y):
+            return 1.0  # the mean of all eigenvalues
+        least, mean = self.rate(inside), float(inside.trace().real) / self.m
+        if mean - least <= ROUNDED * abs(mean):
+            return -np.inf  # W = c I, and c tr Z = 0 has no answer
+        return min(1.0, -least / (mean - least))
+
+    def lift(self, L: Inexact[Array, "n n"]) -> Inexact[Array, "n n"]:
+        """L with the zero eigenvalues of its kernel lifted above all others."""
+        K = self.kernel
+        return np.asarray(L + (1 + np.linalg.norm(L)) * (K @ K.conj().T))
+
+    @cached_property
+    def _keep(self) -> Array:
+        return np.asarray(self.graph | np.eye(len(self.graph), dtype=bool))
+
+    @cached_property
+    def _unit(self) -> tuple[Array, Array]:
+        # Of what fits but for its trace, I is the farthest; and its square size is its trace.
+        unit, rest = self._part(np.eye(len(self.graph), dtype=self.kernel.dtype))
+        if unit.trace().real <= NOTHING * self.m:
+            raise NoMatrix(rest)
+        return unit, rest
+
+    def _part(self, W: Array) -> tuple[Array, Array]:
+        # The projection without the trace: L = E∘(W + X Kᴴ + K Xᴴ) with X such that L K = 0,
+        # E being 1 at the diagonal and the edges. Passes repair what the shift in _factor did.
+        K = self.kernel
+        for _ in range(3):
+            miss = np.where(self._keep, W, 0) @ K
+            half = self._multiplier(miss) @ K.conj().T
+            W = W - half - half.conj().T
+        return np.where(self._keep, W, 0), np.where(self._keep, 0, W)
+
+    def _multiplier(self, miss: Array) -> Array:
+        # X with E∘(X Kᴴ + K Xᴴ) K = miss: linear in the real and imaginary parts of X.
+        solved = cho_solve(self._factor, _parts(miss).ravel(), check_finite=False)
+        return _joined(solved.reshape(-1, *miss.shape))
+
+    @cached_property
+    def _factor(self) -> tuple[Array, bool]:
+        # X ↦ G X + H X̄ in real and imaginary parts, symmetric and positive semidefinite. Some X
+        # change nothing, as K times an antihermitian matrix; the shift makes it definite.
+        K, (n, r) = self.kernel, self.kernel.shape
+        G = np.zeros((n, r, n, r), dtype=K.dtype)
+        G[np.arange(n), :, np.arange(n)] = np.einsum("ij,ja,jb->iab", self._keep, K, K.conj())
+        H = np.einsum("ij,ja,ib->iajb", self._keep, K, K)
+        G, H = G.reshape(n * r, n * r), H.reshape(n * r, n * r)
+        if np.iscomplexobj(K):
+            T = np.block([[G.real + H.real, H.imag - G.imag], [G.imag + H.imag, G.real - H.real]])
+        else:
+            T = G + H
+        T[np.diag_indices_from(T)] += 1e-9
+        factor, lower = cho_factor(T, overwrite_a=True, check_finite=False)
+        return factor, lower
+
+
+def _parts(X: Array) -> Array:
+    return np.stack([X.real, X.imag]) if np.iscomplexobj(X) else X[None]
+
+
+def _joined(parts: Array) -> Array:
+    return np.asarray(parts[0] + 1j * parts[1] if len(parts) == 2 else parts[0])
