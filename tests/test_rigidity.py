@@ -1,0 +1,187 @@
+"""Rigidity, against counting, connectivity and graphs with a name."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.sparse.csgraph import connected_components
+
+from problems.rigidity import (
+    flexes,
+    globally_rigid,
+    infinitesimally_rigid,
+    redundantly_rigid,
+    rigid,
+    rigidity_matrix,
+)
+
+seeds = st.integers(0, 10**6)
+
+
+def graph_of(n, *pairs):
+    graph = np.zeros((n, n), dtype=bool)
+    for i, j in pairs:
+        graph[i, j] = graph[j, i] = True
+    return graph
+
+
+def complete(n):
+    return ~np.eye(n, dtype=bool)
+
+
+def without(graph, i, j):
+    return graph & ~graph_of(len(graph), (i, j))
+
+
+def bipartite(a, b):
+    return graph_of(a + b, *((i, a + j) for i in range(a) for j in range(b)))
+
+
+def random_graph(rng, n, share):
+    upper = np.triu(rng.random((n, n)) < share, 1)
+    return upper | upper.T
+
+
+@given(seeds)
+def test_a_flex_keeps_all_lengths_and_is_no_motion_of_the_whole(seed):
+    rng = np.random.default_rng(seed)
+    d = int(rng.integers(2, 4))
+    points, graph = rng.normal(size=(7, d)) + 50, random_graph(rng, 7, 0.4)
+    R = rigidity_matrix(points, graph)
+    moves = flexes(points, graph)
+    assert len(moves) >= d * 7 - d * (d + 1) // 2 - len(R)
+    for v in moves:
+        np.testing.assert_allclose(R @ v.ravel(), 0, atol=1e-10)
+        np.testing.assert_allclose(v.sum(axis=0), 0, atol=1e-10)
+        spin = points.T @ v
+        np.testing.assert_allclose(spin, spin.T, atol=1e-8)
+
+
+@given(seeds)
+def test_turning_shifting_and_scaling_the_points_changes_nothing(seed):
+    rng = np.random.default_rng(seed)
+    points, graph = rng.normal(size=(6, 3)), random_graph(rng, 6, 0.7)
+    moved = 1e3 * points @ np.linalg.qr(rng.normal(size=(3, 3)))[0] + [1e4, -1e4, 3]
+    assert len(flexes(points, graph)) == len(flexes(moved, graph))
+
+
+def test_edges_change_length_as_the_rigidity_matrix_says(rng):
+    points, graph, v = rng.normal(size=(6, 3)), random_graph(rng, 6, 0.6), rng.normal(size=(6, 3))
+    i, j = np.nonzero(np.triu(graph, 1))
+
+    def halves(t):
+        moved = points + t * v
+        return np.sum((moved[i] - moved[j]) ** 2, axis=1) / 2
+
+    slope = (halves(1e-6) - halves(-1e-6)) / 2e-6
+    np.testing.assert_allclose(rigidity_matrix(points, graph) @ v.ravel(), slope, atol=1e-8)
+
+
+def laman(graph):
+    """Rigid in the plane, by counting: 2n − 3 edges, at most 2k − 3 of them among any k."""
+    n = len(graph)
+    pairs = list(zip(*np.nonzero(np.triu(graph, 1)), strict=True))
+    crowds = [set(c) for k in range(2, n + 1) for c in combinations(range(n), k)]
+    return any(
+        all(sum(i in c and j in c for i, j in some) <= 2 * len(c) - 3 for c in crowds)
+        for some in combinations(pairs, 2 * n - 3)
+    )
+
+
+def test_in_the_plane_rigid_is_what_laman_counts(rng):
+    verdicts = set()
+    for _ in range(25):
+        graph = random_graph(rng, 5, 0.75)
+        verdicts.add(rigid(graph, 2, rng))
+        assert rigid(graph, 2, rng) == laman(graph)
+    assert verdicts == {True, False}
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_redundantly_rigid_is_rigid_without_any_one_edge(rng, dimension):
+    verdicts = set()
+    for _ in range(40):
+        graph = random_graph(rng, 7, rng.uniform(0.6, 1))
+        pairs = zip(*np.nonzero(np.triu(graph, 1)), strict=True)
+        one_by_one = all(rigid(without(graph, i, j), dimension, rng) for i, j in pairs)
+        verdicts.add(one_by_one)
+        assert redundantly_rigid(graph, dimension, rng) == one_by_one
+    assert verdicts == {True, False}
+
+
+def three_connected(graph):
+    n = len(graph)
+    rests = (np.setdiff1d(range(n), pair) for pair in combinations(range(n), 2))
+    return all(connected_components(graph[np.ix_(r, r)])[0] == 1 for r in rests)
+
+
+def test_in_the_plane_globally_rigid_is_redundantly_rigid_and_three_connected(rng):
+    # [Jackson2005]
+    verdicts = set()
+    for _ in range(60):
+        graph = random_graph(rng, 8, rng.uniform(0.35, 0.7))
+        expected = redundantly_rigid(graph, 2, rng) and three_connected(graph)
+        verdicts.add(expected)
+        assert globally_rigid(graph, 2, rng) == expected
+    assert verdicts == {True, False}
+
+
+@pytest.mark.parametrize(
+    ("name", "graph", "dimension", "is_rigid", "is_redundant", "is_global"),
+    [
+        ("triangle", complete(3), 2, True, False, True),
+        ("square", graph_of(4, (0, 1), (1, 2), (2, 3), (3, 0)), 2, False, False, False),
+        ("square, one diagonal", without(complete(4), 0, 1), 2, True, False, False),
+        ("K4", complete(4), 2, True, True, True),
+        ("K3,3", bipartite(3, 3), 2, True, False, False),
+        ("K3,4", bipartite(3, 4), 2, True, True, True),
+        ("tetrahedron", complete(4), 3, True, False, True),
+        ("octahedron", complete(6) & ~np.eye(6, k=3, dtype=bool) & ~np.eye(6, k=-3, dtype=bool),
+         3, True, False, False),
+        ("K5", complete(5), 3, True, True, True),
+        ("K4,6", bipartite(4, 6), 3, True, False, False),
+        ("K5,5", bipartite(5, 5), 3, True, True, False),  # [Connelly1991]
+    ],
+)  # fmt: skip
+def test_graphs_with_a_name_are_as_the_literature_has_them(
+    rng, name, graph, dimension, is_rigid, is_redundant, is_global
+):
+    assert rigid(graph, dimension, rng) == is_rigid
+    assert redundantly_rigid(graph, dimension, rng) == is_redundant
+    assert globally_rigid(graph, dimension, rng) == is_global
+
+
+def test_the_double_banana_has_edges_enough_and_turns_about_its_ends(rng):
+    graph = np.zeros((8, 8), dtype=bool)
+    for banana in ([0, 1, 2, 3, 4], [0, 1, 5, 6, 7]):
+        graph[np.ix_(banana, banana)] = without(complete(5), 0, 1)
+    assert graph.sum() == 2 * (3 * 8 - 6)
+    assert len(flexes(rng.normal(size=(8, 3)), graph)) == 1
+    assert not rigid(graph, 3, rng)
+
+
+def test_points_on_a_circle_may_move_where_others_do_not(rng):
+    # K3,3 moves exactly if its points lie on a conic.
+    angle = rng.uniform(0, 2 * np.pi, 6)
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    assert rigid(bipartite(3, 3), 2, rng)
+    assert len(flexes(circle, bipartite(3, 3))) == 1
+
+
+def test_a_flat_shape_is_never_rigid_in_space(rng):
+    flat = np.c_[rng.normal(size=(6, 2)), np.full(6, 1.5)]
+    assert len(flexes(flat, complete(6))) == 3
+    assert infinitesimally_rigid(flat[:, :2], complete(6))
+
+
+def test_points_on_a_line_are_held_along_it_only(rng):
+    line = np.outer(rng.normal(size=5), [1.0, 2.0, 0.5])
+    assert len(flexes(line, complete(5))) == 2 * 3  # across, but for shifts and turns
+
+
+def test_an_edge_alone_is_rigid(rng):
+    assert rigid(complete(2), 2, rng)
+    assert globally_rigid(complete(2), 3, rng)
+    assert not globally_rigid(without(complete(4), 0, 1), 3, rng)
