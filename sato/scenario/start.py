@@ -12,11 +12,10 @@ from sato.reconfiguration.mission import least_distance
 from sato.scenario.refusal import Refusal, upward
 from sato.scenario.shape import Lattice, Picture, Points, Polygon, Ring, Shape, Text, centre, rows
 from sato.scenario.units import Table
+from sato.shapes.random_formation import FULL, NoRoom, apart
 
 DRAWINGS = 200  # of a whole swarm, before its network is given up
-MISSES = 10_000  # in a row, before the box is called full
 HEARD = 10  # neighbours on average in a box of no stated size: enough to hang together
-FULL = {2: 0.4, 3: 0.25}  # part of the box that agents fill when drawing is still quick
 
 
 class Place(NamedTuple):
@@ -89,19 +88,18 @@ class Random(Table):
         place: Place,
         rng: np.random.Generator,
     ) -> Float[Array, "count d"]:
-        points = np.concatenate([place.taken, np.empty((count, place.axes))])
         half = np.array([box, box, box if self.depth_m is None else self.depth_m]) / 2
         half = half[: place.axes]
-        last = len(points)
-        k, misses = len(place.taken), 0
-        while k < last:
-            thrown = middle + rng.uniform(-half, half)
-            if np.all(np.sum((points[:k] - thrown) ** 2, axis=1) >= self.separation_m**2):
-                points[k] = thrown
-                k, misses = k + 1, 0
-            elif (misses := misses + 1) == MISSES:
-                raise Refusal("box_m", self._full(count, box, k - len(place.taken), place))
-        return points[len(place.taken) :]
+        try:
+            return apart(
+                lambda: middle + rng.uniform(-half, half),
+                count,
+                self.separation_m,
+                place.taken,
+                place.axes,
+            )
+        except NoRoom as full:
+            raise Refusal("box_m", self._full(count, box, full.done, place)) from full
 
     def _full(self, count: int, box: float, done: int, place: Place) -> str:
         s, everyone = self.separation_m, count + len(place.taken)

@@ -43,7 +43,7 @@ def points(
     """
     if count is not None:
         check_count(count)
-    listed = _read(Path(path))
+    listed = read(Path(path))
     if count is not None and count > len(listed):
         raise ValueError(f"{path} lists {len(listed)} points, fewer than the {count} asked for")
     middle = (listed.min(axis=0) + listed.max(axis=0)) / 2
@@ -52,18 +52,15 @@ def points(
     return place(draft, spacing=spacing, size=None, minimum_spacing=minimum_spacing, centre=centre)
 
 
-def _read(path: Path) -> Float[Array, "k d"]:
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except FileNotFoundError as error:
-        raise ValueError(f"there is no file {path}") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path} cannot be read as a list of points: {error}") from error
+def read(path: Path) -> Float[Array, "k d"]:
+    """Every point of the file, where it is and in its order.
+
+    Raises:
+        ValueError: The file cannot be read, a line is not a point, or two points coincide.
+    """
     rows: list[list[float]] = []
     numbers: list[int] = []
-    for number, line in enumerate(lines, start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
+    for number, line in data_lines(path, "points"):
         cells = [cell.strip() for cell in next(csv.reader([line]))]
         if not rows and ",".join(cells).lower() in HEADERS:
             continue
@@ -74,6 +71,25 @@ def _read(path: Path) -> Float[Array, "k d"]:
     listed = np.array(rows)
     _refuse_twins(path, listed, numbers)
     return listed
+
+
+def data_lines(path: Path, what: str) -> list[tuple[int, str]]:
+    """Lines of a CSV file and their numbers, without the empty ones and the comments.
+
+    Raises:
+        ValueError: There is no such file, or it is not text.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except FileNotFoundError as error:
+        raise ValueError(f"there is no file {path}") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} cannot be read as a list of {what}: {error}") from error
+    return [
+        (number, line)
+        for number, line in enumerate(lines, start=1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
 
 
 def _point(path: Path, number: int, cells: list[str], columns: int | None) -> list[float]:
