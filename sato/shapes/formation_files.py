@@ -1,6 +1,7 @@
 """Formations and graphs as files: CSV of points in metres, CSV of pairs of vertices."""
 
 import csv
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -80,7 +81,7 @@ def write_graph(path: str | Path, graph: Bool[Array, "n n"]) -> None:
     _write(Path(path), ["vertex", "neighbour"], np.argwhere(np.triu(graph, 1)).tolist())
 
 
-def _write(path: Path, titles: list[str], rows: list[list[float]]) -> None:
+def _write(path: Path, titles: list[str], rows: Sequence[Sequence[float]]) -> None:
     lines = [",".join(titles), *(",".join(map(str, row)) for row in rows)]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
