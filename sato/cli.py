@@ -163,6 +163,41 @@ def export(
         typer.echo(str(write(run, out or _folder_of(folder) / HOME.get(form, form), form)))
 
 
+@app.command()
+def gains(
+    formation: Annotated[
+        str | None,
+        typer.Argument(metavar="NAME|FILE.csv", help="Of the library, or points in metres."),
+    ] = None,
+    graph: Annotated[
+        str,
+        typer.Option(metavar="own|complete|FILE", help="Or pairs of vertices, counted from 0."),
+    ] = "own",
+    method: Annotated[
+        str, typer.Option(metavar="auto|projection|sdp|admm|paper", help="How they are found.")
+    ] = "auto",
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE.npz", help="Where to write; gains/NAME.npz.")
+    ] = None,
+    known: Annotated[bool, typer.Option("--list", help="List the library and stop.")] = False,
+) -> None:
+    """Design the gains of a formation; write them with what is certain of them."""
+    with _plainly():
+        from sato.gains_command import asked, home_of, make, tell_formations
+
+        if known:
+            tell_formations()
+            raise typer.Exit(DONE)
+        if formation is None:
+            raise ValueError("gains takes a formation, NAME or FILE.csv; --list has the names")
+        shape = asked(formation, graph)
+        file = out or home_of(shape)
+        if file.suffix != ".npz" or file.is_dir():
+            raise ValueError(f"{file}: --out takes a file that ends in .npz")
+        _refuse_unwritable(file.parent)
+        make(shape, method, file)
+
+
 @contextmanager
 def _plainly() -> Iterator[None]:
     # Whatever goes wrong becomes a sentence and an exit code, and every warning a line.
