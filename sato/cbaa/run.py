@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from itertools import count
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from sato.auction import Book
@@ -66,16 +66,21 @@ def by_messages(
         acted: dict[int, Bidder] = {}
         for i in live:
             if not knows(now[i]):
+                lost = _lost(agents, loss, rng)
                 # A message that is lost says as much as an empty book.
-                lost = rng.random(agents) < loss if rng and loss > 0 else [False] * agents
-                books = zip(lost, under_way[0], strict=True)
-                told = [silence if gone else book for gone, book in books]
+                told = [silence if gone else b for gone, b in zip(lost, under_way[0], strict=True)]
                 acted |= play_round(network, now, take_part, told, [i])
         if not acted:
             return
         now = [acted.get(i, agent) for i, agent in enumerate(now)]
         under_way.append([agent.book for agent in now])
         yield now
+
+
+def _lost(agents: int, loss: float, rng: np.random.Generator | None) -> Bool[Array, " agents"]:
+    if rng is None or loss == 0:
+        return np.zeros(agents, dtype=bool)
+    return np.asarray(rng.random(agents) < loss)
 
 
 def assign(
@@ -114,11 +119,11 @@ def assign(
     """
     _check(score, network, rounds, loss, delay, rng)
     swarm = gather(score, network, delay)
+    # Without losses nothing is drawn from the generator, whichever it is.
     play(swarm, rounds or FOREVER, loss, rng or np.random.default_rng(0))
     played = int(swarm.round[0])
-    if rounds is None or loss == 0:
-        told = np.where(swarm.knew > 0, swarm.knew, played)
-    else:
+    told = np.where(swarm.knew > 0, swarm.knew, played)
+    if loss > 0:
         told = np.full(len(score), rounds)
     return Assignment(
         point=swarm.point,
@@ -167,7 +172,7 @@ def _check(
 
 
 def _check_connected(network: Network) -> None:
-    # Cheaper than `network.component`, which took ten times as long as the auction.
+    # Cheaper than `network.component`, which takes as long as the auction itself.
     reached = np.arange(len(network.alive)) == np.argmax(network.alive)
     while np.any(news := network.hears[reached].any(axis=0) & ~reached):
         reached |= news
