@@ -1,0 +1,112 @@
+"""Gains by semidefinite programme, against what must hold of them and against other gains."""
+
+import numpy as np
+import pytest
+
+from problems.formation import Formation
+from problems.formation_gain_sdp import solve
+from problems.gain_question import NoMatrix, Question
+from problems.rigidity import rigid
+
+PYRAMID = [(0, 2), (0, 3), (0, 5), (1, 2), (1, 5), (2, 3), (3, 4), (4, 5)]
+
+
+def graph_of(n, pairs):
+    graph = np.zeros((n, n), dtype=bool)
+    for i, j in pairs:
+        graph[i, j] = graph[j, i] = True
+    return graph
+
+
+def rigid_graph(rng, n, share):
+    while True:
+        upper = np.triu(rng.random((n, n)) < share, 1)
+        graph = upper | upper.T
+        if graph.sum(axis=1).min() >= 2 and rigid(graph, 2, rng):
+            return graph
+
+
+def questions(formation):
+    yield Question(formation.kernel_xy, formation.graph)
+    yield Question(formation.kernel_z, formation.graph)
+
+
+def fits(question, L):
+    assert np.abs(L - L.conj().T).max() <= 1e-12
+    assert np.abs(L @ question.kernel).max() <= 1e-10
+    assert np.abs(L[~question.graph & ~np.eye(len(L), dtype=bool)]).max(initial=0) <= 1e-12
+    assert np.trace(L).real == pytest.approx(question.m, abs=1e-9)
+
+
+@pytest.mark.parametrize(("n", "share"), [(5, 0.8), (8, 0.6), (10, 0.5)])
+def test_the_rate_is_the_bound_that_the_prices_prove(rng, n, share):
+    formation = Formation(rng.uniform(0, 5, (n, 3)), rigid_graph(rng, n, share))
+    for question in questions(formation):
+        L, Y = solve(question)
+        fits(question, L)
+        assert question.rate(L) == pytest.approx(question.bound(Y), abs=1e-6)
+        assert np.array_equal(Y, Y.conj().T)
+        assert not Y[question.graph | np.eye(n, dtype=bool)].any()
+
+
+def test_no_other_gains_are_faster(rng):
+    formation = Formation(rng.uniform(0, 5, (8, 3)), rigid_graph(rng, 8, 0.7))
+    for question in questions(formation):
+        L, _ = solve(question)
+        best = question.rate(L)
+        for size in [1e-4, 1e-2, 1.0]:
+            for _ in range(20):
+                W = rng.normal(size=(8, 8)) + 1j * rng.normal(size=(8, 8))
+                W = W if np.iscomplexobj(L) else W.real
+                assert question.rate(question.project(L + size * (W + W.conj().T))) < best + 1e-7
+
+
+def test_how_points_are_numbered_turned_and_scaled_does_not_matter(rng):
+    graph = rigid_graph(rng, 7, 0.6)
+    points, order = rng.uniform(0, 5, (7, 3)), rng.permutation(7)
+    turn = np.array([[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, -2]])
+    there = Formation((3 * points @ turn.T + [7, -9, 1])[order], graph[np.ix_(order, order)])
+    for one, other in zip(questions(Formation(points, graph)), questions(there), strict=True):
+        assert one.rate(solve(one)[0]) == pytest.approx(other.rate(solve(other)[0]), abs=1e-6)
+
+
+def test_on_the_complete_graph_every_rate_is_one(rng):
+    for question in questions(Formation.complete(rng.uniform(0, 5, (12, 3)))):
+        L, Y = solve(question)
+        fits(question, L)
+        assert question.rate(L) == pytest.approx(1, abs=1e-12)
+        assert question.bound(Y) == 1
+
+
+def test_heights_on_a_path_with_a_known_answer_are_answered():
+    # Upwards, a flat square without diagonals leaves two weights, and equal ones are best:
+    # the eigenvalues 0, 2w, 2w, 4w with sum 3.
+    square = np.array([[0.0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
+    formation = Formation(square, graph_of(4, [(0, 1), (1, 2), (2, 3), (3, 0)]))
+    question = Question(formation.kernel_z, formation.graph)
+    assert question.rate(solve(question)[0]) == pytest.approx(3 / 4, abs=1e-7)
+
+
+def test_a_pyramid_that_is_not_rigid_from_above_has_gains(rng):
+    angle = 2 * np.pi * np.arange(5) / 5
+    base = np.c_[2 * np.cos(angle), 2 * np.sin(angle), np.zeros(5)]
+    formation = Formation(np.vstack([[0, 0, 1.7], base]), graph_of(6, PYRAMID))
+    assert not rigid(formation.graph, 2, rng)
+    xy, z = questions(formation)
+    L, Y = solve(xy)
+    assert xy.rate(L) == pytest.approx(xy.bound(Y), abs=1e-6)
+    assert xy.rate(L) > 0.265  # what the code of [Lusk2020] finds
+    fits(z, solve(z)[0])  # the apex has a height of its own, that nothing below can measure
+
+
+@pytest.mark.parametrize("n", [4, 5, 6, 7])
+def test_a_ring_has_no_stabilising_gains_and_the_prices_prove_it(rng, n):
+    ring = graph_of(n, [(i, (i + 1) % n) for i in range(n)])
+    xy, z = questions(Formation(rng.uniform(0, 5, (n, 3)), ring))
+    with pytest.raises(NoMatrix) as none:
+        solve(xy)
+    assert xy.bound(none.value.dual) < 0
+    L, Y = solve(z)
+    fits(z, L)
+    assert z.rate(L) == pytest.approx(z.bound(Y), abs=1e-6)
+    assert z.bound(Y) < 0
