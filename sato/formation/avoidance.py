@@ -1,0 +1,191 @@
+"""How one vehicle keeps away from others: by turning what it wants, or by stopping.
+
+A vehicle sees those around it from itself. Every one of them forbids a sector of directions;
+of those that remain it takes the nearest, if that turns it by 90° at most [Lusk2020, eq. 11].
+"""
+
+from math import acos, asin, atan2, cos, pi, sin, sqrt
+from typing import NamedTuple, no_type_check
+
+import numba
+import numpy as np
+
+
+class Avoidance(NamedTuple):
+    """The numbers of the avoidance."""
+
+    keep_out: float = 1.2  # least distance of two vehicles in the plane [m]
+    notice: float = 3.0  # farthest at which others are heeded [m]
+    margin: float = 0.05  # kept on top, for what measurements are wrong [m]
+    brake: float = 0.25  # deceleration that a vehicle counts on to stop in time [m/s²]
+    aside: float = 0.35  # how much farther it turns right rather than left [rad]
+    printed: bool = False  # sectors as in the paper's code: by the distance alone
+    linear: bool = False  # with its angles that do not wrap around, too
+
+
+@no_type_check
+@numba.njit(cache=True)
+def steer_clear(u, others, count, rules, centre, half):
+    """Turn a velocity, or stop it, so that it leads towards nobody who is too near.
+
+    Args:
+        u: The velocity, (3,), changed in place; its height is left alone [m/s].
+        others: Where the others are from here, in the plane, (≥ count, 2) [m].
+        count: How many there are.
+        rules: The numbers of the avoidance.
+        centre: Room for the sectors' centres, (≥ count,).
+        half: Room for their half-angles, (≥ count,).
+
+    Returns:
+        Whether anything was changed.
+    """
+    speed = sqrt(u[0] ** 2 + u[1] ** 2)
+    if rules.printed:
+        sectors = _by_distance(others, count, rules, centre, half)
+    else:
+        sectors = _by_braking(others, count, speed, rules, centre, half)
+    heading = atan2(u[1], u[0])
+    if not _forbidden(heading, centre, half, sectors):
+        return False
+    turn = _least_turn(heading, centre, half, sectors, rules)
+    if abs(turn) <= pi / 2 + 1e-9 and speed > 0:
+        u[0], u[1] = speed * cos(heading + turn), speed * sin(heading + turn)
+        return True
+    if rules.printed:
+        u[:] = 0.0
+    else:
+        hold_back(u, others, count, rules)
+    return True
+
+
+@no_type_check
+@numba.njit(cache=True)
+def approach(distance, rules):
+    """Fastest that one of two may move towards the other [m/s].
+
+    Each has half of the gap to stop in: v = √(2 b · gap/2). Both braking at b, the gap
+    closes as the speeds do. Those too near already part at a rate that grows with what
+    is lacking.
+    """
+    gap = distance - rules.keep_out - rules.margin
+    return sqrt(rules.brake * gap) if gap > 0 else 2 * gap
+
+
+@no_type_check
+@numba.njit(cache=True)
+def _by_distance(others, count, rules, centre, half):
+    # [Lusk2020]'s code: the directions that pass within the keep-out of a body at rest.
+    sectors = 0
+    for k in range(count):
+        d = sqrt(others[k, 0] ** 2 + others[k, 1] ** 2)
+        if d < rules.notice:
+            centre[sectors] = atan2(others[k, 1], others[k, 0])
+            half[sectors] = asin(min(1.0, rules.keep_out / d)) if d > 0 else pi / 2
+            sectors += 1
+    return sectors
+
+
+@no_type_check
+@numba.njit(cache=True)
+def _by_braking(others, count, speed, rules, centre, half):
+    # The directions in which this speed comes nearer faster than can be braked.
+    sectors = 0
+    for k in range(count):
+        d = sqrt(others[k, 0] ** 2 + others[k, 1] ** 2)
+        allowed = approach(d, rules)
+        if d < rules.notice and allowed < speed:
+            centre[sectors] = atan2(others[k, 1], others[k, 0])
+            half[sectors] = acos(max(-1.0, allowed / speed)) if speed > 0 else pi
+            sectors += 1
+    return sectors
+
+
+@no_type_check
+@numba.njit(cache=True)
+def _wrapped(angle):
+    return (angle + pi) % (2 * pi) - pi
+
+
+@no_type_check
+@numba.njit(cache=True)
+def _forbidden(heading, centre, half, sectors):
+    for k in range(sectors):
+        if abs(_wrapped(heading - centre[k])) < half[k] - 1e-9:
+            return True
+    return False
+
+
+@no_type_check
+@numba.njit(cache=True)
+def _least_turn(heading, centre, half, sectors, rules):
+    # The edges of the sectors that lie in no other; 2π where there is none.
+    best, least = 2 * pi, np.inf
+    for k in range(sectors):
+        for side in (-1, 1):
+            edge = _wrapped(centre[k] + side * half[k])
+            turn = _wrapped(edge - heading)
+            too_far = not rules.printed and abs(turn) > pi / 2
+            if too_far or _forbidden(edge, centre, half, sectors):
+                continue
+            effort = abs(edge - heading) if rules.linear else abs(turn)
+            if not rules.printed and turn > 0:
+                effort += rules.aside
+            if effort < least:
+                best, least = turn, effort
+    return best
+
+
+@no_type_check
+@numba.njit(cache=True)
+def hold_back(u, others, count, rules):
+    """Take from a velocity what approaches others too fast.
+
+    Each of the others bounds the speed towards it, a half-plane of velocities. The nearest
+    velocity in all of them is found by Dykstra's projections. To stand still is among them,
+    except where some are too near already; between such, where no velocity parts from all
+    of them, it is enough to approach none.
+
+    Args:
+        u: The velocity, (≥ 2,), changed in place; its height is left alone [m/s].
+        others: Where the others are from here, in the plane, (≥ count, 2) [m].
+        count: How many there are.
+        rules: The numbers of the avoidance.
+
+    Returns:
+        Whether anything was changed.
+    """
+    if _excess(u[0], u[1], others, count, rules, -np.inf) <= 0:
+        return False
+    x, y = _nearest(u[0], u[1], others, count, rules, -np.inf)
+    if _excess(x, y, others, count, rules, -np.inf) > 0.01:
+        x, y = _nearest(u[0], u[1], others, count, rules, 0.0)
+    u[0], u[1] = x, y
+    return True
+
+
+@no_type_check
+@numba.njit(cache=True)
+def _excess(x, y, others, count, rules, least):
+    most = -np.inf
+    for k in range(count):
+        d = sqrt(others[k, 0] ** 2 + others[k, 1] ** 2)
+        if 0 < d < rules.notice:
+            towards = (x * others[k, 0] + y * others[k, 1]) / d
+            most = max(most, towards - max(least, approach(d, rules)))
+    return most
+
+
+@no_type_check
+@numba.njit(cache=True)
+def _nearest(x, y, others, count, rules, least):
+    given = np.zeros(count)
+    for _ in range(30):
+        for k in range(count):
+            d = sqrt(others[k, 0] ** 2 + others[k, 1] ** 2)
+            if 0 < d < rules.notice:
+                b_x, b_y = others[k, 0] / d, others[k, 1] / d
+                towards = x * b_x + y * b_y + given[k]
+                over = max(0.0, towards - max(least, approach(d, rules)))
+                x, y = x + (given[k] - over) * b_x, y + (given[k] - over) * b_y
+                given[k] = over
+    return x, y

@@ -1,0 +1,276 @@
+"""All vehicles for some control steps: what each measures, hears, wants, may do, and does.
+
+The loop over vehicles calls what one vehicle does (`wanted`, `steer_clear`) with what that
+vehicle has measured or was told, in its own frame; the truth is touched only where a sensor
+looks and where the vehicle moves.
+"""
+
+from typing import NamedTuple, no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Bool, Complex, Float, Int
+from numpy import ndarray as Array
+
+from sato.formation.avoidance import Avoidance, hold_back, steer_clear
+from sato.formation.law import Law, wanted
+
+
+class Limits(NamedTuple):
+    """What a vehicle can do."""
+
+    speed: float = 0.5  # largest in the plane [m/s]
+    climb: float = 0.3  # largest up and down [m/s]
+    acceleration: float = 0.5  # largest in the plane [m/s²]
+    climb_acceleration: float = 0.8  # largest up and down [m/s²]
+    each_axis: bool = (
+        False  # the acceleration in the plane is limited on each axis, as in [Lusk2020]'s code
+    )
+
+
+class Frames(NamedTuple):
+    """The frame in which each vehicle reckons, and how it errs."""
+
+    heading: Complex[Array, " agents"]  # of its axes: e^(j yaw)
+    offset: Float[Array, "agents 3"]  # of its origin [m]
+    drift: Float[Array, "agents 3"]  # of its reckoning, for each metre flown, in its own axes
+    noise: float  # standard deviation of every measured coordinate [m]
+
+
+class Formed(NamedTuple):
+    """What every vehicle was told of the shape: its own row is what it uses."""
+
+    xy: Complex[Array, "points points"]  # gains [1/s]
+    z: Float[Array, "points points"]  # gains [1/s]
+    points: Float[Array, "points 3"]  # [m]
+    neighbours: Int[Array, "points most"]  # of each point, padded with −1
+    weight: Float[Array, "points points"]  # of the size control
+
+
+class Pace(NamedTuple):
+    """The beat of control and messages."""
+
+    step: float  # of control [s]
+    every: int  # control steps between two position messages
+    late: int  # how many messages later a message arrives
+    loss: float  # share of messages that are lost
+
+
+class Swarm(NamedTuple):
+    """What stays while a shape is flown to."""
+
+    formed: Formed
+    frames: Frames
+    law: Law
+    rules: Avoidance
+    limits: Limits
+    pace: Pace
+
+
+class Roles(NamedTuple):
+    """Who does what now."""
+
+    point: Int[Array, " agents"]  # that each vehicle holds
+    holder: Int[Array, "agents points"]  # of each point, as each vehicle has it
+    follows: Bool[Array, " agents"]  # the law; who does not hovers
+    pushed: int  # the vehicle that an operator steers; −1 none
+    push: Float[Array, " 3"]  # the velocity asked of it, in its own frame [m/s]
+
+
+class State(NamedTuple):
+    """Where everything is; changed in place from step to step."""
+
+    position: Float[Array, "agents 3"]  # true [m]
+    velocity: Float[Array, "agents 3"]  # true [m/s]
+    drifted: Float[Array, "agents 3"]  # error of the reckoning, in the own frame [m]
+    reckoned: Float[Array, "agents 3"]  # own position in the own frame, as measured now [m]
+    told: Float[Array, "ring agents 3"]  # the last positions told, each in its teller's frame
+    heard: Float[Array, "agents agents 3"]  # [i, j]: the last of j's that reached i; NaN none
+    command: Float[Array, "agents 3"]  # wanted by the law, in the own frame [m/s]
+    avoiding: Bool[Array, " agents"]
+    flown: Float[Array, " agents"]  # length of the path in the plane [m]
+    nearest: Float[Array, " agents"]  # anybody ever was to it in the plane, in truth [m]
+
+    @classmethod
+    def resting(cls, position: Float[Array, "agents 3"], late: int) -> "State":
+        """Everybody at rest, and nothing told yet."""
+        n = len(position)
+        still = np.zeros((n, 3))
+        return cls(
+            position.copy(), still.copy(), still.copy(), still.copy(),
+            np.full((late + 1, n, 3), np.nan), np.full((n, n, 3), np.nan),
+            still, np.zeros(n, dtype=bool), np.zeros(n), np.full(n, np.inf),
+        )  # fmt: skip
+
+
+@no_type_check
+@numba.njit(cache=True)
+def fly(state, roles, swarm, first, steps, rng):
+    """Fly some control steps.
+
+    Args:
+        state: Where everything is; changed in place.
+        roles: Who does what.
+        swarm: Laws, limits, frames and shape.
+        first: Number of the first of these control steps.
+        steps: How many.
+        rng: Draws noise and losses.
+    """
+    n = len(state.position)
+    sees, others, room = np.zeros((n, 3)), np.zeros((n, 2)), np.zeros((2, n))
+    near = np.zeros(n, dtype=np.int64)
+    for number in range(first, first + steps):
+        _reckon(state, swarm.frames, rng)
+        if number % swarm.pace.every == 0:
+            _talk(state, roles, swarm, number // swarm.pace.every, rng)
+        for i in range(n):
+            u = state.command[i]
+            u[:] = 0.0
+            if i == roles.pushed:
+                u[:] = roles.push
+            elif roles.follows[i]:
+                me = roles.point[i]
+                k = _look(i, state, roles, swarm, sees, near)
+                formed = swarm.formed
+                wanted(me, sees, near[:k], formed.xy[me], formed.z[me], formed.points,
+                       formed.weight[me], swarm.law, u)  # fmt: skip
+        for i in range(n):
+            _obey(i, state, swarm, others, room, rng)
+        for i in range(n):
+            _move(i, state, swarm)
+
+
+@no_type_check
+@numba.njit(cache=True)
+def _reckon(state, frames, rng):
+    # Each vehicle's own position in its own frame, drifted and noisy: all it knows of itself.
+    for i in range(len(state.position)):
+        e = state.reckoned[i]
+        p = complex(
+            state.position[i, 0] - frames.offset[i, 0], state.position[i, 1] - frames.offset[i, 1]
+        )
+        p *= np.conj(frames.heading[i])
+        e[0], e[1], e[2] = p.real, p.imag, state.position[i, 2] - frames.offset[i, 2]
+        for a in range(3):
+            e[a] += state.drifted[i, a]
+            if frames.noise > 0:
+                e[a] += frames.noise * rng.standard_normal()
+
+
+@no_type_check
+@numba.njit(cache=True)
+def _talk(state, roles, swarm, message, rng):
+    # Everybody tells its position; each hears those who hold its neighbouring points.
+    ring, pace = len(state.told), swarm.pace
+    state.told[message % ring] = state.reckoned
+    told = state.told[(message - pace.late) % ring]
+    for i in range(len(state.position)):
+        for point in swarm.formed.neighbours[roles.point[i]]:
+            if point < 0:
+                break
+            if pace.loss == 0 or rng.random() >= pace.loss:
+                j = roles.holder[i, point]
+                for a in range(3):
+                    state.heard[i, j, a] = told[j, a]
+
+
+@no_type_check
+@numba.njit(cache=True)
+def _look(i, state, roles, swarm, sees, near):
+    # Where vehicle i has the holders of its neighbouring points, from itself, in its own
+    # frame: their own reckoning, by the pose of their frames in its own, which it knows.
+    frames, me, k = swarm.frames, state.reckoned[i], 0
+    own = np.conj(frames.heading[i])
+    for point in swarm.formed.neighbours[roles.point[i]]:
+        if point < 0:
+            break
+        j = roles.holder[i, point]
+        told = state.heard[i, j]
+        if j == i or np.isnan(told[0]):
+            continue
+        o_x = frames.offset[j, 0] - frames.offset[i, 0]
+        o_y = frames.offset[j, 1] - frames.offset[i, 1]
+        flat = own * (frames.heading[j] * complex(told[0], told[1]) + complex(o_x, o_y))
+        sees[point, 0], sees[point, 1] = flat.real - me[0], flat.imag - me[1]
+        sees[point, 2] = told[2] + frames.offset[j, 2] - frames.offset[i, 2] - me[2]
+        near[k] = point
+        k += 1
+    return k
+
+
+@no_type_check
+@numba.njit(cache=True)
+def _around(i, state, swarm, others, rng):
+    # Those near vehicle i, as it sees them itself, in its own frame; nothing drifts here.
+    frames, notice, count = swarm.frames, swarm.rules.notice, 0
+    own, nearest = np.conj(frames.heading[i]), np.inf
+    for j in range(len(state.position)):
+        x = state.position[j, 0] - state.position[i, 0]
+        y = state.position[j, 1] - state.position[i, 1]
+        square = x * x + y * y
+        if j == i:
+            continue
+        nearest = min(nearest, square)
+        if square < notice * notice:
+            flat = own * complex(x, y)
+            others[count, 0], others[count, 1] = flat.real, flat.imag
+            if frames.noise > 0:
+                others[count, 0] += frames.noise * rng.standard_normal()
+                others[count, 1] += frames.noise * rng.standard_normal()
+            count += 1
+    state.nearest[i] = min(state.nearest[i], np.sqrt(nearest))
+    return count
+
+
+@no_type_check
+@numba.njit(cache=True)
+def _obey(i, state, swarm, others, room, rng):
+    # From what is wanted to what is flown: the limits of speed, then the others around, then
+    # the limits of acceleration.
+    limits, rules, heading = swarm.limits, swarm.rules, swarm.frames.heading[i]
+    u = state.command[i].copy()
+    speed = np.sqrt(u[0] * u[0] + u[1] * u[1])
+    if speed > limits.speed:
+        u[0], u[1] = u[0] * limits.speed / speed, u[1] * limits.speed / speed
+    u[2] = min(max(u[2], -limits.climb), limits.climb)
+    count = _around(i, state, swarm, others, rng)
+    state.avoiding[i] = steer_clear(u, others, count, rules, room[0], room[1])
+    true = state.velocity[i]
+    flat = np.conj(heading) * complex(true[0], true[1])
+    v = np.array([flat.real, flat.imag])
+    most = limits.acceleration * swarm.pace.step
+    if limits.each_axis:
+        for a in range(2):
+            v[a] += min(max(u[a] - v[a], -most), most)
+    else:
+        w = v.copy()
+        _towards(w, u, most)
+        # While the velocity turns, others must not be approached too fast either.
+        if not rules.printed and hold_back(w, others, count, rules):
+            u[0], u[1] = w[0], w[1]
+        _towards(v, u, most)
+    flat = heading * complex(v[0], v[1])
+    true[0], true[1] = flat.real, flat.imag
+    most = limits.climb_acceleration * swarm.pace.step
+    true[2] += min(max(u[2] - true[2], -most), most)
+
+
+@no_type_check
+@numba.njit(cache=True)
+def _towards(v, u, most):
+    change = np.sqrt((u[0] - v[0]) ** 2 + (u[1] - v[1]) ** 2)
+    share = min(1.0, most / change) if change > 0 else 1.0
+    v[0] += share * (u[0] - v[0])
+    v[1] += share * (u[1] - v[1])
+
+
+@no_type_check
+@numba.njit(cache=True)
+def _move(i, state, swarm):
+    v, step = state.velocity[i], swarm.pace.step
+    flat = v[0] * v[0] + v[1] * v[1]
+    state.flown[i] += np.sqrt(flat) * step
+    far = np.sqrt(flat + v[2] * v[2]) * step
+    for a in range(3):
+        state.position[i, a] += v[a] * step
+        state.drifted[i, a] += far * swarm.frames.drift[i, a]
