@@ -166,7 +166,14 @@ def sampled_separations(
 ) -> Float[Array, " instants"]:
     """Least distance of any two live agents at every instant; infinite for fewer than two."""
     there = alive & np.isfinite(position).all(axis=2)
-    return np.array([_nearest(p[a]) for p, a in zip(position, there, strict=True)])
+    return np.array([least_distance(p[a]) for p, a in zip(position, there, strict=True)])
+
+
+def least_distance(points: Float[Array, "k d"]) -> float:
+    """Least distance of any two points; infinite for fewer than two."""
+    if len(points) < 2:
+        return np.inf
+    return float(cKDTree(points).query(points, k=2)[0][:, 1].min())
 
 
 def missed(
@@ -272,16 +279,10 @@ def _off_the_middles(position: Array, velocity: Array, h: float) -> float:
     return float(np.max(off, initial=0.0, where=np.isfinite(off)))
 
 
-def _nearest(points: Float[Array, "k d"]) -> float:
-    if len(points) < 2:
-        return np.inf
-    return float(cKDTree(points).query(points, k=2)[0][:, 1].min())
-
-
 def _closest(b: Float[Array, "flies 4 d"]) -> tuple[float, float, Int[Array, " 2"]]:
     # No path leaves the ball about the middle of its ends that holds its four points,
     # so pairs whose balls are further apart than a distance already met are left out.
-    bound = min(_nearest(b[:, 0]), _nearest(b[:, 3]))
+    bound = min(least_distance(b[:, 0]), least_distance(b[:, 3]))
     middle = (b[:, 0] + b[:, 3]) / 2
     reach = float(np.linalg.norm(b - middle[:, None], axis=2).max())
     radius = (bound + 2 * reach) * (1 + 1e-12)

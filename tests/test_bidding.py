@@ -8,13 +8,13 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from dynamics import ClohessyWiltshire, DoubleIntegrator
+from dynamics.path import least_distance
 from problems.assignment import assign
 from problems.auction_cost import distance, energy, exact
 from problems.transfer import Transfer
 from sato.network import Network, flood
 from sato.reconfiguration import Leg, Reconfiguration
 from sato.reconfiguration.bidding import decide, increment, share
-from sato.reconfiguration.mission import least_distance
 from sato.reconfiguration.moment import Moment
 from sato.reconfiguration.pricing import Minds, Offers, bid_costs
 

@@ -12,8 +12,8 @@ from hypothesis.extra import numpy as hnp
 from PIL import Image, ImageDraw
 from scipy.spatial.distance import cdist, pdist
 
+from dynamics.path import least_distance
 from sato import shapes
-from sato.reconfiguration.mission import least_distance
 
 SQUARE = [(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0)]
 CORNER = [(0.0, 0.0), (20.0, 0.0), (20.0, 6.0), (6.0, 6.0), (6.0, 25.0), (0.0, 25.0)]

@@ -8,8 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
+from dynamics.path import least_distance
 from sato.network import Network
-from sato.reconfiguration.mission import Leg, Reconfiguration, least_distance
+from sato.reconfiguration.mission import Leg, Reconfiguration
 from sato.reconfiguration.moment import Moment
 from sato.reconfiguration.pricing import Minds, Offers, bid_costs, offers, settled
 from sato.vsdaa import Auction, vsdaa

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from dynamics.model import LinearModel, NonlinearModel
+from dynamics.path import least_distance
 from dynamics.plant import Modelled, Plant
 
 Norm = Literal[1, 2, "inf"]
@@ -118,12 +119,3 @@ class Reconfiguration:
         """Least distance between two targets of a leg [m]."""
         d = self.model.axes
         return min(least_distance(leg.targets[:, :d]) for leg in self.legs)
-
-
-def least_distance(points: Float[Array, "k d"]) -> float:
-    """Least distance between any two points; infinite for fewer than two."""
-    from scipy.spatial import cKDTree
-
-    if len(points) < 2:
-        return inf
-    return float(np.min(cKDTree(points).query(points, k=2)[0][:, 1]))

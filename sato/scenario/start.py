@@ -7,8 +7,8 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
+from dynamics.path import least_distance
 from sato.network import Network
-from sato.reconfiguration.mission import least_distance
 from sato.scenario.refusal import Refusal, upward
 from sato.scenario.shape import Lattice, Picture, Points, Polygon, Ring, Shape, Text, centre, rows
 from sato.scenario.units import Table

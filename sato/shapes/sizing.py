@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from sato.reconfiguration.mission import least_distance
+from dynamics.path import least_distance
 
 Centre = Literal["origin", "given"] | Sequence[float]
 """Where the middle of a shape goes; "given" leaves it where its own coordinates put it."""
