@@ -75,6 +75,7 @@ def run(
         from sato.flying import run as fly
         from sato.record import RUN_FILE
         from sato.scenario import read
+        from sato.systems import system
         from sato.terminal import progress, tell
 
         asked = read(scenario, override or ())
@@ -82,7 +83,7 @@ def run(
         _refuse_unwritable(folder)
         if not quiet and (folder / RUN_FILE).exists():
             typer.echo(f"sato: {folder}: the run that is there will be overwritten", err=True)
-        with progress(quiet) as watch:
+        with progress(quiet, system(asked.system).passage) as watch:
             flown = fly(asked, seed=seed, progress=watch)
         flown.save(folder)
         if not quiet:
@@ -267,5 +268,6 @@ def _folder_of(run: Path) -> Path:
 
 def _verdict(run: "Run") -> int:
     said = run.summary
-    done = said.get("reached") and said.get("broken") == [] and "stopped" not in said
+    came = any(said.get(word) for word in ("reached", "success"))  # as each system calls it
+    done = came and said.get("broken") == [] and "stopped" not in said
     return DONE if done else SHORT

@@ -9,18 +9,17 @@ from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-import sato.reconfiguration
-from problems.conic import Unsolved
-from sato.reconfiguration import Reconfiguration
-from sato.record import Frame, Run
+from sato.record import Run
 from sato.scenario import ScenarioFile, read
-from sato.vsdaa import OutOfTargets
+from sato.system import F, M, System
+from sato.systems import system
 
-Progress = Callable[[Reconfiguration, Frame], object]
+Progress = Callable[[Any, Any], object]  # of the mission and a frame
 
 
 def run(
@@ -55,14 +54,16 @@ def run(
             raise ValueError("overrides go with the name of a scenario, not with one already read")
     else:
         scenario = read(scenario, overrides)
+    flies = system(scenario.system)
     began = perf_counter()
     # On matrices as small as these, threads of BLAS only wait for each other.
     with threadpool_limits(1, user_api="blas"):
         rng = np.random.default_rng(seed)
         mission = scenario.build(rng)
         scenario.warn(mission)
-        frames, stopped = _flown(mission, rng, progress)
+        frames, stopped = _flown(flies, mission, rng, progress)
         flown = Run.of(
+            flies,
             frames,
             mission,
             scenario.to_toml(),
@@ -98,12 +99,12 @@ def peak_memory() -> float:
 
 
 def _flown(
-    mission: Reconfiguration, rng: np.random.Generator, progress: Progress | None
-) -> tuple[list[Frame], str]:
-    frames: list[Frame] = []
+    system: System[M, F], mission: M, rng: np.random.Generator, progress: Progress | None
+) -> tuple[list[F], str]:
+    frames: list[F] = []
     try:
         with _interruptible() as asked:
-            for frame in sato.reconfiguration.fly(mission, rng):
+            for frame in system.fly(mission, rng):
                 frames.append(frame)
                 if progress is not None:
                     progress(mission, frame)
@@ -113,7 +114,7 @@ def _flown(
         if not frames:
             raise
         return frames, "interrupted"
-    except (Unsolved, OutOfTargets) as error:
+    except system.outcomes as error:
         if not frames:
             raise
         return frames, str(error)

@@ -8,44 +8,35 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from dynamics.inertial import Inertial
-from dynamics.plant import Modelled, Plant
-from sato.record_variables import ELEMENTS, MAY_LACK, MEANING, dataset
+from sato.system import F, Frame, M, System, Variable
+from sato.systems import UnknownSystem, system
 
-if TYPE_CHECKING:  # xarray takes a second to load; the mission's package itself imports Frame
+if TYPE_CHECKING:  # xarray takes a second to load
     import xarray
 
     import sato.check
-    import sato.reconfiguration.mission
 
 RUN_FILE, SUMMARY_FILE = "run.nc", "summary.json"
+
+_EACH = ("time", "agent")
+COMMON = {  # to the runs of all systems
+    "time": Variable(("time",), "s", "time since the start"),
+    "control_instant": Variable(("time",), "1", "whether a control is commanded at this time"),
+    "position": Variable((*_EACH, "axis"), "m", "true position"),
+    "velocity": Variable((*_EACH, "axis"), "m/s", "true velocity"),
+    "alive": Variable(_EACH, "1", "whether the agent takes part"),
+    "component": Variable(_EACH, "1", "connected component of the network, -1 not alive"),
+    "event": Variable(("event",), "1", "what happened, as JSON with time and agents"),
+}
 
 
 class RunFileError(ValueError):
     """A run file that cannot be read; the message names the file."""
-
-
-class Frame(NamedTuple):
-    """One control instant."""
-
-    time: float  # [s]
-    position: Float[Array, "agents d"]  # [m]
-    velocity: Float[Array, "agents d"]  # [m/s]
-    alive: Bool[Array, " agents"]
-    component: Int[Array, " agents"]  # −1 while not alive
-    control: Float[Array, "agents d"]  # commanded, held from now on; NaN where there is none [m/s²]
-    applied_control: Float[Array, "agents d"]  # what the plant integrates [m/s²]
-    leg: int  # under way from this instant on; the last frame keeps the last leg
-    target: Int[Array, " agents"]  # held; −1 none
-    believed: Int[Array, " agents"]  # how many targets each agent bids on
-    measured: Float[Array, "agents n"] | None  # what the agents believe of their state, under noise
-    events: tuple[dict[str, Any], ...]  # {"kind": …, "agents": […], …}; the record adds the time
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +49,9 @@ class Run:
     @classmethod
     def of(
         cls,
-        frames: Iterable[Frame],
-        mission: "sato.reconfiguration.mission.Reconfiguration",
+        system: System[M, F],
+        frames: Iterable[F],
+        mission: M,
         scenario_text: str,
         *,
         name: str,
@@ -72,6 +64,7 @@ class Run:
         """Collect a run from the frames of a system.
 
         Args:
+            system: Whose frames they are, and what they mean.
             frames: One a control instant, in the order of time; at least one.
             mission: What was flown.
             scenario_text: The whole scenario as TOML, so that the run can be repeated.
@@ -86,19 +79,19 @@ class Run:
         if not frames:
             raise ValueError("a run needs at least one frame")
         about = {
-            "system": "reconfiguration",
+            "system": system.name,
             "name": name,
             "seed": seed,
             "version": version,
             "wall_s": float(wall_s),
             "peak_memory_mib": float(peak_memory_mib),
         }
-        about |= {"scenario": scenario_text, "complete": int(not stopped)} | limits(mission)
+        about |= {"scenario": scenario_text, "complete": int(not stopped)}
+        about |= system.attributes(mission)
         if stopped:
             about["stopped"] = stopped
-        variables = {**_over_time(frames), **_events(frames), **_over_legs(frames, mission)}
-        variables |= _chief(frames, mission)
-        data = dataset(variables, about)
+        variables = _common(frames) | system.variables(frames, mission)
+        data = _dataset(variables, {**COMMON, **system.meaning}, about)
         data.attrs["digest"] = digest(data)
         return cls(data, first_words(data.attrs))
 
@@ -118,7 +111,7 @@ class Run:
 
     def check(self) -> "sato.check.Report":
         """Judge the run by recomputing what it promises."""
-        from sato.check import judge
+        from sato.check.judge import judge
 
         return judge(self)
 
@@ -159,24 +152,13 @@ def load(path: str | Path) -> Run:
             f"{file}: cannot be read as netCDF-4, so it is damaged, cut short or something else; "
             "fly the scenario again"
         ) from error
-    lacking = [n for n in _REQUIRED if n not in data.variables]
-    lacking += [n for n in _ATTRIBUTES if n not in data.attrs]
-    if lacking:
-        raise RunFileError(
-            f"{file}: is not a run of this project, for it has no {', '.join(lacking)}"
-        )
+    _refuse_unless(file, _lacking(data, COMMON) + [n for n in _ATTRIBUTES if n not in data.attrs])
+    try:
+        own = system(str(data.attrs["system"])).meaning
+    except UnknownSystem as error:
+        raise RunFileError(f"{file}: {error}; a newer version of sato may know it") from error
+    _refuse_unless(file, _lacking(data, own))
     return Run(data, _summary(file.with_name(SUMMARY_FILE)) or first_words(data.attrs))
-
-
-def limits(mission: "sato.reconfiguration.mission.Reconfiguration") -> dict[str, float]:
-    """The radii, limits and constants that a run file says in its attributes."""
-    return {
-        "comm_radius_m": mission.comm_radius,
-        "collision_radius_m": mission.collision_radius,
-        "max_control_m_s2": mission.max_control,
-        "max_speed_m_s": mission.max_speed,
-        **_gravity(mission.truth),
-    }
 
 
 def digest(data: "xarray.Dataset") -> str:
@@ -211,73 +193,43 @@ def plain(value: object) -> object:
     raise TypeError(f"cannot write {type(value).__name__} as JSON")
 
 
-_REQUIRED = [name for name in MEANING if name not in MAY_LACK]
 _NOT_OF_THE_FLIGHT = ("digest", "wall_s", "peak_memory_mib")
 _ATTRIBUTES = ("system", "scenario", "name", "seed", "version")
 
 
-def _gravity(plant: Plant) -> dict[str, float]:
-    orbit = plant.orbit if isinstance(plant, Inertial | Modelled) else None
-    return {} if orbit is None else {"mu_m3_s2": orbit.mu, "k_j2_m5_s2": orbit.k_J2}
-
-
-def _over_time(frames: Sequence[Frame]) -> dict[str, Array]:
-    stacked = {
-        name: np.array([getattr(f, name) for f in frames])
-        for name in Frame._fields
-        if name not in ("measured", "events")
-    }
-    # An interrupted flight commands nothing from its last instant on.
-    for name in ("control", "applied_control"):
-        stacked[name][-1] = np.nan
-    stacked["control_instant"] = np.ones(len(frames), dtype=bool)
-    if any(f.measured is not None for f in frames):
-        d = frames[0].position.shape[1]
-        seen = np.array([_belief(f) for f in frames])
-        stacked["measured_position"], stacked["measured_velocity"] = seen[..., :d], seen[..., d:]
-    return stacked
-
-
-def _belief(frame: Frame) -> Float[Array, "agents n"]:
-    if frame.measured is not None:
-        return frame.measured
-    return np.full((len(frame.position), 2 * frame.position.shape[1]), np.nan)
-
-
-def _events(frames: Sequence[Frame]) -> dict[str, Array]:
+def _common(frames: Sequence[Frame]) -> dict[str, Array]:
+    names = ("time", "position", "velocity", "alive", "component")
+    stacked = {name: np.array([getattr(f, name) for f in frames]) for name in names}
     told = [
         json.dumps({"time": float(f.time), **event}, default=plain)
         for f in frames
         for event in f.events
     ]
-    return {"event": np.array(told, dtype=object)}
+    instants = np.ones(len(frames), dtype=bool)  # unless the system knows better
+    return stacked | {"control_instant": instants, "event": np.array(told, dtype=object)}
 
 
-def _over_legs(
-    frames: Sequence[Frame], mission: "sato.reconfiguration.mission.Reconfiguration"
-) -> dict[str, Array]:
-    d, legs = mission.model.axes, mission.legs
-    most = max(len(leg.targets) for leg in legs)
-    targets = np.full((len(legs), most, 2 * d), np.nan)
-    for states, leg in zip(targets, legs, strict=True):
-        states[: len(leg.targets)] = leg.targets
-    believed = np.full((len(legs), len(mission.start)), -1)
-    for event in (e for f in frames for e in f.events if e["kind"] == "leg_end"):
-        live = np.asarray(event["agents"], dtype=int)
-        believed[event["leg"], live] = np.asarray(event["believed"])[live]
-    return {
-        "target_position": targets[..., :d],
-        "target_velocity": targets[..., d:],
-        "targets_believed": believed,
-    }
+def _dataset(
+    variables: Mapping[str, Array], meaning: Mapping[str, Variable], attributes: dict[str, Any]
+) -> "xarray.Dataset":
+    import xarray
+
+    arrays = {}
+    for name, values in variables.items():
+        of = meaning[name]
+        arrays[name] = (of.axes, values, {"units": of.unit, "long_name": of.meaning})
+    return xarray.Dataset(arrays, attrs=attributes)
 
 
-def _chief(
-    frames: Sequence[Frame], mission: "sato.reconfiguration.mission.Reconfiguration"
-) -> dict[str, Array]:
-    flown = [mission.truth.chief(frame.time) for frame in frames]
-    known = [chief for chief in flown if chief is not None]
-    return {"element": np.array(ELEMENTS), "chief": np.array(known)} if known else {}
+def _lacking(data: "xarray.Dataset", meaning: Mapping[str, Variable]) -> list[str]:
+    return [n for n, of in meaning.items() if not of.may_lack and n not in data.variables]
+
+
+def _refuse_unless(file: Path, lacking: list[str]) -> None:
+    if lacking:
+        raise RunFileError(
+            f"{file}: is not a run of this project, for it has no {', '.join(lacking)}"
+        )
 
 
 def _packs(variable: "xarray.Variable") -> bool:

@@ -10,26 +10,35 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from sato.reconfiguration import Reconfiguration
-from sato.reconfiguration.mission import least_distance
-from sato.record import Frame, Run
+from dynamics.path import sampled_separations
+from sato.record import Run
+from sato.system import F, Frame, M, Passage
 
 if TYPE_CHECKING:
     import sato.check
 
+CALLED = {"fuel_per_agent": "Δv per spacecraft"}  # what a name alone does not say
+
 
 @contextmanager
-def progress(quiet: bool) -> Iterator[Callable[[Reconfiguration, Frame], None] | None]:
-    """A watcher of frames: a bar on a terminal, else a line a leg, and none when quiet."""
+def progress(
+    quiet: bool, passage: Callable[[M, F], Passage]
+) -> Iterator[Callable[[M, F], None] | None]:
+    """A watcher of frames: a bar on a terminal, else a line a stage, and none when quiet.
+
+    Args:
+        quiet: Whether nothing is to be said.
+        passage: How far a mission has come at a frame.
+    """
     if quiet:
         yield None
     elif not sys.stderr.isatty():
-        yield _Lines()
+        yield _Lines(passage)
     else:
-        said = "leg {task.fields[leg]}, step {task.completed} of {task.total}, {task.fields[words]}"
+        said = "{task.fields[stage]}, step {task.completed} of {task.total}, {task.fields[words]}"
         columns = (BarColumn(), TextColumn(said), TimeElapsedColumn())
         with Progress(*columns, console=Console(stderr=True)) as bar:
-            yield _Bar(bar)
+            yield _Bar(passage, bar)
 
 
 @contextmanager
@@ -50,74 +59,72 @@ def waiting(doing: str) -> AbstractContextManager[object]:
 
 
 class _Watch:
-    """What a passenger wants to know: leg, parts of the network, least separation so far."""
+    """What a passenger wants to know: stage, parts of the network, least separation so far."""
 
-    def __init__(self) -> None:
+    def __init__(self, passage: Callable[[Any, Any], Passage]) -> None:
+        self.passage = passage
         self.least = float("inf")
-        self.leg = -1
 
     def words(self, frame: Frame) -> str:
-        self.least = min(self.least, least_distance(frame.position[frame.alive]))
+        now = sampled_separations(frame.position[None], frame.alive[None])
+        self.least = min(self.least, float(now[0]))
         parts = int(frame.component.max()) + 1
         near = f", least separation {self.least:.3g} m" if self.least < float("inf") else ""
         return f"{parts} component{'s' * (parts != 1)}{near}"
 
 
 class _Lines(_Watch):
-    """A line at the start of each leg."""
+    """A line at the start of each stage."""
 
-    def __call__(self, mission: Reconfiguration, frame: Frame) -> None:
-        words = self.words(frame)
-        if frame.leg != self.leg:
-            self.leg = frame.leg
-            legs = len(mission.legs)
-            print(f"leg {frame.leg + 1} of {legs} at {frame.time:g} s: {words}", file=sys.stderr)
+    stage = ""
+
+    def __call__(self, mission: object, frame: Frame) -> None:
+        stage, words = self.passage(mission, frame).stage, self.words(frame)
+        if stage != self.stage:
+            self.stage = stage
+            print(f"{stage} at {frame.time:g} s: {words}", file=sys.stderr)
 
 
 class _Bar(_Watch):
-    """A bar over the steps of all legs; resets make it longer."""
+    """A bar over the steps of all stages; what is known of their number may change."""
 
-    def __init__(self, bar: Progress) -> None:
-        super().__init__()
+    def __init__(self, passage: Callable[[Any, Any], Passage], bar: Progress) -> None:
+        super().__init__(passage)
         self.bar = bar
-        self.task: Any = None
-        self.steps = 0
+        self.task = bar.add_task("", total=None, visible=False, stage="", words="")
 
-    def __call__(self, mission: Reconfiguration, frame: Frame) -> None:
-        planned = sum(leg.steps for leg in mission.legs)
-        leg = f"{frame.leg + 1} of {len(mission.legs)}"
-        fields: dict[str, Any] = {"leg": leg, "words": self.words(frame)}
-        if self.task is None:
-            self.task = self.bar.add_task("", total=planned, **fields)
-        left = sum(leg.steps for leg in mission.legs[frame.leg + 1 :])
-        self.steps = round(frame.time / mission.step)
-        total = max(planned, self.steps + left)
-        self.bar.update(self.task, completed=self.steps, total=total, **fields)
+    def __call__(self, mission: object, frame: Frame) -> None:
+        stage, done, total = self.passage(mission, frame)
+        fields: dict[str, Any] = {"stage": stage, "words": self.words(frame)}
+        self.bar.update(self.task, completed=done, total=total, visible=True, **fields)
 
 
 def tell(run: Run, folder: Path) -> None:
-    """The summary as a table, legs side by side."""
-    said = dict(run.summary)
-    legs = said.pop("legs", [])
-    table = Table()
-    table.add_column("")
-    for number in range(1, len(legs) + 1):
-        table.add_column(f"leg {number}", justify="right")
-    for name in dict.fromkeys(name for leg in legs for name in leg):
-        table.add_row(_spelt(name), *[_short(leg.get(name)) for leg in legs])
-    whole = Table(show_header=False)
-    for name, value in said.items():
-        limit = said.get("collision_radius_m") if name.startswith("min_separation") else None
-        if name == "fuel_per_agent_m_s":
-            for which, each in value.items():
-                whole.add_row(f"Δv per spacecraft, {which}, m/s", _short(each))
-        else:
-            whole.add_row(_spelt(name), _short(value, limit))
+    """The summary as a table; what there are several of stands side by side."""
     console = Console()
-    if legs:
-        console.print(table)
+    whole = Table(show_header=False)
+    for name, value in run.summary.items():
+        if isinstance(value, list) and value and all(isinstance(part, dict) for part in value):
+            console.print(_side_by_side(name.removesuffix("s"), value))
+        elif isinstance(value, dict):
+            for which, each in value.items():
+                whole.add_row(_spelt(name, which), _short(each))
+        else:
+            radius = run.summary.get("collision_radius_m")
+            limit = radius if name.startswith("min_separation") else None
+            whole.add_row(_spelt(name), _short(value, limit))
     console.print(whole)
     console.print(f"{folder}", highlight=False, markup=False, soft_wrap=True)
+
+
+def _side_by_side(name: str, parts: list[dict[str, Any]]) -> Table:
+    table = Table()
+    table.add_column("")
+    for number in range(1, len(parts) + 1):
+        table.add_column(f"{name} {number}", justify="right")
+    for key in dict.fromkeys(key for part in parts for key in part):
+        table.add_row(_spelt(key), *[_short(part.get(key)) for part in parts])
+    return table
 
 
 def tell_promises(report: "sato.check.Report") -> None:
@@ -131,11 +138,14 @@ def tell_promises(report: "sato.check.Report") -> None:
     Console().print(table)
 
 
-def _spelt(name: str) -> str:
-    for ending, unit in (("_m_s", "m/s"), ("_m", "m"), ("_s", "s"), ("_mib", "MiB")):
+def _spelt(name: str, which: str = "") -> str:
+    words, unit = name, ""
+    for ending, written in (("_m_s", "m/s"), ("_m", "m"), ("_s", "s"), ("_mib", "MiB")):
         if name.endswith(ending):
-            return f"{name.removesuffix(ending).replace('_', ' ')}, {unit}"
-    return name.replace("_", " ")
+            words, unit = name.removesuffix(ending), written
+            break
+    words = CALLED.get(words, words.replace("_", " "))
+    return ", ".join(part for part in (words, which, unit) if part)
 
 
 def _short(value: object, beside: float | None = None) -> str:

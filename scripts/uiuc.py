@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 import sato
-from sato.record import Frame
+from sato.reconfiguration import Frame
 
 
 def show(mission: object, frame: Frame) -> None:

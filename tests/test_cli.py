@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,11 @@ import xarray
 from typer.testing import CliRunner, Result
 
 import sato
-import sato.reconfiguration
+import sato.reconfiguration.system
 from sato.cli import app
-from sato.record import Frame, Run
+from sato.reconfiguration import Frame
+from sato.reconfiguration.system import SYSTEM
+from sato.record import Run
 from sato.terminal import progress, tell
 
 TINY = """
@@ -54,6 +57,11 @@ def home(tmp_path, monkeypatch):
 
 def call(*words: str) -> Result:
     return CliRunner().invoke(app, words)
+
+
+def flies(monkeypatch: pytest.MonkeyPatch, fly: object) -> None:
+    """The system, flown otherwise."""
+    monkeypatch.setattr(sato.reconfiguration.system, "SYSTEM", replace(SYSTEM, fly=fly))
 
 
 def sentence(result: Result) -> str:
@@ -208,7 +216,7 @@ def test_a_file_that_is_no_scenario_is_refused_by_name(home, name, content, word
 def test_a_folder_that_cannot_be_written_is_refused_before_anything_is_flown(
     home, monkeypatch, out
 ):
-    monkeypatch.setattr(sato.reconfiguration, "fly", _never)
+    flies(monkeypatch, _never)
     result = call("run", "tiny.toml", "--out", out)
     said = sentence(result)
     assert result.exit_code == 2
@@ -280,13 +288,13 @@ def test_quiet_says_nothing(home):
 
 @pytest.mark.filterwarnings("default")
 def test_a_warning_is_a_line_on_the_error_stream_also_when_quiet(home, monkeypatch):
-    real = sato.reconfiguration.fly
+    real = SYSTEM.fly
 
     def doubtful(*given: object) -> object:
         warnings.warn("the model is wrong by 7 m;\n   another would do", stacklevel=1)
         yield from real(*given)
 
-    monkeypatch.setattr(sato.reconfiguration, "fly", doubtful)
+    flies(monkeypatch, doubtful)
     result = call("run", "tiny.toml", "--quiet", "--out", "here")
     assert result.exit_code == 0
     said = "warning: the model is wrong by 7 m; another would do\n"
@@ -337,7 +345,7 @@ def test_progress_goes_to_the_error_stream_a_line_a_leg(home):
 def test_on_a_terminal_a_bar_tells_leg_step_and_separation(home, monkeypatch, capsys):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     monkeypatch.setenv("COLUMNS", "120")
-    with progress(quiet=False) as watch:
+    with progress(False, SYSTEM.passage) as watch:
         sato.run("tiny.toml", progress=watch)
     said = capsys.readouterr().err
     assert "leg 1 of 1, step 20 of 20, 1 component, least separation 1.41 m" in said
@@ -350,13 +358,13 @@ def test_an_override_reaches_the_run(home):
 
 
 def test_a_target_not_reached_exits_with_1(home, monkeypatch):
-    real = sato.reconfiguration.fly
+    real = SYSTEM.fly
 
     def drifting(*given: object) -> object:
         for frame in real(*given):
             yield frame._replace(position=frame.position + 1e-3)
 
-    monkeypatch.setattr(sato.reconfiguration, "fly", drifting)
+    flies(monkeypatch, drifting)
     result = call("run", "tiny.toml", "--out", "here")
     assert result.exit_code == 1
     assert json.loads((home / "here" / "summary.json").read_text())["reached"] is False
@@ -364,7 +372,7 @@ def test_a_target_not_reached_exits_with_1(home, monkeypatch):
 
 
 def test_an_interrupted_flight_leaves_what_was_flown(home, monkeypatch):
-    real = sato.reconfiguration.fly
+    real = SYSTEM.fly
 
     def stopped(*given: object) -> object:
         for k, frame in enumerate(real(*given)):
@@ -372,7 +380,7 @@ def test_an_interrupted_flight_leaves_what_was_flown(home, monkeypatch):
                 raise KeyboardInterrupt
             yield frame
 
-    monkeypatch.setattr(sato.reconfiguration, "fly", stopped)
+    flies(monkeypatch, stopped)
     result = call("run", "tiny.toml", "--out", "here")
     assert result.exit_code == 1
     assert "Traceback" not in result.output
@@ -388,7 +396,7 @@ def test_an_interruption_before_the_first_instant_leaves_nothing(home, monkeypat
         raise KeyboardInterrupt
         yield
 
-    monkeypatch.setattr(sato.reconfiguration, "fly", stopped)
+    flies(monkeypatch, stopped)
     result = call("run", "tiny.toml", "--out", "here")
     assert result.exit_code == 1
     assert "interrupted" in sentence(result)
@@ -398,7 +406,7 @@ def test_an_interruption_before_the_first_instant_leaves_nothing(home, monkeypat
 def test_a_programme_without_an_answer_is_an_outcome_and_not_a_crash(home, monkeypatch):
     from problems.conic import Infeasible
 
-    real = sato.reconfiguration.fly
+    real = SYSTEM.fly
 
     def lost(*given: object) -> object:
         for k, frame in enumerate(real(*given)):
@@ -406,7 +414,7 @@ def test_a_programme_without_an_answer_is_an_outcome_and_not_a_crash(home, monke
                 raise Infeasible(None, "no way out")
             yield frame
 
-    monkeypatch.setattr(sato.reconfiguration, "fly", lost)
+    flies(monkeypatch, lost)
     result = call("run", "tiny.toml", "--out", "here")
     assert result.exit_code == 1
     assert sato.load("here").data.attrs["stopped"] == "no way out"
@@ -416,7 +424,7 @@ def test_a_fault_of_the_program_is_a_sentence_too(home, monkeypatch):
     def faulty(*_: object) -> Frame:
         raise KeyError("oops")
 
-    monkeypatch.setattr(sato.reconfiguration, "fly", faulty)
+    flies(monkeypatch, faulty)
     result = call("run", "tiny.toml", "--out", "here")
     assert result.exit_code == 1
     assert "fault of the program" in sentence(result)

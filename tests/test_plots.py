@@ -17,13 +17,15 @@ from dynamics import ClohessyWiltshire
 from dynamics.orbit import Orbit
 from dynamics.plant import Modelled
 from sato.animate import animate
-from sato.check import Evidence
-from sato.plots import FIGURES, IN_ORBIT, plot
+from sato.plots import plot
 from sato.plots.look import ALONE, STYLE, mark, marked
-from sato.plots.measures import spent
-from sato.plots.orbital import PIECES, smooth
-from sato.plots.view import in_orbit
+from sato.reconfiguration.check import Evidence
 from sato.reconfiguration.mission import Leg, Loss
+from sato.reconfiguration.plots import FIGURES, IN_ORBIT
+from sato.reconfiguration.plots.film import Film
+from sato.reconfiguration.plots.measures import spent
+from sato.reconfiguration.plots.orbital import PIECES, smooth
+from sato.reconfiguration.plots.perspective import in_orbit
 
 LETTERS = """
 [[leg]]
@@ -374,7 +376,7 @@ def test_with_ffmpeg_the_film_is_an_mp4(plane, tmp_path, monkeypatch):
 
 def test_a_film_moves_on_the_cubic_pieces_between_the_instants(plane):
     _, evidence = plane
-    scene = sato.animate.Scene(evidence)
+    scene = Film(evidence)
     scene.show(3.25)
     moved = points(scene.axes)
     h, u = evidence.mission.step, evidence.applied[3, :6]

@@ -11,8 +11,10 @@ from dynamics import ClohessyWiltshire, DoubleIntegrator
 from dynamics.inertial import Inertial
 from dynamics.orbit import Orbit
 from dynamics.plant import Modelled
+from sato.reconfiguration.frame import Frame
 from sato.reconfiguration.mission import Leg, Reconfiguration
-from sato.record import Frame, Run, RunFileError, load
+from sato.reconfiguration.system import SYSTEM
+from sato.record import Run, RunFileError, load
 
 
 def mission() -> Reconfiguration:
@@ -61,7 +63,7 @@ def frames(rng: np.random.Generator, measured: bool = False) -> list[Frame]:
 
 def run_of(collected: list[Frame], **said: object) -> Run:
     about = {"name": "tiny", "seed": 7, "version": "0", "wall_s": 0.5, "peak_memory_mib": 9.0}
-    return Run.of(collected, mission(), "system = 'reconfiguration'\n", **(about | said))
+    return Run.of(SYSTEM, collected, mission(), "system = 'reconfiguration'\n", **(about | said))
 
 
 def test_what_was_saved_is_what_is_loaded(rng, tmp_path):
@@ -133,7 +135,7 @@ def run_in_orbit(rng: np.random.Generator, plant: str) -> Run:
         for f in frames(rng)
     ]
     in_space = [f._replace(applied_control=f.control) for f in in_space]
-    return Run.of(in_space, orbit, "", **about)
+    return Run.of(SYSTEM, in_space, orbit, "", **about)
 
 
 @pytest.mark.parametrize("plant", ["inertial", "model"])

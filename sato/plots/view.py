@@ -9,7 +9,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy import ndarray as Array
 
-from sato.check.evidence import Evidence
 from sato.plots.look import DARK, PALE
 
 ROOM = 0.04  # around what is shown, in the size of it
@@ -39,17 +38,6 @@ class View(NamedTuple):
 
 IN_ORBIT = View((1, 0), ("y, along-track", "x, radial"), 1 / 60, "min")
 IN_SPACE = View((0, 1, 2), ("x, radial", "y, along-track", "z, normal"), 1 / 60, "min")
-
-
-def in_orbit(evidence: Evidence) -> bool:
-    """Whether the swarm flies about a chief."""
-    return evidence.mission.truth.chief(0.0) is not None
-
-
-def view_of(evidence: Evidence) -> View:
-    """How the swarm of a run is best looked at."""
-    d = evidence.axes
-    return IN_ORBIT if in_orbit(evidence) else View(tuple(range(d)), ("x", "y", "z")[:d])
 
 
 class Space(NamedTuple):

@@ -12,11 +12,11 @@ from problems.transfer import fuel_spent
 from sato.network import Network
 from sato.reconfiguration.actuators import inexact, push
 from sato.reconfiguration.bidding import decide
+from sato.reconfiguration.frame import Frame
 from sato.reconfiguration.mission import Leg, Loss, Reconfiguration
 from sato.reconfiguration.moment import Moment
 from sato.reconfiguration.planning import NO_PLANS, Plans, plan
 from sato.reconfiguration.pricing import Minds
-from sato.record import Frame
 
 PATIENCE = 20  # times its steps after which a leg is given up
 

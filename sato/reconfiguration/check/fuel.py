@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from problems.assignment import assign
-from sato.check.evidence import Evidence, Stretch
-from sato.check.prediction import came, end_by_model
+from sato.reconfiguration.check.evidence import Evidence, Stretch
+from sato.reconfiguration.check.prediction import came, end_by_model
 from sato.reconfiguration.mission import Norm
 
 FEW = 600  # pairs that are solved one by one, where no method for all at once exists
@@ -81,6 +81,18 @@ def least(evidence: Evidence, stretch: Stretch) -> Bound | None:
     if not np.isfinite(total):
         return None
     return Bound(total, agents, own, _mend(evidence, stretch, agents, held))
+
+
+def bound_of_each(evidence: Evidence, bounds: list[Bound | None]) -> Float[Array, " agents"]:
+    """Least fuel of each agent to the targets it held; NaN unless all its legs are priced."""
+    total = np.zeros(evidence.alive.shape[1])
+    for stretch, bound in zip(evidence.stretches, bounds, strict=True):
+        priced = np.full(len(total), np.nan)
+        if bound is not None:
+            priced[bound.agents] = np.where(np.isfinite(bound.own), bound.own, np.nan)
+        absent = ~evidence.alive[stretch.first : stretch.last].any(axis=0)
+        total += np.where(absent, 0.0, priced)
+    return total
 
 
 def _mend(

@@ -1,6 +1,5 @@
 """What a run file holds, as arrays, beside the mission that its own text describes."""
 
-import json
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -13,9 +12,9 @@ from dynamics.discretise import Steps, hold
 from dynamics.model import LinearModel
 from dynamics.path import Separations, error_bound, missed_by_halves, separations
 from dynamics.plant import Modelled
+from sato.check.happened import Happened
+from sato.reconfiguration.log import ELEMENTS
 from sato.reconfiguration.mission import Reconfiguration
-from sato.record import digest
-from sato.record_variables import ELEMENTS
 
 if TYPE_CHECKING:
     import xarray
@@ -54,8 +53,7 @@ class Evidence:
     goals: Float[Array, "legs targets n"]  # states; NaN where a leg has fewer
     believed: Int[Array, "legs agents"]
     chief: Float[Array, "instants elements"] | None  # the six of its orbit, where there is one
-    events: tuple[dict[str, Any], ...]
-    unaltered: bool  # since the file was written
+    happened: Happened
 
     @classmethod
     def of(cls, data: "xarray.Dataset", mission: Reconfiguration) -> "Evidence":
@@ -80,8 +78,7 @@ class Evidence:
             goals=both("target_"),
             believed=np.asarray(data["targets_believed"]),
             chief=_chief(data),
-            events=tuple(json.loads(str(e)) for e in np.asarray(data["event"])),
-            unaltered=data.attrs.get("digest") == digest(data),
+            happened=Happened.of(data),
         )
 
     @property
@@ -100,22 +97,11 @@ class Evidence:
         return self.state[..., self.axes :]
 
     @cached_property
-    def at(self) -> tuple[int, ...]:
-        """The instant of each event: the nearest one."""
-        when = np.array([float(e["time"]) for e in self.events])
-        middles = (self.time[1:] + self.time[:-1]) / 2
-        return tuple(int(k) for k in np.searchsorted(np.sort(middles), when))
-
-    def told(self, *kinds: str) -> list[tuple[int, dict[str, Any]]]:
-        """Events of some kinds, each with its instant."""
-        return [(k, e) for k, e in zip(self.at, self.events, strict=True) if e["kind"] in kinds]
-
-    @cached_property
     def stretches(self) -> tuple[Stretch, ...]:
         """The legs that were begun, in order."""
-        ends = {int(e["leg"]): (k, e) for k, e in self.told("leg_end")}
+        ends = {int(e["leg"]): (k, e) for k, e in self.happened.told("leg_end")}
         found = []
-        for first, event in self.told("leg_start"):
+        for first, event in self.happened.told("leg_start"):
             leg = int(event["leg"])
             last, end = ends.get(leg, (len(self.time) - 1, None))
             found.append(Stretch(leg, first, max(first, last), end))

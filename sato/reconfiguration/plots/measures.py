@@ -9,12 +9,12 @@ from matplotlib.figure import Figure
 from numpy import ndarray as Array
 
 from dynamics.path import sampled_separations
-from sato.check import bound_of_each
-from sato.check.evidence import Evidence
-from sato.check.fuel import burnt, least
 from sato.plots.look import BLUE, DARK, GREY, RED, SKY
-from sato.plots.swarm import leg_names
-from sato.plots.view import letter, shade_legs, view_of
+from sato.plots.view import letter, shade_legs
+from sato.reconfiguration.check.evidence import Evidence
+from sato.reconfiguration.check.fuel import bound_of_each, burnt, least
+from sato.reconfiguration.plots.perspective import view_of
+from sato.reconfiguration.plots.stages import leg_names
 
 
 class Spent(NamedTuple):
@@ -65,7 +65,7 @@ def separation(evidence: Evidence) -> Figure:
         k = int(np.nanargmin(np.where(np.isfinite(between), between, np.nan)))
         ax.plot((t[k] + t[k + 1]) / 2, between[k], "v", ms=5, color=DARK, mew=0, zorder=5,
                 label=f"least: {between[k]:.6g} m")  # fmt: skip
-    for k, event in evidence.told("loss"):
+    for k, event in evidence.happened.told("loss"):
         ax.axvline(t[k], color=GREY, ls=":", lw=0.8)
         ax.annotate(
             f"{len(event['agents'])} lost",

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from sato.check.evidence import Evidence, Stretch
 from sato.reconfiguration.actuators import inexact, push
+from sato.reconfiguration.check.evidence import Evidence, Stretch
 
 
 class Chance(NamedTuple):
@@ -45,7 +45,7 @@ def _draw_losses(evidence: Evidence, stretch: Stretch, k: int, rng: np.random.Ge
     due = [loss for loss in leg.losses if loss.at_step == k - stretch.first]
     if not any(loss.kind == "random" for loss in due):
         return
-    told = [e["agents"] for at, e in evidence.told("loss") if at == k]
+    told = [e["agents"] for at, e in evidence.happened.told("loss") if at == k]
     lives = evidence.alive[k].copy()
     lives[[i for lost in told for i in lost]] = True
     for loss, lost in zip(due, told, strict=False):

@@ -11,19 +11,13 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection  # type: ignore[import-u
 from numpy import ndarray as Array
 
 from dynamics.path import at, controls
-from sato.check.evidence import Evidence, Stretch
-from sato.check.words import at_end
 from sato.plots.look import BLUE, DARK, GREY, PALE, RED
-from sato.plots.swarm import (
-    Snapshot,
-    all_goals,
-    believed_goals,
-    draw_swarm,
-    key_of_components,
-    leg_names,
-    margin,
-)
-from sato.plots.view import IN_SPACE, Space, entitle, letter, panels, set_space, view_of
+from sato.plots.swarm import Snapshot, draw_swarm, key_of_components
+from sato.plots.view import IN_SPACE, Space, entitle, letter, panels, set_space
+from sato.reconfiguration.check.evidence import Evidence, Stretch
+from sato.reconfiguration.check.words import at_end
+from sato.reconfiguration.plots.perspective import view_of
+from sato.reconfiguration.plots.stages import all_goals, believed_goals, leg_names, margin
 
 SHARES = (0, 1 / 3, 2 / 3, 1)  # of a leg, at which the swarm is shown
 TAIL = 1 / 6  # of a leg: how long the paths are that agents draw behind them

@@ -5,11 +5,11 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.path import sampled_separations
-from sato.check.chance import Chance
-from sato.check.evidence import Evidence
-from sato.check.fuel import size
-from sato.check.prediction import SIGMAS, faster_than_planned
 from sato.check.promise import RELATIVE, Promise, below, largest, none, within
+from sato.reconfiguration.check.chance import Chance
+from sato.reconfiguration.check.evidence import Evidence
+from sato.reconfiguration.check.fuel import size
+from sato.reconfiguration.check.prediction import SIGMAS, faster_than_planned
 
 
 def flight(evidence: Evidence) -> Promise:

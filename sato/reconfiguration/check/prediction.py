@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
-from sato.check.evidence import Evidence, Stretch
+from sato.reconfiguration.check.evidence import Evidence, Stretch
 
 SIGMAS = 8.0  # a normal draw is further out once in 10¹⁵
 

@@ -3,41 +3,15 @@
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool
 from numpy import ndarray as Array
 
 from dynamics.orbit import chief_size
-from sato.check.evidence import Evidence, Stretch
+from sato.check.common import canonical, lacking
 from sato.check.promise import RELATIVE, Promise, largest, none, within
-from sato.check.words import at_end
 from sato.network import Network
-from sato.record import limits
-
-
-def unaltered(evidence: Evidence) -> Promise:
-    """The file says what it said when it was written."""
-    return none("unaltered", not evidence.unaltered, "alteration of the file since it was written")
-
-
-def attributes(evidence: Evidence) -> Promise:
-    """The radii and limits in the attributes are those of the scenario."""
-    said, asked = evidence.attributes, limits(evidence.mission)
-    odd = sum(name in said and float(said[name]) != value for name, value in asked.items())
-    odd += sum(name not in said for name in asked)
-    return none("attributes", odd, "radii or limits that are not the scenario's")
-
-
-def times(evidence: Evidence) -> Promise:
-    """Instants are a control step apart, from zero on."""
-    t, step = evidence.time, evidence.mission.step
-    off = largest(np.abs(t - step * np.arange(len(t))))
-    if not (np.diff(t) > 0).all():
-        k = int(np.argmin(np.diff(t) > 0))
-        return Promise(
-            "times", False, off, 0.0, f"time does not increase from instant {k} to {k + 1}"
-        )
-    tolerance = 1e-9 * step
-    return within("times", off, tolerance, "s off from one control step to the next")
+from sato.reconfiguration.check.evidence import Evidence, Stretch
+from sato.reconfiguration.check.words import at_end
 
 
 def chief(evidence: Evidence) -> Promise:
@@ -57,7 +31,7 @@ def chief(evidence: Evidence) -> Promise:
 def numbers(evidence: Evidence) -> Promise:
     """Live agents have states at all instants and controls at all but the last."""
     lives = evidence.alive
-    bad = int((lives & ~np.isfinite(evidence.state).all(axis=2)).sum())
+    bad = lacking(lives, evidence.state)
     for u in (evidence.control, evidence.applied):
         bad += int((lives[:-1, :, None] != np.isfinite(u[:-1])).any(axis=2).sum())
         bad += int(np.isfinite(u[-1]).any(axis=1).sum())
@@ -79,25 +53,6 @@ def start(evidence: Evidence) -> Promise:
     return within("start", off, tolerance, "off from the scenario's own start, at most")
 
 
-def alive(evidence: Evidence) -> Promise:
-    """Agents come and go with an event, and only so."""
-    expected = evidence.alive[:1].repeat(len(evidence.time), axis=0)
-    for k, event in evidence.told("loss", "join"):
-        expected[k:, np.asarray(event["agents"], dtype=np.int64)] = event["kind"] == "join"
-    odd = int((expected != evidence.alive).sum())
-    return none("alive", odd, "times an agent was there or not against the events")
-
-
-def component(evidence: Evidence) -> Promise:
-    """Components are those of the positions and the communication radius."""
-    odd = 0
-    radius = evidence.mission.comm_radius
-    for p, lives, said in zip(evidence.position, evidence.alive, evidence.component, strict=True):
-        found = Network.within(p, radius, lives).component
-        odd += int((_canonical(found) != _canonical(said)).sum())
-    return none("component", odd, "labels that positions and communication radius do not give")
-
-
 def targets(evidence: Evidence) -> Promise:
     """The targets on file are those that the scenario gives."""
     off, odd = 0.0, 0
@@ -117,7 +72,7 @@ def targets(evidence: Evidence) -> Promise:
 def legs(evidence: Evidence) -> Promise:
     """Legs follow one another, and each ends as the instants before it say."""
     expected = np.zeros(len(evidence.time), dtype=np.int64)
-    for k, event in evidence.told("leg_start"):
+    for k, event in evidence.happened.told("leg_start"):
         expected[k:] = int(event["leg"])
     odd = int((expected != evidence.leg).sum())
     begun = [s.leg for s in evidence.stretches]
@@ -132,7 +87,7 @@ def assignment(evidence: Evidence) -> Promise:
     """A target changes with an event, and only so; lost agents hold none."""
     agents = evidence.alive.shape[1]
     expected = np.full((len(evidence.time), agents), -1)
-    for k, event in evidence.told("assignment", "loss"):
+    for k, event in evidence.happened.told("assignment", "loss"):
         who = np.asarray(event["agents"], dtype=np.int64)
         lost = event["kind"] == "loss"
         expected[k:, who] = -1 if lost else np.asarray(event["target"], dtype=np.int64)
@@ -157,7 +112,7 @@ def _contradicted(evidence: Evidence, stretch: Stretch) -> int:
     position = np.where(live[:, None], evidence.position[stretch.last], np.nan)
     network = Network.within(position, evidence.mission.comm_radius, live)
     odd = int((live != _alive_at_end(evidence, stretch)).sum())
-    odd += int((_canonical(labels) != _canonical(network.component)).sum())
+    odd += int((canonical(labels) != canonical(network.component)).sum())
     if stretch.steps:
         odd += int((held != evidence.target[stretch.last - 1])[live].sum())
     return odd
@@ -166,19 +121,9 @@ def _contradicted(evidence: Evidence, stretch: Stretch) -> int:
 def _alive_at_end(evidence: Evidence, stretch: Stretch) -> Bool[Array, " agents"]:
     # The instant before, and what happened in the last one until the leg was declared over.
     lives: Array = evidence.alive[max(stretch.last - 1, 0)].copy()
-    for k, event in evidence.told("loss", "join", "leg_end"):
+    for k, event in evidence.happened.told("loss", "join", "leg_end"):
         if event is stretch.end:
             break
         if k == stretch.last:
             lives[np.asarray(event["agents"], dtype=np.int64)] = event["kind"] == "join"
     return lives
-
-
-def _canonical(labels: Int[Array, " agents"]) -> Int[Array, " agents"]:
-    # Components numbered in order of their first member, the dead −1.
-    named = np.full(len(labels), -1)
-    live = labels >= 0
-    if live.any():
-        _, first, inverse = np.unique(labels[live], return_index=True, return_inverse=True)
-        named[live] = np.argsort(np.argsort(first))[inverse]
-    return named

@@ -7,30 +7,25 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from scipy.spatial import cKDTree
 
-from dynamics.path import sampled_separations
-from sato.check.evidence import Evidence, Stretch
-from sato.check.fuel import Bound, burnt
-from sato.check.prediction import end_by_model
-from sato.reconfiguration.mission import least_distance
+from dynamics.path import least_distance, sampled_separations
+from sato.check.common import words
+from sato.reconfiguration.check.evidence import Evidence, Stretch
+from sato.reconfiguration.check.fuel import Bound, burnt
+from sato.reconfiguration.check.prediction import end_by_model
 
 
 def summarise(evidence: Evidence, bounds: list[Bound | None]) -> dict[str, Any]:
     """Everything that the summary says of a run, from its data; what it lacks is absent."""
-    mission, about = evidence.mission, evidence.attributes
+    mission = evidence.mission
     legs = [describe(evidence, s) for s in evidence.stretches]
     found, _ = evidence.pieces
     samples = sampled_separations(evidence.position, evidence.alive)
-    said = {
-        "system": str(about["system"]),
-        "scenario": str(about["name"]),
-        "seed": int(about["seed"]),
-        "version": str(about["version"]),
-        "agents": int(evidence.alive.shape[1]),
+    said = words(evidence.attributes, evidence.alive) | {
         "reached": len(legs) == len(mission.legs) and all(leg["reached"] for leg in legs),
         "min_separation_m": min(found.least.distance, float(samples.min())),
         "min_separation_at_samples_m": float(samples.min()),
         "collision_radius_m": mission.collision_radius,
-        "solves": sum(int(e["solves"]) for _, e in evidence.told("replan")),
+        "solves": sum(int(e["solves"]) for _, e in evidence.happened.told("replan")),
         "fuel_m_s": float(burnt(evidence).sum()),
         "slack_used": _count(evidence, "slack"),
         "braked": _count(evidence, "braked"),
@@ -76,7 +71,9 @@ def describe(evidence: Evidence, stretch: Stretch) -> dict[str, Any]:
         "components_at_start": len(np.unique(_real(evidence.component[stretch.first]))),
         "components_at_end": len(np.unique(_real(component))),
         "steps": stretch.steps,
-        "resets": sum(stretch.first <= k < stretch.last for k, _ in evidence.told("reset")),
+        "resets": sum(
+            stretch.first <= k < stretch.last for k, _ in evidence.happened.told("reset")
+        ),
     }
     return {k: v for k, v in said.items() if v is not None}
 
@@ -186,7 +183,7 @@ def _distance_to_nearest(
 
 
 def _count(evidence: Evidence, kind: str) -> int:
-    return sum(max(len(e["agents"]), 1) for _, e in evidence.told(kind))
+    return sum(max(len(e["agents"]), 1) for _, e in evidence.happened.told(kind))
 
 
 def _worst(values: Float[Array, " k"]) -> float | None:

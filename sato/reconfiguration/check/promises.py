@@ -2,42 +2,46 @@
 
 import numpy as np
 
-from sato.check.account import (
-    alive,
+from sato.check import common
+from sato.check.promise import Promise, largest, none, within
+from sato.reconfiguration import log
+from sato.reconfiguration.check.account import (
     assignment,
-    attributes,
     believed,
     chief,
-    component,
     legs,
     numbers,
     start,
     targets,
-    times,
-    unaltered,
 )
-from sato.check.chance import Chance
-from sato.check.evidence import Evidence
-from sato.check.fuel import Bound, burnt
-from sato.check.motion import applied, control_limit, flight, measured, separation, speed_limit
-from sato.check.promise import Promise, largest, none, within
-from sato.check.words import reached
+from sato.reconfiguration.check.chance import Chance
+from sato.reconfiguration.check.evidence import Evidence
+from sato.reconfiguration.check.fuel import Bound, burnt
+from sato.reconfiguration.check.motion import (
+    applied,
+    control_limit,
+    flight,
+    measured,
+    separation,
+    speed_limit,
+)
+from sato.reconfiguration.check.words import reached
 
 
 def promises(
     evidence: Evidence, bounds: list[Bound | None], chance: Chance | None = None
 ) -> tuple[Promise, ...]:
     """Judge everything; what was drawn is judged to the last digit if it is given."""
+    mission, lives = evidence.mission, evidence.alive
     return (
-        unaltered(evidence),
         complete(evidence),
-        attributes(evidence),
-        times(evidence),
+        common.attributes(evidence.attributes, log.attributes(mission)),
+        common.times(evidence.time, mission.step),
         chief(evidence),
         numbers(evidence),
         start(evidence),
-        alive(evidence),
-        component(evidence),
+        common.alive(lives, evidence.happened),
+        common.component(evidence.position, lives, evidence.component, mission.comm_radius),
         flight(evidence),
         applied(evidence, chance),
         measured(evidence, chance),
@@ -58,19 +62,18 @@ def complete(evidence: Evidence) -> Promise:
     """The flight was not interrupted and every leg came to its end."""
     ended = {s.leg for s in evidence.stretches if s.end is not None}
     lacking = [leg for leg in range(len(evidence.mission.legs)) if leg not in ended]
-    cut = not evidence.attributes.get("complete", 1)
-    why = str(evidence.attributes.get("stopped", "nobody says why"))
+    cut = common.cut_short(evidence.attributes)
     text = "every leg came to its end"
     if lacking:
         text = f"legs that never ended: {', '.join(str(leg + 1) for leg in lacking)}"
     if cut:
-        text += f"; the flight was not completed ({why})"
-    return none("complete", len(lacking) + cut, text)
+        text += f"; {cut}"
+    return none("complete", len(lacking) + bool(cut), text)
 
 
 def feasible(evidence: Evidence) -> Promise:
     """Every programme had an answer."""
-    count = len(evidence.told("infeasible"))
+    count = len(evidence.happened.told("infeasible"))
     return none("feasible", count, "programmes that had no answer on the way")
 
 

@@ -10,9 +10,9 @@ from matplotlib.patches import Circle, Patch, Polygon
 from numpy import ndarray as Array
 
 from dynamics.path import at, controls, hull_distance
-from sato.check.evidence import Evidence
 from sato.plots.look import BLUE, DARK, GREEN, RED
 from sato.plots.view import letter
+from sato.reconfiguration.check.evidence import Evidence
 
 _FORBIDDEN: dict[str, Any] = {"facecolor": RED, "alpha": 0.18, "edgecolor": "none"}
 
