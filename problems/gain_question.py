@@ -2,15 +2,22 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Inexact
 from numpy import ndarray as Array
 from scipy.linalg import cho_factor, cho_solve, eigvalsh
 
+from problems.formation import Formation
+
+Way = Literal["xy", "z"]  # in the plane, or upwards
+
+NO_RATE = 1e-6  # of the mean: gains as slow as this, or proven to be slower, are none
 NOTHING = 1e-9  # of what it could be: taken for zero
-ROUNDED = 1e-13  # relative: what eigenvalues are exact to
+ROUNDED = 1e-14  # relative: what products and eigenvalues are exact to
+SHIFT = 1e-10  # of the mean: far above rounding, far below what matters
+PASSES = 6  # at most; two are the rule
 
 
 class NoMatrix(RuntimeError):
@@ -23,6 +30,13 @@ class NoMatrix(RuntimeError):
     def __init__(self, dual: Inexact[Array, "n n"]) -> None:
         super().__init__("no matrix with this graph and kernel has a positive trace")
         self.dual = dual
+
+
+class Answer(NamedTuple):
+    """What a method has to say to a question; `Question` says what it is worth."""
+
+    L: Inexact[Array, "n n"]  # the gain is −L
+    Y: Inexact[Array, "n n"]  # the dual, on the non-edges
 
 
 class Split(NamedTuple):
@@ -50,6 +64,12 @@ class Question:
 
     kernel: Inexact[Array, "n r"]  # K, of orthonormal columns
     graph: Bool[Array, "n n"]
+
+    @classmethod
+    def of(cls, formation: Formation, which: Way) -> "Question":
+        """What is asked of the gains of a formation in the plane, or upwards."""
+        kernel = formation.kernel_xy if which == "xy" else formation.kernel_z
+        return cls(kernel, formation.graph)
 
     @property
     def m(self) -> int:
@@ -121,11 +141,14 @@ class Question:
         return unit, rest
 
     def _part(self, W: Array) -> tuple[Array, Array]:
-        # The projection without the trace: L = E∘(W + X Kᴴ + K Xᴴ) with X such that L K = 0,
-        # E being 1 at the diagonal and the edges. Passes repair what the shift in _factor did.
-        K = self.kernel
-        for _ in range(3):
+        # The projection without the trace: L = E∘(W − X Kᴴ − K Xᴴ) with X such that L K = 0,
+        # E being 1 at the diagonal and the edges. Later passes repair what the shift of
+        # _factor does to the first.
+        K, size = self.kernel, np.linalg.norm(W)
+        for _ in range(PASSES):
             miss = np.where(self._keep, W, 0) @ K
+            if np.linalg.norm(miss) <= ROUNDED * size:
+                break
             half = self._multiplier(miss) @ K.conj().T
             W = W - half - half.conj().T
         return np.where(self._keep, W, 0), np.where(self._keep, 0, W)
@@ -148,7 +171,7 @@ class Question:
             T = np.block([[G.real + H.real, H.imag - G.imag], [G.imag + H.imag, G.real - H.real]])
         else:
             T = G + H
-        T[np.diag_indices_from(T)] += 1e-9
+        T[np.diag_indices_from(T)] += SHIFT * T.diagonal().mean()
         factor, lower = cho_factor(T, overwrite_a=True, check_finite=False)
         return factor, lower
 

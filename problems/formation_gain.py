@@ -1,0 +1,138 @@
+"""The design of gains: the fastest for a formation, or the proof that it cannot have any."""
+
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Inexact
+from numpy import ndarray as Array
+from threadpoolctl import threadpool_limits
+
+from problems import formation_gain_admm as admm
+from problems.formation import Formation
+from problems.gain_question import NO_RATE, Answer, NoMatrix, Question, Way
+from problems.gains import Gains
+
+__all__ = ["Gains", "NoStabilisingGain", "Undecided", "design"]
+
+Method = Literal["auto", "projection", "admm", "sdp", "paper"]
+DIRECTION = {"xy": "in the plane", "z": "upwards"}
+SMALL = 500  # vehicles up to which a second thread only waits
+
+
+class NoStabilisingGain(RuntimeError):
+    """It is proven that no gains make the formation form.
+
+    Attributes:
+        formation: The shape and graph asked for.
+        which: The direction, "xy" or "z", in which there are none.
+        dual: Y on the non-edges, the proof: see `Question.bound`.
+        bound: The rate that it leaves, at most `NO_RATE`.
+    """
+
+    def __init__(self, formation: Formation, which: Way, dual: Inexact[Array, "n n"]) -> None:
+        i, j = sorted(np.unravel_index(np.abs(dual).argmax(), dual.shape))
+        self.formation, self.which, self.dual = formation, which, dual
+        self.bound = Question.of(formation, which).bound(dual)
+        super().__init__(
+            f"no gains stabilise {_called(formation)} {DIRECTION[which]}: its graph allows a rate "
+            f"of at most {self.bound:.1e}, by proof; add edges, between {i} and {j} first"
+        )
+
+
+class Undecided(RuntimeError):
+    """Neither stable gains were found nor a proof that there are none.
+
+    Attributes:
+        formation: The shape and graph asked for.
+        which: The direction, "xy" or "z", in which it is so.
+        rate: The best rate found.
+        bound: A rate that is proven to be out of reach.
+    """
+
+    def __init__(
+        self, formation: Formation, which: Way, method: str, rate: float, bound: float
+    ) -> None:
+        self.formation, self.which, self.rate, self.bound = formation, which, rate, bound
+        super().__init__(
+            f"the method {method} found no stable gains for {_called(formation)} "
+            f"{DIRECTION[which]}: their rate is {rate:.1e}, and up to {bound:.1e} is not excluded; "
+            'method "auto" may find more, "sdp" too where vehicles are few, and more edges will help'
+        )
+
+
+def design(
+    formation: Formation, method: Method = "auto", tolerance: float = admm.TOLERANCE
+) -> Gains:
+    """The gains with which the formation forms fastest, for their mean eigenvalue.
+
+    Every method answers the same programme, in the plane and upwards (`Question`):
+
+    - "auto": on the complete graph A = −(I − K Kᴴ), of which all eigenvalues outside the
+      kernel K are −1; since that is their mean, nothing is faster. Otherwise as "admm".
+    - "projection": the gains nearest to those; one linear system. On sparse graphs they are
+      often not stable.
+    - "admm": from there on, alternating directions until the rate is within `tolerance` of
+      a bound that is proven.
+    - "sdp": a general interior-point solver; n ≤ 30 or so.
+    - "paper": the paper's own iteration, to be compared with.
+
+    What a method returns is projected once more, so that residuals are those of rounding, and
+    its rate and bound are computed from the matrices. Nothing unstable is returned.
+
+    Args:
+        formation: Shape and graph.
+        method: See above.
+        tolerance: Share of the bound by which the rate may be less, for "auto" and "admm".
+
+    Raises:
+        NoStabilisingGain: There are none, with the proof.
+        Undecided: The method found neither stable gains nor that proof.
+    """
+    threads = 1 if len(formation.points) <= SMALL else None
+    with threadpool_limits(threads, user_api="blas"):
+        xy, bound_xy, how = _answer(formation, "xy", method, tolerance)
+        z, bound_z, _ = _answer(formation, "z", method, tolerance)
+        return Gains(formation, -xy, -z, how, bound_xy, bound_z)
+
+
+def _answer(
+    formation: Formation, which: Way, method: Method, tolerance: float
+) -> tuple[Array, float, str]:
+    asked = Question.of(formation, which)
+    if method == "auto" and asked.complete:
+        K = asked.kernel
+        return np.eye(len(K)) - K @ K.conj().T, 1.0, "closed form"
+    way = "admm" if method == "auto" else method
+    try:
+        L, Y = _solver(way, tolerance)(asked)
+        L = asked.project((L + L.conj().T) / 2)
+    except NoMatrix as none:
+        raise NoStabilisingGain(formation, which, none.dual) from none
+    rate, bound = asked.rate(L), asked.bound(Y)
+    if bound <= NO_RATE:
+        raise NoStabilisingGain(formation, which, Y)
+    if rate <= NO_RATE:
+        raise Undecided(formation, which, way, rate, bound)
+    return L, bound, way
+
+
+def _solver(method: str, tolerance: float) -> Callable[[Question], tuple[Array, Array]]:
+    # The slow ones are imported when they are asked for; loading their solvers takes seconds.
+    if method == "projection":
+        return lambda asked: Answer(*asked.split(np.eye(len(asked.graph))))
+    if method == "admm":
+        return lambda asked: admm.solve(asked, tolerance)
+    if method == "sdp":
+        from problems.formation_gain_sdp import solve as sdp
+
+        return sdp
+    if method == "paper":
+        from problems.formation_gain_paper import solve as paper
+
+        return paper
+    raise ValueError(f'gains are designed by auto, projection, admm, sdp or paper, not "{method}"')
+
+
+def _called(formation: Formation) -> str:
+    return f'"{formation.name}"' if formation.name else "this formation"
