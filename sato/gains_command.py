@@ -6,20 +6,21 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
+from typing import get_args
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from problems.formation import Formation
-from problems.formation_gain import Gains, design
+from problems.formation_gain import Gains, Method, design
 from problems.rigidity import Dimension, globally_rigid, redundantly_rigid, rigid
 from sato.scenario.refusal import listed, nearest
 from sato.shapes.formation_files import read_formation, with_graph
 from sato.shapes.formations import formation, formations
 from sato.terminal import waiting
 
-METHODS = ("auto", "projection", "sdp", "admm", "paper")
+METHODS: dict[str, Method] = {method: method for method in get_args(Method)}
 MANY = 3000  # edges, beyond which what rigidity takes grows out of proportion
 
 
@@ -70,7 +71,7 @@ def make(shape: Formation, method: str, out: Path) -> None:
         raise ValueError(f'--method takes {listed(METHODS)}, not "{method}"{hint}')
     began = perf_counter()
     with waiting("designing the gains"):
-        gains = design(shape, method=method)
+        gains = design(shape, METHODS[method])
     took = perf_counter() - began
     _keep(gains, out)
     with waiting("asking for rigidity"):
@@ -95,9 +96,9 @@ def _tell(gains: Gains, took: float, rigidity: list[str]) -> None:
     for what, plane, upwards in (
         ("rate, 1/s", gains.rate_xy, gains.rate_z),
         ("no rate exceeds, 1/s", gains.bound_xy, gains.bound_z),
-        ("gap", gains.gap_xy, gains.gap_z),
+        ("short of it by, %", 100 * gains.gap_xy, 100 * gains.gap_z),
     ):
-        rates.add_row(what, f"{plane:.4g}", f"{upwards:.4g}")
+        rates.add_row(what, f"{plane:.4f}", f"{upwards:.4f}")
     whole = Table(show_header=False)
     for what, said in (
         ("graph", _count(gains.formation)),

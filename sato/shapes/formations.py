@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -22,13 +22,13 @@ def formations() -> tuple[str, ...]:
     return tuple(_library())
 
 
-def formation(name: str, graph: Literal["own", "complete"] = "own") -> Formation:
+def formation(name: str, graph: str = "own") -> Formation:
     """A formation of the library, with its own graph or the complete one.
 
     Args:
         name: As in `formations()`, in capitals or not; the part before or after the stroke will
             do where it is the only one of its kind.
-        graph: The own graph of most is the complete one, too.
+        graph: "own" or "complete"; the own graph of most is complete.
 
     Raises:
         ValueError: The library has no such name; the message has those that are close.
