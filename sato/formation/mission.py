@@ -6,9 +6,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
-from problems.formation_gain import Gains
 from scipy.spatial.distance import pdist
 
+from problems.gains import Gains
 from sato.formation.avoidance import Avoidance
 from sato.formation.law import Law
 from sato.formation.swarm import Frames, Limits

@@ -6,9 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
-from problems.formation_gain import Gains, design
 
 from problems.formation import Formation
+from problems.formation_gain import design
+from problems.gains import Gains
 from sato.formation.flight import Frame, fly
 from sato.formation.mission import FormationFlight
 from sato.formation.shape import Likeness, likeness
@@ -55,7 +56,7 @@ def draw(rng: np.random.Generator, agents: int = 30, thin: bool = False) -> Draw
     start = np.column_stack([flat, np.full(agents, HEIGHT)])
     points = [random_formation(agents, (15.0, 15.0, 2.0), 2.0, rng) for _ in range(2)]
     graph = _graph(agents, thin, rng)
-    first, second = (design(Formation(p, graph)) for p in points)
+    first, second = (design(Formation(p, graph), "projection") for p in points)
     return Draw(start, (first, second))
 
 
