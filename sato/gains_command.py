@@ -15,7 +15,6 @@ from rich.table import Table
 from problems.formation import Formation
 from problems.formation_gain import Gains, Method, design
 from problems.rigidity import Dimension, globally_rigid, redundantly_rigid, rigid
-from sato.scenario.refusal import listed, nearest
 from sato.shapes.formation_files import read_formation, with_graph
 from sato.shapes.formations import formation, formations
 from sato.terminal import waiting
@@ -66,9 +65,7 @@ def make(shape: Formation, method: str, out: Path) -> None:
         NoStabilisingGain: The formation cannot have any.
     """
     if method not in METHODS:
-        near = nearest(method, METHODS)
-        hint = f'; did you mean "{near}"?' if near else ""
-        raise ValueError(f'--method takes {listed(METHODS)}, not "{method}"{hint}')
+        raise ValueError(f'--method takes one of {", ".join(METHODS)}, not "{method}"')
     began = perf_counter()
     with waiting("designing the gains"):
         gains = design(shape, METHODS[method])

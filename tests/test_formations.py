@@ -380,7 +380,7 @@ REFUSED = {
     "four columns": ("0,0,0,0\n", ["bad.csv"], ["bad.csv, line 1", "2 or 3 columns", "got 4"]),
     "no points": ("# nothing\n", ["bad.csv"], ["bad.csv lists no points"]),
     "no such graph": ("", ["star", "--graph", "compleet"], ["--graph", "complete", '"compleet"']),
-    "no such method": ("", ["star", "--method", "sdpp"], ["--method", 'did you mean "sdp"?']),
+    "no such method": ("", ["star", "--method", "sdpp"], ["--method", "sdp, paper", '"sdpp"']),
     "another ending": ("", ["star", "--out", "star.txt"], ["star.txt", ".npz"]),
     "nowhere to write": ("", ["star", "--out", "bad.csv/a.npz"], ["cannot be written to"]),
 }
