@@ -1,13 +1,12 @@
 """Gains as the paper designs them, for teaching and comparison [Lusk2020, eq. 8 to 10]."""
 
 import numpy as np
-from jaxtyping import Inexact
 from numpy import ndarray as Array
 from scipy.linalg import block_diag, null_space
 from scipy.sparse import csr_array, eye_array, vstack
 from scipy.sparse.linalg import splu
 
-from problems.gain_question import Question
+from problems.gain_question import Answer, Question
 
 PENALTY = 1.0  # μ, as in the paper's code
 REPEATED = 1e-12  # shift by which equations that follow from others do no harm
@@ -17,7 +16,7 @@ Row = tuple[csr_array, Array]
 
 def solve(
     question: Question, iterations: int = 10, trace_slack: float = 0.1, until: float = 1e-4
-) -> tuple[Inexact[Array, "n n"], Inexact[Array, "n n"]]:
+) -> Answer:
     """Alternating directions on the dual [Wen2010] of the paper's programme.
 
         minimise ⟨C, X⟩  subject to  A(X) = b,  X ⪰ 0
@@ -78,7 +77,7 @@ def solve(
         if lacks <= trace_slack * p or np.abs(X - before).sum() < until:
             break
     L = question.project(_joined(Q @ X[p:, p:] @ Q.T, question))
-    return L, _prices(y[prices_from:], question)
+    return Answer(L, _prices(y[prices_from:], question))
 
 
 def _equations(p: int, planar: bool) -> list[Row]:

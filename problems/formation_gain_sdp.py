@@ -3,17 +3,15 @@
 from warnings import catch_warnings, filterwarnings
 
 import numpy as np
-from jaxtyping import Inexact
-from numpy import ndarray as Array
 from scipy.linalg import null_space
 
 from problems.conic import Unsolved
-from problems.gain_question import Question
+from problems.gain_question import Answer, Question
 
 TOLERANCE = 1e-5  # between the rate and its proven bound, relative where the rate is above 1
 
 
-def solve(question: Question) -> tuple[Inexact[Array, "n n"], Inexact[Array, "n n"]]:
+def solve(question: Question) -> Answer:
     """The fastest gains and the proof that none are faster [Lusk2020, eq. 16].
 
         maximise    t
@@ -62,4 +60,4 @@ def solve(question: Question) -> tuple[Inexact[Array, "n n"], Inexact[Array, "n 
             f"Clarabel said {problem.status}, but its gains reach {rate:.6f} and its proof "
             f"allows {bound - rate:.1e} more, above {TOLERANCE:.0e}",
         )
-    return L, Y
+    return Answer(L, Y)

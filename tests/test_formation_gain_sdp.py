@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from problems.formation import Formation
+from problems.formation_gain import NoStabilisingGain, design
 from problems.formation_gain_sdp import solve
 from problems.gain_question import NoMatrix, Question
 from problems.rigidity import rigid
@@ -110,3 +111,25 @@ def test_a_ring_has_no_stabilising_gains_and_the_prices_prove_it(rng, n):
     fits(z, L)
     assert z.rate(L) == pytest.approx(z.bound(Y), abs=1e-6)
     assert z.bound(Y) < 0
+
+
+def test_gains_of_every_other_method_are_as_fast_or_slower_and_their_bounds_hold(rng):
+    found = 0
+    for _ in range(6):
+        n = int(rng.integers(5, 11))
+        formation = Formation(rng.uniform(0, 5, (n, 3)), rigid_graph(rng, n, 0.55))
+        xy, z = (question.rate(solve(question)[0]) for question in questions(formation))
+        try:
+            gains = design(formation)
+        except NoStabilisingGain as verdict:
+            assert {"xy": xy, "z": z}[verdict.which] <= 1e-6
+            continue
+        found += 1
+        assert gains.rate_xy == pytest.approx(xy, abs=5e-4)
+        assert gains.rate_z == pytest.approx(z, abs=5e-4)
+        assert gains.bound_xy >= xy - 1e-7
+        assert gains.bound_z >= z - 1e-7
+        exact = design(formation, method="sdp")
+        assert exact.rate == pytest.approx(min(xy, z), abs=1e-9)
+        assert max(exact.gap_xy, exact.gap_z) < 1e-4
+    assert found >= 3
