@@ -95,7 +95,8 @@ def _by_braking(others, count, speed, rules, centre, half):
         allowed = approach(d, rules)
         if d < rules.notice and allowed < speed:
             centre[sectors] = atan2(others[k, 1], others[k, 0])
-            half[sectors] = acos(max(-1.0, allowed / speed)) if speed > 0 else pi
+            # Where it is too slow to part as fast as it must, every direction is forbidden.
+            half[sectors] = acos(allowed / speed) if allowed > -speed else 2 * pi
             sectors += 1
     return sectors
 
@@ -140,10 +141,10 @@ def _least_turn(heading, centre, half, sectors, rules):
 def hold_back(u, others, count, rules):
     """Take from a velocity what approaches others too fast.
 
-    Each of the others bounds the speed towards it, a half-plane of velocities. The nearest
-    velocity in all of them is found by Dykstra's projections. To stand still is among them,
-    except where some are too near already; between such, where no velocity parts from all
-    of them, it is enough to approach none.
+    Each of the others bounds the speed towards it, a half-plane of velocities; the nearest
+    velocity in all of them is taken. To stand still is among them, except where some are too
+    near already; between such, where no velocity parts from all of them, it is enough to
+    approach none.
 
     Args:
         u: The velocity, (≥ 2,), changed in place; its height is left alone [m/s].
@@ -154,38 +155,47 @@ def hold_back(u, others, count, rules):
     Returns:
         Whether anything was changed.
     """
-    if _excess(u[0], u[1], others, count, rules, -np.inf) <= 0:
-        return False
-    x, y = _nearest(u[0], u[1], others, count, rules, -np.inf)
-    if _excess(x, y, others, count, rules, -np.inf) > 0.01:
-        x, y = _nearest(u[0], u[1], others, count, rules, 0.0)
+    x, y, found = _nearest(u[0], u[1], others, count, rules, -np.inf)
+    if not found:
+        x, y, _ = _nearest(u[0], u[1], others, count, rules, 0.0)
+    changed = x != u[0] or y != u[1]
     u[0], u[1] = x, y
-    return True
+    return changed
 
 
 @no_type_check
 @numba.njit(cache=True)
-def _excess(x, y, others, count, rules, least):
-    most = -np.inf
+def _nearest(u_x, u_y, others, count, rules, least):
+    # The nearest velocity in the first half-planes, and whether there is one. Where it is not
+    # in the next, the nearest in that too lies on its edge, where the others leave an interval.
+    x, y = u_x, u_y
     for k in range(count):
-        d = sqrt(others[k, 0] ** 2 + others[k, 1] ** 2)
-        if 0 < d < rules.notice:
-            towards = (x * others[k, 0] + y * others[k, 1]) / d
-            most = max(most, towards - max(least, approach(d, rules)))
-    return most
+        n_x, n_y, bound = _half_plane(others[k], rules, least)
+        if x * n_x + y * n_y <= bound:
+            continue
+        low, high = -np.inf, np.inf
+        for i in range(k):
+            m_x, m_y, limit = _half_plane(others[i], rules, least)
+            across = m_y * n_x - m_x * n_y
+            room = limit - bound * (m_x * n_x + m_y * n_y)
+            if across > 1e-12:
+                high = min(high, room / across)
+            elif across < -1e-12:
+                low = max(low, room / across)
+            elif room < -1e-12:
+                return u_x, u_y, False
+        if low > high + 1e-12:
+            return u_x, u_y, False
+        along = min(max(u_y * n_x - u_x * n_y, low), high)
+        x, y = bound * n_x - along * n_y, bound * n_y + along * n_x
+    return x, y, True
 
 
 @no_type_check
 @numba.njit(cache=True)
-def _nearest(x, y, others, count, rules, least):
-    given = np.zeros(count)
-    for _ in range(30):
-        for k in range(count):
-            d = sqrt(others[k, 0] ** 2 + others[k, 1] ** 2)
-            if 0 < d < rules.notice:
-                b_x, b_y = others[k, 0] / d, others[k, 1] / d
-                towards = x * b_x + y * b_y + given[k]
-                over = max(0.0, towards - max(least, approach(d, rules)))
-                x, y = x + (given[k] - over) * b_x, y + (given[k] - over) * b_y
-                given[k] = over
-    return x, y
+def _half_plane(other, rules, least):
+    # The direction towards another, and the fastest in it.
+    d = sqrt(other[0] ** 2 + other[1] ** 2)
+    if not 0 < d < rules.notice:
+        return 1.0, 0.0, np.inf
+    return other[0] / d, other[1] / d, max(least, approach(d, rules))

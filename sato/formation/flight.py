@@ -84,22 +84,30 @@ class _Flight:
     def _hover(self) -> Iterator[Frame]:
         # Whoever has a shape goes on holding it.
         for _ in range(round(self.mission.protocol.hover / self.mission.sample)):
-            yield self._step()
+            self._step()
+            yield self._frame()
 
     def _transition(self) -> Iterator[Frame]:
         way, began = self.mission.assigning, self.time
         if way.kind == "none":
             self._take(self.point, self.holder, 0)
         due = began + way.first if way.kind != "none" else np.inf
-        ended = (Phase.DONE, Phase.GIVEN_UP)
-        while self.supervisor.phase not in ended and self.time < self.mission.protocol.limit:
+        over = False
+        while not over:
             if self.time >= due - 1e-9:
                 self._take(*ask(self.mission, self.leg, self.state, self._roles(), self.rng))
                 due += way.period
-            frame = self._step()
+            self._step()
             self._watch()
-            yield frame
-        self.events.append({"kind": self._ending, "leg": self.leg, "agents": []})
+            over = self._over
+            if over:
+                self.events.append({"kind": self._ending, "leg": self.leg, "agents": []})
+            yield self._frame()
+
+    @property
+    def _over(self) -> bool:
+        ended = self.supervisor.phase in (Phase.DONE, Phase.GIVEN_UP)
+        return ended or self.time >= self.mission.protocol.limit - 1e-9
 
     @property
     def _ending(self) -> str:
@@ -130,11 +138,10 @@ class _Flight:
                 pushed, push = p.vehicle, p.velocity
         return Roles(self.point, self.holder, self.follows, pushed, push)
 
-    def _step(self) -> Frame:
+    def _step(self) -> None:
         every = self.mission.every
         fly_steps(self.state, self._roles(), self.swarm, self.number, every, self.rng)
         self.number += every
-        return self._frame()
 
     def _frame(self) -> Frame:
         state, n = self.state, self.mission.agents

@@ -5,7 +5,9 @@ vehicle has measured or was told, in its own frame; the truth is touched only wh
 looks and where the vehicle moves.
 """
 
-from typing import NamedTuple, no_type_check
+from pathlib import Path
+from typing import Any, NamedTuple, no_type_check
+from zlib import crc32
 
 import numba
 import numpy as np
@@ -104,44 +106,7 @@ class State(NamedTuple):
 
 
 @no_type_check
-@numba.njit(cache=True)
-def fly(state, roles, swarm, first, steps, rng):
-    """Fly some control steps.
-
-    Args:
-        state: Where everything is; changed in place.
-        roles: Who does what.
-        swarm: Laws, limits, frames and shape.
-        first: Number of the first of these control steps.
-        steps: How many.
-        rng: Draws noise and losses.
-    """
-    n = len(state.position)
-    sees, others, room = np.zeros((n, 3)), np.zeros((n, 2)), np.zeros((2, n))
-    near = np.zeros(n, dtype=np.int64)
-    for number in range(first, first + steps):
-        _reckon(state, swarm.frames, rng)
-        if number % swarm.pace.every == 0:
-            _talk(state, roles, swarm, number // swarm.pace.every, rng)
-        for i in range(n):
-            u = state.command[i]
-            u[:] = 0.0
-            if i == roles.pushed:
-                u[:] = roles.push
-            elif roles.follows[i]:
-                me = roles.point[i]
-                k = _look(i, state, roles, swarm, sees, near)
-                formed = swarm.formed
-                wanted(me, sees, near[:k], formed.xy[me], formed.z[me], formed.points,
-                       formed.weight[me], swarm.law, u)  # fmt: skip
-        for i in range(n):
-            _obey(i, state, swarm, others, room, rng)
-        for i in range(n):
-            _move(i, state, swarm)
-
-
-@no_type_check
-@numba.njit(cache=True)
+@numba.njit
 def _reckon(state, frames, rng):
     # Each vehicle's own position in its own frame, drifted and noisy: all it knows of itself.
     for i in range(len(state.position)):
@@ -158,7 +123,7 @@ def _reckon(state, frames, rng):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@numba.njit
 def _talk(state, roles, swarm, message, rng):
     # Everybody tells its position; each hears those who hold its neighbouring points.
     ring, pace = len(state.told), swarm.pace
@@ -175,7 +140,7 @@ def _talk(state, roles, swarm, message, rng):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@numba.njit
 def _look(i, state, roles, swarm, sees, near):
     # Where vehicle i has the holders of its neighbouring points, from itself, in its own
     # frame: their own reckoning, by the pose of their frames in its own, which it knows.
@@ -199,7 +164,7 @@ def _look(i, state, roles, swarm, sees, near):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@numba.njit
 def _around(i, state, swarm, others, rng):
     # Those near vehicle i, as it sees them itself, in its own frame; nothing drifts here.
     frames, notice, count = swarm.frames, swarm.rules.notice, 0
@@ -223,15 +188,13 @@ def _around(i, state, swarm, others, rng):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@numba.njit
 def _obey(i, state, swarm, others, room, rng):
     # From what is wanted to what is flown: the limits of speed, then the others around, then
     # the limits of acceleration.
     limits, rules, heading = swarm.limits, swarm.rules, swarm.frames.heading[i]
     u = state.command[i].copy()
-    speed = np.sqrt(u[0] * u[0] + u[1] * u[1])
-    if speed > limits.speed:
-        u[0], u[1] = u[0] * limits.speed / speed, u[1] * limits.speed / speed
+    _slow_down(u, limits.speed)
     u[2] = min(max(u[2], -limits.climb), limits.climb)
     count = _around(i, state, swarm, others, rng)
     state.avoiding[i] = steer_clear(u, others, count, rules, room[0], room[1])
@@ -248,6 +211,7 @@ def _obey(i, state, swarm, others, room, rng):
         # While the velocity turns, others must not be approached too fast either.
         if not rules.printed and hold_back(w, others, count, rules):
             u[0], u[1] = w[0], w[1]
+        _slow_down(u, limits.speed)  # also who has to part from others
         _towards(v, u, most)
     flat = heading * complex(v[0], v[1])
     true[0], true[1] = flat.real, flat.imag
@@ -256,7 +220,15 @@ def _obey(i, state, swarm, others, room, rng):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@numba.njit
+def _slow_down(u, most):
+    speed = np.sqrt(u[0] * u[0] + u[1] * u[1])
+    if speed > most:
+        u[0], u[1] = u[0] * most / speed, u[1] * most / speed
+
+
+@no_type_check
+@numba.njit
 def _towards(v, u, most):
     change = np.sqrt((u[0] - v[0]) ** 2 + (u[1] - v[1]) ** 2)
     share = min(1.0, most / change) if change > 0 else 1.0
@@ -265,7 +237,7 @@ def _towards(v, u, most):
 
 
 @no_type_check
-@numba.njit(cache=True)
+@numba.njit
 def _move(i, state, swarm):
     v, step = state.velocity[i], swarm.pace.step
     flat = v[0] * v[0] + v[1] * v[1]
@@ -274,3 +246,50 @@ def _move(i, state, swarm):
     for a in range(3):
         state.position[i, a] += v[a] * step
         state.drifted[i, a] += far * swarm.frames.drift[i, a]
+
+
+def _kernel(stamp: int) -> Any:
+    # Numba compiles anew when the file of a function changes, or what it closes over. The
+    # stamp is of all the files that are compiled into this one function.
+    @numba.njit(cache=True)
+    @no_type_check
+    def fly(state, roles, swarm, first, steps, rng):
+        """Fly some control steps.
+
+        Args:
+            state: Where everything is; changed in place.
+            roles: Who does what.
+            swarm: Laws, limits, frames and shape.
+            first: Number of the first of these control steps.
+            steps: How many.
+            rng: Draws noise and losses.
+        """
+        n = len(state.position) if stamp >= 0 else 0
+        sees, others, room = np.zeros((n, 3)), np.zeros((n, 2)), np.zeros((2, n))
+        near = np.zeros(n, dtype=np.int64)
+        for number in range(first, first + steps):
+            _reckon(state, swarm.frames, rng)
+            if number % swarm.pace.every == 0:
+                _talk(state, roles, swarm, number // swarm.pace.every, rng)
+            for i in range(n):
+                u = state.command[i]
+                u[:] = 0.0
+                if i == roles.pushed:
+                    u[:] = roles.push
+                elif roles.follows[i]:
+                    me = roles.point[i]
+                    k = _look(i, state, roles, swarm, sees, near)
+                    formed = swarm.formed
+                    wanted(me, sees, near[:k], formed.xy[me], formed.z[me], formed.points,
+                           formed.weight[me], swarm.law, u)  # fmt: skip
+            for i in range(n):
+                _obey(i, state, swarm, others, room, rng)
+            for i in range(n):
+                _move(i, state, swarm)
+
+    return fly
+
+
+FILES = ("avoidance", "law", "swarm")
+_SOURCES = (Path(__file__).with_name(f"{name}.py").read_bytes() for name in FILES)
+fly = _kernel(crc32(b"".join(_SOURCES)))

@@ -89,8 +89,9 @@ class _Account:
             return
         if last.leg != frame.leg and last.phase is Phase.DONE:
             self._settle(last)
-        # A phase lasts from the frame that shows it to the next.
-        if last.leg == frame.leg and last.phase not in (Phase.WAITING, Phase.DONE):
+        # From the frame after the first assignment to the one that shows the end.
+        done = last.leg == frame.leg and last.phase is Phase.DONE
+        if frame.phase is not Phase.WAITING and not done:
             self.path += float(np.mean(frame.path - last.path))
             self.time += frame.time - last.time
         if last.phase is Phase.GRIDLOCKED:
