@@ -1,9 +1,10 @@
 """Whether distances along the edges hold a formation together, in the plane or in space.
 
 Help for who draws a graph, and no condition for gains: these turn and scale what they see
-instead of keeping distances. [Lusk2020] asks for universal rigidity, which is enough; a
-pyramid with too few edges to be rigid even from above can have gains nevertheless. Whether
-there are gains is answered by designing them.
+instead of keeping distances. [Lusk2020] asks for universal rigidity, which is enough. Less may
+do: a pyramid with too few edges to be rigid even from above has gains in the plane. And to be
+rigid is not enough: two storeys of three that see only each other have none. Whether there are
+gains is answered by designing them.
 
 Three questions, each harder than the one before. Rigid: no small motion keeps all lengths.
 Redundantly rigid: nor does one if any one edge is lost. Globally rigid: no other shape at

@@ -113,6 +113,20 @@ def test_a_ring_has_no_stabilising_gains_and_the_prices_prove_it(rng, n):
     assert z.bound(Y) < 0
 
 
+def test_two_storeys_that_see_only_each_other_are_rigid_and_have_no_gains(rng):
+    # On a line, K3,3 has lengths that fix it in all dimensions only if its sides mix.
+    storeys = graph_of(6, [(i, j) for i in range(3) for j in range(3, 6)])
+    points = rng.uniform(0, 1, (6, 3)) + np.outer([0, 0, 0, 1, 1, 1], [0, 0, 2])
+    formation = Formation(points, storeys)
+    assert rigid(storeys, 2, rng)
+    _, z = questions(formation)
+    L, Y = solve(z)
+    assert z.rate(L) < 0
+    assert z.bound(Y) < 0
+    with pytest.raises(NoStabilisingGain, match="by proof"):
+        design(formation)
+
+
 def test_gains_of_every_other_method_are_as_fast_or_slower_and_their_bounds_hold(rng):
     found = 0
     for _ in range(6):
