@@ -1,5 +1,6 @@
 """Trials as in [Lusk2020, Sec. V-A]: two random formations from a random start."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -67,8 +68,13 @@ def fly_trial(mission: FormationFlight, rng: np.random.Generator) -> Trial:
         mission: What is flown.
         rng: Draws noise and losses.
     """
+    return judged(mission, fly(mission, rng))
+
+
+def judged(mission: FormationFlight, frames: Iterable[Frame]) -> Trial:
+    """What came of a trial that is flown, by all its frames."""
     account = _Account(mission)
-    for frame in fly(mission, rng):
+    for frame in frames:
         account.add(frame)
     return account.close()
 
