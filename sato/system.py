@@ -87,8 +87,8 @@ F = TypeVar("F", bound=Frame)
 class System(Generic[M, F]):
     """What a system brings: M is what it calls a mission, F its frame.
 
-    Its scenario file is a `Table` in `sato.scenario`, by the same name: `build(rng)` makes a
-    mission, `warn(mission)` doubts it, `to_toml()` writes all of it.
+    Its scenario file makes the mission; it is in `sato.scenario` by the same name, see
+    `sato.scenario.ScenarioFile`.
     """
 
     name: str

@@ -64,6 +64,14 @@ def lacking(
     return int((alive & ~np.isfinite(values).reshape(*alive.shape, -1).all(axis=2)).sum())
 
 
+def numbers(
+    alive: Bool[Array, "instants agents"], *states: Float[Array, "instants agents *k"]
+) -> Promise:
+    """Live agents have states at all instants."""
+    bad = sum(lacking(alive, values) for values in states)
+    return none("numbers", bad, "states of live agents that are no numbers")
+
+
 def alive(lives: Bool[Array, "instants agents"], happened: Happened) -> Promise:
     """Agents come and go with an event, and only so."""
     expected = lives[:1].repeat(len(lives), axis=0)

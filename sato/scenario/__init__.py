@@ -7,13 +7,14 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from sato.scenario.file import ScenarioFile
 from sato.scenario.overrides import override
 from sato.scenario.reconfiguration import ReconfigurationFile
 from sato.scenario.refusal import Refusal, ScenarioError, explain, listed, nearest
 
-ScenarioFile = ReconfigurationFile  # a union, once there are more systems
-
-SYSTEMS: dict[str, type[ScenarioFile]] = {"reconfiguration": ReconfigurationFile}
+SYSTEMS: dict[str, type[ScenarioFile]] = {
+    "reconfiguration": ReconfigurationFile,
+}
 BUILT_IN = Path(__file__).parent.parent / "scenarios"
 
 __all__ = ["ScenarioError", "ScenarioFile", "names", "parse", "read"]

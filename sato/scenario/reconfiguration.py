@@ -5,28 +5,26 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import tomli_w
-from pydantic import Field, PrivateAttr, model_validator
+from pydantic import Field, model_validator
 
 from sato.reconfiguration.mission import Reconfiguration
 from sato.scenario.build import build
 from sato.scenario.detect import check_detectable, detectable
+from sato.scenario.file import ScenarioFile
 from sato.scenario.legs import check_legs, wanted
 from sato.scenario.models import AnyModel
 from sato.scenario.orbital import Chief, PlantTable
 from sato.scenario.reach import check_reach
-from sato.scenario.refusal import Refusal, ScenarioError
 from sato.scenario.start import portable
 from sato.scenario.tables import Disturbance, LegTable, Plan, Swarm, check_noise, check_plan
-from sato.scenario.units import Table
 from sato.scenario.validity import doubt
 from sato.scenario.world import World, check_kinds, check_world
 
 
-class ReconfigurationFile(Table):
+class ReconfigurationFile(ScenarioFile):
     """A swarm that takes up one shape after another, as it stands in a file."""
 
     system: Literal["reconfiguration"]
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
     swarm: Swarm
     chief: Chief | None = None
     model: AnyModel
@@ -34,13 +32,6 @@ class ReconfigurationFile(Table):
     plan: Plan
     disturbance: Disturbance = Disturbance()
     leg: Annotated[list[LegTable], Field(min_length=1)]
-
-    _source: str = PrivateAttr(default="scenario")  # in messages: where it was read from
-
-    def model_post_init(self, context: Any) -> None:
-        """Remember the name of the file."""
-        if isinstance(context, dict):
-            self._source = context.get("source", self._source)
 
     @model_validator(mode="before")
     @classmethod
@@ -76,37 +67,21 @@ class ReconfigurationFile(Table):
         return not detectable(self.swarm, self.model, self.plan)
 
     def build(self, rng: np.random.Generator) -> Reconfiguration:
-        """The mission, with everything drawn that is left to chance.
-
-        Args:
-            rng: Draws the random starts; the same state gives the same mission.
-
-        Raises:
-            ScenarioError: The starts or the targets cannot be as they are asked for, or cannot
-                be reached.
-        """
-        try:
+        """The mission; random starts are drawn."""
+        with self.building():
             mission = build(self.swarm, self._world, self.plan, self.disturbance, self.leg, rng)
             check_reach(mission)
-        except Refusal as refusal:
-            raise ScenarioError(f"{self._source}: {refusal}") from refusal
         return mission
 
     def warn(self, mission: Reconfiguration) -> None:
-        """Warn of a model that does not hold where the mission flies.
-
-        Apart from `build`, for a mission is built again whenever its run is judged.
-
-        Args:
-            mission: What `build` made of this.
-        """
+        """Warn of a model that does not hold where the mission flies."""
         if self.chief is None:
             return
         if (doubtful := doubt(mission, self.chief.orbit, self.model.kind)) is not None:
             warnings.warn(doubtful, stacklevel=2)
 
     def to_toml(self) -> str:
-        """The whole scenario, so that it can be repeated from this text alone."""
+        """The whole scenario; of files and fonts outside of it there is what they said."""
         axes = self.model.axes
         legs = []
         for leg, most in zip(self.leg, wanted(self.swarm, self.leg), strict=True):

@@ -1,0 +1,245 @@
+"""What a system must bring, shown by one that is made up here, and all that it then has."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+import pytest
+import tomli_w
+from matplotlib.figure import Figure
+from pydantic import PositiveInt
+from test_cli import call, sentence
+
+import sato
+import sato.systems
+from sato.check import Report, common
+from sato.check.happened import Happened
+from sato.check.promise import below
+from sato.network import Network
+from sato.scenario import SYSTEMS, ScenarioFile
+from sato.scenario.refusal import Refusal
+from sato.system import Frame, Passage, System, Variable
+from sato.systems import HOME, UnknownSystem, system
+
+DRIFT = """
+system = "drift"
+name = "still"
+agents = 4
+steps = 6
+comm_radius_m = 2.5
+"""
+
+
+class Drift(NamedTuple):
+    """Agents a metre and a half apart that drift as they are pushed."""
+
+    velocity: np.ndarray  # (agents, 2) [m/s]
+    steps: int
+    comm_radius: float  # [m]
+
+
+class Drifting(NamedTuple):
+    """An instant of it."""
+
+    time: float
+    position: np.ndarray
+    velocity: np.ndarray
+    alive: np.ndarray
+    component: np.ndarray
+    events: tuple
+    heading: np.ndarray
+
+
+class DriftFile(ScenarioFile):
+    """The system as a file."""
+
+    system: Literal["drift"]
+    agents: PositiveInt
+    steps: PositiveInt
+    comm_radius_m: float
+
+    def build(self, rng):
+        with self.building():
+            if self.agents > 9:
+                raise Refusal("agents", f"9 at most would do, got {self.agents}")
+        velocity = rng.uniform(-0.01, 0.01, (self.agents, 2))
+        return Drift(velocity, self.steps, self.comm_radius_m)
+
+    def warn(self, mission):
+        pass
+
+    def to_toml(self):
+        return tomli_w.dumps(self.model_dump())
+
+
+def drift(mission, rng):
+    agents = len(mission.velocity)
+    alive, heading = np.ones(agents, bool), np.arctan2(*mission.velocity.T)
+    for k in range(mission.steps + 1):
+        place = np.stack([1.5 * np.arange(agents), np.zeros(agents)], axis=1)
+        position = place + k * mission.velocity
+        component = Network.within(position, mission.comm_radius, alive).component
+        told = ({"kind": "half", "agents": [0]},) if 2 * k == mission.steps else ()
+        yield Drifting(float(k), position, mission.velocity, alive, component, told, heading)
+
+
+def attributes(mission):
+    return {"comm_radius_m": mission.comm_radius}
+
+
+def judge(data, mission, rng):
+    time, position = (np.asarray(data[name], dtype=float) for name in ("time", "position"))
+    alive = np.asarray(data["alive"], dtype=bool)
+    off = np.abs(np.diff(position, axis=0) - mission.velocity).max()
+    promises = (
+        common.attributes(data.attrs, attributes(mission)),
+        common.times(time, 1.0),
+        common.numbers(alive, position),
+        common.alive(alive, Happened.of(data)),
+        common.component(position, alive, np.asarray(data["component"]), mission.comm_radius),
+        below("drift", float(off), 1e-12, 0.0, "m off in a step"),
+    )
+    came = not common.cut_short(data.attrs)
+    return Report(promises, common.words(data.attrs, alive) | {"success": came, "path_m": 1.0})
+
+
+def figures(data, mission):
+    def path():
+        figure = Figure()
+        figure.add_subplot().plot(*np.moveaxis(np.asarray(data["position"]), -1, 0))
+        return figure
+
+    return {"path": path}
+
+
+SYSTEM = System(
+    name="drift",
+    fly=drift,
+    outcomes=(ArithmeticError,),
+    meaning={"heading": Variable(("time", "agent"), "rad", "from the y axis, clockwise")},
+    variables=lambda frames, mission: {"heading": np.array([f.heading for f in frames])},
+    attributes=attributes,
+    judge=judge,
+    passage=lambda mission, frame: Passage("drift", round(frame.time), mission.steps),
+    figures=figures,
+)
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    monkeypatch.setitem(HOME, "drift", __name__)
+    monkeypatch.setitem(SYSTEMS, "drift", DriftFile)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "drift.toml").write_text(DRIFT)
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", HOME)
+def test_every_system_is_at_home_under_its_own_name_and_has_a_scenario_file(name):
+    assert system(name).name == name
+    assert SYSTEMS.keys() == HOME.keys()
+    assert issubclass(SYSTEMS[name], ScenarioFile)
+    assert not system(name).meaning.keys() & sato.record.COMMON.keys()
+
+
+def test_a_system_is_not_loaded_before_it_is_asked_for():
+    code = (
+        "import sys, sato.record, sato.systems;"
+        "print(*[m for m in sys.modules if m.startswith(('sato.reconf', 'sato.form'))])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == ""
+
+
+def test_a_system_that_is_not_there_is_refused_with_those_that_are():
+    with pytest.raises(UnknownSystem, match=r'no system "drfit", only .*"reconfiguration"'):
+        system("drfit")
+
+
+def test_another_system_is_flown_recorded_and_judged_like_any(home):
+    first = call("run", "drift.toml", "--out", "here", "--seed", "5")
+    assert first.exit_code == 0, first.output
+    assert first.stderr == "drift at 0 s: 1 component, least separation 1.5 m\n"
+    assert "success" in first.stdout and "path, m" in first.stdout
+    run = sato.load("here")
+    assert run.data["heading"].attrs["units"] == "rad"
+    assert run.data["control_instant"].all()
+    assert run.events("half") == [{"time": 3.0, "kind": "half", "agents": [0]}]
+    assert run.summary["seed"] == 5 and run.summary["broken"] == []
+    assert [p.name for p in run.check().promises] == [
+        "unaltered", "attributes", "times", "numbers", "alive", "component", "drift", "summary",
+    ]  # fmt: skip
+    assert call("check", "here").exit_code == 0
+    again = sato.run("drift.toml", seed=5)
+    assert again.data.attrs["digest"] == run.data.attrs["digest"]
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "promise"),
+    [
+        ("position", lambda x: x + 1e-6, "drift"),
+        ("position", lambda x: x * np.nan, "numbers"),
+        ("time", lambda t: t + 1e-6, "times"),
+        ("time", lambda t: 0 * t, "times"),
+        ("alive", lambda lives: ~lives, "alive"),
+        ("component", lambda labels: labels + np.arange(4), "component"),
+    ],
+)
+def test_another_system_is_judged_by_what_is_common_to_all(home, name, change, promise):
+    run = sato.run("drift.toml", seed=5)
+    values = run.data[name].values.copy()
+    values[2] = change(values[2])
+    run.data[name] = (run.data[name].dims, values, run.data[name].attrs)
+    broken = {p.name for p in run.check().broken}
+    assert {"unaltered", promise} <= broken
+
+
+def test_what_ends_a_flight_without_being_a_fault_is_the_systems_own_word(home, monkeypatch):
+    def lost(mission, rng):
+        for frame in drift(mission, rng):
+            if frame.time == 4:
+                raise ArithmeticError("a wall in the way")
+            yield frame
+
+    monkeypatch.setattr(sys.modules[__name__], "SYSTEM", replace(SYSTEM, fly=lost))
+    assert call("run", "drift.toml", "--out", "here").exit_code == 1
+    run = sato.load("here")
+    assert run.summary["stopped"] == "a wall in the way" and len(run.data["time"]) == 4
+    assert run.summary["success"] is False
+
+
+def test_its_figures_are_drawn_and_a_film_that_it_has_not_is_refused(home):
+    call("run", "drift.toml", "--out", "here", "--quiet")
+    assert call("plot", "here").stdout == "here/path.png\n"
+    refused = call("animate", "here")
+    assert refused.exit_code == 2
+    assert sentence(refused) == (
+        "sato: there is no film of a drift, only figures, which `sato plot` draws"
+    )
+    assert call("export", "here", "--format", "csv").exit_code == 0
+
+
+def test_what_its_scenario_refuses_names_the_file(home):
+    refused = call("run", "drift.toml", "--set", "agents=12")
+    assert refused.exit_code == 2
+    assert sentence(refused) == "sato: drift.toml: agents: 9 at most would do, got 12"
+
+
+def test_a_run_of_a_system_that_is_not_known_or_lacks_its_variables_is_refused(home, monkeypatch):
+    sato.run("drift.toml").save("here")
+    lacking = sato.run("drift.toml")
+    sato.Run(lacking.data.drop_vars("heading"), lacking.summary).save("there")
+    with pytest.raises(sato.RunFileError, match=r"there/run.nc: is not a run .* no heading"):
+        sato.load("there")
+    monkeypatch.delitem(HOME, "drift")
+    with pytest.raises(sato.RunFileError, match=r'no system "drift".* newer version of sato'):
+        sato.load("here")
+
+
+def test_a_frame_is_whatever_has_what_all_have(rng):
+    mission = Drift(np.zeros((2, 2)), 1, 1.0)
+    for frame in drift(mission, rng):
+        assert isinstance(frame, Frame)
+    assert not isinstance(mission, Frame)
