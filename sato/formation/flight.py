@@ -95,7 +95,7 @@ class _Flight:
         over = False
         while not over:
             if self.time >= due - 1e-9:
-                self._take(*ask(self.mission, self.leg, self.state, self._roles(), self.rng))
+                self._auction()
                 due += way.period
             self._step()
             self._watch()
@@ -112,6 +112,12 @@ class _Flight:
     @property
     def _ending(self) -> str:
         return "leg_end" if self.supervisor.phase is Phase.DONE else "given_up"
+
+    def _auction(self) -> None:
+        found = ask(self.mission, self.leg, self.state, self._roles(), self.rng)
+        held = {"leg": self.leg, "agents": [], "rounds": found.rounds}
+        self.events.append({"kind": "auction", **held})
+        self._take(*found)
 
     def _take(self, point: Array, holder: Array, rounds: int) -> None:
         changed = np.flatnonzero(point != self.point)
