@@ -8,6 +8,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.spatial.distance import pdist
 
+from problems.formation import Formation
 from problems.gains import Gains
 from sato.formation.avoidance import Avoidance
 from sato.formation.law import Law
@@ -34,6 +35,7 @@ class Protocol(NamedTuple):
     patience: float = 90.0  # in one gridlock [s]
     hover: float = 5.0  # before the first shape, and in each [s]
     limit: float = 600.0  # of the whole flight [s]
+    shape: float = 0.1  # error of shape with which it counts as taken up [m]
 
 
 class Push(NamedTuple):
@@ -63,17 +65,11 @@ class FormationFlight:
     pushes: tuple[Push, ...] = field(default=())
 
     def __post_init__(self) -> None:
-        n = len(self.start)
         for gains in self.shapes:
-            points = gains.formation.points
-            if len(points) != n:
-                raise ValueError(f"{n} vehicles cannot take up a shape of {len(points)} points")
-            closest = pdist(points[:, :2]).min()
-            if closest < self.avoidance.keep_out:
-                raise ValueError(
-                    f"two points of the formation are {closest:.3g} m apart in the plane, nearer "
-                    f"than the keep-out of {self.avoidance.keep_out:g} m: no swarm could hold it"
-                )
+            check_formation(gains.formation, self.agents, self.avoidance.keep_out)
+        check_assigning(self.assigning, self.radio)
+        for push in self.pushes:
+            check_push(push, self.agents)
 
     @property
     def agents(self) -> int:
@@ -84,6 +80,48 @@ class FormationFlight:
     def sample(self) -> float:
         """Time from one frame to the next [s]."""
         return self.every * self.step
+
+
+def check_formation(formation: Formation, agents: int, keep_out: float) -> None:
+    """A swarm can take up a formation, and keep it.
+
+    Raises:
+        ValueError: It has more or fewer points than there are vehicles, or two are too near.
+    """
+    points = formation.points
+    if len(points) != agents:
+        raise ValueError(f"{agents} vehicles cannot take up a shape of {len(points)} points")
+    closest = pdist(points[:, :2]).min()
+    if closest < keep_out:
+        raise ValueError(
+            f"two points of the formation are {closest:.3g} m apart in the plane, nearer "
+            f"than the keep-out of {keep_out:g} m: no swarm could hold it"
+        )
+
+
+def check_assigning(assigning: Assigning, radio: Radio) -> None:
+    """The auction can end with such a radio.
+
+    Raises:
+        ValueError: It waits for messages that may be lost.
+    """
+    if assigning.kind == "vsdaa" and radio.loss > 0:
+        raise ValueError(
+            f'"vsdaa" ends when nothing new is heard, which needs every message, and a share of '
+            f'{radio.loss:g} is lost; "cbaa" goes on telling and would do'
+        )
+
+
+def check_push(push: Push, agents: int) -> None:
+    """There is somebody to push, and a time for it.
+
+    Raises:
+        ValueError: There is not.
+    """
+    if not 0 <= push.vehicle < agents:
+        raise ValueError(f"there is no vehicle {push.vehicle}; they are 0 to {agents - 1}")
+    if not push.start < push.end:
+        raise ValueError(f"a push from {push.start:g} s to {push.end:g} s never begins")
 
 
 def aligned(agents: int, noise: float = 0.0) -> Frames:
