@@ -60,6 +60,7 @@ class Passage(NamedTuple):
     stage: str  # what the swarm is about: "leg 1 of 2"
     done: int  # steps
     total: int  # steps, as far as is known by now
+    words: str = ""  # what else there is to say of the instant
 
 
 @runtime_checkable

@@ -17,7 +17,10 @@ from sato.system import F, Frame, M, Passage
 if TYPE_CHECKING:
     import sato.check
 
-CALLED = {"fuel_per_agent": "Δv per spacecraft"}  # what a name alone does not say
+CALLED = {  # where a name alone does not say it, or ends as if it had a unit
+    "fuel_per_agent_m_s": ("Δv per spacecraft", "m/s"),
+    "bytes_per_vehicle_s": ("sent by each vehicle", "bytes/s"),
+}
 
 
 @contextmanager
@@ -65,12 +68,12 @@ class _Watch:
         self.passage = passage
         self.least = float("inf")
 
-    def words(self, frame: Frame) -> str:
+    def words(self, frame: Frame, more: str) -> str:
         now = sampled_separations(frame.position[None], frame.alive[None])
         self.least = min(self.least, float(now[0]))
         parts = int(frame.component.max()) + 1
         near = f", least separation {self.least:.3g} m" if self.least < float("inf") else ""
-        return f"{parts} component{'s' * (parts != 1)}{near}"
+        return f"{parts} component{'s' * (parts != 1)}{near}{more and f', {more}'}"
 
 
 class _Lines(_Watch):
@@ -79,7 +82,8 @@ class _Lines(_Watch):
     stage = ""
 
     def __call__(self, mission: object, frame: Frame) -> None:
-        stage, words = self.passage(mission, frame).stage, self.words(frame)
+        stage, _, _, more = self.passage(mission, frame)
+        words = self.words(frame, more)
         if stage != self.stage:
             self.stage = stage
             print(f"{stage} at {frame.time:g} s: {words}", file=sys.stderr)
@@ -94,8 +98,8 @@ class _Bar(_Watch):
         self.task = bar.add_task("", total=None, visible=False, stage="", words="")
 
     def __call__(self, mission: object, frame: Frame) -> None:
-        stage, done, total = self.passage(mission, frame)
-        fields: dict[str, Any] = {"stage": stage, "words": self.words(frame)}
+        stage, done, total, more = self.passage(mission, frame)
+        fields: dict[str, Any] = {"stage": stage, "words": self.words(frame, more)}
         self.bar.update(self.task, completed=done, total=total, visible=True, **fields)
 
 
@@ -139,13 +143,15 @@ def tell_promises(report: "sato.check.Report") -> None:
 
 
 def _spelt(name: str, which: str = "") -> str:
-    words, unit = name, ""
-    for ending, written in (("_m_s", "m/s"), ("_m", "m"), ("_s", "s"), ("_mib", "MiB")):
-        if name.endswith(ending):
-            words, unit = name.removesuffix(ending), written
-            break
-    words = CALLED.get(words, words.replace("_", " "))
+    words, unit = CALLED.get(name) or _split(name)
     return ", ".join(part for part in (words, which, unit) if part)
+
+
+def _split(name: str) -> tuple[str, str]:
+    for ending, unit in (("_m_s", "m/s"), ("_m", "m"), ("_s", "s"), ("_mib", "MiB")):
+        if name.endswith(ending):
+            return name.removesuffix(ending).replace("_", " "), unit
+    return name.replace("_", " "), ""
 
 
 def _short(value: object, beside: float | None = None) -> str:

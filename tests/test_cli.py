@@ -351,6 +351,15 @@ def test_on_a_terminal_a_bar_tells_leg_step_and_separation(home, monkeypatch, ca
     assert "leg 1 of 1, step 20 of 20, 1 component, least separation 1.41 m" in said
 
 
+def test_what_a_name_does_not_say_is_spelt_out():
+    from sato.terminal import _spelt
+
+    assert _spelt("bytes_per_vehicle_s") == "sent by each vehicle, bytes/s"
+    assert _spelt("fuel_per_agent_m_s", "mean") == "Δv per spacecraft, mean, m/s"
+    assert _spelt("min_separation_m") == "min separation, m"
+    assert _spelt("slack_used") == "slack used"
+
+
 def test_an_override_reaches_the_run(home):
     assert call("run", "tiny.toml", "--set", "steps=25", "--set", "seed=1").exit_code == 2
     call("run", "tiny.toml", "--set", "steps=25", "--out", "here")

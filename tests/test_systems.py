@@ -122,7 +122,7 @@ SYSTEM = System(
     variables=lambda frames, mission: {"heading": np.array([f.heading for f in frames])},
     attributes=attributes,
     judge=judge,
-    passage=lambda mission, frame: Passage("drift", round(frame.time), mission.steps),
+    passage=lambda mission, frame: Passage("drift", round(frame.time), mission.steps, "calm"),
     figures=figures,
 )
 
@@ -161,7 +161,7 @@ def test_a_system_that_is_not_there_is_refused_with_those_that_are():
 def test_another_system_is_flown_recorded_and_judged_like_any(home):
     first = call("run", "drift.toml", "--out", "here", "--seed", "5")
     assert first.exit_code == 0, first.output
-    assert first.stderr == "drift at 0 s: 1 component, least separation 1.5 m\n"
+    assert first.stderr == "drift at 0 s: 1 component, least separation 1.5 m, calm\n"
     assert "success" in first.stdout and "path, m" in first.stdout
     run = sato.load("here")
     assert run.data["heading"].attrs["units"] == "rad"
