@@ -17,7 +17,6 @@ __all__ = ["Gains", "NoStabilisingGain", "Undecided", "design"]
 
 Method = Literal["auto", "projection", "admm", "sdp", "paper"]
 DIRECTION = {"xy": "in the plane", "z": "upwards"}
-SMALL = 500  # vehicles up to which a second thread only waits
 
 
 class NoStabilisingGain(RuntimeError):
@@ -57,7 +56,7 @@ class Undecided(RuntimeError):
         super().__init__(
             f"the method {method} found no stable gains for {_called(formation)} "
             f"{DIRECTION[which]}: their rate is {rate:.1e}, and up to {bound:.1e} is not excluded; "
-            'method "auto" may find more, "sdp" too where vehicles are few, and more edges will help'
+            'method "auto" may find more, for few vehicles "sdp" too, and more edges will help'
         )
 
 
@@ -89,8 +88,7 @@ def design(
         NoStabilisingGain: There are none, with the proof.
         Undecided: The method found neither stable gains nor that proof.
     """
-    threads = 1 if len(formation.points) <= SMALL else None
-    with threadpool_limits(threads, user_api="blas"):
+    with threadpool_limits(1, user_api="blas"):  # on busy cores a second thread only waits
         xy, bound_xy, how = _answer(formation, "xy", method, tolerance)
         z, bound_z, _ = _answer(formation, "z", method, tolerance)
         return Gains(formation, -xy, -z, how, bound_xy, bound_z)
