@@ -65,7 +65,7 @@ class Formation:
 
 def _span(column: Array, extent: float) -> Array:
     # Centred, the column is orthogonal to 1, and its size says whether it counts.
-    ones = np.full(len(column), len(column) ** -0.5)
+    ones = np.full(len(column), len(column) ** -0.5, dtype=column.dtype)
     centred = column - column.mean()
     centred = centred - ones * (ones @ centred)  # once more, for points far from the origin
     size = np.linalg.norm(centred)
@@ -89,7 +89,7 @@ def _refuse_points(points: Array) -> None:
 
 def _refuse_graph(graph: Array, n: int) -> None:
     if graph.shape != (n, n):
-        raise ValueError(f"{n} points need an {n} × {n} graph, got {graph.shape}")
+        raise ValueError(f"{n} points need a graph of {n} × {n}, got {graph.shape}")
     if graph.diagonal().any():
         i = int(np.argmax(graph.diagonal()))
         raise ValueError(f"vertex {i} is its own neighbour: clear the diagonal of the graph")

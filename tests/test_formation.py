@@ -1,0 +1,106 @@
+"""A formation: what its gains must leave alone, and what is no formation."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from problems.formation import Formation, _refuse_graph
+
+
+def ring(n):
+    graph = np.zeros((n, n), dtype=bool)
+    at = np.arange(n)
+    graph[at, (at + 1) % n] = graph[(at + 1) % n, at] = True
+    return graph
+
+
+def spans(kernel, column):
+    return np.abs(column - kernel @ (kernel.conj().T @ column)).max()
+
+
+@given(st.integers(3, 12), st.integers(0, 2**32 - 1), st.floats(0, 1e5))
+def test_kernels_are_orthonormal_and_span_the_shape_wherever_it_stands(n, seed, away):
+    rng = np.random.default_rng(seed)
+    formation = Formation.complete(rng.normal(size=(n, 3)) * [9, 9, 2] + away)
+    for kernel, column in (
+        (formation.kernel_xy, formation.planar),
+        (formation.kernel_z, formation.points[:, 2]),
+    ):
+        assert kernel.shape == (n, 2)
+        assert np.abs(kernel.conj().T @ kernel - np.eye(2)).max() < 1e-12
+        assert spans(kernel, np.ones(n)) < 1e-12
+        assert spans(kernel, column) < 1e-14 * n * (away + 100)
+
+
+def test_planar_points_are_complex_numbers():
+    formation = Formation.complete(np.array([[1.0, 2, 3], [4, 5, 6], [7, 8, 10]]))
+    assert formation.planar.tolist() == [1 + 2j, 4 + 5j, 7 + 8j]
+
+
+@pytest.mark.parametrize(("spread", "flat"), [(0.0, True), (0.009, True), (0.011, False)])
+def test_heights_with_a_deviation_below_a_centimetre_count_as_equal(spread, flat):
+    square = np.array([[0.0, 0, 1], [9, 0, 1], [9, 9, 1], [0, 9, 1]])
+    square[:, 2] += spread * np.array([1, -1, 1, -1])
+    formation = Formation.complete(square)
+    assert formation.flat == flat
+    assert formation.kernel_z.shape == (4, 1 if flat else 2)
+
+
+def test_a_vertical_stack_has_one_column_in_the_plane_and_two_upwards():
+    stack = Formation.complete(np.array([[5.3, -2.1, z] for z in (0.0, 2, 3, 7)]))
+    assert stack.kernel_xy.shape == (4, 1) and stack.kernel_z.shape == (4, 2)
+
+
+def test_points_in_a_row_have_two_columns_in_the_plane():
+    row = Formation.complete(np.array([[2.0 * k, -k, 1] for k in range(5)]))
+    assert row.kernel_xy.shape == (5, 2) and row.flat
+
+
+def test_the_complete_graph_has_every_edge_and_no_loop(rng):
+    formation = Formation.complete(rng.normal(size=(6, 3)), "six")
+    assert np.array_equal(formation.graph, ~np.eye(6, dtype=bool)) and formation.name == "six"
+
+
+def changed(graph, pairs, value):
+    graph = graph.copy()
+    for i, j in pairs:
+        graph[i, j] = value
+    return graph
+
+
+POINTS = np.random.default_rng(0).normal(size=(6, 3))
+FULL = ~np.eye(6, dtype=bool)
+PARTS = np.kron(np.eye(2, dtype=bool), ~np.eye(3, dtype=bool))
+LEAF = changed(FULL, [(5, k) for k in range(1, 6)] + [(k, 5) for k in range(1, 6)], False)
+
+
+@pytest.mark.parametrize(
+    ("points", "graph", "words"),
+    [
+        (POINTS[:2], FULL[:2, :2], "at least 3 points, got 2"),
+        (POINTS[[0, 1, 2, 3, 1, 5]], FULL, "points 1 and 4 coincide"),
+        (POINTS * [1, 1, np.nan], FULL, "point 0 is .* must be finite"),
+        (POINTS, changed(FULL, [(3, 3)], True), "vertex 3 is its own neighbour"),
+        (POINTS, changed(FULL, [(4, 2)], False), "edge 2–4 has no way back: set 4–2"),
+        (POINTS, PARTS, "no edge joins vertices 0, 1, 2 to the rest"),
+        (POINTS, LEAF, "too sparse at vertex 5"),
+    ],
+)
+def test_what_is_no_formation_is_refused_with_the_reason(points, graph, words):
+    with pytest.raises(ValueError, match=words):
+        Formation(points, graph)
+
+
+def test_a_graph_of_another_size_is_refused():
+    # Asked of the check itself: in tests, the annotation of the shape would answer first.
+    with pytest.raises(ValueError, match=r"5 points need a graph of 5 × 5, got \(6, 6\)"):
+        _refuse_graph(FULL, 5)
+
+
+def test_the_smaller_part_is_named_and_long_lists_are_cut(rng):
+    n = 30
+    graph = np.zeros((n, n), dtype=bool)
+    graph[:12, :12], graph[12:, 12:] = ring(12), ring(18)
+    with pytest.raises(ValueError, match="joins vertices 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, … to"):
+        Formation(rng.normal(size=(n, 3)), graph)
