@@ -1,0 +1,183 @@
+"""What a vehicle may do among others: the printed rule, its fault, and half-planes instead."""
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from sato.formation.avoidance import Avoidance, approach, hold_back, steer_clear
+
+OURS = Avoidance()
+PRINTED = Avoidance(notice=1.5, printed=True)
+FAULTY = PRINTED._replace(linear=True)
+SEEDS = st.integers(0, 2**32 - 1)
+MANY = settings(max_examples=200)
+
+
+def steered(u, others, rules):
+    """The velocity afterwards, and whether anything was changed."""
+    v, others = np.array([*u, 0.1]), np.asarray(others, dtype=float)
+    changed = steer_clear(v, others, len(others), rules, np.zeros(20), np.zeros(20))
+    return v[:2], bool(changed)
+
+
+def held(u, others, rules=OURS):
+    v = np.array(u, dtype=float)
+    hold_back(v, others, len(others), rules)
+    return v
+
+
+def crowd(seed, most=8, nearest=0.9):
+    """A velocity, and some others around, who keep some distance from each other."""
+    rng = np.random.default_rng(seed)
+    others = []
+    for _ in range(rng.integers(1, 40)):
+        there = rng.uniform(-3.5, 3.5, 2)
+        far = [np.linalg.norm(there - other) > 1.0 for other in others]
+        if np.linalg.norm(there) > nearest and all(far) and len(others) < most:
+            others.append(there)
+    return rng.uniform(-0.5, 0.5, 2), np.array(others).reshape(-1, 2)
+
+
+def angle(u):
+    return np.arctan2(u[1], u[0])
+
+
+def around(turn):
+    return (turn + np.pi) % (2 * np.pi) - np.pi
+
+
+def towards(other, half, far=1.3):
+    """Who is seen in that direction [°], so far that its sector has that half-angle [°]."""
+    distance = PRINTED.keep_out / np.sin(np.deg2rad(half)) if half else far
+    return distance * np.array([np.cos(np.deg2rad(other)), np.sin(np.deg2rad(other))])
+
+
+def headed(degrees, speed=0.4):
+    return speed * np.array([np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))])
+
+
+def bounds(others, least=-np.inf):
+    """Directions in which the speed is bounded, and by what."""
+    far = np.linalg.norm(others, axis=1)
+    near = far < OURS.notice
+    most = np.array([max(least, approach(d, OURS)) for d in far[near]])
+    return others[near] / far[near, None], most
+
+
+def nearest_of_all(u, normals, most):
+    """The nearest point of an intersection of half-planes: it is u, on an edge, or a corner."""
+    found = [u] + [u - (n @ u - b) * n for n, b in zip(normals, most, strict=True)]
+    for i in range(len(most)):
+        for j in range(i):
+            pair = normals[[i, j]]
+            if abs(np.linalg.det(pair)) > 1e-9:
+                found.append(np.linalg.solve(pair, most[[i, j]]))
+    good = [x for x in found if np.all(normals @ x <= most + 1e-9)]
+    return min(good, key=lambda x: np.linalg.norm(x - u), default=None)
+
+
+@MANY
+@given(SEEDS)
+def test_printed_the_nearest_direction_that_nobody_forbids_is_taken_or_none(seed):
+    u, others = crowd(seed)
+    heading = np.linspace(-np.pi, np.pi, 20_001)
+    forbidden = np.zeros(len(heading), dtype=bool)
+    for other in others:
+        far = np.linalg.norm(other)
+        if far < PRINTED.notice:
+            half = np.arcsin(min(1.0, PRINTED.keep_out / far))
+            forbidden |= np.abs(around(heading - angle(other))) < half
+    least = np.abs(around(heading[~forbidden] - angle(u))).min(initial=np.inf)
+    assume(abs(least - np.pi / 2) > 1e-3)
+    v, changed = steered(u, others, PRINTED)
+    assert changed == (least > 1e-3)
+    if least > np.pi / 2:
+        assert not v.any()
+    else:
+        assert np.linalg.norm(v) == pytest.approx(np.linalg.norm(u))
+        assert abs(around(angle(v) - angle(u))) == pytest.approx(least, abs=1e-3)
+
+
+def test_angles_that_do_not_wrap_around_turn_to_the_wrong_side():
+    u, others = headed(170), [towards(160, half=70)]
+    right, faulty = steered(u, others, PRINTED)[0], steered(u, others, FAULTY)[0]
+    assert right == pytest.approx(headed(230))
+    assert faulty == pytest.approx(headed(90))
+
+
+def test_angles_that_do_not_wrap_around_stop_who_could_go_on():
+    u, others = headed(170), [towards(150, half=75)]
+    assert steered(u, others, PRINTED)[0] == pytest.approx(headed(225))
+    assert not steered(u, others, FAULTY)[0].any()
+    # Turned by a half turn it is no fault any more.
+    assert steered(-u, -np.array(others), FAULTY)[0] == pytest.approx(-headed(225))
+
+
+@given(SEEDS, st.floats(-np.pi, np.pi), st.sampled_from([OURS, PRINTED]))
+def test_all_turned_the_way_out_is_turned(seed, yaw, rules):
+    u, others = crowd(seed)
+    turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+    v, changed = steered(turn @ u, others @ turn.T, rules)
+    plain, once = steered(u, others, rules)
+    assert changed == once
+    assert v == pytest.approx(turn @ plain, abs=1e-9)
+
+
+@pytest.mark.parametrize("gap", [0.01, 0.3, 1.5])
+def test_two_who_brake_from_the_allowed_speed_stop_at_the_keep_out(gap):
+    allowed = approach(OURS.keep_out + OURS.margin + gap, OURS)
+    assert 2 * allowed**2 / (2 * OURS.brake) == pytest.approx(gap)
+
+
+def test_who_is_too_near_has_to_part_the_faster_the_nearer():
+    least = OURS.keep_out + OURS.margin
+    assert approach(least, OURS) == pytest.approx(0, abs=1e-8)  # rounded in a square root
+    assert approach(least - 0.2, OURS) < approach(least - 0.1, OURS) < 0
+
+
+@MANY
+@given(SEEDS)
+def test_who_is_held_back_takes_the_nearest_velocity_that_approaches_nobody_too_fast(seed):
+    u, others = crowd(seed)
+    best = nearest_of_all(u, *bounds(others))
+    if best is None:  # between two who are too near: enough to approach none
+        best = nearest_of_all(u, *bounds(others, least=0.0))
+    assert held(u, others) == pytest.approx(best, abs=1e-8)
+
+
+@MANY
+@given(SEEDS)
+def test_nobody_is_approached_faster_than_allowed_if_that_is_possible(seed):
+    u, others = crowd(seed)
+    normals, most = bounds(others)
+    assume(nearest_of_all(u, normals, most) is not None)
+    v, changed = steered(u, others, OURS)
+    assert np.all(normals @ v <= most + 1e-8)
+    assert changed == bool(np.any(normals @ u > most + 1e-12))
+
+
+@given(SEEDS)
+def test_between_who_are_too_near_at_least_none_is_approached(seed):
+    u, others = crowd(seed, most=12, nearest=0.3)
+    v, _ = steered(u, others * 0.5, OURS)
+    normals, most = bounds(others * 0.5, least=0.0)
+    assert np.all(normals @ v <= most + 1e-8)
+
+
+def test_where_nobody_is_near_nothing_is_changed():
+    for rules in (OURS, PRINTED):
+        v, changed = steered([0.3, 0.1], np.array([[rules.notice + 0.01, 0.0]]), rules)
+        assert not changed and v.tolist() == [0.3, 0.1]
+
+
+def test_of_two_ways_as_near_the_right_one_is_taken():
+    v, changed = steered([0.5, 0.0], [[1.3, 0.0]], OURS)
+    assert changed and v[1] < 0
+    assert np.linalg.norm(v) == pytest.approx(0.5)
+
+
+def test_who_rests_too_near_to_another_parts_from_it():
+    for other in ([1.0, 0.0], [-1.0, 0.0], [0.0, 1.0]):
+        v, changed = steered([0.0, 0.0], [other], OURS)
+        assert changed and v == pytest.approx(approach(1.0, OURS) * np.array(other))

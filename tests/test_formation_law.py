@@ -1,0 +1,205 @@
+"""The law of one vehicle: what it leaves alone, how it turns, and the potential it descends."""
+
+import runpy
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from problems.formation import Formation
+from problems.formation_gain import design
+from sato.formation.law import Law, wanted
+from sato.formation.shape import likeness
+from sato.shapes.formations import formation
+from sato.shapes.random_formation import random_formation, sparse_graph
+
+ROBUSTNESS = runpy.run_path(str(Path(__file__).parents[1] / "scripts" / "robustness.py"))
+commands, settle = ROBUSTNESS["commands"], ROBUSTNESS["settle"]
+
+OURS, EITHER = Law(), Law(upright=False)
+PRINTED = Law(upright=False, printed=True)
+LAWS = pytest.mark.parametrize("law", [OURS, EITHER, PRINTED], ids=["upright", "either", "printed"])
+FEW = settings(max_examples=15)
+MIRROR = np.array([1.0, 1.0, -1.0])
+
+
+@cache
+def some(seed, n=7, share=0.8):
+    rng = np.random.default_rng(seed)
+    points = random_formation(n, (8.0, 8.0, 3.0), 1.5, rng)
+    return design(Formation(points, sparse_graph(points, share, rng)))
+
+
+def about_the_vertical(yaw):
+    return Rotation.from_rotvec([0, 0, yaw]).as_matrix()
+
+
+def until(length, law, should):
+    """∫ r f(r) dr of the printed size control from nothing on, in the plane (xy) or upwards (z)."""
+    size, bend, slack = law
+    error = length - should
+    if abs(error) <= slack:
+        return 0.0
+    begin = should + np.copysign(slack, error)
+    node, weight = np.polynomial.legendre.leggauss(20)
+    r = begin + (length - begin) * (node + 1) / 2
+    return (length - begin) / 2 * weight @ (r * size * np.arctan(bend * (r - should)))
+
+
+def stretched(length, should):
+    """∫ r f(r) dr of the size control f = (r − p) / max(r, p)."""
+    if length < should:
+        return (length**3 / 3 - should * length**2 / 2) / should
+    return (length - should) ** 2 / 2 - should**2 / 6
+
+
+def potential(position, gains, law):
+    """What the law descends, from the definition of its size control edge by edge."""
+    shape, graph = gains.formation.points, gains.formation.graph
+    flat, height = position[:, 0] + 1j * position[:, 1], position[:, 2]
+    V = -(flat.conj() @ gains.xy @ flat).real / 2 - height @ gains.z @ height / 2
+    degree = graph.sum(axis=1)
+    for i, j in np.argwhere(np.triu(graph)):
+        near, far = (np.linalg.norm(x[j, :2] - x[i, :2]) for x in (position, shape))
+        up, should = (x[j, 2] - x[i, 2] for x in (position, shape))
+        if law.printed:
+            V += until(near, (law.size_xy, law.bend_xy, law.slack_xy), far)
+            V += until(abs(up), (law.size_z, law.bend_z, law.slack_z), abs(should))
+            continue
+        weight = law.size / max(degree[i], degree[j])
+        V += weight * stretched(near, far)
+        V += weight * ((up - should) ** 2 / 2 if law.upright else stretched(abs(up), abs(should)))
+    return law.gain * V
+
+
+@LAWS
+@FEW
+@given(
+    seed=st.integers(0, 5),
+    yaw=st.floats(-np.pi, np.pi),
+    shift=st.tuples(*[st.floats(-100, 100)] * 3),
+)
+def test_who_is_in_the_shape_anywhere_and_at_any_heading_rests(law, seed, yaw, shift):
+    gains = some(seed)
+    placed = gains.formation.points @ about_the_vertical(yaw).T + shift
+    assert np.abs(commands(placed, gains, law)).max() <= 1e-11
+
+
+@LAWS
+@FEW
+@given(seed=st.integers(0, 5), wide=st.floats(0.1, 5), high=st.floats(-5, 5))
+def test_without_size_control_the_shape_rests_at_any_size(law, seed, wide, high):
+    gains = some(seed)
+    free = law._replace(size=0.0, size_xy=0.0, size_z=0.0)
+    placed = gains.formation.points * [wide, wide, high]
+    assert np.abs(commands(placed, gains, free)).max() <= 1e-12
+
+
+@pytest.mark.parametrize(("law", "rests"), [(OURS, False), (EITHER, True), (PRINTED, True)])
+def test_the_mirror_image_rests_only_where_either_will_do(law, rests):
+    gains = some(1)
+    speed = np.abs(commands(gains.formation.points * MIRROR, gains, law)).max()
+    assert speed <= 1e-12 if rests else speed > 0.1
+
+
+@LAWS
+@FEW
+@given(seed=st.integers(0, 5), start=st.integers(0, 2**32 - 1), yaw=st.floats(-np.pi, np.pi))
+def test_who_sees_all_turned_wants_all_turned(law, seed, start, yaw):
+    gains = some(seed)
+    position = np.random.default_rng(start).uniform(0, 10, (7, 3))
+    turn = about_the_vertical(yaw)
+    turned = commands(position @ turn.T, gains, law)
+    assert np.abs(turned - commands(position, gains, law) @ turn.T).max() <= 1e-12
+
+
+@LAWS
+@FEW
+@given(seed=st.integers(0, 5), start=st.integers(0, 2**32 - 1))
+def test_commands_are_the_steepest_way_down_the_potential(law, seed, start):
+    gains, rng, h = some(seed), np.random.default_rng(start), 1e-5
+    position = rng.uniform(0, 10, (7, 3))
+    asked = commands(position, gains, law)
+    for way in rng.standard_normal((4, 7, 3)):
+        above, below = (potential(position + x * way, gains, law) for x in (h, -h))
+        assert (above - below) / (2 * h) == pytest.approx(-np.sum(asked * way), abs=1e-5)
+
+
+@LAWS
+def test_the_potential_falls_also_where_commands_are_scaled_and_turned(law, rng):
+    gains, position = some(3), rng.uniform(0, 10, (7, 3))
+    before = potential(position, gains, law)
+    for _ in range(100):
+        way = ROBUSTNESS["distort"](7, 0.99 * np.pi / 2, rng)
+        asked = commands(position, gains, law)
+        # Short enough that what is of second order is less than the fall.
+        position = position + 1e-5 * (way @ asked[..., None])[..., 0]
+        after = potential(position, gains, law)
+        assert after < before
+        before = after
+
+
+def test_only_neighbours_are_looked_at():
+    gains = some(2)
+    graph, points = gains.formation.graph, gains.formation.points
+    sees = np.random.default_rng(2).uniform(-5, 5, (7, 3))
+    weight, asked, again = np.ones(7), np.zeros(3), np.zeros(3)
+    i = int(np.argmin(graph.sum(axis=1)))
+    rank = np.flatnonzero(graph[i])
+    wanted(i, sees, rank, gains.xy[i], gains.z[i], points, weight, OURS, asked)
+    sees[~graph[i]] = np.nan
+    wanted(i, sees, rank, gains.xy[i], gains.z[i], points, weight, OURS, again)
+    assert np.array_equal(asked, again) and np.isfinite(asked).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_scaled_and_turned_by_less_than_90_degrees_the_formation_still_forms(seed):
+    rng = np.random.default_rng(seed)
+    found = settle(*ROBUSTNESS["case"](rng), rng)
+    assert found.error <= ROBUSTNESS["FORMED"] and not found.inverted
+
+
+def test_turned_by_more_than_90_degrees_all_fly_apart():
+    rng = np.random.default_rng(0)
+    gains, start = ROBUSTNESS["case"](rng)
+    turn = about_the_vertical(np.deg2rad(100))
+    position, before = start, likeness(start, gains.formation.points).error
+    for _ in range(1000):
+        position = position + 0.01 * commands(position, gains, OURS) @ turn.T
+    assert likeness(position, gains.formation.points).error > before
+
+
+@pytest.mark.parametrize("law", [OURS, EITHER], ids=["upright", "either"])
+@pytest.mark.parametrize("name", ["Pentagonal Pyramid", "Triangular Prism", "Slanted Plane"])
+def test_from_the_mirror_image_only_the_upright_law_comes_back(law, name):
+    gains = design(formation(name))
+    points = gains.formation.points
+    noise = np.random.default_rng(4).normal(0, 0.05, points.shape)
+    found = settle(gains, points * MIRROR + noise, np.random.default_rng(5), law)
+    assert found.error <= ROBUSTNESS["FORMED"]
+    assert found.inverted == (not law.upright)
+
+
+def test_a_swarm_is_inverted_where_the_mirror_image_fits_better(rng):
+    points = formation("Pentagonal Pyramid").points
+    placed = points @ about_the_vertical(1.0).T + [3.0, 4.0, 5.0]
+    noise = rng.normal(0, 0.05, points.shape)
+    assert likeness(placed, points) == (pytest.approx(0, abs=1e-12), False)
+    assert not likeness(placed + noise, points).inverted
+    assert likeness(placed * MIRROR + noise, points).inverted
+    assert likeness(placed * MIRROR, points).error == pytest.approx(0, abs=1e-12)
+
+
+def test_the_error_of_a_shape_is_what_the_best_of_many_poses_leaves(rng):
+    points = formation("Triangular Prism").points
+    seen = points + rng.normal(0, 0.3, points.shape)
+    mean = seen.mean(axis=0) - points.mean(axis=0)
+    about = points - points.mean(axis=0)
+    turns = (about @ about_the_vertical(yaw).T for yaw in np.linspace(-np.pi, np.pi, 20001))
+    away = (seen - points.mean(axis=0) - mean - turned for turned in turns)
+    least = min(np.sqrt((d**2).sum(axis=1).mean()) for d in away)
+    assert likeness(seen, points).error == pytest.approx(least, abs=1e-6)
