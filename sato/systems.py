@@ -7,6 +7,7 @@ from sato.system import System
 
 HOME = {
     "reconfiguration": "sato.reconfiguration.system",
+    "formation": "sato.formation.system",
 }
 
 

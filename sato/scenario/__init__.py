@@ -8,12 +8,14 @@ from typing import Any
 from pydantic import ValidationError
 
 from sato.scenario.file import ScenarioFile
+from sato.scenario.formation import FormationFile
 from sato.scenario.overrides import override
 from sato.scenario.reconfiguration import ReconfigurationFile
 from sato.scenario.refusal import Refusal, ScenarioError, explain, listed, nearest
 
 SYSTEMS: dict[str, type[ScenarioFile]] = {
     "reconfiguration": ReconfigurationFile,
+    "formation": FormationFile,
 }
 BUILT_IN = Path(__file__).parent.parent / "scenarios"
 

@@ -1,6 +1,7 @@
 """Saying no: what was wrong, where, and what would do."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from difflib import get_close_matches
 from math import ceil, floor, log10
 from typing import Any
@@ -24,6 +25,17 @@ class Refusal(ValueError):
     def inside(self, table: str) -> "Refusal":
         """The same, of a key in a table."""
         return Refusal(".".join(filter(None, (table, self.where))), self.what)
+
+
+@contextmanager
+def refused_at(where: str) -> Iterator[None]:
+    """What is refused in here, or said to be no good, is refused of a key of the file."""
+    try:
+        yield
+    except Refusal as refusal:
+        raise refusal.inside(where) from refusal
+    except ValueError as error:
+        raise Refusal(where, str(error)) from error
 
 
 def listed(names: Iterable[Any], last: str = "or") -> str:

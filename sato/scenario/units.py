@@ -26,6 +26,7 @@ UNITS = {
     "_m_s": Unit("speed", 1.0),
     "_rad_s": Unit("rotation", 1.0),
     "_deg_s": Unit("rotation", pi / 180),
+    "_m2": Unit("area", 1.0),
     "_km": Unit("length", 1e3),
     "_m": Unit("length", 1.0),
     "_min": Unit("time", 60.0),

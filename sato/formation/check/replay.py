@@ -1,0 +1,137 @@
+"""The flight once more, as who watched it saw it: by commands and avoidance alone."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
+
+from sato.formation.mission import FormationFlight
+from sato.formation.supervisor import Phase, Supervisor
+
+TOLD = ("leg_start", "leg_end", "given_up", "gridlock", "gridlock_end", "auction")
+
+
+class Told(NamedTuple):
+    """An event that had to be."""
+
+    instant: int
+    kind: str
+    leg: int
+
+
+class Stretch(NamedTuple):
+    """One leg as it had to be flown."""
+
+    leg: int
+    first: int  # instant after the call for the shape
+    end: int  # instant at which it is taken up or given up; the last where it never is
+    last: int  # instant before the next call, or the last
+    settled: bool  # taken up, as who watches it sees it
+
+
+class Replay(NamedTuple):
+    """How a flight had to go, as far as it was recorded."""
+
+    leg: Int[Array, " instants"]  # −1 after the flight had to be over
+    phase: tuple[Phase, ...]  # at every instant that had to be
+    told: tuple[Told, ...]
+    stretches: tuple[Stretch, ...]
+    complete: bool  # the last instant is the one at which the flight had to be over
+
+
+def replay(
+    mission: FormationFlight,
+    command: Float[Array, "instants agents 3"],
+    avoiding: Bool[Array, "instants agents"],
+) -> Replay:
+    """Watch a flight again.
+
+    Args:
+        mission: What was to be flown.
+        command: By the law, in the own frames, before limits [m/s].
+        avoiding: Who changed it to avoid others.
+    """
+    speed = np.sqrt(np.einsum("kij,kij->ki", command, command))
+    watch = _Watch(mission, speed, avoiding)
+    complete = watch.all_legs()
+    k = len(watch.phase) - 1  # the last instant that had to be
+    leg = np.full(len(command), -1)
+    leg[: k + 1] = 0
+    stretches = list[Stretch]()
+    for begun, (number, first, end, settled) in enumerate(watch.legs):
+        last = watch.legs[begun + 1][1] - 1 if begun + 1 < len(watch.legs) else k
+        leg[first : k + 1] = number
+        stretches.append(Stretch(number, first, end, last, settled))
+    complete = complete and k == len(command) - 1
+    return Replay(leg, tuple(watch.phase), tuple(watch.told), tuple(stretches), complete)
+
+
+class _Watch:
+    def __init__(self, mission: FormationFlight, speed: Array, avoiding: Array) -> None:
+        self.mission, self.speed, self.avoiding = mission, speed, avoiding
+        self.phase = [Phase.WAITING]
+        self.told: list[Told] = []
+        self.legs: list[tuple[int, int, int, bool]] = []
+
+    def all_legs(self) -> bool:
+        """Watch until the flight is over, or the record; whether it is the former."""
+        if not self._hover(Phase.WAITING):
+            return False
+        for leg in range(len(self.mission.shapes)):
+            if len(self.phase) == len(self.speed):
+                return False
+            first = len(self.phase)
+            self.told.append(Told(first, "leg_start", leg))
+            ending = self._transition(leg)
+            end = len(self.phase) - 1
+            self.legs.append((leg, first, end, ending is Phase.DONE))
+            if ending is None:
+                return False
+            self.told.append(Told(end, "leg_end" if ending is Phase.DONE else "given_up", leg))
+            if ending is not Phase.DONE:
+                return True
+            if not self._hover(Phase.DONE):
+                return False
+        return True
+
+    def _hover(self, phase: Phase) -> bool:
+        wanted = round(self.mission.protocol.hover / self.mission.sample)
+        there = min(wanted, len(self.speed) - len(self.phase))
+        self.phase += [phase] * there
+        return there == wanted
+
+    def _transition(self, leg: int) -> Phase | None:
+        # The phase in which the leg ends; none where the record ends before.
+        mission, way = self.mission, self.mission.assigning
+        watcher = Supervisor(mission.protocol, mission.sample, mission.agents)
+        if way.kind == "none":
+            watcher.assigned()
+        auctions = self._auctions()
+        due = next(auctions)
+        while (k := len(self.phase)) < len(self.speed):
+            if self._time(k - 1) >= due - 1e-9:
+                self.told.append(Told(k, "auction", leg))
+                watcher.assigned()
+                due = next(auctions)
+            before = watcher.phase
+            now = watcher.observe(self.speed[k], self.avoiding[k])
+            if now is not before and Phase.GRIDLOCKED in (before, now):
+                stuck = now is Phase.GRIDLOCKED
+                self.told.append(Told(k, "gridlock" if stuck else "gridlock_end", leg))
+            self.phase.append(now)
+            late = self._time(k) >= mission.protocol.limit - 1e-9
+            if now in (Phase.DONE, Phase.GIVEN_UP) or late:
+                return now
+        return None
+
+    def _auctions(self) -> Iterator[float]:
+        way = self.mission.assigning
+        due = np.inf if way.kind == "none" else self._time(len(self.phase) - 1) + way.first
+        while True:
+            yield due
+            due += way.period
+
+    def _time(self, instant: int) -> float:
+        return instant * self.mission.every * self.mission.step
