@@ -1,0 +1,58 @@
+"""The frames in which vehicles reckon: how they lie, and how they drift [Lusk2020, Fig. 2]."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from sato.formation.plots.flown import Flown
+from sato.plots.look import BLUE, DARK, GREY, ORANGE, SKY
+from sato.plots.view import letter
+
+AXIS = 0.09  # length of a drawn axis, in the size of what is shown
+
+
+def frames(flown: Flown) -> Figure:
+    """Where each vehicle's frame lies and how it is turned, and how its reckoning drifts."""
+    figure = Figure(figsize=(8.6, 3.9), layout="constrained")
+    lie, drift = figure.subplots(1, 2, width_ratios=(1, 1.35))
+    _lie(lie, flown)
+    _drift(drift, flown)
+    noise = flown.mission.frames.noise
+    said = f"noise of every coordinate {100 * noise:g} cm" if noise else "no noise"
+    drift.set_title(f"{letter(1)} error of each vehicle's reckoning; {said}", loc="left")
+    lie.set_title(f"{letter(0)} frames at the start", loc="left")
+    key = [
+        Line2D([], [], color=BLUE, lw=1.4, label="x of a frame"),
+        Line2D([], [], color=ORANGE, lw=1.4, label="y of a frame"),
+        Line2D([], [], ls="", marker="o", ms=4, color=GREY, label="vehicle at the start"),
+        Line2D([], [], color=SKY, lw=1, label="a vehicle"),
+        Line2D([], [], color=BLUE, lw=1.8, label="median"),
+    ]
+    figure.legend(handles=key, loc="outside lower center", ncols=5)
+    return figure
+
+
+def _lie(ax: Any, flown: Flown) -> None:
+    frames, start = flown.mission.frames, flown.mission.start[:, :2]
+    origin = frames.offset[:, :2]
+    every = np.concatenate([origin, start])
+    length = AXIS * max(float(np.ptp(every, axis=0).max()), 1.0)
+    ax.plot(*start.T, "o", ms=3, color=GREY, mew=0, alpha=0.6, zorder=1)
+    for turn, colour in ((1, BLUE), (1j, ORANGE)):
+        way = length * turn * frames.heading
+        tips = origin + np.stack([way.real, way.imag], axis=1)
+        ax.plot(*np.stack([origin, tips], axis=2).transpose(1, 2, 0), color=colour, lw=1.2)
+    ax.plot(*origin.T, ".", ms=2.5, color=DARK, zorder=3)
+    ax.margins(0.06)
+    ax.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
+
+
+def _drift(ax: Any, flown: Flown) -> None:
+    far = 100 * np.linalg.norm(flown.drift, axis=2)
+    ax.plot(flown.time, far, color=SKY, lw=0.6, alpha=0.8)
+    ax.plot(flown.time, np.median(far, axis=1), color=BLUE, lw=1.8)
+    start, end = float(flown.time[0]), float(flown.time[-1])
+    ax.set(xlabel="time [s]", ylabel="error [cm]", xlim=(start, max(end, start + 1e-9)))
+    ax.set_ylim(0, max(1.05 * float(far.max()), 1.0))
