@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -12,6 +13,7 @@ from problems.formation import Formation
 from problems.gain_question import Question, Way
 
 FITS = 1e-8  # relative; gains with larger residuals are of another formation
+HELD = ("points", "graph", "name", "xy", "z", "method", "bounds")  # in a file
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,17 +100,10 @@ class Gains:
 
     def save(self, path: str | Path) -> None:
         """Write an .npz file that holds the formation and the graph too."""
-        shape = self.formation
-        np.savez(
-            path,
-            points=shape.points,
-            graph=shape.graph,
-            name=np.array(shape.name),
-            xy=self.xy,
-            z=self.z,
-            method=np.array(self.method),
-            bounds=np.array([self.bound_xy, self.bound_z]),
-        )
+        shape, bounds = self.formation, (self.bound_xy, self.bound_z)
+        fields = shape.points, shape.graph, shape.name, self.xy, self.z, self.method, bounds
+        held = dict(zip(HELD, map(np.asarray, fields), strict=True))
+        np.savez(path, allow_pickle=False, **held)
 
     @classmethod
     def load(cls, path: str | Path) -> "Gains":
@@ -117,15 +112,24 @@ class Gains:
         Raises:
             ValueError: It is not such a file, or its gains are not of its formation.
         """
+        held = _read(path)
         try:
-            with np.load(path, allow_pickle=False) as file:
-                shape = Formation(file["points"], file["graph"], str(file["name"]))
-                bounds = map(float, file["bounds"])
-                return cls(shape, file["xy"], file["z"], str(file["method"]), *bounds)
-        except KeyError as error:
-            raise ValueError(f"{path} is not a file of gains: {error.args[0]}") from error
+            shape = Formation(held["points"], held["graph"], str(held["name"]))
+            bound_xy, bound_z = map(float, held["bounds"])
+            return cls(shape, held["xy"], held["z"], str(held["method"]), bound_xy, bound_z)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
+
+
+def _read(path: str | Path) -> dict[str, Array]:
+    try:
+        with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
+            held = {name: file[name] for name in file}
+    except (ValueError, TypeError, EOFError, BadZipFile) as error:
+        raise ValueError(f"{path} is not a file of gains, or is damaged") from error
+    if lacks := [name for name in HELD if name not in held]:
+        raise ValueError(f"{path} is not a file of gains: it lacks {', '.join(lacks)}")
+    return held
 
 
 def _shape(formation: Formation, which: Way) -> Array:
