@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 from matplotlib.figure import Figure
 
+from sato.formation.check import Evidence
 from sato.formation.mission import FormationFlight
 from sato.formation.plots.assignments import assignments
-from sato.formation.plots.flown import Flown
 from sato.formation.plots.frames import frames
 from sato.formation.plots.gains import gains
 from sato.formation.plots.measures import convergence, separation, speeds
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["FIGURES", "WITH_AUCTIONS", "figures"]
 
-FIGURES: dict[str, Callable[[Flown], Figure]] = {
+FIGURES: dict[str, Callable[[Evidence], Figure]] = {
     "traces": traces,
     "gains": gains,
     "convergence": convergence,
@@ -28,12 +28,12 @@ FIGURES: dict[str, Callable[[Flown], Figure]] = {
     "separation": separation,
     "frames": frames,
 }
-WITH_AUCTIONS: dict[str, Callable[[Flown], Figure]] = {"assignments": assignments}
+WITH_AUCTIONS: dict[str, Callable[[Evidence], Figure]] = {"assignments": assignments}
 
 
 def figures(data: "xarray.Dataset", mission: FormationFlight) -> Figures:
     """The figures of a run; those of `WITH_AUCTIONS` only where vehicles hold auctions."""
-    flown = Flown.of(data, mission)
+    evidence = Evidence.of(data, mission)
     auctions = mission.assigning.kind in ("cbaa", "vsdaa")
     drawn = FIGURES | WITH_AUCTIONS if auctions else FIGURES
-    return {name: partial(draw, flown) for name, draw in drawn.items()}
+    return {name: partial(draw, evidence) for name, draw in drawn.items()}

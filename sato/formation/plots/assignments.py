@@ -3,16 +3,16 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from sato.formation.plots.flown import Flown
+from sato.formation.check import Evidence
 from sato.formation.plots.measures import finish, stacked
 from sato.plots.look import BLUE
 
 
-def assignments(flown: Flown) -> Figure:
+def assignments(evidence: Evidence) -> Figure:
     """How many took another point when, and the rounds and bits of every auction."""
-    figure, (took, rounds) = stacked(flown, (1.0, 1.0))
-    changed = [(e["time"], len(e["agents"])) for _, e in flown.happened.told("assignment")]
-    played = [(e["time"], e["rounds"]) for _, e in flown.happened.told("auction")]
+    figure, (took, rounds) = stacked(evidence, (1.0, 1.0))
+    changed = [(e["time"], len(e["agents"])) for _, e in evidence.happened.told("assignment")]
+    played = [(e["time"], e["rounds"]) for _, e in evidence.happened.told("auction")]
     for ax, told in ((took, changed), (rounds, played)):
         when, height = np.array(told, dtype=float).reshape(-1, 2).T
         ax.vlines(when, 0, height, color=BLUE, lw=1.2)
@@ -20,9 +20,11 @@ def assignments(flown: Flown) -> Figure:
         ax.set_ylim(0, 1.12 * max(float(height.max(initial=0)), 1))
     took.set_ylabel("take another\npoint")
     rounds.set_ylabel("rounds of\nmessages")
-    each = flown.mission.radio.auction(flown.mission.agents, 1) / 1000  # a round and neighbour
+    each = (
+        evidence.mission.radio.auction(evidence.mission.agents, 1) / 1000
+    )  # a round and neighbour
     bits = rounds.secondary_yaxis("right", functions=(lambda r: r * each, lambda b: b / each))
     bits.set_ylabel("kbit a neighbour")
     bits.spines["right"].set_visible(True)
-    finish(figure, flown)
+    finish(figure, evidence)
     return figure

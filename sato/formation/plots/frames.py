@@ -6,20 +6,20 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from sato.formation.plots.flown import Flown
+from sato.formation.check import Evidence
 from sato.plots.look import BLUE, DARK, GREY, ORANGE, SKY
 from sato.plots.view import letter
 
 AXIS = 0.09  # length of a drawn axis, in the size of what is shown
 
 
-def frames(flown: Flown) -> Figure:
+def frames(evidence: Evidence) -> Figure:
     """Where each vehicle's frame lies and how it is turned, and how its reckoning drifts."""
     figure = Figure(figsize=(8.6, 3.9), layout="constrained")
     lie, drift = figure.subplots(1, 2, width_ratios=(1, 1.35))
-    _lie(lie, flown)
-    _drift(drift, flown)
-    noise = flown.mission.frames.noise
+    _lie(lie, evidence)
+    _drift(drift, evidence)
+    noise = evidence.mission.frames.noise
     said = f"noise of every coordinate {100 * noise:g} cm" if noise else "no noise"
     drift.set_title(f"{letter(1)} error of each vehicle's reckoning; {said}", loc="left")
     lie.set_title(f"{letter(0)} frames at the start", loc="left")
@@ -34,8 +34,8 @@ def frames(flown: Flown) -> Figure:
     return figure
 
 
-def _lie(ax: Any, flown: Flown) -> None:
-    frames, start = flown.mission.frames, flown.mission.start[:, :2]
+def _lie(ax: Any, evidence: Evidence) -> None:
+    frames, start = evidence.mission.frames, evidence.mission.start[:, :2]
     origin = frames.offset[:, :2]
     every = np.concatenate([origin, start])
     length = AXIS * max(float(np.ptp(every, axis=0).max()), 1.0)
@@ -49,10 +49,10 @@ def _lie(ax: Any, flown: Flown) -> None:
     ax.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
 
 
-def _drift(ax: Any, flown: Flown) -> None:
-    far = 100 * np.linalg.norm(flown.drift, axis=2)
-    ax.plot(flown.time, far, color=SKY, lw=0.6, alpha=0.8)
-    ax.plot(flown.time, np.median(far, axis=1), color=BLUE, lw=1.8)
-    start, end = float(flown.time[0]), float(flown.time[-1])
+def _drift(ax: Any, evidence: Evidence) -> None:
+    far = 100 * np.linalg.norm(evidence.drift, axis=2)
+    ax.plot(evidence.time, far, color=SKY, lw=0.6, alpha=0.8)
+    ax.plot(evidence.time, np.median(far, axis=1), color=BLUE, lw=1.8)
+    start, end = float(evidence.time[0]), float(evidence.time[-1])
     ax.set(xlabel="time [s]", ylabel="error [cm]", xlim=(start, max(end, start + 1e-9)))
     ax.set_ylim(0, max(1.05 * float(far.max()), 1.0))

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy import ndarray as Array
 
 from problems.gains import Gains
-from sato.formation.plots.flown import Flown
+from sato.formation.check import Evidence
 from sato.plots.look import DARK
 from sato.plots.view import letter
 
@@ -33,9 +33,9 @@ SQUARE = Layout([["graph", "plane", "upwards"]], [1.0], 10.2, 3.65)
 WIDE = Layout([["graph", "graph"], ["plane", "upwards"]], [0.5, 1.0], 7.6, 5.9)
 
 
-def gains(flown: Flown) -> Figure:
+def gains(evidence: Evidence) -> Figure:
     """The graph of every shape, its edges by |A_ij|, and |A| in the plane and upwards."""
-    shapes = _distinct(flown.mission.shapes)
+    shapes = _distinct(evidence.mission.shapes)
     layouts = [WIDE if _wide(shape) else SQUARE for shape in shapes]
     heights = [layout.height for layout in layouts]
     size = max(layout.width for layout in layouts), sum(heights)

@@ -13,7 +13,9 @@ from numpy import ndarray as Array
 
 from problems.alignment import align
 from problems.formation import Formation
-from sato.formation.plots.flown import Flown, Stretch, thinned
+from sato.formation.check import Evidence
+from sato.formation.check.replay import Stretch
+from sato.formation.plots.phases import called, thinned, under_way
 from sato.formation.shape import likeness
 from sato.plots.look import BLUE, DARK, GREY, ORANGE, PALE, RED
 from sato.plots.view import letter
@@ -40,14 +42,15 @@ class Scene(NamedTuple):
     avoiding: Bool[Array, " agents"]  # at the end
 
 
-def traces(flown: Flown) -> Figure:
+def traces(evidence: Evidence) -> Figure:
     """The last 40 s of each leg from above, and from the side where the shape is not flat.
 
     All panels have one scale, and vehicles are as large as they are. Each is drawn in the axes
     of its shape, which lies where it fits the vehicles best at the end.
     """
-    scenes = [_scene(flown, stretch, i) for i, stretch in enumerate(flown.stretches)]
-    scenes = scenes or [_scene(flown, Stretch(0, 0, len(flown.time) - 1, ""), 0)]
+    last = len(evidence.time) - 1
+    stretches = evidence.replay.stretches or (Stretch(0, 0, last, last, settled=False),)
+    scenes = [_scene(evidence, stretch, i) for i, stretch in enumerate(stretches)]
     columns = min(len(scenes), COLUMNS) if len(scenes) != 4 else 2
     views = ["top", "side"] if any(_deep(s) for s in scenes) else ["top"]
     size = _size(scenes)
@@ -61,22 +64,23 @@ def traces(flown: Flown) -> Figure:
     return figure
 
 
-def _scene(flown: Flown, stretch: Stretch, number: int) -> Scene:
-    formation = flown.mission.shapes[stretch.leg].formation
-    first = np.searchsorted(flown.time, flown.time[stretch.last] - LAST)
+def _scene(evidence: Evidence, stretch: Stretch, number: int) -> Scene:
+    formation = evidence.mission.shapes[stretch.leg].formation
+    first = np.searchsorted(evidence.time, evidence.time[stretch.last] - LAST)
     window = np.arange(max(stretch.first, int(first)), stretch.last + 1)
-    held, end = formation.points[flown.point[stretch.last]], flown.position[stretch.last]
+    held, end = formation.points[evidence.point[stretch.last]], evidence.position[stretch.last]
     pose, fit = align(held, end), likeness(end, held)
-    x, y, z = np.moveaxis(flown.position[window] - pose.r, -1, 0)
+    x, y, z = np.moveaxis(evidence.position[window] - pose.r, -1, 0)
     flat = (x + 1j * y) * np.exp(-1j * float(pose.yaw))
     path = np.stack([flat.real, flat.imag, z], axis=-1)
-    changed = flown.point[window] != flown.point[np.maximum(window - 1, stretch.first)]
-    changed &= (window > flown.begun(stretch))[:, None]
-    how = {"leg_end": "", "given_up": "given up, ", "": "not ended, "}[stretch.end]
-    called = ", ".join(filter(None, (f"leg {stretch.leg + 1}", flown.called(stretch.leg))))
+    before = np.maximum(window - 1, stretch.first)
+    changed = evidence.point[window] != evidence.point[before]
+    changed &= under_way(evidence)[before, None]  # not those with whom it begins
+    how = "" if stretch.settled else "not settled, "
+    name = ", ".join(filter(None, (f"leg {stretch.leg + 1}", called(evidence, stretch.leg))))
     degrees = round(float(np.degrees(pose.yaw))) % 360
     title = (
-        f"{letter(number)} {called}\n{how}"
+        f"{letter(number)} {name}\n{how}"
         f"{fit.error:.2g} m off, turned by {degrees}°{', upside down' * fit.inverted}"
     )
     return Scene(
@@ -84,7 +88,7 @@ def _scene(flown: Flown, stretch: Stretch, number: int) -> Scene:
         formation,
         path[thinned(len(path), PIECES)],
         path[changed],
-        flown.avoiding[stretch.last],
+        evidence.avoiding[stretch.last],
     )
 
 
