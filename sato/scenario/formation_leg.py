@@ -87,6 +87,7 @@ AnyFormation = Annotated[
     | Picture
     | Points,
     Field(discriminator="kind"),
+    BeforeValidator(of_kind),
 ]
 AnyGraph = Annotated[
     PlainGraph | Thinned | SparseGraph | GraphFromFile | Pairs,

@@ -25,6 +25,7 @@ def summarise(evidence: Evidence) -> dict[str, Any]:
         "reassignments": sum(leg["reassignments"] for leg in legs),
         "gridlocked_s": stuck * sample,
         "bytes_per_vehicle_s": received(evidence) / 8,
+        "longest_auction_s": longest(evidence) / mission.radio.rate,
         "min_separation_m": evidence.closest.distance,
         "keep_out_m": mission.avoidance.keep_out,
         "gains_rate": slowest(evidence),
@@ -78,6 +79,11 @@ def received(evidence: Evidence) -> float:
         bits += degree[event["leg"]] * radio.auction(mission.agents, int(event["rounds"]))
     time = (len(evidence.time) - 1) * mission.sample
     return bits / time if time > 0 else np.nan
+
+
+def longest(evidence: Evidence) -> int:
+    """Rounds of messages of the longest auction; they are sent as often as positions are."""
+    return max((int(e["rounds"]) for _, e in evidence.happened.told("auction")), default=0)
 
 
 def slowest(evidence: Evidence) -> float:
