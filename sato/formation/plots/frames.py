@@ -10,7 +10,7 @@ from sato.formation.check import Evidence
 from sato.plots.look import BLUE, DARK, GREY, ORANGE, SKY
 from sato.plots.view import letter
 
-AXIS = 0.09  # length of a drawn axis, in the size of what is shown
+AXIS = 0.3  # length of a drawn axis, in the room that there is for each
 
 
 def frames(evidence: Evidence) -> Figure:
@@ -20,9 +20,8 @@ def frames(evidence: Evidence) -> Figure:
     _lie(lie, evidence)
     _drift(drift, evidence)
     noise = evidence.mission.frames.noise
-    said = f"noise of every coordinate {100 * noise:g} cm" if noise else "no noise"
-    drift.set_title(f"{letter(1)} error of each vehicle's reckoning; {said}", loc="left")
-    lie.set_title(f"{letter(0)} frames at the start", loc="left")
+    drift.set_title(f"{letter(1)} drift of reckoning; noise {100 * noise:g} cm on top", loc="left")
+    lie.set_title(f"{letter(0)} frames and starts", loc="left")
     key = [
         Line2D([], [], color=BLUE, lw=1.4, label="x of a frame"),
         Line2D([], [], color=ORANGE, lw=1.4, label="y of a frame"),
@@ -38,7 +37,7 @@ def _lie(ax: Any, evidence: Evidence) -> None:
     frames, start = evidence.mission.frames, evidence.mission.start[:, :2]
     origin = frames.offset[:, :2]
     every = np.concatenate([origin, start])
-    length = AXIS * max(float(np.ptp(every, axis=0).max()), 1.0)
+    length = AXIS * max(float(np.ptp(every, axis=0).max()), 1.0) / len(start) ** 0.5
     ax.plot(*start.T, "o", ms=3, color=GREY, mew=0, alpha=0.6, zorder=1)
     for turn, colour in ((1, BLUE), (1j, ORANGE)):
         way = length * turn * frames.heading
@@ -54,5 +53,5 @@ def _drift(ax: Any, evidence: Evidence) -> None:
     ax.plot(evidence.time, far, color=SKY, lw=0.6, alpha=0.8)
     ax.plot(evidence.time, np.median(far, axis=1), color=BLUE, lw=1.8)
     start, end = float(evidence.time[0]), float(evidence.time[-1])
-    ax.set(xlabel="time [s]", ylabel="error [cm]", xlim=(start, max(end, start + 1e-9)))
+    ax.set(xlabel="time [s]", ylabel="drift [cm]", xlim=(start, max(end, start + 1e-9)))
     ax.set_ylim(0, max(1.05 * float(far.max()), 1.0))

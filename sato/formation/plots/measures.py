@@ -16,7 +16,7 @@ from sato.formation.plots.traces import DIAMETER
 from sato.formation.shape import likeness
 from sato.plots.look import BLUE, DARK, GREY, PURPLE, RED, SKY
 
-NAMED = 7  # legs, up to which there is room for their names
+ROOMY, NAMED = 3, 7  # legs, up to which there is room for their names, and for them in a column
 LOOKS = 1500  # at the shape, at most: each takes a while
 GROUND = {
     "waiting": ("#ededed", ""),
@@ -109,11 +109,12 @@ def limit(ax: Any, level: float, name: str, unit: str, colour: str = RED) -> Non
 
 def finish(figure: Figure, evidence: Evidence) -> None:
     """Name the legs above the first panel, and below the last all that is drawn."""
-    top, few = figure.axes[0], len(evidence.replay.stretches) <= NAMED
+    top, legs = figure.axes[0], len(evidence.replay.stretches)
     for stretch in evidence.replay.stretches:
         middle = (evidence.time[stretch.first] + evidence.time[stretch.last]) / 2
-        words = [f"leg {stretch.leg + 1}", *called(evidence, stretch.leg).split()]
-        name = "\n".join(words) if few else f"{stretch.leg + 1}"
+        shape = called(evidence, stretch.leg)
+        shape = shape.replace(" ", "\n") if legs > ROOMY else shape
+        name = f"leg {stretch.leg + 1}\n{shape}".strip() if legs <= NAMED else f"{stretch.leg + 1}"
         top.annotate(name, (middle, 1.03), xycoords=("data", "axes fraction"), ha="center",
                      va="bottom", color=DARK, fontsize=8, annotation_clip=False)  # fmt: skip
     handles: dict[str, Any] = {}

@@ -81,7 +81,7 @@ def _scene(evidence: Evidence, stretch: Stretch, number: int) -> Scene:
     degrees = round(float(np.degrees(pose.yaw))) % 360
     title = (
         f"{letter(number)} {name}\n{how}"
-        f"{fit.error:.2g} m off, turned by {degrees}°{', upside down' * fit.inverted}"
+        f"{fit.error:.3f} m off, turned by {degrees}°{', upside down' * fit.inverted}"
     )
     return Scene(
         title,
