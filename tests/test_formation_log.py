@@ -1,0 +1,144 @@
+"""What a formation flight leaves behind, and what it says on the way."""
+
+import json
+
+import numpy as np
+import pytest
+
+import sato
+from problems.formation import Formation
+from problems.gains import Gains
+from sato.formation import fly
+from sato.formation.log import MEANING, PARTS, attributes, variables
+from sato.formation.supervisor import Phase
+from sato.formation.system import SYSTEM, passage
+from sato.record import COMMON
+from sato.scenario import parse
+from sato.systems import system
+
+SQUARES = """
+system = "formation"
+name = "squares"
+
+[swarm]
+agents = 4
+start = { kind = "points", positions_m = [[0, 0, 1], [3, 0, 1], [0, 3, 1], [3, 4, 1]] }
+max_climb_m_s = 0.2
+
+[protocol]
+hover_s = 0.5
+
+[[leg]]
+formation = { kind = "library", name = "swarm4/Square" }
+
+[[leg]]
+formation = { kind = "library", name = "swarm4/Diamond" }
+"""
+
+
+@pytest.fixture(scope="module")
+def flown():
+    run = sato.run(parse(SQUARES), seed=6)
+    rng = np.random.default_rng(6)
+    mission = parse(SQUARES).build(rng)
+    return run, mission, list(fly(mission, rng))
+
+
+def test_every_variable_has_a_meaning_and_none_is_said_twice(flown):
+    run, mission, frames = flown
+    assert variables(frames, mission).keys() == MEANING.keys()
+    assert not MEANING.keys() & COMMON.keys()
+    for name, variable in (MEANING | COMMON).items():
+        assert run.data[name].dims == variable.axes
+        assert run.data[name].attrs["units"] == variable.unit
+        assert run.data[name].attrs["long_name"] == variable.meaning
+    for word in ("velocity_command", "avoiding", "point", "formation", "gains", "graph"):
+        assert word in MEANING
+    for word in ("frame_yaw", "frame_offset", "frame_drift"):
+        assert "agent" in MEANING[word].axes
+
+
+def test_what_is_on_file_is_what_was_flown(flown):
+    run, mission, frames = flown
+    data = run.data
+    for name in ("time", "position", "velocity", "velocity_command", "avoiding", "point", "leg"):
+        assert np.array_equal(data[name], [getattr(frame, name) for frame in frames]), name
+    assert np.array_equal(data["frame_drift"], [frame.drift for frame in frames])
+    assert data["control_instant"].values.all() and data["alive"].values.all()
+    np.testing.assert_allclose(np.exp(1j * data["frame_yaw"].values), mission.frames.heading)
+    assert np.array_equal(data["frame_offset"], mission.frames.offset)
+    assert not data["component"].values.any()
+
+
+def test_the_gains_on_file_are_gains_of_the_formation_on_file(flown, tmp_path):
+    run, mission, _ = flown
+    data = sato.load(run.save(tmp_path)).data
+    assert tuple(data["part"].values) == PARTS
+    for leg, gains in enumerate(mission.shapes):
+        real, imaginary, z = data["gains"].values[leg]
+        shape = Formation(data["formation"].values[leg], data["graph"].values[leg].astype(bool))
+        found = Gains(shape, real + 1j * imaginary, z, "read", 1.0, 1.0)
+        assert np.array_equal(found.matrix, gains.matrix)
+        assert found.belongs_to(gains.formation)
+
+
+def test_drift_is_that_of_the_reckoning_against_the_way_flown(flown):
+    run, *_ = flown
+    way = np.linalg.norm(np.diff(run.data["position"], axis=0), axis=2).sum(axis=0)
+    drifted = np.linalg.norm(run.data["frame_drift"].values[-1], axis=1)
+    np.testing.assert_allclose(drifted, 0.01 * way, rtol=1e-9)
+
+
+def test_radii_and_limits_are_attributes(flown):
+    run, mission, _ = flown
+    said = attributes(mission)
+    assert said["keep_out_m"] == 1.2 and said["max_climb_m_s"] == 0.2 and said["shape_m"] == 0.1
+    for name, value in said.items():
+        assert run.data.attrs[name] == value
+
+
+def test_the_events_tell_the_flight(flown):
+    run, *_ = flown
+    kinds = [e["kind"] for e in run.events("leg_start", "leg_end", "given_up")]
+    assert kinds == ["leg_start", "leg_end"] * 2
+    auctions, assignments = run.events("auction"), run.events("assignment")
+    assert len(auctions) >= len(assignments) >= 2
+    assert {e["time"] for e in assignments} <= {e["time"] for e in auctions}
+    assert all(e["rounds"] > 0 for e in auctions)
+    for event in assignments:
+        assert sorted(event["point"]) == [0, 1, 2, 3]
+
+
+def test_the_summary_has_the_words_that_it_must_have_and_is_plain(flown):
+    run, *_ = flown
+    said = json.loads(json.dumps(run.summary, allow_nan=False))
+    words = {
+        "system", "scenario", "seed", "version", "agents", "min_separation_m", "wall_s",
+        "peak_memory_mib", "success", "shape_error_m", "path_m", "time_s", "reassignments",
+        "gridlocked_s", "bytes_per_vehicle_s", "longest_auction_s", "keep_out_m", "gains_rate",
+        "legs", "broken",
+    }  # fmt: skip
+    assert said.keys() == words
+    leg = {"success", "shape_error_m", "inverted", "time_s", "path_m", "reassignments"}
+    assert [each.keys() for each in said["legs"]] == [leg, leg]
+    assert said["success"] and said["shape_error_m"] == max(
+        each["shape_error_m"] for each in said["legs"]
+    )
+    for word in ("time_s", "path_m", "reassignments"):
+        assert said[word] == pytest.approx(sum(each[word] for each in said["legs"]))
+
+
+def test_whoever_waits_hears_of_the_leg_the_steps_and_the_phase(flown):
+    _, mission, frames = flown
+    first, last = passage(mission, frames[0]), passage(mission, frames[-1])
+    assert first.stage == "leg 1 of 2" and last.stage == "leg 2 of 2"
+    assert (first.done, last.done) == (0, len(frames) - 1)
+    assert first.total == last.total == 30000
+    assert (first.words, last.words) == (Phase.WAITING.value, Phase.DONE.value)
+
+
+def test_the_system_is_at_home_and_has_figures_but_no_film(flown):
+    run, mission, _ = flown
+    assert system("formation") is SYSTEM
+    assert SYSTEM.scene is None and SYSTEM.outcomes == ()
+    assert all(map(callable, SYSTEM.figures(run.data, mission).values()))
