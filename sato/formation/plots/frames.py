@@ -45,7 +45,8 @@ def _lie(ax: Any, evidence: Evidence) -> None:
         ax.plot(*np.stack([origin, tips], axis=2).transpose(1, 2, 0), color=colour, lw=1.2)
     ax.plot(*origin.T, ".", ms=2.5, color=DARK, zorder=3)
     ax.margins(0.06)
-    ax.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
+    ax.set_aspect("equal", adjustable="datalim")
+    ax.set(xlabel="x [m]", ylabel="y [m]")
 
 
 def _drift(ax: Any, evidence: Evidence) -> None:

@@ -28,6 +28,7 @@ PALEST = 0.2  # of a trace where it begins, against where it ends
 ROOM = 1.0  # around what is shown [m]
 COLUMNS = 3
 WIDTHS = {1: 6.6, 2: 4.4, 3: 3.4}  # of a panel among so many [in]
+HIGHEST = 6.5  # of a panel and the one below [in]
 TALL = 1.35  # a panel's height over its width, at most
 AXES = {"top": (0, 1), "side": (0, 2)}
 
@@ -108,8 +109,9 @@ def _size(scenes: list[Scene]) -> Float[Array, " 3"]:
 def _panels(
     count: int, columns: int, views: list[str], size: Float[Array, " 3"]
 ) -> tuple[Figure, list[list[Any]]]:
-    rows, width = ceil(count / columns), WIDTHS[columns]
-    heights = [width * float(size[AXES[view][1]] / size[0]) for view in views]
+    rows, shares = ceil(count / columns), [float(size[AXES[v][1]] / size[0]) for v in views]
+    width = min(WIDTHS[columns], HIGHEST / sum(shares))
+    heights = [width * share for share in shares]
     figure = Figure(figsize=(columns * (width + 0.5) + 0.2, rows * (sum(heights) + 1.25) + 0.6))
     figure.set_layout_engine("constrained", h_pad=0.06)
     grid = figure.add_gridspec(rows * len(views), columns, height_ratios=heights * rows)
