@@ -75,6 +75,7 @@ class Measured(Table):
     often_hz: float = 0.0
     thick_kg_m3: float = 0.0
     ballistic_m2_kg: float = 0.0
+    wide_m2: float = 0.0
     count: int = 0
 
 
@@ -88,6 +89,7 @@ BASE = {
     "frequency": "often",
     "density": "thick",
     "area for a mass": "ballistic",
+    "area": "wide",
 }
 
 
