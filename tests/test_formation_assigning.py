@@ -28,7 +28,7 @@ def flight(seed, kind="vsdaa", share=0.7, agents=9, frames=None, **radio):
         start,
         (gains,),
         aligned(agents) if frames is None else frames,
-        assigning=Assigning(kind, epsilon=1e-6),
+        assigning=Assigning(kind, fineness=1e-4),
         radio=Radio(**radio),
     )
 

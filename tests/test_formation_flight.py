@@ -131,8 +131,11 @@ def test_before_the_first_assignment_all_hover():
     first = next(
         i for i, f in enumerate(frames) if any(e["kind"] == "assignment" for e in f.events)
     )
-    # The assignment shows in the frame after the step that it begins with.
-    assert frames[first - 1].time == pytest.approx(1.0 + mission.assigning.first)
+    # The assignment shows in the frame after the step that it begins with, as soon as the
+    # messages of the auction have gone round.
+    rounds = next(e["rounds"] for e in frames[first].events if e["kind"] == "assignment")
+    known = 1.0 + mission.assigning.first + rounds / mission.radio.rate
+    assert frames[first - 1].time == pytest.approx(known)
     for frame in frames[:first]:
         assert not frame.velocity_command.any() and frame.phase is Phase.WAITING
     assert frames[first].phase is Phase.FLYING

@@ -71,7 +71,7 @@ def same(one, other):
 REFUSED = {
     "an unknown key": ("swarm.agentz=6", ["swarm.agentz", "did you mean swarm.agents?"]),
     "a key without its unit": ("keep_out=1", ["keep_out", "write keep_out_m"]),
-    "an area in metres": ("assignment.epsilon_m=1", ["epsilon_m", "write epsilon_m2"]),
+    "an area in metres": ("assignment.fineness_m=1", ["fineness_m", "write fineness"]),
     "too few vehicles": ("agents=2", ["swarm.agents", "at least 3"]),
     "more vehicles than points": ("agents=7", ["leg.0.formation", "7 vehicles", "6 points"]),
     "no kind of start": ("start={kind='ringg'}", ["swarm.start", 'did you mean "ring"?']),

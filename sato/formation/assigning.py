@@ -101,7 +101,9 @@ def ask(
     if network.component.any():
         return Outcome(roles.point, roles.holder, 0)  # after losses: nobody would learn the end
     if way.kind == "vsdaa":
-        won = vsdaa(cost, network, np.full(agents, agents), way.epsilon)
+        extent = float(np.linalg.norm(np.ptp(formation.points, axis=0)))
+        epsilon = (way.fineness * extent) ** 2
+        won = vsdaa(cost, network, np.full(agents, agents), epsilon)
         return _agreed(won.target, won.rounds)
     radio = mission.radio
     rounds = radio.rounds_within(way.period) if radio.loss > 0 else None

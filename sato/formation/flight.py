@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from sato.formation.assigning import ask
+from sato.formation.assigning import Outcome, ask
 from sato.formation.mission import FormationFlight
 from sato.formation.supervisor import Phase, Supervisor
 from sato.formation.swarm import Formed, Pace, Roles, State, Swarm
@@ -56,6 +56,8 @@ class _Flight:
         self.holder = np.tile(self.point, (mission.agents, 1))
         self.follows = np.zeros(mission.agents, dtype=bool)
         self.supervisor = self._supervisor()
+        self.won: Outcome | None = None  # of an auction under way
+        self.known = 0.0  # when all know it [s]
         self.events: list[dict[str, Any]] = []
 
     @property
@@ -92,11 +94,14 @@ class _Flight:
         if way.kind == "none":
             self._take(self.point, self.holder, 0)
         due = began + way.first if way.kind != "none" else np.inf
-        over = False
+        over, self.won = False, None
         while not over:
-            if self.time >= due - 1e-9:
+            if self.won is None and self.time >= due - 1e-9:
                 self._auction()
-                due += way.period
+                due = self.time + way.period
+            if self.won is not None and self.time >= self.known - 1e-9:
+                self._take(*self.won)
+                self.won = None
             self._step()
             self._watch()
             over = self._over
@@ -117,7 +122,8 @@ class _Flight:
         found = ask(self.mission, self.leg, self.state, self._roles(), self.rng)
         held = {"leg": self.leg, "agents": [], "rounds": found.rounds}
         self.events.append({"kind": "auction", **held})
-        self._take(*found)
+        # Messages take their time: until all know the end, they go on as they were.
+        self.won, self.known = found, self.time + found.rounds / self.mission.radio.rate
 
     def _take(self, point: Array, holder: Array, rounds: int) -> None:
         changed = np.flatnonzero(point != self.point)

@@ -171,7 +171,7 @@ class FormationFile(ScenarioFile):
     @property
     def _assigning(self) -> Assigning:
         asked = self.assignment
-        return Assigning(asked.kind, asked.first_s, asked.period_s, asked.epsilon_m2)
+        return Assigning(asked.kind, asked.first_s, asked.period_s, asked.fineness)
 
     @property
     def _protocol(self) -> Protocol:

@@ -58,7 +58,7 @@ class Assignment(Table):
     kind: Literal["vsdaa", "cbaa", "hungarian", "none"] = _ASSIGNING.kind
     first_s: NonNegativeFloat = _ASSIGNING.first
     period_s: PositiveFloat = _ASSIGNING.period
-    epsilon_m2: PositiveFloat = _ASSIGNING.epsilon
+    fineness: PositiveFloat = _ASSIGNING.fineness
 
 
 class Reckoning(Table):

@@ -77,7 +77,8 @@ class Evidence:
     @cached_property
     def replay(self) -> Replay:
         """How the flight had to go by the commands and the avoidance on file."""
-        return replay(self.mission, self.command, self.avoiding)
+        rounds = [int(e["rounds"]) for _, e in self.happened.told("auction")]
+        return replay(self.mission, self.command, self.avoiding, rounds)
 
     @cached_property
     def closest(self) -> Closest:

@@ -1,6 +1,6 @@
 """The flight once more, as who watched it saw it: by commands and avoidance alone."""
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -45,6 +45,7 @@ def replay(
     mission: FormationFlight,
     command: Float[Array, "instants agents 3"],
     avoiding: Bool[Array, "instants agents"],
+    rounds: Sequence[int],
 ) -> Replay:
     """Watch a flight again.
 
@@ -52,9 +53,10 @@ def replay(
         mission: What was to be flown.
         command: By the law, in the own frames, before limits [m/s].
         avoiding: Who changed it to avoid others.
+        rounds: Of messages, of each auction: so long it takes until its end is known.
     """
     speed = np.sqrt(np.einsum("kij,kij->ki", command, command))
-    watch = _Watch(mission, speed, avoiding)
+    watch = _Watch(mission, speed, avoiding, rounds)
     complete = watch.all_legs()
     k = len(watch.phase) - 1  # the last instant that had to be
     leg = np.full(len(command), -1)
@@ -69,8 +71,11 @@ def replay(
 
 
 class _Watch:
-    def __init__(self, mission: FormationFlight, speed: Array, avoiding: Array) -> None:
+    def __init__(
+        self, mission: FormationFlight, speed: Array, avoiding: Array, rounds: Sequence[int]
+    ) -> None:
         self.mission, self.speed, self.avoiding = mission, speed, avoiding
+        self.lasts = iter([count / mission.radio.rate for count in rounds])
         self.phase = [Phase.WAITING]
         self.told: list[Told] = []
         self.legs: list[tuple[int, int, int, bool]] = []
@@ -108,13 +113,16 @@ class _Watch:
         watcher = Supervisor(mission.protocol, mission.sample, mission.agents)
         if way.kind == "none":
             watcher.assigned()
-        auctions = self._auctions()
-        due = next(auctions)
+        due = np.inf if way.kind == "none" else self._time(len(self.phase) - 1) + way.first
+        known = np.inf  # when all know how the auction under way has ended
         while (k := len(self.phase)) < len(self.speed):
-            if self._time(k - 1) >= due - 1e-9:
+            now_at = self._time(k - 1)
+            if known == np.inf and now_at >= due - 1e-9:
                 self.told.append(Told(k, "auction", leg))
+                known, due = now_at + next(self.lasts, 0.0), now_at + way.period
+            if now_at >= known - 1e-9:
                 watcher.assigned()
-                due = next(auctions)
+                known = np.inf
             before = watcher.phase
             now = watcher.observe(self.speed[k], self.avoiding[k])
             if now is not before and Phase.GRIDLOCKED in (before, now):
@@ -125,13 +133,6 @@ class _Watch:
             if now in (Phase.DONE, Phase.GIVEN_UP) or late:
                 return now
         return None
-
-    def _auctions(self) -> Iterator[float]:
-        way = self.mission.assigning
-        due = np.inf if way.kind == "none" else self._time(len(self.phase) - 1) + way.first
-        while True:
-            yield due
-            due += way.period
 
     def _time(self, instant: int) -> float:
         return instant * self.mission.every * self.mission.step
