@@ -19,6 +19,8 @@ class Avoidance(NamedTuple):
     margin: float = 0.05  # kept on top, for what measurements are wrong [m]
     brake: float = 0.25  # deceleration that a vehicle counts on to stop in time [m/s²]
     aside: float = 0.35  # how much farther it turns right rather than left [rad]
+    patience: float = 3.0  # for which a vehicle lets others stop it [s],
+    wander: float = 2.0  # before it goes anywhere, so long [s]
     printed: bool = False  # sectors as in the paper's code: by the distance alone
     linear: bool = False  # with its angles that do not wrap around, too
 

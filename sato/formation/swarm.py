@@ -17,6 +17,8 @@ from numpy import ndarray as Array
 from sato.formation.avoidance import Avoidance, hold_back, steer_clear
 from sato.formation.law import Law, wanted
 
+SLOW = 0.2  # of the largest speed: who wants more and goes slower is stopped
+
 
 class Limits(NamedTuple):
     """What a vehicle can do."""
@@ -90,6 +92,8 @@ class State(NamedTuple):
     heard: Float[Array, "agents agents 3"]  # [i, j]: the last of j's that reached i; NaN none
     command: Float[Array, "agents 3"]  # wanted by the law, in the own frame [m/s]
     avoiding: Bool[Array, " agents"]
+    blocked: Float[Array, " agents"]  # for so long; negative: so long it still wanders [s]
+    astray: Complex[Array, " agents"]  # where it wanders, in the own frame
     flown: Float[Array, " agents"]  # length of the path in the plane [m]
     nearest: Float[Array, " agents"]  # anybody ever was to it in the plane, in truth [m]
 
@@ -101,7 +105,8 @@ class State(NamedTuple):
         return cls(
             position.copy(), still.copy(), still.copy(), still.copy(),
             np.full((late + 1, n, 3), np.nan), np.full((n, n, 3), np.nan),
-            still, np.zeros(n, dtype=bool), np.zeros(n), np.full(n, np.inf),
+            still, np.zeros(n, dtype=bool), np.zeros(n), np.ones(n, dtype=complex),
+            np.zeros(n), np.full(n, np.inf),
         )  # fmt: skip
 
 
@@ -196,8 +201,9 @@ def _obey(i, state, swarm, others, room, rng):
     u = state.command[i].copy()
     _slow_down(u, limits.speed)
     u[2] = min(max(u[2], -limits.climb), limits.climb)
+    wanders = not rules.printed and _wander(i, u, state, swarm, rng)
     count = _around(i, state, swarm, others, rng)
-    state.avoiding[i] = steer_clear(u, others, count, rules, room[0], room[1])
+    state.avoiding[i] = steer_clear(u, others, count, rules, room[0], room[1]) or wanders
     true = state.velocity[i]
     flat = np.conj(heading) * complex(true[0], true[1])
     v = np.array([flat.real, flat.imag])
@@ -217,6 +223,27 @@ def _obey(i, state, swarm, others, room, rng):
     true[0], true[1] = flat.real, flat.imag
     most = limits.climb_acceleration * swarm.pace.step
     true[2] += min(max(u[2] - true[2], -most), most)
+
+
+@no_type_check
+@numba.njit
+def _wander(i, u, state, swarm, rng):
+    # Rules that are the same for all can stop all for good, each for another's sake. Who wants
+    # to go and has been stopped for a while goes anywhere for a moment.
+    v, limits, step = state.velocity[i], swarm.limits, swarm.pace.step
+    wants, goes = np.sqrt(u[0] ** 2 + u[1] ** 2), np.sqrt(v[0] ** 2 + v[1] ** 2)
+    if state.blocked[i] < 0:
+        state.blocked[i] = min(0.0, state.blocked[i] + step)
+        u[0] = limits.speed * state.astray[i].real
+        u[1] = limits.speed * state.astray[i].imag
+        return True
+    stopped = state.avoiding[i] and wants > SLOW * limits.speed > goes
+    state.blocked[i] = state.blocked[i] + step if stopped else 0.0
+    if state.blocked[i] > swarm.rules.patience:
+        angle = 2 * np.pi * rng.random()
+        state.astray[i] = complex(np.cos(angle), np.sin(angle))
+        state.blocked[i] = -swarm.rules.wander
+    return False
 
 
 @no_type_check
