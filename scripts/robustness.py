@@ -62,7 +62,8 @@ def distort(count: int, worst: float, rng: np.random.Generator) -> Float[Array, 
     axis = rng.standard_normal((count, 3))
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     turn = Rotation.from_rotvec(axis * rng.uniform(0, worst, (count, 1))).as_matrix()
-    factor = np.exp(rng.uniform(*np.log(FACTORS), count))
+    low, high = np.log(FACTORS).tolist()
+    factor = np.exp(rng.uniform(low, high, count))
     return np.asarray(factor[:, None, None] * turn)
 
 
