@@ -257,6 +257,37 @@ def test_who_fly_through_each_other_from_all_sides_keep_out_to_5_cm(seed, noise)
     assert np.linalg.norm(state.position[:n] - start, axis=1).min() > 4
 
 
+def walled(patience):
+    """One flies at a wall of three who hover; its states, step by step."""
+    start = np.array([[0.0, 0, 1], [3, 0, 1], [2.6, 1.6, 1], [2.6, -1.6, 1]])
+    formed, _ = bound_for(np.zeros((4, 3)))
+    who = roles(follows=np.arange(8) == 0)
+    rules = RULES._replace(patience=patience)
+    places = np.concatenate([start, start + np.array([60.0, 0, 0])])
+    return list(steps(swarm(aligned(8), formed, rules), places, 1500, who))
+
+
+def test_who_is_stopped_for_its_patience_goes_anywhere_for_a_moment():
+    states = walled(RULES.patience)
+    blocked = np.array([state.blocked[0] for state in states])
+    speed = np.array([np.linalg.norm(state.velocity[0, :2]) for state in states])
+    begins = int(np.argmax(blocked < 0))
+    waited, wanders = round(RULES.patience / STEP), round(RULES.wander / STEP)
+    assert (speed[begins - waited + 1 : begins + 1] < 0.2 * LIMITS.speed).all()
+    assert speed[begins : begins + wanders].max() > 0.2 * LIMITS.speed
+    assert (blocked[begins : begins + wanders - 1] < 0).all()
+    assert blocked[begins + wanders] == 0
+    # It flies one way, as far as the others let it, and comes no nearer to anybody.
+    assert len({state.astray[0] for state in states[begins : begins + wanders]}) == 1
+    assert states[-1].nearest[:4].min() >= RULES.keep_out
+
+
+def test_who_has_more_patience_stays_where_it_is():
+    states = walled(np.inf)
+    assert np.linalg.norm(states[-1].velocity[0]) < 0.01
+    assert np.linalg.norm(states[-1].position[0] - states[-500].position[0]) < 0.01
+
+
 def test_who_does_not_follow_hovers_and_who_is_pushed_goes_as_asked_in_its_own_frame():
     frames = misaligned(8, 10.0, 0.0, 0.0, np.random.default_rng(5))
     who = roles(follows=np.zeros(8, dtype=bool), pushed=2, push=(0.3, 0.1, 0.2))
