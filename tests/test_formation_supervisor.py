@@ -63,6 +63,15 @@ def test_it_is_the_mean_over_the_window_that_has_to_be_slow():
     assert supervisor.observe(np.array([0.2, 2.0]), FREE) is Phase.FLYING
 
 
+def test_the_window_slides_on_over_who_is_settled():
+    supervisor = watch()
+    show(supervisor, 1, FAST)
+    # One of 1.5 among 0.9 is 0.96 in the mean, two would be 1.02.
+    assert show(supervisor, 0.9)[-2:] == [Phase.FLYING, Phase.SETTLED]
+    assert supervisor.observe(FAST, FREE) is Phase.SETTLED  # for the other has left the window
+    assert supervisor.observe(FAST, FREE) is Phase.FLYING
+
+
 def test_who_does_not_stay_slow_flies_on_and_is_judged_on_what_comes_then():
     supervisor = watch()
     assert show(supervisor, 1.5)[-1] is Phase.SETTLED
