@@ -18,6 +18,7 @@ from sato.formation.swarm import Frames, Roles, State
 from sato.network import Network
 from sato.vsdaa import vsdaa
 
+LOYALTY = 1.2  # increments: by so much a vehicle would rather keep the point that it has
 NEAREST = 1e-8  # added to squared distances, so that no score is infinite [m²]
 
 
@@ -74,6 +75,7 @@ def prices(
 def ask(
     mission: FormationFlight,
     leg: int,
+    number: int,
     state: State,
     roles: Roles,
     rng: np.random.Generator,
@@ -83,6 +85,7 @@ def ask(
     Args:
         mission: The flight.
         leg: Number of the shape.
+        number: Of the auctions for that shape held before.
         state: Where everything is, and what was heard.
         roles: Who holds which point until now.
         rng: Draws which bids are lost.
@@ -102,8 +105,11 @@ def ask(
         return Outcome(roles.point, roles.holder, 0)  # after losses: nobody would learn the end
     if way.kind == "vsdaa":
         extent = float(np.linalg.norm(np.ptp(formation.points, axis=0)))
-        epsilon = (way.fineness * extent) ** 2
-        won = vsdaa(cost, network, np.full(agents, agents), epsilon)
+        epsilon = way.fineness * extent
+        far = np.sqrt(cost)
+        if number > 0:
+            far[np.arange(agents), roles.point] -= LOYALTY * epsilon
+        won = vsdaa(far, network, np.full(agents, agents), epsilon)
         return _agreed(won.target, won.rounds)
     radio = mission.radio
     rounds = radio.rounds_within(way.period) if radio.loss > 0 else None

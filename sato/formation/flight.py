@@ -58,6 +58,7 @@ class _Flight:
         self.supervisor = self._supervisor()
         self.won: Outcome | None = None  # of an auction under way
         self.known = 0.0  # when all know it [s]
+        self.auctions = 0  # held for this shape
         self.events: list[dict[str, Any]] = []
 
     @property
@@ -94,7 +95,7 @@ class _Flight:
         if way.kind == "none":
             self._take(self.point, self.holder, 0)
         due = began + way.first if way.kind != "none" else np.inf
-        over, self.won = False, None
+        over, self.won, self.auctions = False, None, 0
         while not over:
             if self.won is None and self.time >= due - 1e-9:
                 self._auction()
@@ -119,7 +120,8 @@ class _Flight:
         return "leg_end" if self.supervisor.phase is Phase.DONE else "given_up"
 
     def _auction(self) -> None:
-        found = ask(self.mission, self.leg, self.state, self._roles(), self.rng)
+        found = ask(self.mission, self.leg, self.auctions, self.state, self._roles(), self.rng)
+        self.auctions += 1
         held = {"leg": self.leg, "agents": [], "rounds": found.rounds}
         self.events.append({"kind": "auction", **held})
         # Messages take their time: until all know the end, they go on as they were.

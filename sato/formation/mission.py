@@ -22,7 +22,7 @@ class Assigning(NamedTuple):
     kind: Literal["cbaa", "vsdaa", "hungarian", "none"] = "vsdaa"
     first: float = 1.5  # after a shape is called for [s]
     period: float = 2.0  # between two auctions [s]
-    fineness: float = 0.1  # least raise of a bid of "vsdaa": its square, of the shape's extent²
+    fineness: float = 0.04  # least raise of a bid of "vsdaa", of the extent of the shape
 
 
 class Protocol(NamedTuple):
