@@ -87,7 +87,7 @@ def settle(
         flown = solve_ivp(rate, (0, PIECE), position.ravel(), rtol=1e-6, atol=1e-8)
         position, time = flown.y[:, -1].reshape(-1, 3), time + PIECE
         found = likeness(position, gains.formation.points)
-    return Outcome(time, *found)
+    return Outcome(time, found.error, found.inverted)
 
 
 def main() -> None:

@@ -200,6 +200,38 @@ def test_with_time_enough_losses_do_no_harm():
     outcome = ask(mission, 0, 0, state, roles, any_rng())
     assert np.array_equal(outcome.point, lossless.point)
     assert np.array_equal(outcome.holder, lossless.holder)
+    # That everybody knows, nobody can know: all go on until the next auction.
+    assert outcome.rounds == mission.radio.rounds_within(mission.assigning.period)
+    assert lossless.rounds < outcome.rounds
+
+
+def test_messages_that_come_late_make_an_auction_as_much_longer():
+    roles = holding(np.arange(9))
+    soon = flight(4)
+    state = known(soon, roles)
+    outcome = ask(soon, 0, 0, state, roles, any_rng())
+    late = ask(flight(4, delay=0.1), 0, 0, state, roles, any_rng())
+    assert np.array_equal(outcome.point, late.point) and outcome.rounds > 0
+    assert late.rounds == 6 * outcome.rounds  # five messages late, at 50 a second
+
+
+def test_after_the_first_auction_points_change_hands_only_for_a_shorter_way():
+    kept = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        roles = holding(rng.permutation(9))
+        coarse = Assigning("vsdaa", fineness=0.05)
+        mission = replace(flight(seed), assigning=coarse)
+        state = known(mission, roles)
+        way, every = np.sqrt(priced(mission, roles, state)), np.arange(9)
+        extent = np.linalg.norm(np.ptp(mission.shapes[0].formation.points, axis=0))
+        epsilon = coarse.fineness * extent
+        first, later = (ask(mission, 0, k, state, roles, rng).point for k in (0, 1))
+        least = way[linear_sum_assignment(way)].sum()
+        assert way[every, first].sum() <= least + 9 * epsilon
+        assert way[every, later].sum() <= least + 9 * 2.2 * epsilon
+        kept += (later == roles.point).sum() - (first == roles.point).sum()
+    assert kept > 0
 
 
 def test_where_not_everybody_can_learn_the_end_all_stays_as_it_is():

@@ -188,10 +188,19 @@ def test_a_swarm_is_inverted_where_the_mirror_image_fits_better(rng):
     points = formation("Pentagonal Pyramid").points
     placed = points @ about_the_vertical(1.0).T + [3.0, 4.0, 5.0]
     noise = rng.normal(0, 0.05, points.shape)
-    assert likeness(placed, points) == (pytest.approx(0, abs=1e-12), False)
+    there = likeness(placed, points)
+    assert there.error == pytest.approx(0, abs=1e-12) and not there.inverted
     assert not likeness(placed + noise, points).inverted
     assert likeness(placed * MIRROR + noise, points).inverted
     assert likeness(placed * MIRROR, points).error == pytest.approx(0, abs=1e-12)
+
+
+def test_what_is_all_but_flat_is_not_inverted(rng):
+    # Which of the two fits better is up to the noise, or to rounding where it is flat.
+    for k in range(200):
+        points = rng.uniform(0, 10, (9, 3)) * [1, 1, 0] + [0, 0, 1.3]
+        points[0, 2] += 0.05 * (k % 2)
+        assert not likeness(points + rng.normal(0, 0.04, points.shape), points).inverted
 
 
 def test_the_error_of_a_shape_is_what_the_best_of_many_poses_leaves(rng):

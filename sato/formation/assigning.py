@@ -109,8 +109,9 @@ def ask(
         far = np.sqrt(cost)
         if number > 0:
             far[np.arange(agents), roles.point] -= LOYALTY * epsilon
+        # How wide the graph is and how many bid, the auction need not learn: the shape says so.
         won = vsdaa(far, network, np.full(agents, agents), epsilon)
-        return _agreed(won.target, won.rounds)
+        return _agreed(won.target, won.rounds * (1 + mission.radio.late))
     radio = mission.radio
     rounds = radio.rounds_within(way.period) if radio.loss > 0 else None
     found = cbaa(
@@ -121,7 +122,7 @@ def ask(
     return Outcome(
         np.where(knows, found.point, roles.point),
         np.where(knows[:, None], found.holder, roles.holder),
-        found.rounds,
+        found.rounds if rounds is None else rounds,  # nobody can know that all know
     )
 
 

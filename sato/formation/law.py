@@ -28,7 +28,7 @@ class Law(NamedTuple):
 
 @no_type_check
 @numba.njit(cache=True)
-def wanted(me, sees, rank, gain_xy, gain_z, shape, weight, law, command):
+def wanted(me, sees, neighbours, gain_xy, gain_z, shape, weight, law, command):
     """Velocity that the neighbours ask of a vehicle, in the frame in which it sees them.
 
     In the plane Σ_j (A_ij + f_ij) q_ij with f_ij the size control. Heights likewise, where the
@@ -40,7 +40,7 @@ def wanted(me, sees, rank, gain_xy, gain_z, shape, weight, law, command):
     Args:
         me: The point that the vehicle holds.
         sees: Where it sees who holds each point, from itself, (points, 3) [m].
-        rank: Its neighbours' points are rank[:k] of this array.
+        neighbours: The points of its neighbours.
         gain_xy: Its row of the gains in the plane, (points,) complex [1/s].
         gain_z: Its row of the gains of heights, (points,) [1/s].
         shape: The points of the shape, (points, 3) [m].
@@ -49,7 +49,7 @@ def wanted(me, sees, rank, gain_xy, gain_z, shape, weight, law, command):
         command: Where the velocity goes, (3,) [m/s].
     """
     x, y, z = 0.0, 0.0, 0.0
-    for j in rank:
+    for j in neighbours:
         q_x, q_y, q_z = sees[j, 0], sees[j, 1], sees[j, 2]
         p_x, p_y, p_z = shape[j, 0] - shape[me, 0], shape[j, 1] - shape[me, 1], 0.0
         p_z = shape[j, 2] - shape[me, 2]

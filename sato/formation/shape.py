@@ -12,14 +12,24 @@ FLIP = np.array([1.0, 1.0, -1.0])
 
 
 class Likeness(NamedTuple):
-    """A swarm beside its shape."""
+    """A swarm beside its shape: root mean square distances, laid where it fits best [m]."""
 
-    error: float  # root mean square distance from the shape, laid where it fits best [m]
-    inverted: bool  # whether its mirror image, upside down, fits better
+    upright: float
+    flipped: float  # from its mirror image, upside down
+
+    @property
+    def inverted(self) -> bool:
+        """Whether it is upside down: that fits twice as well, so not where it is all but flat."""
+        return 2 * self.flipped < self.upright
+
+    @property
+    def error(self) -> float:
+        """From whichever of the two it is [m]."""
+        return self.flipped if self.inverted else self.upright
 
 
 def likeness(position: Float[Array, "points 3"], shape: Float[Array, "points 3"]) -> Likeness:
-    """Lay a shape, or its mirror image, over those who hold its points.
+    """Lay a shape, and its mirror image, over those who hold its points.
 
     It may be shifted and turned about the vertical, not scaled.
 
@@ -27,8 +37,7 @@ def likeness(position: Float[Array, "points 3"], shape: Float[Array, "points 3"]
         position: Of who holds each point [m].
         shape: The points [m].
     """
-    upright, flipped = (_error(position, shape * way) for way in (np.ones(3), FLIP))
-    return Likeness(min(upright, flipped), flipped < upright)
+    return Likeness(_error(position, shape), _error(position, shape * FLIP))
 
 
 def _error(position: Array, shape: Array) -> float:

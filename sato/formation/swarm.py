@@ -16,6 +16,7 @@ from numpy import ndarray as Array
 
 from sato.formation.avoidance import Avoidance, hold_back, steer_clear
 from sato.formation.law import Law, wanted
+from sato.formation.senses import around, look, reckon, talk
 
 SLOW = 0.2  # of the largest speed: who wants more and goes slower is stopped
 
@@ -112,88 +113,6 @@ class State(NamedTuple):
 
 @no_type_check
 @numba.njit
-def _reckon(state, frames, rng):
-    # Each vehicle's own position in its own frame, drifted and noisy: all it knows of itself.
-    for i in range(len(state.position)):
-        e = state.reckoned[i]
-        p = complex(
-            state.position[i, 0] - frames.offset[i, 0], state.position[i, 1] - frames.offset[i, 1]
-        )
-        p *= np.conj(frames.heading[i])
-        e[0], e[1], e[2] = p.real, p.imag, state.position[i, 2] - frames.offset[i, 2]
-        for a in range(3):
-            e[a] += state.drifted[i, a]
-            if frames.noise > 0:
-                e[a] += frames.noise * rng.standard_normal()
-
-
-@no_type_check
-@numba.njit
-def _talk(state, roles, swarm, message, rng):
-    # Everybody tells its position; each hears those who hold its neighbouring points.
-    ring, pace = len(state.told), swarm.pace
-    state.told[message % ring] = state.reckoned
-    told = state.told[(message - pace.late) % ring]
-    for i in range(len(state.position)):
-        for point in swarm.formed.neighbours[roles.point[i]]:
-            if point < 0:
-                break
-            if pace.loss == 0 or rng.random() >= pace.loss:
-                j = roles.holder[i, point]
-                for a in range(3):
-                    state.heard[i, j, a] = told[j, a]
-
-
-@no_type_check
-@numba.njit
-def _look(i, state, roles, swarm, sees, near):
-    # Where vehicle i has the holders of its neighbouring points, from itself, in its own
-    # frame: their own reckoning, by the pose of their frames in its own, which it knows.
-    frames, me, k = swarm.frames, state.reckoned[i], 0
-    own = np.conj(frames.heading[i])
-    for point in swarm.formed.neighbours[roles.point[i]]:
-        if point < 0:
-            break
-        j = roles.holder[i, point]
-        told = state.heard[i, j]
-        if j == i or np.isnan(told[0]):
-            continue
-        o_x = frames.offset[j, 0] - frames.offset[i, 0]
-        o_y = frames.offset[j, 1] - frames.offset[i, 1]
-        flat = own * (frames.heading[j] * complex(told[0], told[1]) + complex(o_x, o_y))
-        sees[point, 0], sees[point, 1] = flat.real - me[0], flat.imag - me[1]
-        sees[point, 2] = told[2] + frames.offset[j, 2] - frames.offset[i, 2] - me[2]
-        near[k] = point
-        k += 1
-    return k
-
-
-@no_type_check
-@numba.njit
-def _around(i, state, swarm, others, rng):
-    # Those near vehicle i, as it sees them itself, in its own frame; nothing drifts here.
-    frames, notice, count = swarm.frames, swarm.rules.notice, 0
-    own, nearest = np.conj(frames.heading[i]), np.inf
-    for j in range(len(state.position)):
-        x = state.position[j, 0] - state.position[i, 0]
-        y = state.position[j, 1] - state.position[i, 1]
-        square = x * x + y * y
-        if j == i:
-            continue
-        nearest = min(nearest, square)
-        if square < notice * notice:
-            flat = own * complex(x, y)
-            others[count, 0], others[count, 1] = flat.real, flat.imag
-            if frames.noise > 0:
-                others[count, 0] += frames.noise * rng.standard_normal()
-                others[count, 1] += frames.noise * rng.standard_normal()
-            count += 1
-    state.nearest[i] = min(state.nearest[i], np.sqrt(nearest))
-    return count
-
-
-@no_type_check
-@numba.njit
 def _obey(i, state, swarm, others, room, rng):
     # From what is wanted to what is flown: the limits of speed, then the others around, then
     # the limits of acceleration.
@@ -202,7 +121,7 @@ def _obey(i, state, swarm, others, room, rng):
     _slow_down(u, limits.speed)
     u[2] = min(max(u[2], -limits.climb), limits.climb)
     wanders = not rules.printed and _wander(i, u, state, swarm, rng)
-    count = _around(i, state, swarm, others, rng)
+    count = around(i, state, swarm, others, rng)
     state.avoiding[i] = steer_clear(u, others, count, rules, room[0], room[1]) or wanders
     true = state.velocity[i]
     flat = np.conj(heading) * complex(true[0], true[1])
@@ -295,9 +214,9 @@ def _kernel(stamp: int) -> Any:
         sees, others, room = np.zeros((n, 3)), np.zeros((n, 2)), np.zeros((2, n))
         near = np.zeros(n, dtype=np.int64)
         for number in range(first, first + steps):
-            _reckon(state, swarm.frames, rng)
+            reckon(state, swarm.frames, rng)
             if number % swarm.pace.every == 0:
-                _talk(state, roles, swarm, number // swarm.pace.every, rng)
+                talk(state, roles, swarm, number // swarm.pace.every, rng)
             for i in range(n):
                 u = state.command[i]
                 u[:] = 0.0
@@ -305,7 +224,7 @@ def _kernel(stamp: int) -> Any:
                     u[:] = roles.push
                 elif roles.follows[i]:
                     me = roles.point[i]
-                    k = _look(i, state, roles, swarm, sees, near)
+                    k = look(i, state, roles, swarm, sees, near)
                     formed = swarm.formed
                     wanted(me, sees, near[:k], formed.xy[me], formed.z[me], formed.points,
                            formed.weight[me], swarm.law, u)  # fmt: skip
@@ -317,6 +236,6 @@ def _kernel(stamp: int) -> Any:
     return fly
 
 
-FILES = ("avoidance", "law", "swarm")
+FILES = ("avoidance", "law", "senses", "swarm")
 _SOURCES = (Path(__file__).with_name(f"{name}.py").read_bytes() for name in FILES)
 fly = _kernel(crc32(b"".join(_SOURCES)))

@@ -40,6 +40,11 @@ class Trial:
     gridlocked: float  # time in gridlock [s]
 
     @property
+    def inverted(self) -> bool:
+        """Whether a formation is upside down."""
+        return any(x.inverted for x in self.likeness)
+
+    @property
     def error(self) -> float:
         """The larger error of shape of the two [m]; infinite if one was not taken up."""
         return max((x.error for x in self.likeness), default=np.inf) if self.settled else np.inf

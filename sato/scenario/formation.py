@@ -113,6 +113,18 @@ class FormationFile(ScenarioFile):
                 f"avoidance.margin_m = {margin:g} is less than twice frames.noise_m = {noise:g}, "
                 f"so the keep-out may be broken by as much; {2.5 * noise:g} would do"
             )
+        elif mission.avoidance.brake > mission.limits.acceleration / 2:
+            doubtful = (
+                f"avoidance.brake_m_s2 = {mission.avoidance.brake:g} is more than half of "
+                f"max_acceleration_m_s2 = {mission.limits.acceleration:g}, which leaves too little "
+                "for turning: vehicles may come some centimetres too near"
+            )
+        elif mission.limits.speed * mission.step > margin:
+            doubtful = (
+                f"in a control step of {mission.step:g} s a vehicle goes "
+                f"{mission.limits.speed * mission.step:g} m, farther than avoidance.margin_m = "
+                f"{margin:g}: the keep-out may be broken by as much"
+            )
         else:
             return
         warnings.warn(doubtful, stacklevel=2)

@@ -19,7 +19,9 @@ def summarise(evidence: Evidence) -> dict[str, Any]:
     stuck = sum(phase is Phase.GRIDLOCKED for phase in evidence.replay.phase[:-1])
     said = words(evidence.attributes, evidence.alive) | {
         "success": done and all(leg["success"] for leg in legs),
-        "shape_error_m": max((leg.get("shape_error_m", np.nan) for leg in legs), default=np.nan),
+        "shape_error_m": max(
+            (leg["shape_error_m"] for leg in legs if "shape_error_m" in leg), default=np.nan
+        ),
         "path_m": sum(leg["path_m"] for leg in legs),
         "time_s": sum(leg["time_s"] for leg in legs),
         "reassignments": sum(leg["reassignments"] for leg in legs),
@@ -55,7 +57,8 @@ def describe(evidence: Evidence, stretch: Stretch) -> dict[str, Any]:
     like = alike(evidence, stretch)
     if like is None:
         return said
-    right = like.error <= mission.protocol.shape and not (like.inverted and mission.law.upright)
+    off = like.upright if mission.law.upright else min(like)
+    right = off <= mission.protocol.shape
     said["success"] = stretch.settled and right
     return _finite(said | {"shape_error_m": like.error, "inverted": like.inverted})
 
