@@ -9,7 +9,8 @@ from numpy import ndarray as Array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import pdist, squareform
 
-FLAT = 0.01  # a formation is flat where the heights have a smaller deviation [m]
+FLAT = 0.01  # of a flat formation, all heights are nearer to the middle of their range [m]
+FAR = 1e9  # no coordinate is larger: squares must not overflow, nor metres be lost in rounding [m]
 SAME = 1e-9  # of the extent: points closer than this coincide
 
 
@@ -45,7 +46,7 @@ class Formation:
     @property
     def flat(self) -> bool:
         """Whether the heights count as equal."""
-        return bool(self.points[:, 2].std() < FLAT)
+        return bool(np.ptp(self.points[:, 2]) < 2 * FLAT)
 
     @cached_property
     def kernel_xy(self) -> Complex[Array, "n r"]:
@@ -77,9 +78,12 @@ def _refuse_points(points: Array) -> None:
     n = len(points)
     if n < 3:
         raise ValueError(f"a formation needs at least 3 points, got {n}")
-    if not np.isfinite(points).all():
-        i = int(np.argwhere(~np.isfinite(points))[0, 0])
-        raise ValueError(f"point {i} is {points[i]}: coordinates must be finite numbers [m]")
+    near = np.abs(points) <= FAR
+    if not near.all():
+        i = int(np.argwhere(~near)[0, 0])
+        raise ValueError(
+            f"point {i} is {points[i]}: coordinates must be finite numbers, at most {FAR:.0e} m"
+        )
     apart = squareform(pdist(points))
     np.fill_diagonal(apart, np.inf)
     if apart.min() <= SAME * apart[np.isfinite(apart)].max():

@@ -1,6 +1,7 @@
 """The design of gains: the fastest for a formation, or the proof that it cannot have any."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Literal
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy import ndarray as Array
 from threadpoolctl import threadpool_limits
 
 from problems import formation_gain_admm as admm
+from problems.conic import Unsolved
 from problems.formation import Formation
 from problems.gain_question import NO_RATE, Answer, NoMatrix, Question, Way
 from problems.gains import Gains
@@ -17,10 +19,11 @@ __all__ = ["Gains", "NoStabilisingGain", "Undecided", "design"]
 
 Method = Literal["auto", "projection", "admm", "sdp", "paper"]
 DIRECTION = {"xy": "in the plane", "z": "upwards"}
+SMALL = 15  # vehicles, up to which the general solver takes a second and is asked for help
 
 
 class NoStabilisingGain(RuntimeError):
-    """It is proven that no gains make the formation form.
+    """It is proven that no gains make the formation form, or none faster than `NO_RATE`.
 
     Attributes:
         formation: The shape and graph asked for.
@@ -33,9 +36,14 @@ class NoStabilisingGain(RuntimeError):
         i, j = sorted(np.unravel_index(np.abs(dual).argmax(), dual.shape))
         self.formation, self.which, self.dual = formation, which, dual
         self.bound = Question.of(formation, which).bound(dual)
+        where = f"no gains stabilise {_called(formation)} {DIRECTION[which]}"
+        if self.bound > 0:
+            where += f" faster than {NO_RATE:.0e} of their mean"
+            allowed = f"a rate of at most {self.bound:.1e}"
+        else:
+            allowed = "no rate above 0"
         super().__init__(
-            f"no gains stabilise {_called(formation)} {DIRECTION[which]}: its graph allows a rate "
-            f"of at most {self.bound:.1e}, by proof; add edges, between {i} and {j} first"
+            f"{where}: its graph allows {allowed}, by proof; add edges, between {i} and {j} first"
         )
 
 
@@ -68,11 +76,12 @@ def design(
     Every method answers the same programme, in the plane and upwards (`Question`):
 
     - "auto": on the complete graph A = −(I − K Kᴴ), of which all eigenvalues outside the
-      kernel K are −1; since that is their mean, nothing is faster. Otherwise as "admm".
+      kernel K are −1; since that is their mean, nothing is faster. Otherwise as "admm", and
+      where that gives up with 15 vehicles or fewer, the better of it and "sdp".
     - "projection": the gains nearest to those; one linear system. On sparse graphs they are
       often not stable.
     - "admm": from there on, alternating directions until the rate is within `tolerance` of
-      a bound that is proven.
+      a bound that is proven, for 3000 rounds at most.
     - "sdp": a general interior-point solver; n ≤ 30 or so.
     - "paper": the paper's own iteration, to be compared with.
 
@@ -84,14 +93,19 @@ def design(
         method: See above.
         tolerance: Share of the bound by which the rate may be less, for "auto" and "admm".
 
+    Returns:
+        Stable gains. Where the rounds did not suffice, as on graphs that hardly hold the
+        shape, `gap_xy` and `gap_z` may be more than the tolerance; they tell by how much.
+
     Raises:
         NoStabilisingGain: There are none, with the proof.
         Undecided: The method found neither stable gains nor that proof.
     """
     with threadpool_limits(1, user_api="blas"):  # on busy cores a second thread only waits
         xy, bound_xy, how = _answer(formation, "xy", method, tolerance)
-        z, bound_z, _ = _answer(formation, "z", method, tolerance)
-        return Gains(formation, -xy, -z, how, bound_xy, bound_z)
+        z, bound_z, also = _answer(formation, "z", method, tolerance)
+        ways = how if how == also else f"{how}; upwards {also}"
+        return Gains(formation, -xy, -z, ways, bound_xy, bound_z)
 
 
 def _answer(
@@ -101,9 +115,11 @@ def _answer(
     if method == "auto" and asked.complete:
         K = asked.kernel
         return np.eye(len(K)) - K @ K.conj().T, 1.0, "closed form"
-    way = "admm" if method == "auto" else method
+    way: str = "admm" if method == "auto" else method
     try:
         L, Y = _solver(way, tolerance)(asked)
+        if method == "auto" and len(L) <= SMALL:
+            (L, Y), way = _helped(asked, Answer(L, Y), tolerance)
         L = asked.project((L + L.conj().T) / 2)
     except NoMatrix as none:
         raise NoStabilisingGain(formation, which, none.dual) from none
@@ -115,7 +131,16 @@ def _answer(
     return L, bound, way
 
 
-def _solver(method: str, tolerance: float) -> Callable[[Question], tuple[Array, Array]]:
+def _helped(asked: Question, found: Answer, tolerance: float) -> tuple[Answer, str]:
+    best = admm.Best(asked, found)
+    if best.within(tolerance):
+        return found, "admm"
+    with suppress(Unsolved):  # then what was found before is what there is
+        best.see(_solver("sdp", tolerance)(asked))
+    return best.answer, "admm and sdp"
+
+
+def _solver(method: str, tolerance: float) -> Callable[[Question], Answer]:
     # The slow ones are imported when they are asked for; loading their solvers takes seconds.
     if method == "projection":
         return lambda asked: Answer(*asked.split(np.eye(len(asked.graph))))

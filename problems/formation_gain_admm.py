@@ -53,7 +53,7 @@ def solve(question: Question, tolerance: float = TOLERANCE, rounds: int = ROUNDS
     K = question.kernel
     ideal = np.eye(len(K)) - K @ K.conj().T
     L, Y = question.split(ideal)
-    best = _Best(question, Answer(L, Y))
+    best = Best(question, Answer(L, Y))
     strength = float(np.sqrt(question.m) * np.linalg.norm(L - ideal))
     if strength <= 1e-12 * question.m:
         return best.answer
@@ -69,7 +69,7 @@ def solve(question: Question, tolerance: float = TOLERANCE, rounds: int = ROUNDS
     return best.answer
 
 
-class _Best:
+class Best:
     """The best of both sides so far; they need not be of the same round."""
 
     def __init__(self, question: Question, first: Answer) -> None:

@@ -16,6 +16,7 @@ Way = Literal["xy", "z"]  # in the plane, or upwards
 NO_RATE = 1e-6  # of the mean: gains as slow as this, or proven to be slower, are none
 NOTHING = 1e-9  # of what it could be: taken for zero
 ROUNDED = 1e-14  # relative: what products and eigenvalues are exact to
+SLACK = 1e-15  # times n, relative: more than what the eigenvalues of a bound are off by
 SHIFT = 1e-10  # of the mean: far above rounding, far below what matters
 PASSES = 6  # at most; two are the rule
 
@@ -111,17 +112,25 @@ class Question:
         Proof. Let W = Qᴴ Y Q and S = W − l I, positive semidefinite by the choice of l.
         For every L = Q Z Qᴴ of the question ⟨W, Z⟩ = ⟨Y, L⟩ = 0, so ⟨S, Z⟩ = −l m. With
         Z ⪰ t I follows t tr S ≤ −l m, and tr S = (μ − l) m. It does not matter where Y
-        comes from. Entries at edges are left out here, so that the proof always holds.
+        comes from, nor how large it is. Entries at edges are left out here, so that the
+        proof always holds; and l and μ are taken for less than they are computed to be, by
+        what rounding may have added, which only raises the bound.
         """
         Y = np.where(self._keep, 0, Y + Y.conj().T)
+        size = float(np.abs(Y).max())
+        if not 0 < size < np.inf:
+            return 1.0  # the mean of all eigenvalues, which the least never exceeds
+        Y = Y / size
         inside = Y - self.kernel @ (self.kernel.conj().T @ Y)
         inside = inside - (inside @ self.kernel) @ self.kernel.conj().T
-        if np.linalg.norm(inside) <= NOTHING * np.linalg.norm(Y):
-            return 1.0  # the mean of all eigenvalues
-        least, mean = self.rate(inside), float(inside.trace().real) / self.m
-        if mean - least <= ROUNDED * abs(mean):
+        slack = SLACK * len(Y) * float(np.linalg.norm(Y))
+        least = self.rate(inside) - slack
+        mean = float(inside.trace().real) / self.m - slack
+        if mean <= 0:
+            return 1.0
+        if mean <= least:
             return -np.inf  # W = c I, and c tr Z = 0 has no answer
-        return min(1.0, -least / (mean - least))
+        return -least / (mean - least)
 
     def lift(self, L: Inexact[Array, "n n"]) -> Inexact[Array, "n n"]:
         """L with the zero eigenvalues of its kernel lifted above all others."""

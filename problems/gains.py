@@ -13,7 +13,17 @@ from problems.formation import Formation
 from problems.gain_question import Question, Way
 
 FITS = 1e-8  # relative; gains with larger residuals are of another formation
-HELD = ("points", "graph", "name", "xy", "z", "method", "bounds")  # in a file
+HELD = {  # in a file: what it is made of, and its shape
+    "points": (float, ("n", 3)),
+    "graph": (bool, ("n", "n")),
+    "name": (str, ()),
+    "xy": (complex, ("n", "n")),
+    "z": (float, ("n", "n")),
+    "method": (str, ()),
+    "bounds": (float, (2,)),
+}
+# What numpy and zipfile say of other files, and of damaged ones.
+UNREADABLE = (ValueError, TypeError, EOFError, OSError, RuntimeError, BadZipFile)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +50,8 @@ class Gains:
         _refuse(self.formation, "z", self.z)
         if not self.rate > 0:
             raise ValueError(f"these gains are not stable: their rate is {self.rate:.1e}")
+        _refuse_bound("xy", self.bound_xy, self.rate_xy)
+        _refuse_bound("z", self.bound_z, self.rate_z)
 
     @property
     def rate(self) -> float:
@@ -59,12 +71,12 @@ class Gains:
     @property
     def gap_xy(self) -> float:
         """The share of the bound that is not reached in the plane."""
-        return (self.bound_xy - self.rate_xy) / self.bound_xy
+        return max(0.0, 1 - self.rate_xy / self.bound_xy)
 
     @property
     def gap_z(self) -> float:
         """The share of the bound that is not reached upwards."""
-        return (self.bound_z - self.rate_z) / self.bound_z
+        return max(0.0, 1 - self.rate_z / self.bound_z)
 
     @property
     def residual_kernel(self) -> float:
@@ -114,22 +126,45 @@ class Gains:
         """
         held = _read(path)
         try:
+            _refuse_kinds(held)
+            held = {name: held[name].astype(kind) for name, (kind, _) in HELD.items()}
             shape = Formation(held["points"], held["graph"], str(held["name"]))
-            bound_xy, bound_z = map(float, held["bounds"])
-            return cls(shape, held["xy"], held["z"], str(held["method"]), bound_xy, bound_z)
+            bounds = held["bounds"].tolist()
+            return cls(shape, held["xy"], held["z"], str(held["method"]), *bounds)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
 
 
 def _read(path: str | Path) -> dict[str, Array]:
-    try:
-        with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
-            held = {name: file[name] for name in file}
-    except (ValueError, TypeError, EOFError, BadZipFile) as error:
-        raise ValueError(f"{path} is not a file of gains, or is damaged") from error
+    with open(path, "rb") as opened:
+        try:
+            with np.load(opened, allow_pickle=False) as file:
+                held = {name: file[name] for name in file}
+        except UNREADABLE as error:
+            raise ValueError(f"{path} is not a file of gains, or is damaged") from error
     if lacks := [name for name in HELD if name not in held]:
         raise ValueError(f"{path} is not a file of gains: it lacks {', '.join(lacks)}")
     return held
+
+
+def _refuse_kinds(held: dict[str, Array]) -> None:
+    # Before anything is computed with them: whatever is in the file got there somehow.
+    n = max(held["points"].shape, default=0)
+    for name, (kind, sides) in HELD.items():
+        array, shape = held[name], tuple(n if side == "n" else side for side in sides)
+        if array.shape != shape or not np.can_cast(array.dtype, kind, "same_kind"):
+            raise ValueError(
+                f"{name} should be {kind.__name__} of shape {shape}, "
+                f"not {array.dtype} of {array.shape}"
+            )
+
+
+def _refuse_bound(which: Way, bound: float, rate: float) -> None:
+    if not bound >= rate * (1 - FITS):
+        raise ValueError(
+            f"no gains for {which} are said to be faster than {bound:.6g}, and these have the rate "
+            f"{rate:.6g}: the bound is not one"
+        )
 
 
 def _shape(formation: Formation, which: Way) -> Array:

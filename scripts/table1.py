@@ -17,7 +17,7 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from problems.formation import Formation
-from problems.formation_gain import Method, design
+from problems.formation_gain import Method, Undecided, design
 from sato.shapes.random_formation import thinned
 
 SIZES = (5, 20, 50, 100, 200)
@@ -50,10 +50,14 @@ def row(
             break
         progress.print(f"  {method}, n = {n}")
         begin = time.perf_counter()
-        gains = design(formation, method=method)
+        try:
+            gains = design(formation, method=method)
+        except Undecided:
+            said = "undecided"
+        else:
+            said = f"rate {gains.rate:.3f}\ngap {max(gains.gap_xy, gains.gap_z):.0e}"
         took = time.perf_counter() - begin
-        gap = max(gains.gap_xy, gains.gap_z, 0.0)
-        cells.append(f"{took:.3g} s\nrate {gains.rate:.3f}\ngap {gap:.0e}")
+        cells.append(f"{took:.3g} s\n{said}")
     return cells
 
 

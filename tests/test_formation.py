@@ -39,12 +39,23 @@ def test_planar_points_are_complex_numbers():
 
 
 @pytest.mark.parametrize(("spread", "flat"), [(0.0, True), (0.009, True), (0.011, False)])
-def test_heights_with_a_deviation_below_a_centimetre_count_as_equal(spread, flat):
+def test_heights_within_a_centimetre_of_their_middle_count_as_equal(spread, flat):
     square = np.array([[0.0, 0, 1], [9, 0, 1], [9, 9, 1], [0, 9, 1]])
     square[:, 2] += spread * np.array([1, -1, 1, -1])
     formation = Formation.complete(square)
     assert formation.flat == flat
     assert formation.kernel_z.shape == (4, 1 if flat else 2)
+
+
+@pytest.mark.parametrize("n", [3, 20, 200])
+@given(seed=st.integers(0, 2**32 - 1))
+def test_one_point_that_is_higher_is_not_lost_among_many(n, seed):
+    rng = np.random.default_rng(seed)
+    points = np.column_stack([rng.uniform(0, 60, (n, 2)), np.full(n, 1.0)])
+    assert Formation.complete(points).flat
+    points[int(rng.integers(n)), 2] += 0.021
+    formation = Formation.complete(points)
+    assert not formation.flat and formation.kernel_z.shape == (n, 2)
 
 
 def test_a_vertical_stack_has_one_column_in_the_plane_and_two_upwards():
@@ -81,6 +92,7 @@ LEAF = changed(FULL, [(5, k) for k in range(1, 6)] + [(k, 5) for k in range(1, 6
         (POINTS[:2], FULL[:2, :2], "at least 3 points, got 2"),
         (POINTS[[0, 1, 2, 3, 1, 5]], FULL, "points 1 and 4 coincide"),
         (POINTS * [1, 1, np.nan], FULL, "point 0 is .* must be finite"),
+        (changed(POINTS, [(4, 2)], 1e200), FULL, r"point 4 is .* at most 1e\+09 m"),
         (POINTS, changed(FULL, [(3, 3)], True), "vertex 3 is its own neighbour"),
         (POINTS, changed(FULL, [(4, 2)], False), "edge 2–4 has no way back: set 4–2"),
         (POINTS, PARTS, "no edge joins vertices 0, 1, 2 to the rest"),

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from scipy.spatial.distance import pdist
 from typer.testing import CliRunner, Result
 
 from problems.formation_gain import Gains, design
-from sato import shapes
+from sato import gains_command, shapes
 from sato.cli import app
 from sato.shapes.formation_files import (
     read_formation,
@@ -346,6 +347,15 @@ def test_gains_of_the_library_are_certified_and_written(home):
     assert kept.rate_xy == pytest.approx(0.2957, rel=0.01)
 
 
+def test_a_gap_that_is_rounding_is_told_as_none(home, monkeypatch):
+    # One who is faster than the bound by a rounding is not −0.0000 % short of it.
+    exact = design(formation("hex"))
+    found = replace(exact, bound_xy=exact.rate_xy - 1e-15, bound_z=exact.rate_z - 1e-15)
+    monkeypatch.setattr(gains_command, "design", lambda *_: found)
+    said = call("hex").stdout
+    assert "short of it by" in said and "-0.0" not in said
+
+
 def test_gains_of_files_are_for_their_points_and_graph(home):
     (home / "ring.csv").write_text("0,1\n1,2\n2,3\n3,0\n0,2\n")
     result = call("square.csv", "--graph", "ring.csv", "--out", "here/mine.npz")
@@ -377,6 +387,7 @@ REFUSED = {
     "coincident points": ("x,y\n0,0\n1,1\n0,0\n", ["bad.csv"], ["bad.csv", "lines 2 and 4"]),
     "a word for a number": ("0,0\n1,one\n", ["bad.csv"], ["bad.csv, line 2", "one"]),
     "an infinite coordinate": ("0,0\n1,inf\n", ["bad.csv"], ["bad.csv, line 2", "not finite"]),
+    "a huge coordinate": ("0,0\n# far\n1,1e200\n", ["bad.csv"], ["bad.csv, line 3", "1e+09 m"]),
     "four columns": ("0,0,0,0\n", ["bad.csv"], ["bad.csv, line 1", "2 or 3 columns", "got 4"]),
     "no points": ("# nothing\n", ["bad.csv"], ["bad.csv lists no points"]),
     "no such graph": ("", ["star", "--graph", "compleet"], ["--graph", "complete", '"compleet"']),

@@ -10,6 +10,7 @@ from numpy import ndarray as Array
 from sato.shapes.order import in_order
 from sato.shapes.sizing import Centre, Draft, check_count, place
 
+FAR = 1e9  # no coordinate is larger: their squares must not overflow [m]
 HEADERS = ("x,y", "x_m,y_m", "x,y,z", "x_m,y_m,z_m")
 
 
@@ -107,6 +108,10 @@ def _point(path: Path, number: int, cells: list[str], columns: int | None) -> li
         ) from error
     if not np.isfinite(point).all():
         raise ValueError(f"{path}, line {number}: a coordinate is not finite: {', '.join(cells)}")
+    if np.abs(point).max() > FAR:
+        raise ValueError(
+            f"{path}, line {number}: a coordinate is larger than {FAR:.0e} m: {', '.join(cells)}"
+        )
     return point
 
 

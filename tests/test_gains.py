@@ -1,0 +1,173 @@
+"""Gains: the matrix that they are, what cannot be gains, and their files."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from problems.formation import Formation
+from problems.formation_gain import Gains, design
+from problems.gains import _refuse
+from sato.shapes.formations import formation
+from sato.shapes.random_formation import sparse_graph
+
+
+def pyramid():
+    return formation("Pentagonal Pyramid")
+
+
+def drawn(rng, n, share):
+    points = rng.uniform(0, 1, (n, 3)) * [15, 15, 2]
+    return Formation(points, sparse_graph(points, share, rng))
+
+
+# The matrix, and the file.
+
+
+def test_the_matrix_is_the_one_that_the_paper_prints(rng):
+    # Kernel as in [Lusk2020, eq. 4], of dimension 6; all else dies out.
+    gains = design(drawn(rng, 7, 0.8))
+    p, n = gains.formation.points, 7
+    N = np.zeros((n, 3, 6))
+    N[:, 0, 0], N[:, 1, 0], N[:, 0, 1], N[:, 1, 1] = p[:, 0], p[:, 1], -p[:, 1], p[:, 0]
+    N[:, 2, 2] = p[:, 2]
+    N[:, :, 3:] = np.eye(3)
+    A = gains.matrix
+    assert np.abs(A @ N.reshape(3 * n, 6)).max() <= 1e-10
+    λ = np.linalg.eigvalsh(A)
+    assert λ[-6] > -1e-9 and λ[-7] == pytest.approx(-gains.rate, abs=1e-9)
+    block = A[:3, 3:6]
+    assert block[0, 0] == block[1, 1] and block[0, 1] == -block[1, 0]
+    assert not block[2, :2].any() and not block[:2, 2].any()
+
+
+def test_speeds_are_those_of_the_law_for_complex_positions(rng):
+    gains = design(drawn(rng, 6, 0.9))
+    q = rng.normal(size=(6, 3))
+    speeds = (gains.matrix @ q.ravel()).reshape(6, 3)
+    planar = gains.xy @ (q[:, 0] + 1j * q[:, 1])
+    np.testing.assert_allclose(speeds[:, 0] + 1j * speeds[:, 1], planar, atol=1e-12)
+    np.testing.assert_allclose(speeds[:, 2], gains.z @ q[:, 2], atol=1e-12)
+
+
+def test_gains_come_back_from_their_file_and_know_whose_they_are(tmp_path):
+    gains = design(pyramid())
+    gains.save(tmp_path / "gains.npz")
+    again = Gains.load(tmp_path / "gains.npz")
+    assert np.array_equal(again.matrix, gains.matrix)
+    assert (again.method, again.bound_xy, again.bound_z) == ("admm", gains.bound_xy, gains.bound_z)
+    assert again.formation.name == "swarm6_3d/Pentagonal Pyramid" and again.belongs_to(pyramid())
+    assert not again.belongs_to(Formation.complete(pyramid().points))
+    assert not again.belongs_to(Formation(pyramid().points * 2, pyramid().graph))
+    assert not again.belongs_to(Formation.complete(pyramid().points[:5]))
+
+
+def forged(path, **changes):
+    with np.load(path) as file:
+        np.savez(path.with_name("forged.npz"), **{**file, **changes})
+    return path.with_name("forged.npz")
+
+
+def test_a_file_whose_gains_are_not_of_its_formation_is_refused(tmp_path):
+    gains = design(pyramid())
+    path = tmp_path / "gains.npz"
+    gains.save(path)
+    points = gains.formation.points
+    loose = gains.formation.graph.copy()
+    loose[0, 3] = loose[3, 0] = False
+    for changes, words in (
+        ({"points": points * [1.1, 1, 1]}, "forged.npz: the gains for xy .* they move it by"),
+        ({"points": points + np.eye(6, 3, -1)}, "for xy do not belong"),
+        ({"graph": loose}, "what they do not measure"),
+        ({"xy": -gains.xy}, "xy do not belong to this formation: they are not −1 in the mean"),
+        ({"xy": 2 * gains.xy}, "not −1 in the mean"),
+        ({"xy": gains.xy + np.triu(gains.xy)}, "they "),
+        ({"z": gains.z * np.nan}, "finite numbers, those for z"),
+        ({"z": 0 * gains.z}, "gains of 0 move nobody"),
+        ({"points": points[[0, 1, 2, 3, 4, 4]]}, "points 4 and 5 coincide"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            Gains.load(forged(path, **changes))
+
+
+def test_gains_of_another_size_are_refused():
+    # Asked of the check itself: in tests, the annotation of the shape would answer first.
+    with pytest.raises(ValueError, match=r"6 points need 6 × 6 gains, got \(5, 5\) for xy"):
+        _refuse(pyramid(), "xy", np.eye(5))
+
+
+def test_unstable_gains_cannot_be_made(rng):
+    gains = design(Formation.complete(rng.normal(size=(6, 3))))
+    K = gains.formation.kernel_z
+    u = np.linalg.qr(np.column_stack([K, rng.normal(size=(6, 1))]))[0][:, 2]
+    turned = gains.z + 1.5 * np.outer(u, u)
+    turned *= -4 / turned.trace()
+    with pytest.raises(ValueError, match="not stable: their rate is -"):
+        replace(gains, z=turned)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"graph": np.ones((6, 6))}, r"graph should be bool of shape \(6, 6\), not float64"),
+        ({"graph": np.ones(3, dtype=bool)}, r"graph should be bool .* not bool of \(3,\)"),
+        ({"points": np.array([["a", "b", "c"]] * 6)}, r"points should be float .* not <U1"),
+        ({"points": np.arange(6.0)}, r"points should be float of shape \(6, 3\), not .* \(6,\)"),
+        ({"points": np.ones((6, 2))}, r"points should be float of shape \(6, 3\)"),
+        ({"points": np.float64(3)}, r"points should be float of shape \(0, 3\)"),
+        ({"xy": np.full((6, 6), "1")}, "xy should be complex"),
+        ({"z": np.ones((3, 6))}, r"z should be float of shape \(6, 6\), not float64 of \(3, 6\)"),
+        ({"z": np.ones((6, 6), dtype=complex)}, "z should be float .* not complex128"),
+        ({"name": np.array([1, 2])}, "name should be str"),
+        ({"bounds": np.ones(3)}, r"bounds should be float of shape \(2,\), not float64 of \(3,\)"),
+        ({"bounds": np.array([np.nan, 1])}, "for xy are said to be faster than nan"),
+        ({"bounds": np.array([1, np.nan])}, "for z are said to be faster than nan"),
+        ({"bounds": np.array([1, 0.1])}, r"for z .* faster than 0.1, and these have the rate 0.55"),
+    ],
+)
+def test_a_file_of_other_things_is_refused_in_a_sentence_that_names_it(tmp_path, changes, words):
+    path = tmp_path / "gains.npz"
+    design(pyramid()).save(path)
+    with pytest.raises(ValueError, match=rf"^[^\n]*forged\.npz: [^\n]*{words}[^\n]*$"):
+        Gains.load(forged(path, **changes))
+
+
+def test_a_bound_may_be_anything_from_the_rate_on(tmp_path):
+    gains = design(pyramid())
+    assert replace(gains, bound_xy=gains.rate_xy, bound_z=gains.rate_z).gap_z == 0
+    unknown = replace(gains, bound_xy=np.inf)
+    unknown.save(tmp_path / "gains.npz")
+    assert Gains.load(tmp_path / "gains.npz").gap_xy == unknown.gap_xy == 1
+
+
+def test_a_damaged_file_is_refused_wherever_it_is_cut_or_changed(tmp_path, rng):
+    gains, path = design(pyramid()), tmp_path / "gains.npz"
+    gains.save(path)
+    whole = path.read_bytes()
+    for _ in range(300):
+        broken = bytearray(whole[: rng.integers(len(whole))] if rng.random() < 0.5 else whole)
+        if broken:
+            broken[rng.integers(len(broken))] ^= int(rng.integers(1, 256))
+        path.write_bytes(broken)
+        try:
+            assert np.array_equal(Gains.load(path).matrix, gains.matrix)  # nothing that matters
+        except ValueError as error:
+            assert "gains.npz" in str(error)
+
+
+@pytest.mark.parametrize("content", [b"", b"points,graph", b"PK\x03\x04 and no more"])
+def test_what_is_no_file_of_gains_is_refused(tmp_path, content):
+    path = tmp_path / "other.npz"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"other\.npz is not a file of gains"):
+        Gains.load(path)
+
+
+def test_a_file_that_lacks_something_is_refused(tmp_path):
+    path = tmp_path / "some.npz"
+    np.savez(path, points=np.zeros((3, 3)), xy=np.zeros((3, 3)))
+    with pytest.raises(ValueError, match="it lacks graph, name, z, method, bounds"):
+        Gains.load(path)
+    np.save(tmp_path / "array.npy", np.zeros(3))
+    with pytest.raises(ValueError, match=r"array\.npy is not a file of gains"):
+        Gains.load(tmp_path / "array.npy")
