@@ -1,0 +1,118 @@
+"""How one robot keeps track of how another one is turned [Bernard2023, Sec. IV].
+
+A camera tells where the other robot is and not how it is turned. Where both see each other,
+the two bearings settle it. Where only one sees, it compares how it sees the other one move
+with the velocity that the other one says it has.
+"""
+
+from math import atan2, cos, exp, pi, sin, sqrt
+from typing import NamedTuple, no_type_check
+
+import numba
+
+from problems.graph import rise
+
+
+class Tracking(NamedTuple):
+    """The numbers of the estimator."""
+
+    k1: float = 10.0  # of the observer of the other's velocity [1/s]
+    k2: float = 10.0  # of the correction by it [1/s]
+    k3: float = 10.0  # of the correction by two bearings [1/s]
+    slow: float = 0.1  # v_min: speed in the plane below which motion tells nothing [m/s]
+    fast: float = 0.3  # v_max: and above which it tells all [m/s]
+    closure: float = 5.0  # of the correction round triangles [1/s]
+    printed: bool = False  # the observer as printed: what it lags behind is not made up for
+
+
+@no_type_check
+@numba.njit
+def wrapped(angle):
+    """The same angle in [−π, π)."""
+    return (angle + pi) % (2 * pi) - pi
+
+
+@no_type_check
+@numba.njit
+def observe(p, before, fresh, v, w, v_other, watch, track, dt):
+    """One step of the observer of another's velocity [Bernard2023, eq. 15–17].
+
+    Args:
+        p: p_ij as seen now, (3,) [m].
+        before: p_ij as seen a step ago, (3,) [m].
+        fresh: Whether it was not seen then, so that all begins anew.
+        v: Own velocity since, in the own frame, (3,) [m/s].
+        w: Own yaw rate since [rad/s].
+        v_other: The other's velocity in its frame, as it says, (3,) [m/s].
+        watch: The observer, changed in place: p̂, e, v_j through the same filter, and for how
+            long the other one has been in sight [s], (10,).
+        track: The numbers of the estimator.
+        dt: Step [s].
+    """
+    if fresh:
+        for a in range(3):
+            watch[a], watch[3 + a], watch[6 + a] = p[a], 0.0, 0.0
+        watch[9] = 0.0
+        return
+    # Exact for inputs that are held over the step.
+    keep = exp(-track.k1 * dt)
+    gain = (1 - keep) / track.k1
+    turned = (-before[1] * w, before[0] * w, 0.0)
+    for a in range(3):
+        foreseen = before[a] + (watch[a] - before[a]) * keep
+        watch[a] = foreseen - gain * (v[a] + turned[a])
+        watch[3 + a] = track.k1 * (p[a] - watch[a])
+        watch[6 + a] = keep * watch[6 + a] + (1 - keep) * v_other[a]
+    watch[9] += dt
+
+
+@no_type_check
+@numba.njit
+def by_motion(watch, v_other, track):
+    """ψ̂_ij, from how the other one is seen to move, and how far to trust it.
+
+    Only the horizontal parts tell of yaw; and in the first 3/k₁ the observer knows little.
+    """
+    v_x, v_y = (v_other[0], v_other[1]) if track.printed else (watch[6], watch[7])
+    seen = sqrt(watch[3] ** 2 + watch[4] ** 2)
+    said = sqrt(v_x * v_x + v_y * v_y)
+    speed = sqrt(v_other[0] ** 2 + v_other[1] ** 2 + v_other[2] ** 2)
+    if not track.printed:
+        speed = min(said, seen) if watch[9] >= 3 / track.k1 else 0.0
+    trust = rise(speed, track.slow, track.fast)
+    return wrapped(atan2(watch[4], watch[3]) - atan2(v_y, v_x)), trust
+
+
+@no_type_check
+@numba.njit
+def by_bearings(p, p_other):
+    """ψ_ij where both see each other: R_z(ψ_ij) p_ji = −p_ij."""
+    return wrapped(atan2(-p[1], -p[0]) - atan2(p_other[1], p_other[0]))
+
+
+@no_type_check
+@numba.njit
+def correct(yaw, turn, mutual, measured, guessed, trust, track, dt):
+    """One step of ψ̃_ij [Bernard2023, eq. 19].
+
+    Args:
+        yaw: ψ̃_ij [rad].
+        turn: w_j − w_i [rad/s].
+        mutual: f*_ij f*_ji.
+        measured: ψ_ij from two bearings, where mutual is not zero [rad].
+        guessed: ψ̂_ij, from motion [rad].
+        trust: How far to trust that, from 0 to 1.
+        track: The numbers of the estimator.
+        dt: Step [s].
+    """
+    rate = turn + track.k2 * trust * (1 - mutual) * sin(guessed - yaw)
+    if mutual > 0:
+        rate += track.k3 * mutual * sin(measured - yaw)
+    return wrapped(yaw + dt * rate)
+
+
+@no_type_check
+@numba.njit
+def middle(mine, theirs):
+    """The mean of ψ̃_ij and −ψ̃_ji on the circle [rad]."""
+    return atan2(sin(mine) + sin(-theirs), cos(mine) + cos(-theirs))

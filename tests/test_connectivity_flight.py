@@ -1,0 +1,113 @@
+"""Six robots that follow a leader and must not lose each other."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dynamics.kinematic import Kinematic
+from problems.graph import Sight, connectivity, graph
+from sato.connectivity import ConnectivityFlight, Death, fly
+from sato.connectivity.mail import Link
+from sato.connectivity.mission import components
+from sato.connectivity.potential import Potential
+from sato.connectivity.power import fitted, spectral_radius
+from sato.connectivity.stick import Homing
+
+
+def start(rng, agents=6):
+    """Places and yaws that hang together."""
+    while True:
+        position = rng.uniform(0, 1, (agents, 3)) * [8, 8, 3] + [0, 0, 3]
+        yaw = rng.uniform(-np.pi, np.pi, agents)
+        apart = np.linalg.norm(position[:, None] - position, axis=2) + 9 * np.eye(agents)
+        if apart.min() > 1.8 and connectivity(graph(position, yaw, Sight()).weight).lambda2 > 0.05:
+            return position, yaw
+
+
+def flight(seed, **kw):
+    rng = np.random.default_rng(seed)
+    position, yaw = start(rng)
+    ahead = np.array([np.cos(yaw[0]), np.sin(yaw[0]), 0])
+    believed = yaw - yaw[:, None] + rng.uniform(-0.5, 0.5, (6, 6))
+    stick = Homing(position[0] + np.outer([5, 10], ahead))
+    return ConnectivityFlight(position, yaw, believed, stick, **({"duration": 15.0} | kw))
+
+
+def flown(mission, seed=0):
+    return list(fly(mission, np.random.default_rng(seed)))
+
+
+@pytest.mark.parametrize("estimator", ["flood", "exact"])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_swarm_hangs_together_keeps_its_distance_and_follows(seed, estimator):
+    frames = flown(flight(seed, estimator=estimator))
+    assert min(f.lambda2 for f in frames) > 0.01
+    assert frames[-1].robot_distance >= 1.0
+    assert all((f.component == 0).all() for f in frames)
+    waypoints = [e for f in frames for e in f.events if e["kind"] == "waypoint"]
+    assert waypoints  # the leader gets somewhere
+
+
+def test_what_flood_says_of_lambda2_is_nearly_true():
+    frames = flown(flight(1))
+    off = [np.abs(f.lambda2_estimate - f.lambda2).mean() for f in frames[10:]]
+    assert np.mean(off) <= 0.002
+
+
+def test_without_the_action_the_leader_is_lost():
+    idle = flight(2, potential=Potential(strength=0.0))
+    frames = flown(
+        replace(idle, stick=Homing(idle.stick.waypoints + np.array([[40, 0, 0], [80, 0, 0]])))
+    )
+    assert min(f.lambda2 for f in frames) == 0
+    assert [e["kind"] for f in frames for e in f.events if e["kind"] == "split"] == ["split"]
+
+
+def test_the_body_frames_are_nobodys_business():
+    # To turn every body with its camera is another flight; to look at all from elsewhere is not.
+    mission, turn = flight(3, duration=4.0), 0.9
+    c, s = np.cos(turn), np.sin(turn)
+    R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    seen = replace(
+        mission,
+        start=mission.start @ R.T + [3, 1, 2],
+        yaw=mission.yaw + turn,
+        stick=Homing(mission.stick.waypoints @ R.T + [3, 1, 2]),
+    )
+    for here, there in zip(flown(mission), flown(seen), strict=True):
+        assert there.position == pytest.approx(here.position @ R.T + [3, 1, 2], abs=1e-7)
+        assert there.command == pytest.approx(here.command, abs=1e-6)
+
+
+def test_who_dies_is_neither_seen_nor_followed():
+    mission = flight(0, deaths=(Death(3, 2.0),))
+    frames = flown(mission)
+    dead = [f for f in frames if f.time >= 2.0]
+    assert not any(f.alive[3] or f.sees[:, 3].any() or f.edge_weight[3].any() for f in dead)
+    assert all(np.array_equal(f.position[3], dead[0].position[3]) for f in dead)
+    alone = [e for f in frames for e in f.events if e["kind"] == "loss"]
+    assert [e["agents"] for e in alone] == [[3]]
+
+
+def test_lag_noise_and_losses_are_borne():
+    rough = flight(1, plant=Kinematic(lag=0.3), noise=0.05, link=Link(loss=0.1))
+    frames = flown(rough)
+    assert min(f.lambda2 for f in frames) > 0.01
+
+
+def test_a_start_that_does_not_hang_together_is_refused():
+    mission = flight(0)
+    apart = mission.start.copy()
+    apart[4:] += [100, 0, 0]
+    with pytest.raises(ValueError, match="does not hang together"):
+        replace(mission, start=apart)
+    weight = graph(apart, mission.yaw, Sight()).weight
+    assert len(components(weight)) > 1
+
+
+def test_the_gains_of_the_consensus_are_stable_and_gains_that_are_often_quoted_are_not():
+    for exchange in (0.001, 0.002, 0.005):
+        assert spectral_radius(fitted(exchange, 6), 6) < 1
+    textbook = fitted(0.002, 6)._replace(follow=200.0, agree=50.0, settle=200.0)
+    assert spectral_radius(textbook, 6) > 1

@@ -1,0 +1,126 @@
+"""Weights, λ₂ and its gradient: against differences, another derivative, and their symmetries."""
+
+import casadi
+import numpy as np
+import pytest
+
+from problems.graph import Sight, connectivity, gradient, graph, laplacian
+
+SIGHT = Sight()
+
+
+def robots(rng, count=6):
+    return rng.uniform(0, 1, (count, 3)) * [8, 8, 3], rng.uniform(-np.pi, np.pi, count)
+
+
+def lambda2(position, yaw):
+    return connectivity(graph(position, yaw, SIGHT).weight).lambda2
+
+
+def test_the_gradient_is_that_of_central_differences():
+    rng, h = np.random.default_rng(2023), 1e-6
+    for _ in range(200):
+        position, yaw = robots(rng)
+        found = gradient(position, yaw, SIGHT)
+        steps = h * np.eye(18).reshape(18, 6, 3)
+        along = lambda2(position + steps, np.tile(yaw, (18, 1)))
+        against = lambda2(position - steps, np.tile(yaw, (18, 1)))
+        slope = ((along - against) / (2 * h)).reshape(6, 3)
+        assert found.position == pytest.approx(slope, abs=1e-6)
+        turns = h * np.eye(6)
+        same = np.tile(position, (6, 1, 1))
+        slope = (lambda2(same, yaw + turns) - lambda2(same, yaw - turns)) / (2 * h)
+        assert found.yaw == pytest.approx(slope, abs=1e-6)
+        assert found.position.sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-12)
+
+
+def symbolic_weight():
+    """A_ij written down anew, as the paper prints it in world coordinates."""
+
+    def rise(x, low, high):
+        inside = (1 - casadi.cos(casadi.pi * (x - low) / (high - low))) / 2
+        return casadi.if_else(x <= low, 0, casadi.if_else(x >= high, 1, inside))
+
+    p, q = casadi.SX.sym("p", 3), casadi.SX.sym("q", 3)
+    a, b = casadi.SX.sym("a"), casadi.SX.sym("b")
+    d = casadi.norm_2(q - p)
+
+    def view(way, yaw):
+        axis = casadi.vertcat(
+            casadi.cos(yaw) * SIGHT.axis[0] - casadi.sin(yaw) * SIGHT.axis[1],
+            casadi.sin(yaw) * SIGHT.axis[0] + casadi.cos(yaw) * SIGHT.axis[1],
+            SIGHT.axis[2],
+        )
+        return rise(casadi.dot(axis, way) / d, SIGHT.a_min, SIGHT.a_max)
+
+    f, g = view(q - p, a), view(p - q, b)
+    far = 1 - rise(d, SIGHT.d_far, SIGHT.d_max)
+    weight = rise(d, SIGHT.d_min, SIGHT.d_near) * far * (f + g - f * g)
+    slope = casadi.gradient(weight, casadi.vertcat(p, a))
+    return casadi.Function("weight", [p, a, q, b], [weight, slope])
+
+
+def test_weights_and_gradient_agree_with_the_printed_formulas_and_casadi():
+    rng, weigh = np.random.default_rng(7), symbolic_weight()
+    for _ in range(40):
+        position, yaw = robots(rng)
+        found = graph(position, yaw, SIGHT).weight
+        felt = connectivity(found).felt
+        for i in range(6):
+            slope = np.zeros(4)
+            for j in range(6):
+                if j != i:
+                    weight, by = weigh(position[i], yaw[i], position[j], yaw[j])
+                    assert found[i, j] == pytest.approx(float(weight), abs=1e-12)
+                    slope += felt[i, j] * np.asarray(by).ravel()
+            whole = gradient(position, yaw, SIGHT)
+            assert [*whole.position[i], whole.yaw[i]] == pytest.approx(slope, abs=1e-10)
+
+
+def test_where_the_swarm_stands_and_looks_as_a_whole_makes_no_difference(rng):
+    position, yaw = robots(rng)
+    turn = 1.234
+    c, s = np.cos(turn), np.sin(turn)
+    elsewhere = position @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + [5, -7, 2]
+    assert lambda2(elsewhere, yaw + turn) == pytest.approx(lambda2(position, yaw), abs=1e-12)
+
+
+def test_many_swarms_at_once_are_as_each_by_itself(rng):
+    many = [robots(rng) for _ in range(12)]
+    position, yaw = (
+        np.array(part).reshape(3, 4, *part[0].shape) for part in zip(*many, strict=True)
+    )
+    whole, slope = graph(position, yaw, SIGHT), gradient(position, yaw, SIGHT)
+    for k, (p, y) in enumerate(many):
+        at = np.unravel_index(k, (3, 4))
+        assert np.array_equal(whole.weight[at], graph(p, y, SIGHT).weight)
+        assert slope.position[at] == pytest.approx(gradient(p, y, SIGHT).position, abs=1e-12)
+
+
+def test_one_is_enough_to_see_the_other_and_none_is_too_few():
+    position = np.array([[0.0, 0, 0], [5, 0, 0]])
+    ahead = np.arctan2(SIGHT.axis[1], SIGHT.axis[0])
+    for yaw, weight in (((-ahead, -ahead), 1.0), ((np.pi - ahead, -ahead), 0.0)):
+        found = graph(position, np.array(yaw), SIGHT)
+        assert found.weight[0, 1] == found.weight[1, 0] == pytest.approx(weight, abs=1e-12)
+
+
+def test_on_one_spot_nobody_sees_anybody_and_nothing_pulls():
+    position, yaw = np.zeros((3, 3)), np.zeros(3)
+    assert not graph(position, yaw, SIGHT).weight.any()
+    assert not gradient(position, yaw, SIGHT).position.any()
+
+
+def test_what_a_multiple_eigenvalue_feels_does_not_hang_on_the_basis(rng):
+    # All weights alike: λ₂ … λ_n coincide, and every edge feels as much as any other.
+    weight = np.ones((5, 5)) - np.eye(5)
+    found = connectivity(weight)
+    assert found.lambda2 == pytest.approx(5) and found.lambda3 == pytest.approx(5)
+    off = ~np.eye(5, dtype=bool)
+    assert found.felt[off] == pytest.approx(np.full(20, found.felt[0, 1]), abs=1e-12)
+    # The mean of the four grows with an edge as their sum, the trace, does: by 2 for both ends.
+    assert found.felt[0, 1] == pytest.approx(2 / 4)
+    h, more = 1e-6, weight.copy()
+    more[0, 1] = more[1, 0] = 1 + h
+    value = np.linalg.eigvalsh(laplacian(more))[1:]
+    assert (value.mean() - 5) / h == pytest.approx(found.felt[0, 1], abs=1e-6)
