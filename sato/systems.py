@@ -8,6 +8,7 @@ from sato.system import System
 HOME = {
     "reconfiguration": "sato.reconfiguration.system",
     "formation": "sato.formation.system",
+    "connectivity": "sato.connectivity.system",
 }
 
 

@@ -90,7 +90,7 @@ class _Flight:
         if np.array_equal(links, self.links) and np.array_equal(alive, self.component >= 0):
             return
         self.links, parts = links, self.component.max()
-        self.component = _components(links, alive)
+        self.component = labelled(links, alive)
         if (self.component.max() > 0) != (parts > 0):
             kind = "split" if self.component.max() > 0 else "whole"
             apart = np.flatnonzero(self.component > 0).tolist()
@@ -120,7 +120,13 @@ class _Flight:
         )
 
 
-def _components(links: Bool[Array, "n n"], alive: Bool[Array, " n"]) -> Int[Array, " n"]:
+def labelled(links: Bool[Array, "n n"], alive: Bool[Array, " n"]) -> Int[Array, " n"]:
+    """Which part of the swarm each belongs to, in order of the first of each; the dead −1.
+
+    Args:
+        links: Who has a weight with whom.
+        alive: Who takes part.
+    """
     label = connected_components(links, directed=False)[1]
     component = np.full(len(label), -1)
     _, first, inverse = np.unique(label[alive], return_index=True, return_inverse=True)

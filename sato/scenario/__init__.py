@@ -7,6 +7,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from sato.scenario.connectivity import ConnectivityFile
 from sato.scenario.file import ScenarioFile
 from sato.scenario.formation import FormationFile
 from sato.scenario.overrides import override
@@ -16,6 +17,7 @@ from sato.scenario.refusal import Refusal, ScenarioError, explain, listed, neare
 SYSTEMS: dict[str, type[ScenarioFile]] = {
     "reconfiguration": ReconfigurationFile,
     "formation": FormationFile,
+    "connectivity": ConnectivityFile,
 }
 BUILT_IN = Path(__file__).parent.parent / "scenarios"
 

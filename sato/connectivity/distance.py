@@ -1,0 +1,49 @@
+"""How far robots are from obstacles and from each other, of many instants at a time."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray as Array
+
+from sato.connectivity.obstacles import Obstacles
+
+
+def to_obstacles(
+    position: Float[Array, "*k 3"], obstacles: Obstacles
+) -> Float[Array, "*k obstacles"]:
+    """Distance to the surface of each obstacle, negative inside [m]: spheres, boxes, planes.
+
+    Args:
+        position: Places [m].
+        obstacles: All of them.
+    """
+    at = position[..., None, :]
+    spheres = np.linalg.norm(at - obstacles.spheres[:, :3], axis=-1) - obstacles.spheres[:, 3]
+    beyond = np.maximum(obstacles.boxes[:, :3] - at, at - obstacles.boxes[:, 3:])
+    outside = np.linalg.norm(np.maximum(beyond, 0), axis=-1)
+    boxes = outside + np.minimum(beyond.max(axis=-1), 0)
+    planes = position @ obstacles.planes[:, :3].T - obstacles.planes[:, 3]
+    return np.concatenate([spheres, boxes, planes], axis=-1)
+
+
+def to_each_other(
+    position: Float[Array, "instants agents 3"], alive: Bool[Array, "instants agents"]
+) -> float:
+    """Least distance of two live robots that go straight from instant to instant [m].
+
+    Args:
+        position: At every instant [m].
+        alive: Who takes part.
+    """
+    least = np.inf
+    for i in range(position.shape[1]):
+        both = alive[:, :i] & alive[:, i : i + 1]
+        gap = position[:, :i] - position[:, i : i + 1]
+        square = (gap**2).sum(axis=2)
+        least = min(least, float(square[both].min(initial=np.inf)))
+        way, start = np.diff(gap, axis=0), gap[:-1]
+        length = (way**2).sum(axis=2)
+        along = -(start * way).sum(axis=2) / np.where(length > 0, length, 1)
+        nearest = start + np.clip(along, 0, 1)[..., None] * way
+        between = (nearest**2).sum(axis=2)[both[1:] & both[:-1]]
+        least = min(least, float(between.min(initial=np.inf)))
+    return float(np.sqrt(least))

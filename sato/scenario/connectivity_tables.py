@@ -1,0 +1,264 @@
+"""The tables of a connectivity scenario, each key with what it may be.
+
+What is not said is as in Table I of [Bernard2023] and, where it says nothing, as we measured.
+"""
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
+
+from dynamics.kinematic import Kinematic
+from dynamics.quadrotor import Quadrotor
+from problems.graph import Sight
+from sato.connectivity.mail import Link
+from sato.connectivity.mission import ConnectivityFlight
+from sato.connectivity.potential import Potential, Repulsion
+from sato.connectivity.power import Power, fitted, spectral_radius
+from sato.connectivity.swarm import Limits
+from sato.connectivity.yaw import Tracking
+from sato.scenario.connectivity_start import AnyStart, Scattered
+from sato.scenario.refusal import Refusal
+from sato.scenario.units import Table
+
+_SIGHT, _POTENTIAL, _REPULSION = Sight(), Potential(), Repulsion()
+_TRACKING, _LIMITS, _LINK = Tracking(), Limits(), Link()
+_KINEMATIC, _QUADROTOR = Kinematic(), Quadrotor()
+
+
+class Robots(Table):
+    """Who flies, from where, and how well they know at first how others are turned."""
+
+    agents: Annotated[int, Field(ge=2)] = 6
+    start: AnyStart = Scattered(kind="random")
+    yaw_error_rad: NonNegativeFloat = 0.5  # of the first beliefs, drawn from ± that much
+
+
+class Camera(Table):
+    """What a camera sees; `blind` leaves the field of view out of the weights."""
+
+    d_min_m: NonNegativeFloat = _SIGHT.d_min
+    d_near_m: PositiveFloat = _SIGHT.d_near
+    d_far_m: PositiveFloat = _SIGHT.d_far
+    d_max_m: PositiveFloat = _SIGHT.d_max
+    a_min: Annotated[float, Field(ge=-1)] = _SIGHT.a_min
+    a_max: Annotated[float, Field(gt=-1)] = _SIGHT.a_max
+    axis: list[float] = Field(default=list(_SIGHT.axis))
+    blind: bool = False
+    occlusion: bool = False
+    body_m: PositiveFloat = ConnectivityFlight.body  # radius of who stands in the line of sight
+
+    @property
+    def sight(self) -> Sight:
+        """As the robots work with it.
+
+        Raises:
+            Refusal: Distances or cosines are not in order, or the axis is none.
+        """
+        if not self.d_near_m < self.d_far_m:
+            raise Refusal(
+                "d_near_m",
+                f"{self.d_near_m:g} is not less than d_far_m = {self.d_far_m:g}, so at no distance "
+                f"is all seen; {self.d_far_m / 2:g} would do",
+            )
+        if not self.d_min_m < self.d_near_m:
+            raise Refusal(
+                "d_min_m",
+                f"{self.d_min_m:g} is not less than d_near_m = {self.d_near_m:g}; "
+                f"{self.d_near_m / 3:g} would do",
+            )
+        if not self.d_far_m < self.d_max_m:
+            raise Refusal(
+                "d_max_m",
+                f"{self.d_max_m:g} is not more than d_far_m = {self.d_far_m:g}; "
+                f"{self.d_far_m + 2:g} would do",
+            )
+        if not self.a_min < self.a_max <= 1:
+            raise Refusal(
+                "a_min",
+                f"{self.a_min:g} and a_max = {self.a_max:g} are cosines off the optical axis, the "
+                "first less than the second, and that 1 at most; 0.4 and 0.95 would do",
+            )
+        size = float(np.linalg.norm(self.axis))
+        if len(self.axis) != 3 or size == 0:
+            raise Refusal("axis", "needs 3 coordinates that are not all zero; [1, 1, 0] would do")
+        x, y, z = (a / size for a in self.axis)
+        return Sight(
+            self.d_min_m, self.d_near_m, self.d_far_m, self.d_max_m, self.a_min, self.a_max,
+            (x, y, z),
+        )  # fmt: skip
+
+
+class Defence(Table):
+    """How hard connectivity is defended; between the two λ₂."""
+
+    lambda2_min: NonNegativeFloat = _POTENTIAL.least
+    lambda2_max: PositiveFloat = _POTENTIAL.most
+    strength: NonNegativeFloat = _POTENTIAL.strength
+
+    @property
+    def potential(self) -> Potential:
+        """As the robots work with it.
+
+        Raises:
+            Refusal: The limits are not in order.
+        """
+        if not self.lambda2_min < self.lambda2_max:
+            raise Refusal(
+                "lambda2_min",
+                f"{self.lambda2_min:g} is not less than lambda2_max = {self.lambda2_max:g}; "
+                f"{self.lambda2_max / 300:.3g} would do",
+            )
+        return Potential(self.lambda2_min, self.lambda2_max, self.strength)
+
+
+class Distance(Table):
+    """How hard robots and obstacles push, and from where on."""
+
+    nearest_m: PositiveFloat = _REPULSION.nearest
+    farthest_m: PositiveFloat = _REPULSION.farthest
+    strength: NonNegativeFloat = _REPULSION.strength
+
+    @property
+    def repulsion(self) -> Repulsion:
+        """As the robots work with it.
+
+        Raises:
+            Refusal: The distances are not in order.
+        """
+        if not self.nearest_m < self.farthest_m:
+            raise Refusal(
+                "nearest_m",
+                f"{self.nearest_m:g} is not less than farthest_m = {self.farthest_m:g}; "
+                f"{self.farthest_m / 3:.3g} would do",
+            )
+        return Repulsion(self.nearest_m, self.farthest_m, self.strength)
+
+
+class Turning(Table):
+    """How robots keep track of how others are turned; gains in 1/s."""
+
+    k1: PositiveFloat = _TRACKING.k1
+    k2: NonNegativeFloat = _TRACKING.k2
+    k3: NonNegativeFloat = _TRACKING.k3
+    slow_m_s: NonNegativeFloat = _TRACKING.slow
+    fast_m_s: PositiveFloat = _TRACKING.fast
+    closure: NonNegativeFloat = _TRACKING.closure
+    printed: bool = _TRACKING.printed
+
+    @property
+    def tracking(self) -> Tracking:
+        """As the robots work with it.
+
+        Raises:
+            Refusal: The speeds are not in order.
+        """
+        if not self.slow_m_s < self.fast_m_s:
+            raise Refusal(
+                "slow_m_s",
+                f"{self.slow_m_s:g} is not less than fast_m_s = {self.fast_m_s:g}; "
+                f"{self.fast_m_s / 3:.3g} would do",
+            )
+        return Tracking(
+            self.k1, self.k2, self.k3, self.slow_m_s, self.fast_m_s, self.closure, self.printed
+        )
+
+
+class Most(Table):
+    """What a robot asks of itself at most."""
+
+    speed_m_s: PositiveFloat = _LIMITS.speed
+    turn_rad_s: PositiveFloat = _LIMITS.turn
+
+
+class Messages(Table):
+    """How messages travel."""
+
+    every: PositiveInt = _LINK.every  # control steps between two
+    late: NonNegativeInt = _LINK.late  # how many messages later one arrives
+    loss: Annotated[float, Field(ge=0, lt=1)] = _LINK.loss
+
+
+class Estimator(Table):
+    """Who tells λ₂. The gains, in 1/s, and the exchange are of "power_pi" alone."""
+
+    kind: Literal["flood", "exact", "power_pi"] = "flood"
+    exchange_s: PositiveFloat = Power().exchange
+    deflate: PositiveFloat | None = None
+    iterate: PositiveFloat | None = None
+    normalise: PositiveFloat | None = None
+    follow: PositiveFloat | None = None
+    agree: PositiveFloat | None = None
+    settle: PositiveFloat | None = None
+
+    def power(self, agents: int, step: float) -> Power:
+        """The gains; those that are not said fit the exchange and the number of robots.
+
+        Raises:
+            Refusal: The consensus does not settle, or exchanges do not fall on control steps.
+        """
+        said = self.model_dump(exclude={"kind", "exchange_s"}, exclude_none=True)
+        power = fitted(self.exchange_s, agents)._replace(**said)
+        if self.kind != "power_pi":
+            return power
+        whole = max(1, round(step / self.exchange_s))
+        if abs(step - whole * self.exchange_s) > 1e-6 * step:
+            raise Refusal(
+                "exchange_s",
+                f"{self.exchange_s:g} does not divide the control step of {step:g} s; "
+                f"{step / whole:.6g} would do",
+            )
+        radius, good = spectral_radius(power, agents), fitted(self.exchange_s, agents)
+        if radius >= 1:
+            raise Refusal(
+                "",
+                f"with these gains the consensus of {agents} robots does not settle at an exchange "
+                f"every {self.exchange_s:g} s: its spectral radius is {radius:.4g}, and must be "
+                f"below 1; follow = {good.follow:.4g}, agree = {good.agree:.4g} and settle = "
+                f"{good.settle:.4g} would do, and are taken where nothing is said",
+            )
+        return power
+
+
+class Driven(Table):
+    """Robots that obey."""
+
+    kind: Literal["kinematic"]
+    lag_s: NonNegativeFloat = _KINEMATIC.lag
+    noise: NonNegativeFloat = _KINEMATIC.noise  # of each velocity in each step [m/s, rad/s]
+
+    @property
+    def plant(self) -> Kinematic:
+        """As it flies."""
+        return Kinematic(self.lag_s, self.noise)
+
+
+class Flown(Table):
+    """Quadrotors, whose cameras tilt with them."""
+
+    kind: Literal["quadrotor"]
+    response_s: PositiveFloat = _QUADROTOR.response
+    attitude_s: PositiveFloat = _QUADROTOR.attitude
+    tilt_rad: Annotated[float, Field(gt=0, lt=1.5)] = _QUADROTOR.tilt
+    climb_m_s2: PositiveFloat = _QUADROTOR.climb
+
+    @property
+    def plant(self) -> Quadrotor:
+        """As it flies."""
+        return Quadrotor(self.response_s, self.attitude_s, self.tilt_rad, self.climb_m_s2)
+
+
+AnyPlant = Annotated[Driven | Flown, Field(discriminator="kind")]
+
+
+class Noise(Table):
+    """What cameras measure wrongly."""
+
+    camera_m: NonNegativeFloat = ConnectivityFlight.noise  # standard deviation of each coordinate
+
+
+class Duration(Table):
+    """How long it is flown, and how often robots decide."""
+
+    duration_s: PositiveFloat = ConnectivityFlight.duration
+    step_s: PositiveFloat = ConnectivityFlight.step
