@@ -31,6 +31,7 @@ def promises(evidence: Evidence) -> tuple[Promise, ...]:
         start(evidence),
         flight(evidence),
         obedience(evidence),
+        heading(evidence),
         speed(evidence),
         turn(evidence),
         stick(evidence),
@@ -94,11 +95,30 @@ def obedience(evidence: Evidence) -> Promise:
         )
     if plant.noise > 0:
         return none("obedience", 0, "odd velocities, for noise may do to them what it likes")
-    keep = exp(-evidence.mission.step / plant.lag) if plant.lag > 0 else 0.0
+    keep, _ = _follows(plant.lag, evidence.mission.step)
     body, asked = log.rotated(evidence.velocity, -evidence.yaw), _asked(evidence)[:-1]
     off = body[1:] - asked - (body[:-1] - asked) * keep
     worst = largest(np.abs(off[evidence.alive[:-1]]))
     return within("obedience", worst, ROUNDED, "m/s off from what was asked for")
+
+
+def heading(evidence: Evidence) -> Promise:
+    """Robots turn as they asked, as far as the plant obeys, and the lost stay as they were."""
+    plant, h = evidence.mission.plant, evidence.mission.step
+    if isinstance(plant, Kinematic) and plant.noise > 0:
+        return none("heading", 0, "odd yaws, for noise may do to them what it likes")
+    lag = plant.lag if isinstance(plant, Kinematic) else plant.attitude
+    keep, mean = _follows(lag, h)
+    rate, worst = np.zeros(evidence.yaw.shape[1]), 0.0
+    for asked, lives, gone in zip(
+        evidence.turn, evidence.alive, np.diff(evidence.yaw, axis=0), strict=False
+    ):
+        last, rate = rate, asked + (rate - asked) * keep
+        swept = asked + (last - asked) * mean
+        if not isinstance(plant, Kinematic):
+            swept = (last + rate) / 2
+        worst = max(worst, largest(np.abs(gone - np.where(lives, h * swept, 0))))
+    return within("heading", worst, ROUNDED, "rad off from a step turned as asked for")
 
 
 def speed(evidence: Evidence) -> Promise:
@@ -177,6 +197,9 @@ def eigenvalues(evidence: Evidence) -> Promise:
     for lives in np.unique(evidence.alive, axis=0):
         k = np.flatnonzero((evidence.alive == lives).all(axis=1))
         who = np.flatnonzero(lives)
+        if len(who) < 2:
+            worst = np.inf if np.isfinite(evidence.lambda2[k]).any() else worst
+            continue
         value = np.linalg.eigvalsh(laplacian(evidence.weight[np.ix_(k, who, who)]))
         worst = max(worst, largest(np.abs(value[:, 1] - evidence.lambda2[k])))
         if len(who) > 2:
@@ -238,6 +261,14 @@ def _asked(evidence: Evidence) -> Float[Array, "instants agents 3"]:
     return asked
 
 
+def _follows(lag: float, step: float) -> tuple[float, float]:
+    # How much of what there was is left at the end of a step, and in the mean over it.
+    if lag <= 0:
+        return 0.0, 0.0
+    keep = exp(-step / lag)
+    return keep, lag / step * (1 - keep)
+
+
 def _mean_velocity(evidence: Evidence) -> Float[Array, "steps agents 3"]:
     # Over each step, in the world frame. A quadrotor's acceleration is taken to be constant in
     # a step. Others approach what they are asked for; what noise there is adds to both their
@@ -246,7 +277,6 @@ def _mean_velocity(evidence: Evidence) -> Float[Array, "steps agents 3"]:
     if not isinstance(plant, Kinematic):
         return np.asarray((v[1:] + v[:-1]) / 2)
     body, asked = log.rotated(v, -evidence.yaw), _asked(evidence)[:-1]
-    keep = exp(-h / plant.lag) if plant.lag > 0 else 0.0
-    mean = plant.lag / h * (1 - keep) if plant.lag > 0 else 0.0
+    keep, mean = _follows(plant.lag, h)
     gone = body[1:] + (body[:-1] - asked) * (mean - keep)
     return log.rotated(gone, (evidence.yaw[1:] + evidence.yaw[:-1]) / 2)

@@ -1,0 +1,214 @@
+"""The judge of connectivity flights: an honest run passes, and one altered anywhere does not."""
+
+import json
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from sato.connectivity import fly
+from sato.connectivity.check import Evidence, examine
+from sato.connectivity.distance import to_each_other
+from sato.connectivity.log import MEANING
+from sato.connectivity.system import SYSTEM, passage
+from sato.record import Run
+from sato.scenario import read
+
+QUADROTOR = 'plant={kind="quadrotor"}'
+SHAKEN = 'plant={kind="kinematic", lag_s=0.3, noise=0.02}'
+
+
+def flown(*settings, seed=1, **changed):
+    """A run of three seconds, and its mission."""
+    rng = np.random.default_rng(seed)
+    mission = replace(read("connectivity", ["duration_s=3", *settings]).build(rng), **changed)
+    return run_of(mission, fly(mission, rng)), mission
+
+
+def run_of(mission, frames, **said):
+    about = {"name": "by hand", "seed": 3, "version": "0", "wall_s": 1.0, "peak_memory_mib": 1.0}
+    return Run.of(SYSTEM, frames, mission, "", **(about | said))
+
+
+def broken(run, mission):
+    return {p.name for p in examine(run.data, mission).broken}
+
+
+def altered(run, name, change):
+    """The run with one variable changed at the hundredth instant."""
+    was, values = run.data[name], run.data[name].values.copy()
+    values[100] = change(values[100])
+    return replace(run, data=run.data.assign({name: (was.dims, values, was.attrs)}))
+
+
+def retold(run, events):
+    """The run with other events."""
+    text = np.array([json.dumps(event) for event in events], dtype=object)
+    return replace(run, data=run.data.drop_vars("event").assign(event=("event", text)))
+
+
+@pytest.fixture(scope="module")
+def honest():
+    return flown()
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        (),
+        ('plant={kind="kinematic", lag_s=0.3}', "link.loss=0.1", "link.late=1"),
+        (SHAKEN, "noise.camera_m=0.05"),
+        (QUADROTOR,),
+        ("camera.occlusion=true", "camera.body_m=1.0"),
+        (QUADROTOR, "camera.occlusion=true"),
+        ("death=[{robot=3, time_s=1.0}, {robot=0, time_s=2.01}]",),
+        ("agents=2",),
+        (
+            "estimator.kind=exact",
+            'obstacle=[{kind="plane", normal=[0, 0, 1], through_m=[0, 0, 0]}]',
+        ),
+        ('stick={kind="recorded", times_s=[0.5, 2], velocities_m_s=[[1, 0, 0], [0, 0, 0.5]]}',),
+    ],
+)
+def test_an_honest_run_keeps_what_it_promises_whatever_flies(settings):
+    run, mission = flown(*settings)
+    report = examine(run.data, mission)
+    assert report.kept, report.broken
+    assert report.summary["success"] is True
+
+
+def bent(values, by=1e-6):
+    values = np.array(values, dtype=float)
+    values.flat[1] += by
+    return values
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "promises"),
+    [
+        ("time", lambda t: t + 1e-6, {"times"}),
+        ("position", bent, {"flight", "weights"}),
+        ("position", lambda p: p * np.nan, {"numbers", "flight"}),
+        ("velocity", bent, {"flight", "obedience"}),
+        ("velocity_command", bent, {"obedience"}),
+        ("velocity_command", lambda u: bent(u, 4.0), {"speed"}),
+        ("yaw_rate", bent, {"heading"}),
+        ("yaw_rate", lambda w: bent(w, 2.0), {"turn", "heading"}),
+        ("yaw", bent, {"heading", "obedience"}),
+        ("stick", bent, {"stick", "obedience"}),
+        ("alive", lambda lives: ~lives, {"alive", "losses"}),
+        ("component", lambda labels: labels + np.arange(6), {"component"}),
+        ("edge_weight", bent, {"weights", "eigenvalues"}),
+        ("lambda2", lambda x: x + 1e-6, {"eigenvalues"}),
+        ("lambda2", lambda x: 0.005, {"eigenvalues", "connectivity"}),
+        ("lambda3", lambda x: x + 1e-6, {"eigenvalues"}),
+        ("visibility", lambda sees: ~sees, {"visibility"}),
+        ("yaw_estimate_error", lambda x: x * np.nan, {"numbers"}),
+    ],
+)
+def test_what_is_altered_by_a_millionth_is_found(honest, name, change, promises):
+    run, mission = honest
+    assert promises <= broken(altered(run, name, change), mission)
+
+
+def test_a_robot_at_an_obstacle_or_at_another_is_found(honest):
+    run, mission = honest
+    centre = mission.obstacles.spheres[0, :3]
+    at_obstacle = altered(run, "position", lambda p: np.vstack([centre, p[1:]]))
+    assert {"obstacles", "flight"} <= broken(at_obstacle, mission)
+    at_another = altered(run, "position", lambda p: np.vstack([p[1] + [0.9, 0, 0], p[1:]]))
+    assert {"separation", "flight"} <= broken(at_another, mission)
+    said = examine(at_another.data, mission).summary
+    assert said["min_separation_m"] <= 0.9
+    assert examine(at_obstacle.data, mission).summary["min_obstacle_distance_m"] < 0
+
+
+def test_losses_and_waypoints_that_are_not_told_or_made_up_are_found():
+    run, mission = flown("death=[{robot=2, time_s=1}]", "spacing_m=2")
+    told = run.events()
+    assert {e["kind"] for e in told} == {"waypoint", "loss"}
+    assert {"alive"} <= broken(retold(run, [e for e in told if e["kind"] != "loss"]), mission)
+    assert {"stick"} <= broken(retold(run, [e for e in told if e["kind"] == "loss"]), mission)
+    more = [*told, {"time": 2.9, "kind": "waypoint", "agents": [0], "number": 2}]
+    assert {"stick"} <= broken(retold(run, more), mission)
+    assert {"losses"} <= broken(run, replace(mission, deaths=()))
+
+
+def test_who_is_blind_to_the_field_of_view_breaks_the_promise_and_has_no_success():
+    run, mission = flown("camera.blind=true", "estimator.kind=exact")
+    report = examine(run.data, mission)
+    assert {p.name for p in report.broken} == {"connectivity"}
+    assert report.summary["success"] is False and report.summary["lambda2_min"] <= 0.01
+    (lost,) = report.broken
+    since = float(run.data["time"][np.argmax(run.data["lambda2"].values <= 0.01)])
+    assert f"from {since:g} s on" in lost.sentence
+    assert run.events("split")[0]["time"] >= since
+
+
+def test_a_flight_that_was_cut_short_is_no_success(honest):
+    _, mission = honest
+    frames = list(fly(mission, np.random.default_rng(1)))[:40]
+    run = run_of(mission, frames, stopped="interrupted")
+    assert broken(run, mission) == {"complete"}
+    assert examine(run.data, mission).summary["success"] is False
+    unsaid = run_of(mission, frames)
+    assert broken(unsaid, mission) == {"complete"}
+
+
+def test_another_mission_than_the_scenarios_is_found(honest):
+    run, mission = honest
+    other = flown(seed=2)[1]
+    assert {"start", "stick"} <= broken(run, other)
+    assert broken(run, mission) == set()
+    assert "attributes" in broken(run, replace(mission, limits=mission.limits._replace(turn=2.0)))
+
+
+def test_the_summary_says_what_the_data_say(honest):
+    run, mission = honest
+    said, data = examine(run.data, mission).summary, run.data
+    assert said["lambda2_min"] == data["lambda2"].values.min()
+    off = data["lambda2_estimate"].values - data["lambda2"].values[:, None]
+    assert said["lambda2_error_mean"] == pytest.approx(np.nanmean(np.abs(off)))
+    assert said["edges_mean"] == (data["edge_weight"].values > 0).sum() / 2 / len(data["time"])
+    sees = data["visibility"].values
+    error = np.abs(np.sin(data["yaw_estimate_error"].values / 2))
+    both = [error[k, i, j] for k, i, j in zip(*np.nonzero(sees), strict=True) if sees[k, j, i]]
+    one = [error[k, i, j] for k, i, j in zip(*np.nonzero(sees), strict=True) if not sees[k, j, i]]
+    assert said["yaw_error_mutual"] == pytest.approx(np.mean(both))
+    assert said["yaw_error_one_sided"] == pytest.approx(np.mean(one))
+    p = data["position"].values
+    away = np.linalg.norm(p[:, :, None] - p[:, None], axis=3)
+    at_instants = (away + 9 * np.eye(6)).min()
+    assert at_instants - 0.01 <= said["min_separation_m"] <= at_instants
+    assert json.loads(json.dumps(said)) == said
+
+
+def test_what_there_is_not_is_not_said():
+    held = 'stick={kind="recorded", times_s=[0], velocities_m_s=[[0, 0, 0]]}'
+    run, mission = flown("agents=2", "obstacles.count=0", held)
+    said = examine(run.data, mission).summary
+    assert "min_obstacle_distance_m" not in said and said["waypoints"] == 0
+
+
+def test_two_that_pass_between_instants_come_near(rng):
+    position = np.array([[[0, 0, 0], [1, 0.1, 0]], [[1, 0, 0], [0, 0.1, 0]]], dtype=float)
+    assert to_each_other(position, np.ones((2, 2), dtype=bool)) == pytest.approx(0.1)
+    assert to_each_other(position, np.array([[True, True], [True, False]])) > 1
+    assert to_each_other(position, np.array([[True, False], [True, False]])) == np.inf
+    walk, s = rng.standard_normal((9, 4, 3)), np.linspace(0, 1, 400)[:, None, None]
+    fine = np.concatenate([a + s * (b - a) for a, b in pairwise(walk)])
+    away = np.linalg.norm(fine[:, :, None] - fine[:, None], axis=3) + 9 * np.eye(4)
+    assert to_each_other(walk, np.ones((9, 4), dtype=bool)) == pytest.approx(away.min(), abs=0.02)
+
+
+def test_a_run_file_says_the_world_velocity_and_explains_itself(honest):
+    run, mission = honest
+    assert set(MEANING) <= set(run.data.variables)
+    p, v = run.data["position"].values, run.data["velocity"].values
+    assert np.diff(p, axis=0) / mission.step == pytest.approx(v[1:], abs=0.1)
+    evidence = Evidence.of(run.data, mission)
+    error = np.abs(evidence.yaw_error[0][evidence.sees[0]])
+    assert error.max() <= 0.5 and error.max() > 0.05  # as drawn, but for the first correction
+    frame = next(fly(mission, np.random.default_rng(0)))
+    assert passage(mission, frame)[:3] == ("the swarm is together", 0, 150)
