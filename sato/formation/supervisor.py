@@ -40,6 +40,7 @@ class Supervisor:
         self._length = max(1, round(protocol.window / sample))
         self._speed = np.zeros((self._length, agents))
         self._avoids = np.zeros((self._length, agents))
+        self._speeds, self._avoided = np.zeros(agents), np.zeros(agents)  # sums of the window
         self._seen = 0
 
     def assigned(self) -> None:
@@ -55,6 +56,8 @@ class Supervisor:
             avoids: Who changes its command to avoid others.
         """
         row = self._seen % self._length
+        self._speeds += speed - self._speed[row]
+        self._avoided += avoids - self._avoids[row]
         self._speed[row], self._avoids[row] = speed, avoids
         self._seen += 1
         self.since += self._sample
@@ -78,11 +81,11 @@ class Supervisor:
 
     @property
     def _slow(self) -> bool:
-        return bool((self._speed.mean(axis=0) < self._protocol.settled).all())
+        return bool((self._speeds < self._protocol.settled * self._length).all())
 
     @property
     def _stuck(self) -> bool:
-        return bool((self._avoids.mean(axis=0) > self._protocol.stuck).any())
+        return bool((self._avoided > self._protocol.stuck * self._length).any())
 
     def _lasts(self, time: float) -> bool:
         return self.since >= time - 1e-9

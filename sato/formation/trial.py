@@ -103,7 +103,7 @@ class _Account:
         # From the frame after the first assignment to the one that shows the end.
         done = last.leg == frame.leg and last.phase is Phase.DONE
         if frame.phase is not Phase.WAITING and not done:
-            self.path += float(np.mean(frame.path - last.path))
+            self.path += float((frame.path - last.path).sum()) / len(frame.path)
             self.time += frame.time - last.time
         if last.phase is Phase.GRIDLOCKED:
             self.gridlocked += frame.time - last.time
