@@ -18,6 +18,21 @@ from problems.solvers.clarabel import Again
 from problems.transfer import Flight, Transfer
 
 
+def refuse_others(transfer: Transfer) -> None:
+    """Refuse a transfer that is not of this kind.
+
+    Raises:
+        ValueError: Its norms are others, or it has no speed limit or no steps.
+    """
+    t = transfer
+    if (t.fuel_norm, t.control_norm) != (1, "inf") or not isfinite(t.max_speed):
+        raise ValueError(
+            "this programme is for fuel norm 1, control norm inf and a speed limit, got "
+            f"{t.fuel_norm}, {t.control_norm} and {t.max_speed}; ask Transfer.solve"
+        )
+    t.needs_steps()
+
+
 @dataclass(frozen=True, eq=False)
 class SpeedCones:
     """The statement of `Transfer` for q = 1 and r = ∞, solved over and over.
@@ -32,13 +47,7 @@ class SpeedCones:
 
     def __post_init__(self) -> None:
         """Refuse what needs another programme."""
-        t = self.transfer
-        if (t.fuel_norm, t.control_norm) != (1, "inf") or not isfinite(t.max_speed):
-            raise ValueError(
-                "this programme is for fuel norm 1, control norm inf and a speed limit, got "
-                f"{t.fuel_norm}, {t.control_norm} and {t.max_speed}; ask Transfer.solve"
-            )
-        t.needs_steps()
+        refuse_others(self.transfer)
 
     def solve(self, start: Float[Array, " n"], goal: Float[Array, " n"]) -> Flight:
         """Fly from start to goal.

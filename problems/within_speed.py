@@ -6,7 +6,6 @@ happens to the few that do not end well.
 
 from dataclasses import dataclass
 from functools import cached_property
-from math import isfinite
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -16,7 +15,7 @@ from problems.conic import Infeasible, Unsolved
 from problems.least_fuel import Burns
 from problems.lots import answer
 from problems.proof import UNPROVEN, Shared
-from problems.speed_cones import SpeedCones
+from problems.speed_cones import SpeedCones, refuse_others
 from problems.transfer import Flight, Transfer, ends_first
 from problems.whitening import Whitened
 
@@ -37,13 +36,7 @@ class WithinSpeed:
 
     def __post_init__(self) -> None:
         """Refuse what needs another programme."""
-        t = self.transfer
-        if (t.fuel_norm, t.control_norm) != (1, "inf") or not isfinite(t.max_speed):
-            raise ValueError(
-                "this programme is for fuel norm 1, control norm inf and a speed limit, got "
-                f"{t.fuel_norm}, {t.control_norm} and {t.max_speed}; ask Transfer.solve"
-            )
-        t.needs_steps()
+        refuse_others(self.transfer)
 
     def solve(self, start: Float[Array, " n"], goal: Float[Array, " n"]) -> Flight:
         """Fly from start to goal.

@@ -72,11 +72,7 @@ class Network:
     @cached_property
     def component(self) -> Int[Array, " agents"]:
         """Component of each agent, numbered by its lowest member; −1 while not alive."""
-        labels = connected_components(csr_array(self.hears), directed=False)[1]
-        component = np.full(len(self.alive), -1)
-        _, first, inverse = np.unique(labels[self.alive], return_index=True, return_inverse=True)
-        component[self.alive] = np.argsort(np.argsort(first))[inverse]
-        return component
+        return parts(self.hears, self.alive)
 
     @cached_property
     def hops(self) -> Float[Array, "agents agents"]:
@@ -100,6 +96,27 @@ class Network:
         np.maximum.at(top, self.component[self.alive], values[self.alive])
         result[self.alive] = top[self.component[self.alive]]
         return result
+
+
+def parts(links: Bool[Array, "n n"], alive: Bool[Array, " n"]) -> Int[Array, " n"]:
+    """The part that each belongs to, numbered by its lowest member; −1 while not alive.
+
+    Args:
+        links: Who is joined to whom; nobody to the dead.
+        alive: Who is there.
+    """
+    labels = connected_components(csr_array(links), directed=False)[1]
+    return canonical(np.where(alive, labels, -1))
+
+
+def canonical(labels: Int[Array, " n"]) -> Int[Array, " n"]:
+    """Labels numbered in order of their first member; negative ones become −1."""
+    named = np.full(len(labels), -1)
+    live = labels >= 0
+    if live.any():
+        _, first, inverse = np.unique(labels[live], return_index=True, return_inverse=True)
+        named[live] = np.argsort(np.argsort(first))[inverse]
+    return named
 
 
 def rounds(

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from problems.formation import Formation
 from problems.formation_gain import Gains, design
-from sato.formation.law import Law, wanted
+from sato.formation.law import Law, size_weights, wanted
 from sato.formation.shape import likeness
 from sato.shapes.random_formation import random_formation, sparse_graph
 
@@ -38,8 +38,7 @@ class Outcome(NamedTuple):
 def commands(position: Float[Array, "n 3"], gains: Gains, law: Law) -> Float[Array, "n 3"]:
     """What the law asks of everybody [m/s]."""
     graph, points = gains.formation.graph, gains.formation.points
-    degree = graph.sum(axis=1)
-    weight = graph / np.maximum(degree, degree[:, None])
+    weight = size_weights(graph)
     asked = np.zeros_like(position)
     for i, u in enumerate(asked):
         near = np.flatnonzero(graph[i])

@@ -9,7 +9,7 @@ from numpy import ndarray as Array
 
 from sato.check.happened import Happened
 from sato.check.promise import Promise, largest, none, within
-from sato.network import Network
+from sato.network import Network, canonical
 
 
 def words(said: Mapping[str, Any], alive: Bool[Array, "instants agents"]) -> dict[str, Any]:
@@ -93,13 +93,3 @@ def component(
         found = Network.within(p, radius, lives).component
         odd += int((canonical(found) != canonical(said)).sum())
     return none("component", odd, "labels that positions and communication radius do not give")
-
-
-def canonical(labels: Int[Array, " agents"]) -> Int[Array, " agents"]:
-    """Components numbered in order of their first member, the dead −1."""
-    named = np.full(len(labels), -1)
-    live = labels >= 0
-    if live.any():
-        _, first, inverse = np.unique(labels[live], return_index=True, return_inverse=True)
-        named[live] = np.argsort(np.argsort(first))[inverse]
-    return named

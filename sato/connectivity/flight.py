@@ -6,11 +6,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
-from scipy.sparse.csgraph import connected_components
 
 from sato.connectivity.mission import ConnectivityFlight
 from sato.connectivity.state import resting
 from sato.connectivity.swarm import move, think
+from sato.network import parts
 
 SETTLE = 5.0  # for which the power iteration runs before anybody moves [s]
 
@@ -89,9 +89,9 @@ class _Flight:
         alive = self.state.world.alive
         if np.array_equal(links, self.links) and np.array_equal(alive, self.component >= 0):
             return
-        self.links, parts = links, self.component.max()
-        self.component = labelled(links, alive)
-        if (self.component.max() > 0) != (parts > 0):
+        self.links, before = links, self.component.max()
+        self.component = parts(links, alive)
+        if (self.component.max() > 0) != (before > 0):
             kind = "split" if self.component.max() > 0 else "whole"
             apart = np.flatnonzero(self.component > 0).tolist()
             self.events.append({"kind": kind, "agents": apart})
@@ -118,17 +118,3 @@ class _Flight:
             obstacle_distance=float(world.obstacle.min()),
             events=events,
         )
-
-
-def labelled(links: Bool[Array, "n n"], alive: Bool[Array, " n"]) -> Int[Array, " n"]:
-    """Which part of the swarm each belongs to, in order of the first of each; the dead −1.
-
-    Args:
-        links: Who has a weight with whom.
-        alive: Who takes part.
-    """
-    label = connected_components(links, directed=False)[1]
-    component = np.full(len(label), -1)
-    _, first, inverse = np.unique(label[alive], return_index=True, return_inverse=True)
-    component[alive] = np.argsort(np.argsort(first))[inverse]
-    return component

@@ -17,6 +17,7 @@ from sato.connectivity.power import Power
 from sato.connectivity.stick import Stick
 from sato.connectivity.swarm import EXACT, FLOOD, POWER, Limits, Team
 from sato.connectivity.yaw import Tracking
+from sato.network import parts
 
 ESTIMATORS = {"exact": EXACT, "flood": FLOOD, "power_pi": POWER}
 ANYWHERE = (-3.0, -2.0)  # a_min, a_max of who is blind to the field of view: below any cosine
@@ -88,7 +89,5 @@ class ConnectivityFlight:
 
 def components(weight: Float[Array, "n n"]) -> list[list[int]]:
     """The parts that a graph falls into, each as a list of its robots."""
-    from scipy.sparse.csgraph import connected_components
-
-    count, label = connected_components(weight > 0, directed=False)
-    return [np.flatnonzero(label == part).tolist() for part in range(count)]
+    label = parts(weight > 0, np.ones(len(weight), dtype=bool))
+    return [np.flatnonzero(label == part).tolist() for part in range(label.max() + 1)]

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from sato.formation.assigning import Outcome, ask
+from sato.formation.law import size_weights
 from sato.formation.mission import FormationFlight
 from sato.formation.supervisor import Phase, Supervisor
 from sato.formation.swarm import Formed, Pace, Roles, State, Swarm
@@ -191,7 +192,7 @@ def _swarm(mission: FormationFlight, leg: int) -> Swarm:
     if mission.law.printed:
         weight = graph.astype(float)
     else:
-        weight = graph / np.maximum(degree, degree[:, None])
+        weight = size_weights(graph)
     pace = Pace(
         mission.step, max(1, round(1 / (radio.rate * mission.step))), radio.late, radio.loss
     )

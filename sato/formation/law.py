@@ -9,6 +9,9 @@ from math import atan, sqrt
 from typing import NamedTuple, no_type_check
 
 import numba
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray as Array
 
 
 class Law(NamedTuple):
@@ -24,6 +27,16 @@ class Law(NamedTuple):
     size_z: float = 0.5  # the same of heights
     bend_z: float = 0.3
     slack_z: float = 0.1
+
+
+def size_weights(graph: Bool[Array, "n n"]) -> Float[Array, "n n"]:
+    """Weights of the size control: equal on both sides of an edge, however many there are.
+
+    Args:
+        graph: Of the formation.
+    """
+    degree = graph.sum(axis=1)
+    return np.asarray(graph / np.maximum(degree, degree[:, None]))
 
 
 @no_type_check

@@ -88,7 +88,6 @@ class _Account:
     def __init__(self, mission: FormationFlight) -> None:
         self.mission = mission
         self.last: Frame | None = None
-        self.legs_done = 0
         self.likeness: list[Likeness] = []
         self.path = self.time = self.gridlocked = 0.0
         self.assignments = 0

@@ -103,12 +103,7 @@ class Defence(Table):
         Raises:
             Refusal: The limits are not in order.
         """
-        if not self.lambda2_min < self.lambda2_max:
-            raise Refusal(
-                "lambda2_min",
-                f"{self.lambda2_min:g} is not less than lambda2_max = {self.lambda2_max:g}; "
-                f"{self.lambda2_max / 300:.3g} would do",
-            )
+        _in_order(self, "lambda2_min", "lambda2_max", 300)
         return Potential(self.lambda2_min, self.lambda2_max, self.strength)
 
 
@@ -126,12 +121,7 @@ class Distance(Table):
         Raises:
             Refusal: The distances are not in order.
         """
-        if not self.nearest_m < self.farthest_m:
-            raise Refusal(
-                "nearest_m",
-                f"{self.nearest_m:g} is not less than farthest_m = {self.farthest_m:g}; "
-                f"{self.farthest_m / 3:.3g} would do",
-            )
+        _in_order(self, "nearest_m", "farthest_m", 3)
         return Repulsion(self.nearest_m, self.farthest_m, self.strength)
 
 
@@ -153,12 +143,7 @@ class Turning(Table):
         Raises:
             Refusal: The speeds are not in order.
         """
-        if not self.slow_m_s < self.fast_m_s:
-            raise Refusal(
-                "slow_m_s",
-                f"{self.slow_m_s:g} is not less than fast_m_s = {self.fast_m_s:g}; "
-                f"{self.fast_m_s / 3:.3g} would do",
-            )
+        _in_order(self, "slow_m_s", "fast_m_s", 3)
         return Tracking(
             self.k1, self.k2, self.k3, self.slow_m_s, self.fast_m_s, self.closure, self.printed
         )
@@ -262,3 +247,12 @@ class Duration(Table):
 
     duration_s: PositiveFloat = ConnectivityFlight.duration
     step_s: PositiveFloat = ConnectivityFlight.step
+
+
+def _in_order(table: Table, low: str, high: str, parts: int) -> None:
+    # One key must be less than the other; so many parts of which would do.
+    is_low, is_high = getattr(table, low), getattr(table, high)
+    if not is_low < is_high:
+        raise Refusal(
+            low, f"{is_low:g} is not less than {high} = {is_high:g}; {is_high / parts:.3g} would do"
+        )

@@ -12,8 +12,8 @@ from sato.check import common
 from sato.check.promise import RELATIVE, Promise, below, largest, none, within
 from sato.connectivity import log
 from sato.connectivity.check.evidence import Evidence
-from sato.connectivity.flight import labelled
 from sato.connectivity.mission import ANYWHERE
+from sato.network import canonical, parts
 
 ROUNDED = 1e-9  # of weights, eigenvalues, cosines and speeds: what rounding leaves
 
@@ -38,7 +38,7 @@ def promises(evidence: Evidence) -> tuple[Promise, ...]:
         weights(evidence),
         sight(evidence),
         eigenvalues(evidence),
-        parts(evidence),
+        components(evidence),
         connected(evidence),
         separation(evidence),
         clearance(evidence),
@@ -207,14 +207,14 @@ def eigenvalues(evidence: Evidence) -> Promise:
     return within("eigenvalues", worst, ROUNDED * evidence.weight.shape[1], "off from the weights'")
 
 
-def parts(evidence: Evidence) -> Promise:
+def components(evidence: Evidence) -> Promise:
     """Components are those of the weights on file."""
     # Edges seldom come and go, and what hangs together takes long to find out.
     lives, agents = evidence.alive, evidence.alive.shape[1]
     links = (evidence.weight > 0).reshape(len(lives), -1)
     cases, case = np.unique(np.hstack([links, lives]), axis=0, return_inverse=True)
-    found = [labelled(c[:-agents].reshape(agents, agents), c[-agents:]) for c in cases]
-    said = [common.canonical(labels) for labels in evidence.component]
+    found = [parts(c[:-agents].reshape(agents, agents), c[-agents:]) for c in cases]
+    said = [canonical(labels) for labels in evidence.component]
     odd = int((np.array(found)[case] != np.array(said)).sum())
     return none("component", odd, "labels that the weights do not give")
 

@@ -7,9 +7,9 @@ from jaxtyping import Bool
 from numpy import ndarray as Array
 
 from dynamics.orbit import chief_size
-from sato.check.common import canonical, lacking
+from sato.check.common import lacking
 from sato.check.promise import RELATIVE, Promise, largest, none, within
-from sato.network import Network
+from sato.network import Network, canonical
 from sato.reconfiguration.check.evidence import Evidence, Stretch
 from sato.reconfiguration.check.words import at_end
 
