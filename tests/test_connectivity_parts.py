@@ -1,0 +1,146 @@
+"""Potential, repulsion and obstacles: each by itself."""
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from sato.connectivity.distance import to_obstacles
+from sato.connectivity.obstacles import Obstacles, hidden, nearest
+from sato.connectivity.potential import EDGE, Potential, Repulsion, push, steepness, value
+
+POTENTIALS = st.builds(
+    lambda least, span, strength: Potential(least, least + span, strength),
+    st.floats(0, 0.5), st.floats(0.5, 6), st.floats(0.01, 1),
+)  # fmt: skip
+REPULSIONS = st.builds(
+    lambda nearest, span, strength: Repulsion(nearest, nearest + span, strength),
+    st.floats(0.1, 2), st.floats(0.2, 4), st.floats(0.1, 2),
+)  # fmt: skip
+SHARES = st.floats(0.01, 0.99)  # of the way from the asymptote to where all ends
+
+
+@given(POTENTIALS, SHARES)
+def test_the_action_is_minus_the_slope_of_the_potential(potential, share):
+    x = share * (potential.most - potential.least)
+    h = 1e-5 * min(x, 1)
+    assume(x > EDGE + h)
+    at = potential.least + x
+    fall = (value(at - h, potential) - value(at + h, potential)) / (2 * h)
+    # Central differences err by h² V‴/6 ~ strength m² h²/x⁴, rounding by ε V/h.
+    assert steepness(at, potential) == pytest.approx(fall, rel=1e-6, abs=1e-8)
+
+
+@given(POTENTIALS)
+def test_the_potential_ends_without_a_jump_or_a_kink(potential):
+    for beyond in (0.0, 1.0, 100.0):
+        assert value(potential.most + beyond, potential) == pytest.approx(0, abs=1e-25)
+        assert steepness(potential.most + beyond, potential) == pytest.approx(0, abs=1e-13)
+    h = 1e-6
+    assert value(potential.most - h, potential) <= 3 * potential.strength * h * h
+    assert 0 < steepness(potential.most - h, potential) <= 10 * potential.strength * h
+
+
+@given(POTENTIALS, SHARES, SHARES)
+def test_the_less_connected_the_harder_it_is_defended(potential, share, other):
+    low, high = sorted((share, other))
+    assume(high - low > 1e-6)
+    m = potential.most - potential.least
+    low, high = potential.least + low * m, potential.least + high * m
+    assert value(low, potential) >= value(high, potential) > 0
+    assert steepness(low, potential) >= steepness(high, potential) > 0
+
+
+@given(POTENTIALS)
+def test_the_potential_goes_to_infinity_as_one_over_what_is_left(potential):
+    m = potential.most - potential.least
+    at = potential.least + EDGE
+    assert value(at, potential) * EDGE == pytest.approx(potential.strength * (m - EDGE) ** 2)
+    # Nearer than that, and below the limit, all is finite and stays as it is.
+    for beyond in (potential.least + EDGE / 2, potential.least, -1.0):
+        assert value(beyond, potential) == pytest.approx(value(at, potential))
+        assert steepness(beyond, potential) == pytest.approx(steepness(at, potential))
+
+
+def test_the_action_at_a_few_eigenvalues():
+    found = [round(steepness(at, Potential()), 2) for at in (0.05, 0.1, 0.3, 0.5, 1.0, 2.0)]
+    assert found == [562.4, 111.01, 10.6, 3.65, 0.82, 0.13]
+
+
+@given(REPULSIONS, SHARES, SHARES)
+def test_what_is_near_pushes_harder_and_what_is_far_not_at_all(repulsion, share, other):
+    low, high = sorted((share, other))
+    assume(high - low > 1e-6)
+    m = repulsion.farthest - repulsion.nearest
+    low, high = repulsion.nearest + low * m, repulsion.nearest + high * m
+    assert push(low, repulsion) >= push(high, repulsion) > 0
+    h = 1e-6
+    assert push(repulsion.farthest - h, repulsion) <= 2 * repulsion.strength * (h / m) ** 2
+    for beyond in (0.0, 1e-9, 5.0):
+        assert push(repulsion.farthest + beyond, repulsion) == pytest.approx(0, abs=1e-25)
+    assert push(0.0, repulsion) == push(repulsion.nearest + EDGE / 2, repulsion)
+    assert push(repulsion.nearest + EDGE, repulsion) * EDGE == pytest.approx(
+        repulsion.strength * m * (1 - EDGE / m) ** 2
+    )
+
+
+PLACES = st.tuples(*[st.floats(-6, 6)] * 3).map(np.array)
+UNITS = PLACES.filter(lambda v: np.linalg.norm(v) > 0.1).map(lambda v: v / np.linalg.norm(v))
+SPHERES = st.tuples(PLACES, st.floats(0.1, 3)).map(lambda s: np.append(*s))
+BOXES = st.tuples(PLACES, st.tuples(*[st.floats(0.1, 5)] * 3)).map(
+    lambda b: np.concatenate([b[0], b[0] + np.array(b[1])])
+)
+PLANES = st.tuples(UNITS, st.floats(-3, 3)).map(lambda p: np.append(*p))
+
+
+def surfaces(sphere, box, plane, rng):
+    """Points of the three surfaces, many of each."""
+    ways = rng.normal(size=(2000, 3))
+    of_sphere = sphere[:3] + sphere[3] * ways / np.linalg.norm(ways, axis=1)[:, None]
+    of_box = rng.uniform(box[:3], box[3:], (2000, 3))
+    side, axis = rng.integers(0, 2, 2000), rng.integers(0, 3, 2000)
+    of_box[np.arange(2000), axis] = box.reshape(2, 3)[side, axis]
+    spread = rng.uniform(-20, 20, (2000, 3))
+    of_plane = spread - (spread @ plane[:3] - plane[3])[:, None] * plane[:3]
+    return of_sphere, of_box, of_plane
+
+
+@given(PLACES, SPHERES, BOXES, PLANES)
+def test_no_point_of_an_obstacle_is_nearer_than_the_nearest(p, sphere, box, plane):
+    obstacles = Obstacles(sphere[None], box[None], plane[None])
+    drawn = surfaces(sphere, box, plane, np.random.default_rng(0))
+    for number, surface in enumerate(drawn):
+        point = np.zeros(3)
+        d = nearest(number, p, obstacles, point)
+        assert d == pytest.approx(to_obstacles(p, obstacles)[number], abs=1e-12)
+        assert to_obstacles(point, obstacles)[number] == pytest.approx(0, abs=1e-12)
+        assert np.linalg.norm(point - p) == pytest.approx(abs(d), abs=1e-12)
+        assert np.linalg.norm(surface - p, axis=1).min() >= abs(d) - 1e-12
+
+
+@given(PLACES, PLACES, SPHERES, BOXES, PLANES)
+def test_hidden_is_who_has_a_point_of_an_obstacle_in_between(p, q, sphere, box, plane):
+    none = Obstacles.none()
+    for one in (
+        none._replace(spheres=sphere[None]),
+        none._replace(boxes=box[None]),
+        none._replace(planes=plane[None]),
+        Obstacles(sphere[None], box[None], plane[None]),
+    ):
+        way = p + np.linspace(0, 1, 2001)[:, None] * (q - p)
+        least = to_obstacles(way, one).min()
+        # Between two samples the distance can be less by half of what they are apart.
+        if least < -1e-9:
+            assert hidden(p, q, one) and hidden(q, p, one)
+        if least > np.linalg.norm(q - p) / 4000 + 1e-9:
+            assert not hidden(p, q, one) and not hidden(q, p, one)
+
+
+def test_a_way_along_an_axis_is_hidden_by_the_box_that_it_leads_through():
+    # Two of three coordinates rest, which a division by the way would not bear.
+    one = Obstacles.none()._replace(boxes=np.array([[-1.0, -1, -1, 1, 1, 1]]))
+    p, q = np.array([-3.0, 0.5, 0.5]), np.array([3.0, 0.5, 0.5])
+    assert hidden(p, q, one)
+    beside, short = np.array([0, 1.0, 0]), np.array([-2.0, 0.5, 0.5])
+    assert not hidden(p + beside, q + beside, one)
+    assert not hidden(p, short, one)
