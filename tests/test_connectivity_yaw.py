@@ -1,0 +1,222 @@
+"""How robots know how others are turned: kinematics, observer, bearings and corrections."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from dynamics.kinematic import Kinematic, drive
+from problems.graph import Sight, bearings, connectivity, gradient, graph
+from sato.connectivity import ConnectivityFlight
+from sato.connectivity.log import rotated
+from sato.connectivity.state import resting
+from sato.connectivity.stick import Homing
+from sato.connectivity.swarm import think
+from sato.connectivity.yaw import (
+    Tracking,
+    by_bearings,
+    by_motion,
+    correct,
+    middle,
+    observe,
+    wrapped,
+)
+
+TRACK = Tracking()
+UNUSED = np.random.default_rng(0)  # no noise is drawn
+ANGLES = st.floats(-np.pi, np.pi)
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def turned(v, yaw):
+    """R_z(ψ) v."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.array([c * v[0] - s * v[1], s * v[0] + c * v[1], v[2]])
+
+
+def apart(a, b):
+    """The angle from one to the other, the short way."""
+    return abs(np.angle(np.exp(1j * (a - b))))
+
+
+def pose(rng):
+    """Two robots: places, yaws, and velocities and yaw rates in their own frames."""
+    return (
+        rng.uniform(-4, 4, (2, 3)), rng.uniform(-np.pi, np.pi, 2),
+        rng.uniform(-2, 2, (2, 3)), rng.uniform(-1, 1, 2),
+    )  # fmt: skip
+
+
+def seen(position, yaw):
+    """p_ij and p_ji."""
+    mine, theirs = np.zeros(3), np.zeros(3)
+    d = bearings(position, yaw, 0, 1, mine, theirs)
+    return d * mine, d * theirs
+
+
+def on(position, yaw, velocity, rate, dt):
+    """Both a step on."""
+    position, yaw = position.copy(), yaw.copy()
+    for k in range(2):
+        yaw[k], _ = drive(
+            position[k], yaw[k], velocity[k].copy(), rate[k], velocity[k], rate[k],
+            Kinematic(), dt, UNUSED,
+        )  # fmt: skip
+    return position, yaw
+
+
+@given(SEEDS)
+def test_how_the_other_is_seen_to_move(seed):
+    # ṗ_ij = −v_i − S p_ij w_i + ⁱR_j v_j [Bernard2023, eq. 14]
+    position, yaw, v, w = pose(np.random.default_rng(seed))
+    h = 1e-5
+    ahead, behind = (seen(*on(position, yaw, v, w, dt))[0] for dt in (h, -h))
+    p, _ = seen(position, yaw)
+    rate = -v[0] - w[0] * np.array([-p[1], p[0], 0]) + turned(v[1], yaw[1] - yaw[0])
+    assert (ahead - behind) / (2 * h) == pytest.approx(rate, abs=1e-7)
+
+
+def watched(position, yaw, velocity, rate, dt, time):
+    """The observer after a while of motion as commanded, and how the two are turned then."""
+    watch, (before, _) = np.zeros(10), seen(position, yaw)
+    observe(before, before, True, velocity[0], rate[0], velocity[1], watch, TRACK, dt)
+    for _ in range(round(time / dt)):
+        position, yaw = on(position, yaw, velocity, rate, dt)
+        p, _ = seen(position, yaw)
+        observe(p, before, False, velocity[0], rate[0], velocity[1], watch, TRACK, dt)
+        before = p
+    return watch, yaw
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_observer_tends_to_the_low_passed_velocity_of_the_other(seed):
+    rng, time = np.random.default_rng(seed), 0.64
+    position, yaw, v, w = pose(rng)
+
+    def lag(t, e):
+        return TRACK.k1 * (turned(v[1], yaw[1] - yaw[0] + (w[1] - w[0]) * t) - e)
+
+    true = solve_ivp(lag, (0, time), np.zeros(3), rtol=1e-10, atol=1e-12).y[:, -1]
+    steps = (0.02, 0.01, 0.005, 0.0025)
+    errors = [abs(watched(position, yaw, v, w, h, time)[0][3:6] - true).max() for h in steps]
+    # Of first order at least: half the step, half the error.
+    assert all(finer < 0.6 * coarser for coarser, finer in pairwise(errors))
+    assert errors[-1] < 0.1
+    filtered = v[1] * (1 - np.exp(-TRACK.k1 * time))
+    for h in steps:
+        assert watched(position, yaw, v, w, h, time)[0][6:9] == pytest.approx(filtered)
+
+
+@given(SEEDS)
+def test_who_hovers_knows_at_once_how_another_one_that_moves_is_turned(seed):
+    # What is said goes through the filter that what is seen goes through, so neither lags.
+    rng = np.random.default_rng(seed)
+    position, yaw, v, _ = pose(rng)
+    v[0], dt, watch = 0.0, 0.02, np.zeros(10)
+    before, _ = seen(position, yaw)
+    observe(before, before, True, v[0], 0.0, v[1], watch, TRACK, dt)
+    for number in range(40):
+        v[1] = rng.uniform(-2, 2, 3) if number % 7 == 0 else v[1]
+        position, yaw = on(position, yaw, v, np.zeros(2), dt)
+        p, _ = seen(position, yaw)
+        observe(p, before, False, v[0], 0.0, v[1], watch, TRACK, dt)
+        before = p
+        guessed, trust = by_motion(watch, v[1], TRACK)
+        if np.hypot(*watch[6:8]) > 1e-3:
+            assert apart(guessed, yaw[1] - yaw[0]) < 1e-9
+        # It is trusted only when the filter has forgotten that it began at zero.
+        assert trust == 0 or (number + 1) * dt >= 3 / TRACK.k1 - 1e-9
+
+
+def test_a_new_sighting_begins_anew(rng):
+    watch, p, v = rng.normal(size=10), rng.normal(size=3), rng.normal(size=3)
+    observe(p, np.full(3, np.nan), True, v, 0.3, v, watch, TRACK, 0.02)
+    assert np.array_equal(watch, [*p, *np.zeros(7)])
+
+
+@given(SEEDS)
+def test_two_bearings_tell_how_two_robots_are_turned(seed):
+    position, yaw, _, _ = pose(np.random.default_rng(seed))
+    assert apart(by_bearings(*seen(position, yaw)), yaw[1] - yaw[0]) < 1e-9
+
+
+@given(ANGLES, ANGLES)
+def test_the_middle_is_as_far_from_one_as_from_the_other(mine, theirs):
+    mean = middle(mine, theirs)
+    assert apart(mean, mine) == pytest.approx(apart(mean, -theirs), abs=1e-6)
+    assert apart(mean, mine) <= np.pi / 2 + 1e-6  # and not opposite
+    assert apart(middle(mine, -mine), mine) < 1e-9
+
+
+@given(st.floats(-30, 30))
+def test_a_wrapped_angle_is_the_same_angle(angle):
+    assert -np.pi <= wrapped(angle) <= np.pi
+    assert apart(wrapped(angle), angle) < 1e-12
+
+
+@given(ANGLES, st.floats(-3.0, 3.0), st.floats(0.1, 1), st.booleans())
+def test_corrections_lead_to_what_is_measured_while_both_turn(yaw, off, share, mutual):
+    # e⁺ = e − dt k sin e, at k ≥ 1/s for 12 s: tan e/2 falls from at most 14 to less than 1e-4.
+    true, believed, turn, dt = yaw, wrapped(yaw + off), 0.4, 0.02
+    for _ in range(600):
+        before = apart(believed, true)
+        if mutual:
+            believed = correct(believed, turn, share, true, 9.9, 0.0, TRACK, dt)
+        else:
+            believed = correct(believed, turn, 0.0, 9.9, true, share, TRACK, dt)
+        true += dt * turn
+        assert apart(believed, true) <= before + 1e-12
+    assert apart(believed, true) < 1e-3
+
+
+@given(ANGLES, st.floats(0, 0.099), ANGLES, st.floats(0.5, 5))
+def test_without_motion_an_error_stays_as_it_is(off, speed, way, climb):
+    # Motion up and down tells nothing of yaw, however fast.
+    psi = 0.4
+    v = np.array([speed * np.cos(way), speed * np.sin(way), climb])
+    position, yaw = np.array([[0.0, 0, 0], [3, 1, 0]]), np.array([0.0, psi])
+    watch, _ = watched(position, yaw, np.array([np.zeros(3), v]), np.zeros(2), 0.02, 0.4)
+    guessed, trust = by_motion(watch, v, TRACK)
+    assert trust == 0
+    believed = wrapped(psi + off)
+    assert correct(believed, 0.0, 0.0, 0.0, guessed, trust, TRACK, 0.02) == believed
+    # The printed estimator counts the climb as motion.
+    assert by_motion(watch, v, TRACK._replace(printed=True))[1] == 1
+
+
+def test_the_other_bearing_is_turned_back_and_not_on():
+    # β_ji = −(ⁱR_j)ᵀ β_ij; [Bernard2023, Sec. III-C] prints −ⁱR_j β_ij.
+    rng, printed = np.random.default_rng(0), []
+    for _ in range(2000):
+        position, yaw, _, _ = pose(rng)
+        mine, theirs = (p / np.linalg.norm(p) for p in seen(position, yaw))
+        turn = yaw[1] - yaw[0]
+        assert -turned(mine, -turn) == pytest.approx(theirs, abs=1e-12)
+        printed.append(np.linalg.norm(-turned(mine, turn) - theirs))
+    assert 1.9 < max(printed) <= 2 + 1e-12
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_what_robots_reckon_of_their_edges_is_what_is_true(seed):
+    rng = np.random.default_rng(seed)
+    while True:
+        position, yaw = rng.uniform(0, 1, (6, 3)) * [8, 8, 3], rng.uniform(-np.pi, np.pi, 6)
+        weight = graph(position, yaw, Sight()).weight
+        if connectivity(weight).lambda2 > 0.05:
+            break
+    believed = yaw - yaw[:, None]
+    mission = ConnectivityFlight(
+        position, yaw, believed, Homing(np.zeros((0, 3))), estimator="exact"
+    )
+    state = resting(position, yaw, believed, 0, 0, rng)
+    think(state, mission.team, 0, rng)
+    mind, true = state.mind, gradient(position, yaw, Sight())
+    assert mind.weight == pytest.approx(weight, abs=1e-12)
+    slope = (mind.felt[..., None] * mind.motion).sum(axis=1)
+    assert rotated(slope[:, :3], yaw) == pytest.approx(true.position, abs=1e-12)
+    assert slope[:, 3] == pytest.approx(true.yaw, abs=1e-12)
+    # The action pulls nobody but by the others: before saturation it sums up to nothing.
+    assert rotated(slope[:, :3], yaw).sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-12)
