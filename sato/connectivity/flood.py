@@ -10,7 +10,7 @@ from typing import no_type_check
 import numba
 import numpy as np
 
-from problems.graph import ALIKE
+from problems.fiedler import fiedler
 
 
 @no_type_check
@@ -32,7 +32,7 @@ def relay(rows, stamp, rows_heard, stamp_heard):
 
 @no_type_check
 @numba.njit
-def eigen(rows, stamp, me, oldest, felt):
+def eigen(rows, stamp, me, oldest, modes, felt):
     """λ₂ of the graph that a robot knows of, and what its own edges do to it.
 
     Args:
@@ -40,6 +40,7 @@ def eigen(rows, stamp, me, oldest, felt):
         stamp: When each row was computed, (n,) [s].
         me: The robot.
         oldest: What was computed before is forgotten [s].
+        modes: Where its search for eigenvectors begins, (3, n), and where it ends.
         felt: Where ∂λ₂/∂A of its own edges go, (n,); 0 for who is forgotten.
 
     Returns:
@@ -47,18 +48,52 @@ def eigen(rows, stamp, me, oldest, felt):
     """
     known = np.flatnonzero(stamp >= oldest)
     felt[:] = 0.0
-    m = len(known)
-    if m < 2:
+    if len(known) < 2:
         return np.nan
+    lambda2, vectors = eigenvectors(rows, known, modes)
+    feel_edges(vectors, known, me, felt)
+    return lambda2
+
+
+@no_type_check
+@numba.njit
+def eigenvectors(rows, known, modes):
+    """λ₂ and its eigenvectors, of the graph of some robots.
+
+    Args:
+        rows: The adjacency of all, (n, n).
+        known: Which of them count, m ≥ 2.
+        modes: Where the search begins, (3, n), and where it ends.
+
+    Returns:
+        λ₂, and its eigenvectors, (s, m).
+    """
+    basis = np.empty((3, len(known)))
+    for a in range(len(known)):
+        basis[:, a] = modes[:, known[a]]
+    lambda2, vectors = fiedler(_laplacian(rows, known), basis)
+    for a in range(len(known)):
+        modes[:, known[a]] = basis[:, a]
+    return lambda2, vectors
+
+
+@no_type_check
+@numba.njit
+def feel_edges(vectors, known, me, felt):
+    """∂λ₂/∂A of a robot's edges, the mean over the eigenvectors of λ₂.
+
+    Args:
+        vectors: Of λ₂, (s, m).
+        known: Whose entries they have, (m,).
+        me: The robot, one of them.
+        felt: Where the derivatives go, (n,).
+    """
     at = np.searchsorted(known, me)
-    value, vector = np.linalg.eigh(_laplacian(rows, known))
-    same = 1
-    while same + 1 < m and value[same + 1] - value[1] <= ALIKE * max(1.0, value[1]):
-        same += 1
-    for a in range(m):
-        for k in range(1, same + 1):
-            felt[known[a]] += (vector[at, k] - vector[a, k]) ** 2 / same
-    return value[1]
+    for a in range(len(known)):
+        square = 0.0
+        for v in vectors:
+            square += (v[at] - v[a]) ** 2
+        felt[known[a]] = square / len(vectors)
 
 
 @no_type_check

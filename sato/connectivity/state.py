@@ -67,6 +67,7 @@ class Mind(NamedTuple):
     motion: Float[Array, "n n 4"]  # its gradient: ∂A_ij/∂p_i in the body frame, ∂A_ij/∂ψ_i
     rows: Float[Array, "n n n"]  # the adjacency as far as i knows it
     stamp: Float[Array, "n n"]  # when row k of it was computed [s]
+    modes: Float[Array, "n 3 n"]  # eigenvectors as i last had them, where it looks for new ones
     iterate: Iterate
     lambda2: Float[Array, " n"]  # NaN unknown
     felt: Float[Array, "n n"]  # ∂λ₂/∂A_ij
@@ -123,7 +124,7 @@ def resting(
     iterate = Iterate(rng.standard_normal(n), zero((n, 2)), zero((n, 2)))
     mind = Mind(
         zero((n, n, 10)), believed.copy(), never(n, n), zero((n, n)), zero((n, n, 4)),
-        zero((n, n, n)), np.full((n, n), ages), iterate, np.full(n, np.nan), zero((n, n)),
-        zero((n, 4)),
+        zero((n, n, n)), np.full((n, n), ages), zero((n, 3, n)), iterate,
+        np.full(n, np.nan), zero((n, n)), zero((n, 4)),
     )  # fmt: skip
     return State(world, senses, mail, mind)

@@ -11,7 +11,7 @@ import numpy as np
 from dynamics.kinematic import Kinematic, drive
 from dynamics.quadrotor import Quadrotor, fly
 from problems.graph import Sight
-from sato.connectivity.flood import eigen, two_least
+from sato.connectivity.flood import eigen, eigenvectors, feel_edges, two_least
 from sato.connectivity.mail import Link, talk
 from sato.connectivity.mind import decide, reckon
 from sato.connectivity.obstacles import Obstacles
@@ -71,16 +71,30 @@ def _think(state, team, number, rng):
         exchange(
             mind.iterate, mind.weight, linked, team.power, round(team.step / team.power.exchange)
         )
+    if team.estimator == EXACT:
+        _told(world.alive, mind)
     for i in range(n):
         if world.alive[i]:
             if team.estimator == FLOOD:
-                mind.lambda2[i] = eigen(mind.rows[i], mind.stamp[i], i, time - FORGET, mind.felt[i])
+                mind.lambda2[i] = eigen(
+                    mind.rows[i], mind.stamp[i], i, time - FORGET, mind.modes[i], mind.felt[i]
+                )
             elif team.estimator == POWER:
                 _of_power(i, mind, team)
-            else:
-                # Told from outside, of the weights that all robots have themselves.
-                mind.lambda2[i] = eigen(mind.weight, now, i, time, mind.felt[i])
             decide(i, senses, mind, team)
+
+
+@no_type_check
+@numba.njit
+def _told(alive, mind):
+    # From outside, of the weights that all robots have themselves.
+    known = np.flatnonzero(alive)
+    mind.lambda2[:], mind.felt[:] = np.nan, 0.0
+    if len(known) > 1:
+        lambda2, vectors = eigenvectors(mind.weight, known, mind.modes[known[0]])
+        for i in known:
+            mind.lambda2[i] = lambda2
+            feel_edges(vectors, known, i, mind.felt[i])
 
 
 @no_type_check
@@ -181,6 +195,6 @@ FILES = (
         )
     ),
     *(HERE.parents[1] / "dynamics" / f"{name}.py" for name in ("kinematic", "quadrotor")),
-    HERE.parents[1] / "problems" / "graph.py",
+    *(HERE.parents[1] / "problems" / f"{name}.py" for name in ("fiedler", "graph")),
 )
 think, move = _kernels(crc32(b"".join(file.read_bytes() for file in FILES)))
