@@ -9,7 +9,7 @@ from numpy import ndarray as Array
 
 from sato.connectivity.mission import ConnectivityFlight
 from sato.connectivity.state import resting
-from sato.connectivity.swarm import move, think
+from sato.connectivity.swarm import FORGET, move, think
 from sato.network import parts
 
 SETTLE = 5.0  # for which the power iteration runs before anybody moves [s]
@@ -31,6 +31,7 @@ class Frame(NamedTuple):
     edge_weight: Float[Array, "agents agents"]  # true
     turned: Float[Array, "agents agents"]  # ψ̃_ij [rad]
     sees: Bool[Array, "agents agents"]  # i has j in sight
+    counts: Bool[Array, "agents agents"]  # what i does still depends on j being there
     stick: Float[Array, " 3"]  # what the operator asks of the leader, in the world frame [m/s]
     robot_distance: float  # least so far [m]
     obstacle_distance: float  # least so far [m]
@@ -52,7 +53,7 @@ class _Flight:
         self.mission, self.rng, self.team = mission, rng, mission.team
         obstacles, late = mission.obstacles.total, mission.link.late
         self.state = resting(mission.start, mission.yaw, mission.believed, late, obstacles, rng)
-        self.before = 0  # control steps before the clock starts
+        self.number = -1  # of the control step, with those before the clock starts
         self.reached = 0
         self.links = np.zeros((0, 0), dtype=bool)
         self.component = np.zeros(mission.agents, dtype=np.int64)
@@ -61,13 +62,12 @@ class _Flight:
     def frames(self) -> Iterator[Frame]:
         mission, world = self.mission, self.state.world
         if mission.estimator == "power_pi":
-            self.before = round(SETTLE / mission.step)
-            for number in range(self.before):
-                think(self.state, self.team, number, self.rng)
-        for number in range(round(mission.duration / mission.step) + 1):
-            time = number * mission.step
+            for _ in range(round(SETTLE / mission.step)):
+                self._think()
+        for step in range(round(mission.duration / mission.step) + 1):
+            time = step * mission.step
             self._bury(time)
-            think(self.state, self.team, self.before + number, self.rng)
+            self._think()
             if world.alive[0] and mission.stick.arrives(world.position[0], self.reached):
                 said = {"agents": [0], "number": self.reached}
                 self.events.append({"kind": "waypoint", **said})
@@ -76,6 +76,10 @@ class _Flight:
             self._count_parts()
             yield self._frame(time, asked)
             move(self.state, self.team, asked, self.rng)
+
+    def _think(self) -> None:
+        self.number += 1
+        think(self.state, self.team, self.number, self.rng)
 
     def _bury(self, time: float) -> None:
         for death in self.mission.deaths:
@@ -113,8 +117,16 @@ class _Flight:
             edge_weight=world.weight.copy(),
             turned=mind.turned.copy(),
             sees=senses.sees.copy(),
+            counts=self._counts(),
             stick=asked,
             robot_distance=float(world.robot.min()),
             obstacle_distance=float(world.obstacle.min()),
             events=events,
         )
+
+    def _counts(self) -> Bool[Array, "agents agents"]:
+        mind, now = self.state.mind, self.number * self.mission.step
+        counts = mind.weight > 0
+        if self.mission.estimator == "flood":
+            counts |= mind.stamp >= now - FORGET
+        return counts
