@@ -20,7 +20,9 @@ def passage(mission: ConnectivityFlight, frame: Frame) -> Passage:
 
 
 def _figures(data: "xarray.Dataset", mission: ConnectivityFlight) -> Figures:
-    return {}
+    from sato.connectivity.plots import figures
+
+    return figures(data, mission)
 
 
 SYSTEM = System(

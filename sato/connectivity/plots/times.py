@@ -1,0 +1,90 @@
+"""Panels over time: when the stick is held, who is lost when, and levels that mean something."""
+
+from math import ceil
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from numpy import ndarray as Array
+
+from sato.connectivity.check import Evidence
+from sato.plots.look import DARK, RED
+
+HELD = "#d9f0e6"  # the ground while the stick is held
+ROW = 4  # names beside one another below the panels
+
+
+class Span(NamedTuple):
+    """What is the case for a while."""
+
+    what: int
+    start: float  # [s]
+    end: float  # [s]
+
+
+def spans(time: Float[Array, " k"], what: Int[Array, " k"] | Bool[Array, " k"]) -> list[Span]:
+    """What is the case from the start to the end; what holds at an instant holds until the next.
+
+    Args:
+        time: The instants [s].
+        what: What is the case at each.
+    """
+    first = np.append(0, 1 + np.flatnonzero(np.diff(what.astype(int))))
+    ends = np.append(time[first[1:]], time[-1])
+    return [
+        Span(int(what[k]), float(time[k]), float(end)) for k, end in zip(first, ends, strict=True)
+    ]
+
+
+def held(evidence: Evidence) -> list[Span]:
+    """The spans for which something is asked of the leader."""
+    return [s for s in spans(evidence.time, np.asarray(evidence.stick.any(axis=1))) if s.what]
+
+
+def stacked(evidence: Evidence, heights: tuple[float, ...]) -> tuple[Figure, list[Any]]:
+    """Panels over time, one above the other, shaded while the stick is held."""
+    figure = Figure(figsize=(7.2, 1.35 * sum(heights) + 1.1), layout="constrained")
+    axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)
+    for ax in axes[:, 0]:
+        for span in held(evidence):
+            ax.axvspan(span.start, span.end, fc=HELD, lw=0, zorder=0)
+        for _, lost in evidence.happened.told("loss"):
+            ax.axvline(lost["time"], color=DARK, ls=":", lw=0.9, zorder=0.5)
+    for span in spans(evidence.time, np.asarray((evidence.component > 0).any(axis=1))):
+        if span.what:
+            for ax in axes[:, 0]:
+                ax.axvspan(span.start, span.end, 0.97, 1, fc=RED, lw=0, zorder=0.4)
+    time_axis(axes[-1, 0], evidence)
+    return figure, list(axes[:, 0])
+
+
+def time_axis(ax: Any, evidence: Evidence) -> None:
+    """From the start of a run to its end."""
+    start, end = float(evidence.time[0]), float(evidence.time[-1])
+    ax.set(xlabel="time [s]", xlim=(start, max(end, start + 1e-9)))
+
+
+def limit(ax: Any, level: float, name: str, colour: str = RED) -> None:
+    """A level that means something, named on the right."""
+    ax.axhline(level, color=colour, ls="--" if colour == RED else ":", lw=0.9, zorder=1)
+    ax.annotate(name, (1.008, level), xycoords=("axes fraction", "data"), va="center",
+                color=colour, fontsize=7.5, annotation_clip=False)  # fmt: skip
+
+
+def finish(figure: Figure, evidence: Evidence) -> None:
+    """Say below the panels what all of it is."""
+    handles: dict[str, Any] = {}
+    for ax in figure.axes:
+        drawn, said = ax.get_legend_handles_labels()
+        handles |= dict(zip(said, drawn, strict=True))
+    if held(evidence):
+        handles["stick held"] = Patch(fc=HELD, lw=0)
+    if evidence.happened.told("loss"):
+        handles["a robot is lost"] = Line2D([], [], color=DARK, ls=":", lw=0.9)
+    if (evidence.component > 0).any():
+        handles["the swarm has split"] = Patch(fc=RED, lw=0)
+    columns = ceil(len(handles) / ceil(len(handles) / ROW))
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=columns)
