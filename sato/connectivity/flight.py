@@ -9,7 +9,7 @@ from numpy import ndarray as Array
 
 from sato.connectivity.mission import ConnectivityFlight
 from sato.connectivity.state import resting
-from sato.connectivity.swarm import FORGET, move, think
+from sato.connectivity.swarm import FORGET, advance
 from sato.network import parts
 
 SETTLE = 5.0  # for which the power iteration runs before anybody moves [s]
@@ -55,19 +55,20 @@ class _Flight:
         self.state = resting(mission.start, mission.yaw, mission.believed, late, obstacles, rng)
         self.number = -1  # of the control step, with those before the clock starts
         self.reached = 0
-        self.links = np.zeros((0, 0), dtype=bool)
+        self.graph = b""  # who hangs together by which edges
         self.component = np.zeros(mission.agents, dtype=np.int64)
         self.events: list[dict[str, Any]] = []
 
     def frames(self) -> Iterator[Frame]:
         mission, world = self.mission, self.state.world
+        asked = np.zeros(3)
         if mission.estimator == "power_pi":
             for _ in range(round(SETTLE / mission.step)):
-                self._think()
+                self._advance(asked, moves=False)
         for step in range(round(mission.duration / mission.step) + 1):
             time = step * mission.step
             self._bury(time)
-            self._think()
+            self._advance(asked, moves=step > 0)
             if world.alive[0] and mission.stick.arrives(world.position[0], self.reached):
                 said = {"agents": [0], "number": self.reached}
                 self.events.append({"kind": "waypoint", **said})
@@ -75,11 +76,10 @@ class _Flight:
             asked = mission.stick.ask(time, world.position[0], self.reached)
             self._count_parts()
             yield self._frame(time, asked)
-            move(self.state, self.team, asked, self.rng)
 
-    def _think(self) -> None:
+    def _advance(self, asked: Float[Array, " 3"], moves: bool) -> None:
         self.number += 1
-        think(self.state, self.team, self.number, self.rng)
+        advance(self.state, self.team, asked, self.number, moves, self.rng)
 
     def _bury(self, time: float) -> None:
         for death in self.mission.deaths:
@@ -89,11 +89,11 @@ class _Flight:
 
     def _count_parts(self) -> None:
         # Who hangs together changes seldom, and takes long to find out.
-        links = self.state.world.weight > 0
-        alive = self.state.world.alive
-        if np.array_equal(links, self.links) and np.array_equal(alive, self.component >= 0):
+        links, alive = self.state.world.weight > 0, self.state.world.alive
+        graph = links.tobytes() + alive.tobytes()
+        if graph == self.graph:
             return
-        self.links, before = links, self.component.max()
+        self.graph, before = graph, self.component.max()
         self.component = parts(links, alive)
         if (self.component.max() > 0) != (before > 0):
             kind = "split" if self.component.max() > 0 else "whole"

@@ -144,38 +144,29 @@ def _turn(v, yaw, turned):
     turned[0], turned[1], turned[2] = c * v[0] - s * v[1], s * v[0] + c * v[1], v[2]
 
 
-def _kernels(stamp: int) -> tuple[Any, Any]:
+def _kernel(stamp: int) -> Any:
     # Numba compiles anew when the file of a function changes, or what it closes over. The
-    # stamp is of all the files that are compiled into these two functions.
+    # stamp is of all the files that are compiled into this function. It is one, for numba
+    # takes longer to read the state than six robots to decide.
     @no_type_check
     @numba.njit(cache=True)
-    def think(state, team, number, rng):
-        """Sense, talk, reckon and decide: a control step up to the commands.
-
-        Args:
-            state: Changed in place.
-            team: What stays.
-            number: Of the control step.
-            rng: Draws noise and losses.
-        """
-        if stamp >= 0:
-            _think(state, team, number, rng)
-
-    @no_type_check
-    @numba.njit(cache=True)
-    def move(state, team, asked, rng):
-        """Everybody moves as commanded, as well as it can; the leader as it is asked besides.
+    def advance(state, team, asked, number, moves, rng):
+        """Everybody moves as it decided a step ago; then senses, talks, reckons and decides.
 
         Args:
             state: Changed in place.
             team: What stays.
             asked: Velocity that the operator asks of the leader, in the world frame, (3,) [m/s].
-            rng: Draws the noise of actuators.
+            number: Of the control step.
+            moves: False: nobody moves yet.
+            rng: Draws noise and losses.
         """
         if stamp >= 0:
-            _move(state, team, asked, rng)
+            if moves:
+                _move(state, team, asked, rng)
+            _think(state, team, number, rng)
 
-    return think, move
+    return advance
 
 
 HERE = Path(__file__).parent
@@ -197,4 +188,4 @@ FILES = (
     *(HERE.parents[1] / "dynamics" / f"{name}.py" for name in ("kinematic", "quadrotor")),
     *(HERE.parents[1] / "problems" / f"{name}.py" for name in ("fiedler", "graph")),
 )
-think, move = _kernels(crc32(b"".join(file.read_bytes() for file in FILES)))
+advance = _kernel(crc32(b"".join(file.read_bytes() for file in FILES)))
