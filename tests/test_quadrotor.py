@@ -1,0 +1,113 @@
+"""A quadrotor that is told how fast to go: limits, rest, and another integrator."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from dynamics.quadrotor import GRAVITY, Quadrotor, fly, tilted
+
+PLANT = Quadrotor()
+FLAT = GRAVITY * np.tan(PLANT.tilt)  # largest horizontal acceleration [m/s²]
+VELOCITIES = st.tuples(*[st.floats(-8, 8)] * 3).map(np.array)
+ANGLES = st.floats(-np.pi, np.pi)
+
+
+def flown(velocity, yaw, command, turn, time, step, rate=0.0, begin=(0.0, 0.0, 0.0)):
+    """Every state on the way: position, yaw, velocity, yaw rate, push; the first as it begins."""
+    position, velocity, push = np.zeros(3), velocity.astype(float), np.array(begin)
+    states = [np.array([*position, yaw, *velocity, rate, *push])]
+    for _ in range(round(time / step)):
+        yaw, rate = fly(position, yaw, velocity, rate, push, command, turn, PLANT, step)
+        states.append(np.array([*position, yaw, *velocity, rate, *push]))
+    return np.array(states)
+
+
+def test_who_hovers_stays():
+    states = flown(np.zeros(3), 0.7, np.zeros(3), 0.0, 10.0, 0.02)
+    assert np.array_equal(states, np.tile(states[0], (501, 1)))
+
+
+@given(VELOCITIES, VELOCITIES, ANGLES)
+def test_acceleration_stays_within_what_tilt_and_climb_allow(velocity, command, yaw):
+    push = flown(velocity, yaw, command, 1.0, 3.0, 0.02)[:, 8:]
+    assert np.hypot(push[:, 0], push[:, 1]).max() <= FLAT + 1e-12
+    assert np.abs(push[:, 2]).max() <= PLANT.climb + 1e-12
+
+
+@given(VELOCITIES, ANGLES)
+def test_who_is_told_to_stop_only_slows_down_and_does_not_swing_back(velocity, yaw):
+    # The two loops, 0.08 s and 0.4 s, are more than critically damped: 4 × 0.08 < 0.4.
+    states = flown(velocity, yaw, np.zeros(3), 0.0, 6.0, 0.02)
+    v = states[:, 4:7]
+    assert (np.diff((v**2).sum(axis=1)) <= 1e-12).all()
+    assert (v @ np.diag(velocity) >= -1e-9).all()
+    assert np.abs(v[-1]).max() < 1e-3
+
+
+@given(VELOCITIES, VELOCITIES, ANGLES, ANGLES)
+def test_to_turn_the_world_turns_the_path(velocity, command, yaw, turn):
+    c, s = np.cos(turn), np.sin(turn)
+    R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    here = flown(velocity, yaw, command, 0.5, 2.0, 0.02)
+    there = flown(R @ velocity, yaw + turn, command, 0.5, 2.0, 0.02)
+    assert there[:, :3] == pytest.approx(here[:, :3] @ R.T, abs=1e-9)
+    assert there[:, 8:] == pytest.approx(here[:, 8:] @ R.T, abs=1e-9)
+
+
+@pytest.mark.parametrize("command", [(1.0, -0.5, 0.3), (6.0, 3.0, -4.0)])
+def test_steps_agree_with_integration_to_first_order(command):
+    # The second command is held by both limits for a while.
+    velocity, turn, time = np.array([0.5, 0.2, 0.0]), 0.8, 1.28
+
+    def rates(_, x):
+        yaw, v, w, a = x[3], x[4:7], x[7], x[8:]
+        c, s = np.cos(yaw), np.sin(yaw)
+        wish = np.array([c * command[0] - s * command[1], s * command[0] + c * command[1]])
+        flat = (wish - v[:2]) / PLANT.response
+        flat = flat * min(1, FLAT / np.linalg.norm(flat))
+        up = np.clip((command[2] - v[2]) / PLANT.response, -PLANT.climb, PLANT.climb)
+        follows = (np.array([*flat, up]) - a) / PLANT.attitude
+        return np.array([*v, w, *a, (turn - w) / PLANT.attitude, *follows])
+
+    begin = [0, 0, 0, 0.3, *velocity, 0.1, 0.4, -0.2, 0.3]
+    end = solve_ivp(rates, (0, time), begin, rtol=1e-9, atol=1e-11, max_step=0.01).y[:, -1]
+    errors = []
+    for step in (0.02, 0.01, 0.005):
+        states = flown(velocity, 0.3, np.array(command), turn, time, step, 0.1, begin[8:])
+        errors.append(np.abs(states[-1] - end).max())
+    # It looks at its velocity once a step.
+    assert all(coarse / fine == pytest.approx(2, rel=0.2) for coarse, fine in pairwise(errors))
+    assert errors[-1] < 0.03
+
+
+def test_it_goes_as_fast_and_turns_as_fast_as_it_is_told_when_all_has_settled():
+    command = np.array([2.0, -1, 0.4])
+    straight = flown(np.zeros(3), 0.7, command, 0.0, 12.0, 0.02)
+    c, s = np.cos(0.7), np.sin(0.7)
+    assert straight[-1, 4:7] == pytest.approx([2 * c + s, 2 * s - c, 0.4], abs=1e-6)
+    assert straight[-1, 8:] == pytest.approx(np.zeros(3), abs=1e-6)
+    # In a steady turn the velocity goes round too, behind the wish by what both loops lag: at
+    # w = 0.5/s the response of 1/(1 + 0.4 s + 0.4 × 0.08 s²) at s = iw.
+    turning = flown(np.zeros(3), 0.7, command, 0.5, 40.0, 0.002)
+    assert turning[-1, 7] == pytest.approx(0.5, abs=1e-9)
+    wish = (2 - 1j) * np.exp(1j * turning[-1, 3])
+    lagging = wish / (1 + 0.4 * 0.5j + 0.4 * 0.08 * (0.5j) ** 2)
+    assert turning[-1, 4] + 1j * turning[-1, 5] == pytest.approx(lagging, abs=5e-3)
+
+
+@given(VELOCITIES, ANGLES)
+def test_a_camera_that_looks_down_looks_away_from_the_thrust(push, yaw):
+    down = np.zeros(3)
+    tilted(np.array([0.0, 0, -1]), push, yaw, down)
+    thrust = push + np.array([0, 0, GRAVITY])
+    c, s = np.cos(yaw), np.sin(yaw)
+    seen = np.array([c * down[0] - s * down[1], s * down[0] + c * down[1], down[2]])
+    assert seen == pytest.approx(-thrust / np.linalg.norm(thrust), abs=1e-12)
+    # Who does not accelerate sideways does not tilt.
+    level = np.zeros(3)
+    tilted(np.array([1.0, 0, 0]), np.array([0, 0, push[2]]), yaw, level)
+    assert level == pytest.approx([1, 0, 0], abs=1e-12)
