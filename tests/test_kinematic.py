@@ -35,6 +35,14 @@ def test_steps_agree_with_integration_to_second_order(lag):
     assert errors[0] / errors[1] == pytest.approx(4, rel=0.1)
 
 
+@pytest.mark.parametrize("lag", [0.0, 0.05, 0.3])
+def test_how_time_is_cut_matters_to_the_path_alone(lag):
+    # Height, yaw and velocities are exact for a command that is held.
+    command, turn = np.array([1.0, -0.5, 0.3]), 0.8
+    fine, coarse = (driven(Kinematic(lag), command, turn, 0.6, h) for h in (0.01, 0.3))
+    assert fine[2:] == pytest.approx(coarse[2:], abs=1e-12)
+
+
 def test_noise_of_actuators_is_of_the_size_that_is_said():
     rng, plant = np.random.default_rng(5), Kinematic(0.0, 0.05)
     found = []
