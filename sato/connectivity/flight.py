@@ -54,6 +54,7 @@ class _Flight:
         obstacles, late = mission.obstacles.total, mission.link.late
         self.state = resting(mission.start, mission.yaw, mission.believed, late, obstacles, rng)
         self.number = -1  # of the control step, with those before the clock starts
+        self.alive = np.ones(mission.agents, dtype=bool)
         self.reached = 0
         self.graph = b""  # who hangs together by which edges
         self.component = np.zeros(mission.agents, dtype=np.int64)
@@ -79,12 +80,12 @@ class _Flight:
 
     def _advance(self, asked: Float[Array, " 3"], moves: bool) -> None:
         self.number += 1
-        advance(self.state, self.team, asked, self.number, moves, self.rng)
+        advance(self.state, self.team, asked, self.alive, self.number, moves, self.rng)
 
     def _bury(self, time: float) -> None:
         for death in self.mission.deaths:
-            if self.state.world.alive[death.robot] and time >= death.time - 1e-9:
-                self.state.world.alive[death.robot] = False
+            if self.alive[death.robot] and time >= death.time - 1e-9:
+                self.alive[death.robot] = False
                 self.events.append({"kind": "loss", "agents": [death.robot]})
 
     def _count_parts(self) -> None:

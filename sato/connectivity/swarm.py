@@ -150,13 +150,14 @@ def _kernel(stamp: int) -> Any:
     # takes longer to read the state than six robots to decide.
     @no_type_check
     @numba.njit(cache=True)
-    def advance(state, team, asked, number, moves, rng):
+    def advance(state, team, asked, alive, number, moves, rng):
         """Everybody moves as it decided a step ago; then senses, talks, reckons and decides.
 
         Args:
             state: Changed in place.
             team: What stays.
             asked: Velocity that the operator asks of the leader, in the world frame, (3,) [m/s].
+            alive: Who is there from then on, (n,).
             number: Of the control step.
             moves: False: nobody moves yet.
             rng: Draws noise and losses.
@@ -164,6 +165,7 @@ def _kernel(stamp: int) -> Any:
         if stamp >= 0:
             if moves:
                 _move(state, team, asked, rng)
+            state.world.alive[:] = alive
             _think(state, team, number, rng)
 
     return advance
