@@ -34,8 +34,8 @@ def paths(evidence: Evidence) -> Figure:
     space = _space(evidence)
     flat = Space(space.low[:2], space.high[:2], space.names[:2])
     figure = Figure(figsize=(10.4, 5.4))  # what a layout takes a view of space for is not its size
-    deep: Any = figure.add_axes((0.0, 0.14, 0.54, 0.84), projection="3d", computed_zorder=False)
-    above = figure.add_axes((0.61, 0.22, 0.37, 0.71))
+    deep: Any = figure.add_axes((0.0, 0.13, 0.54, 0.85), projection="3d", computed_zorder=False)
+    above = figure.add_axes((0.61, 0.2, 0.37, 0.73))
     obstacles = evidence.mission.obstacles
     set_space(deep, space)
     deep.set_box_aspect(space.high - space.low, zoom=1.0)

@@ -50,7 +50,9 @@ def yaw(evidence: Evidence) -> Figure:
     pairs = telling(evidence)
     columns = min(COLUMNS, len(pairs))
     rows = ceil(len(pairs) / columns)
-    figure = Figure(figsize=(4.1 * columns + 0.6, 1.45 * rows + 1.1), layout="constrained")
+    figure = Figure(
+        figsize=(max(4.1 * columns + 0.6, 6.0), 1.45 * rows + 1.1), layout="constrained"
+    )
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
     for number, (ax, (i, j)) in enumerate(zip(axes, pairs, strict=False)):
         phase = seen(evidence, i, j)

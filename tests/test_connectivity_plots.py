@@ -1,0 +1,425 @@
+"""Figures of keeping together: they show what the data hold, and all of it can be read."""
+
+from dataclasses import replace
+from functools import cache
+from itertools import combinations, pairwise, product
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_hex
+from matplotlib.patches import Circle, Wedge
+from matplotlib.text import Text
+
+from problems.graph import graph
+from sato.connectivity import fly
+from sato.connectivity.check import Evidence
+from sato.connectivity.obstacles import Obstacles
+from sato.connectivity.plots import FIGURES, figures
+from sato.connectivity.plots.measures import counted, nearest_robot
+from sato.connectivity.plots.paths import PIECES
+from sato.connectivity.plots.scenery import from_above, in_space
+from sato.connectivity.plots.times import HELD, held, spans
+from sato.connectivity.plots.yaw import GONE, GROUND, PAIRS, seen, telling
+from sato.connectivity.potential import push, steepness, value
+from sato.connectivity.system import SYSTEM
+from sato.plots.look import BLUE, GREEN, ORANGE, RED, STYLE
+from sato.plots.view import Space
+from sato.record import Run
+from sato.scenario import read
+
+STICK = (
+    'stick={kind="recorded", times_s=[0, 0.5, 1.5, 2], '
+    "velocities_m_s=[[0, 0, 0], [1, 0, 0], [0, 0, 0], [0, -2, 0]]}"
+)
+AROUND = (
+    'obstacle=[{kind="plane", normal=[0, 0, 1], through_m=[0, 0, 0]}, '
+    '{kind="plane", normal=[1, 0.2, 0.3], through_m=[-3, 0, 0]}, '
+    '{kind="box", low_m=[11, -5, 0], high_m=[30, 5, 4]}]'
+)
+LOST = "death=[{robot=0, time_s=1.0}, {robot=3, time_s=1.6}, {robot=4, time_s=2.0}]"
+VARIANTS = {
+    "six": ("duration_s=3",),
+    "thirty": ("agents=30", "duration_s=1"),
+    "lost": ("duration_s=2.5", "camera.occlusion=true", LOST),
+    "recorded": ("duration_s=3", STICK, AROUND),
+    "two": ("agents=2", "obstacles.count=0", "duration_s=1", "estimator.kind=exact"),
+    "blind": ("camera.blind=true", "potential.strength=0", "duration_s=0.1"),
+}
+
+
+@cache
+def flown(variant):
+    rng = np.random.default_rng(1)
+    mission = read("connectivity", list(VARIANTS[variant])).build(rng)
+    return recorded(mission, list(fly(mission, rng)))
+
+
+def recorded(mission, frames):
+    return Evidence.of(data_of(mission, frames), mission)
+
+
+def data_of(mission, frames):
+    made = {"name": "made up", "seed": 1, "version": "0", "wall_s": 0.0, "peak_memory_mib": 0.0}
+    return Run.of(SYSTEM, frames, mission, "", **made).data
+
+
+def drawn(name, evidence):
+    with matplotlib.rc_context(STYLE):
+        figure = FIGURES[name](evidence)
+        FigureCanvasAgg(figure).draw()
+    return figure
+
+
+@cache
+def shown(name, variant):
+    return drawn(name, flown(variant))
+
+
+def line(ax, label):
+    """The line of a label."""
+    [found] = [one for one in ax.lines if one.get_label() == label]
+    return found.get_xydata().T
+
+
+def shades(ax, colour):
+    """From when to when a panel has a ground of a colour."""
+    grounds = [p for p in ax.patches if to_hex(p.get_facecolor()) == colour]
+    ends = [p.get_extents().transformed(ax.transData.inverted()) for p in grounds]
+    return [(end.x0, end.x1) for end in ends]
+
+
+OF_THE_MISSION = ("weights", "potential")  # and of nothing else
+EVERY = [
+    (name, variant)
+    for name, variant in product(FIGURES, VARIANTS)
+    if variant == "six" or (name in OF_THE_MISSION) == (variant == "blind")
+]
+
+
+@pytest.mark.parametrize(("name", "variant"), EVERY)
+def test_no_words_run_out_of_the_picture_and_no_legend_covers_a_panel(name, variant):
+    figure = shown(name, variant)
+    renderer = figure.canvas.get_renderer()
+    inside = figure.bbox.padded(1.0)
+    words = [t for t in figure.findobj(Text) if t.get_visible() and t.get_text().strip()]
+    boxes = [(t.get_text(), t.get_window_extent(renderer)) for t in words]
+    assert len(boxes) > 3
+    for text, box in boxes:
+        if text.startswith("$\\mathdefault") or text.lstrip("−").replace(".", "").isdigit():
+            continue  # ticks beyond the limits are not drawn
+        assert inside.x0 <= box.x0 and box.x1 <= inside.x1, text
+        assert inside.y0 <= box.y0 and box.y1 <= inside.y1, text
+    for legend in figure.legends:
+        key = legend.get_window_extent(renderer)
+        for ax in figure.axes:
+            assert not key.overlaps(ax.get_window_extent(renderer).shrunk(0.95, 0.95))
+            assert not key.overlaps(ax.xaxis.label.get_window_extent(renderer))
+
+
+@pytest.mark.parametrize("variant", ["six", "lost", "two"])
+def test_all_figures_are_drawn_whatever_is_flown(variant):
+    evidence = flown(variant)
+    mission = evidence.mission
+    frames = list(fly(mission, np.random.default_rng(0)))[:1]
+    assert list(figures(data_of(mission, frames), mission)) == list(FIGURES)
+    assert SYSTEM.figures(data_of(mission, frames), mission).keys() == FIGURES.keys()
+
+
+def test_spans_follow_one_another_and_say_what_was_the_case():
+    time = np.array([0.0, 1.0, 2.5, 3.0, 4.0])
+    found = spans(time, np.array([2, 2, 0, 0, 1]))
+    assert [tuple(s) for s in found] == [(2, 0.0, 2.5), (0, 2.5, 4.0), (1, 4.0, 4.0)]
+    assert [tuple(s) for s in spans(time[:1], np.array([True]))] == [(1, 0.0, 0.0)]
+    for before, after in pairwise(found):
+        assert before.end == after.start
+
+
+@pytest.mark.parametrize("name", ["connectivity", "edges", "distances"])
+def test_the_ground_is_shaded_while_the_stick_is_held_and_not_else(name):
+    for ax in shown(name, "recorded").axes:
+        assert np.array(shades(ax, HELD)) == pytest.approx(np.array([[0.5, 1.5], [2.0, 3.0]]))
+
+
+def test_the_stick_is_held_where_something_is_asked():
+    evidence = flown("six")
+    inside = np.zeros(len(evidence.time), dtype=bool)
+    for span in held(evidence):
+        inside |= (evidence.time >= span.start) & (evidence.time < span.end)
+    asked = np.linalg.norm(evidence.stick, axis=1) > 0
+    np.testing.assert_array_equal(inside[:-1], asked[:-1])
+
+
+@pytest.mark.parametrize("variant", ["six", "thirty", "lost"])
+def test_eigenvalues_are_those_of_the_run_and_of_every_robot(variant):
+    evidence = flown(variant)
+    ax, error = shown("connectivity", variant).axes
+    np.testing.assert_array_equal(line(ax, "λ$_2$, true"), [evidence.time, evidence.lambda2])
+    np.testing.assert_array_equal(line(ax, "λ$_3$, true")[1], evidence.lambda3)
+    own = np.array([one.get_ydata() for one in ax.lines if one.get_color() == ORANGE]).T
+    np.testing.assert_array_equal(own, np.where(evidence.alive, evidence.estimate, np.nan))
+    off = np.abs(own - evidence.lambda2[:, None])
+    known = np.isfinite(off).any(axis=1)  # before anything is told, nobody knows
+    median = line(error, "their median")[1]
+    np.testing.assert_array_equal(median[known], np.nanmedian(off[known], axis=1))
+    assert known[1:].all() and np.isnan(median[~known]).all()
+    limits = evidence.mission.potential
+    for level, name in ((limits.least, "min"), (limits.most, "max")):
+        [at] = [t.xy[1] for t in ax.texts if f"{{{name}}}" in t.get_text()]
+        assert at == level
+        assert any(np.all(np.array(one.get_ydata()) == level) for one in ax.lines)
+    low, high = ax.get_ylim()
+    assert low == 0 and high >= max(evidence.lambda2.max(), limits.most)
+
+
+def test_two_robots_have_no_third_eigenvalue():
+    ax = shown("connectivity", "two").axes[0]
+    assert "λ$_3$, true" not in [one.get_label() for one in ax.lines]
+
+
+def test_a_split_and_losses_are_marked_in_every_panel():
+    evidence = flown("lost")
+    lost = [e["time"] for _, e in evidence.happened.told("loss")]
+    [[_, split]] = evidence.happened.told("split")
+    for ax in shown("connectivity", "lost").axes:
+        dots = [one.get_xdata()[0] for one in ax.lines if one.get_linestyle() == ":"]
+        assert set(lost) <= set(dots)
+        assert shades(ax, RED.lower())[0][0] == pytest.approx(split["time"])
+
+
+@pytest.mark.parametrize("variant", ["six", "lost", "thirty"])
+def test_the_number_of_edges_is_that_of_the_graph(variant):
+    evidence = flown(variant)
+    [ax] = shown("edges", variant).axes
+    edges, mutual, pairs = counted(evidence).T
+    np.testing.assert_array_equal(line(ax, "edges")[1], edges)
+    np.testing.assert_array_equal(line(ax, "where both see each other")[1], mutual)
+    np.testing.assert_array_equal(line(ax, "pairs of robots")[1], pairs)
+    for k in range(0, len(evidence.time), 20):
+        live = np.flatnonzero(evidence.alive[k]).tolist()
+        two = list(combinations(live, 2))
+        assert len(two) == pairs[k]
+        assert sum(evidence.weight[k, i, j] > 0 for i, j in two) == edges[k]
+        both = [evidence.sees[k, i, j] and evidence.sees[k, j, i] for i, j in two]
+        weighs = [evidence.weight[k, i, j] > 0 for i, j in two]
+        assert sum(np.array(both) & np.array(weighs)) == mutual[k]
+
+
+@pytest.mark.parametrize("variant", ["six", "lost", "thirty", "two"])
+def test_errors_of_yaw_stand_on_who_sees_whom(variant):
+    evidence = flown(variant)
+    axes = [ax for ax in shown("yaw", variant).axes if ax.get_title(loc="left")]
+    pairs = telling(evidence)
+    n = evidence.mission.agents
+    assert len(axes) == len(pairs) == min(PAIRS, n * (n - 1) // 2)
+    for ax, (i, j) in zip(axes, pairs, strict=True):
+        assert ax.get_title(loc="left").endswith(f"i = {i}, j = {j}")
+        both = evidence.alive[:, i] & evidence.alive[:, j]
+        for one, (a, b) in zip(ax.lines, ((i, j), (j, i)), strict=True):
+            off = np.abs(np.sin(evidence.yaw_error[:, a, b] / 2))
+            np.testing.assert_array_equal(one.get_ydata(), np.where(both, off, np.nan))
+        sees, seen_too = evidence.sees[:, i, j], evidence.sees[:, j, i]
+        cases = (sees & ~seen_too, ~sees & seen_too, sees & seen_too, both)
+        for number, case in enumerate(cases, 1):
+            case = both & case if number < GONE else ~both
+            inside = np.zeros(len(evidence.time), dtype=bool)
+            for start, end in shades(ax, GROUND[number]):
+                inside |= (evidence.time >= start - 1e-9) & (evidence.time < end - 1e-9)
+            np.testing.assert_array_equal(inside[:-1], case[:-1])
+
+
+def test_the_pairs_shown_see_each_other_in_most_ways():
+    evidence = flown("thirty")
+    ways = {
+        pair: len(set(seen(evidence, *pair).tolist()) - {GONE})
+        for pair in combinations(range(30), 2)
+    }
+    shown_ways = [ways.pop(pair) for pair in telling(evidence)]
+    assert min(shown_ways) >= max(ways.values()) > 0
+
+
+def test_distances_are_the_least_by_brute_force():
+    evidence = flown("lost")
+    robots, obstacles = shown("distances", "lost").axes
+    least, near = line(robots, "the least")[1], line(obstacles, "the least")[1]
+    balls = evidence.mission.obstacles.spheres
+    for k in range(0, len(evidence.time), 25):
+        there = evidence.position[k, evidence.alive[k]]
+        gaps = [np.linalg.norm(p - q) for p, q in combinations(there, 2)]
+        assert least[k] == pytest.approx(min(gaps))
+        away = [np.linalg.norm(p - ball[:3]) - ball[3] for p in there for ball in balls]
+        assert near[k] == pytest.approx(min(away))
+    between = evidence.mission.repulsion
+    for ax in (robots, obstacles):
+        said = {t.get_text(): t.xy[1] for t in ax.texts}
+        assert said == {"least,\n1 m": between.nearest, "push begins,\n3.5 m": between.farthest}
+
+
+def test_without_obstacles_no_distance_to_them_is_drawn():
+    [ax] = shown("distances", "two").axes
+    assert ax.get_ylabel() == "to another robot [m]"
+
+
+def test_who_is_lost_is_nobodys_nearest():
+    there = np.zeros((1, 3, 3))
+    there[0, :, 0] = [0, 1, 3]
+    there[0, 1] = np.nan
+    np.testing.assert_array_equal(nearest_robot(there), [[3, np.nan, 3]])
+
+
+@pytest.mark.parametrize("variant", ["six", "lost", "recorded", "thirty"])
+def test_paths_end_where_robots_are_or_are_lost(variant):
+    evidence = flown(variant)
+    deep, above = shown("paths", variant).axes
+    last = len(evidence.time) - 1
+    for i in range(evidence.mission.agents):
+        live = np.flatnonzero(evidence.alive[:, i])
+        place = evidence.position[live[-1], i]
+        mark = "o" if live[-1] == last else "X"
+        for ax, shown_axes in ((deep, 3), (above, 2)):
+            dots = [one for one in ax.lines if one.get_marker() == mark]
+            at = [np.ravel(coordinates(one)) for one in dots]
+            assert any(np.allclose(p, place[:shown_axes]) for p in at if len(p) == shown_axes)
+    [leader] = [one for one in above.lines if one.get_color() == ORANGE and one.get_lw() == 2.0]
+    live = evidence.alive[:, 0]
+    assert len(evidence.time) <= PIECES
+    np.testing.assert_array_equal(leader.get_xydata()[live], evidence.position[live, 0, :2])
+    assert np.isnan(leader.get_xydata()[~live]).all()
+
+
+def coordinates(one):
+    """Of a line in space or from above."""
+    return one.get_data_3d() if hasattr(one, "get_data_3d") else one.get_data()
+
+
+def test_the_graph_at_the_end_is_drawn_wider_where_it_weighs_more():
+    evidence = flown("six")
+    mission = evidence.mission
+    weight = graph(evidence.position[-1], evidence.yaw[-1], mission.camera).weight
+    for ax in shown("paths", "six").axes:
+        edges = [one for one in ax.lines if one.get_color() == GREEN]
+        assert len(edges) == np.triu(weight > 0).sum()
+        order = np.argsort([one.get_linewidth() for one in edges], kind="stable")
+        weights = weight[tuple(np.argwhere(np.triu(weight) > 0).T)]
+        assert (np.diff(weights[order]) >= -1e-9).all()
+
+
+def test_fields_of_view_open_about_the_optical_axis():
+    evidence = flown("six")
+    above = shown("paths", "six").axes[1]
+    wedges = [p for p in above.patches if isinstance(p, Wedge)]
+    for i, wedge in enumerate(wedges):
+        assert wedge.center == pytest.approx(evidence.position[-1, i, :2])
+        half = np.degrees(np.arccos(0.4))
+        middle = np.degrees(evidence.yaw[-1, i]) + 45  # the axis is between x and y
+        assert (wedge.theta1, wedge.theta2) == pytest.approx((middle - half, middle + half))
+    assert len(wedges) == 6
+
+
+def test_a_camera_that_looks_down_has_no_field_of_view_beside_it():
+    evidence = flown("blind")
+    down = evidence.mission.camera._replace(axis=(0.0, 0.0, -1.0), a_min=-0.5)
+    above = drawn("paths", replace(evidence, mission=replace(evidence.mission, camera=down))).axes[
+        1
+    ]
+    assert not [p for p in above.patches if isinstance(p, Wedge)]
+
+
+class Recorder:
+    """Axes that only note what is drawn into them."""
+
+    def __init__(self):
+        self.drawn = []
+
+    def __getattr__(self, name):
+        return lambda *args, **kw: self.drawn.append((name, args, kw))
+
+
+SPACE = Space(np.array([0.0, 0.0, 0.0]), np.array([4.0, 4.0, 4.0]), ("x", "y", "z"))
+
+
+def test_obstacles_are_cut_off_where_the_picture_ends():
+    spheres = np.array([[0.0, 2.0, 2.0, 1.0], [9.0, 9.0, 9.0, 1.0]])
+    boxes = np.array([[3.0, -2.0, 1.0, 9.0, 3.0, 2.0], [5.0, 0.0, 0.0, 6.0, 1.0, 1.0]])
+    planes = np.array([[0.0, 0.0, 1.0, 1.0], [0.6, 0.8, 0.0, 2.0], [0.0, 0.0, 1.0, -7.0]])
+    ax = Recorder()
+    in_space(ax, Obstacles(spheres, boxes, planes), SPACE)
+    assert [name for name, *_ in ax.drawn] == ["plot_surface", "bar3d", *["plot_trisurf"] * 2]
+    ball, bar, floor, wall = (np.array(args) for _, args, _ in ax.drawn)
+    assert (ball.min(), ball.max()) == pytest.approx((0, 3))
+    assert bar.tolist() == [3, 0, 1, 1, 3, 1]
+    assert (floor[2] == 1).all()
+    assert sorted(map(tuple, floor[:2].T)) == [(0, 0), (0, 4), (4, 0), (4, 4)]
+    np.testing.assert_allclose(0.6 * wall[0] + 0.8 * wall[1], 2)
+    assert {round(z, 9) for z in wall[2]} == {0, 4}
+    turns = np.diff([*map(tuple, floor[:2].T), tuple(floor[:2, 0])], axis=0)
+    assert (np.abs(turns).sum(axis=1) == 4).all()  # along the sides, in order
+
+
+def test_from_above_a_wall_hides_what_is_behind_it_and_a_floor_nothing():
+    figure = matplotlib.figure.Figure()
+    ax = figure.add_subplot()
+    planes = np.array([[1.0, 0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 1.0]])
+    ball = np.array([[2.0, 3.0, 1.0, 0.5]])
+    from_above(ax, Obstacles(ball, np.zeros((0, 6)), planes), SPACE, 2.0)
+    [wall] = ax.collections
+    ground = wall.get_paths()[0].vertices
+    assert (ground.min(axis=0), ground.max(axis=0)) == (
+        pytest.approx([0, 0]),
+        pytest.approx([1, 4]),
+    )
+    [circle] = [p for p in ax.patches if isinstance(p, Circle)]
+    assert (*circle.center, circle.radius) == (2, 3, 0.5)
+
+
+def test_weights_are_those_of_the_graph():
+    evidence = flown("six")
+    reach, view, either, plane = shown("weights", "six").axes[:4]
+    sight, alone = evidence.mission.camera, np.zeros(3)
+    toward = np.pi / 4  # of the optical axis
+    for d, gamma in reach.lines[0].get_xydata()[1::20]:
+        there = np.array([alone, d * np.array([np.cos(toward), np.sin(toward), 0])])
+        assert graph(there, np.array([0.0, 0.0]), sight).weight[0, 1] == pytest.approx(gamma)
+    for degrees, f in view.lines[0].get_xydata()[::20]:
+        way = toward + np.radians(degrees)
+        there = np.array([alone, 5 * np.array([np.cos(way), np.sin(way), 0])])
+        assert graph(there, np.zeros(2), sight).seen[0, 1] == pytest.approx(f, abs=1e-12)
+    f = either.images[0].get_array()
+    assert (f[0, 0], f[0, -1], f[-1, 0], f[-1, -1]) == (0, 1, 1, 1)
+    image = plane.images[0]
+    left, right, low, high = image.get_extent()
+    weight = image.get_array()
+    x, y = np.linspace(left, right, 201), np.linspace(low, high, 201)
+    for row, column in ((140, 130), (100, 150), (60, 60), (150, 101)):
+        there = np.array([alone, [x[column], y[row], 0]])
+        away = toward + np.arctan2(y[row], x[column]) - np.pi / 2  # so j looks away from i
+        found = graph(there, np.array([0.0, away]), sight)
+        assert found.seen[1, 0] == 0
+        assert found.weight[0, 1] == pytest.approx(weight[row, column])
+    assert weight.max() == 1 and weight.min() == 0
+
+
+def test_who_is_blind_to_the_field_of_view_weighs_by_distance_alone():
+    view = shown("weights", "blind").axes[1]
+    assert (view.lines[0].get_ydata() == 1).all() and not view.texts
+
+
+def test_laws_are_drawn_as_the_mission_has_them():
+    evidence = flown("six")
+    mission = evidence.mission
+    v, slope, away = shown("potential", "six").axes
+    laws = (
+        (v, lambda x: value(x, mission.potential)),
+        (slope, lambda x: steepness(x, mission.potential)),
+        (away, lambda d: d * push(d, mission.repulsion)),
+    )
+    for ax, law in laws:
+        x, y = ax.lines[0].get_xydata().T
+        np.testing.assert_allclose(y, [law(one) for one in x])
+        assert y[-1] == 0
+    marks = [one.get_xdata()[0] for one in away.lines if one.get_linestyle() == ":"]
+    assert marks == [mission.repulsion.nearest, mission.repulsion.farthest]
+    [(low, high)] = shades(v, "#56b4e9")
+    assert (low, high) == pytest.approx((evidence.lambda2.min(), evidence.lambda2.max()))
+    assert BLUE == v.lines[0].get_color()
