@@ -10,11 +10,10 @@ from scipy.integrate import solve_ivp
 
 from dynamics.kinematic import Kinematic, drive
 from problems.graph import Sight, bearings, connectivity, gradient, graph
-from sato.connectivity import ConnectivityFlight
+from sato.connectivity import ConnectivityFlight, fly
 from sato.connectivity.log import rotated
-from sato.connectivity.state import resting
+from sato.connectivity.potential import Potential, Repulsion, steepness
 from sato.connectivity.stick import Homing
-from sato.connectivity.swarm import think
 from sato.connectivity.yaw import (
     Tracking,
     by_bearings,
@@ -200,23 +199,22 @@ def test_the_other_bearing_is_turned_back_and_not_on():
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_what_robots_reckon_of_their_edges_is_what_is_true(seed):
+def test_what_robots_do_at_first_is_along_the_true_gradient(seed):
     rng = np.random.default_rng(seed)
     while True:
         position, yaw = rng.uniform(0, 1, (6, 3)) * [8, 8, 3], rng.uniform(-np.pi, np.pi, 6)
         weight = graph(position, yaw, Sight()).weight
         if connectivity(weight).lambda2 > 0.05:
             break
-    believed = yaw - yaw[:, None]
+    gentle = Potential(strength=1e-6)  # so that nothing is cut off
     mission = ConnectivityFlight(
-        position, yaw, believed, Homing(np.zeros((0, 3))), estimator="exact"
-    )
-    state = resting(position, yaw, believed, 0, 0, rng)
-    think(state, mission.team, 0, rng)
-    mind, true = state.mind, gradient(position, yaw, Sight())
-    assert mind.weight == pytest.approx(weight, abs=1e-12)
-    slope = (mind.felt[..., None] * mind.motion).sum(axis=1)
-    assert rotated(slope[:, :3], yaw) == pytest.approx(true.position, abs=1e-12)
-    assert slope[:, 3] == pytest.approx(true.yaw, abs=1e-12)
-    # The action pulls nobody but by the others: before saturation it sums up to nothing.
-    assert rotated(slope[:, :3], yaw).sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-12)
+        position, yaw, yaw - yaw[:, None], Homing(np.zeros((0, 3))), duration=0.0,
+        estimator="exact", potential=gentle, repulsion=Repulsion(strength=0.0),
+    )  # fmt: skip
+    (frame,) = fly(mission, rng)
+    true, steep = gradient(position, yaw, Sight()), steepness(frame.lambda2, gentle)
+    slope = rotated(frame.command[:, :3], yaw) / steep
+    assert slope == pytest.approx(true.position, abs=1e-12)
+    assert frame.command[:, 3] / steep == pytest.approx(true.yaw, abs=1e-12)
+    # The action pulls nobody but by the others: before it is cut off it sums up to nothing.
+    assert slope.sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-12)

@@ -1,0 +1,161 @@
+"""No common frame: whatever a robot reads is its own, and in its own body's axes."""
+
+import inspect
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+
+from problems.graph import Sight, connectivity, graph
+from sato.connectivity import ConnectivityFlight, fly
+from sato.connectivity.flood import eigen
+from sato.connectivity.log import rotated
+from sato.connectivity.mail import Link
+from sato.connectivity.mind import decide, reckon
+from sato.connectivity.obstacles import Obstacles
+from sato.connectivity.state import resting
+from sato.connectivity.stick import Homing
+from sato.connectivity.swarm import FORGET, advance
+
+TURNS = st.floats(-np.pi, np.pi)
+FEW = settings(max_examples=6, phases=[Phase.generate])  # flights are long to be made simpler
+ROUND = Sight(a_min=-0.6, a_max=0.2, axis=(0.0, 0.0, 1.0))  # sees the same whichever way it turns
+
+
+def about(turn):
+    """R_z."""
+    c, s = np.cos(turn), np.sin(turn)
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+
+
+def mission(seed, camera, **settings):
+    """Six robots among spheres."""
+    rng = np.random.default_rng(seed)
+    while True:
+        position = rng.uniform(0, 1, (6, 3)) * [8, 8, 3] + [0, 0, 3]
+        yaw = rng.uniform(-np.pi, np.pi, 6)
+        apart = np.linalg.norm(position[:, None] - position, axis=2) + 9 * np.eye(6)
+        weight = graph(position, yaw, camera).weight
+        if apart.min() > 1.8 and connectivity(weight).lambda2 > 0.05:
+            break
+    believed = yaw - yaw[:, None] + rng.uniform(-0.5, 0.5, (6, 6))
+    ways = position[0] + np.array([[6.0, 0, 0], [6, 6, 0]])
+    spheres = np.column_stack([ways + np.array([0, 2.5, 1]), [0.5, 0.5]])
+    obstacles = Obstacles.none()._replace(spheres=spheres)
+    return ConnectivityFlight(
+        position, yaw, believed, Homing(ways), camera=camera, obstacles=obstacles,
+        **({"duration": 3.0} | settings),
+    )  # fmt: skip
+
+
+def flown(mission):
+    return list(fly(mission, np.random.default_rng(0)))
+
+
+@FEW
+@given(st.integers(0, 100), TURNS, st.sampled_from(["flood", "exact"]))
+def test_to_turn_the_whole_world_turns_the_paths_and_no_command(seed, turn, estimator):
+    here, shift = mission(seed, Sight(), estimator=estimator), np.array([3.0, -1, 2])
+    spheres = here.obstacles.spheres.copy()
+    spheres[:, :3] = spheres[:, :3] @ about(turn).T + shift
+    there = replace(
+        here,
+        start=here.start @ about(turn).T + shift,
+        yaw=here.yaw + turn,
+        stick=Homing(here.stick.waypoints @ about(turn).T + shift),
+        obstacles=Obstacles.none()._replace(spheres=spheres),
+    )
+    for one, other in zip(flown(here), flown(there), strict=True):
+        assert other.position == pytest.approx(one.position @ about(turn).T + shift, abs=1e-9)
+        assert other.command == pytest.approx(one.command, abs=1e-7)
+        assert np.array_equal(other.sees, one.sees)
+
+
+@FEW
+@given(st.integers(0, 100), st.integers(0, 5), TURNS, st.sampled_from(["flood", "exact"]))
+def test_to_turn_the_axes_of_one_robot_changes_nothing_in_the_world(seed, robot, turn, estimator):
+    # Its camera looks along the axis of the turn, so that the axes alone are turned: what it
+    # senses, says and is said to be. Everybody else goes on as before.
+    plain = mission(seed, ROUND, estimator=estimator)
+    yaw, believed = plain.yaw.copy(), plain.believed.copy()
+    yaw[robot] += turn
+    believed[:, robot] += turn
+    believed[robot, :] -= turn
+    other = replace(plain, yaw=yaw, believed=believed)
+    for one, another in zip(flown(plain), flown(other), strict=True):
+        assert another.position == pytest.approx(one.position, abs=1e-9)
+        assert another.command[:, 3] == pytest.approx(one.command[:, 3], abs=1e-9)
+        seen = [rotated(f.command[:, :3], f.yaw) for f in (one, another)]
+        assert seen[1] == pytest.approx(seen[0], abs=1e-7)
+        assert another.lambda2_estimate == pytest.approx(
+            one.lambda2_estimate, abs=1e-9, nan_ok=True
+        )
+
+
+def test_they_do_fly_in_those_tests():
+    frames = flown(mission(0, ROUND))
+    assert np.linalg.norm(frames[-1].position - frames[0].position, axis=1).min() > 0.05
+    one_sided = [f.sees & ~f.sees.T for f in frames]
+    assert any(one.any() for one in one_sided)
+
+
+def test_what_decides_for_a_robot_is_not_given_the_world():
+    for decides in (reckon, decide):
+        assert "world" not in inspect.signature(decides.py_func).parameters
+        assert "position" not in inspect.signature(decides.py_func).parameters
+
+
+def in_flight(seed, link):
+    """A state some steps on, with much in everybody's mail."""
+    whole, rng = mission(seed, Sight(), noise=0.02, link=link), np.random.default_rng(0)
+    state = resting(whole.start, whole.yaw, whole.believed, link.late, 2, rng)
+    for number in range(30):
+        asked, alive = np.array([1.0, 0, 0]), np.ones(6, dtype=bool)
+        advance(state, whole.team, asked, alive, number, number > 0, rng)
+    return whole.team, state
+
+
+def copied(part):
+    """The same with arrays of its own."""
+    if isinstance(part, np.ndarray):
+        return part.copy()
+    return type(part)(*(copied(field) for field in part))
+
+
+def spoil(part, robot):
+    """Make nonsense of what is not the robot's."""
+    for field in part:
+        if not isinstance(field, np.ndarray):
+            spoil(field, robot)
+            continue
+        others = np.arange(len(field)) != robot
+        field[others] = ~field[others] if field.dtype == bool else 77
+
+
+@pytest.mark.parametrize("robot", range(6))
+@pytest.mark.parametrize("link", [Link(), Link(late=2, loss=0.2)])
+def test_a_robot_reads_its_own_senses_mail_and_mind_alone(robot, link):
+    team, state = in_flight(3, link)
+
+    def thought(senses, mail, mind):
+        reckon(robot, senses, mail, mind, team, 0.6)
+        mind.lambda2[robot] = eigen(
+            mind.rows[robot], mind.stamp[robot], robot, 0.6 - FORGET,
+            mind.modes[robot], mind.felt[robot],
+        )  # fmt: skip
+        decide(robot, senses, mind, team)
+        return [field[robot] for field in mind if isinstance(field, np.ndarray)]
+
+    own = [copied(part) for part in state[1:]]
+    spoilt = [copied(part) for part in state[1:]]
+    on_their_way = spoilt[1][:7]  # messages that nobody has yet
+    for ring in on_their_way:
+        ring[:] = True if ring.dtype == bool else 77
+    spoil(spoilt[0], robot)
+    spoil(spoilt[1][7:], robot)
+    spoil(spoilt[2], robot)
+    for one, other in zip(thought(*own), thought(*spoilt), strict=True):
+        assert np.array_equal(one, other, equal_nan=True)
+    assert own[2].command[robot].any() and own[2].lambda2[robot] > 0
