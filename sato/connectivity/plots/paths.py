@@ -67,12 +67,12 @@ def _fly(ax: Any, evidence: Evidence, axes: list[int]) -> None:
     dots = np.flatnonzero(np.diff(evidence.time // EVERY, prepend=0))
     for i in reversed(range(evidence.mission.agents)):
         colour, width, z = (ORANGE, 2.0, 4) if i == 0 else (BLUE, 0.9, 3)
-        end = int(np.flatnonzero(alive[:, i])[-1])
+        end = int(np.flatnonzero(alive[:, i]).max(initial=0))
         ax.plot(*there[kept, i].T, color=colour, lw=width, zorder=z)
         ax.plot(*there[dots, i].T, ".", ms=4 + 2 * width, mew=0, color=colour, zorder=z)
         ax.plot(*there[:1, i].T, **START, mec=colour, zorder=z + 2)
-        look = {**END, "color": colour} if end == last else LOST
-        ax.plot(*there[[end], i].T, **look, zorder=z + 3)
+        look = {**END, "color": colour} if alive[last, i] else LOST
+        ax.plot(*evidence.position[[end], i][:, axes].T, **look, zorder=z + 3)
     ways = evidence.mission.stick.waypoints[:, axes]
     ax.plot(*ways.T, **WAYPOINT, zorder=5)
 
