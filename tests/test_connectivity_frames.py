@@ -10,14 +10,13 @@ from hypothesis import strategies as st
 
 from problems.graph import Sight, connectivity, graph
 from sato.connectivity import ConnectivityFlight, fly
-from sato.connectivity.flood import eigen
 from sato.connectivity.log import rotated
 from sato.connectivity.mail import Link
 from sato.connectivity.mind import decide, reckon
 from sato.connectivity.obstacles import Obstacles
 from sato.connectivity.state import resting
 from sato.connectivity.stick import Homing
-from sato.connectivity.swarm import FORGET, advance
+from sato.connectivity.swarm import advance
 
 TURNS = st.floats(-np.pi, np.pi)
 FEW = settings(max_examples=6, phases=[Phase.generate])  # flights are long to be made simpler
@@ -141,10 +140,6 @@ def test_a_robot_reads_its_own_senses_mail_and_mind_alone(robot, link):
 
     def thought(senses, mail, mind):
         reckon(robot, senses, mail, mind, team, 0.6)
-        mind.lambda2[robot] = eigen(
-            mind.rows[robot], mind.stamp[robot], robot, 0.6 - FORGET,
-            mind.modes[robot], mind.felt[robot],
-        )  # fmt: skip
         decide(robot, senses, mind, team)
         return [field[robot] for field in mind if isinstance(field, np.ndarray)]
 

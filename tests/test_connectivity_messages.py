@@ -9,7 +9,7 @@ from scipy.stats import binom
 
 from problems.graph import Sight, connectivity, gradient, graph, laplacian
 from sato.connectivity import ConnectivityFlight, Death, fly
-from sato.connectivity.flood import eigen, relay
+from sato.connectivity.flood import feel_edges, relay
 from sato.connectivity.log import rotated
 from sato.connectivity.mail import Link, talk
 from sato.connectivity.potential import Potential, Repulsion, steepness
@@ -90,32 +90,29 @@ def test_a_row_never_goes_back_in_time_whoever_passes_it_on(tales):
 
 
 @given(st.integers(3, 9), st.integers(0, 2**32 - 1))
-def test_what_a_robot_feels_is_what_lambda2_feels(agents, seed):
+def test_what_a_robot_feels_of_its_edges_is_what_lambda2_feels(agents, seed):
     rng = np.random.default_rng(seed)
     weight = np.triu(rng.uniform(0.05, 1, (agents, agents)), 1)
     weight += weight.T
-    whole, felt = connectivity(weight), np.zeros(agents)
+    whole, vectors = connectivity(weight), np.linalg.eigh(laplacian(weight))[1].T[1:2].copy()
     assume(whole.lambda3 - whole.lambda2 > 1e-4)
-    for i in range(agents):
-        found = eigen(weight, np.zeros(agents), i, 0.0, np.zeros((3, agents)), felt)
-        assert found == pytest.approx(whole.lambda2)
-        # Vectors of eigenvalues that are 1e-4 apart are good to some 1e-11.
-        assert felt == pytest.approx(whole.felt[i], abs=1e-9)
+    # Two robots do not count, and nobody feels them.
+    known, felt = np.delete(np.arange(agents + 2), [1, 3]), np.zeros(agents + 2)
+    for at, me in enumerate(known):
+        feel_edges(vectors, known, me, felt)
+        assert felt[known] == pytest.approx(whole.felt[at], abs=1e-12)
+        assert not felt[[1, 3]].any()
 
 
-@pytest.mark.parametrize("agents", [2, 3, 6, 20])
-def test_of_a_multiple_eigenvalue_all_edges_feel_alike(agents):
-    # With v₂ … v_n an orthonormal basis of what is orthogonal to 1, Σ (v_i − v_j)² = 2.
-    weight, felt = 0.7 * (np.ones((agents, agents)) - np.eye(agents)), np.zeros(agents)
-    found = eigen(weight, np.zeros(agents), 0, 0.0, np.zeros((3, agents)), felt)
-    assert found == pytest.approx(0.7 * agents)
-    assert felt == pytest.approx(np.append(0, np.full(agents - 1, 2 / (agents - 1))))
-
-
-def test_who_knows_of_nobody_does_not_know_lambda2():
-    stamp, felt = np.array([0.0, -np.inf, 3.0]), np.ones(3)
-    assert np.isnan(eigen(np.ones((3, 3)), stamp, 2, 2.0, np.zeros((3, 3)), felt))
-    assert not felt.any()
+@given(st.integers(3, 20), st.integers(0, 2**32 - 1))
+def test_of_a_multiple_eigenvalue_all_edges_feel_alike_whatever_the_basis(agents, seed):
+    # v₂ … v_n are any orthonormal basis of what is orthogonal to 1: Σ (v_i − v_j)² = 2.
+    rng = np.random.default_rng(seed)
+    beside = np.column_stack([np.ones(agents), rng.standard_normal((agents, agents - 1))])
+    basis = np.linalg.qr(beside)[0].T[1:].copy()
+    known, felt = np.arange(agents), np.zeros(agents)
+    feel_edges(basis, known, 0, felt)
+    assert felt == pytest.approx(np.append(0, np.full(agents - 1, 2 / (agents - 1))), abs=1e-12)
 
 
 def listening(agents, link):
