@@ -138,7 +138,7 @@ def picture(lambda2: Float[Array, " states"]) -> Finding:
         "Sec. III, Fig. 2: V^λ decreases towards 0; λ₂^max stands in the caption alone",
         "V^λ is 0 from λ₂^max on; ours is 0 there in value and slope",
         f"V({most:g}) = {value(most, POTENTIAL):g}, V′ = {abs(steepness(most, POTENTIAL)):g}; "
-        f"V(0.05) = {value(0.05, POTENTIAL):.0f}; {(lambda2 > most).mean():.1%} of states lie above",
+        f"V(0.05) = {value(0.05, POTENTIAL):.0f}; states above: {(lambda2 > most).mean():.1%}",
     )
 
 
