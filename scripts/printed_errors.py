@@ -203,7 +203,7 @@ def guess(spin: float, swing: float, printed: bool) -> float:
     Robot i turns on the spot at `spin` [rad/s]; j goes at 1 m/s, and its velocity turns in its
     frame, which rests, at `swing` [rad/s].
     """
-    track, dt, watch, still = Tracking(printed=printed), 1e-3, np.zeros(10), np.zeros(4)
+    track, dt, watch, still = Tracking(printed=printed), 1e-3, np.zeros(7), np.zeros(4)
     place = before = np.array([1.0, 0, 0])
     observe(before, before, True, still[:3], spin, still, watch, track, dt)
     for k in range(1000):
@@ -221,7 +221,7 @@ def lag() -> Finding:
     spins, both = guess(1.5, 0, True), guess(1.5, 0, False)
     return Finding(
         "(16)–(18), (21): ψ̂_ij is the angle from v_j to e",
-        "e lags by 1/k₁; compare with v_j through the same filter",
+        "both lag by 1/k₁ in space: v_j through the same filter, turned with its frame",
         f"v_j turns at 1 rad/s: off by {swings:.2f} rad, ours {ours:.2f}; i turns at 1.5 rad/s: "
         f"{spins:.2f}, ours {both:.2f}",
     )
@@ -229,7 +229,7 @@ def lag() -> Finding:
 
 def climb() -> Finding:
     """What motion along the vertical tells of yaw."""
-    watch, up = np.array([*[0.0] * 9, 1]), np.array([0.0, 0, 1, 0])
+    watch, up = np.array([*[0.0] * 6, 1]), np.array([0.0, 0, 1, 0])
     printed, ours = (by_motion(watch, up, Tracking(printed=p))[1] for p in (True, False))
     return Finding(
         "(19): k₂ by |v_j|",

@@ -60,7 +60,7 @@ class Mail(NamedTuple):
 class Mind(NamedTuple):
     """What robot i reckons: row i."""
 
-    watch: Float[Array, "n n 10"]  # observers of others' velocities, see `yaw`
+    watch: Float[Array, "n n 7"]  # observers of others' velocities, see `yaw`
     turned: Float[Array, "n n"]  # ψ̃_ij [rad]
     close: Bool[Array, "n n"]  # ψ̃_ij rests on two bearings
     weight: Float[Array, "n n"]  # A_ij
@@ -123,7 +123,7 @@ def resting(
     )  # fmt: skip
     iterate = Iterate(rng.standard_normal(n), zero((n, 2)), zero((n, 2)))
     mind = Mind(
-        zero((n, n, 10)), believed.copy(), never(n, n), zero((n, n)), zero((n, n, 4)),
+        zero((n, n, 7)), believed.copy(), never(n, n), zero((n, n)), zero((n, n, 4)),
         zero((n, n, n)), np.full((n, n), ages), zero((n, 3, n)), iterate,
         np.full(n, np.nan), zero((n, n)), zero((n, 4)),
     )  # fmt: skip

@@ -22,7 +22,7 @@ class Tracking(NamedTuple):
     slow: float = 0.1  # v_min: speed in the plane below which motion tells nothing [m/s]
     fast: float = 0.3  # v_max: and above which it tells all [m/s]
     closure: float = 5.0  # of the correction round triangles [1/s]
-    printed: bool = False  # the observer as printed: what it lags behind is not made up for
+    printed: bool = False  # as printed: what the observer lags behind is not made up for
 
 
 @no_type_check
@@ -34,8 +34,10 @@ def wrapped(angle):
 
 @no_type_check
 @numba.njit
-def observe(p, before, fresh, v, w, v_other, watch, track, dt):
+def observe(p, before, fresh, v, w, other, watch, track, dt):
     """One step of the observer of another's velocity [Bernard2023, eq. 15–17].
+
+    e is ⁱR_j v_j through a filter of first order. The step is exact where p_ij goes straight.
 
     Args:
         p: p_ij as seen now, (3,) [m].
@@ -43,27 +45,34 @@ def observe(p, before, fresh, v, w, v_other, watch, track, dt):
         fresh: Whether it was not seen then, so that all begins anew.
         v: Own velocity since, in the own frame, (3,) [m/s].
         w: Own yaw rate since [rad/s].
-        v_other: The other's velocity in its frame, as it says, (3,) [m/s].
-        watch: The observer, changed in place: p̂, e, v_j through the same filter, and for how
-            long the other one has been in sight [s], (10,).
+        other: The other's velocity in its frame, and its yaw rate, as it says, (4,).
+        watch: The observer, changed in place: e, v_j through the same filter, and for how long
+            the other one has been in sight [s], (7,).
         track: The numbers of the estimator.
         dt: Step [s].
     """
     if fresh:
-        for a in range(3):
-            watch[a], watch[3 + a], watch[6 + a] = p[a], 0.0, 0.0
-        watch[9] = 0.0
+        watch[:] = 0.0
         return
-    # Exact for inputs that are held over the step.
+    x, y = (p[0] + before[0]) / 2, (p[1] + before[1]) / 2
+    across = (-w * y, w * x, 0.0)
+    if not track.printed:
+        # Both frames turn meanwhile, and what has been filtered rests in space.
+        _turn(watch[:2], -w * dt)
+        _turn(watch[3:5], -other[3] * dt)
     keep = exp(-track.k1 * dt)
-    gain = (1 - keep) / track.k1
-    turned = (-before[1] * w, before[0] * w, 0.0)
     for a in range(3):
-        foreseen = before[a] + (watch[a] - before[a]) * keep
-        watch[a] = foreseen - gain * (v[a] + turned[a])
-        watch[3 + a] = track.k1 * (p[a] - watch[a])
-        watch[6 + a] = keep * watch[6 + a] + (1 - keep) * v_other[a]
-    watch[9] += dt
+        seen = (p[a] - before[a]) / dt + v[a] + across[a]
+        watch[a] = keep * watch[a] + (1 - keep) * seen
+        watch[3 + a] = keep * watch[3 + a] + (1 - keep) * other[a]
+    watch[6] += dt
+
+
+@no_type_check
+@numba.njit
+def _turn(v, angle):
+    c, s = cos(angle), sin(angle)
+    v[0], v[1] = c * v[0] - s * v[1], s * v[0] + c * v[1]
 
 
 @no_type_check
@@ -73,14 +82,14 @@ def by_motion(watch, v_other, track):
 
     Only the horizontal parts tell of yaw; and in the first 3/k₁ the observer knows little.
     """
-    v_x, v_y = (v_other[0], v_other[1]) if track.printed else (watch[6], watch[7])
-    seen = sqrt(watch[3] ** 2 + watch[4] ** 2)
+    v_x, v_y = (v_other[0], v_other[1]) if track.printed else (watch[3], watch[4])
+    seen = sqrt(watch[0] ** 2 + watch[1] ** 2)
     said = sqrt(v_x * v_x + v_y * v_y)
     speed = sqrt(v_other[0] ** 2 + v_other[1] ** 2 + v_other[2] ** 2)
     if not track.printed:
-        speed = min(said, seen) if watch[9] >= 3 / track.k1 else 0.0
+        speed = min(said, seen) if watch[6] >= 3 / track.k1 else 0.0
     trust = rise(speed, track.slow, track.fast)
-    return wrapped(atan2(watch[4], watch[3]) - atan2(v_y, v_x)), trust
+    return wrapped(atan2(watch[1], watch[0]) - atan2(v_y, v_x)), trust
 
 
 @no_type_check
