@@ -31,25 +31,30 @@ class Row(NamedTuple):
     overrides: tuple[str, ...]
 
 
-DENSE = ("swarm.start.box_m=[5.0, 5.0, 2.5]", "obstacles.count=25", "stick.speed_m_s=2.9")
+NEAR = ("stick.count=3", "stick.spacing_m=5.0")
+BOX = ("swarm.start.box_m=[5.0, 5.0, 2.5]",)
+DENSE = (*NEAR, *BOX, "obstacles.count=25", "stick.speed_m_s=2.9")
 EXACT, POWER = ("estimator.kind=exact",), ("estimator.kind=power_pi",)
 ROUGH = ("plant.lag_s=0.3", "noise.camera_m=0.05", "link.loss=0.1")
 SLOW = ("limits.speed_m_s=1.0", "stick.speed_m_s=0.8")
 ROWS = {
-    "exact": Row(100, EXACT),
-    "flood": Row(100, ()),
+    "exact": Row(100, (*NEAR, *EXACT)),
+    "flood": Row(100, NEAR),
     "exact-dense": Row(100, (*DENSE, *EXACT)),
     "flood-dense": Row(100, DENSE),
-    "rough": Row(100, ROUGH),
-    "quadrotor": Row(50, ("plant.kind=quadrotor",)),
-    "occlusion": Row(50, ("camera.occlusion=true",)),
-    "power_pi": Row(50, POWER),
-    "power_pi-slow": Row(50, (*POWER, *SLOW)),
-    "blind": Row(50, (*EXACT, "camera.blind=true")),
-    "no-action": Row(20, ("potential.strength=0.0",)),
-    "no-repulsion": Row(20, (*DENSE[:1], "obstacles.count=0", "repulsion.strength=0.0")),
-    "printed-yaw": Row(100, ("tracking.printed=true",)),
-    "death": Row(100, ("death=[{}]",)),
+    "rough": Row(100, (*NEAR, *ROUGH)),
+    "quadrotor": Row(50, (*NEAR, "plant.kind=quadrotor")),
+    "occlusion": Row(50, (*NEAR, "camera.occlusion=true")),
+    "power_pi": Row(50, (*NEAR, *POWER)),
+    "power_pi-slow": Row(50, (*NEAR, *POWER, *SLOW)),
+    "blind": Row(50, (*NEAR, *EXACT, "camera.blind=true")),
+    "no-action": Row(20, (*NEAR, "potential.strength=0.0")),
+    "no-repulsion": Row(20, (*BOX, *NEAR, "obstacles.count=0", "repulsion.strength=0.0")),
+    "printed-yaw": Row(100, (*NEAR, "tracking.printed=true")),
+    "death": Row(100, (*NEAR, "death=[{}]")),
+    "far": Row(100, ()),
+    "far-exact": Row(100, EXACT),
+    "fast": Row(20, ("stick.speed_m_s=5.0",)),
     "30": Row(20, ("swarm.agents=30",)),
     "100": Row(20, ("swarm.agents=100",)),
 }
