@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import Phase, given, settings
+from hypothesis import Phase, assume, given, settings
 from hypothesis import strategies as st
 
 from problems.graph import Sight, connectivity, graph
@@ -53,6 +53,11 @@ def flown(mission):
     return list(fly(mission, np.random.default_rng(0)))
 
 
+def smooth(frames):
+    """Whether λ₂ stays simple, and its potential mild: elsewhere rounding itself is amplified."""
+    return all(f.lambda3 - f.lambda2 > 0.02 and f.lambda2 > 0.3 for f in frames)
+
+
 @FEW
 @given(st.integers(0, 100), TURNS, st.sampled_from(["flood", "exact"]))
 def test_to_turn_the_whole_world_turns_the_paths_and_no_command(seed, turn, estimator):
@@ -66,9 +71,11 @@ def test_to_turn_the_whole_world_turns_the_paths_and_no_command(seed, turn, esti
         stick=Homing(here.stick.waypoints @ about(turn).T + shift),
         obstacles=Obstacles.none()._replace(spheres=spheres),
     )
-    for one, other in zip(flown(here), flown(there), strict=True):
+    frames = flown(here)
+    assume(smooth(frames))
+    for one, other in zip(frames, flown(there), strict=True):
         assert other.position == pytest.approx(one.position @ about(turn).T + shift, abs=1e-9)
-        assert other.command == pytest.approx(one.command, abs=1e-7)
+        assert other.command == pytest.approx(one.command, abs=1e-9)
         assert np.array_equal(other.sees, one.sees)
 
 
@@ -83,11 +90,13 @@ def test_to_turn_the_axes_of_one_robot_changes_nothing_in_the_world(seed, robot,
     believed[:, robot] += turn
     believed[robot, :] -= turn
     other = replace(plain, yaw=yaw, believed=believed)
-    for one, another in zip(flown(plain), flown(other), strict=True):
+    frames = flown(plain)
+    assume(smooth(frames))
+    for one, another in zip(frames, flown(other), strict=True):
         assert another.position == pytest.approx(one.position, abs=1e-9)
         assert another.command[:, 3] == pytest.approx(one.command[:, 3], abs=1e-9)
         seen = [rotated(f.command[:, :3], f.yaw) for f in (one, another)]
-        assert seen[1] == pytest.approx(seen[0], abs=1e-7)
+        assert seen[1] == pytest.approx(seen[0], abs=1e-9)
         assert another.lambda2_estimate == pytest.approx(
             one.lambda2_estimate, abs=1e-9, nan_ok=True
         )
