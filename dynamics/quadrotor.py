@@ -18,8 +18,8 @@ class Quadrotor(NamedTuple):
 
     response: float = 0.4  # time constant of the velocity loop [s]
     attitude: float = 0.08  # time constant of the attitude loop, and of the yaw rate [s]
-    tilt: float = 0.5  # largest angle from the vertical that is asked for [rad]
-    climb: float = 4.0  # largest vertical acceleration that is asked for [m/s²]
+    tilt: float = 0.5  # largest angle from the vertical [rad]
+    climb: float = 4.0  # largest vertical acceleration, less than gravity [m/s²]
 
 
 @no_type_check
@@ -46,10 +46,10 @@ def fly(position, yaw, velocity, rate, push, command, turn, plant, dt):
     c, s = cos(yaw), sin(yaw)
     wish = (c * command[0] - s * command[1], s * command[0] + c * command[1], command[2])
     asked = [(wish[a] - velocity[a]) / plant.response for a in range(3)]
-    flat, most = sqrt(asked[0] ** 2 + asked[1] ** 2), GRAVITY * tan(plant.tilt)
+    asked[2] = min(max(asked[2], -plant.climb), plant.climb)
+    flat, most = sqrt(asked[0] ** 2 + asked[1] ** 2), (GRAVITY + asked[2]) * tan(plant.tilt)
     if flat > most:
         asked[0], asked[1] = asked[0] * most / flat, asked[1] * most / flat
-    asked[2] = min(max(asked[2], -plant.climb), plant.climb)
     for a in range(3):
         former = push[a]
         push[a] = asked[a] + (push[a] - asked[a]) * keep

@@ -100,10 +100,10 @@ def _told(alive, mind):
 @no_type_check
 @numba.njit
 def _of_power(i, mind, team):
-    # |v̂|² tends to N (1 − (e₂/e₃) λ₂); z₂ is its average. Who is left alone, or reports more
-    # than there can be, does not know, and goes on as it last did.
+    # |v̂|² tends to N (1 − (e₂/e₃) λ₂); z₂ is its average. Who is left alone, or reports what
+    # there cannot be, does not know, and goes on as it last did.
     found, size = estimate(mind.iterate, i, team.power), mind.iterate.mean[i, 1]
-    if found > 1.1 * team.potential.most or size < 0.05:
+    if not 0 <= found <= 1.1 * team.potential.most or size < 0.05:
         return
     n = len(mind.turned)
     mind.lambda2[i] = found

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
 from dynamics.kinematic import Kinematic
-from dynamics.quadrotor import Quadrotor
+from dynamics.quadrotor import GRAVITY, Quadrotor
 from problems.graph import Sight
 from sato.connectivity.mail import Link
 from sato.connectivity.mission import ConnectivityFlight
@@ -225,7 +225,7 @@ class Flown(Table):
     response_s: PositiveFloat = _QUADROTOR.response
     attitude_s: PositiveFloat = _QUADROTOR.attitude
     tilt_rad: Annotated[float, Field(gt=0, lt=1.5)] = _QUADROTOR.tilt
-    climb_m_s2: PositiveFloat = _QUADROTOR.climb
+    climb_m_s2: Annotated[float, Field(gt=0, lt=GRAVITY)] = _QUADROTOR.climb
 
     @property
     def plant(self) -> Quadrotor:
