@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -13,13 +13,18 @@ TOLERANCE = 1e-6  # relative; a "solved" with larger residuals or gap is not sol
 FAR = 1e-3  # of a proof: no point smaller than 1 / FAR, in the units of the problem
 
 
+Cone = Literal["linear", "second-order", "semidefinite"]
+
+
 @dataclass(frozen=True, eq=False)
 class Conic:
     """A linear cost over cones.
 
-        minimise qᵀx  subject to  b − A x ∈ {0}ᶻ × ℝ₊ˡ × Q₁ × Q₂ × …
+        minimise qᵀx  subject to  b − A x ∈ {0}ᶻ × ℝ₊ˡ × Q₁ × Q₂ × … × S₁ × S₂ × …
 
-    Rows stand in that order; Q are second-order cones, (t, y) with ‖y‖₂ ≤ t.
+    Rows stand in that order. Q are second-order cones, (t, y) with ‖y‖₂ ≤ t. S are positive
+    semidefinite matrices, each as its upper triangle, column by column, with √2 before what is
+    not on the diagonal, so that lengths are those of the matrices.
     """
 
     q: Float[Array, " n"]
@@ -28,10 +33,12 @@ class Conic:
     zero: int  # z, rows that are equations
     nonnegative: int  # l, rows that are inequalities
     cones: tuple[int, ...] = ()  # sizes of the second-order cones
+    matrices: tuple[int, ...] = ()  # orders of the semidefinite matrices
 
     def __post_init__(self) -> None:
         """Refuse rows that belong to no cone, and numbers that are none."""
         rows = self.zero + self.nonnegative + sum(self.cones)
+        rows += sum(n * (n + 1) // 2 for n in self.matrices)
         if self.A.shape != (rows, len(self.q)) or len(self.b) != rows:
             raise ValueError(
                 f"the cones have {rows} rows and the cost {len(self.q)} columns, "
@@ -51,7 +58,37 @@ class Conic:
             t, y = s[start], s[start + 1 : start + size]
             worst.append(np.linalg.norm(y) - t)
             start += size
+        for n in self.matrices:
+            size = n * (n + 1) // 2
+            worst.append(-np.linalg.eigvalsh(matrix(s[start : start + size], n))[0])
+            start += size
         return _largest(worst)
+
+    @property
+    def kinds(self) -> frozenset["Cone"]:
+        """The cones that a solver has to know."""
+        found: set[Cone] = {"linear"}
+        if self.cones:
+            found.add("second-order")
+        if self.matrices:
+            found.add("semidefinite")
+        return frozenset(found)
+
+
+def matrix(triangle: Float[Array, " k"], n: int) -> Float[Array, "n n"]:
+    """The symmetric matrix of a triangle as it stands in the rows of a `Conic`."""
+    found = np.zeros((n, n))
+    column, row = np.tril_indices(n)
+    found[row, column] = found[column, row] = triangle / np.sqrt(2)
+    found[np.diag_indices(n)] *= np.sqrt(2)
+    return found
+
+
+def triangle(matrix: Float[Array, "n n"]) -> Float[Array, " k"]:
+    """The rows of a `Conic` for a symmetric matrix."""
+    column, row = np.tril_indices(len(matrix))
+    weight = np.where(row == column, 1.0, np.sqrt(2))
+    return np.asarray(weight * matrix[row, column])
 
 
 def _largest(numbers: Sequence[float | np.floating]) -> float:
@@ -138,18 +175,33 @@ def solve(problem: Conic, solver: Solver) -> Answer:
 
 
 def _believe(problem: Conic, verdict: Infeasible) -> None:
-    y = verdict.ray
-    if y is None:
+    if verdict.ray is None:
         raise Unsolved(problem, f"{verdict}, but no proof came with it") from verdict
-    against = -float(problem.b @ y)
+    y, doubt = proof(problem, verdict.ray)
+    if doubt:
+        raise Unsolved(problem, f"{verdict}, but {doubt}") from verdict
+    verdict.ray = y
+
+
+def proof(problem: Conic, ray: Float[Array, " m"]) -> tuple[Float[Array, " m"], str]:
+    """A ray that should prove that no point satisfies every constraint, and what is against it.
+
+    Args:
+        problem: What it is of.
+        ray: As a solver gives it, of any length.
+
+    Returns:
+        The ray with bᵀy = −1, and why it is none; nothing where it is one.
+    """
+    against = -float(problem.b @ ray)
     if not against > 0:
-        raise Unsolved(problem, f"{verdict}, but its ray proves nothing: bᵀy ≥ 0") from verdict
-    y = y / against
+        return ray, "its ray proves nothing: bᵀy ≥ 0"
+    y = ray / against
     size, outside = float(np.abs(problem.A.T @ y).sum()), problem.outside(y, dual=True)
     if not (size <= FAR and outside <= FAR):
-        raise Unsolved(
-            problem,
-            f"{verdict}, but its ray leaves {size:.1e} of Aᵀy = 0 and is {outside:.1e} "
-            f"outside the dual cone, above {FAR:.0e}",
-        ) from verdict
-    verdict.ray = y
+        doubt = (
+            f"its ray leaves {size:.1e} of Aᵀy = 0 and is {outside:.1e} outside the dual cone, "
+            f"above {FAR:.0e}"
+        )
+        return y, doubt
+    return y, ""

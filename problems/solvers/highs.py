@@ -1,47 +1,86 @@
 """HiGHS: dual simplex, linear programmes only [Huangfu2018]."""
 
+from time import perf_counter
+
 import highspy
 import numpy as np
+from jaxtyping import Float
 from numpy import ndarray as Array
 
-from problems.conic import Answer, Conic, Infeasible, Unsolved
+from problems.conic import Answer, Conic
+from problems.solvers.adapter import Adapter, Claim, answered
+
+FINEST = 1e-10  # the smallest tolerance that HiGHS takes
+TIGHT = 1e-6
 
 
 def solve_highs(problem: Conic) -> Answer:
     """Solve with HiGHS.
 
     Raises:
-        ValueError: The problem has second-order cones.
+        ValueError: The problem has other cones than linear ones.
         Infeasible: HiGHS proved that no point satisfies every constraint.
         Unsolved: It stopped for another reason.
     """
-    if problem.cones:
-        raise ValueError("HiGHS solves linear programmes; this one has second-order cones")
-    solver = highspy.Highs()
-    solver.setOptionValue("output_flag", False)
-    solver.passModel(_model(problem))
-    solver.run()
-    status = solver.getModelStatus()
-    if status == highspy.HighsModelStatus.kUnboundedOrInfeasible:  # presolve did not say which
-        solver.setOptionValue("presolve", "off")
-        solver.run()
-        status = solver.getModelStatus()
-    if status == highspy.HighsModelStatus.kInfeasible:
-        raise Infeasible(problem, "HiGHS: infeasible", _ray(solver))
-    if status != highspy.HighsModelStatus.kOptimal:
-        raise Unsolved(problem, f"HiGHS stopped: {solver.modelStatusToString(status)}")
-    solution = solver.getSolution()
-    return Answer.of(problem, np.array(solution.col_value), -np.array(solution.row_dual))
+    if others := sorted(problem.kinds - {"linear"}):
+        raise ValueError(f"HiGHS solves linear programmes; this one has {others[0]} cones")
+    return answered(problem, Simplex(problem, TIGHT).solve(problem.b), "HiGHS")
 
 
-def _ray(solver: highspy.Highs) -> Array | None:
-    _, found, ray = solver.getDualRay()
-    if not found:  # presolve found out, and keeps no proof
-        solver.setOptionValue("presolve", "off")
-        solver.clearSolver()
-        solver.run()
-        _, found, ray = solver.getDualRay()
-    return -np.array(ray) if found else None
+class Simplex:
+    """A model that is kept, with its basis, for other right-hand sides."""
+
+    def __init__(self, problem: Conic, tolerance: float) -> None:
+        """Read the problem."""
+        self._zero, self._solver = problem.zero, highspy.Highs()
+        for option, value in (
+            ("output_flag", False),
+            ("threads", 1),
+            ("primal_feasibility_tolerance", max(tolerance / 10, FINEST)),
+            ("dual_feasibility_tolerance", max(tolerance / 10, FINEST)),
+        ):
+            self._solver.setOptionValue(option, value)
+        self._solver.passModel(_model(problem))
+
+    def solve(self, b: Float[Array, " m"]) -> Claim:
+        """Solve with another right-hand side, from the last basis."""
+        rows = np.arange(len(b), dtype=np.int32)
+        self._solver.changeRowsBounds(len(b), rows, _lower(b, self._zero), b)
+        began = perf_counter()
+        self._solver.run()
+        if self._solver.getModelStatus() == highspy.HighsModelStatus.kUnboundedOrInfeasible:
+            self._again()  # presolve did not say which
+        status = self._solver.getModelStatus()
+        ray = self._ray() if status == highspy.HighsModelStatus.kInfeasible else None
+        seconds = perf_counter() - began
+        words = self._solver.modelStatusToString(status)
+        iterations = self._solver.getInfo().simplex_iteration_count
+        if status == highspy.HighsModelStatus.kInfeasible:
+            return Claim("infeasible", words, None, ray, iterations, seconds)
+        if status != highspy.HighsModelStatus.kOptimal:
+            return Claim("stopped", words, iterations=iterations, seconds=seconds)
+        point = self._solver.getSolution()
+        x, y = np.array(point.col_value), -np.array(point.row_dual)
+        return Claim("solved", words, x, y, iterations, seconds)
+
+    def _ray(self) -> Array | None:
+        _, found, ray = self._solver.getDualRay()
+        if not found:  # presolve found out, and keeps no proof
+            self._again()
+            _, found, ray = self._solver.getDualRay()
+        return -np.array(ray) if found else None
+
+    def _again(self) -> None:
+        self._solver.setOptionValue("presolve", "off")
+        self._solver.clearSolver()
+        self._solver.run()
+        self._solver.setOptionValue("presolve", "choose")
+
+
+def _lower(b: Array, zero: int) -> Array:
+    lower = b.copy()
+    lower[zero:] = -highspy.kHighsInf
+    return lower
 
 
 def _model(problem: Conic) -> highspy.HighsLp:
@@ -52,11 +91,21 @@ def _model(problem: Conic) -> highspy.HighsLp:
     model.col_lower_ = np.full(columns, -highspy.kHighsInf)
     model.col_upper_ = np.full(columns, highspy.kHighsInf)
     model.row_upper_ = problem.b
-    lower = problem.b.copy()
-    lower[problem.zero :] = -highspy.kHighsInf
-    model.row_lower_ = lower
+    model.row_lower_ = _lower(problem.b, problem.zero)
     model.a_matrix_.format_ = highspy.MatrixFormat.kColwise
     model.a_matrix_.start_ = problem.A.indptr
     model.a_matrix_.index_ = problem.A.indices
     model.a_matrix_.value_ = problem.A.data
     return model
+
+
+ADAPTERS = (
+    Adapter(
+        name="highs",
+        cones=frozenset({"linear"}),
+        proves=True,
+        module="highspy",
+        pip="highspy",
+        begin=Simplex,
+    ),
+)
