@@ -1,0 +1,118 @@
+"""Questions drawn from real runs, frozen with their seeds, and what is known of their answers.
+
+Made by scripts/freeze_families.py, one file a family and size.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+from scipy.sparse import csc_array
+
+from problems.conic import Conic
+
+SIZES = ("small", "medium", "large")
+
+
+@dataclass(frozen=True, eq=False)
+class Instance:
+    """One question and its answer, which anybody can recompute.
+
+    Where there is a point, x and y are one of the optima and its duals, see
+    `problems.conic.Answer`; where there is none, y is the ray that proves it, and x and the
+    reference are NaN.
+    """
+
+    name: str
+    problem: Conic
+    feasible: bool
+    reference: float  # the optimum
+    agreed: float  # by how much the optima of two solvers differ, over 1 + |reference|
+    x: Float[Array, " n"]
+    y: Float[Array, " m"]
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """Questions of one kind and size.
+
+    Those that differ in b alone share q and A, the very same arrays, and follow each other:
+    a solver can be kept for them.
+    """
+
+    name: str
+    size: str
+    seed: int  # of the run that they are drawn from
+    source: str  # what they are, and from which run
+    solvers: tuple[str, ...]  # who agree on the answers
+    instances: tuple[Instance, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse a family that asks nothing."""
+        if not self.instances:
+            raise ValueError(
+                f"the family {self.name}, {self.size}, is empty: it needs at least one instance"
+            )
+
+
+def families() -> dict[str, tuple[str, ...]]:
+    """The sizes that there are of each family, by its name."""
+    stems = {file.name.removesuffix(".npz") for file in files(__name__).iterdir()}
+    found: dict[str, tuple[str, ...]] = {}
+    for name in sorted({stem.rpartition("-")[0] for stem in stems} - {""}):
+        found[name] = tuple(size for size in SIZES if f"{name}-{size}" in stems)
+    return found
+
+
+@cache
+def family(name: str, size: str) -> Family:
+    """The questions of one kind and size.
+
+    Raises:
+        ValueError: There are none of this name, or of this size.
+    """
+    known = families()
+    if name not in known:
+        raise ValueError(f'there is no family "{name}"; there are {", ".join(known)}')
+    if size not in known[name]:
+        raise ValueError(f'{name} has no size "{size}"; it has {", ".join(known[name])}')
+    with (files(__name__) / f"{name}-{size}.npz").open("rb") as file, np.load(file) as data:
+        return _read(name, size, data)
+
+
+def _read(name: str, size: str, data: Any) -> Family:
+    # A matrix and its cost are stored once for all the instances that share them.
+    shared = [_programme(data, k) for k in range(int(data["programmes"]))]
+    instances = []
+    for i, k in enumerate(data["programme"]):
+        first = shared[k]
+        problem = Conic(
+            first.q,
+            first.A,
+            data[f"b{i}"],
+            first.zero,
+            first.nonnegative,
+            first.cones,
+            first.matrices,
+        )
+        known = bool(data["feasible"][i]), float(data["reference"][i]), float(data["agreed"][i])
+        label = f"{name}/{size}/{i}"
+        instances.append(Instance(label, problem, *known, data[f"x{i}"], data[f"y{i}"]))
+    solvers = tuple(str(solver) for solver in data["solvers"])
+    source = str(data["source"])
+    return Family(name, size, int(data["seed"]), source, solvers, tuple(instances))
+
+
+def _programme(data: Any, k: int) -> Conic:
+    q, values = data[f"q{k}"], data[f"values{k}"]
+    rows, starts = data[f"rows{k}"], data[f"starts{k}"]
+    zero, nonnegative = (int(count) for count in data[f"linear{k}"])
+    cones = tuple(int(size) for size in data[f"cones{k}"])
+    matrices = tuple(int(order) for order in data[f"matrices{k}"])
+    height = zero + nonnegative + sum(cones) + sum(n * (n + 1) // 2 for n in matrices)
+    A = csc_array((values, rows, starts), shape=(height, len(q)))
+    return Conic(q, A, np.zeros(height), zero, nonnegative, cones, matrices)

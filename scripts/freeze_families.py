@@ -1,0 +1,205 @@
+"""Make the families of questions anew: python scripts/freeze_families.py [FAMILY …] --out DIR.
+
+Each is drawn from a run of a scenario, answered by two solvers, and written with its answers
+and the seed to problems/families. The same versions of the solvers give the same files.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+from unittest.mock import patch
+
+import numpy as np
+import typer
+from threadpoolctl import threadpool_limits
+
+import problems.families
+import sato
+from dynamics import hold
+from problems.avoidance import Avoidance, no_spaces
+from problems.conic import Answer, Conic, Unsolved, proof
+from problems.conic import solve as solve_conic
+from problems.families import SIZES
+from problems.solvers import adapters
+from problems.transfer import Transfer
+from sato.reconfiguration.flight import fly
+from sato.reconfiguration.routes import SLOPE
+
+FINE = 1e-9  # asked of an answer
+ALIKE = 1e-6  # by which the optima of two solvers may differ, relative
+COUNT = 10  # instances of a family and size
+SEED = 1
+
+
+class Drawn(NamedTuple):
+    """Questions before they are answered."""
+
+    source: str
+    problems: list[Conic]
+    feasible: list[bool]
+
+
+class Legs(NamedTuple):
+    """The flights of one leg, the farthest first, as their run plans them."""
+
+    transfer: Transfer
+    starts: np.ndarray
+    goals: np.ndarray
+
+
+STEPS: dict[str, int] = {"small": 20, "medium": 50, "large": 100}
+
+
+def legs(scenario: str, *overrides: str, speed: float = np.inf) -> Legs:
+    """The farthest flights that a scenario begins with, after its first auction."""
+    rng = np.random.default_rng(SEED)
+    mission = sato.read(scenario, overrides).build(rng)
+    frame = next(fly(mission, rng))
+    states = np.concatenate([frame.position, frame.velocity], axis=1)
+    goals = mission.legs[0].targets[frame.target]
+    far = np.linalg.norm((goals - states)[:, : mission.model.axes], axis=1)
+    chosen = np.argsort(-far, kind="stable")[:COUNT]
+    steps = hold(mission.model, mission.step, mission.legs[0].steps)
+    transfer = Transfer(steps, mission.max_control, speed, slope=SLOPE)
+    return Legs(transfer, states[chosen], goals[chosen])
+
+
+@contextmanager
+def recorded(module: str) -> Iterator[list[Conic]]:
+    """What a module of `problems` asks its solver."""
+    asked: list[Conic] = []
+
+    def note(problem: Conic, solver: Callable[[Conic], Answer]) -> Answer:
+        asked.append(problem)
+        return solve_conic(problem, solver)
+
+    with patch(f"problems.{module}.solve", note):
+        yield asked
+
+
+def transfer_lp(size: str) -> Drawn:
+    """Problem 6 with the states eliminated."""
+    n = STEPS[size]
+    drawn = legs("random", f"leg.steps={n}")
+    asked = condensed(drawn)
+    source = f"the farthest flights of the first leg of random, {n} steps, the states eliminated"
+    return Drawn(source, asked, [True] * len(asked))
+
+
+def condensed(drawn: Legs) -> list[Conic]:
+    """Their programmes in the controls alone."""
+    with recorded("avoidance") as asked:
+        for start, goal in zip(drawn.starts, drawn.goals, strict=True):
+            Avoidance(drawn.transfer).solve(start, goal, no_spaces(drawn.transfer))
+    return asked
+
+
+FAMILIES: dict[str, Callable[[str], Drawn]] = {"transfer-lp": transfer_lp}
+
+
+class Settled(NamedTuple):
+    """An answer that two solvers agree on."""
+
+    reference: float
+    agreed: float
+    x: np.ndarray
+    y: np.ndarray
+
+
+def pair(problem: Conic) -> tuple[str, str]:
+    """Two solvers that answer a problem to many digits."""
+    if "semidefinite" in problem.kinds:
+        return "clarabel", "scs"
+    return ("clarabel", "ecos") if "second-order" in problem.kinds else ("highs", "clarabel")
+
+
+def settle(problem: Conic, feasible: bool) -> Settled:
+    """The better of two answers, or of two proofs that there is none.
+
+    Raises:
+        Unsolved: The solvers disagree, or neither is fine enough.
+    """
+    known = adapters()
+    claims = [known[name].read(problem, FINE).solve(problem.b) for name in pair(problem)]
+    if not feasible:
+        rays = [proof(problem, claim.y) for claim in claims if claim.y is not None]
+        if len(rays) < len(claims) or any(doubt for _, doubt in rays):
+            raise Unsolved(problem, f"no two proofs: {claims} {rays}")
+        y = min((ray for ray, _ in rays), key=lambda y: float(np.abs(problem.A.T @ y).sum()))
+        return Settled(np.nan, 0.0, np.full(len(problem.q), np.nan), y)
+    answers = []
+    for claim in claims:
+        if claim.x is None or claim.y is None:
+            raise Unsolved(problem, f"a solver stopped: {claim.words}")
+        answers.append(Answer.of(problem, claim.x, claim.y))
+    values = [float(problem.q @ answer.x) for answer in answers]
+    best = min(answers, key=lambda answer: answer.worst)
+    reference = float(problem.q @ best.x)
+    agreed = abs(values[0] - values[1]) / (1 + abs(reference))
+    if not (best.worst <= FINE and agreed <= ALIKE):
+        raise Unsolved(problem, f"off by {best.worst:.1e}, the optima by {agreed:.1e}")
+    return Settled(reference, agreed, best.x, best.y)
+
+
+def freeze(drawn: Drawn) -> dict[str, Any]:
+    """What is stored of the questions and their answers."""
+    shared: list[Conic] = []
+    programme = []
+    for problem in drawn.problems:
+        same = (k for k, other in enumerate(shared) if alike(problem, other))
+        programme.append(next(same, len(shared)))
+        if programme[-1] == len(shared):
+            shared.append(problem)
+    settled = [settle(p, f) for p, f in zip(drawn.problems, drawn.feasible, strict=True)]
+    stored: dict[str, Any] = {
+        "source": drawn.source,
+        "seed": SEED,
+        "solvers": pair(drawn.problems[0]),
+        "programmes": len(shared),
+        "programme": programme,
+        "feasible": drawn.feasible,
+        "reference": [answer.reference for answer in settled],
+        "agreed": [answer.agreed for answer in settled],
+    }
+    for k, problem in enumerate(shared):
+        A = problem.A.copy()
+        A.eliminate_zeros()
+        stored |= {f"q{k}": problem.q, f"values{k}": A.data}
+        stored |= {f"rows{k}": A.indices.astype(np.int32), f"starts{k}": A.indptr.astype(np.int32)}
+        stored |= {f"linear{k}": [problem.zero, problem.nonnegative]}
+        stored |= {f"cones{k}": np.array(problem.cones, int)}
+        stored |= {f"matrices{k}": np.array(problem.matrices, int)}
+    for i, (problem, answer) in enumerate(zip(drawn.problems, settled, strict=True)):
+        stored |= {f"b{i}": problem.b, f"x{i}": answer.x, f"y{i}": answer.y}
+    return stored
+
+
+def alike(one: Conic, other: Conic) -> bool:
+    """Whether two problems differ in b alone."""
+    shape = (one.A.shape, one.zero, one.nonnegative, one.cones, one.matrices)
+    if shape != (other.A.shape, other.zero, other.nonnegative, other.cones, other.matrices):
+        return False
+    return np.array_equal(one.q, other.q) and (one.A != other.A).nnz == 0
+
+
+def main(
+    family: Annotated[list[str] | None, typer.Argument(help="all without one")] = None,
+    out: Annotated[Path, typer.Option(help="folder")] = Path(problems.families.__file__).parent,
+    size: Annotated[list[str] | None, typer.Option(help="small, medium, large; all")] = None,
+) -> None:
+    """Draw, answer and write."""
+    for name in family or FAMILIES:
+        if name not in FAMILIES:
+            raise typer.BadParameter(f"there is no {name}; there are {', '.join(FAMILIES)}")
+        for each in [s for s in SIZES if not size or s in size]:
+            stored = freeze(FAMILIES[name](each))
+            file = out / f"{name}-{each}.npz"
+            np.savez_compressed(file, **stored)
+            worst = max(stored["agreed"])
+            print(f"{file.name}: {file.stat().st_size / 1e3:.0f} kB, agreed to {worst:.0e}")
+
+
+if __name__ == "__main__":
+    with threadpool_limits(1):
+        typer.run(main)
