@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy import ndarray as Array
 
-from sato.plots.look import DARK, PALE
+from sato.plots.look import DARK, PALE, RED
 
 ROOM = 0.04  # around what is shown, in the size of it
 KILOMETRES_FROM = 1000.0  # size of what is shown, from which axes are in kilometres [m]
@@ -152,3 +152,10 @@ def shade_legs(ax: Axes, edges: list[tuple[float, float, str]]) -> None:
             color=DARK,
             fontsize=8,
         )
+
+
+def limit(ax: Any, level: float, name: str, colour: str = RED) -> None:
+    """A level that means something, named on the right."""
+    ax.axhline(level, color=colour, ls="--" if colour == RED else ":", lw=0.9, zorder=1)
+    ax.annotate(name, (1.008, level), xycoords=("axes fraction", "data"), va="center",
+                color=colour, fontsize=7.5, annotation_clip=False)  # fmt: skip

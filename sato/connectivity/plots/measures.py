@@ -9,8 +9,9 @@ from numpy import ndarray as Array
 
 from sato.connectivity.check import Evidence
 from sato.connectivity.distance import to_obstacles
-from sato.connectivity.plots.times import finish, limit, stacked
+from sato.connectivity.plots.times import finish, stacked
 from sato.plots.look import BLUE, DARK, GREEN, GREY, ORANGE, SKY
+from sato.plots.view import limit
 
 FAR_BELOW = 0.1  # of λ₂^max: a λ₂ below it is seen on a logarithmic scale only
 SMALL = 1e-3  # error of λ₂, down from which the scale is linear

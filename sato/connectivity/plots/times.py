@@ -67,13 +67,6 @@ def time_axis(ax: Any, evidence: Evidence) -> None:
     ax.set(xlabel="time [s]", xlim=(start, max(end, start + 1e-9)))
 
 
-def limit(ax: Any, level: float, name: str, colour: str = RED) -> None:
-    """A level that means something, named on the right."""
-    ax.axhline(level, color=colour, ls="--" if colour == RED else ":", lw=0.9, zorder=1)
-    ax.annotate(name, (1.008, level), xycoords=("axes fraction", "data"), va="center",
-                color=colour, fontsize=7.5, annotation_clip=False)  # fmt: skip
-
-
 def finish(figure: Figure, evidence: Evidence) -> None:
     """Say below the panels what all of it is."""
     handles: dict[str, Any] = {}

@@ -14,7 +14,8 @@ from sato.formation.check import Evidence
 from sato.formation.plots.phases import called, spans, thinned, under_way
 from sato.formation.plots.traces import DIAMETER
 from sato.formation.shape import likeness
-from sato.plots.look import BLUE, DARK, GREY, PURPLE, RED, SKY
+from sato.plots.look import BLUE, DARK, GREY, PURPLE, SKY
+from sato.plots.view import limit
 
 ROOMY, NAMED = 3, 7  # legs, up to which there is room for their names, and for them in a column
 LOOKS = 1500  # at the shape, at most: each takes a while
@@ -44,7 +45,8 @@ def convergence(evidence: Evidence) -> Figure:
         error.plot(told, np.full(len(told), 0.98), "v", ms=3.5, mew=0, color=DARK, clip_on=False,
                    transform=error.get_xaxis_transform(), label="points are taken")  # fmt: skip
     error.set(yscale="log", ylabel="root mean square\ndistance [m]")
-    limit(error, evidence.mission.protocol.shape, "taken up", "m")
+    taken = evidence.mission.protocol.shape
+    limit(error, taken, f"taken up,\n{taken:g} m")
     avoid.plot(evidence.time, 100 * evidence.avoiding.mean(axis=1), color=BLUE, lw=0.9)
     avoid.set(ylabel="avoid\nothers [%]", ylim=(0, 100))
     finish(figure, evidence)
@@ -58,13 +60,13 @@ def speeds(evidence: Evidence) -> Figure:
     asked = np.linalg.norm(evidence.command, axis=2)
     _crowd(wanted, evidence.time, np.where(asked > 0, asked, np.nan))
     wanted.set(yscale="log", ylabel="asked by the\nlaw [m/s]")
-    limit(wanted, arrived, "arrived", "m/s")
+    limit(wanted, arrived, f"arrived,\n{arrived:g} m/s")
     _crowd(plane, evidence.time, np.linalg.norm(evidence.velocity[..., :2], axis=2))
     plane.set(ylim=(0, 1.1 * limits.speed), ylabel="flown in the\nplane [m/s]")
-    limit(plane, limits.speed, "limit", "m/s")
+    limit(plane, limits.speed, f"limit,\n{limits.speed:g} m/s")
     _crowd(climb, evidence.time, np.abs(evidence.velocity[..., 2]))
     climb.set(ylim=(0, 1.1 * limits.climb), ylabel="flown up or\ndown [m/s]")
-    limit(climb, limits.climb, "limit", "m/s")
+    limit(climb, limits.climb, f"limit,\n{limits.climb:g} m/s")
     finish(figure, evidence)
     return figure
 
@@ -79,8 +81,8 @@ def separation(evidence: Evidence) -> Figure:
             clip_on=False, label=f"least of all: {found.distance:.3f} m")  # fmt: skip
     keep_out = evidence.mission.avoidance.keep_out
     ax.set(ylabel="distance [m]", ylim=(0, 1.05 * max(float(least.max()), keep_out)))
-    limit(ax, keep_out, "keep-out", "m")
-    limit(ax, DIAMETER, "contact", "m", colour=GREY)
+    limit(ax, keep_out, f"keep-out,\n{keep_out:g} m")
+    limit(ax, DIAMETER, f"contact,\n{DIAMETER:g} m", colour=GREY)
     finish(figure, evidence)
     return figure
 
@@ -98,13 +100,6 @@ def stacked(evidence: Evidence, heights: tuple[float, ...]) -> tuple[Figure, lis
     start, end = float(evidence.time[0]), float(evidence.time[-1])
     rows[-1, 0].set(xlabel="time [s]", xlim=(start, max(end, start + 1e-9)))
     return figure, list(rows[:, 0])
-
-
-def limit(ax: Any, level: float, name: str, unit: str, colour: str = RED) -> None:
-    """A level that means something, named on the right."""
-    ax.axhline(level, color=colour, ls="--" if colour == RED else ":", lw=0.9)
-    ax.annotate(f"{name},\n{level:g} {unit}", (1.008, level), xycoords=("axes fraction", "data"),
-                va="center", color=colour, fontsize=7.5, annotation_clip=False)  # fmt: skip
 
 
 def finish(figure: Figure, evidence: Evidence) -> None:
