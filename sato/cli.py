@@ -199,6 +199,42 @@ def gains(
         make(shape, method, file)
 
 
+@app.command()
+def compare(
+    family: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Of questions; repeatable; all.")
+    ] = None,
+    solver: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Repeatable; all installed ones.")
+    ] = None,
+    tolerance: Annotated[
+        list[float] | None,
+        typer.Option(metavar="T", help="Repeatable; 1e-4, 1e-6 and 1e-8."),
+    ] = None,
+    size: Annotated[
+        list[str] | None, typer.Option(metavar="small|medium|large", help="Repeatable; all.")
+    ] = None,
+    repeats: Annotated[int, typer.Option(min=1, help="Of which times are medians.")] = 5,
+    patience: Annotated[
+        float, typer.Option(metavar="S", help="Who took longer is asked for nothing larger.")
+    ] = 10.0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the order in which they are asked.")] = 0,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where to write.")] = Path(
+        "runs", "compare"
+    ),
+) -> None:
+    """Ask every solver the same, and judge every answer; exit 1 if the default one is wrong."""
+    with _plainly():
+        from sato.compare.command import asked, make
+
+        what = asked(solver or (), family or (), size or (), tolerance or (), repeats)
+        _refuse_unwritable(out)
+        broken = make(what, out, patience, seed)
+        for words in broken:
+            typer.echo(f"sato: {words}", err=True)
+        raise typer.Exit(SHORT if broken else DONE)
+
+
 @contextmanager
 def _plainly() -> Iterator[None]:
     # Whatever goes wrong becomes a sentence and an exit code, and every warning a line.

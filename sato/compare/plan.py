@@ -1,0 +1,154 @@
+"""Who is asked what: names become solvers and families, and what cannot be is refused."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from math import isfinite
+
+from problems.conic import Cone
+from problems.families import SIZES, Family, Instance, families, family
+from problems.solvers.adapter import Adapter
+
+TOLERANCES = (1e-4, 1e-6, 1e-8)
+DEFAULT = "clarabel"  # what the toolkit itself asks where there are cones
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A comparison before it begins."""
+
+    families: tuple[Family, ...]  # those of a name follow each other, the smallest first
+    solvers: tuple[Adapter, ...]
+    tolerances: tuple[float, ...]  # the loosest first
+    repeats: int
+    left_out: tuple[str, ...] = ()  # who is not asked, and why
+
+    def __post_init__(self) -> None:
+        """Refuse a comparison that would compare nothing."""
+        if self.repeats < 1:
+            raise ValueError(f"there must be at least one repeat, got {self.repeats}")
+        for tolerance in self.tolerances:
+            if not (isfinite(tolerance) and 0 < tolerance < 1):
+                raise ValueError(f"a tolerance lies between 0 and 1, got {tolerance:g}")
+        if list(self.tolerances) != sorted(set(self.tolerances), reverse=True):
+            raise ValueError(f"tolerances come once, the loosest first, got {self.tolerances}")
+        for what, some in (
+            ("tolerance", self.tolerances),
+            ("family", self.families),
+            ("solver", self.solvers),
+        ):
+            if not some:
+                raise ValueError(f"nothing to compare: there is no {what}")
+
+    def able(self, questions: Family) -> tuple[Adapter, ...]:
+        """Who can be asked about a family."""
+        return able(self.solvers, questions)
+
+    @property
+    def asks(self) -> int:
+        """How often a solver will be asked, if none is given up."""
+        each = len(self.tolerances) * self.repeats
+        return sum(each * len(f.instances) * len(self.able(f)) for f in self.families)
+
+
+def plan(
+    known: Mapping[str, Adapter],
+    solvers: Iterable[str] = (),
+    names: Iterable[str] = (),
+    sizes: Iterable[str] = (),
+    tolerances: Iterable[float] = (),
+    repeats: int = 5,
+) -> Plan:
+    """Turn what is asked for into what will be done; nothing said means all there is.
+
+    Args:
+        known: The solvers that there are adapters for, installed or not.
+        solvers: Their names.
+        names: Of families.
+        sizes: Of families.
+        tolerances: That residuals and gap must keep, relative.
+        repeats: Of each measurement.
+
+    Raises:
+        ValueError: There is no such name, a solver that is asked for by its name is not installed
+            or can take none of what it is asked, or nothing is left.
+    """
+    asked = _spelt("solver", solvers, known)
+    there = families()
+    chosen = _spelt("family", names, there)
+    lengths = _spelt("size", sizes, SIZES)
+    questions = [
+        family(name, size)
+        for name in chosen or there
+        for size in there[name]
+        if not lengths or size in lengths
+    ]
+    if not there:
+        raise ValueError("there are no families: the data files of problems/families are missing")
+    if not questions:
+        raise ValueError(f"{', '.join(chosen)}: there is nothing of size {' or '.join(lengths)}")
+    left_out = []
+    able_to = []
+    for solver in (known[name] for name in asked or known):
+        why = _unable(solver, questions, known)
+        if why and asked:
+            raise ValueError(why)
+        left_out += [why] if why else []
+        able_to += [] if why else [solver]
+    if asked and chosen:
+        for solver in able_to:
+            for each in questions:
+                if not able([solver], each):
+                    raise ValueError(_cannot(solver, each, known))
+    limits = tuple(sorted(set(tolerances) or TOLERANCES, reverse=True))
+    return Plan(tuple(questions), tuple(able_to), limits, repeats, tuple(left_out))
+
+
+def able(solvers: Iterable[Adapter], questions: Family) -> tuple[Adapter, ...]:
+    """Who knows all cones of a family."""
+    needed = cones(questions)
+    return tuple(solver for solver in solvers if needed <= solver.cones)
+
+
+def cones(questions: Family) -> frozenset[Cone]:
+    """What a solver has to know for a family."""
+    return frozenset[Cone]().union(*(each.problem.kinds for each in questions.instances))
+
+
+def followers(questions: Family) -> tuple[Instance | None, ...]:
+    """For each instance the next that differs from it in b alone, in a ring; or none."""
+    some = questions.instances
+    found: list[Instance | None] = []
+    for i, one in enumerate(some):
+        others = [
+            other
+            for other in (*some[i + 1 :], *some[:i])
+            if other.problem.A is one.problem.A and other.problem.q is one.problem.q
+        ]
+        found.append(others[0] if others else None)
+    return tuple(found)
+
+
+def _unable(solver: Adapter, questions: Sequence[Family], known: Mapping[str, Adapter]) -> str:
+    if not solver.installed:
+        return f"{solver.name} is not installed; pip install {solver.pip} would do"
+    if not any(able([solver], each) for each in questions):
+        return _cannot(solver, questions[0], known)
+    return ""
+
+
+def _cannot(solver: Adapter, questions: Family, known: Mapping[str, Adapter]) -> str:
+    missing = " or ".join(sorted(cones(questions) - solver.cones))
+    can = ", ".join(other.name for other in able(known.values(), questions)) or "nobody"
+    return f"{solver.name} cannot take {missing} cones, which {questions.name} has; {can} can"
+
+
+def _spelt(what: str, names: Iterable[str], known: Iterable[str]) -> list[str]:
+    # Each once, in the order in which they were asked for.
+    there, asked = list(known), list(dict.fromkeys(names))
+    for name in asked:
+        if name not in there:
+            close = get_close_matches(name, there, n=1, cutoff=0.5)
+            hint = f"did you mean {close[0]}? " if close else ""
+            raise ValueError(f'there is no {what} "{name}"; {hint}There are {", ".join(there)}')
+    return asked

@@ -1,0 +1,106 @@
+"""A line for each solver and family, from all that was measured of it."""
+
+from collections.abc import Iterable, Sequence
+from statistics import median
+from typing import NamedTuple
+
+from problems.conic import TOLERANCE
+from problems.families import SIZES
+from sato.compare.measure import Measurement
+from sato.compare.plan import DEFAULT
+
+
+class Line(NamedTuple):
+    """How a solver did in a family. Times, iterations and accuracy are those at one tolerance."""
+
+    solver: str
+    right: tuple[str, ...]  # "7/8" at each tolerance, of all instances of all sizes
+    wrong_claims: int  # of all solves of all tolerances
+    unproven: int
+    failed: int
+    crashed: int
+    skipped: int
+    first: tuple[float | None, ...]  # median of what it solved of each size [s]
+    again: tuple[float | None, ...]
+    iterations: tuple[float | None, ...]
+    accuracy: float | None  # the largest relative error of the cost, of what it solved
+    memory: float | None  # of the largest size [MiB]
+
+
+def lines(measurements: Sequence[Measurement], tolerance: float) -> list[Line]:
+    """One line a solver, in the order in which they were asked.
+
+    Args:
+        measurements: Of one family.
+        tolerance: At which times, iterations and accuracy are told.
+    """
+    return [
+        _line(solver, [m for m in measurements if m.solver == solver], tolerance)
+        for solver in dict.fromkeys(m.solver for m in measurements)
+    ]
+
+
+def told_at(tolerances: Iterable[float]) -> float:
+    """The tolerance whose times a table shows: that of the toolkit, or the next above it."""
+    return min((t for t in tolerances if t >= TOLERANCE), default=max(tolerances))
+
+
+def sizes(measurements: Iterable[Measurement]) -> list[str]:
+    """The sizes that were asked, the smallest first."""
+    there = {m.size for m in measurements}
+    return [size for size in SIZES if size in there]
+
+
+def broken(measurements: Iterable[Measurement]) -> list[str]:
+    """What the toolkit promises of a comparison, where that is broken.
+
+    Its default solver is right on every instance at 1e-6 and looser, and no answer that is
+    accepted violates the tolerance that was asked.
+    """
+    found = []
+    for m in measurements:
+        where = f"{m.instance.name} at {power(m.tolerance)}"
+        if m.solver == DEFAULT and m.tolerance >= TOLERANCE and not m.right:
+            bad = next(outcome for outcome in m.outcomes if outcome.verdict != m.wanted)
+            found.append(f"{m.solver} on {where}: {bad.verdict}, {bad.why}")
+        for outcome in m.outcomes:
+            worst = max(outcome.primal_residual, outcome.dual_residual, outcome.gap)
+            if outcome.verdict == "solved" and not worst <= m.tolerance:
+                found.append(f"{m.solver} on {where}: accepted, but off by {worst:.1e}")
+    return found
+
+
+def power(tolerance: float) -> str:
+    """A tolerance as it is mostly written: 1e-4, 2.5e-6."""
+    digits, _, exponent = f"{tolerance:e}".partition("e")
+    return f"{float(digits):g}e{int(exponent)}"
+
+
+def _line(solver: str, some: list[Measurement], tolerance: float) -> Line:
+    verdicts = [outcome.verdict for m in some for outcome in m.outcomes]
+    solved = [m for m in some if m.tolerance == tolerance and m.right and m.instance.feasible]
+    by_size = [[m for m in solved if m.size == size] for size in sizes(some)]
+    right = []
+    for asked in sorted({m.tolerance for m in some}, reverse=True):
+        here = [m for m in some if m.tolerance == asked]
+        right.append(f"{sum(m.right for m in here)}/{len(here)}")
+    largest = [m.memory for m in some if m.size == sizes(some)[-1] and m.memory == m.memory]
+    return Line(
+        solver,
+        tuple(right),
+        verdicts.count("wrong claim"),
+        verdicts.count("unproven"),
+        verdicts.count("failed"),
+        verdicts.count("crashed"),
+        verdicts.count("skipped"),
+        tuple(_middle(m.first.seconds for m in group) for group in by_size),
+        tuple(_middle(m.again.seconds for m in group if m.again) for group in by_size),
+        tuple(_middle(m.first.iterations for m in group) for group in by_size),
+        max((m.first.cost_error for m in solved), default=None),
+        max(largest, default=None),
+    )
+
+
+def _middle(numbers: Iterable[float | None]) -> float | None:
+    known = [number for number in numbers if number is not None]
+    return median(known) if known else None

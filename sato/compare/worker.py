@@ -1,0 +1,231 @@
+"""A process of its own for each solver: what crashes there, or hangs, is found out here.
+
+A solver is told the questions one by one, judged where it was asked, and only verdicts and
+times come back.
+"""
+
+import os
+import signal
+import sys
+import tempfile
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from multiprocessing import get_all_start_methods, get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
+from time import process_time
+from typing import Any, Literal, NamedTuple
+
+from problems.conic import Conic
+from problems.families import Instance
+from problems.solvers.adapter import Adapter, Claim, Kind, judge
+
+Find = Callable[[], Mapping[str, Adapter]]  # the solvers that there are; known to both processes
+
+BEGINS = 60.0  # in which a library is imported, or never [s]
+ONE_THREAD = {
+    f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL", "RAYON", "NUMBA")
+} | {"VECLIB_MAXIMUM_THREADS": "1"}
+
+
+class Question(NamedTuple):
+    """What a solver is asked at once."""
+
+    instance: Instance  # read, and solved
+    after: Instance | None  # another right-hand side of the same, solved by who has read the first
+    tolerance: float
+
+
+class Outcome(NamedTuple):
+    """What became of one solve."""
+
+    verdict: Kind | Literal["crashed", "skipped"]
+    why: str
+    seconds: float = float("nan")  # of the processor, reading included where it was read
+    iterations: int | None = None
+    cost_error: float = float("nan")  # |cost − reference| / (1 + |reference|)
+    primal_residual: float = float("nan")  # as `problems.conic.Answer` has them
+    dual_residual: float = float("nan")
+    gap: float = float("nan")
+
+
+class Reply(NamedTuple):
+    """What became of a question."""
+
+    first: Outcome
+    again: Outcome | None
+    memory: float  # by which the most that the process held has grown since it began [MiB]
+
+
+class Gone(RuntimeError):
+    """The process of a solver ended, or had to be ended, before it answered."""
+
+    def __init__(self, words: str, seconds: float = float("nan")) -> None:
+        """Keep for how long it was waited for, where that was the end of it."""
+        super().__init__(words)
+        self.seconds = seconds
+
+
+class Worker:
+    """A solver in its process, which is begun when first asked and after every end."""
+
+    def __init__(self, find: Find, name: str) -> None:
+        """Say whom to ask; nothing is begun yet."""
+        self._find, self._name = find, name
+        self._process: Any = None
+        self._line: Connection | None = None
+        self._last_words: Path | None = None
+
+    def ask(self, question: Question, seconds: float) -> Reply:
+        """Ask, and wait for the reply.
+
+        Args:
+            question: What is asked.
+            seconds: After which nothing more is expected of it.
+
+        Raises:
+            Gone: The process crashed, or did not answer in time.
+        """
+        line = self._line or self._begin()
+        line.send(question)
+        reply: Reply = self._receive(line, seconds)
+        return reply
+
+    def close(self) -> None:
+        """End the process."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.join()
+            self._process.close()
+            self._process = None
+        if self._line is not None:
+            self._line.close()
+            self._line = None
+        if self._last_words is not None:
+            self._last_words.unlink(missing_ok=True)
+            self._last_words = None
+
+    def _begin(self) -> Connection:
+        handle, path = tempfile.mkstemp(prefix="sato-compare-")
+        os.close(handle)
+        self._last_words = Path(path)
+        context = _context()
+        line: Connection
+        line, far = context.Pipe()
+        self._process = context.Process(
+            target=_serve, args=(far, self._find, self._name, path), daemon=True
+        )
+        before = {name: os.environ.get(name) for name in ONE_THREAD}
+        os.environ.update(ONE_THREAD)  # the process reads them before it loads anything
+        try:
+            self._process.start()
+        finally:
+            for name, value in before.items():
+                os.environ.pop(name) if value is None else os.environ.update({name: value})
+        far.close()
+        self._line = line
+        self._receive(line, BEGINS)
+        return line
+
+    def _receive(self, line: Connection, seconds: float) -> Any:
+        try:
+            if line.poll(seconds):
+                return line.recv()
+            end = Gone(f"no answer within {seconds:g} s", seconds)
+        except (EOFError, ConnectionResetError):
+            end = Gone(self._how_it_ended())
+        self.close()
+        raise end
+
+    def _how_it_ended(self) -> str:
+        self._process.join()
+        code, last = self._process.exitcode, ""
+        if self._last_words is not None:
+            lines = self._last_words.read_text(errors="replace").split("\n")
+            last = next((line.strip() for line in reversed(lines) if line.strip()), "")
+        if code is not None and code < 0:
+            last = f"{signal.strsignal(-code) or -code}{last and ': '}{last}"
+        return last or f"the process ended with exit code {code}"
+
+
+def _context() -> Any:
+    if "forkserver" not in get_all_start_methods():
+        return get_context("spawn")
+    context = get_context("forkserver")
+    # A small parent for all: what a process held before it was forked would count as its own.
+    context.set_forkserver_preload([__name__])
+    return context
+
+
+def _serve(line: Connection, find: Find, name: str, last_words: str) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # who asked ends it
+    _divert(last_words)
+    solver = find()[name]
+    import_module(solver.module)
+    held = _peak()
+    line.send(None)
+    warm = False
+    while True:
+        try:
+            question: Question = line.recv()
+        except EOFError:
+            return
+        if not warm:  # what a library does once in its life is no part of any solve
+            solver.read(question.instance.problem, question.tolerance).solve(
+                question.instance.problem.b
+            )
+            warm = True
+        first, again = _ask(solver, question)
+        line.send(Reply(first, again, _peak() - held))
+
+
+def _divert(last_words: str) -> None:
+    # Libraries print at a depth where only the descriptors are known.
+    sys.stdout.flush()
+    sys.stderr.flush()
+    with open(os.devnull, "w") as nowhere, open(last_words, "w") as file:
+        os.dup2(nowhere.fileno(), 1)
+        os.dup2(file.fileno(), 2)
+
+
+def _ask(solver: Adapter, question: Question) -> tuple[Outcome, Outcome | None]:
+    problem, tolerance = question.instance.problem, question.tolerance
+    began = process_time()
+    session = solver.read(problem, tolerance)
+    claim = session.solve(problem.b)
+    first = _outcome(question.instance, claim, tolerance, process_time() - began)
+    if question.after is None:
+        return first, None
+    b = question.after.problem.b
+    began = process_time()
+    claim = session.solve(b)
+    seconds = process_time() - began
+    return first, _outcome(question.after, claim, tolerance, seconds)
+
+
+def _outcome(instance: Instance, claim: Claim, tolerance: float, seconds: float) -> Outcome:
+    problem: Conic = instance.problem
+    kind, answer, why = judge(problem, claim, tolerance)
+    if kind in ("infeasible", "unproven") and instance.feasible:
+        kind, why = "wrong claim", f"{why}, but there is a point"
+    if kind == "solved" and not instance.feasible:
+        kind, why = "wrong claim", f"{why}, but there is no point"
+    outcome = Outcome(kind, why, seconds, claim.iterations)
+    if answer is None:
+        return outcome
+    outcome = outcome._replace(
+        primal_residual=answer.primal_residual, dual_residual=answer.dual_residual, gap=answer.gap
+    )
+    if not instance.feasible:
+        return outcome
+    off = abs(float(problem.q @ answer.x) - instance.reference)
+    return outcome._replace(cost_error=off / (1 + abs(instance.reference)))
+
+
+def _peak() -> float:
+    try:
+        import resource
+    except ImportError:
+        return float("nan")
+    unit = 1 if sys.platform == "darwin" else 1024  # bytes there, KiB elsewhere
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**20
