@@ -1,0 +1,71 @@
+"""OSQP: operator splitting, quadratic programmes over linear cones [Stellato2020]."""
+
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+from scipy.sparse import csc_matrix
+
+from problems.conic import Conic
+from problems.solvers.adapter import Adapter, Claim, Said
+from problems.solvers.rows import lower, nothing
+
+ITERATIONS = 100_000  # at most; linear programmes take thousands
+
+
+class Splitting:
+    """A problem that is set up once; each answer is where the next begins.
+
+    Its steps converge slowly on linear programmes. The active set that they find is then polished,
+    which turns a few digits into all of them.
+    """
+
+    def __init__(self, problem: Conic, tolerance: float) -> None:
+        """Read the problem."""
+        import osqp
+
+        self._zero, self._status = problem.zero, osqp.SolverStatus
+        self._solver: Any = osqp.OSQP()
+        self._solver.setup(
+            P=csc_matrix(nothing(problem)),
+            q=problem.q,
+            A=csc_matrix(problem.A),
+            l=lower(problem.b, problem.zero),
+            u=problem.b,
+            eps_abs=tolerance / 10,
+            eps_rel=tolerance / 10,
+            eps_prim_inf=tolerance / 10,
+            eps_dual_inf=tolerance / 10,
+            max_iter=ITERATIONS,
+            polishing=True,
+            verbose=False,
+        )
+
+    def solve(self, b: Float[Array, " m"]) -> Claim:
+        """Solve with another right-hand side, from the last answer."""
+        self._solver.update(l=lower(b, self._zero), u=b)
+        began = perf_counter()
+        result = self._solver.solve(raise_error=False)
+        seconds = perf_counter() - began
+        words, status, steps = result.info.status, result.info.status_val, result.info.iter
+        if status == self._status.OSQP_PRIMAL_INFEASIBLE:
+            ray = np.array(result.prim_inf_cert)
+            return Claim("infeasible", words, None, ray, steps, seconds)
+        if result.x is None or not np.isfinite(result.x).all():
+            return Claim("stopped", words, iterations=steps, seconds=seconds)
+        said: Said = "solved" if status == self._status.OSQP_SOLVED else "stopped"
+        return Claim(said, words, np.array(result.x), np.array(result.y), steps, seconds)
+
+
+ADAPTERS = (
+    Adapter(
+        name="osqp",
+        cones=frozenset({"linear"}),
+        proves=True,
+        module="osqp",
+        pip="osqp",
+        begin=Splitting,
+    ),
+)

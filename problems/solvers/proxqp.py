@@ -1,0 +1,66 @@
+"""ProxQP: augmented Lagrangian, quadratic programmes over linear cones [Bambade2022]."""
+
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+from scipy.sparse import csc_matrix
+
+from problems.conic import Conic
+from problems.solvers.adapter import Adapter, Claim, Said
+from problems.solvers.rows import nothing, parts
+
+# With its own 1e-4, and even with 1e-9, it calls infeasible what has a solution.
+NO_POINT = 1e-12
+ITERATIONS = 100  # of the outer loop, at most; programmes that have a solution take ten
+
+
+class Lagrangian:
+    """A problem that is set up once. Where there is no point it keeps no proof."""
+
+    def __init__(self, problem: Conic, tolerance: float) -> None:
+        """Read the problem."""
+        from proxsuite import proxqp
+
+        self._zero, self._output = problem.zero, proxqp.QPSolverOutput
+        equal, other = parts(problem)
+        self._solver: Any = proxqp.sparse.QP(len(problem.q), equal.shape[0], other.shape[0])
+        settings = self._solver.settings
+        settings.eps_abs = settings.eps_rel = tolerance / 10
+        settings.check_duality_gap = True
+        settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = tolerance / 10
+        settings.eps_primal_inf = settings.eps_dual_inf = NO_POINT
+        settings.max_iter = ITERATIONS
+        settings.initial_guess = proxqp.InitialGuess.NO_INITIAL_GUESS
+        P = csc_matrix(nothing(problem))
+        below = np.full(other.shape[0], -np.inf)
+        b, h = problem.b[: self._zero], problem.b[self._zero :]
+        self._solver.init(P, problem.q, equal, b, other, below, h)
+
+    def solve(self, b: Float[Array, " m"]) -> Claim:
+        """Solve with another right-hand side."""
+        self._solver.update(b=b[: self._zero], u=b[self._zero :])
+        began = perf_counter()
+        self._solver.solve()
+        seconds = perf_counter() - began
+        result = self._solver.results
+        status, steps = result.info.status, result.info.iter
+        x, y = np.array(result.x), np.concatenate([result.y, result.z])
+        if status == self._output.PROXQP_PRIMAL_INFEASIBLE:
+            return Claim("infeasible", status.name, None, None, steps, seconds)
+        said: Said = "solved" if status == self._output.PROXQP_SOLVED else "stopped"
+        return Claim(said, status.name, x, y, steps, seconds)
+
+
+ADAPTERS = (
+    Adapter(
+        name="proxqp",
+        cones=frozenset({"linear"}),
+        proves=False,
+        module="proxsuite",
+        pip="proxsuite",
+        begin=Lagrangian,
+    ),
+)
