@@ -1,101 +1,24 @@
 """Make the families of questions anew: python scripts/freeze_families.py [FAMILY …] --out DIR.
 
-Each is drawn from a run of a scenario, answered by two solvers, and written with its answers
-and the seed to problems/families. The same versions of the solvers give the same files.
+Each is drawn from runs of a scenario, answered by two solvers, and written with its answers
+and the seed to problems/families. The same versions of the libraries give the same files.
 """
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
-from unittest.mock import patch
 
 import numpy as np
 import typer
+from draw_families import FAMILIES, SEED, Drawn
 from threadpoolctl import threadpool_limits
 
 import problems.families
-import sato
-from dynamics import hold
-from problems.avoidance import Avoidance, no_spaces
 from problems.conic import Answer, Conic, Unsolved, proof
-from problems.conic import solve as solve_conic
 from problems.families import SIZES
 from problems.solvers import adapters
-from problems.transfer import Transfer
-from sato.reconfiguration.flight import fly
-from sato.reconfiguration.routes import SLOPE
 
 FINE = 1e-9  # asked of an answer
 ALIKE = 1e-6  # by which the optima of two solvers may differ, relative
-COUNT = 10  # instances of a family and size
-SEED = 1
-
-
-class Drawn(NamedTuple):
-    """Questions before they are answered."""
-
-    source: str
-    problems: list[Conic]
-    feasible: list[bool]
-
-
-class Legs(NamedTuple):
-    """The flights of one leg, the farthest first, as their run plans them."""
-
-    transfer: Transfer
-    starts: np.ndarray
-    goals: np.ndarray
-
-
-STEPS: dict[str, int] = {"small": 20, "medium": 50, "large": 100}
-
-
-def legs(scenario: str, *overrides: str, speed: float = np.inf) -> Legs:
-    """The farthest flights that a scenario begins with, after its first auction."""
-    rng = np.random.default_rng(SEED)
-    mission = sato.read(scenario, overrides).build(rng)
-    frame = next(fly(mission, rng))
-    states = np.concatenate([frame.position, frame.velocity], axis=1)
-    goals = mission.legs[0].targets[frame.target]
-    far = np.linalg.norm((goals - states)[:, : mission.model.axes], axis=1)
-    chosen = np.argsort(-far, kind="stable")[:COUNT]
-    steps = hold(mission.model, mission.step, mission.legs[0].steps)
-    transfer = Transfer(steps, mission.max_control, speed, slope=SLOPE)
-    return Legs(transfer, states[chosen], goals[chosen])
-
-
-@contextmanager
-def recorded(module: str) -> Iterator[list[Conic]]:
-    """What a module of `problems` asks its solver."""
-    asked: list[Conic] = []
-
-    def note(problem: Conic, solver: Callable[[Conic], Answer]) -> Answer:
-        asked.append(problem)
-        return solve_conic(problem, solver)
-
-    with patch(f"problems.{module}.solve", note):
-        yield asked
-
-
-def transfer_lp(size: str) -> Drawn:
-    """Problem 6 with the states eliminated."""
-    n = STEPS[size]
-    drawn = legs("random", f"leg.steps={n}")
-    asked = condensed(drawn)
-    source = f"the farthest flights of the first leg of random, {n} steps, the states eliminated"
-    return Drawn(source, asked, [True] * len(asked))
-
-
-def condensed(drawn: Legs) -> list[Conic]:
-    """Their programmes in the controls alone."""
-    with recorded("avoidance") as asked:
-        for start, goal in zip(drawn.starts, drawn.goals, strict=True):
-            Avoidance(drawn.transfer).solve(start, goal, no_spaces(drawn.transfer))
-    return asked
-
-
-FAMILIES: dict[str, Callable[[str], Drawn]] = {"transfer-lp": transfer_lp}
 
 
 class Settled(NamedTuple):
@@ -151,14 +74,14 @@ def freeze(drawn: Drawn) -> dict[str, Any]:
         programme.append(next(same, len(shared)))
         if programme[-1] == len(shared):
             shared.append(problem)
-    settled = [settle(p, f) for p, f in zip(drawn.problems, drawn.feasible, strict=True)]
+    settled = [settle(problem, drawn.feasible) for problem in drawn.problems]
     stored: dict[str, Any] = {
         "source": drawn.source,
         "seed": SEED,
         "solvers": pair(drawn.problems[0]),
         "programmes": len(shared),
         "programme": programme,
-        "feasible": drawn.feasible,
+        "feasible": [drawn.feasible] * len(settled),
         "reference": [answer.reference for answer in settled],
         "agreed": [answer.agreed for answer in settled],
     }
