@@ -10,7 +10,7 @@ import numpy as np
 from problems.conic import TOLERANCE
 from problems.families import SIZES, Family, Instance
 from problems.solvers import adapters
-from sato.compare.plan import Plan, followers
+from sato.compare.plan import Plan, followers, power
 from sato.compare.worker import Find, Gone, Outcome, Question, Reply, Worker
 
 SEVERITY = ("solved", "infeasible", "unproven", "failed", "wrong claim", "crashed")
@@ -72,15 +72,8 @@ def measure(
         progress: Told after each question.
         find: The solvers that there are; must be known to another process by its name.
     """
-    found: list[Measurement] = []
-    with ExitStack() as stack:
-        field = _Field(plan, rng, patience, progress, find)
-        for solver in plan.solvers:
-            worker = field.workers[solver.name] = Worker(find, solver.name)
-            stack.callback(worker.close)
-        for family in plan.families:
-            found += field.family(family)
-    return found
+    field = _Field(plan, rng, patience, progress, find)
+    return [measurement for family in plan.families for measurement in field.family(family)]
 
 
 class _Field:
@@ -102,23 +95,23 @@ class _Field:
     def family(self, family: Family) -> Iterator[Measurement]:
         """All that is asked of a family."""
         memory: dict[str, float] = {}
-        for solver in self.plan.able(family):
-            if not self.given_up(solver.name, family, max(self.plan.tolerances)):
-                memory[solver.name] = self.memory(solver.name, family)
-        for tolerance in self.plan.tolerances:
-            yield from self.cell(family, tolerance, memory)
+        with ExitStack() as stack:
+            for solver in self.plan.able(family):
+                if not self.given_up(solver.name, family, max(self.plan.tolerances)):
+                    worker = self.workers[solver.name] = Worker(self.find, solver.name)
+                    stack.callback(worker.close)
+                    memory[solver.name] = self.memory(solver.name, family)
+            for tolerance in self.plan.tolerances:
+                yield from self.cell(family, tolerance, memory)
 
-    def memory(self, solver: str, family: Family) -> float:
-        """What one instance takes, in a process that has done nothing else [MiB]."""
-        worker = Worker(self.find, solver)
+    def memory(self, name: str, family: Family) -> float:
+        """What the first instance takes in a process that has done nothing else [MiB].
+
+        What a library does once in its life is then done, and no part of a time.
+        """
         tolerance = min(self.plan.tolerances, key=lambda t: abs(np.log(t / TOLERANCE)))
-        question = Question(family.instances[0], None, tolerance)
-        try:
-            return worker.ask(question, HANGS * self.patience).memory
-        except Gone:
-            return float("nan")  # it will end in the same way where it is measured
-        finally:
-            worker.close()
+        # Who crashes here will again where it is measured.
+        return self.ask(name, Question(family.instances[0], None, tolerance)).memory
 
     def cell(
         self, family: Family, tolerance: float, memory: dict[str, float]
@@ -182,7 +175,9 @@ class _Field:
                     tolerance,
                 )
             ):
-                return f"it took more than {self.patience:g} s at {SIZES[known_size]}, {known:g}"
+                return (
+                    f"it took more than {self.patience:g} s at {SIZES[known_size]}, {power(known)}"
+                )
         return ""
 
 

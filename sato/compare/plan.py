@@ -129,6 +129,12 @@ def followers(questions: Family) -> tuple[Instance | None, ...]:
     return tuple(found)
 
 
+def power(tolerance: float) -> str:
+    """A tolerance as it is mostly written: 1e-4, 2.5e-6."""
+    digits, _, exponent = f"{tolerance:e}".partition("e")
+    return f"{float(digits):g}e{int(exponent)}"
+
+
 def _unable(solver: Adapter, questions: Sequence[Family], known: Mapping[str, Adapter]) -> str:
     if not solver.installed:
         return f"{solver.name} is not installed; pip install {solver.pip} would do"

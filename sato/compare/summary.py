@@ -7,7 +7,7 @@ from typing import NamedTuple
 from problems.conic import TOLERANCE
 from problems.families import SIZES
 from sato.compare.measure import Measurement
-from sato.compare.plan import DEFAULT
+from sato.compare.plan import DEFAULT, power
 
 
 class Line(NamedTuple):
@@ -64,16 +64,10 @@ def broken(measurements: Iterable[Measurement]) -> list[str]:
             bad = next(outcome for outcome in m.outcomes if outcome.verdict != m.wanted)
             found.append(f"{m.solver} on {where}: {bad.verdict}, {bad.why}")
         for outcome in m.outcomes:
-            worst = max(outcome.primal_residual, outcome.dual_residual, outcome.gap)
-            if outcome.verdict == "solved" and not worst <= m.tolerance:
-                found.append(f"{m.solver} on {where}: accepted, but off by {worst:.1e}")
+            left = outcome.primal_residual, outcome.dual_residual, outcome.gap
+            if outcome.verdict == "solved" and not all(part <= m.tolerance for part in left):
+                found.append(f"{m.solver} on {where}: accepted, but off by {max(left):.1e}")
     return found
-
-
-def power(tolerance: float) -> str:
-    """A tolerance as it is mostly written: 1e-4, 2.5e-6."""
-    digits, _, exponent = f"{tolerance:e}".partition("e")
-    return f"{float(digits):g}e{int(exponent)}"
 
 
 def _line(solver: str, some: list[Measurement], tolerance: float) -> Line:

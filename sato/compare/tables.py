@@ -7,8 +7,8 @@ from rich.console import Console
 from rich.table import Table
 
 from sato.compare.measure import Measurement
-from sato.compare.plan import Plan
-from sato.compare.summary import Line, lines, power, sizes, told_at
+from sato.compare.plan import Plan, power
+from sato.compare.summary import Line, lines, sizes, told_at
 
 MISSING = "–"
 WIDE = 140

@@ -164,17 +164,11 @@ def _serve(line: Connection, find: Find, name: str, last_words: str) -> None:
     import_module(solver.module)
     held = _peak()
     line.send(None)
-    warm = False
     while True:
         try:
             question: Question = line.recv()
         except EOFError:
             return
-        if not warm:  # what a library does once in its life is no part of any solve
-            solver.read(question.instance.problem, question.tolerance).solve(
-                question.instance.problem.b
-            )
-            warm = True
         first, again = _ask(solver, question)
         line.send(Reply(first, again, _peak() - held))
 

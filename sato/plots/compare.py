@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 
 from problems.conic import Cone
 from sato.compare.measure import Measurement
-from sato.compare.summary import power
+from sato.compare.plan import power
 from sato.plots.look import STYLE, Mark, mark
 
 KINDS: dict[Cone, str] = {

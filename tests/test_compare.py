@@ -1,0 +1,291 @@
+"""Comparing solvers, tried with solvers that lie, crash, hang and chatter."""
+
+import csv
+import json
+import os
+import platform
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from compare_cast import Honest, cast
+from scipy.sparse import csc_array
+from typer.testing import CliRunner
+
+import sato.plots.compare
+from problems.conic import Conic
+from problems.families import Family, Instance
+from problems.solvers import Adapter, adapters
+from sato.cli import app
+from sato.compare.files import COLUMNS, write
+from sato.compare.machine import machine
+from sato.compare.measure import Measurement, measure
+from sato.compare.plan import Plan, followers, plan
+from sato.compare.summary import broken, lines, told_at
+from sato.compare.worker import Outcome
+from sato.plots.compare import slowness
+
+KNOWN = adapters()
+
+
+def questions(size="small", feasible=True, seed=0):
+    """Three instances of x ≥ lower, which share all but the lower limits."""
+    rng = np.random.default_rng(seed)
+    q, A = rng.uniform(1, 2, 4), csc_array(-np.eye(4))
+    found = []
+    for i in range(3):
+        low = rng.normal(size=4)
+        problem = Conic(q, A, -low, 0, 4)
+        reference = float(q @ low) if feasible else float("nan")
+        found.append(Instance(f"{size}/{i}", problem, feasible, reference, 0.0, low, q))
+    return Family("box", size, seed, "drawn here", ("nobody",), tuple(found))
+
+
+def ask(*names, families=None, repeats=2, tolerances=(1e-4, 1e-6), patience=10.0):
+    """What is measured of some of the cast."""
+    some = tuple(cast()[name] for name in names)
+    what = Plan(tuple(families or [questions()]), some, tolerances, repeats)
+    return measure(what, np.random.default_rng(0), patience, find=cast)
+
+
+def measured(solver="a", seconds=1.0, verdict="solved", instance=0, tolerance=1e-6, **numbers):
+    """A measurement, made up."""
+    numbers = {"primal_residual": 0.0, "dual_residual": 0.0, "gap": 0.0} | numbers
+    outcome = Outcome(verdict, "words", seconds, 5, 1e-9, **numbers)
+    family = questions()
+    return Measurement(
+        solver, "box", "small", family.instances[instance], tolerance, outcome, None, 1.0
+    )
+
+
+def test_who_is_right_is_solved_at_first_and_again(capfd):
+    found = ask("chatterer")
+    assert capfd.readouterr() == ("", "")  # what a library prints stays in its process
+    assert len(found) == 2 * 3
+    for m in found:
+        assert m.right and m.first.verdict == m.again.verdict == "solved"
+        assert m.first.cost_error < 1e-14 and m.again.cost_error < 1e-14
+        assert m.first.iterations == 7
+        assert m.first.seconds > 0 and m.again.seconds > 0
+
+
+def test_nobody_is_taken_at_their_word_and_others_go_on():
+    expected = {
+        "liar": ("wrong claim", "off by"),
+        "prophet": ("wrong claim", "but there is a point"),
+        "crasher": ("crashed", "Aborted"),
+        "raiser": ("crashed", "ValueError: no idea"),
+        "honest": ("solved", "done"),
+    }
+    found = ask(*expected, tolerances=(1e-4,))
+    assert len(found) == 3 * len(expected)
+    for m in found:
+        verdict, words = expected[m.solver]
+        assert m.first.verdict == verdict
+        assert words in m.first.why
+
+
+def test_an_answer_to_another_right_hand_side_is_judged_too():
+    for m in ask("forgetful"):
+        assert m.first.verdict == "solved"
+        assert m.again.verdict == "wrong claim"
+        assert not m.right
+
+
+def test_a_point_where_there_is_none_is_a_wrong_claim():
+    for m in ask("honest", families=[questions(feasible=False)]):
+        assert m.first.verdict == "wrong claim"
+        assert "there is no point" in m.first.why
+
+
+def test_who_never_answers_is_ended_and_asked_for_nothing_larger_or_tighter():
+    found = ask("sleeper", families=[questions("small"), questions("medium")], patience=0.02)
+    kinds = {
+        (m.size, m.tolerance): {n.first.verdict for n in found if n[2:5:2] == m[2:5:2]}
+        for m in found
+    }
+    assert kinds == {
+        ("small", 1e-4): {"crashed"},
+        ("small", 1e-6): {"skipped"},
+        ("medium", 1e-4): {"skipped"},
+        ("medium", 1e-6): {"skipped"},
+    }
+    assert "no answer within 0.2 s" in found[0].first.why
+    assert found[-1].first.why == "it took more than 0.02 s at small, 1e-4"
+
+
+def test_memory_is_what_one_instance_takes_more():
+    found = ask("glutton", "honest", tolerances=(1e-6,), repeats=1)
+    glutton, honest = (next(m for m in found if m.solver == n) for n in ("glutton", "honest"))
+    assert 60 < glutton.memory < 200
+    assert honest.memory < 20
+
+
+def test_everybody_is_asked_as_often_as_was_planned():
+    told = []
+    what = Plan((questions(),), (cast()["honest"], cast()["liar"]), (1e-4, 1e-6), 3)
+    measure(what, np.random.default_rng(0), 10.0, lambda *of: told.append(of), find=cast)
+    assert told == [(k, what.asks) for k in range(1, what.asks + 1)]
+    assert what.asks == 2 * 2 * 3 * 3
+
+
+def test_only_who_differs_in_b_alone_follows():
+    family = questions()
+    one, two, three = family.instances
+    other = replace(three.problem, A=three.problem.A.copy())
+    mixed = replace(family, instances=(one, two, replace(three, problem=other)))
+    assert followers(family) == (two, three, one)
+    assert followers(mixed) == (two, one, None)
+
+
+def test_a_profile_counts_from_the_fastest_who_is_right():
+    # The first is fastest at one question and wrong at the other, where it is faster still.
+    some = [
+        measured("a", 1.0, instance=0),
+        measured("b", 3.0, instance=0),
+        measured("a", 0.1, "wrong claim", instance=1),
+        measured("b", 2.0, instance=1),
+        measured("a", 0.1, "failed", instance=2),
+        measured("b", 0.1, "failed", instance=2),
+    ]
+    assert slowness(some) == {"a": [1.0, np.inf, np.inf], "b": [3.0, 1.0, np.inf]}
+
+
+def test_a_line_says_how_often_a_solver_was_right_at_each_tolerance():
+    some = [
+        measured("a", 1.0, tolerance=1e-4),
+        measured("a", 3.0, tolerance=1e-6, instance=0),
+        measured("a", 5.0, tolerance=1e-6, instance=1),
+        measured("a", 9.0, "wrong claim", tolerance=1e-6, instance=2),
+        measured("a", 9.0, "skipped", tolerance=1e-8),
+    ]
+    [line] = lines(some, told_at({1e-4, 1e-6, 1e-8}))
+    assert line.right == ("1/1", "2/3", "0/1")
+    assert (line.wrong_claims, line.skipped, line.failed) == (1, 1, 0)
+    assert line.first == (4.0,) and line.again == (None,)
+
+
+@pytest.mark.parametrize(
+    ("some", "promises"),
+    [
+        (measured("clarabel"), 0),
+        (measured("clarabel", verdict="failed"), 1),
+        (measured("clarabel", verdict="failed", tolerance=1e-8), 0),  # more than is promised
+        (measured("osqp", verdict="wrong claim"), 0),
+        (measured("osqp", gap=1e-5), 1),
+        (measured("osqp", dual_residual=float("nan")), 1),
+    ],
+)
+def test_a_promise_is_of_the_default_solver_or_of_every_accepted_answer(some, promises):
+    assert len(broken([some])) == promises
+
+
+def test_a_whole_comparison_is_written_or_nothing(tmp_path, monkeypatch):
+    found = ask("honest", "liar")
+    on = machine([cast()["honest"]])
+    files = write(found, on, tmp_path / "new")
+    assert sorted(file.name for file in files) == sorted(os.listdir(tmp_path / "new"))
+    with open(tmp_path / "new" / "measurements.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(found) and tuple(rows[0]) == COLUMNS
+    assert {row["solver"]: row["first_verdict"] for row in rows} == {
+        "honest": "solved",
+        "liar": "wrong claim",
+    }
+    assert json.loads((tmp_path / "new" / "machine.json").read_text()) == on
+
+    def fails(measurements, folder):
+        raise OSError("no space left")
+
+    monkeypatch.setattr(sato.plots.compare, "draw", fails)
+    with pytest.raises(OSError, match="no space left"):
+        write(found, on, tmp_path / "half")
+    assert os.listdir(tmp_path / "half") == []
+
+
+def test_a_machine_is_described_without_whose_it_is():
+    said = json.dumps(machine(KNOWN.values()))
+    assert "clarabel" in said and platform.python_version() in said
+    assert platform.node() not in said
+    assert os.sep + "home" not in said and os.getcwd() not in said
+
+
+REFUSED = {
+    "an unknown solver": ({"solvers": ["clarbel"]}, "clarbel.*did you mean clarabel"),
+    "an unknown family": ({"names": ["transfer-pl"]}, "transfer-pl.*did you mean transfer-lp"),
+    "an unknown size": ({"sizes": ["smal"]}, "smal.*did you mean small"),
+    "a tolerance that is none": ({"tolerances": [0.0]}, "between 0 and 1, got 0"),
+    "no tolerance at all": ({"tolerances": [float("nan")]}, "between 0 and 1, got nan"),
+    "no repeats": ({"repeats": 0}, "at least one repeat, got 0"),
+    "a solver that is missing": (
+        {"solvers": ["absent"]},
+        "absent is not installed; pip install absent would do",
+    ),
+    "a cone that a solver does not know": (
+        {"solvers": ["highs"], "names": ["transfer-socp"]},
+        "highs cannot take second-order cones, which transfer-socp has; .*clarabel.* can",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_compared_is_refused(case):
+    words, sentence = REFUSED[case]
+    absent = Adapter("absent", frozenset({"linear"}), False, "absent_", "absent", Honest)
+    with pytest.raises(ValueError, match=sentence):
+        plan(KNOWN | {"absent": absent}, **words)
+
+
+def test_who_is_missing_is_told_where_everybody_was_asked():
+    absent = Adapter("absent", frozenset({"linear"}), False, "absent_", "absent", Honest)
+    what = plan({"clarabel": KNOWN["clarabel"], "absent": absent}, sizes=["small"])
+    assert [solver.name for solver in what.solvers] == ["clarabel"]
+    assert what.left_out == ("absent is not installed; pip install absent would do",)
+    assert what.tolerances == (1e-4, 1e-6, 1e-8)
+
+
+def call(*words):
+    return CliRunner().invoke(app, ["compare", *words])
+
+
+ONE = ("--family", "transfer-lp", "--size", "small", "--solver", "highs", "--tolerance", "1e-6")
+
+
+def test_a_comparison_from_the_command_line_says_what_it_found(tmp_path):
+    result = call(*ONE, "--repeats", "1", "--out", str(tmp_path))
+    assert result.exit_code == 0, result.stderr
+    assert "transfer-lp (small)" in result.stdout and "highs" in result.stdout
+    assert "Python" in result.stdout and str(tmp_path) in result.stdout
+    assert sorted(os.listdir(tmp_path)) == [
+        "accuracy.png",
+        "machine.json",
+        "measurements.csv",
+        "profile.png",
+    ]
+
+
+def test_a_broken_promise_is_an_exit_code(tmp_path, monkeypatch):
+    monkeypatch.setattr("sato.compare.command.broken", lambda found: ["clarabel: off by 1"])
+    result = call(*ONE, "--repeats", "1", "--out", str(tmp_path))
+    assert result.exit_code == 1
+    assert "sato: clarabel: off by 1" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("--solver", "clarbel"), "did you mean clarabel?"),
+        (("--patience", "0"), "--patience takes a time above 0 s, got 0"),
+        (("--out", "file/below"), "cannot be written to"),
+    ],
+)
+def test_what_is_refused_is_one_sentence_and_nothing_is_written(
+    tmp_path, monkeypatch, words, sentence
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("")
+    result = call(*words)
+    assert result.exit_code == 2
+    assert result.stderr.startswith("sato: ") and result.stderr.count("\n") == 1
+    assert sentence in result.stderr and "Traceback" not in result.stderr
+    assert os.listdir(tmp_path) == ["file"]
