@@ -18,7 +18,7 @@ from problems.conic import solve as solve_conic
 from problems.convexify import Way, half_spaces, normals
 from problems.formation import Formation
 from problems.gain_question import Question
-from problems.solvers import solve_clarabel, solve_highs
+from problems.solvers import solve_highs
 from problems.speed_cones import SpeedCones
 from problems.transfer import Transfer
 from sato.reconfiguration.flight import fly
@@ -36,7 +36,7 @@ FEWER = {  # where so many would take much room
 }
 SEED = 1
 STEPS = {"small": 20, "medium": 50, "large": 100}
-SPEED = 2.9  # the limit of transfer-socp, which some can just keep [m/s]
+SPEED = 3.0  # the limit of transfer-socp, which some can just keep [m/s]
 ORBIT = {"small": (24, 1.0), "medium": (48, 0.5), "large": (96, 0.25)}  # steps, and minutes each
 CROWD = {"small": 20, "medium": 40, "large": 60}  # steps
 CLOSE = (  # a crowd in which paths cross
@@ -137,8 +137,7 @@ def transfer_socp(size: str) -> Drawn:
         with recorded("speed_cones") as asked, suppress(Infeasible):
             limited.solve(state, goal)
             problems += asked
-    source = f"flights of random_cw with 48 vehicles, {T} steps of {step} min, that would be "
-    source += f"faster than {SPEED} m/s, and that limit"
+    source = f"flights of random_cw with 48 vehicles, {T} steps of {step} min, at most {SPEED} m/s"
     return Drawn(source, problems[: count("transfer-socp", size)])
 
 
@@ -199,7 +198,10 @@ def avoidance(neighbours: int) -> Callable[[str], Drawn]:
 
 
 def among(size: str, neighbours: int, ways: tuple[Way, ...], wanted: int) -> list[Conic]:
-    """Programmes among the half-spaces past the nearest neighbours, on all the ways given."""
+    """Programmes among the half-spaces past the nearest neighbours, on all the ways given.
+
+    Past them on one way there must be a flight, and on two at once there must be none.
+    """
     found: list[Conic] = []
     for seed in range(SEED, SEED + 50):
         start = Start.of("random", f"leg.steps={CROWD[size]}", *CLOSE, seed=seed)
@@ -216,11 +218,14 @@ def among(size: str, neighbours: int, ways: tuple[Way, ...], wanted: int) -> lis
             spaces = half_spaces(horizon, len(flight.u), theirs, np.concatenate(normal))
             if spaces.missing(flight.x, flight.u).max() <= 0:
                 continue
-            with recorded("avoidance") as asked, suppress(Infeasible):
-                programme.solve(*ends[i], spaces)
-            problem = single(needed(asked[-1], len(spaces.least)))
-            if possible(problem) == (len(ways) == 1):
-                found.append(problem)
+            with recorded("avoidance") as asked:
+                try:
+                    programme.solve(*ends[i], spaces)
+                    possible = True
+                except Infeasible:
+                    possible = False
+            if possible == (len(ways) == 1):
+                found.append(single(needed(asked[-1], len(spaces.least))))
             if len(found) == wanted:
                 return found
     raise ValueError(f"fifty crowds have only {len(found)} such programmes, and not {wanted}")
@@ -238,24 +243,12 @@ def needed(problem: Conic, spaces: int) -> Conic:
 
 def single(problem: Conic) -> Conic:
     """The same with the entries of A in single precision: another programme, in half the room."""
-    A = csc_array(problem.A.astype(np.float32).astype(float))
-    return replace(problem, A=A)
-
-
-def possible(problem: Conic) -> bool:
-    """Whether there is a point."""
-    try:
-        solve_conic(problem, solve_clarabel)
-    except Infeasible:
-        return False
-    return True
+    return replace(problem, A=csc_array(problem.A.astype(np.float32).astype(float)))
 
 
 def gain_sdp(size: str) -> Drawn:
     """The fastest gains in the plane, with the matrix Z as the unknown."""
-    rng = np.random.default_rng(SEED)
-    n = VEHICLES[size]
-    problems = []
+    rng, n, problems = np.random.default_rng(SEED), VEHICLES[size], []
     for _ in range(count("gain-sdp", size)):
         points = random_formation(n, (15.0, 15.0, 2.0), 2.0, rng)
         graph = thinned(n, n - 4, rng)

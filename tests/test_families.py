@@ -1,14 +1,44 @@
 """Frozen questions: their answers are recomputed, not believed."""
 
+import runpy
+from importlib.resources import files
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from problems.conic import Answer, proof
-from problems.families import Family, families, family
+from dynamics import DoubleIntegrator, hold
+from problems import formation_gain_sdp
+from problems.avoidance import Avoidance, no_spaces
+from problems.conic import Answer, Infeasible, proof, solve
+from problems.families import SIZES, Family, families, family
+from problems.formation import Formation
+from problems.gain_question import Question
+from problems.solvers import solve_clarabel
+from problems.transfer import Transfer
 
+NAMES = {
+    "avoidance-20",
+    "avoidance-5",
+    "gain-sdp",
+    "infeasible",
+    "j2",
+    "near-infeasible",
+    "transfer-lp",
+    "transfer-socp",
+}
 ALL = [(name, size) for name, sizes in families().items() for size in sizes]
 FINE = 1e-9  # of residuals and gaps, relative
 ALIKE = 1e-6  # by which two solvers may differ where one of them is less exact
+
+
+@pytest.fixture(scope="module")
+def maker():
+    return runpy.run_path(str(Path(__file__).parents[1] / "scripts" / "draw_families.py"))
+
+
+def test_every_family_has_every_size():
+    assert families() == dict.fromkeys(sorted(NAMES), SIZES)
 
 
 @pytest.mark.parametrize(("name", "size"), ALL)
@@ -28,9 +58,43 @@ def test_an_answer_is_an_optimum_or_a_proof_that_there_is_none(name, size):
 
 @pytest.mark.parametrize("name", families())
 def test_a_larger_size_is_larger(name):
-    unknowns = [len(family(name, size).instances[0].problem.q) for size in families()[name]]
-    assert families()[name] == ("small", "medium", "large")
+    unknowns = [len(family(name, size).instances[0].problem.q) for size in SIZES]
     assert unknowns == sorted(set(unknowns))
+
+
+@pytest.mark.parametrize(("name", "size"), ALL)
+def test_only_the_impossible_family_is_impossible(name, size):
+    assert {i.feasible for i in family(name, size).instances} == {name != "infeasible"}
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_the_speed_limit_binds_wherever_there_is_one(size):
+    for instance in family("transfer-socp", size).instances:
+        problem = instance.problem
+        room = (problem.b - problem.A @ instance.x)[problem.zero + problem.nonnegative :]
+        room = room.reshape(len(problem.cones), -1)
+        slack = room[:, 0] - np.linalg.norm(room[:, 1:], axis=1)
+        assert slack.min() < 1e-6 < slack.max()
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_a_half_space_binds_on_whoever_avoids(size):
+    # Rows are the arrival, the half-spaces, and the box: two rows for each unknown.
+    for instance in family("avoidance-5", size).instances + family("avoidance-20", size).instances:
+        problem = instance.problem
+        assert np.abs(instance.y[problem.zero : -2 * len(problem.q)]).max() > 1e-6
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_a_goal_in_reach_by_a_hair_is_not_with_a_little_less_control(size):
+    near = [instance.problem for instance in family("near-infeasible", size).instances]
+    beyond = [instance.problem for instance in family("infeasible", size).instances]
+    beyond = [problem for problem in beyond if problem.A.shape == near[0].A.shape]
+    assert len(beyond) == 5
+    for here, there in zip(near[:5], beyond, strict=True):
+        assert abs(here.A - there.A).max() == 0
+        goal, farther = here.b[: here.zero], there.b[: there.zero]
+        np.testing.assert_allclose(farther, 1.001**2 * goal, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize(("name", "size"), ALL)
@@ -42,7 +106,8 @@ def test_who_differ_in_b_alone_share_the_rest_and_follow_each_other(name, size):
             assert all(problem.A is not other.A for other in met)
             met.append(problem)
         assert problem.q is met[-1].q
-    assert len({problem.b.tobytes() for problem in problems}) == len(problems)
+    asked = {(problem.A.data.tobytes(), problem.b.tobytes()) for problem in problems}
+    assert len(asked) == len(problems)
 
 
 def test_what_there_is_not_is_refused_with_what_there_is():
@@ -55,3 +120,46 @@ def test_what_there_is_not_is_refused_with_what_there_is():
 def test_a_family_that_asks_nothing_is_refused():
     with pytest.raises(ValueError, match="empty: it needs at least one instance"):
         Family("transfer-lp", "small", 1, "nowhere", (), ())
+
+
+def test_a_family_is_small_enough_to_ship():
+    sizes = [
+        len(file.read_bytes())
+        for file in files("problems.families").iterdir()
+        if file.name.endswith(".npz")
+    ]
+    assert max(sizes) < 200e3
+    assert sum(sizes) < 3e6
+
+
+def test_a_family_drawn_anew_is_the_same(maker):
+    drawn, again = (maker["FAMILIES"]["gain-sdp"]("small") for _ in range(2))
+    frozen = family("gain-sdp", "small")
+    assert (maker["SEED"], drawn.source) == (frozen.seed, frozen.source)
+    for one, other, known in zip(drawn.problems, again.problems, frozen.instances, strict=True):
+        assert np.array_equal(one.A.data, other.A.data) and np.array_equal(one.b, other.b)
+        # Another machine may choose another basis, which is rounded in another way.
+        assert one.q @ solve(one, solve_clarabel).x == pytest.approx(known.reference, abs=1e-6)
+
+
+def test_a_goal_is_moved_just_as_far_as_controls_can_reach(maker):
+    transfer = Transfer(hold(DoubleIntegrator(2), 1.0, 10), max_control=0.1)
+    with maker["recorded"]("avoidance") as asked:
+        Avoidance(transfer).solve(np.zeros(4), np.array([1.0, 0.5, 0, 0]), no_spaces(transfer))
+    (problem,) = asked
+    # At full thrust for five steps and against it for five: U T² / 4 = 2.5 m on the first axis.
+    np.testing.assert_allclose(
+        maker["stretched"](problem, 1.0).b[:4], 2.5 * problem.b[:4], rtol=1e-9, atol=1e-12
+    )
+    assert solve(maker["stretched"](problem, 0.999), solve_clarabel).worst < 1e-6
+    with pytest.raises(Infeasible):
+        solve(maker["stretched"](problem, 1.001), solve_clarabel)
+
+
+def test_the_programme_of_the_gains_says_what_the_statement_says(rng, maker):
+    graph = ~np.eye(6, dtype=bool)
+    graph[0, 3] = graph[3, 0] = False
+    question = Question.of(Formation(rng.uniform(0, 5, (6, 3)), graph), "xy")
+    rate = solve(maker["fastest"](question), solve_clarabel).x[-1]
+    stated = question.rate(formation_gain_sdp.solve(question).L)
+    assert rate == pytest.approx(stated, abs=1e-6)
