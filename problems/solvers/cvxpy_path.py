@@ -1,0 +1,138 @@
+"""The standard form as a statement in CVXPY, compiled once, for several solvers [Diamond2016].
+
+What it costs to come by way of a modelling language is the time of these less that of the solvers
+themselves.
+"""
+
+import warnings
+from functools import partial
+from time import perf_counter
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from problems.conic import Cone, Conic, matrix, triangle
+from problems.solvers.adapter import Adapter, Claim, Said
+
+LINEAR: tuple[Cone, ...] = ("linear",)
+SECOND_ORDER: tuple[Cone, ...] = ("linear", "second-order")
+ALL: tuple[Cone, ...] = ("linear", "second-order", "semidefinite")
+
+
+class Path(NamedTuple):
+    """A solver that CVXPY knows."""
+
+    module: str
+    cones: tuple[Cone, ...]
+    proves: bool  # whether CVXPY hands on a ray
+    within: tuple[str, ...]  # options that are a tolerance
+    others: dict[str, object]
+
+
+PATHS = {
+    "CLARABEL": Path(
+        "clarabel", ALL, True, ("tol_gap_abs", "tol_gap_rel", "tol_feas"), {"max_threads": 1}
+    ),
+    "ECOS": Path("ecos", SECOND_ORDER, False, ("abstol", "reltol", "feastol"), {}),
+    "HIGHS": Path(
+        "highspy",
+        LINEAR,
+        True,
+        ("primal_feasibility_tolerance", "dual_feasibility_tolerance"),
+        {"threads": 1},
+    ),
+    "OSQP": Path(
+        "osqp", LINEAR, True, ("eps_abs", "eps_rel"), {"max_iter": 100_000, "polishing": True}
+    ),
+    "PIQP": Path("piqp", LINEAR, False, ("eps_abs", "eps_rel"), {}),
+    "QOCO": Path("qoco", SECOND_ORDER, False, ("abstol", "reltol"), {}),
+    "SCS": Path("scs", ALL, True, ("eps_abs", "eps_rel", "eps_infeas"), {"max_iters": 100_000}),
+}
+
+
+class Stated:
+    """A statement that is compiled at its first solve; b is its parameter."""
+
+    def __init__(self, solver: str, problem: Conic, tolerance: float) -> None:
+        """State the problem."""
+        import cvxpy as cp
+
+        path = PATHS[solver]
+        self._options = {**dict.fromkeys(path.within, tolerance / 10), **path.others}
+        self._solver, self._failed = solver, cp.SolverError
+        self._x, self._b = cp.Variable(len(problem.q)), cp.Parameter(len(problem.b))
+        self._limits = _limits(cp, problem, self._b, self._x)
+        self._problem = cp.Problem(cp.Minimize(problem.q @ self._x), self._limits)
+
+    def solve(self, b: Float[Array, " m"]) -> Claim:
+        """Solve with another right-hand side."""
+        self._b.value = b
+        began = perf_counter()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # what it warns of is in its status
+            try:
+                self._problem.solve(solver=self._solver, **self._options)
+            except self._failed as failure:
+                return Claim("stopped", str(failure), seconds=perf_counter() - began)
+        seconds = perf_counter() - began
+        words, steps = self._problem.status, self._problem.solver_stats.num_iters
+        y = self._duals()
+        if words.startswith("infeasible"):
+            return Claim("infeasible", words, None, y, steps, seconds)
+        said: Said = "solved" if words == "optimal" else "stopped"
+        x = None if self._x.value is None else np.array(self._x.value)
+        return Claim(said, words, x, y, steps, seconds)
+
+    def _duals(self) -> Float[Array, " m"] | None:
+        found = [limit.dual_value for limit in self._limits]
+        if any(dual is None for dual in found):
+            return None
+        return np.concatenate([_rows(dual) for dual in found])
+
+
+def _limits(cp: Any, problem: Conic, b: Any, x: Any) -> list[Any]:
+    # In the order of the rows: none of a kind of which there is none.
+    zero, linear = problem.zero, problem.zero + problem.nonnegative
+    limits = []
+    if zero:
+        limits.append(problem.A[:zero] @ x == b[:zero])
+    if linear > zero:
+        limits.append(problem.A[zero:linear] @ x <= b[zero:linear])
+    start = linear
+    for size in problem.cones:
+        s = b[start : start + size] - problem.A[start : start + size] @ x
+        limits.append(cp.SOC(s[0], s[1:]))
+        start += size
+    for n in problem.matrices:
+        size = n * (n + 1) // 2
+        s = b[start : start + size] - problem.A[start : start + size] @ x
+        limits.append(cp.reshape(_square(n) @ s, (n, n), order="F") >> 0)
+        start += size
+    return limits
+
+
+def _square(n: int) -> Float[Array, "entries k"]:
+    """What makes a matrix, column by column, of its triangle."""
+    units = np.eye(n * (n + 1) // 2)
+    return np.column_stack([matrix(unit, n).ravel() for unit in units])
+
+
+def _rows(dual: Any) -> Float[Array, " k"]:
+    if isinstance(dual, list):  # of a second-order cone: t and y
+        return np.concatenate([np.ravel(part) for part in dual])
+    return triangle(dual) if np.ndim(dual) == 2 else np.ravel(dual)
+
+
+ADAPTERS = tuple(
+    Adapter(
+        name=f"cvxpy-{solver.lower()}",
+        cones=frozenset(path.cones),
+        proves=path.proves,
+        module=path.module,
+        pip=f"cvxpy {path.module}",
+        begin=partial(Stated, solver),
+    )
+    for solver, path in PATHS.items()
+)
