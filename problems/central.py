@@ -1,0 +1,246 @@
+"""The whole swarm as one nonconvex programme: Problem 3 [Morgan2016, eq. 19], in CasADi.
+
+What a distributed method gives away is seen against this, for few agents: nobody has priority,
+and all know all. Local optima are many, so it is begun from several guesses, and what counts
+is the best answer that stands when it is flown again from its controls alone. IPOPT is not
+safe among threads: use processes.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+from math import inf, isfinite
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray as Array
+
+from dynamics.closest import closest_pair
+from dynamics.path import hull_distance, least_distance
+from problems.central_programme import Guess, Instants, optimise, units
+from problems.conic import Unsolved
+from problems.convexify import HOLD, Horizon, balls_apart
+from problems.transfer import Transfer, fuel_spent
+
+TOLERANCE = 1e-6  # of what recomputing shows, in the units of `Central.unit`
+NEAR = 2.0  # times R: who comes closer in the guess is kept apart there from the first,
+AT = (0.25, 0.5, 0.75, 1.0)  # at these fractions of a piece
+MOST_ROUNDS = 12  # of solving again with the instants at which an answer comes too close
+PATIENT_ROUNDS = 3  # after which more is kept than is asked, by as much as was missing
+
+
+class Flown(NamedTuple):
+    """Controls of all agents, flown again, and what that shows."""
+
+    x: Float[Array, "agents instants n"]
+    u: Float[Array, "agents T m"]
+    fuel: float  # Δt Σ Σ ‖u‖ [m/s]
+    missed: float  # distance from a goal at the end, in units of R and R/Δt
+    thrust: float  # above U, as a part of it
+    speed: float  # above V, as a part of it
+    separation: float  # least along the continuous paths, as a part of R
+    said: str  # how the solver ended
+
+    @property
+    def worst(self) -> float:
+        """The largest violation; NaN where one of them is."""
+        broken = [self.missed, self.thrust, self.speed, 1 - self.separation, 0.0]
+        return float(np.max(np.array(broken)))
+
+    @property
+    def stands(self) -> bool:
+        """Whether it keeps everything."""
+        return self.worst <= TOLERANCE
+
+    def __str__(self) -> str:
+        """What was found."""
+        return (
+            f"{self.said}: fuel {self.fuel:.6g} m/s, missed {self.missed:.1e}, "
+            f"thrust over {self.thrust:.1e}, speed over {self.speed:.1e}, "
+            f"separation {self.separation:.6f} R"
+        )
+
+
+class NoneStands(Unsolved):
+    """No guess led to an answer that keeps everything. That proves nothing, but is evidence."""
+
+    def __init__(self, problem: object, tried: tuple[Flown, ...]) -> None:
+        """Keep all that was tried."""
+        least = min(tried, key=lambda t: t.worst if isfinite(t.worst) else inf)
+        why = f"none of {len(tried)} answers keeps everything; the nearest was {least}"
+        super().__init__(problem, why)
+        self.tried = tried
+
+
+class Optimum(NamedTuple):
+    """The best that was found, and all that was tried."""
+
+    best: Flown
+    tried: tuple[Flown, ...]  # the guesses themselves, and then what each led to
+
+
+@dataclass(frozen=True, eq=False)
+class Central:
+    """Transfers of all agents at once that stay apart.
+
+        minimise    Δt Σᵢ Σₖ ‖uᵢ[k]‖_q
+        subject to  xᵢ[k+1] = A[k] xᵢ[k] + B[k] uᵢ[k] + z[k]     (10)
+                    ‖uᵢ[k]‖_r ≤ U                                (12)
+                    xᵢ[0] = startᵢ,  xᵢ[T] = goalᵢ               (14), (18)
+                    ‖H xᵢ[k]‖₂ ≤ V,  k = 1 … T−1                 (66)
+                    ‖pᵢ(t) − pⱼ(t)‖₂ ≥ R  for all t              (13)
+
+    The distance is kept along the cubic pieces of the paths and not at samples alone: it is
+    written for some instants, and for those at which an answer still comes too close, until it
+    comes too close at none. Flights among the half-spaces of `convexify` keep it, so they are
+    points of this programme; it allows more, because hulls are larger than paths.
+
+    A slope in the weights of the transfer is left out.
+    """
+
+    transfer: Transfer
+    horizon: Horizon  # as long as the transfer
+
+    def __post_init__(self) -> None:
+        """Refuse what is not written here."""
+        self.transfer.needs_steps()
+        if self.transfer.fuel_norm == "inf":
+            raise ValueError("fuel in the inf-norm is not written here: fuel_norm = 1 or 2 is")
+        if self.horizon.steps != len(self.transfer.steps):
+            raise ValueError(
+                f"distances are looked for over {self.horizon.steps} steps, "
+                f"and the transfer takes {len(self.transfer.steps)}"
+            )
+
+    @cached_property
+    def unit(self) -> Float[Array, " n"]:
+        """Of each state: R for a place, R/Δt for a speed."""
+        return units(self.transfer, self.horizon)
+
+    def solve(
+        self,
+        start: Float[Array, "agents n"],
+        goal: Float[Array, "agents n"],
+        guesses: Sequence[Guess],
+    ) -> Optimum:
+        """The best of what the guesses are, where they stand already, and of what they lead to.
+
+        Args:
+            start: States at the beginning; apart.
+            goal: States at the end; apart.
+            guesses: Where to begin; states and controls need not belong together.
+
+        Raises:
+            NoneStands: No answer keeps everything, by recomputation.
+            ValueError: Two starts or two goals are too close, or there is no guess.
+        """
+        self._refuse(start, goal, guesses)
+        tried = [self.fly(start, goal, u, "a guess") for _, u in guesses]
+        tried += [self._descend(start, goal, guess) for guess in guesses]
+        standing = [t for t in tried if t.stands]
+        if not standing:
+            raise NoneStands(self, tuple(tried))
+        return Optimum(min(standing, key=lambda t: t.fuel), tuple(tried))
+
+    def fly(
+        self,
+        start: Float[Array, "agents n"],
+        goal: Float[Array, "agents n"],
+        u: Float[Array, "agents T m"],
+        said: str,
+    ) -> Flown:
+        """Recompute everything from the controls alone."""
+        transfer, d = self.transfer, self.transfer.steps.axes
+        x = transfer.steps.roll(start, u)
+        order = np.inf if transfer.control_norm == "inf" else transfer.control_norm
+        thrust = np.linalg.norm(u, order, axis=-1).max(initial=0.0) / transfer.max_control
+        speed = np.linalg.norm(x[:, 1:-1, d:], axis=-1).max(initial=0.0) / transfer.max_speed
+        least = self._closest(x, u)[0].min(initial=np.inf)
+        return Flown(
+            x,
+            u,
+            float(np.sum(fuel_spent(u, transfer.steps.dt, transfer.fuel_norm))),
+            float(np.abs((x[:, -1] - goal) / self.unit).max()),
+            float(thrust - 1),
+            float(speed - 1),
+            float(least / self.horizon.radius),
+            said,
+        )
+
+    def meetings(self, x: Float[Array, "agents instants n"], u: Float[Array, "agents T m"]) -> int:
+        """How many pairs come too close on given flights."""
+        return int((self._closest(x, u)[0] < self.horizon.radius).any(axis=1).sum())
+
+    def _refuse(self, start: Array, goal: Array, guesses: Sequence[Guess]) -> None:
+        if not guesses:
+            raise ValueError("there must be at least one guess to begin with")
+        for who, states in (("starts", start), ("goals", goal)):
+            least = least_distance(states[:, : self.transfer.steps.axes])
+            if not least >= self.horizon.radius:
+                raise ValueError(
+                    f"two {who} are {least:.6g} m apart, and {self.horizon.radius:.6g} m are to "
+                    "be kept"
+                )
+
+    def _descend(self, start: Array, goal: Array, guess: Guess) -> Flown:
+        instants, keep = self._near(*guess), 1 + HOLD
+        for attempt in range(MOST_ROUNDS):
+            x, u, said = optimise(self.transfer, self.horizon, (start, goal), guess, instants, keep)
+            found = self.fly(start, goal, u, said)
+            more = self._too_close(found)
+            if not len(more.piece) or not found.missed <= TOLERANCE:
+                break
+            # Equal optima pass each other at other times, so instants alone might never do.
+            if attempt >= PATIENT_ROUNDS:
+                keep = max(keep, 1 + HOLD + (1 - found.separation))
+            instants, guess = instants.and_also(more), (x, u)
+        return found
+
+    def _closest(self, x: Array, u: Array) -> tuple[Array, Array]:
+        """Least distance of every pair over every piece, where below NEAR R, and when it is."""
+        path = self.horizon.path(x, u)
+        pairs = _pairs(len(x))
+        relative = path[pairs[:, 0]] - path[pairs[:, 1]]
+        distance, fraction = np.full(relative.shape[:2], np.inf), np.zeros(relative.shape[:2])
+        near = ~balls_apart(relative, NEAR * self.horizon.radius)
+        for a, p in np.argwhere(near):
+            both = np.stack([np.zeros_like(relative[a, p]), relative[a, p]])
+            distance[a, p], fraction[a, p], _ = closest_pair(both, np.array([[0, 1]]))
+        return distance, fraction
+
+    def _near(self, x: Array, u: Array) -> Instants:
+        """The middle and the end of the pieces over which agents are near each other."""
+        path = self.horizon.path(x, u)
+        pairs = _pairs(len(x))
+        relative = path[pairs[:, 0]] - path[pairs[:, 1]]
+        distance = hull_distance(relative)[0] if len(pairs) else np.zeros((0, 0))
+        which, piece = np.nonzero(distance < NEAR * self.horizon.radius)
+        fraction = np.repeat(AT, len(piece))
+        return Instants(np.tile(pairs[which], (len(AT), 1)), np.tile(piece, len(AT)), fraction)
+
+    def _too_close(self, found: Flown) -> Instants:
+        distance, fraction = self._closest(found.x, found.u)
+        which, piece = np.nonzero(distance < self.horizon.radius)
+        return Instants(_pairs(len(found.x))[which], piece, fraction[which, piece])
+
+
+def pushed(guess: Guess, dt: float, by: Float[Array, "agents d"]) -> Guess:
+    """A guess with every path bent aside: by so much half-way, and not at the ends.
+
+    Args:
+        guess: States and controls.
+        dt: Length of a step [s].
+        by: The largest displacement of each agent [m].
+    """
+    x, u = guess
+    T = u.shape[1]
+    phase = np.pi * np.arange(T + 1)[:, None] / T
+    place = np.sin(phase) * by[:, None]
+    speed = np.pi / (T * dt) * np.cos(phase) * by[:, None]
+    return x + np.concatenate([place, speed], axis=-1), u
+
+
+def _pairs(count: int) -> Int[Array, "pairs 2"]:
+    return np.array(list(combinations(range(count), 2)), dtype=int).reshape(-1, 2)

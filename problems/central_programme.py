@@ -1,0 +1,229 @@
+"""The programme of `Central` as CasADi and IPOPT take it: sparse, with exact derivatives.
+
+Multiple shooting: states and controls are unknown, and the motion is an equation of each
+step. Places are in units of R, speeds of R/Δt, controls of U.
+"""
+
+from math import isfinite
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray as Array
+from scipy.sparse import block_diag, csc_matrix, eye_array, hstack
+
+from dynamics import Steps
+from problems.convexify import Horizon
+from problems.transfer import Transfer
+
+ROOM = 0.1  # of U, by which a guess of ‖u‖₂ begins above what it bounds
+IPOPT: dict[str, Any] = {
+    "print_level": 0,
+    "sb": "yes",
+    "tol": 1e-9,
+    "constr_viol_tol": 1e-9,
+    "bound_relax_factor": 0.0,
+    "max_iter": 1000,
+    "mu_strategy": "adaptive",
+}
+
+Guess = tuple[Float[Array, "agents instants n"], Float[Array, "agents T m"]]
+
+
+class Instants(NamedTuple):
+    """When two agents are kept apart: a row each."""
+
+    pair: Int[Array, "rows 2"]
+    piece: Int[Array, " rows"]
+    fraction: Float[Array, " rows"]  # of the piece, in [0, 1]
+
+    def and_also(self, more: "Instants") -> "Instants":
+        """These and others."""
+        return Instants(*(np.concatenate(both) for both in zip(self, more, strict=True)))
+
+
+class Programme(NamedTuple):
+    """What is unknown, what is wanted of it, and within what bounds."""
+
+    unknown: Any  # z: states, u⁺ and u⁻ or u, ‖u‖₂ where it is the fuel, differences of places
+    cost: Any  # fuel in units of U Δt
+    kept: Any  # g(z)
+    least: Float[Array, " rows"]  # ≤ g(z)
+    most: Float[Array, " rows"]  # ≥ g(z)
+
+    @property
+    def problem(self) -> dict[str, Any]:
+        """As CasADi names it."""
+        return {"x": self.unknown, "f": self.cost, "g": self.kept}
+
+
+def units(transfer: Transfer, horizon: Horizon) -> Float[Array, " n"]:
+    """Of each state: R for a place, R/Δt for a speed."""
+    R = horizon.radius
+    return np.repeat([R, R / transfer.steps.dt], transfer.steps.axes)
+
+
+def optimise(
+    transfer: Transfer,
+    horizon: Horizon,
+    ends: tuple[Float[Array, "agents n"], Float[Array, "agents n"]],
+    guess: Guess,
+    instants: Instants,
+    keep: float,
+) -> tuple[Array, Array, str]:
+    """Descend from a guess; states, controls and IPOPT's word, which is not to be believed.
+
+    Args:
+        transfer: Dynamics, limits and norms.
+        horizon: How paths run between samples.
+        ends: Where agents begin, and where they are to arrive.
+        guess: States and controls, which need not belong together.
+        instants: When who is kept apart.
+        keep: The distance that is kept then, in units of R.
+    """
+    import casadi
+
+    unit, U = units(transfer, horizon), transfer.max_control
+    x, u = guess[0] / unit, guess[1] / U
+    programme = write(transfer, horizon, len(x), instants, keep)
+    lower, upper = np.full((2, *x.shape), np.inf)
+    lower *= -1
+    for side in (lower, upper):
+        side[:, 0], side[:, -1] = ends[0] / unit, ends[1] / unit
+    Dx, Du = differences(horizon, unit, U, len(x), instants)
+    apart = Dx @ x.ravel() + Du @ u.ravel()
+    size = np.linalg.norm(u, axis=-1).ravel() + ROOM if transfer.fuel_norm == 2 else np.zeros(0)
+    signs = (1, -1)[: _parts(transfer)]
+    controls = np.stack([np.maximum(sign * u, 0) for sign in signs] if len(signs) == 2 else [u])
+    least = 0.0 if len(signs) == 2 else -1.0
+    free = np.full(len(size) + len(apart), np.inf)
+    below = np.concatenate([np.zeros(len(size)), -free[len(size) :]])
+    settings: dict[str, Any] = {"ipopt": IPOPT, "print_time": False}
+    solver = casadi.nlpsol("central", "ipopt", programme.problem, settings)
+    found = solver(
+        x0=np.concatenate([x.ravel(), controls.ravel(), size, apart]),
+        lbx=np.concatenate([lower.ravel(), np.full(controls.size, least), below]),
+        ubx=np.concatenate([upper.ravel(), np.ones(controls.size), free]),
+        lbg=programme.least,
+        ubg=programme.most,
+    )
+    z = np.asarray(found["x"]).ravel()
+    answer = z[x.size : x.size + controls.size].reshape(controls.shape)
+    u = U * np.tensordot(signs, answer, 1)
+    return z[: x.size].reshape(x.shape) * unit, u, _word(solver.stats())
+
+
+def _parts(transfer: Transfer) -> int:
+    """Unknowns for each control: u⁺ and u⁻ where a 1-norm needs them."""
+    return 2 if 1 in (transfer.fuel_norm, transfer.control_norm) else 1
+
+
+def write(
+    transfer: Transfer, horizon: Horizon, agents: int, instants: Instants, keep: float
+) -> Programme:
+    """The programme in CasADi's symbols."""
+    import casadi
+
+    steps, unit, U = transfer.steps, units(transfer, horizon), transfer.max_control
+    T, n, m = steps.B.shape
+    x = casadi.MX.sym("x", (T + 1) * n, agents)
+    parts = [casadi.MX.sym(sign, T * m, agents) for sign in ("plus", "minus")[: _parts(transfer)]]
+    u = parts[0] - parts[1] if len(parts) == 2 else parts[0]
+    on_x, on_u, drift = motion(steps, unit, U)
+    rows = [casadi.vec(_matrix(on_x) @ x + _matrix(on_u) @ u)]
+    bounds = [(np.tile(drift, agents),) * 2]
+
+    if isfinite(transfer.max_speed) and T > 1:
+        v = casadi.reshape(x, n, (T + 1) * agents)[m:, :]
+        inside = [i * (T + 1) + k for i in range(agents) for k in range(1, T)]
+        fastest = (transfer.max_speed / unit[-1]) ** 2
+        rows.append(casadi.sum1(v[:, inside] ** 2).T)
+        bounds.append((np.full(len(inside), -np.inf), np.full(len(inside), fastest)))
+
+    squares = casadi.sum1(casadi.reshape(u, m, T * agents) ** 2).T
+    sums = casadi.sum1(casadi.reshape(sum(parts), m, T * agents)).T
+    if transfer.control_norm != "inf":
+        rows.append(squares if transfer.control_norm == 2 else sums)
+        bounds.append((np.full(T * agents, -np.inf), np.ones(T * agents)))
+
+    # Differences of places are unknowns of their own: so second derivatives stand on the diagonal.
+    apart = casadi.MX.sym("apart", transfer.steps.axes, len(instants.piece))
+    if len(instants.piece):
+        Dx, Du = map(_matrix, differences(horizon, unit, U, agents, instants))
+        rows.append(Dx @ casadi.vec(x) + Du @ casadi.vec(u) - casadi.vec(apart))
+        bounds.append((np.zeros(apart.numel()),) * 2)
+        rows.append(casadi.sum1(apart**2).T)
+        far = np.full(len(instants.piece), np.inf)
+        bounds.append((np.full(len(far), keep**2), far))
+
+    # The 2-norm has no derivative at 0: it is an unknown σ ≥ 0 with σ² ≥ ‖u‖².
+    size = casadi.MX.sym("size", T * agents if transfer.fuel_norm == 2 else 0)
+    if transfer.fuel_norm == 2:
+        rows.append(squares - size**2)
+        bounds.append((np.full(T * agents, -np.inf), np.zeros(T * agents)))
+    least, most = (np.concatenate(side) for side in zip(*bounds, strict=True))
+    unknown = casadi.vertcat(*(casadi.vec(part) for part in (x, *parts, size, apart)))
+    cost = casadi.sum1(size if transfer.fuel_norm == 2 else sums)
+    return Programme(unknown, cost, casadi.vertcat(*rows), least, most)
+
+
+def motion(
+    steps: Steps, unit: Float[Array, " n"], U: float
+) -> tuple[csc_matrix, csc_matrix, Float[Array, " rows"]]:
+    """E, F and e of E x + F u = e: every step of one agent, in the units of the programme."""
+    T, n = len(steps), len(unit)
+    A = steps.A * unit / unit[:, None]
+    on_x = eye_array(T * n, (T + 1) * n, k=n) - hstack(
+        [block_diag(list(A)), csc_matrix((T * n, n))]
+    )
+    on_u = -block_diag(list(steps.B * U / unit[:, None]))
+    return csc_matrix(on_x), csc_matrix(on_u), (steps.z / unit).ravel()
+
+
+def differences(
+    horizon: Horizon, unit: Float[Array, " n"], U: float, agents: int, instants: Instants
+) -> tuple[csc_matrix, csc_matrix]:
+    """Dx and Du: places of one less those of the other, in units of R, are Dx x + Du u.
+
+    All states, and all controls, in one column, agent by agent.
+    """
+    P, Q, _ = horizon.frames  # what is common to all drops out
+    T, S, _, d, n = P.shape
+    t, s = instants.fraction, 1 - instants.fraction
+    bernstein = np.stack([s**3, 3 * s**2 * t, 3 * s * t**2, t**3], axis=1)
+    step, part = np.divmod(instants.piece, S)
+    on_x = np.einsum("ki,kidn->kdn", bernstein, P[step, part]) * unit / horizon.radius
+    on_u = np.einsum("ki,kidm->kdm", bernstein, Q[step, part]) * U / horizon.radius
+    first_x = (instants.pair * (T + 1) + step[:, None]) * n
+    first_u = (instants.pair * T + step[:, None]) * d
+    return (
+        _less(on_x, first_x, agents * (T + 1) * n),
+        _less(on_u, first_u, agents * T * d),
+    )
+
+
+def _less(blocks: Float[Array, "k d w"], first: Int[Array, "k 2"], columns: int) -> csc_matrix:
+    """Each block at its first column, less the same at its second."""
+    k, d, w = blocks.shape
+    row = np.broadcast_to(np.arange(k * d).reshape(k, d, 1), blocks.shape).ravel()
+    own, other = (
+        csc_matrix(
+            (
+                blocks.ravel(),
+                (row, np.broadcast_to(at[:, None, None] + np.arange(w), blocks.shape).ravel()),
+            ),
+            (k * d, columns),
+        )
+        for at in first.T
+    )
+    return csc_matrix(own - other)
+
+
+def _matrix(sparse: csc_matrix) -> Any:
+    import casadi
+
+    return casadi.DM(sparse)
+
+
+def _word(stats: dict[str, Any]) -> str:
+    return f"IPOPT says {stats['return_status']} after {stats['iter_count']} iterations"

@@ -1,0 +1,283 @@
+"""The whole swarm as one programme: laws, convex cases, and the distributed method against it."""
+
+from dataclasses import replace
+
+import casadi
+import numpy as np
+import pytest
+
+from dynamics import ClohessyWiltshire, DoubleIntegrator, hold
+from dynamics.path import at, separations
+from problems.central import Central, NoneStands, pushed
+from problems.central_programme import Instants, differences, optimise, write
+from problems.convexify import Horizon
+from problems.transfer import Transfer
+from sato.network import Network
+from sato.reconfiguration.routes import alone
+from sato.scp import Planner, settle
+
+T, STEP, RADIUS = 12, 1.0, 0.5
+
+
+def question(axes=2, radius=RADIUS, pieces=2, model=None, step=STEP, **norms):
+    model = model or DoubleIntegrator(axes)
+    limits = {"max_control": 0.2, "max_speed": 0.6} | norms
+    steps = hold(model, step, T)
+    return Central(
+        Transfer(steps, **limits), Horizon(steps, hold(model, step / pieces, pieces * T), radius)
+    )
+
+
+def at_rest(places):
+    places = np.asarray(places, dtype=float)
+    return np.hstack([places, np.zeros_like(places)])
+
+
+CROSSING = at_rest([[-1.5, 0.0], [1.5, 0.1]]), at_rest([[1.5, 0.05], [-1.5, 0.0]])
+
+
+def by_themselves(central, start, goal):
+    flights = [f for f in alone(central.transfer, start, goal)[0] if f is not None]
+    return np.stack([f.x for f in flights]), np.stack([f.u for f in flights])
+
+
+def by_priority(central, start, goal):
+    transfer = replace(central.transfer, slope=1e-3)
+    _, u = by_themselves(replace(central, transfer=transfer), start, goal)
+    planners = {}
+    for i in range(len(start)):
+        flight = transfer.flight(start[i], u[i])
+        path = central.horizon.path(flight.x, flight.u)
+        planners[i] = Planner(
+            (True, 0.0, i), goal[i], transfer, central.horizon, flight, flight, path
+        )
+    heard = ~np.eye(len(start), dtype=bool)
+    after, _ = settle(planners, Network(heard, np.ones(len(start), dtype=bool)))
+    assert all(p.late == p.slack == 0 and not p.failed for p in after.values())
+    return np.stack([p.flight.x for p in after.values()]), np.stack(
+        [p.flight.u for p in after.values()]
+    )
+
+
+def keeps_everything(central, found, start, goal):
+    """By other means than `Central.fly`: step by step, and densely between the samples."""
+    transfer, d = central.transfer, central.transfer.steps.axes
+    for x, u, begin, end in zip(found.x, found.u, start, goal, strict=True):
+        state = begin
+        for k in range(T):
+            steps = transfer.steps
+            state = steps.A[k] @ state + steps.B[k] @ u[k] + steps.z[k]
+            np.testing.assert_allclose(state, x[k + 1], atol=1e-12)
+        np.testing.assert_allclose(state, end, atol=1e-6)
+        assert np.abs(u).max() <= transfer.max_control * (1 + 1e-9)
+        assert np.linalg.norm(x[1:-1, d:], axis=1).max() <= transfer.max_speed * (1 + 1e-9)
+    path = central.horizon.path(found.x, found.u)
+    dense = np.stack([at(path, f) for f in np.linspace(0, 1, 41)], axis=-2)
+    for i in range(len(path)):
+        for j in range(i):
+            assert np.linalg.norm(dense[i] - dense[j], axis=-1).min() >= RADIUS * (1 - 1e-6)
+
+
+@pytest.mark.parametrize("axes", [2, 3])
+def test_two_that_cross_stay_apart_for_no_more_fuel_than_by_priorities(axes):
+    central = question(axes)
+    start, goal = (
+        np.insert(side, [2] * (axes - 2) + [4] * (axes - 2), 0.0, 1) for side in CROSSING
+    )
+    planned, free = by_priority(central, start, goal), by_themselves(central, start, goal)
+    assert central.fly(start, goal, planned[1], "SATO").stands
+    assert not central.fly(start, goal, free[1], "alone").stands
+    best, tried = central.solve(start, goal, [planned, free])
+    keeps_everything(central, best, start, goal)
+    assert best.fuel <= tried[0].fuel
+    assert best.fuel >= tried[1].fuel - 1e-9  # nobody flies for less than alone
+    x = np.moveaxis(best.x, 0, 1)
+    closest = separations(x[..., :axes], x[..., axes:], np.ones(x.shape[:2], dtype=bool), STEP)
+    assert closest.least.distance == pytest.approx(RADIUS * best.separation, rel=1e-9)
+    assert best.separation <= 1.001  # they brush past each other
+
+
+@pytest.mark.parametrize("fuel_norm", [1, 2])
+@pytest.mark.parametrize("control_norm", ["inf", 2, 1])
+def test_agents_far_apart_fly_as_if_they_were_alone(fuel_norm, control_norm):
+    central = question(fuel_norm=fuel_norm, control_norm=control_norm)
+    start = at_rest([[0.0, 0.0], [9.0, 0.0], [0.0, 9.0]])
+    goal = start + at_rest([[3.0, 1.0], [1.0, -2.0], [0.5, 0.0]])
+    free = [central.transfer.solve(*ends) for ends in zip(start, goal, strict=True)]
+    rest = central.transfer.steps.roll(start, np.zeros((3, T, 2))), np.zeros((3, T, 2))
+    best, tried = central.solve(start, goal, [rest])
+    assert not tried[0].stands  # the optimum is found, and not handed over
+    assert best.fuel == pytest.approx(sum(f.fuel for f in free), rel=1e-6)
+    keeps_everything(central, best, start, goal)
+
+
+def test_in_orbit_agents_far_apart_fly_as_if_they_were_alone():
+    central = question(
+        3, 50.0, model=ClohessyWiltshire(1.1e-3), step=60.0, max_control=0.01, max_speed=4.0
+    )
+    start = at_rest([[0.0, 0.0, 0.0], [1000.0, 500.0, 0.0]])
+    goal = start + at_rest([[100.0, 200.0, 30.0], [50.0, -80.0, 40.0]])
+    free = [central.transfer.solve(*ends) for ends in zip(start, goal, strict=True)]
+    rest = central.transfer.steps.roll(start, np.zeros((2, T, 3))), np.zeros((2, T, 3))
+    best, _ = central.solve(start, goal, [rest])
+    assert best.fuel == pytest.approx(sum(f.fuel for f in free), rel=1e-6)
+
+
+def test_a_guess_that_stands_is_never_lost():
+    central = question()
+    start, goal = CROSSING
+    planned = by_priority(central, start, goal)
+    astray = np.full_like(planned[0], 1e3), planned[1]
+    best, tried = central.solve(start, goal, [astray])
+    assert best.fuel <= tried[0].fuel and tried[0].said == "a guess"
+
+
+def test_what_has_no_answer_raises_with_all_that_was_tried():
+    # Just time enough to go straight, at full thrust to half-way and back. What that leaves for
+    # the other axis takes nobody aside by R / 2.
+    central = question(max_speed=np.inf, control_norm=1)
+    start = at_rest([[-3.59, 0.0], [3.59, 0.0]])
+    goal = start[::-1].copy()
+    free = by_themselves(central, start, goal)
+    with pytest.raises(NoneStands, match="none of 4 answers keeps everything") as raised:
+        central.solve(start, goal, [free, pushed(free, STEP, np.array([[0.0, 1.0], [0.0, -1.0]]))])
+    assert raised.value.problem is central
+    assert len(raised.value.tried) == 4
+    assert all(t.worst > 1e-3 for t in raised.value.tried)
+
+
+def test_ends_that_are_too_close_are_refused():
+    central = question()
+    near = at_rest([[0.0, 0.0], [0.4, 0.0]])
+    free = by_themselves(central, CROSSING[0], CROSSING[1])
+    with pytest.raises(ValueError, match=r"two starts are 0\.4 m apart"):
+        central.solve(near, CROSSING[1], [free])
+    with pytest.raises(ValueError, match=r"two goals are 0\.4 m apart"):
+        central.solve(CROSSING[0], near, [free])
+    with pytest.raises(ValueError, match="at least one guess"):
+        central.solve(*CROSSING, [])
+
+
+def test_questions_that_are_not_written_are_refused():
+    with pytest.raises(ValueError, match="fuel_norm = 1 or 2"):
+        question(fuel_norm="inf")
+    central = question()
+    with pytest.raises(ValueError, match="over 12 steps, and the transfer takes 6"):
+        replace(central, transfer=replace(central.transfer, steps=central.transfer.steps[:6]))
+
+
+@pytest.mark.parametrize("spoilt", ["thrust", "speed", "missed", "separation"])
+def test_each_broken_promise_is_seen_in_recomputing(spoilt):
+    central = question()
+    start, goal = CROSSING
+    good = by_priority(central, start, goal)[1]
+    assert central.fly(start, goal, good, "").stands
+    u, other, end = good.copy(), central, goal
+    if spoilt == "thrust":
+        other = question(max_control=0.99 * np.abs(good).max())
+    elif spoilt == "speed":
+        fastest = np.linalg.norm(central.fly(start, goal, good, "").x[..., 2:], axis=-1).max()
+        other = question(max_speed=0.99 * fastest)
+    elif spoilt == "missed":
+        end = goal + 1e-5
+    else:
+        u = by_themselves(central, start, goal)[1]
+    found = other.fly(start, end, u, "")
+    assert not found.stands
+    names = ("missed", "thrust", "speed")
+    broken = {name for name in names if getattr(found, name) > 1e-6}
+    assert broken | ({"separation"} if found.separation < 1 - 1e-6 else set()) == {spoilt}
+
+
+def drawn(rng, axes=2, **norms):
+    central = question(axes, **norms)
+    x, u = rng.normal(size=(3, T + 1, 2 * axes)), rng.uniform(-0.2, 0.2, (3, T, axes))
+    pair, piece = np.array([[0, 1], [2, 0], [1, 2], [0, 1]]), np.array([0, 5, 23, 11])
+    return central, x, u, Instants(pair, piece, np.array([0.3, 0.0, 1.0, 0.71]))
+
+
+@pytest.mark.parametrize("axes", [2, 3])
+def test_differences_of_places_are_those_of_the_paths(rng, axes):
+    central, x, u, instants = drawn(rng, axes)
+    path = central.horizon.path(x, u)
+    own, other = (path[instants.pair[:, side], instants.piece] for side in (0, 1))
+    expected = at(own - other, instants.fraction) / RADIUS
+    Dx, Du = differences(central.horizon, central.unit, 0.2, 3, instants)
+    found = Dx @ (x / central.unit).ravel() + Du @ (u / 0.2).ravel()
+    np.testing.assert_allclose(found.reshape(expected.shape), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(("fuel_norm", "control_norm"), [(1, "inf"), (2, 2), (1, 1)])
+def test_derivatives_are_those_of_finite_differences_and_sparse(rng, fuel_norm, control_norm):
+    central, _, _, instants = drawn(rng, fuel_norm=fuel_norm, control_norm=control_norm)
+    programme = write(central.transfer, central.horizon, 3, instants, 1.0)
+    z, f, g = programme.unknown, programme.cost, programme.kept
+    weight = casadi.MX.sym("weight", g.numel())
+    slope = casadi.gradient(f + casadi.dot(weight, g), z)
+    values = casadi.Function("values", [z], [casadi.vertcat(f, g)])
+    first = casadi.Function("first", [z], [casadi.jacobian(casadi.vertcat(f, g), z)])
+    second = casadi.Function("second", [z, weight], [casadi.jacobian(slope, z)])
+    slopes = casadi.Function("slopes", [z, weight], [slope])
+    at_z, w = rng.uniform(0.1, 0.9, z.numel()), rng.normal(size=g.numel())
+    along, h = rng.normal(size=z.numel()), 1e-5
+
+    def central_difference(function, *more):
+        ahead, behind = function(at_z + h * along, *more), function(at_z - h * along, *more)
+        return np.asarray(ahead - behind).ravel() / (2 * h)
+
+    J, H = first(at_z), second(at_z, w)
+    np.testing.assert_allclose(
+        np.asarray(J @ along).ravel(), central_difference(values), rtol=1e-6, atol=1e-6
+    )
+    np.testing.assert_allclose(
+        np.asarray(H @ along).ravel(), central_difference(slopes, w), rtol=1e-5, atol=1e-5
+    )
+    assert J.nnz() < 20 * J.shape[0] + z.numel()
+    assert H.nnz() <= 3 * z.numel()
+
+
+def test_the_programme_holds_the_motion_and_its_bounds(rng):
+    # Flown states satisfy every equation; rows of distance are their squares.
+    central, _, u, instants = drawn(rng, control_norm=2)
+    start = rng.normal(size=(3, 4))
+    x = central.transfer.steps.roll(start, u)
+    programme = write(central.transfer, central.horizon, 3, instants, 1.25)
+    xs, us = x / central.unit, u / 0.2
+    Dx, Du = differences(central.horizon, central.unit, 0.2, 3, instants)
+    apart = Dx @ xs.ravel() + Du @ us.ravel()
+    parts = xs, np.maximum(us, 0), np.maximum(-us, 0), apart
+    z = np.concatenate([part.ravel() for part in parts])
+    kept = np.asarray(casadi.Function("g", [programme.unknown], [programme.kept])(z)).ravel()
+    equations = programme.least == programme.most
+    assert equations.sum() == 3 * T * 4 + len(apart)
+    np.testing.assert_allclose(kept[equations], programme.least[equations], atol=1e-12)
+    np.testing.assert_allclose(kept[-4:], (apart.reshape(4, 2) ** 2).sum(axis=1))
+    assert (programme.least[-4:] == 1.25**2).all() and np.isinf(programme.most[-4:]).all()
+    speeds = (np.linalg.norm(x[:, 1:-1, 2:], axis=-1) * STEP / RADIUS).ravel() ** 2
+    np.testing.assert_allclose(kept[3 * T * 4 :][: len(speeds)], speeds, atol=1e-12)
+    assert (programme.most[3 * T * 4 :][: len(speeds)] == (0.6 / RADIUS) ** 2).all()
+    thrusts = (us**2).sum(axis=-1).ravel()
+    after = 3 * T * 4 + len(speeds)
+    np.testing.assert_allclose(kept[after : after + len(thrusts)], thrusts, atol=1e-12)
+
+
+def test_the_solver_is_not_believed_but_what_it_says_is_kept():
+    central = question()
+    start, goal = CROSSING
+    free = by_themselves(central, start, goal)
+    nowhere = Instants(np.zeros((0, 2), dtype=int), np.zeros(0, dtype=int), np.zeros(0))
+    _, u, said = optimise(central.transfer, central.horizon, (start, goal), free, nowhere, 1.0)
+    assert "Solve_Succeeded" in said  # of a programme that forgot to keep them apart
+    assert not central.fly(start, goal, u, said).stands
+
+
+def test_a_bent_guess_is_bent_most_half_way_and_keeps_its_ends():
+    x, u = np.zeros((2, T + 1, 4)), np.zeros((2, T, 2))
+    by = np.array([[1.0, 0.0], [0.0, -2.0]])
+    bent, same = pushed((x, u), STEP, by)
+    np.testing.assert_array_equal(same, u)
+    np.testing.assert_allclose(bent[:, T // 2, :2], by)
+    np.testing.assert_allclose(bent[:, [0, -1], :2], 0, atol=1e-12)
+    fine, _ = pushed((np.zeros((2, 1001, 4)), np.zeros((2, 1000, 2))), 0.012, by)
+    slope = np.gradient(fine[..., :2], 0.012, axis=1)
+    np.testing.assert_allclose(slope[:, 1:-1], fine[:, 1:-1, 2:], atol=1e-4)
