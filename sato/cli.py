@@ -235,6 +235,32 @@ def compare(
         raise typer.Exit(SHORT if broken else DONE)
 
 
+@app.command(name="export-c")
+def export_c(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="A new folder, for the C.")],
+    scenario: Annotated[
+        str, typer.Option(metavar="NAME|FILE.toml", help="Of which an agent is.")
+    ] = "uiuc",
+    neighbours: Annotated[
+        int, typer.Option(metavar="K", min=1, help="That there is room for.")
+    ] = 5,
+    steps: Annotated[
+        int | None, typer.Option(metavar="T", min=2, help="Of a flight; the first leg's.")
+    ] = None,
+) -> None:
+    """Write C that solves one agent's transfer among its neighbours, for on board."""
+    with _plainly():
+        from sato.onboard import export_c as write
+        from sato.onboard.export import tell
+        from sato.terminal import waiting
+
+        _refuse_unwritable(out)
+        with waiting("writing the code"):
+            written = write(scenario, out, neighbours, steps)
+        typer.echo(tell(written))
+        typer.echo(str(out))
+
+
 @contextmanager
 def _plainly() -> Iterator[None]:
     # Whatever goes wrong becomes a sentence and an exit code, and every warning a line.

@@ -1,0 +1,93 @@
+"""A folder of C that solves one agent's programme, whole or not at all."""
+
+import os
+import shutil
+import tempfile
+from importlib.metadata import version
+from importlib.resources import as_file, files
+from pathlib import Path
+
+from sato.onboard.asked import Asked, asked
+from sato.onboard.generated import generate, refuse_without
+from sato.onboard.model import numbers, sizes_and_limits
+
+
+def export_c(
+    scenario: str, out: str | Path, neighbours: int = 5, steps: int | None = None
+) -> Asked:
+    """Write C that solves the programme of one agent of a scenario.
+
+    Args:
+        scenario: Built in, or a file.
+        out: A folder that is not there yet, or empty.
+        neighbours: For how many there is room in the programme.
+        steps: That the flight has left; those of the first leg if None.
+
+    Returns:
+        What was written.
+
+    Raises:
+        ValueError: The scenario has no such programme, the folder is not free, or the
+            generator is not installed.
+        OSError: The folder cannot be written.
+    """
+    out = Path(out)
+    refuse_without()
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise ValueError(f"{out}: is there already; --out takes a folder that is new, or empty")
+    what = asked(scenario, neighbours, steps)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".exporting-", dir=out.parent) as workshop:
+        made = Path(workshop, "made")
+        _write(what, made)
+        os.replace(made, out)
+    return what
+
+
+def tell(what: Asked) -> str:
+    """What the code can do, in a sentence."""
+    programme, limit = what.programme, "no speed limit"
+    if programme.limited:
+        limit = f"the speed limit of {programme.transfer.max_speed:g} m/s"
+    return (
+        f"{what.scenario}: flights of {len(programme.transfer.steps)} steps with {limit}, and "
+        f"{programme.rows} half-spaces in each of the first {programme.horizon}, which is room "
+        f"for {what.neighbours} neighbours"
+    )
+
+
+def _write(what: Asked, folder: Path) -> None:
+    with as_file(files("sato.onboard") / "c") as ours:
+        shutil.copytree(ours, folder)
+    sizes = generate(what.programme, folder / "generated")
+    for name, text in (
+        ("sato_model.h", sizes_and_limits(what.programme, sizes)),
+        ("sato_numbers.h", numbers(what.programme)),
+        ("README.md", _readme(what)),
+    ):
+        (folder / name).write_text(text, encoding="utf-8")
+
+
+def _readme(what: Asked) -> str:
+    programme = what.programme
+    transfer = programme.transfer
+    fast = f"{transfer.max_speed:g} m/s" if programme.limited else "none"
+    return f"""# One agent's transfer, in C
+
+Written by sato {version("sato")} with CVXPYgen {version("cvxpygen")} from the scenario
+`{what.scenario}`. `make` compiles `libsato_onboard.so`; `sato_onboard.h` says what to call.
+
+| | |
+|---|---|
+| steps of the flight | {len(transfer.steps)} of {transfer.steps.dt:g} s |
+| axes | {transfer.steps.axes} |
+| largest control | {transfer.max_control:g} m/s² an axis |
+| largest speed | {fast} |
+| half-spaces | {programme.rows} in each of the first {programme.horizon} steps |
+| which is room for | {what.neighbours} neighbours, {what.horizon.pieces} pieces of path a step |
+
+It needs a C99 compiler, `malloc` and, on a POSIX system, `clock_gettime`. Another number of
+steps is another export. It finds no proof where there is no flight, and says only that none
+was found. What is in `generated/` comes with licences of its own: CVXPYgen Apache 2.0, QOCO
+BSD 3-clause, QDLDL Apache 2.0, AMD BSD 3-clause.
+"""

@@ -1,0 +1,57 @@
+"""The code on board against Python on random questions: cost, residuals and time per solve.
+
+    python scripts/study_onboard.py [scenario ...]
+
+Prints what stands in docs/onboard.md.
+"""
+
+import sys
+import tempfile
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+from problems.avoidance import Avoidance
+from sato.onboard import export_c
+from sato.onboard.compiled import SOLVED, compiled
+from sato.onboard.trial import questions
+
+COUNT = 1000
+SIZES = {"uiuc": (5, 40), "random3d": (3, 20), "crossing": (1, 36)}  # neighbours, steps
+
+
+def study(scenario: str, neighbours: int, steps: int) -> None:
+    """Export, compile, ask both, and print a row of the table."""
+    with tempfile.TemporaryDirectory() as workshop:
+        asked = export_c(scenario, Path(workshop, "c"), neighbours, steps)
+        code = compiled(Path(workshop, "c"))
+    transfer = asked.programme.transfer
+    avoidance, dt = Avoidance(transfer), transfer.steps.dt
+    codes, cost, residual, times, bound = [], [], [], [], 0
+    ask = questions(asked, np.random.default_rng(2016))
+    for question, _ in zip(ask, range(COUNT), strict=False):
+        began = perf_counter()
+        flight = avoidance.solve(*question).flight
+        python = perf_counter() - began
+        flown = code.solve(*question)
+        least = dt * float(transfer.weight @ np.abs(flight.u).sum(axis=1))
+        codes.append(flown.code)
+        cost.append(abs(flown.cost - least) / max(least, transfer.max_control * dt))
+        residual.append(flown.residual)
+        times.append((flown.seconds, python))
+        bound += bool((question.spaces.missing(flight.x, flight.u) > -1e-6).any())
+    mine, python = 1e3 * np.median(times, axis=0)
+    slowest = 1e3 * np.max(times, axis=0)[0]
+    print(
+        f"{scenario}, {neighbours} neighbours, {steps} steps: "
+        f"{codes.count(SOLVED)} of {COUNT} solved, {bound} with a half-space that binds; "
+        f"cost differs by {np.median(cost):.1e} (median), {max(cost):.1e} (most); "
+        f"residual at most {max(residual):.1e}; "
+        f"C {mine:.2f} ms (most {slowest:.1f}), Python {python:.1f} ms"
+    )
+
+
+if __name__ == "__main__":
+    for name in sys.argv[1:] or SIZES:
+        study(name, *SIZES[name])
