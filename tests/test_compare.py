@@ -99,19 +99,11 @@ def test_a_point_where_there_is_none_is_a_wrong_claim():
 
 
 def test_who_never_answers_is_ended_and_asked_for_nothing_larger_or_tighter():
-    found = ask("sleeper", families=[questions("small"), questions("medium")], patience=0.02)
-    kinds = {
-        (m.size, m.tolerance): {n.first.verdict for n in found if n[2:5:2] == m[2:5:2]}
-        for m in found
-    }
-    assert kinds == {
-        ("small", 1e-4): {"crashed"},
-        ("small", 1e-6): {"skipped"},
-        ("medium", 1e-4): {"skipped"},
-        ("medium", 1e-6): {"skipped"},
-    }
-    assert "no answer within 0.2 s" in found[0].first.why
-    assert found[-1].first.why == "it took more than 0.02 s at small, 1e-4"
+    found = ask("sleeper", "honest", families=[questions(), questions("medium")], patience=0.7)
+    assert {m.first.verdict for m in found if m.solver == "honest"} == {"solved"}
+    lost = [m.first for m in found if m.solver == "sleeper"]
+    assert {outcome.verdict for outcome in lost} == {"skipped"}
+    assert {outcome.why for outcome in lost} == {"it took more than 0.7 s at small, 1e-4"}
 
 
 def test_memory_is_what_one_instance_takes_more():
@@ -125,7 +117,7 @@ def test_everybody_is_asked_as_often_as_was_planned():
     told = []
     what = Plan((questions(),), (cast()["honest"], cast()["liar"]), (1e-4, 1e-6), 3)
     measure(what, np.random.default_rng(0), 10.0, lambda *of: told.append(of), find=cast)
-    assert told == [(k, what.asks) for k in range(1, what.asks + 1)]
+    assert told == [(k, what.asks) for k in range(2, what.asks + 1, 2)]
     assert what.asks == 2 * 2 * 3 * 3
 
 

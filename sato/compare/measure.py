@@ -7,14 +7,13 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from problems.conic import TOLERANCE
 from problems.families import SIZES, Family, Instance
 from problems.solvers import adapters
 from sato.compare.plan import Plan, followers, power
 from sato.compare.worker import Find, Gone, Outcome, Question, Reply, Worker
 
 SEVERITY = ("solved", "infeasible", "unproven", "failed", "wrong claim", "crashed")
-HANGS = 10.0  # times the patience, after which a process is ended
+HANGS = 3.0  # times the patience, after which a process is ended
 
 Progress = Callable[[int, int], None]  # how many were asked, of how many
 
@@ -61,9 +60,9 @@ def measure(
 ) -> list[Measurement]:
     """Ask every solver every question it can take.
 
-    Solvers live in processes of their own and are asked one at a time. What took longer than the
-    patience is not repeated, and nothing larger or tighter of that family is asked of that solver;
-    what takes ten times as long is ended, and counts as crashed.
+    Solvers live in processes of their own and are asked one at a time. A solver that took longer
+    than the patience is asked no more in that family at that size and tolerance, nor for what is
+    larger or tighter; what takes three times as long is ended, and counts as crashed.
 
     Args:
         plan: Who is asked what.
@@ -72,113 +71,115 @@ def measure(
         progress: Told after each question.
         find: The solvers that there are; must be known to another process by its name.
     """
-    field = _Field(plan, rng, patience, progress, find)
+    field = _Field(plan, rng, _Patience(patience), progress, find)
     return [measurement for family in plan.families for measurement in field.family(family)]
 
 
+class _Patience:
+    """Who took too long, and where."""
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds = seconds
+        self._lost: dict[tuple[str, str], list[tuple[int, float]]] = {}
+
+    def watch(self, name: str, family: Family, tolerance: float, reply: Reply) -> None:
+        """Take note of how long a solver took."""
+        again = reply.again.seconds if reply.again else 0.0
+        if reply.first.seconds > self.seconds or again > self.seconds:
+            where = SIZES.index(family.size), tolerance
+            self._lost.setdefault((name, family.name), []).append(where)
+
+    def lost(self, name: str, family: Family, tolerance: float) -> str:
+        """Why a solver is not asked, or nothing."""
+        for size, known in self._lost.get((name, family.name), ()):
+            if size <= SIZES.index(family.size) and known >= tolerance:
+                return f"it took more than {self.seconds:g} s at {SIZES[size]}, {power(known)}"
+        return ""
+
+
 class _Field:
-    """The solvers, and who has lost our patience where."""
+    """The solvers in their processes, and the questions one after another."""
 
     def __init__(
         self,
         plan: Plan,
         rng: np.random.Generator,
-        patience: float,
+        patience: _Patience,
         progress: Progress,
         find: Find,
     ) -> None:
         self.plan, self.rng, self.patience, self.find = plan, rng, patience, find
         self.progress, self.done = progress, 0
         self.workers: dict[str, Worker] = {}
-        self.slow: dict[tuple[str, str], list[tuple[int, float]]] = {}
 
     def family(self, family: Family) -> Iterator[Measurement]:
-        """All that is asked of a family."""
-        memory: dict[str, float] = {}
+        """All that is asked of a family of a size."""
         with ExitStack() as stack:
             for solver in self.plan.able(family):
-                if not self.given_up(solver.name, family, max(self.plan.tolerances)):
-                    worker = self.workers[solver.name] = Worker(self.find, solver.name)
-                    stack.callback(worker.close)
-                    memory[solver.name] = self.memory(solver.name, family)
+                worker = self.workers[solver.name] = Worker(self.find, solver.name)
+                stack.callback(worker.close)
+            memory = self.memory(family)
             for tolerance in self.plan.tolerances:
                 yield from self.cell(family, tolerance, memory)
 
-    def memory(self, name: str, family: Family) -> float:
-        """What the first instance takes in a process that has done nothing else [MiB].
+    def memory(self, family: Family) -> dict[str, float]:
+        """What the first instance takes, in processes that have done nothing else [MiB].
 
         What a library does once in its life is then done, and no part of a time.
         """
-        tolerance = min(self.plan.tolerances, key=lambda t: abs(np.log(t / TOLERANCE)))
-        # Who crashes here will again where it is measured.
-        return self.ask(name, Question(family.instances[0], None, tolerance)).memory
+        loosest = self.plan.tolerances[0]
+        return {
+            solver.name: self.ask(
+                solver.name, family, Question(family.instances[0], None, loosest)
+            ).memory
+            for solver in self.plan.able(family)
+            if not self.patience.lost(solver.name, family, loosest)
+        }
 
     def cell(
         self, family: Family, tolerance: float, memory: dict[str, float]
     ) -> Iterator[Measurement]:
         """A family of a size at a tolerance."""
         names = [solver.name for solver in self.plan.able(family)]
-        out = {name: self.given_up(name, family, tolerance) for name in names}
         firsts: dict[tuple[str, str], list[Outcome]] = {}
         agains: dict[tuple[str, str], list[Outcome]] = {}
         for instance, after in zip(family.instances, followers(family), strict=True):
-            question = Question(instance, after, tolerance)
-            tired: set[str] = set()
+            question, crashed = Question(instance, after, tolerance), set[str]()
             for _ in range(self.plan.repeats):
-                for k in self.rng.permutation(len(names)):
-                    name = names[k]
-                    if not out[name] and name not in tired:
-                        reply = self.ask(name, question)
-                        firsts.setdefault((name, instance.name), []).append(reply.first)
-                        if after is not None and reply.again is not None:
-                            agains.setdefault((name, after.name), []).append(reply.again)
-                        slow = self.too_slow(reply)
-                        if slow:
-                            here = SIZES.index(family.size), tolerance
-                            self.slow.setdefault((name, family.name), []).append(here)
-                        if slow or reply.first.verdict == "crashed":
-                            tired.add(name)
+                for name in self.rng.permutation(names):
                     self.done += 1
-                    self.progress(self.done, self.plan.asks)
+                    if name in crashed or self.patience.lost(name, family, tolerance):
+                        continue
+                    first, again, _ = self.ask(name, family, question)
+                    firsts.setdefault((name, instance.name), []).append(first)
+                    if after is not None and again is not None:
+                        agains.setdefault((name, after.name), []).append(again)
+                    if first.verdict == "crashed":
+                        crashed.add(name)
+                self.progress(self.done, self.plan.asks)
         for name in names:
             for instance in family.instances:
                 key = name, instance.name
-                first = _whole(firsts[key]) if key in firsts else Outcome("skipped", out[name])
-                again = _whole(agains[key]) if key in agains else None
+                first = Outcome("skipped", self.patience.lost(name, family, tolerance))
                 yield Measurement(
-                    name, family.name, family.size, instance, tolerance, first, again,
+                    name,
+                    family.name,
+                    family.size,
+                    instance,
+                    tolerance,
+                    _whole(firsts[key]) if key in firsts else first,
+                    _whole(agains[key]) if key in agains else None,
                     memory.get(name, float("nan")),
-                )  # fmt: skip
+                )
 
-    def ask(self, name: str, question: Question) -> Reply:
+    def ask(self, name: str, family: Family, question: Question) -> Reply:
         """Ask one, and make the end of its process an outcome like others."""
         try:
-            return self.workers[name].ask(question, HANGS * self.patience)
+            reply = self.workers[name].ask(question, HANGS * self.patience.seconds)
         except Gone as end:
-            return Reply(Outcome("crashed", str(end), end.seconds), None, float("nan"))
-
-    def too_slow(self, reply: Reply) -> bool:
-        """Whether what is larger or tighter had better not be asked."""
-        outcomes = [reply.first, *([reply.again] if reply.again else [])]
-        return max(outcome.seconds for outcome in outcomes) > self.patience
-
-    def given_up(self, name: str, family: Family, tolerance: float) -> str:
-        """Why a solver is not asked, or nothing."""
-        size = SIZES.index(family.size)
-        for known_size, known in self.slow.get((name, family.name), ()):
-            if (
-                known_size <= size
-                and known >= tolerance
-                and (known_size, known)
-                != (
-                    size,
-                    tolerance,
-                )
-            ):
-                return (
-                    f"it took more than {self.patience:g} s at {SIZES[known_size]}, {power(known)}"
-                )
-        return ""
+            reply = Reply(Outcome("crashed", str(end), end.seconds), None, float("nan"))
+        self.patience.watch(name, family, question.tolerance, reply)
+        return reply
 
 
 def _whole(outcomes: list[Outcome]) -> Outcome:
