@@ -134,6 +134,8 @@ def test_the_order_of_half_spaces_does_not_matter(made, rng):
 def test_where_there_is_no_flight_none_is_claimed(made):
     written, code, _ = made["plane"]
     nobody, far = no_spaces(written.programme.transfer), np.array([50.0, 0, 0, 0])
+    near = np.array([0.5, 0.2, 0, 0])
+    before = code.solve(np.zeros(4), near, nobody)
     with pytest.raises(Infeasible):
         Avoidance(written.programme.transfer).solve(np.zeros(4), far, nobody)
     flown = code.solve(np.zeros(4), far, nobody)
@@ -141,7 +143,10 @@ def test_where_there_is_no_flight_none_is_claimed(made):
     assert not flown.residual <= 1e-6
     # Nothing moves the first state, so neither can it be made to keep anything.
     wall = HalfSpaces(np.array([0]), np.array([[1.0, 0, 0, 0]]), np.zeros((1, 2)), np.array([1.0]))
-    assert code.solve(np.zeros(4), np.array([0.1, 0, 0, 0]), wall).code == UNSOLVED
+    assert code.solve(np.zeros(4), near, wall).code == UNSOLVED
+    after = code.solve(np.zeros(4), near, nobody)
+    assert after.code == SOLVED
+    np.testing.assert_array_equal(after.u, before.u)
 
 
 def test_bad_numbers_are_refused_before_anything_is_solved(made):

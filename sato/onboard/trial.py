@@ -55,7 +55,7 @@ def _neighbour(
     x, u = _flight(asked, rng)
     theirs, R = asked.horizon.path(x, u), asked.horizon.radius
     meet = int(rng.integers(len(theirs)))
-    aside: Array = rng.normal(0, 1, theirs.shape[-1])
+    aside = rng.standard_normal((theirs.shape[-1],))
     aside = aside / np.linalg.norm(aside)
     distance = float(R * rng.uniform(1, 1.5))
     while True:

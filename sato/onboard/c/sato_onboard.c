@@ -201,17 +201,8 @@ static int answered(const double start[SATO_STATE], const double goal[SATO_STATE
                                                                               : SATO_UNSOLVED;
 }
 
-int sato_solve(const double start[SATO_STATE], const double goal[SATO_STATE],
-               const sato_half_space spaces[], int count, sato_flight *flight) {
-  memset(flight, 0, sizeof *flight);
-  flight->residual = INFINITY;
-  if (!finite_all(start, SATO_STATE) || !finite_all(goal, SATO_STATE) || count < 0)
-    return SATO_REFUSED;
-  roll(start, NULL, coast);
-  if (!fill(goal, spaces, count)) return SATO_REFUSED;
-
-  /* Set up anew each time: what the solver keeps from one solve to the next goes wrong where
-   * matrices are updated (QOCO 0.2.2 permutes a transposed copy the wrong way). */
+/* Memory, once. */
+static int set_up(void) {
   QOCOCscMatrix A, G;
   QOCOSettings settings;
   Canon_Params_t *data = &Canon_Params;
@@ -221,20 +212,57 @@ int sato_solve(const double start[SATO_STATE], const double goal[SATO_STATE],
                data->G->i);
   set_default_settings(&settings);
   settings.abstol = settings.reltol = ASKED;
-  qoco_solver = calloc(1, sizeof *qoco_solver);
-  if (!qoco_solver) return SATO_UNSOLVED;
 #if SATO_CONES
   int *sizes = (int *)qoco_q;
 #else
   int *sizes = NULL;
 #endif
-  if (qoco_setup(qoco_solver, SATO_VARIABLES, SATO_INEQUALITIES, SATO_EQUATIONS, NULL, data->c, &A,
+  QOCOSolver *solver = calloc(1, sizeof *solver);
+  if (!solver) return 0;
+  if (qoco_setup(solver, SATO_VARIABLES, SATO_INEQUALITIES, SATO_EQUATIONS, NULL, data->c, &A,
                  data->b, &G, data->h, SATO_LINEAR, SATO_CONES, sizes, &settings)) {
-    free(qoco_solver); /* what it had of memory by then, it keeps */
-    return SATO_UNSOLVED;
+    free(solver); /* what it had of memory by then, it keeps */
+    return 0;
   }
+  qoco_solver = solver;
+  return 1;
+}
+
+/* Forget the last question. QOCO 0.2.2 computes its first point with the scaling of the last
+ * solve, which may have been next to singular, where it means to have none. */
+static void forget(void) {
+  double *scaling = get_data_vectorf(qoco_solver->work->WtW);
+  memset(scaling, 0, qoco_solver->work->Wnnz * sizeof *scaling);
+  for (int i = 0; i < SATO_LINEAR; i++) scaling[i] = 1;
+  scaling += SATO_LINEAR;
+  for (int c = 0; c < SATO_CONES; c++) /* each an upper triangle, column by column */
+    for (int size = 1; size <= SATO_AXES + 1; size++) {
+      scaling[size - 1] = 1;
+      scaling += size;
+    }
+  qoco_solver->linsys->linsys_update_nt(qoco_solver->linsys_data, qoco_solver->work->WtW,
+                                        qoco_solver->settings->kkt_static_reg,
+                                        SATO_INEQUALITIES);
+}
+
+static int begin(void) {
+  if (!qoco_solver && !set_up()) return 0;
+  update_vector_data(qoco_solver, NULL, Canon_Params.b, Canon_Params.h);
+  update_matrix_data(qoco_solver, NULL, NULL, Canon_Params.G->x);
+  forget();
+  return 1;
+}
+
+int sato_solve(const double start[SATO_STATE], const double goal[SATO_STATE],
+               const sato_half_space spaces[], int count, sato_flight *flight) {
+  memset(flight, 0, sizeof *flight);
+  flight->residual = INFINITY;
+  if (!finite_all(start, SATO_STATE) || !finite_all(goal, SATO_STATE) || count < 0)
+    return SATO_REFUSED;
+  roll(start, NULL, coast);
+  if (!fill(goal, spaces, count)) return SATO_REFUSED;
+
+  if (!begin()) return SATO_UNSOLVED;
   qoco_solve(qoco_solver);
-  int code = answered(start, goal, spaces, count, flight);
-  qoco_cleanup(qoco_solver);
-  return code;
+  return answered(start, goal, spaces, count, flight);
 }
