@@ -63,7 +63,10 @@ def honest():
         ("camera.occlusion=true", "camera.body_m=1.0"),
         (QUADROTOR, "camera.occlusion=true"),
         ("death=[{robot=3, time_s=1.0}, {robot=0, time_s=2.01}]",),
+        (SHAKEN, "death=[{robot=3, time_s=1.0}, {robot=0, time_s=2.01}]"),
+        (QUADROTOR, "camera.occlusion=true", "death=[{robot=3, time_s=1.0}]"),
         ("agents=2",),
+        (QUADROTOR, "agents=2"),
         (
             "estimator.kind=exact",
             'obstacle=[{kind="plane", normal=[0, 0, 1], through_m=[0, 0, 0]}]',

@@ -47,3 +47,37 @@ def to_each_other(
         between = (nearest**2).sum(axis=2)[both[1:] & both[:-1]]
         least = min(least, float(between.min(initial=np.inf)))
     return float(np.sqrt(least))
+
+
+def past_obstacles(
+    position: Float[Array, "instants agents 3"],
+    alive: Bool[Array, "instants agents"],
+    obstacles: Obstacles,
+) -> float:
+    """Least distance of a live robot that goes straight from instant to instant [m].
+
+    Obstacles are convex, so along a way the distance to one falls and then rises: ways are
+    searched by thirds, to 1e-9 of their length. Distance changes by no more than one goes: few
+    ways can lead nearer than their ends.
+
+    Args:
+        position: At every instant [m].
+        alive: Who takes part.
+        obstacles: All of them.
+    """
+    away = to_obstacles(position, obstacles)
+    least = float(away[alive].min(initial=np.inf))
+    far = np.linalg.norm(np.diff(position, axis=0), axis=2)[..., None]
+    near = (away[1:] + away[:-1] - far) / 2 < least
+    k, i, which = np.nonzero(near & (alive[1:] & alive[:-1])[..., None])
+
+    def at(share: Float[Array, " ways"]) -> Float[Array, " ways"]:
+        places = position[k, i] + share[:, None] * (position[k + 1, i] - position[k, i])
+        return to_obstacles(places, obstacles)[np.arange(len(k)), which]
+
+    low, high = np.zeros(len(k)), np.ones(len(k))
+    for _ in range(52):
+        third = (high - low) / 3
+        sooner = at(low + third) < at(high - third)
+        low, high = np.where(sooner, low, low + third), np.where(sooner, high - third, high)
+    return min(least, float(at((low + high) / 2).min(initial=np.inf)))

@@ -8,8 +8,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
+from dynamics.quadrotor import Quadrotor
 from sato.check.happened import Happened
-from sato.connectivity.distance import to_each_other, to_obstacles
+from sato.connectivity.check.replay import Flown, Views, flown, views
+from sato.connectivity.distance import past_obstacles, to_each_other
+from sato.connectivity.log import rotated
 from sato.connectivity.mission import ConnectivityFlight
 
 if TYPE_CHECKING:
@@ -74,9 +77,30 @@ class Evidence:
 
     @cached_property
     def to_obstacles(self) -> float:
-        """Least distance of a robot to an obstacle at an instant; infinite without any [m]."""
-        away = to_obstacles(self.position, self.mission.obstacles)
-        return float(away[self.alive].min(initial=np.inf))
+        """Least distance of a robot to an obstacle, between instants too; infinite without [m]."""
+        return past_obstacles(self.position, self.alive, self.mission.obstacles)
+
+    @cached_property
+    def asked(self) -> Float[Array, "instants agents 3"]:
+        """Velocity asked of each robot, in its body frame: of the leader, with the stick [m/s]."""
+        asked = self.command.copy()
+        asked[:, 0] += rotated(self.stick, -self.yaw[:, 0])
+        return asked
+
+    @cached_property
+    def again(self) -> Flown | None:
+        """What was asked, flown once more from the recorded start; none but for quadrotors."""
+        plant, step = self.mission.plant, self.mission.step
+        if not isinstance(plant, Quadrotor):
+            return None
+        p, yaw = self.position[0], self.yaw[0]
+        return flown(p, yaw, self.asked, self.turn, self.alive, plant, step)
+
+    @cached_property
+    def views(self) -> Views:
+        """Who has whom in sight, by the recorded poses, and the tilt of what flew once more."""
+        push = np.zeros_like(self.position) if self.again is None else self.again.push
+        return views(self.position, self.yaw, push, self.alive, self.mission)
 
     @cached_property
     def waypoints(self) -> int:

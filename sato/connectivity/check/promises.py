@@ -3,11 +3,11 @@
 from math import exp
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.kinematic import Kinematic
-from problems.graph import graph, laplacian
+from problems.graph import laplacian
 from sato.check import common
 from sato.check.promise import RELATIVE, Promise, below, largest, none, within
 from sato.connectivity import log
@@ -16,6 +16,7 @@ from sato.connectivity.mission import ANYWHERE
 from sato.network import canonical, parts
 
 ROUNDED = 1e-9  # of weights, eigenvalues, cosines and speeds: what rounding leaves
+SHAKEN = 8  # standard deviations that noise may do: beyond are 1 in 10¹⁵
 
 
 def promises(evidence: Evidence) -> tuple[Promise, ...]:
@@ -78,47 +79,45 @@ def start(evidence: Evidence) -> Promise:
 
 
 def flight(evidence: Evidence) -> Promise:
-    """Robots are where their own velocities bring them, and the lost stay where they were."""
-    p, there, h = evidence.position, evidence.alive[:-1], evidence.mission.step
-    off = np.diff(p, axis=0)
-    off[there] -= (h * _mean_velocity(evidence))[there]
+    """Robots are where what they were asked for brings them, and the lost stay where they were."""
+    p, again, lives = evidence.position, evidence.again, evidence.alive
+    if again is None:
+        off = np.abs(np.diff(p, axis=0) - _swept(evidence))
+        lost = lives[:-1] & ~lives[1:]  # in this step: what noise did in it is not on file
+        off[lost] = np.maximum(off[lost] - evidence.mission.step * _shakes(evidence), 0)
+    else:
+        off = np.abs(p - again.position)
     tolerance = RELATIVE * largest(np.abs(p))
-    return within("flight", largest(np.abs(off)), tolerance, "m off from a step flown")
+    return within("flight", largest(off), tolerance, "m off from where commands lead")
 
 
 def obedience(evidence: Evidence) -> Promise:
     """Velocities are what was asked for, as far as the plant obeys."""
-    plant = evidence.mission.plant
-    if not isinstance(plant, Kinematic):
-        return none(
-            "obedience", 0, "odd velocities, for what a quadrotor makes of a command is its"
-        )
-    if plant.noise > 0:
-        return none("obedience", 0, "odd velocities, for noise may do to them what it likes")
-    keep, _ = _follows(plant.lag, evidence.mission.step)
-    body, asked = log.rotated(evidence.velocity, -evidence.yaw), _asked(evidence)[:-1]
-    off = body[1:] - asked - (body[:-1] - asked) * keep
-    worst = largest(np.abs(off[evidence.alive[:-1]]))
-    return within("obedience", worst, ROUNDED, "m/s off from what was asked for")
+    again, lives = evidence.again, evidence.alive
+    if again is None:
+        off = np.abs(_shaken(evidence))
+    else:
+        off = np.abs(evidence.velocity - again.velocity)[lives]
+    text = "m/s off from what was asked for"
+    return within("obedience", largest(off), ROUNDED + _shakes(evidence), text)
 
 
 def heading(evidence: Evidence) -> Promise:
     """Robots turn as they asked, as far as the plant obeys, and the lost stay as they were."""
-    plant, h = evidence.mission.plant, evidence.mission.step
-    if isinstance(plant, Kinematic) and plant.noise > 0:
-        return none("heading", 0, "odd yaws, for noise may do to them what it likes")
-    lag = plant.lag if isinstance(plant, Kinematic) else plant.attitude
-    keep, mean = _follows(lag, h)
+    h, again, text = evidence.mission.step, evidence.again, "rad off from what was asked for"
+    if again is not None:
+        return within("heading", largest(np.abs(evidence.yaw - again.yaw)), ROUNDED, text)
+    (keep, mean), shakes = _follows(evidence), _shakes(evidence)
     rate, worst = np.zeros(evidence.yaw.shape[1]), 0.0
     for asked, lives, gone in zip(
         evidence.turn, evidence.alive, np.diff(evidence.yaw, axis=0), strict=False
     ):
-        last, rate = rate, asked + (rate - asked) * keep
-        swept = asked + (last - asked) * mean
-        if not isinstance(plant, Kinematic):
-            swept = (last + rate) / 2
-        worst = max(worst, largest(np.abs(gone - np.where(lives, h * swept, 0))))
-    return within("heading", worst, ROUNDED, "rad off from a step turned as asked for")
+        off = gone - np.where(lives, h * (asked + (rate - asked) * mean), 0)
+        rate = asked + (rate - asked) * keep
+        if shakes > 0:
+            rate += off / h
+        worst = max(worst, largest(np.abs(off)))
+    return within("heading", worst, ROUNDED + h * shakes, text)
 
 
 def speed(evidence: Evidence) -> Promise:
@@ -144,7 +143,9 @@ def stick(evidence: Evidence) -> Promise:
             if reached >= len(told) or told[reached] != k:
                 return none("stick", 1, f"waypoints reached and not told of, at instant {k}")
             reached += 1
-        expected = operator.ask(k * evidence.mission.step, at, reached)
+        expected = np.zeros(3)
+        if evidence.alive[k, 0]:
+            expected = operator.ask(k * evidence.mission.step, at, reached)
         worst = max(worst, largest(np.abs(expected - asked)))
     if reached < len(told):
         return none("stick", len(told) - reached, "waypoints told of and not reached")
@@ -152,43 +153,18 @@ def stick(evidence: Evidence) -> Promise:
 
 
 def weights(evidence: Evidence) -> Promise:
-    """Weights are those of the poses; where cameras tilt or are blocked, no more than those."""
-    mission, camera = evidence.mission, evidence.mission.camera
-    found = graph(evidence.position, evidence.yaw, camera)
-    both = _both(evidence)
-    there, said = both * found.weight, evidence.weight
-    if not isinstance(mission.plant, Kinematic):
-        over = np.maximum(said - both * found.reach, 0)
-        text = "more than distance allows; more is not judged, for cameras tilt with the robots"
-    elif mission.occlusion:
-        over = np.where(said > 0, np.abs(said - there), 0)
-        text = "off from that of the poses where there is one; what hides others is not judged"
-    else:
-        over, text = np.abs(said - there), "off from that of the poses"
-    return within("weights", largest(over), ROUNDED, text)
+    """Weights are those of the poses, of tilted cameras and of what stands between robots."""
+    off = np.abs(evidence.weight - evidence.views.weight)
+    return within("weights", largest(off), ROUNDED, "off from that of the poses")
 
 
 def sight(evidence: Evidence) -> Promise:
-    """Robots see whom they can see; where cameras tilt or are blocked, nobody out of range."""
-    mission, camera = evidence.mission, evidence.mission.camera
-    least = ANYWHERE[0] if mission.blind else camera.a_min
-    odd = 0
-    free = isinstance(mission.plant, Kinematic) and not mission.occlusion
-    for p, yaw, lives, sees in zip(
-        evidence.position, evidence.yaw, evidence.alive, evidence.sees, strict=True
-    ):
-        gap = p[None] - p[:, None]
-        far = np.linalg.norm(gap, axis=2)
-        axis = log.rotated(np.tile(camera.axis, (len(p), 1)), yaw)
-        facing = (gap * axis[:, None]).sum(axis=2) / np.where(far > 0, far, 1)
-        near = (camera.d_min < far) & (far < camera.d_max) & lives & lives[:, None]
-        edge = np.minimum(np.abs(far - camera.d_min), np.abs(far - camera.d_max)) < ROUNDED
-        if free:
-            edge |= np.abs(facing - least) < ROUNDED
-            odd += int(((sees != (near & (facing > least))) & ~edge).sum())
-        else:
-            odd += int((sees & ~near & ~edge).sum())
-    return none("visibility", odd, "pairs that see each other, or not, against their poses")
+    """Robots see whom they can see, and nobody else."""
+    least = ANYWHERE[0] if evidence.mission.blind else evidence.mission.camera.a_min
+    facing = evidence.views.facing
+    odd = (evidence.sees != (facing > least)) & ~(np.abs(facing - least) < ROUNDED)
+    text = "pairs that see each other, or not, against their poses"
+    return none("visibility", int(odd.sum()), text)
 
 
 def eigenvalues(evidence: Evidence) -> Promise:
@@ -252,33 +228,36 @@ def _states(evidence: Evidence) -> Float[Array, "instants agents k"]:
     return np.concatenate([*poses, *asked, evidence.weight, evidence.yaw_error], axis=2)
 
 
-def _both(evidence: Evidence) -> Bool[Array, "instants agents agents"]:
-    return np.asarray(evidence.alive[:, None] & evidence.alive[:, :, None])
-
-
-def _asked(evidence: Evidence) -> Float[Array, "instants agents 3"]:
-    # The leader adds what the operator asks, which comes in the world frame.
-    asked = evidence.command.copy()
-    asked[:, 0] += log.rotated(evidence.stick, -evidence.yaw[:, 0])
-    return asked
-
-
-def _follows(lag: float, step: float) -> tuple[float, float]:
+def _follows(evidence: Evidence) -> tuple[float, float]:
     # How much of what there was is left at the end of a step, and in the mean over it.
-    if lag <= 0:
+    plant, step = evidence.mission.plant, evidence.mission.step
+    if not isinstance(plant, Kinematic) or plant.lag <= 0:
         return 0.0, 0.0
-    keep = exp(-step / lag)
-    return keep, lag / step * (1 - keep)
+    keep = exp(-step / plant.lag)
+    return keep, plant.lag / step * (1 - keep)
 
 
-def _mean_velocity(evidence: Evidence) -> Float[Array, "steps agents 3"]:
-    # Over each step, in the world frame. A quadrotor's acceleration is taken to be constant in
-    # a step. Others approach what they are asked for; what noise there is adds to both their
-    # mean and their last velocity, and they go straight at the yaw of the middle of the step.
-    v, plant, h = evidence.velocity, evidence.mission.plant, evidence.mission.step
-    if not isinstance(plant, Kinematic):
-        return np.asarray((v[1:] + v[:-1]) / 2)
-    body, asked = log.rotated(v, -evidence.yaw), _asked(evidence)[:-1]
-    keep, mean = _follows(plant.lag, h)
-    gone = body[1:] + (body[:-1] - asked) * (mean - keep)
-    return log.rotated(gone, (evidence.yaw[1:] + evidence.yaw[:-1]) / 2)
+def _shakes(evidence: Evidence) -> float:
+    # What noise may do to a velocity in a step.
+    plant = evidence.mission.plant
+    return SHAKEN * plant.noise if isinstance(plant, Kinematic) else 0.0
+
+
+def _shaken(evidence: Evidence) -> Float[Array, "steps agents 3"]:
+    # What velocities are off from those asked for, as the plant follows. The last velocity of
+    # who is lost is not on file.
+    body, asked = log.rotated(evidence.velocity, -evidence.yaw), evidence.asked[:-1]
+    off = body[1:] - asked - (body[:-1] - asked) * _follows(evidence)[0]
+    off[~(evidence.alive[1:] & evidence.alive[:-1])] = 0
+    return np.asarray(off)
+
+
+def _swept(evidence: Evidence) -> Float[Array, "steps agents 3"]:
+    # How far robots come in each step, in the world frame: at their mean velocity, to which
+    # noise adds what it adds to the last one, and the yaw of the middle of the step.
+    v, asked, lives = evidence.velocity[:-1], evidence.asked[:-1], evidence.alive[:-1]
+    body = log.rotated(v, -evidence.yaw[:-1])
+    gone = asked + (body - asked) * _follows(evidence)[1] + _shaken(evidence)
+    gone[~lives] = 0
+    middle = (evidence.yaw[1:] + evidence.yaw[:-1]) / 2
+    return np.asarray(evidence.mission.step * log.rotated(gone, middle))

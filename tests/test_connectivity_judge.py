@@ -1,0 +1,190 @@
+"""The judge flies and looks once more: what hangs together by itself, and was not flown, is found.
+
+Each run here is altered throughout, and what follows from it on file is made to fit.
+"""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from test_connectivity_check import QUADROTOR, SHAKEN, broken, flown
+
+from problems.graph import connectivity, graph
+from sato.connectivity.check import Evidence
+from sato.connectivity.distance import past_obstacles, to_obstacles
+from sato.connectivity.obstacles import Obstacles
+
+HIDING = ("camera.occlusion=true", "camera.body_m=1.0")
+
+
+@pytest.fixture(scope="module")
+def tilted():
+    return flown(QUADROTOR)
+
+
+@pytest.fixture(scope="module")
+def hiding():
+    return flown(*HIDING)
+
+
+def told(run, **values):
+    """The run with other values of some variables."""
+    data = {name: (run.data[name].dims, new) for name, new in values.items()}
+    return replace(run, data=run.data.assign(data))
+
+
+def weighing(run, weight):
+    """The run with other weights, and the eigenvalues that they have; nobody is lost in it."""
+    found = connectivity(weight)
+    assert (run.data["component"].values == 0).all() and found.lambda2.min() > 0.01
+    return told(run, edge_weight=weight, lambda2=found.lambda2, lambda3=found.lambda3)
+
+
+def poses(run, mission):
+    """Weights as they are for upright cameras in empty space."""
+    return graph(run.data["position"].values, run.data["yaw"].values, mission.camera)
+
+
+def test_weights_that_forget_the_field_of_view_or_the_tilt_are_found(tilted):
+    run, mission = tilted
+    blind = weighing(run, poses(run, mission).reach)
+    assert blind.data["lambda2"].values.mean() > run.data["lambda2"].values.mean() + 0.5
+    assert broken(blind, mission) == {"weights"}
+    upright = weighing(run, poses(run, mission).weight)
+    assert broken(upright, mission) == {"weights"}
+
+
+def test_who_is_in_sight_is_judged_by_the_tilted_camera(tilted):
+    run, mission = tilted
+    p, yaw = run.data["position"].values, run.data["yaw"].values
+    gap = p[:, None] - p[:, :, None]
+    far = np.linalg.norm(gap, axis=3) + 99 * np.eye(6)
+    x, y, z = mission.camera.axis
+    c, s = np.cos(yaw), np.sin(yaw)
+    axis = np.stack([c * x - s * y, s * x + c * y, np.full_like(yaw, z)], axis=-1)
+    facing = (gap * axis[:, :, None]).sum(axis=3) / far
+    near = (mission.camera.d_min < far) & (far < mission.camera.d_max)
+    upright = near & (facing > mission.camera.a_min)
+    assert (upright != run.data["visibility"].values).any()
+    assert broken(told(run, visibility=upright), mission) == {"visibility"}
+
+
+@pytest.mark.parametrize(
+    ("name", "promises"),
+    [
+        ("velocity_command", {"flight", "obedience"}),
+        ("yaw_rate", {"heading"}),
+        ("stick", {"stick", "flight", "obedience"}),
+    ],
+)
+def test_a_quadrotor_that_flew_and_asked_for_nothing_is_found(tilted, name, promises):
+    run, mission = tilted
+    nothing = told(run, **{name: np.zeros_like(run.data[name].values)})
+    assert promises <= broken(nothing, mission)
+
+
+@pytest.mark.parametrize(
+    ("name", "promise"), [("position", "flight"), ("velocity", "obedience"), ("yaw", "heading")]
+)
+def test_a_quadrotor_that_is_off_by_a_millionth_is_found(tilted, name, promise):
+    run, mission = tilted
+    values = run.data[name].values.copy()
+    values[100, 2] += 1e-6
+    assert promise in broken(told(run, **{name: values}), mission)
+
+
+def test_noise_is_no_excuse_for_what_was_never_asked_for():
+    run, mission = flown(SHAKEN.replace("lag_s=0.3, ", ""))
+    assert broken(run, mission) == set()
+    for name, promise in (("velocity_command", "obedience"), ("yaw_rate", "heading")):
+        nothing = told(run, **{name: np.zeros_like(run.data[name].values)})
+        assert promise in broken(nothing, mission)
+
+
+def test_nothing_is_asked_of_a_leader_that_is_lost():
+    run, mission = flown(QUADROTOR, "death=[{robot=0, time_s=1}]")
+    stick = run.data["stick"].values.copy()
+    assert stick[:50].any(axis=1).all() and not stick[50:].any()
+    stick[100, 0] = 1.0
+    assert broken(told(run, stick=stick), mission) == {"stick"}
+
+
+@pytest.mark.parametrize("plant", ['plant={kind="kinematic"}', QUADROTOR])
+def test_who_stands_in_the_line_of_sight_is_judged(plant):
+    run, mission = flown(plant, *HIDING)
+    evidence = Evidence.of(run.data, mission)
+    clear = Evidence.of(run.data, replace(mission, occlusion=False)).views
+    covered = (clear.weight > 0) & (evidence.views.weight == 0)
+    assert covered.any()
+    assert broken(weighing(run, clear.weight), mission) == {"weights"}
+    seen = clear.facing > mission.camera.a_min
+    assert broken(told(run, visibility=seen), mission) == {"visibility"}
+    assert {"weights", "visibility"} <= broken(run, replace(mission, occlusion=False))
+
+
+def test_an_edge_that_nobody_hides_cannot_be_left_out(hiding):
+    run, mission = hiding
+    weight = run.data["edge_weight"].values.copy()
+    k, i, j = np.unravel_index(np.argmin(np.where(weight > 1e-3, weight, 9)), weight.shape)
+    weight[k, i, j] = weight[k, j, i] = 0
+    assert broken(weighing(run, weight), mission) == {"weights"}
+
+
+def test_an_obstacle_hides_whom_it_stands_between(hiding):
+    run, mission = hiding
+    p, sees = run.data["position"].values, run.data["visibility"].values
+    i, j = np.argwhere(sees[-1])[0]
+    wall = Obstacles.none()._replace(spheres=np.array([[*(p[-1, i] + p[-1, j]) / 2, 0.1]]))
+    assert {"weights", "visibility"} <= broken(run, replace(mission, obstacles=wall))
+
+
+@pytest.mark.parametrize("kind", ["spheres", "boxes"])
+def test_who_passes_through_an_obstacle_between_instants_is_found(tilted, kind):
+    run, mission = tilted
+    p = run.data["position"].values.copy()
+    top = int(np.argmax(p[0, :, 2]))
+    high, half = p[99, top] + [0, 0, 4.0], np.array([9, 9, 0.1])
+    p[100:, top, 2] += 8.0
+    shape = {"spheres": [*high, 0.3], "boxes": [*(high - half), *(high + half)]}
+    wall = Obstacles.none()._replace(**{kind: np.array([shape[kind]])})
+    assert to_obstacles(p, wall).min() > 2 * mission.repulsion.nearest
+    walled = replace(mission, obstacles=wall)
+    assert "obstacles" not in broken(run, walled)
+    assert {"obstacles", "flight"} <= broken(told(run, position=p), walled)
+
+
+def test_the_least_distance_to_obstacles_is_that_of_ways_sampled_finely(rng):
+    spheres = np.hstack([rng.uniform(-3, 3, (3, 3)), rng.uniform(0.1, 0.5, (3, 1))])
+    corner = rng.uniform(-3, 3, (3, 3))
+    normal = rng.standard_normal((2, 3))
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    boxes = np.hstack([corner, corner + rng.uniform(0.01, 1.5, (3, 3))])
+    some = Obstacles(spheres, boxes, np.hstack([normal, [[-4.0], [-5.0]]]))
+    share = np.linspace(0, 1, 2001)[:, None, None]
+    for _ in range(20):
+        walk = rng.uniform(-4, 4, (3, 2, 3))
+        alive = rng.random((3, 2)) < 0.8
+        least = np.inf
+        for (a, there), (b, still) in pairwise(zip(walk, alive, strict=True)):
+            ways = (a + share * (b - a))[:, there & still]
+            least = min(least, to_obstacles(ways, some).min(initial=np.inf))
+        least = min(least, to_obstacles(walk, some)[alive].min(initial=np.inf))
+        # Samples are up to 14 m / 2000 apart, and distance changes by half of that between two.
+        found = past_obstacles(walk, alive, some)
+        assert found == least if least == np.inf else least - 3.5e-3 <= found <= least + 1e-8
+
+
+def test_the_least_distance_is_exact_where_it_is_known():
+    way, both = np.array([[[-1.0, 0.3, 0.4]], [[2.0, 0.3, 0.4]]]), np.ones((2, 1), dtype=bool)
+    empty = Obstacles.none()
+    ball = empty._replace(spheres=np.array([[0.0, 0.0, 0.0, 0.2]]))
+    box = empty._replace(boxes=np.array([[-0.1, -0.1, -0.1, 0.1, 0.0, 0.0]]))
+    floor = empty._replace(planes=np.array([[1.0, 0.0, 0.0, -1.5]]))
+    assert past_obstacles(way, both, ball) == pytest.approx(0.3, abs=1e-12)
+    assert past_obstacles(way, both, box) == pytest.approx(0.5, abs=1e-12)
+    assert past_obstacles(way, both, floor) == pytest.approx(0.5, abs=1e-12)
+    assert past_obstacles(way, both, empty) == np.inf
+    assert past_obstacles(way, np.array([[True], [False]]), ball) == pytest.approx(
+        np.sqrt(1.25) - 0.2
+    )
