@@ -6,10 +6,13 @@ from scipy.sparse import csc_array
 
 from problems.conic import Conic, matrix, triangle
 from problems.solvers import Adapter, adapters
-from problems.solvers.adapter import Claim, judge
+from problems.solvers.adapter import Claim, judge, nothing
 
 KNOWN = adapters()
-INSTALLED = sorted(name for name, adapter in KNOWN.items() if adapter.installed)
+# Who takes only problems of a form of their own is tried by itself.
+INSTALLED = sorted(
+    name for name, adapter in KNOWN.items() if adapter.installed and adapter.refuses is nothing
+)
 KINDS = ("linear", "second-order", "semidefinite")
 
 

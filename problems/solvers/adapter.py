@@ -33,6 +33,11 @@ class Session(Protocol):
         """Solve with another right-hand side, the rest being as it was read."""
 
 
+def nothing(problem: Conic) -> str:
+    """What most refuse of the problems whose cones they know."""
+    return ""
+
+
 @dataclass(frozen=True)
 class Adapter:
     """A solver, and how to ask it."""
@@ -43,6 +48,7 @@ class Adapter:
     module: str  # without which it cannot be asked
     pip: str  # what installs that
     begin: Callable[[Conic, float], Session]  # with the tolerance that is asked of the answer
+    refuses: Callable[[Conic], str] = nothing  # why it cannot take a problem of its cones, or ""
 
     @property
     def installed(self) -> bool:
@@ -50,8 +56,8 @@ class Adapter:
         return find_spec(self.module) is not None
 
     def takes(self, problem: Conic) -> bool:
-        """Whether it knows all cones of a problem."""
-        return problem.kinds <= self.cones
+        """Whether it knows all cones of a problem, and its form."""
+        return problem.kinds <= self.cones and not self.refuses(problem)
 
     def read(self, problem: Conic, tolerance: float) -> Session:
         """Begin with a problem.
@@ -61,13 +67,14 @@ class Adapter:
             tolerance: Of residuals and gap, relative, as `Answer` has them.
 
         Raises:
-            ValueError: It is not installed, or does not know a cone of the problem.
+            ValueError: It is not installed, or does not know a cone of the problem or its form.
         """
         if not self.installed:
             raise ValueError(f"{self.name} is not installed; pip install {self.pip} would do")
-        if not self.takes(problem):
-            missing = ", ".join(sorted(problem.kinds - self.cones))
+        if missing := ", ".join(sorted(problem.kinds - self.cones)):
             raise ValueError(f"{self.name} cannot take {missing} cones")
+        if why := self.refuses(problem):
+            raise ValueError(f"{self.name} {why}")
         return self.begin(problem, tolerance)
 
 

@@ -80,11 +80,13 @@ class Plugin:
             "lbx": np.full(n, -np.inf),
             "ubx": np.full(n, np.inf),
         }
-        self._buffer, self._run = self._solver.buffer()
+        # At run time it takes a view without its size, which its own types ask for.
+        memory: tuple[Any, Any] = self._solver.buffer()
+        self._buffer, self._run = memory
         for name, values in self._given.items():
-            self._buffer.set_arg(self._solver.index_in(name), memoryview(values))
+            self._buffer.set_arg(self._solver.index_in(name), values.data)
         for name, values in (("x", self._x), ("lam_a", self._y)):
-            self._buffer.set_res(self._solver.index_out(name), memoryview(values))
+            self._buffer.set_res(self._solver.index_out(name), values.data)
 
     def solve(self, b: Float[Array, " m"]) -> Claim:
         """Solve with another right-hand side."""

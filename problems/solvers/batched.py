@@ -1,0 +1,121 @@
+"""The project's own way of pricing transfers, asked one question at a time.
+
+`least_fuel` answers thousands at once by it. It knows the one form that transfers have without
+their states, and no other.
+"""
+
+from pathlib import Path
+from time import perf_counter
+from typing import Any, no_type_check
+from zlib import crc32
+
+import numba
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+from scipy.sparse import eye_array, vstack
+
+from problems.conic import Conic
+from problems.dual_simplex import EXACT, climb
+from problems.least_fuel import PIVOTS
+from problems.proof import ANSWERED, OUT_OF_REACH, UNPROVEN
+from problems.solvers.adapter import Adapter, Claim
+from problems.tableau import copy, desk, read
+from problems.whitening import Whitened
+
+FORM = "takes only [C −C] z = b, 0 ≤ z ≤ 1, with independent rows, the two halves at one price > 0"
+
+
+def refuses(problem: Conic) -> str:
+    """Why it cannot take a problem, or nothing."""
+    (_, n), zero = problem.A.shape, problem.zero
+    if n % 2 or not 0 < zero <= n // 2 or problem.nonnegative != 2 * n:
+        return FORM
+    equations, box = problem.A[:zero].toarray(), vstack([eye_array(n), -eye_array(n)])
+    C, opposite = np.hsplit(equations, 2)
+    plus, minus = np.hsplit(problem.q, 2)
+    fits = (
+        np.array_equal(opposite, -C)
+        and np.array_equal(minus, plus)
+        and (plus > 0).all()
+        and abs(problem.A[zero:] - box).sum() == 0
+        and _sides(problem.b[zero:])
+        and np.linalg.matrix_rank(C) == zero
+    )
+    return "" if fits else FORM
+
+
+def _sides(b: Float[Array, " rows"]) -> bool:
+    above, below = np.hsplit(b, 2)
+    return bool((above == 1).all() and not below.any())
+
+
+class LongSteps:
+    """A programme whose equations are made square to each other once."""
+
+    def __init__(self, problem: Conic, tolerance: float) -> None:
+        """Read the problem. Answers are exact, whatever the tolerance."""
+        n = len(problem.q)
+        self._zero, self._w = problem.zero, problem.q[: n // 2].copy()
+        self._white = Whitened.of(problem.A[: problem.zero].toarray()[:, : n // 2])
+
+    def solve(self, b: Float[Array, " m"]) -> Claim:
+        """Solve with another right-hand side of the equations.
+
+        Raises:
+            ValueError: The bounds are others.
+        """
+        if not _sides(b[self._zero :]):
+            raise ValueError("only the right-hand side of the equations may change")
+        rows, (white, _) = self._white.rows, self._white.ask(b[None, : self._zero], 1.0)
+        x, λ = np.empty(len(self._w)), np.empty(self._zero)
+        began = perf_counter()
+        ended = _ask(rows, self._w, white[0], PIVOTS, x, λ)
+        seconds = perf_counter() - began
+        if ended == ANSWERED:
+            z = np.concatenate([np.maximum(x, 0), np.maximum(-x, 0)])
+            return Claim("solved", "optimal", z, self._duals(λ, self._w), None, seconds)
+        if ended == OUT_OF_REACH:
+            ray = self._duals(λ, np.zeros_like(self._w))
+            return Claim("infeasible", "out of reach", None, ray, None, seconds)
+        return Claim("stopped", "too many pivots", seconds=seconds)
+
+    def _duals(self, λ: Float[Array, " r"], w: Float[Array, " N"]) -> Float[Array, " m"]:
+        along = self._white.rows.T @ λ
+        over = np.concatenate([along - w, -along - w])
+        equations = -np.linalg.solve(self._white.factor.T, λ)
+        return np.concatenate([equations, np.maximum(over, 0), np.maximum(-over, 0)])
+
+
+def _kernel(stamp: int) -> Any:
+    # The stamp makes Numba compile anew when a file changes that is compiled into this function.
+    @numba.njit(cache=True, nogil=True, error_model="numpy")
+    @no_type_check
+    def ask(rows, w, b, pivots, x, λ):
+        if stamp < 0:
+            return UNPROVEN
+        d = desk(rows, w, 0)
+        copy(d.b, b, len(b))
+        ended = climb(d, len(b), pivots, EXACT)
+        read(d, x)
+        copy(λ, d.ρ if ended == OUT_OF_REACH else d.λ, len(λ))
+        return ended
+
+    return ask
+
+
+FILES = ("dual_simplex", "proof", "tableau")
+_SOURCES = (Path(__file__).parents[1].joinpath(f"{name}.py").read_bytes() for name in FILES)
+_ask = _kernel(crc32(b"".join(_SOURCES)))
+
+ADAPTERS = (
+    Adapter(
+        name="batched",
+        cones=frozenset({"linear"}),
+        proves=True,
+        module="problems",
+        pip="sato",
+        begin=LongSteps,
+        refuses=refuses,
+    ),
+)
