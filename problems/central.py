@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
-from math import inf, isfinite
+from math import ceil, inf, isfinite
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +26,7 @@ from problems.transfer import Transfer, fuel_spent
 
 TOLERANCE = 1e-6  # of what recomputing shows, in the units of `Central.unit`
 NEAR = 2.0  # times R: who comes closer in the guess is kept apart there from the first,
-AT = (0.25, 0.5, 0.75, 1.0)  # at these fractions of a piece
+INSTANTS = 4  # at this many in a step, or at the ends of its pieces
 MOST_ROUNDS = 12  # of solving again with the instants at which an answer comes too close
 PATIENT_ROUNDS = 3  # after which more is kept than is asked, by as much as was missing
 
@@ -211,14 +211,15 @@ class Central:
         return distance, fraction
 
     def _near(self, x: Array, u: Array) -> Instants:
-        """The middle and the end of the pieces over which agents are near each other."""
+        """Instants, a few in a step, of the pieces over which agents are near each other."""
         path = self.horizon.path(x, u)
         pairs = _pairs(len(x))
         relative = path[pairs[:, 0]] - path[pairs[:, 1]]
         distance = hull_distance(relative)[0] if len(pairs) else np.zeros((0, 0))
         which, piece = np.nonzero(distance < NEAR * self.horizon.radius)
-        fraction = np.repeat(AT, len(piece))
-        return Instants(np.tile(pairs[which], (len(AT), 1)), np.tile(piece, len(AT)), fraction)
+        count = ceil(INSTANTS / self.horizon.pieces)
+        fraction = np.repeat(np.arange(1, count + 1) / count, len(piece))
+        return Instants(np.tile(pairs[which], (count, 1)), np.tile(piece, count), fraction)
 
     def _too_close(self, found: Flown) -> Instants:
         distance, fraction = self._closest(found.x, found.u)
