@@ -9,9 +9,9 @@ import numba
 class Kinematic(NamedTuple):
     """ṗ = R_z(ψ) v, ψ̇ = w, and v and w follow what is commanded [Bernard2023, eq. 1].
 
-    Exact for a command that is held: with a lag, v and w approach it as first-order systems,
-    each on its own; the path of a step is taken at its mean velocity and middle yaw, which
-    leaves an error of third order in w dt.
+    v and w are exact for a command that is held: with a lag, they approach it as systems of
+    first order, each on its own. The path of a step is taken at its mean velocity and middle
+    yaw, which leaves an error of third order in the step.
     """
 
     lag: float = 0.0  # time constant [s]; without it, commands are obeyed at once

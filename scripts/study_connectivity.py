@@ -47,8 +47,8 @@ ROWS = {
     "occlusion": Row(50, (*NEAR, "camera.occlusion=true")),
     "power_pi": Row(50, (*NEAR, *POWER)),
     "power_pi-slow": Row(50, (*NEAR, *POWER, *SLOW)),
-    "blind": Row(50, (*NEAR, *EXACT, "camera.blind=true")),
-    "no-action": Row(20, (*NEAR, "potential.strength=0.0")),
+    "blind": Row(50, (*EXACT, "camera.blind=true")),
+    "no-action": Row(20, ("potential.strength=0.0",)),
     "no-repulsion": Row(20, (*BOX, *NEAR, "obstacles.count=0", "repulsion.strength=0.0")),
     "printed-yaw": Row(100, (*NEAR, "tracking.printed=true")),
     "death": Row(100, (*NEAR, "death=[{}]")),
@@ -141,7 +141,7 @@ def mourning(done: Sequence[Done]) -> str:
     restless = max(d.trial.restless for d in done)
     return (
         f"  the dead were counted with for {longest:.2f} s at most; robots on their own for more "
-        f"than 1 s asked for {restless:g} rad/s at most"
+        f"than 1 s asked for {restless:g} m/s or rad/s at most, with nothing near"
     )
 
 

@@ -64,22 +64,6 @@ def test_without_the_action_the_leader_is_lost():
     assert [e["kind"] for f in frames for e in f.events if e["kind"] == "split"] == ["split"]
 
 
-def test_the_body_frames_are_nobodys_business():
-    # To turn every body with its camera is another flight; to look at all from elsewhere is not.
-    mission, turn = flight(3, duration=4.0), 0.9
-    c, s = np.cos(turn), np.sin(turn)
-    R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    seen = replace(
-        mission,
-        start=mission.start @ R.T + [3, 1, 2],
-        yaw=mission.yaw + turn,
-        stick=Homing(mission.stick.waypoints @ R.T + [3, 1, 2]),
-    )
-    for here, there in zip(flown(mission), flown(seen), strict=True):
-        assert there.position == pytest.approx(here.position @ R.T + [3, 1, 2], abs=1e-7)
-        assert there.command == pytest.approx(here.command, abs=1e-6)
-
-
 def test_who_dies_is_neither_seen_nor_followed():
     mission = flight(0, deaths=(Death(3, 2.0),))
     frames = flown(mission)
@@ -94,6 +78,22 @@ def test_lag_noise_and_losses_are_borne():
     rough = flight(1, plant=Kinematic(lag=0.3), noise=0.05, link=Link(loss=0.1))
     frames = flown(rough)
     assert min(f.lambda2 for f in frames) > 0.01
+
+
+def test_a_leader_that_is_dead_is_not_steered():
+    frames = flown(flight(0, deaths=(Death(0, 2.0),)))
+    dead = [f for f in frames if f.time >= 2.0]
+    assert any(f.stick.any() for f in frames if f.time < 2.0)
+    assert not any(f.stick.any() or f.command[0].any() or f.velocity[0].any() for f in dead)
+    assert all(np.isnan(f.lambda2_estimate[0]) for f in dead)
+
+
+def test_a_mission_whose_limits_are_not_in_order_is_refused():
+    mission = flight(0)
+    with pytest.raises(ValueError, match=r"potential.least < potential.most must hold, got 4 and"):
+        replace(mission, potential=Potential(least=4.0))
+    with pytest.raises(ValueError, match=r"0 < step must hold, got 0 and -1"):
+        replace(mission, step=-1.0)
 
 
 def test_a_start_that_does_not_hang_together_is_refused():

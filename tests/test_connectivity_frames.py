@@ -102,6 +102,21 @@ def test_to_turn_the_axes_of_one_robot_changes_nothing_in_the_world(seed, robot,
         )
 
 
+@FEW
+@given(st.integers(0, 100), TURNS)
+def test_to_turn_all_axes_under_the_cameras_changes_nothing_in_the_world(seed, turn):
+    plain = mission(seed, Sight())
+    x, y, z = about(-turn) @ plain.camera.axis
+    other = replace(plain, yaw=plain.yaw + turn, camera=Sight(axis=(x, y, z)))
+    frames = flown(plain)
+    assume(smooth(frames) and max(np.abs(f.command[:, 3]).max() for f in frames) > 0.05)
+    for one, another in zip(frames, flown(other), strict=True):
+        assert another.position == pytest.approx(one.position, abs=1e-9)
+        assert another.command[:, 3] == pytest.approx(one.command[:, 3], abs=1e-9)
+        seen = [rotated(f.command[:, :3], f.yaw) for f in (one, another)]
+        assert seen[1] == pytest.approx(seen[0], abs=1e-9)
+
+
 def test_they_do_fly_in_those_tests():
     frames = flown(mission(0, ROUND))
     assert np.linalg.norm(frames[-1].position - frames[0].position, axis=1).min() > 0.05

@@ -74,7 +74,9 @@ class _Flight:
                 said = {"agents": [0], "number": self.reached}
                 self.events.append({"kind": "waypoint", **said})
                 self.reached += 1
-            asked = mission.stick.ask(time, world.position[0], self.reached)
+            asked = np.zeros(3)
+            if world.alive[0]:
+                asked = mission.stick.ask(time, world.position[0], self.reached)
             self._count_parts()
             yield self._frame(time, asked)
 

@@ -3,6 +3,7 @@
 from typing import NamedTuple, no_type_check
 
 import numba
+import numpy as np
 
 from sato.connectivity.flood import relay
 
@@ -30,6 +31,7 @@ def talk(senses, mail, mind, link, relays, number, step, rng):
         step: Its length [s].
         rng: Draws losses.
     """
+    mail.news[:] = False
     if number % link.every != 0:
         return
     ring, n, message = len(mail.p), len(mail.when), number // link.every
@@ -48,9 +50,11 @@ def talk(senses, mail, mind, link, relays, number, step, rng):
             if link.loss > 0 and rng.random() < link.loss:
                 continue
             mail.when[i, j] = (number - link.late * link.every) * step
+            mail.news[i, j] = True
             mail.his_sees[i, j] = mail.sees[then, j, i]
             for a in range(3):
                 mail.his_p[i, j, a] = mail.p[then, j, i, a]
+                mail.p_then[i, j, a] = mail.p[then, i, j, a] if mail.sees[then, i, j] else np.nan
             for a in range(4):
                 mail.his_motion[i, j, a] = mail.motion[then, j, a]
             for k in range(n):

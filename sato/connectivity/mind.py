@@ -23,7 +23,7 @@ def reckon(i, senses, mail, mind, team, time):
     """Robot i: how its neighbours are turned, its own edges and their gradients."""
     mine, theirs = np.zeros(3), np.zeros(3)
     link = team.link
-    since = time - MEMORY - link.late * link.every * team.step
+    since = time - MEMORY - ((link.late + 1) * link.every - 1) * team.step
     for j in range(len(mind.turned)):
         if j == i:
             continue
@@ -34,9 +34,9 @@ def reckon(i, senses, mail, mind, team, time):
             mind.motion[i, j, a] = 0.0
         mind.close[i, j] = sees and seen
         if sees and known:
-            _track(i, j, seen, senses, mail, mind, team)
+            _track(i, j, seen, senses, mail, mind, team, time)
         elif seen:
-            mind.turned[i, j] = wrapped(-mail.his_turned[i, j, i])
+            mind.turned[i, j] = _as_told(i, j, senses, mail, team, time)
         if sees or seen:
             turn = mind.turned[i, j]
             d = _bearings(senses.p[i, j], mail.his_p[i, j], sees, seen, turn, mine, theirs)
@@ -71,7 +71,7 @@ def _bearings(p, q, sees, seen, turn, mine, theirs):
 
 @no_type_check
 @numba.njit
-def _track(i, j, seen, senses, mail, mind, team):
+def _track(i, j, seen, senses, mail, mind, team, time):
     dt, track, v = team.step, team.tracking, mail.his_motion[i, j]
     watch, p, q = mind.watch[i, j], senses.p[i, j], mail.his_p[i, j]
     observe(
@@ -79,15 +79,26 @@ def _track(i, j, seen, senses, mail, mind, team):
         v, watch, track, dt,
     )  # fmt: skip
     guessed, trust = by_motion(watch, v, track)
-    mutual, measured = 0.0, 0.0
-    if seen:
-        mutual = _view(p, team.sight) * _view(q, team.sight)
-        measured = by_bearings(p, q)
-    turn = v[3] - senses.rate[i]
-    yaw = correct(mind.turned[i, j], turn, mutual, measured, guessed, trust, track, dt)
-    if seen:
-        yaw = middle(yaw, mail.his_turned[i, j, i] - dt * turn)
+    turn, yaw = v[3] - senses.rate[i], mind.turned[i, j]
+    mutual = _view(p, team.sight) * _view(q, team.sight) if seen else 0.0
+    # Bearings belong together if they are of one time; without news there are none.
+    both = seen and mail.news[i, j] and not np.isnan(mail.p_then[i, j, 0])
+    measured = yaw
+    if both:
+        measured = by_bearings(mail.p_then[i, j], q) + (time - mail.when[i, j]) * turn
+    yaw = correct(yaw, turn, mutual, measured, guessed, trust, track, dt)
+    if both:
+        yaw = middle(yaw, -_as_told(i, j, senses, mail, team, time))
     mind.turned[i, j] = yaw
+
+
+@no_type_check
+@numba.njit
+def _as_told(i, j, senses, mail, team, time):
+    # ψ̃_ij by what j reckoned a step before it told, and how both have turned since.
+    since = time - mail.when[i, j] + team.step
+    turn = mail.his_motion[i, j, 3] - senses.rate[i]
+    return wrapped(since * turn - mail.his_turned[i, j, i])
 
 
 @no_type_check

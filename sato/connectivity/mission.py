@@ -57,6 +57,18 @@ class ConnectivityFlight:
     deaths: tuple[Death, ...] = ()
 
     def __post_init__(self) -> None:
+        camera, potential, repulsion = self.camera, self.potential, self.repulsion
+        for low, high, order in (
+            (camera.d_min, camera.d_near, "camera.d_min < camera.d_near"),
+            (camera.d_near, camera.d_far, "camera.d_near < camera.d_far"),
+            (camera.d_far, camera.d_max, "camera.d_far < camera.d_max"),
+            (camera.a_min, camera.a_max, "camera.a_min < camera.a_max"),
+            (potential.least, potential.most, "potential.least < potential.most"),
+            (repulsion.nearest, repulsion.farthest, "repulsion.nearest < repulsion.farthest"),
+            (0.0, self.step, "0 < step"),
+        ):
+            if not low < high:
+                raise ValueError(f"{order} must hold, got {low:g} and {high:g}")
         weight = graph(self.start, self.yaw, self.camera).weight
         found = connectivity(weight).lambda2
         if found <= self.potential.least:

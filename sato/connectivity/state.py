@@ -54,6 +54,8 @@ class Mail(NamedTuple):
     his_sees: Bool[Array, "n n"]  # [i, j]: whether j had i in sight
     his_turned: Float[Array, "n n n"]  # [i, j, k]: ψ̃_jk
     his_close: Bool[Array, "n n n"]
+    news: Bool[Array, "n n"]  # [i, j]: it came in this very step
+    p_then: Float[Array, "n n 3"]  # [i, j]: p_ij, as i saw it itself when that was told [m]
     his_motion: Float[Array, "n n 4"]  # [i, j]: v_j, w_j
 
 
@@ -119,7 +121,8 @@ def resting(
         np.full((ring, n, n, 3), unseen), never(ring, n, n), zero((ring, n, n)),
         never(ring, n, n), zero((ring, n, 4)), zero((ring, n, n, n)),
         np.full((ring, n, n), ages), np.full((n, n), ages), np.full((n, n, 3), unseen),
-        never(n, n), zero((n, n, n)), never(n, n, n), zero((n, n, 4)),
+        never(n, n), zero((n, n, n)), never(n, n, n), never(n, n), np.full((n, n, 3), unseen),
+        zero((n, n, 4)),
     )  # fmt: skip
     iterate = Iterate(rng.standard_normal(n), zero((n, 2)), zero((n, 2)))
     mind = Mind(

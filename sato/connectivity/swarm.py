@@ -67,6 +67,7 @@ def _think(state, team, number, rng):
     now = np.where(world.alive, time, -np.inf)
     world.lambdas[0], world.lambdas[1] = two_least(world.weight, now)
     if team.estimator == POWER:
+        # Between the steps of control, and by themselves: neither lost nor late.
         linked = senses.sees | senses.sees.T
         exchange(
             mind.iterate, mind.weight, linked, team.power, round(team.step / team.power.exchange)
@@ -117,9 +118,10 @@ def _of_power(i, mind, team):
 def _move(state, team, asked, rng):
     world, senses, u = state.world, state.senses, state.mind.command
     v = np.zeros(3)
-    _turn(asked, -world.yaw[0], v)
-    for a in range(3):
-        u[0, a] += v[a]
+    if world.alive[0]:
+        _turn(asked, -world.yaw[0], v)
+        for a in range(3):
+            u[0, a] += v[a]
     for i in range(len(world.position)):
         if not world.alive[i]:
             continue
@@ -135,6 +137,17 @@ def _move(state, team, asked, rng):
                 world.position[i], world.yaw[i], senses.velocity[i], senses.rate[i],
                 u[i], u[i, 3], team.plant, team.step, rng,
             )  # fmt: skip
+
+
+@no_type_check
+@numba.njit
+def _bury(alive, state):
+    # The dead rest, ask for nothing and know nothing.
+    state.world.alive[:] = alive
+    for i in range(len(alive)):
+        if not alive[i]:
+            state.senses.velocity[i], state.senses.rate[i] = 0.0, 0.0
+            state.mind.command[i], state.mind.lambda2[i] = 0.0, np.nan
 
 
 @no_type_check
@@ -165,7 +178,7 @@ def _kernel(stamp: int) -> Any:
         if stamp >= 0:
             if moves:
                 _move(state, team, asked, rng)
-            state.world.alive[:] = alive
+            _bury(alive, state)
             _think(state, team, number, rng)
 
     return advance

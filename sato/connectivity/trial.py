@@ -4,12 +4,16 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray as Array
 
+from sato.connectivity.distance import to_obstacles
 from sato.connectivity.flight import Frame, fly
 from sato.connectivity.mission import ConnectivityFlight
 
 BEFORE = 1.0  # a loss of connectivity, for which λ₃ − λ₂ is looked at [s]
 SETTLED = 1.0  # after which a robot that was left alone must hold [s]
+CLEAR = 1e-9  # beyond the distance at which the push of what is near begins [m]
 
 
 @dataclass(frozen=True)
@@ -26,7 +30,7 @@ class Trial:
     mutual: float  # |sin(Δψ/2)|, mean over pairs that see each other and instants
     one_sided: float  # the same, where one sees the other only, as that one has it
     counted: float  # for how long after its death a robot was counted with, the longest [s]
-    restless: float  # yaw rate that robots on their own ask of themselves after a second [rad/s]
+    restless: float  # most that robots on their own ask of themselves, nothing near [m/s, rad/s]
 
     @property
     def kept(self) -> bool:
@@ -86,7 +90,7 @@ def judged(mission: ConnectivityFlight, frames: Iterable[Frame]) -> Trial:
             if not frame.alive[death.robot] and frame.counts[frame.alive, death.robot].any():
                 counted = max(counted, frame.time - death.time)
         alone = np.where(frame.edge_weight.any(axis=1) | ~frame.alive, 0, alone + mission.step)
-        asked = np.abs(frame.command[alone > SETTLED, 3])
+        asked = np.abs(frame.command[_undisturbed(frame, mission, alone)])
         restless = max(restless, float(asked.max(initial=0)))
     lambda2, lambda3 = np.array(lambdas).T
     lost, gap = np.nan, np.nan
@@ -109,3 +113,17 @@ def judged(mission: ConnectivityFlight, frames: Iterable[Frame]) -> Trial:
         counted=counted,
         restless=restless,
     )
+
+
+def _undisturbed(
+    frame: Frame, mission: ConnectivityFlight, alone: Float[Array, " n"]
+) -> Bool[Array, " n"]:
+    # Who is alone, and has nothing near that would push.
+    free = alone > SETTLED
+    for i in np.flatnonzero(free):
+        others = np.delete(frame.position, i, axis=0)[np.delete(frame.alive, i)]
+        away = np.linalg.norm(others - frame.position[i], axis=1)
+        to_walls = to_obstacles(frame.position[i], mission.obstacles)
+        nearest = min(away.min(initial=np.inf), to_walls.min(initial=np.inf))
+        free[i] = nearest > mission.repulsion.farthest + CLEAR
+    return free

@@ -9,7 +9,6 @@ from pydantic import Field
 
 from sato.connectivity import ConnectivityFlight
 from sato.connectivity.distance import to_obstacles
-from sato.connectivity.mail import Link
 from sato.connectivity.obstacles import Obstacles
 from sato.connectivity.swarm import Limits
 from sato.scenario.connectivity_start import check_start
@@ -74,7 +73,9 @@ class ConnectivityFile(ScenarioFile):
             with refused_at("repulsion"):
                 repulsion = self.repulsion.repulsion
             with refused_at("tracking"):
-                tracking = self.tracking.tracking
+                tracking = self.tracking.tracking(step)
+            with refused_at("link"):
+                link = self.link.link(step)
             with refused_at("estimator"):
                 power = self.estimator.power(agents, step)
             with refused_at("swarm.start"):
@@ -88,7 +89,9 @@ class ConnectivityFile(ScenarioFile):
                 standing = placed(self.obstacle)
                 _check_clear(standing, posted.position, repulsion.nearest)
             with refused_at("obstacles"):
-                drawn = scattered(self.obstacles, posted.position, stick.waypoints, rng)
+                drawn = scattered(
+                    self.obstacles, posted.position, stick.waypoints, repulsion.nearest, rng
+                )
             with refused_at("death"):
                 deaths = mourned(self.death, agents, self.run.duration_s, rng)
             return ConnectivityFlight(
@@ -104,7 +107,7 @@ class ConnectivityFile(ScenarioFile):
                 repulsion=repulsion,
                 tracking=tracking,
                 limits=Limits(self.limits.speed_m_s, self.limits.turn_rad_s),
-                link=Link(self.link.every, self.link.late, self.link.loss),
+                link=link,
                 estimator=self.estimator.kind,
                 power=power,
                 plant=self.plant.plant,

@@ -3,9 +3,9 @@
 What is not said is as in Table I of [Bernard2023] and, where it says nothing, as we measured.
 """
 
+from math import hypot
 from typing import Annotated, Literal
 
-import numpy as np
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
 from dynamics.kinematic import Kinematic
@@ -15,15 +15,17 @@ from sato.connectivity.mail import Link
 from sato.connectivity.mission import ConnectivityFlight
 from sato.connectivity.potential import Potential, Repulsion
 from sato.connectivity.power import Power, fitted, spectral_radius
-from sato.connectivity.swarm import Limits
+from sato.connectivity.swarm import FORGET, Limits
 from sato.connectivity.yaw import Tracking
 from sato.scenario.connectivity_start import AnyStart, Scattered
-from sato.scenario.refusal import Refusal
+from sato.scenario.refusal import Refusal, listed
 from sato.scenario.units import Table
 
 _SIGHT, _POTENTIAL, _REPULSION = Sight(), Potential(), Repulsion()
 _TRACKING, _LIMITS, _LINK = Tracking(), Limits(), Link()
 _KINEMATIC, _QUADROTOR = Kinematic(), Quadrotor()
+OLD = FORGET / 5  # that a message may be: some hops, and then its rows are forgotten [s]
+GAINS = ("deflate", "iterate", "normalise", "follow", "agree", "settle")  # of power_pi
 
 
 class Robots(Table):
@@ -79,9 +81,9 @@ class Camera(Table):
                 f"{self.a_min:g} and a_max = {self.a_max:g} are cosines off the optical axis, the "
                 "first less than the second, and that 1 at most; 0.4 and 0.95 would do",
             )
-        size = float(np.linalg.norm(self.axis))
-        if len(self.axis) != 3 or size == 0:
-            raise Refusal("axis", "needs 3 coordinates that are not all zero; [1, 1, 0] would do")
+        size = hypot(*self.axis)
+        if len(self.axis) != 3 or not 1e-6 < size < 1e6:
+            raise Refusal("axis", "needs 3 coordinates, the length not 0; [1, 1, 0] would do")
         x, y, z = (a / size for a in self.axis)
         return Sight(
             self.d_min_m, self.d_near_m, self.d_far_m, self.d_max_m, self.a_min, self.a_max,
@@ -136,14 +138,26 @@ class Turning(Table):
     closure: NonNegativeFloat = _TRACKING.closure
     printed: bool = _TRACKING.printed
 
-    @property
-    def tracking(self) -> Tracking:
+    def tracking(self, step: float) -> Tracking:
         """As the robots work with it.
 
+        Args:
+            step: Of control [s].
+
         Raises:
-            Refusal: The speeds are not in order.
+            Refusal: The speeds are not in order, or a correction overshoots.
         """
         _in_order(self, "slow_m_s", "fast_m_s", 3)
+        # In discrete time an error is left with 1 − gain × step of it.
+        for name, gain in (("k2", self.k2 + self.closure), ("k3", self.k3)):
+            if gain * step >= 2:
+                also = f", with closure = {self.closure:g}," if name == "k2" else ""
+                raise Refusal(
+                    name,
+                    f"{getattr(self, name):g}{also} does not settle at a control step of {step:g} "
+                    f"s: an error becomes {1 - gain * step:.3g} times as large in each; gains of "
+                    f"{0.2 / step:.3g} would do",
+                )
         return Tracking(
             self.k1, self.k2, self.k3, self.slow_m_s, self.fast_m_s, self.closure, self.printed
         )
@@ -163,6 +177,26 @@ class Messages(Table):
     late: NonNegativeInt = _LINK.late  # how many messages later one arrives
     loss: Annotated[float, Field(ge=0, lt=1)] = _LINK.loss
 
+    def link(self, step: float) -> Link:
+        """As messages travel.
+
+        Args:
+            step: Of control [s].
+
+        Raises:
+            Refusal: What they tell is too old when it is used.
+        """
+        oldest = (self.late + 1) * self.every * step
+        if oldest > OLD * (1 + 1e-9):
+            most = max(1, int(OLD / step))
+            raise Refusal(
+                "late" if self.late else "every",
+                f"messages are {oldest:.3g} s old before the next one comes, and may be {OLD:g} s: "
+                "rows of the adjacency are passed on some times before they are forgotten, after "
+                f"{FORGET:g} s; every = 1 and late = {most - 1} would do",
+            )
+        return Link(self.every, self.late, self.loss)
+
 
 class Estimator(Table):
     """Who tells λ₂. The gains, in 1/s, and the exchange are of "power_pi" alone."""
@@ -180,7 +214,7 @@ class Estimator(Table):
         """The gains; those that are not said fit the exchange and the number of robots.
 
         Raises:
-            Refusal: The consensus does not settle, or exchanges do not fall on control steps.
+            Refusal: They do not settle, or exchanges do not fall on control steps.
         """
         said = self.model_dump(exclude={"kind", "exchange_s"}, exclude_none=True)
         power = fitted(self.exchange_s, agents)._replace(**said)
@@ -197,10 +231,11 @@ class Estimator(Table):
         if radius >= 1:
             raise Refusal(
                 "",
-                f"with these gains the consensus of {agents} robots does not settle at an exchange "
-                f"every {self.exchange_s:g} s: its spectral radius is {radius:.4g}, and must be "
-                f"below 1; follow = {good.follow:.4g}, agree = {good.agree:.4g} and settle = "
-                f"{good.settle:.4g} would do, and are taken where nothing is said",
+                f"with these gains the iteration of {agents} robots, or its consensus, does not "
+                f"settle at an exchange every {self.exchange_s:g} s: the spectral radius is "
+                f"{radius:.4g}, and must be below 1; "
+                + listed((f"{name} = {getattr(good, name):.4g}" for name in GAINS), "and")
+                + " would do, and are taken where nothing is said",
             )
         return power
 

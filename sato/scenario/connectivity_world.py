@@ -1,5 +1,6 @@
 """What surrounds the robots: the operator's stick, obstacles, and misfortune."""
 
+from math import hypot
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -15,7 +16,8 @@ from sato.scenario.refusal import Refusal
 from sato.scenario.units import Table
 
 AROUND = np.array([15.0, 15.0, 3.0])  # half the box, about the swarm, that obstacles are drawn in
-OF_START, OF_WAYPOINT = 1.5, 1.8  # how clear a drawn obstacle is of them [m]
+OF_START, OF_WAYPOINT = 1.5, 1.8  # how clear a drawn obstacle is of them [m],
+ROOM = 0.5  # and beyond the distance at which it pushes without limit [m]
 DRAWINGS = 10_000  # of an obstacle, before it is given up
 BEND = 1.0  # between two drawn legs at most [rad]
 
@@ -124,7 +126,7 @@ AnyObstacle = Annotated[Ball | Box | Plane, Field(discriminator="kind")]
 class Scatter(Table):
     """Spheres that are drawn, clear of starts and waypoints."""
 
-    count: NonNegativeInt = 0
+    count: Annotated[int, Field(ge=0, le=1000)] = 0
     radius_m: list[PositiveFloat] = Field(default=[0.3, 0.8])  # between these
 
 
@@ -154,9 +156,10 @@ def placed(obstacles: list[AnyObstacle]) -> Obstacles:
                 boxes = np.vstack([boxes, np.append(low, high)])
             else:
                 normal = _point(one.normal, "normal")
-                if not normal.any():
-                    raise Refusal("normal", "is zero; [0, 0, 1] would do for a floor")
-                normal = normal / np.linalg.norm(normal)
+                size = hypot(*normal)
+                if not 1e-6 < size < 1e6:
+                    raise Refusal("normal", f"has length {size:g}; [0, 0, 1] would do for a floor")
+                normal = normal / size
                 level = normal @ _point(one.through_m, "through_m")
                 planes = np.vstack([planes, np.append(normal, level)])
         except Refusal as refusal:
@@ -168,9 +171,17 @@ def scattered(
     asked: Scatter,
     start: Float[Array, "agents 3"],
     waypoints: Float[Array, "waypoints 3"],
+    nearest: float,
     rng: np.random.Generator,
 ) -> Float[Array, "spheres 4"]:
     """Spheres about the swarm.
+
+    Args:
+        asked: How many, and how large.
+        start: Of each robot [m].
+        waypoints: Of the leader [m].
+        nearest: Distance at which obstacles push without limit [m].
+        rng: Draws them.
 
     Raises:
         Refusal: There is no room for them, or radii are not in order.
@@ -178,16 +189,17 @@ def scattered(
     if len(asked.radius_m) != 2 or asked.radius_m[0] > asked.radius_m[1]:
         raise Refusal("radius_m", "needs the smallest and the largest; [0.3, 0.8] would do")
     drawn, misses = np.empty((0, 4)), 0
+    of_start, of_waypoint = max(OF_START, nearest + ROOM), max(OF_WAYPOINT, nearest + ROOM)
     while len(drawn) < asked.count:
         centre = start.mean(axis=0) + rng.uniform(-1, 1, 3) * AROUND
         radius = rng.uniform(asked.radius_m[0], asked.radius_m[1])
-        clear = np.linalg.norm(start - centre, axis=1).min() > radius + OF_START
-        if clear and (np.linalg.norm(waypoints - centre, axis=1) > radius + OF_WAYPOINT).all():
+        clear = np.linalg.norm(start - centre, axis=1).min() > radius + of_start
+        if clear and (np.linalg.norm(waypoints - centre, axis=1) > radius + of_waypoint).all():
             drawn, misses = np.vstack([drawn, np.append(centre, radius)]), 0
         elif (misses := misses + 1) == DRAWINGS:
             raise Refusal(
                 "radius_m",
-                f"no room for a sphere {OF_START:g} m clear of starts and {OF_WAYPOINT:g} m of "
+                f"no room for a sphere {of_start:g} m clear of starts and {of_waypoint:g} m of "
                 "waypoints; smaller ones would do",
             )
     return drawn
@@ -235,7 +247,11 @@ def _point(row: list[float], key: str) -> Float[Array, " 3"]:
 
 def _table(file: str) -> Float[Array, "k 4"]:
     try:
-        table = np.loadtxt(Path(file), delimiter=",", ndmin=2, comments="#")
+        lines = Path(file).read_text(encoding="utf-8").splitlines()
+        rows = [line for line in lines if line.partition("#")[0].strip()]
+        if not rows:
+            raise Refusal("file", f'"{file}" has no rows')
+        table = np.loadtxt(rows, delimiter=",", ndmin=2, comments="#")
     except OSError as error:
         raise Refusal("file", f'"{file}" cannot be read: {error.strerror or error}') from error
     except ValueError as error:

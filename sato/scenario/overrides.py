@@ -37,7 +37,9 @@ def override(data: dict[str, Any], setting: str, schema: type[Table]) -> None:
     if not equals or not address:
         raise Refusal("", f'--set takes table.key=value, got "{setting}"')
     *table, key = address.split(".")
+    there = set(data)
     spots = [s for s in _spots(schema, data) if _ends_with(s.path, table)]
+    looked_into = set(data) - there
     holders = [s for s in spots if _holds(s, key)]
     if not holders:
         raise _unknown(address, key, spots, schema, data)
@@ -51,8 +53,9 @@ def override(data: dict[str, Any], setting: str, schema: type[Table]) -> None:
         for old in [k for k in spot.data if _same(k, meant[0], spot.kind)]:
             del spot.data[old]
         spot.data[key] = _value(written.strip())
-    for name in [name for name, table in data.items() if table == {}]:
-        del data[name]  # looked into, and not what was meant
+    for name in looked_into:
+        if data[name] == {} and name != key:
+            del data[name]  # not what was meant
 
 
 def _spots(kind: type[Table], data: dict[str, Any], path: Path = ()) -> Iterator[Spot]:

@@ -1,0 +1,125 @@
+"""What stands in the way, what tilts, what three know of each other, and what comes late."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dynamics.quadrotor import Quadrotor
+from problems.graph import Sight, graph
+from sato.connectivity import ConnectivityFlight, fly
+from sato.connectivity.mail import Link
+from sato.connectivity.obstacles import Obstacles
+from sato.connectivity.potential import Potential, Repulsion
+from sato.connectivity.stick import Homing
+from sato.connectivity.yaw import Tracking
+
+AHEAD = Sight(axis=(1.0, 0.0, 0.0))
+STILL = {"potential": Potential(strength=0.0), "repulsion": Repulsion(strength=0.0)}
+NOWHERE = Homing(np.zeros((0, 3)))
+# Robot 0 sees 1, which does not see it; each sees 2, and 2 both of them.
+THREE = np.array([[0.0, 0, 3], [5, 0, 3], [5, 5, 3]])
+LOOKS = np.radians([0.0, 90, 247])
+
+
+def three(**settings):
+    """Robots that know well how they are turned, but for 0 of 1."""
+    believed = LOOKS - LOOKS[:, None]
+    believed[0, 1] += 0.5
+    given = {"duration": 2.0, "camera": AHEAD} | STILL | settings
+    return ConnectivityFlight(THREE, LOOKS, believed, NOWHERE, **given)
+
+
+def flown(mission, seed=0):
+    return list(fly(mission, np.random.default_rng(seed)))
+
+
+def one_sided_error(mission):
+    last = flown(mission)[-1]
+    assert last.sees[0, 1] and not last.sees[1, 0] and (last.sees & last.sees.T).sum() == 4
+    off = last.turned[0, 1] - (last.yaw[1] - last.yaw[0])
+    return abs(np.sin(off / 2))
+
+
+def test_a_third_that_both_see_tells_how_another_is_turned():
+    # Nobody moves, so that nothing else could.
+    assert one_sided_error(three()) < 1e-3
+    off = [
+        one_sided_error(three(tracking=t)) for t in (Tracking(closure=0.0), Tracking(printed=True))
+    ]
+    assert off == pytest.approx([np.sin(0.25)] * 2)
+
+
+@pytest.mark.parametrize(
+    ("what", "hides"),
+    [
+        ({"spheres": np.array([[2.5, 0, 3, 0.4]])}, True),
+        ({"spheres": np.array([[2.5, 1, 3, 0.4]])}, False),
+        ({"boxes": np.array([[2.0, -1, 2, 3, 1, 4]])}, True),
+        ({"boxes": np.array([[2.0, 1, 2, 3, 2, 4]])}, False),
+    ],
+)
+def test_who_stands_behind_an_obstacle_is_not_seen(what, hides):
+    mission = three(obstacles=Obstacles.none()._replace(**what), duration=0.1)
+    open_sight, hidden = flown(mission)[-1], flown(replace(mission, occlusion=True))[-1]
+    assert open_sight.sees[0, 1] and open_sight.edge_weight[0, 1] == pytest.approx(1)
+    assert hidden.sees[0, 1] != hides
+    assert hidden.edge_weight[0, 1] == pytest.approx(0 if hides else 1)
+    assert hidden.sees[0, 2] and hidden.sees[1, 2]
+
+
+def test_a_robot_hides_who_is_behind_it():
+    start = np.array([[0.0, 0, 3], [3, 0, 3], [6, 0, 3]])
+    yaw = np.zeros(3)
+    mission = ConnectivityFlight(
+        start, yaw, np.zeros((3, 3)), NOWHERE, camera=AHEAD, duration=0.1, **STILL
+    )
+    assert flown(mission)[-1].sees[0].tolist() == [False, True, True]
+    assert flown(replace(mission, occlusion=True))[-1].sees[0].tolist() == [False, True, False]
+
+
+def test_cameras_tilt_with_those_who_accelerate_and_not_with_those_who_rest():
+    start = np.array([[0.0, 0, 3], [4.5, 0, 6.0]])
+    yaw = np.array([0.0, 0.0])
+    away = Homing(np.array([[-40.0, 0, 3]]))
+    mission = ConnectivityFlight(
+        start, yaw, np.zeros((2, 2)), away, camera=AHEAD, duration=0.5, plant=Quadrotor(), **STILL
+    )
+    frames = flown(mission)
+    level = [graph(f.position, f.yaw, AHEAD).weight[0, 1] for f in frames]
+    true = [f.edge_weight[0, 1] for f in frames]
+    assert true[0] == pytest.approx(level[0])
+    # Backwards: the nose goes up, towards the other one, who is above.
+    assert true[10] > level[10] + 0.02
+    assert flown(replace(mission, stick=NOWHERE))[-1].edge_weight[0, 1] == pytest.approx(true[0])
+
+
+def six(**settings):
+    """A ring of six that look inwards, and whose leader goes off."""
+    turn = np.radians(60 * np.arange(6))
+    start = np.column_stack([4 * np.cos(turn), 4 * np.sin(turn), 3 + 0.3 * np.arange(6)])
+    yaw = turn + np.pi + 0.2 * np.cos(np.arange(6))
+    believed = yaw - yaw[:, None] + 0.3 * np.sin(np.arange(36)).reshape(6, 6)
+    stick = Homing(np.array([[12.0, 3, 3]]))
+    return ConnectivityFlight(
+        start, yaw, believed, stick, **({"duration": 6.0, "camera": AHEAD} | settings)
+    )
+
+
+@pytest.mark.parametrize("link", [Link(every=10), Link(every=5, late=1), Link(late=9)])
+def test_messages_that_are_rare_or_late_are_used_for_what_they_are_worth(link):
+    prompt, frames = flown(six()), flown(six(link=link))
+    assert min(f.lambda2 for f in frames) > 0.01
+
+    def errors(frames):
+        later = frames[100:]
+        yaw = []
+        for f in later:
+            off = np.abs(np.sin((f.turned - (f.yaw - f.yaw[:, None])) / 2))
+            yaw.append(off[f.sees & f.sees.T])
+        lambda2 = np.mean([np.abs(f.lambda2_estimate - f.lambda2).mean() for f in later])
+        return lambda2, np.concatenate(yaw).mean()
+
+    (known, sure), (guessed, unsure) = errors(prompt), errors(frames)
+    assert known < 0.02 and sure < 0.01
+    assert guessed < 0.2 and unsure < 0.03
