@@ -217,6 +217,10 @@ REFUSED = {
         {"solvers": ["highs"], "names": ["transfer-socp"]},
         "highs cannot take second-order cones, which transfer-socp has; .*clarabel.* can",
     ),
+    "a form that a solver does not know": (
+        {"solvers": ["batched"], "names": ["avoidance-5"], "sizes": ["small"]},
+        "batched cannot take .*avoidance-5.*; .*clarabel.* can",
+    ),
 }
 
 

@@ -109,7 +109,7 @@ class _Field:
         find: Find,
     ) -> None:
         self.plan, self.rng, self.patience, self.find = plan, rng, patience, find
-        self.progress, self.done = progress, 0
+        self.progress, self.done, self.all = progress, 0, plan.asks
         self.workers: dict[str, Worker] = {}
 
     def family(self, family: Family) -> Iterator[Measurement]:
@@ -156,7 +156,7 @@ class _Field:
                         agains.setdefault((name, after.name), []).append(again)
                     if first.verdict == "crashed":
                         crashed.add(name)
-                self.progress(self.done, self.plan.asks)
+                self.progress(self.done, self.all)
         for name in names:
             for instance in family.instances:
                 key = name, instance.name

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from math import isfinite
 
-from problems.conic import Cone
 from problems.families import SIZES, Family, Instance, families, family
 from problems.solvers.adapter import Adapter
 
@@ -105,14 +104,12 @@ def plan(
 
 
 def able(solvers: Iterable[Adapter], questions: Family) -> tuple[Adapter, ...]:
-    """Who knows all cones of a family."""
-    needed = cones(questions)
-    return tuple(solver for solver in solvers if needed <= solver.cones)
-
-
-def cones(questions: Family) -> frozenset[Cone]:
-    """What a solver has to know for a family."""
-    return frozenset[Cone]().union(*(each.problem.kinds for each in questions.instances))
+    """Who can take every instance of a family."""
+    return tuple(
+        solver
+        for solver in solvers
+        if all(solver.takes(instance.problem) for instance in questions.instances)
+    )
 
 
 def followers(questions: Family) -> tuple[Instance | None, ...]:
@@ -144,9 +141,15 @@ def _unable(solver: Adapter, questions: Sequence[Family], known: Mapping[str, Ad
 
 
 def _cannot(solver: Adapter, questions: Family, known: Mapping[str, Adapter]) -> str:
-    missing = " or ".join(sorted(cones(questions) - solver.cones))
+    some = [instance.problem for instance in questions.instances]
+    missing = " or ".join(
+        sorted({cone for problem in some for cone in problem.kinds - solver.cones})
+    )
+    why = f"cannot take {missing} cones, which {questions.name} has"
+    if not missing:
+        why = f"cannot take {questions.name}: it {next(filter(None, map(solver.refuses, some)))}"
     can = ", ".join(other.name for other in able(known.values(), questions)) or "nobody"
-    return f"{solver.name} cannot take {missing} cones, which {questions.name} has; {can} can"
+    return f"{solver.name} {why}; {can} can"
 
 
 def _spelt(what: str, names: Iterable[str], known: Iterable[str]) -> list[str]:

@@ -36,7 +36,7 @@ def tell(plan: Plan, measurements: Sequence[Measurement]) -> None:
         some = [m for m in measurements if m.family == name]
         console.print(_block(name, some, plan.tolerances, at))
         if absent := [s.name for s in plan.solvers if s.name not in {m.solver for m in some}]:
-            console.print(f"  cannot take its cones: {', '.join(absent)}")
+            console.print(f"  cannot take it: {', '.join(absent)}")
         for line in _troubles(some):
             console.print(f"  {line}", markup=False)
     console.print(

@@ -13,15 +13,18 @@ from importlib import import_module
 from multiprocessing import get_all_start_methods, get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
+from pkgutil import iter_modules
 from time import process_time
 from typing import Any, Literal, NamedTuple
 
+import problems.solvers
 from problems.conic import Conic
 from problems.families import Instance
 from problems.solvers.adapter import Adapter, Claim, Kind, judge
 
 Find = Callable[[], Mapping[str, Adapter]]  # the solvers that there are; known to both processes
 
+SOLVERS = problems.solvers.__path__
 BEGINS = 60.0  # in which a library is imported, or never [s]
 ONE_THREAD = {
     f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL", "RAYON", "NUMBA")
@@ -152,8 +155,9 @@ def _context() -> Any:
     if "forkserver" not in get_all_start_methods():
         return get_context("spawn")
     context = get_context("forkserver")
-    # A small parent for all: what a process held before it was forked would count as its own.
-    context.set_forkserver_preload([__name__])
+    # One small parent for all, which has loaded what they share: a child's peak begins anew.
+    shared = (f"{problems.solvers.__name__}.{file.name}" for file in iter_modules(SOLVERS))
+    context.set_forkserver_preload([__name__, *shared])
     return context
 
 
