@@ -2,8 +2,10 @@
 
 import csv
 import json
+import multiprocessing
 import os
 import platform
+import tempfile
 from dataclasses import replace
 
 import numpy as np
@@ -83,6 +85,13 @@ def test_nobody_is_taken_at_their_word_and_others_go_on():
         verdict, words = expected[m.solver]
         assert m.first.verdict == verdict
         assert words in m.first.why
+
+
+def test_nothing_is_left_of_those_who_crash(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    ask("crasher", "raiser", repeats=1, tolerances=(1e-4,))
+    assert not multiprocessing.active_children()
+    assert not list(tmp_path.glob("sato-compare-*"))
 
 
 def test_an_answer_to_another_right_hand_side_is_judged_too():

@@ -20,7 +20,7 @@ class Line(NamedTuple):
     failed: int
     crashed: int
     skipped: int
-    first: tuple[float | None, ...]  # median of what it solved of each size [s]
+    first: tuple[float | None, ...]  # median of what it had right of each size [s]
     again: tuple[float | None, ...]
     iterations: tuple[float | None, ...]
     accuracy: float | None  # the largest relative error of the cost, of what it solved
@@ -72,8 +72,8 @@ def broken(measurements: Iterable[Measurement]) -> list[str]:
 
 def _line(solver: str, some: list[Measurement], tolerance: float) -> Line:
     verdicts = [outcome.verdict for m in some for outcome in m.outcomes]
-    solved = [m for m in some if m.tolerance == tolerance and m.right and m.instance.feasible]
-    by_size = [[m for m in solved if m.size == size] for size in sizes(some)]
+    there = [m for m in some if m.tolerance == tolerance and m.right]
+    by_size = [[m for m in there if m.size == size] for size in sizes(some)]
     right = []
     for asked in sorted({m.tolerance for m in some}, reverse=True):
         here = [m for m in some if m.tolerance == asked]
@@ -90,7 +90,7 @@ def _line(solver: str, some: list[Measurement], tolerance: float) -> Line:
         tuple(_middle(m.first.seconds for m in group) for group in by_size),
         tuple(_middle(m.again.seconds for m in group if m.again) for group in by_size),
         tuple(_middle(m.first.iterations for m in group) for group in by_size),
-        max((m.first.cost_error for m in solved), default=None),
+        max((m.first.cost_error for m in there if m.instance.feasible), default=None),
         max(largest, default=None),
     )
 

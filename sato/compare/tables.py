@@ -41,7 +41,7 @@ def tell(plan: Plan, measurements: Sequence[Measurement]) -> None:
             console.print(f"  {line}", markup=False)
     console.print(
         f"Times, iterations and the worst error of the cost are at {power(at)}, of what was "
-        "solved, small to large; times are the processor's; memory is of the largest. Not solved: "
+        "right, small to large; times are the processor's; memory is of the largest. Not solved: "
         "failed, crashed, skipped, or infeasible without a proof."
     )
 

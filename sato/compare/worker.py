@@ -15,7 +15,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from pkgutil import iter_modules
 from time import process_time
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TextIO
 
 import problems.solvers
 from problems.conic import Conic
@@ -77,7 +77,7 @@ class Worker:
         self._find, self._name = find, name
         self._process: Any = None
         self._line: Connection | None = None
-        self._last_words: Path | None = None
+        self._last_words: TextIO | None = None
 
     def ask(self, question: Question, seconds: float) -> Reply:
         """Ask, and wait for the reply.
@@ -105,13 +105,12 @@ class Worker:
             self._line.close()
             self._line = None
         if self._last_words is not None:
-            self._last_words.unlink(missing_ok=True)
+            self._last_words.close()
             self._last_words = None
 
     def _begin(self) -> Connection:
         handle, path = tempfile.mkstemp(prefix="sato-compare-")
-        os.close(handle)
-        self._last_words = Path(path)
+        self._last_words = open(handle, errors="replace")
         context = _context()
         line: Connection
         line, far = context.Pipe()
@@ -127,7 +126,10 @@ class Worker:
                 os.environ.pop(name) if value is None else os.environ.update({name: value})
         far.close()
         self._line = line
-        self._receive(line, BEGINS)
+        try:
+            self._receive(line, BEGINS)
+        finally:
+            Path(path).unlink()  # both hold it open
         return line
 
     def _receive(self, line: Connection, seconds: float) -> Any:
@@ -144,7 +146,7 @@ class Worker:
         self._process.join()
         code, last = self._process.exitcode, ""
         if self._last_words is not None:
-            lines = self._last_words.read_text(errors="replace").split("\n")
+            lines = self._last_words.read().split("\n")
             last = next((line.strip() for line in reversed(lines) if line.strip()), "")
         if code is not None and code < 0:
             last = f"{signal.strsignal(-code) or -code}{last and ': '}{last}"

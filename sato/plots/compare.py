@@ -148,7 +148,7 @@ def _panels(
     width = 2.0 + 2.5 * columns
     key = 0.3 + 0.2 * -(-solvers // _beside(width))
     figure = Figure(figsize=(width, height * rows + key), layout="constrained")
-    axes = figure.subplots(rows, columns, squeeze=False)
+    axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     return figure, [list(row) for row in axes]
 
 
