@@ -1,20 +1,15 @@
 """The command line. Says what happened in a sentence, and keeps what takes long for later."""
 
 import json
-import os
-import tempfile
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn, TextIO
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from sato.plainly import DONE, SHORT, plainly, refuse_unwritable
+
 if TYPE_CHECKING:
     from sato.record import Run
-
-DONE, SHORT, REFUSED = 0, 1, 2  # did what was asked; ran and did not; not even begun
 
 app = typer.Typer(
     help="Planning for swarms of vehicles: who goes where, and how to get there.",
@@ -46,7 +41,7 @@ def _about(
 @app.command()
 def scenarios() -> None:
     """List the built-in scenarios."""
-    with _plainly():
+    with plainly():
         from sato.scenario import names
 
         known = names()
@@ -71,7 +66,7 @@ def run(
     quiet: Annotated[bool, typer.Option("--quiet", help="Say nothing but what is wrong.")] = False,
 ) -> None:
     """Fly a scenario; write DIR/run.nc and DIR/summary.json."""
-    with _plainly():
+    with plainly():
         from sato.flying import run as fly
         from sato.record import RUN_FILE
         from sato.scenario import read
@@ -80,7 +75,7 @@ def run(
 
         asked = read(scenario, override or ())
         folder = out or Path("runs", f"{asked.name}-{seed}")
-        _refuse_unwritable(folder)
+        refuse_unwritable(folder)
         if not quiet and (folder / RUN_FILE).exists():
             typer.echo(f"sato: {folder}: the run that is there will be overwritten", err=True)
         with progress(quiet, system(asked.system).passage) as watch:
@@ -97,7 +92,7 @@ def check(
     as_json: Annotated[bool, typer.Option("--json", help="Everything, for a machine.")] = False,
 ) -> None:
     """Judge a run from its file alone; exit 1 if any promise is broken."""
-    with _plainly():
+    with plainly():
         from sato.record import load, plain
         from sato.terminal import tell_promises, waiting
 
@@ -116,7 +111,7 @@ def plot(
     pdf: Annotated[bool, typer.Option("--pdf", help="PDF instead of PNG.")] = False,
 ) -> None:
     """Draw the figures of a run into its folder."""
-    with _plainly():
+    with plainly():
         from sato.plots import plot as draw
         from sato.record import load
         from sato.terminal import waiting
@@ -130,7 +125,7 @@ def plot(
 @app.command()
 def animate(folder: RunFolder) -> None:
     """Film a run into its folder: MP4, or GIF where ffmpeg is missing."""
-    with _plainly():
+    with plainly():
         from sato.animate import animate as film
         from sato.record import load
         from sato.terminal import counted
@@ -155,7 +150,7 @@ def export(
     ] = None,
 ) -> None:
     """Write the trajectories of a run for other tools."""
-    with _plainly():
+    with plainly():
         from sato.export import HOME
         from sato.export import export as write
         from sato.record import load
@@ -183,7 +178,7 @@ def gains(
     known: Annotated[bool, typer.Option("--list", help="List the library and stop.")] = False,
 ) -> None:
     """Design the gains of a formation; write them with what is certain of them."""
-    with _plainly():
+    with plainly():
         from sato.gains_command import asked, home_of, make, tell_formations
 
         if known:
@@ -195,7 +190,7 @@ def gains(
         file = out or home_of(shape)
         if file.suffix != ".npz" or file.is_dir():
             raise ValueError(f"{file}: --out takes a file that ends in .npz")
-        _refuse_unwritable(file.parent)
+        refuse_unwritable(file.parent)
         make(shape, method, file)
 
 
@@ -224,11 +219,11 @@ def compare(
     ),
 ) -> None:
     """Ask every solver the same, and judge every answer; exit 1 if the default one is wrong."""
-    with _plainly():
+    with plainly():
         from sato.compare.command import asked, make
 
         what = asked(solver or (), family or (), size or (), tolerance or (), repeats)
-        _refuse_unwritable(out)
+        refuse_unwritable(out)
         broken = make(what, out, patience, seed)
         for words in broken:
             typer.echo(f"sato: {words}", err=True)
@@ -249,79 +244,16 @@ def export_c(
     ] = None,
 ) -> None:
     """Write C that solves one agent's transfer among its neighbours, for on board."""
-    with _plainly():
+    with plainly():
         from sato.onboard import export_c as write
         from sato.onboard.export import tell
         from sato.terminal import waiting
 
-        _refuse_unwritable(out)
+        refuse_unwritable(out)
         with waiting("writing the code"):
             written = write(scenario, out, neighbours, steps)
         typer.echo(tell(written))
         typer.echo(str(out))
-
-
-@contextmanager
-def _plainly() -> Iterator[None]:
-    # Whatever goes wrong becomes a sentence and an exit code, and every warning a line.
-    try:
-        with warnings.catch_warnings():
-            warnings.showwarning = _warn
-            yield
-    except (typer.Exit, typer.Abort):
-        raise
-    except KeyboardInterrupt:
-        _stop("interrupted before there was anything to keep", SHORT)
-    except ValueError as error:
-        _stop(str(error), REFUSED)
-    except OSError as error:
-        _stop(f"{error.filename or 'a file'}: {error.strerror or error}", SHORT)
-    except RuntimeError as error:
-        _stop(str(error), SHORT)
-    except Exception as error:
-        if os.environ.get("SATO_TRACEBACK"):
-            raise
-        _stop(
-            f"this is a fault of the program, not of its input: {type(error).__name__}: {error} "
-            "(SATO_TRACEBACK=1 shows where)",
-            SHORT,
-        )
-
-
-def _warn(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
-) -> None:
-    # Where in the program it arose is no help to who wrote the scenario.
-    typer.echo(f"warning: {' '.join(str(message).split())}", err=True)
-
-
-def _stop(sentence: str, code: int) -> NoReturn:
-    typer.echo(f"sato: {' '.join(sentence.split())}", err=True)
-    raise typer.Exit(code)
-
-
-def _refuse_unwritable(folder: Path) -> None:
-    # Only trying tells; what the attempt makes is taken away again.
-    made: list[Path] = []
-    try:
-        for part in reversed([folder, *folder.parents]):
-            if not part.exists():
-                part.mkdir()
-                made.append(part)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise ValueError(
-            f"{folder}: cannot be written to: {error.strerror}; --out takes another folder"
-        ) from error
-    finally:
-        for part in reversed(made):
-            part.rmdir()
 
 
 def _folder_of(run: Path) -> Path:
