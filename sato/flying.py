@@ -1,7 +1,6 @@
 """From a scenario to a run: draw, fly, judge."""
 
 import signal
-import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from sato.memory import peak_memory
 from sato.record import Run
 from sato.scenario import ScenarioFile, read
 from sato.system import F, M, System
@@ -86,16 +86,6 @@ def judged(run: Run) -> Run:
         summary |= report.summary
         summary["broken"] = [promise.name for promise in report.promises if not promise.kept]
     return replace(run, summary=summary)
-
-
-def peak_memory() -> float:
-    """The most memory that this process has held [MiB]; NaN where the system does not say."""
-    try:
-        import resource
-    except ImportError:
-        return float("nan")
-    unit = 1 if sys.platform == "darwin" else 1024  # bytes there, KiB elsewhere
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**20
 
 
 def _flown(

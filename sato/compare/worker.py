@@ -21,6 +21,7 @@ import problems.solvers
 from problems.conic import Conic
 from problems.families import Instance
 from problems.solvers.adapter import Adapter, Claim, Kind, judge
+from sato.memory import peak_memory
 
 Find = Callable[[], Mapping[str, Adapter]]  # the solvers that there are; known to both processes
 
@@ -168,7 +169,7 @@ def _serve(line: Connection, find: Find, name: str, last_words: str) -> None:
     _divert(last_words)
     solver = find()[name]
     import_module(solver.module)
-    held = _peak()
+    held = peak_memory()
     line.send(None)
     while True:
         try:
@@ -176,7 +177,7 @@ def _serve(line: Connection, find: Find, name: str, last_words: str) -> None:
         except EOFError:
             return
         first, again = _ask(solver, question)
-        line.send(Reply(first, again, _peak() - held))
+        line.send(Reply(first, again, peak_memory() - held))
 
 
 def _divert(last_words: str) -> None:
@@ -220,12 +221,3 @@ def _outcome(instance: Instance, claim: Claim, tolerance: float, seconds: float)
         return outcome
     off = abs(float(problem.q @ answer.x) - instance.reference)
     return outcome._replace(cost_error=off / (1 + abs(instance.reference)))
-
-
-def _peak() -> float:
-    try:
-        import resource
-    except ImportError:
-        return float("nan")
-    unit = 1 if sys.platform == "darwin" else 1024  # bytes there, KiB elsewhere
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**20
