@@ -157,8 +157,10 @@ class Avoidance:
         # Unknowns: u⁺ and u⁻ in units of U, then lateness ± in metres, then slack.
         transfer, (R, lower) = self.transfer, self.transfer.response
         T, n, m = transfer.steps.B.shape
-        U, N, rows = transfer.max_control, T * m, len(spaces.least)
+        U, N = transfer.max_control, T * m
         free = transfer.steps.roll(start, np.zeros((T, m)))
+        on_u, room = self._in_the_way(spaces, R, free)
+        rows = len(room)
         lates = 0 if gives == "nothing" else n
         slacks = rows if gives == "separation" else 0
         columns = 2 * N + 2 * lates + slacks
@@ -179,12 +181,8 @@ class Avoidance:
         arrive, reach = scale * arrive, scale * whiten @ (goal - free[T])
 
         apart = np.zeros((rows, columns))
-        on_u = np.einsum("rn,rnj->rj", spaces.on_state, R[spaces.step])
-        for r, k in enumerate(spaces.step):
-            on_u[r, k * m : (k + 1) * m] += spaces.on_control[r]
         apart[:, :N], apart[:, N : 2 * N] = -U * on_u, U * on_u
         apart[np.arange(slacks), slack_at + np.arange(slacks)] = -1
-        room = (spaces.on_state * free[spaces.step]).sum(1) - spaces.least
 
         box = np.vstack([np.eye(2 * N, columns), -np.eye(columns)])
         sides = np.concatenate([np.ones(2 * N), np.zeros(columns)])
@@ -195,6 +193,16 @@ class Avoidance:
         return Conic(
             q, csc_array(A), b, n, rows + len(sides), (transfer.steps.axes + 1,) * len(fast)
         )
+
+    def _in_the_way(self, spaces: HalfSpaces, R: Array, free: Array) -> tuple[Array, Array]:
+        # on_u and room of −on_u · u ≤ room, but for the many that no control can break.
+        m, U = self.transfer.steps.axes, self.transfer.max_control
+        on_u = np.einsum("rn,rnj->rj", spaces.on_state, R[spaces.step])
+        for r, k in enumerate(spaces.step):
+            on_u[r, k * m : (k + 1) * m] += spaces.on_control[r]
+        room = (spaces.on_state * free[spaces.step]).sum(1) - spaces.least
+        near = U * np.abs(on_u).sum(axis=1) > room
+        return on_u[near], room[near]
 
     def _speed_cones(
         self, R: Array, free: Array, fast: list[int], columns: int
