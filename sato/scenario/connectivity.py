@@ -124,8 +124,9 @@ class ConnectivityFile(ScenarioFile):
         if asked >= most:
             warnings.warn(
                 f"the stick asks for {asked:g} m/s, and limits.speed_m_s = {most:g} is all that "
-                "the robots answer it with: the leader can outrun them, and comes nearer to "
-                f"obstacles; {2 / 3 * most:.3g} m/s would do",
+                "the robots answer it with: at 5 and 3 m/s nobody was lost in 20 flights, but the "
+                "leader came within 0.92 m of an obstacle, of which 1 m is to be kept; "
+                f"{2 / 3 * most:.3g} m/s would do",
                 stacklevel=2,
             )
         between = most * mission.power.exchange
