@@ -158,6 +158,6 @@ def _spelt(what: str, names: Iterable[str], known: Iterable[str]) -> list[str]:
     for name in asked:
         if name not in there:
             close = get_close_matches(name, there, n=1, cutoff=0.5)
-            hint = f"did you mean {close[0]}? " if close else ""
-            raise ValueError(f'there is no {what} "{name}"; {hint}There are {", ".join(there)}')
+            hint = f"did you mean {close[0]}? There" if close else "there"
+            raise ValueError(f'there is no {what} "{name}"; {hint} are {", ".join(there)}')
     return asked
