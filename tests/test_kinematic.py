@@ -5,7 +5,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dynamics.kinematic import Kinematic, drive
-from dynamics.quadrotor import GRAVITY, Quadrotor, fly, tilted
 
 
 def driven(plant, command, turn, time, step, rng=None):
@@ -51,35 +50,3 @@ def test_noise_of_actuators_is_of_the_size_that_is_said():
         _, rate = drive(np.zeros(3), 0.0, velocity, 0.0, np.zeros(3), 0.0, plant, 0.02, rng)
         found.append([*velocity, rate])
     assert np.std(found, axis=0) == pytest.approx(np.full(4, 0.05), rel=0.07)
-
-
-def test_a_quadrotor_comes_to_the_velocity_that_is_asked_for_and_tilts_on_the_way():
-    plant, position, velocity, push = Quadrotor(), np.zeros(3), np.zeros(3), np.zeros(3)
-    yaw, rate, most = 0.7, 0.0, 0.0
-    for _ in range(400):
-        yaw, rate = fly(
-            position, yaw, velocity, rate, push, np.array([3.0, 0, 0.5]), 0.0, plant, 0.02
-        )
-        most = max(most, np.hypot(*push[:2]))
-    assert velocity == pytest.approx([3 * np.cos(0.7), 3 * np.sin(0.7), 0.5], abs=1e-3)
-    assert 0.5 * GRAVITY * np.tan(plant.tilt) < most <= GRAVITY * np.tan(plant.tilt) + 1e-12
-
-
-def test_the_camera_tilts_with_the_thrust(rng):
-    axis, turned = np.array([1.0, 0, 0]), np.zeros(3)
-    tilted(axis, np.zeros(3), 0.4, turned)
-    assert turned == pytest.approx(axis, abs=1e-15)
-    # To speed up ahead it pitches down: the thrust leans forward, and what looked ahead looks down.
-    tilted(axis, GRAVITY * np.array([np.cos(0.4), np.sin(0.4), 0]), 0.4, turned)
-    assert turned == pytest.approx([np.sqrt(0.5), 0, -np.sqrt(0.5)], abs=1e-12)
-    for _ in range(20):
-        push, yaw = rng.normal(0, 3, 3), rng.uniform(-np.pi, np.pi)
-        body = []
-        for unit in np.eye(3):
-            tilted(unit, push, yaw, turned)
-            body.append(turned.copy())
-        assert np.array(body) @ np.array(body).T == pytest.approx(np.eye(3), abs=1e-12)
-        thrust = push + np.array([0, 0, GRAVITY])
-        c, s = np.cos(yaw), np.sin(yaw)
-        ahead = np.array([c * thrust[0] + s * thrust[1], c * thrust[1] - s * thrust[0], thrust[2]])
-        assert body[2] == pytest.approx(ahead / np.linalg.norm(thrust), abs=1e-12)
