@@ -51,7 +51,7 @@ def animate(
         raise ValueError(f"a film needs frames and a rate, got {frames} frames at {fps} a second")
     of = system(str(run.data.attrs["system"]))
     if of.scene is None:
-        raise ValueError(f"there is no film of a {of.name}, only figures, which `sato plot` draws")
+        raise ValueError(f"{of.name} runs have no film, only figures, which `sato plot` draws")
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     name = "run.mp4" if shutil.which("ffmpeg") else "run.gif"

@@ -216,7 +216,7 @@ def test_its_figures_are_drawn_and_a_film_that_it_has_not_is_refused(home):
     refused = call("animate", "here")
     assert refused.exit_code == 2
     assert sentence(refused) == (
-        "sato: there is no film of a drift, only figures, which `sato plot` draws"
+        "sato: drift runs have no film, only figures, which `sato plot` draws"
     )
     assert call("export", "here", "--format", "csv").exit_code == 0
 
