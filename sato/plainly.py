@@ -30,7 +30,7 @@ def plainly() -> Iterator[None]:
         stop(f"{error.filename or 'a file'}: {error.strerror or error}", SHORT)
     except RuntimeError as error:
         stop(str(error), SHORT)
-    except Exception as error:
+    except Exception as error:  # whatever is left; nobody at a terminal is shown a traceback
         if os.environ.get("SATO_TRACEBACK"):
             raise
         stop(

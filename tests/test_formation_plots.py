@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import EllipseCollection, LineCollection
-from matplotlib.text import Text
+from pictures import words_inside
 from scipy.spatial.distance import pdist
 
 from problems.alignment import Pose
@@ -89,16 +89,8 @@ def drawn(name, evidence):
 @pytest.mark.parametrize("name", ALL)
 def test_no_words_run_out_of_the_picture_or_over_one_another(evidence, name):
     figure = drawn(name, evidence)
+    boxes = words_inside(figure)
     renderer = figure.canvas.get_renderer()
-    inside = figure.bbox.padded(1.0)
-    words = [t for t in figure.findobj(Text) if t.get_visible() and t.get_text().strip()]
-    boxes = [(t.get_text(), t.get_window_extent(renderer)) for t in words]
-    assert len(boxes) > 3
-    for text, box in boxes:
-        if text.startswith("$\\mathdefault") or text.lstrip("−").replace(".", "").isdigit():
-            continue  # ticks beyond the limits are not drawn
-        assert inside.x0 <= box.x0 and box.x1 <= inside.x1, text
-        assert inside.y0 <= box.y0 and box.y1 <= inside.y1, text
     titles = [ax.title.get_window_extent(renderer) for ax in figure.axes if ax.get_title()]
     legs = [box for text, box in boxes if text.startswith("leg ")]
     for one, other in [*combinations(titles, 2), *combinations(legs, 2)]:

@@ -7,7 +7,7 @@ import matplotlib
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.text import Text
+from pictures import words_inside
 from PIL import Image
 from test_check import crossing, fly_crossed, fly_straight, mission, recorded, replace
 
@@ -150,17 +150,8 @@ def test_no_words_run_out_of_the_picture_or_over_one_another(evidence, name):
     if name in IN_ORBIT and not in_orbit(evidence):
         pytest.skip("drawn of runs about a chief only")
     figure = drawn(name, evidence)
+    words_inside(figure, powers=False)
     renderer = figure.canvas.get_renderer()
-    inside = figure.bbox.padded(1.0)
-    words = [t for t in figure.findobj(Text) if t.get_visible() and t.get_text().strip()]
-    boxes = [(t.get_text(), t.get_window_extent(renderer)) for t in words]
-    assert len(boxes) > 3
-    for text, box in boxes:
-        # Ticks beyond the limits are not drawn.
-        if text.lstrip("−").replace(".", "").isdigit():
-            continue
-        assert inside.x0 <= box.x0 and box.x1 <= inside.x1, text
-        assert inside.y0 <= box.y0 and box.y1 <= inside.y1, text
     titles = [ax.title.get_window_extent(renderer) for ax in figure.axes if ax.get_title()]
     for one, other in combinations(titles, 2):
         assert not one.overlaps(other)

@@ -1,6 +1,5 @@
 """All robots for a control step: each senses, hears, reckons, decides and moves."""
 
-from math import cos, sin
 from pathlib import Path
 from typing import Any, NamedTuple, no_type_check
 from zlib import crc32
@@ -18,7 +17,7 @@ from sato.connectivity.obstacles import Obstacles
 from sato.connectivity.potential import Potential, Repulsion
 from sato.connectivity.power import Power, estimate, exchange
 from sato.connectivity.senses import feel, look
-from sato.connectivity.yaw import Tracking
+from sato.connectivity.yaw import Tracking, revolve
 
 EXACT, FLOOD, POWER = 0, 1, 2  # who tells λ₂
 FORGET = 1.0  # after which a row of the adjacency is no longer believed [s]
@@ -119,19 +118,19 @@ def _move(state, team, asked, rng):
     world, senses, u = state.world, state.senses, state.mind.command
     v = np.zeros(3)
     if world.alive[0]:
-        _turn(asked, -world.yaw[0], v)
+        revolve(asked, -world.yaw[0], v)
         for a in range(3):
             u[0, a] += v[a]
     for i in range(len(world.position)):
         if not world.alive[i]:
             continue
         if team.tilts:
-            _turn(senses.velocity[i], world.yaw[i], v)
+            revolve(senses.velocity[i], world.yaw[i], v)
             world.yaw[i], senses.rate[i] = fly(
                 world.position[i], world.yaw[i], v, senses.rate[i], world.push[i],
                 u[i], u[i, 3], team.quadrotor, team.step,
             )  # fmt: skip
-            _turn(v, -world.yaw[i], senses.velocity[i])
+            revolve(v, -world.yaw[i], senses.velocity[i])
         else:
             world.yaw[i], senses.rate[i] = drive(
                 world.position[i], world.yaw[i], senses.velocity[i], senses.rate[i],
@@ -148,13 +147,6 @@ def _bury(alive, state):
         if not alive[i]:
             state.senses.velocity[i], state.senses.rate[i] = 0.0, 0.0
             state.mind.command[i], state.mind.lambda2[i] = 0.0, np.nan
-
-
-@no_type_check
-@numba.njit
-def _turn(v, yaw, turned):
-    c, s = cos(yaw), sin(yaw)
-    turned[0], turned[1], turned[2] = c * v[0] - s * v[1], s * v[0] + c * v[1], v[2]
 
 
 def _kernel(stamp: int) -> Any:

@@ -58,8 +58,8 @@ def observe(p, before, fresh, v, w, other, watch, track, dt):
     across = (-w * y, w * x, 0.0)
     if not track.printed:
         # Both frames turn meanwhile, and what has been filtered rests in space.
-        _turn(watch[:2], -w * dt)
-        _turn(watch[3:5], -other[3] * dt)
+        revolve(watch, -w * dt, watch)
+        revolve(watch[3:], -other[3] * dt, watch[3:])
     keep = exp(-track.k1 * dt)
     for a in range(3):
         seen = (p[a] - before[a]) / dt + v[a] + across[a]
@@ -70,9 +70,10 @@ def observe(p, before, fresh, v, w, other, watch, track, dt):
 
 @no_type_check
 @numba.njit
-def _turn(v, angle):
+def revolve(v, angle, turned):
+    """Turn a vector about the vertical; into itself, if that is asked."""
     c, s = cos(angle), sin(angle)
-    v[0], v[1] = c * v[0] - s * v[1], s * v[0] + c * v[1]
+    turned[0], turned[1], turned[2] = c * v[0] - s * v[1], s * v[0] + c * v[1], v[2]
 
 
 @no_type_check
