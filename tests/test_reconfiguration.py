@@ -369,6 +369,7 @@ def test_a_leg_that_outlasts_its_steps_says_why():
         ({"legs": ()}, "at least one leg"),
         ({"step": 0.0}, "must be positive"),
         ({"horizon_steps": 0}, "at least one step"),
+        ({"orders": 0}, "at least one order of priority"),
         ({"start": np.full((4, 4), np.nan)}, "finite start"),
     ],
 )

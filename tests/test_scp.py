@@ -4,92 +4,29 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from swarm_cast import (
+    RADIUS,
+    STEP,
+    T,
+    agent,
+    as_before,
+    continuous_separation,
+    crowd,
+    everybody,
+    heard,
+    parked,
+    problem,
+    weighted,
+)
 
 from dynamics import DoubleIntegrator, hold
-from dynamics.path import separations
 from problems.avoidance import Avoidance
 from problems.conic import Answer, solve
-from problems.convexify import Horizon, apart, half_spaces, normals
+from problems.convexify import apart, half_spaces, normals
 from problems.solvers import solve_clarabel
-from problems.transfer import Flight, Transfer
+from problems.transfer import Flight
 from sato.network import Network
-from sato.scp import Plan, Planner, by_messages, exchanged, revise, settle
-
-T, STEP, RADIUS = 12, 1.0, 0.5
-
-
-def problem(axes=2, horizon_steps=T, speed=0.6):
-    model = DoubleIntegrator(axes)
-    transfer = Transfer(hold(model, STEP, T), 0.2, speed, slope=1e-3)
-    ahead = hold(model, STEP, horizon_steps)
-    return transfer, Horizon(ahead, hold(model, STEP / 2, 2 * horizon_steps), RADIUS)
-
-
-def agent(number, start, goal, transfer, horizon, spent=0.0, velocity=0.0):
-    start = np.concatenate([start, np.full(len(start), velocity) * (np.arange(len(start)) == 0)])
-    goal = np.concatenate([goal, np.zeros(len(goal))])
-    free = Avoidance(transfer).solve(start, goal, half_spaces_of_nobody(horizon)).flight
-    path = horizon.path(free.x, free.u)
-    return Planner((True, -spent, number), goal, transfer, horizon, free, free, path)
-
-
-def half_spaces_of_nobody(horizon):
-    d = horizon.ahead.axes
-    pieces = horizon.steps * horizon.pieces
-    return half_spaces(horizon, T, np.zeros((0, pieces, 4, d)), np.zeros((0, pieces, d)))
-
-
-def crowd(rng, count, axes=2, box=3.0):
-    """Agents that start apart and have goals apart, on the other side of one another."""
-    transfer, horizon = problem(axes)
-    ends = []
-    for _ in range(2):
-        points = []
-        while len(points) < count:
-            p = rng.uniform(-box / 2, box / 2, axes)
-            if all(np.linalg.norm(p - q) > 1.5 * RADIUS for q in points):
-                points.append(p)
-        ends.append(np.array(points))
-    return {i: agent(i, ends[0][i], ends[1][i], transfer, horizon) for i in range(count)}
-
-
-def everybody(planners):
-    count = len(planners)
-    return heard(~np.eye(count, dtype=bool))
-
-
-def heard(hears):
-    return Network(hears, np.ones(len(hears), dtype=bool))
-
-
-def continuous_separation(planners):
-    x = np.stack([p.flight.x for p in planners.values()], axis=1)
-    d = x.shape[2] // 2
-    alive = np.ones(x.shape[:2], dtype=bool)
-    return separations(x[..., :d], x[..., d:], alive, STEP).least.distance
-
-
-def weighted(flight, transfer):
-    return STEP * float(transfer.weight @ np.abs(flight.u).sum(axis=1))
-
-
-def parked(number, place, transfer, horizon):
-    """An agent whose time is up: it stands where it is and cannot give way."""
-    x = np.concatenate([place, np.zeros(len(place))])
-    flight = Flight(x[None], np.zeros((0, len(place))), 0.0)
-    over = Transfer(transfer.steps[:0], transfer.max_control)
-    path = horizon.path(flight.x, flight.u)
-    return Planner((False, 0.0, number), x, over, horizon, flight, flight, path)
-
-
-def as_before(planners, former):
-    """The same agents, who begin with the plans that others of their number ended with."""
-    begun = {}
-    for i, p in planners.items():
-        flight = former[i].flight
-        path = p.horizon.path(flight.x, flight.u)
-        begun[i] = p._replace(flight=flight, path=path, steady=False)
-    return begun
+from sato.scp import Plan, by_messages, exchanged, revise, settle
 
 
 @pytest.mark.parametrize(("count", "axes"), [(4, 2), (8, 2), (8, 3)])

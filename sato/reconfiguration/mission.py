@@ -62,6 +62,7 @@ class Reconfiguration:
     control_norm: Norm = "inf"
     horizon_steps: int = 4  # avoidance looks this far
     foresight_steps: int = 0  # and this far among agents in earshot, if that is further
+    orders: int = 1  # of priority that each plan tries
     replan_steps: int = 4
     auction_steps: int = 4
     believed: int = 0  # m of every agent before the first leg; 0 means as many as are alive
@@ -95,6 +96,8 @@ class Reconfiguration:
             )
         if min(self.horizon_steps, self.replan_steps, self.auction_steps) < 1:
             raise ValueError("the horizon and the periods must be at least one step long")
+        if self.orders < 1:
+            raise ValueError(f"a plan needs at least one order of priority, got {self.orders}")
         if self.replan_steps > self.horizon_steps or self.auction_steps > self.horizon_steps:
             raise ValueError(
                 f"replan_steps = {self.replan_steps} and auction_steps = {self.auction_steps} must "

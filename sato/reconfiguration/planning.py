@@ -16,7 +16,7 @@ from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.moment import Moment
 from sato.reconfiguration.pricing import Minds
 from sato.reconfiguration.routes import linearisation, undisturbed
-from sato.scp import STILL, Planner, settle
+from sato.scp import STILL, Planner, settle_orders
 
 MOST_PIECES = 12  # in a step
 
@@ -112,10 +112,9 @@ def plan(
             planner = Planner(rank, goal, route.transfer, horizon, free, free, path, about)
             planners[i] = _as_before(planner, rests[i])
             late += [i] if route.misses else []
-    planners, exchanges = settle(planners, network)
-    solves += sum(p.solves for p in planners.values())
+    planners, exchanges, solved = settle_orders(planners, network, mission.orders)
     events: list[Event] = [
-        {"kind": "replan", "agents": [], "solves": solves, "exchanges": exchanges}
+        {"kind": "replan", "agents": [], "solves": solves + solved, "exchanges": exchanges}
     ]
     events += _what_gave_way(mission, planners, late)
     chosen = {i: p.flight for i, p in planners.items()}

@@ -78,6 +78,7 @@ def build(
         control_norm=world.moves.control_norm,
         horizon_steps=plan.horizon_steps,
         foresight_steps=plan.foresight_steps,
+        orders=plan.orders,
         replan_steps=plan.replan_steps,
         auction_steps=plan.auction_steps,
         believed=swarm.believed or 0,

@@ -51,6 +51,7 @@ class Plan(Table):
     step_s: PositiveFloat
     horizon_steps: PositiveInt  # avoidance looks this far,
     foresight_steps: NonNegativeInt = 0  # and, if it is further, this far among those in earshot
+    orders: PositiveInt = 1  # of priority that each plan tries
     replan_steps: PositiveInt  # without it, every horizon; every step under a disturbance
     auction_steps: PositiveInt  # without it, every replan
     epsilon: Automatic = "auto"

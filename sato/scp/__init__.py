@@ -4,11 +4,22 @@
 its neighbours, keeps clear of those that go before it, and tells its own. `settle`
 runs the same for all agents and calls it only where something binds; a test holds the
 two equal, exchange by exchange.
+`settle_orders` tries several orders of priority.
 
 What "apart" means, and how it is made convex, is in `problems.convexify`.
 """
 
 from sato.scp.agent import STILL, Plan, Planner, revise
+from sato.scp.orders import settle_orders
 from sato.scp.run import by_messages, exchanged, settle
 
-__all__ = ["STILL", "Plan", "Planner", "by_messages", "exchanged", "revise", "settle"]
+__all__ = [
+    "STILL",
+    "Plan",
+    "Planner",
+    "by_messages",
+    "exchanged",
+    "revise",
+    "settle",
+    "settle_orders",
+]
