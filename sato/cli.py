@@ -209,10 +209,10 @@ def compare(
     size: Annotated[
         list[str] | None, typer.Option(metavar="small|medium|large", help="Repeatable; all.")
     ] = None,
-    repeats: Annotated[int, typer.Option(min=1, help="Of which times are medians.")] = 5,
+    repeats: Annotated[int, typer.Option(min=1, help="Of which times are medians.")] = 3,
     patience: Annotated[
         float, typer.Option(metavar="S", help="Who took longer is asked for nothing larger.")
-    ] = 10.0,
+    ] = 1.0,
     seed: Annotated[int, typer.Option(min=0, help="Of the order in which they are asked.")] = 0,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where to write.")] = Path(
         "runs", "compare"

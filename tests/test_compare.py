@@ -107,7 +107,8 @@ def test_a_point_where_there_is_none_is_a_wrong_claim():
         assert "there is no point" in m.first.why
 
 
-def test_who_never_answers_is_ended_and_asked_for_nothing_larger_or_tighter():
+def test_who_never_answers_is_ended_and_asked_for_nothing_larger_or_tighter(monkeypatch):
+    monkeypatch.setattr("sato.compare.measure.WARMS", 2.0)
     found = ask("sleeper", "honest", families=[questions(), questions("medium")], patience=0.7)
     assert {m.first.verdict for m in found if m.solver == "honest"} == {"solved"}
     lost = [m.first for m in found if m.solver == "sleeper"]

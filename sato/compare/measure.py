@@ -14,6 +14,7 @@ from sato.compare.worker import Find, Gone, Outcome, Question, Reply, Worker
 
 SEVERITY = ("solved", "infeasible", "unproven", "failed", "wrong claim", "crashed")
 HANGS = 3.0  # times the patience, after which a process is ended
+WARMS = 60.0  # in which a process answers its first question, with all that is compiled for it [s]
 
 Progress = Callable[[int, int], None]  # how many were asked, of how many
 
@@ -125,16 +126,18 @@ class _Field:
     def memory(self, family: Family) -> dict[str, float]:
         """What the first instance takes, in processes that have done nothing else [MiB].
 
-        What a library does once in its life is then done, and no part of a time.
+        What a library does once in its life is then done, and no part of a time. Only who does
+        not end it has lost the patience.
         """
-        loosest = self.plan.tolerances[0]
-        return {
-            solver.name: self.ask(
-                solver.name, family, Question(family.instances[0], None, loosest)
-            ).memory
-            for solver in self.plan.able(family)
-            if not self.patience.lost(solver.name, family, loosest)
-        }
+        loosest, found = self.plan.tolerances[0], dict[str, float]()
+        question = Question(family.instances[0], None, loosest)
+        for solver in self.plan.able(family):
+            if not self.patience.lost(solver.name, family, loosest):
+                reply = self.reply(solver.name, question, max(WARMS, HANGS * self.patience.seconds))
+                found[solver.name] = reply.memory
+                if reply.first.verdict == "crashed":
+                    self.patience.watch(solver.name, family, loosest, reply)
+        return found
 
     def cell(
         self, family: Family, tolerance: float, memory: dict[str, float]
@@ -173,13 +176,17 @@ class _Field:
                 )
 
     def ask(self, name: str, family: Family, question: Question) -> Reply:
-        """Ask one, and make the end of its process an outcome like others."""
-        try:
-            reply = self.workers[name].ask(question, HANGS * self.patience.seconds)
-        except Gone as end:
-            reply = Reply(Outcome("crashed", str(end), end.seconds), None, float("nan"))
+        """Ask one, and take note of how long it took."""
+        reply = self.reply(name, question, HANGS * self.patience.seconds)
         self.patience.watch(name, family, question.tolerance, reply)
         return reply
+
+    def reply(self, name: str, question: Question, seconds: float) -> Reply:
+        """Ask one, and make the end of its process an outcome like others."""
+        try:
+            return self.workers[name].ask(question, seconds)
+        except Gone as end:
+            return Reply(Outcome("crashed", str(end), end.seconds), None, float("nan"))
 
 
 def _whole(outcomes: list[Outcome]) -> Outcome:

@@ -56,7 +56,7 @@ def plan(
     names: Iterable[str] = (),
     sizes: Iterable[str] = (),
     tolerances: Iterable[float] = (),
-    repeats: int = 5,
+    repeats: int = 3,
 ) -> Plan:
     """Turn what is asked for into what will be done; nothing said means all there is.
 
