@@ -4,7 +4,9 @@ Transfers and avoidance by the toolkit's own paths, against the statement in CVX
 compiled once with start, goal and half-spaces as parameters; both by Clarabel, at the same
 tolerance, on one thread. Whole calls are timed, from the data to the controls. All take turns, so
 that whatever else the machine does slows all of them; times are the processor's, and ratios are of
-medians. An adapter's overhead is the time of its solve less that of the library's own call.
+medians. An adapter's overhead is the time of its solve less that of the library's own calls, which
+whoever uses the library alone would have to make: handing over the right-hand side, solving, and
+reading out the point and its duals.
 """
 
 from collections.abc import Callable

@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from enum import StrEnum
+from functools import cache
 from itertools import combinations
 from multiprocessing import get_context
 from time import process_time
@@ -28,6 +29,7 @@ from rich.table import Table
 
 from dynamics import J2, DoubleIntegrator, Linearised, Orbit, hold, invariant_velocity
 from problems.central import Central, Flown, Guess, NoneStands, pushed
+from problems.convexify import Horizon
 from problems.transfer import Transfer
 from sato.network import Network
 from sato.reconfiguration.mission import Leg, Reconfiguration
@@ -136,19 +138,28 @@ def across(
 
 def instance(case: Case) -> tuple[Reconfiguration, Central, Guess, int]:
     """The first mission in which enough pairs would meet, and how all would fly alone."""
+    transfer, near = shared(case.model)
     for mission in missions(case):
-        leg = mission.legs[0]
-        steps = hold(mission.model, mission.step, leg.steps)
-        transfer = Transfer(steps, mission.max_control, mission.max_speed)
-        central = Central(transfer, look_ahead(mission, 0.0, leg.steps))
-        flights = [f for f in alone(transfer, mission.start, leg.targets)[0] if f]
+        flights = [f for f in alone(transfer, mission.start, mission.legs[0].targets)[0] if f]
         if len(flights) < case.agents:
             continue
         free = np.stack([f.x for f in flights]), np.stack([f.u for f in flights])
-        meetings = central.meetings(*free)
+        meetings = Central(transfer, near).meetings(*free)
         if 2 * meetings >= case.agents:
-            return mission, central, free, meetings
+            horizon = look_ahead(mission, 0.0, mission.legs[0].steps)
+            return mission, Central(transfer, horizon), free, meetings
     raise AssertionError("missions never end")
+
+
+@cache
+def shared(kind: Model) -> tuple[Transfer, Horizon]:
+    """What all missions of a kind share, but for millimetres of the radius."""
+    mission = next(missions(Case(kind, 2, 0, 0, 0, 1)))
+    steps = mission.legs[0].steps
+    transfer = Transfer(
+        hold(mission.model, mission.step, steps), mission.max_control, mission.max_speed
+    )
+    return transfer, look_ahead(mission, 0.0, steps)
 
 
 def sato(mission: Reconfiguration) -> tuple[Guess, str]:

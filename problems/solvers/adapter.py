@@ -22,7 +22,9 @@ class Claim(NamedTuple):
     x: Float[Array, " n"] | None = None  # a point; also where it stopped with one
     y: Float[Array, " m"] | None = None  # its duals, or the ray that proves that there is none
     iterations: int | None = None
-    seconds: float = 0.0  # in the library's own call, without what the adapter does [s]
+    # In the library's own calls: what hands over b, solves, and reads out the point and its duals.
+    # What is done with arrays before and after is the adapter's [s].
+    seconds: float = 0.0
 
 
 @runtime_checkable

@@ -39,15 +39,10 @@ def refuses(problem: Conic) -> str:
         and np.array_equal(minus, plus)
         and (plus > 0).all()
         and abs(problem.A[zero:] - box).sum() == 0
-        and _sides(problem.b[zero:])
+        and np.array_equal(problem.b[zero:], np.repeat([1.0, 0.0], n))
         and np.linalg.matrix_rank(C) == zero
     )
     return "" if fits else FORM
-
-
-def _sides(b: Float[Array, " rows"]) -> bool:
-    above, below = np.hsplit(b, 2)
-    return bool((above == 1).all() and not below.any())
 
 
 class LongSteps:
@@ -57,6 +52,7 @@ class LongSteps:
         """Read the problem. Answers are exact, whatever the tolerance."""
         n = len(problem.q)
         self._zero, self._w = problem.zero, problem.q[: n // 2].copy()
+        self._bounds = problem.b[self._zero :]
         self._white = Whitened.of(problem.A[: problem.zero].toarray()[:, : n // 2])
 
     def solve(self, b: Float[Array, " m"]) -> Claim:
@@ -65,12 +61,12 @@ class LongSteps:
         Raises:
             ValueError: The bounds are others.
         """
-        if not _sides(b[self._zero :]):
+        if not np.array_equal(b[self._zero :], self._bounds):
             raise ValueError("only the right-hand side of the equations may change")
-        rows, (white, _) = self._white.rows, self._white.ask(b[None, : self._zero], 1.0)
         x, λ = np.empty(len(self._w)), np.empty(self._zero)
         began = perf_counter()
-        ended = _ask(rows, self._w, white[0], PIVOTS, x, λ)
+        white, _ = self._white.ask(b[None, : self._zero], 1.0)
+        ended = _ask(self._white.rows, self._w, white[0], PIVOTS, x, λ)
         seconds = perf_counter() - began
         if ended == ANSWERED:
             z = np.concatenate([np.maximum(x, 0), np.maximum(-x, 0)])

@@ -93,8 +93,8 @@ class Plugin:
         self._lower[:], self._upper[:] = lower(b, self._zero), b
         began = perf_counter()
         self._run()
-        seconds = perf_counter() - began
         stats = self._buffer.stats()
+        seconds = perf_counter() - began
         words = str(stats.get("return_status", stats["unified_return_status"]))
         counted = stats.get("iter_count", -1)
         steps = counted if counted > 0 else None

@@ -35,20 +35,20 @@ class Smooth:
     """A function of CasADi, built once, with b as its parameter.
 
     A cone (t, y) is t ≥ √(‖y‖² + ε²), which is smooth at its tip, inside of the cone, and
-    further from it than ε nowhere. Its multiplier μ gives the duals μ (1, −y / √(‖y‖² + ε²)).
+    further from it than ε nowhere. The duals are the multipliers of b, which CasADi has from those
+    of the inequalities: μ (1, −y / √(‖y‖² + ε²)) where μ is that of a cone.
     """
 
     def __init__(self, plugin: str, problem: Conic, tolerance: float) -> None:
         """Read the problem."""
-        self._linear, self._cones = problem.zero + problem.nonnegative, problem.cones
-        self._round = tolerance / 10
-        self._A, self._n = problem.A, len(problem.q)
-        x, b = casadi.MX.sym("x", self._n), casadi.MX.sym("b", len(problem.b))
+        x, b = casadi.MX.sym("x", len(problem.q)), casadi.MX.sym("b", len(problem.b))
         s = b - casadi.DM(problem.A) @ x
-        rows = [s[: self._linear]]
-        for start, size in self._places():
+        start = problem.zero + problem.nonnegative
+        rows = [s[:start]]
+        for size in problem.cones:
             y = s[start + 1 : start + size]
-            rows.append(s[start] - casadi.sqrt(casadi.sumsqr(y) + self._round**2))
+            rows.append(s[start] - casadi.sqrt(casadi.sumsqr(y) + (tolerance / 10) ** 2))
+            start += size
         g = casadi.vertcat(*rows)
         self._upper = casadi.DM(np.concatenate([
             np.zeros(problem.zero), np.full(g.shape[0] - problem.zero, np.inf)
@@ -62,30 +62,16 @@ class Smooth:
 
     def solve(self, b: Float[Array, " m"]) -> Claim:
         """Solve with another right-hand side, from zero."""
-        arguments = [casadi.DM.zeros(self._n), casadi.DM(b), -np.inf, np.inf, 0, self._upper, 0, 0]
         began = perf_counter()
-        point, _, _, _, multipliers, _ = self._solver.call(arguments)
-        seconds = perf_counter() - began
+        found = self._solver(p=b, lbg=0, ubg=self._upper)
+        x, y = found["x"].full(), found["lam_p"].full()
         stats = self._solver.stats()
+        seconds = perf_counter() - began
         words, steps = stats["return_status"], stats["iter_count"]
         if words == "Infeasible_Problem_Detected":
             return Claim("infeasible", words, None, None, steps, seconds)
-        x, μ = np.array(point).ravel(), -np.array(multipliers).ravel()
         said: Said = "solved" if stats["success"] else "stopped"
-        return Claim(said, words, x, self._duals(b - self._A @ x, μ), steps, seconds)
-
-    def _places(self) -> list[tuple[int, int]]:
-        starts = self._linear + np.cumsum([0, *self._cones])
-        return [(int(start), size) for start, size in zip(starts, self._cones, strict=False)]
-
-    def _duals(self, s: Float[Array, " m"], μ: Float[Array, " g"]) -> Float[Array, " m"]:
-        y = [μ[: self._linear]]
-        for (start, size), weight in zip(self._places(), μ[self._linear :], strict=True):
-            inner = s[start + 1 : start + size]
-            y.append(
-                weight * np.array([1.0, *(-inner / np.hypot(np.linalg.norm(inner), self._round))])
-            )
-        return np.concatenate(y)
+        return Claim(said, words, x.ravel(), y.ravel(), steps, seconds)
 
 
 ADAPTERS = tuple(

@@ -24,7 +24,7 @@ def solve_clarabel(problem: Conic) -> Answer:
         Unsolved: It stopped for another reason.
     """
     solver = _solver(problem, _settings(TIGHT))
-    return answered(problem, _claim(solver), "Clarabel")
+    return answered(problem, _claim(solver, perf_counter()), "Clarabel")
 
 
 class Again:
@@ -55,24 +55,24 @@ class Again:
 
     def solve(self, b: Float[Array, " m"]) -> Claim:
         """Solve with another right-hand side, and say what comes of it."""
+        began = perf_counter()
         if b is not self._b:
             self._solver.update(b=b)
             self._b = b
-        return _claim(self._solver)
+        return _claim(self._solver, began)
 
 
-def _claim(solver: clarabel.DefaultSolver) -> Claim:
-    began = perf_counter()
+def _claim(solver: clarabel.DefaultSolver, began: float) -> Claim:
     solution = solver.solve()
+    words, steps = str(solution.status), solution.iterations
+    x, z = solution.x, solution.z  # lists, made at every reading
     seconds = perf_counter() - began
-    words = str(solution.status)
     if words in ("PrimalInfeasible", "AlmostPrimalInfeasible"):
-        return Claim("infeasible", words, None, np.array(solution.z), solution.iterations, seconds)
+        return Claim("infeasible", words, None, np.array(z), steps, seconds)
     if words != "Solved" and words not in WITH_A_POINT:
-        return Claim("stopped", words, iterations=solution.iterations, seconds=seconds)
-    x, z = np.array(solution.x), np.array(solution.z)
+        return Claim("stopped", words, iterations=steps, seconds=seconds)
     said: Said = "solved" if words == "Solved" else "stopped"
-    return Claim(said, words, x, z, solution.iterations, seconds)
+    return Claim(said, words, np.array(x), np.array(z), steps, seconds)
 
 
 def _solver(problem: Conic, settings: clarabel.DefaultSettings) -> clarabel.DefaultSolver:

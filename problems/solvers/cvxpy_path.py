@@ -68,28 +68,22 @@ class Stated:
 
     def solve(self, b: Float[Array, " m"]) -> Claim:
         """Solve with another right-hand side."""
-        self._b.value = b
-        began = perf_counter()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what it warns of is in its status
+            began = perf_counter()
+            self._b.value = b
             try:
                 self._problem.solve(solver=self._solver, **self._options)
             except self._failed as failure:
                 return Claim("stopped", str(failure), seconds=perf_counter() - began)
-        seconds = perf_counter() - began
         words, steps = self._problem.status, self._problem.solver_stats.num_iters
-        y = self._duals()
+        x, duals = self._x.value, [limit.dual_value for limit in self._limits]
+        seconds = perf_counter() - began
+        y = None if any(dual is None for dual in duals) else _rows(duals)
         if words.startswith("infeasible"):
             return Claim("infeasible", words, None, y, steps, seconds)
         said: Said = "solved" if words == "optimal" else "stopped"
-        x = None if self._x.value is None else np.array(self._x.value)
-        return Claim(said, words, x, y, steps, seconds)
-
-    def _duals(self) -> Float[Array, " m"] | None:
-        found = [limit.dual_value for limit in self._limits]
-        if any(dual is None for dual in found):
-            return None
-        return np.concatenate([_rows(dual) for dual in found])
+        return Claim(said, words, None if x is None else np.array(x), y, steps, seconds)
 
 
 def _limits(cp: Any, problem: Conic, b: Any, x: Any) -> list[Any]:
@@ -119,10 +113,14 @@ def _square(n: int) -> Float[Array, "entries k"]:
     return np.column_stack([matrix(unit, n).ravel() for unit in units])
 
 
-def _rows(dual: Any) -> Float[Array, " k"]:
-    if isinstance(dual, list):  # of a second-order cone: t and y
-        return np.concatenate([np.ravel(part) for part in dual])
-    return triangle(dual) if np.ndim(dual) == 2 else np.ravel(dual)
+def _rows(duals: list[Any]) -> Float[Array, " m"]:
+    parts: list[Array] = []
+    for dual in duals:
+        if isinstance(dual, list):  # of a second-order cone: t and y
+            parts += dual
+        else:
+            parts.append(triangle(dual) if np.ndim(dual) == 2 else dual)
+    return np.concatenate(parts, axis=None)
 
 
 ADAPTERS = tuple(

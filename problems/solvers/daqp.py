@@ -45,8 +45,9 @@ class ActiveSet:
 
     def solve(self, b: Float[Array, " m"]) -> Claim:
         """Solve with another right-hand side."""
-        self._solver.update(bupper=b, blower=lower(b, self._zero, ENDLESS))
+        below = lower(b, self._zero, ENDLESS)
         began = perf_counter()
+        self._solver.update(bupper=b, blower=below)
         x, _, flag, info = self._solver.solve()
         seconds = perf_counter() - began
         words, steps = ENDS.get(flag, f"exit flag {flag}"), info["iterations"]

@@ -41,27 +41,28 @@ class Simplex:
         ):
             self._solver.setOptionValue(option, value)
         self._solver.passModel(_model(problem))
+        self._rows = np.arange(len(problem.b), dtype=np.int32)
 
     def solve(self, b: Float[Array, " m"]) -> Claim:
         """Solve with another right-hand side, from the last basis."""
-        rows = np.arange(len(b), dtype=np.int32)
-        self._solver.changeRowsBounds(len(b), rows, _lower(b, self._zero), b)
+        lower = _lower(b, self._zero)
         began = perf_counter()
+        self._solver.changeRowsBounds(len(b), self._rows, lower, b)
         self._solver.run()
         if self._solver.getModelStatus() == highspy.HighsModelStatus.kUnboundedOrInfeasible:
             self._again()  # presolve did not say which
         status = self._solver.getModelStatus()
         ray = self._ray() if status == highspy.HighsModelStatus.kInfeasible else None
-        seconds = perf_counter() - began
         words = self._solver.modelStatusToString(status)
         iterations = self._solver.getInfo().simplex_iteration_count
+        point = self._solver.getSolution()
+        x, y = point.col_value, point.row_dual  # lists, made at every reading
+        seconds = perf_counter() - began
         if status == highspy.HighsModelStatus.kInfeasible:
             return Claim("infeasible", words, None, ray, iterations, seconds)
         if status != highspy.HighsModelStatus.kOptimal:
             return Claim("stopped", words, iterations=iterations, seconds=seconds)
-        point = self._solver.getSolution()
-        x, y = np.array(point.col_value), -np.array(point.row_dual)
-        return Claim("solved", words, x, y, iterations, seconds)
+        return Claim("solved", words, np.array(x), -np.array(y), iterations, seconds)
 
     def _ray(self) -> Array | None:
         _, found, ray = self._solver.getDualRay()

@@ -45,11 +45,12 @@ class Splitting:
 
     def solve(self, b: Float[Array, " m"]) -> Claim:
         """Solve with another right-hand side, from the last answer."""
-        self._solver.update(l=lower(b, self._zero), u=b)
+        below = lower(b, self._zero)
         began = perf_counter()
+        self._solver.update(l=below, u=b)
         result = self._solver.solve(raise_error=False)
-        seconds = perf_counter() - began
         words, status, steps = result.info.status, result.info.status_val, result.info.iter
+        seconds = perf_counter() - began
         if status == self._status.OSQP_PRIMAL_INFEASIBLE:
             ray = np.array(result.prim_inf_cert)
             return Claim("infeasible", words, None, ray, steps, seconds)

@@ -37,13 +37,13 @@ class Proximal:
 
     def solve(self, b: Float[Array, " m"]) -> Claim:
         """Solve with another right-hand side."""
-        self._solver.update(b=b[: self._zero], h_u=b[self._zero :])
         began = perf_counter()
-        status = self._solver.solve()
-        seconds = perf_counter() - began
-        result = self._solver.result
+        self._solver.update(b=b[: self._zero], h_u=b[self._zero :])
+        status, result = self._solver.solve(), self._solver.result
         words, steps = status.name, result.info.iter
-        x, y = np.array(result.x), np.concatenate([result.y, result.z_u])
+        point, equal, other = result.x, result.y, result.z_u
+        seconds = perf_counter() - began
+        x, y = np.array(point), np.concatenate([equal, other])
         if status == self._status.PIQP_PRIMAL_INFEASIBLE:
             return Claim("infeasible", words, None, y, steps, seconds)
         said: Said = "solved" if status == self._status.PIQP_SOLVED else "stopped"

@@ -41,13 +41,14 @@ class Lagrangian:
 
     def solve(self, b: Float[Array, " m"]) -> Claim:
         """Solve with another right-hand side."""
-        self._solver.update(b=b[: self._zero], u=b[self._zero :])
         began = perf_counter()
+        self._solver.update(b=b[: self._zero], u=b[self._zero :])
         self._solver.solve()
-        seconds = perf_counter() - began
         result = self._solver.results
         status, steps = result.info.status, result.info.iter
-        x, y = np.array(result.x), np.concatenate([result.y, result.z])
+        point, equal, other = result.x, result.y, result.z
+        seconds = perf_counter() - began
+        x, y = np.array(point), np.concatenate([equal, other])
         if status == self._output.PROXQP_PRIMAL_INFEASIBLE:
             return Claim("infeasible", status.name, None, None, steps, seconds)
         said: Said = "solved" if status == self._output.PROXQP_SOLVED else "stopped"

@@ -42,8 +42,8 @@ class Once:
 
     def solve(self, b: Float[Array, " m"]) -> Claim:
         """Solve with another right-hand side."""
-        self._solver.update_vector_data(b=b[: self._zero], h=b[self._zero :])
         began = perf_counter()
+        self._solver.update_vector_data(b=b[: self._zero], h=b[self._zero :])
         result = self._solver.solve()
         seconds = perf_counter() - began
         said: Said = "solved" if result.status == "QOCO_SOLVED" else "stopped"

@@ -39,11 +39,12 @@ class Lagrangian:
 
     def solve(self, b: Float[Array, " m"]) -> Claim:
         """Solve with another right-hand side."""
-        self._solver.update_bounds(lower(b, self._zero, ENDLESS), b)
+        below = lower(b, self._zero, ENDLESS)
         began = perf_counter()
+        self._solver.update_bounds(below, b)
         self._solver.solve()
-        seconds = perf_counter() - began
         info, solution = self._solver.info, self._solver.solution
+        seconds = perf_counter() - began
         if info.status_val == info.PRIMAL_INFEASIBLE:
             ray = np.array(self._solver.prim_inf_certificate)
             return Claim("infeasible", info.status, None, ray, info.iter, seconds)

@@ -40,8 +40,9 @@ class Embedding:
 
     def solve(self, b: Float[Array, " m"]) -> Claim:
         """Solve with another right-hand side, from the last answer."""
-        self._solver.update(b=b[self._order])
+        ordered = b[self._order]
         began = perf_counter()
+        self._solver.update(b=ordered)
         result = self._solver.solve()
         seconds = perf_counter() - began
         info = result["info"]
