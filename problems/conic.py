@@ -86,9 +86,9 @@ def matrix(triangle: Float[Array, " k"], n: int) -> Float[Array, "n n"]:
 
 def triangle(matrix: Float[Array, "n n"]) -> Float[Array, " k"]:
     """The rows of a `Conic` for a symmetric matrix."""
-    column, row = np.tril_indices(len(matrix))
-    weight = np.where(row == column, 1.0, np.sqrt(2))
-    return np.asarray(weight * matrix[row, column])
+    n = len(matrix)
+    weight = np.where(np.eye(n, dtype=bool), 1.0, np.sqrt(2))
+    return np.asarray((weight * matrix.T)[np.tri(n, dtype=bool)])
 
 
 def _largest(numbers: Sequence[float | np.floating]) -> float:
