@@ -51,8 +51,8 @@ class Conic:
     def outside(self, s: Float[Array, " m"], dual: bool = False) -> float:
         """How far s is from the cone, or from its dual: the largest violation."""
         linear = self.zero + self.nonnegative
-        worst.append((-s[self.zero : linear]).max(initial=0.0))
-        worst.append(-s[self.zero : linear].min(initial=0.0))
+        worst = [0.0] if dual else [np.abs(s[: self.zero]).max(initial=0.0)]
+        worst.append(0.0 - s[self.zero : linear].min(initial=0.0))  # and never −0
         start = linear
         for size in self.cones:
             t, y = s[start], s[start + 1 : start + size]

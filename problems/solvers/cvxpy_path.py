@@ -44,7 +44,11 @@ PATHS = {
         {"threads": 1},
     ),
     "OSQP": Path(
-        "osqp", LINEAR, True, ("eps_abs", "eps_rel"), {"max_iter": 100_000, "polishing": True}
+        "osqp",
+        LINEAR,
+        True,
+        ("eps_abs", "eps_rel", "eps_prim_inf", "eps_dual_inf"),
+        {"max_iter": 100_000, "polishing": True},
     ),
     "PIQP": Path("piqp", LINEAR, False, ("eps_abs", "eps_rel"), {}),
     "QOCO": Path("qoco", SECOND_ORDER, False, ("abstol", "reltol"), {}),
