@@ -1,0 +1,113 @@
+"""A comparison of solvers as the tables of docs/solvers.md.
+
+    python scripts/tabulate_comparison.py runs/compare
+
+reads the measurements.csv that `sato compare` wrote, and prints Markdown: who was right at each
+tolerance, how long it took at 1e-6 on the medium size, and the worst of each kind of trouble.
+"""
+
+import csv
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from statistics import median
+from typing import Annotated
+
+import typer
+
+NAMES = {  # as wide as a table can bear
+    "transfer-lp": "transfer",
+    "transfer-socp": "speed limit",
+    "avoidance-5": "5 near",
+    "avoidance-20": "20 near",
+    "j2": "J2",
+    "near-infeasible": "nearly out of reach",
+    "infeasible": "out of reach",
+    "gain-sdp": "gains",
+}
+NO_TROUBLE = ("", "solved", "infeasible", "skipped")
+
+Row = dict[str, str]
+
+
+def main(
+    folder: Annotated[Path, typer.Argument(help="where measurements.csv is")],
+    tolerance: Annotated[float, typer.Option(help="of the times")] = 1e-6,
+    size: Annotated[str, typer.Option(help="of the times")] = "medium",
+) -> None:
+    """Print three tables."""
+    with open(folder / "measurements.csv", newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    solvers = sorted({row["solver"] for row in rows})
+    tolerances = sorted({float(row["tolerance"]) for row in rows}, reverse=True)
+    heads = [f"right at {t:.0e}".replace("e-0", "e-") for t in tolerances]
+    heads += ["wrong claims", "failed or unproven", "crashed", "given up as too slow"]
+    print(table(["solver", *heads], ([s, *verdicts(of(rows, s), tolerances)] for s in solvers)))
+    there = [name for name in NAMES if any(row["family"] == name for row in rows)]
+    timed = [r for r in rows if r["size"] == size and float(r["tolerance"]) == tolerance]
+    lines = ([s, *(times(of(timed, s), name) for name in there)] for s in solvers)
+    print(table(["solver", *(NAMES[name] for name in there)], lines))
+    print("\n".join(f"- *{s}*: {words}." for s in solvers if (words := troubles(of(rows, s)))))
+
+
+def of(rows: Sequence[Row], solver: str) -> list[Row]:
+    """The rows of a solver."""
+    return [row for row in rows if row["solver"] == solver]
+
+
+def verdicts(rows: Sequence[Row], tolerances: Sequence[float]) -> list[str]:
+    """How many questions had everything right at each tolerance, and what became of all solves."""
+    cells = []
+    for tolerance in tolerances:
+        here = [row for row in rows if float(row["tolerance"]) == tolerance]
+        cells.append(f"{sum(row['right'] == 'True' for row in here)} of {len(here)}")
+    found = [row[f"{time}_verdict"] for row in rows for time in ("first", "again")]
+    for kinds in (("wrong claim",), ("failed", "unproven"), ("crashed",), ("skipped",)):
+        cells.append(str(sum(verdict in kinds for verdict in found)))
+    return cells
+
+
+def times(rows: Sequence[Row], family: str) -> str:
+    """Medians of the first solve and of the second, of what was right [ms]."""
+    asked = [row for row in rows if row["family"] == family]
+    right = [row for row in asked if row["right"] == "True"]
+    if not right:
+        return "✗" if asked else ""
+    found = [milliseconds(row["first_s"] for row in right)]
+    if any(row["again_s"] for row in right):
+        found.append(milliseconds(row["again_s"] for row in right if row["again_s"]))
+    share = "" if len(right) == len(asked) else f" ({len(right)} of {len(asked)})"
+    return " / ".join(found) + share
+
+
+def milliseconds(seconds: Iterable[str]) -> str:
+    """The median, in two digits."""
+    value = 1e3 * median(map(float, seconds))
+    return f"{value:.0f}" if value >= 10 else f"{value:.2g}"
+
+
+def troubles(rows: Sequence[Row]) -> str:
+    """How often there was what kind of trouble in a family, and the first example of it."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for row in rows:
+        for time in ("first", "again"):
+            verdict = row[f"{time}_verdict"]
+            if verdict not in NO_TROUBLE:
+                found.setdefault((row["family"], verdict), []).append(row[f"{time}_why"])
+    return "; ".join(
+        f"{family}: {verdict} {len(whys)} ×, as in “{whys[0]}”"
+        for (family, verdict), whys in found.items()
+    )
+
+
+def table(heads: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
+    """Markdown."""
+    rule = "|---|" + "---:|" * (len(heads) - 1)
+    return "\n".join([_line(heads), rule, *map(_line, lines)]) + "\n"
+
+
+def _line(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+if __name__ == "__main__":
+    typer.run(main)
