@@ -158,7 +158,7 @@ class Avoidance:
         transfer, (R, lower) = self.transfer, self.transfer.response
         T, n, m = transfer.steps.B.shape
         U, N = transfer.max_control, T * m
-        free = transfer.steps.roll(start, np.zeros((T, m)))
+        free = transfer.coast(start)
         on_u, room = self._in_the_way(spaces, R, free)
         rows = len(room)
         lates = 0 if gives == "nothing" else n
@@ -184,15 +184,11 @@ class Avoidance:
         apart[:, :N], apart[:, N : 2 * N] = -U * on_u, U * on_u
         apart[np.arange(slacks), slack_at + np.arange(slacks)] = -1
 
-        box = np.vstack([np.eye(2 * N, columns), -np.eye(columns)])
         sides = np.concatenate([np.ones(2 * N), np.zeros(columns)])
-
         cones, tops = self._speed_cones(R, free, fast, columns)
-        A = np.vstack([arrive, apart, box, cones])
+        A = _boxed(np.vstack([arrive, apart]), 2 * N, cones)
         b = np.concatenate([reach, room, sides, tops])
-        return Conic(
-            q, csc_array(A), b, n, rows + len(sides), (transfer.steps.axes + 1,) * len(fast)
-        )
+        return Conic(q, A, b, n, rows + len(sides), (transfer.steps.axes + 1,) * len(fast))
 
     def _in_the_way(self, spaces: HalfSpaces, R: Array, free: Array) -> tuple[Array, Array]:
         # on_u and room of −on_u · u ≤ room, but for the many that no control can break.
@@ -215,6 +211,22 @@ class Avoidance:
             cones[row, 1:, :N], cones[row, 1:, N : 2 * N] = -U * R[k, d:], U * R[k, d:]
             tops[row, 0], tops[row, 1:] = self.transfer.max_speed, free[k, d:]
         return cones.reshape(-1, columns), tops.ravel()
+
+
+def _boxed(above: Array, count: int, below: Array) -> csc_array:
+    """Rows, then x ≤ 1 for as many unknowns, then x ≥ 0 for all, then rows; as it is sparse."""
+    first, columns = above.shape
+    own, last = np.arange(columns), first + count + columns
+    value = np.vstack([above, own < count, -np.ones(columns), below]).T
+    row = np.vstack([
+        np.broadcast_to(np.arange(first)[:, None], above.shape),
+        first + own,
+        first + count + own,
+        np.broadcast_to(last + np.arange(len(below))[:, None], below.shape),
+    ]).T  # fmt: skip
+    there = value != 0
+    starts = np.concatenate([[0], np.cumsum(there.sum(axis=1))])
+    return csc_array((value[there], row[there], starts), shape=(last + len(below), columns))
 
 
 def no_spaces(transfer: Transfer) -> HalfSpaces:

@@ -57,8 +57,7 @@ class SpeedCones:
         """
         transfer, first = self.transfer, self._first
         T, n, m = transfer.steps.B.shape
-        drift, flow = self._coasting
-        free = drift + np.tensordot(start, flow, 1)
+        free = transfer.coast(start)
         b = first.b.copy()
         b[(T - 1) * n : T * n] = (goal - free[T]) / self._units
         b[first.zero + first.nonnegative :].reshape(T - 1, m + 1)[:, 1:] = (
@@ -75,12 +74,6 @@ class SpeedCones:
     def _units(self) -> Float[Array, " n"]:
         steps, V = self.transfer.steps, self.transfer.max_speed
         return np.repeat([V * len(steps) * steps.dt, V], steps.axes)
-
-    @cached_property
-    def _coasting(self) -> tuple[Float[Array, "instants n"], Float[Array, "n instants n"]]:
-        T, n, m = self.transfer.steps.B.shape
-        drift = self.transfer.steps.roll(np.zeros(n), np.zeros((T, m)))
-        return drift, self.transfer.steps.roll(np.eye(n), np.zeros((n, T, m))) - drift
 
     @cached_property
     def _again(self) -> Again:

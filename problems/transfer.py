@@ -77,6 +77,17 @@ class Transfer:
             return R, np.eye(n)
         return R, np.linalg.qr(R[T].T)[1].T
 
+    def coast(self, start: Float[Array, "*many n"]) -> Float[Array, "*many instants n"]:
+        """States without a burn, Φ[k] x₀ + ζ[k]."""
+        ζ, Φ = self._coasting
+        return ζ + np.tensordot(start, Φ, 1)
+
+    @cached_property
+    def _coasting(self) -> tuple[Float[Array, "instants n"], Float[Array, "n instants n"]]:
+        T, n, m = self.steps.B.shape
+        ζ = self.steps.roll(np.zeros(n), np.zeros((T, m)))
+        return ζ, self.steps.roll(np.eye(n), np.zeros((n, T, m))) - ζ
+
     def needs_steps(self) -> None:
         """Refuse a question that leaves no step to burn in.
 

@@ -68,8 +68,7 @@ class WithinSpeed:
         """
         transfer, U = self.transfer, self.transfer.max_control
         T, _, m = transfer.steps.B.shape
-        pairs, (drift, flow) = len(start), self._coasting
-        free = drift + np.tensordot(start, flow, 1)
+        pairs, free = len(start), transfer.coast(start)
         white, missed = self._white.ask(goal - free[:, T], U)
         found = answer(
             self._shared,
@@ -114,9 +113,3 @@ class WithinSpeed:
         per = transfer.max_control / transfer.max_speed
         push = np.ascontiguousarray(transfer.response[0][1:T, m:]) * per
         return Shared(self._white.rows, np.repeat(weight, m), push)
-
-    @cached_property
-    def _coasting(self) -> tuple[Float[Array, "instants n"], Float[Array, "n instants n"]]:
-        T, n, m = self.transfer.steps.B.shape
-        drift = self.transfer.steps.roll(np.zeros(n), np.zeros((T, m)))
-        return drift, self.transfer.steps.roll(np.eye(n), np.zeros((n, T, m))) - drift
