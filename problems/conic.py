@@ -37,6 +37,11 @@ class Conic:
 
     def __post_init__(self) -> None:
         """Refuse rows that belong to no cone, and numbers that are none."""
+        if min(self.zero, self.nonnegative, 0) or min((*self.cones, *self.matrices, 1)) < 1:
+            raise ValueError(
+                "counts of rows cannot be negative, and every cone has at least one, got "
+                f"{self.zero}, {self.nonnegative}, cones {self.cones}, matrices {self.matrices}"
+            )
         rows = self.zero + self.nonnegative + sum(self.cones)
         rows += sum(n * (n + 1) // 2 for n in self.matrices)
         if self.A.shape != (rows, len(self.q)) or len(self.b) != rows:
@@ -63,6 +68,22 @@ class Conic:
             worst.append(-np.linalg.eigvalsh(matrix(s[start : start + size], n))[0])
             start += size
         return _largest(worst)
+
+    def into_dual(self, y: Float[Array, " m"]) -> Float[Array, " m"]:
+        """A point of the dual cone near y."""
+        linear = self.zero + self.nonnegative
+        y = y.copy()
+        y[self.zero : linear] = np.maximum(y[self.zero : linear], 0)
+        start = linear
+        for size in self.cones:
+            y[start] = max(y[start], np.linalg.norm(y[start + 1 : start + size]))
+            start += size
+        for n in self.matrices:
+            size = n * (n + 1) // 2
+            values, vectors = np.linalg.eigh(matrix(y[start : start + size], n))
+            y[start : start + size] = triangle((vectors * np.maximum(values, 0)) @ vectors.T)
+            start += size
+        return y
 
     @property
     def kinds(self) -> frozenset["Cone"]:
@@ -138,7 +159,7 @@ class Infeasible(Unsolved):
 
     The ray y is in the dual cone, Aᵀy = 0 and bᵀy = −1: a point x would give
     0 ≤ yᵀ(b − A x) = −1. What is left of Aᵀy says how large x would have to be, at
-    least 1 / ‖Aᵀy‖₁.
+    least 1 / ‖Aᵀy‖₁, in the units of the problem.
     """
 
     ray: Float[Array, " m"] | None
@@ -191,17 +212,14 @@ def proof(problem: Conic, ray: Float[Array, " m"]) -> tuple[Float[Array, " m"], 
         ray: As a solver gives it, of any length.
 
     Returns:
-        The ray with bᵀy = −1, and why it is none; nothing where it is one.
+        The ray, moved into the dual cone, with bᵀy = −1, and why it is none; nothing where it is.
+        What it proves is that no point smaller than 1 / FAR satisfies every constraint: problems
+        are stated in units in which their points are not that large.
     """
-    against = -float(problem.b @ ray)
-    if not against > 0:
-        return ray, "its ray proves nothing: bᵀy ≥ 0"
-    y = ray / against
-    size, outside = float(np.abs(problem.A.T @ y).sum()), problem.outside(y, dual=True)
-    if not (size <= FAR and outside <= FAR):
-        doubt = (
-            f"its ray leaves {size:.1e} of Aᵀy = 0 and is {outside:.1e} outside the dual cone, "
-            f"above {FAR:.0e}"
-        )
-        return y, doubt
-    return y, ""
+    y = problem.into_dual(ray)
+    against = -float(problem.b @ y)
+    if not 0 < against < np.inf:
+        return y, "its ray proves nothing: bᵀy ≥ 0"
+    y = y / against
+    left = np.abs(problem.A.T @ y).sum()
+    return y, "" if left <= FAR else f"its ray leaves {left:.1e} of Aᵀy = 0, above {FAR:.0e}"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csc_array
 
-from problems.conic import Answer, Conic, Infeasible, Unsolved, solve
+from problems.conic import Answer, Conic, Infeasible, Unsolved, proof, solve
 from problems.solvers import solve_clarabel, solve_highs
 from problems.solvers.clarabel import Again
 
@@ -145,6 +145,32 @@ def test_impossible_among_cones_comes_with_its_proof():
     with pytest.raises(Infeasible) as verdict:
         solve(problem, solve_clarabel)
     assert problem.outside(verdict.value.ray, dual=True) < 1e-7
+
+
+def test_a_ray_that_leaves_the_dual_cone_a_little_proves_nothing():
+    # x ≥ 0 and 0 x ≤ 1000: a thousandth outside, times the room of 1000, would be a proof.
+    problem = Conic(np.ones(1), csc_array([[-1.0], [0.0]]), np.array([0.0, 1000.0]), 0, 2)
+    y, doubt = proof(problem, np.array([0.0, -1e-3]))
+    assert "nothing" in doubt
+    assert problem.outside(y, dual=True) == 0
+
+
+@pytest.mark.parametrize("kind", ["linear", "second-order", "semidefinite"])
+def test_what_is_moved_into_the_dual_cone_is_in_it_and_what_is_there_stays(rng, kind):
+    sizes = {"linear": {}, "second-order": {"cones": (3, 4)}, "semidefinite": {"matrices": (3,)}}
+    rows = {"linear": 5, "second-order": 12, "semidefinite": 11}[kind]
+    problem = Conic(np.ones(2), csc_array((rows, 2)), np.zeros(rows), 2, 3, **sizes[kind])
+    for y in rng.normal(size=(20, rows)):
+        moved = problem.into_dual(y)
+        assert problem.outside(moved, dual=True) < 1e-14
+        np.testing.assert_allclose(problem.into_dual(moved), moved, atol=1e-14)
+        np.testing.assert_array_equal(moved[:2], y[:2])
+
+
+@pytest.mark.parametrize("wrong", [{"nonnegative": -1}, {"cones": (0,)}, {"matrices": (0,)}])
+def test_a_cone_without_rows_is_refused(wrong):
+    with pytest.raises(ValueError, match="at least one"):
+        Conic(np.ones(1), csc_array((2, 1)), np.zeros(2), **({"zero": 2, "nonnegative": 0} | wrong))
 
 
 def test_a_solver_that_cries_infeasible_without_proof_is_not_believed(rng):

@@ -52,7 +52,7 @@ def test_an_answer_is_an_optimum_or_a_proof_that_there_is_none(name, size):
         else:
             y, doubt = proof(instance.problem, instance.y)
             assert not doubt
-            np.testing.assert_allclose(y, instance.y, rtol=1e-9)
+            np.testing.assert_allclose(y, instance.y, rtol=1e-9, atol=1e-12)
             assert np.isnan(instance.reference)
 
 

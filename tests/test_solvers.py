@@ -1,5 +1,7 @@
 """Every adapter, on questions whose answers are known; and what judges their claims."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.sparse import csc_array
@@ -72,11 +74,7 @@ def test_another_right_hand_side_is_answered_as_if_it_came_first(rng, name):
     session = KNOWN[name].read(problem, 1e-6)
     for _ in range(4):
         b = problem.b + problem.A @ rng.normal(size=len(x))  # the same problem, moved
-        moved = Conic(
-            problem.q, problem.A, b, problem.zero, problem.nonnegative, problem.cones,
-            problem.matrices,
-        )  # fmt: skip
-        verdict = judge(moved, session.solve(b), 1e-6)
+        verdict = judge(replace(problem, b=b), session.solve(b), 1e-6)
         assert verdict.kind == "solved", verdict.why
         assert -b @ y == pytest.approx(problem.q @ verdict.answer.x, rel=1e-4, abs=1e-4)
 
@@ -86,6 +84,27 @@ def test_who_claims_to_find_out_that_there_is_no_point_proves_it(rng, name):
     problem = impossible(rng)
     verdict = judge(problem, KNOWN[name].read(problem, 1e-6).solve(problem.b), 1e-6)
     assert verdict.kind == "infeasible", verdict.why
+
+
+BOTTOMLESS = Conic(np.ones(1), csc_array([[1.0]]), np.zeros(1), 0, 1)
+
+
+@pytest.mark.parametrize("name", [n for n in INSTALLED if KNOWN[n].takes(BOTTOMLESS)])
+def test_a_cost_without_a_bottom_is_neither_solved_nor_infeasible(name):
+    claim = KNOWN[name].read(BOTTOMLESS, 1e-6).solve(BOTTOMLESS.b)
+    assert claim.said != "infeasible", claim.words
+    assert judge(BOTTOMLESS, claim, 1e-6).kind in ("failed", "wrong claim")
+
+
+@pytest.mark.parametrize("name", INSTALLED)
+def test_a_right_hand_side_that_is_written_over_is_another(rng, name):
+    kind = max((k for k in KINDS if k in KNOWN[name].cones), key=KINDS.index)
+    problem, _, _ = known(rng, kind)
+    session, b = KNOWN[name].read(problem, 1e-6), problem.b.copy()
+    session.solve(b)
+    b += problem.A @ rng.normal(size=len(problem.q))
+    verdict = judge(replace(problem, b=b), session.solve(b), 1e-6)
+    assert verdict.kind == "solved", verdict.why
 
 
 def test_a_triangle_is_as_long_as_its_matrix(rng):

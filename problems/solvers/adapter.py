@@ -55,7 +55,10 @@ class Adapter:
     @property
     def installed(self) -> bool:
         """Whether it can be asked here."""
-        return find_spec(self.module) is not None
+        try:
+            return find_spec(self.module) is not None
+        except ModuleNotFoundError:  # nor is what it would be a part of
+            return False
 
     def takes(self, problem: Conic) -> bool:
         """Whether it knows all cones of a problem, and its form."""
@@ -91,10 +94,11 @@ class Verdict(NamedTuple):
 def judge(problem: Conic, claim: Claim, tolerance: float) -> Verdict:
     """Recompute what a solver claims.
 
-    *solved* is what has residuals and gap within the tolerance, whatever the solver says of it;
-    *infeasible* what comes with a ray that proves it. A solver that says solved, and it is not, or
-    infeasible with a ray that proves nothing, has made a *wrong claim*; one that says infeasible
-    and gives no ray leaves it *unproven*; and any other has *failed*.
+    *solved* is a point that has residuals and gap within the tolerance, even of a solver that
+    stopped; *infeasible* is what comes with a ray that proves it, as `problems.conic.proof` says.
+    A solver that says solved, and it is not, or infeasible with a ray that proves nothing, has
+    made a *wrong claim*; one that says infeasible and gives no ray leaves it *unproven*; and any
+    other has *failed*.
 
     Args:
         problem: What was asked.

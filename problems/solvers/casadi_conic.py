@@ -98,7 +98,7 @@ class Plugin:
         words = str(stats.get("return_status", stats["unified_return_status"]))
         counted = stats.get("iter_count", -1)
         steps = counted if counted > 0 else None
-        if "infeasib" in words.lower():
+        if "infeasib" in words.lower() and "dual" not in words.lower():
             return Claim("infeasible", words, None, None, steps, seconds)
         said: Said = "solved" if stats["success"] else "stopped"
         return Claim(said, words, self._x.copy(), self._y.copy(), steps, seconds)

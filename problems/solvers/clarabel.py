@@ -38,7 +38,7 @@ class Again:
         """Keep what all the problems share."""
         settings = _settings(tolerance)
         settings.presolve_enable = False  # it would drop rows, and data could not be updated
-        self._first, self._b = first, first.b
+        self._first, self._b = first, first.b.copy()
         self._solver = _solver(first, settings)
 
     def __call__(self, problem: Conic) -> Answer:
@@ -56,9 +56,9 @@ class Again:
     def solve(self, b: Float[Array, " m"]) -> Claim:
         """Solve with another right-hand side, and say what comes of it."""
         began = perf_counter()
-        if b is not self._b:
+        if not np.array_equal(b, self._b):
             self._solver.update(b=b)
-            self._b = b
+            self._b = b.copy()
         return _claim(self._solver, began)
 
 

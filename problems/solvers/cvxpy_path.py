@@ -84,7 +84,7 @@ class Stated:
         x, duals = self._x.value, [limit.dual_value for limit in self._limits]
         seconds = perf_counter() - began
         y = None if any(dual is None for dual in duals) else _rows(duals)
-        if words.startswith("infeasible"):
+        if words in ("infeasible", "infeasible_inaccurate"):
             return Claim("infeasible", words, None, y, steps, seconds)
         said: Said = "solved" if words == "optimal" else "stopped"
         return Claim(said, words, None if x is None else np.array(x), y, steps, seconds)
