@@ -35,6 +35,7 @@ class Together(LoadScopeScheduling):
         return "connectivity" if "connectivity" in file or "fiedler" in file else file
 
 
+@pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Together:
     return Together(config, log)
 

@@ -149,8 +149,9 @@ def _around(agent: Planner, above: tuple[Plan, ...]) -> Planner:
     if passage is None:
         passage, count = _relenting(agent, others)
         solves += count
-    if passage is None:
-        return agent._replace(solves=solves, failed=True)
+    if passage is None:  # what it tells is what it flies, whatever it began with
+        path = agent.horizon.path(agent.flight.x, agent.flight.u)
+        return agent._replace(path=path, solves=solves, failed=True)
     return agent._replace(
         flight=passage.flight,
         path=agent.horizon.path(passage.flight.x, passage.flight.u),

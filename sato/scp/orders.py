@@ -1,10 +1,10 @@
 """Several orders of priority: who paid most goes first the next time [Joslin1999].
 
 Method 2 is settled once, and then anew under other orders. Each time an agent goes before
-others by as much more as it paid for them, and in the plane all begin by keeping to the right,
-as on a road: nominals that all meet in one point show nobody a way round. In the end every
-network flies the cheapest of what it has tried: agents flood what each of them pays, and add
-up for themselves.
+others by as much more as it paid for them, and in the plane all who fly straight begin by
+keeping to the right, as on a road: nominals that all meet in one point show nobody a way round.
+To go on as each begins is tried too, where that is clear. After each order agents flood what
+they pay and add up for themselves, and every network keeps the cheapest of what it has tried.
 """
 
 from collections.abc import Mapping
@@ -12,55 +12,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sato.network import Network
-from sato.scp.agent import Planner
+from sato.network import Network, play
+from sato.scp.agent import Plan, Planner, clear
 from sato.scp.run import settle
 
-TIGHT = 1e-6  # of R: who breaks half-spaces by less keeps clear
+TIGHT = 1e-6  # of R: who breaks half-spaces by less keeps clear, who misses by less arrives
 
 
 class Toll(NamedTuple):
     """What an agent pays for others; the smaller is better, a distance before an arrival."""
 
     close: float  # 1 where it comes too close to somebody
-    late: float  # 1 where it does not arrive
+    late: float  # 1 where it does not end at its goal
     fuel: float  # beyond that of its flight alone [m/s]
-
-
-def toll(agent: Planner) -> Toll:
-    """What an agent pays, by its own knowledge."""
-    close = agent.failed or agent.slack > TIGHT * agent.horizon.radius
-    return Toll(float(close), float(agent.late > 0), agent.flight.fuel - agent.free.fuel)
-
-
-def raised(agent: Planner, paid: Toll) -> Planner:
-    """An agent before the next order: what it paid, it counts as burnt.
-
-    Who gave something up pays the fuel of its flight alone besides.
-    """
-    moves, spent, number = agent.rank
-    lost = agent.free.fuel if paid.close or paid.late else 0.0
-    return agent._replace(rank=(moves, spent - max(paid.fuel, 0.0) - lost, number))
-
-
-def to_the_right(agent: Planner) -> Planner:
-    """An agent in the plane whose nominal bends to the right of its way, by R in the middle."""
-    path = agent.horizon.path(agent.free.x, agent.free.u)
-    pieces, points, d = path.shape
-    way = path[-1, -1] - path[0, 0]
-    if d != 2 or len(agent.free.u) == 0 or not way.any():
-        return agent
-    right = np.array([way[1], -way[0]]) / np.linalg.norm(way)
-    along = (np.arange(pieces)[:, None] + np.linspace(0, 1, points)) / pieces
-    bend = agent.horizon.radius * np.sin(np.pi * along)
-    return agent._replace(path=path + bend[..., None] * right, steady=False)
 
 
 class Settled(NamedTuple):
     """What agents agreed on, and what that took."""
 
     planners: dict[int, Planner]
-    exchanges: int  # of all orders
+    exchanges: int  # of all orders, with what is flooded
     solves: int
 
 
@@ -70,24 +41,82 @@ def settle_orders(planners: Mapping[int, Planner], network: Network, orders: int
     Args:
         planners: Every live agent, by number; the first order is that of their ranks.
         network: Who hears whom.
-        orders: Most that are tried; fewer, once nobody pays anything.
+        orders: Most that are tried; fewer, where nobody in a component pays anything.
     """
     kept, exchanges = settle(planners, network)
-    tolls = {i: toll(agent) for i, agent in kept.items()}
-    paid = dict(tolls)
-    solves = sum(agent.solves for agent in kept.values())
+    solves = _solves(kept)
+    if orders == 1 or not kept:
+        return Settled(kept, exchanges, solves)
+    paid = tolls = {i: toll(agent) for i, agent in kept.items()}
+    flooding = int(network.diameter[list(kept)].max())
+    exchanges += flooding
+    if any(map(any, paid.values())):
+        kept, paid = _cheaper(kept, paid, going_on(planners, network), network)
+        exchanges += 1 + flooding
     for _ in range(orders - 1):
-        if not any(any(each) for each in paid.values()):
+        dear = [i for i, total in totals(paid, network).items() if any(total)]
+        if not dear:
             break
-        planners = {i: to_the_right(raised(agent, tolls[i])) for i, agent in planners.items()}
+        planners = {i: to_the_right(raised(planners[i], tolls[i])) for i in dear}
         tried, more = settle(planners, network)
-        exchanges, solves = exchanges + more, solves + sum(a.solves for a in tried.values())
+        exchanges, solves = exchanges + more + flooding, solves + _solves(tried)
         tolls = {i: toll(agent) for i, agent in tried.items()}
-        now, before = (totals(some, network) for some in (tolls, paid))
-        better = [i for i in tolls if now[i] < before[i]]
-        kept |= {i: tried[i] for i in better}
-        paid |= {i: tolls[i] for i in better}
+        kept, paid = _cheaper(kept, paid, tried, network)
     return Settled(kept, exchanges, solves)
+
+
+def toll(agent: Planner) -> Toll:
+    """What an agent pays, by its own knowledge."""
+    tight = TIGHT * agent.horizon.radius
+    missed = np.abs(agent.flight.x[-1] - agent.goal).max()
+    return Toll(
+        float(agent.failed or agent.slack > tight),
+        float(missed > tight),
+        agent.flight.fuel - agent.free.fuel,
+    )
+
+
+def raised(agent: Planner, paid: Toll) -> Planner:
+    """An agent before the next order: what it paid, it counts as burnt.
+
+    Who gave something up pays the fuel of its flight alone besides.
+    """
+    moves, first, number = agent.rank
+    lost = agent.free.fuel if paid.close or paid.late else 0.0
+    return agent._replace(rank=(moves, first - max(paid.fuel, 0.0) - lost, number))
+
+
+def to_the_right(agent: Planner) -> Planner:
+    """An agent in the plane whose nominal bends to the right of its way, by R in the middle.
+
+    Who begins with a plan of before stays on the side on which that passes.
+    """
+    pieces, points, d = agent.path.shape
+    way = agent.path[-1, -1] - agent.path[0, 0]
+    if d != 2 or len(agent.flight.u) == 0 or agent.flight is not agent.free or not way.any():
+        return agent
+    path = agent.horizon.path(agent.free.x, agent.free.u)
+    right = np.array([way[1], -way[0]]) / np.linalg.norm(way)
+    along = (np.arange(pieces)[:, None] + np.linspace(0, 1, points)) / pieces
+    bend = agent.horizon.radius * np.sin(np.pi * along)
+    return agent._replace(path=path + bend[..., None] * right, steady=False)
+
+
+def going_on(planners: Mapping[int, Planner], network: Network) -> dict[int, Planner]:
+    """The agents of those components in which all are clear as they begin."""
+    states = [planners.get(i) for i in range(len(network.alive))]
+    told = [agent and agent.plan for agent in states]
+    on = play(network, states, _go_on, told, planners)
+    lost = {network.component[i] for i, agent in on.items() if agent is None or agent.failed}
+    return {i: agent for i, agent in on.items() if agent and network.component[i] not in lost}
+
+
+def _go_on(agent: Planner | None, inbox: list[Plan | None]) -> Planner | None:
+    if agent is None:
+        return None
+    heard = tuple(plan for plan in inbox if plan)
+    failed = not clear(agent.path, heard, agent.horizon.radius)
+    return agent._replace(settled=True, steady=True, failed=failed)
 
 
 def totals(tolls: Mapping[int, Toll], network: Network) -> dict[int, Toll]:
@@ -99,3 +128,16 @@ def totals(tolls: Mapping[int, Toll], network: Network) -> dict[int, Toll]:
     for i in sorted(tolls):
         sums[network.component[i]] += tolls[i]
     return {i: Toll(*sums[network.component[i]].tolist()) for i in tolls}
+
+
+def _cheaper(
+    kept: dict[int, Planner], paid: dict[int, Toll], tried: dict[int, Planner], network: Network
+) -> tuple[dict[int, Planner], dict[int, Toll]]:
+    tolls = {i: toll(agent) for i, agent in tried.items()}
+    now, before = totals(tolls, network), totals(paid, network)
+    better = [i for i in tried if now[i] < before[i]]
+    return kept | {i: tried[i] for i in better}, paid | {i: tolls[i] for i in better}
+
+
+def _solves(planners: Mapping[int, Planner]) -> int:
+    return sum(agent.solves for agent in planners.values())
