@@ -1,5 +1,7 @@
 """Several orders of priority: what is kept, who decides it, and what it saves."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -16,7 +18,13 @@ from swarm_cast import (
     problem,
 )
 
+from dynamics import DoubleIntegrator, hold
+from dynamics.path import separations
 from sato.network import Network, flood
+from sato.reconfiguration.mission import Leg, Reconfiguration
+from sato.reconfiguration.moment import Moment
+from sato.reconfiguration.planning import NO_PLANS, plan
+from sato.reconfiguration.pricing import Minds
 from sato.scp import by_messages, exchanged, settle, settle_orders
 from sato.scp.orders import Toll, going_on, to_the_right, toll, totals
 
@@ -213,3 +221,45 @@ def test_a_horizon_that_ends_early_does_not_matter(rng):
     }
     after = settle_orders(seen, everybody(seen), 3).planners
     assert all(p.settled for p in after.values())
+
+
+def test_what_is_flown_with_replans_costs_no_more_than_the_first_plan():
+    # All through one point, each to its own target.
+    angle = 2 * np.pi * np.arange(4) / 4
+    start = 2.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    goal = -start @ np.array([[1.0, 0.03], [-0.03, 1.0]])
+    still, everyone = np.zeros_like(start), np.ones(4, dtype=bool)
+    leg, steps = Leg(np.hstack([goal, still]), 24), hold(DoubleIntegrator(2), 1.0, 24)
+    x = np.hstack([start, still])
+    mission = Reconfiguration(
+        model=DoubleIntegrator(2),
+        start=x,
+        alive=everyone,
+        legs=(leg,),
+        step=1.0,
+        comm_radius=100.0,
+        collision_radius=1.0,
+        max_control=0.1,
+        max_speed=0.5,
+        foresight_steps=24,
+        orders=4,
+    )
+    plans, spent, planned, flown = NO_PLANS, np.zeros(4), [], []
+    for k in range(24):
+        if k % 4 == 0:
+            network = Network.within(x[:, :2], mission.comm_radius, everyone)
+            clock = np.full(4, k)
+            minds = replace(Minds.fresh(np.full(4, 4)), target=np.arange(4), clock=clock)
+            moment = Moment(mission, leg, network, x, k, float(k))
+            plans, events = plan(moment, minds, spent, plans)
+            assert [event["kind"] for event in events] == ["replan"]
+            planned.append(spent.sum() + sum(flight.fuel for flight in plans.flights.values()))
+        u = plans.control(k, everyone, 2)
+        flown.append(u)
+        spent = spent + np.abs(u).sum(axis=1)
+        x = steps[k : k + 1].roll(x, u[:, None])[:, -1]
+    np.testing.assert_allclose(x, leg.targets, atol=1e-6)
+    assert np.diff(planned).max() < 1e-6
+    path = steps.roll(mission.start, np.stack(flown, axis=1)).swapaxes(0, 1)
+    alive = np.ones(path.shape[:2], dtype=bool)
+    assert separations(path[..., :2], path[..., 2:], alive, 1.0).least.distance >= 1.0
