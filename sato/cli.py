@@ -222,7 +222,7 @@ def compare(
     with plainly():
         from sato.compare.command import asked, make
 
-        what = asked(solver or (), family or (), size or (), tolerance or (), repeats)
+        what = asked(solver or (), family or (), size or (), tolerance or (), repeats, patience)
         refuse_unwritable(out)
         broken = make(what, out, patience, seed)
         for words in broken:

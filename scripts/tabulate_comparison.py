@@ -35,18 +35,34 @@ def main(
     size: Annotated[str, typer.Option(help="of the times")] = "medium",
 ) -> None:
     """Print three tables."""
-    with open(folder / "measurements.csv", newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = measured(folder / "measurements.csv")
     solvers = sorted({row["solver"] for row in rows})
     tolerances = sorted({float(row["tolerance"]) for row in rows}, reverse=True)
     heads = [f"right at {t:.0e}".replace("e-0", "e-") for t in tolerances]
-    heads += ["wrong claims", "failed or unproven", "crashed", "given up as too slow"]
+    heads += ["wrong claims", "failed", "unproven", "crashed", "given up as too slow"]
     print(table(["solver", *heads], ([s, *verdicts(of(rows, s), tolerances)] for s in solvers)))
-    there = [name for name in NAMES if any(row["family"] == name for row in rows)]
+    there = named(rows)
     timed = [r for r in rows if r["size"] == size and float(r["tolerance"]) == tolerance]
     lines = ([s, *(times(of(timed, s), name) for name in there)] for s in solvers)
-    print(table(["solver", *(NAMES[name] for name in there)], lines))
+    print(table(["solver", *there.values()], lines))
     print("\n".join(f"- *{s}*: {words}." for s in solvers if (words := troubles(of(rows, s)))))
+
+
+def measured(path: Path) -> list[Row]:
+    """The lines of a file of measurements."""
+    try:
+        with open(path, newline="", encoding="utf-8") as file:
+            return list(csv.DictReader(file))
+    except OSError as error:
+        typer.echo(f"{path} cannot be read: {error.strerror}", err=True)
+        raise typer.Exit(2) from None
+
+
+def named(rows: Iterable[Row]) -> dict[str, str]:
+    """The families that were asked, in the order of the names; those without one come last."""
+    asked = dict.fromkeys(row["family"] for row in rows)
+    known = {name: NAMES[name] for name in NAMES if name in asked}
+    return known | {name: name for name in asked if name not in NAMES}
 
 
 def of(rows: Sequence[Row], solver: str) -> list[Row]:
@@ -61,8 +77,8 @@ def verdicts(rows: Sequence[Row], tolerances: Sequence[float]) -> list[str]:
         here = [row for row in rows if float(row["tolerance"]) == tolerance]
         cells.append(f"{sum(row['right'] == 'True' for row in here)} of {len(here)}")
     found = [row[f"{time}_verdict"] for row in rows for time in ("first", "again")]
-    for kinds in (("wrong claim",), ("failed", "unproven"), ("crashed",), ("skipped",)):
-        cells.append(str(sum(verdict in kinds for verdict in found)))
+    for kind in ("wrong claim", "failed", "unproven", "crashed", "skipped"):
+        cells.append(str(found.count(kind)))
     return cells
 
 

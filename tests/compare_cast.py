@@ -1,7 +1,10 @@
 """Solvers as there are none, for tests: those that lie, crash, hang and chatter."""
 
+import multiprocessing
 import os
 import threading
+from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -78,12 +81,43 @@ class Forgetful(Honest):
         return super().solve(self.problem.b)
 
 
+class Faint(Honest):
+    """Takes its process with it where it is given 10, and counts what it solved before that."""
+
+    solved: ClassVar = 0
+
+    def solve(self, b):
+        if b[0] == 10:
+            os.abort()
+        Faint.solved += 1
+        return super().solve(b)._replace(iterations=Faint.solved)
+
+
+class Dozer(Honest):
+    """Never answers where it is given 10."""
+
+    def solve(self, b):
+        if b[0] == 10:
+            threading.Event().wait()
+        return super().solve(b)
+
+
+class Fussy(Honest):
+    """Looks at what it is given in planning, and nowhere else."""
+
+
+def fussy(problem: Conic) -> str:
+    """Refuse everything in a process of a solver."""
+    return "looks twice" if multiprocessing.parent_process() else ""
+
+
 def cast() -> dict[str, Adapter]:
     """Solvers as there are none, found by both processes."""
     some = (Honest, Liar, Prophet, Crasher, Raiser, Sleeper, Chatterer, Glutton, Forgetful)
-    return {
+    found = {
         kind.__name__.lower(): Adapter(
             kind.__name__.lower(), frozenset({"linear"}), True, "numpy", "numpy", kind
         )
-        for kind in some
+        for kind in (*some, Faint, Dozer, Fussy)
     }
+    return found | {"fussy": replace(found["fussy"], refuses=fussy)}

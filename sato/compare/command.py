@@ -14,6 +14,8 @@ from sato.compare.summary import broken
 from sato.compare.tables import tell, tell_plan
 from sato.terminal import counted
 
+LONGEST = 86400.0  # patience; ten times that can be waited for in 32 bits of milliseconds [s]
+
 
 def asked(
     solvers: Iterable[str],
@@ -21,8 +23,11 @@ def asked(
     sizes: Iterable[str],
     tolerances: Iterable[float],
     repeats: int,
+    patience: float,
 ) -> Plan:
     """What the words of the command line mean; `sato.compare.plan.plan` says what is refused."""
+    if not 0 < patience <= LONGEST:
+        raise ValueError(f"--patience takes a time above 0 s, at most a day, got {patience:g}")
     return plan(adapters(), solvers, names, sizes, tolerances, repeats)
 
 
@@ -32,8 +37,6 @@ def make(what: Plan, folder: Path, patience: float, seed: int) -> list[str]:
     Returns:
         What the toolkit promises and is broken.
     """
-    if not patience > 0:
-        raise ValueError(f"--patience takes a time above 0 s, got {patience:g}")
     on = machine(what.solvers)
     tell_plan(what, on)
     with counted("asking") as progress:

@@ -13,8 +13,8 @@ from sato.compare.plan import Plan, followers, power
 from sato.compare.worker import Find, Gone, Outcome, Question, Reply, Worker
 
 SEVERITY = ("solved", "infeasible", "unproven", "failed", "wrong claim", "crashed")
-HANGS = 3.0  # times the patience, after which a process is ended
-WARMS = 60.0  # in which a process answers its first question, with all that is compiled for it [s]
+HANGS = 10.0  # times the patience, by the clock on the wall: others may keep the processor busy
+WARMS = 60.0  # for each solve of a warm-up, in which some libraries compile [s]
 
 Progress = Callable[[int, int], None]  # how many were asked, of how many
 
@@ -63,7 +63,8 @@ def measure(
 
     Solvers live in processes of their own and are asked one at a time. A solver that took longer
     than the patience is asked no more in that family at that size and tolerance, nor for what is
-    larger or tighter; what takes three times as long is ended, and counts as crashed.
+    larger or tighter; a solve that takes ten times as long by the clock on the wall is ended, and
+    counts as crashed.
 
     Args:
         plan: Who is asked what.
@@ -115,9 +116,12 @@ class _Field:
 
     def family(self, family: Family) -> Iterator[Measurement]:
         """All that is asked of a family of a size."""
+        warm_up = Question(family.instances[0], followers(family)[0], self.plan.tolerances[0])
+        seconds = max(WARMS, HANGS * self.patience.seconds)
         with ExitStack() as stack:
             for solver in self.plan.able(family):
-                worker = self.workers[solver.name] = Worker(self.find, solver.name)
+                worker = Worker(self.find, solver.name, warm_up, seconds)
+                self.workers[solver.name] = worker
                 stack.callback(worker.close)
             memory = self.memory(family)
             for tolerance in self.plan.tolerances:
@@ -126,17 +130,19 @@ class _Field:
     def memory(self, family: Family) -> dict[str, float]:
         """What the first instance takes, in processes that have done nothing else [MiB].
 
-        What a library does once in its life is then done, and no part of a time. Only who does
-        not end it has lost the patience.
+        Only who does not end it has lost the patience.
         """
         loosest, found = self.plan.tolerances[0], dict[str, float]()
-        question = Question(family.instances[0], None, loosest)
         for solver in self.plan.able(family):
-            if not self.patience.lost(solver.name, family, loosest):
-                reply = self.reply(solver.name, question, max(WARMS, HANGS * self.patience.seconds))
-                found[solver.name] = reply.memory
-                if reply.first.verdict == "crashed":
-                    self.patience.watch(solver.name, family, loosest, reply)
+            if self.patience.lost(solver.name, family, loosest):
+                continue
+            worker = self.workers[solver.name]
+            try:
+                worker.begin()
+            except Gone as end:
+                ended = Reply(end.outcome, None, worker.grown)
+                self.patience.watch(solver.name, family, loosest, ended)
+            found[solver.name] = worker.grown
         return found
 
     def cell(
@@ -153,11 +159,12 @@ class _Field:
                     self.done += 1
                     if name in crashed or self.patience.lost(name, family, tolerance):
                         continue
-                    first, again, _ = self.ask(name, family, question)
+                    reply = self.ask(name, family, question)
+                    first, again, _ = reply
                     firsts.setdefault((name, instance.name), []).append(first)
                     if after is not None and again is not None:
                         agains.setdefault((name, after.name), []).append(again)
-                    if first.verdict == "crashed":
+                    if reply.crashed:
                         crashed.add(name)
                 self.progress(self.done, self.all)
         for name in names:
@@ -177,16 +184,18 @@ class _Field:
 
     def ask(self, name: str, family: Family, question: Question) -> Reply:
         """Ask one, and take note of how long it took."""
-        reply = self.reply(name, question, HANGS * self.patience.seconds)
+        reply = self.reply(name, question)
         self.patience.watch(name, family, question.tolerance, reply)
         return reply
 
-    def reply(self, name: str, question: Question, seconds: float) -> Reply:
+    def reply(self, name: str, question: Question) -> Reply:
         """Ask one, and make the end of its process an outcome like others."""
         try:
-            return self.workers[name].ask(question, seconds)
+            return self.workers[name].ask(question, HANGS * self.patience.seconds)
         except Gone as end:
-            return Reply(Outcome("crashed", str(end), end.seconds), None, float("nan"))
+            # Who did not come as far as the second solve has nothing right there either.
+            again = Outcome("crashed", str(end)) if question.after else None
+            return Reply(end.outcome, again, float("nan"))
 
 
 def _whole(outcomes: list[Outcome]) -> Outcome:

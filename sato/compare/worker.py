@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
 from multiprocessing import get_all_start_methods, get_context
 from multiprocessing.connection import Connection
@@ -58,7 +58,12 @@ class Reply(NamedTuple):
 
     first: Outcome
     again: Outcome | None
-    memory: float  # by which the most that the process held has grown since it began [MiB]
+    memory: float  # by which the most that the process held had grown after the first [MiB]
+
+    @property
+    def crashed(self) -> bool:
+        """Whether the process ended in one of the solves."""
+        return "crashed" in (self.first.verdict, self.again and self.again.verdict)
 
 
 class Gone(RuntimeError):
@@ -69,31 +74,62 @@ class Gone(RuntimeError):
         super().__init__(words)
         self.seconds = seconds
 
+    @property
+    def outcome(self) -> Outcome:
+        """What became of the solve in which it ended."""
+        return Outcome("crashed", str(self), self.seconds)
+
 
 class Worker:
     """A solver in its process, which is begun when first asked and after every end."""
 
-    def __init__(self, find: Find, name: str) -> None:
-        """Say whom to ask; nothing is begun yet."""
+    def __init__(self, find: Find, name: str, warm_up: Question, seconds: float) -> None:
+        """Say whom to ask; nothing is begun yet.
+
+        Args:
+            find: The solvers that there are.
+            name: Which of them.
+            warm_up: What each process is asked first, so that what a library does once in its
+                life is no part of a time.
+            seconds: After which nothing more is expected of a solve of that.
+        """
         self._find, self._name = find, name
+        self._warm_up: Question | None = warm_up
+        self._patience = seconds
         self._process: Any = None
         self._line: Connection | None = None
         self._last_words: TextIO | None = None
+        self.grown = float("nan")  # by the first solve of the last warm-up [MiB]
+
+    def begin(self) -> Connection:
+        """Begin the process, and warm it up.
+
+        Raises:
+            Gone: It ended in that; it is begun cold from then on, or a solver that cannot take
+                its warm-up would be asked nothing else.
+        """
+        line = self._start()
+        warm_up, self._warm_up = self._warm_up, None
+        if warm_up is None:
+            return line
+        reply = self._answer(line, warm_up, self._patience)
+        self.grown = reply.memory
+        if reply.again is not None and reply.crashed:
+            raise Gone(reply.again.why, reply.again.seconds)
+        self._warm_up = warm_up
+        return line
 
     def ask(self, question: Question, seconds: float) -> Reply:
         """Ask, and wait for the reply.
 
         Args:
             question: What is asked.
-            seconds: After which nothing more is expected of it.
+            seconds: After which nothing more is expected of a solve.
 
         Raises:
-            Gone: The process crashed, or did not answer in time.
+            Gone: The process crashed before it had answered once, or did not answer in time.
         """
-        line = self._line or self._begin()
-        line.send(question)
-        reply: Reply = self._receive(line, seconds)
-        return reply
+        return self._answer(self._line or self.begin(), question, seconds)
 
     def close(self) -> None:
         """End the process."""
@@ -109,7 +145,7 @@ class Worker:
             self._last_words.close()
             self._last_words = None
 
-    def _begin(self) -> Connection:
+    def _start(self) -> Connection:
         handle, path = tempfile.mkstemp(prefix="sato-compare-")
         self._last_words = open(handle, errors="replace")
         context = _context()
@@ -133,15 +169,31 @@ class Worker:
             Path(path).unlink()  # both hold it open
         return line
 
+    def _answer(self, line: Connection, question: Question, seconds: float) -> Reply:
+        try:
+            line.send(question)
+        except ConnectionError:  # it ended after its last answer
+            raise self._ended(self._how_it_ended()) from None
+        first, memory = self._receive(line, seconds)
+        if question.after is None:
+            return Reply(first, None, memory)
+        try:
+            again, _ = self._receive(line, seconds)
+        except Gone as end:
+            again = end.outcome
+        return Reply(first, again, memory)
+
     def _receive(self, line: Connection, seconds: float) -> Any:
         try:
             if line.poll(seconds):
                 return line.recv()
-            end = Gone(f"no answer within {seconds:g} s", seconds)
-        except (EOFError, ConnectionResetError):
-            end = Gone(self._how_it_ended())
+        except (EOFError, ConnectionError):
+            raise self._ended(self._how_it_ended()) from None
+        raise self._ended(f"no answer within {seconds:g} s", seconds)
+
+    def _ended(self, words: str, seconds: float = float("nan")) -> Gone:
         self.close()
-        raise end
+        return Gone(words, seconds)
 
     def _how_it_ended(self) -> str:
         self._process.join()
@@ -176,8 +228,8 @@ def _serve(line: Connection, find: Find, name: str, last_words: str) -> None:
             question: Question = line.recv()
         except EOFError:
             return
-        first, again = _ask(solver, question)
-        line.send(Reply(first, again, peak_memory() - held))
+        for outcome in _answers(solver, question):  # each before the next solve, which may crash
+            line.send((outcome, peak_memory() - held))
 
 
 def _divert(last_words: str) -> None:
@@ -189,19 +241,18 @@ def _divert(last_words: str) -> None:
         os.dup2(file.fileno(), 2)
 
 
-def _ask(solver: Adapter, question: Question) -> tuple[Outcome, Outcome | None]:
+def _answers(solver: Adapter, question: Question) -> Iterator[Outcome]:
     problem, tolerance = question.instance.problem, question.tolerance
     began = process_time()
-    session = solver.read(problem, tolerance)
+    session = solver.begin(problem, tolerance)  # what it can take was found out in planning
     claim = session.solve(problem.b)
-    first = _outcome(question.instance, claim, tolerance, process_time() - began)
+    yield _outcome(question.instance, claim, tolerance, process_time() - began)
     if question.after is None:
-        return first, None
+        return
     b = question.after.problem.b
     began = process_time()
     claim = session.solve(b)
-    seconds = process_time() - began
-    return first, _outcome(question.after, claim, tolerance, seconds)
+    yield _outcome(question.after, claim, tolerance, process_time() - began)
 
 
 def _outcome(instance: Instance, claim: Claim, tolerance: float, seconds: float) -> Outcome:
