@@ -69,6 +69,19 @@ class Conic:
             start += size
         return _largest(worst)
 
+    def weight(self, v: Float[Array, " m"]) -> float:
+        """What vᵀs can lose, v of one cone and s of the other, where s lies 1 outside it."""
+        linear = self.zero + self.nonnegative
+        total, start = float(np.abs(v[:linear]).sum()), linear
+        for size in self.cones:
+            total += abs(float(v[start]))
+            start += size
+        for n in self.matrices:
+            size = n * (n + 1) // 2
+            total += abs(float(np.trace(matrix(v[start : start + size], n))))
+            start += size
+        return total
+
     def into_dual(self, y: Float[Array, " m"]) -> Float[Array, " m"]:
         """A point of the dual cone near y."""
         linear = self.zero + self.nonnegative

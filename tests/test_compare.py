@@ -57,8 +57,8 @@ def ask(*names, families=None, repeats=2, tolerances=(1e-4, 1e-6), patience=10.0
 
 def measured(solver="a", seconds=1.0, verdict="solved", instance=0, tolerance=1e-6, **numbers):
     """A measurement, made up."""
-    numbers = {"primal_residual": 0.0, "dual_residual": 0.0, "gap": 0.0} | numbers
-    outcome = Outcome(verdict, "words", seconds, 5, 1e-9, **numbers)
+    exact = dict.fromkeys(("cost_error", "primal_residual", "dual_residual", "gap"), 0.0)
+    outcome = Outcome(verdict, "words", seconds, 5, **exact | numbers)
     family = questions()
     return Measurement(
         solver, "box", "small", family.instances[instance], tolerance, outcome, None, 1.0
@@ -106,10 +106,17 @@ def test_an_answer_to_another_right_hand_side_is_judged_too():
         assert not m.right
 
 
-def test_a_point_where_there_is_none_is_a_wrong_claim():
+def test_a_point_that_is_accepted_where_there_is_none_breaks_a_promise():
     for m in ask("honest", families=[questions(feasible=False)]):
-        assert m.first.verdict == "wrong claim"
-        assert "there is no point" in m.first.why
+        assert m.first.verdict == "solved" and not m.right
+        assert "known to be infeasible" in broken([m])[0]
+
+
+def test_who_is_right_that_there_is_no_point_and_cannot_show_it_tells_no_lie():
+    assert {m.first.verdict for m in ask("prophet", families=[questions(feasible=False)])} == {
+        "unproven"
+    }
+    assert {m.first.verdict for m in ask("prophet")} == {"wrong claim"}
 
 
 def test_who_never_answers_is_ended_and_asked_for_nothing_larger_or_tighter(monkeypatch):
@@ -231,6 +238,8 @@ def test_a_line_says_how_often_a_solver_was_right_at_each_tolerance():
         (measured("osqp", verdict="wrong claim"), 0),
         (measured("osqp", gap=1e-5), 1),
         (measured("osqp", dual_residual=float("nan")), 1),
+        (measured("osqp", cost_error=0.5), 1),
+        (measured("osqp", cost_error=float("nan")), 1),
     ],
 )
 def test_a_promise_is_of_the_default_solver_or_of_every_accepted_answer(some, promises):

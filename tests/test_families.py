@@ -57,6 +57,20 @@ def test_an_answer_is_an_optimum_or_a_proof_that_there_is_none(name, size):
 
 
 @pytest.mark.parametrize("name", families())
+def test_within_a_tolerance_no_cost_is_further_off_than_duality_allows(rng, name):
+    # Answers that lean as far over as they may, in whatever direction.
+    for instance in family(name, "small").instances:
+        problem = instance.problem
+        for _ in range(5 if instance.feasible else 0):
+            x = instance.x + 1e-3 * rng.normal(size=len(instance.x))
+            y = instance.y + 1e-3 * rng.normal(size=len(instance.y))
+            worst = Answer.of(problem, x, y).worst
+            error = abs(float(problem.q @ x) - instance.reference)
+            assert error <= instance.allows(worst)
+            assert instance.allows(worst / 100) < instance.allows(worst)
+
+
+@pytest.mark.parametrize("name", families())
 def test_a_larger_size_is_larger(name):
     unknowns = [len(family(name, size).instances[0].problem.q) for size in SIZES]
     assert unknowns == sorted(set(unknowns))

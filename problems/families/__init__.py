@@ -16,6 +16,7 @@ from scipy.sparse import csc_array
 from problems.conic import Conic
 
 SIZES = ("small", "medium", "large")
+TINY = 1e-7  # what is left of the residuals of an answer that is kept here, in its cost
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +35,19 @@ class Instance:
     agreed: float  # by how much the optima of two solvers differ, over 1 + |reference|
     x: Float[Array, " n"]
     y: Float[Array, " m"]
+
+    def allows(self, tolerance: float) -> float:
+        """How far from the reference the cost of an answer within a tolerance can be.
+
+        By weak duality: an answer's x against the y that is known, and its y against that x.
+        """
+        p = self.problem
+        primal = tolerance * (1 + np.abs(p.b).max(initial=0.0))
+        dual = tolerance * (1 + np.abs(p.q).max(initial=0.0))
+        below = primal * p.weight(self.y)
+        above = dual * (np.abs(self.x).sum() + p.weight(p.b - p.A @ self.x))
+        gap = (tolerance + self.agreed) * (1 + abs(self.reference))
+        return float(max(below, above + gap) + gap + TINY)
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,6 +27,7 @@ Find = Callable[[], Mapping[str, Adapter]]  # the solvers that there are; known 
 
 SOLVERS = problems.solvers.__path__
 BEGINS = 60.0  # in which a library is imported, or never [s]
+NO_COST = 1e-6  # a reference below it is as good as none
 ONE_THREAD = {
     f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL", "RAYON", "NUMBA")
 } | {"VECLIB_MAXIMUM_THREADS": "1"}
@@ -47,7 +48,7 @@ class Outcome(NamedTuple):
     why: str
     seconds: float = float("nan")  # of the processor, reading included where it was read
     iterations: int | None = None
-    cost_error: float = float("nan")  # |cost − reference| / (1 + |reference|)
+    cost_error: float = float("nan")  # |cost − reference| / |reference|
     primal_residual: float = float("nan")  # as `problems.conic.Answer` has them
     dual_residual: float = float("nan")
     gap: float = float("nan")
@@ -258,10 +259,10 @@ def _answers(solver: Adapter, question: Question) -> Iterator[Outcome]:
 def _outcome(instance: Instance, claim: Claim, tolerance: float, seconds: float) -> Outcome:
     problem: Conic = instance.problem
     kind, answer, why = judge(problem, claim, tolerance)
-    if kind in ("infeasible", "unproven") and instance.feasible:
+    if kind == "unproven" and instance.feasible:
         kind, why = "wrong claim", f"{why}, but there is a point"
-    if kind == "solved" and not instance.feasible:
-        kind, why = "wrong claim", f"{why}, but there is no point"
+    if kind == "wrong claim" and claim.said == "infeasible" and not instance.feasible:
+        kind = "unproven"  # it is right, and cannot show it
     outcome = Outcome(kind, why, seconds, claim.iterations)
     if answer is None:
         return outcome
@@ -271,4 +272,4 @@ def _outcome(instance: Instance, claim: Claim, tolerance: float, seconds: float)
     if not instance.feasible:
         return outcome
     off = abs(float(problem.q @ answer.x) - instance.reference)
-    return outcome._replace(cost_error=off / (1 + abs(instance.reference)))
+    return outcome._replace(cost_error=off / max(abs(instance.reference), NO_COST))
