@@ -179,7 +179,7 @@ def stretched(problem: Conic, share: float) -> Conic:
     farther = Conic(q, csc_array(A), limits, problem.zero, problem.nonnegative)
     farthest = solve_conic(farther, solve_highs).x[-1]
     b = limits + share * farthest * reach
-    return Conic(problem.q, problem.A, b, problem.zero, problem.nonnegative)
+    return replace(problem, b=b)
 
 
 def avoidance(neighbours: int) -> Callable[[str], Drawn]:

@@ -112,6 +112,8 @@ def main(
     size: Annotated[list[str] | None, typer.Option(help="small, medium, large; all")] = None,
 ) -> None:
     """Draw, answer and write."""
+    if unknown := [s for s in size or () if s not in SIZES]:
+        raise typer.BadParameter(f"there is no size {unknown[0]}; there are {', '.join(SIZES)}")
     for name in family or FAMILIES:
         if name not in FAMILIES:
             raise typer.BadParameter(f"there is no {name}; there are {', '.join(FAMILIES)}")

@@ -3,7 +3,7 @@
 Made by scripts/freeze_families.py, one file a family and size.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 from typing import Any
@@ -103,16 +103,7 @@ def _read(name: str, size: str, data: Any) -> Family:
     shared = [_programme(data, k) for k in range(int(data["programmes"]))]
     instances = []
     for i, k in enumerate(data["programme"]):
-        first = shared[k]
-        problem = Conic(
-            first.q,
-            first.A,
-            data[f"b{i}"],
-            first.zero,
-            first.nonnegative,
-            first.cones,
-            first.matrices,
-        )
+        problem = replace(shared[k], b=data[f"b{i}"])
         known = bool(data["feasible"][i]), float(data["reference"][i]), float(data["agreed"][i])
         label = f"{name}/{size}/{i}"
         instances.append(Instance(label, problem, *known, data[f"x{i}"], data[f"y{i}"]))
