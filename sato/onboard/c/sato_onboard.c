@@ -58,7 +58,7 @@ static void put(int row, const sato_half_space *space) {
     on_control[i] = -space->on_control[i] * SATO_MAX_CONTROL;
     size = worse(size, fabs(on_control[i]));
   }
-  if (size == 0) size = worse(fabs(room), 1e-300);
+  if (size == 0) size = worse(fabs(room), 1); /* nothing moves it: a metre is its unit */
   for (int i = 0; i < SATO_STATE; i++)
     cpg_update_on_state(row * SATO_STATE + i, on_state[i] / size);
   for (int i = 0; i < SATO_AXES; i++)
