@@ -28,7 +28,8 @@ TOLERANCE = 1e-6  # of what recomputing shows, in the units of `Central.unit`
 NEAR = 2.0  # times R: who comes closer in the guess is kept apart there from the first,
 INSTANTS = 4  # at this many in a step, or at the ends of its pieces
 MOST_ROUNDS = 12  # of solving again with the instants at which an answer comes too close
-PATIENT_ROUNDS = 3  # after which more is kept than is asked, by as much as was missing
+PATIENT_ROUNDS = 3  # after which more is kept than is asked, whatever was missing
+PADDING = 1e-4  # of R, the most that is added in a round: who lacks less has it added at once
 
 
 class Flown(NamedTuple):
@@ -42,6 +43,7 @@ class Flown(NamedTuple):
     speed: float  # above V, as a part of it
     separation: float  # least along the continuous paths, as a part of R
     said: str  # how the solver ended
+    padding: float = 0.0  # most that it was made to keep beyond R (1 + HOLD), in units of R
 
     @property
     def worst(self) -> float:
@@ -59,7 +61,7 @@ class Flown(NamedTuple):
         return (
             f"{self.said}: fuel {self.fuel:.6g} m/s, missed {self.missed:.1e}, "
             f"thrust over {self.thrust:.1e}, speed over {self.speed:.1e}, "
-            f"separation {self.separation:.6f} R"
+            + _apart(self.separation)
         )
 
 
@@ -69,7 +71,8 @@ class NoneStands(Unsolved):
     def __init__(self, problem: object, tried: tuple[Flown, ...]) -> None:
         """Keep all that was tried."""
         least = min(tried, key=lambda t: t.worst if isfinite(t.worst) else inf)
-        why = f"none of {len(tried)} answers keeps everything; the nearest was {least}"
+        nearest = f"the nearest was {least}" if isfinite(least.worst) else "none is finite"
+        why = f"none of {len(tried)} answers keeps everything; {nearest}"
         super().__init__(problem, why)
         self.tried = tried
 
@@ -134,7 +137,8 @@ class Central:
 
         Raises:
             NoneStands: No answer keeps everything, by recomputation.
-            ValueError: Two starts or two goals are too close, or there is no guess.
+            ValueError: Two starts or two goals are too close, or there is no guess, or one
+                that is not finite.
         """
         self._refuse(start, goal, guesses)
         tried = [self.fly(start, goal, u, "a guess") for _, u in guesses]
@@ -176,6 +180,9 @@ class Central:
     def _refuse(self, start: Array, goal: Array, guesses: Sequence[Guess]) -> None:
         if not guesses:
             raise ValueError("there must be at least one guess to begin with")
+        for number, guess in enumerate(guesses):
+            if not all(np.isfinite(part).all() for part in guess):
+                raise ValueError(f"guess {number} is not finite")
         for who, states in (("starts", start), ("goals", goal)):
             least = least_distance(states[:, : self.transfer.steps.axes])
             if not least >= self.horizon.radius:
@@ -185,18 +192,36 @@ class Central:
                 )
 
     def _descend(self, start: Array, goal: Array, guess: Guess) -> Flown:
-        instants, keep = self._near(*guess), 1 + HOLD
+        found, instants = self._part((start, goal), guess, self._near(*guess))
+        if not found.stands or found.padding <= PADDING:
+            return found
+        # The optimum of a tighter programme: begin there once more, with nothing padded.
+        bare = instants._replace(keep=np.full(len(instants.keep), 1 + HOLD))
+        again, _ = self._part((start, goal), (found.x, found.u), bare, nearby=True)
+        return again if again.stands and again.fuel < found.fuel else found
+
+    def _part(
+        self, ends: tuple[Array, Array], guess: Guess, instants: Instants, nearby: bool = False
+    ) -> tuple[Flown, Instants]:
+        """Descend with ever more instants, until an answer comes too close at none."""
+        pieces, last = self.horizon.pieces, self.horizon.steps * self.horizon.pieces - 1
         for attempt in range(MOST_ROUNDS):
-            x, u, said = optimise(self.transfer, self.horizon, (start, goal), guess, instants, keep)
-            found = self.fly(start, goal, u, said)
-            more = self._too_close(found)
+            x, u, said = optimise(self.transfer, self.horizon, ends, guess, instants, nearby)
+            padding = float(instants.keep.max(initial=1 + HOLD) - (1 + HOLD))
+            found = self.fly(*ends, u, said)._replace(padding=padding)
+            more, missing = self._too_close(found)
             if not len(more.piece) or not found.missed <= TOLERANCE:
                 break
             # Equal optima pass each other at other times, so instants alone might never do.
-            if attempt >= PATIENT_ROUNDS:
-                keep = max(keep, 1 + HOLD + (1 - found.separation))
-            instants, guess = instants.and_also(more), (x, u)
-        return found
+            small = (missing <= PADDING) | (attempt >= PATIENT_ROUNDS)
+            raised = np.where(small, np.minimum(missing + PADDING / 10, PADDING), 0.0)
+            instants = instants.further(more, raised, pieces).and_also(more)
+            for part in (1.0, 2.0 ** -(attempt + 1)):
+                for side in (-1, 1):
+                    beside = side * part * pieces / INSTANTS
+                    instants = instants.and_also(more.moved(beside, last))
+            guess, nearby = (x, u), True
+        return found, instants
 
     def _closest(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Least distance of every pair over every piece, where below NEAR R, and when it is."""
@@ -219,12 +244,16 @@ class Central:
         which, piece = np.nonzero(distance < NEAR * self.horizon.radius)
         count = ceil(INSTANTS / self.horizon.pieces)
         fraction = np.repeat(np.arange(1, count + 1) / count, len(piece))
-        return Instants(np.tile(pairs[which], (count, 1)), np.tile(piece, count), fraction)
+        pair, keep = np.tile(pairs[which], (count, 1)), np.full(len(fraction), 1 + HOLD)
+        return Instants(pair, np.tile(piece, count), fraction, keep)
 
-    def _too_close(self, found: Flown) -> Instants:
+    def _too_close(self, found: Flown) -> tuple[Instants, Array]:
+        """When agents come too close, and by how much, in units of R."""
         distance, fraction = self._closest(found.x, found.u)
         which, piece = np.nonzero(distance < self.horizon.radius)
-        return Instants(_pairs(len(found.x))[which], piece, fraction[which, piece])
+        missing = 1 - distance[which, piece] / self.horizon.radius
+        pair, keep = _pairs(len(found.x))[which], np.full(len(piece), 1 + HOLD)
+        return Instants(pair, piece, fraction[which, piece], keep), missing
 
 
 def pushed(guess: Guess, dt: float, by: Float[Array, "agents d"]) -> Guess:
@@ -241,6 +270,11 @@ def pushed(guess: Guess, dt: float, by: Float[Array, "agents d"]) -> Guess:
     place = np.sin(phase) * by[:, None]
     speed = np.pi / (T * dt) * np.cos(phase) * by[:, None]
     return x + np.concatenate([place, speed], axis=-1), u
+
+
+def _apart(separation: float) -> str:
+    # Who is nowhere near another has no distance that was looked for.
+    return f"separation {separation:.6f} R" if isfinite(separation) else f"over {NEAR:g} R apart"
 
 
 def _pairs(count: int) -> Int[Array, "pairs 2"]:

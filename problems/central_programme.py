@@ -27,6 +27,15 @@ IPOPT: dict[str, Any] = {
     "mu_strategy": "adaptive",
 }
 
+# From an answer that lacks little: the barrier begins low, and what costs the same stays put.
+NEARBY = IPOPT | {
+    "mu_strategy": "monotone",
+    "mu_init": 1e-4,
+    "bound_push": 1e-5,
+    "bound_frac": 1e-5,
+}
+PULL = 1e-3  # of (u / U)² back to the answer before; where that is an optimum, it is still one
+
 Guess = tuple[Float[Array, "agents instants n"], Float[Array, "agents T m"]]
 
 
@@ -36,10 +45,28 @@ class Instants(NamedTuple):
     pair: Int[Array, "rows 2"]
     piece: Int[Array, " rows"]
     fraction: Float[Array, " rows"]  # of the piece, in [0, 1]
+    keep: Float[Array, " rows"]  # the distance that is kept then, in units of R
 
     def and_also(self, more: "Instants") -> "Instants":
         """These and others."""
         return Instants(*(np.concatenate(both) for both in zip(self, more, strict=True)))
+
+    @property
+    def time(self) -> Float[Array, " rows"]:
+        """In pieces, from the beginning."""
+        return self.piece + self.fraction
+
+    def moved(self, by: float, last: int) -> "Instants":
+        """So many pieces later, but not before the first piece or after the last."""
+        time = np.clip(self.time + by, 0, last + 1)
+        piece = np.minimum(time.astype(int), last)
+        return self._replace(piece=piece, fraction=time - piece)
+
+    def further(self, where: "Instants", by: Float[Array, " others"], span: float) -> "Instants":
+        """The same pairs kept further apart at what is within so many pieces of others."""
+        same = (self.pair[:, None] == where.pair).all(axis=-1)
+        near = same & (np.abs(self.time[:, None] - where.time) <= span)
+        return self._replace(keep=self.keep + np.where(near, by, 0.0).max(axis=1, initial=0.0))
 
 
 class Programme(NamedTuple):
@@ -69,7 +96,7 @@ def optimise(
     ends: tuple[Float[Array, "agents n"], Float[Array, "agents n"]],
     guess: Guess,
     instants: Instants,
-    keep: float,
+    nearby: bool = False,
 ) -> tuple[Array, Array, str]:
     """Descend from a guess; states, controls and IPOPT's word, which is not to be believed.
 
@@ -78,14 +105,14 @@ def optimise(
         horizon: How paths run between samples.
         ends: Where agents begin, and where they are to arrive.
         guess: States and controls, which need not belong together.
-        instants: When who is kept apart.
-        keep: The distance that is kept then, in units of R.
+        instants: When who is kept apart, and by how much.
+        nearby: Whether the guess is an answer that lacks little, to stay by.
     """
     import casadi
 
     unit, U = units(transfer, horizon), transfer.max_control
     x, u = guess[0] / unit, guess[1] / U
-    programme = write(transfer, horizon, len(x), instants, keep)
+    programme = write(transfer, horizon, len(x), instants, u if nearby else None)
     lower, upper = np.full((2, *x.shape), np.inf)
     lower *= -1
     for side in (lower, upper):
@@ -98,7 +125,7 @@ def optimise(
     least = 0.0 if len(signs) == 2 else -1.0
     free = np.full(len(size) + len(apart), np.inf)
     below = np.concatenate([np.zeros(len(size)), -free[len(size) :]])
-    settings: dict[str, Any] = {"ipopt": IPOPT, "print_time": False}
+    settings: dict[str, Any] = {"ipopt": NEARBY if nearby else IPOPT, "print_time": False}
     solver = casadi.nlpsol("central", "ipopt", programme.problem, settings)
     found = solver(
         x0=np.concatenate([x.ravel(), controls.ravel(), size, apart]),
@@ -119,9 +146,13 @@ def _parts(transfer: Transfer) -> int:
 
 
 def write(
-    transfer: Transfer, horizon: Horizon, agents: int, instants: Instants, keep: float
+    transfer: Transfer,
+    horizon: Horizon,
+    agents: int,
+    instants: Instants,
+    by: Float[Array, "agents T m"] | None = None,
 ) -> Programme:
-    """The programme in CasADi's symbols."""
+    """The programme in CasADi's symbols, with a pull towards controls, if any are given."""
     import casadi
 
     steps, unit, U = transfer.steps, units(transfer, horizon), transfer.max_control
@@ -154,7 +185,7 @@ def write(
         bounds.append((np.zeros(apart.numel()),) * 2)
         rows.append(casadi.sum1(apart**2).T)
         far = np.full(len(instants.piece), np.inf)
-        bounds.append((np.full(len(far), keep**2), far))
+        bounds.append((instants.keep**2, far))
 
     # The 2-norm has no derivative at 0: it is an unknown σ ≥ 0 with σ² ≥ ‖u‖².
     size = casadi.MX.sym("size", T * agents if transfer.fuel_norm == 2 else 0)
@@ -164,6 +195,8 @@ def write(
     least, most = (np.concatenate(side) for side in zip(*bounds, strict=True))
     unknown = casadi.vertcat(*(casadi.vec(part) for part in (x, *parts, size, apart)))
     cost = casadi.sum1(size if transfer.fuel_norm == 2 else sums)
+    if by is not None:
+        cost += PULL * casadi.sumsqr(u - by.reshape(agents, T * m).T)
     return Programme(unknown, cost, casadi.vertcat(*rows), least, most)
 
 

@@ -5,12 +5,13 @@
 Prints what stands in docs/onboard.md.
 """
 
-import sys
 import tempfile
 from pathlib import Path
 from time import thread_time
+from typing import Annotated
 
 import numpy as np
+import typer
 
 from problems.avoidance import Avoidance
 from sato.onboard import export_c
@@ -52,6 +53,16 @@ def study(scenario: str, neighbours: int, steps: int) -> None:
     )
 
 
-if __name__ == "__main__":
-    for name in sys.argv[1:] or SIZES:
+def main(
+    scenarios: Annotated[list[str] | None, typer.Argument(help="all if left out")] = None,
+) -> None:
+    """Print a row of the table for each scenario."""
+    for name in scenarios or []:
+        if name not in SIZES:
+            raise typer.BadParameter(f"no scenario {name!r}, only {', '.join(SIZES)}")
+    for name in scenarios or SIZES:
         study(name, *SIZES[name])
+
+
+if __name__ == "__main__":
+    typer.run(main)

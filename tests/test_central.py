@@ -5,6 +5,7 @@ from dataclasses import replace
 import casadi
 import numpy as np
 import pytest
+from swarm_cast import RADIUS, STEP, T, agent, everybody
 
 from dynamics import ClohessyWiltshire, DoubleIntegrator, hold
 from dynamics.path import at, separations
@@ -12,11 +13,8 @@ from problems.central import Central, NoneStands, pushed
 from problems.central_programme import Instants, differences, optimise, write
 from problems.convexify import Horizon
 from problems.transfer import Transfer
-from sato.network import Network
 from sato.reconfiguration.routes import alone
-from sato.scp import Planner, settle
-
-T, STEP, RADIUS = 12, 1.0, 0.5
+from sato.scp import settle
 
 
 def question(axes=2, radius=RADIUS, pieces=2, model=None, step=STEP, **norms):
@@ -42,17 +40,12 @@ def by_themselves(central, start, goal):
 
 
 def by_priority(central, start, goal):
-    transfer = replace(central.transfer, slope=1e-3)
-    _, u = by_themselves(replace(central, transfer=transfer), start, goal)
-    planners = {}
-    for i in range(len(start)):
-        flight = transfer.flight(start[i], u[i])
-        path = central.horizon.path(flight.x, flight.u)
-        planners[i] = Planner(
-            (True, 0.0, i), goal[i], transfer, central.horizon, flight, flight, path
-        )
-    heard = ~np.eye(len(start), dtype=bool)
-    after, _ = settle(planners, Network(heard, np.ones(len(start), dtype=bool)))
+    transfer, axes = replace(central.transfer, slope=1e-3), start.shape[1] // 2
+    planners = {
+        i: agent(i, start[i, :axes], goal[i, :axes], transfer, central.horizon)
+        for i in range(len(start))
+    }
+    after, _ = settle(planners, everybody(planners))
     assert all(p.late == p.slack == 0 and not p.failed for p in after.values())
     return np.stack([p.flight.x for p in after.values()]), np.stack(
         [p.flight.u for p in after.values()]
@@ -69,7 +62,8 @@ def keeps_everything(central, found, start, goal):
             state = steps.A[k] @ state + steps.B[k] @ u[k] + steps.z[k]
             np.testing.assert_allclose(state, x[k + 1], atol=1e-12)
         np.testing.assert_allclose(state, end, atol=1e-6)
-        assert np.abs(u).max() <= transfer.max_control * (1 + 1e-9)
+        order = {"inf": np.inf}.get(transfer.control_norm, transfer.control_norm)
+        assert np.linalg.norm(u, order, axis=1).max() <= transfer.max_control * (1 + 1e-6)
         assert np.linalg.norm(x[1:-1, d:], axis=1).max() <= transfer.max_speed * (1 + 1e-9)
     path = central.horizon.path(found.x, found.u)
     dense = np.stack([at(path, f) for f in np.linspace(0, 1, 41)], axis=-2)
@@ -146,6 +140,35 @@ def test_what_has_no_answer_raises_with_all_that_was_tried():
     assert all(t.worst > 1e-3 for t in raised.value.tried)
 
 
+def test_those_nowhere_near_each_other_have_no_separation_to_tell():
+    central = question(max_control=0.01)
+    start = at_rest([[0.0, 0.0], [9.0, 0.0]])
+    rest = central.transfer.steps.roll(start, np.zeros((2, T, 2))), np.zeros((2, T, 2))
+    with pytest.raises(NoneStands, match="over 2 R apart") as raised:
+        central.solve(start, start + at_rest([[5.0, 0.0]]), [rest])
+    assert "inf R" not in str(raised.value) and "inf R" not in str(raised.value.tried[0])
+
+
+def through_one_point(rng, count):
+    """Vehicles change sides of a circle; all alone, and bent aside in three ways."""
+    turn = np.linspace(0, 2 * np.pi, count, endpoint=False) + rng.uniform(-0.2, 0.2, count)
+    start = at_rest(1.6 * np.column_stack([np.cos(turn), np.sin(turn)]))
+    central, goal = question(), -start
+    free = by_themselves(central, start, goal)
+    aside = [RADIUS * rng.normal(size=(count, 2)) for _ in range(3)]
+    return central, start, goal, [free] + [pushed(free, STEP, by) for by in aside]
+
+
+@pytest.mark.parametrize("count", [3, 4])
+def test_an_optimum_is_that_of_hardly_more_than_what_was_asked(rng, count):
+    for _ in range(6):
+        central, start, goal, guesses = through_one_point(rng, count)
+        best, tried = central.solve(start, goal, guesses)
+        assert max(t.padding for t in tried if t.stands) <= 1e-3
+        assert best.separation <= 1.001
+        keeps_everything(central, best, start, goal)
+
+
 def test_ends_that_are_too_close_are_refused():
     central = question()
     near = at_rest([[0.0, 0.0], [0.4, 0.0]])
@@ -156,6 +179,11 @@ def test_ends_that_are_too_close_are_refused():
         central.solve(CROSSING[0], near, [free])
     with pytest.raises(ValueError, match="at least one guess"):
         central.solve(*CROSSING, [])
+    for part in range(2):
+        spoilt = [array.copy() for array in free]
+        spoilt[part][1, 3, 0] = np.nan
+        with pytest.raises(ValueError, match="guess 1 is not finite"):
+            central.solve(*CROSSING, [free, tuple(spoilt)])
 
 
 def test_questions_that_are_not_written_are_refused():
@@ -193,7 +221,26 @@ def drawn(rng, axes=2, **norms):
     central = question(axes, **norms)
     x, u = rng.normal(size=(3, T + 1, 2 * axes)), rng.uniform(-0.2, 0.2, (3, T, axes))
     pair, piece = np.array([[0, 1], [2, 0], [1, 2], [0, 1]]), np.array([0, 5, 23, 11])
-    return central, x, u, Instants(pair, piece, np.array([0.3, 0.0, 1.0, 0.71]))
+    keep = np.array([1.0, 1.25, 1.0, 1.5])
+    return central, x, u, Instants(pair, piece, np.array([0.3, 0.0, 1.0, 0.71]), keep)
+
+
+def test_instants_move_over_the_pieces_and_stay_among_them(rng):
+    instants = drawn(rng)[-1]
+    later, earlier = instants.moved(0.9, 23), instants.moved(-6.0, 23)
+    np.testing.assert_allclose(later.time, [1.2, 5.9, 24.0, 12.61])
+    np.testing.assert_allclose(earlier.time, [0.0, 0.0, 18.0, 5.71])
+    for moved in (later, earlier):
+        assert (moved.piece >= 0).all() and (moved.piece <= 23).all()
+        assert (moved.fraction >= 0).all() and (moved.fraction <= 1).all()
+
+
+def test_only_the_same_pair_about_the_same_time_is_kept_further_apart(rng):
+    instants = drawn(rng)[-1]
+    pair = np.array([[0, 1], [0, 1]])
+    others = Instants(pair, np.array([0, 1]), np.array([0.9, 0.1]), np.ones(2))
+    raised = instants.further(others, np.array([0.01, 0.02]), 2.0)
+    np.testing.assert_allclose(raised.keep - instants.keep, [0.02, 0.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize("axes", [2, 3])
@@ -210,7 +257,8 @@ def test_differences_of_places_are_those_of_the_paths(rng, axes):
 @pytest.mark.parametrize(("fuel_norm", "control_norm"), [(1, "inf"), (2, 2), (1, 1)])
 def test_derivatives_are_those_of_finite_differences_and_sparse(rng, fuel_norm, control_norm):
     central, _, _, instants = drawn(rng, fuel_norm=fuel_norm, control_norm=control_norm)
-    programme = write(central.transfer, central.horizon, 3, instants, 1.0)
+    by = rng.uniform(-0.5, 0.5, (3, T, 2))
+    programme = write(central.transfer, central.horizon, 3, instants, by)
     z, f, g = programme.unknown, programme.cost, programme.kept
     weight = casadi.MX.sym("weight", g.numel())
     slope = casadi.gradient(f + casadi.dot(weight, g), z)
@@ -241,7 +289,7 @@ def test_the_programme_holds_the_motion_and_its_bounds(rng):
     central, _, u, instants = drawn(rng, control_norm=2)
     start = rng.normal(size=(3, 4))
     x = central.transfer.steps.roll(start, u)
-    programme = write(central.transfer, central.horizon, 3, instants, 1.25)
+    programme = write(central.transfer, central.horizon, 3, instants)
     xs, us = x / central.unit, u / 0.2
     Dx, Du = differences(central.horizon, central.unit, 0.2, 3, instants)
     apart = Dx @ xs.ravel() + Du @ us.ravel()
@@ -252,7 +300,7 @@ def test_the_programme_holds_the_motion_and_its_bounds(rng):
     assert equations.sum() == 3 * T * 4 + len(apart)
     np.testing.assert_allclose(kept[equations], programme.least[equations], atol=1e-12)
     np.testing.assert_allclose(kept[-4:], (apart.reshape(4, 2) ** 2).sum(axis=1))
-    assert (programme.least[-4:] == 1.25**2).all() and np.isinf(programme.most[-4:]).all()
+    assert (programme.least[-4:] == instants.keep**2).all() and np.isinf(programme.most[-4:]).all()
     speeds = (np.linalg.norm(x[:, 1:-1, 2:], axis=-1) * STEP / RADIUS).ravel() ** 2
     np.testing.assert_allclose(kept[3 * T * 4 :][: len(speeds)], speeds, atol=1e-12)
     assert (programme.most[3 * T * 4 :][: len(speeds)] == (0.6 / RADIUS) ** 2).all()
@@ -265,8 +313,10 @@ def test_the_solver_is_not_believed_but_what_it_says_is_kept():
     central = question()
     start, goal = CROSSING
     free = by_themselves(central, start, goal)
-    nowhere = Instants(np.zeros((0, 2), dtype=int), np.zeros(0, dtype=int), np.zeros(0))
-    _, u, said = optimise(central.transfer, central.horizon, (start, goal), free, nowhere, 1.0)
+    nowhere = Instants(
+        np.zeros((0, 2), dtype=int), np.zeros(0, dtype=int), np.zeros(0), np.zeros(0)
+    )
+    _, u, said = optimise(central.transfer, central.horizon, (start, goal), free, nowhere)
     assert "Solve_Succeeded" in said  # of a programme that forgot to keep them apart
     assert not central.fly(start, goal, u, said).stands
 

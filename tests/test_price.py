@@ -1,0 +1,108 @@
+"""The price of decentralisation: what is refused, what is counted, and how it ends."""
+
+import csv
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+SCRIPTS = Path(__file__).parents[1] / "scripts"
+
+
+@pytest.fixture(scope="module")
+def price():
+    sys.path.insert(0, str(SCRIPTS))
+    yield runpy.run_path(str(SCRIPTS / "price_of_decentralisation.py"))
+    sys.path.remove(str(SCRIPTS))
+
+
+def row(price, central, sato=1.0, agents=3):
+    case = price["Case"](price["Model"].plane, agents, 0, 0, 0, 12)
+    return price["Row"](case, 2, 0.9, central, "SATO", 1e-5, 1.1, sato, "", 0.1, 1.0)
+
+
+def asked(*words, script="price_of_decentralisation.py"):
+    told = subprocess.run(
+        [sys.executable, str(SCRIPTS / script), *words],
+        capture_output=True, text=True, timeout=300, env={"COLUMNS": "200", "PATH": ""},
+    )  # fmt: skip
+    return told.returncode, told.stdout + told.stderr
+
+
+def lines(path):
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_medians_are_over_those_that_have_an_optimum(price):
+    rows = [row(price, 1.0, 1.02), row(price, np.nan, 9.0), row(price, 1.0, 1.04)]
+    table, medians = price["summary"](rows)
+    assert medians == [pytest.approx(1.03)]
+    assert list(table.columns[-1].cells) == ["1 of 3"]
+    assert list(table.columns[-2].cells) == ["1e-05"]
+
+
+def test_a_size_without_any_optimum_has_no_median_and_is_not_as_wanted(price):
+    _, medians = price["summary"]([row(price, 1.0), row(price, np.nan, agents=4)])
+    assert medians[0] == 1.0 and not medians[1] <= price["WANTED"]
+
+
+def refused(price, *words):
+    app = typer.Typer()
+    app.command()(price["main"])
+    told = CliRunner().invoke(app, words)
+    assert told.exit_code == 2
+    return told.output
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        ("--agents 1", "2 or more"),
+        ("--agents 5-3", "larger number is last"),
+        ("--agents ten", "a number or two"),
+        ("--instances 0", "--instances"),
+    ],
+)
+def test_what_cannot_be_asked_is_refused_in_a_sentence(price, words, why):
+    assert why in refused(price, *words.split())
+
+
+def test_a_scenario_that_is_not_studied_is_refused_in_a_sentence():
+    code, said = asked("nowhere", script="study_onboard.py")
+    assert code == 2 and "no scenario 'nowhere'" in said and "Traceback" not in said
+
+
+def test_ends_that_have_no_room_are_not_drawn_for_ever(price, rng):
+    with pytest.raises(typer.BadParameter, match="40 vehicles found no room"):
+        sys.modules["price_instances"].across(40, 2, 0.2, rng)
+
+
+def test_those_who_meet_are_counted_on_the_flights_that_sato_begins_with(price):
+    case = price["Case"](price["Model"].plane, 3, 0, 0, 0, 1)
+    mission, central, free, meetings = price["instance"](case)
+    flights = sys.modules["price_instances"].by_themselves
+    begun = flights(price["replace"](central.transfer, slope=1e-3), mission)
+    assert meetings == central.meetings(*begun) and np.abs(begun[1] - free[1]).max() > 1e-3
+
+
+def test_every_instance_is_a_line_of_the_file(price, tmp_path):
+    price["write"](tmp_path / "all.csv", [row(price, 1.0), row(price, np.nan)])
+    assert [file.name for file in tmp_path.iterdir()] == ["all.csv"]
+    first, second = lines(tmp_path / "all.csv")
+    assert first["model"] == "plane" and first["agents"] == "3" and float(first["central"]) == 1
+    assert np.isnan(float(second["central"])) and float(second["padding"]) == 1e-5
+
+
+def test_one_instance_is_asked_and_answered(tmp_path):
+    words = "--agents 2 --instances 1 --model plane --workers 1 --guesses 0 --orders 1 --csv"
+    code, said = asked(*words.split(), str(tmp_path / "one.csv"))
+    (only,) = lines(tmp_path / "one.csv")
+    ratio = float(only["sato"]) / float(only["central"])
+    assert code == int(not ratio <= 1.05) and f"{ratio:.4f}" in said
+    assert 1 <= ratio < np.inf and float(only["padding"]) <= 1e-3
