@@ -54,7 +54,7 @@ class Instants(NamedTuple):
     @property
     def time(self) -> Float[Array, " rows"]:
         """In pieces, from the beginning."""
-        return self.piece + self.fraction
+        return np.asarray(self.piece + self.fraction)
 
     def moved(self, by: float, last: int) -> "Instants":
         """So many pieces later, but not before the first piece or after the last."""

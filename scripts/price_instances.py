@@ -23,7 +23,7 @@ NOISE = 0.03  # of the radius, on targets
 ORBIT = Orbit.of_elements(6878e3, inclination=np.pi / 4, anomaly=-np.pi / 4)
 SPHERE = 150.0  # radius [m]
 CIRCLE = 5.0  # radius [m]
-DRAWS = 50_000  # of ends that are too close, before it is said that there is no room
+DRAWS = 20_000  # of ends that are too close, before it is said that there is no room
 
 
 class Model(StrEnum):

@@ -84,11 +84,11 @@ def test_ends_that_have_no_room_are_not_drawn_for_ever(price, rng):
 
 
 def test_those_who_meet_are_counted_on_the_flights_that_sato_begins_with(price):
-    case = price["Case"](price["Model"].plane, 3, 0, 0, 0, 1)
-    mission, central, free, meetings = price["instance"](case)
+    case = price["Case"](price["Model"].j2, 4, 0, 0, 0, 1)
+    mission, central, _, meetings = price["instance"](case)
     flights = sys.modules["price_instances"].by_themselves
     begun = flights(price["replace"](central.transfer, slope=1e-3), mission)
-    assert meetings == central.meetings(*begun) and np.abs(begun[1] - free[1]).max() > 1e-3
+    assert meetings == central.meetings(*begun)
 
 
 def test_every_instance_is_a_line_of_the_file(price, tmp_path):
