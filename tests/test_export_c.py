@@ -103,7 +103,7 @@ def test_the_speed_limit_is_kept_where_it_binds(made):
 
 def test_a_start_that_touches_a_half_space_is_no_obstacle(made):
     # Nothing moves the first state: a wall that it lies beyond by rounding is not in the way.
-    written, code, _ = made["plane"]
+    _, code, _ = made["plane"]
     axis, still = np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 2))
     for beyond, found in ((1e-13, SOLVED), (1e-3, UNSOLVED)):
         wall = HalfSpaces(np.array([0]), axis, still, np.array([beyond]))
