@@ -14,6 +14,8 @@ from typing import Annotated
 
 import typer
 
+from sato.compare.plan import power
+
 NAMES = {  # as wide as a table can bear
     "transfer-lp": "transfer",
     "transfer-socp": "speed limit",
@@ -38,7 +40,7 @@ def main(
     rows = measured(folder / "measurements.csv")
     solvers = sorted({row["solver"] for row in rows})
     tolerances = sorted({float(row["tolerance"]) for row in rows}, reverse=True)
-    heads = [f"right at {t:.0e}".replace("e-0", "e-") for t in tolerances]
+    heads = [f"right at {power(t)}" for t in tolerances]
     heads += ["wrong claims", "failed", "unproven", "crashed", "given up as too slow"]
     print(table(["solver", *heads], ([s, *verdicts(of(rows, s), tolerances)] for s in solvers)))
     there = named(rows)

@@ -16,6 +16,7 @@ from scipy.sparse import csc_array
 from problems.conic import Conic
 
 SIZES = ("small", "medium", "large")
+NO_COST = 1e-6  # a reference below it is as good as none
 TINY = 1e-7  # what is left of the residuals of an answer that is kept here, in its cost
 
 
@@ -35,6 +36,11 @@ class Instance:
     agreed: float  # by how much the optima of two solvers differ, over 1 + |reference|
     x: Float[Array, " n"]
     y: Float[Array, " m"]
+
+    @property
+    def scale(self) -> float:
+        """What an error of the cost is relative to."""
+        return max(abs(self.reference), NO_COST)
 
     def allows(self, tolerance: float) -> float:
         """How far from the reference the cost of an answer within a tolerance can be.

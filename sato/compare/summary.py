@@ -8,7 +8,7 @@ from problems.conic import TOLERANCE
 from problems.families import SIZES
 from sato.compare.measure import Measurement
 from sato.compare.plan import DEFAULT, power
-from sato.compare.worker import NO_COST, Outcome
+from sato.compare.worker import Outcome
 
 
 class Line(NamedTuple):
@@ -81,7 +81,7 @@ def _doubt(m: Measurement, outcome: Outcome) -> str:
     left = outcome.primal_residual, outcome.dual_residual, outcome.gap
     if not all(part <= m.tolerance for part in left):
         return f"off by {max(left):.1e}"
-    error = outcome.cost_error * max(abs(m.instance.reference), NO_COST)
+    error = outcome.cost_error * m.instance.scale
     allowed = m.instance.allows(m.tolerance)
     return "" if error <= allowed else f"its cost is off by {error:.1e}, above {allowed:.1e}"
 

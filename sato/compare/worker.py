@@ -27,7 +27,6 @@ Find = Callable[[], Mapping[str, Adapter]]  # the solvers that there are; known 
 
 SOLVERS = problems.solvers.__path__
 BEGINS = 60.0  # in which a library is imported, or never [s]
-NO_COST = 1e-6  # a reference below it is as good as none
 ONE_THREAD = {
     f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL", "RAYON", "NUMBA")
 } | {"VECLIB_MAXIMUM_THREADS": "1"}
@@ -272,4 +271,4 @@ def _outcome(instance: Instance, claim: Claim, tolerance: float, seconds: float)
     if not instance.feasible:
         return outcome
     off = abs(float(problem.q @ answer.x) - instance.reference)
-    return outcome._replace(cost_error=off / max(abs(instance.reference), NO_COST))
+    return outcome._replace(cost_error=off / instance.scale)

@@ -47,11 +47,12 @@ def settle_orders(planners: Mapping[int, Planner], network: Network, orders: int
     solves = _solves(kept)
     if orders == 1 or not kept:
         return Settled(kept, exchanges, solves)
-    paid = tolls = {i: toll(agent) for i, agent in kept.items()}
+    paid = tolls = _tolls(kept)
     flooding = int(network.diameter[list(kept)].max())
     exchanges += flooding
     if any(map(any, paid.values())):
-        kept, paid = _cheaper(kept, paid, going_on(planners, network), network)
+        begun = going_on(planners, network)
+        kept, paid = _cheaper(kept, paid, begun, _tolls(begun), network)
         exchanges += 1 + flooding
     for _ in range(orders - 1):
         dear = [i for i, total in totals(paid, network).items() if any(total)]
@@ -60,8 +61,8 @@ def settle_orders(planners: Mapping[int, Planner], network: Network, orders: int
         planners = {i: to_the_right(raised(planners[i], tolls[i])) for i in dear}
         tried, more = settle(planners, network)
         exchanges, solves = exchanges + more + flooding, solves + _solves(tried)
-        tolls = {i: toll(agent) for i, agent in tried.items()}
-        kept, paid = _cheaper(kept, paid, tried, network)
+        tolls = _tolls(tried)
+        kept, paid = _cheaper(kept, paid, tried, tolls, network)
     return Settled(kept, exchanges, solves)
 
 
@@ -131,12 +132,19 @@ def totals(tolls: Mapping[int, Toll], network: Network) -> dict[int, Toll]:
 
 
 def _cheaper(
-    kept: dict[int, Planner], paid: dict[int, Toll], tried: dict[int, Planner], network: Network
+    kept: dict[int, Planner],
+    paid: dict[int, Toll],
+    tried: dict[int, Planner],
+    tolls: dict[int, Toll],
+    network: Network,
 ) -> tuple[dict[int, Planner], dict[int, Toll]]:
-    tolls = {i: toll(agent) for i, agent in tried.items()}
     now, before = totals(tolls, network), totals(paid, network)
     better = [i for i in tried if now[i] < before[i]]
     return kept | {i: tried[i] for i in better}, paid | {i: tolls[i] for i in better}
+
+
+def _tolls(planners: Mapping[int, Planner]) -> dict[int, Toll]:
+    return {i: toll(agent) for i, agent in planners.items()}
 
 
 def _solves(planners: Mapping[int, Planner]) -> int:
