@@ -142,7 +142,8 @@ class Central:
         """
         self._refuse(start, goal, guesses)
         tried = [self.fly(start, goal, u, "a guess") for _, u in guesses]
-        tried += [self._descend(start, goal, guess) for guess in guesses]
+        for guess in guesses:
+            tried.append(self._descend(start, goal, guess, _cheapest(tried)))
         standing = [t for t in tried if t.stands]
         if not standing:
             raise NoneStands(self, tuple(tried))
@@ -191,26 +192,34 @@ class Central:
                     "be kept"
                 )
 
-    def _descend(self, start: Array, goal: Array, guess: Guess) -> Flown:
-        found, instants = self._part((start, goal), guess, self._near(*guess))
+    def _descend(self, start: Array, goal: Array, guess: Guess, cheapest: float) -> Flown:
+        found, instants = self._part((start, goal), guess, self._near(*guess), cheapest)
         if not found.stands or found.padding <= PADDING:
             return found
         # The optimum of a tighter programme: begin there once more, with nothing padded.
         bare = instants._replace(keep=np.full(len(instants.keep), 1 + HOLD))
-        again, _ = self._part((start, goal), (found.x, found.u), bare, nearby=True)
+        again, _ = self._part((start, goal), (found.x, found.u), bare, cheapest, nearby=True)
         return again if again.stands and again.fuel < found.fuel else found
 
     def _part(
-        self, ends: tuple[Array, Array], guess: Guess, instants: Instants, nearby: bool = False
+        self,
+        ends: tuple[Array, Array],
+        guess: Guess,
+        instants: Instants,
+        cheapest: float,
+        nearby: bool = False,
     ) -> tuple[Flown, Instants]:
-        """Descend with ever more instants, until an answer comes too close at none."""
+        """Descend with ever more instants, until an answer comes too close at none.
+
+        More instants make an answer dearer, so one that costs more than what stands is left.
+        """
         pieces, last = self.horizon.pieces, self.horizon.steps * self.horizon.pieces - 1
         for attempt in range(MOST_ROUNDS):
             x, u, said = optimise(self.transfer, self.horizon, ends, guess, instants, nearby)
             padding = float(instants.keep.max(initial=1 + HOLD) - (1 + HOLD))
             found = self.fly(*ends, u, said)._replace(padding=padding)
             more, missing = self._too_close(found)
-            if not len(more.piece) or not found.missed <= TOLERANCE:
+            if not len(more.piece) or not found.missed <= TOLERANCE or found.fuel > cheapest:
                 break
             # Equal optima pass each other at other times, so instants alone might never do.
             small = (missing <= PADDING) | (attempt >= PATIENT_ROUNDS)
@@ -270,6 +279,10 @@ def pushed(guess: Guess, dt: float, by: Float[Array, "agents d"]) -> Guess:
     place = np.sin(phase) * by[:, None]
     speed = np.pi / (T * dt) * np.cos(phase) * by[:, None]
     return x + np.concatenate([place, speed], axis=-1), u
+
+
+def _cheapest(tried: Sequence[Flown]) -> float:
+    return min((t.fuel for t in tried if t.stands), default=inf)
 
 
 def _apart(separation: float) -> str:

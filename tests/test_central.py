@@ -9,6 +9,7 @@ from swarm_cast import RADIUS, STEP, T, agent, everybody
 from dynamics import ClohessyWiltshire, DoubleIntegrator, hold
 from dynamics.path import at, separations
 from problems.central import Central, NoneStands, pushed
+from problems.central_programme import optimise
 from problems.convexify import Horizon
 from problems.transfer import Transfer
 from sato.reconfiguration.routes import alone
@@ -122,6 +123,24 @@ def test_a_guess_that_stands_is_never_lost():
     astray = np.full_like(planned[0], 1e3), planned[1]
     best, tried = central.solve(start, goal, [astray])
     assert best.fuel <= tried[0].fuel and tried[0].said == "a guess"
+
+
+def test_a_descent_that_is_dearer_than_what_stands_is_left_at_once(monkeypatch):
+    rounds = []
+
+    def counted(*args, **kwargs):
+        rounds.append(args)
+        return optimise(*args, **kwargs)
+
+    monkeypatch.setattr("problems.central.optimise", counted)
+    central, start, goal, (cheap, dear) = through_one_point(np.random.default_rng(3), 3)
+    best, _ = central.solve(start, goal, [cheap])
+    alone_takes = len(rounds)
+    worse, _ = central.solve(start, goal, [dear])
+    assert worse.fuel > 1.1 * best.fuel and len(rounds) > alone_takes + 1
+    rounds.clear()
+    again, _ = central.solve(start, goal, [cheap, dear])
+    assert again.fuel == best.fuel and len(rounds) == alone_takes + 1
 
 
 def test_what_has_no_answer_raises_with_all_that_was_tried():
