@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray as Array
 from scipy.sparse import csc_array
 
-from problems.conic import Answer, Conic, solve
+from problems.conic import Conic, solve
 from problems.solvers import solve_clarabel
 from problems.transfer import Flight, Transfer, solve_statement
 
@@ -37,6 +37,10 @@ class HalfSpaces(NamedTuple):
         """By how much each row is broken; negative where it holds with room."""
         kept = (self.on_state * x[self.step]).sum(1) + (self.on_control * u[self.step]).sum(1)
         return np.asarray(self.least - kept)
+
+    def only(self, rows: Array) -> "HalfSpaces":
+        """Some of the rows, by a mask or their numbers."""
+        return HalfSpaces(*(field[rows] for field in self))
 
 
 class Passage(NamedTuple):
@@ -131,35 +135,47 @@ class Avoidance:
         """Fast path: the states eliminated, speed limits only where they would be broken."""
         fast: list[int] = []
         while True:
-            problem = self._assemble(start, goal, spaces, gives, fast)
-            u = self._controls(solve(problem, solve_clarabel))
+            problem = self.assemble(start, goal, spaces, gives, fast)
+            u = self.controls(solve(problem, solve_clarabel).x)
             passage = self._passage(start, goal, u, spaces, gives)
-            broken = self._too_fast(passage.flight.x, fast)
+            broken = self.too_fast(passage.flight.x, fast)
             if not len(broken):
                 return passage
             fast = [*fast, *broken]
 
-    def _too_fast(self, x: Array, known: list[int]) -> list[int]:
+    def too_fast(self, x: Float[Array, "instants n"], known: list[int]) -> list[int]:
+        """Instants at which a flight breaks the speed limit, beyond those known."""
         d = self.transfer.steps.axes
         speed = np.linalg.norm(x[1:-1, d:], axis=1)
         over = np.flatnonzero(speed > self.transfer.max_speed * (1 + 1e-9)) + 1
         return [int(k) for k in over if int(k) not in known]
 
-    def _controls(self, answer: Answer) -> Array:
+    def controls(self, found: Float[Array, " unknowns"]) -> Float[Array, "T m"]:
+        """The controls in an answer to what `assemble` gives."""
         T, m = len(self.transfer.steps), self.transfer.steps.axes
-        plus, minus = answer.x[: T * m], answer.x[T * m : 2 * T * m]
+        plus, minus = found[: T * m], found[T * m : 2 * T * m]
         U = self.transfer.max_control
         return np.asarray(np.clip(U * (plus - minus), -U, U)).reshape(T, m)
 
-    def _assemble(
-        self, start: Array, goal: Array, spaces: HalfSpaces, gives: Yield, fast: list[int]
+    def assemble(
+        self,
+        start: Float[Array, " n"],
+        goal: Float[Array, " n"],
+        spaces: HalfSpaces,
+        gives: Yield,
+        fast: list[int],
     ) -> Conic:
-        # Unknowns: u⁺ and u⁻ in units of U, then lateness ± in metres, then slack.
+        """The programme with the states eliminated, and speed limits at some instants.
+
+        Unknowns are u⁺ and u⁻ in units of U, then lateness ± in metres, then slack.
+        """
         transfer, (R, lower) = self.transfer, self.transfer.response
         T, n, m = transfer.steps.B.shape
         U, N = transfer.max_control, T * m
         free = transfer.coast(start)
-        on_u, room = self._in_the_way(spaces, R, free)
+        on_u, room = by_controls(transfer, spaces, free)
+        near = U * np.abs(on_u).sum(axis=1) > room  # the many that no control can break are out
+        on_u, room = on_u[near], room[near]
         rows = len(room)
         lates = 0 if gives == "nothing" else n
         slacks = rows if gives == "separation" else 0
@@ -190,16 +206,6 @@ class Avoidance:
         b = np.concatenate([reach, room, sides, tops])
         return Conic(q, A, b, n, rows + len(sides), (transfer.steps.axes + 1,) * len(fast))
 
-    def _in_the_way(self, spaces: HalfSpaces, R: Array, free: Array) -> tuple[Array, Array]:
-        # on_u and room of −on_u · u ≤ room, but for the many that no control can break.
-        m, U = self.transfer.steps.axes, self.transfer.max_control
-        on_u = np.einsum("rn,rnj->rj", spaces.on_state, R[spaces.step])
-        for r, k in enumerate(spaces.step):
-            on_u[r, k * m : (k + 1) * m] += spaces.on_control[r]
-        room = (spaces.on_state * free[spaces.step]).sum(1) - spaces.least
-        near = U * np.abs(on_u).sum(axis=1) > room
-        return on_u[near], room[near]
-
     def _speed_cones(
         self, R: Array, free: Array, fast: list[int], columns: int
     ) -> tuple[Array, Array]:
@@ -211,6 +217,18 @@ class Avoidance:
             cones[row, 1:, :N], cones[row, 1:, N : 2 * N] = -U * R[k, d:], U * R[k, d:]
             tops[row, 0], tops[row, 1:] = self.transfer.max_speed, free[k, d:]
         return cones.reshape(-1, columns), tops.ravel()
+
+
+def by_controls(
+    transfer: Transfer, spaces: HalfSpaces, free: Float[Array, "instants n"]
+) -> tuple[Float[Array, "rows controls"], Float[Array, " rows"]]:
+    """on_u and room of −on_u · u ≤ room, for flights that coast as given."""
+    R, m = transfer.response[0], transfer.steps.axes
+    on_u = np.einsum("rn,rnj->rj", spaces.on_state, R[spaces.step])
+    for r, k in enumerate(spaces.step):
+        on_u[r, k * m : (k + 1) * m] += spaces.on_control[r]
+    room = (spaces.on_state * free[spaces.step]).sum(1) - spaces.least
+    return on_u, room
 
 
 def _boxed(above: Array, count: int, below: Array) -> csc_array:

@@ -41,7 +41,8 @@ class Case(NamedTuple):
     number: int
     seed: int
     guesses: int
-    orders: int
+    orders: int = 1
+    bargains: int = 0
 
 
 def missions(case: Case) -> Iterator[Reconfiguration]:
@@ -128,7 +129,7 @@ def by_themselves(transfer: Transfer, mission: Reconfiguration) -> Guess | None:
 @cache
 def shared(kind: Model) -> tuple[Transfer, Horizon]:
     """What all missions of a kind share, but for millimetres of the radius."""
-    mission = next(missions(Case(kind, 2, 0, 0, 0, 1)))
+    mission = next(missions(Case(kind, 2, 0, 0, 0)))
     steps = mission.legs[0].steps
     transfer = Transfer(
         hold(mission.model, mission.step, steps), mission.max_control, mission.max_speed

@@ -5,9 +5,9 @@ the limits of the scenario `crossing`, or across a sphere about a chief in orbit
 `orbit3d`, drawn anew until as many pairs as half the vehicles would meet if each flew alone.
 For every instance: the fuel of one plan of the swarm (all hear each other, nobody has burnt fuel),
 of the best optimum of the coupled programme, and of all alone. The plan is made with one order of
-priority, which is by number, and with several. Both fly the same linear model, exactly; a ratio
-that is infinite means that SATO gave up a target or a distance. Exits with 1 unless every median is
-as wanted.
+priority, which is by number, and with several and bargains after them. Both fly the same linear
+model, exactly; a ratio that is infinite means that SATO gave up a target or a distance. Exits with 1
+unless every median is as wanted.
 """
 
 import csv
@@ -47,9 +47,9 @@ class Row(NamedTuple):
     from_guess: str  # what that was found from
     padding: float  # most that it was made to keep beyond R, in units of R
     printed: float  # fuel with one order of priority; infinite where something was given up [m/s]
-    sato: float  # fuel with several, likewise
+    sato: float  # fuel with several, and bargains, likewise
     gave_up: str  # what SATO gave up then, if anything
-    planning: float  # with several orders, on the processor [s]
+    planning: float  # with several orders and bargains, on the processor [s]
     descending: float  # from all guesses, likewise [s]
 
     @property
@@ -79,7 +79,8 @@ def compare(case: Case) -> Row:
     """One instance."""
     mission, central, free, meetings = instance(case)
     start, goal = mission.start, mission.legs[0].targets
-    planned, own, gave_up, planning = flown(central, replace(mission, orders=case.orders))
+    tried = replace(mission, orders=case.orders, bargains=case.bargains)
+    planned, own, gave_up, planning = flown(central, tried)
     _, once, gave_up_once, _ = flown(central, mission)
     begin = {"SATO": planned} | guesses(case, free, mission.collision_radius, mission.step)
     lower = central.fly(start, goal, free[1], "alone").fuel
@@ -120,7 +121,7 @@ def flown(central: Central, mission: Reconfiguration) -> tuple[Guess, Flown, str
 def warm_up(kinds: list[Model]) -> None:
     """Let a process load and compile what it needs, so that it counts for no instance."""
     for kind in kinds:
-        compare(Case(kind, 2, 0, 0, 0, 1))
+        compare(Case(kind, 2, 0, 0, 0, 2, 1))
 
 
 def _origin(best: Flown, tried: tuple[Flown, ...], names: list[str]) -> str:
@@ -145,22 +146,25 @@ def main(
     workers: Annotated[int, typer.Option(help="processes", min=1)] = 2,
     guesses: Annotated[int, typer.Option(help="random ones, beyond four others", min=0)] = 3,
     orders: Annotated[int, typer.Option(help="of priority that a plan tries", min=1)] = 12,
+    bargains: Annotated[int, typer.Option(help="sweeps in which pairs then bargain", min=0)] = 8,
     seed: Annotated[int, typer.Option(min=0)] = 0,
     table: Annotated[
         Path | None, typer.Option("--csv", help="a file for a line an instance")
     ] = None,
 ) -> None:
     """Compare; exit with 1 unless every median is as wanted."""
+    if bargains and orders == 1:
+        raise typer.BadParameter("bargains follow upon orders of 2 or more: --bargains 0 has none")
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ[name] = "1"  # of the workers: IPOPT's solver would take all cores
     cases = [
-        Case(kind, count, number, seed, guesses, orders)
+        Case(kind, count, number, seed, guesses, orders, bargains)
         for kind in model or list(Model)
         for count in _counts(agents)
         for number in range(instances)
     ]
     for kind, count in dict.fromkeys((case.model, case.agents) for case in cases):
-        next(missions(Case(kind, count, 0, seed, guesses, orders)))  # refuses what has no room
+        next(missions(Case(kind, count, 0, seed, guesses)))  # refuses what has no room
     rows = computed(cases, workers)
     if table:
         write(table, rows)

@@ -48,6 +48,15 @@ def crowd(rng, count, axes=2, box=3.0):
     return {i: agent(i, ends[0][i], ends[1][i], transfer, horizon) for i in range(count)}
 
 
+def circle(count, radius, turn=0.03):
+    """Agents that all change sides of a circle: every pair meets in the middle."""
+    transfer, horizon = problem(2, horizon_steps=12)
+    angle = 2 * np.pi * np.arange(count) / count
+    start = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    goal = -radius * np.stack([np.cos(angle + turn), np.sin(angle + turn)], axis=1)
+    return {i: agent(i, start[i], goal[i], transfer, horizon) for i in range(count)}
+
+
 def everybody(planners):
     count = len(planners)
     return heard(~np.eye(count, dtype=bool))

@@ -10,6 +10,7 @@ from swarm_cast import (
     RADIUS,
     agent,
     as_before,
+    circle,
     continuous_separation,
     crowd,
     everybody,
@@ -31,15 +32,6 @@ from sato.scp.orders import Toll, going_on, to_the_right, toll, totals
 
 def paid(planners):
     return tuple(np.sum([toll(agent) for agent in planners.values()], axis=0))
-
-
-def round_a_circle(count, radius, turn=0.03):
-    """Agents that all change sides of a circle: every pair meets in the middle."""
-    transfer, horizon = problem(2, horizon_steps=12)
-    angle = 2 * np.pi * np.arange(count) / count
-    start = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    goal = -radius * np.stack([np.cos(angle + turn), np.sin(angle + turn)], axis=1)
-    return {i: agent(i, start[i], goal[i], transfer, horizon) for i in range(count)}
 
 
 @given(
@@ -142,7 +134,7 @@ def test_all_go_on_as_they_began_where_that_is_clear_and_cheaper(rng):
 
 def test_nobody_goes_on_where_two_would_meet(rng):
     planners = crowd(rng, 4)
-    meeting = round_a_circle(2, 1.5)
+    meeting = circle(2, 1.5)
     assert not going_on(meeting, everybody(meeting))
     far = {0: meeting[0]}
     assert going_on(far, everybody(far)).keys() == {0}
@@ -183,7 +175,7 @@ def test_who_cannot_move_stays_and_all_settle_around_it(rng):
 
 
 def test_where_all_meet_in_one_point_one_order_fails_and_several_find_a_way():
-    planners = round_a_circle(6, 1.5)
+    planners = circle(6, 1.5)
     once = settle_orders(planners, everybody(planners), 1).planners
     after = settle_orders(planners, everybody(planners), 6).planners
     assert paid(once)[1] > 0
@@ -223,7 +215,8 @@ def test_a_horizon_that_ends_early_does_not_matter(rng):
     assert all(p.settled for p in after.values())
 
 
-def test_what_is_flown_with_replans_costs_no_more_than_the_first_plan():
+@pytest.mark.parametrize("bargains", [0, 2])
+def test_what_is_flown_with_replans_costs_no_more_than_the_first_plan(bargains):
     # All through one point, each to its own target.
     angle = 2 * np.pi * np.arange(4) / 4
     start = 2.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -243,6 +236,7 @@ def test_what_is_flown_with_replans_costs_no_more_than_the_first_plan():
         max_speed=0.5,
         foresight_steps=24,
         orders=4,
+        bargains=bargains,
     )
     plans, spent, planned, flown = NO_PLANS, np.zeros(4), [], []
     for k in range(24):

@@ -22,7 +22,7 @@ def price():
 
 
 def row(price, central, sato=1.0, agents=3):
-    case = price["Case"](price["Model"].plane, agents, 0, 0, 0, 12)
+    case = price["Case"](price["Model"].plane, agents, 0, 0, 0, 12, 8)
     return price["Row"](case, 2, 0.9, central, "SATO", 1e-5, 1.1, sato, "", 0.1, 1.0)
 
 
@@ -67,6 +67,7 @@ def refused(price, *words):
         ("--agents 5-3", "larger number is last"),
         ("--agents ten", "a number or two"),
         ("--instances 0", "--instances"),
+        ("--orders 1", "bargains follow upon orders"),
     ],
 )
 def test_what_cannot_be_asked_is_refused_in_a_sentence(price, words, why):
@@ -84,7 +85,7 @@ def test_ends_that_have_no_room_are_not_drawn_for_ever(price, rng):
 
 
 def test_those_who_meet_are_counted_on_the_flights_that_sato_begins_with(price):
-    case = price["Case"](price["Model"].j2, 4, 0, 0, 0, 1)
+    case = price["Case"](price["Model"].j2, 4, 0, 0, 0)
     mission, central, _, meetings = price["instance"](case)
     flights = sys.modules["price_instances"].by_themselves
     begun = flights(price["replace"](central.transfer, slope=1e-3), mission)
@@ -100,7 +101,7 @@ def test_every_instance_is_a_line_of_the_file(price, tmp_path):
 
 
 def test_one_instance_is_asked_and_answered(tmp_path):
-    words = "--agents 2 --instances 1 --model plane --workers 1 --guesses 0 --orders 1 --csv"
+    words = "--agents 2 --instances 1 --model plane --workers 1 --guesses 0 --orders 2 --bargains 1 --csv"
     code, said = asked(*words.split(), str(tmp_path / "one.csv"))
     (only,) = lines(tmp_path / "one.csv")
     ratio = float(only["sato"]) / float(only["central"])

@@ -370,6 +370,8 @@ def test_a_leg_that_outlasts_its_steps_says_why():
         ({"step": 0.0}, "must be positive"),
         ({"horizon_steps": 0}, "at least one step"),
         ({"orders": 0}, "at least one order of priority"),
+        ({"orders": 2, "bargains": -1}, "cannot be fewer than none"),
+        ({"bargains": 1}, "only with orders of 2 or more"),
         ({"start": np.full((4, 4), np.nan)}, "finite start"),
     ],
 )

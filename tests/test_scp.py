@@ -122,7 +122,7 @@ def test_the_end_satisfies_the_first_order_conditions_of_the_nonconvex_problem(r
             above = np.stack([p.path for j, p in after.items() if j < i])
             spaces = half_spaces(me.horizon, T, above, normals(me.path - above, me.horizon.keep))
             x0, fast = me.flight.x[0], list(range(1, T))
-            conic = Avoidance(me.transfer)._assemble(x0, me.goal, spaces, "nothing", fast)
+            conic = Avoidance(me.transfer).assemble(x0, me.goal, spaces, "nothing", fast)
             y = solve(conic, solve_clarabel).y
             u = me.flight.u.ravel() / me.transfer.max_control
             end = np.concatenate([np.maximum(u, 0), np.maximum(-u, 0)])

@@ -63,6 +63,7 @@ class Reconfiguration:
     horizon_steps: int = 4  # avoidance looks this far
     foresight_steps: int = 0  # and this far among agents in earshot, if that is further
     orders: int = 1  # of priority that each plan tries
+    bargains: int = 0  # sweeps in which those who are in each other's way then plan in pairs
     replan_steps: int = 4
     auction_steps: int = 4
     believed: int = 0  # m of every agent before the first leg; 0 means as many as are alive
@@ -98,6 +99,12 @@ class Reconfiguration:
             raise ValueError("the horizon and the periods must be at least one step long")
         if self.orders < 1:
             raise ValueError(f"a plan needs at least one order of priority, got {self.orders}")
+        if self.bargains < 0 or (self.bargains and self.orders == 1):
+            raise ValueError(
+                f"bargains = {self.bargains} with orders = {self.orders}: sweeps cannot be fewer "
+                "than none, and what was agreed on is remembered at the next plan only with "
+                "orders of 2 or more"
+            )
         if self.replan_steps > self.horizon_steps or self.auction_steps > self.horizon_steps:
             raise ValueError(
                 f"replan_steps = {self.replan_steps} and auction_steps = {self.auction_steps} must "

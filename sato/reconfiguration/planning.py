@@ -16,7 +16,7 @@ from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.moment import Moment
 from sato.reconfiguration.pricing import Minds
 from sato.reconfiguration.routes import linearisation, undisturbed
-from sato.scp import STILL, Planner, settle_orders
+from sato.scp import STILL, TIGHT, Planner, bargain, settle_orders
 
 MOST_PIECES = 12  # in a step
 
@@ -96,6 +96,8 @@ def plan(
     horizon = look_ahead(mission, moment.time, moment.leg.steps - moment.step)
     planners: dict[int, Planner] = {}
     late: list[int] = []
+    # Who goes first may have given way by little in a bargain, and others count on it.
+    same = (TIGHT if mission.bargains else STILL) * horizon.radius
     for clock in np.unique(minds.clock[network.alive]):
         those = np.flatnonzero(network.alive & (minds.clock == clock)).tolist()
         steps = moment.steps_left(int(clock))
@@ -110,11 +112,14 @@ def plan(
             rank = (len(steps) > 0, -float(spent[i]), i)
             free, about = route.flight, linearisation(moment, route.transfer)
             planner = Planner(rank, goal, route.transfer, horizon, free, free, path, about)
-            planners[i] = _as_before(planner, rests[i])
+            planners[i] = _as_before(planner, rests[i], same)
             late += [i] if route.misses else []
-    planners, exchanges, solved = settle_orders(planners, network, mission.orders)
+    settled = settle_orders(planners, network, mission.orders)
+    dealt = bargain(settled.planners, network, mission.bargains)
+    planners, solves = dealt.planners, solves + settled.solves + dealt.solves
+    exchanges = settled.exchanges + dealt.exchanges
     events: list[Event] = [
-        {"kind": "replan", "agents": [], "solves": solves + solved, "exchanges": exchanges}
+        {"kind": "replan", "agents": [], "solves": solves, "exchanges": exchanges}
     ]
     events += _what_gave_way(mission, planners, late)
     chosen = {i: p.flight for i, p in planners.items()}
@@ -124,12 +129,12 @@ def plan(
     return before.but(Plans(chosen, ends, dict.fromkeys(planners, moment.step))), events
 
 
-def _as_before(agent: Planner, rest: Float[Array, "T m"] | None) -> Planner:
+def _as_before(agent: Planner, rest: Float[Array, "T m"] | None, same: float) -> Planner:
     """Begin with the plan of before, where that kept clear of somebody by going another way."""
     if rest is None:
         return agent
     prior = agent.transfer.flight(agent.free.x[0], rest)
-    if float(np.abs(prior.x - agent.free.x).max()) <= STILL * agent.horizon.radius:
+    if float(np.abs(prior.x - agent.free.x).max()) <= same:
         return agent
     path = agent.horizon.path(prior.x, prior.u)
     return agent._replace(flight=prior, path=path, steady=False)
@@ -165,7 +170,7 @@ def _margin(mission: Reconfiguration, h: float) -> float:
 def _what_gave_way(
     mission: Reconfiguration, planners: dict[int, Planner], late: list[int]
 ) -> list[Event]:
-    tight = 1e-6 * mission.collision_radius
+    tight = TIGHT * mission.collision_radius
     slack = {i: p.slack for i, p in planners.items() if p.slack > tight}
     failed = [i for i, p in planners.items() if p.failed]
     braked = [i for i, p in planners.items() if i in late or p.failed or _stops_short(mission, p)]

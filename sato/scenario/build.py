@@ -79,6 +79,7 @@ def build(
         horizon_steps=plan.horizon_steps,
         foresight_steps=plan.foresight_steps,
         orders=plan.orders,
+        bargains=plan.bargains,
         replan_steps=plan.replan_steps,
         auction_steps=plan.auction_steps,
         believed=swarm.believed or 0,

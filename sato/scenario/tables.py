@@ -52,6 +52,7 @@ class Plan(Table):
     horizon_steps: PositiveInt  # avoidance looks this far,
     foresight_steps: NonNegativeInt = 0  # and, if it is further, this far among those in earshot
     orders: PositiveInt = 1  # of priority that each plan tries
+    bargains: NonNegativeInt = 0  # sweeps in which pairs then plan together; with orders above 1
     replan_steps: PositiveInt  # without it, every horizon; every step under a disturbance
     auction_steps: PositiveInt  # without it, every replan
     epsilon: Automatic = "auto"

@@ -29,6 +29,7 @@ RELENTING: tuple[tuple[Yield, Literal["near", "far", "stand"]], ...] = (
     ("arrival", "stand"),
     ("separation", "near"),
 )
+TIGHT = 1e-6  # of R: who breaks half-spaces by less keeps clear, who misses by less arrives
 MOST_SOLVES = 20  # programmes, after which an agent stops improving (Proposition 4 keeps it safe)
 
 
@@ -217,7 +218,7 @@ def _solve(agent: Planner, spaces: HalfSpaces, gives: Yield) -> Passage:
     over = spaces.missing(agent.free.x, agent.free.u)
     while True:
         chosen |= _worst_of_each_step(spaces.step, np.where(chosen, 0.0, over), 1e-7 * R)
-        passage = programme.solve(nominal.x[0], agent.goal, _only(spaces, chosen), gives)
+        passage = programme.solve(nominal.x[0], agent.goal, spaces.only(chosen), gives)
         over = spaces.missing(passage.flight.x, passage.flight.u) - passage.slack
         if not ((over > 1e-7 * R) & ~chosen).any():
             return passage
@@ -229,7 +230,3 @@ def _worst_of_each_step(
     worst = np.full(int(step.max(initial=-1)) + 1, tolerance)
     np.maximum.at(worst, step, over)
     return np.asarray((over >= worst[step]) & (over > tolerance))
-
-
-def _only(spaces: HalfSpaces, rows: Bool[Array, " rows"]) -> HalfSpaces:
-    return HalfSpaces(*(field[rows] for field in spaces))

@@ -13,10 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from sato.network import Network, play
-from sato.scp.agent import Plan, Planner, clear
+from sato.scp.agent import TIGHT, Plan, Planner, clear
 from sato.scp.run import settle
-
-TIGHT = 1e-6  # of R: who breaks half-spaces by less keeps clear, who misses by less arrives
 
 
 class Toll(NamedTuple):

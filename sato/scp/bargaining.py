@@ -1,0 +1,240 @@
+"""Bargains: two agents that are in each other's way plan together, and both give way.
+
+Priorities put the whole way round on one of the two, however little the other would have to
+move. Once all are settled, the pairs of a network that are near each other take turns: the two
+solve one programme for both, for the least fuel of both together, clear of all others, who fly
+on as they told. So nobody comes closer to anybody than half-spaces allow, and the fuel of all
+never rises, unless it takes somebody to its goal who would have ended elsewhere.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from itertools import zip_longest
+from math import inf
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from problems.conic import Unsolved
+from problems.convexify import Horizon, balls_apart, half_spaces, normals
+from problems.pair import Between, Pair, Side
+from problems.transfer import Flight
+from sato.network import Network, play
+from sato.scp.agent import LEANING, NEAR, Plan, Planner
+from sato.scp.orders import Settled, Toll, toll, totals
+
+Message = TypeVar("Message")
+
+BROKEN = 1e-7  # of R: a half-space that an answer breaks by more is put into the programme
+DEARER = 1e-9  # part of the fuel of two: what costs so little more costs the same
+WORTH = 1e-3  # part of what a network pays: after a sweep that saves less there is no other
+
+
+class Offer(NamedTuple):
+    """What an agent tells the one that it bargains with."""
+
+    number: int
+    side: Side  # with the half-spaces that keep it clear of everybody else
+    flight: Flight
+    path: Float[Array, "pieces 4 d"]  # about which both convexify
+    arrives: bool
+
+
+class Deal(NamedTuple):
+    """What two have agreed on, for the one who is told."""
+
+    to: int
+    flight: Flight
+
+
+class Party(NamedTuple):
+    """One agent whose turn it is: all that it knows."""
+
+    planner: Planner
+    partner: int
+    offer: Offer | None = None
+    deal: Deal | None = None
+    solves: int = 0
+
+    @property
+    def number(self) -> int:
+        """Its own number."""
+        return self.planner.rank[2]
+
+
+def bargain(planners: Mapping[int, Planner], network: Network, sweeps: int) -> Settled:
+    """Let every two who are in each other's way bargain once a sweep.
+
+    Args:
+        planners: Every live agent, by number, settled.
+        network: Who hears whom.
+        sweeps: Most that are made; fewer in a network where the last one brought little.
+    """
+    now, exchanges, solves = dict(planners), 0, 0
+    flooding = int(network.diameter[list(now)].max(initial=0))
+    before = {i: Toll(inf, inf, inf) for i in now}
+    for _ in range(sweeps):
+        paid = totals({i: toll(agent) for i, agent in now.items()}, network)
+        turns = calendar(now, network, [i for i in now if _saved(before[i], paid[i])])
+        exchanges += 1 + flooding
+        if not turns:
+            break
+        for turn in turns:
+            parties = meet(now, network, turn)
+            now |= {i: party.planner for i, party in parties.items()}
+            exchanges += 3
+            solves += sum(party.solves for party in parties.values())
+        before = paid
+    return Settled(now, exchanges, solves)
+
+
+def _saved(before: Toll, paid: Toll) -> bool:
+    # Whether there is anything to pay still, and it has become less.
+    less = paid[:2] < before[:2] or paid.fuel < (1 - WORTH) * before.fuel
+    return any(paid) and less
+
+
+def calendar(
+    planners: Mapping[int, Planner], network: Network, going: Iterable[int]
+) -> list[dict[int, int]]:
+    """Whose turn it is and with whom, turn by turn: one pair of every component at a time.
+
+    The batched equivalent of a flood of `{number: partners}`, taken in order of the numbers.
+    """
+    queues: dict[int, list[tuple[int, int]]] = {}
+    for i in sorted(going):
+        told = [planners[j].plan for j in network.neighbours[i].tolist()]
+        for j in partners(planners[i], told):
+            queues.setdefault(int(network.component[i]), []).append((i, j))
+    return [
+        {a: b for pair in turn if pair for a, b in (pair, pair[::-1])}
+        for turn in zip_longest(*queues.values())
+    ]
+
+
+def partners(agent: Planner, heard: list[Plan]) -> list[int]:
+    """Those of a higher number whose plans an agent comes near."""
+    number, radius = agent.rank[2], agent.horizon.radius
+    return [
+        plan.rank[2]
+        for plan in heard
+        if plan.rank[2] > number and not balls_apart(agent.path - plan.path, NEAR * radius).all()
+    ]
+
+
+def meet(
+    planners: Mapping[int, Planner], network: Network, turn: Mapping[int, int]
+) -> dict[int, Party]:
+    """One turn, by messages: plans, then offers, then deals."""
+    states = [
+        Party(planners[i], turn.get(i, -1)) if i in planners else None
+        for i in range(len(network.alive))
+    ]
+    states = _heard(network, states, lambda party: party.planner.plan, _make_offer, turn)
+    states = _heard(network, states, lambda party: party.offer, _settle, turn)
+    states = _heard(network, states, lambda party: party.deal, _take, turn)
+    return {i: state for i in turn if (state := states[i])}
+
+
+def _heard(
+    network: Network,
+    states: list[Party | None],
+    tell: Callable[[Party], Message | None],
+    act: Callable[[Party | None, list[Message | None]], Party | None],
+    who: Iterable[int],
+) -> list[Party | None]:
+    told = [tell(party) if party else None for party in states]
+    acted = play(network, states, act, told, who)
+    return [acted.get(i, party) for i, party in enumerate(states)]
+
+
+def _make_offer(party: Party | None, inbox: list[Plan | None]) -> Party | None:
+    """Hear all plans, and tell the partner what to keep clear of and where to go."""
+    if party is None:
+        return None
+    agent, T = party.planner, len(party.planner.flight.u)
+    if T == 0 or toll(agent).close:
+        return party  # it has no room to give
+    if agent.about is not None:
+        agent = agent._replace(transfer=agent.about(agent.flight))
+    others = [plan.path for plan in inbox if plan and plan.rank[2] != party.partner]
+    theirs = np.array(others).reshape(-1, *agent.path.shape)
+    arrives = not toll(agent).late
+    # Who ends elsewhere begins with its way to its goal, pushed aside where it meets somebody.
+    path = agent.path if arrives else agent.horizon.path(agent.free.x, agent.free.u)
+    spaces = half_spaces(agent.horizon, T, theirs, normals(path - theirs, agent.horizon.keep))
+    # Among flights of equal fuel a slope keeps to one, and others could not make use of the rest.
+    level = replace(agent.transfer, slope=0.0)
+    side = Side(level, agent.flight.x[0], agent.goal, spaces)
+    offer = Offer(party.number, side, agent.flight, path, arrives)
+    return party._replace(planner=agent, offer=offer)
+
+
+def _settle(party: Party | None, inbox: list[Offer | None]) -> Party | None:
+    """Of two who offer, the one with the lower number plans for both."""
+    if party is None or party.offer is None or party.number > party.partner:
+        return party
+    theirs = next((offer for offer in inbox if offer and offer.number == party.partner), None)
+    if theirs is None or len(theirs.flight.u) != len(party.offer.flight.u):
+        return party
+    flights, solves = agree(party.offer, theirs, party.planner.horizon)
+    party = party._replace(solves=solves)
+    if flights is None:
+        return party
+    deal = Deal(party.partner, flights[1])
+    return party._replace(planner=_flying(party.planner, flights[0]), deal=deal)
+
+
+def _take(party: Party | None, inbox: list[Deal | None]) -> Party | None:
+    """Fly what was agreed on."""
+    if party is None:
+        return None
+    mine = next((deal for deal in inbox if deal and deal.to == party.number), None)
+    return party._replace(planner=_flying(party.planner, mine.flight)) if mine else party
+
+
+def _flying(agent: Planner, flight: Flight) -> Planner:
+    path = agent.horizon.path(flight.x, flight.u)
+    return agent._replace(flight=flight, path=path, late=0.0)
+
+
+def agree(own: Offer, theirs: Offer, horizon: Horizon) -> tuple[tuple[Flight, Flight] | None, int]:
+    """Flights of both to their goals, and the programmes that took; None where they are dearer.
+
+    What costs the same is taken too: it may leave others more room. Few half-spaces bind: those
+    on which the two lean, and those that an answer would break, until it breaks none.
+    """
+    T, R = len(own.flight.u), horizon.radius
+    between = Between.of(horizon, T, normals((own.path - theirs.path)[None], horizon.keep)[0])
+    over = _missing(own.side, theirs.side, between, (own.flight, theirs.flight))
+    chosen = [np.abs(rows) < LEANING * R for rows in over]
+    solves = 0
+    while True:
+        first = own.side._replace(spaces=own.side.spaces.only(chosen[0]))
+        second = theirs.side._replace(spaces=theirs.side.spaces.only(chosen[1]))
+        solves += 1
+        try:
+            both = Pair(first, second, between.only(chosen[2])).solve()
+        except Unsolved:
+            return None, solves
+        over = _missing(own.side, theirs.side, between, both)
+        broken = [(rows > BROKEN * R) & ~known for rows, known in zip(over, chosen, strict=True)]
+        if not any(rows.any() for rows in broken):
+            break
+        chosen = [known | rows for known, rows in zip(chosen, broken, strict=True)]
+    before = own.flight.fuel + theirs.flight.fuel
+    cheaper = both[0].fuel + both[1].fuel <= before * (1 + DEARER)
+    taken = cheaper or not (own.arrives and theirs.arrives)
+    return (both if taken else None), solves
+
+
+def _missing(
+    own: Side, theirs: Side, between: Between, both: tuple[Flight, Flight]
+) -> tuple[Array, Array, Array]:
+    return (
+        own.spaces.missing(both[0].x, both[0].u),
+        theirs.spaces.missing(both[1].x, both[1].u),
+        between.missing(*both),
+    )
