@@ -6,8 +6,8 @@ the limits of the scenario `crossing`, or across a sphere about a chief in orbit
 For every instance: the fuel of one plan of the swarm (all hear each other, nobody has burnt fuel),
 of the best optimum of the coupled programme, and of all alone. The plan is made with one order of
 priority, which is by number, and with several and bargains after them. Both fly the same linear
-model, exactly; a ratio that is infinite means that SATO gave up a target or a distance. Exits with 1
-unless every median is as wanted.
+model, exactly; a ratio that is infinite means that SATO gave up a target or a distance. Exits with
+1 unless every median is as wanted.
 """
 
 import csv

@@ -101,8 +101,8 @@ def test_every_instance_is_a_line_of_the_file(price, tmp_path):
 
 
 def test_one_instance_is_asked_and_answered(tmp_path):
-    words = "--agents 2 --instances 1 --model plane --workers 1 --guesses 0 --orders 2 --bargains 1 --csv"
-    code, said = asked(*words.split(), str(tmp_path / "one.csv"))
+    words = "--agents 2 --instances 1 --model plane --workers 1 --guesses 0 --orders 2 --bargains 1"
+    code, said = asked(*words.split(), "--csv", str(tmp_path / "one.csv"))
     (only,) = lines(tmp_path / "one.csv")
     ratio = float(only["sato"]) / float(only["central"])
     assert code == int(not ratio <= 1.05) and f"{ratio:.4f}" in said
