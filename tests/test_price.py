@@ -100,6 +100,21 @@ def test_every_instance_is_a_line_of_the_file(price, tmp_path):
     assert np.isnan(float(second["central"])) and float(second["padding"]) == 1e-5
 
 
+def test_the_tables_of_the_docs_are_made_of_the_files(price, tmp_path):
+    rows = [row(price, 1.0, 1.02), row(price, 1.0, np.inf), row(price, np.nan), row(price, 1.0)]
+    price["write"](tmp_path / "all.csv", rows)
+    code, said = asked(str(tmp_path / "all.csv"), script="tabulate_price.py")
+    assert code == 0
+    cells = "1.111 | 1.1000 | 0 of 4 | **1.0200** | gave up | 1 of 4 | 1e-05 | 1 of 4"
+    assert f"| plane 3 | {cells} |" in said
+    assert said.splitlines()[-2].split()[2:] == ["1.020", "gave", "up", "none", "1.000"]
+
+
+def test_a_file_that_is_not_there_is_refused_in_a_sentence():
+    code, said = asked("nowhere.csv", script="tabulate_price.py")
+    assert code == 2 and "nowhere.csv cannot be read" in said and "Traceback" not in said
+
+
 def test_one_instance_is_asked_and_answered(tmp_path):
     words = "--agents 2 --instances 1 --model plane --workers 1 --guesses 0 --orders 2 --bargains 1"
     code, said = asked(*words.split(), "--csv", str(tmp_path / "one.csv"))
