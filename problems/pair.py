@@ -73,7 +73,7 @@ class Pair:
     between: Between
 
     def solve(self) -> tuple[Flight, Flight]:
-        """Flights of both, for the least fuel of both together.
+        """Flights of both, for the least fuel of both together, weighted as their transfers do.
 
         Raises:
             Infeasible: No two flights do it.

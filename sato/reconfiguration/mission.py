@@ -102,8 +102,8 @@ class Reconfiguration:
         if self.bargains < 0 or (self.bargains and self.orders == 1):
             raise ValueError(
                 f"bargains = {self.bargains} with orders = {self.orders}: sweeps cannot be fewer "
-                "than none, and what was agreed on is remembered at the next plan only with "
-                "orders of 2 or more"
+                "than none, and only with orders of 2 or more is what was agreed on a candidate "
+                "at the next plan"
             )
         if self.replan_steps > self.horizon_steps or self.auction_steps > self.horizon_steps:
             raise ValueError(

@@ -17,6 +17,7 @@ from problems.convexify import Horizon, Way, apart, balls_apart, half_spaces, no
 from problems.transfer import Flight, Transfer
 
 LEANING = 1e-3  # of R: a half-space with less room than this may bind
+BROKEN = 1e-7  # of R: a half-space that an answer breaks by more is put into the programme
 NEAR = 2.0  # times R: who comes closer has half-spaces from the first
 STILL = 1e-3  # ε_SCP over R: a path that moves less has converged
 # Ways past the neighbours where nominals collide, by the axes of space: the cheapest is taken.
@@ -217,10 +218,10 @@ def _solve(agent: Planner, spaces: HalfSpaces, gives: Yield) -> Passage:
     chosen = np.abs(spaces.missing(nominal.x, nominal.u)) < LEANING * R
     over = spaces.missing(agent.free.x, agent.free.u)
     while True:
-        chosen |= _worst_of_each_step(spaces.step, np.where(chosen, 0.0, over), 1e-7 * R)
+        chosen |= _worst_of_each_step(spaces.step, np.where(chosen, 0.0, over), BROKEN * R)
         passage = programme.solve(nominal.x[0], agent.goal, spaces.only(chosen), gives)
         over = spaces.missing(passage.flight.x, passage.flight.u) - passage.slack
-        if not ((over > 1e-7 * R) & ~chosen).any():
+        if not ((over > BROKEN * R) & ~chosen).any():
             return passage
 
 

@@ -7,7 +7,7 @@ on as they told. So nobody comes closer to anybody than half-spaces allow, and t
 never rises, unless it takes somebody to its goal who would have ended elsewhere.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import replace
 from itertools import zip_longest
 from math import inf
@@ -18,16 +18,15 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from problems.conic import Unsolved
-from problems.convexify import Horizon, balls_apart, half_spaces, normals
+from problems.convexify import Horizon, apart, balls_apart, half_spaces, normals
 from problems.pair import Between, Pair, Side
 from problems.transfer import Flight
 from sato.network import Network, play
-from sato.scp.agent import LEANING, NEAR, Plan, Planner
+from sato.scp.agent import BROKEN, LEANING, NEAR, Plan, Planner
 from sato.scp.orders import Settled, Toll, toll, totals
 
 Message = TypeVar("Message")
 
-BROKEN = 1e-7  # of R: a half-space that an answer breaks by more is put into the programme
 DEARER = 1e-9  # part of the fuel of two: what costs so little more costs the same
 WORTH = 1e-3  # part of what a network pays: after a sweep that saves less there is no other
 
@@ -38,8 +37,9 @@ class Offer(NamedTuple):
     number: int
     side: Side  # with the half-spaces that keep it clear of everybody else
     flight: Flight
-    path: Float[Array, "pieces 4 d"]  # about which both convexify
+    nominal: Float[Array, "pieces 4 d"]  # about which both convexify
     arrives: bool
+    others: Float[Array, "others pieces 4 d"]  # paths of all whom it hears but the partner
 
 
 class Deal(NamedTuple):
@@ -55,6 +55,7 @@ class Party(NamedTuple):
     planner: Planner
     partner: int
     offer: Offer | None = None
+    near: tuple[int, ...] = ()  # whose plans come near its own
     deal: Deal | None = None
     solves: int = 0
 
@@ -72,12 +73,14 @@ def bargain(planners: Mapping[int, Planner], network: Network, sweeps: int) -> S
         network: Who hears whom.
         sweeps: Most that are made; fewer in a network where the last one brought little.
     """
+    if sweeps == 0:
+        return Settled(dict(planners), 0, 0)
     now, exchanges, solves = dict(planners), 0, 0
     flooding = int(network.diameter[list(now)].max(initial=0))
     before = {i: Toll(inf, inf, inf) for i in now}
     for _ in range(sweeps):
         paid = totals({i: toll(agent) for i, agent in now.items()}, network)
-        turns = calendar(now, network, [i for i in now if _saved(before[i], paid[i])])
+        turns = calendar(now, network, {i for i in now if _saved(before[i], paid[i])})
         exchanges += 1 + flooding
         if not turns:
             break
@@ -92,36 +95,44 @@ def bargain(planners: Mapping[int, Planner], network: Network, sweeps: int) -> S
 
 def _saved(before: Toll, paid: Toll) -> bool:
     # Whether there is anything to pay still, and it has become less.
-    less = paid[:2] < before[:2] or paid.fuel < (1 - WORTH) * before.fuel
+    less = paid[:2] < before[:2] or before.fuel - paid.fuel > WORTH * abs(paid.fuel)
     return any(paid) and less
 
 
 def calendar(
-    planners: Mapping[int, Planner], network: Network, going: Iterable[int]
+    planners: Mapping[int, Planner], network: Network, going: Container[int]
 ) -> list[dict[int, int]]:
     """Whose turn it is and with whom, turn by turn: one pair of every component at a time.
 
-    The batched equivalent of a flood of `{number: partners}`, taken in order of the numbers.
+    The batched equivalent of a flood of `{number: near}`, taken in order of the numbers.
     """
-    queues: dict[int, list[tuple[int, int]]] = {}
-    for i in sorted(going):
-        told = [planners[j].plan for j in network.neighbours[i].tolist()]
-        for j in partners(planners[i], told):
-            queues.setdefault(int(network.component[i]), []).append((i, j))
+    states = [Party(planners[i], -1) if i in planners else None for i in range(len(network.alive))]
+    who = [i for i in sorted(planners) if i in going]
+    queues: dict[int, set[tuple[int, int]]] = {}
+    for i, party in enumerate(_exchange(network, states, _tell_plan, _look_round, who)):
+        for j in party.near if party else ():
+            queues.setdefault(int(network.component[i]), set()).add((min(i, j), max(i, j)))
     return [
         {a: b for pair in turn if pair for a, b in (pair, pair[::-1])}
-        for turn in zip_longest(*queues.values())
+        for turn in zip_longest(*map(sorted, queues.values()))
     ]
 
 
-def partners(agent: Planner, heard: list[Plan]) -> list[int]:
-    """Those of a higher number whose plans an agent comes near."""
-    number, radius = agent.rank[2], agent.horizon.radius
-    return [
-        plan.rank[2]
-        for plan in heard
-        if plan.rank[2] > number and not balls_apart(agent.path - plan.path, NEAR * radius).all()
-    ]
+def _look_round(party: Party | None, inbox: list[Plan | None]) -> Party | None:
+    """Whose plans come near its own."""
+    if party is None:
+        return None
+    path, radius = _nominal(party.planner), party.planner.horizon.radius
+    heard = [plan for plan in inbox if plan]
+    near = [p.rank[2] for p in heard if not balls_apart(path - p.path, NEAR * radius).all()]
+    return party._replace(near=tuple(near))
+
+
+def _nominal(agent: Planner) -> Float[Array, "pieces 4 d"]:
+    # Who ends elsewhere begins with its way to its goal, pushed aside where it meets somebody.
+    if toll(agent).late:
+        return agent.horizon.path(agent.free.x, agent.free.u)
+    return agent.path
 
 
 def meet(
@@ -132,13 +143,13 @@ def meet(
         Party(planners[i], turn.get(i, -1)) if i in planners else None
         for i in range(len(network.alive))
     ]
-    states = _heard(network, states, lambda party: party.planner.plan, _make_offer, turn)
-    states = _heard(network, states, lambda party: party.offer, _settle, turn)
-    states = _heard(network, states, lambda party: party.deal, _take, turn)
+    states = _exchange(network, states, _tell_plan, _make_offer, turn)
+    states = _exchange(network, states, lambda party: party.offer, _settle, turn)
+    states = _exchange(network, states, lambda party: party.deal, _take, turn)
     return {i: state for i in turn if (state := states[i])}
 
 
-def _heard(
+def _exchange(
     network: Network,
     states: list[Party | None],
     tell: Callable[[Party], Message | None],
@@ -148,6 +159,10 @@ def _heard(
     told = [tell(party) if party else None for party in states]
     acted = play(network, states, act, told, who)
     return [acted.get(i, party) for i, party in enumerate(states)]
+
+
+def _tell_plan(party: Party) -> Plan:
+    return party.planner.plan
 
 
 def _make_offer(party: Party | None, inbox: list[Plan | None]) -> Party | None:
@@ -160,15 +175,13 @@ def _make_offer(party: Party | None, inbox: list[Plan | None]) -> Party | None:
     if agent.about is not None:
         agent = agent._replace(transfer=agent.about(agent.flight))
     others = [plan.path for plan in inbox if plan and plan.rank[2] != party.partner]
-    theirs = np.array(others).reshape(-1, *agent.path.shape)
-    arrives = not toll(agent).late
-    # Who ends elsewhere begins with its way to its goal, pushed aside where it meets somebody.
-    path = agent.path if arrives else agent.horizon.path(agent.free.x, agent.free.u)
-    spaces = half_spaces(agent.horizon, T, theirs, normals(path - theirs, agent.horizon.keep))
+    theirs, nominal = np.array(others).reshape(-1, *agent.path.shape), _nominal(agent)
+    spaces = half_spaces(agent.horizon, T, theirs, normals(nominal - theirs, agent.horizon.keep))
     # Among flights of equal fuel a slope keeps to one, and others could not make use of the rest.
     level = replace(agent.transfer, slope=0.0)
     side = Side(level, agent.flight.x[0], agent.goal, spaces)
-    offer = Offer(party.number, side, agent.flight, path, arrives)
+    arrives = not toll(agent).late
+    offer = Offer(party.number, side, agent.flight, nominal, arrives, theirs)
     return party._replace(planner=agent, offer=offer)
 
 
@@ -197,17 +210,18 @@ def _take(party: Party | None, inbox: list[Deal | None]) -> Party | None:
 
 def _flying(agent: Planner, flight: Flight) -> Planner:
     path = agent.horizon.path(flight.x, flight.u)
-    return agent._replace(flight=flight, path=path, late=0.0)
+    return agent._replace(flight=flight, path=path, late=0.0)  # a deal ends at the goal
 
 
 def agree(own: Offer, theirs: Offer, horizon: Horizon) -> tuple[tuple[Flight, Flight] | None, int]:
-    """Flights of both to their goals, and the programmes that took; None where they are dearer.
+    """Flights of both to their goals, and the programmes that took.
 
-    What costs the same is taken too: it may leave others more room. Few half-spaces bind: those
-    on which the two lean, and those that an answer would break, until it breaks none.
+    None where there are none, or they are dearer, or do not keep clear when the two drift on after
+    their steps. What costs the same is taken: it may leave others more room. Few half-spaces bind:
+    those on which the two lean, and those that an answer would break, until it breaks none.
     """
     T, R = len(own.flight.u), horizon.radius
-    between = Between.of(horizon, T, normals((own.path - theirs.path)[None], horizon.keep)[0])
+    between = Between.of(horizon, T, normals((own.nominal - theirs.nominal)[None], horizon.keep)[0])
     over = _missing(own.side, theirs.side, between, (own.flight, theirs.flight))
     chosen = [np.abs(rows) < LEANING * R for rows in over]
     solves = 0
@@ -226,8 +240,14 @@ def agree(own: Offer, theirs: Offer, horizon: Horizon) -> tuple[tuple[Flight, Fl
         chosen = [known | rows for known, rows in zip(chosen, broken, strict=True)]
     before = own.flight.fuel + theirs.flight.fuel
     cheaper = both[0].fuel + both[1].fuel <= before * (1 + DEARER)
-    taken = cheaper or not (own.arrives and theirs.arrives)
-    return (both if taken else None), solves
+    wanted = cheaper or not (own.arrives and theirs.arrives)
+    return (both if wanted and _clear(own, theirs, both, horizon) else None), solves
+
+
+def _clear(own: Offer, theirs: Offer, both: tuple[Flight, Flight], horizon: Horizon) -> bool:
+    first, second = (horizon.path(flight.x, flight.u) for flight in both)
+    gaps = (first - own.others, second - theirs.others, first - second)
+    return all(bool(apart(gap, horizon.radius).all()) for gap in gaps)
 
 
 def _missing(
