@@ -18,7 +18,7 @@ from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from time import process_time
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import typer
@@ -149,7 +149,8 @@ def main(
     bargains: Annotated[int, typer.Option(help="sweeps in which pairs then bargain", min=0)] = 8,
     seed: Annotated[int, typer.Option(min=0)] = 0,
     table: Annotated[
-        Path | None, typer.Option("--csv", help="a file for a line an instance")
+        Path | None,
+        typer.Option("--csv", help="a file for a line an instance; what it has is not done again"),
     ] = None,
 ) -> None:
     """Compare; exit with 1 unless every median is as wanted."""
@@ -165,9 +166,7 @@ def main(
     ]
     for kind, count in dict.fromkeys((case.model, case.agents) for case in cases):
         next(missions(Case(kind, count, 0, seed, guesses)))  # refuses what has no room
-    rows = computed(cases, workers)
-    if table:
-        write(table, rows)
+    rows = computed(cases, workers, table)
     out = Console(width=max(150, Console().width))
     out.print(every(rows))
     lines, medians = summary(rows)
@@ -175,17 +174,22 @@ def main(
     sys.exit(0 if all(median <= WANTED for median in medians) else 1)
 
 
-def computed(cases: list[Case], workers: int) -> list[Row]:
-    """All instances, in their order, by several processes."""
-    rows: list[Row] = []
-    kinds = list(dict.fromkeys(case.model for case in cases))
+def computed(cases: list[Case], workers: int, table: Path | None = None) -> list[Row]:
+    """All instances, in their order, by several processes; what the table has is not done again."""
+    found = {row.case: row for row in read(table)} if table and table.exists() else {}
+    rows = [found[case] for case in cases if case in found]
+    left = [case for case in cases if case not in found]
+    kinds = list(dict.fromkeys(case.model for case in left))
     with (
         ProcessPoolExecutor(workers, get_context("spawn"), warm_up, (kinds,)) as pool,
         Progress(console=Console(stderr=True)) as bar,
     ):
-        task = bar.add_task("instances", total=len(cases))
-        for done in as_completed([pool.submit(compare, case) for case in cases]):
+        task = bar.add_task("instances", total=len(cases), completed=len(rows))
+        for done in as_completed([pool.submit(compare, case) for case in left]):
             rows.append(done.result())
+            found[rows[-1].case] = rows[-1]
+            if table:
+                write(table, sorted(found.values(), key=lambda row: row.case))
             bar.advance(task)
     return sorted(rows, key=lambda row: row.case)
 
@@ -198,6 +202,24 @@ def write(path: Path, rows: list[Row]) -> None:
         out.writerow([*Case._fields, *Row._fields[1:]])
         out.writerows([row.case.model.value, *row.case[1:], *row[1:]] for row in rows)
     part.replace(path)
+
+
+def read(path: Path) -> list[Row]:
+    """The lines of such a file."""
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            return [_row(line) for line in csv.DictReader(file)]
+    except (OSError, KeyError, ValueError) as error:
+        raise typer.BadParameter(f"{path} holds no instances of this study: {error!r}") from None
+
+
+def _row(line: dict[str, str]) -> Row:
+    case = Case(Model(line["model"]), *(int(line[name]) for name in Case._fields[1:]))
+    words = ("from_guess", "gave_up")
+    values: dict[str, Any] = {
+        name: line[name] if name in words else float(line[name]) for name in Row._fields[1:]
+    }
+    return Row(case=case, **values | {"meetings": int(line["meetings"])})
 
 
 def every(rows: list[Row]) -> Table:
