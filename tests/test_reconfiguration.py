@@ -1,7 +1,7 @@
 """The whole loop on small missions: who arrives, what is promised, what is heard."""
 
 from dataclasses import replace
-from itertools import pairwise
+from itertools import islice, pairwise
 
 import numpy as np
 import pytest
@@ -346,8 +346,10 @@ def test_what_happens_out_of_hearing_changes_nothing(change):
         alive[6] = False
         event = {"arrivals": (Arrival((6,), at_step=7),)}
     quiet = flown(mission_of(start, Leg(goal, 40), alive=alive))
-    noisy = flown(mission_of(start, Leg(goal, 40, **event), alive=alive))
-    for a, b in zip(quiet, noisy[: len(quiet)], strict=True):
+    # Those far away may take long over it; here all is over with the last of the quiet frames.
+    mission = mission_of(start, Leg(goal, 40, **event), alive=alive)
+    noisy = islice(fly(mission, np.random.default_rng(0)), len(quiet))
+    for a, b in zip(quiet, noisy, strict=True):
         np.testing.assert_array_equal(a.position[:4], b.position[:4])
         np.testing.assert_array_equal(a.target[:4], b.target[:4])
 
