@@ -7,7 +7,7 @@ path keeps the distance.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -37,6 +37,13 @@ class HalfSpaces(NamedTuple):
         """By how much each row is broken; negative where it holds with room."""
         kept = (self.on_state * x[self.step]).sum(1) + (self.on_control * u[self.step]).sum(1)
         return np.asarray(self.least - kept)
+
+    def stated(self, x: Any, u: Any) -> Any:
+        """What a flight keeps of each row, of variables in CVXPY."""
+        import cvxpy as cp
+
+        on_x = cp.sum(cp.multiply(self.on_state, x[self.step]), axis=1)
+        return on_x + cp.sum(cp.multiply(self.on_control, u[self.step]), axis=1)
 
     def only(self, rows: Array) -> "HalfSpaces":
         """Some of the rows, by a mask or their numbers."""
@@ -92,9 +99,7 @@ class Avoidance:
         x, u, effort, limits = self.transfer.statement(start)
         late, slack = cp.Variable(n), cp.Variable(len(spaces.least), nonneg=True)
         arrive = x[T] + late == goal
-        kept = cp.sum(cp.multiply(spaces.on_state, x[spaces.step]), axis=1) + cp.sum(
-            cp.multiply(spaces.on_control, u[spaces.step]), axis=1
-        )
+        kept = spaces.stated(x, u)
         apart = [kept + slack >= spaces.least] if len(spaces.least) else []
         price = self._price
         missed = cp.norm1(cp.multiply(self._units, late)) + 10 * cp.sum(slack)

@@ -100,9 +100,9 @@ class Pair:
             cost += effort
             limits += [*own, x[len(side.transfer.steps)] == side.goal]
             if len(side.spaces.least):
-                limits.append(_kept(cp, side.spaces, x, u) >= 0)
+                limits.append(side.spaces.stated(x, u) >= side.spaces.least)
             if len(common.least):
-                together += _kept(cp, common, x, u)
+                together += common.stated(x, u) - common.least
             controls.append(u)
         if len(self.between.first.least):
             limits.append(together >= 0)
@@ -166,10 +166,3 @@ def _kinds(part: Conic) -> tuple[slice, slice, slice]:
     """Rows that are equations, inequalities and cones."""
     first, second = part.zero, part.zero + part.nonnegative
     return slice(first), slice(first, second), slice(second, None)
-
-
-def _kept(cp: Any, spaces: HalfSpaces, x: Any, u: Any) -> Any:
-    """What a flight keeps of some half-spaces, beyond the least, in CVXPY."""
-    on_x = cp.sum(cp.multiply(spaces.on_state, x[spaces.step]), axis=1)
-    on_u = cp.sum(cp.multiply(spaces.on_control, u[spaces.step]), axis=1)
-    return on_x + on_u - spaces.least

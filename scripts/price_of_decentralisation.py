@@ -177,21 +177,20 @@ def main(
 def computed(cases: list[Case], workers: int, table: Path | None = None) -> list[Row]:
     """All instances, in their order, by several processes; what the table has is not done again."""
     found = {row.case: row for row in read(table)} if table and table.exists() else {}
-    rows = [found[case] for case in cases if case in found]
     left = [case for case in cases if case not in found]
     kinds = list(dict.fromkeys(case.model for case in left))
     with (
         ProcessPoolExecutor(workers, get_context("spawn"), warm_up, (kinds,)) as pool,
         Progress(console=Console(stderr=True)) as bar,
     ):
-        task = bar.add_task("instances", total=len(cases), completed=len(rows))
+        task = bar.add_task("instances", total=len(cases), completed=len(cases) - len(left))
         for done in as_completed([pool.submit(compare, case) for case in left]):
-            rows.append(done.result())
-            found[rows[-1].case] = rows[-1]
+            row = done.result()
+            found[row.case] = row
             if table:
                 write(table, sorted(found.values(), key=lambda row: row.case))
             bar.advance(task)
-    return sorted(rows, key=lambda row: row.case)
+    return [found[case] for case in sorted(cases)]
 
 
 def write(path: Path, rows: list[Row]) -> None:

@@ -6,7 +6,6 @@ reads what `price_of_decentralisation.py --csv` wrote, and prints Markdown: a li
 vehicles, and then every instance.
 """
 
-import csv
 from collections.abc import Sequence
 from math import inf, isnan
 from pathlib import Path
@@ -14,15 +13,13 @@ from statistics import median
 from typing import Annotated
 
 import typer
-from tabulate_comparison import table
+from tabulate_comparison import Row, measured, table
 
 HEADS = (
     "model, N", "best / alone", "one order / best", "gave up", "SATO / best", "worst", "gave up",
     "padding [R]", "no optimum",
 )  # fmt: skip
 NAMES = {"plane": "plane", "j2": "J2"}
-
-Row = dict[str, str]
 
 
 def main(
@@ -31,7 +28,7 @@ def main(
     """Print a table and a list."""
     rows = [row for path in files for row in measured(path)]
     groups: dict[str, list[Row]] = {}
-    for row in sorted(rows, key=lambda row: (row["model"] == "j2", int(row["agents"]))):
+    for row in sorted(rows, key=_order):
         groups.setdefault(f"{NAMES[row['model']]} {row['agents']}", []).append(row)
     print(table(HEADS, ([name, *summary(of)] for name, of in groups.items())))
     print("```")
@@ -40,14 +37,8 @@ def main(
     print("```")
 
 
-def measured(path: Path) -> list[Row]:
-    """The instances of a file, in their order."""
-    try:
-        with open(path, newline="", encoding="utf-8") as file:
-            return sorted(csv.DictReader(file), key=lambda row: int(row["number"]))
-    except OSError as error:
-        typer.echo(f"{path} cannot be read: {error.strerror}", err=True)
-        raise typer.Exit(2) from None
+def _order(row: Row) -> tuple[bool, int, int]:
+    return row["model"] == "j2", int(row["agents"]), int(row["number"])
 
 
 def summary(rows: Sequence[Row]) -> list[str]:

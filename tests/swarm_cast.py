@@ -9,6 +9,7 @@ from problems.convexify import Horizon, half_spaces
 from problems.transfer import Flight, Transfer
 from sato.network import Network
 from sato.scp import Planner
+from sato.scp.orders import toll
 
 T, STEP, RADIUS = 12, 1.0, 0.5
 
@@ -55,6 +56,10 @@ def circle(count, radius, turn=0.03):
     start = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     goal = -radius * np.stack([np.cos(angle + turn), np.sin(angle + turn)], axis=1)
     return {i: agent(i, start[i], goal[i], transfer, horizon) for i in range(count)}
+
+
+def paid(planners):
+    return tuple(np.sum([toll(agent) for agent in planners.values()], axis=0))
 
 
 def everybody(planners):

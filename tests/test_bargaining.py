@@ -12,6 +12,7 @@ from swarm_cast import (
     crowd,
     everybody,
     heard,
+    paid,
     parked,
     problem,
 )
@@ -21,11 +22,6 @@ from problems.central import Central
 from sato.network import flood, play
 from sato.scp import bargain, settle_orders
 from sato.scp.bargaining import Party, _look_round, agree, calendar, meet
-from sato.scp.orders import toll
-
-
-def paid(planners):
-    return tuple(np.sum([toll(agent) for agent in planners.values()], axis=0))
 
 
 def settled(planners, orders=1):

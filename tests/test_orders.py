@@ -15,6 +15,7 @@ from swarm_cast import (
     crowd,
     everybody,
     heard,
+    paid,
     parked,
     problem,
 )
@@ -27,11 +28,7 @@ from sato.reconfiguration.moment import Moment
 from sato.reconfiguration.planning import NO_PLANS, plan
 from sato.reconfiguration.pricing import Minds
 from sato.scp import by_messages, exchanged, settle, settle_orders
-from sato.scp.orders import Toll, going_on, to_the_right, toll, totals
-
-
-def paid(planners):
-    return tuple(np.sum([toll(agent) for agent in planners.values()], axis=0))
+from sato.scp.orders import Toll, going_on, to_the_right, totals
 
 
 @given(

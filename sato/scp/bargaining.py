@@ -23,7 +23,7 @@ from problems.pair import Between, Pair, Side
 from problems.transfer import Flight
 from sato.network import Network, play
 from sato.scp.agent import BROKEN, LEANING, NEAR, Plan, Planner
-from sato.scp.orders import Settled, Toll, toll, totals
+from sato.scp.orders import Settled, Toll, toll, tolled, totals
 
 Message = TypeVar("Message")
 
@@ -79,7 +79,7 @@ def bargain(planners: Mapping[int, Planner], network: Network, sweeps: int) -> S
     flooding = int(network.diameter[list(now)].max(initial=0))
     before = {i: Toll(inf, inf, inf) for i in now}
     for _ in range(sweeps):
-        paid = totals({i: toll(agent) for i, agent in now.items()}, network)
+        paid = totals(tolled(now), network)
         turns = calendar(now, network, {i for i in now if _saved(before[i], paid[i])})
         exchanges += 1 + flooding
         if not turns:

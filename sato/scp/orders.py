@@ -45,12 +45,12 @@ def settle_orders(planners: Mapping[int, Planner], network: Network, orders: int
     solves = _solves(kept)
     if orders == 1 or not kept:
         return Settled(kept, exchanges, solves)
-    paid = tolls = _tolls(kept)
+    paid = tolls = tolled(kept)
     flooding = int(network.diameter[list(kept)].max())
     exchanges += flooding
     if any(map(any, paid.values())):
         begun = going_on(planners, network)
-        kept, paid = _cheaper(kept, paid, begun, _tolls(begun), network)
+        kept, paid = _cheaper(kept, paid, begun, tolled(begun), network)
         exchanges += 1 + flooding
     for _ in range(orders - 1):
         dear = [i for i, total in totals(paid, network).items() if any(total)]
@@ -59,7 +59,7 @@ def settle_orders(planners: Mapping[int, Planner], network: Network, orders: int
         planners = {i: to_the_right(raised(planners[i], tolls[i])) for i in dear}
         tried, more = settle(planners, network)
         exchanges, solves = exchanges + more + flooding, solves + _solves(tried)
-        tolls = _tolls(tried)
+        tolls = tolled(tried)
         kept, paid = _cheaper(kept, paid, tried, tolls, network)
     return Settled(kept, exchanges, solves)
 
@@ -141,7 +141,8 @@ def _cheaper(
     return kept | {i: tried[i] for i in better}, paid | {i: tolls[i] for i in better}
 
 
-def _tolls(planners: Mapping[int, Planner]) -> dict[int, Toll]:
+def tolled(planners: Mapping[int, Planner]) -> dict[int, Toll]:
+    """What each of them pays, by its number."""
     return {i: toll(agent) for i, agent in planners.items()}
 
 
