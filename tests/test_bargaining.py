@@ -19,8 +19,9 @@ from swarm_cast import (
 
 from dynamics.path import hull_distance
 from problems.central import Central
+from problems.pair import Pair
 from sato.network import flood, play
-from sato.scp import bargain, settle_orders
+from sato.scp import TIGHT, bargain, settle_orders
 from sato.scp.bargaining import Party, _look_round, agree, calendar, meet
 
 
@@ -144,6 +145,24 @@ def test_what_is_dearer_than_before_is_not_agreed_on():
     cheaper = first._replace(flight=first.flight._replace(fuel=spent))
     assert agree(cheaper, second, now[0].horizon)[0] is None
     assert agree(cheaper._replace(arrives=False), second, now[0].horizon)[0]
+
+
+def test_an_answer_that_misses_a_goal_by_more_than_counts_as_there_is_not_agreed_on(monkeypatch):
+    now = settled(circle(3, 1.5), orders=3)
+    first, second = offers(now, 0, 1)
+
+    def astray(by):
+        def solve(pair):
+            both = list(exact(pair))
+            both[1] = both[1]._replace(x=both[1].x + by)
+            return tuple(both)
+
+        return solve
+
+    exact = Pair.solve
+    for by, agreed in ((0.5 * TIGHT * RADIUS, True), (2 * TIGHT * RADIUS, False)):
+        monkeypatch.setattr(Pair, "solve", astray(by))
+        assert (agree(first, second, now[0].horizon)[0] is not None) == agreed
 
 
 def test_a_bargain_convexifies_the_dynamics_about_the_flight_of_each():

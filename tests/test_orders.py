@@ -28,7 +28,7 @@ from sato.reconfiguration.moment import Moment
 from sato.reconfiguration.planning import NO_PLANS, plan
 from sato.reconfiguration.pricing import Minds
 from sato.scp import by_messages, exchanged, settle, settle_orders
-from sato.scp.orders import Toll, going_on, to_the_right, totals
+from sato.scp.orders import Toll, bent, going_on, totals
 
 
 @given(
@@ -152,7 +152,7 @@ def test_who_finds_no_way_flies_what_it_tells():
 
 @pytest.mark.parametrize("axes", [2, 3])
 def test_the_fast_path_equals_the_definition_of_those_who_begin_bent(rng, axes):
-    planners = {i: to_the_right(p) for i, p in crowd(rng, 5, axes).items()}
+    planners = {i: bent(p, 1.0) for i, p in crowd(rng, 5, axes).items()}
     network = everybody(planners)
     slow, fast = list(by_messages(planners, network)), list(exchanged(planners, network))
     assert len(slow) == len(fast)
@@ -181,24 +181,25 @@ def test_where_all_meet_in_one_point_one_order_fails_and_several_find_a_way():
 
 
 @settings(max_examples=20, deadline=None)
-@given(angle=st.floats(0, 2 * np.pi), length=st.floats(1.0, 3.0))
-def test_keeping_to_the_right_begins_and_ends_on_the_way_and_is_r_aside_in_the_middle(
-    angle, length
+@given(angle=st.floats(0, 2 * np.pi), length=st.floats(1.0, 3.0), hand=st.sampled_from([1.0, -2.0]))
+def test_who_is_bent_begins_and_ends_on_its_way_and_is_as_far_aside_in_the_middle_as_asked(
+    angle, length, hand
 ):
     transfer, horizon = problem()
     way = length * np.array([np.cos(angle), np.sin(angle)])
     straight = agent(0, np.zeros(2), way, transfer, horizon)
-    bent = to_the_right(straight)
-    aside = (bent.path - straight.path) @ (np.array([way[1], -way[0]]) / length)
+    curved = bent(straight, hand)
+    right = np.array([way[1], -way[0]]) / length
+    aside = (curved.path - straight.path) @ right / (hand * RADIUS)
     assert abs(aside[0, 0]) < 1e-12 > abs(aside[-1, -1])
     assert np.all(aside > -1e-12)
-    np.testing.assert_allclose(aside.max(), RADIUS, rtol=0.01)
-    np.testing.assert_allclose(bent.path[1:, 0], bent.path[:-1, -1], atol=1e-12)
+    np.testing.assert_allclose(aside.max(), 1.0, rtol=0.01)
+    np.testing.assert_allclose(curved.path[1:, 0], curved.path[:-1, -1], atol=1e-12)
 
 
-def test_in_space_nobody_keeps_to_the_right(rng):
+def test_in_space_nobody_is_bent(rng):
     planners = crowd(rng, 2, axes=3)
-    assert to_the_right(planners[0]) is planners[0]
+    assert bent(planners[0], 1.0) is planners[0]
 
 
 def test_a_horizon_that_ends_early_does_not_matter(rng):

@@ -16,7 +16,7 @@ from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.moment import Moment
 from sato.reconfiguration.pricing import Minds
 from sato.reconfiguration.routes import linearisation, undisturbed
-from sato.scp import STILL, TIGHT, Planner, bargain, settle_orders
+from sato.scp import STILL, TIGHT, Planner, come_to_terms
 
 MOST_PIECES = 12  # in a step
 
@@ -114,12 +114,10 @@ def plan(
             planner = Planner(rank, goal, route.transfer, horizon, free, free, path, about)
             planners[i] = _as_before(planner, rests[i], same)
             late += [i] if route.misses else []
-    settled = settle_orders(planners, network, mission.orders)
-    dealt = bargain(settled.planners, network, mission.bargains)
-    planners, solves = dealt.planners, solves + settled.solves + dealt.solves
-    exchanges = settled.exchanges + dealt.exchanges
+    settled = come_to_terms(planners, network, mission.orders, mission.bargains)
+    planners, solves = settled.planners, solves + settled.solves
     events: list[Event] = [
-        {"kind": "replan", "agents": [], "solves": solves, "exchanges": exchanges}
+        {"kind": "replan", "agents": [], "solves": solves, "exchanges": settled.exchanges}
     ]
     events += _what_gave_way(mission, planners, late)
     chosen = {i: p.flight for i, p in planners.items()}

@@ -4,8 +4,8 @@
 its neighbours, keeps clear of those that go before it, and tells its own. `settle`
 runs the same for all agents and calls it only where something binds; a test holds the
 two equal, exchange by exchange.
-`settle_orders` tries several orders of priority, and `bargain` lets two who are in each
-other's way plan together.
+`settle_orders` tries several orders of priority, `bargain` lets two who are in each other's
+way plan together, and `come_to_terms` does both, and begins from roundabouts besides.
 
 What "apart" means, and how it is made convex, is in `problems.convexify`.
 """
@@ -13,6 +13,7 @@ What "apart" means, and how it is made convex, is in `problems.convexify`.
 from sato.scp.agent import STILL, TIGHT, Plan, Planner, revise
 from sato.scp.bargaining import bargain
 from sato.scp.orders import settle_orders
+from sato.scp.roundabout import come_to_terms
 from sato.scp.run import by_messages, exchanged, settle
 
 __all__ = [
@@ -22,6 +23,7 @@ __all__ = [
     "Planner",
     "bargain",
     "by_messages",
+    "come_to_terms",
     "exchanged",
     "revise",
     "settle",

@@ -5,6 +5,7 @@ its own.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -69,6 +70,18 @@ class Planner(NamedTuple):
     def plan(self) -> Plan:
         """What it tells."""
         return Plan(self.rank, self.path, self.settled)
+
+    @property
+    def relinearised(self) -> "Planner":
+        """The same about its nominal, where its model has to be."""
+        if self.about is None:
+            return self
+        return self._replace(transfer=self.about(self.flight))
+
+    @property
+    def level(self) -> "Planner":
+        """The same without the slope of its weights, which keeps to one of many equals."""
+        return self._replace(transfer=replace(self.transfer, slope=0.0))
 
 
 class Others(NamedTuple):
@@ -140,12 +153,11 @@ def _answer(agent: Planner, above: tuple[Plan, ...]) -> Planner:
 
 def _around(agent: Planner, above: tuple[Plan, ...]) -> Planner:
     """Solve Problem 7 about the nominal; what gives way gives way last to separation."""
-    if agent.about is not None:
-        agent = agent._replace(transfer=agent.about(agent.flight))
+    agent = agent.relinearised
     others = Others.of(agent, above)
     collides = not clear(agent.path, above, agent.horizon.radius)
     ways = WAYS[agent.path.shape[-1]] if collides else ("near",)
-    tried = [_past(agent, others, agent.path, way) for way in ways]
+    tried = [past(agent, others, agent.path, way) for way in ways]
     passages, solves = [p for p in tried if p is not None], agent.solves + len(ways)
     passage = min(passages, key=lambda p: p.flight.fuel, default=None)
     if passage is None:
@@ -169,22 +181,22 @@ def _relenting(agent: Planner, others: Others) -> tuple[Passage | None, int]:
     for count, (gives, way) in enumerate(RELENTING, 1):
         if way == "stand":
             nominal = _standing(agent)
-            passage = None if nominal is None else _past(agent, others, nominal, "near", gives)
+            passage = None if nominal is None else past(agent, others, nominal, "near", gives)
         else:
-            passage = _past(agent, others, agent.path, way, gives)
+            passage = past(agent, others, agent.path, way, gives)
         if passage is not None:
             return passage, count
     return None, len(RELENTING)
 
 
-def _past(
+def past(
     agent: Planner,
     others: Others,
     nominal: Float[Array, "pieces 4 d"],
     way: Way,
     gives: Yield = "nothing",
 ) -> Passage | None:
-    """Problem 7 about a nominal; None where it has no answer."""
+    """Problem 7 about a nominal, clear of all others; None where it has no answer."""
     near = others.near
     while True:
         paths = others.paths[near]

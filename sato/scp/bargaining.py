@@ -8,7 +8,6 @@ never rises, unless it takes somebody to its goal who would have ended elsewhere
 """
 
 from collections.abc import Callable, Container, Iterable, Mapping
-from dataclasses import replace
 from itertools import zip_longest
 from math import inf
 from typing import NamedTuple, TypeVar
@@ -22,7 +21,7 @@ from problems.convexify import Horizon, apart, balls_apart, half_spaces, normals
 from problems.pair import Between, Pair, Side
 from problems.transfer import Flight
 from sato.network import Network, play
-from sato.scp.agent import BROKEN, LEANING, NEAR, Plan, Planner
+from sato.scp.agent import BROKEN, LEANING, NEAR, TIGHT, Plan, Planner
 from sato.scp.orders import Settled, Toll, toll, tolled, totals
 
 Message = TypeVar("Message")
@@ -172,14 +171,12 @@ def _make_offer(party: Party | None, inbox: list[Plan | None]) -> Party | None:
     agent, T = party.planner, len(party.planner.flight.u)
     if T == 0 or toll(agent).close:
         return party  # it has no room to give
-    if agent.about is not None:
-        agent = agent._replace(transfer=agent.about(agent.flight))
+    agent = agent.relinearised
     others = [plan.path for plan in inbox if plan and plan.rank[2] != party.partner]
     theirs, nominal = np.array(others).reshape(-1, *agent.path.shape), _nominal(agent)
     spaces = half_spaces(agent.horizon, T, theirs, normals(nominal - theirs, agent.horizon.keep))
     # Among flights of equal fuel a slope keeps to one, and others could not make use of the rest.
-    level = replace(agent.transfer, slope=0.0)
-    side = Side(level, agent.flight.x[0], agent.goal, spaces)
+    side = Side(agent.level.transfer, agent.flight.x[0], agent.goal, spaces)
     arrives = not toll(agent).late
     offer = Offer(party.number, side, agent.flight, nominal, arrives, theirs)
     return party._replace(planner=agent, offer=offer)
@@ -216,9 +213,10 @@ def _flying(agent: Planner, flight: Flight) -> Planner:
 def agree(own: Offer, theirs: Offer, horizon: Horizon) -> tuple[tuple[Flight, Flight] | None, int]:
     """Flights of both to their goals, and the programmes that took.
 
-    None where there are none, or they are dearer, or do not keep clear when the two drift on after
-    their steps. What costs the same is taken: it may leave others more room. Few half-spaces bind:
-    those on which the two lean, and those that an answer would break, until it breaks none.
+    None where there are none, or they are dearer, or miss a goal, or do not keep clear when the two
+    drift on after their steps. What costs the same is taken: it may leave others more room. Few
+    half-spaces bind: those on which the two lean, and those that an answer would break, until it
+    breaks none.
     """
     T, R = len(own.flight.u), horizon.radius
     between = Between.of(horizon, T, normals((own.nominal - theirs.nominal)[None], horizon.keep)[0])
@@ -241,7 +239,15 @@ def agree(own: Offer, theirs: Offer, horizon: Horizon) -> tuple[tuple[Flight, Fl
     before = own.flight.fuel + theirs.flight.fuel
     cheaper = both[0].fuel + both[1].fuel <= before * (1 + DEARER)
     wanted = cheaper or not (own.arrives and theirs.arrives)
-    return (both if wanted and _clear(own, theirs, both, horizon) else None), solves
+    keeps = wanted and _arrive(own, theirs, both, R) and _clear(own, theirs, both, horizon)
+    return (both if keeps else None), solves
+
+
+def _arrive(own: Offer, theirs: Offer, both: tuple[Flight, Flight], radius: float) -> bool:
+    # A solver's tolerance grows with the numbers in a programme.
+    goals = own.side.goal, theirs.side.goal
+    missed = [np.abs(flight.x[-1] - goal).max() for flight, goal in zip(both, goals, strict=True)]
+    return bool(max(missed) <= TIGHT * radius)
 
 
 def _clear(own: Offer, theirs: Offer, both: tuple[Flight, Flight], horizon: Horizon) -> bool:

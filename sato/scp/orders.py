@@ -50,17 +50,17 @@ def settle_orders(planners: Mapping[int, Planner], network: Network, orders: int
     exchanges += flooding
     if any(map(any, paid.values())):
         begun = going_on(planners, network)
-        kept, paid = _cheaper(kept, paid, begun, tolled(begun), network)
+        kept, paid = cheaper(kept, paid, begun, tolled(begun), network)
         exchanges += 1 + flooding
     for _ in range(orders - 1):
         dear = [i for i, total in totals(paid, network).items() if any(total)]
         if not dear:
             break
-        planners = {i: to_the_right(raised(planners[i], tolls[i])) for i in dear}
+        planners = {i: bent(raised(planners[i], tolls[i]), 1.0) for i in dear}
         tried, more = settle(planners, network)
         exchanges, solves = exchanges + more + flooding, solves + _solves(tried)
         tolls = tolled(tried)
-        kept, paid = _cheaper(kept, paid, tried, tolls, network)
+        kept, paid = cheaper(kept, paid, tried, tolls, network)
     return Settled(kept, exchanges, solves)
 
 
@@ -85,10 +85,14 @@ def raised(agent: Planner, paid: Toll) -> Planner:
     return agent._replace(rank=(moves, first - max(paid.fuel, 0.0) - lost, number))
 
 
-def to_the_right(agent: Planner) -> Planner:
-    """An agent in the plane whose nominal bends to the right of its way, by R in the middle.
+def bent(agent: Planner, aside: float) -> Planner:
+    """An agent in the plane whose nominal bends to the right of its way.
 
     Who begins with a plan of before stays on the side on which that passes.
+
+    Args:
+        agent: Before the first exchange.
+        aside: How far in the middle, over R; to the left where negative.
     """
     pieces, points, d = agent.path.shape
     way = agent.path[-1, -1] - agent.path[0, 0]
@@ -97,7 +101,7 @@ def to_the_right(agent: Planner) -> Planner:
     path = agent.horizon.path(agent.free.x, agent.free.u)
     right = np.array([way[1], -way[0]]) / np.linalg.norm(way)
     along = (np.arange(pieces)[:, None] + np.linspace(0, 1, points)) / pieces
-    bend = agent.horizon.radius * np.sin(np.pi * along)
+    bend = aside * agent.horizon.radius * np.sin(np.pi * along)
     return agent._replace(path=path + bend[..., None] * right, steady=False)
 
 
@@ -129,13 +133,14 @@ def totals(tolls: Mapping[int, Toll], network: Network) -> dict[int, Toll]:
     return {i: Toll(*sums[network.component[i]].tolist()) for i in tolls}
 
 
-def _cheaper(
+def cheaper(
     kept: dict[int, Planner],
     paid: dict[int, Toll],
     tried: dict[int, Planner],
     tolls: dict[int, Toll],
     network: Network,
 ) -> tuple[dict[int, Planner], dict[int, Toll]]:
+    """What each component keeps of two ways for it, and what each agent pays then."""
     now, before = totals(tolls, network), totals(paid, network)
     better = [i for i in tried if now[i] < before[i]]
     return kept | {i: tried[i] for i in better}, paid | {i: tolls[i] for i in better}
