@@ -20,9 +20,9 @@ from swarm_cast import (
 
 from problems.convexify import apart
 from sato.network import Network
-from sato.scp import bargain, come_to_terms, settle_orders
+from sato.scp import bargain, settle_orders
 from sato.scp.orders import bent
-from sato.scp.roundabout import keep_clear, round_about, turns
+from sato.scp.roundabout import BENDS, can_go_round, come_to_terms, keep_clear, round_about, turns
 
 
 def spin(planners):
@@ -45,19 +45,60 @@ def test_at_a_roundabout_all_go_round_the_same_way_stay_apart_and_arrive(bend, h
         np.testing.assert_allclose(p.flight.x[-1], p.goal, atol=1e-6)
         np.testing.assert_array_equal(p.path, p.horizon.path(p.flight.x, p.flight.u))
         assert np.abs(p.flight.u).max() <= p.transfer.max_control * (1 + 1e-9)
-    assert found.solves == sum(p.solves for p in found.planners.values()) >= 5
-    assert found.exchanges >= 5 + 2  # a turn each, all hear whether they are clear, one flood
+    assert found.solves == sum(p.solves for p in found.planners.values()) == 5
+    assert found.exchanges == 5 + 1 + 1  # a turn each, to hear who is clear, and to flood it
 
 
-def test_terms_cost_less_than_orders_and_bargains_where_all_meet_in_one_point():
+def test_whose_turn_comes_later_knows_what_others_have_planned_in_theirs():
+    # If all answered what they had been told at first, these six would never be clear.
+    planners = circle(6, 1.5)
+    found = round_about(planners, everybody(planners), -1.0)
+    assert (found.planners.keys(), found.solves) == (planners.keys(), 6)
+
+
+def test_who_meets_somebody_after_a_round_has_another_turn():
+    # Bent by so little, the first come too close in the first round and find a way in a later one.
+    planners = circle(6, 1.5)
+    found = round_about(planners, everybody(planners), 0.1)
+    assert found.planners.keys() == planners.keys()
+    assert found.exchanges % (6 + 2) == 0 and found.exchanges > 6 + 2
+    assert found.solves == sum(p.solves for p in found.planners.values()) > 6
+    assert continuous_separation(found.planners) >= RADIUS
+
+
+def test_terms_are_orders_and_then_roundabouts_with_bargains_and_cheaper_in_one_point(monkeypatch):
     planners = circle(5, 1.5)
     network = everybody(planners)
-    ordered = bargain(settle_orders(planners, network, 2).planners, network, 2)
+    settled = settle_orders(planners, network, 2)
+    ordered = bargain(settled.planners, network, 2)
+    begun = round_about(planners, network, -1.0)
+    dealt = bargain(begun.planners, network, 2)
+    monkeypatch.setattr("sato.scp.roundabout.BENDS", [-1.0])
     terms = come_to_terms(planners, network, 2, 2)
-    assert paid(terms.planners)[:2] == (0, 0)
+    assert paid(terms.planners) == paid(dealt.planners)
     assert paid(terms.planners)[2] < 0.95 * paid(ordered.planners)[2]
-    assert continuous_separation(terms.planners) >= RADIUS
-    assert terms.solves > ordered.solves and terms.exchanges > ordered.exchanges
+    parts = settled, ordered, begun, dealt
+    assert terms.solves == sum(part.solves for part in parts)
+    assert terms.exchanges == sum(part.exchanges for part in parts) + 2  # floods of what all pay
+
+
+def test_both_hands_are_tried_near_and_far():
+    assert sorted(BENDS) == [-2.0, -1.0, 1.0, 2.0]
+
+
+def test_whoever_pays_nothing_has_no_roundabout_with_strangers_who_do(monkeypatch):
+    monkeypatch.setattr("sato.scp.roundabout.BENDS", BENDS[:1])
+    dear = circle(3, 1.5)
+    transfer, horizon = problem()
+    cheap = {
+        3 + i: agent(3 + i, [9.0, 2.0 * i], [11.0, 2.0 * i], transfer, horizon) for i in (0, 1)
+    }
+    hears = np.zeros((5, 5), dtype=bool)
+    hears[:3, :3] = hears[3:, 3:] = True
+    np.fill_diagonal(hears, False)
+    both = come_to_terms(dear | cheap, heard(hears), 1, 1)
+    assert both.solves == come_to_terms(dear, everybody(dear), 1, 1).solves
+    assert all(both.planners[i].flight is p.flight for i, p in cheap.items())
 
 
 def test_terms_never_cost_more_than_orders_and_bargains(rng):
@@ -78,14 +119,25 @@ def test_without_sweeps_or_in_space_there_are_no_roundabouts(rng, axes):
     ordered = bargain(settled.planners, network, sweeps)
     terms = come_to_terms(planners, network, 2, sweeps)
     assert terms.solves == settled.solves + ordered.solves
+    assert terms.exchanges == settled.exchanges + ordered.exchanges + sweeps  # what all pay
     for i, p in ordered.planners.items():
         np.testing.assert_array_equal(p.flight.u, terms.planners[i].flight.u)
 
 
-def test_who_begins_with_a_plan_of_before_does_not_go_about_anew(rng):
+def test_who_has_a_plan_of_before_or_cannot_arrive_lets_nobody_of_its_network_go_round():
     planners = circle(4, 1.5)
-    begun = as_before(planners, round_about(planners, everybody(planners), 1.0).planners)
-    assert round_about(begun, everybody(begun), -1.0) == ({}, 0, 0)
+    network = everybody(planners)
+    before = round_about(planners, network, 1.0).planners
+    transfer, horizon = problem()
+    stuck = parked(0, planners[0].flight.x[0, :2], transfer, horizon)
+    kept, lost = as_before(planners, before)[0], stuck._replace(goal=stuck.goal + 1e-5)
+    assert all(map(can_go_round, planners.values())) and can_go_round(stuck)
+    for one in (kept, lost):
+        assert not can_go_round(one)
+        some = planners | {0: one}
+        settled = settle_orders(some, network, 1)
+        ordered = bargain(settled.planners, network, 1)
+        assert come_to_terms(some, network, 1, 1).solves == settled.solves + ordered.solves
 
 
 def test_networks_that_do_not_hear_each_other_go_round_for_themselves():
@@ -132,6 +184,33 @@ def test_in_its_turn_one_linearises_about_its_own_flight_and_is_not_sloped():
     assert asked == [planners[0].flight]
     assert after.transfer.slope == 0.5
     np.testing.assert_array_equal(after.path, keep_clear(planners[0], told).path)
+
+
+def test_in_its_turn_one_gives_up_its_arrival_and_then_distance_only_where_there_is_no_way():
+    transfer, horizon = problem()
+    me = bent(agent(2, [-1.0, 0.0], [1.0, 0.0], transfer, horizon), 1.0)
+    places = {"on the way": [0.0, 0.0], "at the goal": [1.0, 0.2], "at the start": [-0.6, 0.1]}
+    after, keeps = {}, {}
+    for name, place in places.items():
+        other = parked(0, np.array(place), transfer, horizon).plan
+        after[name] = keep_clear(me, (other,))
+        keeps[name] = bool(apart(after[name].path - other.path, RADIUS).all())
+    assert [p.solves for p in after.values()] == [1, 2, 2]
+    assert [p.arrives(p.flight) for p in after.values()] == [True, False, True]
+    assert list(keeps.values()) == [True, True, False]
+    straight = horizon.path(me.free.x, me.free.u)
+    assert np.abs(after["at the start"].path - straight).max() > 0.1
+
+
+def test_who_is_alone_or_finds_nothing_at_all_tells_what_it_flies(monkeypatch):
+    planners = {i: bent(p, 1.0) for i, p in circle(2, 1.5).items()}
+    alone = keep_clear(planners[0], ())
+    monkeypatch.setattr("sato.scp.roundabout.past", lambda *_: None)
+    without = keep_clear(planners[0], (planners[1].plan,))
+    for p in (alone, without):
+        np.testing.assert_array_equal(p.path, p.horizon.path(p.flight.x, p.flight.u))
+    assert without.solves == 2
+    assert round_about(circle(2, 1.5), everybody(planners), 1.0).planners == {}
 
 
 def test_where_somebody_finds_no_way_nobody_of_its_network_goes_round():

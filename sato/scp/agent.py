@@ -83,6 +83,15 @@ class Planner(NamedTuple):
         """The same without the slope of its weights, which keeps to one of many equals."""
         return self._replace(transfer=replace(self.transfer, slope=0.0))
 
+    def flying(self, flight: Flight) -> "Planner":
+        """The same with a flight, whose path is what it tells."""
+        return self._replace(flight=flight, path=self.horizon.path(flight.x, flight.u))
+
+    def arrives(self, flight: Flight) -> bool:
+        """Whether a flight ends at its goal."""
+        missed = np.abs(flight.x[-1] - self.goal).max()
+        return bool(missed <= TIGHT * self.horizon.radius)
+
 
 class Others(NamedTuple):
     """Those whom an agent keeps clear of."""
@@ -164,11 +173,8 @@ def _around(agent: Planner, above: tuple[Plan, ...]) -> Planner:
         passage, count = _relenting(agent, others)
         solves += count
     if passage is None:  # what it tells is what it flies, whatever it began with
-        path = agent.horizon.path(agent.flight.x, agent.flight.u)
-        return agent._replace(path=path, solves=solves, failed=True)
-    return agent._replace(
-        flight=passage.flight,
-        path=agent.horizon.path(passage.flight.x, passage.flight.u),
+        return agent.flying(agent.flight)._replace(solves=solves, failed=True)
+    return agent.flying(passage.flight)._replace(
         solves=solves,
         late=passage.late,
         slack=passage.slack,

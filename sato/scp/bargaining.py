@@ -206,8 +206,7 @@ def _take(party: Party | None, inbox: list[Deal | None]) -> Party | None:
 
 
 def _flying(agent: Planner, flight: Flight) -> Planner:
-    path = agent.horizon.path(flight.x, flight.u)
-    return agent._replace(flight=flight, path=path, late=0.0)  # a deal ends at the goal
+    return agent.flying(flight)._replace(late=0.0)  # a deal ends at the goal
 
 
 def agree(own: Offer, theirs: Offer, horizon: Horizon) -> tuple[tuple[Flight, Flight] | None, int]:
@@ -244,7 +243,7 @@ def agree(own: Offer, theirs: Offer, horizon: Horizon) -> tuple[tuple[Flight, Fl
 
 
 def _arrive(own: Offer, theirs: Offer, both: tuple[Flight, Flight], radius: float) -> bool:
-    # A solver's tolerance grows with the numbers in a programme.
+    # An answer within the solver's tolerance may miss a goal by more than counts as being there.
     goals = own.side.goal, theirs.side.goal
     missed = [np.abs(flight.x[-1] - goal).max() for flight, goal in zip(both, goals, strict=True)]
     return bool(max(missed) <= TIGHT * radius)

@@ -7,7 +7,7 @@ To go on as each begins is tried too, where that is clear. After each order agen
 they pay and add up for themselves, and every network keeps the cheapest of what it has tried.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -66,11 +66,9 @@ def settle_orders(planners: Mapping[int, Planner], network: Network, orders: int
 
 def toll(agent: Planner) -> Toll:
     """What an agent pays, by its own knowledge."""
-    tight = TIGHT * agent.horizon.radius
-    missed = np.abs(agent.flight.x[-1] - agent.goal).max()
     return Toll(
-        float(agent.failed or agent.slack > tight),
-        float(missed > tight),
+        float(agent.failed or agent.slack > TIGHT * agent.horizon.radius),
+        float(not agent.arrives(agent.flight)),
         agent.flight.fuel - agent.free.fuel,
     )
 
@@ -109,9 +107,9 @@ def going_on(planners: Mapping[int, Planner], network: Network) -> dict[int, Pla
     """The agents of those components in which all are clear as they begin."""
     states = [planners.get(i) for i in range(len(network.alive))]
     told = [agent and agent.plan for agent in states]
-    on = play(network, states, _go_on, told, planners)
-    lost = {network.component[i] for i, agent in on.items() if agent is None or agent.failed}
-    return {i: agent for i, agent in on.items() if agent and network.component[i] not in lost}
+    acted = play(network, states, _go_on, told, planners)
+    on = {i: agent for i, agent in acted.items() if agent}
+    return where_all(on, network, lambda agent: not agent.failed)
 
 
 def _go_on(agent: Planner | None, inbox: list[Plan | None]) -> Planner | None:
@@ -120,6 +118,17 @@ def _go_on(agent: Planner | None, inbox: list[Plan | None]) -> Planner | None:
     heard = tuple(plan for plan in inbox if plan)
     failed = not clear(agent.path, heard, agent.horizon.radius)
     return agent._replace(settled=True, steady=True, failed=failed)
+
+
+def where_all(
+    planners: Mapping[int, Planner], network: Network, holds: Callable[[Planner], bool]
+) -> dict[int, Planner]:
+    """The agents of those components in which it holds of all.
+
+    The batched equivalent of a flood of whether it holds.
+    """
+    lost = {network.component[i] for i, agent in planners.items() if not holds(agent)}
+    return {i: agent for i, agent in planners.items() if network.component[i] not in lost}
 
 
 def totals(tolls: Mapping[int, Toll], network: Network) -> dict[int, Toll]:
