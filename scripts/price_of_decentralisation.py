@@ -5,7 +5,7 @@ the limits of the scenario `crossing`, or across a sphere about a chief in orbit
 `orbit3d`, drawn anew until as many pairs as half the vehicles would meet if each flew alone.
 For every instance: the fuel of one plan of the swarm (all hear each other, nobody has burnt fuel),
 of the best optimum of the coupled programme, and of all alone. The plan is made with one order of
-priority, which is by number, and with several and bargains after them. Both fly the same linear
+priority, which is by number, and with several, bargains and roundabouts. Both fly the same linear
 model, exactly; a ratio that is infinite means that SATO gave up a target or a distance. Exits with
 1 unless every median is as wanted.
 """
@@ -47,9 +47,9 @@ class Row(NamedTuple):
     from_guess: str  # what that was found from
     padding: float  # most that it was made to keep beyond R, in units of R
     printed: float  # fuel with one order of priority; infinite where something was given up [m/s]
-    sato: float  # fuel with several, and bargains, likewise
+    sato: float  # fuel with several, bargains and roundabouts, likewise
     gave_up: str  # what SATO gave up then, if anything
-    planning: float  # with several orders and bargains, on the processor [s]
+    planning: float  # with several orders, on the processor [s]
     descending: float  # from all guesses, likewise [s]
 
     @property
