@@ -67,6 +67,14 @@ def everybody(planners):
     return heard(~np.eye(count, dtype=bool))
 
 
+def strangers(first, second):
+    """Two networks in which all hear each other, and nobody of the other."""
+    hears = np.zeros((first + second, first + second), dtype=bool)
+    hears[:first, :first] = hears[first:, first:] = True
+    np.fill_diagonal(hears, False)
+    return heard(hears)
+
+
 def heard(hears):
     return Network(hears, np.ones(len(hears), dtype=bool))
 

@@ -15,6 +15,7 @@ from swarm_cast import (
     paid,
     parked,
     problem,
+    strangers,
 )
 
 from dynamics.path import hull_distance
@@ -91,10 +92,7 @@ def test_no_sweeps_are_no_bargains(rng):
 def test_networks_that_do_not_hear_each_other_bargain_for_themselves(rng):
     left, right = settled(crowd(rng, 4)), settled(crowd(rng, 3))
     moved = {4 + i: p._replace(rank=(*p.rank[:2], 4 + i)) for i, p in right.items()}
-    hears = np.zeros((7, 7), dtype=bool)
-    hears[:4, :4] = hears[4:, 4:] = True
-    np.fill_diagonal(hears, False)
-    together = bargain(left | moved, heard(hears), 2).planners
+    together = bargain(left | moved, strangers(4, 3), 2).planners
     for some, first in ((left, 0), (right, 4)):
         for i, p in bargain(some, everybody(some), 2).planners.items():
             np.testing.assert_array_equal(p.flight.u, together[first + i].flight.u)

@@ -14,10 +14,10 @@ from swarm_cast import (
     continuous_separation,
     crowd,
     everybody,
-    heard,
     paid,
     parked,
     problem,
+    strangers,
 )
 
 from dynamics import DoubleIntegrator, hold
@@ -86,10 +86,7 @@ def test_more_orders_never_cost_more_and_keep_the_distance(rng, axes):
 def test_networks_that_do_not_hear_each_other_choose_for_themselves(rng):
     left, right = crowd(rng, 4), crowd(rng, 3)
     both = left | {4 + i: p._replace(rank=(True, 0.0, 4 + i)) for i, p in right.items()}
-    hears = np.zeros((7, 7), dtype=bool)
-    hears[:4, :4] = hears[4:, 4:] = True
-    np.fill_diagonal(hears, False)
-    together = settle_orders(both, heard(hears), 4).planners
+    together = settle_orders(both, strangers(4, 3), 4).planners
     for some, first in ((left, 0), (right, 4)):
         for i, p in settle_orders(some, everybody(some), 4).planners.items():
             np.testing.assert_array_equal(p.flight.u, together[first + i].flight.u)
@@ -102,10 +99,7 @@ def test_whoever_pays_nothing_has_nothing_to_do_with_strangers_who_do(rng):
         4 + i: agent(4 + i, [0.0, 40.0 + 4 * i], [2.0, 40.0 + 4 * i], transfer, horizon)
         for i in range(3)
     }
-    hears = np.zeros((7, 7), dtype=bool)
-    hears[:4, :4] = hears[4:, 4:] = True
-    np.fill_diagonal(hears, False)
-    both = settle_orders(dear | cheap, heard(hears), 4)
+    both = settle_orders(dear | cheap, strangers(4, 3), 4)
     assert both.solves == settle_orders(dear, everybody(dear), 4).solves > 0
 
 

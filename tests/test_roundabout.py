@@ -12,10 +12,10 @@ from swarm_cast import (
     continuous_separation,
     crowd,
     everybody,
-    heard,
     paid,
     parked,
     problem,
+    strangers,
 )
 
 from problems.convexify import apart
@@ -93,10 +93,7 @@ def test_whoever_pays_nothing_has_no_roundabout_with_strangers_who_do(monkeypatc
     cheap = {
         3 + i: agent(3 + i, [9.0, 2.0 * i], [11.0, 2.0 * i], transfer, horizon) for i in (0, 1)
     }
-    hears = np.zeros((5, 5), dtype=bool)
-    hears[:3, :3] = hears[3:, 3:] = True
-    np.fill_diagonal(hears, False)
-    both = come_to_terms(dear | cheap, heard(hears), 1, 1)
+    both = come_to_terms(dear | cheap, strangers(3, 2), 1, 1)
     assert both.solves == come_to_terms(dear, everybody(dear), 1, 1).solves
     assert all(both.planners[i].flight is p.flight for i, p in cheap.items())
 
@@ -143,10 +140,7 @@ def test_who_has_a_plan_of_before_or_cannot_arrive_lets_nobody_of_its_network_go
 def test_networks_that_do_not_hear_each_other_go_round_for_themselves():
     left, right = circle(4, 1.5), circle(3, 1.5)
     both = left | {4 + i: p._replace(rank=(*p.rank[:2], 4 + i)) for i, p in right.items()}
-    hears = np.zeros((7, 7), dtype=bool)
-    hears[:4, :4] = hears[4:, 4:] = True
-    np.fill_diagonal(hears, False)
-    together = round_about(both, heard(hears), 1.0).planners
+    together = round_about(both, strangers(4, 3), 1.0).planners
     for some, first in ((left, 0), (right, 4)):
         for i, p in round_about(some, everybody(some), 1.0).planners.items():
             np.testing.assert_array_equal(p.flight.u, together[first + i].flight.u)
@@ -218,10 +212,7 @@ def test_where_somebody_finds_no_way_nobody_of_its_network_goes_round():
     me = agent(2, [-1.0, 0.0], [0.0, 0.0], transfer, horizon)
     walls = {i: parked(i, np.array([0.1 * i, 0.0]), transfer, horizon) for i in range(2)}
     far = {3 + i: p._replace(rank=(True, 0.0, 3 + i)) for i, p in circle(3, 1.5).items()}
-    hears = np.zeros((6, 6), dtype=bool)
-    hears[:3, :3] = hears[3:, 3:] = True
-    np.fill_diagonal(hears, False)
-    found = round_about(walls | {2: me} | far, heard(hears), 1.0)
+    found = round_about(walls | {2: me} | far, strangers(3, 3), 1.0)
     assert found.planners.keys() == far.keys()
     assert found.solves > sum(p.solves for p in found.planners.values())
 

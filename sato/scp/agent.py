@@ -89,8 +89,12 @@ class Planner(NamedTuple):
 
     def arrives(self, flight: Flight) -> bool:
         """Whether a flight ends at its goal."""
-        missed = np.abs(flight.x[-1] - self.goal).max()
-        return bool(missed <= TIGHT * self.horizon.radius)
+        return ends_at(flight, self.goal, self.horizon.radius)
+
+
+def ends_at(flight: Flight, goal: Float[Array, " n"], radius: float) -> bool:
+    """Whether a flight ends at a goal."""
+    return bool(np.abs(flight.x[-1] - goal).max() <= TIGHT * radius)
 
 
 class Others(NamedTuple):

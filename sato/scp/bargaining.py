@@ -21,7 +21,7 @@ from problems.convexify import Horizon, apart, balls_apart, half_spaces, normals
 from problems.pair import Between, Pair, Side
 from problems.transfer import Flight
 from sato.network import Network, play
-from sato.scp.agent import BROKEN, LEANING, NEAR, TIGHT, Plan, Planner
+from sato.scp.agent import BROKEN, LEANING, NEAR, Plan, Planner, ends_at
 from sato.scp.orders import Settled, Toll, toll, tolled, totals
 
 Message = TypeVar("Message")
@@ -129,7 +129,7 @@ def _look_round(party: Party | None, inbox: list[Plan | None]) -> Party | None:
 
 def _nominal(agent: Planner) -> Float[Array, "pieces 4 d"]:
     # Who ends elsewhere begins with its way to its goal, pushed aside where it meets somebody.
-    if toll(agent).late:
+    if not agent.arrives(agent.flight):
         return agent.horizon.path(agent.free.x, agent.free.u)
     return agent.path
 
@@ -177,7 +177,7 @@ def _make_offer(party: Party | None, inbox: list[Plan | None]) -> Party | None:
     spaces = half_spaces(agent.horizon, T, theirs, normals(nominal - theirs, agent.horizon.keep))
     # Among flights of equal fuel a slope keeps to one, and others could not make use of the rest.
     side = Side(agent.level.transfer, agent.flight.x[0], agent.goal, spaces)
-    arrives = not toll(agent).late
+    arrives = agent.arrives(agent.flight)
     offer = Offer(party.number, side, agent.flight, nominal, arrives, theirs)
     return party._replace(planner=agent, offer=offer)
 
@@ -245,8 +245,7 @@ def agree(own: Offer, theirs: Offer, horizon: Horizon) -> tuple[tuple[Flight, Fl
 def _arrive(own: Offer, theirs: Offer, both: tuple[Flight, Flight], radius: float) -> bool:
     # An answer within the solver's tolerance may miss a goal by more than counts as being there.
     goals = own.side.goal, theirs.side.goal
-    missed = [np.abs(flight.x[-1] - goal).max() for flight, goal in zip(both, goals, strict=True)]
-    return bool(max(missed) <= TIGHT * radius)
+    return all(ends_at(flight, goal, radius) for flight, goal in zip(both, goals, strict=True))
 
 
 def _clear(own: Offer, theirs: Offer, both: tuple[Flight, Flight], horizon: Horizon) -> bool:
