@@ -8,6 +8,7 @@ defines what a protocol does. Where a fast path stands in, a test holds it equal
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import zip_longest
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -117,6 +118,21 @@ def canonical(labels: Int[Array, " n"]) -> Int[Array, " n"]:
         _, first, inverse = np.unique(labels[live], return_index=True, return_inverse=True)
         named[live] = np.argsort(np.argsort(first))[inverse]
     return named
+
+
+def turns(network: Network, parties: Iterable[tuple[int, ...]]) -> list[list[tuple[int, ...]]]:
+    """One party of every component at a time, each once, in order of their numbers.
+
+    The batched equivalent of a flood of the parties, which each then puts in order.
+
+    Args:
+        network: Who hears whom.
+        parties: Agents of one component each, who have their turn together.
+    """
+    queues: dict[int, list[tuple[int, ...]]] = {}
+    for party in sorted(parties):
+        queues.setdefault(int(network.component[party[0]]), []).append(party)
+    return [[party for party in turn if party] for turn in zip_longest(*queues.values())]
 
 
 def rounds(

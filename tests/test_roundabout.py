@@ -19,10 +19,10 @@ from swarm_cast import (
 )
 
 from problems.convexify import apart
-from sato.network import Network
+from sato.network import Network, turns
 from sato.scp import bargain, settle_orders
 from sato.scp.orders import bent
-from sato.scp.roundabout import BENDS, can_go_round, come_to_terms, keep_clear, round_about, turns
+from sato.scp.roundabout import BENDS, can_go_round, come_to_terms, keep_clear, round_about
 
 
 def spin(planners):
@@ -150,8 +150,8 @@ def test_one_of_every_network_has_its_turn_at_a_time_and_each_once():
     hears = np.zeros((6, 6), dtype=bool)
     hears[0, 3] = hears[3, 0] = hears[1, 4] = hears[4, 1] = hears[4, 5] = hears[5, 4] = True
     network = Network(hears, np.arange(6) != 2)
-    planners = {i: p for i, p in circle(6, 1.5).items() if i != 2}
-    assert turns(planners, network) == [[0, 1], [3, 4], [5]]
+    parties = [(i,) for i in (5, 4, 3, 1, 0)]
+    assert turns(network, parties) == [[(0,), (1,)], [(3,), (4,)], [(5,)]]
 
 
 def test_in_its_turn_one_keeps_clear_of_all_whom_it_hears_whoever_goes_first():

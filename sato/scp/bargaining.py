@@ -8,7 +8,6 @@ never rises, unless it takes somebody to its goal who would have ended elsewhere
 """
 
 from collections.abc import Callable, Container, Iterable, Mapping
-from itertools import zip_longest
 from math import inf
 from typing import NamedTuple, TypeVar
 
@@ -20,7 +19,7 @@ from problems.conic import Unsolved
 from problems.convexify import Horizon, apart, balls_apart, half_spaces, normals
 from problems.pair import Between, Pair, Side
 from problems.transfer import Flight
-from sato.network import Network, play
+from sato.network import Network, play, turns
 from sato.scp.agent import BROKEN, LEANING, NEAR, Plan, Planner, ends_at
 from sato.scp.orders import Settled, Toll, toll, tolled, totals
 
@@ -79,11 +78,11 @@ def bargain(planners: Mapping[int, Planner], network: Network, sweeps: int) -> S
     before = {i: Toll(inf, inf, inf) for i in now}
     for _ in range(sweeps):
         paid = totals(tolled(now), network)
-        turns = calendar(now, network, {i for i in now if _saved(before[i], paid[i])})
+        to_come = calendar(now, network, {i for i in now if _saved(before[i], paid[i])})
         exchanges += 1 + flooding
-        if not turns:
+        if not to_come:
             break
-        for turn in turns:
+        for turn in to_come:
             parties = meet(now, network, turn)
             now |= {i: party.planner for i, party in parties.items()}
             exchanges += 3
@@ -107,14 +106,9 @@ def calendar(
     """
     states = [Party(planners[i], -1) if i in planners else None for i in range(len(network.alive))]
     who = [i for i in sorted(planners) if i in going]
-    queues: dict[int, set[tuple[int, int]]] = {}
-    for i, party in enumerate(_exchange(network, states, _tell_plan, _look_round, who)):
-        for j in party.near if party else ():
-            queues.setdefault(int(network.component[i]), set()).add((min(i, j), max(i, j)))
-    return [
-        {a: b for pair in turn if pair for a, b in (pair, pair[::-1])}
-        for turn in zip_longest(*map(sorted, queues.values()))
-    ]
+    looked = _exchange(network, states, _tell_plan, _look_round, who)
+    pairs = {(min(i, j), max(i, j)) for i, p in enumerate(looked) if p for j in p.near}
+    return [{a: b for i, j in turn for a, b in ((i, j), (j, i))} for turn in turns(network, pairs)]
 
 
 def _look_round(party: Party | None, inbox: list[Plan | None]) -> Party | None:

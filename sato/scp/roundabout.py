@@ -7,9 +7,8 @@ those whose turn is still to come as well, until all are clear. Bargains follow.
 """
 
 from collections.abc import Mapping
-from itertools import zip_longest
 
-from sato.network import Network, play
+from sato.network import Network, play, turns
 from sato.scp.agent import Others, Plan, Planner, past
 from sato.scp.bargaining import bargain
 from sato.scp.orders import (
@@ -79,10 +78,10 @@ def round_about(planners: Mapping[int, Planner], network: Network, bend: float) 
     for _ in range(MOST_ROUNDS):
         if not now:
             break
-        for turn in turns(now, network):
+        for turn in turns(network, [(i,) for i in now]):
             states = [now.get(i) for i in range(len(network.alive))]
             told = [agent and agent.plan for agent in states]
-            acted = play(network, states, _keep_clear, told, turn)
+            acted = play(network, states, _keep_clear, told, [i for (i,) in turn])
             now |= {i: agent for i, agent in acted.items() if agent}
             exchanges += 1
         exchanges += 1 + int(network.diameter[list(now)].max())
@@ -90,17 +89,6 @@ def round_about(planners: Mapping[int, Planner], network: Network, bend: float) 
         done |= where_all(clear, network, lambda agent: agent.arrives(agent.flight))
         now = {i: agent for i, agent in now.items() if i not in done}
     return Settled(done, exchanges, sum(agent.solves for agent in (now | done).values()))
-
-
-def turns(planners: Mapping[int, Planner], network: Network) -> list[list[int]]:
-    """One agent of every component at a time.
-
-    The batched equivalent of a flood of `{number}`, taken in order of the numbers.
-    """
-    queues: dict[int, list[int]] = {}
-    for i in sorted(planners):
-        queues.setdefault(int(network.component[i]), []).append(i)
-    return [[i for i in turn if i is not None] for turn in zip_longest(*queues.values())]
 
 
 def _keep_clear(agent: Planner | None, inbox: list[Plan | None]) -> Planner | None:
