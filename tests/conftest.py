@@ -1,14 +1,44 @@
 """Shared fixtures. Every shape annotation is checked at run time, in tests only."""
 
+import functools
 import os
+from collections import Counter
+from collections.abc import Callable
+from types import FunctionType
+from typing import Any
 
 # Before NumPy is loaded: on two cores, two workers with threads of their own only wait.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_name] = "1"
 
-from jaxtyping import install_import_hook  # noqa: E402
+import jaxtyping  # noqa: E402
 
-install_import_hook(
+OFTEN = 100  # calls of one function in one test, after which its shapes are believed
+
+_calls: Counter[FunctionType] = Counter()
+_jaxtyped = jaxtyping.jaxtyped
+
+
+def _at_first(typechecker: Callable[..., Any]) -> Callable[[Any], Any]:
+    # An integrator asks for the same shapes a hundred thousand times, and to check them
+    # takes longer than to integrate.
+    def decorate(function: Any) -> Any:
+        checked = _jaxtyped(function, typechecker=typechecker)
+        if not isinstance(function, FunctionType):
+            return checked
+
+        @functools.wraps(function)
+        def call(*args: Any, **kwargs: Any) -> Any:
+            _calls[function] += 1
+            return (checked if _calls[function] <= OFTEN else function)(*args, **kwargs)
+
+        return call
+
+    return decorate
+
+
+jaxtyping.jaxtyped = _at_first  # the name that the hook looks up
+jaxtyping.install_import_hook(
     ["dynamics", "problems", "sato"],
     "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))",
 )
@@ -38,6 +68,10 @@ class Together(LoadScopeScheduling):
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Together:
     return Together(config, log)
+
+
+def pytest_runtest_setup() -> None:
+    _calls.clear()
 
 
 @pytest.fixture
