@@ -1,7 +1,6 @@
 """The instances that `price_of_decentralisation.py` asks about, and guesses for them."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from enum import StrEnum
 from functools import cache
 from itertools import combinations
@@ -16,7 +15,7 @@ from problems.convexify import Horizon
 from problems.transfer import Transfer
 from sato.reconfiguration.mission import Leg, Reconfiguration
 from sato.reconfiguration.planning import look_ahead
-from sato.reconfiguration.routes import SLOPE, alone
+from sato.reconfiguration.routes import alone
 
 APART = 1.2  # times R: between starts, and between targets
 NOISE = 0.03  # of the radius, on targets
@@ -100,19 +99,14 @@ def across(
 
 
 def instance(case: Case) -> tuple[Reconfiguration, Central, Guess, int]:
-    """The first mission in which enough pairs would meet, and how all would fly alone.
-
-    Those who meet are counted on the flights that SATO begins with, which have a slope in the
-    weights of their fuel; those returned have none.
-    """
+    """The first mission in which enough pairs would meet if all flew alone, and how they would."""
     transfer, near = shared(case.model)
-    sloped = replace(transfer, slope=SLOPE)
     for mission in missions(case):
-        begun = by_themselves(sloped, mission)
-        if begun is None:
+        free = by_themselves(transfer, mission)
+        if free is None:
             continue
-        meetings = Central(transfer, near).meetings(*begun)
-        if 2 * meetings >= case.agents and (free := by_themselves(transfer, mission)):
+        meetings = Central(transfer, near).meetings(*free)
+        if 2 * meetings >= case.agents:
             horizon = look_ahead(mission, 0.0, mission.legs[0].steps)
             return mission, Central(transfer, horizon), free, meetings
     raise AssertionError("missions never end")

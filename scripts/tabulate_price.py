@@ -3,7 +3,8 @@
     python scripts/tabulate_price.py plane.csv j2.csv
 
 reads what `price_of_decentralisation.py --csv` wrote, and prints Markdown: a line a number of
-vehicles, and then every instance.
+vehicles, and then every instance. With `--best other.csv` an optimum that another run of the same
+instances found counts where it is the better one.
 """
 
 from collections.abc import Sequence
@@ -16,17 +17,19 @@ import typer
 from tabulate_comparison import Row, measured, table
 
 HEADS = (
-    "model, N", "best / alone", "one order / best", "gave up", "SATO / best", "worst", "gave up",
-    "padding [R]", "no optimum",
+    "model, N", "best / alone", "from SATO", "one order / best", "gave up", "SATO / best", "worst",
+    "gave up", "most padding [R]", "no optimum",
 )  # fmt: skip
 NAMES = {"plane": "plane", "j2": "J2"}
 
 
 def main(
     files: Annotated[list[Path], typer.Argument(help="lines of instances", dir_okay=False)],
+    best: Annotated[list[Path] | None, typer.Option(help="more, of which optima count")] = None,
 ) -> None:
     """Print a table and a list."""
     rows = [row for path in files for row in measured(path)]
+    rows = with_best(rows, [row for path in best or [] for row in measured(path)])
     groups: dict[str, list[Row]] = {}
     for row in sorted(rows, key=_order):
         groups.setdefault(f"{NAMES[row['model']]} {row['agents']}", []).append(row)
@@ -41,6 +44,22 @@ def _order(row: Row) -> tuple[bool, int, int]:
     return row["model"] == "j2", int(row["agents"]), int(row["number"])
 
 
+def with_best(rows: Sequence[Row], others: Sequence[Row]) -> list[Row]:
+    """The same rows, each with the best optimum that any row of its instance has."""
+    optima: dict[tuple[str, ...], Row] = {}
+    for row in [*rows, *others]:
+        known = optima.setdefault(_instance(row), row)
+        if float(row["central"]) < float(known["central"]) or isnan(float(known["central"])):
+            optima[_instance(row)] = row
+    found = ("central", "from_guess", "padding")
+    return [row | {name: optima[_instance(row)][name] for name in found} for row in rows]
+
+
+def _instance(row: Row) -> tuple[str, ...]:
+    # What all alone burn tells instances of different programmes apart.
+    return row["model"], row["agents"], row["number"], row["seed"], f"{float(row['alone']):.9f}"
+
+
 def summary(rows: Sequence[Row]) -> list[str]:
     """The cells of one number of vehicles."""
     found = [row for row in rows if not isnan(float(row["central"]))]
@@ -51,14 +70,20 @@ def summary(rows: Sequence[Row]) -> list[str]:
     once, often = ratios(found, "printed"), ratios(found, "sato")
     return [
         f"{median(above):.3f}",
+        str(sum(row["from_guess"].startswith("SATO") for row in found)),
         shown(median(once), 4),
-        f"{once.count(inf)} of {len(rows)}",
+        gave_up(rows, "printed"),
         f"**{shown(median(often), 4)}**",
         shown(max(often), 4),
-        f"{often.count(inf)} of {len(rows)}",
+        gave_up(rows, "sato"),
         f"{padding:.0e}",
         f"{len(rows) - len(found)} of {len(rows)}",
     ]
+
+
+def gave_up(rows: Sequence[Row], which: str) -> str:
+    """How many have something given up, of all."""
+    return f"{sum(float(row[which]) == inf for row in rows)} of {len(rows)}"
 
 
 def ratios(rows: Sequence[Row], which: str) -> list[float]:

@@ -1,4 +1,4 @@
-"""Shared fixtures. Every shape annotation is checked at run time, in tests only."""
+"""Shared fixtures. Shape annotations are checked at run time, in tests only."""
 
 import functools
 import os

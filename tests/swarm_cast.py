@@ -79,8 +79,8 @@ def heard(hears):
     return Network(hears, np.ones(len(hears), dtype=bool))
 
 
-def continuous_separation(planners):
-    x = np.stack([p.flight.x for p in planners.values()], axis=1)
+def continuous_separation(planners, states=None):
+    x = np.stack([p.flight.x[:states] for p in planners.values()], axis=1)
     d = x.shape[2] // 2
     alive = np.ones(x.shape[:2], dtype=bool)
     return separations(x[..., :d], x[..., d:], alive, STEP).least.distance

@@ -1,6 +1,7 @@
 """Several orders of priority: what is kept, who decides it, and what it saves."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -28,7 +29,12 @@ from sato.reconfiguration.moment import Moment
 from sato.reconfiguration.planning import NO_PLANS, plan
 from sato.reconfiguration.pricing import Minds
 from sato.scp import by_messages, exchanged, settle, settle_orders
-from sato.scp.orders import Toll, bent, going_on, totals
+from sato.scp.orders import Toll, bent, cheaper, going_on, totals, where_all
+
+
+@cache
+def anybody():
+    return agent(0, np.zeros(2), np.ones(2), *problem())
 
 
 @given(
@@ -36,7 +42,7 @@ from sato.scp.orders import Toll, bent, going_on, totals
     dead=st.sets(st.integers(0, 6), max_size=3),
     seed=st.integers(0, 99),
 )
-def test_totals_are_what_each_adds_up_from_a_flood_of_its_network(links, dead, seed):
+def test_what_a_network_pays_keeps_and_has_in_common_each_knows_from_a_flood(links, dead, seed):
     alive = np.array([i not in dead for i in range(7)])
     hears = np.zeros((7, 7), dtype=bool)
     hears[np.triu_indices(7, 1)] = links
@@ -47,11 +53,20 @@ def test_totals_are_what_each_adds_up_from_a_flood_of_its_network(links, dead, s
         i: Toll(*draw.integers(0, 2, 2).astype(float), draw.random())
         for i in np.flatnonzero(alive).tolist()
     }
-    told = [{i: tolls[i]} if i in tolls else {} for i in range(7)]
+    other = {i: paid._replace(fuel=draw.random()) for i, paid in tolls.items()}
+    some = {i: anybody()._replace(failed=bool(paid.late)) for i, paid in tolls.items()}
+    again = {i: p._replace(steady=True) for i, p in some.items()}
+    clear = where_all(some, network, lambda p: not p.failed)
+    kept, _ = cheaper(some, tolls, again, other, network)
+    told = [{i: (tolls[i], other[i])} if i in tolls else {} for i in range(7)]
     for i, known in enumerate(flood(network, told, dict.__or__)):
         if i in tolls:
-            added = np.sum([known[j] for j in sorted(known)], axis=0)
+            mine, theirs = ([known[j][k] for j in sorted(known)] for k in (0, 1))
+            added = np.sum(mine, axis=0)
             np.testing.assert_allclose(totals(tolls, network)[i], added, rtol=1e-12)
+            assert (i in clear) == all(not some[j].failed for j in known)
+            better = tuple(np.sum(theirs, axis=0)) < tuple(added)
+            assert kept[i] is (again[i] if better else some[i])
 
 
 def test_one_order_is_method_2_itself(rng):
@@ -196,15 +211,16 @@ def test_in_space_nobody_is_bent(rng):
     assert bent(planners[0], 1.0) is planners[0]
 
 
-def test_a_horizon_that_ends_early_does_not_matter(rng):
-    planners = crowd(rng, 4)
-    short = problem(horizon_steps=4)[1]
+def test_within_a_horizon_that_ends_early_nobody_comes_too_close():
+    planners = circle(5, 1.5)
+    short = problem(horizon_steps=8)[1]
     seen = {
         i: p._replace(horizon=short, path=short.path(p.flight.x, p.flight.u))
         for i, p in planners.items()
     }
     after = settle_orders(seen, everybody(seen), 3).planners
-    assert all(p.settled for p in after.values())
+    assert continuous_separation(seen, states=9) < RADIUS
+    assert continuous_separation(after, states=9) >= RADIUS
 
 
 @pytest.mark.parametrize("bargains", [0, 2])

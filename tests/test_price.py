@@ -4,12 +4,15 @@ import csv
 import runpy
 import subprocess
 import sys
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
 import typer
 from typer.testing import CliRunner
+
+from dynamics.path import separations
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 
@@ -84,12 +87,16 @@ def test_ends_that_have_no_room_are_not_drawn_for_ever(price, rng):
         sys.modules["price_instances"].across(40, 2, 0.2, rng)
 
 
-def test_those_who_meet_are_counted_on_the_flights_that_sato_begins_with(price):
-    case = price["Case"](price["Model"].j2, 4, 0, 0, 0)
-    mission, central, _, meetings = price["instance"](case)
-    flights = sys.modules["price_instances"].by_themselves
-    begun = flights(price["replace"](central.transfer, slope=1e-3), mission)
-    assert meetings == central.meetings(*begun)
+def test_at_least_half_as_many_pairs_as_vehicles_would_meet_if_all_flew_alone(price):
+    for number in range(4):
+        case = price["Case"](price["Model"].j2, 5, number, 0, 0)
+        mission, _, (x, _), meetings = price["instance"](case)
+        alive = np.ones(x.shape[1::-1], dtype=bool)
+        flown = [
+            separations(two[..., :3], two[..., 3:], alive[:, :2], mission.step).least.distance
+            for two in (x[list(pair)].swapaxes(0, 1) for pair in combinations(range(5), 2))
+        ]
+        assert meetings == np.sum(np.array(flown) < mission.collision_radius) >= 3
 
 
 def test_every_instance_is_a_line_of_the_file(price, tmp_path):

@@ -21,7 +21,7 @@ from swarm_cast import (
 from problems.convexify import apart
 from sato.network import Network, turns
 from sato.scp import bargain, settle_orders
-from sato.scp.orders import bent
+from sato.scp.orders import Settled, bent
 from sato.scp.roundabout import BENDS, can_go_round, come_to_terms, keep_clear, round_about
 
 
@@ -82,8 +82,17 @@ def test_terms_are_orders_and_then_roundabouts_with_bargains_and_cheaper_in_one_
     assert terms.exchanges == sum(part.exchanges for part in parts) + 2  # floods of what all pay
 
 
-def test_both_hands_are_tried_near_and_far():
-    assert sorted(BENDS) == [-2.0, -1.0, 1.0, 2.0]
+def test_both_hands_are_tried_near_and_far(monkeypatch):
+    tried = []
+
+    def nowhere(planners, network, bend):
+        tried.append(bend)
+        return Settled({}, 0, 0)
+
+    monkeypatch.setattr("sato.scp.roundabout.round_about", nowhere)
+    planners = circle(5, 1.5)
+    come_to_terms(planners, everybody(planners), 1, 1)
+    assert sorted(tried) == [-2.0, -1.0, 1.0, 2.0]
 
 
 def test_whoever_pays_nothing_has_no_roundabout_with_strangers_who_do(monkeypatch):

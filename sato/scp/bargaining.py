@@ -71,8 +71,6 @@ def bargain(planners: Mapping[int, Planner], network: Network, sweeps: int) -> S
         network: Who hears whom.
         sweeps: Most that are made; fewer in a network where the last one brought little.
     """
-    if sweeps == 0:
-        return Settled(dict(planners), 0, 0)
     now, exchanges, solves = dict(planners), 0, 0
     flooding = int(network.diameter[list(now)].max(initial=0))
     before = {i: Toll(inf, inf, inf) for i in now}
