@@ -24,8 +24,8 @@ def price():
     sys.path.remove(str(SCRIPTS))
 
 
-def row(price, central, sato=1.0, agents=3):
-    case = price["Case"](price["Model"].plane, agents, 0, 0, 0, 12, 8)
+def row(price, central, sato=1.0, agents=3, number=0):
+    case = price["Case"](price["Model"].plane, agents, number, 0, 0, 12, 8)
     return price["Row"](case, 2, 0.9, central, "SATO", 1e-5, 1.1, sato, "", 0.1, 1.0)
 
 
@@ -108,46 +108,23 @@ def test_every_instance_is_a_line_of_the_file(price, tmp_path):
 
 
 def test_the_tables_of_the_docs_are_made_of_the_files(price, tmp_path):
-    rows = [row(price, 1.0, 1.02), row(price, 1.0, np.inf), row(price, np.nan), row(price, 1.0)]
+    found = [(1.0, 1.02), (1.0, np.inf), (np.nan, 1.0), (1.0, 1.0)]
+    rows = [row(price, *fuel, number=number) for number, fuel in enumerate(found)]
     price["write"](tmp_path / "all.csv", rows)
     code, said = asked(str(tmp_path / "all.csv"), script="tabulate_price.py")
     assert code == 0
-    cells = "1.111 | 1.1000 | 0 of 4 | **1.0200** | gave up | 1 of 4 | 1e-05 | 1 of 4"
+    cells = "1.111 | 3 | 1.1000 | 0 of 4 | **1.0200** | gave up | 1 of 4 | 1e-05 | 1 of 4"
     assert f"| plane 3 | {cells} |" in said
     assert said.splitlines()[-2].split()[2:] == ["1.020", "gave", "up", "none", "1.000"]
 
 
-def test_a_file_that_is_not_there_is_refused_in_a_sentence():
-    code, said = asked("nowhere.csv", script="tabulate_price.py")
-    assert code == 2 and "nowhere.csv cannot be read" in said and "Traceback" not in said
-
-
-def test_what_a_file_holds_is_not_done_again(price, tmp_path):
-    path, rows = tmp_path / "all.csv", [row(price, 1.0, np.inf), row(price, 2.0, agents=4)]
-    price["write"](path, rows)
-    assert price["read"](path) == rows
-    again = price["computed"]([r.case for r in rows[::-1]], 1, path)
-    assert again == rows
-
-
-def test_a_file_of_something_else_is_refused(price, tmp_path):
-    (tmp_path / "other.csv").write_text("a,b\n1,2\n")
-    with pytest.raises(typer.BadParameter, match=r"other\.csv holds no instances"):
-        price["read"](tmp_path / "other.csv")
-
-
-def test_one_instance_is_asked_and_answered(tmp_path):
-    words = "--agents 2 --instances 1 --model plane --workers 1 --guesses 0 --orders 2 --bargains 1"
-    code, said = asked(*words.split(), "--csv", str(tmp_path / "one.csv"))
-    (only,) = lines(tmp_path / "one.csv")
-    ratio = float(only["sato"]) / float(only["central"])
-    assert code == int(not ratio <= 1.05) and f"{ratio:.4f}" in said
-    assert 1 <= ratio < np.inf and float(only["padding"]) <= 1e-3
-    # Asked for one more, it does that alone: the first is as the file has it.
-    told = (tmp_path / "one.csv").read_text().replace(only["sato"], repr(2 * float(only["sato"])))
-    (tmp_path / "one.csv").write_text(told)
-    code, said = asked(
-        *words.replace("--instances 1", "--instances 2").split(), "--csv", str(tmp_path / "one.csv")
-    )
-    assert code == 1 and f"{2 * ratio:.4f}" in said
-    assert [line["number"] for line in lines(tmp_path / "one.csv")] == ["0", "1"]
+def test_the_better_optimum_of_another_study_of_the_same_instance_counts(price, tmp_path):
+    rows = [row(price, fuel, 1.1, number=number) for number, fuel in enumerate([1.0, np.nan, 1.0])]
+    better = [row(price, 0.9), row(price, 1.1, number=1)]
+    other = row(price, 0.5, number=2)._replace(alone=0.8)  # of another programme
+    price["write"](tmp_path / "all.csv", rows)
+    price["write"](tmp_path / "more.csv", [*better, other])
+    words = str(tmp_path / "all.csv"), "--best", str(tmp_path / "more.csv")
+    code, said = asked(*words, script="tabulate_price.py")
+    assert code == 0
+    assert said.splitlines()[-2].split()[2:] == ["1.222", "1.000", "1.100"]
