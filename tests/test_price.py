@@ -128,3 +128,39 @@ def test_the_better_optimum_of_another_study_of_the_same_instance_counts(price, 
     code, said = asked(*words, script="tabulate_price.py")
     assert code == 0
     assert said.splitlines()[-2].split()[2:] == ["1.222", "1.000", "1.100"]
+
+
+def test_a_file_that_is_not_there_is_refused_in_a_sentence():
+    code, said = asked("nowhere.csv", script="tabulate_price.py")
+    assert code == 2 and "nowhere.csv cannot be read" in said and "Traceback" not in said
+
+
+def test_what_a_file_holds_is_not_done_again(price, tmp_path):
+    path, rows = tmp_path / "all.csv", [row(price, 1.0, np.inf), row(price, 2.0, agents=4)]
+    price["write"](path, rows)
+    assert price["read"](path) == rows
+    again = price["computed"]([r.case for r in rows[::-1]], 1, path)
+    assert again == rows
+
+
+def test_a_file_of_something_else_is_refused(price, tmp_path):
+    (tmp_path / "other.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(typer.BadParameter, match=r"other\.csv holds no instances"):
+        price["read"](tmp_path / "other.csv")
+
+
+def test_one_instance_is_asked_and_answered(tmp_path):
+    words = "--agents 2 --instances 1 --model plane --workers 1 --guesses 0 --orders 2 --bargains 1"
+    code, said = asked(*words.split(), "--csv", str(tmp_path / "one.csv"))
+    (only,) = lines(tmp_path / "one.csv")
+    ratio = float(only["sato"]) / float(only["central"])
+    assert code == int(not ratio <= 1.05) and f"{ratio:.4f}" in said
+    assert 1 <= ratio < np.inf and float(only["padding"]) <= 1e-3
+    # Asked for one more, it does that alone: the first is as the file has it.
+    told = (tmp_path / "one.csv").read_text().replace(only["sato"], repr(2 * float(only["sato"])))
+    (tmp_path / "one.csv").write_text(told)
+    code, said = asked(
+        *words.replace("--instances 1", "--instances 2").split(), "--csv", str(tmp_path / "one.csv")
+    )
+    assert code == 1 and f"{2 * ratio:.4f}" in said
+    assert [line["number"] for line in lines(tmp_path / "one.csv")] == ["0", "1"]
