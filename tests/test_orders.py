@@ -219,6 +219,7 @@ def test_within_a_horizon_that_ends_early_nobody_comes_too_close():
         for i, p in planners.items()
     }
     after = settle_orders(seen, everybody(seen), 3).planners
+    assert all(p.settled for p in after.values())
     assert continuous_separation(seen, states=9) < RADIUS
     assert continuous_separation(after, states=9) >= RADIUS
 

@@ -76,6 +76,8 @@ def test_terms_are_orders_and_then_roundabouts_with_bargains_and_cheaper_in_one_
     monkeypatch.setattr("sato.scp.roundabout.BENDS", [-1.0])
     terms = come_to_terms(planners, network, 2, 2)
     assert paid(terms.planners) == paid(dealt.planners)
+    assert paid(terms.planners)[:2] == (0, 0)
+    assert continuous_separation(terms.planners) >= RADIUS
     assert paid(terms.planners)[2] < 0.95 * paid(ordered.planners)[2]
     parts = settled, ordered, begun, dealt
     assert terms.solves == sum(part.solves for part in parts)
