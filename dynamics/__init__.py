@@ -2,45 +2,45 @@
 
 from dynamics.atmosphere import Atmosphere
 from dynamics.clohessy_wiltshire import ClohessyWiltshire
-from dynamics.discretise import Steps, follow, hold
+from dynamics.coordinate_frames import LVLH, inertial_state, to_polar_nodal
+from dynamics.discretize import DiscreteModel, discretize_zoh, linearize_along
 from dynamics.double_integrator import DoubleIntegrator
-from dynamics.eccentric import Eccentric
-from dynamics.elements import Elements
-from dynamics.frames import LVLH, inertial_state, osculating
-from dynamics.inertial import Inertial
+from dynamics.elements import ClassicalElements
+from dynamics.inertial import InertialPlant
 from dynamics.j2 import J2, invariant_velocity
-from dynamics.model import Linearised, LinearModel, Model, NonlinearModel, SymbolicModel
+from dynamics.model import LinearizedModel, LinearModel, Model, NonlinearModel, SymbolicModel
 from dynamics.orbit import Orbit
-from dynamics.plant import Modelled, Plant
+from dynamics.plant import LinearPlant, Plant
 from dynamics.propagation import Impact, propagate
-from dynamics.relative_elements import RelativeElements
+from dynamics.relative_elements import RelativeOrbitalElements
 from dynamics.schweighart_sedwick import SchweighartSedwick
+from dynamics.tschauner_hempel import TschaunerHempel
 
 __all__ = [
     "J2",
     "LVLH",
     "Atmosphere",
+    "ClassicalElements",
     "ClohessyWiltshire",
+    "DiscreteModel",
     "DoubleIntegrator",
-    "Eccentric",
-    "Elements",
     "Impact",
-    "Inertial",
+    "InertialPlant",
     "LinearModel",
-    "Linearised",
+    "LinearPlant",
+    "LinearizedModel",
     "Model",
-    "Modelled",
     "NonlinearModel",
     "Orbit",
     "Plant",
-    "RelativeElements",
+    "RelativeOrbitalElements",
     "SchweighartSedwick",
-    "Steps",
     "SymbolicModel",
-    "follow",
-    "hold",
+    "TschaunerHempel",
+    "discretize_zoh",
     "inertial_state",
     "invariant_velocity",
-    "osculating",
+    "linearize_along",
     "propagate",
+    "to_polar_nodal",
 ]

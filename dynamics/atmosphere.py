@@ -11,7 +11,7 @@ from dynamics.orbit import EARTH_RADIUS, EARTH_ROTATION
 
 # Altitude [km], density there [kg/m³] and scale height above it [km]: the rows in which
 # spacecraft stay in orbit of [Vallado2013, table 8-4].
-TABLE = (
+DENSITY_TABLE = (
     (150, 2.070e-9, 22.523),
     (180, 5.464e-10, 29.740),
     (200, 2.789e-10, 37.105),
@@ -37,30 +37,30 @@ class Atmosphere:
     times thinner or denser as the Sun has it.
     """
 
-    density: float = 6.967e-13  # ρ₀ [kg/m³]
-    altitude: float = 500e3  # h₀ [m]
+    reference_density: float = 6.967e-13  # ρ₀ [kg/m³]
+    reference_altitude: float = 500e3  # h₀ [m]
     scale_height: float = 63.822e3  # H [m]
-    rotation: float = EARTH_ROTATION  # about the Earth's axis [rad/s]
+    rotation_rate: float = EARTH_ROTATION  # about the Earth's axis [rad/s]
 
     def __post_init__(self) -> None:
         """Refuse air that is not air."""
-        if not (0 <= self.density < inf and 0 < self.scale_height < inf):
+        if not (0 <= self.reference_density < inf and 0 < self.scale_height < inf):
             raise ValueError(
                 "an atmosphere has a density that is not negative and a positive scale height, "
-                f"got {self.density} kg/m³ and {self.scale_height} m"
+                f"got {self.reference_density} kg/m³ and {self.scale_height} m"
             )
 
     @classmethod
-    def near(cls, altitude: float) -> "Atmosphere":
+    def from_altitude(cls, altitude: float) -> "Atmosphere":
         """The air at and some way above an altitude [m] [Vallado2013, table 8-4].
 
         Raises:
             ValueError: It is below the table, where no spacecraft stays in orbit.
         """
-        below = [row for row in TABLE if row[0] * 1e3 <= altitude]
+        below = [row for row in DENSITY_TABLE if row[0] * 1e3 <= altitude]
         if not below:
             raise ValueError(
-                f"the atmosphere's table begins at {TABLE[0][0]} km, below which no spacecraft "
+                f"the atmosphere's table begins at {DENSITY_TABLE[0][0]} km, below which no spacecraft "
                 f"stays up, got {altitude / 1e3:.4g} km; altitudes here are in metres"
             )
         height, density, scale = below[-1]
@@ -69,10 +69,10 @@ class Atmosphere:
     def density_at(self, position: Float[Array, "*k 3"]) -> Float[Array, "*k"]:
         """Density [kg/m³] at places in inertial axes [m]."""
         r = np.sqrt((position * position).sum(axis=-1))
-        above = r - (EARTH_RADIUS + self.altitude)
-        return np.asarray(self.density * np.exp(-above / self.scale_height))
+        above = r - (EARTH_RADIUS + self.reference_altitude)
+        return np.asarray(self.reference_density * np.exp(-above / self.scale_height))
 
-    def drag(
+    def drag_acceleration(
         self,
         position: Float[Array, "*k 3"],
         velocity: Float[Array, "*k 3"],
@@ -86,8 +86,8 @@ class Atmosphere:
             ballistic: Ballistic coefficient B = C_D A/m [m²/kg].
         """
         against = velocity.copy()
-        against[..., 0] += self.rotation * position[..., 1]
-        against[..., 1] -= self.rotation * position[..., 0]
+        against[..., 0] += self.rotation_rate * position[..., 1]
+        against[..., 1] -= self.rotation_rate * position[..., 0]
         speed = np.sqrt((against * against).sum(axis=-1))
         strength = -0.5 * ballistic * self.density_at(position) * speed
         return np.asarray(strength[..., None] * against)

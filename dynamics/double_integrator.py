@@ -15,7 +15,7 @@ class DoubleIntegrator(LinearModel):
     """r̈ = u in the plane or in space."""
 
     axes: int = 2
-    constant: ClassVar[bool] = True
+    is_time_invariant: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         """Refuse what is neither a plane nor space."""

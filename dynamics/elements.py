@@ -17,26 +17,26 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics.frames import inertial_state, osculating
+from dynamics.coordinate_frames import inertial_state, to_polar_nodal
 from dynamics.orbit import EARTH_MU
 
-NEWTON = 50  # iterations at most; 6 do for e = 0.9
+MAX_NEWTON_ITERATIONS = 50  # iterations at most; 6 do for e = 0.9
 
 
 @dataclass(frozen=True, eq=False)
-class Elements:
+class ClassicalElements:
     """Osculating classical elements of one orbit, or of many; angles in radians."""
 
     semi_major_axis: float | Float[Array, "*k"]  # [m]
     eccentricity: float | Float[Array, "*k"]
     inclination: float | Float[Array, "*k"]
-    node: float | Float[Array, "*k"]  # right ascension of the ascending node
-    perigee: float | Float[Array, "*k"]  # argument of perigee, from the node
-    anomaly: float | Float[Array, "*k"]  # true anomaly
+    raan: float | Float[Array, "*k"]  # right ascension of the ascending node
+    arg_perigee: float | Float[Array, "*k"]  # argument of perigee, from the node
+    true_anomaly: float | Float[Array, "*k"]  # true anomaly
 
     def __post_init__(self) -> None:
         """Refuse what is no ellipse."""
-        check_ellipse(self.eccentricity)
+        validate_eccentricity(self.eccentricity)
         a, i = np.ravel(self.semi_major_axis), np.ravel(self.inclination)
         if len(wrong := a[~((a > 0) & np.isfinite(a))]):
             raise ValueError(f"a semi-major axis is positive and finite, got {wrong[0]} m")
@@ -45,7 +45,9 @@ class Elements:
             raise ValueError(f"an inclination lies between 0 and 180 degrees, got {tilt:.6g}")
 
     @classmethod
-    def of_chief(cls, chief: Float[Array, "*k 6"], mu: float = EARTH_MU) -> "Elements":
+    def from_polar_nodal(
+        cls, chief: Float[Array, "*k 6"], mu: float = EARTH_MU
+    ) -> "ClassicalElements":
         """Elements of the six numbers of an orbit.
 
         Raises:
@@ -61,33 +63,33 @@ class Elements:
         return cls(a, e, i, node, latitude - anomaly, anomaly)
 
     @classmethod
-    def of_state(cls, state: Float[Array, "*k 6"], mu: float = EARTH_MU) -> "Elements":
+    def from_state(cls, state: Float[Array, "*k 6"], mu: float = EARTH_MU) -> "ClassicalElements":
         """Elements of inertial states [Vallado2013, algorithm 9].
 
         Raises:
             ValueError: This is no ellipse.
         """
-        return cls.of_chief(osculating(state), mu)
+        return cls.from_polar_nodal(to_polar_nodal(state), mu)
 
-    def chief(self, mu: float = EARTH_MU) -> Float[Array, "*k 6"]:
+    def to_polar_nodal(self, mu: float = EARTH_MU) -> Float[Array, "*k 6"]:
         """The six numbers of these orbits."""
         e = np.asarray(self.eccentricity)
         p = self.semi_major_axis * (1 - e) * (1 + e)
         h = np.sqrt(mu * p)
-        r = p / (1 + e * np.cos(self.anomaly))
-        v_x = mu / h * e * np.sin(self.anomaly)
-        latitude = self.perigee + self.anomaly
-        parts = np.broadcast_arrays(r, v_x, h, self.node, self.inclination, latitude)
+        r = p / (1 + e * np.cos(self.true_anomaly))
+        v_x = mu / h * e * np.sin(self.true_anomaly)
+        latitude = self.arg_perigee + self.true_anomaly
+        parts = np.broadcast_arrays(r, v_x, h, self.raan, self.inclination, latitude)
         return np.stack(parts, axis=-1).astype(float)
 
-    def state(self, mu: float = EARTH_MU) -> Float[Array, "*k 6"]:
+    def to_state(self, mu: float = EARTH_MU) -> Float[Array, "*k 6"]:
         """Inertial states [Vallado2013, algorithm 10]."""
-        return inertial_state(self.chief(mu))
+        return inertial_state(self.to_polar_nodal(mu))
 
     @property
     def mean_anomaly(self) -> Float[Array, "*k"]:
         """M = E − e sin E."""
-        return mean_anomaly(self.anomaly, self.eccentricity)
+        return mean_anomaly(self.true_anomaly, self.eccentricity)
 
 
 def mean_anomaly(
@@ -110,7 +112,7 @@ def true_anomaly(
     # On [0, π] E − e sin E − M is convex, and not negative at M + e nor at π: from there
     # Newton's steps only go down, so they cannot miss.
     E = np.minimum(M + e, pi)
-    for _ in range(NEWTON):
+    for _ in range(MAX_NEWTON_ITERATIONS):
         step = (E - e * np.sin(E) - M) / (1 - e * np.cos(E))
         E = E - step
         if (np.abs(step) <= 1e-15).all():
@@ -120,7 +122,7 @@ def true_anomaly(
     return np.asarray(turns + sign * f)
 
 
-def check_ellipse(eccentricity: float | Float[Array, "*k"]) -> None:
+def validate_eccentricity(eccentricity: float | Float[Array, "*k"]) -> None:
     """Refuse what never comes back.
 
     Raises:

@@ -23,18 +23,24 @@ class Forces:
     atmosphere: Atmosphere | None = None
 
     def acceleration(
-        self, state: Float[Array, "*k 6"], ballistic: float | Float[Array, "*#k"] | None = None
+        self,
+        state: Float[Array, "*k 6"],
+        ballistic_coefficient: float | Float[Array, "*#k"] | None = None,
     ) -> Float[Array, "*k 3"]:
         """Acceleration of one vehicle or of many [m/s²]."""
         pull = self._gravity(state[..., :3], self.mu)
-        return np.asarray(pull if ballistic is None else pull + self._drag(state, ballistic))
+        return np.asarray(
+            pull
+            if ballistic_coefficient is None
+            else pull + self._drag(state, ballistic_coefficient)
+        )
 
-    def difference(
+    def differential_acceleration(
         self,
         chief: Float[Array, " 6"],
         offset: Float[Array, "*k 6"],
-        ballistic: float | Float[Array, "*#k"] | None = None,
-        chief_ballistic: float = 0.0,
+        ballistic_coefficient: float | Float[Array, "*#k"] | None = None,
+        chief_ballistic_coefficient: float = 0.0,
     ) -> Float[Array, "*k 3"]:
         """By how much more vehicles accelerate than the chief [m/s²].
 
@@ -56,12 +62,12 @@ class Forces:
         F = -np.expm1(-1.5 * np.log1p(q))
         pull = -self.mu / R2**1.5 * (d - F * (R + d))
         pull += self._gravity(R + d, 0.0) - self._gravity(R, 0.0)
-        if ballistic is None:
+        if ballistic_coefficient is None:
             return np.asarray(pull)
-        drag = self._drag(chief + offset, ballistic)
-        return np.asarray(pull + drag - self._drag(chief, chief_ballistic))
+        drag = self._drag(chief + offset, ballistic_coefficient)
+        return np.asarray(pull + drag - self._drag(chief, chief_ballistic_coefficient))
 
-    def coefficients(
+    def broadcast_ballistic_coefficients(
         self, ballistic: float | Float[Array, " each"] | None, count: int
     ) -> Float[Array, " {count}"] | None:
         """A ballistic coefficient for each of so many vehicles, or None where there is no air.
@@ -69,7 +75,7 @@ class Forces:
         Raises:
             ValueError: `check` refuses them, or there are more or fewer than vehicles.
         """
-        self.check(ballistic)
+        self.validate_ballistic_coefficients(ballistic)
         if self.atmosphere is None or ballistic is None:
             return None
         if np.shape(ballistic) not in ((), (count,)):
@@ -79,7 +85,7 @@ class Forces:
             )
         return np.broadcast_to(np.asarray(ballistic, dtype=float), (count,))
 
-    def check(self, ballistic: float | Float[Array, "*k"] | None) -> None:
+    def validate_ballistic_coefficients(self, ballistic: float | Float[Array, "*k"] | None) -> None:
         """Refuse an atmosphere without ballistic coefficients, and the other way round.
 
         Raises:
@@ -118,4 +124,4 @@ class Forces:
     def _drag(self, state: Array, ballistic: float | Array) -> Array:
         if self.atmosphere is None:
             return np.zeros(3)
-        return self.atmosphere.drag(state[..., :3], state[..., 3:], ballistic)
+        return self.atmosphere.drag_acceleration(state[..., :3], state[..., 3:], ballistic)

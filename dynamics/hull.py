@@ -11,7 +11,7 @@ import numpy as np
 
 @numba.njit(cache=True)
 @no_type_check
-def hulls(points):
+def min_norm_points(points):
     """Distance and nearest point of each hull of four points, see `path.hull_distance`."""
     count, _, d = points.shape
     distance, nearest = np.zeros(count), np.zeros((count, d))
@@ -22,21 +22,21 @@ def hulls(points):
         best[:] = 0.0
         for i in range(4):
             n[:] = b[i]
-            least = _try(b, n, least, best)
+            least = _update_best_normal(b, n, least, best)
             for j in range(i):
                 if d == 2:
                     n[0], n[1] = b[j, 1] - b[i, 1], b[i, 0] - b[j, 0]
-                    least = _try(b, n, least, best)
+                    least = _update_best_normal(b, n, least, best)
                     continue
                 n[:] = b[i]
-                _square(n, b[j] - b[i])
-                least = _try(b, n, least, best)
+                _orthogonalize(n, b[j] - b[i])
+                least = _update_best_normal(b, n, least, best)
                 for m in range(j):
                     e, f = b[j] - b[i], b[m] - b[i]
                     n[0] = e[1] * f[2] - e[2] * f[1]
                     n[1] = e[2] * f[0] - e[0] * f[2]
                     n[2] = e[0] * f[1] - e[1] * f[0]
-                    least = _try(b, n, least, best)
+                    least = _update_best_normal(b, n, least, best)
         distance[q] = least
         nearest[q] = least * best
     return distance, nearest
@@ -44,7 +44,7 @@ def hulls(points):
 
 @numba.njit(cache=True)
 @no_type_check
-def _square(n, e):
+def _orthogonalize(n, e):
     # Take from n what lies along e; twice, so that what is left is square to rounding.
     size = (e * e).sum()
     if size > 0.0:
@@ -54,7 +54,7 @@ def _square(n, e):
 
 @numba.njit(cache=True)
 @no_type_check
-def _try(b, n, least, best):
+def _update_best_normal(b, n, least, best):
     # Both sides of the line or plane square to n.
     size = np.sqrt((n * n).sum())
     if size < 1e-150:

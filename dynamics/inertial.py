@@ -13,20 +13,20 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.atmosphere import Atmosphere
+from dynamics.coordinate_frames import LVLH, inertial_state, orbit_axes, to_polar_nodal
 from dynamics.forces import Forces
-from dynamics.frames import LVLH, inertial_state, orbit_axes, osculating
 from dynamics.orbit import Orbit
-from dynamics.plant import Plant, check_flight, present
-from dynamics.propagation import integrate
+from dynamics.plant import Plant, is_present, validate_propagation
+from dynamics.propagation import integrate_orbits
 
-KNOT = 60.0  # the chief's state is kept at multiples of this [s]
-STEP = 60.0  # tried first; in low orbit it keeps well within what follows [s]
+CHECKPOINT_INTERVAL = 60.0  # the chief's state is kept at multiples of this [s]
+FIRST_STEP = 60.0  # tried first; in low orbit it keeps well within what follows [s]
 RTOL = 1e-13  # allowed in a step, of the chief's state and of offsets from it,
-OFFSET = np.repeat([1e-10, 1e-13], 3)  # and besides, of an offset [m, m/s]
+OFFSET_ATOL = np.repeat([1e-10, 1e-13], 3)  # and besides, of an offset [m, m/s]
 
 
 @dataclass(frozen=True, eq=False)
-class Inertial(Plant):
+class InertialPlant(Plant):
     """Vehicles and their chief in inertial space, integrated together.
 
     The chief flies as they do, without thrust. What is integrated are the offsets from
@@ -43,64 +43,74 @@ class Inertial(Plant):
         ValueError: There is drag without ballistic coefficients, or the other way round.
     """
 
-    orbit: Orbit
-    ballistic: float | Float[Array, " agents"] | None = None
-    chief_ballistic: float = 0.0  # [m²/kg]
+    chief_orbit: Orbit
+    ballistic_coefficient: float | Float[Array, " agents"] | None = None
+    chief_ballistic_coefficient: float = 0.0  # [m²/kg]
     atmosphere: Atmosphere | None = None
 
     def __post_init__(self) -> None:
         """Refuse half a drag."""
-        self._forces.check(self.ballistic)
-        self._forces.check(self.chief_ballistic)
+        self._forces.validate_ballistic_coefficients(self.ballistic_coefficient)
+        self._forces.validate_ballistic_coefficients(self.chief_ballistic_coefficient)
 
-    def fly(
+    def propagate(
         self,
         x: Float[Array, "agents n"],
         u: Float[Array, "agents m"],
         t: float,
         dt: float,
-        pieces: int = 1,
-    ) -> Float[Array, "{pieces}+1 agents n"]:
+        substeps: int = 1,
+    ) -> Float[Array, "{substeps}+1 agents n"]:
         """States at equal instants from t to t + dt, the first of them x itself.
 
         Raises:
             ValueError: The states or the inputs are not what this plant flies.
             Impact: A vehicle or the chief meets the Earth.
         """
-        check_flight(x, u, dt, pieces, axes=3)
-        air = self._forces.coefficients(self.ballistic, len(x))
-        here = np.flatnonzero(present(x))
-        chief = self._state(t)
-        offset = self._frame(chief).to_offset(x[here])
-        instants = np.linspace(0, dt, pieces + 1)[1:]
+        validate_propagation(x, u, dt, substeps, axes=3)
+        air = self._forces.broadcast_ballistic_coefficients(self.ballistic_coefficient, len(x))
+        here = np.flatnonzero(is_present(x))
+        chief = self._chief_state(t)
+        offset = self._lvlh(chief).to_offset(x[here])
+        instants = np.linspace(0, dt, substeps + 1)[1:]
         air = None if air is None else air[here]
         flown = self._integrate(np.vstack([chief, offset]), t, instants, here, u[here], air)
-        result = np.full((pieces + 1, *x.shape), np.nan)
+        result = np.full((substeps + 1, *x.shape), np.nan)
         result[0] = x
-        result[1:, here] = self._frame(flown[:, 0]).from_offset(flown[:, 1:])
+        result[1:, here] = self._lvlh(flown[:, 0]).from_offset(flown[:, 1:])
         return result
 
-    def chief(self, t: float) -> Float[Array, " 6"]:
+    def chief_elements(self, t: float) -> Float[Array, " 6"]:
         """The six numbers of the chief's orbit at a time."""
-        return osculating(self._state(t))
+        return to_polar_nodal(self._chief_state(t))
 
-    def _state(self, t: float) -> Array:
+    def _chief_state(self, t: float) -> Array:
         """The chief's inertial state, always by way of the same instants."""
         if not 0 <= t < inf:
             raise ValueError(f"the chief's orbit is known from time 0 on, got t = {t} s")
-        knots, count = self._knots, int(t // KNOT)
+        knots, count = self._checkpoints, int(t // CHECKPOINT_INTERVAL)
         while len(knots) <= count:
-            knots.append(self._alone(knots[-1], KNOT * (len(knots) - 1), KNOT))
-        left = t - KNOT * count
-        return self._alone(knots[count], KNOT * count, left) if left > 0 else knots[count]
+            knots.append(
+                self._propagate_chief(
+                    knots[-1], CHECKPOINT_INTERVAL * (len(knots) - 1), CHECKPOINT_INTERVAL
+                )
+            )
+        left = t - CHECKPOINT_INTERVAL * count
+        return (
+            self._propagate_chief(knots[count], CHECKPOINT_INTERVAL * count, left)
+            if left > 0
+            else knots[count]
+        )
 
-    def _alone(self, chief: Array, t: float, dt: float) -> Array:
+    def _propagate_chief(self, chief: Array, t: float, dt: float) -> Array:
         nobody = np.array([], dtype=int)
         flown = self._integrate(chief[None], t, np.array([dt]), nobody, np.zeros((0, 3)), None)
         return np.asarray(flown[0, 0])
 
-    def _frame(self, chief: Array) -> LVLH:
-        return LVLH.of_state(chief, self._forces.acceleration(chief, self._chief_air))
+    def _lvlh(self, chief: Array) -> LVLH:
+        return LVLH.from_state(
+            chief, self._forces.acceleration(chief, self._chief_drag_coefficient)
+        )
 
     def _integrate(
         self,
@@ -113,7 +123,7 @@ class Inertial(Plant):
     ) -> Array:
         """The chief and the offsets of those who are here, at times after t."""
         size = np.linalg.norm(start[0].reshape(2, 3), axis=1).repeat(3)
-        offsets = np.tile(OFFSET / np.sqrt(len(start)), (len(here), 1))
+        offsets = np.tile(OFFSET_ATOL / np.sqrt(len(start)), (len(here), 1))
         allowed = np.vstack([RTOL * size, offsets])
 
         def rate(t: float, y: Array) -> Array:
@@ -121,9 +131,11 @@ class Inertial(Plant):
             chief, offset = now[0], now[1:]
             moved = np.empty_like(now)
             moved[:, :3] = now[:, 3:]
-            moved[0, 3:] = self._forces.acceleration(chief, self._chief_air)
+            moved[0, 3:] = self._forces.acceleration(chief, self._chief_drag_coefficient)
             if len(here):
-                pull = self._forces.difference(chief, offset, air, self.chief_ballistic)
+                pull = self._forces.differential_acceleration(
+                    chief, offset, air, self.chief_ballistic_coefficient
+                )
                 moved[1:, 3:] = pull + push @ orbit_axes(chief)
             return moved.ravel()
 
@@ -132,28 +144,28 @@ class Inertial(Plant):
             now = np.vstack([now[:1], now[0] + now[1:]])
             return np.asarray(np.linalg.norm(now, axis=1))
 
-        flown = integrate(
+        flown = integrate_orbits(
             rate,
             start.ravel(),
             times,
             rtol=RTOL,
             atol=allowed.ravel(),
             radii=radii,
-            names=np.concatenate([[-1], here]),
-            begin=t,
-            first=min(float(times[-1]), STEP),
+            agents=np.concatenate([[-1], here]),
+            t0=t,
+            first_step=min(float(times[-1]), FIRST_STEP),
         )
         return flown.reshape(len(times), -1, 6)
 
     @cached_property
     def _forces(self) -> Forces:
-        return Forces(self.orbit.mu, self.orbit.k_J2, self.atmosphere)
+        return Forces(self.chief_orbit.mu, self.chief_orbit.k_J2, self.atmosphere)
 
     @cached_property
-    def _chief_air(self) -> float | None:
-        return None if self.atmosphere is None else self.chief_ballistic
+    def _chief_drag_coefficient(self) -> float | None:
+        return None if self.atmosphere is None else self.chief_ballistic_coefficient
 
     @cached_property
-    def _knots(self) -> list[Array]:
+    def _checkpoints(self) -> list[Array]:
         # Grows as later times are asked for; what it holds depends on nothing else.
-        return [inertial_state(np.array(self.orbit.start))]
+        return [inertial_state(np.array(self.chief_orbit.initial_elements))]

@@ -12,11 +12,11 @@ from numpy import ndarray as Array
 from scipy.integrate import solve_ivp
 
 from dynamics.model import NonlinearModel
-from dynamics.orbit import Orbit, chief_rate, chief_size, frame_rates
+from dynamics.orbit import Orbit, lvlh_rates, polar_nodal_rates, polar_nodal_scales
 
 RTOL = 1e-13  # of `J2.propagate`: below a micrometre an orbit later
-ABSOLUTE = np.repeat([1e-9, 1e-12], 3)  # in a step, of any one [m, m/s]
-LEAST_COSINE = 0.02  # of the argument of latitude, for spacecraft out of the chief's plane
+ATOL = np.repeat([1e-9, 1e-12], 3)  # in a step, of any one [m, m/s]
+MIN_COS_LATITUDE = 0.02  # of the argument of latitude, for spacecraft out of the chief's plane
 
 
 @dataclass(frozen=True)
@@ -36,15 +36,17 @@ class J2(NonlinearModel):
         self, t: float | Float[Array, "*#k"], x: Float[Array, "*#k 6"], u: Float[Array, "*#k 3"]
     ) -> Float[Array, "... 6"]:
         """Rate of change of the state, of one or of many."""
-        return self._rate(self.orbit.at(t), x, u)
+        return self._rate(self.orbit.elements_at(t), x, u)
 
     def jacobian(
         self, t: float | Float[Array, "*#k"], x: Float[Array, "*#k 6"], u: Float[Array, "*#k 3"]
     ) -> tuple[Float[Array, "... 6 6"], Float[Array, "... 6 3"]]:
         """∂f/∂x and ∂f/∂u."""
-        chief = self.orbit.at(t)
-        turn, turning = _rotation(chief, self.orbit)
-        pull = gravity_gradient(_from_centre(chief, x[..., :3]), _pole(chief), self.orbit)
+        chief = self.orbit.elements_at(t)
+        turn, turning = _rotation_matrices(chief, self.orbit)
+        pull = gravity_gradient(
+            _from_earth_center(chief, x[..., :3]), _earth_axis(chief), self.orbit
+        )
         B = np.zeros((*pull.shape[:-2], 6, 3))
         A = np.zeros((*pull.shape[:-2], 6, 6))
         A[..., :3, 3:] = B[..., 3:, :] = np.eye(3)
@@ -66,12 +68,12 @@ class J2(NonlinearModel):
 
         def rate(t: float, y: Array) -> Array:
             chief, own = y[:6], y[6:].reshape(*lead, 6)
-            moved = chief_rate(chief, self.orbit.mu, self.orbit.k_J2)
+            moved = polar_nodal_rates(chief, self.orbit.mu, self.orbit.k_J2)
             return np.concatenate([moved, self._rate(chief, own, np.zeros(3)).ravel()])
 
-        y = np.concatenate([self.orbit.at(start), x.ravel()])
+        y = np.concatenate([self.orbit.elements_at(start), x.ravel()])
         allowed = np.concatenate(
-            [RTOL * chief_size(y[:6]), np.tile(ABSOLUTE, x.size // 6) / (x.size // 6) ** 0.5]
+            [RTOL * polar_nodal_scales(y[:6]), np.tile(ATOL, x.size // 6) / (x.size // 6) ** 0.5]
         )
         flown = np.empty((len(times), x.size))
         # From instant to instant: what lies between is known to a lower order only.
@@ -83,16 +85,16 @@ class J2(NonlinearModel):
         return flown.reshape(len(times), *lead, 6)
 
     def _rate(self, chief: Array, x: Array, u: Array) -> Array:
-        turn, turning = _rotation(chief, self.orbit)
-        pole = _pole(chief)
+        turn, turning = _rotation_matrices(chief, self.orbit)
+        pole = _earth_axis(chief)
         l, v = x[..., :3], x[..., 3:]  # noqa: E741
-        pull = gravity(_from_centre(chief, l), pole, self.orbit)
-        pull = pull - gravity(_from_centre(chief, np.zeros(3)), pole, self.orbit)
-        a = pull + u - _times(turning, l) - 2 * _times(turn, v)
+        pull = gravity_acceleration(_from_earth_center(chief, l), pole, self.orbit)
+        pull = pull - gravity_acceleration(_from_earth_center(chief, np.zeros(3)), pole, self.orbit)
+        a = pull + u - _matvec(turning, l) - 2 * _matvec(turn, v)
         return np.concatenate([np.broadcast_to(v, a.shape), a], axis=-1)
 
 
-def gravity(
+def gravity_acceleration(
     R: Float[Array, "*#k 3"], pole: Float[Array, "*#k 3"], orbit: Orbit
 ) -> Float[Array, "... 3"]:
     """Attraction of the oblate Earth at R from its centre, g = −η² R − ζ s [m/s²].
@@ -147,24 +149,26 @@ def invariant_velocity(
         ValueError: A point out of the plane when the chief is near |θ| = 90°, where no
             velocity does it.
     """
-    chief = orbit.at(t)
+    chief = orbit.elements_at(t)
     r, v_x, h, _, _, theta = chief
     x, y, z = np.moveaxis(position, -1, 0)
-    rates = frame_rates(chief, orbit.k_J2)
+    rates = lvlh_rates(chief, orbit.k_J2)
     out = np.abs(z) > 1e-9 * r
-    if out.any() and abs(np.cos(theta)) < LEAST_COSINE:
+    if out.any() and abs(np.cos(theta)) < MIN_COS_LATITUDE:
         raise ValueError(
             f"the chief is at argument of latitude {np.degrees(theta) % 360:.4g}°, and out of its "
             "plane nothing stays near it unless it crosses the plane within "
-            f"{np.degrees(np.arcsin(LEAST_COSINE)):.2g}° of 90° and 270°; start at another "
+            f"{np.degrees(np.arcsin(MIN_COS_LATITUDE)):.2g}° of 90° and 270°; start at another "
             "latitude, or in the plane (z = 0)"
         )
     v = np.zeros(position.shape)
     v[..., 0] = rates.omega_z * y / 2
     v[..., 2] = np.where(out, (v_x / r - rates.omega_z * np.tan(theta)) * z, 0.0)
-    pole = _pole(chief)
-    energy = (v_x**2 + (h / r) ** 2) / 2 + _potential(_from_centre(chief, np.zeros(3)), pole, orbit)
-    left = 2 * (energy - _potential(_from_centre(chief, position), pole, orbit))
+    pole = _earth_axis(chief)
+    energy = (v_x**2 + (h / r) ** 2) / 2 + _potential(
+        _from_earth_center(chief, np.zeros(3)), pole, orbit
+    )
+    left = 2 * (energy - _potential(_from_earth_center(chief, position), pole, orbit))
     radial = v_x + v[..., 0] - rates.omega_z * y
     normal = v[..., 2] + rates.omega_x * y
     transverse = np.sqrt(left - radial**2 - normal**2)
@@ -178,24 +182,24 @@ def _potential(R: Array, pole: Array, orbit: Orbit) -> Array:
     return np.asarray(-orbit.mu / rho - orbit.k_J2 / rho**3 * (1 / 3 - (Z / rho) ** 2))
 
 
-def _from_centre(chief: Array, l: Array) -> Array:  # noqa: E741
+def _from_earth_center(chief: Array, l: Array) -> Array:  # noqa: E741
     return np.asarray(l + chief[..., :1] * np.array([1.0, 0.0, 0.0]))
 
 
-def _pole(chief: Array) -> Array:
+def _earth_axis(chief: Array) -> Array:
     """The Earth's axis in the chief's frame."""
     i, theta = chief[..., 4], chief[..., 5]
     return np.stack([np.sin(i) * np.sin(theta), np.sin(i) * np.cos(theta), np.cos(i)], axis=-1)
 
 
-def _rotation(chief: Array, orbit: Orbit) -> tuple[Array, Array]:
+def _rotation_matrices(chief: Array, orbit: Orbit) -> tuple[Array, Array]:
     """[ω]× and [α]× + [ω]×²."""
-    rates = frame_rates(chief, orbit.k_J2)
-    turn = _cross(rates.omega_x, rates.omega_z)
-    return turn, _cross(rates.alpha_x, rates.alpha_z) + turn @ turn
+    rates = lvlh_rates(chief, orbit.k_J2)
+    turn = _cross_matrix(rates.omega_x, rates.omega_z)
+    return turn, _cross_matrix(rates.alpha_x, rates.alpha_z) + turn @ turn
 
 
-def _cross(a: Float[Array, "*k"] | float, c: Float[Array, "*k"] | float) -> Array:
+def _cross_matrix(a: Float[Array, "*k"] | float, c: Float[Array, "*k"] | float) -> Array:
     """The matrix of a cross product with (a, 0, c)."""
     zero = np.zeros_like(a)
     return np.stack(
@@ -208,5 +212,5 @@ def _cross(a: Float[Array, "*k"] | float, c: Float[Array, "*k"] | float) -> Arra
     )
 
 
-def _times(matrix: Array, vector: Array) -> Array:
+def _matvec(matrix: Array, vector: Array) -> Array:
     return np.asarray(np.einsum("...ab,...b->...a", matrix, vector))

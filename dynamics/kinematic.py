@@ -6,7 +6,7 @@ from typing import NamedTuple, no_type_check
 import numba
 
 
-class Kinematic(NamedTuple):
+class KinematicVehicle(NamedTuple):
     """ṗ = R_z(ψ) v, ψ̇ = w, and v and w follow what is commanded [Bernard2023, eq. 1].
 
     v and w are exact for a command that is held: with a lag, they approach it as systems of
@@ -14,13 +14,13 @@ class Kinematic(NamedTuple):
     yaw, which leaves an error of third order in the step.
     """
 
-    lag: float = 0.0  # time constant [s]; without it, commands are obeyed at once
-    noise: float = 0.0  # standard deviation of each velocity in each step [m/s, rad/s]
+    time_constant: float = 0.0  # time constant [s]; without it, commands are obeyed at once
+    noise_std: float = 0.0  # standard deviation of each velocity in each step [m/s, rad/s]
 
 
 @no_type_check
 @numba.njit
-def drive(position, yaw, velocity, rate, command, turn, plant, dt, rng):
+def step_kinematic(position, yaw, velocity, rate, command, turn, plant, dt, rng):
     """Drive a vehicle for a step.
 
     Args:
@@ -37,20 +37,20 @@ def drive(position, yaw, velocity, rate, command, turn, plant, dt, rng):
     Returns:
         Yaw and yaw rate at the end of the step.
     """
-    keep = exp(-dt / plant.lag) if plant.lag > 0 else 0.0
-    mean = plant.lag / dt * (1 - keep) if plant.lag > 0 else 0.0
+    keep = exp(-dt / plant.time_constant) if plant.time_constant > 0 else 0.0
+    mean = plant.time_constant / dt * (1 - keep) if plant.time_constant > 0 else 0.0
     swept = turn + (rate - turn) * mean
     rate = turn + (rate - turn) * keep
     gone = [0.0, 0.0, 0.0]
     for a in range(3):
         gone[a] = command[a] + (velocity[a] - command[a]) * mean
         velocity[a] = command[a] + (velocity[a] - command[a]) * keep
-        if plant.noise > 0:
-            shaken = plant.noise * rng.standard_normal()
+        if plant.noise_std > 0:
+            shaken = plant.noise_std * rng.standard_normal()
             gone[a] += shaken
             velocity[a] += shaken
-    if plant.noise > 0:
-        shaken = plant.noise * rng.standard_normal()
+    if plant.noise_std > 0:
+        shaken = plant.noise_std * rng.standard_normal()
         swept += shaken
         rate += shaken
     middle = yaw + swept * dt / 2

@@ -47,7 +47,7 @@ class LinearModel(Model):
     Discretisation, problems and simulations then accept it as it is.
     """
 
-    constant: ClassVar[bool] = False  # whether A, B and z are the same at all times
+    is_time_invariant: ClassVar[bool] = False  # whether A, B and z are the same at all times
 
     @abstractmethod
     def A(self, t: float) -> Float[Array, "n n"]:
@@ -85,23 +85,23 @@ class SymbolicModel(NonlinearModel):
     """
 
     axes: int
-    formula: Callable[[Any, Any, Any], Any]
+    expression: Callable[[Any, Any, Any], Any]
 
     def rate(
         self, t: float | Float[Array, "*#k"], x: Float[Array, "*#k n"], u: Float[Array, "*#k m"]
     ) -> Float[Array, "... n"]:
         """Rate of change of the state, of one or of many."""
-        (found,) = self._each(self._functions[0], t, x, u)
+        (found,) = self._map_batch(self._casadi_functions[0], t, x, u)
         return found[..., 0]
 
     def jacobian(
         self, t: float | Float[Array, "*#k"], x: Float[Array, "*#k n"], u: Float[Array, "*#k m"]
     ) -> tuple[Float[Array, "... n n"], Float[Array, "... n m"]]:
         """∂f/∂x and ∂f/∂u, by algorithmic differentiation."""
-        A, B = self._each(self._functions[1], t, x, u)
+        A, B = self._map_batch(self._casadi_functions[1], t, x, u)
         return A, B
 
-    def _each(self, function: Any, t: Any, x: Array, u: Array) -> list[Array]:
+    def _map_batch(self, function: Any, t: Any, x: Array, u: Array) -> list[Array]:
         lead = np.broadcast_shapes(np.shape(t), x.shape[:-1], u.shape[:-1])
         rows = zip(
             np.broadcast_to(t, lead).ravel(),
@@ -114,12 +114,12 @@ class SymbolicModel(NonlinearModel):
         return [part.reshape(*lead, *part.shape[1:]) for part in stacked]
 
     @cached_property
-    def _functions(self) -> tuple[Any, Any]:
+    def _casadi_functions(self) -> tuple[Any, Any]:
         import casadi
 
         n, m = 2 * self.axes, self.axes
         t, x, u = casadi.SX.sym("t"), casadi.SX.sym("x", n), casadi.SX.sym("u", m)
-        f = self.formula(t, x, u)
+        f = self.expression(t, x, u)
         derivatives = [casadi.jacobian(f, x), casadi.jacobian(f, u)]
         return (
             casadi.Function("rate", [t, x, u], [f]),
@@ -128,7 +128,7 @@ class SymbolicModel(NonlinearModel):
 
 
 @dataclass(frozen=True, eq=False)
-class Linearised(LinearModel):
+class LinearizedModel(LinearModel):
     """A nonlinear model about a nominal path [Morgan2016, eqs. 7 and 8].
 
         A(t) = ∂f/∂x,  B(t) = ∂f/∂u,  z(t) = f − A x̄ − B ū,  all on the nominal.
@@ -140,7 +140,7 @@ class Linearised(LinearModel):
     nominal: Callable[[float], tuple[Array, Array]]  # t ↦ (x̄, ū)
 
     @classmethod
-    def at_origin(cls, model: NonlinearModel) -> "Linearised":
+    def at_origin(cls, model: NonlinearModel) -> "LinearizedModel":
         """About staying at the origin: in orbit, about the chief."""
         still = np.zeros(2 * model.axes), np.zeros(model.axes)
         return cls(model, lambda t: still)

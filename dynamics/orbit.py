@@ -22,11 +22,11 @@ EARTH_J2 = 1.0826359e-3  # dynamical form factor
 EARTH_ROTATION = 7.292115e-5  # [rad/s]
 K_J2 = 1.5 * EARTH_J2 * EARTH_MU * EARTH_RADIUS**2  # as the equations use J2 [m⁵/s²]
 
-SPAN = 3600.0  # pieces in which the orbit is integrated and kept [s]
+SEGMENT_DURATION = 3600.0  # pieces in which the orbit is integrated and kept [s]
 RTOL = 1e-13  # of the integration: about what doubles can hold
 
 
-class FrameRates(NamedTuple):
+class LVLHRates(NamedTuple):
     """How the chief's frame turns: ω = (ω_x, 0, ω_z), α = (α_x, 0, α_z)."""
 
     omega_x: Float[Array, "*k"] | float  # [rad/s]
@@ -56,18 +56,20 @@ class Orbit:
     r: float
     v_x: float
     h: float
-    node: float
+    raan: float
     inclination: float
-    latitude: float
+    arg_latitude: float
     mu: float = EARTH_MU
     k_J2: float = K_J2
 
     def __post_init__(self) -> None:
         """Refuse what no spacecraft could fly."""
-        if not all(map(isfinite, self.start)) or not (self.r > 0 and self.h > 0 and self.mu > 0):
+        if not all(map(isfinite, self.initial_elements)) or not (
+            self.r > 0 and self.h > 0 and self.mu > 0
+        ):
             raise ValueError(
                 "an orbit needs six finite numbers, and a positive radius and angular momentum, "
-                f"got {tuple(map(float, self.start))}"
+                f"got {tuple(map(float, self.initial_elements))}"
             )
         if not 0 <= self.inclination <= pi:
             raise ValueError(
@@ -87,14 +89,14 @@ class Orbit:
             )
 
     @classmethod
-    def of_elements(
+    def from_elements(
         cls,
         semi_major_axis: float,
         eccentricity: float = 0.0,
         inclination: float = 0.0,
-        node: float = 0.0,
-        perigee: float = 0.0,
-        anomaly: float = 0.0,
+        raan: float = 0.0,
+        arg_perigee: float = 0.0,
+        true_anomaly: float = 0.0,
         mu: float = EARTH_MU,
         k_J2: float = K_J2,
     ) -> "Orbit":
@@ -121,20 +123,20 @@ class Orbit:
         p = semi_major_axis * (1 - eccentricity**2)
         h = sqrt(mu * p)
         return cls(
-            r=p / (1 + eccentricity * cos(anomaly)),
-            v_x=mu / h * eccentricity * sin(anomaly),
+            r=p / (1 + eccentricity * cos(true_anomaly)),
+            v_x=mu / h * eccentricity * sin(true_anomaly),
             h=h,
-            node=node,
+            raan=raan,
             inclination=inclination,
-            latitude=perigee + anomaly,
+            arg_latitude=arg_perigee + true_anomaly,
             mu=mu,
             k_J2=k_J2,
         )
 
     @property
-    def start(self) -> tuple[float, ...]:
+    def initial_elements(self) -> tuple[float, ...]:
         """The six numbers at time 0."""
-        return self.r, self.v_x, self.h, self.node, self.inclination, self.latitude
+        return self.r, self.v_x, self.h, self.raan, self.inclination, self.arg_latitude
 
     @property
     def semi_major_axis(self) -> float:
@@ -157,7 +159,7 @@ class Orbit:
         """Of Kepler's motion from time 0 on [s]."""
         return 2 * pi / self.mean_motion
 
-    def at(self, t: float | Float[Array, "*k"]) -> Float[Array, "*k 6"]:
+    def elements_at(self, t: float | Float[Array, "*k"]) -> Float[Array, "*k 6"]:
         """The six numbers at a time, or at many.
 
         Args:
@@ -170,15 +172,15 @@ class Orbit:
         if not (np.isfinite(times).all() and (times >= 0).all()):
             raise ValueError(f"the chief's orbit is known from time 0 on, got t = {times.min()} s")
         found = np.empty((*times.shape, 6))
-        piece = (times // SPAN).astype(int)
+        piece = (times // SEGMENT_DURATION).astype(int)
         for j in range(int(piece.max(initial=0))):
-            _piece(self, j)  # each begins where the one before ends
+            _integrate_segment(self, j)  # each begins where the one before ends
         for j in np.unique(piece):
-            found[piece == j] = _piece(self, int(j)).sol(times[piece == j]).T
+            found[piece == j] = _integrate_segment(self, int(j)).sol(times[piece == j]).T
         return found
 
 
-def chief_rate(chief: Float[Array, "*k 6"], mu: float, k_J2: float) -> Float[Array, "*k 6"]:
+def polar_nodal_rates(chief: Float[Array, "*k 6"], mu: float, k_J2: float) -> Float[Array, "*k 6"]:
     """Rates of the six numbers [Xu2008]."""
     r, v_x, h, _, i, theta = np.moveaxis(chief, -1, 0)
     sin_i, cos_i, sin_t = np.sin(i), np.cos(i), np.sin(theta)
@@ -195,11 +197,11 @@ def chief_rate(chief: Float[Array, "*k 6"], mu: float, k_J2: float) -> Float[Arr
     )
 
 
-def frame_rates(chief: Float[Array, "*k 6"], k_J2: float) -> FrameRates:
+def lvlh_rates(chief: Float[Array, "*k 6"], k_J2: float) -> LVLHRates:
     """How the frame of the chief's osculating orbit turns, and how that changes [Xu2008]."""
     r, v_x, h, _, i, theta = np.moveaxis(chief, -1, 0)
     sin_2i, sin_t, cos_t = np.sin(2 * i), np.sin(theta), np.cos(theta)
-    return FrameRates(
+    return LVLHRates(
         omega_x=-k_J2 * sin_2i * sin_t / (h * r**3),
         omega_z=h / r**2,
         alpha_x=(
@@ -211,21 +213,23 @@ def frame_rates(chief: Float[Array, "*k 6"], k_J2: float) -> FrameRates:
     )
 
 
-def chief_size(chief: Float[Array, " 6"]) -> Float[Array, " 6"]:
+def polar_nodal_scales(chief: Float[Array, " 6"]) -> Float[Array, " 6"]:
     """How large each of the six numbers is about, also where it happens to be 0."""
     r, _, h, *_ = chief
     return np.array([r, h / r, h, 1.0, 1.0, 1.0])
 
 
 @lru_cache(maxsize=4096)
-def _piece(orbit: Orbit, j: int) -> Any:
-    start = np.array(orbit.start) if j == 0 else _piece(orbit, j - 1).y[:, -1]
+def _integrate_segment(orbit: Orbit, j: int) -> Any:
+    start = (
+        np.array(orbit.initial_elements) if j == 0 else _integrate_segment(orbit, j - 1).y[:, -1]
+    )
     return solve_ivp(
-        lambda t, y: chief_rate(y, orbit.mu, orbit.k_J2),
-        (j * SPAN, (j + 1) * SPAN),
+        lambda t, y: polar_nodal_rates(y, orbit.mu, orbit.k_J2),
+        (j * SEGMENT_DURATION, (j + 1) * SEGMENT_DURATION),
         start,
         method="DOP853",
         rtol=RTOL,
-        atol=RTOL * chief_size(start),
+        atol=RTOL * polar_nodal_scales(start),
         dense_output=True,
     )

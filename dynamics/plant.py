@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics.discretise import hold
+from dynamics.discretize import discretize_zoh
 from dynamics.model import LinearModel
 from dynamics.orbit import Orbit
 
@@ -20,14 +20,14 @@ class Plant(ABC):
     """
 
     @abstractmethod
-    def fly(
+    def propagate(
         self,
         x: Float[Array, "agents n"],
         u: Float[Array, "agents m"],
         t: float,
         dt: float,
-        pieces: int = 1,
-    ) -> Float[Array, "{pieces}+1 agents n"]:
+        substeps: int = 1,
+    ) -> Float[Array, "{substeps}+1 agents n"]:
         """States at equal instants from t to t + dt, the first of them x itself.
 
         Args:
@@ -42,37 +42,37 @@ class Plant(ABC):
         """
 
     @abstractmethod
-    def chief(self, t: float) -> Float[Array, " 6"] | None:
+    def chief_elements(self, t: float) -> Float[Array, " 6"] | None:
         """The six numbers of the chief's orbit at a time, or None where there is no orbit."""
 
 
 @dataclass(frozen=True, eq=False)
-class Modelled(Plant):
+class LinearPlant(Plant):
     """Vehicles that do exactly what a linear model says."""
 
     model: LinearModel
-    orbit: Orbit | None = None  # that of the chief, where there is one
+    chief_orbit: Orbit | None = None  # that of the chief, where there is one
 
-    def fly(
+    def propagate(
         self,
         x: Float[Array, "agents n"],
         u: Float[Array, "agents m"],
         t: float,
         dt: float,
-        pieces: int = 1,
-    ) -> Float[Array, "{pieces}+1 agents n"]:
+        substeps: int = 1,
+    ) -> Float[Array, "{substeps}+1 agents n"]:
         """States at equal instants from t to t + dt, the first of them x itself."""
-        check_flight(x, u, dt, pieces, self.model.axes)
-        steps = hold(self.model, dt / pieces, pieces, t)
-        held = np.repeat(u[:, None], pieces, axis=1)
-        return np.moveaxis(steps.roll(x, held), 1, 0)
+        validate_propagation(x, u, dt, substeps, self.model.axes)
+        steps = discretize_zoh(self.model, dt / substeps, substeps, t)
+        held = np.repeat(u[:, None], substeps, axis=1)
+        return np.moveaxis(steps.simulate(x, held), 1, 0)
 
-    def chief(self, t: float) -> Float[Array, " 6"] | None:
+    def chief_elements(self, t: float) -> Float[Array, " 6"] | None:
         """The six numbers of the chief's orbit at a time, or None where there is no orbit."""
-        return None if self.orbit is None else self.orbit.at(t)
+        return None if self.chief_orbit is None else self.chief_orbit.elements_at(t)
 
 
-def check_flight(x: Array, u: Array, dt: float, pieces: int, axes: int) -> None:
+def validate_propagation(x: Array, u: Array, dt: float, substeps: int, axes: int) -> None:
     """Refuse a flight that means nothing in a space of so many axes.
 
     Raises:
@@ -84,16 +84,16 @@ def check_flight(x: Array, u: Array, dt: float, pieces: int, axes: int) -> None:
             f"vehicles in {axes} axes have states of shape (agents, {2 * axes}) and accelerations "
             f"of shape (agents, {axes}), got {x.shape} and {u.shape}"
         )
-    if not 0 < dt < np.inf or pieces < 1:
+    if not 0 < dt < np.inf or substeps < 1:
         raise ValueError(
             "a flight takes some time and has at least one piece, got "
-            f"dt = {dt} s, pieces = {pieces}"
+            f"dt = {dt} s, pieces = {substeps}"
         )
-    lost = np.flatnonzero(present(x) & ~np.isfinite(u).all(axis=1))
+    lost = np.flatnonzero(is_present(x) & ~np.isfinite(u).all(axis=1))
     if len(lost):
         raise ValueError(f"vehicle {lost[0]} is there, but its acceleration is {u[lost[0]]}")
 
 
-def present(x: Float[Array, "agents n"]) -> Array:
+def is_present(x: Float[Array, "agents n"]) -> Array:
     """Which vehicles are there: those whose state has no NaN."""
     return np.asarray(np.isfinite(x).all(axis=1))

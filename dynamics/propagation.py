@@ -10,14 +10,14 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.integrate import solve_ivp
 
+from dynamics.coordinate_frames import radius_and_momentum
 from dynamics.forces import Forces
-from dynamics.frames import radius_and_momentum
 from dynamics.orbit import EARTH_RADIUS
 
-LEAST_RTOL = 2.3e-14  # below, SciPy takes this and warns
-MOST_ECCENTRIC = 0.95  # for which `propagate` keeps its promise
+MIN_RTOL = 2.3e-14  # below, SciPy takes this and warns
+MAX_ECCENTRICITY = 0.95  # for which `propagate` keeps its promise
 
-GRAVITY = Forces()  # two bodies and J2
+DEFAULT_FORCES = Forces()  # two bodies and J2
 
 
 class Impact(RuntimeError):
@@ -30,14 +30,14 @@ class Impact(RuntimeError):
             f"{who} meets the Earth at t = {time:.6g} s: raise the perigee above "
             f"{EARTH_RADIUS / 1e3:.0f} km from the centre, or end before"
         )
-        self.vehicle = vehicle
+        self.agent = vehicle
         self.time = time
 
 
 def propagate(
     state: Float[Array, "agents 6"],
     times: Float[Array, " instants"],
-    forces: Forces = GRAVITY,
+    forces: Forces = DEFAULT_FORCES,
     ballistic: float | Float[Array, " each"] | None = None,
     accuracy: float = 1e-9,
 ) -> Float[Array, "instants agents 6"]:
@@ -56,27 +56,27 @@ def propagate(
             lacks ballistic coefficients.
         Impact: A spacecraft meets the Earth.
     """
-    _check_start(state, times, accuracy)
-    air = forces.coefficients(ballistic, len(state))
+    _validate_initial_states(state, times, accuracy)
+    air = forces.broadcast_ballistic_coefficients(ballistic, len(state))
 
     def rate(t: float, y: Array) -> Array:
         now = y.reshape(-1, 6)
         return np.hstack([now[:, 3:], forces.acceleration(now, air)]).ravel()
 
-    flown = integrate(
+    flown = integrate_orbits(
         rate,
         state.ravel(),
         times,
-        rtol=LEAST_RTOL,
-        atol=_allowed(state, accuracy, forces.mu).ravel(),
+        rtol=MIN_RTOL,
+        atol=_absolute_tolerances(state, accuracy, forces.mu).ravel(),
         radii=lambda y: np.asarray(np.linalg.norm(y.reshape(-1, 6)[:, :3], axis=1)),
-        names=np.arange(len(state)),
+        agents=np.arange(len(state)),
     )
     return flown.reshape(len(times), -1, 6)
 
 
 @dataclass(frozen=True)
-class _Ground:
+class _ImpactEvent:
     """An event, in the words of SciPy: someone's radius is that of the Earth."""
 
     radii: Callable[[Array], Array]
@@ -86,16 +86,16 @@ class _Ground:
         return float(self.radii(y).min()) - EARTH_RADIUS
 
 
-def integrate(
+def integrate_orbits(
     rate: Callable[[float, Array], Array],
-    start: Array,
+    y0: Array,
     times: Array,
     rtol: float,
     atol: Array,
     radii: Callable[[Array], Array],
-    names: Array,
-    begin: float = 0.0,
-    first: float | None = None,
+    agents: Array,
+    t0: float = 0.0,
+    first_step: float | None = None,
 ) -> Array:
     """States at times after the start, by the method of Dormand and Prince of order eight.
 
@@ -114,27 +114,27 @@ def integrate(
         Impact: Someone meets the Earth.
         RuntimeError: The integrator gives up.
     """
-    ground = _Ground(radii)
+    ground = _ImpactEvent(radii)
     found = solve_ivp(
         rate,
         (0.0, float(times[-1])),
-        start,
+        y0,
         method="DOP853",
         t_eval=times,
         events=ground,
         rtol=rtol,
         atol=atol,
-        first_step=first,
+        first_step=first_step,
     )
     if found.status == 1:
         lowest = np.argmin(radii(found.y_events[0][0]))
-        raise Impact(int(names[lowest]), begin + float(found.t_events[0][0]))
+        raise Impact(int(agents[lowest]), t0 + float(found.t_events[0][0]))
     if not found.success:
         raise RuntimeError(f"the flight cannot be integrated: {found.message}")
     return np.asarray(found.y.T)
 
 
-def _allowed(state: Array, accuracy: float, mu: float) -> Array:
+def _absolute_tolerances(state: Array, accuracy: float, mu: float) -> Array:
     """Errors allowed in a step, for each vehicle to be as accurate as asked an orbit later.
 
     An error of the semi-major axis moves a vehicle along its orbit by 3π δa an orbit, and
@@ -149,13 +149,13 @@ def _allowed(state: Array, accuracy: float, mu: float) -> Array:
     energy = (state[:, 3:] ** 2).sum(axis=1) / 2 - mu / r
     e = np.sqrt(np.maximum(0, 1 + 2 * energy * (h / mu) ** 2))
     perigee = h**2 / mu / (1 + e)
-    e = np.minimum(e, MOST_ECCENTRIC)
+    e = np.minimum(e, MAX_ECCENTRICITY)
     axis = accuracy / (3 * pi) * (1 - e) ** 1.5 / np.sqrt(1 + e) / np.sqrt(max(1, len(r)))
     size = np.stack([perigee, mu / h], axis=1) * ((1 - e) / 2 * axis)[:, None]
     return np.asarray(size.repeat(3, axis=1))
 
 
-def _check_start(state: Array, times: Array, accuracy: float) -> None:
+def _validate_initial_states(state: Array, times: Array, accuracy: float) -> None:
     if len(times) == 0 or not (
         np.isfinite(times).all() and times[0] >= 0 and (np.diff(times) > 0).all()
     ):

@@ -5,7 +5,7 @@ from typing import NamedTuple, no_type_check
 
 import numba
 
-GRAVITY = 9.80665  # standard [m/s²]
+STANDARD_GRAVITY = 9.80665  # standard [m/s²]
 
 
 class Quadrotor(NamedTuple):
@@ -16,15 +16,19 @@ class Quadrotor(NamedTuple):
     turned by itself.
     """
 
-    response: float = 0.4  # time constant of the velocity loop [s]
-    attitude: float = 0.08  # time constant of the attitude loop, and of the yaw rate [s]
-    tilt: float = 0.5  # largest angle from the vertical [rad]
-    climb: float = 4.0  # largest vertical acceleration, less than gravity [m/s²]
+    velocity_time_constant: float = 0.4  # time constant of the velocity loop [s]
+    attitude_time_constant: float = (
+        0.08  # time constant of the attitude loop, and of the yaw rate [s]
+    )
+    max_tilt: float = 0.5  # largest angle from the vertical [rad]
+    max_vertical_acceleration: float = (
+        4.0  # largest vertical acceleration, less than gravity [m/s²]
+    )
 
 
 @no_type_check
 @numba.njit
-def fly(position, yaw, velocity, rate, push, command, turn, plant, dt):
+def step_quadrotor(position, yaw, velocity, rate, push, command, turn, plant, dt):
     """Fly for a step.
 
     Args:
@@ -42,12 +46,15 @@ def fly(position, yaw, velocity, rate, push, command, turn, plant, dt):
     Returns:
         Yaw and yaw rate at the end of the step.
     """
-    keep = exp(-dt / plant.attitude)
+    keep = exp(-dt / plant.attitude_time_constant)
     c, s = cos(yaw), sin(yaw)
     wish = (c * command[0] - s * command[1], s * command[0] + c * command[1], command[2])
-    asked = [(wish[a] - velocity[a]) / plant.response for a in range(3)]
-    asked[2] = min(max(asked[2], -plant.climb), plant.climb)
-    flat, most = sqrt(asked[0] ** 2 + asked[1] ** 2), (GRAVITY + asked[2]) * tan(plant.tilt)
+    asked = [(wish[a] - velocity[a]) / plant.velocity_time_constant for a in range(3)]
+    asked[2] = min(max(asked[2], -plant.max_vertical_acceleration), plant.max_vertical_acceleration)
+    flat, most = (
+        sqrt(asked[0] ** 2 + asked[1] ** 2),
+        (STANDARD_GRAVITY + asked[2]) * tan(plant.max_tilt),
+    )
     if flat > most:
         asked[0], asked[1] = asked[0] * most / flat, asked[1] * most / flat
     for a in range(3):
@@ -63,7 +70,7 @@ def fly(position, yaw, velocity, rate, push, command, turn, plant, dt):
 
 @no_type_check
 @numba.njit
-def tilted(axis, push, yaw, turned):
+def rotate_to_heading_frame(axis, push, yaw, turned):
     """A direction fixed to the body, in the heading frame.
 
     The body is turned from the heading frame by the least turn that takes the vertical to
@@ -76,7 +83,7 @@ def tilted(axis, push, yaw, turned):
         turned: Where the direction goes, (3,).
     """
     c, s = cos(yaw), sin(yaw)
-    x, y, z = c * push[0] + s * push[1], c * push[1] - s * push[0], push[2] + GRAVITY
+    x, y, z = c * push[0] + s * push[1], c * push[1] - s * push[0], push[2] + STANDARD_GRAVITY
     size = sqrt(x * x + y * y + z * z)
     x, y, z = x / size, y / size, z / size
     # Rodrigues' formula about e_z × t = (−y, x, 0), whose cosine is z.

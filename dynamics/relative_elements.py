@@ -10,15 +10,15 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics.elements import Elements, check_ellipse, true_anomaly
-from dynamics.frames import LVLH
+from dynamics.coordinate_frames import LVLH
+from dynamics.elements import ClassicalElements, true_anomaly, validate_eccentricity
 from dynamics.orbit import EARTH_MU
 
 # Below this sine of the inclination a node is known to 10⁻⁸ rad at best.
-EQUATORIAL = 1e-8
+MIN_SIN_INCLINATION = 1e-8
 
 
-class RelativeElements(NamedTuple):
+class RelativeOrbitalElements(NamedTuple):
     """A deputy's orbit relative to the chief's, without dimension [DAmico2010, Chapter 2].
 
         δa   = (a_d − a_c)/a_c
@@ -40,21 +40,23 @@ class RelativeElements(NamedTuple):
     inclination_y: float | Float[Array, "*k"]
 
     @classmethod
-    def between(cls, chief: Elements, deputy: Elements) -> "RelativeElements":
+    def from_elements(
+        cls, chief: ClassicalElements, deputy: ClassicalElements
+    ) -> "RelativeOrbitalElements":
         """How a deputy's elements differ from the chief's.
 
         Raises:
             ValueError: One of the orbits is equatorial.
         """
-        _refuse_equatorial("the chief", chief.inclination)
-        _refuse_equatorial("a deputy", deputy.inclination)
-        e_c, w_c = np.asarray(chief.eccentricity), chief.perigee
-        e_d, w_d = np.asarray(deputy.eccentricity), deputy.perigee
-        nodes = _wrap(deputy.node - np.asarray(chief.node))
-        latitudes = _wrap(w_d + deputy.mean_anomaly - w_c - chief.mean_anomaly)
+        _validate_inclination("the chief", chief.inclination)
+        _validate_inclination("a deputy", deputy.inclination)
+        e_c, w_c = np.asarray(chief.eccentricity), chief.arg_perigee
+        e_d, w_d = np.asarray(deputy.eccentricity), deputy.arg_perigee
+        nodes = _wrap_angle(deputy.raan - np.asarray(chief.raan))
+        latitudes = _wrap_angle(w_d + deputy.mean_anomaly - w_c - chief.mean_anomaly)
         return cls(
             (deputy.semi_major_axis - np.asarray(chief.semi_major_axis)) / chief.semi_major_axis,
-            _wrap(latitudes + nodes * np.cos(chief.inclination)),
+            _wrap_angle(latitudes + nodes * np.cos(chief.inclination)),
             e_d * np.cos(w_d) - e_c * np.cos(w_c),
             e_d * np.sin(w_d) - e_c * np.sin(w_c),
             deputy.inclination - np.asarray(chief.inclination),
@@ -62,43 +64,48 @@ class RelativeElements(NamedTuple):
         )
 
     @classmethod
-    def of_lvlh(
+    def from_lvlh(
         cls, frame: LVLH, x: Float[Array, "... 6"], mu: float = EARTH_MU
-    ) -> "RelativeElements":
+    ) -> "RelativeOrbitalElements":
         """Relative elements of states in the chief's frame, exactly.
 
         Raises:
             ValueError: One of the orbits is equatorial, or no ellipse.
         """
-        chief = Elements.of_state(_with_vehicles(frame, x), mu)
-        return cls.between(chief, Elements.of_state(frame.to_inertial(x), mu))
+        chief = ClassicalElements.from_state(_broadcast_chief(frame, x), mu)
+        return cls.from_elements(chief, ClassicalElements.from_state(frame.to_inertial(x), mu))
 
-    def deputy(self, chief: Elements) -> Elements:
+    def deputy_elements(self, chief: ClassicalElements) -> ClassicalElements:
         """The deputy's elements.
 
         Raises:
             ValueError: The chief or the deputy is equatorial, or the deputy's orbit is no
                 ellipse.
         """
-        _refuse_equatorial("the chief", chief.inclination)
-        e_x = chief.eccentricity * np.cos(chief.perigee) + self.eccentricity_x
-        e_y = chief.eccentricity * np.sin(chief.perigee) + self.eccentricity_y
+        _validate_inclination("the chief", chief.inclination)
+        e_x = chief.eccentricity * np.cos(chief.arg_perigee) + self.eccentricity_x
+        e_y = chief.eccentricity * np.sin(chief.arg_perigee) + self.eccentricity_y
         e, perigee = np.hypot(e_x, e_y), np.arctan2(e_y, e_x)
-        check_ellipse(e)
+        validate_eccentricity(e)
         inclination = chief.inclination + np.asarray(self.inclination_x)
-        _refuse_equatorial("the deputy", inclination)
+        _validate_inclination("the deputy", inclination)
         nodes = self.inclination_y / np.sin(chief.inclination)
-        u = chief.perigee + chief.mean_anomaly + self.longitude - nodes * np.cos(chief.inclination)
-        return Elements(
+        u = (
+            chief.arg_perigee
+            + chief.mean_anomaly
+            + self.longitude
+            - nodes * np.cos(chief.inclination)
+        )
+        return ClassicalElements(
             chief.semi_major_axis * (1 + np.asarray(self.semi_major_axis)),
             e,
             inclination,
-            chief.node + nodes,
+            chief.raan + nodes,
             perigee,
             true_anomaly(u - perigee, e),
         )
 
-    def lvlh(self, frame: LVLH, mu: float = EARTH_MU) -> Float[Array, "*k 6"]:
+    def to_lvlh(self, frame: LVLH, mu: float = EARTH_MU) -> Float[Array, "*k 6"]:
         """States in the chief's frame, exactly.
 
         Raises:
@@ -106,16 +113,18 @@ class RelativeElements(NamedTuple):
         """
         like = np.broadcast(*self)
         x = np.broadcast_to(0.0, (*like.shape, 6))
-        deputy = self.deputy(Elements.of_state(_with_vehicles(frame, x), mu))
-        return frame.from_inertial(deputy.state(mu))
+        deputy = self.deputy_elements(ClassicalElements.from_state(_broadcast_chief(frame, x), mu))
+        return frame.from_inertial(deputy.to_state(mu))
 
-    def near_circular(self, chief: Elements, mu: float = EARTH_MU) -> Float[Array, "*k 6"]:
+    def to_lvlh_first_order(
+        self, chief: ClassicalElements, mu: float = EARTH_MU
+    ) -> Float[Array, "*k 6"]:
         """States in the chief's frame to first order [DAmico2010, Chapter 2].
 
         Good to second order in the elements for a circular chief, and off by the fraction e
         for others.
         """
-        u = chief.perigee + chief.mean_anomaly
+        u = chief.arg_perigee + chief.mean_anomaly
         n = np.sqrt(mu / np.asarray(chief.semi_major_axis) ** 3)
         c, s = np.cos(u), np.sin(u)
         a, longitude, e_x, e_y, i_x, i_y = self
@@ -133,16 +142,16 @@ class RelativeElements(NamedTuple):
         return np.asarray(np.stack(parts, axis=-1) * np.asarray(chief.semi_major_axis)[..., None])
 
 
-def _with_vehicles(frame: LVLH, x: Array) -> Array:
+def _broadcast_chief(frame: LVLH, x: Array) -> Array:
     """The chief's state with an axis wherever `x` counts vehicles."""
-    chief = frame.chief
+    chief = frame.chief_state
     vehicles = max(0, x.ndim - chief.ndim)
     return chief.reshape(chief.shape[:-1] + (1,) * vehicles + (6,))
 
 
-def _refuse_equatorial(whose: str, inclination: float | Array) -> None:
+def _validate_inclination(whose: str, inclination: float | Array) -> None:
     flat = np.ravel(inclination)
-    wrong = np.abs(np.sin(flat)) <= EQUATORIAL
+    wrong = np.abs(np.sin(flat)) <= MIN_SIN_INCLINATION
     if wrong.any():
         raise ValueError(
             "quasi-nonsingular relative elements are singular for an equatorial orbit, whose "
@@ -151,6 +160,6 @@ def _refuse_equatorial(whose: str, inclination: float | Array) -> None:
         )
 
 
-def _wrap(angle: float | Array) -> Array:
+def _wrap_angle(angle: float | Array) -> Array:
     """The same angle between −π and π."""
     return np.asarray(angle - 2 * np.pi * np.round(angle / (2 * np.pi)))

@@ -7,12 +7,12 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics.circular import Circular
+from dynamics.circular_orbit import CircularOrbitModel
 from dynamics.orbit import EARTH_MU, EARTH_RADIUS, K_J2, Orbit
 
 
 @dataclass(frozen=True)
-class SchweighartSedwick(Circular):
+class SchweighartSedwick(CircularOrbitModel):
     """The Clohessy–Wiltshire equations with the gradient of J2, averaged round the orbit.
 
         ẍ =  2ncẏ + (5c² − 2)n²x + u_x
@@ -56,7 +56,7 @@ class SchweighartSedwick(Circular):
             )
 
     @classmethod
-    def about(cls, orbit: Orbit) -> "SchweighartSedwick":
+    def from_orbit(cls, orbit: Orbit) -> "SchweighartSedwick":
         """About the circle on which the averaged J2 leaves the energy that the orbit has.
 
         Its rates are the orbit's own on average, to about a hundred-thousandth where the
@@ -67,7 +67,7 @@ class SchweighartSedwick(Circular):
         """
         mu, k = orbit.mu, orbit.k_J2
         first = cls(orbit.semi_major_axis, orbit.inclination, mu, k)
-        Z2 = (sin(orbit.inclination) * sin(orbit.latitude)) ** 2
+        Z2 = (sin(orbit.inclination) * sin(orbit.arg_latitude)) ** 2
         energy = -mu / (2 * orbit.semi_major_axis) - k / orbit.r**3 * (1 / 3 - Z2)
         # On a circle at the rate nc it is −μ/2r + μs/6r; s is known well enough from the first.
         return cls(-mu / (2 * energy) * (1 - first.s / 3), orbit.inclination, mu, k)
@@ -80,7 +80,7 @@ class SchweighartSedwick(Circular):
     @property
     def s(self) -> float:
         """Strength of J2, averaged round the orbit."""
-        return self._strength * (1 + 3 * cos(2 * self.inclination)) / 4
+        return self._j2_ratio * (1 + 3 * cos(2 * self.inclination)) / 4
 
     @property
     def c(self) -> float:
@@ -90,24 +90,24 @@ class SchweighartSedwick(Circular):
     @property
     def k_z(self) -> float:
         """Rate of the argument of latitude [rad/s]."""
-        return self.n * (self.c + self._strength * cos(self.inclination) ** 2)
+        return self.n * (self.c + self._j2_ratio * cos(self.inclination) ** 2)
 
     @property
-    def coriolis(self) -> float:
+    def rotation_rate(self) -> float:
         """The rate at which the axes turn [rad/s]."""
         return self.n * self.c
 
     @property
-    def stretch(self) -> float:
+    def radial_gradient(self) -> float:
         """The gradient of gravity and centrifugal force along the radius [1/s²]."""
         return (5 * self.c**2 - 2) * self.n**2
 
     @property
-    def normal(self) -> float:
+    def cross_track_rate(self) -> float:
         """Rate of the oscillation through the plane [rad/s]."""
         return self.k_z
 
-    def across(
+    def cross_track_motion(
         self,
         z: float | Float[Array, "*#k"],
         velocity: float | Float[Array, "*#k"],
@@ -129,10 +129,10 @@ class SchweighartSedwick(Circular):
         """
         q, i = self.k_z, self.inclination
         inclined = z * sin(latitude) + velocity / q * cos(latitude)  # r Δi
-        parted = self.n * self._strength * sin(i) ** 2 * inclined * t  # r sin i ΔΩ
+        parted = self.n * self._j2_ratio * sin(i) ** 2 * inclined * t  # r sin i ΔΩ
         swing = z * np.cos(q * t) + velocity / q * np.sin(q * t)
         return np.asarray(swing - parted * np.cos(latitude + q * t))
 
     @property
-    def _strength(self) -> float:
+    def _j2_ratio(self) -> float:
         return self.k_J2 / (self.mu * self.radius**2)

@@ -13,18 +13,18 @@ class Pose:
     """A turn about the vertical, then a shift: p ↦ R p + r. One, or one for each of many."""
 
     yaw: Float[Array, "*swarm"] | float  # of R, counterclockwise seen from above [rad]
-    r: Float[Array, "*swarm 3"]  # where the origin comes to lie [m]
+    translation: Float[Array, "*swarm 3"]  # where the origin comes to lie [m]
 
-    def place(self, points: Float[Array, "*#swarm k 3"]) -> Float[Array, "*swarm k 3"]:
+    def transform(self, points: Float[Array, "*#swarm k 3"]) -> Float[Array, "*swarm k 3"]:
         """Where the points come to lie [m]."""
-        placed: Array = _turned(points, np.asarray(self.yaw)) + self.r[..., None, :]
+        placed: Array = _rotate(points, np.asarray(self.yaw)) + self.translation[..., None, :]
         return placed
 
 
 def align(
     shape: Float[Array, "*#swarm k 3"],
-    seen: Float[Array, "*#swarm k 3"],
-    counts: Bool[Array, "*#swarm k"] | None = None,
+    measured: Float[Array, "*#swarm k 3"],
+    mask: Bool[Array, "*#swarm k"] | None = None,
 ) -> Pose:
     """The pose that brings a shape nearest to what is seen, point by point.
 
@@ -50,39 +50,39 @@ def align(
     Raises:
         ValueError: There is no point that counts.
     """
-    if counts is None:
-        counts = np.full(np.broadcast_shapes(shape.shape, seen.shape)[:-1], True)
-    if not np.all(counts.any(axis=-1)):
+    if mask is None:
+        mask = np.full(np.broadcast_shapes(shape.shape, measured.shape)[:-1], True)
+    if not np.all(mask.any(axis=-1)):
         raise ValueError(
             "a shape is aligned by at least one point that is seen, and none counts here; "
             "count at least the vehicle's own"
         )
-    p, s, about_p = _split(shape, counts)
-    q, w, about_q = _split(seen, counts)
+    p, s, about_p = _center(shape, mask)
+    q, w, about_q = _center(measured, mask)
     inner = (s.conj() * w).sum(axis=-1)
     # As large comes from the rounding of large coordinates alone, and is no direction.
-    rounding = 8 * np.finfo(float).eps * (_size(p) * _size(w) + _size(s) * _size(q))
+    rounding = 8 * np.finfo(float).eps * (_norm(p) * _norm(w) + _norm(s) * _norm(q))
     yaw = np.where(np.abs(inner) > rounding, np.angle(inner), 0.0)
-    return Pose(yaw, (about_q - _turned(about_p, yaw))[..., 0, :])
+    return Pose(yaw, (about_q - _rotate(about_p, yaw))[..., 0, :])
 
 
-def _turned(points: Array, yaw: Array) -> Array:
+def _rotate(points: Array, yaw: Array) -> Array:
     c, s = np.cos(yaw)[..., None], np.sin(yaw)[..., None]
     x, y, z = np.moveaxis(points, -1, 0)
     return np.stack(np.broadcast_arrays(c * x - s * y, s * x + c * y, z), axis=-1)
 
 
-def _split(points: Array, counts: Array) -> tuple[Array, Array, Array]:
+def _center(points: Array, counts: Array) -> tuple[Array, Array, Array]:
     # Planar parts as they are and about their mean, and the mean, (…, 1, 3).
     known = np.where(counts[..., None], points, 0.0)
     mean = known.sum(axis=-2, keepdims=True) / counts.sum(axis=-1)[..., None, None]
-    return _planar(known), counts * _planar(known - mean), mean
+    return _to_complex(known), counts * _to_complex(known - mean), mean
 
 
-def _planar(points: Array) -> Array:
+def _to_complex(points: Array) -> Array:
     flat: Array = points[..., 0] + 1j * points[..., 1]
     return flat
 
 
-def _size(z: Array) -> Any:
+def _norm(z: Array) -> Any:
     return np.linalg.norm(z, axis=-1)

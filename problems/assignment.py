@@ -6,7 +6,7 @@ from numpy import ndarray as Array
 from scipy.optimize import linear_sum_assignment
 
 
-def assign(cost: Float[Array, "agents targets"]) -> Int[Array, " agents"]:
+def solve_assignment(cost: Float[Array, "agents targets"]) -> Int[Array, " agents"]:
     """Give every agent its own target at the least total cost [Morgan2016, Problem 2].
 
     It sees every cost at once, which no agent of a swarm can; nothing here takes part

@@ -10,33 +10,33 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from dynamics import Steps
-from problems.avoidance import Avoidance, no_spaces
+from dynamics import DiscreteModel
+from problems.avoidance import AvoidanceProblem, empty_half_spaces
 from problems.conic import TOLERANCE, Unsolved
-from problems.least_fuel import Burns, least_fuel, response
-from problems.transfer import Flight, Transfer, ends_first
-from problems.within_speed import WithinSpeed
+from problems.minimum_fuel import MinimumFuelSolutions, reachability_matrix, solve_minimum_fuel
+from problems.speed_limited import SpeedLimitedSolver
+from problems.transfer import Trajectory, TransferProblem, tie_break_weights
 
 # A slope of the weights that keeps optima unique and costs no more than this part of the fuel.
-SLOPE = 1e-7
+TIE_BREAK_RISE = 1e-7
 
 
-class Prices(NamedTuple):
+class TransferCosts(NamedTuple):
     """Least fuel for every agent and target, no collisions."""
 
     fuel: Float[Array, "agents targets"]  # [m/s]; where out of reach, above every feasible price
-    reachable: Bool[Array, "agents targets"]
-    exact: Bool[Array, "agents targets"]  # else a lower bound: that path breaks the speed limit
-    gap: float  # largest relative distance of a price from its dual bound
+    is_reachable: Bool[Array, "agents targets"]
+    is_exact: Bool[Array, "agents targets"]  # else a lower bound: that path breaks the speed limit
+    duality_gap: float  # largest relative distance of a price from its dual bound
 
 
-def price(
-    steps: Steps,
+def compute_transfer_costs(
+    steps: DiscreteModel,
     start: Float[Array, "agents n"],
     goals: Float[Array, "targets n"],
     max_control: float,
     max_speed: float = inf,
-) -> Prices:
+) -> TransferCosts:
     """Price every pair for q = 1 and r = ∞, exactly but for the speed limit.
 
     The pairs share everything but their displacement, see `least_fuel`. A pair whose
@@ -55,30 +55,32 @@ def price(
     """
     if not max_speed > 0:
         raise ValueError(f"max_speed must be positive, got {max_speed}")
-    b = displacements(steps, start, goals)
-    weight = ends_first(len(steps), SLOPE)
+    b = compute_displacements(steps, start, goals)
+    weight = tie_break_weights(len(steps), TIE_BREAK_RISE)
     agents, targets, n = b.shape
     # One lot an agent: what it pays does not depend on where the others are, to the last bit.
-    burns = least_fuel(steps, b.reshape(-1, n), max_control, weight, lots=agents)
+    burns = solve_minimum_fuel(steps, b.reshape(-1, n), max_control, weight, batches=agents)
     reachable = np.isfinite(burns.fuel)
     exact = np.ones_like(reachable)
     if isfinite(max_speed) and len(steps) > 1:
         x0 = np.repeat(start, targets, axis=0)
-        exact = _keeps_speed(steps.A, steps.B, steps.z, x0, burns.u, max_speed * (1 + 1e-9))
+        exact = _is_within_speed_limit(
+            steps.A, steps.B, steps.z, x0, burns.u, max_speed * (1 + 1e-9)
+        )
         exact |= ~reachable
-    fuel = np.where(reachable, burns.fuel, out_of_reach(steps, max_control))
+    fuel = np.where(reachable, burns.fuel, unreachable_cost(steps, max_control))
     shape = (agents, targets)
-    return Prices(
+    return TransferCosts(
         fuel.reshape(shape),
         reachable.reshape(shape),
         exact.reshape(shape),
-        _gap(burns, steps, max_control),
+        _max_duality_gap(burns, steps, max_control),
     )
 
 
-def price_within_speed(
-    transfer: Transfer, start: Float[Array, " n"], goal: Float[Array, " n"]
-) -> Flight | None:
+def solve_transfer(
+    transfer: TransferProblem, start: Float[Array, " n"], goal: Float[Array, " n"]
+) -> Trajectory | None:
     """The exact answer for one pair that the speed limit binds.
 
     Returns:
@@ -88,29 +90,29 @@ def price_within_speed(
     paper = (transfer.fuel_norm, transfer.control_norm) == (1, "inf")
     try:
         if paper and isfinite(transfer.max_speed):
-            return _within_speed(transfer).solve(start, goal)
-        return Avoidance(transfer).solve(start, goal, no_spaces(transfer)).flight
+            return _cached_solver(transfer).solve(start, goal)
+        return AvoidanceProblem(transfer).solve(start, goal, empty_half_spaces(transfer)).trajectory
     except Unsolved:
         return None
 
 
-_kept = local()  # a solver is of one thread, and of the last transfer that was asked about
+_thread_cache = local()  # a solver is of one thread, and of the last transfer that was asked about
 
 
-def _within_speed(transfer: Transfer) -> WithinSpeed:
-    last: WithinSpeed | None = getattr(_kept, "last", None)
+def _cached_solver(transfer: TransferProblem) -> SpeedLimitedSolver:
+    last: SpeedLimitedSolver | None = getattr(_thread_cache, "last", None)
     if last is None or last.transfer is not transfer:
-        last = _kept.last = WithinSpeed(transfer)
+        last = _thread_cache.last = SpeedLimitedSolver(transfer)
     return last
 
 
-def exact(
-    steps: Steps,
+def compute_exact_costs(
+    steps: DiscreteModel,
     start: Float[Array, "agents n"],
     goals: Float[Array, "targets n"],
     max_control: float,
     max_speed: float = inf,
-) -> Prices:
+) -> TransferCosts:
     """Price every pair exactly, also those that the speed limit binds.
 
     Args:
@@ -120,31 +122,35 @@ def exact(
         max_control: U [m/s²].
         max_speed: V [m/s].
     """
-    prices = price(steps, start, goals, max_control, max_speed)
-    agent, target = np.nonzero(~prices.exact)
+    prices = compute_transfer_costs(steps, start, goals, max_control, max_speed)
+    agent, target = np.nonzero(~prices.is_exact)
     if len(agent) == 0:
         return prices
-    within = WithinSpeed(Transfer(steps, max_control, max_speed, slope=SLOPE))
+    within = SpeedLimitedSolver(
+        TransferProblem(steps, max_control, max_speed, tie_break_rise=TIE_BREAK_RISE)
+    )
     first = np.searchsorted(agent, np.arange(len(start) + 1))  # one lot an agent, as in `price`
-    burns = within.burns(start[agent], goals[target], first)
+    burns = within.solve_many(start[agent], goals[target], first)
     reached = np.isfinite(burns.fuel)
-    fuel, reachable = prices.fuel.copy(), prices.reachable.copy()
-    fuel[agent, target] = np.where(reached, burns.fuel, out_of_reach(steps, max_control))
+    fuel, reachable = prices.fuel.copy(), prices.is_reachable.copy()
+    fuel[agent, target] = np.where(reached, burns.fuel, unreachable_cost(steps, max_control))
     reachable[agent, target] = reached
-    gap = max(prices.gap, _gap(burns, steps, max_control))
-    return Prices(fuel, reachable, np.ones_like(reachable), gap)
+    gap = max(prices.duality_gap, _max_duality_gap(burns, steps, max_control))
+    return TransferCosts(fuel, reachable, np.ones_like(reachable), gap)
 
 
-def _gap(burns: Burns, steps: Steps, max_control: float) -> float:
+def _max_duality_gap(
+    burns: MinimumFuelSolutions, steps: DiscreteModel, max_control: float
+) -> float:
     # Of all that are in reach, the largest relative one.
-    fuel, bound = burns.fuel[np.isfinite(burns.fuel)], burns.bound[np.isfinite(burns.fuel)]
+    fuel, bound = burns.fuel[np.isfinite(burns.fuel)], burns.dual_bound[np.isfinite(burns.fuel)]
     gap = np.abs(fuel - bound) / np.maximum(np.abs(bound), 1e-9 * max_control * steps.dt)
     return float(gap.max(initial=0.0))
 
 
-def price_stated(
-    transfer: Transfer, start: Float[Array, "agents n"], goals: Float[Array, "targets n"]
-) -> Prices:
+def compute_costs_cvxpy(
+    transfer: TransferProblem, start: Float[Array, "agents n"], goals: Float[Array, "targets n"]
+) -> TransferCosts:
     """Price every pair by the statement, for norms other than q = 1 and r = ∞.
 
     About ten milliseconds a pair.
@@ -155,38 +161,38 @@ def price_stated(
         goals: Where they might have to be at the end.
     """
     shape = (len(start), len(goals))
-    fuel = np.full(shape, out_of_reach(transfer.steps, transfer.max_control))
+    fuel = np.full(shape, unreachable_cost(transfer.model, transfer.max_control))
     reachable = np.zeros(shape, dtype=bool)
     for i, j in np.ndindex(*shape):
         with suppress(Unsolved):  # as `price_within_speed`, also at the very edge of reach
             fuel[i, j] = transfer.solve(start[i], goals[j]).fuel
             reachable[i, j] = True
-    return Prices(fuel, reachable, np.ones(shape, dtype=bool), TOLERANCE)
+    return TransferCosts(fuel, reachable, np.ones(shape, dtype=bool), TOLERANCE)
 
 
-def out_of_reach(steps: Steps, max_control: float) -> float:
+def unreachable_cost(steps: DiscreteModel, max_control: float) -> float:
     """A finite price above that of every flight there is: twice all that can be burnt [m/s]."""
     return 2 * steps.dt * max(len(steps), 1) * steps.axes * max_control
 
 
-def displacements(
-    steps: Steps, start: Float[Array, "agents n"], goals: Float[Array, "targets n"]
+def compute_displacements(
+    steps: DiscreteModel, start: Float[Array, "agents n"], goals: Float[Array, "targets n"]
 ) -> Float[Array, "agents targets n"]:
     """Goal minus where the free motion ends, for every pair."""
-    free = steps.roll(start, np.zeros((len(start), len(steps), steps.axes)))[:, -1]
+    free = steps.simulate(start, np.zeros((len(start), len(steps), steps.axes)))[:, -1]
     return np.asarray(goals[None] - free[:, None])
 
 
-def distance(
-    steps: Steps, start: Float[Array, "agents n"], goals: Float[Array, "targets n"]
+def compute_distances(
+    steps: DiscreteModel, start: Float[Array, "agents n"], goals: Float[Array, "targets n"]
 ) -> Float[Array, "agents targets"]:
     """Straight distance, the algebraic cost of [Morgan2016, Remark 3] [m]."""
     d = steps.axes
     return np.asarray(np.linalg.norm(goals[None, :, :d] - start[:, None, :d], axis=2))
 
 
-def energy(
-    steps: Steps, start: Float[Array, "agents n"], goals: Float[Array, "targets n"]
+def compute_energies(
+    steps: DiscreteModel, start: Float[Array, "agents n"], goals: Float[Array, "targets n"]
 ) -> Float[Array, "agents targets"]:
     """Least control energy, Δt Σ ‖u‖₂² = bᵀ (C Cᵀ)⁻¹ b Δt, without limits [m²/s³].
 
@@ -194,8 +200,8 @@ def energy(
     least energy that do not cross, whatever the linear dynamics. With too few steps to
     reach every state it is the energy of coming nearest.
     """
-    C = response(steps).reshape(2 * steps.axes, -1)
-    b = displacements(steps, start, goals)
+    C = reachability_matrix(steps).reshape(2 * steps.axes, -1)
+    b = compute_displacements(steps, start, goals)
     rows = b.reshape(-1, len(C)).T
     if np.linalg.matrix_rank(C) == len(C):
         u = np.linalg.solve(np.linalg.qr(C.T)[1].T, rows)  # as long as the controls themselves
@@ -206,7 +212,7 @@ def energy(
 
 @numba.njit(cache=True, parallel=True)
 @no_type_check
-def _keeps_speed(A, B, z, start, u, limit):
+def _is_within_speed_limit(A, B, z, start, u, limit):
     pairs, T, m = u.shape
     n = start.shape[1]
     keeps = np.ones(pairs, np.bool_)

@@ -14,52 +14,54 @@ from jaxtyping import Float, Int
 from numpy import ndarray as Array
 from scipy.sparse import csc_array
 
-from problems.conic import Conic, solve
+from problems.conic import ConicProgram, solve
 from problems.solvers import solve_clarabel
-from problems.transfer import Flight, Transfer, solve_statement
+from problems.transfer import Trajectory, TransferProblem, solve_cvxpy
 
-Yield = Literal["nothing", "arrival", "separation"]
+Relaxation = Literal["nothing", "arrival", "separation"]
 
-PENALTY = 1e3  # of a metre missed, over the fuel that flies a metre in the time given
+RELAXATION_PENALTY = 1e3  # of a metre missed, over the fuel that flies a metre in the time given
 
 
 class HalfSpaces(NamedTuple):
     """on_state · x[step] + on_control · u[step] ≥ least, one row each."""
 
-    step: Int[Array, " rows"]
-    on_state: Float[Array, "rows n"]
-    on_control: Float[Array, "rows m"]
-    least: Float[Array, " rows"]
+    step_index: Int[Array, " rows"]
+    state_coeffs: Float[Array, "rows n"]
+    control_coeffs: Float[Array, "rows m"]
+    rhs: Float[Array, " rows"]
 
-    def missing(
+    def violation(
         self, x: Float[Array, "instants n"], u: Float[Array, "T m"]
     ) -> Float[Array, " rows"]:
         """By how much each row is broken; negative where it holds with room."""
-        kept = (self.on_state * x[self.step]).sum(1) + (self.on_control * u[self.step]).sum(1)
-        return np.asarray(self.least - kept)
+        kept = (self.state_coeffs * x[self.step_index]).sum(1) + (
+            self.control_coeffs * u[self.step_index]
+        ).sum(1)
+        return np.asarray(self.rhs - kept)
 
-    def stated(self, x: Any, u: Any) -> Any:
+    def to_cvxpy(self, x: Any, u: Any) -> Any:
         """What a flight keeps of each row, of variables in CVXPY."""
         import cvxpy as cp
 
-        on_x = cp.sum(cp.multiply(self.on_state, x[self.step]), axis=1)
-        return on_x + cp.sum(cp.multiply(self.on_control, u[self.step]), axis=1)
+        on_x = cp.sum(cp.multiply(self.state_coeffs, x[self.step_index]), axis=1)
+        return on_x + cp.sum(cp.multiply(self.control_coeffs, u[self.step_index]), axis=1)
 
-    def only(self, rows: Array) -> "HalfSpaces":
+    def select(self, rows: Array) -> "HalfSpaces":
         """Some of the rows, by a mask or their numbers."""
         return HalfSpaces(*(field[rows] for field in self))
 
 
-class Passage(NamedTuple):
+class AvoidanceResult(NamedTuple):
     """A flight among half-spaces, and what had to give."""
 
-    flight: Flight
-    late: float  # distance from the goal at the end, in the largest norm; 0 unless asked
+    trajectory: Trajectory
+    terminal_error: float  # distance from the goal at the end, in the largest norm; 0 unless asked
     slack: float  # largest break of a half-space [m]; 0 unless asked
 
 
 @dataclass(frozen=True, eq=False)
-class Avoidance:
+class AvoidanceProblem:
     """A transfer that stays inside half-spaces.
 
         minimise    Δt Σ w[k] ‖u[k]‖_q
@@ -70,39 +72,39 @@ class Avoidance:
     be kept: nothing, the arrival, or the arrival and then the separation.
     """
 
-    transfer: Transfer
+    transfer: TransferProblem
 
     def solve(
         self,
         start: Float[Array, " n"],
         goal: Float[Array, " n"],
         spaces: HalfSpaces,
-        gives: Yield = "nothing",
-    ) -> Passage:
+        gives: Relaxation = "nothing",
+    ) -> AvoidanceResult:
         """Fly from start to goal inside the half-spaces.
 
         Raises:
             Infeasible: No flight does it, without breaking more than `gives` allows.
         """
-        self.transfer.needs_steps()
+        self.transfer.require_steps()
         if (self.transfer.fuel_norm, self.transfer.control_norm) == (1, "inf"):
-            return self._solve_assembled(start, goal, spaces, gives)
-        return self.solve_stated(start, goal, spaces, gives)
+            return self._solve_condensed(start, goal, spaces, gives)
+        return self.solve_cvxpy(start, goal, spaces, gives)
 
-    def solve_stated(
-        self, start: Array, goal: Array, spaces: HalfSpaces, gives: Yield = "nothing"
-    ) -> Passage:
+    def solve_cvxpy(
+        self, start: Array, goal: Array, spaces: HalfSpaces, gives: Relaxation = "nothing"
+    ) -> AvoidanceResult:
         """The same, by the statement in CVXPY: for any norms, and as a second opinion."""
         import cvxpy as cp
 
-        T, n = len(self.transfer.steps), len(start)
-        x, u, effort, limits = self.transfer.statement(start)
-        late, slack = cp.Variable(n), cp.Variable(len(spaces.least), nonneg=True)
+        T, n = len(self.transfer.model), len(start)
+        x, u, effort, limits = self.transfer.build_cvxpy(start)
+        late, slack = cp.Variable(n), cp.Variable(len(spaces.rhs), nonneg=True)
         arrive = x[T] + late == goal
-        kept = spaces.stated(x, u)
-        apart = [kept + slack >= spaces.least] if len(spaces.least) else []
-        price = self._price
-        missed = cp.norm1(cp.multiply(self._units, late)) + 10 * cp.sum(slack)
+        kept = spaces.to_cvxpy(x, u)
+        apart = [kept + slack >= spaces.rhs] if len(spaces.rhs) else []
+        price = self._penalty
+        missed = cp.norm1(cp.multiply(self._terminal_error_weights, late)) + 10 * cp.sum(slack)
         cost = effort + price * missed
         fixed = []
         if gives == "nothing":
@@ -110,75 +112,75 @@ class Avoidance:
         if gives != "separation":
             fixed.append(slack == 0)
         problem = cp.Problem(cp.Minimize(cost), [*limits, arrive, *apart, *fixed])
-        solve_statement(self, problem)
-        return self._passage(start, goal, np.asarray(u.value), spaces, gives)
+        solve_cvxpy(self, problem)
+        return self._make_result(start, goal, np.asarray(u.value), spaces, gives)
 
-    def _passage(
-        self, start: Array, goal: Array, u: Array, spaces: HalfSpaces, gives: Yield
-    ) -> Passage:
-        flight = self.transfer.flight(start, u)
+    def _make_result(
+        self, start: Array, goal: Array, u: Array, spaces: HalfSpaces, gives: Relaxation
+    ) -> AvoidanceResult:
+        flight = self.transfer.simulate(start, u)
         late = 0.0 if gives == "nothing" else float(np.abs(flight.x[-1] - goal).max())
         slack = 0.0
         if gives == "separation":
-            slack = float(spaces.missing(flight.x, flight.u).max(initial=0.0))
-        return Passage(flight, late, slack)
+            slack = float(spaces.violation(flight.x, flight.u).max(initial=0.0))
+        return AvoidanceResult(flight, late, slack)
 
     @cached_property
-    def _price(self) -> float:
-        duration = len(self.transfer.steps) * self.transfer.steps.dt
-        return PENALTY / duration
+    def _penalty(self) -> float:
+        duration = len(self.transfer.model) * self.transfer.model.dt
+        return RELAXATION_PENALTY / duration
 
     @cached_property
-    def _units(self) -> Array:
+    def _terminal_error_weights(self) -> Array:
         # A speed missed weighs as the distance it covers in a step.
-        d = self.transfer.steps.axes
-        return np.repeat([1.0, self.transfer.steps.dt], d)
+        d = self.transfer.model.axes
+        return np.repeat([1.0, self.transfer.model.dt], d)
 
-    def _solve_assembled(
-        self, start: Array, goal: Array, spaces: HalfSpaces, gives: Yield
-    ) -> Passage:
+    def _solve_condensed(
+        self, start: Array, goal: Array, spaces: HalfSpaces, gives: Relaxation
+    ) -> AvoidanceResult:
         """Fast path: the states eliminated, speed limits only where they would be broken."""
         fast: list[int] = []
         while True:
-            problem = self.assemble(start, goal, spaces, gives, fast)
-            u = self.controls(solve(problem, solve_clarabel).x)
-            passage = self._passage(start, goal, u, spaces, gives)
-            broken = self.too_fast(passage.flight.x, fast)
+            problem = self.assemble_conic(start, goal, spaces, gives, fast)
+            u = self.extract_controls(solve(problem, solve_clarabel).x)
+            passage = self._make_result(start, goal, u, spaces, gives)
+            broken = self.find_speed_violations(passage.trajectory.x, fast)
             if not len(broken):
                 return passage
             fast = [*fast, *broken]
 
-    def too_fast(self, x: Float[Array, "instants n"], known: list[int]) -> list[int]:
+    def find_speed_violations(self, x: Float[Array, "instants n"], known: list[int]) -> list[int]:
         """Instants at which a flight breaks the speed limit, beyond those known."""
-        d = self.transfer.steps.axes
+        d = self.transfer.model.axes
         speed = np.linalg.norm(x[1:-1, d:], axis=1)
         over = np.flatnonzero(speed > self.transfer.max_speed * (1 + 1e-9)) + 1
         return [int(k) for k in over if int(k) not in known]
 
-    def controls(self, found: Float[Array, " unknowns"]) -> Float[Array, "T m"]:
+    def extract_controls(self, found: Float[Array, " unknowns"]) -> Float[Array, "T m"]:
         """The controls in an answer to what `assemble` gives."""
-        T, m = len(self.transfer.steps), self.transfer.steps.axes
+        T, m = len(self.transfer.model), self.transfer.model.axes
         plus, minus = found[: T * m], found[T * m : 2 * T * m]
         U = self.transfer.max_control
         return np.asarray(np.clip(U * (plus - minus), -U, U)).reshape(T, m)
 
-    def assemble(
+    def assemble_conic(
         self,
         start: Float[Array, " n"],
         goal: Float[Array, " n"],
         spaces: HalfSpaces,
-        gives: Yield,
+        gives: Relaxation,
         fast: list[int],
-    ) -> Conic:
+    ) -> ConicProgram:
         """The programme with the states eliminated, and speed limits at some instants.
 
         Unknowns are u⁺ and u⁻ in units of U, then lateness ± in metres, then slack.
         """
-        transfer, (R, lower) = self.transfer, self.transfer.response
-        T, n, m = transfer.steps.B.shape
+        transfer, (R, lower) = self.transfer, self.transfer.response_matrices
+        T, n, m = transfer.model.B.shape
         U, N = transfer.max_control, T * m
         free = transfer.coast(start)
-        on_u, room = by_controls(transfer, spaces, free)
+        on_u, room = condense_half_spaces(transfer, spaces, free)
         near = U * np.abs(on_u).sum(axis=1) > room  # the many that no control can break are out
         on_u, room = on_u[near], room[near]
         rows = len(room)
@@ -187,8 +189,8 @@ class Avoidance:
         columns = 2 * N + 2 * lates + slacks
         slack_at = 2 * N + 2 * lates
 
-        fuel = U * transfer.steps.dt * np.repeat(transfer.weight, m)
-        price = self._price
+        fuel = U * transfer.model.dt * np.repeat(transfer.weights, m)
+        price = self._penalty
         q = np.concatenate([fuel, fuel, np.full(2 * lates, price), np.full(slacks, 10 * price)])
 
         whiten = np.linalg.inv(lower)
@@ -196,7 +198,7 @@ class Avoidance:
         arrive[:, :N] = U * whiten @ R[T]
         arrive[:, N : 2 * N] = -arrive[:, :N]
         if lates:
-            unit = whiten / self._units
+            unit = whiten / self._terminal_error_weights
             arrive[:, 2 * N : 2 * N + n], arrive[:, 2 * N + n : slack_at] = unit, -unit
         scale = 1 / U
         arrive, reach = scale * arrive, scale * whiten @ (goal - free[T])
@@ -206,15 +208,15 @@ class Avoidance:
         apart[np.arange(slacks), slack_at + np.arange(slacks)] = -1
 
         sides = np.concatenate([np.ones(2 * N), np.zeros(columns)])
-        cones, tops = self._speed_cones(R, free, fast, columns)
-        A = _boxed(np.vstack([arrive, apart]), 2 * N, cones)
+        cones, tops = self._assemble_speed_cones(R, free, fast, columns)
+        A = _stack_with_bounds(np.vstack([arrive, apart]), 2 * N, cones)
         b = np.concatenate([reach, room, sides, tops])
-        return Conic(q, A, b, n, rows + len(sides), (transfer.steps.axes + 1,) * len(fast))
+        return ConicProgram(q, A, b, n, rows + len(sides), (transfer.model.axes + 1,) * len(fast))
 
-    def _speed_cones(
+    def _assemble_speed_cones(
         self, R: Array, free: Array, fast: list[int], columns: int
     ) -> tuple[Array, Array]:
-        d, U = self.transfer.steps.axes, self.transfer.max_control
+        d, U = self.transfer.model.axes, self.transfer.max_control
         N = R.shape[2]
         cones = np.zeros((len(fast), d + 1, columns))
         tops = np.zeros((len(fast), d + 1))
@@ -224,19 +226,19 @@ class Avoidance:
         return cones.reshape(-1, columns), tops.ravel()
 
 
-def by_controls(
-    transfer: Transfer, spaces: HalfSpaces, free: Float[Array, "instants n"]
+def condense_half_spaces(
+    transfer: TransferProblem, spaces: HalfSpaces, free: Float[Array, "instants n"]
 ) -> tuple[Float[Array, "rows controls"], Float[Array, " rows"]]:
     """on_u and room of −on_u · u ≤ room, for flights that coast as given."""
-    R, m = transfer.response[0], transfer.steps.axes
-    on_u = np.einsum("rn,rnj->rj", spaces.on_state, R[spaces.step])
-    for r, k in enumerate(spaces.step):
-        on_u[r, k * m : (k + 1) * m] += spaces.on_control[r]
-    room = (spaces.on_state * free[spaces.step]).sum(1) - spaces.least
+    R, m = transfer.response_matrices[0], transfer.model.axes
+    on_u = np.einsum("rn,rnj->rj", spaces.state_coeffs, R[spaces.step_index])
+    for r, k in enumerate(spaces.step_index):
+        on_u[r, k * m : (k + 1) * m] += spaces.control_coeffs[r]
+    room = (spaces.state_coeffs * free[spaces.step_index]).sum(1) - spaces.rhs
     return on_u, room
 
 
-def _boxed(above: Array, count: int, below: Array) -> csc_array:
+def _stack_with_bounds(above: Array, count: int, below: Array) -> csc_array:
     """Rows, then x ≤ 1 for as many unknowns, then x ≥ 0 for all, then rows; as it is sparse."""
     first, columns = above.shape
     own, last = np.arange(columns), first + count + columns
@@ -252,7 +254,7 @@ def _boxed(above: Array, count: int, below: Array) -> csc_array:
     return csc_array((value[there], row[there], starts), shape=(last + len(below), columns))
 
 
-def no_spaces(transfer: Transfer) -> HalfSpaces:
+def empty_half_spaces(transfer: TransferProblem) -> HalfSpaces:
     """Half-spaces for an agent that meets nobody."""
-    n, m = transfer.steps.B.shape[1:]
+    n, m = transfer.model.B.shape[1:]
     return HalfSpaces(np.zeros(0, int), np.zeros((0, n)), np.zeros((0, m)), np.zeros(0))

@@ -10,14 +10,14 @@ from numpy import ndarray as Array
 from scipy.sparse import csc_array
 
 TOLERANCE = 1e-6  # relative; a "solved" with larger residuals or gap is not solved
-FAR = 1e-3  # of a proof: no point smaller than 1 / FAR, in the units of the problem
+RAY_TOLERANCE = 1e-3  # of a proof: no point smaller than 1 / FAR, in the units of the problem
 
 
-Cone = Literal["linear", "second-order", "semidefinite"]
+ConeType = Literal["linear", "second-order", "semidefinite"]
 
 
 @dataclass(frozen=True, eq=False)
-class Conic:
+class ConicProgram:
     """A linear cost over cones.
 
         minimise qᵀx  subject to  b − A x ∈ {0}ᶻ × ℝ₊ˡ × Q₁ × Q₂ × … × S₁ × S₂ × …
@@ -32,18 +32,18 @@ class Conic:
     b: Float[Array, " m"]
     zero: int  # z, rows that are equations
     nonnegative: int  # l, rows that are inequalities
-    cones: tuple[int, ...] = ()  # sizes of the second-order cones
-    matrices: tuple[int, ...] = ()  # orders of the semidefinite matrices
+    soc_sizes: tuple[int, ...] = ()  # sizes of the second-order cones
+    psd_orders: tuple[int, ...] = ()  # orders of the semidefinite matrices
 
     def __post_init__(self) -> None:
         """Refuse rows that belong to no cone, and numbers that are none."""
-        if min(self.zero, self.nonnegative, 0) or min((*self.cones, *self.matrices, 1)) < 1:
+        if min(self.zero, self.nonnegative, 0) or min((*self.soc_sizes, *self.psd_orders, 1)) < 1:
             raise ValueError(
                 "counts of rows cannot be negative, and every cone has at least one, got "
-                f"{self.zero}, {self.nonnegative}, cones {self.cones}, matrices {self.matrices}"
+                f"{self.zero}, {self.nonnegative}, cones {self.soc_sizes}, matrices {self.psd_orders}"
             )
-        rows = self.zero + self.nonnegative + sum(self.cones)
-        rows += sum(n * (n + 1) // 2 for n in self.matrices)
+        rows = self.zero + self.nonnegative + sum(self.soc_sizes)
+        rows += sum(n * (n + 1) // 2 for n in self.psd_orders)
         if self.A.shape != (rows, len(self.q)) or len(self.b) != rows:
             raise ValueError(
                 f"the cones have {rows} rows and the cost {len(self.q)} columns, "
@@ -53,63 +53,63 @@ class Conic:
             if not np.isfinite(numbers).all():
                 raise ValueError(f"{name} must be finite: leave out the row that is not wanted")
 
-    def outside(self, s: Float[Array, " m"], dual: bool = False) -> float:
+    def cone_violation(self, s: Float[Array, " m"], dual: bool = False) -> float:
         """How far s is from the cone, or from its dual: the largest violation."""
         linear = self.zero + self.nonnegative
         worst = [0.0] if dual else [np.abs(s[: self.zero]).max(initial=0.0)]
         worst.append(0.0 - s[self.zero : linear].min(initial=0.0))  # and never −0
         start = linear
-        for size in self.cones:
+        for size in self.soc_sizes:
             t, y = s[start], s[start + 1 : start + size]
             worst.append(np.linalg.norm(y) - t)
             start += size
-        for n in self.matrices:
+        for n in self.psd_orders:
             size = n * (n + 1) // 2
-            worst.append(-np.linalg.eigvalsh(matrix(s[start : start + size], n))[0])
+            worst.append(-np.linalg.eigvalsh(smat(s[start : start + size], n))[0])
             start += size
-        return _largest(worst)
+        return _max_or_nan(worst)
 
-    def weight(self, v: Float[Array, " m"]) -> float:
+    def violation_cost(self, v: Float[Array, " m"]) -> float:
         """What vᵀs can lose, v of one cone and s of the other, where s lies 1 outside it."""
         linear = self.zero + self.nonnegative
         total, start = float(np.abs(v[:linear]).sum()), linear
-        for size in self.cones:
+        for size in self.soc_sizes:
             total += abs(float(v[start]))
             start += size
-        for n in self.matrices:
+        for n in self.psd_orders:
             size = n * (n + 1) // 2
-            total += abs(float(np.trace(matrix(v[start : start + size], n))))
+            total += abs(float(np.trace(smat(v[start : start + size], n))))
             start += size
         return total
 
-    def into_dual(self, y: Float[Array, " m"]) -> Float[Array, " m"]:
+    def move_into_dual_cone(self, y: Float[Array, " m"]) -> Float[Array, " m"]:
         """A point of the dual cone near y."""
         linear = self.zero + self.nonnegative
         y = y.copy()
         y[self.zero : linear] = np.maximum(y[self.zero : linear], 0)
         start = linear
-        for size in self.cones:
+        for size in self.soc_sizes:
             y[start] = max(y[start], np.linalg.norm(y[start + 1 : start + size]))
             start += size
-        for n in self.matrices:
+        for n in self.psd_orders:
             size = n * (n + 1) // 2
-            values, vectors = np.linalg.eigh(matrix(y[start : start + size], n))
-            y[start : start + size] = triangle((vectors * np.maximum(values, 0)) @ vectors.T)
+            values, vectors = np.linalg.eigh(smat(y[start : start + size], n))
+            y[start : start + size] = svec((vectors * np.maximum(values, 0)) @ vectors.T)
             start += size
         return y
 
     @property
-    def kinds(self) -> frozenset["Cone"]:
+    def cone_types(self) -> frozenset["ConeType"]:
         """The cones that a solver has to know."""
-        found: set[Cone] = {"linear"}
-        if self.cones:
+        found: set[ConeType] = {"linear"}
+        if self.soc_sizes:
             found.add("second-order")
-        if self.matrices:
+        if self.psd_orders:
             found.add("semidefinite")
         return frozenset(found)
 
 
-def matrix(triangle: Float[Array, " k"], n: int) -> Float[Array, "n n"]:
+def smat(triangle: Float[Array, " k"], n: int) -> Float[Array, "n n"]:
     """The symmetric matrix of a triangle as it stands in the rows of a `Conic`."""
     found = np.zeros((n, n))
     column, row = np.tril_indices(n)
@@ -118,19 +118,19 @@ def matrix(triangle: Float[Array, " k"], n: int) -> Float[Array, "n n"]:
     return found
 
 
-def triangle(matrix: Float[Array, "n n"]) -> Float[Array, " k"]:
+def svec(matrix: Float[Array, "n n"]) -> Float[Array, " k"]:
     """The rows of a `Conic` for a symmetric matrix."""
     n = len(matrix)
     weight = np.where(np.eye(n, dtype=bool), 1.0, np.sqrt(2))
     return np.asarray((weight * matrix.T)[np.tri(n, dtype=bool)])
 
 
-def _largest(numbers: Sequence[float | np.floating]) -> float:
+def _max_or_nan(numbers: Sequence[float | np.floating]) -> float:
     # NaN where one of them is: the built-in max would lose it, and a lie with it.
     return float(np.max(np.array(numbers)))
 
 
-class Answer(NamedTuple):
+class ConicSolution(NamedTuple):
     """What a solver says, and what recomputing shows of it."""
 
     x: Float[Array, " n"]
@@ -140,22 +140,24 @@ class Answer(NamedTuple):
     gap: float  # |qᵀx + bᵀy|, relative
 
     @classmethod
-    def of(cls, problem: Conic, x: Float[Array, " n"], y: Float[Array, " m"]) -> "Answer":
+    def evaluate(
+        cls, problem: ConicProgram, x: Float[Array, " n"], y: Float[Array, " m"]
+    ) -> "ConicSolution":
         """Recompute residuals and gap from the numbers alone."""
         q, A, b = problem.q, problem.A, problem.b
         value = float(q @ x)
-        primal = problem.outside(b - A @ x) / (1 + np.abs(b).max(initial=0.0))
+        primal = problem.cone_violation(b - A @ x) / (1 + np.abs(b).max(initial=0.0))
         stationary = float(np.abs(q + A.T @ y).max(initial=0.0))
-        dual = _largest([stationary, problem.outside(y, dual=True)]) / (
+        dual = _max_or_nan([stationary, problem.cone_violation(y, dual=True)]) / (
             1 + np.abs(q).max(initial=0.0)
         )
         gap = abs(value + float(b @ y)) / (1 + abs(value))
         return cls(x, y, float(primal), float(dual), float(gap))
 
     @property
-    def worst(self) -> float:
+    def max_residual(self) -> float:
         """The largest of residuals and gap; NaN where one of them is."""
-        return _largest([self.primal_residual, self.dual_residual, self.gap])
+        return _max_or_nan([self.primal_residual, self.dual_residual, self.gap])
 
 
 class Unsolved(RuntimeError):
@@ -183,10 +185,10 @@ class Infeasible(Unsolved):
         self.ray = ray
 
 
-Solver = Callable[[Conic], Answer]
+Solver = Callable[[ConicProgram], ConicSolution]
 
 
-def solve(problem: Conic, solver: Solver) -> Answer:
+def solve(problem: ConicProgram, solver: Solver) -> ConicSolution:
     """Solve, and believe the answer only after recomputing it.
 
     Raises:
@@ -196,9 +198,9 @@ def solve(problem: Conic, solver: Solver) -> Answer:
     try:
         answer = solver(problem)
     except Infeasible as verdict:
-        _believe(problem, verdict)
+        _verify_infeasible(problem, verdict)
         raise
-    if not answer.worst <= TOLERANCE:
+    if not answer.max_residual <= TOLERANCE:
         raise Unsolved(
             problem,
             f"the solver said solved, but the primal residual is {answer.primal_residual:.1e}, "
@@ -208,16 +210,16 @@ def solve(problem: Conic, solver: Solver) -> Answer:
     return answer
 
 
-def _believe(problem: Conic, verdict: Infeasible) -> None:
+def _verify_infeasible(problem: ConicProgram, verdict: Infeasible) -> None:
     if verdict.ray is None:
         raise Unsolved(problem, f"{verdict}, but no proof came with it") from verdict
-    y, doubt = proof(problem, verdict.ray)
+    y, doubt = verify_ray(problem, verdict.ray)
     if doubt:
         raise Unsolved(problem, f"{verdict}, but {doubt}") from verdict
     verdict.ray = y
 
 
-def proof(problem: Conic, ray: Float[Array, " m"]) -> tuple[Float[Array, " m"], str]:
+def verify_ray(problem: ConicProgram, ray: Float[Array, " m"]) -> tuple[Float[Array, " m"], str]:
     """A ray that should prove that no point satisfies every constraint, and what is against it.
 
     Args:
@@ -229,10 +231,15 @@ def proof(problem: Conic, ray: Float[Array, " m"]) -> tuple[Float[Array, " m"], 
         What it proves is that no point smaller than 1 / FAR satisfies every constraint: problems
         are stated in units in which their points are not that large.
     """
-    y = problem.into_dual(ray)
+    y = problem.move_into_dual_cone(ray)
     against = -float(problem.b @ y)
     if not 0 < against < np.inf:
         return y, "its ray proves nothing: bᵀy ≥ 0"
     y = y / against
     left = np.abs(problem.A.T @ y).sum()
-    return y, "" if left <= FAR else f"its ray leaves {left:.1e} of Aᵀy = 0, above {FAR:.0e}"
+    return (
+        y,
+        ""
+        if left <= RAY_TOLERANCE
+        else f"its ray leaves {left:.1e} of Aᵀy = 0, above {RAY_TOLERANCE:.0e}",
+    )

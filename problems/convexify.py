@@ -15,42 +15,42 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from dynamics import Steps
-from dynamics.path import hull_distance
+from dynamics import DiscreteModel
+from dynamics.trajectory_geometry import hull_distance
 from problems.avoidance import HalfSpaces
 
-Way = Literal["near", "far", "over", "under"]
+PassingSide = Literal["near", "far", "over", "under"]
 
-HOLD = 1e-6  # part of R by which paths are planned to be further apart than asked
+SEPARATION_TOLERANCE = 1e-6  # part of R by which paths are planned to be further apart than asked
 
 
 @dataclass(frozen=True, eq=False)
-class Horizon:
+class AvoidanceHorizon:
     """The steps for which collisions are looked for, cut into pieces between the samples."""
 
-    ahead: Steps  # the steps to come, at least as many as the horizon has
-    fine: Steps  # the same time in steps a whole number of times shorter
-    radius: float  # R_col, with what the pieces could miss [m]
+    discrete_model: DiscreteModel  # the steps to come, at least as many as the horizon has
+    fine_model: DiscreteModel  # the same time in steps a whole number of times shorter
+    collision_radius: float  # R_col, with what the pieces could miss [m]
 
     @cached_property
-    def pieces(self) -> int:
+    def pieces_per_step(self) -> int:
         """Pieces in a step."""
-        return len(self.fine) // len(self.ahead)
+        return len(self.fine_model) // len(self.discrete_model)
 
     @property
     def steps(self) -> int:
         """T_H."""
-        return len(self.ahead)
+        return len(self.discrete_model)
 
     @cached_property
-    def keep(self) -> float:
+    def required_separation(self) -> float:
         """The distance that paths are planned to keep [m]."""
-        return self.radius * (1 + HOLD)
+        return self.collision_radius * (1 + SEPARATION_TOLERANCE)
 
     @cached_property
-    def frames(self) -> tuple[Array, Array, Array]:
+    def control_point_maps(self) -> tuple[Array, Array, Array]:
         """P, Q, r: control points c = P x[k] + Q u[k] + r, as (T_H, pieces, 4, d, ·)."""
-        T, S, d, h = self.steps, self.pieces, self.ahead.axes, self.fine.dt
+        T, S, d, h = self.steps, self.pieces_per_step, self.discrete_model.axes, self.fine_model.dt
         n = 2 * d
         P, Q, r = np.zeros((T, S, 4, d, n)), np.zeros((T, S, 4, d, d)), np.zeros((T, S, 4, d))
         third = np.concatenate([np.eye(d), np.eye(d) * h / 3], axis=1)
@@ -59,7 +59,9 @@ class Horizon:
         for k in range(T):
             x, u, z = np.eye(n), np.zeros((n, d)), np.zeros(n)
             for s in range(S):
-                A, B, c = (m[k * S + s] for m in (self.fine.A, self.fine.B, self.fine.z))
+                A, B, c = (
+                    m[k * S + s] for m in (self.fine_model.A, self.fine_model.B, self.fine_model.z)
+                )
                 after = A @ x, A @ u + B, A @ z + c
                 for i in range(4):
                     x_i, u_i, z_i = (x, u, z) if i < 2 else after
@@ -67,41 +69,45 @@ class Horizon:
                 x, u, z = after
         return P, Q, r
 
-    def path(
+    def control_points(
         self, x: Float[Array, "*agents instants n"], u: Float[Array, "*agents T m"]
     ) -> Float[Array, "*agents pieces 4 d"]:
         """Control points over the horizon; after its last step an agent drifts."""
-        P, Q, r = self.frames
+        P, Q, r = self.control_point_maps
         T = min(u.shape[-2], self.steps)
         rest = self.steps - T
         still = np.zeros((*u.shape[:-2], rest, u.shape[-1]))
-        after = self.ahead[T:].roll(x[..., T, :], still)
+        after = self.discrete_model[T:].simulate(x[..., T, :], still)
         X = np.concatenate([x[..., :T, :], after[..., :-1, :]], axis=-2)
         U = np.concatenate([u[..., :T, :], still], axis=-2)
         points = (
             np.einsum("ksidn,...kn->...ksid", P, X) + np.einsum("ksidm,...km->...ksid", Q, U) + r
         )
-        return np.asarray(points).reshape(*points.shape[:-4], -1, 4, self.ahead.axes)
+        return np.asarray(points).reshape(*points.shape[:-4], -1, 4, self.discrete_model.axes)
 
 
-def apart(relative: Float[Array, "*pairs 4 d"], radius: float) -> Bool[Array, "*pairs"]:
+def are_hulls_separated(
+    relative: Float[Array, "*pairs 4 d"], radius: float
+) -> Bool[Array, "*pairs"]:
     """Whether the hull of the control points stays outside the circle."""
-    outside = balls_apart(relative, radius)
+    outside = are_balls_separated(relative, radius)
     near = ~outside
     if near.any():
         outside[near] = hull_distance(relative[near])[0] >= radius
     return outside
 
 
-def balls_apart(relative: Float[Array, "*pairs 4 d"], radius: float) -> Bool[Array, "*pairs"]:
+def are_balls_separated(
+    relative: Float[Array, "*pairs 4 d"], radius: float
+) -> Bool[Array, "*pairs"]:
     """Whether a ball about the control points stays outside the circle: quickly, and enough."""
     flat = np.ascontiguousarray(relative).reshape(-1, *relative.shape[-2:])
-    return np.asarray(_balls_apart(flat, radius)).reshape(relative.shape[:-2])
+    return np.asarray(_are_balls_separated(flat, radius)).reshape(relative.shape[:-2])
 
 
 @numba.njit(cache=True)
 @no_type_check
-def _balls_apart(relative, radius):
+def _are_balls_separated(relative, radius):
     count, _, d = relative.shape
     outside = np.empty(count, np.bool_)
     middle = np.empty(d)
@@ -122,8 +128,8 @@ def _balls_apart(relative, radius):
     return outside
 
 
-def half_spaces(
-    horizon: Horizon,
+def convexify(
+    horizon: AvoidanceHorizon,
     T: int,
     others: Float[Array, "others pieces 4 d"],
     normal: Float[Array, "others pieces d"],
@@ -136,14 +142,14 @@ def half_spaces(
         others: Paths to keep clear of [m].
         normal: Directions to keep to, see `normals`.
     """
-    P, Q, r = horizon.frames
+    P, Q, r = horizon.control_point_maps
     d, S = r.shape[-1], r.shape[1]
     T = min(T, len(P))
     n = normal.reshape(len(others), len(P), S, d)[:, :T]
     theirs = others.reshape(len(others), len(P), S, 4, d)[:, :T]
     on_state = np.einsum("aksd,ksidn->aksin", n, P[:T])
     on_control = np.einsum("aksd,ksidm->aksim", n, Q[:T])
-    least = horizon.keep + np.einsum("aksd,aksid->aksi", n, theirs - r[:T])
+    least = horizon.required_separation + np.einsum("aksd,aksid->aksi", n, theirs - r[:T])
     step = np.broadcast_to(np.arange(T)[:, None, None], least.shape[1:])
     movable = (step > 0) | np.any(Q[:T] != 0, axis=(3, 4))
     rows = np.broadcast_to(movable, least.shape).ravel()
@@ -155,8 +161,8 @@ def half_spaces(
     )
 
 
-def normals(
-    relative: Float[Array, "above pieces 4 d"], keep: float, way: Way = "near"
+def choose_normals(
+    relative: Float[Array, "above pieces 4 d"], separation: float, side: PassingSide = "near"
 ) -> Float[Array, "above pieces d"]:
     """Directions of the half-spaces, a unit vector a piece [Morgan2016, Fig. 2].
 
@@ -173,11 +179,13 @@ def normals(
     """
     distance, nearest = hull_distance(relative)
     pushed = relative
-    collides = np.flatnonzero(distance.min(axis=1) < keep)
+    collides = np.flatnonzero(distance.min(axis=1) < separation)
     if len(collides):
         pushed = relative.copy()
         for a in collides:
-            pushed[a] += _push(relative[a], distance[a], nearest[a], keep, way)
+            pushed[a] += _passing_displacement(
+                relative[a], distance[a], nearest[a], separation, side
+            )
         distance, nearest = hull_distance(pushed)
     inside = distance <= 0
     nearest[inside] = pushed[inside].mean(axis=-2)  # only where even the push is in vain
@@ -185,19 +193,23 @@ def normals(
     return np.asarray(nearest / np.maximum(length, 1e-300))
 
 
-def _push(
-    relative: Array, distance: Array, nearest: Array, keep: float, way: Way
+def _passing_displacement(
+    relative: Array, distance: Array, nearest: Array, keep: float, way: PassingSide
 ) -> Float[Array, "pieces 4 d"]:
     p = int(np.argmin(distance))
     miss = float(distance[p])
-    aside = nearest[p] / miss if miss > 1e-6 * keep else _square(relative[p])
+    aside = nearest[p] / miss if miss > 1e-6 * keep else _perpendicular(relative[p])
     push = (keep - miss) * aside
     if way == "far":
         push = -(keep + miss) * aside
     elif way != "near":
         up = np.cross(aside, relative[p, -1] - relative[p, 0])
         size = float(np.linalg.norm(up))
-        up = up / size if size > 0 else _square(np.tile(aside, (4, 1)) * np.arange(4)[:, None])
+        up = (
+            up / size
+            if size > 0
+            else _perpendicular(np.tile(aside, (4, 1)) * np.arange(4)[:, None])
+        )
         push = (keep**2 - miss**2) ** 0.5 * (up if way == "over" else -up)
     # Control points stand at thirds of a piece; the push grows as the reach of a control.
     time = np.arange(len(relative))[:, None] + np.arange(4) / 3
@@ -205,7 +217,7 @@ def _push(
     return np.asarray(1.2 * ramp[..., None] * push)
 
 
-def _square(piece: Float[Array, "4 d"]) -> Float[Array, " d"]:
+def _perpendicular(piece: Float[Array, "4 d"]) -> Float[Array, " d"]:
     """A unit vector across the motion: to its right in the plane, and as near it in space."""
     along = piece[-1] - piece[0]
     across = np.zeros_like(along)

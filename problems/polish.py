@@ -17,38 +17,38 @@ import numba
 import numpy as np
 from numpy import ndarray as Array
 
-from problems.tableau import dot
+from problems.tableau import dot_prefix
 
-STEPS = 6
-CLOSE = 1e-13  # of a root
-LOST = 10.0  # a residual from which nothing good comes
+MAX_STEPS = 6
+CONVERGED = 1e-13  # of a root
+DIVERGED = 10.0  # a residual from which nothing good comes
 
 
-class Guess(NamedTuple):
+class NewtonState(NamedTuple):
     """Which controls and speeds take part, and their values; changed in place."""
 
-    parts: Array  # [controls, speeds]
-    free: Array  # controls inside their bounds, those with which the list begins
+    counts: Array  # [controls, speeds]
+    free_controls: Array  # controls inside their bounds, those with which the list begins
     sign: Array  # of these
-    limited: Array  # steps at the speed limit, those with which the list begins
+    active_steps: Array  # steps at the speed limit, those with which the list begins
     x: Array
     λ: Array
     μ: Array  # of the limited steps
     velocity: Array  # at these
     matrix: Array  # the other fields are scratch
-    right: Array
-    push: Array
+    rhs: Array
+    velocity_response: Array
 
 
 @numba.njit(error_model="numpy")
 @no_type_check
-def guess(n, m, K, d):
+def allocate_newton(n, m, K, d):
     """An empty guess."""
     size = n + m + K
     parts, free, limited = np.zeros(2, np.int64), np.zeros(n, np.int64), np.zeros(K, np.int64)
     sign, x, λ, μ, velocity = np.zeros(n), np.zeros(n), np.zeros(m), np.zeros(K), np.zeros((K, d))
     matrix, right, push = np.empty((size, size)), np.empty(size), np.empty((K, d, n))
-    return Guess(parts, free, sign, limited, x, λ, μ, velocity, matrix, right, push)
+    return NewtonState(parts, free, sign, limited, x, λ, μ, velocity, matrix, right, push)
 
 
 @numba.njit(error_model="numpy")
@@ -56,49 +56,51 @@ def guess(n, m, K, d):
 def polish(g, shared, question):
     """Improve a guess to the root; False where it leads nowhere."""
     m, axes = len(g.λ), g.velocity.shape[1]
-    F, K = g.parts
+    F, K = g.counts
     size = F + m + K
-    if F > len(g.x) or size > len(g.right):
+    if F > len(g.x) or size > len(g.rhs):
         return False
-    _gather(g, shared, question)
-    for step in range(STEPS):
-        worst = _residuals(g, shared, question)
-        if worst < CLOSE or (step == STEPS - 1 and worst < 1e3 * CLOSE):
+    _restrict_to_active(g, shared, question)
+    for step in range(MAX_STEPS):
+        worst = _assemble_newton_system(g, shared, question)
+        if worst < CONVERGED or (step == MAX_STEPS - 1 and worst < 1e3 * CONVERGED):
             return True
-        if not worst < LOST or not _solve(g.matrix, g.right, size):
+        if not worst < DIVERGED or not _eliminate(g.matrix, g.rhs, size):
             return False
         for f in range(F):
-            g.x[g.free[f]] += g.right[f]
+            g.x[g.free_controls[f]] += g.rhs[f]
         for a in range(m):
-            g.λ[a] += g.right[F + a]
+            g.λ[a] += g.rhs[F + a]
         for i in range(K):
-            g.μ[i] += g.right[F + m + i]
+            g.μ[i] += g.rhs[F + m + i]
             for c in range(axes):
                 for f in range(F):
-                    g.velocity[i, c] += g.push[i, c, f] * g.right[f]
+                    g.velocity[i, c] += g.velocity_response[i, c, f] * g.rhs[f]
     return False
 
 
 @numba.njit(error_model="numpy")
 @no_type_check
-def _gather(g, shared, question):
-    F, K = g.parts
+def _restrict_to_active(g, shared, question):
+    F, K = g.counts
     for i in range(K):
-        k = g.limited[i]
+        k = g.active_steps[i]
         for c in range(g.velocity.shape[1]):
-            g.velocity[i, c] = question.free[k, c] + dot(shared.push[k, c], g.x, len(g.x))
+            g.velocity[i, c] = question.free_velocity[k, c] + dot_prefix(
+                shared.velocity_response[k, c], g.x, len(g.x)
+            )
             for f in range(F):
-                g.push[i, c, f] = shared.push[k, c, g.free[f]]
+                g.velocity_response[i, c, f] = shared.velocity_response[k, c, g.free_controls[f]]
 
 
 @numba.njit(error_model="numpy")
 @no_type_check
-def _residuals(g, shared, question):
+def _assemble_newton_system(g, shared, question):
     # Fills the matrix and the right-hand side of a Newton step; returns the largest residual.
     m = len(g.λ)
-    F, K = g.parts
+    F, K = g.counts
     size = F + m + K
-    A, r = g.matrix, g.right
+    A, r = g.matrix, g.rhs
     A[:size, :size] = 0.0
     for i in range(K):
         square = 0.0
@@ -106,19 +108,19 @@ def _residuals(g, shared, question):
             y = g.velocity[i, c]
             square += y * y
             for f in range(F):
-                A[F + m + i, f] += y * g.push[i, c, f]
+                A[F + m + i, f] += y * g.velocity_response[i, c, f]
             for f in range(F):
-                part = g.μ[i] * g.push[i, c, f]
+                part = g.μ[i] * g.velocity_response[i, c, f]
                 for h in range(F):
-                    A[f, h] += part * g.push[i, c, h]
+                    A[f, h] += part * g.velocity_response[i, c, h]
         r[F + m + i] = (1 - square) / 2
     for a in range(m):
-        r[F + a] = question.b[a] - dot(shared.rows[a], g.x, len(g.x))
+        r[F + a] = question.b[a] - dot_prefix(shared.rows[a], g.x, len(g.x))
         for f in range(F):
-            A[F + a, f] = shared.rows[a, g.free[f]]
+            A[F + a, f] = shared.rows[a, g.free_controls[f]]
             A[f, F + a] = -A[F + a, f]
     for f in range(F):
-        r[f] = -shared.w[g.free[f]] * g.sign[f]
+        r[f] = -shared.w[g.free_controls[f]] * g.sign[f]
         for a in range(m):
             r[f] += A[F + a, f] * g.λ[a]
         for i in range(K):
@@ -129,7 +131,7 @@ def _residuals(g, shared, question):
 
 @numba.njit(error_model="numpy")
 @no_type_check
-def _solve(A, r, size):
+def _eliminate(A, r, size):
     # Gauss with partial pivoting, in place.
     for c in range(size):
         p = c

@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 from scipy.linalg import null_space
 
-EXACT = 1e-9  # relative: singular values below are zeros, rounded
+RANK_TOLERANCE = 1e-9  # relative: singular values below are zeros, rounded
 Dimension = Literal[2, 3]
 
 
@@ -47,7 +47,9 @@ def edges(graph: Bool[Array, "n n"]) -> tuple[Array, Array]:
     return i, j
 
 
-def flexes(points: Float[Array, "n d"], graph: Bool[Array, "n n"]) -> Float[Array, "flexes n d"]:
+def infinitesimal_flexes(
+    points: Float[Array, "n d"], graph: Bool[Array, "n n"]
+) -> Float[Array, "flexes n d"]:
     """The ways in which the points can start to move with all lengths kept.
 
     Motions of the shape as a whole are left out: those given are orthogonal to them and to
@@ -61,20 +63,20 @@ def flexes(points: Float[Array, "n d"], graph: Bool[Array, "n n"]) -> Float[Arra
     for k, (a, b) in enumerate(zip(*np.triu_indices(d, 1), strict=True)):
         turns[k, :, a], turns[k, :, b] = -shape[:, b], shape[:, a]
     held = np.vstack([rigidity_matrix(shape, graph), shifts, turns.reshape(len(turns), -1)])
-    return np.ascontiguousarray(null_space(held, rcond=EXACT).T).reshape(-1, n, d)
+    return np.ascontiguousarray(null_space(held, rcond=RANK_TOLERANCE).T).reshape(-1, n, d)
 
 
-def infinitesimally_rigid(points: Float[Array, "n d"], graph: Bool[Array, "n n"]) -> bool:
+def is_infinitesimally_rigid(points: Float[Array, "n d"], graph: Bool[Array, "n n"]) -> bool:
     """Whether the shape, where it is, cannot start to move with all lengths kept."""
-    return len(flexes(points, graph)) == 0
+    return len(infinitesimal_flexes(points, graph)) == 0
 
 
-def rigid(graph: Bool[Array, "n n"], dimension: Dimension, rng: np.random.Generator) -> bool:
+def is_rigid(graph: Bool[Array, "n n"], dimension: Dimension, rng: np.random.Generator) -> bool:
     """Whether the graph is rigid at points in general position."""
-    return infinitesimally_rigid(_general(graph, dimension, rng), graph)
+    return is_infinitesimally_rigid(_generic_points(graph, dimension, rng), graph)
 
 
-def redundantly_rigid(
+def is_redundantly_rigid(
     graph: Bool[Array, "n n"], dimension: Dimension, rng: np.random.Generator
 ) -> bool:
     """Whether the graph stays rigid, in general position, when any one of its edges is lost.
@@ -82,12 +84,12 @@ def redundantly_rigid(
     An edge can be spared if and only if some stress of the edges, in equilibrium at every
     point, loads it: then the row of the edge is a combination of the others.
     """
-    points = _general(graph, dimension, rng)
-    loads = np.abs(_stresses(points, graph)).max(axis=1, initial=0.0)
-    return infinitesimally_rigid(points, graph) and bool((loads > EXACT).all())
+    points = _generic_points(graph, dimension, rng)
+    loads = np.abs(_self_stresses(points, graph)).max(axis=1, initial=0.0)
+    return is_infinitesimally_rigid(points, graph) and bool((loads > RANK_TOLERANCE).all())
 
 
-def globally_rigid(
+def is_globally_rigid(
     graph: Bool[Array, "n n"], dimension: Dimension, rng: np.random.Generator
 ) -> bool:
     """Whether its lengths fix the shape, in general position, up to motions and mirroring.
@@ -98,20 +100,20 @@ def globally_rigid(
     n = len(graph)
     if n <= dimension + 1:
         return bool((graph | np.eye(n, dtype=bool)).all())
-    stresses = _stresses(_general(graph, dimension, rng), graph)
+    stresses = _self_stresses(_generic_points(graph, dimension, rng), graph)
     load = stresses @ rng.normal(size=stresses.shape[1])
     i, j = edges(graph)
     Ω = np.zeros((n, n))
     Ω[i, j] = Ω[j, i] = -load
     Ω[np.diag_indices(n)] = -Ω.sum(axis=1)
-    return int(np.linalg.matrix_rank(Ω, rtol=EXACT)) == n - dimension - 1
+    return int(np.linalg.matrix_rank(Ω, rtol=RANK_TOLERANCE)) == n - dimension - 1
 
 
-def _general(graph: Array, dimension: int, rng: np.random.Generator) -> Array:
+def _generic_points(graph: Array, dimension: int, rng: np.random.Generator) -> Array:
     return rng.normal(size=(len(graph), dimension))
 
 
-def _stresses(points: Array, graph: Array) -> Array:
+def _self_stresses(points: Array, graph: Array) -> Array:
     # Columns span the loads of the edges that are in equilibrium at every point.
-    loads: Array = null_space(rigidity_matrix(points, graph).T, rcond=EXACT)
+    loads: Array = null_space(rigidity_matrix(points, graph).T, rcond=RANK_TOLERANCE)
     return loads

@@ -12,38 +12,38 @@ import numba
 import numpy as np
 from numpy import ndarray as Array
 
-SINGULAR = 1e-14  # a pivot, of rows of length one, with which a basis is none
+SINGULAR_PIVOT = 1e-14  # a pivot, of rows of length one, with which a basis is none
 
 
-class Desk(NamedTuple):
+class Tableau(NamedTuple):
     """What one programme is worked on with; all fields are changed in place."""
 
     rows: Array  # a_i, one after the other; there is room for more
-    reach: Array  # of each row, the controls from which on it is zero
+    row_end: Array  # of each row, the controls from which on it is zero
     b: Array
-    used: Array  # [rows in use]
-    worn: Array  # [whether to compute everything anew before going on]
+    row_count: Array  # [rows in use]
+    needs_refactorization: Array  # [whether to compute everything anew before going on]
     w: Array
     basis: Array  # the column in each place
-    sign: Array  # of the basic controls
-    loose: Array  # whether the slack of a row is basic
-    inverse: Array  # of the basis, transposed: places are along the second axis
+    basic_sign: Array  # of the basic controls
+    is_slack_basic: Array  # whether the slack of a row is basic
+    basis_inverse: Array  # of the basis, transposed: places are along the second axis
     λ: Array
     v: Array  # Σ_i λ_i a_i
-    state: Array  # of the controls that are not basic: −1, 0 or 1
-    r: Array  # b less what those controls use of it
-    y: Array  # what is in each place
+    nonbasic_value: Array  # of the controls that are not basic: −1, 0 or 1
+    residual: Array  # b less what those controls use of it
+    basic_value: Array  # what is in each place
     α: Array  # the other fields are scratch
     ρ: Array
-    place: Array
-    norm: Array
-    when: Array
-    who: Array
+    pivot_column: Array
+    row_norm: Array
+    kink_step: Array
+    kink_index: Array
 
 
 @numba.njit(error_model="numpy")
 @no_type_check
-def copy(into, source, count):
+def copy_prefix(into, source, count):
     """The first so many numbers; assigning a slice takes a hundred times as long to compile."""
     for i in range(count):
         into[i] = source[i]
@@ -51,7 +51,7 @@ def copy(into, source, count):
 
 @numba.njit(error_model="numpy", fastmath={"reassoc"})  # any order: several terms at a time
 @no_type_check
-def dot(a, b, count):
+def dot_prefix(a, b, count):
     """Σ_j a_j b_j over the first so many."""
     total = 0.0
     for j in range(count):
@@ -61,16 +61,16 @@ def dot(a, b, count):
 
 @numba.njit(error_model="numpy")
 @no_type_check
-def desk(first, w, room):
+def allocate_tableau(first, w, room):
     """An empty desk for equations with given coefficients, with room for more rows."""
     m, n = first.shape
     size = m + room
     rows, inverse, lines = np.zeros((size, n)), np.empty((size, size)), np.zeros((7, size))
     basis, kinks = np.zeros(size, np.int64), 2 * n + size
     for a in range(m):
-        copy(rows[a], first[a], n)
-    copy(basis, first_basis(first), m)
-    return Desk(
+        copy_prefix(rows[a], first[a], n)
+    copy_prefix(basis, initial_basis(first), m)
+    return Tableau(
         rows,
         np.full(size, n),
         lines[0],
@@ -97,7 +97,7 @@ def desk(first, w, room):
 
 @numba.njit(error_model="numpy")
 @no_type_check
-def first_basis(rows):
+def initial_basis(rows):
     """Greedy: each column is the one that reaches furthest out of the span of those before."""
     m, n = rows.shape
     rest = rows.T.copy()
@@ -123,9 +123,16 @@ def first_basis(rows):
 
 @numba.njit(error_model="numpy")
 @no_type_check
-def start(d):
+def refactorize(d):
     """Everything anew from rows, basis and signs; False where that is no basis."""
-    M, n, rows, inverse, basis, sign = d.used[0], len(d.w), d.rows, d.inverse, d.basis, d.sign
+    M, n, rows, inverse, basis, sign = (
+        d.row_count[0],
+        len(d.w),
+        d.rows,
+        d.basis_inverse,
+        d.basis,
+        d.basic_sign,
+    )
     for a in range(M):
         for i in range(M):
             inverse[a, i] = 1.0 if a == i else 0.0
@@ -141,19 +148,19 @@ def start(d):
                 along = inverse[j - n, i]
             if abs(along) > size:
                 best, size = k, abs(along)
-        if not size > SINGULAR:
+        if not size > SINGULAR_PIVOT:
             return False
         basis[i], basis[best] = basis[best], basis[i]
         sign[i], sign[best] = sign[best], sign[i]
-        exchange(d, basis[i], i)
-    w, v, λ, state, loose = d.w, d.v, d.λ, d.state, d.loose
+        pivot(d, basis[i], i)
+    w, v, λ, state, loose = d.w, d.v, d.λ, d.nonbasic_value, d.is_slack_basic
     v[:] = 0.0
     for a in range(M):
         λ[a], loose[a] = 0.0, False
         for i in range(M):
             if basis[i] < n:
                 λ[a] += sign[i] * w[basis[i]] * inverse[a, i]
-        for j in range(d.reach[a]):
+        for j in range(d.row_end[a]):
             v[j] += rows[a, j] * λ[a]
     for j in range(n):
         state[j] = 1.0 if v[j] > w[j] else -1.0 if v[j] < -w[j] else 0.0
@@ -163,8 +170,8 @@ def start(d):
         else:
             loose[basis[i] - n] = True
     for a in range(M):
-        d.r[a] = d.b[a] - dot(rows[a], state, d.reach[a])
-    d.worn[0] = False
+        d.residual[a] = d.b[a] - dot_prefix(rows[a], state, d.row_end[a])
+    d.needs_refactorization[0] = False
     return True
 
 
@@ -172,47 +179,52 @@ def start(d):
 @no_type_check
 def add_row(d):
     """Take into use the row that was written after the last one, a_iᵀx ≤ b_i."""
-    M, n = d.used[0], len(d.w)
+    M, n = d.row_count[0], len(d.w)
     for a in range(M + 1):
-        d.inverse[a, M] = d.inverse[M, a] = 0.0
+        d.basis_inverse[a, M] = d.basis_inverse[M, a] = 0.0
     for i in range(M):
         if d.basis[i] < n:
             along = d.rows[M, d.basis[i]]
             for a in range(M):
-                d.inverse[a, M] -= along * d.inverse[a, i]
-    d.inverse[M, M] = 1.0
-    d.basis[M], d.sign[M], d.λ[M], d.loose[M] = n + M, 1.0, 0.0, True
-    d.r[M] = d.b[M] - dot(d.rows[M], d.state, d.reach[M])
-    d.used[0] = M + 1
+                d.basis_inverse[a, M] -= along * d.basis_inverse[a, i]
+    d.basis_inverse[M, M] = 1.0
+    d.basis[M], d.basic_sign[M], d.λ[M], d.is_slack_basic[M] = n + M, 1.0, 0.0, True
+    d.residual[M] = d.b[M] - dot_prefix(d.rows[M], d.nonbasic_value, d.row_end[M])
+    d.row_count[0] = M + 1
 
 
 @numba.njit(error_model="numpy")
 @no_type_check
 def drop_row(d, row):
     """Forget an added row whose slack is basic; the last row takes its number."""
-    M, n = d.used[0], len(d.w)
+    M, n = d.row_count[0], len(d.w)
     end, out = M - 1, -1
     for i in range(M):
         if d.basis[i] == n + row:
             out = i
-    d.basis[out], d.sign[out] = d.basis[end], d.sign[end]
+    d.basis[out], d.basic_sign[out] = d.basis[end], d.basic_sign[end]
     for a in range(M):
-        d.inverse[a, out] = d.inverse[a, end]
-    copy(d.inverse[row], d.inverse[end], end)
-    copy(d.rows[row], d.rows[end], n)
-    d.reach[row] = d.reach[end]
-    d.b[row], d.λ[row], d.r[row], d.loose[row] = d.b[end], d.λ[end], d.r[end], d.loose[end]
+        d.basis_inverse[a, out] = d.basis_inverse[a, end]
+    copy_prefix(d.basis_inverse[row], d.basis_inverse[end], end)
+    copy_prefix(d.rows[row], d.rows[end], n)
+    d.row_end[row] = d.row_end[end]
+    d.b[row], d.λ[row], d.residual[row], d.is_slack_basic[row] = (
+        d.b[end],
+        d.λ[end],
+        d.residual[end],
+        d.is_slack_basic[end],
+    )
     for i in range(end):
         if d.basis[i] == n + end:
             d.basis[i] = n + row
-    d.used[0] = end
+    d.row_count[0] = end
 
 
 @numba.njit(error_model="numpy")
 @no_type_check
-def exchange(d, column, out):
+def pivot(d, column, out):
     """Let a column into a basis; how small the pivot is against its neighbours."""
-    M, rows, inverse, place = d.used[0], d.rows, d.inverse, d.place
+    M, rows, inverse, place = d.row_count[0], d.rows, d.basis_inverse, d.pivot_column
     if column < len(d.w):
         for i in range(M):
             place[i] = 0.0
@@ -220,7 +232,7 @@ def exchange(d, column, out):
             for i in range(M):
                 place[i] += inverse[a, i] * rows[a, column]
     else:
-        copy(place, inverse[column - len(d.w)], M)
+        copy_prefix(place, inverse[column - len(d.w)], M)
     pivot, largest = place[out], 0.0
     for i in range(M):
         largest = max(largest, abs(place[i]))
@@ -235,19 +247,19 @@ def exchange(d, column, out):
 
 @numba.njit(error_model="numpy")
 @no_type_check
-def flip(d, j, new):
+def set_nonbasic(d, j, new):
     """Put a control that is not basic at another of −1, 0 and 1."""
-    change = new - d.state[j]
-    for a in range(d.used[0]):
-        d.r[a] -= change * d.rows[a, j]
-    d.state[j] = new
+    change = new - d.nonbasic_value[j]
+    for a in range(d.row_count[0]):
+        d.residual[a] -= change * d.rows[a, j]
+    d.nonbasic_value[j] = new
 
 
 @numba.njit(error_model="numpy")
 @no_type_check
-def read(d, x):
+def extract_controls(d, x):
     """The controls at this basis, within their bounds."""
-    copy(x, d.state, len(x))
-    for i in range(d.used[0]):
+    copy_prefix(x, d.nonbasic_value, len(x))
+    for i in range(d.row_count[0]):
         if d.basis[i] < len(x):
-            x[d.basis[i]] = min(max(d.y[i], -1.0), 1.0)
+            x[d.basis[i]] = min(max(d.basic_value[i], -1.0), 1.0)

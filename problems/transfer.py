@@ -11,14 +11,14 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse import csc_array
 
-from dynamics import Steps
-from problems.conic import Conic, Infeasible, Unsolved, solve
+from dynamics import DiscreteModel
+from problems.conic import ConicProgram, Infeasible, Unsolved, solve
 from problems.solvers import solve_clarabel
 
 Norm = Literal[1, 2, "inf"]
 
 
-class Flight(NamedTuple):
+class Trajectory(NamedTuple):
     """One trajectory and its price."""
 
     x: Float[Array, "T+1 n"]  # states
@@ -27,7 +27,7 @@ class Flight(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Transfer:
+class TransferProblem:
     """Reach the goal with the least fuel.
 
         minimise    Δt Σ w[k] ‖u[k]‖_q
@@ -41,12 +41,12 @@ class Transfer:
     which of the equals is meant (`ends_first`).
     """
 
-    steps: Steps
+    model: DiscreteModel
     max_control: float  # U [m/s²]
     max_speed: float = inf  # V [m/s]
     fuel_norm: Norm = 1  # q
     control_norm: Norm = "inf"  # r
-    slope: float = 0.0  # by which burns in the middle cost more than burns at the ends
+    tie_break_rise: float = 0.0  # by which burns in the middle cost more than burns at the ends
 
     def __post_init__(self) -> None:
         """Refuse limits that no flight could keep."""
@@ -57,82 +57,82 @@ class Transfer:
             )
 
     @cached_property
-    def weight(self) -> Float[Array, " T"]:
+    def weights(self) -> Float[Array, " T"]:
         """w, the price of a unit of control at each step."""
-        return ends_first(len(self.steps), self.slope)
+        return tie_break_weights(len(self.model), self.tie_break_rise)
 
     @cached_property
-    def response(self) -> tuple[Array, Array]:
+    def response_matrices(self) -> tuple[Array, Array]:
         """R and L, for all that eliminates the states.
 
         x[k] = Φ[k] x₀ + ζ[k] + R[k] u with u flattened, and L⁻¹ R[T] has orthonormal rows;
         L is the identity where the steps are too few to reach every state.
         """
-        T, n, m = self.steps.B.shape
+        T, n, m = self.model.B.shape
         R = np.zeros((T + 1, n, T * m))
         for k in range(T):
-            R[k + 1] = self.steps.A[k] @ R[k]
-            R[k + 1, :, k * m : (k + 1) * m] += self.steps.B[k]
+            R[k + 1] = self.model.A[k] @ R[k]
+            R[k + 1, :, k * m : (k + 1) * m] += self.model.B[k]
         if np.linalg.matrix_rank(R[T]) < n:
             return R, np.eye(n)
         return R, np.linalg.qr(R[T].T)[1].T
 
     def coast(self, start: Float[Array, "*many n"]) -> Float[Array, "*many instants n"]:
         """States without a burn, Φ[k] x₀ + ζ[k]."""
-        ζ, Φ = self._coasting
+        ζ, Φ = self._free_response
         return ζ + np.tensordot(start, Φ, 1)
 
     @cached_property
-    def _coasting(self) -> tuple[Float[Array, "instants n"], Float[Array, "n instants n"]]:
-        T, n, m = self.steps.B.shape
-        ζ = self.steps.roll(np.zeros(n), np.zeros((T, m)))
-        return ζ, self.steps.roll(np.eye(n), np.zeros((n, T, m))) - ζ
+    def _free_response(self) -> tuple[Float[Array, "instants n"], Float[Array, "n instants n"]]:
+        T, n, m = self.model.B.shape
+        ζ = self.model.simulate(np.zeros(n), np.zeros((T, m)))
+        return ζ, self.model.simulate(np.eye(n), np.zeros((n, T, m))) - ζ
 
-    def needs_steps(self) -> None:
+    def require_steps(self) -> None:
         """Refuse a question that leaves no step to burn in.
 
         Raises:
             ValueError: There is none.
         """
-        if len(self.steps) == 0:
+        if len(self.model) == 0:
             raise ValueError("there must be at least one step to burn in")
 
-    def solve(self, start: Float[Array, " n"], goal: Float[Array, " n"]) -> Flight:
+    def solve(self, start: Float[Array, " n"], goal: Float[Array, " n"]) -> Trajectory:
         """Fly from start to goal, by the statement.
 
         Raises:
             Infeasible: The goal is out of reach in this time.
         """
-        self.needs_steps()
-        problem, u = self._compiled
+        self.require_steps()
+        problem, u = self._cvxpy_problem
         parameters = problem.param_dict
         parameters["start"].value, parameters["goal"].value = start, goal
-        solve_statement(self, problem)
-        return self.flight(start, np.asarray(u.value))
+        solve_cvxpy(self, problem)
+        return self.simulate(start, np.asarray(u.value))
 
-    def flight(self, start: Float[Array, " n"], u: Float[Array, "T m"]) -> Flight:
+    def simulate(self, start: Float[Array, " n"], u: Float[Array, "T m"]) -> Trajectory:
         """The flight under given controls."""
-        fuel = float(fuel_spent(u, self.steps.dt, self.fuel_norm))
-        return Flight(self.steps.roll(start, u), u, fuel)
+        fuel = float(compute_fuel(u, self.model.dt, self.fuel_norm))
+        return Trajectory(self.model.simulate(start, u), u, fuel)
 
     @cached_property
-    def _compiled(self) -> tuple[Any, Any]:
+    def _cvxpy_problem(self) -> tuple[Any, Any]:
         import cvxpy as cp
 
-        n = self.steps.A.shape[1]
+        n = self.model.A.shape[1]
         start, goal = cp.Parameter(n, name="start"), cp.Parameter(n, name="goal")
-        x, u, effort, limits = self.statement(start)
-        arrive = x[len(self.steps)] == goal
+        x, u, effort, limits = self.build_cvxpy(start)
+        arrive = x[len(self.model)] == goal
         return cp.Problem(cp.Minimize(effort), [*limits, arrive]), u
 
-    def statement(self, start: Any) -> tuple[Any, Any, Any, list[Any]]:
+    def build_cvxpy(self, start: Any) -> tuple[Any, Any, Any, list[Any]]:
         """Variables, cost and constraints in CVXPY, all but the arrival."""
         import cvxpy as cp
 
-        A, B, z, dt = self.steps.A, self.steps.B, self.steps.z, self.steps.dt
+        A, B, z, dt = self.model.A, self.model.B, self.model.z, self.model.dt
         T, n, m = B.shape
         x, u = cp.Variable((T + 1, n)), cp.Variable((T, m))
-        effort = dt * self.weight @ cp.norm(u, self.fuel_norm, axis=1)
+        effort = dt * self.weights @ cp.norm(u, self.fuel_norm, axis=1)
         motion = [x[k + 1] == A[k] @ x[k] + B[k] @ u[k] + z[k] for k in range(T)]
         limits = [x[0] == start, *motion, cp.norm(u, self.control_norm, axis=1) <= self.max_control]
         if isfinite(self.max_speed) and T > 1:
@@ -140,7 +140,7 @@ class Transfer:
         return x, u, effort, limits
 
 
-def fuel_spent(
+def compute_fuel(
     u: Float[Array, "*agents T m"], dt: float, norm: Norm
 ) -> Float[Array, "*agents"] | float:
     """Δt Σ ‖u[k]‖, without the weights [m/s]."""
@@ -149,7 +149,7 @@ def fuel_spent(
     return spent
 
 
-def ends_first(T: int, slope: float) -> Float[Array, " T"]:
+def tie_break_weights(T: int, rise: float) -> Float[Array, " T"]:
     """Weights of 1 at both ends that rise to 1 + slope in the middle.
 
     Concave in time: among burns of equal fuel, those nearest the ends are cheapest, so
@@ -157,10 +157,10 @@ def ends_first(T: int, slope: float) -> Float[Array, " T"]:
     """
     k = np.arange(T)
     bump: Array = 1 - ((2 * k - T + 1) / max(T - 1, 1)) ** 2
-    return 1 + slope * bump
+    return 1 + rise * bump
 
 
-def solve_statement(question: object, problem: Any) -> None:
+def solve_cvxpy(question: object, problem: Any) -> None:
     """Solve a CVXPY problem in place, through the same door as every other.
 
     Raises:
@@ -171,7 +171,7 @@ def solve_statement(question: object, problem: Any) -> None:
 
     data, chain, inverse = problem.get_problem_data(cp.CLARABEL, solver_opts={})
     rows = data["dims"]
-    conic = Conic(
+    conic = ConicProgram(
         data["c"], csc_array(data["A"]), data["b"], rows.zero, rows.nonneg, tuple(rows.soc)
     )
     name = type(question).__name__

@@ -13,12 +13,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sato.flying import run
     from sato.record import Run, RunFileError, load
     from sato.scenario import ScenarioError, ScenarioFile, names, parse, read
+    from sato.simulate import run
 
-_HOME = {
-    "run": "sato.flying",
+_LAZY_IMPORTS = {
+    "run": "sato.simulate",
     "Run": "sato.record",
     "RunFileError": "sato.record",
     "load": "sato.record",
@@ -47,10 +47,10 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("sato")
-    if name in _HOME:
-        return getattr(import_module(_HOME[name]), name)
+    if name in _LAZY_IMPORTS:
+        return getattr(import_module(_LAZY_IMPORTS[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_HOME, "__version__"])
+    return sorted([*globals(), *_LAZY_IMPORTS, "__version__"])

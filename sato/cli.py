@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sato.plainly import DONE, SHORT, plainly, refuse_unwritable
+from sato.cli_errors import EXIT_FAILED, EXIT_OK, ensure_writable, report_errors
 
 if TYPE_CHECKING:
     from sato.record import Run
@@ -19,7 +19,7 @@ app = typer.Typer(
     rich_markup_mode=None,  # its help would take longer to import than to read
 )
 
-RunFolder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a run.")]
+RunFolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a run.")]
 
 
 def main() -> None:
@@ -28,20 +28,20 @@ def main() -> None:
 
 
 @app.callback(invoke_without_command=True)
-def _about(
+def _print_version(
     version: Annotated[bool, typer.Option("--version", help="Say the version and stop.")] = False,
 ) -> None:
     if version:
         from importlib.metadata import version as version_of
 
         typer.echo(version_of("sato"))
-        raise typer.Exit(DONE)
+        raise typer.Exit(EXIT_OK)
 
 
 @app.command()
 def scenarios() -> None:
     """List the built-in scenarios."""
-    with plainly():
+    with report_errors():
         from sato.scenario import names
 
         known = names()
@@ -66,79 +66,79 @@ def run(
     quiet: Annotated[bool, typer.Option("--quiet", help="Say nothing but what is wrong.")] = False,
 ) -> None:
     """Fly a scenario; write DIR/run.nc and DIR/summary.json."""
-    with plainly():
-        from sato.flying import run as fly
+    with report_errors():
+        from sato.console import print_summary, show_mission_progress
         from sato.record import RUN_FILE
         from sato.scenario import read
-        from sato.systems import system
-        from sato.terminal import progress, tell
+        from sato.simulate import run as fly
+        from sato.systems import load_system
 
         asked = read(scenario, override or ())
         folder = out or Path("runs", f"{asked.name}-{seed}")
-        refuse_unwritable(folder)
+        ensure_writable(folder)
         if not quiet and (folder / RUN_FILE).exists():
             typer.echo(f"sato: {folder}: the run that is there will be overwritten", err=True)
-        with progress(quiet, system(asked.system).passage) as watch:
+        with show_mission_progress(quiet, load_system(asked.system).progress) as watch:
             flown = fly(asked, seed=seed, progress=watch)
         flown.save(folder)
         if not quiet:
-            tell(flown, folder)
-        raise typer.Exit(_verdict(flown))
+            print_summary(flown, folder)
+        raise typer.Exit(_exit_code(flown))
 
 
 @app.command()
 def check(
-    folder: RunFolder,
+    folder: RunFolderArgument,
     as_json: Annotated[bool, typer.Option("--json", help="Everything, for a machine.")] = False,
 ) -> None:
     """Judge a run from its file alone; exit 1 if any promise is broken."""
-    with plainly():
-        from sato.record import load, plain
-        from sato.terminal import tell_promises, waiting
+    with report_errors():
+        from sato.console import print_report, spinner
+        from sato.record import json_default, load
 
-        with waiting("judging the run by recomputing it"):
+        with spinner("judging the run by recomputing it"):
             report = load(folder).check()
         if as_json:
-            typer.echo(json.dumps(report.as_dict(), indent=2, default=plain))
+            typer.echo(json.dumps(report.as_dict(), indent=2, default=json_default))
         else:
-            tell_promises(report)
-        raise typer.Exit(DONE if report.kept else SHORT)
+            print_report(report)
+        raise typer.Exit(EXIT_OK if report.kept else EXIT_FAILED)
 
 
 @app.command()
 def plot(
-    folder: RunFolder,
+    folder: RunFolderArgument,
     pdf: Annotated[bool, typer.Option("--pdf", help="PDF instead of PNG.")] = False,
 ) -> None:
     """Draw the figures of a run into its folder."""
-    with plainly():
-        from sato.plots import plot as draw
+    with report_errors():
+        from sato.console import spinner
+        from sato.figures import plot as draw
         from sato.record import load
-        from sato.terminal import waiting
 
-        with waiting("drawing"):
-            figures = draw(load(folder), _folder_of(folder), pdf=pdf)
+        with spinner("drawing"):
+            figures = draw(load(folder), _run_folder(folder), pdf=pdf)
         for path in figures:
             typer.echo(str(path))
 
 
 @app.command()
-def animate(folder: RunFolder) -> None:
+def animate(folder: RunFolderArgument) -> None:
     """Film a run into its folder: MP4, or GIF where ffmpeg is missing."""
-    with plainly():
-        from sato.animate import animate as film
+    with report_errors():
+        from sato.console import progress_bar
         from sato.record import load
-        from sato.terminal import counted
+        from sato.render import animate as film
 
-        with counted("filming") as progress:
-            film_at = film(load(folder), _folder_of(folder), progress=progress)
+        with progress_bar("filming") as progress:
+            film_at = film(load(folder), _run_folder(folder), progress=progress)
         typer.echo(str(film_at))
 
 
 @app.command()
 def export(
-    folder: RunFolder,
-    form: Annotated[
+    folder: RunFolderArgument,
+    format: Annotated[
         str,
         typer.Option(
             "--format", metavar="oem|csv", help="CCSDS OEM, a file an object; or one table."
@@ -150,13 +150,15 @@ def export(
     ] = None,
 ) -> None:
     """Write the trajectories of a run for other tools."""
-    with plainly():
-        from sato.export import HOME
+    with report_errors():
+        from sato.export import DEFAULT_PATHS
         from sato.export import export as write
         from sato.record import load
 
         run = load(folder)
-        typer.echo(str(write(run, out or _folder_of(folder) / HOME.get(form, form), form)))
+        typer.echo(
+            str(write(run, out or _run_folder(folder) / DEFAULT_PATHS.get(format, format), format))
+        )
 
 
 @app.command()
@@ -175,23 +177,30 @@ def gains(
     out: Annotated[
         Path | None, typer.Option(metavar="FILE.npz", help="Where to write; gains/NAME.npz.")
     ] = None,
-    known: Annotated[bool, typer.Option("--list", help="List the library and stop.")] = False,
+    list_library: Annotated[
+        bool, typer.Option("--list", help="List the library and stop.")
+    ] = False,
 ) -> None:
     """Design the gains of a formation; write them with what is certain of them."""
-    with plainly():
-        from sato.gains_command import asked, home_of, make, tell_formations
+    with report_errors():
+        from sato.design_gains import (
+            default_path,
+            design_and_save,
+            print_formations,
+            resolve_formation,
+        )
 
-        if known:
-            tell_formations()
-            raise typer.Exit(DONE)
+        if list_library:
+            print_formations()
+            raise typer.Exit(EXIT_OK)
         if formation is None:
             raise ValueError("gains takes a formation, NAME or FILE.csv; --list has the names")
-        shape = asked(formation, graph)
-        file = out or home_of(shape)
+        shape = resolve_formation(formation, graph)
+        file = out or default_path(shape)
         if file.suffix != ".npz" or file.is_dir():
             raise ValueError(f"{file}: --out takes a file that ends in .npz")
-        refuse_unwritable(file.parent)
-        make(shape, method, file)
+        ensure_writable(file.parent)
+        design_and_save(shape, method, file)
 
 
 @app.command()
@@ -219,15 +228,17 @@ def compare(
     ),
 ) -> None:
     """Ask every solver the same, and judge every answer; exit 1 if the default one is wrong."""
-    with plainly():
-        from sato.compare.command import asked, make
+    with report_errors():
+        from sato.compare.command import plan_from_options, run_comparison
 
-        what = asked(solver or (), family or (), size or (), tolerance or (), repeats, patience)
-        refuse_unwritable(out)
-        broken = make(what, out, patience, seed)
+        what = plan_from_options(
+            solver or (), family or (), size or (), tolerance or (), repeats, patience
+        )
+        ensure_writable(out)
+        broken = run_comparison(what, out, patience, seed)
         for words in broken:
             typer.echo(f"sato: {words}", err=True)
-        raise typer.Exit(SHORT if broken else DONE)
+        raise typer.Exit(EXIT_FAILED if broken else EXIT_OK)
 
 
 @app.command(name="export-c")
@@ -236,32 +247,30 @@ def export_c(
     scenario: Annotated[
         str, typer.Option(metavar="NAME|FILE.toml", help="Of which an agent is.")
     ] = "uiuc",
-    neighbours: Annotated[
-        int, typer.Option(metavar="K", min=1, help="That there is room for.")
-    ] = 5,
+    neighbors: Annotated[int, typer.Option(metavar="K", min=1, help="That there is room for.")] = 5,
     steps: Annotated[
         int | None, typer.Option(metavar="T", min=2, help="Of a flight; the first leg's.")
     ] = None,
 ) -> None:
     """Write C that solves one agent's transfer among its neighbours, for on board."""
-    with plainly():
+    with report_errors():
+        from sato.console import spinner
         from sato.onboard import export_c as write
-        from sato.onboard.export import tell
-        from sato.terminal import waiting
+        from sato.onboard.export import describe
 
-        refuse_unwritable(out)
-        with waiting("writing the code"):
-            written = write(scenario, out, neighbours, steps)
-        typer.echo(tell(written))
+        ensure_writable(out)
+        with spinner("writing the code"):
+            written = write(scenario, out, neighbors, steps)
+        typer.echo(describe(written))
         typer.echo(str(out))
 
 
-def _folder_of(run: Path) -> Path:
+def _run_folder(run: Path) -> Path:
     return run if run.is_dir() else run.parent
 
 
-def _verdict(run: "Run") -> int:
+def _exit_code(run: "Run") -> int:
     said = run.summary
     came = any(said.get(word) for word in ("reached", "success"))  # as each system calls it
     done = came and said.get("broken") == [] and "stopped" not in said
-    return DONE if done else SHORT
+    return EXIT_OK if done else EXIT_FAILED

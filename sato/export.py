@@ -21,24 +21,24 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics.frames import LVLH
+from dynamics.coordinate_frames import LVLH
 from sato.record import Run
 
-HOME = {"oem": "oem", "csv": "trajectories.csv"}  # in the folder of a run
-EPOCH = "2026-01-01T00:00:00"  # of time 0 where the scenario says nothing else [UTC]
-CHIEF = "chief"
-AXES = (
+DEFAULT_PATHS = {"oem": "oem", "csv": "trajectories.csv"}  # in the folder of a run
+DEFAULT_EPOCH = "2026-01-01T00:00:00"  # of time 0 where the scenario says nothing else [UTC]
+CHIEF_NAME = "chief"
+AXES_COMMENT = (
     "Axes: z along the axis of the Earth, x and y in its equator, as the scenario gives the",
     "orbit of the chief in them. They are inertial, and EME2000 is the label that is nearest:",
     "the simulation knows no precession, nutation or motion of the pole.",
 )
-HELD = (
+INTERPOLATION_COMMENT = (
     "Thrust is held from one state to the next and jumps there, so no interpolation is good",
     "across states: HERMITE of degree 3 takes two of them at a time.",
 )
 
 
-class Track(NamedTuple):
+class Ephemeris(NamedTuple):
     """Where one object was, as long as it was there."""
 
     name: str
@@ -66,10 +66,10 @@ def export(run: Run, path: str | Path, format: str = "oem") -> Path:
         OSError: The path cannot be written to.
     """
     path = Path(path)
-    if format not in HOME:
-        raise ValueError(f'there is no format "{format}", only {" and ".join(HOME)}')
+    if format not in DEFAULT_PATHS:
+        raise ValueError(f'there is no format "{format}", only {" and ".join(DEFAULT_PATHS)}')
     if format == "oem":
-        _refuse_oem(run, path)
+        _validate_oem_target(run, path)
     elif path.is_dir():
         raise ValueError(f"{path}: is a folder, and a table goes into a file")
     try:
@@ -77,13 +77,13 @@ def export(run: Run, path: str | Path, format: str = "oem") -> Path:
         with tempfile.TemporaryDirectory(prefix=".exporting-", dir=path.parent) as workshop:
             made, former = Path(workshop, "made"), Path(workshop, "former")
             (_write_oem if format == "oem" else _write_csv)(run, made)
-            _swap(made, path, former)
+            _replace_path(made, path, former)
     except OSError as error:  # which names a file of the workshop
         raise OSError(error.errno, error.strerror, str(path)) from error
     return path
 
 
-def tracks(run: Run) -> Iterator[Track]:
+def iterate_ephemerides(run: Run) -> Iterator[Ephemeris]:
     """The objects of a run: the chief where there is one, then every agent that was there."""
     data = run.data
     time = np.asarray(data["time"], dtype=float)
@@ -92,23 +92,25 @@ def tracks(run: Run) -> Iterator[Track]:
     inertial = None
     if "chief" in data:
         six = np.asarray(data["chief"], dtype=float)
-        frame = LVLH.of_chief(six, float(data.attrs["k_j2_m5_s2"]))
+        frame = LVLH.from_polar_nodal(six, float(data.attrs["k_j2_m5_s2"]))
         inertial = frame.to_inertial(relative)
-        yield Track(CHIEF, time, np.zeros((len(time), relative.shape[-1])), frame.chief)
+        yield Ephemeris(
+            CHIEF_NAME, time, np.zeros((len(time), relative.shape[-1])), frame.chief_state
+        )
     digits = len(str(alive.shape[1] - 1))
     for j, there in enumerate(alive.T):
         if there.any():
             states = None if inertial is None else inertial[there, j]
-            yield Track(f"agent-{j:0{digits}}", time[there], relative[there, j], states)
+            yield Ephemeris(f"agent-{j:0{digits}}", time[there], relative[there, j], states)
 
 
-def calendar(run: Run, time: Float[Array, " k"]) -> list[str]:
+def format_utc(run: Run, time: Float[Array, " k"]) -> list[str]:
     """Times of a run in UTC, to the nanosecond if a millisecond does not do.
 
     Leap seconds are not counted.
     """
     chief = tomllib.loads(str(run.data.attrs["scenario"])).get("chief", {})
-    epoch = np.datetime64(datetime.fromisoformat(chief.get("epoch", EPOCH)), "ns")
+    epoch = np.datetime64(datetime.fromisoformat(chief.get("epoch", DEFAULT_EPOCH)), "ns")
     since = np.round(time * 1e9).astype(np.int64)
     unit: Literal["ms", "ns"] = "ms"
     if (since % 1_000_000).any() or int(epoch.astype(np.int64)) % 1_000_000:
@@ -116,9 +118,9 @@ def calendar(run: Run, time: Float[Array, " k"]) -> list[str]:
     return [str(np.datetime_as_string(epoch + np.timedelta64(int(t), "ns"), unit)) for t in since]
 
 
-def message(run: Run, track: Track) -> str:
+def format_oem(run: Run, track: Ephemeris) -> str:
     """An object's trajectory as a CCSDS OEM in key-value notation [CCSDS502, 5]."""
-    when = calendar(run, track.time)
+    when = format_utc(run, track.time)
     about = run.data.attrs
     meta = {
         "OBJECT_NAME": track.name,
@@ -133,16 +135,16 @@ def message(run: Run, track: Track) -> str:
         meta |= {"INTERPOLATION": "HERMITE", "INTERPOLATION_DEGREE": "3"}
     lines = [
         "CCSDS_OEM_VERS = 2.0",
-        f"COMMENT {_ascii(about['name'])}, seed {about['seed']}, by sato {about['version']}",
+        f"COMMENT {_to_ascii(about['name'])}, seed {about['seed']}, by sato {about['version']}",
         f"CREATION_DATE = {datetime.now(UTC):%Y-%m-%dT%H:%M:%S}",
         "ORIGINATOR = SATO",
         "",
         "META_START",
-        *(f"COMMENT {line}" for line in AXES),
+        *(f"COMMENT {line}" for line in AXES_COMMENT),
         *(f"{key} = {value}" for key, value in meta.items()),
         "META_STOP",
         "",
-        *(f"COMMENT {line}" for line in HELD),
+        *(f"COMMENT {line}" for line in INTERPOLATION_COMMENT),
     ]
     # No more than 16 digits are allowed [CCSDS502, 7.5], and they do not lose a bit that counts.
     kilo = (track.inertial / 1000).tolist() if track.inertial is not None else []
@@ -153,24 +155,24 @@ def message(run: Run, track: Track) -> str:
 
 def _write_oem(run: Run, folder: Path) -> None:
     folder.mkdir()
-    for track in tracks(run):
-        (folder / f"{track.name}.oem").write_text(message(run, track), encoding="ascii")
+    for track in iterate_ephemerides(run):
+        (folder / f"{track.name}.oem").write_text(format_oem(run, track), encoding="ascii")
 
 
 def _write_csv(run: Run, file: Path) -> None:
     with file.open("w", encoding="utf-8", newline="") as out:
         table = csv.writer(out, lineterminator="\n")
-        for i, track in enumerate(tracks(run)):
+        for i, track in enumerate(iterate_ephemerides(run)):
             if not i:
-                table.writerow(_head(track))
+                table.writerow(_csv_header(track))
             rows: list[list[object]] = np.column_stack([track.time, track.relative]).tolist()
             if track.inertial is not None:
-                more = zip(calendar(run, track.time), track.inertial.tolist(), strict=True)
+                more = zip(format_utc(run, track.time), track.inertial.tolist(), strict=True)
                 rows = [[*row, when, *state] for row, (when, state) in zip(rows, more, strict=True)]
             table.writerows([track.name, *row] for row in rows)
 
 
-def _head(track: Track) -> list[str]:
+def _csv_header(track: Ephemeris) -> list[str]:
     axes = "xyz"[: track.relative.shape[1] // 2]
     state = [*(f"{a}_m" for a in axes), *(f"v{a}_m_s" for a in axes)]
     if track.inertial is None:
@@ -179,7 +181,7 @@ def _head(track: Track) -> list[str]:
     return ["object", "time_s", *frames[:6], "utc", *frames[6:]]
 
 
-def _refuse_oem(run: Run, path: Path) -> None:
+def _validate_oem_target(run: Run, path: Path) -> None:
     if "chief" not in run.data:
         raise ValueError(
             "this run has no chief, and so no inertial states to put into an OEM; only scenarios "
@@ -196,7 +198,7 @@ def _refuse_oem(run: Run, path: Path) -> None:
             )
 
 
-def _swap(made: Path, path: Path, former: Path) -> None:
+def _replace_path(made: Path, path: Path, former: Path) -> None:
     if not path.is_dir():
         os.replace(made, path)
         return
@@ -209,5 +211,5 @@ def _swap(made: Path, path: Path, former: Path) -> None:
         raise
 
 
-def _ascii(text: object) -> str:
+def _to_ascii(text: object) -> str:
     return str(text).encode("ascii", "replace").decode()

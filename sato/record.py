@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy import ndarray as Array
 
-from sato.system import F, Frame, M, System, Variable
-from sato.systems import UnknownSystem, system
+from sato.interfaces import Frame, FrameT, MissionT, System, Variable
+from sato.systems import UnknownSystemError, load_system
 
 if TYPE_CHECKING:  # xarray takes a second to load
     import xarray
@@ -23,14 +23,14 @@ if TYPE_CHECKING:  # xarray takes a second to load
 
 RUN_FILE, SUMMARY_FILE = "run.nc", "summary.json"
 
-_EACH = ("time", "agent")
-COMMON = {  # to the runs of all systems
+_PER_AGENT = ("time", "agent")
+COMMON_VARIABLES = {  # to the runs of all systems
     "time": Variable(("time",), "s", "time since the start"),
     "control_instant": Variable(("time",), "1", "whether a control is commanded at this time"),
-    "position": Variable((*_EACH, "axis"), "m", "true position"),
-    "velocity": Variable((*_EACH, "axis"), "m/s", "true velocity"),
-    "alive": Variable(_EACH, "1", "whether the agent takes part"),
-    "component": Variable(_EACH, "1", "connected component of the network, -1 not alive"),
+    "position": Variable((*_PER_AGENT, "axis"), "m", "true position"),
+    "velocity": Variable((*_PER_AGENT, "axis"), "m/s", "true velocity"),
+    "alive": Variable(_PER_AGENT, "1", "whether the agent takes part"),
+    "component": Variable(_PER_AGENT, "1", "connected component of the network, -1 not alive"),
     "event": Variable(("event",), "1", "what happened, as JSON with time and agents"),
 }
 
@@ -47,11 +47,11 @@ class Run:
     summary: dict[str, Any]
 
     @classmethod
-    def of(
+    def from_frames(
         cls,
-        system: System[M, F],
-        frames: Iterable[F],
-        mission: M,
+        system: System[MissionT, FrameT],
+        frames: Iterable[FrameT],
+        mission: MissionT,
         scenario_text: str,
         *,
         name: str,
@@ -90,17 +90,19 @@ class Run:
         about |= system.attributes(mission)
         if stopped:
             about["stopped"] = stopped
-        variables = _common(frames) | system.variables(frames, mission)
-        data = _dataset(variables, {**COMMON, **system.meaning}, about)
-        data.attrs["digest"] = digest(data)
-        return cls(data, first_words(data.attrs))
+        variables = _stack_common_variables(frames) | system.stack_variables(frames, mission)
+        data = _build_dataset(variables, {**COMMON_VARIABLES, **system.variable_definitions}, about)
+        data.attrs["digest"] = compute_digest(data)
+        return cls(data, initial_summary(data.attrs))
 
     def save(self, folder: str | Path) -> Path:
         """Write run.nc and summary.json, each whole or not at all; returns the folder."""
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
-        packed = {name: {"zlib": True} for name, v in self.data.variables.items() if _packs(v)}
-        words = json.dumps(self.summary, indent=2, default=plain, allow_nan=False) + "\n"
+        packed = {
+            name: {"zlib": True} for name, v in self.data.variables.items() if _is_compressible(v)
+        }
+        words = json.dumps(self.summary, indent=2, default=json_default, allow_nan=False) + "\n"
         with tempfile.TemporaryDirectory(prefix=".saving-", dir=folder) as workshop:
             run, summary = Path(workshop, RUN_FILE), Path(workshop, SUMMARY_FILE)
             self.data.to_netcdf(run, engine="h5netcdf", encoding=packed)
@@ -111,13 +113,13 @@ class Run:
 
     def check(self) -> "sato.check.Report":
         """Judge the run by recomputing what it promises."""
-        from sato.check.judge import judge
+        from sato.verify import verify_run
 
-        return judge(self)
+        return verify_run(self)
 
     def plot(self, folder: str | Path) -> list[Path]:
         """Draw the run's figures into a folder; returns their paths."""
-        from sato.plots import plot
+        from sato.figures import plot
 
         return plot(self, Path(folder))
 
@@ -152,20 +154,24 @@ def load(path: str | Path) -> Run:
             f"{file}: cannot be read as netCDF-4, so it is damaged, cut short or something else; "
             "fly the scenario again"
         ) from error
-    _refuse_unless(file, _lacking(data, COMMON) + [n for n in _ATTRIBUTES if n not in data.attrs])
+    _raise_if_missing(
+        file,
+        _missing_variables(data, COMMON_VARIABLES)
+        + [n for n in _REQUIRED_ATTRIBUTES if n not in data.attrs],
+    )
     try:
-        own = system(str(data.attrs["system"])).meaning
-    except UnknownSystem as error:
+        own = load_system(str(data.attrs["system"])).variable_definitions
+    except UnknownSystemError as error:
         raise RunFileError(f"{file}: {error}; a newer version of sato may know it") from error
-    _refuse_unless(file, _lacking(data, own))
-    return Run(data, _summary(file.with_name(SUMMARY_FILE)) or first_words(data.attrs))
+    _raise_if_missing(file, _missing_variables(data, own))
+    return Run(data, _read_summary(file.with_name(SUMMARY_FILE)) or initial_summary(data.attrs))
 
 
-def digest(data: "xarray.Dataset") -> str:
+def compute_digest(data: "xarray.Dataset") -> str:
     """SHA-256 of all that a run says but what it took to compute: the same of the same flight."""
     said = hashlib.sha256()
-    about = {str(k): v for k, v in data.attrs.items() if k not in _NOT_OF_THE_FLIGHT}
-    said.update(json.dumps(about, sort_keys=True, default=plain).encode())
+    about = {str(k): v for k, v in data.attrs.items() if k not in _NOT_IN_DIGEST}
+    said.update(json.dumps(about, sort_keys=True, default=json_default).encode())
     for name in sorted(map(str, data.variables)):
         values = np.asarray(data.variables[name].values)
         said.update(f"{name} {values.shape}".encode())
@@ -176,7 +182,7 @@ def digest(data: "xarray.Dataset") -> str:
     return said.hexdigest()
 
 
-def first_words(attributes: Mapping[Any, Any]) -> dict[str, Any]:
+def initial_summary(attributes: Mapping[Any, Any]) -> dict[str, Any]:
     """What a summary says before the run is judged."""
     words = {"system": attributes["system"], "scenario": attributes["name"]}
     for name in ("seed", "version", "wall_s", "peak_memory_mib", "stopped"):
@@ -186,22 +192,22 @@ def first_words(attributes: Mapping[Any, Any]) -> dict[str, Any]:
     return words
 
 
-def plain(value: object) -> object:
+def json_default(value: object) -> object:
     """What JSON cannot write by itself: NumPy's arrays and scalars."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     raise TypeError(f"cannot write {type(value).__name__} as JSON")
 
 
-_NOT_OF_THE_FLIGHT = ("digest", "wall_s", "peak_memory_mib")
-_ATTRIBUTES = ("system", "scenario", "name", "seed", "version")
+_NOT_IN_DIGEST = ("digest", "wall_s", "peak_memory_mib")
+_REQUIRED_ATTRIBUTES = ("system", "scenario", "name", "seed", "version")
 
 
-def _common(frames: Sequence[Frame]) -> dict[str, Array]:
+def _stack_common_variables(frames: Sequence[Frame]) -> dict[str, Array]:
     names = ("time", "position", "velocity", "alive", "component")
     stacked = {name: np.array([getattr(f, name) for f in frames]) for name in names}
     told = [
-        json.dumps({"time": float(f.time), **event}, default=plain)
+        json.dumps({"time": float(f.time), **event}, default=json_default)
         for f in frames
         for event in f.events
     ]
@@ -209,7 +215,7 @@ def _common(frames: Sequence[Frame]) -> dict[str, Array]:
     return stacked | {"control_instant": instants, "event": np.array(told, dtype=object)}
 
 
-def _dataset(
+def _build_dataset(
     variables: Mapping[str, Array], meaning: Mapping[str, Variable], attributes: dict[str, Any]
 ) -> "xarray.Dataset":
     import xarray
@@ -217,26 +223,26 @@ def _dataset(
     arrays = {}
     for name, values in variables.items():
         of = meaning[name]
-        arrays[name] = (of.axes, values, {"units": of.unit, "long_name": of.meaning})
+        arrays[name] = (of.dims, values, {"units": of.unit, "long_name": of.long_name})
     return xarray.Dataset(arrays, attrs=attributes)
 
 
-def _lacking(data: "xarray.Dataset", meaning: Mapping[str, Variable]) -> list[str]:
-    return [n for n, of in meaning.items() if not of.may_lack and n not in data.variables]
+def _missing_variables(data: "xarray.Dataset", meaning: Mapping[str, Variable]) -> list[str]:
+    return [n for n, of in meaning.items() if not of.optional and n not in data.variables]
 
 
-def _refuse_unless(file: Path, lacking: list[str]) -> None:
+def _raise_if_missing(file: Path, lacking: list[str]) -> None:
     if lacking:
         raise RunFileError(
             f"{file}: is not a run of this project, for it has no {', '.join(lacking)}"
         )
 
 
-def _packs(variable: "xarray.Variable") -> bool:
+def _is_compressible(variable: "xarray.Variable") -> bool:
     return variable.ndim > 1 and variable.dtype.kind in "biuf"
 
 
-def _summary(file: Path) -> dict[str, Any]:
+def _read_summary(file: Path) -> dict[str, Any]:
     if not file.is_file():
         return {}
     try:

@@ -3,31 +3,31 @@
 from importlib import import_module
 from typing import Any
 
-from sato.system import System
+from sato.interfaces import System
 
-HOME = {
+SYSTEM_MODULES = {
     "reconfiguration": "sato.reconfiguration.system",
     "formation": "sato.formation.system",
     "connectivity": "sato.connectivity.system",
 }
 
 
-class UnknownSystem(ValueError):
+class UnknownSystemError(ValueError):
     """A name that no system has."""
 
     def __init__(self, name: str) -> None:
         """Name it, and those there are."""
-        known = ", ".join(f'"{known}"' for known in HOME)
+        known = ", ".join(f'"{known}"' for known in SYSTEM_MODULES)
         super().__init__(f'there is no system "{name}", only {known}')
 
 
-def system(name: str) -> System[Any, Any]:
+def load_system(name: str) -> System[Any, Any]:
     """The system of a name.
 
     Raises:
         UnknownSystem: There is none.
     """
-    if name not in HOME:
-        raise UnknownSystem(name)
-    found: System[Any, Any] = import_module(HOME[name]).SYSTEM
+    if name not in SYSTEM_MODULES:
+        raise UnknownSystemError(name)
+    found: System[Any, Any] = import_module(SYSTEM_MODULES[name]).SYSTEM
     return found

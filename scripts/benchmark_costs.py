@@ -23,59 +23,72 @@ from rich.table import Table
 from scipy.sparse import block_diag, csc_array, eye_array, hstack, kron, vstack
 from threadpoolctl import threadpool_limits
 
-from dynamics import J2, ClohessyWiltshire, DoubleIntegrator, Linearised, Orbit, Steps, hold
-from problems.auction_cost import Prices, displacements, exact, price
-from problems.conic import Conic, Infeasible, solve
-from problems.least_fuel import least_fuel, response
+from dynamics import (
+    J2,
+    ClohessyWiltshire,
+    DiscreteModel,
+    DoubleIntegrator,
+    LinearizedModel,
+    Orbit,
+    discretize_zoh,
+)
+from problems.auction_cost import (
+    TransferCosts,
+    compute_displacements,
+    compute_exact_costs,
+    compute_transfer_costs,
+)
+from problems.conic import ConicProgram, Infeasible, solve
+from problems.minimum_fuel import reachability_matrix, solve_minimum_fuel
 from problems.solvers import solve_highs
-from problems.transfer import ends_first
+from problems.transfer import tie_break_weights
 
-ERROR = 1e-6
+MAX_ERROR = 1e-6
 MEAN_MOTION = np.sqrt(3.986004418e14 / 6878e3**3)  # circular orbit of 6878 km [rad/s]
 
 
-class Case(NamedTuple):
+class CostCase(NamedTuple):
     """One row of the table."""
 
     name: str
-    steps: Steps
+    steps: DiscreteModel
     start: np.ndarray
-    goals: np.ndarray
+    targets: np.ndarray
     max_control: float
     max_speed: float
-    ratio: float  # to reach
+    min_speedup: float  # to reach
     turns: int
 
-    def price(self) -> Prices:
+    def compute_costs(self) -> TransferCosts:
         """All pairs."""
-        ask = price if self.max_speed == inf else exact
-        return ask(self.steps, self.start, self.goals, self.max_control, self.max_speed)
+        ask = compute_transfer_costs if self.max_speed == inf else compute_exact_costs
+        return ask(self.steps, self.start, self.targets, self.max_control, self.max_speed)
 
 
-class Condensed:
+class CondensedForm:
     """min Σ|u| s.t. C u = b, |u| ≤ U, by u⁺ and u⁻ in units of U."""
 
-    def __init__(self, case: Case) -> None:
-        C = response(case.steps).reshape(case.start.shape[1], -1)
-        self.scale = np.abs(C).max(axis=1) * case.max_control
-        C = C * case.max_control / self.scale[:, None]
+    def __init__(self, case: CostCase) -> None:
+        C = reachability_matrix(case.steps).reshape(case.start.shape[1], -1)
+        self.cost_scale = np.abs(C).max(axis=1) * case.max_control
+        C = C * case.max_control / self.cost_scale[:, None]
         N = 2 * C.shape[1]
         self.A = csc_array(vstack([np.hstack([C, -C]), eye_array(N), -eye_array(N)]))
         self.q = np.full(N, case.steps.dt * case.max_control)
         self.limits = np.concatenate([np.ones(N), np.zeros(N)])
         self.zero, self.cones = len(C), ()
-        self.b = displacements(case.steps, case.start, case.goals)
+        self.b = compute_displacements(case.steps, case.start, case.targets)
 
-    def problem(self, i: int, j: int) -> Conic:
+    def problem(self, i: int, j: int) -> ConicProgram:
         """One pair."""
-        b = np.concatenate([self.b[i, j] / self.scale, self.limits])
-        return Conic(self.q, self.A, b, self.zero, len(self.limits), self.cones)
+        b = np.concatenate([self.b[i, j] / self.cost_scale, self.limits])
+        return ConicProgram(self.q, self.A, b, self.zero, len(self.limits), self.cones)
 
 
-class Stated:
+class StackedForm:
     """The same with the states x[1] … x[T] kept, and a cone for each speed."""
 
-    def __init__(self, case: Case) -> None:
+    def __init__(self, case: CostCase) -> None:
         self.case = case
         T, n, m = case.steps.B.shape
         burns = case.max_control * block_diag(list(case.steps.B))
@@ -104,27 +117,27 @@ class Stated:
         tops = np.tile([case.max_speed, *np.zeros(m)], T - 1)
         self.limits = np.concatenate([np.ones(N), np.zeros(N), tops])
 
-    def problem(self, i: int, j: int) -> Conic:
+    def problem(self, i: int, j: int) -> ConicProgram:
         """One pair."""
         steps = self.case.steps
         first = steps.z.copy()
         first[0] += steps.A[0] @ self.case.start[i]
-        b = np.concatenate([first.ravel(), self.case.goals[j], self.limits])
-        return Conic(self.q, self.A, b, self.zero, self.nonnegative, self.cones)
+        b = np.concatenate([first.ravel(), self.case.targets[j], self.limits])
+        return ConicProgram(self.q, self.A, b, self.zero, self.nonnegative, self.cones)
 
 
-class Clarabel:
+class ClarabelSolver:
     """One object, built once."""
 
-    def __init__(self, first: Conic) -> None:
+    def __init__(self, first: ConicProgram) -> None:
         settings = clarabel.DefaultSettings()
         settings.verbose, settings.presolve_enable, settings.max_threads = False, False, 1
         cones = [clarabel.ZeroConeT(first.zero), clarabel.NonnegativeConeT(first.nonnegative)]
-        cones += [clarabel.SecondOrderConeT(size) for size in first.cones]
+        cones += [clarabel.SecondOrderConeT(size) for size in first.soc_sizes]
         P = csc_array((len(first.q), len(first.q)))
         self.solver = clarabel.DefaultSolver(P, first.q, first.A, first.b, cones, settings)
 
-    def fuel(self, problem: Conic) -> float:
+    def solve_fuel(self, problem: ConicProgram) -> float:
         """Its price; infinite where out of reach, NaN where there is none."""
         self.solver.update(b=problem.b)
         solution = self.solver.solve()
@@ -133,7 +146,9 @@ class Clarabel:
         return float(solution.obj_val) if "Solved" in str(solution.status) else np.nan
 
 
-def plane(agents: int, speed: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def draw_plane(
+    agents: int, speed: float, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
     """From a box to a disc; speeds up to a bound at both ends."""
     start, goals = rng.uniform(0, 29, (agents, 2)), rng.uniform(9, 20, (agents, 2))
     turn, size = rng.uniform(0, 2 * np.pi, (2, agents)), rng.uniform(0, speed, (2, agents))
@@ -141,27 +156,27 @@ def plane(agents: int, speed: float, rng: np.random.Generator) -> tuple[np.ndarr
     return np.hstack([start, v[0]]), np.hstack([goals, v[1]])
 
 
-def orbit(agents: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def draw_orbit(agents: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """From a cloud to a circle that closes, 1 km about the chief."""
     model, turn = ClohessyWiltshire(MEAN_MOTION), 2 * np.pi * np.arange(agents) / agents
     cloud = rng.uniform(-1500, 1500, (agents, 3))
     circle = [np.sin(turn) / 2, np.cos(turn), np.sqrt(3) / 2 * np.sin(turn)]
     along = [np.cos(turn) / 2, -np.sin(turn), np.sqrt(3) / 2 * np.cos(turn)]
     goals = 1000 * np.vstack([circle, MEAN_MOTION * np.array(along)]).T
-    return np.hstack([cloud, model.bounded(cloud)]), goals
+    return np.hstack([cloud, model.bounded_velocity(cloud)]), goals
 
 
-def cases(rng: np.random.Generator) -> list[Case]:
+def make_cases(rng: np.random.Generator) -> list[CostCase]:
     """The rows; speed limits are set so that they bind on a given share of the pairs."""
-    long = hold(DoubleIntegrator(2), 1.0, 80)
-    sky = hold(ClohessyWiltshire(MEAN_MOTION), 60.0, 24)
-    chief = Orbit.of_elements(6878e3, inclination=np.pi / 4)
-    true = hold(Linearised.at_origin(J2(chief)), 60.0, 24)
-    still, swift = plane(123, 0.0, rng), plane(48, 0.3, rng)
-    cloud = orbit(48, rng)
+    long = discretize_zoh(DoubleIntegrator(2), 1.0, 80)
+    sky = discretize_zoh(ClohessyWiltshire(MEAN_MOTION), 60.0, 24)
+    chief = Orbit.from_elements(6878e3, inclination=np.pi / 4)
+    true = discretize_zoh(LinearizedModel.at_origin(J2(chief)), 60.0, 24)
+    still, swift = draw_plane(123, 0.0, rng), draw_plane(48, 0.3, rng)
+    cloud = draw_orbit(48, rng)
     rows = [
-        Case("123 × 123, double integrator", long, *still, 0.3, inf, 100, 10),
-        Case("48 × 48, Clohessy–Wiltshire", sky, *cloud, 0.01, inf, 10, 10),
+        CostCase("123 × 123, double integrator", long, *still, 0.3, inf, 100, 10),
+        CostCase("48 × 48, Clohessy–Wiltshire", sky, *cloud, 0.01, inf, 10, 10),
     ]
     for name, steps, ends, U, share in (
         ("the same, with a speed limit", sky, cloud, 0.01, 0.2),
@@ -169,67 +184,80 @@ def cases(rng: np.random.Generator) -> list[Case]:
         ("the same, a lower limit", true, cloud, 0.01, 0.3),
         ("48 × 48, plane, speed limit", long, swift, 0.03, 0.2),
     ):
-        rows.append(Case(name, steps, *ends, U, binding(steps, *ends, U, share), 20, 5))
+        rows.append(
+            CostCase(name, steps, *ends, U, binding_speed_limit(steps, *ends, U, share), 20, 5)
+        )
     return rows
 
 
-def binding(
-    steps: Steps, start: np.ndarray, goals: np.ndarray, max_control: float, share: float
+def binding_speed_limit(
+    steps: DiscreteModel, start: np.ndarray, goals: np.ndarray, max_control: float, share: float
 ) -> float:
     """A speed that the cheapest paths of a share of the pairs exceed."""
-    b = displacements(steps, start, goals)
-    u = least_fuel(steps, b.reshape(-1, b.shape[2]), max_control, ends_first(len(steps), 1e-7)).u
-    x = steps.roll(np.repeat(start, len(goals), axis=0), u)[:, 1:-1, steps.axes :]
+    b = compute_displacements(steps, start, goals)
+    u = solve_minimum_fuel(
+        steps, b.reshape(-1, b.shape[2]), max_control, tie_break_weights(len(steps), 1e-7)
+    ).u
+    x = steps.simulate(np.repeat(start, len(goals), axis=0), u)[:, 1:-1, steps.axes :]
     peak = np.linalg.norm(x, axis=2).max(axis=1)
     return float(np.quantile(peak[np.isfinite(peak)], 1 - share))
 
 
-class Result(NamedTuple):
+class CostBenchmark(NamedTuple):
     """What was measured."""
 
     seconds: float
     clarabel: float
     ratio: float
     error: float
-    judged: str
-    binds: float
+    verified: str
+    binding_share: float
 
 
-def measure(case: Case, pairs: int, rng: np.random.Generator) -> Result:
+def measure(case: CostCase, pairs: int, rng: np.random.Generator) -> CostBenchmark:
     """Take turns, then judge."""
     limited = case.max_speed < inf
-    form = Stated(case) if limited else Condensed(case)
-    solver, prices = Clarabel(form.problem(0, 0)), case.price()
+    form = StackedForm(case) if limited else CondensedForm(case)
+    solver, prices = ClarabelSolver(form.problem(0, 0)), case.compute_costs()
     shape = prices.fuel.shape
     ours, theirs = [], []
-    each = max(1, pairs // case.turns)
-    for _ in range(case.turns):
+    each = max(1, pairs // case.reassignment_positions)
+    for _ in range(case.reassignment_positions):
         begin = time.perf_counter()
-        case.price()
+        case.compute_costs()
         ours.append(time.perf_counter() - begin)
         asked = [form.problem(*rng.integers(shape)) for _ in range(each)]
         begin = time.perf_counter()
         for problem in asked:
-            solver.fuel(problem)
+            solver.solve_fuel(problem)
         theirs.append((time.perf_counter() - begin) / each * prices.fuel.size)
     if limited:
-        found = price(case.steps, case.start, case.goals, case.max_control, case.max_speed)
-        doubtful = np.argwhere(~found.exact)
+        found = compute_transfer_costs(
+            case.steps, case.start, case.targets, case.max_control, case.max_speed
+        )
+        doubtful = np.argwhere(~found.is_exact)
         judged = rng.permutation(doubtful)[: 5 * pairs]
-        truth = [solver.fuel(form.problem(*pair)) for pair in judged]
+        truth = [solver.solve_fuel(form.problem(*pair)) for pair in judged]
         binds, judge = len(doubtful) / prices.fuel.size, "Clarabel"
     else:
         judged = rng.integers(shape, size=(5 * pairs, 2))
-        truth = [highs(form.problem(*pair)) for pair in judged]
+        truth = [solve_with_highs(form.problem(*pair)) for pair in judged]
         binds, judge = 0.0, "HiGHS"
     error = largest_error(prices, judged, np.array(truth))
     within = int(np.isfinite(truth).sum())
-    ratio = float(np.median(np.array(theirs) / np.array(ours)))
+    ratio = float(np.min_median_rate(np.array(theirs) / np.array(ours)))
     said = f"{judge}, {len(judged)} pairs, {within} in reach"
-    return Result(float(np.median(ours)), float(np.median(theirs)), ratio, error, said, binds)
+    return CostBenchmark(
+        float(np.min_median_rate(ours)),
+        float(np.min_median_rate(theirs)),
+        ratio,
+        error,
+        said,
+        binds,
+    )
 
 
-def highs(problem: Conic) -> float:
+def solve_with_highs(problem: ConicProgram) -> float:
     """The judge's price."""
     try:
         return float(problem.q @ solve(problem, solve_highs).x)
@@ -237,17 +265,17 @@ def highs(problem: Conic) -> float:
         return inf
 
 
-def largest_error(prices: Prices, pairs: np.ndarray, truth: np.ndarray) -> float:
+def largest_error(prices: TransferCosts, pairs: np.ndarray, truth: np.ndarray) -> float:
     """Relative; infinite where one says out of reach and the other not."""
     i, j = pairs.T
-    fuel = np.where(prices.reachable[i, j], prices.fuel[i, j], inf)
+    fuel = np.where(prices.is_reachable[i, j], prices.fuel[i, j], inf)
     if (np.isfinite(fuel) != np.isfinite(truth)).any():
         return inf
     fuel, truth = fuel[np.isfinite(truth)], truth[np.isfinite(truth)]
     return float((np.abs(fuel - truth) / np.maximum(truth, 1e-9)).max(initial=0.0))
 
 
-COLD = """
+COLD_START_CODE = """
 import time, numpy as np
 from dynamics import DoubleIntegrator, hold
 from problems.auction_cost import price
@@ -258,11 +286,11 @@ print(time.perf_counter() - begin)
 """
 
 
-def first_call() -> tuple[float, float]:
+def time_first_call() -> tuple[float, float]:
     """Seconds for the first prices of a process: with nothing compiled, and with the cache."""
     with tempfile.TemporaryDirectory() as cache:
         env = os.environ | {"NUMBA_CACHE_DIR": cache}
-        run = [sys.executable, "-c", COLD]
+        run = [sys.executable, "-c", COLD_START_CODE]
         cold, cached = (
             float(subprocess.run(run, env=env, check=True, capture_output=True, text=True).stdout)
             for _ in range(2)
@@ -282,18 +310,23 @@ def main(
     table = Table("costs", "binds", "all [ms]", "Clarabel [s]", "ratio", "error", "judge")
     missed = False
     with threadpool_limits(1):
-        for case in cases(rng):
+        for case in make_cases(rng):
             r = measure(case, pairs, rng)
-            failed = not (r.error <= ERROR and r.ratio >= case.ratio)
+            failed = not (r.error <= MAX_ERROR and r.ratio >= case.min_speedup)
             missed |= failed
-            ratio = f"{r.ratio:.0f}" + (f" (≥ {case.ratio:.0f})" if case.ratio else "")
-            numbers = (f"{r.binds:.0%}", f"{r.seconds * 1e3:.1f}", f"{r.clarabel:.2f}", ratio)
+            ratio = f"{r.ratio:.0f}" + (f" (≥ {case.min_speedup:.0f})" if case.min_speedup else "")
+            numbers = (
+                f"{r.binding_share:.0%}",
+                f"{r.seconds * 1e3:.1f}",
+                f"{r.clarabel:.2f}",
+                ratio,
+            )
             style = "red" if failed else None
-            table.add_row(case.name, *numbers, f"{r.error:.1e}", r.judged, style=style)
+            table.add_row(case.name, *numbers, f"{r.error:.1e}", r.verified, style=style)
     Console(width=120).print(table)
     print(f"all prices on {os.cpu_count()} threads, Clarabel on one")
     if cold:
-        nothing, cached = first_call()
+        nothing, cached = time_first_call()
         print(f"first call of a process: {nothing:.1f} s to compile, {cached:.2f} s from the cache")
     raise typer.Exit(int(missed))
 

@@ -13,20 +13,20 @@ from rich.progress import track
 from rich.table import Table
 
 from dynamics import ClohessyWiltshire
-from dynamics.frames import LVLH, inertial_state, osculating
+from dynamics.coordinate_frames import LVLH, inertial_state, to_polar_nodal
 from dynamics.j2 import invariant_velocity
 from dynamics.orbit import Orbit
 from dynamics.propagation import propagate
 
 
-def drift(orbit: Orbit, place: np.ndarray, velocity: np.ndarray, orbits: int) -> float:
+def along_track_drift(orbit: Orbit, place: np.ndarray, velocity: np.ndarray, orbits: int) -> float:
     """Of the mean along the last orbit from that along the first, the worst [m an orbit]."""
     phase = np.arange(16) / 16
     times = orbit.period * np.concatenate([phase, orbits - 1 + phase])
-    start = np.array(orbit.start)
-    deputies = LVLH.of_chief(start, orbit.k_J2).to_inertial(np.hstack([place, velocity]))
+    start = np.array(orbit.initial_elements)
+    deputies = LVLH.from_polar_nodal(start, orbit.k_J2).to_inertial(np.hstack([place, velocity]))
     flown = propagate(np.vstack([inertial_state(start), deputies]), times, accuracy=1e-12)
-    frames = LVLH.of_chief(osculating(flown[:, 0]), orbit.k_J2)
+    frames = LVLH.from_polar_nodal(to_polar_nodal(flown[:, 0]), orbit.k_J2)
     along = frames.from_inertial(flown[:, 1:])[..., 1].reshape(2, 16, -1).mean(axis=1)
     return float(np.abs(along[1] - along[0]).max()) / (orbits - 1)
 
@@ -44,11 +44,11 @@ def main() -> int:
     worst = 0.0
     for latitude in track(np.arange(0.0, 360.0, given.every), "flying", console=console):
         at = np.radians(latitude)
-        orbit = Orbit.of_elements(6878e3, inclination=np.pi / 4, anomaly=float(at))
-        ours = drift(orbit, ring, invariant_velocity(orbit, ring), given.orbits)
-        theirs = ClohessyWiltshire.about(orbit).centred(ring)
+        orbit = Orbit.from_elements(6878e3, inclination=np.pi / 4, true_anomaly=float(at))
+        ours = along_track_drift(orbit, ring, invariant_velocity(orbit, ring), given.orbits)
+        theirs = ClohessyWiltshire.from_orbit(orbit).centered_velocity(ring)
         worst = max(worst, ours)
-        plain = drift(orbit, ring, theirs, given.orbits)
+        plain = along_track_drift(orbit, ring, theirs, given.orbits)
         table.add_row(f"{latitude:g}", f"{ours:.4f}", f"{plain:.1f}")
     console.print(table)
     console.print(f"worst J2-invariant: {worst:.4f} m an orbit")

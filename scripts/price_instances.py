@@ -9,33 +9,40 @@ from typing import NamedTuple
 import numpy as np
 import typer
 
-from dynamics import J2, DoubleIntegrator, Linearised, Orbit, hold, invariant_velocity
-from problems.central import Central, Guess, pushed
-from problems.convexify import Horizon
-from problems.transfer import Transfer
+from dynamics import (
+    J2,
+    DoubleIntegrator,
+    LinearizedModel,
+    Orbit,
+    discretize_zoh,
+    invariant_velocity,
+)
+from problems.centralized import CentralizedProblem, InitialGuess, displace_guess
+from problems.convexify import AvoidanceHorizon
+from problems.transfer import TransferProblem
 from sato.reconfiguration.mission import Leg, Reconfiguration
-from sato.reconfiguration.planning import look_ahead
-from sato.reconfiguration.routes import alone
+from sato.reconfiguration.planning import make_horizon
+from sato.reconfiguration.solo_trajectories import solve_solo_transfers
 
-APART = 1.2  # times R: between starts, and between targets
-NOISE = 0.03  # of the radius, on targets
-ORBIT = Orbit.of_elements(6878e3, inclination=np.pi / 4, anomaly=-np.pi / 4)
-SPHERE = 150.0  # radius [m]
-CIRCLE = 5.0  # radius [m]
-DRAWS = 20_000  # of ends that are too close, before it is said that there is no room
+MIN_SPACING = 1.2  # times R: between starts, and between targets
+TARGET_NOISE = 0.03  # of the radius, on targets
+ORBIT = Orbit.from_elements(6878e3, inclination=np.pi / 4, true_anomaly=-np.pi / 4)
+SPHERE_RADIUS = 150.0  # radius [m]
+CIRCLE_RADIUS = 5.0  # radius [m]
+MAX_DRAWS = 20_000  # of ends that are too close, before it is said that there is no room
 
 
-class Model(StrEnum):
+class MotionModel(StrEnum):
     """Where vehicles fly."""
 
     plane = "plane"
     j2 = "j2"
 
 
-class Case(NamedTuple):
+class PriceCase(NamedTuple):
     """One instance."""
 
-    model: Model
+    model: MotionModel
     agents: int
     number: int
     seed: int
@@ -44,17 +51,20 @@ class Case(NamedTuple):
     bargains: int = 0
 
 
-def missions(case: Case) -> Iterator[Reconfiguration]:
+def draw_missions(case: PriceCase) -> Iterator[Reconfiguration]:
     """Missions of a case, drawn one after another."""
     rng = np.random.default_rng([case.seed, case.agents, case.number])
     while True:
-        if case.model is Model.plane:
-            start, goal = (CIRCLE * side for side in across(case.agents, 2, 1 / CIRCLE, rng))
+        if case.model is MotionModel.plane:
+            start, goal = (
+                CIRCLE_RADIUS * side
+                for side in draw_opposite_points(case.agents, 2, 1 / CIRCLE_RADIUS, rng)
+            )
             still = np.zeros_like(start)
             leg = Leg(np.hstack([goal, still]), 36)
             yield Reconfiguration(
-                model=DoubleIntegrator(2),
-                start=np.hstack([start, still]),
+                linear_model=DoubleIntegrator(2),
+                initial_states=np.hstack([start, still]),
                 alive=np.ones(case.agents, dtype=bool),
                 legs=(leg,),
                 step=1.0,
@@ -65,11 +75,14 @@ def missions(case: Case) -> Iterator[Reconfiguration]:
                 foresight_steps=36,
             )
         else:
-            start, goal = (SPHERE * side for side in across(case.agents, 3, 50 / SPHERE, rng))
+            start, goal = (
+                SPHERE_RADIUS * side
+                for side in draw_opposite_points(case.agents, 3, 50 / SPHERE_RADIUS, rng)
+            )
             leg = Leg(np.hstack([goal, invariant_velocity(ORBIT, goal, 24 * 60.0)]), 24)
             yield Reconfiguration(
-                model=Linearised.at_origin(J2(ORBIT)),
-                start=np.hstack([start, invariant_velocity(ORBIT, start)]),
+                linear_model=LinearizedModel.at_origin(J2(ORBIT)),
+                initial_states=np.hstack([start, invariant_velocity(ORBIT, start)]),
                 alive=np.ones(case.agents, dtype=bool),
                 legs=(leg,),
                 step=60.0,
@@ -81,57 +94,65 @@ def missions(case: Case) -> Iterator[Reconfiguration]:
             )
 
 
-def across(
+def draw_opposite_points(
     count: int, axes: int, radius: float, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points on the unit circle or sphere, and nearly opposite ones, none too close."""
-    for _ in range(DRAWS):
+    for _ in range(MAX_DRAWS):
         start = rng.normal(size=(count, axes))
         start /= np.linalg.norm(start, axis=1, keepdims=True)
-        goal = NOISE * rng.normal(size=start.shape) - start
+        goal = TARGET_NOISE * rng.normal(size=start.shape) - start
         if all(
-            np.linalg.norm(side[i] - side[j]) >= APART * radius
+            np.linalg.norm(side[i] - side[j]) >= MIN_SPACING * radius
             for side in (start, goal)
             for i, j in combinations(range(count), 2)
         ):
             return start, goal
-    raise typer.BadParameter(f"{count} vehicles found no room in {DRAWS} draws")
+    raise typer.BadParameter(f"{count} vehicles found no room in {MAX_DRAWS} draws")
 
 
-def instance(case: Case) -> tuple[Reconfiguration, Central, Guess, int]:
+def make_instance(case: PriceCase) -> tuple[Reconfiguration, CentralizedProblem, InitialGuess, int]:
     """The first mission in which enough pairs would meet if all flew alone, and how they would."""
-    transfer, near = shared(case.model)
-    for mission in missions(case):
-        free = by_themselves(transfer, mission)
+    transfer, near = shared_problem(case.model)
+    for mission in draw_missions(case):
+        free = solve_alone(transfer, mission)
         if free is None:
             continue
-        meetings = Central(transfer, near).meetings(*free)
+        meetings = CentralizedProblem(transfer, near).count_conflicts(*free)
         if 2 * meetings >= case.agents:
-            horizon = look_ahead(mission, 0.0, mission.legs[0].steps)
-            return mission, Central(transfer, horizon), free, meetings
+            horizon = make_horizon(mission, 0.0, mission.legs[0].steps)
+            return mission, CentralizedProblem(transfer, horizon), free, meetings
     raise AssertionError("missions never end")
 
 
-def by_themselves(transfer: Transfer, mission: Reconfiguration) -> Guess | None:
+def solve_alone(transfer: TransferProblem, mission: Reconfiguration) -> InitialGuess | None:
     """How all would fly alone, if all can arrive."""
-    flights = [f for f in alone(transfer, mission.start, mission.legs[0].targets)[0] if f]
-    if len(flights) < len(mission.start):
+    flights = [
+        f
+        for f in solve_solo_transfers(transfer, mission.initial_states, mission.legs[0].targets)[0]
+        if f
+    ]
+    if len(flights) < len(mission.initial_states):
         return None
     return np.stack([f.x for f in flights]), np.stack([f.u for f in flights])
 
 
 @cache
-def shared(kind: Model) -> tuple[Transfer, Horizon]:
+def shared_problem(kind: MotionModel) -> tuple[TransferProblem, AvoidanceHorizon]:
     """What all missions of a kind share, but for millimetres of the radius."""
-    mission = next(missions(Case(kind, 2, 0, 0, 0)))
+    mission = next(draw_missions(PriceCase(kind, 2, 0, 0, 0)))
     steps = mission.legs[0].steps
-    transfer = Transfer(
-        hold(mission.model, mission.step, steps), mission.max_control, mission.max_speed
+    transfer = TransferProblem(
+        discretize_zoh(mission.linear_model, mission.step, steps),
+        mission.max_control,
+        mission.max_speed,
     )
-    return transfer, look_ahead(mission, 0.0, steps)
+    return transfer, make_horizon(mission, 0.0, steps)
 
 
-def guesses(case: Case, free: Guess, radius: float, dt: float) -> dict[str, Guess]:
+def initial_guesses(
+    case: PriceCase, free: InitialGuess, radius: float, dt: float
+) -> dict[str, InitialGuess]:
     """All alone; all aside to one hand and to the other; all aside at random."""
     rng = np.random.default_rng([case.seed, case.agents, case.number, 1])
     d = free[1].shape[-1]
@@ -139,7 +160,11 @@ def guesses(case: Case, free: Guess, radius: float, dt: float) -> dict[str, Gues
     axis = np.array([0.0, 0.0, 1.0]) if d == 2 else rng.normal(size=3)
     aside = np.cross(np.pad(along, ((0, 0), (0, 3 - d))), axis)[:, :d]
     aside *= radius / np.linalg.norm(aside, axis=1, keepdims=True)
-    found = {"alone": free, "right": pushed(free, dt, aside), "left": pushed(free, dt, -aside)}
+    found = {
+        "alone": free,
+        "right": displace_guess(free, dt, aside),
+        "left": displace_guess(free, dt, -aside),
+    }
     for k in range(case.guesses):
-        found[f"random {k}"] = pushed(free, dt, radius * rng.normal(size=along.shape))
+        found[f"random {k}"] = displace_guess(free, dt, radius * rng.normal(size=along.shape))
     return found

@@ -13,41 +13,41 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from problems.avoidance import Avoidance
+from problems.avoidance import AvoidanceProblem
 from sato.onboard import export_c
-from sato.onboard.compiled import SOLVED, compiled
-from sato.onboard.trial import questions
+from sato.onboard.library import SOLVED, compile_solver
+from sato.onboard.random_instances import random_instances
 
-COUNT = 1000
+INSTANCE_COUNT = 1000
 SIZES = {"uiuc": (5, 40), "random3d": (3, 20), "crossing": (1, 36)}  # neighbours, steps
 
 
-def study(scenario: str, neighbours: int, steps: int) -> None:
+def study_scenario(scenario: str, neighbours: int, steps: int) -> None:
     """Export, compile, ask both, and print a row of the table."""
     with tempfile.TemporaryDirectory() as workshop:
         asked = export_c(scenario, Path(workshop, "c"), neighbours, steps)
-        code = compiled(Path(workshop, "c"))
-    transfer = asked.programme.transfer
-    avoidance, dt = Avoidance(transfer), transfer.steps.dt
+        code = compile_solver(Path(workshop, "c"))
+    transfer = asked.program.transfer
+    avoidance, dt = AvoidanceProblem(transfer), transfer.model.dt
     codes, cost, residual, times, bound = [], [], [], [], 0
-    ask = questions(asked, np.random.default_rng(2016))
-    for question, _ in zip(ask, range(COUNT), strict=False):
+    ask = random_instances(asked, np.random.default_rng(2016))
+    for question, _ in zip(ask, range(INSTANCE_COUNT), strict=False):
         began = thread_time()
-        flight = avoidance.solve(*question).flight
+        flight = avoidance.solve(*question).trajectory
         python = thread_time() - began
         flown = code.solve(*question)
-        least = dt * float(transfer.weight @ np.abs(flight.u).sum(axis=1))
+        least = dt * float(transfer.weights @ np.abs(flight.u).sum(axis=1))
         codes.append(flown.code)
         cost.append(abs(flown.cost - least) / max(least, transfer.max_control * dt))
         residual.append(flown.residual)
         times.append((flown.seconds, python))
-        bound += bool((question.spaces.missing(flight.x, flight.u) > -1e-6).any())
-    mine, python = 1e3 * np.median(times, axis=0)
+        bound += bool((question.half_spaces.violation(flight.x, flight.u) > -1e-6).any())
+    mine, python = 1e3 * np.min_median_rate(times, axis=0)
     slowest = 1e3 * np.max(times, axis=0)[0]
     print(
         f"{scenario}, {neighbours} neighbours, {steps} steps: "
-        f"{codes.count(SOLVED)} of {COUNT} solved, {bound} with a half-space that binds; "
-        f"cost differs by {np.median(cost):.1e} (median), {max(cost):.1e} (most); "
+        f"{codes.count(SOLVED)} of {INSTANCE_COUNT} solved, {bound} with a half-space that binds; "
+        f"cost differs by {np.min_median_rate(cost):.1e} (median), {max(cost):.1e} (most); "
         f"residual at most {max(residual):.1e}; "
         f"C {mine:.2f} ms (most {slowest:.1f}), Python {python:.1f} ms, of the processor"
     )
@@ -61,7 +61,7 @@ def main(
         if name not in SIZES:
             raise typer.BadParameter(f"no scenario {name!r}, only {', '.join(SIZES)}")
     for name in scenarios or SIZES:
-        study(name, *SIZES[name])
+        study_scenario(name, *SIZES[name])
 
 
 if __name__ == "__main__":

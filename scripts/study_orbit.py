@@ -16,7 +16,7 @@ from rich.table import Table
 
 import sato
 
-ROUGH = (
+DISTURBED = (
     "disturbance.position_m=1.0",
     "disturbance.velocity_mm_s=1.0",
     "disturbance.thrust=0.05",
@@ -28,10 +28,10 @@ ROUGH = (
     "plan.velocity_tolerance_m_s=0.5",
 )
 COLUMNS = ("seed", "steps", "networks", "least [m]", "error [m]", "error [mm/s]")
-DEAREST = 1.05  # fuel over its lower bound, without noise
+MAX_FUEL_RATIO = 1.05  # fuel over its lower bound, without noise
 
 
-def failures(summary: dict[str, Any], rough: bool) -> Iterator[str]:
+def find_failures(summary: dict[str, Any], rough: bool) -> Iterator[str]:
     """What is not as it should be."""
     yield from summary["broken"]
     if not summary["min_separation_m"] >= summary["collision_radius_m"]:
@@ -40,7 +40,7 @@ def failures(summary: dict[str, Any], rough: bool) -> Iterator[str]:
         return
     if summary["slack_used"]:
         yield f"slack {summary['slack_used']}"
-    if summary["fuel_m_s"] > DEAREST * summary["fuel_lower_bound_m_s"]:
+    if summary["fuel_m_s"] > MAX_FUEL_RATIO * summary["fuel_lower_bound_m_s"]:
         yield "fuel"
 
 
@@ -56,9 +56,9 @@ def main() -> int:
     table = Table(*COLUMNS, "slack", "braked", "fuel/bound", "wall [s]", "verdict")
     seeds = range(given.first, given.first + given.seeds)
     for seed in track(seeds, "flying", console=console):
-        run = sato.run(given.scenario, seed=seed, overrides=ROUGH if given.rough else ())
+        run = sato.run(given.scenario, seed=seed, overrides=DISTURBED if given.rough else ())
         s, leg = run.summary, run.summary["legs"][0]
-        wrong = list(failures(s, given.rough))
+        wrong = list(find_failures(s, given.rough))
         failed += bool(wrong)
         table.add_row(
             str(seed),

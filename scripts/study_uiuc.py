@@ -15,22 +15,22 @@ from rich.table import Table
 
 import sato
 
-WIDE = (
+LARGE_LOSS_OVERRIDES = (
     "swarm.start.box_m=49.0",
     "swarm.comm_radius_m=5.0",
     "model.max_speed_m_s=0.375",
     "leg.steps=110",
 )
-SHARES: dict[float, tuple[str, ...]] = {0.25: (), 0.1: (), 1 / 3: WIDE}
+LOSS_SHARES: dict[float, tuple[str, ...]] = {0.25: (), 0.1: (), 1 / 3: LARGE_LOSS_OVERRIDES}
 
 
-def cases(seeds: int, shares: bool) -> list[tuple[float, int]]:
+def list_cases(seeds: int, shares: bool) -> list[tuple[float, int]]:
     """Shares and seeds to fly: five seeds for each other share."""
     first = [(0.25, seed) for seed in range(seeds)]
     return first + [(s, seed) for s in (0.1, 1 / 3) for seed in range(5)] * shares
 
 
-def failures(summary: dict[str, Any], broken: list[str], share: float) -> Iterator[str]:
+def find_failures(summary: dict[str, Any], broken: list[str], share: float) -> Iterator[str]:
     """What is not as it should be."""
     legs = summary["legs"]
     if legs[0]["components_at_start"] < 5:
@@ -62,10 +62,12 @@ def main() -> int:
     table = Table("lost", "seed", "networks", "holes", "gap", "resets", "steps", "least [m]")
     for name in ("slack", "braked", "fuel/bound", "wall [s]", "verdict"):
         table.add_column(name)
-    for share, seed in track(cases(given.seeds, given.shares), "flying", console=console):
-        run = sato.run("uiuc", seed=seed, overrides=(f"leg.2.lose.share={share}", *SHARES[share]))
+    for share, seed in track(list_cases(given.seeds, given.shares), "flying", console=console):
+        run = sato.run(
+            "uiuc", seed=seed, overrides=(f"leg.2.lose.share={share}", *LOSS_SHARES[share])
+        )
         lost = sum(len(event["agents"]) for event in run.events("loss"))
-        wrong = list(failures({**run.summary, "lost": lost}, run.summary["broken"], share))
+        wrong = list(find_failures({**run.summary, "lost": lost}, run.summary["broken"], share))
         failed += bool(wrong)
         legs, s = run.summary["legs"], run.summary
         table.add_row(

@@ -14,9 +14,9 @@ from typing import Annotated
 
 import typer
 
-from sato.compare.plan import power
+from sato.compare.plan import format_tolerance
 
-NAMES = {  # as wide as a table can bear
+FAMILY_LABELS = {  # as wide as a table can bear
     "transfer-lp": "transfer",
     "transfer-socp": "speed limit",
     "avoidance-5": "5 near",
@@ -26,7 +26,7 @@ NAMES = {  # as wide as a table can bear
     "infeasible": "out of reach",
     "gain-sdp": "gains",
 }
-NO_TROUBLE = ("", "solved", "infeasible", "skipped")
+EXPECTED_VERDICTS = ("", "solved", "infeasible", "skipped")
 
 Row = dict[str, str]
 
@@ -37,20 +37,33 @@ def main(
     size: Annotated[str, typer.Option(help="of the times")] = "medium",
 ) -> None:
     """Print three tables."""
-    rows = measured(folder / "measurements.csv")
+    rows = read_measurements(folder / "measurements.csv")
     solvers = sorted({row["solver"] for row in rows})
     tolerances = sorted({float(row["tolerance"]) for row in rows}, reverse=True)
-    heads = [f"right at {power(t)}" for t in tolerances]
+    heads = [f"right at {format_tolerance(t)}" for t in tolerances]
     heads += ["wrong claims", "failed", "unproven", "crashed", "given up as too slow"]
-    print(table(["solver", *heads], ([s, *verdicts(of(rows, s), tolerances)] for s in solvers)))
-    there = named(rows)
+    print(
+        format_markdown_table(
+            ["solver", *heads],
+            ([s, *count_verdicts(rows_of_solver(rows, s), tolerances)] for s in solvers),
+        )
+    )
+    there = label_families(rows)
     timed = [r for r in rows if r["size"] == size and float(r["tolerance"]) == tolerance]
-    lines = ([s, *(times(of(timed, s), name) for name in there)] for s in solvers)
-    print(table(["solver", *there.values()], lines))
-    print("\n".join(f"- *{s}*: {words}." for s in solvers if (words := troubles(of(rows, s)))))
+    lines = (
+        [s, *(median_times(rows_of_solver(timed, s), name) for name in there)] for s in solvers
+    )
+    print(format_markdown_table(["solver", *there.values()], lines))
+    print(
+        "\n".join(
+            f"- *{s}*: {words}."
+            for s in solvers
+            if (words := list_failures(rows_of_solver(rows, s)))
+        )
+    )
 
 
-def measured(path: Path) -> list[Row]:
+def read_measurements(path: Path) -> list[Row]:
     """The lines of a file of measurements."""
     try:
         with open(path, newline="", encoding="utf-8") as file:
@@ -60,19 +73,19 @@ def measured(path: Path) -> list[Row]:
         raise typer.Exit(2) from None
 
 
-def named(rows: Iterable[Row]) -> dict[str, str]:
+def label_families(rows: Iterable[Row]) -> dict[str, str]:
     """The families that were asked, in the order of the names; those without one come last."""
     asked = dict.fromkeys(row["family"] for row in rows)
-    known = {name: NAMES[name] for name in NAMES if name in asked}
-    return known | {name: name for name in asked if name not in NAMES}
+    known = {name: FAMILY_LABELS[name] for name in FAMILY_LABELS if name in asked}
+    return known | {name: name for name in asked if name not in FAMILY_LABELS}
 
 
-def of(rows: Sequence[Row], solver: str) -> list[Row]:
+def rows_of_solver(rows: Sequence[Row], solver: str) -> list[Row]:
     """The rows of a solver."""
     return [row for row in rows if row["solver"] == solver]
 
 
-def verdicts(rows: Sequence[Row], tolerances: Sequence[float]) -> list[str]:
+def count_verdicts(rows: Sequence[Row], tolerances: Sequence[float]) -> list[str]:
     """How many questions had everything right at each tolerance, and what became of all solves."""
     cells = []
     for tolerance in tolerances:
@@ -84,32 +97,32 @@ def verdicts(rows: Sequence[Row], tolerances: Sequence[float]) -> list[str]:
     return cells
 
 
-def times(rows: Sequence[Row], family: str) -> str:
+def median_times(rows: Sequence[Row], family: str) -> str:
     """Medians of the first solve and of the second, of what was right [ms]."""
     asked = [row for row in rows if row["family"] == family]
     right = [row for row in asked if row["right"] == "True"]
     if not right:
         return "✗" if asked else ""
-    found = [milliseconds(row["first_s"] for row in right)]
+    found = [format_milliseconds(row["first_s"] for row in right)]
     if any(row["again_s"] for row in right):
-        found.append(milliseconds(row["again_s"] for row in right if row["again_s"]))
+        found.append(format_milliseconds(row["again_s"] for row in right if row["again_s"]))
     share = "" if len(right) == len(asked) else f" ({len(right)} of {len(asked)})"
     return " / ".join(found) + share
 
 
-def milliseconds(seconds: Iterable[str]) -> str:
+def format_milliseconds(seconds: Iterable[str]) -> str:
     """The median, in two digits."""
     value = 1e3 * median(map(float, seconds))
     return f"{value:.0f}" if value >= 10 else f"{value:.2g}"
 
 
-def troubles(rows: Sequence[Row]) -> str:
+def list_failures(rows: Sequence[Row]) -> str:
     """How often there was what kind of trouble in a family, and the first example of it."""
     found: dict[tuple[str, str], list[str]] = {}
     for row in rows:
         for time in ("first", "again"):
             verdict = row[f"{time}_verdict"]
-            if verdict not in NO_TROUBLE:
+            if verdict not in EXPECTED_VERDICTS:
                 found.setdefault((row["family"], verdict), []).append(row[f"{time}_why"])
     return "; ".join(
         f"{family}: {verdict} {len(whys)} ×, as in “{whys[0]}”"
@@ -117,13 +130,13 @@ def troubles(rows: Sequence[Row]) -> str:
     )
 
 
-def table(heads: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
+def format_markdown_table(heads: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
     """Markdown."""
     rule = "|---|" + "---:|" * (len(heads) - 1)
-    return "\n".join([_line(heads), rule, *map(_line, lines)]) + "\n"
+    return "\n".join([_format_markdown_row(heads), rule, *map(_format_markdown_row, lines)]) + "\n"
 
 
-def _line(cells: Sequence[str]) -> str:
+def _format_markdown_row(cells: Sequence[str]) -> str:
     return f"| {' | '.join(cells)} |"
 
 

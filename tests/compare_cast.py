@@ -8,32 +8,32 @@ from typing import ClassVar
 
 import numpy as np
 
-from problems.conic import Conic
-from problems.solvers.adapter import Adapter, Claim
+from problems.conic import ConicProgram
+from problems.solvers.adapter import SolverAdapter, SolverResult
 
 
 class Honest:
     """Minimises a positive cost over x ≥ lower, which anybody can."""
 
-    def __init__(self, problem: Conic, tolerance: float) -> None:
+    def __init__(self, problem: ConicProgram, tolerance: float) -> None:
         self.problem = problem
 
-    def solve(self, b: np.ndarray) -> Claim:
-        return Claim("solved", "done", -b, self.problem.q.copy(), 7)
+    def solve(self, b: np.ndarray) -> SolverResult:
+        return SolverResult("solved", "done", -b, self.problem.q.copy(), 7)
 
 
 class Liar(Honest):
     """Its point is none."""
 
     def solve(self, b):
-        return Claim("solved", "trust me", 0.1 - b, self.problem.q)
+        return SolverResult("solved", "trust me", 0.1 - b, self.problem.q)
 
 
 class Prophet(Honest):
     """Says that there is none."""
 
     def solve(self, b):
-        return Claim("infeasible", "there is none")
+        return SolverResult("infeasible", "there is none")
 
 
 class Crasher(Honest):
@@ -106,18 +106,18 @@ class Fussy(Honest):
     """Looks at what it is given in planning, and nowhere else."""
 
 
-def fussy(problem: Conic) -> str:
+def fussy(problem: ConicProgram) -> str:
     """Refuse everything in a process of a solver."""
     return "looks twice" if multiprocessing.parent_process() else ""
 
 
-def cast() -> dict[str, Adapter]:
+def cast() -> dict[str, SolverAdapter]:
     """Solvers as there are none, found by both processes."""
     some = (Honest, Liar, Prophet, Crasher, Raiser, Sleeper, Chatterer, Glutton, Forgetful)
     found = {
-        kind.__name__.lower(): Adapter(
+        kind.__name__.lower(): SolverAdapter(
             kind.__name__.lower(), frozenset({"linear"}), True, "numpy", "numpy", kind
         )
         for kind in (*some, Faint, Dozer, Fussy)
     }
-    return found | {"fussy": replace(found["fussy"], refuses=fussy)}
+    return found | {"fussy": replace(found["fussy"], unsupported_reason=fussy)}

@@ -2,37 +2,39 @@
 
 import numpy as np
 
-from dynamics import DoubleIntegrator, hold
-from dynamics.path import separations
-from problems.avoidance import Avoidance
-from problems.convexify import Horizon, half_spaces
-from problems.transfer import Flight, Transfer
-from sato.network import Network
+from dynamics import DoubleIntegrator, discretize_zoh
+from dynamics.trajectory_geometry import separations
+from problems.avoidance import AvoidanceProblem
+from problems.convexify import AvoidanceHorizon, convexify
+from problems.transfer import Trajectory, TransferProblem
+from sato.network.graph import CommunicationGraph
 from sato.scp import Planner
-from sato.scp.orders import toll
+from sato.scp.priority_orders import compute_priority_cost
 
 T, STEP, RADIUS = 12, 1.0, 0.5
 
 
 def problem(axes=2, horizon_steps=T, speed=0.6):
     model = DoubleIntegrator(axes)
-    transfer = Transfer(hold(model, STEP, T), 0.2, speed, slope=1e-3)
-    ahead = hold(model, STEP, horizon_steps)
-    return transfer, Horizon(ahead, hold(model, STEP / 2, 2 * horizon_steps), RADIUS)
+    transfer = TransferProblem(discretize_zoh(model, STEP, T), 0.2, speed, tie_break_rise=1e-3)
+    ahead = discretize_zoh(model, STEP, horizon_steps)
+    return transfer, AvoidanceHorizon(
+        ahead, discretize_zoh(model, STEP / 2, 2 * horizon_steps), RADIUS
+    )
 
 
 def agent(number, start, goal, transfer, horizon, spent=0.0, velocity=0.0):
     start = np.concatenate([start, np.full(len(start), velocity) * (np.arange(len(start)) == 0)])
     goal = np.concatenate([goal, np.zeros(len(goal))])
-    free = Avoidance(transfer).solve(start, goal, half_spaces_of_nobody(horizon)).flight
+    free = AvoidanceProblem(transfer).solve(start, goal, half_spaces_of_nobody(horizon)).trajectory
     path = horizon.path(free.x, free.u)
     return Planner((True, -spent, number), goal, transfer, horizon, free, free, path)
 
 
 def half_spaces_of_nobody(horizon):
-    d = horizon.ahead.axes
+    d = horizon.discrete_model.axes
     pieces = horizon.steps * horizon.pieces
-    return half_spaces(horizon, T, np.zeros((0, pieces, 4, d)), np.zeros((0, pieces, d)))
+    return convexify(horizon, T, np.zeros((0, pieces, 4, d)), np.zeros((0, pieces, d)))
 
 
 def crowd(rng, count, axes=2, box=3.0):
@@ -59,7 +61,7 @@ def circle(count, radius, turn=0.03):
 
 
 def paid(planners):
-    return tuple(np.sum([toll(agent) for agent in planners.values()], axis=0))
+    return tuple(np.sum([compute_priority_cost(agent) for agent in planners.values()], axis=0))
 
 
 def everybody(planners):
@@ -76,14 +78,14 @@ def strangers(first, second):
 
 
 def heard(hears):
-    return Network(hears, np.ones(len(hears), dtype=bool))
+    return CommunicationGraph(hears, np.ones(len(hears), dtype=bool))
 
 
 def continuous_separation(planners, states=None):
     x = np.stack([p.flight.x[:states] for p in planners.values()], axis=1)
     d = x.shape[2] // 2
     alive = np.ones(x.shape[:2], dtype=bool)
-    return separations(x[..., :d], x[..., d:], alive, STEP).least.distance
+    return separations(x[..., :d], x[..., d:], alive, STEP).minimum.distance
 
 
 def weighted(flight, transfer):
@@ -93,8 +95,8 @@ def weighted(flight, transfer):
 def parked(number, place, transfer, horizon):
     """An agent whose time is up: it stands where it is and cannot give way."""
     x = np.concatenate([place, np.zeros(len(place))])
-    flight = Flight(x[None], np.zeros((0, len(place))), 0.0)
-    over = Transfer(transfer.steps[:0], transfer.max_control)
+    flight = Trajectory(x[None], np.zeros((0, len(place))), 0.0)
+    over = TransferProblem(transfer.steps[:0], transfer.max_control)
     path = horizon.path(flight.x, flight.u)
     return Planner((False, 0.0, number), x, over, horizon, flight, flight, path)
 
@@ -105,5 +107,5 @@ def as_before(planners, former):
     for i, p in planners.items():
         flight = former[i].flight
         path = p.horizon.path(flight.x, flight.u)
-        begun[i] = p._replace(flight=flight, path=path, steady=False)
+        begun[i] = p._replace(flight=flight, path=path, has_converged=False)
     return begun

@@ -25,7 +25,7 @@ def test_a_known_motion_is_recovered(seed):
     shape, r = rng.normal(size=(k, 3)), rng.normal(size=3)
     pose = align(shape, shape @ turn(yaw).T + r)
     assert np.exp(1j * pose.yaw) == pytest.approx(np.exp(1j * yaw), abs=1e-9)
-    np.testing.assert_allclose(pose.r, r, atol=1e-9)
+    np.testing.assert_allclose(pose.translation, r, atol=1e-9)
 
 
 @given(seeds)
@@ -33,8 +33,8 @@ def test_in_whatever_frame_it_is_seen_the_shape_is_placed_alike(seed):
     rng = np.random.default_rng(seed)
     shape, seen = rng.normal(size=(2, 6, 3))
     yaw, r = rng.uniform(-np.pi, np.pi), 50 * rng.normal(size=3)
-    here = align(shape, seen).place(shape)
-    there = align(shape, seen @ turn(yaw).T + r).place(shape)
+    here = align(shape, seen).transform(shape)
+    there = align(shape, seen @ turn(yaw).T + r).transform(shape)
     np.testing.assert_allclose(there, here @ turn(yaw).T + r, atol=1e-9)
 
 
@@ -42,7 +42,7 @@ def test_how_the_shape_itself_was_drawn_does_not_matter(rng):
     shape, seen = rng.normal(size=(2, 6, 3))
     drawn = shape @ turn(2.2).T + [5.0, -3.0, 1.0]
     np.testing.assert_allclose(
-        align(drawn, seen).place(drawn), align(shape, seen).place(shape), atol=1e-12
+        align(drawn, seen).transform(drawn), align(shape, seen).transform(shape), atol=1e-12
     )
 
 
@@ -56,7 +56,7 @@ def test_no_other_turn_or_shift_is_nearer(rng, k):
         other = Pose(yaw, middle - turn(yaw) @ shape.mean(axis=0))
         assert missed(shape, seen, other) >= best - 1e-12
     for step in 1e-3 * np.vstack([np.eye(3), -np.eye(3)]):
-        assert missed(shape, seen, Pose(pose.yaw, pose.r + step)) > best
+        assert missed(shape, seen, Pose(pose.yaw, pose.translation + step)) > best
 
 
 def test_the_turn_is_that_of_the_singular_value_decomposition(rng):
@@ -76,7 +76,7 @@ def test_many_at_once_are_as_one_by_one_and_who_does_not_count_may_be_unknown(rn
     together = align(shape, seen, counts)
     for i in range(n):
         alone = align(shape[counts[i]], seen[i, counts[i]])
-        np.testing.assert_allclose(together.place(shape)[i], alone.place(shape), atol=1e-12)
+        np.testing.assert_allclose(together.transform(shape)[i], alone.transform(shape), atol=1e-12)
 
 
 @pytest.mark.parametrize("offset", [0.0, 12.3, 1e4])
@@ -86,7 +86,7 @@ def test_points_on_one_vertical_have_no_yaw_and_get_none(rng, offset):
     for shape, seen in [(stack, others), (others, stack), (stack, stack), (stack[:1], others[:1])]:
         pose = align(shape, seen)
         assert pose.yaw == 0
-        np.testing.assert_allclose(pose.place(shape).mean(axis=0), seen.mean(axis=0), atol=1e-9)
+        np.testing.assert_allclose(pose.transform(shape).mean(axis=0), seen.mean(axis=0), atol=1e-9)
 
 
 def test_a_square_and_its_mirror_image_have_no_best_turn_and_are_not_turned():

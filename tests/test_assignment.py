@@ -5,7 +5,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from problems.assignment import assign
+from problems.assignment import solve_assignment
 
 
 @pytest.mark.parametrize(("agents", "targets"), [(1, 1), (3, 3), (3, 6), (5, 6)])
@@ -15,18 +15,18 @@ def test_no_permutation_is_cheaper(rng, agents, targets):
         sum(cost[i, j] for i, j in enumerate(chosen))
         for chosen in permutations(range(targets), agents)
     )
-    target = assign(cost)
+    target = solve_assignment(cost)
     assert len(set(target.tolist())) == agents
     assert cost[np.arange(agents), target].sum() == pytest.approx(best, abs=1e-12)
 
 
 def test_nobody_is_assigned_nothing():
-    assert assign(np.zeros((0, 3))).shape == (0,)
+    assert solve_assignment(np.zeros((0, 3))).shape == (0,)
 
 
 def test_fewer_targets_than_agents_are_refused():
     with pytest.raises(ValueError, match="3 agents cannot have a target each of 2"):
-        assign(np.zeros((3, 2)))
+        solve_assignment(np.zeros((3, 2)))
 
 
 @pytest.mark.parametrize("bad", [np.inf, np.nan])
@@ -34,4 +34,4 @@ def test_a_cost_that_is_not_finite_is_refused_by_its_place(bad):
     cost = np.zeros((2, 3))
     cost[1, 2] = bad
     with pytest.raises(ValueError, match="cost of target 2 for agent 1"):
-        assign(cost)
+        solve_assignment(cost)

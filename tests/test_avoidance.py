@@ -5,14 +5,14 @@ from math import inf
 import numpy as np
 import pytest
 
-from dynamics import ClohessyWiltshire, DoubleIntegrator, hold
-from problems.avoidance import Avoidance, HalfSpaces, no_spaces
+from dynamics import ClohessyWiltshire, DoubleIntegrator, discretize_zoh
+from problems.avoidance import AvoidanceProblem, HalfSpaces, empty_half_spaces
 from problems.conic import Infeasible
-from problems.transfer import Transfer
+from problems.transfer import TransferProblem
 
-plane = hold(DoubleIntegrator(2), 1.0, 12)
-space = hold(DoubleIntegrator(3), 1.0, 12)
-orbit = hold(ClohessyWiltshire(1.1e-3), 60.0, 10)
+plane = discretize_zoh(DoubleIntegrator(2), 1.0, 12)
+space = discretize_zoh(DoubleIntegrator(3), 1.0, 12)
+orbit = discretize_zoh(ClohessyWiltshire(1.1e-3), 60.0, 10)
 start, goal = np.array([0.0, 0, 0, 0]), np.array([3.0, 0.5, 0, 0])
 
 
@@ -29,7 +29,7 @@ def detour(steps=plane, least=0.4, first=3, last=9):
     direction = np.zeros((len(steps), steps.axes))
     direction[:, 1] = 1.0
     spaces = wall(steps, direction, least)
-    inside = (spaces.step >= first) & (spaces.step < last)
+    inside = (spaces.step_index >= first) & (spaces.step_index < last)
     return HalfSpaces(*(part[inside] for part in spaces))
 
 
@@ -42,15 +42,15 @@ def ends(steps):
 def test_without_half_spaces_it_is_the_transfer(rng):
     for steps, U in ((plane, 0.2), (space, 0.2), (orbit, 0.01)):
         for V in (inf, 0.45 if steps is not orbit else 3.0):
-            transfer = Transfer(steps, U, V)
+            transfer = TransferProblem(steps, U, V)
             d = steps.axes
             x0 = np.concatenate([rng.normal(0, 1, d), rng.normal(0, 0.1, d)])
-            xf = steps.roll(x0, rng.uniform(-U / 4, U / 4, (len(steps), d)))[-1]
+            xf = steps.simulate(x0, rng.uniform(-U / 4, U / 4, (len(steps), d)))[-1]
             stated = transfer.solve(x0, xf)
-            passage = Avoidance(transfer).solve(x0, xf, no_spaces(transfer))
-            assert passage.flight.fuel == pytest.approx(stated.fuel, rel=1e-6)
-            np.testing.assert_allclose(passage.flight.x[-1], xf, atol=1e-6)
-            assert passage.late == passage.slack == 0
+            passage = AvoidanceProblem(transfer).solve(x0, xf, empty_half_spaces(transfer))
+            assert passage.trajectory.fuel == pytest.approx(stated.fuel, rel=1e-6)
+            np.testing.assert_allclose(passage.trajectory.x[-1], xf, atol=1e-6)
+            assert passage.terminal_error == passage.slack == 0
 
 
 @pytest.mark.parametrize("V", [inf, 0.305])
@@ -58,76 +58,80 @@ def test_without_half_spaces_it_is_the_transfer(rng):
 @pytest.mark.parametrize("steps", [plane, space], ids=["2-D", "3-D"])
 def test_the_assembled_path_is_the_statement(steps, gives, V):
     spaces, (x0, xf) = detour(steps), ends(steps)
-    avoid = Avoidance(Transfer(steps, 0.25, V, slope=1e-2))
-    fast, stated = (solve(x0, xf, spaces, gives) for solve in (avoid.solve, avoid.solve_stated))
-    w = avoid.transfer.weight
-    priced = [w @ np.abs(p.flight.u).sum(axis=1) for p in (fast, stated)]
+    avoid = AvoidanceProblem(TransferProblem(steps, 0.25, V, tie_break_rise=1e-2))
+    fast, stated = (solve(x0, xf, spaces, gives) for solve in (avoid.solve, avoid.solve_cvxpy))
+    w = avoid.transfer.weights
+    priced = [w @ np.abs(p.trajectory.u).sum(axis=1) for p in (fast, stated)]
     assert priced[0] == pytest.approx(priced[1], rel=1e-6)
-    np.testing.assert_allclose(fast.flight.x, stated.flight.x, atol=1e-4)  # the optimum is unique
+    np.testing.assert_allclose(
+        fast.trajectory.x, stated.trajectory.x, atol=1e-4
+    )  # the optimum is unique
     if V < inf:
-        assert np.linalg.norm(stated.flight.x[1:-1, steps.axes :], axis=1).max() > 0.999 * V
+        assert np.linalg.norm(stated.trajectory.x[1:-1, steps.axes :], axis=1).max() > 0.999 * V
     for passage in (fast, stated):
-        x, u, _ = passage.flight
-        assert spaces.missing(x, u).max() < 1e-7
+        x, u, _ = passage.trajectory
+        assert spaces.violation(x, u).max() < 1e-7
         np.testing.assert_allclose(x[-1], xf, atol=1e-7)
         assert np.abs(u).max() <= 0.25 * (1 + 1e-7)
         assert np.linalg.norm(x[1:-1, steps.axes :], axis=1).max() <= V * (1 + 1e-6)
-        assert max(passage.late, passage.slack) < 1e-7
+        assert max(passage.terminal_error, passage.slack) < 1e-7
 
 
 @pytest.mark.parametrize("V", [inf, 0.3])
 def test_what_gives_is_the_same_in_both(V):
     """The goal is out of reach, or the half-spaces are, by much."""
     far = np.array([9.0, 0, 0, 0])
-    avoid = Avoidance(Transfer(plane, 0.1, V, slope=1e-2))
-    for target, spaces in ((far, no_spaces(avoid.transfer)), (far, detour())):
+    avoid = AvoidanceProblem(TransferProblem(plane, 0.1, V, tie_break_rise=1e-2))
+    for target, spaces in ((far, empty_half_spaces(avoid.transfer)), (far, detour())):
         passages = [
-            solve(start, target, spaces, "arrival") for solve in (avoid.solve, avoid.solve_stated)
+            solve(start, target, spaces, "arrival") for solve in (avoid.solve, avoid.solve_cvxpy)
         ]
-        assert passages[0].late == pytest.approx(passages[1].late, rel=1e-5)
-        assert passages[0].late > 1
-        assert spaces.missing(*passages[0].flight[:2]).max(initial=0) < 1e-7
+        assert passages[0].terminal_error == pytest.approx(passages[1].terminal_error, rel=1e-5)
+        assert passages[0].terminal_error > 1
+        assert spaces.violation(*passages[0].trajectory[:2]).max(initial=0) < 1e-7
     passages = [
         solve(start, goal, detour(least=4.0), "separation")
-        for solve in (avoid.solve, avoid.solve_stated)
+        for solve in (avoid.solve, avoid.solve_cvxpy)
     ]
     assert passages[0].slack == pytest.approx(passages[1].slack, rel=1e-4)
     assert passages[0].slack > 0.5
 
 
 def test_what_may_give_does_not_where_nothing_must():
-    avoid = Avoidance(Transfer(plane, 0.25))
-    strict = avoid.solve(start, goal, detour()).flight.fuel
+    avoid = AvoidanceProblem(TransferProblem(plane, 0.25))
+    strict = avoid.solve(start, goal, detour()).trajectory.fuel
     for gives in ("arrival", "separation"):
         passage = avoid.solve(start, goal, detour(), gives)
-        assert passage.flight.fuel == pytest.approx(strict, rel=1e-6)
-        assert max(passage.late, passage.slack) < 1e-8
+        assert passage.trajectory.fuel == pytest.approx(strict, rel=1e-6)
+        assert max(passage.terminal_error, passage.slack) < 1e-8
 
 
 def test_the_arrival_gives_before_the_separation():
     # Held to one side until the last step, the goal on the other side cannot be reached.
     spaces = detour(last=12)
-    avoid = Avoidance(Transfer(plane, 0.1))
+    avoid = AvoidanceProblem(TransferProblem(plane, 0.1))
     with pytest.raises(Infeasible):
         avoid.solve(start, -goal, spaces)
     passage = avoid.solve(start, -goal, spaces, "separation")
     assert passage.slack < 1e-7
-    assert passage.late > 0.1
-    assert avoid.solve(start, -goal, spaces, "arrival").late == pytest.approx(
-        passage.late, rel=1e-5
+    assert passage.terminal_error > 0.1
+    assert avoid.solve(start, -goal, spaces, "arrival").terminal_error == pytest.approx(
+        passage.terminal_error, rel=1e-5
     )
 
 
 def test_half_spaces_that_hold_anyway_change_nothing():
-    avoid = Avoidance(Transfer(plane, 0.25, slope=1e-2))
-    plain = avoid.solve(start, goal, no_spaces(avoid.transfer)).flight
-    loose = avoid.solve(start, goal, detour(least=-5.0)).flight
+    avoid = AvoidanceProblem(TransferProblem(plane, 0.25, tie_break_rise=1e-2))
+    plain = avoid.solve(start, goal, empty_half_spaces(avoid.transfer)).trajectory
+    loose = avoid.solve(start, goal, detour(least=-5.0)).trajectory
     np.testing.assert_allclose(loose.x, plain.x, atol=1e-6)
 
 
 def test_fuel_does_not_fall_as_half_spaces_close_in():
-    avoid = Avoidance(Transfer(plane, 0.25))
-    fuel = [avoid.solve(start, goal, detour(least=h)).flight.fuel for h in (-1, 0.2, 0.4, 0.6, 0.8)]
+    avoid = AvoidanceProblem(TransferProblem(plane, 0.25))
+    fuel = [
+        avoid.solve(start, goal, detour(least=h)).trajectory.fuel for h in (-1, 0.2, 0.4, 0.6, 0.8)
+    ]
     assert (np.diff(fuel) > -1e-8).all()
     assert fuel[-1] > 1.2 * fuel[0]
 
@@ -138,28 +142,28 @@ def test_what_is_missing_is_what_the_definition_says(rng):
     )
     x, u = rng.normal(size=(13, 4)), rng.normal(size=(12, 2))
     for row, k in enumerate((2, 5)):
-        kept = spaces.on_state[row] @ x[k] + spaces.on_control[row] @ u[k]
-        assert spaces.missing(x, u)[row] == pytest.approx(spaces.least[row] - kept)
+        kept = spaces.state_coeffs[row] @ x[k] + spaces.control_coeffs[row] @ u[k]
+        assert spaces.violation(x, u)[row] == pytest.approx(spaces.rhs[row] - kept)
 
 
 def test_other_norms_go_by_the_statement():
     for q, r in ((2, 2), ("inf", 1)):
-        avoid = Avoidance(Transfer(plane, 0.4, 0.6, q, r))
+        avoid = AvoidanceProblem(TransferProblem(plane, 0.4, 0.6, q, r))
         passage = avoid.solve(start, goal, detour())
-        x, u, fuel = passage.flight
-        assert detour().missing(x, u).max() < 1e-7
+        x, u, fuel = passage.trajectory
+        assert detour().violation(x, u).max() < 1e-7
         np.testing.assert_allclose(x[-1], goal, atol=1e-7)
         size = {1: np.abs(u).sum(1), 2: np.linalg.norm(u, axis=1), "inf": np.abs(u).max(1)}
         assert size[r].max() <= 0.4 * (1 + 1e-7)
         assert fuel == pytest.approx(size[q].sum())
-        assert fuel > Transfer(plane, 0.4, 0.6, q, r).solve(start, goal).fuel * (1 + 1e-6)
+        assert fuel > TransferProblem(plane, 0.4, 0.6, q, r).solve(start, goal).fuel * (1 + 1e-6)
 
 
 @pytest.mark.parametrize("solve", ["solve", "solve_stated"])
 def test_what_cannot_be_is_infeasible(solve):
-    avoid = Avoidance(Transfer(plane, 0.1))
+    avoid = AvoidanceProblem(TransferProblem(plane, 0.1))
     with pytest.raises(Infeasible):
-        getattr(avoid, solve)(start, 20 * goal, no_spaces(avoid.transfer))
+        getattr(avoid, solve)(start, 20 * goal, empty_half_spaces(avoid.transfer))
     with pytest.raises(Infeasible):
         getattr(avoid, solve)(start, goal, detour(least=9.0))
 
@@ -168,21 +172,24 @@ def test_what_cannot_be_is_infeasible(solve):
 @pytest.mark.parametrize("count", [1, 2])
 def test_a_step_or_two_do_what_they_can(rng, gives, count):
     steps = plane[:count]
-    avoid, u = Avoidance(Transfer(steps, 0.1, 5.0)), rng.uniform(-0.1, 0.1, (count, 2))
-    x = steps.roll(start, u)
-    passage = avoid.solve(start, x[-1], no_spaces(avoid.transfer), gives)
-    np.testing.assert_allclose(passage.flight.u, u, atol=1e-6)
+    avoid, u = (
+        AvoidanceProblem(TransferProblem(steps, 0.1, 5.0)),
+        rng.uniform(-0.1, 0.1, (count, 2)),
+    )
+    x = steps.simulate(start, u)
+    passage = avoid.solve(start, x[-1], empty_half_spaces(avoid.transfer), gives)
+    np.testing.assert_allclose(passage.trajectory.u, u, atol=1e-6)
     if gives == "nothing":
         with pytest.raises(Infeasible):
-            avoid.solve(start, goal, no_spaces(avoid.transfer), gives)
+            avoid.solve(start, goal, empty_half_spaces(avoid.transfer), gives)
     else:
-        passage = avoid.solve(start, goal, no_spaces(avoid.transfer), gives)
-        stated = avoid.solve_stated(start, goal, no_spaces(avoid.transfer), gives)
-        assert passage.late == pytest.approx(stated.late, rel=1e-5)
-        np.testing.assert_allclose(passage.flight.u, stated.flight.u, atol=1e-5)
+        passage = avoid.solve(start, goal, empty_half_spaces(avoid.transfer), gives)
+        stated = avoid.solve_cvxpy(start, goal, empty_half_spaces(avoid.transfer), gives)
+        assert passage.terminal_error == pytest.approx(stated.terminal_error, rel=1e-5)
+        np.testing.assert_allclose(passage.trajectory.u, stated.trajectory.u, atol=1e-5)
 
 
 def test_no_steps_are_refused():
-    avoid = Avoidance(Transfer(plane[:0], 0.1))
+    avoid = AvoidanceProblem(TransferProblem(plane[:0], 0.1))
     with pytest.raises(ValueError, match="at least one step"):
-        avoid.solve(start, goal, no_spaces(avoid.transfer))
+        avoid.solve(start, goal, empty_half_spaces(avoid.transfer))

@@ -18,16 +18,22 @@ from swarm_cast import (
     strangers,
 )
 
-from dynamics.path import hull_distance
-from problems.central import Central
-from problems.pair import Pair
-from sato.network import flood, play
-from sato.scp import TIGHT, bargain, settle_orders
-from sato.scp.bargaining import Party, _look_round, agree, calendar, meet
+from dynamics.trajectory_geometry import hull_distance
+from problems.centralized import CentralizedProblem
+from problems.pair_avoidance import PairProblem
+from sato.network.graph import flood, run_round
+from sato.scp import FEASIBILITY_TOLERANCE, negotiate, try_priority_orders
+from sato.scp.negotiation import (
+    Negotiator,
+    _find_nearby,
+    negotiate_pairs,
+    schedule_pairs,
+    solve_pair,
+)
 
 
 def settled(planners, orders=1):
-    return settle_orders(planners, everybody(planners), orders).planners
+    return try_priority_orders(planners, everybody(planners), orders).planners
 
 
 @pytest.mark.parametrize("axes", [2, 3])
@@ -36,17 +42,19 @@ def test_no_sweep_makes_it_dearer_and_all_stay_apart_and_arrive(rng, axes):
     for _ in range(3):
         now = settled(crowd(rng, 5, axes, box=3.5))
         for _ in range(3):
-            after = bargain(now, everybody(now), 1).planners
+            after = negotiate(now, everybody(now), 1).planners
             assert paid(after)[:2] <= paid(now)[:2]
             assert paid(after)[2] <= paid(now)[2] + 1e-8
             assert continuous_separation(after) >= RADIUS
             saved += paid(now)[2] - paid(after)[2]
             now = after
         for p in now.values():
-            np.testing.assert_allclose(p.flight.x[-1], p.goal, atol=1e-6)
-            np.testing.assert_array_equal(p.path, p.horizon.path(p.flight.x, p.flight.u))
-            assert np.abs(p.flight.u).max() <= p.transfer.max_control * (1 + 1e-9)
-            speed = np.linalg.norm(p.flight.x[:, axes:], axis=1).max()
+            np.testing.assert_allclose(p.nominal.x[-1], p.target_state, atol=1e-6)
+            np.testing.assert_array_equal(
+                p.control_points, p.horizon.control_points(p.nominal.x, p.nominal.u)
+            )
+            assert np.abs(p.nominal.u).max() <= p.transfer.max_control * (1 + 1e-9)
+            speed = np.linalg.norm(p.nominal.x[:, axes:], axis=1).max()
             assert speed <= p.transfer.max_speed * (1 + 1e-8)
     assert saved > 0.01
 
@@ -58,18 +66,18 @@ def test_two_that_bargain_come_to_the_optimum_of_both_as_one_programme():
         np.stack([side(p) for p in planners.values()])
         for side in (lambda p: p.flight.x[0], lambda p: p.goal)
     )
-    central = Central(planners[0].transfer, planners[0].horizon)
-    guess = tuple(np.stack([getattr(p.flight, part) for p in now.values()]) for part in "xu")
+    central = CentralizedProblem(planners[0].transfer, planners[0].horizon)
+    guess = tuple(np.stack([getattr(p.nominal, part) for p in now.values()]) for part in "xu")
     best = central.solve(start, goal, [guess]).best.fuel
-    before = sum(p.flight.fuel for p in now.values())
-    after = sum(p.flight.fuel for p in bargain(now, everybody(now), 20).planners.values())
+    before = sum(p.nominal.fuel for p in now.values())
+    after = sum(p.nominal.fuel for p in negotiate(now, everybody(now), 20).planners.values())
     assert before > 1.005 * best
     assert best * (1 - 1e-6) <= after <= 1.001 * best
 
 
 def test_bargains_bring_those_who_meet_in_one_point_nearer_to_their_optimum():
     now = settled(circle(5, 1.5), orders=4)
-    dealt = bargain(now, everybody(now), 6)
+    dealt = negotiate(now, everybody(now), 6)
     assert paid(now)[:2] == paid(dealt.planners)[:2] == (0, 0)
     assert paid(dealt.planners)[2] < 0.9 * paid(now)[2]
     assert continuous_separation(dealt.planners) >= RADIUS
@@ -79,70 +87,73 @@ def test_whoever_pays_nothing_has_no_turn():
     transfer, horizon = problem()
     planners = {i: agent(i, [0.0, 0.7 * i], [2.0, 0.7 * i], transfer, horizon) for i in range(3)}
     now = settled(planners)
-    dealt = bargain(now, everybody(now), 5)
-    assert (dealt.exchanges, dealt.solves) == (2, 0)  # to hear who is near, and that nobody pays
+    dealt = negotiate(now, everybody(now), 5)
+    assert (dealt.round_count, dealt.solve_count) == (
+        2,
+        0,
+    )  # to hear who is near, and that nobody pays
     assert all(dealt.planners[i] is now[i] for i in now)
 
 
 def test_no_sweeps_are_no_bargains(rng):
     now = settled(crowd(rng, 4))
-    assert bargain(now, everybody(now), 0) == (now, 0, 0)
+    assert negotiate(now, everybody(now), 0) == (now, 0, 0)
 
 
 def test_networks_that_do_not_hear_each_other_bargain_for_themselves(rng):
     left, right = settled(crowd(rng, 4)), settled(crowd(rng, 3))
-    moved = {4 + i: p._replace(rank=(*p.rank[:2], 4 + i)) for i, p in right.items()}
-    together = bargain(left | moved, strangers(4, 3), 2).planners
+    moved = {4 + i: p._replace(priority=(*p.priority[:2], 4 + i)) for i, p in right.items()}
+    together = negotiate(left | moved, strangers(4, 3), 2).planners
     for some, first in ((left, 0), (right, 4)):
-        for i, p in bargain(some, everybody(some), 2).planners.items():
-            np.testing.assert_array_equal(p.flight.u, together[first + i].flight.u)
+        for i, p in negotiate(some, everybody(some), 2).planners.items():
+            np.testing.assert_array_equal(p.nominal.u, together[first + i].nominal.u)
 
 
 def test_turns_are_what_each_makes_of_a_flood_of_who_is_near_whom(rng):
     now = settled(crowd(rng, 6, box=3.5))
     hears = rng.random((6, 6)) < 0.4
     network = heard(np.triu(hears, 1) | np.triu(hears, 1).T)
-    parties = [Party(now[i], -1) for i in range(6)]
-    seen = play(network, parties, _look_round, [now[i].plan for i in range(6)], range(6))
-    turns = calendar(now, network, now)
-    for known in flood(network, [{i: seen[i].near} for i in range(6)], dict.__or__):
+    parties = [Negotiator(now[i], -1) for i in range(6)]
+    seen = run_round(network, parties, _find_nearby, [now[i].message for i in range(6)], range(6))
+    turns = schedule_pairs(now, network, now)
+    for known in flood(network, [{i: seen[i].nearby_agents} for i in range(6)], dict.__or__):
         near = {(min(i, j), max(i, j)) for i in known for j in known[i]}
         pairs = [{a: b, b: a} for a, b in sorted(near)]
         mine = [{a: b for a, b in turn.items() if a in known} for turn in turns]
         assert [turn for turn in mine if turn] == pairs
-        assert all(network.hears[a, b] for a, b in near)
+        assert all(network.adjacency[a, b] for a, b in near)
     assert turns
 
 
 def test_two_whose_turn_it_is_fly_what_they_agree_on():
     now = settled(circle(5, 1.5), orders=4)
-    turns = calendar(now, everybody(now), now)
-    dealt = [meet(now, everybody(now), turn) for turn in turns]
+    turns = schedule_pairs(now, everybody(now), now)
+    dealt = [negotiate_pairs(now, everybody(now), turn) for turn in turns]
     assert all(parties.keys() == turn.keys() for parties, turn in zip(dealt, turns, strict=True))
     made = [(turn, parties) for turn, parties in zip(turns, dealt, strict=True)
-            if any(party.deal for party in parties.values())]  # fmt: skip
+            if any(party.agreement for party in parties.values())]  # fmt: skip
     assert made
     for turn, parties in made:
         host, guest = sorted(turn)
-        assert parties[host].deal.to == guest and parties[guest].deal is None
-        assert parties[guest].planner.flight is parties[host].deal.flight
-        assert parties[host].planner.flight is not now[host].flight
+        assert parties[host].agreement.recipient == guest and parties[guest].agreement is None
+        assert parties[guest].planner.nominal is parties[host].agreement.trajectory
+        assert parties[host].planner.nominal is not now[host].nominal
 
 
 def offers(now, i, j):
-    parties = meet(now, everybody(now), {i: j, j: i})
+    parties = negotiate_pairs(now, everybody(now), {i: j, j: i})
     return [parties[k].offer for k in (i, j)]
 
 
 def test_what_is_dearer_than_before_is_not_agreed_on():
     now = settled(circle(3, 1.5), orders=3)
     first, second = offers(now, 0, 1)
-    assert agree(first, second, now[0].horizon)[0]
-    fuel = sum(f.fuel for f in agree(first, second, now[0].horizon)[0])
-    spent = 0.99 * fuel - second.flight.fuel
-    cheaper = first._replace(flight=first.flight._replace(fuel=spent))
-    assert agree(cheaper, second, now[0].horizon)[0] is None
-    assert agree(cheaper._replace(arrives=False), second, now[0].horizon)[0]
+    assert solve_pair(first, second, now[0].horizon)[0]
+    fuel = sum(f.fuel for f in solve_pair(first, second, now[0].horizon)[0])
+    spent = 0.99 * fuel - second.trajectory.fuel
+    cheaper = first._replace(flight=first.trajectory._replace(fuel=spent))
+    assert solve_pair(cheaper, second, now[0].horizon)[0] is None
+    assert solve_pair(cheaper._replace(arrives=False), second, now[0].horizon)[0]
 
 
 def test_an_answer_that_misses_a_goal_by_more_than_counts_as_there_is_not_agreed_on(monkeypatch):
@@ -157,10 +168,13 @@ def test_an_answer_that_misses_a_goal_by_more_than_counts_as_there_is_not_agreed
 
         return solve
 
-    exact = Pair.solve
-    for by, agreed in ((0.5 * TIGHT * RADIUS, True), (2 * TIGHT * RADIUS, False)):
-        monkeypatch.setattr(Pair, "solve", astray(by))
-        assert (agree(first, second, now[0].horizon)[0] is not None) == agreed
+    exact = PairProblem.solve
+    for by, agreed in (
+        (0.5 * FEASIBILITY_TOLERANCE * RADIUS, True),
+        (2 * FEASIBILITY_TOLERANCE * RADIUS, False),
+    ):
+        monkeypatch.setattr(PairProblem, "solve", astray(by))
+        assert (solve_pair(first, second, now[0].horizon)[0] is not None) == agreed
 
 
 def test_a_bargain_convexifies_the_dynamics_about_the_flight_of_each():
@@ -168,37 +182,37 @@ def test_a_bargain_convexifies_the_dynamics_about_the_flight_of_each():
     about = {}
 
     def linearised(flight):
-        about[id(flight)] = replace(now[0].transfer, slope=0.5)
+        about[id(flight)] = replace(now[0].transfer, tie_break_rise=0.5)
         return about[id(flight)]
 
     curved = {i: p._replace(about=linearised) for i, p in now.items()}
-    parties = meet(curved, everybody(curved), {0: 1, 1: 0})
-    assert about.keys() == {id(now[0].flight), id(now[1].flight)}
-    assert all(parties[i].planner.transfer is about[id(now[i].flight)] for i in range(2))
+    parties = negotiate_pairs(curved, everybody(curved), {0: 1, 1: 0})
+    assert about.keys() == {id(now[0].nominal), id(now[1].nominal)}
+    assert all(parties[i].planner.transfer is about[id(now[i].nominal)] for i in range(2))
 
 
 def test_two_with_different_times_left_do_not_bargain():
     now = settled(circle(2, 1.5))
-    transfer = replace(now[1].transfer, steps=now[1].transfer.steps[:8])
-    goal = now[1].flight.x[8]
-    short = agent(1, now[1].flight.x[0, :2], goal[:2], transfer, now[1].horizon)
-    parties = meet({0: now[0], 1: short}, everybody(now), {0: 1, 1: 0})
+    transfer = replace(now[1].transfer, steps=now[1].transfer.model[:8])
+    goal = now[1].nominal.x[8]
+    short = agent(1, now[1].nominal.x[0, :2], goal[:2], transfer, now[1].horizon)
+    parties = negotiate_pairs({0: now[0], 1: short}, everybody(now), {0: 1, 1: 0})
     assert parties[0].offer and parties[1].offer
-    assert (parties[0].solves, parties[0].deal) == (0, None)
+    assert (parties[0].solve_count, parties[0].agreement) == (0, None)
 
 
 def test_nobody_is_taken_to_a_goal_that_another_passes_when_its_time_is_over():
     # The third passes the goal of the first late, when the first has drifted there for long.
     slow, horizon = problem()
-    fast = replace(slow, steps=slow.steps[:6])
+    fast = replace(slow, steps=slow.model[:6])
     first = agent(0, [-1.0, 0.0], [0.0, 0.0], fast, horizon)
     second = agent(1, [-1.0, 0.9], [0.0, 0.9], fast, horizon)
     third = agent(2, [0.1, -3.0], [0.1, 1.0], replace(slow, max_control=0.3), horizon)
-    waiting = fast.flight(first.flight.x[0], np.zeros((6, 2)))
-    path = horizon.path(waiting.x, waiting.u)
+    waiting = fast.simulate(first.nominal.x[0], np.zeros((6, 2)))
+    path = horizon.control_points(waiting.x, waiting.u)
     now = {0: first._replace(flight=waiting, path=path, late=1.0), 1: second, 2: third}
     assert continuous_gap(now, 0, 2) >= RADIUS > continuous_gap(now | {0: first}, 0, 2)
-    after = bargain(now, everybody(now), 3).planners
+    after = negotiate(now, everybody(now), 3).planners
     assert continuous_gap(after, 0, 2) >= RADIUS
 
 
@@ -213,39 +227,39 @@ def test_sweeps_end_when_they_bring_nothing_also_where_somebody_can_never_arrive
     } | {
         i: parked(i, np.array([9.0, float(i)]), transfer, horizon) for i in (1, 3)
     })  # fmt: skip
-    still = transfer.flight(now[4].flight.x[0], np.zeros((len(transfer.steps), 2)))
+    still = transfer.simulate(now[4].nominal.x[0], np.zeros((len(transfer.model), 2)))
     lost = now[4]._replace(
-        flight=still, path=horizon.path(still.x, still.u), late=3.0, goal=np.full(4, 99.0)
+        flight=still, path=horizon.control_points(still.x, still.u), late=3.0, goal=np.full(4, 99.0)
     )
     now[4] = lost
-    few, many = (bargain(now, everybody(now), sweeps) for sweeps in (4, 30))
-    assert many.planners[4].flight is still
+    few, many = (negotiate(now, everybody(now), sweeps) for sweeps in (4, 30))
+    assert many.planners[4].nominal is still
     assert paid(many.planners)[2] < 0
-    assert many.solves < 30 and few.solves > 0
-    assert many.exchanges < 200
+    assert many.solve_count < 30 and few.solve_count > 0
+    assert many.round_count < 200
 
 
 def test_who_cannot_move_or_comes_too_close_has_nothing_to_offer(rng):
     now = settled(crowd(rng, 3))
     spoilt = (
-        parked(0, now[0].flight.x[0, :2], now[0].transfer, now[0].horizon),
+        parked(0, now[0].nominal.x[0, :2], now[0].transfer, now[0].horizon),
         now[0]._replace(failed=True),
         now[0]._replace(slack=0.1),
     )
     for other in spoilt:
-        parties = meet(now | {0: other}, everybody(now), {0: 1, 1: 0})
+        parties = negotiate_pairs(now | {0: other}, everybody(now), {0: 1, 1: 0})
         assert parties[0].offer is None
-        assert parties[0].planner is other and parties[1].planner.flight is now[1].flight
+        assert parties[0].planner is other and parties[1].planner.nominal is now[1].nominal
 
 
 def test_who_ends_elsewhere_is_taken_to_its_goal_though_it_costs_more():
     transfer, horizon = problem()
     ends = [([-1.5, 0.0], [1.5, 0.0]), ([0.1, -1.6], [0.1, 1.5])]
     now = settled({i: agent(i, *ends[i], transfer, horizon) for i in range(2)})
-    still = transfer.flight(now[1].flight.x[0], np.zeros((len(transfer.steps), 2)))
-    now[1] = now[1]._replace(flight=still, path=horizon.path(still.x, still.u), late=3.0)
+    still = transfer.simulate(now[1].nominal.x[0], np.zeros((len(transfer.model), 2)))
+    now[1] = now[1]._replace(flight=still, path=horizon.control_points(still.x, still.u), late=3.0)
     assert paid(now)[:2] == (0, 1)
-    after = bargain(now, everybody(now), 1).planners
+    after = negotiate(now, everybody(now), 1).planners
     assert paid(after)[:2] == (0, 0)
     assert paid(after)[2] > paid(now)[2]
-    assert after[1].late == 0 and continuous_separation(after) >= RADIUS
+    assert after[1].terminal_error == 0 and continuous_separation(after) >= RADIUS

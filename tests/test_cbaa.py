@@ -9,10 +9,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
-from sato.auction import Book
-from sato.cbaa import Bidder, assign, by_messages, knows, take_part
-from sato.cbaa.kernel import gather, play
-from sato.network import Network, rounds
+from sato.auctions.bids import WinningBids
+from sato.auctions.cbaa_init import (
+    CbaaBidder,
+    is_finished,
+    run_by_messages,
+    run_cbaa,
+    update_bidder,
+)
+from sato.auctions.cbaa_kernel import init_state, run_kernel
+from sato.network.graph import CommunicationGraph, run_rounds
 
 LAW = settings(deadline=None, derandomize=True, max_examples=80)
 
@@ -21,29 +27,31 @@ class Case(NamedTuple):
     """The arguments of an auction."""
 
     score: np.ndarray
-    network: Network
+    network: CommunicationGraph
     air: dict[str, Any]
     seed: int
 
     @property
     def live(self) -> np.ndarray:
-        return np.flatnonzero(self.network.alive)
+        return np.flatnonzero(self.graph_key.alive)
 
     def keywords(self) -> dict[str, Any]:
         """The same losses every time."""
         return {**self.air, "rng": np.random.default_rng(self.seed)}
 
 
-def complete(agents: int) -> Network:
-    return Network(~np.eye(agents, dtype=bool), np.full(agents, True))
+def complete(agents: int) -> CommunicationGraph:
+    return CommunicationGraph(~np.eye(agents, dtype=bool), np.full(agents, True))
 
 
-def line(agents: int) -> Network:
+def line(agents: int) -> CommunicationGraph:
     place = np.arange(agents)
-    return Network(np.abs(place - place[:, None]) == 1, np.full(agents, True))
+    return CommunicationGraph(np.abs(place - place[:, None]) == 1, np.full(agents, True))
 
 
-def connected(rng: np.random.Generator, agents: int, share: float, dead: int = 0) -> Network:
+def connected(
+    rng: np.random.Generator, agents: int, share: float, dead: int = 0
+) -> CommunicationGraph:
     """A random tree on those alive, and some edges more."""
     live = rng.permutation(agents)[dead:]
     hears = np.zeros((agents, agents), dtype=bool)
@@ -51,7 +59,7 @@ def connected(rng: np.random.Generator, agents: int, share: float, dead: int = 0
         hears[live[k], live[rng.integers(k)]] = True
     more = np.triu(rng.random((agents, agents)) < share, 1)
     more &= np.isin(np.arange(agents), live) & np.isin(np.arange(agents), live)[:, None]
-    return Network(hears | hears.T | more | more.T, np.isin(np.arange(agents), live))
+    return CommunicationGraph(hears | hears.T | more | more.T, np.isin(np.arange(agents), live))
 
 
 def scores(rng: np.random.Generator, kind: str, agents: int, points: int) -> np.ndarray:
@@ -95,42 +103,42 @@ def greedy(score: np.ndarray, live: np.ndarray) -> np.ndarray:
 @settings(LAW, max_examples=120)
 @given(case=cases())
 def test_the_compiled_rounds_are_the_definition_bit_for_bit(case):
-    swarm = gather(case.score, case.network, case.air["delay"])
+    swarm = init_state(case.score, case.graph_key, case.air["delay"])
     rng, played = np.random.default_rng(case.seed), 0
-    for now in by_messages(case.score, case.network, **case.keywords()):
-        play(swarm, 1, case.air.get("loss", 0.0), rng)
+    for now in run_by_messages(case.score, case.graph, **case.keywords()):
+        run_kernel(swarm, 1, case.air.get("loss", 0.0), rng)
         played += 1
         for i in case.live:
-            assert now[i].book.price.tobytes() == swarm.price[i].tobytes()
-            assert now[i].book.holder.tobytes() == swarm.holder[i].tobytes()
-            assert (now[i].point, knows(now[i])) == (swarm.point[i], not swarm.waiting[i])
-    assert assign(case.score, case.network, **case.keywords()).rounds == played
+            assert now[i].bids.price.tobytes() == swarm.price[i].tobytes()
+            assert now[i].bids.holder.tobytes() == swarm.winner[i].tobytes()
+            assert (now[i].point, is_finished(now[i])) == (swarm.point[i], not swarm.is_running[i])
+    assert run_cbaa(case.score, case.graph, **case.keywords()).round_count == played
 
 
 @LAW
 @given(case=cases(lossy=False))
 def test_where_nothing_is_lost_or_late_the_rounds_are_those_of_any_protocol(case):
-    empty = Book.empty(case.score.shape[1])
-    first = [Bidder(i, row, len(case.live), empty) for i, row in enumerate(case.score)]
-    expected = rounds(case.network, first, take_part, lambda agent: agent.book, knows)
-    for ours, theirs in zip(by_messages(case.score, case.network), expected, strict=True):
+    empty = WinningBids.empty(case.score.shape[1])
+    first = [CbaaBidder(i, row, len(case.live), empty) for i, row in enumerate(case.score)]
+    expected = run_rounds(case.graph, first, update_bidder, lambda agent: agent.bids, is_finished)
+    for ours, theirs in zip(run_by_messages(case.score, case.graph), expected, strict=True):
         for one, other in zip(ours, theirs, strict=True):
             assert one.point == other.point
-            assert one.book.price.tobytes() == other.book.price.tobytes()
-            assert one.book.holder.tobytes() == other.book.holder.tobytes()
+            assert one.bids.price.tobytes() == other.bids.price.tobytes()
+            assert one.bids.winner.tobytes() == other.bids.winner.tobytes()
 
 
 @settings(LAW, max_examples=150)
 @given(case=cases(most=16, lossy=False))
 def test_it_is_the_greedy_choice_agreed_on_by_all_in_time(case):
-    result = assign(case.score, case.network, **case.air)
+    result = run_cbaa(case.score, case.graph, **case.air)
     assert result.point.tolist() == greedy(case.score, case.live).tolist()
-    assert result.conflict_free
-    assert result.agreed
-    waits = (case.air["delay"] + 1) * len(case.live) * int(case.network.diameter.max())
-    assert result.rounds <= waits + 1
-    assert result.knew[case.live].max() == result.rounds
-    assert np.all(result.point[~case.network.alive] == -1)
+    assert result.is_conflict_free
+    assert result.has_consensus
+    waits = (case.air["delay"] + 1) * len(case.live) * int(case.graph.diameter.max())
+    assert result.round_count <= waits + 1
+    assert result.finished_round[case.live].max() == result.round_count
+    assert np.all(result.point[~case.graph.alive] == -1)
 
 
 @LAW
@@ -138,26 +146,26 @@ def test_it_is_the_greedy_choice_agreed_on_by_all_in_time(case):
 def test_once_somebody_knows_the_end_nobody_bids_again_whatever_is_lost_or_late(case):
     final = greedy(case.score, case.live)
     known, books = False, set()
-    for now in by_messages(case.score, case.network, **case.keywords()):
-        if known := known or any(knows(now[i]) for i in case.live):
+    for now in run_by_messages(case.score, case.graph, **case.keywords()):
+        if known := known or any(is_finished(now[i]) for i in case.live):
             assert [now[i].point for i in case.live] == final[case.live].tolist()
-        books |= {now[i].book.holder.tobytes() for i in case.live if knows(now[i])}
+        books |= {now[i].bids.holder.tobytes() for i in case.live if is_finished(now[i])}
     assert len(books) <= 1
 
 
 @LAW
 @given(case=cases())
 def test_what_is_reported_is_what_came_of_it(case):
-    result = assign(case.score, case.network, **case.keywords())
-    *_, last = by_messages(case.score, case.network, **case.keywords())
+    result = run_cbaa(case.score, case.graph_key, **case.keywords())
+    *_, last = run_by_messages(case.score, case.graph, **case.keywords())
     claimed = [last[i].point for i in case.live]
-    books = {last[i].book.price.tobytes() + last[i].book.holder.tobytes() for i in case.live}
-    held = all(last[i].book.holder[last[i].point] == i for i in case.live)
+    books = {last[i].bids.price.tobytes() + last[i].bids.holder.tobytes() for i in case.live}
+    held = all(last[i].bids.holder[last[i].point] == i for i in case.live)
     assert result.point[case.live].tolist() == claimed
-    assert result.conflict_free == (len(set(claimed)) == len(claimed))
-    assert result.agreed == (len(books) == 1 and held)
-    assert result.conflict_free or not result.agreed
-    sure = np.flatnonzero(result.knew)
+    assert result.is_conflict_free == (len(set(claimed)) == len(claimed))
+    assert result.has_consensus == (len(books) == 1 and held)
+    assert result.is_conflict_free or not result.has_consensus
+    sure = np.flatnonzero(result.finished_round)
     assert result.point[sure].tolist() == greedy(case.score, case.live)[sure].tolist()
 
 
@@ -165,20 +173,20 @@ def test_what_is_reported_is_what_came_of_it(case):
 @pytest.mark.parametrize("delay", [0, 2])
 def test_losses_only_delay(rng, loss, delay):
     network, score = connected(rng, 20, 0.1), scores(rng, "distance", 20, 20)
-    calm = assign(score, network)
-    rough = assign(score, network, rounds=2000, loss=loss, delay=delay, rng=rng)
-    assert rough.agreed
+    calm = run_cbaa(score, network)
+    rough = run_cbaa(score, network, rounds=2000, loss=loss, delay=delay, rng=rng)
+    assert rough.has_consensus
     assert rough.point.tolist() == calm.point.tolist()
-    assert rough.rounds > calm.rounds
+    assert rough.round_count > calm.round_count
 
 
 @LAW
 @given(case=cases(lossy=False))
 def test_only_the_order_of_the_scores_matters(case):
-    one = assign(case.score, case.network)
-    other = assign(np.log1p(case.score) ** 3, case.network)
+    one = run_cbaa(case.score, case.graph)
+    other = run_cbaa(np.log1p(case.score) ** 3, case.graph)
     assert one.point.tolist() == other.point.tolist()
-    assert (one.rounds, one.messages) == (other.rounds, other.messages)
+    assert (one.round_count, one.message_count) == (other.round_count, other.message_count)
 
 
 def test_the_price_of_an_agent_is_not_known_h_hops_away_before_round_h_plus_1(rng):
@@ -187,7 +195,7 @@ def test_the_price_of_an_agent_is_not_known_h_hops_away_before_round_h_plus_1(rn
     changed[0, np.argmax(score[0])] *= 2
     for delay in (0, 1):
         for after in range(1, 22):
-            one, other = (assign(s, network, rounds=after, delay=delay) for s in (score, changed))
+            one, other = (run_cbaa(s, network, rounds=after, delay=delay) for s in (score, changed))
             differ = np.any(one.price != other.price, axis=1)
             assert not differ[(after - 1) // (delay + 1) + 1 :].any()
             assert differ[0]
@@ -196,18 +204,16 @@ def test_the_price_of_an_agent_is_not_known_h_hops_away_before_round_h_plus_1(rn
 @LAW
 @given(case=cases())
 def test_every_book_sent_is_counted(case):
-    result = assign(case.score, case.network, **case.keywords())
+    result = run_cbaa(case.score, case.graph, **case.keywords())
     told, before = 0, [False] * len(case.score)
-    for now in by_messages(case.score, case.network, **case.keywords()):
+    for now in run_by_messages(case.score, case.graph, **case.keywords()):
         told += sum(
-            len(case.network.neighbours[i])
-            for i in case.live
-            if not before[i] or case.air.get("loss")
+            len(case.graph.neighbors[i]) for i in case.live if not before[i] or case.air.get("loss")
         )
-        before = [knows(agent) for agent in now]
+        before = [is_finished(agent) for agent in now]
     if case.air.get("loss"):  # those who know go on until the others must have heard
-        told = case.air["rounds"] * int(case.network.hears.sum())
-    assert result.messages == told
+        told = case.air["rounds"] * int(case.graph.adjacency.sum())
+    assert result.message_count == told
 
 
 # Second opinions
@@ -216,7 +222,7 @@ def test_every_book_sent_is_counted(case):
 @settings(LAW, max_examples=120)
 @given(case=cases(most=20, lossy=False))
 def test_half_of_the_best_total_score_is_certain(case):
-    result, live = assign(case.score, case.network), case.live
+    result, live = run_cbaa(case.score, case.graph), case.live
     best = case.score[live][linear_sum_assignment(case.score[live], maximize=True)].sum()
     total = case.score[live, result.point[live]].sum()
     assert 0.5 * best <= total * (1 + 1e-12)
@@ -229,13 +235,13 @@ def test_half_of_the_best_of_all_permutations_is_certain(rng, agents):
     for _ in range(5):
         score = scores(rng, "distance", agents, agents)
         best = max(score[everyone, list(order)].sum() for order in permutations(everyone))
-        total = score[everyone, assign(score, complete(agents)).point].sum()
+        total = score[everyone, run_cbaa(score, complete(agents)).point].sum()
         assert 0.5 * best <= total <= best * (1 + 1e-12)
 
 
 def test_half_cannot_be_bettered():
     score = np.array([[1.001, 1.0], [1.0, 0.001]])
-    result = assign(score, complete(2))
+    result = run_cbaa(score, complete(2))
     assert result.point.tolist() == [0, 1]
     assert score[[0, 1], result.point].sum() / 2.0 == pytest.approx(0.501)
 
@@ -246,8 +252,8 @@ def test_half_cannot_be_bettered():
 @pytest.mark.parametrize("agents", [2, 5, 30])
 def test_agents_that_all_want_the_same_need_the_whole_bound(rng, agents):
     # n d iterations [Lusk2020, sec. IV-B]; the first round has nothing to listen to.
-    result = assign(scores(rng, "alike", agents, agents), complete(agents))
-    assert result.rounds == agents * 1 + 1
+    result = run_cbaa(scores(rng, "alike", agents, agents), complete(agents))
+    assert result.round_count == agents * 1 + 1
     assert result.point.tolist() == list(range(agents))
 
 
@@ -256,40 +262,40 @@ def test_two_rounds_for_each_agent_do_not_suffice_on_a_wide_network(rng):
     # All want the same, and those whose score is next sit at opposite ends.
     score, network = scores(rng, "alike", 12, 12), line(12)
     score[[0, 11, 1, 10, 2, 9, 3, 8, 4, 7, 5, 6]] += np.linspace(0.9, 0, 12)[:, None]
-    early = assign(score, network, rounds=24)
-    assert not early.conflict_free
-    assert not early.agreed
-    assert not early.knew.any()
-    assert 24 < assign(score, network).rounds <= 12 * 11 + 1
+    early = run_cbaa(score, network, rounds=24)
+    assert not early.is_conflict_free
+    assert not early.has_consensus
+    assert not early.finished_round.any()
+    assert 24 < run_cbaa(score, network).round_count <= 12 * 11 + 1
 
 
 # Small cases and refusals
 
 
 def test_a_lone_agent_knows_at_once():
-    result = assign(np.array([[1.0, 3.0, 2.0]]), complete(1))
-    assert (result.point.tolist(), result.rounds, result.messages) == ([1], 1, 0)
-    assert result.agreed
+    result = run_cbaa(np.array([[1.0, 3.0, 2.0]]), complete(1))
+    assert (result.point.tolist(), result.round_count, result.message_count) == ([1], 1, 0)
+    assert result.has_consensus
 
 
 def test_after_one_round_all_claim_what_they_like_best(rng):
-    result = assign(scores(rng, "alike", 4, 4), complete(4), rounds=1)
+    result = run_cbaa(scores(rng, "alike", 4, 4), complete(4), rounds=1)
     assert result.point.tolist() == [0, 0, 0, 0]
-    assert not result.conflict_free
-    assert not result.agreed
+    assert not result.is_conflict_free
+    assert not result.has_consensus
 
 
 def test_different_wishes_are_met_at_once_but_known_a_round_later():
-    result = assign(np.eye(3) + 1, complete(3), rounds=1)
-    assert result.conflict_free
-    assert not result.agreed
-    assert assign(np.eye(3) + 1, complete(3)).rounds == 2
+    result = run_cbaa(np.eye(3) + 1, complete(3), rounds=1)
+    assert result.is_conflict_free
+    assert not result.has_consensus
+    assert run_cbaa(np.eye(3) + 1, complete(3)).round_count == 2
 
 
 def test_parts_that_do_not_hear_each_other_are_refused():
-    network = Network(np.kron(np.eye(2), 1 - np.eye(2)).astype(bool), np.full(4, True))
+    network = CommunicationGraph(np.kron(np.eye(2), 1 - np.eye(2)).astype(bool), np.full(4, True))
     with pytest.raises(ValueError, match="no message gets from agent 0 to agent 2"):
-        assign(np.ones((4, 4)), network)
+        run_cbaa(np.ones((4, 4)), network)
 
 
 @pytest.mark.parametrize("bad", [0.0, -1.0, np.inf, np.nan])
@@ -297,25 +303,27 @@ def test_scores_must_be_positive_and_finite(bad):
     score = np.ones((3, 3))
     score[1, 2] = bad
     with pytest.raises(ValueError, match="the score of point 2 for agent 1 is"):
-        assign(score, complete(3))
+        run_cbaa(score, complete(3))
 
 
 def test_the_dead_have_no_say():
-    network = Network(np.array([[0, 0, 1], [0, 0, 0], [1, 0, 0]], dtype=bool), np.arange(3) != 1)
+    network = CommunicationGraph(
+        np.array([[0, 0, 1], [0, 0, 0], [1, 0, 0]], dtype=bool), np.arange(3) != 1
+    )
     score = np.array([[3.0, 2.0], [np.nan, np.nan], [2.0, 1.0]])
-    assert assign(score, network).point.tolist() == [0, -1, 1]
+    assert run_cbaa(score, network).point.tolist() == [0, -1, 1]
 
 
 @pytest.mark.parametrize("shape", [(3, 2), (4, 4)])
 def test_there_must_be_a_row_for_every_agent_and_a_point_for_each(shape):
     with pytest.raises(ValueError, match="there must be a row for every agent"):
-        assign(np.ones(shape), complete(3))
+        run_cbaa(np.ones(shape), complete(3))
 
 
 @pytest.mark.parametrize("air", [{"loss": 1.0}, {"loss": -0.1}, {"delay": -1}, {"rounds": 0}])
 def test_messages_that_cannot_be_are_refused(rng, air):
     with pytest.raises(ValueError, match="the loss must be in"):
-        assign(np.ones((3, 3)), complete(3), **{"rounds": 9, "rng": rng} | air)
+        run_cbaa(np.ones((3, 3)), complete(3), **{"rounds": 9, "rng": rng} | air)
 
 
 @pytest.mark.parametrize("without", ["rounds", "rng"])
@@ -323,4 +331,4 @@ def test_losses_need_an_end_and_a_generator(rng, without):
     air = {"loss": 0.1, "rounds": 9, "rng": rng}
     del air[without]
     with pytest.raises(ValueError, match="give the number of rounds after which all stop"):
-        assign(np.ones((3, 3)), complete(3), **air)
+        run_cbaa(np.ones((3, 3)), complete(3), **air)

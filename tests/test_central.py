@@ -6,22 +6,23 @@ import numpy as np
 import pytest
 from swarm_cast import RADIUS, STEP, T, agent, everybody
 
-from dynamics import ClohessyWiltshire, DoubleIntegrator, hold
-from dynamics.path import at, separations
-from problems.central import Central, NoneStands, pushed
-from problems.central_programme import optimise
-from problems.convexify import Horizon
-from problems.transfer import Transfer
-from sato.reconfiguration.routes import alone
-from sato.scp import settle
+from dynamics import ClohessyWiltshire, DoubleIntegrator, discretize_zoh
+from dynamics.trajectory_geometry import evaluate_bezier, separations
+from problems.centralized import CentralizedProblem, NoFeasibleSolution, displace_guess
+from problems.centralized_nlp import solve_nlp
+from problems.convexify import AvoidanceHorizon
+from problems.transfer import TransferProblem
+from sato.reconfiguration.solo_trajectories import solve_solo_transfers
+from sato.scp import run_scp
 
 
 def question(axes=2, radius=RADIUS, pieces=2, model=None, step=STEP, **norms):
     model = model or DoubleIntegrator(axes)
     limits = {"max_control": 0.2, "max_speed": 0.6} | norms
-    steps = hold(model, step, T)
-    return Central(
-        Transfer(steps, **limits), Horizon(steps, hold(model, step / pieces, pieces * T), radius)
+    steps = discretize_zoh(model, step, T)
+    return CentralizedProblem(
+        TransferProblem(steps, **limits),
+        AvoidanceHorizon(steps, discretize_zoh(model, step / pieces, pieces * T), radius),
     )
 
 
@@ -34,26 +35,26 @@ CROSSING = at_rest([[-1.5, 0.0], [1.5, 0.1]]), at_rest([[1.5, 0.05], [-1.5, 0.0]
 
 
 def by_themselves(central, start, goal):
-    flights = [f for f in alone(central.transfer, start, goal)[0] if f is not None]
+    flights = [f for f in solve_solo_transfers(central.transfer, start, goal)[0] if f is not None]
     return np.stack([f.x for f in flights]), np.stack([f.u for f in flights])
 
 
 def by_priority(central, start, goal):
-    transfer, axes = replace(central.transfer, slope=1e-3), start.shape[1] // 2
+    transfer, axes = replace(central.transfer, tie_break_rise=1e-3), start.shape[1] // 2
     planners = {
         i: agent(i, start[i, :axes], goal[i, :axes], transfer, central.horizon)
         for i in range(len(start))
     }
-    after, _ = settle(planners, everybody(planners))
-    assert all(p.late == p.slack == 0 and not p.failed for p in after.values())
-    return np.stack([p.flight.x for p in after.values()]), np.stack(
-        [p.flight.u for p in after.values()]
+    after, _ = run_scp(planners, everybody(planners))
+    assert all(p.terminal_error == p.slack == 0 and not p.has_failed for p in after.values())
+    return np.stack([p.nominal.x for p in after.values()]), np.stack(
+        [p.nominal.u for p in after.values()]
     )
 
 
 def keeps_everything(central, found, start, goal):
     """By other means than `Central.fly`: step by step, and densely between the samples."""
-    transfer, d = central.transfer, central.transfer.steps.axes
+    transfer, d = central.transfer, central.transfer.model.axes
     for x, u, begin, end in zip(found.x, found.u, start, goal, strict=True):
         state = begin
         for k in range(T):
@@ -65,7 +66,7 @@ def keeps_everything(central, found, start, goal):
         assert np.linalg.norm(u, order, axis=1).max() <= transfer.max_control * (1 + 1e-9)
         assert np.linalg.norm(x[1:-1, d:], axis=1).max() <= transfer.max_speed * (1 + 1e-9)
     path = central.horizon.path(found.x, found.u)
-    dense = np.stack([at(path, f) for f in np.linspace(0, 1, 41)], axis=-2)
+    dense = np.stack([evaluate_bezier(path, f) for f in np.linspace(0, 1, 41)], axis=-2)
     for i in range(len(path)):
         for j in range(i):
             assert np.linalg.norm(dense[i] - dense[j], axis=-1).min() >= RADIUS * (1 - 1e-6)
@@ -78,16 +79,16 @@ def test_two_that_cross_stay_apart_for_no_more_fuel_than_by_priorities(axes):
         np.insert(side, [2] * (axes - 2) + [4] * (axes - 2), 0.0, 1) for side in CROSSING
     )
     planned, free = by_priority(central, start, goal), by_themselves(central, start, goal)
-    assert central.fly(start, goal, planned[1], "SATO").stands
-    assert not central.fly(start, goal, free[1], "alone").stands
+    assert central.simulate(start, goal, planned[1], "SATO").is_feasible
+    assert not central.simulate(start, goal, free[1], "alone").is_feasible
     best, tried = central.solve(start, goal, [planned, free])
     keeps_everything(central, best, start, goal)
     assert best.fuel <= tried[0].fuel
     assert best.fuel >= tried[1].fuel - 1e-9  # nobody flies for less than alone
     x = np.moveaxis(best.x, 0, 1)
     closest = separations(x[..., :axes], x[..., axes:], np.ones(x.shape[:2], dtype=bool), STEP)
-    assert closest.least.distance == pytest.approx(RADIUS * best.separation, rel=1e-9)
-    assert best.separation <= 1.001  # they brush past each other
+    assert closest.minimum.distance == pytest.approx(RADIUS * best.min_separation, rel=1e-9)
+    assert best.min_separation <= 1.001  # they brush past each other
 
 
 @pytest.mark.parametrize("fuel_norm", [1, 2])
@@ -97,9 +98,9 @@ def test_agents_far_apart_fly_as_if_they_were_alone(fuel_norm, control_norm):
     start = at_rest([[0.0, 0.0], [9.0, 0.0], [0.0, 9.0]])
     goal = start + at_rest([[3.0, 1.0], [1.0, -2.0], [0.5, 0.0]])
     free = [central.transfer.solve(*ends) for ends in zip(start, goal, strict=True)]
-    rest = central.transfer.steps.roll(start, np.zeros((3, T, 2))), np.zeros((3, T, 2))
+    rest = central.transfer.model.simulate(start, np.zeros((3, T, 2))), np.zeros((3, T, 2))
     best, tried = central.solve(start, goal, [rest])
-    assert not tried[0].stands  # the optimum is found, and not handed over
+    assert not tried[0].is_feasible  # the optimum is found, and not handed over
     assert best.fuel == pytest.approx(sum(f.fuel for f in free), rel=1e-6)
     keeps_everything(central, best, start, goal)
 
@@ -111,7 +112,7 @@ def test_in_orbit_agents_far_apart_fly_as_if_they_were_alone():
     start = at_rest([[0.0, 0.0, 0.0], [1000.0, 500.0, 0.0]])
     goal = start + at_rest([[100.0, 200.0, 30.0], [50.0, -80.0, 40.0]])
     free = [central.transfer.solve(*ends) for ends in zip(start, goal, strict=True)]
-    rest = central.transfer.steps.roll(start, np.zeros((2, T, 3))), np.zeros((2, T, 3))
+    rest = central.transfer.model.simulate(start, np.zeros((2, T, 3))), np.zeros((2, T, 3))
     best, _ = central.solve(start, goal, [rest])
     assert best.fuel == pytest.approx(sum(f.fuel for f in free), rel=1e-6)
 
@@ -122,7 +123,7 @@ def test_a_guess_that_stands_is_never_lost():
     planned = by_priority(central, start, goal)
     astray = np.full_like(planned[0], 1e3), planned[1]
     best, tried = central.solve(start, goal, [astray])
-    assert best.fuel <= tried[0].fuel and tried[0].said == "a guess"
+    assert best.fuel <= tried[0].fuel and tried[0].solver_message == "a guess"
 
 
 def test_a_descent_that_is_dearer_than_what_stands_is_left_at_once(monkeypatch):
@@ -130,9 +131,9 @@ def test_a_descent_that_is_dearer_than_what_stands_is_left_at_once(monkeypatch):
 
     def counted(*args, **kwargs):
         rounds.append(args)
-        return optimise(*args, **kwargs)
+        return solve_nlp(*args, **kwargs)
 
-    monkeypatch.setattr("problems.central.optimise", counted)
+    monkeypatch.setattr("problems.centralized.optimise", counted)
     central, start, goal, (cheap, dear) = through_one_point(np.random.default_rng(3), 3)
     best, _ = central.solve(start, goal, [cheap])
     alone_takes = len(rounds)
@@ -150,20 +151,22 @@ def test_what_has_no_answer_raises_with_all_that_was_tried():
     start = at_rest([[-3.59, 0.0], [3.59, 0.0]])
     goal = start[::-1].copy()
     free = by_themselves(central, start, goal)
-    with pytest.raises(NoneStands, match="none of 4 answers keeps everything") as raised:
-        central.solve(start, goal, [free, pushed(free, STEP, np.array([[0.0, 1.0], [0.0, -1.0]]))])
+    with pytest.raises(NoFeasibleSolution, match="none of 4 answers keeps everything") as raised:
+        central.solve(
+            start, goal, [free, displace_guess(free, STEP, np.array([[0.0, 1.0], [0.0, -1.0]]))]
+        )
     assert raised.value.problem is central
-    assert len(raised.value.tried) == 4
-    assert all(t.worst > 1e-3 for t in raised.value.tried)
+    assert len(raised.value.solutions) == 4
+    assert all(t.max_violation > 1e-3 for t in raised.value.solutions)
 
 
 def test_those_nowhere_near_each_other_have_no_separation_to_tell():
     central = question(max_control=0.01)
     start = at_rest([[0.0, 0.0], [9.0, 0.0]])
-    rest = central.transfer.steps.roll(start, np.zeros((2, T, 2))), np.zeros((2, T, 2))
-    with pytest.raises(NoneStands, match="over 2 R apart") as raised:
+    rest = central.transfer.model.simulate(start, np.zeros((2, T, 2))), np.zeros((2, T, 2))
+    with pytest.raises(NoFeasibleSolution, match="over 2 R apart") as raised:
         central.solve(start, start + at_rest([[5.0, 0.0]]), [rest])
-    assert "inf R" not in str(raised.value) and "inf R" not in str(raised.value.tried[0])
+    assert "inf R" not in str(raised.value) and "inf R" not in str(raised.value.solutions[0])
 
 
 def through_one_point(rng, count):
@@ -172,7 +175,7 @@ def through_one_point(rng, count):
     start = at_rest(1.6 * np.column_stack([np.cos(turn), np.sin(turn)]))
     central, goal = question(), -start
     free = by_themselves(central, start, goal)
-    aside = pushed(free, STEP, RADIUS * rng.normal(size=(count, 2)))
+    aside = displace_guess(free, STEP, RADIUS * rng.normal(size=(count, 2)))
     return central, start, goal, [free, aside]
 
 
@@ -181,8 +184,8 @@ def test_an_optimum_is_that_of_hardly_more_than_what_was_asked(rng, count, insta
     for _ in range(instances):
         central, start, goal, guesses = through_one_point(rng, count)
         best, tried = central.solve(start, goal, guesses)
-        assert max(t.padding for t in tried if t.stands) <= 1e-3
-        assert best.separation <= 1.001
+        assert max(t.padding for t in tried if t.is_feasible) <= 1e-3
+        assert best.min_separation <= 1.001
         keeps_everything(central, best, start, goal)
 
 
@@ -208,7 +211,7 @@ def test_questions_that_are_not_written_are_refused():
         question(fuel_norm="inf")
     central = question()
     with pytest.raises(ValueError, match="over 12 steps, and the transfer takes 6"):
-        replace(central, transfer=replace(central.transfer, steps=central.transfer.steps[:6]))
+        replace(central, transfer=replace(central.transfer, steps=central.transfer.model[:6]))
 
 
 @pytest.mark.parametrize("spoilt", ["thrust", "speed", "missed", "separation"])
@@ -216,31 +219,31 @@ def test_each_broken_promise_is_seen_in_recomputing(spoilt):
     central = question()
     start, goal = CROSSING
     good = by_priority(central, start, goal)[1]
-    assert central.fly(start, goal, good, "").stands
+    assert central.simulate(start, goal, good, "").is_feasible
     u, other, end = good.copy(), central, goal
     if spoilt == "thrust":
         other = question(max_control=0.99 * np.abs(good).max())
     elif spoilt == "speed":
-        fastest = np.linalg.norm(central.fly(start, goal, good, "").x[..., 2:], axis=-1).max()
+        fastest = np.linalg.norm(central.simulate(start, goal, good, "").x[..., 2:], axis=-1).max()
         other = question(max_speed=0.99 * fastest)
     elif spoilt == "missed":
         end = goal + 1e-5
     else:
         u = by_themselves(central, start, goal)[1]
-    found = other.fly(start, end, u, "")
-    assert not found.stands
+    found = other.simulate(start, end, u, "")
+    assert not found.is_feasible
     names = ("missed", "thrust", "speed")
     broken = {name for name in names if getattr(found, name) > 1e-6}
-    assert broken | ({"separation"} if found.separation < 1 - 1e-6 else set()) == {spoilt}
+    assert broken | ({"separation"} if found.min_separation < 1 - 1e-6 else set()) == {spoilt}
 
 
 def test_a_bent_guess_is_bent_most_half_way_and_keeps_its_ends():
     x, u = np.zeros((2, T + 1, 4)), np.zeros((2, T, 2))
     by = np.array([[1.0, 0.0], [0.0, -2.0]])
-    bent, same = pushed((x, u), STEP, by)
+    bent, same = displace_guess((x, u), STEP, by)
     np.testing.assert_array_equal(same, u)
     np.testing.assert_allclose(bent[:, T // 2, :2], by)
     np.testing.assert_allclose(bent[:, [0, -1], :2], 0, atol=1e-12)
-    fine, _ = pushed((np.zeros((2, 1001, 4)), np.zeros((2, 1000, 2))), 0.012, by)
+    fine, _ = displace_guess((np.zeros((2, 1001, 4)), np.zeros((2, 1000, 2))), 0.012, by)
     slope = np.gradient(fine[..., :2], 0.012, axis=1)
     np.testing.assert_allclose(slope[:, 1:-1], fine[:, 1:-1, 2:], atol=1e-4)

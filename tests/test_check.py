@@ -10,19 +10,23 @@ import pytest
 from typer.testing import CliRunner
 
 import sato
-from dynamics import ClohessyWiltshire, DoubleIntegrator, hold
+from dynamics import ClohessyWiltshire, DoubleIntegrator, discretize_zoh
 from dynamics.propagation import Impact
-from problems.assignment import assign
+from problems.assignment import solve_assignment
 from problems.conic import Infeasible
-from problems.transfer import Transfer
-from sato.check.common import times
+from problems.transfer import TransferProblem
+from sato.check.common import check_times
 from sato.cli import app
-from sato.network import Network
-from sato.reconfiguration import Frame
-from sato.reconfiguration.check import Evidence, examine
-from sato.reconfiguration.check.account import assignment
-from sato.reconfiguration.check.fuel import bound_of_each, burnt, least
-from sato.reconfiguration.mission import Arrival, Leg, Loss, Reconfiguration
+from sato.network.graph import CommunicationGraph
+from sato.reconfiguration import ReconfigurationFrame
+from sato.reconfiguration.check import ReconfigurationRecord, check_run
+from sato.reconfiguration.check.consistency import check_assignment
+from sato.reconfiguration.check.fuel import (
+    compute_agent_bounds,
+    compute_fuel_bound,
+    compute_step_fuel,
+)
+from sato.reconfiguration.mission import Join, Leg, Loss, Reconfiguration
 from sato.reconfiguration.system import SYSTEM
 from sato.record import Run
 
@@ -41,8 +45,8 @@ def mission(agents: int = 6, **changed: object) -> Reconfiguration:
     first = square((1.0, 3.0), 1.0)
     second = square((4.0, 6.0), 1.1)
     plain = Reconfiguration(
-        model=DoubleIntegrator(2),
-        start=start,
+        linear_model=DoubleIntegrator(2),
+        initial_states=start,
         alive=np.arange(agents + 1) < agents,
         legs=(
             Leg(first, steps=12),
@@ -50,7 +54,7 @@ def mission(agents: int = 6, **changed: object) -> Reconfiguration:
                 second,
                 steps=10,
                 losses=(Loss("agents", agents=(2,)),),
-                arrivals=(Arrival((agents,), at_step=3),),
+                joins=(Join((agents,), at_step=3),),
             ),
         ),
         step=1.5,
@@ -61,20 +65,20 @@ def mission(agents: int = 6, **changed: object) -> Reconfiguration:
         horizon_steps=1,
         replan_steps=1,
         auction_steps=1,
-        believed=agents,
+        target_count=agents,
     )
     return replace(plain, **changed)
 
 
-def fly_straight(mission: Reconfiguration) -> list[Frame]:
+def fly_straight(mission: Reconfiguration) -> list[ReconfigurationFrame]:
     """Each leg: the optimal assignment by squared distance, and least-norm controls."""
-    d = mission.model.axes
-    x, alive = mission.start.copy(), mission.alive.copy()
+    d = mission.linear_model.axes
+    x, alive = mission.initial_states.copy(), mission.alive.copy()
     target = np.full(len(x), -1)
-    believed = np.full(len(x), mission.believed)
+    believed = np.full(len(x), mission.target_count)
     frames, k, ending = [], 0, ()
     for number, leg in enumerate(mission.legs):
-        steps = hold(mission.model, mission.step, leg.steps)
+        steps = discretize_zoh(mission.linear_model, mission.step, leg.steps)
         events = list(ending)
         for loss in leg.losses:
             alive[list(loss.agents)] = False
@@ -83,23 +87,25 @@ def fly_straight(mission: Reconfiguration) -> list[Frame]:
         events.append({"kind": "leg_start", "leg": number, "agents": np.flatnonzero(alive)})
         u = np.full((len(x), leg.steps, d), np.nan)
         joining = {0: np.flatnonzero(alive)}
-        joining |= {a.at_step: np.array(a.agents) for a in leg.arrivals}
+        joining |= {a.at_step: np.array(a.agents) for a in leg.joins}
         for step in range(leg.steps):
             if step in joining:
                 who = joining[step]
                 if step:
                     alive[who] = True
                     events.append({"kind": "join", "agents": who})
-                free = np.setdiff1d(np.arange(mission.believed), target[alive] if step else [])
+                free = np.setdiff1d(np.arange(mission.target_count), target[alive] if step else [])
                 apart = np.linalg.norm(x[who, None, :d] - leg.targets[free, :d], axis=2) ** 2
-                target[who] = free[assign(apart)]
+                target[who] = free[solve_assignment(apart)]
                 events.append({"kind": "assignment", "agents": who, "target": target[who]})
                 rest = steps[slice(step, None)]
                 u[who, step:] = least_norm(rest, x[who], leg.targets[target[who]])
             events.append({"kind": "replan", "agents": np.flatnonzero(alive), "solves": 2})
-            labels = Network.within(x[:, :d], mission.comm_radius, alive).component
+            labels = CommunicationGraph.from_positions(
+                x[:, :d], mission.comm_radius, alive
+            ).component
             frames.append(
-                Frame(
+                ReconfigurationFrame(
                     k * mission.step,
                     x[:, :d].copy(),
                     x[:, d:].copy(),
@@ -114,15 +120,17 @@ def fly_straight(mission: Reconfiguration) -> list[Frame]:
                     tuple(events),
                 )
             )
-            x[alive] = steps[slice(step, step + 1)].roll(x[alive], u[alive, step : step + 1])[:, -1]
+            x[alive] = steps[slice(step, step + 1)].simulate(x[alive], u[alive, step : step + 1])[
+                :, -1
+            ]
             events, k = [], k + 1
-        labels = Network.within(x[:, :d], mission.comm_radius, alive).component
+        labels = CommunicationGraph.from_positions(x[:, :d], mission.comm_radius, alive).component
         end = {"kind": "leg_end", "leg": number, "agents": np.flatnonzero(alive)}
         end |= {"target": target.copy(), "believed": believed.copy(), "component": labels}
         ending = (end,)
     nothing = np.full((len(x), d), np.nan)
     frames.append(
-        Frame(
+        ReconfigurationFrame(
             k * mission.step,
             x[:, :d].copy(),
             x[:, d:].copy(),
@@ -144,15 +152,15 @@ def least_norm(steps, start, goal):
     """Controls of least sum of squares that fly from start to goal."""
     T, d = len(steps), steps.axes
     response = np.stack(
-        [steps.roll(0 * start[0], e)[-1] for e in np.eye(T * d).reshape(-1, T, d)], axis=1
+        [steps.simulate(0 * start[0], e)[-1] for e in np.eye(T * d).reshape(-1, T, d)], axis=1
     )
-    free = steps.roll(start, np.zeros((len(start), T, d)))[:, -1]
+    free = steps.simulate(start, np.zeros((len(start), T, d)))[:, -1]
     return ((goal - free) @ np.linalg.pinv(response).T).reshape(len(start), T, d)
 
 
-def recorded(mission: Reconfiguration, frames: list[Frame] | None = None) -> Run:
+def recorded(mission: Reconfiguration, frames: list[ReconfigurationFrame] | None = None) -> Run:
     """The run in its file's form."""
-    return Run.of(
+    return Run.from_frames(
         SYSTEM,
         frames or fly_straight(mission),
         mission,
@@ -171,7 +179,7 @@ def flown():
 
 
 def broken(run: Run, about: Reconfiguration | None = None) -> set[str]:
-    return {p.name for p in examine(run.data, about or mission()).broken}
+    return {p.name for p in check_run(run.data, about or mission()).broken}
 
 
 def altered(run: Run) -> Run:
@@ -179,7 +187,7 @@ def altered(run: Run) -> Run:
 
 
 def test_an_honest_run_keeps_its_promises(flown):
-    report = examine(flown.data, mission())
+    report = check_run(flown.data, mission())
     assert report.kept, report.broken
     assert bool(report) and report.broken == ()
     json.dumps(report.as_dict(), allow_nan=False)
@@ -225,7 +233,7 @@ def test_a_target_altered_is_caught_at_any_instant(flown, instant):
         if int(run.data["target"][instant, agent]) == value:
             continue
         run.data["target"][instant, agent] = value
-        assert not assignment(Evidence.of(run.data, mission())).kept
+        assert not check_assignment(ReconfigurationRecord.from_dataset(run.data, mission())).kept
 
 
 @pytest.mark.parametrize("instant", range(23))
@@ -234,7 +242,7 @@ def test_a_time_altered_by_a_millionth_is_caught(flown, instant):
     time = run.data["time"].values.copy()
     time[instant] += 1e-6
     run.data["time"] = ("time", time)
-    assert not times(time, mission().step).kept
+    assert not check_times(time, mission().step).kept
 
 
 def test_times_that_do_not_increase_are_caught(flown):
@@ -242,8 +250,8 @@ def test_times_that_do_not_increase_are_caught(flown):
     time = run.data["time"].values.copy()
     time[5] = time[4]
     run.data["time"] = ("time", time)
-    [promise] = [p for p in examine(run.data, mission()).broken if p.name == "times"]
-    assert promise.sentence == "time does not increase from instant 4 to 5"
+    [promise] = [p for p in check_run(run.data, mission()).broken if p.name == "times"]
+    assert promise.message == "time does not increase from instant 4 to 5"
 
 
 @pytest.mark.parametrize(
@@ -301,7 +309,7 @@ def test_an_infeasible_programme_is_not_passed_over(flown):
 
 def test_a_run_cut_short_is_not_complete():
     frames = fly_straight(mission())[:15]
-    report = examine(recorded(mission(), frames).data, mission())
+    report = check_run(recorded(mission(), frames).data, mission())
     assert {p.name for p in report.broken} == {"complete", "reached"}
     assert report.summary["reached"] is False
     assert [leg["reached"] for leg in report.summary["legs"]] == [True, False]
@@ -322,13 +330,13 @@ def test_a_target_missed_is_a_leg_not_reached():
     run = recorded(about)
     run.data["target_position"][0] = moved[:, :2]
     assert broken(run, elsewhere) == {"reached"}
-    summary = examine(run.data, elsewhere).summary
+    summary = check_run(run.data, elsewhere).summary
     assert summary["legs"][0]["holes"] == 6 and summary["legs"][1]["holes"] == 0
     assert summary["legs"][0]["worst_position_error_m"] == pytest.approx(2e-6, rel=1e-6)
 
 
 def test_the_words_of_the_summary(flown):
-    said = examine(flown.data, mission()).summary
+    said = check_run(flown.data, mission()).summary
     first, second = said["legs"]
     assert said["reached"] and said["agents"] == 7 and said["seed"] == 3
     assert (first["reached"], first["duplicates"], first["holes"]) == (True, 0, 0)
@@ -347,7 +355,7 @@ def test_holes_and_duplicates_are_counted(flown):
         ends[0]["target"][0] = ends[0]["target"][1]
         return events
 
-    assert examine(tell(flown, doubled).data, mission()).summary["legs"][1]["duplicates"] == 1
+    assert check_run(tell(flown, doubled).data, mission()).summary["legs"][1]["duplicates"] == 1
 
     def hopeful(events):
         for e in events:
@@ -355,14 +363,14 @@ def test_holes_and_duplicates_are_counted(flown):
                 e["believed"] = [8] * 7
         return events
 
-    said = examine(tell(flown, hopeful).data, mission()).summary
+    said = check_run(tell(flown, hopeful).data, mission()).summary
     assert said["legs"][0]["holes"] == 2
 
 
 def test_fuel_is_the_norm_of_the_commanded_control_over_time(flown):
     u = np.nan_to_num(flown.data["control"].values)
     for norm, order in [(1, 1), (2, 2), ("inf", np.inf)]:
-        said = examine(flown.data, mission(fuel_norm=norm)).summary
+        said = check_run(flown.data, mission(fuel_norm=norm)).summary
         expected = 1.5 * np.linalg.norm(u, order, axis=2).sum()
         assert said["fuel_m_s"] == pytest.approx(expected, rel=1e-12)
 
@@ -370,7 +378,7 @@ def test_fuel_is_the_norm_of_the_commanded_control_over_time(flown):
 @pytest.mark.parametrize("speed", [1.0, 0.45])
 def test_the_lower_bound_is_the_central_optimum_of_problem_6(flown, speed):
     about = mission(max_speed=speed)
-    report = examine(flown.data, about)
+    report = check_run(flown.data, about)
     step, expected, own = about.step, 0.0, np.zeros(7)
     for leg, (first, last) in enumerate(pairwise([0, 12, 22])):
         alive = flown.data["alive"].values[last - 1]
@@ -379,25 +387,29 @@ def test_the_lower_bound_is_the_central_optimum_of_problem_6(flown, speed):
         for row, i in enumerate(agents):
             came = first + int(np.argmax(flown.data["alive"].values[first:, i]))
             start = np.hstack([flown.data[n].values[came, i] for n in STATES])
-            transfer = Transfer(hold(about.model, step, last - came), 0.3, speed)
+            transfer = TransferProblem(
+                discretize_zoh(about.linear_model, step, last - came), 0.3, speed
+            )
             for j in range(6):
                 with suppress(Infeasible):
                     cost[row, j] = transfer.solve(start, about.legs[leg].targets[j]).fuel
-        expected += cost[np.arange(len(agents)), assign(cost)].sum()
+        expected += cost[np.arange(len(agents)), solve_assignment(cost)].sum()
         held = flown.data["target"].values[last - 1, agents]
         own[agents] += cost[np.arange(len(agents)), held]
     assert report.summary["fuel_lower_bound_m_s"] == pytest.approx(expected, rel=1e-5)
     assert report.summary["fuel_m_s"] > expected
     there = np.arange(7) != 2  # lost after the first leg
-    evidence = Evidence.of(flown.data, about)
-    bound = bound_of_each(evidence, [least(evidence, s) for s in evidence.stretches])
+    evidence = ReconfigurationRecord.from_dataset(flown.data, about)
+    bound = compute_agent_bounds(
+        evidence, [compute_fuel_bound(evidence, s) for s in evidence.leg_records]
+    )
     np.testing.assert_allclose(bound[there], own[there], rtol=1e-5)
-    assert (burnt(evidence).sum(axis=0) >= bound * (1 - 1e-6))[there].all()
+    assert (compute_step_fuel(evidence).sum(axis=0) >= bound * (1 - 1e-6))[there].all()
 
 
 def test_a_few_agents_are_bounded_in_other_norms_too(flown):
-    one = examine(flown.data, mission()).summary["fuel_lower_bound_m_s"]
-    two = examine(flown.data, mission(fuel_norm=2)).summary["fuel_lower_bound_m_s"]
+    one = check_run(flown.data, mission()).summary["fuel_lower_bound_m_s"]
+    two = check_run(flown.data, mission(fuel_norm=2)).summary["fuel_lower_bound_m_s"]
     assert one / 2**0.5 <= two <= one
 
 
@@ -418,17 +430,17 @@ def test_a_collision_between_the_samples_is_caught():
     for gap, expected in [(0.15, {"separation"}), (0.25, set())]:
         about = crossing(gap)
         frames = fly_crossed(about)
-        report = examine(recorded(about, frames).data, about)
+        report = check_run(recorded(about, frames).data, about)
         assert {p.name for p in report.broken} == expected
         assert report.summary["min_separation_m"] == pytest.approx(gap, rel=1e-9)
         assert report.summary["min_separation_at_samples_m"] > 0.3
 
 
-def fly_crossed(about: Reconfiguration) -> list[Frame]:
+def fly_crossed(about: Reconfiguration) -> list[ReconfigurationFrame]:
     frames = []
-    steps = hold(about.model, about.step, 15)
-    u = least_norm(steps, about.start, about.legs[0].targets)
-    x = steps.roll(about.start, u)
+    steps = discretize_zoh(about.linear_model, about.step, 15)
+    u = least_norm(steps, about.initial_states, about.legs[0].targets)
+    x = steps.simulate(about.initial_states, u)
     u = np.concatenate([u, np.full((2, 1, 2), np.nan)], axis=1)
     everyone = {"agents": [0, 1], "target": [0, 1], "component": [0, 0], "believed": [2, 2]}
     for k in range(16):
@@ -440,7 +452,7 @@ def fly_crossed(about: Reconfiguration) -> list[Frame]:
             events += [{"kind": "leg_end", "leg": 0} | everyone]
         labels = np.zeros(2, dtype=int)
         frames.append(
-            Frame(
+            ReconfigurationFrame(
                 k * about.step,
                 x[:, k, :2],
                 x[:, k, 2:],
@@ -461,11 +473,11 @@ def fly_crossed(about: Reconfiguration) -> list[Frame]:
 def test_an_orbit_is_judged_a_second_at_a_time_and_says_what_it_may_miss(rng):
     model = ClohessyWiltshire(1.1e-3)
     place = np.array([[0.0, 0, 0], [0, 300, 0], [100, 600, 50], [0, 900, 0]])
-    start = np.hstack([place, model.bounded(place)])
+    start = np.hstack([place, model.bounded_velocity(place)])
     goal = place[[1, 0, 3, 2]] + [0, 40.0, 200.0]
-    goals = np.hstack([goal, model.bounded(goal)])
+    goals = np.hstack([goal, model.bounded_velocity(goal)])
     about = mission(
-        model=model,
+        linear_model=model,
         start=start,
         alive=np.ones(4, bool),
         legs=(Leg(goals, 20),),
@@ -478,18 +490,18 @@ def test_an_orbit_is_judged_a_second_at_a_time_and_says_what_it_may_miss(rng):
         position_tolerance=1e-3,
     )
     run = recorded(about)
-    report = examine(run.data, about)
+    report = check_run(run.data, about)
     assert report.kept, report.broken
     [promise] = [p for p in report.promises if p.name == "separation"]
-    assert "known to" in promise.sentence
+    assert "known to" in promise.message
     fine = np.linspace(0, 60, 61)
     x, u = (np.moveaxis(np.asarray(a), 0, 1) for a in (run.data["position"], run.data["control"]))
     v = np.moveaxis(np.asarray(run.data["velocity"]), 0, 1)
     least = np.inf
     for dt in fine[1:]:
-        later = hold(model, float(dt), 1)
+        later = discretize_zoh(model, float(dt), 1)
         for k in range(20):
-            there = later.roll(np.hstack([x[:, k], v[:, k]]), u[:, k : k + 1])[:, -1, :3]
+            there = later.simulate(np.hstack([x[:, k], v[:, k]]), u[:, k : k + 1])[:, -1, :3]
             apart = np.linalg.norm(there[:, None] - there[None], axis=2) + 1e9 * np.eye(4)
             least = min(least, apart.min())
     assert report.summary["min_separation_m"] <= least + 1e-9
@@ -505,7 +517,7 @@ def test_a_disturbed_run_may_differ_from_its_commands_by_the_disturbance_alone(r
 
 
 def test_out_of_earshot_is_said_where_proposition_9_does_not_hold(flown):
-    assert examine(flown.data, mission(horizon_steps=2)).summary["undetectable"] is True
+    assert check_run(flown.data, mission(horizon_steps=2)).summary["undetectable"] is True
 
 
 TINY = """
@@ -638,7 +650,7 @@ def test_an_altered_run_that_can_no_longer_be_flown_is_refused(shaken, monkeypat
     def crash(*_: object) -> None:
         raise Impact(3, 60.0)
 
-    crashing = replace(SYSTEM, judge=crash)
+    crashing = replace(SYSTEM, check=crash)
     monkeypatch.setattr(sato.reconfiguration.system, "SYSTEM", crashing)
     with pytest.raises(Impact):
         shaken.check()
@@ -658,4 +670,4 @@ def test_a_summary_that_says_something_else_is_caught(saved, tmp_path):
     run = sato.load(saved)
     for name, value in [("reached", False), ("fuel_m_s", 0.1), ("slack_used", 1), ("braked", "no")]:
         [promise] = replace(run, summary=run.summary | {name: value}).check().broken
-        assert promise.name == "summary" and promise.sentence.endswith(name)
+        assert promise.name == "summary" and promise.message.endswith(name)

@@ -5,29 +5,33 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dynamics import ClohessyWiltshire, DoubleIntegrator, Linearised, hold
+from dynamics import ClohessyWiltshire, DoubleIntegrator, LinearizedModel, discretize_zoh
 from dynamics.atmosphere import Atmosphere
-from dynamics.inertial import Inertial
+from dynamics.inertial import InertialPlant
 from dynamics.j2 import J2, invariant_velocity
 from dynamics.orbit import Orbit
-from dynamics.plant import Modelled
-from sato.network import Network
-from sato.reconfiguration import Frame, fly
-from sato.reconfiguration.check import Evidence, examine
-from sato.reconfiguration.check.account import chief
-from sato.reconfiguration.check.chance import drawn
-from sato.reconfiguration.check.fuel import least
-from sato.reconfiguration.check.motion import applied, flight, speed_limit
-from sato.reconfiguration.check.prediction import faster_than_planned
-from sato.reconfiguration.check.promises import fuel
+from dynamics.plant import LinearPlant
+from sato.network.graph import CommunicationGraph
+from sato.reconfiguration import ReconfigurationFrame, fly
+from sato.reconfiguration.check import ReconfigurationRecord, check_run
+from sato.reconfiguration.check.consistency import check_chief
+from sato.reconfiguration.check.fuel import compute_fuel_bound
+from sato.reconfiguration.check.motion import (
+    check_applied_control,
+    check_propagation,
+    check_speed_limit,
+)
+from sato.reconfiguration.check.prediction import bound_speed_excess
+from sato.reconfiguration.check.promises import check_fuel
+from sato.reconfiguration.check.redraw import redraw_disturbances
 from sato.reconfiguration.mission import Leg, Reconfiguration
 from sato.reconfiguration.system import SYSTEM
 from sato.record import Run
 
-ORBIT = Orbit.of_elements(6878e3, inclination=np.pi / 4)
-CIRCLE, EXACT = ClohessyWiltshire.about(ORBIT), Linearised.at_origin(J2(ORBIT))
+ORBIT = Orbit.from_elements(6878e3, inclination=np.pi / 4)
+CIRCLE, EXACT = ClohessyWiltshire.from_orbit(ORBIT), LinearizedModel.at_origin(J2(ORBIT))
 STEP, STEPS = 60.0, 5
-TRUTH = Inertial(ORBIT)
+TRUTH = InertialPlant(ORBIT)
 
 
 def mission(**changed: object) -> Reconfiguration:
@@ -35,8 +39,8 @@ def mission(**changed: object) -> Reconfiguration:
     place = np.array([[0.0, -400, 0], [30, -200, 0], [0, 200, 0], [30, 400, 0]])
     goal = place[[1, 0, 3, 2]]
     plain = Reconfiguration(
-        model=EXACT,
-        start=np.hstack([place, invariant_velocity(ORBIT, place)]),
+        linear_model=EXACT,
+        initial_states=np.hstack([place, invariant_velocity(ORBIT, place)]),
         alive=np.ones(4, dtype=bool),
         legs=(Leg(np.hstack([goal, invariant_velocity(ORBIT, goal, STEP * STEPS)]), STEPS),),
         step=STEP,
@@ -57,19 +61,21 @@ def mission(**changed: object) -> Reconfiguration:
 def recorded(about: Reconfiguration, u: np.ndarray) -> Run:
     """Controls flown by the plant, to the target with the agent's own number."""
     agents, T = u.shape[:2]
-    everyone, x = np.arange(agents), [about.start]
+    everyone, x = np.arange(agents), [about.initial_states]
     for k in range(T):
-        x.append(about.truth.fly(x[-1], u[:, k], k * about.step, about.step)[1])
+        x.append(about.flown_plant.propagate(x[-1], u[:, k], k * about.step, about.step)[1])
     frames = []
     for k in range(T + 1):
-        labels = Network.within(x[k][:, :3], about.comm_radius, about.alive).component
+        labels = CommunicationGraph.from_positions(
+            x[k][:, :3], about.comm_radius, about.alive
+        ).component
         begin = {"kind": "leg_start", "leg": 0, "agents": everyone}
         chosen = {"kind": "assignment", "agents": everyone, "target": everyone}
         end = {"kind": "leg_end", "leg": 0, "agents": everyone, "target": everyone}
         end |= {"component": labels, "believed": np.full(agents, agents)}
         control = u[:, k] if k < T else np.full((agents, 3), np.nan)
         frames.append(
-            Frame(
+            ReconfigurationFrame(
                 k * about.step,
                 x[k][:, :3],
                 x[k][:, 3:],
@@ -87,18 +93,21 @@ def recorded(about: Reconfiguration, u: np.ndarray) -> Run:
     return run_of(about, frames)
 
 
-def run_of(about: Reconfiguration, frames: list[Frame]) -> Run:
+def run_of(about: Reconfiguration, frames: list[ReconfigurationFrame]) -> Run:
     named = {"name": "by hand", "seed": 3, "version": "0", "wall_s": 1.0, "peak_memory_mib": 1.0}
-    return Run.of(SYSTEM, frames, about, "", **named)
+    return Run.from_frames(SYSTEM, frames, about, "", **named)
 
 
 def least_norm(about: Reconfiguration) -> np.ndarray:
     """Controls of least sum of squares by the shared model."""
-    steps, (agents, n) = hold(about.model, about.step, STEPS), about.start.shape
+    steps, (agents, n) = (
+        discretize_zoh(about.linear_model, about.step, STEPS),
+        about.initial_states.shape,
+    )
     unit = np.eye(STEPS * 3).reshape(-1, STEPS, 3)
-    free = steps.roll(np.zeros(n), np.zeros((STEPS, 3)))[-1]
-    response = steps.roll(np.zeros((len(unit), n)), unit)[:, -1] - free
-    rest = steps.roll(about.start, np.zeros((agents, STEPS, 3)))[:, -1]
+    free = steps.simulate(np.zeros(n), np.zeros((STEPS, 3)))[-1]
+    response = steps.simulate(np.zeros((len(unit), n)), unit)[:, -1] - free
+    rest = steps.simulate(about.initial_states, np.zeros((agents, STEPS, 3)))[:, -1]
     goals = about.legs[0].targets
     return ((goals - rest) @ np.linalg.pinv(response.T).T).reshape(agents, STEPS, 3)
 
@@ -108,7 +117,7 @@ def altered(run: Run) -> Run:
 
 
 def broken(run: Run, about: Reconfiguration) -> set[str]:
-    return {p.name for p in examine(run.data, about).broken}
+    return {p.name for p in check_run(run.data, about).broken}
 
 
 @pytest.fixture(scope="module")
@@ -116,9 +125,9 @@ def flown():
     return recorded(mission(), least_norm(mission()))
 
 
-AIR = Inertial(ORBIT, np.array([0.01, 0.012, 0.008, 0.01]), 0.01, Atmosphere())
+AIR = InertialPlant(ORBIT, np.array([0.01, 0.012, 0.008, 0.01]), 0.01, Atmosphere())
 SHAKEN = mission(
-    nonlinear=J2(ORBIT),
+    nonlinear_model=J2(ORBIT),
     plant=AIR,
     disturbance=1e-6,
     position_noise=0.1,
@@ -137,7 +146,7 @@ def shaken():
 
 
 def test_an_honest_run_on_a_plant_that_is_not_the_model_keeps_its_promises(flown):
-    report = examine(flown.data, mission())
+    report = check_run(flown.data, mission())
     assert report.kept, report.broken
 
 
@@ -145,24 +154,28 @@ def test_an_honest_run_on_a_plant_that_is_not_the_model_keeps_its_promises(flown
 def test_a_run_that_was_planned_and_flown_in_a_closed_loop_keeps_its_promises(model):
     about = mission(model=model, position_tolerance=5.0, velocity_tolerance=0.1)
     run = run_of(about, list(fly(about, np.random.default_rng(1))))
-    report = examine(run.data, about, np.random.default_rng(1))
+    report = check_run(run.data, about, np.random.default_rng(1))
     assert report.kept, report.broken
 
 
 def test_what_chance_did_to_thrusters_is_drawn_again(shaken):
-    report = examine(shaken.data, SHAKEN, np.random.default_rng(8))
+    report = check_run(shaken.data, SHAKEN, np.random.default_rng(8))
     assert report.kept, report.broken
-    evidence = Evidence.of(shaken.data, SHAKEN)
-    assert not applied(evidence, drawn(evidence, np.random.default_rng(9))).kept
+    evidence = ReconfigurationRecord.from_dataset(shaken.data, SHAKEN)
+    assert not check_applied_control(
+        evidence, redraw_disturbances(evidence, np.random.default_rng(9))
+    ).kept
     for name in ("control", "applied_control"):
         run = altered(shaken)
         run.data[name][3, 2, 1] += 1e-10
-        evidence = Evidence.of(run.data, SHAKEN)
-        assert not applied(evidence, drawn(evidence, np.random.default_rng(8))).kept
+        evidence = ReconfigurationRecord.from_dataset(run.data, SHAKEN)
+        assert not check_applied_control(
+            evidence, redraw_disturbances(evidence, np.random.default_rng(8))
+        ).kept
 
 
 def test_without_the_seed_thrusters_are_judged_by_the_size_of_their_errors(shaken):
-    assert examine(shaken.data, SHAKEN).kept
+    assert check_run(shaken.data, SHAKEN).kept
     run = altered(shaken)
     thrust = np.nan_to_num(np.linalg.norm(run.data["control"].values, axis=2))
     where = np.unravel_index(np.argmax(thrust), thrust.shape)
@@ -181,8 +194,12 @@ def test_a_millionth_anywhere_is_caught(flown, name):
         for axis in range(3):
             run = altered(flown)
             run.data[name][k, 1, axis] += 1e-6 * size
-            evidence = Evidence.of(run.data, mission())
-            promise = applied(evidence, None) if name == "control" else flight(evidence)
+            evidence = ReconfigurationRecord.from_dataset(run.data, mission())
+            promise = (
+                check_applied_control(evidence, None)
+                if name == "control"
+                else check_propagation(evidence)
+            )
             assert not promise.kept, (k, axis)
 
 
@@ -203,15 +220,15 @@ def test_a_wrong_chief_is_caught(flown, element):
     run = altered(flown)
     value = float(run.data["chief"][4, element])
     run.data["chief"][4, element] = value * (1 + 1e-6) if abs(value) > 1e-3 else value + 1e-6
-    evidence = Evidence.of(run.data, mission())
-    assert not chief(evidence).kept
-    assert {p.name for p in examine(run.data, mission()).broken} == {"chief"}
+    evidence = ReconfigurationRecord.from_dataset(run.data, mission())
+    assert not check_chief(evidence).kept
+    assert {p.name for p in check_run(run.data, mission()).broken} == {"chief"}
 
 
 def test_a_chief_is_on_file_where_the_plant_has_one_and_only_there(flown):
     lacking = Run(flown.data.drop_vars(["chief", "element"]), flown.summary)
     assert broken(lacking, mission()) == {"chief"}
-    about = mission(plant=Modelled(EXACT))
+    about = mission(plant=LinearPlant(EXACT))
     free = recorded(about, least_norm(about))
     assert broken(free, about) == set()
     said = free.data.assign(element=flown.data["element"], chief=flown.data["chief"])
@@ -226,39 +243,44 @@ def test_the_gravity_in_the_attributes_is_that_of_the_plant(flown):
 
 @pytest.mark.parametrize(
     "plant",
-    [TRUTH, Modelled(EXACT, ORBIT), Modelled(CIRCLE)],
+    [TRUTH, LinearPlant(EXACT, ORBIT), LinearPlant(CIRCLE)],
     ids=["truth", "J2", "circle"],
 )
 def test_the_least_separation_is_known_as_well_as_is_said(plant):
     about = mission(plant=plant)
     data = recorded(about, least_norm(about)).data
-    evidence = Evidence.of(data, about)
-    found, missed = evidence.pieces
+    evidence = ReconfigurationRecord.from_dataset(data, about)
+    found, missed = evidence.separations
     dense = densely(evidence)
     assert 0 < missed < 1e-6
-    assert found.least.distance - missed <= dense + 1e-9
-    assert found.least.distance == pytest.approx(dense, abs=1e-6)
-    assert dense < 0.9 * examine(data, about).summary["min_separation_at_samples_m"]
+    assert found.minimum.distance - missed <= dense + 1e-9
+    assert found.minimum.distance == pytest.approx(dense, abs=1e-6)
+    assert dense < 0.9 * check_run(data, about).summary["min_separation_at_samples_m"]
 
 
-def densely(evidence: Evidence) -> float:
+def densely(evidence: ReconfigurationRecord) -> float:
     """Least distance of the two pairs, every half second, then 500 times around the least."""
 
     def apart(x):
         return np.linalg.norm(x[:, [0, 2], :3] - x[:, [1, 3], :3], axis=2).min(axis=1)
 
-    plant, u = evidence.mission.truth, evidence.applied
-    coarse = [plant.fly(x, u[k], k * STEP, STEP, 120) for k, x in enumerate(evidence.state[:-1])]
+    plant, u = evidence.mission.flown_plant, evidence.applied_control
+    coarse = [
+        plant.propagate(x, u[k], k * STEP, STEP, 120) for k, x in enumerate(evidence.state[:-1])
+    ]
     k = int(np.argmin([apart(path).min() for path in coarse]))
     j = int(np.argmin(apart(coarse[k])))
     assert 0 < j < 120
     before = coarse[k][j - 1]
-    return float(apart(plant.fly(before, u[k], k * STEP + (j - 1) / 2, 1.0, 500)).min())
+    return float(apart(plant.propagate(before, u[k], k * STEP + (j - 1) / 2, 1.0, 500)).min())
 
 
 def test_pieces_are_a_second_long_at_most_and_an_even_number(flown):
     for step, pieces in [(60.0, 60), (59.5, 60), (61.0, 62), (0.7, 2)]:
-        assert Evidence.of(flown.data, mission(step=step)).refinement == pieces
+        assert (
+            ReconfigurationRecord.from_dataset(flown.data, mission(step=step)).pieces_per_step
+            == pieces
+        )
 
 
 @pytest.mark.parametrize(("replan", "commit"), [(1, 0), (2, 0), (2, 3), (1, 2)])
@@ -266,15 +288,15 @@ def test_agents_may_be_faster_by_what_the_plant_did_otherwise_since_they_planned
     about = mission(
         model=CIRCLE, replan_steps=replan, auction_steps=2, horizon_steps=3, commit_steps=commit
     )
-    evidence = Evidence.of(recorded(about, least_norm(about)).data, about)
-    found = faster_than_planned(evidence)
-    steps, expected = hold(CIRCLE, STEP, STEPS), np.zeros((STEPS + 1, 4))
+    evidence = ReconfigurationRecord.from_dataset(recorded(about, least_norm(about)).data, about)
+    found = bound_speed_excess(evidence)
+    steps, expected = discretize_zoh(CIRCLE, STEP, STEPS), np.zeros((STEPS + 1, 4))
     kept = {(1, 0): 0, (2, 0): 0, (2, 3): 2, (1, 2): 1}[replan, commit]
     for j in range(1, STEPS + 1):
         oldest = max((j - 1) // replan * replan - kept, 0)
         for k in range(oldest, j):
             u = np.moveaxis(evidence.control[k:j], 0, 1)
-            end = steps.roll(evidence.state[k], u)[:, -1]
+            end = steps.simulate(evidence.state[k], u)[:, -1]
             off = np.linalg.norm((evidence.state[j] - end)[:, 3:], axis=1)
             expected[j] = np.maximum(expected[j], off)
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-12)
@@ -282,18 +304,21 @@ def test_agents_may_be_faster_by_what_the_plant_did_otherwise_since_they_planned
 
 
 def test_where_the_plant_is_the_model_nobody_may_be_faster_at_all():
-    about = mission(plant=Modelled(EXACT, ORBIT))
-    evidence = Evidence.of(recorded(about, least_norm(about)).data, about)
-    assert faster_than_planned(evidence).max() < 1e-10
+    about = mission(plant=LinearPlant(EXACT, ORBIT))
+    evidence = ReconfigurationRecord.from_dataset(recorded(about, least_norm(about)).data, about)
+    assert bound_speed_excess(evidence).max() < 1e-10
     fastest = float(np.linalg.norm(evidence.velocity, axis=2).max())
     for limit, kept in [(fastest * (1 + 1e-6), True), (fastest * (1 - 1e-6), False)]:
-        assert speed_limit(replace(evidence, mission=replace(about, max_speed=limit))).kept == kept
+        assert (
+            check_speed_limit(replace(evidence, mission=replace(about, max_speed=limit))).kept
+            == kept
+        )
 
 
 def test_noise_in_what_is_measured_may_make_a_plan_faster_than_it_knew(flown):
-    evidence = Evidence.of(flown.data, mission(velocity_noise=1e-3))
-    quiet = faster_than_planned(Evidence.of(flown.data, mission()))
-    added = faster_than_planned(evidence) - quiet
+    evidence = ReconfigurationRecord.from_dataset(flown.data, mission(velocity_noise=1e-3))
+    quiet = bound_speed_excess(ReconfigurationRecord.from_dataset(flown.data, mission()))
+    added = bound_speed_excess(evidence) - quiet
     np.testing.assert_allclose(added[1:], 8e-3 * 3**0.5, rtol=1e-2)
     assert (added[0] == 0).all()
 
@@ -301,49 +326,53 @@ def test_noise_in_what_is_measured_may_make_a_plan_faster_than_it_knew(flown):
 def drifting() -> Reconfiguration:
     """The plant takes everybody to their targets, and the model does not know."""
     about = mission(model=DoubleIntegrator(3), plant=TRUTH, velocity_tolerance=1e-6)
-    x = about.start
+    x = about.initial_states
     for k in range(STEPS):
-        x = about.truth.fly(x, np.zeros((4, 3)), k * STEP, STEP)[1]
+        x = about.flown_plant.propagate(x, np.zeros((4, 3)), k * STEP, STEP)[1]
     return replace(about, legs=(Leg(x, STEPS),), position_tolerance=1e-6)
 
 
 def test_a_leg_may_burn_less_than_the_models_bound_by_what_the_plant_saved_it():
     about = drifting()
     run = recorded(about, np.zeros((4, STEPS, 3)))
-    report = examine(run.data, about)
+    report = check_run(run.data, about)
     assert report.kept, report.broken
     assert report.summary["fuel_m_s"] == 0 < 0.1 < report.summary["fuel_lower_bound_m_s"]
 
 
 def test_a_leg_may_not_burn_less_by_more_than_that():
     about = drifting()
-    evidence = Evidence.of(recorded(about, np.zeros((4, STEPS, 3))).data, about)
-    bound = least(evidence, evidence.stretches[0])
-    assert bound.mend.sum() == pytest.approx(bound.own.sum(), rel=1e-9)  # all of it was given
-    assert fuel(evidence, [bound]).kept
-    assert not fuel(evidence, [bound._replace(total=bound.own.sum() * (1 + 1e-5))]).kept
+    evidence = ReconfigurationRecord.from_dataset(
+        recorded(about, np.zeros((4, STEPS, 3))).data, about
+    )
+    bound = compute_fuel_bound(evidence, evidence.leg_records[0])
+    assert bound.correction_fuel.sum() == pytest.approx(
+        bound.per_agent.sum(), rel=1e-9
+    )  # all of it was given
+    assert check_fuel(evidence, [bound]).kept
+    assert not check_fuel(evidence, [bound._replace(total=bound.per_agent.sum() * (1 + 1e-5))]).kept
 
 
 def test_where_the_plant_is_the_model_nothing_can_be_saved():
-    about = mission(plant=Modelled(EXACT, ORBIT))
-    evidence = Evidence.of(recorded(about, least_norm(about)).data, about)
-    bound = least(evidence, evidence.stretches[0])
-    assert bound.mend.max() < 1e-10
-    burnt = examine(recorded(about, least_norm(about)).data, about).summary["fuel_m_s"]
+    about = mission(plant=LinearPlant(EXACT, ORBIT))
+    evidence = ReconfigurationRecord.from_dataset(recorded(about, least_norm(about)).data, about)
+    bound = compute_fuel_bound(evidence, evidence.leg_records[0])
+    assert bound.correction_fuel.max() < 1e-10
+    burnt = check_run(recorded(about, least_norm(about)).data, about).summary["fuel_m_s"]
     assert bound.total <= burnt
-    assert not fuel(evidence, [bound._replace(total=burnt * (1 + 1e-5))]).kept
+    assert not check_fuel(evidence, [bound._replace(total=burnt * (1 + 1e-5))]).kept
 
 
 def test_the_summary_says_how_far_off_the_model_was_and_who_burnt_what(flown):
-    said = examine(flown.data, mission()).summary
-    u, x = np.moveaxis(flown.data["control"].values[:-1], 0, 1), mission().start
-    by_model = hold(EXACT, STEP, STEPS).roll(x, u)[:, -1, :3]
+    said = check_run(flown.data, mission()).summary
+    u, x = np.moveaxis(flown.data["control"].values[:-1], 0, 1), mission().initial_states
+    by_model = discretize_zoh(EXACT, STEP, STEPS).simulate(x, u)[:, -1, :3]
     off = np.linalg.norm(flown.data["position"].values[-1] - by_model, axis=1)
     assert said["model_error_m"] == pytest.approx(off.max(), rel=1e-9)
     assert 1e-4 < off.max() < 0.5
     each = STEP * np.abs(u).sum(axis=(1, 2))
     expected = {"mean": each.mean(), "least": each.min(), "most": each.max()}
     assert said["fuel_per_agent_m_s"] == pytest.approx(expected, rel=1e-12)
-    about = mission(plant=Modelled(EXACT))
-    nowhere = examine(recorded(about, least_norm(about)).data, about).summary
+    about = mission(plant=LinearPlant(EXACT))
+    nowhere = check_run(recorded(about, least_norm(about)).data, about).summary
     assert not {"model_error_m", "fuel_per_agent_m_s"} & nowhere.keys()

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from dynamics import hold
+from dynamics import discretize_zoh
 from dynamics.clohessy_wiltshire import ClohessyWiltshire
 from dynamics.schweighart_sedwick import SchweighartSedwick
 
@@ -26,7 +26,7 @@ any_model = st.sampled_from(MODELS)
 
 
 def units(model):
-    return np.repeat([1.0, model.coriolis], 3)
+    return np.repeat([1.0, model.rotation_rate], 3)
 
 
 def scaled(model, Phi):
@@ -40,73 +40,76 @@ def assert_same(model, Phi, other, rtol):
 
 @models
 def test_at_no_time_nothing_has_happened(model):
-    np.testing.assert_array_equal(model.transition(0.0), np.eye(6))
-    np.testing.assert_array_equal(model.held(0.0), np.zeros((6, 3)))
+    np.testing.assert_array_equal(model.transition_matrix(0.0), np.eye(6))
+    np.testing.assert_array_equal(model.zoh_input_matrix(0.0), np.zeros((6, 3)))
 
 
 @given(any_model, times, times)
 def test_one_time_after_another_is_their_sum(model, first, then):
-    both = model.transition(then) @ model.transition(first)
-    assert_same(model, both, model.transition(first + then), 1e-10)
+    both = model.transition_matrix(then) @ model.transition_matrix(first)
+    assert_same(model, both, model.transition_matrix(first + then), 1e-10)
 
 
 @given(any_model, st.floats(0, 1e4), st.floats(0, 1e4))
 def test_an_acceleration_held_on_is_one_held_for_longer(model, first, then):
-    both = model.transition(then) @ model.held(first) + model.held(then)
-    unit = units(model)[:, None] / model.coriolis**2
-    whole = model.held(first + then)
+    both = model.transition_matrix(then) @ model.zoh_input_matrix(first) + model.held(then)
+    unit = units(model)[:, None] / model.rotation_rate**2
+    whole = model.zoh_input_matrix(first + then)
     np.testing.assert_allclose(both / unit, whole / unit, rtol=1e-11, atol=1e-9)
 
 
 @given(any_model, times)
 def test_volume_in_phase_space_is_conserved(model, t):
-    assert np.linalg.det(scaled(model, model.transition(t))) == pytest.approx(1, abs=1e-9)
+    assert np.linalg.det(scaled(model, model.transition_matrix(t))) == pytest.approx(1, abs=1e-9)
 
 
 @models
 def test_many_times_are_each_by_itself(model, rng):
     t = rng.uniform(0, 6e3, (2, 3))
-    Phi, Gamma = model.transition(t), model.held(t)
+    Phi, Gamma = model.transition_matrix(t), model.zoh_input_matrix(t)
     assert Phi.shape == (2, 3, 6, 6)
     assert Gamma.shape == (2, 3, 6, 3)
-    np.testing.assert_array_equal(Phi[1, 2], model.transition(t[1, 2]))
-    np.testing.assert_array_equal(Gamma[1, 2], model.held(t[1, 2]))
+    np.testing.assert_array_equal(Phi[1, 2], model.transition_matrix(t[1, 2]))
+    np.testing.assert_array_equal(Gamma[1, 2], model.zoh_input_matrix(t[1, 2]))
 
 
 @models
 def test_a_bounded_orbit_closes_whatever_its_radial_speed(model, rng):
     x = rng.uniform(-1500, 1500, (20, 6)) * units(model)
-    x[:, 4] = model.bounded(x[:, :3])[:, 1]
-    turn = 2 * np.pi / model.rate_in_plane
-    end = x @ model.transition(turn).T
+    x[:, 4] = model.bounded_velocity(x[:, :3])[:, 1]
+    turn = 2 * np.pi / model.in_plane_rate
+    end = x @ model.transition_matrix(turn).T
     np.testing.assert_allclose(end[:, [0, 1, 3, 4]], x[:, [0, 1, 3, 4]], atol=1e-8)
-    half = x @ model.transition(turn / 2).T
+    half = x @ model.transition_matrix(turn / 2).T
     assert np.abs(half - x)[:, :2].max() > 1000  # it went somewhere
 
 
 @models
 def test_a_centred_orbit_is_opposite_after_half_a_turn(model, rng):
     place = rng.uniform(-1500, 1500, (20, 3))
-    x = np.hstack([place, model.centred(place)])
-    half = x @ model.transition(np.pi / model.rate_in_plane).T
+    x = np.hstack([place, model.centered_velocity(place)])
+    half = x @ model.transition_matrix(np.pi / model.in_plane_rate).T
     np.testing.assert_allclose(half[:, [0, 1, 3, 4]], -x[:, [0, 1, 3, 4]], atol=1e-8)
 
 
 @models
 def test_the_drift_is_the_stated_one(model, rng):
     x = rng.uniform(-1000, 1000, 6) * units(model)
-    turn = 2 * np.pi / model.rate_in_plane
-    D = x[4] + 2 * model.coriolis * x[0]
-    moved = (model.transition(turn) @ x - x)[[0, 1, 3, 4]]
-    drift = -model.stretch / model.rate_in_plane**2 * D * turn
+    turn = 2 * np.pi / model.in_plane_rate
+    D = x[4] + 2 * model.rotation_rate * x[0]
+    moved = (model.transition_matrix(turn) @ x - x)[[0, 1, 3, 4]]
+    drift = -model.radial_gradient / model.in_plane_rate**2 * D * turn
     np.testing.assert_allclose(moved, [0, drift, 0, 0], atol=1e-7)
 
 
 @models
 @pytest.mark.parametrize("t", [1e-3, 1.0, 60.0, 450.0, 460.0, 1440.0])
 def test_a_step_that_is_held_is_the_closed_form_in_every_entry(model, t):
-    step = hold(model, t, 1)
-    for closed, found in ((model.transition(t), step.A[0]), (model.held(t), step.B[0])):
+    step = discretize_zoh(model, t, 1)
+    for closed, found in (
+        (model.transition_matrix(t), step.A[0]),
+        (model.zoh_input_matrix(t), step.B[0]),
+    ):
         np.testing.assert_array_equal(closed != 0, found != 0)
         np.testing.assert_allclose(closed, found, rtol=1e-10, atol=0)
 
@@ -114,13 +117,13 @@ def test_a_step_that_is_held_is_the_closed_form_in_every_entry(model, t):
 @given(any_model, times)
 def test_the_closed_form_is_the_exponential(model, t):
     # The exponential, by squaring, is the less exact of the two.
-    assert_same(model, model.transition(t), expm(model.A(0.0) * t), 1e-11)
+    assert_same(model, model.transition_matrix(t), expm(model.A(0.0) * t), 1e-11)
 
 
 @models
 def test_the_closed_forms_solve_their_equations(model):
     """A second opinion: DOP853 over three periods, Φ and Γ side by side."""
-    unit, end = units(model), 6 * np.pi / model.coriolis
+    unit, end = units(model), 6 * np.pi / model.rotation_rate
     A = model.A(0.0) * unit / unit[:, None]
     B = model.B(0.0) / unit[:, None]
 
@@ -131,6 +134,6 @@ def test_the_closed_forms_solve_their_equations(model):
     begin = np.eye(6, 9).ravel()
     y = solve_ivp(rate, (0, end), begin, method="DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
     Phi, Gamma = np.split(y.reshape(6, 9), [6], axis=1)
-    assert_same(model, model.transition(end), Phi * unit[:, None] / unit, 1e-11)
-    error = np.abs(model.held(end) / unit[:, None] - Gamma).max()
+    assert_same(model, model.transition_matrix(end), Phi * unit[:, None] / unit, 1e-11)
+    error = np.abs(model.zoh_input_matrix(end) / unit[:, None] - Gamma).max()
     assert error <= 1e-11 * np.abs(Gamma).max()

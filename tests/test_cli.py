@@ -17,10 +17,10 @@ from typer.testing import CliRunner, Result
 import sato
 import sato.reconfiguration.system
 from sato.cli import app
-from sato.reconfiguration import Frame
+from sato.console import print_summary, show_mission_progress
+from sato.reconfiguration import ReconfigurationFrame
 from sato.reconfiguration.system import SYSTEM
 from sato.record import Run
-from sato.terminal import progress, tell
 
 TINY = """
 system = "reconfiguration"
@@ -288,7 +288,7 @@ def test_quiet_says_nothing(home):
 
 @pytest.mark.filterwarnings("default")
 def test_a_warning_is_a_line_on_the_error_stream_also_when_quiet(home, monkeypatch):
-    real = SYSTEM.fly
+    real = SYSTEM.simulate
 
     def doubtful(*given: object) -> object:
         warnings.warn("the model is wrong by 7 m;\n   another would do", stacklevel=1)
@@ -331,7 +331,9 @@ def test_an_export_that_cannot_be_is_refused_in_a_sentence(home, words, code, sa
 
 def test_in_orbit_the_fuel_of_each_spacecraft_is_told(capsys):
     each = {"mean": 1.25, "least": 0.5, "most": 2.0}
-    tell(Run(xarray.Dataset(), {"fuel_m_s": 15.0, "fuel_per_agent_m_s": each}), Path("here"))
+    print_summary(
+        Run(xarray.Dataset(), {"fuel_m_s": 15.0, "fuel_per_agent_m_s": each}), Path("here")
+    )
     said = capsys.readouterr().out
     for words in ("Δv per spacecraft, mean, m/s", "1.25", "most, m/s", "fuel, m/s"):
         assert words in said
@@ -345,19 +347,19 @@ def test_progress_goes_to_the_error_stream_a_line_a_leg(home):
 def test_on_a_terminal_a_bar_tells_leg_step_and_separation(home, monkeypatch, capsys):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     monkeypatch.setenv("COLUMNS", "120")
-    with progress(False, SYSTEM.passage) as watch:
+    with show_mission_progress(False, SYSTEM.progress) as watch:
         sato.run("tiny.toml", progress=watch)
     said = capsys.readouterr().err
     assert "leg 1 of 1, step 20 of 20, 1 component, least separation 1.41 m" in said
 
 
 def test_what_a_name_does_not_say_is_spelt_out():
-    from sato.terminal import _spelt
+    from sato.console import _label
 
-    assert _spelt("bytes_per_vehicle_s") == "sent by each vehicle, bytes/s"
-    assert _spelt("fuel_per_agent_m_s", "mean") == "Δv per spacecraft, mean, m/s"
-    assert _spelt("min_separation_m") == "min separation, m"
-    assert _spelt("slack_used") == "slack used"
+    assert _label("bytes_per_vehicle_s") == "sent by each vehicle, bytes/s"
+    assert _label("fuel_per_agent_m_s", "mean") == "Δv per spacecraft, mean, m/s"
+    assert _label("min_separation_m") == "min separation, m"
+    assert _label("slack_used") == "slack used"
 
 
 def test_an_override_reaches_the_run(home):
@@ -367,7 +369,7 @@ def test_an_override_reaches_the_run(home):
 
 
 def test_a_target_not_reached_exits_with_1(home, monkeypatch):
-    real = SYSTEM.fly
+    real = SYSTEM.simulate
 
     def drifting(*given: object) -> object:
         for frame in real(*given):
@@ -381,7 +383,7 @@ def test_a_target_not_reached_exits_with_1(home, monkeypatch):
 
 
 def test_an_interrupted_flight_leaves_what_was_flown(home, monkeypatch):
-    real = SYSTEM.fly
+    real = SYSTEM.simulate
 
     def stopped(*given: object) -> object:
         for k, frame in enumerate(real(*given)):
@@ -415,7 +417,7 @@ def test_an_interruption_before_the_first_instant_leaves_nothing(home, monkeypat
 def test_a_programme_without_an_answer_is_an_outcome_and_not_a_crash(home, monkeypatch):
     from problems.conic import Infeasible
 
-    real = SYSTEM.fly
+    real = SYSTEM.simulate
 
     def lost(*given: object) -> object:
         for k, frame in enumerate(real(*given)):
@@ -430,7 +432,7 @@ def test_a_programme_without_an_answer_is_an_outcome_and_not_a_crash(home, monke
 
 
 def test_a_fault_of_the_program_is_a_sentence_too(home, monkeypatch):
-    def faulty(*_: object) -> Frame:
+    def faulty(*_: object) -> ReconfigurationFrame:
         raise KeyError("oops")
 
     flies(monkeypatch, faulty)
@@ -482,11 +484,11 @@ def test_the_version_is_that_of_the_package():
 
 
 def test_numbers_that_differ_do_not_read_the_same():
-    from sato.terminal import _short
+    from sato.console import _format_value
 
-    assert _short(0.5000005, 0.5) == "0.5000005"
-    assert _short(0.4999999995, 0.5) != _short(0.5)
-    assert _short(1.2345678, 0.5) == "1.235" and _short(0.5, 0.5) == "0.5"
+    assert _format_value(0.5000005, 0.5) == "0.5000005"
+    assert _format_value(0.4999999995, 0.5) != _format_value(0.5)
+    assert _format_value(1.2345678, 0.5) == "1.235" and _format_value(0.5, 0.5) == "0.5"
 
 
 def test_a_run_that_is_there_is_said_to_be_overwritten(home):
@@ -519,4 +521,4 @@ def test_a_signal_waits_for_the_next_instant_and_keeps_what_was_flown(home, inte
     run = sato.run("tiny.toml", progress=interrupt)
     assert run.summary["stopped"] == "interrupted" and len(run.data["time"]) == 4
     [promise] = [p for p in run.check().broken if p.name == "complete"]
-    assert "not completed (interrupted)" in promise.sentence
+    assert "not completed (interrupted)" in promise.message

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from dynamics import ClohessyWiltshire, hold
+from dynamics import ClohessyWiltshire, discretize_zoh
 from dynamics.orbit import Orbit
 
 n = np.sqrt(3.986004418e14 / 6878e3**3)  # circular orbit of 6878 km
@@ -13,12 +13,14 @@ period = 2 * np.pi / n
 
 
 def coast(x, duration, count):
-    return hold(model, duration / count, count).roll(x, np.zeros((*x.shape[:-1], count, 3)))
+    return discretize_zoh(model, duration / count, count).simulate(
+        x, np.zeros((*x.shape[:-1], count, 3))
+    )
 
 
 def test_a_bounded_orbit_closes_after_a_period(rng):
     position = rng.uniform(-1500, 1500, (20, 3))
-    start = np.hstack([position, model.bounded(position)])
+    start = np.hstack([position, model.bounded_velocity(position)])
     start[:, [3, 5]] = rng.uniform(-2, 2, (20, 2))  # radial and normal speeds do not open it
     path = coast(start, period, 90)
     np.testing.assert_allclose(path[:, -1], start, atol=1e-8)
@@ -27,8 +29,8 @@ def test_a_bounded_orbit_closes_after_a_period(rng):
 
 def test_bounded_is_for_one_position_or_many(rng):
     position = rng.uniform(-1500, 1500, (4, 5, 3))
-    velocity = model.bounded(position)
-    np.testing.assert_array_equal(velocity[2, 3], model.bounded(position[2, 3]))
+    velocity = model.bounded_velocity(position)
+    np.testing.assert_array_equal(velocity[2, 3], model.bounded_velocity(position[2, 3]))
     assert not velocity[..., [0, 2]].any()
 
 
@@ -101,15 +103,15 @@ def test_the_closed_forms_are_the_printed_ones():
         [-2 * (1 - c) / n, 4 * s / n - 3 * t, 0],
         [0, 0, s / n],
     ]
-    np.testing.assert_allclose(model.transition(t), Phi, rtol=1e-13, atol=0)
-    np.testing.assert_allclose(model.held(t), Gamma, rtol=1e-13, atol=0)
+    np.testing.assert_allclose(model.transition_matrix(t), Phi, rtol=1e-13, atol=0)
+    np.testing.assert_allclose(model.zoh_input_matrix(t), Gamma, rtol=1e-13, atol=0)
 
 
 def test_about_an_orbit_it_turns_as_the_orbit_does():
-    orbit = Orbit.of_elements(6878e3, inclination=0.8, anomaly=1.0)
-    assert ClohessyWiltshire.about(orbit).n == pytest.approx(n, rel=1e-13)
-    eccentric = Orbit.of_elements(8600e3, 0.2, anomaly=2.0)
-    assert eccentric.period * ClohessyWiltshire.about(eccentric).n == pytest.approx(2 * np.pi)
+    orbit = Orbit.from_elements(6878e3, inclination=0.8, true_anomaly=1.0)
+    assert ClohessyWiltshire.from_orbit(orbit).n == pytest.approx(n, rel=1e-13)
+    eccentric = Orbit.from_elements(8600e3, 0.2, true_anomaly=2.0)
+    assert eccentric.period * ClohessyWiltshire.from_orbit(eccentric).n == pytest.approx(2 * np.pi)
 
 
 @pytest.mark.parametrize("bad", [0.0, -1e-3, np.nan, np.inf])

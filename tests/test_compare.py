@@ -17,20 +17,20 @@ from compare_cast import Honest, cast
 from scipy.sparse import csc_array
 from typer.testing import CliRunner
 
-import sato.plots.compare
-from problems.conic import Conic
+import sato.compare.figures
+from problems.conic import ConicProgram
 from problems.families import Family, Instance
-from problems.solvers import Adapter, adapters
+from problems.solvers import SolverAdapter, load_adapters
 from sato.cli import app
-from sato.compare.files import COLUMNS, write
-from sato.compare.machine import machine
-from sato.compare.measure import Measurement, measure
-from sato.compare.plan import Plan, followers, plan
-from sato.compare.summary import broken, lines, told_at
-from sato.compare.worker import Gone, Outcome, Question, Worker
-from sato.plots.compare import slowness
+from sato.compare.figures import performance_ratios
+from sato.compare.files import COLUMNS, write_comparison
+from sato.compare.machine import describe_machine
+from sato.compare.measure import Measurement, measure_solvers
+from sato.compare.plan import ComparisonPlan, make_plan, next_with_same_matrix
+from sato.compare.summary import find_violations, reference_tolerance, summarize
+from sato.compare.worker import SolveOutcome, SolveRequest, Worker, WorkerError
 
-KNOWN = adapters()
+KNOWN = load_adapters()
 TABULATE = str(Path(__file__).parents[1] / "scripts" / "tabulate_comparison.py")
 
 
@@ -42,7 +42,7 @@ def questions(size="small", feasible=True, seed=0, poisoned=None):
     for i in range(3):
         low = rng.normal(size=4)
         low[0] = -10 if i == poisoned else low[0]
-        problem = Conic(q, A, -low, 0, 4)
+        problem = ConicProgram(q, A, -low, 0, 4)
         reference = float(q @ low) if feasible else float("nan")
         found.append(Instance(f"{size}/{i}", problem, feasible, reference, 0.0, low, q))
     return Family("box", size, seed, "drawn here", ("nobody",), tuple(found))
@@ -51,14 +51,14 @@ def questions(size="small", feasible=True, seed=0, poisoned=None):
 def ask(*names, families=None, repeats=2, tolerances=(1e-4, 1e-6), patience=10.0):
     """What is measured of some of the cast."""
     some = tuple(cast()[name] for name in names)
-    what = Plan(tuple(families or [questions()]), some, tolerances, repeats)
-    return measure(what, np.random.default_rng(0), patience, find=cast)
+    what = ComparisonPlan(tuple(families or [questions()]), some, tolerances, repeats)
+    return measure_solvers(what, np.random.default_rng(0), patience, solvers=cast)
 
 
 def measured(solver="a", seconds=1.0, verdict="solved", instance=0, tolerance=1e-6, **numbers):
     """A measurement, made up."""
     exact = dict.fromkeys(("cost_error", "primal_residual", "dual_residual", "gap"), 0.0)
-    outcome = Outcome(verdict, "words", seconds, 5, **exact | numbers)
+    outcome = SolveOutcome(verdict, "words", seconds, 5, **exact | numbers)
     family = questions()
     return Measurement(
         solver, "box", "small", family.instances[instance], tolerance, outcome, None, 1.0
@@ -70,10 +70,10 @@ def test_who_is_right_is_solved_at_first_and_again(capfd):
     assert capfd.readouterr() == ("", "")  # what a library prints stays in its process
     assert len(found) == 2 * 3
     for m in found:
-        assert m.right and m.first.verdict == m.again.verdict == "solved"
-        assert m.first.cost_error < 1e-14 and m.again.cost_error < 1e-14
+        assert m.is_correct and m.first.verdict == m.second.verdict == "solved"
+        assert m.first.cost_error < 1e-14 and m.second.cost_error < 1e-14
         assert m.first.iterations == 7
-        assert m.first.seconds > 0 and m.again.seconds > 0
+        assert m.first.seconds > 0 and m.second.seconds > 0
 
 
 def test_nobody_is_taken_at_their_word_and_others_go_on():
@@ -89,7 +89,7 @@ def test_nobody_is_taken_at_their_word_and_others_go_on():
     for m in found:
         verdict, words = expected[m.solver]
         assert m.first.verdict == verdict
-        assert words in m.first.why
+        assert words in m.first.reason
 
 
 def test_nothing_is_left_of_those_who_crash(tmp_path, monkeypatch):
@@ -102,14 +102,14 @@ def test_nothing_is_left_of_those_who_crash(tmp_path, monkeypatch):
 def test_an_answer_to_another_right_hand_side_is_judged_too():
     for m in ask("forgetful"):
         assert m.first.verdict == "solved"
-        assert m.again.verdict == "wrong claim"
-        assert not m.right
+        assert m.second.verdict == "wrong claim"
+        assert not m.is_correct
 
 
 def test_a_point_that_is_accepted_where_there_is_none_breaks_a_promise():
     for m in ask("honest", families=[questions(feasible=False)]):
-        assert m.first.verdict == "solved" and not m.right
-        assert "known to be infeasible" in broken([m])[0]
+        assert m.first.verdict == "solved" and not m.is_correct
+        assert "known to be infeasible" in find_violations([m])[0]
 
 
 def test_who_is_right_that_there_is_no_point_and_cannot_show_it_tells_no_lie():
@@ -124,30 +124,30 @@ def test_who_never_answers_is_ended_and_asked_for_nothing_larger_or_tighter(monk
     monkeypatch.setattr("sato.compare.measure.HANGS", 1.0)
     found = ask("sleeper", families=[questions(), questions("medium")], patience=0.7)
     assert {m.first.verdict for m in found} == {"skipped"}
-    assert {m.first.why for m in found} == {"it took more than 0.7 s at small, 1e-4"}
+    assert {m.first.reason for m in found} == {"it took more than 0.7 s at small, 1e-4"}
 
 
 def test_who_does_not_answer_within_ten_times_the_patience_has_crashed_there():
     one, two, three = ask(
         "dozer", families=[questions(poisoned=2)], repeats=1, tolerances=(1e-4,), patience=0.5
     )
-    assert one.first.verdict == two.first.verdict == two.again.verdict == "solved"
-    assert three.first.verdict == "skipped" and three.again.verdict == "crashed"
-    assert three.again.why == "no answer within 5 s" and three.again.seconds == 5
+    assert one.first.verdict == two.first.verdict == two.second.verdict == "solved"
+    assert three.first.verdict == "skipped" and three.second.verdict == "crashed"
+    assert three.second.reason == "no answer within 5 s" and three.second.seconds == 5
 
 
 def test_a_process_that_ends_after_its_answer_is_an_outcome_like_others():
     family = questions()
-    question = Question(family.instances[0], family.instances[1], 1e-6)
+    question = SolveRequest(family.instances[0], family.instances[1], 1e-6)
     worker = Worker(cast, "honest", question, 60.0)
     try:
-        assert not worker.ask(question, 60.0).crashed
+        assert not worker.solve(question, 60.0).crashed
         [process] = multiprocessing.active_children()
         process.kill()
         process.join()
-        with pytest.raises(Gone, match="Killed"):
-            worker.ask(question, 60.0)
-        assert not worker.ask(question, 60.0).crashed  # in a new one
+        with pytest.raises(WorkerError, match="Killed"):
+            worker.solve(question, 60.0)
+        assert not worker.solve(question, 60.0).crashed  # in a new one
     finally:
         worker.close()
 
@@ -155,8 +155,8 @@ def test_a_process_that_ends_after_its_answer_is_an_outcome_like_others():
 def crashes(poisoned):
     """How each solve of three instances ended, at first and again; one of them is deadly."""
     found = ask("faint", families=[questions(poisoned=poisoned)], repeats=1, tolerances=(1e-4,))
-    assert not any(m.right for m in found if "crashed" in {o.verdict for o in m.outcomes})
-    return [(m.first.verdict, m.again.verdict) for m in found]
+    assert not any(m.is_correct for m in found if "crashed" in {o.verdict for o in m.outcomes})
+    return [(m.first.verdict, m.second.verdict) for m in found]
 
 
 def test_a_crash_belongs_to_the_solve_in_which_it_happened():
@@ -175,22 +175,22 @@ def test_whatever_is_measured_both_ways_of_solving_were_tried_before_in_that_pro
 
 
 def test_what_a_solver_can_take_is_no_part_of_its_time():
-    assert all(m.right for m in ask("fussy", repeats=1, tolerances=(1e-4,)))
+    assert all(m.is_correct for m in ask("fussy", repeats=1, tolerances=(1e-4,)))
 
 
 def test_memory_is_what_one_instance_takes_more():
     found = ask("glutton", "honest", tolerances=(1e-6,), repeats=1)
     glutton, honest = (next(m for m in found if m.solver == n) for n in ("glutton", "honest"))
-    assert 60 < glutton.memory < 110  # the second solve takes as much again
-    assert honest.memory < 20
+    assert 60 < glutton.memory_growth < 110  # the second solve takes as much again
+    assert honest.memory_growth < 20
 
 
 def test_everybody_is_asked_as_often_as_was_planned():
     told = []
-    what = Plan((questions(),), (cast()["honest"], cast()["liar"]), (1e-4, 1e-6), 3)
-    measure(what, np.random.default_rng(0), 10.0, lambda *of: told.append(of), find=cast)
-    assert told == [(k, what.asks) for k in range(2, what.asks + 1, 2)]
-    assert what.asks == 2 * 2 * 3 * 3
+    what = ComparisonPlan((questions(),), (cast()["honest"], cast()["liar"]), (1e-4, 1e-6), 3)
+    measure_solvers(what, np.random.default_rng(0), 10.0, lambda *of: told.append(of), solvers=cast)
+    assert told == [(k, what.solve_count) for k in range(2, what.solve_count + 1, 2)]
+    assert what.solve_count == 2 * 2 * 3 * 3
 
 
 def test_only_who_differs_in_b_alone_follows():
@@ -198,8 +198,8 @@ def test_only_who_differs_in_b_alone_follows():
     one, two, three = family.instances
     other = replace(three.problem, A=three.problem.A.copy())
     mixed = replace(family, instances=(one, two, replace(three, problem=other)))
-    assert followers(family) == (two, three, one)
-    assert followers(mixed) == (two, one, None)
+    assert next_with_same_matrix(family) == (two, three, one)
+    assert next_with_same_matrix(mixed) == (two, one, None)
 
 
 def test_a_profile_counts_from_the_fastest_who_is_right():
@@ -212,7 +212,7 @@ def test_a_profile_counts_from_the_fastest_who_is_right():
         measured("a", 0.1, "failed", instance=2),
         measured("b", 0.1, "failed", instance=2),
     ]
-    assert slowness(some) == {"a": [1.0, np.inf, np.inf], "b": [3.0, 1.0, np.inf]}
+    assert performance_ratios(some) == {"a": [1.0, np.inf, np.inf], "b": [3.0, 1.0, np.inf]}
 
 
 def test_a_line_says_how_often_a_solver_was_right_at_each_tolerance():
@@ -223,10 +223,10 @@ def test_a_line_says_how_often_a_solver_was_right_at_each_tolerance():
         measured("a", 9.0, "wrong claim", tolerance=1e-6, instance=2),
         measured("a", 9.0, "skipped", tolerance=1e-8),
     ]
-    [line] = lines(some, told_at({1e-4, 1e-6, 1e-8}))
-    assert line.right == ("1/1", "2/3", "0/1")
+    [line] = summarize(some, reference_tolerance({1e-4, 1e-6, 1e-8}))
+    assert line.correct == ("1/1", "2/3", "0/1")
     assert (line.wrong_claims, line.skipped, line.failed) == (1, 1, 0)
-    assert line.first == (4.0,) and line.again == (None,)
+    assert line.first == (4.0,) and line.second == (None,)
 
 
 @pytest.mark.parametrize(
@@ -243,13 +243,13 @@ def test_a_line_says_how_often_a_solver_was_right_at_each_tolerance():
     ],
 )
 def test_a_promise_is_of_the_default_solver_or_of_every_accepted_answer(some, promises):
-    assert len(broken([some])) == promises
+    assert len(find_violations([some])) == promises
 
 
 def test_a_whole_comparison_is_written_or_nothing(tmp_path, monkeypatch):
     found = ask("honest", "liar")
-    on = machine([cast()["honest"]])
-    files = write(found, on, tmp_path / "new")
+    on = describe_machine([cast()["honest"]])
+    files = write_comparison(found, on, tmp_path / "new")
     assert sorted(file.name for file in files) == sorted(os.listdir(tmp_path / "new"))
     with open(tmp_path / "new" / "measurements.csv", newline="") as file:
         rows = list(csv.DictReader(file))
@@ -263,16 +263,16 @@ def test_a_whole_comparison_is_written_or_nothing(tmp_path, monkeypatch):
     def fails(measurements, folder):
         raise OSError("no space left")
 
-    monkeypatch.setattr(sato.plots.compare, "draw", fails)
+    monkeypatch.setattr(sato.compare.figures, "draw", fails)
     with pytest.raises(OSError, match="no space left"):
-        write(found, on, tmp_path / "half")
+        write_comparison(found, on, tmp_path / "half")
     assert os.listdir(tmp_path / "half") == []
 
 
 def test_a_machine_is_described_without_whose_it_is():
-    said = json.dumps(machine(KNOWN.values()))
+    said = json.dumps(describe_machine(KNOWN.values()))
     assert "clarabel" in said and platform.python_version() in said
-    assert platform.node() not in said
+    assert platform.raan() not in said
     assert os.sep + "home" not in said and os.getcwd() not in said
 
 
@@ -301,16 +301,16 @@ REFUSED = {
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_cannot_be_compared_is_refused(case):
     words, sentence = REFUSED[case]
-    absent = Adapter("absent", frozenset({"linear"}), False, "absent_", "absent", Honest)
+    absent = SolverAdapter("absent", frozenset({"linear"}), False, "absent_", "absent", Honest)
     with pytest.raises(ValueError, match=sentence):
-        plan(KNOWN | {"absent": absent}, **words)
+        make_plan(KNOWN | {"absent": absent}, **words)
 
 
 def test_who_is_missing_is_told_where_everybody_was_asked():
-    absent = Adapter("absent", frozenset({"linear"}), False, "absent_", "absent", Honest)
-    what = plan({"clarabel": KNOWN["clarabel"], "absent": absent}, sizes=["small"])
+    absent = SolverAdapter("absent", frozenset({"linear"}), False, "absent_", "absent", Honest)
+    what = make_plan({"clarabel": KNOWN["clarabel"], "absent": absent}, sizes=["small"])
     assert [solver.name for solver in what.solvers] == ["clarabel"]
-    assert what.left_out == ("absent is not installed; pip install absent would do",)
+    assert what.excluded == ("absent is not installed; pip install absent would do",)
     assert what.tolerances == (1e-4, 1e-6, 1e-8)
 
 
@@ -375,7 +375,7 @@ def test_the_tables_of_a_comparison_know_every_family_and_kind_of_trouble(tmp_pa
         measured("a", verdict="unproven", instance=1),
         measured("a", verdict="unproven", instance=2),
     ]
-    write(some, {}, tmp_path)
+    write_comparison(some, {}, tmp_path)
     result = tabulated(tmp_path)
     assert result.exit_code == 0, result.stderr
     heads, _, cells = result.stdout.splitlines()[:3]

@@ -7,11 +7,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from sato.connectivity import fly
-from sato.connectivity.check import Evidence, examine
-from sato.connectivity.distance import to_each_other
-from sato.connectivity.log import MEANING
-from sato.connectivity.system import SYSTEM, passage
+from sato.connectivity import simulate
+from sato.connectivity.check import ConnectivityRecord, check_run
+from sato.connectivity.distance import min_separation
+from sato.connectivity.record import VARIABLES
+from sato.connectivity.system import SYSTEM, describe_progress
 from sato.record import Run
 from sato.scenario import read
 
@@ -23,16 +23,16 @@ def flown(*settings, seed=1, **changed):
     """A run of three seconds, and its mission."""
     rng = np.random.default_rng(seed)
     mission = replace(read("connectivity", ["duration_s=3", *settings]).build(rng), **changed)
-    return run_of(mission, fly(mission, rng)), mission
+    return run_of(mission, simulate(mission, rng)), mission
 
 
 def run_of(mission, frames, **said):
     about = {"name": "by hand", "seed": 3, "version": "0", "wall_s": 1.0, "peak_memory_mib": 1.0}
-    return Run.of(SYSTEM, frames, mission, "", **(about | said))
+    return Run.from_frames(SYSTEM, frames, mission, "", **(about | said))
 
 
 def broken(run, mission):
-    return {p.name for p in examine(run.data, mission).broken}
+    return {p.name for p in check_run(run.data, mission).broken}
 
 
 def altered(run, name, change):
@@ -76,7 +76,7 @@ def honest():
 )
 def test_an_honest_run_keeps_what_it_promises_whatever_flies(settings):
     run, mission = flown(*settings)
-    report = examine(run.data, mission)
+    report = check_run(run.data, mission)
     assert report.kept, report.broken
     assert report.summary["success"] is True
 
@@ -122,9 +122,9 @@ def test_a_robot_at_an_obstacle_or_at_another_is_found(honest):
     assert {"obstacles", "flight"} <= broken(at_obstacle, mission)
     at_another = altered(run, "position", lambda p: np.vstack([p[1] + [0.9, 0, 0], p[1:]]))
     assert {"separation", "flight"} <= broken(at_another, mission)
-    said = examine(at_another.data, mission).summary
+    said = check_run(at_another.data, mission).summary
     assert said["min_separation_m"] <= 0.9
-    assert examine(at_obstacle.data, mission).summary["min_obstacle_distance_m"] < 0
+    assert check_run(at_obstacle.data, mission).summary["min_obstacle_distance_m"] < 0
 
 
 def test_losses_and_waypoints_that_are_not_told_or_made_up_are_found():
@@ -135,26 +135,26 @@ def test_losses_and_waypoints_that_are_not_told_or_made_up_are_found():
     assert {"stick"} <= broken(retold(run, [e for e in told if e["kind"] == "loss"]), mission)
     more = [*told, {"time": 2.9, "kind": "waypoint", "agents": [0], "number": 2}]
     assert {"stick"} <= broken(retold(run, more), mission)
-    assert {"losses"} <= broken(run, replace(mission, deaths=()))
+    assert {"losses"} <= broken(run, replace(mission, losses=()))
 
 
 def test_who_is_blind_to_the_field_of_view_breaks_the_promise_and_has_no_success():
     run, mission = flown("camera.blind=true", "estimator.kind=exact")
-    report = examine(run.data, mission)
+    report = check_run(run.data, mission)
     assert {p.name for p in report.broken} == {"connectivity"}
     assert report.summary["success"] is False and report.summary["lambda2_min"] <= 0.01
     (lost,) = report.broken
     since = float(run.data["time"][np.argmax(run.data["lambda2"].values <= 0.01)])
-    assert f"from {since:g} s on" in lost.sentence
+    assert f"from {since:g} s on" in lost.message
     assert run.events("split")[0]["time"] >= since
 
 
 def test_a_flight_that_was_cut_short_is_no_success(honest):
     _, mission = honest
-    frames = list(fly(mission, np.random.default_rng(1)))[:40]
+    frames = list(simulate(mission, np.random.default_rng(1)))[:40]
     run = run_of(mission, frames, stopped="interrupted")
     assert broken(run, mission) == {"complete"}
-    assert examine(run.data, mission).summary["success"] is False
+    assert check_run(run.data, mission).summary["success"] is False
     unsaid = run_of(mission, frames)
     assert broken(unsaid, mission) == {"complete"}
 
@@ -169,7 +169,7 @@ def test_another_mission_than_the_scenarios_is_found(honest):
 
 def test_the_summary_says_what_the_data_say(honest):
     run, mission = honest
-    said, data = examine(run.data, mission).summary, run.data
+    said, data = check_run(run.data, mission).summary, run.data
     assert said["lambda2_min"] == data["lambda2"].values.min()
     off = data["lambda2_estimate"].values - data["lambda2"].values[:, None]
     assert said["lambda2_error_mean"] == pytest.approx(np.nanmean(np.abs(off)))
@@ -190,28 +190,28 @@ def test_the_summary_says_what_the_data_say(honest):
 def test_what_there_is_not_is_not_said():
     held = 'stick={kind="recorded", times_s=[0], velocities_m_s=[[0, 0, 0]]}'
     run, mission = flown("agents=2", "obstacles.count=0", held)
-    said = examine(run.data, mission).summary
+    said = check_run(run.data, mission).summary
     assert "min_obstacle_distance_m" not in said and said["waypoints"] == 0
 
 
 def test_two_that_pass_between_instants_come_near(rng):
     position = np.array([[[0, 0, 0], [1, 0.1, 0]], [[1, 0, 0], [0, 0.1, 0]]], dtype=float)
-    assert to_each_other(position, np.ones((2, 2), dtype=bool)) == pytest.approx(0.1)
-    assert to_each_other(position, np.array([[True, True], [True, False]])) > 1
-    assert to_each_other(position, np.array([[True, False], [True, False]])) == np.inf
+    assert min_separation(position, np.ones((2, 2), dtype=bool)) == pytest.approx(0.1)
+    assert min_separation(position, np.array([[True, True], [True, False]])) > 1
+    assert min_separation(position, np.array([[True, False], [True, False]])) == np.inf
     walk, s = rng.standard_normal((9, 4, 3)), np.linspace(0, 1, 400)[:, None, None]
     fine = np.concatenate([a + s * (b - a) for a, b in pairwise(walk)])
     away = np.linalg.norm(fine[:, :, None] - fine[:, None], axis=3) + 9 * np.eye(4)
-    assert to_each_other(walk, np.ones((9, 4), dtype=bool)) == pytest.approx(away.min(), abs=0.02)
+    assert min_separation(walk, np.ones((9, 4), dtype=bool)) == pytest.approx(away.min(), abs=0.02)
 
 
 def test_a_run_file_says_the_world_velocity_and_explains_itself(honest):
     run, mission = honest
-    assert set(MEANING) <= set(run.data.variables)
+    assert set(VARIABLES) <= set(run.data.variables)
     p, v = run.data["position"].values, run.data["velocity"].values
     assert np.diff(p, axis=0) / mission.step == pytest.approx(v[1:], abs=0.1)
-    evidence = Evidence.of(run.data, mission)
-    error = np.abs(evidence.yaw_error[0][evidence.sees[0]])
+    evidence = ConnectivityRecord.from_dataset(run.data, mission)
+    error = np.abs(evidence.yaw_estimate_error[0][evidence.visibility[0]])
     assert error.max() <= 0.5 and error.max() > 0.05  # as drawn, but for the first correction
-    frame = next(fly(mission, np.random.default_rng(0)))
-    assert passage(mission, frame)[:3] == ("the swarm is together", 0, 150)
+    frame = next(simulate(mission, np.random.default_rng(0)))
+    assert describe_progress(mission, frame)[:3] == ("the swarm is together", 0, 150)

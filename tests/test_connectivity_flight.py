@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dynamics.kinematic import Kinematic
-from problems.graph import Sight, connectivity, graph
-from sato.connectivity import ConnectivityFlight, Death, fly
-from sato.connectivity.mail import Link
-from sato.connectivity.mission import components
+from dynamics.kinematic import KinematicVehicle
+from problems.interaction_graph import Camera, algebraic_connectivity, interaction_graph
+from sato.connectivity import AgentLoss, Connectivity, simulate
+from sato.connectivity.messages import CommunicationLink
+from sato.connectivity.mission import component_members
 from sato.connectivity.potential import Potential
-from sato.connectivity.power import fitted, spectral_radius
-from sato.connectivity.stick import Homing
+from sato.connectivity.power_iteration import default_gains, spectral_radius
+from sato.connectivity.stick import WaypointStick
 
 
 def start(rng, agents=6):
@@ -21,7 +21,11 @@ def start(rng, agents=6):
         position = rng.uniform(0, 1, (agents, 3)) * [8, 8, 3] + [0, 0, 3]
         yaw = rng.uniform(-np.pi, np.pi, agents)
         apart = np.linalg.norm(position[:, None] - position, axis=2) + 9 * np.eye(agents)
-        if apart.min() > 1.8 and connectivity(graph(position, yaw, Sight()).weight).lambda2 > 0.05:
+        if (
+            apart.min() > 1.8
+            and algebraic_connectivity(interaction_graph(position, yaw, Camera()).weights).lambda2
+            > 0.05
+        ):
             return position, yaw
 
 
@@ -30,12 +34,12 @@ def flight(seed, **kw):
     position, yaw = start(rng)
     ahead = np.array([np.cos(yaw[0]), np.sin(yaw[0]), 0])
     believed = yaw - yaw[:, None] + rng.uniform(-0.5, 0.5, (6, 6))
-    stick = Homing(position[0] + np.outer([5, 10], ahead))
-    return ConnectivityFlight(position, yaw, believed, stick, **({"duration": 15.0} | kw))
+    stick = WaypointStick(position[0] + np.outer([5, 10], ahead))
+    return Connectivity(position, yaw, believed, stick, **({"duration": 15.0} | kw))
 
 
 def flown(mission, seed=0):
-    return list(fly(mission, np.random.default_rng(seed)))
+    return list(simulate(mission, np.random.default_rng(seed)))
 
 
 @pytest.mark.parametrize("estimator", ["flood", "exact"])
@@ -43,7 +47,7 @@ def flown(mission, seed=0):
 def test_the_swarm_hangs_together_keeps_its_distance_and_follows(seed, estimator):
     frames = flown(flight(seed, estimator=estimator))
     assert min(f.lambda2 for f in frames) > 0.01
-    assert frames[-1].robot_distance >= 1.0
+    assert frames[-1].min_separation >= 1.0
     assert all((f.component == 0).all() for f in frames)
     waypoints = [e for f in frames for e in f.events if e["kind"] == "waypoint"]
     assert waypoints  # the leader gets somewhere
@@ -58,30 +62,37 @@ def test_what_flood_says_of_lambda2_is_nearly_true():
 def test_without_the_action_the_leader_is_lost():
     idle = flight(2, potential=Potential(strength=0.0))
     frames = flown(
-        replace(idle, stick=Homing(idle.stick.waypoints + np.array([[40, 0, 0], [80, 0, 0]])))
+        replace(
+            idle, stick=WaypointStick(idle.stick.waypoints + np.array([[40, 0, 0], [80, 0, 0]]))
+        )
     )
     assert min(f.lambda2 for f in frames) == 0
     assert [e["kind"] for f in frames for e in f.events if e["kind"] == "split"] == ["split"]
 
 
 def test_who_dies_is_neither_seen_nor_followed():
-    mission = flight(0, deaths=(Death(3, 2.0),))
+    mission = flight(0, deaths=(AgentLoss(3, 2.0),))
     frames = flown(mission)
     dead = [f for f in frames if f.time >= 2.0]
-    assert not any(f.alive[3] or f.sees[:, 3].any() or f.edge_weight[3].any() for f in dead)
+    assert not any(f.alive[3] or f.visibility[:, 3].any() or f.edge_weight[3].any() for f in dead)
     assert all(np.array_equal(f.position[3], dead[0].position[3]) for f in dead)
     alone = [e for f in frames for e in f.events if e["kind"] == "loss"]
     assert [e["agents"] for e in alone] == [[3]]
 
 
 def test_lag_noise_and_losses_are_borne():
-    rough = flight(1, plant=Kinematic(lag=0.3), noise=0.05, link=Link(loss=0.1))
+    rough = flight(
+        1,
+        plant=KinematicVehicle(time_constant=0.3),
+        noise=0.05,
+        link=CommunicationLink(loss_probability=0.1),
+    )
     frames = flown(rough)
     assert min(f.lambda2 for f in frames) > 0.01
 
 
 def test_a_leader_that_is_dead_is_not_steered():
-    frames = flown(flight(0, deaths=(Death(0, 2.0),)))
+    frames = flown(flight(0, deaths=(AgentLoss(0, 2.0),)))
     dead = [f for f in frames if f.time >= 2.0]
     assert any(f.stick.any() for f in frames if f.time < 2.0)
     assert not any(f.stick.any() or f.command[0].any() or f.velocity[0].any() for f in dead)
@@ -91,7 +102,7 @@ def test_a_leader_that_is_dead_is_not_steered():
 def test_a_mission_whose_limits_are_not_in_order_is_refused():
     mission = flight(0)
     with pytest.raises(ValueError, match=r"potential.least < potential.most must hold, got 4 and"):
-        replace(mission, potential=Potential(least=4.0))
+        replace(mission, potential=Potential(lambda2_min=4.0))
     with pytest.raises(ValueError, match=r"0 < step must hold, got 0 and -1"):
         replace(mission, step=-1.0)
 
@@ -102,12 +113,14 @@ def test_a_start_that_does_not_hang_together_is_refused():
     apart[4:] += [100, 0, 0]
     with pytest.raises(ValueError, match="does not hang together"):
         replace(mission, start=apart)
-    weight = graph(apart, mission.yaw, Sight()).weight
-    assert len(components(weight)) > 1
+    weight = interaction_graph(apart, mission.start_yaw, Camera()).weights
+    assert len(component_members(weight)) > 1
 
 
 def test_the_gains_of_the_consensus_are_stable_and_gains_that_are_often_quoted_are_not():
     for exchange in (0.001, 0.002, 0.005):
-        assert spectral_radius(fitted(exchange, 6), 6) < 1
-    textbook = fitted(0.002, 6)._replace(follow=200.0, agree=50.0, settle=200.0)
+        assert spectral_radius(default_gains(exchange, 6), 6) < 1
+    textbook = default_gains(0.002, 6)._replace(
+        filter_gain=200.0, proportional_gain=50.0, integral_gain=200.0
+    )
     assert spectral_radius(textbook, 6) > 1

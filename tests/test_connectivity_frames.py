@@ -8,19 +8,21 @@ import pytest
 from hypothesis import Phase, assume, given, settings
 from hypothesis import strategies as st
 
-from problems.graph import Sight, connectivity, graph
-from sato.connectivity import ConnectivityFlight, fly
-from sato.connectivity.log import rotated
-from sato.connectivity.mail import Link
-from sato.connectivity.mind import decide, reckon
+from problems.interaction_graph import Camera, algebraic_connectivity, interaction_graph
+from sato.connectivity import Connectivity, simulate
+from sato.connectivity.controller import compute_command, estimate_edges
+from sato.connectivity.kernel import advance
+from sato.connectivity.messages import CommunicationLink
 from sato.connectivity.obstacles import Obstacles
-from sato.connectivity.state import resting
-from sato.connectivity.stick import Homing
-from sato.connectivity.swarm import advance
+from sato.connectivity.record import rotate_by_yaw
+from sato.connectivity.state import initial_state
+from sato.connectivity.stick import WaypointStick
 
 TURNS = st.floats(-np.pi, np.pi)
 FEW = settings(max_examples=6, phases=[Phase.generate])  # flights are long to be made simpler
-ROUND = Sight(a_min=-0.6, a_max=0.2, axis=(0.0, 0.0, 1.0))  # sees the same whichever way it turns
+ROUND = Camera(
+    a_min=-0.6, a_max=0.2, optical_axis=(0.0, 0.0, 1.0)
+)  # sees the same whichever way it turns
 
 
 def about(turn):
@@ -36,21 +38,21 @@ def mission(seed, camera, **settings):
         position = rng.uniform(0, 1, (6, 3)) * [8, 8, 3] + [0, 0, 3]
         yaw = rng.uniform(-np.pi, np.pi, 6)
         apart = np.linalg.norm(position[:, None] - position, axis=2) + 9 * np.eye(6)
-        weight = graph(position, yaw, camera).weight
-        if apart.min() > 1.8 and connectivity(weight).lambda2 > 0.05:
+        weight = interaction_graph(position, yaw, camera).weights
+        if apart.min() > 1.8 and algebraic_connectivity(weight).lambda2 > 0.05:
             break
     believed = yaw - yaw[:, None] + rng.uniform(-0.5, 0.5, (6, 6))
     ways = position[0] + np.array([[6.0, 0, 0], [6, 6, 0]])
     spheres = np.column_stack([ways + np.array([0, 2.5, 1]), [0.5, 0.5]])
-    obstacles = Obstacles.none()._replace(spheres=spheres)
-    return ConnectivityFlight(
-        position, yaw, believed, Homing(ways), camera=camera, obstacles=obstacles,
+    obstacles = Obstacles.empty()._replace(spheres=spheres)
+    return Connectivity(
+        position, yaw, believed, WaypointStick(ways), camera=camera, obstacles=obstacles,
         **({"duration": 3.0} | settings),
     )  # fmt: skip
 
 
 def flown(mission):
-    return list(fly(mission, np.random.default_rng(0)))
+    return list(simulate(mission, np.random.default_rng(0)))
 
 
 def smooth(frames):
@@ -61,22 +63,22 @@ def smooth(frames):
 @FEW
 @given(st.integers(0, 100), TURNS, st.sampled_from(["flood", "exact"]))
 def test_to_turn_the_whole_world_turns_the_paths_and_no_command(seed, turn, estimator):
-    here, shift = mission(seed, Sight(), estimator=estimator), np.array([3.0, -1, 2])
+    here, shift = mission(seed, Camera(), estimator=estimator), np.array([3.0, -1, 2])
     spheres = here.obstacles.spheres.copy()
     spheres[:, :3] = spheres[:, :3] @ about(turn).T + shift
     there = replace(
         here,
         start=here.start @ about(turn).T + shift,
-        yaw=here.yaw + turn,
-        stick=Homing(here.stick.waypoints @ about(turn).T + shift),
-        obstacles=Obstacles.none()._replace(spheres=spheres),
+        yaw=here.start_yaw + turn,
+        stick=WaypointStick(here.stick.waypoints @ about(turn).T + shift),
+        obstacles=Obstacles.empty()._replace(spheres=spheres),
     )
     frames = flown(here)
     assume(smooth(frames))
     for one, other in zip(frames, flown(there), strict=True):
         assert other.position == pytest.approx(one.position @ about(turn).T + shift, abs=1e-9)
         assert other.command == pytest.approx(one.command, abs=1e-9)
-        assert np.array_equal(other.sees, one.sees)
+        assert np.array_equal(other.visibility, one.visibility)
 
 
 @FEW
@@ -85,7 +87,7 @@ def test_to_turn_the_axes_of_one_robot_changes_nothing_in_the_world(seed, robot,
     # Its camera looks along the axis of the turn, so that the axes alone are turned: what it
     # senses, says and is said to be. Everybody else goes on as before.
     plain = mission(seed, ROUND, estimator=estimator)
-    yaw, believed = plain.yaw.copy(), plain.believed.copy()
+    yaw, believed = plain.start_yaw.copy(), plain.start_yaw_estimate.copy()
     yaw[robot] += turn
     believed[:, robot] += turn
     believed[robot, :] -= turn
@@ -95,7 +97,7 @@ def test_to_turn_the_axes_of_one_robot_changes_nothing_in_the_world(seed, robot,
     for one, another in zip(frames, flown(other), strict=True):
         assert another.position == pytest.approx(one.position, abs=1e-9)
         assert another.command[:, 3] == pytest.approx(one.command[:, 3], abs=1e-9)
-        seen = [rotated(f.command[:, :3], f.yaw) for f in (one, another)]
+        seen = [rotate_by_yaw(f.command[:, :3], f.yaw) for f in (one, another)]
         assert seen[1] == pytest.approx(seen[0], abs=1e-9)
         assert another.lambda2_estimate == pytest.approx(
             one.lambda2_estimate, abs=1e-9, nan_ok=True
@@ -105,39 +107,39 @@ def test_to_turn_the_axes_of_one_robot_changes_nothing_in_the_world(seed, robot,
 @FEW
 @given(st.integers(0, 100), TURNS)
 def test_to_turn_all_axes_under_the_cameras_changes_nothing_in_the_world(seed, turn):
-    plain = mission(seed, Sight())
-    x, y, z = about(-turn) @ plain.camera.axis
-    other = replace(plain, yaw=plain.yaw + turn, camera=Sight(axis=(x, y, z)))
+    plain = mission(seed, Camera())
+    x, y, z = about(-turn) @ plain.camera.optical_axis
+    other = replace(plain, yaw=plain.start_yaw + turn, camera=Camera(optical_axis=(x, y, z)))
     frames = flown(plain)
     assume(smooth(frames) and max(np.abs(f.command[:, 3]).max() for f in frames) > 0.05)
     for one, another in zip(frames, flown(other), strict=True):
         assert another.position == pytest.approx(one.position, abs=1e-9)
         assert another.command[:, 3] == pytest.approx(one.command[:, 3], abs=1e-9)
-        seen = [rotated(f.command[:, :3], f.yaw) for f in (one, another)]
+        seen = [rotate_by_yaw(f.command[:, :3], f.yaw) for f in (one, another)]
         assert seen[1] == pytest.approx(seen[0], abs=1e-9)
 
 
 def test_they_do_fly_in_those_tests():
     frames = flown(mission(0, ROUND))
     assert np.linalg.norm(frames[-1].position - frames[0].position, axis=1).min() > 0.05
-    one_sided = [f.sees & ~f.sees.T for f in frames]
+    one_sided = [f.visibility & ~f.visibility.T for f in frames]
     assert any(one.any() for one in one_sided)
 
 
 def test_what_decides_for_a_robot_is_not_given_the_world():
-    for decides in (reckon, decide):
+    for decides in (estimate_edges, compute_command):
         assert "world" not in inspect.signature(decides.py_func).parameters
         assert "position" not in inspect.signature(decides.py_func).parameters
 
 
 def in_flight(seed, link):
     """A state some steps on, with much in everybody's mail."""
-    whole, rng = mission(seed, Sight(), noise=0.02, link=link), np.random.default_rng(0)
-    state = resting(whole.start, whole.yaw, whole.believed, link.late, 2, rng)
+    whole, rng = mission(seed, Camera(), noise=0.02, link=link), np.random.default_rng(0)
+    state = initial_state(whole.start, whole.start_yaw, whole.start_yaw_estimate, link.late, 2, rng)
     for number in range(30):
         asked, alive = np.array([1.0, 0, 0]), np.ones(6, dtype=bool)
-        advance(state, whole.team, asked, alive, number, number > 0, rng)
-    return whole.team, state
+        advance(state, whole.parameters, asked, alive, number, number > 0, rng)
+    return whole.parameters, state
 
 
 def copied(part):
@@ -158,13 +160,15 @@ def spoil(part, robot):
 
 
 @pytest.mark.parametrize("robot", range(6))
-@pytest.mark.parametrize("link", [Link(), Link(late=2, loss=0.2)])
+@pytest.mark.parametrize(
+    "link", [CommunicationLink(), CommunicationLink(delay_messages=2, loss_probability=0.2)]
+)
 def test_a_robot_reads_its_own_senses_mail_and_mind_alone(robot, link):
     team, state = in_flight(3, link)
 
     def thought(senses, mail, mind):
-        reckon(robot, senses, mail, mind, team, 0.6)
-        decide(robot, senses, mind, team)
+        estimate_edges(robot, senses, mail, mind, team, 0.6)
+        compute_command(robot, senses, mind, team)
         return [field[robot] for field in mind if isinstance(field, np.ndarray)]
 
     own = [copied(part) for part in state[1:]]

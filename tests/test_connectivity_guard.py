@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from problems.graph import Sight, connectivity, graph
-from sato.connectivity import ConnectivityFlight, Death, fly
-from sato.connectivity.log import rotated
-from sato.connectivity.mail import Link
-from sato.connectivity.mind import MEMORY
+from problems.interaction_graph import Camera, algebraic_connectivity, interaction_graph
+from sato.connectivity import AgentLoss, Connectivity, simulate
+from sato.connectivity.controller import MAX_MESSAGE_AGE
+from sato.connectivity.kernel import MAX_ROW_AGE
+from sato.connectivity.messages import CommunicationLink
 from sato.connectivity.obstacles import Obstacles
-from sato.connectivity.potential import Potential, Repulsion, push
-from sato.connectivity.stick import Homing
-from sato.connectivity.swarm import FORGET
+from sato.connectivity.potential import Potential, Repulsion, repulsion_gain
+from sato.connectivity.record import rotate_by_yaw
+from sato.connectivity.stick import WaypointStick
 
 DEATH = 0.2  # [s]
 AHEAD = -np.pi / 4  # yaw with which the camera looks along x
@@ -22,19 +22,19 @@ def cut(dies, agents=4, **settings):
     """Frames of a row of robots; one of them dies, and who is beyond it is out of sight."""
     start = np.array([[7.5, 0, 0]]) * np.arange(agents)[:, None] + [0, 0, 5]
     yaw = np.full(agents, AHEAD)
-    mission = ConnectivityFlight(
-        start, yaw, np.zeros((agents, agents)), Homing(np.zeros((0, 3))), 4.0,
-        deaths=(Death(dies, DEATH),), obstacles=Obstacles.none()._replace(spheres=SPHERE[None]),
+    mission = Connectivity(
+        start, yaw, np.zeros((agents, agents)), WaypointStick(np.zeros((0, 3))), 4.0,
+        losses=(AgentLoss(dies, DEATH),), obstacles=Obstacles.empty()._replace(spheres=SPHERE[None]),
         **settings,
     )  # fmt: skip
-    return list(fly(mission, np.random.default_rng(0)))
+    return list(simulate(mission, np.random.default_rng(0)))
 
 
 def away(position):
     """What repulsion by the sphere asks for."""
     o = SPHERE[:3] - position
     o *= 1 - SPHERE[3] / np.linalg.norm(o)
-    return -push(np.linalg.norm(o), Repulsion()) * o
+    return -repulsion_gain(np.linalg.norm(o), Repulsion()) * o
 
 
 @pytest.mark.parametrize("estimator", ["flood", "exact", "power_pi"])
@@ -43,13 +43,13 @@ def test_who_is_alone_holds_and_keeps_away_from_what_is_near(estimator):
     frames = cut(dies=2, estimator=estimator)
     before = [f for f in frames if 0.1 < f.time < DEATH - 1e-9]
     assert all(np.linalg.norm(f.command[0, :3]) > 0.01 for f in before)
-    alone = [f for f in frames if f.time > DEATH + MEMORY + 0.01]
+    alone = [f for f in frames if f.time > DEATH + MAX_MESSAGE_AGE + 0.01]
     for f in alone:
-        asked = rotated(f.command[:, :3], f.yaw)[3]
+        asked = rotate_by_yaw(f.command[:, :3], f.yaw)[3]
         assert asked == pytest.approx(away(f.position[3]), abs=1e-12)
         assert f.command[3, 3] == 0
     assert np.linalg.norm(away(alone[0].position[3])) > 0.05
-    later = [f.lambda2_estimate[3] for f in frames if f.time > DEATH + FORGET]
+    later = [f.lambda2_estimate[3] for f in frames if f.time > DEATH + MAX_ROW_AGE]
     if estimator == "flood":
         assert np.isnan(later).all()
 
@@ -57,8 +57,10 @@ def test_who_is_alone_holds_and_keeps_away_from_what_is_near(estimator):
 def test_who_is_left_together_goes_by_the_graph_that_is_left():
     frames = cut(dies=2)
     for f in frames:
-        if f.time > DEATH + FORGET + 0.02:
-            pair = connectivity(graph(f.position[:2], f.yaw[:2], Sight()).weight).lambda2
+        if f.time > DEATH + MAX_ROW_AGE + 0.02:
+            pair = algebraic_connectivity(
+                interaction_graph(f.position[:2], f.yaw[:2], Camera()).weights
+            ).lambda2
             # The other's row is one message old.
             assert f.lambda2_estimate[:2] == pytest.approx(np.full(2, pair), abs=0.01)
             assert pair > 0.5
@@ -69,8 +71,8 @@ def test_an_estimate_that_cannot_be_is_not_believed():
     frames = cut(dies=2, estimator="power_pi")
     told = np.array([f.lambda2_estimate for f in frames])
     settled = np.array([f.time > DEATH + 0.3 for f in frames])
-    assert np.nanmax(told) <= 1.1 * Potential().most
-    assert np.ptp(told[settled, 3]) == 0 and told[settled, 3][0] < 1.1 * Potential().most
+    assert np.nanmax(told) <= 1.1 * Potential().lambda2_max
+    assert np.ptp(told[settled, 3]) == 0 and told[settled, 3][0] < 1.1 * Potential().lambda2_max
     # Who still has somebody finds what holds the two together, and goes on by it.
     assert np.ptp(told[settled, 0]) > 0.1
     assert told[-1, :2] == pytest.approx(np.full(2, frames[-1].edge_weight[0, 1] * 2), rel=0.01)
@@ -79,12 +81,12 @@ def test_an_estimate_that_cannot_be_is_not_believed():
 @pytest.mark.parametrize("estimator", ["flood", "exact", "power_pi"])
 @pytest.mark.parametrize("late", [0, 3])
 def test_nothing_is_left_of_the_dead_a_second_later(estimator, late):
-    frames = cut(dies=1, estimator=estimator, link=Link(late=late))
+    frames = cut(dies=1, estimator=estimator, link=CommunicationLink(delay_messages=late))
     alive = np.arange(4) != 1
-    assert frames[0].counts[alive, 1].any()
+    assert frames[0].known_agents[alive, 1].any()
     for f in frames:
-        if f.time > DEATH + FORGET + 0.02:
-            assert not f.counts[alive, 1].any() and not f.edge_weight[1].any()
+        if f.time > DEATH + MAX_ROW_AGE + 0.02:
+            assert not f.known_agents[alive, 1].any() and not f.edge_weight[1].any()
     still = frames[-1].position[1]
     dead = [f.position[1] for f in frames if f.time >= DEATH - 1e-9]
     assert np.array_equal(dead, np.tile(still, (len(dead), 1)))

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from test_connectivity_check import QUADROTOR, SHAKEN, broken, flown
 
-from problems.graph import connectivity, graph
-from sato.connectivity.check import Evidence
-from sato.connectivity.distance import past_obstacles, to_obstacles
+from problems.interaction_graph import algebraic_connectivity, interaction_graph
+from sato.connectivity.check import ConnectivityRecord
+from sato.connectivity.distance import min_obstacle_distance, obstacle_distances
 from sato.connectivity.obstacles import Obstacles
 
 HIDING = ("camera.occlusion=true", "camera.body_m=1.0")
@@ -36,22 +36,22 @@ def told(run, **values):
 
 def weighing(run, weight):
     """The run with other weights, and the eigenvalues that they have; nobody is lost in it."""
-    found = connectivity(weight)
+    found = algebraic_connectivity(weight)
     assert (run.data["component"].values == 0).all() and found.lambda2.min() > 0.01
     return told(run, edge_weight=weight, lambda2=found.lambda2, lambda3=found.lambda3)
 
 
 def poses(run, mission):
     """Weights as they are for upright cameras in empty space."""
-    return graph(run.data["position"].values, run.data["yaw"].values, mission.camera)
+    return interaction_graph(run.data["position"].values, run.data["yaw"].values, mission.camera)
 
 
 def test_weights_that_forget_the_field_of_view_or_the_tilt_are_found(tilted):
     run, mission = tilted
-    blind = weighing(run, poses(run, mission).reach)
+    blind = weighing(run, poses(run, mission).range_weights)
     assert blind.data["lambda2"].values.mean() > run.data["lambda2"].values.mean() + 0.5
     assert broken(blind, mission) == {"weights"}
-    upright = weighing(run, poses(run, mission).weight)
+    upright = weighing(run, poses(run, mission).weights)
     assert broken(upright, mission) == {"weights"}
 
 
@@ -113,12 +113,12 @@ def test_nothing_is_asked_of_a_leader_that_is_lost():
 @pytest.mark.parametrize("plant", ['plant={kind="kinematic"}', QUADROTOR])
 def test_who_stands_in_the_line_of_sight_is_judged(plant):
     run, mission = flown(plant, *HIDING)
-    evidence = Evidence.of(run.data, mission)
-    clear = Evidence.of(run.data, replace(mission, occlusion=False)).views
+    evidence = ConnectivityRecord.from_dataset(run.data, mission)
+    clear = ConnectivityRecord.from_dataset(run.data, replace(mission, occlusion=False)).views
     covered = (clear.weight > 0) & (evidence.views.weight == 0)
     assert covered.any()
     assert broken(weighing(run, clear.weight), mission) == {"weights"}
-    seen = clear.facing > mission.camera.a_min
+    seen = clear.view_cosine > mission.camera.a_min
     assert broken(told(run, visibility=seen), mission) == {"visibility"}
     assert {"weights", "visibility"} <= broken(run, replace(mission, occlusion=False))
 
@@ -135,7 +135,7 @@ def test_an_obstacle_hides_whom_it_stands_between(hiding):
     run, mission = hiding
     p, sees = run.data["position"].values, run.data["visibility"].values
     i, j = np.argwhere(sees[-1])[0]
-    wall = Obstacles.none()._replace(spheres=np.array([[*(p[-1, i] + p[-1, j]) / 2, 0.1]]))
+    wall = Obstacles.empty()._replace(spheres=np.array([[*(p[-1, i] + p[-1, j]) / 2, 0.1]]))
     assert {"weights", "visibility"} <= broken(run, replace(mission, obstacles=wall))
 
 
@@ -147,8 +147,8 @@ def test_who_passes_through_an_obstacle_between_instants_is_found(tilted, kind):
     high, half = p[99, top] + [0, 0, 4.0], np.array([9, 9, 0.1])
     p[100:, top, 2] += 8.0
     shape = {"spheres": [*high, 0.3], "boxes": [*(high - half), *(high + half)]}
-    wall = Obstacles.none()._replace(**{kind: np.array([shape[kind]])})
-    assert to_obstacles(p, wall).min() > 2 * mission.repulsion.nearest
+    wall = Obstacles.empty()._replace(**{kind: np.array([shape[kind]])})
+    assert obstacle_distances(p, wall).min() > 2 * mission.repulsion.min_distance
     walled = replace(mission, obstacles=wall)
     assert "obstacles" not in broken(run, walled)
     assert {"obstacles", "flight"} <= broken(told(run, position=p), walled)
@@ -168,23 +168,23 @@ def test_the_least_distance_to_obstacles_is_that_of_ways_sampled_finely(rng):
         least = np.inf
         for (a, there), (b, still) in pairwise(zip(walk, alive, strict=True)):
             ways = (a + share * (b - a))[:, there & still]
-            least = min(least, to_obstacles(ways, some).min(initial=np.inf))
-        least = min(least, to_obstacles(walk, some)[alive].min(initial=np.inf))
+            least = min(least, obstacle_distances(ways, some).min(initial=np.inf))
+        least = min(least, obstacle_distances(walk, some)[alive].min(initial=np.inf))
         # Samples are up to 14 m / 2000 apart, and distance changes by half of that between two.
-        found = past_obstacles(walk, alive, some)
+        found = min_obstacle_distance(walk, alive, some)
         assert found == least if least == np.inf else least - 3.5e-3 <= found <= least + 1e-8
 
 
 def test_the_least_distance_is_exact_where_it_is_known():
     way, both = np.array([[[-1.0, 0.3, 0.4]], [[2.0, 0.3, 0.4]]]), np.ones((2, 1), dtype=bool)
-    empty = Obstacles.none()
+    empty = Obstacles.empty()
     ball = empty._replace(spheres=np.array([[0.0, 0.0, 0.0, 0.2]]))
     box = empty._replace(boxes=np.array([[-0.1, -0.1, -0.1, 0.1, 0.0, 0.0]]))
     floor = empty._replace(planes=np.array([[1.0, 0.0, 0.0, -1.5]]))
-    assert past_obstacles(way, both, ball) == pytest.approx(0.3, abs=1e-12)
-    assert past_obstacles(way, both, box) == pytest.approx(0.5, abs=1e-12)
-    assert past_obstacles(way, both, floor) == pytest.approx(0.5, abs=1e-12)
-    assert past_obstacles(way, both, empty) == np.inf
-    assert past_obstacles(way, np.array([[True], [False]]), ball) == pytest.approx(
+    assert min_obstacle_distance(way, both, ball) == pytest.approx(0.3, abs=1e-12)
+    assert min_obstacle_distance(way, both, box) == pytest.approx(0.5, abs=1e-12)
+    assert min_obstacle_distance(way, both, floor) == pytest.approx(0.5, abs=1e-12)
+    assert min_obstacle_distance(way, both, empty) == np.inf
+    assert min_obstacle_distance(way, np.array([[True], [False]]), ball) == pytest.approx(
         np.sqrt(1.25) - 0.2
     )

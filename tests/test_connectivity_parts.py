@@ -5,9 +5,16 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from sato.connectivity.distance import to_obstacles
-from sato.connectivity.obstacles import Obstacles, hidden, nearest
-from sato.connectivity.potential import EDGE, Potential, Repulsion, push, steepness, value
+from sato.connectivity.distance import obstacle_distances
+from sato.connectivity.obstacles import Obstacles, blocks_line_of_sight, nearest_point
+from sato.connectivity.potential import (
+    ASYMPTOTE_OFFSET,
+    Potential,
+    Repulsion,
+    evaluate_potential,
+    negative_slope,
+    repulsion_gain,
+)
 
 POTENTIALS = st.builds(
     lambda least, span, strength: Potential(least, least + span, strength),
@@ -22,48 +29,54 @@ SHARES = st.floats(0.01, 0.99)  # of the way from the asymptote to where all end
 
 @given(POTENTIALS, SHARES)
 def test_the_action_is_minus_the_slope_of_the_potential(potential, share):
-    x = share * (potential.most - potential.least)
+    x = share * (potential.lambda2_max - potential.least)
     h = 1e-5 * min(x, 1)
-    assume(x > EDGE + h)
+    assume(x > ASYMPTOTE_OFFSET + h)
     at = potential.least + x
-    fall = (value(at - h, potential) - value(at + h, potential)) / (2 * h)
+    fall = (evaluate_potential(at - h, potential) - evaluate_potential(at + h, potential)) / (2 * h)
     # Central differences err by h² V‴/6 ~ strength m² h²/x⁴, rounding by ε V/h.
-    assert steepness(at, potential) == pytest.approx(fall, rel=1e-6, abs=1e-8)
+    assert negative_slope(at, potential) == pytest.approx(fall, rel=1e-6, abs=1e-8)
 
 
 @given(POTENTIALS)
 def test_the_potential_ends_without_a_jump_or_a_kink(potential):
     for beyond in (0.0, 1.0, 100.0):
-        assert value(potential.most + beyond, potential) == pytest.approx(0, abs=1e-25)
-        assert steepness(potential.most + beyond, potential) == pytest.approx(0, abs=1e-13)
+        assert evaluate_potential(potential.lambda2_max + beyond, potential) == pytest.approx(
+            0, abs=1e-25
+        )
+        assert negative_slope(potential.most + beyond, potential) == pytest.approx(0, abs=1e-13)
     h = 1e-6
-    assert value(potential.most - h, potential) <= 3 * potential.strength * h * h
-    assert 0 < steepness(potential.most - h, potential) <= 10 * potential.strength * h
+    assert evaluate_potential(potential.most - h, potential) <= 3 * potential.strength * h * h
+    assert 0 < negative_slope(potential.most - h, potential) <= 10 * potential.strength * h
 
 
 @given(POTENTIALS, SHARES, SHARES)
 def test_the_less_connected_the_harder_it_is_defended(potential, share, other):
     low, high = sorted((share, other))
     assume(high - low > 1e-6)
-    m = potential.most - potential.least
+    m = potential.lambda2_max - potential.least
     low, high = potential.least + low * m, potential.least + high * m
-    assert value(low, potential) >= value(high, potential) > 0
-    assert steepness(low, potential) >= steepness(high, potential) > 0
+    assert evaluate_potential(low, potential) >= evaluate_potential(high, potential) > 0
+    assert negative_slope(low, potential) >= negative_slope(high, potential) > 0
 
 
 @given(POTENTIALS)
 def test_the_potential_goes_to_infinity_as_one_over_what_is_left(potential):
-    m = potential.most - potential.least
-    at = potential.least + EDGE
-    assert value(at, potential) * EDGE == pytest.approx(potential.strength * (m - EDGE) ** 2)
+    m = potential.lambda2_max - potential.least
+    at = potential.least + ASYMPTOTE_OFFSET
+    assert evaluate_potential(at, potential) * ASYMPTOTE_OFFSET == pytest.approx(
+        potential.strength * (m - ASYMPTOTE_OFFSET) ** 2
+    )
     # Nearer than that, and below the limit, all is finite and stays as it is.
-    for beyond in (potential.least + EDGE / 2, potential.least, -1.0):
-        assert value(beyond, potential) == pytest.approx(value(at, potential))
-        assert steepness(beyond, potential) == pytest.approx(steepness(at, potential))
+    for beyond in (potential.least + ASYMPTOTE_OFFSET / 2, potential.least, -1.0):
+        assert evaluate_potential(beyond, potential) == pytest.approx(
+            evaluate_potential(at, potential)
+        )
+        assert negative_slope(beyond, potential) == pytest.approx(negative_slope(at, potential))
 
 
 def test_the_action_at_a_few_eigenvalues():
-    found = [round(steepness(at, Potential()), 2) for at in (0.05, 0.1, 0.3, 0.5, 1.0, 2.0)]
+    found = [round(negative_slope(at, Potential()), 2) for at in (0.05, 0.1, 0.3, 0.5, 1.0, 2.0)]
     assert found == [562.4, 111.01, 10.6, 3.65, 0.82, 0.13]
 
 
@@ -71,17 +84,24 @@ def test_the_action_at_a_few_eigenvalues():
 def test_what_is_near_pushes_harder_and_what_is_far_not_at_all(repulsion, share, other):
     low, high = sorted((share, other))
     assume(high - low > 1e-6)
-    m = repulsion.farthest - repulsion.nearest
+    m = repulsion.max_distance - repulsion.nearest
     low, high = repulsion.nearest + low * m, repulsion.nearest + high * m
-    assert push(low, repulsion) >= push(high, repulsion) > 0
+    assert repulsion_gain(low, repulsion) >= repulsion_gain(high, repulsion) > 0
     h = 1e-6
-    assert push(repulsion.farthest - h, repulsion) <= 2 * repulsion.strength * (h / m) ** 2
-    for beyond in (0.0, 1e-9, 5.0):
-        assert push(repulsion.farthest + beyond, repulsion) == pytest.approx(0, abs=1e-25)
-    assert push(0.0, repulsion) == push(repulsion.nearest + EDGE / 2, repulsion)
-    assert push(repulsion.nearest + EDGE, repulsion) * EDGE == pytest.approx(
-        repulsion.strength * m * (1 - EDGE / m) ** 2
+    assert (
+        repulsion_gain(repulsion.max_distance - h, repulsion)
+        <= 2 * repulsion.strength * (h / m) ** 2
     )
+    for beyond in (0.0, 1e-9, 5.0):
+        assert repulsion_gain(repulsion.max_distance + beyond, repulsion) == pytest.approx(
+            0, abs=1e-25
+        )
+    assert repulsion_gain(0.0, repulsion) == repulsion_gain(
+        repulsion.nearest + ASYMPTOTE_OFFSET / 2, repulsion
+    )
+    assert repulsion_gain(
+        repulsion.nearest + ASYMPTOTE_OFFSET, repulsion
+    ) * ASYMPTOTE_OFFSET == pytest.approx(repulsion.strength * m * (1 - ASYMPTOTE_OFFSET / m) ** 2)
 
 
 PLACES = st.tuples(*[st.floats(-6, 6)] * 3).map(np.array)
@@ -111,16 +131,16 @@ def test_no_point_of_an_obstacle_is_nearer_than_the_nearest(p, sphere, box, plan
     drawn = surfaces(sphere, box, plane, np.random.default_rng(0))
     for number, surface in enumerate(drawn):
         point = np.zeros(3)
-        d = nearest(number, p, obstacles, point)
-        assert d == pytest.approx(to_obstacles(p, obstacles)[number], abs=1e-12)
-        assert to_obstacles(point, obstacles)[number] == pytest.approx(0, abs=1e-12)
+        d = nearest_point(number, p, obstacles, point)
+        assert d == pytest.approx(obstacle_distances(p, obstacles)[number], abs=1e-12)
+        assert obstacle_distances(point, obstacles)[number] == pytest.approx(0, abs=1e-12)
         assert np.linalg.norm(point - p) == pytest.approx(abs(d), abs=1e-12)
         assert np.linalg.norm(surface - p, axis=1).min() >= abs(d) - 1e-12
 
 
 @given(PLACES, PLACES, SPHERES, BOXES, PLANES)
 def test_hidden_is_who_has_a_point_of_an_obstacle_in_between(p, q, sphere, box, plane):
-    none = Obstacles.none()
+    none = Obstacles.empty()
     for one in (
         none._replace(spheres=sphere[None]),
         none._replace(boxes=box[None]),
@@ -128,19 +148,19 @@ def test_hidden_is_who_has_a_point_of_an_obstacle_in_between(p, q, sphere, box, 
         Obstacles(sphere[None], box[None], plane[None]),
     ):
         way = p + np.linspace(0, 1, 2001)[:, None] * (q - p)
-        least = to_obstacles(way, one).min()
+        least = obstacle_distances(way, one).min()
         # Between two samples the distance can be less by half of what they are apart.
         if least < -1e-9:
-            assert hidden(p, q, one) and hidden(q, p, one)
+            assert blocks_line_of_sight(p, q, one) and blocks_line_of_sight(q, p, one)
         if least > np.linalg.norm(q - p) / 4000 + 1e-9:
-            assert not hidden(p, q, one) and not hidden(q, p, one)
+            assert not blocks_line_of_sight(p, q, one) and not blocks_line_of_sight(q, p, one)
 
 
 def test_a_way_along_an_axis_is_hidden_by_the_box_that_it_leads_through():
     # Two of three coordinates rest, which a division by the way would not bear.
-    one = Obstacles.none()._replace(boxes=np.array([[-1.0, -1, -1, 1, 1, 1]]))
+    one = Obstacles.empty()._replace(boxes=np.array([[-1.0, -1, -1, 1, 1, 1]]))
     p, q = np.array([-3.0, 0.5, 0.5]), np.array([3.0, 0.5, 0.5])
-    assert hidden(p, q, one)
+    assert blocks_line_of_sight(p, q, one)
     beside, short = np.array([0, 1.0, 0]), np.array([-2.0, 0.5, 0.5])
-    assert not hidden(p + beside, q + beside, one)
-    assert not hidden(p, short, one)
+    assert not blocks_line_of_sight(p + beside, q + beside, one)
+    assert not blocks_line_of_sight(p, short, one)

@@ -12,20 +12,26 @@ from matplotlib.colors import to_hex
 from matplotlib.patches import Circle, Wedge
 from pictures import words_inside
 
-from problems.graph import graph
-from sato.connectivity import fly
-from sato.connectivity.check import Evidence
+from problems.interaction_graph import interaction_graph
+from sato.connectivity import simulate
+from sato.connectivity.check import ConnectivityRecord
+from sato.connectivity.figures import FIGURES, make_figures
+from sato.connectivity.figures.obstacles import draw_obstacles_3d, draw_obstacles_from_above
+from sato.connectivity.figures.time_panels import STICK_COLOR, find_intervals, find_stick_intervals
+from sato.connectivity.figures.time_series import count_edges, nearest_agent_distance
+from sato.connectivity.figures.trajectories import MAX_POINTS
+from sato.connectivity.figures.yaw_error import (
+    LOST,
+    MAX_PAIRS,
+    VISIBILITY_COLORS,
+    classify_visibility,
+    select_pairs,
+)
 from sato.connectivity.obstacles import Obstacles
-from sato.connectivity.plots import FIGURES, figures
-from sato.connectivity.plots.measures import counted, nearest_robot
-from sato.connectivity.plots.paths import PIECES
-from sato.connectivity.plots.scenery import from_above, in_space
-from sato.connectivity.plots.times import HELD, held, spans
-from sato.connectivity.plots.yaw import GONE, GROUND, PAIRS, seen, telling
-from sato.connectivity.potential import push, steepness, value
+from sato.connectivity.potential import evaluate_potential, negative_slope, repulsion_gain
 from sato.connectivity.system import SYSTEM
-from sato.plots.look import BLUE, GREEN, ORANGE, RED, STYLE
-from sato.plots.view import Space
+from sato.figures.axes import AxisBounds
+from sato.figures.style import BLUE, GREEN, ORANGE, RED, STYLE
 from sato.record import Run
 from sato.scenario import read
 
@@ -56,16 +62,16 @@ VARIANTS = {
 def flown(variant):
     rng = np.random.default_rng(1)
     mission = read("connectivity", list(VARIANTS[variant])).build(rng)
-    return recorded(mission, list(fly(mission, rng)))
+    return recorded(mission, list(simulate(mission, rng)))
 
 
 def recorded(mission, frames):
-    return Evidence.of(data_of(mission, frames), mission)
+    return ConnectivityRecord.from_dataset(data_of(mission, frames), mission)
 
 
 def data_of(mission, frames):
     made = {"name": "made up", "seed": 1, "version": "0", "wall_s": 0.0, "peak_memory_mib": 0.0}
-    return Run.of(SYSTEM, frames, mission, "", **made).data
+    return Run.from_frames(SYSTEM, frames, mission, "", **made).data
 
 
 def drawn(name, evidence):
@@ -117,16 +123,16 @@ def test_no_words_run_out_of_the_picture_and_no_legend_covers_a_panel(name, vari
 def test_all_figures_are_drawn_whatever_is_flown(variant):
     evidence = flown(variant)
     mission = evidence.mission
-    frames = list(fly(mission, np.random.default_rng(0)))[:1]
-    assert list(figures(data_of(mission, frames), mission)) == list(FIGURES)
+    frames = list(simulate(mission, np.random.default_rng(0)))[:1]
+    assert list(make_figures(data_of(mission, frames), mission)) == list(FIGURES)
     assert SYSTEM.figures(data_of(mission, frames), mission).keys() == FIGURES.keys()
 
 
 def test_spans_follow_one_another_and_say_what_was_the_case():
     time = np.array([0.0, 1.0, 2.5, 3.0, 4.0])
-    found = spans(time, np.array([2, 2, 0, 0, 1]))
+    found = find_intervals(time, np.array([2, 2, 0, 0, 1]))
     assert [tuple(s) for s in found] == [(2, 0.0, 2.5), (0, 2.5, 4.0), (1, 4.0, 4.0)]
-    assert [tuple(s) for s in spans(time[:1], np.array([True]))] == [(1, 0.0, 0.0)]
+    assert [tuple(s) for s in find_intervals(time[:1], np.array([True]))] == [(1, 0.0, 0.0)]
     for before, after in pairwise(found):
         assert before.end == after.start
 
@@ -134,13 +140,15 @@ def test_spans_follow_one_another_and_say_what_was_the_case():
 @pytest.mark.parametrize("name", ["connectivity", "edges", "distances"])
 def test_the_ground_is_shaded_while_the_stick_is_held_and_not_else(name):
     for ax in shown(name, "recorded").axes:
-        assert np.array(shades(ax, HELD)) == pytest.approx(np.array([[0.5, 1.5], [2.0, 3.0]]))
+        assert np.array(shades(ax, STICK_COLOR)) == pytest.approx(
+            np.array([[0.5, 1.5], [2.0, 3.0]])
+        )
 
 
 def test_the_stick_is_held_where_something_is_asked():
     evidence = flown("six")
     inside = np.zeros(len(evidence.time), dtype=bool)
-    for span in held(evidence):
+    for span in find_stick_intervals(evidence):
         inside |= (evidence.time >= span.start) & (evidence.time < span.end)
     asked = np.linalg.norm(evidence.stick, axis=1) > 0
     np.testing.assert_array_equal(inside[:-1], asked[:-1])
@@ -154,19 +162,19 @@ def test_eigenvalues_are_those_of_the_run_and_of_every_robot(variant):
     third = np.where(evidence.alive.sum(axis=1) > 2, evidence.lambda3, np.nan)
     np.testing.assert_array_equal(line(ax, "λ$_3$, true")[1], third)
     own = np.array([one.get_ydata() for one in ax.lines if one.get_color() == ORANGE]).T
-    np.testing.assert_array_equal(own, np.where(evidence.alive, evidence.estimate, np.nan))
+    np.testing.assert_array_equal(own, np.where(evidence.alive, evidence.lambda2_estimate, np.nan))
     off = np.abs(own - evidence.lambda2[:, None])
     known = np.isfinite(off).any(axis=1)  # before anything is told, nobody knows
     median = line(error, "their median")[1]
     np.testing.assert_array_equal(median[known], np.nanmedian(off[known], axis=1))
     assert known[1:].all() and np.isnan(median[~known]).all()
     limits = evidence.mission.potential
-    for level, name in ((limits.least, "min"), (limits.most, "max")):
+    for level, name in ((limits.lambda2_min, "min"), (limits.lambda2_max, "max")):
         [at] = [t.xy[1] for t in ax.texts if f"{{{name}}}" in t.get_text()]
         assert at == level
         assert any(np.all(np.array(one.get_ydata()) == level) for one in ax.lines)
     low, high = ax.get_ylim()
-    assert low == 0 and high >= max(evidence.lambda2.max(), limits.most)
+    assert low == 0 and high >= max(evidence.lambda2.max(), limits.lambda2_max)
 
 
 def test_two_robots_have_no_third_eigenvalue():
@@ -176,8 +184,8 @@ def test_two_robots_have_no_third_eigenvalue():
 
 def test_a_split_and_losses_are_marked_in_every_panel():
     evidence = flown("lost")
-    lost = [e["time"] for _, e in evidence.happened.told("loss")]
-    (_, split), *_ = evidence.happened.told("split")
+    lost = [e["time"] for _, e in evidence.events.of_kind("loss")]
+    (_, split), *_ = evidence.events.of_kind("split")
     for ax in shown("connectivity", "lost").axes:
         dots = [one.get_xdata()[0] for one in ax.lines if one.get_linestyle() == ":"]
         assert set(lost) <= set(dots)
@@ -188,7 +196,7 @@ def test_a_split_and_losses_are_marked_in_every_panel():
 def test_the_number_of_edges_is_that_of_the_graph(variant):
     evidence = flown(variant)
     [ax] = shown("edges", variant).axes
-    edges, mutual, pairs = counted(evidence).T
+    edges, mutual, pairs = count_edges(evidence).T
     np.testing.assert_array_equal(line(ax, "edges")[1], edges)
     np.testing.assert_array_equal(line(ax, "where both see each other")[1], mutual)
     np.testing.assert_array_equal(line(ax, "pairs of robots")[1], pairs)
@@ -196,9 +204,9 @@ def test_the_number_of_edges_is_that_of_the_graph(variant):
         live = np.flatnonzero(evidence.alive[k]).tolist()
         two = list(combinations(live, 2))
         assert len(two) == pairs[k]
-        assert sum(evidence.weight[k, i, j] > 0 for i, j in two) == edges[k]
-        both = [evidence.sees[k, i, j] and evidence.sees[k, j, i] for i, j in two]
-        weighs = [evidence.weight[k, i, j] > 0 for i, j in two]
+        assert sum(evidence.edge_weight[k, i, j] > 0 for i, j in two) == edges[k]
+        both = [evidence.visibility[k, i, j] and evidence.visibility[k, j, i] for i, j in two]
+        weighs = [evidence.edge_weight[k, i, j] > 0 for i, j in two]
         assert sum(np.array(both) & np.array(weighs)) == mutual[k]
 
 
@@ -206,21 +214,21 @@ def test_the_number_of_edges_is_that_of_the_graph(variant):
 def test_errors_of_yaw_stand_on_who_sees_whom(variant):
     evidence = flown(variant)
     axes = [ax for ax in shown("yaw", variant).axes if ax.get_title(loc="left")]
-    pairs = telling(evidence)
+    pairs = select_pairs(evidence)
     n = evidence.mission.agents
-    assert len(axes) == len(pairs) == min(PAIRS, n * (n - 1) // 2)
+    assert len(axes) == len(pairs) == min(MAX_PAIRS, n * (n - 1) // 2)
     for ax, (i, j) in zip(axes, pairs, strict=True):
         assert ax.get_title(loc="left").endswith(f"i = {i}, j = {j}")
         both = evidence.alive[:, i] & evidence.alive[:, j]
         for one, (a, b) in zip(ax.lines, ((i, j), (j, i)), strict=True):
-            off = np.abs(np.sin(evidence.yaw_error[:, a, b] / 2))
+            off = np.abs(np.sin(evidence.yaw_estimate_error[:, a, b] / 2))
             np.testing.assert_array_equal(one.get_ydata(), np.where(both, off, np.nan))
-        sees, seen_too = evidence.sees[:, i, j], evidence.sees[:, j, i]
+        sees, seen_too = evidence.visibility[:, i, j], evidence.visibility[:, j, i]
         cases = (sees & ~seen_too, ~sees & seen_too, sees & seen_too, both)
         for number, case in enumerate(cases, 1):
-            case = both & case if number < GONE else ~both
+            case = both & case if number < LOST else ~both
             inside = np.zeros(len(evidence.time), dtype=bool)
-            for start, end in shades(ax, GROUND[number]):
+            for start, end in shades(ax, VISIBILITY_COLORS[number]):
                 inside |= (evidence.time >= start - 1e-9) & (evidence.time < end - 1e-9)
             np.testing.assert_array_equal(inside[:-1], case[:-1])
 
@@ -228,10 +236,10 @@ def test_errors_of_yaw_stand_on_who_sees_whom(variant):
 def test_the_pairs_shown_see_each_other_in_most_ways():
     evidence = flown("thirty")
     ways = {
-        pair: len(set(seen(evidence, *pair).tolist()) - {GONE})
+        pair: len(set(classify_visibility(evidence, *pair).tolist()) - {LOST})
         for pair in combinations(range(30), 2)
     }
-    shown_ways = [ways.pop(pair) for pair in telling(evidence)]
+    shown_ways = [ways.pop(pair) for pair in select_pairs(evidence)]
     assert min(shown_ways) >= max(ways.values()) > 0
 
 
@@ -249,7 +257,10 @@ def test_distances_are_the_least_by_brute_force():
     between = evidence.mission.repulsion
     for ax in (robots, obstacles):
         said = {t.get_text(): t.xy[1] for t in ax.texts}
-        assert said == {"least,\n1 m": between.nearest, "push begins,\n3.5 m": between.farthest}
+        assert said == {
+            "least,\n1 m": between.min_distance,
+            "push begins,\n3.5 m": between.max_distance,
+        }
 
 
 def test_without_obstacles_no_distance_to_them_is_drawn():
@@ -261,7 +272,7 @@ def test_who_is_lost_is_nobodys_nearest():
     there = np.zeros((1, 3, 3))
     there[0, :, 0] = [0, 1, 3]
     there[0, 1] = np.nan
-    np.testing.assert_array_equal(nearest_robot(there), [[3, np.nan, 3]])
+    np.testing.assert_array_equal(nearest_agent_distance(there), [[3, np.nan, 3]])
 
 
 @pytest.mark.parametrize("variant", ["six", "lost", "recorded", "thirty"])
@@ -279,7 +290,7 @@ def test_paths_end_where_robots_are_or_are_lost(variant):
             assert any(np.allclose(p, place[:shown_axes]) for p in at if len(p) == shown_axes)
     [leader] = [one for one in above.lines if one.get_color() == ORANGE and one.get_lw() == 2.0]
     live = evidence.alive[:, 0]
-    assert len(evidence.time) <= PIECES
+    assert len(evidence.time) <= MAX_POINTS
     np.testing.assert_array_equal(leader.get_xydata()[live], evidence.position[live, 0, :2])
     assert np.isnan(leader.get_xydata()[~live]).all()
 
@@ -292,7 +303,7 @@ def coordinates(one):
 def test_the_graph_at_the_end_is_drawn_wider_where_it_weighs_more():
     evidence = flown("six")
     mission = evidence.mission
-    weight = graph(evidence.position[-1], evidence.yaw[-1], mission.camera).weight
+    weight = interaction_graph(evidence.position[-1], evidence.yaw[-1], mission.camera).weights
     for ax in shown("paths", "six").axes:
         edges = [one for one in ax.lines if one.get_color() == GREEN]
         assert len(edges) == np.triu(weight > 0).sum()
@@ -332,7 +343,7 @@ class Recorder:
         return lambda *args, **kw: self.drawn.append((name, args, kw))
 
 
-SPACE = Space(np.array([0.0, 0.0, 0.0]), np.array([4.0, 4.0, 4.0]), ("x", "y", "z"))
+SPACE = AxisBounds(np.array([0.0, 0.0, 0.0]), np.array([4.0, 4.0, 4.0]), ("x", "y", "z"))
 
 
 def test_obstacles_are_cut_off_where_the_picture_ends():
@@ -340,7 +351,7 @@ def test_obstacles_are_cut_off_where_the_picture_ends():
     boxes = np.array([[3.0, -2.0, 1.0, 9.0, 3.0, 2.0], [5.0, 0.0, 0.0, 6.0, 1.0, 1.0]])
     planes = np.array([[0.0, 0.0, 1.0, 1.0], [0.6, 0.8, 0.0, 2.0], [0.0, 0.0, 1.0, -7.0]])
     ax = Recorder()
-    in_space(ax, Obstacles(spheres, boxes, planes), SPACE)
+    draw_obstacles_3d(ax, Obstacles(spheres, boxes, planes), SPACE)
     assert [name for name, *_ in ax.drawn] == ["plot_surface", "bar3d", *["plot_trisurf"] * 2]
     ball, bar, floor, wall = (np.array(args) for _, args, _ in ax.drawn)
     assert (ball.min(), ball.max()) == pytest.approx((0, 3))
@@ -358,7 +369,7 @@ def test_from_above_a_wall_hides_what_is_behind_it_and_a_floor_nothing():
     ax = figure.add_subplot()
     planes = np.array([[1.0, 0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 1.0]])
     ball = np.array([[2.0, 3.0, 1.0, 0.5]])
-    from_above(ax, Obstacles(ball, np.zeros((0, 6)), planes), SPACE, 2.0)
+    draw_obstacles_from_above(ax, Obstacles(ball, np.zeros((0, 6)), planes), SPACE, 2.0)
     [wall] = ax.collections
     ground = wall.get_paths()[0].vertices
     assert (ground.min(axis=0), ground.max(axis=0)) == (
@@ -376,11 +387,15 @@ def test_weights_are_those_of_the_graph():
     toward = np.pi / 4  # of the optical axis
     for d, gamma in reach.lines[0].get_xydata()[1::20]:
         there = np.array([alone, d * np.array([np.cos(toward), np.sin(toward), 0])])
-        assert graph(there, np.array([0.0, 0.0]), sight).weight[0, 1] == pytest.approx(gamma)
+        assert interaction_graph(there, np.array([0.0, 0.0]), sight).weights[0, 1] == pytest.approx(
+            gamma
+        )
     for degrees, f in view.lines[0].get_xydata()[::20]:
         way = toward + np.radians(degrees)
         there = np.array([alone, 5 * np.array([np.cos(way), np.sin(way), 0])])
-        assert graph(there, np.zeros(2), sight).seen[0, 1] == pytest.approx(f, abs=1e-12)
+        assert interaction_graph(there, np.zeros(2), sight).fov_weights[0, 1] == pytest.approx(
+            f, abs=1e-12
+        )
     f = either.images[0].get_array()
     assert (f[0, 0], f[0, -1], f[-1, 0], f[-1, -1]) == (0, 1, 1, 1)
     image = plane.images[0]
@@ -390,9 +405,9 @@ def test_weights_are_those_of_the_graph():
     for row, column in ((140, 130), (100, 150), (60, 60), (150, 101)):
         there = np.array([alone, [x[column], y[row], 0]])
         away = toward + np.arctan2(y[row], x[column]) - np.pi / 2  # so j looks away from i
-        found = graph(there, np.array([0.0, away]), sight)
-        assert found.seen[1, 0] == 0
-        assert found.weight[0, 1] == pytest.approx(weight[row, column])
+        found = interaction_graph(there, np.array([0.0, away]), sight)
+        assert found.fov_weights[1, 0] == 0
+        assert found.weights[0, 1] == pytest.approx(weight[row, column])
     assert weight.max() == 1 and weight.min() == 0
 
 
@@ -406,16 +421,16 @@ def test_laws_are_drawn_as_the_mission_has_them():
     mission = evidence.mission
     v, slope, away = shown("potential", "six").axes
     laws = (
-        (v, lambda x: value(x, mission.potential)),
-        (slope, lambda x: steepness(x, mission.potential)),
-        (away, lambda d: d * push(d, mission.repulsion)),
+        (v, lambda x: evaluate_potential(x, mission.potential)),
+        (slope, lambda x: negative_slope(x, mission.potential)),
+        (away, lambda d: d * repulsion_gain(d, mission.repulsion)),
     )
     for ax, law in laws:
         x, y = ax.lines[0].get_xydata().T
         np.testing.assert_allclose(y, [law(one) for one in x])
         assert y[-1] == 0
     marks = [one.get_xdata()[0] for one in away.lines if one.get_linestyle() == ":"]
-    assert marks == [mission.repulsion.nearest, mission.repulsion.farthest]
+    assert marks == [mission.repulsion.min_distance, mission.repulsion.max_distance]
     [(low, high)] = shades(v, "#56b4e9")
     assert (low, high) == pytest.approx((evidence.lambda2.min(), evidence.lambda2.max()))
     assert BLUE == v.lines[0].get_color()

@@ -5,12 +5,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from problems.graph import connectivity, laplacian
-from sato.connectivity.power import Iterate, Power, estimate, exchange, fitted, spectral_radius
+from problems.interaction_graph import algebraic_connectivity, laplacian
+from sato.connectivity.power_iteration import (
+    PowerIterationGains,
+    PowerIterationState,
+    default_gains,
+    estimate_lambda2_from_power,
+    iterate_power,
+    spectral_radius,
+)
 
 ALL = np.ones((6, 6)) - np.eye(6)
 PATH = np.eye(6, k=1) + np.eye(6, k=-1)
-TEXTBOOK = fitted(0.002, 6)._replace(follow=200.0, agree=50.0, settle=200.0)
+TEXTBOOK = default_gains(0.002, 6)._replace(
+    filter_gain=200.0, proportional_gain=50.0, integral_gain=200.0
+)
 
 
 def some(seed, agents=6):
@@ -19,7 +28,7 @@ def some(seed, agents=6):
     while True:
         links = np.triu(rng.random((agents, agents)) < 0.4, 1).astype(float)
         links += links.T
-        if connectivity(links).lambda2 > 1e-9:
+        if algebraic_connectivity(links).lambda2 > 1e-9:
             return links
 
 
@@ -29,15 +38,15 @@ def averaging(power):
 
 
 def begun(agents, rng):
-    return Iterate(rng.standard_normal(agents), *rng.standard_normal((2, agents, 2)))
+    return PowerIterationState(rng.standard_normal(agents), *rng.standard_normal((2, agents, 2)))
 
 
 def matrix(links, power):
     """One exchange of (z, w), written as a matrix."""
-    h, L, one = power.exchange, laplacian(links), np.eye(len(links))
+    h, L, one = power.exchange_period, laplacian(links), np.eye(len(links))
     return np.block(
         [
-            [(1 - h * power.follow) * one - h * power.agree * L, h * power.settle * L],
+            [(1 - h * power.filter_gain) * one - h * power.agree * L, h * power.settle * L],
             [-h * power.settle * L, one],
         ]
     )
@@ -53,35 +62,35 @@ def slowest(links, power):
 
 @pytest.mark.parametrize("links", [PATH, ALL, some(0), some(1)])
 def test_exchanges_are_those_of_the_matrix(links, rng):
-    power, iterate = averaging(fitted(0.002, 6)), begun(6, rng)
-    x = np.vstack([iterate.mean, iterate.held])
-    drawn = power.exchange * power.follow * np.column_stack([iterate.v, iterate.v**2])
+    power, iterate = averaging(default_gains(0.002, 6)), begun(6, rng)
+    x = np.vstack([iterate.average, iterate.integral])
+    drawn = power.exchange_period * power.filter_gain * np.column_stack([iterate.v, iterate.v**2])
     for _ in range(20):
         x = matrix(links, power) @ x + np.vstack([drawn, np.zeros((6, 2))])
-    exchange(iterate, links, links > 0, power, 20)
-    assert np.vstack([iterate.mean, iterate.held]) == pytest.approx(x, abs=1e-12)
+    iterate_power(iterate, links, links > 0, power, 20)
+    assert np.vstack([iterate.average, iterate.integral]) == pytest.approx(x, abs=1e-12)
 
 
 @pytest.mark.parametrize("period", [0.001, 0.002, 0.005])
 @pytest.mark.parametrize("links", [PATH, ALL, some(2), some(3)])
 def test_what_fits_brings_everybody_to_the_averages(links, period, rng):
-    power, iterate = averaging(fitted(period, 6)), begun(6, rng)
+    power, iterate = averaging(default_gains(period, 6)), begun(6, rng)
     target = np.tile([iterate.v.mean(), (iterate.v**2).mean()], (6, 1))
-    at_first = np.abs(iterate.mean - target).max()
+    at_first = np.abs(iterate.average - target).max()
     rounds = int(np.log(1e-9) / np.log(slowest(links, power)))
-    exchange(iterate, links, links > 0, power, rounds)
-    assert np.abs(iterate.mean - target).max() < 1e-7 * at_first
+    iterate_power(iterate, links, links > 0, power, rounds)
+    assert np.abs(iterate.average - target).max() < 1e-7 * at_first
 
 
 @given(st.integers(2, 12), st.integers(0, 2**32 - 1))
 def test_no_graph_is_slower_or_wilder_than_the_radius_says(agents, seed):
     rng, links = np.random.default_rng(seed), some(seed, agents)
     period, scale = rng.choice([0.001, 0.002, 0.005]), rng.uniform(0.2, 3, 3)
-    power = fitted(period, agents)
+    power = default_gains(period, agents)
     power = power._replace(
-        follow=power.follow * scale[0],
-        agree=power.agree * scale[1],
-        settle=power.settle * scale[2],
+        filter_gain=power.filter_gain * scale[0],
+        proportional_gain=power.proportional_gain * scale[1],
+        integral_gain=power.integral_gain * scale[2],
     )
     # Between two of the eigenvalues that it looks at, 1/60 apart, it may be a little more.
     assert slowest(links, power) <= spectral_radius(power, agents) + 0.02
@@ -98,10 +107,10 @@ def test_the_radius_of_the_complete_graph_is_met(rng):
 def test_gains_that_are_often_quoted_diverge_as_fast_as_the_radius_says(links, rng):
     power, iterate = averaging(TEXTBOOK), begun(6, rng)
     assert spectral_radius(TEXTBOOK, 6) > 1 and slowest(links, power) > 1
-    exchange(iterate, links, links > 0, power, 100)
-    early = np.abs(iterate.mean).max()
-    exchange(iterate, links, links > 0, power, 100)
-    grown = (np.abs(iterate.mean).max() / early) ** (1 / 100)
+    iterate_power(iterate, links, links > 0, power, 100)
+    early = np.abs(iterate.average).max()
+    iterate_power(iterate, links, links > 0, power, 100)
+    grown = (np.abs(iterate.average).max() / early) ** (1 / 100)
     # Rounds of a complex pair are caught at different phases: some per cent in a hundred.
     assert grown == pytest.approx(slowest(links, power), rel=0.05)
     assert early > 1e6
@@ -113,7 +122,7 @@ def weights(seed):
     while True:
         weight = some(rng.integers(1 << 30)) * np.triu(rng.uniform(0.2, 1, (6, 6)), 1)
         weight += weight.T
-        found = connectivity(weight)
+        found = algebraic_connectivity(weight)
         if found.lambda2 > 0.1 and found.lambda3 - found.lambda2 > 0.3:
             return weight, found
 
@@ -121,28 +130,32 @@ def weights(seed):
 @pytest.mark.parametrize("seed", range(6))
 def test_on_a_graph_that_rests_everybody_finds_lambda2_and_its_vector(seed):
     weight, found = weights(seed)
-    power, rng = Power(), np.random.default_rng(seed)
-    iterate = Iterate(rng.standard_normal(6), np.zeros((6, 2)), np.zeros((6, 2)))
+    power, rng = PowerIterationGains(), np.random.default_rng(seed)
+    iterate = PowerIterationState(rng.standard_normal(6), np.zeros((6, 2)), np.zeros((6, 2)))
     # At the rate e₂ (λ₃ − λ₂) ≥ 0.9/s, which takes long where it first comes near to v₃.
-    exchange(iterate, weight, weight > 0, power, round(40 / power.exchange))
-    told = [estimate(iterate, i, power) for i in range(6)]
+    iterate_power(iterate, weight, weight > 0, power, round(40 / power.exchange_period))
+    told = [estimate_lambda2_from_power(iterate, i, power) for i in range(6)]
     assert told == pytest.approx(np.full(6, found.lambda2), rel=0.01)
-    exchange(iterate, weight, weight > 0, power, round(60 / power.exchange))
-    told = [estimate(iterate, i, power) for i in range(6)]
+    iterate_power(iterate, weight, weight > 0, power, round(60 / power.exchange_period))
+    told = [estimate_lambda2_from_power(iterate, i, power) for i in range(6)]
     assert told == pytest.approx(np.full(6, found.lambda2), rel=1e-6)
-    size = 6 * (1 - power.iterate / power.normalise * found.lambda2)
+    size = 6 * (1 - power.iteration_gain / power.normalization_gain * found.lambda2)
     assert (iterate.v**2).sum() == pytest.approx(size, rel=1e-6)
-    felt = (iterate.v[:, None] - iterate.v) ** 2 / (6 * iterate.mean[:, 1:])
-    assert felt == pytest.approx(found.felt, abs=1e-6)
+    felt = (iterate.v[:, None] - iterate.v) ** 2 / (6 * iterate.average[:, 1:])
+    assert felt == pytest.approx(found.weight_gradient, abs=1e-6)
 
 
 def test_who_is_alone_reports_more_than_there_can_be(rng):
     # Means are its own: v̇ = −e₃ v³ as e₁ = e₃, so that v² = 1/(2 e₃ t) dies and e₃/e₂ is left.
-    power, nobody, time = Power(), np.zeros((6, 6)), 20.0
-    assert power.deflate == power.normalise
+    power, nobody, time = PowerIterationGains(), np.zeros((6, 6)), 20.0
+    assert power.deflation_gain == power.normalization_gain
     iterate = begun(6, rng)
-    exchange(iterate, nobody, nobody > 0, power, round(time / power.exchange))
-    left = power.normalise / power.iterate * (1 - 1 / (2 * power.normalise * time))
+    iterate_power(iterate, nobody, nobody > 0, power, round(time / power.exchange_period))
+    left = (
+        power.normalization_gain
+        / power.iteration_gain
+        * (1 - 1 / (2 * power.normalization_gain * time))
+    )
     assert left > 6
-    told = [estimate(iterate, i, power) for i in range(6)]
+    told = [estimate_lambda2_from_power(iterate, i, power) for i in range(6)]
     assert told == pytest.approx(np.full(6, left), rel=1e-3)

@@ -9,16 +9,16 @@ import pytest
 from test_cli import call, sentence
 
 import sato
-from dynamics.kinematic import Kinematic
+from dynamics.kinematic import KinematicVehicle
 from dynamics.quadrotor import Quadrotor
-from problems.graph import Sight, connectivity, graph
-from sato.connectivity import Death
-from sato.connectivity.distance import to_obstacles
-from sato.connectivity.mail import Link
+from problems.interaction_graph import Camera, algebraic_connectivity, interaction_graph
+from sato.connectivity import AgentLoss
+from sato.connectivity.distance import obstacle_distances
+from sato.connectivity.kernel import CommandLimits
+from sato.connectivity.messages import CommunicationLink
 from sato.connectivity.potential import Potential, Repulsion
-from sato.connectivity.power import fitted
-from sato.connectivity.swarm import Limits
-from sato.connectivity.yaw import Tracking
+from sato.connectivity.power_iteration import default_gains
+from sato.connectivity.yaw_estimator import YawTracking
 from sato.scenario import ScenarioError, parse, read
 
 SHORT = """
@@ -64,9 +64,19 @@ def test_the_built_in_one_is_the_papers_case_which_is_also_what_is_taken_where_n
     unsaid = built("run.duration_s=60")
     assert mission.agents == 6 and mission.obstacles.total == 6 and unsaid.obstacles.total == 0
     for of in (mission, unsaid):
-        assert of.camera[:6] == Sight()[:6] and of.camera.axis == pytest.approx(Sight().axis)
-        assert (of.potential, of.repulsion, of.limits) == (Potential(), Repulsion(), Limits())
-        assert (of.tracking, of.link, of.plant) == (Tracking(), Link(), Kinematic())
+        assert of.camera[:6] == Camera()[:6] and of.camera.axis == pytest.approx(
+            Camera().optical_axis
+        )
+        assert (of.potential, of.repulsion, of.limits) == (
+            Potential(),
+            Repulsion(),
+            CommandLimits(),
+        )
+        assert (of.tracking, of.link, of.plant) == (
+            YawTracking(),
+            CommunicationLink(),
+            KinematicVehicle(),
+        )
         assert (of.estimator, of.duration, of.step) == ("flood", 60.0, 0.02)
 
 
@@ -76,7 +86,12 @@ def test_any_number_of_robots_starts_apart_and_together_in_as_much_room_for_each
     mission = built(f"agents={agents}", seed=seed)
     away = np.linalg.norm(mission.start[:, None] - mission.start, axis=2) + 9 * np.eye(agents)
     assert away.min() >= 1.8
-    assert connectivity(graph(mission.start, mission.yaw, mission.camera).weight).lambda2 > 0.05
+    assert (
+        algebraic_connectivity(
+            interaction_graph(mission.start, mission.yaw, mission.camera).weights
+        ).lambda2
+        > 0.05
+    )
     box = np.array([8, 8, 3]) * (agents / 6) ** (1 / 3)
     inside = mission.start - [0, 0, 3]
     assert (inside >= 0).all() and (inside <= box).all()
@@ -89,8 +104,8 @@ def test_waypoints_are_drawn_as_far_apart_as_asked_and_obstacles_clear_of_them_a
     ways = np.vstack([mission.start[:1], mission.stick.waypoints])
     assert np.linalg.norm(np.diff(ways, axis=0), axis=1) == pytest.approx([4, 4, 4])
     assert mission.obstacles.total == 25
-    assert to_obstacles(mission.start, mission.obstacles).min() > 1.5
-    assert to_obstacles(ways[1:], mission.obstacles).min() > 1.8
+    assert obstacle_distances(mission.start, mission.obstacles).min() > 1.5
+    assert obstacle_distances(ways[1:], mission.obstacles).min() > 1.8
 
 
 def test_every_table_reaches_the_mission():
@@ -103,15 +118,17 @@ def test_every_table_reaches_the_mission():
         'swarm.start={kind="random", box_m=[5, 5, 2.5], lambda2=0.02}',
         "death=[{robot=2, time_s=1}]",
     )  # fmt: skip
-    assert mission.believed == pytest.approx(mission.yaw - mission.yaw[:, None])
-    assert mission.blind and mission.occlusion and mission.body == 0.2
+    assert mission.start_yaw_estimate == pytest.approx(mission.yaw - mission.yaw[:, None])
+    assert mission.blind and mission.occlusion and mission.body_radius == 0.2
     assert mission.camera.axis == (0, 0, 1) and mission.potential.most == 2
     assert mission.repulsion.strength == 1 and mission.tracking.printed
-    assert mission.limits.turn == pytest.approx(np.pi / 2) and mission.link == Link(2, 1, 0.1)
-    assert mission.noise == 0.05 and mission.plant == Kinematic(0.3, 0.01)
-    assert mission.estimator == "power_pi" and mission.power == fitted(0.001, 6)
-    assert mission.deaths == (Death(2, 1.0),)
-    assert built('plant={kind="quadrotor", tilt_deg=20}').plant == Quadrotor(tilt=np.pi / 9)
+    assert mission.limits.turn == pytest.approx(np.pi / 2) and mission.link == CommunicationLink(
+        2, 1, 0.1
+    )
+    assert mission.noise == 0.05 and mission.plant == KinematicVehicle(0.3, 0.01)
+    assert mission.estimator == "power_pi" and mission.power == default_gains(0.001, 6)
+    assert mission.losses == (AgentLoss(2, 1.0),)
+    assert built('plant={kind="quadrotor", tilt_deg=20}').plant == Quadrotor(max_tilt=np.pi / 9)
 
 
 def test_obstacles_are_spheres_boxes_and_planes():
@@ -123,15 +140,15 @@ def test_obstacles_are_spheres_boxes_and_planes():
     ).obstacles  # fmt: skip
     places = np.array([[0, 0, 2], [0, 9, 2.5], [8.5, 0, 2], [0, -4, 5], [7, 2, 2]])
     expected = [[8, 8, 1.5], [-0.5, np.hypot(8, 8), 2], [np.hypot(8.5, 9) - 1, -0.5, 1.5]]
-    assert to_obstacles(places, obstacles)[:3] == pytest.approx(np.array(expected))
-    assert to_obstacles(places, obstacles)[4, 1] == pytest.approx(np.sqrt(2))
+    assert obstacle_distances(places, obstacles)[:3] == pytest.approx(np.array(expected))
+    assert obstacle_distances(places, obstacles)[4, 1] == pytest.approx(np.sqrt(2))
 
 
 def test_who_is_lost_and_when_is_drawn_where_it_is_not_said():
-    deaths = built("death=[{}, {robot=0}, {time_s=1.5}]").deaths
-    assert len({d.robot for d in deaths}) == 3 and deaths[1].robot == 0
+    deaths = built("death=[{}, {robot=0}, {time_s=1.5}]").losses
+    assert len({d.agent for d in deaths}) == 3 and deaths[1].agent == 0
     assert deaths[2].time == 1.5 and all(0 <= d.time <= 2 for d in deaths)
-    assert deaths != built("death=[{}, {robot=0}, {time_s=1.5}]", seed=2).deaths
+    assert deaths != built("death=[{}, {robot=0}, {time_s=1.5}]", seed=2).losses
 
 
 def test_a_recorded_stick_lies_beside_the_scenario_and_goes_with_the_run(tmp_path, monkeypatch):

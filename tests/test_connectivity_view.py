@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from dynamics.quadrotor import Quadrotor
-from problems.graph import Sight, graph
-from sato.connectivity import ConnectivityFlight, fly
-from sato.connectivity.mail import Link
+from problems.interaction_graph import Camera, interaction_graph
+from sato.connectivity import Connectivity, simulate
+from sato.connectivity.messages import CommunicationLink
 from sato.connectivity.obstacles import Obstacles
 from sato.connectivity.potential import Potential, Repulsion
-from sato.connectivity.stick import Homing
-from sato.connectivity.yaw import Tracking
+from sato.connectivity.stick import WaypointStick
+from sato.connectivity.yaw_estimator import YawTracking
 
-AHEAD = Sight(axis=(1.0, 0.0, 0.0))
+AHEAD = Camera(optical_axis=(1.0, 0.0, 0.0))
 STILL = {"potential": Potential(strength=0.0), "repulsion": Repulsion(strength=0.0)}
-NOWHERE = Homing(np.zeros((0, 3)))
+NOWHERE = WaypointStick(np.zeros((0, 3)))
 # Robot 0 sees 1, which does not see it; each sees 2, and 2 both of them.
 THREE = np.array([[0.0, 0, 3], [5, 0, 3], [5, 5, 3]])
 LOOKS = np.radians([0.0, 90, 247])
@@ -27,17 +27,21 @@ def three(**settings):
     believed = LOOKS - LOOKS[:, None]
     believed[0, 1] += 0.5
     given = {"duration": 2.0, "camera": AHEAD} | STILL | settings
-    return ConnectivityFlight(THREE, LOOKS, believed, NOWHERE, **given)
+    return Connectivity(THREE, LOOKS, believed, NOWHERE, **given)
 
 
 def flown(mission, seed=0):
-    return list(fly(mission, np.random.default_rng(seed)))
+    return list(simulate(mission, np.random.default_rng(seed)))
 
 
 def one_sided_error(mission):
     last = flown(mission)[-1]
-    assert last.sees[0, 1] and not last.sees[1, 0] and (last.sees & last.sees.T).sum() == 4
-    off = last.turned[0, 1] - (last.yaw[1] - last.yaw[0])
+    assert (
+        last.visibility[0, 1]
+        and not last.visibility[1, 0]
+        and (last.visibility & last.visibility.T).sum() == 4
+    )
+    off = last.relative_yaw_estimate[0, 1] - (last.yaw[1] - last.yaw[0])
     return abs(np.sin(off / 2))
 
 
@@ -45,7 +49,8 @@ def test_a_third_that_both_see_tells_how_another_is_turned():
     # Nobody moves, so that nothing else could.
     assert one_sided_error(three()) < 1e-3
     off = [
-        one_sided_error(three(tracking=t)) for t in (Tracking(closure=0.0), Tracking(printed=True))
+        one_sided_error(three(tracking=t))
+        for t in (YawTracking(closure_gain=0.0), YawTracking(as_printed=True))
     ]
     assert off == pytest.approx([np.sin(0.25)] * 2)
 
@@ -60,33 +65,37 @@ def test_a_third_that_both_see_tells_how_another_is_turned():
     ],
 )
 def test_who_stands_behind_an_obstacle_is_not_seen(what, hides):
-    mission = three(obstacles=Obstacles.none()._replace(**what), duration=0.1)
+    mission = three(obstacles=Obstacles.empty()._replace(**what), duration=0.1)
     open_sight, hidden = flown(mission)[-1], flown(replace(mission, occlusion=True))[-1]
-    assert open_sight.sees[0, 1] and open_sight.edge_weight[0, 1] == pytest.approx(1)
-    assert hidden.sees[0, 1] != hides
+    assert open_sight.visibility[0, 1] and open_sight.edge_weight[0, 1] == pytest.approx(1)
+    assert hidden.visibility[0, 1] != hides
     assert hidden.edge_weight[0, 1] == pytest.approx(0 if hides else 1)
-    assert hidden.sees[0, 2] and hidden.sees[1, 2]
+    assert hidden.visibility[0, 2] and hidden.visibility[1, 2]
 
 
 def test_a_robot_hides_who_is_behind_it():
     start = np.array([[0.0, 0, 3], [3, 0, 3], [6, 0, 3]])
     yaw = np.zeros(3)
-    mission = ConnectivityFlight(
+    mission = Connectivity(
         start, yaw, np.zeros((3, 3)), NOWHERE, camera=AHEAD, duration=0.1, **STILL
     )
-    assert flown(mission)[-1].sees[0].tolist() == [False, True, True]
-    assert flown(replace(mission, occlusion=True))[-1].sees[0].tolist() == [False, True, False]
+    assert flown(mission)[-1].visibility[0].tolist() == [False, True, True]
+    assert flown(replace(mission, occlusion=True))[-1].visibility[0].tolist() == [
+        False,
+        True,
+        False,
+    ]
 
 
 def test_cameras_tilt_with_those_who_accelerate_and_not_with_those_who_rest():
     start = np.array([[0.0, 0, 3], [4.5, 0, 6.0]])
     yaw = np.array([0.0, 0.0])
-    away = Homing(np.array([[-40.0, 0, 3]]))
-    mission = ConnectivityFlight(
+    away = WaypointStick(np.array([[-40.0, 0, 3]]))
+    mission = Connectivity(
         start, yaw, np.zeros((2, 2)), away, camera=AHEAD, duration=0.5, plant=Quadrotor(), **STILL
     )
     frames = flown(mission)
-    level = [graph(f.position, f.yaw, AHEAD).weight[0, 1] for f in frames]
+    level = [interaction_graph(f.position, f.yaw, AHEAD).weights[0, 1] for f in frames]
     true = [f.edge_weight[0, 1] for f in frames]
     assert true[0] == pytest.approx(level[0])
     # Backwards: the nose goes up, towards the other one, who is above.
@@ -100,13 +109,20 @@ def six(**settings):
     start = np.column_stack([4 * np.cos(turn), 4 * np.sin(turn), 3 + 0.3 * np.arange(6)])
     yaw = turn + np.pi + 0.2 * np.cos(np.arange(6))
     believed = yaw - yaw[:, None] + 0.3 * np.sin(np.arange(36)).reshape(6, 6)
-    stick = Homing(np.array([[12.0, 3, 3]]))
-    return ConnectivityFlight(
+    stick = WaypointStick(np.array([[12.0, 3, 3]]))
+    return Connectivity(
         start, yaw, believed, stick, **({"duration": 6.0, "camera": AHEAD} | settings)
     )
 
 
-@pytest.mark.parametrize("link", [Link(every=10), Link(every=5, late=1), Link(late=9)])
+@pytest.mark.parametrize(
+    "link",
+    [
+        CommunicationLink(period_steps=10),
+        CommunicationLink(period_steps=5, delay_messages=1),
+        CommunicationLink(delay_messages=9),
+    ],
+)
 def test_messages_that_are_rare_or_late_are_used_for_what_they_are_worth(link):
     prompt, frames = flown(six()), flown(six(link=link))
     assert min(f.lambda2 for f in frames) > 0.01

@@ -8,23 +8,29 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from dynamics.kinematic import Kinematic, drive
-from problems.graph import Sight, bearings, connectivity, gradient, graph
-from sato.connectivity import ConnectivityFlight, fly
-from sato.connectivity.log import rotated
-from sato.connectivity.potential import Potential, Repulsion, steepness
-from sato.connectivity.stick import Homing
-from sato.connectivity.yaw import (
-    Tracking,
-    by_bearings,
-    by_motion,
-    correct,
-    middle,
-    observe,
-    wrapped,
+from dynamics.kinematic import KinematicVehicle, step_kinematic
+from problems.interaction_graph import (
+    Camera,
+    algebraic_connectivity,
+    bearings,
+    interaction_graph,
+    lambda2_gradient,
+)
+from sato.connectivity import Connectivity, simulate
+from sato.connectivity.potential import Potential, Repulsion, negative_slope
+from sato.connectivity.record import rotate_by_yaw
+from sato.connectivity.stick import WaypointStick
+from sato.connectivity.yaw_estimator import (
+    YawTracking,
+    circular_mean,
+    update_velocity_observer,
+    update_yaw_estimate,
+    wrap_angle,
+    yaw_from_bearings,
+    yaw_from_motion,
 )
 
-TRACK = Tracking()
+TRACK = YawTracking()
 UNUSED = np.random.default_rng(0)  # no noise is drawn
 ANGLES = st.floats(-np.pi, np.pi)
 SEEDS = st.integers(0, 2**32 - 1)
@@ -60,9 +66,9 @@ def on(position, yaw, velocity, rate, dt):
     """Both a step on."""
     position, yaw = position.copy(), yaw.copy()
     for k in range(2):
-        yaw[k], _ = drive(
+        yaw[k], _ = step_kinematic(
             position[k], yaw[k], velocity[k].copy(), rate[k], velocity[k], rate[k],
-            Kinematic(), dt, UNUSED,
+            KinematicVehicle(), dt, UNUSED,
         )  # fmt: skip
     return position, yaw
 
@@ -82,11 +88,11 @@ def watched(position, yaw, velocity, rate, dt, time, track=TRACK):
     """The observer after a while of motion as commanded, and how the two are turned then."""
     watch, (before, _) = np.zeros(7), seen(position, yaw)
     told = np.append(velocity[1], rate[1])
-    observe(before, before, True, velocity[0], rate[0], told, watch, track, dt)
+    update_velocity_observer(before, before, True, velocity[0], rate[0], told, watch, track, dt)
     for _ in range(round(time / dt)):
         position, yaw = on(position, yaw, velocity, rate, dt)
         p, _ = seen(position, yaw)
-        observe(p, before, False, velocity[0], rate[0], told, watch, track, dt)
+        update_velocity_observer(p, before, False, velocity[0], rate[0], told, watch, track, dt)
         before = p
     return watch, yaw
 
@@ -95,7 +101,7 @@ def watched(position, yaw, velocity, rate, dt, time, track=TRACK):
 @pytest.mark.parametrize("seed", range(5))
 def test_the_observer_tends_to_the_low_passed_velocity_of_the_other(seed, printed):
     # As printed, through a filter that turns with the robot; ours rests in space.
-    rng, time, track = np.random.default_rng(seed), 0.64, TRACK._replace(printed=printed)
+    rng, time, track = np.random.default_rng(seed), 0.64, TRACK._replace(as_printed=printed)
     position, yaw, v, w = pose(rng)
 
     def lag(t, e):
@@ -130,14 +136,14 @@ def test_who_hovers_knows_at_once_how_another_one_that_moves_is_turned(seed):
     position, yaw, v, _ = pose(rng)
     v[0], dt, watch = 0.0, 0.02, np.zeros(7)
     before, _ = seen(position, yaw)
-    observe(before, before, True, v[0], 0.0, np.append(v[1], 0), watch, TRACK, dt)
+    update_velocity_observer(before, before, True, v[0], 0.0, np.append(v[1], 0), watch, TRACK, dt)
     for number in range(40):
         v[1] = rng.uniform(-2, 2, 3) if number % 7 == 0 else v[1]
         position, yaw = on(position, yaw, v, np.zeros(2), dt)
         p, _ = seen(position, yaw)
-        observe(p, before, False, v[0], 0.0, np.append(v[1], 0), watch, TRACK, dt)
+        update_velocity_observer(p, before, False, v[0], 0.0, np.append(v[1], 0), watch, TRACK, dt)
         before = p
-        guessed, trust = by_motion(watch, v[1], TRACK)
+        guessed, trust = yaw_from_motion(watch, v[1], TRACK)
         if np.hypot(*watch[3:5]) > 1e-3:
             assert apart(guessed, yaw[1] - yaw[0]) < 1e-9
         # It is trusted only when the filter has forgotten that it began at zero.
@@ -146,40 +152,42 @@ def test_who_hovers_knows_at_once_how_another_one_that_moves_is_turned(seed):
 
 def test_a_new_sighting_begins_anew(rng):
     watch, p, v = rng.normal(size=7), rng.normal(size=3), rng.normal(size=3)
-    observe(p, np.full(3, np.nan), True, v, 0.3, np.append(v, 0.1), watch, TRACK, 0.02)
+    update_velocity_observer(
+        p, np.full(3, np.nan), True, v, 0.3, np.append(v, 0.1), watch, TRACK, 0.02
+    )
     assert not watch.any()
 
 
 @given(SEEDS)
 def test_two_bearings_tell_how_two_robots_are_turned(seed):
     position, yaw, _, _ = pose(np.random.default_rng(seed))
-    assert apart(by_bearings(*seen(position, yaw)), yaw[1] - yaw[0]) < 1e-9
+    assert apart(yaw_from_bearings(*seen(position, yaw)), yaw[1] - yaw[0]) < 1e-9
 
 
 @given(ANGLES, ANGLES)
 def test_the_middle_is_as_far_from_one_as_from_the_other(mine, theirs):
-    mean = middle(mine, theirs)
+    mean = circular_mean(mine, theirs)
     assert apart(mean, mine) == pytest.approx(apart(mean, -theirs), abs=1e-6)
     assert apart(mean, mine) <= np.pi / 2 + 1e-6  # and not opposite
-    assert apart(middle(mine, -mine), mine) < 1e-9
+    assert apart(circular_mean(mine, -mine), mine) < 1e-9
 
 
 @given(st.floats(-30, 30))
 def test_a_wrapped_angle_is_the_same_angle(angle):
-    assert -np.pi <= wrapped(angle) <= np.pi
-    assert apart(wrapped(angle), angle) < 1e-12
+    assert -np.pi <= wrap_angle(angle) <= np.pi
+    assert apart(wrap_angle(angle), angle) < 1e-12
 
 
 @given(ANGLES, st.floats(-3.0, 3.0), st.floats(0.1, 1), st.booleans())
 def test_corrections_lead_to_what_is_measured_while_both_turn(yaw, off, share, mutual):
     # e⁺ = e − dt k sin e, at k ≥ 1/s for 12 s: tan e/2 falls from at most 14 to less than 1e-4.
-    true, believed, turn, dt = yaw, wrapped(yaw + off), 0.4, 0.02
+    true, believed, turn, dt = yaw, wrap_angle(yaw + off), 0.4, 0.02
     for _ in range(600):
         before = apart(believed, true)
         if mutual:
-            believed = correct(believed, turn, share, true, 9.9, 0.0, TRACK, dt)
+            believed = update_yaw_estimate(believed, turn, share, true, 9.9, 0.0, TRACK, dt)
         else:
-            believed = correct(believed, turn, 0.0, 9.9, true, share, TRACK, dt)
+            believed = update_yaw_estimate(believed, turn, 0.0, 9.9, true, share, TRACK, dt)
         true += dt * turn
         assert apart(believed, true) <= before + 1e-12
     assert apart(believed, true) < 1e-3
@@ -192,12 +200,12 @@ def test_without_motion_an_error_stays_as_it_is(off, speed, way, climb):
     v = np.array([speed * np.cos(way), speed * np.sin(way), climb])
     position, yaw = np.array([[0.0, 0, 0], [3, 1, 0]]), np.array([0.0, psi])
     watch, _ = watched(position, yaw, np.array([np.zeros(3), v]), np.zeros(2), 0.02, 0.4)
-    guessed, trust = by_motion(watch, v, TRACK)
+    guessed, trust = yaw_from_motion(watch, v, TRACK)
     assert trust == 0
-    believed = wrapped(psi + off)
-    assert correct(believed, 0.0, 0.0, 0.0, guessed, trust, TRACK, 0.02) == believed
+    believed = wrap_angle(psi + off)
+    assert update_yaw_estimate(believed, 0.0, 0.0, 0.0, guessed, trust, TRACK, 0.02) == believed
     # The printed estimator counts the climb as motion.
-    assert by_motion(watch, v, TRACK._replace(printed=True))[1] == 1
+    assert yaw_from_motion(watch, v, TRACK._replace(as_printed=True))[1] == 1
 
 
 def test_the_other_bearing_is_turned_back_and_not_on():
@@ -217,17 +225,17 @@ def test_what_robots_do_at_first_is_along_the_true_gradient(seed):
     rng = np.random.default_rng(seed)
     while True:
         position, yaw = rng.uniform(0, 1, (6, 3)) * [8, 8, 3], rng.uniform(-np.pi, np.pi, 6)
-        weight = graph(position, yaw, Sight()).weight
-        if connectivity(weight).lambda2 > 0.05:
+        weight = interaction_graph(position, yaw, Camera()).weights
+        if algebraic_connectivity(weight).lambda2 > 0.05:
             break
     gentle = Potential(strength=1e-6)  # so that nothing is cut off
-    mission = ConnectivityFlight(
-        position, yaw, yaw - yaw[:, None], Homing(np.zeros((0, 3))), duration=0.0,
+    mission = Connectivity(
+        position, yaw, yaw - yaw[:, None], WaypointStick(np.zeros((0, 3))), duration=0.0,
         estimator="exact", potential=gentle, repulsion=Repulsion(strength=0.0),
     )  # fmt: skip
-    (frame,) = fly(mission, rng)
-    true, steep = gradient(position, yaw, Sight()), steepness(frame.lambda2, gentle)
-    slope = rotated(frame.command[:, :3], yaw) / steep
+    (frame,) = simulate(mission, rng)
+    true, steep = lambda2_gradient(position, yaw, Camera()), negative_slope(frame.lambda2, gentle)
+    slope = rotate_by_yaw(frame.command[:, :3], yaw) / steep
     assert slope == pytest.approx(true.position, abs=1e-12)
     assert frame.command[:, 3] / steep == pytest.approx(true.yaw, abs=1e-12)
     # The action pulls nobody but by the others: before it is cut off it sums up to nothing.

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from dynamics import DoubleIntegrator, hold
+from dynamics import DoubleIntegrator, discretize_zoh
 
 
 @pytest.mark.parametrize("axes", [2, 3])
 def test_left_alone_it_flies_straight_on(rng, axes):
     x = rng.normal(size=2 * axes)
-    path = hold(DoubleIntegrator(axes), 0.7, 20).roll(x, np.zeros((20, axes)))
+    path = discretize_zoh(DoubleIntegrator(axes), 0.7, 20).simulate(x, np.zeros((20, axes)))
     time = 0.7 * np.arange(21)[:, None]
     np.testing.assert_allclose(path[:, :axes], x[:axes] + time * x[axes:], atol=1e-13)
     np.testing.assert_array_equal(path[:, axes:], np.tile(x[axes:], (21, 1)))
@@ -18,7 +18,7 @@ def test_left_alone_it_flies_straight_on(rng, axes):
 @pytest.mark.parametrize("axes", [2, 3])
 def test_pushed_steadily_it_falls(rng, axes):
     x, u = rng.normal(size=2 * axes), rng.normal(size=axes)
-    path = hold(DoubleIntegrator(axes), 0.7, 20).roll(x, np.tile(u, (20, 1)))
+    path = discretize_zoh(DoubleIntegrator(axes), 0.7, 20).simulate(x, np.tile(u, (20, 1)))
     time = 0.7 * np.arange(21)[:, None]
     fallen = x[:axes] + time * x[axes:] + time**2 / 2 * u
     np.testing.assert_allclose(path[:, :axes], fallen, atol=1e-12)

@@ -9,9 +9,9 @@ from test_check import fly_straight, mission, recorded
 from test_plots import orbit
 
 import sato.export
-from dynamics.frames import LVLH, inertial_state
+from dynamics.coordinate_frames import LVLH, inertial_state
 from dynamics.orbit import K_J2
-from sato.export import calendar, export
+from sato.export import export, format_utc
 
 with warnings.catch_warnings():  # of what it brings along, none is ours to heed
     warnings.simplefilter("ignore")
@@ -65,7 +65,7 @@ def test_every_object_has_a_message_of_its_own_that_a_library_reads(run, folder)
 def test_back_in_the_frame_of_the_chief_all_is_as_it_was_flown(run, about, folder):
     chief = np.asarray(run.data["chief"], dtype=float)
     np.testing.assert_allclose(states(folder / "chief.oem"), inertial_state(chief), rtol=1e-15)
-    frame = LVLH.of_chief(chief, K_J2)
+    frame = LVLH.from_polar_nodal(chief, K_J2)
     for j in (0, 7, 11):
         back = frame.from_inertial(states(folder / f"agent-{j:02}.oem"))
         np.testing.assert_allclose(back[:, :3], run.data["position"][:, j], rtol=0, atol=1e-8)
@@ -96,12 +96,12 @@ def test_messages_obey_the_syntax_of_the_standard(folder):
 
 
 def test_times_are_said_to_the_nanosecond_only_where_they_need_it(run):
-    assert calendar(run, np.array([0.0, 90.0])) == [
+    assert format_utc(run, np.array([0.0, 90.0])) == [
         "2027-02-03T04:05:06.500", "2027-02-03T04:06:36.500",
     ]  # fmt: skip
     third = np.array([1 / 3])
-    assert calendar(run, third) == ["2027-02-03T04:05:06.833333333"]
-    assert calendar(recorded(mission()), np.zeros(1)) == ["2026-01-01T00:00:00.000"]
+    assert format_utc(run, third) == ["2027-02-03T04:05:06.833333333"]
+    assert format_utc(recorded(mission()), np.zeros(1)) == ["2026-01-01T00:00:00.000"]
 
 
 def test_an_agent_seen_once_is_written_without_an_interpolation(about, tmp_path):
@@ -119,12 +119,12 @@ def rows(path):
 def test_the_table_holds_every_state_in_both_frames_to_the_last_bit(run, tmp_path):
     table = rows(export(run, tmp_path / "all.csv", "csv"))
     assert len(table) == 33 + 11 * 33 + 20
-    frame = LVLH.of_chief(np.asarray(run.data["chief"], dtype=float), K_J2)
+    frame = LVLH.from_polar_nodal(np.asarray(run.data["chief"], dtype=float), K_J2)
     lvlh = [f"lvlh_{n}" for n in ("x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s")]
     for row in table[:33:8]:
         k = round(float(row["time_s"]) / 60)
         assert row["object"] == "chief" and all(float(row[name]) == 0 for name in lvlh)
-        assert float(row["inertial_x_m"]) == frame.chief[k, 0]
+        assert float(row["inertial_x_m"]) == frame.chief_state[k, 0]
     row = table[33 * 3 + 13]
     assert (row["object"], row["time_s"], row["utc"]) == (
         "agent-02", "780.0", "2027-02-03T04:18:06.500",

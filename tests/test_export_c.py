@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from dynamics import ClohessyWiltshire, DoubleIntegrator, hold
-from problems.avoidance import Avoidance, HalfSpaces, no_spaces
+from dynamics import ClohessyWiltshire, DoubleIntegrator, discretize_zoh
+from problems.avoidance import AvoidanceProblem, HalfSpaces, empty_half_spaces
 from problems.conic import Infeasible
-from problems.fixed_avoidance import FixedAvoidance
-from problems.transfer import Transfer
+from problems.fixed_size_avoidance import FixedSizeAvoidanceProblem
+from problems.transfer import TransferProblem
 from sato.cli import app
 from sato.onboard import export, export_c
-from sato.onboard.asked import asked
-from sato.onboard.compiled import REFUSED, SOLVED, UNSOLVED, Compiled, compiled
-from sato.onboard.trial import questions
+from sato.onboard.library import INVALID_INPUT, SOLVED, UNSOLVED, CompiledSolver, compile_solver
+from sato.onboard.problem import build_onboard_problem
+from sato.onboard.random_instances import random_instances
 
 ORBIT = """
 system = "reconfiguration"
@@ -56,44 +56,44 @@ def made(tmp_path_factory):
     found = {}
     for (scenario, size), name in zip(wanted.items(), ("plane", "orbit"), strict=True):
         written = export_c(scenario, home / name, *size)
-        found[name] = written, compiled(home / name), home / name
+        found[name] = written, compile_solver(home / name), home / name
     return found
 
 
 def flown_by_python(written, question):
-    transfer = written.programme.transfer
-    flight = Avoidance(transfer).solve(*question).flight
-    return flight, transfer.steps.dt * transfer.weight @ np.abs(flight.u).sum(axis=1)
+    transfer = written.program.transfer
+    flight = AvoidanceProblem(transfer).solve(*question).trajectory
+    return flight, transfer.model.dt * transfer.weight @ np.abs(flight.u).sum(axis=1)
 
 
 @pytest.mark.parametrize("name", ["plane", "orbit"])
 def test_the_code_answers_as_python_does(made, name, rng):
     written, code, _ = made[name]
-    programme = written.programme
-    steps, V = programme.transfer.steps, programme.transfer.max_speed
+    programme = written.program
+    steps, V = programme.transfer.model, programme.transfer.max_speed
     least_cost = programme.transfer.max_control * steps.dt
     bound = 0
-    for question in islice(questions(written, rng), 50):
+    for question in islice(random_instances(written, rng), 50):
         start, goal, spaces = question
         flight, cost = flown_by_python(written, question)
         flown = code.solve(*question)
         assert flown.code == SOLVED
         assert abs(flown.cost - cost) <= 1e-6 * max(cost, least_cost)
         # By arithmetic of our own: the answer keeps all that was asked.
-        x = steps.roll(start, flown.u)
-        assert np.abs((x[-1] - goal) / programme.units).max() <= 1e-6
+        x = steps.simulate(start, flown.u)
+        assert np.abs((x[-1] - goal) / programme.state_units).max() <= 1e-6
         assert np.abs(flown.u).max() <= programme.transfer.max_control
-        assert spaces.missing(x, flown.u).max() <= 1e-6 * written.horizon.radius
+        assert spaces.violation(x, flown.u).max() <= 1e-6 * written.horizon.radius
         if programme.limited:
             assert np.linalg.norm(x[1:-1, steps.axes :], axis=1).max() <= V * (1 + 1e-6)
-        bound += spaces.missing(flight.x, flight.u).max() > -1e-6 * written.horizon.radius
+        bound += spaces.violation(flight.x, flight.u).max() > -1e-6 * written.horizon.radius
     assert bound >= 10  # else the half-spaces were never put to the test
 
 
 def test_the_speed_limit_is_kept_where_it_binds(made):
     written, code, _ = made["plane"]
-    V = written.programme.transfer.max_speed
-    nobody = no_spaces(written.programme.transfer)
+    V = written.program.transfer.max_speed
+    nobody = empty_half_spaces(written.program.transfer)
     start, goal = np.zeros(4), np.array([1.57, 0.4, 0, 0])
     flight, cost = flown_by_python(written, (start, goal, nobody))
     assert np.linalg.norm(flight.x[1:-1, 2:], axis=1).max() > V * (1 - 1e-6)
@@ -112,20 +112,20 @@ def test_a_start_that_touches_a_half_space_is_no_obstacle(made):
 
 def test_what_the_code_says_of_its_answer_is_so(made, rng):
     written, code, _ = made["plane"]
-    steps = written.programme.transfer.steps
-    for start, goal, spaces in islice(questions(written, rng), 5):
+    steps = written.program.transfer.model
+    for start, goal, spaces in islice(random_instances(written, rng), 5):
         flown = code.solve(start, goal, spaces)
-        x = steps.roll(start, flown.u)
+        x = steps.simulate(start, flown.u)
         assert flown.fuel == pytest.approx(steps.dt * np.abs(flown.u).sum(), rel=1e-12)
-        assert flown.missed_position == pytest.approx(np.abs(x[-1] - goal)[:2].max(), abs=1e-13)
-        assert flown.missed_velocity == pytest.approx(np.abs(x[-1] - goal)[2:].max(), abs=1e-13)
-        assert flown.broken == pytest.approx(max(0, spaces.missing(x, flown.u).max()), abs=1e-13)
+        assert flown.position_error == pytest.approx(np.abs(x[-1] - goal)[:2].max(), abs=1e-13)
+        assert flown.velocity_error == pytest.approx(np.abs(x[-1] - goal)[2:].max(), abs=1e-13)
+        assert flown.broken == pytest.approx(max(0, spaces.violation(x, flown.u).max()), abs=1e-13)
         assert flown.residual <= 1e-6
 
 
 def test_an_answer_does_not_depend_on_those_before_it(made, rng):
     written, code, _ = made["plane"]
-    first, *others = islice(questions(written, rng), 8)
+    first, *others = islice(random_instances(written, rng), 8)
     alone = code.solve(*first)
     for other in others:
         code.solve(*other)
@@ -134,7 +134,7 @@ def test_an_answer_does_not_depend_on_those_before_it(made, rng):
 
 def test_the_order_of_half_spaces_does_not_matter(made, rng):
     written, code, _ = made["plane"]
-    start, goal, spaces = next(questions(written, rng))
+    start, goal, spaces = next(random_instances(written, rng))
     turned = HalfSpaces(*(part[::-1] for part in spaces))
     there, back = (code.solve(start, goal, s).cost for s in (spaces, turned))
     assert there == pytest.approx(back, rel=1e-7)
@@ -142,11 +142,11 @@ def test_the_order_of_half_spaces_does_not_matter(made, rng):
 
 def test_where_there_is_no_flight_none_is_claimed(made):
     written, code, _ = made["plane"]
-    nobody, far = no_spaces(written.programme.transfer), np.array([50.0, 0, 0, 0])
+    nobody, far = empty_half_spaces(written.program.transfer), np.array([50.0, 0, 0, 0])
     near = np.array([0.5, 0.2, 0, 0])
     before = code.solve(np.zeros(4), near, nobody)
     with pytest.raises(Infeasible):
-        Avoidance(written.programme.transfer).solve(np.zeros(4), far, nobody)
+        AvoidanceProblem(written.program.transfer).solve(np.zeros(4), far, nobody)
     flown = code.solve(np.zeros(4), far, nobody)
     assert flown.code == UNSOLVED
     assert not flown.residual <= 1e-6
@@ -161,22 +161,22 @@ def test_where_there_is_no_flight_none_is_claimed(made):
 def test_bad_numbers_are_refused_before_anything_is_solved(made):
     written, code, _ = made["plane"]
     rest, goal = np.zeros(4), np.array([0.1, 0, 0, 0])
-    nobody = no_spaces(written.programme.transfer)
+    nobody = empty_half_spaces(written.program.transfer)
     wall = HalfSpaces(np.array([1]), np.array([[1.0, 0, 0, 0]]), np.zeros((1, 2)), np.array([-9.0]))
     assert code.solve(rest, goal, wall).code == SOLVED
-    most = written.programme.rows
+    most = written.program.rows
     crowd = HalfSpaces(*(np.repeat(part, most, axis=0) for part in wall))
     assert code.solve(rest, goal, crowd).code == SOLVED
     for start, end, spaces in (
         (np.array([np.nan, 0, 0, 0]), goal, nobody),
         (rest, np.array([0, inf, 0, 0]), nobody),
-        (rest, goal, wall._replace(least=np.array([np.nan]))),
-        (rest, goal, wall._replace(step=np.array([written.programme.horizon]))),
-        (rest, goal, wall._replace(step=np.array([-1]))),
+        (rest, goal, wall._replace(rhs=np.array([np.nan]))),
+        (rest, goal, wall._replace(step_index=np.array([written.program.horizon]))),
+        (rest, goal, wall._replace(step_index=np.array([-1]))),
         (rest, goal, HalfSpaces(*(np.repeat(part, most + 1, axis=0) for part in wall))),
     ):
         flown = code.solve(start, end, spaces)
-        assert (flown.code, flown.residual, flown.fuel) == (REFUSED, inf, 0.0)
+        assert (flown.code, flown.residual, flown.fuel) == (INVALID_INPUT, inf, 0.0)
 
 
 def test_the_library_shows_one_function_alone(made):
@@ -191,17 +191,19 @@ def test_the_statement_of_fixed_size_is_that_of_avoidance(rng):
     """Without C: the same optimum, solved in Python."""
     import cvxpy as cp
 
-    written = asked("uiuc", 2, 8)
-    programme = written.programme
-    transfer, units = programme.transfer, programme.units
-    start, goal, spaces = next(questions(written, rng))
-    statement = programme.statement()
+    written = build_onboard_problem("uiuc", 2, 8)
+    programme = written.program
+    transfer, units = programme.transfer, programme.state_units
+    start, goal, spaces = next(random_instances(written, rng))
+    statement = programme.to_cvxpy()
     data = {parameter.name(): np.zeros(parameter.shape) for parameter in statement.parameters()}
     data["room"] += 1
-    coast = transfer.steps.roll(start, np.zeros((len(transfer.steps), 2)))
+    coast = transfer.model.simulate(start, np.zeros((len(transfer.model), 2)))
     data["reach"] = (goal - coast[-1]) / units
     data["coasting"] = (coast[1:-1, 2:] / transfer.max_speed).T
-    free = {k: list(np.flatnonzero(programme.step == k)) for k in range(programme.horizon)}
+    free = {
+        k: list(np.flatnonzero(programme.row_steps == k)) for k in range(programme.horizon_steps)
+    }
     for k, on_state, on_control, least in zip(*spaces, strict=True):
         row = free[int(k)].pop()
         data["on_state"][:, row] = -on_state * units * (k > 0)
@@ -209,22 +211,22 @@ def test_the_statement_of_fixed_size_is_that_of_avoidance(rng):
         data["room"][row] = on_state @ coast[k] - least
     for parameter in statement.parameters():
         parameter.value = data[parameter.name()]
-    scale = transfer.max_control * transfer.steps.dt
+    scale = transfer.max_control * transfer.model.dt
     found = scale * statement.solve(solver=cp.CLARABEL)
     assert found == pytest.approx(flown_by_python(written, (start, goal, spaces))[1], rel=1e-6)
 
 
 def test_what_cannot_be_written_once_is_refused():
-    steps = hold(DoubleIntegrator(2), 1.0, 6)
+    steps = discretize_zoh(DoubleIntegrator(2), 1.0, 6)
     with pytest.raises(ValueError, match="fuel norm 1 and control norm inf, got 2 and inf"):
-        FixedAvoidance(Transfer(steps, 0.1, fuel_norm=2), 3, 4)
+        FixedSizeAvoidanceProblem(TransferProblem(steps, 0.1, fuel_norm=2), 3, 4)
     with pytest.raises(ValueError, match="two steps or more"):
-        FixedAvoidance(Transfer(steps, 0.1), 7, 4)
+        FixedSizeAvoidanceProblem(TransferProblem(steps, 0.1), 7, 4)
     changing = replace(steps, A=steps.A * np.linspace(1, 1.1, 6)[:, None, None])
     with pytest.raises(ValueError, match="A must be the same at every step"):
-        FixedAvoidance(Transfer(changing, 0.1), 3, 4)
-    constant = hold(ClohessyWiltshire(1e-3), 60.0, 6)
-    assert not FixedAvoidance(Transfer(constant, 0.01), 3, 4).limited
+        FixedSizeAvoidanceProblem(TransferProblem(changing, 0.1), 3, 4)
+    constant = discretize_zoh(ClohessyWiltshire(1e-3), 60.0, 6)
+    assert not FixedSizeAvoidanceProblem(TransferProblem(constant, 0.01), 3, 4).has_speed_limit
 
 
 def test_the_command_writes_a_folder_that_says_what_it_is(tmp_path):
@@ -278,7 +280,7 @@ def test_a_failure_on_the_way_leaves_nothing(tmp_path, monkeypatch):
 
 
 def test_without_the_generator_the_line_that_installs_it_is_named(tmp_path, monkeypatch):
-    monkeypatch.setattr("sato.onboard.generated.find_spec", lambda name: None)
+    monkeypatch.setattr("sato.onboard.codegen.find_spec", lambda name: None)
     answer = call("export-c", "--out", str(tmp_path / "c"))
     assert answer.exit_code == 2
     assert "pip install 'cvxpygen" in answer.stderr
@@ -286,4 +288,4 @@ def test_without_the_generator_the_line_that_installs_it_is_named(tmp_path, monk
 
 def test_code_that_is_not_compiled_says_what_would_do_it(tmp_path):
     with pytest.raises(ValueError, match="make in its folder compiles it"):
-        Compiled(tmp_path)
+        CompiledSolver(tmp_path)

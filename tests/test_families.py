@@ -7,15 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynamics import DoubleIntegrator, hold
-from problems import formation_gain_sdp
-from problems.avoidance import Avoidance, no_spaces
-from problems.conic import Answer, Infeasible, proof, solve
-from problems.families import SIZES, Family, families, family
-from problems.formation import Formation
-from problems.gain_question import Question
+from dynamics import DoubleIntegrator, discretize_zoh
+from problems.avoidance import AvoidanceProblem, empty_half_spaces
+from problems.conic import ConicSolution, Infeasible, solve, verify_ray
+from problems.desired_formation import DesiredFormation
+from problems.families import SIZES, Family, list_families, load_family
+from problems.gain_problem import GainProblem
 from problems.solvers import solve_clarabel
-from problems.transfer import Transfer
+from problems.transfer import TransferProblem
 
 NAMES = {
     "avoidance-20",
@@ -27,66 +26,68 @@ NAMES = {
     "transfer-lp",
     "transfer-socp",
 }
-ALL = [(name, size) for name, sizes in families().items() for size in sizes]
+ALL = [(name, size) for name, sizes in list_families().items() for size in sizes]
 FINE = 1e-9  # of residuals and gaps, relative
 ALIKE = 1e-6  # by which two solvers may differ where one of them is less exact
 
 
 @pytest.fixture(scope="module")
 def maker():
-    return runpy.run_path(str(Path(__file__).parents[1] / "scripts" / "draw_families.py"))
+    return runpy.run_path(str(Path(__file__).parents[1] / "scripts" / "problem_families.py"))
 
 
 def test_every_family_has_every_size():
-    assert families() == dict.fromkeys(sorted(NAMES), SIZES)
+    assert list_families() == dict.fromkeys(sorted(NAMES), SIZES)
 
 
 @pytest.mark.parametrize(("name", "size"), ALL)
 def test_an_answer_is_an_optimum_or_a_proof_that_there_is_none(name, size):
-    for instance in family(name, size).instances:
-        if instance.feasible:
-            answer = Answer.of(instance.problem, instance.x, instance.y)
-            assert answer.worst <= FINE
-            assert instance.problem.q @ instance.x == pytest.approx(instance.reference, abs=1e-15)
-            assert 0 <= instance.agreed <= ALIKE
+    for instance in load_family(name, size).instances:
+        if instance.is_feasible:
+            answer = ConicSolution.evaluate(instance.problem, instance.x, instance.y)
+            assert answer.max_residual <= FINE
+            assert instance.problem.q @ instance.x == pytest.approx(
+                instance.reference_cost, abs=1e-15
+            )
+            assert 0 <= instance.reference_gap <= ALIKE
         else:
-            y, doubt = proof(instance.problem, instance.y)
+            y, doubt = verify_ray(instance.problem, instance.y)
             assert not doubt
             np.testing.assert_allclose(y, instance.y, rtol=1e-9, atol=1e-12)
-            assert np.isnan(instance.reference)
+            assert np.isnan(instance.reference_cost)
 
 
-@pytest.mark.parametrize("name", families())
+@pytest.mark.parametrize("name", list_families())
 def test_within_a_tolerance_no_cost_is_further_off_than_duality_allows(rng, name):
     # Answers that lean as far over as they may, in whatever direction.
-    for instance in family(name, "small").instances:
+    for instance in load_family(name, "small").instances:
         problem = instance.problem
-        for _ in range(5 if instance.feasible else 0):
+        for _ in range(5 if instance.is_feasible else 0):
             x = instance.x + 1e-3 * rng.normal(size=len(instance.x))
             y = instance.y + 1e-3 * rng.normal(size=len(instance.y))
-            worst = Answer.of(problem, x, y).worst
-            error = abs(float(problem.q @ x) - instance.reference)
-            assert error <= instance.allows(worst)
-            assert instance.allows(worst / 100) < instance.allows(worst)
+            worst = ConicSolution.evaluate(problem, x, y).max_residual
+            error = abs(float(problem.q @ x) - instance.reference_cost)
+            assert error <= instance.cost_tolerance(worst)
+            assert instance.cost_tolerance(worst / 100) < instance.cost_tolerance(worst)
 
 
-@pytest.mark.parametrize("name", families())
+@pytest.mark.parametrize("name", list_families())
 def test_a_larger_size_is_larger(name):
-    unknowns = [len(family(name, size).instances[0].problem.q) for size in SIZES]
+    unknowns = [len(load_family(name, size).instances[0].problem.q) for size in SIZES]
     assert unknowns == sorted(set(unknowns))
 
 
 @pytest.mark.parametrize(("name", "size"), ALL)
 def test_only_the_impossible_family_is_impossible(name, size):
-    assert {i.feasible for i in family(name, size).instances} == {name != "infeasible"}
+    assert {i.is_feasible for i in load_family(name, size).instances} == {name != "infeasible"}
 
 
 @pytest.mark.parametrize("size", SIZES)
 def test_the_speed_limit_binds_wherever_there_is_one(size):
-    for instance in family("transfer-socp", size).instances:
+    for instance in load_family("transfer-socp", size).instances:
         problem = instance.problem
         room = (problem.b - problem.A @ instance.x)[problem.zero + problem.nonnegative :]
-        room = room.reshape(len(problem.cones), -1)
+        room = room.reshape(len(problem.soc_sizes), -1)
         slack = room[:, 0] - np.linalg.norm(room[:, 1:], axis=1)
         assert slack.min() < 1e-6 < slack.max()
 
@@ -94,15 +95,17 @@ def test_the_speed_limit_binds_wherever_there_is_one(size):
 @pytest.mark.parametrize("size", SIZES)
 def test_a_half_space_binds_on_whoever_avoids(size):
     # Rows are the arrival, the half-spaces, and the box: two rows for each unknown.
-    for instance in family("avoidance-5", size).instances + family("avoidance-20", size).instances:
+    for instance in (
+        load_family("avoidance-5", size).instances + load_family("avoidance-20", size).instances
+    ):
         problem = instance.problem
         assert np.abs(instance.y[problem.zero : -2 * len(problem.q)]).max() > 1e-6
 
 
 @pytest.mark.parametrize("size", SIZES)
 def test_a_goal_in_reach_by_a_hair_is_not_with_a_little_less_control(size):
-    near = [instance.problem for instance in family("near-infeasible", size).instances]
-    beyond = [instance.problem for instance in family("infeasible", size).instances]
+    near = [instance.problem for instance in load_family("near-infeasible", size).instances]
+    beyond = [instance.problem for instance in load_family("infeasible", size).instances]
     beyond = [problem for problem in beyond if problem.A.shape == near[0].A.shape]
     assert len(beyond) == 5
     for here, there in zip(near[:5], beyond, strict=True):
@@ -113,7 +116,7 @@ def test_a_goal_in_reach_by_a_hair_is_not_with_a_little_less_control(size):
 
 @pytest.mark.parametrize(("name", "size"), ALL)
 def test_who_differ_in_b_alone_share_the_rest_and_follow_each_other(name, size):
-    problems = [instance.problem for instance in family(name, size).instances]
+    problems = [instance.problem for instance in load_family(name, size).instances]
     met = []
     for problem in problems:
         if not met or problem.A is not met[-1].A:
@@ -126,9 +129,9 @@ def test_who_differ_in_b_alone_share_the_rest_and_follow_each_other(name, size):
 
 def test_what_there_is_not_is_refused_with_what_there_is():
     with pytest.raises(ValueError, match=r'no family "transfer".* transfer-lp'):
-        family("transfer", "small")
+        load_family("transfer", "small")
     with pytest.raises(ValueError, match='no size "tiny"; it has small, medium, large'):
-        family("transfer-lp", "tiny")
+        load_family("transfer-lp", "tiny")
 
 
 def test_a_family_that_asks_nothing_is_refused():
@@ -148,24 +151,26 @@ def test_a_family_is_small_enough_to_ship():
 
 def test_a_family_drawn_anew_is_the_same(maker):
     drawn, again = (maker["FAMILIES"]["gain-sdp"]("small") for _ in range(2))
-    frozen = family("gain-sdp", "small")
+    frozen = load_family("gain-sdp", "small")
     assert (maker["SEED"], drawn.source) == (frozen.seed, frozen.source)
     for one, other, known in zip(drawn.problems, again.problems, frozen.instances, strict=True):
         assert np.array_equal(one.A.data, other.A.data) and np.array_equal(one.b, other.b)
         # Another machine may choose another basis, which is rounded in another way.
-        assert one.q @ solve(one, solve_clarabel).x == pytest.approx(known.reference, abs=1e-6)
+        assert one.q @ solve(one, solve_clarabel).x == pytest.approx(known.reference_cost, abs=1e-6)
 
 
 def test_a_goal_is_moved_just_as_far_as_controls_can_reach(maker):
-    transfer = Transfer(hold(DoubleIntegrator(2), 1.0, 10), max_control=0.1)
+    transfer = TransferProblem(discretize_zoh(DoubleIntegrator(2), 1.0, 10), max_control=0.1)
     with maker["recorded"]("avoidance") as asked:
-        Avoidance(transfer).solve(np.zeros(4), np.array([1.0, 0.5, 0, 0]), no_spaces(transfer))
+        AvoidanceProblem(transfer).solve(
+            np.zeros(4), np.array([1.0, 0.5, 0, 0]), empty_half_spaces(transfer)
+        )
     (problem,) = asked
     # At full thrust for five steps and against it for five: U T² / 4 = 2.5 m on the first axis.
     np.testing.assert_allclose(
         maker["stretched"](problem, 1.0).b[:4], 2.5 * problem.b[:4], rtol=1e-9, atol=1e-12
     )
-    assert solve(maker["stretched"](problem, 0.999), solve_clarabel).worst < 1e-6
+    assert solve(maker["stretched"](problem, 0.999), solve_clarabel).max_residual < 1e-6
     with pytest.raises(Infeasible):
         solve(maker["stretched"](problem, 1.001), solve_clarabel)
 
@@ -173,7 +178,7 @@ def test_a_goal_is_moved_just_as_far_as_controls_can_reach(maker):
 def test_the_programme_of_the_gains_says_what_the_statement_says(rng, maker):
     graph = ~np.eye(6, dtype=bool)
     graph[0, 3] = graph[3, 0] = False
-    question = Question.of(Formation(rng.uniform(0, 5, (6, 3)), graph), "xy")
+    question = GainProblem.from_formation(DesiredFormation(rng.uniform(0, 5, (6, 3)), graph), "xy")
     rate = solve(maker["fastest"](question), solve_clarabel).x[-1]
-    stated = question.rate(formation_gain_sdp.solve(question).L)
+    stated = question.convergence_rate(formation_gain_sdp.solve(question).L)
     assert rate == pytest.approx(stated, abs=1e-6)

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynamics.atmosphere import TABLE, Atmosphere
-from dynamics.elements import Elements
+from dynamics.atmosphere import DENSITY_TABLE, Atmosphere
+from dynamics.elements import ClassicalElements
 from dynamics.forces import Forces
 from dynamics.orbit import EARTH_J2, EARTH_MU, EARTH_RADIUS, EARTH_ROTATION, K_J2
 
@@ -18,7 +18,7 @@ seeds = st.integers(0, 2**32 - 1)
 def states(rng, count):
     e = rng.uniform(0, 0.5, count)
     angles = rng.uniform(0, np.pi, (4, count))
-    return Elements(rng.uniform(7e6, 9e6, count) / (1 - e), e, *angles).state()
+    return ClassicalElements(rng.uniform(7e6, 9e6, count) / (1 - e), e, *angles).to_state()
 
 
 def potential(position):
@@ -50,7 +50,7 @@ def test_a_difference_is_that_of_two_accelerations(seed, far):
     offset = rng.uniform(-1, 1, (4, 6)) * np.repeat([far, far / 1e3], 3)
     drag = rng.uniform(0, 0.1, 4)
     direct = air.acceleration(chief + offset, drag) - air.acceleration(chief, 0.03)
-    found = air.difference(chief, offset, drag, 0.03)
+    found = air.differential_acceleration(chief, offset, drag, 0.03)
     np.testing.assert_allclose(found, direct, rtol=0, atol=1e-14)
 
 
@@ -59,20 +59,20 @@ def test_a_difference_keeps_its_digits_where_two_accelerations_lose_them():
     offset = np.array([1e-3, 0, 0, 0, 0, 0])
     # 2μ d/R³ (1 − 3/2 d/R + …) along the radius
     expected = 2 * EARTH_MU * 1e-3 / 7e6**3 * (1 - 1.5e-3 / 7e6)
-    assert push.difference(chief, offset)[0] == pytest.approx(expected, rel=1e-14)
+    assert push.differential_acceleration(chief, offset)[0] == pytest.approx(expected, rel=1e-14)
 
 
 def test_drag_is_against_the_turning_air():
     air, B = Atmosphere(), 0.02
     at = np.array([EARTH_RADIUS + 500e3, 0, 0])
     carried = np.array([0, EARTH_ROTATION * at[0], 0])
-    np.testing.assert_array_equal(air.drag(at, carried, B), np.zeros(3))
-    found = air.drag(at, carried + np.array([0, 7e3, 0]), B)
+    np.testing.assert_array_equal(air.drag_acceleration(at, carried, B), np.zeros(3))
+    found = air.drag_acceleration(at, carried + np.array([0, 7e3, 0]), B)
     np.testing.assert_allclose(found, [0, -0.5 * 6.967e-13 * B * 7e3**2, 0])
 
 
 def test_air_thins_by_e_in_a_scale_height():
-    air = Atmosphere.near(420e3)
+    air = Atmosphere.from_altitude(420e3)
     low, high = (np.array([0, 0, EARTH_RADIUS + h]) for h in (400e3, 400e3 + 58.515e3))
     assert air.density_at(low) == pytest.approx(3.725e-12)
     assert air.density_at(high) == pytest.approx(3.725e-12 / np.e)
@@ -80,7 +80,7 @@ def test_air_thins_by_e_in_a_scale_height():
 
 def test_the_rows_of_the_table_follow_from_one_another():
     # Each row's law meets the next row to within the table's own breaks, 3 %.
-    for (h, density, scale), (above, next_density, _) in pairwise(TABLE):
+    for (h, density, scale), (above, next_density, _) in pairwise(DENSITY_TABLE):
         assert density * np.exp(-(above - h) / scale) == pytest.approx(next_density, rel=0.03)
 
 
@@ -95,24 +95,24 @@ def test_every_force_is_optional():
 
 def test_air_without_coefficients_is_refused():
     with pytest.raises(ValueError, match=r"ballistic coefficient C_D A/m of every vehicle"):
-        Forces(atmosphere=Atmosphere()).check(None)
+        Forces(atmosphere=Atmosphere()).validate_ballistic_coefficients(None)
 
 
 def test_coefficients_without_air_are_refused():
     with pytest.raises(ValueError, match=r"do nothing without an atmosphere: give one"):
-        Forces().check(np.array([0.01]))
-    Forces().check(np.zeros(2))
+        Forces().validate_ballistic_coefficients(np.array([0.01]))
+    Forces().validate_ballistic_coefficients(np.zeros(2))
 
 
 @pytest.mark.parametrize("wrong", [-0.01, np.nan])
 def test_coefficients_are_not_negative(wrong):
     with pytest.raises(ValueError, match="finite and not negative"):
-        Forces(atmosphere=Atmosphere()).check(np.array([0.01, wrong]))
+        Forces(atmosphere=Atmosphere()).validate_ballistic_coefficients(np.array([0.01, wrong]))
 
 
 def test_no_spacecraft_flies_below_the_table():
     with pytest.raises(ValueError, match=r"begins at 150 km.* got 0.5 km; altitudes here are in m"):
-        Atmosphere.near(500.0)
+        Atmosphere.from_altitude(500.0)
 
 
 def test_air_has_a_density_and_a_scale_height():

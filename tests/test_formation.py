@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from problems.formation import Formation, _refuse_graph
+from problems.desired_formation import DesiredFormation, _validate_graph
 
 
 def ring(n):
@@ -22,9 +22,9 @@ def spans(kernel, column):
 @given(st.integers(3, 12), st.integers(0, 2**32 - 1), st.floats(0, 1e5))
 def test_kernels_are_orthonormal_and_span_the_shape_wherever_it_stands(n, seed, away):
     rng = np.random.default_rng(seed)
-    formation = Formation.complete(rng.normal(size=(n, 3)) * [9, 9, 2] + away)
+    formation = DesiredFormation.with_complete_graph(rng.normal(size=(n, 3)) * [9, 9, 2] + away)
     for kernel, column in (
-        (formation.kernel_xy, formation.planar),
+        (formation.kernel_xy, formation.planar_points),
         (formation.kernel_z, formation.points[:, 2]),
     ):
         assert kernel.shape == (n, 2)
@@ -34,16 +34,16 @@ def test_kernels_are_orthonormal_and_span_the_shape_wherever_it_stands(n, seed, 
 
 
 def test_planar_points_are_complex_numbers():
-    formation = Formation.complete(np.array([[1.0, 2, 3], [4, 5, 6], [7, 8, 10]]))
-    assert formation.planar.tolist() == [1 + 2j, 4 + 5j, 7 + 8j]
+    formation = DesiredFormation.with_complete_graph(np.array([[1.0, 2, 3], [4, 5, 6], [7, 8, 10]]))
+    assert formation.planar_points.tolist() == [1 + 2j, 4 + 5j, 7 + 8j]
 
 
 @pytest.mark.parametrize(("spread", "flat"), [(0.0, True), (0.009, True), (0.011, False)])
 def test_heights_within_a_centimetre_of_their_middle_count_as_equal(spread, flat):
     square = np.array([[0.0, 0, 1], [9, 0, 1], [9, 9, 1], [0, 9, 1]])
     square[:, 2] += spread * np.array([1, -1, 1, -1])
-    formation = Formation.complete(square)
-    assert formation.flat == flat
+    formation = DesiredFormation.with_complete_graph(square)
+    assert formation.is_flat == flat
     assert formation.kernel_z.shape == (4, 1 if flat else 2)
 
 
@@ -52,24 +52,24 @@ def test_heights_within_a_centimetre_of_their_middle_count_as_equal(spread, flat
 def test_one_point_that_is_higher_is_not_lost_among_many(n, seed):
     rng = np.random.default_rng(seed)
     points = np.column_stack([rng.uniform(0, 60, (n, 2)), np.full(n, 1.0)])
-    assert Formation.complete(points).flat
+    assert DesiredFormation.with_complete_graph(points).is_flat
     points[int(rng.integers(n)), 2] += 0.021
-    formation = Formation.complete(points)
-    assert not formation.flat and formation.kernel_z.shape == (n, 2)
+    formation = DesiredFormation.with_complete_graph(points)
+    assert not formation.is_flat and formation.kernel_z.shape == (n, 2)
 
 
 def test_a_vertical_stack_has_one_column_in_the_plane_and_two_upwards():
-    stack = Formation.complete(np.array([[5.3, -2.1, z] for z in (0.0, 2, 3, 7)]))
+    stack = DesiredFormation.with_complete_graph(np.array([[5.3, -2.1, z] for z in (0.0, 2, 3, 7)]))
     assert stack.kernel_xy.shape == (4, 1) and stack.kernel_z.shape == (4, 2)
 
 
 def test_points_in_a_row_have_two_columns_in_the_plane():
-    row = Formation.complete(np.array([[2.0 * k, -k, 1] for k in range(5)]))
-    assert row.kernel_xy.shape == (5, 2) and row.flat
+    row = DesiredFormation.with_complete_graph(np.array([[2.0 * k, -k, 1] for k in range(5)]))
+    assert row.kernel_xy.shape == (5, 2) and row.is_flat
 
 
 def test_the_complete_graph_has_every_edge_and_no_loop(rng):
-    formation = Formation.complete(rng.normal(size=(6, 3)), "six")
+    formation = DesiredFormation.with_complete_graph(rng.normal(size=(6, 3)), "six")
     assert np.array_equal(formation.graph, ~np.eye(6, dtype=bool)) and formation.name == "six"
 
 
@@ -101,13 +101,13 @@ LEAF = changed(FULL, [(5, k) for k in range(1, 6)] + [(k, 5) for k in range(1, 6
 )
 def test_what_is_no_formation_is_refused_with_the_reason(points, graph, words):
     with pytest.raises(ValueError, match=words):
-        Formation(points, graph)
+        DesiredFormation(points, graph)
 
 
 def test_a_graph_of_another_size_is_refused():
     # Asked of the check itself: in tests, the annotation of the shape would answer first.
     with pytest.raises(ValueError, match=r"5 points need a graph of 5 × 5, got \(6, 6\)"):
-        _refuse_graph(FULL, 5)
+        _validate_graph(FULL, 5)
 
 
 def test_the_smaller_part_is_named_and_long_lists_are_cut(rng):
@@ -115,4 +115,4 @@ def test_the_smaller_part_is_named_and_long_lists_are_cut(rng):
     graph = np.zeros((n, n), dtype=bool)
     graph[:12, :12], graph[12:, 12:] = ring(12), ring(18)
     with pytest.raises(ValueError, match="joins vertices 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, … to"):
-        Formation(rng.normal(size=(n, 3)), graph)
+        DesiredFormation(rng.normal(size=(n, 3)), graph)

@@ -5,11 +5,16 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from sato.formation.avoidance import Avoidance, approach, hold_back, steer_clear
+from sato.formation.avoidance import (
+    CollisionAvoidance,
+    avoid_collisions,
+    limit_approach,
+    max_approach_speed,
+)
 
-OURS = Avoidance()
-PRINTED = Avoidance(notice=1.5, printed=True)
-FAULTY = PRINTED._replace(linear=True)
+OURS = CollisionAvoidance()
+PRINTED = CollisionAvoidance(avoidance_range=1.5, legacy=True)
+FAULTY = PRINTED._replace(unwrapped_angles=True)
 SEEDS = st.integers(0, 2**32 - 1)
 MANY = settings(max_examples=200)
 
@@ -17,13 +22,13 @@ MANY = settings(max_examples=200)
 def steered(u, others, rules):
     """The velocity afterwards, and whether anything was changed."""
     v, others = np.array([*u, 0.1]), np.asarray(others, dtype=float)
-    changed = steer_clear(v, others, len(others), rules, np.zeros(20), np.zeros(20))
+    changed = avoid_collisions(v, others, len(others), rules, np.zeros(20), np.zeros(20))
     return v[:2], bool(changed)
 
 
 def held(u, others, rules=OURS):
     v = np.array(u, dtype=float)
-    hold_back(v, others, len(others), rules)
+    limit_approach(v, others, len(others), rules)
     return v
 
 
@@ -60,8 +65,8 @@ def headed(degrees, speed=0.4):
 def bounds(others, least=-np.inf):
     """Directions in which the speed is bounded, and by what."""
     far = np.linalg.norm(others, axis=1)
-    near = far < OURS.notice
-    most = np.array([max(least, approach(d, OURS)) for d in far[near]])
+    near = far < OURS.avoidance_range
+    most = np.array([max(least, max_approach_speed(d, OURS)) for d in far[near]])
     return others[near] / far[near, None], most
 
 
@@ -85,7 +90,7 @@ def test_printed_the_nearest_direction_that_nobody_forbids_is_taken_or_none(seed
     forbidden = np.zeros(len(heading), dtype=bool)
     for other in others:
         far = np.linalg.norm(other)
-        if far < PRINTED.notice:
+        if far < PRINTED.avoidance_range:
             half = np.arcsin(min(1.0, PRINTED.keep_out / far))
             forbidden |= np.abs(around(heading - angle(other))) < half
     least = np.abs(around(heading[~forbidden] - angle(u))).min(initial=np.inf)
@@ -126,14 +131,14 @@ def test_all_turned_the_way_out_is_turned(seed, yaw, rules):
 
 @pytest.mark.parametrize("gap", [0.01, 0.3, 1.5])
 def test_two_who_brake_from_the_allowed_speed_stop_at_the_keep_out(gap):
-    allowed = approach(OURS.keep_out + OURS.margin + gap, OURS)
-    assert 2 * allowed**2 / (2 * OURS.brake) == pytest.approx(gap)
+    allowed = max_approach_speed(OURS.keep_out + OURS.margin + gap, OURS)
+    assert 2 * allowed**2 / (2 * OURS.braking) == pytest.approx(gap)
 
 
 def test_who_is_too_near_has_to_part_the_faster_the_nearer():
     least = OURS.keep_out + OURS.margin
-    assert approach(least, OURS) == pytest.approx(0, abs=1e-8)  # rounded in a square root
-    assert approach(least - 0.2, OURS) < approach(least - 0.1, OURS) < 0
+    assert max_approach_speed(least, OURS) == pytest.approx(0, abs=1e-8)  # rounded in a square root
+    assert max_approach_speed(least - 0.2, OURS) < max_approach_speed(least - 0.1, OURS) < 0
 
 
 @MANY
@@ -167,7 +172,7 @@ def test_between_who_are_too_near_at_least_none_is_approached(seed):
 
 def test_where_nobody_is_near_nothing_is_changed():
     for rules in (OURS, PRINTED):
-        v, changed = steered([0.3, 0.1], np.array([[rules.notice + 0.01, 0.0]]), rules)
+        v, changed = steered([0.3, 0.1], np.array([[rules.avoidance_range + 0.01, 0.0]]), rules)
         assert not changed and v.tolist() == [0.3, 0.1]
 
 
@@ -180,4 +185,4 @@ def test_of_two_ways_as_near_the_right_one_is_taken():
 def test_who_rests_too_near_to_another_parts_from_it():
     for other in ([1.0, 0.0], [-1.0, 0.0], [0.0, 1.0]):
         v, changed = steered([0.0, 0.0], [other], OURS)
-        assert changed and v == pytest.approx(approach(1.0, OURS) * np.array(other))
+        assert changed and v == pytest.approx(max_approach_speed(1.0, OURS) * np.array(other))

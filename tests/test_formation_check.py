@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import sato
-from sato.formation import Push, fly
-from sato.formation.check import Evidence, examine
-from sato.formation.check.closest import closest
+from sato.formation import OperatorCommand, simulate
+from sato.formation.check import FormationRecord, check_run
+from sato.formation.check.closest import find_closest_approach
 from sato.formation.system import SYSTEM
-from sato.formation.trial import judged
+from sato.formation.trial import evaluate_trial
 from sato.record import Run
 from sato.scenario import parse
 
@@ -41,17 +41,17 @@ def flown(*settings, seed=2, **changed):
     """A run, the mission, and its frames."""
     rng = np.random.default_rng(seed)
     mission = replace(parse(FIVE, settings).build(rng), **changed)
-    frames = list(fly(mission, rng))
+    frames = list(simulate(mission, rng))
     return run_of(mission, frames), mission, frames
 
 
 def run_of(mission, frames, **said):
     about = {"name": "by hand", "seed": 3, "version": "0", "wall_s": 1.0, "peak_memory_mib": 1.0}
-    return Run.of(SYSTEM, frames, mission, "", **(about | said))
+    return Run.from_frames(SYSTEM, frames, mission, "", **(about | said))
 
 
 def broken(run, mission):
-    return {p.name for p in examine(run.data, mission).broken}
+    return {p.name for p in check_run(run.data, mission).broken}
 
 
 def altered(run, name, change):
@@ -76,7 +76,7 @@ def honest():
 
 def test_an_honest_run_keeps_what_it_promises(honest):
     run, mission, _ = honest
-    report = examine(run.data, mission)
+    report = check_run(run.data, mission)
     assert report.kept, report.broken
     assert report.summary["success"] and len(report.summary["legs"]) == 2
     assert [p.name for p in report.promises] == [
@@ -179,7 +179,7 @@ def test_radii_and_limits_are_the_scenarios(honest, name):
 def test_a_run_that_ends_too_soon_or_too_late_says_so(honest):
     _, mission, frames = honest
     assert broken(run_of(mission, frames[:-1]), mission) == {"complete"}
-    late = frames[-1]._replace(time=frames[-1].time + mission.sample)
+    late = frames[-1]._replace(time=frames[-1].time + mission.frame_period)
     assert {"complete", "legs"} <= broken(run_of(mission, [*frames, late]), mission)
 
 
@@ -187,9 +187,9 @@ def test_a_run_that_ends_too_soon_or_too_late_says_so(honest):
 def test_an_interrupted_run_is_whole_up_to_there_but_no_success(honest, share):
     _, mission, frames = honest
     some = frames[: 1 + int(share * len(frames))]
-    report = examine(run_of(mission, some, stopped="interrupted").data, mission)
+    report = check_run(run_of(mission, some, stopped="interrupted").data, mission)
     assert {p.name for p in report.broken} == {"complete"}
-    assert "interrupted" in report.broken[0].sentence
+    assert "interrupted" in report.broken[0].message
     assert report.summary["success"] is False
     json.dumps(report.summary, allow_nan=False)
 
@@ -206,30 +206,30 @@ def test_an_interrupted_run_is_whole_up_to_there_but_no_success(honest, share):
 )
 def test_the_summary_is_what_an_account_kept_in_flight_says(settings):
     run, mission, frames = flown(*settings)
-    said, trial = examine(run.data, mission).summary, judged(mission, frames)
+    said, trial = check_run(run.data, mission).summary, evaluate_trial(mission, frames)
     assert said["time_s"] == pytest.approx(trial.time)
     # Where control steps are finer than instants, the way between them is not on file.
-    bent = mission.step**2 * 2**0.5 * mission.limits.acceleration * (mission.every - 1)
-    assert -1e-9 <= trial.path - said["path_m"] <= len(frames) * bent + 1e-9
+    bent = mission.control_step**2 * 2**0.5 * mission.limits.acceleration * (mission.every - 1)
+    assert -1e-9 <= trial.path_length - said["path_m"] <= len(frames) * bent + 1e-9
     assert said["reassignments"] == trial.assignments
-    assert said["gridlocked_s"] == pytest.approx(trial.gridlocked)
-    step_of_both = 2 * mission.limits.speed * mission.sample
-    assert -1e-6 <= trial.separation - said["min_separation_m"] <= step_of_both
-    assert [leg["shape_error_m"] for leg in said["legs"]][: len(trial.likeness)] == [
-        pytest.approx(like.error) for like in trial.likeness
+    assert said["gridlocked_s"] == pytest.approx(trial.gridlock_time)
+    step_of_both = 2 * mission.limits.speed * mission.frame_period
+    assert -1e-6 <= trial.min_separation - said["min_separation_m"] <= step_of_both
+    assert [leg["shape_error_m"] for leg in said["legs"]][: len(trial.shape_errors)] == [
+        pytest.approx(like.error) for like in trial.shape_errors
     ]
-    if trial.settled:
-        assert said["shape_error_m"] == pytest.approx(trial.error)
-        assert said["success"] == (trial.error <= mission.protocol.shape)
+    if trial.completed:
+        assert said["shape_error_m"] == pytest.approx(trial.shape_error)
+        assert said["success"] == (trial.shape_error <= mission.protocol.shape)
     else:
         assert not said["success"]
-    assert said["gains_rate"] == pytest.approx(min(g.rate for g in mission.shapes))
+    assert said["gains_rate"] == pytest.approx(min(g.rate for g in mission.gains))
 
 
 def test_what_is_received_is_told_to_each_neighbour_in_positions_and_books(honest):
     run, mission, frames = honest
     n, radio = 5, mission.radio
-    degree = [gains.formation.graph.sum() / n for gains in mission.shapes]
+    degree = [gains.formation.graph.sum() / n for gains in mission.gains]
     assert degree == [4.0, 3.6]
     positions = sum(
         degree[b.leg] * (3 * 32 + 8) * 50 * (b.time - a.time) for a, b in pairwise(frames)
@@ -237,7 +237,7 @@ def test_what_is_received_is_told_to_each_neighbour_in_positions_and_books(hones
     books = sum(
         degree[event["leg"]] * 64 * (n + 1) * event["rounds"] for event in run.events("auction")
     )
-    said = examine(run.data, mission).summary
+    said = check_run(run.data, mission).summary
     assert said["bytes_per_vehicle_s"] == pytest.approx((positions + books) / 8 / frames[-1].time)
     most = max(event["rounds"] for event in run.events("auction"))
     assert said["longest_auction_s"] == pytest.approx(most / radio.rate)
@@ -250,60 +250,60 @@ def test_a_shape_upside_down_is_recognised_and_none_where_it_must_be_upright(hon
         f._replace(position=f.position * (1, 1, -1), velocity=f.velocity * (1, 1, -1))
         for f in frames
     ]
-    upright = examine(run_of(mission, mirrored).data, mission).summary["legs"]
+    upright = check_run(run_of(mission, mirrored).data, mission).summary["legs"]
     assert upright[1]["inverted"] and not upright[1]["success"]
     assert upright[1]["shape_error_m"] < 0.1
-    either = replace(mission, law=mission.law._replace(upright=False))
-    assert examine(run_of(either, mirrored).data, either).summary["legs"][1]["success"]
-    assert not examine(run.data, mission).summary["legs"][1]["inverted"]
+    either = replace(mission, control_law=mission.control_law._replace(upright=False))
+    assert check_run(run_of(either, mirrored).data, either).summary["legs"][1]["success"]
+    assert not check_run(run.data, mission).summary["legs"][1]["inverted"]
 
 
 def test_a_shape_that_two_claim_a_point_of_has_no_error_and_is_none(honest):
     run, mission, _ = honest
     claimed = altered(run, "point", lambda p: 0 * p)
-    [first, _] = examine(claimed.data, mission).summary["legs"]
+    [first, _] = check_run(claimed.data, mission).summary["legs"]
     assert "shape_error_m" not in first and first["success"] is False
 
 
 def test_a_shape_counts_as_far_as_the_protocol_allows(honest):
     run, mission, _ = honest
-    said = examine(run.data, mission).summary
-    strict = mission.protocol._replace(shape=said["shape_error_m"] * (1 - 1e-9))
-    assert not examine(run.data, replace(mission, protocol=strict)).summary["success"]
+    said = check_run(run.data, mission).summary
+    strict = mission.supervision._replace(shape=said["shape_error_m"] * (1 - 1e-9))
+    assert not check_run(run.data, replace(mission, protocol=strict)).summary["success"]
 
 
 def test_whoever_is_pushed_into_others_is_kept_away_from_them():
-    push = Push(0, 1.0, 30.0, np.array([0.4, 0.0, 0.0]))
-    run, mission, _ = flown(pushes=(push,))
-    report = examine(run.data, mission)
+    push = OperatorCommand(0, 1.0, 30.0, np.array([0.4, 0.0, 0.0]))
+    run, mission, _ = flown(operator_commands=(push,))
+    report = check_run(run.data, mission)
     assert report.kept, report.broken
 
 
 def test_vehicles_that_meet_break_the_separation_and_nothing_else():
     # By the printed code, in which those without an assignment fly through each other's places.
     run, mission, _ = flown("legacy_avoidance=true", "assignment.kind=none", seed=1)
-    report = examine(run.data, mission)
+    report = check_run(run.data, mission)
     near = next(p for p in report.promises if p.name == "separation")
     assert near.value == report.summary["min_separation_m"] < 1.15
     assert {p.name for p in report.broken} == {"separation"}
-    assert "1.2 m" in near.sentence
+    assert "1.2 m" in near.message
 
 
 def test_the_nearest_is_found_also_between_instants(rng):
     path = np.array([[[0.0, 0.0], [1.0, 0.1]], [[1.0, 0.0], [0.0, 0.1]]])
-    assert closest(path).distance == pytest.approx(0.1)
-    assert closest(path)[1:] == (0, (0, 1))
-    assert closest(path[:1]).distance == pytest.approx(np.hypot(1, 0.1))
+    assert find_closest_approach(path).distance == pytest.approx(0.1)
+    assert find_closest_approach(path)[1:] == (0, (0, 1))
+    assert find_closest_approach(path[:1]).distance == pytest.approx(np.hypot(1, 0.1))
     many = rng.uniform(0, 9, (6, 7, 2))
     s = np.linspace(0, 1, 2001)[:, None, None]
     fine = np.concatenate([a + s * (b - a) for a, b in pairwise(many)])
     apart = np.linalg.norm(fine[:, :, None] - fine[:, None], axis=3)
     apart[:, range(7), range(7)] = np.inf
-    found = closest(many)
+    found = find_closest_approach(many)
     assert found.distance <= apart.min() <= found.distance + 0.01
     _, i, j = np.unravel_index(apart.argmin(), apart.shape)
     assert found.pair == tuple(sorted((i, j)))
-    assert closest(many[:, :1]).distance == np.inf
+    assert find_closest_approach(many[:, :1]).distance == np.inf
 
 
 def test_a_run_of_a_scenario_is_judged_from_its_own_text(tmp_path):
@@ -322,11 +322,11 @@ def test_a_run_of_a_scenario_is_judged_from_its_own_text(tmp_path):
 
 def test_what_is_read_of_a_run_is_what_was_flown(honest):
     run, mission, frames = honest
-    evidence = Evidence.of(run.data, mission)
+    evidence = FormationRecord.from_dataset(run.data, mission)
     phases = [frame.phase for frame in frames]
     assert list(evidence.replay.phase) == phases
     assert evidence.replay.leg.tolist() == [frame.leg for frame in frames]
-    assert [s.leg for s in evidence.replay.stretches] == [0, 1]
-    assert all(s.settled for s in evidence.replay.stretches)
-    for leg, gains in enumerate(mission.shapes):
-        assert evidence.gains(leg).rate == gains.rate
+    assert [s.leg for s in evidence.replay.legs] == [0, 1]
+    assert all(s.completed for s in evidence.replay.legs)
+    for leg, gains in enumerate(mission.gains):
+        assert evidence.load_gains(leg).convergence_rate == gains.convergence_rate

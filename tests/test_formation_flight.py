@@ -7,55 +7,55 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from problems.formation import Formation
-from problems.formation_gain import design
+from problems.desired_formation import DesiredFormation
+from problems.gain_design import design_gains
 from sato.formation import (
-    Assigning,
-    FormationFlight,
-    Protocol,
-    Push,
-    aligned,
-    fly,
-    misaligned,
+    AssignmentSettings,
+    Formation,
+    OperatorCommand,
+    SupervisorSettings,
+    aligned_frames,
+    draw_frames,
+    simulate,
 )
-from sato.formation.mission import as_printed
-from sato.formation.shape import likeness
+from sato.formation.mission import legacy_formation
+from sato.formation.shape_error import compute_shape_error
 from sato.formation.supervisor import Phase
-from sato.radio import Radio
-from sato.shapes.formations import formation
-from sato.shapes.random_formation import random_formation, random_start, sparse_graph
+from sato.network.radio import Radio
+from sato.shapes.formation_library import load_formation
+from sato.shapes.random_points import random_sparse_graph, sample_formation, sample_positions
 
-BRIEF = Protocol(hover=1.0)
+BRIEF = SupervisorSettings(hover_time=1.0)
 
 
 @cache
 def gains(name, graph="own"):
-    return design(formation(name, graph))
+    return design_gains(load_formation(name, graph))
 
 
 @cache
 def some(seed, agents=8, share=0.7):
     rng = np.random.default_rng(seed)
-    points = random_formation(agents, (8.0, 8.0, 2.0), 2.0, rng)
-    return design(Formation(points, sparse_graph(points, share, rng)))
+    points = sample_formation(agents, (8.0, 8.0, 2.0), 2.0, rng)
+    return design_gains(DesiredFormation(points, random_sparse_graph(points, share, rng)))
 
 
 def flight(*shapes, seed=0, **other):
     """A flight from anywhere, in frames turned and shifted that drift, with noise."""
     rng = np.random.default_rng(seed)
     agents = len(shapes[0].formation.points)
-    start = np.column_stack([random_start(agents, (8.0, 8.0), 1.6, rng), np.ones(agents)])
-    frames = misaligned(agents, 20.0, 0.01, 0.02, rng)
-    return FormationFlight(start, shapes, frames, protocol=BRIEF, **other)
+    start = np.column_stack([sample_positions(agents, (8.0, 8.0), 1.6, rng), np.ones(agents)])
+    frames = draw_frames(agents, 20.0, 0.01, 0.02, rng)
+    return Formation(start, shapes, frames, supervision=BRIEF, **other)
 
 
 def frames_of(mission, seed=1):
-    return list(fly(mission, np.random.default_rng(seed)))
+    return list(simulate(mission, np.random.default_rng(seed)))
 
 
 def error(frame, mission):
     holder = np.argsort(frame.point)
-    return likeness(frame.position[holder], mission.shapes[frame.leg].formation.points)
+    return compute_shape_error(frame.position[holder], mission.gains[frame.leg].formation.points)
 
 
 def told(frames, kind=None):
@@ -65,27 +65,29 @@ def told(frames, kind=None):
 
 @pytest.mark.parametrize("kind", ["vsdaa", "cbaa", "hungarian"])
 def test_a_swarm_takes_up_one_shape_after_another_in_frames_of_its_own(kind):
-    mission = flight(some(0), some(1), assigning=Assigning(kind))
+    mission = flight(some(0), some(1), assigning=AssignmentSettings(kind))
     frames = frames_of(mission)
-    assert frames[-1].phase is Phase.DONE and frames[-1].leg == 1
+    assert frames[-1].phase is Phase.COMPLETED and frames[-1].leg == 1
     for leg in (0, 1):
         found = error([f for f in frames if f.leg == leg][-1], mission)
         assert found.error <= 0.1 and not found.inverted
-    assert frames[-1].nearest.min() >= mission.avoidance.keep_out - 0.05
+    assert frames[-1].min_separation.min() >= mission.avoidance.keep_out - 0.05
     assert np.linalg.norm(frames[-1].drift, axis=1).min() > 0.01  # some metres were flown
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_with_lost_and_late_messages_it_still_does(seed):
-    radio = Radio(loss=0.2, delay=0.1)
-    mission = flight(some(seed), seed=seed, radio=radio, assigning=Assigning("cbaa"))
+    radio = Radio(loss_probability=0.2, delay=0.1)
+    mission = flight(some(seed), seed=seed, radio=radio, assigning=AssignmentSettings("cbaa"))
     frames = frames_of(mission)
-    assert frames[-1].phase is Phase.DONE
+    assert frames[-1].phase is Phase.COMPLETED
     assert error(frames[-1], mission).error <= 0.1
 
 
 def test_the_same_seed_gives_the_same_flight_and_another_one_another():
-    mission = flight(some(2), radio=Radio(loss=0.1), assigning=Assigning("cbaa"))
+    mission = flight(
+        some(2), radio=Radio(loss_probability=0.1), assigning=AssignmentSettings("cbaa")
+    )
     one, again, other = frames_of(mission), frames_of(mission), frames_of(mission, seed=2)
     assert len(one) == len(again)
     for a, b in zip(one, again, strict=True):
@@ -99,22 +101,24 @@ def test_frames_come_in_step_and_positions_are_what_velocities_add_up_to(every):
     mission = replace(flight(some(3)), every=every)
     frames = frames_of(mission)
     time = np.array([f.time for f in frames])
-    assert time == pytest.approx(np.arange(len(frames)) * every * mission.step)
+    assert time == pytest.approx(np.arange(len(frames)) * every * mission.control_step)
     if every == 1:
         for last, now in pairwise(frames):
-            step = mission.step * now.velocity
+            step = mission.control_step * now.velocity
             assert now.position - last.position == pytest.approx(step, abs=1e-12)
 
 
 def test_the_formation_follows_who_is_pushed_and_keeps_its_shape():
-    push = Push(vehicle=2, start=42.0, end=52.0, velocity=np.array([0.2, 0.1, 0.0]))
+    push = OperatorCommand(agent=2, start=42.0, end=52.0, velocity=np.array([0.2, 0.1, 0.0]))
     mission = flight(some(4), pushes=(push,))
-    mission = replace(mission, protocol=Protocol(hover=25.0))  # and go on holding the shape
+    mission = replace(
+        mission, protocol=SupervisorSettings(hover_time=25.0)
+    )  # and go on holding the shape
     frames = frames_of(mission)
     moments = {round(f.time, 2): f for f in frames}
     before, during, after = (moments[t] for t in (41.9, 51.9, round(frames[-1].time, 2)))
-    assert before.phase is Phase.DONE and after.time > 57
-    way = mission.frames.heading[2] * (0.2 + 0.1j)
+    assert before.phase is Phase.COMPLETED and after.time > 57
+    way = mission.coordinate_frames.rotation[2] * (0.2 + 0.1j)
     assert during.velocity[2] == pytest.approx([way.real, way.imag, 0])
     centre = (during.position - before.position).mean(axis=0)
     # It drags all others along, though not as fast as it is pushed itself.
@@ -134,7 +138,7 @@ def test_before_the_first_assignment_all_hover():
     # The assignment shows in the frame after the step that it begins with, as soon as the
     # messages of the auction have gone round.
     rounds = next(e["rounds"] for e in frames[first].events if e["kind"] == "assignment")
-    known = 1.0 + mission.assigning.first + rounds / mission.radio.rate
+    known = 1.0 + mission.assignment.first_delay + rounds / mission.radio.message_rate
     assert frames[first - 1].time == pytest.approx(known)
     for frame in frames[:first]:
         assert not frame.velocity_command.any() and frame.phase is Phase.WAITING
@@ -155,14 +159,16 @@ def test_events_tell_the_legs_in_order_and_who_has_another_point():
                 changed = np.flatnonzero(point != event["point"])
                 assert changed.tolist() == event["agents"]
                 point = np.array(event["point"])
-                assert np.array_equal(frame.point, point)
+                assert np.array_equal(frame.assignment, point)
 
 
 def stuck(kind):
     """From a prism in order to a pyramid, where vehicles must pass through each other."""
-    start = formation("Triangular Prism").points * [1, 1, 0] + [0, 0, 1]
-    mission = as_printed(start, (gains("Pentagonal Pyramid"),), kind)
-    return replace(mission, protocol=mission.protocol._replace(patience=5.0, hover=1.0))
+    start = load_formation("Triangular Prism").points * [1, 1, 0] + [0, 0, 1]
+    mission = legacy_formation(start, (gains("Pentagonal Pyramid"),), kind)
+    return replace(
+        mission, supervision=mission.supervision._replace(gridlock_timeout=5.0, hover_time=1.0)
+    )
 
 
 def test_without_assignment_the_pyramid_ends_in_a_gridlock():
@@ -170,7 +176,7 @@ def test_without_assignment_the_pyramid_ends_in_a_gridlock():
     frames = frames_of(mission)
     (gridlock,) = told(frames, "gridlock")
     assert len(gridlock["agents"]) >= 2
-    assert frames[-1].phase is Phase.GIVEN_UP
+    assert frames[-1].phase is Phase.ABORTED
     assert frames[-1].events[-1]["kind"] == "given_up"
     shown = [f.time for f in frames if f.phase is Phase.GRIDLOCKED]
     assert shown[-1] - shown[0] == pytest.approx(5.0, abs=0.05)
@@ -179,22 +185,22 @@ def test_without_assignment_the_pyramid_ends_in_a_gridlock():
 
 def test_with_assignment_it_does_not():
     frames = frames_of(stuck("cbaa"))
-    assert frames[-1].phase is Phase.DONE
+    assert frames[-1].phase is Phase.COMPLETED
     assert len(told(frames, "leg_end")) == 1
 
 
 def test_who_has_no_more_time_gives_up():
-    mission = replace(flight(some(8)), protocol=Protocol(hover=1.0, limit=4.0))
+    mission = replace(flight(some(8)), protocol=SupervisorSettings(hover_time=1.0, time_limit=4.0))
     frames = frames_of(mission)
     assert frames[-1].time == pytest.approx(4.0)
     assert frames[-1].events[-1]["kind"] == "given_up"
-    assert frames[-1].phase is not Phase.DONE
+    assert frames[-1].phase is not Phase.COMPLETED
 
 
 def test_a_gridlock_that_passes_has_an_end():
     mission = flight(*[gains(n) for n in ("Pentagonal Pyramid", "Triangular Prism")], seed=3)
     frames = frames_of(mission)
-    assert frames[-1].phase is Phase.DONE
+    assert frames[-1].phase is Phase.COMPLETED
     kinds = [e["kind"] for e in told(frames) if e["kind"].startswith("gridlock")]
     assert kinds == ["gridlock", "gridlock_end"] * (len(kinds) // 2)
     assert kinds
@@ -203,7 +209,7 @@ def test_a_gridlock_that_passes_has_an_end():
 def test_a_flight_that_cannot_be_is_refused():
     shape = gains("Pentagonal Pyramid")
     with pytest.raises(ValueError, match="5 vehicles cannot take up a shape of 6 points"):
-        FormationFlight(np.zeros((5, 3)), (shape,), aligned(5))
-    near = Formation.complete(np.array([[0.0, 0, 0], [1, 0, 5], [5, 5, 0]]))
+        Formation(np.zeros((5, 3)), (shape,), aligned_frames(5))
+    near = DesiredFormation.with_complete_graph(np.array([[0.0, 0, 0], [1, 0, 5], [5, 5, 0]]))
     with pytest.raises(ValueError, match=r"1 m apart in the plane, nearer than the keep-out"):
-        FormationFlight(np.zeros((3, 3)), (design(near),), aligned(3))
+        Formation(np.zeros((3, 3)), (design_gains(near),), aligned_frames(3))

@@ -10,18 +10,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from problems.formation import Formation
-from problems.formation_gain import design
-from sato.formation.law import Law, wanted
-from sato.formation.shape import likeness
-from sato.shapes.formations import formation
-from sato.shapes.random_formation import random_formation, sparse_graph
+from problems.desired_formation import DesiredFormation
+from problems.gain_design import design_gains
+from sato.formation.control_law import ControlLaw, compute_velocity_command
+from sato.formation.shape_error import compute_shape_error
+from sato.shapes.formation_library import load_formation
+from sato.shapes.random_points import random_sparse_graph, sample_formation
 
 ROBUSTNESS = runpy.run_path(str(Path(__file__).parents[1] / "scripts" / "robustness.py"))
 commands, settle = ROBUSTNESS["commands"], ROBUSTNESS["settle"]
 
-OURS, EITHER = Law(), Law(upright=False)
-PRINTED = Law(upright=False, printed=True)
+OURS, EITHER = ControlLaw(), ControlLaw(upright=False)
+PRINTED = ControlLaw(upright=False, legacy=True)
 LAWS = pytest.mark.parametrize("law", [OURS, EITHER, PRINTED], ids=["upright", "either", "printed"])
 FEW = settings(max_examples=15)
 MIRROR = np.array([1.0, 1.0, -1.0])
@@ -30,8 +30,8 @@ MIRROR = np.array([1.0, 1.0, -1.0])
 @cache
 def some(seed, n=7, share=0.8):
     rng = np.random.default_rng(seed)
-    points = random_formation(n, (8.0, 8.0, 3.0), 1.5, rng)
-    return design(Formation(points, sparse_graph(points, share, rng)))
+    points = sample_formation(n, (8.0, 8.0, 3.0), 1.5, rng)
+    return design_gains(DesiredFormation(points, random_sparse_graph(points, share, rng)))
 
 
 def about_the_vertical(yaw):
@@ -67,8 +67,10 @@ def potential(position, gains, law):
         near, far = (np.linalg.norm(x[j, :2] - x[i, :2]) for x in (position, shape))
         up, should = (x[j, 2] - x[i, 2] for x in (position, shape))
         if law.printed:
-            V += until(near, (law.size_xy, law.bend_xy, law.slack_xy), far)
-            V += until(abs(up), (law.size_z, law.bend_z, law.slack_z), abs(should))
+            V += until(near, (law.legacy_gain_xy, law.legacy_slope_xy, law.legacy_deadband_xy), far)
+            V += until(
+                abs(up), (law.legacy_gain_z, law.legacy_slope_z, law.legacy_deadband_z), abs(should)
+            )
             continue
         weight = law.size / max(degree[i], degree[j])
         V += weight * stretched(near, far)
@@ -94,7 +96,7 @@ def test_who_is_in_the_shape_anywhere_and_at_any_heading_rests(law, seed, yaw, s
 @given(seed=st.integers(0, 5), wide=st.floats(0.1, 5), high=st.floats(-5, 5))
 def test_without_size_control_the_shape_rests_at_any_size(law, seed, wide, high):
     gains = some(seed)
-    free = law._replace(size=0.0, size_xy=0.0, size_z=0.0)
+    free = law._replace(size=0.0, legacy_gain_xy=0.0, legacy_gain_z=0.0)
     placed = gains.formation.points * [wide, wide, high]
     assert np.abs(commands(placed, gains, free)).max() <= 1e-12
 
@@ -150,9 +152,9 @@ def test_only_neighbours_are_looked_at():
     weight, asked, again = np.ones(7), np.zeros(3), np.zeros(3)
     i = int(np.argmin(graph.sum(axis=1)))
     rank = np.flatnonzero(graph[i])
-    wanted(i, sees, rank, gains.xy[i], gains.z[i], points, weight, OURS, asked)
+    compute_velocity_command(i, sees, rank, gains.xy[i], gains.z[i], points, weight, OURS, asked)
     sees[~graph[i]] = np.nan
-    wanted(i, sees, rank, gains.xy[i], gains.z[i], points, weight, OURS, again)
+    compute_velocity_command(i, sees, rank, gains.xy[i], gains.z[i], points, weight, OURS, again)
     assert np.array_equal(asked, again) and np.isfinite(asked).all()
 
 
@@ -167,16 +169,16 @@ def test_turned_by_more_than_90_degrees_all_fly_apart():
     rng = np.random.default_rng(0)
     gains, start = ROBUSTNESS["case"](rng)
     turn = about_the_vertical(np.deg2rad(100))
-    position, before = start, likeness(start, gains.formation.points).error
+    position, before = start, compute_shape_error(start, gains.formation.points).error
     for _ in range(1000):
         position = position + 0.01 * commands(position, gains, OURS) @ turn.T
-    assert likeness(position, gains.formation.points).error > before
+    assert compute_shape_error(position, gains.formation.points).error > before
 
 
 @pytest.mark.parametrize("law", [OURS, EITHER], ids=["upright", "either"])
 @pytest.mark.parametrize("name", ["Pentagonal Pyramid", "Triangular Prism", "Slanted Plane"])
 def test_from_the_mirror_image_only_the_upright_law_comes_back(law, name):
-    gains = design(formation(name))
+    gains = design_gains(load_formation(name))
     points = gains.formation.points
     noise = np.random.default_rng(4).normal(0, 0.05, points.shape)
     found = settle(gains, points * MIRROR + noise, np.random.default_rng(5), law)
@@ -185,14 +187,14 @@ def test_from_the_mirror_image_only_the_upright_law_comes_back(law, name):
 
 
 def test_a_swarm_is_inverted_where_the_mirror_image_fits_better(rng):
-    points = formation("Pentagonal Pyramid").points
+    points = load_formation("Pentagonal Pyramid").points
     placed = points @ about_the_vertical(1.0).T + [3.0, 4.0, 5.0]
     noise = rng.normal(0, 0.05, points.shape)
-    there = likeness(placed, points)
+    there = compute_shape_error(placed, points)
     assert there.error == pytest.approx(0, abs=1e-12) and not there.inverted
-    assert not likeness(placed + noise, points).inverted
-    assert likeness(placed * MIRROR + noise, points).inverted
-    assert likeness(placed * MIRROR, points).error == pytest.approx(0, abs=1e-12)
+    assert not compute_shape_error(placed + noise, points).inverted
+    assert compute_shape_error(placed * MIRROR + noise, points).inverted
+    assert compute_shape_error(placed * MIRROR, points).error == pytest.approx(0, abs=1e-12)
 
 
 def test_what_is_all_but_flat_is_not_inverted(rng):
@@ -200,15 +202,15 @@ def test_what_is_all_but_flat_is_not_inverted(rng):
     for k in range(200):
         points = rng.uniform(0, 10, (9, 3)) * [1, 1, 0] + [0, 0, 1.3]
         points[0, 2] += 0.05 * (k % 2)
-        assert not likeness(points + rng.normal(0, 0.04, points.shape), points).inverted
+        assert not compute_shape_error(points + rng.normal(0, 0.04, points.shape), points).inverted
 
 
 def test_the_error_of_a_shape_is_what_the_best_of_many_poses_leaves(rng):
-    points = formation("Triangular Prism").points
+    points = load_formation("Triangular Prism").points
     seen = points + rng.normal(0, 0.3, points.shape)
     mean = seen.mean(axis=0) - points.mean(axis=0)
     about = points - points.mean(axis=0)
     turns = (about @ about_the_vertical(yaw).T for yaw in np.linspace(-np.pi, np.pi, 20001))
     away = (seen - points.mean(axis=0) - mean - turned for turned in turns)
     least = min(np.sqrt((d**2).sum(axis=1).mean()) for d in away)
-    assert likeness(seen, points).error == pytest.approx(least, abs=1e-6)
+    assert compute_shape_error(seen, points).error == pytest.approx(least, abs=1e-6)

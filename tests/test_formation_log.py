@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 import sato
-from problems.formation import Formation
-from problems.gains import Gains
-from sato.formation import fly
-from sato.formation.log import MEANING, PARTS, attributes, variables
+from problems.desired_formation import DesiredFormation
+from problems.gain_matrix import GainMatrix
+from sato.formation import simulate
+from sato.formation.record import GAIN_PARTS, VARIABLES, run_attributes, stack_variables
 from sato.formation.supervisor import Phase
-from sato.formation.system import SYSTEM, passage
-from sato.record import COMMON
+from sato.formation.system import SYSTEM, describe_progress
+from sato.record import COMMON_VARIABLES
 from sato.scenario import parse
-from sato.systems import system
+from sato.systems import load_system
 
 SQUARES = """
 system = "formation"
@@ -41,21 +41,21 @@ def flown():
     run = sato.run(parse(SQUARES), seed=6)
     rng = np.random.default_rng(6)
     mission = parse(SQUARES).build(rng)
-    return run, mission, list(fly(mission, rng))
+    return run, mission, list(simulate(mission, rng))
 
 
 def test_every_variable_has_a_meaning_and_none_is_said_twice(flown):
     run, mission, frames = flown
-    assert variables(frames, mission).keys() == MEANING.keys()
-    assert not MEANING.keys() & COMMON.keys()
-    for name, variable in (MEANING | COMMON).items():
-        assert run.data[name].dims == variable.axes
+    assert stack_variables(frames, mission).keys() == VARIABLES.keys()
+    assert not VARIABLES.keys() & COMMON_VARIABLES.keys()
+    for name, variable in (VARIABLES | COMMON_VARIABLES).items():
+        assert run.data[name].dims == variable.dims
         assert run.data[name].attrs["units"] == variable.unit
-        assert run.data[name].attrs["long_name"] == variable.meaning
+        assert run.data[name].attrs["long_name"] == variable.long_name
     for word in ("velocity_command", "avoiding", "point", "formation", "gains", "graph"):
-        assert word in MEANING
+        assert word in VARIABLES
     for word in ("frame_yaw", "frame_offset", "frame_drift"):
-        assert "agent" in MEANING[word].axes
+        assert "agent" in VARIABLES[word].dims
 
 
 def test_what_is_on_file_is_what_was_flown(flown):
@@ -65,7 +65,7 @@ def test_what_is_on_file_is_what_was_flown(flown):
         assert np.array_equal(data[name], [getattr(frame, name) for frame in frames]), name
     assert np.array_equal(data["frame_drift"], [frame.drift for frame in frames])
     assert data["control_instant"].values.all() and data["alive"].values.all()
-    np.testing.assert_allclose(np.exp(1j * data["frame_yaw"].values), mission.frames.heading)
+    np.testing.assert_allclose(np.exp(1j * data["frame_yaw"].values), mission.frames.rotation)
     assert np.array_equal(data["frame_offset"], mission.frames.offset)
     assert not data["component"].values.any()
 
@@ -73,13 +73,15 @@ def test_what_is_on_file_is_what_was_flown(flown):
 def test_the_gains_on_file_are_gains_of_the_formation_on_file(flown, tmp_path):
     run, mission, _ = flown
     data = sato.load(run.save(tmp_path)).data
-    assert tuple(data["part"].values) == PARTS
-    for leg, gains in enumerate(mission.shapes):
+    assert tuple(data["part"].values) == GAIN_PARTS
+    for leg, gains in enumerate(mission.gains):
         real, imaginary, z = data["gains"].values[leg]
-        shape = Formation(data["formation"].values[leg], data["graph"].values[leg].astype(bool))
-        found = Gains(shape, real + 1j * imaginary, z, "read", 1.0, 1.0)
-        assert np.array_equal(found.matrix, gains.matrix)
-        assert found.belongs_to(gains.formation)
+        shape = DesiredFormation(
+            data["formation"].values[leg], data["graph"].values[leg].astype(bool)
+        )
+        found = GainMatrix(shape, real + 1j * imaginary, z, "read", 1.0, 1.0)
+        assert np.array_equal(found.full_matrix, gains.matrix)
+        assert found.matches_formation(gains.formation)
 
 
 def test_drift_is_that_of_the_reckoning_against_the_way_flown(flown):
@@ -91,7 +93,7 @@ def test_drift_is_that_of_the_reckoning_against_the_way_flown(flown):
 
 def test_radii_and_limits_are_attributes(flown):
     run, mission, _ = flown
-    said = attributes(mission)
+    said = run_attributes(mission)
     assert said["keep_out_m"] == 1.2 and said["max_climb_m_s"] == 0.2 and said["shape_m"] == 0.1
     for name, value in said.items():
         assert run.data.attrs[name] == value
@@ -106,7 +108,7 @@ def test_the_events_tell_the_flight(flown):
     # What an auction came to is known when its messages have gone round.
     known = [e["time"] + e["rounds"] / mission.radio.rate for e in auctions]
     for event in assignments:
-        assert min(abs(event["time"] - time) for time in known) < 1.5 * mission.sample
+        assert min(abs(event["time"] - time) for time in known) < 1.5 * mission.frame_period
     assert all(e["rounds"] > 0 for e in auctions)
     for event in assignments:
         assert sorted(event["point"]) == [0, 1, 2, 3]
@@ -133,15 +135,15 @@ def test_the_summary_has_the_words_that_it_must_have_and_is_plain(flown):
 
 def test_whoever_waits_hears_of_the_leg_the_steps_and_the_phase(flown):
     _, mission, frames = flown
-    first, last = passage(mission, frames[0]), passage(mission, frames[-1])
+    first, last = describe_progress(mission, frames[0]), describe_progress(mission, frames[-1])
     assert first.stage == "leg 1 of 2" and last.stage == "leg 2 of 2"
     assert (first.done, last.done) == (0, len(frames) - 1)
     assert first.total == last.total == 30000
-    assert (first.words, last.words) == (Phase.WAITING.value, Phase.DONE.value)
+    assert (first.details, last.details) == (Phase.WAITING.value, Phase.COMPLETED.value)
 
 
 def test_the_system_is_at_home_and_has_figures_but_no_film(flown):
     run, mission, _ = flown
-    assert system("formation") is SYSTEM
-    assert SYSTEM.scene is None and SYSTEM.outcomes == ()
+    assert load_system("formation") is SYSTEM
+    assert SYSTEM.animation is None and SYSTEM.stop_errors == ()
     assert all(map(callable, SYSTEM.figures(run.data, mission).values()))

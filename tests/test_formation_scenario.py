@@ -9,13 +9,13 @@ import tomli_w
 from test_cli import call, sentence
 
 import sato
-from problems.formation_gain import design
-from sato.formation import FormationFlight
-from sato.formation.mission import as_printed
+from problems.gain_design import design_gains
+from sato.formation import Formation
+from sato.formation.mission import legacy_formation
 from sato.scenario import names, parse, read
 from sato.shapes.formation_files import write_graph, write_points
-from sato.shapes.formations import formation
-from sato.shapes.random_formation import random_formation, random_start, thinned
+from sato.shapes.formation_library import load_formation
+from sato.shapes.random_points import random_dense_graph, sample_formation, sample_positions
 
 SIX = """
 system = "formation"
@@ -40,14 +40,14 @@ BUILT_IN = [name for name in names() if name.startswith("formation")]
 @pytest.fixture
 def home(tmp_path, monkeypatch):
     (tmp_path / "six.toml").write_text(SIX)
-    shape = formation("swarm6/Star")
+    shape = load_formation("swarm6/Star")
     write_points(tmp_path / "points.csv", shape.points)
     write_graph(tmp_path / "edges.csv", shape.graph)
     (tmp_path / "lonely.csv").write_text("0,1\n1,2\n2,0\n3,4\n4,5\n5,3\n")
     (tmp_path / "cycle.csv").write_text("0,1\n1,2\n2,3\n3,4\n4,5\n5,0\n")
-    design(shape).save(tmp_path / "star.npz")
-    design(formation("swarm6/Star", "complete")).save(tmp_path / "complete.npz")
-    design(formation("swarm6/Hex")).save(tmp_path / "hex.npz")
+    design_gains(shape).save(tmp_path / "star.npz")
+    design_gains(load_formation("swarm6/Star", "complete")).save(tmp_path / "complete.npz")
+    design_gains(load_formation("swarm6/Hex")).save(tmp_path / "hex.npz")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -225,9 +225,9 @@ def test_there_are_scenarios_of_one_transition_a_hundred_vehicles_six_and_the_pr
 
 def test_what_is_not_said_is_as_the_flight_has_it():
     mission = built()
-    plain = FormationFlight(mission.start, mission.shapes, mission.frames)
-    hover = {"hover": mission.protocol.hover, "limit": mission.protocol.limit}
-    assert same(mission.protocol, plain.protocol._replace(**hover))
+    plain = Formation(mission.start, mission.gains, mission.frames)
+    hover = {"hover": mission.protocol.hover_time, "limit": mission.protocol.time_limit}
+    assert same(mission.protocol, plain.supervision._replace(**hover))
     for name in ("law", "avoidance", "limits", "assigning", "radio", "step", "every", "pushes"):
         assert same(getattr(mission, name), getattr(plain, name)), name
 
@@ -236,17 +236,17 @@ def test_what_is_not_said_is_as_the_flight_has_it():
 def test_the_printed_code_is_one_key_and_what_is_said_beside_it_counts(kind):
     settings = ["legacy_avoidance=true", f"assignment.kind={kind}"]
     mission = built(*settings)
-    printed = as_printed(mission.start, mission.shapes, kind)
-    hover = {"hover": mission.protocol.hover, "limit": mission.protocol.limit}
-    assert same(mission.protocol, printed.protocol._replace(**hover))
+    printed = legacy_formation(mission.start, mission.gains, kind)
+    hover = {"hover": mission.protocol.hover_time, "limit": mission.protocol.time_limit}
+    assert same(mission.protocol, printed.supervision._replace(**hover))
     for name in ("law", "avoidance", "limits", "assigning", "radio", "step", "every"):
         assert same(getattr(mission, name), getattr(printed, name)), name
-    assert np.array_equal(mission.frames.heading, printed.frames.heading)
+    assert np.array_equal(mission.frames.rotation, printed.coordinate_frames.rotation)
     assert not mission.frames.offset.any() and not mission.frames.drift.any()
-    assert mission.frames.noise == printed.frames.noise
+    assert mission.frames.noise == printed.coordinate_frames.noise
     other = built(*settings, "protocol.settled_mm_s=300", "frames.noise_m=0", "yaw=random")
     assert other.protocol.settled == pytest.approx(0.3) and other.frames.noise == 0
-    assert not np.array_equal(other.frames.heading, printed.frames.heading)
+    assert not np.array_equal(other.frames.rotation, printed.coordinate_frames.rotation)
 
 
 def test_whoever_watches_looks_fifty_times_a_second_however_fine_the_control():
@@ -268,11 +268,11 @@ def test_first_the_start_is_drawn_then_points_and_graph_of_each_leg_then_frames(
     graph = 'graph={kind="thinned", removals=2}\n'
     mission = parse(text + 2 * (leg + graph)).build(np.random.default_rng(5))
     rng = np.random.default_rng(5)
-    assert np.array_equal(mission.start[:, :2], random_start(6, (9, 9), 1.5, rng))
+    assert np.array_equal(mission.start[:, :2], sample_positions(6, (9, 9), 1.5, rng))
     assert (mission.start[:, 2] == 1).all()
-    for gains in mission.shapes:
-        assert np.array_equal(gains.formation.points, random_formation(6, (9, 9, 2), 2.0, rng))
-        assert np.array_equal(gains.formation.graph, thinned(6, 2, rng))
+    for gains in mission.gains:
+        assert np.array_equal(gains.formation.points, sample_formation(6, (9, 9, 2), 2.0, rng))
+        assert np.array_equal(gains.formation.graph, random_dense_graph(6, 2, rng))
 
 
 def test_points_graph_and_gains_come_from_files_beside_the_scenario(home, monkeypatch):
@@ -280,7 +280,7 @@ def test_points_graph_and_gains_come_from_files_beside_the_scenario(home, monkey
     (home / "files.toml").write_text(SIX.replace(SIX[SIX.index("formation = {") :], leg))
     monkeypatch.chdir("/")
     mission, own = read(home / "files.toml").build(np.random.default_rng(1)), built()
-    [found], [library] = mission.shapes, own.shapes
+    [found], [library] = mission.gains, own.gains
     assert np.array_equal(found.formation.points, library.formation.points)
     assert np.array_equal(found.formation.graph, library.formation.graph)
     np.testing.assert_allclose(found.xy, library.xy, atol=1e-12)
@@ -289,7 +289,7 @@ def test_points_graph_and_gains_come_from_files_beside_the_scenario(home, monkey
 
 
 def test_a_scenario_from_files_is_written_whole_and_gives_the_same_to_the_last_bit(home):
-    write_points(home / "start.csv", 3.0 * formation("swarm6/Hex").points)
+    write_points(home / "start.csv", 3.0 * load_formation("swarm6/Hex").points)
     scenario = read(
         "six.toml",
         [
@@ -305,11 +305,11 @@ def test_a_scenario_from_files_is_written_whole_and_gives_the_same_to_the_last_b
         file.unlink()
     assert "file" not in text
     again = parse(text).build(np.random.default_rng(3))
-    names = [f.name for f in fields(FormationFlight) if f.name != "shapes"]
+    names = [f.name for f in fields(Formation) if f.name != "shapes"]
     assert all(same(getattr(mission, name), getattr(again, name)) for name in names)
-    [one], [other] = mission.shapes, again.shapes
+    [one], [other] = mission.gains, again.gains
     assert np.array_equal(one.xy, other.xy) and np.array_equal(one.z, other.z)
-    assert one.belongs_to(other.formation)
+    assert one.matches_formation(other.formation)
 
 
 @pytest.mark.parametrize(
@@ -326,14 +326,16 @@ def test_a_scenario_from_files_is_written_whole_and_gives_the_same_to_the_last_b
 @pytest.mark.parametrize("graph", ["complete", "{kind='thinned', removals=1}"])
 def test_any_shape_will_do_on_any_graph_and_nobody_is_above_another(shape, graph):
     mission = built(f"leg.formation={shape}", f"leg.graph={graph}")
-    points = mission.shapes[0].formation.points
+    points = mission.gains[0].formation.points
     assert points.shape == (6, 3) and not points[:, 2].any()
-    assert mission.shapes[0].rate > 0
+    assert mission.gains[0].rate > 0
 
 
 def test_frames_may_agree_in_yaw_alone_and_the_rest_is_drawn_the_same():
     one, other = built(), built("yaw=aligned")
-    assert (other.frames.heading == 1).all() and not (one.frames.heading == 1).any()
+    assert (other.coordinate_frames.rotation == 1).all() and not (
+        one.coordinate_frames.rotation == 1
+    ).any()
     assert np.array_equal(one.start, other.start)
     assert np.array_equal(one.frames.offset, other.frames.offset)
     assert np.abs(one.frames.offset).max() <= 10
@@ -341,7 +343,9 @@ def test_frames_may_agree_in_yaw_alone_and_the_rest_is_drawn_the_same():
 
 
 def test_pushes_are_those_of_the_file():
-    [push] = built("push=[{vehicle=2, start_min=0.1, end_s=9, velocity_m_s=[0, 0.3, 0]}]").pushes
+    [push] = built(
+        "push=[{vehicle=2, start_min=0.1, end_s=9, velocity_m_s=[0, 0.3, 0]}]"
+    ).operator_commands
     assert (push.vehicle, push.start, push.end) == (2, 6.0, 9.0)
     assert push.velocity.tolist() == [0, 0.3, 0]
 

@@ -14,18 +14,28 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import pdist
 from typer.testing import CliRunner, Result
 
-from problems.formation_gain import Gains, design
+from problems.gain_design import GainMatrix, design_gains
 from sato import gains_command, shapes
 from sato.cli import app
 from sato.shapes.formation_files import (
     read_formation,
     read_graph,
-    with_graph,
+    read_with_graph,
     write_graph,
     write_points,
 )
-from sato.shapes.formations import formation, formations, formed, joined
-from sato.shapes.random_formation import random_formation, random_start, sparse_graph, thinned
+from sato.shapes.formation_library import (
+    formation_names,
+    graph_from_edges,
+    load_formation,
+    make_formation,
+)
+from sato.shapes.random_points import (
+    random_dense_graph,
+    random_sparse_graph,
+    sample_formation,
+    sample_positions,
+)
 
 RESIDUAL = 1e-10  # what is promised of every gain matrix, however it was found
 
@@ -62,28 +72,28 @@ def is_graph(graph):
 
 
 def test_the_library_is_what_it_is_said_to_be():
-    assert formations() == tuple(LIBRARY)
+    assert formation_names() == tuple(LIBRARY)
     for name, (vertices, edges, spacing) in LIBRARY.items():
-        shape = formation(name)
+        shape = load_formation(name)
         assert shape.name == name
         assert (len(shape.points), shape.graph.sum() // 2) == (vertices, edges)
         assert pdist(shape.points[:, :2]).min() == pytest.approx(spacing, abs=1e-8)
-        assert shape.flat == (not any(name.startswith(part) for part in RISING))
-        assert np.array_equal(formation(name, "complete").points, shape.points)
-        assert formation(name, "complete").graph.sum() == vertices * (vertices - 1)
+        assert shape.is_flat == (not any(name.startswith(part) for part in RISING))
+        assert np.array_equal(load_formation(name, "complete").points, shape.points)
+        assert load_formation(name, "complete").graph.sum() == vertices * (vertices - 1)
 
 
 def test_mit_acl_is_a_sheet_that_leans_back_with_24_percent_of_the_edges():
-    shape = formation("mitacl100")
+    shape = load_formation("mitacl100")
     assert np.ptp(shape.points, axis=0).tolist() == [63.0, 10.0, 10.0]
     assert np.array_equal(shape.points[:, 1], shape.points[:, 2])
     assert shape.graph.sum() / (100 * 99) == 0.24
     assert degrees(shape.graph).min() >= 4
-    assert np.array_equal(shape.graph, formation("mitacl100").graph)
+    assert np.array_equal(shape.graph, load_formation("mitacl100").graph)
 
 
 def test_mit_acl_is_of_six_letters_as_they_were_drawn():
-    x = np.sort(formation("mitacl100").points[:, 0])
+    x = np.sort(load_formation("mitacl100").points[:, 0])
     letters = np.split(x, np.flatnonzero(np.diff(x) > 2) + 1)
     assert list(map(len, letters)) == [27, 12, 15, 18, 14, 14]
     assert [np.ptp(letter) for letter in letters] == [10, 2, 8, 12, 6, 6]
@@ -96,7 +106,7 @@ def test_part_of_a_name_will_do_where_it_is_the_only_one():
         "mitacl100": "mitacl100/MIT ACL",
         "pentagonal pyramid": "swarm6_3d/Pentagonal Pyramid",
     }.items():
-        assert formation(said).name == meant
+        assert load_formation(said).name == meant
 
 
 @pytest.mark.parametrize(
@@ -111,13 +121,13 @@ def test_part_of_a_name_will_do_where_it_is_the_only_one():
 )
 def test_a_name_that_is_not_in_the_library_is_refused_with_those_that_are_close(name, near):
     with pytest.raises(ValueError, match="no formation") as refused:
-        formation(name)
+        load_formation(name)
     assert f'"{name}"' in str(refused.value) and near in str(refused.value)
 
 
 def test_a_graph_of_another_kind_is_refused():
     with pytest.raises(ValueError, match='"own" graph or the "complete"'):
-        formation("swarm6/Star", "sparse")
+        load_formation("swarm6/Star", "sparse")
 
 
 # Gains of every formation.
@@ -126,11 +136,11 @@ def test_a_graph_of_another_kind_is_refused():
 @pytest.mark.parametrize("name", LIBRARY)
 def test_every_formation_has_gains_for_its_own_graph_and_for_the_complete_one(name):
     for graph in ("own", "complete"):
-        gains = design(formation(name, graph))
-        assert gains.rate > 0
+        gains = design_gains(load_formation(name, graph))
+        assert gains.convergence_rate > 0
         residuals = gains.residual_kernel, gains.residual_structure, gains.residual_graph
         assert max(residuals) <= RESIDUAL
-    assert gains.rate == pytest.approx(1, abs=1e-9)
+    assert gains.convergence_rate == pytest.approx(1, abs=1e-9)
 
 
 # The general solver's answer, which no gains exceed by more than its last digit.
@@ -144,7 +154,7 @@ BEST = {
 
 @pytest.mark.parametrize(("name", "best"), BEST.items())
 def test_graphs_that_are_not_complete_have_the_rate_of_the_general_solver(name, best):
-    gains = design(formation(name))
+    gains = design_gains(load_formation(name))
     for rate, bound, reach in zip(
         (gains.rate_xy, gains.rate_z), (gains.bound_xy, gains.bound_z), best, strict=True
     ):
@@ -154,7 +164,7 @@ def test_graphs_that_are_not_complete_have_the_rate_of_the_general_solver(name, 
 
 def test_the_apex_of_the_pyramid_rises_by_itself():
     # The base is of one height, and five who are level say nothing of a sixth who is not.
-    gains = design(formation("Pentagonal Pyramid"))
+    gains = design_gains(load_formation("Pentagonal Pyramid"))
     assert np.abs(gains.z[0]).max() <= RESIDUAL
 
 
@@ -164,7 +174,7 @@ def test_the_apex_of_the_pyramid_rises_by_itself():
 @settings(max_examples=30)
 @given(st.integers(1, 40), st.integers(0, 2**32 - 1))
 def test_starts_are_apart_and_in_their_box(count, seed):
-    places = random_start(count, (20.0, 20.0), 1.5, np.random.default_rng(seed))
+    places = sample_positions(count, (20.0, 20.0), 1.5, np.random.default_rng(seed))
     assert places.shape == (count, 2)
     assert places.min() >= 0 and places.max() <= 20
     assert count == 1 or pdist(places).min() >= 1.5
@@ -173,7 +183,7 @@ def test_starts_are_apart_and_in_their_box(count, seed):
 @settings(max_examples=30)
 @given(st.integers(3, 30), st.integers(0, 2**32 - 1))
 def test_random_formations_are_apart_when_seen_from_above(count, seed):
-    points = random_formation(count, (15.0, 15.0, 2.0), 2.0, np.random.default_rng(seed))
+    points = sample_formation(count, (15.0, 15.0, 2.0), 2.0, np.random.default_rng(seed))
     assert points.shape == (count, 3)
     assert points.min() >= 0 and (points.max(axis=0) <= [15, 15, 2]).all()
     assert pdist(points[:, :2]).min() >= 2
@@ -181,7 +191,7 @@ def test_random_formations_are_apart_when_seen_from_above(count, seed):
 
 def test_what_is_drawn_depends_on_the_generator_alone():
     first, again, other = (
-        random_formation(9, (15.0, 15.0, 2.0), 2.0, np.random.default_rng(seed))
+        sample_formation(9, (15.0, 15.0, 2.0), 2.0, np.random.default_rng(seed))
         for seed in (1, 1, 2)
     )
     assert np.array_equal(first, again) and not np.array_equal(first, other)
@@ -190,10 +200,10 @@ def test_what_is_drawn_depends_on_the_generator_alone():
 @pytest.mark.parametrize(
     ("draw", "box", "full"),
     [
-        (random_start, (4.0, 4.0), "4 × 4 m is full after"),
-        (random_start, (4.0, 4.0, 4.0), "4 × 4 × 4 m is full after"),
-        (random_start, (4.0, 4.0, 0.1), "4 × 4 × 0.1 m is full after"),
-        (random_formation, (4.0, 4.0, 9.0), "4 × 4 × 9 m is full after"),
+        (sample_positions, (4.0, 4.0), "4 × 4 m is full after"),
+        (sample_positions, (4.0, 4.0, 4.0), "4 × 4 × 4 m is full after"),
+        (sample_positions, (4.0, 4.0, 0.1), "4 × 4 × 0.1 m is full after"),
+        (sample_formation, (4.0, 4.0, 9.0), "4 × 4 × 9 m is full after"),
     ],
 )
 def test_what_does_not_fit_is_refused_with_a_box_that_would_do(draw, box, full, rng):
@@ -216,14 +226,14 @@ def test_what_does_not_fit_is_refused_with_a_box_that_would_do(draw, box, full, 
 )
 def test_a_random_formation_of_nonsense_is_refused(count, box, separation, words, rng):
     with pytest.raises(ValueError, match=words):
-        random_formation(count, box, separation, rng)
+        sample_formation(count, box, separation, rng)
 
 
 @settings(max_examples=30)
 @given(st.integers(4, 30), st.data())
 def test_a_thinned_graph_lacks_at_most_the_pairs_that_were_removed(count, data):
     removals = data.draw(st.integers(0, count - 4))
-    graph = thinned(count, removals, np.random.default_rng(removals))
+    graph = random_dense_graph(count, removals, np.random.default_rng(removals))
     assert is_graph(graph)
     assert 0 <= count * (count - 1) - graph.sum() <= 2 * removals
 
@@ -235,7 +245,7 @@ def test_a_sparse_graph_has_its_share_and_holds_together(count, above, seed):
     every = count * (count - 1) // 2
     least = min(2 * count, every)
     share = (least + above * (every - least)) / every
-    graph = sparse_graph(rng.normal(size=(count, 3)), share, rng)
+    graph = random_sparse_graph(rng.normal(size=(count, 3)), share, rng)
     assert is_graph(graph)
     assert graph.sum() // 2 == round(share * every)
     assert connected_components(graph)[0] == 1
@@ -247,30 +257,30 @@ def test_the_sparsest_graph_still_has_gains_also_where_heights_are_few(levels, r
     for _ in range(4):
         points = rng.normal(size=(12, 3))
         points[:, 2] = rng.permutation(12) % levels
-        graph = sparse_graph(points, 4 / 11, rng)
+        graph = random_sparse_graph(points, 4 / 11, rng)
         assert graph.sum() == 4 * 12
-        assert design(formed(points, graph)).rate > 1e-6
+        assert design_gains(make_formation(points, graph)).convergence_rate > 1e-6
 
 
 def test_a_share_that_cannot_be_is_refused_with_those_that_can(rng):
     points = rng.normal(size=(20, 3))
     for share in (0.1, 1.1, -1.0):
         with pytest.raises(ValueError, match=r"of the 190 edges .* 0.2106 to 1 would do"):
-            sparse_graph(points, share, rng)
-    assert sparse_graph(points, 0.2106, rng).sum() == 80
+            random_sparse_graph(points, share, rng)
+    assert random_sparse_graph(points, 0.2106, rng).sum() == 80
     with pytest.raises(ValueError, match="at least 4 points, got 3"):
-        sparse_graph(points[:3], 1.0, rng)
+        random_sparse_graph(points[:3], 1.0, rng)
 
 
 # Any points, and files.
 
 
 def test_any_shape_becomes_a_formation():
-    flat = formed(shapes.text("A", 12, spacing=2.0), name="A")
-    assert (flat.points.shape, flat.flat, flat.name) == ((12, 3), True, "A")
-    assert not formed(shapes.lattice(13, dimension=3, spacing=2.0)).flat
+    flat = make_formation(shapes.text("A", 12, spacing=2.0), name="A")
+    assert (flat.points.shape, flat.is_flat, flat.name) == ((12, 3), True, "A")
+    assert not make_formation(shapes.lattice(13, dimension=3, spacing=2.0)).is_flat
     with pytest.raises(ValueError, match="two or three coordinates, got 1"):
-        formed(np.zeros((4, 1)))
+        make_formation(np.zeros((4, 1)))
 
 
 @settings(max_examples=30)
@@ -288,11 +298,11 @@ def test_points_and_graph_come_back_from_their_files_to_the_last_bit(
 ):
     folder = tmp_path_factory.mktemp("files")
     points = points + np.arange(len(points))[:, None]  # none too close to another
-    graph = sparse_graph(points, 1.0, np.random.default_rng(seed))
+    graph = random_sparse_graph(points, 1.0, np.random.default_rng(seed))
     graph[0, 1] = graph[1, 0] = False
     write_points(folder / "mine.csv", points)
     write_graph(folder / "graph.csv", graph)
-    shape = with_graph(read_formation(folder / "mine.csv"), folder / "graph.csv")
+    shape = read_with_graph(read_formation(folder / "mine.csv"), folder / "graph.csv")
     assert np.array_equal(shape.points[:, : points.shape[1]], points)
     assert np.array_equal(shape.graph, graph)
     assert shape.name == "mine"
@@ -302,7 +312,7 @@ def test_titles_comments_and_repeated_pairs_change_nothing(tmp_path):
     plain, dressed = tmp_path / "plain.csv", tmp_path / "dressed.csv"
     plain.write_text("0,1\n1,2\n2,0\n")
     dressed.write_text("\ufefffrom, to\n# a triangle\n1,0\n\n0, 1\n2,1\n0,2\n", encoding="utf-8")
-    triangle = joined(3, [(0, 1), (1, 2), (0, 2)])
+    triangle = graph_from_edges(3, [(0, 1), (1, 2), (0, 2)])
     assert np.array_equal(read_graph(plain, 3), triangle)
     assert np.array_equal(read_graph(dressed, 3), triangle)
 
@@ -342,14 +352,14 @@ def test_gains_of_the_library_are_certified_and_written(home):
     for words in ("6 vertices, 8 edges (53.3 %)", "0.29", "flexible", "A N"):
         assert words in result.stdout
     assert written(home) == ["gains/swarm6_3d-Pentagonal-Pyramid.npz"]
-    kept = Gains.load(home / written(home)[0])
-    assert kept.belongs_to(formation("pentagonal pyramid"))
+    kept = GainMatrix.load(home / written(home)[0])
+    assert kept.matches_formation(load_formation("pentagonal pyramid"))
     assert kept.rate_xy == pytest.approx(0.2957, rel=0.01)
 
 
 def test_a_gap_that_is_rounding_is_told_as_none(home, monkeypatch):
     # One who is faster than the bound by a rounding is not −0.0000 % short of it.
-    exact = design(formation("hex"))
+    exact = design_gains(load_formation("hex"))
     found = replace(exact, bound_xy=exact.rate_xy - 1e-15, bound_z=exact.rate_z - 1e-15)
     monkeypatch.setattr(gains_command, "design", lambda *_: found)
     said = call("hex").stdout
@@ -361,14 +371,14 @@ def test_gains_of_files_are_for_their_points_and_graph(home):
     result = call("square.csv", "--graph", "ring.csv", "--out", "here/mine.npz")
     assert result.exit_code == 0, result.output
     assert "4 vertices, 5 edges (83.3 %)" in result.stdout
-    kept = Gains.load(home / "here" / "mine.npz")
+    kept = GainMatrix.load(home / "here" / "mine.npz")
     assert kept.formation.graph.sum() == 10 and not kept.formation.graph[1, 3]
     assert [p.name for p in (home / "here").iterdir()] == ["mine.npz"]
 
 
 def test_the_complete_graph_may_be_asked_for_instead_of_the_own(home):
     assert call("star", "--graph", "complete", "--out", "star.npz").exit_code == 0
-    assert Gains.load("star.npz").rate == pytest.approx(1, abs=1e-9)
+    assert GainMatrix.load("star.npz").convergence_rate == pytest.approx(1, abs=1e-9)
 
 
 @pytest.mark.parametrize("method", ["sdp", "admm", "paper"])
@@ -443,11 +453,11 @@ def test_gains_that_are_there_survive_a_disk_that_fills_up(home, monkeypatch):
     assert call("star", "--out", "star.npz").exit_code == 0
     before = (home / "star.npz").read_bytes()
 
-    def full(self: Gains, path: str | Path) -> None:
+    def full(self: GainMatrix, path: str | Path) -> None:
         Path(path).write_bytes(before[:100])
         raise OSError(28, "No space left on device", str(path))
 
-    monkeypatch.setattr(Gains, "save", full)
+    monkeypatch.setattr(GainMatrix, "save", full)
     result = call("hex", "--out", "star.npz")
     assert result.exit_code == 1
     assert "No space left on device" in refusal(result)

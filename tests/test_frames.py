@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dynamics.atmosphere import Atmosphere
-from dynamics.elements import Elements
+from dynamics.coordinate_frames import LVLH, inertial_state, to_polar_nodal
+from dynamics.elements import ClassicalElements
 from dynamics.forces import Forces
-from dynamics.frames import LVLH, inertial_state, osculating
-from dynamics.orbit import K_J2, frame_rates
+from dynamics.orbit import K_J2, lvlh_rates
 from dynamics.propagation import propagate
 
 angle = st.floats(-np.pi, np.pi)
@@ -21,7 +21,9 @@ def states(draw):
     """Inertial states on any ellipse with 0 ≤ e ≤ 0.9, of any inclination."""
     e, perigee = draw(st.floats(0, 0.9)), draw(st.floats(6.6e6, 2e7))
     tilt = draw(st.one_of(st.floats(0, np.pi), st.sampled_from([0.0, np.pi, np.pi / 2])))
-    return Elements(perigee / (1 - e), e, tilt, draw(angle), draw(angle), draw(angle)).state()
+    return ClassicalElements(
+        perigee / (1 - e), e, tilt, draw(angle), draw(angle), draw(angle)
+    ).to_state()
 
 
 def some(rng, shape):
@@ -31,7 +33,7 @@ def some(rng, shape):
 @given(states(), st.integers(0, 2**32 - 1))
 def test_states_go_to_offsets_and_back_within_a_nanometre(chief, seed):
     rng = np.random.default_rng(seed)
-    frame = LVLH.of_state(chief, rng.normal(size=3))
+    frame = LVLH.from_state(chief, rng.normal(size=3))
     x = some(rng, (20,))
     back = frame.from_offset(frame.to_offset(x))
     np.testing.assert_allclose(back[:, :3], x[:, :3], rtol=0, atol=1e-9)
@@ -41,7 +43,7 @@ def test_states_go_to_offsets_and_back_within_a_nanometre(chief, seed):
 @given(states(), st.integers(0, 2**32 - 1))
 def test_states_go_to_inertial_space_and_back_within_its_last_digit(chief, seed):
     rng = np.random.default_rng(seed)
-    frame = LVLH.of_state(chief, rng.normal(0, 1e-2, 3))
+    frame = LVLH.from_state(chief, rng.normal(0, 1e-2, 3))
     x = some(rng, (20,))
     back = frame.from_inertial(frame.to_inertial(x))
     digit = np.spacing(np.linalg.norm(chief.reshape(2, 3), axis=1) + 2 * NEAR[::3])
@@ -52,29 +54,29 @@ def test_states_go_to_inertial_space_and_back_within_its_last_digit(chief, seed)
 
 @given(states())
 def test_the_six_numbers_give_the_state_back(state):
-    back = inertial_state(osculating(state))
+    back = inertial_state(to_polar_nodal(state))
     size = np.linalg.norm(state.reshape(2, 3), axis=1).repeat(3)
     np.testing.assert_allclose(back / size, state / size, rtol=0, atol=2e-15)
 
 
 @given(states())
 def test_axes_are_square_and_right_handed(state):
-    axes = LVLH.of_state(state).axes
+    axes = LVLH.from_state(state).axes
     np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-15)
     assert np.linalg.det(axes) == pytest.approx(1)
 
 
 @given(states())
 def test_the_frame_of_a_state_is_that_of_its_six_numbers(state):
-    by_state = LVLH.of_state(state, Forces().acceleration(state))
-    by_six = LVLH.of_chief(osculating(state), K_J2)
+    by_state = LVLH.from_state(state, Forces().acceleration(state))
+    by_six = LVLH.from_polar_nodal(to_polar_nodal(state), K_J2)
     np.testing.assert_allclose(by_state.axes, by_six.axes, atol=1e-14)
     np.testing.assert_allclose(by_state.omega, by_six.omega, rtol=1e-12, atol=1e-18)
 
 
 def test_the_chief_is_at_rest_at_the_origin():
-    chief = Elements(7e6, 0.02, 1.0, 0.3, 0.2, 0.1).state()
-    frame = LVLH.of_state(chief)
+    chief = ClassicalElements(7e6, 0.02, 1.0, 0.3, 0.2, 0.1).to_state()
+    frame = LVLH.from_state(chief)
     np.testing.assert_array_equal(frame.from_inertial(chief), np.zeros(6))
     np.testing.assert_array_equal(frame.to_inertial(np.zeros(6)), chief)
 
@@ -82,7 +84,7 @@ def test_the_chief_is_at_rest_at_the_origin():
 def test_the_axes_are_radial_transverse_and_normal():
     chief = np.array([7e6, 0, 0, 0, 7.5e3, 0])
     higher, ahead, left = np.eye(3) * 100
-    frame = LVLH.of_state(chief)
+    frame = LVLH.from_state(chief)
     np.testing.assert_array_equal(frame.axes, np.eye(3))
     for there, here in ((higher, 0), (ahead, 1), (left, 2)):
         x = frame.from_inertial(chief + np.concatenate([there, np.zeros(3)]))
@@ -91,16 +93,16 @@ def test_the_axes_are_radial_transverse_and_normal():
 
 def test_a_vehicle_at_rest_in_space_is_swept_backwards():
     chief = np.array([7e6, 0, 0, 0, 7.5e3, 0])
-    x = LVLH.of_state(chief).from_offset(np.array([100.0, 0, 0, 0, 0, 0]))
+    x = LVLH.from_state(chief).from_offset(np.array([100.0, 0, 0, 0, 0, 0]))
     np.testing.assert_allclose(x[3:], [0, -100 * 7.5e3 / 7e6, 0])
 
 
 def test_many_instants_and_vehicles_are_each_by_itself(rng):
-    chief = Elements(8e6, 0.1, *rng.uniform(0, 2, (4, 5))).state()
+    chief = ClassicalElements(8e6, 0.1, *rng.uniform(0, 2, (4, 5))).to_state()
     push, x = rng.normal(size=(5, 3)), some(rng, (5, 4))
-    together = LVLH.of_state(chief, push)
+    together = LVLH.from_state(chief, push)
     for k in range(5):
-        alone = LVLH.of_state(chief[k], push[k])
+        alone = LVLH.from_state(chief[k], push[k])
         np.testing.assert_allclose(together.to_offset(x)[k], alone.to_offset(x[k]), atol=1e-11)
         np.testing.assert_allclose(together.from_offset(x)[k, 2], alone.from_offset(x[k, 2]))
         np.testing.assert_allclose(together.to_inertial(x[:, 0])[k], alone.to_inertial(x[k, 0]))
@@ -109,18 +111,18 @@ def test_many_instants_and_vehicles_are_each_by_itself(rng):
 def slopes(states, forces, ballistic, dt):
     """LVLH velocity of a deputy as its position changes, by sixth-order differences."""
     chief, deputy = np.moveaxis(states, 1, 0)
-    frame = LVLH.of_state(chief, forces.acceleration(chief, ballistic))
+    frame = LVLH.from_state(chief, forces.acceleration(chief, ballistic))
     x = frame.from_inertial(deputy)
     weights = np.array([-1, 9, -45, 0, 45, -9, 1]) / (60 * dt)
-    return x[3], weights @ x[:, :3], LVLH.of_state(chief[3]).from_inertial(deputy[3])
+    return x[3], weights @ x[:, :3], LVLH.from_state(chief[3]).from_inertial(deputy[3])
 
 
 @pytest.mark.parametrize("air", [None, 1e-6])
 @pytest.mark.parametrize(("e", "i"), [(0.0, 0.8), (0.3, 1.2), (0.01, 2.4)])
 def test_relative_velocity_is_how_relative_position_changes(e, i, air, rng):
-    forces = Forces(atmosphere=None if air is None else Atmosphere(density=air))
-    chief = Elements(6.9e6 / (1 - e), e, i, 0.3, 0.4, 0.9).state()
-    deputy = LVLH.of_state(chief).to_inertial(some(rng, (1,)))
+    forces = Forces(atmosphere=None if air is None else Atmosphere(reference_density=air))
+    chief = ClassicalElements(6.9e6 / (1 - e), e, i, 0.3, 0.4, 0.9).to_state()
+    deputy = LVLH.from_state(chief).to_inertial(some(rng, (1,)))
     start, dt = np.vstack([chief, deputy]), 2.0
     drag = None if air is None else np.array([0.01, 0.02])
     flown = propagate(start, dt * np.arange(7), forces, drag, accuracy=1e-13)
@@ -132,15 +134,15 @@ def test_relative_velocity_is_how_relative_position_changes(e, i, air, rng):
 
 
 def test_an_orbit_over_the_equator_does_not_tilt():
-    flat = osculating(Elements(7e6, 0.1, 0.0, 0.0, 0.3, 0.9).state())
-    assert frame_rates(flat, K_J2).omega_x == 0
-    assert LVLH.of_chief(flat, K_J2).omega[0] == 0
+    flat = to_polar_nodal(ClassicalElements(7e6, 0.1, 0.0, 0.0, 0.3, 0.9).to_state())
+    assert lvlh_rates(flat, K_J2).omega_x == 0
+    assert LVLH.from_polar_nodal(flat, K_J2).omega[0] == 0
 
 
 @pytest.mark.parametrize("turn", [1.0, -1.0])
 def test_an_equatorial_orbit_counts_from_the_x_axis(turn):
     state = np.array([0, 7e6, 0, -7.5e3 * turn, 10, 0])
-    _, _, _, node, i, latitude = osculating(state)
+    _, _, _, node, i, latitude = to_polar_nodal(state)
     assert (node, i) == (0, 0 if turn > 0 else np.pi)
     assert latitude == pytest.approx(turn * np.pi / 2)
 
@@ -148,4 +150,4 @@ def test_an_equatorial_orbit_counts_from_the_x_axis(turn):
 @pytest.mark.parametrize("state", [[7e6, 0, 0, 100, 0, 0], [0] * 6, [np.nan, 0, 0, 0, 1, 0]])
 def test_a_line_has_no_frame(state):
     with pytest.raises(ValueError, match="do not lie on one line through the Earth's centre"):
-        LVLH.of_state(np.array(state, dtype=float))
+        LVLH.from_state(np.array(state, dtype=float))

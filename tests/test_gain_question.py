@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import null_space
 
-from problems.formation import Formation
-from problems.formation_gain_sdp import solve
-from problems.gain_question import NoMatrix, Question
+from problems.desired_formation import DesiredFormation
+from problems.gain_problem import GainProblem, NoGainMatrix
+from problems.gain_sdp import solve
 
 DRAWS = st.integers(0, 2**32 - 1)
 
@@ -28,8 +28,8 @@ def drawn(seed, which, share=0.7, n=8):
     """A question on a random graph that holds a ring."""
     rng = np.random.default_rng(seed)
     upper = np.triu(rng.random((n, n)) < share, 1)
-    formation = Formation(rng.uniform(0, 9, (n, 3)), upper | upper.T | ring(n))
-    return Question.of(formation, which), rng
+    formation = DesiredFormation(rng.uniform(0, 9, (n, 3)), upper | upper.T | ring(n))
+    return GainProblem.from_formation(formation, which), rng
 
 
 def hermitian(question, rng):
@@ -108,33 +108,33 @@ def test_no_gains_are_faster_than_any_bound(which, seed, share, size):
     question, rng = drawn(seed, which, share)
     try:
         L, Y = solve(question)
-    except NoMatrix:
+    except NoGainMatrix:
         return
-    best = question.rate(L)
-    assert best - 1e-12 <= question.bound(10**size * Y) <= best + 1e-5
+    best = question.convergence_rate(L)
+    assert best - 1e-12 <= question.rate_bound(10**size * Y) <= best + 1e-5
     for near in (0, 1e-6, 1e-3, 1):
         other = hermitian(question, rng)  # entries at edges are to be ignored
         mixed = (1 - near) * Y / (1e-300 + np.linalg.norm(Y)) + near * other
-        assert question.bound(10**size * mixed) >= best - 1e-12
+        assert question.rate_bound(10**size * mixed) >= best - 1e-12
 
 
 @pytest.mark.parametrize("which", ["xy", "z"])
 @pytest.mark.parametrize("size", [1e-300, 1e-12, 1e-6, 1e6, 1e12, 1e300])
 def test_a_bound_does_not_depend_on_the_size_of_its_matrix(which, size):
     question, _ = drawn(11, which, 0.5)
-    Y = question.split(np.eye(8)).dropped
-    assert 0 < question.bound(Y) < 1
-    assert question.bound(size * Y) == pytest.approx(question.bound(Y), abs=1e-12)
+    Y = question.project_with_remainder(np.eye(8)).removed
+    assert 0 < question.rate_bound(Y) < 1
+    assert question.rate_bound(size * Y) == pytest.approx(question.rate_bound(Y), abs=1e-12)
 
 
 def test_what_is_no_proof_bounds_the_rate_by_the_mean_alone():
     question, _ = drawn(11, "z", 0.5)
     for Y in (0.0, np.inf, np.nan):
-        assert question.bound(np.full((8, 8), Y)) == 1
+        assert question.rate_bound(np.full((8, 8), Y)) == 1
     # Without edges, 1 1ᵀ less its diagonal is −I outside the kernel.
-    free = Question(question.kernel, np.zeros((8, 8), dtype=bool))
+    free = GainProblem(question.kernel, np.zeros((8, 8), dtype=bool))
     everywhere = np.ones((8, 8)) - np.eye(8)
-    assert free.bound(everywhere) == 1 and free.bound(-everywhere) < -1e9
+    assert free.rate_bound(everywhere) == 1 and free.rate_bound(-everywhere) < -1e9
 
 
 @pytest.mark.parametrize("which", ["xy", "z"])
@@ -143,44 +143,50 @@ def test_the_bound_is_the_dual_value_that_the_docstring_states(which, rng):
     Y = np.where(absent(question), hermitian(question, rng), 0)
     Q = null_space(question.kernel.conj().T)
     λ = np.linalg.eigvalsh(Q.conj().T @ Y @ Q)
-    assert question.bound(Y) == pytest.approx(min(1, -λ[0] / (λ.mean() - λ[0])), abs=1e-10)
-    assert question.bound(0 * Y) == 1
-    assert question.bound(3.7 * Y) == pytest.approx(question.bound(Y), abs=1e-10)
+    assert question.rate_bound(Y) == pytest.approx(min(1, -λ[0] / (λ.mean() - λ[0])), abs=1e-10)
+    assert question.rate_bound(0 * Y) == 1
+    assert question.rate_bound(3.7 * Y) == pytest.approx(question.rate_bound(Y), abs=1e-10)
 
 
 @pytest.mark.parametrize("which", ["xy", "z"])
 def test_the_rate_is_the_least_eigenvalue_outside_the_kernel(which, rng):
     question, _ = drawn(5, which)
     L, Q = question.project(hermitian(question, rng)), null_space(question.kernel.conj().T)
-    assert question.rate(L) == pytest.approx(np.linalg.eigvalsh(Q.conj().T @ L @ Q)[0], abs=1e-10)
+    assert question.convergence_rate(L) == pytest.approx(
+        np.linalg.eigvalsh(Q.conj().T @ L @ Q)[0], abs=1e-10
+    )
     assert question.m == Q.shape[1]
 
 
 @pytest.mark.parametrize("which", ["xy", "z"])
 @pytest.mark.parametrize("n", [3, 10, 40])
 def test_on_the_complete_graph_the_nearest_to_the_identity_has_the_rate_one(which, n, rng):
-    question = Question.of(Formation.complete(rng.normal(size=(n, 3))), which)
-    L, Y = question.split(np.eye(n))
-    assert question.complete and not Y.any()
-    assert question.rate(L) == pytest.approx(1, abs=1e-12)
+    question = GainProblem.from_formation(
+        DesiredFormation.with_complete_graph(rng.normal(size=(n, 3))), which
+    )
+    L, Y = question.project_with_remainder(np.eye(n))
+    assert question.is_complete and not Y.any()
+    assert question.convergence_rate(L) == pytest.approx(1, abs=1e-12)
 
 
 @pytest.mark.parametrize("n", [5, 6])
 def test_where_nothing_has_a_trace_the_proof_is_a_matrix_on_the_non_edges(n, rng):
-    question = Question.of(Formation(rng.uniform(0, 9, (n, 3)), ring(n)), "xy")
-    with pytest.raises(NoMatrix, match="no matrix with this graph") as verdict:
+    question = GainProblem.from_formation(
+        DesiredFormation(rng.uniform(0, 9, (n, 3)), ring(n)), "xy"
+    )
+    with pytest.raises(NoGainMatrix, match="no matrix with this graph") as verdict:
         question.project(np.eye(n))
     Y = verdict.value.dual
     Q = null_space(question.kernel.conj().T)
     assert not Y[~absent(question)].any()
     np.testing.assert_allclose(Q.conj().T @ Y @ Q, np.eye(n - 2), atol=1e-7)
-    assert question.bound(Y) < 0
+    assert question.rate_bound(Y) < 0
 
 
 def test_bad_conditions_do_not_show_in_the_residuals(rng):
     # A ring with one chord too few is nearly singular where its points are nearly in a row.
     points = np.stack([np.arange(8.0), 1e-3 * rng.random(8), rng.random(8)], axis=1)
     graph = ring(8) | joined(8, [(0, 2), (1, 3), (2, 4), (3, 5), (4, 6), (5, 7), (6, 0), (7, 1)])
-    question = Question.of(Formation(points, graph), "xy")
+    question = GainProblem.from_formation(DesiredFormation(points, graph), "xy")
     L = question.project(np.eye(8))
     assert np.abs(L @ question.kernel).max() < 1e-11 * max(1, np.abs(L).max())

@@ -5,20 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from problems.formation import Formation
-from problems.formation_gain import Gains, design
-from problems.gains import _refuse
-from sato.shapes.formations import formation
-from sato.shapes.random_formation import sparse_graph
+from problems.desired_formation import DesiredFormation
+from problems.gain_design import GainMatrix, design_gains
+from problems.gain_matrix import _validate_gains
+from sato.shapes.formation_library import load_formation
+from sato.shapes.random_points import random_sparse_graph
 
 
 def pyramid():
-    return formation("Pentagonal Pyramid")
+    return load_formation("Pentagonal Pyramid")
 
 
 def drawn(rng, n, share):
     points = rng.uniform(0, 1, (n, 3)) * [15, 15, 2]
-    return Formation(points, sparse_graph(points, share, rng))
+    return DesiredFormation(points, random_sparse_graph(points, share, rng))
 
 
 # The matrix, and the file.
@@ -26,40 +26,42 @@ def drawn(rng, n, share):
 
 def test_the_matrix_is_the_one_that_the_paper_prints(rng):
     # Kernel as in [Lusk2020, eq. 4], of dimension 6; all else dies out.
-    gains = design(drawn(rng, 7, 0.8))
+    gains = design_gains(drawn(rng, 7, 0.8))
     p, n = gains.formation.points, 7
     N = np.zeros((n, 3, 6))
     N[:, 0, 0], N[:, 1, 0], N[:, 0, 1], N[:, 1, 1] = p[:, 0], p[:, 1], -p[:, 1], p[:, 0]
     N[:, 2, 2] = p[:, 2]
     N[:, :, 3:] = np.eye(3)
-    A = gains.matrix
+    A = gains.full_matrix
     assert np.abs(A @ N.reshape(3 * n, 6)).max() <= 1e-10
     λ = np.linalg.eigvalsh(A)
-    assert λ[-6] > -1e-9 and λ[-7] == pytest.approx(-gains.rate, abs=1e-9)
+    assert λ[-6] > -1e-9 and λ[-7] == pytest.approx(-gains.convergence_rate, abs=1e-9)
     block = A[:3, 3:6]
     assert block[0, 0] == block[1, 1] and block[0, 1] == -block[1, 0]
     assert not block[2, :2].any() and not block[:2, 2].any()
 
 
 def test_speeds_are_those_of_the_law_for_complex_positions(rng):
-    gains = design(drawn(rng, 6, 0.9))
+    gains = design_gains(drawn(rng, 6, 0.9))
     q = rng.normal(size=(6, 3))
-    speeds = (gains.matrix @ q.ravel()).reshape(6, 3)
+    speeds = (gains.full_matrix @ q.ravel()).reshape(6, 3)
     planar = gains.xy @ (q[:, 0] + 1j * q[:, 1])
     np.testing.assert_allclose(speeds[:, 0] + 1j * speeds[:, 1], planar, atol=1e-12)
     np.testing.assert_allclose(speeds[:, 2], gains.z @ q[:, 2], atol=1e-12)
 
 
 def test_gains_come_back_from_their_file_and_know_whose_they_are(tmp_path):
-    gains = design(pyramid())
+    gains = design_gains(pyramid())
     gains.save(tmp_path / "gains.npz")
-    again = Gains.load(tmp_path / "gains.npz")
-    assert np.array_equal(again.matrix, gains.matrix)
+    again = GainMatrix.load(tmp_path / "gains.npz")
+    assert np.array_equal(again.full_matrix, gains.full_matrix)
     assert (again.method, again.bound_xy, again.bound_z) == ("admm", gains.bound_xy, gains.bound_z)
-    assert again.formation.name == "swarm6_3d/Pentagonal Pyramid" and again.belongs_to(pyramid())
-    assert not again.belongs_to(Formation.complete(pyramid().points))
-    assert not again.belongs_to(Formation(pyramid().points * 2, pyramid().graph))
-    assert not again.belongs_to(Formation.complete(pyramid().points[:5]))
+    assert again.formation.name == "swarm6_3d/Pentagonal Pyramid" and again.matches_formation(
+        pyramid()
+    )
+    assert not again.matches_formation(DesiredFormation.with_complete_graph(pyramid().points))
+    assert not again.matches_formation(DesiredFormation(pyramid().points * 2, pyramid().graph))
+    assert not again.matches_formation(DesiredFormation.with_complete_graph(pyramid().points[:5]))
 
 
 def forged(path, **changes):
@@ -69,7 +71,7 @@ def forged(path, **changes):
 
 
 def test_a_file_whose_gains_are_not_of_its_formation_is_refused(tmp_path):
-    gains = design(pyramid())
+    gains = design_gains(pyramid())
     path = tmp_path / "gains.npz"
     gains.save(path)
     points = gains.formation.points
@@ -87,17 +89,17 @@ def test_a_file_whose_gains_are_not_of_its_formation_is_refused(tmp_path):
         ({"points": points[[0, 1, 2, 3, 4, 4]]}, "points 4 and 5 coincide"),
     ):
         with pytest.raises(ValueError, match=words):
-            Gains.load(forged(path, **changes))
+            GainMatrix.load(forged(path, **changes))
 
 
 def test_gains_of_another_size_are_refused():
     # Asked of the check itself: in tests, the annotation of the shape would answer first.
     with pytest.raises(ValueError, match=r"6 points need 6 × 6 gains, got \(5, 5\) for xy"):
-        _refuse(pyramid(), "xy", np.eye(5))
+        _validate_gains(pyramid(), "xy", np.eye(5))
 
 
 def test_unstable_gains_cannot_be_made(rng):
-    gains = design(Formation.complete(rng.normal(size=(6, 3))))
+    gains = design_gains(DesiredFormation.with_complete_graph(rng.normal(size=(6, 3))))
     K = gains.formation.kernel_z
     u = np.linalg.qr(np.column_stack([K, rng.normal(size=(6, 1))]))[0][:, 2]
     turned = gains.z + 1.5 * np.outer(u, u)
@@ -127,21 +129,21 @@ def test_unstable_gains_cannot_be_made(rng):
 )
 def test_a_file_of_other_things_is_refused_in_a_sentence_that_names_it(tmp_path, changes, words):
     path = tmp_path / "gains.npz"
-    design(pyramid()).save(path)
+    design_gains(pyramid()).save(path)
     with pytest.raises(ValueError, match=rf"^[^\n]*forged\.npz: [^\n]*{words}[^\n]*$"):
-        Gains.load(forged(path, **changes))
+        GainMatrix.load(forged(path, **changes))
 
 
 def test_a_bound_may_be_anything_from_the_rate_on(tmp_path):
-    gains = design(pyramid())
+    gains = design_gains(pyramid())
     assert replace(gains, bound_xy=gains.rate_xy, bound_z=gains.rate_z).gap_z == 0
     unknown = replace(gains, bound_xy=np.inf)
     unknown.save(tmp_path / "gains.npz")
-    assert Gains.load(tmp_path / "gains.npz").gap_xy == unknown.gap_xy == 1
+    assert GainMatrix.load(tmp_path / "gains.npz").gap_xy == unknown.gap_xy == 1
 
 
 def test_a_damaged_file_is_refused_wherever_it_is_cut_or_changed(tmp_path, rng):
-    gains, path = design(pyramid()), tmp_path / "gains.npz"
+    gains, path = design_gains(pyramid()), tmp_path / "gains.npz"
     gains.save(path)
     whole = path.read_bytes()
     for _ in range(300):
@@ -150,7 +152,9 @@ def test_a_damaged_file_is_refused_wherever_it_is_cut_or_changed(tmp_path, rng):
             broken[rng.integers(len(broken))] ^= int(rng.integers(1, 256))
         path.write_bytes(broken)
         try:
-            assert np.array_equal(Gains.load(path).matrix, gains.matrix)  # nothing that matters
+            assert np.array_equal(
+                GainMatrix.load(path).full_matrix, gains.full_matrix
+            )  # nothing that matters
         except ValueError as error:
             assert "gains.npz" in str(error)
 
@@ -160,14 +164,14 @@ def test_what_is_no_file_of_gains_is_refused(tmp_path, content):
     path = tmp_path / "other.npz"
     path.write_bytes(content)
     with pytest.raises(ValueError, match=r"other\.npz is not a file of gains"):
-        Gains.load(path)
+        GainMatrix.load(path)
 
 
 def test_a_file_that_lacks_something_is_refused(tmp_path):
     path = tmp_path / "some.npz"
     np.savez(path, points=np.zeros((3, 3)), xy=np.zeros((3, 3)))
     with pytest.raises(ValueError, match="it lacks graph, name, z, method, bounds"):
-        Gains.load(path)
+        GainMatrix.load(path)
     np.save(tmp_path / "array.npy", np.zeros(3))
     with pytest.raises(ValueError, match=r"array\.npy is not a file of gains"):
-        Gains.load(tmp_path / "array.npy")
+        GainMatrix.load(tmp_path / "array.npy")

@@ -4,9 +4,15 @@ import casadi
 import numpy as np
 import pytest
 
-from problems.graph import Sight, connectivity, gradient, graph, laplacian
+from problems.interaction_graph import (
+    Camera,
+    algebraic_connectivity,
+    interaction_graph,
+    lambda2_gradient,
+    laplacian,
+)
 
-SIGHT = Sight()
+SIGHT = Camera()
 
 
 def robots(rng, count=6):
@@ -14,14 +20,14 @@ def robots(rng, count=6):
 
 
 def lambda2(position, yaw):
-    return connectivity(graph(position, yaw, SIGHT).weight).lambda2
+    return algebraic_connectivity(interaction_graph(position, yaw, SIGHT).weights).lambda2
 
 
 def test_the_gradient_is_that_of_central_differences():
     rng, h = np.random.default_rng(2023), 1e-6
     for _ in range(200):
         position, yaw = robots(rng)
-        found = gradient(position, yaw, SIGHT)
+        found = lambda2_gradient(position, yaw, SIGHT)
         steps = h * np.eye(18).reshape(18, 6, 3)
         along = lambda2(position + steps, np.tile(yaw, (18, 1)))
         against = lambda2(position - steps, np.tile(yaw, (18, 1)))
@@ -47,9 +53,9 @@ def symbolic_weight():
 
     def view(way, yaw):
         axis = casadi.vertcat(
-            casadi.cos(yaw) * SIGHT.axis[0] - casadi.sin(yaw) * SIGHT.axis[1],
-            casadi.sin(yaw) * SIGHT.axis[0] + casadi.cos(yaw) * SIGHT.axis[1],
-            SIGHT.axis[2],
+            casadi.cos(yaw) * SIGHT.optical_axis[0] - casadi.sin(yaw) * SIGHT.optical_axis[1],
+            casadi.sin(yaw) * SIGHT.optical_axis[0] + casadi.cos(yaw) * SIGHT.optical_axis[1],
+            SIGHT.optical_axis[2],
         )
         return rise(casadi.dot(axis, way) / d, SIGHT.a_min, SIGHT.a_max)
 
@@ -64,8 +70,8 @@ def test_weights_and_gradient_agree_with_the_printed_formulas_and_casadi():
     rng, weigh = np.random.default_rng(7), symbolic_weight()
     for _ in range(40):
         position, yaw = robots(rng)
-        found = graph(position, yaw, SIGHT).weight
-        felt = connectivity(found).felt
+        found = interaction_graph(position, yaw, SIGHT).weights
+        felt = algebraic_connectivity(found).weight_gradient
         for i in range(6):
             slope = np.zeros(4)
             for j in range(6):
@@ -73,7 +79,7 @@ def test_weights_and_gradient_agree_with_the_printed_formulas_and_casadi():
                     weight, by = weigh(position[i], yaw[i], position[j], yaw[j])
                     assert found[i, j] == pytest.approx(float(weight), abs=1e-12)
                     slope += felt[i, j] * np.asarray(by).ravel()
-            whole = gradient(position, yaw, SIGHT)
+            whole = lambda2_gradient(position, yaw, SIGHT)
             assert [*whole.position[i], whole.yaw[i]] == pytest.approx(slope, abs=1e-10)
 
 
@@ -90,37 +96,41 @@ def test_many_swarms_at_once_are_as_each_by_itself(rng):
     position, yaw = (
         np.array(part).reshape(3, 4, *part[0].shape) for part in zip(*many, strict=True)
     )
-    whole, slope = graph(position, yaw, SIGHT), gradient(position, yaw, SIGHT)
+    whole, slope = interaction_graph(position, yaw, SIGHT), lambda2_gradient(position, yaw, SIGHT)
     for k, (p, y) in enumerate(many):
         at = np.unravel_index(k, (3, 4))
-        assert np.array_equal(whole.weight[at], graph(p, y, SIGHT).weight)
-        assert slope.position[at] == pytest.approx(gradient(p, y, SIGHT).position, abs=1e-12)
+        assert np.array_equal(whole.weights[at], interaction_graph(p, y, SIGHT).weights)
+        assert slope.position[at] == pytest.approx(
+            lambda2_gradient(p, y, SIGHT).position, abs=1e-12
+        )
 
 
 def test_one_is_enough_to_see_the_other_and_none_is_too_few():
     position = np.array([[0.0, 0, 0], [5, 0, 0]])
-    ahead = np.arctan2(SIGHT.axis[1], SIGHT.axis[0])
+    ahead = np.arctan2(SIGHT.optical_axis[1], SIGHT.optical_axis[0])
     for yaw, weight in (((-ahead, -ahead), 1.0), ((np.pi - ahead, -ahead), 0.0)):
-        found = graph(position, np.array(yaw), SIGHT)
-        assert found.weight[0, 1] == found.weight[1, 0] == pytest.approx(weight, abs=1e-12)
+        found = interaction_graph(position, np.array(yaw), SIGHT)
+        assert found.weights[0, 1] == found.weights[1, 0] == pytest.approx(weight, abs=1e-12)
 
 
 def test_on_one_spot_nobody_sees_anybody_and_nothing_pulls():
     position, yaw = np.zeros((3, 3)), np.zeros(3)
-    assert not graph(position, yaw, SIGHT).weight.any()
-    assert not gradient(position, yaw, SIGHT).position.any()
+    assert not interaction_graph(position, yaw, SIGHT).weights.any()
+    assert not lambda2_gradient(position, yaw, SIGHT).position.any()
 
 
 def test_what_a_multiple_eigenvalue_feels_does_not_hang_on_the_basis(rng):
     # All weights alike: λ₂ … λ_n coincide, and every edge feels as much as any other.
     weight = np.ones((5, 5)) - np.eye(5)
-    found = connectivity(weight)
+    found = algebraic_connectivity(weight)
     assert found.lambda2 == pytest.approx(5) and found.lambda3 == pytest.approx(5)
     off = ~np.eye(5, dtype=bool)
-    assert found.felt[off] == pytest.approx(np.full(20, found.felt[0, 1]), abs=1e-12)
+    assert found.weight_gradient[off] == pytest.approx(
+        np.full(20, found.weight_gradient[0, 1]), abs=1e-12
+    )
     # The mean of the four grows with an edge as their sum, the trace, does: by 2 for both ends.
-    assert found.felt[0, 1] == pytest.approx(2 / 4)
+    assert found.weight_gradient[0, 1] == pytest.approx(2 / 4)
     h, more = 1e-6, weight.copy()
     more[0, 1] = more[1, 0] = 1 + h
     value = np.linalg.eigvalsh(laplacian(more))[1:]
-    assert (value.mean() - 5) / h == pytest.approx(found.felt[0, 1], abs=1e-6)
+    assert (value.mean() - 5) / h == pytest.approx(found.weight_gradient[0, 1], abs=1e-6)

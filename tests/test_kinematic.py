@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from dynamics.kinematic import Kinematic, drive
+from dynamics.kinematic import KinematicVehicle, step_kinematic
 
 
 def driven(plant, command, turn, time, step, rng=None):
     position, velocity, yaw, rate = np.zeros(3), np.array([0.5, 0.2, 0.0]), 0.3, 0.4
     for _ in range(round(time / step)):
-        yaw, rate = drive(
+        yaw, rate = step_kinematic(
             position, yaw, velocity, rate, command, turn, plant, step,
             rng or np.random.default_rng(0),
         )  # fmt: skip
@@ -29,7 +29,9 @@ def test_steps_agree_with_integration_to_second_order(lag):
 
     begin = [0, 0, 0, 0.3, 0.5, 0.2, 0.0, 0.4] if lag else [0, 0, 0, 0.3, *command, turn]
     end = solve_ivp(rates, (0, 2), begin, rtol=1e-11, atol=1e-12).y[:, -1]
-    errors = [abs(driven(Kinematic(lag), command, turn, 2, h) - end).max() for h in (0.04, 0.02)]
+    errors = [
+        abs(driven(KinematicVehicle(lag), command, turn, 2, h) - end).max() for h in (0.04, 0.02)
+    ]
     assert errors[1] < 1e-4
     assert errors[0] / errors[1] == pytest.approx(4, rel=0.1)
 
@@ -38,15 +40,17 @@ def test_steps_agree_with_integration_to_second_order(lag):
 def test_how_time_is_cut_matters_to_the_path_alone(lag):
     # Height, yaw and velocities are exact for a command that is held.
     command, turn = np.array([1.0, -0.5, 0.3]), 0.8
-    fine, coarse = (driven(Kinematic(lag), command, turn, 0.6, h) for h in (0.01, 0.3))
+    fine, coarse = (driven(KinematicVehicle(lag), command, turn, 0.6, h) for h in (0.01, 0.3))
     assert fine[2:] == pytest.approx(coarse[2:], abs=1e-12)
 
 
 def test_noise_of_actuators_is_of_the_size_that_is_said():
-    rng, plant = np.random.default_rng(5), Kinematic(0.0, 0.05)
+    rng, plant = np.random.default_rng(5), KinematicVehicle(0.0, 0.05)
     found = []
     for _ in range(2000):
         velocity = np.zeros(3)
-        _, rate = drive(np.zeros(3), 0.0, velocity, 0.0, np.zeros(3), 0.0, plant, 0.02, rng)
+        _, rate = step_kinematic(
+            np.zeros(3), 0.0, velocity, 0.0, np.zeros(3), 0.0, plant, 0.02, rng
+        )
         found.append([*velocity, rate])
     assert np.std(found, axis=0) == pytest.approx(np.full(4, 0.05), rel=0.07)

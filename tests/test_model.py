@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from dynamics import DoubleIntegrator, Linearised, LinearModel, SymbolicModel, hold
+from dynamics import DoubleIntegrator, LinearizedModel, LinearModel, SymbolicModel, discretize_zoh
 
 GRAVITY = 9.81  # [m/s²]
 angles = st.tuples(*[st.floats(-3, 3) for _ in range(6)])
@@ -73,14 +73,14 @@ def test_jacobians_agree_with_finite_differences(values):
 @given(angles, st.floats(-5, 5))
 def test_on_the_nominal_the_linearised_rate_is_the_rate(values, t):
     x, u = np.array(values[:4]), np.array(values[4:])
-    linear = Linearised(pendulum, lambda t: (x, u))
+    linear = LinearizedModel(pendulum, lambda t: (x, u))
     np.testing.assert_allclose(linear.rate(t, x, u), pendulum.rate(t, x, u), atol=1e-12)
 
 
 def test_the_linearised_rate_is_wrong_by_the_square_of_the_distance(rng):
     x, u = rng.normal(size=4), rng.normal(size=2)
     away = rng.normal(size=4)
-    linear = Linearised(pendulum, lambda t: (x, u))
+    linear = LinearizedModel(pendulum, lambda t: (x, u))
     errors = [
         np.abs(linear.rate(0.0, x + h * away, u) - pendulum.rate(0.0, x + h * away, u)).max()
         for h in (1e-2, 1e-3)
@@ -89,9 +89,9 @@ def test_the_linearised_rate_is_wrong_by_the_square_of_the_distance(rng):
 
 
 def test_a_linear_model_lives_where_the_nonlinear_one_does():
-    linear = Linearised(pendulum, lambda t: (np.zeros(4), np.zeros(2)))
+    linear = LinearizedModel(pendulum, lambda t: (np.zeros(4), np.zeros(2)))
     assert linear.axes == 2
-    assert not linear.constant
+    assert not linear.is_time_invariant
 
 
 def test_a_model_needs_no_more_than_its_matrices():
@@ -109,13 +109,13 @@ def test_near_the_nominal_the_linearised_pendulum_flies_as_the_true_one():
         return solve_ivp(rate, (0, dt * count), x, dense_output=True, **exactly).sol
 
     nominal = flown(start, push)
-    steps = hold(Linearised(pendulum, lambda t: (nominal(t), push)), dt, count)
+    steps = discretize_zoh(LinearizedModel(pendulum, lambda t: (nominal(t), push)), dt, count)
     # On the nominal they are exact, but for what its interpolation lacks.
     held = np.tile(push, (count, 1))
-    assert np.abs(steps.roll(start, held)[-1] - nominal(dt * count)).max() < 1e-8
+    assert np.abs(steps.simulate(start, held)[-1] - nominal(dt * count)).max() < 1e-8
     # A little away from it, the error of the difference is of second order in the distance.
     apart, more = np.array([1e-3, -2e-3, 1e-3, 0.0]), np.array([1e-3, 2e-3])
     truth = flown(start + apart, push + more)(dt * count) - nominal(dt * count)
-    linear = steps.roll(start + apart, held + more)[-1] - steps.roll(start, held)[-1]
+    linear = steps.simulate(start + apart, held + more)[-1] - steps.simulate(start, held)[-1]
     assert np.abs(truth).max() > 1e-3
     assert np.abs(linear - truth).max() < 1e-2 * np.abs(truth).max()

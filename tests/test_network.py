@@ -5,43 +5,43 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sato.network import (
-    Network,
-    News,
-    Surveyor,
+from sato.network.graph import (
+    CommunicationGraph,
+    DiameterEstimator,
+    WaveMessage,
     flood,
+    knows_diameter,
     learn_diameter,
-    rounds,
-    survey,
-    surveyed,
+    run_rounds,
+    update_diameter,
 )
 
 LAW = settings(deadline=None, derandomize=True)
 
 
 @st.composite
-def networks(draw: st.DrawFn, most: int = 12) -> Network:
+def networks(draw: st.DrawFn, most: int = 12) -> CommunicationGraph:
     agents = draw(st.integers(1, most))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     alive = rng.random(agents) < draw(st.sampled_from([1.0, 0.8]))
     hears = np.triu(rng.random((agents, agents)) < draw(st.sampled_from([0.1, 0.2, 0.5])), 1)
-    return Network((hears | hears.T) & alive & alive[:, None], alive)
+    return CommunicationGraph((hears | hears.T) & alive & alive[:, None], alive)
 
 
-def line(agents: int) -> Network:
+def line(agents: int) -> CommunicationGraph:
     place = np.arange(agents)
     hears = np.abs(place - place[:, None]) == 1
-    return Network(hears, np.ones(agents, dtype=bool))
+    return CommunicationGraph(hears, np.ones(agents, dtype=bool))
 
 
-def all_hops(network: Network) -> np.ndarray:
+def all_hops(network: CommunicationGraph) -> np.ndarray:
     # By powers of the adjacency: an opinion independent of any shortest-path code.
     agents = len(network.alive)
     hops = np.full((agents, agents), np.inf)
     reach = np.eye(agents, dtype=bool)
     for d in range(agents):
         hops[reach & np.isinf(hops)] = d
-        reach = (reach.astype(int) @ (network.hears | np.eye(agents, dtype=bool))) > 0
+        reach = (reach.astype(int) @ (network.adjacency | np.eye(agents, dtype=bool))) > 0
     return hops
 
 
@@ -67,8 +67,10 @@ def test_agents_learn_the_diameter_that_all_paths_have(network):
 @LAW
 @given(networks())
 def test_an_agent_knows_its_diameter_three_eccentricities_after_the_start(network):
-    states = [Surveyor(News(frozenset([i]))) for i in range(len(network.alive))]
-    history = list(rounds(network, states, survey, lambda s: s.news, surveyed))
+    states = [DiameterEstimator(WaveMessage(frozenset([i]))) for i in range(len(network.alive))]
+    history = list(
+        run_rounds(network, states, update_diameter, lambda s: s.message, knows_diameter)
+    )
     for i in np.flatnonzero(network.alive):
         e = int(
             np.max(all_hops(network)[i], where=network.component == network.component[i], initial=0)
@@ -96,13 +98,13 @@ def test_components_are_what_paths_connect(network):
 @given(networks(), st.integers(0, 2**32 - 1))
 def test_flooding_agrees_on_the_largest_of_each_component(network, seed):
     values = np.random.default_rng(seed).integers(1, 50, len(network.alive))
-    assert flood(network, values.tolist(), max) == network.largest(values).tolist()
+    assert flood(network, values.tolist(), max) == network.component_max(values).tolist()
 
 
 def test_news_travels_one_hop_a_round():
     network = line(6)
     states = [frozenset([i]) for i in range(6)]
-    history = rounds(
+    history = run_rounds(
         network,
         states,
         lambda mine, inbox: mine.union(*inbox),
@@ -124,31 +126,33 @@ def test_an_agent_hears_its_neighbours_and_the_finished_but_nobody_else():
 
     # Agent i finishes after i + 1 rounds and tells its number all the time.
     states = [(i, i + 1) for i in range(4)]
-    assert len(list(rounds(network, states, act, lambda s: s[0], lambda s: s[1] == 0))) == 4
+    assert len(list(run_rounds(network, states, act, lambda s: s[0], lambda s: s[1] == 0))) == 4
     assert inboxes == {0: [[1]], 1: [[0, 2]] * 2, 2: [[1, 3]] * 3, 3: [[2]] * 4}
 
 
 def test_the_dead_neither_act_nor_are_heard():
     alive = np.array([True, False, True])
-    network = Network.within(np.array([[0.0], [1.0], [2.0]]), 1.5, alive)
-    assert [n.tolist() for n in network.neighbours] == [[], [], []]
+    network = CommunicationGraph.from_positions(np.array([[0.0], [1.0], [2.0]]), 1.5, alive)
+    assert [n.tolist() for n in network.neighbors] == [[], [], []]
     assert network.component.tolist() == [0, -1, 1]
     assert flood(network, [1, 9, 2], max) == [1, 9, 2]
 
 
 def test_exactly_the_radius_apart_is_still_heard():
-    network = Network.within(np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 9.1]]), 5.0, np.full(3, True))
-    assert [n.tolist() for n in network.neighbours] == [[1], [0], []]
+    network = CommunicationGraph.from_positions(
+        np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 9.1]]), 5.0, np.full(3, True)
+    )
+    assert [n.tolist() for n in network.neighbors] == [[1], [0], []]
 
 
 def test_the_position_of_the_dead_does_not_matter():
     position = np.array([[0.0, 0.0], [np.nan, np.nan], [1.0, 0.0]])
-    network = Network.within(position, 2.0, np.array([True, False, True]))
+    network = CommunicationGraph.from_positions(position, 2.0, np.array([True, False, True]))
     assert network.diameter.tolist() == [1, 0, 1]
 
 
 def test_a_swarm_of_nobody_has_no_components():
-    network = Network.within(np.zeros((2, 3)), 1.0, np.full(2, False))
+    network = CommunicationGraph.from_positions(np.zeros((2, 3)), 1.0, np.full(2, False))
     assert network.component.tolist() == [-1, -1]
     assert learn_diameter(network).tolist() == [0, 0]
 
@@ -156,10 +160,10 @@ def test_a_swarm_of_nobody_has_no_components():
 def test_what_is_no_network_is_refused():
     one_way = np.array([[False, True], [False, False]])
     with pytest.raises(ValueError, match="agent 0 hears agent 1 but not the other way round"):
-        Network(one_way, np.full(2, True))
+        CommunicationGraph(one_way, np.full(2, True))
     with pytest.raises(ValueError, match="agent 1 is its own neighbour"):
-        Network(np.diag([False, True]), np.full(2, True))
+        CommunicationGraph(np.diag([False, True]), np.full(2, True))
     with pytest.raises(ValueError, match="agent 1 is not alive but has neighbours"):
-        Network(one_way | one_way.T, np.array([True, False]))
+        CommunicationGraph(one_way | one_way.T, np.array([True, False]))
     with pytest.raises(ValueError, match="must be positive, got -1"):
-        Network.within(np.zeros((2, 2)), -1.0, np.full(2, True))
+        CommunicationGraph.from_positions(np.zeros((2, 2)), -1.0, np.full(2, True))

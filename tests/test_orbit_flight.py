@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynamics import J2, Atmosphere, Inertial, Linearised, Orbit, invariant_velocity
-from dynamics.path import separations
+from dynamics import J2, Atmosphere, InertialPlant, LinearizedModel, Orbit, invariant_velocity
+from dynamics.trajectory_geometry import separations
 from sato.reconfiguration import Leg, Reconfiguration, fly
-from sato.reconfiguration.actuators import push
-from sato.reconfiguration.planning import look_ahead
+from sato.reconfiguration.disturbances import apply_thruster_errors
+from sato.reconfiguration.planning import make_horizon
 
 STEP, STEPS, RADIUS = 60.0, 12, 50.0
-ORBIT = Orbit.of_elements(6878e3, inclination=np.pi / 4)
+ORBIT = Orbit.from_elements(6878e3, inclination=np.pi / 4)
 TRUTH = J2(ORBIT)
 
 
@@ -30,9 +30,9 @@ def ring(count, radius=400.0):
 
 def mission_of(start, goals, **changes):
     given = {
-        "model": Linearised.at_origin(TRUTH),
+        "model": LinearizedModel.at_origin(TRUTH),
         "nonlinear": TRUTH,
-        "plant": Inertial(ORBIT),
+        "plant": InertialPlant(ORBIT),
         "start": states(start),
         "alive": np.ones(len(start), dtype=bool),
         "legs": (Leg(states(goals, STEPS * STEP), STEPS),),
@@ -71,7 +71,7 @@ def least_separation(mission, frames):
         x = np.hstack([frame.position, frame.velocity])
         y = mission.truth.fly(x, frame.applied_control, frame.time, STEP, 60)
         alive = np.ones(y.shape[:2], dtype=bool)
-        least = min(least, separations(y[..., :3], y[..., 3:], alive, 1.0).least.distance)
+        least = min(least, separations(y[..., :3], y[..., 3:], alive, 1.0).minimum.distance)
     return least
 
 
@@ -91,7 +91,7 @@ def test_in_a_closed_loop_all_arrive_and_keep_the_distance():
     place, speed = miss(mission, frames)
     assert place.max() <= 1e-3 and speed.max() <= 1e-5
     assert least_separation(mission, frames) >= RADIUS
-    assert len(set(frames[-1].target)) == 6
+    assert len(set(frames[-1].target_index)) == 6
 
 
 def test_one_plan_flown_blind_is_good_about_each_path_and_poor_about_the_chief():
@@ -113,13 +113,13 @@ def test_plans_are_kept_in_the_last_steps():
 
 def test_what_is_foreseen_ends_with_the_leg_and_never_before_the_horizon():
     mission = mission_of(CROSSING[:2], ring(2), foresight_steps=8)
-    lengths = [look_ahead(mission, STEP * k, STEPS - k).steps for k in range(STEPS)]
+    lengths = [make_horizon(mission, STEP * k, STEPS - k).steps for k in range(STEPS)]
     assert lengths == [8, 8, 8, 8, 8, 7, 6, 5, 4, 4, 4, 4]
 
 
 def test_drag_that_nobody_planned_for_is_mended_on_the_way():
-    air = Atmosphere.near(400e3)
-    plant = Inertial(ORBIT, np.array([0.02, 0.01, 0.03]), 0.02, air)
+    air = Atmosphere.from_altitude(400e3)
+    plant = InertialPlant(ORBIT, np.array([0.02, 0.01, 0.03]), 0.02, air)
     mission = mission_of(CROSSING[:3], ring(3), plant=plant, margin=1.0)
     frames = flown(mission)
     assert 1e-9 < miss(mission, frames)[0].max() <= 0.1
@@ -136,7 +136,7 @@ def rough(thrust, pointing):
 @given(vectors, draws)
 def test_thrust_errors_change_size_and_direction_as_drawn(u, draw):
     size = np.linalg.norm(u)
-    pushed = push(rough(0.05, 0.02), u[None], draw[None])[0]
+    pushed = apply_thruster_errors(rough(0.05, 0.02), u[None], draw[None])[0]
     assert np.linalg.norm(pushed) == pytest.approx(abs(1 + 0.05 * draw[0]) * size, rel=1e-9)
     if size > 1e-6:
         cosine = pushed @ u / (np.linalg.norm(pushed) * size)
@@ -148,4 +148,6 @@ def test_thrust_errors_change_size_and_direction_as_drawn(u, draw):
 
 @given(vectors, draws)
 def test_exact_thrusters_do_as_they_are_told(u, draw):
-    np.testing.assert_allclose(push(rough(0.0, 0.0), u[None], draw[None])[0], u, atol=1e-16)
+    np.testing.assert_allclose(
+        apply_thruster_errors(rough(0.0, 0.0), u[None], draw[None])[0], u, atol=1e-16
+    )

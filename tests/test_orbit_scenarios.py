@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
 
-from dynamics import ClohessyWiltshire, Linearised, hold
+from dynamics import ClohessyWiltshire, LinearizedModel, discretize_zoh
 from dynamics.atmosphere import Atmosphere
-from dynamics.eccentric import Eccentric
-from dynamics.frames import inertial_state
-from dynamics.inertial import Inertial
+from dynamics.coordinate_frames import inertial_state
+from dynamics.inertial import InertialPlant
 from dynamics.j2 import J2, invariant_velocity
 from dynamics.orbit import EARTH_J2, EARTH_MU, EARTH_RADIUS, Orbit
-from dynamics.plant import Modelled
+from dynamics.plant import LinearPlant
 from dynamics.schweighart_sedwick import SchweighartSedwick
+from dynamics.tschauner_hempel import TschaunerHempel
 from sato.reconfiguration.mission import Reconfiguration
 from sato.scenario import ScenarioError, ScenarioFile, parse, read
 from sato.scenario.margin import margin
@@ -92,7 +92,7 @@ def cure(said: str, key: str) -> str:
 @pytest.mark.parametrize("kind", ORBITAL)
 def test_every_model_flies_every_orbit_by_changing_one_line(name, kind):
     mission = read(name, [f"model.kind={kind}", "agents=6"]).build(np.random.default_rng(0))
-    assert mission.model.axes == 3
+    assert mission.linear_model.axes == 3
     assert (mission.nonlinear is not None) == (kind == "j2" and name != "random_cw")
 
 
@@ -101,12 +101,12 @@ def test_every_kind_of_model_is_about_the_orbit_of_the_chief():
     kinds = {
         "clohessy_wiltshire": ClohessyWiltshire,
         "schweighart_sedwick": SchweighartSedwick,
-        "eccentric": Eccentric,
-        "j2": Linearised,
+        "eccentric": TschaunerHempel,
+        "j2": LinearizedModel,
     }
     assert set(kinds) == set(ORBITAL) == set(ABOUT)
     for kind, model in kinds.items():
-        found = built(f"model.kind={kind}", "chief.eccentricity=0.05").model
+        found = built(f"model.kind={kind}", "chief.eccentricity=0.05").linear_model
         assert type(found) is model
         np.testing.assert_array_equal(found.A(100.0), ABOUT[kind](orbit).A(100.0))
 
@@ -115,7 +115,7 @@ def test_every_kind_of_model_is_about_the_orbit_of_the_chief():
 def test_starts_and_targets_have_velocities_that_do_not_drift_under_j2(name):
     mission, orbit = builtin(name), read(name).chief.orbit
     arrival = mission.legs[0].steps * mission.step
-    for states, t in ((mission.start, 0.0), (mission.legs[0].targets, arrival)):
+    for states, t in ((mission.initial_states, 0.0), (mission.legs[0].targets, arrival)):
         expected = invariant_velocity(orbit, states[:, :3], t)
         np.testing.assert_array_equal(states[:, 3:], expected)
 
@@ -123,7 +123,7 @@ def test_starts_and_targets_have_velocities_that_do_not_drift_under_j2(name):
 def test_velocities_are_the_same_for_every_model_so_that_models_can_be_compared():
     missions = [built(f"model.kind={kind}", "agents=6") for kind in ORBITAL]
     for other in missions[1:]:
-        np.testing.assert_array_equal(other.start, missions[0].start)
+        np.testing.assert_array_equal(other.initial_states, missions[0].initial_states)
         np.testing.assert_array_equal(other.legs[0].targets, missions[0].legs[0].targets)
 
 
@@ -137,7 +137,7 @@ def test_who_joins_and_later_legs_have_the_velocities_of_their_own_time():
         f"leg=[{{shape={ring},steps=24}},{{shape={tilted},steps=30,join={join}}}]",
     )
     mission, orbit = scenario.build(np.random.default_rng(0)), scenario.chief.orbit
-    at = [(mission.start[:4], 0), (mission.start[4:], 29)]
+    at = [(mission.initial_states[:4], 0), (mission.initial_states[4:], 29)]
     at += [(mission.legs[0].targets, 24), (mission.legs[1].targets, 54)]
     for states, steps in at:
         expected = invariant_velocity(orbit, states[:, :3], 60.0 * steps)
@@ -148,14 +148,14 @@ def test_who_joins_and_later_legs_have_the_velocities_of_their_own_time():
 @pytest.mark.parametrize("name", ["orbit", "eccentric", "orbit200"])
 def test_planar_scenarios_start_and_end_in_the_plane_of_the_chief(name):
     mission = builtin(name)
-    assert not mission.start[:, 2].any()
+    assert not mission.initial_states[:, 2].any()
     assert not mission.legs[0].targets[:, 2].any()
 
 
 def test_a_depth_bounds_the_third_axis_alone():
     mission = builtin("orbit3d")
-    assert np.abs(mission.start[:, :2]).max() > 1000
-    assert 400 < np.abs(mission.start[:, 2]).max() <= 500
+    assert np.abs(mission.initial_states[:, :2]).max() > 1000
+    assert 400 < np.abs(mission.initial_states[:, 2]).max() <= 500
     assert np.ptp(mission.legs[0].targets[:, 2]) > 500
     # Without it a box is a cube, drawn as it always was.
     cube = read("random3d").build(np.random.default_rng(0)).start[:, :3]
@@ -164,8 +164,8 @@ def test_a_depth_bounds_the_third_axis_alone():
 
 def test_two_hundred_spacecraft_have_room_all_the_way_round():
     mission = builtin("orbit200")
-    assert len(mission.start) == len(mission.legs[0].targets) == 200
-    assert pdist(mission.start[:, :3]).min() >= 150
+    assert len(mission.initial_states) == len(mission.legs[0].targets) == 200
+    assert pdist(mission.initial_states[:, :3]).min() >= 150
     # On drift-free paths, (x, y) is (y/2, −2x) a quarter of an orbit later.
     x, y = mission.legs[0].targets[:, :2].T
     assert pdist(np.stack([y / 2, -2 * x], axis=1)).min() > mission.collision_radius
@@ -173,15 +173,17 @@ def test_two_hundred_spacecraft_have_room_all_the_way_round():
 
 def test_what_plans_and_what_flies_are_as_the_tables_say():
     mission = built()
-    assert isinstance(mission.nonlinear, J2)
-    assert isinstance(mission.plant, Inertial)
-    assert mission.plant.ballistic is None
-    assert built("relinearise=false").nonlinear is None
-    assert built("model.kind=eccentric").nonlinear is None
+    assert isinstance(mission.nonlinear_model, J2)
+    assert isinstance(mission.plant, InertialPlant)
+    assert mission.plant.ballistic_coefficient is None
+    assert built("relinearise=false").nonlinear_model is None
+    assert built("model.kind=eccentric").nonlinear_model is None
     planned = built("plant.kind=model")
-    assert isinstance(planned.plant, Modelled)
-    assert planned.nonlinear is None
-    np.testing.assert_array_equal(planned.truth.chief(60.0), planned.plant.orbit.at(60.0))
+    assert isinstance(planned.plant, LinearPlant)
+    assert planned.nonlinear_model is None
+    np.testing.assert_array_equal(
+        planned.flown_plant.chief_elements(60.0), planned.plant.chief_orbit.elements_at(60.0)
+    )
     assert read("uiuc").build(np.random.default_rng(0)).plant is None
 
 
@@ -194,12 +196,12 @@ def test_what_the_plan_and_the_noise_say_reaches_the_mission():
         "disturbance.thrust=0.05",
         "disturbance.pointing_deg=1",
     )
-    assert (mission.reset, mission.commit_steps, mission.margin) == ("need", 3, 7.0)
+    assert (mission.reset, mission.freeze_steps, mission.margin) == ("need", 3, 7.0)
     assert (mission.horizon_steps, mission.foresight_steps) == (4, 24)
     assert mission.thrust_error == 0.05
     assert mission.pointing_error == pytest.approx(np.radians(1))
     calm = built()
-    assert (calm.reset, calm.commit_steps, calm.foresight_steps) == ("change", 0, 0)
+    assert (calm.reset, calm.freeze_steps, calm.foresight_steps) == ("change", 0, 0)
 
 
 def test_what_flies_off_its_plan_is_replanned_every_step_unless_it_is_said_otherwise():
@@ -220,7 +222,7 @@ def test_the_chief_is_what_its_elements_say():
     ).chief.orbit
     assert orbit.semi_major_axis == pytest.approx(6878e3)
     assert orbit.eccentricity == pytest.approx(0.02)
-    assert np.degrees([orbit.inclination, orbit.node, orbit.latitude]) == pytest.approx(
+    assert np.degrees([orbit.inclination, orbit.raan, orbit.arg_latitude]) == pytest.approx(
         [45, 10, 50]
     )
     # Period of a circular orbit at 6878 km: 94.6 min [Vallado2013, sec. 1.3].
@@ -229,7 +231,7 @@ def test_the_chief_is_what_its_elements_say():
 
 def test_the_chief_may_be_given_by_its_state():
     elements = few("chief.eccentricity=0.02", "chief.anomaly_deg=30").chief.orbit
-    state = inertial_state(np.array(elements.start))
+    state = inertial_state(np.array(elements.initial_elements))
     position, velocity = state[:3].tolist(), state[3:].tolist()
     given = few(f"chief={{position_m={position},velocity_m_s={velocity}}}")
     np.testing.assert_allclose(given.chief.orbit.start, elements.start, rtol=1e-12, atol=1e-9)
@@ -238,7 +240,7 @@ def test_the_chief_may_be_given_by_its_state():
 
 
 def test_the_oblateness_is_the_earths_unless_it_is_said_otherwise():
-    assert few().chief.orbit == Orbit.of_elements(6878e3, inclination=np.radians(45))
+    assert few().chief.orbit == Orbit.from_elements(6878e3, inclination=np.radians(45))
     assert few("chief.j2=0").chief.orbit.k_J2 == 0
     assert few().chief.j2 == EARTH_J2
 
@@ -264,9 +266,9 @@ DRAG = ("plant.drag=true", "plant.ballistic_m2_kg=0.01")
 
 def test_drag_takes_the_air_at_the_perigee_unless_another_is_given():
     plant = built(*DRAG).plant
-    assert plant.atmosphere == Atmosphere.near(6878e3 - EARTH_RADIUS)
-    np.testing.assert_array_equal(plant.ballistic, 0.01)
-    assert plant.chief_ballistic == 0.01
+    assert plant.atmosphere == Atmosphere.from_altitude(6878e3 - EARTH_RADIUS)
+    np.testing.assert_array_equal(plant.ballistic_coefficient, 0.01)
+    assert plant.chief_ballistic_coefficient == 0.01
     thin = built(
         *DRAG,
         "plant.density_kg_m3=1e-13",
@@ -275,17 +277,19 @@ def test_drag_takes_the_air_at_the_perigee_unless_another_is_given():
         "plant.chief_ballistic_m2_kg=0.02",
     ).plant
     assert thin.atmosphere == Atmosphere(1e-13, 600e3, 70e3)
-    assert thin.chief_ballistic == 0.02
+    assert thin.chief_ballistic_coefficient == 0.02
 
 
 def test_ballistic_coefficients_are_drawn_after_the_starts_from_the_same_seed():
     spread = (*DRAG, "plant.ballistic_spread=0.2")
     first, again, other = (built(*spread, seed=seed) for seed in (3, 3, 4))
-    np.testing.assert_array_equal(first.plant.ballistic, again.plant.ballistic)
-    assert not np.array_equal(first.plant.ballistic, other.plant.ballistic)
-    assert np.abs(first.plant.ballistic / 0.01 - 1).max() <= 0.2
-    assert np.ptp(first.plant.ballistic) > 0
-    np.testing.assert_array_equal(first.start, built(seed=3).start)
+    np.testing.assert_array_equal(
+        first.plant.ballistic_coefficient, again.plant.ballistic_coefficient
+    )
+    assert not np.array_equal(first.plant.ballistic_coefficient, other.plant.ballistic_coefficient)
+    assert np.abs(first.plant.ballistic_coefficient / 0.01 - 1).max() <= 0.2
+    assert np.ptp(first.plant.ballistic_coefficient) > 0
+    np.testing.assert_array_equal(first.initial_states, built(seed=3).initial_states)
 
 
 # The margin.
@@ -303,10 +307,10 @@ def test_the_margin_is_nothing_where_plans_are_what_is_flown():
 def test_the_margin_is_twice_what_the_model_misses_until_the_next_plan():
     wrong = (AUTO, "model.kind=clohessy_wiltshire", "chief.eccentricity=0.05")
     coarse = built(*wrong)
-    shared = hold(coarse.model, 60.0, 1, 0.0)
+    shared = discretize_zoh(coarse.linear_model, 60.0, 1, 0.0)
     still = np.zeros((4, 3))
-    off = coarse.truth.fly(coarse.start, still, 0.0, 60.0)[-1]
-    off = (off - shared.roll(coarse.start, still[:, None])[:, -1])[:, :3]
+    off = coarse.flown_plant.propagate(coarse.initial_states, still, 0.0, 60.0)[-1]
+    off = (off - shared.simulate(coarse.initial_states, still[:, None])[:, -1])[:, :3]
     assert coarse.margin >= 2 * np.linalg.norm(off, axis=1).max() > 0.01
     longer = built(*wrong, "replan_steps=2")
     assert 4 < longer.margin / coarse.margin < 8  # between t² and t³
@@ -314,7 +318,7 @@ def test_the_margin_is_twice_what_the_model_misses_until_the_next_plan():
     mission = built(AUTO, *DRAG, "plant.ballistic_spread=0.5")
     dragged, plant = mission.margin, mission.plant
     density, speed = plant.atmosphere.density_at(np.array([6878e3, 0.0, 0.0])), 7400.0
-    worst = np.abs(plant.ballistic - 0.01).max()
+    worst = np.abs(plant.ballistic_coefficient - 0.01).max()
     expected = 2 * (0.5 * density * worst * speed**2) * 60.0**2 / 2
     assert built(AUTO).margin < dragged <= built(AUTO).margin + 1.2 * expected
 
@@ -386,8 +390,8 @@ def test_a_model_that_is_wrong_where_the_swarm_flies_is_warned_of_with_its_error
     error, agent, away = float(stated[1]), int(stated[2]), float(stated[3])
     assert np.linalg.norm(mission.start[agent, :3]) == pytest.approx(away, rel=1e-3)
     state = mission.start[[agent]]
-    exact = Inertial(scenario.chief.orbit).fly(state, np.zeros((1, 3)), 0.0, 1440.0)[-1]
-    told = mission.model.transition(1440.0) @ state[0]
+    exact = InertialPlant(scenario.chief.orbit).propagate(state, np.zeros((1, 3)), 0.0, 1440.0)[-1]
+    told = mission.model.transition_matrix(1440.0) @ state[0]
     assert np.linalg.norm((exact[0] - told)[:3]) == pytest.approx(error, rel=1e-2)
     assert error > 5
 
@@ -661,7 +665,7 @@ def test_a_scenario_written_out_builds_the_same_mission(overrides):
     again = parse(scenario.to_toml())
     assert again.model_dump() == scenario.model_dump()
     one, other = (s.build(np.random.default_rng(5)) for s in (scenario, again))
-    np.testing.assert_array_equal(one.start, other.start)
+    np.testing.assert_array_equal(one.initial_states, other.initial_states)
     np.testing.assert_array_equal(one.legs[0].targets, other.legs[0].targets)
     assert (one.margin, one.position_tolerance) == (other.margin, other.position_tolerance)
     assert type(one.plant) is type(other.plant)

@@ -21,15 +21,22 @@ from swarm_cast import (
     strangers,
 )
 
-from dynamics import DoubleIntegrator, hold
-from dynamics.path import separations
-from sato.network import Network, flood
+from dynamics import DoubleIntegrator, discretize_zoh
+from dynamics.trajectory_geometry import separations
+from sato.network.graph import CommunicationGraph, flood
+from sato.reconfiguration.auction_costs import AgentMemory
 from sato.reconfiguration.mission import Leg, Reconfiguration
-from sato.reconfiguration.moment import Moment
-from sato.reconfiguration.planning import NO_PLANS, plan
-from sato.reconfiguration.pricing import Minds
-from sato.scp import by_messages, exchanged, settle, settle_orders
-from sato.scp.orders import Toll, bent, cheaper, going_on, totals, where_all
+from sato.reconfiguration.moment import DecisionContext
+from sato.reconfiguration.planning import NO_PLANS, plan_trajectories
+from sato.scp import run_batched, run_by_messages, run_scp, try_priority_orders
+from sato.scp.priority_orders import (
+    PriorityCost,
+    keep_cheaper,
+    offset_right,
+    select_clear_components,
+    select_components,
+    sum_by_component,
+)
 
 
 @cache
@@ -47,36 +54,36 @@ def test_what_a_network_pays_keeps_and_has_in_common_each_knows_from_a_flood(lin
     hears = np.zeros((7, 7), dtype=bool)
     hears[np.triu_indices(7, 1)] = links
     hears = (hears | hears.T) & alive & alive[:, None]
-    network = Network(hears, alive)
+    network = CommunicationGraph(hears, alive)
     draw = np.random.default_rng(seed)
     tolls = {
-        i: Toll(*draw.integers(0, 2, 2).astype(float), draw.random())
+        i: PriorityCost(*draw.integers(0, 2, 2).astype(float), draw.random())
         for i in np.flatnonzero(alive).tolist()
     }
-    other = {i: paid._replace(fuel=draw.random()) for i, paid in tolls.items()}
-    some = {i: anybody()._replace(failed=bool(paid.late)) for i, paid in tolls.items()}
-    again = {i: p._replace(steady=True) for i, p in some.items()}
-    clear = where_all(some, network, lambda p: not p.failed)
-    kept, _ = cheaper(some, tolls, again, other, network)
+    other = {i: paid._replace(extra_fuel=draw.random()) for i, paid in tolls.items()}
+    some = {i: anybody()._replace(failed=bool(paid.misses_target)) for i, paid in tolls.items()}
+    again = {i: p._replace(has_converged=True) for i, p in some.items()}
+    clear = select_components(some, network, lambda p: not p.has_failed)
+    kept, _ = keep_cheaper(some, tolls, again, other, network)
     told = [{i: (tolls[i], other[i])} if i in tolls else {} for i in range(7)]
     for i, known in enumerate(flood(network, told, dict.__or__)):
         if i in tolls:
             mine, theirs = ([known[j][k] for j in sorted(known)] for k in (0, 1))
             added = np.sum(mine, axis=0)
-            np.testing.assert_allclose(totals(tolls, network)[i], added, rtol=1e-12)
-            assert (i in clear) == all(not some[j].failed for j in known)
+            np.testing.assert_allclose(sum_by_component(tolls, network)[i], added, rtol=1e-12)
+            assert (i in clear) == all(not some[j].has_failed for j in known)
             better = tuple(np.sum(theirs, axis=0)) < tuple(added)
             assert kept[i] is (again[i] if better else some[i])
 
 
 def test_one_order_is_method_2_itself(rng):
     planners = crowd(rng, 5)
-    once, exchanges = settle(planners, everybody(planners))
-    found = settle_orders(planners, everybody(planners), 1)
-    assert found.exchanges == exchanges
-    assert found.solves == sum(p.solves for p in once.values())
+    once, exchanges = run_scp(planners, everybody(planners))
+    found = try_priority_orders(planners, everybody(planners), 1)
+    assert found.round_count == exchanges
+    assert found.solve_count == sum(p.solve_count for p in once.values())
     for i, p in once.items():
-        np.testing.assert_array_equal(p.flight.u, found.planners[i].flight.u)
+        np.testing.assert_array_equal(p.nominal.u, found.planners[i].nominal.u)
 
 
 @pytest.mark.parametrize("axes", [2, 3])
@@ -85,26 +92,26 @@ def test_more_orders_never_cost_more_and_keep_the_distance(rng, axes):
     for _ in range(3):
         planners = crowd(rng, 5, axes, box=3.5)
         once, after = (
-            settle_orders(planners, everybody(planners), orders).planners for orders in (1, 4)
+            try_priority_orders(planners, everybody(planners), orders).planners for orders in (1, 4)
         )
         assert paid(after) <= paid(once)
         assert after.keys() == planners.keys()
-        assert all(p.settled for p in after.values())
+        assert all(p.is_final for p in after.values())
         assert paid(after)[:2] == (0, 0)
         assert continuous_separation(after) >= RADIUS
         for p in after.values():
-            np.testing.assert_allclose(p.flight.x[-1], p.goal, atol=1e-6)
+            np.testing.assert_allclose(p.nominal.x[-1], p.target_state, atol=1e-6)
         saved += paid(once)[2] - paid(after)[2]
     assert saved > 0
 
 
 def test_networks_that_do_not_hear_each_other_choose_for_themselves(rng):
     left, right = crowd(rng, 4), crowd(rng, 3)
-    both = left | {4 + i: p._replace(rank=(True, 0.0, 4 + i)) for i, p in right.items()}
-    together = settle_orders(both, strangers(4, 3), 4).planners
+    both = left | {4 + i: p._replace(priority=(True, 0.0, 4 + i)) for i, p in right.items()}
+    together = try_priority_orders(both, strangers(4, 3), 4).planners
     for some, first in ((left, 0), (right, 4)):
-        for i, p in settle_orders(some, everybody(some), 4).planners.items():
-            np.testing.assert_array_equal(p.flight.u, together[first + i].flight.u)
+        for i, p in try_priority_orders(some, everybody(some), 4).planners.items():
+            np.testing.assert_array_equal(p.nominal.u, together[first + i].nominal.u)
 
 
 def test_whoever_pays_nothing_has_nothing_to_do_with_strangers_who_do(rng):
@@ -114,26 +121,29 @@ def test_whoever_pays_nothing_has_nothing_to_do_with_strangers_who_do(rng):
         4 + i: agent(4 + i, [0.0, 40.0 + 4 * i], [2.0, 40.0 + 4 * i], transfer, horizon)
         for i in range(3)
     }
-    both = settle_orders(dear | cheap, strangers(4, 3), 4)
-    assert both.solves == settle_orders(dear, everybody(dear), 4).solves > 0
+    both = try_priority_orders(dear | cheap, strangers(4, 3), 4)
+    assert both.solve_count == try_priority_orders(dear, everybody(dear), 4).solve_count > 0
 
 
 def test_who_flies_straight_to_its_goal_has_nothing_to_settle_anew():
     transfer, horizon = problem()
     planners = {i: agent(i, [0.0, 4.0 * i], [2.0, 4.0 * i], transfer, horizon) for i in range(3)}
-    once, exchanges = settle(planners, everybody(planners))
-    found = settle_orders(planners, everybody(planners), 9)
-    assert (found.exchanges, found.solves) == (exchanges + 1, 0)  # one, to hear that nobody pays
-    assert all(found.planners[i].flight is once[i].flight for i in once)
+    once, exchanges = run_scp(planners, everybody(planners))
+    found = try_priority_orders(planners, everybody(planners), 9)
+    assert (found.round_count, found.solve_count) == (
+        exchanges + 1,
+        0,
+    )  # one, to hear that nobody pays
+    assert all(found.planners[i].nominal is once[i].nominal for i in once)
 
 
 def test_all_go_on_as_they_began_where_that_is_clear_and_cheaper(rng):
     # Plans that several orders found; the first order alone would make dearer ones.
     planners = crowd(rng, 5, box=3.5)
-    found = settle_orders(planners, everybody(planners), 5).planners
+    found = try_priority_orders(planners, everybody(planners), 5).planners
     begun = as_before(planners, found)
-    again = settle_orders(begun, everybody(begun), 2).planners
-    assert paid(settle(planners, everybody(planners))[0]) > paid(found)
+    again = try_priority_orders(begun, everybody(begun), 2).planners
+    assert paid(run_scp(planners, everybody(planners))[0]) > paid(found)
     assert paid(again) <= paid(found)
     assert continuous_separation(again) >= RADIUS
 
@@ -141,11 +151,11 @@ def test_all_go_on_as_they_began_where_that_is_clear_and_cheaper(rng):
 def test_nobody_goes_on_where_two_would_meet(rng):
     planners = crowd(rng, 4)
     meeting = circle(2, 1.5)
-    assert not going_on(meeting, everybody(meeting))
+    assert not select_clear_components(meeting, everybody(meeting))
     far = {0: meeting[0]}
-    assert going_on(far, everybody(far)).keys() == {0}
-    settled = as_before(planners, settle(planners, everybody(planners))[0])
-    assert going_on(settled, everybody(settled)).keys() == settled.keys()
+    assert select_clear_components(far, everybody(far)).keys() == {0}
+    settled = as_before(planners, run_scp(planners, everybody(planners))[0])
+    assert select_clear_components(settled, everybody(settled)).keys() == settled.keys()
 
 
 def test_who_finds_no_way_flies_what_it_tells():
@@ -153,37 +163,39 @@ def test_who_finds_no_way_flies_what_it_tells():
     transfer, horizon = problem()
     me = agent(2, [0.0, 0.0], [0.0, 0.0], transfer, horizon)
     walls = {i: parked(i, np.array([0.1 * i, 0.0]), transfer, horizon) for i in range(2)}
-    swarm = walls | {2: me._replace(path=me.path + 0.3, steady=False)}
-    after, _ = settle(swarm, everybody(swarm))
-    assert after[2].failed or after[2].slack > 0
-    np.testing.assert_array_equal(after[2].path, horizon.path(after[2].flight.x, after[2].flight.u))
+    swarm = walls | {2: me._replace(path=me.control_points + 0.3, has_converged=False)}
+    after, _ = run_scp(swarm, everybody(swarm))
+    assert after[2].has_failed or after[2].slack > 0
+    np.testing.assert_array_equal(
+        after[2].control_points, horizon.control_points(after[2].nominal.x, after[2].nominal.u)
+    )
 
 
 @pytest.mark.parametrize("axes", [2, 3])
 def test_the_fast_path_equals_the_definition_of_those_who_begin_bent(rng, axes):
-    planners = {i: bent(p, 1.0) for i, p in crowd(rng, 5, axes).items()}
+    planners = {i: offset_right(p, 1.0) for i, p in crowd(rng, 5, axes).items()}
     network = everybody(planners)
-    slow, fast = list(by_messages(planners, network)), list(exchanged(planners, network))
+    slow, fast = list(run_by_messages(planners, network)), list(run_batched(planners, network))
     assert len(slow) == len(fast)
     for a, b in zip(slow, fast, strict=True):
         for i in planners:
-            np.testing.assert_array_equal(a[i].path, b[i].path)
-            assert (a[i].settled, a[i].solves) == (b[i].settled, b[i].solves)
+            np.testing.assert_array_equal(a[i].control_points, b[i].control_points)
+            assert (a[i].is_final, a[i].solve_count) == (b[i].is_final, b[i].solve_count)
 
 
 def test_who_cannot_move_stays_and_all_settle_around_it(rng):
     planners = crowd(rng, 4)
     still = planners[0]
-    planners[0] = parked(0, still.flight.x[0, :2], still.transfer, still.horizon)
-    after = settle_orders(planners, everybody(planners), 4).planners
-    assert after[0].flight is planners[0].flight
-    assert all(p.settled for p in after.values())
+    planners[0] = parked(0, still.nominal.x[0, :2], still.transfer, still.horizon)
+    after = try_priority_orders(planners, everybody(planners), 4).planners
+    assert after[0].nominal is planners[0].nominal
+    assert all(p.is_final for p in after.values())
 
 
 def test_where_all_meet_in_one_point_one_order_fails_and_several_find_a_way():
     planners = circle(6, 1.5)
-    once = settle_orders(planners, everybody(planners), 1).planners
-    after = settle_orders(planners, everybody(planners), 6).planners
+    once = try_priority_orders(planners, everybody(planners), 1).planners
+    after = try_priority_orders(planners, everybody(planners), 6).planners
     assert paid(once)[1] > 0
     assert paid(after)[:2] == (0, 0)
     assert continuous_separation(after) >= RADIUS
@@ -197,29 +209,31 @@ def test_who_is_bent_begins_and_ends_on_its_way_and_is_as_far_aside_in_the_middl
     transfer, horizon = problem()
     way = length * np.array([np.cos(angle), np.sin(angle)])
     straight = agent(0, np.zeros(2), way, transfer, horizon)
-    curved = bent(straight, hand)
+    curved = offset_right(straight, hand)
     right = np.array([way[1], -way[0]]) / length
-    aside = (curved.path - straight.path) @ right / (hand * RADIUS)
+    aside = (curved.control_points - straight.control_points) @ right / (hand * RADIUS)
     assert abs(aside[0, 0]) < 1e-12 > abs(aside[-1, -1])
     assert np.all(aside > -1e-12)
     np.testing.assert_allclose(aside.max(), 1.0, rtol=0.01)
-    np.testing.assert_allclose(curved.path[1:, 0], curved.path[:-1, -1], atol=1e-12)
+    np.testing.assert_allclose(
+        curved.control_points[1:, 0], curved.control_points[:-1, -1], atol=1e-12
+    )
 
 
 def test_in_space_nobody_is_bent(rng):
     planners = crowd(rng, 2, axes=3)
-    assert bent(planners[0], 1.0) is planners[0]
+    assert offset_right(planners[0], 1.0) is planners[0]
 
 
 def test_within_a_horizon_that_ends_early_nobody_comes_too_close():
     planners = circle(5, 1.5)
     short = problem(horizon_steps=8)[1]
     seen = {
-        i: p._replace(horizon=short, path=short.path(p.flight.x, p.flight.u))
+        i: p._replace(horizon=short, path=short.control_points(p.nominal.x, p.nominal.u))
         for i, p in planners.items()
     }
-    after = settle_orders(seen, everybody(seen), 3).planners
-    assert all(p.settled for p in after.values())
+    after = try_priority_orders(seen, everybody(seen), 3).planners
+    assert all(p.is_final for p in after.values())
     assert continuous_separation(seen, states=9) < RADIUS
     assert continuous_separation(after, states=9) >= RADIUS
 
@@ -231,11 +245,11 @@ def test_what_is_flown_with_replans_costs_no_more_than_the_first_plan(bargains):
     start = 2.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     goal = -start @ np.array([[1.0, 0.03], [-0.03, 1.0]])
     still, everyone = np.zeros_like(start), np.ones(4, dtype=bool)
-    leg, steps = Leg(np.hstack([goal, still]), 24), hold(DoubleIntegrator(2), 1.0, 24)
+    leg, steps = Leg(np.hstack([goal, still]), 24), discretize_zoh(DoubleIntegrator(2), 1.0, 24)
     x = np.hstack([start, still])
     mission = Reconfiguration(
-        model=DoubleIntegrator(2),
-        start=x,
+        linear_model=DoubleIntegrator(2),
+        initial_states=x,
         alive=everyone,
         legs=(leg,),
         step=1.0,
@@ -250,19 +264,21 @@ def test_what_is_flown_with_replans_costs_no_more_than_the_first_plan(bargains):
     plans, spent, planned, flown = NO_PLANS, np.zeros(4), [], []
     for k in range(24):
         if k % 4 == 0:
-            network = Network.within(x[:, :2], mission.comm_radius, everyone)
+            network = CommunicationGraph.from_positions(x[:, :2], mission.comm_radius, everyone)
             clock = np.full(4, k)
-            minds = replace(Minds.fresh(np.full(4, 4)), target=np.arange(4), clock=clock)
-            moment = Moment(mission, leg, network, x, k, float(k))
-            plans, events = plan(moment, minds, spent, plans)
+            minds = replace(
+                AgentMemory.initial(np.full(4, 4)), target_index=np.arange(4), clock=clock
+            )
+            moment = DecisionContext(mission, leg, network, x, k, float(k))
+            plans, events = plan_trajectories(moment, minds, spent, plans)
             assert [event["kind"] for event in events] == ["replan"]
-            planned.append(spent.sum() + sum(flight.fuel for flight in plans.flights.values()))
-        u = plans.control(k, everyone, 2)
+            planned.append(spent.sum() + sum(flight.fuel for flight in plans.trajectories.values()))
+        u = plans.controls_at(k, everyone, 2)
         flown.append(u)
         spent = spent + np.abs(u).sum(axis=1)
-        x = steps[k : k + 1].roll(x, u[:, None])[:, -1]
+        x = steps[k : k + 1].simulate(x, u[:, None])[:, -1]
     np.testing.assert_allclose(x, leg.targets, atol=1e-6)
     assert np.diff(planned).max() < 1e-6
-    path = steps.roll(mission.start, np.stack(flown, axis=1)).swapaxes(0, 1)
+    path = steps.simulate(mission.initial_states, np.stack(flown, axis=1)).swapaxes(0, 1)
     alive = np.ones(path.shape[:2], dtype=bool)
-    assert separations(path[..., :2], path[..., 2:], alive, 1.0).least.distance >= 1.0
+    assert separations(path[..., :2], path[..., 2:], alive, 1.0).minimum.distance >= 1.0

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from swarm_cast import RADIUS, T, agent, problem
 
-from problems.avoidance import Avoidance, HalfSpaces, no_spaces
+from problems.avoidance import AvoidanceProblem, HalfSpaces, empty_half_spaces
 from problems.conic import Infeasible
-from problems.convexify import half_spaces, normals
-from problems.pair import Between, Pair, Side
-from problems.transfer import Transfer
+from problems.convexify import choose_normals, convexify
+from problems.pair_avoidance import PairMember, PairProblem, RelativeHalfSpaces
+from problems.transfer import TransferProblem
 
 
 def crossing(rng, axes=2, **limits):
     """Two who change sides, and a third of whom the second keeps clear."""
     transfer, horizon = problem(axes)
-    transfer = replace(transfer, slope=0.0, **limits)
+    transfer = replace(transfer, tie_break_rise=0.0, **limits)
     aside = np.eye(axes)[1]
     ends = rng.uniform(-0.1, 0.1, (2, 2, axes))
     ends[:, 0] += [[-1.5 * (k == 0) for k in range(axes)], [1.5 * (k == 0) for k in range(axes)]]
@@ -24,23 +24,26 @@ def crossing(rng, axes=2, **limits):
     ends[:, 1] += 0.2 * aside
     both = [agent(i, *(side[i] for side in ends), transfer, horizon) for i in range(2)]
     nominal = both[0].path + 0.3 * aside - both[1].path
-    between = Between.of(horizon, T, normals(nominal[None], horizon.keep)[0])
+    between = RelativeHalfSpaces.from_normals(
+        horizon, T, choose_normals(nominal[None], horizon.required_separation)[0]
+    )
     third = both[1].path + 1.2 * RADIUS * aside
-    normal = normals((both[1].path - third)[None], horizon.keep)
-    own = [no_spaces(transfer), half_spaces(horizon, T, third[None], normal)]
+    normal = choose_normals((both[1].path - third)[None], horizon.required_separation)
+    own = [empty_half_spaces(transfer), convexify(horizon, T, third[None], normal)]
     sides = [
-        Side(transfer, p.flight.x[0], p.goal, spaces) for p, spaces in zip(both, own, strict=True)
+        PairMember(transfer, p.flight.x[0], p.goal, spaces)
+        for p, spaces in zip(both, own, strict=True)
     ]
-    return both, Pair(*sides, between), horizon
+    return both, PairProblem(*sides, between), horizon
 
 
 def stands(pair, flights):
     for side, flight in zip((pair.first, pair.second), flights, strict=True):
         np.testing.assert_allclose(flight.x[-1], side.goal, atol=1e-6)
-        assert side.spaces.missing(flight.x, flight.u).max(initial=-1.0) <= 1e-7
+        assert side.half_spaces.violation(flight.x, flight.u).max(initial=-1.0) <= 1e-7
         assert np.abs(flight.u).max() <= side.transfer.max_control * (1 + 1e-9)
         assert fastest([flight]) <= side.transfer.max_speed * (1 + 1e-8)
-    assert pair.between.missing(*flights).max(initial=-1.0) <= 1e-7
+    assert pair.between.violation(*flights).max(initial=-1.0) <= 1e-7
 
 
 @pytest.mark.parametrize("axes", [2, 3])
@@ -55,7 +58,7 @@ def test_the_assembled_path_is_the_statement(rng, axes):
             second=pair.second._replace(transfer=replace(pair.second.transfer, max_speed=limit)),
         )
         for question in (pair, slower):
-            found, stated = question.solve(), question.solve_stated()
+            found, stated = question.solve(), question.solve_cvxpy()
             stands(question, found)
             fuel = [sum(flight.fuel for flight in both) for both in (found, stated)]
             assert fuel[0] == pytest.approx(fuel[1], rel=1e-6)
@@ -70,9 +73,11 @@ def test_rows_between_two_are_those_of_their_relative_control_points(rng):
     both, _, horizon = crossing(rng)
     first, second = (p.flight for p in both)
     normal = rng.normal(size=(len(both[0].path), 2))
-    between = Between.of(horizon, T, normal)
-    room = np.einsum("pd,pid->pi", normal, both[0].path - both[1].path) - horizon.keep
-    missing = between.missing(first, second)
+    between = RelativeHalfSpaces.from_normals(horizon, T, normal)
+    room = (
+        np.einsum("pd,pid->pi", normal, both[0].path - both[1].path) - horizon.required_separation
+    )
+    missing = between.violation(first, second)
     np.testing.assert_allclose(np.sort(-missing), np.sort(room.ravel()[-len(missing) :]), atol=1e-9)
 
 
@@ -80,8 +85,8 @@ def test_two_with_nothing_between_them_fly_as_if_they_were_alone(rng):
     _, pair, _ = crossing(rng)
     nothing = replace(
         pair,
-        second=pair.second._replace(spaces=no_spaces(pair.second.transfer)),
-        between=pair.between.only(np.zeros(0, dtype=int)),
+        second=pair.second._replace(half_spaces=empty_half_spaces(pair.second.transfer)),
+        between=pair.relative_half_spaces.select(np.zeros(0, dtype=int)),
     )
     for flight, side in zip(nothing.solve(), (nothing.first, nothing.second), strict=True):
         assert flight.fuel == pytest.approx(side.transfer.solve(side.start, side.goal).fuel)
@@ -95,12 +100,12 @@ def test_together_they_pay_no_more_than_where_one_of_them_goes_first(rng):
         first, second = pair.first, pair.second
         alone = first.transfer.solve(first.start, first.goal)
         # What is between them, for the second alone: the first flies as it likes.
-        common = pair.between.second
-        least = common.least + pair.between.first.missing(alone.x, alone.u)
-        both = zip(common._replace(least=least), second.spaces, strict=True)
+        common = pair.relative_half_spaces.second
+        least = common.rhs + pair.relative_half_spaces.first.violation(alone.x, alone.u)
+        both = zip(common._replace(least=least), second.half_spaces, strict=True)
         spaces = HalfSpaces(*map(np.concatenate, both))
-        around = Avoidance(second.transfer).solve(second.start, second.goal, spaces)
-        saved.append(alone.fuel + around.flight.fuel - together)
+        around = AvoidanceProblem(second.transfer).solve(second.start, second.goal, spaces)
+        saved.append(alone.fuel + around.trajectory.fuel - together)
     assert min(saved) >= -1e-7 and max(saved) > 1e-3
 
 
@@ -108,21 +113,21 @@ def test_together_they_pay_no_more_than_where_one_of_them_goes_first(rng):
 def test_other_norms_go_by_the_statement(rng, norms):
     _, pair, _ = crossing(rng, fuel_norm=norms[0], control_norm=norms[1])
     found = pair.solve()
-    assert pair.between.missing(*found).max() <= 1e-6
+    assert pair.relative_half_spaces.violation(*found).max() <= 1e-6
     assert found[0].x[-1] == pytest.approx(pair.first.goal, abs=1e-6)
 
 
 @pytest.mark.parametrize("solve", ["solve", "solve_stated"])
 def test_what_cannot_be_is_infeasible(rng, solve):
     _, pair, _ = crossing(rng)
-    first = pair.between.first
-    far = pair.between._replace(first=first._replace(least=first.least + 50.0))
+    first = pair.relative_half_spaces.first
+    far = pair.relative_half_spaces._replace(first=first._replace(least=first.rhs + 50.0))
     with pytest.raises(Infeasible):
         getattr(replace(pair, between=far), solve)()
 
 
 def test_no_steps_are_refused(rng):
     _, pair, _ = crossing(rng)
-    over = Transfer(pair.first.transfer.steps[:0], 0.2)
+    over = TransferProblem(pair.first.transfer.model[:0], 0.2)
     with pytest.raises(ValueError, match="at least one step"):
         replace(pair, first=pair.first._replace(transfer=over)).solve()

@@ -8,19 +8,19 @@ from hypothesis.extra.numpy import arrays
 from scipy.integrate import solve_ivp
 from scipy.optimize import minimize_scalar, nnls
 
-from dynamics import ClohessyWiltshire, DoubleIntegrator, Linearised, hold
-from dynamics.inertial import Inertial
+from dynamics import ClohessyWiltshire, DoubleIntegrator, LinearizedModel, discretize_zoh
+from dynamics.inertial import InertialPlant
 from dynamics.j2 import J2
 from dynamics.orbit import Orbit
-from dynamics.path import (
-    at,
-    between,
-    controls,
-    error_bound,
+from dynamics.trajectory_geometry import (
+    control_points,
+    evaluate_bezier,
     hull_distance,
-    least_separation,
-    missed,
-    missed_by_halves,
+    interpolation_error,
+    interpolation_error_bound,
+    min_separation,
+    resample,
+    sampled_interpolation_error,
     sampled_separations,
     separations,
 )
@@ -38,7 +38,7 @@ def swarm(rng, agents=12, steps=9, axes=2, box=4.0):
     model = DoubleIntegrator(axes)
     x0 = np.hstack([rng.uniform(0, box, (agents, axes)), rng.normal(0, 0.4, (agents, axes))])
     u = rng.normal(0, 0.5, (agents, steps, axes))
-    return model, hold(model, 0.7, steps).roll(x0, u), u
+    return model, discretize_zoh(model, 0.7, steps).simulate(x0, u), u
 
 
 def parts(x, axes):
@@ -49,18 +49,20 @@ def parts(x, axes):
 @pytest.mark.parametrize("axes", [2, 3])
 def test_pieces_are_the_path_of_a_double_integrator(rng, axes):
     model, x, u = swarm(rng, axes=axes)
-    fine = between(hold(model, 0.7 / 5, 9 * 5), x, u)
-    pieces = controls(x[..., :axes], x[..., axes:], 0.7)
+    fine = resample(discretize_zoh(model, 0.7 / 5, 9 * 5), x, u)
+    pieces = control_points(x[..., :axes], x[..., axes:], 0.7)
     for j in range(5):
-        np.testing.assert_allclose(at(pieces, j / 5), fine[:, j:-1:5, :axes], atol=1e-12)
-    assert error_bound(model, x, u, 0.7) == 0.0
+        np.testing.assert_allclose(
+            evaluate_bezier(pieces, j / 5), fine[:, j:-1:5, :axes], atol=1e-12
+        )
+    assert interpolation_error_bound(model, x, u, 0.7) == 0.0
 
 
 def test_states_between_agree_with_an_integrator(rng):
     model = ClohessyWiltshire(1.1e-3)
     x0, u = rng.normal(0, [300] * 3 + [0.5] * 3), rng.normal(0, 1e-3, (2, 3))
-    x = hold(model, 60.0, 2).roll(x0, u)
-    fine = between(hold(model, 15.0, 8), x, u)
+    x = discretize_zoh(model, 60.0, 2).simulate(x0, u)
+    fine = resample(discretize_zoh(model, 15.0, 8), x, u)
     for k in range(2):
         flown = solve_ivp(
             lambda t, y, k=k: model.rate(t, y, u[k]),
@@ -77,72 +79,75 @@ def test_states_between_agree_with_an_integrator(rng):
 def test_fine_steps_must_divide_the_coarse_ones(rng):
     model, x, u = swarm(rng)
     with pytest.raises(ValueError, match="10 fine steps do not divide 9 steps evenly"):
-        between(hold(model, 0.1, 10), x, u)
+        resample(discretize_zoh(model, 0.1, 10), x, u)
 
 
 def test_what_the_cubic_misses_is_within_its_bound_and_the_bound_is_tight(rng):
     model = ClohessyWiltshire(1.1e-3)
     x0 = rng.normal(0, [1000] * 3 + [2.0] * 3, (6, 6))
     u = rng.normal(0, 1e-2, (6, 4, 3))
-    x = hold(model, 60.0, 4).roll(x0, u)
-    fine = between(hold(model, 60.0 / 16, 64), x, u)[..., :3]
-    pieces = controls(x[..., :3], x[..., 3:], 60.0)
+    x = discretize_zoh(model, 60.0, 4).simulate(x0, u)
+    fine = resample(discretize_zoh(model, 60.0 / 16, 64), x, u)[..., :3]
+    pieces = control_points(x[..., :3], x[..., 3:], 60.0)
     off = max(
-        np.linalg.norm(at(pieces, j / 16) - fine[:, j:-1:16], axis=-1).max() for j in range(16)
+        np.linalg.norm(evaluate_bezier(pieces, j / 16) - fine[:, j:-1:16], axis=-1).max()
+        for j in range(16)
     )
-    bound = error_bound(model, x, u, 60.0)
+    bound = interpolation_error_bound(model, x, u, 60.0)
     assert 0.5 * bound < off <= bound
-    assert missed(model, x, u, 60.0, start=7.0) == bound
+    assert interpolation_error(model, x, u, 60.0, t0=7.0) == bound
 
 
-ORBIT = Orbit.of_elements(7500e3, 0.1, 0.8)
+ORBIT = Orbit.from_elements(7500e3, 0.1, 0.8)
 
 
 def test_the_bound_is_refused_where_it_is_not_proven(rng):
-    model = Linearised.at_origin(J2(ORBIT))
+    model = LinearizedModel.at_origin(J2(ORBIT))
     with pytest.raises(ValueError, match="Linearised changes in time"):
-        error_bound(model, np.zeros((2, 6)), np.zeros((1, 3)), 1.0)
+        interpolation_error_bound(model, np.zeros((2, 6)), np.zeros((1, 3)), 1.0)
 
 
 def test_what_pieces_of_a_changing_model_miss_is_measured(rng):
-    model, start, h = Linearised.at_origin(J2(ORBIT)), 300.0, 20.0
+    model, start, h = LinearizedModel.at_origin(J2(ORBIT)), 300.0, 20.0
     x0, u = rng.normal(0, [1000] * 3 + [2.0] * 3, (6, 6)), rng.normal(0, 1e-2, (6, 4, 3))
-    x = hold(model, h, 4, start).roll(x0, u)
-    fine = between(hold(model, h / 16, 64, start), x, u)[..., :3]
-    pieces = controls(x[..., :3], x[..., 3:], h)
+    x = discretize_zoh(model, h, 4, start).simulate(x0, u)
+    fine = resample(discretize_zoh(model, h / 16, 64, start), x, u)[..., :3]
+    pieces = control_points(x[..., :3], x[..., 3:], h)
     off = max(
-        np.linalg.norm(at(pieces, j / 16) - fine[:, j:-1:16], axis=-1).max() for j in range(16)
+        np.linalg.norm(evaluate_bezier(pieces, j / 16) - fine[:, j:-1:16], axis=-1).max()
+        for j in range(16)
     )
-    assert missed(model, x, u, h, start) == pytest.approx(off, rel=2e-3)
+    assert interpolation_error(model, x, u, h, start) == pytest.approx(off, rel=2e-3)
     # The ends of the pieces need not be known, and who is not there misses nothing.
     x[:, 4] = np.nan
     x, u = np.vstack([x, np.full((1, 5, 6), np.nan)]), np.vstack([u, np.full((1, 4, 3), np.nan)])
-    assert missed(model, x, u, h, start) == pytest.approx(off, rel=2e-3)
+    assert interpolation_error(model, x, u, h, start) == pytest.approx(off, rel=2e-3)
 
 
 def test_what_pieces_of_any_flight_miss_is_seen_in_pieces_of_twice_the_length(rng):
-    plant = Inertial(ORBIT)
+    plant = InertialPlant(ORBIT)
     x0, u = rng.normal(0, [1000] * 3 + [2.0] * 3, (6, 6)), rng.normal(0, 1e-2, (6, 3))
-    fine = np.moveaxis(plant.fly(x0, u, 500.0, 120.0, 96), 0, 1)
+    fine = np.moveaxis(plant.propagate(x0, u, 500.0, 120.0, 96), 0, 1)
     position, velocity = fine[..., :3], fine[..., 3:]
-    pieces = controls(position[:, ::8], velocity[:, ::8], 10.0)
+    pieces = control_points(position[:, ::8], velocity[:, ::8], 10.0)
     off = max(
-        np.linalg.norm(at(pieces, j / 8) - position[:, j:-1:8], axis=-1).max() for j in range(8)
+        np.linalg.norm(evaluate_bezier(pieces, j / 8) - position[:, j:-1:8], axis=-1).max()
+        for j in range(8)
     )
-    found = missed_by_halves(position[:, ::8], velocity[:, ::8], 10.0)
+    found = sampled_interpolation_error(position[:, ::8], velocity[:, ::8], 10.0)
     assert found == pytest.approx(off, rel=0.05)
     position[2] = np.nan
-    assert 0 < missed_by_halves(position[:, ::8], velocity[:, ::8], 10.0) <= found
+    assert 0 < sampled_interpolation_error(position[:, ::8], velocity[:, ::8], 10.0) <= found
     with pytest.raises(ValueError, match="12 instants do not make pieces of twice the length"):
-        missed_by_halves(position[:, :12], velocity[:, :12], 1.25)
+        sampled_interpolation_error(position[:, :12], velocity[:, :12], 1.25)
 
 
 @pytest.mark.parametrize("axes", [2, 3])
 def test_nothing_is_missed_of_a_double_integrator(rng, axes):
     model, x, u = swarm(rng, axes=axes)
-    assert missed(model, x, u, 0.7) == 0.0
-    held = hold(model, 0.7, 8).roll(x[:, 0], np.repeat(u[:, :1], 8, axis=1))
-    assert missed_by_halves(held[..., :axes], held[..., axes:], 0.7) < 1e-13
+    assert interpolation_error(model, x, u, 0.7) == 0.0
+    held = discretize_zoh(model, 0.7, 8).simulate(x[:, 0], np.repeat(u[:, :1], 8, axis=1))
+    assert sampled_interpolation_error(held[..., :axes], held[..., axes:], 0.7) < 1e-13
 
 
 @settings(deadline=None, max_examples=300)
@@ -190,17 +195,19 @@ def test_separation_is_the_least_over_pairs_and_time(rng, axes):
     _, x, _ = swarm(rng, agents=6, axes=axes, box=3.0)
     position, velocity, alive = parts(x, axes)
     found = separations(position, velocity, alive, 0.7)
-    b = controls(x[..., :axes], x[..., axes:], 0.7)
+    b = control_points(x[..., :axes], x[..., axes:], 0.7)
     t = np.linspace(0, 1, 201)
     for k in range(9):
         least = np.inf
         for i in range(6):
             for j in range(i):
                 r = b[i, k] - b[j, k]
-                size = np.linalg.norm(at(np.broadcast_to(r, (201, 4, axes)), t), axis=1)
+                size = np.linalg.norm(
+                    evaluate_bezier(np.broadcast_to(r, (201, 4, axes)), t), axis=1
+                )
                 best = t[int(np.argmin(size))]
                 near = minimize_scalar(
-                    lambda f, r=r: np.linalg.norm(at(r, float(f))),
+                    lambda f, r=r: np.linalg.norm(evaluate_bezier(r, float(f))),
                     bounds=(max(best - 0.005, 0), min(best + 0.005, 1)),
                     method="bounded",
                     options={"xatol": 1e-10},
@@ -208,10 +215,10 @@ def test_separation_is_the_least_over_pairs_and_time(rng, axes):
                 least = min(least, near.fun, size[0], size[-1])
         assert found.distance[k] == pytest.approx(least, rel=1e-9)
         i, j = found.pair[k]
-        there = np.linalg.norm(at(b[i, k] - b[j, k], float(found.fraction[k])))
+        there = np.linalg.norm(evaluate_bezier(b[i, k] - b[j, k], float(found.fraction[k])))
         assert there == pytest.approx(found.distance[k], rel=1e-12)
-    assert found.least.distance == found.distance.min()
-    assert least_separation(position, velocity, alive, 0.7) == found.least
+    assert found.minimum.distance == found.distance.min()
+    assert min_separation(position, velocity, alive, 0.7) == found.minimum
     samples = sampled_separations(position, alive)
     assert (found.distance <= np.minimum(samples[:-1], samples[1:])).all()
 
@@ -219,7 +226,7 @@ def test_separation_is_the_least_over_pairs_and_time(rng, axes):
 def test_a_head_on_pass_is_found_between_the_samples():
     position = np.array([[[-1.0, 0.01], [1.0, 0.0]], [[1.0, 0.01], [-1.0, 0.0]]])
     velocity = np.array([[[2.0, 0], [-2, 0]]] * 2)
-    found = least_separation(position, velocity, np.ones((2, 2), bool), 1.0)
+    found = min_separation(position, velocity, np.ones((2, 2), bool), 1.0)
     assert found.distance == pytest.approx(0.01, rel=1e-12)
     assert found.fraction == pytest.approx(0.5) and found.piece == 0 and found.pair == (0, 1)
 
@@ -232,7 +239,7 @@ def test_a_collision_is_found_to_the_last_digit():
     there = position[0, 0] + meet * velocity[0, 0]
     position[0, 1] = there - meet * velocity[0, 1]
     position[1, 1] = position[0, 1] + velocity[0, 1]
-    found = least_separation(position, velocity, np.ones((2, 2), bool), 1.0)
+    found = min_separation(position, velocity, np.ones((2, 2), bool), 1.0)
     assert found.distance < 1e-15 and found.fraction == pytest.approx(meet, abs=1e-12)
 
 
@@ -256,7 +263,7 @@ def test_only_live_agents_count_and_the_lost_until_they_are_lost(rng):
     np.testing.assert_array_equal(gone.distance, found.distance)
     alive[:, 1:] = False
     alone = separations(position, velocity, alive, 0.7)
-    assert np.isinf(alone.distance).all() and alone.least.pair == (-1, -1)
+    assert np.isinf(alone.distance).all() and alone.minimum.pair == (-1, -1)
 
 
 def test_pieces_may_have_their_own_lengths(rng):

@@ -11,21 +11,21 @@ from pictures import words_inside
 from PIL import Image
 from test_check import crossing, fly_crossed, fly_straight, mission, recorded, replace
 
-import sato.animate
-import sato.plots
+import sato.figures
+import sato.render
 from dynamics import ClohessyWiltshire
 from dynamics.orbit import Orbit
-from dynamics.plant import Modelled
-from sato.animate import animate
-from sato.plots import plot
-from sato.plots.look import ALONE, STYLE, mark, marked
-from sato.reconfiguration.check import Evidence
+from dynamics.plant import LinearPlant
+from sato.figures import plot
+from sato.figures.style import ISOLATED, STYLE, marker_style, style_components
+from sato.reconfiguration.check import ReconfigurationRecord
+from sato.reconfiguration.figures import FIGURES, ORBIT_FIGURES
+from sato.reconfiguration.figures.animation import SwarmAnimation
+from sato.reconfiguration.figures.measures import compute_fuel_use
+from sato.reconfiguration.figures.orbital import POINTS_PER_STEP, interpolate_positions
+from sato.reconfiguration.figures.perspective import has_chief
 from sato.reconfiguration.mission import Leg, Loss
-from sato.reconfiguration.plots import FIGURES, IN_ORBIT
-from sato.reconfiguration.plots.film import Film
-from sato.reconfiguration.plots.measures import spent
-from sato.reconfiguration.plots.orbital import PIECES, smooth
-from sato.reconfiguration.plots.perspective import in_orbit
+from sato.render import animate
 
 LETTERS = """
 [[leg]]
@@ -41,15 +41,15 @@ def box():
     place = np.random.default_rng(2).uniform(-1500, 1500, (12, 3))
     turn = np.linspace(0, 2 * np.pi, 12, endpoint=False)
     ring = np.stack([500 * np.cos(turn), 1000 * np.sin(turn), 800 * np.cos(turn)], axis=1)
-    start, goals = (np.hstack([p, model.bounded(p)]) for p in (place, ring))
+    start, goals = (np.hstack([p, model.bounded_velocity(p)]) for p in (place, ring))
     return mission(
-        model=model, start=start, alive=np.ones(12, bool), legs=(Leg(goals, 20),), step=60.0,
+        linear_model=model, start=start, alive=np.ones(12, bool), legs=(Leg(goals, 20),), step=60.0,
         comm_radius=1200.0, collision_radius=50.0, max_control=0.01, max_speed=6.0, believed=12,
     )  # fmt: skip
 
 
 def plane_run():
-    start = mission().start.copy()
+    start = mission().initial_states.copy()
     start[2:, 0] += 0.5  # the row falls apart: two, three and one
     start[5, 0] += 0.5
     about = mission(comm_radius=1.21, start=start)
@@ -61,10 +61,10 @@ def plane_run():
 def orbit():
     """The same about a chief, in two legs, of which the second begins with a loss."""
     about = box()
-    orbit = Orbit.of_elements(6878e3, inclination=0.8)
+    orbit = Orbit.from_elements(6878e3, inclination=0.8)
     [leg] = about.legs
     again = Leg(leg.targets[::-1].copy(), 12, losses=(Loss("agents", agents=(3,)),))
-    return replace(about, legs=(leg, again), plant=Modelled(about.model, orbit))
+    return replace(about, legs=(leg, again), plant=LinearPlant(about.linear_model, orbit))
 
 
 def box_run():
@@ -79,7 +79,7 @@ def orbit_run():
 
 def flat_orbit_run():
     about = orbit()
-    start = about.start.copy()
+    start = about.initial_states.copy()
     start[:, 2::3] = 0
     leg = Leg(about.legs[0].targets * [1, 1, 0, 1, 1, 0], 18)
     about = replace(about, start=start, legs=(leg,))
@@ -127,27 +127,27 @@ RUNS = {
 @pytest.fixture(scope="module", params=RUNS)
 def evidence(request):
     run, about = RUNS[request.param]()
-    return Evidence.of(run.data, about)
+    return ReconfigurationRecord.from_dataset(run.data, about)
 
 
 @pytest.fixture
 def plane(monkeypatch):
     run, about = plane_run()
-    for module in (sato.plots, sato.animate):
+    for module in (sato.figures, sato.render):
         monkeypatch.setattr(module, "rebuild", lambda _: about)
-    return run, Evidence.of(run.data, about)
+    return run, ReconfigurationRecord.from_dataset(run.data, about)
 
 
 def drawn(name, evidence):
     with matplotlib.rc_context(STYLE):
-        figure = (FIGURES | IN_ORBIT)[name](evidence)
+        figure = (FIGURES | ORBIT_FIGURES)[name](evidence)
         FigureCanvasAgg(figure).draw()
     return figure
 
 
-@pytest.mark.parametrize("name", FIGURES | IN_ORBIT)
+@pytest.mark.parametrize("name", FIGURES | ORBIT_FIGURES)
 def test_no_words_run_out_of_the_picture_or_over_one_another(evidence, name):
-    if name in IN_ORBIT and not in_orbit(evidence):
+    if name in ORBIT_FIGURES and not has_chief(evidence):
         pytest.skip("drawn of runs about a chief only")
     figure = drawn(name, evidence)
     words_inside(figure, powers=False)
@@ -161,7 +161,7 @@ def test_no_words_run_out_of_the_picture_or_over_one_another(evidence, name):
 def test_panels_share_their_limits_and_their_scale(evidence, name):
     axes = drawn(name, evidence).axes
     assert len({(ax.get_xlim(), ax.get_ylim()) for ax in axes}) == 1
-    if in_orbit(evidence):
+    if has_chief(evidence):
         assert axes[0].get_ylabel() == "x, radial [km]"
         assert axes[-1].get_xlabel() == "y, along-track [km]"
     elif evidence.axes == 2:
@@ -201,17 +201,17 @@ def test_agents_stand_where_they_are_and_the_lost_are_gone(plane):
 
 def test_components_differ_by_colour_and_shape_and_those_alone_are_grey():
     component = np.array([4, 1, 4, 2, 1, 4, -1, 7])
-    found = [(members.tolist(), look) for members, look in marked(component)]
-    assert found == [([0, 2, 5], mark(0)), ([1, 4], mark(1)), ([3, 7], ALONE)]
-    assert len({mark(rank) for rank in range(56)}) == 56
+    found = [(members.tolist(), look) for members, look in style_components(component)]
+    assert found == [([0, 2, 5], marker_style(0)), ([1, 4], marker_style(1)), ([3, 7], ISOLATED)]
+    assert len({marker_style(rank) for rank in range(56)}) == 56
     for rank in range(55):
-        assert mark(rank).colour != mark(rank + 1).colour
-        assert mark(rank).shape != mark(rank + 1).shape
+        assert marker_style(rank).color != marker_style(rank + 1).color
+        assert marker_style(rank).marker != marker_style(rank + 1).marker
 
 
 def test_separation_is_drawn_between_the_samples_too():
     run, about = pair_run()
-    evidence = Evidence.of(run.data, about)
+    evidence = ReconfigurationRecord.from_dataset(run.data, about)
     ax = drawn("separation", evidence).axes[0]
     [steps] = [p for p in ax.patches if hasattr(p, "get_data")]
     assert steps.get_data().values.min() == pytest.approx(0.3, rel=1e-9)
@@ -228,7 +228,7 @@ def test_no_agent_burns_less_than_its_bound(plane):
 
 def test_the_half_plane_keeps_a_real_pair_apart():
     run, about = pair_run()
-    axes = drawn("half-space", Evidence.of(run.data, about)).axes
+    axes = drawn("half-space", ReconfigurationRecord.from_dataset(run.data, about)).axes
     assert len(axes) == 3
     [edge] = [line for line in axes[2].lines if line.get_color() == "#D55E00"]
     a, b = edge.get_xydata()
@@ -243,9 +243,9 @@ def test_the_half_plane_keeps_a_real_pair_apart():
 @pytest.fixture
 def ring(monkeypatch):
     run, about = orbit_run()
-    for module in (sato.plots, sato.animate):
+    for module in (sato.figures, sato.render):
         monkeypatch.setattr(module, "rebuild", lambda _: about)
-    return run, Evidence.of(run.data, about)
+    return run, ReconfigurationRecord.from_dataset(run.data, about)
 
 
 def test_in_orbit_where_the_swarm_goes_is_to_the_right_and_the_zenith_is_up(ring):
@@ -270,10 +270,10 @@ def test_who_is_lost_between_two_legs_is_seen_at_the_end_of_the_first(ring):
 
 def test_paths_are_drawn_along_the_cubics_and_end_where_an_agent_is_lost(ring):
     _, evidence = ring
-    path = smooth(evidence)
+    path = interpolate_positions(evidence)
     there = np.where(evidence.alive[..., None], evidence.position, np.nan)
-    np.testing.assert_allclose(path[::PIECES], there, atol=1e-9)
-    half, h = path[PIECES // 2 :: PIECES], evidence.mission.step
+    np.testing.assert_allclose(path[::POINTS_PER_STEP], there, atol=1e-9)
+    half, h = path[POINTS_PER_STEP // 2 :: POINTS_PER_STEP], evidence.mission.step
     (x, v), flies = (evidence.position, evidence.velocity), evidence.alive[:-1]
     cubic = (x[:-1] + x[1:]) / 2 + h * (v[:-1] - v[1:]) / 8
     np.testing.assert_allclose(half, np.where(flies[..., None], cubic, np.nan), atol=1e-9)
@@ -281,7 +281,7 @@ def test_paths_are_drawn_along_the_cubics_and_end_where_an_agent_is_lost(ring):
 
 def test_a_swarm_in_its_plane_is_not_squashed_by_the_view_of_space():
     run, about = flat_orbit_run()
-    [ax] = drawn("space", Evidence.of(run.data, about)).axes
+    [ax] = drawn("space", ReconfigurationRecord.from_dataset(run.data, about)).axes
     assert (ax.get_xlabel(), ax.get_ylabel(), ax.get_zlabel()) == (
         "x, radial [km]", "y, along-track [km]", "z, normal [km]",
     )  # fmt: skip
@@ -293,7 +293,7 @@ def test_a_swarm_in_its_plane_is_not_squashed_by_the_view_of_space():
 def test_delta_v_is_what_was_burnt_and_its_balance_is_the_lorenz_curve(ring):
     _, evidence = ring
     bars, shares = drawn("delta-v", evidence).axes
-    found = spent(evidence)
+    found = compute_fuel_use(evidence)
     heights = [bar.get_height() for bar in bars.patches]
     np.testing.assert_allclose(sorted(heights), sorted(found.fuel))
     [curve] = [line for line in shares.lines if line.get_label() == "this swarm"]
@@ -301,19 +301,22 @@ def test_delta_v_is_what_was_burnt_and_its_balance_is_the_lorenz_curve(ring):
     assert (x[0], y[0], x[-1], y[-1]) == pytest.approx((0, 0, 100, 100))
     assert (np.diff(y, 2) > -1e-9).all() and (y <= x + 1e-9).all()
     [words] = [t.get_text() for t in shares.texts]
-    assert f"mean {found.fuel[found.stays].mean():.3g} m/s" in words
-    assert f"standard deviation {found.fuel[found.stays].std():.3g} m/s" in words
+    assert f"mean {found.fuel[found.is_survivor].mean():.3g} m/s" in words
+    assert f"standard deviation {found.fuel[found.is_survivor].std():.3g} m/s" in words
 
 
 def test_the_least_for_the_target_held_is_below_each_bar():
     run, about = flat_orbit_run()
-    found = spent(Evidence.of(run.data, about))
-    assert np.isfinite(found.least).all() and (found.least <= found.fuel * (1 + 1e-6)).all()
+    found = compute_fuel_use(ReconfigurationRecord.from_dataset(run.data, about))
+    assert (
+        np.isfinite(found.lower_bound).all()
+        and (found.lower_bound <= found.fuel * (1 + 1e-6)).all()
+    )
 
 
 def test_figures_of_orbits_are_written_beside_the_others(ring, tmp_path):
     paths = plot(ring[0], tmp_path)
-    assert [p.stem for p in paths] == [*FIGURES, *IN_ORBIT]
+    assert [p.stem for p in paths] == [*FIGURES, *ORBIT_FIGURES]
 
 
 def test_all_figures_are_written_as_png_or_as_pdf(plane, tmp_path):
@@ -336,7 +339,7 @@ def test_drawing_leaves_the_settings_of_matplotlib_alone(plane, tmp_path):
 @pytest.mark.parametrize("kind", ["plane", "box", "orbit"])
 def test_without_ffmpeg_the_film_is_a_gif(kind, tmp_path, monkeypatch):
     run, about = RUNS[kind]()
-    monkeypatch.setattr(sato.animate, "rebuild", lambda _: about)
+    monkeypatch.setattr(sato.render, "rebuild", lambda _: about)
     monkeypatch.setenv("PATH", str(tmp_path))
     told = []
     path = animate(run, tmp_path, fps=10, frames=7, progress=lambda i, n: told.append((i, n)))
@@ -367,10 +370,10 @@ def test_with_ffmpeg_the_film_is_an_mp4(plane, tmp_path, monkeypatch):
 
 def test_a_film_moves_on_the_cubic_pieces_between_the_instants(plane):
     _, evidence = plane
-    scene = Film(evidence)
-    scene.show(3.25)
+    scene = SwarmAnimation(evidence)
+    scene.draw_at(3.25)
     moved = points(scene.axes)
-    h, u = evidence.mission.step, evidence.applied[3, :6]
+    h, u = evidence.mission.step, evidence.applied_control[3, :6]
     x, v = evidence.position[3, :6], evidence.velocity[3, :6]
     there = x + v * h / 4 + u * (h / 4) ** 2 / 2
     np.testing.assert_allclose(sorted(map(tuple, moved)), sorted(map(tuple, there)), atol=1e-12)

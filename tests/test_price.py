@@ -12,7 +12,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from dynamics.path import separations
+from dynamics.trajectory_geometry import separations
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 
@@ -84,7 +84,7 @@ def test_a_scenario_that_is_not_studied_is_refused_in_a_sentence():
 
 def test_ends_that_have_no_room_are_not_drawn_for_ever(price, rng):
     with pytest.raises(typer.BadParameter, match="40 vehicles found no room"):
-        sys.modules["price_instances"].across(40, 2, 0.2, rng)
+        sys.modules["price_instances"].cross_track_motion(40, 2, 0.2, rng)
 
 
 def test_at_least_half_as_many_pairs_as_vehicles_would_meet_if_all_flew_alone(price):
@@ -93,7 +93,7 @@ def test_at_least_half_as_many_pairs_as_vehicles_would_meet_if_all_flew_alone(pr
         mission, _, (x, _), meetings = price["instance"](case)
         alive = np.ones(x.shape[1::-1], dtype=bool)
         flown = [
-            separations(two[..., :3], two[..., 3:], alive[:, :2], mission.step).least.distance
+            separations(two[..., :3], two[..., 3:], alive[:, :2], mission.step).minimum.distance
             for two in (x[list(pair)].swapaxes(0, 1) for pair in combinations(range(5), 2))
         ]
         assert meetings == np.sum(np.array(flown) < mission.collision_radius) >= 3

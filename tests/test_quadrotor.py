@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from dynamics.quadrotor import GRAVITY, Quadrotor, fly, tilted
+from dynamics.quadrotor import STANDARD_GRAVITY, Quadrotor, rotate_to_heading_frame, step_quadrotor
 
 PLANT = Quadrotor()
 VELOCITIES = st.tuples(*[st.floats(-8, 8)] * 3).map(np.array)
@@ -20,7 +20,7 @@ def flown(velocity, yaw, command, turn, time, step, rate=0.0, begin=(0.0, 0.0, 0
     position, velocity, push = np.zeros(3), velocity.astype(float), np.array(begin)
     states = [np.array([*position, yaw, *velocity, rate, *push])]
     for _ in range(round(time / step)):
-        yaw, rate = fly(position, yaw, velocity, rate, push, command, turn, PLANT, step)
+        yaw, rate = step_quadrotor(position, yaw, velocity, rate, push, command, turn, PLANT, step)
         states.append(np.array([*position, yaw, *velocity, rate, *push]))
     return np.array(states)
 
@@ -33,9 +33,9 @@ def test_who_hovers_stays():
 @given(VELOCITIES, VELOCITIES, ANGLES)
 def test_acceleration_stays_within_what_tilt_and_climb_allow(velocity, command, yaw):
     push = flown(velocity, yaw, command, 1.0, 3.0, 0.02)[:, 8:]
-    tilt = np.arctan2(np.hypot(push[:, 0], push[:, 1]), GRAVITY + push[:, 2])
-    assert tilt.max() <= PLANT.tilt + 1e-12
-    assert np.abs(push[:, 2]).max() <= PLANT.climb + 1e-12
+    tilt = np.arctan2(np.hypot(push[:, 0], push[:, 1]), STANDARD_GRAVITY + push[:, 2])
+    assert tilt.max() <= PLANT.max_tilt + 1e-12
+    assert np.abs(push[:, 2]).max() <= PLANT.max_vertical_acceleration + 1e-12
 
 
 @given(VELOCITIES, ANGLES)
@@ -67,11 +67,17 @@ def test_steps_agree_with_integration_to_first_order(command):
         yaw, v, w, a = x[3], x[4:7], x[7], x[8:]
         c, s = np.cos(yaw), np.sin(yaw)
         wish = np.array([c * command[0] - s * command[1], s * command[0] + c * command[1]])
-        flat = (wish - v[:2]) / PLANT.response
-        up = np.clip((command[2] - v[2]) / PLANT.response, -PLANT.climb, PLANT.climb)
-        flat = flat * min(1, (GRAVITY + up) * np.tan(PLANT.tilt) / np.linalg.norm(flat))
-        follows = (np.array([*flat, up]) - a) / PLANT.attitude
-        return np.array([*v, w, *a, (turn - w) / PLANT.attitude, *follows])
+        flat = (wish - v[:2]) / PLANT.velocity_time_constant
+        up = np.clip(
+            (command[2] - v[2]) / PLANT.velocity_time_constant,
+            -PLANT.max_vertical_acceleration,
+            PLANT.max_vertical_acceleration,
+        )
+        flat = flat * min(
+            1, (STANDARD_GRAVITY + up) * np.tan(PLANT.max_tilt) / np.linalg.norm(flat)
+        )
+        follows = (np.array([*flat, up]) - a) / PLANT.attitude_time_constant
+        return np.array([*v, w, *a, (turn - w) / PLANT.attitude_time_constant, *follows])
 
     begin = [0, 0, 0, 0.3, *velocity, 0.1, 0.4, -0.2, 0.3]
     end = solve_ivp(rates, (0, time), begin, rtol=1e-9, atol=1e-11, max_step=0.01).y[:, -1]
@@ -102,14 +108,14 @@ def test_it_goes_as_fast_and_turns_as_fast_as_it_is_told_when_all_has_settled():
 @given(VELOCITIES, ANGLES)
 def test_a_camera_that_looks_down_looks_away_from_the_thrust(push, yaw):
     down = np.zeros(3)
-    tilted(np.array([0.0, 0, -1]), push, yaw, down)
-    thrust = push + np.array([0, 0, GRAVITY])
+    rotate_to_heading_frame(np.array([0.0, 0, -1]), push, yaw, down)
+    thrust = push + np.array([0, 0, STANDARD_GRAVITY])
     c, s = np.cos(yaw), np.sin(yaw)
     seen = np.array([c * down[0] - s * down[1], s * down[0] + c * down[1], down[2]])
     assert seen == pytest.approx(-thrust / np.linalg.norm(thrust), abs=1e-12)
     # Who does not accelerate sideways does not tilt.
     level = np.zeros(3)
-    tilted(np.array([1.0, 0, 0]), np.array([0, 0, push[2]]), yaw, level)
+    rotate_to_heading_frame(np.array([1.0, 0, 0]), np.array([0, 0, push[2]]), yaw, level)
     assert level == pytest.approx([1, 0, 0], abs=1e-12)
 
 
@@ -117,29 +123,31 @@ def test_a_quadrotor_comes_to_the_velocity_that_is_asked_for_and_tilts_on_the_wa
     plant, position, velocity, push = Quadrotor(), np.zeros(3), np.zeros(3), np.zeros(3)
     yaw, rate, most = 0.7, 0.0, 0.0
     for _ in range(400):
-        yaw, rate = fly(
+        yaw, rate = step_quadrotor(
             position, yaw, velocity, rate, push, np.array([3.0, 0, 0.5]), 0.0, plant, 0.02
         )
-        most = max(most, np.arctan2(np.hypot(*push[:2]), GRAVITY + push[2]))
+        most = max(most, np.arctan2(np.hypot(*push[:2]), STANDARD_GRAVITY + push[2]))
     assert velocity == pytest.approx([3 * np.cos(0.7), 3 * np.sin(0.7), 0.5], abs=1e-3)
-    assert 0.5 * plant.tilt < most <= plant.tilt + 1e-12
+    assert 0.5 * plant.max_tilt < most <= plant.max_tilt + 1e-12
 
 
 def test_the_camera_tilts_with_the_thrust(rng):
     axis, turned = np.array([1.0, 0, 0]), np.zeros(3)
-    tilted(axis, np.zeros(3), 0.4, turned)
+    rotate_to_heading_frame(axis, np.zeros(3), 0.4, turned)
     assert turned == pytest.approx(axis, abs=1e-15)
     # To speed up ahead it pitches down: the thrust leans forward, and what looked ahead looks down.
-    tilted(axis, GRAVITY * np.array([np.cos(0.4), np.sin(0.4), 0]), 0.4, turned)
+    rotate_to_heading_frame(
+        axis, STANDARD_GRAVITY * np.array([np.cos(0.4), np.sin(0.4), 0]), 0.4, turned
+    )
     assert turned == pytest.approx([np.sqrt(0.5), 0, -np.sqrt(0.5)], abs=1e-12)
     for _ in range(20):
         push, yaw = rng.normal(0, 3, 3), rng.uniform(-np.pi, np.pi)
         body = []
         for unit in np.eye(3):
-            tilted(unit, push, yaw, turned)
+            rotate_to_heading_frame(unit, push, yaw, turned)
             body.append(turned.copy())
         assert np.array(body) @ np.array(body).T == pytest.approx(np.eye(3), abs=1e-12)
-        thrust = push + np.array([0, 0, GRAVITY])
+        thrust = push + np.array([0, 0, STANDARD_GRAVITY])
         c, s = np.cos(yaw), np.sin(yaw)
         ahead = np.array([c * thrust[0] + s * thrust[1], c * thrust[1] - s * thrust[0], thrust[2]])
         assert body[2] == pytest.approx(ahead / np.linalg.norm(thrust), abs=1e-12)

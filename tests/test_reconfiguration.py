@@ -6,15 +6,15 @@ from itertools import islice, pairwise
 import numpy as np
 import pytest
 
-from dynamics import ClohessyWiltshire, DoubleIntegrator, LinearModel, hold
-from dynamics.path import between, separations
-from problems.transfer import Transfer
-from sato.network import Network
-from sato.reconfiguration import Arrival, Leg, Loss, Reconfiguration, fly
-from sato.reconfiguration.moment import Moment
-from sato.reconfiguration.planning import NO_PLANS, plan
-from sato.reconfiguration.pricing import Minds
-from sato.reconfiguration.routes import SLOPE, alone
+from dynamics import ClohessyWiltshire, DoubleIntegrator, LinearModel, discretize_zoh
+from dynamics.trajectory_geometry import resample, separations
+from problems.transfer import TransferProblem
+from sato.network.graph import CommunicationGraph
+from sato.reconfiguration import Join, Leg, Loss, Reconfiguration, fly
+from sato.reconfiguration.auction_costs import AgentMemory
+from sato.reconfiguration.moment import DecisionContext
+from sato.reconfiguration.planning import NO_PLANS, plan_trajectories
+from sato.reconfiguration.solo_trajectories import TIE_BREAK_RISE, solve_solo_transfers
 
 SPACING = 1.0
 
@@ -74,11 +74,11 @@ def least_separation(mission, frames, parts=1):
     x = np.array([np.concatenate([f.position, f.velocity], axis=1) for f in frames])
     u = np.nan_to_num([f.applied_control for f in frames[:-1]])
     alive = np.array([f.alive for f in frames])
-    fine = hold(mission.model, mission.step / parts, parts * len(u))
-    x = between(fine, x.swapaxes(0, 1), u.swapaxes(0, 1)).swapaxes(0, 1)
+    fine = discretize_zoh(mission.model, mission.step / parts, parts * len(u))
+    x = resample(fine, x.swapaxes(0, 1), u.swapaxes(0, 1)).swapaxes(0, 1)
     d = mission.model.axes
     alive = np.concatenate([np.repeat(alive[:-1], parts, axis=0), alive[-1:]])
-    return separations(x[..., :d], x[..., d:], alive, mission.step / parts).least.distance
+    return separations(x[..., :d], x[..., d:], alive, mission.step / parts).minimum.distance
 
 
 def gathering(count, **changes):
@@ -132,11 +132,11 @@ def test_two_networks_that_claim_one_target_settle_it_on_contact():
     targets = at_rest(np.array([[0.0, 0.0], [0.0, 2.0]]))
     mission = mission_of(start, Leg(targets, 40), believed=1)
     frames = flown(mission)
-    assert frames[0].target.tolist() == [0, 0]
+    assert frames[0].target_index.tolist() == [0, 0]
     assert frames[0].component.tolist() == [0, 1]
     assert "reset" in kinds(frames)
     assert_reached(mission, frames)
-    assert sorted(frames[-1].target.tolist()) == [0, 1]
+    assert sorted(frames[-1].target_index.tolist()) == [0, 1]
     assert least_separation(mission, frames) >= 0.5
 
 
@@ -147,7 +147,7 @@ def test_who_loses_sight_of_a_holder_does_not_come_back_for_its_target():
     mission = mission_of(start, Leg(targets, 40))
     frames = flown(mission)
     assert frames[-1].component.tolist() == [0, 1]
-    assert frames[-1].target.tolist() == [0, 1]
+    assert frames[-1].target_index.tolist() == [0, 1]
     assert kinds(frames).count("assignment") == 1
 
 
@@ -171,8 +171,8 @@ def test_more_agents_than_they_believe_find_a_target_each():
     mission = mission_of(row(8, 0.0), Leg(at_rest(row(10, 3.0)), 40), believed=2)
     frames = flown(mission)
     assert_reached(mission, frames)
-    assert frames[-1].believed.tolist() == [8] * 8
-    assert sorted(frames[-1].target.tolist()) == list(range(8))
+    assert frames[-1].target_count.tolist() == [8] * 8
+    assert sorted(frames[-1].target_index.tolist()) == list(range(8))
 
 
 def test_agents_lost_on_the_way_leave_the_others_to_arrive():
@@ -182,7 +182,7 @@ def test_agents_lost_on_the_way_leave_the_others_to_arrive():
     assert frames[9].alive.all() and frames[10].alive.sum() == 6
     assert np.isnan(frames[10].control[[1, 6]]).all()
     assert frames[10].component[1] == frames[10].component[6] == -1
-    assert frames[-1].target[[1, 6]].tolist() == [-1, -1]
+    assert frames[-1].target_index[[1, 6]].tolist() == [-1, -1]
     assert_reached(mission, frames)
 
 
@@ -196,13 +196,13 @@ def test_the_middle_is_lost_from_the_middle():
 def test_agents_that_join_are_given_targets_too():
     start = np.concatenate([row(6, 0.0), row(2, -2.0)])
     alive = np.arange(8) < 6
-    leg = Leg(at_rest(row(10, 3.0)), 40, arrivals=(Arrival((6, 7), at_step=6),))
+    leg = Leg(at_rest(row(10, 3.0)), 40, joins=(Join((6, 7), at_step=6),))
     mission = mission_of(start, leg, alive=alive)
     frames = flown(mission)
     assert not frames[5].alive[6:].any() and frames[6].alive.all()
     np.testing.assert_array_equal(frames[5].position[6:], start[6:])
     assert_reached(mission, frames)
-    assert frames[-1].believed.tolist() == [8] * 8
+    assert frames[-1].target_count.tolist() == [8] * 8
 
 
 def test_noise_and_disturbance_are_flown_against():
@@ -210,8 +210,8 @@ def test_noise_and_disturbance_are_flown_against():
         gathering(2), disturbance=2e-4, position_noise=1e-4, velocity_noise=1e-4, replan_steps=1
     )
     frames = flown(mission)
-    assert frames[3].measured is not None
-    error = frames[3].measured[:, :2] - frames[3].position
+    assert frames[3].measured_state is not None
+    error = frames[3].measured_state[:, :2] - frames[3].position
     assert 0 < np.abs(error).max() < 1e-3
     assert_reached(mission, frames, tolerance=5e-3)
     assert least_separation(mission, frames) >= 0.5 - 2e-3
@@ -239,7 +239,7 @@ def test_about_a_circular_orbit(rng):
     angle = 2 * np.pi * np.arange(8) / 8
     ring = 500 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     start = rng.permutation(ring * [-0.6, 0.9, 1] + [0, 50, 0])
-    bounded = [np.concatenate([p, model.bounded(p)], axis=1) for p in (start, ring)]
+    bounded = [np.concatenate([p, model.bounded_velocity(p)], axis=1) for p in (start, ring)]
     mission = mission_of(
         start, Leg(bounded[1], 24), model=model, step=60.0, comm_radius=2e3,
         collision_radius=50.0, max_control=0.01, max_speed=4.0, tie_break=5e-4, replan_steps=1,
@@ -294,9 +294,11 @@ def test_a_model_that_varies_in_time_is_planned_at_the_time_it_is_flown():
 
 def test_flights_from_rest_are_straight_and_all_keep_the_same_pace(rng):
     # What the slope of the weights is for; without it these optima are far from unique.
-    transfer = Transfer(hold(DoubleIntegrator(2), 1.0, 30), 0.3, slope=SLOPE)
+    transfer = TransferProblem(
+        discretize_zoh(DoubleIntegrator(2), 1.0, 30), 0.3, tie_break_rise=TIE_BREAK_RISE
+    )
     start, goal = at_rest(rng.uniform(-3, 3, (20, 2))), at_rest(rng.uniform(-3, 3, (20, 2)))
-    flights, _ = alone(transfer, start, goal)
+    flights, _ = solve_solo_transfers(transfer, start, goal)
     for flight, x, y in zip(flights, start, goal, strict=True):
         pace = np.linspace(0, 1, 31)[:, None] * (y - x)[:2] + x[:2]
         assert np.abs(flight.x[:, :2] - pace).max() < 0.6  # a burn or two at each end
@@ -305,8 +307,10 @@ def test_flights_from_rest_are_straight_and_all_keep_the_same_pace(rng):
 
 def test_burns_that_could_be_anywhere_are_at_the_ends():
     # Half the speed is to go: any braking that covers the distance costs the same fuel.
-    transfer = Transfer(hold(DoubleIntegrator(2), 1.0, 20), 0.5, slope=SLOPE)
-    [flight], _ = alone(
+    transfer = TransferProblem(
+        discretize_zoh(DoubleIntegrator(2), 1.0, 20), 0.5, tie_break_rise=TIE_BREAK_RISE
+    )
+    [flight], _ = solve_solo_transfers(
         transfer, np.array([[0.0, 0.0, 0.4, 0.0]]), np.array([[4.0, 0.0, 0.0, 0.0]])
     )
     braking = np.flatnonzero(np.abs(flight.u[:, 0]) > 1e-9)
@@ -314,9 +318,13 @@ def test_burns_that_could_be_anywhere_are_at_the_ends():
 
 
 def test_lone_flights_are_those_of_the_statement(rng):
-    transfer = Transfer(hold(DoubleIntegrator(2), 1.0, 15), 0.2, 0.45, slope=SLOPE)
+    transfer = TransferProblem(
+        discretize_zoh(DoubleIntegrator(2), 1.0, 15), 0.2, 0.45, tie_break_rise=TIE_BREAK_RISE
+    )
     start, goal = at_rest(rng.uniform(-2, 2, (8, 2))), at_rest(rng.uniform(-2, 2, (8, 2)))
-    for flight, x, y in zip(alone(transfer, start, goal)[0], start, goal, strict=True):
+    for flight, x, y in zip(
+        solve_solo_transfers(transfer, start, goal)[0], start, goal, strict=True
+    ):
         np.testing.assert_allclose(flight.u, transfer.solve(x, y).u, atol=1e-5)
 
 
@@ -325,11 +333,11 @@ def test_who_has_spent_more_goes_first(spent):
     # [Morgan2016, Remark 5]: two vehicles that must exchange places head-on.
     start = np.array([[-2.0, 0.0], [2.0, 0.0]])
     mission = mission_of(start, Leg(at_rest(start[::-1]), 20), horizon_steps=20, max_speed=np.inf)
-    network = Network.within(start, 10.0, np.ones(2, dtype=bool))
-    moment = Moment(mission, mission.legs[0], network, mission.start, 0, 0.0)
-    minds = replace(Minds.fresh(np.full(2, 2)), target=np.array([0, 1]))
-    plans, _ = plan(moment, minds, np.array(spent), NO_PLANS)
-    sideways = [np.abs(plans.flights[i].x[:, 1]).max() for i in range(2)]
+    network = CommunicationGraph.from_positions(start, 10.0, np.ones(2, dtype=bool))
+    moment = DecisionContext(mission, mission.legs[0], network, mission.initial_states, 0, 0.0)
+    minds = replace(AgentMemory.initial(np.full(2, 2)), target_index=np.array([0, 1]))
+    plans, _ = plan_trajectories(moment, minds, np.array(spent), NO_PLANS)
+    sideways = [np.abs(plans.trajectories[i].x[:, 1]).max() for i in range(2)]
     goes_first = int(np.argmax(spent))
     assert sideways[goes_first] < 1e-9 < 0.4 < sideways[1 - goes_first]
 
@@ -344,19 +352,19 @@ def test_what_happens_out_of_hearing_changes_nothing(change):
         event = {"losses": (Loss("agents", agents=(6,), at_step=7),)}
     else:
         alive[6] = False
-        event = {"arrivals": (Arrival((6,), at_step=7),)}
+        event = {"arrivals": (Join((6,), at_step=7),)}
     quiet = flown(mission_of(start, Leg(goal, 40), alive=alive))
     # Those far away may take long over it; here all is over with the last of the quiet frames.
     mission = mission_of(start, Leg(goal, 40, **event), alive=alive)
     noisy = islice(fly(mission, np.random.default_rng(0)), len(quiet))
     for a, b in zip(quiet, noisy, strict=True):
         np.testing.assert_array_equal(a.position[:4], b.position[:4])
-        np.testing.assert_array_equal(a.target[:4], b.target[:4])
+        np.testing.assert_array_equal(a.target_index[:4], b.target_index[:4])
 
 
 def test_a_leg_that_outlasts_its_steps_says_why():
     start = np.concatenate([row(4, 0.0), row(1, -2.0)])
-    leg = Leg(at_rest(row(6, 3.0)), 30, arrivals=(Arrival((4,), at_step=13),))
+    leg = Leg(at_rest(row(6, 3.0)), 30, joins=(Join((4,), at_step=13),))
     frames = flown(mission_of(start, leg, alive=np.arange(5) < 4))
     assert len(frames) > 31
     reset = [(f.time, e["agents"]) for f in frames for e in f.events if e["kind"] == "reset"]

@@ -8,10 +8,10 @@ import pytest
 
 import sato.record
 from dynamics import ClohessyWiltshire, DoubleIntegrator
-from dynamics.inertial import Inertial
+from dynamics.inertial import InertialPlant
 from dynamics.orbit import Orbit
-from dynamics.plant import Modelled
-from sato.reconfiguration.frame import Frame
+from dynamics.plant import LinearPlant
+from sato.reconfiguration.frame import ReconfigurationFrame
 from sato.reconfiguration.mission import Leg, Reconfiguration
 from sato.reconfiguration.system import SYSTEM
 from sato.record import Run, RunFileError, load
@@ -20,8 +20,8 @@ from sato.record import Run, RunFileError, load
 def mission() -> Reconfiguration:
     rest = np.zeros((3, 2))
     return Reconfiguration(
-        model=DoubleIntegrator(2),
-        start=np.hstack([[[0.0, 0.0], [1.0, 0.0]], rest[:2]]),
+        linear_model=DoubleIntegrator(2),
+        initial_states=np.hstack([[[0.0, 0.0], [1.0, 0.0]], rest[:2]]),
         alive=np.array([True, True]),
         legs=(
             Leg(np.hstack([[[0.0, 1.0], [1.0, 1.0]], rest[:2]]), steps=2),
@@ -35,9 +35,9 @@ def mission() -> Reconfiguration:
     )
 
 
-def frames(rng: np.random.Generator, measured: bool = False) -> list[Frame]:
-    def at(k: int, *events: dict[str, object]) -> Frame:
-        return Frame(
+def frames(rng: np.random.Generator, measured: bool = False) -> list[ReconfigurationFrame]:
+    def at(k: int, *events: dict[str, object]) -> ReconfigurationFrame:
+        return ReconfigurationFrame(
             time=float(k),
             position=rng.normal(size=(2, 2)),
             velocity=rng.normal(size=(2, 2)),
@@ -46,9 +46,9 @@ def frames(rng: np.random.Generator, measured: bool = False) -> list[Frame]:
             control=rng.normal(size=(2, 2)),
             applied_control=rng.normal(size=(2, 2)),
             leg=int(k >= 2),
-            target=np.array([1, 0 if k < 2 else -1]),
-            believed=np.array([2, 2]),
-            measured=rng.normal(size=(2, 4)) if measured and k < 3 else None,
+            target_index=np.array([1, 0 if k < 2 else -1]),
+            target_count=np.array([2, 2]),
+            measured_state=rng.normal(size=(2, 4)) if measured and k < 3 else None,
             events=events,
         )
 
@@ -61,9 +61,11 @@ def frames(rng: np.random.Generator, measured: bool = False) -> list[Frame]:
     ]
 
 
-def run_of(collected: list[Frame], **said: object) -> Run:
+def run_of(collected: list[ReconfigurationFrame], **said: object) -> Run:
     about = {"name": "tiny", "seed": 7, "version": "0", "wall_s": 0.5, "peak_memory_mib": 9.0}
-    return Run.of(SYSTEM, collected, mission(), "system = 'reconfiguration'\n", **(about | said))
+    return Run.from_frames(
+        SYSTEM, collected, mission(), "system = 'reconfiguration'\n", **(about | said)
+    )
 
 
 def test_what_was_saved_is_what_is_loaded(rng, tmp_path):
@@ -113,20 +115,20 @@ def test_short_legs_are_padded_and_beliefs_are_those_of_the_live_at_the_end(rng)
     np.testing.assert_array_equal(data["targets_believed"], [[2, 3], [3, -1]])
 
 
-ORBIT = Orbit.of_elements(7000e3, 0.01, 0.9, node=0.3, perigee=0.2, k_J2=2.633e25)
+ORBIT = Orbit.from_elements(7000e3, 0.01, 0.9, raan=0.3, arg_perigee=0.2, k_J2=2.633e25)
 PLANTS = {
-    "inertial": Inertial(ORBIT),
-    "model": Modelled(ClohessyWiltshire.about(ORBIT), ORBIT),
-    "nowhere": Modelled(ClohessyWiltshire.about(ORBIT)),
+    "inertial": InertialPlant(ORBIT),
+    "model": LinearPlant(ClohessyWiltshire.from_orbit(ORBIT), ORBIT),
+    "nowhere": LinearPlant(ClohessyWiltshire.from_orbit(ORBIT)),
 }
 
 
 def run_in_orbit(rng: np.random.Generator, plant: str) -> Run:
     orbit = replace(
         mission(),
-        model=ClohessyWiltshire.about(ORBIT),
+        linear_model=ClohessyWiltshire.from_orbit(ORBIT),
         plant=PLANTS[plant],
-        start=np.zeros((2, 6)),
+        initial_states=np.zeros((2, 6)),
         legs=(Leg(np.zeros((2, 6)), steps=2), Leg(np.zeros((2, 6)), steps=1)),
     )
     about = {"name": "o", "seed": 0, "version": "0", "wall_s": 0.0, "peak_memory_mib": 0.0}
@@ -135,7 +137,7 @@ def run_in_orbit(rng: np.random.Generator, plant: str) -> Run:
         for f in frames(rng)
     ]
     in_space = [f._replace(applied_control=f.control) for f in in_space]
-    return Run.of(SYSTEM, in_space, orbit, "", **about)
+    return Run.from_frames(SYSTEM, in_space, orbit, "", **about)
 
 
 @pytest.mark.parametrize("plant", ["inertial", "model"])
@@ -145,7 +147,7 @@ def test_in_orbit_the_chief_of_the_plant_is_on_file(rng, tmp_path, plant):
     chief = data["chief"]
     assert chief.dims == ("time", "element")
     assert chief["element"].values.tolist() == [f.name for f in fields(Orbit)][:6]
-    np.testing.assert_allclose(chief, ORBIT.at(np.arange(4.0)), rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(chief, ORBIT.elements_at(np.arange(4.0)), rtol=1e-12, atol=1e-12)
     units = chief.attrs["units"].split(", ")
     assert (
         units == ["m", "m/s", "m2/s", "rad", "rad", "rad"] and chief["element"].attrs["long_name"]
@@ -247,7 +249,7 @@ def test_a_damaged_summary_is_refused_and_a_missing_one_is_not_needed(rng, tmp_p
 
 def test_numpy_is_written_as_plain_json():
     said = {"a": np.arange(2), "b": np.float64(0.5), "c": np.bool_(True)}
-    assert json.loads(json.dumps(said, default=sato.record.plain)) == {
+    assert json.loads(json.dumps(said, default=sato.record.json_default)) == {
         "a": [0, 1],
         "b": 0.5,
         "c": True,

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from scipy.sparse.csgraph import connected_components
 
 from problems.rigidity import (
-    flexes,
-    globally_rigid,
-    infinitesimally_rigid,
-    redundantly_rigid,
-    rigid,
+    infinitesimal_flexes,
+    is_globally_rigid,
+    is_infinitesimally_rigid,
+    is_redundantly_rigid,
+    is_rigid,
     rigidity_matrix,
 )
 
@@ -50,7 +50,7 @@ def test_a_flex_keeps_all_lengths_and_is_no_motion_of_the_whole(seed):
     d = int(rng.integers(2, 4))
     points, graph = rng.normal(size=(7, d)) + 50, random_graph(rng, 7, 0.4)
     R = rigidity_matrix(points, graph)
-    moves = flexes(points, graph)
+    moves = infinitesimal_flexes(points, graph)
     assert len(moves) >= d * 7 - d * (d + 1) // 2 - len(R)
     for v in moves:
         np.testing.assert_allclose(R @ v.ravel(), 0, atol=1e-10)
@@ -64,7 +64,7 @@ def test_turning_shifting_and_scaling_the_points_changes_nothing(seed):
     rng = np.random.default_rng(seed)
     points, graph = rng.normal(size=(6, 3)), random_graph(rng, 6, 0.7)
     moved = 1e3 * points @ np.linalg.qr(rng.normal(size=(3, 3)))[0] + [1e4, -1e4, 3]
-    assert len(flexes(points, graph)) == len(flexes(moved, graph))
+    assert len(infinitesimal_flexes(points, graph)) == len(infinitesimal_flexes(moved, graph))
 
 
 def test_edges_change_length_as_the_rigidity_matrix_says(rng):
@@ -94,8 +94,8 @@ def test_in_the_plane_rigid_is_what_laman_counts(rng):
     verdicts = set()
     for _ in range(25):
         graph = random_graph(rng, 5, 0.75)
-        verdicts.add(rigid(graph, 2, rng))
-        assert rigid(graph, 2, rng) == laman(graph)
+        verdicts.add(is_rigid(graph, 2, rng))
+        assert is_rigid(graph, 2, rng) == laman(graph)
     assert verdicts == {True, False}
 
 
@@ -105,9 +105,9 @@ def test_redundantly_rigid_is_rigid_without_any_one_edge(rng, dimension):
     for _ in range(40):
         graph = random_graph(rng, 7, rng.uniform(0.6, 1))
         pairs = zip(*np.nonzero(np.triu(graph, 1)), strict=True)
-        one_by_one = all(rigid(without(graph, i, j), dimension, rng) for i, j in pairs)
+        one_by_one = all(is_rigid(without(graph, i, j), dimension, rng) for i, j in pairs)
         verdicts.add(one_by_one)
-        assert redundantly_rigid(graph, dimension, rng) == one_by_one
+        assert is_redundantly_rigid(graph, dimension, rng) == one_by_one
     assert verdicts == {True, False}
 
 
@@ -122,9 +122,9 @@ def test_in_the_plane_globally_rigid_is_redundantly_rigid_and_three_connected(rn
     verdicts = set()
     for _ in range(60):
         graph = random_graph(rng, 8, rng.uniform(0.35, 0.7))
-        expected = redundantly_rigid(graph, 2, rng) and three_connected(graph)
+        expected = is_redundantly_rigid(graph, 2, rng) and three_connected(graph)
         verdicts.add(expected)
-        assert globally_rigid(graph, 2, rng) == expected
+        assert is_globally_rigid(graph, 2, rng) == expected
     assert verdicts == {True, False}
 
 
@@ -148,9 +148,9 @@ def test_in_the_plane_globally_rigid_is_redundantly_rigid_and_three_connected(rn
 def test_graphs_with_a_name_are_as_the_literature_has_them(
     rng, name, graph, dimension, is_rigid, is_redundant, is_global
 ):
-    assert rigid(graph, dimension, rng) == is_rigid
-    assert redundantly_rigid(graph, dimension, rng) == is_redundant
-    assert globally_rigid(graph, dimension, rng) == is_global
+    assert is_rigid(graph, dimension, rng) == is_rigid
+    assert is_redundantly_rigid(graph, dimension, rng) == is_redundant
+    assert is_globally_rigid(graph, dimension, rng) == is_global
 
 
 def test_the_double_banana_has_edges_enough_and_turns_about_its_ends(rng):
@@ -158,30 +158,30 @@ def test_the_double_banana_has_edges_enough_and_turns_about_its_ends(rng):
     for banana in ([0, 1, 2, 3, 4], [0, 1, 5, 6, 7]):
         graph[np.ix_(banana, banana)] = without(complete(5), 0, 1)
     assert graph.sum() == 2 * (3 * 8 - 6)
-    assert len(flexes(rng.normal(size=(8, 3)), graph)) == 1
-    assert not rigid(graph, 3, rng)
+    assert len(infinitesimal_flexes(rng.normal(size=(8, 3)), graph)) == 1
+    assert not is_rigid(graph, 3, rng)
 
 
 def test_points_on_a_circle_may_move_where_others_do_not(rng):
     # K3,3 moves exactly if its points lie on a conic.
     angle = rng.uniform(0, 2 * np.pi, 6)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    assert rigid(bipartite(3, 3), 2, rng)
-    assert len(flexes(circle, bipartite(3, 3))) == 1
+    assert is_rigid(bipartite(3, 3), 2, rng)
+    assert len(infinitesimal_flexes(circle, bipartite(3, 3))) == 1
 
 
 def test_a_flat_shape_is_never_rigid_in_space(rng):
     flat = np.c_[rng.normal(size=(6, 2)), np.full(6, 1.5)]
-    assert len(flexes(flat, complete(6))) == 3
-    assert infinitesimally_rigid(flat[:, :2], complete(6))
+    assert len(infinitesimal_flexes(flat, complete(6))) == 3
+    assert is_infinitesimally_rigid(flat[:, :2], complete(6))
 
 
 def test_points_on_a_line_are_held_along_it_only(rng):
     line = np.outer(rng.normal(size=5), [1.0, 2.0, 0.5])
-    assert len(flexes(line, complete(5))) == 2 * 3  # across, but for shifts and turns
+    assert len(infinitesimal_flexes(line, complete(5))) == 2 * 3  # across, but for shifts and turns
 
 
 def test_an_edge_alone_is_rigid(rng):
-    assert rigid(complete(2), 2, rng)
-    assert globally_rigid(complete(2), 3, rng)
-    assert not globally_rigid(without(complete(4), 0, 1), 3, rng)
+    assert is_rigid(complete(2), 2, rng)
+    assert is_globally_rigid(complete(2), 3, rng)
+    assert not is_globally_rigid(without(complete(4), 0, 1), 3, rng)

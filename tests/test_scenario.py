@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.distance import pdist
 
-from sato.network import Network
+from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.mission import Reconfiguration
 from sato.scenario import BUILT_IN, ScenarioError, ScenarioFile, names, parse, read
 from sato.scenario.legs import wanted
@@ -119,7 +119,7 @@ def test_units_are_as_large_as_they_are(suffix, one):
 
 
 def test_lists_and_lists_of_lists_have_units_too():
-    assert tiny("swarm.start.positions_km=[[0,0],[1,0],[2,-3]]").swarm.start.positions_m == [
+    assert tiny("parameters.start.positions_km=[[0,0],[1,0],[2,-3]]").swarm.start.positions_m == [
         [0.0, 0.0],
         [1000.0, 0.0],
         [2000.0, -3000.0],
@@ -155,7 +155,9 @@ def test_the_file_on_disk_and_the_builtin_name_are_one():
 
 def test_the_same_seed_draws_the_same_starts_and_another_seed_others():
     scenario = read("uiuc")
-    first, again, other = (scenario.build(np.random.default_rng(s)).start for s in (4, 4, 5))
+    first, again, other = (
+        scenario.build(np.random.default_rng(s)).initial_states for s in (4, 4, 5)
+    )
     np.testing.assert_array_equal(first, again)
     assert not np.array_equal(first, other)
 
@@ -163,11 +165,13 @@ def test_the_same_seed_draws_the_same_starts_and_another_seed_others():
 @pytest.mark.parametrize("seed", range(5))
 def test_uiuc_starts_apart_at_rest_and_in_several_networks(seed):
     mission = read("uiuc").build(np.random.default_rng(seed))
-    assert mission.start.shape == (123, 4)
+    assert mission.initial_states.shape == (123, 4)
     assert pdist(mission.start[:, :2]).min() >= 0.8
     assert np.abs(mission.start[:, :2]).max() <= 29.0 / 2
     assert not mission.start[:, 2:].any()
-    network = Network.within(mission.start[:, :2], mission.comm_radius, mission.alive)
+    network = CommunicationGraph.from_positions(
+        mission.start[:, :2], mission.comm_radius, mission.alive
+    )
     assert network.component.max() + 1 >= 5
 
 
@@ -176,16 +180,16 @@ def test_uiuc_starts_apart_at_rest_and_in_several_networks(seed):
 def test_the_box_of_random_grows_so_that_the_network_holds(dimension, agents):
     scenario = read("random", [f"dimension={dimension}", f"agents={agents}"])
     mission = scenario.build(np.random.default_rng(1))
-    assert mission.start.shape == (agents, 2 * dimension)
+    assert mission.initial_states.shape == (agents, 2 * dimension)
     position = mission.start[:, :dimension]
-    network = Network.within(position, mission.comm_radius, mission.alive)
+    network = CommunicationGraph.from_positions(position, mission.comm_radius, mission.alive)
     assert network.component.max() == 0
 
 
 def test_what_the_file_leaves_out_follows_from_what_it_says():
     mission = built()
     assert (mission.horizon_steps, mission.replan_steps, mission.auction_steps) == (4, 4, 4)
-    assert mission.spacing == pytest.approx(1.5)
+    assert mission.target_spacing == pytest.approx(1.5)
     assert mission.position_tolerance == pytest.approx(1.5e-6)
     assert mission.velocity_tolerance == pytest.approx(1.5e-6)
     assert [len(leg.targets) for leg in mission.legs] == [3, 3]
@@ -216,7 +220,7 @@ def test_what_the_file_says_reaches_the_mission():
     assert (mission.tie_break, mission.cost, mission.bidder_ids) == (0.1, "distance", False)
     assert (mission.position_tolerance, mission.velocity_tolerance) == (0.01, 0.02)
     assert (mission.disturbance, mission.position_noise, mission.velocity_noise) == (1e-3, 0.1, 0.2)
-    assert (mission.control_norm, mission.fuel_norm, mission.believed) == (2, "inf", 2)
+    assert (mission.control_norm, mission.fuel_norm, mission.target_count) == (2, "inf", 2)
     assert [
         (loss.kind, loss.share, loss.agents, loss.at_step) for loss in mission.legs[0].losses
     ] == [
@@ -259,9 +263,9 @@ def test_those_who_join_wait_outside_and_keep_clear_of_those_who_are_there():
     join = "{agents=5,start={kind='random',box_m=8,separation_m=0.6}}"
     mission = built(f"leg.1.join={join}", "leg.1.steps=60")
     assert mission.alive.tolist() == [True] * 3 + [False] * 5
-    assert mission.legs[1].arrivals[0].agents == (3, 4, 5, 6, 7)
+    assert mission.legs[1].joins[0].agents == (3, 4, 5, 6, 7)
     there = mission.legs[0].targets[:, :2]
-    assert pdist(np.concatenate([there, mission.start[3:, :2]])).min() >= 0.5
+    assert pdist(np.concatenate([there, mission.initial_states[3:, :2]])).min() >= 0.5
     assert len(mission.legs[1].targets) == 8
 
 
@@ -294,7 +298,7 @@ def test_who_joins_on_top_of_another_is_refused():
 )
 def test_the_targets_that_are_needed_follow_those_who_are_there(overrides, expected):
     scenario = tiny(*overrides)
-    assert wanted(scenario.swarm, scenario.leg) == expected
+    assert wanted(scenario.parameters, scenario.leg_index) == expected
 
 
 # Files beside a scenario.
@@ -330,7 +334,7 @@ def test_starts_may_be_listed_in_a_file_too(tmp_path):
     text = TINY.replace("positions_m = [[0.0, 0.0], [2.0, 0.0], [4.0, 0.0]]", 'file = "starts.csv"')
     scenario = parse(text, folder=tmp_path)
     mission = scenario.build(np.random.default_rng(0))
-    np.testing.assert_array_equal(mission.start[:, :2], [[0, 0], [2, 0], [4, 1]])
+    np.testing.assert_array_equal(mission.initial_states[:, :2], [[0, 0], [2, 0], [4, 1]])
     again = parse(scenario.to_toml()).build(np.random.default_rng(0))
     np.testing.assert_array_equal(again.start, mission.start)
 
@@ -348,22 +352,22 @@ def test_a_font_that_need_not_be_installed_elsewhere_is_carried_as_points():
 
 
 def test_a_key_alone_changes_the_only_table_that_has_it():
-    assert tiny("comm_radius_km=0.007").swarm.comm_radius_m == 7.0
-    assert read("letters", ["text=SWARM"]).leg[0].shape.text == "SWARM"
-    assert [leg.steps for leg in tiny("steps=33").leg] == [33, 33]
+    assert tiny("comm_radius_km=0.007").parameters.comm_radius_m == 7.0
+    assert read("letters", ["text=SWARM"]).leg_index[0].shape.text == "SWARM"
+    assert [leg.steps for leg in tiny("steps=33").leg_index] == [33, 33]
 
 
 def test_a_number_picks_one_leg_and_without_it_all_are_meant():
-    assert [leg.steps for leg in tiny("leg.1.steps=33").leg] == [20, 33]
-    assert [leg.steps for leg in tiny("leg.steps=33").leg] == [33, 33]
-    shapes = tiny("leg.shape.spacing_m=3").leg
+    assert [leg.steps for leg in tiny("leg_index.1.steps=33").leg] == [20, 33]
+    assert [leg.steps for leg in tiny("leg_index.steps=33").leg] == [33, 33]
+    shapes = tiny("leg_index.shape.spacing_m=3").leg
     assert [leg.shape.spacing_m for leg in shapes] == [3.0, 3.0]
 
 
 def test_a_key_of_some_legs_changes_those_only():
-    assert tiny("leg.shape.radius_m=3", "leg.0.shape.radius_m=4").leg[0].shape.radius_m == 4.0
+    assert tiny("leg_index.shape.radius_m=3", "leg.0.shape.radius_m=4").leg[0].shape.radius_m == 4.0
     changed = read("uiuc", ["share=0.1"])
-    assert [[loss.share for loss in leg.lose] for leg in changed.leg] == [[], [], [0.1], []]
+    assert [[loss.share for loss in leg.lose] for leg in changed.leg_index] == [[], [], [0.1], []]
 
 
 def test_tables_that_the_file_does_not_have_can_be_set():
@@ -372,13 +376,13 @@ def test_tables_that_the_file_does_not_have_can_be_set():
 
 def test_a_table_can_be_set_as_a_whole_and_then_in_part():
     start = "start={kind='random',box_m=9,separation_m=0.6}"
-    assert tiny(start, "box_m=12").swarm.start.box_m == 12.0
+    assert tiny(start, "box_m=12").parameters.start.box_m == 12.0
 
 
 @pytest.mark.parametrize("written", ['"A = B"', "A = B", "A\nb = 1"])
 def test_bare_text_needs_no_quotes(written):
     shape = "leg.0.shape={kind='text',text='I',spacing_m=1}"
-    assert tiny(shape, f"text={written}").leg[0].shape.text == written.strip('"')
+    assert tiny(shape, f"text={written}").leg_index[0].shape.text == written.strip('"')
 
 
 def test_a_missing_unit_in_an_override_is_named():

@@ -19,14 +19,14 @@ from swarm_cast import (
     weighted,
 )
 
-from dynamics import DoubleIntegrator, hold
-from problems.avoidance import Avoidance
-from problems.conic import Answer, solve
-from problems.convexify import apart, half_spaces, normals
+from dynamics import DoubleIntegrator, discretize_zoh
+from problems.avoidance import AvoidanceProblem
+from problems.conic import ConicSolution, solve
+from problems.convexify import are_hulls_separated, choose_normals, convexify
 from problems.solvers import solve_clarabel
-from problems.transfer import Flight
-from sato.network import Network
-from sato.scp import Plan, by_messages, exchanged, revise, settle
+from problems.transfer import Trajectory
+from sato.network.graph import CommunicationGraph
+from sato.scp import TrajectoryMessage, run_batched, run_by_messages, run_scp, update_planner
 
 
 @pytest.mark.parametrize(("count", "axes"), [(4, 2), (8, 2), (8, 3)])
@@ -37,22 +37,24 @@ def test_the_fast_path_equals_the_definition_exchange_by_exchange(rng, count, ax
     for _ in range(4):
         planners = crowd(rng, count, axes)
         spent = rng.permutation(count)
-        planners = {i: p._replace(rank=(True, -float(spent[i]), i)) for i, p in planners.items()}
+        planners = {
+            i: p._replace(priority=(True, -float(spent[i]), i)) for i, p in planners.items()
+        }
         still = planners[0]
-        planners[0] = parked(0, still.flight.x[0, :axes], still.transfer, still.horizon)
+        planners[0] = parked(0, still.nominal.x[0, :axes], still.transfer, still.horizon)
         hears = np.triu(rng.random((count, count)) < 0.7, 1)
         network = heard(hears | hears.T)
         if again:
-            after, _ = settle(planners, network)
+            after, _ = run_scp(planners, network)
             some = {i: p for i, p in planners.items() if 0 < i < count // 2 + 1}
             planners |= as_before(some, after)
-        slow, fast = list(by_messages(planners, network)), list(exchanged(planners, network))
+        slow, fast = list(run_by_messages(planners, network)), list(run_batched(planners, network))
         assert len(slow) == len(fast)
         longest = max(longest, len(slow))
         for a, b in zip(slow, fast, strict=True):
             for i in planners:
-                np.testing.assert_array_equal(a[i].flight.x, b[i].flight.x)
-                np.testing.assert_array_equal(a[i].path, b[i].path)
+                np.testing.assert_array_equal(a[i].nominal.x, b[i].nominal.x)
+                np.testing.assert_array_equal(a[i].control_points, b[i].control_points)
                 for name in ("settled", "steady", "solves", "late", "slack", "failed"):
                     assert getattr(a[i], name) == getattr(b[i], name)
     assert longest > 3
@@ -62,18 +64,18 @@ def test_the_fast_path_equals_the_definition_exchange_by_exchange(rng, count, ax
 def test_the_continuous_paths_keep_the_distance(rng, axes):
     for _ in range(5):
         planners = crowd(rng, 6, axes, box=4.0)
-        after, _ = settle(planners, everybody(planners))
-        assert all(p.slack == 0 and not p.failed for p in after.values())
+        after, _ = run_scp(planners, everybody(planners))
+        assert all(p.slack == 0 and not p.has_failed for p in after.values())
         assert continuous_separation(after) >= RADIUS
 
 
 def test_dense_samples_agree_that_the_distance_is_kept(rng):
     planners = crowd(rng, 6)
-    after, _ = settle(planners, everybody(planners))
+    after, _ = run_scp(planners, everybody(planners))
     model = DoubleIntegrator(2)
-    fine = hold(model, STEP / 50, T * 50)
+    fine = discretize_zoh(model, STEP / 50, T * 50)
     paths = np.stack(
-        [fine.roll(p.flight.x[0], np.repeat(p.flight.u, 50, axis=0)) for p in after.values()]
+        [fine.simulate(p.nominal.x[0], np.repeat(p.nominal.u, 50, axis=0)) for p in after.values()]
     )[..., :2]
     apart_by = np.linalg.norm(paths[:, None] - paths[None], axis=-1)
     assert apart_by[~np.eye(6, dtype=bool)].min() >= RADIUS
@@ -82,9 +84,9 @@ def test_dense_samples_agree_that_the_distance_is_kept(rng):
 def test_without_anybody_to_avoid_the_lone_flight_is_the_answer(rng):
     transfer, horizon = problem()
     far = {i: agent(i, [10.0 * i, 0.0], [10.0 * i, 1.0], transfer, horizon) for i in range(4)}
-    after, exchanges = settle(far, everybody(far))
+    after, exchanges = run_scp(far, everybody(far))
     assert exchanges == 4  # each waits to hear that those before it have settled
-    assert all(after[i].flight is far[i].free and after[i].solves == 0 for i in far)
+    assert all(after[i].nominal is far[i].solo and after[i].solve_count == 0 for i in far)
 
 
 def test_iterates_among_fixed_paths_stay_feasible_and_do_not_get_dearer(rng):
@@ -92,15 +94,20 @@ def test_iterates_among_fixed_paths_stay_feasible_and_do_not_get_dearer(rng):
     improved = 0
     for _ in range(8):
         planners = crowd(rng, 5)
-        others = [Plan((False, 0.0, i), planners[i].path, True) for i in range(4)]
+        others = [
+            TrajectoryMessage((False, 0.0, i), planners[i].control_points, True) for i in range(4)
+        ]
         me, costs = planners[4], []
         for _ in range(10):
-            after = revise(me._replace(settled=False, steady=False), others)
-            relative = after.path - np.stack([p.path for p in others])
-            feasible = bool(apart(relative, RADIUS).all()) and after.late == after.slack == 0
+            after = update_planner(me._replace(settled=False, has_converged=False), others)
+            relative = after.control_points - np.stack([p.control_points for p in others])
+            feasible = (
+                bool(are_hulls_separated(relative, RADIUS).all())
+                and after.terminal_error == after.slack == 0
+            )
             assert feasible or not costs  # once feasible, always feasible
             if feasible:
-                costs.append(weighted(after.flight, me.transfer))
+                costs.append(weighted(after.nominal, me.transfer))
             me = after
         assert all(b <= a + 1e-7 for a, b in pairwise(costs))
         improved += len(costs) > 2 and costs[-1] < costs[0] - 1e-6
@@ -110,23 +117,30 @@ def test_iterates_among_fixed_paths_stay_feasible_and_do_not_get_dearer(rng):
 def test_the_end_satisfies_the_first_order_conditions_of_the_nonconvex_problem(rng, monkeypatch):
     # Theorem 7: a fixed point of the convex programme is a KKT point of Problem 4. About the
     # end there must be multipliers that are dual feasible, and complementary with the end.
-    monkeypatch.setattr("sato.scp.agent.STILL", 1e-6)
-    monkeypatch.setattr("sato.scp.agent.MOST_SOLVES", 100)
+    monkeypatch.setattr("sato.scp.planner.STILL", 1e-6)
+    monkeypatch.setattr("sato.scp.planner.MOST_SOLVES", 100)
     tested = 0
     for _ in range(6):
         planners = crowd(rng, 5)
-        after, _ = settle(planners, everybody(planners))
+        after, _ = run_scp(planners, everybody(planners))
         for i, me in after.items():
-            if me.solves == 0 or me.solves >= 100 or me.late > 0:
+            if me.solve_count == 0 or me.solve_count >= 100 or me.terminal_error > 0:
                 continue
-            above = np.stack([p.path for j, p in after.items() if j < i])
-            spaces = half_spaces(me.horizon, T, above, normals(me.path - above, me.horizon.keep))
-            x0, fast = me.flight.x[0], list(range(1, T))
-            conic = Avoidance(me.transfer).assemble(x0, me.goal, spaces, "nothing", fast)
+            above = np.stack([p.control_points for j, p in after.items() if j < i])
+            spaces = convexify(
+                me.horizon,
+                T,
+                above,
+                choose_normals(me.control_points - above, me.horizon.required_separation),
+            )
+            x0, fast = me.nominal.x[0], list(range(1, T))
+            conic = AvoidanceProblem(me.transfer).assemble_conic(
+                x0, me.target_state, spaces, "nothing", fast
+            )
             y = solve(conic, solve_clarabel).y
-            u = me.flight.u.ravel() / me.transfer.max_control
+            u = me.nominal.u.ravel() / me.transfer.max_control
             end = np.concatenate([np.maximum(u, 0), np.maximum(-u, 0)])
-            kkt = Answer.of(conic, end, y)
+            kkt = ConicSolution.evaluate(conic, end, y)
             assert kkt.primal_residual < 1e-6 and kkt.dual_residual < 1e-6
             assert abs(y @ (conic.b - conic.A @ end)) < 1e-5
             tested += 1
@@ -137,9 +151,9 @@ def test_agents_settle_in_the_order_of_their_priorities(rng):
     # Theorem 8.
     planners = crowd(rng, 6)
     when = {}
-    for exchange, now in enumerate(by_messages(planners, everybody(planners))):
+    for exchange, now in enumerate(run_by_messages(planners, everybody(planners))):
         for i, p in now.items():
-            if p.settled:
+            if p.is_final:
                 when.setdefault(i, exchange)
     assert all(when[i] < when[j] for i, j in pairwise(range(6)))
 
@@ -152,10 +166,10 @@ def test_who_has_more_fuel_left_gives_way(rng):
             0: agent(0, *ends, transfer, horizon, spent[0]),
             1: agent(1, *ends[::-1], transfer, horizon, spent[1]),
         }
-        after, _ = settle(pair, everybody(pair))
+        after, _ = run_scp(pair, everybody(pair))
         gives_way = int(np.argmin(spent))
-        assert after[1 - gives_way].flight is pair[1 - gives_way].free
-        assert after[gives_way].solves > 0
+        assert after[1 - gives_way].nominal is pair[1 - gives_way].free
+        assert after[gives_way].solve_count > 0
         assert continuous_separation(after) >= RADIUS
 
 
@@ -165,8 +179,8 @@ def test_head_on_with_no_miss_at_all_is_parted(rng):
         0: agent(0, [-1.5, 0.0], [1.5, 0.0], transfer, horizon),
         1: agent(1, [1.5, 0.0], [-1.5, 0.0], transfer, horizon),
     }
-    after, _ = settle(pair, everybody(pair))
-    assert after[1].slack == after[1].late == 0
+    after, _ = run_scp(pair, everybody(pair))
+    assert after[1].slack == after[1].terminal_error == 0
     assert continuous_separation(after) >= RADIUS
 
 
@@ -177,37 +191,42 @@ def test_an_agent_stays_on_the_side_on_which_it_passes(side):
         0: agent(0, [-1.5, 0.0], [1.5, 0.0], transfer, horizon),
         1: agent(1, [1.5, 0.01], [-1.5, 0.01], transfer, horizon),
     }
-    x, u = pair[1].free.x.copy(), pair[1].free.u
+    x, u = pair[1].solo.x.copy(), pair[1].solo.u
     x[1:-1, 1] += side  # a plan that went that way round
-    begun = pair[1]._replace(flight=Flight(x, u, 0.0), path=horizon.path(x, u), steady=False)
-    after, _ = settle(pair | {1: begun}, everybody(pair))
-    assert after[1].late == after[1].slack == 0
-    assert np.sign(after[1].flight.x[T // 2, 1]) == np.sign(side)
+    begun = pair[1]._replace(
+        flight=Trajectory(x, u, 0.0), path=horizon.control_points(x, u), has_converged=False
+    )
+    after, _ = run_scp(pair | {1: begun}, everybody(pair))
+    assert after[1].terminal_error == after[1].slack == 0
+    assert np.sign(after[1].nominal.x[T // 2, 1]) == np.sign(side)
     assert continuous_separation(after) >= RADIUS
 
 
 def test_an_agent_whose_way_has_become_free_takes_it(rng):
     planners = crowd(rng, 5)
-    after, _ = settle(planners, everybody(planners))
-    last = max((p for p in after.values() if p.solves), key=lambda p: p.rank).rank[2]
+    after, _ = run_scp(planners, everybody(planners))
+    last = max((p for p in after.values() if p.solve_count), key=lambda p: p.priority).priority[2]
     begun = as_before({last: planners[last]}, after)
-    alone, _ = settle(begun, heard(np.zeros((5, 5), dtype=bool)))
-    assert alone[last].flight is planners[last].free
-    assert alone[last].settled and alone[last].solves == 0
+    alone, _ = run_scp(begun, heard(np.zeros((5, 5), dtype=bool)))
+    assert alone[last].nominal is planners[last].solo
+    assert alone[last].is_final and alone[last].solve_count == 0
 
 
 def test_what_gives_way_first_is_the_arrival_and_then_the_separation():
     transfer, horizon = problem()
     # The goal is held by one who cannot move: it stops short and says by how much.
-    parked = Plan((False, 0.0, 0), np.full((horizon.steps * 2, 4, 2), [1.0, 0.0]), True)
-    me = revise(agent(1, [-1.0, 0.0], [1.0, 0.0], transfer, horizon), [parked])
-    assert me.late > 0.4 and me.slack == 0
-    assert apart(me.path - parked.path, RADIUS).all()
+    parked = TrajectoryMessage(
+        (False, 0.0, 0), np.full((horizon.steps * 2, 4, 2), [1.0, 0.0]), True
+    )
+    me = update_planner(agent(1, [-1.0, 0.0], [1.0, 0.0], transfer, horizon), [parked])
+    assert me.terminal_error > 0.4 and me.slack == 0
+    assert are_hulls_separated(me.control_points - parked.control_points, RADIUS).all()
     # Somebody flies through it faster than it can get away.
     time = np.arange(horizon.steps * 2)[:, None] / 2 + np.arange(4) / 6
     through = np.stack([5 - 4 * time, np.zeros_like(time)], axis=-1)
-    rammed = revise(
-        agent(1, [0.0, 0.1], [0.0, 1.0], transfer, horizon), [parked._replace(path=through)]
+    rammed = update_planner(
+        agent(1, [0.0, 0.1], [0.0, 1.0], transfer, horizon),
+        [parked._replace(control_points=through)],
     )
     assert rammed.slack > 0.01
 
@@ -220,11 +239,11 @@ def test_news_travels_one_hop_an_exchange(rng):
     other = dict(row)
     other[0] = agent(0, [0.0, 0.0], [0.0, 0.9], transfer, horizon, velocity=0.2)
     network = heard(np.abs(np.subtract.outer(np.arange(7), np.arange(7))) == 1)
-    for run in (by_messages, exchanged):
+    for run in (run_by_messages, run_batched):
         one, two = list(run(row, network)), list(run(other, network))
         reached = 0
         for w, (a, b) in enumerate(zip(one, two, strict=False)):
-            differs = [i for i in row if not np.array_equal(a[i].flight.x, b[i].flight.x)]
+            differs = [i for i in row if not np.array_equal(a[i].nominal.x, b[i].nominal.x)]
             reached = max([reached, *differs])
             assert reached <= w + 1  # the exchange of index 0 is the first
         assert reached >= 3
@@ -232,28 +251,30 @@ def test_news_travels_one_hop_an_exchange(rng):
 
 def test_an_agent_that_is_settled_hears_no_more(rng):
     me = crowd(rng, 2)[1]._replace(settled=True)
-    ram = Plan((False, 0.0, 0), me.path, True)
-    assert revise(me, [ram]) is me
+    ram = TrajectoryMessage((False, 0.0, 0), me.control_points, True)
+    assert update_planner(me, [ram]) is me
 
 
 def test_nobody_plans_with_nobody():
-    assert settle({}, Network(np.zeros((3, 3), dtype=bool), np.zeros(3, dtype=bool))) == ({}, 0)
+    assert run_scp(
+        {}, CommunicationGraph(np.zeros((3, 3), dtype=bool), np.zeros(3, dtype=bool))
+    ) == ({}, 0)
 
 
 def test_paths_pass_through_the_states_and_drift_after_the_last_step():
     transfer, horizon = problem(horizon_steps=T + 4)
     me = agent(0, [0.0, 0.0], [2.0, 1.0], transfer, horizon)
-    start, end = me.path[::2, 0], me.path[1::2, 3]
-    np.testing.assert_allclose(start[: T + 1], me.flight.x[:, :2], atol=1e-12)
-    np.testing.assert_allclose(end[:T], me.flight.x[1:, :2], atol=1e-12)
-    np.testing.assert_allclose(end[T:], np.tile(me.flight.x[-1, :2], (4, 1)), atol=1e-8)
+    start, end = me.control_points[::2, 0], me.control_points[1::2, 3]
+    np.testing.assert_allclose(start[: T + 1], me.nominal.x[:, :2], atol=1e-12)
+    np.testing.assert_allclose(end[:T], me.nominal.x[1:, :2], atol=1e-12)
+    np.testing.assert_allclose(end[T:], np.tile(me.nominal.x[-1, :2], (4, 1)), atol=1e-8)
 
 
 def test_a_clear_nominal_satisfies_its_own_half_spaces(rng):
     # Proposition 5, for hulls: n·b ≥ distance of the hull.
     relative = rng.normal(size=(50, 8, 4, 2)) * 0.3 + rng.normal(size=(50, 8, 1, 2)) * 3
-    keep = apart(relative, RADIUS).all(axis=1)
-    n = normals(relative[keep], RADIUS)
+    keep = are_hulls_separated(relative, RADIUS).all(axis=1)
+    n = choose_normals(relative[keep], RADIUS)
     assert np.einsum("akd,akid->aki", n, relative[keep]).min() >= RADIUS * (1 - 1e-12)
     np.testing.assert_allclose(np.linalg.norm(n, axis=-1), 1, rtol=1e-12)
 
@@ -261,7 +282,7 @@ def test_a_clear_nominal_satisfies_its_own_half_spaces(rng):
 def test_normals_of_a_collision_lead_past_it_on_the_side_that_is_asked():
     time = np.arange(16)[:, None] + np.arange(4) / 3
     straight = np.stack([(time - 8.5) * 0.3, np.full_like(time, 0.1)], axis=-1)[None]
-    near, far = normals(straight, RADIUS), normals(straight, RADIUS, "far")
+    near, far = choose_normals(straight, RADIUS), choose_normals(straight, RADIUS, "far")
     middle = 8
     assert near[0, middle, 1] > 0.9 and far[0, middle, 1] < -0.9
     assert np.isfinite(near).all() and np.isfinite(far).all()
@@ -271,7 +292,7 @@ def test_in_space_a_collision_can_be_passed_over_and_under():
     time = np.arange(16)[:, None] + np.arange(4) / 3
     along, miss = (time - 8.5) * 0.3, np.full_like(time, 0.1)
     straight = np.stack([along, miss, np.zeros_like(time)], axis=-1)[None]
-    over, under = (normals(straight, RADIUS, way)[0, 8] for way in ("over", "under"))
+    over, under = (choose_normals(straight, RADIUS, way)[0, 8] for way in ("over", "under"))
     assert abs(over[2]) > 0.9 and over[2] == pytest.approx(-under[2], rel=1e-9)
 
 
@@ -281,21 +302,23 @@ def test_the_cheapest_way_past_is_taken():
     start, goal = [-1.5, 0.0, 0.0], [1.5, 0.0, 0.0]
     mover = agent(1, start, goal, transfer, horizon)
     stands = parked(0, np.array([0.0, 0.05, -0.3]), transfer, horizon)
-    stands = stands._replace(rank=(False, 0.0, 0))
-    after, _ = settle({0: stands, 1: mover}, everybody({0: stands, 1: mover}))
-    fuel = after[1].flight.fuel
+    stands = stands._replace(priority=(False, 0.0, 0))
+    after, _ = run_scp({0: stands, 1: mover}, everybody({0: stands, 1: mover}))
+    fuel = after[1].nominal.fuel
     for axis, side in ((1, 1), (1, -1), (2, 1), (2, -1)):
-        x = mover.free.x.copy()
+        x = mover.solo.x.copy()
         x[1:-1, axis] += 0.8 * side
-        path = horizon.path(x, mover.free.u)
-        other = mover._replace(flight=Flight(x, mover.free.u, 0.0), path=path, steady=False)
-        round_there, _ = settle({0: stands, 1: other}, everybody({0: stands, 1: other}))
-        assert fuel <= round_there[1].flight.fuel * (1 + 1e-3)
+        path = horizon.control_points(x, mover.solo.u)
+        other = mover._replace(
+            flight=Trajectory(x, mover.solo.u, 0.0), path=path, has_converged=False
+        )
+        round_there, _ = run_scp({0: stands, 1: other}, everybody({0: stands, 1: other}))
+        assert fuel <= round_there[1].nominal.fuel * (1 + 1e-3)
 
 
 def test_flights_are_the_same_twice(rng):
     planners = crowd(rng, 6)
-    first, second = (settle(planners, everybody(planners))[0] for _ in range(2))
+    first, second = (run_scp(planners, everybody(planners))[0] for _ in range(2))
     for i in planners:
-        assert isinstance(first[i].flight, Flight)
-        np.testing.assert_array_equal(first[i].flight.u, second[i].flight.u)
+        assert isinstance(first[i].nominal, Trajectory)
+        np.testing.assert_array_equal(first[i].nominal.u, second[i].nominal.u)

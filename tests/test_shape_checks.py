@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from jaxtyping import TypeCheckError
 
-from dynamics.frames import orbit_axes
+from dynamics.coordinate_frames import orbit_axes
 
 
 @pytest.mark.parametrize("test", ["one", "the next one"])

@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as hnp
 from PIL import Image, ImageDraw
 from scipy.spatial.distance import cdist, pdist
 
-from dynamics.path import least_distance
+from dynamics.trajectory_geometry import min_distance
 from sato import shapes
 
 SQUARE = [(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0)]
@@ -59,14 +59,14 @@ def disc(folder):
     )
 )
 def test_every_prefix_of_ordered_points_keeps_the_shape(points):
-    ordered = points[shapes.in_order(points)]
+    ordered = points[shapes.farthest_point_order(points)]
     assert gaps_by_hand(ordered).max() <= 1 + ROUNDING
 
 
 @settings(max_examples=40, deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 4), st.integers(0, 4)), min_size=1, max_size=30))
 def test_an_order_is_a_permutation_even_of_points_that_coincide(points):
-    order = shapes.in_order(np.array(points, dtype=float))
+    order = shapes.farthest_point_order(np.array(points, dtype=float))
     assert sorted(order) == list(range(len(points)))
 
 
@@ -129,7 +129,7 @@ def test_every_prefix_of_a_picture_or_a_list_keeps_the_shape(tmp_path, rng):
 )
 def test_the_spacing_asked_for_is_reached_and_never_missed(tmp_path, build):
     for spacing in (0.37, 1.0, 50.0):
-        reached = least_distance(build(tmp_path, spacing=spacing))
+        reached = min_distance(build(tmp_path, spacing=spacing))
         assert reached == pytest.approx(spacing, rel=1e-9)
         # A caller may hold the targets against the very number that it asked for.
         assert reached >= spacing
@@ -138,7 +138,7 @@ def test_the_spacing_asked_for_is_reached_and_never_missed(tmp_path, build):
 
 @pytest.mark.parametrize("text", ["U", "I", "HELLO", "é"])
 def test_a_text_is_as_high_as_asked_and_stands_on_its_centre(text):
-    targets = shapes.text(text, 400, height=12.0, centre=(3.0, -5.0))
+    targets = shapes.text(text, 400, height=12.0, center=(3.0, -5.0))
     lower, upper = targets.min(axis=0), targets.max(axis=0)
     # Extremes of curves may fall between two targets, corners never do.
     assert upper[1] - lower[1] == pytest.approx(12.0, abs=0.3)
@@ -151,7 +151,7 @@ def test_the_corners_of_a_shape_are_taken_first():
 
 
 def test_a_polygon_keeps_its_own_size_and_may_keep_its_own_place():
-    stays = shapes.polygon(CORNER, 30, centre="given")
+    stays = shapes.polygon(CORNER, 30, center="given")
     assert stays.min(axis=0) == pytest.approx((0, 0))
     assert stays.max(axis=0) == pytest.approx((20, 25))
     moved = shapes.polygon(CORNER, 30)
@@ -162,7 +162,7 @@ def test_a_polygon_keeps_its_own_size_and_may_keep_its_own_place():
 
 def test_a_ring_has_equal_steps_and_lies_in_its_plane():
     for count in (1, 2, 3, 7, 64):
-        flat = shapes.ring(count, radius=5.0, centre=(1.0, 2.0))
+        flat = shapes.ring(count, radius=5.0, center=(1.0, 2.0))
         assert np.linalg.norm(flat - (1, 2), axis=1) == pytest.approx(np.full(count, 5.0))
         turn = np.sort(np.arctan2(*(flat - (1, 2)).T[::-1]))
         assert np.diff(turn) == pytest.approx(np.full(count - 1, 2 * np.pi / count))
@@ -176,16 +176,16 @@ def test_a_ring_has_equal_steps_and_lies_in_its_plane():
 )
 def test_a_flat_shape_is_laid_along_the_axes_of_its_plane(normal, axes):
     flat = np.array([[1.0, 2.0], [-3.0, 0.5]])
-    laid = shapes.in_plane(flat, normal)
+    laid = shapes.embed_in_plane(flat, normal)
     assert laid[:, ["xyz".index(axis) for axis in axes]] == pytest.approx(flat)
     assert laid @ normal == pytest.approx(np.zeros(2))
 
 
 def test_one_target_stands_in_the_middle_where_only_a_spacing_is_given():
-    assert shapes.text("U", 1, spacing=1.0, centre=(4, 5)) == pytest.approx(np.array([[4, 5]]))
+    assert shapes.text("U", 1, spacing=1.0, center=(4, 5)) == pytest.approx(np.array([[4, 5]]))
     assert shapes.ring(1, spacing=1.0) == pytest.approx(np.zeros((1, 2)))
     assert shapes.lattice(1, dimension=3, radius=2.0) == pytest.approx(np.zeros((1, 3)))
-    assert shapes.polygon(SQUARE, 1, spacing=1.0, centre="given") == pytest.approx(
+    assert shapes.polygon(SQUARE, 1, spacing=1.0, center="given") == pytest.approx(
         np.array([[2, 2]])
     )
 
@@ -200,13 +200,13 @@ def test_the_same_call_gives_the_same_targets():
 def test_the_gap_is_what_its_definition_says(rng):
     for d in (1, 2, 3):
         points = rng.normal(size=(30, d))
-        assert shapes.gap_of_prefixes(points) == pytest.approx(gaps_by_hand(points))
-    assert np.isinf(shapes.gap_of_prefixes(np.zeros((3, 2)))).all()
+        assert shapes.prefix_gaps(points) == pytest.approx(gaps_by_hand(points))
+    assert np.isinf(shapes.prefix_gaps(np.zeros((3, 2)))).all()
 
 
 def test_the_order_is_the_farthest_point_next_worked_out_by_hand(rng):
     points = rng.normal(size=(25, 2))
-    order = list(shapes.in_order(points))
+    order = list(shapes.farthest_point_order(points))
     for m in range(1, 25):
         left = [i for i in range(25) if i not in order[:m]]
         away = cdist(points[left], points[order[:m]]).min(axis=1)
@@ -215,7 +215,7 @@ def test_the_order_is_the_farthest_point_next_worked_out_by_hand(rng):
 
 def test_ties_go_to_the_smaller_index():
     square = np.array([[0.0, 1.0], [1.0, 0.0], [1.0, 1.0], [0.0, 0.0]])
-    assert list(shapes.in_order(square)) == [0, 1, 2, 3]
+    assert list(shapes.farthest_point_order(square)) == [0, 1, 2, 3]
 
 
 def test_letters_hold_their_targets_and_leave_their_holes_empty():
@@ -241,7 +241,7 @@ def test_a_text_has_targets_in_each_of_its_letters():
     columns = np.histogram(targets[:, 0], bins=5)[0]
     assert columns.min() >= 12
     # L has its foot to the right of its stem and nothing above it.
-    foot = shapes.text("L", 60, height=10.0, centre=(0, 0))
+    foot = shapes.text("L", 60, height=10.0, center=(0, 0))
     assert not ((foot[:, 0] > 0.5) & (foot[:, 1] > -2.5)).any()
     assert ((foot[:, 0] > 0.5) & (foot[:, 1] < -2.5)).sum() >= 8
 
@@ -256,11 +256,11 @@ def test_an_i_that_loses_its_middle_quarter_falls_into_two_halves():
 
 def test_a_region_is_covered_evenly_all_over_its_area(rng):
     # No place of the region is farther from the targets than they are from each other.
-    targets = shapes.polygon(CORNER, 150, centre="given")
+    targets = shapes.polygon(CORNER, 150, center="given")
     somewhere = rng.uniform((0, 0), (20, 25), size=(4000, 2))
     inside = (somewhere[:, 0] < 6) | (somewhere[:, 1] < 6)
     away = cdist(somewhere[inside], targets).min(axis=1)
-    assert away.max() <= least_distance(targets) * 1.05  # the grid of places is this coarse
+    assert away.max() <= min_distance(targets) * 1.05  # the grid of places is this coarse
     assert ((targets[:, 0] <= 6) | (targets[:, 1] <= 6)).all()
 
 
@@ -297,11 +297,11 @@ def test_dark_pixels_of_an_opaque_picture_are_inside(tmp_path):
     path = picture_file(
         tmp_path, (10, 10), lambda d: d.rectangle((1, 2, 3, 8), fill=127), paper=128
     )
-    targets = shapes.picture(path, 60, height=7.0, centre="given")
+    targets = shapes.picture(path, 60, height=7.0, center="given")
     # Pixels 1 to 3 across and 2 to 8 down, with the top of the picture up.
     assert ((targets > (1, -9)) & (targets < (4, -2))).all()
     assert np.ptp(targets, axis=0) == pytest.approx((3, 7), abs=0.1)
-    others = shapes.picture(path, 200, height=10.0, invert=True, centre="given")
+    others = shapes.picture(path, 200, height=10.0, invert=True, center="given")
     assert not ((others > (1, -9)) & (others < (4, -2))).all(axis=1).any()
 
 
@@ -313,7 +313,7 @@ def test_where_a_picture_has_transparency_only_that_counts(tmp_path):
         mode="RGBA",
         paper=(0, 0, 0, 0),
     )
-    targets = shapes.picture(white_on_nothing, 50, height=20.0, centre="given")
+    targets = shapes.picture(white_on_nothing, 50, height=20.0, center="given")
     assert targets[:, 0].max() < 10
 
 
@@ -321,7 +321,7 @@ def test_sixteen_bits_of_grey_are_read_as_grey(tmp_path):
     levels = np.full((20, 20), 60000, dtype=np.uint16)
     levels[:, :5] = 20000
     Image.fromarray(levels).save(tmp_path / "deep.png")
-    targets = shapes.picture(tmp_path / "deep.png", 30, height=20.0, centre="given")
+    targets = shapes.picture(tmp_path / "deep.png", 30, height=20.0, center="given")
     assert targets[:, 0].max() < 5
 
 
@@ -339,17 +339,17 @@ def test_a_list_is_read_with_or_without_its_header_and_keeps_its_order_when_aske
     for header in ("", "x,y\n", "x_m, y_m\n", "\ufeffX,Y\n"):
         path = tmp_path / "points.csv"
         path.write_text(header + rows, encoding="utf-8")
-        kept = shapes.points(path, keep_order=True, centre="given")
+        kept = shapes.points(path, keep_order=True, center="given")
         assert kept.tolist() == [[0, 0], [1, 0], [10, 0], [0, 4]]
-    ordered = shapes.points(path, 3, centre="given")
+    ordered = shapes.points(path, 3, center="given")
     assert ordered.tolist() == [[0, 0], [10, 0], [0, 4]]
-    assert least_distance(shapes.points(path, spacing=3.0)) == pytest.approx(3.0)
+    assert min_distance(shapes.points(path, spacing=3.0)) == pytest.approx(3.0)
     assert shapes.points(path).max(axis=0) == pytest.approx((5, 2))
 
 
 def test_points_in_space_are_three_columns(tmp_path):
     path = listing(tmp_path, "x_m,y_m,z_m\n0,0,0\n1,2,3\n")
-    assert shapes.points(path, centre=(0, 0, 1)).tolist() == [[-0.5, -1, -0.5], [0.5, 1, 2.5]]
+    assert shapes.points(path, center=(0, 0, 1)).tolist() == [[-0.5, -1, -0.5], [0.5, 1, 2.5]]
 
 
 # Refusals, and the cures that they name.
@@ -369,7 +369,7 @@ def test_a_shape_too_small_names_sizes_and_numbers_that_do(build, measure):
         build(160, minimum_spacing=1.5, **{measure: 9.0})
     cures = re.search(rf": a {measure} of ([\d.]+) m(?:, or at most (\d+))?", str(refused.value))
     enough, fewer = cures.groups()
-    assert least_distance(build(160, **{measure: float(enough)})) >= 1.5
+    assert min_distance(build(160, **{measure: float(enough)})) >= 1.5
     assert build(160, minimum_spacing=1.5, **{measure: float(enough)}).shape == (160, 2)
     with pytest.raises(ValueError, match="would do"):
         build(160, minimum_spacing=1.5, **{measure: float(enough) * 0.99})
@@ -398,8 +398,8 @@ def test_a_spacing_below_the_least_is_refused(tmp_path):
         (lambda: shapes.text("U", 5, height=-2.0), "height must be a positive .* got -2.0"),
         (lambda: shapes.lattice(5, radius=float("inf")), "radius must be a positive .* got inf"),
         (lambda: shapes.text("U", 5, spacing=1.0, minimum_spacing=-1.0), "must not be negative"),
-        (lambda: shapes.text("U", 5, spacing=1.0, centre=(1, 2, 3)), "centre must be 2 finite"),
-        (lambda: shapes.text("U", 5, spacing=1.0, centre=(1, float("nan"))), "centre must be 2"),
+        (lambda: shapes.text("U", 5, spacing=1.0, center=(1, 2, 3)), "centre must be 2 finite"),
+        (lambda: shapes.text("U", 5, spacing=1.0, center=(1, float("nan"))), "centre must be 2"),
         (lambda: shapes.text(" ", 5, spacing=1.0), "the text ' ' is blank"),
         (lambda: shapes.text("", 5, spacing=1.0), "the text '' is blank"),
         (lambda: shapes.text("\u200b", 5, spacing=1.0), "nothing to draw"),
@@ -413,7 +413,7 @@ def test_a_spacing_below_the_least_is_refused(tmp_path):
         (lambda: shapes.polygon([(0, 0), (1, 1), (2, 2)], 5), "the polygon encloses no area"),
         (lambda: shapes.polygon([(0, 0), (1, 0), (1, float("nan"))], 5), "vertex 2 .* not finite"),
         (lambda: shapes.polygon([(0, 0), (1, 0), (1, 2, 3)], 5), "must be pairs of numbers"),
-        (lambda: shapes.in_order(np.array([[0.0], [np.inf]])), "point 1 is not finite"),
+        (lambda: shapes.farthest_point_order(np.array([[0.0], [np.inf]])), "point 1 is not finite"),
     ],
 )
 def test_what_makes_no_shape_is_refused_with_a_reason(call, message):

@@ -8,19 +8,19 @@ import osqp
 import pytest
 from scipy.sparse import csc_array, csc_matrix
 
-from problems.conic import Conic, triangle
-from problems.families import family
-from problems.solvers import adapters
-from problems.solvers.adapter import Claim, judge
-from problems.solvers.rows import lower
+from problems.conic import ConicProgram, svec
+from problems.families import load_family
+from problems.solvers import load_adapters
+from problems.solvers.adapter import SolverResult, verify
+from problems.solvers.rows import lower_bounds
 
-KNOWN = adapters()
+KNOWN = load_adapters()
 
 
 @cache
 def transfers(size="small"):
     """Transfers of one agent, without their states, which share all but their ends."""
-    return [instance.problem for instance in family("transfer-lp", size).instances]
+    return [instance.problem for instance in load_family("transfer-lp", size).instances]
 
 
 def out_of_reach(problem):
@@ -30,10 +30,14 @@ def out_of_reach(problem):
 
 
 ABLE = sorted(
-    name for name, adapter in KNOWN.items() if adapter.installed and adapter.takes(transfers()[0])
+    name
+    for name, adapter in KNOWN.items()
+    if adapter.is_installed and adapter.supports(transfers()[0])
 )
 SEMIDEFINITE = sorted(
-    name for name, adapter in KNOWN.items() if adapter.installed and "semidefinite" in adapter.cones
+    name
+    for name, adapter in KNOWN.items()
+    if adapter.is_installed and "semidefinite" in adapter.cone_types
 )
 
 
@@ -44,79 +48,79 @@ def test_osqp_as_it_comes_says_solved_too_early_and_is_not_believed(problem):
         P=csc_matrix((n, n)),
         q=problem.q,
         A=csc_matrix(problem.A),
-        l=lower(problem.b, problem.zero),
+        l=lower_bounds(problem.b, problem.zero),
         u=problem.b,
         verbose=False,
     )
     result = solver.solve(raise_error=False)
     assert result.info.status_val == osqp.SolverStatus.OSQP_SOLVED
-    verdict = judge(problem, Claim("solved", "as it comes", result.x, result.y), 1e-6)
+    verdict = verify(problem, SolverResult("solved", "as it comes", result.x, result.y), 1e-6)
     assert verdict.kind == "wrong claim"
-    assert verdict.answer.worst > 1e-4
+    assert verdict.solution.max_residual > 1e-4
 
 
 @pytest.mark.parametrize("problem", transfers("medium")[:5])
 def test_osqp_as_the_toolkit_asks_it_is_right(problem):
-    claim = KNOWN["osqp"].read(problem, 1e-6).solve(problem.b)
-    assert judge(problem, claim, 1e-6).kind == "solved"
+    claim = KNOWN["osqp"].open_session(problem, 1e-6).solve(problem.b)
+    assert verify(problem, claim, 1e-6).kind == "solved"
 
 
 def test_one_nan_anywhere_is_no_answer():
     problem = transfers()[0]
-    claim = KNOWN["clarabel"].read(problem, 1e-6).solve(problem.b)
+    claim = KNOWN["clarabel"].open_session(problem, 1e-6).solve(problem.b)
     for field in ("x", "y"):
         for place in (0, -1):
             numbers = getattr(claim, field).copy()
             numbers[place] = np.nan
-            assert judge(problem, claim._replace(**{field: numbers}), 1e-6).kind == "wrong claim"
+            assert verify(problem, claim._replace(**{field: numbers}), 1e-6).kind == "wrong claim"
 
 
 def test_a_ray_of_nan_proves_nothing():
     problem = transfers()[0]
     ray = np.full(len(problem.b), np.nan)
-    assert judge(problem, Claim("infeasible", "so", None, ray), 1e-6).kind == "wrong claim"
+    assert verify(problem, SolverResult("infeasible", "so", None, ray), 1e-6).kind == "wrong claim"
 
 
 @pytest.mark.parametrize("name", ABLE)
 def test_what_is_in_reach_is_never_called_out_of_reach(name):
     for problem in transfers()[:4]:
-        claim = KNOWN[name].read(problem, 1e-6).solve(problem.b)
-        verdict = judge(problem, claim, 1e-6)
-        assert verdict.kind == "solved", verdict.why
+        claim = KNOWN[name].open_session(problem, 1e-6).solve(problem.b)
+        verdict = verify(problem, claim, 1e-6)
+        assert verdict.kind == "solved", verdict.reason
 
 
 @pytest.mark.parametrize("name", ABLE)
 def test_what_is_out_of_reach_is_never_called_solved_and_leaves_no_trace(name):
     problem = transfers()[0]
-    far, session = out_of_reach(problem), KNOWN[name].read(problem, 1e-6)
-    first = judge(problem, session.solve(problem.b), 1e-6).answer
+    far, session = out_of_reach(problem), KNOWN[name].open_session(problem, 1e-6)
+    first = verify(problem, session.solve(problem.b), 1e-6).solution
     claim = session.solve(far.b)
-    kinds = ("infeasible",) if KNOWN[name].proves else ("unproven", "failed")
-    assert claim.said != "solved" and judge(far, claim, 1e-6).kind in kinds
-    again = judge(problem, session.solve(problem.b), 1e-6)
-    assert again.kind == "solved", again.why
-    assert problem.q @ again.answer.x == pytest.approx(problem.q @ first.x, rel=1e-6)
+    kinds = ("infeasible",) if KNOWN[name].certifies_infeasibility else ("unproven", "failed")
+    assert claim.status != "solved" and verify(far, claim, 1e-6).kind in kinds
+    again = verify(problem, session.solve(problem.b), 1e-6)
+    assert again.kind == "solved", again.reason
+    assert problem.q @ again.solution.x == pytest.approx(problem.q @ first.x, rel=1e-6)
 
 
 @pytest.mark.parametrize("name", SEMIDEFINITE)
 def test_matrices_of_several_orders_stand_in_the_right_rows(rng, name):
     orders, n = (2, 4, 1), 5
     bases = [np.linalg.qr(rng.normal(size=(order, order)))[0] for order in orders]
-    s = np.concatenate([triangle(Q[:, :1] @ Q[:, :1].T) for Q in bases])
-    y = np.concatenate([triangle(Q[:, 1:] @ Q[:, 1:].T) for Q in bases])
+    s = np.concatenate([svec(Q[:, :1] @ Q[:, :1].T) for Q in bases])
+    y = np.concatenate([svec(Q[:, 1:] @ Q[:, 1:].T) for Q in bases])
     A, x = rng.normal(size=(len(s), n)), rng.normal(size=n)
-    problem = Conic(-A.T @ y, csc_array(A), A @ x + s, 0, 0, (), orders)
-    verdict = judge(problem, KNOWN[name].read(problem, 1e-6).solve(problem.b), 1e-6)
-    assert verdict.kind == "solved", verdict.why
-    assert problem.q @ verdict.answer.x == pytest.approx(problem.q @ x, rel=1e-5, abs=1e-5)
+    problem = ConicProgram(-A.T @ y, csc_array(A), A @ x + s, 0, 0, (), orders)
+    verdict = verify(problem, KNOWN[name].open_session(problem, 1e-6).solve(problem.b), 1e-6)
+    assert verdict.kind == "solved", verdict.reason
+    assert problem.q @ verdict.solution.x == pytest.approx(problem.q @ x, rel=1e-5, abs=1e-5)
 
 
 @pytest.mark.parametrize("size", ["small", "medium", "large"])
 def test_the_projects_own_way_is_exact_where_it_is_at_home(size):
     for problem in transfers(size):
-        claim = KNOWN["batched"].read(problem, 1e-6).solve(problem.b)
-        verdict = judge(problem, claim, 1e-12)
-        assert verdict.kind == "solved", verdict.why
+        claim = KNOWN["batched"].open_session(problem, 1e-6).solve(problem.b)
+        verdict = verify(problem, claim, 1e-12)
+        assert verdict.kind == "solved", verdict.reason
 
 
 def test_the_projects_own_way_refuses_every_other_form():
@@ -124,21 +128,21 @@ def test_the_projects_own_way_refuses_every_other_form():
     q, A, b = problem.q, problem.A.toarray(), problem.b
     one = np.eye(len(b))[0] + np.eye(len(b))[-1]
     others = {
-        "two prices": Conic(q + np.arange(len(q)), csc_array(A), b, 4, len(b) - 4),
-        "no price": Conic(0 * q, csc_array(A), b, 4, len(b) - 4),
-        "wider bounds": Conic(q, csc_array(A), b + one, 4, len(b) - 4),
-        "other rows": Conic(q, csc_array(A + np.outer(one, q)), b, 4, len(b) - 4),
-        "one bound less": Conic(q, csc_array(A[:-1]), b[:-1], 4, len(b) - 5),
-        "equal rows": Conic(q, csc_array(A[[0, 0, *range(2, len(b))]]), b, 4, len(b) - 4),
-        "no equations": Conic(q, csc_array(A[4:]), b[4:], 0, len(b) - 4),
+        "two prices": ConicProgram(q + np.arange(len(q)), csc_array(A), b, 4, len(b) - 4),
+        "no price": ConicProgram(0 * q, csc_array(A), b, 4, len(b) - 4),
+        "wider bounds": ConicProgram(q, csc_array(A), b + one, 4, len(b) - 4),
+        "other rows": ConicProgram(q, csc_array(A + np.outer(one, q)), b, 4, len(b) - 4),
+        "one bound less": ConicProgram(q, csc_array(A[:-1]), b[:-1], 4, len(b) - 5),
+        "equal rows": ConicProgram(q, csc_array(A[[0, 0, *range(2, len(b))]]), b, 4, len(b) - 4),
+        "no equations": ConicProgram(q, csc_array(A[4:]), b[4:], 0, len(b) - 4),
     }
     for what, other in others.items():
-        assert not KNOWN["batched"].takes(other), what
+        assert not KNOWN["batched"].supports(other), what
         with pytest.raises(ValueError, match=r"batched takes only \[C −C\] z = b, 0 ≤ z ≤ 1"):
-            KNOWN["batched"].read(other, 1e-6)
+            KNOWN["batched"].open_session(other, 1e-6)
 
 
 def test_the_projects_own_way_keeps_its_bounds():
     problem = transfers()[0]
     with pytest.raises(ValueError, match=r"only the right-hand side of the equations may change"):
-        KNOWN["batched"].read(problem, 1e-6).solve(2 * problem.b)
+        KNOWN["batched"].open_session(problem, 1e-6).solve(2 * problem.b)

@@ -15,13 +15,13 @@ from test_cli import call, sentence
 import sato
 import sato.systems
 from sato.check import Report, common
-from sato.check.happened import Happened
-from sato.check.promise import below
-from sato.network import Network
+from sato.check.event_log import EventLog
+from sato.check.promise import expect_below
+from sato.interfaces import Frame, MissionProgress, System, Variable
+from sato.network.graph import CommunicationGraph
 from sato.scenario import SYSTEMS, ScenarioFile
 from sato.scenario.refusal import Refusal
-from sato.system import Frame, Passage, System, Variable
-from sato.systems import HOME, UnknownSystem, system
+from sato.systems import SYSTEM_MODULES, UnknownSystemError, load_system
 
 DRIFT = """
 system = "drift"
@@ -80,7 +80,9 @@ def drift(mission, rng):
     for k in range(mission.steps + 1):
         place = np.stack([1.5 * np.arange(agents), np.zeros(agents)], axis=1)
         position = place + k * mission.velocity
-        component = Network.within(position, mission.comm_radius, alive).component
+        component = CommunicationGraph.from_positions(
+            position, mission.comm_radius, alive
+        ).component
         told = ({"kind": "half", "agents": [0]},) if 2 * k == mission.steps else ()
         yield Drifting(float(k), position, mission.velocity, alive, component, told, heading)
 
@@ -94,15 +96,19 @@ def judge(data, mission, rng):
     alive = np.asarray(data["alive"], dtype=bool)
     off = np.abs(np.diff(position, axis=0) - mission.velocity).max()
     promises = (
-        common.attributes(data.attrs, attributes(mission)),
-        common.times(time, 1.0),
-        common.numbers(alive, position),
-        common.alive(alive, Happened.of(data)),
-        common.component(position, alive, np.asarray(data["component"]), mission.comm_radius),
-        below("drift", float(off), 1e-12, 0.0, "m off in a step"),
+        common.check_attributes(data.attrs, attributes(mission)),
+        common.check_times(time, 1.0),
+        common.check_finite(alive, position),
+        common.check_alive(alive, EventLog.from_dataset(data)),
+        common.check_components(
+            position, alive, np.asarray(data["component"]), mission.comm_radius
+        ),
+        expect_below("drift", float(off), 1e-12, 0.0, "m off in a step"),
     )
-    came = not common.cut_short(data.attrs)
-    return Report(promises, common.words(data.attrs, alive) | {"success": came, "path_m": 1.0})
+    came = not common.incomplete_reason(data.attrs)
+    return Report(
+        promises, common.common_summary(data.attrs, alive) | {"success": came, "path_m": 1.0}
+    )
 
 
 def figures(data, mission):
@@ -116,32 +122,36 @@ def figures(data, mission):
 
 SYSTEM = System(
     name="drift",
-    fly=drift,
-    outcomes=(ArithmeticError,),
-    meaning={"heading": Variable(("time", "agent"), "rad", "from the y axis, clockwise")},
-    variables=lambda frames, mission: {"heading": np.array([f.heading for f in frames])},
+    simulate=drift,
+    stop_errors=(ArithmeticError,),
+    variable_definitions={
+        "heading": Variable(("time", "agent"), "rad", "from the y axis, clockwise")
+    },
+    stack_variables=lambda frames, mission: {"heading": np.array([f.rotation for f in frames])},
     attributes=attributes,
-    judge=judge,
-    passage=lambda mission, frame: Passage("drift", round(frame.time), mission.steps, "calm"),
+    check=judge,
+    progress=lambda mission, frame: MissionProgress(
+        "drift", round(frame.time), mission.steps, "calm"
+    ),
     figures=figures,
 )
 
 
 @pytest.fixture
 def home(tmp_path, monkeypatch):
-    monkeypatch.setitem(HOME, "drift", __name__)
+    monkeypatch.setitem(SYSTEM_MODULES, "drift", __name__)
     monkeypatch.setitem(SYSTEMS, "drift", DriftFile)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "drift.toml").write_text(DRIFT)
     return tmp_path
 
 
-@pytest.mark.parametrize("name", HOME)
+@pytest.mark.parametrize("name", SYSTEM_MODULES)
 def test_every_system_is_at_home_under_its_own_name_and_has_a_scenario_file(name):
-    assert system(name).name == name
-    assert SYSTEMS.keys() == HOME.keys()
+    assert load_system(name).name == name
+    assert SYSTEMS.keys() == SYSTEM_MODULES.keys()
     assert issubclass(SYSTEMS[name], ScenarioFile)
-    assert not system(name).meaning.keys() & sato.record.COMMON.keys()
+    assert not load_system(name).variable_definitions.keys() & sato.record.COMMON.keys()
 
 
 def test_a_system_is_not_loaded_before_it_is_asked_for():
@@ -154,8 +164,8 @@ def test_a_system_is_not_loaded_before_it_is_asked_for():
 
 
 def test_a_system_that_is_not_there_is_refused_with_those_that_are():
-    with pytest.raises(UnknownSystem, match=r'no system "drfit", only .*"reconfiguration"'):
-        system("drfit")
+    with pytest.raises(UnknownSystemError, match=r'no system "drfit", only .*"reconfiguration"'):
+        load_system("drfit")
 
 
 def test_another_system_is_flown_recorded_and_judged_like_any(home):
@@ -233,7 +243,7 @@ def test_a_run_of_a_system_that_is_not_known_or_lacks_its_variables_is_refused(h
     sato.Run(lacking.data.drop_vars("heading"), lacking.summary).save("there")
     with pytest.raises(sato.RunFileError, match=r"there/run.nc: is not a run .* no heading"):
         sato.load("there")
-    monkeypatch.delitem(HOME, "drift")
+    monkeypatch.delitem(SYSTEM_MODULES, "drift")
     with pytest.raises(sato.RunFileError, match=r'no system "drift".* newer version of sato'):
         sato.load("here")
 

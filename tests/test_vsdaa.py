@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from problems.assignment import assign
-from sato.auction import NOBODY
-from sato.network import Network
-from sato.vsdaa import OutOfTargets, by_messages, vsdaa
-from sato.vsdaa.kernel import Swarm, gather, play
+from problems.assignment import solve_assignment
+from sato.auctions.bids import NO_WINNER
+from sato.auctions.vsdaa_init import OutOfTargets, run_by_messages, run_vsdaa
+from sato.auctions.vsdaa_kernel import VsdaaState, init_state, run_kernel
+from sato.network.graph import CommunicationGraph
 
 LAW = settings(deadline=None, derandomize=True, max_examples=60)
 
@@ -20,25 +20,27 @@ class Case(NamedTuple):
     """The arguments of an auction."""
 
     cost: np.ndarray
-    network: Network
+    network: CommunicationGraph
     believed: np.ndarray
     epsilon: float
 
 
-def line(agents: int) -> Network:
+def line(agents: int) -> CommunicationGraph:
     place = np.arange(agents)
-    return Network(np.abs(place - place[:, None]) == 1, np.full(agents, True))
+    return CommunicationGraph(np.abs(place - place[:, None]) == 1, np.full(agents, True))
 
 
-def ring(agents: int) -> Network:
+def ring(agents: int) -> CommunicationGraph:
     apart = np.abs(np.arange(agents) - np.arange(agents)[:, None])
-    return Network((apart == 1) | (apart == agents - 1), np.full(agents, True))
+    return CommunicationGraph((apart == 1) | (apart == agents - 1), np.full(agents, True))
 
 
-def random_graph(rng: np.random.Generator, agents: int, share: float, alive: float) -> Network:
+def random_graph(
+    rng: np.random.Generator, agents: int, share: float, alive: float
+) -> CommunicationGraph:
     live = rng.random(agents) < alive
     hears = np.triu(rng.random((agents, agents)) < share, 1)
-    return Network((hears | hears.T) & live & live[:, None], live)
+    return CommunicationGraph((hears | hears.T) & live & live[:, None], live)
 
 
 def costs(rng: np.random.Generator, kind: str, agents: int, targets: int) -> np.ndarray:
@@ -75,16 +77,16 @@ def cases(draw: st.DrawFn, most: int = 9) -> Case:
     return Case(costs(rng, kind, agents, targets), network, believed, epsilon)
 
 
-def kernel(case: Case, ids: bool, rounds: int) -> list[Swarm]:
+def kernel(case: Case, ids: bool, rounds: int) -> list[VsdaaState]:
     """All agents after each round, for that many rounds; the last is repeated."""
-    swarm, history = gather(case.cost, case.network, case.believed), []
-    for _ in play(swarm, case.epsilon, ids, stride=1):
-        history.append(Swarm(*(field.copy() for field in swarm)))
+    swarm, history = init_state(case.cost, case.graph, case.believed), []
+    for _ in run_kernel(swarm, case.epsilon, ids, stride=1):
+        history.append(VsdaaState(*(field.copy() for field in swarm)))
     return history + [history[-1]] * (rounds - len(history))
 
 
 def definition(case: Case, ids: bool, rounds: int = 0) -> list:
-    history = list(by_messages(*case, ids=ids))
+    history = list(run_by_messages(*case, bidder_ids=ids))
     return history + [history[-1]] * (rounds - len(history))
 
 
@@ -92,60 +94,60 @@ def definition(case: Case, ids: bool, rounds: int = 0) -> list:
 @settings(LAW, max_examples=150)
 @given(case=cases())
 def test_the_compiled_rounds_are_the_definition_bit_for_bit(ids, case):
-    if not case.network.alive.any():
+    if not case.graph.alive.any():
         return
     try:
         agents = definition(case, ids)
     except OutOfTargets as expected:
         with pytest.raises(OutOfTargets) as found:
-            vsdaa(*case, ids=ids)
+            run_vsdaa(*case, bidder_ids=ids)
         assert (found.value.agent, found.value.round) == (expected.agent, expected.round)
         return
     swarms = kernel(case, ids, len(agents))
     agents = definition(case, ids, len(swarms))
     for r, (now, swarm) in enumerate(zip(agents, swarms, strict=True), start=1):
-        for i in np.flatnonzero(case.network.alive):
+        for i in np.flatnonzero(case.graph.alive):
             me = now[i]
-            assert me.book.price.tobytes() == swarm.price[i].tobytes()
-            assert me.book.holder.tobytes() == swarm.holder[i].tobytes()
-            assert (me.believed, me.target) == (swarm.believed[i], swarm.target[i])
-            assert me.quiet == min(r - swarm.last[i], swarm.patience[i])
-            assert me.bids == swarm.bids[i]
+            assert me.bids.price.tobytes() == swarm.price[i].tobytes()
+            assert me.bids.holder.tobytes() == swarm.winner[i].tobytes()
+            assert (me.believed, me.target) == (swarm.target_count[i], swarm.target_index[i])
+            assert me.quiet_rounds == min(r - swarm.last_news_round[i], swarm.patience[i])
+            assert me.bids == swarm.bid_count[i]
 
 
 @pytest.mark.parametrize("ids", [True, False])
 @given(case=cases())
 @LAW
 def test_both_report_the_same_end(ids, case):
-    if not case.network.alive.any():
+    if not case.graph.alive.any():
         return
     try:
         history = definition(case, ids)
     except OutOfTargets:
         return
-    auction = vsdaa(*case, ids=ids)
-    live = np.flatnonzero(case.network.alive)
+    auction = run_vsdaa(*case, bidder_ids=ids)
+    live = np.flatnonzero(case.graph.alive)
     last = [history[-1][i] for i in live]
-    assert auction.rounds == len(history)
-    assert auction.target[live].tolist() == [agent.target for agent in last]
-    assert auction.bidders[live].tolist() == [agent.book.bidders for agent in last]
-    assert auction.bids == sum(agent.bids for agent in last)
-    assert np.all(auction.target[~case.network.alive] == -1)
+    assert auction.round_count == len(history)
+    assert auction.target_index[live].tolist() == [agent.target for agent in last]
+    assert auction.bidder_count[live].tolist() == [agent.bids.bidders for agent in last]
+    assert auction.bid_count == sum(agent.bids for agent in last)
+    assert np.all(auction.target_index[~case.graph.alive] == -1)
 
 
 def check_promises(case: Case) -> None:
     """Every promise of the auction, component by component."""
     cost, network, believed, epsilon = case
-    auction = vsdaa(*case)
+    auction = run_vsdaa(*case)
     for c in range(network.component.max(initial=-1) + 1):
         members = np.flatnonzero(network.component == c)
-        n, target = len(members), auction.target[members]
+        n, target = len(members), auction.target_index[members]
         m = max(n, int(believed[members].max()))
         assert len(set(target.tolist())) == n
-        assert set(auction.believed[members].tolist()) == {m}
-        assert set(auction.bidders[members].tolist()) == {n}
+        assert set(auction.target_count[members].tolist()) == {m}
+        assert set(auction.bidder_count[members].tolist()) == {n}
         assert np.all(auction.price[members] == auction.price[members[0]])
-        best = cost[members, assign(cost[members, :m])].sum()
+        best = cost[members, solve_assignment(cost[members, :m])].sum()
         paid = cost[members, target].sum()
         assert best - 1e-9 <= paid <= best + n * epsilon + 1e-9
 
@@ -171,19 +173,19 @@ def test_a_swarm_of_sixty_in_pieces_ends_right(rng, share):
 
 def test_agents_that_disagree_on_m_agree_on_the_largest_first(rng):
     believed = np.array([3, 7, 2, 5])
-    auction = vsdaa(rng.random((4, 8)), line(4), believed, 1e-2)
-    assert auction.believed.tolist() == [7, 7, 7, 7]
+    auction = run_vsdaa(rng.random((4, 8)), line(4), believed, 1e-2)
+    assert auction.target_count.tolist() == [7, 7, 7, 7]
 
 
 def test_a_lone_agent_takes_its_cheapest_target_in_one_round():
-    auction = vsdaa(np.array([[3.0, 1.0, 2.0]]), line(1), np.array([3]), 0.1)
-    assert auction.target.tolist() == [1]
-    assert (auction.rounds, auction.bids, auction.bidders.tolist()) == (1, 1, [1])
+    auction = run_vsdaa(np.array([[3.0, 1.0, 2.0]]), line(1), np.array([3]), 0.1)
+    assert auction.target_index.tolist() == [1]
+    assert (auction.round_count, auction.bid_count, auction.bidder_count.tolist()) == (1, 1, [1])
 
 
 def test_a_lone_agent_that_knows_of_one_target_only_takes_it():
-    auction = vsdaa(np.array([[3.0, 1.0, 2.0]]), line(1), np.array([1]), 0.1)
-    assert auction.target.tolist() == [0]
+    auction = run_vsdaa(np.array([[3.0, 1.0, 2.0]]), line(1), np.array([1]), 0.1)
+    assert auction.target_index.tolist() == [0]
 
 
 def books_differ(before: tuple, after: tuple, r: int, i: int) -> bool:
@@ -197,14 +199,14 @@ def books_differ(before: tuple, after: tuple, r: int, i: int) -> bool:
 def books_by_messages(case: Case, rounds: int) -> tuple:
     history = definition(case, True, rounds)
     return (
-        [[agent.book.price for agent in now] for now in history],
-        [[agent.book.holder for agent in now] for now in history],
+        [[agent.bids.price for agent in now] for now in history],
+        [[agent.bids.holder for agent in now] for now in history],
     )
 
 
 def books_by_kernel(case: Case, rounds: int) -> tuple:
     history = kernel(case, True, rounds)
-    return [swarm.price for swarm in history], [swarm.holder for swarm in history]
+    return [swarm.price for swarm in history], [swarm.winner for swarm in history]
 
 
 @pytest.mark.parametrize("books", [books_by_messages, books_by_kernel])
@@ -240,15 +242,18 @@ def test_the_light_cone_holds_on_any_graph(rng, books):
 def test_printed_bids_that_tie_leave_one_target_to_two_agents():
     # Everybody bids the same on target 0 and, without numbers, believes to hold it.
     case = Case(np.ones((4, 6)), line(4), np.full(4, 1), 0.1)
-    assert vsdaa(*case, ids=False).target.tolist() == [0, 0, 0, 0]
-    assert sorted(vsdaa(*case, ids=True).target.tolist()) == [0, 1, 2, 3]
+    assert run_vsdaa(*case, bidder_ids=False).target_index.tolist() == [0, 0, 0, 0]
+    assert sorted(run_vsdaa(*case, bidder_ids=True).target_index.tolist()) == [0, 1, 2, 3]
 
 
 def test_the_printed_method_is_near_optimal_where_nothing_ties(rng):
     cost = rng.random((12, 15))
-    auction = vsdaa(cost, ring(12), np.full(12, 15), 1e-2, ids=False)
-    paid, best = cost[range(12), auction.target].sum(), cost[range(12), assign(cost)].sum()
-    assert len(set(auction.target.tolist())) == 12
+    auction = run_vsdaa(cost, ring(12), np.full(12, 15), 1e-2, bidder_ids=False)
+    paid, best = (
+        cost[range(12), auction.target_index].sum(),
+        cost[range(12), solve_assignment(cost)].sum(),
+    )
+    assert len(set(auction.target_index.tolist())) == 12
     assert best - 1e-9 <= paid <= best + 12 * 1e-2
 
 
@@ -256,7 +261,7 @@ def test_with_a_common_m_the_last_bid_keeps_the_bound_of_proposition_1(rng):
     # [Morgan2016, eq. 20]; the proof ignores growing m, so m starts at N.
     for agents in (3, 8, 20):
         cost, network = rng.random((agents, agents)), ring(agents)
-        auction = vsdaa(cost, network, np.full(agents, agents), 1e-2)
+        auction = run_vsdaa(cost, network, np.full(agents, agents), 1e-2)
         steps = np.ceil((cost.max(axis=1) - cost.min(axis=1)) / 1e-2).max()
         assert auction.last_bid_round <= network.diameter[0] * (agents - 1) * steps
 
@@ -268,7 +273,7 @@ def test_agents_far_behind_a_price_wall_still_end(rng):
     check_promises(Case(cost, line(6), np.full(6, 8), 1e-2))
 
 
-@pytest.mark.parametrize("run", [vsdaa, lambda *case: list(by_messages(*case))])
+@pytest.mark.parametrize("run", [run_vsdaa, lambda *case: list(run_by_messages(*case))])
 def test_more_agents_than_targets_say_so_with_evidence(rng, run):
     with pytest.raises(OutOfTargets, match="found all 3 targets taken") as found:
         run(rng.random((5, 3)), line(5), np.full(5, 2), 0.1)
@@ -277,20 +282,20 @@ def test_more_agents_than_targets_say_so_with_evidence(rng, run):
 
 
 def test_a_swarm_of_nobody_ends_at_once():
-    network = Network(np.zeros((2, 2), dtype=bool), np.full(2, False))
-    auction = vsdaa(np.full((2, 3), np.nan), network, np.zeros(2, dtype=int), 0.1)
-    assert auction.target.tolist() == [-1, -1]
-    assert (auction.rounds, auction.bids) == (0, 0)
+    network = CommunicationGraph(np.zeros((2, 2), dtype=bool), np.full(2, False))
+    auction = run_vsdaa(np.full((2, 3), np.nan), network, np.zeros(2, dtype=int), 0.1)
+    assert auction.target_index.tolist() == [-1, -1]
+    assert (auction.round_count, auction.bid_count) == (0, 0)
 
 
 def test_the_dead_need_no_costs(rng):
     alive = np.array([True, False, True])
-    network = Network.within(np.array([[0.0], [1.0], [2.0]]), 3.0, alive)
+    network = CommunicationGraph.from_positions(np.array([[0.0], [1.0], [2.0]]), 3.0, alive)
     cost = rng.random((3, 3))
     cost[1] = np.nan
-    auction = vsdaa(cost, network, np.array([2, 0, 2]), 1e-2)
-    assert auction.target[1] == NOBODY
-    assert len({*auction.target[alive].tolist()}) == 2
+    auction = run_vsdaa(cost, network, np.array([2, 0, 2]), 1e-2)
+    assert auction.target_index[1] == NO_WINNER
+    assert len({*auction.target_index[alive].tolist()}) == 2
 
 
 @pytest.mark.parametrize(
@@ -310,6 +315,6 @@ def test_the_dead_need_no_costs(rng):
 )
 def test_wrong_input_is_refused_with_what_would_do(change, sentence):
     case = Case(np.zeros((2, 2)), line(2), np.array([1, 1]), 0.1)._replace(**change)
-    for run in (vsdaa, by_messages):
+    for run in (run_vsdaa, run_by_messages):
         with pytest.raises(ValueError, match=sentence):
             run(*case)

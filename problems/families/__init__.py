@@ -1,6 +1,6 @@
 """Questions drawn from real runs, frozen with their seeds, and what is known of their answers.
 
-Made by scripts/freeze_families.py, one file a family and size.
+Made by scripts/write_problem_families.py, one file a family and size.
 """
 
 from dataclasses import dataclass, replace
@@ -13,11 +13,11 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse import csc_array
 
-from problems.conic import Conic
+from problems.conic import ConicProgram
 
 SIZES = ("small", "medium", "large")
-NO_COST = 1e-6  # a reference below it is as good as none
-TINY = 1e-7  # what is left of the residuals of an answer that is kept here, in its cost
+MIN_COST_SCALE = 1e-6  # a reference below it is as good as none
+REFERENCE_ERROR = 1e-7  # what is left of the residuals of an answer that is kept here, in its cost
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,19 +30,19 @@ class Instance:
     """
 
     name: str
-    problem: Conic
-    feasible: bool
-    reference: float  # the optimum
-    agreed: float  # by how much the optima of two solvers differ, over 1 + |reference|
+    problem: ConicProgram
+    is_feasible: bool
+    reference_cost: float  # the optimum
+    reference_gap: float  # by how much the optima of two solvers differ, over 1 + |reference|
     x: Float[Array, " n"]
     y: Float[Array, " m"]
 
     @property
-    def scale(self) -> float:
+    def cost_scale(self) -> float:
         """What an error of the cost is relative to."""
-        return max(abs(self.reference), NO_COST)
+        return max(abs(self.reference_cost), MIN_COST_SCALE)
 
-    def allows(self, tolerance: float) -> float:
+    def cost_tolerance(self, tolerance: float) -> float:
         """How far from the reference the cost of an answer within a tolerance can be.
 
         By weak duality: an answer's x against the y that is known, and its y against that x.
@@ -50,10 +50,10 @@ class Instance:
         p = self.problem
         primal = tolerance * (1 + np.abs(p.b).max(initial=0.0))
         dual = tolerance * (1 + np.abs(p.q).max(initial=0.0))
-        below = primal * p.weight(self.y)
-        above = dual * (np.abs(self.x).sum() + p.weight(p.b - p.A @ self.x))
-        gap = (tolerance + self.agreed) * (1 + abs(self.reference))
-        return float(max(below, above + gap) + gap + TINY)
+        below = primal * p.violation_cost(self.y)
+        above = dual * (np.abs(self.x).sum() + p.violation_cost(p.b - p.A @ self.x))
+        gap = (tolerance + self.reference_gap) * (1 + abs(self.reference_cost))
+        return float(max(below, above + gap) + gap + REFERENCE_ERROR)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ class Family:
             )
 
 
-def families() -> dict[str, tuple[str, ...]]:
+def list_families() -> dict[str, tuple[str, ...]]:
     """The sizes that there are of each family, by its name."""
     stems = {file.name.removesuffix(".npz") for file in files(__name__).iterdir()}
     found: dict[str, tuple[str, ...]] = {}
@@ -89,24 +89,24 @@ def families() -> dict[str, tuple[str, ...]]:
 
 
 @cache
-def family(name: str, size: str) -> Family:
+def load_family(name: str, size: str) -> Family:
     """The questions of one kind and size.
 
     Raises:
         ValueError: There are none of this name, or of this size.
     """
-    known = families()
+    known = list_families()
     if name not in known:
         raise ValueError(f'there is no family "{name}"; there are {", ".join(known)}')
     if size not in known[name]:
         raise ValueError(f'{name} has no size "{size}"; it has {", ".join(known[name])}')
     with (files(__name__) / f"{name}-{size}.npz").open("rb") as file, np.load(file) as data:
-        return _read(name, size, data)
+        return _parse_family(name, size, data)
 
 
-def _read(name: str, size: str, data: Any) -> Family:
+def _parse_family(name: str, size: str, data: Any) -> Family:
     # A matrix and its cost are stored once for all the instances that share them.
-    shared = [_programme(data, k) for k in range(int(data["programmes"]))]
+    shared = [_parse_program(data, k) for k in range(int(data["programmes"]))]
     instances = []
     for i, k in enumerate(data["programme"]):
         problem = replace(shared[k], b=data[f"b{i}"])
@@ -118,7 +118,7 @@ def _read(name: str, size: str, data: Any) -> Family:
     return Family(name, size, int(data["seed"]), source, solvers, tuple(instances))
 
 
-def _programme(data: Any, k: int) -> Conic:
+def _parse_program(data: Any, k: int) -> ConicProgram:
     q, values = data[f"q{k}"], data[f"values{k}"]
     rows, starts = data[f"rows{k}"], data[f"starts{k}"]
     zero, nonnegative = (int(count) for count in data[f"linear{k}"])
@@ -126,4 +126,4 @@ def _programme(data: Any, k: int) -> Conic:
     matrices = tuple(int(order) for order in data[f"matrices{k}"])
     height = zero + nonnegative + sum(cones) + sum(n * (n + 1) // 2 for n in matrices)
     A = csc_array((values, rows, starts), shape=(height, len(q)))
-    return Conic(q, A, np.zeros(height), zero, nonnegative, cones, matrices)
+    return ConicProgram(q, A, np.zeros(height), zero, nonnegative, cones, matrices)

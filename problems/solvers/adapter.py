@@ -8,17 +8,17 @@ from typing import Literal, NamedTuple, Protocol, runtime_checkable
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from problems.conic import Answer, Cone, Conic, Infeasible, Unsolved, proof
+from problems.conic import ConeType, ConicProgram, ConicSolution, Infeasible, Unsolved, verify_ray
 
-Said = Literal["solved", "infeasible", "stopped"]
-Kind = Literal["solved", "infeasible", "wrong claim", "unproven", "failed"]
+Status = Literal["solved", "infeasible", "stopped"]
+Verified = Literal["solved", "infeasible", "wrong claim", "unproven", "failed"]
 
 
-class Claim(NamedTuple):
+class SolverResult(NamedTuple):
     """What a solver says, before anything is recomputed."""
 
-    said: Said
-    words: str  # its own
+    status: Status
+    message: str  # its own
     x: Float[Array, " n"] | None = None  # a point; also where it stopped with one
     y: Float[Array, " m"] | None = None  # its duals, or the ray that proves that there is none
     iterations: int | None = None
@@ -28,43 +28,47 @@ class Claim(NamedTuple):
 
 
 @runtime_checkable
-class Session(Protocol):
+class SolverSession(Protocol):
     """A solver that has read a problem."""
 
-    def solve(self, b: Float[Array, " m"]) -> Claim:
+    def solve(self, b: Float[Array, " m"]) -> SolverResult:
         """Solve with another right-hand side, the rest being as it was read."""
 
 
-def nothing(problem: Conic) -> str:
+def accept_all(problem: ConicProgram) -> str:
     """What most refuse of the problems whose cones they know."""
     return ""
 
 
 @dataclass(frozen=True)
-class Adapter:
+class SolverAdapter:
     """A solver, and how to ask it."""
 
     name: str
-    cones: frozenset[Cone]  # what it can take
-    proves: bool  # whether it claims to find out that there is no point
+    cone_types: frozenset[ConeType]  # what it can take
+    certifies_infeasibility: bool  # whether it claims to find out that there is no point
     module: str  # without which it cannot be asked
-    pip: str  # what installs that
-    begin: Callable[[Conic, float], Session]  # with the tolerance that is asked of the answer
-    refuses: Callable[[Conic], str] = nothing  # why it cannot take a problem of its cones, or ""
+    pip_packages: str  # what installs that
+    session_factory: Callable[
+        [ConicProgram, float], SolverSession
+    ]  # with the tolerance that is asked of the answer
+    unsupported_reason: Callable[[ConicProgram], str] = (
+        accept_all  # why it cannot take a problem of its cones, or ""
+    )
 
     @property
-    def installed(self) -> bool:
+    def is_installed(self) -> bool:
         """Whether it can be asked here."""
         try:
             return find_spec(self.module) is not None
         except ModuleNotFoundError:  # nor is what it would be a part of
             return False
 
-    def takes(self, problem: Conic) -> bool:
+    def supports(self, problem: ConicProgram) -> bool:
         """Whether it knows all cones of a problem, and its form."""
-        return problem.kinds <= self.cones and not self.refuses(problem)
+        return problem.cone_types <= self.cone_types and not self.unsupported_reason(problem)
 
-    def read(self, problem: Conic, tolerance: float) -> Session:
+    def open_session(self, problem: ConicProgram, tolerance: float) -> SolverSession:
         """Begin with a problem.
 
         Args:
@@ -74,24 +78,26 @@ class Adapter:
         Raises:
             ValueError: It is not installed, or does not know a cone of the problem or its form.
         """
-        if not self.installed:
-            raise ValueError(f"{self.name} is not installed; pip install {self.pip} would do")
-        if missing := ", ".join(sorted(problem.kinds - self.cones)):
+        if not self.is_installed:
+            raise ValueError(
+                f"{self.name} is not installed; pip install {self.pip_packages} would do"
+            )
+        if missing := ", ".join(sorted(problem.cone_types - self.cone_types)):
             raise ValueError(f"{self.name} cannot take {missing} cones")
-        if why := self.refuses(problem):
+        if why := self.unsupported_reason(problem):
             raise ValueError(f"{self.name} {why}")
-        return self.begin(problem, tolerance)
+        return self.session_factory(problem, tolerance)
 
 
-class Verdict(NamedTuple):
+class Verification(NamedTuple):
     """What is left of a claim."""
 
-    kind: Kind
-    answer: Answer | None  # where there is a point with duals
-    why: str
+    kind: Verified
+    solution: ConicSolution | None  # where there is a point with duals
+    reason: str
 
 
-def judge(problem: Conic, claim: Claim, tolerance: float) -> Verdict:
+def verify(problem: ConicProgram, claim: SolverResult, tolerance: float) -> Verification:
     """Recompute what a solver claims.
 
     *solved* is a point that has residuals and gap within the tolerance, even of a solver that
@@ -105,30 +111,30 @@ def judge(problem: Conic, claim: Claim, tolerance: float) -> Verdict:
         claim: What the solver says.
         tolerance: Of residuals and gap, relative.
     """
-    if claim.said == "infeasible":
+    if claim.status == "infeasible":
         if claim.y is None:
-            return Verdict("unproven", None, claim.words)
-        _, doubt = proof(problem, claim.y)
-        return Verdict("wrong claim" if doubt else "infeasible", None, doubt or claim.words)
+            return Verification("unproven", None, claim.message)
+        _, doubt = verify_ray(problem, claim.y)
+        return Verification("wrong claim" if doubt else "infeasible", None, doubt or claim.message)
     if claim.x is None or claim.y is None:
-        kind: Kind = "wrong claim" if claim.said == "solved" else "failed"
-        return Verdict(kind, None, f"{claim.words}, without a point or its duals")
-    answer = Answer.of(problem, claim.x, claim.y)
-    if answer.worst <= tolerance:
-        return Verdict("solved", answer, claim.words)
-    kind = "wrong claim" if claim.said == "solved" else "failed"
-    return Verdict(kind, answer, f"{claim.words}, off by {answer.worst:.1e}")
+        kind: Verified = "wrong claim" if claim.status == "solved" else "failed"
+        return Verification(kind, None, f"{claim.message}, without a point or its duals")
+    answer = ConicSolution.evaluate(problem, claim.x, claim.y)
+    if answer.max_residual <= tolerance:
+        return Verification("solved", answer, claim.message)
+    kind = "wrong claim" if claim.status == "solved" else "failed"
+    return Verification(kind, answer, f"{claim.message}, off by {answer.max_residual:.1e}")
 
 
-def answered(problem: Conic, claim: Claim, name: str) -> Answer:
+def to_solution(problem: ConicProgram, claim: SolverResult, name: str) -> ConicSolution:
     """The point of a claim, for `problems.conic.solve` to judge.
 
     Raises:
         Infeasible: The solver claims that there is none.
         Unsolved: It stopped without one.
     """
-    if claim.said == "infeasible":
-        raise Infeasible(problem, f"{name}: {claim.words}", claim.y)
+    if claim.status == "infeasible":
+        raise Infeasible(problem, f"{name}: {claim.message}", claim.y)
     if claim.x is None or claim.y is None:
-        raise Unsolved(problem, f"{name} stopped: {claim.words}")
-    return Answer.of(problem, claim.x, claim.y)
+        raise Unsolved(problem, f"{name} stopped: {claim.message}")
+    return ConicSolution.evaluate(problem, claim.x, claim.y)

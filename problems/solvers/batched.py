@@ -15,22 +15,24 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse import eye_array, vstack
 
-from problems.conic import Conic
-from problems.dual_simplex import EXACT, climb
-from problems.least_fuel import PIVOTS
-from problems.proof import ANSWERED, OUT_OF_REACH, UNPROVEN
-from problems.solvers.adapter import Adapter, Claim
-from problems.tableau import copy, desk, read
-from problems.whitening import Whitened
+from problems.certificates import INFEASIBLE, OPTIMAL, UNCERTIFIED
+from problems.conic import ConicProgram
+from problems.dual_simplex import PRIMAL_TOLERANCE, maximize_dual
+from problems.minimum_fuel import MAX_PIVOTS
+from problems.orthonormal_rows import OrthonormalRows
+from problems.solvers.adapter import SolverAdapter, SolverResult
+from problems.tableau import allocate_tableau, copy_prefix, extract_controls
 
-FORM = "takes only [C −C] z = b, 0 ≤ z ≤ 1, with independent rows, the two halves at one price > 0"
+SUPPORTED_FORM = (
+    "takes only [C −C] z = b, 0 ≤ z ≤ 1, with independent rows, the two halves at one price > 0"
+)
 
 
-def refuses(problem: Conic) -> str:
+def unsupported_reason(problem: ConicProgram) -> str:
     """Why it cannot take a problem, or nothing."""
     (_, n), zero = problem.A.shape, problem.zero
     if n % 2 or not 0 < zero <= n // 2 or problem.nonnegative != 2 * n:
-        return FORM
+        return SUPPORTED_FORM
     equations, box = problem.A[:zero].toarray(), vstack([eye_array(n), -eye_array(n)])
     C, opposite = np.hsplit(equations, 2)
     plus, minus = np.hsplit(problem.q, 2)
@@ -42,20 +44,22 @@ def refuses(problem: Conic) -> str:
         and np.array_equal(problem.b[zero:], np.repeat([1.0, 0.0], n))
         and np.linalg.matrix_rank(C) == zero
     )
-    return "" if fits else FORM
+    return "" if fits else SUPPORTED_FORM
 
 
-class LongSteps:
+class DualSimplexSession:
     """A programme whose equations are made square to each other once."""
 
-    def __init__(self, problem: Conic, tolerance: float) -> None:
+    def __init__(self, problem: ConicProgram, tolerance: float) -> None:
         """Read the problem. Answers are exact, whatever the tolerance."""
         n = len(problem.q)
         self._zero, self._w = problem.zero, problem.q[: n // 2].copy()
         self._bounds = problem.b[self._zero :]
-        self._white = Whitened.of(problem.A[: problem.zero].toarray()[:, : n // 2])
+        self._orthonormal = OrthonormalRows.from_matrix(
+            problem.A[: problem.zero].toarray()[:, : n // 2]
+        )
 
-    def solve(self, b: Float[Array, " m"]) -> Claim:
+    def solve(self, b: Float[Array, " m"]) -> SolverResult:
         """Solve with another right-hand side of the equations.
 
         Raises:
@@ -65,53 +69,55 @@ class LongSteps:
             raise ValueError("only the right-hand side of the equations may change")
         x, λ = np.empty(len(self._w)), np.empty(self._zero)
         began = perf_counter()
-        white, _ = self._white.ask(b[None, : self._zero], 1.0)
-        ended = _ask(self._white.rows, self._w, white[0], PIVOTS, x, λ)
+        white, _ = self._orthonormal.transform(b[None, : self._zero], 1.0)
+        ended = _solve(self._orthonormal.rows, self._w, white[0], MAX_PIVOTS, x, λ)
         seconds = perf_counter() - began
-        if ended == ANSWERED:
+        if ended == OPTIMAL:
             z = np.concatenate([np.maximum(x, 0), np.maximum(-x, 0)])
-            return Claim("solved", "optimal", z, self._duals(λ, self._w), None, seconds)
-        if ended == OUT_OF_REACH:
+            return SolverResult("solved", "optimal", z, self._duals(λ, self._w), None, seconds)
+        if ended == INFEASIBLE:
             ray = self._duals(λ, np.zeros_like(self._w))
-            return Claim("infeasible", "out of reach", None, ray, None, seconds)
-        return Claim("stopped", "too many pivots", seconds=seconds)
+            return SolverResult("infeasible", "out of reach", None, ray, None, seconds)
+        return SolverResult("stopped", "too many pivots", seconds=seconds)
 
     def _duals(self, λ: Float[Array, " r"], w: Float[Array, " N"]) -> Float[Array, " m"]:
-        along = self._white.rows.T @ λ
+        along = self._orthonormal.rows.T @ λ
         over = np.concatenate([along - w, -along - w])
-        equations = -np.linalg.solve(self._white.factor.T, λ)
+        equations = -np.linalg.solve(self._orthonormal.factor.T, λ)
         return np.concatenate([equations, np.maximum(over, 0), np.maximum(-over, 0)])
 
 
-def _kernel(stamp: int) -> Any:
+def _compile_kernel(stamp: int) -> Any:
     # The stamp makes Numba compile anew when a file changes that is compiled into this function.
     @numba.njit(cache=True, nogil=True, error_model="numpy")
     @no_type_check
     def ask(rows, w, b, pivots, x, λ):
         if stamp < 0:
-            return UNPROVEN
-        d = desk(rows, w, 0)
-        copy(d.b, b, len(b))
-        ended = climb(d, len(b), pivots, EXACT)
-        read(d, x)
-        copy(λ, d.ρ if ended == OUT_OF_REACH else d.λ, len(λ))
+            return UNCERTIFIED
+        d = allocate_tableau(rows, w, 0)
+        copy_prefix(d.b, b, len(b))
+        ended = maximize_dual(d, len(b), pivots, PRIMAL_TOLERANCE)
+        extract_controls(d, x)
+        copy_prefix(λ, d.ρ if ended == INFEASIBLE else d.λ, len(λ))
         return ended
 
     return ask
 
 
-FILES = ("dual_simplex", "proof", "tableau")
-_SOURCES = (Path(__file__).parents[1].joinpath(f"{name}.py").read_bytes() for name in FILES)
-_ask = _kernel(crc32(b"".join(_SOURCES)))
+KERNEL_FILES = ("certificates", "dual_simplex", "tableau")
+_KERNEL_SOURCES = (
+    Path(__file__).parents[1].joinpath(f"{name}.py").read_bytes() for name in KERNEL_FILES
+)
+_solve = _compile_kernel(crc32(b"".join(_KERNEL_SOURCES)))
 
 ADAPTERS = (
-    Adapter(
+    SolverAdapter(
         name="batched",
-        cones=frozenset({"linear"}),
-        proves=True,
+        cone_types=frozenset({"linear"}),
+        certifies_infeasibility=True,
         module="problems",
-        pip="sato",
-        begin=LongSteps,
-        refuses=refuses,
+        pip_packages="sato",
+        session_factory=DualSimplexSession,
+        unsupported_reason=unsupported_reason,
     ),
 )

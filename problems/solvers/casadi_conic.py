@@ -17,18 +17,18 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from problems.conic import Conic
-from problems.solvers.adapter import Adapter, Claim, Said
-from problems.solvers.rows import lower
+from problems.conic import ConicProgram
+from problems.solvers.adapter import SolverAdapter, SolverResult, Status
+from problems.solvers.rows import lower_bounds
 
-ITERATIONS = 100_000  # at most
+MAX_ITERATIONS = 100_000  # at most
 QUIET = {"print_header": False, "print_info": False, "print_iter": False}
 
 # What each is told, for a tolerance.
 OPTIONS: dict[str, Callable[[float], dict[str, Any]]] = {
     "cbc": lambda tolerance: {"cbc": {"logLevel": 0}},
     # Without a proximal term it does not begin with a cost that is linear.
-    "daqp": lambda tolerance: {"daqp": {"eps_prox": 1e-3, "iter_limit": ITERATIONS}},
+    "daqp": lambda tolerance: {"daqp": {"eps_prox": 1e-3, "iter_limit": MAX_ITERATIONS}},
     # Its own factorisation stops at zeros on the diagonal, with NaN.
     "ipqp": lambda tolerance: {
         "constr_viol_tol": tolerance,
@@ -40,7 +40,7 @@ OPTIONS: dict[str, Callable[[float], dict[str, Any]]] = {
         "osqp": {
             "eps_abs": tolerance,
             "eps_rel": tolerance,
-            "max_iter": ITERATIONS,
+            "max_iter": MAX_ITERATIONS,
             "polish": True,
             "verbose": False,
         }
@@ -53,15 +53,15 @@ OPTIONS: dict[str, Callable[[float], dict[str, Any]]] = {
         "terminationTolerance": tolerance,
     },
     "superscs": lambda tolerance: {
-        "superscs": {"eps": tolerance, "max_iters": ITERATIONS, "verbose": 0}
+        "superscs": {"eps": tolerance, "max_iters": MAX_ITERATIONS, "verbose": 0}
     },
 }
 
 
-class Plugin:
+class CasadiConicSession:
     """A function of CasADi, built once, that reads and writes the same memory at every call."""
 
-    def __init__(self, plugin: str, problem: Conic, tolerance: float) -> None:
+    def __init__(self, plugin: str, problem: ConicProgram, tolerance: float) -> None:
         """Read the problem."""
         n, m, A = len(problem.q), len(problem.b), casadi.DM(problem.A)
         self._solver: Any = casadi.conic(
@@ -88,9 +88,9 @@ class Plugin:
         for name, values in (("x", self._x), ("lam_a", self._y)):
             self._buffer.set_res(self._solver.index_out(name), values.data)
 
-    def solve(self, b: Float[Array, " m"]) -> Claim:
+    def solve(self, b: Float[Array, " m"]) -> SolverResult:
         """Solve with another right-hand side."""
-        self._lower[:], self._upper[:] = lower(b, self._zero), b
+        self._lower[:], self._upper[:] = lower_bounds(b, self._zero), b
         began = perf_counter()
         self._run()
         stats = self._buffer.stats()
@@ -99,19 +99,19 @@ class Plugin:
         counted = stats.get("iter_count", -1)
         steps = counted if counted > 0 else None
         if "infeasib" in words.lower() and "dual" not in words.lower():
-            return Claim("infeasible", words, None, None, steps, seconds)
-        said: Said = "solved" if stats["success"] else "stopped"
-        return Claim(said, words, self._x.copy(), self._y.copy(), steps, seconds)
+            return SolverResult("infeasible", words, None, None, steps, seconds)
+        said: Status = "solved" if stats["success"] else "stopped"
+        return SolverResult(said, words, self._x.copy(), self._y.copy(), steps, seconds)
 
 
 ADAPTERS = tuple(
-    Adapter(
+    SolverAdapter(
         name=f"casadi-{plugin}",
-        cones=frozenset({"linear"}),
-        proves=False,
+        cone_types=frozenset({"linear"}),
+        certifies_infeasibility=False,
         module="casadi",
-        pip="casadi",
-        begin=partial(Plugin, plugin),
+        pip_packages="casadi",
+        session_factory=partial(CasadiConicSession, plugin),
     )
     for plugin in OPTIONS
     if casadi.has_conic(plugin)

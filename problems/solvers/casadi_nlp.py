@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from problems.conic import Conic
-from problems.solvers.adapter import Adapter, Claim, Said
+from problems.conic import ConicProgram
+from problems.solvers.adapter import SolverAdapter, SolverResult, Status
 
 # What each is told, for a tolerance.
 OPTIONS: dict[str, Callable[[float], dict[str, Any]]] = {
@@ -31,7 +31,7 @@ OPTIONS: dict[str, Callable[[float], dict[str, Any]]] = {
 }
 
 
-class Smooth:
+class CasadiNlpSession:
     """A function of CasADi, built once, with b as its parameter.
 
     A cone (t, y) is t ≥ √(‖y‖² + ε²), which is smooth at its tip, inside of the cone, and
@@ -39,13 +39,13 @@ class Smooth:
     of the inequalities: μ (1, −y / √(‖y‖² + ε²)) where μ is that of a cone.
     """
 
-    def __init__(self, plugin: str, problem: Conic, tolerance: float) -> None:
+    def __init__(self, plugin: str, problem: ConicProgram, tolerance: float) -> None:
         """Read the problem."""
         x, b = casadi.MX.sym("x", len(problem.q)), casadi.MX.sym("b", len(problem.b))
         s = b - casadi.DM(problem.A) @ x
         start = problem.zero + problem.nonnegative
         rows = [s[:start]]
-        for size in problem.cones:
+        for size in problem.soc_sizes:
             y = s[start + 1 : start + size]
             rows.append(s[start] - casadi.sqrt(casadi.sumsqr(y) + (tolerance / 10) ** 2))
             start += size
@@ -60,7 +60,7 @@ class Smooth:
             {"error_on_fail": False, "print_time": False, **OPTIONS[plugin](tolerance / 10)},
         )
 
-    def solve(self, b: Float[Array, " m"]) -> Claim:
+    def solve(self, b: Float[Array, " m"]) -> SolverResult:
         """Solve with another right-hand side, from zero."""
         began = perf_counter()
         found = self._solver(p=b, lbg=0, ubg=self._upper)
@@ -69,19 +69,19 @@ class Smooth:
         seconds = perf_counter() - began
         words, steps = stats["return_status"], stats["iter_count"]
         if words == "Infeasible_Problem_Detected":
-            return Claim("infeasible", words, None, None, steps, seconds)
-        said: Said = "solved" if stats["success"] else "stopped"
-        return Claim(said, words, x.ravel(), y.ravel(), steps, seconds)
+            return SolverResult("infeasible", words, None, None, steps, seconds)
+        said: Status = "solved" if stats["success"] else "stopped"
+        return SolverResult(said, words, x.ravel(), y.ravel(), steps, seconds)
 
 
 ADAPTERS = tuple(
-    Adapter(
+    SolverAdapter(
         name=f"casadi-{plugin}",
-        cones=frozenset({"linear", "second-order"}),
-        proves=False,
+        cone_types=frozenset({"linear", "second-order"}),
+        certifies_infeasibility=False,
         module="casadi",
-        pip="casadi",
-        begin=partial(Smooth, plugin),
+        pip_packages="casadi",
+        session_factory=partial(CasadiNlpSession, plugin),
     )
     for plugin in OPTIONS
     if casadi.has_nlpsol(plugin)

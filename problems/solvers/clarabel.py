@@ -8,40 +8,40 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse import csc_array
 
-from problems.conic import Answer, Conic
-from problems.solvers.adapter import Adapter, Claim, Said, answered
+from problems.conic import ConicProgram, ConicSolution
+from problems.solvers.adapter import SolverAdapter, SolverResult, Status, to_solution
 
-TIGHT = 1e-8  # what the toolkit asks for, well below what it judges by
+DEFAULT_TOLERANCE = 1e-8  # what the toolkit asks for, well below what it judges by
 # Ends that come with a point. Whether it is an answer is judged by its residuals.
-WITH_A_POINT = ("AlmostSolved", "InsufficientProgress")
+INEXACT_STATUSES = ("AlmostSolved", "InsufficientProgress")
 
 
-def solve_clarabel(problem: Conic) -> Answer:
+def solve_clarabel(problem: ConicProgram) -> ConicSolution:
     """Solve with Clarabel.
 
     Raises:
         Infeasible: Clarabel proved that no point satisfies every constraint.
         Unsolved: It stopped for another reason.
     """
-    solver = _solver(problem, _settings(TIGHT))
-    return answered(problem, _claim(solver, perf_counter()), "Clarabel")
+    solver = _setup(problem, _settings(DEFAULT_TOLERANCE))
+    return to_solution(problem, _run(solver, perf_counter()), "Clarabel")
 
 
-class Again:
+class ClarabelSession:
     """Solve with Clarabel, over and over with another right-hand side.
 
     What it needs to begin is kept; an answer does not depend on those before it. One
     thread at a time.
     """
 
-    def __init__(self, first: Conic, tolerance: float = TIGHT) -> None:
+    def __init__(self, first: ConicProgram, tolerance: float = DEFAULT_TOLERANCE) -> None:
         """Keep what all the problems share."""
         settings = _settings(tolerance)
         settings.presolve_enable = False  # it would drop rows, and data could not be updated
         self._first, self._b = first, first.b.copy()
-        self._solver = _solver(first, settings)
+        self._solver = _setup(first, settings)
 
-    def __call__(self, problem: Conic) -> Answer:
+    def __call__(self, problem: ConicProgram) -> ConicSolution:
         """Solve with the right-hand side of this problem, the rest being that of the first.
 
         Raises:
@@ -51,35 +51,35 @@ class Again:
         """
         if problem.A is not self._first.A or problem.q is not self._first.q:
             raise ValueError("only b may differ from the problem that came first")
-        return answered(problem, self.solve(problem.b), "Clarabel")
+        return to_solution(problem, self.solve(problem.b), "Clarabel")
 
-    def solve(self, b: Float[Array, " m"]) -> Claim:
+    def solve(self, b: Float[Array, " m"]) -> SolverResult:
         """Solve with another right-hand side, and say what comes of it."""
         began = perf_counter()
         if not np.array_equal(b, self._b):
             self._solver.update(b=b)
             self._b = b.copy()
-        return _claim(self._solver, began)
+        return _run(self._solver, began)
 
 
-def _claim(solver: clarabel.DefaultSolver, began: float) -> Claim:
+def _run(solver: clarabel.DefaultSolver, began: float) -> SolverResult:
     solution = solver.solve()
     words, steps = str(solution.status), solution.iterations
     x, z = solution.x, solution.z  # lists, made at every reading
     seconds = perf_counter() - began
     if words in ("PrimalInfeasible", "AlmostPrimalInfeasible"):
-        return Claim("infeasible", words, None, np.array(z), steps, seconds)
-    if words != "Solved" and words not in WITH_A_POINT:
-        return Claim("stopped", words, iterations=steps, seconds=seconds)
-    said: Said = "solved" if words == "Solved" else "stopped"
-    return Claim(said, words, np.array(x), np.array(z), steps, seconds)
+        return SolverResult("infeasible", words, None, np.array(z), steps, seconds)
+    if words != "Solved" and words not in INEXACT_STATUSES:
+        return SolverResult("stopped", words, iterations=steps, seconds=seconds)
+    said: Status = "solved" if words == "Solved" else "stopped"
+    return SolverResult(said, words, np.array(x), np.array(z), steps, seconds)
 
 
-def _solver(problem: Conic, settings: clarabel.DefaultSettings) -> clarabel.DefaultSolver:
+def _setup(problem: ConicProgram, settings: clarabel.DefaultSettings) -> clarabel.DefaultSolver:
     n = len(problem.q)
     cones = [clarabel.ZeroConeT(problem.zero), clarabel.NonnegativeConeT(problem.nonnegative)]
-    cones += [clarabel.SecondOrderConeT(size) for size in problem.cones]
-    cones += [clarabel.PSDTriangleConeT(order) for order in problem.matrices]
+    cones += [clarabel.SecondOrderConeT(size) for size in problem.soc_sizes]
+    cones += [clarabel.PSDTriangleConeT(order) for order in problem.psd_orders]
     return clarabel.DefaultSolver(
         csc_array((n, n)), problem.q, problem.A, problem.b, cones, settings
     )
@@ -95,12 +95,12 @@ def _settings(tolerance: float) -> clarabel.DefaultSettings:
 
 
 ADAPTERS = (
-    Adapter(
+    SolverAdapter(
         name="clarabel",
-        cones=frozenset({"linear", "second-order", "semidefinite"}),
-        proves=True,
+        cone_types=frozenset({"linear", "second-order", "semidefinite"}),
+        certifies_infeasibility=True,
         module="clarabel",
-        pip="clarabel",
-        begin=Again,
+        pip_packages="clarabel",
+        session_factory=ClarabelSession,
     ),
 )

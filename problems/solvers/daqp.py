@@ -7,63 +7,65 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from problems.conic import Conic
-from problems.solvers.adapter import Adapter, Claim
-from problems.solvers.rows import lower
+from problems.conic import ConicProgram
+from problems.solvers.adapter import SolverAdapter, SolverResult
+from problems.solvers.rows import lower_bounds
 
-ENDLESS = 1e30  # what it takes for infinite
-EQUATION, INEQUALITY = 5, 0  # the sense of a row
-ITERATIONS = 100_000  # at most
-ENDS = {1: "optimal", 2: "soft optimal", -1: "infeasible", -2: "cycling", -3: "unbounded",
+INFINITY = 1e30  # what it takes for infinite
+EQUALITY, INEQUALITY = 5, 0  # the sense of a row
+MAX_ITERATIONS = 100_000  # at most
+EXIT_FLAGS = {1: "optimal", 2: "soft optimal", -1: "infeasible", -2: "cycling", -3: "unbounded",
         -4: "iteration limit", -5: "nonconvex", -6: "overdetermined initial set"}  # fmt: skip
 
 
-class ActiveSet:
+class DaqpSession:
     """A problem that is set up once. Where there is no point it keeps no proof."""
 
-    def __init__(self, problem: Conic, tolerance: float) -> None:
+    def __init__(self, problem: ConicProgram, tolerance: float) -> None:
         """Read the problem."""
         import daqp
 
         self._zero, n = problem.zero, len(problem.q)
         sense = np.full(len(problem.b), INEQUALITY, dtype=np.intc)
-        sense[: self._zero] = EQUATION
+        sense[: self._zero] = EQUALITY
         self._solver: Any = daqp.Model()
         self._solver.settings = {
             "primal_tol": tolerance / 10,
             "dual_tol": tolerance / 10,
-            "iter_limit": ITERATIONS,
+            "iter_limit": MAX_ITERATIONS,
         }
         self._solver.setup(
             np.zeros((n, n)),
             problem.q,
             problem.A.toarray(),
             problem.b,
-            lower(problem.b, self._zero, ENDLESS),
+            lower_bounds(problem.b, self._zero, INFINITY),
             sense,
         )
 
-    def solve(self, b: Float[Array, " m"]) -> Claim:
+    def solve(self, b: Float[Array, " m"]) -> SolverResult:
         """Solve with another right-hand side."""
-        below = lower(b, self._zero, ENDLESS)
+        below = lower_bounds(b, self._zero, INFINITY)
         began = perf_counter()
         self._solver.update(bupper=b, blower=below)
         x, _, flag, info = self._solver.solve()
         seconds = perf_counter() - began
-        words, steps = ENDS.get(flag, f"exit flag {flag}"), info["iterations"]
+        words, steps = EXIT_FLAGS.get(flag, f"exit flag {flag}"), info["iterations"]
         y = np.array(info["lam"])
         if flag == -1:
-            return Claim("infeasible", words, None, None, steps, seconds)
-        return Claim("solved" if flag == 1 else "stopped", words, np.array(x), y, steps, seconds)
+            return SolverResult("infeasible", words, None, None, steps, seconds)
+        return SolverResult(
+            "solved" if flag == 1 else "stopped", words, np.array(x), y, steps, seconds
+        )
 
 
 ADAPTERS = (
-    Adapter(
+    SolverAdapter(
         name="daqp",
-        cones=frozenset({"linear"}),
-        proves=False,
+        cone_types=frozenset({"linear"}),
+        certifies_infeasibility=False,
         module="daqp",
-        pip="daqp",
-        begin=ActiveSet,
+        pip_packages="daqp",
+        session_factory=DaqpSession,
     ),
 )

@@ -7,26 +7,26 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from problems.conic import Conic
-from problems.solvers.adapter import Adapter, Claim, Said
-from problems.solvers.rows import parts
+from problems.conic import ConicProgram
+from problems.solvers.adapter import SolverAdapter, SolverResult, Status
+from problems.solvers.rows import split_equalities
 
-SOLVED, INFEASIBLE, NEARLY = 0, 1, 10  # exit flags; nearly is added to what holds loosely
+SOLVED, INFEASIBLE, INACCURATE = 0, 1, 10  # exit flags; nearly is added to what holds loosely
 
 
-class Anew:
+class EcosSession:
     """A problem that is set up at every solve, which is all that the library offers."""
 
-    def __init__(self, problem: Conic, tolerance: float) -> None:
+    def __init__(self, problem: ConicProgram, tolerance: float) -> None:
         """Keep the problem in the words of the library."""
         import ecos
 
         self._solve, self._q, self._zero = ecos.solve, problem.q, problem.zero
-        self._equal, self._other = parts(problem)
-        self._cones = {"l": problem.nonnegative, "q": list(problem.cones)}
+        self._equal, self._other = split_equalities(problem)
+        self._cones = {"l": problem.nonnegative, "q": list(problem.soc_sizes)}
         self._within = dict.fromkeys(("feastol", "abstol", "reltol"), tolerance / 10)
 
-    def solve(self, b: Float[Array, " m"]) -> Claim:
+    def solve(self, b: Float[Array, " m"]) -> SolverResult:
         """Solve with another right-hand side, anew."""
         equations: dict[str, Any] = {}
         if self._zero:
@@ -40,19 +40,19 @@ class Anew:
         info = result["info"]
         words, flag, steps = info["infostring"], info["exitFlag"], info["iter"]
         y = np.concatenate([np.zeros(0) if not self._zero else result["y"], result["z"]])
-        if flag in (INFEASIBLE, INFEASIBLE + NEARLY):
-            return Claim("infeasible", words, None, y, steps, seconds)
-        said: Said = "solved" if flag == SOLVED else "stopped"
-        return Claim(said, words, np.array(result["x"]), y, steps, seconds)
+        if flag in (INFEASIBLE, INFEASIBLE + INACCURATE):
+            return SolverResult("infeasible", words, None, y, steps, seconds)
+        said: Status = "solved" if flag == SOLVED else "stopped"
+        return SolverResult(said, words, np.array(result["x"]), y, steps, seconds)
 
 
 ADAPTERS = (
-    Adapter(
+    SolverAdapter(
         name="ecos",
-        cones=frozenset({"linear", "second-order"}),
-        proves=True,
+        cone_types=frozenset({"linear", "second-order"}),
+        certifies_infeasibility=True,
         module="ecos",
-        pip="ecos",
-        begin=Anew,
+        pip_packages="ecos",
+        session_factory=EcosSession,
     ),
 )

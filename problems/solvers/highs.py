@@ -7,14 +7,14 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from problems.conic import Answer, Conic
-from problems.solvers.adapter import Adapter, Claim, answered
+from problems.conic import ConicProgram, ConicSolution
+from problems.solvers.adapter import SolverAdapter, SolverResult, to_solution
 
-FINEST = 1e-10  # the smallest tolerance that HiGHS takes
-TIGHT = 1e-6
+MIN_TOLERANCE = 1e-10  # the smallest tolerance that HiGHS takes
+DEFAULT_TOLERANCE = 1e-6
 
 
-def solve_highs(problem: Conic) -> Answer:
+def solve_highs(problem: ConicProgram) -> ConicSolution:
     """Solve with HiGHS.
 
     Raises:
@@ -22,35 +22,35 @@ def solve_highs(problem: Conic) -> Answer:
         Infeasible: HiGHS proved that no point satisfies every constraint.
         Unsolved: It stopped for another reason.
     """
-    if others := sorted(problem.kinds - {"linear"}):
+    if others := sorted(problem.cone_types - {"linear"}):
         raise ValueError(f"HiGHS solves linear programmes; this one has {others[0]} cones")
-    return answered(problem, Simplex(problem, TIGHT).solve(problem.b), "HiGHS")
+    return to_solution(problem, HighsSession(problem, DEFAULT_TOLERANCE).solve(problem.b), "HiGHS")
 
 
-class Simplex:
+class HighsSession:
     """A model that is kept, with its basis, for other right-hand sides."""
 
-    def __init__(self, problem: Conic, tolerance: float) -> None:
+    def __init__(self, problem: ConicProgram, tolerance: float) -> None:
         """Read the problem."""
         self._zero, self._solver = problem.zero, highspy.Highs()
         for option, value in (
             ("output_flag", False),
             ("threads", 1),
-            ("primal_feasibility_tolerance", max(tolerance / 10, FINEST)),
-            ("dual_feasibility_tolerance", max(tolerance / 10, FINEST)),
+            ("primal_feasibility_tolerance", max(tolerance / 10, MIN_TOLERANCE)),
+            ("dual_feasibility_tolerance", max(tolerance / 10, MIN_TOLERANCE)),
         ):
             self._solver.setOptionValue(option, value)
         self._solver.passModel(_model(problem))
         self._rows = np.arange(len(problem.b), dtype=np.int32)
 
-    def solve(self, b: Float[Array, " m"]) -> Claim:
+    def solve(self, b: Float[Array, " m"]) -> SolverResult:
         """Solve with another right-hand side, from the last basis."""
-        lower = _lower(b, self._zero)
+        lower = _lower_bounds(b, self._zero)
         began = perf_counter()
         self._solver.changeRowsBounds(len(b), self._rows, lower, b)
         self._solver.run()
         if self._solver.getModelStatus() == highspy.HighsModelStatus.kUnboundedOrInfeasible:
-            self._again()  # presolve did not say which
+            self._rerun_without_presolve()  # presolve did not say which
         status = self._solver.getModelStatus()
         ray = self._ray() if status == highspy.HighsModelStatus.kInfeasible else None
         words = self._solver.modelStatusToString(status)
@@ -59,32 +59,32 @@ class Simplex:
         x, y = point.col_value, point.row_dual  # lists, made at every reading
         seconds = perf_counter() - began
         if status == highspy.HighsModelStatus.kInfeasible:
-            return Claim("infeasible", words, None, ray, iterations, seconds)
+            return SolverResult("infeasible", words, None, ray, iterations, seconds)
         if status != highspy.HighsModelStatus.kOptimal:
-            return Claim("stopped", words, iterations=iterations, seconds=seconds)
-        return Claim("solved", words, np.array(x), -np.array(y), iterations, seconds)
+            return SolverResult("stopped", words, iterations=iterations, seconds=seconds)
+        return SolverResult("solved", words, np.array(x), -np.array(y), iterations, seconds)
 
     def _ray(self) -> Array | None:
         _, found, ray = self._solver.getDualRay()
         if not found:  # presolve found out, and keeps no proof
-            self._again()
+            self._rerun_without_presolve()
             _, found, ray = self._solver.getDualRay()
         return -np.array(ray) if found else None
 
-    def _again(self) -> None:
+    def _rerun_without_presolve(self) -> None:
         self._solver.setOptionValue("presolve", "off")
         self._solver.clearSolver()
         self._solver.run()
         self._solver.setOptionValue("presolve", "choose")
 
 
-def _lower(b: Array, zero: int) -> Array:
+def _lower_bounds(b: Array, zero: int) -> Array:
     lower = b.copy()
     lower[zero:] = -highspy.kHighsInf
     return lower
 
 
-def _model(problem: Conic) -> highspy.HighsLp:
+def _model(problem: ConicProgram) -> highspy.HighsLp:
     rows, columns = problem.A.shape
     model = highspy.HighsLp()
     model.num_row_, model.num_col_ = rows, columns
@@ -92,7 +92,7 @@ def _model(problem: Conic) -> highspy.HighsLp:
     model.col_lower_ = np.full(columns, -highspy.kHighsInf)
     model.col_upper_ = np.full(columns, highspy.kHighsInf)
     model.row_upper_ = problem.b
-    model.row_lower_ = _lower(problem.b, problem.zero)
+    model.row_lower_ = _lower_bounds(problem.b, problem.zero)
     model.a_matrix_.format_ = highspy.MatrixFormat.kColwise
     model.a_matrix_.start_ = problem.A.indptr
     model.a_matrix_.index_ = problem.A.indices
@@ -101,12 +101,12 @@ def _model(problem: Conic) -> highspy.HighsLp:
 
 
 ADAPTERS = (
-    Adapter(
+    SolverAdapter(
         name="highs",
-        cones=frozenset({"linear"}),
-        proves=True,
+        cone_types=frozenset({"linear"}),
+        certifies_infeasibility=True,
         module="highspy",
-        pip="highspy",
-        begin=Simplex,
+        pip_packages="highspy",
+        session_factory=HighsSession,
     ),
 )

@@ -8,15 +8,15 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse import csc_matrix
 
-from problems.conic import Conic
-from problems.solvers.adapter import Adapter, Claim, Said
-from problems.solvers.rows import nothing, parts
+from problems.conic import ConicProgram
+from problems.solvers.adapter import SolverAdapter, SolverResult, Status
+from problems.solvers.rows import split_equalities, zero_hessian
 
 
-class Proximal:
+class PiqpSession:
     """A problem that is set up once."""
 
-    def __init__(self, problem: Conic, tolerance: float) -> None:
+    def __init__(self, problem: ConicProgram, tolerance: float) -> None:
         """Read the problem."""
         import piqp
 
@@ -25,9 +25,9 @@ class Proximal:
         settings = self._solver.settings
         settings.eps_abs = settings.eps_rel = tolerance / 10
         settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = tolerance / 10
-        equal, other = parts(problem)
+        equal, other = split_equalities(problem)
         self._solver.setup(
-            csc_matrix(nothing(problem)),
+            csc_matrix(zero_hessian(problem)),
             problem.q,
             A=equal,
             b=problem.b[: self._zero],
@@ -35,7 +35,7 @@ class Proximal:
             h_u=problem.b[self._zero :],
         )
 
-    def solve(self, b: Float[Array, " m"]) -> Claim:
+    def solve(self, b: Float[Array, " m"]) -> SolverResult:
         """Solve with another right-hand side."""
         began = perf_counter()
         self._solver.update(b=b[: self._zero], h_u=b[self._zero :])
@@ -45,18 +45,18 @@ class Proximal:
         seconds = perf_counter() - began
         x, y = np.array(point), np.concatenate([equal, other])
         if status == self._status.PIQP_PRIMAL_INFEASIBLE:
-            return Claim("infeasible", words, None, y, steps, seconds)
-        said: Said = "solved" if status == self._status.PIQP_SOLVED else "stopped"
-        return Claim(said, words, x, y, steps, seconds)
+            return SolverResult("infeasible", words, None, y, steps, seconds)
+        said: Status = "solved" if status == self._status.PIQP_SOLVED else "stopped"
+        return SolverResult(said, words, x, y, steps, seconds)
 
 
 ADAPTERS = (
-    Adapter(
+    SolverAdapter(
         name="piqp",
-        cones=frozenset({"linear"}),
-        proves=True,
+        cone_types=frozenset({"linear"}),
+        certifies_infeasibility=True,
         module="piqp",
-        pip="piqp",
-        begin=Proximal,
+        pip_packages="piqp",
+        session_factory=PiqpSession,
     ),
 )

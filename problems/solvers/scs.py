@@ -8,37 +8,37 @@ from jaxtyping import Float, Int
 from numpy import ndarray as Array
 from scipy.sparse import csc_array
 
-from problems.conic import Conic
-from problems.solvers.adapter import Adapter, Claim, Said
+from problems.conic import ConicProgram
+from problems.solvers.adapter import SolverAdapter, SolverResult, Status
 
-ITERATIONS = 100_000  # at most
+MAX_ITERATIONS = 100_000  # at most
 
 
-class Embedding:
+class ScsSession:
     """A problem that is set up once; each answer is where the next begins."""
 
-    def __init__(self, problem: Conic, tolerance: float) -> None:
+    def __init__(self, problem: ConicProgram, tolerance: float) -> None:
         """Read the problem."""
         import scs
 
-        self._order, self._status = _order(problem), scs
+        self._order, self._status = _row_order(problem), scs
         self._solver: Any = scs.SCS(
             {"A": csc_array(problem.A[self._order]), "b": problem.b[self._order], "c": problem.q},
             {
                 "z": problem.zero,
                 "l": problem.nonnegative,
-                "q": list(problem.cones),
-                "s": list(problem.matrices),
+                "q": list(problem.soc_sizes),
+                "s": list(problem.psd_orders),
             },
             eps_abs=tolerance / 10,
             eps_rel=tolerance / 10,
             eps_infeas=tolerance / 10,
-            max_iters=ITERATIONS,
+            max_iters=MAX_ITERATIONS,
             verbose=False,
             linear_solver="qdldl",  # of one thread, and the same on every machine
         )
 
-    def solve(self, b: Float[Array, " m"]) -> Claim:
+    def solve(self, b: Float[Array, " m"]) -> SolverResult:
         """Solve with another right-hand side, from the last answer."""
         ordered = b[self._order]
         began = perf_counter()
@@ -50,18 +50,18 @@ class Embedding:
         y = np.empty(len(b))
         y[self._order] = result["y"]
         if status == self._status.INFEASIBLE:
-            return Claim("infeasible", words, None, y, steps, seconds)
+            return SolverResult("infeasible", words, None, y, steps, seconds)
         if not np.isfinite(result["x"]).all():
-            return Claim("stopped", words, iterations=steps, seconds=seconds)
-        said: Said = "solved" if status == self._status.SOLVED else "stopped"
-        return Claim(said, words, np.array(result["x"]), y, steps, seconds)
+            return SolverResult("stopped", words, iterations=steps, seconds=seconds)
+        said: Status = "solved" if status == self._status.SOLVED else "stopped"
+        return SolverResult(said, words, np.array(result["x"]), y, steps, seconds)
 
 
-def _order(problem: Conic) -> Int[Array, " m"]:
+def _row_order(problem: ConicProgram) -> Int[Array, " m"]:
     """Which of our rows stands where SCS wants one: it reads the lower triangles of matrices."""
-    start = problem.zero + problem.nonnegative + sum(problem.cones)
+    start = problem.zero + problem.nonnegative + sum(problem.soc_sizes)
     rows = [np.arange(start)]
-    for n in problem.matrices:
+    for n in problem.psd_orders:
         column, row = np.triu_indices(n)  # of a lower triangle, column by column
         rows.append(start + row * (row + 1) // 2 + column)
         start += n * (n + 1) // 2
@@ -69,12 +69,12 @@ def _order(problem: Conic) -> Int[Array, " m"]:
 
 
 ADAPTERS = (
-    Adapter(
+    SolverAdapter(
         name="scs",
-        cones=frozenset({"linear", "second-order", "semidefinite"}),
-        proves=True,
+        cone_types=frozenset({"linear", "second-order", "semidefinite"}),
+        certifies_infeasibility=True,
         module="scs",
-        pip="scs",
-        begin=Embedding,
+        pip_packages="scs",
+        session_factory=ScsSession,
     ),
 )

@@ -32,10 +32,12 @@ class Report:
         """Everything as plain values, fit for JSON."""
         return {
             "kept": self.kept,
-            "promises": [{k: _plain(v) for k, v in p._asdict().items()} for p in self.promises],
+            "promises": [
+                {k: _nan_to_none(v) for k, v in p._asdict().items()} for p in self.promises
+            ],
             "summary": self.summary,
         }
 
 
-def _plain(value: Any) -> Any:
+def _nan_to_none(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value

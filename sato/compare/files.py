@@ -8,10 +8,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from sato.compare.measure import Measurement
-from sato.compare.worker import Outcome
+from sato.compare.worker import SolveOutcome
 
-MEASUREMENTS, MACHINE = "measurements.csv", "machine.json"
-OF_AN_OUTCOME = (
+MEASUREMENTS_FILE, MACHINE_FILE = "measurements.csv", "machine.json"
+OUTCOME_COLUMNS = (
     "verdict",
     "why",
     "s",
@@ -29,13 +29,13 @@ COLUMNS = (
     "tolerance",
     "feasible",
     "right",
-    *(f"first_{name}" for name in OF_AN_OUTCOME),
-    *(f"again_{name}" for name in OF_AN_OUTCOME),
+    *(f"first_{name}" for name in OUTCOME_COLUMNS),
+    *(f"again_{name}" for name in OUTCOME_COLUMNS),
     "memory_mib",
 )
 
 
-def write(
+def write_comparison(
     measurements: Sequence[Measurement], machine: Mapping[str, object], folder: Path
 ) -> list[Path]:
     """Write everything, or nothing.
@@ -48,18 +48,22 @@ def write(
     Returns:
         The files.
     """
-    from sato.plots.compare import draw
+    from sato.compare.figures import draw_comparison
 
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".saving-", dir=folder) as name:
         workshop = Path(name)
-        with open(workshop / MEASUREMENTS, "w", newline="", encoding="utf-8") as file:
+        with open(workshop / MEASUREMENTS_FILE, "w", newline="", encoding="utf-8") as file:
             lines = csv.writer(file)
             lines.writerow(COLUMNS)
             lines.writerows(_rows(measurements))
         text = json.dumps(machine, indent=2, ensure_ascii=False)
-        (workshop / MACHINE).write_text(text + "\n", encoding="utf-8")
-        made = [workshop / MEASUREMENTS, workshop / MACHINE, *draw(measurements, workshop)]
+        (workshop / MACHINE_FILE).write_text(text + "\n", encoding="utf-8")
+        made = [
+            workshop / MEASUREMENTS_FILE,
+            workshop / MACHINE_FILE,
+            *draw_comparison(measurements, workshop),
+        ]
         for path in made:
             os.replace(path, folder / path.name)
     return [folder / path.name for path in made]
@@ -73,17 +77,21 @@ def _rows(measurements: Iterable[Measurement]) -> Iterable[list[object]]:
             m.size,
             m.instance.name,
             m.tolerance,
-            m.instance.feasible,
-            m.right,
-            *_cells(m.first),
-            *(_cells(m.again) if m.again else [""] * len(OF_AN_OUTCOME)),
-            _number(m.memory),
+            m.instance.is_feasible,
+            m.is_correct,
+            *_outcome_cells(m.first),
+            *(_outcome_cells(m.second) if m.second else [""] * len(OUTCOME_COLUMNS)),
+            _blank_if_nan(m.memory_growth),
         ]
 
 
-def _cells(outcome: Outcome) -> list[object]:
-    return [outcome.verdict, " ".join(outcome.why.split()), *(_number(n) for n in outcome[2:])]
+def _outcome_cells(outcome: SolveOutcome) -> list[object]:
+    return [
+        outcome.verdict,
+        " ".join(outcome.reason.split()),
+        *(_blank_if_nan(n) for n in outcome[2:]),
+    ]
 
 
-def _number(number: float | int | None) -> object:
+def _blank_if_nan(number: float | int | None) -> object:
     return "" if number is None or number != number else number

@@ -7,40 +7,43 @@ from collections.abc import Iterable
 from importlib.metadata import PackageNotFoundError, packages_distributions, version
 from pathlib import Path
 
-from problems.solvers.adapter import Adapter
+from problems.solvers.adapter import SolverAdapter
 
-CPUS = Path("/proc/cpuinfo")
-PACKAGE = re.compile(r"^[\w.-]+")  # in what pip is told: a name, without versions and extras
-OURS = ("sato", "numpy", "scipy")
+CPUINFO = Path("/proc/cpuinfo")
+PACKAGE_NAME = re.compile(r"^[\w.-]+")  # in what pip is told: a name, without versions and extras
+OWN_PACKAGES = ("sato", "numpy", "scipy")
 
 
-def machine(solvers: Iterable[Adapter]) -> dict[str, object]:
+def describe_machine(solvers: Iterable[SolverAdapter]) -> dict[str, object]:
     """Processor, cores, Python, and the versions of the solvers' libraries."""
     return {
-        "processor": _processor(),
+        "processor": _processor_name(),
         "cores": os.cpu_count(),
         "threads_per_solver": 1,
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
-        "versions": _versions(list(solvers)),
+        "versions": _package_versions(list(solvers)),
     }
 
 
-def _processor() -> str:
-    if CPUS.is_file():
-        for line in CPUS.read_text(errors="replace").split("\n"):
+def _processor_name() -> str:
+    if CPUINFO.is_file():
+        for line in CPUINFO.read_text(errors="replace").split("\n"):
             name, _, value = line.partition(":")
             if name.strip() == "model name":
                 return value.strip()
     return platform.processor() or platform.machine()
 
 
-def _versions(solvers: Iterable[Adapter]) -> dict[str, str]:
+def _package_versions(solvers: Iterable[SolverAdapter]) -> dict[str, str]:
     owners = packages_distributions()
-    names = set(OURS)
+    names = set(OWN_PACKAGES)
     for solver in solvers:
         # Not every library says whose its module is; what installs it is mostly called so.
-        names |= {*owners.get(solver.module.partition(".")[0], ()), *PACKAGE.findall(solver.pip)}
+        names |= {
+            *owners.get(solver.module.partition(".")[0], ()),
+            *PACKAGE_NAME.findall(solver.pip_packages),
+        }
     found = {}
     for name in sorted(names):
         try:

@@ -8,15 +8,24 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from problems.families import SIZES, Family, Instance
-from problems.solvers import adapters
-from sato.compare.plan import Plan, followers, power
-from sato.compare.worker import Find, Gone, Outcome, Question, Reply, Worker
+from problems.solvers import load_adapters
+from sato.compare.plan import ComparisonPlan, format_tolerance, next_with_same_matrix
+from sato.compare.worker import (
+    SolveOutcome,
+    SolveReply,
+    SolveRequest,
+    SolverLookup,
+    Worker,
+    WorkerError,
+)
 
 SEVERITY = ("solved", "infeasible", "unproven", "failed", "wrong claim", "crashed")
-HANGS = 10.0  # times the patience, by the clock on the wall: others may keep the processor busy
-WARMS = 60.0  # for each solve of a warm-up, in which some libraries compile [s]
+HANG_FACTOR = (
+    10.0  # times the patience, by the clock on the wall: others may keep the processor busy
+)
+WARM_UP_TIMEOUT = 60.0  # for each solve of a warm-up, in which some libraries compile [s]
 
-Progress = Callable[[int, int], None]  # how many were asked, of how many
+ProgressCallback = Callable[[int, int], None]  # how many were asked, of how many
 
 
 class Measurement(NamedTuple):
@@ -27,37 +36,41 @@ class Measurement(NamedTuple):
     size: str
     instance: Instance
     tolerance: float
-    first: Outcome  # read and solved; times are medians of the repeats, the rest is of the worst
-    again: Outcome | None  # solved by who had read the instance before; none where no two share A
-    memory: float  # by which the process grew with one instance of the family and size [MiB]
+    first: (
+        SolveOutcome  # read and solved; times are medians of the repeats, the rest is of the worst
+    )
+    second: (
+        SolveOutcome | None
+    )  # solved by who had read the instance before; none where no two share A
+    memory_growth: float  # by which the process grew with one instance of the family and size [MiB]
 
     @property
-    def outcomes(self) -> tuple[Outcome, ...]:
+    def outcomes(self) -> tuple[SolveOutcome, ...]:
         """Of the first solve, and of the second where there is one."""
-        return (self.first,) if self.again is None else (self.first, self.again)
+        return (self.first,) if self.second is None else (self.first, self.second)
 
     @property
-    def wanted(self) -> Literal["solved", "infeasible"]:
+    def expected(self) -> Literal["solved", "infeasible"]:
         """The verdict that is right."""
-        return "solved" if self.instance.feasible else "infeasible"
+        return "solved" if self.instance.is_feasible else "infeasible"
 
     @property
-    def right(self) -> bool:
+    def is_correct(self) -> bool:
         """Whether everything that was said of it is right, and proven."""
-        return all(outcome.verdict == self.wanted for outcome in self.outcomes)
+        return all(outcome.verdict == self.expected for outcome in self.outcomes)
 
     @property
-    def last(self) -> Outcome:
+    def last(self) -> SolveOutcome:
         """Of the second solve, or of the first where there is no other."""
-        return self.again or self.first
+        return self.second or self.first
 
 
-def measure(
-    plan: Plan,
+def measure_solvers(
+    plan: ComparisonPlan,
     rng: np.random.Generator,
     patience: float,
-    progress: Progress = lambda done, total: None,
-    find: Find = adapters,
+    progress: ProgressCallback = lambda done, total: None,
+    solvers: SolverLookup = load_adapters,
 ) -> list[Measurement]:
     """Ask every solver every question it can take.
 
@@ -73,93 +86,95 @@ def measure(
         progress: Told after each question.
         find: The solvers that there are; must be known to another process by its name.
     """
-    field = _Field(plan, rng, _Patience(patience), progress, find)
-    return [measurement for family in plan.families for measurement in field.family(family)]
+    field = _MeasurementRun(plan, rng, _TimeLimit(patience), progress, solvers)
+    return [measurement for family in plan.families for measurement in field.measure_family(family)]
 
 
-class _Patience:
+class _TimeLimit:
     """Who took too long, and where."""
 
     def __init__(self, seconds: float) -> None:
         self.seconds = seconds
-        self._lost: dict[tuple[str, str], list[tuple[int, float]]] = {}
+        self._exceeded: dict[tuple[str, str], list[tuple[int, float]]] = {}
 
-    def watch(self, name: str, family: Family, tolerance: float, reply: Reply) -> None:
+    def record(self, name: str, family: Family, tolerance: float, reply: SolveReply) -> None:
         """Take note of how long a solver took."""
-        again = reply.again.seconds if reply.again else 0.0
+        again = reply.second.seconds if reply.second else 0.0
         if reply.first.seconds > self.seconds or again > self.seconds:
             where = SIZES.index(family.size), tolerance
-            self._lost.setdefault((name, family.name), []).append(where)
+            self._exceeded.setdefault((name, family.name), []).append(where)
 
-    def lost(self, name: str, family: Family, tolerance: float) -> str:
+    def skip_reason(self, name: str, family: Family, tolerance: float) -> str:
         """Why a solver is not asked, or nothing."""
-        for size, known in self._lost.get((name, family.name), ()):
+        for size, known in self._exceeded.get((name, family.name), ()):
             if size <= SIZES.index(family.size) and known >= tolerance:
-                return f"it took more than {self.seconds:g} s at {SIZES[size]}, {power(known)}"
+                return f"it took more than {self.seconds:g} s at {SIZES[size]}, {format_tolerance(known)}"
         return ""
 
 
-class _Field:
+class _MeasurementRun:
     """The solvers in their processes, and the questions one after another."""
 
     def __init__(
         self,
-        plan: Plan,
+        plan: ComparisonPlan,
         rng: np.random.Generator,
-        patience: _Patience,
-        progress: Progress,
-        find: Find,
+        patience: _TimeLimit,
+        progress: ProgressCallback,
+        find: SolverLookup,
     ) -> None:
         self.plan, self.rng, self.patience, self.find = plan, rng, patience, find
-        self.progress, self.done, self.all = progress, 0, plan.asks
+        self.progress, self.done, self.all = progress, 0, plan.solve_count
         self.workers: dict[str, Worker] = {}
 
-    def family(self, family: Family) -> Iterator[Measurement]:
+    def measure_family(self, family: Family) -> Iterator[Measurement]:
         """All that is asked of a family of a size."""
-        warm_up = Question(family.instances[0], followers(family)[0], self.plan.tolerances[0])
-        seconds = max(WARMS, HANGS * self.patience.seconds)
+        warm_up = SolveRequest(
+            family.instances[0], next_with_same_matrix(family)[0], self.plan.tolerances[0]
+        )
+        seconds = max(WARM_UP_TIMEOUT, HANG_FACTOR * self.patience.seconds)
         with ExitStack() as stack:
-            for solver in self.plan.able(family):
+            for solver in self.plan.capable_solvers(family):
                 worker = Worker(self.find, solver.name, warm_up, seconds)
                 self.workers[solver.name] = worker
                 stack.callback(worker.close)
-            memory = self.memory(family)
+            memory = self.measure_memory(family)
             for tolerance in self.plan.tolerances:
-                yield from self.cell(family, tolerance, memory)
+                yield from self.measure_at_tolerance(family, tolerance, memory)
 
-    def memory(self, family: Family) -> dict[str, float]:
+    def measure_memory(self, family: Family) -> dict[str, float]:
         """What the first instance takes, in processes that have done nothing else [MiB].
 
         Only who does not end it has lost the patience.
         """
         loosest, found = self.plan.tolerances[0], dict[str, float]()
-        for solver in self.plan.able(family):
-            if self.patience.lost(solver.name, family, loosest):
+        for solver in self.plan.capable_solvers(family):
+            if self.patience.skip_reason(solver.name, family, loosest):
                 continue
             worker = self.workers[solver.name]
             try:
-                worker.begin()
-            except Gone as end:
-                ended = Reply(end.outcome, None, worker.grown)
-                self.patience.watch(solver.name, family, loosest, ended)
-            found[solver.name] = worker.grown
+                worker.start()
+            except WorkerError as end:
+                ended = SolveReply(end.outcome, None, worker.memory_growth)
+                self.patience.record(solver.name, family, loosest, ended)
+            found[solver.name] = worker.memory_growth
         return found
 
-    def cell(
+    def measure_at_tolerance(
         self, family: Family, tolerance: float, memory: dict[str, float]
     ) -> Iterator[Measurement]:
         """A family of a size at a tolerance."""
-        names = [solver.name for solver in self.plan.able(family)]
-        firsts: dict[tuple[str, str], list[Outcome]] = {}
-        agains: dict[tuple[str, str], list[Outcome]] = {}
-        for instance, after in zip(family.instances, followers(family), strict=True):
-            question, crashed = Question(instance, after, tolerance), set[str]()
+        names = [solver.name for solver in self.plan.capable_solvers(family)]
+        firsts: dict[tuple[str, str], list[SolveOutcome]] = {}
+        agains: dict[tuple[str, str], list[SolveOutcome]] = {}
+        for instance, after in zip(family.instances, next_with_same_matrix(family), strict=True):
+            question, crashed = SolveRequest(instance, after, tolerance), set[str]()
             for _ in range(self.plan.repeats):
                 for name in self.rng.permutation(names):
                     self.done += 1
-                    if name in crashed or self.patience.lost(name, family, tolerance):
+                    if name in crashed or self.patience.skip_reason(name, family, tolerance):
                         continue
-                    reply = self.ask(name, family, question)
+                    reply = self.solve_and_record(name, family, question)
                     first, again, _ = reply
                     firsts.setdefault((name, instance.name), []).append(first)
                     if after is not None and again is not None:
@@ -170,35 +185,35 @@ class _Field:
         for name in names:
             for instance in family.instances:
                 key = name, instance.name
-                first = Outcome("skipped", self.patience.lost(name, family, tolerance))
+                first = SolveOutcome("skipped", self.patience.skip_reason(name, family, tolerance))
                 yield Measurement(
                     name,
                     family.name,
                     family.size,
                     instance,
                     tolerance,
-                    _whole(firsts[key]) if key in firsts else first,
-                    _whole(agains[key]) if key in agains else None,
+                    _combine_repeats(firsts[key]) if key in firsts else first,
+                    _combine_repeats(agains[key]) if key in agains else None,
                     memory.get(name, float("nan")),
                 )
 
-    def ask(self, name: str, family: Family, question: Question) -> Reply:
+    def solve_and_record(self, name: str, family: Family, question: SolveRequest) -> SolveReply:
         """Ask one, and take note of how long it took."""
-        reply = self.reply(name, question)
-        self.patience.watch(name, family, question.tolerance, reply)
+        reply = self.solve(name, question)
+        self.patience.record(name, family, question.tolerance, reply)
         return reply
 
-    def reply(self, name: str, question: Question) -> Reply:
+    def solve(self, name: str, question: SolveRequest) -> SolveReply:
         """Ask one, and make the end of its process an outcome like others."""
         try:
-            return self.workers[name].ask(question, HANGS * self.patience.seconds)
-        except Gone as end:
+            return self.workers[name].solve(question, HANG_FACTOR * self.patience.seconds)
+        except WorkerError as end:
             # Who did not come as far as the second solve has nothing right there either.
-            again = Outcome("crashed", str(end)) if question.after else None
-            return Reply(end.outcome, again, float("nan"))
+            again = SolveOutcome("crashed", str(end)) if question.next_instance else None
+            return SolveReply(end.outcome, again, float("nan"))
 
 
-def _whole(outcomes: list[Outcome]) -> Outcome:
+def _combine_repeats(outcomes: list[SolveOutcome]) -> SolveOutcome:
     worst = max(outcomes, key=lambda outcome: SEVERITY.index(outcome.verdict))
     times = [outcome.seconds for outcome in outcomes if outcome.seconds == outcome.seconds]
     return worst._replace(seconds=median(times)) if times else worst

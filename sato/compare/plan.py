@@ -5,22 +5,22 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from math import isfinite
 
-from problems.families import SIZES, Family, Instance, families, family
-from problems.solvers.adapter import Adapter
+from problems.families import SIZES, Family, Instance, list_families, load_family
+from problems.solvers.adapter import SolverAdapter
 
-TOLERANCES = (1e-4, 1e-6, 1e-8)
-DEFAULT = "clarabel"  # what the toolkit itself asks where there are cones
+DEFAULT_TOLERANCES = (1e-4, 1e-6, 1e-8)
+DEFAULT_SOLVER = "clarabel"  # what the toolkit itself asks where there are cones
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class ComparisonPlan:
     """A comparison before it begins."""
 
     families: tuple[Family, ...]  # those of a name follow each other, the smallest first
-    solvers: tuple[Adapter, ...]
+    solvers: tuple[SolverAdapter, ...]
     tolerances: tuple[float, ...]  # the loosest first
     repeats: int
-    left_out: tuple[str, ...] = ()  # who is not asked, and why
+    excluded: tuple[str, ...] = ()  # who is not asked, and why
 
     def __post_init__(self) -> None:
         """Refuse a comparison that would compare nothing."""
@@ -39,25 +39,25 @@ class Plan:
             if not some:
                 raise ValueError(f"nothing to compare: there is no {what}")
 
-    def able(self, questions: Family) -> tuple[Adapter, ...]:
+    def capable_solvers(self, questions: Family) -> tuple[SolverAdapter, ...]:
         """Who can be asked about a family."""
-        return able(self.solvers, questions)
+        return capable_solvers(self.solvers, questions)
 
     @property
-    def asks(self) -> int:
+    def solve_count(self) -> int:
         """How often a solver will be asked, if none is given up."""
         each = len(self.tolerances) * self.repeats
-        return sum(each * len(f.instances) * len(self.able(f)) for f in self.families)
+        return sum(each * len(f.instances) * len(self.capable_solvers(f)) for f in self.families)
 
 
-def plan(
-    known: Mapping[str, Adapter],
+def make_plan(
+    known: Mapping[str, SolverAdapter],
     solvers: Iterable[str] = (),
     names: Iterable[str] = (),
     sizes: Iterable[str] = (),
     tolerances: Iterable[float] = (),
     repeats: int = 3,
-) -> Plan:
+) -> ComparisonPlan:
     """Turn what is asked for into what will be done; nothing said means all there is.
 
     Args:
@@ -72,12 +72,12 @@ def plan(
         ValueError: There is no such name, a solver that is asked for by its name is not installed
             or can take none of what it is asked, or nothing is left.
     """
-    asked = _spelt("solver", solvers, known)
-    there = families()
-    chosen = _spelt("family", names, there)
-    lengths = _spelt("size", sizes, SIZES)
+    asked = _validate_names("solver", solvers, known)
+    there = list_families()
+    chosen = _validate_names("family", names, there)
+    lengths = _validate_names("size", sizes, SIZES)
     questions = [
-        family(name, size)
+        load_family(name, size)
         for name in chosen or there
         for size in there[name]
         if not lengths or size in lengths
@@ -89,7 +89,7 @@ def plan(
     left_out = []
     able_to = []
     for solver in (known[name] for name in asked or known):
-        why = _unable(solver, questions, known)
+        why = _exclusion_reason(solver, questions, known)
         if why and asked:
             raise ValueError(why)
         left_out += [why] if why else []
@@ -97,22 +97,24 @@ def plan(
     if asked and chosen:
         for solver in able_to:
             for each in questions:
-                if not able([solver], each):
-                    raise ValueError(_cannot(solver, each, known))
-    limits = tuple(sorted(set(tolerances) or TOLERANCES, reverse=True))
-    return Plan(tuple(questions), tuple(able_to), limits, repeats, tuple(left_out))
+                if not capable_solvers([solver], each):
+                    raise ValueError(_incapability_message(solver, each, known))
+    limits = tuple(sorted(set(tolerances) or DEFAULT_TOLERANCES, reverse=True))
+    return ComparisonPlan(tuple(questions), tuple(able_to), limits, repeats, tuple(left_out))
 
 
-def able(solvers: Iterable[Adapter], questions: Family) -> tuple[Adapter, ...]:
+def capable_solvers(
+    solvers: Iterable[SolverAdapter], questions: Family
+) -> tuple[SolverAdapter, ...]:
     """Who can take every instance of a family."""
     return tuple(
         solver
         for solver in solvers
-        if all(solver.takes(instance.problem) for instance in questions.instances)
+        if all(solver.supports(instance.problem) for instance in questions.instances)
     )
 
 
-def followers(questions: Family) -> tuple[Instance | None, ...]:
+def next_with_same_matrix(questions: Family) -> tuple[Instance | None, ...]:
     """For each instance the next that differs from it in b alone, in a ring; or none."""
     some = questions.instances
     found: list[Instance | None] = []
@@ -126,33 +128,37 @@ def followers(questions: Family) -> tuple[Instance | None, ...]:
     return tuple(found)
 
 
-def power(tolerance: float) -> str:
+def format_tolerance(tolerance: float) -> str:
     """A tolerance as it is mostly written: 1e-4, 2.5e-6."""
     digits, _, exponent = f"{tolerance:e}".partition("e")
     return f"{float(digits):g}e{int(exponent)}"
 
 
-def _unable(solver: Adapter, questions: Sequence[Family], known: Mapping[str, Adapter]) -> str:
-    if not solver.installed:
-        return f"{solver.name} is not installed; pip install {solver.pip} would do"
-    if not any(able([solver], each) for each in questions):
-        return _cannot(solver, questions[0], known)
+def _exclusion_reason(
+    solver: SolverAdapter, questions: Sequence[Family], known: Mapping[str, SolverAdapter]
+) -> str:
+    if not solver.is_installed:
+        return f"{solver.name} is not installed; pip install {solver.pip_packages} would do"
+    if not any(capable_solvers([solver], each) for each in questions):
+        return _incapability_message(solver, questions[0], known)
     return ""
 
 
-def _cannot(solver: Adapter, questions: Family, known: Mapping[str, Adapter]) -> str:
+def _incapability_message(
+    solver: SolverAdapter, questions: Family, known: Mapping[str, SolverAdapter]
+) -> str:
     some = [instance.problem for instance in questions.instances]
     missing = " or ".join(
-        sorted({cone for problem in some for cone in problem.kinds - solver.cones})
+        sorted({cone for problem in some for cone in problem.cone_types - solver.cone_types})
     )
     why = f"cannot take {missing} cones, which {questions.name} has"
     if not missing:
-        why = f"cannot take {questions.name}: it {next(filter(None, map(solver.refuses, some)))}"
-    can = ", ".join(other.name for other in able(known.values(), questions)) or "nobody"
+        why = f"cannot take {questions.name}: it {next(filter(None, map(solver.unsupported_reason, some)))}"
+    can = ", ".join(other.name for other in capable_solvers(known.values(), questions)) or "nobody"
     return f"{solver.name} {why}; {can} can"
 
 
-def _spelt(what: str, names: Iterable[str], known: Iterable[str]) -> list[str]:
+def _validate_names(what: str, names: Iterable[str], known: Iterable[str]) -> list[str]:
     # Each once, in the order in which they were asked for.
     there, asked = list(known), list(dict.fromkeys(names))
     for name in asked:

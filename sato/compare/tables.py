@@ -7,16 +7,16 @@ from rich.console import Console
 from rich.table import Table
 
 from sato.compare.measure import Measurement
-from sato.compare.plan import Plan, power
-from sato.compare.summary import Line, lines, sizes, told_at
+from sato.compare.plan import ComparisonPlan, format_tolerance
+from sato.compare.summary import SolverSummary, reference_tolerance, sizes_present, summarize
 
 MISSING = "–"
-WIDE = 140
+PIPE_WIDTH = 140
 
 
-def tell_plan(plan: Plan, machine: Mapping[str, object]) -> None:
+def print_plan(plan: ComparisonPlan, machine: Mapping[str, object]) -> None:
     """On what it is measured, and who is not asked."""
-    console = _console()
+    console = _make_console()
     versions = machine["versions"]
     console.print(
         f"{machine['processor']}, {machine['cores']} cores, one thread for each solver, "
@@ -25,69 +25,71 @@ def tell_plan(plan: Plan, machine: Mapping[str, object]) -> None:
     )
     if isinstance(versions, dict):
         console.print(", ".join(f"{name} {number}" for name, number in versions.items()))
-    for why in plan.left_out:
+    for why in plan.excluded:
         console.print(f"not asked: {why}", markup=False)
 
 
-def tell(plan: Plan, measurements: Sequence[Measurement]) -> None:
+def print_comparison(plan: ComparisonPlan, measurements: Sequence[Measurement]) -> None:
     """A block a family."""
-    console, at = _console(), told_at(plan.tolerances)
+    console, at = _make_console(), reference_tolerance(plan.tolerances)
     for name in dict.fromkeys(m.family for m in measurements):
         some = [m for m in measurements if m.family == name]
-        console.print(_block(name, some, plan.tolerances, at))
+        console.print(_family_table(name, some, plan.tolerances, at))
         if absent := [s.name for s in plan.solvers if s.name not in {m.solver for m in some}]:
             console.print(f"  cannot take it: {', '.join(absent)}")
-        for line in _troubles(some):
+        for line in _list_failures(some):
             console.print(f"  {line}", markup=False)
     console.print(
-        f"Times, iterations and the worst error of the cost are at {power(at)}, of what was "
+        f"Times, iterations and the worst error of the cost are at {format_tolerance(at)}, of what was "
         "right, small to large; times are the processor's; memory is of the largest. Not solved: "
         "failed, crashed, skipped, or infeasible without a proof."
     )
 
 
-def _block(name: str, some: Sequence[Measurement], tolerances: Sequence[float], at: float) -> Table:
-    there = sizes(some)
+def _family_table(
+    name: str, some: Sequence[Measurement], tolerances: Sequence[float], at: float
+) -> Table:
+    there = sizes_present(some)
     title = f"{name} ({' / '.join(there)})"
     table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("solver", no_wrap=True)
-    heads = [f"right\n{power(tolerance)}" for tolerance in tolerances]
+    heads = [f"right\n{format_tolerance(tolerance)}" for tolerance in tolerances]
     heads += ["wrong\nclaims", "not\nsolved", "first\nms", "re-solve\nms", "iterations\n"]
     for head in [*heads, "cost\nerror", "memory\nMiB"]:
         table.add_column(head, justify="right", overflow="fold")
-    for line in lines(some, at):
-        table.add_row(*_cells(line))
+    for line in summarize(some, at):
+        table.add_row(*_summary_cells(line))
     return table
 
 
-def _cells(line: Line) -> list[str]:
+def _summary_cells(line: SolverSummary) -> list[str]:
     unsolved = line.failed + line.unproven + line.crashed + line.skipped
     return [
         line.solver,
-        *line.right,
+        *line.correct,
         f"[bold red]{line.wrong_claims}[/]" if line.wrong_claims else "0",
         str(unsolved),
-        _milliseconds(line.first),
-        _milliseconds(line.again),
+        _format_milliseconds(line.first),
+        _format_milliseconds(line.second),
         "/".join(MISSING if n is None else f"{n:.0f}" for n in line.iterations),
-        MISSING if line.accuracy is None else f"{line.accuracy:.0e}",
+        MISSING if line.cost_error is None else f"{line.cost_error:.0e}",
         MISSING if line.memory is None else f"{line.memory:.1f}",
     ]
 
 
-def _milliseconds(seconds: Sequence[float | None]) -> str:
+def _format_milliseconds(seconds: Sequence[float | None]) -> str:
     # Three digits, and never an exponent.
     times = [None if s is None else float(f"{1e3 * s:.3g}") for s in seconds]
     return "/".join(MISSING if t is None else f"{t:.12g}" for t in times)
 
 
-def _troubles(some: Sequence[Measurement]) -> list[str]:
+def _list_failures(some: Sequence[Measurement]) -> list[str]:
     # Each kind of trouble of a solver once, with the first example of it.
     found: dict[tuple[str, str], list[str]] = {}
     for m in some:
         for outcome in m.outcomes:
             if outcome.verdict not in ("solved", "infeasible"):
-                where = f"{m.instance.name} at {power(m.tolerance)}: {outcome.why}"
+                where = f"{m.instance.name} at {format_tolerance(m.tolerance)}: {outcome.reason}"
                 found.setdefault((m.solver, outcome.verdict), []).append(where)
     return [
         f"{solver}: {verdict}{f' {len(cases)} times' if len(cases) > 1 else ''}, {cases[0]}"
@@ -95,7 +97,7 @@ def _troubles(some: Sequence[Measurement]) -> list[str]:
     ]
 
 
-def _console() -> Console:
+def _make_console() -> Console:
     # In a file or a pipe nothing has to be squeezed.
     there = Console(highlight=False)
-    return there if there.is_terminal else Console(highlight=False, width=WIDE)
+    return there if there.is_terminal else Console(highlight=False, width=PIPE_WIDTH)

@@ -18,33 +18,37 @@ from time import process_time
 from typing import Any, Literal, NamedTuple, TextIO
 
 import problems.solvers
-from problems.conic import Conic
+from problems.conic import ConicProgram
 from problems.families import Instance
-from problems.solvers.adapter import Adapter, Claim, Kind, judge
-from sato.memory import peak_memory
+from problems.solvers.adapter import SolverAdapter, SolverResult, Verified, verify
+from sato.resource_usage import peak_memory_mib
 
-Find = Callable[[], Mapping[str, Adapter]]  # the solvers that there are; known to both processes
+SolverLookup = Callable[
+    [], Mapping[str, SolverAdapter]
+]  # the solvers that there are; known to both processes
 
-SOLVERS = problems.solvers.__path__
-BEGINS = 60.0  # in which a library is imported, or never [s]
-ONE_THREAD = {
+SOLVERS_PATH = problems.solvers.__path__
+STARTUP_TIMEOUT = 60.0  # in which a library is imported, or never [s]
+SINGLE_THREAD_ENV = {
     f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL", "RAYON", "NUMBA")
 } | {"VECLIB_MAXIMUM_THREADS": "1"}
 
 
-class Question(NamedTuple):
+class SolveRequest(NamedTuple):
     """What a solver is asked at once."""
 
     instance: Instance  # read, and solved
-    after: Instance | None  # another right-hand side of the same, solved by who has read the first
+    next_instance: (
+        Instance | None
+    )  # another right-hand side of the same, solved by who has read the first
     tolerance: float
 
 
-class Outcome(NamedTuple):
+class SolveOutcome(NamedTuple):
     """What became of one solve."""
 
-    verdict: Kind | Literal["crashed", "skipped"]
-    why: str
+    verdict: Verified | Literal["crashed", "skipped"]
+    reason: str
     seconds: float = float("nan")  # of the processor, reading included where it was read
     iterations: int | None = None
     cost_error: float = float("nan")  # |cost − reference| / |reference|
@@ -53,20 +57,20 @@ class Outcome(NamedTuple):
     gap: float = float("nan")
 
 
-class Reply(NamedTuple):
+class SolveReply(NamedTuple):
     """What became of a question."""
 
-    first: Outcome
-    again: Outcome | None
-    memory: float  # by which the most that the process held had grown after the first [MiB]
+    first: SolveOutcome
+    second: SolveOutcome | None
+    memory_growth: float  # by which the most that the process held had grown after the first [MiB]
 
     @property
     def crashed(self) -> bool:
         """Whether the process ended in one of the solves."""
-        return "crashed" in (self.first.verdict, self.again and self.again.verdict)
+        return "crashed" in (self.first.verdict, self.second and self.second.verdict)
 
 
-class Gone(RuntimeError):
+class WorkerError(RuntimeError):
     """The process of a solver ended, or had to be ended, before it answered."""
 
     def __init__(self, words: str, seconds: float = float("nan")) -> None:
@@ -75,15 +79,17 @@ class Gone(RuntimeError):
         self.seconds = seconds
 
     @property
-    def outcome(self) -> Outcome:
+    def outcome(self) -> SolveOutcome:
         """What became of the solve in which it ended."""
-        return Outcome("crashed", str(self), self.seconds)
+        return SolveOutcome("crashed", str(self), self.seconds)
 
 
 class Worker:
     """A solver in its process, which is begun when first asked and after every end."""
 
-    def __init__(self, find: Find, name: str, warm_up: Question, seconds: float) -> None:
+    def __init__(
+        self, find: SolverLookup, name: str, warm_up: SolveRequest, seconds: float
+    ) -> None:
         """Say whom to ask; nothing is begun yet.
 
         Args:
@@ -93,33 +99,33 @@ class Worker:
                 life is no part of a time.
             seconds: After which nothing more is expected of a solve of that.
         """
-        self._find, self._name = find, name
-        self._warm_up: Question | None = warm_up
+        self._lookup, self._name = find, name
+        self._warm_up: SolveRequest | None = warm_up
         self._patience = seconds
         self._process: Any = None
-        self._line: Connection | None = None
-        self._last_words: TextIO | None = None
-        self.grown = float("nan")  # by the first solve of the last warm-up [MiB]
+        self._connection: Connection | None = None
+        self._stderr: TextIO | None = None
+        self.memory_growth = float("nan")  # by the first solve of the last warm-up [MiB]
 
-    def begin(self) -> Connection:
+    def start(self) -> Connection:
         """Begin the process, and warm it up.
 
         Raises:
             Gone: It ended in that; it is begun cold from then on, or a solver that cannot take
                 its warm-up would be asked nothing else.
         """
-        line = self._start()
+        line = self._start_process()
         warm_up, self._warm_up = self._warm_up, None
         if warm_up is None:
             return line
-        reply = self._answer(line, warm_up, self._patience)
-        self.grown = reply.memory
-        if reply.again is not None and reply.crashed:
-            raise Gone(reply.again.why, reply.again.seconds)
+        reply = self._exchange(line, warm_up, self._patience)
+        self.memory_growth = reply.memory_growth
+        if reply.second is not None and reply.crashed:
+            raise WorkerError(reply.second.reason, reply.second.seconds)
         self._warm_up = warm_up
         return line
 
-    def ask(self, question: Question, seconds: float) -> Reply:
+    def solve(self, question: SolveRequest, seconds: float) -> SolveReply:
         """Ask, and wait for the reply.
 
         Args:
@@ -129,7 +135,7 @@ class Worker:
         Raises:
             Gone: The process crashed before it had answered once, or did not answer in time.
         """
-        return self._answer(self._line or self.begin(), question, seconds)
+        return self._exchange(self._connection or self.start(), question, seconds)
 
     def close(self) -> None:
         """End the process."""
@@ -138,101 +144,103 @@ class Worker:
             self._process.join()
             self._process.close()
             self._process = None
-        if self._line is not None:
-            self._line.close()
-            self._line = None
-        if self._last_words is not None:
-            self._last_words.close()
-            self._last_words = None
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+        if self._stderr is not None:
+            self._stderr.close()
+            self._stderr = None
 
-    def _start(self) -> Connection:
+    def _start_process(self) -> Connection:
         handle, path = tempfile.mkstemp(prefix="sato-compare-")
-        self._last_words = open(handle, errors="replace")
-        context = _context()
+        self._stderr = open(handle, errors="replace")
+        context = _process_context()
         line: Connection
         line, far = context.Pipe()
         self._process = context.Process(
-            target=_serve, args=(far, self._find, self._name, path), daemon=True
+            target=_serve, args=(far, self._lookup, self._name, path), daemon=True
         )
-        before = {name: os.environ.get(name) for name in ONE_THREAD}
-        os.environ.update(ONE_THREAD)  # the process reads them before it loads anything
+        before = {name: os.environ.get(name) for name in SINGLE_THREAD_ENV}
+        os.environ.update(SINGLE_THREAD_ENV)  # the process reads them before it loads anything
         try:
             self._process.start()
         finally:
             for name, value in before.items():
                 os.environ.pop(name) if value is None else os.environ.update({name: value})
         far.close()
-        self._line = line
+        self._connection = line
         try:
-            self._receive(line, BEGINS)
+            self._receive(line, STARTUP_TIMEOUT)
         finally:
             Path(path).unlink()  # both hold it open
         return line
 
-    def _answer(self, line: Connection, question: Question, seconds: float) -> Reply:
+    def _exchange(self, line: Connection, question: SolveRequest, seconds: float) -> SolveReply:
         try:
             line.send(question)
         except ConnectionError:  # it ended after its last answer
-            raise self._ended(self._how_it_ended()) from None
+            raise self._close_with_error(self._exit_reason()) from None
         first, memory = self._receive(line, seconds)
-        if question.after is None:
-            return Reply(first, None, memory)
+        if question.next_instance is None:
+            return SolveReply(first, None, memory)
         try:
             again, _ = self._receive(line, seconds)
-        except Gone as end:
+        except WorkerError as end:
             again = end.outcome
-        return Reply(first, again, memory)
+        return SolveReply(first, again, memory)
 
     def _receive(self, line: Connection, seconds: float) -> Any:
         try:
             if line.poll(seconds):
                 return line.recv()
         except (EOFError, ConnectionError):
-            raise self._ended(self._how_it_ended()) from None
-        raise self._ended(f"no answer within {seconds:g} s", seconds)
+            raise self._close_with_error(self._exit_reason()) from None
+        raise self._close_with_error(f"no answer within {seconds:g} s", seconds)
 
-    def _ended(self, words: str, seconds: float = float("nan")) -> Gone:
+    def _close_with_error(self, words: str, seconds: float = float("nan")) -> WorkerError:
         self.close()
-        return Gone(words, seconds)
+        return WorkerError(words, seconds)
 
-    def _how_it_ended(self) -> str:
+    def _exit_reason(self) -> str:
         self._process.join()
         code, last = self._process.exitcode, ""
-        if self._last_words is not None:
-            lines = self._last_words.read().split("\n")
+        if self._stderr is not None:
+            lines = self._stderr.read().split("\n")
             last = next((line.strip() for line in reversed(lines) if line.strip()), "")
         if code is not None and code < 0:
             last = f"{signal.strsignal(-code) or -code}{last and ': '}{last}"
         return last or f"the process ended with exit code {code}"
 
 
-def _context() -> Any:
+def _process_context() -> Any:
     if "forkserver" not in get_all_start_methods():
         return get_context("spawn")
     context = get_context("forkserver")
     # One small parent for all, which has loaded what they share: a child's peak begins anew.
-    shared = (f"{problems.solvers.__name__}.{file.name}" for file in iter_modules(SOLVERS))
+    shared = (f"{problems.solvers.__name__}.{file.name}" for file in iter_modules(SOLVERS_PATH))
     context.set_forkserver_preload([__name__, *shared])
     return context
 
 
-def _serve(line: Connection, find: Find, name: str, last_words: str) -> None:
+def _serve(line: Connection, find: SolverLookup, name: str, last_words: str) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who asked ends it
-    _divert(last_words)
+    _redirect_output(last_words)
     solver = find()[name]
     import_module(solver.module)
-    held = peak_memory()
+    held = peak_memory_mib()
     line.send(None)
     while True:
         try:
-            question: Question = line.recv()
+            question: SolveRequest = line.recv()
         except EOFError:
             return
-        for outcome in _answers(solver, question):  # each before the next solve, which may crash
-            line.send((outcome, peak_memory() - held))
+        for outcome in _solve_request(
+            solver, question
+        ):  # each before the next solve, which may crash
+            line.send((outcome, peak_memory_mib() - held))
 
 
-def _divert(last_words: str) -> None:
+def _redirect_output(last_words: str) -> None:
     # Libraries print at a depth where only the descriptors are known.
     sys.stdout.flush()
     sys.stderr.flush()
@@ -241,34 +249,38 @@ def _divert(last_words: str) -> None:
         os.dup2(file.fileno(), 2)
 
 
-def _answers(solver: Adapter, question: Question) -> Iterator[Outcome]:
+def _solve_request(solver: SolverAdapter, question: SolveRequest) -> Iterator[SolveOutcome]:
     problem, tolerance = question.instance.problem, question.tolerance
     began = process_time()
-    session = solver.begin(problem, tolerance)  # what it can take was found out in planning
+    session = solver.session_factory(
+        problem, tolerance
+    )  # what it can take was found out in planning
     claim = session.solve(problem.b)
-    yield _outcome(question.instance, claim, tolerance, process_time() - began)
-    if question.after is None:
+    yield _evaluate(question.instance, claim, tolerance, process_time() - began)
+    if question.next_instance is None:
         return
-    b = question.after.problem.b
+    b = question.next_instance.problem.b
     began = process_time()
     claim = session.solve(b)
-    yield _outcome(question.after, claim, tolerance, process_time() - began)
+    yield _evaluate(question.next_instance, claim, tolerance, process_time() - began)
 
 
-def _outcome(instance: Instance, claim: Claim, tolerance: float, seconds: float) -> Outcome:
-    problem: Conic = instance.problem
-    kind, answer, why = judge(problem, claim, tolerance)
-    if kind == "unproven" and instance.feasible:
+def _evaluate(
+    instance: Instance, claim: SolverResult, tolerance: float, seconds: float
+) -> SolveOutcome:
+    problem: ConicProgram = instance.problem
+    kind, answer, why = verify(problem, claim, tolerance)
+    if kind == "unproven" and instance.is_feasible:
         kind, why = "wrong claim", f"{why}, but there is a point"
-    if kind == "wrong claim" and claim.said == "infeasible" and not instance.feasible:
+    if kind == "wrong claim" and claim.status == "infeasible" and not instance.is_feasible:
         kind = "unproven"  # it is right, and cannot show it
-    outcome = Outcome(kind, why, seconds, claim.iterations)
+    outcome = SolveOutcome(kind, why, seconds, claim.iterations)
     if answer is None:
         return outcome
     outcome = outcome._replace(
         primal_residual=answer.primal_residual, dual_residual=answer.dual_residual, gap=answer.gap
     )
-    if not instance.feasible:
+    if not instance.is_feasible:
         return outcome
-    off = abs(float(problem.q @ answer.x) - instance.reference)
-    return outcome._replace(cost_error=off / instance.scale)
+    off = abs(float(problem.q @ answer.x) - instance.reference_cost)
+    return outcome._replace(cost_error=off / instance.cost_scale)

@@ -1,6 +1,6 @@
 """SYSTEM 3: connectivity maintenance. See → talk → reckon → keep together [Bernard2023]."""
 
-from sato.connectivity.flight import Frame, fly
-from sato.connectivity.mission import ConnectivityFlight, Death
+from sato.connectivity.loop import ConnectivityFrame, simulate
+from sato.connectivity.mission import AgentLoss, Connectivity
 
-__all__ = ["ConnectivityFlight", "Death", "Frame", "fly"]
+__all__ = ["AgentLoss", "Connectivity", "ConnectivityFrame", "simulate"]

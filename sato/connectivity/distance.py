@@ -7,7 +7,7 @@ from numpy import ndarray as Array
 from sato.connectivity.obstacles import Obstacles
 
 
-def to_obstacles(
+def obstacle_distances(
     position: Float[Array, "*k 3"], obstacles: Obstacles
 ) -> Float[Array, "*k obstacles"]:
     """Distance to the surface of each obstacle, negative inside [m]: spheres, boxes, planes.
@@ -25,7 +25,7 @@ def to_obstacles(
     return np.concatenate([spheres, boxes, planes], axis=-1)
 
 
-def to_each_other(
+def min_separation(
     position: Float[Array, "instants agents 3"], alive: Bool[Array, "instants agents"]
 ) -> float:
     """Least distance of two live robots that go straight from instant to instant [m].
@@ -49,7 +49,7 @@ def to_each_other(
     return float(np.sqrt(least))
 
 
-def past_obstacles(
+def min_obstacle_distance(
     position: Float[Array, "instants agents 3"],
     alive: Bool[Array, "instants agents"],
     obstacles: Obstacles,
@@ -65,7 +65,7 @@ def past_obstacles(
         alive: Who takes part.
         obstacles: All of them.
     """
-    away = to_obstacles(position, obstacles)
+    away = obstacle_distances(position, obstacles)
     least = float(away[alive].min(initial=np.inf))
     far = np.linalg.norm(np.diff(position, axis=0), axis=2)[..., None]
     near = (away[1:] + away[:-1] - far) / 2 < least
@@ -73,7 +73,7 @@ def past_obstacles(
 
     def at(share: Float[Array, " ways"]) -> Float[Array, " ways"]:
         places = position[k, i] + share[:, None] * (position[k + 1, i] - position[k, i])
-        return to_obstacles(places, obstacles)[np.arange(len(k)), which]
+        return obstacle_distances(places, obstacles)[np.arange(len(k)), which]
 
     low, high = np.zeros(len(k)), np.ones(len(k))
     for _ in range(52):

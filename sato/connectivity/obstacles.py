@@ -16,7 +16,7 @@ class Obstacles(NamedTuple):
     planes: Float[Array, "planes 4"]  # unit normal out of the obstacle, n·x at its surface [m]
 
     @classmethod
-    def none(cls) -> "Obstacles":
+    def empty(cls) -> "Obstacles":
         """Empty space."""
         return cls(np.zeros((0, 4)), np.zeros((0, 6)), np.zeros((0, 4)))
 
@@ -28,7 +28,7 @@ class Obstacles(NamedTuple):
 
 @no_type_check
 @numba.njit
-def nearest(number, p, obstacles, point):
+def nearest_point(number, p, obstacles, point):
     """Where an obstacle is nearest to a place, and how far; negative inside [m].
 
     Args:
@@ -39,9 +39,9 @@ def nearest(number, p, obstacles, point):
     """
     s, b = len(obstacles.spheres), len(obstacles.boxes)
     if number < s:
-        return _of_sphere(p, obstacles.spheres[number], point)
+        return _nearest_on_sphere(p, obstacles.spheres[number], point)
     if number < s + b:
-        return _of_box(p, obstacles.boxes[number - s], point)
+        return _nearest_on_box(p, obstacles.boxes[number - s], point)
     plane = obstacles.planes[number - s - b]
     d = plane[0] * p[0] + plane[1] * p[1] + plane[2] * p[2] - plane[3]
     for a in range(3):
@@ -51,7 +51,7 @@ def nearest(number, p, obstacles, point):
 
 @no_type_check
 @numba.njit
-def _of_sphere(p, sphere, point):
+def _nearest_on_sphere(p, sphere, point):
     square = 0.0
     for a in range(3):
         square += (p[a] - sphere[a]) ** 2
@@ -64,7 +64,7 @@ def _of_sphere(p, sphere, point):
 
 @no_type_check
 @numba.njit
-def _of_box(p, box, point):
+def _nearest_on_box(p, box, point):
     square, depth, side = 0.0, np.inf, 0
     for a in range(3):
         point[a] = min(max(p[a], box[a]), box[3 + a])
@@ -80,13 +80,13 @@ def _of_box(p, box, point):
 
 @no_type_check
 @numba.njit
-def hidden(p, q, obstacles):
+def blocks_line_of_sight(p, q, obstacles):
     """Whether an obstacle stands between two places."""
     for sphere in obstacles.spheres:
-        if passes(p, q, sphere[:3], sphere[3]):
+        if segment_hits_sphere(p, q, sphere[:3], sphere[3]):
             return True
     for box in obstacles.boxes:
-        if _through_box(p, q, box):
+        if _segment_hits_box(p, q, box):
             return True
     for plane in obstacles.planes:
         of_p = plane[0] * p[0] + plane[1] * p[1] + plane[2] * p[2] - plane[3]
@@ -98,7 +98,7 @@ def hidden(p, q, obstacles):
 
 @no_type_check
 @numba.njit
-def passes(p, q, centre, radius):
+def segment_hits_sphere(p, q, centre, radius):
     """Whether the straight way between two places leads through a ball."""
     along, length = 0.0, 0.0
     for a in range(3):
@@ -113,7 +113,7 @@ def passes(p, q, centre, radius):
 
 @no_type_check
 @numba.njit
-def _through_box(p, q, box):
+def _segment_hits_box(p, q, box):
     enters, leaves = 0.0, 1.0
     for a in range(3):
         way = q[a] - p[a]

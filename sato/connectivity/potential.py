@@ -7,47 +7,47 @@ from typing import NamedTuple, no_type_check
 
 import numba
 
-EDGE = 1e-3  # nearest to an asymptote that a potential is evaluated
+ASYMPTOTE_OFFSET = 1e-3  # nearest to an asymptote that a potential is evaluated
 
 
 class Potential(NamedTuple):
     """V(λ₂): zero above `most`, infinite at `least` [Bernard2023, Fig. 2]."""
 
-    least: float = 0.01  # λ₂^min
-    most: float = 3.01  # λ₂^max
+    lambda2_min: float = 0.01  # λ₂^min
+    lambda2_max: float = 3.01  # λ₂^max
     strength: float = 0.1
 
 
 class Repulsion(NamedTuple):
     """The push of a point that the range sensor finds [Bernard2023, Sec. III-D]."""
 
-    nearest: float = 1.0  # d_min^obs: where the push has its asymptote [m]
-    farthest: float = 3.5  # d_max^obs: where it begins, with no jump in value or slope [m]
+    min_distance: float = 1.0  # d_min^obs: where the push has its asymptote [m]
+    max_distance: float = 3.5  # d_max^obs: where it begins, with no jump in value or slope [m]
     strength: float = 0.5  # [1/s]
 
 
 @no_type_check
 @numba.njit
-def value(lambda2, potential):
+def evaluate_potential(lambda2, potential):
     """V = k (m − x)² / x with x = λ₂ − λ₂^min and m = λ₂^max − λ₂^min; 0 beyond."""
-    m = potential.most - potential.least
-    x = max(lambda2 - potential.least, EDGE)
+    m = potential.lambda2_max - potential.lambda2_min
+    x = max(lambda2 - potential.lambda2_min, ASYMPTOTE_OFFSET)
     return potential.strength * (m - x) ** 2 / x if x < m else 0.0
 
 
 @no_type_check
 @numba.njit
-def steepness(lambda2, potential):
+def negative_slope(lambda2, potential):
     """−V′(λ₂) = k (m²/x² − 1), which is 0 at λ₂^max, as V is."""
-    m = potential.most - potential.least
-    x = max(lambda2 - potential.least, EDGE)
+    m = potential.lambda2_max - potential.lambda2_min
+    x = max(lambda2 - potential.lambda2_min, ASYMPTOTE_OFFSET)
     return potential.strength * (m * m / (x * x) - 1) if x < m else 0.0
 
 
 @no_type_check
 @numba.njit
-def push(distance, repulsion):
+def repulsion_gain(distance, repulsion):
     """k_obs: speed away from a point, over its distance [1/s]."""
-    m = repulsion.farthest - repulsion.nearest
-    x = max(distance - repulsion.nearest, EDGE)
+    m = repulsion.max_distance - repulsion.min_distance
+    x = max(distance - repulsion.min_distance, ASYMPTOTE_OFFSET)
     return repulsion.strength * (m - x) ** 2 / (m * x) if x < m else 0.0

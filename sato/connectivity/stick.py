@@ -8,17 +8,19 @@ from numpy import ndarray as Array
 
 
 @dataclass(frozen=True, eq=False)
-class Homing:
+class WaypointStick:
     """An operator who steers for one waypoint after another, and lets go now and then."""
 
     waypoints: Float[Array, "waypoints 3"]  # in the world frame [m]
     speed: float = 2.0  # [m/s]
-    on: float = 9.0  # for which the stick is held [s],
-    off: float = 3.0  # and then let go [s]
-    near: float = 1.0  # distance at which a waypoint is reached [m]
-    slow: float = 0.5  # time constant of coming to a waypoint [s]
+    hold_time: float = 9.0  # for which the stick is held [s],
+    release_time: float = 3.0  # and then let go [s]
+    arrival_radius: float = 1.0  # distance at which a waypoint is reached [m]
+    time_constant: float = 0.5  # time constant of coming to a waypoint [s]
 
-    def ask(self, time: float, position: Array, reached: int) -> Float[Array, " 3"]:
+    def command_velocity(
+        self, time: float, position: Array, waypoints_reached: int
+    ) -> Float[Array, " 3"]:
         """Velocity asked for, in the world frame [m/s].
 
         Args:
@@ -26,20 +28,25 @@ class Homing:
             position: Of the leader [m].
             reached: Number of waypoints that it has reached.
         """
-        if reached >= len(self.waypoints) or time % (self.on + self.off) >= self.on:
+        if (
+            waypoints_reached >= len(self.waypoints)
+            or time % (self.hold_time + self.release_time) >= self.hold_time
+        ):
             return np.zeros(3)
-        gap = self.waypoints[reached] - position
-        return np.asarray(gap * self.speed / max(np.linalg.norm(gap), self.speed * self.slow))
+        gap = self.waypoints[waypoints_reached] - position
+        return np.asarray(
+            gap * self.speed / max(np.linalg.norm(gap), self.speed * self.time_constant)
+        )
 
-    def arrives(self, position: Array, reached: int) -> bool:
+    def has_arrived(self, position: Array, reached: int) -> bool:
         """Whether the leader is at its next waypoint."""
         if reached >= len(self.waypoints):
             return False
-        return bool(np.linalg.norm(self.waypoints[reached] - position) < self.near)
+        return bool(np.linalg.norm(self.waypoints[reached] - position) < self.arrival_radius)
 
 
 @dataclass(frozen=True, eq=False)
-class Recorded:
+class RecordedStick:
     """A stick as it was recorded; each velocity holds until the next."""
 
     time: Float[Array, " k"]  # increasing [s]
@@ -55,14 +62,14 @@ class Recorded:
         """The largest that is asked for [m/s]."""
         return float(np.linalg.norm(self.velocity, axis=1).max(initial=0))
 
-    def ask(self, time: float, position: Array, reached: int) -> Float[Array, " 3"]:
+    def command_velocity(self, time: float, position: Array, reached: int) -> Float[Array, " 3"]:
         """Velocity asked for, in the world frame [m/s]."""
         k = int(np.searchsorted(self.time, time, side="right")) - 1
         return self.velocity[k] if k >= 0 else np.zeros(3)
 
-    def arrives(self, position: Array, reached: int) -> bool:
+    def has_arrived(self, position: Array, reached: int) -> bool:
         """Never: there are no waypoints."""
         return False
 
 
-Stick = Homing | Recorded
+Stick = WaypointStick | RecordedStick

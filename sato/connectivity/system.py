@@ -2,37 +2,37 @@
 
 from typing import TYPE_CHECKING
 
-from sato.connectivity.check import examine
-from sato.connectivity.flight import Frame, fly
-from sato.connectivity.log import MEANING, attributes, variables
-from sato.connectivity.mission import ConnectivityFlight
-from sato.system import Figures, Passage, System
+from sato.connectivity.check import check_run
+from sato.connectivity.loop import ConnectivityFrame, simulate
+from sato.connectivity.mission import Connectivity
+from sato.connectivity.record import VARIABLES, run_attributes, stack_variables
+from sato.interfaces import FigureFactories, MissionProgress, System
 
 if TYPE_CHECKING:
     import xarray
 
 
-def passage(mission: ConnectivityFlight, frame: Frame) -> Passage:
+def describe_progress(mission: Connectivity, frame: ConnectivityFrame) -> MissionProgress:
     """How much time has passed, and λ₂."""
     done, total = round(frame.time / mission.step), round(mission.duration / mission.step)
     stage = "the swarm is together" if frame.component.max() == 0 else "the swarm has split"
-    return Passage(stage, done, total, f"λ₂ = {frame.lambda2:.3g}")
+    return MissionProgress(stage, done, total, f"λ₂ = {frame.lambda2:.3g}")
 
 
-def _figures(data: "xarray.Dataset", mission: ConnectivityFlight) -> Figures:
-    from sato.connectivity.plots import figures
+def _load_figures(data: "xarray.Dataset", mission: Connectivity) -> FigureFactories:
+    from sato.connectivity.figures import make_figures
 
-    return figures(data, mission)
+    return make_figures(data, mission)
 
 
 SYSTEM = System(
     name="connectivity",
-    fly=fly,
-    outcomes=(),
-    meaning=MEANING,
-    variables=variables,
-    attributes=attributes,
-    judge=examine,
-    passage=passage,
-    figures=_figures,
+    simulate=simulate,
+    stop_errors=(),
+    variable_definitions=VARIABLES,
+    stack_variables=stack_variables,
+    attributes=run_attributes,
+    check=check_run,
+    progress=describe_progress,
+    figures=_load_figures,
 )

@@ -1,22 +1,29 @@
 """SYSTEM 2: formation flying. Gains → align → auction → steer → repeat [Lusk2020]."""
 
-from sato.formation.avoidance import Avoidance
-from sato.formation.flight import Frame, fly
-from sato.formation.law import Law
-from sato.formation.mission import Assigning, FormationFlight, Protocol, Push, aligned, misaligned
-from sato.formation.swarm import Frames, Limits
+from sato.formation.avoidance import CollisionAvoidance
+from sato.formation.control_law import ControlLaw
+from sato.formation.kernel import CoordinateFrames, FormationLimits
+from sato.formation.loop import FormationFrame, simulate
+from sato.formation.mission import (
+    AssignmentSettings,
+    Formation,
+    OperatorCommand,
+    SupervisorSettings,
+    aligned_frames,
+    draw_frames,
+)
 
 __all__ = [
-    "Assigning",
-    "Avoidance",
-    "FormationFlight",
-    "Frame",
-    "Frames",
-    "Law",
-    "Limits",
-    "Protocol",
-    "Push",
-    "aligned",
-    "fly",
-    "misaligned",
+    "AssignmentSettings",
+    "CollisionAvoidance",
+    "ControlLaw",
+    "CoordinateFrames",
+    "Formation",
+    "FormationFrame",
+    "FormationLimits",
+    "OperatorCommand",
+    "SupervisorSettings",
+    "aligned_frames",
+    "draw_frames",
+    "simulate",
 ]

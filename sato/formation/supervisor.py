@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from sato.formation.mission import Protocol
+from sato.formation.mission import SupervisorSettings
 
 
 class Phase(Enum):
@@ -17,16 +17,16 @@ class Phase(Enum):
 
     WAITING = "waiting"  # for the first assignment
     FLYING = "flying"
-    SETTLED = "settled"  # everybody is slow; it has to last
+    CONVERGED = "settled"  # everybody is slow; it has to last
     GRIDLOCKED = "gridlocked"  # somebody does nothing but avoid
-    DONE = "done"
-    GIVEN_UP = "given up"
+    COMPLETED = "done"
+    ABORTED = "given up"
 
 
 class Supervisor:
     """Watches a swarm that takes up one shape."""
 
-    def __init__(self, protocol: Protocol, sample: float, agents: int) -> None:
+    def __init__(self, protocol: SupervisorSettings, sample: float, agents: int) -> None:
         """Begin to wait.
 
         Args:
@@ -35,15 +35,18 @@ class Supervisor:
             agents: Number of vehicles.
         """
         self.phase = Phase.WAITING
-        self.since = 0.0  # in this phase [s]
-        self._protocol, self._sample = protocol, sample
-        self._length = max(1, round(protocol.window / sample))
-        self._speed = np.zeros((self._length, agents))
-        self._avoids = np.zeros((self._length, agents))
-        self._speeds, self._avoided = np.zeros(agents), np.zeros(agents)  # sums of the window
-        self._seen = 0
+        self.time_in_phase = 0.0  # in this phase [s]
+        self._settings, self._frame_period = protocol, sample
+        self._window_length = max(1, round(protocol.averaging_window / sample))
+        self._speed_window = np.zeros((self._window_length, agents))
+        self._avoiding_window = np.zeros((self._window_length, agents))
+        self._speed_sum, self._avoiding_sum = (
+            np.zeros(agents),
+            np.zeros(agents),
+        )  # sums of the window
+        self._observation_count = 0
 
-    def assigned(self) -> None:
+    def mark_assigned(self) -> None:
         """Everybody knows its point now."""
         if self.phase is Phase.WAITING:
             self._enter(Phase.FLYING)
@@ -55,42 +58,48 @@ class Supervisor:
             speed: What the law commands of each vehicle, before any limit [m/s].
             avoids: Who changes its command to avoid others.
         """
-        row = self._seen % self._length
-        self._speeds += speed - self._speed[row]
-        self._avoided += avoids - self._avoids[row]
-        self._speed[row], self._avoids[row] = speed, avoids
-        self._seen += 1
-        self.since += self._sample
-        if self.phase is Phase.SETTLED and not self._slow:
+        row = self._observation_count % self._window_length
+        self._speed_sum += speed - self._speed_window[row]
+        self._avoiding_sum += avoids - self._avoiding_window[row]
+        self._speed_window[row], self._avoiding_window[row] = speed, avoids
+        self._observation_count += 1
+        self.time_in_phase += self._frame_period
+        if self.phase is Phase.CONVERGED and not self._is_slow:
             self._enter(Phase.FLYING)
-        elif self.phase is Phase.SETTLED and self._lasts(self._protocol.hold):
-            self._enter(Phase.DONE)
-        elif self._seen >= self._length and self._lasts(self._protocol.window):
-            self._judge()
+        elif self.phase is Phase.CONVERGED and self._has_lasted(self._settings.convergence_time):
+            self._enter(Phase.COMPLETED)
+        elif self._observation_count >= self._window_length and self._has_lasted(
+            self._settings.averaging_window
+        ):
+            self._update_phase()
         return self.phase
 
-    def _judge(self) -> None:
-        if self.phase is Phase.FLYING and self._slow:
-            self._enter(Phase.SETTLED)
-        elif self.phase is Phase.FLYING and self._stuck:
+    def _update_phase(self) -> None:
+        if self.phase is Phase.FLYING and self._is_slow:
+            self._enter(Phase.CONVERGED)
+        elif self.phase is Phase.FLYING and self._is_gridlocked:
             self._enter(Phase.GRIDLOCKED)
-        elif self.phase is Phase.GRIDLOCKED and not self._stuck:
+        elif self.phase is Phase.GRIDLOCKED and not self._is_gridlocked:
             self._enter(Phase.FLYING)
-        elif self.phase is Phase.GRIDLOCKED and self._lasts(self._protocol.patience):
-            self._enter(Phase.GIVEN_UP)
+        elif self.phase is Phase.GRIDLOCKED and self._has_lasted(self._settings.gridlock_timeout):
+            self._enter(Phase.ABORTED)
 
     @property
-    def _slow(self) -> bool:
-        return bool((self._speeds < self._protocol.settled * self._length).all())
+    def _is_slow(self) -> bool:
+        return bool(
+            (self._speed_sum < self._settings.convergence_speed * self._window_length).all()
+        )
 
     @property
-    def _stuck(self) -> bool:
-        return bool((self._avoided > self._protocol.stuck * self._length).any())
+    def _is_gridlocked(self) -> bool:
+        return bool(
+            (self._avoiding_sum > self._settings.gridlock_share * self._window_length).any()
+        )
 
-    def _lasts(self, time: float) -> bool:
-        return self.since >= time - 1e-9
+    def _has_lasted(self, time: float) -> bool:
+        return self.time_in_phase >= time - 1e-9
 
     def _enter(self, phase: Phase) -> None:
-        self.phase, self.since = phase, 0.0
-        if phase is not Phase.SETTLED:
-            self._seen = 0
+        self.phase, self.time_in_phase = phase, 0.0
+        if phase is not Phase.CONVERGED:
+            self._observation_count = 0

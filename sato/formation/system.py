@@ -2,38 +2,38 @@
 
 from typing import TYPE_CHECKING
 
-from sato.formation.check import examine
-from sato.formation.flight import Frame, fly
-from sato.formation.log import MEANING, attributes, variables
-from sato.formation.mission import FormationFlight
-from sato.system import Figures, Passage, System
+from sato.formation.check import check_run
+from sato.formation.loop import FormationFrame, simulate
+from sato.formation.mission import Formation
+from sato.formation.record import VARIABLES, run_attributes, stack_variables
+from sato.interfaces import FigureFactories, MissionProgress, System
 
 if TYPE_CHECKING:
     import xarray
 
 
-def passage(mission: FormationFlight, frame: Frame) -> Passage:
+def describe_progress(mission: Formation, frame: FormationFrame) -> MissionProgress:
     """The leg under way, and the time that is left at most."""
-    done = round(frame.time / mission.sample)
-    total = max(done, round(mission.protocol.limit / mission.sample))
-    stage = f"leg {frame.leg + 1} of {len(mission.shapes)}"
-    return Passage(stage, done, total, frame.phase.value)
+    done = round(frame.time / mission.frame_period)
+    total = max(done, round(mission.supervision.time_limit / mission.frame_period))
+    stage = f"leg {frame.leg + 1} of {len(mission.gains)}"
+    return MissionProgress(stage, done, total, frame.phase.value)
 
 
-def _figures(data: "xarray.Dataset", mission: FormationFlight) -> Figures:
-    from sato.formation.plots import figures
+def _load_figures(data: "xarray.Dataset", mission: Formation) -> FigureFactories:
+    from sato.formation.figures import make_figures
 
-    return figures(data, mission)
+    return make_figures(data, mission)
 
 
 SYSTEM = System(
     name="formation",
-    fly=fly,
-    outcomes=(),
-    meaning=MEANING,
-    variables=variables,
-    attributes=attributes,
-    judge=examine,
-    passage=passage,
-    figures=_figures,
+    simulate=simulate,
+    stop_errors=(),
+    variable_definitions=VARIABLES,
+    stack_variables=stack_variables,
+    attributes=run_attributes,
+    check=check_run,
+    progress=describe_progress,
+    figures=_load_figures,
 )

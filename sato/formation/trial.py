@@ -8,49 +8,55 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from problems.formation import Formation
-from problems.formation_gain import design
-from problems.gains import Gains
-from sato.formation.flight import Frame, fly
-from sato.formation.mission import FormationFlight
-from sato.formation.shape import Likeness, likeness
+from problems.desired_formation import DesiredFormation
+from problems.gain_design import design_gains
+from problems.gain_matrix import GainMatrix
+from sato.formation.loop import FormationFrame, simulate
+from sato.formation.mission import Formation
+from sato.formation.shape_error import ShapeError, compute_shape_error
 from sato.formation.supervisor import Phase
-from sato.shapes.random_formation import random_formation, random_start, thinned
+from sato.shapes.random_points import random_dense_graph, sample_formation, sample_positions
 
 HEIGHT = 1.0  # at which all hover before the first formation [m]
 
 
-class Draw(NamedTuple):
+class TrialSetup(NamedTuple):
     """What is drawn for a trial, the same for every way of flying it."""
 
     start: Float[Array, "agents 3"]  # [m]
-    shapes: tuple[Gains, Gains]
+    gains: tuple[GainMatrix, GainMatrix]
 
 
 @dataclass(frozen=True)
-class Trial:
+class FormationTrial:
     """What came of a trial."""
 
-    settled: bool  # both formations, by the protocol: everybody's command is small
-    likeness: tuple[Likeness, ...]  # of each formation settled in, after hovering in it
-    path: float  # flown in the plane while under way, mean of the vehicles, both together [m]
+    completed: bool  # both formations, by the protocol: everybody's command is small
+    shape_errors: tuple[ShapeError, ...]  # of each formation settled in, after hovering in it
+    path_length: (
+        float  # flown in the plane while under way, mean of the vehicles, both together [m]
+    )
     time: float  # from each first assignment until settled, both together [s]
     assignments: int  # the first of each formation, and changes
-    separation: float  # least distance of two vehicles in the plane, at control steps [m]
-    gridlocked: float  # time in gridlock [s]
+    min_separation: float  # least distance of two vehicles in the plane, at control steps [m]
+    gridlock_time: float  # time in gridlock [s]
 
     @property
     def inverted(self) -> bool:
         """Whether a formation is upside down."""
-        return any(x.inverted for x in self.likeness)
+        return any(x.inverted for x in self.shape_errors)
 
     @property
-    def error(self) -> float:
+    def shape_error(self) -> float:
         """The larger error of shape of the two [m]; infinite if one was not taken up."""
-        return max((x.error for x in self.likeness), default=np.inf) if self.settled else np.inf
+        return (
+            max((x.error for x in self.shape_errors), default=np.inf) if self.completed else np.inf
+        )
 
 
-def draw(rng: np.random.Generator, agents: int = 30, thin: bool = False) -> Draw:
+def draw_trial(
+    rng: np.random.Generator, agents: int = 30, remove_edges: bool = False
+) -> TrialSetup:
     """A start and two formations, on one graph.
 
     Args:
@@ -58,72 +64,74 @@ def draw(rng: np.random.Generator, agents: int = 30, thin: bool = False) -> Draw
         agents: Number of vehicles.
         thin: The graph is complete, but for 1 to agents − 4 random pairs that are taken away.
     """
-    flat = random_start(agents, (20.0, 20.0), 1.5, rng)
+    flat = sample_positions(agents, (20.0, 20.0), 1.5, rng)
     start = np.column_stack([flat, np.full(agents, HEIGHT)])
-    points = [random_formation(agents, (15.0, 15.0, 2.0), 2.0, rng) for _ in range(2)]
-    graph = _graph(agents, thin, rng)
-    first, second = (design(Formation(p, graph), "projection") for p in points)
-    return Draw(start, (first, second))
+    points = [sample_formation(agents, (15.0, 15.0, 2.0), 2.0, rng) for _ in range(2)]
+    graph = _draw_graph(agents, remove_edges, rng)
+    first, second = (design_gains(DesiredFormation(p, graph), "projection") for p in points)
+    return TrialSetup(start, (first, second))
 
 
-def fly_trial(mission: FormationFlight, rng: np.random.Generator) -> Trial:
+def run_trial(mission: Formation, rng: np.random.Generator) -> FormationTrial:
     """Fly a trial and judge it.
 
     Args:
         mission: What is flown.
         rng: Draws noise and losses.
     """
-    return judged(mission, fly(mission, rng))
+    return evaluate_trial(mission, simulate(mission, rng))
 
 
-def judged(mission: FormationFlight, frames: Iterable[Frame]) -> Trial:
+def evaluate_trial(mission: Formation, frames: Iterable[FormationFrame]) -> FormationTrial:
     """What came of a trial that is flown, by all its frames."""
-    account = _Account(mission)
+    account = _TrialStatistics(mission)
     for frame in frames:
-        account.add(frame)
-    return account.close()
+        account.update(frame)
+    return account.result()
 
 
-class _Account:
-    def __init__(self, mission: FormationFlight) -> None:
+class _TrialStatistics:
+    def __init__(self, mission: Formation) -> None:
         self.mission = mission
-        self.last: Frame | None = None
-        self.likeness: list[Likeness] = []
-        self.path = self.time = self.gridlocked = 0.0
+        self.last: FormationFrame | None = None
+        self.shape_errors: list[ShapeError] = []
+        self.path_length = self.time = self.gridlock_time = 0.0
         self.assignments = 0
 
-    def add(self, frame: Frame) -> None:
+    def update(self, frame: FormationFrame) -> None:
         last, self.last = self.last, frame
         self.assignments += sum(e["kind"] == "assignment" for e in frame.events)
         if last is None:
             return
-        if last.leg != frame.leg and last.phase is Phase.DONE:
-            self._settle(last)
+        if last.leg != frame.leg and last.phase is Phase.COMPLETED:
+            self._record_shape_error(last)
         # From the frame after the first assignment to the one that shows the end.
-        done = last.leg == frame.leg and last.phase is Phase.DONE
+        done = last.leg == frame.leg and last.phase is Phase.COMPLETED
         if frame.phase is not Phase.WAITING and not done:
-            self.path += float((frame.path - last.path).sum()) / len(frame.path)
+            self.path_length += float((frame.path_length - last.path_length).sum()) / len(
+                frame.path_length
+            )
             self.time += frame.time - last.time
         if last.phase is Phase.GRIDLOCKED:
-            self.gridlocked += frame.time - last.time
+            self.gridlock_time += frame.time - last.time
 
-    def close(self) -> Trial:
+    def result(self) -> FormationTrial:
         assert self.last is not None
-        if self.last.phase is Phase.DONE:
-            self._settle(self.last)
-        settled = len(self.likeness) == len(self.mission.shapes)
-        return Trial(
-            settled, tuple(self.likeness), self.path, self.time, self.assignments,
-            float(self.last.nearest.min()), self.gridlocked,
+        if self.last.phase is Phase.COMPLETED:
+            self._record_shape_error(self.last)
+        settled = len(self.shape_errors) == len(self.mission.gains)
+        return FormationTrial(
+            settled, tuple(self.shape_errors), self.path_length, self.time, self.assignments,
+            float(self.last.min_separation.min()), self.gridlock_time,
         )  # fmt: skip
 
-    def _settle(self, frame: Frame) -> None:
-        holder = np.argsort(frame.point)
-        points = self.mission.shapes[frame.leg].formation.points
-        self.likeness.append(likeness(frame.position[holder], points))
+    def _record_shape_error(self, frame: FormationFrame) -> None:
+        holder = np.argsort(frame.assignment)
+        points = self.mission.gains[frame.leg].formation.points
+        self.shape_errors.append(compute_shape_error(frame.position[holder], points))
 
 
-def _graph(agents: int, thin: bool, rng: np.random.Generator) -> Bool[Array, "agents agents"]:
+def _draw_graph(agents: int, thin: bool, rng: np.random.Generator) -> Bool[Array, "agents agents"]:
     if not thin:
         return ~np.eye(agents, dtype=bool)
-    return thinned(agents, int(rng.integers(1, agents - 3)), rng)
+    return random_dense_graph(agents, int(rng.integers(1, agents - 3)), rng)

@@ -7,14 +7,14 @@ from importlib.metadata import version
 from importlib.resources import as_file, files
 from pathlib import Path
 
-from sato.onboard.asked import Asked, asked
-from sato.onboard.generated import generate, refuse_without
-from sato.onboard.model import numbers, sizes_and_limits
+from sato.onboard.codegen import generate_solver, require_cvxpygen
+from sato.onboard.headers import format_data_header, format_model_header
+from sato.onboard.problem import OnboardProblem, build_onboard_problem
 
 
 def export_c(
-    scenario: str, out: str | Path, neighbours: int = 5, steps: int | None = None
-) -> Asked:
+    scenario: str, out: str | Path, neighbors: int = 5, steps: int | None = None
+) -> OnboardProblem:
     """Write C that solves the programme of one agent of a scenario.
 
     Args:
@@ -32,46 +32,46 @@ def export_c(
         OSError: The folder cannot be written.
     """
     out = Path(out)
-    refuse_without()
+    require_cvxpygen()
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ValueError(f"{out}: is there already; --out takes a folder that is new, or empty")
-    what = asked(scenario, neighbours, steps)
+    what = build_onboard_problem(scenario, neighbors, steps)
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".exporting-", dir=out.parent) as workshop:
         made = Path(workshop, "made")
-        _write(what, made)
+        _write_sources(what, made)
         os.replace(made, out)
     return what
 
 
-def tell(what: Asked) -> str:
+def describe(what: OnboardProblem) -> str:
     """What the code can do, in a sentence."""
-    programme, limit = what.programme, "no speed limit"
-    if programme.limited:
+    programme, limit = what.program, "no speed limit"
+    if programme.has_speed_limit:
         limit = f"the speed limit of {programme.transfer.max_speed:g} m/s"
     return (
-        f"{what.scenario}: flights of {len(programme.transfer.steps)} steps with {limit}, and "
-        f"{programme.rows} half-spaces in each of the first {programme.horizon}, which is room "
-        f"for {what.neighbours} neighbours"
+        f"{what.scenario}: flights of {len(programme.transfer.model)} steps with {limit}, and "
+        f"{programme.rows_per_step} half-spaces in each of the first {programme.horizon_steps}, which is room "
+        f"for {what.neighbors} neighbours"
     )
 
 
-def _write(what: Asked, folder: Path) -> None:
+def _write_sources(what: OnboardProblem, folder: Path) -> None:
     with as_file(files("sato.onboard") / "c") as ours:
         shutil.copytree(ours, folder)
-    sizes = generate(what.programme, folder / "generated")
+    sizes = generate_solver(what.program, folder / "generated")
     for name, text in (
-        ("sato_model.h", sizes_and_limits(what.programme, sizes)),
-        ("sato_numbers.h", numbers(what.programme)),
-        ("README.md", _readme(what)),
+        ("sato_model.h", format_model_header(what.program, sizes)),
+        ("sato_numbers.h", format_data_header(what.program)),
+        ("README.md", _format_readme(what)),
     ):
         (folder / name).write_text(text, encoding="utf-8")
 
 
-def _readme(what: Asked) -> str:
-    programme = what.programme
+def _format_readme(what: OnboardProblem) -> str:
+    programme = what.program
     transfer = programme.transfer
-    fast = f"{transfer.max_speed:g} m/s" if programme.limited else "none"
+    fast = f"{transfer.max_speed:g} m/s" if programme.has_speed_limit else "none"
     return f"""# One agent's transfer, in C
 
 Written by sato {version("sato")} with CVXPYgen {version("cvxpygen")} from the scenario
@@ -79,12 +79,12 @@ Written by sato {version("sato")} with CVXPYgen {version("cvxpygen")} from the s
 
 | | |
 |---|---|
-| steps of the flight | {len(transfer.steps)} of {transfer.steps.dt:g} s |
-| axes | {transfer.steps.axes} |
+| steps of the flight | {len(transfer.model)} of {transfer.model.dt:g} s |
+| axes | {transfer.model.axes} |
 | largest control | {transfer.max_control:g} m/s² an axis |
 | largest speed | {fast} |
-| half-spaces | {programme.rows} in each of the first {programme.horizon} steps |
-| which is room for | {what.neighbours} neighbours, {what.horizon.pieces} pieces of path a step |
+| half-spaces | {programme.rows_per_step} in each of the first {programme.horizon_steps} steps |
+| which is room for | {what.neighbors} neighbours, {what.horizon.pieces_per_step} pieces of path a step |
 
 It needs a C99 compiler, `malloc` and, on a POSIX system, `clock_gettime`. Another number of
 steps is another export. It finds no proof where there is no flight, and says only that none

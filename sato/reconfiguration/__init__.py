@@ -1,7 +1,7 @@
 """SYSTEM 1: swarm reconfiguration. Cost → auction → SCP → fly → repeat [Morgan2016]."""
 
-from sato.reconfiguration.flight import fly
-from sato.reconfiguration.frame import Frame
-from sato.reconfiguration.mission import Arrival, Leg, Loss, Reconfiguration
+from sato.reconfiguration.frame import ReconfigurationFrame
+from sato.reconfiguration.loop import fly
+from sato.reconfiguration.mission import Join, Leg, Loss, Reconfiguration
 
-__all__ = ["Arrival", "Frame", "Leg", "Loss", "Reconfiguration", "fly"]
+__all__ = ["Join", "Leg", "Loss", "Reconfiguration", "ReconfigurationFrame", "fly"]

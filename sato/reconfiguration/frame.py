@@ -6,7 +6,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 
-class Frame(NamedTuple):
+class ReconfigurationFrame(NamedTuple):
     """One control instant."""
 
     time: float  # [s]
@@ -17,7 +17,9 @@ class Frame(NamedTuple):
     control: Float[Array, "agents d"]  # commanded, held from now on; NaN where there is none [m/s²]
     applied_control: Float[Array, "agents d"]  # what the plant integrates [m/s²]
     leg: int  # under way from this instant on; the last frame keeps the last leg
-    target: Int[Array, " agents"]  # held; −1 none
-    believed: Int[Array, " agents"]  # how many targets each agent bids on
-    measured: Float[Array, "agents n"] | None  # what the agents believe of their state, under noise
+    target_index: Int[Array, " agents"]  # held; −1 none
+    target_count: Int[Array, " agents"]  # how many targets each agent bids on
+    measured_state: (
+        Float[Array, "agents n"] | None
+    )  # what the agents believe of their state, under noise
     events: tuple[dict[str, Any], ...]  # {"kind": …, "agents": […], …}; the record adds the time

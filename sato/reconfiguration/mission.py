@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from dynamics.model import LinearModel, NonlinearModel
-from dynamics.path import least_distance
-from dynamics.plant import Modelled, Plant
+from dynamics.plant import LinearPlant, Plant
+from dynamics.trajectory_geometry import min_distance
 
 Norm = Literal[1, 2, "inf"]
 
@@ -27,7 +27,7 @@ class Loss:
 
 
 @dataclass(frozen=True)
-class Arrival:
+class Join:
     """Agents that come in: rows of `Reconfiguration.start` that were not alive before."""
 
     agents: tuple[int, ...]
@@ -41,7 +41,7 @@ class Leg:
     targets: Float[Array, "targets n"]  # states, ordered so that every prefix keeps the shape
     steps: int
     losses: tuple[Loss, ...] = ()
-    arrivals: tuple[Arrival, ...] = ()
+    joins: tuple[Join, ...] = ()
     recount: bool = False  # m from the bids of the leg before [Morgan2016, Method 1, line 31]
 
 
@@ -49,8 +49,8 @@ class Leg:
 class Reconfiguration:
     """A swarm that takes up one shape after another [Morgan2016, Method 3]."""
 
-    model: LinearModel  # shared by all agents: what auctions price by
-    start: Float[Array, "agents n"]  # states; a joining agent's is where it comes in
+    linear_model: LinearModel  # shared by all agents: what auctions price by
+    initial_states: Float[Array, "agents n"]  # states; a joining agent's is where it comes in
     alive: Bool[Array, " agents"]  # who is there at the start
     legs: tuple[Leg, ...]
     step: float  # Δt [s]
@@ -66,16 +66,18 @@ class Reconfiguration:
     bargains: int = 0  # sweeps in which those who are in each other's way then plan in pairs
     replan_steps: int = 4
     auction_steps: int = 4
-    believed: int = 0  # m of every agent before the first leg; 0 means as many as are alive
+    target_count: int = 0  # m of every agent before the first leg; 0 means as many as are alive
     cost: Literal["fuel", "distance"] = "fuel"  # what the auction minimises, before the tie-break
     tie_break: float = 0.2  # w; 0 is the printed method
     epsilon: float | None = None  # bid increment on the scale of the cost; None is ½ w s²
     bidder_ids: bool = True  # false is the printed method
     reset: Literal["change", "need"] = "change"  # of a clock: where the number of bids changed, or
     # only where somebody cannot make it in the time that is left
-    commit_steps: int = 0  # from which on, before the end, an agent keeps to its plan
+    freeze_steps: int = 0  # from which on, before the end, an agent keeps to its plan
     margin: float = 0.0  # beyond the collision radius that plans keep: for what models miss [m]
-    nonlinear: NonlinearModel | None = None  # re-linearised by each agent about its own nominal
+    nonlinear_model: NonlinearModel | None = (
+        None  # re-linearised by each agent about its own nominal
+    )
     plant: Plant | None = None  # what flies; None is the shared model itself
     disturbance: float = 0.0  # standard deviation of an acceleration held over a step [m/s²]
     position_noise: float = 0.0  # of what an agent believes of its state [m]
@@ -89,7 +91,10 @@ class Reconfiguration:
         """Refuse what no flight could mean."""
         if not self.legs or any(leg.steps < 1 for leg in self.legs):
             raise ValueError("a mission needs at least one leg, and each leg at least one step")
-        if self.alive.shape != self.start.shape[:1] or not np.isfinite(self.start).all():
+        if (
+            self.alive.shape != self.initial_states.shape[:1]
+            or not np.isfinite(self.initial_states).all()
+        ):
             raise ValueError("every agent needs a finite start and a word on whether it is there")
         if not (self.step > 0 and self.comm_radius > 0 and self.collision_radius > 0):
             raise ValueError(
@@ -111,7 +116,7 @@ class Reconfiguration:
                 f"not exceed horizon_steps = {self.horizon_steps}: agents that claim one target "
                 "must bid against each other before they can meet"
             )
-        if self.margin < 0 or self.commit_steps < 0:
+        if self.margin < 0 or self.freeze_steps < 0:
             raise ValueError("a margin and the steps at the end cannot be negative")
         if self.auction_steps % self.replan_steps:
             raise ValueError(
@@ -120,12 +125,12 @@ class Reconfiguration:
             )
 
     @cached_property
-    def truth(self) -> Plant:
+    def flown_plant(self) -> Plant:
         """What the vehicles really do."""
-        return self.plant or Modelled(self.model)
+        return self.plant or LinearPlant(self.linear_model)
 
     @property
-    def spacing(self) -> float:
+    def target_spacing(self) -> float:
         """Least distance between two targets of a leg [m]."""
-        d = self.model.axes
-        return min(least_distance(leg.targets[:, :d]) for leg in self.legs)
+        d = self.linear_model.axes
+        return min(min_distance(leg.targets[:, :d]) for leg in self.legs)

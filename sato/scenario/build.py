@@ -9,7 +9,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics import LinearModel
-from sato.reconfiguration.mission import Arrival, Leg, Reconfiguration
+from sato.reconfiguration.mission import Join, Leg, Reconfiguration
 from sato.scenario.legs import lost, occupied, wanted
 from sato.scenario.margin import margin
 from sato.scenario.refusal import Refusal, upward
@@ -65,8 +65,8 @@ def build(
         losses = tuple(lost(loss) for loss in leg.lose)
         flown.append(Leg(targets[number], leg.steps, losses, arrivals, leg.recount))
     mission = Reconfiguration(
-        model=space.model,
-        start=start,
+        linear_model=space.model,
+        initial_states=start,
         alive=np.arange(len(start)) < swarm.agents,
         legs=tuple(flown),
         step=plan.step_s,
@@ -82,13 +82,13 @@ def build(
         bargains=plan.bargains,
         replan_steps=plan.replan_steps,
         auction_steps=plan.auction_steps,
-        believed=swarm.believed or 0,
+        target_count=swarm.believed or 0,
         cost=plan.cost,
         tie_break=plan.tie_break,
         bidder_ids=plan.ids,
         reset=plan.reset,
-        commit_steps=plan.commit_steps,
-        nonlinear=world.nonlinear(),
+        freeze_steps=plan.commit_steps,
+        nonlinear_model=world.nonlinear(),
         plant=world.truth(space.model, len(start), rng),
         disturbance=disturbance.acceleration_m_s2,
         position_noise=disturbance.position_m,
@@ -114,13 +114,13 @@ def _apart(mission: Reconfiguration, plan: Plan, world: World) -> Reconfiguratio
     asked = plan.margin_m if plan.margin_m is not None else "auto" if world.chief else 0.0
     more = margin(mission) if asked == "auto" else asked
     assert not isinstance(more, str)
-    room = mission.spacing - mission.collision_radius
+    room = mission.target_spacing - mission.collision_radius
     if more > room * (1 + 1e-9):
         found = "auto gives" if asked == "auto" else "takes"
         raise Refusal(
             "plan.margin_m",
             f"{found} {more:.4g} m beyond the collision radius of {mission.collision_radius:g} m, "
-            f"and targets stand {mission.spacing:.4g} m apart; a shape with "
+            f"and targets stand {mission.target_spacing:.4g} m apart; a shape with "
             f"{mission.collision_radius + more:.4g} m, less noise, or margin_m = {room:.3g} "
             "would do",
         )
@@ -163,9 +163,9 @@ def _joining(
     begin: float,
     plan: Plan,
     rng: np.random.Generator,
-) -> tuple[list[Float[Array, "_ n"]], tuple[Arrival, ...]]:
+) -> tuple[list[Float[Array, "_ n"]], tuple[Join, ...]]:
     come: list[Array] = []
-    arrivals: list[Arrival] = []
+    arrivals: list[Join] = []
     d, rows = space.model.axes, len(start)
     for i, join in enumerate(leg.join):
         there = occupied(number, join.at_step, start, before)
@@ -174,7 +174,7 @@ def _joining(
         where = f"leg.{number}.join.{i}.start"
         t = begin + join.at_step * plan.step_s
         come.append(_start(space, where, join.start, join.agents, taken, t, rng))
-        arrivals.append(Arrival(tuple(range(rows, rows + join.agents)), join.at_step))
+        arrivals.append(Join(tuple(range(rows, rows + join.agents)), join.at_step))
         rows += join.agents
     return come, tuple(arrivals)
 

@@ -7,10 +7,10 @@ import numpy as np
 import tomli_w
 from pydantic import Field
 
-from sato.connectivity import ConnectivityFlight
-from sato.connectivity.distance import to_obstacles
+from sato.connectivity import Connectivity
+from sato.connectivity.distance import obstacle_distances
+from sato.connectivity.kernel import CommandLimits
 from sato.connectivity.obstacles import Obstacles
-from sato.connectivity.swarm import Limits
 from sato.scenario.connectivity_start import check_start
 from sato.scenario.connectivity_tables import (
     AnyPlant,
@@ -62,7 +62,7 @@ class ConnectivityFile(ScenarioFile):
     death: list[Lost] = Field(default=[])
     run: Duration = Duration()
 
-    def build(self, rng: np.random.Generator) -> ConnectivityFlight:
+    def build(self, rng: np.random.Generator) -> Connectivity:
         """The mission. Drawn are the start, beliefs, waypoints, obstacles and losses, in turn."""
         agents, step = self.swarm.agents, self.run.step_s
         with self.building():
@@ -80,45 +80,45 @@ class ConnectivityFile(ScenarioFile):
                 power = self.estimator.power(agents, step)
             with refused_at("swarm.start"):
                 posted = self.swarm.start.posted(agents, sight, rng)
-                check_start(posted, sight, potential.least, repulsion.nearest)
+                check_start(posted, sight, potential.lambda2_min, repulsion.min_distance)
             error = self.swarm.yaw_error_rad
             off = rng.uniform(-error, error, (agents, agents))
             with refused_at("stick"):
                 stick = self.stick.stick(posted.position[0], rng)
             with refused_at("obstacle"):
                 standing = placed(self.obstacle)
-                _check_clear(standing, posted.position, repulsion.nearest)
+                _check_clear(standing, posted.position, repulsion.min_distance)
             with refused_at("obstacles"):
                 drawn = scattered(
-                    self.obstacles, posted.position, stick.waypoints, repulsion.nearest, rng
+                    self.obstacles, posted.position, stick.waypoints, repulsion.min_distance, rng
                 )
             with refused_at("death"):
                 deaths = mourned(self.death, agents, self.run.duration_s, rng)
-            return ConnectivityFlight(
+            return Connectivity(
                 start=posted.position,
-                yaw=posted.yaw,
-                believed=posted.yaw - posted.yaw[:, None] + off,
+                start_yaw=posted.yaw,
+                start_yaw_estimate=posted.yaw - posted.yaw[:, None] + off,
                 stick=stick,
                 duration=self.run.duration_s,
                 step=step,
                 camera=sight,
-                blind=self.camera.blind,
+                range_only=self.camera.blind,
                 potential=potential,
                 repulsion=repulsion,
                 tracking=tracking,
-                limits=Limits(self.limits.speed_m_s, self.limits.turn_rad_s),
+                limits=CommandLimits(self.limits.speed_m_s, self.limits.turn_rad_s),
                 link=link,
                 estimator=self.estimator.kind,
-                power=power,
+                power_iteration=power,
                 plant=self.plant.plant,
                 obstacles=standing._replace(spheres=np.vstack([standing.spheres, drawn])),
-                noise=self.noise.camera_m,
+                camera_noise=self.noise.camera_m,
                 occlusion=self.camera.occlusion,
-                body=self.camera.body_m,
-                deaths=deaths,
+                body_radius=self.camera.body_m,
+                losses=deaths,
             )
 
-    def warn(self, mission: ConnectivityFlight) -> None:
+    def warn(self, mission: Connectivity) -> None:
         """Warn of a leader that outruns the rest, and of an estimator that cannot follow."""
         most, asked = mission.limits.speed, mission.stick.speed
         if asked >= most:
@@ -129,12 +129,12 @@ class ConnectivityFile(ScenarioFile):
                 f"{2 / 3 * most:.3g} m/s would do",
                 stacklevel=2,
             )
-        between = most * mission.power.exchange
+        between = most * mission.power_iteration.exchange_period
         if mission.estimator == "power_pi" and between > SAFE:
             warnings.warn(
                 f"robots go {1e3 * between:.3g} mm from one exchange of power_pi to the next, and "
                 f"beyond {1e3 * SAFE:g} mm it was seen to lose the swarm; limits.speed_m_s = "
-                f"{SAFE / mission.power.exchange:.3g} would do",
+                f"{SAFE / mission.power_iteration.exchange_period:.3g} would do",
                 stacklevel=2,
             )
 
@@ -149,7 +149,7 @@ class ConnectivityFile(ScenarioFile):
 def _check_clear(obstacles: Obstacles, start: np.ndarray, nearest: float) -> None:
     if obstacles.total == 0:
         return
-    away = to_obstacles(start, obstacles)
+    away = obstacle_distances(start, obstacles)
     robot, which = np.unravel_index(int(away.argmin()), away.shape)
     least = float(away[robot, which])
     if least <= nearest:

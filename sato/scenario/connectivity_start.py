@@ -8,11 +8,11 @@ from numpy import ndarray as Array
 from pydantic import Field, NonNegativeFloat, PositiveFloat
 from scipy.spatial.distance import pdist, squareform
 
-from problems.graph import Sight, connectivity, graph
-from sato.connectivity.mission import components
+from problems.interaction_graph import Camera, algebraic_connectivity, interaction_graph
+from sato.connectivity.mission import component_members
 from sato.scenario.refusal import Refusal, listed
 from sato.scenario.units import Table
-from sato.shapes.random_formation import NoRoom, apart
+from sato.shapes.random_points import NoRoomError, sample_separated_points
 
 DRAWINGS = 500  # of a whole swarm, before its connectivity is given up
 SIX = (8.0, 8.0, 3.0)  # box for six robots; for others it grows with their number [m]
@@ -34,7 +34,7 @@ class Scattered(Table):
     separation_m: PositiveFloat = 1.8
     lambda2: NonNegativeFloat = 0.05  # more than that
 
-    def posted(self, agents: int, sight: Sight, rng: np.random.Generator) -> Posted:
+    def posted(self, agents: int, sight: Camera, rng: np.random.Generator) -> Posted:
         """Draw until λ₂ is large enough.
 
         Raises:
@@ -46,22 +46,24 @@ class Scattered(Table):
         floor, best = np.array([0.0, 0.0, self.height_m]), 0.0
         for _ in range(DRAWINGS):
             try:
-                position = apart(
+                position = sample_separated_points(
                     lambda: floor + rng.uniform(0, 1, 3) * box,
                     agents,
                     self.separation_m,
                     np.empty((0, 3)),
                     3,
                 )
-            except NoRoom as full:
+            except NoRoomError as full:
                 raise Refusal(
                     "box_m",
-                    f"a box of {_by(box)} m is full after {full.done} of {agents} robots "
+                    f"a box of {_by(box)} m is full after {full.placed_count} of {agents} robots "
                     f"{self.separation_m:g} m apart; {_by(1.5 * box)}, or fewer robots, or a "
                     "smaller separation_m, would do",
                 ) from full
             yaw = rng.uniform(-np.pi, np.pi, agents)
-            found = float(connectivity(graph(position, yaw, sight).weight).lambda2)
+            found = float(
+                algebraic_connectivity(interaction_graph(position, yaw, sight).weights).lambda2
+            )
             if found > self.lambda2:
                 return Posted(position, yaw)
             best = max(best, found)
@@ -81,7 +83,7 @@ class Placed(Table):
     positions_m: list[list[float]]
     yaw_rad: list[float]
 
-    def posted(self, agents: int, sight: Sight, rng: np.random.Generator) -> Posted:
+    def posted(self, agents: int, sight: Camera, rng: np.random.Generator) -> Posted:
         """As they are listed.
 
         Raises:
@@ -97,7 +99,7 @@ class Placed(Table):
 AnyStart = Annotated[Scattered | Placed, Field(discriminator="kind")]
 
 
-def check_start(posted: Posted, sight: Sight, least: float, nearest: float) -> None:
+def check_start(posted: Posted, sight: Camera, least: float, nearest: float) -> None:
     """Robots start apart, and hang together.
 
     Args:
@@ -118,8 +120,8 @@ def check_start(posted: Posted, sight: Sight, least: float, nearest: float) -> N
             f"robots {i} and {j} start {away.min():.4g} m apart, and repulsion.nearest_m = "
             f"{nearest:g} is where they push without limit; move one of them",
         )
-    weight = graph(posted.position, posted.yaw, sight).weight
-    lambda2, parts = float(connectivity(weight).lambda2), components(weight)
+    weight = interaction_graph(posted.position, posted.yaw, sight).weights
+    lambda2, parts = float(algebraic_connectivity(weight).lambda2), component_members(weight)
     if len(parts) > 1:
         each = listed(("{" + ", ".join(map(str, part)) + "}" for part in parts), "and")
         raise Refusal(

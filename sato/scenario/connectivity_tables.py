@@ -8,23 +8,23 @@ from typing import Annotated, Literal
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
-from dynamics.kinematic import Kinematic
-from dynamics.quadrotor import GRAVITY, Quadrotor
-from problems.graph import Sight
-from sato.connectivity.mail import Link
-from sato.connectivity.mission import ConnectivityFlight
+from dynamics.kinematic import KinematicVehicle
+from dynamics.quadrotor import STANDARD_GRAVITY, Quadrotor
+from problems.interaction_graph import Camera as CameraModel
+from sato.connectivity.kernel import MAX_ROW_AGE, CommandLimits
+from sato.connectivity.messages import CommunicationLink
+from sato.connectivity.mission import Connectivity
 from sato.connectivity.potential import Potential, Repulsion
-from sato.connectivity.power import Power, fitted, spectral_radius
-from sato.connectivity.swarm import FORGET, Limits
-from sato.connectivity.yaw import Tracking
+from sato.connectivity.power_iteration import PowerIterationGains, default_gains, spectral_radius
+from sato.connectivity.yaw_estimator import YawTracking
 from sato.scenario.connectivity_start import AnyStart, Scattered
 from sato.scenario.refusal import Refusal, listed
 from sato.scenario.units import Table
 
-_SIGHT, _POTENTIAL, _REPULSION = Sight(), Potential(), Repulsion()
-_TRACKING, _LIMITS, _LINK = Tracking(), Limits(), Link()
-_KINEMATIC, _QUADROTOR = Kinematic(), Quadrotor()
-OLD = FORGET / 5  # that a message may be: some hops, and then its rows are forgotten [s]
+_SIGHT, _POTENTIAL, _REPULSION = CameraModel(), Potential(), Repulsion()
+_TRACKING, _LIMITS, _LINK = YawTracking(), CommandLimits(), CommunicationLink()
+_KINEMATIC, _QUADROTOR = KinematicVehicle(), Quadrotor()
+OLD = MAX_ROW_AGE / 5  # that a message may be: some hops, and then its rows are forgotten [s]
 GAINS = ("deflate", "iterate", "normalise", "follow", "agree", "settle")  # of power_pi
 
 
@@ -45,13 +45,13 @@ class Camera(Table):
     d_max_m: PositiveFloat = _SIGHT.d_max
     a_min: Annotated[float, Field(ge=-1)] = _SIGHT.a_min
     a_max: Annotated[float, Field(gt=-1)] = _SIGHT.a_max
-    axis: list[float] = Field(default=list(_SIGHT.axis))
+    axis: list[float] = Field(default=list(_SIGHT.optical_axis))
     blind: bool = False
     occlusion: bool = False
-    body_m: PositiveFloat = ConnectivityFlight.body  # radius of who stands in the line of sight
+    body_m: PositiveFloat = Connectivity.body_radius  # radius of who stands in the line of sight
 
     @property
-    def sight(self) -> Sight:
+    def sight(self) -> CameraModel:
         """As the robots work with it.
 
         Raises:
@@ -85,7 +85,7 @@ class Camera(Table):
         if len(self.axis) != 3 or not 1e-6 < size < 1e6:
             raise Refusal("axis", "needs 3 coordinates, the length not 0; [1, 1, 0] would do")
         x, y, z = (a / size for a in self.axis)
-        return Sight(
+        return CameraModel(
             self.d_min_m, self.d_near_m, self.d_far_m, self.d_max_m, self.a_min, self.a_max,
             (x, y, z),
         )  # fmt: skip
@@ -94,8 +94,8 @@ class Camera(Table):
 class Defence(Table):
     """How hard connectivity is defended; between the two λ₂."""
 
-    lambda2_min: NonNegativeFloat = _POTENTIAL.least
-    lambda2_max: PositiveFloat = _POTENTIAL.most
+    lambda2_min: NonNegativeFloat = _POTENTIAL.lambda2_min
+    lambda2_max: PositiveFloat = _POTENTIAL.lambda2_max
     strength: NonNegativeFloat = _POTENTIAL.strength
 
     @property
@@ -112,8 +112,8 @@ class Defence(Table):
 class Distance(Table):
     """How hard robots and obstacles push, and from where on."""
 
-    nearest_m: PositiveFloat = _REPULSION.nearest
-    farthest_m: PositiveFloat = _REPULSION.farthest
+    nearest_m: PositiveFloat = _REPULSION.min_distance
+    farthest_m: PositiveFloat = _REPULSION.max_distance
     strength: NonNegativeFloat = _REPULSION.strength
 
     @property
@@ -133,12 +133,12 @@ class Turning(Table):
     k1: PositiveFloat = _TRACKING.k1
     k2: NonNegativeFloat = _TRACKING.k2
     k3: NonNegativeFloat = _TRACKING.k3
-    slow_m_s: NonNegativeFloat = _TRACKING.slow
-    fast_m_s: PositiveFloat = _TRACKING.fast
-    closure: NonNegativeFloat = _TRACKING.closure
-    printed: bool = _TRACKING.printed
+    slow_m_s: NonNegativeFloat = _TRACKING.min_speed
+    fast_m_s: PositiveFloat = _TRACKING.max_speed
+    closure: NonNegativeFloat = _TRACKING.closure_gain
+    printed: bool = _TRACKING.as_printed
 
-    def tracking(self, step: float) -> Tracking:
+    def tracking(self, step: float) -> YawTracking:
         """As the robots work with it.
 
         Args:
@@ -158,7 +158,7 @@ class Turning(Table):
                     f"s: an error becomes {1 - gain * step:.3g} times as large in each; gains of "
                     f"{0.2 / step:.3g} would do",
                 )
-        return Tracking(
+        return YawTracking(
             self.k1, self.k2, self.k3, self.slow_m_s, self.fast_m_s, self.closure, self.printed
         )
 
@@ -167,17 +167,17 @@ class Most(Table):
     """What a robot asks of itself at most."""
 
     speed_m_s: PositiveFloat = _LIMITS.speed
-    turn_rad_s: PositiveFloat = _LIMITS.turn
+    turn_rad_s: PositiveFloat = _LIMITS.yaw_rate
 
 
 class Messages(Table):
     """How messages travel."""
 
-    every: PositiveInt = _LINK.every  # control steps between two
-    late: NonNegativeInt = _LINK.late  # how many messages later one arrives
-    loss: Annotated[float, Field(ge=0, lt=1)] = _LINK.loss
+    every: PositiveInt = _LINK.period_steps  # control steps between two
+    late: NonNegativeInt = _LINK.delay_messages  # how many messages later one arrives
+    loss: Annotated[float, Field(ge=0, lt=1)] = _LINK.loss_probability
 
-    def link(self, step: float) -> Link:
+    def link(self, step: float) -> CommunicationLink:
         """As messages travel.
 
         Args:
@@ -193,16 +193,16 @@ class Messages(Table):
                 "late" if self.late else "every",
                 f"messages are {oldest:.3g} s old before the next one comes, and may be {OLD:g} s: "
                 "rows of the adjacency are passed on some times before they are forgotten, after "
-                f"{FORGET:g} s; every = 1 and late = {most - 1} would do",
+                f"{MAX_ROW_AGE:g} s; every = 1 and late = {most - 1} would do",
             )
-        return Link(self.every, self.late, self.loss)
+        return CommunicationLink(self.every, self.late, self.loss)
 
 
 class Estimator(Table):
     """Who tells λ₂. The gains, in 1/s, and the exchange are of "power_pi" alone."""
 
     kind: Literal["flood", "exact", "power_pi"] = "flood"
-    exchange_s: PositiveFloat = Power().exchange
+    exchange_s: PositiveFloat = PowerIterationGains().exchange_period
     deflate: PositiveFloat | None = None
     iterate: PositiveFloat | None = None
     normalise: PositiveFloat | None = None
@@ -210,14 +210,14 @@ class Estimator(Table):
     agree: PositiveFloat | None = None
     settle: PositiveFloat | None = None
 
-    def power(self, agents: int, step: float) -> Power:
+    def power(self, agents: int, step: float) -> PowerIterationGains:
         """The gains; those that are not said fit the exchange and the number of robots.
 
         Raises:
             Refusal: They do not settle, or exchanges do not fall on control steps.
         """
         said = self.model_dump(exclude={"kind", "exchange_s"}, exclude_none=True)
-        power = fitted(self.exchange_s, agents)._replace(**said)
+        power = default_gains(self.exchange_s, agents)._replace(**said)
         if self.kind != "power_pi":
             return power
         whole = max(1, round(step / self.exchange_s))
@@ -227,7 +227,7 @@ class Estimator(Table):
                 f"{self.exchange_s:g} does not divide the control step of {step:g} s; "
                 f"{step / whole:.6g} would do",
             )
-        radius, good = spectral_radius(power, agents), fitted(self.exchange_s, agents)
+        radius, good = spectral_radius(power, agents), default_gains(self.exchange_s, agents)
         if radius >= 1:
             raise Refusal(
                 "",
@@ -244,23 +244,25 @@ class Driven(Table):
     """Robots that obey."""
 
     kind: Literal["kinematic"]
-    lag_s: NonNegativeFloat = _KINEMATIC.lag
-    noise: NonNegativeFloat = _KINEMATIC.noise  # of each velocity in each step [m/s, rad/s]
+    lag_s: NonNegativeFloat = _KINEMATIC.time_constant
+    noise: NonNegativeFloat = _KINEMATIC.noise_std  # of each velocity in each step [m/s, rad/s]
 
     @property
-    def plant(self) -> Kinematic:
+    def plant(self) -> KinematicVehicle:
         """As it flies."""
-        return Kinematic(self.lag_s, self.noise)
+        return KinematicVehicle(self.lag_s, self.noise)
 
 
 class Flown(Table):
     """Quadrotors, whose cameras tilt with them."""
 
     kind: Literal["quadrotor"]
-    response_s: PositiveFloat = _QUADROTOR.response
-    attitude_s: PositiveFloat = _QUADROTOR.attitude
-    tilt_rad: Annotated[float, Field(gt=0, lt=1.5)] = _QUADROTOR.tilt
-    climb_m_s2: Annotated[float, Field(gt=0, lt=GRAVITY)] = _QUADROTOR.climb
+    response_s: PositiveFloat = _QUADROTOR.velocity_time_constant
+    attitude_s: PositiveFloat = _QUADROTOR.attitude_time_constant
+    tilt_rad: Annotated[float, Field(gt=0, lt=1.5)] = _QUADROTOR.max_tilt
+    climb_m_s2: Annotated[float, Field(gt=0, lt=STANDARD_GRAVITY)] = (
+        _QUADROTOR.max_vertical_acceleration
+    )
 
     @property
     def plant(self) -> Quadrotor:
@@ -274,14 +276,14 @@ AnyPlant = Annotated[Driven | Flown, Field(discriminator="kind")]
 class Noise(Table):
     """What cameras measure wrongly."""
 
-    camera_m: NonNegativeFloat = ConnectivityFlight.noise  # standard deviation of each coordinate
+    camera_m: NonNegativeFloat = Connectivity.camera_noise  # standard deviation of each coordinate
 
 
 class Duration(Table):
     """How long it is flown, and how often robots decide."""
 
-    duration_s: PositiveFloat = ConnectivityFlight.duration
-    step_s: PositiveFloat = ConnectivityFlight.step
+    duration_s: PositiveFloat = Connectivity.duration
+    step_s: PositiveFloat = Connectivity.step
 
 
 def _in_order(table: Table, low: str, high: str, parts: int) -> None:

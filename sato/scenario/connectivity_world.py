@@ -9,9 +9,9 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
-from sato.connectivity.mission import Death
+from sato.connectivity.mission import AgentLoss
 from sato.connectivity.obstacles import Obstacles
-from sato.connectivity.stick import Homing, Recorded
+from sato.connectivity.stick import RecordedStick, WaypointStick
 from sato.scenario.refusal import Refusal
 from sato.scenario.units import Table
 
@@ -29,13 +29,13 @@ class ToWaypoints(Table):
     waypoints_m: list[list[float]] | None = None  # without them, some are drawn
     count: PositiveInt = 3  # so many,
     spacing_m: PositiveFloat = 5.0  # so far apart
-    speed_m_s: PositiveFloat = Homing.speed
-    on_s: PositiveFloat = Homing.on
-    off_s: NonNegativeFloat = Homing.off
-    near_m: PositiveFloat = Homing.near
-    slow_s: PositiveFloat = Homing.slow
+    speed_m_s: PositiveFloat = WaypointStick.speed
+    on_s: PositiveFloat = WaypointStick.hold_time
+    off_s: NonNegativeFloat = WaypointStick.release_time
+    near_m: PositiveFloat = WaypointStick.arrival_radius
+    slow_s: PositiveFloat = WaypointStick.time_constant
 
-    def stick(self, leader: Float[Array, " 3"], rng: np.random.Generator) -> Homing:
+    def stick(self, leader: Float[Array, " 3"], rng: np.random.Generator) -> WaypointStick:
         """The operator; waypoints that are drawn are level with the leader's start.
 
         Raises:
@@ -48,7 +48,7 @@ class ToWaypoints(Table):
             ways = leader + self.spacing_m * np.cumsum(legs, axis=0)
         else:
             ways = _in_space(self.waypoints_m, "waypoints_m")
-        return Homing(ways, self.speed_m_s, self.on_s, self.off_s, self.near_m, self.slow_s)
+        return WaypointStick(ways, self.speed_m_s, self.on_s, self.off_s, self.near_m, self.slow_s)
 
     def portable(self) -> "ToWaypoints":
         """The same."""
@@ -63,7 +63,7 @@ class Replayed(Table):
     times_s: list[float] | None = None
     velocities_m_s: list[list[float]] | None = None
 
-    def stick(self, leader: Float[Array, " 3"], rng: np.random.Generator) -> Recorded:
+    def stick(self, leader: Float[Array, " 3"], rng: np.random.Generator) -> RecordedStick:
         """The operator.
 
         Raises:
@@ -81,7 +81,7 @@ class Replayed(Table):
                 raise Refusal("times_s", f"has {len(times)} times for {len(velocities)} velocities")
         if not (np.diff(times) > 0).all():
             raise Refusal("file" if self.file else "times_s", "times must increase from row to row")
-        return Recorded(times, velocities)
+        return RecordedStick(times, velocities)
 
     def portable(self) -> "Replayed":
         """The same without its file."""
@@ -207,7 +207,7 @@ def scattered(
 
 def mourned(
     deaths: list[Lost], agents: int, duration: float, rng: np.random.Generator
-) -> tuple[Death, ...]:
+) -> tuple[AgentLoss, ...]:
     """Who is lost, and when.
 
     Raises:
@@ -223,13 +223,13 @@ def mourned(
             known = ", ".join(map(str, left))
             raise Refusal(f"{number}.robot", f"{death.robot} is none that is left of {known}")
         left.remove(death.robot)
-    found: list[Death] = []
+    found: list[AgentLoss] = []
     for death in deaths:
         robot = death.robot
         if robot is None:
             robot = left.pop(int(rng.integers(len(left))))
         time = rng.uniform(0, duration) if death.time_s is None else death.time_s
-        found.append(Death(robot, float(time)))
+        found.append(AgentLoss(robot, float(time)))
     return tuple(found)
 
 

@@ -7,20 +7,20 @@ import numpy as np
 import tomli_w
 from pydantic import Field, model_validator
 
-from problems.gains import Gains
+from problems.gain_matrix import GainMatrix
 from sato.formation import (
-    Assigning,
-    Avoidance,
-    FormationFlight,
-    Frames,
-    Law,
-    Limits,
-    Protocol,
-    Push,
-    misaligned,
+    AssignmentSettings,
+    CollisionAvoidance,
+    ControlLaw,
+    CoordinateFrames,
+    Formation,
+    FormationLimits,
+    OperatorCommand,
+    SupervisorSettings,
+    draw_frames,
 )
-from sato.formation.mission import check_assigning, check_push
-from sato.radio import Radio
+from sato.formation.mission import validate_assignment, validate_operator_command
+from sato.network.radio import Radio
 from sato.scenario.file import ScenarioFile
 from sato.scenario.formation_leg import FormationLeg
 from sato.scenario.formation_start import Scattered, hovering
@@ -72,38 +72,38 @@ class FormationFile(ScenarioFile):
         check_rate(self.control, self.radio)
         check_sticks(self.push)
         with refused_at("assignment.kind"):
-            check_assigning(self._assigning, self._radio)
+            validate_assignment(self._assigning, self._radio)
         for number, push in enumerate(self._pushes):
             with refused_at(f"push.{number}"):
-                check_push(push, self.swarm.agents)
+                validate_operator_command(push, self.swarm.agents)
         return self
 
-    def build(self, rng: np.random.Generator) -> FormationFlight:
+    def build(self, rng: np.random.Generator) -> Formation:
         """The mission. First the start is drawn, then each leg's points and graph, then frames."""
         swarm, agents = self.swarm, self.swarm.agents
         with self.building():
             with refused_at("swarm.start"):
                 start = hovering(swarm.start, agents, swarm.keep_out_m, rng)
             shapes = tuple(self._shape(number, rng) for number in range(len(self.leg)))
-            return FormationFlight(
+            return Formation(
                 start=start,
-                shapes=shapes,
-                frames=self._frames(rng),
-                law=self._law,
+                gains=shapes,
+                coordinate_frames=self._frames(rng),
+                control_law=self._law,
                 avoidance=self._rules,
                 limits=self._limits,
-                assigning=self._assigning,
-                protocol=self._protocol,
+                assignment=self._assigning,
+                supervision=self._protocol,
                 radio=self._radio,
-                step=self.control.step_s,
-                every=max(1, round(LOOK / self.control.step_s)),
-                pushes=self._pushes,
+                control_step=self.control.step_s,
+                steps_per_frame=max(1, round(LOOK / self.control.step_s)),
+                operator_commands=self._pushes,
             )
 
-    def warn(self, mission: FormationFlight) -> None:
+    def warn(self, mission: Formation) -> None:
         """Warn of an avoidance that does not keep vehicles apart."""
-        noise, margin = mission.frames.noise, mission.avoidance.margin
-        if mission.avoidance.printed:
+        noise, margin = mission.coordinate_frames.noise, mission.avoidance.margin
+        if mission.avoidance.legacy:
             doubtful = (
                 "legacy_avoidance does not keep vehicles apart: it is there to reproduce what "
                 "was printed, and `sato check` will say how near they came"
@@ -113,16 +113,16 @@ class FormationFile(ScenarioFile):
                 f"avoidance.margin_m = {margin:g} is less than twice frames.noise_m = {noise:g}, "
                 f"so the keep-out may be broken by as much; {2.5 * noise:g} would do"
             )
-        elif mission.avoidance.brake > mission.limits.acceleration / 2:
+        elif mission.avoidance.braking > mission.limits.acceleration / 2:
             doubtful = (
-                f"avoidance.brake_m_s2 = {mission.avoidance.brake:g} is more than half of "
+                f"avoidance.brake_m_s2 = {mission.avoidance.braking:g} is more than half of "
                 f"max_acceleration_m_s2 = {mission.limits.acceleration:g}, which leaves too little "
                 "for turning: vehicles may come some centimetres too near"
             )
-        elif mission.limits.speed * mission.step > margin:
+        elif mission.limits.speed * mission.control_step > margin:
             doubtful = (
-                f"in a control step of {mission.step:g} s a vehicle goes "
-                f"{mission.limits.speed * mission.step:g} m, farther than avoidance.margin_m = "
+                f"in a control step of {mission.control_step:g} s a vehicle goes "
+                f"{mission.limits.speed * mission.control_step:g} m, farther than avoidance.margin_m = "
                 f"{margin:g}: the keep-out may be broken by as much"
             )
         else:
@@ -139,71 +139,72 @@ class FormationFile(ScenarioFile):
         alone = self.model_copy(update={"leg": legs, "swarm": swarm})
         return tomli_w.dumps(alone.model_dump(exclude_none=True))
 
-    def _shape(self, number: int, rng: np.random.Generator) -> Gains:
+    def _shape(self, number: int, rng: np.random.Generator) -> GainMatrix:
         leg, swarm = self.leg[number], self.swarm
         with refused_at(f"leg.{number}"):
             return leg.gains.of(leg.drawn(swarm.agents, swarm.keep_out_m, rng))
 
-    def _frames(self, rng: np.random.Generator) -> Frames:
+    def _frames(self, rng: np.random.Generator) -> CoordinateFrames:
         asked, agents = self.frames, self.swarm.agents
-        drawn = misaligned(agents, asked.offset_m, asked.drift, asked.noise_m, rng)
+        drawn = draw_frames(agents, asked.offset_m, asked.drift, asked.noise_m, rng)
         if asked.yaw == "random":
             return drawn
-        return drawn._replace(heading=np.ones(agents, dtype=complex))
+        return drawn._replace(rotation=np.ones(agents, dtype=complex))
 
     @property
-    def _law(self) -> Law:
-        law = PRINTED.law if self.avoidance.legacy_avoidance else Law()
+    def _law(self) -> ControlLaw:
+        law = PRINTED.control_law if self.avoidance.legacy_avoidance else ControlLaw()
         asked = self.control
-        return law._replace(gain=asked.gain, size=asked.size, upright=asked.upright)
+        return law._replace(gain=asked.gain, size_rate=asked.size, upright=asked.upright)
 
     @property
-    def _rules(self) -> Avoidance:
-        rules = PRINTED.avoidance if self.avoidance.legacy_avoidance else Avoidance()
+    def _rules(self) -> CollisionAvoidance:
+        rules = PRINTED.avoidance if self.avoidance.legacy_avoidance else CollisionAvoidance()
         asked = self.avoidance
         return rules._replace(
             keep_out=self.swarm.keep_out_m,
-            notice=asked.notice_m,
+            avoidance_range=asked.notice_m,
             margin=asked.margin_m,
-            brake=asked.brake_m_s2,
-            aside=asked.aside_rad,
+            braking=asked.brake_m_s2,
+            right_turn_bias=asked.aside_rad,
         )
 
     @property
-    def _limits(self) -> Limits:
+    def _limits(self) -> FormationLimits:
         asked = self.swarm
-        return Limits(
+        return FormationLimits(
             speed=asked.max_speed_m_s,
             climb=asked.max_climb_m_s,
             acceleration=asked.max_acceleration_m_s2,
             climb_acceleration=asked.max_climb_acceleration_m_s2,
-            each_axis=self.avoidance.legacy_avoidance,
+            per_axis=self.avoidance.legacy_avoidance,
         )
 
     @property
-    def _assigning(self) -> Assigning:
+    def _assigning(self) -> AssignmentSettings:
         asked = self.assignment
-        return Assigning(asked.kind, asked.first_s, asked.period_s, asked.fineness)
+        return AssignmentSettings(asked.kind, asked.first_s, asked.period_s, asked.fineness)
 
     @property
-    def _protocol(self) -> Protocol:
+    def _protocol(self) -> SupervisorSettings:
         asked = self.protocol
-        return Protocol(
-            settled=asked.settled_m_s,
-            hover=asked.hover_s,
-            patience=asked.patience_s,
-            limit=asked.limit_s,
-            shape=asked.shape_m,
+        return SupervisorSettings(
+            convergence_speed=asked.settled_m_s,
+            hover_time=asked.hover_s,
+            gridlock_timeout=asked.patience_s,
+            time_limit=asked.limit_s,
+            shape_tolerance=asked.shape_m,
         )
 
     @property
     def _radio(self) -> Radio:
         asked = self.radio
-        bits = max(Radio.number, (self.swarm.agents - 1).bit_length())  # to tell them apart
+        bits = max(Radio.id_bits, (self.swarm.agents - 1).bit_length())  # to tell them apart
         return Radio(asked.rate_hz, asked.loss, asked.delay_s, bits)
 
     @property
-    def _pushes(self) -> tuple[Push, ...]:
+    def _pushes(self) -> tuple[OperatorCommand, ...]:
         return tuple(
-            Push(p.vehicle, p.start_s, p.end_s, np.array(p.velocity_m_s)) for p in self.push
+            OperatorCommand(p.vehicle, p.start_s, p.end_s, np.array(p.velocity_m_s))
+            for p in self.push
         )

@@ -6,9 +6,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from problems.formation import Formation
-from problems.formation_gain import NoStabilisingGain, Undecided, design
-from problems.gains import Gains
+from problems.desired_formation import DesiredFormation
+from problems.gain_design import GainDesignUndecided, NoStabilizingGain, design_gains
+from problems.gain_matrix import GainMatrix
 from sato.scenario.refusal import Refusal
 from sato.scenario.units import Table
 
@@ -26,7 +26,7 @@ class GainsTable(Table, ABC):
     """Where gains come from."""
 
     @abstractmethod
-    def of(self, formation: Formation) -> Gains:
+    def of(self, formation: DesiredFormation) -> GainMatrix:
         """The gains of a formation.
 
         Raises:
@@ -39,17 +39,17 @@ class GainsTable(Table, ABC):
 
 
 class Designed(GainsTable):
-    """Designed by a method, see `problems.formation_gain.design`."""
+    """Designed by a method, see `problems.gain_design.design`."""
 
     kind: Literal["auto", "projection", "admm", "sdp", "paper"]
 
-    def of(self, formation: Formation) -> Gains:
+    def of(self, formation: DesiredFormation) -> GainMatrix:
         """As the method finds them."""
         try:
-            return design(formation, self.kind)
-        except NoStabilisingGain as error:
+            return design_gains(formation, self.kind)
+        except NoStabilizingGain as error:
             raise Refusal("graph", str(error)) from error
-        except Undecided as error:
+        except GainDesignUndecided as error:
             raise Refusal("gains", str(error)) from error
 
     def portable(self) -> "Designed":
@@ -65,7 +65,7 @@ class ListedGains(GainsTable):
     bounds: list[float]  # on the rate in the plane, and upwards [1/s]
     method: str
 
-    def of(self, formation: Formation) -> Gains:
+    def of(self, formation: DesiredFormation) -> GainMatrix:
         """As they are listed."""
         n = len(formation.points)
         if len(self.bounds) != 2 or any(len(edge) != 5 for edge in self.edges):
@@ -80,7 +80,7 @@ class ListedGains(GainsTable):
         for A in (xy, up):
             np.fill_diagonal(A, A.diagonal() - A.sum(axis=1))
         try:
-            return Gains(formation, xy, up, self.method, *self.bounds)
+            return GainMatrix(formation, xy, up, self.method, *self.bounds)
         except ValueError as error:
             raise Refusal("gains", str(error)) from error
 
@@ -95,10 +95,10 @@ class GainsFromFile(GainsTable):
     kind: Literal["file"]
     file: str
 
-    def of(self, formation: Formation) -> Gains:
+    def of(self, formation: DesiredFormation) -> GainMatrix:
         """Those of the file, if they are of this formation."""
         gains = self._load()
-        if not gains.belongs_to(formation):
+        if not gains.matches_formation(formation):
             what = "graph" if _same_points(gains.formation, formation) else "points"
             raise Refusal(
                 "gains.file",
@@ -111,13 +111,13 @@ class GainsFromFile(GainsTable):
         """What the file says, edge by edge."""
         return self._listed(self._load())
 
-    def _load(self) -> Gains:
+    def _load(self) -> GainMatrix:
         try:
-            return Gains.load(self.file)
+            return GainMatrix.load(self.file)
         except (ValueError, OSError) as error:
             raise Refusal("gains.file", _why(self.file, error)) from error
 
-    def _listed(self, gains: Gains) -> ListedGains:
+    def _listed(self, gains: GainMatrix) -> ListedGains:
         i, j = np.nonzero(np.triu(gains.formation.graph))
         xy, z = gains.xy[i, j], gains.z[i, j]
         edges = np.stack([i, j, xy.real, xy.imag, z], axis=1).tolist()
@@ -132,7 +132,7 @@ AnyGains = Annotated[
 ]
 
 
-def _same_points(one: Formation, other: Formation) -> bool:
+def _same_points(one: DesiredFormation, other: DesiredFormation) -> bool:
     return np.array_equal(one.points, other.points)
 
 

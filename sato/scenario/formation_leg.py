@@ -8,16 +8,16 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 from pydantic import BeforeValidator, Field, NonNegativeFloat, NonNegativeInt, PositiveFloat
 
-from problems.formation import Formation
-from sato.formation.mission import check_formation
+from problems.desired_formation import DesiredFormation
+from sato.formation.mission import validate_formation
 from sato.scenario.formation_gains import AnyGains, Designed, of_kind
 from sato.scenario.formation_start import check_separation, level, listed
 from sato.scenario.refusal import Refusal, refused_at
 from sato.scenario.shape import Lattice, Picture, Points, Polygon, Ring, Shape, Text
 from sato.scenario.units import Table
 from sato.shapes.formation_files import read_formation, read_graph
-from sato.shapes.formations import formation, joined
-from sato.shapes.random_formation import random_formation, sparse_graph, thinned
+from sato.shapes.formation_library import graph_from_edges, load_formation
+from sato.shapes.random_points import random_dense_graph, random_sparse_graph, sample_formation
 
 
 class DrawnFormation(Table):
@@ -103,7 +103,7 @@ class FormationLeg(Table):
     graph: AnyGraph = PlainGraph(kind="complete")
     gains: AnyGains = Designed(kind="auto")
 
-    def drawn(self, agents: int, keep_out: float, rng: np.random.Generator) -> Formation:
+    def drawn(self, agents: int, keep_out: float, rng: np.random.Generator) -> DesiredFormation:
         """The formation on its graph; first the points are drawn, then the graph.
 
         Args:
@@ -116,8 +116,8 @@ class FormationLeg(Table):
         """
         with refused_at("formation"):
             points, name = self._points(agents, keep_out, rng)
-            complete = Formation.complete(points, name)
-            check_formation(complete, agents, keep_out)
+            complete = DesiredFormation.with_complete_graph(points, name)
+            validate_formation(complete, agents, keep_out)
         with refused_at("graph"):
             return replace(complete, graph=self._graph(points, rng))
 
@@ -140,9 +140,9 @@ class FormationLeg(Table):
         asked = self.formation
         if isinstance(asked, DrawnFormation):
             check_separation(asked.separation_m, keep_out)
-            return random_formation(agents, asked.box_m, asked.separation_m, rng), "random"
+            return sample_formation(agents, asked.box_m, asked.separation_m, rng), "random"
         if isinstance(asked, LibraryFormation):
-            found = formation(asked.name)
+            found = load_formation(asked.name)
             return found.points, found.name
         if isinstance(asked, FormationFromFile):
             found = read_formation(asked.file)
@@ -152,9 +152,9 @@ class FormationLeg(Table):
     def _graph(self, points: Float[Array, "n 3"], rng: np.random.Generator) -> Bool[Array, "n n"]:
         asked, n = self.graph, len(points)
         if isinstance(asked, Thinned):
-            return thinned(n, asked.removals, rng)
+            return random_dense_graph(n, asked.removals, rng)
         if isinstance(asked, SparseGraph):
-            return sparse_graph(points, asked.share, rng)
+            return random_sparse_graph(points, asked.share, rng)
         if isinstance(asked, GraphFromFile):
             return read_graph(asked.file, n)
         if isinstance(asked, Pairs):
@@ -163,7 +163,7 @@ class FormationLeg(Table):
             return ~np.eye(n, dtype=bool)
         if not isinstance(self.formation, LibraryFormation):
             raise Refusal("", 'only formations of the library have their own; "complete" would do')
-        return formation(self.formation.name).graph
+        return load_formation(self.formation.name).graph
 
 
 def _joined(count: int, pairs: list[list[int]]) -> Bool[Array, "n n"]:
@@ -174,4 +174,4 @@ def _joined(count: int, pairs: list[list[int]]) -> Bool[Array, "n n"]:
             )
     if not pairs:
         raise Refusal("pairs", "lists no pairs")
-    return joined(count, pairs)
+    return graph_from_edges(count, pairs)

@@ -13,7 +13,7 @@ from sato.scenario.refusal import Refusal
 from sato.scenario.shape import Lattice, Picture, Points, Polygon, Ring, Shape, Text
 from sato.scenario.start import Listed, Place
 from sato.scenario.units import Table
-from sato.shapes.random_formation import random_start
+from sato.shapes.random_points import sample_positions
 
 
 class Scattered(Table):
@@ -98,7 +98,7 @@ def _scattered(
     if len(start.box_m) != 2:
         raise Refusal("box_m", f"needs 2 sides, along x and y, got {len(start.box_m)}")
     try:
-        flat = random_start(agents, start.box_m, start.separation_m, rng)
+        flat = sample_positions(agents, start.box_m, start.separation_m, rng)
     except ValueError as error:
         raise Refusal("box_m", str(error)) from error
     return np.column_stack([flat, np.full(agents, start.height_m)])

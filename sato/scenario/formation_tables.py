@@ -9,16 +9,23 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, model_validator
 
-from sato.formation import Assigning, Avoidance, FormationFlight, Law, Limits, Protocol
-from sato.formation.mission import as_printed
-from sato.radio import Radio
+from sato.formation import (
+    AssignmentSettings,
+    CollisionAvoidance,
+    ControlLaw,
+    Formation,
+    FormationLimits,
+    SupervisorSettings,
+)
+from sato.formation.mission import legacy_formation
+from sato.network.radio import Radio
 from sato.scenario.formation_start import AnyVehicleStart
 from sato.scenario.refusal import Refusal, upward
 from sato.scenario.units import Table, meaning
 
-_LAW, _LIMITS, _RULES = Law(), Limits(), Avoidance()
-_ASSIGNING, _PROTOCOL, _RADIO = Assigning(), Protocol(), Radio()
-PRINTED = as_printed(np.empty((0, 3)), (), "cbaa")  # the paper's code, with nobody in the air
+_LAW, _LIMITS, _RULES = ControlLaw(), FormationLimits(), CollisionAvoidance()
+_ASSIGNING, _PROTOCOL, _RADIO = AssignmentSettings(), SupervisorSettings(), Radio()
+PRINTED = legacy_formation(np.empty((0, 3)), (), "cbaa")  # the paper's code, with nobody in the air
 
 
 class Vehicles(Table):
@@ -36,29 +43,29 @@ class Vehicles(Table):
 class Control(Table):
     """What vehicles want; the printed law has a size control of its own, beside `size`."""
 
-    step_s: PositiveFloat = FormationFlight.step
+    step_s: PositiveFloat = Formation.control_step
     gain: PositiveFloat = _LAW.gain
-    size: PositiveFloat = _LAW.size
+    size: PositiveFloat = _LAW.size_rate
     upright: bool = _LAW.upright  # false: a mirror image, upside down, will do
 
 
 class Clearance(Table):
     """How they keep apart; the printed way heeds `notice_m` alone."""
 
-    notice_m: PositiveFloat = _RULES.notice
+    notice_m: PositiveFloat = _RULES.avoidance_range
     margin_m: NonNegativeFloat = _RULES.margin
-    brake_m_s2: PositiveFloat = _RULES.brake
-    aside_rad: NonNegativeFloat = _RULES.aside
+    brake_m_s2: PositiveFloat = _RULES.braking
+    aside_rad: NonNegativeFloat = _RULES.right_turn_bias
     legacy_avoidance: bool = False
 
 
 class Assignment(Table):
     """Who takes which point, and when that is asked again."""
 
-    kind: Literal["vsdaa", "cbaa", "hungarian", "none"] = _ASSIGNING.kind
-    first_s: NonNegativeFloat = _ASSIGNING.first
+    kind: Literal["vsdaa", "cbaa", "hungarian", "none"] = _ASSIGNING.method
+    first_s: NonNegativeFloat = _ASSIGNING.first_delay
     period_s: PositiveFloat = _ASSIGNING.period
-    fineness: PositiveFloat = _ASSIGNING.fineness
+    fineness: PositiveFloat = _ASSIGNING.relative_epsilon
 
 
 class Reckoning(Table):
@@ -73,19 +80,19 @@ class Reckoning(Table):
 class Messages(Table):
     """How vehicles hear each other."""
 
-    rate_hz: PositiveFloat = _RADIO.rate
+    rate_hz: PositiveFloat = _RADIO.message_rate
     delay_s: NonNegativeFloat = _RADIO.delay
-    loss: Annotated[float, Field(ge=0, lt=1)] = _RADIO.loss
+    loss: Annotated[float, Field(ge=0, lt=1)] = _RADIO.loss_probability
 
 
 class Judging(Table):
     """When a formation counts as taken up, and when a swarm is given up."""
 
-    settled_m_s: PositiveFloat = _PROTOCOL.settled
-    hover_s: NonNegativeFloat = _PROTOCOL.hover
-    patience_s: PositiveFloat = _PROTOCOL.patience
-    limit_s: PositiveFloat = _PROTOCOL.limit
-    shape_m: PositiveFloat = _PROTOCOL.shape
+    settled_m_s: PositiveFloat = _PROTOCOL.convergence_speed
+    hover_s: NonNegativeFloat = _PROTOCOL.hover_time
+    patience_s: PositiveFloat = _PROTOCOL.gridlock_timeout
+    limit_s: PositiveFloat = _PROTOCOL.time_limit
+    shape_m: PositiveFloat = _PROTOCOL.shape_tolerance
 
 
 class Stick(Table):
@@ -106,14 +113,22 @@ class Stick(Table):
 def as_in_the_printed_code(data: dict[str, Any]) -> dict[str, Any]:
     """The tables of a file, where what is not said is as in the paper's code."""
     defaults: dict[str, tuple[type[Table], dict[str, Any]]] = {
-        "control": (Control, {"step_s": PRINTED.step, "upright": PRINTED.law.upright}),
-        "avoidance": (Clearance, {"notice_m": PRINTED.avoidance.notice}),
-        "assignment": (Assignment, {"kind": PRINTED.assigning.kind}),
+        "control": (
+            Control,
+            {"step_s": PRINTED.control_step, "upright": PRINTED.control_law.upright},
+        ),
+        "avoidance": (Clearance, {"notice_m": PRINTED.avoidance.avoidance_range}),
+        "assignment": (Assignment, {"kind": PRINTED.assignment.method}),
         "frames": (
             Reckoning,
-            {"yaw": "aligned", "offset_m": 0.0, "drift": 0.0, "noise_m": PRINTED.frames.noise},
+            {
+                "yaw": "aligned",
+                "offset_m": 0.0,
+                "drift": 0.0,
+                "noise_m": PRINTED.coordinate_frames.noise,
+            },
         ),
-        "protocol": (Judging, {"settled_m_s": PRINTED.protocol.settled}),
+        "protocol": (Judging, {"settled_m_s": PRINTED.supervision.convergence_speed}),
     }
     filled = dict(data)
     for name, (kind, values) in defaults.items():

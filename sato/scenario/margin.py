@@ -4,8 +4,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics import hold
-from dynamics.plant import Modelled
+from dynamics import discretize_zoh
+from dynamics.plant import LinearPlant
 from sato.reconfiguration.mission import Reconfiguration
 
 SIGMAS = 5.0  # of what chance adds to the distance of two: beyond it once in 10⁶
@@ -50,21 +50,21 @@ def unmodelled(mission: Reconfiguration, steps: int) -> float:
 
     It is taken from all starts and targets, at nine instants of the time asked for.
     """
-    if isinstance(mission.truth, Modelled):
+    if isinstance(mission.flown_plant, LinearPlant):
         return 0.0
     whole = sum(leg.steps for leg in mission.legs) * mission.step
-    states = np.concatenate([mission.start, *(leg.targets for leg in mission.legs)])
+    states = np.concatenate([mission.initial_states, *(leg.targets for leg in mission.legs)])
     return max(_worst(mission, states, t, steps) for t in np.linspace(0, whole, 9).tolist())
 
 
 def _worst(mission: Reconfiguration, states: Float[Array, "k n"], t: float, steps: int) -> float:
-    worst, held = 0.0, hold(mission.model, mission.step, steps, t)
-    for x in _lots(states, len(mission.start)):
+    worst, held = 0.0, discretize_zoh(mission.linear_model, mission.step, steps, t)
+    for x in _lots(states, len(mission.initial_states)):
         for u in (mission.max_control, -mission.max_control):
-            push = np.full((len(x), mission.model.axes), u)
-            flown = mission.truth.fly(x, push, t, steps * mission.step)[-1]
-            planned = held.roll(x, np.repeat(push[:, None], steps, axis=1))[:, -1]
-            off = (flown - planned)[:, : mission.model.axes]
+            push = np.full((len(x), mission.linear_model.axes), u)
+            flown = mission.flown_plant.propagate(x, push, t, steps * mission.step)[-1]
+            planned = held.simulate(x, np.repeat(push[:, None], steps, axis=1))[:, -1]
+            off = (flown - planned)[:, : mission.linear_model.axes]
             worst = max(worst, float(np.nanmax(np.linalg.norm(off, axis=1))))
     return worst
 

@@ -5,19 +5,19 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, PositiveFloat
 
-from dynamics import ClohessyWiltshire, Linearised, LinearModel
-from dynamics.eccentric import Eccentric
+from dynamics import ClohessyWiltshire, LinearizedModel, LinearModel
 from dynamics.j2 import J2
 from dynamics.orbit import Orbit
 from dynamics.schweighart_sedwick import SchweighartSedwick
+from dynamics.tschauner_hempel import TschaunerHempel
 from sato.scenario.refusal import Refusal
 from sato.scenario.units import Table
 
 ABOUT: dict[str, Callable[[Orbit], LinearModel]] = {
-    "clohessy_wiltshire": ClohessyWiltshire.about,
-    "schweighart_sedwick": SchweighartSedwick.about,
-    "eccentric": Eccentric.about,
-    "j2": lambda orbit: Linearised.at_origin(J2(orbit)),
+    "clohessy_wiltshire": ClohessyWiltshire.from_orbit,
+    "schweighart_sedwick": SchweighartSedwick.from_orbit,
+    "eccentric": TschaunerHempel.from_orbit,
+    "j2": lambda orbit: LinearizedModel.at_origin(J2(orbit)),
 }
 
 

@@ -13,7 +13,7 @@ from pydantic import (
     model_validator,
 )
 
-from dynamics.frames import osculating
+from dynamics.coordinate_frames import to_polar_nodal
 from dynamics.orbit import EARTH_J2, EARTH_MU, EARTH_RADIUS, Orbit
 from sato.scenario.refusal import Refusal, downward, listed, upward
 from sato.scenario.units import Table
@@ -91,10 +91,10 @@ class Chief(Table):
         k_J2 = 1.5 * self.j2 * EARTH_MU * EARTH_RADIUS**2
         if self.position_m is not None and self.velocity_m_s is not None:
             state = np.array([*self.position_m, *self.velocity_m_s], dtype=float)
-            r, v_x, h, node, inclination, latitude = osculating(state).tolist()
+            r, v_x, h, node, inclination, latitude = to_polar_nodal(state).tolist()
             return Orbit(r, v_x, h, node, inclination, latitude, k_J2=k_J2)
         assert self.semi_major_axis_m is not None
-        return Orbit.of_elements(
+        return Orbit.from_elements(
             self.semi_major_axis_m,
             self.eccentricity or 0.0,
             self.inclination_rad or 0.0,

@@ -10,8 +10,8 @@ from numpy import ndarray as Array
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
-from dynamics import DoubleIntegrator, hold
-from problems.auction_cost import price
+from dynamics import DoubleIntegrator, discretize_zoh
+from problems.auction_cost import compute_transfer_costs
 from sato.reconfiguration.mission import Reconfiguration
 from sato.scenario.refusal import Refusal, listed, upward
 
@@ -60,7 +60,7 @@ def check_reach(mission: Reconfiguration) -> None:
 
 
 def _enough(mission: Reconfiguration, steps: int) -> int | None:
-    pairs = len(mission.start) * len(mission.legs[0].targets)
+    pairs = len(mission.initial_states) * len(mission.legs[0].targets)
     few, many = steps, 2 * steps
     while _lacking(mission, many) is not None:
         few, many = many, 2 * many
@@ -89,8 +89,10 @@ def _strong(mission: Reconfiguration, steps: int) -> str | None:
 
 def _lacking(mission: Reconfiguration, steps: int) -> Lacking | None:
     live, spare = _starting(mission)
-    wanted = max(mission.believed, len(live) - spare)
-    reachable = _reachable(mission, mission.start[live], mission.legs[0].targets[:wanted], steps)
+    wanted = max(mission.target_count, len(live) - spare)
+    reachable = _reachable(
+        mission, mission.initial_states[live], mission.legs[0].targets[:wanted], steps
+    )
     nowhere = np.flatnonzero(~reachable.any(axis=1))
     if nowhere.size > spare:
         return Lacking(int(live[nowhere[0]]), True)
@@ -111,10 +113,10 @@ def _starting(mission: Reconfiguration) -> tuple[Int[Array, " live"], int]:
 def _reachable(
     mission: Reconfiguration, start: Float[Array, "k n"], goals: Float[Array, "m n"], steps: int
 ) -> Bool[Array, "k m"]:
-    held = hold(mission.model, mission.step, steps)
+    held = discretize_zoh(mission.linear_model, mission.step, steps)
     # The box of r = ∞ holds the other norms' balls: what is out of its reach is out of theirs.
-    reachable = price(held, start, goals, mission.max_control).reachable
-    if isinstance(mission.model, DoubleIntegrator) and mission.max_speed < inf:
+    reachable = compute_transfer_costs(held, start, goals, mission.max_control).is_reachable
+    if isinstance(mission.linear_model, DoubleIntegrator) and mission.max_speed < inf:
         reachable &= _least_time(mission, start, goals) <= steps * mission.step * (1 + 1e-9)
     return np.asarray(reachable)
 
@@ -124,7 +126,7 @@ def _least_time(
 ) -> Float[Array, "k m"]:
     # Along the straight line from start to goal, a point that is no faster than V and, where it
     # starts at rest, no stronger than the box is in that direction: a bound from below.
-    d = mission.model.axes
+    d = mission.linear_model.axes
     way = goals[None, :, :d] - start[:, None, :d]
     far = np.linalg.norm(way, axis=2)
     V = mission.max_speed

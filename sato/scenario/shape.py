@@ -11,7 +11,7 @@ from pydantic import Field, PositiveFloat
 from sato import shapes
 from sato.scenario.refusal import Refusal
 from sato.scenario.units import Table
-from sato.shapes.sizing import Draft, place
+from sato.shapes.placement import UnplacedShape, place_shape
 
 
 class Shape(Table, ABC):
@@ -138,7 +138,7 @@ class Polygon(Shape):
             spacing=self.spacing_m,
             height=self.height_m,
             minimum_spacing=least,
-            centre="given" if self.centre_m is None else "origin",
+            center="given" if self.centre_m is None else "origin",
         )
 
 
@@ -187,7 +187,7 @@ class Points(Shape):
                 keep_order=self.keep_order,
                 spacing=self.spacing_m,
                 minimum_spacing=least,
-                centre=where,
+                center=where,
             )
         if self.file is not None or self.positions_m is None:
             raise ValueError("give a file or positions_m, one of them")
@@ -195,13 +195,13 @@ class Points(Shape):
         if len(listed) < count:
             raise ValueError(f"lists {len(listed)} points, fewer than the {count} asked for")
         middle = (listed.min(axis=0) + listed.max(axis=0)) / 2
-        chosen = listed if self.keep_order else listed[shapes.in_order(listed)]
-        placed = place(
-            Draft("the list of points", chosen[:count], middle, None, 1.0),
+        chosen = listed if self.keep_order else listed[shapes.farthest_point_order(listed)]
+        placed = place_shape(
+            UnplacedShape("the list of points", chosen[:count], middle, None, 1.0),
             spacing=self.spacing_m,
             size=None,
             minimum_spacing=least,
-            centre=where,
+            center=where,
         )
         # Scaled by nothing and moved nowhere, they stay what they are to the last bit.
         return placed if self.spacing_m or self.centre_m else chosen[:count]

@@ -7,12 +7,12 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
-from dynamics.path import least_distance
-from sato.network import Network
+from dynamics.trajectory_geometry import min_distance
+from sato.network.graph import CommunicationGraph
 from sato.scenario.refusal import Refusal, upward
 from sato.scenario.shape import Lattice, Picture, Points, Polygon, Ring, Shape, Text, centre, rows
 from sato.scenario.units import Table
-from sato.shapes.random_formation import FULL, NoRoom, apart
+from sato.shapes.random_points import PACKING_FRACTION, NoRoomError, sample_separated_points
 
 DRAWINGS = 200  # of a whole swarm, before its network is given up
 HEARD = 10  # neighbours on average in a box of no stated size: enough to hang together
@@ -64,7 +64,9 @@ class Random(Table):
             drawn = self._throw(count, box, middle, place, rng)
             if not self.connected and self.min_components is None:
                 return drawn
-            network = Network.within(drawn, place.comm_radius, np.ones(count, dtype=bool))
+            network = CommunicationGraph.from_positions(
+                drawn, place.comm_radius, np.ones(count, dtype=bool)
+            )
             components = int(network.component.max()) + 1
             if components == 1 if self.connected else components >= (self.min_components or 1):
                 return drawn
@@ -91,19 +93,19 @@ class Random(Table):
         half = np.array([box, box, box if self.depth_m is None else self.depth_m]) / 2
         half = half[: place.axes]
         try:
-            return apart(
+            return sample_separated_points(
                 lambda: middle + rng.uniform(-half, half),
                 count,
                 self.separation_m,
                 place.taken,
                 place.axes,
             )
-        except NoRoom as full:
-            raise Refusal("box_m", self._full(count, box, full.done, place)) from full
+        except NoRoomError as full:
+            raise Refusal("box_m", self._full(count, box, full.placed_count, place)) from full
 
     def _full(self, count: int, box: float, done: int, place: Place) -> str:
         s, everyone = self.separation_m, count + len(place.taken)
-        disc, ball = np.pi / 4 * s**2 / FULL[2], np.pi / 6 * s**3 / FULL[3]
+        disc, ball = np.pi / 4 * s**2 / PACKING_FRACTION[2], np.pi / 6 * s**3 / PACKING_FRACTION[3]
         if place.axes == 2 or (self.depth_m is not None and self.depth_m < s):
             enough = (everyone * disc) ** (1 / 2)
         elif self.depth_m is None:
@@ -201,7 +203,7 @@ def _refuse_close(placed: Float[Array, "count d"], place: Place) -> None:
 
     everyone = np.concatenate([placed, place.taken])
     radius = place.collision_radius * (1 - 1e-9)  # rounding is no collision
-    if least_distance(everyone) >= radius:
+    if min_distance(everyone) >= radius:
         return
     distance, near = cKDTree(everyone).query(placed, k=2)
     i = int(np.argmin(distance[:, 1]))

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from dynamics import hold
+from dynamics import discretize_zoh
 from dynamics.j2 import J2
 from dynamics.orbit import Orbit
-from dynamics.plant import Modelled
+from dynamics.plant import LinearPlant
 from sato.reconfiguration.mission import Reconfiguration
 
 PART = 0.1  # of the collision radius: the error from which on a model is no longer good
@@ -27,12 +27,12 @@ def doubt(mission: Reconfiguration, orbit: Orbit, kind: str) -> BeyondValidity |
         orbit: The chief's.
         kind: Of the model, as a scenario calls it.
     """
-    if mission.nonlinear is not None or isinstance(mission.truth, Modelled):
+    if mission.nonlinear_model is not None or isinstance(mission.flown_plant, LinearPlant):
         return None
-    start, steps = mission.start[mission.alive], mission.legs[0].steps
+    start, steps = mission.initial_states[mission.alive], mission.legs[0].steps
     T = steps * mission.step
-    free = np.zeros((len(start), steps, mission.model.axes))
-    told = hold(mission.model, mission.step, steps).roll(start, free)[:, -1]
+    free = np.zeros((len(start), steps, mission.linear_model.axes))
+    told = discretize_zoh(mission.linear_model, mission.step, steps).simulate(start, free)[:, -1]
     exact = J2(orbit).propagate(start, np.array([T]))[-1]
     error = np.linalg.norm((told - exact)[:, :3], axis=1)
     i = int(np.argmax(error))

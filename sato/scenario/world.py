@@ -8,10 +8,10 @@ from numpy import ndarray as Array
 
 from dynamics import DoubleIntegrator, LinearModel
 from dynamics.atmosphere import Atmosphere
-from dynamics.inertial import Inertial
+from dynamics.inertial import InertialPlant
 from dynamics.j2 import J2, invariant_velocity
 from dynamics.orbit import Orbit
-from dynamics.plant import Modelled, Plant
+from dynamics.plant import LinearPlant, Plant
 from sato.scenario.models import AnyModel, PointMasses, Relative
 from sato.scenario.orbital import Chief, PlantTable
 from sato.scenario.refusal import Refusal, listed
@@ -57,16 +57,17 @@ class World(NamedTuple):
         if self.chief is None:
             return None
         if self.as_planned:
-            return Modelled(model, self.chief.orbit)
+            return LinearPlant(model, self.chief.orbit)
         if not self.plant.drag:
-            return Inertial(self.chief.orbit)
+            return InertialPlant(self.chief.orbit)
         usual = self.plant.ballistic_m2_kg
         assert usual is not None
         own = self.plant.chief_ballistic_m2_kg
-        return Inertial(
+        return InertialPlant(
             self.chief.orbit,
-            ballistic=usual * (1 + self.plant.ballistic_spread * rng.uniform(-1, 1, agents)),
-            chief_ballistic=usual if own is None else own,
+            ballistic_coefficient=usual
+            * (1 + self.plant.ballistic_spread * rng.uniform(-1, 1, agents)),
+            chief_ballistic_coefficient=usual if own is None else own,
             atmosphere=_air(self.plant, self.chief),
         )
 
@@ -92,7 +93,7 @@ class World(NamedTuple):
         try:
             return invariant_velocity(self.chief.orbit, placed, t)
         except ValueError as error:
-            latitude = np.degrees(self.chief.orbit.at(t)[5]) % 360
+            latitude = np.degrees(self.chief.orbit.elements_at(t)[5]) % 360
             raise Refusal(
                 where,
                 f"lies out of the plane of the chief's orbit, and {t:g} s after the start the "
@@ -146,7 +147,7 @@ def check_world(world: World) -> None:
 def _air(plant: PlantTable, chief: Chief) -> Atmosphere:
     if plant.density_kg_m3 is None or plant.altitude_m is None or plant.scale_height_m is None:
         try:
-            return Atmosphere.near(chief.perigee)
+            return Atmosphere.from_altitude(chief.perigee)
         except ValueError as error:
             raise Refusal("plant.drag", f"finds no air at the chief's perigee: {error}") from error
     return Atmosphere(plant.density_kg_m3, plant.altitude_m, plant.scale_height_m)
@@ -160,7 +161,7 @@ def elsewhere(chief: Chief, times: tuple[float, ...]) -> str:
 
     def least(degrees: float) -> float:
         moved = chief.model_copy(update={"anomaly_rad": float(np.radians(degrees))})
-        return float(np.abs(np.cos(moved.orbit.at(np.array(times))[:, 5])).min())
+        return float(np.abs(np.cos(moved.orbit.elements_at(np.array(times))[:, 5])).min())
 
     best = max(ANOMALIES.tolist(), key=least)
     if least(best) < FAR_FROM_POLES:

@@ -10,22 +10,28 @@ way plan together, and `come_to_terms` does both, and begins from roundabouts be
 What "apart" means, and how it is made convex, is in `problems.convexify`.
 """
 
-from sato.scp.agent import STILL, TIGHT, Plan, Planner, revise
-from sato.scp.bargaining import bargain
-from sato.scp.orders import settle_orders
-from sato.scp.roundabout import come_to_terms
-from sato.scp.run import by_messages, exchanged, settle
+from sato.scp.exchange import run_batched, run_by_messages, run_scp
+from sato.scp.negotiation import negotiate
+from sato.scp.planner import (
+    CONVERGENCE_TOLERANCE,
+    FEASIBILITY_TOLERANCE,
+    Planner,
+    TrajectoryMessage,
+    update_planner,
+)
+from sato.scp.priority_orders import try_priority_orders
+from sato.scp.roundabout import resolve_conflicts
 
 __all__ = [
-    "STILL",
-    "TIGHT",
-    "Plan",
+    "CONVERGENCE_TOLERANCE",
+    "FEASIBILITY_TOLERANCE",
     "Planner",
-    "bargain",
-    "by_messages",
-    "come_to_terms",
-    "exchanged",
-    "revise",
-    "settle",
-    "settle_orders",
+    "TrajectoryMessage",
+    "negotiate",
+    "resolve_conflicts",
+    "run_batched",
+    "run_by_messages",
+    "run_scp",
+    "try_priority_orders",
+    "update_planner",
 ]

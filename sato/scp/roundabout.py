@@ -8,27 +8,27 @@ those whose turn is still to come as well, until all are clear. Bargains follow.
 
 from collections.abc import Mapping
 
-from sato.network import Network, play, turns
-from sato.scp.agent import Others, Plan, Planner, past
-from sato.scp.bargaining import bargain
-from sato.scp.orders import (
-    Settled,
-    bent,
-    cheaper,
-    going_on,
-    settle_orders,
-    tolled,
-    totals,
-    where_all,
+from sato.network.graph import CommunicationGraph, run_round, schedule_turns
+from sato.scp.negotiation import negotiate
+from sato.scp.planner import AvoidedAgents, Planner, TrajectoryMessage, solve_around
+from sato.scp.priority_orders import (
+    ConflictResolution,
+    compute_priority_costs,
+    keep_cheaper,
+    offset_right,
+    select_clear_components,
+    select_components,
+    sum_by_component,
+    try_priority_orders,
 )
 
-BENDS = (1.0, -1.0, 2.0, -2.0)  # of nominals, over R: to the right, and to the left
-MOST_ROUNDS = 8  # of turns; ten through one point take one or two
+OFFSETS = (1.0, -1.0, 2.0, -2.0)  # of nominals, over R: to the right, and to the left
+MAX_ROUNDS = 8  # of turns; ten through one point take one or two
 
 
-def come_to_terms(
-    planners: Mapping[int, Planner], network: Network, orders: int, sweeps: int
-) -> Settled:
+def resolve_conflicts(
+    planners: Mapping[int, Planner], network: CommunicationGraph, orders: int, sweeps: int
+) -> ConflictResolution:
     """Orders of priority, and then roundabouts, each with bargains; components keep the cheapest.
 
     Args:
@@ -37,32 +37,42 @@ def come_to_terms(
         orders: Most that are tried.
         sweeps: Most in which pairs bargain; without any there are no roundabouts.
     """
-    settled = settle_orders(planners, network, orders)
+    settled = try_priority_orders(planners, network, orders)
     if sweeps == 0:
         return settled
-    dealt = bargain(settled.planners, network, sweeps)
-    kept, paid = dealt.planners, tolled(dealt.planners)
+    dealt = negotiate(settled.planners, network, sweeps)
+    kept, paid = dealt.planners, compute_priority_costs(dealt.planners)
     flooding = int(network.diameter[list(kept)].max(initial=0))
-    exchanges = settled.exchanges + dealt.exchanges + flooding
-    solves = settled.solves + dealt.solves
-    able = where_all(planners, network, can_go_round)
-    for bend in BENDS:
-        dear = [i for i, total in totals(paid, network).items() if i in able and any(total)]
-        begun = round_about({i: able[i] for i in dear}, network, bend)
-        exchanges, solves = exchanges + begun.exchanges, solves + begun.solves
+    exchanges = settled.round_count + dealt.round_count + flooding
+    solves = settled.solve_count + dealt.solve_count
+    able = select_components(planners, network, can_use_roundabout)
+    for bend in OFFSETS:
+        dear = [
+            i for i, total in sum_by_component(paid, network).items() if i in able and any(total)
+        ]
+        begun = solve_roundabout({i: able[i] for i in dear}, network, bend)
+        exchanges, solves = exchanges + begun.round_count, solves + begun.solve_count
         if begun.planners:
-            other = bargain(begun.planners, network, sweeps)
-            kept, paid = cheaper(kept, paid, other.planners, tolled(other.planners), network)
-            exchanges, solves = exchanges + other.exchanges + flooding, solves + other.solves
-    return Settled(kept, exchanges, solves)
+            other = negotiate(begun.planners, network, sweeps)
+            kept, paid = keep_cheaper(
+                kept, paid, other.planners, compute_priority_costs(other.planners), network
+            )
+            exchanges, solves = exchanges + other.round_count + flooding, solves + other.solve_count
+    return ConflictResolution(kept, exchanges, solves)
 
 
-def can_go_round(agent: Planner) -> bool:
+def can_use_roundabout(agent: Planner) -> bool:
     """Whether it flies in the plane, without a plan of before, and to its goal if alone."""
-    return agent.path.shape[-1] == 2 and agent.flight is agent.free and agent.arrives(agent.free)
+    return (
+        agent.control_points.shape[-1] == 2
+        and agent.nominal is agent.solo
+        and agent.reaches_target(agent.solo)
+    )
 
 
-def round_about(planners: Mapping[int, Planner], network: Network, bend: float) -> Settled:
+def solve_roundabout(
+    planners: Mapping[int, Planner], network: CommunicationGraph, bend: float
+) -> ConflictResolution:
     """The agents of those components that come to be clear, with all at their goals in the end.
 
     A component in which that is not so after `MOST_ROUNDS` is left out.
@@ -72,42 +82,44 @@ def round_about(planners: Mapping[int, Planner], network: Network, bend: float) 
         network: Who hears whom.
         bend: Of nominals, over R: to the right, or to the left where negative.
     """
-    now = {i: bent(agent, bend) for i, agent in planners.items()}
+    now = {i: offset_right(agent, bend) for i, agent in planners.items()}
     done: dict[int, Planner] = {}
     exchanges = 0
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MAX_ROUNDS):
         if not now:
             break
-        for turn in turns(network, [(i,) for i in now]):
+        for turn in schedule_turns(network, [(i,) for i in now]):
             states = [now.get(i) for i in range(len(network.alive))]
-            told = [agent and agent.plan for agent in states]
-            acted = play(network, states, _keep_clear, told, [i for (i,) in turn])
+            told = [agent and agent.message for agent in states]
+            acted = run_round(network, states, _update_in_turn, told, [i for (i,) in turn])
             now |= {i: agent for i, agent in acted.items() if agent}
             exchanges += 1
         exchanges += 1 + int(network.diameter[list(now)].max())
-        clear = going_on(now, network)
-        done |= where_all(clear, network, lambda agent: agent.arrives(agent.flight))
+        clear = select_clear_components(now, network)
+        done |= select_components(clear, network, lambda agent: agent.reaches_target(agent.nominal))
         now = {i: agent for i, agent in now.items() if i not in done}
-    return Settled(done, exchanges, sum(agent.solves for agent in (now | done).values()))
+    return ConflictResolution(
+        done, exchanges, sum(agent.solve_count for agent in (now | done).values())
+    )
 
 
-def _keep_clear(agent: Planner | None, inbox: list[Plan | None]) -> Planner | None:
-    return agent and keep_clear(agent, tuple(plan for plan in inbox if plan))
+def _update_in_turn(agent: Planner | None, inbox: list[TrajectoryMessage | None]) -> Planner | None:
+    return agent and update_in_turn(agent, tuple(plan for plan in inbox if plan))
 
 
-def keep_clear(agent: Planner, heard: tuple[Plan, ...]) -> Planner:
+def update_in_turn(agent: Planner, heard: tuple[TrajectoryMessage, ...]) -> Planner:
     """One turn of one agent: keep clear of all whom it hears, on the side on which it passes.
 
     Where there is no such flight, it ends as near its goal as it can, and comes too close by as
     little as it can only where even that does not help.
     """
-    if len(agent.flight.u) == 0 or not heard:
-        return agent.flying(agent.flight)
-    agent = agent.relinearised
-    others = Others.of(agent, heard)
+    if len(agent.nominal.u) == 0 or not heard:
+        return agent.with_nominal(agent.nominal)
+    agent = agent.relinearized
+    others = AvoidedAgents.from_messages(agent, heard)
     for gives in ("nothing", "separation"):
-        agent = agent._replace(solves=agent.solves + 1)
-        passage = past(agent.level, others, agent.path, "near", gives)
+        agent = agent._replace(solve_count=agent.solve_count + 1)
+        passage = solve_around(agent.without_tie_break, others, agent.control_points, "near", gives)
         if passage is not None:
-            return agent.flying(passage.flight)
-    return agent.flying(agent.flight)
+            return agent.with_nominal(passage.trajectory)
+    return agent.with_nominal(agent.nominal)

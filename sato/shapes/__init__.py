@@ -6,22 +6,22 @@ spread over the whole shape, and no target of the list is farther from the neare
 they are from each other.
 """
 
-from sato.shapes.drawn import picture, polygon
-from sato.shapes.letters import LETTER_FONT, WORD_FONT, text
-from sato.shapes.listed import points
-from sato.shapes.order import gap_of_prefixes, in_order
-from sato.shapes.regular import in_plane, lattice, ring
+from sato.shapes.areas import picture, polygon
+from sato.shapes.ordering import farthest_point_order, prefix_gaps
+from sato.shapes.point_files import points
+from sato.shapes.regular import embed_in_plane, lattice, ring
+from sato.shapes.text import LETTER_FONT, WORD_FONT, text
 
 __all__ = [
     "LETTER_FONT",
     "WORD_FONT",
-    "gap_of_prefixes",
-    "in_order",
-    "in_plane",
+    "embed_in_plane",
+    "farthest_point_order",
     "lattice",
     "picture",
     "points",
     "polygon",
+    "prefix_gaps",
     "ring",
     "text",
 ]

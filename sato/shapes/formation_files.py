@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from problems.formation import Formation
-from sato.shapes.formations import formed, joined
-from sato.shapes.listed import data_lines, read
+from problems.desired_formation import DesiredFormation
+from sato.shapes.formation_library import graph_from_edges, make_formation
+from sato.shapes.point_files import data_lines, read_points
 
 
-def read_formation(path: str | Path) -> Formation:
+def read_formation(path: str | Path) -> DesiredFormation:
     """The formation of a file of points: x, y, z or x, y in metres, a line each.
 
     Everybody measures everybody; see `with_graph`. The name is that of the file.
@@ -23,14 +23,14 @@ def read_formation(path: str | Path) -> Formation:
         ValueError: The file cannot be read, or its points make no formation.
     """
     path = Path(path)
-    points = read(path)
+    points = read_points(path)
     try:
-        return formed(points, name=path.stem)
+        return make_formation(points, name=path.stem)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
 
-def with_graph(formation: Formation, path: str | Path) -> Formation:
+def read_with_graph(formation: DesiredFormation, path: str | Path) -> DesiredFormation:
     """The same points with the graph of a file, see `read_graph`.
 
     Raises:
@@ -64,29 +64,29 @@ def read_graph(path: str | Path, count: int) -> Bool[Array, "count count"]:
         titled = first and len(cells) == 2 and all(cell.isalpha() for cell in cells)
         first = False
         if not titled:
-            pairs.append(_pair(f"{path}, line {number}", cells, count))
+            pairs.append(_parse_edge(f"{path}, line {number}", cells, count))
     if not pairs:
         raise ValueError(f"{path} lists no pairs of vertices")
-    return joined(count, pairs)
+    return graph_from_edges(count, pairs)
 
 
 def write_points(path: str | Path, points: Float[Array, "n d"]) -> None:
     """Points in two or three coordinates [m], to the last bit."""
     titles = "x_m,y_m,z_m".split(",")[: points.shape[1]]
-    _write(Path(path), titles, points.tolist())
+    _write_csv(Path(path), titles, points.tolist())
 
 
 def write_graph(path: str | Path, graph: Bool[Array, "n n"]) -> None:
     """Every edge once, the smaller vertex first."""
-    _write(Path(path), ["vertex", "neighbour"], np.argwhere(np.triu(graph, 1)).tolist())
+    _write_csv(Path(path), ["vertex", "neighbour"], np.argwhere(np.triu(graph, 1)).tolist())
 
 
-def _write(path: Path, titles: list[str], rows: Sequence[Sequence[float]]) -> None:
+def _write_csv(path: Path, titles: list[str], rows: Sequence[Sequence[float]]) -> None:
     lines = [",".join(titles), *(",".join(map(str, row)) for row in rows)]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _pair(where: str, cells: list[str], count: int) -> list[int]:
+def _parse_edge(where: str, cells: list[str], count: int) -> list[int]:
     if len(cells) != 2:
         raise ValueError(f"{where}: a pair of vertices is wanted, got {len(cells)} columns")
     try:

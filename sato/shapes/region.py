@@ -7,33 +7,33 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from sato.shapes.order import TIE, farthest, spread
-from sato.shapes.sizing import Draft
+from sato.shapes.ordering import TIE_TOLERANCE, farthest_point_sampling, golden_ratio_order
+from sato.shapes.placement import UnplacedShape
 
-CANDIDATES = 30_000  # places among which the targets of a region are chosen, about
-PER_TARGET = 40  # and at least this many for each of them
-ROUGH = 200  # rows and columns of a first look
-LARGEST_GRID = 4_000_000  # cells of a bounding box: keeps a sliver across it affordable
+MIN_CANDIDATES = 30_000  # places among which the targets of a region are chosen, about
+CANDIDATES_PER_TARGET = 40  # and at least this many for each of them
+COARSE_CELLS = 200  # rows and columns of a first look
+MAX_GRID_CELLS = 4_000_000  # cells of a bounding box: keeps a sliver across it affordable
 
 
 class Region(NamedTuple):
     """Where targets may stand: many places, dense enough to stand for the whole area."""
 
-    what: str  # as it stands in a message
-    places: Float[Array, "k 2"]
+    label: str  # as it stands in a message
+    candidates: Float[Array, "k 2"]
     lower: Float[Array, " 2"]  # corners of the bounding box
     upper: Float[Array, " 2"]
 
-    def draft(self, count: int) -> Draft:
+    def sample_targets(self, count: int) -> UnplacedShape:
         """Spread targets over the region, each as far as can be from those before it."""
-        chosen = farthest(self.places, count)
+        chosen = farthest_point_sampling(self.candidates, count)
 
         def most(spacing: float) -> int:
-            return max(1, int(np.sum(chosen.spacing >= spacing * (1 + 2 * TIE))))
+            return max(1, int(np.sum(chosen.spacings >= spacing * (1 + 2 * TIE_TOLERANCE))))
 
-        return Draft(
-            self.what,
-            self.places[chosen.rows],
+        return UnplacedShape(
+            self.label,
+            self.candidates[chosen.indices],
             (self.lower + self.upper) / 2,
             "height",
             float(self.upper[1] - self.lower[1]),
@@ -41,7 +41,7 @@ class Region(NamedTuple):
         )
 
 
-def enclosed(what: str, outlines: Sequence[Float[Array, "_ 2"]], count: int) -> Region:
+def fill_outlines(label: str, outlines: Sequence[Float[Array, "_ 2"]], count: int) -> Region:
     """Region that closed outlines enclose.
 
     A place is inside where the outlines wind around it (a hole runs the other way round, as in
@@ -54,20 +54,22 @@ def enclosed(what: str, outlines: Sequence[Float[Array, "_ 2"]], count: int) -> 
     end = np.concatenate([np.roll(outline, -1, axis=0) for outline in outlines])
     lower, upper = start.min(axis=0), start.max(axis=0)
     box = upper - lower
-    area = max(_signed_area(start, end), _rough_area(start, end))
+    area = max(_signed_area(start, end), _coarse_area(start, end))
     if not area > 1e-9 * float(box.max()) ** 2:
-        raise ValueError(f"{what} encloses no area")
+        raise ValueError(f"{label} encloses no area")
     length = float(np.linalg.norm(end - start, axis=1).sum())
-    wanted = max(CANDIDATES, PER_TARGET * count)
+    wanted = max(MIN_CANDIDATES, CANDIDATES_PER_TARGET * count)
     step = max(
-        float(np.sqrt(area / wanted)), length / wanted, float(np.sqrt(box.prod() / LARGEST_GRID))
+        float(np.sqrt(area / wanted)), length / wanted, float(np.sqrt(box.prod() / MAX_GRID_CELLS))
     )
-    x, y = (_middles(lower[axis], upper[axis], step) for axis in (0, 1))
-    row, column = np.nonzero(_winding(start, end, x, y))
-    edge, grid = _along(start, end, step), np.column_stack([x[column], y[row]])
+    x, y = (_cell_centers(lower[axis], upper[axis], step) for axis in (0, 1))
+    row, column = np.nonzero(_is_enclosed(start, end, x, y))
+    edge, grid = _sample_edges(start, end, step), np.column_stack([x[column], y[row]])
     # The outlines come first: where two places are as good, the edge is taken.
-    places = np.concatenate([edge[spread(len(edge))], grid[spread(len(grid))]])
-    return Region(what, places, lower, upper)
+    places = np.concatenate(
+        [edge[golden_ratio_order(len(edge))], grid[golden_ratio_order(len(grid))]]
+    )
+    return Region(label, places, lower, upper)
 
 
 def _signed_area(start: Float[Array, "edges 2"], end: Float[Array, "edges 2"]) -> float:
@@ -76,21 +78,21 @@ def _signed_area(start: Float[Array, "edges 2"], end: Float[Array, "edges 2"]) -
     return abs(float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))) / 2
 
 
-def _rough_area(start: Float[Array, "edges 2"], end: Float[Array, "edges 2"]) -> float:
+def _coarse_area(start: Float[Array, "edges 2"], end: Float[Array, "edges 2"]) -> float:
     lower, box = start.min(axis=0), np.ptp(start, axis=0)
-    x, y = (lower + (np.arange(ROUGH)[:, None] + 0.5) / ROUGH * box).T
-    inside = _winding(start, end, x, y)
+    x, y = (lower + (np.arange(COARSE_CELLS)[:, None] + 0.5) / COARSE_CELLS * box).T
+    inside = _is_enclosed(start, end, x, y)
     # Two in a row: an outline that only goes back over itself may enclose a place by rounding.
     return float((inside[:, 1:] & inside[:, :-1]).mean() * box.prod())
 
 
-def _middles(lower: float, upper: float, step: float) -> Float[Array, " cells"]:
+def _cell_centers(lower: float, upper: float, step: float) -> Float[Array, " cells"]:
     # Even about the middle, so that a symmetric outline has symmetric places.
     cells = max(1, round((upper - lower) / step))
     return lower + (np.arange(cells) + 0.5) * ((upper - lower) / cells)
 
 
-def _winding(
+def _is_enclosed(
     start: Float[Array, "edges 2"],
     end: Float[Array, "edges 2"],
     x: Float[Array, " columns"],
@@ -109,7 +111,7 @@ def _winding(
     return inside
 
 
-def _along(
+def _sample_edges(
     start: Float[Array, "edges 2"], end: Float[Array, "edges 2"], step: float
 ) -> Float[Array, "k 2"]:
     pieces = np.ceil(np.linalg.norm(end - start, axis=1) / step).astype(int)

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from sato.shapes.order import farthest, spread
-from sato.shapes.sizing import Centre, Draft, check_count, place, require_size
+from sato.shapes.ordering import farthest_point_sampling, golden_ratio_order
+from sato.shapes.placement import Center, UnplacedShape, check_count, check_size_given, place_shape
 
 
 def ring(
@@ -18,7 +18,7 @@ def ring(
     radius: float | None = None,
     normal: Sequence[float] | None = None,
     minimum_spacing: float = 0.0,
-    centre: Centre = "origin",
+    center: Center = "origin",
 ) -> Float[Array, "count d"]:
     """Targets at equal distances on a circle.
 
@@ -34,14 +34,16 @@ def ring(
         ValueError: The targets would stand too close.
     """
     check_count(count)
-    require_size("radius", spacing, radius)
-    angle = 2 * pi / count * spread(count)
+    check_size_given("radius", spacing, radius)
+    angle = 2 * pi / count * golden_ratio_order(count)
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
-    circle = circle[farthest(circle, count).rows]
-    flat = circle if normal is None else in_plane(circle, normal)
-    draft = Draft("the ring", flat, np.zeros(flat.shape[1]), "radius", 1.0, _most_on_circle)
-    return place(
-        draft, spacing=spacing, size=radius, minimum_spacing=minimum_spacing, centre=centre
+    circle = circle[farthest_point_sampling(circle, count).indices]
+    flat = circle if normal is None else embed_in_plane(circle, normal)
+    draft = UnplacedShape(
+        "the ring", flat, np.zeros(flat.shape[1]), "radius", 1.0, _max_count_on_circle
+    )
+    return place_shape(
+        draft, spacing=spacing, size=radius, minimum_spacing=minimum_spacing, center=center
     )
 
 
@@ -52,7 +54,7 @@ def lattice(
     spacing: float | None = None,
     radius: float | None = None,
     minimum_spacing: float = 0.0,
-    centre: Centre = "origin",
+    center: Center = "origin",
 ) -> Float[Array, "count d"]:
     """Targets packed as densely as their spacing allows.
 
@@ -70,20 +72,20 @@ def lattice(
         ValueError: Neither 2-D nor 3-D, or the targets would stand too close.
     """
     check_count(count)
-    require_size("radius", spacing, radius)
+    check_size_given("radius", spacing, radius)
     if dimension not in (2, 3):
         raise ValueError(f"a lattice is in 2 or 3 dimensions, got {dimension}")
-    nodes = _nodes(count, dimension)
-    nodes = nodes[farthest(nodes, count).rows]
+    nodes = _lattice_nodes(count, dimension)
+    nodes = nodes[farthest_point_sampling(nodes, count).indices]
     middle = (nodes.min(axis=0) + nodes.max(axis=0)) / 2
     reach = float(np.linalg.norm(nodes - middle, axis=1).max())
-    draft = Draft("the lattice", nodes, middle, "radius", reach)
-    return place(
-        draft, spacing=spacing, size=radius, minimum_spacing=minimum_spacing, centre=centre
+    draft = UnplacedShape("the lattice", nodes, middle, "radius", reach)
+    return place_shape(
+        draft, spacing=spacing, size=radius, minimum_spacing=minimum_spacing, center=center
     )
 
 
-def in_plane(points: Float[Array, "k 2"], normal: Sequence[float]) -> Float[Array, "k 3"]:
+def embed_in_plane(points: Float[Array, "k 2"], normal: Sequence[float]) -> Float[Array, "k 3"]:
     """Lay a flat shape into a plane through the origin.
 
     The shape's own axes become those that turn with the normal: (x, y) for a normal along z,
@@ -99,7 +101,7 @@ def in_plane(points: Float[Array, "k 2"], normal: Sequence[float]) -> Float[Arra
     return np.asarray(points @ np.stack([first, np.cross(n, first)]))
 
 
-def _most_on_circle(spacing: float) -> int:
+def _max_count_on_circle(spacing: float) -> int:
     # Chord 2 sin(π / count) on a circle of radius 1.
     if not isfinite(spacing) or spacing > 2:
         return 1
@@ -107,7 +109,7 @@ def _most_on_circle(spacing: float) -> int:
     return count if 2 * sin(pi / count) >= spacing else count - 1
 
 
-def _nodes(count: int, dimension: int) -> Float[Array, "count d"]:
+def _lattice_nodes(count: int, dimension: int) -> Float[Array, "count d"]:
     if dimension == 2:
         basis = np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]])
         cells = 2 + round(1.2 * float(count) ** 0.5)
@@ -118,4 +120,4 @@ def _nodes(count: int, dimension: int) -> Float[Array, "count d"]:
     nodes = steps.reshape(-1, dimension) @ basis
     # Rounded, so that nodes at one distance are equal in it and keep their order.
     near = np.argsort(np.round(np.linalg.norm(nodes, axis=1), 9), kind="stable")
-    return np.asarray(nodes[near[:count]][spread(count)])
+    return np.asarray(nodes[near[:count]][golden_ratio_order(count)])

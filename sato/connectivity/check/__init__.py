@@ -5,19 +5,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sato.check.report import Report
-from sato.connectivity.check.evidence import Evidence
-from sato.connectivity.check.promises import promises
-from sato.connectivity.check.words import summarise
-from sato.connectivity.mission import ConnectivityFlight
+from sato.connectivity.check.evidence import ConnectivityRecord
+from sato.connectivity.check.promises import check_promises
+from sato.connectivity.check.summary import summarize
+from sato.connectivity.mission import Connectivity
 
 if TYPE_CHECKING:
     import xarray
 
-__all__ = ["Evidence", "examine"]
+__all__ = ["ConnectivityRecord", "check_run"]
 
 
-def examine(
-    data: "xarray.Dataset", mission: ConnectivityFlight, rng: np.random.Generator | None = None
+def check_run(
+    data: "xarray.Dataset", mission: Connectivity, rng: np.random.Generator | None = None
 ) -> Report:
     """Judge a run's data against a mission.
 
@@ -26,5 +26,5 @@ def examine(
         mission: What was to be flown.
         rng: Not asked: what was drawn in flight is judged by what it did.
     """
-    evidence = Evidence.of(data, mission)
-    return Report(promises(evidence), summarise(evidence))
+    evidence = ConnectivityRecord.from_dataset(data, mission)
+    return Report(check_promises(evidence), summarize(evidence))

@@ -9,41 +9,46 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from dynamics.quadrotor import Quadrotor
-from sato.check.happened import Happened
-from sato.connectivity.check.replay import Flown, Views, flown, views
-from sato.connectivity.distance import past_obstacles, to_each_other
-from sato.connectivity.log import rotated
-from sato.connectivity.mission import ConnectivityFlight
+from sato.check.event_log import EventLog
+from sato.connectivity.check.replay import (
+    CameraViews,
+    QuadrotorReplay,
+    compute_views,
+    replay_quadrotors,
+)
+from sato.connectivity.distance import min_obstacle_distance, min_separation
+from sato.connectivity.mission import Connectivity
+from sato.connectivity.record import rotate_by_yaw
 
 if TYPE_CHECKING:
     import xarray
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class ConnectivityRecord:
     """A run as recorded, and the mission rebuilt from its scenario."""
 
-    mission: ConnectivityFlight
+    mission: Connectivity
     attributes: dict[str, Any]
     time: Float[Array, " instants"]
     position: Float[Array, "instants agents 3"]
     velocity: Float[Array, "instants agents 3"]
     alive: Bool[Array, "instants agents"]
     component: Int[Array, "instants agents"]
-    command: Float[Array, "instants agents 3"]
-    turn: Float[Array, "instants agents"]
+    velocity_command: Float[Array, "instants agents 3"]
+    yaw_rate_command: Float[Array, "instants agents"]
     yaw: Float[Array, "instants agents"]
     lambda2: Float[Array, " instants"]
     lambda3: Float[Array, " instants"]
-    estimate: Float[Array, "instants agents"]
-    weight: Float[Array, "instants agents agents"]
-    yaw_error: Float[Array, "instants agents agents"]
-    sees: Bool[Array, "instants agents agents"]
+    lambda2_estimate: Float[Array, "instants agents"]
+    edge_weight: Float[Array, "instants agents agents"]
+    yaw_estimate_error: Float[Array, "instants agents agents"]
+    visibility: Bool[Array, "instants agents agents"]
     stick: Float[Array, "instants 3"]
-    happened: Happened
+    events: EventLog
 
     @classmethod
-    def of(cls, data: "xarray.Dataset", mission: ConnectivityFlight) -> "Evidence":
+    def from_dataset(cls, data: "xarray.Dataset", mission: Connectivity) -> "ConnectivityRecord":
         """Read a run's data."""
 
         def numbers(name: str) -> Array:
@@ -57,52 +62,54 @@ class Evidence:
             velocity=numbers("velocity"),
             alive=np.asarray(data["alive"], dtype=bool),
             component=np.asarray(data["component"]),
-            command=numbers("velocity_command"),
-            turn=numbers("yaw_rate"),
+            velocity_command=numbers("velocity_command"),
+            yaw_rate_command=numbers("yaw_rate"),
             yaw=numbers("yaw"),
             lambda2=numbers("lambda2"),
             lambda3=numbers("lambda3"),
-            estimate=numbers("lambda2_estimate"),
-            weight=numbers("edge_weight"),
-            yaw_error=numbers("yaw_estimate_error"),
-            sees=np.asarray(data["visibility"], dtype=bool),
+            lambda2_estimate=numbers("lambda2_estimate"),
+            edge_weight=numbers("edge_weight"),
+            yaw_estimate_error=numbers("yaw_estimate_error"),
+            visibility=np.asarray(data["visibility"], dtype=bool),
             stick=numbers("stick"),
-            happened=Happened.of(data),
+            events=EventLog.from_dataset(data),
         )
 
     @cached_property
-    def to_robots(self) -> float:
+    def min_separation(self) -> float:
         """Least distance of two robots, between instants too; infinite for one [m]."""
-        return to_each_other(self.position, self.alive)
+        return min_separation(self.position, self.alive)
 
     @cached_property
-    def to_obstacles(self) -> float:
+    def min_obstacle_distance(self) -> float:
         """Least distance of a robot to an obstacle, between instants too; infinite without [m]."""
-        return past_obstacles(self.position, self.alive, self.mission.obstacles)
+        return min_obstacle_distance(self.position, self.alive, self.mission.obstacles)
 
     @cached_property
-    def asked(self) -> Float[Array, "instants agents 3"]:
+    def total_command(self) -> Float[Array, "instants agents 3"]:
         """Velocity asked of each robot, in its body frame: of the leader, with the stick [m/s]."""
-        asked = self.command.copy()
-        asked[:, 0] += rotated(self.stick, -self.yaw[:, 0])
+        asked = self.velocity_command.copy()
+        asked[:, 0] += rotate_by_yaw(self.stick, -self.yaw[:, 0])
         return asked
 
     @cached_property
-    def again(self) -> Flown | None:
+    def replay(self) -> QuadrotorReplay | None:
         """What was asked, flown once more from the recorded start; none but for quadrotors."""
         plant, step = self.mission.plant, self.mission.step
         if not isinstance(plant, Quadrotor):
             return None
         p, yaw = self.position[0], self.yaw[0]
-        return flown(p, yaw, self.asked, self.turn, self.alive, plant, step)
+        return replay_quadrotors(
+            p, yaw, self.total_command, self.yaw_rate_command, self.alive, plant, step
+        )
 
     @cached_property
-    def views(self) -> Views:
+    def views(self) -> CameraViews:
         """Who has whom in sight, by the recorded poses, and the tilt of what flew once more."""
-        push = np.zeros_like(self.position) if self.again is None else self.again.push
-        return views(self.position, self.yaw, push, self.alive, self.mission)
+        push = np.zeros_like(self.position) if self.replay is None else self.replay.acceleration
+        return compute_views(self.position, self.yaw, push, self.alive, self.mission)
 
     @cached_property
-    def waypoints(self) -> int:
+    def waypoints_reached(self) -> int:
         """How many waypoints the leader has reached."""
-        return len(self.happened.told("waypoint"))
+        return len(self.events.of_kind("waypoint"))

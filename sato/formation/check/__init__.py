@@ -5,19 +5,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sato.check.report import Report
-from sato.formation.check.evidence import Evidence
-from sato.formation.check.promises import promises
-from sato.formation.check.words import summarise
-from sato.formation.mission import FormationFlight
+from sato.formation.check.evidence import FormationRecord
+from sato.formation.check.promises import check_promises
+from sato.formation.check.summary import summarize
+from sato.formation.mission import Formation
 
 if TYPE_CHECKING:
     import xarray
 
-__all__ = ["Evidence", "examine"]
+__all__ = ["FormationRecord", "check_run"]
 
 
-def examine(
-    data: "xarray.Dataset", mission: FormationFlight, rng: np.random.Generator | None = None
+def check_run(
+    data: "xarray.Dataset", mission: Formation, rng: np.random.Generator | None = None
 ) -> Report:
     """Judge a run's data against a mission.
 
@@ -26,5 +26,5 @@ def examine(
         mission: What was to be flown.
         rng: Not asked: what was drawn in flight is judged by what it did.
     """
-    evidence = Evidence.of(data, mission)
-    return Report(promises(evidence), summarise(evidence))
+    evidence = FormationRecord.from_dataset(data, mission)
+    return Report(check_promises(evidence), summarize(evidence))

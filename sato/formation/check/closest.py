@@ -8,30 +8,30 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 
-class Closest(NamedTuple):
+class ClosestPair(NamedTuple):
     """Where two vehicles come closest."""
 
     distance: float  # in the plane [m]; infinite where there are no two
-    instant: int  # before it happens
+    piece: int  # before it happens
     pair: tuple[int, int]
 
 
-def closest(position: Float[Array, "instants agents 2"]) -> Closest:
+def find_closest_approach(position: Float[Array, "instants agents 2"]) -> ClosestPair:
     """The closest two of all.
 
     Args:
         position: In the plane; who is nowhere, is near nobody [m].
     """
     if position.shape[1] < 2 or not len(position):
-        return Closest(np.inf, -1, (-1, -1))
+        return ClosestPair(np.inf, -1, (-1, -1))
     # The last instant once more, so that it counts where there is no other.
-    square, k, i, j = _closest(np.concatenate([position, position[-1:]]))
-    return Closest(float(np.sqrt(square)), int(k), (int(i), int(j)))
+    square, k, i, j = _closest_approach(np.concatenate([position, position[-1:]]))
+    return ClosestPair(float(np.sqrt(square)), int(k), (int(i), int(j)))
 
 
 @no_type_check
 @numba.njit(cache=True)
-def _closest(p):
+def _closest_approach(p):
     least, at, one, other = np.inf, 0, 0, 0
     for k in range(len(p) - 1):
         for i in range(p.shape[1]):

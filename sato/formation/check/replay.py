@@ -7,13 +7,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from sato.formation.mission import FormationFlight
+from sato.formation.mission import Formation
 from sato.formation.supervisor import Phase, Supervisor
 
-TOLD = ("leg_start", "leg_end", "given_up", "gridlock", "gridlock_end", "auction")
+REPLAYED_EVENTS = ("leg_start", "leg_end", "given_up", "gridlock", "gridlock_end", "auction")
 
 
-class Told(NamedTuple):
+class ReplayedEvent(NamedTuple):
     """An event that had to be."""
 
     instant: int
@@ -21,14 +21,14 @@ class Told(NamedTuple):
     leg: int
 
 
-class Stretch(NamedTuple):
+class FormationLegRecord(NamedTuple):
     """One leg as it had to be flown."""
 
     leg: int
-    first: int  # instant after the call for the shape
-    end: int  # instant at which it is taken up or given up; the last where it never is
-    last: int  # instant before the next call, or the last
-    settled: bool  # taken up, as who watches it sees it
+    first_instant: int  # instant after the call for the shape
+    end_instant: int  # instant at which it is taken up or given up; the last where it never is
+    last_instant: int  # instant before the next call, or the last
+    completed: bool  # taken up, as who watches it sees it
 
 
 class Replay(NamedTuple):
@@ -36,13 +36,13 @@ class Replay(NamedTuple):
 
     leg: Int[Array, " instants"]  # −1 after the flight had to be over
     phase: tuple[Phase, ...]  # at every instant that had to be
-    told: tuple[Told, ...]
-    stretches: tuple[Stretch, ...]
-    complete: bool  # the last instant is the one at which the flight had to be over
+    events: tuple[ReplayedEvent, ...]
+    legs: tuple[FormationLegRecord, ...]
+    is_complete: bool  # the last instant is the one at which the flight had to be over
 
 
 def replay(
-    mission: FormationFlight,
+    mission: Formation,
     command: Float[Array, "instants agents 3"],
     avoiding: Bool[Array, "instants agents"],
     rounds: Sequence[int],
@@ -56,83 +56,85 @@ def replay(
         rounds: Of messages, of each auction: so long it takes until its end is known.
     """
     speed = np.sqrt(np.einsum("kij,kij->ki", command, command))
-    watch = _Watch(mission, speed, avoiding, rounds)
-    complete = watch.all_legs()
+    watch = _SupervisionReplay(mission, speed, avoiding, rounds)
+    complete = watch.replay_legs()
     k = len(watch.phase) - 1  # the last instant that had to be
     leg = np.full(len(command), -1)
     leg[: k + 1] = 0
-    stretches = list[Stretch]()
+    stretches = list[FormationLegRecord]()
     for begun, (number, first, end, settled) in enumerate(watch.legs):
         last = watch.legs[begun + 1][1] - 1 if begun + 1 < len(watch.legs) else k
         leg[first : k + 1] = number
-        stretches.append(Stretch(number, first, end, last, settled))
+        stretches.append(FormationLegRecord(number, first, end, last, settled))
     complete = complete and k == len(command) - 1
-    return Replay(leg, tuple(watch.phase), tuple(watch.told), tuple(stretches), complete)
+    return Replay(leg, tuple(watch.phase), tuple(watch.events), tuple(stretches), complete)
 
 
-class _Watch:
+class _SupervisionReplay:
     def __init__(
-        self, mission: FormationFlight, speed: Array, avoiding: Array, rounds: Sequence[int]
+        self, mission: Formation, speed: Array, avoiding: Array, rounds: Sequence[int]
     ) -> None:
         self.mission, self.speed, self.avoiding = mission, speed, avoiding
-        self.lasts = iter([count / mission.radio.rate for count in rounds])
+        self.auction_durations = iter([count / mission.radio.message_rate for count in rounds])
         self.phase = [Phase.WAITING]
-        self.told: list[Told] = []
+        self.events: list[ReplayedEvent] = []
         self.legs: list[tuple[int, int, int, bool]] = []
 
-    def all_legs(self) -> bool:
+    def replay_legs(self) -> bool:
         """Watch until the flight is over, or the record; whether it is the former."""
         if not self._hover(Phase.WAITING):
             return False
-        for leg in range(len(self.mission.shapes)):
+        for leg in range(len(self.mission.gains)):
             if len(self.phase) == len(self.speed):
                 return False
             first = len(self.phase)
-            self.told.append(Told(first, "leg_start", leg))
-            ending = self._transition(leg)
+            self.events.append(ReplayedEvent(first, "leg_start", leg))
+            ending = self._replay_leg(leg)
             end = len(self.phase) - 1
-            self.legs.append((leg, first, end, ending is Phase.DONE))
+            self.legs.append((leg, first, end, ending is Phase.COMPLETED))
             if ending is None:
                 return False
-            self.told.append(Told(end, "leg_end" if ending is Phase.DONE else "given_up", leg))
-            if ending is not Phase.DONE:
+            self.events.append(
+                ReplayedEvent(end, "leg_end" if ending is Phase.COMPLETED else "given_up", leg)
+            )
+            if ending is not Phase.COMPLETED:
                 return True
-            if not self._hover(Phase.DONE):
+            if not self._hover(Phase.COMPLETED):
                 return False
         return True
 
     def _hover(self, phase: Phase) -> bool:
-        wanted = round(self.mission.protocol.hover / self.mission.sample)
+        wanted = round(self.mission.supervision.hover_time / self.mission.frame_period)
         there = min(wanted, len(self.speed) - len(self.phase))
         self.phase += [phase] * there
         return there == wanted
 
-    def _transition(self, leg: int) -> Phase | None:
+    def _replay_leg(self, leg: int) -> Phase | None:
         # The phase in which the leg ends; none where the record ends before.
-        mission, way = self.mission, self.mission.assigning
-        watcher = Supervisor(mission.protocol, mission.sample, mission.agents)
-        if way.kind == "none":
-            watcher.assigned()
-        due = np.inf if way.kind == "none" else self._time(len(self.phase) - 1) + way.first
+        mission, way = self.mission, self.mission.assignment
+        watcher = Supervisor(mission.supervision, mission.frame_period, mission.agents)
+        if way.method == "none":
+            watcher.mark_assigned()
+        due = np.inf if way.method == "none" else self._time(len(self.phase) - 1) + way.first_delay
         known = np.inf  # when all know how the auction under way has ended
         while (k := len(self.phase)) < len(self.speed):
             now_at = self._time(k - 1)
             if known == np.inf and now_at >= due - 1e-9:
-                self.told.append(Told(k, "auction", leg))
-                known, due = now_at + next(self.lasts, 0.0), now_at + way.period
+                self.events.append(ReplayedEvent(k, "auction", leg))
+                known, due = now_at + next(self.auction_durations, 0.0), now_at + way.period
             if now_at >= known - 1e-9:
-                watcher.assigned()
+                watcher.mark_assigned()
                 known = np.inf
             before = watcher.phase
             now = watcher.observe(self.speed[k], self.avoiding[k])
             if now is not before and Phase.GRIDLOCKED in (before, now):
                 stuck = now is Phase.GRIDLOCKED
-                self.told.append(Told(k, "gridlock" if stuck else "gridlock_end", leg))
+                self.events.append(ReplayedEvent(k, "gridlock" if stuck else "gridlock_end", leg))
             self.phase.append(now)
-            late = self._time(k) >= mission.protocol.limit - 1e-9
-            if now in (Phase.DONE, Phase.GIVEN_UP) or late:
+            late = self._time(k) >= mission.supervision.time_limit - 1e-9
+            if now in (Phase.COMPLETED, Phase.ABORTED) or late:
                 return now
         return None
 
     def _time(self, instant: int) -> float:
-        return instant * self.mission.every * self.mission.step
+        return instant * self.mission.steps_per_frame * self.mission.control_step

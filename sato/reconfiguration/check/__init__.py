@@ -5,20 +5,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sato.check.report import Report
-from sato.reconfiguration.check.chance import drawn
-from sato.reconfiguration.check.evidence import Evidence, Stretch
-from sato.reconfiguration.check.fuel import Bound, least
-from sato.reconfiguration.check.promises import promises
-from sato.reconfiguration.check.words import summarise
+from sato.reconfiguration.check.fuel import FuelBound, compute_fuel_bound
+from sato.reconfiguration.check.promises import verify
+from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
+from sato.reconfiguration.check.redraw import redraw_disturbances
+from sato.reconfiguration.check.summary import summarize
 from sato.reconfiguration.mission import Reconfiguration
 
 if TYPE_CHECKING:
     import xarray
 
-__all__ = ["Bound", "Evidence", "Stretch", "examine"]
+__all__ = ["FuelBound", "LegRecord", "ReconfigurationRecord", "check_run"]
 
 
-def examine(
+def check_run(
     data: "xarray.Dataset", mission: Reconfiguration, rng: np.random.Generator | None = None
 ) -> Report:
     """Judge a run's data against a mission.
@@ -29,7 +29,7 @@ def examine(
         rng: As the drawing of the mission left it; without it, what was drawn in flight is
             judged by its size alone.
     """
-    evidence = Evidence.of(data, mission)
-    bounds = [least(evidence, s) for s in evidence.stretches]
-    chance = None if rng is None else drawn(evidence, rng)
-    return Report(promises(evidence, bounds, chance), summarise(evidence, bounds))
+    evidence = ReconfigurationRecord.from_dataset(data, mission)
+    bounds = [compute_fuel_bound(evidence, s) for s in evidence.leg_records]
+    chance = None if rng is None else redraw_disturbances(evidence, rng)
+    return Report(verify(evidence, bounds, chance), summarize(evidence, bounds))

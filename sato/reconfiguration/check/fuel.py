@@ -7,44 +7,48 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from problems.assignment import assign
-from sato.reconfiguration.check.evidence import Evidence, Stretch
-from sato.reconfiguration.check.prediction import came, end_by_model
+from problems.assignment import solve_assignment
+from sato.reconfiguration.check.prediction import find_entry_indices, predict_end_states
+from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
 from sato.reconfiguration.mission import Norm
 
-FEW = 600  # pairs that are solved one by one, where no method for all at once exists
+MAX_PAIRS = 600  # pairs that are solved one by one, where no method for all at once exists
 
 
-class Prices(NamedTuple):
+class LegCosts(NamedTuple):
     """What every pair costs, and which of the prices are only lower bounds so far."""
 
     fuel: Float[Array, "survivors targets"]  # [m/s]; infinite where out of reach
-    exact: Bool[Array, "survivors targets"]
-    settle: Callable[[int, int], float]  # the exact price of a pair
+    is_exact: Bool[Array, "survivors targets"]
+    solve_pair: Callable[[int, int], float]  # the exact price of a pair
 
 
-class Bound(NamedTuple):
+class FuelBound(NamedTuple):
     """Least fuel of a leg, from where it started, in the time that it took."""
 
     total: float  # of the central optimum [m/s]
     agents: Int[Array, " survivors"]
-    own: Float[Array, " survivors"]  # of each agent, to the target that it held at the end [m/s]
-    mend: Float[Array, " survivors"]  # to be led there by the shared model, see `least` [m/s]
+    per_agent: Float[
+        Array, " survivors"
+    ]  # of each agent, to the target that it held at the end [m/s]
+    correction_fuel: Float[
+        Array, " survivors"
+    ]  # to be led there by the shared model, see `least` [m/s]
 
 
-def burnt(evidence: Evidence) -> Float[Array, "steps agents"]:
+def compute_step_fuel(evidence: ReconfigurationRecord) -> Float[Array, "steps agents"]:
     """Fuel of every agent in every step [m/s]."""
-    u = np.where(evidence.flies[..., None], evidence.control[:-1], 0.0)
-    return size(u, evidence.mission.fuel_norm) * evidence.mission.step
+    u = np.where(evidence.is_flying[..., None], evidence.control[:-1], 0.0)
+    return vector_norm(u, evidence.mission.fuel_norm) * evidence.mission.step
 
 
-def size(u: Float[Array, "*k d"], norm: Norm) -> Float[Array, "*k"]:
+def vector_norm(u: Float[Array, "*k d"], norm: Norm) -> Float[Array, "*k"]:
     """A vector's size in one of the three norms."""
     order = np.inf if norm == "inf" else float(norm)
     return np.asarray(np.linalg.norm(u, ord=order, axis=-1))
 
 
-def least(evidence: Evidence, stretch: Stretch) -> Bound | None:
+def compute_fuel_bound(evidence: ReconfigurationRecord, stretch: LegRecord) -> FuelBound | None:
     """Lower bound on the fuel of a leg, by the model that all agents share.
 
     It counts the agents that were there at the end, each from where it was at the start
@@ -57,115 +61,119 @@ def least(evidence: Evidence, stretch: Stretch) -> Bound | None:
     None where the bound cannot be had: the leg never ended, an agent could not have made
     its way, or the instance is too large for norms that have no method for all pairs at once.
     """
-    if stretch.end is None or not stretch.steps:
+    if stretch.end_event is None or not stretch.step_count:
         return None
-    agents = np.asarray(stretch.end["agents"], dtype=np.int64)
-    held = np.asarray(stretch.end["target"], dtype=np.int64)[agents]
-    told = np.asarray(stretch.end["believed"], dtype=np.int64)[agents]
-    goals = evidence.goals[stretch.leg]
+    agents = np.asarray(stretch.end_event["agents"], dtype=np.int64)
+    held = np.asarray(stretch.end_event["target"], dtype=np.int64)[agents]
+    told = np.asarray(stretch.end_event["believed"], dtype=np.int64)[agents]
+    goals = evidence.targets[stretch.leg_index]
     goals = goals[np.isfinite(goals).all(axis=1)]
     m = max(int(told.max(initial=0)), len(agents))
     if len(goals) < m:
         return None
     held[held >= len(goals)] = -1
     # Every target that somebody holds is priced too, for that agent's own bound.
-    prices = _prices(evidence, stretch, agents, goals[: max(m, int(held.max(initial=-1)) + 1)])
+    prices = _compute_leg_costs(
+        evidence, stretch, agents, goals[: max(m, int(held.max(initial=-1)) + 1)]
+    )
     if prices is None:
         return None
-    chosen = _optimum(prices, m)
+    chosen = _solve_assignment(prices, m)
     who = np.arange(len(agents))
     for i in np.flatnonzero(held >= 0):
-        _settle(prices, int(i), int(held[i]))
+        _refine_cost(prices, int(i), int(held[i]))
     own = np.where(held >= 0, prices.fuel[who, held], np.nan)
     total = float(prices.fuel[who, chosen].sum())
     if not np.isfinite(total):
         return None
-    return Bound(total, agents, own, _mend(evidence, stretch, agents, held))
+    return FuelBound(total, agents, own, _compute_correction_fuel(evidence, stretch, agents, held))
 
 
-def bound_of_each(evidence: Evidence, bounds: list[Bound | None]) -> Float[Array, " agents"]:
+def compute_agent_bounds(
+    evidence: ReconfigurationRecord, bounds: list[FuelBound | None]
+) -> Float[Array, " agents"]:
     """Least fuel of each agent to the targets it held; NaN unless all its legs are priced."""
     total = np.zeros(evidence.alive.shape[1])
-    for stretch, bound in zip(evidence.stretches, bounds, strict=True):
+    for stretch, bound in zip(evidence.leg_records, bounds, strict=True):
         priced = np.full(len(total), np.nan)
         if bound is not None:
-            priced[bound.agents] = np.where(np.isfinite(bound.own), bound.own, np.nan)
-        absent = ~evidence.alive[stretch.first : stretch.last].any(axis=0)
+            priced[bound.agents] = np.where(np.isfinite(bound.per_agent), bound.per_agent, np.nan)
+        absent = ~evidence.alive[stretch.start_index : stretch.end_index].any(axis=0)
         total += np.where(absent, 0.0, priced)
     return total
 
 
-def _mend(
-    evidence: Evidence,
-    stretch: Stretch,
+def _compute_correction_fuel(
+    evidence: ReconfigurationRecord,
+    stretch: LegRecord,
     agents: Int[Array, " survivors"],
     held: Int[Array, " survivors"],
 ) -> Float[Array, " survivors"]:
     # With fuel counted as |u|₁, which is at least as much as in the other norms.
-    from problems.least_fuel import least_fuel
+    from problems.minimum_fuel import solve_minimum_fuel
 
-    end = end_by_model(evidence, stretch, agents, evidence.control)
-    off = evidence.goals[stretch.leg][held] - end
-    first, price = came(evidence, stretch, agents), np.full(len(agents), np.inf)
-    known = (first < stretch.last) & (held >= 0) & np.isfinite(off).all(axis=1)
+    end = predict_end_states(evidence, stretch, agents, evidence.control)
+    off = evidence.targets[stretch.leg_index][held] - end
+    first, price = find_entry_indices(evidence, stretch, agents), np.full(len(agents), np.inf)
+    known = (first < stretch.end_index) & (held >= 0) & np.isfinite(off).all(axis=1)
     for k in np.unique(first[known]):
         who = np.flatnonzero((first == k) & known)
-        steps = evidence.steps[slice(k, stretch.last)]
+        steps = evidence.model[slice(k, stretch.end_index)]
         limit, weight = evidence.mission.max_control, np.ones(len(steps))
-        price[who] = least_fuel(steps, off[who], limit, weight).fuel
+        price[who] = solve_minimum_fuel(steps, off[who], limit, weight).fuel
     return price
 
 
-def _optimum(prices: Prices, m: int) -> Int[Array, " survivors"]:
+def _solve_assignment(prices: LegCosts, m: int) -> Int[Array, " survivors"]:
     # Lower bounds are made exact where the optimum uses them, until it uses no other.
     who = np.arange(len(prices.fuel))
     while True:
         first = prices.fuel[:, :m]
         finite = np.isfinite(first)
         far = 1 + np.max(first, initial=0.0, where=finite) * (len(first) + 1)
-        chosen = assign(np.where(finite, first, far))
-        loose = np.flatnonzero(~prices.exact[who, chosen])
+        chosen = solve_assignment(np.where(finite, first, far))
+        loose = np.flatnonzero(~prices.is_exact[who, chosen])
         if not len(loose):
             return chosen
         for i in loose:
-            _settle(prices, int(i), int(chosen[i]))
+            _refine_cost(prices, int(i), int(chosen[i]))
 
 
-def _settle(prices: Prices, i: int, j: int) -> None:
-    if not prices.exact[i, j]:
-        prices.fuel[i, j] = prices.settle(i, j)
-        prices.exact[i, j] = True
+def _refine_cost(prices: LegCosts, i: int, j: int) -> None:
+    if not prices.is_exact[i, j]:
+        prices.fuel[i, j] = prices.solve_pair(i, j)
+        prices.is_exact[i, j] = True
 
 
-def _prices(
-    evidence: Evidence,
-    stretch: Stretch,
+def _compute_leg_costs(
+    evidence: ReconfigurationRecord,
+    stretch: LegRecord,
     agents: Int[Array, " survivors"],
     goals: Float[Array, "targets n"],
-) -> Prices | None:
-    from problems.auction_cost import price, price_within_speed
+) -> LegCosts | None:
+    from problems.auction_cost import compute_transfer_costs, solve_transfer
     from problems.conic import Infeasible
-    from problems.transfer import Transfer
+    from problems.transfer import TransferProblem
 
     mission = evidence.mission
     limits = (mission.max_control, mission.max_speed)
     norms = (mission.fuel_norm, mission.control_norm)
     together = norms == (1, "inf")
-    if not together and len(agents) * len(goals) > FEW:
+    if not together and len(agents) * len(goals) > MAX_PAIRS:
         return None
-    first = came(evidence, stretch, agents)
+    first = find_entry_indices(evidence, stretch, agents)
     start = evidence.state[first, agents]
-    if (first >= stretch.last).any() or not np.isfinite(start).all():
+    if (first >= stretch.end_index).any() or not np.isfinite(start).all():
         return None
     transfers = {
-        int(k): Transfer(evidence.steps[slice(k, stretch.last)], *limits, *norms)
+        int(k): TransferProblem(evidence.model[slice(k, stretch.end_index)], *limits, *norms)
         for k in np.unique(first)
     }
 
     def settle(i: int, j: int) -> float:
         transfer = transfers[int(first[i])]
         if together:
-            flight = price_within_speed(transfer, start[i], goals[j])
+            flight = solve_transfer(transfer, start[i], goals[j])
             return np.inf if flight is None else flight.fuel
         try:
             return transfer.solve(start[i], goals[j]).fuel
@@ -177,11 +185,11 @@ def _prices(
     for k, transfer in transfers.items():
         who = np.flatnonzero(first == k)
         if together:
-            found = price(transfer.steps, start[who], goals, *limits)
-            fuel[who] = np.where(found.reachable, found.fuel, np.inf)
-            exact[who] = found.exact
-    prices = Prices(fuel, exact, settle)
+            found = compute_transfer_costs(transfer.model, start[who], goals, *limits)
+            fuel[who] = np.where(found.is_reachable, found.fuel, np.inf)
+            exact[who] = found.is_exact
+    prices = LegCosts(fuel, exact, settle)
     if not together:
         for i, j in np.ndindex(*fuel.shape):
-            _settle(prices, i, j)
+            _refine_cost(prices, i, j)
     return prices

@@ -3,100 +3,108 @@
 import numpy as np
 
 from sato.check import common
-from sato.check.promise import Promise, largest, none, within
-from sato.reconfiguration import log
-from sato.reconfiguration.check.account import (
-    assignment,
-    believed,
-    chief,
-    legs,
-    numbers,
-    start,
-    targets,
+from sato.check.promise import Promise, expect_none, expect_small_error, max_or_zero
+from sato.reconfiguration import record
+from sato.reconfiguration.check.consistency import (
+    check_assignment,
+    check_chief,
+    check_finite,
+    check_legs,
+    check_start,
+    check_target_counts,
+    check_targets,
 )
-from sato.reconfiguration.check.chance import Chance
-from sato.reconfiguration.check.evidence import Evidence
-from sato.reconfiguration.check.fuel import Bound, burnt
+from sato.reconfiguration.check.fuel import FuelBound, compute_step_fuel
 from sato.reconfiguration.check.motion import (
-    applied,
-    control_limit,
-    flight,
-    measured,
-    separation,
-    speed_limit,
+    check_applied_control,
+    check_control_limit,
+    check_measurements,
+    check_propagation,
+    check_separation,
+    check_speed_limit,
 )
-from sato.reconfiguration.check.words import reached
+from sato.reconfiguration.check.recorded import ReconfigurationRecord
+from sato.reconfiguration.check.redraw import DisturbanceSamples
+from sato.reconfiguration.check.summary import is_reached
 
 
-def promises(
-    evidence: Evidence, bounds: list[Bound | None], chance: Chance | None = None
+def verify(
+    evidence: ReconfigurationRecord,
+    bounds: list[FuelBound | None],
+    chance: DisturbanceSamples | None = None,
 ) -> tuple[Promise, ...]:
     """Judge everything; what was drawn is judged to the last digit if it is given."""
     mission, lives = evidence.mission, evidence.alive
     return (
-        complete(evidence),
-        common.attributes(evidence.attributes, log.attributes(mission)),
-        common.times(evidence.time, mission.step),
-        chief(evidence),
-        numbers(evidence),
-        start(evidence),
-        common.alive(lives, evidence.happened),
-        common.component(evidence.position, lives, evidence.component, mission.comm_radius),
-        flight(evidence),
-        applied(evidence, chance),
-        measured(evidence, chance),
-        control_limit(evidence),
-        speed_limit(evidence),
-        targets(evidence),
-        legs(evidence),
-        assignment(evidence),
-        believed(evidence),
-        separation(evidence),
-        feasible(evidence),
-        arrival(evidence),
-        fuel(evidence, bounds),
+        check_complete(evidence),
+        common.check_attributes(evidence.attributes, record.collect_attributes(mission)),
+        common.check_times(evidence.time, mission.step),
+        check_chief(evidence),
+        check_finite(evidence),
+        check_start(evidence),
+        common.check_alive(lives, evidence.events),
+        common.check_components(evidence.position, lives, evidence.component, mission.comm_radius),
+        check_propagation(evidence),
+        check_applied_control(evidence, chance),
+        check_measurements(evidence, chance),
+        check_control_limit(evidence),
+        check_speed_limit(evidence),
+        check_targets(evidence),
+        check_legs(evidence),
+        check_assignment(evidence),
+        check_target_counts(evidence),
+        check_separation(evidence),
+        check_feasible(evidence),
+        check_arrival(evidence),
+        check_fuel(evidence, bounds),
     )
 
 
-def complete(evidence: Evidence) -> Promise:
+def check_complete(evidence: ReconfigurationRecord) -> Promise:
     """The flight was not interrupted and every leg came to its end."""
-    ended = {s.leg for s in evidence.stretches if s.end is not None}
+    ended = {s.leg_index for s in evidence.leg_records if s.end_event is not None}
     lacking = [leg for leg in range(len(evidence.mission.legs)) if leg not in ended]
-    cut = common.cut_short(evidence.attributes)
+    cut = common.incomplete_reason(evidence.attributes)
     text = "every leg came to its end"
     if lacking:
         text = f"legs that never ended: {', '.join(str(leg + 1) for leg in lacking)}"
     if cut:
         text += f"; {cut}"
-    return none("complete", len(lacking) + bool(cut), text)
+    return expect_none("complete", len(lacking) + bool(cut), text)
 
 
-def feasible(evidence: Evidence) -> Promise:
+def check_feasible(evidence: ReconfigurationRecord) -> Promise:
     """Every programme had an answer."""
-    count = len(evidence.happened.told("infeasible"))
-    return none("feasible", count, "programmes that had no answer on the way")
+    count = len(evidence.events.of_kind("infeasible"))
+    return expect_none("feasible", count, "programmes that had no answer on the way")
 
 
-def arrival(evidence: Evidence) -> Promise:
+def check_arrival(evidence: ReconfigurationRecord) -> Promise:
     """Every leg was reached."""
-    short = [s.leg for s in evidence.stretches if not reached(evidence, s)]
+    short = [s.leg_index for s in evidence.leg_records if not is_reached(evidence, s)]
     numbers = ", ".join(str(leg + 1) for leg in short)
     text = f"legs that were not reached: {numbers}" if short else "every leg was reached"
-    lacking = len(evidence.mission.legs) - len(evidence.stretches)
-    return none("reached", len(short) + lacking, text)
+    lacking = len(evidence.mission.legs) - len(evidence.leg_records)
+    return expect_none("reached", len(short) + lacking, text)
 
 
-def fuel(evidence: Evidence, bounds: list[Bound | None]) -> Promise:
+def check_fuel(evidence: ReconfigurationRecord, bounds: list[FuelBound | None]) -> Promise:
     """No leg that was reached burnt less than the least that it could have.
 
     The least is that of the shared model. A plant that did otherwise may have saved as much
     as it would cost the model to mend that (`Bound.mend`), and so much less is allowed.
     """
-    burn, short, text = burnt(evidence), 0.0, "a leg's fuel below its lower bound, relative"
-    for stretch, bound in zip(evidence.stretches, bounds, strict=True):
-        if bound is None or not reached(evidence, stretch):
+    burn, short, text = (
+        compute_step_fuel(evidence),
+        0.0,
+        "a leg's fuel below its lower bound, relative",
+    )
+    for stretch, bound in zip(evidence.leg_records, bounds, strict=True):
+        if bound is None or not is_reached(evidence, stretch):
             continue
-        spent = float(burn[stretch.first : stretch.last, bound.agents].sum())
-        saved = float(bound.mend.sum())
-        short = largest(np.array([short, (bound.total - spent - saved) / max(bound.total, 1e-12)]))
-    return within("fuel", short, 1e-6, text)
+        spent = float(burn[stretch.start_index : stretch.end_index, bound.agents].sum())
+        saved = float(bound.correction_fuel.sum())
+        short = max_or_zero(
+            np.array([short, (bound.total - spent - saved) / max(bound.total, 1e-12)])
+        )
+    return expect_small_error("fuel", short, 1e-6, text)

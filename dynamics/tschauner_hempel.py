@@ -1,0 +1,209 @@
+"""Relative motion about an ellipse [Tschauner1965], in closed form [Yamanaka2002].
+
+Axes: x radially out, y along the orbit (across the radius, in the plane), z along its
+normal. Velocities are those seen in the frame, which turns with the chief.
+"""
+
+from dataclasses import dataclass, field
+from math import atan2, inf, isfinite, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from dynamics.elements import mean_anomaly, true_anomaly
+from dynamics.model import LinearModel
+from dynamics.orbit import EARTH_MU, EARTH_RADIUS, Orbit
+
+IN_PLANE = np.array([0, 1, 3, 4])  # of the state
+
+
+class AnomalyTerms(NamedTuple):
+    """Where the chief is on its ellipse."""
+
+    e_sin: Array | float  # e sin f, f the true anomaly
+    rho: Array | float  # 1 + e cos f = p/r
+    omega: Array | float  # ω = ḟ, the rate of the frame [rad/s]
+
+
+@dataclass(frozen=True)
+class TschaunerHempel(LinearModel):
+    """The Tschauner–Hempel equations: linear, about an ellipse of Kepler's.
+
+        ẍ =  2ωẏ + (ω² + 2μ/r³)x + αy + u_x
+        ÿ = −2ωẋ + (ω² −  μ/r³)y − αx + u_y
+        z̈ =            −(μ/r³)z       + u_z,     ω = h/r²,  α = ω̇
+
+    Good while the separation is small against the radius, at any eccentricity below 1.
+    J2 is left out. With no eccentricity they are those of Clohessy and Wiltshire.
+
+    Args:
+        semi_major_axis: a [m].
+        eccentricity: e, from 0 to below 1.
+        anomaly: True anomaly at time 0 [rad].
+        mu: Gravitational parameter [m³/s²].
+
+    Raises:
+        ValueError: This is no ellipse, or it meets the Earth.
+    """
+
+    semi_major_axis: float
+    eccentricity: float
+    true_anomaly: float = 0.0
+    mu: float = EARTH_MU
+    axes: int = field(default=3, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Refuse what is no ellipse round the Earth."""
+        a, e = self.semi_major_axis, self.eccentricity
+        if not 0 <= e < 1:
+            raise ValueError(
+                f"not an ellipse: eccentricity = {e}; it is 0 for a circle, and the closed form "
+                "holds below 1"
+            )
+        if not 0 < a < inf:
+            raise ValueError(f"a semi-major axis must be positive and finite, got {a} m")
+        if not 0 < self.mu < inf or not isfinite(self.true_anomaly):
+            raise ValueError(
+                "gravity must be positive and the anomaly finite, got "
+                f"mu = {self.mu} m³/s² and {self.true_anomaly} rad"
+            )
+        if (perigee := a * (1 - e)) <= EARTH_RADIUS:
+            raise ValueError(
+                f"the perigee, at an altitude of {(perigee - EARTH_RADIUS) / 1e3:.0f} km, is "
+                f"inside the Earth; with an eccentricity of {e:g} a semi-major axis above "
+                f"{EARTH_RADIUS / (1 - e) / 1e3:.0f} km would do"
+            )
+
+    @classmethod
+    def from_orbit(cls, orbit: Orbit) -> "TschaunerHempel":
+        """About the ellipse that osculates the orbit at time 0."""
+        e_cos = orbit.h**2 / (orbit.mu * orbit.r) - 1
+        e_sin = orbit.h * orbit.v_x / orbit.mu
+        anomaly = atan2(e_sin, e_cos)
+        return cls(orbit.semi_major_axis, orbit.eccentricity, anomaly, orbit.mu)
+
+    @property
+    def n(self) -> float:
+        """Mean motion [rad/s]."""
+        return sqrt(self.mu / self.semi_major_axis**3)
+
+    @property
+    def p(self) -> float:
+        """Semi-latus rectum [m]."""
+        return self.semi_major_axis * (1 - self.eccentricity**2)
+
+    def true_anomaly_at(self, t: float | Float[Array, "*k"]) -> Float[Array, "*k"]:
+        """The chief's true anomaly, growing through all revolutions [rad].
+
+        Args:
+            t: Since time 0 [s]; of either sign.
+        """
+        e = self.eccentricity
+        return true_anomaly(mean_anomaly(self.true_anomaly, e) + self.n * np.asarray(t), e)
+
+    def A(self, t: float | Float[Array, "*k"]) -> Float[Array, "*k 6 6"]:
+        """State matrix, at a time or at many."""
+        at = self._anomaly_terms(self.true_anomaly_at(t))
+        w = at.omega
+        pull = w**2 / at.rho  # μ/r³
+        alpha = -2 * w**2 * at.e_sin / at.rho
+        A = np.zeros((*np.shape(w), 6, 6))
+        A[..., :3, 3:] = np.eye(3)
+        A[..., 3, 0], A[..., 3, 1], A[..., 3, 4] = w**2 + 2 * pull, alpha, 2 * w
+        A[..., 4, 0], A[..., 4, 1], A[..., 4, 3] = -alpha, w**2 - pull, -2 * w
+        A[..., 5, 2] = -pull
+        return A
+
+    def matrices(
+        self, times: Float[Array, " k"]
+    ) -> tuple[Float[Array, "k 6 6"], Float[Array, "k 6 3"], Float[Array, "k 6"]]:
+        """A, B and z at many times."""
+        k = len(times)
+        return self.A(times), np.repeat(self.B(0.0)[None], k, axis=0), np.zeros((k, 6))
+
+    def transition_matrix(
+        self, start: float | Float[Array, "*#k"], end: float | Float[Array, "*#k"]
+    ) -> Float[Array, "*#k 6 6"]:
+        """Φ(end, start): the state at the end, without input [Yamanaka2002].
+
+        Args:
+            start: From when [s].
+            end: Until when [s]; before the start, too.
+        """
+        f0, f1 = np.broadcast_arrays(self.true_anomaly_at(start), self.true_anomaly_at(end))
+        J = np.asarray(self._k * np.subtract(end, start))
+        plane = self._fundamental_matrix(f1, J) @ np.linalg.inv(
+            self._fundamental_matrix(f0, np.zeros_like(J))
+        )
+        scaled = np.zeros((*f0.shape, 6, 6))
+        scaled[..., IN_PLANE[:, None], IN_PLANE] = plane
+        scaled[..., 2, 2] = scaled[..., 5, 5] = np.cos(f1 - f0)
+        scaled[..., 2, 5] = np.sin(f1 - f0)
+        scaled[..., 5, 2] = -scaled[..., 2, 5]
+        return np.asarray(self._inverse_scaling_matrix(f1) @ scaled @ self._scaling_matrix(f0))
+
+    def bounded_velocity(
+        self, position: Float[Array, "*k 3"], t: float = 0.0
+    ) -> Float[Array, "*k 3"]:
+        """Velocity with which an orbit through a position closes [m/s].
+
+            ẏ = −(ω + μ/rh) x + (v_x/r) y
+
+        gives it the chief's energy, to first order, and so its period; the other axes are
+        left at rest. About a circle it is −2nx.
+
+        Args:
+            position: Relative to the chief [m].
+            t: When it is there [s].
+        """
+        at = self._anomaly_terms(self.true_anomaly_at(t))
+        x, y = position[..., 0], position[..., 1]
+        velocity = np.zeros(position.shape)
+        # μ/rh = ω/ρ and v_x/r = ω e sin f/ρ.
+        velocity[..., 1] = at.omega * ((at.e_sin * y - x) / at.rho - x)
+        return velocity
+
+    @property
+    def _k(self) -> float:
+        """h/p², with which ḟ = k ρ² [rad/s]."""
+        return sqrt(self.mu / self.p**3)
+
+    def _anomaly_terms(self, f: Array) -> AnomalyTerms:
+        rho = 1 + self.eccentricity * np.cos(f)
+        return AnomalyTerms(self.eccentricity * np.sin(f), rho, self._k * rho**2)
+
+    def _fundamental_matrix(self, f: Array, J: Array) -> Array:
+        """Four motions in the plane, as columns of ρx, ρy and their derivatives by f.
+
+        Of them, only the last drifts. J is k times the time from where it begins to.
+        """
+        e, C, S = self.eccentricity, np.cos(f), np.sin(f)
+        rho = 1 + e * C
+        s, c = rho * S, rho * C
+        ds, dc = C + e * np.cos(2 * f), -(S + e * np.sin(2 * f))
+        zero, one = np.zeros_like(f), np.ones_like(f)
+        rows = [
+            [zero, s, c, 2 - 3 * e * s * J],
+            [one, c + C, -s - S, -3 * rho**2 * J],
+            [zero, ds, dc, -3 * e * (ds * J + S / rho)],
+            [zero, -2 * s, e - 2 * c, 6 * e * s * J - 3],
+        ]
+        return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+    def _scaling_matrix(self, f: Array) -> Array:
+        """From the state to ρ times the position and its derivative by f."""
+        at = self._anomaly_terms(f)
+        return _block_matrix(at.rho, np.zeros_like(f), -at.e_sin, at.rho / at.omega)
+
+    def _inverse_scaling_matrix(self, f: Array) -> Array:
+        """Back again."""
+        at = self._anomaly_terms(f)
+        return _block_matrix(1 / at.rho, np.zeros_like(f), self._k * at.e_sin, self._k * at.rho)
+
+
+def _block_matrix(a: Array | float, b: Array, c: Array | float, d: Array | float) -> Array:
+    """[[a, b], [c, d]] for each of the three axes."""
+    both = np.stack([np.stack([a, b], axis=-1), np.stack([c, d], axis=-1)], axis=-2)
+    return np.asarray(np.kron(both, np.eye(3)))

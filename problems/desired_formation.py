@@ -1,0 +1,123 @@
+"""What is asked for when a formation is asked for: a shape, and who measures whom in it."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Complex, Float
+from numpy import ndarray as Array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial.distance import pdist, squareform
+
+FLATNESS_TOLERANCE = (
+    0.01  # of a flat formation, all heights are nearer to the middle of their range [m]
+)
+MAX_COORDINATE = (
+    1e9  # no coordinate is larger: squares must not overflow, nor metres be lost in rounding [m]
+)
+COINCIDENCE_TOLERANCE = 1e-9  # of the extent: points closer than this coincide
+
+
+@dataclass(frozen=True, eq=False)
+class DesiredFormation:
+    """A shape, and who measures whom in it [Lusk2020, sec. II].
+
+    The shape is meant up to translation, rotation about the vertical and, horizontally and
+    vertically by itself, size. All that the gains must leave alone is therefore spanned by
+    p = x + jy and 1 in the plane (over the complex numbers), and by z and 1 upwards; in a
+    flat formation by 1 alone, and its heights count as equal.
+    """
+
+    points: Float[Array, "n 3"]  # [m]
+    graph: Bool[Array, "n n"]  # symmetric, without loops; True where two are neighbours
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be a formation."""
+        _validate_points(self.points)
+        _validate_graph(self.graph, len(self.points))
+
+    @classmethod
+    def with_complete_graph(cls, points: Float[Array, "n 3"], name: str = "") -> "DesiredFormation":
+        """A formation in which everybody measures everybody."""
+        return cls(points, ~np.eye(len(points), dtype=bool), name)
+
+    @property
+    def planar_points(self) -> Complex[Array, " n"]:
+        """The points seen from above, x + jy [m]."""
+        return np.asarray(self.points[:, 0] + 1j * self.points[:, 1])
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether the heights count as equal."""
+        return bool(np.ptp(self.points[:, 2]) < 2 * FLATNESS_TOLERANCE)
+
+    @cached_property
+    def kernel_xy(self) -> Complex[Array, "n r"]:
+        """Orthonormal columns that span p = x + jy and 1; 1 alone for a vertical stack."""
+        return _kernel_basis(self.planar_points, self._extent)
+
+    @cached_property
+    def kernel_z(self) -> Float[Array, "n r"]:
+        """Orthonormal columns that span z and 1; 1 alone for a flat formation."""
+        heights = np.zeros(len(self.points)) if self.is_flat else self.points[:, 2]
+        return _kernel_basis(heights, self._extent)
+
+    @property
+    def _extent(self) -> float:
+        return float(np.linalg.norm(np.ptp(self.points, axis=0)))
+
+
+def _kernel_basis(column: Array, extent: float) -> Array:
+    # Centred, the column is orthogonal to 1, and its size says whether it counts.
+    ones = np.full(len(column), len(column) ** -0.5, dtype=column.dtype)
+    centred = column - column.mean()
+    centred = centred - ones * (ones @ centred)  # once more, for points far from the origin
+    size = np.linalg.norm(centred)
+    columns = [centred / size, ones] if size > COINCIDENCE_TOLERANCE * extent else [ones]
+    return np.stack(columns, axis=1)
+
+
+def _validate_points(points: Array) -> None:
+    n = len(points)
+    if n < 3:
+        raise ValueError(f"a formation needs at least 3 points, got {n}")
+    near = np.abs(points) <= MAX_COORDINATE
+    if not near.all():
+        i = int(np.argwhere(~near)[0, 0])
+        raise ValueError(
+            f"point {i} is {points[i]}: coordinates must be finite numbers, at most {MAX_COORDINATE:.0e} m"
+        )
+    apart = squareform(pdist(points))
+    np.fill_diagonal(apart, np.inf)
+    if apart.min() <= COINCIDENCE_TOLERANCE * apart[np.isfinite(apart)].max():
+        i, j = sorted(np.unravel_index(apart.argmin(), apart.shape))
+        raise ValueError(f"points {i} and {j} coincide at {points[i]} m: move or drop one of them")
+
+
+def _validate_graph(graph: Array, n: int) -> None:
+    if graph.shape != (n, n):
+        raise ValueError(f"{n} points need a graph of {n} × {n}, got {graph.shape}")
+    if graph.diagonal().any():
+        i = int(np.argmax(graph.diagonal()))
+        raise ValueError(f"vertex {i} is its own neighbour: clear the diagonal of the graph")
+    if (graph != graph.T).any():
+        i, j = np.argwhere(graph & ~graph.T)[0]
+        raise ValueError(f"edge {i}–{j} has no way back: set {j}–{i} too, neighbours are mutual")
+    parts, part = connected_components(graph, directed=False)
+    if parts > 1:
+        small = np.flatnonzero(part == np.bincount(part).argmin())
+        raise ValueError(
+            f"no edge joins {_format_vertices(small)} to the rest of the graph: add some"
+        )
+    sparse = np.flatnonzero(graph.sum(axis=1) < 2)
+    if len(sparse):
+        raise ValueError(
+            f"the graph is too sparse at {_format_vertices(sparse)}: "
+            "fewer than two neighbours do not say where a vertex belongs"
+        )
+
+
+def _format_vertices(vertices: Array) -> str:
+    shown = ", ".join(map(str, vertices[:10])) + (", …" if len(vertices) > 10 else "")
+    return f"{'vertex' if len(vertices) == 1 else 'vertices'} {shown}"

@@ -1,0 +1,90 @@
+"""Panels over time: when the stick is held, who is lost when, and levels that mean something."""
+
+from math import ceil
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from numpy import ndarray as Array
+
+from sato.connectivity.check import ConnectivityRecord
+from sato.figures.style import DARK_GRAY, RED
+
+STICK_COLOR = "#d9f0e6"  # the ground while the stick is held
+LEGEND_COLUMNS = 4  # names beside one another below the panels
+
+
+class Interval(NamedTuple):
+    """What is the case for a while."""
+
+    value: int
+    start: float  # [s]
+    end: float  # [s]
+
+
+def find_intervals(
+    time: Float[Array, " k"], what: Int[Array, " k"] | Bool[Array, " k"]
+) -> list[Interval]:
+    """What is the case from the start to the end; what holds at an instant holds until the next.
+
+    Args:
+        time: The instants [s].
+        what: What is the case at each.
+    """
+    first = np.append(0, 1 + np.flatnonzero(np.diff(what.astype(int))))
+    ends = np.append(time[first[1:]], time[-1])
+    return [
+        Interval(int(what[k]), float(time[k]), float(end))
+        for k, end in zip(first, ends, strict=True)
+    ]
+
+
+def find_stick_intervals(evidence: ConnectivityRecord) -> list[Interval]:
+    """The spans for which something is asked of the leader."""
+    return [
+        s for s in find_intervals(evidence.time, np.asarray(evidence.stick.any(axis=1))) if s.value
+    ]
+
+
+def stack_panels(
+    evidence: ConnectivityRecord, heights: tuple[float, ...]
+) -> tuple[Figure, list[Any]]:
+    """Panels over time, one above the other, shaded while the stick is held."""
+    figure = Figure(figsize=(7.2, 1.35 * sum(heights) + 1.1), layout="constrained")
+    axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)
+    for ax in axes[:, 0]:
+        for span in find_stick_intervals(evidence):
+            ax.axvspan(span.start, span.end, fc=STICK_COLOR, lw=0, zorder=0)
+        for _, lost in evidence.events.of_kind("loss"):
+            ax.axvline(lost["time"], color=DARK_GRAY, ls=":", lw=0.9, zorder=0.5)
+    for span in find_intervals(evidence.time, np.asarray((evidence.component > 0).any(axis=1))):
+        if span.value:
+            for ax in axes[:, 0]:
+                ax.axvspan(span.start, span.end, 0.97, 1, fc=RED, lw=0, zorder=0.4)
+    set_time_axis(axes[-1, 0], evidence)
+    return figure, list(axes[:, 0])
+
+
+def set_time_axis(ax: Any, evidence: ConnectivityRecord) -> None:
+    """From the start of a run to its end."""
+    start, end = float(evidence.time[0]), float(evidence.time[-1])
+    ax.set(xlabel="time [s]", xlim=(start, max(end, start + 1e-9)))
+
+
+def add_legend(figure: Figure, evidence: ConnectivityRecord) -> None:
+    """Say below the panels what all of it is."""
+    handles: dict[str, Any] = {}
+    for ax in figure.axes:
+        drawn, said = ax.get_legend_handles_labels()
+        handles |= dict(zip(said, drawn, strict=True))
+    if find_stick_intervals(evidence):
+        handles["stick held"] = Patch(fc=STICK_COLOR, lw=0)
+    if evidence.events.of_kind("loss"):
+        handles["a robot is lost"] = Line2D([], [], color=DARK_GRAY, ls=":", lw=0.9)
+    if (evidence.component > 0).any():
+        handles["the swarm has split"] = Patch(fc=RED, lw=0)
+    columns = ceil(len(handles) / ceil(len(handles) / LEGEND_COLUMNS))
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=columns)

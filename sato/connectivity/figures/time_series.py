@@ -1,0 +1,118 @@
+"""Numbers over time: connectivity [Bernard2023, Fig. 6], edges, distances."""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from matplotlib.figure import Figure
+from numpy import ndarray as Array
+
+from sato.connectivity.check import ConnectivityRecord
+from sato.connectivity.distance import obstacle_distances
+from sato.connectivity.figures.time_panels import add_legend, stack_panels
+from sato.figures.axes import draw_limit
+from sato.figures.style import BLUE, DARK_GRAY, GRAY, GREEN, ORANGE, SKY
+
+LOG_SCALE_BELOW = 0.1  # of λ₂^max: a λ₂ below it is seen on a logarithmic scale only
+LINEAR_BELOW = 1e-3  # error of λ₂, down from which the scale is linear
+
+
+def plot_connectivity(evidence: ConnectivityRecord) -> Figure:
+    """λ₂ as it is and as every robot has it, between its limits, and how far these are off."""
+    figure, (value, error) = stack_panels(evidence, (2.2, 1.0))
+    time, limits = evidence.time, evidence.mission.potential
+    true = np.where(evidence.alive.sum(axis=1) > 1, evidence.lambda2, np.nan)
+    third = np.where(np.isfinite(evidence.lambda3), evidence.lambda3, np.nan)
+    estimate = np.where(evidence.alive, evidence.lambda2_estimate, np.nan)
+    if np.isfinite(third).any():
+        value.plot(time, third, color=GRAY, lw=0.6, label="λ$_3$, true")
+    value.plot(time, true, color=BLUE, lw=2.2, label="λ$_2$, true")
+    value.plot(time, estimate, color=ORANGE, lw=0.7)
+    value.lines[-1].set_label("λ$_2$ as robots have it")
+    highest = max(
+        limits.lambda2_max, *(float(np.nanmax(v, initial=0)) for v in (true, third, estimate))
+    )
+    if np.nanmin(true) < LOG_SCALE_BELOW * limits.lambda2_max:
+        value.set_yscale("symlog", linthresh=limits.lambda2_min or LINEAR_BELOW)
+        highest *= 1.8
+    value.set_ylim(0, 1.1 * highest)
+    value.set_ylabel("eigenvalue")
+    draw_limit(value, limits.lambda2_min, f"λ$_2^{{min}}$ = {limits.lambda2_min:g}")
+    draw_limit(
+        value,
+        limits.lambda2_max,
+        f"λ$_2^{{max}}$ = {limits.lambda2_max:g},\nno pull beyond",
+        colour=DARK_GRAY,
+    )
+    _plot_spread(error, time, np.abs(estimate - true[:, None]))
+    error.set_yscale("symlog", linthresh=LINEAR_BELOW)
+    error.set(ylabel="error of what\nrobots have", ylim=(0, None))
+    add_legend(figure, evidence)
+    return figure
+
+
+def count_edges(evidence: ConnectivityRecord) -> Int[Array, "instants 3"]:
+    """At every instant: edges, those of robots that see each other, and pairs of live robots."""
+    edge = np.triu(evidence.edge_weight > 0)
+    mutual = edge & evidence.visibility & evidence.visibility.transpose(0, 2, 1)
+    live = evidence.alive.sum(axis=1)
+    return np.stack([edge.sum((1, 2)), mutual.sum((1, 2)), live * (live - 1) // 2], axis=1)
+
+
+def plot_edges(evidence: ConnectivityRecord) -> Figure:
+    """How many edges the graph has, and of how many both ends see each other."""
+    figure, [ax] = stack_panels(evidence, (2.0,))
+    looks = ((BLUE, "-", "edges"), (GREEN, "-", "where both see each other"),
+             (GRAY, "--", "pairs of robots"))  # fmt: skip
+    numbers = count_edges(evidence)
+    for number, (colour, style, name) in zip(numbers.T, looks, strict=True):
+        ax.step(evidence.time, number, where="post", color=colour, ls=style, lw=1.1, label=name)
+    ax.set(ylabel="number", ylim=(0, 1.06 * float(numbers.max(initial=1))))
+    ax.yaxis.get_major_locator().set_params(integer=True)
+    add_legend(figure, evidence)
+    return figure
+
+
+def plot_distances(evidence: ConnectivityRecord) -> Figure:
+    """How near every robot is to another one, and to an obstacle."""
+    there = np.where(evidence.alive[..., None], evidence.position, np.nan)
+    obstacles, between = evidence.mission.obstacles, evidence.mission.repulsion
+    found = {"another robot": nearest_agent_distance(there)}
+    if obstacles.total:
+        found["an obstacle"] = obstacle_distances(there, obstacles).min(axis=-1)
+    figure, axes = stack_panels(evidence, (1.6,) * len(found))
+    for ax, (name, away) in zip(axes, found.items(), strict=True):
+        _plot_spread(ax, evidence.time, away)
+        least = np.fmin.reduce(away, axis=1)
+        ax.plot(evidence.time, least, color=BLUE, lw=1.1, label="the least")
+        shown = np.clip(
+            1.05 * np.nanmax(away), 1.2 * between.max_distance, 3 * between.max_distance
+        )
+        ax.set(ylabel=f"to {name} [m]", ylim=(0, shown))
+        draw_limit(ax, between.min_distance, f"least,\n{between.min_distance:g} m")
+        draw_limit(
+            ax, between.max_distance, f"push begins,\n{between.max_distance:g} m", colour=DARK_GRAY
+        )
+    add_legend(figure, evidence)
+    return figure
+
+
+def nearest_agent_distance(
+    there: Float[Array, "instants agents 3"],
+) -> Float[Array, "instants agents"]:
+    """Distance of every robot to the nearest other one; NaN for who is not there [m]."""
+    found = np.full(there.shape[:2], np.inf)
+    for j in range(there.shape[1]):
+        away = np.linalg.norm(there - there[:, j : j + 1], axis=2)
+        away[:, j] = np.inf
+        found = np.fmin(found, away)
+    return np.where(np.isfinite(there[..., 0]) & np.isfinite(found), found, np.nan)
+
+
+def _plot_spread(ax: Any, time: Float[Array, " k"], each: Float[Array, "k agents"]) -> None:
+    known = np.isfinite(each).any(axis=1)
+    middle = np.full(len(each), np.nan)
+    middle[known] = np.nanmedian(each[known], axis=1)
+    low, high = np.fmin.reduce(each, axis=1), np.fmax.reduce(each, axis=1)
+    ax.fill_between(time, low, high, color=SKY, alpha=0.45, lw=0, label="all robots")
+    ax.plot(time, middle, color=DARK_GRAY, lw=0.7, label="their median")

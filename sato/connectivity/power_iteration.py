@@ -1,0 +1,126 @@
+"""λ₂ by power iteration with averages by consensus, the lineage that [Bernard2023] builds on.
+
+[Yang2010] iterates towards the eigenvector and needs two averages over the swarm, which
+proportional-integral consensus tracks [Freeman2006]. Here it serves for comparison: where λ₃
+comes near λ₂ it follows too slowly.
+"""
+
+from typing import NamedTuple, no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+
+class PowerIterationGains(NamedTuple):
+    """The gains, for an exchange with all neighbours in every step of length `exchange`."""
+
+    exchange_period: float = 0.002  # h, from one exchange to the next [s]
+    deflation_gain: float = 25.0  # e₁: takes out the mean [1/s]
+    iteration_gain: float = 3.0  # e₂: draws towards the eigenvector [1/s]
+    normalization_gain: float = 25.0  # e₃: keeps the size [1/s]
+    filter_gain: float = 100.0  # g, of the consensus [1/s]
+    proportional_gain: float = 140.0  # K_P [1/s]
+    integral_gain: float = 100.0  # K_I [1/s]
+
+
+def default_gains(exchange: float, agents: int) -> PowerIterationGains:
+    """Gains for a period of exchange and a number of robots.
+
+    Args:
+        exchange: From one exchange to the next [s].
+        agents: Number of robots.
+    """
+    h = exchange
+    return PowerIterationGains(
+        h,
+        0.05 / h,
+        0.006 * 6 / (agents * h),
+        0.05 / h,
+        0.2 / h,
+        1.7 / (agents * h),
+        1.2 / (agents * h),
+    )
+
+
+def spectral_radius(power: PowerIterationGains, agents: int) -> float:
+    """The largest in discrete time, over all graphs of so many robots; 1 is the limit.
+
+    *Consensus*: on a graph with Laplacian eigenvalue μ the errors of z and w follow
+    z⁺ = z − h (g + K_P μ) z + h K_I μ w,  w⁺ = w − h K_I μ z. The eigenvalues of graphs with
+    weights up to 1 lie between 0 and N. At μ = 0, w rests, which is no error: it acts through μ
+    alone. *Iteration*: the mean of v̂ and its average z₁, with gain e₁; the largest eigenvalue,
+    N e₂; and the size of v̂ and its average z₂ about their equilibrium, with gain e₃, where it is
+    the least damped, z₂ = 1.
+
+    Args:
+        power: The gains.
+        agents: N.
+    """
+    h, g = power.exchange_period, power.filter_gain
+    loops = [
+        np.array([[1 - h * g]]),
+        np.array([[1, -h * power.deflation_gain], [h * g, 1 - h * g]]),
+        np.array([[1 - h * power.iteration_gain * agents]]),
+        np.array([[1, -h * power.normalization_gain], [2 * h * g, 1 - h * g]]),
+    ]
+    for mu in np.linspace(0, agents, 60 * agents + 1)[1:]:
+        agree, settle = h * power.proportional_gain * mu, h * power.integral_gain * mu
+        loops.append(np.array([[1 - h * g - agree, settle], [-settle, 1]]))
+    return max(float(np.abs(np.linalg.eigvals(loop)).max()) for loop in loops)
+
+
+class PowerIterationState(NamedTuple):
+    """What each robot iterates on."""
+
+    v: Float[Array, " n"]  # of the eigenvector
+    average: Float[Array, "n 2"]  # z₁, z₂: averages of v and of v²
+    integral: Float[Array, "n 2"]  # w₁, w₂, the integrals
+
+
+@no_type_check
+@numba.njit
+def iterate_power(iterate, weight, hears, gains, steps):
+    """So many exchanges: each robot with its neighbours, all at once.
+
+    Args:
+        iterate: Of each robot, changed in place.
+        weight: A_ij as robot i has it, (n, n).
+        linked: Who hears whom, (n, n).
+        power: The gains.
+        steps: How many.
+    """
+    n, h = len(iterate.v), gains.exchange_period
+    v, mean, held = iterate.v, iterate.average, iterate.integral
+    for _ in range(steps):
+        old_v, old_mean, old_held = v.copy(), mean.copy(), held.copy()
+        for i in range(n):
+            pull, near = 0.0, np.zeros(2)
+            across = np.zeros(2)
+            for j in range(n):
+                if hears[i, j]:
+                    pull += weight[i, j] * (old_v[i] - old_v[j])
+                    for a in range(2):
+                        near[a] += old_mean[i, a] - old_mean[j, a]
+                        across[a] += old_held[i, a] - old_held[j, a]
+            v[i] += h * (
+                -gains.deflation_gain * old_mean[i, 0]
+                - gains.iteration_gain * pull
+                - gains.normalization_gain * (old_mean[i, 1] - 1) * old_v[i]
+            )
+            for a in range(2):
+                aim = old_v[i] if a == 0 else old_v[i] ** 2
+                mean[i, a] += h * (
+                    gains.filter_gain * (aim - old_mean[i, a])
+                    - gains.proportional_gain * near[a]
+                    + gains.integral_gain * across[a]
+                )
+                held[i, a] -= h * gains.integral_gain * near[a]
+
+
+@no_type_check
+@numba.njit
+def estimate_lambda2_from_power(iterate, i, power):
+    """λ̂₂ of robot i, from the average size of the iterates."""
+    return power.normalization_gain / power.iteration_gain * (1 - iterate.average[i, 1])

@@ -1,0 +1,116 @@
+"""Gains of each shape: on the graph, and as matrices."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib import colormaps
+from matplotlib.collections import LineCollection
+from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.figure import Figure
+from numpy import ndarray as Array
+
+from problems.gain_matrix import GainMatrix
+from sato.figures.axes import panel_letter
+from sato.figures.style import DARK_GRAY
+from sato.formation.check import FormationRecord
+
+# From pale to dark, told apart by the colour-blind, and from white by all.
+COLORMAP = ListedColormap(colormaps["YlGnBu"](np.linspace(0.15, 1, 256)))
+MAX_ANNOTATED_POINTS = 8  # points, up to which entries are written out
+
+
+class Layout(NamedTuple):
+    """Where the three panels of a shape are."""
+
+    mosaic: list[list[str]]
+    rows: list[float]  # their heights, to one another
+    width: float  # [in]
+    height: float  # [in]
+
+
+SQUARE_LAYOUT = Layout([["graph", "plane", "upwards"]], [1.0], 10.2, 3.65)
+WIDE_LAYOUT = Layout([["graph", "graph"], ["plane", "upwards"]], [0.5, 1.0], 7.6, 5.9)
+
+
+def plot_gains(evidence: FormationRecord) -> Figure:
+    """The graph of every shape, its edges by |A_ij|, and |A| in the plane and upwards."""
+    shapes = _unique_gains(evidence.mission.gains)
+    layouts = [WIDE_LAYOUT if _is_wide(shape) else SQUARE_LAYOUT for shape in shapes]
+    heights = [layout.height for layout in layouts]
+    size = max(layout.width for layout in layouts), sum(heights)
+    figure = Figure(figsize=size, layout="constrained")
+    parts = figure.subfigures(len(shapes), 1, squeeze=False, height_ratios=heights)[:, 0]
+    for number, (part, layout, shape) in enumerate(zip(parts, layouts, shapes, strict=True)):
+        axes = part.subplot_mosaic(layout.mosaic, height_ratios=layout.rows)
+        plane, upwards = _edge_magnitudes(shape, shape.xy), _edge_magnitudes(shape, shape.z)
+        norm = Normalize(0, float(max(np.nanmax(plane), np.nanmax(upwards))))
+        _plot_graph(axes["graph"], shape, plane, norm)
+        axes["graph"].set_title(f"{panel_letter(number)} {_graph_title(shape)}")
+        _plot_matrix(axes["plane"], plane, norm)
+        axes["plane"].set_title(_matrix_title("in the plane", shape.rate_xy, shape.bound_xy))
+        image = _plot_matrix(axes["upwards"], upwards, norm)
+        axes["upwards"].set_title(_matrix_title("upwards", shape.rate_z, shape.bound_z))
+        part.colorbar(image, ax=axes["upwards"], label="|A$_{ij}$| [1/s]", shrink=0.85)
+    return figure
+
+
+def _is_wide(shape: GainMatrix) -> bool:
+    size = np.ptp(shape.formation.points, axis=0)
+    return bool(size[0] > 3 * size[1])
+
+
+def _unique_gains(shapes: tuple[GainMatrix, ...]) -> list[GainMatrix]:
+    found: list[GainMatrix] = []
+    for shape in shapes:
+        if not any(shape.matches_formation(seen.formation) for seen in found):
+            found.append(shape)
+    return found
+
+
+def _edge_magnitudes(shape: GainMatrix, A: Array) -> Float[Array, "n n"]:
+    # The diagonal is minus the sum of its row, and would outshine all others.
+    return np.where(shape.formation.graph, np.abs(A), np.nan)
+
+
+def _matrix_title(way: str, rate: float, bound: float) -> str:
+    return f"|A| {way}\nrate {rate:.3f}/s, none exceeds {bound:.3f}/s"
+
+
+def _graph_title(shape: GainMatrix) -> str:
+    formation = shape.formation
+    n, edges = len(formation.points), int(formation.graph.sum()) // 2
+    share = 200 * edges / (n * (n - 1))
+    name = formation.name.rpartition("/")[2] or f"{n} points"
+    return f"{name}, by {shape.method}\n{edges} edges, {share:.3g} % of all"
+
+
+def _plot_graph(ax: Any, shape: GainMatrix, size: Float[Array, "n n"], norm: Normalize) -> None:
+    points = shape.formation.points[:, :2]
+    pairs = np.argwhere(np.triu(shape.formation.graph))
+    weight = size[tuple(pairs.T)]
+    pairs, weight = pairs[np.argsort(weight)], np.sort(weight)  # the strongest on top
+    lines = LineCollection(list(points[pairs]), cmap=COLORMAP, norm=norm, zorder=1)
+    lines.set_array(weight)
+    lines.set_linewidth(list(0.3 + 2.2 * np.asarray(norm(weight))))
+    ax.add_collection(lines)
+    ax.scatter(*points.T, s=14 if len(points) < 50 else 6, color=DARK_GRAY, lw=0, zorder=3)
+    if len(points) <= MAX_ANNOTATED_POINTS:
+        for i, point in enumerate(points):
+            ax.annotate(str(i), point, xytext=(4, 4), textcoords="offset points", color=DARK_GRAY)
+    ax.margins(0.08)
+    ax.set_aspect("equal", adjustable="datalim")
+    ax.set(xlabel="x [m]", ylabel="y [m]", box_aspect=None if _is_wide(shape) else 1)
+
+
+def _plot_matrix(ax: Any, size: Float[Array, "n n"], norm: Normalize) -> Any:
+    image = ax.imshow(size, cmap=COLORMAP, norm=norm, interpolation="nearest")
+    ax.set(xlabel="point j", ylabel="point i")
+    ax.spines[["top", "right"]].set_visible(True)
+    if len(size) <= MAX_ANNOTATED_POINTS:
+        ax.set(xticks=range(len(size)), yticks=range(len(size)))
+        for i, j in np.argwhere(np.isfinite(size)):
+            light = norm(size[i, j]) > 0.55
+            ax.text(j, i, f"{size[i, j]:.2f}", ha="center", va="center", fontsize=7,
+                    color="white" if light else DARK_GRAY)  # fmt: skip
+    return image

@@ -1,0 +1,115 @@
+"""Text in any installed font."""
+
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from sato.shapes.placement import Center, check_count, check_size_given, place_shape
+from sato.shapes.region import fill_outlines
+
+if TYPE_CHECKING:
+    from matplotlib.font_manager import FontProperties
+
+# Both come with matplotlib, so every machine has them. The broad strokes of one letter hold a
+# swarm together in which some targets stay empty; in a word they would fill the letters.
+LETTER_FONT, WORD_FONT = "DejaVu Sans:bold", "DejaVu Sans"
+CURVE_RESOLUTION = 10.0  # curves are broken into chords this much finer than on a screen
+
+
+def text(
+    text: str,
+    count: int,
+    *,
+    spacing: float | None = None,
+    height: float | None = None,
+    font: str | None = None,
+    minimum_spacing: float = 0.0,
+    center: Center = "origin",
+) -> Float[Array, "count 2"]:
+    """Targets that write a text, spread over the strokes of all its letters.
+
+    Args:
+        text: One line.
+        count: How many targets.
+        spacing: Least distance between two targets [m]; or
+        height: From the lowest to the highest point of the letters [m].
+        font: Family and style ("DejaVu Serif:bold"), or a font file; without it DejaVu Sans, bold
+            for a single letter.
+        minimum_spacing: Refuse targets that stand closer [m].
+        centre: Where the middle of the text's bounding box goes.
+
+    Raises:
+        ValueError: No such font, a character that it lacks, nothing to draw, or targets that
+            would stand too close.
+    """
+    check_count(count)
+    check_size_given("height", spacing, height)
+    if not text.strip():
+        raise ValueError(f"the text {text!r} is blank: there is nothing to draw")
+    if font is None:
+        font = LETTER_FONT if len(text.strip()) == 1 else WORD_FONT
+    region = fill_outlines(f"the text {text!r}", _outlines(text, font), count)
+    return place_shape(
+        region.sample_targets(count),
+        spacing=spacing,
+        size=height,
+        minimum_spacing=minimum_spacing,
+        center=center,
+    )
+
+
+def _outlines(text: str, font: str) -> list[Float[Array, "_ 2"]]:
+    # matplotlib takes long to import, and only text needs it.
+    from matplotlib.path import Path as Curves
+    from matplotlib.textpath import TextToPath
+    from matplotlib.transforms import Affine2D
+
+    style = _find_font(font)
+    _check_characters(text, font, style)
+    vertices, codes = TextToPath().get_text_path(style, text)
+    if len(vertices) == 0:
+        raise ValueError(f"the text {text!r} has nothing to draw in the font {font!r}")
+    chords = Curves(vertices, codes).to_polygons(Affine2D().scale(CURVE_RESOLUTION))
+    return [np.asarray(closed, dtype=float)[:-1] for closed in chords]
+
+
+def _find_font(font: str) -> "FontProperties":
+    from matplotlib import font_manager
+
+    if Path(font).suffix.lower() in (".ttf", ".otf", ".ttc"):
+        if not Path(font).is_file():
+            raise ValueError(f"there is no font file {font}")
+        return font_manager.FontProperties(fname=font)
+    try:
+        style = font_manager.FontProperties(font.replace("-", r"\-"))  # a dash would be a size
+        return font_manager.FontProperties(
+            fname=font_manager.findfont(style, fallback_to_default=False)
+        )
+    except ValueError as error:
+        installed = sorted({entry.name for entry in font_manager.fontManager.ttflist})
+        family = font.split(":")[0]
+        some = get_close_matches(family, installed, n=3, cutoff=0.5) + installed
+        names = ", ".join(dict.fromkeys(some[:8]))
+        raise ValueError(
+            f"no font {font!r} is installed; among those that are: {names} "
+            '(a style goes after a colon, as in "DejaVu Serif:bold")'
+        ) from error
+
+
+def _check_characters(text: str, font: str, style: "FontProperties") -> None:
+    from matplotlib.ft2font import FT2Font
+
+    path = str(style.get_file())
+    try:
+        known = FT2Font(path).get_charmap()
+    except (RuntimeError, OSError) as error:
+        raise ValueError(f"the font file {path} cannot be read: {error}") from error
+    if missing := sorted({character for character in text if ord(character) not in known}):
+        raise ValueError(
+            f"the font {font!r} has no character {', '.join(map(repr, missing))}: "
+            "leave it out or choose another font"
+        )

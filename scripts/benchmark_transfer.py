@@ -1,0 +1,269 @@
+"""What is gained by assembling programmes ourselves, and what an adapter costs.
+
+Transfers and avoidance by the toolkit's own paths, against the statement in CVXPY, which is
+compiled once with start, goal and half-spaces as parameters; both by Clarabel, at the same
+tolerance, on one thread. Whole calls are timed, from the data to the controls. All take turns, so
+that whatever else the machine does slows all of them; times are the processor's, and ratios are of
+medians. An adapter's overhead is the time of its solve less that of the library's own calls, which
+whoever uses the library alone would have to make: handing over the right-hand side, solving, and
+reading out the point and its duals.
+"""
+
+from collections.abc import Callable
+from time import perf_counter, process_time
+from typing import Annotated, NamedTuple
+
+import cvxpy as cp
+import numpy as np
+import typer
+from draw_families import DENSE_OVERRIDES, SPEED_LIMIT, LegStart
+from rich.console import Console
+from rich.table import Table
+from threadpoolctl import threadpool_limits
+
+from problems.avoidance import AvoidanceProblem, HalfSpaces, empty_half_spaces
+from problems.conic import Infeasible
+from problems.convexify import choose_normals, convexify
+from problems.families import load_family
+from problems.solvers import load_adapters
+from problems.sparse_transfer import SparseTransferSolver
+from problems.transfer import TransferProblem
+from sato.reconfiguration.planning import make_horizon
+
+TOLERANCE = 1e-9  # what the toolkit asks of Clarabel
+COST_TOLERANCE = 1e-7  # optima, relative
+MAX_OVERHEAD = 2e-4  # of an adapter, at most [s]
+MAX_SOLVER_TIME = 2.0  # of a slow solver, whose overhead then shows [s]
+FAMILY_OF_CONE = {
+    "linear": "transfer-lp",
+    "second-order": "transfer-socp",
+    "semidefinite": "gain-sdp",
+}
+
+
+class TransferInstance(NamedTuple):
+    """One flight that is asked for."""
+
+    start: np.ndarray
+    target: np.ndarray
+    half_spaces: HalfSpaces
+
+
+class TransferCase(NamedTuple):
+    """One row of the table."""
+
+    name: str
+    transfer: TransferProblem
+    solve: Callable[[TransferInstance], np.ndarray]  # the controls
+    instances: list[TransferInstance]
+    max_time_ratio: float  # to reach
+
+
+class CvxpyStatement:
+    """A transfer among half-spaces, compiled once."""
+
+    def __init__(self, transfer: TransferProblem, step: np.ndarray) -> None:
+        """State it, for half-spaces at these steps."""
+        n, m = transfer.model.B.shape[1:]
+        rows = len(step)
+        self.start, self.goal = cp.Parameter(n), cp.Parameter(n)
+        x, self.u, effort, limits = transfer.build_cvxpy(self.start)
+        limits = [*limits, x[len(transfer.model)] == self.goal]
+        self.half_spaces: tuple[cp.Parameter, ...] = ()
+        if rows:
+            self.half_spaces = cp.Parameter((rows, n)), cp.Parameter((rows, m)), cp.Parameter(rows)
+            on_state, on_control, least = self.half_spaces
+            kept = cp.sum(cp.multiply(on_state, x[step]), axis=1)
+            kept += cp.sum(cp.multiply(on_control, self.u[step]), axis=1)
+            limits.append(kept >= least)
+        self.problem = cp.Problem(cp.Minimize(effort), limits)
+
+    def __call__(self, question: TransferInstance) -> np.ndarray:
+        """The controls."""
+        self.start.value, self.goal.value = question.start, question.target
+        for parameter, value in zip(self.half_spaces, question.half_spaces[1:], strict=False):
+            parameter.value = value
+        within = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), TOLERANCE)
+        self.problem.solve(solver=cp.CLARABEL, max_threads=1, **within)
+        return np.asarray(self.u.value)
+
+
+def unconstrained_case(count: int) -> TransferCase:
+    """Without a speed limit."""
+    start = LegStart.from_scenario("random", "leg.steps=50").max_distance(count)
+    transfer = start.make_transfer()
+    programme, none = AvoidanceProblem(transfer), empty_half_spaces(transfer)
+    questions = [
+        TransferInstance(*ends, none) for ends in zip(start.states, start.targets, strict=True)
+    ]
+    return TransferCase(
+        "transfer, 2-D, 50 steps",
+        transfer,
+        lambda q: programme.solve(q.start, q.target, q.half_spaces).trajectory.u,
+        questions,
+        0.7,
+    )
+
+
+def speed_limited_case(count: int) -> TransferCase:
+    """With a speed limit that would be broken without it."""
+    start = LegStart.from_scenario("random_cw", "agents=48", "leg.steps=48", "plan.step_min=0.5")
+    transfer, free = start.make_transfer(SPEED_LIMIT), start.make_transfer()
+    programme, none = SparseTransferSolver(transfer), empty_half_spaces(transfer)
+    questions = []
+    for ends in zip(start.states, start.targets, strict=True):
+        x = AvoidanceProblem(free).solve(*ends, none).trajectory.x
+        if np.linalg.norm(x[1:-1, 3:], axis=1).max() > SPEED_LIMIT and is_feasible(
+            programme, *ends
+        ):
+            questions.append(TransferInstance(*ends, none))
+    return TransferCase(
+        "transfer, orbit, 48 steps, speed limit",
+        transfer,
+        lambda q: programme.solve(q.start, q.target).u,
+        questions[:count],
+        0.7,
+    )
+
+
+def is_feasible(programme: SparseTransferSolver, start: np.ndarray, goal: np.ndarray) -> bool:
+    """Whether the limit leaves a way."""
+    try:
+        programme.solve(start, goal)
+    except Infeasible:
+        return False
+    return True
+
+
+def avoidance_case(neighbours: int, count: int) -> TransferCase:
+    """Past neighbours who are in the way."""
+    questions: list[TransferInstance] = []
+    seed = 0
+    while len(questions) < count:
+        seed += 1
+        start = LegStart.from_scenario("random", "leg.steps=40", *DENSE_OVERRIDES, seed=seed)
+        transfer = start.make_transfer(start.mission.max_speed)
+        programme, horizon = AvoidanceProblem(transfer), make_horizon(start.mission, 0.0, 40)
+        ends = list(zip(start.states, start.targets, strict=True))
+        free = [programme.solve(*pair, empty_half_spaces(transfer)).trajectory for pair in ends]
+        paths = np.stack([horizon.control_points(flight.x, flight.u) for flight in free])
+        for i, flight in enumerate(free):
+            away = np.linalg.norm(start.states - start.states[i], axis=1)
+            others = paths[np.argsort(away, kind="stable")[1 : neighbours + 1]]
+            normal = choose_normals(paths[i] - others, horizon.required_separation)
+            spaces = convexify(horizon, len(flight.u), others, normal)
+            if spaces.violation(flight.x, flight.u).max() > 0 and is_passable(
+                programme, ends[i], spaces
+            ):
+                questions.append(TransferInstance(*ends[i], spaces))
+    return TransferCase(
+        f"avoidance, 2-D, 40 steps, {neighbours} neighbours",
+        transfer,
+        lambda q: programme.solve(q.start, q.target, q.half_spaces).trajectory.u,
+        questions[:count],
+        0.9,
+    )
+
+
+def is_passable(
+    programme: AvoidanceProblem, ends: tuple[np.ndarray, np.ndarray], spaces: HalfSpaces
+) -> bool:
+    """Whether the half-spaces leave a way."""
+    try:
+        programme.solve(*ends, spaces)
+    except Infeasible:
+        return False
+    return True
+
+
+def weighted_fuel(transfer: TransferProblem, u: np.ndarray) -> float:
+    """What both minimise."""
+    return float(transfer.model.dt * transfer.weights @ np.abs(u).sum(axis=1))
+
+
+def time_case(table: Table, case: TransferCase, turns: int) -> bool:
+    """Time a case and add it to the table; whether it misses a target."""
+    stated = CvxpyStatement(case.transfer, case.instances[0].half_spaces.step_index)
+    ways = (case.solve, stated)
+    for way in ways:  # what is done once is not what is timed
+        way(case.instances[0])
+    times: list[list[float]] = [[], []]
+    apart = 0.0
+    for turn in range(turns):
+        for question in case.instances:
+            values = [0.0, 0.0]
+            for k in (0, 1) if turn % 2 else (1, 0):
+                began = process_time()
+                u = ways[k](question)
+                times[k].append(process_time() - began)
+                values[k] = weighted_fuel(case.transfer, u)
+            apart = max(apart, abs(values[0] - values[1]) / values[1])
+    ours, theirs = (1e3 * float(np.min_median_rate(taken)) for taken in times)
+    missed = ours / theirs > case.max_time_ratio or apart > COST_TOLERANCE
+    table.add_row(
+        case.name,
+        str(len(case.instances)),
+        str(len(case.instances[0].half_spaces.rhs)),
+        f"{ours:.2f}",
+        f"{theirs:.2f}",
+        f"{ours / theirs:.2f} ({case.max_time_ratio})",
+        f"{apart:.0e} ({COST_TOLERANCE:.0e})",
+        style="red" if missed else None,
+    )
+    return missed
+
+
+def measure_overheads(turns: int) -> dict[tuple[str, str], tuple[float, float]]:
+    """Median time of a solve, and of that what the adapter takes [s]; of each solver and family."""
+    installed = [solver for solver in load_adapters().values() if solver.is_installed]
+    found = {}
+    for name in FAMILY_OF_CONE.values():
+        instances = load_family(name, "medium").instances
+        first = instances[0].problem
+        bs = [each.problem.b for each in instances if each.problem.A is first.A]
+        sessions = {s.name: s.open_session(first, 1e-6) for s in installed if s.supports(first)}
+        taken: dict[str, list[tuple[float, float]]] = {solver: [] for solver in sessions}
+        for turn in range(turns + 1):
+            for solver, session in sessions.items():
+                if sum(seconds for seconds, _ in taken[solver]) > MAX_SOLVER_TIME:
+                    continue
+                began = perf_counter()
+                claim = session.solve(bs[turn % len(bs)].copy())
+                seconds = perf_counter() - began
+                if turn:  # what a library does once is not what is timed
+                    taken[solver].append((seconds, seconds - claim.seconds))
+        for solver, some in taken.items():
+            whole, over = np.min_median_rate(np.array(some), axis=0)
+            found[solver, name] = float(whole), float(over)
+    return found
+
+
+def main(
+    instances: Annotated[int, typer.Option(help="flights of each case")] = 10,
+    turns: Annotated[
+        int, typer.Option(help="of each flight; adapters take five times as many")
+    ] = 9,
+) -> None:
+    """Compare; exit 1 where a target is missed."""
+    paths = Table("path", "flights", "half-spaces", "ours, ms", "CVXPY, ms", "ratio ≤", "cost ≤")
+    adapted = Table("solver", "family", "a solve, ms", f"adapter, ms ≤ {1e3 * MAX_OVERHEAD:g}")
+    with threadpool_limits(1):
+        cases = [
+            unconstrained_case(instances),
+            speed_limited_case(instances),
+            avoidance_case(5, instances),
+        ]
+        cases.append(avoidance_case(20, instances))
+        missed = [time_case(paths, case, turns) for case in cases]
+        for (solver, name), (whole, over) in sorted(measure_overheads(5 * turns).items()):
+            missed.append(over > MAX_OVERHEAD)
+            row = solver, name, f"{1e3 * whole:.2f}", f"{1e3 * over:.3f}"
+            adapted.add_row(*row, style="red" if missed[-1] else None)
+    console = Console(width=120)
+    console.print(paths)
+    console.print(adapted)
+    raise typer.Exit(int(any(missed)))
+
+
+if __name__ == "__main__":
+    typer.run(main)

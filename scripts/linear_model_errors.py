@@ -1,0 +1,86 @@
+"""How wrong do the linear models become? python scripts/linear_model_errors.py [--help].
+
+Twenty deputies, at random in the chief's plane within 1 km each way, start at the ascending
+node with J2-invariant velocities and fly free. Each model foretells where they are, and the
+exact motion under J2 judges. Printed is the largest error of any coordinate of any deputy.
+"""
+
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from dynamics.clohessy_wiltshire import ClohessyWiltshire
+from dynamics.discretize import discretize_zoh
+from dynamics.j2 import J2, invariant_velocity
+from dynamics.model import LinearizedModel
+from dynamics.orbit import Orbit
+from dynamics.schweighart_sedwick import SchweighartSedwick
+from dynamics.tschauner_hempel import TschaunerHempel
+
+INCLINATION = np.radians(45)
+ORBITS = {
+    "Circular, a = 6878 km": Orbit.from_elements(6878e3, 0.0, INCLINATION),
+    "Eccentric, a = 8600 km, e = 0.2, from the perigee on": Orbit.from_elements(
+        8600e3, 0.2, INCLINATION
+    ),
+}
+MINUTES = 8.0, 16.0, 24.0
+LINEARIZATION_STEPS = 30  # into which each span is cut for the linearised equations
+
+
+def transition_matrices(orbit: Orbit, times: np.ndarray) -> dict[str, np.ndarray]:
+    """Φ(t, 0) of each model at the times."""
+    return {
+        "Clohessy–Wiltshire": ClohessyWiltshire.from_orbit(orbit).transition_matrix(times),
+        "Schweighart–Sedwick": SchweighartSedwick.from_orbit(orbit).transition_matrix(times),
+        "Yamanaka–Ankersen": TschaunerHempel.from_orbit(orbit).transition_matrix(0.0, times),
+        "linearised J2": linearized_transition_matrices(orbit, times),
+    }
+
+
+def linearized_transition_matrices(orbit: Orbit, times: np.ndarray) -> np.ndarray:
+    """Φ(t, 0) of the exact equations, linearised about the chief."""
+    model, found, begin = LinearizedModel.at_origin(J2(orbit)), [np.eye(6)], 0.0
+    for end in times:
+        steps = discretize_zoh(
+            model, (end - begin) / LINEARIZATION_STEPS, LINEARIZATION_STEPS, begin
+        )
+        found.append(np.linalg.multi_dot([*steps.A[::-1], found[-1]]))
+        begin = end
+    return np.array(found[1:])
+
+
+def format_three_digits(error: float) -> str:
+    """Three of them."""
+    return np.format_float_positional(error, precision=3, fractional=False, trim="-")
+
+
+def main(
+    seed: Annotated[int, typer.Option(help="Of the deputies' positions.")] = 1,
+    count: Annotated[int, typer.Option(help="Deputies.")] = 20,
+    reach: Annotated[float, typer.Option(help="How far off they start, in metres.")] = 1000.0,
+    distance: Annotated[
+        bool, typer.Option("--distance", help="Errors as distances, not the largest coordinate.")
+    ] = False,
+) -> None:
+    """Print a table for each orbit: how far each linear model is off at most, in metres."""
+    for title, orbit in ORBITS.items():
+        place = np.zeros((count, 3))
+        place[:, :2] = np.random.default_rng(seed).uniform(-reach, reach, (count, 2))
+        start = np.hstack([place, invariant_velocity(orbit, place)])
+        times = np.array([*(60 * m for m in MINUTES), orbit.period])
+        truth = J2(orbit).propagate(start, times)[..., :3]
+
+        heads = [*(f"{m:.0f} min" for m in MINUTES), f"one orbit, {orbit.period / 60:.1f} min"]
+        print(f"\n{title}: position error [m]\n")
+        print("| model |", " | ".join(heads), "|")
+        print("|---" * (1 + len(heads)) + "|")
+        for name, Phi in transition_matrices(orbit, times).items():
+            error = np.einsum("tij,kj->tki", Phi, start)[..., :3] - truth
+            size = np.linalg.norm(error, axis=-1) if distance else np.abs(error).max(axis=-1)
+            print(f"| {name} |", " | ".join(map(format_three_digits, size.max(axis=1))), "|")
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,0 +1,345 @@
+"""What the families are drawn from: runs of scenarios, and what their vehicles ask a solver."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from typing import NamedTuple
+from unittest.mock import patch
+
+import numpy as np
+from scipy.linalg import null_space
+from scipy.sparse import csc_array, hstack
+
+import sato
+from dynamics import discretize_zoh
+from problems.avoidance import AvoidanceProblem, empty_half_spaces
+from problems.conic import ConicProgram, ConicSolution, Infeasible, svec
+from problems.conic import solve as solve_conic
+from problems.convexify import PassingSide, choose_normals, convexify
+from problems.desired_formation import DesiredFormation
+from problems.gain_problem import GainProblem
+from problems.solvers import solve_highs
+from problems.sparse_transfer import SparseTransferSolver
+from problems.transfer import TransferProblem
+from sato.reconfiguration.loop import fly
+from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.planning import make_horizon
+from sato.reconfiguration.solo_trajectories import TIE_BREAK_RISE
+from sato.shapes.random_points import random_dense_graph, sample_formation
+
+INSTANCE_COUNT = 10  # instances of a family and size
+REDUCED_COUNTS = {  # where so many would take much room
+    ("avoidance-20", "medium"): 9,
+    ("avoidance-20", "large"): 7,
+    ("transfer-socp", "large"): 6,
+    ("gain-sdp", "large"): 6,
+}
+SEED = 1
+STEPS = {"small": 20, "medium": 50, "large": 100}
+SPEED_LIMIT = 3.0  # the limit of transfer-socp, which some can just keep [m/s]
+ORBIT_STEPS = {
+    "small": (24, 1.0),
+    "medium": (48, 0.5),
+    "large": (96, 0.25),
+}  # steps, and minutes each
+CROWD_STEPS = {"small": 20, "medium": 40, "large": 60}  # steps
+DENSE_OVERRIDES = (  # a crowd in which paths cross
+    "leg.shape.spacing_m=1.5",
+    "swarm.start.box_m=9.0",
+    "swarm.collision_radius_m=0.75",
+    "swarm.comm_radius_m=7.0",
+    "model.max_speed_m_s=0.5",
+    "plan.tie_break=0.0",
+    "plan.horizon_steps=6",
+)
+AGENT_COUNTS = {"small": 6, "medium": 10, "large": 15}
+REACH_FACTOR = (
+    1.001  # of the least control that reaches a goal: with more there is a way, with less none
+)
+
+
+class UnsolvedFamily(NamedTuple):
+    """Questions before they are answered."""
+
+    source: str
+    problems: list[ConicProgram]
+    feasible: bool = True
+
+
+class LegStart(NamedTuple):
+    """A leg as it begins, after its first auction."""
+
+    mission: Reconfiguration
+    states: np.ndarray
+    targets: np.ndarray
+
+    @classmethod
+    def from_scenario(cls, scenario: str, *overrides: str, seed: int = SEED) -> "LegStart":
+        """That of the first leg of a scenario."""
+        rng = np.random.default_rng(seed)
+        mission = sato.read(scenario, overrides).build(rng)
+        frame = next(fly(mission, rng))
+        states = np.concatenate([frame.position, frame.velocity], axis=1)
+        return cls(mission, states, mission.legs[0].targets[frame.target_index])
+
+    def farthest(self, count: int) -> "LegStart":
+        """The agents with the longest ways to go."""
+        way = np.linalg.norm(
+            (self.targets - self.states)[:, : self.mission.linear_model.axes], axis=1
+        )
+        chosen = np.argsort(-way, kind="stable")[:count]
+        return LegStart(self.mission, self.states[chosen], self.targets[chosen])
+
+    def make_transfer(self, speed: float = np.inf) -> TransferProblem:
+        """What all of them plan with."""
+        mission = self.mission
+        steps = discretize_zoh(mission.linear_model, mission.step, mission.legs[0].steps)
+        return TransferProblem(steps, mission.max_control, speed, tie_break_rise=TIE_BREAK_RISE)
+
+
+@contextmanager
+def record_problems(module: str) -> Iterator[list[ConicProgram]]:
+    """What a module of `problems` asks its solver."""
+    asked: list[ConicProgram] = []
+
+    def note(
+        problem: ConicProgram, solver: Callable[[ConicProgram], ConicSolution]
+    ) -> ConicSolution:
+        asked.append(problem)
+        return solve_conic(problem, solver)
+
+    with patch(f"problems.{module}.solve", note):
+        yield asked
+
+
+def instance_count(family: str, size: str) -> int:
+    """How many instances are asked for."""
+    return REDUCED_COUNTS.get((family, size), INSTANCE_COUNT)
+
+
+def make_transfer_lp(size: str) -> UnsolvedFamily:
+    """Problem 6 with the states eliminated."""
+    T = STEPS[size]
+    problems = condensed_transfers(
+        LegStart.from_scenario("random", f"leg.steps={T}").max_distance(INSTANCE_COUNT)
+    )
+    source = f"the longest flights of the first leg of random, {T} steps, without the states"
+    return UnsolvedFamily(source, problems)
+
+
+def condensed_transfers(start: LegStart) -> list[ConicProgram]:
+    """The programmes of agents that are alone, in the controls alone."""
+    transfer = start.make_transfer()
+    with record_problems("avoidance") as asked:
+        for state, goal in zip(start.states, start.targets, strict=True):
+            AvoidanceProblem(transfer).solve(state, goal, empty_half_spaces(transfer))
+    return asked
+
+
+def make_transfer_socp(size: str) -> UnsolvedFamily:
+    """Problem 6 with the states kept, for those who would be too fast without a limit."""
+    T, step = ORBIT_STEPS[size]
+    start = LegStart.from_scenario(
+        "random_cw", "agents=48", f"leg.steps={T}", f"plan.step_min={step}"
+    )
+    alone, limited = (
+        AvoidanceProblem(start.make_transfer()),
+        SparseTransferSolver(start.make_transfer(SPEED_LIMIT)),
+    )
+    problems: list[ConicProgram] = []
+    for state, goal in zip(start.states, start.targets, strict=True):
+        free = alone.solve(state, goal, empty_half_spaces(alone.transfer)).trajectory
+        if np.linalg.norm(free.x[1:-1, 3:], axis=1).max() <= SPEED_LIMIT:
+            continue
+        with record_problems("speed_cones") as asked, suppress(Infeasible):
+            limited.solve(state, goal)
+            problems += asked
+    source = (
+        f"flights of random_cw with 48 vehicles, {T} steps of {step} min, at most {SPEED_LIMIT} m/s"
+    )
+    return UnsolvedFamily(source, problems[: instance_count("transfer-socp", size)])
+
+
+def make_j2(size: str) -> UnsolvedFamily:
+    """Problem 6 about a chief in orbit, with the states eliminated."""
+    T, step = ORBIT_STEPS[size]
+    start = LegStart.from_scenario("orbit", f"leg.steps={T}", f"plan.step_min={step}").max_distance(
+        INSTANCE_COUNT
+    )
+    problems = condensed_transfers(start)
+    source = f"the longest flights of orbit, {T} steps of {step} min, J2 linear about the chief"
+    return UnsolvedFamily(source, problems)
+
+
+def make_near_infeasible(size: str) -> UnsolvedFamily:
+    """Goals that are all but out of reach."""
+    problems = [
+        move_target(problem, 1 / REACH_FACTOR) for problem in make_transfer_lp(size).problems
+    ]
+    source = (
+        f"transfer-lp with its goals moved away until {REACH_FACTOR} of the least control remains"
+    )
+    return UnsolvedFamily(source, problems)
+
+
+def make_infeasible(size: str) -> UnsolvedFamily:
+    """Goals that are just out of reach, and agents that should pass on both sides at once."""
+    far = [
+        move_target(problem, REACH_FACTOR)
+        for problem in make_transfer_lp(size).problems[: INSTANCE_COUNT // 2]
+    ]
+    both = avoidance_problems(size, 5, ("near", "far"), INSTANCE_COUNT // 2)
+    source = f"transfer-lp with its goals {REACH_FACTOR} times as far as can be reached, and avoidance-5 "
+    source += "with the half-spaces of both sides of each neighbour"
+    return UnsolvedFamily(source, far + both, feasible=False)
+
+
+def move_target(problem: ConicProgram, share: float) -> ConicProgram:
+    """The same with the goal moved away from where the agent drifts to.
+
+    Args:
+        problem: A transfer without its states.
+        share: Of the farthest goal on that line that can be reached.
+    """
+    reach = np.concatenate([problem.b[: problem.zero], np.zeros(problem.nonnegative)])
+    limits = problem.b - reach
+    q, A = np.append(np.zeros(len(problem.q)), -1.0), hstack([problem.A, -reach[:, None]])
+    farther = ConicProgram(q, csc_array(A), limits, problem.zero, problem.nonnegative)
+    farthest = solve_conic(farther, solve_highs).x[-1]
+    b = limits + share * farthest * reach
+    return replace(problem, b=b)
+
+
+def make_avoidance(neighbours: int) -> Callable[[str], UnsolvedFamily]:
+    """Problem 7 of agents whose flights would meet one of their neighbours."""
+
+    def draw(size: str) -> UnsolvedFamily:
+        problems = avoidance_problems(
+            size, neighbours, ("near",), instance_count(f"avoidance-{neighbours}", size)
+        )
+        source = (
+            f"a crowd of random with {CROWD_STEPS[size]} steps to go, seeds from {SEED} on: who would "
+            f"meet one of the {neighbours} nearest, in the first exchange; half-spaces that no "
+            "control could break are left out, and A is rounded to single precision"
+        )
+        return UnsolvedFamily(source, problems)
+
+    return draw
+
+
+def avoidance_problems(
+    size: str, neighbours: int, ways: tuple[PassingSide, ...], wanted: int
+) -> list[ConicProgram]:
+    """Programmes among the half-spaces past the nearest neighbours, on all the ways given.
+
+    Past them on one way there must be a flight, and on two at once there must be none.
+    """
+    found: list[ConicProgram] = []
+    for seed in range(SEED, SEED + 50):
+        start = LegStart.from_scenario(
+            "random", f"leg.steps={CROWD_STEPS[size]}", *DENSE_OVERRIDES, seed=seed
+        )
+        mission, transfer = start.mission, start.make_transfer(start.mission.max_speed)
+        programme, horizon = (
+            AvoidanceProblem(transfer),
+            make_horizon(mission, 0.0, CROWD_STEPS[size]),
+        )
+        ends = list(zip(start.states, start.targets, strict=True))
+        free = [programme.solve(*end, empty_half_spaces(transfer)).trajectory for end in ends]
+        paths = np.stack([horizon.control_points(flight.x, flight.u) for flight in free])
+        for i, flight in enumerate(free):
+            away = np.linalg.norm(start.states - start.states[i], axis=1)
+            others = paths[np.argsort(away, kind="stable")[1 : neighbours + 1]]
+            normal = [
+                choose_normals(paths[i] - others, horizon.required_separation, way) for way in ways
+            ]
+            theirs = np.concatenate([others] * len(ways))
+            spaces = convexify(horizon, len(flight.u), theirs, np.concatenate(normal))
+            if spaces.violation(flight.x, flight.u).max() <= 0:
+                continue
+            with record_problems("avoidance") as asked:
+                try:
+                    programme.solve(*ends[i], spaces)
+                    possible = True
+                except Infeasible:
+                    possible = False
+            if possible == (len(ways) == 1):
+                found.append(to_single_precision(drop_idle_half_spaces(asked[-1], len(spaces.rhs))))
+            if len(found) == wanted:
+                return found
+    raise ValueError(f"fifty crowds have only {len(found)} such programmes, and not {wanted}")
+
+
+def drop_idle_half_spaces(problem: ConicProgram, spaces: int) -> ConicProgram:
+    """The same without the half-spaces that no controls within their limits could break."""
+    A, rows = problem.A.toarray(), np.arange(len(problem.b)) - problem.zero
+    idle = np.maximum(A, 0).sum(axis=1) <= problem.b
+    kept = ~(idle & (rows >= 0) & (rows < spaces))
+    inequalities = problem.nonnegative - int((~kept).sum())
+    b = problem.b[kept]
+    return ConicProgram(
+        problem.q, csc_array(A[kept]), b, problem.zero, inequalities, problem.soc_sizes
+    )
+
+
+def to_single_precision(problem: ConicProgram) -> ConicProgram:
+    """The same with the entries of A in single precision: another programme, in half the room."""
+    return replace(problem, A=csc_array(problem.A.astype(np.float32).astype(float)))
+
+
+def make_gain_sdp(size: str) -> UnsolvedFamily:
+    """The fastest gains in the plane, with the matrix Z as the unknown."""
+    rng, n, problems = np.random.default_rng(SEED), AGENT_COUNTS[size], []
+    for _ in range(instance_count("gain-sdp", size)):
+        points = sample_formation(n, (15.0, 15.0, 2.0), 2.0, rng)
+        graph = random_dense_graph(n, n - 4, rng)
+        problems.append(
+            to_single_precision(
+                gain_sdp_problem(GainProblem.from_formation(DesiredFormation(points, graph), "xy"))
+            )
+        )
+    source = f"formations of {n} as the scenario formation draws them, with graphs as thinned as "
+    source += "in the trials of [Lusk2020]; A is rounded to single precision"
+    return UnsolvedFamily(source, problems)
+
+
+def gain_sdp_problem(question: GainProblem) -> ConicProgram:
+    """Maximise t subject to Z − t I ⪰ 0, tr Z = m and zeros of Q Z Qᴴ at the non-edges.
+
+    A Hermitian matrix is as definite as [[Re, −Im], [Im, Re]]; Z is in units of its entries.
+    """
+    m, Q = question.m, null_space(question.kernel.conj().T)
+    i, j = np.nonzero(np.triu(~question.graph, 1))
+    rows, traces, cone = [], [], []
+    for E in hermitian_basis(m):
+        entries = (Q @ E @ Q.conj().T)[i, j]
+        rows.append(np.concatenate([entries.real, entries.imag]))
+        traces.append(E.trace().real)
+        cone.append(svec(np.block([[E.real, -E.imag], [E.imag, E.real]])))
+    A = np.vstack([traces, np.array(rows).T, -np.array(cone).T])
+    t = np.concatenate([np.zeros(1 + 2 * len(i)), svec(np.eye(2 * m))])
+    b = np.zeros(len(t))
+    b[0] = m
+    q = np.append(np.zeros(m * m), -1.0)
+    return ConicProgram(q, csc_array(np.column_stack([A, t])), b, 1 + 2 * len(i), 0, (), (2 * m,))
+
+
+def hermitian_basis(m: int) -> Iterator[np.ndarray]:
+    """A basis of the Hermitian matrices of order m."""
+    for row, column in zip(*np.tril_indices(m), strict=True):
+        for unit in (1.0,) if row == column else (1.0, 1j):
+            E = np.zeros((m, m), complex)
+            E[row, column], E[column, row] = unit, np.conj(unit)
+            yield E
+
+
+FAMILIES: dict[str, Callable[[str], UnsolvedFamily]] = {
+    "transfer-lp": make_transfer_lp,
+    "transfer-socp": make_transfer_socp,
+    "j2": make_j2,
+    "avoidance-5": make_avoidance(5),
+    "avoidance-20": make_avoidance(20),
+    "near-infeasible": make_near_infeasible,
+    "infeasible": make_infeasible,
+    "gain-sdp": make_gain_sdp,
+}

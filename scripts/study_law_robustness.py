@@ -1,0 +1,121 @@
+"""The law when commands come out wrong: python scripts/study_law_robustness.py --cases 100.
+
+What a vehicle does may be what the law asks of it scaled by any positive factor and turned by
+less than 90°, other ones for each vehicle and every second: the formation still forms
+[Lusk2020, Sec. III-C]. Random formations on complete and on sparse graphs, from random starts.
+"""
+
+import argparse
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+from rich.progress import track
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+from problems.desired_formation import DesiredFormation
+from problems.gain_design import GainMatrix, design_gains
+from sato.formation.control_law import ControlLaw, compute_velocity_command, size_control_weights
+from sato.formation.shape_error import compute_shape_error
+from sato.shapes.random_points import random_sparse_graph, sample_formation
+
+SCALE_RANGE = (0.1, 10.0)  # by which commands are scaled
+DISTORTION_PERIOD = 1.0  # for which factors and turns stay [s]
+SHAPE_TOLERANCE = 1e-3  # error of the shape [m]
+MAX_TIME = 600.0  # [s]
+
+
+class RobustnessResult(NamedTuple):
+    """What came of a case."""
+
+    time: float  # until the shape was formed [s]
+    error: float  # of the shape in the end [m]
+    is_inverted: bool
+
+
+def commands(
+    position: Float[Array, "n 3"], gains: GainMatrix, law: ControlLaw
+) -> Float[Array, "n 3"]:
+    """What the law asks of everybody [m/s]."""
+    graph, points = gains.formation.graph, gains.formation.points
+    weight = size_control_weights(graph)
+    asked = np.zeros_like(position)
+    for i, u in enumerate(asked):
+        near = np.flatnonzero(graph[i])
+        compute_velocity_command(
+            i, position - position[i], near, gains.xy[i], gains.z[i], points, weight[i], law, u
+        )
+    return asked
+
+
+def draw_case(rng: np.random.Generator) -> tuple[GainMatrix, Float[Array, "n 3"]]:
+    """Gains and a start."""
+    n = int(rng.integers(6, 13))
+    points = sample_formation(n, (8.0, 8.0, 3.0), 1.5, rng)
+    least = 4 / (n - 1)  # of the ring that every sparse graph has
+    share = 1.0 if rng.random() < 0.3 else rng.uniform(least, 1)
+    shape = DesiredFormation(points, random_sparse_graph(points, share, rng))
+    return design_gains(shape), rng.uniform(0, 10, (n, 3))
+
+
+def draw_distortions(count: int, worst: float, rng: np.random.Generator) -> Float[Array, "n 3 3"]:
+    """A factor and a turn about any axis by up to `worst` [rad] for everybody."""
+    axis = rng.standard_normal((count, 3))
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    turn = Rotation.from_rotvec(axis * rng.uniform(0, worst, (count, 1))).as_matrix()
+    low, high = np.log(SCALE_RANGE).tolist()
+    factor = np.exp(rng.uniform(low, high, count))
+    return np.asarray(factor[:, None, None] * turn)
+
+
+def simulate_distorted(
+    gains: GainMatrix,
+    start: Float[Array, "n 3"],
+    rng: np.random.Generator,
+    law: ControlLaw | None = None,
+    worst: float = np.pi / 2,
+) -> RobustnessResult:
+    """Follow the distorted law until the shape is formed."""
+    law = law or ControlLaw()
+    position, time = start, 0.0
+    found = compute_shape_error(position, gains.formation.points)
+    while found.error > SHAPE_TOLERANCE and time < MAX_TIME:
+        way = draw_distortions(len(start), worst, rng)
+
+        def rate(_: float, q: Array, way: Array = way) -> Array:
+            return np.asarray((way @ commands(q.reshape(-1, 3), gains, law)[..., None]).ravel())
+
+        flown = solve_ivp(rate, (0, DISTORTION_PERIOD), position.ravel(), rtol=1e-6, atol=1e-8)
+        position, time = flown.y[:, -1].reshape(-1, 3), time + DISTORTION_PERIOD
+        found = compute_shape_error(position, gains.formation.points)
+    return RobustnessResult(time, found.error, found.inverted)
+
+
+def main() -> None:
+    """Entry point."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cases", type=int, default=100)
+    cases = parser.parse_args().cases
+    done, plain = [], []
+    for seed in track(range(cases), "settling"):
+        rng = np.random.default_rng(seed)
+        gains, start = draw_case(rng)
+        done.append(simulate_distorted(gains, start, rng))
+        plain.append(simulate_distorted(gains, start, rng, worst=0.0))
+    good = [o for o in done if o.error <= SHAPE_TOLERANCE and not o.is_inverted]
+    print(
+        f"{len(good)} of {cases} formed to {1000 * SHAPE_TOLERANCE:g} mm with factors from {SCALE_RANGE[0]:g} "
+        f"to {SCALE_RANGE[1]:g} and turns up to 90°"
+    )
+    for name, outcomes in (("turned", done), ("only scaled", plain)):
+        time = [o.time for o in outcomes if o.error <= SHAPE_TOLERANCE]
+        print(
+            f"{name}: median {np.min_median_rate(time):.0f} s, longest {max(time):.0f} s, largest error "
+            f"{max(o.error for o in outcomes):.4f} m"
+        )
+
+
+if __name__ == "__main__":
+    main()
