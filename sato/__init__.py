@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sato.record import Run, RunFileError, load
-    from sato.scenario import ScenarioError, ScenarioFile, names, parse, read
+    from sato.former import ScenarioError, ScenarioFile, names, parse, read
     from sato.simulate import run
 
 _LAZY_IMPORTS = {
@@ -22,11 +22,11 @@ _LAZY_IMPORTS = {
     "Run": "sato.record",
     "RunFileError": "sato.record",
     "load": "sato.record",
-    "ScenarioError": "sato.scenario",
-    "ScenarioFile": "sato.scenario",
-    "parse": "sato.scenario",
-    "read": "sato.scenario",
-    "names": "sato.scenario",
+    "ScenarioError": "sato.former",
+    "ScenarioFile": "sato.former",
+    "parse": "sato.former",
+    "read": "sato.former",
+    "names": "sato.former",
 }
 
 __all__ = [

@@ -42,7 +42,7 @@ def _print_version(
 def scenarios() -> None:
     """List the built-in scenarios."""
     with report_errors():
-        from sato.scenario import names
+        from sato.former import names
 
         known = names()
         width = max(map(len, known))
@@ -69,7 +69,7 @@ def run(
     with report_errors():
         from sato.console import print_summary, show_mission_progress
         from sato.record import RUN_FILE
-        from sato.scenario import read
+        from sato.former import read
         from sato.simulate import run as fly
         from sato.systems import load_system
 

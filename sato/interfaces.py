@@ -88,8 +88,8 @@ FrameT = TypeVar("FrameT", bound=Frame)
 class System(Generic[MissionT, FrameT]):
     """What a system brings: M is what it calls a mission, F its frame.
 
-    Its scenario file makes the mission; it is in `sato.scenario` by the same name, see
-    `sato.scenario.ScenarioFile`.
+    Its scenario file makes the mission; it is in `sato.former` by the same name, see
+    `sato.former.ScenarioFile`.
     """
 
     name: str

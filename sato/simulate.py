@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from sato.interfaces import FrameT, MissionT, System
 from sato.record import Run
 from sato.resource_usage import peak_memory_mib
-from sato.scenario import ScenarioFile, read
+from sato.former import ScenarioFile, read
 from sato.systems import load_system
 
 FrameCallback = Callable[[Any, Any], object]  # of the mission and a frame
@@ -42,7 +42,7 @@ def run(
         progress: Called with the mission and each frame.
 
     Warns:
-        BeyondValidity: The model is wrong where the swarm flies, see `sato.scenario.validity`.
+        BeyondValidity: The model is wrong where the swarm flies, see `sato.former.validity`.
 
     Raises:
         ScenarioError: The scenario cannot be flown; nothing was.

@@ -41,7 +41,7 @@ from sato.connectivity.yaw_estimator import (
     wrap_angle,
     yaw_from_motion,
 )
-from sato.scenario import read
+from sato.former import read
 
 POTENTIAL = Potential()
 YAW_ERROR = 0.1  # of a relative yaw that is estimated [rad]

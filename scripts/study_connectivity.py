@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 
 from sato.connectivity.mission import Connectivity
 from sato.connectivity.trial import ConnectivityTrial, run_trial
-from sato.scenario import read
+from sato.former import read
 
 
 class CampaignRow(NamedTuple):

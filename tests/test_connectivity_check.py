@@ -13,7 +13,7 @@ from sato.connectivity.distance import min_separation
 from sato.connectivity.record import VARIABLES
 from sato.connectivity.system import SYSTEM, describe_progress
 from sato.record import Run
-from sato.scenario import read
+from sato.former import read
 
 QUADROTOR = 'plant={kind="quadrotor"}'
 SHAKEN = 'plant={kind="kinematic", lag_s=0.3, noise=0.02}'

@@ -33,7 +33,7 @@ from sato.connectivity.system import SYSTEM
 from sato.figures.axes import AxisBounds
 from sato.figures.style import BLUE, GREEN, ORANGE, RED, STYLE
 from sato.record import Run
-from sato.scenario import read
+from sato.former import read
 
 STICK = (
     'stick={kind="recorded", times_s=[0, 0.5, 1.5, 2], '

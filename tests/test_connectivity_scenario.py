@@ -19,7 +19,7 @@ from sato.connectivity.messages import CommunicationLink
 from sato.connectivity.potential import Potential, Repulsion
 from sato.connectivity.power_iteration import default_gains
 from sato.connectivity.yaw_estimator import YawTracking
-from sato.scenario import ScenarioError, parse, read
+from sato.former import ScenarioError, parse, read
 
 SHORT = """
 system = "connectivity"

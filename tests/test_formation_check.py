@@ -14,7 +14,7 @@ from sato.formation.check.closest import find_closest_approach
 from sato.formation.system import SYSTEM
 from sato.formation.trial import evaluate_trial
 from sato.record import Run
-from sato.scenario import parse
+from sato.former import parse
 
 FIVE = """
 system = "formation"

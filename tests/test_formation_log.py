@@ -13,7 +13,7 @@ from sato.formation.record import GAIN_PARTS, VARIABLES, run_attributes, stack_v
 from sato.formation.supervisor import Phase
 from sato.formation.system import SYSTEM, describe_progress
 from sato.record import COMMON_VARIABLES
-from sato.scenario import parse
+from sato.former import parse
 from sato.systems import load_system
 
 SQUARES = """

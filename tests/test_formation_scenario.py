@@ -12,7 +12,7 @@ import sato
 from problems.gain_design import design_gains
 from sato.formation import Formation
 from sato.formation.mission import legacy_formation
-from sato.scenario import names, parse, read
+from sato.former import names, parse, read
 from sato.shapes.formation_files import write_graph, write_points
 from sato.shapes.formation_library import load_formation
 from sato.shapes.random_points import random_dense_graph, sample_formation, sample_positions

@@ -19,11 +19,11 @@ from dynamics.plant import LinearPlant
 from dynamics.schweighart_sedwick import SchweighartSedwick
 from dynamics.tschauner_hempel import TschaunerHempel
 from sato.reconfiguration.mission import Reconfiguration
-from sato.scenario import ScenarioError, ScenarioFile, parse, read
-from sato.scenario.margin import margin
-from sato.scenario.models import ABOUT
-from sato.scenario.validity import BeyondValidity
-from sato.scenario.world import ORBITAL
+from sato.former import ScenarioError, ScenarioFile, parse, read
+from sato.former.margin import margin
+from sato.former.models import ABOUT
+from sato.former.validity import BeyondValidity
+from sato.former.world import ORBITAL
 
 ORBITS = ("eccentric", "orbit", "orbit200", "orbit3d", "random_cw")
 

@@ -11,11 +11,11 @@ from scipy.spatial.distance import pdist
 
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.mission import Reconfiguration
-from sato.scenario import BUILT_IN, ScenarioError, ScenarioFile, names, parse, read
-from sato.scenario.legs import wanted
-from sato.scenario.reach import check_reach
-from sato.scenario.refusal import Refusal, downward, upward
-from sato.scenario.units import SI, UNITS, Table, meaning
+from sato.former import BUILT_IN, ScenarioError, ScenarioFile, names, parse, read
+from sato.former.legs import wanted
+from sato.former.reach import check_reach
+from sato.former.refusal import Refusal, downward, upward
+from sato.former.units import SI, UNITS, Table, meaning
 
 TINY = """
 system = "reconfiguration"

@@ -19,8 +19,8 @@ from sato.check.event_log import EventLog
 from sato.check.promise import expect_below
 from sato.interfaces import Frame, MissionProgress, System, Variable
 from sato.network.graph import CommunicationGraph
-from sato.scenario import SYSTEMS, ScenarioFile
-from sato.scenario.refusal import Refusal
+from sato.former import SYSTEMS, ScenarioFile
+from sato.former.refusal import Refusal
 from sato.systems import SYSTEM_MODULES, UnknownSystemError, load_system
 
 DRIFT = """

@@ -11,7 +11,7 @@ from problems.transfer import TransferProblem
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.planning import make_horizon
 from sato.reconfiguration.solo_trajectories import TIE_BREAK_RISE
-from sato.scenario import read
+from sato.former import read
 
 CONTROL_POINTS_PER_PIECE = 4  # of a piece of path: a half-space keeps each of them
 

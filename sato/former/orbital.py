@@ -15,8 +15,8 @@ from pydantic import (
 
 from dynamics.coordinate_frames import to_polar_nodal
 from dynamics.orbit import EARTH_J2, EARTH_MU, EARTH_RADIUS, Orbit
-from sato.scenario.refusal import Refusal, downward, listed, upward
-from sato.scenario.units import Table
+from sato.former.refusal import Refusal, downward, listed, upward
+from sato.former.units import Table
 
 ELEMENTS = (
     "semi_major_axis_m",

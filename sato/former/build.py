@@ -10,13 +10,13 @@ from numpy import ndarray as Array
 
 from dynamics import LinearModel
 from sato.reconfiguration.mission import Join, Leg, Reconfiguration
-from sato.scenario.legs import lost, occupied, wanted
-from sato.scenario.margin import margin
-from sato.scenario.refusal import Refusal, upward
-from sato.scenario.start import AnyStart, Listed, Place, positions
-from sato.scenario.tables import Disturbance, LegTable, Plan, Swarm
-from sato.scenario.tolerance import tolerances
-from sato.scenario.world import World, elsewhere
+from sato.former.legs import lost, occupied, wanted
+from sato.former.margin import margin
+from sato.former.refusal import Refusal, upward
+from sato.former.start import AnyStart, Listed, Place, positions
+from sato.former.tables import Disturbance, LegTable, Plan, Swarm
+from sato.former.tolerance import tolerances
+from sato.former.world import World, elsewhere
 
 
 class Space(NamedTuple):

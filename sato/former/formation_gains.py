@@ -9,8 +9,8 @@ from pydantic import BeforeValidator, Field
 from problems.desired_formation import DesiredFormation
 from problems.gain_design import GainDesignUndecided, NoStabilizingGain, design_gains
 from problems.gain_matrix import GainMatrix
-from sato.scenario.refusal import Refusal
-from sato.scenario.units import Table
+from sato.former.refusal import Refusal
+from sato.former.units import Table
 
 
 def of_kind(value: Any) -> Any:

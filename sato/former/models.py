@@ -10,8 +10,8 @@ from dynamics.j2 import J2
 from dynamics.orbit import Orbit
 from dynamics.schweighart_sedwick import SchweighartSedwick
 from dynamics.tschauner_hempel import TschaunerHempel
-from sato.scenario.refusal import Refusal
-from sato.scenario.units import Table
+from sato.former.refusal import Refusal
+from sato.former.units import Table
 
 ABOUT: dict[str, Callable[[Orbit], LinearModel]] = {
     "clohessy_wiltshire": ClohessyWiltshire.from_orbit,

@@ -11,8 +11,8 @@ from sato.connectivity import Connectivity
 from sato.connectivity.distance import obstacle_distances
 from sato.connectivity.kernel import CommandLimits
 from sato.connectivity.obstacles import Obstacles
-from sato.scenario.connectivity_start import check_start
-from sato.scenario.connectivity_tables import (
+from sato.former.connectivity_start import check_start
+from sato.former.connectivity_tables import (
     AnyPlant,
     Camera,
     Defence,
@@ -26,7 +26,7 @@ from sato.scenario.connectivity_tables import (
     Robots,
     Turning,
 )
-from sato.scenario.connectivity_world import (
+from sato.former.connectivity_world import (
     AnyObstacle,
     AnyStick,
     Lost,
@@ -36,8 +36,8 @@ from sato.scenario.connectivity_world import (
     placed,
     scattered,
 )
-from sato.scenario.file import ScenarioFile
-from sato.scenario.refusal import Refusal, refused_at
+from sato.former.file import ScenarioFile
+from sato.former.refusal import Refusal, refused_at
 
 SAFE = 2.5e-3  # way flown between two exchanges of power_pi up to which none of 50 runs broke [m]
 

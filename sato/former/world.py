@@ -12,9 +12,9 @@ from dynamics.inertial import InertialPlant
 from dynamics.j2 import J2, invariant_velocity
 from dynamics.orbit import Orbit
 from dynamics.plant import LinearPlant, Plant
-from sato.scenario.models import AnyModel, PointMasses, Relative
-from sato.scenario.orbital import Chief, PlantTable
-from sato.scenario.refusal import Refusal, listed
+from sato.former.models import AnyModel, PointMasses, Relative
+from sato.former.orbital import Chief, PlantTable
+from sato.former.refusal import Refusal, listed
 
 ORBITAL = get_args(Relative.model_fields["kind"].annotation)
 FAR_FROM_POLES = 0.3  # |cos θ| from which on velocities out of the plane are not large

@@ -2,9 +2,9 @@
 
 from math import floor, inf
 
-from sato.scenario.models import AnyModel
-from sato.scenario.refusal import Refusal, downward, listed, upward
-from sato.scenario.tables import Plan, Swarm
+from sato.former.models import AnyModel
+from sato.former.refusal import Refusal, downward, listed, upward
+from sato.former.tables import Plan, Swarm
 
 
 def detectable(swarm: Swarm, model: AnyModel, plan: Plan) -> bool:

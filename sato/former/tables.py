@@ -13,10 +13,10 @@ from pydantic import (
     model_validator,
 )
 
-from sato.scenario.refusal import Refusal, downward, shown
-from sato.scenario.shape import AnyShape
-from sato.scenario.start import AnyStart
-from sato.scenario.units import Table
+from sato.former.refusal import Refusal, downward, shown
+from sato.former.shape import AnyShape
+from sato.former.start import AnyStart
+from sato.former.units import Table
 
 MOST_POINTING = pi / 6  # standard deviation beyond which directions mean nothing [rad]
 
@@ -63,7 +63,7 @@ class Plan(Table):
     commit_steps: NonNegativeInt = 0
     margin_m: Automatic | None = None  # without it, "auto" about a chief, else none
     allow_undetectable: bool = False
-    position_tolerance_m: PositiveFloat | None = None  # without it, see `sato.scenario.tolerance`
+    position_tolerance_m: PositiveFloat | None = None  # without it, see `sato.former.tolerance`
     velocity_tolerance_m_s: PositiveFloat | None = None
 
     @model_validator(mode="before")

@@ -21,10 +21,10 @@ from sato.formation import (
 )
 from sato.formation.mission import validate_assignment, validate_operator_command
 from sato.network.radio import Radio
-from sato.scenario.file import ScenarioFile
-from sato.scenario.formation_leg import FormationLeg
-from sato.scenario.formation_start import Scattered, hovering
-from sato.scenario.formation_tables import (
+from sato.former.file import ScenarioFile
+from sato.former.formation_leg import FormationLeg
+from sato.former.formation_start import Scattered, hovering
+from sato.former.formation_tables import (
     PRINTED,
     Assignment,
     Clearance,
@@ -39,8 +39,8 @@ from sato.scenario.formation_tables import (
     check_rate,
     check_sticks,
 )
-from sato.scenario.refusal import refused_at
-from sato.scenario.start import portable
+from sato.former.refusal import refused_at
+from sato.former.start import portable
 
 LOOK = 0.02  # between two looks of who judges the flight, as in [Lusk2020]'s trials [s]
 

@@ -9,10 +9,10 @@ from numpy import ndarray as Array
 from pydantic import Field, PositiveFloat
 from scipy.spatial.distance import pdist, squareform
 
-from sato.scenario.refusal import Refusal
-from sato.scenario.shape import Lattice, Picture, Points, Polygon, Ring, Shape, Text
-from sato.scenario.start import Listed, Place
-from sato.scenario.units import Table
+from sato.former.refusal import Refusal
+from sato.former.shape import Lattice, Picture, Points, Polygon, Ring, Shape, Text
+from sato.former.start import Listed, Place
+from sato.former.units import Table
 from sato.shapes.random_points import sample_positions
 
 

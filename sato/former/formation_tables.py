@@ -19,9 +19,9 @@ from sato.formation import (
 )
 from sato.formation.mission import legacy_formation
 from sato.network.radio import Radio
-from sato.scenario.formation_start import AnyVehicleStart
-from sato.scenario.refusal import Refusal, upward
-from sato.scenario.units import Table, meaning
+from sato.former.formation_start import AnyVehicleStart
+from sato.former.refusal import Refusal, upward
+from sato.former.units import Table, meaning
 
 _LAW, _LIMITS, _RULES = ControlLaw(), FormationLimits(), CollisionAvoidance()
 _ASSIGNING, _PROTOCOL, _RADIO = AssignmentSettings(), SupervisorSettings(), Radio()

@@ -8,8 +8,8 @@ from scipy.optimize import linear_sum_assignment
 from dynamics import DoubleIntegrator, discretize_zoh
 from problems.auction_cost import compute_transfer_costs
 from sato.reconfiguration.mission import Reconfiguration
-from sato.scenario.margin import unmodelled
-from sato.scenario.tables import Plan
+from sato.former.margin import unmodelled
+from sato.former.tables import Plan
 
 TOLERANCE = 1e-6  # of the least spacing of the targets: what counts as there
 SIGMAS = 6.0  # of what chance adds to it: an agent is further out once in 10⁷ arrivals

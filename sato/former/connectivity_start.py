@@ -10,8 +10,8 @@ from scipy.spatial.distance import pdist, squareform
 
 from problems.interaction_graph import Camera, algebraic_connectivity, interaction_graph
 from sato.connectivity.mission import component_members
-from sato.scenario.refusal import Refusal, listed
-from sato.scenario.units import Table
+from sato.former.refusal import Refusal, listed
+from sato.former.units import Table
 from sato.shapes.random_points import NoRoomError, sample_separated_points
 
 DRAWINGS = 500  # of a whole swarm, before its connectivity is given up

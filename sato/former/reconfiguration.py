@@ -8,17 +8,17 @@ import tomli_w
 from pydantic import Field, model_validator
 
 from sato.reconfiguration.mission import Reconfiguration
-from sato.scenario.build import build
-from sato.scenario.detect import check_detectable, detectable
-from sato.scenario.file import ScenarioFile
-from sato.scenario.legs import check_legs, wanted
-from sato.scenario.models import AnyModel
-from sato.scenario.orbital import Chief, PlantTable
-from sato.scenario.reach import check_reach
-from sato.scenario.start import portable
-from sato.scenario.tables import Disturbance, LegTable, Plan, Swarm, check_noise, check_plan
-from sato.scenario.validity import doubt
-from sato.scenario.world import World, check_kinds, check_world
+from sato.former.build import build
+from sato.former.detect import check_detectable, detectable
+from sato.former.file import ScenarioFile
+from sato.former.legs import check_legs, wanted
+from sato.former.models import AnyModel
+from sato.former.orbital import Chief, PlantTable
+from sato.former.reach import check_reach
+from sato.former.start import portable
+from sato.former.tables import Disturbance, LegTable, Plan, Swarm, check_noise, check_plan
+from sato.former.validity import doubt
+from sato.former.world import World, check_kinds, check_world
 
 
 class ReconfigurationFile(ScenarioFile):

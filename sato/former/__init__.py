@@ -7,12 +7,12 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from sato.scenario.connectivity import ConnectivityFile
-from sato.scenario.file import ScenarioFile
-from sato.scenario.formation import FormationFile
-from sato.scenario.overrides import override
-from sato.scenario.reconfiguration import ReconfigurationFile
-from sato.scenario.refusal import Refusal, ScenarioError, explain, listed, nearest
+from sato.former.connectivity import ConnectivityFile
+from sato.former.file import ScenarioFile
+from sato.former.formation import FormationFile
+from sato.former.overrides import override
+from sato.former.reconfiguration import ReconfigurationFile
+from sato.former.refusal import Refusal, ScenarioError, explain, listed, nearest
 
 SYSTEMS: dict[str, type[ScenarioFile]] = {
     "reconfiguration": ReconfigurationFile,

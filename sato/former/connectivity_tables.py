@@ -17,9 +17,9 @@ from sato.connectivity.mission import Connectivity
 from sato.connectivity.potential import Potential, Repulsion
 from sato.connectivity.power_iteration import PowerIterationGains, default_gains, spectral_radius
 from sato.connectivity.yaw_estimator import YawTracking
-from sato.scenario.connectivity_start import AnyStart, Scattered
-from sato.scenario.refusal import Refusal, listed
-from sato.scenario.units import Table
+from sato.former.connectivity_start import AnyStart, Scattered
+from sato.former.refusal import Refusal, listed
+from sato.former.units import Table
 
 _SIGHT, _POTENTIAL, _REPULSION = CameraModel(), Potential(), Repulsion()
 _TRACKING, _LIMITS, _LINK = YawTracking(), CommandLimits(), CommunicationLink()

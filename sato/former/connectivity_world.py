@@ -12,8 +12,8 @@ from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, Pos
 from sato.connectivity.mission import AgentLoss
 from sato.connectivity.obstacles import Obstacles
 from sato.connectivity.stick import RecordedStick, WaypointStick
-from sato.scenario.refusal import Refusal
-from sato.scenario.units import Table
+from sato.former.refusal import Refusal
+from sato.former.units import Table
 
 AROUND = np.array([15.0, 15.0, 3.0])  # half the box, about the swarm, that obstacles are drawn in
 OF_START, OF_WAYPOINT = 1.5, 1.8  # how clear a drawn obstacle is of them [m],

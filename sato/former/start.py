@@ -9,9 +9,9 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from dynamics.trajectory_geometry import min_distance
 from sato.network.graph import CommunicationGraph
-from sato.scenario.refusal import Refusal, upward
-from sato.scenario.shape import Lattice, Picture, Points, Polygon, Ring, Shape, Text, centre, rows
-from sato.scenario.units import Table
+from sato.former.refusal import Refusal, upward
+from sato.former.shape import Lattice, Picture, Points, Polygon, Ring, Shape, Text, centre, rows
+from sato.former.units import Table
 from sato.shapes.random_points import PACKING_FRACTION, NoRoomError, sample_separated_points
 
 DRAWINGS = 200  # of a whole swarm, before its network is given up

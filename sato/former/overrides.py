@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from types import UnionType
 from typing import Any, NamedTuple, Union, get_args, get_origin
 
-from sato.scenario.refusal import Refusal, listed, nearest
-from sato.scenario.units import Table, meaning
+from sato.former.refusal import Refusal, listed, nearest
+from sato.former.units import Table, meaning
 
 Path = tuple[str | int, ...]
 

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 from dynamics import DoubleIntegrator, discretize_zoh
 from problems.auction_cost import compute_transfer_costs
 from sato.reconfiguration.mission import Reconfiguration
-from sato.scenario.refusal import Refusal, listed, upward
+from sato.former.refusal import Refusal, listed, upward
 
 LONGEST = 64  # times the steps that were asked for; beyond, time is not what is missing
 STRONGEST = 64  # times the control that there is; beyond, it is not what is missing either

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, model_validator
 
-from sato.scenario.refusal import Refusal, nearest
+from sato.former.refusal import Refusal, nearest
 
 
 class Unit(NamedTuple):

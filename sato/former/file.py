@@ -8,8 +8,8 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, PrivateAttr
 
-from sato.scenario.refusal import Refusal, ScenarioError
-from sato.scenario.units import Table
+from sato.former.refusal import Refusal, ScenarioError
+from sato.former.units import Table
 
 
 class ScenarioFile(Table, ABC):

@@ -9,8 +9,8 @@ from numpy import ndarray as Array
 from pydantic import Field, PositiveFloat
 
 from sato import shapes
-from sato.scenario.refusal import Refusal
-from sato.scenario.units import Table
+from sato.former.refusal import Refusal
+from sato.former.units import Table
 from sato.shapes.placement import UnplacedShape, place_shape
 
 

@@ -7,8 +7,8 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from sato.reconfiguration.mission import Loss
-from sato.scenario.refusal import Refusal
-from sato.scenario.tables import AnyLoss, LegTable, LoseAgents, Swarm
+from sato.former.refusal import Refusal
+from sato.former.tables import AnyLoss, LegTable, LoseAgents, Swarm
 
 
 def wanted(swarm: Swarm, legs: list[LegTable]) -> list[int]:

@@ -10,11 +10,11 @@ from pydantic import BeforeValidator, Field, NonNegativeFloat, NonNegativeInt, P
 
 from problems.desired_formation import DesiredFormation
 from sato.formation.mission import validate_formation
-from sato.scenario.formation_gains import AnyGains, Designed, of_kind
-from sato.scenario.formation_start import check_separation, level, listed
-from sato.scenario.refusal import Refusal, refused_at
-from sato.scenario.shape import Lattice, Picture, Points, Polygon, Ring, Shape, Text
-from sato.scenario.units import Table
+from sato.former.formation_gains import AnyGains, Designed, of_kind
+from sato.former.formation_start import check_separation, level, listed
+from sato.former.refusal import Refusal, refused_at
+from sato.former.shape import Lattice, Picture, Points, Polygon, Ring, Shape, Text
+from sato.former.units import Table
 from sato.shapes.formation_files import read_formation, read_graph
 from sato.shapes.formation_library import graph_from_edges, load_formation
 from sato.shapes.random_points import random_dense_graph, random_sparse_graph, sample_formation
