@@ -27,13 +27,13 @@ def agent(number, start, goal, transfer, horizon, spent=0.0, velocity=0.0):
     start = np.concatenate([start, np.full(len(start), velocity) * (np.arange(len(start)) == 0)])
     goal = np.concatenate([goal, np.zeros(len(goal))])
     free = AvoidanceProblem(transfer).solve(start, goal, half_spaces_of_nobody(horizon)).trajectory
-    path = horizon.path(free.x, free.u)
+    path = horizon.control_points(free.x, free.u)
     return Planner((True, -spent, number), goal, transfer, horizon, free, free, path)
 
 
 def half_spaces_of_nobody(horizon):
     d = horizon.discrete_model.axes
-    pieces = horizon.steps * horizon.pieces
+    pieces = horizon.steps * horizon.pieces_per_step
     return convexify(horizon, T, np.zeros((0, pieces, 4, d)), np.zeros((0, pieces, d)))
 
 
@@ -82,22 +82,22 @@ def heard(hears):
 
 
 def continuous_separation(planners, states=None):
-    x = np.stack([p.flight.x[:states] for p in planners.values()], axis=1)
+    x = np.stack([p.nominal.x[:states] for p in planners.values()], axis=1)
     d = x.shape[2] // 2
     alive = np.ones(x.shape[:2], dtype=bool)
     return separations(x[..., :d], x[..., d:], alive, STEP).minimum.distance
 
 
 def weighted(flight, transfer):
-    return STEP * float(transfer.weight @ np.abs(flight.u).sum(axis=1))
+    return STEP * float(transfer.weights @ np.abs(flight.u).sum(axis=1))
 
 
 def parked(number, place, transfer, horizon):
     """An agent whose time is up: it stands where it is and cannot give way."""
     x = np.concatenate([place, np.zeros(len(place))])
     flight = Trajectory(x[None], np.zeros((0, len(place))), 0.0)
-    over = TransferProblem(transfer.steps[:0], transfer.max_control)
-    path = horizon.path(flight.x, flight.u)
+    over = TransferProblem(transfer.model[:0], transfer.max_control)
+    path = horizon.control_points(flight.x, flight.u)
     return Planner((False, 0.0, number), x, over, horizon, flight, flight, path)
 
 
@@ -105,7 +105,7 @@ def as_before(planners, former):
     """The same agents, who begin with the plans that others of their number ended with."""
     begun = {}
     for i, p in planners.items():
-        flight = former[i].flight
-        path = p.horizon.path(flight.x, flight.u)
-        begun[i] = p._replace(flight=flight, path=path, has_converged=False)
+        flight = former[i].nominal
+        path = p.horizon.control_points(flight.x, flight.u)
+        begun[i] = p._replace(nominal=flight, control_points=path, has_converged=False)
     return begun

@@ -15,7 +15,7 @@ def turn(yaw):
 
 
 def missed(shape, seen, pose):
-    return np.sum((seen - pose.place(shape)) ** 2)
+    return np.sum((seen - pose.transform(shape)) ** 2)
 
 
 @given(seeds)

@@ -159,7 +159,7 @@ def test_other_norms_go_by_the_statement():
         assert fuel > TransferProblem(plane, 0.4, 0.6, q, r).solve(start, goal).fuel * (1 + 1e-6)
 
 
-@pytest.mark.parametrize("solve", ["solve", "solve_stated"])
+@pytest.mark.parametrize("solve", ["solve", "solve_cvxpy"])
 def test_what_cannot_be_is_infeasible(solve):
     avoid = AvoidanceProblem(TransferProblem(plane, 0.1))
     with pytest.raises(Infeasible):

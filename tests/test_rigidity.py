@@ -129,7 +129,7 @@ def test_in_the_plane_globally_rigid_is_redundantly_rigid_and_three_connected(rn
 
 
 @pytest.mark.parametrize(
-    ("name", "graph", "dimension", "is_rigid", "is_redundant", "is_global"),
+    ("name", "graph", "dimension", "rigid", "redundant", "unique"),
     [
         ("triangle", complete(3), 2, True, False, True),
         ("square", graph_of(4, (0, 1), (1, 2), (2, 3), (3, 0)), 2, False, False, False),
@@ -146,11 +146,11 @@ def test_in_the_plane_globally_rigid_is_redundantly_rigid_and_three_connected(rn
     ],
 )  # fmt: skip
 def test_graphs_with_a_name_are_as_the_literature_has_them(
-    rng, name, graph, dimension, is_rigid, is_redundant, is_global
+    rng, name, graph, dimension, rigid, redundant, unique
 ):
-    assert is_rigid(graph, dimension, rng) == is_rigid
-    assert is_redundantly_rigid(graph, dimension, rng) == is_redundant
-    assert is_globally_rigid(graph, dimension, rng) == is_global
+    assert is_rigid(graph, dimension, rng) == rigid
+    assert is_redundantly_rigid(graph, dimension, rng) == redundant
+    assert is_globally_rigid(graph, dimension, rng) == unique
 
 
 def test_the_double_banana_has_edges_enough_and_turns_about_its_ends(rng):

@@ -23,15 +23,15 @@ def crossing(rng, axes=2, **limits):
     ends[:, 1] += [[1.5 * (k == 0) for k in range(axes)], [-1.5 * (k == 0) for k in range(axes)]]
     ends[:, 1] += 0.2 * aside
     both = [agent(i, *(side[i] for side in ends), transfer, horizon) for i in range(2)]
-    nominal = both[0].path + 0.3 * aside - both[1].path
+    nominal = both[0].control_points + 0.3 * aside - both[1].control_points
     between = RelativeHalfSpaces.from_normals(
         horizon, T, choose_normals(nominal[None], horizon.required_separation)[0]
     )
-    third = both[1].path + 1.2 * RADIUS * aside
-    normal = choose_normals((both[1].path - third)[None], horizon.required_separation)
+    third = both[1].control_points + 1.2 * RADIUS * aside
+    normal = choose_normals((both[1].control_points - third)[None], horizon.required_separation)
     own = [empty_half_spaces(transfer), convexify(horizon, T, third[None], normal)]
     sides = [
-        PairMember(transfer, p.flight.x[0], p.goal, spaces)
+        PairMember(transfer, p.nominal.x[0], p.target_state, spaces)
         for p, spaces in zip(both, own, strict=True)
     ]
     return both, PairProblem(*sides, between), horizon
@@ -43,7 +43,7 @@ def stands(pair, flights):
         assert side.half_spaces.violation(flight.x, flight.u).max(initial=-1.0) <= 1e-7
         assert np.abs(flight.u).max() <= side.transfer.max_control * (1 + 1e-9)
         assert fastest([flight]) <= side.transfer.max_speed * (1 + 1e-8)
-    assert pair.between.violation(*flights).max(initial=-1.0) <= 1e-7
+    assert pair.relative_half_spaces.violation(*flights).max(initial=-1.0) <= 1e-7
 
 
 @pytest.mark.parametrize("axes", [2, 3])
@@ -71,11 +71,11 @@ def fastest(flights):
 
 def test_rows_between_two_are_those_of_their_relative_control_points(rng):
     both, _, horizon = crossing(rng)
-    first, second = (p.flight for p in both)
-    normal = rng.normal(size=(len(both[0].path), 2))
+    first, second = (p.nominal for p in both)
+    normal = rng.normal(size=(len(both[0].control_points), 2))
     between = RelativeHalfSpaces.from_normals(horizon, T, normal)
     room = (
-        np.einsum("pd,pid->pi", normal, both[0].path - both[1].path) - horizon.required_separation
+        np.einsum("pd,pid->pi", normal, both[0].control_points - both[1].control_points) - horizon.required_separation
     )
     missing = between.violation(first, second)
     np.testing.assert_allclose(np.sort(-missing), np.sort(room.ravel()[-len(missing) :]), atol=1e-9)
@@ -86,7 +86,7 @@ def test_two_with_nothing_between_them_fly_as_if_they_were_alone(rng):
     nothing = replace(
         pair,
         second=pair.second._replace(half_spaces=empty_half_spaces(pair.second.transfer)),
-        between=pair.relative_half_spaces.select(np.zeros(0, dtype=int)),
+        relative_half_spaces=pair.relative_half_spaces.select(np.zeros(0, dtype=int)),
     )
     for flight, side in zip(nothing.solve(), (nothing.first, nothing.second), strict=True):
         assert flight.fuel == pytest.approx(side.transfer.solve(side.start, side.goal).fuel)
@@ -102,7 +102,7 @@ def test_together_they_pay_no_more_than_where_one_of_them_goes_first(rng):
         # What is between them, for the second alone: the first flies as it likes.
         common = pair.relative_half_spaces.second
         least = common.rhs + pair.relative_half_spaces.first.violation(alone.x, alone.u)
-        both = zip(common._replace(least=least), second.half_spaces, strict=True)
+        both = zip(common._replace(rhs=least), second.half_spaces, strict=True)
         spaces = HalfSpaces(*map(np.concatenate, both))
         around = AvoidanceProblem(second.transfer).solve(second.start, second.goal, spaces)
         saved.append(alone.fuel + around.trajectory.fuel - together)
@@ -117,13 +117,13 @@ def test_other_norms_go_by_the_statement(rng, norms):
     assert found[0].x[-1] == pytest.approx(pair.first.goal, abs=1e-6)
 
 
-@pytest.mark.parametrize("solve", ["solve", "solve_stated"])
+@pytest.mark.parametrize("solve", ["solve", "solve_cvxpy"])
 def test_what_cannot_be_is_infeasible(rng, solve):
     _, pair, _ = crossing(rng)
     first = pair.relative_half_spaces.first
-    far = pair.relative_half_spaces._replace(first=first._replace(least=first.rhs + 50.0))
+    far = pair.relative_half_spaces._replace(first=first._replace(rhs=first.rhs + 50.0))
     with pytest.raises(Infeasible):
-        getattr(replace(pair, between=far), solve)()
+        getattr(replace(pair, relative_half_spaces=far), solve)()
 
 
 def test_no_steps_are_refused(rng):

@@ -44,7 +44,7 @@ def pyramid():
 
 def sound(gains):
     """All that must hold of any gains."""
-    assert gains.rate > 0
+    assert gains.convergence_rate > 0
     assert max(gains.residual_kernel, gains.residual_structure, gains.residual_graph) <= 1e-10
     for A, rate, bound, which in (
         (gains.xy, gains.rate_xy, gains.bound_xy, "xy"),

@@ -58,14 +58,14 @@ def keeps_everything(central, found, start, goal):
     for x, u, begin, end in zip(found.x, found.u, start, goal, strict=True):
         state = begin
         for k in range(T):
-            steps = transfer.steps
+            steps = transfer.model
             state = steps.A[k] @ state + steps.B[k] @ u[k] + steps.z[k]
             np.testing.assert_allclose(state, x[k + 1], atol=1e-12)
         np.testing.assert_allclose(state, end, atol=1e-6)
         order = {"inf": np.inf}.get(transfer.control_norm, transfer.control_norm)
         assert np.linalg.norm(u, order, axis=1).max() <= transfer.max_control * (1 + 1e-9)
         assert np.linalg.norm(x[1:-1, d:], axis=1).max() <= transfer.max_speed * (1 + 1e-9)
-    path = central.horizon.path(found.x, found.u)
+    path = central.horizon.control_points(found.x, found.u)
     dense = np.stack([evaluate_bezier(path, f) for f in np.linspace(0, 1, 41)], axis=-2)
     for i in range(len(path)):
         for j in range(i):
@@ -133,7 +133,7 @@ def test_a_descent_that_is_dearer_than_what_stands_is_left_at_once(monkeypatch):
         rounds.append(args)
         return solve_nlp(*args, **kwargs)
 
-    monkeypatch.setattr("problems.centralized.optimise", counted)
+    monkeypatch.setattr("problems.centralized.solve_nlp", counted)
     central, start, goal, (cheap, dear) = through_one_point(np.random.default_rng(3), 3)
     best, _ = central.solve(start, goal, [cheap])
     alone_takes = len(rounds)
@@ -211,28 +211,28 @@ def test_questions_that_are_not_written_are_refused():
         question(fuel_norm="inf")
     central = question()
     with pytest.raises(ValueError, match="over 12 steps, and the transfer takes 6"):
-        replace(central, transfer=replace(central.transfer, steps=central.transfer.model[:6]))
+        replace(central, transfer=replace(central.transfer, model=central.transfer.model[:6]))
 
 
-@pytest.mark.parametrize("spoilt", ["thrust", "speed", "missed", "separation"])
+@pytest.mark.parametrize("spoilt", ["control_violation", "speed_violation", "terminal_error", "separation"])
 def test_each_broken_promise_is_seen_in_recomputing(spoilt):
     central = question()
     start, goal = CROSSING
     good = by_priority(central, start, goal)[1]
     assert central.simulate(start, goal, good, "").is_feasible
     u, other, end = good.copy(), central, goal
-    if spoilt == "thrust":
+    if spoilt == "control_violation":
         other = question(max_control=0.99 * np.abs(good).max())
-    elif spoilt == "speed":
+    elif spoilt == "speed_violation":
         fastest = np.linalg.norm(central.simulate(start, goal, good, "").x[..., 2:], axis=-1).max()
         other = question(max_speed=0.99 * fastest)
-    elif spoilt == "missed":
+    elif spoilt == "terminal_error":
         end = goal + 1e-5
     else:
         u = by_themselves(central, start, goal)[1]
     found = other.simulate(start, end, u, "")
     assert not found.is_feasible
-    names = ("missed", "thrust", "speed")
+    names = ("terminal_error", "control_violation", "speed_violation")
     broken = {name for name in names if getattr(found, name) > 1e-6}
     assert broken | ({"separation"} if found.min_separation < 1 - 1e-6 else set()) == {spoilt}
 

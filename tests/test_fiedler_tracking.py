@@ -75,7 +75,7 @@ def test_all_eigenvectors_of_a_repeated_eigenvalue_come_back(agents):
 
 
 def test_a_double_eigenvalue_gives_both_of_its_vectors():
-    ring = np.simulate(np.eye(30), 1, axis=0)
+    ring = np.roll(np.eye(30), 1, axis=0)
     L = 2 * np.eye(30) - ring - ring.T
     basis = np.random.default_rng(0).standard_normal((3, 30))
     for _ in range(3):

@@ -4,7 +4,7 @@ import casadi
 import numpy as np
 import pytest
 from swarm_cast import RADIUS, STEP, T
-from test_central import CROSSING, by_themselves, question
+from test_centralized import CROSSING, by_themselves, question
 
 from dynamics.trajectory_geometry import evaluate_bezier
 from problems.centralized_nlp import (
