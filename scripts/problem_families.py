@@ -121,7 +121,7 @@ def make_transfer_lp(size: str) -> UnsolvedFamily:
     """Problem 6 with the states eliminated."""
     T = STEPS[size]
     problems = condensed_transfers(
-        LegStart.from_scenario("random", f"leg.steps={T}").max_distance(INSTANCE_COUNT)
+        LegStart.from_scenario("random", f"leg.steps={T}").farthest(INSTANCE_COUNT)
     )
     source = f"the longest flights of the first leg of random, {T} steps, without the states"
     return UnsolvedFamily(source, problems)
@@ -151,7 +151,7 @@ def make_transfer_socp(size: str) -> UnsolvedFamily:
         free = alone.solve(state, goal, empty_half_spaces(alone.transfer)).trajectory
         if np.linalg.norm(free.x[1:-1, 3:], axis=1).max() <= SPEED_LIMIT:
             continue
-        with record_problems("speed_cones") as asked, suppress(Infeasible):
+        with record_problems("sparse_transfer") as asked, suppress(Infeasible):
             limited.solve(state, goal)
             problems += asked
     source = (
@@ -163,7 +163,7 @@ def make_transfer_socp(size: str) -> UnsolvedFamily:
 def make_j2(size: str) -> UnsolvedFamily:
     """Problem 6 about a chief in orbit, with the states eliminated."""
     T, step = ORBIT_STEPS[size]
-    start = LegStart.from_scenario("orbit", f"leg.steps={T}", f"plan.step_min={step}").max_distance(
+    start = LegStart.from_scenario("orbit", f"leg.steps={T}", f"plan.step_min={step}").farthest(
         INSTANCE_COUNT
     )
     problems = condensed_transfers(start)

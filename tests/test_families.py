@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from dynamics import DoubleIntegrator, discretize_zoh
+from problems import gain_sdp
 from problems.avoidance import AvoidanceProblem, empty_half_spaces
 from problems.conic import ConicSolution, Infeasible, solve, verify_ray
 from problems.desired_formation import DesiredFormation
@@ -47,7 +48,7 @@ def test_an_answer_is_an_optimum_or_a_proof_that_there_is_none(name, size):
             answer = ConicSolution.evaluate(instance.problem, instance.x, instance.y)
             assert answer.max_residual <= FINE
             assert instance.problem.q @ instance.x == pytest.approx(
-                instance.reference_cost, abs=1e-15
+                instance.reference_cost, rel=1e-15, abs=1e-15
             )
             assert 0 <= instance.reference_gap <= ALIKE
         else:
@@ -161,24 +162,24 @@ def test_a_family_drawn_anew_is_the_same(maker):
 
 def test_a_goal_is_moved_just_as_far_as_controls_can_reach(maker):
     transfer = TransferProblem(discretize_zoh(DoubleIntegrator(2), 1.0, 10), max_control=0.1)
-    with maker["recorded"]("avoidance") as asked:
+    with maker["record_problems"]("avoidance") as asked:
         AvoidanceProblem(transfer).solve(
             np.zeros(4), np.array([1.0, 0.5, 0, 0]), empty_half_spaces(transfer)
         )
     (problem,) = asked
     # At full thrust for five steps and against it for five: U T² / 4 = 2.5 m on the first axis.
     np.testing.assert_allclose(
-        maker["stretched"](problem, 1.0).b[:4], 2.5 * problem.b[:4], rtol=1e-9, atol=1e-12
+        maker["move_target"](problem, 1.0).b[:4], 2.5 * problem.b[:4], rtol=1e-9, atol=1e-12
     )
-    assert solve(maker["stretched"](problem, 0.999), solve_clarabel).max_residual < 1e-6
+    assert solve(maker["move_target"](problem, 0.999), solve_clarabel).max_residual < 1e-6
     with pytest.raises(Infeasible):
-        solve(maker["stretched"](problem, 1.001), solve_clarabel)
+        solve(maker["move_target"](problem, 1.001), solve_clarabel)
 
 
 def test_the_programme_of_the_gains_says_what_the_statement_says(rng, maker):
     graph = ~np.eye(6, dtype=bool)
     graph[0, 3] = graph[3, 0] = False
     question = GainProblem.from_formation(DesiredFormation(rng.uniform(0, 5, (6, 3)), graph), "xy")
-    rate = solve(maker["fastest"](question), solve_clarabel).x[-1]
-    stated = question.convergence_rate(formation_gain_sdp.solve(question).L)
+    rate = solve(maker["gain_sdp_problem"](question), solve_clarabel).x[-1]
+    stated = question.convergence_rate(gain_sdp.solve(question).L)
     assert rate == pytest.approx(stated, abs=1e-6)

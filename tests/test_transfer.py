@@ -71,9 +71,9 @@ def test_another_solver_finds_no_cheaper_flight(q, r):
     u = cp.Variable(36)
     x = [coasting[k] + pushed[:, k].T @ u for k in range(13)]
     limits = [x[12] == goal]
-    limits += [cp.row_norm(u[3 * k : 3 * k + 3], q_of(r)) <= U for k in range(12)]
-    limits += [cp.row_norm(x[k][3:]) <= V for k in range(1, 12)]
-    cost = turning.dt * cp.sum([cp.row_norm(u[3 * k : 3 * k + 3], q_of(q)) for k in range(12)])
+    limits += [cp.norm(u[3 * k : 3 * k + 3], q_of(r)) <= U for k in range(12)]
+    limits += [cp.norm(x[k][3:]) <= V for k in range(1, 12)]
+    cost = turning.dt * cp.sum([cp.norm(u[3 * k : 3 * k + 3], q_of(q)) for k in range(12)])
     problem = cp.Problem(cp.Minimize(cost), limits)
     problem.solve(solver=cp.SCS, eps_abs=1e-9, eps_rel=1e-9, max_iters=200_000)
     assert flight.fuel == pytest.approx(problem.value, rel=1e-6)
@@ -148,7 +148,7 @@ def test_fuel_spent_is_for_one_flight_or_many(rng):
 @pytest.mark.parametrize(("q", "r"), norms)
 def test_too_far_is_infeasible_and_comes_with_its_proof(q, r):
     transfer = TransferProblem(plane, 0.01, fuel_norm=q, control_norm=r)
-    with pytest.raises(Infeasible, match="Transfer is infeasible") as verdict:
+    with pytest.raises(Infeasible, match="TransferProblem is infeasible") as verdict:
         transfer.solve(np.zeros(4), np.array([5.0, 0, 0, 0]))
     assert verdict.value.problem is transfer
     assert verdict.value.ray is not None

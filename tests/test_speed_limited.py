@@ -122,7 +122,7 @@ def same_as_clarabel(transfer, start, goal):
                 judge.solve(x, g)
             continue
         theirs = transfer.weights @ np.abs(judge.solve(x, g).u).sum(axis=1)
-        assert transfer.weight @ np.abs(u).sum(axis=1) == pytest.approx(theirs, rel=1e-6)
+        assert transfer.weights @ np.abs(u).sum(axis=1) == pytest.approx(theirs, rel=1e-6)
     assert 3 < len(start) - out
 
 
@@ -215,7 +215,7 @@ def test_another_lot_does_not_change_a_bit(rng):
 
 
 def test_no_pair_of_many_is_left_to_clarabel(rng, monkeypatch):
-    monkeypatch.setattr(module, "SpeedCones", None)
+    monkeypatch.setattr(module, "SparseTransferSolver", None)
     for steps, U, V in models.values():
         start, goal, _ = bound_pairs(steps, rng, U, V, 200)
         burns = SpeedLimitedSolver(TransferProblem(steps, U, V)).solve_many(start, goal)
@@ -226,7 +226,7 @@ def test_what_the_cuts_do_not_answer_is_asked_of_clarabel(rng, monkeypatch):
     transfer = TransferProblem(plane, 0.1, 0.35)
     start, goal, _ = bound_pairs(plane, rng, 0.1, 0.35, 12)
     cuts = SpeedLimitedSolver(transfer).solve_many(start, goal)
-    monkeypatch.setattr(module, "PIVOTS", 0)
+    monkeypatch.setattr(module, "MAX_PIVOTS", 0)
     cones = SpeedLimitedSolver(transfer).solve_many(start, goal)
     assert np.isinf(cuts.fuel).any() and np.isfinite(cuts.fuel).any()
     np.testing.assert_allclose(cones.fuel, cuts.fuel, rtol=1e-6)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import problems.cutting_planes as speed_cuts
+from problems import cutting_planes
 from problems.batches import solve_batches
 from problems.certificates import (
     CERTIFICATE_TOLERANCE,
@@ -39,7 +39,7 @@ def programme(rng):
 
 
 def best(shared, question):
-    return solve_batches(shared, question.b[None], question.free[None], np.array([0, 1]), 1000)
+    return solve_batches(shared, question.b[None], question.free_velocity[None], np.array([0, 1]), 1000)
 
 
 @settings(max_examples=60)
@@ -91,11 +91,11 @@ def test_an_answer_that_is_spoilt_is_not_proven(rng, spoilt):
 
 
 def test_the_kernel_is_compiled_anew_when_any_of_its_files_changes():
-    folder, known, todo = Path(speed_cuts.__file__).parent, set(), {"speed_cuts"}
+    folder, known, todo = Path(cutting_planes.__file__).parent, set(), {"cutting_planes"}
     while todo:
         name = todo.pop()
         known.add(name)
         tree = ast.parse((folder / f"{name}.py").read_text())
         names = {n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
         todo |= {n.removeprefix("problems.") for n in names if n.startswith("problems.")} - known
-    assert known == set(speed_cuts.KERNEL_FILES)
+    assert known == set(cutting_planes.KERNEL_FILES)

@@ -207,7 +207,7 @@ def test_a_question_that_runs_out_of_pivots_is_answered_by_highs(rng, monkeypatc
     b = displacements(plane, rng, 20, 0.1)
     weight = tie_break_weights(20, 1e-2)
     whole = solve_minimum_fuel(plane, b, 0.1, weight)
-    monkeypatch.setattr(module, "PIVOTS", pivots)
+    monkeypatch.setattr(module, "MAX_PIVOTS", pivots)
     short = solve_minimum_fuel(plane, b, 0.1, weight)
     assert np.isinf(whole.fuel).any()
     np.testing.assert_allclose(short.fuel, whole.fuel, rtol=1e-6)
@@ -222,10 +222,10 @@ def test_an_answer_that_cannot_be_proven_is_asked_of_highs(rng, monkeypatch):
         asked.append(b)
         return np.zeros(Q.shape[1]), 0.0
 
-    monkeypatch.setattr(module, "_ask_highs", ask)
+    monkeypatch.setattr(module, "_solve_with_highs", ask)
     solve_minimum_fuel(plane, b, 0.1, even(20))
     assert not asked
-    monkeypatch.setattr(module, "PIVOTS", 0)
+    monkeypatch.setattr(module, "MAX_PIVOTS", 0)
     solve_minimum_fuel(plane, b, 0.1, even(20))
     assert len(asked) > 20  # two axes a question, but for a lucky few
 
