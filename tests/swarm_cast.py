@@ -4,8 +4,8 @@ import numpy as np
 
 from dynamics import DoubleIntegrator, discretize_zoh
 from dynamics.trajectory_geometry import separations
-from problems.avoidance import AvoidanceProblem
-from problems.convexify import AvoidanceHorizon, convexify
+from problems.avoidance import AvoidanceProblem, empty_half_spaces
+from problems.convexify import AvoidanceHorizon
 from problems.transfer import Trajectory, TransferProblem
 from sato.network.graph import CommunicationGraph
 from sato.scp import Planner
@@ -26,15 +26,9 @@ def problem(axes=2, horizon_steps=T, speed=0.6):
 def agent(number, start, goal, transfer, horizon, spent=0.0, velocity=0.0):
     start = np.concatenate([start, np.full(len(start), velocity) * (np.arange(len(start)) == 0)])
     goal = np.concatenate([goal, np.zeros(len(goal))])
-    free = AvoidanceProblem(transfer).solve(start, goal, half_spaces_of_nobody(horizon)).trajectory
+    free = AvoidanceProblem(transfer).solve(start, goal, empty_half_spaces(transfer)).trajectory
     path = horizon.control_points(free.x, free.u)
     return Planner((True, -spent, number), goal, transfer, horizon, free, free, path)
-
-
-def half_spaces_of_nobody(horizon):
-    d = horizon.discrete_model.axes
-    pieces = horizon.steps * horizon.pieces_per_step
-    return convexify(horizon, T, np.zeros((0, pieces, 4, d)), np.zeros((0, pieces, d)))
 
 
 def crowd(rng, count, axes=2, box=3.0):

@@ -64,7 +64,7 @@ def test_two_that_bargain_come_to_the_optimum_of_both_as_one_programme():
     now = settled(planners)
     start, goal = (
         np.stack([side(p) for p in planners.values()])
-        for side in (lambda p: p.flight.x[0], lambda p: p.goal)
+        for side in (lambda p: p.nominal.x[0], lambda p: p.target_state)
     )
     central = CentralizedProblem(planners[0].transfer, planners[0].horizon)
     guess = tuple(np.stack([getattr(p.nominal, part) for p in now.values()]) for part in "xu")
@@ -151,9 +151,9 @@ def test_what_is_dearer_than_before_is_not_agreed_on():
     assert solve_pair(first, second, now[0].horizon)[0]
     fuel = sum(f.fuel for f in solve_pair(first, second, now[0].horizon)[0])
     spent = 0.99 * fuel - second.trajectory.fuel
-    cheaper = first._replace(flight=first.trajectory._replace(fuel=spent))
+    cheaper = first._replace(trajectory=first.trajectory._replace(fuel=spent))
     assert solve_pair(cheaper, second, now[0].horizon)[0] is None
-    assert solve_pair(cheaper._replace(arrives=False), second, now[0].horizon)[0]
+    assert solve_pair(cheaper._replace(reaches_target=False), second, now[0].horizon)[0]
 
 
 def test_an_answer_that_misses_a_goal_by_more_than_counts_as_there_is_not_agreed_on(monkeypatch):
@@ -185,7 +185,7 @@ def test_a_bargain_convexifies_the_dynamics_about_the_flight_of_each():
         about[id(flight)] = replace(now[0].transfer, tie_break_rise=0.5)
         return about[id(flight)]
 
-    curved = {i: p._replace(about=linearised) for i, p in now.items()}
+    curved = {i: p._replace(relinearize=linearised) for i, p in now.items()}
     parties = negotiate_pairs(curved, everybody(curved), {0: 1, 1: 0})
     assert about.keys() == {id(now[0].nominal), id(now[1].nominal)}
     assert all(parties[i].planner.transfer is about[id(now[i].nominal)] for i in range(2))
@@ -193,7 +193,7 @@ def test_a_bargain_convexifies_the_dynamics_about_the_flight_of_each():
 
 def test_two_with_different_times_left_do_not_bargain():
     now = settled(circle(2, 1.5))
-    transfer = replace(now[1].transfer, steps=now[1].transfer.model[:8])
+    transfer = replace(now[1].transfer, model=now[1].transfer.model[:8])
     goal = now[1].nominal.x[8]
     short = agent(1, now[1].nominal.x[0, :2], goal[:2], transfer, now[1].horizon)
     parties = negotiate_pairs({0: now[0], 1: short}, everybody(now), {0: 1, 1: 0})
@@ -204,20 +204,24 @@ def test_two_with_different_times_left_do_not_bargain():
 def test_nobody_is_taken_to_a_goal_that_another_passes_when_its_time_is_over():
     # The third passes the goal of the first late, when the first has drifted there for long.
     slow, horizon = problem()
-    fast = replace(slow, steps=slow.model[:6])
+    fast = replace(slow, model=slow.model[:6])
     first = agent(0, [-1.0, 0.0], [0.0, 0.0], fast, horizon)
     second = agent(1, [-1.0, 0.9], [0.0, 0.9], fast, horizon)
     third = agent(2, [0.1, -3.0], [0.1, 1.0], replace(slow, max_control=0.3), horizon)
     waiting = fast.simulate(first.nominal.x[0], np.zeros((6, 2)))
     path = horizon.control_points(waiting.x, waiting.u)
-    now = {0: first._replace(flight=waiting, path=path, late=1.0), 1: second, 2: third}
+    now = {
+        0: first._replace(nominal=waiting, control_points=path, terminal_error=1.0),
+        1: second,
+        2: third,
+    }
     assert continuous_gap(now, 0, 2) >= RADIUS > continuous_gap(now | {0: first}, 0, 2)
     after = negotiate(now, everybody(now), 3).planners
     assert continuous_gap(after, 0, 2) >= RADIUS
 
 
 def continuous_gap(planners, i, j):
-    return hull_distance(planners[i].path - planners[j].path)[0].min()
+    return hull_distance(planners[i].control_points - planners[j].control_points)[0].min()
 
 
 def test_sweeps_end_when_they_bring_nothing_also_where_somebody_can_never_arrive():
@@ -229,7 +233,10 @@ def test_sweeps_end_when_they_bring_nothing_also_where_somebody_can_never_arrive
     })  # fmt: skip
     still = transfer.simulate(now[4].nominal.x[0], np.zeros((len(transfer.model), 2)))
     lost = now[4]._replace(
-        flight=still, path=horizon.control_points(still.x, still.u), late=3.0, goal=np.full(4, 99.0)
+        nominal=still,
+        control_points=horizon.control_points(still.x, still.u),
+        terminal_error=3.0,
+        target_state=np.full(4, 99.0),
     )
     now[4] = lost
     few, many = (negotiate(now, everybody(now), sweeps) for sweeps in (4, 30))
@@ -243,7 +250,7 @@ def test_who_cannot_move_or_comes_too_close_has_nothing_to_offer(rng):
     now = settled(crowd(rng, 3))
     spoilt = (
         parked(0, now[0].nominal.x[0, :2], now[0].transfer, now[0].horizon),
-        now[0]._replace(failed=True),
+        now[0]._replace(has_failed=True),
         now[0]._replace(slack=0.1),
     )
     for other in spoilt:
@@ -257,7 +264,9 @@ def test_who_ends_elsewhere_is_taken_to_its_goal_though_it_costs_more():
     ends = [([-1.5, 0.0], [1.5, 0.0]), ([0.1, -1.6], [0.1, 1.5])]
     now = settled({i: agent(i, *ends[i], transfer, horizon) for i in range(2)})
     still = transfer.simulate(now[1].nominal.x[0], np.zeros((len(transfer.model), 2)))
-    now[1] = now[1]._replace(flight=still, path=horizon.control_points(still.x, still.u), late=3.0)
+    now[1] = now[1]._replace(
+        nominal=still, control_points=horizon.control_points(still.x, still.u), terminal_error=3.0
+    )
     assert paid(now)[:2] == (0, 1)
     after = negotiate(now, everybody(now), 1).planners
     assert paid(after)[:2] == (0, 0)

@@ -33,7 +33,7 @@ class Case(NamedTuple):
 
     @property
     def live(self) -> np.ndarray:
-        return np.flatnonzero(self.graph_key.alive)
+        return np.flatnonzero(self.network.alive)
 
     def keywords(self) -> dict[str, Any]:
         """The same losses every time."""
@@ -103,16 +103,16 @@ def greedy(score: np.ndarray, live: np.ndarray) -> np.ndarray:
 @settings(LAW, max_examples=120)
 @given(case=cases())
 def test_the_compiled_rounds_are_the_definition_bit_for_bit(case):
-    swarm = init_state(case.score, case.graph_key, case.air["delay"])
+    swarm = init_state(case.score, case.network, case.air["delay"])
     rng, played = np.random.default_rng(case.seed), 0
-    for now in run_by_messages(case.score, case.graph, **case.keywords()):
+    for now in run_by_messages(case.score, case.network, **case.keywords()):
         run_kernel(swarm, 1, case.air.get("loss", 0.0), rng)
         played += 1
         for i in case.live:
             assert now[i].bids.price.tobytes() == swarm.price[i].tobytes()
-            assert now[i].bids.holder.tobytes() == swarm.winner[i].tobytes()
+            assert now[i].bids.winner.tobytes() == swarm.winner[i].tobytes()
             assert (now[i].point, is_finished(now[i])) == (swarm.point[i], not swarm.is_running[i])
-    assert run_cbaa(case.score, case.graph, **case.keywords()).round_count == played
+    assert run_cbaa(case.score, case.network, **case.keywords()).round_count == played
 
 
 @LAW
@@ -120,8 +120,8 @@ def test_the_compiled_rounds_are_the_definition_bit_for_bit(case):
 def test_where_nothing_is_lost_or_late_the_rounds_are_those_of_any_protocol(case):
     empty = WinningBids.empty(case.score.shape[1])
     first = [CbaaBidder(i, row, len(case.live), empty) for i, row in enumerate(case.score)]
-    expected = run_rounds(case.graph, first, update_bidder, lambda agent: agent.bids, is_finished)
-    for ours, theirs in zip(run_by_messages(case.score, case.graph), expected, strict=True):
+    expected = run_rounds(case.network, first, update_bidder, lambda agent: agent.bids, is_finished)
+    for ours, theirs in zip(run_by_messages(case.score, case.network), expected, strict=True):
         for one, other in zip(ours, theirs, strict=True):
             assert one.point == other.point
             assert one.bids.price.tobytes() == other.bids.price.tobytes()
@@ -131,14 +131,14 @@ def test_where_nothing_is_lost_or_late_the_rounds_are_those_of_any_protocol(case
 @settings(LAW, max_examples=150)
 @given(case=cases(most=16, lossy=False))
 def test_it_is_the_greedy_choice_agreed_on_by_all_in_time(case):
-    result = run_cbaa(case.score, case.graph, **case.air)
+    result = run_cbaa(case.score, case.network, **case.air)
     assert result.point.tolist() == greedy(case.score, case.live).tolist()
     assert result.is_conflict_free
     assert result.has_consensus
-    waits = (case.air["delay"] + 1) * len(case.live) * int(case.graph.diameter.max())
+    waits = (case.air["delay"] + 1) * len(case.live) * int(case.network.diameter.max())
     assert result.round_count <= waits + 1
     assert result.finished_round[case.live].max() == result.round_count
-    assert np.all(result.point[~case.graph.alive] == -1)
+    assert np.all(result.point[~case.network.alive] == -1)
 
 
 @LAW
@@ -146,21 +146,21 @@ def test_it_is_the_greedy_choice_agreed_on_by_all_in_time(case):
 def test_once_somebody_knows_the_end_nobody_bids_again_whatever_is_lost_or_late(case):
     final = greedy(case.score, case.live)
     known, books = False, set()
-    for now in run_by_messages(case.score, case.graph, **case.keywords()):
+    for now in run_by_messages(case.score, case.network, **case.keywords()):
         if known := known or any(is_finished(now[i]) for i in case.live):
             assert [now[i].point for i in case.live] == final[case.live].tolist()
-        books |= {now[i].bids.holder.tobytes() for i in case.live if is_finished(now[i])}
+        books |= {now[i].bids.winner.tobytes() for i in case.live if is_finished(now[i])}
     assert len(books) <= 1
 
 
 @LAW
 @given(case=cases())
 def test_what_is_reported_is_what_came_of_it(case):
-    result = run_cbaa(case.score, case.graph_key, **case.keywords())
-    *_, last = run_by_messages(case.score, case.graph, **case.keywords())
+    result = run_cbaa(case.score, case.network, **case.keywords())
+    *_, last = run_by_messages(case.score, case.network, **case.keywords())
     claimed = [last[i].point for i in case.live]
-    books = {last[i].bids.price.tobytes() + last[i].bids.holder.tobytes() for i in case.live}
-    held = all(last[i].bids.holder[last[i].point] == i for i in case.live)
+    books = {last[i].bids.price.tobytes() + last[i].bids.winner.tobytes() for i in case.live}
+    held = all(last[i].bids.winner[last[i].point] == i for i in case.live)
     assert result.point[case.live].tolist() == claimed
     assert result.is_conflict_free == (len(set(claimed)) == len(claimed))
     assert result.has_consensus == (len(books) == 1 and held)
@@ -183,8 +183,8 @@ def test_losses_only_delay(rng, loss, delay):
 @LAW
 @given(case=cases(lossy=False))
 def test_only_the_order_of_the_scores_matters(case):
-    one = run_cbaa(case.score, case.graph)
-    other = run_cbaa(np.log1p(case.score) ** 3, case.graph)
+    one = run_cbaa(case.score, case.network)
+    other = run_cbaa(np.log1p(case.score) ** 3, case.network)
     assert one.point.tolist() == other.point.tolist()
     assert (one.round_count, one.message_count) == (other.round_count, other.message_count)
 
@@ -204,15 +204,17 @@ def test_the_price_of_an_agent_is_not_known_h_hops_away_before_round_h_plus_1(rn
 @LAW
 @given(case=cases())
 def test_every_book_sent_is_counted(case):
-    result = run_cbaa(case.score, case.graph, **case.keywords())
+    result = run_cbaa(case.score, case.network, **case.keywords())
     told, before = 0, [False] * len(case.score)
-    for now in run_by_messages(case.score, case.graph, **case.keywords()):
+    for now in run_by_messages(case.score, case.network, **case.keywords()):
         told += sum(
-            len(case.graph.neighbors[i]) for i in case.live if not before[i] or case.air.get("loss")
+            len(case.network.neighbors[i])
+            for i in case.live
+            if not before[i] or case.air.get("loss")
         )
         before = [is_finished(agent) for agent in now]
     if case.air.get("loss"):  # those who know go on until the others must have heard
-        told = case.air["rounds"] * int(case.graph.adjacency.sum())
+        told = case.air["rounds"] * int(case.network.adjacency.sum())
     assert result.message_count == told
 
 
@@ -222,7 +224,7 @@ def test_every_book_sent_is_counted(case):
 @settings(LAW, max_examples=120)
 @given(case=cases(most=20, lossy=False))
 def test_half_of_the_best_total_score_is_certain(case):
-    result, live = run_cbaa(case.score, case.graph), case.live
+    result, live = run_cbaa(case.score, case.network), case.live
     best = case.score[live][linear_sum_assignment(case.score[live], maximize=True)].sum()
     total = case.score[live, result.point[live]].sum()
     assert 0.5 * best <= total * (1 + 1e-12)

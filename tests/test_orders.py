@@ -61,7 +61,7 @@ def test_what_a_network_pays_keeps_and_has_in_common_each_knows_from_a_flood(lin
         for i in np.flatnonzero(alive).tolist()
     }
     other = {i: paid._replace(extra_fuel=draw.random()) for i, paid in tolls.items()}
-    some = {i: anybody()._replace(failed=bool(paid.misses_target)) for i, paid in tolls.items()}
+    some = {i: anybody()._replace(has_failed=bool(paid.misses_target)) for i, paid in tolls.items()}
     again = {i: p._replace(has_converged=True) for i, p in some.items()}
     clear = select_components(some, network, lambda p: not p.has_failed)
     kept, _ = keep_cheaper(some, tolls, again, other, network)
@@ -163,7 +163,7 @@ def test_who_finds_no_way_flies_what_it_tells():
     transfer, horizon = problem()
     me = agent(2, [0.0, 0.0], [0.0, 0.0], transfer, horizon)
     walls = {i: parked(i, np.array([0.1 * i, 0.0]), transfer, horizon) for i in range(2)}
-    swarm = walls | {2: me._replace(path=me.control_points + 0.3, has_converged=False)}
+    swarm = walls | {2: me._replace(control_points=me.control_points + 0.3, has_converged=False)}
     after, _ = run_scp(swarm, everybody(swarm))
     assert after[2].has_failed or after[2].slack > 0
     np.testing.assert_array_equal(
@@ -229,7 +229,7 @@ def test_within_a_horizon_that_ends_early_nobody_comes_too_close():
     planners = circle(5, 1.5)
     short = problem(horizon_steps=8)[1]
     seen = {
-        i: p._replace(horizon=short, path=short.control_points(p.nominal.x, p.nominal.u))
+        i: p._replace(horizon=short, control_points=short.control_points(p.nominal.x, p.nominal.u))
         for i, p in planners.items()
     }
     after = try_priority_orders(seen, everybody(seen), 3).planners

@@ -123,7 +123,14 @@ def test_without_room_for_positions_there_is_no_swarm():
 
 
 @pytest.mark.parametrize(
-    "bad", [{"rate": 0.0}, {"loss": 1.0}, {"loss": -0.1}, {"delay": -1.0}, {"number": 0}]
+    "bad",
+    [
+        {"message_rate": 0.0},
+        {"loss_probability": 1.0},
+        {"loss_probability": -0.1},
+        {"delay": -1.0},
+        {"id_bits": 0},
+    ],
 )
 def test_a_radio_that_cannot_be_is_refused(bad):
     with pytest.raises(ValueError, match="the rate and the bits of a number must be positive"):

@@ -35,7 +35,7 @@ def spin(planners):
     """By how much each turns about the middle of the circle on its way: positive to the left."""
     found = []
     for p in planners.values():
-        place, speed = p.flight.x[:, :2], p.flight.x[:, 2:]
+        place, speed = p.nominal.x[:, :2], p.nominal.x[:, 2:]
         found.append(np.sum(place[:, 0] * speed[:, 1] - place[:, 1] * speed[:, 0]))
     return np.array(found)
 
@@ -81,7 +81,7 @@ def test_terms_are_orders_and_then_roundabouts_with_bargains_and_cheaper_in_one_
     ordered = negotiate(settled.planners, network, 2)
     begun = solve_roundabout(planners, network, -1.0)
     dealt = negotiate(begun.planners, network, 2)
-    monkeypatch.setattr("sato.scp.roundabout.BENDS", [-1.0])
+    monkeypatch.setattr("sato.scp.roundabout.OFFSETS", [-1.0])
     terms = resolve_conflicts(planners, network, 2, 2)
     assert paid(terms.planners) == paid(dealt.planners)
     assert paid(terms.planners)[:2] == (0, 0)
@@ -101,14 +101,14 @@ def test_both_hands_are_tried_near_and_far(monkeypatch):
         tried.append(bend)
         return ConflictResolution({}, 0, 0)
 
-    monkeypatch.setattr("sato.scp.roundabout.round_about", nowhere)
+    monkeypatch.setattr("sato.scp.roundabout.solve_roundabout", nowhere)
     planners = circle(5, 1.5)
     resolve_conflicts(planners, everybody(planners), 1, 1)
     assert sorted(tried) == [-2.0, -1.0, 1.0, 2.0]
 
 
 def test_whoever_pays_nothing_has_no_roundabout_with_strangers_who_do(monkeypatch):
-    monkeypatch.setattr("sato.scp.roundabout.BENDS", OFFSETS[:1])
+    monkeypatch.setattr("sato.scp.roundabout.OFFSETS", OFFSETS[:1])
     dear = circle(3, 1.5)
     transfer, horizon = problem()
     cheap = {
@@ -148,7 +148,10 @@ def test_who_has_a_plan_of_before_or_cannot_arrive_lets_nobody_of_its_network_go
     before = solve_roundabout(planners, network, 1.0).planners
     transfer, horizon = problem()
     stuck = parked(0, planners[0].nominal.x[0, :2], transfer, horizon)
-    kept, lost = as_before(planners, before)[0], stuck._replace(goal=stuck.target_state + 1e-5)
+    kept, lost = (
+        as_before(planners, before)[0],
+        stuck._replace(target_state=stuck.target_state + 1e-5),
+    )
     assert all(map(can_use_roundabout, planners.values())) and can_use_roundabout(stuck)
     for one in (kept, lost):
         assert not can_use_roundabout(one)
@@ -202,7 +205,7 @@ def test_in_its_turn_one_linearises_about_its_own_flight_and_is_not_sloped():
         asked.append(flight)
         return replace(planners[0].transfer, tie_break_rise=0.5)
 
-    curved = planners[0]._replace(about=about)
+    curved = planners[0]._replace(relinearize=about)
     told = (planners[1].message,)
     after = update_in_turn(curved, told)
     assert asked == [planners[0].nominal]
@@ -233,7 +236,7 @@ def test_in_its_turn_one_gives_up_its_arrival_and_then_distance_only_where_there
 def test_who_is_alone_or_finds_nothing_at_all_tells_what_it_flies(monkeypatch):
     planners = {i: offset_right(p, 1.0) for i, p in circle(2, 1.5).items()}
     alone = update_in_turn(planners[0], ())
-    monkeypatch.setattr("sato.scp.roundabout.past", lambda *_: None)
+    monkeypatch.setattr("sato.scp.roundabout.solve_around", lambda *_: None)
     without = update_in_turn(planners[0], (planners[1].message,))
     for p in (alone, without):
         np.testing.assert_array_equal(

@@ -55,7 +55,14 @@ def test_the_fast_path_equals_the_definition_exchange_by_exchange(rng, count, ax
             for i in planners:
                 np.testing.assert_array_equal(a[i].nominal.x, b[i].nominal.x)
                 np.testing.assert_array_equal(a[i].control_points, b[i].control_points)
-                for name in ("settled", "steady", "solves", "late", "slack", "failed"):
+                for name in (
+                    "is_final",
+                    "has_converged",
+                    "solve_count",
+                    "terminal_error",
+                    "slack",
+                    "has_failed",
+                ):
                     assert getattr(a[i], name) == getattr(b[i], name)
     assert longest > 3
 
@@ -99,7 +106,7 @@ def test_iterates_among_fixed_paths_stay_feasible_and_do_not_get_dearer(rng):
         ]
         me, costs = planners[4], []
         for _ in range(10):
-            after = update_planner(me._replace(settled=False, has_converged=False), others)
+            after = update_planner(me._replace(is_final=False, has_converged=False), others)
             relative = after.control_points - np.stack([p.control_points for p in others])
             feasible = (
                 bool(are_hulls_separated(relative, RADIUS).all())
@@ -117,8 +124,8 @@ def test_iterates_among_fixed_paths_stay_feasible_and_do_not_get_dearer(rng):
 def test_the_end_satisfies_the_first_order_conditions_of_the_nonconvex_problem(rng, monkeypatch):
     # Theorem 7: a fixed point of the convex programme is a KKT point of Problem 4. About the
     # end there must be multipliers that are dual feasible, and complementary with the end.
-    monkeypatch.setattr("sato.scp.planner.STILL", 1e-6)
-    monkeypatch.setattr("sato.scp.planner.MOST_SOLVES", 100)
+    monkeypatch.setattr("sato.scp.planner.CONVERGENCE_TOLERANCE", 1e-6)
+    monkeypatch.setattr("sato.scp.planner.MAX_SOLVES", 100)
     tested = 0
     for _ in range(6):
         planners = crowd(rng, 5)
@@ -168,7 +175,7 @@ def test_who_has_more_fuel_left_gives_way(rng):
         }
         after, _ = run_scp(pair, everybody(pair))
         gives_way = int(np.argmin(spent))
-        assert after[1 - gives_way].nominal is pair[1 - gives_way].free
+        assert after[1 - gives_way].nominal is pair[1 - gives_way].solo
         assert after[gives_way].solve_count > 0
         assert continuous_separation(after) >= RADIUS
 
@@ -194,7 +201,9 @@ def test_an_agent_stays_on_the_side_on_which_it_passes(side):
     x, u = pair[1].solo.x.copy(), pair[1].solo.u
     x[1:-1, 1] += side  # a plan that went that way round
     begun = pair[1]._replace(
-        flight=Trajectory(x, u, 0.0), path=horizon.control_points(x, u), has_converged=False
+        nominal=Trajectory(x, u, 0.0),
+        control_points=horizon.control_points(x, u),
+        has_converged=False,
     )
     after, _ = run_scp(pair | {1: begun}, everybody(pair))
     assert after[1].terminal_error == after[1].slack == 0
@@ -250,7 +259,7 @@ def test_news_travels_one_hop_an_exchange(rng):
 
 
 def test_an_agent_that_is_settled_hears_no_more(rng):
-    me = crowd(rng, 2)[1]._replace(settled=True)
+    me = crowd(rng, 2)[1]._replace(is_final=True)
     ram = TrajectoryMessage((False, 0.0, 0), me.control_points, True)
     assert update_planner(me, [ram]) is me
 
@@ -310,7 +319,7 @@ def test_the_cheapest_way_past_is_taken():
         x[1:-1, axis] += 0.8 * side
         path = horizon.control_points(x, mover.solo.u)
         other = mover._replace(
-            flight=Trajectory(x, mover.solo.u, 0.0), path=path, has_converged=False
+            nominal=Trajectory(x, mover.solo.u, 0.0), control_points=path, has_converged=False
         )
         round_there, _ = run_scp({0: stands, 1: other}, everybody({0: stands, 1: other}))
         assert fuel <= round_there[1].nominal.fuel * (1 + 1e-3)

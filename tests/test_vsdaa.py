@@ -79,7 +79,7 @@ def cases(draw: st.DrawFn, most: int = 9) -> Case:
 
 def kernel(case: Case, ids: bool, rounds: int) -> list[VsdaaState]:
     """All agents after each round, for that many rounds; the last is repeated."""
-    swarm, history = init_state(case.cost, case.graph, case.believed), []
+    swarm, history = init_state(case.cost, case.network, case.believed), []
     for _ in run_kernel(swarm, case.epsilon, ids, stride=1):
         history.append(VsdaaState(*(field.copy() for field in swarm)))
     return history + [history[-1]] * (rounds - len(history))
@@ -94,7 +94,7 @@ def definition(case: Case, ids: bool, rounds: int = 0) -> list:
 @settings(LAW, max_examples=150)
 @given(case=cases())
 def test_the_compiled_rounds_are_the_definition_bit_for_bit(ids, case):
-    if not case.graph.alive.any():
+    if not case.network.alive.any():
         return
     try:
         agents = definition(case, ids)
@@ -106,33 +106,36 @@ def test_the_compiled_rounds_are_the_definition_bit_for_bit(ids, case):
     swarms = kernel(case, ids, len(agents))
     agents = definition(case, ids, len(swarms))
     for r, (now, swarm) in enumerate(zip(agents, swarms, strict=True), start=1):
-        for i in np.flatnonzero(case.graph.alive):
+        for i in np.flatnonzero(case.network.alive):
             me = now[i]
             assert me.bids.price.tobytes() == swarm.price[i].tobytes()
-            assert me.bids.holder.tobytes() == swarm.winner[i].tobytes()
-            assert (me.believed, me.target) == (swarm.target_count[i], swarm.target_index[i])
+            assert me.bids.winner.tobytes() == swarm.winner[i].tobytes()
+            assert (me.target_count, me.target_index) == (
+                swarm.target_count[i],
+                swarm.target_index[i],
+            )
             assert me.quiet_rounds == min(r - swarm.last_news_round[i], swarm.patience[i])
-            assert me.bids == swarm.bid_count[i]
+            assert me.bid_count == swarm.bid_count[i]
 
 
 @pytest.mark.parametrize("ids", [True, False])
 @given(case=cases())
 @LAW
 def test_both_report_the_same_end(ids, case):
-    if not case.graph.alive.any():
+    if not case.network.alive.any():
         return
     try:
         history = definition(case, ids)
     except OutOfTargets:
         return
     auction = run_vsdaa(*case, bidder_ids=ids)
-    live = np.flatnonzero(case.graph.alive)
+    live = np.flatnonzero(case.network.alive)
     last = [history[-1][i] for i in live]
     assert auction.round_count == len(history)
-    assert auction.target_index[live].tolist() == [agent.target for agent in last]
-    assert auction.bidder_count[live].tolist() == [agent.bids.bidders for agent in last]
-    assert auction.bid_count == sum(agent.bids for agent in last)
-    assert np.all(auction.target_index[~case.graph.alive] == -1)
+    assert auction.target_index[live].tolist() == [agent.target_index for agent in last]
+    assert auction.bidder_count[live].tolist() == [agent.bids.winner_count for agent in last]
+    assert auction.bid_count == sum(agent.bid_count for agent in last)
+    assert np.all(auction.target_index[~case.network.alive] == -1)
 
 
 def check_promises(case: Case) -> None:
@@ -200,7 +203,7 @@ def books_by_messages(case: Case, rounds: int) -> tuple:
     history = definition(case, True, rounds)
     return (
         [[agent.bids.price for agent in now] for now in history],
-        [[agent.bids.holder for agent in now] for now in history],
+        [[agent.bids.winner for agent in now] for now in history],
     )
 
 
