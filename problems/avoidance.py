@@ -18,7 +18,7 @@ from problems.conic import ConicProgram, solve
 from problems.solvers import solve_clarabel
 from problems.transfer import Trajectory, TransferProblem, solve_cvxpy
 
-Relaxation = Literal["nothing", "arrival", "separation"]
+Relaxation = Literal["none", "terminal", "separation"]
 
 RELAXATION_PENALTY = 1e3  # of a metre missed, over the fuel that flies a metre in the time given
 
@@ -79,7 +79,7 @@ class AvoidanceProblem:
         start: Float[Array, " n"],
         goal: Float[Array, " n"],
         spaces: HalfSpaces,
-        gives: Relaxation = "nothing",
+        gives: Relaxation = "none",
     ) -> AvoidanceResult:
         """Fly from start to goal inside the half-spaces.
 
@@ -92,7 +92,7 @@ class AvoidanceProblem:
         return self.solve_cvxpy(start, goal, spaces, gives)
 
     def solve_cvxpy(
-        self, start: Array, goal: Array, spaces: HalfSpaces, gives: Relaxation = "nothing"
+        self, start: Array, goal: Array, spaces: HalfSpaces, gives: Relaxation = "none"
     ) -> AvoidanceResult:
         """The same, by the statement in CVXPY: for any norms, and as a second opinion."""
         import cvxpy as cp
@@ -107,7 +107,7 @@ class AvoidanceProblem:
         missed = cp.norm1(cp.multiply(self._terminal_error_weights, late)) + 10 * cp.sum(slack)
         cost = effort + price * missed
         fixed = []
-        if gives == "nothing":
+        if gives == "none":
             fixed.append(late == 0)
         if gives != "separation":
             fixed.append(slack == 0)
@@ -119,7 +119,7 @@ class AvoidanceProblem:
         self, start: Array, goal: Array, u: Array, spaces: HalfSpaces, gives: Relaxation
     ) -> AvoidanceResult:
         flight = self.transfer.simulate(start, u)
-        late = 0.0 if gives == "nothing" else float(np.abs(flight.x[-1] - goal).max())
+        late = 0.0 if gives == "none" else float(np.abs(flight.x[-1] - goal).max())
         slack = 0.0
         if gives == "separation":
             slack = float(spaces.violation(flight.x, flight.u).max(initial=0.0))
@@ -184,7 +184,7 @@ class AvoidanceProblem:
         near = U * np.abs(on_u).sum(axis=1) > room  # the many that no control can break are out
         on_u, room = on_u[near], room[near]
         rows = len(room)
-        lates = 0 if gives == "nothing" else n
+        lates = 0 if gives == "none" else n
         slacks = rows if gives == "separation" else 0
         columns = 2 * N + 2 * lates + slacks
         slack_at = 2 * N + 2 * lates

@@ -19,7 +19,7 @@ from dynamics import DiscreteModel
 from dynamics.trajectory_geometry import hull_distance
 from problems.avoidance import HalfSpaces
 
-PassingSide = Literal["near", "far", "over", "under"]
+PassingSide = Literal["same", "opposite", "above", "below"]
 
 SEPARATION_TOLERANCE = 1e-6  # part of R by which paths are planned to be further apart than asked
 
@@ -162,7 +162,7 @@ def convexify(
 
 
 def choose_normals(
-    relative: Float[Array, "above pieces 4 d"], separation: float, side: PassingSide = "near"
+    relative: Float[Array, "above pieces 4 d"], separation: float, side: PassingSide = "same"
 ) -> Float[Array, "above pieces d"]:
     """Directions of the half-spaces, a unit vector a piece [Morgan2016, Fig. 2].
 
@@ -200,9 +200,9 @@ def _passing_displacement(
     miss = float(distance[p])
     aside = nearest[p] / miss if miss > 1e-6 * keep else _perpendicular(relative[p])
     push = (keep - miss) * aside
-    if way == "far":
+    if way == "opposite":
         push = -(keep + miss) * aside
-    elif way != "near":
+    elif way != "same":
         up = np.cross(aside, relative[p, -1] - relative[p, 0])
         size = float(np.linalg.norm(up))
         up = (
@@ -210,7 +210,7 @@ def _passing_displacement(
             if size > 0
             else _perpendicular(np.tile(aside, (4, 1)) * np.arange(4)[:, None])
         )
-        push = (keep**2 - miss**2) ** 0.5 * (up if way == "over" else -up)
+        push = (keep**2 - miss**2) ** 0.5 * (up if way == "above" else -up)
     # Control points stand at thirds of a piece; the push grows as the reach of a control.
     time = np.arange(len(relative))[:, None] + np.arange(4) / 3
     ramp = np.minimum(1.0, time / (p + 0.5)) ** 2

@@ -127,7 +127,7 @@ class PairProblem:
         fast: list[list[int]] = [[], []]
         while True:
             parts = [
-                own.assemble_conic(side.start, side.goal, side.half_spaces, "nothing", known)
+                own.assemble_conic(side.start, side.goal, side.half_spaces, "none", known)
                 for own, side, known in zip(alone, self._members, fast, strict=True)
             ]
             found = np.split(

@@ -188,7 +188,7 @@ def make_infeasible(size: str) -> UnsolvedFamily:
         move_target(problem, REACH_FACTOR)
         for problem in make_transfer_lp(size).problems[: INSTANCE_COUNT // 2]
     ]
-    both = avoidance_problems(size, 5, ("near", "far"), INSTANCE_COUNT // 2)
+    both = avoidance_problems(size, 5, ("same", "opposite"), INSTANCE_COUNT // 2)
     source = f"transfer-lp with its goals {REACH_FACTOR} times as far as can be reached, and avoidance-5 "
     source += "with the half-spaces of both sides of each neighbour"
     return UnsolvedFamily(source, far + both, feasible=False)
@@ -215,7 +215,7 @@ def make_avoidance(neighbours: int) -> Callable[[str], UnsolvedFamily]:
 
     def draw(size: str) -> UnsolvedFamily:
         problems = avoidance_problems(
-            size, neighbours, ("near",), instance_count(f"avoidance-{neighbours}", size)
+            size, neighbours, ("same",), instance_count(f"avoidance-{neighbours}", size)
         )
         source = (
             f"a crowd of random with {CROWD_STEPS[size]} steps to go, seeds from {SEED} on: who would "

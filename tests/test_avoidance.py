@@ -54,7 +54,7 @@ def test_without_half_spaces_it_is_the_transfer(rng):
 
 
 @pytest.mark.parametrize("V", [inf, 0.305])
-@pytest.mark.parametrize("gives", ["nothing", "arrival", "separation"])
+@pytest.mark.parametrize("gives", ["none", "terminal", "separation"])
 @pytest.mark.parametrize("steps", [plane, space], ids=["2-D", "3-D"])
 def test_the_assembled_path_is_the_statement(steps, gives, V):
     spaces, (x0, xf) = detour(steps), ends(steps)
@@ -84,7 +84,7 @@ def test_what_gives_is_the_same_in_both(V):
     avoid = AvoidanceProblem(TransferProblem(plane, 0.1, V, tie_break_rise=1e-2))
     for target, spaces in ((far, empty_half_spaces(avoid.transfer)), (far, detour())):
         passages = [
-            solve(start, target, spaces, "arrival") for solve in (avoid.solve, avoid.solve_cvxpy)
+            solve(start, target, spaces, "terminal") for solve in (avoid.solve, avoid.solve_cvxpy)
         ]
         assert passages[0].terminal_error == pytest.approx(passages[1].terminal_error, rel=1e-5)
         assert passages[0].terminal_error > 1
@@ -100,7 +100,7 @@ def test_what_gives_is_the_same_in_both(V):
 def test_what_may_give_does_not_where_nothing_must():
     avoid = AvoidanceProblem(TransferProblem(plane, 0.25))
     strict = avoid.solve(start, goal, detour()).trajectory.fuel
-    for gives in ("arrival", "separation"):
+    for gives in ("terminal", "separation"):
         passage = avoid.solve(start, goal, detour(), gives)
         assert passage.trajectory.fuel == pytest.approx(strict, rel=1e-6)
         assert max(passage.terminal_error, passage.slack) < 1e-8
@@ -115,7 +115,7 @@ def test_the_arrival_gives_before_the_separation():
     passage = avoid.solve(start, -goal, spaces, "separation")
     assert passage.slack < 1e-7
     assert passage.terminal_error > 0.1
-    assert avoid.solve(start, -goal, spaces, "arrival").terminal_error == pytest.approx(
+    assert avoid.solve(start, -goal, spaces, "terminal").terminal_error == pytest.approx(
         passage.terminal_error, rel=1e-5
     )
 
@@ -168,7 +168,7 @@ def test_what_cannot_be_is_infeasible(solve):
         getattr(avoid, solve)(start, goal, detour(least=9.0))
 
 
-@pytest.mark.parametrize("gives", ["nothing", "arrival", "separation"])
+@pytest.mark.parametrize("gives", ["none", "terminal", "separation"])
 @pytest.mark.parametrize("count", [1, 2])
 def test_a_step_or_two_do_what_they_can(rng, gives, count):
     steps = plane[:count]
@@ -179,7 +179,7 @@ def test_a_step_or_two_do_what_they_can(rng, gives, count):
     x = steps.simulate(start, u)
     passage = avoid.solve(start, x[-1], empty_half_spaces(avoid.transfer), gives)
     np.testing.assert_allclose(passage.trajectory.u, u, atol=1e-6)
-    if gives == "nothing":
+    if gives == "none":
         with pytest.raises(Infeasible):
             avoid.solve(start, goal, empty_half_spaces(avoid.transfer), gives)
     else:

@@ -142,7 +142,7 @@ def test_the_end_satisfies_the_first_order_conditions_of_the_nonconvex_problem(r
             )
             x0, fast = me.nominal.x[0], list(range(1, T))
             conic = AvoidanceProblem(me.transfer).assemble_conic(
-                x0, me.target_state, spaces, "nothing", fast
+                x0, me.target_state, spaces, "none", fast
             )
             y = solve(conic, solve_clarabel).y
             u = me.nominal.u.ravel() / me.transfer.max_control
@@ -291,7 +291,7 @@ def test_a_clear_nominal_satisfies_its_own_half_spaces(rng):
 def test_normals_of_a_collision_lead_past_it_on_the_side_that_is_asked():
     time = np.arange(16)[:, None] + np.arange(4) / 3
     straight = np.stack([(time - 8.5) * 0.3, np.full_like(time, 0.1)], axis=-1)[None]
-    near, far = choose_normals(straight, RADIUS), choose_normals(straight, RADIUS, "far")
+    near, far = choose_normals(straight, RADIUS), choose_normals(straight, RADIUS, "opposite")
     middle = 8
     assert near[0, middle, 1] > 0.9 and far[0, middle, 1] < -0.9
     assert np.isfinite(near).all() and np.isfinite(far).all()
@@ -301,7 +301,7 @@ def test_in_space_a_collision_can_be_passed_over_and_under():
     time = np.arange(16)[:, None] + np.arange(4) / 3
     along, miss = (time - 8.5) * 0.3, np.full_like(time, 0.1)
     straight = np.stack([along, miss, np.zeros_like(time)], axis=-1)[None]
-    over, under = (choose_normals(straight, RADIUS, way)[0, 8] for way in ("over", "under"))
+    over, under = (choose_normals(straight, RADIUS, way)[0, 8] for way in ("above", "below"))
     assert abs(over[2]) > 0.9 and over[2] == pytest.approx(-under[2], rel=1e-9)
 
 

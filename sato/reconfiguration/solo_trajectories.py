@@ -126,7 +126,7 @@ def minimize_terminal_error(
     try:
         return (
             AvoidanceProblem(transfer)
-            .solve(start, goal, empty_half_spaces(transfer), "arrival")
+            .solve(start, goal, empty_half_spaces(transfer), "terminal")
             .trajectory
         )
     except Unsolved:

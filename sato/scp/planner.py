@@ -38,16 +38,16 @@ NEARBY_FACTOR = 2.0  # times R: who comes closer has half-spaces from the first
 CONVERGENCE_TOLERANCE = 1e-3  # ε_SCP over R: a path that moves less has converged
 # Ways past the neighbours where nominals collide, by the axes of space: the cheapest is taken.
 PASSING_SIDES: dict[int, tuple[PassingSide, ...]] = {
-    2: ("near", "far"),
-    3: ("near", "far", "over", "under"),
+    2: ("same", "opposite"),
+    3: ("same", "opposite", "above", "below"),
 }
 # Where there is none, what may give way, and about what to convexify: past the neighbours on
 # the near side, on the far side, or about standing still. Tried in this order.
-RELAXATION_ORDER: tuple[tuple[Relaxation, Literal["near", "far", "stand"]], ...] = (
-    ("arrival", "near"),
-    ("arrival", "far"),
-    ("arrival", "stand"),
-    ("separation", "near"),
+RELAXATION_ORDER: tuple[tuple[Relaxation, Literal["same", "opposite", "stop"]], ...] = (
+    ("terminal", "same"),
+    ("terminal", "opposite"),
+    ("terminal", "stop"),
+    ("separation", "same"),
 )
 FEASIBILITY_TOLERANCE = (
     1e-6  # of R: who breaks half-spaces by less keeps clear, who misses by less arrives
@@ -207,7 +207,7 @@ def _solve_avoidance(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Pl
     agent = agent.relinearized
     others = AvoidedAgents.from_messages(agent, above)
     collides = not is_clear(agent.control_points, above, agent.horizon.collision_radius)
-    ways = PASSING_SIDES[agent.control_points.shape[-1]] if collides else ("near",)
+    ways = PASSING_SIDES[agent.control_points.shape[-1]] if collides else ("same",)
     tried = [solve_around(agent, others, agent.control_points, way) for way in ways]
     passages, solves = [p for p in tried if p is not None], agent.solve_count + len(ways)
     passage = min(passages, key=lambda p: p.trajectory.fuel, default=None)
@@ -227,10 +227,10 @@ def _solve_avoidance(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Pl
 def _solve_relaxed(agent: Planner, others: AvoidedAgents) -> tuple[AvoidanceResult | None, int]:
     """The first that is found with something given up, and the programmes that took."""
     for count, (gives, way) in enumerate(RELAXATION_ORDER, 1):
-        if way == "stand":
+        if way == "stop":
             nominal = _compute_stopping_path(agent)
             passage = (
-                None if nominal is None else solve_around(agent, others, nominal, "near", gives)
+                None if nominal is None else solve_around(agent, others, nominal, "same", gives)
             )
         else:
             passage = solve_around(agent, others, agent.control_points, way, gives)
@@ -244,7 +244,7 @@ def solve_around(
     others: AvoidedAgents,
     nominal: Float[Array, "pieces 4 d"],
     way: PassingSide,
-    gives: Relaxation = "nothing",
+    gives: Relaxation = "none",
 ) -> AvoidanceResult | None:
     """Problem 7 about a nominal, clear of all others; None where it has no answer."""
     near = others.is_nearby
@@ -274,7 +274,7 @@ def _compute_stopping_path(agent: Planner) -> Float[Array, "pieces 4 d"] | None:
     here = np.concatenate([start[: len(start) // 2], np.zeros(len(start) // 2)])
     try:
         rest = AvoidanceProblem(agent.transfer).solve(
-            start, here, empty_half_spaces(agent.transfer), "arrival"
+            start, here, empty_half_spaces(agent.transfer), "terminal"
         )
     except Unsolved:
         return None

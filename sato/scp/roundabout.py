@@ -117,9 +117,9 @@ def update_in_turn(agent: Planner, heard: tuple[TrajectoryMessage, ...]) -> Plan
         return agent.with_nominal(agent.nominal)
     agent = agent.relinearized
     others = AvoidedAgents.from_messages(agent, heard)
-    for gives in ("nothing", "separation"):
+    for gives in ("none", "separation"):
         agent = agent._replace(solve_count=agent.solve_count + 1)
-        passage = solve_around(agent.without_tie_break, others, agent.control_points, "near", gives)
+        passage = solve_around(agent.without_tie_break, others, agent.control_points, "same", gives)
         if passage is not None:
             return agent.with_nominal(passage.trajectory)
     return agent.with_nominal(agent.nominal)
