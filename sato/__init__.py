@@ -13,8 +13,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sato.record import Run, RunFileError, load
     from sato.former import ScenarioError, ScenarioFile, names, parse, read
+    from sato.record import Run, RunFileError, load
     from sato.simulate import run
 
 _LAZY_IMPORTS = {

@@ -68,8 +68,8 @@ def run(
     """Fly a scenario; write DIR/run.nc and DIR/summary.json."""
     with report_errors():
         from sato.console import print_summary, show_mission_progress
-        from sato.record import RUN_FILE
         from sato.former import read
+        from sato.record import RUN_FILE
         from sato.simulate import run as fly
         from sato.systems import load_system
 

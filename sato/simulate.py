@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from sato.former import ScenarioFile, read
 from sato.interfaces import FrameT, MissionT, System
 from sato.record import Run
 from sato.resource_usage import peak_memory_mib
-from sato.former import ScenarioFile, read
+from sato.scenario.mission import Mission
 from sato.systems import load_system
 
 FrameCallback = Callable[[Any, Any], object]  # of the mission and a frame
@@ -49,7 +50,7 @@ def run(
     """
     if seed < 0:
         raise ValueError(f"a seed must not be negative, got {seed}")
-    if isinstance(scenario, ScenarioFile):
+    if isinstance(scenario, ScenarioFile | Mission):
         if tuple(overrides):
             raise ValueError("overrides go with the name of a scenario, not with one already read")
     else:

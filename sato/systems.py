@@ -11,6 +11,8 @@ SYSTEM_MODULES = {
     "connectivity": "sato.connectivity.system",
 }
 
+SYSTEMS = tuple(SYSTEM_MODULES)
+
 
 class UnknownSystemError(ValueError):
     """A name that no system has."""
@@ -31,3 +33,12 @@ def load_system(name: str) -> System[Any, Any]:
         raise UnknownSystemError(name)
     found: System[Any, Any] = import_module(SYSTEM_MODULES[name]).SYSTEM
     return found
+
+
+def definition_of(name: str) -> Any:
+    """Return the class of missions of a system."""
+    from sato.reconfiguration.mission import Reconfiguration
+
+    if name != "reconfiguration":
+        raise UnknownSystemError(name)
+    return Reconfiguration

@@ -8,8 +8,8 @@ import numpy as np
 
 from sato.check.promise import Promise, expect_none
 from sato.check.report import Report
-from sato.record import Run, RunFileError, compute_digest, initial_summary
 from sato.former import parse
+from sato.record import Run, RunFileError, compute_digest, initial_summary
 from sato.systems import load_system
 
 if TYPE_CHECKING:

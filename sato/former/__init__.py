@@ -11,11 +11,9 @@ from sato.former.connectivity import ConnectivityFile
 from sato.former.file import ScenarioFile
 from sato.former.formation import FormationFile
 from sato.former.overrides import override
-from sato.former.reconfiguration import ReconfigurationFile
 from sato.former.refusal import Refusal, ScenarioError, explain, listed, nearest
 
 SYSTEMS: dict[str, type[ScenarioFile]] = {
-    "reconfiguration": ReconfigurationFile,
     "formation": FormationFile,
     "connectivity": ConnectivityFile,
 }
@@ -74,6 +72,10 @@ def parse(
     except tomllib.TOMLDecodeError as error:
         raise ScenarioError(f"{source}: is not TOML: {error}") from error
     data.setdefault("name", Path(source).stem)
+    if data.get("system") == "reconfiguration":
+        from sato.scenario.file import parse as parse_mission
+
+        return parse_mission(text, overrides, source=source, folder=folder)  # type: ignore[return-value]
     if folder is not None:
         data = _located(data, folder)
     try:

@@ -20,7 +20,6 @@ from sato.formation import (
     draw_frames,
 )
 from sato.formation.mission import validate_assignment, validate_operator_command
-from sato.network.radio import Radio
 from sato.former.file import ScenarioFile
 from sato.former.formation_leg import FormationLeg
 from sato.former.formation_start import Scattered, hovering
@@ -41,6 +40,7 @@ from sato.former.formation_tables import (
 )
 from sato.former.refusal import refused_at
 from sato.former.start import portable
+from sato.network.radio import Radio
 
 LOOK = 0.02  # between two looks of who judges the flight, as in [Lusk2020]'s trials [s]
 

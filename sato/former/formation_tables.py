@@ -18,10 +18,10 @@ from sato.formation import (
     SupervisorSettings,
 )
 from sato.formation.mission import legacy_formation
-from sato.network.radio import Radio
 from sato.former.formation_start import AnyVehicleStart
 from sato.former.refusal import Refusal, upward
 from sato.former.units import Table, meaning
+from sato.network.radio import Radio
 
 _LAW, _LIMITS, _RULES = ControlLaw(), FormationLimits(), CollisionAvoidance()
 _ASSIGNING, _PROTOCOL, _RADIO = AssignmentSettings(), SupervisorSettings(), Radio()

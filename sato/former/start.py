@@ -8,10 +8,10 @@ from numpy import ndarray as Array
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from dynamics.trajectory_geometry import min_distance
-from sato.network.graph import CommunicationGraph
 from sato.former.refusal import Refusal, upward
 from sato.former.shape import Lattice, Picture, Points, Polygon, Ring, Shape, Text, centre, rows
 from sato.former.units import Table
+from sato.network.graph import CommunicationGraph
 from sato.shapes.random_points import PACKING_FRACTION, NoRoomError, sample_separated_points
 
 DRAWINGS = 200  # of a whole swarm, before its network is given up

@@ -8,10 +8,10 @@ from dynamics.discretize import discretize_zoh
 from problems.convexify import AvoidanceHorizon
 from problems.fixed_size_avoidance import FixedSizeAvoidanceProblem
 from problems.transfer import TransferProblem
+from sato.former import read
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.planning import make_horizon
 from sato.reconfiguration.solo_trajectories import TIE_BREAK_RISE
-from sato.former import read
 
 CONTROL_POINTS_PER_PIECE = 4  # of a piece of path: a half-space keeps each of them
 

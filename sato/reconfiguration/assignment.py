@@ -20,6 +20,7 @@ from sato.reconfiguration.auction_costs import (
 )
 from sato.reconfiguration.mission import Leg, Reconfiguration
 from sato.reconfiguration.moment import DecisionContext
+from sato.scenario.definition import is_auto
 
 RELATIVE_EPSILON = 0.01  # ε over the extent of the shape, where there is no tie-break to tell it
 
@@ -129,7 +130,7 @@ def _find_unreachable_winners(
 
 def compute_epsilon(mission: Reconfiguration, leg: Leg) -> float:
     """ε, from the mission alone, so that all agents know the same [m]."""
-    if mission.epsilon is not None:
+    if not is_auto(mission.epsilon):
         return mission.epsilon
     places = leg.targets[:, : mission.linear_model.axes]
     if mission.tie_break == 0:

@@ -70,7 +70,7 @@ def _fly_leg(
 ) -> Any:
     leg = mission.legs[number]
     for k in range(MAX_LEG_FACTOR * leg.steps + 1):
-        swarm, changes = _apply_losses_and_joins(mission, leg, swarm, k, rng)
+        swarm, changes = _apply_losses_and_joins(mission, number, swarm, k, rng)
         events += changes
         if k > 0 and (swarm.memory.clock[swarm.alive] >= leg.steps).all():
             break
@@ -188,7 +188,7 @@ def _propagate(
 
 def _apply_losses_and_joins(
     mission: Reconfiguration,
-    leg: Leg,
+    number: int,
     swarm: ReconfigurationState,
     k: int,
     rng: np.random.Generator,
@@ -196,11 +196,11 @@ def _apply_losses_and_joins(
     """Losses and arrivals that fall on this step."""
     alive, minds = swarm.alive.copy(), swarm.memory
     events: list[Event] = []
-    for arrival in leg.joins:
-        if arrival.at_step == k:
-            alive[list(arrival.agents)] = True
-            events.append({"kind": "join", "agents": list(arrival.agents)})
-    for loss in leg.losses:
+    for agents, at_step in mission.joining(number):
+        if at_step == k:
+            alive[agents] = True
+            events.append({"kind": "join", "agents": agents})
+    for loss in mission.legs[number].losses:
         if loss.at_step == k:
             lost = _select_lost(loss, swarm.x[:, : mission.linear_model.axes], alive, rng)
             alive[lost] = False
@@ -213,7 +213,7 @@ def _select_lost(loss: Loss, position: Array, alive: Array, rng: np.random.Gener
     live = np.flatnonzero(alive)
     if loss.kind == "agents":
         return [i for i in loss.agents if alive[i]]
-    count = round(loss.share * len(live))
+    count = round((loss.share or 0.0) * len(live))
     if loss.kind == "random":
         return [int(i) for i in rng.choice(live, count, replace=False)]
     away = np.linalg.norm(position[live] - position[live].mean(axis=0), axis=1)

@@ -1,136 +1,375 @@
-"""What a swarm is asked to do: a frozen value, complete at construction. SI units."""
+"""Definition of a reconfiguration: who starts where, what shapes are wanted, how it is planned."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf
-from typing import Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
+from annotated_types import Lt
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
+from pydantic import BeforeValidator
+from pydantic import Field as Constraint
 
 from dynamics.model import LinearModel, NonlinearModel
-from dynamics.plant import LinearPlant, Plant
+from dynamics.plant import Plant
 from dynamics.trajectory_geometry import min_distance
+from dynamics.units import Acceleration, Angle, Length, Speed, Time, Unit
+from sato.reconfiguration import feasibility
+from sato.reconfiguration.orbit import (
+    AnyModel,
+    Chief,
+    OrbitalModel,
+    PlantSettings,
+    PointMass,
+    World,
+    as_chief,
+    as_definition,
+)
+from sato.reconfiguration.start import Start, start_without_files
+from sato.scenario.definition import (
+    Convert,
+    Definition,
+    In,
+    Inline,
+    Key,
+    NotNegative,
+    Positive,
+    number_or_auto,
+)
+from sato.scenario.errors import InputError
+from sato.scenario.mission import Mission
+from sato.shapes.shape import Lattice, Picture, Points, Polygon, Ring, Text, as_points
 
-Norm = Literal[1, 2, "inf"]
+if TYPE_CHECKING:
+    Automatic = float  # once the mission is drawn
+else:
+    Automatic = Annotated[float | Literal["auto"], BeforeValidator(number_or_auto)]
+
+Steps = Annotated[int, Positive]
+Indices = Annotated[
+    tuple[Annotated[int, NotNegative], ...],
+    BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value),
+]
+Targets = Points | Text | Ring | Lattice | Polygon | Picture
 
 
-@dataclass(frozen=True)
-class Loss:
+def _norm(value: Any) -> Any:
+    # To Python, true is 1.
+    if isinstance(value, bool):
+        raise InputError("", 'must be 1, 2 or "inf"')
+    return value
+
+
+Norm = Annotated[Literal[1, 2, "inf"], BeforeValidator(_norm)]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Loss(Definition):
     """Agents that fall silent and vanish."""
 
-    kind: Literal["middle", "random", "agents"]  # nearest the centre, drawn, or named
-    share: float = 0.0  # of the live agents, for "middle" and "random"
-    agents: tuple[int, ...] = ()  # for "agents"
-    at_step: int = 0  # control steps after the start of the leg; 0 is before it
+    kind: Annotated[
+        Literal["middle", "random", "agents"], "nearest the center, drawn, or named one by one"
+    ]
+    share: Annotated[float | None, Positive, Lt(1), "of the live agents"] = None
+    agents: Annotated[Indices, "indices, for kind agents"] = ()
+    at_step: Annotated[int, NotNegative, "control steps after the start of the leg"] = 0
+
+    def check(self) -> None:
+        """Refuse a loss of no agents."""
+        if self.kind == "agents" and not self.agents:
+            raise InputError("agents", "is missing, and has no default")
+        if self.kind != "agents" and self.share is None:
+            raise InputError("share", "is missing, and has no default")
 
 
-@dataclass(frozen=True)
-class Join:
-    """Agents that come in: rows of `Reconfiguration.start` that were not alive before."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Join(Definition):
+    """Agents that join the swarm."""
 
-    agents: tuple[int, ...]
-    at_step: int = 0
-
-
-@dataclass(frozen=True, eq=False)
-class Leg:
-    """One reconfiguration: a shape to take up and the time to do it in."""
-
-    targets: Float[Array, "targets n"]  # states, ordered so that every prefix keeps the shape
-    steps: int
-    losses: tuple[Loss, ...] = ()
-    joins: tuple[Join, ...] = ()
-    recount: bool = False  # m from the bids of the leg before [Morgan2016, Method 1, line 31]
+    agents: Annotated[int | None, Positive, "how many; as many as the start has, if absent"]
+    start: Annotated[Start, Convert(as_points), "positions, or states, at which they join"]
+    at_step: Annotated[int, NotNegative, "control steps after the start of the leg"] = 0
 
 
-@dataclass(frozen=True, eq=False)
-class Reconfiguration:
-    """A swarm that takes up one shape after another [Morgan2016, Method 3]."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Leg(Definition):
+    """One reconfiguration: targets, and the time to reach them.
 
-    linear_model: LinearModel  # shared by all agents: what auctions price by
-    initial_states: Float[Array, "agents n"]  # states; a joining agent's is where it comes in
-    alive: Bool[Array, " agents"]  # who is there at the start
-    legs: tuple[Leg, ...]
-    step: float  # Δt [s]
-    comm_radius: float  # [m]
-    collision_radius: float  # [m]
-    max_control: float  # [m/s²], in the control norm
-    max_speed: float = inf  # [m/s]
-    fuel_norm: Norm = 1
-    control_norm: Norm = "inf"
-    horizon_steps: int = 4  # avoidance looks this far
-    foresight_steps: int = 0  # and this far among agents in earshot, if that is further
-    orders: int = 1  # of priority that each plan tries
-    bargains: int = 0  # sweeps in which those who are in each other's way then plan in pairs
-    replan_steps: int = 4
-    auction_steps: int = 4
-    target_count: int = 0  # m of every agent before the first leg; 0 means as many as are alive
-    cost: Literal["fuel", "distance"] = "fuel"  # what the auction minimises, before the tie-break
-    tie_break: float = 0.2  # w; 0 is the printed method
-    epsilon: float | None = None  # bid increment on the scale of the cost; None is ½ w s²
-    bidder_ids: bool = True  # false is the printed method
-    reset: Literal["change", "need"] = "change"  # of a clock: where the number of bids changed, or
-    # only where somebody cannot make it in the time that is left
-    freeze_steps: int = 0  # from which on, before the end, an agent keeps to its plan
-    margin: float = 0.0  # beyond the collision radius that plans keep: for what models miss [m]
-    nonlinear_model: NonlinearModel | None = (
-        None  # re-linearised by each agent about its own nominal
-    )
-    plant: Plant | None = None  # what flies; None is the shared model itself
-    disturbance: float = 0.0  # standard deviation of an acceleration held over a step [m/s²]
-    position_noise: float = 0.0  # of what an agent believes of its state [m]
-    velocity_noise: float = 0.0  # [m/s]
-    thrust_error: float = 0.0  # standard deviation of a thrust's size, relative
-    pointing_error: float = 0.0  # standard deviation of a thrust's direction [rad]
-    position_tolerance: float = 1e-6  # within which a target counts as reached [m]
-    velocity_tolerance: float = 1e-6  # [m/s]
+    Args:
+        shape: A shape, or an array of targets: (M, d) positions or (M, 2 d) states.
+        steps: Control steps until the deadline.
+        count: Number of targets M of the shape; as many as the agents may be, if absent.
+        recount: Take the number of targets from the bids of the leg before
+            [Morgan2016, Method 1, line 31].
+        losses: Agents that are lost in this leg.
+        joins: Agents that join in this leg.
+    """
 
-    def __post_init__(self) -> None:
-        """Refuse what no flight could mean."""
-        if not self.legs or any(leg.steps < 1 for leg in self.legs):
-            raise ValueError("a mission needs at least one leg, and each leg at least one step")
-        if (
-            self.alive.shape != self.initial_states.shape[:1]
-            or not np.isfinite(self.initial_states).all()
-        ):
-            raise ValueError("every agent needs a finite start and a word on whether it is there")
-        if not (self.step > 0 and self.comm_radius > 0 and self.collision_radius > 0):
-            raise ValueError(
-                "the step, the communication and the collision radius must be positive"
+    shape: Annotated[Targets, Convert(as_points), "targets"]
+    steps: Annotated[Steps, "control steps until the deadline"]
+    count: Annotated[int | None, Key("targets"), Positive, "number of targets, M"] = None
+    recount: Annotated[bool, "count the agents by the bids of the leg before"] = False
+    losses: Annotated[tuple[Loss, ...], Key("lose"), "agents that are lost"] = ()
+    joins: Annotated[tuple[Join, ...], Key("join"), "agents that join"] = ()
+
+    def check(self) -> None:
+        """Refuse losses and joins after the deadline."""
+        for name, events in (("lose", self.losses), ("join", self.joins)):
+            for event in events:
+                if event.at_step >= self.steps:
+                    raise InputError(
+                        f"{name}.at_step",
+                        f"{event.at_step} is after the leg's {self.steps} steps; "
+                        f"at most {self.steps - 1} would do",
+                    )
+
+    @property
+    def targets(self) -> Float[Array, "targets n"]:
+        """States to reach, in an order in which every prefix keeps the shape; once drawn."""
+        return _states(self.shape)
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Reconfiguration(Mission):
+    """A swarm that takes up one shape after another [Morgan2016, Method 3].
+
+    Args:
+        model: Equations of motion: of the library, or any `LinearModel` or `NonlinearModel`.
+        start: Array of (N, d) positions or (N, 2 d) states, or a start or shape.
+        legs: Reconfigurations, one after another.
+
+    All others are explained by `sato keys reconfiguration`. Values are in SI units.
+    """
+
+    system: ClassVar[str] = "reconfiguration"
+
+    agents: Annotated[int | None, In("swarm"), Positive, "number of agents at the start"] = None
+    start: Annotated[Start, In("swarm"), Convert(as_points), "initial positions or states"]
+    comm_radius: Annotated[Length, In("swarm"), Positive, "communication radius R_comm"]
+    collision_radius: Annotated[Length, In("swarm"), Positive, "least distance of two, R_col"]
+    target_count: Annotated[
+        int | None,
+        In("swarm"),
+        Key("believed"),
+        Positive,
+        "number of targets m that every agent believes in at the start; all agents if absent",
+    ] = None
+
+    chief: Annotated[Chief | None, In(""), Convert(as_chief), "orbit of the chief"] = None
+
+    model: Annotated[AnyModel, In("model"), Inline(), "equations of motion"]
+    max_control: Annotated[Acceleration, In("model"), Positive, "largest acceleration"]
+    max_speed: Annotated[
+        float, Unit("m_s"), In("model"), Positive, Constraint(allow_inf_nan=True), "largest speed"
+    ] = inf
+    control_norm: Annotated[Norm, In("model"), "norm of the acceleration's limit"] = "inf"
+    fuel_norm: Annotated[Norm, In("model"), "norm of the acceleration in the fuel"] = 1
+
+    plant: Annotated[PlantSettings | Plant, In(""), "motion that is flown"] = PlantSettings()
+
+    step: Annotated[Time, In("plan"), Positive, "control step Δt"]
+    horizon_steps: Annotated[Steps, In("plan"), "steps that avoidance looks ahead, T_H"] = 4
+    foresight_steps: Annotated[
+        int, In("plan"), NotNegative, "steps that it looks ahead among agents within hearing"
+    ] = 0
+    orders: Annotated[Steps, In("plan"), "orders of priority that each plan tries"] = 1
+    bargains: Annotated[
+        int, In("plan"), NotNegative, "sweeps of negotiation in pairs; with orders above 1"
+    ] = 0
+    replan_steps: Annotated[
+        Steps, In("plan"), "replanning period; 1 where motion is disturbed, else the horizon"
+    ] = None  # type: ignore[assignment]
+    auction_steps: Annotated[
+        Steps, In("plan"), "period of auctions, a multiple of replan_steps; replan_steps if absent"
+    ] = None  # type: ignore[assignment]
+    epsilon: Annotated[
+        Automatic, In("plan"), "bid increment ε; auto is w s²/2 with the least spacing s"
+    ] = "auto"  # type: ignore[assignment]
+    tie_break: Annotated[float, In("plan"), NotNegative, "weight w [1/m] of the tie-break"] = 0.2
+    cost: Annotated[Literal["fuel", "distance"], In("plan"), "cost of a target"] = "fuel"
+    bidder_ids: Annotated[
+        bool, In("plan"), Key("ids"), "bids carry the bidder; false is the printed method"
+    ] = True
+    reset: Annotated[
+        Literal["change", "need"],
+        In("plan"),
+        "a leg's clock starts again where the number of bids changed, or only where needed",
+    ] = "change"
+    freeze_steps: Annotated[
+        int, In("plan"), NotNegative, "steps before the deadline in which plans are kept"
+    ] = 0
+    margin: Annotated[
+        Automatic, Unit("m"), In("plan"), "beyond R_col; auto about a chief, else 0, if absent"
+    ] = None  # type: ignore[assignment]
+    allow_undetectable: Annotated[
+        bool, In("plan"), "fly although agents could meet unseen (Proposition 9)"
+    ] = False
+    position_tolerance: Annotated[
+        Length, In("plan"), Positive, "distance within which a target counts as reached"
+    ] = None  # type: ignore[assignment]
+    velocity_tolerance: Annotated[
+        Speed, In("plan"), Positive, "speed within which a target counts as reached"
+    ] = None  # type: ignore[assignment]
+
+    disturbance: Annotated[
+        Acceleration,
+        In("disturbance"),
+        Key("acceleration"),
+        NotNegative,
+        "standard deviation of an acceleration held over a step",
+    ] = 0.0
+    position_noise: Annotated[
+        Length, In("disturbance"), Key("position"), NotNegative, "of a measured position"
+    ] = 0.0
+    velocity_noise: Annotated[
+        Speed, In("disturbance"), Key("velocity"), NotNegative, "of a measured velocity"
+    ] = 0.0
+    thrust_error: Annotated[
+        float, In("disturbance"), Key("thrust"), NotNegative, "of a thrust's size, relative"
+    ] = 0.0
+    pointing_error: Annotated[
+        Angle, In("disturbance"), Key("pointing"), NotNegative, "of a thrust's direction"
+    ] = 0.0
+
+    legs: Annotated[tuple[Leg, ...], In(""), Key("leg"), "legs in turn"]
+
+    def completed(self) -> dict[str, Any]:
+        """Return what follows from the other fields where it is not given."""
+        model, chief = as_definition(self.model, self.chief)
+        listed = self.start.positions if isinstance(self.start, Points) else None
+        values: dict[str, Any] = {"model": model, "chief": chief}
+        if self.agents is None and listed is not None:
+            values["agents"] = len(listed)
+        if self.replan_steps is None:
+            flies_model = World(model, chief, self.plant).flies_model
+            is_disturbed = self.has_noise or not flies_model
+            values["replan_steps"] = 1 if is_disturbed else self.horizon_steps
+        if self.auction_steps is None:
+            values["auction_steps"] = values.get("replan_steps", self.replan_steps)
+        return values
+
+    def check(self) -> None:
+        """Refuse fields that contradict each other, and legs without targets enough."""
+        self.world.check()
+        feasibility.check_periods(self)
+        feasibility.check_noise(self)
+        feasibility.check_detectable(self)
+        feasibility.check_legs(self)
+
+    def draw(self, rng: np.random.Generator) -> Self:
+        """Return the mission with drawn starts, resolved margins, tolerances and plant."""
+        from sato.reconfiguration.draw import draw
+
+        return draw(self, rng)  # type: ignore[return-value]
+
+    def warnings(self) -> list[str]:
+        """List doubts about a drawn mission, a sentence each."""
+        return feasibility.model_doubts(self)
+
+    def without_files(self) -> Self:
+        """Return the same mission with the contents of files and fonts."""
+        legs = []
+        for leg, most in zip(self.legs, feasibility.target_demand(self), strict=True):
+            joins = tuple(
+                replace(join, start=start_without_files(join.start, join_size(join), self.axes))
+                for join in leg.joins
             )
-        if min(self.horizon_steps, self.replan_steps, self.auction_steps) < 1:
-            raise ValueError("the horizon and the periods must be at least one step long")
-        if self.orders < 1:
-            raise ValueError(f"a plan needs at least one order of priority, got {self.orders}")
-        if self.bargains < 0 or (self.bargains and self.orders == 1):
-            raise ValueError(
-                f"bargains = {self.bargains} with orders = {self.orders}: sweeps cannot be fewer "
-                "than none, and only with orders of 2 or more is what was agreed on a candidate "
-                "at the next plan"
+            shape = leg.shape.without_files(leg.count or most, self.axes)
+            legs.append(replace(leg, shape=shape, joins=joins))
+        start = start_without_files(self.start, self.agent_count, self.axes)
+        return replace(self, start=start, legs=tuple(legs))
+
+    @property
+    def world(self) -> World:
+        """Model, chief and plant."""
+        return World(self.model, self.chief, self.plant)
+
+    @property
+    def agent_count(self) -> int:
+        """Number of agents at the start."""
+        assert self.agents is not None
+        return self.agents
+
+    @property
+    def axes(self) -> int:
+        """Axes of space."""
+        if isinstance(self.model, PointMass):
+            return self.model.dimension
+        return 3 if isinstance(self.model, OrbitalModel) else self.model.axes
+
+    @property
+    def has_noise(self) -> bool:
+        """True where motion or measurements are disturbed at random."""
+        return any(
+            (
+                self.disturbance,
+                self.position_noise,
+                self.velocity_noise,
+                self.thrust_error,
+                self.pointing_error,
             )
-        if self.replan_steps > self.horizon_steps or self.auction_steps > self.horizon_steps:
-            raise ValueError(
-                f"replan_steps = {self.replan_steps} and auction_steps = {self.auction_steps} must "
-                f"not exceed horizon_steps = {self.horizon_steps}: agents that claim one target "
-                "must bid against each other before they can meet"
-            )
-        if self.margin < 0 or self.freeze_steps < 0:
-            raise ValueError("a margin and the steps at the end cannot be negative")
-        if self.auction_steps % self.replan_steps:
-            raise ValueError(
-                f"auction_steps = {self.auction_steps} must be a multiple of "
-                f"replan_steps = {self.replan_steps}: an auction is followed by a plan"
-            )
+        )
+
+    @cached_property
+    def linear_model(self) -> LinearModel:
+        """Model that all agents share, and auctions price by."""
+        return self.world.linear_model()
+
+    @cached_property
+    def nonlinear_model(self) -> NonlinearModel | None:
+        """Model that each agent linearizes about its own trajectory, if there is one."""
+        return self.world.nonlinear_model()
 
     @cached_property
     def flown_plant(self) -> Plant:
-        """What the vehicles really do."""
-        return self.plant or LinearPlant(self.linear_model)
+        """Motion of the vehicles, once the mission is drawn."""
+        if isinstance(self.plant, Plant):
+            return self.plant
+        return self.world.draw_plant(
+            self.linear_model, len(self.initial_states), np.random.default_rng(0)
+        )
+
+    @cached_property
+    def initial_states(self) -> Float[Array, "agents n"]:
+        """States of all agents, those that join later last, where each starts; once drawn."""
+        joins = [_states(join.start) for leg in self.legs for join in leg.joins]
+        return np.concatenate([_states(self.start), *joins])
+
+    @property
+    def alive(self) -> Bool[Array, " agents"]:
+        """True for agents that are there at the start."""
+        return np.arange(len(self.initial_states)) < self.agent_count
+
+    def joining(self, number: int) -> list[tuple[list[int], int]]:
+        """List the joins of a leg: indices of the agents, and the step at which they join."""
+        first = self.agent_count + sum(
+            join_size(join) for leg in self.legs[:number] for join in leg.joins
+        )
+        found = []
+        for join in self.legs[number].joins:
+            found.append((list(range(first, first + join_size(join))), join.at_step))
+            first += join_size(join)
+        return found
 
     @property
     def target_spacing(self) -> float:
-        """Least distance between two targets of a leg [m]."""
-        d = self.linear_model.axes
-        return min(min_distance(leg.targets[:, :d]) for leg in self.legs)
+        """Least distance between two targets of a leg [m]; once drawn."""
+        return min(min_distance(leg.targets[:, : self.axes]) for leg in self.legs)
+
+
+def join_size(join: Join) -> int:
+    """Return the number of agents that join."""
+    if join.agents is not None:
+        return join.agents
+    assert isinstance(join.start, Points) and join.start.positions is not None
+    return len(join.start.positions)
+
+
+def _states(points: Any) -> Float[Array, "k n"]:
+    if isinstance(points, Points) and points.positions is not None:
+        still = np.zeros_like(points.positions)
+        return np.hstack([points.positions, still if points.velocities is None else points.velocities])
+    kind = type(points).__name__
+    raise ValueError(f"the positions of {kind} are known once the mission is drawn: mission.draw(rng)")

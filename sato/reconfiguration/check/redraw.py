@@ -58,5 +58,5 @@ def _redraw_losses(
     for loss, lost in zip(due, told, strict=False):
         if loss.kind == "random":
             live = np.flatnonzero(lives)
-            rng.choice(live, round(loss.share * len(live)), replace=False)
+            rng.choice(live, round((loss.share or 0.0) * len(live)), replace=False)
         lives[lost] = False

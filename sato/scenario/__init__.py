@@ -1,0 +1,1 @@
+"""Scenarios: definitions of missions, from Python and from files. Knows no system."""
