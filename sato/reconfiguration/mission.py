@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Lt
@@ -258,17 +258,17 @@ class Reconfiguration(Mission):
         feasibility.check_detectable(self)
         feasibility.check_legs(self)
 
-    def draw(self, rng: np.random.Generator) -> Self:
+    def draw(self, rng: np.random.Generator) -> "Reconfiguration":
         """Return the mission with drawn starts, resolved margins, tolerances and plant."""
         from sato.reconfiguration.draw import draw
 
-        return draw(self, rng)  # type: ignore[return-value]
+        return draw(self, rng)
 
     def warnings(self) -> list[str]:
         """List doubts about a drawn mission, a sentence each."""
         return feasibility.model_doubts(self)
 
-    def without_files(self) -> Self:
+    def without_files(self) -> "Reconfiguration":
         """Return the same mission with the contents of files and fonts."""
         legs = []
         for leg, most in zip(self.legs, feasibility.target_demand(self), strict=True):

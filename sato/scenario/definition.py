@@ -186,7 +186,7 @@ class _Adapter:
         self._hint = hint
 
     @cached_property
-    def _adapter(self) -> TypeAdapter[Any]:
+    def _adapter(self) -> Any:
         return TypeAdapter(self._hint, config=_STRICT)
 
     def check(self, value: Any, address: str) -> Any:

@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Self
+from typing import Annotated, ClassVar
 
 import numpy as np
 import tomli_w
@@ -23,7 +23,7 @@ class Mission(Definition):
     name: Annotated[Name, In(""), "name of the scenario"] = "mission"
 
     @abstractmethod
-    def draw(self, rng: np.random.Generator) -> Self:
+    def draw(self, rng: np.random.Generator) -> "Mission":
         """Return the mission with every random draw made and every "auto" replaced by a number.
 
         The same state of the generator gives the same mission; a drawn mission stays as it is.
@@ -40,14 +40,14 @@ class Mission(Definition):
         """List doubts about a drawn mission, a sentence each."""
 
     @abstractmethod
-    def without_files(self) -> Self:
+    def without_files(self) -> "Mission":
         """Return the same mission with the contents of files and fonts in place of their names."""
 
     def to_toml(self) -> str:
         """Write the mission as a scenario file that needs no other file."""
         return tomli_w.dumps({"system": self.system} | write_table(self.without_files()))
 
-    def build(self, rng: np.random.Generator) -> Self:
+    def build(self, rng: np.random.Generator) -> "Mission":
         """Draw the mission."""
         return self.draw(rng)
 
