@@ -4,6 +4,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import get_args
@@ -16,8 +17,8 @@ from problems.desired_formation import DesiredFormation
 from problems.gain_design import GainMatrix, GainMethod, design_gains
 from problems.rigidity import Dimension, is_globally_rigid, is_redundantly_rigid, is_rigid
 from sato.console import spinner
-from sato.shapes.formation_files import read_formation, read_with_graph
-from sato.shapes.formation_library import formation_names, load_formation
+from sato.shapes.formation_library import formation_names, load_formation, read_formation
+from sato.shapes.graphs import read_graph
 
 METHODS: dict[str, GainMethod] = {method: method for method in get_args(GainMethod)}
 MAX_RIGIDITY_EDGES = 3000  # edges, beyond which what rigidity takes grows out of proportion
@@ -49,7 +50,11 @@ def resolve_formation(name: str, graph: str) -> DesiredFormation:
         return shape
     if not Path(graph).is_file():
         raise ValueError(f'--graph takes complete, own or a file, and there is no file "{graph}"')
-    return read_with_graph(shape, graph)
+    adjacency = read_graph(graph, len(shape.points))
+    try:
+        return replace(shape, graph=adjacency)
+    except ValueError as error:
+        raise ValueError(f"{graph}: {error}") from error
 
 
 def default_path(shape: DesiredFormation) -> Path:

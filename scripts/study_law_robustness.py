@@ -19,7 +19,8 @@ from problems.desired_formation import DesiredFormation
 from problems.gain_design import GainMatrix, design_gains
 from sato.formation.control_law import ControlLaw, compute_velocity_command, size_control_weights
 from sato.formation.shape_error import compute_shape_error
-from sato.shapes.random_points import random_sparse_graph, sample_formation
+from sato.shapes.graphs import random_sparse_graph
+from sato.shapes.random_points import sample_formation
 
 SCALE_RANGE = (0.1, 10.0)  # by which commands are scaled
 DISTORTION_PERIOD = 1.0  # for which factors and turns stay [s]

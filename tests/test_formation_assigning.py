@@ -13,7 +13,8 @@ from sato.formation.assignment import assign_points, compute_cost_matrix, observ
 from sato.formation.kernel import FormationState, Roles
 from sato.formation.mission import AssignmentSettings, Formation, aligned_frames, draw_frames
 from sato.network.radio import Radio
-from sato.shapes.random_points import random_sparse_graph, sample_formation, sample_positions
+from sato.shapes.graphs import random_sparse_graph
+from sato.shapes.random_points import sample_formation, sample_positions
 
 KINDS = ("cbaa", "vsdaa", "hungarian")
 

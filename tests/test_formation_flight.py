@@ -23,7 +23,8 @@ from sato.formation.shape_error import compute_shape_error
 from sato.formation.supervisor import Phase
 from sato.network.radio import Radio
 from sato.shapes.formation_library import load_formation
-from sato.shapes.random_points import random_sparse_graph, sample_formation, sample_positions
+from sato.shapes.graphs import random_sparse_graph
+from sato.shapes.random_points import sample_formation, sample_positions
 
 BRIEF = SupervisorSettings(hover_time=1.0)
 

@@ -15,7 +15,8 @@ from problems.gain_design import design_gains
 from sato.formation.control_law import ControlLaw, compute_velocity_command
 from sato.formation.shape_error import compute_shape_error
 from sato.shapes.formation_library import load_formation
-from sato.shapes.random_points import random_sparse_graph, sample_formation
+from sato.shapes.graphs import random_sparse_graph
+from sato.shapes.random_points import sample_formation
 
 ROBUSTNESS = runpy.run_path(str(Path(__file__).parents[1] / "scripts" / "robustness.py"))
 commands, settle = ROBUSTNESS["commands"], ROBUSTNESS["settle"]

@@ -13,9 +13,9 @@ from problems.gain_design import design_gains
 from sato.formation import Formation
 from sato.formation.mission import legacy_formation
 from sato.former import names, parse, read
-from sato.shapes.formation_files import write_graph, write_points
 from sato.shapes.formation_library import load_formation
-from sato.shapes.random_points import random_dense_graph, sample_formation, sample_positions
+from sato.shapes.graphs import random_dense_graph
+from sato.shapes.random_points import sample_formation, sample_positions
 
 SIX = """
 system = "formation"
@@ -41,8 +41,8 @@ BUILT_IN = [name for name in names() if name.startswith("formation")]
 def home(tmp_path, monkeypatch):
     (tmp_path / "six.toml").write_text(SIX)
     shape = load_formation("swarm6/Star")
-    write_points(tmp_path / "points.csv", shape.points)
-    write_graph(tmp_path / "edges.csv", shape.graph)
+    np.savetxt(tmp_path / "points.csv", shape.points, "%.17g", ",")
+    np.savetxt(tmp_path / "edges.csv", np.argwhere(shape.graph), "%d", ",")
     (tmp_path / "lonely.csv").write_text("0,1\n1,2\n2,0\n3,4\n4,5\n5,3\n")
     (tmp_path / "cycle.csv").write_text("0,1\n1,2\n2,3\n3,4\n4,5\n5,0\n")
     design_gains(shape).save(tmp_path / "star.npz")
@@ -289,7 +289,7 @@ def test_points_graph_and_gains_come_from_files_beside_the_scenario(home, monkey
 
 
 def test_a_scenario_from_files_is_written_whole_and_gives_the_same_to_the_last_bit(home):
-    write_points(home / "start.csv", 3.0 * load_formation("swarm6/Hex").points)
+    np.savetxt(home / "start.csv", 3.0 * load_formation("swarm6/Hex").points, "%.17g", ",")
     scenario = read(
         "six.toml",
         [

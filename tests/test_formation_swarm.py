@@ -21,7 +21,8 @@ from sato.formation.kernel import (
     simulate_steps,
 )
 from sato.formation.mission import aligned_frames, draw_frames
-from sato.shapes.random_points import random_sparse_graph, sample_formation, sample_positions
+from sato.shapes.graphs import random_sparse_graph
+from sato.shapes.random_points import sample_formation, sample_positions
 
 STEP = 0.02
 RULES = CollisionAvoidance()

@@ -17,7 +17,7 @@ from problems.gain_design import (
     design_gains,
 )
 from problems.gain_problem import MIN_RATE, GainProblem
-from sato.shapes.random_points import random_dense_graph
+from sato.shapes.graphs import random_dense_graph
 
 DRAWS = st.integers(0, 2**32 - 1)
 PYRAMID = [(0, 2), (0, 3), (0, 5), (1, 2), (1, 5), (2, 3), (3, 4), (4, 5)]

@@ -7,7 +7,7 @@ from problems import gain_sdp as sdp
 from problems.desired_formation import DesiredFormation
 from problems.gain_paper import solve
 from problems.gain_problem import GainProblem, NoGainMatrix
-from sato.shapes.random_points import random_sparse_graph
+from sato.shapes.graphs import random_sparse_graph
 
 
 def sparse(rng, n, share):

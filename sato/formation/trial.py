@@ -15,7 +15,8 @@ from sato.formation.loop import FormationFrame, simulate
 from sato.formation.mission import Formation
 from sato.formation.shape_error import ShapeError, compute_shape_error
 from sato.formation.supervisor import Phase
-from sato.shapes.random_points import random_dense_graph, sample_formation, sample_positions
+from sato.shapes.graphs import random_dense_graph
+from sato.shapes.random_points import sample_formation, sample_positions
 
 HEIGHT = 1.0  # at which all hover before the first formation [m]
 

@@ -15,9 +15,14 @@ from sato.former.formation_start import check_separation, level, listed
 from sato.former.refusal import Refusal, refused_at
 from sato.former.shape import Lattice, Picture, Points, Polygon, Ring, Shape, Text
 from sato.former.units import Table
-from sato.shapes.formation_files import read_formation, read_graph
-from sato.shapes.formation_library import graph_from_edges, load_formation
-from sato.shapes.random_points import random_dense_graph, random_sparse_graph, sample_formation
+from sato.shapes.formation_library import load_formation, read_formation
+from sato.shapes.graphs import (
+    graph_from_edges,
+    random_dense_graph,
+    random_sparse_graph,
+    read_graph,
+)
+from sato.shapes.random_points import sample_formation
 
 
 class DrawnFormation(Table):

@@ -1,4 +1,4 @@
-"""Shapes that somebody drew: polygons and pictures."""
+"""Filled areas: polygons and pictures."""
 
 from collections.abc import Sequence
 from math import ceil, sqrt
@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from sato.shapes.ordering import golden_ratio_order
-from sato.shapes.placement import Center, check_count, check_size_given, place_shape
+from sato.shapes.placement import Center, check_count, place_shape
 from sato.shapes.region import CANDIDATES_PER_TARGET, MIN_CANDIDATES, Region, fill_outlines
 
 
@@ -22,25 +22,25 @@ def polygon(
     minimum_spacing: float = 0.0,
     center: Center = "origin",
 ) -> Float[Array, "count 2"]:
-    """Targets that fill a polygon, its corners first.
+    """Fill a polygon with targets, its corners first.
 
-    Without `spacing` and `height` the polygon keeps the size of its vertices, in metres.
+    Without `spacing` and `height` the polygon keeps the size of its vertices.
 
     Args:
-        vertices: Corners in turn, either way round; the last is joined to the first.
-        count: How many targets.
+        vertices: Corners [m] in order, either way round; the last is joined to the first.
+        count: Number of targets.
         spacing: Least distance between two targets [m]; or
-        height: Of the polygon [m].
-        minimum_spacing: Refuse targets that stand closer [m].
-        centre: Where the middle of the bounding box goes.
+        height: Height of the polygon [m].
+        minimum_spacing: Least distance between two targets that is accepted [m].
+        center: Position of the middle of the bounding box.
 
     Raises:
-        ValueError: The vertices enclose no area, or the targets would stand too close.
+        ValueError: The vertices enclose no area, or the targets would be too close.
     """
     check_count(count)
-    corners = _parse_vertices(vertices)
+    region = fill_outlines("the polygon", [_parse_vertices(vertices)], count)
     return place_shape(
-        fill_outlines("the polygon", [corners], count).sample_targets(count),
+        region.sample_targets(count)._replace(has_own_size=True),
         spacing=spacing,
         size=height,
         minimum_spacing=minimum_spacing,
@@ -58,27 +58,26 @@ def picture(
     minimum_spacing: float = 0.0,
     center: Center = "origin",
 ) -> Float[Array, "count 2"]:
-    """Targets that fill what is painted on a picture (PNG, or anything that Pillow reads).
+    """Fill the dark or opaque part of a picture with targets.
 
-    Where the picture has transparency, a pixel is inside if it is at least half opaque, whatever
-    its colour. Where it has none, a pixel is inside if it is darker than the middle grey: luma
-    0.299 R + 0.587 G + 0.114 B below 128 of 255. A pixel is a square and counts with its
-    whole area.
+    Any format that Pillow reads will do. Where the picture has transparency, a pixel is inside if
+    it is at least half opaque, whatever its color. Where it has none, a pixel is inside if it is
+    darker than middle gray: luma 0.299 R + 0.587 G + 0.114 B below 128 of 255. A pixel is a
+    square and counts with its whole area.
 
     Args:
-        path: The picture.
-        count: How many targets.
+        path: File of the picture.
+        count: Number of targets.
         spacing: Least distance between two targets [m]; or
-        height: From the lowest to the highest pixel inside [m].
-        invert: Take the pixels that would be outside.
-        minimum_spacing: Refuse targets that stand closer [m].
-        centre: Where the middle of the bounding box of the pixels inside goes.
+        height: Height from the lowest to the highest pixel inside [m].
+        invert: Fill the other pixels.
+        minimum_spacing: Least distance between two targets that is accepted [m].
+        center: Position of the middle of the bounding box of the pixels inside.
 
     Raises:
-        ValueError: No such picture, no pixel inside, or targets that would stand too close.
+        ValueError: There is no such picture or no pixel inside, or the targets would be too close.
     """
     check_count(count)
-    check_size_given("height", spacing, height)
     inside = _read_mask(Path(path)) ^ invert
     if not inside.any():
         rule = "light or transparent" if not invert else "dark or opaque"
@@ -116,7 +115,7 @@ def _read_mask(path: Path) -> Bool[Array, "rows columns"]:
     try:
         with Image.open(path) as image:
             image.load()
-            if image.mode.startswith("I"):  # 16 bits of grey, which Pillow would clip at 255
+            if image.mode.startswith("I"):  # 16 bits of gray, which Pillow would clip at 255
                 return np.asarray(np.asarray(image) < 128 * 257)
             alpha = np.asarray(image.convert("RGBA").getchannel("A"))
             if alpha.min() < 255:
@@ -128,22 +127,22 @@ def _read_mask(path: Path) -> Bool[Array, "rows columns"]:
         raise ValueError(f"{path} cannot be read as a picture: {error}") from error
 
 
-def _mask_region(what: str, inside: Bool[Array, "rows columns"], count: int) -> Region:
-    wanted = max(MIN_CANDIDATES, CANDIDATES_PER_TARGET * count)
+def _mask_region(label: str, inside: Bool[Array, "rows columns"], count: int) -> Region:
+    needed = max(MIN_CANDIDATES, CANDIDATES_PER_TARGET * count)
     row, column = np.nonzero(inside)
-    if len(row) > wanted:
+    if len(row) > needed:
         # One pixel of each block that has any, so that a thin line is not lost.
-        block = ceil(sqrt(len(row) / wanted))
-        label = (row // block) * inside.shape[1] + column // block
-        _, first = np.unique(label, return_index=True)
-        places = np.column_stack([column[first] + 0.5, -row[first] - 0.5])
+        block = ceil(sqrt(len(row) / needed))
+        block_index = (row // block) * inside.shape[1] + column // block
+        _, first = np.unique(block_index, return_index=True)
+        candidates = np.column_stack([column[first] + 0.5, -row[first] - 0.5])
     else:
-        parts = ceil(sqrt(wanted / len(row)))
-        along = (np.arange(parts) + 0.5) / parts
-        dx, dy = (part.ravel() for part in np.meshgrid(along, along))
-        places = np.column_stack(
+        parts = ceil(sqrt(needed / len(row)))
+        offsets = (np.arange(parts) + 0.5) / parts
+        dx, dy = (offset.ravel() for offset in np.meshgrid(offsets, offsets))
+        candidates = np.column_stack(
             [(column[:, None] + dx).ravel(), (-row[:, None] - dy).ravel()],
         )
     lower = np.array([column.min(), -row.max() - 1.0], dtype=float)
     upper = np.array([column.max() + 1.0, -row.min()], dtype=float)
-    return Region(what, places[golden_ratio_order(len(places))], lower, upper)
+    return Region(label, candidates[golden_ratio_order(len(candidates))], lower, upper)

@@ -1,4 +1,4 @@
-"""Areas of the plane, and targets spread over them."""
+"""Regions of the plane, and targets spread over them."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -10,25 +10,25 @@ from numpy import ndarray as Array
 from sato.shapes.ordering import TIE_TOLERANCE, farthest_point_sampling, golden_ratio_order
 from sato.shapes.placement import UnplacedShape
 
-MIN_CANDIDATES = 30_000  # places among which the targets of a region are chosen, about
-CANDIDATES_PER_TARGET = 40  # and at least this many for each of them
-COARSE_CELLS = 200  # rows and columns of a first look
-MAX_GRID_CELLS = 4_000_000  # cells of a bounding box: keeps a sliver across it affordable
+MIN_CANDIDATES = 30_000  # positions from which the targets of a region are chosen, about
+CANDIDATES_PER_TARGET = 40  # and at least this many per target
+COARSE_CELLS = 200  # rows and columns of the grid that estimates the area
+MAX_GRID_CELLS = 4_000_000  # cells of the bounding box, a limit for a sliver across it
 
 
 class Region(NamedTuple):
-    """Where targets may stand: many places, dense enough to stand for the whole area."""
+    """Region of the plane, represented by many candidate positions."""
 
-    label: str  # as it stands in a message
+    label: str  # name of the region in messages
     candidates: Float[Array, "k 2"]
     lower: Float[Array, " 2"]  # corners of the bounding box
     upper: Float[Array, " 2"]
 
     def sample_targets(self, count: int) -> UnplacedShape:
-        """Spread targets over the region, each as far as can be from those before it."""
+        """Spread targets over the region, each as far as possible from those before it."""
         chosen = farthest_point_sampling(self.candidates, count)
 
-        def most(spacing: float) -> int:
+        def max_count(spacing: float) -> int:
             return max(1, int(np.sum(chosen.spacings >= spacing * (1 + 2 * TIE_TOLERANCE))))
 
         return UnplacedShape(
@@ -37,15 +37,16 @@ class Region(NamedTuple):
             (self.lower + self.upper) / 2,
             "height",
             float(self.upper[1] - self.lower[1]),
-            most,
+            max_count,
         )
 
 
 def fill_outlines(label: str, outlines: Sequence[Float[Array, "_ 2"]], count: int) -> Region:
-    """Region that closed outlines enclose.
+    """Return the region that closed outlines enclose.
 
-    A place is inside where the outlines wind around it (a hole runs the other way round, as in
-    fonts). Places stand on a grid and, so that edges and corners are kept, on the outlines.
+    A position is inside where the outlines have a winding number other than 0 (a hole runs the
+    other way round, as in fonts). Candidates are the nodes of a grid and, so that edges and
+    corners are kept, points on the outlines.
 
     Raises:
         ValueError: The outlines enclose nothing.
@@ -58,22 +59,22 @@ def fill_outlines(label: str, outlines: Sequence[Float[Array, "_ 2"]], count: in
     if not area > 1e-9 * float(box.max()) ** 2:
         raise ValueError(f"{label} encloses no area")
     length = float(np.linalg.norm(end - start, axis=1).sum())
-    wanted = max(MIN_CANDIDATES, CANDIDATES_PER_TARGET * count)
+    needed = max(MIN_CANDIDATES, CANDIDATES_PER_TARGET * count)
     step = max(
-        float(np.sqrt(area / wanted)), length / wanted, float(np.sqrt(box.prod() / MAX_GRID_CELLS))
+        float(np.sqrt(area / needed)), length / needed, float(np.sqrt(box.prod() / MAX_GRID_CELLS))
     )
     x, y = (_cell_centers(lower[axis], upper[axis], step) for axis in (0, 1))
     row, column = np.nonzero(_is_enclosed(start, end, x, y))
     edge, grid = _sample_edges(start, end, step), np.column_stack([x[column], y[row]])
-    # The outlines come first: where two places are as good, the edge is taken.
-    places = np.concatenate(
+    # The outlines come first, so that ties go to the edge.
+    candidates = np.concatenate(
         [edge[golden_ratio_order(len(edge))], grid[golden_ratio_order(len(grid))]]
     )
-    return Region(label, places, lower, upper)
+    return Region(label, candidates, lower, upper)
 
 
 def _signed_area(start: Float[Array, "edges 2"], end: Float[Array, "edges 2"]) -> float:
-    # Exact, except where outlines cross and parts of them cancel.
+    # Exact, except where outlines cross and parts of the area cancel.
     a, b = start - start.min(axis=0), end - start.min(axis=0)
     return abs(float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))) / 2
 
@@ -82,12 +83,13 @@ def _coarse_area(start: Float[Array, "edges 2"], end: Float[Array, "edges 2"]) -
     lower, box = start.min(axis=0), np.ptp(start, axis=0)
     x, y = (lower + (np.arange(COARSE_CELLS)[:, None] + 0.5) / COARSE_CELLS * box).T
     inside = _is_enclosed(start, end, x, y)
-    # Two in a row: an outline that only goes back over itself may enclose a place by rounding.
+    # Only pairs of cells count: where an outline only retraces itself, rounding may put a single
+    # cell inside.
     return float((inside[:, 1:] & inside[:, :-1]).mean() * box.prod())
 
 
 def _cell_centers(lower: float, upper: float, step: float) -> Float[Array, " cells"]:
-    # Even about the middle, so that a symmetric outline has symmetric places.
+    # Symmetric about the middle, so that a symmetric outline has symmetric candidates.
     cells = max(1, round((upper - lower) / step))
     return lower + (np.arange(cells) + 0.5) * ((upper - lower) / cells)
 
@@ -98,16 +100,16 @@ def _is_enclosed(
     x: Float[Array, " columns"],
     y: Float[Array, " rows"],
 ) -> Bool[Array, "rows columns"]:
-    # Each edge turns the winding number of every place to the right of it in the rows it crosses.
-    # Half-open in y, so that a vertex in a row counts once.
+    # Each edge changes the winding number of every cell to the right of it in the rows it crosses.
+    # The edge is half-open in y, so that a vertex in a row counts once.
     up = (start[:, 1] <= y[:, None]) & (y[:, None] < end[:, 1])
     down = (end[:, 1] <= y[:, None]) & (y[:, None] < start[:, 1])
     row, edge = np.nonzero(up | down)
     (x0, y0), (dx, dy) = start[edge].T, (end - start)[edge].T
     column = np.searchsorted(x, x0 + (y[row] - y0) * dx / dy)
-    turns = np.zeros((len(y), len(x) + 1), dtype=np.int64)
-    np.add.at(turns, (row, column), np.where(up[row, edge], 1, -1))
-    inside: Array = turns.cumsum(axis=1)[:, :-1] != 0
+    winding = np.zeros((len(y), len(x) + 1), dtype=np.int64)
+    np.add.at(winding, (row, column), np.where(up[row, edge], 1, -1))
+    inside: Array = winding.cumsum(axis=1)[:, :-1] != 0
     return inside
 
 
@@ -117,6 +119,6 @@ def _sample_edges(
     pieces = np.ceil(np.linalg.norm(end - start, axis=1) / step).astype(int)
     edge = np.repeat(np.arange(len(start)), pieces)
     piece = np.arange(len(edge)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
-    share = piece / pieces[edge]
-    along: Array = start[edge] + share[:, None] * (end - start)[edge]
-    return along
+    fraction = piece / pieces[edge]
+    samples: Array = start[edge] + fraction[:, None] * (end - start)[edge]
+    return samples

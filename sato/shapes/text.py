@@ -8,16 +8,16 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from sato.shapes.placement import Center, check_count, check_size_given, place_shape
+from sato.shapes.placement import Center, check_count, place_shape
 from sato.shapes.region import fill_outlines
 
 if TYPE_CHECKING:
     from matplotlib.font_manager import FontProperties
 
-# Both come with matplotlib, so every machine has them. The broad strokes of one letter hold a
-# swarm together in which some targets stay empty; in a word they would fill the letters.
+# Both come with matplotlib, so every machine has them. The broad strokes of a single bold letter
+# keep a swarm connected where some targets stay empty; in a word they would fill the letters.
 LETTER_FONT, WORD_FONT = "DejaVu Sans:bold", "DejaVu Sans"
-CURVE_RESOLUTION = 10.0  # curves are broken into chords this much finer than on a screen
+CURVE_RESOLUTION = 10.0  # curves become chords this many times finer than matplotlib's own
 
 
 def text(
@@ -30,24 +30,23 @@ def text(
     minimum_spacing: float = 0.0,
     center: Center = "origin",
 ) -> Float[Array, "count 2"]:
-    """Targets that write a text, spread over the strokes of all its letters.
+    """Spread targets over the strokes of all letters of a text.
 
     Args:
-        text: One line.
-        count: How many targets.
+        text: The text, in one line.
+        count: Number of targets.
         spacing: Least distance between two targets [m]; or
-        height: From the lowest to the highest point of the letters [m].
+        height: Height from the lowest to the highest point of the letters [m].
         font: Family and style ("DejaVu Serif:bold"), or a font file; without it DejaVu Sans, bold
             for a single letter.
-        minimum_spacing: Refuse targets that stand closer [m].
-        centre: Where the middle of the text's bounding box goes.
+        minimum_spacing: Least distance between two targets that is accepted [m].
+        center: Position of the middle of the text's bounding box.
 
     Raises:
-        ValueError: No such font, a character that it lacks, nothing to draw, or targets that
-            would stand too close.
+        ValueError: There is no such font, it lacks a character, there is nothing to draw, or the
+            targets would be too close.
     """
     check_count(count)
-    check_size_given("height", spacing, height)
     if not text.strip():
         raise ValueError(f"the text {text!r} is blank: there is nothing to draw")
     if font is None:
@@ -63,7 +62,7 @@ def text(
 
 
 def _outlines(text: str, font: str) -> list[Float[Array, "_ 2"]]:
-    # matplotlib takes long to import, and only text needs it.
+    # Importing matplotlib is slow, and no other shape needs it.
     from matplotlib.path import Path as Curves
     from matplotlib.textpath import TextToPath
     from matplotlib.transforms import Affine2D
@@ -74,7 +73,7 @@ def _outlines(text: str, font: str) -> list[Float[Array, "_ 2"]]:
     if len(vertices) == 0:
         raise ValueError(f"the text {text!r} has nothing to draw in the font {font!r}")
     chords = Curves(vertices, codes).to_polygons(Affine2D().scale(CURVE_RESOLUTION))
-    return [np.asarray(closed, dtype=float)[:-1] for closed in chords]
+    return [np.asarray(outline, dtype=float)[:-1] for outline in chords]
 
 
 def _find_font(font: str) -> "FontProperties":
@@ -85,15 +84,17 @@ def _find_font(font: str) -> "FontProperties":
             raise ValueError(f"there is no font file {font}")
         return font_manager.FontProperties(fname=font)
     try:
-        style = font_manager.FontProperties(font.replace("-", r"\-"))  # a dash would be a size
+        style = font_manager.FontProperties(
+            font.replace("-", r"\-")
+        )  # an unescaped dash begins a size
         return font_manager.FontProperties(
             fname=font_manager.findfont(style, fallback_to_default=False)
         )
     except ValueError as error:
         installed = sorted({entry.name for entry in font_manager.fontManager.ttflist})
         family = font.split(":")[0]
-        some = get_close_matches(family, installed, n=3, cutoff=0.5) + installed
-        names = ", ".join(dict.fromkeys(some[:8]))
+        suggestions = get_close_matches(family, installed, n=3, cutoff=0.5) + installed
+        names = ", ".join(dict.fromkeys(suggestions[:8]))
         raise ValueError(
             f"no font {font!r} is installed; among those that are: {names} "
             '(a style goes after a colon, as in "DejaVu Serif:bold")'
