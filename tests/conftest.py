@@ -23,6 +23,8 @@ def _at_first(typechecker: Callable[..., Any]) -> Callable[[Any], Any]:
     # An integrator asks for the same shapes a hundred thousand times, and to check them
     # takes longer than to integrate.
     def decorate(function: Any) -> Any:
+        if any(base.__name__ == "Definition" for base in getattr(function, "__mro__", ())):
+            return function  # definitions convert what they are given, and check it themselves
         checked = _jaxtyped(function, typechecker=typechecker)
         if not isinstance(function, FunctionType):
             return checked

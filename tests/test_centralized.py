@@ -214,7 +214,9 @@ def test_questions_that_are_not_written_are_refused():
         replace(central, transfer=replace(central.transfer, model=central.transfer.model[:6]))
 
 
-@pytest.mark.parametrize("spoilt", ["control_violation", "speed_violation", "terminal_error", "separation"])
+@pytest.mark.parametrize(
+    "spoilt", ["control_violation", "speed_violation", "terminal_error", "separation"]
+)
 def test_each_broken_promise_is_seen_in_recomputing(spoilt):
     central = question()
     start, goal = CROSSING

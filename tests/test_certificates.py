@@ -39,7 +39,9 @@ def programme(rng):
 
 
 def best(shared, question):
-    return solve_batches(shared, question.b[None], question.free_velocity[None], np.array([0, 1]), 1000)
+    return solve_batches(
+        shared, question.b[None], question.free_velocity[None], np.array([0, 1]), 1000
+    )
 
 
 @settings(max_examples=60)

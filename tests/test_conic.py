@@ -159,7 +159,11 @@ def test_a_ray_that_leaves_the_dual_cone_a_little_proves_nothing():
 
 @pytest.mark.parametrize("kind", ["linear", "second-order", "semidefinite"])
 def test_what_is_moved_into_the_dual_cone_is_in_it_and_what_is_there_stays(rng, kind):
-    sizes = {"linear": {}, "second-order": {"soc_sizes": (3, 4)}, "semidefinite": {"psd_orders": (3,)}}
+    sizes = {
+        "linear": {},
+        "second-order": {"soc_sizes": (3, 4)},
+        "semidefinite": {"psd_orders": (3,)},
+    }
     rows = {"linear": 5, "second-order": 12, "semidefinite": 11}[kind]
     problem = ConicProgram(np.ones(2), csc_array((rows, 2)), np.zeros(rows), 2, 3, **sizes[kind])
     for y in rng.normal(size=(20, rows)):

@@ -75,7 +75,8 @@ def test_rows_between_two_are_those_of_their_relative_control_points(rng):
     normal = rng.normal(size=(len(both[0].control_points), 2))
     between = RelativeHalfSpaces.from_normals(horizon, T, normal)
     room = (
-        np.einsum("pd,pid->pi", normal, both[0].control_points - both[1].control_points) - horizon.required_separation
+        np.einsum("pd,pid->pi", normal, both[0].control_points - both[1].control_points)
+        - horizon.required_separation
     )
     missing = between.violation(first, second)
     np.testing.assert_allclose(np.sort(-missing), np.sort(room.ravel()[-len(missing) :]), atol=1e-9)

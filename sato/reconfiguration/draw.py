@@ -27,7 +27,9 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
         for k, leg in enumerate(mission.legs)
     ]
     nobody = np.empty((0, mission.axes))
-    start = _draw_start(mission, "swarm.start", mission.start, mission.agent_count, nobody, 0.0, rng)
+    start = _draw_start(
+        mission, "swarm.start", mission.start, mission.agent_count, nobody, 0.0, rng
+    )
     states, legs = start, []
     for number, leg in enumerate(mission.legs):
         before = targets[number - 1][: demand[number - 1]] if number else None

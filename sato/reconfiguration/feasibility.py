@@ -307,9 +307,7 @@ def _sufficient_control(mission: "Reconfiguration", steps: int) -> str | None:
     return round_up(strong)
 
 
-def _find_stranded(
-    mission: "Reconfiguration", steps: int, max_control: float
-) -> Stranded | None:
+def _find_stranded(mission: "Reconfiguration", steps: int, max_control: float) -> Stranded | None:
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import maximum_bipartite_matching
 

@@ -370,6 +370,10 @@ def join_size(join: Join) -> int:
 def _states(points: Any) -> Float[Array, "k n"]:
     if isinstance(points, Points) and points.positions is not None:
         still = np.zeros_like(points.positions)
-        return np.hstack([points.positions, still if points.velocities is None else points.velocities])
+        return np.hstack(
+            [points.positions, still if points.velocities is None else points.velocities]
+        )
     kind = type(points).__name__
-    raise ValueError(f"the positions of {kind} are known once the mission is drawn: mission.draw(rng)")
+    raise ValueError(
+        f"the positions of {kind} are known once the mission is drawn: mission.draw(rng)"
+    )

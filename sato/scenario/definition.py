@@ -277,7 +277,9 @@ Matrix = Annotated[Array, BeforeValidator(lambda value: as_array(value, 2))]
 
 def _field(name: str, hint: Any, default: Any) -> Field:
     base, *said = get_args(hint) if get_origin(hint) is Annotated else (hint,)
-    marks: dict[Any, Any] = {type(mark): mark for mark in said if isinstance(mark, In | Key | Convert | Inline)}
+    marks: dict[Any, Any] = {
+        type(mark): mark for mark in said if isinstance(mark, In | Key | Convert | Inline)
+    }
     unit = next((mark for mark in said if isinstance(mark, Unit)), None)
     meaning = next((mark for mark in said if isinstance(mark, str)), "")
     ours = (In, Key, Convert, Inline, Unit, str)

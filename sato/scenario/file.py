@@ -85,7 +85,8 @@ def from_dict(
     """
     if isinstance(overrides, str):
         raise InputError(
-            "overrides", f'must be a list of texts, got {format_value(overrides)}; ["{overrides}"] would do'
+            "overrides",
+            f'must be a list of texts, got {format_value(overrides)}; ["{overrides}"] would do',
         )
     data = _copied(data, folder)
     system = data.pop("system", None)

@@ -35,7 +35,9 @@ class Spot(NamedTuple):
     def set(self, key: str, value: Any) -> None:
         """Set a key, in place of the same key in another unit."""
         meant = resolve_key(key, self.keys)[0]
-        for old in [k for k in self.data if self.holds(k) and resolve_key(k, self.keys)[0] == meant]:
+        for old in [
+            k for k in self.data if self.holds(k) and resolve_key(k, self.keys)[0] == meant
+        ]:
             del self.data[old]
         self.data[key] = value
 

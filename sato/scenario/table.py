@@ -156,9 +156,7 @@ def split_unit(key: str) -> tuple[str, str | None]:
     return key, None
 
 
-def _entries(
-    definition: Any, owners: tuple[Field, ...], table: str
-) -> Iterator[tuple[str, Entry]]:
+def _entries(definition: Any, owners: tuple[Field, ...], table: str) -> Iterator[tuple[str, Entry]]:
     for field in fields_of(definition):
         home = field.table if field.table is not None else table
         if field.is_nested:

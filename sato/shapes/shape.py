@@ -27,9 +27,9 @@ Spacing = Annotated[Length, Positive]
 class Shape(Definition):
     """Positions for any number of agents; a flat shape lies in the x–y plane of space."""
 
-    center: Annotated[Coordinates | None, Unit("m"), "middle of the shape; the origin if absent"] = (
-        field(default=None, kw_only=True)
-    )
+    center: Annotated[
+        Coordinates | None, Unit("m"), "middle of the shape; the origin if absent"
+    ] = field(default=None, kw_only=True)
 
     @abstractmethod
     def draw(self, count: int, axes: int, min_distance: float) -> Float[Array, "count d"]:
@@ -212,7 +212,8 @@ class Points(Shape):
         if self.positions is not None:
             if self.positions.shape[1] not in (2, 3):
                 raise InputError(
-                    "positions_m", f"needs rows of 2 or 3 coordinates, got {self.positions.shape[1]}"
+                    "positions_m",
+                    f"needs rows of 2 or 3 coordinates, got {self.positions.shape[1]}",
                 )
             v = self.velocities
             if v is not None and v.shape != self.positions.shape:
