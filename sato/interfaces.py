@@ -1,8 +1,18 @@
-"""What a system is: the few things that it brings, by which all else goes."""
+"""Interfaces of a system: its frames, what is recorded of them, and how they are shown."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
+from importlib import import_module
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Generic,
+    NamedTuple,
+    Protocol,
+    TypeVar,
+    runtime_checkable,
+)
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -10,19 +20,56 @@ from numpy import ndarray as Array
 
 from sato.check.report import Report
 
-if TYPE_CHECKING:  # what takes long to load, and who flies need not
+if TYPE_CHECKING:  # slow to import, and not needed to simulate
     import matplotlib.backends.backend_agg
     import matplotlib.figure
     import xarray
 
 
+class Recorded(NamedTuple):
+    """Declaration of a variable of the run file, as the annotation of a field of its name.
+
+        position: Annotated[Float[Array, "agents d"], Recorded(("agent", "axis"), "m", "position")]
+
+    On a field of a frame, the dimensions are those beside time.
+    """
+
+    dims: tuple[str, ...]
+    unit: str
+    meaning: str
+    optional: bool = False  # not every run has it; None where it is absent
+    until_next: bool = False  # holds until the next instant, so that the last one has none
+
+
+FrameTime = Annotated[float, Recorded((), "s", "time since the start")]
+FramePosition = Annotated[
+    Float[Array, "agents d"], Recorded(("agent", "axis"), "m", "true position")
+]
+FrameVelocity = Annotated[
+    Float[Array, "agents d"], Recorded(("agent", "axis"), "m/s", "true velocity")
+]
+FrameAlive = Annotated[
+    Bool[Array, " agents"], Recorded(("agent",), "1", "true where the agent takes part")
+]
+FrameComponent = Annotated[
+    Int[Array, " agents"],
+    Recorded(("agent",), "1", "connected component of the network, -1 where not alive"),
+]
+FrameEvents = tuple[dict[str, Any], ...]  # {"kind": …, "agents": […], …}; without the time
+
+
 @runtime_checkable
 class Frame(Protocol):
-    """One instant. Every system has a frame of its own, which says more."""
+    """One recorded instant; every system adds fields of its own.
+
+    A frame is a named tuple; fields annotated with `Recorded` become variables of the run
+    file, and `sato.record.read_frames` reads them back as the same type, with time as the
+    leading axis.
+    """
 
     @property
     def time(self) -> float:
-        """Since the start [s]."""
+        """Time since the start [s]."""
 
     @property
     def position(self) -> Float[Array, "agents d"]:
@@ -34,48 +81,39 @@ class Frame(Protocol):
 
     @property
     def alive(self) -> Bool[Array, " agents"]:
-        """Who takes part."""
+        """True for agents that take part."""
 
     @property
     def component(self) -> Int[Array, " agents"]:
         """Connected component of the network; −1 while not alive."""
 
     @property
-    def events(self) -> tuple[dict[str, Any], ...]:
-        """{"kind": …, "agents": […], …}; the record adds the time."""
-
-
-class Variable(NamedTuple):
-    """What a run file says of one of its variables."""
-
-    dims: tuple[str, ...]  # without "agent", it counts for the whole swarm
-    unit: str
-    long_name: str
-    optional: bool = False  # not every run has it
+    def events(self) -> FrameEvents:
+        """Events of this instant, {"kind": …, "agents": […], …}; the record adds the time."""
 
 
 class MissionProgress(NamedTuple):
-    """How far a flight has come, for who waits."""
+    """Progress of a simulation."""
 
-    stage: str  # what the swarm is about: "leg 1 of 2"
+    stage: str  # "leg 1 of 2"
     done: int  # steps
     total: int  # steps, as far as is known by now
-    details: str = ""  # what else there is to say of the instant
+    details: str = ""
 
 
 @runtime_checkable
 class Animation(Protocol):
-    """What a film is taken of. Moments are numbers that only the scene understands."""
+    """Animation of a run; its positions are numbers that only the animation interprets."""
 
     @property
     def canvas(self) -> "matplotlib.backends.backend_agg.FigureCanvasAgg":
-        """What is filmed."""
+        """Canvas that frames are drawn on."""
 
     def frame_positions(self, most: int) -> Float[Array, " frames"]:
-        """So many moments at most, evenly spaced in time."""
+        """Return positions of at most so many frames, evenly spaced in time."""
 
     def draw_frame(self, moment: float) -> None:
-        """Draw the swarm as it is at a moment."""
+        """Draw the swarm at a position."""
 
 
 FigureFactories = Mapping[str, "Callable[[], matplotlib.figure.Figure]"]
@@ -86,27 +124,34 @@ FrameT = TypeVar("FrameT", bound=Frame)
 
 @dataclass(frozen=True)
 class System(Generic[MissionT, FrameT]):
-    """What a system brings: M is what it calls a mission, F its frame.
-
-    Its scenario file makes the mission; it is in `sato.former` by the same name, see
-    `sato.former.ScenarioFile`.
-    """
+    """Parts of a system, from which all else follows; missions are drawn ones."""
 
     name: str
+    frame: type  # a named tuple with `Recorded` fields
     simulate: Callable[
         [MissionT, np.random.Generator], Iterator[FrameT]
-    ]  # a frame an instant; all chance from here
-    stop_errors: tuple[type[Exception], ...]  # what may end a flight early without being a fault
-    variable_definitions: Mapping[str, Variable]  # of its variables beyond `sato.record.COMMON`
-    stack_variables: Callable[[Sequence[FrameT], MissionT], dict[str, Array]]  # their values
-    attributes: Callable[
-        [MissionT], dict[str, float]
-    ]  # radii, limits and constants of a run, in SI
+    ]  # a frame an instant; all random numbers from the generator
+    attributes: Callable[[MissionT], dict[str, float]]  # radii, limits and constants of a run
     check: Callable[
         ["xarray.Dataset", MissionT, np.random.Generator], Report
-    ]  # rng as `build` left it
+    ]  # generator as `draw` left it
     progress: Callable[[MissionT, FrameT], MissionProgress]
     figures: Callable[["xarray.Dataset", MissionT], FigureFactories]  # by file name, in order
-    animation: "Callable[[xarray.Dataset, MissionT], Animation] | None" = (
-        None  # where there is a film
-    )
+    animation: "Callable[[xarray.Dataset, MissionT], Animation] | None" = None
+    run_variables: type | None = None  # named tuple with `Recorded` fields: variables of a run
+    collect: Callable[[Sequence[FrameT], MissionT], Any] | None = None  # their values
+    stop_errors: tuple[type[Exception], ...] = ()  # may end a flight early without being a fault
+
+
+def lazy(name: str) -> Callable[..., Any]:
+    """Return a function that is imported when it is first called.
+
+    Args:
+        name: "module:function".
+    """
+
+    def call(*args: Any) -> Any:
+        module, _, function = name.partition(":")
+        return getattr(import_module(module), function)(*args)
+
+    return call

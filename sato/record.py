@@ -7,14 +7,16 @@ import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_type_hints
 
 import numpy as np
 from numpy import ndarray as Array
 
-from sato.interfaces import Frame, FrameT, MissionT, System, Variable
-from sato.systems import UnknownSystemError, load_system
+from sato.interfaces import Frame, FrameT, MissionT, Recorded, System
+from sato.scenario.errors import InputError
+from sato.systems import load_system
 
 if TYPE_CHECKING:  # xarray takes a second to load
     import xarray
@@ -22,17 +24,16 @@ if TYPE_CHECKING:  # xarray takes a second to load
     import sato.check
 
 RUN_FILE, SUMMARY_FILE = "run.nc", "summary.json"
+AXIS_NAMES = ("x", "y", "z")
 
-_PER_AGENT = ("time", "agent")
-COMMON_VARIABLES = {  # to the runs of all systems
-    "time": Variable(("time",), "s", "time since the start"),
-    "control_instant": Variable(("time",), "1", "whether a control is commanded at this time"),
-    "position": Variable((*_PER_AGENT, "axis"), "m", "true position"),
-    "velocity": Variable((*_PER_AGENT, "axis"), "m/s", "true velocity"),
-    "alive": Variable(_PER_AGENT, "1", "whether the agent takes part"),
-    "component": Variable(_PER_AGENT, "1", "connected component of the network, -1 not alive"),
-    "event": Variable(("event",), "1", "what happened, as JSON with time and agents"),
-}
+FORMAT = 2  # of the run file; files of sato 0.1 have no such attribute
+_EVENT = Recorded(("event",), "1", "event as JSON, with its time and agents")
+_CONTROL_INSTANT = Recorded(("time",), "1", "true where a control is commanded")
+_AXIS = Recorded(("axis",), "1", "axis of the coordinate frame")
+
+# A variable as xarray takes it: dimensions, values and attributes.
+Variable = tuple[tuple[str, ...], Array, dict[str, str]]
+FieldsT = TypeVar("FieldsT")
 
 
 class RunFileError(ValueError):
@@ -79,6 +80,7 @@ class Run:
         if not frames:
             raise ValueError("a run needs at least one frame")
         about = {
+            "format": FORMAT,
             "system": system.name,
             "name": name,
             "seed": seed,
@@ -90,8 +92,7 @@ class Run:
         about |= system.attributes(mission)
         if stopped:
             about["stopped"] = stopped
-        variables = _stack_common_variables(frames) | system.stack_variables(frames, mission)
-        data = _build_dataset(variables, {**COMMON_VARIABLES, **system.variable_definitions}, about)
+        data = _build_dataset(system, frames, mission, about)
         data.attrs["digest"] = compute_digest(data)
         return cls(data, initial_summary(data.attrs))
 
@@ -154,16 +155,7 @@ def load(path: str | Path) -> Run:
             f"{file}: cannot be read as netCDF-4, so it is damaged, cut short or something else; "
             "fly the scenario again"
         ) from error
-    _raise_if_missing(
-        file,
-        _missing_variables(data, COMMON_VARIABLES)
-        + [n for n in _REQUIRED_ATTRIBUTES if n not in data.attrs],
-    )
-    try:
-        own = load_system(str(data.attrs["system"])).variable_definitions
-    except UnknownSystemError as error:
-        raise RunFileError(f"{file}: {error}; a newer version of sato may know it") from error
-    _raise_if_missing(file, _missing_variables(data, own))
+    _check_format(file, data)
     return Run(data, _read_summary(file.with_name(SUMMARY_FILE)) or initial_summary(data.attrs))
 
 
@@ -203,39 +195,140 @@ _NOT_IN_DIGEST = ("digest", "wall_s", "peak_memory_mib")
 _REQUIRED_ATTRIBUTES = ("system", "scenario", "name", "seed", "version")
 
 
-def _stack_common_variables(frames: Sequence[Frame]) -> dict[str, Array]:
-    names = ("time", "position", "velocity", "alive", "component")
-    stacked = {name: np.array([getattr(f, name) for f in frames]) for name in names}
-    told = [
-        json.dumps({"time": float(f.time), **event}, default=json_default)
-        for f in frames
-        for event in f.events
-    ]
-    instants = np.ones(len(frames), dtype=bool)  # unless the system knows better
-    return stacked | {"control_instant": instants, "event": np.array(told, dtype=object)}
+def stack(frames: Sequence[Frame]) -> dict[str, Variable]:
+    """Stack the recorded fields of frames over time.
+
+    Args:
+        frames: Frames of one type; at least one.
+    """
+    found: dict[str, Variable] = {}
+    for name, field in recorded_fields(type(frames[0])).items():
+        values = [getattr(frame, name) for frame in frames]
+        known = next((value for value in values if value is not None), None)
+        if known is None:
+            continue
+        stacked = np.array([np.full_like(known, np.nan) if v is None else v for v in values])
+        if field.until_next:
+            stacked[-1] = np.nan
+        found[name] = _variable(("time", *field.dims), stacked, field)
+    return found
+
+
+def read_frames(kind: type[FieldsT], data: "xarray.Dataset") -> FieldsT:
+    """Read the recorded fields of frames, with time as their leading axis.
+
+    Fields that are not recorded, and optional ones that the run does not have, are None;
+    `events` are those of the whole run, each with its time.
+
+    Args:
+        kind: Named tuple, the frame of a system.
+        data: Dataset of a run.
+    """
+    found = read_variables(kind, data)
+    events = tuple(json.loads(str(text)) for text in np.asarray(data["event"]))
+    return found._replace(events=events)  # type: ignore[attr-defined, no-any-return]
+
+
+def write_variables(values: object) -> dict[str, Variable]:
+    """Describe the recorded fields of a named tuple; those that are None are left out."""
+    return {
+        name: _variable(field.dims, np.asarray(value), field)
+        for name, field in recorded_fields(type(values)).items()
+        if (value := getattr(values, name)) is not None
+    }
+
+
+def read_variables(kind: type[FieldsT], data: "xarray.Dataset") -> FieldsT:
+    """Read a named tuple of recorded fields; None where the run does not have a field."""
+    fields = recorded_fields(kind)
+    values = {
+        name: _cast(data[name].values, hint) if name in fields and name in data.variables else None
+        for name, hint in get_type_hints(kind).items()
+    }
+    return kind(**values)
+
+
+@cache
+def recorded_fields(kind: Any) -> dict[str, Recorded]:
+    """Return the declarations of the recorded fields of a named tuple."""
+    found = {}
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        marks = [mark for mark in getattr(hint, "__metadata__", ()) if isinstance(mark, Recorded)]
+        if marks:
+            found[name] = marks[0]
+    return found
+
+
+def _variable(dims: tuple[str, ...], values: Array, field: Recorded) -> Variable:
+    return dims, values, {"units": field.unit, "long_name": field.meaning}
+
+
+def _cast(values: Array, hint: Any) -> Array:
+    # The file keeps the kind of a number, but a user's own tool may have written doubles.
+    for option in get_args(hint) or (hint,):
+        dtypes = getattr(option, "dtypes", ())
+        for kind in ("bool", "float64", "complex128"):
+            if kind in dtypes or option is {"bool": bool, "float64": float}.get(kind):
+                return np.asarray(values, dtype=kind)
+    return np.asarray(values)
 
 
 def _build_dataset(
-    variables: Mapping[str, Array], meaning: Mapping[str, Variable], attributes: dict[str, Any]
+    system: System[MissionT, FrameT],
+    frames: Sequence[FrameT],
+    mission: MissionT,
+    attributes: dict[str, Any],
 ) -> "xarray.Dataset":
     import xarray
 
-    arrays = {}
-    for name, values in variables.items():
-        of = meaning[name]
-        arrays[name] = (of.dims, values, {"units": of.unit, "long_name": of.long_name})
-    return xarray.Dataset(arrays, attrs=attributes)
+    variables = stack(frames)
+    if system.collect is not None:
+        variables |= write_variables(system.collect(frames, mission))
+    events = [
+        json.dumps({"time": float(frame.time), **event}, default=json_default)
+        for frame in frames
+        for event in frame.events
+    ]
+    instants, axes = (
+        np.ones(len(frames), dtype=bool),
+        np.array(AXIS_NAMES[: frames[0].position.shape[1]]),
+    )
+    variables |= {
+        "control_instant": _variable(("time",), instants, _CONTROL_INSTANT),
+        "event": _variable(("event",), np.array(events, dtype=object), _EVENT),
+        "axis": _variable(("axis",), axes, _AXIS),
+    }
+    return xarray.Dataset(variables, attrs=attributes)
 
 
-def _missing_variables(data: "xarray.Dataset", meaning: Mapping[str, Variable]) -> list[str]:
-    return [n for n, of in meaning.items() if not of.optional and n not in data.variables]
+def _check_format(file: Path, data: "xarray.Dataset") -> None:
+    lacking = [name for name in ("time", "position", "event") if name not in data.variables]
+    lacking += [name for name in _REQUIRED_ATTRIBUTES if name not in data.attrs]
+    _raise_if_missing(file, lacking)
+    version = int(data.attrs.get("format", 1))
+    if version < FORMAT:
+        raise RunFileError(
+            f"{file}: was written by sato {data.attrs['version']}, which reads it; for this "
+            "version, fly the scenario again"
+        )
+    if version > FORMAT:
+        raise RunFileError(
+            f"{file}: was written by sato {data.attrs['version']}; this version is too old for it"
+        )
+    try:
+        system = load_system(str(data.attrs["system"]))
+    except InputError as error:
+        raise RunFileError(f"{file}: {error.reason}; a newer version of sato may know it") from error
+    fields = dict(recorded_fields(system.frame))
+    if system.run_variables is not None:
+        fields |= recorded_fields(system.run_variables)
+    needed = {name for name, field in fields.items() if not field.optional} | {"control_instant"}
+    _raise_if_missing(file, [name for name in sorted(needed) if name not in data.variables])
 
 
 def _raise_if_missing(file: Path, lacking: list[str]) -> None:
     if lacking:
-        raise RunFileError(
-            f"{file}: is not a run of this project, for it has no {', '.join(lacking)}"
-        )
+        raise RunFileError(f"{file}: is not a run of sato, for it has no {', '.join(lacking)}")
 
 
 def _is_compressible(variable: "xarray.Variable") -> bool:

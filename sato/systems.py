@@ -1,44 +1,42 @@
-"""The systems there are, a line each; a system is loaded when it is asked for."""
+"""Registry of the systems, a line each."""
 
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from sato.interfaces import System
+from sato.scenario.errors import InputError, format_value, join_names
 
-SYSTEM_MODULES = {
-    "reconfiguration": "sato.reconfiguration.system",
-    "formation": "sato.formation.system",
-    "connectivity": "sato.connectivity.system",
+if TYPE_CHECKING:
+    from sato.interfaces import System
+
+# Each module offers MISSION, its definition, and SYSTEM, the rest, which is slow to import.
+SYSTEMS = {
+    "reconfiguration": "sato.reconfiguration",
+    "formation": "sato.formation",
+    "connectivity": "sato.connectivity",
 }
 
-SYSTEMS = tuple(SYSTEM_MODULES)
 
-
-class UnknownSystemError(ValueError):
-    """A name that no system has."""
-
-    def __init__(self, name: str) -> None:
-        """Name it, and those there are."""
-        known = ", ".join(f'"{known}"' for known in SYSTEM_MODULES)
-        super().__init__(f'there is no system "{name}", only {known}')
-
-
-def load_system(name: str) -> System[Any, Any]:
-    """The system of a name.
+def load_system(name: object) -> "System[Any, Any]":
+    """Load a system by its name.
 
     Raises:
-        UnknownSystem: There is none.
+        InputError: There is no such system.
     """
-    if name not in SYSTEM_MODULES:
-        raise UnknownSystemError(name)
-    found: System[Any, Any] = import_module(SYSTEM_MODULES[name]).SYSTEM
+    found: System[Any, Any] = _module(name).SYSTEM
     return found
 
 
-def definition_of(name: str) -> Any:
-    """Return the class of missions of a system."""
-    from sato.reconfiguration.mission import Reconfiguration
+def definition_of(name: object) -> Any:
+    """Load the definition of a system's missions by its name.
 
-    if name != "reconfiguration":
-        raise UnknownSystemError(name)
-    return Reconfiguration
+    Raises:
+        InputError: There is no such system.
+    """
+    return _module(name).MISSION
+
+
+def _module(name: object) -> Any:
+    if not isinstance(name, str) or name not in SYSTEMS:
+        known = join_names((f'"{known}"' for known in SYSTEMS), "and")
+        raise InputError("system", f"there is no system {format_value(name)}, only {known}")
+    return import_module(SYSTEMS[name])

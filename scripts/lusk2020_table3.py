@@ -127,7 +127,7 @@ def run_transitions(
 def evaluate_transition(flight: Formation, seen: list[FormationFrame]) -> TransitionResult:
     """Judge one transition."""
     last, points = seen[-1], flight.gains[0].formation.points
-    error = compute_shape_error(last.position[np.argsort(last.assignment)], points).error
+    error = compute_shape_error(last.position[np.argsort(last.point_index)], points).error
     return TransitionResult(evaluate_trial(flight, seen), error)
 
 
@@ -192,7 +192,7 @@ def draw_gridlock(flight: Formation, seen: list[FormationFrame], path: Path) -> 
     """Traces from above, who is stuck, where each wants to go, and where its point lies."""
     last, points = seen[-1], flight.gains[0].formation.points
     flown = np.array([frame.position[:, :2] for frame in seen])
-    goal = align(points[last.assignment], last.position).transform(points)[last.assignment, :2]
+    goal = align(points[last.point_index], last.position).transform(points)[last.point_index, :2]
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(4.4, 4.4), layout="constrained")
         ax = figure.subplots()

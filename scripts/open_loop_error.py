@@ -42,7 +42,7 @@ def main() -> int:
 
 def terminal_errors(run: sato.Run) -> np.ndarray:
     """How far every spacecraft ends from its target, and how fast it passes [m, m/s]."""
-    held = run.data["target"].values[-1]
+    held = run.data["target_index"].values[-1]
     off = [
         run.data[name].values[-1] - run.data[f"target_{name}"].values[0, held]
         for name in ("position", "velocity")

@@ -4,14 +4,14 @@ import sys
 from pathlib import Path
 
 import sato
-from sato.reconfiguration import ReconfigurationFrame
+from sato.reconfiguration.frame import ReconfigurationFrame
 
 
 def print_progress(mission: object, frame: ReconfigurationFrame) -> None:
     """Say how the swarm stands, every twenty seconds."""
     if frame.time % 20 == 0:
         networks = frame.component.max() + 1
-        print(f"t = {frame.time:3.0f} s  leg {frame.leg + 1}  {networks} networks")
+        print(f"t = {frame.time:3.0f} s  leg {frame.leg_index + 1}  {networks} networks")
 
 
 seed = int(sys.argv[1]) if len(sys.argv) > 1 else 0

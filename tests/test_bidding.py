@@ -13,7 +13,7 @@ from problems.assignment import solve_assignment
 from problems.auction_cost import compute_distances, compute_energies, compute_exact_costs
 from problems.transfer import TransferProblem
 from sato.network.graph import CommunicationGraph, flood
-from sato.reconfiguration import Leg, Reconfiguration
+from sato.reconfiguration.mission import Leg, Reconfiguration
 from sato.reconfiguration.assignment import assign_targets, compute_epsilon, share_claims
 from sato.reconfiguration.auction_costs import AgentMemory, CostTable, compute_bid_costs
 from sato.reconfiguration.moment import DecisionContext

@@ -18,7 +18,7 @@ from problems.transfer import TransferProblem
 from sato.check.common import check_times
 from sato.cli import app
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration import ReconfigurationFrame
+from sato.reconfiguration.frame import ReconfigurationFrame
 from sato.reconfiguration.check import ReconfigurationRecord, check_run
 from sato.reconfiguration.check.consistency import check_assignment
 from sato.reconfiguration.check.fuel import (
@@ -117,6 +117,7 @@ def fly_straight(mission: Reconfiguration) -> list[ReconfigurationFrame]:
                     target.copy(),
                     believed.copy(),
                     None,
+                    None,
                     tuple(events),
                 )
             )
@@ -141,6 +142,7 @@ def fly_straight(mission: Reconfiguration) -> list[ReconfigurationFrame]:
             number,
             target.copy(),
             believed.copy(),
+            None,
             None,
             ending,
         )
@@ -230,9 +232,9 @@ def test_a_control_altered_by_a_millionth_is_caught(flown, instant):
 def test_a_target_altered_is_caught_at_any_instant(flown, instant):
     for agent, value in [(0, 8), (3, -1), (2, 5)]:
         run = altered(flown)
-        if int(run.data["target"][instant, agent]) == value:
+        if int(run.data["target_index"][instant, agent]) == value:
             continue
-        run.data["target"][instant, agent] = value
+        run.data["target_index"][instant, agent] = value
         assert not check_assignment(ReconfigurationRecord.from_dataset(run.data, mission())).kept
 
 
@@ -261,8 +263,8 @@ def test_times_that_do_not_increase_are_caught(flown):
         ("alive", (15, 2), True, "alive"),
         ("component", (6, 1), 9, "component"),
         ("component", (16, 2), 0, "component"),
-        ("leg", (11,), 1, "legs"),
-        ("leg", (22,), 0, "legs"),
+        ("leg_index", (11,), 1, "legs"),
+        ("leg_index", (22,), 0, "legs"),
         ("target_position", (0, 2, 1), 3.7, "targets"),
         ("target_velocity", (1, 8, 0), 1e-6, "targets"),
         ("targets_believed", (0, 3), 5, "believed"),
@@ -394,7 +396,7 @@ def test_the_lower_bound_is_the_central_optimum_of_problem_6(flown, speed):
                 with suppress(Infeasible):
                     cost[row, j] = transfer.solve(start, about.legs[leg].targets[j]).fuel
         expected += cost[np.arange(len(agents)), solve_assignment(cost)].sum()
-        held = flown.data["target"].values[last - 1, agents]
+        held = flown.data["target_index"].values[last - 1, agents]
         own[agents] += cost[np.arange(len(agents)), held]
     assert report.summary["fuel_lower_bound_m_s"] == pytest.approx(expected, rel=1e-5)
     assert report.summary["fuel_m_s"] > expected
@@ -463,6 +465,7 @@ def fly_crossed(about: Reconfiguration) -> list[ReconfigurationFrame]:
                 0,
                 np.arange(2),
                 np.full(2, 2),
+                None,
                 None,
                 tuple(events),
             )
@@ -576,7 +579,7 @@ def test_a_run_that_was_flown_passes_from_its_file_alone(saved):
         ("velocity", 1e-6),
         ("control", 1e-6),
         ("applied_control", 1e-6),
-        ("target", 1),
+        ("target_index", 1),
         ("time", 1e-6),
         ("target_position", 1e-6),
     ],
@@ -633,7 +636,7 @@ def test_what_chance_did_is_drawn_again_and_not_taken_on_trust(shaken, rng, name
         assert promise in {p.name for p in run.check().broken}
 
 
-@pytest.mark.parametrize("name", ["believed", "control_instant", "event", "component"])
+@pytest.mark.parametrize("name", ["target_count", "control_instant", "event", "component"])
 def test_whatever_is_altered_the_file_is_not_what_was_written(shaken, name):
     run = altered(shaken)
     values = run.data[name].values.copy()

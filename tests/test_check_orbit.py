@@ -12,7 +12,6 @@ from dynamics.j2 import J2, invariant_velocity
 from dynamics.orbit import Orbit
 from dynamics.plant import LinearPlant
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration import ReconfigurationFrame, fly
 from sato.reconfiguration.check import ReconfigurationRecord, check_run
 from sato.reconfiguration.check.consistency import check_chief
 from sato.reconfiguration.check.fuel import compute_fuel_bound
@@ -24,6 +23,8 @@ from sato.reconfiguration.check.motion import (
 from sato.reconfiguration.check.prediction import bound_speed_excess
 from sato.reconfiguration.check.promises import check_fuel
 from sato.reconfiguration.check.redraw import redraw_disturbances
+from sato.reconfiguration.frame import ReconfigurationFrame
+from sato.reconfiguration.loop import fly
 from sato.reconfiguration.mission import Leg, Reconfiguration
 from sato.reconfiguration.system import SYSTEM
 from sato.record import Run
@@ -86,6 +87,7 @@ def recorded(about: Reconfiguration, u: np.ndarray) -> Run:
                 0,
                 everyone,
                 np.full(agents, agents),
+                None,
                 None,
                 (begin, chosen) if k == 0 else (end,) if k == T else (),
             )

@@ -113,13 +113,13 @@ ALTERED = {
     "time": ("time", at(70, 1e-6), "times"),
     "who is there": ("alive", lambda lives: ~lives, "component"),
     "the network": ("component", at((70, 2), 1), "component"),
-    "the leg": ("leg", at(70, 1), "legs"),
+    "the leg": ("leg_index", at(70, 1), "legs"),
     "all commands": ("velocity_command", lambda u: 9 + 0 * u, "legs"),
     "a command that is none": ("velocity_command", at((70, 2, 1), np.nan), "numbers"),
     "the avoidance": ("avoiding", lambda avoids: avoids | True, "legs"),
-    "a point": ("point", at((70, 2), 1), "assignment"),
-    "two points": ("point", swapped, "assignment"),
-    "a point for two": ("point", lambda p: 0 * p, "points"),
+    "a point": ("point_index", at((70, 2), 1), "assignment"),
+    "two points": ("point_index", swapped, "assignment"),
+    "a point for two": ("point_index", lambda p: 0 * p, "points"),
     "a heading": ("frame_yaw", at(2, 1e-6), "frames"),
     "an origin": ("frame_offset", at((2, 0), 1e-6), "frames"),
     "a drift": ("frame_drift", at((70, 2, 1), 1e-6), "drift"),
@@ -232,7 +232,7 @@ def test_what_is_received_is_told_to_each_neighbour_in_positions_and_books(hones
     degree = [gains.formation.graph.sum() / n for gains in mission.gains]
     assert degree == [4.0, 3.6]
     positions = sum(
-        degree[b.leg] * (3 * 32 + 8) * 50 * (b.time - a.time) for a, b in pairwise(frames)
+        degree[b.leg_index] * (3 * 32 + 8) * 50 * (b.time - a.time) for a, b in pairwise(frames)
     )
     books = sum(
         degree[event["leg"]] * 64 * (n + 1) * event["rounds"] for event in run.events("auction")
@@ -260,7 +260,7 @@ def test_a_shape_upside_down_is_recognised_and_none_where_it_must_be_upright(hon
 
 def test_a_shape_that_two_claim_a_point_of_has_no_error_and_is_none(honest):
     run, mission, _ = honest
-    claimed = altered(run, "point", lambda p: 0 * p)
+    claimed = altered(run, "point_index", lambda p: 0 * p)
     [first, _] = check_run(claimed.data, mission).summary["legs"]
     assert "shape_error_m" not in first and first["success"] is False
 
@@ -325,7 +325,7 @@ def test_what_is_read_of_a_run_is_what_was_flown(honest):
     evidence = FormationRecord.from_dataset(run.data, mission)
     phases = [frame.phase for frame in frames]
     assert list(evidence.replay.phase) == phases
-    assert evidence.replay.leg.tolist() == [frame.leg for frame in frames]
+    assert evidence.replay.leg.tolist() == [frame.leg_index for frame in frames]
     assert [s.leg for s in evidence.replay.legs] == [0, 1]
     assert all(s.completed for s in evidence.replay.legs)
     for leg, gains in enumerate(mission.gains):

@@ -56,7 +56,7 @@ def frames_of(mission, seed=1):
 
 def error(frame, mission):
     holder = np.argsort(frame.point)
-    return compute_shape_error(frame.position[holder], mission.gains[frame.leg].formation.points)
+    return compute_shape_error(frame.position[holder], mission.gains[frame.leg_index].formation.points)
 
 
 def told(frames, kind=None):
@@ -68,12 +68,12 @@ def told(frames, kind=None):
 def test_a_swarm_takes_up_one_shape_after_another_in_frames_of_its_own(kind):
     mission = flight(some(0), some(1), assigning=AssignmentSettings(kind))
     frames = frames_of(mission)
-    assert frames[-1].phase is Phase.COMPLETED and frames[-1].leg == 1
+    assert frames[-1].phase is Phase.COMPLETED and frames[-1].leg_index == 1
     for leg in (0, 1):
-        found = error([f for f in frames if f.leg == leg][-1], mission)
+        found = error([f for f in frames if f.leg_index == leg][-1], mission)
         assert found.error <= 0.1 and not found.inverted
     assert frames[-1].min_separation.min() >= mission.avoidance.keep_out - 0.05
-    assert np.linalg.norm(frames[-1].drift, axis=1).min() > 0.01  # some metres were flown
+    assert np.linalg.norm(frames[-1].frame_drift, axis=1).min() > 0.01  # some metres were flown
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -92,7 +92,7 @@ def test_the_same_seed_gives_the_same_flight_and_another_one_another():
     one, again, other = frames_of(mission), frames_of(mission), frames_of(mission, seed=2)
     assert len(one) == len(again)
     for a, b in zip(one, again, strict=True):
-        assert np.array_equal(a.position, b.position) and np.array_equal(a.drift, b.drift)
+        assert np.array_equal(a.position, b.position) and np.array_equal(a.frame_drift, b.frame_drift)
         assert a.events == b.events and a.phase is b.phase
     assert not np.array_equal(one[-1].position, other[-1].position)
 
@@ -160,7 +160,7 @@ def test_events_tell_the_legs_in_order_and_who_has_another_point():
                 changed = np.flatnonzero(point != event["point"])
                 assert changed.tolist() == event["agents"]
                 point = np.array(event["point"])
-                assert np.array_equal(frame.assignment, point)
+                assert np.array_equal(frame.point_index, point)
 
 
 def stuck(kind):

@@ -8,12 +8,12 @@ import pytest
 import sato
 from problems.desired_formation import DesiredFormation
 from problems.gain_matrix import GainMatrix
-from sato.formation import simulate
-from sato.formation.record import GAIN_PARTS, VARIABLES, run_attributes, stack_variables
+from sato.formation.loop import FormationFrame, simulate
+from sato.formation.record import GAIN_PARTS, run_attributes
 from sato.formation.supervisor import Phase
 from sato.formation.system import SYSTEM, describe_progress
-from sato.record import COMMON_VARIABLES
 from sato.former import parse
+from sato.record import recorded_fields
 from sato.systems import load_system
 
 SQUARES = """
@@ -44,26 +44,11 @@ def flown():
     return run, mission, list(simulate(mission, rng))
 
 
-def test_every_variable_has_a_meaning_and_none_is_said_twice(flown):
-    run, mission, frames = flown
-    assert stack_variables(frames, mission).keys() == VARIABLES.keys()
-    assert not VARIABLES.keys() & COMMON_VARIABLES.keys()
-    for name, variable in (VARIABLES | COMMON_VARIABLES).items():
-        assert run.data[name].dims == variable.dims
-        assert run.data[name].attrs["units"] == variable.unit
-        assert run.data[name].attrs["long_name"] == variable.long_name
-    for word in ("velocity_command", "avoiding", "point", "formation", "gains", "graph"):
-        assert word in VARIABLES
-    for word in ("frame_yaw", "frame_offset", "frame_drift"):
-        assert "agent" in VARIABLES[word].dims
-
-
 def test_what_is_on_file_is_what_was_flown(flown):
     run, mission, frames = flown
     data = run.data
-    for name in ("time", "position", "velocity", "velocity_command", "avoiding", "point", "leg"):
+    for name in recorded_fields(FormationFrame):
         assert np.array_equal(data[name], [getattr(frame, name) for frame in frames]), name
-    assert np.array_equal(data["frame_drift"], [frame.drift for frame in frames])
     assert data["control_instant"].values.all() and data["alive"].values.all()
     np.testing.assert_allclose(np.exp(1j * data["frame_yaw"].values), mission.frames.rotation)
     assert np.array_equal(data["frame_offset"], mission.frames.offset)

@@ -170,7 +170,7 @@ def test_where_somebody_under_way_took_another_point_there_is_a_ring():
     mission = flat()
     frames = list(simulate(mission, np.random.default_rng(7)))
     k = len(frames) // 2
-    swapped = [f._replace(assignment=f.assignment[[1, 0, 2, 3]]) for f in frames[k:]]
+    swapped = [f._replace(assignment=f.point_index[[1, 0, 2, 3]]) for f in frames[k:]]
     evidence = recorded(mission, frames[:k] + swapped)
     [ax] = drawn("traces", evidence).axes
     [rings] = [line for line in ax.lines if line.get_marker() == "o"]

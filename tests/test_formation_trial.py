@@ -36,7 +36,7 @@ def trial(seed=0):
 def moment(leg, kind):
     """When something first happened on a leg, and what all had flown by then."""
     for last, frame in pairwise(flown()):
-        if frame.leg == leg and any(e["kind"] == kind for e in frame.events):
+        if frame.leg_index == leg and any(e["kind"] == kind for e in frame.events):
             # What is decided before a step shows in the frame after it.
             shown = last if kind == "assignment" else frame
             return shown.time, shown.path_length.mean()
@@ -65,11 +65,11 @@ def test_assignments_are_the_first_of_each_formation_and_changes():
     changes, point = 0, flown()[0].assignment
     for last, frame in pairwise(flown()):
         begun = frame.phase is not Phase.WAITING and last.phase in (Phase.WAITING, Phase.COMPLETED)
-        if begun and not (last.leg == frame.leg and last.phase is Phase.COMPLETED):
+        if begun and not (last.leg_index == frame.leg_index and last.phase is Phase.COMPLETED):
             changes += 1
-        elif frame.leg == last.leg and not np.array_equal(frame.assignment, point):
+        elif frame.leg_index == last.leg_index and not np.array_equal(frame.point_index, point):
             changes += 1
-        point = frame.assignment
+        point = frame.point_index
     assert trial().assignments == changes >= 2
 
 
@@ -87,9 +87,9 @@ def test_time_in_gridlock_is_that_of_the_frames_that_show_it():
 def test_shapes_are_judged_after_hovering_in_them():
     assert trial().completed and len(trial().shape_errors) == 2
     for leg, found in enumerate(trial().shape_errors):
-        last = [frame for frame in flown() if frame.leg == leg][-1]
+        last = [frame for frame in flown() if frame.leg_index == leg][-1]
         points = mission().gains[leg].formation.points
-        assert found == compute_shape_error(last.position[np.argsort(last.assignment)], points)
+        assert found == compute_shape_error(last.position[np.argsort(last.point_index)], points)
     assert trial().shape_error == max(found.error for found in trial().shape_errors)
 
 

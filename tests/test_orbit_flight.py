@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from dynamics import J2, Atmosphere, InertialPlant, LinearizedModel, Orbit, invariant_velocity
 from dynamics.trajectory_geometry import separations
-from sato.reconfiguration import Leg, Reconfiguration, fly
+from sato.reconfiguration.loop import fly
+from sato.reconfiguration.mission import Leg, Reconfiguration
 from sato.reconfiguration.disturbances import apply_thruster_errors
 from sato.reconfiguration.planning import make_horizon
 

@@ -3,7 +3,7 @@
 import subprocess
 import sys
 from dataclasses import replace
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 import pytest
@@ -17,11 +17,24 @@ import sato.systems
 from sato.check import Report, common
 from sato.check.event_log import EventLog
 from sato.check.promise import expect_below
-from sato.interfaces import Frame, MissionProgress, System, Variable
-from sato.network.graph import CommunicationGraph
-from sato.former import SYSTEMS, ScenarioFile
+from sato.former import SYSTEMS as FILES
+from sato.former import ScenarioFile, parse
 from sato.former.refusal import Refusal
-from sato.systems import SYSTEM_MODULES, UnknownSystemError, load_system
+from sato.interfaces import (
+    Frame,
+    FrameAlive,
+    FrameComponent,
+    FrameEvents,
+    FramePosition,
+    FrameTime,
+    FrameVelocity,
+    MissionProgress,
+    Recorded,
+    System,
+)
+from sato.network.graph import CommunicationGraph
+from sato.record import read_frames, recorded_fields
+from sato.systems import SYSTEMS, UnknownSystemError, load_system
 
 DRIFT = """
 system = "drift"
@@ -41,15 +54,16 @@ class Drift(NamedTuple):
 
 
 class Drifting(NamedTuple):
-    """An instant of it."""
+    """One instant."""
 
-    time: float
-    position: np.ndarray
-    velocity: np.ndarray
-    alive: np.ndarray
-    component: np.ndarray
-    events: tuple
-    heading: np.ndarray
+    time: FrameTime
+    position: FramePosition
+    velocity: FrameVelocity
+    alive: FrameAlive
+    component: FrameComponent
+    heading: Annotated[np.ndarray, Recorded(("agent",), "rad", "from the x axis")]
+    mood: str
+    events: FrameEvents
 
 
 class DriftFile(ScenarioFile):
@@ -84,7 +98,9 @@ def drift(mission, rng):
             position, mission.comm_radius, alive
         ).component
         told = ({"kind": "half", "agents": [0]},) if 2 * k == mission.steps else ()
-        yield Drifting(float(k), position, mission.velocity, alive, component, told, heading)
+        yield Drifting(
+            float(k), position, mission.velocity, alive, component, heading, "calm", told
+        )
 
 
 def attributes(mission):
@@ -122,12 +138,9 @@ def figures(data, mission):
 
 SYSTEM = System(
     name="drift",
+    frame=Drifting,
     simulate=drift,
     stop_errors=(ArithmeticError,),
-    variable_definitions={
-        "heading": Variable(("time", "agent"), "rad", "from the y axis, clockwise")
-    },
-    stack_variables=lambda frames, mission: {"heading": np.array([f.rotation for f in frames])},
     attributes=attributes,
     check=judge,
     progress=lambda mission, frame: MissionProgress(
@@ -139,19 +152,48 @@ SYSTEM = System(
 
 @pytest.fixture
 def home(tmp_path, monkeypatch):
-    monkeypatch.setitem(SYSTEM_MODULES, "drift", __name__)
-    monkeypatch.setitem(SYSTEMS, "drift", DriftFile)
+    monkeypatch.setitem(SYSTEMS, "drift", __name__)
+    monkeypatch.setitem(FILES, "drift", DriftFile)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "drift.toml").write_text(DRIFT)
     return tmp_path
 
 
-@pytest.mark.parametrize("name", SYSTEM_MODULES)
-def test_every_system_is_at_home_under_its_own_name_and_has_a_scenario_file(name):
-    assert load_system(name).name == name
-    assert SYSTEMS.keys() == SYSTEM_MODULES.keys()
-    assert issubclass(SYSTEMS[name], ScenarioFile)
-    assert not load_system(name).variable_definitions.keys() & sato.record.COMMON.keys()
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_every_variable_is_declared_once_and_none_has_the_name_of_a_dimension(name):
+    system = load_system(name)
+    assert system.name == name
+    dims = {n: ("time", *f.dims) for n, f in recorded_fields(system.frame).items()}
+    if system.run_variables is not None:
+        others = recorded_fields(system.run_variables)
+        assert not others.keys() & dims.keys()
+        dims |= {n: f.dims for n, f in others.items()}
+    names = {dim for own in dims.values() for dim in own}
+    assert all(dims[name] == (name,) for name in names & dims.keys())
+    assert {"time", "position", "velocity", "alive", "component"} <= dims.keys()
+
+
+def test_frames_are_read_back_as_the_type_that_was_recorded(home):
+    run = sato.run("drift.toml", seed=5)
+    run.save("here")
+    frames = read_frames(Drifting, sato.load("here").data)
+    assert type(frames) is Drifting and frames.mood is None
+    flown = list(drift(parse(DRIFT).build(np.random.default_rng(5)), None))
+    for name in recorded_fields(Drifting):
+        expected = np.array([getattr(frame, name) for frame in flown])
+        assert np.array_equal(getattr(frames, name), expected), name
+        assert getattr(frames, name).dtype == expected.dtype
+    assert frames.events == ({"time": 3.0, "kind": "half", "agents": [0]},)
+    assert sato.load("here").data["axis"].values.tolist() == ["x", "y"]
+
+
+def test_a_file_of_the_former_format_is_refused_with_the_version_that_reads_it(home):
+    run = sato.run("drift.toml")
+    del run.data.attrs["format"]
+    run.data.attrs["version"] = "0.1.0"
+    run.save("old")
+    with pytest.raises(sato.RunFileError, match=r"written by sato 0.1.0, which reads it"):
+        sato.load("old")
 
 
 def test_a_system_is_not_loaded_before_it_is_asked_for():
@@ -213,7 +255,7 @@ def test_what_ends_a_flight_without_being_a_fault_is_the_systems_own_word(home, 
                 raise ArithmeticError("a wall in the way")
             yield frame
 
-    monkeypatch.setattr(sys.modules[__name__], "SYSTEM", replace(SYSTEM, fly=lost))
+    monkeypatch.setattr(sys.modules[__name__], "SYSTEM", replace(SYSTEM, simulate=lost))
     assert call("run", "drift.toml", "--out", "here").exit_code == 1
     run = sato.load("here")
     assert run.summary["stopped"] == "a wall in the way" and len(run.data["time"]) == 4
@@ -243,7 +285,7 @@ def test_a_run_of_a_system_that_is_not_known_or_lacks_its_variables_is_refused(h
     sato.Run(lacking.data.drop_vars("heading"), lacking.summary).save("there")
     with pytest.raises(sato.RunFileError, match=r"there/run.nc: is not a run .* no heading"):
         sato.load("there")
-    monkeypatch.delitem(SYSTEM_MODULES, "drift")
+    monkeypatch.delitem(SYSTEMS, "drift")
     with pytest.raises(sato.RunFileError, match=r'no system "drift".* newer version of sato'):
         sato.load("here")
 

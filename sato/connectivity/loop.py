@@ -1,15 +1,23 @@
 """SYSTEM 3: connectivity maintenance. See → talk → reckon → keep together [Bernard2023]."""
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from sato.connectivity.kernel import MAX_ROW_AGE, advance
 from sato.connectivity.mission import Connectivity
 from sato.connectivity.state import initial_state
+from sato.interfaces import (
+    FrameAlive,
+    FrameComponent,
+    FrameEvents,
+    FramePosition,
+    FrameTime,
+    Recorded,
+)
 from sato.network.graph import label_components
 
 POWER_ITERATION_WARMUP = 5.0  # for which the power iteration runs before anybody moves [s]
@@ -18,24 +26,36 @@ POWER_ITERATION_WARMUP = 5.0  # for which the power iteration runs before anybod
 class ConnectivityFrame(NamedTuple):
     """One instant."""
 
-    time: float  # [s]
-    position: Float[Array, "agents 3"]  # [m]
+    time: FrameTime
+    position: FramePosition
     velocity: Float[Array, "agents 3"]  # in the body frame [m/s]
-    alive: Bool[Array, " agents"]
-    component: Int[Array, " agents"]  # of those who see each other; −1 while not alive
+    alive: FrameAlive
+    component: FrameComponent
     command: Float[Array, "agents 4"]  # velocity in the body frame [m/s], yaw rate [rad/s]
-    yaw: Float[Array, " agents"]  # [rad]
-    lambda2: float  # true
-    lambda3: float  # true
-    lambda2_estimate: Float[Array, " agents"]  # NaN where unknown
-    edge_weight: Float[Array, "agents agents"]  # true
+    yaw: Annotated[Float[Array, " agents"], Recorded(("agent",), "rad", "yaw, not wrapped")]
+    lambda2: Annotated[float, Recorded((), "1", "connectivity eigenvalue of the live agents, true")]
+    lambda3: Annotated[
+        float, Recorded((), "1", "eigenvalue after lambda2, infinite for two agents, true")
+    ]
+    lambda2_estimate: Annotated[
+        Float[Array, " agents"], Recorded(("agent",), "1", "estimate of lambda2, NaN unknown")
+    ]
+    edge_weight: Annotated[
+        Float[Array, "agents agents"], Recorded(("agent", "other"), "1", "weight of the edge, true")
+    ]
     relative_yaw_estimate: Float[Array, "agents agents"]  # ψ̃_ij [rad]
-    visibility: Bool[Array, "agents agents"]  # i has j in sight
-    known_agents: Bool[Array, "agents agents"]  # what i does still depends on j being there
-    stick: Float[Array, " 3"]  # what the operator asks of the leader, in the world frame [m/s]
+    visibility: Annotated[
+        Bool[Array, "agents agents"],
+        Recorded(("agent", "other"), "1", "true where the agent has the other in sight"),
+    ]
+    known_agents: Bool[Array, "agents agents"]  # agent i still depends on agent j
+    stick: Annotated[
+        Float[Array, " 3"],
+        Recorded(("axis",), "m/s", "velocity that the operator commands to agent 0, world frame"),
+    ]
     min_separation: float  # least so far [m]
     min_obstacle_distance: float  # least so far [m]
-    events: tuple[dict[str, Any], ...]  # {"kind": …, "agents": […], …}; the record adds the time
+    events: FrameEvents
 
 
 def simulate(mission: Connectivity, rng: np.random.Generator) -> Iterator[ConnectivityFrame]:

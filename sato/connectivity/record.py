@@ -1,6 +1,7 @@
 """What a run of this system leaves behind, beyond what every run does."""
 
 from collections.abc import Sequence
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -8,29 +9,31 @@ from numpy import ndarray as Array
 
 from sato.connectivity.loop import ConnectivityFrame
 from sato.connectivity.mission import Connectivity
-from sato.interfaces import Variable
+from sato.interfaces import Recorded
 
-_VECTOR, _PER_AGENT, _PER_PAIR = (
-    ("time", "agent", "axis"),
-    ("time", "agent"),
-    ("time", "agent", "other"),
-)
-VARIABLES = {
-    "velocity_command": Variable(
-        _VECTOR, "m/s", "velocity that the agent asks of itself, in its body frame, without stick"
-    ),
-    "yaw_rate": Variable(_PER_AGENT, "rad/s", "yaw rate that the agent asks of itself"),
-    "yaw": Variable(_PER_AGENT, "rad", "of the body frame, not wrapped"),
-    "lambda2": Variable(("time",), "1", "connectivity eigenvalue of the live agents, true"),
-    "lambda3": Variable(("time",), "1", "the eigenvalue after it, infinite for two agents, true"),
-    "lambda2_estimate": Variable(_PER_AGENT, "1", "lambda2 as the agent has it, NaN unknown"),
-    "edge_weight": Variable(_PER_PAIR, "1", "weight of the edge, true"),
-    "yaw_estimate_error": Variable(
-        _PER_PAIR, "rad", "of how the other is turned, as the agent has it"
-    ),
-    "visibility": Variable(_PER_PAIR, "1", "whether the agent has the other in sight"),
-    "stick": Variable(("time", "axis"), "m/s", "what is asked of agent 0, in the world frame"),
-}
+_PER_AXIS, _PER_PAIR = ("time", "agent", "axis"), ("time", "agent", "other")
+
+
+class ConnectivityVariables(NamedTuple):
+    """Variables of a run that are computed from its frames."""
+
+    velocity: Annotated[
+        Float[Array, "instants agents 3"], Recorded(_PER_AXIS, "m/s", "true velocity")
+    ]
+    velocity_command: Annotated[
+        Float[Array, "instants agents 3"],
+        Recorded(
+            _PER_AXIS, "m/s", "velocity that the agent commands, in its body frame, without stick"
+        ),
+    ]
+    yaw_rate: Annotated[
+        Float[Array, "instants agents"],
+        Recorded(("time", "agent"), "rad/s", "yaw rate that the agent commands"),
+    ]
+    yaw_estimate_error: Annotated[
+        Float[Array, "instants agents agents"],
+        Recorded(_PER_PAIR, "rad", "error of the estimated relative yaw"),
+    ]
 
 
 def run_attributes(mission: Connectivity) -> dict[str, float]:
@@ -45,20 +48,20 @@ def run_attributes(mission: Connectivity) -> dict[str, float]:
     }
 
 
-def stack_variables(frames: Sequence[ConnectivityFrame], mission: Connectivity) -> dict[str, Array]:
-    """The values of the variables that have a `MEANING`, and velocity in the world frame."""
-    names = ("yaw", "lambda2", "lambda3", "lambda2_estimate", "edge_weight", "stick")
-    found = {name: np.array([getattr(f, name) for f in frames]) for name in names}
+def collect_variables(
+    frames: Sequence[ConnectivityFrame], mission: Connectivity
+) -> ConnectivityVariables:
+    """Collect velocities in the world frame, commands, and errors of yaw estimates."""
     command = np.array([f.command for f in frames])
-    yaw, turned = found["yaw"], np.array([f.relative_yaw_estimate for f in frames])
+    yaw = np.array([f.yaw for f in frames])
+    turned = np.array([f.relative_yaw_estimate for f in frames])
     off = turned - (yaw[:, None, :] - yaw[:, :, None])
-    return found | {
-        "velocity": rotate_by_yaw(np.array([f.velocity for f in frames]), yaw),
-        "velocity_command": command[..., :3],
-        "yaw_rate": command[..., 3],
-        "yaw_estimate_error": (off + np.pi) % (2 * np.pi) - np.pi,
-        "visibility": np.array([f.visibility for f in frames]),
-    }
+    return ConnectivityVariables(
+        velocity=rotate_by_yaw(np.array([f.velocity for f in frames]), yaw),
+        velocity_command=command[..., :3],
+        yaw_rate=command[..., 3],
+        yaw_estimate_error=(off + np.pi) % (2 * np.pi) - np.pi,
+    )
 
 
 def rotate_by_yaw(vectors: Float[Array, "*k 3"], yaw: Float[Array, "*k"]) -> Float[Array, "*k 3"]:

@@ -1,15 +1,10 @@
-"""What recording, checking, drawing and the command line know of this system."""
-
-from typing import TYPE_CHECKING
+"""Parts of this system that recording, checking, figures and the command line use."""
 
 from sato.connectivity.check import check_run
 from sato.connectivity.loop import ConnectivityFrame, simulate
 from sato.connectivity.mission import Connectivity
-from sato.connectivity.record import VARIABLES, run_attributes, stack_variables
-from sato.interfaces import FigureFactories, MissionProgress, System
-
-if TYPE_CHECKING:
-    import xarray
+from sato.connectivity.record import ConnectivityVariables, collect_variables, run_attributes
+from sato.interfaces import MissionProgress, System, lazy
 
 
 def describe_progress(mission: Connectivity, frame: ConnectivityFrame) -> MissionProgress:
@@ -19,20 +14,14 @@ def describe_progress(mission: Connectivity, frame: ConnectivityFrame) -> Missio
     return MissionProgress(stage, done, total, f"λ₂ = {frame.lambda2:.3g}")
 
 
-def _load_figures(data: "xarray.Dataset", mission: Connectivity) -> FigureFactories:
-    from sato.connectivity.figures import make_figures
-
-    return make_figures(data, mission)
-
-
 SYSTEM = System(
     name="connectivity",
+    frame=ConnectivityFrame,
+    run_variables=ConnectivityVariables,
     simulate=simulate,
-    stop_errors=(),
-    variable_definitions=VARIABLES,
-    stack_variables=stack_variables,
+    collect=collect_variables,
     attributes=run_attributes,
     check=check_run,
     progress=describe_progress,
-    figures=_load_figures,
+    figures=lazy("sato.connectivity.figures:make_figures"),
 )

@@ -1,5 +1,7 @@
 """SYSTEM 2: formation flying. Gains → align → auction → steer → repeat [Lusk2020]."""
 
+from typing import Any
+
 from sato.formation.avoidance import CollisionAvoidance
 from sato.formation.control_law import ControlLaw
 from sato.formation.kernel import CoordinateFrames, FormationLimits
@@ -27,3 +29,13 @@ __all__ = [
     "draw_frames",
     "simulate",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "MISSION":
+        return Formation
+    if name == "SYSTEM":
+        from sato.formation.system import SYSTEM
+
+        return SYSTEM
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

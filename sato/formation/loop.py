@@ -1,7 +1,7 @@
 """SYSTEM 2: formation flying. Gains → align → auction → steer → repeat [Lusk2020]."""
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -13,25 +13,50 @@ from sato.formation.kernel import FormationData, FormationState, KernelParameter
 from sato.formation.kernel import simulate_steps as fly_steps
 from sato.formation.mission import Formation
 from sato.formation.supervisor import Phase, Supervisor
+from sato.interfaces import (
+    FrameAlive,
+    FrameComponent,
+    FrameEvents,
+    FramePosition,
+    FrameTime,
+    FrameVelocity,
+    Recorded,
+)
 
 
 class FormationFrame(NamedTuple):
     """One instant."""
 
-    time: float  # [s]
-    position: Float[Array, "agents 3"]  # [m]
-    velocity: Float[Array, "agents 3"]  # [m/s]
-    alive: Bool[Array, " agents"]
-    component: Int[Array, " agents"]  # of the graph, which hangs together: 0
-    velocity_command: Float[Array, "agents 3"]  # by the law, in the own frame [m/s]
-    avoiding: Bool[Array, " agents"]
-    assignment: Int[Array, " agents"]  # held
-    leg: int  # number of the shape that is flown to
-    phase: Phase  # as seen from outside
+    time: FrameTime
+    position: FramePosition
+    velocity: FrameVelocity
+    alive: FrameAlive
+    component: FrameComponent  # of the graph, which is connected: 0
+    velocity_command: Annotated[
+        Float[Array, "agents 3"],
+        Recorded(
+            ("agent", "axis"),
+            "m/s",
+            "velocity that the control law commands, in the agent's own frame, before limits",
+        ),
+    ]
+    avoiding: Annotated[
+        Bool[Array, " agents"],
+        Recorded(("agent",), "1", "true where the agent departs from its command to avoid others"),
+    ]
+    point_index: Annotated[
+        Int[Array, " agents"],
+        Recorded(("agent",), "1", "index of the formation point that the agent holds"),
+    ]
+    leg_index: Annotated[int, Recorded((), "1", "leg under way")]
+    phase: Phase
     path_length: Float[Array, " agents"]  # flown in the plane since the start [m]
-    min_separation: Float[Array, " agents"]  # that anybody ever came in the plane [m]
-    drift: Float[Array, "agents 3"]  # error of the reckoning, in the own frame [m]
-    events: tuple[dict[str, Any], ...]  # {"kind": …, "agents": […], …}; the record adds the time
+    min_separation: Float[Array, " agents"]  # least so far, in the plane [m]
+    frame_drift: Annotated[
+        Float[Array, "agents 3"],
+        Recorded(("agent", "axis"), "m", "error of the agent's odometry, in its own frame"),
+    ]
+    events: FrameEvents
 
 
 def simulate(mission: Formation, rng: np.random.Generator) -> Iterator[FormationFrame]:
@@ -176,12 +201,12 @@ class _Simulation:
             component=np.zeros(n, dtype=np.int64),
             velocity_command=state.velocity_command.copy(),
             avoiding=state.avoiding.copy(),
-            assignment=self.assignment,
-            leg=self.leg,
+            point_index=self.assignment,
+            leg_index=self.leg,
             phase=self.supervisor.phase,
             path_length=state.path_length.copy(),
             min_separation=state.min_separation.copy(),
-            drift=state.drift.copy(),
+            frame_drift=state.drift.copy(),
             events=events,
         )
 

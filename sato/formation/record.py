@@ -1,38 +1,50 @@
 """What a run of this system leaves behind, beyond what every run does."""
 
 from collections.abc import Sequence
+from typing import Annotated, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Shaped
 from numpy import ndarray as Array
 
 from problems.gain_matrix import GainMatrix
 from sato.formation.loop import FormationFrame
 from sato.formation.mission import Formation
-from sato.interfaces import Variable
+from sato.interfaces import Recorded
 
 GAIN_PARTS = ("xy_real", "xy_imaginary", "z")  # of gains, in the order of the file
 
-_VECTOR, _PER_AGENT, _EDGES = ("time", "agent", "axis"), ("time", "agent"), ("vertex", "neighbour")
-VARIABLES = {
-    "velocity_command": Variable(
-        _VECTOR, "m/s", "velocity that the law commands, in the agent's own frame, before limits"
-    ),
-    "avoiding": Variable(_PER_AGENT, "1", "whether the agent departs from that to avoid others"),
-    "point": Variable(_PER_AGENT, "1", "point of the formation that the agent holds"),
-    "leg": Variable(("time",), "1", "leg under way"),
-    "frame_drift": Variable(_VECTOR, "m", "error of the agent's reckoning, in its own frame"),
-    "frame_yaw": Variable(("agent",), "rad", "heading of the agent's frame"),
-    "frame_offset": Variable(("agent", "axis"), "m", "origin of the agent's frame"),
-    "formation": Variable(("leg", "vertex", "axis"), "m", "points of the formation"),
-    "graph": Variable(("leg", *_EDGES), "1", "whether two points measure each other"),
-    "part": Variable(("part",), "1", "name of a part of the gains"),
-    "gains": Variable(
-        ("leg", "part", *_EDGES),
-        "1/s",
-        "a + jb turns and scales what is seen of a neighbour in the plane, z scales its height",
-    ),
-}
+_POINTS = ("leg", "point", "axis")
+_EDGES = ("leg", "point", "neighbor")
+
+
+class FormationVariables(NamedTuple):
+    """Variables of a run that are not those of its frames."""
+
+    frame_yaw: Annotated[
+        Float[Array, " agents"], Recorded(("agent",), "rad", "heading of the agent's frame")
+    ]
+    frame_offset: Annotated[
+        Float[Array, "agents 3"], Recorded(("agent", "axis"), "m", "origin of the agent's frame")
+    ]
+    formation: Annotated[
+        Float[Array, "legs points 3"], Recorded(_POINTS, "m", "points of the formation")
+    ]
+    graph: Annotated[
+        Bool[Array, "legs points points"],
+        Recorded(_EDGES, "1", "true where two points measure each other"),
+    ]
+    part: Annotated[
+        Shaped[Array, " parts"], Recorded(("part",), "1", "name of a part of the gains")
+    ]
+    gains: Annotated[
+        Float[Array, "legs parts points points"],
+        Recorded(
+            ("leg", "part", "point", "neighbor"),
+            "1/s",
+            "gain a + jb on the relative position in the plane; z on the relative height",
+        ),
+    ]
 
 
 def run_attributes(mission: Formation) -> dict[str, float]:
@@ -48,20 +60,17 @@ def run_attributes(mission: Formation) -> dict[str, float]:
     }
 
 
-def stack_variables(frames: Sequence[FormationFrame], mission: Formation) -> dict[str, Array]:
-    """The values of the variables that have a `MEANING`."""
-    names = ("velocity_command", "avoiding", "leg")
+def collect_variables(frames: Sequence[FormationFrame], mission: Formation) -> FormationVariables:
+    """Collect coordinate frames, formations, graphs and gains."""
     shapes = [gains.formation for gains in mission.gains]
-    return {name: np.array([getattr(f, name) for f in frames]) for name in names} | {
-        "point": np.array([f.assignment for f in frames]),
-        "frame_drift": np.array([f.drift for f in frames]),
-        "frame_yaw": np.angle(mission.coordinate_frames.rotation),
-        "frame_offset": mission.coordinate_frames.origin,
-        "formation": np.array([shape.points for shape in shapes]),
-        "graph": np.array([shape.graph for shape in shapes]),
-        "part": np.array(GAIN_PARTS),
-        "gains": np.array([_stack_gains(gains) for gains in mission.gains]),
-    }
+    return FormationVariables(
+        frame_yaw=np.angle(mission.coordinate_frames.rotation),
+        frame_offset=mission.coordinate_frames.origin,
+        formation=np.array([shape.points for shape in shapes]),
+        graph=np.array([shape.graph for shape in shapes]),
+        part=np.array(GAIN_PARTS),
+        gains=np.array([_stack_gains(gains) for gains in mission.gains]),
+    )
 
 
 def _stack_gains(gains: GainMatrix) -> Float[Array, "3 n n"]:

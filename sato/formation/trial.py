@@ -104,10 +104,10 @@ class _TrialStatistics:
         self.assignments += sum(e["kind"] == "assignment" for e in frame.events)
         if last is None:
             return
-        if last.leg != frame.leg and last.phase is Phase.COMPLETED:
+        if last.leg_index != frame.leg_index and last.phase is Phase.COMPLETED:
             self._record_shape_error(last)
         # From the frame after the first assignment to the one that shows the end.
-        done = last.leg == frame.leg and last.phase is Phase.COMPLETED
+        done = last.leg_index == frame.leg_index and last.phase is Phase.COMPLETED
         if frame.phase is not Phase.WAITING and not done:
             self.path_length += float((frame.path_length - last.path_length).sum()) / len(
                 frame.path_length
@@ -127,8 +127,8 @@ class _TrialStatistics:
         )  # fmt: skip
 
     def _record_shape_error(self, frame: FormationFrame) -> None:
-        holder = np.argsort(frame.assignment)
-        points = self.mission.gains[frame.leg].formation.points
+        holder = np.argsort(frame.point_index)
+        points = self.mission.gains[frame.leg_index].formation.points
         self.shape_errors.append(compute_shape_error(frame.position[holder], points))
 
 

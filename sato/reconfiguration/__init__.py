@@ -1,7 +1,15 @@
-"""SYSTEM 1: swarm reconfiguration. Cost → auction → SCP → fly → repeat [Morgan2016]."""
+"""System 1, swarm reconfiguration: auction, then sequential convex programming [Morgan2016]."""
 
-from sato.reconfiguration.frame import ReconfigurationFrame
-from sato.reconfiguration.loop import fly
-from sato.reconfiguration.mission import Join, Leg, Loss, Reconfiguration
+from typing import Any
 
-__all__ = ["Join", "Leg", "Loss", "Reconfiguration", "ReconfigurationFrame", "fly"]
+
+def __getattr__(name: str) -> Any:
+    if name == "MISSION":
+        from sato.reconfiguration.mission import Reconfiguration
+
+        return Reconfiguration
+    if name == "SYSTEM":
+        from sato.reconfiguration.system import SYSTEM
+
+        return SYSTEM
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -250,10 +250,11 @@ def _make_frame(
         component=network.component,
         control=control,
         applied_control=applied,
-        leg=number,
+        leg_index=number,
         target_index=np.where(swarm.alive, swarm.memory.target_index, -1),
         target_count=swarm.memory.target_count,
-        measured_state=measured,
+        measured_position=None if measured is None else measured[:, :d],
+        measured_velocity=None if measured is None else measured[:, d:],
         events=tuple(events),
     )
 

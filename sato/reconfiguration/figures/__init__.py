@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 from matplotlib.figure import Figure
 
-from sato.interfaces import FigureFactories
+from sato.interfaces import Animation, FigureFactories
 from sato.reconfiguration.check import ReconfigurationRecord
+from sato.reconfiguration.figures.animation import SwarmAnimation
 from sato.reconfiguration.figures.half_space import plot_half_space
 from sato.reconfiguration.figures.measures import plot_delta_v, plot_fuel, plot_separation
 from sato.reconfiguration.figures.orbital import plot_instants, plot_space
@@ -18,7 +19,7 @@ from sato.reconfiguration.mission import Reconfiguration
 if TYPE_CHECKING:
     import xarray
 
-__all__ = ["FIGURES", "ORBIT_FIGURES", "make_figures"]
+__all__ = ["FIGURES", "ORBIT_FIGURES", "make_animation", "make_figures"]
 
 FIGURES: dict[str, Callable[[ReconfigurationRecord], Figure]] = {
     "stages": plot_stages,
@@ -40,3 +41,8 @@ def make_figures(data: "xarray.Dataset", mission: Reconfiguration) -> FigureFact
     evidence = ReconfigurationRecord.from_dataset(data, mission)
     drawn = FIGURES | ORBIT_FIGURES if has_chief(evidence) else FIGURES
     return {name: partial(draw, evidence) for name, draw in drawn.items()}
+
+
+def make_animation(data: "xarray.Dataset", mission: Reconfiguration) -> Animation:
+    """Prepare the animation of a run."""
+    return SwarmAnimation(ReconfigurationRecord.from_dataset(data, mission))
