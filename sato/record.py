@@ -7,7 +7,6 @@ import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_type_hints
 
@@ -248,8 +247,7 @@ def read_variables(kind: type[FieldsT], data: "xarray.Dataset") -> FieldsT:
     return kind(**values)
 
 
-@cache
-def recorded_fields(kind: Any) -> dict[str, Recorded]:
+def recorded_fields(kind: type) -> dict[str, Recorded]:
     """Return the declarations of the recorded fields of a named tuple."""
     found = {}
     for name, hint in get_type_hints(kind, include_extras=True).items():

@@ -34,7 +34,8 @@ from sato.interfaces import (
 )
 from sato.network.graph import CommunicationGraph
 from sato.record import read_frames, recorded_fields
-from sato.systems import SYSTEMS, UnknownSystemError, load_system
+from sato.scenario.errors import InputError
+from sato.systems import SYSTEMS, load_system
 
 DRIFT = """
 system = "drift"
@@ -206,7 +207,7 @@ def test_a_system_is_not_loaded_before_it_is_asked_for():
 
 
 def test_a_system_that_is_not_there_is_refused_with_those_that_are():
-    with pytest.raises(UnknownSystemError, match=r'no system "drfit", only .*"reconfiguration"'):
+    with pytest.raises(InputError, match=r'no system "drfit", only .*"reconfiguration"'):
         load_system("drfit")
 
 
