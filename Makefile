@@ -1,5 +1,5 @@
-# Two commands: `make demo` and `make test`. Each makes .venv when it is missing and
-# installs what it needs; a second call installs nothing.
+# `make demo` and `make test`; besides `make lint`, `make docs` and `make wheel`. Each makes
+# .venv when it is missing and installs what it needs; a second call installs nothing.
 PYTHON ?= python3
 BIN := .venv/bin
 SEED ?= 0
@@ -9,7 +9,7 @@ DEMO := runs/uiuc-$(SEED)
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 
-.PHONY: demo test lint
+.PHONY: demo test lint docs wheel
 .DEFAULT_GOAL := demo
 
 demo: .venv/installed
@@ -29,6 +29,18 @@ lint: .venv/installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+docs: .venv/installed-dev
+	$(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html
+	@echo "The pages are in docs/_build/html/index.html"
+
+# Build the wheel, install it into an empty environment, and fly every built-in scenario from it.
+wheel: .venv/installed-dev
+	rm -rf build/wheel && mkdir -p build/wheel
+	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir build/wheel .
+	$(PYTHON) -m venv build/wheel/venv
+	build/wheel/venv/bin/python -m pip install --quiet build/wheel/*.whl
+	cd build/wheel && ../../$(BIN)/python ../../scripts/try_wheel.py venv/bin/sato
 
 .venv/bin/python:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or later is needed: make PYTHON=/path/to/it")'

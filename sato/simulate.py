@@ -70,7 +70,7 @@ def run(
             scenario.to_toml(),
             name=scenario.name,
             seed=seed,
-            version=version("sato"),
+            version=version("sato-swarm"),
             wall_s=perf_counter() - began,
             peak_memory_mib=peak_memory_mib(),
             stopped=stopped,

@@ -74,7 +74,7 @@ def _format_readme(what: OnboardProblem) -> str:
     fast = f"{transfer.max_speed:g} m/s" if programme.has_speed_limit else "none"
     return f"""# One agent's transfer, in C
 
-Written by sato {version("sato")} with CVXPYgen {version("cvxpygen")} from the scenario
+Written by sato {version("sato-swarm")} with CVXPYgen {version("cvxpygen")} from the scenario
 `{what.scenario}`. `make` compiles `libsato_onboard.so`; `sato_onboard.h` says what to call.
 
 | | |
