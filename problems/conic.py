@@ -1,7 +1,10 @@
-"""The one standard form, and an answer that can judge itself."""
+"""Conic programs in one standard form, and verification of what solvers return."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate, pairwise
+from math import isqrt
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -9,41 +12,43 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse import csc_array
 
-TOLERANCE = 1e-6  # relative; a "solved" with larger residuals or gap is not solved
-RAY_TOLERANCE = 1e-3  # of a proof: no point smaller than 1 / FAR, in the units of the problem
+TOLERANCE = 1e-6  # relative, of residuals and gap; a solution with larger ones is refused
+RAY_TOLERANCE = 1e-3  # of a certificate: no feasible point is smaller than 1 / RAY_TOLERANCE
 
 
 ConeType = Literal["linear", "second-order", "semidefinite"]
+Status = Literal["solved", "infeasible", "stopped"]
+Verified = Literal["solved", "infeasible", "wrong claim", "unproven", "failed"]
 
 
 @dataclass(frozen=True, eq=False)
 class ConicProgram:
-    """A linear cost over cones.
+    """Linear cost over a product of cones.
 
-        minimise qᵀx  subject to  b − A x ∈ {0}ᶻ × ℝ₊ˡ × Q₁ × Q₂ × … × S₁ × S₂ × …
+        minimize qᵀx  subject to  b − A x ∈ {0}ᶻ × ℝ₊ˡ × Q₁ × Q₂ × … × S₁ × S₂ × …
 
     Rows stand in that order. Q are second-order cones, (t, y) with ‖y‖₂ ≤ t. S are positive
-    semidefinite matrices, each as its upper triangle, column by column, with √2 before what is
-    not on the diagonal, so that lengths are those of the matrices.
+    semidefinite matrices, each as its upper triangle, column by column, with off-diagonal entries
+    multiplied by √2, so that the norm of the rows is the Frobenius norm of the matrix.
     """
 
     q: Float[Array, " n"]
-    A: csc_array  # m rows
+    A: csc_array  # m × n
     b: Float[Array, " m"]
-    zero: int  # z, rows that are equations
-    nonnegative: int  # l, rows that are inequalities
-    soc_sizes: tuple[int, ...] = ()  # sizes of the second-order cones
+    zero: int  # z, number of equations
+    nonnegative: int  # l, number of inequalities
+    soc_sizes: tuple[int, ...] = ()  # rows of each second-order cone
     psd_orders: tuple[int, ...] = ()  # orders of the semidefinite matrices
 
     def __post_init__(self) -> None:
-        """Refuse rows that belong to no cone, and numbers that are none."""
+        """Check the shapes of the data, and that all numbers are finite."""
         if min(self.zero, self.nonnegative, 0) or min((*self.soc_sizes, *self.psd_orders, 1)) < 1:
             raise ValueError(
-                "counts of rows cannot be negative, and every cone has at least one, got "
+                "zero and nonnegative cannot be negative, and every cone has at least one row, got "
                 f"{self.zero}, {self.nonnegative}, cones {self.soc_sizes}, matrices {self.psd_orders}"
             )
-        rows = self.zero + self.nonnegative + sum(self.soc_sizes)
-        rows += sum(n * (n + 1) // 2 for n in self.psd_orders)
+        last = [slice(self.linear), *self.soc_rows, *self.psd_rows][-1]
+        rows = last.stop
         if self.A.shape != (rows, len(self.q)) or len(self.b) != rows:
             raise ValueError(
                 f"the cones have {rows} rows and the cost {len(self.q)} columns, "
@@ -53,54 +58,25 @@ class ConicProgram:
             if not np.isfinite(numbers).all():
                 raise ValueError(f"{name} must be finite: leave out the row that is not wanted")
 
-    def cone_violation(self, s: Float[Array, " m"], dual: bool = False) -> float:
-        """How far s is from the cone, or from its dual: the largest violation."""
-        linear = self.zero + self.nonnegative
-        worst = [0.0] if dual else [np.abs(s[: self.zero]).max(initial=0.0)]
-        worst.append(0.0 - s[self.zero : linear].min(initial=0.0))  # and never −0
-        start = linear
-        for size in self.soc_sizes:
-            t, y = s[start], s[start + 1 : start + size]
-            worst.append(np.linalg.norm(y) - t)
-            start += size
-        for n in self.psd_orders:
-            size = n * (n + 1) // 2
-            worst.append(-np.linalg.eigvalsh(smat(s[start : start + size], n))[0])
-            start += size
-        return _max_or_nan(worst)
+    @property
+    def linear(self) -> int:
+        """Number of equations and inequalities, which are the first rows."""
+        return self.zero + self.nonnegative
 
-    def violation_cost(self, v: Float[Array, " m"]) -> float:
-        """What vᵀs can lose, v of one cone and s of the other, where s lies 1 outside it."""
-        linear = self.zero + self.nonnegative
-        total, start = float(np.abs(v[:linear]).sum()), linear
-        for size in self.soc_sizes:
-            total += abs(float(v[start]))
-            start += size
-        for n in self.psd_orders:
-            size = n * (n + 1) // 2
-            total += abs(float(np.trace(smat(v[start : start + size], n))))
-            start += size
-        return total
+    @cached_property
+    def soc_rows(self) -> tuple[slice, ...]:
+        """Rows of each second-order cone."""
+        return _consecutive_slices(self.linear, self.soc_sizes)
 
-    def move_into_dual_cone(self, y: Float[Array, " m"]) -> Float[Array, " m"]:
-        """A point of the dual cone near y."""
-        linear = self.zero + self.nonnegative
-        y = y.copy()
-        y[self.zero : linear] = np.maximum(y[self.zero : linear], 0)
-        start = linear
-        for size in self.soc_sizes:
-            y[start] = max(y[start], np.linalg.norm(y[start + 1 : start + size]))
-            start += size
-        for n in self.psd_orders:
-            size = n * (n + 1) // 2
-            values, vectors = np.linalg.eigh(smat(y[start : start + size], n))
-            y[start : start + size] = svec((vectors * np.maximum(values, 0)) @ vectors.T)
-            start += size
-        return y
+    @cached_property
+    def psd_rows(self) -> tuple[slice, ...]:
+        """Rows of each semidefinite matrix."""
+        sizes = [n * (n + 1) // 2 for n in self.psd_orders]
+        return _consecutive_slices(self.linear + sum(self.soc_sizes), sizes)
 
     @property
-    def cone_types(self) -> frozenset["ConeType"]:
-        """The cones that a solver has to know."""
+    def cone_types(self) -> frozenset[ConeType]:
+        """Types of cones that a solver of this program must support."""
         found: set[ConeType] = {"linear"}
         if self.soc_sizes:
             found.add("second-order")
@@ -108,30 +84,75 @@ class ConicProgram:
             found.add("semidefinite")
         return frozenset(found)
 
+    def cone_violation(self, s: Float[Array, " m"], dual: bool = False) -> float:
+        """Compute the largest violation of the cones, or of their duals, by a point s."""
+        worst = [0.0] if dual else [np.abs(s[: self.zero]).max(initial=0.0)]
+        worst.append(0.0 - s[self.zero : self.linear].min(initial=0.0))  # 0.0 − avoids −0
+        for rows in self.soc_rows:
+            t, y = s[rows][0], s[rows][1:]
+            worst.append(np.linalg.norm(y) - t)
+        worst += [-np.linalg.eigvalsh(smat(s[rows]))[0] for rows in self.psd_rows]
+        return _max_or_nan(worst)
 
-def smat(triangle: Float[Array, " k"], n: int) -> Float[Array, "n n"]:
-    """The symmetric matrix of a triangle as it stands in the rows of a `Conic`."""
-    found = np.zeros((n, n))
+    def violation_cost(self, v: Float[Array, " m"]) -> float:
+        """Bound the change of vᵀs, v in one cone and s in the other, for s violated by 1."""
+        total = float(np.abs(v[: self.linear]).sum())
+        total += sum(abs(float(v[rows][0])) for rows in self.soc_rows)
+        return total + sum(abs(float(np.trace(smat(v[rows])))) for rows in self.psd_rows)
+
+    def move_into_dual_cone(self, y: Float[Array, " m"]) -> Float[Array, " m"]:
+        """Compute a point of the dual cone near y."""
+        y = y.copy()
+        y[self.zero : self.linear] = np.maximum(y[self.zero : self.linear], 0)
+        for rows in self.soc_rows:
+            y[rows.start] = max(y[rows.start], np.linalg.norm(y[rows][1:]))
+        for rows in self.psd_rows:
+            values, vectors = np.linalg.eigh(smat(y[rows]))
+            y[rows] = svec((vectors * np.maximum(values, 0)) @ vectors.T)
+        return y
+
+
+def _consecutive_slices(start: int, sizes: Sequence[int]) -> tuple[slice, ...]:
+    return tuple(slice(*ends) for ends in pairwise(accumulate(sizes, initial=start)))
+
+
+def smat(triangle: Float[Array, " k"]) -> Float[Array, "n n"]:
+    """Unpack the rows of a `ConicProgram` into a symmetric matrix."""
+    n = isqrt(2 * len(triangle))
+    matrix = np.zeros((n, n))
     column, row = np.tril_indices(n)
-    found[row, column] = found[column, row] = triangle / np.sqrt(2)
-    found[np.diag_indices(n)] *= np.sqrt(2)
-    return found
+    matrix[row, column] = matrix[column, row] = triangle / np.sqrt(2)
+    matrix[np.diag_indices(n)] *= np.sqrt(2)
+    return matrix
 
 
 def svec(matrix: Float[Array, "n n"]) -> Float[Array, " k"]:
-    """The rows of a `Conic` for a symmetric matrix."""
+    """Pack a symmetric matrix into the rows of a `ConicProgram`."""
     n = len(matrix)
     weight = np.where(np.eye(n, dtype=bool), 1.0, np.sqrt(2))
     return np.asarray((weight * matrix.T)[np.tri(n, dtype=bool)])
 
 
 def _max_or_nan(numbers: Sequence[float | np.floating]) -> float:
-    # NaN where one of them is: the built-in max would lose it, and a lie with it.
+    # The built-in max can lose a NaN, and a wrong solution would be accepted.
     return float(np.max(np.array(numbers)))
 
 
+class SolverResult(NamedTuple):
+    """Result as a solver reports it, not yet verified."""
+
+    status: Status
+    message: str  # the solver's own
+    x: Float[Array, " n"] | None = None  # a point; also where it stopped with one
+    y: Float[Array, " m"] | None = None  # its duals, or the ray that certifies infeasibility
+    iterations: int | None = None
+    # Time in the library's own calls: handing over b, solving, and reading the point and its
+    # duals. The adapter's work on arrays before and after is not included [s].
+    seconds: float = 0.0
+
+
 class ConicSolution(NamedTuple):
-    """What a solver says, and what recomputing shows of it."""
+    """Primal and dual point, with residuals recomputed from their numbers."""
 
     x: Float[Array, " n"]
     y: Float[Array, " m"]  # duals, with q + Aᵀy = 0 and y in the dual cone
@@ -143,7 +164,7 @@ class ConicSolution(NamedTuple):
     def evaluate(
         cls, problem: ConicProgram, x: Float[Array, " n"], y: Float[Array, " m"]
     ) -> "ConicSolution":
-        """Recompute residuals and gap from the numbers alone."""
+        """Compute residuals and duality gap of a primal and dual point."""
         q, A, b = problem.q, problem.A, problem.b
         value = float(q @ x)
         primal = problem.cone_violation(b - A @ x) / (1 + np.abs(b).max(initial=0.0))
@@ -156,90 +177,116 @@ class ConicSolution(NamedTuple):
 
     @property
     def max_residual(self) -> float:
-        """The largest of residuals and gap; NaN where one of them is."""
+        """Largest of residuals and gap; NaN where one of them is."""
         return _max_or_nan([self.primal_residual, self.dual_residual, self.gap])
 
 
 class Unsolved(RuntimeError):
-    """A solver gave no answer that stands. The problem is kept, so it can be replayed."""
+    """No verified solution was found. The problem is kept, so that it can be solved again."""
 
-    def __init__(self, problem: object, why: str) -> None:
-        """Keep the problem and say how the attempt ended."""
-        super().__init__(why)
+    def __init__(self, problem: object, reason: str) -> None:
+        """Keep the problem and the reason."""
+        super().__init__(reason)
         self.problem = problem
 
 
 class Infeasible(Unsolved):
-    """No point satisfies every constraint, and here is why.
+    """No point satisfies every constraint, with a certificate.
 
-    The ray y is in the dual cone, Aᵀy = 0 and bᵀy = −1: a point x would give
-    0 ≤ yᵀ(b − A x) = −1. What is left of Aᵀy says how large x would have to be, at
+    The ray y is in the dual cone, Aᵀy = 0 and bᵀy = −1: a feasible point x would give
+    0 ≤ yᵀ(b − A x) = −1. The remainder of Aᵀy tells how large x would have to be: at
     least 1 / ‖Aᵀy‖₁, in the units of the problem.
     """
 
     ray: Float[Array, " m"] | None
 
-    def __init__(self, problem: object, why: str, ray: Float[Array, " m"] | None = None) -> None:
-        """Keep the proof with the problem."""
-        super().__init__(problem, why)
+    def __init__(self, problem: object, reason: str, ray: Float[Array, " m"] | None = None) -> None:
+        """Keep the certificate with the problem."""
+        super().__init__(problem, reason)
         self.ray = ray
 
 
-Solver = Callable[[ConicProgram], ConicSolution]
+class Verification(NamedTuple):
+    """Verdict on a `SolverResult`."""
+
+    kind: Verified
+    solution: ConicSolution | None  # where there is a point with duals
+    reason: str
+    ray: Float[Array, " m"] | None = None  # the verified certificate of infeasibility
 
 
-def solve(problem: ConicProgram, solver: Solver) -> ConicSolution:
-    """Solve, and believe the answer only after recomputing it.
+def verify(problem: ConicProgram, result: SolverResult, tolerance: float) -> Verification:
+    """Recompute residuals, gap and certificates of a solver's result.
 
-    Raises:
-        Infeasible: The solver proved that no point satisfies every constraint.
-        Unsolved: It stopped for another reason, or its answer or proof fails the residuals.
+    The verdict is *solved* for a point with residuals and gap within the tolerance, even where
+    the solver stopped early; *infeasible* with a ray that certifies it, see `verify_ray`;
+    *wrong claim* where the solver reports "solved" and the residuals are too large, or
+    "infeasible" with a ray that certifies nothing; *unproven* where it reports "infeasible"
+    without a ray; and *failed* otherwise.
+
+    Args:
+        problem: The program that was solved.
+        result: The solver's result.
+        tolerance: Of residuals and gap, relative.
     """
-    try:
-        answer = solver(problem)
-    except Infeasible as verdict:
-        _verify_infeasible(problem, verdict)
-        raise
-    if not answer.max_residual <= TOLERANCE:
-        raise Unsolved(
-            problem,
-            f"the solver said solved, but the primal residual is {answer.primal_residual:.1e}, "
-            f"the dual residual {answer.dual_residual:.1e} and the gap {answer.gap:.1e}, "
-            f"above {TOLERANCE:.0e}",
-        )
-    return answer
-
-
-def _verify_infeasible(problem: ConicProgram, verdict: Infeasible) -> None:
-    if verdict.ray is None:
-        raise Unsolved(problem, f"{verdict}, but no proof came with it") from verdict
-    y, doubt = verify_ray(problem, verdict.ray)
-    if doubt:
-        raise Unsolved(problem, f"{verdict}, but {doubt}") from verdict
-    verdict.ray = y
+    said = f"{result.status} ({result.message})"
+    if result.status == "infeasible":
+        if result.y is None:
+            return Verification("unproven", None, f"{said}, without a certificate")
+        ray, objection = verify_ray(problem, result.y)
+        if objection:
+            return Verification("wrong claim", None, f"{said}, but {objection}")
+        return Verification("infeasible", None, result.message, ray)
+    kind: Verified = "wrong claim" if result.status == "solved" else "failed"
+    if result.x is None or result.y is None:
+        return Verification(kind, None, f"{said}, without a point and its duals")
+    found = ConicSolution.evaluate(problem, result.x, result.y)
+    if found.max_residual <= tolerance:
+        return Verification("solved", found, result.message)
+    reason = (
+        f"{said}, but the primal residual is {found.primal_residual:.1e}, "
+        f"the dual residual {found.dual_residual:.1e} and the gap {found.gap:.1e}, "
+        f"above {tolerance:.0e}"
+    )
+    return Verification(kind, found, reason)
 
 
 def verify_ray(problem: ConicProgram, ray: Float[Array, " m"]) -> tuple[Float[Array, " m"], str]:
-    """A ray that should prove that no point satisfies every constraint, and what is against it.
+    """Check a certificate of infeasibility.
 
     Args:
-        problem: What it is of.
-        ray: As a solver gives it, of any length.
+        problem: The program that should be infeasible.
+        ray: The solver's ray, of any length.
 
     Returns:
-        The ray, moved into the dual cone, with bᵀy = −1, and why it is none; nothing where it is.
-        What it proves is that no point smaller than 1 / FAR satisfies every constraint: problems
+        The ray, moved into the dual cone and scaled to bᵀy = −1, and an objection: the empty
+        string where the ray shows that no feasible x has ‖x‖_∞ < 1 / RAY_TOLERANCE. Problems
         are stated in units in which their points are not that large.
     """
     y = problem.move_into_dual_cone(ray)
     against = -float(problem.b @ y)
     if not 0 < against < np.inf:
-        return y, "its ray proves nothing: bᵀy ≥ 0"
+        return y, "its ray is no certificate: bᵀy ≥ 0"
     y = y / against
-    left = np.abs(problem.A.T @ y).sum()
-    return (
-        y,
-        ""
-        if left <= RAY_TOLERANCE
-        else f"its ray leaves {left:.1e} of Aᵀy = 0, above {RAY_TOLERANCE:.0e}",
-    )
+    remainder = np.abs(problem.A.T @ y).sum()
+    if remainder <= RAY_TOLERANCE:
+        return y, ""
+    return y, f"its ray leaves {remainder:.1e} of Aᵀy = 0, above {RAY_TOLERANCE:.0e}"
+
+
+Solver = Callable[[ConicProgram], SolverResult]
+
+
+def solve(problem: ConicProgram, solver: Solver) -> ConicSolution:
+    """Solve, and verify the solution before returning it.
+
+    Raises:
+        Infeasible: No point satisfies every constraint, with a verified certificate.
+        Unsolved: The solver stopped, or its solution or certificate fails verification.
+    """
+    kind, solution, reason, ray = verify(problem, solver(problem), TOLERANCE)
+    if kind == "infeasible":
+        raise Infeasible(problem, reason, ray)
+    if solution is None or kind != "solved":
+        raise Unsolved(problem, reason)
+    return solution

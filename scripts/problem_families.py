@@ -13,7 +13,7 @@ from scipy.sparse import csc_array, hstack
 import sato
 from dynamics import discretize_zoh
 from problems.avoidance import AvoidanceProblem, empty_half_spaces
-from problems.conic import ConicProgram, ConicSolution, Infeasible, svec
+from problems.conic import ConicProgram, ConicSolution, Infeasible, Solver, svec
 from problems.conic import solve as solve_conic
 from problems.convexify import PassingSide, choose_normals, convexify
 from problems.desired_formation import DesiredFormation
@@ -103,9 +103,7 @@ def record_problems(module: str) -> Iterator[list[ConicProgram]]:
     """What a module of `problems` asks its solver."""
     asked: list[ConicProgram] = []
 
-    def note(
-        problem: ConicProgram, solver: Callable[[ConicProgram], ConicSolution]
-    ) -> ConicSolution:
+    def note(problem: ConicProgram, solver: Solver) -> ConicSolution:
         asked.append(problem)
         return solve_conic(problem, solver)
 

@@ -8,8 +8,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from problems.conic import ConicProgram
-from problems.solvers.adapter import SolverAdapter, SolverResult
+from problems.conic import ConicProgram, SolverResult
+from problems.solvers.adapter import SolverAdapter
 
 
 class Honest:
@@ -116,7 +116,7 @@ def cast() -> dict[str, SolverAdapter]:
     some = (Honest, Liar, Prophet, Crasher, Raiser, Sleeper, Chatterer, Glutton, Forgetful)
     found = {
         kind.__name__.lower(): SolverAdapter(
-            kind.__name__.lower(), frozenset({"linear"}), True, "numpy", "numpy", kind
+            kind.__name__.lower(), frozenset({"linear"}), True, kind, "numpy"
         )
         for kind in (*some, Faint, Dozer, Fussy)
     }

@@ -78,7 +78,7 @@ def test_who_is_right_is_solved_at_first_and_again(capfd):
 
 def test_nobody_is_taken_at_their_word_and_others_go_on():
     expected = {
-        "liar": ("wrong claim", "off by"),
+        "liar": ("wrong claim", "primal residual"),
         "prophet": ("wrong claim", "but there is a point"),
         "crasher": ("crashed", "Aborted"),
         "raiser": ("crashed", "ValueError: no idea"),
@@ -301,13 +301,13 @@ REFUSED = {
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_cannot_be_compared_is_refused(case):
     words, sentence = REFUSED[case]
-    absent = SolverAdapter("absent", frozenset({"linear"}), False, "absent_", "absent", Honest)
+    absent = SolverAdapter("absent", frozenset({"linear"}), False, Honest, "absent_", "absent")
     with pytest.raises(ValueError, match=sentence):
         make_plan(KNOWN | {"absent": absent}, **words)
 
 
 def test_who_is_missing_is_told_where_everybody_was_asked():
-    absent = SolverAdapter("absent", frozenset({"linear"}), False, "absent_", "absent", Honest)
+    absent = SolverAdapter("absent", frozenset({"linear"}), False, Honest, "absent_", "absent")
     what = make_plan({"clarabel": KNOWN["clarabel"], "absent": absent}, sizes=["small"])
     assert [solver.name for solver in what.solvers] == ["clarabel"]
     assert what.excluded == ("absent is not installed; pip install absent would do",)

@@ -1,6 +1,6 @@
-"""One short adapter a file: standard form in, a claim out, and nothing is believed.
+"""Adapters of conic solvers, one short file each; results are verified by `problems.conic`.
 
-A new solver is one more file here, with its `Adapter` in a tuple `ADAPTERS`.
+A new solver is one more file here, with its `SolverAdapter` in a tuple `ADAPTERS`.
 """
 
 from importlib import import_module
@@ -14,7 +14,7 @@ __all__ = ["SolverAdapter", "load_adapters", "solve_clarabel", "solve_highs"]
 
 
 def load_adapters() -> dict[str, SolverAdapter]:
-    """All solvers that there is an adapter for, installed or not, by name."""
+    """Load the adapters of all solvers, installed or not, by name."""
     found: dict[str, SolverAdapter] = {}
     for file in sorted(module.name for module in iter_modules(__path__)):
         for adapter in getattr(import_module(f"{__name__}.{file}"), "ADAPTERS", ()):

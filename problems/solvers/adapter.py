@@ -1,82 +1,73 @@
-"""What every solver is asked in the same words, and how it is taken at its word or not."""
+"""Interface of the solver adapters, and the forms of a program that several libraries take."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import Literal, NamedTuple, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
+import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
+from scipy.sparse import csc_matrix
 
-from problems.conic import ConeType, ConicProgram, ConicSolution, Infeasible, Unsolved, verify_ray
+from problems.conic import ConeType, ConicProgram, SolverResult
 
-Status = Literal["solved", "infeasible", "stopped"]
-Verified = Literal["solved", "infeasible", "wrong claim", "unproven", "failed"]
-
-
-class SolverResult(NamedTuple):
-    """What a solver says, before anything is recomputed."""
-
-    status: Status
-    message: str  # its own
-    x: Float[Array, " n"] | None = None  # a point; also where it stopped with one
-    y: Float[Array, " m"] | None = None  # its duals, or the ray that proves that there is none
-    iterations: int | None = None
-    # In the library's own calls: what hands over b, solves, and reads out the point and its duals.
-    # What is done with arrays before and after is the adapter's [s].
-    seconds: float = 0.0
+LP: frozenset[ConeType] = frozenset({"linear"})
+SOCP: frozenset[ConeType] = LP | {"second-order"}
+SDP: frozenset[ConeType] = SOCP | {"semidefinite"}
 
 
 @runtime_checkable
 class SolverSession(Protocol):
-    """A solver that has read a problem."""
+    """Solver that is set up for one program."""
 
     def solve(self, b: Float[Array, " m"]) -> SolverResult:
-        """Solve with another right-hand side, the rest being as it was read."""
+        """Solve with another right-hand side; q, A and the cones stay."""
 
 
 def accept_all(problem: ConicProgram) -> str:
-    """What most refuse of the problems whose cones they know."""
+    """Accept every program with supported cones."""
     return ""
 
 
 @dataclass(frozen=True)
 class SolverAdapter:
-    """A solver, and how to ask it."""
+    """Solver, and the way to call it."""
 
     name: str
-    cone_types: frozenset[ConeType]  # what it can take
-    certifies_infeasibility: bool  # whether it claims to find out that there is no point
-    module: str  # without which it cannot be asked
-    pip_packages: str  # what installs that
-    session_factory: Callable[
-        [ConicProgram, float], SolverSession
-    ]  # with the tolerance that is asked of the answer
-    unsupported_reason: Callable[[ConicProgram], str] = (
-        accept_all  # why it cannot take a problem of its cones, or ""
-    )
+    cone_types: frozenset[ConeType]  # that it supports
+    certifies_infeasibility: bool  # True where it reports infeasible programs with a certificate
+    session_factory: Callable[[ConicProgram, float], SolverSession]  # of a program and a tolerance
+    module: str = ""  # that is imported; the name where empty
+    pip_packages: str = ""  # that install it; the module where empty
+    unsupported_reason: Callable[[ConicProgram], str] = accept_all  # empty where it is supported
+
+    def __post_init__(self) -> None:
+        """Fill in the names that were left out."""
+        object.__setattr__(self, "module", self.module or self.name)
+        object.__setattr__(self, "pip_packages", self.pip_packages or self.module)
 
     @property
     def is_installed(self) -> bool:
-        """Whether it can be asked here."""
+        """True where the solver's module can be imported."""
         try:
             return find_spec(self.module) is not None
-        except ModuleNotFoundError:  # nor is what it would be a part of
+        except ModuleNotFoundError:  # a parent package is missing
             return False
 
     def supports(self, problem: ConicProgram) -> bool:
-        """Whether it knows all cones of a problem, and its form."""
+        """Tell whether the solver can take the cones and the form of a program."""
         return problem.cone_types <= self.cone_types and not self.unsupported_reason(problem)
 
     def open_session(self, problem: ConicProgram, tolerance: float) -> SolverSession:
-        """Begin with a problem.
+        """Set the solver up for a program.
 
         Args:
-            problem: What is asked.
-            tolerance: Of residuals and gap, relative, as `Answer` has them.
+            problem: The program; other right-hand sides may follow.
+            tolerance: Of residuals and gap, relative, as `ConicSolution` defines them.
 
         Raises:
-            ValueError: It is not installed, or does not know a cone of the problem or its form.
+            ValueError: The solver is not installed, or does not support the program.
         """
         if not self.is_installed:
             raise ValueError(
@@ -84,57 +75,29 @@ class SolverAdapter:
             )
         if missing := ", ".join(sorted(problem.cone_types - self.cone_types)):
             raise ValueError(f"{self.name} cannot take {missing} cones")
-        if why := self.unsupported_reason(problem):
-            raise ValueError(f"{self.name} {why}")
+        if reason := self.unsupported_reason(problem):
+            raise ValueError(f"{self.name} {reason}")
         return self.session_factory(problem, tolerance)
 
 
-class Verification(NamedTuple):
-    """What is left of a claim."""
-
-    kind: Verified
-    solution: ConicSolution | None  # where there is a point with duals
-    reason: str
-
-
-def verify(problem: ConicProgram, claim: SolverResult, tolerance: float) -> Verification:
-    """Recompute what a solver claims.
-
-    *solved* is a point that has residuals and gap within the tolerance, even of a solver that
-    stopped; *infeasible* is what comes with a ray that proves it, as `problems.conic.proof` says.
-    A solver that says solved, and it is not, or infeasible with a ray that proves nothing, has
-    made a *wrong claim*; one that says infeasible and gives no ray leaves it *unproven*; and any
-    other has *failed*.
+def lower_bounds(b: Float[Array, " m"], zero: int, infinity: float = np.inf) -> Float[Array, " m"]:
+    """Compute l of l ≤ A x ≤ b: equal to b for equations, −∞ for inequalities.
 
     Args:
-        problem: What was asked.
-        claim: What the solver says.
-        tolerance: Of residuals and gap, relative.
+        b: Upper bounds.
+        zero: Number of equations; they come first.
+        infinity: Number that the library takes for infinite.
     """
-    if claim.status == "infeasible":
-        if claim.y is None:
-            return Verification("unproven", None, claim.message)
-        _, doubt = verify_ray(problem, claim.y)
-        return Verification("wrong claim" if doubt else "infeasible", None, doubt or claim.message)
-    if claim.x is None or claim.y is None:
-        kind: Verified = "wrong claim" if claim.status == "solved" else "failed"
-        return Verification(kind, None, f"{claim.message}, without a point or its duals")
-    answer = ConicSolution.evaluate(problem, claim.x, claim.y)
-    if answer.max_residual <= tolerance:
-        return Verification("solved", answer, claim.message)
-    kind = "wrong claim" if claim.status == "solved" else "failed"
-    return Verification(kind, answer, f"{claim.message}, off by {answer.max_residual:.1e}")
+    return np.concatenate([b[:zero], np.full(len(b) - zero, -infinity)])
 
 
-def to_solution(problem: ConicProgram, claim: SolverResult, name: str) -> ConicSolution:
-    """The point of a claim, for `problems.conic.solve` to judge.
+def split_equalities(problem: ConicProgram) -> tuple[csc_matrix, csc_matrix]:
+    """Split A into equations and inequalities, as matrices that older libraries accept."""
+    A = problem.A
+    return csc_matrix(A[: problem.zero]), csc_matrix(A[problem.zero :])
 
-    Raises:
-        Infeasible: The solver claims that there is none.
-        Unsolved: It stopped without one.
-    """
-    if claim.status == "infeasible":
-        raise Infeasible(problem, f"{name}: {claim.message}", claim.y)
-    if claim.x is None or claim.y is None:
-        raise Unsolved(problem, f"{name} stopped: {claim.message}")
-    return ConicSolution.evaluate(problem, claim.x, claim.y)
+
+def zero_hessian(problem: ConicProgram) -> csc_matrix:
+    """Make the zero quadratic cost that libraries for quadratic programs ask for."""
+    n = len(problem.q)
+    return csc_matrix((n, n))

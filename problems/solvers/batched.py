@@ -1,7 +1,7 @@
-"""The project's own way of pricing transfers, asked one question at a time.
+"""The toolkit's own dual simplex method, on one program at a time.
 
-`least_fuel` answers thousands at once by it. It knows the one form that transfers have without
-their states, and no other.
+`problems.minimum_fuel` solves thousands at once with it. It supports the one form that transfers
+have after the states are eliminated.
 """
 
 from pathlib import Path
@@ -16,11 +16,11 @@ from numpy import ndarray as Array
 from scipy.sparse import eye_array, vstack
 
 from problems.certificates import INFEASIBLE, OPTIMAL, UNCERTIFIED
-from problems.conic import ConicProgram
+from problems.conic import ConicProgram, SolverResult
 from problems.dual_simplex import PRIMAL_TOLERANCE, maximize_dual
 from problems.minimum_fuel import MAX_PIVOTS
 from problems.orthonormal_rows import OrthonormalRows
-from problems.solvers.adapter import SolverAdapter, SolverResult
+from problems.solvers.adapter import LP, SolverAdapter
 from problems.tableau import allocate_tableau, copy_prefix, extract_controls
 
 SUPPORTED_FORM = (
@@ -29,7 +29,7 @@ SUPPORTED_FORM = (
 
 
 def unsupported_reason(problem: ConicProgram) -> str:
-    """Why it cannot take a problem, or nothing."""
+    """Give the reason why a program is not supported; empty where it is."""
     (_, n), zero = problem.A.shape, problem.zero
     if n % 2 or not 0 < zero <= n // 2 or problem.nonnegative != 2 * n:
         return SUPPORTED_FORM
@@ -48,10 +48,10 @@ def unsupported_reason(problem: ConicProgram) -> str:
 
 
 class DualSimplexSession:
-    """A programme whose equations are made square to each other once."""
+    """Program whose equations are made orthonormal once."""
 
     def __init__(self, problem: ConicProgram, tolerance: float) -> None:
-        """Read the problem. Answers are exact, whatever the tolerance."""
+        """Set up the program. Solutions are exact, whatever the tolerance."""
         n = len(problem.q)
         self._zero, self._w = problem.zero, problem.q[: n // 2].copy()
         self._bounds = problem.b[self._zero :]
@@ -69,15 +69,15 @@ class DualSimplexSession:
             raise ValueError("only the right-hand side of the equations may change")
         x, λ = np.empty(len(self._w)), np.empty(self._zero)
         began = perf_counter()
-        white, _ = self._orthonormal.transform(b[None, : self._zero], 1.0)
-        ended = _solve(self._orthonormal.rows, self._w, white[0], MAX_PIVOTS, x, λ)
+        transformed, _ = self._orthonormal.transform(b[None, : self._zero], 1.0)
+        status = _solve(self._orthonormal.rows, self._w, transformed[0], MAX_PIVOTS, x, λ)
         seconds = perf_counter() - began
-        if ended == OPTIMAL:
+        if status == OPTIMAL:
             z = np.concatenate([np.maximum(x, 0), np.maximum(-x, 0)])
             return SolverResult("solved", "optimal", z, self._duals(λ, self._w), None, seconds)
-        if ended == INFEASIBLE:
+        if status == INFEASIBLE:
             ray = self._duals(λ, np.zeros_like(self._w))
-            return SolverResult("infeasible", "out of reach", None, ray, None, seconds)
+            return SolverResult("infeasible", "unreachable", None, ray, None, seconds)
         return SolverResult("stopped", "too many pivots", seconds=seconds)
 
     def _duals(self, λ: Float[Array, " r"], w: Float[Array, " N"]) -> Float[Array, " m"]:
@@ -88,10 +88,11 @@ class DualSimplexSession:
 
 
 def _compile_kernel(stamp: int) -> Any:
-    # The stamp makes Numba compile anew when a file changes that is compiled into this function.
+    # Numba caches by this function's file alone. The stamp, a checksum of all files that are
+    # compiled into it, makes it compile again when any of them changes.
     @numba.njit(cache=True, nogil=True, error_model="numpy")
     @no_type_check
-    def ask(rows, w, b, pivots, x, λ):
+    def solve(rows, w, b, pivots, x, λ):
         if stamp < 0:
             return UNCERTIFIED
         d = allocate_tableau(rows, w, 0)
@@ -101,7 +102,7 @@ def _compile_kernel(stamp: int) -> Any:
         copy_prefix(λ, d.ρ if ended == INFEASIBLE else d.λ, len(λ))
         return ended
 
-    return ask
+    return solve
 
 
 KERNEL_FILES = ("certificates", "dual_simplex", "tableau")
@@ -111,13 +112,5 @@ _KERNEL_SOURCES = (
 _solve = _compile_kernel(crc32(b"".join(_KERNEL_SOURCES)))
 
 ADAPTERS = (
-    SolverAdapter(
-        name="batched",
-        cone_types=frozenset({"linear"}),
-        certifies_infeasibility=True,
-        module="problems",
-        pip_packages="sato",
-        session_factory=DualSimplexSession,
-        unsupported_reason=unsupported_reason,
-    ),
+    SolverAdapter("batched", LP, True, DualSimplexSession, "problems", "sato", unsupported_reason),
 )

@@ -1,10 +1,10 @@
-"""The quadratic programmes of CasADi, by the solvers that come with it [Andersson2019].
+"""Solvers of quadratic programs that come with CasADi [Andersson2019].
 
-What comes with it and is not here: *hpipm* and *fatrop* want the order of optimal control;
-*proxqp* calls infeasible what has a solution, and the option that would help is not passed on;
-*qrqp* walks in circles where the cost is linear; *clp* cannot be kept from printing, and *cbc*
-solves linear programmes by it; *highs* brings down a process that has loaded
-HiGHS by itself, as this one has.
+Not offered are *hpipm* and *fatrop*, which need the stage order of optimal control; *proxqp*,
+which reports feasible programs as infeasible, and CasADi does not pass on the option that would
+help; *qrqp*, which cycles where the cost is linear; *clp*, which always prints (*cbc* solves
+linear programs with it); and *highs*, which crashes a process that has loaded HiGHS itself, as
+this one has.
 """
 
 from collections.abc import Callable
@@ -17,19 +17,18 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from problems.conic import ConicProgram
-from problems.solvers.adapter import SolverAdapter, SolverResult, Status
-from problems.solvers.rows import lower_bounds
+from problems.conic import ConicProgram, SolverResult, Status
+from problems.solvers.adapter import LP, SolverAdapter, lower_bounds
 
-MAX_ITERATIONS = 100_000  # at most
+MAX_ITERATIONS = 100_000
 QUIET = {"print_header": False, "print_info": False, "print_iter": False}
 
-# What each is told, for a tolerance.
+# Options of each solver for a tolerance.
 OPTIONS: dict[str, Callable[[float], dict[str, Any]]] = {
     "cbc": lambda tolerance: {"cbc": {"logLevel": 0}},
-    # Without a proximal term it does not begin with a cost that is linear.
+    # Without a proximal term it does not start where the cost is linear.
     "daqp": lambda tolerance: {"daqp": {"eps_prox": 1e-3, "iter_limit": MAX_ITERATIONS}},
-    # Its own factorisation stops at zeros on the diagonal, with NaN.
+    # Its own factorization stops at zeros on the diagonal, with NaN.
     "ipqp": lambda tolerance: {
         "constr_viol_tol": tolerance,
         "dual_inf_tol": tolerance,
@@ -59,10 +58,10 @@ OPTIONS: dict[str, Callable[[float], dict[str, Any]]] = {
 
 
 class CasadiConicSession:
-    """A function of CasADi, built once, that reads and writes the same memory at every call."""
+    """CasADi function, built once, that reads and writes the same memory at every call."""
 
     def __init__(self, plugin: str, problem: ConicProgram, tolerance: float) -> None:
-        """Read the problem."""
+        """Build the function."""
         n, m, A = len(problem.q), len(problem.b), casadi.DM(problem.A)
         self._solver: Any = casadi.conic(
             "solver",
@@ -80,7 +79,7 @@ class CasadiConicSession:
             "lbx": np.full(n, -np.inf),
             "ubx": np.full(n, np.inf),
         }
-        # At run time it takes a view without its size, which its own types ask for.
+        # CasADi's type annotations ask for a size with each view; at run time it takes none.
         memory: tuple[Any, Any] = self._solver.buffer()
         self._buffer, self._run = memory
         for name, values in self._given.items():
@@ -95,24 +94,18 @@ class CasadiConicSession:
         self._run()
         stats = self._buffer.stats()
         seconds = perf_counter() - began
-        words = str(stats.get("return_status", stats["unified_return_status"]))
-        counted = stats.get("iter_count", -1)
-        steps = counted if counted > 0 else None
-        if "infeasib" in words.lower() and "dual" not in words.lower():
-            return SolverResult("infeasible", words, None, None, steps, seconds)
-        said: Status = "solved" if stats["success"] else "stopped"
-        return SolverResult(said, words, self._x.copy(), self._y.copy(), steps, seconds)
+        message = str(stats.get("return_status", stats["unified_return_status"]))
+        count = stats.get("iter_count", -1)
+        iterations = count if count > 0 else None
+        if "infeasib" in message.lower() and "dual" not in message.lower():
+            return SolverResult("infeasible", message, None, None, iterations, seconds)
+        status: Status = "solved" if stats["success"] else "stopped"
+        x, y = self._x.copy(), self._y.copy()
+        return SolverResult(status, message, x, y, iterations, seconds)
 
 
 ADAPTERS = tuple(
-    SolverAdapter(
-        name=f"casadi-{plugin}",
-        cone_types=frozenset({"linear"}),
-        certifies_infeasibility=False,
-        module="casadi",
-        pip_packages="casadi",
-        session_factory=partial(CasadiConicSession, plugin),
-    )
+    SolverAdapter(f"casadi-{plugin}", LP, False, partial(CasadiConicSession, plugin), "casadi")
     for plugin in OPTIONS
     if casadi.has_conic(plugin)
 )

@@ -1,4 +1,4 @@
-"""Solvers of smooth programmes, by CasADi: cones are written as inequalities [Andersson2019]."""
+"""Nonlinear solvers through CasADi: cones become smooth inequalities [Andersson2019]."""
 
 from collections.abc import Callable
 from functools import partial
@@ -10,17 +10,17 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from problems.conic import ConicProgram
-from problems.solvers.adapter import SolverAdapter, SolverResult, Status
+from problems.conic import ConicProgram, SolverResult, Status
+from problems.solvers.adapter import SOCP, SolverAdapter
 
-# What each is told, for a tolerance.
+# Options of each solver for a tolerance.
 OPTIONS: dict[str, Callable[[float], dict[str, Any]]] = {
     "ipopt": lambda tolerance: {
         "ipopt": {
             "tol": tolerance,
             "constr_viol_tol": tolerance,
             "dual_inf_tol": tolerance,
-            "compl_inf_tol": tolerance / 10,  # that of one row; the gap is that of all
+            "compl_inf_tol": tolerance / 10,  # of one row; the gap sums over all rows
             "acceptable_iter": 0,
             "bound_relax_factor": 1e-10,
             "mu_strategy": "adaptive",
@@ -32,24 +32,22 @@ OPTIONS: dict[str, Callable[[float], dict[str, Any]]] = {
 
 
 class CasadiNlpSession:
-    """A function of CasADi, built once, with b as its parameter.
+    """CasADi function, built once, with b as its parameter.
 
-    A cone (t, y) is t ≥ √(‖y‖² + ε²), which is smooth at its tip, inside of the cone, and
-    further from it than ε nowhere. The duals are the multipliers of b, which CasADi has from those
-    of the inequalities: μ (1, −y / √(‖y‖² + ε²)) where μ is that of a cone.
+    A cone (t, y) becomes t ≥ √(‖y‖² + ε²), which is smooth at the tip, lies inside the cone and
+    is nowhere further than ε from its boundary. The duals are the multipliers of b, which CasADi
+    derives from those of the inequalities: μ (1, −y / √(‖y‖² + ε²)), μ the multiplier of a cone.
     """
 
     def __init__(self, plugin: str, problem: ConicProgram, tolerance: float) -> None:
-        """Read the problem."""
+        """Build the function."""
         x, b = casadi.MX.sym("x", len(problem.q)), casadi.MX.sym("b", len(problem.b))
         s = b - casadi.DM(problem.A) @ x
-        start = problem.zero + problem.nonnegative
-        rows = [s[:start]]
-        for size in problem.soc_sizes:
-            y = s[start + 1 : start + size]
-            rows.append(s[start] - casadi.sqrt(casadi.sumsqr(y) + (tolerance / 10) ** 2))
-            start += size
-        g = casadi.vertcat(*rows)
+        constraints = [s[: problem.linear]]
+        for rows in problem.soc_rows:
+            norm = casadi.sqrt(casadi.sumsqr(s[rows][1:]) + (tolerance / 10) ** 2)
+            constraints.append(s[rows.start] - norm)
+        g = casadi.vertcat(*constraints)
         self._upper = casadi.DM(np.concatenate([
             np.zeros(problem.zero), np.full(g.shape[0] - problem.zero, np.inf)
         ]))  # fmt: skip
@@ -67,22 +65,15 @@ class CasadiNlpSession:
         x, y = found["x"].full(), found["lam_p"].full()
         stats = self._solver.stats()
         seconds = perf_counter() - began
-        words, steps = stats["return_status"], stats["iter_count"]
-        if words == "Infeasible_Problem_Detected":
-            return SolverResult("infeasible", words, None, None, steps, seconds)
-        said: Status = "solved" if stats["success"] else "stopped"
-        return SolverResult(said, words, x.ravel(), y.ravel(), steps, seconds)
+        message, iterations = stats["return_status"], stats["iter_count"]
+        if message == "Infeasible_Problem_Detected":
+            return SolverResult("infeasible", message, None, None, iterations, seconds)
+        status: Status = "solved" if stats["success"] else "stopped"
+        return SolverResult(status, message, x.ravel(), y.ravel(), iterations, seconds)
 
 
 ADAPTERS = tuple(
-    SolverAdapter(
-        name=f"casadi-{plugin}",
-        cone_types=frozenset({"linear", "second-order"}),
-        certifies_infeasibility=False,
-        module="casadi",
-        pip_packages="casadi",
-        session_factory=partial(CasadiNlpSession, plugin),
-    )
+    SolverAdapter(f"casadi-{plugin}", SOCP, False, partial(CasadiNlpSession, plugin), "casadi")
     for plugin in OPTIONS
     if casadi.has_nlpsol(plugin)
 )

@@ -8,53 +8,44 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse import csc_array
 
-from problems.conic import ConicProgram, ConicSolution
-from problems.solvers.adapter import SolverAdapter, SolverResult, Status, to_solution
+from problems.conic import ConicProgram, SolverResult, Status
+from problems.solvers.adapter import SDP, SolverAdapter
 
-DEFAULT_TOLERANCE = 1e-8  # what the toolkit asks for, well below what it judges by
-# Ends that come with a point. Whether it is an answer is judged by its residuals.
+DEFAULT_TOLERANCE = 1e-8  # well below the tolerance of verification
+# Clarabel stopped with a point. Its residuals tell whether it is a solution.
 INEXACT_STATUSES = ("AlmostSolved", "InsufficientProgress")
 
 
-def solve_clarabel(problem: ConicProgram) -> ConicSolution:
-    """Solve with Clarabel.
-
-    Raises:
-        Infeasible: Clarabel proved that no point satisfies every constraint.
-        Unsolved: It stopped for another reason.
-    """
-    solver = _setup(problem, _settings(DEFAULT_TOLERANCE))
-    return to_solution(problem, _run(solver, perf_counter()), "Clarabel")
+def solve_clarabel(problem: ConicProgram) -> SolverResult:
+    """Solve one program with Clarabel."""
+    return _run(_setup(problem, _settings(DEFAULT_TOLERANCE)), perf_counter())
 
 
 class ClarabelSession:
-    """Solve with Clarabel, over and over with another right-hand side.
+    """Clarabel, set up once for programs that differ in b alone.
 
-    What it needs to begin is kept; an answer does not depend on those before it. One
-    thread at a time.
+    A result does not depend on the programs solved before. One thread at a time.
     """
 
     def __init__(self, first: ConicProgram, tolerance: float = DEFAULT_TOLERANCE) -> None:
-        """Keep what all the problems share."""
+        """Set up the first program."""
         settings = _settings(tolerance)
-        settings.presolve_enable = False  # it would drop rows, and data could not be updated
+        settings.presolve_enable = False  # it would drop rows, and b could not be updated
         self._first, self._b = first, first.b.copy()
         self._solver = _setup(first, settings)
 
-    def __call__(self, problem: ConicProgram) -> ConicSolution:
-        """Solve with the right-hand side of this problem, the rest being that of the first.
+    def __call__(self, problem: ConicProgram) -> SolverResult:
+        """Solve a program that shares q and A with the first.
 
         Raises:
-            ValueError: The problem differs in more than b.
-            Infeasible: Clarabel proved that no point satisfies every constraint.
-            Unsolved: It stopped for another reason.
+            ValueError: The program differs in more than b.
         """
         if problem.A is not self._first.A or problem.q is not self._first.q:
             raise ValueError("only b may differ from the problem that came first")
-        return to_solution(problem, self.solve(problem.b), "Clarabel")
+        return self.solve(problem.b)
 
     def solve(self, b: Float[Array, " m"]) -> SolverResult:
-        """Solve with another right-hand side, and say what comes of it."""
+        """Solve with another right-hand side."""
         began = perf_counter()
         if not np.array_equal(b, self._b):
             self._solver.update(b=b)
@@ -64,15 +55,15 @@ class ClarabelSession:
 
 def _run(solver: clarabel.DefaultSolver, began: float) -> SolverResult:
     solution = solver.solve()
-    words, steps = str(solution.status), solution.iterations
-    x, z = solution.x, solution.z  # lists, made at every reading
+    message, iterations = str(solution.status), solution.iterations
+    x, z = solution.x, solution.z  # lists, made at every access
     seconds = perf_counter() - began
-    if words in ("PrimalInfeasible", "AlmostPrimalInfeasible"):
-        return SolverResult("infeasible", words, None, np.array(z), steps, seconds)
-    if words != "Solved" and words not in INEXACT_STATUSES:
-        return SolverResult("stopped", words, iterations=steps, seconds=seconds)
-    said: Status = "solved" if words == "Solved" else "stopped"
-    return SolverResult(said, words, np.array(x), np.array(z), steps, seconds)
+    if message in ("PrimalInfeasible", "AlmostPrimalInfeasible"):
+        return SolverResult("infeasible", message, None, np.array(z), iterations, seconds)
+    if message != "Solved" and message not in INEXACT_STATUSES:
+        return SolverResult("stopped", message, iterations=iterations, seconds=seconds)
+    status: Status = "solved" if message == "Solved" else "stopped"
+    return SolverResult(status, message, np.array(x), np.array(z), iterations, seconds)
 
 
 def _setup(problem: ConicProgram, settings: clarabel.DefaultSettings) -> clarabel.DefaultSolver:
@@ -88,19 +79,10 @@ def _setup(problem: ConicProgram, settings: clarabel.DefaultSettings) -> clarabe
 def _settings(tolerance: float) -> clarabel.DefaultSettings:
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    # A tenth: its residuals are scaled in another way than ours.
+    # A tenth, because its residuals are scaled in another way than those of verification.
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance / 10
     settings.max_threads = 1
     return settings
 
 
-ADAPTERS = (
-    SolverAdapter(
-        name="clarabel",
-        cone_types=frozenset({"linear", "second-order", "semidefinite"}),
-        certifies_infeasibility=True,
-        module="clarabel",
-        pip_packages="clarabel",
-        session_factory=ClarabelSession,
-    ),
-)
+ADAPTERS = (SolverAdapter("clarabel", SDP, True, ClarabelSession),)

@@ -1,7 +1,6 @@
-"""The standard form as a statement in CVXPY, compiled once, for several solvers [Diamond2016].
+"""Solvers through CVXPY, the program compiled once [Diamond2016].
 
-What it costs to come by way of a modelling language is the time of these less that of the solvers
-themselves.
+The time of these less that of the solvers themselves is the cost of the modeling language.
 """
 
 import warnings
@@ -13,21 +12,17 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from problems.conic import ConeType, ConicProgram, smat, svec
-from problems.solvers.adapter import SolverAdapter, SolverResult, Status
-
-LP: tuple[ConeType, ...] = ("linear",)
-SOCP: tuple[ConeType, ...] = ("linear", "second-order")
-SDP: tuple[ConeType, ...] = ("linear", "second-order", "semidefinite")
+from problems.conic import ConeType, ConicProgram, SolverResult, Status, smat, svec
+from problems.solvers.adapter import LP, SDP, SOCP, SolverAdapter
 
 
 class CvxpySolver(NamedTuple):
-    """A solver that CVXPY knows."""
+    """Solver that CVXPY calls, and its options."""
 
     module: str
-    cone_types: tuple[ConeType, ...]
-    certifies_infeasibility: bool  # whether CVXPY hands on a ray
-    tolerance_options: tuple[str, ...]  # options that are a tolerance
+    cone_types: frozenset[ConeType]
+    certifies_infeasibility: bool  # True where CVXPY passes the ray on
+    tolerance_options: tuple[str, ...]  # set to the tolerance
     fixed_options: dict[str, object]
 
 
@@ -59,73 +54,67 @@ CVXPY_SOLVERS = {
 
 
 class CvxpySession:
-    """A statement that is compiled at its first solve; b is its parameter."""
+    """CVXPY problem that is compiled at its first solve; b is its parameter."""
 
     def __init__(self, solver: str, problem: ConicProgram, tolerance: float) -> None:
-        """State the problem."""
+        """Write the program in CVXPY."""
         import cvxpy as cp
 
-        path = CVXPY_SOLVERS[solver]
-        self._options = {
-            **dict.fromkeys(path.tolerance_options, tolerance / 10),
-            **path.fixed_options,
-        }
+        known = CVXPY_SOLVERS[solver]
+        tolerances = dict.fromkeys(known.tolerance_options, tolerance / 10)
+        self._options = {**tolerances, **known.fixed_options}
         self._solver, self._failed = solver, cp.SolverError
         self._x, self._b = cp.Variable(len(problem.q)), cp.Parameter(len(problem.b))
-        self._limits = _constraints(cp, problem, self._b, self._x)
-        self._problem = cp.Problem(cp.Minimize(problem.q @ self._x), self._limits)
+        self._constraints = _constraints(cp, problem, self._b, self._x)
+        self._problem = cp.Problem(cp.Minimize(problem.q @ self._x), self._constraints)
 
     def solve(self, b: Float[Array, " m"]) -> SolverResult:
         """Solve with another right-hand side."""
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what it warns of is in its status
+            warnings.simplefilter("ignore")  # its warnings repeat its status
             began = perf_counter()
             self._b.value = b
             try:
                 self._problem.solve(solver=self._solver, **self._options)
             except self._failed as failure:
                 return SolverResult("stopped", str(failure), seconds=perf_counter() - began)
-        words, steps = self._problem.status, self._problem.solver_stats.num_iters
-        x, duals = self._x.value, [limit.dual_value for limit in self._limits]
+        message, iterations = self._problem.status, self._problem.solver_stats.num_iters
+        x, duals = self._x.value, [constraint.dual_value for constraint in self._constraints]
         seconds = perf_counter() - began
         y = None if any(dual is None for dual in duals) else _stack_duals(duals)
-        if words in ("infeasible", "infeasible_inaccurate"):
-            return SolverResult("infeasible", words, None, y, steps, seconds)
-        said: Status = "solved" if words == "optimal" else "stopped"
-        return SolverResult(said, words, None if x is None else np.array(x), y, steps, seconds)
+        if message in ("infeasible", "infeasible_inaccurate"):
+            return SolverResult("infeasible", message, None, y, iterations, seconds)
+        status: Status = "solved" if message == "optimal" else "stopped"
+        return SolverResult(status, message, x, y, iterations, seconds)
 
 
 def _constraints(cp: Any, problem: ConicProgram, b: Any, x: Any) -> list[Any]:
-    # In the order of the rows: none of a kind of which there is none.
-    zero, linear = problem.zero, problem.zero + problem.nonnegative
-    limits = []
+    # In the order of the rows, because the duals are stacked in that order.
+    zero, linear, A = problem.zero, problem.linear, problem.A
+    constraints = []
     if zero:
-        limits.append(problem.A[:zero] @ x == b[:zero])
+        constraints.append(A[:zero] @ x == b[:zero])
     if linear > zero:
-        limits.append(problem.A[zero:linear] @ x <= b[zero:linear])
-    start = linear
-    for size in problem.soc_sizes:
-        s = b[start : start + size] - problem.A[start : start + size] @ x
-        limits.append(cp.SOC(s[0], s[1:]))
-        start += size
-    for n in problem.psd_orders:
-        size = n * (n + 1) // 2
-        s = b[start : start + size] - problem.A[start : start + size] @ x
-        limits.append(cp.reshape(_smat_matrix(n) @ s, (n, n), order="F") >> 0)
-        start += size
-    return limits
+        constraints.append(A[zero:linear] @ x <= b[zero:linear])
+    for rows in problem.soc_rows:
+        s = b[rows] - A[rows] @ x
+        constraints.append(cp.SOC(s[0], s[1:]))
+    for n, rows in zip(problem.psd_orders, problem.psd_rows, strict=True):
+        s = b[rows] - A[rows] @ x
+        constraints.append(cp.reshape(_smat_matrix(n) @ s, (n, n), order="F") >> 0)
+    return constraints
 
 
 def _smat_matrix(n: int) -> Float[Array, "entries k"]:
-    """What makes a matrix, column by column, of its triangle."""
+    """Make the matrix that maps a triangle to its full matrix, column by column."""
     units = np.eye(n * (n + 1) // 2)
-    return np.column_stack([smat(unit, n).ravel() for unit in units])
+    return np.column_stack([smat(unit).ravel() for unit in units])
 
 
 def _stack_duals(duals: list[Any]) -> Float[Array, " m"]:
     parts: list[Array] = []
     for dual in duals:
-        if isinstance(dual, list):  # of a second-order cone: t and y
+        if isinstance(dual, list):  # t and y of a second-order cone
             parts += dual
         else:
             parts.append(svec(dual) if np.ndim(dual) == 2 else dual)
@@ -134,12 +123,12 @@ def _stack_duals(duals: list[Any]) -> Float[Array, " m"]:
 
 ADAPTERS = tuple(
     SolverAdapter(
-        name=f"cvxpy-{solver.lower()}",
-        cone_types=frozenset(path.cone_types),
-        certifies_infeasibility=path.certifies_infeasibility,
-        module=path.module,
-        pip_packages=f"cvxpy {path.module}",
-        session_factory=partial(CvxpySession, solver),
+        f"cvxpy-{solver.lower()}",
+        known.cone_types,
+        known.certifies_infeasibility,
+        partial(CvxpySession, solver),
+        known.module,
+        f"cvxpy {known.module}",
     )
-    for solver, path in CVXPY_SOLVERS.items()
+    for solver, known in CVXPY_SOLVERS.items()
 )

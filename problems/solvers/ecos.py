@@ -7,52 +7,42 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from problems.conic import ConicProgram
-from problems.solvers.adapter import SolverAdapter, SolverResult, Status
-from problems.solvers.rows import split_equalities
+from problems.conic import ConicProgram, SolverResult, Status
+from problems.solvers.adapter import SOCP, SolverAdapter, split_equalities
 
-SOLVED, INFEASIBLE, INACCURATE = 0, 1, 10  # exit flags; nearly is added to what holds loosely
+SOLVED, INFEASIBLE, INACCURATE = 0, 1, 10  # exit flags; INACCURATE is added to the other two
 
 
 class EcosSession:
-    """A problem that is set up at every solve, which is all that the library offers."""
+    """Program that is set up anew at every solve, which is all that the library offers."""
 
     def __init__(self, problem: ConicProgram, tolerance: float) -> None:
-        """Keep the problem in the words of the library."""
+        """Convert the program."""
         import ecos
 
         self._solve, self._q, self._zero = ecos.solve, problem.q, problem.zero
-        self._equal, self._other = split_equalities(problem)
+        self._equalities, self._inequalities = split_equalities(problem)
         self._cones = {"l": problem.nonnegative, "q": list(problem.soc_sizes)}
-        self._within = dict.fromkeys(("feastol", "abstol", "reltol"), tolerance / 10)
+        self._tolerances = dict.fromkeys(("feastol", "abstol", "reltol"), tolerance / 10)
 
     def solve(self, b: Float[Array, " m"]) -> SolverResult:
-        """Solve with another right-hand side, anew."""
+        """Solve with another right-hand side."""
         equations: dict[str, Any] = {}
         if self._zero:
-            equations = {"A": self._equal, "b": b[: self._zero]}
+            equations = {"A": self._equalities, "b": b[: self._zero]}
         began = perf_counter()
         result = self._solve(
-            self._q, self._other, b[self._zero :], self._cones,
-            verbose=False, **equations, **self._within,
+            self._q, self._inequalities, b[self._zero :], self._cones,
+            verbose=False, **equations, **self._tolerances,
         )  # fmt: skip
         seconds = perf_counter() - began
         info = result["info"]
-        words, flag, steps = info["infostring"], info["exitFlag"], info["iter"]
+        message, flag, iterations = info["infostring"], info["exitFlag"], info["iter"]
         y = np.concatenate([np.zeros(0) if not self._zero else result["y"], result["z"]])
         if flag in (INFEASIBLE, INFEASIBLE + INACCURATE):
-            return SolverResult("infeasible", words, None, y, steps, seconds)
-        said: Status = "solved" if flag == SOLVED else "stopped"
-        return SolverResult(said, words, np.array(result["x"]), y, steps, seconds)
+            return SolverResult("infeasible", message, None, y, iterations, seconds)
+        status: Status = "solved" if flag == SOLVED else "stopped"
+        return SolverResult(status, message, np.array(result["x"]), y, iterations, seconds)
 
 
-ADAPTERS = (
-    SolverAdapter(
-        name="ecos",
-        cone_types=frozenset({"linear", "second-order"}),
-        certifies_infeasibility=True,
-        module="ecos",
-        pip_packages="ecos",
-        session_factory=EcosSession,
-    ),
-)
+ADAPTERS = (SolverAdapter("ecos", SOCP, True, EcosSession),)

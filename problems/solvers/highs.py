@@ -1,4 +1,4 @@
-"""HiGHS: dual simplex, linear programmes only [Huangfu2018]."""
+"""HiGHS: dual simplex, linear programs only [Huangfu2018]."""
 
 from time import perf_counter
 
@@ -7,31 +7,27 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from problems.conic import ConicProgram, ConicSolution
-from problems.solvers.adapter import SolverAdapter, SolverResult, to_solution
+from problems.conic import ConicProgram, SolverResult
+from problems.solvers.adapter import LP, SolverAdapter, lower_bounds
 
-MIN_TOLERANCE = 1e-10  # the smallest tolerance that HiGHS takes
+MIN_TOLERANCE = 1e-10  # smallest that HiGHS accepts
 DEFAULT_TOLERANCE = 1e-6
 
 
-def solve_highs(problem: ConicProgram) -> ConicSolution:
-    """Solve with HiGHS.
+def solve_highs(problem: ConicProgram) -> SolverResult:
+    """Solve one linear program with HiGHS.
 
     Raises:
-        ValueError: The problem has other cones than linear ones.
-        Infeasible: HiGHS proved that no point satisfies every constraint.
-        Unsolved: It stopped for another reason.
+        ValueError: The program has other cones than linear ones.
     """
-    if others := sorted(problem.cone_types - {"linear"}):
-        raise ValueError(f"HiGHS solves linear programmes; this one has {others[0]} cones")
-    return to_solution(problem, HighsSession(problem, DEFAULT_TOLERANCE).solve(problem.b), "HiGHS")
+    return ADAPTERS[0].open_session(problem, DEFAULT_TOLERANCE).solve(problem.b)
 
 
 class HighsSession:
-    """A model that is kept, with its basis, for other right-hand sides."""
+    """Model that is kept, with its basis, for other right-hand sides."""
 
     def __init__(self, problem: ConicProgram, tolerance: float) -> None:
-        """Read the problem."""
+        """Set up the program."""
         self._zero, self._solver = problem.zero, highspy.Highs()
         for option, value in (
             ("output_flag", False),
@@ -45,28 +41,28 @@ class HighsSession:
 
     def solve(self, b: Float[Array, " m"]) -> SolverResult:
         """Solve with another right-hand side, from the last basis."""
-        lower = _lower_bounds(b, self._zero)
+        lower = lower_bounds(b, self._zero, highspy.kHighsInf)
         began = perf_counter()
         self._solver.changeRowsBounds(len(b), self._rows, lower, b)
         self._solver.run()
         if self._solver.getModelStatus() == highspy.HighsModelStatus.kUnboundedOrInfeasible:
-            self._rerun_without_presolve()  # presolve did not say which
+            self._rerun_without_presolve()  # presolve does not tell which
         status = self._solver.getModelStatus()
         ray = self._ray() if status == highspy.HighsModelStatus.kInfeasible else None
-        words = self._solver.modelStatusToString(status)
+        message = self._solver.modelStatusToString(status)
         iterations = self._solver.getInfo().simplex_iteration_count
         point = self._solver.getSolution()
-        x, y = point.col_value, point.row_dual  # lists, made at every reading
+        x, y = point.col_value, point.row_dual  # lists, made at every access
         seconds = perf_counter() - began
         if status == highspy.HighsModelStatus.kInfeasible:
-            return SolverResult("infeasible", words, None, ray, iterations, seconds)
+            return SolverResult("infeasible", message, None, ray, iterations, seconds)
         if status != highspy.HighsModelStatus.kOptimal:
-            return SolverResult("stopped", words, iterations=iterations, seconds=seconds)
-        return SolverResult("solved", words, np.array(x), -np.array(y), iterations, seconds)
+            return SolverResult("stopped", message, iterations=iterations, seconds=seconds)
+        return SolverResult("solved", message, np.array(x), -np.array(y), iterations, seconds)
 
     def _ray(self) -> Array | None:
         _, found, ray = self._solver.getDualRay()
-        if not found:  # presolve found out, and keeps no proof
+        if not found:  # presolve detected infeasibility and keeps no ray
             self._rerun_without_presolve()
             _, found, ray = self._solver.getDualRay()
         return -np.array(ray) if found else None
@@ -78,12 +74,6 @@ class HighsSession:
         self._solver.setOptionValue("presolve", "choose")
 
 
-def _lower_bounds(b: Array, zero: int) -> Array:
-    lower = b.copy()
-    lower[zero:] = -highspy.kHighsInf
-    return lower
-
-
 def _model(problem: ConicProgram) -> highspy.HighsLp:
     rows, columns = problem.A.shape
     model = highspy.HighsLp()
@@ -92,7 +82,7 @@ def _model(problem: ConicProgram) -> highspy.HighsLp:
     model.col_lower_ = np.full(columns, -highspy.kHighsInf)
     model.col_upper_ = np.full(columns, highspy.kHighsInf)
     model.row_upper_ = problem.b
-    model.row_lower_ = _lower_bounds(problem.b, problem.zero)
+    model.row_lower_ = lower_bounds(problem.b, problem.zero, highspy.kHighsInf)
     model.a_matrix_.format_ = highspy.MatrixFormat.kColwise
     model.a_matrix_.start_ = problem.A.indptr
     model.a_matrix_.index_ = problem.A.indices
@@ -100,13 +90,4 @@ def _model(problem: ConicProgram) -> highspy.HighsLp:
     return model
 
 
-ADAPTERS = (
-    SolverAdapter(
-        name="highs",
-        cone_types=frozenset({"linear"}),
-        certifies_infeasibility=True,
-        module="highspy",
-        pip_packages="highspy",
-        session_factory=HighsSession,
-    ),
-)
+ADAPTERS = (SolverAdapter("highs", LP, True, HighsSession, module="highspy"),)

@@ -1,4 +1,4 @@
-"""QOCO: interior point, quadratic programmes over second-order cones [Chari2025]."""
+"""QOCO: interior point, quadratic programs over second-order cones [Chari2025]."""
 
 from time import perf_counter
 from typing import Any
@@ -7,30 +7,29 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from problems.conic import ConicProgram
-from problems.solvers.adapter import SolverAdapter, SolverResult, Status
-from problems.solvers.rows import split_equalities
+from problems.conic import ConicProgram, SolverResult, Status
+from problems.solvers.adapter import SOCP, SolverAdapter, split_equalities
 
 
 class QocoSession:
-    """A problem that is set up once. It does not find out that there is no point."""
+    """Program that is set up once. Infeasible programs are not detected."""
 
     def __init__(self, problem: ConicProgram, tolerance: float) -> None:
-        """Read the problem."""
+        """Set up the program."""
         import qoco
 
         self._zero = problem.zero
         self._solver: Any = qoco.QOCO()
-        equal, other = split_equalities(problem)
+        A, G = split_equalities(problem)
         self._solver.setup(
             n=len(problem.q),
-            m=other.shape[0],
+            m=G.shape[0],
             p=problem.zero,
             P=None,
             c=problem.q,
-            A=equal if problem.zero else None,
+            A=A if problem.zero else None,
             b=problem.b[: self._zero],
-            G=other if other.shape[0] else None,
+            G=G if G.shape[0] else None,
             h=problem.b[self._zero :],
             l=problem.nonnegative,
             nsoc=len(problem.soc_sizes),
@@ -46,18 +45,9 @@ class QocoSession:
         self._solver.update_vector_data(b=b[: self._zero], h=b[self._zero :])
         result = self._solver.solve()
         seconds = perf_counter() - began
-        said: Status = "solved" if result.status == "QOCO_SOLVED" else "stopped"
+        status: Status = "solved" if result.status == "QOCO_SOLVED" else "stopped"
         y = np.concatenate([result.y, result.z])
-        return SolverResult(said, result.status, np.array(result.x), y, result.iters, seconds)
+        return SolverResult(status, result.status, np.array(result.x), y, result.iters, seconds)
 
 
-ADAPTERS = (
-    SolverAdapter(
-        name="qoco",
-        cone_types=frozenset({"linear", "second-order"}),
-        certifies_infeasibility=False,
-        module="qoco",
-        pip_packages="qoco",
-        session_factory=QocoSession,
-    ),
-)
+ADAPTERS = (SolverAdapter("qoco", SOCP, False, QocoSession),)

@@ -8,17 +8,17 @@ from jaxtyping import Float, Int
 from numpy import ndarray as Array
 from scipy.sparse import csc_array
 
-from problems.conic import ConicProgram
-from problems.solvers.adapter import SolverAdapter, SolverResult, Status
+from problems.conic import ConicProgram, SolverResult, Status
+from problems.solvers.adapter import SDP, SolverAdapter
 
-MAX_ITERATIONS = 100_000  # at most
+MAX_ITERATIONS = 100_000
 
 
 class ScsSession:
-    """A problem that is set up once; each answer is where the next begins."""
+    """Program that is set up once; each solve starts from the last solution."""
 
     def __init__(self, problem: ConicProgram, tolerance: float) -> None:
-        """Read the problem."""
+        """Set up the program."""
         import scs
 
         self._order, self._status = _row_order(problem), scs
@@ -35,46 +35,35 @@ class ScsSession:
             eps_infeas=tolerance / 10,
             max_iters=MAX_ITERATIONS,
             verbose=False,
-            linear_solver="qdldl",  # of one thread, and the same on every machine
+            linear_solver="qdldl",  # single-threaded, with the same result on every machine
         )
 
     def solve(self, b: Float[Array, " m"]) -> SolverResult:
-        """Solve with another right-hand side, from the last answer."""
+        """Solve with another right-hand side, from the last solution."""
         ordered = b[self._order]
         began = perf_counter()
         self._solver.update(b=ordered)
         result = self._solver.solve()
         seconds = perf_counter() - began
         info = result["info"]
-        words, status, steps = info["status"], info["status_val"], info["iter"]
+        message, code, iterations = info["status"], info["status_val"], info["iter"]
         y = np.empty(len(b))
         y[self._order] = result["y"]
-        if status == self._status.INFEASIBLE:
-            return SolverResult("infeasible", words, None, y, steps, seconds)
+        if code == self._status.INFEASIBLE:
+            return SolverResult("infeasible", message, None, y, iterations, seconds)
         if not np.isfinite(result["x"]).all():
-            return SolverResult("stopped", words, iterations=steps, seconds=seconds)
-        said: Status = "solved" if status == self._status.SOLVED else "stopped"
-        return SolverResult(said, words, np.array(result["x"]), y, steps, seconds)
+            return SolverResult("stopped", message, iterations=iterations, seconds=seconds)
+        status: Status = "solved" if code == self._status.SOLVED else "stopped"
+        return SolverResult(status, message, np.array(result["x"]), y, iterations, seconds)
 
 
 def _row_order(problem: ConicProgram) -> Int[Array, " m"]:
-    """Which of our rows stands where SCS wants one: it reads the lower triangles of matrices."""
-    start = problem.zero + problem.nonnegative + sum(problem.soc_sizes)
-    rows = [np.arange(start)]
-    for n in problem.psd_orders:
+    """Compute the row of the program for each row of SCS, which takes lower triangles."""
+    order = [np.arange(problem.linear + sum(problem.soc_sizes))]
+    for n, rows in zip(problem.psd_orders, problem.psd_rows, strict=True):
         column, row = np.triu_indices(n)  # of a lower triangle, column by column
-        rows.append(start + row * (row + 1) // 2 + column)
-        start += n * (n + 1) // 2
-    return np.concatenate(rows)
+        order.append(rows.start + row * (row + 1) // 2 + column)
+    return np.concatenate(order)
 
 
-ADAPTERS = (
-    SolverAdapter(
-        name="scs",
-        cone_types=frozenset({"linear", "second-order", "semidefinite"}),
-        certifies_infeasibility=True,
-        module="scs",
-        pip_packages="scs",
-        session_factory=ScsSession,
-    ),
-)
+ADAPTERS = (SolverAdapter("scs", SDP, True, ScsSession),)

@@ -18,9 +18,9 @@ from time import process_time
 from typing import Any, Literal, NamedTuple, TextIO
 
 import problems.solvers
-from problems.conic import ConicProgram
+from problems.conic import ConicProgram, SolverResult, Verified, verify
 from problems.families import Instance
-from problems.solvers.adapter import SolverAdapter, SolverResult, Verified, verify
+from problems.solvers.adapter import SolverAdapter
 from sato.resource_usage import peak_memory_mib
 
 SolverLookup = Callable[
@@ -269,7 +269,7 @@ def _evaluate(
     instance: Instance, claim: SolverResult, tolerance: float, seconds: float
 ) -> SolveOutcome:
     problem: ConicProgram = instance.problem
-    kind, answer, why = verify(problem, claim, tolerance)
+    kind, answer, why, _ = verify(problem, claim, tolerance)
     if kind == "unproven" and instance.is_feasible:
         kind, why = "wrong claim", f"{why}, but there is a point"
     if kind == "wrong claim" and claim.status == "infeasible" and not instance.is_feasible:
