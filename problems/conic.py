@@ -44,8 +44,9 @@ class ConicProgram:
         """Check the shapes of the data, and that all numbers are finite."""
         if min(self.zero, self.nonnegative, 0) or min((*self.soc_sizes, *self.psd_orders, 1)) < 1:
             raise ValueError(
-                "zero and nonnegative cannot be negative, and every cone has at least one row, got "
-                f"{self.zero}, {self.nonnegative}, cones {self.soc_sizes}, matrices {self.psd_orders}"
+                "no count may be negative, and every cone needs at least one row, got "
+                f"zero = {self.zero}, nonnegative = {self.nonnegative}, "
+                f"soc_sizes = {self.soc_sizes} and psd_orders = {self.psd_orders}"
             )
         last = [slice(self.linear), *self.soc_rows, *self.psd_rows][-1]
         rows = last.stop
