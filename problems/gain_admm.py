@@ -1,4 +1,4 @@
-"""Gains by splitting: the nearest that fits, and the nearest that is faster, in turns."""
+"""Formation gains by Douglas–Rachford splitting with a proven bound on their rate."""
 
 import numpy as np
 from jaxtyping import Inexact
@@ -8,91 +8,89 @@ from scipy.linalg import eigh
 from problems.gain_problem import MIN_RATE, GainProblem, GainSolution
 
 RATE_TOLERANCE = 5e-4  # between the rate and its bound, relative
-MAX_ITERATIONS = 3000  # at most
-CHECK_INTERVAL = 5  # rounds between two looks at rate and bound
+MAX_ITERATIONS = 3000
+CHECK_INTERVAL = 5  # iterations between two computations of rate and bound
 OVER_RELAXATION = 1.7  # of a step; less than 2
-ANDERSON_MEMORY = 20  # steps from which the next is foretold …
-MAX_STORED_NUMBERS = 4_000_000  # … or fewer, so that no more numbers than these are kept
-RESTART_FACTOR = 2.0  # times the least mismatch so far: what was foretold was wrong
+ANDERSON_MEMORY = 20  # steps that the extrapolation uses …
+MAX_STORED_NUMBERS = 4_000_000  # … or fewer, to store no more numbers than these
+RESTART_FACTOR = 2.0  # times the least residual so far: the extrapolation has failed
 
 
 def solve(
-    question: GainProblem, tolerance: float = RATE_TOLERANCE, max_iterations: int = MAX_ITERATIONS
+    problem: GainProblem, tolerance: float = RATE_TOLERANCE, max_iterations: int = MAX_ITERATIONS
 ) -> GainSolution:
-    """Gains whose rate is proven to be within a tolerance of the best.
+    """Find gains whose rate is within a tolerance of a proven bound.
 
-        maximise t  subject to  L ⪰ t (I − K Kᴴ),  L K = 0,  tr L = m,  L_ij = 0 at non-edges
+        maximize t  subject to  L ⪰ t (I − K Kᴴ),  L K = 0,  tr L = m,  L_ij = 0 at non-edges
 
-    by Douglas–Rachford splitting, which is ADMM seen from the dual [Eckstein1992]:
+    by Douglas–Rachford splitting, which is ADMM on the dual [Eckstein1992]:
 
-        X ← raise the smallest eigenvalues of W to a common level, ρ in all
-        L ← the nearest to 2X − W that fits; Y ← what that drops at the non-edges
+        X ← raise the smallest eigenvalues of W to a common level, by ρ in total
+        L ← projection of 2X − W onto the equations;  Y ← what it removes at the non-edges
         W ← W + 1.7 (L − X)
 
     The first line is the proximal step of −λ_min on the complement of K. The second is one
-    system in n × r unknowns, factored once, however many non-edges there are
-    (`Question.split`). At the fixed point, the projection drops just what makes X − W, the
-    dual, a multiple of the identity on what fits; so Y gives the bound with nothing to be
-    repaired, and it holds wherever the method is stopped (`Question.bound`).
+    linear system in n × r unknowns, factored once, for any number of non-edges
+    (`GainProblem.project`). At the fixed point Y is the dual solution without correction,
+    and it proves a bound wherever the iteration stops (`GainProblem.rate_bound`).
 
-    ρ is the scale of L − (I − K Kᴴ) against that of a matrix of trace one, and is kept. The
-    next W is foretold from the last mismatches [Walker2011], and where that leads astray it
-    is taken back; it saves half of the rounds on sparse graphs.
+    ρ is fixed: the norm of L − (I − K Kᴴ) against that of a matrix of trace one. Anderson
+    acceleration [Walker2011] extrapolates W and is undone where the residual grows; it saves
+    half of the iterations on sparse graphs.
 
     Args:
-        question: Kernel and graph.
-        tolerance: Share of the bound by which the rate may be less.
-        rounds: When to give up; what was best by then is returned.
+        problem: Kernel and graph.
+        tolerance: Largest gap between rate and bound, relative to the bound.
+        max_iterations: Limit after which the best result so far is returned.
 
     Returns:
-        The fastest L seen, by its own rate, and the Y of the least bound. The first of each
-        are those of the projection of I − K Kᴴ. The bound is below `NO_RATE` where no gains
-        stabilise.
+        The fastest L so far and the Y of the least bound. The first of each are those of
+        the projection of I − K Kᴴ. The bound is below `MIN_RATE` where no gains stabilize.
 
     Raises:
-        NoMatrix: Graph and kernel leave no matrix with a trace.
+        NoGainMatrix: The graph and the kernel admit matrices of trace 0 only.
     """
-    K = question.kernel
+    K = problem.kernel
     ideal = np.eye(len(K)) - K @ K.conj().T
-    L, Y = question.project_with_remainder(ideal)
-    best = BestSolution(question, GainSolution(L, Y))
-    strength = float(np.sqrt(question.m) * np.linalg.norm(L - ideal))
-    if strength <= 1e-12 * question.m:
+    L, Y = problem.project(ideal)
+    best = BestSolution(problem, GainSolution(L, Y))
+    strength = float(np.sqrt(problem.m) * np.linalg.norm(L - ideal))
+    if strength <= 1e-12 * problem.m:
         return best.solution
-    W, course = L, _AndersonAcceleration(L)
+    W, acceleration = L, _AndersonAcceleration(L)
     for k in range(1, max_iterations + 1):
         if k % CHECK_INTERVAL == 1 and best.is_within(tolerance):
             break
-        X = _prox_least_eigenvalue(question, W, strength)
-        L, Y = question.project_with_remainder(2 * X - W)
+        X = _prox_least_eigenvalue(problem, W, strength)
+        L, Y = problem.project(2 * X - W)
         if k % CHECK_INTERVAL == 0:
             best.update(GainSolution(L, Y))
-        W = course.next_iterate(W, L - X)
+        W = acceleration.next_iterate(W, L - X)
     return best.solution
 
 
 class BestSolution:
-    """The best of both sides so far; they need not be of the same round."""
+    """Fastest gains and least bound so far, possibly of different iterations."""
 
-    def __init__(self, question: GainProblem, first: GainSolution) -> None:
-        self.question, self.solution = question, first
-        self.rate, self.bound = question.convergence_rate(first.L), question.rate_bound(first.Y)
+    def __init__(self, problem: GainProblem, first: GainSolution) -> None:
+        self.problem, self.solution = problem, first
+        self.rate, self.bound = problem.convergence_rate(first.L), problem.rate_bound(first.Y)
 
-    def update(self, answer: GainSolution) -> None:
-        """Compare."""
-        rate, bound = self.question.convergence_rate(answer.L), self.question.rate_bound(answer.Y)
+    def update(self, solution: GainSolution) -> None:
+        """Keep the better gains and the better bound."""
+        rate, bound = self.problem.convergence_rate(solution.L), self.problem.rate_bound(solution.Y)
         if rate > self.rate:
-            self.rate, self.solution = rate, self.solution._replace(L=answer.L)
+            self.rate, self.solution = rate, self.solution._replace(L=solution.L)
         if bound < self.bound:
-            self.bound, self.solution = bound, self.solution._replace(Y=answer.Y)
+            self.bound, self.solution = bound, self.solution._replace(Y=solution.Y)
 
     def is_within(self, tolerance: float) -> bool:
-        """Whether there is no more to be had."""
+        """Return True where rate and bound agree, or the bound excludes stable gains."""
         return self.bound <= MIN_RATE or self.bound - self.rate <= tolerance * self.bound
 
 
 class _AndersonAcceleration:
-    """Where to go next, from where the last steps led (Anderson's acceleration)."""
+    """Extrapolation of a fixed-point iteration from its last steps [Walker2011]."""
 
     def __init__(self, W: Array) -> None:
         size = W.size * (2 if np.iscomplexobj(W) else 1)
@@ -101,41 +99,38 @@ class _AndersonAcceleration:
         self.gram = np.zeros((memory, memory))
         self.count = 0
         self.least_residual = np.inf
-        self.last: tuple[Array, Array] | None = None  # where a plain step led, and its mismatch
+        self.last: tuple[Array, Array] | None = None  # last plain iterate and its residual
 
-    def next_iterate(self, W: Inexact[Array, "n n"], mismatch: Inexact[Array, "n n"]) -> Array:
-        """The next point, from this one and the mismatch at it."""
-        if (
-            self.last is not None
-            and np.linalg.norm(mismatch) > RESTART_FACTOR * self.least_residual
-        ):
-            plain, mismatch = self.last
-            self.count, self.last, self.least_residual = 0, None, float(np.linalg.norm(mismatch))
+    def next_iterate(self, W: Inexact[Array, "n n"], residual: Inexact[Array, "n n"]) -> Array:
+        """Extrapolate, or return to the last plain iterate where the residual has grown."""
+        size = float(np.linalg.norm(residual))
+        if self.last is not None and size > RESTART_FACTOR * self.least_residual:
+            plain, residual = self.last
+            self.count, self.last = 0, None
+            self.least_residual = float(np.linalg.norm(residual))
             return plain
-        plain = W + OVER_RELAXATION * mismatch
+        plain = W + OVER_RELAXATION * residual
         if self.last is not None:
-            self._store(plain - self.last[0], mismatch - self.last[1])
-        self.last = plain, mismatch
-        self.least_residual = min(self.least_residual, float(np.linalg.norm(mismatch)))
-        return self._extrapolate(plain, mismatch) if self.count else plain
+            self._store(plain - self.last[0], residual - self.last[1])
+        self.last = plain, residual
+        self.least_residual = min(self.least_residual, size)
+        return self._extrapolate(plain, residual) if self.count else plain
 
-    def _store(self, move: Array, change: Array) -> None:
+    def _store(self, iterate_change: Array, residual_change: Array) -> None:
         at = self.count % len(self.iterate_changes)
-        self.iterate_changes[at], self.residual_changes[at] = (
-            _to_real_vector(move),
-            _to_real_vector(change),
-        )
+        self.iterate_changes[at] = _to_real_vector(iterate_change)
+        self.residual_changes[at] = _to_real_vector(residual_change)
         self.count += 1
         known = min(self.count, len(self.iterate_changes))
-        along = self.residual_changes[:known] @ self.residual_changes[at]
-        self.gram[at, :known] = self.gram[:known, at] = along
+        products = self.residual_changes[:known] @ self.residual_changes[at]
+        self.gram[at, :known] = self.gram[:known, at] = products
 
-    def _extrapolate(self, plain: Array, mismatch: Array) -> Array:
-        # The mixture of steps with the least mismatch, were the mismatch linear.
+    def _extrapolate(self, plain: Array, residual: Array) -> Array:
+        # The combination of the last steps with the least residual, were it linear.
         known = min(self.count, len(self.iterate_changes))
         G = self.gram[:known, :known]
         G = G + 1e-10 * G.trace() * np.eye(known)
-        shares = np.linalg.solve(G, self.residual_changes[:known] @ _to_real_vector(mismatch))
+        shares = np.linalg.solve(G, self.residual_changes[:known] @ _to_real_vector(residual))
         ahead = (shares @ self.iterate_changes[:known]).view(plain.dtype)
         return np.asarray(plain - ahead.reshape(plain.shape))
 
@@ -144,11 +139,11 @@ def _to_real_vector(M: Array) -> Array:
     return np.ascontiguousarray(M).view(np.float64).ravel()
 
 
-def _prox_least_eigenvalue(question: GainProblem, W: Array, strength: float) -> Array:
-    # argmin of −λ_min(X) + ‖X − W‖² / (2 ρ): as water fills a basin.
-    m = question.m
-    λ, V = eigh(question.shift_kernel(W), driver="evd", check_finite=False)
+def _prox_least_eigenvalue(problem: GainProblem, W: Array, strength: float) -> Array:
+    # argmin of −λ_min(X) + ‖X − W‖² / (2 ρ): fill the spectrum from below, as water a basin.
+    m = problem.m
+    λ, V = eigh(problem.shift_kernel(W), driver="evd", check_finite=False)
     levels = (np.cumsum(λ[:m]) + strength) / np.arange(1, m + 1)
-    wet = int(np.count_nonzero(levels > λ[:m]))
-    lifted = V[:, :wet] * (levels[wet - 1] - λ[:wet])
-    return np.asarray(W + lifted @ V[:, :wet].conj().T)
+    count = int(np.count_nonzero(levels > λ[:m]))
+    raised = V[:, :count] * (levels[count - 1] - λ[:count])
+    return np.asarray(W + raised @ V[:, :count].conj().T)

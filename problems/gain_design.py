@@ -1,6 +1,5 @@
-"""The design of gains: the fastest for a formation, or the proof that it cannot have any."""
+"""Design of formation gains: the fastest gains, or a proof that none stabilize."""
 
-from collections.abc import Callable
 from contextlib import suppress
 from typing import Literal
 
@@ -9,7 +8,7 @@ from jaxtyping import Inexact
 from numpy import ndarray as Array
 from threadpoolctl import threadpool_limits
 
-from problems import gain_admm as admm
+from problems import gain_admm
 from problems.conic import Unsolved
 from problems.desired_formation import DesiredFormation
 from problems.gain_matrix import GainMatrix
@@ -18,147 +17,155 @@ from problems.gain_problem import MIN_RATE, Axes, GainProblem, GainSolution, NoG
 __all__ = ["GainDesignUndecided", "GainMatrix", "NoStabilizingGain", "design_gains"]
 
 GainMethod = Literal["auto", "projection", "admm", "sdp", "paper"]
-AXES_TEXT = {"xy": "in the plane", "z": "upwards"}
-SDP_MAX_AGENTS = 15  # vehicles, up to which the general solver takes a second and is asked for help
+AXES_TEXT = {"xy": "horizontally", "z": "vertically"}
+SDP_MAX_AGENTS = 15  # for so many the semidefinite program takes about a second
 
 
 class NoStabilizingGain(RuntimeError):
-    """It is proven that no gains make the formation form, or none faster than `NO_RATE`.
+    """Proof that no gains stabilize the formation faster than `MIN_RATE`.
 
     Attributes:
-        formation: The shape and graph asked for.
-        which: The direction, "xy" or "z", in which there are none.
-        dual: Y on the non-edges, the proof: see `Question.bound`.
-        bound: The rate that it leaves, at most `NO_RATE`.
+        formation: Desired formation and its graph.
+        axes: "xy" or "z", for which there are no gains.
+        dual: Certificate Y on the non-edges, see `GainProblem.rate_bound`.
+        bound: The rate that it allows, at most `MIN_RATE`.
     """
 
     def __init__(
-        self, formation: DesiredFormation, which: Axes, dual: Inexact[Array, "n n"]
+        self, formation: DesiredFormation, axes: Axes, dual: Inexact[Array, "n n"]
     ) -> None:
         i, j = sorted(np.unravel_index(np.abs(dual).argmax(), dual.shape))
-        self.formation, self.axes, self.dual = formation, which, dual
-        self.bound = GainProblem.from_formation(formation, which).rate_bound(dual)
-        where = f"no gains stabilise {_format_formation(formation)} {AXES_TEXT[which]}"
+        self.formation, self.axes, self.dual = formation, axes, dual
+        self.bound = GainProblem.from_formation(formation, axes).rate_bound(dual)
+        subject = f"no gains stabilize {_format_formation(formation)} {AXES_TEXT[axes]}"
+        allowed = "no rate above 0"
         if self.bound > 0:
-            where += f" faster than {MIN_RATE:.0e} of their mean"
+            subject += f" faster than {MIN_RATE:.0e} of their mean"
             allowed = f"a rate of at most {self.bound:.1e}"
-        else:
-            allowed = "no rate above 0"
         super().__init__(
-            f"{where}: its graph allows {allowed}, by proof; add edges, between {i} and {j} first"
+            f"{subject}: its graph allows {allowed}, by proof; add edges, first between {i} and {j}"
         )
 
 
 class GainDesignUndecided(RuntimeError):
-    """Neither stable gains were found nor a proof that there are none.
+    """Neither stable gains nor a proof that there are none.
 
     Attributes:
-        formation: The shape and graph asked for.
-        which: The direction, "xy" or "z", in which it is so.
-        rate: The best rate found.
-        bound: A rate that is proven to be out of reach.
+        formation: Desired formation and its graph.
+        axes: "xy" or "z", for which no stable gains were found.
+        rate: Best rate found.
+        bound: Least proven bound on the rate.
     """
 
     def __init__(
-        self, formation: DesiredFormation, which: Axes, method: str, rate: float, bound: float
+        self, formation: DesiredFormation, axes: Axes, method: str, rate: float, bound: float
     ) -> None:
-        self.formation, self.axes, self.rate, self.bound = formation, which, rate, bound
+        self.formation, self.axes, self.rate, self.bound = formation, axes, rate, bound
+        others = [] if method.startswith("admm") else ['method "auto" may find more']
+        if method != "sdp":
+            others.append('method "sdp" may find more for few agents')
         super().__init__(
             f"the method {method} found no stable gains for {_format_formation(formation)} "
-            f"{AXES_TEXT[which]}: their rate is {rate:.1e}, and up to {bound:.1e} is not excluded; "
-            'method "auto" may find more, for few vehicles "sdp" too, and more edges will help'
+            f"{AXES_TEXT[axes]}: their rate is {rate:.1e}, and rates up to {bound:.1e} are not "
+            f"excluded; {'; '.join([*others, 'add edges'])}"
         )
 
 
 def design_gains(
-    formation: DesiredFormation, method: GainMethod = "auto", tolerance: float = admm.RATE_TOLERANCE
+    formation: DesiredFormation,
+    method: GainMethod = "auto",
+    tolerance: float = gain_admm.RATE_TOLERANCE,
 ) -> GainMatrix:
-    """The gains with which the formation forms fastest, for their mean eigenvalue.
+    """Design the gains of the largest convergence rate for a mean eigenvalue of −1.
 
-    Every method answers the same programme, in the plane and upwards (`Question`):
+    Every method solves the same program, horizontally and vertically (`GainProblem`):
 
     - "auto": on the complete graph A = −(I − K Kᴴ), of which all eigenvalues outside the
       kernel K are −1; since that is their mean, nothing is faster. Otherwise as "admm", and
-      where that gives up with 15 vehicles or fewer, the better of it and "sdp".
+      where that misses the tolerance with 15 agents or fewer, the better of it and "sdp".
     - "projection": the gains nearest to those; one linear system. On sparse graphs they are
-      often not stable.
-    - "admm": from there on, alternating directions until the rate is within `tolerance` of
-      a bound that is proven, for 3000 rounds at most.
+      often unstable.
+    - "admm": splitting until the rate is within `tolerance` of a proven bound, for 3000
+      iterations at most.
     - "sdp": a general interior-point solver; n ≤ 30 or so.
-    - "paper": the paper's own iteration, to be compared with.
+    - "paper": the iteration of the paper, for comparison.
 
-    What a method returns is projected once more, so that residuals are those of rounding, and
-    its rate and bound are computed from the matrices. Nothing unstable is returned.
+    The result of a method is projected once more, so that residuals are those of rounding.
+    Rate and bound are computed from the matrices. Unstable gains are never returned.
 
     Args:
         formation: Shape and graph.
         method: See above.
-        tolerance: Share of the bound by which the rate may be less, for "auto" and "admm".
+        tolerance: Largest gap between rate and bound relative to the bound, for "auto" and
+            "admm".
 
     Returns:
-        Stable gains. Where the rounds did not suffice, as on graphs that hardly hold the
-        shape, `gap_xy` and `gap_z` may be more than the tolerance; they tell by how much.
+        Stable gains. On graphs that hardly hold the shape, `gap_xy` and `gap_z` may exceed
+        the tolerance.
 
     Raises:
-        NoStabilisingGain: There are none, with the proof.
-        Undecided: The method found neither stable gains nor that proof.
+        NoStabilizingGain: There are none, with the proof.
+        GainDesignUndecided: The method found neither stable gains nor that proof.
+        ValueError: The method is unknown.
     """
     with threadpool_limits(1, user_api="blas"):  # on busy cores a second thread only waits
-        xy, bound_xy, how = _design_axes(formation, "xy", method, tolerance)
-        z, bound_z, also = _design_axes(formation, "z", method, tolerance)
-        ways = how if how == also else f"{how}; upwards {also}"
-        return GainMatrix(formation, -xy, -z, ways, bound_xy, bound_z)
+        xy, bound_xy, method_xy = _design_axes(formation, "xy", method, tolerance)
+        z, bound_z, method_z = _design_axes(formation, "z", method, tolerance)
+        used = method_xy if method_xy == method_z else f"{method_xy}; vertical {method_z}"
+        return GainMatrix(formation, -xy, -z, used, bound_xy, bound_z)
 
 
 def _design_axes(
-    formation: DesiredFormation, which: Axes, method: GainMethod, tolerance: float
+    formation: DesiredFormation, axes: Axes, method: GainMethod, tolerance: float
 ) -> tuple[Array, float, str]:
-    asked = GainProblem.from_formation(formation, which)
-    if method == "auto" and asked.is_complete:
-        K = asked.kernel
+    problem = GainProblem.from_formation(formation, axes)
+    if method == "auto" and problem.is_complete:
+        K = problem.kernel
         return np.eye(len(K)) - K @ K.conj().T, 1.0, "closed form"
-    way: str = "admm" if method == "auto" else method
+    used: str = "admm" if method == "auto" else method
     try:
-        L, Y = _select_solver(way, tolerance)(asked)
+        L, Y = _solve(problem, used, tolerance)
         if method == "auto" and len(L) <= SDP_MAX_AGENTS:
-            (L, Y), way = _improve_with_sdp(asked, GainSolution(L, Y), tolerance)
-        L = asked.project((L + L.conj().T) / 2)
+            (L, Y), used = _improve_with_sdp(problem, GainSolution(L, Y), tolerance)
+        L = problem.project((L + L.conj().T) / 2).projected
     except NoGainMatrix as none:
-        raise NoStabilizingGain(formation, which, none.dual) from none
-    rate, bound = asked.convergence_rate(L), asked.rate_bound(Y)
+        raise NoStabilizingGain(formation, axes, none.dual) from none
+    rate, bound = problem.convergence_rate(L), problem.rate_bound(Y)
     if bound <= MIN_RATE:
-        raise NoStabilizingGain(formation, which, Y)
+        raise NoStabilizingGain(formation, axes, Y)
     if rate <= MIN_RATE:
-        raise GainDesignUndecided(formation, which, way, rate, bound)
-    return L, bound, way
+        raise GainDesignUndecided(formation, axes, used, rate, bound)
+    return L, bound, used
 
 
 def _improve_with_sdp(
-    asked: GainProblem, found: GainSolution, tolerance: float
+    problem: GainProblem, solution: GainSolution, tolerance: float
 ) -> tuple[GainSolution, str]:
-    best = admm.BestSolution(asked, found)
+    best = gain_admm.BestSolution(problem, solution)
     if best.is_within(tolerance):
-        return found, "admm"
-    with suppress(Unsolved):  # then what was found before is what there is
-        best.update(_select_solver("sdp", tolerance)(asked))
+        return solution, "admm"
+    with suppress(Unsolved):  # the first solution remains
+        best.update(_solve(problem, "sdp", tolerance))
     return best.solution, "admm and sdp"
 
 
-def _select_solver(method: str, tolerance: float) -> Callable[[GainProblem], GainSolution]:
-    # The slow ones are imported when they are asked for; loading their solvers takes seconds.
+def _solve(problem: GainProblem, method: str, tolerance: float) -> GainSolution:
+    # The slow methods are imported on demand: loading their solvers takes seconds.
     if method == "projection":
-        return lambda asked: GainSolution(*asked.project_with_remainder(np.eye(len(asked.graph))))
+        return GainSolution(*problem.project(np.eye(len(problem.graph))))
     if method == "admm":
-        return lambda asked: admm.solve(asked, tolerance)
+        return gain_admm.solve(problem, tolerance)
     if method == "sdp":
-        from problems.gain_sdp import solve as sdp
+        from problems import gain_sdp
 
-        return sdp
+        return gain_sdp.solve(problem)
     if method == "paper":
-        from problems.gain_paper import solve as paper
+        from problems import gain_paper
 
-        return paper
-    raise ValueError(f'gains are designed by auto, projection, admm, sdp or paper, not "{method}"')
+        return gain_paper.solve(problem)
+    raise ValueError(
+        f'method must be "auto", "projection", "admm", "sdp" or "paper", got "{method}"'
+    )
 
 
 def _format_formation(formation: DesiredFormation) -> str:

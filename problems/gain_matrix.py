@@ -1,4 +1,4 @@
-"""Gains of a formation: how everybody weighs what it sees of its neighbours."""
+"""Formation gains: the matrix, its certificate and its file."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,7 +13,7 @@ from problems.desired_formation import DesiredFormation
 from problems.gain_problem import Axes, GainProblem
 
 RESIDUAL_TOLERANCE = 1e-8  # relative; gains with larger residuals are of another formation
-FILE_FIELDS = {  # in a file: what it is made of, and its shape
+FILE_FIELDS = {  # name in the file: type and shape
     "points": (float, ("n", 3)),
     "graph": (bool, ("n", "n")),
     "name": (str, ()),
@@ -22,19 +22,23 @@ FILE_FIELDS = {  # in a file: what it is made of, and its shape
     "method": (str, ()),
     "bounds": (float, (2,)),
 }
-# What numpy and zipfile say of other files, and of damaged ones.
+# Errors of numpy and zipfile for other files, and for damaged ones.
 READ_ERRORS = (ValueError, TypeError, EOFError, OSError, RuntimeError, BadZipFile)
 
 
 @dataclass(frozen=True, eq=False)
 class GainMatrix:
-    """The gain matrix A of q̇ = A q, and what it is worth [Lusk2020, eq. 3].
+    """Gain matrix A of q̇ = A q with its convergence rate and bounds [Lusk2020, eq. 3].
 
-    An entry a + jb of `xy` stands for the block [a −b; b a] that turns and scales the
-    neighbour's relative position seen from above; an entry of `z` scales its height. Both
-    are negative semidefinite, have zeros at non-edges and rows of sum 0, and are scaled so
-    that the eigenvalues outside the kernel are −1 in the mean. Whatever is said of them is
-    computed from them, except for the bounds.
+    An entry a + jb of `xy` stands for the block [a −b; b a] that rotates and scales the
+    horizontal relative position of a neighbor; an entry of `z` scales its relative height.
+    Both are negative semidefinite, vanish at non-edges, have rows of sum 0, and are scaled
+    to a mean of −1 of the eigenvalues outside the kernel. All properties except for the
+    bounds are computed from the matrices.
+
+    Raises:
+        ValueError: The gains are unstable or belong to another formation, or a bound is
+            below the rate.
     """
 
     formation: DesiredFormation
@@ -45,44 +49,42 @@ class GainMatrix:
     bound_z: float  # [1/s]
 
     def __post_init__(self) -> None:
-        """Refuse what are not stable gains of the formation."""
+        """Refuse gains that are unstable or of another formation, and wrong bounds."""
         _validate_gains(self.formation, "xy", self.xy)
         _validate_gains(self.formation, "z", self.z)
         if not self.convergence_rate > 0:
-            raise ValueError(
-                f"these gains are not stable: their rate is {self.convergence_rate:.1e}"
-            )
+            raise ValueError(f"the gains are not stable: their rate is {self.convergence_rate:.1e}")
         _validate_bound("xy", self.bound_xy, self.rate_xy)
         _validate_bound("z", self.bound_z, self.rate_z)
 
     @property
     def convergence_rate(self) -> float:
-        """How fast the slowest error dies out [1/s]."""
+        """Rate at which the slowest error decays [1/s]."""
         return min(self.rate_xy, self.rate_z)
 
     @cached_property
     def rate_xy(self) -> float:
-        """The least eigenvalue of −A in the plane, outside the kernel [1/s]."""
+        """Least eigenvalue of the horizontal −A outside the kernel [1/s]."""
         return GainProblem.from_formation(self.formation, "xy").convergence_rate(-self.xy)
 
     @cached_property
     def rate_z(self) -> float:
-        """The least eigenvalue of −A upwards, outside the kernel [1/s]."""
+        """Least eigenvalue of the vertical −A outside the kernel [1/s]."""
         return GainProblem.from_formation(self.formation, "z").convergence_rate(-self.z)
 
     @property
     def gap_xy(self) -> float:
-        """The share of the bound that is not reached in the plane."""
+        """Relative gap between the horizontal rate and its bound."""
         return max(0.0, 1 - self.rate_xy / self.bound_xy)
 
     @property
     def gap_z(self) -> float:
-        """The share of the bound that is not reached upwards."""
+        """Relative gap between the vertical rate and its bound."""
         return max(0.0, 1 - self.rate_z / self.bound_z)
 
     @property
     def residual_kernel(self) -> float:
-        """Largest speed at which the formation, once formed, is left [m/s]."""
+        """Largest speed of an agent in the desired formation [m/s]."""
         return max(
             _kernel_residual(self.formation, "xy", self.xy),
             _kernel_residual(self.formation, "z", self.z),
@@ -90,52 +92,43 @@ class GainMatrix:
 
     @property
     def residual_structure(self) -> float:
-        """Largest entry of A − Aᴴ and of the sums of rows [1/s]."""
+        """Largest entry of A − Aᴴ and of the row sums [1/s]."""
         return max(_structure_residual(A) for A in (self.xy, self.z))
 
     @property
     def residual_graph(self) -> float:
-        """Largest entry between two that do not measure each other [1/s]."""
+        """Largest entry at a non-edge [1/s]."""
         return max(_graph_residual(self.formation, A) for A in (self.xy, self.z))
 
-    @property
-    def full_matrix(self) -> Float[Array, "N N"]:
-        """A as the paper prints it, 3n × 3n [Lusk2020, eq. 3]."""
-        n = len(self.z)
-        A = np.zeros((n, 3, n, 3))
-        A[:, 0, :, 0] = A[:, 1, :, 1] = self.xy.real
-        A[:, 1, :, 0], A[:, 0, :, 1] = self.xy.imag, -self.xy.imag
-        A[:, 2, :, 2] = self.z
-        return A.reshape(3 * n, 3 * n)
-
     def matches_formation(self, formation: DesiredFormation) -> bool:
-        """Whether these are gains of that formation: its points and its graph."""
-        mine = self.formation
-        return np.array_equal(mine.points, formation.points) and np.array_equal(
-            mine.graph, formation.graph
+        """Return True where the gains were designed for these points and this graph."""
+        own = self.formation
+        return np.array_equal(own.points, formation.points) and np.array_equal(
+            own.graph, formation.graph
         )
 
     def save(self, path: str | Path) -> None:
-        """Write an .npz file that holds the formation and the graph too."""
-        shape, bounds = self.formation, (self.bound_xy, self.bound_z)
-        fields = shape.points, shape.graph, shape.name, self.xy, self.z, self.method, bounds
-        held = dict(zip(FILE_FIELDS, map(np.asarray, fields), strict=True))
-        np.savez(path, allow_pickle=False, **held)
+        """Write an .npz file that includes the formation and the graph."""
+        formation, bounds = self.formation, (self.bound_xy, self.bound_z)
+        values = (formation.points, formation.graph, formation.name, self.xy, self.z, self.method)
+        fields = dict(zip(FILE_FIELDS, map(np.asarray, (*values, bounds)), strict=True))
+        np.savez(path, allow_pickle=False, **fields)
 
     @classmethod
     def load(cls, path: str | Path) -> "GainMatrix":
         """Read a file written by `save`.
 
         Raises:
-            ValueError: It is not such a file, or its gains are not of its formation.
+            ValueError: It is another file or damaged, or its gains do not belong to its
+                formation.
         """
-        held = _read_fields(path)
+        fields = _read_fields(path)
         try:
-            _validate_fields(held)
-            held = {name: held[name].astype(kind) for name, (kind, _) in FILE_FIELDS.items()}
-            shape = DesiredFormation(held["points"], held["graph"], str(held["name"]))
-            bounds = held["bounds"].tolist()
-            return cls(shape, held["xy"], held["z"], str(held["method"]), *bounds)
+            _validate_fields(fields)
+            fields = {name: fields[name].astype(kind) for name, (kind, _) in FILE_FIELDS.items()}
+            formation = DesiredFormation(fields["points"], fields["graph"], str(fields["name"]))
+            bounds = fields["bounds"].tolist()
+            return cls(formation, fields["xy"], fields["z"], str(fields["method"]), *bounds)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
 
@@ -144,19 +137,19 @@ def _read_fields(path: str | Path) -> dict[str, Array]:
     with open(path, "rb") as opened:
         try:
             with np.load(opened, allow_pickle=False) as file:
-                held = {name: file[name] for name in file}
+                fields = {name: file[name] for name in file}
         except READ_ERRORS as error:
             raise ValueError(f"{path} is not a file of gains, or is damaged") from error
-    if lacks := [name for name in FILE_FIELDS if name not in held]:
-        raise ValueError(f"{path} is not a file of gains: it lacks {', '.join(lacks)}")
-    return held
+    if absent := [name for name in FILE_FIELDS if name not in fields]:
+        raise ValueError(f"{path} is not a file of gains: it lacks {', '.join(absent)}")
+    return fields
 
 
-def _validate_fields(held: dict[str, Array]) -> None:
-    # Before anything is computed with them: whatever is in the file got there somehow.
-    n = max(held["points"].shape, default=0)
+def _validate_fields(fields: dict[str, Array]) -> None:
+    # First of all, because a foreign file may hold anything under these names.
+    n = max(fields["points"].shape, default=0)
     for name, (kind, sides) in FILE_FIELDS.items():
-        array, shape = held[name], tuple(n if side == "n" else side for side in sides)
+        array, shape = fields[name], tuple(n if side == "n" else side for side in sides)
         if array.shape != shape or not np.can_cast(array.dtype, kind, "same_kind"):
             raise ValueError(
                 f"{name} should be {kind.__name__} of shape {shape}, "
@@ -164,25 +157,22 @@ def _validate_fields(held: dict[str, Array]) -> None:
             )
 
 
-def _validate_bound(which: Axes, bound: float, rate: float) -> None:
+def _validate_bound(axes: Axes, bound: float, rate: float) -> None:
     if not bound >= rate * (1 - RESIDUAL_TOLERANCE):
         raise ValueError(
-            f"no gains for {which} are said to be faster than {bound:.6g}, and these have the rate "
-            f"{rate:.6g}: the bound is not one"
+            f"the bound for {axes} must be at least the rate {rate:.6g} of these gains, "
+            f"got {bound:.6g}"
         )
 
 
-def _kernel_columns(formation: DesiredFormation, which: Axes) -> Array:
-    # Columns that gains must leave alone, about the centre: vehicles see differences alone.
+def _kernel_residual(formation: DesiredFormation, axes: Axes, A: Array) -> float:
+    # Kernel columns about the center, because agents measure differences only.
     n = len(formation.points)
-    if which == "z" and formation.is_flat:
-        return np.ones((n, 1))
-    column = formation.planar_points if which == "xy" else formation.points[:, 2]
-    return np.stack([column - column.mean(), np.ones(n)], axis=1)
-
-
-def _kernel_residual(formation: DesiredFormation, which: Axes, A: Array) -> float:
-    return float(np.abs(A @ _kernel_columns(formation, which)).max())
+    columns = np.ones((n, 1))
+    if axes == "xy" or not formation.is_flat:
+        column = formation.planar_points if axes == "xy" else formation.points[:, 2]
+        columns = np.stack([column - column.mean(), np.ones(n)], axis=1)
+    return float(np.abs(A @ columns).max())
 
 
 def _structure_residual(A: Array) -> float:
@@ -194,24 +184,22 @@ def _graph_residual(formation: DesiredFormation, A: Array) -> float:
     return float(np.abs(A[absent]).max(initial=0.0))
 
 
-def _validate_gains(formation: DesiredFormation, which: Axes, A: Array) -> None:
+def _validate_gains(formation: DesiredFormation, axes: Axes, A: Array) -> None:
     n = len(formation.points)
     if A.shape != (n, n):
-        raise ValueError(f"{n} points need {n} × {n} gains, got {A.shape} for {which}")
+        raise ValueError(f"{n} points need {n} × {n} gains, got {A.shape} for {axes}")
     if not np.isfinite(A).all():
-        raise ValueError(f"gains must be finite numbers, those for {which} are not")
+        raise ValueError(f"the gains for {axes} must be finite numbers")
     if (A == 0).all():
-        raise ValueError(f"gains of 0 move nobody, and those for {which} are")
-    drift, size = _kernel_residual(formation, which, A), float(np.abs(A).max())
+        raise ValueError(f"the gains for {axes} must not all be 0")
+    drift, size = _kernel_residual(formation, axes, A), float(np.abs(A).max())
     extent = max(1.0, float(np.ptp(formation.points, axis=0).max()))
+    mean_error = abs(A.trace().real / GainProblem.from_formation(formation, axes).m + 1)
     for residual, fault in (
-        (drift / extent, f"move it by {drift:.1e} m/s when it is formed"),
-        (_graph_residual(formation, A), "let vehicles use what they do not measure"),
+        (drift / extent, f"move the desired formation by {drift:.1e} m/s"),
+        (_graph_residual(formation, A), "are not zero at the non-edges of its graph"),
         (_structure_residual(A), "are not symmetric, or have rows that do not sum to 0"),
-        (
-            abs(A.trace().real / GainProblem.from_formation(formation, which).m + 1),
-            "are not −1 in the mean",
-        ),
+        (mean_error, "do not have eigenvalues of −1 in the mean"),
     ):
         if residual > RESIDUAL_TOLERANCE * max(1.0, size):
-            raise ValueError(f"the gains for {which} do not belong to this formation: they {fault}")
+            raise ValueError(f"the gains for {axes} do not belong to this formation: they {fault}")

@@ -1,4 +1,4 @@
-"""What gains must satisfy in one of the two directions, and what bounds their rate."""
+"""Design problem of formation gains along one axis group: constraints, rate and dual bound."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -7,25 +7,25 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Inexact
 from numpy import ndarray as Array
-from scipy.linalg import cho_factor, cho_solve, eigvalsh
+from scipy.linalg import cho_factor, cho_solve, eigvalsh, null_space
 
 from problems.desired_formation import DesiredFormation
 
-Axes = Literal["xy", "z"]  # in the plane, or upwards
+Axes = Literal["xy", "z"]  # horizontal (complex) or vertical (real) gains
 
-MIN_RATE = 1e-6  # of the mean: gains as slow as this, or proven to be slower, are none
-ZERO_TOLERANCE = 1e-9  # of what it could be: taken for zero
-ROUNDOFF = 1e-14  # relative: what products and eigenvalues are exact to
-EIGENVALUE_ERROR = 1e-15  # times n, relative: more than what the eigenvalues of a bound are off by
-REGULARIZATION = 1e-10  # of the mean: far above rounding, far below what matters
-MAX_REFINEMENTS = 6  # at most; two are the rule
+MIN_RATE = 1e-6  # of the mean eigenvalue: slower gains, or a bound below it, count as none
+ZERO_TOLERANCE = 1e-9  # of the largest possible trace: taken for zero
+ROUNDOFF = 1e-14  # relative error of products and eigenvalues
+EIGENVALUE_ERROR = 1e-15  # times n, relative: upper limit of the eigenvalue error in a bound
+REGULARIZATION = 1e-10  # of the mean diagonal: far above rounding, far below the data
+MAX_REFINEMENTS = 6  # iterations; two usually suffice
 
 
 class NoGainMatrix(RuntimeError):
-    """The graph and the kernel leave no matrix but those of trace 0.
+    """The graph and the kernel admit matrices of trace 0 only.
 
     Attributes:
-        dual: Matrix Y on the non-edges with Qᴴ Y Q = I, which proves it.
+        dual: Certificate Y on the non-edges with Qᴴ Y Q = I.
     """
 
     def __init__(self, dual: Inexact[Array, "n n"]) -> None:
@@ -34,106 +34,117 @@ class NoGainMatrix(RuntimeError):
 
 
 class GainSolution(NamedTuple):
-    """What a method has to say to a question; `Question` says what it is worth."""
+    """Primal and dual matrices that a method returns; `GainProblem` computes their values."""
 
     L: Inexact[Array, "n n"]  # the gain is −L
-    Y: Inexact[Array, "n n"]  # the dual, on the non-edges
+    Y: Inexact[Array, "n n"]  # dual matrix on the non-edges
 
 
 class GainProjection(NamedTuple):
-    """A matrix parted in two by a projection."""
+    """Projection of a matrix and the part that it removes at the non-edges."""
 
-    projected: Inexact[Array, "n n"]  # L, the nearest that fits
-    removed: Inexact[Array, "n n"]  # Y, what stood at the non-edges
+    projected: Inexact[Array, "n n"]  # L, the nearest feasible matrix but for positivity
+    removed: Inexact[Array, "n n"]  # Y
 
 
 @dataclass(frozen=True, eq=False)
 class GainProblem:
-    """How fast can a formation be made to form, in the plane or upwards?
+    """Fastest horizontal or vertical gains of a formation.
 
-    maximise t  subject to  L ⪰ t (I − K Kᴴ),  L K = 0,  tr L = m,  L_ij = 0 at non-edges
+        maximize t  subject to  L ⪰ t (I − K Kᴴ),  L K = 0,  tr L = m,  L_ij = 0 at non-edges
 
-    over Hermitian L; the gain is −L, and its rate t. The kernel K is complex in the plane
-    and real upwards [Lusk2020, eq. 5 and 7]; m = n − r counts the eigenvalues that are not
-    in it, so that their mean is 1. With Q the complement of K and L = Q Z Qᴴ this is the
-    programme in Z that the paper states.
+    over Hermitian L; the gain is −L and its rate t. The kernel K is complex for the
+    horizontal and real for the vertical gains [Lusk2020, eq. 5 and 7]. m = n − r counts the
+    eigenvalues outside the kernel, so their mean is 1. With Q the orthogonal complement of
+    K and L = Q Z Qᴴ this is the program in Z of the paper.
 
-    The dual is over Hermitian Y with entries at the non-edges alone:
+    The dual is over Hermitian Y that vanish except at the non-edges:
 
-    minimise −l / (μ − l),   l = λ_min(Qᴴ Y Q),   μ = tr(Qᴴ Y Q) / m
+        minimize −l / (μ − l),   l = λ_min(Qᴴ Y Q),   μ = tr(Qᴴ Y Q) / m
     """
 
-    kernel: Inexact[Array, "n r"]  # K, of orthonormal columns
+    kernel: Inexact[Array, "n r"]  # K, orthonormal columns
     graph: Bool[Array, "n n"]
 
     @classmethod
-    def from_formation(cls, formation: DesiredFormation, which: Axes) -> "GainProblem":
-        """What is asked of the gains of a formation in the plane, or upwards."""
-        kernel = formation.kernel_xy if which == "xy" else formation.kernel_z
+    def from_formation(cls, formation: DesiredFormation, axes: Axes) -> "GainProblem":
+        """Pose the problem of the horizontal or the vertical gains."""
+        kernel = formation.kernel_xy if axes == "xy" else formation.kernel_z
         return cls(kernel, formation.graph)
 
     @property
     def m(self) -> int:
-        """The number of eigenvalues outside the kernel."""
+        """Number of eigenvalues outside the kernel."""
         n, r = self.kernel.shape
         return int(n - r)
 
     @property
     def is_complete(self) -> bool:
-        """Whether the graph lacks no edge."""
+        """True where the graph has every edge."""
         return bool(self._allowed_entries.all())
 
-    def project(self, W: Inexact[Array, "n n"]) -> Inexact[Array, "n n"]:
-        """The nearest Hermitian L with L K = 0, tr L = m and zeros at the non-edges.
+    @property
+    def non_edges(self) -> tuple[Array, Array]:
+        """Both vertices of every non-edge, the lower number first."""
+        i, j = np.nonzero(np.triu(~self.graph, 1))
+        return i, j
+
+    @cached_property
+    def complement(self) -> Inexact[Array, "n m"]:
+        """Q, orthonormal columns that span the orthogonal complement of the kernel."""
+        return np.asarray(null_space(self.kernel.conj().T))
+
+    def require_positive_trace(self) -> None:
+        """Check that some matrix satisfies all equations.
 
         Raises:
-            NoMatrix: There is none.
+            NoGainMatrix: The graph and the kernel admit matrices of trace 0 only.
         """
-        return self.project_with_remainder(W).projected
+        _ = self._trace_direction
 
-    def project_with_remainder(self, W: Inexact[Array, "n n"]) -> GainProjection:
-        """The projection of a Hermitian matrix and what it drops at the non-edges.
+    def project(self, W: Inexact[Array, "n n"]) -> GainProjection:
+        """Find the nearest Hermitian L with L K = 0, tr L = m and zeros at the non-edges.
 
         Raises:
-            NoMatrix: There is none to project on.
+            NoGainMatrix: No matrix satisfies these equations.
         """
         kept, dropped = self._project_without_trace(W)
-        unit, rest = self._trace_direction
-        lack = (self.m - kept.trace().real) / unit.trace().real
-        return GainProjection(kept + lack * unit, dropped + lack * rest)
+        direction, rest = self._trace_direction
+        deficit = (self.m - kept.trace().real) / direction.trace().real
+        return GainProjection(kept + deficit * direction, dropped + deficit * rest)
 
     def convergence_rate(self, L: Inexact[Array, "n n"]) -> float:
-        """The least eigenvalue of L on the complement of the kernel."""
+        """Compute the least eigenvalue of L on the complement of the kernel."""
         return float(eigvalsh(self.shift_kernel(L), subset_by_index=[0, 0], check_finite=False)[0])
 
     def rate_bound(self, Y: Inexact[Array, "n n"]) -> float:
-        """A rate that no L exceeds, from any Hermitian Y on the non-edges.
+        """Compute a rate that no feasible L exceeds, from any Hermitian Y on the non-edges.
 
         Proof. Let W = Qᴴ Y Q and S = W − l I, positive semidefinite by the choice of l.
-        For every L = Q Z Qᴴ of the question ⟨W, Z⟩ = ⟨Y, L⟩ = 0, so ⟨S, Z⟩ = −l m. With
-        Z ⪰ t I follows t tr S ≤ −l m, and tr S = (μ − l) m. It does not matter where Y
-        comes from, nor how large it is. Entries at edges are left out here, so that the
-        proof always holds; and l and μ are taken for less than they are computed to be, by
-        what rounding may have added, which only raises the bound.
+        For every feasible L = Q Z Qᴴ, ⟨W, Z⟩ = ⟨Y, L⟩ = 0, so ⟨S, Z⟩ = −l m. From Z ⪰ t I
+        follows t tr S ≤ −l m, and tr S = (μ − l) m. Origin and size of Y do not matter.
+
+        Entries at edges are ignored, so the proof always holds. l and μ are reduced by an
+        upper limit of their rounding errors, which only raises the bound.
         """
         Y = np.where(self._allowed_entries, 0, Y + Y.conj().T)
         size = float(np.abs(Y).max())
         if not 0 < size < np.inf:
-            return 1.0  # the mean of all eigenvalues, which the least never exceeds
+            return 1.0  # the mean eigenvalue, which the least never exceeds
         Y = Y / size
         inside = Y - self.kernel @ (self.kernel.conj().T @ Y)
         inside = inside - (inside @ self.kernel) @ self.kernel.conj().T
-        slack = EIGENVALUE_ERROR * len(Y) * float(np.linalg.norm(Y))
-        least = self.convergence_rate(inside) - slack
-        mean = float(inside.trace().real) / self.m - slack
+        rounding = EIGENVALUE_ERROR * len(Y) * float(np.linalg.norm(Y))
+        least = self.convergence_rate(inside) - rounding
+        mean = float(inside.trace().real) / self.m - rounding
         if mean <= 0:
             return 1.0
         if mean <= least:
-            return -np.inf  # W = c I, and c tr Z = 0 has no answer
+            return -np.inf  # W = c I, and c tr Z = 0 has no solution
         return -least / (mean - least)
 
     def shift_kernel(self, L: Inexact[Array, "n n"]) -> Inexact[Array, "n n"]:
-        """L with the zero eigenvalues of its kernel lifted above all others."""
+        """Raise the zero eigenvalues of the kernel above all others."""
         K = self.kernel
         return np.asarray(L + (1 + np.linalg.norm(L)) * (K @ K.conj().T))
 
@@ -143,34 +154,40 @@ class GainProblem:
 
     @cached_property
     def _trace_direction(self) -> tuple[Array, Array]:
-        # Of what fits but for its trace, I is the farthest; and its square size is its trace.
-        unit, rest = self._project_without_trace(np.eye(len(self.graph), dtype=self.kernel.dtype))
-        if unit.trace().real <= ZERO_TOLERANCE * self.m:
+        # The projection of I has the largest trace of all matrices of its size, and its
+        # squared norm is its trace: where that vanishes, every matrix has trace 0.
+        direction, rest = self._project_without_trace(
+            np.eye(len(self.graph), dtype=self.kernel.dtype)
+        )
+        if direction.trace().real <= ZERO_TOLERANCE * self.m:
             raise NoGainMatrix(rest)
-        return unit, rest
+        return direction, rest
 
     def _project_without_trace(self, W: Array) -> tuple[Array, Array]:
-        # The projection without the trace: L = E∘(W − X Kᴴ − K Xᴴ) with X such that L K = 0,
-        # E being 1 at the diagonal and the edges. Later passes repair what the shift of
-        # _factor does to the first.
+        # L = E∘(W − X Kᴴ − K Xᴴ) with X such that L K = 0, where E is 1 on the diagonal and
+        # the edges. Later iterations remove the error of the regularized first solution.
         K, size = self.kernel, np.linalg.norm(W)
         for _ in range(MAX_REFINEMENTS):
-            miss = np.where(self._allowed_entries, W, 0) @ K
-            if np.linalg.norm(miss) <= ROUNDOFF * size:
+            residual = np.where(self._allowed_entries, W, 0) @ K
+            if np.linalg.norm(residual) <= ROUNDOFF * size:
                 break
-            half = self._multiplier(miss) @ K.conj().T
+            half = self._multiplier(residual) @ K.conj().T
             W = W - half - half.conj().T
         return np.where(self._allowed_entries, W, 0), np.where(self._allowed_entries, 0, W)
 
-    def _multiplier(self, miss: Array) -> Array:
-        # X with E∘(X Kᴴ + K Xᴴ) K = miss: linear in the real and imaginary parts of X.
-        solved = cho_solve(self._normal_factor, _to_real_parts(miss).ravel(), check_finite=False)
-        return _from_real_parts(solved.reshape(-1, *miss.shape))
+    def _multiplier(self, residual: Array) -> Array:
+        # X with E∘(X Kᴴ + K Xᴴ) K = residual, linear in the real and imaginary parts of X.
+        parts = residual[None]
+        if np.iscomplexobj(residual):
+            parts = np.stack([residual.real, residual.imag])
+        solved = cho_solve(self._normal_factor, parts.ravel(), check_finite=False)
+        X = solved.reshape(parts.shape)
+        return np.asarray(X[0] + 1j * X[1] if len(X) == 2 else X[0])
 
     @cached_property
     def _normal_factor(self) -> tuple[Array, bool]:
-        # X ↦ G X + H X̄ in real and imaginary parts, symmetric and positive semidefinite. Some X
-        # change nothing, as K times an antihermitian matrix; the shift makes it definite.
+        # X ↦ G X + H X̄ in real and imaginary parts, symmetric and positive semidefinite. It
+        # maps K times any anti-Hermitian matrix to zero; the regularization makes it definite.
         K, (n, r) = self.kernel, self.kernel.shape
         G = np.zeros((n, r, n, r), dtype=K.dtype)
         G[np.arange(n), :, np.arange(n)] = np.einsum(
@@ -185,11 +202,3 @@ class GainProblem:
         T[np.diag_indices_from(T)] += REGULARIZATION * T.diagonal().mean()
         factor, lower = cho_factor(T, overwrite_a=True, check_finite=False)
         return factor, lower
-
-
-def _to_real_parts(X: Array) -> Array:
-    return np.stack([X.real, X.imag]) if np.iscomplexobj(X) else X[None]
-
-
-def _from_real_parts(parts: Array) -> Array:
-    return np.asarray(parts[0] + 1j * parts[1] if len(parts) == 2 else parts[0])
