@@ -71,7 +71,7 @@ def test_without_the_action_the_leader_is_lost():
 
 
 def test_who_dies_is_neither_seen_nor_followed():
-    mission = flight(0, deaths=(AgentLoss(3, 2.0),))
+    mission = flight(0, losses=(AgentLoss(3, 2.0),))
     frames = flown(mission)
     dead = [f for f in frames if f.time >= 2.0]
     assert not any(f.alive[3] or f.visibility[:, 3].any() or f.edge_weight[3].any() for f in dead)
@@ -84,7 +84,7 @@ def test_lag_noise_and_losses_are_borne():
     rough = flight(
         1,
         plant=KinematicVehicle(time_constant=0.3),
-        noise=0.05,
+        camera_noise=0.05,
         link=CommunicationLink(loss_probability=0.1),
     )
     frames = flown(rough)
@@ -92,7 +92,7 @@ def test_lag_noise_and_losses_are_borne():
 
 
 def test_a_leader_that_is_dead_is_not_steered():
-    frames = flown(flight(0, deaths=(AgentLoss(0, 2.0),)))
+    frames = flown(flight(0, losses=(AgentLoss(0, 2.0),)))
     dead = [f for f in frames if f.time >= 2.0]
     assert any(f.stick.any() for f in frames if f.time < 2.0)
     assert not any(f.stick.any() or f.command[0].any() or f.velocity[0].any() for f in dead)

@@ -69,7 +69,7 @@ def test_to_turn_the_whole_world_turns_the_paths_and_no_command(seed, turn, esti
     there = replace(
         here,
         start=here.start @ about(turn).T + shift,
-        yaw=here.start_yaw + turn,
+        start_yaw=here.start_yaw + turn,
         stick=WaypointStick(here.stick.waypoints @ about(turn).T + shift),
         obstacles=Obstacles.empty()._replace(spheres=spheres),
     )
@@ -91,7 +91,7 @@ def test_to_turn_the_axes_of_one_robot_changes_nothing_in_the_world(seed, robot,
     yaw[robot] += turn
     believed[:, robot] += turn
     believed[robot, :] -= turn
-    other = replace(plain, yaw=yaw, believed=believed)
+    other = replace(plain, start_yaw=yaw, start_yaw_estimate=believed)
     frames = flown(plain)
     assume(smooth(frames))
     for one, another in zip(frames, flown(other), strict=True):
@@ -109,7 +109,7 @@ def test_to_turn_the_axes_of_one_robot_changes_nothing_in_the_world(seed, robot,
 def test_to_turn_all_axes_under_the_cameras_changes_nothing_in_the_world(seed, turn):
     plain = mission(seed, Camera())
     x, y, z = about(-turn) @ plain.camera.optical_axis
-    other = replace(plain, yaw=plain.start_yaw + turn, camera=Camera(optical_axis=(x, y, z)))
+    other = replace(plain, start_yaw=plain.start_yaw + turn, camera=Camera(optical_axis=(x, y, z)))
     frames = flown(plain)
     assume(smooth(frames) and max(np.abs(f.command[:, 3]).max() for f in frames) > 0.05)
     for one, another in zip(frames, flown(other), strict=True):
@@ -134,8 +134,8 @@ def test_what_decides_for_a_robot_is_not_given_the_world():
 
 def in_flight(seed, link):
     """A state some steps on, with much in everybody's mail."""
-    whole, rng = mission(seed, Camera(), noise=0.02, link=link), np.random.default_rng(0)
-    state = initial_state(whole.start, whole.start_yaw, whole.start_yaw_estimate, link.late, 2, rng)
+    whole, rng = mission(seed, Camera(), camera_noise=0.02, link=link), np.random.default_rng(0)
+    state = initial_state(whole.start, whole.start_yaw, whole.start_yaw_estimate, link.delay_messages, 2, rng)
     for number in range(30):
         asked, alive = np.array([1.0, 0, 0]), np.ones(6, dtype=bool)
         advance(state, whole.parameters, asked, alive, number, number > 0, rng)

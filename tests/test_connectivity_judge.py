@@ -60,7 +60,7 @@ def test_who_is_in_sight_is_judged_by_the_tilted_camera(tilted):
     p, yaw = run.data["position"].values, run.data["yaw"].values
     gap = p[:, None] - p[:, :, None]
     far = np.linalg.norm(gap, axis=3) + 99 * np.eye(6)
-    x, y, z = mission.camera.axis
+    x, y, z = mission.camera.optical_axis
     c, s = np.cos(yaw), np.sin(yaw)
     axis = np.stack([c * x - s * y, s * x + c * y, np.full_like(yaw, z)], axis=-1)
     facing = (gap * axis[:, :, None]).sum(axis=3) / far

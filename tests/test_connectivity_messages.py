@@ -60,7 +60,7 @@ def test_after_as_many_rounds_as_the_graph_is_wide_everybody_knows_lambda2(rng):
 @pytest.mark.parametrize("estimator", ["flood", "exact"])
 def test_a_second_after_a_robot_died_the_rest_act_as_if_it_had_never_been(rng, estimator):
     position, yaw, _, _ = chain(rng)
-    death = {"deaths": (AgentLoss(7, 0.6),), "estimator": estimator}
+    death = {"losses": (AgentLoss(7, 0.6),), "estimator": estimator}
     frames = rested(position, yaw, yaw - yaw[:, None], 1.6, **death)
     before, late, last = frames[29], frames[60], frames[80]
     assert before.known_agents[:7, 7].any() and not last.known_agents[:7, 7].any()

@@ -29,10 +29,10 @@ SHARES = st.floats(0.01, 0.99)  # of the way from the asymptote to where all end
 
 @given(POTENTIALS, SHARES)
 def test_the_action_is_minus_the_slope_of_the_potential(potential, share):
-    x = share * (potential.lambda2_max - potential.least)
+    x = share * (potential.lambda2_max - potential.lambda2_min)
     h = 1e-5 * min(x, 1)
     assume(x > ASYMPTOTE_OFFSET + h)
-    at = potential.least + x
+    at = potential.lambda2_min + x
     fall = (evaluate_potential(at - h, potential) - evaluate_potential(at + h, potential)) / (2 * h)
     # Central differences err by h² V‴/6 ~ strength m² h²/x⁴, rounding by ε V/h.
     assert negative_slope(at, potential) == pytest.approx(fall, rel=1e-6, abs=1e-8)
@@ -44,31 +44,31 @@ def test_the_potential_ends_without_a_jump_or_a_kink(potential):
         assert evaluate_potential(potential.lambda2_max + beyond, potential) == pytest.approx(
             0, abs=1e-25
         )
-        assert negative_slope(potential.most + beyond, potential) == pytest.approx(0, abs=1e-13)
+        assert negative_slope(potential.lambda2_max + beyond, potential) == pytest.approx(0, abs=1e-13)
     h = 1e-6
-    assert evaluate_potential(potential.most - h, potential) <= 3 * potential.strength * h * h
-    assert 0 < negative_slope(potential.most - h, potential) <= 10 * potential.strength * h
+    assert evaluate_potential(potential.lambda2_max - h, potential) <= 3 * potential.strength * h * h
+    assert 0 < negative_slope(potential.lambda2_max - h, potential) <= 10 * potential.strength * h
 
 
 @given(POTENTIALS, SHARES, SHARES)
 def test_the_less_connected_the_harder_it_is_defended(potential, share, other):
     low, high = sorted((share, other))
     assume(high - low > 1e-6)
-    m = potential.lambda2_max - potential.least
-    low, high = potential.least + low * m, potential.least + high * m
+    m = potential.lambda2_max - potential.lambda2_min
+    low, high = potential.lambda2_min + low * m, potential.lambda2_min + high * m
     assert evaluate_potential(low, potential) >= evaluate_potential(high, potential) > 0
     assert negative_slope(low, potential) >= negative_slope(high, potential) > 0
 
 
 @given(POTENTIALS)
 def test_the_potential_goes_to_infinity_as_one_over_what_is_left(potential):
-    m = potential.lambda2_max - potential.least
-    at = potential.least + ASYMPTOTE_OFFSET
+    m = potential.lambda2_max - potential.lambda2_min
+    at = potential.lambda2_min + ASYMPTOTE_OFFSET
     assert evaluate_potential(at, potential) * ASYMPTOTE_OFFSET == pytest.approx(
         potential.strength * (m - ASYMPTOTE_OFFSET) ** 2
     )
     # Nearer than that, and below the limit, all is finite and stays as it is.
-    for beyond in (potential.least + ASYMPTOTE_OFFSET / 2, potential.least, -1.0):
+    for beyond in (potential.lambda2_min + ASYMPTOTE_OFFSET / 2, potential.lambda2_min, -1.0):
         assert evaluate_potential(beyond, potential) == pytest.approx(
             evaluate_potential(at, potential)
         )
@@ -84,8 +84,8 @@ def test_the_action_at_a_few_eigenvalues():
 def test_what_is_near_pushes_harder_and_what_is_far_not_at_all(repulsion, share, other):
     low, high = sorted((share, other))
     assume(high - low > 1e-6)
-    m = repulsion.max_distance - repulsion.nearest
-    low, high = repulsion.nearest + low * m, repulsion.nearest + high * m
+    m = repulsion.max_distance - repulsion.min_distance
+    low, high = repulsion.min_distance + low * m, repulsion.min_distance + high * m
     assert repulsion_gain(low, repulsion) >= repulsion_gain(high, repulsion) > 0
     h = 1e-6
     assert (
@@ -97,10 +97,10 @@ def test_what_is_near_pushes_harder_and_what_is_far_not_at_all(repulsion, share,
             0, abs=1e-25
         )
     assert repulsion_gain(0.0, repulsion) == repulsion_gain(
-        repulsion.nearest + ASYMPTOTE_OFFSET / 2, repulsion
+        repulsion.min_distance + ASYMPTOTE_OFFSET / 2, repulsion
     )
     assert repulsion_gain(
-        repulsion.nearest + ASYMPTOTE_OFFSET, repulsion
+        repulsion.min_distance + ASYMPTOTE_OFFSET, repulsion
     ) * ASYMPTOTE_OFFSET == pytest.approx(repulsion.strength * m * (1 - ASYMPTOTE_OFFSET / m) ** 2)
 
 

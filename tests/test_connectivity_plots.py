@@ -44,14 +44,14 @@ AROUND = (
     '{kind="plane", normal=[1, 0.2, 0.3], through_m=[-3, 0, 0]}, '
     '{kind="box", low_m=[11, -5, 0], high_m=[30, 5, 4]}]'
 )
-LOST = (
+LOSSES = (
     "death=[{robot=0, time_s=1.0}, {robot=3, time_s=1.6}, {robot=4, time_s=2.0}, "
     "{robot=5, time_s=0}]"
 )
 VARIANTS = {
     "six": ("duration_s=3",),
     "thirty": ("agents=30", "duration_s=1"),
-    "lost": ("duration_s=2.5", "camera.occlusion=true", LOST),
+    "lost": ("duration_s=2.5", "camera.occlusion=true", LOSSES),
     "recorded": ("duration_s=3", STICK, AROUND),
     "two": ("agents=2", "obstacles.count=0", "duration_s=1", "estimator.kind=exact"),
     "blind": ("camera.blind=true", "potential.strength=0", "duration_s=0.1"),
@@ -326,7 +326,7 @@ def test_fields_of_view_open_about_the_optical_axis():
 
 def test_a_camera_that_looks_down_has_no_field_of_view_beside_it():
     evidence = flown("blind")
-    down = evidence.mission.camera._replace(axis=(0.0, 0.0, -1.0), a_min=-0.5)
+    down = evidence.mission.camera._replace(optical_axis=(0.0, 0.0, -1.0), a_min=-0.5)
     above = drawn("paths", replace(evidence, mission=replace(evidence.mission, camera=down))).axes[
         1
     ]

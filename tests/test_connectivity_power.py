@@ -34,7 +34,7 @@ def some(seed, agents=6):
 
 def averaging(power):
     """The consensus by itself: what is averaged rests."""
-    return power._replace(deflate=0.0, iterate=0.0, normalise=0.0)
+    return power._replace(deflation_gain=0.0, iteration_gain=0.0, normalization_gain=0.0)
 
 
 def begun(agents, rng):
@@ -46,8 +46,8 @@ def matrix(links, power):
     h, L, one = power.exchange_period, laplacian(links), np.eye(len(links))
     return np.block(
         [
-            [(1 - h * power.filter_gain) * one - h * power.agree * L, h * power.settle * L],
-            [-h * power.settle * L, one],
+            [(1 - h * power.filter_gain) * one - h * power.proportional_gain * L, h * power.integral_gain * L],
+            [-h * power.integral_gain * L, one],
         ]
     )
 

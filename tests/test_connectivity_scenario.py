@@ -64,7 +64,7 @@ def test_the_built_in_one_is_the_papers_case_which_is_also_what_is_taken_where_n
     unsaid = built("run.duration_s=60")
     assert mission.agents == 6 and mission.obstacles.total == 6 and unsaid.obstacles.total == 0
     for of in (mission, unsaid):
-        assert of.camera[:6] == Camera()[:6] and of.camera.axis == pytest.approx(
+        assert of.camera[:6] == Camera()[:6] and of.camera.optical_axis == pytest.approx(
             Camera().optical_axis
         )
         assert (of.potential, of.repulsion, of.limits) == (
@@ -88,14 +88,14 @@ def test_any_number_of_robots_starts_apart_and_together_in_as_much_room_for_each
     assert away.min() >= 1.8
     assert (
         algebraic_connectivity(
-            interaction_graph(mission.start, mission.yaw, mission.camera).weights
+            interaction_graph(mission.start, mission.start_yaw, mission.camera).weights
         ).lambda2
         > 0.05
     )
     box = np.array([8, 8, 3]) * (agents / 6) ** (1 / 3)
     inside = mission.start - [0, 0, 3]
     assert (inside >= 0).all() and (inside <= box).all()
-    off = mission.believed - (mission.yaw - mission.yaw[:, None])
+    off = mission.start_yaw_estimate - (mission.start_yaw - mission.start_yaw[:, None])
     assert 0.2 < np.abs(off).max() <= 0.5 or agents == 2
 
 
@@ -118,15 +118,15 @@ def test_every_table_reaches_the_mission():
         'swarm.start={kind="random", box_m=[5, 5, 2.5], lambda2=0.02}',
         "death=[{robot=2, time_s=1}]",
     )  # fmt: skip
-    assert mission.start_yaw_estimate == pytest.approx(mission.yaw - mission.yaw[:, None])
-    assert mission.blind and mission.occlusion and mission.body_radius == 0.2
-    assert mission.camera.axis == (0, 0, 1) and mission.potential.most == 2
-    assert mission.repulsion.strength == 1 and mission.tracking.printed
-    assert mission.limits.turn == pytest.approx(np.pi / 2) and mission.link == CommunicationLink(
+    assert mission.start_yaw_estimate == pytest.approx(mission.start_yaw - mission.start_yaw[:, None])
+    assert mission.range_only and mission.occlusion and mission.body_radius == 0.2
+    assert mission.camera.optical_axis == (0, 0, 1) and mission.potential.lambda2_max == 2
+    assert mission.repulsion.strength == 1 and mission.tracking.as_printed
+    assert mission.limits.yaw_rate == pytest.approx(np.pi / 2) and mission.link == CommunicationLink(
         2, 1, 0.1
     )
-    assert mission.noise == 0.05 and mission.plant == KinematicVehicle(0.3, 0.01)
-    assert mission.estimator == "power_pi" and mission.power == default_gains(0.001, 6)
+    assert mission.camera_noise == 0.05 and mission.plant == KinematicVehicle(0.3, 0.01)
+    assert mission.estimator == "power_pi" and mission.power_iteration == default_gains(0.001, 6)
     assert mission.losses == (AgentLoss(2, 1.0),)
     assert built('plant={kind="quadrotor", tilt_deg=20}').plant == Quadrotor(max_tilt=np.pi / 9)
 
@@ -166,7 +166,7 @@ def test_a_recorded_stick_lies_beside_the_scenario_and_goes_with_the_run(tmp_pat
     (tmp_path / "stick.csv").unlink()
     again = parse(text).build(np.random.default_rng(1))
     assert same(mission, again)
-    assert again.stick.ask(0.7, np.zeros(3), 0).tolist() == [1, 0, 0]
+    assert again.stick.command_velocity(0.7, np.zeros(3), 0).tolist() == [1, 0, 0]
 
 
 @pytest.mark.parametrize(

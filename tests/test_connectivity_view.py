@@ -131,8 +131,8 @@ def test_messages_that_are_rare_or_late_are_used_for_what_they_are_worth(link):
         later = frames[100:]
         yaw = []
         for f in later:
-            off = np.abs(np.sin((f.turned - (f.yaw - f.yaw[:, None])) / 2))
-            yaw.append(off[f.sees & f.sees.T])
+            off = np.abs(np.sin((f.relative_yaw_estimate - (f.yaw - f.yaw[:, None])) / 2))
+            yaw.append(off[f.visibility & f.visibility.T])
         lambda2 = np.mean([np.abs(f.lambda2_estimate - f.lambda2).mean() for f in later])
         return lambda2, np.concatenate(yaw).mean()
 

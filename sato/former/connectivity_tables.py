@@ -25,7 +25,14 @@ _SIGHT, _POTENTIAL, _REPULSION = CameraModel(), Potential(), Repulsion()
 _TRACKING, _LIMITS, _LINK = YawTracking(), CommandLimits(), CommunicationLink()
 _KINEMATIC, _QUADROTOR = KinematicVehicle(), Quadrotor()
 OLD = MAX_ROW_AGE / 5  # that a message may be: some hops, and then its rows are forgotten [s]
-GAINS = ("deflate", "iterate", "normalise", "follow", "agree", "settle")  # of power_pi
+GAINS = {  # of power_pi
+    "deflate": "deflation_gain",
+    "iterate": "iteration_gain",
+    "normalise": "normalization_gain",
+    "follow": "filter_gain",
+    "agree": "proportional_gain",
+    "settle": "integral_gain",
+}
 
 
 class Robots(Table):
@@ -217,7 +224,7 @@ class Estimator(Table):
             Refusal: They do not settle, or exchanges do not fall on control steps.
         """
         said = self.model_dump(exclude={"kind", "exchange_s"}, exclude_none=True)
-        power = default_gains(self.exchange_s, agents)._replace(**said)
+        power = default_gains(self.exchange_s, agents)._replace(**{GAINS[key]: value for key, value in said.items()})
         if self.kind != "power_pi":
             return power
         whole = max(1, round(step / self.exchange_s))
@@ -234,7 +241,7 @@ class Estimator(Table):
                 f"with these gains the iteration of {agents} robots, or its consensus, does not "
                 f"settle at an exchange every {self.exchange_s:g} s: the spectral radius is "
                 f"{radius:.4g}, and must be below 1; "
-                + listed((f"{name} = {getattr(good, name):.4g}" for name in GAINS), "and")
+                + listed((f"{key} = {getattr(good, name):.4g}" for key, name in GAINS.items()), "and")
                 + " would do, and are taken where nothing is said",
             )
         return power
