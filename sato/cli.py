@@ -229,16 +229,24 @@ def compare(
 ) -> None:
     """Ask every solver the same, and judge every answer; exit 1 if the default one is wrong."""
     with report_errors():
-        from sato.compare.command import plan_from_options, run_comparison
+        from problems.solvers import load_adapters
+        from sato.compare.command import run_comparison
+        from sato.compare.plan import make_plan
 
-        what = plan_from_options(
-            solver or (), family or (), size or (), tolerance or (), repeats, patience
+        plan = make_plan(
+            load_adapters(),
+            solver or (),
+            family or (),
+            size or (),
+            tolerance or (),
+            repeats,
+            patience,
         )
         ensure_writable(out)
-        broken = run_comparison(what, out, patience, seed)
-        for words in broken:
-            typer.echo(f"sato: {words}", err=True)
-        raise typer.Exit(EXIT_FAILED if broken else EXIT_OK)
+        violations = run_comparison(plan, out, seed)
+        for violation in violations:
+            typer.echo(f"sato: {violation}", err=True)
+        raise typer.Exit(EXIT_FAILED if violations else EXIT_OK)
 
 
 @app.command(name="export-c")

@@ -1,19 +1,16 @@
-"""Comparing solvers, tried with solvers that lie, crash, hang and chatter."""
+"""Comparison of solvers, with fake ones that are wrong, crash, hang and print."""
 
 import csv
 import json
 import multiprocessing
 import os
 import platform
-import runpy
 import tempfile
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
-from compare_cast import Honest, cast
+from fake_solvers import Honest, fake_solvers
 from scipy.sparse import csc_array
 from typer.testing import CliRunner
 
@@ -28,45 +25,45 @@ from sato.compare.machine import describe_machine
 from sato.compare.measure import Measurement, measure_solvers
 from sato.compare.plan import ComparisonPlan, make_plan, next_with_same_matrix
 from sato.compare.summary import find_violations, reference_tolerance, summarize
+from sato.compare.tables import format_markdown
 from sato.compare.worker import SolveOutcome, SolveRequest, Worker, WorkerError
 
 KNOWN = load_adapters()
-TABULATE = str(Path(__file__).parents[1] / "scripts" / "tabulate_comparison.py")
 
 
-def questions(size="small", feasible=True, seed=0, poisoned=None):
-    """Three instances of x ≥ lower, which share all but the lower limits; in one there is a 10."""
+def box_family(size="small", feasible=True, seed=0, with_10=None):
+    """Return three instances of x ≥ lower with different limits, in one of which b₀ is 10."""
     rng = np.random.default_rng(seed)
     q, A = rng.uniform(1, 2, 4), csc_array(-np.eye(4))
-    found = []
+    instances = []
     for i in range(3):
-        low = rng.normal(size=4)
-        low[0] = -10 if i == poisoned else low[0]
-        problem = ConicProgram(q, A, -low, 0, 4)
-        reference = float(q @ low) if feasible else float("nan")
-        found.append(Instance(f"{size}/{i}", problem, feasible, reference, 0.0, low, q))
-    return Family("box", size, seed, "drawn here", ("nobody",), tuple(found))
+        lower = rng.normal(size=4)
+        lower[0] = -10 if i == with_10 else lower[0]
+        problem = ConicProgram(q, A, -lower, 0, 4)
+        reference = float(q @ lower) if feasible else float("nan")
+        instances.append(Instance(f"{size}/{i}", problem, feasible, reference, 0.0, lower, q))
+    return Family("box", size, seed, "drawn here", ("none",), tuple(instances))
 
 
-def ask(*names, families=None, repeats=2, tolerances=(1e-4, 1e-6), patience=10.0):
-    """What is measured of some of the cast."""
-    some = tuple(cast()[name] for name in names)
-    what = ComparisonPlan(tuple(families or [questions()]), some, tolerances, repeats)
-    return measure_solvers(what, np.random.default_rng(0), patience, solvers=cast)
+def measure(*names, families=None, repeats=2, tolerances=(1e-4, 1e-6), patience=10.0):
+    """Measure fake solvers."""
+    solvers = tuple(fake_solvers()[name] for name in names)
+    plan = ComparisonPlan(tuple(families or [box_family()]), solvers, tolerances, repeats, patience)
+    return measure_solvers(plan, np.random.default_rng(0), lookup=fake_solvers)
 
 
-def measured(solver="a", seconds=1.0, verdict="solved", instance=0, tolerance=1e-6, **numbers):
-    """A measurement, made up."""
+def made_up(solver="a", seconds=1.0, verdict="solved", instance=0, tolerance=1e-6, **numbers):
+    """Return a made-up measurement."""
     exact = dict.fromkeys(("cost_error", "primal_residual", "dual_residual", "gap"), 0.0)
-    outcome = SolveOutcome(verdict, "words", seconds, 5, **exact | numbers)
-    family = questions()
+    outcome = SolveOutcome(verdict, "reason", seconds, 5, **exact | numbers)
+    family = box_family()
     return Measurement(
         solver, "box", "small", family.instances[instance], tolerance, outcome, None, 1.0
     )
 
 
-def test_who_is_right_is_solved_at_first_and_again(capfd):
-    found = ask("chatterer")
+def test_correct_solver_is_solved_in_both_solves(capfd):
+    found = measure("printing")
     assert capfd.readouterr() == ("", "")  # what a library prints stays in its process
     assert len(found) == 2 * 3
     for m in found:
@@ -76,125 +73,137 @@ def test_who_is_right_is_solved_at_first_and_again(capfd):
         assert m.first.seconds > 0 and m.second.seconds > 0
 
 
-def test_nobody_is_taken_at_their_word_and_others_go_on():
+def test_claims_are_verified_and_other_solvers_go_on():
     expected = {
-        "liar": ("wrong claim", "primal residual"),
-        "prophet": ("wrong claim", "but there is a point"),
-        "crasher": ("crashed", "Aborted"),
-        "raiser": ("crashed", "ValueError: no idea"),
+        "wrong": ("wrong claim", "primal residual"),
+        "pessimist": ("wrong claim", "but there is a point"),
+        "crashing": ("crashed", "Aborted"),
+        "raising": ("crashed", "ValueError: no idea"),
         "honest": ("solved", "done"),
     }
-    found = ask(*expected, tolerances=(1e-4,))
+    found = measure(*expected, tolerances=(1e-4,))
     assert len(found) == 3 * len(expected)
     for m in found:
-        verdict, words = expected[m.solver]
+        verdict, reason = expected[m.solver]
         assert m.first.verdict == verdict
-        assert words in m.first.reason
+        assert reason in m.first.reason
 
 
-def test_nothing_is_left_of_those_who_crash(tmp_path, monkeypatch):
+def test_crashed_workers_leave_no_process_and_no_file(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    ask("crasher", "raiser", repeats=1, tolerances=(1e-4,))
+    measure("crashing", "raising", repeats=1, tolerances=(1e-4,))
     assert not multiprocessing.active_children()
     assert not list(tmp_path.glob("sato-compare-*"))
 
 
-def test_an_answer_to_another_right_hand_side_is_judged_too():
-    for m in ask("forgetful"):
+def test_second_solve_is_verified_too():
+    for m in measure("constant"):
         assert m.first.verdict == "solved"
         assert m.second.verdict == "wrong claim"
         assert not m.is_correct
 
 
-def test_a_point_that_is_accepted_where_there_is_none_breaks_a_promise():
-    for m in ask("honest", families=[questions(feasible=False)]):
+def test_accepted_point_of_an_infeasible_problem_is_a_violation():
+    for m in measure("honest", families=[box_family(feasible=False)]):
         assert m.first.verdict == "solved" and not m.is_correct
         assert "known to be infeasible" in find_violations([m])[0]
 
 
-def test_who_is_right_that_there_is_no_point_and_cannot_show_it_tells_no_lie():
-    assert {m.first.verdict for m in ask("prophet", families=[questions(feasible=False)])} == {
-        "unproven"
-    }
-    assert {m.first.verdict for m in ask("prophet")} == {"wrong claim"}
+def test_infeasibility_without_proof_is_unproven_where_it_is_true():
+    infeasible = box_family(feasible=False)
+    found = measure("pessimist", families=[infeasible])
+    assert {m.first.verdict for m in found} == {"unproven"}
+    assert {m.first.verdict for m in measure("pessimist")} == {"wrong claim"}
 
 
-def test_who_never_answers_is_ended_and_asked_for_nothing_larger_or_tighter(monkeypatch):
-    monkeypatch.setattr("sato.compare.measure.WARMS", 1.0)
-    monkeypatch.setattr("sato.compare.measure.HANGS", 1.0)
-    found = ask("sleeper", families=[questions(), questions("medium")], patience=0.7)
+def test_too_slow_a_solver_is_skipped_for_larger_and_tighter_problems(monkeypatch):
+    monkeypatch.setattr("sato.compare.measure.WARM_UP_TIMEOUT", 1.0)
+    monkeypatch.setattr("sato.compare.measure.HANG_FACTOR", 1.0)
+    found = measure("hanging", families=[box_family(), box_family("medium")], patience=0.7)
     assert {m.first.verdict for m in found} == {"skipped"}
     assert {m.first.reason for m in found} == {"it took more than 0.7 s at small, 1e-4"}
 
 
-def test_who_does_not_answer_within_ten_times_the_patience_has_crashed_there():
-    one, two, three = ask(
-        "dozer", families=[questions(poisoned=2)], repeats=1, tolerances=(1e-4,), patience=0.5
+def test_no_answer_within_ten_times_the_patience_counts_as_crashed():
+    one, two, three = measure(
+        "hangingat10", families=[box_family(with_10=2)], repeats=1, tolerances=(1e-4,), patience=0.5
     )
     assert one.first.verdict == two.first.verdict == two.second.verdict == "solved"
     assert three.first.verdict == "skipped" and three.second.verdict == "crashed"
     assert three.second.reason == "no answer within 5 s" and three.second.seconds == 5
 
 
-def test_a_process_that_ends_after_its_answer_is_an_outcome_like_others():
-    family = questions()
-    question = SolveRequest(family.instances[0], family.instances[1], 1e-6)
-    worker = Worker(cast, "honest", question, 60.0)
+def test_process_that_ends_after_its_answer_is_restarted():
+    family = box_family()
+    request = SolveRequest(family.instances[0], family.instances[1], 1e-6)
+    worker = Worker(fake_solvers, "honest", request, 60.0)
     try:
-        assert not worker.solve(question, 60.0).crashed
+        assert not worker.solve(request, 60.0).crashed
         [process] = multiprocessing.active_children()
         process.kill()
         process.join()
         with pytest.raises(WorkerError, match="Killed"):
-            worker.solve(question, 60.0)
-        assert not worker.solve(question, 60.0).crashed  # in a new one
+            worker.solve(request, 60.0)
+        assert not worker.solve(request, 60.0).crashed  # in a new process
     finally:
         worker.close()
 
 
-def crashes(poisoned):
-    """How each solve of three instances ended, at first and again; one of them is deadly."""
-    found = ask("faint", families=[questions(poisoned=poisoned)], repeats=1, tolerances=(1e-4,))
+def verdicts_with_crash(instance):
+    """Return the verdicts of both solves of three instances, at one of which the solver crashes."""
+    family = box_family(with_10=instance)
+    found = measure("crashingat10", families=[family], repeats=1, tolerances=(1e-4,))
     assert not any(m.is_correct for m in found if "crashed" in {o.verdict for o in m.outcomes})
     return [(m.first.verdict, m.second.verdict) for m in found]
 
 
-def test_a_crash_belongs_to_the_solve_in_which_it_happened():
-    # The second question ends in its second solve, the third in its first, and so has no second.
-    assert crashes(2) == [("solved", "crashed"), ("solved", "solved"), ("crashed", "crashed")]
+def test_crash_counts_in_the_solve_in_which_it_happened():
+    # The second request ends in its second solve, the third in its first, without a second.
+    assert verdicts_with_crash(2) == [
+        ("solved", "crashed"),
+        ("solved", "solved"),
+        ("crashed", "crashed"),
+    ]
 
 
-def test_who_crashes_in_the_warm_up_is_asked_all_the_same():
-    assert crashes(0) == [("crashed", "crashed"), ("solved", "crashed"), ("solved", "solved")]
+def test_crash_in_the_warm_up_excludes_no_solver():
+    assert verdicts_with_crash(0) == [
+        ("crashed", "crashed"),
+        ("solved", "crashed"),
+        ("solved", "solved"),
+    ]
 
 
-def test_whatever_is_measured_both_ways_of_solving_were_tried_before_in_that_process():
-    found = ask("faint", families=[questions(poisoned=2)], repeats=1)
+def test_warm_up_includes_both_solves():
+    found = measure("crashingat10", families=[box_family(with_10=2)], repeats=1)
     for m in (m for m in found if m.instance.name == "small/0"):
-        assert m.first.iterations == 3  # the process of the tighter tolerance is another
+        assert m.first.iterations == 3  # each tolerance has a process of its own
 
 
-def test_what_a_solver_can_take_is_no_part_of_its_time():
-    assert all(m.is_correct for m in ask("fussy", repeats=1, tolerances=(1e-4,)))
+def test_worker_does_not_check_again_what_a_solver_supports():
+    assert all(m.is_correct for m in measure("selective", repeats=1, tolerances=(1e-4,)))
 
 
-def test_memory_is_what_one_instance_takes_more():
-    found = ask("glutton", "honest", tolerances=(1e-6,), repeats=1)
-    glutton, honest = (next(m for m in found if m.solver == n) for n in ("glutton", "honest"))
-    assert 60 < glutton.memory_growth < 110  # the second solve takes as much again
+def test_memory_is_the_growth_with_one_instance():
+    found = measure("hoarding", "honest", tolerances=(1e-6,), repeats=1)
+    hoarding, honest = (next(m for m in found if m.solver == n) for n in ("hoarding", "honest"))
+    assert 60 < hoarding.memory_growth < 110  # the second solve takes as much again
     assert honest.memory_growth < 20
 
 
-def test_everybody_is_asked_as_often_as_was_planned():
-    told = []
-    what = ComparisonPlan((questions(),), (cast()["honest"], cast()["liar"]), (1e-4, 1e-6), 3)
-    measure_solvers(what, np.random.default_rng(0), 10.0, lambda *of: told.append(of), solvers=cast)
-    assert told == [(k, what.solve_count) for k in range(2, what.solve_count + 1, 2)]
-    assert what.solve_count == 2 * 2 * 3 * 3
+def test_progress_counts_the_planned_solves():
+    reported = []
+    solvers = tuple(fake_solvers()[name] for name in ("honest", "wrong"))
+    plan = ComparisonPlan((box_family(),), solvers, (1e-4, 1e-6), 3, 10.0)
+    measure_solvers(
+        plan, np.random.default_rng(0), lambda *counts: reported.append(counts), fake_solvers
+    )
+    assert reported == [(k, plan.solve_count) for k in range(2, plan.solve_count + 1, 2)]
+    assert plan.solve_count == 2 * 2 * 3 * 3
 
 
-def test_only_who_differs_in_b_alone_follows():
-    family = questions()
+def test_next_instance_differs_in_b_alone():
+    family = box_family()
     one, two, three = family.instances
     other = replace(three.problem, A=three.problem.A.copy())
     mixed = replace(family, instances=(one, two, replace(three, problem=other)))
@@ -202,83 +211,83 @@ def test_only_who_differs_in_b_alone_follows():
     assert next_with_same_matrix(mixed) == (two, one, None)
 
 
-def test_a_profile_counts_from_the_fastest_who_is_right():
-    # The first is fastest at one question and wrong at the other, where it is faster still.
+def test_profile_is_relative_to_the_fastest_correct_solver():
+    # Solver a is the fastest on the first problem and wrong, though faster still, on the second.
     some = [
-        measured("a", 1.0, instance=0),
-        measured("b", 3.0, instance=0),
-        measured("a", 0.1, "wrong claim", instance=1),
-        measured("b", 2.0, instance=1),
-        measured("a", 0.1, "failed", instance=2),
-        measured("b", 0.1, "failed", instance=2),
+        made_up("a", 1.0, instance=0),
+        made_up("b", 3.0, instance=0),
+        made_up("a", 0.1, "wrong claim", instance=1),
+        made_up("b", 2.0, instance=1),
+        made_up("a", 0.1, "failed", instance=2),
+        made_up("b", 0.1, "failed", instance=2),
     ]
     assert performance_ratios(some) == {"a": [1.0, np.inf, np.inf], "b": [3.0, 1.0, np.inf]}
 
 
-def test_a_line_says_how_often_a_solver_was_right_at_each_tolerance():
+def test_summary_counts_correct_answers_at_each_tolerance():
     some = [
-        measured("a", 1.0, tolerance=1e-4),
-        measured("a", 3.0, tolerance=1e-6, instance=0),
-        measured("a", 5.0, tolerance=1e-6, instance=1),
-        measured("a", 9.0, "wrong claim", tolerance=1e-6, instance=2),
-        measured("a", 9.0, "skipped", tolerance=1e-8),
+        made_up("a", 1.0, tolerance=1e-4),
+        made_up("a", 3.0, tolerance=1e-6, instance=0),
+        made_up("a", 5.0, tolerance=1e-6, instance=1),
+        made_up("a", 9.0, "wrong claim", tolerance=1e-6, instance=2),
+        made_up("a", 9.0, "skipped", tolerance=1e-8),
     ]
-    [line] = summarize(some, reference_tolerance({1e-4, 1e-6, 1e-8}))
-    assert line.correct == ("1/1", "2/3", "0/1")
-    assert (line.wrong_claims, line.skipped, line.failed) == (1, 1, 0)
-    assert line.first == (4.0,) and line.second == (None,)
+    [summary] = summarize(some, reference_tolerance({1e-4, 1e-6, 1e-8}))
+    assert summary.correct == ("1/1", "2/3", "0/1")
+    assert summary.verdicts == {"solved": 3, "wrong claim": 1, "skipped": 1}
+    assert summary.first == (4.0,) and summary.second == (None,)
 
 
 @pytest.mark.parametrize(
-    ("some", "promises"),
+    ("measurement", "violations"),
     [
-        (measured("clarabel"), 0),
-        (measured("clarabel", verdict="failed"), 1),
-        (measured("clarabel", verdict="failed", tolerance=1e-8), 0),  # more than is promised
-        (measured("osqp", verdict="wrong claim"), 0),
-        (measured("osqp", gap=1e-5), 1),
-        (measured("osqp", dual_residual=float("nan")), 1),
-        (measured("osqp", cost_error=0.5), 1),
-        (measured("osqp", cost_error=float("nan")), 1),
+        (made_up("clarabel"), 0),
+        (made_up("clarabel", verdict="failed"), 1),
+        (made_up("clarabel", verdict="failed", tolerance=1e-8), 0),  # tighter than is guaranteed
+        (made_up("osqp", verdict="wrong claim"), 0),
+        (made_up("osqp", gap=1e-5), 1),
+        (made_up("osqp", dual_residual=float("nan")), 1),
+        (made_up("osqp", cost_error=0.5), 1),
+        (made_up("osqp", cost_error=float("nan")), 1),
     ],
 )
-def test_a_promise_is_of_the_default_solver_or_of_every_accepted_answer(some, promises):
-    assert len(find_violations([some])) == promises
+def test_violations_concern_the_default_solver_and_accepted_answers(measurement, violations):
+    assert len(find_violations([measurement])) == violations
 
 
-def test_a_whole_comparison_is_written_or_nothing(tmp_path, monkeypatch):
-    found = ask("honest", "liar")
-    on = describe_machine([cast()["honest"]])
-    files = write_comparison(found, on, tmp_path / "new")
+def test_comparison_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
+    found = measure("honest", "wrong")
+    machine = describe_machine([fake_solvers()["honest"]])
+    files = write_comparison(found, machine, tmp_path / "new")
     assert sorted(file.name for file in files) == sorted(os.listdir(tmp_path / "new"))
     with open(tmp_path / "new" / "measurements.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == len(found) and tuple(rows[0]) == COLUMNS
     assert {row["solver"]: row["first_verdict"] for row in rows} == {
         "honest": "solved",
-        "liar": "wrong claim",
+        "wrong": "wrong claim",
     }
-    assert json.loads((tmp_path / "new" / "machine.json").read_text()) == on
+    assert json.loads((tmp_path / "new" / "machine.json").read_text()) == machine
 
     def fails(measurements, folder):
         raise OSError("no space left")
 
-    monkeypatch.setattr(sato.compare.figures, "draw", fails)
+    monkeypatch.setattr(sato.compare.figures, "draw_comparison", fails)
     with pytest.raises(OSError, match="no space left"):
-        write_comparison(found, on, tmp_path / "half")
+        write_comparison(found, machine, tmp_path / "half")
     assert os.listdir(tmp_path / "half") == []
 
 
-def test_a_machine_is_described_without_whose_it_is():
-    said = json.dumps(describe_machine(KNOWN.values()))
-    assert "clarabel" in said and platform.python_version() in said
-    assert platform.raan() not in said
-    assert os.sep + "home" not in said and os.getcwd() not in said
+def test_machine_is_described_without_names_and_paths():
+    text = json.dumps(describe_machine(KNOWN.values()))
+    assert "clarabel" in text and platform.python_version() in text
+    assert platform.node() not in text
+    assert os.sep + "home" not in text and os.getcwd() not in text
 
 
 REFUSED = {
     "an unknown solver": ({"solvers": ["clarbel"]}, "clarbel.*did you mean clarabel"),
-    "an unknown family": ({"names": ["transfer-pl"]}, "transfer-pl.*did you mean transfer-lp"),
+    "an unknown family": ({"families": ["transfer-pl"]}, "transfer-pl.*did you mean transfer-lp"),
     "an unknown size": ({"sizes": ["smal"]}, "smal.*did you mean small"),
     "a tolerance that is none": ({"tolerances": [0.0]}, "between 0 and 1, got 0"),
     "no tolerance at all": ({"tolerances": [float("nan")]}, "between 0 and 1, got nan"),
@@ -288,40 +297,40 @@ REFUSED = {
         "absent is not installed; pip install absent would do",
     ),
     "a cone that a solver does not know": (
-        {"solvers": ["highs"], "names": ["transfer-socp"]},
+        {"solvers": ["highs"], "families": ["transfer-socp"]},
         "highs cannot take second-order cones, which transfer-socp has; .*clarabel.* can",
     ),
     "a form that a solver does not know": (
-        {"solvers": ["batched"], "names": ["avoidance-5"], "sizes": ["small"]},
+        {"solvers": ["batched"], "families": ["avoidance-5"], "sizes": ["small"]},
         "batched cannot take .*avoidance-5.*; .*clarabel.* can",
     ),
 }
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_cannot_be_compared_is_refused(case):
-    words, sentence = REFUSED[case]
+def test_impossible_comparison_is_refused(case):
+    options, message = REFUSED[case]
     absent = SolverAdapter("absent", frozenset({"linear"}), False, Honest, "absent_", "absent")
-    with pytest.raises(ValueError, match=sentence):
-        make_plan(KNOWN | {"absent": absent}, **words)
+    with pytest.raises(ValueError, match=message):
+        make_plan(KNOWN | {"absent": absent}, **options)
 
 
-def test_who_is_missing_is_told_where_everybody_was_asked():
+def test_missing_solver_is_left_out_with_a_reason_unless_it_is_named():
     absent = SolverAdapter("absent", frozenset({"linear"}), False, Honest, "absent_", "absent")
-    what = make_plan({"clarabel": KNOWN["clarabel"], "absent": absent}, sizes=["small"])
-    assert [solver.name for solver in what.solvers] == ["clarabel"]
-    assert what.excluded == ("absent is not installed; pip install absent would do",)
-    assert what.tolerances == (1e-4, 1e-6, 1e-8)
+    plan = make_plan({"clarabel": KNOWN["clarabel"], "absent": absent}, sizes=["small"])
+    assert [solver.name for solver in plan.solvers] == ["clarabel"]
+    assert plan.exclusions == ("absent is not installed; pip install absent would do",)
+    assert plan.tolerances == (1e-4, 1e-6, 1e-8)
 
 
-def call(*words):
-    return CliRunner().invoke(app, ["compare", *words])
+def call(*args):
+    return CliRunner().invoke(app, ["compare", *args])
 
 
 ONE = ("--family", "transfer-lp", "--size", "small", "--solver", "highs", "--tolerance", "1e-6")
 
 
-def test_a_comparison_from_the_command_line_says_what_it_found(tmp_path):
+def test_command_prints_and_writes_a_comparison(tmp_path):
     result = call(*ONE, "--repeats", "1", "--out", str(tmp_path))
     assert result.exit_code == 0, result.stderr
     assert "transfer-lp (small)" in result.stdout and "highs" in result.stdout
@@ -331,18 +340,21 @@ def test_a_comparison_from_the_command_line_says_what_it_found(tmp_path):
         "machine.json",
         "measurements.csv",
         "profile.png",
+        "tables.md",
     ]
 
 
-def test_a_broken_promise_is_an_exit_code(tmp_path, monkeypatch):
-    monkeypatch.setattr("sato.compare.command.broken", lambda found: ["clarabel: off by 1"])
+def test_violation_exits_with_1(tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        "sato.compare.command.find_violations", lambda found: ["clarabel: off by 1"]
+    )
     result = call(*ONE, "--repeats", "1", "--out", str(tmp_path))
     assert result.exit_code == 1
     assert "sato: clarabel: off by 1" in result.stderr
 
 
 @pytest.mark.parametrize(
-    ("words", "sentence"),
+    ("args", "message"),
     [
         (("--solver", "clarbel"), "did you mean clarabel?"),
         (("--patience", "0"), "--patience takes a time above 0 s, at most a day, got 0"),
@@ -351,40 +363,24 @@ def test_a_broken_promise_is_an_exit_code(tmp_path, monkeypatch):
         (("--out", "file/below"), "cannot be written to"),
     ],
 )
-def test_what_is_refused_is_one_sentence_and_nothing_is_written(
-    tmp_path, monkeypatch, words, sentence
-):
+def test_refusal_is_one_line_and_nothing_is_written(tmp_path, monkeypatch, args, message):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("")
-    result = call(*words)
+    result = call(*args)
     assert result.exit_code == 2
     assert result.stderr.startswith("sato: ") and result.stderr.count("\n") == 1
-    assert sentence in result.stderr and "Traceback" not in result.stderr
+    assert message in result.stderr and "Traceback" not in result.stderr
     assert os.listdir(tmp_path) == ["file"]
 
 
-def tabulated(folder):
-    script = typer.Typer()
-    script.command()(runpy.run_path(TABULATE)["main"])
-    return CliRunner().invoke(script, [str(folder)])
-
-
-def test_the_tables_of_a_comparison_know_every_family_and_kind_of_trouble(tmp_path):
+def test_markdown_tables_have_every_family_and_verdict():
     some = [
-        measured("a", verdict="failed"),
-        measured("a", verdict="unproven", instance=1),
-        measured("a", verdict="unproven", instance=2),
+        made_up("a", verdict="failed"),
+        made_up("a", verdict="unproven", instance=1),
+        made_up("a", verdict="unproven", instance=2),
     ]
-    write_comparison(some, {}, tmp_path)
-    result = tabulated(tmp_path)
-    assert result.exit_code == 0, result.stderr
-    heads, _, cells = result.stdout.splitlines()[:3]
-    row = dict(zip(heads.split(" | "), cells.split(" | "), strict=True))
+    lines = format_markdown(some).splitlines()
+    row = dict(zip(lines[0].split(" | "), lines[2].split(" | "), strict=True))
     assert (row["failed"], row["unproven"], row["crashed"]) == ("1", "2", "0")
-    assert "| solver | box |" in result.stdout  # a family that no other name is known of
-
-
-def test_where_nothing_was_compared_there_is_nothing_to_tabulate(tmp_path):
-    result = tabulated(tmp_path)
-    assert result.exit_code == 2 and not result.stdout
-    assert result.stderr.count("\n") == 1 and "measurements.csv cannot be read" in result.stderr
+    assert "| solver | box |" in lines and "| a | ✗ |" in lines
+    assert "- a: unproven 2 times, small/1 at 1e-6: reason" in lines

@@ -1,1 +1,1 @@
-"""One question, every solver: each answer judged by what is recomputed, each time a median."""
+"""Comparison of solvers on equal problems: verified answers and median times."""

@@ -1,4 +1,4 @@
-"""Two figures of a comparison: who is how often how fast, and what accuracy costs."""
+"""Figures of a comparison: performance profile and work-precision diagram."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -14,6 +14,7 @@ from matplotlib.lines import Line2D
 from problems.conic import ConeType
 from sato.compare.measure import Measurement
 from sato.compare.plan import format_tolerance
+from sato.compare.summary import tolerances_present
 from sato.figures.style import STYLE, MarkerStyle, marker_style
 
 CONE_LABELS: dict[ConeType, str] = {
@@ -21,108 +22,104 @@ CONE_LABELS: dict[ConeType, str] = {
     "second-order": "second-order cones",
     "semidefinite": "semidefinite",
 }
-ERROR_FLOOR = 1e-16  # of an error, below which a double cannot say
-MAX_RATIO = 1e3  # times the fastest, up to which a profile is drawn
+ERROR_FLOOR = 1e-16  # least error that is drawn: rounding of a double
+MAX_RATIO = 1e3  # largest multiple of the fastest time in a profile
 LINE_STYLES = ("-", "--", ":", "-.")
 
 
-def draw_comparison(measurements: Sequence[Measurement], folder: Path) -> list[Path]:
+def draw_comparison(measurements: Sequence[Measurement], folder: Path) -> None:
     """Draw both figures into a folder."""
-    paths = []
     for name, figure_of in (("profile", performance_profile), ("accuracy", work_precision_diagram)):
         with matplotlib.rc_context(STYLE):
             figure = figure_of(measurements)
             FigureCanvasAgg(figure)
             figure.savefig(folder / f"{name}.png")
-        paths.append(folder / f"{name}.png")
-    return paths
 
 
 def performance_profile(measurements: Sequence[Measurement]) -> Figure:
-    """The share of questions that each solver answers within a multiple of the fastest time.
+    """Draw the share of problems that each solver solves within a multiple of the fastest time.
 
-    Of questions that have an answer, those with the same hardest cone together, one row a
-    tolerance; what was not solved took for ever [Dolan2002]. Times are of the second solve.
+    Feasible problems with the same hardest cone share a panel, one row for each tolerance; an
+    unsolved problem has an infinite time [Dolan2002]. Times are those of the second solve.
     """
-    looks = _solver_markers(measurements)
-    kinds, tolerances = _hardest_cones(measurements), _tolerances(measurements)
-    figure, axes = _make_panels(len(tolerances), len(kinds), len(looks))
+    styles = _solver_styles(measurements)
+    cones, tolerances = _hardest_cones(measurements), tolerances_present(measurements)
+    figure, axes = _make_panels(len(tolerances), len(cones), len(styles))
     for row, tolerance in enumerate(tolerances):
-        for column, kind in enumerate(kinds):
+        for column, cone in enumerate(cones):
             ax = axes[row][column]
-            some = [m for m in _feasible_with_cone(measurements, kind) if m.tolerance == tolerance]
+            some = [m for m in _feasible_with_cone(measurements, cone) if m.tolerance == tolerance]
             for solver, ratios in performance_ratios(some).items():
-                _draw_profile(
-                    ax, ratios, looks[solver], LINE_STYLES[list(looks).index(solver) // 7 % 4]
-                )
+                _draw_profile(ax, ratios, *styles[solver])
             ax.set(xscale="log", xlim=(1, MAX_RATIO), ylim=(-2, 102))
-            ax.set_title(f"{CONE_LABELS[kind]}, {format_tolerance(tolerance)}", loc="left")
+            ax.set_title(f"{CONE_LABELS[cone]}, {format_tolerance(tolerance)}", loc="left")
             if column == 0:
                 ax.set_ylabel("solved [%]")
             if row == len(tolerances) - 1:
                 ax.set_xlabel("time over that of the fastest, at most")
-    _add_legend(figure, looks)
+    _add_legend(figure, styles)
     return figure
 
 
-def performance_ratios(some: Iterable[Measurement]) -> dict[str, list[float]]:
-    """For each solver, its times over those of the fastest at each question; ∞ where unsolved."""
+def performance_ratios(measurements: Sequence[Measurement]) -> dict[str, list[float]]:
+    """Return each solver's times over the fastest on each problem; ∞ where not correct."""
     fastest: dict[tuple[str, float], float] = {}
-    asked = list(some)
-    for m in asked:
+    for m in measurements:
         if m.is_correct:
             key = m.instance.name, m.tolerance
             fastest[key] = min(m.last.seconds, fastest.get(key, np.inf))
-    found: dict[str, list[float]] = {}
-    for m in asked:
+    ratios: dict[str, list[float]] = {}
+    for m in measurements:
         ratio = m.last.seconds / fastest[m.instance.name, m.tolerance] if m.is_correct else np.inf
-        found.setdefault(m.solver, []).append(ratio)
-    return found
+        ratios.setdefault(m.solver, []).append(ratio)
+    return ratios
 
 
 def work_precision_diagram(measurements: Sequence[Measurement]) -> Figure:
-    """What each solver takes for the accuracy it reaches, a mark for each tolerance.
+    """Draw each solver's time over the accuracy that it reaches, a marker for each tolerance.
 
-    Medians over what it solved; a mark is hollow where it did not solve all.
+    Both are medians over correct answers; a marker is hollow where some were not correct.
     """
-    looks, kinds = _solver_markers(measurements), _hardest_cones(measurements)
-    figure, [axes] = _make_panels(1, len(kinds), len(looks), height=3.2)
-    for ax, kind in zip(axes, kinds, strict=True):
-        for solver, look in looks.items():
-            mine = [m for m in _feasible_with_cone(measurements, kind) if m.solver == solver]
-            _draw_work_precision(ax, mine, look)
+    styles, cones = _solver_styles(measurements), _hardest_cones(measurements)
+    figure, [axes] = _make_panels(1, len(cones), len(styles), height=3.2)
+    for ax, cone in zip(axes, cones, strict=True):
+        for solver, (marker, _) in styles.items():
+            some = [m for m in _feasible_with_cone(measurements, cone) if m.solver == solver]
+            _draw_work_precision(ax, some, marker)
         ax.set(xscale="log", yscale="log", xlabel="time of a solve [ms]")
-        ax.set_title(CONE_LABELS[kind], loc="left")
+        ax.set_title(CONE_LABELS[cone], loc="left")
     axes[0].set_ylabel("relative error of the cost")
-    _add_legend(figure, looks)
+    _add_legend(figure, styles)
     return figure
 
 
-def _draw_work_precision(ax: Axes, mine: Sequence[Measurement], look: MarkerStyle) -> None:
-    trail = []
-    for tolerance in _tolerances(mine):
-        here = [m for m in mine if m.tolerance == tolerance]
-        solved = [m for m in here if m.is_correct]
-        if solved:
-            time = 1e3 * median(m.last.seconds for m in solved)
-            error = median(max(m.last.cost_error, ERROR_FLOOR) for m in solved)
-            trail.append((time, error))
-            full = look.color if len(solved) == len(here) else "white"
-            ax.plot(time, error, look.marker, color=look.color, mfc=full, ms=4.5, mew=0.9)
-    if trail:
-        ax.plot(*zip(*trail, strict=True), color=look.color, lw=0.6, zorder=1)
+def _draw_work_precision(
+    ax: Axes, measurements: Sequence[Measurement], marker: MarkerStyle
+) -> None:
+    points = []
+    for tolerance in tolerances_present(measurements):
+        here = [m for m in measurements if m.tolerance == tolerance]
+        correct = [m for m in here if m.is_correct]
+        if correct:
+            time = 1e3 * median(m.last.seconds for m in correct)
+            error = median(max(m.last.cost_error, ERROR_FLOOR) for m in correct)
+            points.append((time, error))
+            face = marker.color if len(correct) == len(here) else "white"
+            ax.plot(time, error, marker.marker, color=marker.color, mfc=face, ms=4.5, mew=0.9)
+    if points:
+        ax.plot(*zip(*points, strict=True), color=marker.color, lw=0.6, zorder=1)
 
 
-def _draw_profile(ax: Axes, ratios: Sequence[float], look: MarkerStyle, stroke: str) -> None:
+def _draw_profile(ax: Axes, ratios: Sequence[float], marker: MarkerStyle, line: str) -> None:
     reached = np.sort([ratio for ratio in ratios if np.isfinite(ratio)])
     x = np.array([1.0, *reached, MAX_RATIO])
     y = 100 * np.array([*range(len(reached) + 1), len(reached)]) / len(ratios)
-    ax.step(x, y, where="post", color=look.color, lw=1.0, ls=stroke,
-            marker=look.marker, ms=3.0, mew=0, markevery=(1, max(len(x) // 4, 1)))  # fmt: skip
+    ax.step(x, y, where="post", color=marker.color, lw=1.0, ls=line,
+            marker=marker.marker, ms=3.0, mew=0, markevery=(1, max(len(x) // 4, 1)))  # fmt: skip
 
 
-def _feasible_with_cone(measurements: Iterable[Measurement], kind: ConeType) -> list[Measurement]:
-    return [m for m in measurements if m.instance.is_feasible and _hardest_cone(m) == kind]
+def _feasible_with_cone(measurements: Iterable[Measurement], cone: ConeType) -> list[Measurement]:
+    return [m for m in measurements if m.instance.is_feasible and _hardest_cone(m) == cone]
 
 
 def _hardest_cone(m: Measurement) -> ConeType:
@@ -130,17 +127,13 @@ def _hardest_cone(m: Measurement) -> ConeType:
 
 
 def _hardest_cones(measurements: Iterable[Measurement]) -> list[ConeType]:
-    there = {_hardest_cone(m) for m in measurements}
-    return [kind for kind in CONE_LABELS if kind in there]
+    present = {_hardest_cone(m) for m in measurements}
+    return [cone for cone in CONE_LABELS if cone in present]
 
 
-def _tolerances(measurements: Iterable[Measurement]) -> list[float]:
-    return sorted({m.tolerance for m in measurements}, reverse=True)
-
-
-def _solver_markers(measurements: Iterable[Measurement]) -> dict[str, MarkerStyle]:
+def _solver_styles(measurements: Iterable[Measurement]) -> dict[str, tuple[MarkerStyle, str]]:
     return {
-        name: marker_style(rank)
+        name: (marker_style(rank), LINE_STYLES[rank // 7 % 4])
         for rank, name in enumerate(dict.fromkeys(m.solver for m in measurements))
     }
 
@@ -149,21 +142,20 @@ def _make_panels(
     rows: int, columns: int, solvers: int, height: float = 1.9
 ) -> tuple[Figure, list[list[Axes]]]:
     width = 2.0 + 2.5 * columns
-    key = 0.3 + 0.2 * -(-solvers // _legend_columns(width))
-    figure = Figure(figsize=(width, height * rows + key), layout="constrained")
+    legend = 0.3 + 0.2 * -(-solvers // _legend_columns(width))
+    figure = Figure(figsize=(width, height * rows + legend), layout="constrained")
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     return figure, [list(row) for row in axes]
 
 
-def _add_legend(figure: Figure, looks: dict[str, MarkerStyle]) -> None:
+def _add_legend(figure: Figure, styles: dict[str, tuple[MarkerStyle, str]]) -> None:
     entries = [
-        Line2D([], [], color=look.color, marker=look.marker, ms=4, lw=1.0, label=name,
-               ls=LINE_STYLES[rank // 7 % 4])
-        for rank, (name, look) in enumerate(looks.items())
-    ]  # fmt: skip
+        Line2D([], [], color=marker.color, marker=marker.marker, ms=4, lw=1.0, label=name, ls=line)
+        for name, (marker, line) in styles.items()
+    ]
     ncols = min(_legend_columns(figure.get_figwidth()), len(entries))
     figure.legend(handles=entries, loc="outside lower center", ncols=ncols)
 
 
 def _legend_columns(width: float) -> int:
-    return int(width / 1.3)  # names of solvers in a row of the key
+    return int(width / 1.3)  # entries in a row of the legend

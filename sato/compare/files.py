@@ -1,4 +1,4 @@
-"""A comparison as files: every measurement as a line, the machine, and the figures."""
+"""Files of a comparison: measurements, machine, tables and figures."""
 
 import csv
 import json
@@ -8,19 +8,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from sato.compare.measure import Measurement
+from sato.compare.tables import format_markdown
 from sato.compare.worker import SolveOutcome
 
-MEASUREMENTS_FILE, MACHINE_FILE = "measurements.csv", "machine.json"
-OUTCOME_COLUMNS = (
-    "verdict",
-    "why",
-    "s",
-    "iterations",
-    "cost_error",
-    "primal_residual",
-    "dual_residual",
-    "gap",
-)
+MEASUREMENTS_FILE, MACHINE_FILE, TABLES_FILE = "measurements.csv", "machine.json", "tables.md"
+OUTCOME_COLUMNS = ("verdict", "why", "s", *SolveOutcome._fields[3:])
 COLUMNS = (
     "solver",
     "family",
@@ -38,12 +30,12 @@ COLUMNS = (
 def write_comparison(
     measurements: Sequence[Measurement], machine: Mapping[str, object], folder: Path
 ) -> list[Path]:
-    """Write everything, or nothing.
+    """Write all files of a comparison, or none.
 
     Args:
-        measurements: All of them.
-        machine: What they were measured on.
-        folder: Made where it is missing; what is there of an earlier comparison is replaced.
+        measurements: All measurements.
+        machine: The machine that they were taken on.
+        folder: Folder, which is created if missing; files of an earlier comparison are replaced.
 
     Returns:
         The files.
@@ -52,21 +44,19 @@ def write_comparison(
 
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".saving-", dir=folder) as name:
-        workshop = Path(name)
-        with open(workshop / MEASUREMENTS_FILE, "w", newline="", encoding="utf-8") as file:
-            lines = csv.writer(file)
-            lines.writerow(COLUMNS)
-            lines.writerows(_rows(measurements))
-        text = json.dumps(machine, indent=2, ensure_ascii=False)
-        (workshop / MACHINE_FILE).write_text(text + "\n", encoding="utf-8")
-        made = [
-            workshop / MEASUREMENTS_FILE,
-            workshop / MACHINE_FILE,
-            *draw_comparison(measurements, workshop),
-        ]
-        for path in made:
-            os.replace(path, folder / path.name)
-    return [folder / path.name for path in made]
+        tmp_dir = Path(name)
+        with open(tmp_dir / MEASUREMENTS_FILE, "w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(COLUMNS)
+            writer.writerows(_rows(measurements))
+        machine_text = json.dumps(machine, indent=2, ensure_ascii=False) + "\n"
+        (tmp_dir / MACHINE_FILE).write_text(machine_text, encoding="utf-8")
+        (tmp_dir / TABLES_FILE).write_text(format_markdown(measurements), encoding="utf-8")
+        draw_comparison(measurements, tmp_dir)
+        paths = [folder / path.name for path in sorted(tmp_dir.iterdir())]
+        for path in paths:
+            os.replace(tmp_dir / path.name, path)
+    return paths
 
 
 def _rows(measurements: Iterable[Measurement]) -> Iterable[list[object]]:
@@ -86,11 +76,8 @@ def _rows(measurements: Iterable[Measurement]) -> Iterable[list[object]]:
 
 
 def _outcome_cells(outcome: SolveOutcome) -> list[object]:
-    return [
-        outcome.verdict,
-        " ".join(outcome.reason.split()),
-        *(_blank_if_nan(n) for n in outcome[2:]),
-    ]
+    reason = " ".join(outcome.reason.split())
+    return [outcome.verdict, reason, *map(_blank_if_nan, outcome[2:])]
 
 
 def _blank_if_nan(number: float | int | None) -> object:

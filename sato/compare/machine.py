@@ -1,4 +1,4 @@
-"""What was measured on: the processor and the versions, and nothing that tells whose it is."""
+"""Description of the machine: processor and versions, and nothing that identifies its owner."""
 
 import os
 import platform
@@ -10,19 +10,19 @@ from pathlib import Path
 from problems.solvers.adapter import SolverAdapter
 
 CPUINFO = Path("/proc/cpuinfo")
-PACKAGE_NAME = re.compile(r"^[\w.-]+")  # in what pip is told: a name, without versions and extras
+PACKAGE_NAME = re.compile(r"^[\w.-]+")  # name in a pip requirement, without version and extras
 OWN_PACKAGES = ("sato", "numpy", "scipy")
 
 
 def describe_machine(solvers: Iterable[SolverAdapter]) -> dict[str, object]:
-    """Processor, cores, Python, and the versions of the solvers' libraries."""
+    """Return processor, cores, Python version, and the versions of the solvers' libraries."""
     return {
         "processor": _processor_name(),
         "cores": os.cpu_count(),
         "threads_per_solver": 1,
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
-        "versions": _package_versions(list(solvers)),
+        "versions": _package_versions(solvers),
     }
 
 
@@ -36,18 +36,18 @@ def _processor_name() -> str:
 
 
 def _package_versions(solvers: Iterable[SolverAdapter]) -> dict[str, str]:
-    owners = packages_distributions()
+    distributions = packages_distributions()
     names = set(OWN_PACKAGES)
     for solver in solvers:
-        # Not every library says whose its module is; what installs it is mostly called so.
+        # Not every library declares its modules; the name that pip installs is mostly the same.
         names |= {
-            *owners.get(solver.module.partition(".")[0], ()),
+            *distributions.get(solver.module.partition(".")[0], ()),
             *PACKAGE_NAME.findall(solver.pip_packages),
         }
-    found = {}
+    versions = {}
     for name in sorted(names):
         try:
-            found[name] = version(name)
-        except PackageNotFoundError:  # run from its folder and not installed
+            versions[name] = version(name)
+        except PackageNotFoundError:  # run from a folder without being installed
             continue
-    return found
+    return versions

@@ -1,5 +1,6 @@
-"""A line for each solver and family, from all that was measured of it."""
+"""Summary of a solver's measurements, and guarantees that a comparison must keep."""
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from statistics import median
 from typing import NamedTuple
@@ -12,28 +13,24 @@ from sato.compare.worker import SolveOutcome
 
 
 class SolverSummary(NamedTuple):
-    """How a solver did in a family. Times, iterations and accuracy are those at one tolerance."""
+    """Results of a solver; times, iterations and accuracy are those at one tolerance."""
 
     solver: str
-    correct: tuple[str, ...]  # "7/8" at each tolerance, of all instances of all sizes
-    wrong_claims: int  # of all solves of all tolerances
-    unproven: int
-    failed: int
-    crashed: int
-    skipped: int
-    first: tuple[float | None, ...]  # median of what it had right of each size [s]
+    correct: tuple[str, ...]  # "7/8" at each tolerance, the loosest first, over all sizes
+    verdicts: Counter[str]  # number of solves with each verdict, over all tolerances
+    first: tuple[float | None, ...]  # median over correct measurements of each size [s]
     second: tuple[float | None, ...]
     iterations: tuple[float | None, ...]
-    cost_error: float | None  # the largest relative error of the cost, of what it solved
-    memory: float | None  # of the largest size [MiB]
+    cost_error: float | None  # largest relative error of the cost of correct solutions
+    memory: float | None  # at the largest size [MiB]
 
 
 def summarize(measurements: Sequence[Measurement], tolerance: float) -> list[SolverSummary]:
-    """One line a solver, in the order in which they were asked.
+    """Summarize each solver, in the order in which they were measured.
 
     Args:
-        measurements: Of one family.
-        tolerance: At which times, iterations and accuracy are told.
+        measurements: All measurements, or those of one family.
+        tolerance: Tolerance at which times, iterations and accuracy are taken.
     """
     return [
         _summarize_solver(solver, [m for m in measurements if m.solver == solver], tolerance)
@@ -42,35 +39,41 @@ def summarize(measurements: Sequence[Measurement], tolerance: float) -> list[Sol
 
 
 def reference_tolerance(tolerances: Iterable[float]) -> float:
-    """The tolerance whose times a table shows: that of the toolkit, or the next above it."""
+    """Return the tolerance for which tables show times: the toolkit's own, or the next above."""
+    tolerances = list(tolerances)
     return min((t for t in tolerances if t >= TOLERANCE), default=max(tolerances))
 
 
 def sizes_present(measurements: Iterable[Measurement]) -> list[str]:
-    """The sizes that were asked, the smallest first."""
-    there = {m.size for m in measurements}
-    return [size for size in SIZES if size in there]
+    """Return the sizes that were measured, the smallest first."""
+    present = {m.size for m in measurements}
+    return [size for size in SIZES if size in present]
+
+
+def tolerances_present(measurements: Iterable[Measurement]) -> list[float]:
+    """Return the tolerances that were measured, the loosest first."""
+    return sorted({m.tolerance for m in measurements}, reverse=True)
 
 
 def find_violations(measurements: Iterable[Measurement]) -> list[str]:
-    """What the toolkit promises of a comparison, where that is broken.
+    """List violations of what the toolkit guarantees of every comparison.
 
-    Its default solver is right on every instance at 1e-6 and looser; no answer that is accepted
-    violates the tolerance that was asked, also not in its cost, as far as duality allows; and
-    nothing is accepted against what is known of an instance.
+    Its default solver is correct on every instance at 1e-6 and looser; no accepted answer
+    violates the requested tolerance, nor in its cost what duality allows; and no answer is
+    accepted that contradicts what is known of an instance.
     """
-    found = []
+    violations = []
     for m in measurements:
         where = f"{m.instance.name} at {format_tolerance(m.tolerance)}"
         if m.solver == DEFAULT_SOLVER and m.tolerance >= TOLERANCE and not m.is_correct:
             bad = next(outcome for outcome in m.outcomes if outcome.verdict != m.expected)
-            found.append(f"{m.solver} on {where}: {bad.verdict}, {bad.reason}")
-        found += [
-            f"{m.solver} on {where}: accepted, but {why}"
+            violations.append(f"{m.solver} on {where}: {bad.verdict}, {bad.reason}")
+        violations += [
+            f"{m.solver} on {where}: accepted, but {reason}"
             for outcome in m.outcomes
-            if outcome.verdict in ("solved", "infeasible") and (why := _violation(m, outcome))
+            if outcome.verdict in ("solved", "infeasible") and (reason := _violation(m, outcome))
         ]
-    return found
+    return violations
 
 
 def _violation(m: Measurement, outcome: SolveOutcome) -> str:
@@ -78,40 +81,34 @@ def _violation(m: Measurement, outcome: SolveOutcome) -> str:
         return f"it is known to be {m.expected}"
     if outcome.verdict == "infeasible":
         return ""
-    left = outcome.primal_residual, outcome.dual_residual, outcome.gap
-    if not all(part <= m.tolerance for part in left):
-        return f"off by {max(left):.1e}"
+    residuals = outcome.primal_residual, outcome.dual_residual, outcome.gap
+    if not all(residual <= m.tolerance for residual in residuals):
+        return f"off by {max(residuals):.1e}"
     error = outcome.cost_error * m.instance.cost_scale
     allowed = m.instance.cost_tolerance(m.tolerance)
     return "" if error <= allowed else f"its cost is off by {error:.1e}, above {allowed:.1e}"
 
 
-def _summarize_solver(solver: str, some: list[Measurement], tolerance: float) -> SolverSummary:
-    verdicts = [outcome.verdict for m in some for outcome in m.outcomes]
-    there = [m for m in some if m.tolerance == tolerance and m.is_correct]
-    by_size = [[m for m in there if m.size == size] for size in sizes_present(some)]
-    right = []
-    for asked in sorted({m.tolerance for m in some}, reverse=True):
-        here = [m for m in some if m.tolerance == asked]
-        right.append(f"{sum(m.is_correct for m in here)}/{len(here)}")
-    largest = [
-        m.memory_growth
-        for m in some
-        if m.size == sizes_present(some)[-1] and m.memory_growth == m.memory_growth
-    ]
+def _summarize_solver(
+    solver: str, measurements: list[Measurement], tolerance: float
+) -> SolverSummary:
+    sizes = sizes_present(measurements)
+    correct = [m for m in measurements if m.tolerance == tolerance and m.is_correct]
+    by_size = [[m for m in correct if m.size == size] for size in sizes]
+    shares = []
+    for each in tolerances_present(measurements):
+        given = [m.is_correct for m in measurements if m.tolerance == each]
+        shares.append(f"{sum(given)}/{len(given)}")
+    growth = [m.memory_growth for m in measurements if m.size == sizes[-1]]
     return SolverSummary(
         solver,
-        tuple(right),
-        verdicts.count("wrong claim"),
-        verdicts.count("unproven"),
-        verdicts.count("failed"),
-        verdicts.count("crashed"),
-        verdicts.count("skipped"),
+        tuple(shares),
+        Counter(outcome.verdict for m in measurements for outcome in m.outcomes),
         tuple(_median_of_known(m.first.seconds for m in group) for group in by_size),
         tuple(_median_of_known(m.second.seconds for m in group if m.second) for group in by_size),
         tuple(_median_of_known(m.first.iterations for m in group) for group in by_size),
-        max((m.first.cost_error for m in there if m.instance.is_feasible), default=None),
-        max(largest, default=None),
+        max((m.first.cost_error for m in correct if m.instance.is_feasible), default=None),
+        max((mebibytes for mebibytes in growth if mebibytes == mebibytes), default=None),
     )
 
 

@@ -1,7 +1,7 @@
-"""A process of its own for each solver: what crashes there, or hangs, is found out here.
+"""Worker process for a solver, so that a crash or a hang there is an outcome here.
 
-A solver is told the questions one by one, judged where it was asked, and only verdicts and
-times come back.
+The worker solves requests one by one and verifies its answers itself; only verdicts and times
+come back.
 """
 
 import os
@@ -23,119 +23,119 @@ from problems.families import Instance
 from problems.solvers.adapter import SolverAdapter
 from sato.resource_usage import peak_memory_mib
 
-SolverLookup = Callable[
-    [], Mapping[str, SolverAdapter]
-]  # the solvers that there are; known to both processes
+SolverLookup = Callable[[], Mapping[str, SolverAdapter]]
+"""Function that returns the adapters by name; both processes must be able to import it."""
 
 SOLVERS_PATH = problems.solvers.__path__
-STARTUP_TIMEOUT = 60.0  # in which a library is imported, or never [s]
+STARTUP_TIMEOUT = 60.0  # for the import of a library [s]
 SINGLE_THREAD_ENV = {
     f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL", "RAYON", "NUMBA")
 } | {"VECLIB_MAXIMUM_THREADS": "1"}
 
 
 class SolveRequest(NamedTuple):
-    """What a solver is asked at once."""
+    """Request for a solve, and for a re-solve with another right-hand side."""
 
-    instance: Instance  # read, and solved
-    next_instance: (
-        Instance | None
-    )  # another right-hand side of the same, solved by who has read the first
+    instance: Instance
+    next_instance: Instance | None  # differs from the instance in b alone
     tolerance: float
 
 
 class SolveOutcome(NamedTuple):
-    """What became of one solve."""
+    """Outcome of one solve."""
 
     verdict: Verified | Literal["crashed", "skipped"]
     reason: str
-    seconds: float = float("nan")  # of the processor, reading included where it was read
+    seconds: float = float("nan")  # processor time, with the set-up where it is the first solve
     iterations: int | None = None
     cost_error: float = float("nan")  # |cost − reference| / |reference|
-    primal_residual: float = float("nan")  # as `problems.conic.Answer` has them
+    primal_residual: float = float("nan")  # as in `problems.conic.ConicSolution`
     dual_residual: float = float("nan")
     gap: float = float("nan")
 
 
 class SolveReply(NamedTuple):
-    """What became of a question."""
+    """Outcomes of a request."""
 
     first: SolveOutcome
     second: SolveOutcome | None
-    memory_growth: float  # by which the most that the process held had grown after the first [MiB]
+    memory_growth: float  # of the process's peak with the first solve [MiB]
 
     @property
     def crashed(self) -> bool:
-        """Whether the process ended in one of the solves."""
+        """True where the process ended in one of the solves."""
         return "crashed" in (self.first.verdict, self.second and self.second.verdict)
 
 
 class WorkerError(RuntimeError):
-    """The process of a solver ended, or had to be ended, before it answered."""
+    """Error for a process that ended, or was ended, before it answered.
 
-    def __init__(self, words: str, seconds: float = float("nan")) -> None:
-        """Keep for how long it was waited for, where that was the end of it."""
-        super().__init__(words)
+    Attributes:
+        seconds: The time limit that it exceeded, if any [s].
+    """
+
+    def __init__(self, message: str, seconds: float = float("nan")) -> None:
+        super().__init__(message)
         self.seconds = seconds
 
     @property
     def outcome(self) -> SolveOutcome:
-        """What became of the solve in which it ended."""
+        """Outcome of the solve in which the process ended."""
         return SolveOutcome("crashed", str(self), self.seconds)
 
 
 class Worker:
-    """A solver in its process, which is begun when first asked and after every end."""
+    """Solver in a process, which starts with the first request and again after every end."""
 
     def __init__(
-        self, find: SolverLookup, name: str, warm_up: SolveRequest, seconds: float
+        self, lookup: SolverLookup, name: str, warm_up: SolveRequest, timeout: float
     ) -> None:
-        """Say whom to ask; nothing is begun yet.
+        """Choose a solver; no process starts yet.
 
         Args:
-            find: The solvers that there are.
-            name: Which of them.
-            warm_up: What each process is asked first, so that what a library does once in its
-                life is no part of a time.
-            seconds: After which nothing more is expected of a solve of that.
+            lookup: Function that returns the adapters.
+            name: Name of the solver.
+            warm_up: First request to each process, so that no time includes what a library does
+                only once in a process.
+            timeout: Limit for each solve of the warm-up [s].
         """
-        self._lookup, self._name = find, name
+        self._lookup, self._name = lookup, name
         self._warm_up: SolveRequest | None = warm_up
-        self._patience = seconds
+        self._warm_up_timeout = timeout
         self._process: Any = None
         self._connection: Connection | None = None
         self._stderr: TextIO | None = None
-        self.memory_growth = float("nan")  # by the first solve of the last warm-up [MiB]
+        self.memory_growth = float("nan")  # with the first solve of the last warm-up [MiB]
 
     def start(self) -> Connection:
-        """Begin the process, and warm it up.
+        """Start the process, and warm it up.
 
         Raises:
-            Gone: It ended in that; it is begun cold from then on, or a solver that cannot take
-                its warm-up would be asked nothing else.
+            WorkerError: The process ended in the warm-up. Later ones start without a warm-up, or
+                a solver that fails there could be given no other request.
         """
-        line = self._start_process()
+        connection = self._start_process()
         warm_up, self._warm_up = self._warm_up, None
         if warm_up is None:
-            return line
-        reply = self._exchange(line, warm_up, self._patience)
+            return connection
+        reply = self._exchange(connection, warm_up, self._warm_up_timeout)
         self.memory_growth = reply.memory_growth
         if reply.second is not None and reply.crashed:
             raise WorkerError(reply.second.reason, reply.second.seconds)
         self._warm_up = warm_up
-        return line
+        return connection
 
-    def solve(self, question: SolveRequest, seconds: float) -> SolveReply:
-        """Ask, and wait for the reply.
+    def solve(self, request: SolveRequest, timeout: float) -> SolveReply:
+        """Make a request, and wait for the reply.
 
         Args:
-            question: What is asked.
-            seconds: After which nothing more is expected of a solve.
+            request: The request.
+            timeout: Limit for each solve [s].
 
         Raises:
-            Gone: The process crashed before it had answered once, or did not answer in time.
+            WorkerError: The process crashed in the first solve, or exceeded the limit there.
         """
-        return self._exchange(self._connection or self.start(), question, seconds)
+        return self._exchange(self._connection or self.start(), request, timeout)
 
     def close(self) -> None:
         """End the process."""
@@ -155,132 +155,135 @@ class Worker:
         handle, path = tempfile.mkstemp(prefix="sato-compare-")
         self._stderr = open(handle, errors="replace")
         context = _process_context()
-        line: Connection
-        line, far = context.Pipe()
+        connection: Connection
+        connection, remote = context.Pipe()
         self._process = context.Process(
-            target=_serve, args=(far, self._lookup, self._name, path), daemon=True
+            target=_serve, args=(remote, self._lookup, self._name, path), daemon=True
         )
         before = {name: os.environ.get(name) for name in SINGLE_THREAD_ENV}
-        os.environ.update(SINGLE_THREAD_ENV)  # the process reads them before it loads anything
+        os.environ.update(SINGLE_THREAD_ENV)  # the process reads them before any import
         try:
             self._process.start()
         finally:
             for name, value in before.items():
                 os.environ.pop(name) if value is None else os.environ.update({name: value})
-        far.close()
-        self._connection = line
+        remote.close()
+        self._connection = connection
         try:
-            self._receive(line, STARTUP_TIMEOUT)
+            self._receive(connection, STARTUP_TIMEOUT)
         finally:
-            Path(path).unlink()  # both hold it open
-        return line
+            Path(path).unlink()  # both processes hold it open
+        return connection
 
-    def _exchange(self, line: Connection, question: SolveRequest, seconds: float) -> SolveReply:
+    def _exchange(
+        self, connection: Connection, request: SolveRequest, timeout: float
+    ) -> SolveReply:
         try:
-            line.send(question)
-        except ConnectionError:  # it ended after its last answer
+            connection.send(request)
+        except ConnectionError:  # the process ended after its last answer
             raise self._close_with_error(self._exit_reason()) from None
-        first, memory = self._receive(line, seconds)
-        if question.next_instance is None:
+        first, memory = self._receive(connection, timeout)
+        if request.next_instance is None:
             return SolveReply(first, None, memory)
         try:
-            again, _ = self._receive(line, seconds)
+            second, _ = self._receive(connection, timeout)
         except WorkerError as end:
-            again = end.outcome
-        return SolveReply(first, again, memory)
+            second = end.outcome
+        return SolveReply(first, second, memory)
 
-    def _receive(self, line: Connection, seconds: float) -> Any:
+    def _receive(self, connection: Connection, timeout: float) -> Any:
         try:
-            if line.poll(seconds):
-                return line.recv()
+            if connection.poll(timeout):
+                return connection.recv()
         except (EOFError, ConnectionError):
             raise self._close_with_error(self._exit_reason()) from None
-        raise self._close_with_error(f"no answer within {seconds:g} s", seconds)
+        raise self._close_with_error(f"no answer within {timeout:g} s", timeout)
 
-    def _close_with_error(self, words: str, seconds: float = float("nan")) -> WorkerError:
+    def _close_with_error(self, message: str, seconds: float = float("nan")) -> WorkerError:
         self.close()
-        return WorkerError(words, seconds)
+        return WorkerError(message, seconds)
 
     def _exit_reason(self) -> str:
         self._process.join()
-        code, last = self._process.exitcode, ""
+        code, last_line = self._process.exitcode, ""
         if self._stderr is not None:
             lines = self._stderr.read().split("\n")
-            last = next((line.strip() for line in reversed(lines) if line.strip()), "")
+            last_line = next((line.strip() for line in reversed(lines) if line.strip()), "")
         if code is not None and code < 0:
-            last = f"{signal.strsignal(-code) or -code}{last and ': '}{last}"
-        return last or f"the process ended with exit code {code}"
+            last_line = f"{signal.strsignal(-code) or -code}{last_line and ': '}{last_line}"
+        return last_line or f"the process ended with exit code {code}"
 
 
 def _process_context() -> Any:
     if "forkserver" not in get_all_start_methods():
         return get_context("spawn")
     context = get_context("forkserver")
-    # One small parent for all, which has loaded what they share: a child's peak begins anew.
+    # All workers are forked from a small process with the shared imports, so that the peak memory
+    # of each starts anew.
     shared = (f"{problems.solvers.__name__}.{file.name}" for file in iter_modules(SOLVERS_PATH))
     context.set_forkserver_preload([__name__, *shared])
     return context
 
 
-def _serve(line: Connection, find: SolverLookup, name: str, last_words: str) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # who asked ends it
-    _redirect_output(last_words)
-    solver = find()[name]
+def _serve(connection: Connection, lookup: SolverLookup, name: str, stderr: str) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process ends the worker
+    _redirect_output(stderr)
+    solver = lookup()[name]
     import_module(solver.module)
-    held = peak_memory_mib()
-    line.send(None)
+    before = peak_memory_mib()
+    connection.send(None)
     while True:
         try:
-            question: SolveRequest = line.recv()
+            request: SolveRequest = connection.recv()
         except EOFError:
             return
-        for outcome in _solve_request(
-            solver, question
-        ):  # each before the next solve, which may crash
-            line.send((outcome, peak_memory_mib() - held))
+        # Each outcome is sent before the next solve, which may crash.
+        for outcome in _solve_request(solver, request):
+            connection.send((outcome, peak_memory_mib() - before))
 
 
-def _redirect_output(last_words: str) -> None:
-    # Libraries print at a depth where only the descriptors are known.
+def _redirect_output(stderr: str) -> None:
+    # Libraries in C write to the file descriptors, not to sys.stdout.
     sys.stdout.flush()
     sys.stderr.flush()
-    with open(os.devnull, "w") as nowhere, open(last_words, "w") as file:
-        os.dup2(nowhere.fileno(), 1)
+    with open(os.devnull, "w") as discarded, open(stderr, "w") as file:
+        os.dup2(discarded.fileno(), 1)
         os.dup2(file.fileno(), 2)
 
 
-def _solve_request(solver: SolverAdapter, question: SolveRequest) -> Iterator[SolveOutcome]:
-    problem, tolerance = question.instance.problem, question.tolerance
+def _solve_request(solver: SolverAdapter, request: SolveRequest) -> Iterator[SolveOutcome]:
+    problem, tolerance = request.instance.problem, request.tolerance
     began = process_time()
-    session = solver.session_factory(
-        problem, tolerance
-    )  # what it can take was found out in planning
-    claim = session.solve(problem.b)
-    yield _evaluate(question.instance, claim, tolerance, process_time() - began)
-    if question.next_instance is None:
+    # Not `open_session`: the plan has checked that the solver supports the problem.
+    session = solver.session_factory(problem, tolerance)
+    result = session.solve(problem.b)
+    yield _evaluate(request.instance, result, tolerance, process_time() - began)
+    if request.next_instance is None:
         return
-    b = question.next_instance.problem.b
+    b = request.next_instance.problem.b
     began = process_time()
-    claim = session.solve(b)
-    yield _evaluate(question.next_instance, claim, tolerance, process_time() - began)
+    result = session.solve(b)
+    yield _evaluate(request.next_instance, result, tolerance, process_time() - began)
 
 
 def _evaluate(
-    instance: Instance, claim: SolverResult, tolerance: float, seconds: float
+    instance: Instance, result: SolverResult, tolerance: float, seconds: float
 ) -> SolveOutcome:
     problem: ConicProgram = instance.problem
-    kind, answer, why, _ = verify(problem, claim, tolerance)
-    if kind == "unproven" and instance.is_feasible:
-        kind, why = "wrong claim", f"{why}, but there is a point"
-    if kind == "wrong claim" and claim.status == "infeasible" and not instance.is_feasible:
-        kind = "unproven"  # it is right, and cannot show it
-    outcome = SolveOutcome(kind, why, seconds, claim.iterations)
-    if answer is None:
+    verdict, solution, reason, _ = verify(problem, result, tolerance)
+    if verdict == "unproven" and instance.is_feasible:
+        verdict, reason = "wrong claim", f"{reason}, but there is a point"
+    if verdict == "wrong claim" and result.status == "infeasible" and not instance.is_feasible:
+        verdict = "unproven"  # the claim is true, and its proof is not
+    outcome = SolveOutcome(verdict, reason, seconds, result.iterations)
+    if solution is None:
         return outcome
     outcome = outcome._replace(
-        primal_residual=answer.primal_residual, dual_residual=answer.dual_residual, gap=answer.gap
+        primal_residual=solution.primal_residual,
+        dual_residual=solution.dual_residual,
+        gap=solution.gap,
     )
     if not instance.is_feasible:
         return outcome
-    off = abs(float(problem.q @ answer.x) - instance.reference_cost)
-    return outcome._replace(cost_error=off / instance.cost_scale)
+    error = abs(float(problem.q @ solution.x) - instance.reference_cost)
+    return outcome._replace(cost_error=error / instance.cost_scale)
