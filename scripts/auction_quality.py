@@ -3,7 +3,7 @@
 import numpy as np
 
 from problems.assignment import solve_assignment
-from sato.auctions.vsdaa_init import run_vsdaa
+from sato.auctions import run_vsdaa
 from sato.network.graph import CommunicationGraph
 
 rng = np.random.default_rng(0)

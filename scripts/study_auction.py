@@ -19,7 +19,7 @@ from rich.table import Table
 from scipy.spatial import cKDTree
 
 from problems.assignment import solve_assignment
-from sato.auctions.vsdaa_init import run_vsdaa
+from sato.auctions import run_vsdaa
 from sato.network.graph import CommunicationGraph
 
 SIZES = (5, 10, 20, 40, 60, 90, 123)

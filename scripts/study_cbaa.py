@@ -18,7 +18,7 @@ from rich.progress import track
 from rich.table import Table
 from scipy.optimize import linear_sum_assignment
 
-from sato.auctions.cbaa_init import run_cbaa
+from sato.auctions import run_cbaa
 from sato.network.graph import CommunicationGraph
 
 EDGE_SHARES = (0.0, 0.05, 0.2, 0.5, 1.0)

@@ -21,15 +21,10 @@ from swarm_cast import (
 from dynamics.trajectory_geometry import hull_distance
 from problems.centralized import CentralizedProblem
 from problems.pair_avoidance import PairProblem
-from sato.network.graph import flood, run_round
-from sato.scp import FEASIBILITY_TOLERANCE, negotiate, try_priority_orders
-from sato.scp.negotiation import (
-    Negotiator,
-    _find_nearby,
-    negotiate_pairs,
-    schedule_pairs,
-    solve_pair,
-)
+from sato.network.rounds import flood, run_round
+from sato.scp.negotiation import find_nearby, negotiate, negotiate_pairs, schedule_pairs, solve_pair
+from sato.scp.planner import FEASIBILITY_TOLERANCE
+from sato.scp.priority_orders import try_priority_orders
 
 
 def settled(planners, orders=1):
@@ -113,10 +108,9 @@ def test_turns_are_what_each_makes_of_a_flood_of_who_is_near_whom(rng):
     now = settled(crowd(rng, 6, box=3.5))
     hears = rng.random((6, 6)) < 0.4
     network = heard(np.triu(hears, 1) | np.triu(hears, 1).T)
-    parties = [Negotiator(now[i], -1) for i in range(6)]
-    seen = run_round(network, parties, _find_nearby, [now[i].message for i in range(6)], range(6))
+    nearby = run_round(network, now, find_nearby, {i: p.message for i, p in now.items()})
     turns = schedule_pairs(now, network, now)
-    for known in flood(network, [{i: seen[i].nearby_agents} for i in range(6)], dict.__or__):
+    for known in flood(network, {i: {i: nearby[i]} for i in now}, dict.__or__).values():
         near = {(min(i, j), max(i, j)) for i in known for j in known[i]}
         pairs = [{a: b, b: a} for a, b in sorted(near)]
         mine = [{a: b for a, b in turn.items() if a in known} for turn in turns]

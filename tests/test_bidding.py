@@ -12,7 +12,8 @@ from dynamics.trajectory_geometry import min_distance
 from problems.assignment import solve_assignment
 from problems.auction_cost import compute_distances, compute_energies, compute_exact_costs
 from problems.transfer import TransferProblem
-from sato.network.graph import CommunicationGraph, flood
+from sato.network.graph import CommunicationGraph
+from sato.network.rounds import flood
 from sato.reconfiguration.mission import Leg, Reconfiguration
 from sato.reconfiguration.assignment import assign_targets, compute_epsilon, share_claims
 from sato.reconfiguration.auction_costs import AgentMemory, CostTable, compute_bid_costs
@@ -138,11 +139,12 @@ def test_claims_and_clocks_are_shared_as_by_flooding(rng):
         tuple(zip(h.tolist(), c.tolist(), strict=True))
         for h, c in zip(minds.claim_step, minds.claimed_target, strict=True)
     ]
-    flooded = flood(network, books, newest)
-    for i in np.flatnonzero(alive):
+    live = np.flatnonzero(alive).tolist()
+    flooded = flood(network, {i: books[i] for i in live}, newest)
+    for i in live:
         assert tuple(zip(shared.claim_step[i], shared.claimed_target[i], strict=True)) == flooded[i]
-    clocks = flood(network, minds.clock.tolist(), min)
-    assert shared.clock[alive].tolist() == [clocks[i] for i in np.flatnonzero(alive)]
+    clocks = flood(network, {i: int(minds.clock[i]) for i in live}, min)
+    assert shared.clock[alive].tolist() == [clocks[i] for i in live]
 
 
 def test_what_an_absent_agent_claims_is_left_while_others_are_free():

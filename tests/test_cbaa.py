@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
 from sato.auctions.bids import WinningBids
-from sato.auctions.cbaa_init import (
+from sato.auctions.cbaa import (
     CbaaBidder,
     is_finished,
     run_by_messages,
@@ -18,7 +18,8 @@ from sato.auctions.cbaa_init import (
     update_bidder,
 )
 from sato.auctions.cbaa_kernel import init_state, run_kernel
-from sato.network.graph import CommunicationGraph, run_rounds
+from sato.network.graph import CommunicationGraph
+from sato.network.rounds import run_rounds
 
 LAW = settings(deadline=None, derandomize=True, max_examples=80)
 
@@ -119,10 +120,11 @@ def test_the_compiled_rounds_are_the_definition_bit_for_bit(case):
 @given(case=cases(lossy=False))
 def test_where_nothing_is_lost_or_late_the_rounds_are_those_of_any_protocol(case):
     empty = WinningBids.empty(case.score.shape[1])
-    first = [CbaaBidder(i, row, len(case.live), empty) for i, row in enumerate(case.score)]
+    first = {i: CbaaBidder(i, case.score[i], len(case.live), empty) for i in case.live.tolist()}
     expected = run_rounds(case.network, first, update_bidder, lambda agent: agent.bids, is_finished)
     for ours, theirs in zip(run_by_messages(case.score, case.network), expected, strict=True):
-        for one, other in zip(ours, theirs, strict=True):
+        for i in case.live:
+            one, other = ours[i], theirs[i]
             assert one.point == other.point
             assert one.bids.price.tobytes() == other.bids.price.tobytes()
             assert one.bids.winner.tobytes() == other.bids.winner.tobytes()
@@ -205,14 +207,14 @@ def test_the_price_of_an_agent_is_not_known_h_hops_away_before_round_h_plus_1(rn
 @given(case=cases())
 def test_every_book_sent_is_counted(case):
     result = run_cbaa(case.score, case.network, **case.keywords())
-    told, before = 0, [False] * len(case.score)
+    told, before = 0, dict.fromkeys(case.live.tolist(), False)
     for now in run_by_messages(case.score, case.network, **case.keywords()):
         told += sum(
             len(case.network.neighbors[i])
             for i in case.live
             if not before[i] or case.air.get("loss")
         )
-        before = [is_finished(agent) for agent in now]
+        before = {i: is_finished(agent) for i, agent in now.items()}
     if case.air.get("loss"):  # those who know go on until the others must have heard
         told = case.air["rounds"] * int(case.network.adjacency.sum())
     assert result.message_count == told

@@ -5,14 +5,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sato.network.graph import (
-    CommunicationGraph,
+from sato.network.graph import CommunicationGraph
+from sato.network.rounds import (
     DiameterEstimator,
     WaveMessage,
     flood,
     knows_diameter,
     learn_diameter,
     run_rounds,
+    schedule_turns,
     update_diameter,
 )
 
@@ -67,11 +68,12 @@ def test_agents_learn_the_diameter_that_all_paths_have(network):
 @LAW
 @given(networks())
 def test_an_agent_knows_its_diameter_three_eccentricities_after_the_start(network):
-    states = [DiameterEstimator(WaveMessage(frozenset([i]))) for i in range(len(network.alive))]
+    live = np.flatnonzero(network.alive).tolist()
+    states = {i: DiameterEstimator(WaveMessage(frozenset([i]))) for i in live}
     history = list(
         run_rounds(network, states, update_diameter, lambda s: s.message, knows_diameter)
     )
-    for i in np.flatnonzero(network.alive):
+    for i in live:
         e = int(
             np.max(all_hops(network)[i], where=network.component == network.component[i], initial=0)
         )
@@ -98,12 +100,14 @@ def test_components_are_what_paths_connect(network):
 @given(networks(), st.integers(0, 2**32 - 1))
 def test_flooding_agrees_on_the_largest_of_each_component(network, seed):
     values = np.random.default_rng(seed).integers(1, 50, len(network.alive))
-    assert flood(network, values.tolist(), max) == network.component_max(values).tolist()
+    largest = network.component_max(values)
+    told = {i: int(values[i]) for i in np.flatnonzero(network.alive).tolist()}
+    assert flood(network, told, max) == {i: largest[i] for i in told}
 
 
 def test_news_travels_one_hop_a_round():
     network = line(6)
-    states = [frozenset([i]) for i in range(6)]
+    states = {i: frozenset([i]) for i in range(6)}
     history = run_rounds(
         network,
         states,
@@ -125,7 +129,7 @@ def test_an_agent_hears_its_neighbours_and_the_finished_but_nobody_else():
         return state[0], state[1] - 1
 
     # Agent i finishes after i + 1 rounds and tells its number all the time.
-    states = [(i, i + 1) for i in range(4)]
+    states = {i: (i, i + 1) for i in range(4)}
     assert len(list(run_rounds(network, states, act, lambda s: s[0], lambda s: s[1] == 0))) == 4
     assert inboxes == {0: [[1]], 1: [[0, 2]] * 2, 2: [[1, 3]] * 3, 3: [[2]] * 4}
 
@@ -135,7 +139,7 @@ def test_the_dead_neither_act_nor_are_heard():
     network = CommunicationGraph.from_positions(np.array([[0.0], [1.0], [2.0]]), 1.5, alive)
     assert [n.tolist() for n in network.neighbors] == [[], [], []]
     assert network.component.tolist() == [0, -1, 1]
-    assert flood(network, [1, 9, 2], max) == [1, 9, 2]
+    assert flood(network, {0: 1, 2: 2}, max) == {0: 1, 2: 2}
 
 
 def test_exactly_the_radius_apart_is_still_heard():
@@ -161,9 +165,17 @@ def test_what_is_no_network_is_refused():
     one_way = np.array([[False, True], [False, False]])
     with pytest.raises(ValueError, match="agent 0 hears agent 1 but not the other way round"):
         CommunicationGraph(one_way, np.full(2, True))
-    with pytest.raises(ValueError, match="agent 1 is its own neighbour"):
+    with pytest.raises(ValueError, match="agent 1 is its own neighbor"):
         CommunicationGraph(np.diag([False, True]), np.full(2, True))
-    with pytest.raises(ValueError, match="agent 1 is not alive but has neighbours"):
+    with pytest.raises(ValueError, match="agent 1 is not alive but has neighbors"):
         CommunicationGraph(one_way | one_way.T, np.array([True, False]))
     with pytest.raises(ValueError, match="must be positive, got -1"):
         CommunicationGraph.from_positions(np.zeros((2, 2)), -1.0, np.full(2, True))
+
+
+def test_one_of_every_network_has_its_turn_at_a_time_and_each_once():
+    hears = np.zeros((6, 6), dtype=bool)
+    hears[0, 3] = hears[3, 0] = hears[1, 4] = hears[4, 1] = hears[4, 5] = hears[5, 4] = True
+    network = CommunicationGraph(hears, np.arange(6) != 2)
+    parties = [(i,) for i in (5, 4, 3, 1, 0)]
+    assert schedule_turns(network, parties) == [[(0,), (1,)], [(3,), (4,)], [(5,)]]

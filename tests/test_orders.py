@@ -23,12 +23,13 @@ from swarm_cast import (
 
 from dynamics import DoubleIntegrator, discretize_zoh
 from dynamics.trajectory_geometry import separations
-from sato.network.graph import CommunicationGraph, flood
+from sato.network.graph import CommunicationGraph
+from sato.network.rounds import flood
 from sato.reconfiguration.auction_costs import AgentMemory
 from sato.reconfiguration.mission import Leg, Reconfiguration
 from sato.reconfiguration.moment import DecisionContext
 from sato.reconfiguration.planning import NO_PLANS, plan_trajectories
-from sato.scp import run_batched, run_by_messages, run_scp, try_priority_orders
+from sato.scp.exchange import run_batched, run_by_messages, run_scp
 from sato.scp.priority_orders import (
     PriorityCost,
     keep_cheaper,
@@ -36,6 +37,7 @@ from sato.scp.priority_orders import (
     select_clear_components,
     select_components,
     sum_by_component,
+    try_priority_orders,
 )
 
 
@@ -65,15 +67,14 @@ def test_what_a_network_pays_keeps_and_has_in_common_each_knows_from_a_flood(lin
     again = {i: p._replace(has_converged=True) for i, p in some.items()}
     clear = select_components(some, network, lambda p: not p.has_failed)
     kept, _ = keep_cheaper(some, tolls, again, other, network)
-    told = [{i: (tolls[i], other[i])} if i in tolls else {} for i in range(7)]
-    for i, known in enumerate(flood(network, told, dict.__or__)):
-        if i in tolls:
-            mine, theirs = ([known[j][k] for j in sorted(known)] for k in (0, 1))
-            added = np.sum(mine, axis=0)
-            np.testing.assert_allclose(sum_by_component(tolls, network)[i], added, rtol=1e-12)
-            assert (i in clear) == all(not some[j].has_failed for j in known)
-            better = tuple(np.sum(theirs, axis=0)) < tuple(added)
-            assert kept[i] is (again[i] if better else some[i])
+    told = {i: {i: (tolls[i], other[i])} for i in tolls}
+    for i, known in flood(network, told, dict.__or__).items():
+        mine, theirs = ([known[j][k] for j in sorted(known)] for k in (0, 1))
+        added = np.sum(mine, axis=0)
+        np.testing.assert_allclose(sum_by_component(tolls, network)[i], added, rtol=1e-12)
+        assert (i in clear) == all(not some[j].has_failed for j in known)
+        better = tuple(np.sum(theirs, axis=0)) < tuple(added)
+        assert kept[i] is (again[i] if better else some[i])
 
 
 def test_one_order_is_method_2_itself(rng):

@@ -19,16 +19,10 @@ from swarm_cast import (
 )
 
 from problems.convexify import are_hulls_separated
-from sato.network.graph import CommunicationGraph, schedule_turns
-from sato.scp import negotiate, try_priority_orders
-from sato.scp.priority_orders import ConflictResolution, offset_right
-from sato.scp.roundabout import (
-    OFFSETS,
-    can_use_roundabout,
-    resolve_conflicts,
-    solve_roundabout,
-    update_in_turn,
-)
+from sato.scp.negotiation import negotiate
+from sato.scp.priority_orders import ConflictResolution, offset_right, try_priority_orders
+from sato.scp.resolve import OFFSETS, resolve_conflicts
+from sato.scp.roundabout import can_use_roundabout, solve_roundabout, update_in_turn
 
 
 def spin(planners):
@@ -81,7 +75,7 @@ def test_terms_are_orders_and_then_roundabouts_with_bargains_and_cheaper_in_one_
     ordered = negotiate(settled.planners, network, 2)
     begun = solve_roundabout(planners, network, -1.0)
     dealt = negotiate(begun.planners, network, 2)
-    monkeypatch.setattr("sato.scp.roundabout.OFFSETS", [-1.0])
+    monkeypatch.setattr("sato.scp.resolve.OFFSETS", [-1.0])
     terms = resolve_conflicts(planners, network, 2, 2)
     assert paid(terms.planners) == paid(dealt.planners)
     assert paid(terms.planners)[:2] == (0, 0)
@@ -101,14 +95,14 @@ def test_both_hands_are_tried_near_and_far(monkeypatch):
         tried.append(bend)
         return ConflictResolution({}, 0, 0)
 
-    monkeypatch.setattr("sato.scp.roundabout.solve_roundabout", nowhere)
+    monkeypatch.setattr("sato.scp.resolve.solve_roundabout", nowhere)
     planners = circle(5, 1.5)
     resolve_conflicts(planners, everybody(planners), 1, 1)
     assert sorted(tried) == [-2.0, -1.0, 1.0, 2.0]
 
 
 def test_whoever_pays_nothing_has_no_roundabout_with_strangers_who_do(monkeypatch):
-    monkeypatch.setattr("sato.scp.roundabout.OFFSETS", OFFSETS[:1])
+    monkeypatch.setattr("sato.scp.resolve.OFFSETS", OFFSETS[:1])
     dear = circle(3, 1.5)
     transfer, horizon = problem()
     cheap = {
@@ -171,14 +165,6 @@ def test_networks_that_do_not_hear_each_other_go_round_for_themselves():
     for some, first in ((left, 0), (right, 4)):
         for i, p in solve_roundabout(some, everybody(some), 1.0).planners.items():
             np.testing.assert_array_equal(p.nominal.u, together[first + i].nominal.u)
-
-
-def test_one_of_every_network_has_its_turn_at_a_time_and_each_once():
-    hears = np.zeros((6, 6), dtype=bool)
-    hears[0, 3] = hears[3, 0] = hears[1, 4] = hears[4, 1] = hears[4, 5] = hears[5, 4] = True
-    network = CommunicationGraph(hears, np.arange(6) != 2)
-    parties = [(i,) for i in (5, 4, 3, 1, 0)]
-    assert schedule_turns(network, parties) == [[(0,), (1,)], [(3,), (4,)], [(5,)]]
 
 
 def test_in_its_turn_one_keeps_clear_of_all_whom_it_hears_whoever_goes_first():

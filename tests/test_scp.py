@@ -26,7 +26,8 @@ from problems.convexify import are_hulls_separated, choose_normals, convexify
 from problems.solvers import solve_clarabel
 from problems.transfer import Trajectory
 from sato.network.graph import CommunicationGraph
-from sato.scp import TrajectoryMessage, run_batched, run_by_messages, run_scp, update_planner
+from sato.scp.exchange import run_batched, run_by_messages, run_scp
+from sato.scp.planner import TrajectoryMessage, update_planner
 
 
 @pytest.mark.parametrize(("count", "axes"), [(4, 2), (8, 2), (8, 3)])

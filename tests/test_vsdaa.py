@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from problems.assignment import solve_assignment
+from sato.auctions import OutOfTargets
 from sato.auctions.bids import NO_WINNER
-from sato.auctions.vsdaa_init import OutOfTargets, run_by_messages, run_vsdaa
+from sato.auctions.vsdaa import run_by_messages, run_vsdaa
 from sato.auctions.vsdaa_kernel import VsdaaState, init_state, run_kernel
 from sato.network.graph import CommunicationGraph
 
@@ -202,8 +203,8 @@ def books_differ(before: tuple, after: tuple, r: int, i: int) -> bool:
 def books_by_messages(case: Case, rounds: int) -> tuple:
     history = definition(case, True, rounds)
     return (
-        [[agent.bids.price for agent in now] for now in history],
-        [[agent.bids.winner for agent in now] for now in history],
+        [{i: agent.bids.price for i, agent in now.items()} for now in history],
+        [{i: agent.bids.winner for i, agent in now.items()} for now in history],
     )
 
 
@@ -307,10 +308,10 @@ def test_the_dead_need_no_costs(rng):
         ({"cost": np.array([[0.0, np.inf], [0, 0]])}, "cost of target 1 for agent 0 is inf"),
         (
             {"cost": np.zeros((3, 2)), "believed": np.array([1, 1, 1])},
-            "costs for 3 agents, a network of 2, m of 3: there must be a row",
+            "costs for 3 agents, a graph of 2, m of 3: there must be a row",
         ),
-        ({"believed": np.array([1, 3])}, "agent 1 believes in 3 targets: from 1 to the 2"),
-        ({"believed": np.array([0, 1])}, "agent 0 believes in 0 targets"),
+        ({"believed": np.array([1, 3])}, "agent 1 bids on 3 targets: must be from 1 to the 2"),
+        ({"believed": np.array([0, 1])}, "agent 0 bids on 0 targets"),
         ({"epsilon": 0.0}, "the bid increment is 0.0"),
         ({"epsilon": float("nan")}, "the bid increment is nan"),
         ({"cost": np.full((2, 2), 1e15)}, "the bid increment is 0.1: it must be"),

@@ -1,4 +1,4 @@
-"""What every auction shares: an agent's book, and merging what it hears."""
+"""Winning bids known to an agent, and the merge of two agents' knowledge."""
 
 from typing import NamedTuple
 
@@ -6,14 +6,27 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-NO_WINNER = -1  # holder of a target without a standing bid
+NO_WINNER = -1  # winner of a target without a standing bid
+ANONYMOUS = 0  # winner of every standing bid where bids carry no number
+
+
+class OutOfTargets(RuntimeError):
+    """Failure of an auction: all targets are taken, and an agent has none."""
+
+    def __init__(self, agent: int, round: int, targets: int) -> None:
+        """Keep the agent, the round in which it found out, and the number of targets."""
+        super().__init__(
+            f"agent {agent} found all {targets} targets taken in round {round}: its component "
+            "has more agents than there are targets; define more targets"
+        )
+        self.agent, self.round, self.targets = agent, round, targets
 
 
 class WinningBids(NamedTuple):
-    """What one agent has heard of each target: the price, and whose bid it was.
+    """Price and winner of each target, as far as one agent knows.
 
-    A positive price is a standing bid and has a holder. A negative one was a bid that has
-    been put up for sale again: its magnitude still counts, nobody holds it. Zero: no bid yet.
+    A positive price is a standing bid and has a winner. A negative one was a bid on a target
+    that is for sale again: its magnitude still counts, and it has no winner. Zero: no bid yet.
     """
 
     price: Float[Array, " targets"]
@@ -21,34 +34,35 @@ class WinningBids(NamedTuple):
 
     @classmethod
     def empty(cls, targets: int) -> "WinningBids":
-        """A book without bids."""
+        """Make a table without bids."""
         return cls(np.zeros(targets), np.full(targets, NO_WINNER))
 
     @property
     def winner_count(self) -> int:
-        """Number of targets that somebody holds, which is the number of bidders heard."""
+        """Number of standing bids, which is the number of bidders heard of."""
         return int(np.count_nonzero(self.winner != NO_WINNER))
 
 
-def find_newer_bids(mine: WinningBids, heard: WinningBids) -> Bool[Array, " targets"]:
-    """Where the other book knows more: a larger |price|, or the same with a smaller holder.
+def find_newer_bids(own: WinningBids, received: WinningBids) -> Bool[Array, " targets"]:
+    """Mark the targets of which `received` knows more.
 
-    "Nobody" is smaller than every agent, so of two equal magnitudes the negative one wins,
-    and of two equal bids that of the smaller number.
+    That is a larger |price|, or an equal one with a smaller winner. `NO_WINNER` is smaller than
+    every agent, so of two equal magnitudes the negative price wins, and of two equal bids that
+    of the smaller agent.
     """
-    mine_size, heard_size = np.abs(mine.price), np.abs(heard.price)
-    more = heard_size > mine_size
-    more |= (heard_size == mine_size) & (heard.winner < mine.winner)
-    return np.asarray(more)
+    own_size, received_size = np.abs(own.price), np.abs(received.price)
+    newer = received_size > own_size
+    newer |= (received_size == own_size) & (received.winner < own.winner)
+    return np.asarray(newer)
 
 
-def merge_bids(mine: WinningBids, heard: WinningBids) -> WinningBids:
-    """What is known from two books together.
+def merge_bids(own: WinningBids, received: WinningBids) -> WinningBids:
+    """Keep the newer entry for each target.
 
-    Keeps for each target the larger entry of a total order, hence commutative, associative
-    and idempotent: the order and the number of times in which news arrives do not matter.
+    The larger of a total order, hence commutative, associative and idempotent: the order and
+    the number of times in which messages arrive do not matter.
     """
-    better = find_newer_bids(mine, heard)
+    newer = find_newer_bids(own, received)
     return WinningBids(
-        np.where(better, heard.price, mine.price), np.where(better, heard.winner, mine.winner)
+        np.where(newer, received.price, own.price), np.where(newer, received.winner, own.winner)
     )

@@ -1,7 +1,7 @@
-"""The rounds of `agent`, for all agents at once and compiled.
+"""Rounds of CBAA for all agents at once, compiled; equal to `cbaa.update_bidder`.
 
-A book is merged only if it has changed since the listener last heard it: merging the
-same again changes nothing.
+A message is merged only if it has changed since the receiver last heard it: merging the same
+again changes nothing.
 """
 
 from typing import NamedTuple, no_type_check
@@ -16,78 +16,74 @@ from sato.network.graph import CommunicationGraph
 
 
 class CbaaState(NamedTuple):
-    """All agents of an auction, changed in place from round to round."""
+    """Memory of all agents in an auction, changed in place from round to round."""
 
     score: Float[Array, "agents points"]
     adjacency: Bool[Array, "agents agents"]
     price: Float[Array, "agents points"]
     winner: Int[Array, "agents points"]
     point: Int[Array, " agents"]
-    winner_count: Int[Array, " agents"]  # standing bids in each book
-    version: Int[Array, " agents"]  # how often each book has changed
-    seen_version: Int[Array, "agents agents"]  # version of [j]'s book that [i] heard last
-    sent_price: Float[Array, "late agents points"]  # by the round in which it was told, mod late
-    sent_winner: Int[Array, "late agents points"]
-    sent_version: Int[Array, "late agents"]
-    is_running: Bool[Array, " agents"]  # who takes part and does not yet know the end
-    finished_round: Int[
-        Array, " agents"
-    ]  # round in which an agent knew that it is over; 0 for not yet
+    winner_count: Int[Array, " agents"]  # standing bids that each agent knows
+    version: Int[Array, " agents"]  # number of changes to what each agent knows
+    seen_version: Int[Array, "agents agents"]  # version that [i] last heard from [j]
+    sent_price: Float[Array, "slots agents points"]  # of round r in slot r mod (delay + 1)
+    sent_winner: Int[Array, "slots agents points"]
+    sent_version: Int[Array, "slots agents"]
+    is_running: Bool[Array, " agents"]  # True while an agent does not know the end
+    finished_round: Int[Array, " agents"]  # round in which it knew the end; 0 for not yet
     round: Int[Array, " 1"]
 
 
 def init_state(
-    score: Float[Array, "agents points"], network: CommunicationGraph, delay: int
+    score: Float[Array, "agents points"], graph: CommunicationGraph, delay: int
 ) -> CbaaState:
-    """All agents before the first round, where messages are `delay` rounds late."""
+    """Initialize all agents, for messages that are `delay` rounds late."""
     agents, points = score.shape
 
-    def none(*shape: int) -> Array:
+    def zeros(*shape: int) -> Array:
         return np.zeros(shape, dtype=np.int64)
 
     return CbaaState(
         score=np.ascontiguousarray(score, dtype=np.float64),
-        adjacency=np.ascontiguousarray(network.adjacency),
+        adjacency=np.ascontiguousarray(graph.adjacency),
         price=np.zeros((agents, points)),
         winner=np.full((agents, points), NO_WINNER),
         point=np.full(agents, -1),
-        winner_count=none(agents),
-        version=none(agents),
-        seen_version=none(agents, agents),
+        winner_count=zeros(agents),
+        version=zeros(agents),
+        seen_version=zeros(agents, agents),
         sent_price=np.zeros((delay + 1, agents, points)),
         sent_winner=np.full((delay + 1, agents, points), NO_WINNER),
-        sent_version=none(delay + 1, agents),
-        is_running=network.alive.copy(),
-        finished_round=none(agents),
-        round=none(1),
+        sent_version=zeros(delay + 1, agents),
+        is_running=graph.alive.copy(),
+        finished_round=zeros(agents),
+        round=zeros(1),
     )
 
 
-def run_kernel(swarm: CbaaState, rounds: int, loss: float, rng: np.random.Generator) -> None:
-    """Play so many rounds more, or until all know the end.
+def run_kernel(state: CbaaState, rounds: int, loss: float, rng: np.random.Generator) -> None:
+    """Run at most so many rounds more, until all agents know the end.
 
     Args:
-        swarm: Changed in place.
-        rounds: At most so many.
+        state: Memory of all agents, changed in place.
+        rounds: Largest number of rounds.
         loss: Probability that a message is lost.
-        rng: Drawn from only where messages can be lost: once for each agent that waits and
-            each that it might hear, in order.
+        rng: Generator of the losses, drawn from only where messages can be lost: once for each
+            agent that does not know the end and each agent of the swarm, in order.
     """
-    _run_kernel(rounds, float(loss), rng, swarm)
+    _run_kernel(rounds, float(loss), rng, state)
 
 
 @njit(cache=True)
 @no_type_check
 def _run_kernel(rounds, loss, rng, s):
-    agents, bidders = (
-        len(s.is_running),
-        np.count_nonzero(s.is_running) + np.count_nonzero(s.finished_round),
-    )
+    agents = len(s.is_running)
+    bidders = np.count_nonzero(s.is_running) + np.count_nonzero(s.finished_round)
     for _ in range(rounds):
         if not s.is_running.any():
             return
         s.round[0] += 1
-        slot = s.round[0] % len(s.sent_version)  # told first, of those still under way
+        slot = s.round[0] % len(s.sent_version)  # holds the oldest messages on their way
         for i in range(agents):
             if s.is_running[i]:
                 changed = _merge_inbox(i, slot, loss, rng, s)
@@ -106,30 +102,32 @@ def _run_kernel(rounds, loss, rng, s):
 @njit(cache=True)
 @no_type_check
 def _merge_inbox(i, slot, loss, rng, s):
-    # Merge what is heard into the book of i; whether that changed it.
-    price, holder, news = s.price[i], s.winner[i], False
+    # Merge the messages that arrive at agent i; True where that changed what it knows.
+    price, winner, changed = s.price[i], s.winner[i], False
     for a in range(len(s.is_running)):
         lost = loss > 0 and rng.random() < loss
         if lost or not s.adjacency[i, a] or s.sent_version[slot, a] <= s.seen_version[i, a]:
             continue
         s.seen_version[i, a] = s.sent_version[slot, a]
-        heard, whose = s.sent_price[slot, a], s.sent_winner[slot, a]
+        sent_price, sent_winner = s.sent_price[slot, a], s.sent_winner[slot, a]
         for j in range(len(price)):
-            if heard[j] > price[j] or (heard[j] == price[j] and whose[j] < holder[j]):
+            if sent_price[j] > price[j] or (
+                sent_price[j] == price[j] and sent_winner[j] < winner[j]
+            ):
                 s.winner_count[i] += price[j] == 0
-                price[j], holder[j], news = heard[j], whose[j], True
-    return news
+                price[j], winner[j], changed = sent_price[j], sent_winner[j], True
+    return changed
 
 
 @njit(cache=True)
 @no_type_check
 def _place_bid(i, s):
-    # The same as `_bid` of `agent`.
-    price, holder, score = s.price[i], s.winner[i], s.score[i]
+    # Equal to `cbaa._place_bid`.
+    price, winner, score = s.price[i], s.winner[i], s.score[i]
     best, most = -1, 0.0
     for j in range(len(price)):
-        wins = score[j] > price[j] or (score[j] == price[j] and i < holder[j])
+        wins = score[j] > price[j] or (score[j] == price[j] and i < winner[j])
         if wins and score[j] > most:
             best, most = j, score[j]
     s.winner_count[i] += price[best] == 0
-    price[best], holder[best], s.point[i] = most, i, best
+    price[best], winner[best], s.point[i] = most, i, best

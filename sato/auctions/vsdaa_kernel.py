@@ -1,9 +1,9 @@
-"""The rounds of `agent`, for all agents at once and compiled.
+"""Rounds of VSDAA for all agents at once, compiled; equal to `vsdaa.update_bidder`.
 
-Books only grow, in the order that `merge` keeps the larger of, and news travels one hop
-a round. So the book of agent i after round r is the merge of all entries that an agent
-a wrote in a round t with t + hops(a, i) ≤ r. That saves passing books around: an entry is
-delivered to each agent once, in the round in which it arrives there.
+What an agent knows only grows, in the order of `merge_bids`, and news travels one hop a round.
+So the bids known to agent i after round r are the merge of all bids that an agent a placed in
+a round t with t + hops(a, i) ≤ r. No tables are passed around: a bid is delivered to each agent
+once, in the round in which it arrives there.
 
 All compiled functions stand in this one file: numba's cache does not see a change in another.
 """
@@ -16,36 +16,35 @@ from jaxtyping import Float, Int
 from numba import njit
 from numpy import ndarray as Array
 
-from sato.auctions.bids import NO_WINNER
-from sato.auctions.vsdaa import ANONYMOUS, OutOfTargets
+from sato.auctions.bids import ANONYMOUS, NO_WINNER, OutOfTargets
 from sato.network.graph import CommunicationGraph
 
-DONE, RUNNING, LOG_FULL = 0, 1, 2  # how `_advance` ends; −1 − i: agent i found no target left
+DONE, RUNNING, LOG_FULL = 0, 1, 2  # outcomes of `_advance`; −1 − i: agent i found no target
 
 
 class VsdaaState(NamedTuple):
-    """All agents of an auction, changed in place from round to round."""
+    """Memory of all agents in an auction, changed in place from round to round."""
 
     cost: Float[Array, "agents targets"]
     alive: Array
-    by_hops: Int[Array, "agents agents"]  # the others by their hops from each agent
-    hop_start: Int[Array, "agents reach"]  # where those d hops away begin in `order`
+    by_hops: Int[Array, "agents agents"]  # all agents, in order of their hops from each agent
+    hop_start: Int[Array, "agents reach"]  # index in `by_hops` of the first agent d hops away
     patience: Int[Array, " agents"]
     price: Float[Array, "agents targets"]
     winner: Int[Array, "agents targets"]
-    price_count: Int[Array, " agents"]  # nonzero prices in each book
-    winner_count: Int[Array, " agents"]  # standing bids in each book
+    price_count: Int[Array, " agents"]  # nonzero prices that each agent knows
+    winner_count: Int[Array, " agents"]  # standing bids that each agent knows
     target_count: Int[Array, " agents"]
     target_index: Int[Array, " agents"]
-    sent_price: Float[Array, " agents"]  # price of the agent's target in the book it told last
-    last_news_round: Int[Array, " agents"]  # round in which the agent last bid or heard news
+    sent_price: Float[Array, " agents"]  # price of the agent's target in its last message
+    last_news_round: Int[Array, " agents"]  # round of the last bid or news
     last_bid_round: Int[Array, " agents"]
     bid_count: Int[Array, " agents"]
     round: Int[Array, " 1"]
 
 
 class BidLog(NamedTuple):
-    """What was written in which round by whom, while it is still under way."""
+    """Bids that have not yet reached all agents: one event an agent and round."""
 
     agent: Int[Array, " events"]
     round: Int[Array, " events"]
@@ -53,36 +52,34 @@ class BidLog(NamedTuple):
     target: Int[Array, " entries"]
     price: Float[Array, " entries"]
     winner: Int[Array, " entries"]
-    size: Int[Array, " 2"]  # first event under way, number of events
+    size: Int[Array, " 2"]  # first event on its way, number of events
 
     @classmethod
     def empty(cls, events: int, entries: int) -> "BidLog":
-        """Room for so much."""
-        ints = [np.zeros(size, dtype=np.int64) for size in (events, events, events + 1)]
-        target, holder = np.zeros(entries, dtype=np.int64), np.zeros(entries, dtype=np.int64)
-        size = np.zeros(2, dtype=np.int64)
-        return cls(ints[0], ints[1], ints[2], target, np.zeros(entries), holder, size)
+        """Allocate a log of this size."""
+        sizes = (events, events, events + 1, entries, entries, 2)
+        agent, round, start, target, winner, size = (np.zeros(n, dtype=np.int64) for n in sizes)
+        return cls(agent, round, start, target, np.zeros(entries), winner, size)
 
 
-def init_state(cost: Array, network: CommunicationGraph, believed: Array) -> VsdaaState:
-    """All agents before the first round, with the largest m of their component."""
+def init_state(cost: Array, graph: CommunicationGraph, target_count: Array) -> VsdaaState:
+    """Initialize all agents, with the largest m of their component."""
     agents, targets = cost.shape
     ints = [np.zeros(agents, dtype=np.int64) for _ in range(5)]
-    # shell[a, d] counts the agents nearer than d; those in other components come last.
-    reach = np.arange(int(network.diameter.max(initial=0)) + 2)
-    hops = network.hops
-    shell = np.stack([np.count_nonzero(hops < d, axis=1) for d in reach], axis=1)
+    # Agents in other components are infinitely many hops away, and come last in `by_hops`.
+    distances = range(int(graph.diameter.max(initial=0)) + 2)
+    hop_start = np.stack([np.count_nonzero(graph.hops < d, axis=1) for d in distances], axis=1)
     return VsdaaState(
         cost=np.ascontiguousarray(cost, dtype=np.float64),
-        alive=network.alive,
-        by_hops=np.argsort(hops, axis=1, kind="stable"),
-        hop_start=np.ascontiguousarray(shell),
-        patience=2 * network.diameter,
+        alive=graph.alive,
+        by_hops=np.argsort(graph.hops, axis=1, kind="stable"),
+        hop_start=np.ascontiguousarray(hop_start),
+        patience=2 * graph.diameter,
         price=np.zeros((agents, targets)),
         winner=np.full((agents, targets), NO_WINNER),
         price_count=ints[0],
         winner_count=ints[1],
-        target_count=network.component_max(np.asarray(believed, dtype=np.int64)),
+        target_count=graph.component_max(np.asarray(target_count, dtype=np.int64)),
         target_index=np.full(agents, -1),
         sent_price=np.zeros(agents),
         last_news_round=ints[2],
@@ -92,21 +89,23 @@ def init_state(cost: Array, network: CommunicationGraph, believed: Array) -> Vsd
     )
 
 
-def run_kernel(swarm: VsdaaState, epsilon: float, ids: bool, stride: int = 2**62) -> Iterator[None]:
-    """Play all rounds in which something happens, pausing after every `stride` of them.
+def run_kernel(
+    state: VsdaaState, epsilon: float, bidder_ids: bool, stride: int = 2**62
+) -> Iterator[None]:
+    """Run all rounds in which something happens, pausing after every `stride` of them.
 
     Raises:
         OutOfTargets: An agent found all targets taken.
     """
-    agents, targets = swarm.cost.shape
-    most = agents * (targets + 1)  # entries in a round: everybody adds a target
+    agents, targets = state.cost.shape
+    most = agents * (targets + 1)  # entries in a round in which every agent adds a target
     log = BidLog.empty(2 * agents, 2 * most)
     while True:
-        before = int(swarm.round[0])
-        outcome = _advance(stride, float(epsilon), ids, swarm, log)
+        before = int(state.round[0])
+        outcome = _advance(stride, float(epsilon), bidder_ids, state, log)
         if outcome < 0:
-            raise OutOfTargets(-1 - outcome, int(swarm.round[0]), targets)
-        if swarm.round[0] > before:
+            raise OutOfTargets(-1 - outcome, int(state.round[0]), targets)
+        if state.round[0] > before:
             yield
         if outcome == DONE:
             return
@@ -115,27 +114,27 @@ def run_kernel(swarm: VsdaaState, epsilon: float, ids: bool, stride: int = 2**62
 
 
 def _grow_log(log: BidLog, agents: int, most: int) -> BidLog:
-    # Forget what has arrived everywhere; twice the room where that is not enough.
+    # Drop the events that have reached all agents, and double the log where that is not enough.
     first, end = log.size
     begin, stop = log.start[first], log.start[end]
     events = max(len(log.agent), 2 * (end - first + agents))
     entries = max(len(log.target), 2 * (stop - begin + most))
-    fresh = BidLog.empty(int(events), int(entries))
-    fresh.agent[: end - first] = log.agent[first:end]
-    fresh.round[: end - first] = log.round[first:end]
-    fresh.start[: end - first + 1] = log.start[first : end + 1] - begin
-    for new, old in zip(fresh[3:6], log[3:6], strict=True):
+    grown = BidLog.empty(int(events), int(entries))
+    grown.agent[: end - first] = log.agent[first:end]
+    grown.round[: end - first] = log.round[first:end]
+    grown.start[: end - first + 1] = log.start[first : end + 1] - begin
+    for new, old in zip(grown[3:6], log[3:6], strict=True):
         new[: stop - begin] = old[begin:stop]
-    fresh.size[1] = end - first
-    return fresh
+    grown.size[1] = end - first
+    return grown
 
 
 @njit(cache=True)
 @no_type_check
-def _advance(stride, epsilon, ids, s, log):
+def _advance(stride, epsilon, bidder_ids, s, log):
     agents, targets = s.cost.shape
-    # By name: numba counts references to every array of a tuple that is passed on.
-    alive, target, told, last = s.alive, s.target_index, s.sent_price, s.last_news_round
+    # Local names, since numba counts references to every array of a tuple that is passed on.
+    alive, target, sent, last = s.alive, s.target_index, s.sent_price, s.last_news_round
     for _ in range(stride):
         end = log.size[1]
         if end + agents > len(log.agent) or log.start[end] + agents * (targets + 1) > len(
@@ -144,20 +143,20 @@ def _advance(stride, epsilon, ids, s, log):
             return LOG_FULL
         s.round[0] += 1
         _deliver(s, log)
-        restless = False
+        is_active = False
         for i in range(agents):
-            # Who bids nothing and hears nothing goes on counting: its round less its last.
+            # Skip an agent without news: its quiet rounds are this round less its last news.
             j = target[i]
-            if not alive[i] or (j >= 0 and last[i] != s.round[0] and told[i] >= 0):
+            if not alive[i] or (j >= 0 and last[i] != s.round[0] and sent[i] >= 0):
                 continue
-            if j < 0 or (s.winner[i, j] != i if ids else abs(s.price[i, j]) > told[i]):
-                if not _place_bid(i, epsilon, ids, s, log):
+            if j < 0 or (s.winner[i, j] != i if bidder_ids else abs(s.price[i, j]) > sent[i]):
+                if not _place_bid(i, epsilon, bidder_ids, s, log):
                     return -1 - i
             else:
                 s.target_count[i] = max(s.target_count[i], s.price_count[i])
-            told[i] = s.price[i, target[i]]
-            restless = restless or told[i] < 0
-        if log.size[0] == log.size[1] and not restless:
+            sent[i] = s.price[i, target[i]]
+            is_active = is_active or sent[i] < 0
+        if log.size[0] == log.size[1] and not is_active:
             return DONE
     return RUNNING
 
@@ -165,15 +164,10 @@ def _advance(stride, epsilon, ids, s, log):
 @njit(cache=True)
 @no_type_check
 def _deliver(s, log):
-    # What was written d rounds ago arrives d hops away from its writer.
+    # A bid placed d rounds ago arrives d hops away from its bidder.
     round, far = s.round[0], s.hop_start.shape[1] - 2
-    price, holder, prices, holders, last = (
-        s.price,
-        s.winner,
-        s.price_count,
-        s.winner_count,
-        s.last_news_round,
-    )
+    price, winner, last = s.price, s.winner, s.last_news_round
+    price_count, winner_count = s.price_count, s.winner_count
     while log.size[0] < log.size[1] and round - log.round[log.size[0]] > far:
         log.size[0] += 1
     for e in range(log.size[0], log.size[1]):
@@ -181,19 +175,19 @@ def _deliver(s, log):
         for q in range(s.hop_start[a, d], s.hop_start[a, d + 1]):
             i = s.by_hops[a, q]
             for k in range(log.start[e], log.start[e + 1]):
-                j, p, h = log.target[k], log.price[k], log.winner[k]
-                size, mine = abs(p), abs(price[i, j])
-                if size > mine or (size == mine and h < holder[i, j]):
-                    prices[i] += price[i, j] == 0
-                    holders[i] += (h >= 0) - (holder[i, j] >= 0)
-                    price[i, j], holder[i, j], last[i] = p, h, round
+                j, p, w = log.target[k], log.price[k], log.winner[k]
+                size, own = abs(p), abs(price[i, j])
+                if size > own or (size == own and w < winner[i, j]):
+                    price_count[i] += price[i, j] == 0
+                    winner_count[i] += (w >= 0) - (winner[i, j] >= 0)
+                    price[i, j], winner[i, j], last[i] = p, w, round
 
 
 @njit(cache=True)
 @no_type_check
-def _place_bid(i, epsilon, ids, s, log):
-    # The same as `_bid` of `agent`; False if there are not enough targets.
-    price, holder, cost = s.price[i], s.winner[i], s.cost[i]
+def _place_bid(i, epsilon, bidder_ids, s, log):
+    # Equal to `vsdaa._place_bid`; False if there are not enough targets.
+    price, winner, cost = s.price[i], s.winner[i], s.cost[i]
     e, m = log.size[1], max(s.target_count[i], s.price_count[i])
     k = log.start[e]
     if s.winner_count[i] >= m:
@@ -202,8 +196,8 @@ def _place_bid(i, epsilon, ids, s, log):
             return False
         for j in range(m):
             s.price_count[i] += price[j] == 0
-            s.winner_count[i] -= holder[j] >= 0
-            price[j], holder[j] = -(abs(price[j]) + epsilon), NO_WINNER
+            s.winner_count[i] -= winner[j] >= 0
+            price[j], winner[j] = -(abs(price[j]) + epsilon), NO_WINNER
             log.target[k], log.price[k], log.winner[k] = j, price[j], NO_WINNER
             k += 1
     best, v, w = 0, np.inf, np.inf
@@ -216,10 +210,10 @@ def _place_bid(i, epsilon, ids, s, log):
     if m == 1:
         w = v
     s.price_count[i] += price[best] == 0
-    s.winner_count[i] += holder[best] < 0
+    s.winner_count[i] += winner[best] < 0
     price[best] = abs(price[best]) + (w - v + epsilon)
-    holder[best] = i if ids else ANONYMOUS
-    log.target[k], log.price[k], log.winner[k] = best, price[best], holder[best]
+    winner[best] = i if bidder_ids else ANONYMOUS
+    log.target[k], log.price[k], log.winner[k] = best, price[best], winner[best]
     log.agent[e], log.round[e], log.start[e + 1] = i, s.round[0], k + 1
     log.size[1] += 1
     s.target_count[i], s.target_index[i] = m, best

@@ -12,8 +12,7 @@ from numpy import ndarray as Array
 
 from problems.alignment import align
 from problems.assignment import solve_assignment as optimum
-from sato.auctions.cbaa_init import run_cbaa as cbaa
-from sato.auctions.vsdaa_init import run_vsdaa
+from sato.auctions import run_cbaa, run_vsdaa
 from sato.formation.kernel import CoordinateFrames, FormationState, Roles
 from sato.formation.mission import Formation
 from sato.network.graph import CommunicationGraph
@@ -127,7 +126,7 @@ def assign_points(
         )
     radio = mission.radio
     rounds = radio.rounds_within(way.period) if radio.loss_probability > 0 else None
-    found = cbaa(
+    found = run_cbaa(
         1 / (cost + SCORE_REGULARIZATION),
         network,
         rounds=rounds,

@@ -1,1 +1,1 @@
-"""Who hears whom, and rounds of messages."""
+"""Communication graphs, synchronous rounds of messages, and the load of a radio link."""

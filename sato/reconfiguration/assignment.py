@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from dynamics.trajectory_geometry import min_distance
-from sato.auctions.vsdaa_init import VsdaaResult, run_vsdaa
+from sato.auctions import VsdaaResult, run_vsdaa
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.auction_costs import (
     AgentMemory,
@@ -73,7 +73,7 @@ def assign_targets(
 def share_claims(minds: AgentMemory, network: CommunicationGraph) -> AgentMemory:
     """Agree within every network on the claims heard last and the clock with longest to go.
 
-    The batched equivalent of flooding (`network.flood`): of two claims of one agent the
+    The batched equivalent of flooding (`network.rounds.flood`): of two claims of one agent the
     newer counts.
     """
     claimed, heard = minds.claimed_target.copy(), minds.claim_step.copy()

@@ -1,7 +1,7 @@
 """Parts of this system that recording, checking, figures and the command line use."""
 
 from problems.conic import Unsolved
-from sato.auctions.vsdaa_init import OutOfTargets
+from sato.auctions import OutOfTargets
 from sato.interfaces import MissionProgress, System, lazy
 from sato.reconfiguration.check import check_run
 from sato.reconfiguration.frame import ReconfigurationFrame

@@ -1,37 +1,15 @@
-"""Collision-free paths by sequential convex programming [Morgan2016, Method 2].
+"""Collision-free trajectories by sequential convex programming [Morgan2016, Method 2].
 
-`revise` is the definition: what one agent does in an exchange. It hears the paths of
-its neighbours, keeps clear of those that go before it, and tells its own. `settle`
-runs the same for all agents and calls it only where something binds; a test holds the
-two equal, exchange by exchange.
-`settle_orders` tries several orders of priority, `bargain` lets two who are in each other's
-way plan together, and `come_to_terms` does both, and begins from roundabouts besides.
+`planner.update_planner` defines what one agent does in an exchange: it hears the trajectories of
+its neighbors, keeps clear of those of higher priority, and sends its own. `exchange` repeats that
+for all agents until their trajectories are final. `priority_orders` tries several orders of
+priority, in `negotiation` two agents in conflict plan together, and `roundabout` lets all pass on
+the same side; `resolve` combines the three.
 
-What "apart" means, and how it is made convex, is in `problems.convexify`.
+`problems.convexify` states what separation means, and makes it convex.
 """
 
-from sato.scp.exchange import run_batched, run_by_messages, run_scp
-from sato.scp.negotiation import negotiate
-from sato.scp.planner import (
-    CONVERGENCE_TOLERANCE,
-    FEASIBILITY_TOLERANCE,
-    Planner,
-    TrajectoryMessage,
-    update_planner,
-)
-from sato.scp.priority_orders import try_priority_orders
-from sato.scp.roundabout import resolve_conflicts
+from sato.scp.planner import CONVERGENCE_TOLERANCE, FEASIBILITY_TOLERANCE, Planner
+from sato.scp.resolve import resolve_conflicts
 
-__all__ = [
-    "CONVERGENCE_TOLERANCE",
-    "FEASIBILITY_TOLERANCE",
-    "Planner",
-    "TrajectoryMessage",
-    "negotiate",
-    "resolve_conflicts",
-    "run_batched",
-    "run_by_messages",
-    "run_scp",
-    "try_priority_orders",
-    "update_planner",
-]
+__all__ = ["CONVERGENCE_TOLERANCE", "FEASIBILITY_TOLERANCE", "Planner", "resolve_conflicts"]

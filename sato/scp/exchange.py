@@ -1,95 +1,79 @@
-"""Method 2 for all agents: exchange until every one is settled."""
+"""Method 2 for all agents: exchange trajectories until all are final."""
 
 from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from problems.convexify import are_hulls_separated
-from sato.network.graph import CommunicationGraph, run_round, run_rounds
-from sato.scp.planner import Planner, TrajectoryMessage, follows_solo, update_planner
+from sato.network.graph import CommunicationGraph
+from sato.network.rounds import run_round, run_rounds
+from sato.scp.planner import Planner, follows_solo, update_planner
 
 
 def run_scp(
-    planners: Mapping[int, Planner], network: CommunicationGraph
+    planners: Mapping[int, Planner], graph: CommunicationGraph
 ) -> tuple[dict[int, Planner], int]:
-    """Method 2 for all agents: exchange until every one is settled.
+    """Exchange trajectories until those of all agents are final.
 
     Args:
-        planners: Every live agent, by number.
-        network: Who hears whom.
+        planners: Planner of each agent, by its number.
+        graph: Communication graph.
 
     Returns:
-        The agents settled, and the number of exchanges it took.
+        The planners at the end, and the number of exchanges.
     """
-    history = [dict(planners), *run_batched(planners, network)]
+    history = [dict(planners), *run_batched(planners, graph)]
     return history[-1], len(history) - 1
 
 
 def run_by_messages(
-    planners: Mapping[int, Planner], network: CommunicationGraph
+    planners: Mapping[int, Planner], graph: CommunicationGraph
 ) -> Iterator[dict[int, Planner]]:
-    """Run the definition itself: every agent after every exchange."""
-    states = [planners.get(i) for i in range(len(network.alive))]
-
-    def done(agent: Planner | None) -> bool:
-        return agent is None or agent.is_final
-
-    for now in run_rounds(network, states, _update_if_alive, _message_if_alive, done):
-        yield {i: agent for i, agent in enumerate(now) if agent}
-
-
-def _update_if_alive(
-    agent: Planner | None, inbox: list[TrajectoryMessage | None]
-) -> Planner | None:
-    return agent and update_planner(agent, [plan for plan in inbox if plan])
-
-
-def _message_if_alive(agent: Planner | None) -> TrajectoryMessage | None:
-    return agent and agent.message
+    """Run the definition: yield every planner after every exchange."""
+    return run_rounds(
+        graph, planners, update_planner, lambda agent: agent.message, lambda agent: agent.is_final
+    )
 
 
 def run_batched(
-    planners: Mapping[int, Planner], network: CommunicationGraph
+    planners: Mapping[int, Planner], graph: CommunicationGraph
 ) -> Iterator[dict[int, Planner]]:
-    """The same as `by_messages`, geometry for all at once and only where paths changed.
+    """Compute the same as `run_by_messages`, with the geometry of all agents at once.
 
-    Exchanges in which an agent has nothing to solve only carry whether it is settled.
+    Separations are computed only where trajectories changed. Exchanges in which an agent has
+    nothing to solve only carry whether its trajectory is final.
     """
-    numbers = sorted(planners)
-    now = [planners[i] for i in numbers]
+    ids = sorted(planners)
+    now = [planners[i] for i in ids]
     if not now:
         return
     radius = now[0].horizon.collision_radius
-    order = np.empty(len(now), dtype=int)
-    order[sorted(range(len(now)), key=lambda i: now[i].priority)] = np.arange(len(now))
-    above = network.adjacency[np.ix_(numbers, numbers)] & (order < order[:, None])
+    rank = np.empty(len(now), dtype=int)
+    rank[sorted(range(len(now)), key=lambda k: now[k].priority)] = np.arange(len(now))
+    above = graph.adjacency[np.ix_(ids, ids)] & (rank < rank[:, None])
     lower, upper = np.nonzero(above)
     paths = np.stack([agent.control_points for agent in now])
-    meets = np.asarray(~are_hulls_separated(paths[lower] - paths[upper], radius).all(axis=-1))
-    settled = np.zeros(len(now), dtype=bool)
-    busy = np.array([not follows_solo(agent) for agent in now])
-    while not settled.all():
-        binds = np.zeros(len(now), dtype=bool)
-        binds[lower[meets]] = True
-        waits = (above & ~settled).any(axis=1)
-        acts = ~settled & (binds | busy)
-        states: list[Planner | None] = [None] * len(network.alive)
-        for number, agent in zip(numbers, now, strict=True):
-            states[number] = agent
-        told = [_message_if_alive(agent) for agent in states] if acts.any() else []
-        settled = settled | (~acts & ~waits)
-        now = [a._replace(is_final=True) if s else a for a, s in zip(now, settled, strict=True)]
-        moved = np.zeros(len(now), dtype=bool)
+    conflicts = np.asarray(~are_hulls_separated(paths[lower] - paths[upper], radius).all(axis=-1))
+    final = np.zeros(len(now), dtype=bool)
+    has_deviated = np.array([not follows_solo(agent) for agent in now])
+    while not final.all():
+        in_conflict = np.zeros(len(now), dtype=bool)
+        in_conflict[lower[conflicts]] = True
+        waits = (above & ~final).any(axis=1)
+        acts = ~final & (in_conflict | has_deviated)
         acting = np.flatnonzero(acts).tolist()
-        acted = run_round(network, states, _update_if_alive, told, [numbers[i] for i in acting])
-        for i in acting:
-            after = acted[numbers[i]] or now[i]
-            moved[i] = after.control_points is not now[i].control_points
-            now[i], settled[i] = after, after.is_final
-            busy[i] = not follows_solo(after)
-            paths[i] = after.control_points
-        afresh = moved[lower] | moved[upper]
-        meets[afresh] = ~are_hulls_separated(
-            paths[lower[afresh]] - paths[upper[afresh]], radius
+        messages = {i: agent.message for i, agent in zip(ids, now, strict=True)} if acting else {}
+        updated = run_round(graph, {ids[k]: now[k] for k in acting}, update_planner, messages)
+        final = final | (~acts & ~waits)
+        now = [a._replace(is_final=True) if f else a for a, f in zip(now, final, strict=True)]
+        moved = np.zeros(len(now), dtype=bool)
+        for k in acting:
+            after = updated[ids[k]]
+            moved[k] = after.control_points is not now[k].control_points
+            now[k], final[k], paths[k] = after, after.is_final, after.control_points
+            has_deviated[k] = not follows_solo(after)
+        changed = moved[lower] | moved[upper]
+        conflicts[changed] = ~are_hulls_separated(
+            paths[lower[changed]] - paths[upper[changed]], radius
         ).all(axis=-1)
-        yield dict(zip(numbers, now, strict=True))
+        yield dict(zip(ids, now, strict=True))

@@ -1,15 +1,15 @@
-"""Bargains: two agents that are in each other's way plan together, and both give way.
+"""Negotiation: two agents in conflict plan together.
 
-Priorities put the whole way round on one of the two, however little the other would have to
-move. Once all are settled, the pairs of a network that are near each other take turns: the two
-solve one programme for both, for the least fuel of both together, clear of all others, who fly
-on as they told. So nobody comes closer to anybody than half-spaces allow, and the fuel of all
-never rises, unless it takes somebody to its goal who would have ended elsewhere.
+Priorities put the whole way around on one of the two, however little the other would have to
+move. Once all trajectories are final, pairs of nearby agents take turns: the two solve one
+program for both, for the least fuel of both together, clear of all others, whose trajectories
+stay as they last told. So no two agents come closer than half-spaces allow, and the total fuel
+never rises, except to take an agent to its target that would have ended elsewhere.
 """
 
-from collections.abc import Callable, Container, Iterable, Mapping
+from collections.abc import Container, Mapping
 from math import inf
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -25,7 +25,8 @@ from problems.convexify import (
 )
 from problems.pair_avoidance import PairMember, PairProblem, RelativeHalfSpaces
 from problems.transfer import Trajectory
-from sato.network.graph import CommunicationGraph, run_round, schedule_turns
+from sato.network.graph import CommunicationGraph
+from sato.network.rounds import run_round, schedule_turns
 from sato.scp.planner import (
     ACTIVE_TOLERANCE,
     NEARBY_FACTOR,
@@ -42,291 +43,247 @@ from sato.scp.priority_orders import (
     sum_by_component,
 )
 
-Message = TypeVar("Message")
-
-COST_TOLERANCE = 1e-9  # part of the fuel of two: what costs so little more costs the same
-MIN_IMPROVEMENT = (
-    1e-3  # part of what a network pays: after a sweep that saves less there is no other
-)
+COST_TOLERANCE = 1e-9  # part of the fuel of two: a smaller difference counts as none
+MIN_IMPROVEMENT = 1e-3  # part of a component's cost: a sweep that saves less is its last
 
 
 class Offer(NamedTuple):
-    """What an agent tells the one that it bargains with."""
+    """Message of an agent to the one that it negotiates with."""
 
     agent_id: int
-    side: PairMember  # with the half-spaces that keep it clear of everybody else
+    member: PairMember  # with the half-spaces that keep it clear of all others
     trajectory: Trajectory
     nominal_points: Float[Array, "pieces 4 d"]  # about which both convexify
     reaches_target: bool
-    neighbor_points: Float[Array, "others pieces 4 d"]  # paths of all whom it hears but the partner
+    neighbor_points: Float[Array, "others pieces 4 d"]  # of all neighbors but the partner
 
 
 class Agreement(NamedTuple):
-    """What two have agreed on, for the one who is told."""
+    """Message of the agent that solved for both to the other."""
 
     recipient: int
     trajectory: Trajectory
 
 
 class Negotiator(NamedTuple):
-    """One agent whose turn it is: all that it knows."""
+    """Memory of an agent whose turn it is."""
 
     planner: Planner
     partner: int
     offer: Offer | None = None
-    nearby_agents: tuple[int, ...] = ()  # whose plans come near its own
     agreement: Agreement | None = None
     solve_count: int = 0
 
     @property
     def agent_id(self) -> int:
-        """Its own number."""
+        """Number of the agent."""
         return self.planner.priority[2]
 
 
 def negotiate(
-    planners: Mapping[int, Planner], network: CommunicationGraph, sweeps: int
+    planners: Mapping[int, Planner], graph: CommunicationGraph, sweeps: int
 ) -> ConflictResolution:
-    """Let every two who are in each other's way bargain once a sweep.
+    """Let every two nearby agents negotiate once a sweep.
 
     Args:
-        planners: Every live agent, by number, settled.
-        network: Who hears whom.
-        sweeps: Most that are made; fewer in a network where the last one brought little.
+        planners: Planner of each live agent, by its number, with a final trajectory.
+        graph: Communication graph.
+        sweeps: Largest number of sweeps; fewer in a component where the last one saved little.
     """
-    now, exchanges, solves = dict(planners), 0, 0
-    flooding = int(network.diameter[list(now)].max(initial=0))
+    now, rounds, solves = dict(planners), 0, 0
+    flooding = int(graph.diameter[list(now)].max(initial=0))
     before = {i: PriorityCost(inf, inf, inf) for i in now}
     for _ in range(sweeps):
-        paid = sum_by_component(compute_priority_costs(now), network)
-        to_come = schedule_pairs(
-            now, network, {i for i in now if _should_continue(before[i], paid[i])}
-        )
-        exchanges += 1 + flooding
-        if not to_come:
+        costs = sum_by_component(compute_priority_costs(now), graph)
+        continuing = {i for i in now if _should_continue(before[i], costs[i])}
+        turns = schedule_pairs(now, graph, continuing)
+        rounds += 1 + flooding
+        if not turns:
             break
-        for turn in to_come:
-            parties = negotiate_pairs(now, network, turn)
-            now |= {i: party.planner for i, party in parties.items()}
-            exchanges += 3
-            solves += sum(party.solve_count for party in parties.values())
-        before = paid
-    return ConflictResolution(now, exchanges, solves)
+        for turn in turns:
+            negotiators = negotiate_pairs(now, graph, turn)
+            now |= {i: negotiator.planner for i, negotiator in negotiators.items()}
+            rounds += 3
+            solves += sum(negotiator.solve_count for negotiator in negotiators.values())
+        before = costs
+    return ConflictResolution(now, rounds, solves)
 
 
-def _should_continue(before: PriorityCost, paid: PriorityCost) -> bool:
-    # Whether there is anything to pay still, and it has become less.
-    less = paid[:2] < before[:2] or before.extra_fuel - paid.extra_fuel > MIN_IMPROVEMENT * abs(
-        paid.extra_fuel
-    )
-    return any(paid) and less
+def _should_continue(before: PriorityCost, cost: PriorityCost) -> bool:
+    saved = before.extra_fuel - cost.extra_fuel
+    has_improved = cost[:2] < before[:2] or saved > MIN_IMPROVEMENT * abs(cost.extra_fuel)
+    return any(cost) and has_improved
 
 
 def schedule_pairs(
-    planners: Mapping[int, Planner], network: CommunicationGraph, going: Container[int]
+    planners: Mapping[int, Planner], graph: CommunicationGraph, continuing: Container[int]
 ) -> list[dict[int, int]]:
-    """Whose turn it is and with whom, turn by turn: one pair of every component at a time.
+    """Schedule the partners of each turn: one pair of every component at a time.
 
-    The batched equivalent of a flood of `{number: near}`, taken in order of the numbers.
+    The batched equivalent of a flood of `{number: nearby agents}`, taken in ascending order.
     """
-    states = [
-        Negotiator(planners[i], -1) if i in planners else None for i in range(len(network.alive))
-    ]
-    who = [i for i in sorted(planners) if i in going]
-    looked = _exchange_messages(network, states, _trajectory_message, _find_nearby, who)
-    pairs = {(min(i, j), max(i, j)) for i, p in enumerate(looked) if p for j in p.nearby_agents}
+    messages = {i: agent.message for i, agent in planners.items()}
+    looking = {i: agent for i, agent in planners.items() if i in continuing}
+    nearby = run_round(graph, looking, find_nearby, messages)
+    pairs = {(min(i, j), max(i, j)) for i, others in nearby.items() for j in others}
     return [
         {a: b for i, j in turn for a, b in ((i, j), (j, i))}
-        for turn in schedule_turns(network, pairs)
+        for turn in schedule_turns(graph, pairs)
     ]
 
 
-def _find_nearby(
-    party: Negotiator | None, inbox: list[TrajectoryMessage | None]
-) -> Negotiator | None:
-    """Whose plans come near its own."""
-    if party is None:
-        return None
-    path, radius = _nominal_points(party.planner), party.planner.horizon.collision_radius
-    heard = [plan for plan in inbox if plan]
-    near = [
-        p.priority[2]
-        for p in heard
-        if not are_balls_separated(path - p.control_points, NEARBY_FACTOR * radius).all()
+def find_nearby(agent: Planner, inbox: list[TrajectoryMessage]) -> list[int]:
+    """Find the neighbors whose trajectories come near the agent's own."""
+    path, near = _nominal_points(agent), NEARBY_FACTOR * agent.horizon.collision_radius
+    return [
+        message.priority[2]
+        for message in inbox
+        if not are_balls_separated(path - message.control_points, near).all()
     ]
-    return party._replace(nearby_agents=tuple(near))
 
 
 def _nominal_points(agent: Planner) -> Float[Array, "pieces 4 d"]:
-    # Who ends elsewhere begins with its way to its goal, pushed aside where it meets somebody.
+    # An agent that ends off its target begins with its solo trajectory, pushed aside by
+    # `choose_normals` where it meets another.
     if not agent.reaches_target(agent.nominal):
         return agent.horizon.control_points(agent.solo.x, agent.solo.u)
     return agent.control_points
 
 
 def negotiate_pairs(
-    planners: Mapping[int, Planner], network: CommunicationGraph, turn: Mapping[int, int]
+    planners: Mapping[int, Planner], graph: CommunicationGraph, turn: Mapping[int, int]
 ) -> dict[int, Negotiator]:
-    """One turn, by messages: plans, then offers, then deals."""
-    states = [
-        Negotiator(planners[i], turn.get(i, -1)) if i in planners else None
-        for i in range(len(network.alive))
-    ]
-    states = _exchange_messages(network, states, _trajectory_message, _make_offer, turn)
-    states = _exchange_messages(network, states, lambda party: party.offer, _solve_agreement, turn)
-    states = _exchange_messages(
-        network, states, lambda party: party.agreement, _accept_agreement, turn
-    )
-    return {i: state for i in turn if (state := states[i])}
+    """Run one turn by messages: trajectories, then offers, then agreements.
+
+    Args:
+        planners: Planner of each agent, by its number.
+        graph: Communication graph.
+        turn: Partner of each agent whose turn it is.
+    """
+    states = {i: Negotiator(planners[i], partner) for i, partner in turn.items()}
+    trajectories = {i: agent.message for i, agent in planners.items()}
+    states = run_round(graph, states, _make_offer, trajectories)
+    offers = {i: state.offer for i, state in states.items() if state.offer}
+    states = run_round(graph, states, _solve_agreement, offers)
+    agreements = {i: state.agreement for i, state in states.items() if state.agreement}
+    return run_round(graph, states, _accept_agreement, agreements)
 
 
-def _exchange_messages(
-    network: CommunicationGraph,
-    states: list[Negotiator | None],
-    tell: Callable[[Negotiator], Message | None],
-    act: Callable[[Negotiator | None, list[Message | None]], Negotiator | None],
-    who: Iterable[int],
-) -> list[Negotiator | None]:
-    told = [tell(party) if party else None for party in states]
-    acted = run_round(network, states, act, told, who)
-    return [acted.get(i, party) for i, party in enumerate(states)]
-
-
-def _trajectory_message(party: Negotiator) -> TrajectoryMessage:
-    return party.planner.message
-
-
-def _make_offer(
-    party: Negotiator | None, inbox: list[TrajectoryMessage | None]
-) -> Negotiator | None:
-    """Hear all plans, and tell the partner what to keep clear of and where to go."""
-    if party is None:
-        return None
-    agent, T = party.planner, len(party.planner.nominal.u)
+def _make_offer(negotiator: Negotiator, inbox: list[TrajectoryMessage]) -> Negotiator:
+    agent, T = negotiator.planner, len(negotiator.planner.nominal.u)
     if T == 0 or compute_priority_cost(agent).is_too_close:
-        return party  # it has no room to give
+        return negotiator  # it has no room to give
     agent = agent.relinearized
-    others = [plan.control_points for plan in inbox if plan and plan.priority[2] != party.partner]
-    theirs, nominal = (
-        np.array(others).reshape(-1, *agent.control_points.shape),
-        _nominal_points(agent),
+    others = [m.control_points for m in inbox if m.priority[2] != negotiator.partner]
+    neighbor_points = np.array(others).reshape(-1, *agent.control_points.shape)
+    nominal_points = _nominal_points(agent)
+    normals = choose_normals(nominal_points - neighbor_points, agent.horizon.required_separation)
+    half_spaces = convexify(agent.horizon, T, neighbor_points, normals)
+    # Among trajectories of equal fuel a tie-break keeps to one that may leave others less room.
+    transfer = agent.without_tie_break.transfer
+    member = PairMember(transfer, agent.nominal.x[0], agent.target_state, half_spaces)
+    offer = Offer(
+        negotiator.agent_id,
+        member,
+        agent.nominal,
+        nominal_points,
+        agent.reaches_target(agent.nominal),
+        neighbor_points,
     )
-    spaces = convexify(
-        agent.horizon,
-        T,
-        theirs,
-        choose_normals(nominal - theirs, agent.horizon.required_separation),
+    return negotiator._replace(planner=agent, offer=offer)
+
+
+def _solve_agreement(negotiator: Negotiator, inbox: list[Offer]) -> Negotiator:
+    # Of two that offer, the one with the lower number solves for both.
+    own, agent = negotiator.offer, negotiator.planner
+    if own is None or negotiator.agent_id > negotiator.partner:
+        return negotiator
+    other = next((offer for offer in inbox if offer.agent_id == negotiator.partner), None)
+    if other is None or len(other.trajectory.u) != len(own.trajectory.u):
+        return negotiator
+    trajectories, solves = solve_pair(own, other, agent.horizon)
+    if trajectories is None:
+        return negotiator._replace(solve_count=solves)
+    return negotiator._replace(
+        planner=_with_agreed(agent, trajectories[0]),
+        agreement=Agreement(negotiator.partner, trajectories[1]),
+        solve_count=solves,
     )
-    # Among flights of equal fuel a slope keeps to one, and others could not make use of the rest.
-    side = PairMember(
-        agent.without_tie_break.transfer, agent.nominal.x[0], agent.target_state, spaces
-    )
-    arrives = agent.reaches_target(agent.nominal)
-    offer = Offer(party.agent_id, side, agent.nominal, nominal, arrives, theirs)
-    return party._replace(planner=agent, offer=offer)
 
 
-def _solve_agreement(party: Negotiator | None, inbox: list[Offer | None]) -> Negotiator | None:
-    """Of two who offer, the one with the lower number plans for both."""
-    if party is None or party.offer is None or party.agent_id > party.partner:
-        return party
-    theirs = next((offer for offer in inbox if offer and offer.agent_id == party.partner), None)
-    if theirs is None or len(theirs.trajectory.u) != len(party.offer.trajectory.u):
-        return party
-    flights, solves = solve_pair(party.offer, theirs, party.planner.horizon)
-    party = party._replace(solve_count=solves)
-    if flights is None:
-        return party
-    deal = Agreement(party.partner, flights[1])
-    return party._replace(planner=_with_agreed(party.planner, flights[0]), agreement=deal)
+def _accept_agreement(negotiator: Negotiator, inbox: list[Agreement]) -> Negotiator:
+    agreed = next((a.trajectory for a in inbox if a.recipient == negotiator.agent_id), None)
+    if agreed is None:
+        return negotiator
+    return negotiator._replace(planner=_with_agreed(negotiator.planner, agreed))
 
 
-def _accept_agreement(party: Negotiator | None, inbox: list[Agreement | None]) -> Negotiator | None:
-    """Fly what was agreed on."""
-    if party is None:
-        return None
-    mine = next((deal for deal in inbox if deal and deal.recipient == party.agent_id), None)
-    return party._replace(planner=_with_agreed(party.planner, mine.trajectory)) if mine else party
-
-
-def _with_agreed(agent: Planner, flight: Trajectory) -> Planner:
-    return agent.with_nominal(flight)._replace(terminal_error=0.0)  # a deal ends at the goal
+def _with_agreed(agent: Planner, trajectory: Trajectory) -> Planner:
+    return agent.with_nominal(trajectory)._replace(terminal_error=0.0)  # it ends at the target
 
 
 def solve_pair(
-    own: Offer, theirs: Offer, horizon: AvoidanceHorizon
+    own: Offer, other: Offer, horizon: AvoidanceHorizon
 ) -> tuple[tuple[Trajectory, Trajectory] | None, int]:
-    """Flights of both to their goals, and the programmes that took.
+    """Solve for the trajectories of two agents to their targets, and count the programs.
 
-    None where there are none, or they are dearer, or miss a goal, or do not keep clear when the two
-    drift on after their steps. What costs the same is taken: it may leave others more room. Few
-    half-spaces bind: those on which the two lean, and those that an answer would break, until it
-    breaks none.
+    None where the program is infeasible, or the trajectories cost more, miss a target, or do not
+    keep clear when the two drift on after their last step. Equal costs are accepted: they may
+    leave others more room. Few half-spaces are active: begin with those active at the nominals,
+    and add those that the solution violates, until there are none.
     """
     T, R = len(own.trajectory.u), horizon.collision_radius
-    between = RelativeHalfSpaces.from_normals(
-        horizon,
-        T,
-        choose_normals(
-            (own.nominal_points - theirs.nominal_points)[None], horizon.required_separation
-        )[0],
-    )
-    over = _compute_violations(own.side, theirs.side, between, (own.trajectory, theirs.trajectory))
-    chosen = [np.abs(rows) < ACTIVE_TOLERANCE * R for rows in over]
+    relative = (own.nominal_points - other.nominal_points)[None]
+    normals = choose_normals(relative, horizon.required_separation)[0]
+    between = RelativeHalfSpaces.from_normals(horizon, T, normals)
+    before = own.trajectory, other.trajectory
+    violations = _compute_violations(own.member, other.member, between, before)
+    active = [np.abs(rows) < ACTIVE_TOLERANCE * R for rows in violations]
     solves = 0
     while True:
-        first = own.side._replace(half_spaces=own.side.half_spaces.select(chosen[0]))
-        second = theirs.side._replace(half_spaces=theirs.side.half_spaces.select(chosen[1]))
+        first = own.member._replace(half_spaces=own.member.half_spaces.select(active[0]))
+        second = other.member._replace(half_spaces=other.member.half_spaces.select(active[1]))
         solves += 1
         try:
-            both = PairProblem(first, second, between.select(chosen[2])).solve()
+            both = PairProblem(first, second, between.select(active[2])).solve()
         except Unsolved:
             return None, solves
-        over = _compute_violations(own.side, theirs.side, between, both)
-        broken = [
+        violations = _compute_violations(own.member, other.member, between, both)
+        violated = [
             (rows > VIOLATION_TOLERANCE * R) & ~known
-            for rows, known in zip(over, chosen, strict=True)
+            for rows, known in zip(violations, active, strict=True)
         ]
-        if not any(rows.any() for rows in broken):
+        if not any(rows.any() for rows in violated):
             break
-        chosen = [known | rows for known, rows in zip(chosen, broken, strict=True)]
-    before = own.trajectory.fuel + theirs.trajectory.fuel
-    cheaper = both[0].fuel + both[1].fuel <= before * (1 + COST_TOLERANCE)
-    wanted = cheaper or not (own.reaches_target and theirs.reaches_target)
-    keeps = (
-        wanted
-        and _both_reach_targets(own, theirs, both, R)
-        and _both_are_clear(own, theirs, both, horizon)
+        active = [known | rows for known, rows in zip(active, violated, strict=True)]
+    fuel_before = own.trajectory.fuel + other.trajectory.fuel
+    is_cheaper = both[0].fuel + both[1].fuel <= fuel_before * (1 + COST_TOLERANCE)
+    is_accepted = (
+        (is_cheaper or not (own.reaches_target and other.reaches_target))
+        # A solution within the solver's tolerance may miss a target by more than counts as none.
+        and reaches_target(both[0], own.member.goal, R)
+        and reaches_target(both[1], other.member.goal, R)
+        and _are_clear(own, other, both, horizon)
     )
-    return (both if keeps else None), solves
+    return (both if is_accepted else None), solves
 
 
-def _both_reach_targets(
-    own: Offer, theirs: Offer, both: tuple[Trajectory, Trajectory], radius: float
+def _are_clear(
+    own: Offer, other: Offer, both: tuple[Trajectory, Trajectory], horizon: AvoidanceHorizon
 ) -> bool:
-    # An answer within the solver's tolerance may miss a goal by more than counts as being there.
-    goals = own.side.goal, theirs.side.goal
-    return all(
-        reaches_target(flight, goal, radius) for flight, goal in zip(both, goals, strict=True)
-    )
-
-
-def _both_are_clear(
-    own: Offer, theirs: Offer, both: tuple[Trajectory, Trajectory], horizon: AvoidanceHorizon
-) -> bool:
-    first, second = (horizon.control_points(flight.x, flight.u) for flight in both)
-    gaps = (first - own.neighbor_points, second - theirs.neighbor_points, first - second)
+    first, second = (horizon.control_points(trajectory.x, trajectory.u) for trajectory in both)
+    gaps = (first - own.neighbor_points, second - other.neighbor_points, first - second)
     return all(bool(are_hulls_separated(gap, horizon.collision_radius).all()) for gap in gaps)
 
 
 def _compute_violations(
     own: PairMember,
-    theirs: PairMember,
+    other: PairMember,
     between: RelativeHalfSpaces,
     both: tuple[Trajectory, Trajectory],
 ) -> tuple[Array, Array, Array]:
     return (
         own.half_spaces.violation(both[0].x, both[0].u),
-        theirs.half_spaces.violation(both[1].x, both[1].u),
+        other.half_spaces.violation(both[1].x, both[1].u),
         between.violation(*both),
     )

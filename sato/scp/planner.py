@@ -1,10 +1,6 @@
-"""What one agent does in an exchange [Morgan2016, Method 2].
+"""Memory of one planning agent, and its update in an exchange [Morgan2016, Method 2]."""
 
-It hears the paths of its neighbours, keeps clear of those that go before it, and tells
-its own.
-"""
-
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal, NamedTuple
 
@@ -30,107 +26,102 @@ from problems.convexify import (
 )
 from problems.transfer import Trajectory, TransferProblem
 
-ACTIVE_TOLERANCE = 1e-3  # of R: a half-space with less room than this may bind
-VIOLATION_TOLERANCE = (
-    1e-7  # of R: a half-space that an answer breaks by more is put into the programme
-)
-NEARBY_FACTOR = 2.0  # times R: who comes closer has half-spaces from the first
-CONVERGENCE_TOLERANCE = 1e-3  # ε_SCP over R: a path that moves less has converged
-# Ways past the neighbours where nominals collide, by the axes of space: the cheapest is taken.
+ACTIVE_TOLERANCE = 1e-3  # of R: a half-space with less room than this may be active
+VIOLATION_TOLERANCE = 1e-7  # of R: a half-space violated by more joins the program
+NEARBY_FACTOR = 2.0  # times R: agents that come closer have half-spaces from the first solve
+CONVERGENCE_TOLERANCE = 1e-3  # ε_SCP over R: a trajectory that moves less has converged
+# Sides on which to pass where nominals collide, by dimension: the cheapest is taken.
 PASSING_SIDES: dict[int, tuple[PassingSide, ...]] = {
     2: ("same", "opposite"),
     3: ("same", "opposite", "above", "below"),
 }
-# Where there is none, what may give way, and about what to convexify: past the neighbours on
-# the near side, on the far side, or about standing still. Tried in this order.
+# Where all are infeasible: what is relaxed, and about what to convexify, past the neighbors on
+# the same side, on the opposite side, or about stopping at once. Tried in this order.
 RELAXATION_ORDER: tuple[tuple[Relaxation, Literal["same", "opposite", "stop"]], ...] = (
     ("terminal", "same"),
     ("terminal", "opposite"),
     ("terminal", "stop"),
     ("separation", "same"),
 )
-FEASIBILITY_TOLERANCE = (
-    1e-6  # of R: who breaks half-spaces by less keeps clear, who misses by less arrives
-)
-MAX_SOLVES = 20  # programmes, after which an agent stops improving (Proposition 4 keeps it safe)
+FEASIBILITY_TOLERANCE = 1e-6  # of R: smaller violations and terminal errors count as none
+MAX_SOLVES = 20  # programs, after which an agent stops improving (Proposition 4 keeps it safe)
 
 
 class TrajectoryMessage(NamedTuple):
-    """What an agent tells its neighbours."""
+    """Message of an agent to its neighbors."""
 
-    priority: tuple[bool, float, int]  # who goes before whom; the smaller goes first
+    priority: tuple[bool, float, int]  # the smaller has the higher priority
     control_points: Float[Array, "pieces 4 d"]
     is_final: bool
 
 
 class Planner(NamedTuple):
-    """One agent that plans: all that it knows.
+    """Memory of one planning agent.
 
-    Before the first exchange `flight` is `free`, or the plan that it had, where that went
-    another way to keep clear: so it stays on the side on which it passes.
+    Before the first exchange `nominal` is `solo`, or the rest of the previous plan where that
+    differs: so the agent keeps to the side on which it passes.
     """
 
-    priority: tuple[bool, float, int]  # (it can still move, −fuel spent, number) [Remark 5]
+    priority: tuple[bool, float, int]  # (can still move, −fuel spent, number) [Remark 5]
     target_state: Float[Array, " n"]
     transfer: TransferProblem
     horizon: AvoidanceHorizon
-    solo: Trajectory  # its flight if it were alone: iterate 0
-    nominal: Trajectory  # the nominal
+    solo: Trajectory  # optimal without the others: iterate 0
+    nominal: Trajectory
     control_points: Float[Array, "pieces 4 d"]  # of the nominal, over the horizon
-    relinearize: Callable[[Trajectory], TransferProblem] | None = (
-        None  # linearises about a nominal; None: no need
-    )
+    relinearize: Callable[[Trajectory], TransferProblem] | None = None  # None: model is linear
     is_final: bool = False
-    has_converged: bool = True  # the nominal answered the last programme, or none was needed
-    last_inbox: tuple[TrajectoryMessage, ...] = ()  # whom it answered then
+    has_converged: bool = True  # True where the nominal solves its last program, or needed none
+    last_inbox: tuple[TrajectoryMessage, ...] = ()  # of higher priority, in the last program
     solve_count: int = 0
-    terminal_error: float = 0.0  # distance from the goal at the end, where it could not be kept
-    slack: float = 0.0  # break of a half-space, where even that could not be kept [m]
-    has_failed: bool = False  # no programme had an answer
+    terminal_error: float = 0.0  # distance from the target at the end, where relaxed
+    slack: float = 0.0  # largest violation of a half-space, where relaxed [m]
+    has_failed: bool = False  # True where no program was feasible
 
     @property
     def message(self) -> TrajectoryMessage:
-        """What it tells."""
+        """Message to the neighbors."""
         return TrajectoryMessage(self.priority, self.control_points, self.is_final)
 
     @property
     def relinearized(self) -> "Planner":
-        """The same about its nominal, where its model has to be."""
+        """This planner, linearized about its nominal where its model is nonlinear."""
         if self.relinearize is None:
             return self
         return self._replace(transfer=self.relinearize(self.nominal))
 
     @property
     def without_tie_break(self) -> "Planner":
-        """The same without the slope of its weights, which keeps to one of many equals."""
+        """This planner with equal weights of all steps."""
         return self._replace(transfer=replace(self.transfer, tie_break_rise=0.0))
 
-    def with_nominal(self, flight: Trajectory) -> "Planner":
-        """The same with a flight, whose path is what it tells."""
+    def with_nominal(self, trajectory: Trajectory) -> "Planner":
+        """Replace the nominal and its control points."""
         return self._replace(
-            nominal=flight, control_points=self.horizon.control_points(flight.x, flight.u)
+            nominal=trajectory,
+            control_points=self.horizon.control_points(trajectory.x, trajectory.u),
         )
 
-    def reaches_target(self, flight: Trajectory) -> bool:
-        """Whether a flight ends at its goal."""
-        return reaches_target(flight, self.target_state, self.horizon.collision_radius)
+    def reaches_target(self, trajectory: Trajectory) -> bool:
+        """Return True where a trajectory ends at the target."""
+        return reaches_target(trajectory, self.target_state, self.horizon.collision_radius)
 
 
-def reaches_target(flight: Trajectory, goal: Float[Array, " n"], radius: float) -> bool:
-    """Whether a flight ends at a goal."""
-    return bool(np.abs(flight.x[-1] - goal).max() <= FEASIBILITY_TOLERANCE * radius)
+def reaches_target(trajectory: Trajectory, target: Float[Array, " n"], radius: float) -> bool:
+    """Return True where a trajectory ends at a target state, within a part of the radius."""
+    return bool(np.abs(trajectory.x[-1] - target).max() <= FEASIBILITY_TOLERANCE * radius)
 
 
 class AvoidedAgents(NamedTuple):
-    """Those whom an agent keeps clear of."""
+    """Trajectories that an agent keeps clear of."""
 
     control_points: Float[Array, "above pieces 4 d"]
-    is_nearby: Bool[Array, " above"]  # who comes near its nominal; the rest need no half-spaces yet
+    is_nearby: Bool[Array, " above"]  # True where it comes near the nominal
 
     @classmethod
-    def from_messages(cls, agent: Planner, above: tuple[TrajectoryMessage, ...]) -> "AvoidedAgents":
-        """Sort out who is near."""
-        paths = np.stack([plan.control_points for plan in above])
+    def from_messages(cls, agent: Planner, above: Sequence[TrajectoryMessage]) -> "AvoidedAgents":
+        """Mark the agents that come near the nominal; others need no half-spaces yet."""
+        paths = np.stack([message.control_points for message in above])
         far = are_balls_separated(
             agent.control_points - paths, NEARBY_FACTOR * agent.horizon.collision_radius
         )
@@ -139,103 +130,102 @@ class AvoidedAgents(NamedTuple):
     def find_conflicts(
         self, path: Float[Array, "pieces 4 d"], radius: float
     ) -> Bool[Array, " above"]:
-        """Whose path another would meet."""
+        """Mark the agents that a path comes too close to."""
         return np.asarray(~are_hulls_separated(path - self.control_points, radius).all(axis=1))
 
 
-def update_planner(agent: Planner, inbox: list[TrajectoryMessage]) -> Planner:
-    """One exchange of one agent: hear, plan around those who go before, tell.
+def update_planner(agent: Planner, inbox: Sequence[TrajectoryMessage]) -> Planner:
+    """Plan around the neighbors of higher priority.
 
-    An agent is settled when its path stands still, keeps clear, and all whom it must
-    avoid are settled: from then on it cannot change, so agents settle in the order of
-    their priorities [Morgan2016, Theorem 8], each by what it heard.
+    A trajectory is final when it has converged, keeps clear, and the trajectories of all agents
+    that it must avoid are final: from then on it cannot change. So trajectories become final in
+    the order of the priorities [Morgan2016, Theorem 8], each by its own inbox.
     """
     if agent.is_final:
         return agent
-    above = tuple(plan for plan in inbox if plan.priority < agent.priority)
-    if needs_solve(agent, above):
+    above = tuple(message for message in inbox if message.priority < agent.priority)
+    if _needs_solve(agent, above):
         agent = _solve_iteration(agent, above)
-    return agent._replace(is_final=agent.has_converged and all(plan.is_final for plan in above))
+    is_final = agent.has_converged and all(message.is_final for message in above)
+    return agent._replace(is_final=is_final)
 
 
-def needs_solve(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> bool:
-    """Whether an agent has a programme to solve: something binds, and it is news."""
+def _needs_solve(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> bool:
     if len(agent.nominal.u) == 0:
         return False
     if follows_solo(agent):
         return not is_clear(agent.control_points, above, agent.horizon.collision_radius)
-    heard = len(above) == len(agent.last_inbox) and all(
+    is_unchanged = len(above) == len(agent.last_inbox) and all(
         np.array_equal(a.control_points, b.control_points)
         for a, b in zip(above, agent.last_inbox, strict=True)
     )
-    return not (heard and agent.has_converged)
+    return not (is_unchanged and agent.has_converged)
 
 
 def follows_solo(agent: Planner) -> bool:
-    """Whether an agent flies as if it were alone and has never had reason to ask."""
+    """Return True where an agent has never had to deviate from its solo trajectory."""
     return agent.solve_count == 0 and agent.nominal is agent.solo and agent.has_converged
 
 
 def is_clear(
-    path: Float[Array, "pieces 4 d"], above: tuple[TrajectoryMessage, ...], radius: float
+    path: Float[Array, "pieces 4 d"], others: Sequence[TrajectoryMessage], radius: float
 ) -> bool:
-    """Whether a path keeps clear of every other."""
-    return not above or bool(
-        are_hulls_separated(path - np.stack([p.control_points for p in above]), radius).all()
+    """Return True where a path keeps the collision radius from all others."""
+    return not others or bool(
+        are_hulls_separated(path - np.stack([m.control_points for m in others]), radius).all()
     )
 
 
 def _solve_iteration(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Planner:
-    """The next iterate, and whether it stands still."""
-    free = agent.horizon.control_points(agent.solo.x, agent.solo.u)
-    if is_clear(free, above, agent.horizon.collision_radius):
+    R = agent.horizon.collision_radius
+    solo_points = agent.horizon.control_points(agent.solo.x, agent.solo.u)
+    if is_clear(solo_points, above, R):
         after = agent._replace(
-            nominal=agent.solo, control_points=free, terminal_error=0.0, slack=0.0, has_failed=False
+            nominal=agent.solo,
+            control_points=solo_points,
+            terminal_error=0.0,
+            slack=0.0,
+            has_failed=False,
         )
     else:
         after = _solve_avoidance(agent, above)
     moved = float(np.abs(after.nominal.x - agent.nominal.x).max())
-    still = (
-        moved <= CONVERGENCE_TOLERANCE * agent.horizon.collision_radius
-        or after.solve_count >= MAX_SOLVES
-    )
-    return after._replace(has_converged=still, last_inbox=above)
+    has_converged = moved <= CONVERGENCE_TOLERANCE * R or after.solve_count >= MAX_SOLVES
+    return after._replace(has_converged=has_converged, last_inbox=above)
 
 
 def _solve_avoidance(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Planner:
-    """Solve Problem 7 about the nominal; what gives way gives way last to separation."""
     agent = agent.relinearized
     others = AvoidedAgents.from_messages(agent, above)
     collides = not is_clear(agent.control_points, above, agent.horizon.collision_radius)
-    ways = PASSING_SIDES[agent.control_points.shape[-1]] if collides else ("same",)
-    tried = [solve_around(agent, others, agent.control_points, way) for way in ways]
-    passages, solves = [p for p in tried if p is not None], agent.solve_count + len(ways)
-    passage = min(passages, key=lambda p: p.trajectory.fuel, default=None)
-    if passage is None:
-        passage, count = _solve_relaxed(agent, others)
+    sides = PASSING_SIDES[agent.control_points.shape[-1]] if collides else ("same",)
+    tried = [solve_around(agent, others, agent.control_points, side) for side in sides]
+    solves = agent.solve_count + len(sides)
+    feasible = [result for result in tried if result is not None]
+    result = min(feasible, key=lambda r: r.trajectory.fuel, default=None)
+    if result is None:
+        result, count = _solve_relaxed(agent, others)
         solves += count
-    if passage is None:  # what it tells is what it flies, whatever it began with
+    if result is None:  # the message must be of what is flown, whatever the agent began with
         return agent.with_nominal(agent.nominal)._replace(solve_count=solves, has_failed=True)
-    return agent.with_nominal(passage.trajectory)._replace(
+    return agent.with_nominal(result.trajectory)._replace(
         solve_count=solves,
-        terminal_error=passage.terminal_error,
-        slack=passage.slack,
+        terminal_error=result.terminal_error,
+        slack=result.slack,
         has_failed=False,
     )
 
 
 def _solve_relaxed(agent: Planner, others: AvoidedAgents) -> tuple[AvoidanceResult | None, int]:
-    """The first that is found with something given up, and the programmes that took."""
-    for count, (gives, way) in enumerate(RELAXATION_ORDER, 1):
-        if way == "stop":
-            nominal = _compute_stopping_path(agent)
-            passage = (
-                None if nominal is None else solve_around(agent, others, nominal, "same", gives)
-            )
-        else:
-            passage = solve_around(agent, others, agent.control_points, way, gives)
-        if passage is not None:
-            return passage, count
+    # The first feasible program in the order of relaxations, and the number of programs tried.
+    for count, (relaxation, side) in enumerate(RELAXATION_ORDER, 1):
+        nominal: Array | None = agent.control_points
+        if side == "stop":
+            nominal, side = _compute_stopping_path(agent), "same"
+        if nominal is not None:
+            result = solve_around(agent, others, nominal, side, relaxation)
+            if result is not None:
+                return result, count
     return None, len(RELAXATION_ORDER)
 
 
@@ -243,67 +233,64 @@ def solve_around(
     agent: Planner,
     others: AvoidedAgents,
     nominal: Float[Array, "pieces 4 d"],
-    way: PassingSide,
-    gives: Relaxation = "none",
+    side: PassingSide,
+    relaxation: Relaxation = "none",
 ) -> AvoidanceResult | None:
-    """Problem 7 about a nominal, clear of all others; None where it has no answer."""
-    near = others.is_nearby
+    """Solve Problem 7 about a nominal path, clear of all others; None where it is infeasible."""
+    constrained = others.is_nearby
     while True:
-        paths = others.control_points[near]
-        normal = choose_normals(nominal - paths, agent.horizon.required_separation, way)
-        spaces = convexify(agent.horizon, len(agent.nominal.u), paths, normal)
+        paths = others.control_points[constrained]
+        normal = choose_normals(nominal - paths, agent.horizon.required_separation, side)
+        half_spaces = convexify(agent.horizon, len(agent.nominal.u), paths, normal)
         try:
-            passage = _solve_active_set(agent, spaces, gives)
+            result = _solve_active_set(agent, half_spaces, relaxation)
         except Unsolved:
             return None
-        met = (
-            others.find_conflicts(
-                agent.horizon.control_points(*passage.trajectory[:2]),
-                agent.horizon.collision_radius,
-            )
-            & ~near
-        )
+        path = agent.horizon.control_points(result.trajectory.x, result.trajectory.u)
+        met = others.find_conflicts(path, agent.horizon.collision_radius) & ~constrained
         if not met.any():
-            return passage
-        near = near | met
+            return result
+        constrained = constrained | met
 
 
 def _compute_stopping_path(agent: Planner) -> Float[Array, "pieces 4 d"] | None:
-    """The path of an agent that comes to rest where it is, as nearly as it can."""
+    # The path of an agent that comes to rest where it is, as nearly as it can.
     start = agent.nominal.x[0]
-    here = np.concatenate([start[: len(start) // 2], np.zeros(len(start) // 2)])
+    rest = np.concatenate([start[: len(start) // 2], np.zeros(len(start) // 2)])
     try:
-        rest = AvoidanceProblem(agent.transfer).solve(
-            start, here, empty_half_spaces(agent.transfer), "terminal"
+        result = AvoidanceProblem(agent.transfer).solve(
+            start, rest, empty_half_spaces(agent.transfer), "terminal"
         )
     except Unsolved:
         return None
-    return agent.horizon.control_points(rest.trajectory.x, rest.trajectory.u)
+    return agent.horizon.control_points(result.trajectory.x, result.trajectory.u)
 
 
-def _solve_active_set(agent: Planner, spaces: HalfSpaces, gives: Relaxation) -> AvoidanceResult:
-    # Few half-spaces bind: those on which the nominal leans, and at each step the one that
-    # the answer would break most, until it breaks none.
-    programme, nominal, R = (
-        AvoidanceProblem(agent.transfer),
-        agent.nominal,
-        agent.horizon.collision_radius,
-    )
-    chosen = np.abs(spaces.violation(nominal.x, nominal.u)) < ACTIVE_TOLERANCE * R
-    over = spaces.violation(agent.solo.x, agent.solo.u)
+def _solve_active_set(
+    agent: Planner, half_spaces: HalfSpaces, relaxation: Relaxation
+) -> AvoidanceResult:
+    # Few half-spaces are active: begin with those active at the nominal, and add at each step
+    # the one that is violated most, until none is.
+    problem, nominal = AvoidanceProblem(agent.transfer), agent.nominal
+    R = agent.horizon.collision_radius
+    active = np.abs(half_spaces.violation(nominal.x, nominal.u)) < ACTIVE_TOLERANCE * R
+    violation = half_spaces.violation(agent.solo.x, agent.solo.u)
     while True:
-        chosen |= _select_worst_per_step(
-            spaces.step_index, np.where(chosen, 0.0, over), VIOLATION_TOLERANCE * R
+        active |= _select_worst_per_step(
+            half_spaces.step_index, np.where(active, 0.0, violation), VIOLATION_TOLERANCE * R
         )
-        passage = programme.solve(nominal.x[0], agent.target_state, spaces.select(chosen), gives)
-        over = spaces.violation(passage.trajectory.x, passage.trajectory.u) - passage.slack
-        if not ((over > VIOLATION_TOLERANCE * R) & ~chosen).any():
-            return passage
+        result = problem.solve(
+            nominal.x[0], agent.target_state, half_spaces.select(active), relaxation
+        )
+        trajectory = result.trajectory
+        violation = half_spaces.violation(trajectory.x, trajectory.u) - result.slack
+        if not ((violation > VIOLATION_TOLERANCE * R) & ~active).any():
+            return result
 
 
 def _select_worst_per_step(
-    step: Int[Array, " rows"], over: Float[Array, " rows"], tolerance: float
+    step: Int[Array, " rows"], violation: Float[Array, " rows"], tolerance: float
 ) -> Bool[Array, " rows"]:
     worst = np.full(int(step.max(initial=-1)) + 1, tolerance)
-    np.maximum.at(worst, step, over)
-    return np.asarray((over >= worst[step]) & (over > tolerance))
+    np.maximum.at(worst, step, violation)
+    return np.asarray((violation >= worst[step]) & (violation > tolerance))

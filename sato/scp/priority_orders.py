@@ -1,10 +1,10 @@
-"""Several orders of priority: who paid most goes first the next time [Joslin1999].
+"""Several orders of priority: agents that pay most come first the next time [Joslin1999].
 
-Method 2 is settled once, and then anew under other orders. Each time an agent goes before
-others by as much more as it paid for them, and in the plane all who fly straight begin by
-keeping to the right, as on a road: nominals that all meet in one point show nobody a way round.
-To go on as each begins is tried too, where that is clear. After each order agents flood what
-they pay and add up for themselves, and every network keeps the cheapest of what it has tried.
+Method 2 runs once, and then again under other orders. Each time the priority of an agent rises by
+the fuel that it paid for others, and in the plane all that fly their solo trajectory begin offset
+to the right: nominals that all meet in one point show no agent a way around. The trajectories that
+all begin with are tried too, where they are clear. After each order agents flood their costs and
+add them up for themselves, and every component keeps the cheapest of its trials.
 """
 
 from collections.abc import Callable, Mapping
@@ -12,89 +12,98 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sato.network.graph import CommunicationGraph, run_round
+from sato.network.graph import CommunicationGraph
+from sato.network.rounds import run_round
 from sato.scp.exchange import run_scp
 from sato.scp.planner import FEASIBILITY_TOLERANCE, Planner, TrajectoryMessage, is_clear
 
 
 class PriorityCost(NamedTuple):
-    """What an agent pays for others; the smaller is better, a distance before an arrival."""
+    """Cost of the other agents to one agent, in lexicographic order: separation comes first."""
 
-    is_too_close: float  # 1 where it comes too close to somebody
-    misses_target: float  # 1 where it does not end at its goal
-    extra_fuel: float  # beyond that of its flight alone [m/s]
+    is_too_close: float  # 1 where it comes too close to another
+    misses_target: float  # 1 where it does not end at its target
+    extra_fuel: float  # beyond that of its solo trajectory [m/s]
 
 
 class ConflictResolution(NamedTuple):
-    """What agents agreed on, and what that took."""
+    """Trajectories that agents agreed on, and the effort it took."""
 
     planners: dict[int, Planner]
-    round_count: int  # of all orders, with what is flooded
-    solve_count: int
+    round_count: int  # rounds of messages, floods included
+    solve_count: int  # programs
 
 
 def try_priority_orders(
-    planners: Mapping[int, Planner], network: CommunicationGraph, orders: int
+    planners: Mapping[int, Planner], graph: CommunicationGraph, orders: int
 ) -> ConflictResolution:
-    """Settle under several orders of priority; each component keeps its cheapest.
+    """Run Method 2 under several orders of priority; each component keeps its cheapest.
 
     Args:
-        planners: Every live agent, by number; the first order is that of their ranks.
-        network: Who hears whom.
-        orders: Most that are tried; fewer, where nobody in a component pays anything.
+        planners: Planner of each agent, by its number; the first order is that of `priority`.
+        graph: Communication graph.
+        orders: Largest number of orders; fewer where no agent of a component has a cost.
     """
-    kept, exchanges = run_scp(planners, network)
-    solves = _count_solves(kept)
+    kept, rounds = run_scp(planners, graph)
+    solves = count_solves(kept)
     if orders == 1 or not kept:
-        return ConflictResolution(kept, exchanges, solves)
-    paid = tolls = compute_priority_costs(kept)
-    flooding = int(network.diameter[list(kept)].max())
-    exchanges += flooding
-    if any(map(any, paid.values())):
-        begun = select_clear_components(planners, network)
-        kept, paid = keep_cheaper(kept, paid, begun, compute_priority_costs(begun), network)
-        exchanges += 1 + flooding
+        return ConflictResolution(kept, rounds, solves)
+    kept_costs = costs = compute_priority_costs(kept)
+    flooding = int(graph.diameter[list(kept)].max())
+    rounds += flooding
+    if any(map(any, costs.values())):
+        unchanged = select_clear_components(planners, graph)
+        kept, kept_costs = keep_cheaper(
+            kept, kept_costs, unchanged, compute_priority_costs(unchanged), graph
+        )
+        rounds += 1 + flooding
     for _ in range(orders - 1):
-        dear = [i for i, total in sum_by_component(paid, network).items() if any(total)]
-        if not dear:
+        costly = [i for i, total in sum_by_component(kept_costs, graph).items() if any(total)]
+        if not costly:
             break
-        planners = {i: offset_right(raise_priority(planners[i], tolls[i]), 1.0) for i in dear}
-        tried, more = run_scp(planners, network)
-        exchanges, solves = exchanges + more + flooding, solves + _count_solves(tried)
-        tolls = compute_priority_costs(tried)
-        kept, paid = keep_cheaper(kept, paid, tried, tolls, network)
-    return ConflictResolution(kept, exchanges, solves)
+        planners = {i: offset_right(raise_priority(planners[i], costs[i]), 1.0) for i in costly}
+        tried, exchanges = run_scp(planners, graph)
+        rounds, solves = rounds + exchanges + flooding, solves + count_solves(tried)
+        costs = compute_priority_costs(tried)
+        kept, kept_costs = keep_cheaper(kept, kept_costs, tried, costs, graph)
+    return ConflictResolution(kept, rounds, solves)
 
 
 def compute_priority_cost(agent: Planner) -> PriorityCost:
-    """What an agent pays, by its own knowledge."""
+    """Compute the cost of the others to one agent, from its own memory."""
+    slack_limit = FEASIBILITY_TOLERANCE * agent.horizon.collision_radius
     return PriorityCost(
-        float(
-            agent.has_failed or agent.slack > FEASIBILITY_TOLERANCE * agent.horizon.collision_radius
-        ),
+        float(agent.has_failed or agent.slack > slack_limit),
         float(not agent.reaches_target(agent.nominal)),
         agent.nominal.fuel - agent.solo.fuel,
     )
 
 
-def raise_priority(agent: Planner, paid: PriorityCost) -> Planner:
-    """An agent before the next order: what it paid, it counts as burnt.
+def compute_priority_costs(planners: Mapping[int, Planner]) -> dict[int, PriorityCost]:
+    """Compute the cost of the others to each agent, by its number."""
+    return {i: compute_priority_cost(agent) for i, agent in planners.items()}
 
-    Who gave something up pays the fuel of its flight alone besides.
-    """
-    moves, first, number = agent.priority
-    lost = agent.solo.fuel if paid.is_too_close or paid.misses_target else 0.0
-    return agent._replace(priority=(moves, first - max(paid.extra_fuel, 0.0) - lost, number))
+
+def count_solves(planners: Mapping[int, Planner]) -> int:
+    """Count the programs that all agents solved."""
+    return sum(agent.solve_count for agent in planners.values())
+
+
+def raise_priority(agent: Planner, cost: PriorityCost) -> Planner:
+    """Count the extra fuel as spent, and where a constraint was relaxed that of `solo` as well."""
+    can_move, rank, agent_id = agent.priority
+    relaxed = agent.solo.fuel if cost.is_too_close or cost.misses_target else 0.0
+    return agent._replace(priority=(can_move, rank - max(cost.extra_fuel, 0.0) - relaxed, agent_id))
 
 
 def offset_right(agent: Planner, offset: float) -> Planner:
-    """An agent in the plane whose nominal bends to the right of its way.
+    """Bend the nominal of an agent in the plane to the right of its solo trajectory.
 
-    Who begins with a plan of before stays on the side on which that passes.
+    Agents that begin with a previous plan keep it, and with it the side on which they pass.
 
     Args:
-        agent: Before the first exchange.
-        aside: How far in the middle, over R; to the left where negative.
+        agent: Planner before the first exchange.
+        offset: Largest displacement, halfway, over R; to the left where negative.
     """
     pieces, points, d = agent.control_points.shape
     way = agent.control_points[-1, -1] - agent.control_points[0, 0]
@@ -108,67 +117,53 @@ def offset_right(agent: Planner, offset: float) -> Planner:
 
 
 def select_clear_components(
-    planners: Mapping[int, Planner], network: CommunicationGraph
+    planners: Mapping[int, Planner], graph: CommunicationGraph
 ) -> dict[int, Planner]:
-    """The agents of those components in which all are clear as they begin."""
-    states = [planners.get(i) for i in range(len(network.alive))]
-    told = [agent and agent.message for agent in states]
-    acted = run_round(network, states, _mark_clear, told, planners)
-    on = {i: agent for i, agent in acted.items() if agent}
-    return select_components(on, network, lambda agent: not agent.has_failed)
+    """Keep the components in which all agents are clear of their neighbors, as they are."""
+    messages = {i: agent.message for i, agent in planners.items()}
+    marked = run_round(graph, planners, _mark_clear, messages)
+    return select_components(marked, graph, lambda agent: not agent.has_failed)
 
 
-def _mark_clear(agent: Planner | None, inbox: list[TrajectoryMessage | None]) -> Planner | None:
-    if agent is None:
-        return None
-    heard = tuple(plan for plan in inbox if plan)
-    failed = not is_clear(agent.control_points, heard, agent.horizon.collision_radius)
-    return agent._replace(is_final=True, has_converged=True, has_failed=failed)
+def _mark_clear(agent: Planner, inbox: list[TrajectoryMessage]) -> Planner:
+    has_failed = not is_clear(agent.control_points, inbox, agent.horizon.collision_radius)
+    return agent._replace(is_final=True, has_converged=True, has_failed=has_failed)
 
 
 def select_components(
     planners: Mapping[int, Planner],
-    network: CommunicationGraph,
+    graph: CommunicationGraph,
     predicate: Callable[[Planner], bool],
 ) -> dict[int, Planner]:
-    """The agents of those components in which it holds of all.
+    """Keep the components in which a predicate is true of all agents.
 
-    The batched equivalent of a flood of whether it holds.
+    The batched equivalent of a flood of the predicate.
     """
-    lost = {network.component[i] for i, agent in planners.items() if not predicate(agent)}
-    return {i: agent for i, agent in planners.items() if network.component[i] not in lost}
+    dropped = {graph.component[i] for i, agent in planners.items() if not predicate(agent)}
+    return {i: agent for i, agent in planners.items() if graph.component[i] not in dropped}
 
 
 def sum_by_component(
-    tolls: Mapping[int, PriorityCost], network: CommunicationGraph
+    costs: Mapping[int, PriorityCost], graph: CommunicationGraph
 ) -> dict[int, PriorityCost]:
-    """What all in an agent's component pay together, by the agent's number.
+    """Add up the costs of all agents in each agent's component.
 
-    The batched equivalent of a flood of `{number: toll}`, added up in order of the numbers.
+    The batched equivalent of a flood of `{number: cost}`, added in order of the numbers.
     """
-    sums = np.zeros((len(network.alive), len(PriorityCost._fields)))
-    for i in sorted(tolls):
-        sums[network.component[i]] += tolls[i]
-    return {i: PriorityCost(*sums[network.component[i]].tolist()) for i in tolls}
+    sums = np.zeros((len(graph.alive), len(PriorityCost._fields)))
+    for i in sorted(costs):
+        sums[graph.component[i]] += costs[i]
+    return {i: PriorityCost(*sums[graph.component[i]].tolist()) for i in costs}
 
 
 def keep_cheaper(
     kept: dict[int, Planner],
-    paid: dict[int, PriorityCost],
+    kept_costs: dict[int, PriorityCost],
     tried: dict[int, Planner],
-    tolls: dict[int, PriorityCost],
-    network: CommunicationGraph,
+    tried_costs: dict[int, PriorityCost],
+    graph: CommunicationGraph,
 ) -> tuple[dict[int, Planner], dict[int, PriorityCost]]:
-    """What each component keeps of two ways for it, and what each agent pays then."""
-    now, before = sum_by_component(tolls, network), sum_by_component(paid, network)
-    better = [i for i in tried if now[i] < before[i]]
-    return kept | {i: tried[i] for i in better}, paid | {i: tolls[i] for i in better}
-
-
-def compute_priority_costs(planners: Mapping[int, Planner]) -> dict[int, PriorityCost]:
-    """What each of them pays, by its number."""
-    return {i: compute_priority_cost(agent) for i, agent in planners.items()}
-
-
-def _count_solves(planners: Mapping[int, Planner]) -> int:
-    return sum(agent.solve_count for agent in planners.values())
+    """Keep the cheaper of two solutions in each component, with the costs of its agents."""
+    new, old = sum_by_component(tried_costs, graph), sum_by_component(kept_costs, graph)
+    better = [i for i in tried if new[i] < old[i]]
+    return kept | {i: tried[i] for i in better}, kept_costs | {i: tried_costs[i] for i in better}
