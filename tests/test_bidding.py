@@ -10,7 +10,13 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 from dynamics import ClohessyWiltshire, DoubleIntegrator
 from dynamics.trajectory_geometry import min_distance
 from problems.assignment import solve_assignment
-from problems.auction_cost import compute_distances, compute_energies, compute_exact_costs
+from problems.auction_cost import (
+    compute_distances,
+    compute_energies,
+    compute_transfer_costs,
+    solve_transfer,
+    unreachable_cost,
+)
 from problems.transfer import TransferProblem
 from sato.network.graph import CommunicationGraph
 from sato.network.rounds import flood
@@ -75,17 +81,17 @@ def test_the_assignment_is_within_n_epsilon_of_the_optimum_of_the_exact_cost(rng
     decision = first_decision(mission)
     leg, targets = mission.legs[0], decision.memory.target_index
     steps = moment_of(mission).remaining_model(0)
-    prices = compute_exact_costs(
-        steps, mission.initial_states, leg.targets, mission.max_control, speed
-    )
-    cost = (
-        10.0 * prices.fuel
-        + 0.2 * compute_distances(steps, mission.initial_states, leg.targets) ** 2
-    )
+    transfer = TransferProblem(steps, mission.max_control, speed)
+    fuel, reachable, exact = compute_transfer_costs(transfer, mission.initial_states, leg.targets)
+    for i, j in np.argwhere(~exact):
+        flight = solve_transfer(transfer, mission.initial_states[i], leg.targets[j])
+        reachable[i, j] = flight is not None
+        fuel[i, j] = flight.fuel if flight else unreachable_cost(steps, mission.max_control)
+    cost = 10.0 * fuel + 0.2 * compute_distances(steps, mission.initial_states, leg.targets) ** 2
     cost = cost[:, :12]
     epsilon = 0.1 * min_distance(leg.targets[:, :2]) ** 2
     best = cost[np.arange(12), solve_assignment(cost)].sum()
-    assert prices.is_reachable[np.arange(12), targets].all()
+    assert reachable[np.arange(12), targets].all()
     assert len(set(targets)) == 12
     assert cost[np.arange(12), targets].sum() <= best + 12 * epsilon + 1e-9
     assert (decision.solve_count > 0) == np.isfinite(speed)
@@ -231,9 +237,9 @@ def test_nobody_is_given_a_target_out_of_reach_while_all_could_have_one_within(r
     for _ in range(150):
         mission = mission_of(cloud(rng, 4), cloud(rng, 4))
         mission = replace(mission, legs=(replace(mission.legs[0], steps=11),))
-        steps = moment_of(mission).remaining_model(0)
-        reachable = compute_exact_costs(
-            steps, mission.initial_states, mission.legs[0].targets, 0.2
+        transfer = TransferProblem(moment_of(mission).remaining_model(0), 0.2)
+        reachable = compute_transfer_costs(
+            transfer, mission.initial_states, mission.legs[0].targets
         ).is_reachable
         if reachable.all() or (maximum_bipartite_matching(csr_array(reachable)) < 0).any():
             continue

@@ -9,7 +9,6 @@ from numpy import ndarray as Array
 
 from dynamics import DiscreteModel, DoubleIntegrator
 from problems.auction_cost import (
-    compute_costs_cvxpy,
     compute_distances,
     compute_energies,
     compute_transfer_costs,
@@ -176,14 +175,9 @@ def _compute_primary_costs(
     if len(steps) == 0:
         here = _is_at_target(mission, state, leg.targets)
         return np.zeros(here.shape), here, np.ones(here.shape, dtype=bool)
-    if (mission.fuel_norm, mission.control_norm) == (1, "inf"):
-        prices = compute_transfer_costs(
-            steps, state, leg.targets, mission.max_control, mission.max_speed
-        )
-    else:
-        limits = mission.max_control, mission.max_speed
-        transfer = TransferProblem(steps, *limits, mission.fuel_norm, mission.control_norm)
-        prices = compute_costs_cvxpy(transfer, state, leg.targets)
+    limits = mission.max_control, mission.max_speed
+    transfer = TransferProblem(steps, *limits, mission.fuel_norm, mission.control_norm)
+    prices = compute_transfer_costs(transfer, state, leg.targets)
     if mission.cost == "distance":
         return compute_distances(steps, state, leg.targets), prices.is_reachable, prices.is_exact
     return _fuel_to_distance(mission, leg) * prices.fuel, prices.is_reachable, prices.is_exact

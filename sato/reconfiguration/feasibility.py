@@ -340,10 +340,12 @@ def _reachable(
     max_control: float,
 ) -> Bool[Array, "k m"]:
     from problems.auction_cost import compute_transfer_costs
+    from problems.transfer import TransferProblem
 
     model = discretize_zoh(mission.linear_model, mission.step, steps)
     # The box of r = ∞ contains the balls of the other norms: out of its reach is out of theirs.
-    reachable = compute_transfer_costs(model, start, targets, max_control).is_reachable
+    transfer = TransferProblem(model, max_control)
+    reachable = compute_transfer_costs(transfer, start, targets).is_reachable
     if isinstance(mission.linear_model, DoubleIntegrator) and mission.max_speed < inf:
         time = _least_time(mission, start, targets, max_control)
         reachable &= time <= steps * mission.step * (1 + 1e-9)

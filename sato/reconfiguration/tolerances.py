@@ -186,6 +186,7 @@ def _speed_to_lose(mission: "Reconfiguration", steps: int) -> float:
     from scipy.optimize import linear_sum_assignment
 
     from problems.auction_cost import compute_transfer_costs
+    from problems.transfer import TransferProblem
 
     d = mission.axes
     if isinstance(mission.linear_model, DoubleIntegrator):
@@ -196,7 +197,8 @@ def _speed_to_lose(mission: "Reconfiguration", steps: int) -> float:
     burned, start, t = 0.0, mission.initial_states[mission.alive], 0.0
     for leg in mission.legs:
         model = discretize_zoh(mission.linear_model, mission.step, leg.steps, t)
-        fuel = compute_transfer_costs(model, start, leg.targets, mission.max_control).fuel
+        transfer = TransferProblem(model, mission.max_control)
+        fuel = compute_transfer_costs(transfer, start, leg.targets).fuel
         burned = max(burned, float(fuel[linear_sum_assignment(fuel)].max()))
         start, t = leg.targets, t + leg.steps * mission.step
     return min(mission.max_speed, burned / 2)

@@ -152,14 +152,12 @@ def _compute_leg_costs(
     goals: Float[Array, "targets n"],
 ) -> LegCosts | None:
     from problems.auction_cost import compute_transfer_costs, solve_transfer
-    from problems.conic import Infeasible
     from problems.transfer import TransferProblem
 
     mission = evidence.mission
     limits = (mission.max_control, mission.max_speed)
     norms = (mission.fuel_norm, mission.control_norm)
-    together = norms == (1, "inf")
-    if not together and len(agents) * len(goals) > MAX_PAIRS:
+    if norms != (1, "inf") and len(agents) * len(goals) > MAX_PAIRS:
         return None
     first = find_entry_indices(evidence, stretch, agents)
     start = evidence.state[first, agents]
@@ -171,25 +169,14 @@ def _compute_leg_costs(
     }
 
     def settle(i: int, j: int) -> float:
-        transfer = transfers[int(first[i])]
-        if together:
-            flight = solve_transfer(transfer, start[i], goals[j])
-            return np.inf if flight is None else flight.fuel
-        try:
-            return transfer.solve(start[i], goals[j]).fuel
-        except Infeasible:
-            return np.inf
+        flight = solve_transfer(transfers[int(first[i])], start[i], goals[j])
+        return np.inf if flight is None else flight.fuel
 
     fuel = np.zeros((len(agents), len(goals)))
     exact = np.zeros(fuel.shape, dtype=bool)
     for k, transfer in transfers.items():
         who = np.flatnonzero(first == k)
-        if together:
-            found = compute_transfer_costs(transfer.model, start[who], goals, *limits)
-            fuel[who] = np.where(found.is_reachable, found.fuel, np.inf)
-            exact[who] = found.is_exact
-    prices = LegCosts(fuel, exact, settle)
-    if not together:
-        for i, j in np.ndindex(*fuel.shape):
-            _refine_cost(prices, i, j)
-    return prices
+        found = compute_transfer_costs(transfer, start[who], goals)
+        fuel[who] = np.where(found.is_reachable, found.fuel, np.inf)
+        exact[who] = found.is_exact
+    return LegCosts(fuel, exact, settle)
