@@ -1,8 +1,8 @@
-"""Transfer among collision half-spaces [Morgan2016, Problems 5 and 7].
+"""Avoidance problem: transfer among collision half-spaces [Morgan2016, Problems 5 and 7].
 
-Half-spaces are kept by the control points of the path between the samples, and not at
-the samples alone: a path lies in the hull of its control points, so the continuous
-path keeps the distance.
+Half-spaces hold for the control points of the trajectory between samples, not only at the
+samples. A trajectory lies in the convex hull of its control points, so it keeps the distance
+in continuous time.
 """
 
 from dataclasses import dataclass
@@ -20,11 +20,11 @@ from problems.transfer import Trajectory, TransferProblem, solve_cvxpy
 
 Relaxation = Literal["none", "terminal", "separation"]
 
-RELAXATION_PENALTY = 1e3  # of a metre missed, over the fuel that flies a metre in the time given
+RELAXATION_PENALTY = 1e3  # per meter of error, over the fuel that flies a meter
 
 
 class HalfSpaces(NamedTuple):
-    """on_state · x[step] + on_control · u[step] ≥ least, one row each."""
+    """Linear constraints state_coeffs · x[step] + control_coeffs · u[step] ≥ rhs, one a row."""
 
     step_index: Int[Array, " rows"]
     state_coeffs: Float[Array, "rows n"]
@@ -34,42 +34,43 @@ class HalfSpaces(NamedTuple):
     def violation(
         self, x: Float[Array, "instants n"], u: Float[Array, "T m"]
     ) -> Float[Array, " rows"]:
-        """By how much each row is broken; negative where it holds with room."""
+        """Compute rhs minus the left-hand side of each row; positive where it is violated."""
         kept = (self.state_coeffs * x[self.step_index]).sum(1) + (
             self.control_coeffs * u[self.step_index]
         ).sum(1)
         return np.asarray(self.rhs - kept)
 
     def to_cvxpy(self, x: Any, u: Any) -> Any:
-        """What a flight keeps of each row, of variables in CVXPY."""
+        """Express the left-hand sides in CVXPY variables."""
         import cvxpy as cp
 
         on_x = cp.sum(cp.multiply(self.state_coeffs, x[self.step_index]), axis=1)
         return on_x + cp.sum(cp.multiply(self.control_coeffs, u[self.step_index]), axis=1)
 
     def select(self, rows: Array) -> "HalfSpaces":
-        """Some of the rows, by a mask or their numbers."""
+        """Select rows by a mask or by index."""
         return HalfSpaces(*(field[rows] for field in self))
 
 
 class AvoidanceResult(NamedTuple):
-    """A flight among half-spaces, and what had to give."""
+    """Trajectory among half-spaces and the violations that its relaxation admits."""
 
     trajectory: Trajectory
-    terminal_error: float  # distance from the goal at the end, in the largest norm; 0 unless asked
-    slack: float  # largest break of a half-space [m]; 0 unless asked
+    terminal_error: float  # ‖x[T] − goal‖_∞ [m or m/s]; 0 where it may not be relaxed
+    slack: float  # largest violation of a half-space [m]; 0 where it may not be relaxed
 
 
 @dataclass(frozen=True, eq=False)
 class AvoidanceProblem:
-    """A transfer that stays inside half-spaces.
+    """Fuel-optimal transfer inside half-spaces.
 
-        minimise    Δt Σ w[k] ‖u[k]‖_q
-        subject to  (10), (12), (14), (18), (66)      as in Transfer
-                    n · (c(x[k], u[k]) − c̄) ≥ R       (38), (64), one a control point
+        minimize    Δt Σ w[k] ‖u[k]‖_q
+        subject to  (10), (12), (14), (18), (66)      as in `TransferProblem`
+                    n · (c(x[k], u[k]) − c̄) ≥ R       (38), (64), for each control point
 
-    `gives` says what may be broken, at a price far above fuel, where not everything can
-    be kept: nothing, the arrival, or the arrival and then the separation.
+    A relaxation admits violations at a penalty far above fuel: "none", of the terminal state
+    ("terminal"), or of the terminal state and, ten times as dear, of the half-spaces
+    ("separation").
     """
 
     transfer: TransferProblem
@@ -78,52 +79,58 @@ class AvoidanceProblem:
         self,
         start: Float[Array, " n"],
         goal: Float[Array, " n"],
-        spaces: HalfSpaces,
-        gives: Relaxation = "none",
+        half_spaces: HalfSpaces,
+        relaxation: Relaxation = "none",
     ) -> AvoidanceResult:
-        """Fly from start to goal inside the half-spaces.
+        """Solve the transfer from start to goal inside the half-spaces.
 
         Raises:
-            Infeasible: No flight does it, without breaking more than `gives` allows.
+            Infeasible: No trajectory satisfies the constraints that remain.
+            Unsolved: The solver stopped for any other reason.
+            ValueError: The transfer has no steps.
         """
         self.transfer.require_steps()
         if (self.transfer.fuel_norm, self.transfer.control_norm) == (1, "inf"):
-            return self._solve_condensed(start, goal, spaces, gives)
-        return self.solve_cvxpy(start, goal, spaces, gives)
+            return self._solve_condensed(start, goal, half_spaces, relaxation)
+        return self.solve_cvxpy(start, goal, half_spaces, relaxation)
 
     def solve_cvxpy(
-        self, start: Array, goal: Array, spaces: HalfSpaces, gives: Relaxation = "none"
+        self, start: Array, goal: Array, half_spaces: HalfSpaces, relaxation: Relaxation = "none"
     ) -> AvoidanceResult:
-        """The same, by the statement in CVXPY: for any norms, and as a second opinion."""
+        """Solve the same problem in CVXPY, for any norms and as a second opinion."""
         import cvxpy as cp
 
         T, n = len(self.transfer.model), len(start)
         x, u, effort, limits = self.transfer.build_cvxpy(start)
-        late, slack = cp.Variable(n), cp.Variable(len(spaces.rhs), nonneg=True)
-        arrive = x[T] + late == goal
-        kept = spaces.to_cvxpy(x, u)
-        apart = [kept + slack >= spaces.rhs] if len(spaces.rhs) else []
-        price = self._penalty
-        missed = cp.norm1(cp.multiply(self._terminal_error_weights, late)) + 10 * cp.sum(slack)
-        cost = effort + price * missed
+        terminal_error, slack = cp.Variable(n), cp.Variable(len(half_spaces.rhs), nonneg=True)
+        terminal = x[T] + terminal_error == goal
+        kept = half_spaces.to_cvxpy(x, u)
+        separation = [kept + slack >= half_spaces.rhs] if len(half_spaces.rhs) else []
+        penalty = self._penalty
+        violation_cost = cp.norm1(
+            cp.multiply(self._terminal_error_weights, terminal_error)
+        ) + 10 * cp.sum(slack)
+        cost = effort + penalty * violation_cost
         fixed = []
-        if gives == "none":
-            fixed.append(late == 0)
-        if gives != "separation":
+        if relaxation == "none":
+            fixed.append(terminal_error == 0)
+        if relaxation != "separation":
             fixed.append(slack == 0)
-        problem = cp.Problem(cp.Minimize(cost), [*limits, arrive, *apart, *fixed])
+        problem = cp.Problem(cp.Minimize(cost), [*limits, terminal, *separation, *fixed])
         solve_cvxpy(self, problem)
-        return self._make_result(start, goal, np.asarray(u.value), spaces, gives)
+        return self._make_result(start, goal, np.asarray(u.value), half_spaces, relaxation)
 
     def _make_result(
-        self, start: Array, goal: Array, u: Array, spaces: HalfSpaces, gives: Relaxation
+        self, start: Array, goal: Array, u: Array, half_spaces: HalfSpaces, relaxation: Relaxation
     ) -> AvoidanceResult:
-        flight = self.transfer.simulate(start, u)
-        late = 0.0 if gives == "none" else float(np.abs(flight.x[-1] - goal).max())
+        trajectory = self.transfer.simulate(start, u)
+        terminal_error = (
+            0.0 if relaxation == "none" else float(np.abs(trajectory.x[-1] - goal).max())
+        )
         slack = 0.0
-        if gives == "separation":
-            slack = float(spaces.violation(flight.x, flight.u).max(initial=0.0))
-        return AvoidanceResult(flight, late, slack)
+        if relaxation == "separation":
+            slack = float(half_spaces.violation(trajectory.x, trajectory.u).max(initial=0.0))
+        return AvoidanceResult(trajectory, terminal_error, slack)
 
     @cached_property
     def _penalty(self) -> float:
@@ -132,35 +139,35 @@ class AvoidanceProblem:
 
     @cached_property
     def _terminal_error_weights(self) -> Array:
-        # A speed missed weighs as the distance it covers in a step.
+        # An error in velocity weighs as the distance that it covers in a step.
         d = self.transfer.model.axes
         return np.repeat([1.0, self.transfer.model.dt], d)
 
     def _solve_condensed(
-        self, start: Array, goal: Array, spaces: HalfSpaces, gives: Relaxation
+        self, start: Array, goal: Array, half_spaces: HalfSpaces, relaxation: Relaxation
     ) -> AvoidanceResult:
-        """Fast path: the states eliminated, speed limits only where they would be broken."""
-        fast: list[int] = []
+        """Eliminate the states and add speed limits only where a solution violates them."""
+        limited_steps: list[int] = []
         while True:
-            problem = self.assemble_conic(start, goal, spaces, gives, fast)
+            problem = self.assemble_conic(start, goal, half_spaces, relaxation, limited_steps)
             u = self.extract_controls(solve(problem, solve_clarabel).x)
-            passage = self._make_result(start, goal, u, spaces, gives)
-            broken = self.find_speed_violations(passage.trajectory.x, fast)
-            if not len(broken):
-                return passage
-            fast = [*fast, *broken]
+            result = self._make_result(start, goal, u, half_spaces, relaxation)
+            violated = self.find_speed_violations(result.trajectory.x, limited_steps)
+            if not len(violated):
+                return result
+            limited_steps = [*limited_steps, *violated]
 
     def find_speed_violations(self, x: Float[Array, "instants n"], known: list[int]) -> list[int]:
-        """Instants at which a flight breaks the speed limit, beyond those known."""
+        """Find the instants of violated speed limits, other than those known."""
         d = self.transfer.model.axes
         speed = np.linalg.norm(x[1:-1, d:], axis=1)
         over = np.flatnonzero(speed > self.transfer.max_speed * (1 + 1e-9)) + 1
         return [int(k) for k in over if int(k) not in known]
 
-    def extract_controls(self, found: Float[Array, " unknowns"]) -> Float[Array, "T m"]:
-        """The controls in an answer to what `assemble` gives."""
+    def extract_controls(self, unknowns: Float[Array, " unknowns"]) -> Float[Array, "T m"]:
+        """Extract the controls from a solution of the program of `assemble_conic`."""
         T, m = len(self.transfer.model), self.transfer.model.axes
-        plus, minus = found[: T * m], found[T * m : 2 * T * m]
+        plus, minus = unknowns[: T * m], unknowns[T * m : 2 * T * m]
         U = self.transfer.max_control
         return np.asarray(np.clip(U * (plus - minus), -U, U)).reshape(T, m)
 
@@ -168,78 +175,83 @@ class AvoidanceProblem:
         self,
         start: Float[Array, " n"],
         goal: Float[Array, " n"],
-        spaces: HalfSpaces,
-        gives: Relaxation,
-        fast: list[int],
+        half_spaces: HalfSpaces,
+        relaxation: Relaxation,
+        limited_steps: list[int],
     ) -> ConicProgram:
-        """The programme with the states eliminated, and speed limits at some instants.
+        """Assemble the program with the states eliminated and speed limits at some instants.
 
-        Unknowns are u⁺ and u⁻ in units of U, then lateness ± in metres, then slack.
+        Unknowns are u⁺ and u⁻ in units of U, then both signs of the terminal error in meters,
+        then the slacks of the half-spaces.
         """
-        transfer, (R, lower) = self.transfer, self.transfer.response_matrices
+        transfer, (R, factor) = self.transfer, self.transfer.response_matrices
         T, n, m = transfer.model.B.shape
         U, N = transfer.max_control, T * m
         free = transfer.coast(start)
-        on_u, room = condense_half_spaces(transfer, spaces, free)
-        near = U * np.abs(on_u).sum(axis=1) > room  # the many that no control can break are out
-        on_u, room = on_u[near], room[near]
-        rows = len(room)
-        lates = 0 if gives == "none" else n
-        slacks = rows if gives == "separation" else 0
-        columns = 2 * N + 2 * lates + slacks
-        slack_at = 2 * N + 2 * lates
+        coeffs, rhs = condense_half_spaces(transfer, half_spaces, free)
+        breakable = U * np.abs(coeffs).sum(axis=1) > rhs  # most rows hold for any control
+        coeffs, rhs = coeffs[breakable], rhs[breakable]
+        rows = len(rhs)
+        error_columns = 0 if relaxation == "none" else n
+        slack_columns = rows if relaxation == "separation" else 0
+        columns = 2 * N + 2 * error_columns + slack_columns
+        slack_start = 2 * N + 2 * error_columns
 
         fuel = U * transfer.model.dt * np.repeat(transfer.weights, m)
-        price = self._penalty
-        q = np.concatenate([fuel, fuel, np.full(2 * lates, price), np.full(slacks, 10 * price)])
+        penalty = self._penalty
+        q = np.concatenate(
+            [fuel, fuel, np.full(2 * error_columns, penalty), np.full(slack_columns, 10 * penalty)]
+        )
 
-        whiten = np.linalg.inv(lower)
-        arrive = np.zeros((n, columns))
-        arrive[:, :N] = U * whiten @ R[T]
-        arrive[:, N : 2 * N] = -arrive[:, :N]
-        if lates:
-            unit = whiten / self._terminal_error_weights
-            arrive[:, 2 * N : 2 * N + n], arrive[:, 2 * N + n : slack_at] = unit, -unit
+        whitening = np.linalg.inv(factor)
+        terminal = np.zeros((n, columns))
+        terminal[:, :N] = U * whitening @ R[T]
+        terminal[:, N : 2 * N] = -terminal[:, :N]
+        if error_columns:
+            unit = whitening / self._terminal_error_weights
+            terminal[:, 2 * N : 2 * N + n], terminal[:, 2 * N + n : slack_start] = unit, -unit
         scale = 1 / U
-        arrive, reach = scale * arrive, scale * whiten @ (goal - free[T])
+        terminal, terminal_rhs = scale * terminal, scale * whitening @ (goal - free[T])
 
-        apart = np.zeros((rows, columns))
-        apart[:, :N], apart[:, N : 2 * N] = -U * on_u, U * on_u
-        apart[np.arange(slacks), slack_at + np.arange(slacks)] = -1
+        separation = np.zeros((rows, columns))
+        separation[:, :N], separation[:, N : 2 * N] = -U * coeffs, U * coeffs
+        separation[np.arange(slack_columns), slack_start + np.arange(slack_columns)] = -1
 
-        sides = np.concatenate([np.ones(2 * N), np.zeros(columns)])
-        cones, tops = self._assemble_speed_cones(R, free, fast, columns)
-        A = _stack_with_bounds(np.vstack([arrive, apart]), 2 * N, cones)
-        b = np.concatenate([reach, room, sides, tops])
-        return ConicProgram(q, A, b, n, rows + len(sides), (transfer.model.axes + 1,) * len(fast))
+        bound_rhs = np.concatenate([np.ones(2 * N), np.zeros(columns)])
+        cone_rows, cone_rhs = self._assemble_speed_cones(R, free, limited_steps, columns)
+        A = _stack_with_bounds(np.vstack([terminal, separation]), 2 * N, cone_rows)
+        b = np.concatenate([terminal_rhs, rhs, bound_rhs, cone_rhs])
+        return ConicProgram(
+            q, A, b, n, rows + len(bound_rhs), (transfer.model.axes + 1,) * len(limited_steps)
+        )
 
     def _assemble_speed_cones(
-        self, R: Array, free: Array, fast: list[int], columns: int
+        self, R: Array, free: Array, limited_steps: list[int], columns: int
     ) -> tuple[Array, Array]:
         d, U = self.transfer.model.axes, self.transfer.max_control
         N = R.shape[2]
-        cones = np.zeros((len(fast), d + 1, columns))
-        tops = np.zeros((len(fast), d + 1))
-        for row, k in enumerate(fast):
-            cones[row, 1:, :N], cones[row, 1:, N : 2 * N] = -U * R[k, d:], U * R[k, d:]
-            tops[row, 0], tops[row, 1:] = self.transfer.max_speed, free[k, d:]
-        return cones.reshape(-1, columns), tops.ravel()
+        cone_rows = np.zeros((len(limited_steps), d + 1, columns))
+        cone_rhs = np.zeros((len(limited_steps), d + 1))
+        for row, k in enumerate(limited_steps):
+            cone_rows[row, 1:, :N], cone_rows[row, 1:, N : 2 * N] = -U * R[k, d:], U * R[k, d:]
+            cone_rhs[row, 0], cone_rhs[row, 1:] = self.transfer.max_speed, free[k, d:]
+        return cone_rows.reshape(-1, columns), cone_rhs.ravel()
 
 
 def condense_half_spaces(
-    transfer: TransferProblem, spaces: HalfSpaces, free: Float[Array, "instants n"]
+    transfer: TransferProblem, half_spaces: HalfSpaces, free: Float[Array, "instants n"]
 ) -> tuple[Float[Array, "rows controls"], Float[Array, " rows"]]:
-    """on_u and room of −on_u · u ≤ room, for flights that coast as given."""
+    """Eliminate the states: coeffs and rhs of −coeffs · u ≤ rhs, given the free motion."""
     R, m = transfer.response_matrices[0], transfer.model.axes
-    on_u = np.einsum("rn,rnj->rj", spaces.state_coeffs, R[spaces.step_index])
-    for r, k in enumerate(spaces.step_index):
-        on_u[r, k * m : (k + 1) * m] += spaces.control_coeffs[r]
-    room = (spaces.state_coeffs * free[spaces.step_index]).sum(1) - spaces.rhs
-    return on_u, room
+    coeffs = np.einsum("rn,rnj->rj", half_spaces.state_coeffs, R[half_spaces.step_index])
+    for r, k in enumerate(half_spaces.step_index):
+        coeffs[r, k * m : (k + 1) * m] += half_spaces.control_coeffs[r]
+    rhs = (half_spaces.state_coeffs * free[half_spaces.step_index]).sum(1) - half_spaces.rhs
+    return coeffs, rhs
 
 
 def _stack_with_bounds(above: Array, count: int, below: Array) -> csc_array:
-    """Rows, then x ≤ 1 for as many unknowns, then x ≥ 0 for all, then rows; as it is sparse."""
+    """Stack rows, x ≤ 1 for the first unknowns, x ≥ 0 for all, and rows, as a sparse matrix."""
     first, columns = above.shape
     own, last = np.arange(columns), first + count + columns
     value = np.vstack([above, own < count, -np.ones(columns), below]).T
@@ -255,6 +267,6 @@ def _stack_with_bounds(above: Array, count: int, below: Array) -> csc_array:
 
 
 def empty_half_spaces(transfer: TransferProblem) -> HalfSpaces:
-    """Half-spaces for an agent that meets nobody."""
+    """Return no half-spaces, for an agent without conflicts."""
     n, m = transfer.model.B.shape[1:]
     return HalfSpaces(np.zeros(0, int), np.zeros((0, n)), np.zeros((0, m)), np.zeros(0))

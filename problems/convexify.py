@@ -1,9 +1,9 @@
-"""From nominal paths to half-spaces: the convexification of Sec. IV.A [Morgan2016, eq. 38].
+"""Convexification of collision avoidance: half-spaces about nominal trajectories.
 
-The distance is kept by pieces of path and not at samples. Two agents are apart over a
-piece when the hull of their relative control points is outside the circle of radius R.
-That implies the same for the continuous path, and with the normals chosen as the
-directions to the hulls, Propositions 4 to 6 hold for it word for word.
+[Morgan2016, Sec. IV.A, eq. 38] for pieces of the trajectories instead of samples. Two agents
+keep the distance over a piece where the convex hull of their relative control points lies
+outside the circle of radius R. That implies the same for the continuous trajectory, and with
+normals along the directions to the hulls, Propositions 4 to 6 hold unchanged.
 """
 
 from dataclasses import dataclass
@@ -21,35 +21,35 @@ from problems.avoidance import HalfSpaces
 
 PassingSide = Literal["same", "opposite", "above", "below"]
 
-SEPARATION_TOLERANCE = 1e-6  # part of R by which paths are planned to be further apart than asked
+SEPARATION_TOLERANCE = 1e-6  # part of R that planned trajectories keep in addition
 
 
 @dataclass(frozen=True, eq=False)
 class AvoidanceHorizon:
-    """The steps for which collisions are looked for, cut into pieces between the samples."""
+    """Steps of collision avoidance, divided into pieces between the samples."""
 
-    discrete_model: DiscreteModel  # the steps to come, at least as many as the horizon has
-    fine_model: DiscreteModel  # the same time in steps a whole number of times shorter
-    collision_radius: float  # R_col, with what the pieces could miss [m]
+    discrete_model: DiscreteModel  # the next T_H steps
+    fine_model: DiscreteModel  # the same time span, each step divided into equal pieces
+    collision_radius: float  # R_col plus the interpolation error of the pieces [m]
 
     @cached_property
     def pieces_per_step(self) -> int:
-        """Pieces in a step."""
+        """Number of pieces in a step."""
         return len(self.fine_model) // len(self.discrete_model)
 
     @property
     def steps(self) -> int:
-        """T_H."""
+        """Number of steps of the horizon, T_H."""
         return len(self.discrete_model)
 
     @cached_property
     def required_separation(self) -> float:
-        """The distance that paths are planned to keep [m]."""
+        """Distance of planned trajectories [m]."""
         return self.collision_radius * (1 + SEPARATION_TOLERANCE)
 
     @cached_property
     def control_point_maps(self) -> tuple[Array, Array, Array]:
-        """P, Q, r: control points c = P x[k] + Q u[k] + r, as (T_H, pieces, 4, d, ·)."""
+        """P, Q, r of the control points c = P x[k] + Q u[k] + r, each (T_H, pieces, 4, d, ·)."""
         T, S, d, h = self.steps, self.pieces_per_step, self.discrete_model.axes, self.fine_model.dt
         n = 2 * d
         P, Q, r = np.zeros((T, S, 4, d, n)), np.zeros((T, S, 4, d, d)), np.zeros((T, S, 4, d))
@@ -72,7 +72,7 @@ class AvoidanceHorizon:
     def control_points(
         self, x: Float[Array, "*agents instants n"], u: Float[Array, "*agents T m"]
     ) -> Float[Array, "*agents pieces 4 d"]:
-        """Control points over the horizon; after its last step an agent drifts."""
+        """Compute the control points over the horizon; after its last control an agent coasts."""
         P, Q, r = self.control_point_maps
         T = min(u.shape[-2], self.steps)
         rest = self.steps - T
@@ -89,18 +89,21 @@ class AvoidanceHorizon:
 def are_hulls_separated(
     relative: Float[Array, "*pairs 4 d"], radius: float
 ) -> Bool[Array, "*pairs"]:
-    """Whether the hull of the control points stays outside the circle."""
-    outside = are_balls_separated(relative, radius)
-    near = ~outside
+    """Return True where the hull of the control points lies outside the circle."""
+    separated = are_balls_separated(relative, radius)
+    near = ~separated
     if near.any():
-        outside[near] = hull_distance(relative[near])[0] >= radius
-    return outside
+        separated[near] = hull_distance(relative[near])[0] >= radius
+    return separated
 
 
 def are_balls_separated(
     relative: Float[Array, "*pairs 4 d"], radius: float
 ) -> Bool[Array, "*pairs"]:
-    """Whether a ball about the control points stays outside the circle: quickly, and enough."""
+    """Return True where a ball about the control points lies outside the circle.
+
+    Sufficient for `are_hulls_separated`, and much faster.
+    """
     flat = np.ascontiguousarray(relative).reshape(-1, *relative.shape[-2:])
     return np.asarray(_are_balls_separated(flat, radius)).reshape(relative.shape[:-2])
 
@@ -109,23 +112,23 @@ def are_balls_separated(
 @no_type_check
 def _are_balls_separated(relative, radius):
     count, _, d = relative.shape
-    outside = np.empty(count, np.bool_)
+    separated = np.empty(count, np.bool_)
     middle = np.empty(d)
     for q in range(count):
-        away = 0.0
+        center_distance = 0.0
         for a in range(d):
             middle[a] = (
                 relative[q, 0, a] + relative[q, 1, a] + relative[q, 2, a] + relative[q, 3, a]
             ) / 4
-            away += middle[a] ** 2
-        spread = 0.0
+            center_distance += middle[a] ** 2
+        radius_squared = 0.0
         for i in range(4):
             size = 0.0
             for a in range(d):
                 size += (relative[q, i, a] - middle[a]) ** 2
-            spread = max(spread, size)
-        outside[q] = np.sqrt(away) - np.sqrt(spread) >= radius
-    return outside
+            radius_squared = max(radius_squared, size)
+        separated[q] = np.sqrt(center_distance) - np.sqrt(radius_squared) >= radius
+    return separated
 
 
 def convexify(
@@ -134,91 +137,92 @@ def convexify(
     others: Float[Array, "others pieces 4 d"],
     normal: Float[Array, "others pieces d"],
 ) -> HalfSpaces:
-    """n·(c − c̄) ≥ R for every control point c that an agent can still move [Morgan2016, eq. 64].
+    """Constrain n·(c − c̄) ≥ R for every movable control point c [Morgan2016, eq. 64].
 
     Args:
-        horizon: How far to look, and how paths are cut.
-        T: Steps that the agent has left; after them it drifts.
-        others: Paths to keep clear of [m].
-        normal: Directions to keep to, see `normals`.
+        horizon: Avoidance horizon and its pieces.
+        T: Steps that the agent has left; after them it coasts.
+        others: Control points c̄ of the other agents [m].
+        normal: Unit normals n of the half-spaces, see `choose_normals`.
     """
     P, Q, r = horizon.control_point_maps
     d, S = r.shape[-1], r.shape[1]
     T = min(T, len(P))
     n = normal.reshape(len(others), len(P), S, d)[:, :T]
-    theirs = others.reshape(len(others), len(P), S, 4, d)[:, :T]
+    other_points = others.reshape(len(others), len(P), S, 4, d)[:, :T]
     on_state = np.einsum("aksd,ksidn->aksin", n, P[:T])
     on_control = np.einsum("aksd,ksidm->aksim", n, Q[:T])
-    least = horizon.required_separation + np.einsum("aksd,aksid->aksi", n, theirs - r[:T])
-    step = np.broadcast_to(np.arange(T)[:, None, None], least.shape[1:])
+    rhs = horizon.required_separation + np.einsum("aksd,aksid->aksi", n, other_points - r[:T])
+    step = np.broadcast_to(np.arange(T)[:, None, None], rhs.shape[1:])
     movable = (step > 0) | np.any(Q[:T] != 0, axis=(3, 4))
-    rows = np.broadcast_to(movable, least.shape).ravel()
+    rows = np.broadcast_to(movable, rhs.shape).ravel()
     return HalfSpaces(
-        np.broadcast_to(step, least.shape).ravel()[rows],
+        np.broadcast_to(step, rhs.shape).ravel()[rows],
         on_state.reshape(-1, 2 * d)[rows],
         on_control.reshape(-1, d)[rows],
-        least.ravel()[rows],
+        rhs.ravel()[rows],
     )
 
 
 def choose_normals(
     relative: Float[Array, "above pieces 4 d"], separation: float, side: PassingSide = "same"
 ) -> Float[Array, "above pieces d"]:
-    """Directions of the half-spaces, a unit vector a piece [Morgan2016, Fig. 2].
+    """Choose the unit normals of the half-spaces, one a piece [Morgan2016, Fig. 2].
 
-    Over a piece that is clear: from the other agent to the nominal, which then satisfies
-    its own half-space. Two nominals that collide have no such directions, so theirs are
-    read off a nominal that is pushed aside at the closest approach, more and more as it
-    gets there, until it just passes.
+    Over a piece without conflict: from the other agent to the nominal trajectory, which then
+    satisfies its own half-space. Two nominal trajectories in conflict have no such normals;
+    theirs belong to a nominal trajectory that is displaced sideways at the closest approach,
+    gradually before it, until it just passes.
 
     Args:
-        relative: Control points of the nominal less those of the others [m].
-        keep: Distance to keep [m].
-        way: Where to push a colliding nominal: to the side on which it passes already, to the
-            other, or, in space, over or under the plane of the miss and the motion.
+        relative: Control points of the nominal trajectory less those of the others [m].
+        separation: Required distance [m].
+        side: Displacement in a conflict: to the side of the closest approach ("same"), to the
+            opposite one, or, in space, above or below the plane of closest approach and motion.
     """
     distance, nearest = hull_distance(relative)
-    pushed = relative
-    collides = np.flatnonzero(distance.min(axis=1) < separation)
-    if len(collides):
-        pushed = relative.copy()
-        for a in collides:
-            pushed[a] += _passing_displacement(
+    displaced = relative
+    conflicts = np.flatnonzero(distance.min(axis=1) < separation)
+    if len(conflicts):
+        displaced = relative.copy()
+        for a in conflicts:
+            displaced[a] += _passing_displacement(
                 relative[a], distance[a], nearest[a], separation, side
             )
-        distance, nearest = hull_distance(pushed)
+        distance, nearest = hull_distance(displaced)
     inside = distance <= 0
-    nearest[inside] = pushed[inside].mean(axis=-2)  # only where even the push is in vain
+    # Here even the displacement does not suffice.
+    nearest[inside] = displaced[inside].mean(axis=-2)
     length = np.linalg.norm(nearest, axis=-1, keepdims=True)
     return np.asarray(nearest / np.maximum(length, 1e-300))
 
 
 def _passing_displacement(
-    relative: Array, distance: Array, nearest: Array, keep: float, way: PassingSide
+    relative: Array, distance: Array, nearest: Array, separation: float, side: PassingSide
 ) -> Float[Array, "pieces 4 d"]:
     p = int(np.argmin(distance))
-    miss = float(distance[p])
-    aside = nearest[p] / miss if miss > 1e-6 * keep else _perpendicular(relative[p])
-    push = (keep - miss) * aside
-    if way == "opposite":
-        push = -(keep + miss) * aside
-    elif way != "same":
-        up = np.cross(aside, relative[p, -1] - relative[p, 0])
+    closest = float(distance[p])
+    across = nearest[p] / closest if closest > 1e-6 * separation else _perpendicular(relative[p])
+    displacement = (separation - closest) * across
+    if side == "opposite":
+        displacement = -(separation + closest) * across
+    elif side != "same":
+        up = np.cross(across, relative[p, -1] - relative[p, 0])
         size = float(np.linalg.norm(up))
         up = (
             up / size
             if size > 0
-            else _perpendicular(np.tile(aside, (4, 1)) * np.arange(4)[:, None])
+            else _perpendicular(np.tile(across, (4, 1)) * np.arange(4)[:, None])
         )
-        push = (keep**2 - miss**2) ** 0.5 * (up if way == "above" else -up)
-    # Control points stand at thirds of a piece; the push grows as the reach of a control.
+        displacement = (separation**2 - closest**2) ** 0.5 * (up if side == "above" else -up)
+    # Control points stand at thirds of a piece; a constant control displaces quadratically.
     time = np.arange(len(relative))[:, None] + np.arange(4) / 3
     ramp = np.minimum(1.0, time / (p + 0.5)) ** 2
-    return np.asarray(1.2 * ramp[..., None] * push)
+    return np.asarray(1.2 * ramp[..., None] * displacement)
 
 
 def _perpendicular(piece: Float[Array, "4 d"]) -> Float[Array, " d"]:
-    """A unit vector across the motion: to its right in the plane, and as near it in space."""
+    """Return a horizontal unit vector across the motion, to its right."""
     along = piece[-1] - piece[0]
     across = np.zeros_like(along)
     across[:2] = along[1], -along[0]

@@ -1,4 +1,4 @@
-"""What is asked for when a formation is asked for: a shape, and who measures whom in it."""
+"""Desired formation: a shape and the graph of relative measurements."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,47 +9,47 @@ from numpy import ndarray as Array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import pdist, squareform
 
-FLATNESS_TOLERANCE = (
-    0.01  # of a flat formation, all heights are nearer to the middle of their range [m]
-)
-MAX_COORDINATE = (
-    1e9  # no coordinate is larger: squares must not overflow, nor metres be lost in rounding [m]
-)
+FLATNESS_TOLERANCE = 0.01  # half the range of heights that counts as flat [m]
+MAX_COORDINATE = 1e9  # squares must not overflow, and rounding must stay below a meter [m]
 COINCIDENCE_TOLERANCE = 1e-9  # of the extent: points closer than this coincide
 
 
 @dataclass(frozen=True, eq=False)
 class DesiredFormation:
-    """A shape, and who measures whom in it [Lusk2020, sec. II].
+    """Shape and measurement graph of a formation [Lusk2020, sec. II].
 
-    The shape is meant up to translation, rotation about the vertical and, horizontally and
-    vertically by itself, size. All that the gains must leave alone is therefore spanned by
-    p = x + jy and 1 in the plane (over the complex numbers), and by z and 1 upwards; in a
+    The shape is defined up to translation, rotation about the vertical and separate
+    horizontal and vertical scaling. The gains must therefore have the kernel spanned by
+    p = x + jy and 1 horizontally (over the complex numbers), and by z and 1 vertically; in a
     flat formation by 1 alone, and its heights count as equal.
+
+    Raises:
+        ValueError: Points coincide or are not finite, or the graph is asymmetric,
+            disconnected or has a vertex of fewer than two neighbors.
     """
 
     points: Float[Array, "n 3"]  # [m]
-    graph: Bool[Array, "n n"]  # symmetric, without loops; True where two are neighbours
+    graph: Bool[Array, "n n"]  # symmetric, False on the diagonal; True for neighbors
     name: str = ""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be a formation."""
+        """Refuse invalid points and graphs."""
         _validate_points(self.points)
         _validate_graph(self.graph, len(self.points))
 
     @classmethod
     def with_complete_graph(cls, points: Float[Array, "n 3"], name: str = "") -> "DesiredFormation":
-        """A formation in which everybody measures everybody."""
+        """Build a formation in which every agent measures every other one."""
         return cls(points, ~np.eye(len(points), dtype=bool), name)
 
     @property
     def planar_points(self) -> Complex[Array, " n"]:
-        """The points seen from above, x + jy [m]."""
+        """Horizontal coordinates of the points, x + jy [m]."""
         return np.asarray(self.points[:, 0] + 1j * self.points[:, 1])
 
     @property
     def is_flat(self) -> bool:
-        """Whether the heights count as equal."""
+        """True where the heights count as equal."""
         return bool(np.ptp(self.points[:, 2]) < 2 * FLATNESS_TOLERANCE)
 
     @cached_property
@@ -69,12 +69,12 @@ class DesiredFormation:
 
 
 def _kernel_basis(column: Array, extent: float) -> Array:
-    # Centred, the column is orthogonal to 1, and its size says whether it counts.
+    # The centered column is orthogonal to 1; it counts where its norm is not rounding.
     ones = np.full(len(column), len(column) ** -0.5, dtype=column.dtype)
-    centred = column - column.mean()
-    centred = centred - ones * (ones @ centred)  # once more, for points far from the origin
-    size = np.linalg.norm(centred)
-    columns = [centred / size, ones] if size > COINCIDENCE_TOLERANCE * extent else [ones]
+    centered = column - column.mean()
+    centered = centered - ones * (ones @ centered)  # once more, for points far from the origin
+    size = np.linalg.norm(centered)
+    columns = [centered / size, ones] if size > COINCIDENCE_TOLERANCE * extent else [ones]
     return np.stack(columns, axis=1)
 
 
@@ -86,7 +86,8 @@ def _validate_points(points: Array) -> None:
     if not near.all():
         i = int(np.argwhere(~near)[0, 0])
         raise ValueError(
-            f"point {i} is {points[i]}: coordinates must be finite numbers, at most {MAX_COORDINATE:.0e} m"
+            f"point {i} is {points[i]}: coordinates must be finite numbers, "
+            f"at most {MAX_COORDINATE:.0e} m"
         )
     apart = squareform(pdist(points))
     np.fill_diagonal(apart, np.inf)
@@ -100,21 +101,21 @@ def _validate_graph(graph: Array, n: int) -> None:
         raise ValueError(f"{n} points need a graph of {n} × {n}, got {graph.shape}")
     if graph.diagonal().any():
         i = int(np.argmax(graph.diagonal()))
-        raise ValueError(f"vertex {i} is its own neighbour: clear the diagonal of the graph")
+        raise ValueError(f"vertex {i} is its own neighbor: clear the diagonal of the graph")
     if (graph != graph.T).any():
         i, j = np.argwhere(graph & ~graph.T)[0]
-        raise ValueError(f"edge {i}–{j} has no way back: set {j}–{i} too, neighbours are mutual")
+        raise ValueError(f"edge {i}–{j} is missing in the other direction: set {j}–{i} too")
     parts, part = connected_components(graph, directed=False)
     if parts > 1:
         small = np.flatnonzero(part == np.bincount(part).argmin())
         raise ValueError(
-            f"no edge joins {_format_vertices(small)} to the rest of the graph: add some"
+            f"no edge joins {_format_vertices(small)} to the rest of the graph: add at least one"
         )
     sparse = np.flatnonzero(graph.sum(axis=1) < 2)
     if len(sparse):
         raise ValueError(
             f"the graph is too sparse at {_format_vertices(sparse)}: "
-            "fewer than two neighbours do not say where a vertex belongs"
+            "every vertex needs at least two neighbors"
         )
 
 

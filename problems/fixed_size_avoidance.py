@@ -1,7 +1,7 @@
-"""A transfer among half-spaces with room for a fixed number of them: for code written once.
+"""Avoidance problem of fixed size, for compiled code.
 
-`Avoidance` writes a programme as large as it must be, for each question anew. On board the
-programme is compiled, so its size is fixed, and only numbers differ between questions.
+`AvoidanceProblem` assembles a program of the size that each case needs. On board the program
+is compiled, so its size is fixed, and only its parameters change.
 """
 
 from dataclasses import dataclass
@@ -18,52 +18,53 @@ from problems.transfer import TransferProblem
 
 @dataclass(frozen=True, eq=False)
 class FixedSizeAvoidanceProblem:
-    """The statement of `Avoidance` for q = 1 and r = ∞, in units of the order of 1.
+    """`AvoidanceProblem` for q = 1 and r = ∞, scaled to the order of 1.
 
-        minimise    Σ w[k] (u⁺ + u⁻)
+        minimize    Σ w[k] (u⁺ + u⁻)
         subject to  y[k+1] = A y[k] + B (u⁺[k] − u⁻[k]),  y[0] = 0,  y[T] = reach
                     u⁺, u⁻ ≥ 0,  u⁺ + u⁻ ≤ 1
                     ‖coasting[k] + H y[k]‖₂ ≤ 1,  k = 1 … T−1
                     on_state · y[k] + on_control · (u⁺[k] − u⁻[k]) ≤ room
 
-    y is the distance of the states from the free motion, in `units`; u⁺ and u⁻ are in units
-    of U, and speeds under the cones in units of V. A row of a half-space that is not needed
-    is 0 ≤ 1. The lower-case words are the data.
+    y is the deviation of the states from the free motion in `state_units`; u⁺ and u⁻ are in
+    units of U, and speeds in the cones in units of V. An unused row is 0 ≤ 1. The words in
+    lower case are the parameters.
     """
 
-    transfer: TransferProblem  # whose steps are all alike
+    transfer: TransferProblem  # with the same matrices at every step
     horizon_steps: int  # steps with half-spaces
-    rows_per_step: int  # half-spaces in each of these for which there is room
+    rows_per_step: int  # largest number of half-spaces in each of these
 
     def __post_init__(self) -> None:
-        """Refuse what needs another programme."""
+        """Refuse other norms, time-varying matrices and empty sizes."""
         t = self.transfer
         if (t.fuel_norm, t.control_norm) != (1, "inf"):
             raise ValueError(
-                "this programme is for fuel norm 1 and control norm inf, got "
+                'fuel_norm must be 1 and control_norm "inf" for compiled code, got '
                 f"{t.fuel_norm} and {t.control_norm}"
             )
         for name, matrices in (("A", t.model.A), ("B", t.model.B), ("z", t.model.z)):
             if not np.array_equal(matrices, np.broadcast_to(matrices[:1], matrices.shape)):
-                raise ValueError(f"{name} must be the same at every step, for code knows no time")
+                raise ValueError(f"{name} must be the same at every step for compiled code")
         if (
             len(t.model) < 2
             or not 1 <= self.horizon_steps <= len(t.model)
             or self.rows_per_step < 1
         ):
             raise ValueError(
-                "there must be two steps or more, half-spaces in one of them to all, and room for "
-                f"one or more in each, got {len(t.model)}, {self.horizon_steps} and {self.rows_per_step}"
+                "there must be at least 2 steps, horizon_steps from 1 to the number of steps, and "
+                "rows_per_step at least 1, got "
+                f"{len(t.model)}, {self.horizon_steps} and {self.rows_per_step}"
             )
 
     @property
     def has_speed_limit(self) -> bool:
-        """Whether there is a speed limit."""
+        """True where the transfer has a speed limit."""
         return isfinite(self.transfer.max_speed)
 
     @cached_property
     def state_units(self) -> Float[Array, " n"]:
-        """Of y: a speed that can be reached, and what it covers in the time [m, m/s]."""
+        """Units of y: a reachable speed and the distance that it covers in the time [m, m/s]."""
         steps = self.transfer.model
         duration = len(steps) * steps.dt
         speed = min(self.transfer.max_speed, self.transfer.max_control * duration)
@@ -71,11 +72,11 @@ class FixedSizeAvoidanceProblem:
 
     @cached_property
     def row_steps(self) -> Int[Array, " rows_per_step"]:
-        """The step of each row."""
+        """Step of each row."""
         return np.repeat(np.arange(self.horizon_steps), self.rows_per_step)
 
     def to_cvxpy(self) -> Any:
-        """The programme in CVXPY, the data its parameters; vectors are columns."""
+        """Express the program in CVXPY with its parameters; vectors are columns."""
         import cvxpy as cp
 
         transfer, units, step = self.transfer, self.state_units, self.row_steps

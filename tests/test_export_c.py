@@ -220,7 +220,7 @@ def test_what_cannot_be_written_once_is_refused():
     steps = discretize_zoh(DoubleIntegrator(2), 1.0, 6)
     with pytest.raises(ValueError, match="fuel norm 1 and control norm inf, got 2 and inf"):
         FixedSizeAvoidanceProblem(TransferProblem(steps, 0.1, fuel_norm=2), 3, 4)
-    with pytest.raises(ValueError, match="two steps or more"):
+    with pytest.raises(ValueError, match="at least 2 steps"):
         FixedSizeAvoidanceProblem(TransferProblem(steps, 0.1), 7, 4)
     changing = replace(steps, A=steps.A * np.linspace(1, 1.1, 6)[:, None, None])
     with pytest.raises(ValueError, match="A must be the same at every step"):
