@@ -19,7 +19,7 @@ Norm = Literal[1, 2, "inf"]
 
 
 class Trajectory(NamedTuple):
-    """One trajectory and its price."""
+    """States, controls and fuel of one agent."""
 
     x: Float[Array, "T+1 n"]  # states
     u: Float[Array, "T m"]  # accelerations, held over each step [m/s²]
@@ -28,17 +28,17 @@ class Trajectory(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TransferProblem:
-    """Reach the goal with the least fuel.
+    """Fuel-optimal transfer from a state to a target.
 
-        minimise    Δt Σ w[k] ‖u[k]‖_q
+        minimize    Δt Σ w[k] ‖u[k]‖_q
         subject to  x[k+1] = A[k] x[k] + B[k] u[k] + z[k]    (10)
                     ‖u[k]‖_r ≤ U                             (12)
-                    x[0] = start,  x[T] = goal               (14), (18)
+                    x[0] = start,  x[T] = target             (14), (18)
                     ‖H x[k]‖₂ ≤ V,  k = 1 … T−1              (66)
 
-    The speeds at both ends are data and not decisions. The weights are 1 in the paper.
-    With q = 1 the optimum is often not unique, and a slight slope in the weights says
-    which of the equals is meant (`ends_first`).
+    H selects the velocity. The speeds at both ends are data and need not keep the limit. The
+    weights are 1 in the paper; with q = 1 the optimum is often not unique, and weights that rise
+    slightly select one, see `tie_break_weights`.
     """
 
     model: DiscreteModel
@@ -46,24 +46,24 @@ class TransferProblem:
     max_speed: float = inf  # V [m/s]
     fuel_norm: Norm = 1  # q
     control_norm: Norm = "inf"  # r
-    tie_break_rise: float = 0.0  # by which burns in the middle cost more than burns at the ends
+    tie_break_rise: float = 0.0  # of the weights, from the ends to the middle
 
     def __post_init__(self) -> None:
-        """Refuse limits that no flight could keep."""
+        """Check the limits."""
         if not 0 < self.max_control < inf or not self.max_speed > 0:
             raise ValueError(
-                "limits must be positive, and that of the control finite, got "
+                "max_control must be positive and finite and max_speed positive, got "
                 f"max_control = {self.max_control} and max_speed = {self.max_speed}"
             )
 
     @cached_property
     def weights(self) -> Float[Array, " T"]:
-        """w, the price of a unit of control at each step."""
+        """Weights w of the fuel at each step."""
         return tie_break_weights(len(self.model), self.tie_break_rise)
 
     @cached_property
     def response_matrices(self) -> tuple[Array, Array]:
-        """R and L, for all that eliminates the states.
+        """R and L, for programs in which the states are eliminated.
 
         x[k] = Φ[k] x₀ + ζ[k] + R[k] u with u flattened, and L⁻¹ R[T] has orthonormal rows;
         L is the identity where the steps are too few to reach every state.
@@ -78,7 +78,7 @@ class TransferProblem:
         return R, np.linalg.qr(R[T].T)[1].T
 
     def coast(self, start: Float[Array, "*many n"]) -> Float[Array, "*many instants n"]:
-        """States without a burn, Φ[k] x₀ + ζ[k]."""
+        """Compute the states without control, Φ[k] x₀ + ζ[k]."""
         ζ, Φ = self._free_response
         return ζ + np.tensordot(start, Φ, 1)
 
@@ -89,29 +89,31 @@ class TransferProblem:
         return ζ, self.model.simulate(np.eye(n), np.zeros((n, T, m))) - ζ
 
     def require_steps(self) -> None:
-        """Refuse a question that leaves no step to burn in.
+        """Check that there is a step.
 
         Raises:
             ValueError: There is none.
         """
         if len(self.model) == 0:
-            raise ValueError("there must be at least one step to burn in")
+            raise ValueError("a transfer needs at least one step")
 
-    def solve(self, start: Float[Array, " n"], goal: Float[Array, " n"]) -> Trajectory:
-        """Fly from start to goal, by the statement.
+    def solve(self, start: Float[Array, " n"], target: Float[Array, " n"]) -> Trajectory:
+        """Solve with CVXPY, which is compiled once.
 
         Raises:
-            Infeasible: The goal is out of reach in this time.
+            Infeasible: The target is unreachable in this time.
+            Unsolved: The solver stopped for any other reason.
+            ValueError: There is no step.
         """
         self.require_steps()
         problem, u = self._cvxpy_problem
         parameters = problem.param_dict
-        parameters["start"].value, parameters["goal"].value = start, goal
+        parameters["start"].value, parameters["target"].value = start, target
         solve_cvxpy(self, problem)
         return self.simulate(start, np.asarray(u.value))
 
     def simulate(self, start: Float[Array, " n"], u: Float[Array, "T m"]) -> Trajectory:
-        """The flight under given controls."""
+        """Simulate the trajectory of given controls."""
         fuel = float(compute_fuel(u, self.model.dt, self.fuel_norm))
         return Trajectory(self.model.simulate(start, u), u, fuel)
 
@@ -120,48 +122,52 @@ class TransferProblem:
         import cvxpy as cp
 
         n = self.model.A.shape[1]
-        start, goal = cp.Parameter(n, name="start"), cp.Parameter(n, name="goal")
-        x, u, effort, limits = self.build_cvxpy(start)
-        arrive = x[len(self.model)] == goal
-        return cp.Problem(cp.Minimize(effort), [*limits, arrive]), u
+        start, target = cp.Parameter(n, name="start"), cp.Parameter(n, name="target")
+        x, u, fuel, limits = self.build_cvxpy(start)
+        arrival = x[len(self.model)] == target
+        return cp.Problem(cp.Minimize(fuel), [*limits, arrival]), u
 
     def build_cvxpy(self, start: Any) -> tuple[Any, Any, Any, list[Any]]:
-        """Variables, cost and constraints in CVXPY, all but the arrival."""
+        """Build variables x and u, cost and constraints in CVXPY, all but the arrival."""
         import cvxpy as cp
 
         A, B, z, dt = self.model.A, self.model.B, self.model.z, self.model.dt
         T, n, m = B.shape
         x, u = cp.Variable((T + 1, n)), cp.Variable((T, m))
-        effort = dt * self.weights @ cp.norm(u, self.fuel_norm, axis=1)
+        fuel = dt * self.weights @ cp.norm(u, self.fuel_norm, axis=1)
         motion = [x[k + 1] == A[k] @ x[k] + B[k] @ u[k] + z[k] for k in range(T)]
         limits = [x[0] == start, *motion, cp.norm(u, self.control_norm, axis=1) <= self.max_control]
         if isfinite(self.max_speed) and T > 1:
             limits.append(cp.norm(x[1:T, n // 2 :], 2, axis=1) <= self.max_speed)
-        return x, u, effort, limits
+        return x, u, fuel, limits
 
 
 def compute_fuel(
     u: Float[Array, "*agents T m"], dt: float, norm: Norm
 ) -> Float[Array, "*agents"] | float:
-    """Δt Σ ‖u[k]‖, without the weights [m/s]."""
+    """Compute Δt Σ ‖u[k]‖, without the weights [m/s]."""
     order = np.inf if norm == "inf" else norm
-    spent: Array = dt * np.linalg.norm(u, order, axis=-1).sum(axis=-1)
-    return spent
+    fuel: Array = dt * np.linalg.norm(u, order, axis=-1).sum(axis=-1)
+    return fuel
 
 
 def tie_break_weights(T: int, rise: float) -> Float[Array, " T"]:
-    """Weights of 1 at both ends that rise to 1 + slope in the middle.
+    """Make weights of 1 at both ends that rise to 1 + rise in the middle.
 
-    Concave in time: among burns of equal fuel, those nearest the ends are cheapest, so
-    that what lies between them is flown straight, and the optimum is unique.
+    They are concave in time: among controls of equal fuel, those nearest the ends are cheapest,
+    so that the path between them is straight and the optimum unique.
     """
     k = np.arange(T)
     bump: Array = 1 - ((2 * k - T + 1) / max(T - 1, 1)) ** 2
     return 1 + rise * bump
 
 
-def solve_cvxpy(question: object, problem: Any) -> None:
-    """Solve a CVXPY problem in place, through the same door as every other.
+def solve_cvxpy(owner: object, problem: Any) -> None:
+    """Solve a CVXPY problem in place, and verify its solution as that of any other.
+
+    Args:
+        owner: The object that the problem belongs to; errors keep it and name its class.
+        problem: A `cvxpy.Problem`.
 
     Raises:
         Infeasible: No point satisfies every constraint.
@@ -170,24 +176,20 @@ def solve_cvxpy(question: object, problem: Any) -> None:
     import cvxpy as cp
 
     data, chain, inverse = problem.get_problem_data(cp.CLARABEL, solver_opts={})
-    rows = data["dims"]
+    dims = data["dims"]
     conic = ConicProgram(
-        data["c"], csc_array(data["A"]), data["b"], rows.zero, rows.nonneg, tuple(rows.soc)
+        data["c"], csc_array(data["A"]), data["b"], dims.zero, dims.nonneg, tuple(dims.soc)
     )
-    name = type(question).__name__
+    name = type(owner).__name__
     try:
-        answer = solve(conic, solve_clarabel)
-    except Infeasible as verdict:
-        raise Infeasible(question, f"{name} is infeasible: {verdict}", verdict.ray) from verdict
-    except Unsolved as verdict:
-        raise Unsolved(question, f"{name} is not solved: {verdict}") from verdict
-    # CVXPY reads the answer as if it had asked for it.
-    said = SimpleNamespace(
-        status="Solved",
-        x=answer.x,
-        z=answer.y,
-        obj_val=float(conic.q @ answer.x),
-        solve_time=0.0,
-        iterations=0,
+        found = solve(conic, solve_clarabel)
+    except Infeasible as error:
+        raise Infeasible(owner, f"{name} is infeasible: {error}", error.ray) from error
+    except Unsolved as error:
+        raise Unsolved(owner, f"{name} is not solved: {error}") from error
+    # CVXPY reads these fields of a Clarabel solution.
+    value = float(conic.q @ found.x)
+    solution = SimpleNamespace(
+        status="Solved", x=found.x, z=found.y, obj_val=value, solve_time=0.0, iterations=0
     )
-    problem.unpack_results(said, chain, inverse)
+    problem.unpack_results(solution, chain, inverse)

@@ -287,7 +287,7 @@ def test_a_speed_that_nothing_changes_is_within_the_limit_or_not():
 @programmes
 @pytest.mark.parametrize("changes", [(inf, 1, "inf"), (0.5, 2, "inf"), (0.5, 1, 2)])
 def test_what_needs_another_programme_is_refused(programme, changes):
-    with pytest.raises(ValueError, match=r"ask Transfer\.solve"):
+    with pytest.raises(ValueError, match=r"use TransferProblem\.solve"):
         programme(TransferProblem(plane, 0.1, *changes))
 
 
