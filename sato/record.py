@@ -316,7 +316,9 @@ def _check_format(file: Path, data: "xarray.Dataset") -> None:
     try:
         system = load_system(str(data.attrs["system"]))
     except InputError as error:
-        raise RunFileError(f"{file}: {error.reason}; a newer version of sato may know it") from error
+        raise RunFileError(
+            f"{file}: {error.reason}; a newer version of sato may know it"
+        ) from error
     fields = dict(recorded_fields(system.frame))
     if system.run_variables is not None:
         fields |= recorded_fields(system.run_variables)

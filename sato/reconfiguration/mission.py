@@ -26,6 +26,7 @@ from sato.reconfiguration.orbit import (
     World,
     as_chief,
     as_definition,
+    check_kind,
 )
 from sato.reconfiguration.start import Start, start_without_files
 from sato.scenario.definition import (
@@ -234,6 +235,11 @@ class Reconfiguration(Mission):
     ] = 0.0
 
     legs: Annotated[tuple[Leg, ...], In(""), Key("leg"), "legs in turn"]
+
+    @classmethod
+    def check_table(cls, data: dict[str, Any]) -> None:
+        """Refuse an orbital model without a chief."""
+        check_kind(data)
 
     def completed(self) -> dict[str, Any]:
         """Return what follows from the other fields where it is not given."""

@@ -294,10 +294,27 @@ def as_definition(model: AnyModel, chief: Chief | None) -> tuple[AnyModel, Chief
         return OrbitalModel("j2"), chief or Chief.from_orbit(model.orbit)
     if type(model) is ClohessyWiltshire and chief is None:
         return OrbitalModel("clohessy_wiltshire", mean_motion=model.n), None
-    for kind, from_orbit in MODELS.items():
-        if chief is not None and kind != "j2" and model == from_orbit(chief.orbit):
-            return OrbitalModel(kind), chief  # type: ignore[arg-type]
+    if isinstance(model, ClohessyWiltshire) and chief is not None:
+        if model == ClohessyWiltshire.from_orbit(chief.orbit):
+            return OrbitalModel("clohessy_wiltshire"), chief
     return model, chief
+
+
+def check_kind(data: dict[str, Any]) -> None:
+    """Refuse the table of an orbital model without a chief, before its keys are read.
+
+    Raises:
+        InputError: There is no chief, so the keys of the model are likely those of another.
+    """
+    model = data.get("model")
+    kind = model.get("kind") if isinstance(model, dict) else None
+    if kind in MODELS and "chief" not in data and "mean_motion_rad_s" not in model:  # type: ignore[operator]
+        raise InputError(
+            "model.kind",
+            f'"{kind}" is motion about an orbit, and this mission has none; a [chief] with '
+            "semi_major_axis_km = 6878, say, and a swarm in space would do, as the scenario orbit "
+            'has them, or here kind = "double_integrator"',
+        )
 
 
 def as_chief(value: Any) -> Any:
@@ -402,14 +419,8 @@ class World(NamedTuple):
         Raises:
             InputError: They do not.
         """
-        orbital = isinstance(self.model, OrbitalModel)
-        if orbital and self.chief is None and self.model.mean_motion is None:  # type: ignore[union-attr]
-            raise InputError(
-                "model.kind",
-                f'"{self.model.kind}" is motion about an orbit, and this mission has none; a '  # type: ignore[union-attr]
-                "[chief] with semi_major_axis_km = 6878, say, and a swarm in space would do, as "
-                'the scenario orbit has them, or here kind = "double_integrator"',
-            )
+        if isinstance(self.model, OrbitalModel) and self.model.mean_motion is None:
+            check_kind({"model": {"kind": self.model.kind}} | ({"chief": 1} if self.chief else {}))
         if self.chief is not None and isinstance(self.model, PointMass):
             others = join_names(f'"{name}"' for name in MODELS)
             raise InputError(

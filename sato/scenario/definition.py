@@ -30,7 +30,7 @@ from numpy import ndarray as Array
 from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError
 
 from dynamics.units import Unit
-from sato.scenario.errors import InputError, join_names
+from sato.scenario.errors import InputError, format_value, join_names
 from sato.scenario.messages import explain
 
 Positive, NotNegative = Gt(0), Ge(0)
@@ -83,6 +83,14 @@ class Definition:
 
         Raises:
             InputError: They do.
+        """
+
+    @classmethod
+    def check_table(cls, data: dict[str, Any]) -> None:
+        """Refuse a table of a file before its keys are read.
+
+        Raises:
+            InputError: Its keys cannot be those of this definition.
         """
 
     def __eq__(self, other: object) -> bool:
@@ -154,19 +162,20 @@ class Field(NamedTuple):
         """
         if value is self.default and (value is None or self.variants):
             return value
-        if self.convert is not None:
-            try:
-                value = self.convert(value)
-            except InputError as error:
-                raise error.inside(self.address) from error
+        try:
+            return self._checked(value if self.convert is None else self.convert(value))
+        except InputError as error:
+            found = error.inside(self.address)
+            raise InputError(found.key, found.reason, self.table is not None) from error
+
+    def _checked(self, value: Any) -> Any:
         if not self.variants:
-            return self.adapter.check(value, self.address)
+            return self.adapter.check(value)
         if not self.is_list:
-            return self._record(value, self.address)
-        given = value if isinstance(value, list | tuple) else [value]
-        if is_named_tuple(type(value)):
-            given = [value]
-        return tuple(self._record(one, f"{self.address}.{i}") for i, one in enumerate(given))
+            return self._record(value, "")
+        is_one = not isinstance(value, list | tuple) or is_named_tuple(type(value))
+        given = [value] if is_one else value
+        return tuple(self._record(one, str(i)) for i, one in enumerate(given))
 
     def _record(self, value: Any, address: str) -> Any:
         allowed = self.variants + _others(self.hint)
@@ -189,13 +198,13 @@ class _Adapter:
     def _adapter(self) -> Any:
         return TypeAdapter(self._hint, config=_STRICT)
 
-    def check(self, value: Any, address: str) -> Any:
+    def check(self, value: Any) -> Any:
         if isinstance(value, np.generic):
             value = value.item()
         try:
             return self._adapter.validate_python(value)
         except ValidationError as error:
-            raise explain(error).inside(address) from error
+            raise explain(error) from error
 
 
 def fields_of(definition: Any) -> tuple[Field, ...]:
@@ -236,7 +245,9 @@ def number_or_auto(value: Any) -> Any:
     number = isinstance(value, int | float) and not isinstance(value, bool)
     if value == "auto" or (number and 0 <= value < np.inf):
         return value if value == "auto" else float(value)
-    raise InputError("", f'must be a number that is not negative, or "auto", got {value!r}')
+    raise InputError(
+        "", f'must be a number that is not negative, or "auto", got {format_value(value)}'
+    )
 
 
 def is_auto(value: Any) -> bool:

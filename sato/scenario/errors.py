@@ -8,15 +8,24 @@ from typing import Any
 
 
 class InputError(ValueError):
-    """A mission that cannot be flown; the message names the key and a value that would do."""
+    """A mission that cannot be flown; the message names the key and a value that would do.
 
-    def __init__(self, key: str, reason: str) -> None:
+    Args:
+        key: Key of the scenario file, with its tables as far as they are known.
+        reason: What is wrong, the value given, and what would do.
+        is_complete: True where the key has all its tables.
+    """
+
+    def __init__(self, key: str, reason: str, is_complete: bool = False) -> None:
         super().__init__(f"{key}: {reason}" if key else reason)
         self.key = key
         self.reason = reason
+        self.is_complete = is_complete
 
     def inside(self, table: str) -> "InputError":
         """Return the same error of a key inside a table."""
+        if self.is_complete or not table:
+            return self
         return InputError(".".join(filter(None, (table, self.key))), self.reason)
 
 

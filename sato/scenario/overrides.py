@@ -13,11 +13,12 @@ Path = tuple[str | int, ...]
 
 
 class Spot(NamedTuple):
-    """A table of a scenario: its path, its data, and the keys that it may have."""
+    """A table of a scenario: its path, its data, and the keys and tables that it may have."""
 
     path: Path
     data: dict[str, Any]
     keys: dict[str, Entry]
+    tables: frozenset[str] = frozenset()  # and "kind", where a kind chooses the keys
 
     @property
     def names(self) -> list[str]:
@@ -26,20 +27,27 @@ class Spot(NamedTuple):
 
     def holds(self, key: str) -> bool:
         """Tell whether a key, in whatever unit, may stand in this table."""
+        if key in self.tables:
+            return True
         try:
             resolve_key(key, self.keys)
         except InputError:
             return False
         return True
 
+    def is_given(self, key: str) -> bool:
+        """Tell whether the table has the key already."""
+        return any(self._name(old) == self._name(key) for old in self.data)
+
     def set(self, key: str, value: Any) -> None:
         """Set a key, in place of the same key in another unit."""
-        meant = resolve_key(key, self.keys)[0]
-        for old in [
-            k for k in self.data if self.holds(k) and resolve_key(k, self.keys)[0] == meant
-        ]:
+        for old in [k for k in self.data if self._name(k) == self._name(key)]:
             del self.data[old]
         self.data[key] = value
+
+    def _name(self, key: str) -> str:
+        is_key = key not in self.tables and self.holds(key)
+        return resolve_key(key, self.keys)[0] if is_key else key
 
 
 def override(data: dict[str, Any], setting: str, definition: Any) -> None:
@@ -65,6 +73,7 @@ def override(data: dict[str, Any], setting: str, definition: Any) -> None:
     holders = [s for s in spots if _ends_with(s.path, table) and s.holds(key)]
     if not holders:
         raise _unknown(address, key, [s for s in spots if _ends_with(s.path, table)], spots)
+    holders = [s for s in holders if s.is_given(key)] or holders
     exact = [s for s in holders if s.names == [part for part in table if not part.isdigit()]]
     holders = exact if table and exact else holders
     tables = list(dict.fromkeys(".".join([*s.names, key]) for s in holders))
@@ -78,7 +87,8 @@ def override(data: dict[str, Any], setting: str, definition: Any) -> None:
 
 
 def _spots(definition: Any, data: dict[str, Any], path: Path = ()) -> Iterator[Spot]:
-    for table, entries in layout(definition, _inline_kind(definition, data)).tables.items():
+    tables = layout(definition, _inline_kind(definition, data)).tables
+    for table, entries in tables.items():
         keys = {key: entry for key, entry in entries.items() if not entry.field.is_inline}
         has_tables = {key for key, entry in keys.items() if entry.field.variants}
         required = any(_is_required(entry) for entry in entries.values())
@@ -87,7 +97,10 @@ def _spots(definition: Any, data: dict[str, Any], path: Path = ()) -> Iterator[S
         here = data.get(table) if table else data
         if not isinstance(here, dict):
             continue
-        yield Spot((*path, table) if table else path, here, keys)
+        named = frozenset(tables) - {""} if not table else frozenset()
+        has_kind = len(keys) < len(entries) or (not table and bool(kinds_of(definition)))
+        named |= {"kind"} if has_kind else set()
+        yield Spot((*path, table) if table else path, here, keys, named)
         for key in has_tables:
             yield from _inner(keys[key].field, here.get(key), (*path, *filter(None, (table,)), key))
 

@@ -68,6 +68,8 @@ def read_table(definition: Any, data: Any) -> Any:
     """
     if not isinstance(data, dict):
         raise InputError("", f"must be a table, got {format_value(data)}")
+    if issubclass(definition, Definition):
+        definition.check_table(data)
     found = layout(definition, _inline_kind(definition, data))
     values: dict[tuple[str, ...], Any] = {}
     for table, entries in found.tables.items():
@@ -235,14 +237,14 @@ def _build(definition: type, values: dict[tuple[str, ...], Any]) -> Any:
     for field in fields_of(definition):
         inner = {path[1:]: value for path, value in values.items() if path[0] == field.name}
         own = inner.pop((), MISSING)
-        if field.is_inline:
-            arguments[field.name] = _build(own, inner)
+        if field.is_inline or (field.is_nested and (inner or field.default is MISSING)):
+            with errors_in(str(field.table) if field.is_inline else field.key):
+                arguments[field.name] = _build(own if field.is_inline else field.variants[0], inner)
         elif own is not MISSING:
             arguments[field.name] = own
-        elif field.is_nested and (inner or field.default is MISSING):
-            arguments[field.name] = _build(field.variants[0], inner)
         elif field.default is MISSING:
-            raise InputError(field.address, "is missing, and has no default")
+            reason = "is missing, and has no default"
+            raise InputError(field.address, reason, is_complete=field.table is not None)
     return definition(**arguments)
 
 
