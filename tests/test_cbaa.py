@@ -103,7 +103,7 @@ def greedy(score: np.ndarray, live: np.ndarray) -> np.ndarray:
 
 @settings(LAW, max_examples=120)
 @given(case=cases())
-def test_the_compiled_rounds_are_the_definition_bit_for_bit(case):
+def test_kernel_equals_the_definition_bit_for_bit(case):
     swarm = init_state(case.score, case.network, case.air["delay"])
     rng, played = np.random.default_rng(case.seed), 0
     for now in run_by_messages(case.score, case.network, **case.keywords()):
@@ -118,7 +118,7 @@ def test_the_compiled_rounds_are_the_definition_bit_for_bit(case):
 
 @LAW
 @given(case=cases(lossy=False))
-def test_where_nothing_is_lost_or_late_the_rounds_are_those_of_any_protocol(case):
+def test_without_loss_and_delay_rounds_are_those_of_run_rounds(case):
     empty = WinningBids.empty(case.score.shape[1])
     first = {i: CbaaBidder(i, case.score[i], len(case.live), empty) for i in case.live.tolist()}
     expected = run_rounds(case.network, first, update_bidder, lambda agent: agent.bids, is_finished)
@@ -132,7 +132,7 @@ def test_where_nothing_is_lost_or_late_the_rounds_are_those_of_any_protocol(case
 
 @settings(LAW, max_examples=150)
 @given(case=cases(most=16, lossy=False))
-def test_it_is_the_greedy_choice_agreed_on_by_all_in_time(case):
+def test_result_is_the_greedy_choice_within_the_round_bound(case):
     result = run_cbaa(case.score, case.network, **case.air)
     assert result.point.tolist() == greedy(case.score, case.live).tolist()
     assert result.is_conflict_free
@@ -145,7 +145,7 @@ def test_it_is_the_greedy_choice_agreed_on_by_all_in_time(case):
 
 @LAW
 @given(case=cases())
-def test_once_somebody_knows_the_end_nobody_bids_again_whatever_is_lost_or_late(case):
+def test_no_agent_bids_once_one_has_finished(case):
     final = greedy(case.score, case.live)
     known, books = False, set()
     for now in run_by_messages(case.score, case.network, **case.keywords()):
@@ -157,7 +157,7 @@ def test_once_somebody_knows_the_end_nobody_bids_again_whatever_is_lost_or_late(
 
 @LAW
 @given(case=cases())
-def test_what_is_reported_is_what_came_of_it(case):
+def test_result_reports_the_last_round_of_the_definition(case):
     result = run_cbaa(case.score, case.network, **case.keywords())
     *_, last = run_by_messages(case.score, case.network, **case.keywords())
     claimed = [last[i].point for i in case.live]
@@ -173,7 +173,7 @@ def test_what_is_reported_is_what_came_of_it(case):
 
 @pytest.mark.parametrize("loss", [0.2, 0.6, 0.9])
 @pytest.mark.parametrize("delay", [0, 2])
-def test_losses_only_delay(rng, loss, delay):
+def test_lost_messages_delay_the_same_result(rng, loss, delay):
     network, score = connected(rng, 20, 0.1), scores(rng, "distance", 20, 20)
     calm = run_cbaa(score, network)
     rough = run_cbaa(score, network, rounds=2000, loss=loss, delay=delay, rng=rng)
@@ -184,14 +184,14 @@ def test_losses_only_delay(rng, loss, delay):
 
 @LAW
 @given(case=cases(lossy=False))
-def test_only_the_order_of_the_scores_matters(case):
+def test_monotone_map_of_scores_keeps_the_result(case):
     one = run_cbaa(case.score, case.network)
     other = run_cbaa(np.log1p(case.score) ** 3, case.network)
     assert one.point.tolist() == other.point.tolist()
     assert (one.round_count, one.message_count) == (other.round_count, other.message_count)
 
 
-def test_the_price_of_an_agent_is_not_known_h_hops_away_before_round_h_plus_1(rng):
+def test_scores_have_no_effect_h_hops_away_before_round_h_plus_1(rng):
     score, network = scores(rng, "distance", 10, 10), line(10)
     changed = score.copy()
     changed[0, np.argmax(score[0])] *= 2
@@ -205,7 +205,7 @@ def test_the_price_of_an_agent_is_not_known_h_hops_away_before_round_h_plus_1(rn
 
 @LAW
 @given(case=cases())
-def test_every_book_sent_is_counted(case):
+def test_message_count_counts_every_message(case):
     result = run_cbaa(case.score, case.network, **case.keywords())
     told, before = 0, dict.fromkeys(case.live.tolist(), False)
     for now in run_by_messages(case.score, case.network, **case.keywords()):
@@ -225,7 +225,7 @@ def test_every_book_sent_is_counted(case):
 
 @settings(LAW, max_examples=120)
 @given(case=cases(most=20, lossy=False))
-def test_half_of_the_best_total_score_is_certain(case):
+def test_total_score_is_at_least_half_of_the_optimum(case):
     result, live = run_cbaa(case.score, case.network), case.live
     best = case.score[live][linear_sum_assignment(case.score[live], maximize=True)].sum()
     total = case.score[live, result.point[live]].sum()
@@ -234,7 +234,7 @@ def test_half_of_the_best_total_score_is_certain(case):
 
 
 @pytest.mark.parametrize("agents", [1, 2, 3, 5, 6])
-def test_half_of_the_best_of_all_permutations_is_certain(rng, agents):
+def test_total_score_is_at_least_half_of_the_best_permutation(rng, agents):
     everyone = np.arange(agents)
     for _ in range(5):
         score = scores(rng, "distance", agents, agents)
@@ -243,7 +243,7 @@ def test_half_of_the_best_of_all_permutations_is_certain(rng, agents):
         assert 0.5 * best <= total <= best * (1 + 1e-12)
 
 
-def test_half_cannot_be_bettered():
+def test_half_of_the_optimum_is_a_tight_bound():
     score = np.array([[1.001, 1.0], [1.0, 0.001]])
     result = run_cbaa(score, complete(2))
     assert result.point.tolist() == [0, 1]
@@ -254,14 +254,14 @@ def test_half_cannot_be_bettered():
 
 
 @pytest.mark.parametrize("agents", [2, 5, 30])
-def test_agents_that_all_want_the_same_need_the_whole_bound(rng, agents):
+def test_equal_preferences_take_as_many_rounds_as_the_bound(rng, agents):
     # n d iterations [Lusk2020, sec. IV-B]; the first round has nothing to listen to.
     result = run_cbaa(scores(rng, "alike", agents, agents), complete(agents))
     assert result.round_count == agents * 1 + 1
     assert result.point.tolist() == list(range(agents))
 
 
-def test_two_rounds_for_each_agent_do_not_suffice_on_a_wide_network(rng):
+def test_two_rounds_an_agent_are_too_few_on_a_line(rng):
     # What the published code plays, whatever the diameter.
     # All want the same, and those whose score is next sit at opposite ends.
     score, network = scores(rng, "alike", 12, 12), line(12)
@@ -276,27 +276,27 @@ def test_two_rounds_for_each_agent_do_not_suffice_on_a_wide_network(rng):
 # Small cases and refusals
 
 
-def test_a_lone_agent_knows_at_once():
+def test_lone_agent_finishes_in_one_round():
     result = run_cbaa(np.array([[1.0, 3.0, 2.0]]), complete(1))
     assert (result.point.tolist(), result.round_count, result.message_count) == ([1], 1, 0)
     assert result.has_consensus
 
 
-def test_after_one_round_all_claim_what_they_like_best(rng):
+def test_first_bid_is_on_the_point_of_the_largest_score(rng):
     result = run_cbaa(scores(rng, "alike", 4, 4), complete(4), rounds=1)
     assert result.point.tolist() == [0, 0, 0, 0]
     assert not result.is_conflict_free
     assert not result.has_consensus
 
 
-def test_different_wishes_are_met_at_once_but_known_a_round_later():
+def test_consensus_on_distinct_points_takes_a_second_round():
     result = run_cbaa(np.eye(3) + 1, complete(3), rounds=1)
     assert result.is_conflict_free
     assert not result.has_consensus
     assert run_cbaa(np.eye(3) + 1, complete(3)).round_count == 2
 
 
-def test_parts_that_do_not_hear_each_other_are_refused():
+def test_disconnected_graph_is_refused():
     network = CommunicationGraph(np.kron(np.eye(2), 1 - np.eye(2)).astype(bool), np.full(4, True))
     with pytest.raises(ValueError, match="no message gets from agent 0 to agent 2"):
         run_cbaa(np.ones((4, 4)), network)
@@ -310,7 +310,7 @@ def test_scores_must_be_positive_and_finite(bad):
         run_cbaa(score, complete(3))
 
 
-def test_the_dead_have_no_say():
+def test_dead_agents_do_not_bid():
     network = CommunicationGraph(
         np.array([[0, 0, 1], [0, 0, 0], [1, 0, 0]], dtype=bool), np.arange(3) != 1
     )
@@ -319,19 +319,19 @@ def test_the_dead_have_no_say():
 
 
 @pytest.mark.parametrize("shape", [(3, 2), (4, 4)])
-def test_there_must_be_a_row_for_every_agent_and_a_point_for_each(shape):
+def test_score_of_wrong_shape_is_refused(shape):
     with pytest.raises(ValueError, match="there must be a row for every agent"):
         run_cbaa(np.ones(shape), complete(3))
 
 
 @pytest.mark.parametrize("air", [{"loss": 1.0}, {"loss": -0.1}, {"delay": -1}, {"rounds": 0}])
-def test_messages_that_cannot_be_are_refused(rng, air):
+def test_impossible_link_is_refused(rng, air):
     with pytest.raises(ValueError, match="the loss must be in"):
         run_cbaa(np.ones((3, 3)), complete(3), **{"rounds": 9, "rng": rng} | air)
 
 
 @pytest.mark.parametrize("without", ["rounds", "rng"])
-def test_losses_need_an_end_and_a_generator(rng, without):
+def test_loss_needs_a_number_of_rounds_and_a_generator(rng, without):
     air = {"loss": 0.1, "rounds": 9, "rng": rng}
     del air[without]
     with pytest.raises(ValueError, match="give the number of rounds after which all stop"):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from swarm_cast import RADIUS, STEP, T, agent, everybody
+from planner_examples import RADIUS, STEP, T, complete_graph, make_planner
 
 from dynamics import ClohessyWiltshire, DoubleIntegrator, discretize_zoh
 from dynamics.trajectory_geometry import evaluate_bezier, separations
@@ -13,7 +13,7 @@ from problems.centralized_nlp import solve_nlp
 from problems.convexify import AvoidanceHorizon
 from problems.transfer import TransferProblem
 from sato.reconfiguration.solo_trajectories import solve_solo_transfers
-from sato.scp import run_scp
+from sato.scp.exchange import run_scp
 
 
 def question(axes=2, radius=RADIUS, pieces=2, model=None, step=STEP, **norms):
@@ -42,10 +42,10 @@ def by_themselves(central, start, goal):
 def by_priority(central, start, goal):
     transfer, axes = replace(central.transfer, tie_break_rise=1e-3), start.shape[1] // 2
     planners = {
-        i: agent(i, start[i, :axes], goal[i, :axes], transfer, central.horizon)
+        i: make_planner(i, start[i, :axes], goal[i, :axes], transfer, central.horizon)
         for i in range(len(start))
     }
-    after, _ = run_scp(planners, everybody(planners))
+    after, _ = run_scp(planners, complete_graph(planners))
     assert all(p.terminal_error == p.slack == 0 and not p.has_failed for p in after.values())
     return np.stack([p.nominal.x for p in after.values()]), np.stack(
         [p.nominal.u for p in after.values()]

@@ -3,7 +3,7 @@
 import casadi
 import numpy as np
 import pytest
-from swarm_cast import RADIUS, STEP, T
+from planner_examples import RADIUS, STEP, T
 from test_centralized import CROSSING, by_themselves, question
 
 from dynamics.trajectory_geometry import evaluate_bezier

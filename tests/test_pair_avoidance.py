@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from swarm_cast import RADIUS, T, agent, problem
+from planner_examples import RADIUS, T, make_planner, make_problem
 
 from problems.avoidance import AvoidanceProblem, HalfSpaces, empty_half_spaces
 from problems.conic import Infeasible
@@ -15,14 +15,14 @@ from problems.transfer import TransferProblem
 
 def crossing(rng, axes=2, **limits):
     """Two who change sides, and a third of whom the second keeps clear."""
-    transfer, horizon = problem(axes)
+    transfer, horizon = make_problem(axes)
     transfer = replace(transfer, tie_break_rise=0.0, **limits)
     aside = np.eye(axes)[1]
     ends = rng.uniform(-0.1, 0.1, (2, 2, axes))
     ends[:, 0] += [[-1.5 * (k == 0) for k in range(axes)], [1.5 * (k == 0) for k in range(axes)]]
     ends[:, 1] += [[1.5 * (k == 0) for k in range(axes)], [-1.5 * (k == 0) for k in range(axes)]]
     ends[:, 1] += 0.2 * aside
-    both = [agent(i, *(side[i] for side in ends), transfer, horizon) for i in range(2)]
+    both = [make_planner(i, *(side[i] for side in ends), transfer, horizon) for i in range(2)]
     nominal = both[0].control_points + 0.3 * aside - both[1].control_points
     between = RelativeHalfSpaces.from_normals(
         horizon, T, choose_normals(nominal[None], horizon.required_separation)[0]

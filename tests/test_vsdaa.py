@@ -94,7 +94,7 @@ def definition(case: Case, ids: bool, rounds: int = 0) -> list:
 @pytest.mark.parametrize("ids", [True, False])
 @settings(LAW, max_examples=150)
 @given(case=cases())
-def test_the_compiled_rounds_are_the_definition_bit_for_bit(ids, case):
+def test_kernel_equals_the_definition_bit_for_bit(ids, case):
     if not case.network.alive.any():
         return
     try:
@@ -122,7 +122,7 @@ def test_the_compiled_rounds_are_the_definition_bit_for_bit(ids, case):
 @pytest.mark.parametrize("ids", [True, False])
 @given(case=cases())
 @LAW
-def test_both_report_the_same_end(ids, case):
+def test_kernel_and_definition_have_the_same_result(ids, case):
     if not case.network.alive.any():
         return
     try:
@@ -158,36 +158,36 @@ def check_promises(case: Case) -> None:
 
 @settings(LAW, max_examples=300)
 @given(cases(most=14))
-def test_each_component_is_unique_agrees_and_is_near_optimal(case):
+def test_components_agree_on_unique_targets_within_n_epsilon(case):
     check_promises(case)
 
 
 @pytest.mark.parametrize("kind", ["random", "grid", "circle", "all equal"])
-def test_every_first_belief_ends_right(rng, kind):
+def test_every_initial_target_count_converges(rng, kind):
     cost = costs(rng, kind, 9, 12)
     for m in range(1, 13):
         check_promises(Case(cost, ring(9), np.full(9, m), 1e-2))
 
 
 @pytest.mark.parametrize("share", [0.05, 0.1])
-def test_a_swarm_of_sixty_in_pieces_ends_right(rng, share):
+def test_sixty_agents_in_several_components_converge(rng, share):
     network = random_graph(rng, 60, share, 0.9)
     check_promises(Case(rng.random((60, 70)), network, rng.integers(20, 71, 60), 1e-3))
 
 
-def test_agents_that_disagree_on_m_agree_on_the_largest_first(rng):
+def test_agents_agree_on_the_largest_m_first(rng):
     believed = np.array([3, 7, 2, 5])
     auction = run_vsdaa(rng.random((4, 8)), line(4), believed, 1e-2)
     assert auction.target_count.tolist() == [7, 7, 7, 7]
 
 
-def test_a_lone_agent_takes_its_cheapest_target_in_one_round():
+def test_lone_agent_takes_its_cheapest_target_in_one_round():
     auction = run_vsdaa(np.array([[3.0, 1.0, 2.0]]), line(1), np.array([3]), 0.1)
     assert auction.target_index.tolist() == [1]
     assert (auction.round_count, auction.bid_count, auction.bidder_count.tolist()) == (1, 1, [1])
 
 
-def test_a_lone_agent_that_knows_of_one_target_only_takes_it():
+def test_lone_agent_with_m_of_one_takes_the_first_target():
     auction = run_vsdaa(np.array([[3.0, 1.0, 2.0]]), line(1), np.array([1]), 0.1)
     assert auction.target_index.tolist() == [0]
 
@@ -215,7 +215,7 @@ def books_by_kernel(case: Case, rounds: int) -> tuple:
 
 @pytest.mark.parametrize("books", [books_by_messages, books_by_kernel])
 @pytest.mark.parametrize("believed", [3, 12])
-def test_what_an_agent_pays_is_not_known_h_hops_away_before_round_h(rng, books, believed):
+def test_costs_have_no_effect_h_hops_away_before_round_h(rng, books, believed):
     cost = rng.random((10, 12))
     changed = cost.copy()
     changed[0] = rng.random(12)
@@ -231,7 +231,7 @@ def test_what_an_agent_pays_is_not_known_h_hops_away_before_round_h(rng, books, 
 
 
 @pytest.mark.parametrize("books", [books_by_messages, books_by_kernel])
-def test_the_light_cone_holds_on_any_graph(rng, books):
+def test_effects_travel_one_hop_a_round_on_random_graphs(rng, books):
     for _ in range(5):
         network = random_graph(rng, 14, 0.15, 1.0)
         cost = rng.random((14, 16))
@@ -243,14 +243,14 @@ def test_the_light_cone_holds_on_any_graph(rng, books):
                 assert not books_differ(before, after, r, i)
 
 
-def test_printed_bids_that_tie_leave_one_target_to_two_agents():
+def test_tied_bids_without_ids_assign_one_target_to_several():
     # Everybody bids the same on target 0 and, without numbers, believes to hold it.
     case = Case(np.ones((4, 6)), line(4), np.full(4, 1), 0.1)
     assert run_vsdaa(*case, bidder_ids=False).target_index.tolist() == [0, 0, 0, 0]
     assert sorted(run_vsdaa(*case, bidder_ids=True).target_index.tolist()) == [0, 1, 2, 3]
 
 
-def test_the_printed_method_is_near_optimal_where_nothing_ties(rng):
+def test_printed_method_is_near_optimal_without_ties(rng):
     cost = rng.random((12, 15))
     auction = run_vsdaa(cost, ring(12), np.full(12, 15), 1e-2, bidder_ids=False)
     paid, best = (
@@ -261,7 +261,7 @@ def test_the_printed_method_is_near_optimal_where_nothing_ties(rng):
     assert best - 1e-9 <= paid <= best + 12 * 1e-2
 
 
-def test_with_a_common_m_the_last_bid_keeps_the_bound_of_proposition_1(rng):
+def test_last_bid_round_is_within_the_bound_of_proposition_1(rng):
     # [Morgan2016, eq. 20]; the proof ignores growing m, so m starts at N.
     for agents in (3, 8, 20):
         cost, network = rng.random((agents, agents)), ring(agents)
@@ -270,7 +270,7 @@ def test_with_a_common_m_the_last_bid_keeps_the_bound_of_proposition_1(rng):
         assert auction.last_bid_round <= network.diameter[0] * (agents - 1) * steps
 
 
-def test_agents_far_behind_a_price_wall_still_end(rng):
+def test_auction_ends_where_many_targets_are_out_of_reach(rng):
     # Out of reach is a large finite cost; here four agents fight for three good targets.
     cost = rng.random((6, 8))
     cost[:4, 3:] += 1e3
@@ -278,21 +278,21 @@ def test_agents_far_behind_a_price_wall_still_end(rng):
 
 
 @pytest.mark.parametrize("run", [run_vsdaa, lambda *case: list(run_by_messages(*case))])
-def test_more_agents_than_targets_say_so_with_evidence(rng, run):
+def test_more_agents_than_targets_raise_out_of_targets(rng, run):
     with pytest.raises(OutOfTargets, match="found all 3 targets taken") as found:
         run(rng.random((5, 3)), line(5), np.full(5, 2), 0.1)
     assert found.value.targets == 3
     assert found.value.round > 1
 
 
-def test_a_swarm_of_nobody_ends_at_once():
+def test_auction_without_live_agents_ends_at_once():
     network = CommunicationGraph(np.zeros((2, 2), dtype=bool), np.full(2, False))
     auction = run_vsdaa(np.full((2, 3), np.nan), network, np.zeros(2, dtype=int), 0.1)
     assert auction.target_index.tolist() == [-1, -1]
     assert (auction.round_count, auction.bid_count) == (0, 0)
 
 
-def test_the_dead_need_no_costs(rng):
+def test_dead_agents_need_no_costs(rng):
     alive = np.array([True, False, True])
     network = CommunicationGraph.from_positions(np.array([[0.0], [1.0], [2.0]]), 3.0, alive)
     cost = rng.random((3, 3))
@@ -317,7 +317,7 @@ def test_the_dead_need_no_costs(rng):
         ({"cost": np.full((2, 2), 1e15)}, "the bid increment is 0.1: it must be"),
     ],
 )
-def test_wrong_input_is_refused_with_what_would_do(change, sentence):
+def test_invalid_input_is_refused_with_a_cure(change, sentence):
     case = Case(np.zeros((2, 2)), line(2), np.array([1, 1]), 0.1)._replace(**change)
     for run in (run_vsdaa, run_by_messages):
         with pytest.raises(ValueError, match=sentence):

@@ -4,18 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from swarm_cast import (
+from planner_examples import (
     RADIUS,
-    agent,
-    circle,
+    antipodal_swarm,
+    complete_graph,
     continuous_separation,
-    crowd,
-    everybody,
-    heard,
-    paid,
-    parked,
-    problem,
-    strangers,
+    graph_of,
+    immobile,
+    make_planner,
+    make_problem,
+    random_swarm,
+    total_cost,
+    two_components,
 )
 
 from dynamics.trajectory_geometry import hull_distance
@@ -27,21 +27,21 @@ from sato.scp.planner import FEASIBILITY_TOLERANCE
 from sato.scp.priority_orders import try_priority_orders
 
 
-def settled(planners, orders=1):
-    return try_priority_orders(planners, everybody(planners), orders).planners
+def solved(planners, orders=1):
+    return try_priority_orders(planners, complete_graph(planners), orders).planners
 
 
 @pytest.mark.parametrize("axes", [2, 3])
-def test_no_sweep_makes_it_dearer_and_all_stay_apart_and_arrive(rng, axes):
+def test_no_sweep_raises_the_cost_and_all_constraints_hold(rng, axes):
     saved = 0.0
     for _ in range(3):
-        now = settled(crowd(rng, 5, axes, box=3.5))
+        now = solved(random_swarm(rng, 5, axes, box=3.5))
         for _ in range(3):
-            after = negotiate(now, everybody(now), 1).planners
-            assert paid(after)[:2] <= paid(now)[:2]
-            assert paid(after)[2] <= paid(now)[2] + 1e-8
+            after = negotiate(now, complete_graph(now), 1).planners
+            assert total_cost(after)[:2] <= total_cost(now)[:2]
+            assert total_cost(after)[2] <= total_cost(now)[2] + 1e-8
             assert continuous_separation(after) >= RADIUS
-            saved += paid(now)[2] - paid(after)[2]
+            saved += total_cost(now)[2] - total_cost(after)[2]
             now = after
         for p in now.values():
             np.testing.assert_allclose(p.nominal.x[-1], p.target_state, atol=1e-6)
@@ -54,9 +54,9 @@ def test_no_sweep_makes_it_dearer_and_all_stay_apart_and_arrive(rng, axes):
     assert saved > 0.01
 
 
-def test_two_that_bargain_come_to_the_optimum_of_both_as_one_programme():
-    planners = circle(2, 1.5)
-    now = settled(planners)
+def test_two_agents_reach_the_centralized_optimum():
+    planners = antipodal_swarm(2, 1.5)
+    now = solved(planners)
     start, goal = (
         np.stack([side(p) for p in planners.values()])
         for side in (lambda p: p.nominal.x[0], lambda p: p.target_state)
@@ -65,24 +65,26 @@ def test_two_that_bargain_come_to_the_optimum_of_both_as_one_programme():
     guess = tuple(np.stack([getattr(p.nominal, part) for p in now.values()]) for part in "xu")
     best = central.solve(start, goal, [guess]).best.fuel
     before = sum(p.nominal.fuel for p in now.values())
-    after = sum(p.nominal.fuel for p in negotiate(now, everybody(now), 20).planners.values())
+    after = sum(p.nominal.fuel for p in negotiate(now, complete_graph(now), 20).planners.values())
     assert before > 1.005 * best
     assert best * (1 - 1e-6) <= after <= 1.001 * best
 
 
-def test_bargains_bring_those_who_meet_in_one_point_nearer_to_their_optimum():
-    now = settled(circle(5, 1.5), orders=4)
-    dealt = negotiate(now, everybody(now), 6)
-    assert paid(now)[:2] == paid(dealt.planners)[:2] == (0, 0)
-    assert paid(dealt.planners)[2] < 0.9 * paid(now)[2]
+def test_negotiation_saves_a_tenth_of_the_extra_fuel_of_five():
+    now = solved(antipodal_swarm(5, 1.5), orders=4)
+    dealt = negotiate(now, complete_graph(now), 6)
+    assert total_cost(now)[:2] == total_cost(dealt.planners)[:2] == (0, 0)
+    assert total_cost(dealt.planners)[2] < 0.9 * total_cost(now)[2]
     assert continuous_separation(dealt.planners) >= RADIUS
 
 
-def test_whoever_pays_nothing_has_no_turn():
-    transfer, horizon = problem()
-    planners = {i: agent(i, [0.0, 0.7 * i], [2.0, 0.7 * i], transfer, horizon) for i in range(3)}
-    now = settled(planners)
-    dealt = negotiate(now, everybody(now), 5)
+def test_agents_without_cost_have_no_turn():
+    transfer, horizon = make_problem()
+    planners = {
+        i: make_planner(i, [0.0, 0.7 * i], [2.0, 0.7 * i], transfer, horizon) for i in range(3)
+    }
+    now = solved(planners)
+    dealt = negotiate(now, complete_graph(now), 5)
     assert (dealt.round_count, dealt.solve_count) == (
         2,
         0,
@@ -90,24 +92,24 @@ def test_whoever_pays_nothing_has_no_turn():
     assert all(dealt.planners[i] is now[i] for i in now)
 
 
-def test_no_sweeps_are_no_bargains(rng):
-    now = settled(crowd(rng, 4))
-    assert negotiate(now, everybody(now), 0) == (now, 0, 0)
+def test_zero_sweeps_change_nothing(rng):
+    now = solved(random_swarm(rng, 4))
+    assert negotiate(now, complete_graph(now), 0) == (now, 0, 0)
 
 
-def test_networks_that_do_not_hear_each_other_bargain_for_themselves(rng):
-    left, right = settled(crowd(rng, 4)), settled(crowd(rng, 3))
+def test_components_negotiate_independently(rng):
+    left, right = solved(random_swarm(rng, 4)), solved(random_swarm(rng, 3))
     moved = {4 + i: p._replace(priority=(*p.priority[:2], 4 + i)) for i, p in right.items()}
-    together = negotiate(left | moved, strangers(4, 3), 2).planners
+    together = negotiate(left | moved, two_components(4, 3), 2).planners
     for some, first in ((left, 0), (right, 4)):
-        for i, p in negotiate(some, everybody(some), 2).planners.items():
+        for i, p in negotiate(some, complete_graph(some), 2).planners.items():
             np.testing.assert_array_equal(p.nominal.u, together[first + i].nominal.u)
 
 
-def test_turns_are_what_each_makes_of_a_flood_of_who_is_near_whom(rng):
-    now = settled(crowd(rng, 6, box=3.5))
+def test_scheduled_pairs_follow_from_a_flood(rng):
+    now = solved(random_swarm(rng, 6, box=3.5))
     hears = rng.random((6, 6)) < 0.4
-    network = heard(np.triu(hears, 1) | np.triu(hears, 1).T)
+    network = graph_of(np.triu(hears, 1) | np.triu(hears, 1).T)
     nearby = run_round(network, now, find_nearby, {i: p.message for i, p in now.items()})
     turns = schedule_pairs(now, network, now)
     for known in flood(network, {i: {i: nearby[i]} for i in now}, dict.__or__).values():
@@ -119,10 +121,10 @@ def test_turns_are_what_each_makes_of_a_flood_of_who_is_near_whom(rng):
     assert turns
 
 
-def test_two_whose_turn_it_is_fly_what_they_agree_on():
-    now = settled(circle(5, 1.5), orders=4)
-    turns = schedule_pairs(now, everybody(now), now)
-    dealt = [negotiate_pairs(now, everybody(now), turn) for turn in turns]
+def test_both_partners_fly_the_agreed_trajectories():
+    now = solved(antipodal_swarm(5, 1.5), orders=4)
+    turns = schedule_pairs(now, complete_graph(now), now)
+    dealt = [negotiate_pairs(now, complete_graph(now), turn) for turn in turns]
     assert all(parties.keys() == turn.keys() for parties, turn in zip(dealt, turns, strict=True))
     made = [(turn, parties) for turn, parties in zip(turns, dealt, strict=True)
             if any(party.agreement for party in parties.values())]  # fmt: skip
@@ -135,12 +137,12 @@ def test_two_whose_turn_it_is_fly_what_they_agree_on():
 
 
 def offers(now, i, j):
-    parties = negotiate_pairs(now, everybody(now), {i: j, j: i})
+    parties = negotiate_pairs(now, complete_graph(now), {i: j, j: i})
     return [parties[k].offer for k in (i, j)]
 
 
-def test_what_is_dearer_than_before_is_not_agreed_on():
-    now = settled(circle(3, 1.5), orders=3)
+def test_costlier_pair_is_rejected_unless_a_target_was_missed():
+    now = solved(antipodal_swarm(3, 1.5), orders=3)
     first, second = offers(now, 0, 1)
     assert solve_pair(first, second, now[0].horizon)[0]
     fuel = sum(f.fuel for f in solve_pair(first, second, now[0].horizon)[0])
@@ -150,8 +152,8 @@ def test_what_is_dearer_than_before_is_not_agreed_on():
     assert solve_pair(cheaper._replace(reaches_target=False), second, now[0].horizon)[0]
 
 
-def test_an_answer_that_misses_a_goal_by_more_than_counts_as_there_is_not_agreed_on(monkeypatch):
-    now = settled(circle(3, 1.5), orders=3)
+def test_pair_that_misses_a_target_is_rejected(monkeypatch):
+    now = solved(antipodal_swarm(3, 1.5), orders=3)
     first, second = offers(now, 0, 1)
 
     def astray(by):
@@ -171,8 +173,8 @@ def test_an_answer_that_misses_a_goal_by_more_than_counts_as_there_is_not_agreed
         assert (solve_pair(first, second, now[0].horizon)[0] is not None) == agreed
 
 
-def test_a_bargain_convexifies_the_dynamics_about_the_flight_of_each():
-    now = settled(circle(3, 1.5), orders=3)
+def test_each_partner_linearizes_about_its_own_trajectory():
+    now = solved(antipodal_swarm(3, 1.5), orders=3)
     about = {}
 
     def linearised(flight):
@@ -180,28 +182,28 @@ def test_a_bargain_convexifies_the_dynamics_about_the_flight_of_each():
         return about[id(flight)]
 
     curved = {i: p._replace(relinearize=linearised) for i, p in now.items()}
-    parties = negotiate_pairs(curved, everybody(curved), {0: 1, 1: 0})
+    parties = negotiate_pairs(curved, complete_graph(curved), {0: 1, 1: 0})
     assert about.keys() == {id(now[0].nominal), id(now[1].nominal)}
     assert all(parties[i].planner.transfer is about[id(now[i].nominal)] for i in range(2))
 
 
-def test_two_with_different_times_left_do_not_bargain():
-    now = settled(circle(2, 1.5))
+def test_partners_with_different_steps_left_do_not_agree():
+    now = solved(antipodal_swarm(2, 1.5))
     transfer = replace(now[1].transfer, model=now[1].transfer.model[:8])
     goal = now[1].nominal.x[8]
-    short = agent(1, now[1].nominal.x[0, :2], goal[:2], transfer, now[1].horizon)
-    parties = negotiate_pairs({0: now[0], 1: short}, everybody(now), {0: 1, 1: 0})
+    short = make_planner(1, now[1].nominal.x[0, :2], goal[:2], transfer, now[1].horizon)
+    parties = negotiate_pairs({0: now[0], 1: short}, complete_graph(now), {0: 1, 1: 0})
     assert parties[0].offer and parties[1].offer
     assert (parties[0].solve_count, parties[0].agreement) == (0, None)
 
 
-def test_nobody_is_taken_to_a_goal_that_another_passes_when_its_time_is_over():
+def test_separation_is_kept_while_an_agent_drifts_at_its_target():
     # The third passes the goal of the first late, when the first has drifted there for long.
-    slow, horizon = problem()
+    slow, horizon = make_problem()
     fast = replace(slow, model=slow.model[:6])
-    first = agent(0, [-1.0, 0.0], [0.0, 0.0], fast, horizon)
-    second = agent(1, [-1.0, 0.9], [0.0, 0.9], fast, horizon)
-    third = agent(2, [0.1, -3.0], [0.1, 1.0], replace(slow, max_control=0.3), horizon)
+    first = make_planner(0, [-1.0, 0.0], [0.0, 0.0], fast, horizon)
+    second = make_planner(1, [-1.0, 0.9], [0.0, 0.9], fast, horizon)
+    third = make_planner(2, [0.1, -3.0], [0.1, 1.0], replace(slow, max_control=0.3), horizon)
     waiting = fast.simulate(first.nominal.x[0], np.zeros((6, 2)))
     path = horizon.control_points(waiting.x, waiting.u)
     now = {
@@ -210,7 +212,7 @@ def test_nobody_is_taken_to_a_goal_that_another_passes_when_its_time_is_over():
         2: third,
     }
     assert continuous_gap(now, 0, 2) >= RADIUS > continuous_gap(now | {0: first}, 0, 2)
-    after = negotiate(now, everybody(now), 3).planners
+    after = negotiate(now, complete_graph(now), 3).planners
     assert continuous_gap(after, 0, 2) >= RADIUS
 
 
@@ -218,12 +220,12 @@ def continuous_gap(planners, i, j):
     return hull_distance(planners[i].control_points - planners[j].control_points)[0].min()
 
 
-def test_sweeps_end_when_they_bring_nothing_also_where_somebody_can_never_arrive():
-    transfer, horizon = problem()
-    now = settled({
-        i: agent(i, [-1.5, 0.3 * i], [1.5, -0.3 * i], transfer, horizon) for i in (0, 2, 4)
+def test_sweeps_end_without_progress_also_off_target():
+    transfer, horizon = make_problem()
+    now = solved({
+        i: make_planner(i, [-1.5, 0.3 * i], [1.5, -0.3 * i], transfer, horizon) for i in (0, 2, 4)
     } | {
-        i: parked(i, np.array([9.0, float(i)]), transfer, horizon) for i in (1, 3)
+        i: immobile(i, np.array([9.0, float(i)]), transfer, horizon) for i in (1, 3)
     })  # fmt: skip
     still = transfer.simulate(now[4].nominal.x[0], np.zeros((len(transfer.model), 2)))
     lost = now[4]._replace(
@@ -233,36 +235,36 @@ def test_sweeps_end_when_they_bring_nothing_also_where_somebody_can_never_arrive
         target_state=np.full(4, 99.0),
     )
     now[4] = lost
-    few, many = (negotiate(now, everybody(now), sweeps) for sweeps in (4, 30))
+    few, many = (negotiate(now, complete_graph(now), sweeps) for sweeps in (4, 30))
     assert many.planners[4].nominal is still
-    assert paid(many.planners)[2] < 0
+    assert total_cost(many.planners)[2] < 0
     assert many.solve_count < 30 and few.solve_count > 0
     assert many.round_count < 200
 
 
-def test_who_cannot_move_or_comes_too_close_has_nothing_to_offer(rng):
-    now = settled(crowd(rng, 3))
+def test_immobile_or_infeasible_agent_makes_no_offer(rng):
+    now = solved(random_swarm(rng, 3))
     spoilt = (
-        parked(0, now[0].nominal.x[0, :2], now[0].transfer, now[0].horizon),
+        immobile(0, now[0].nominal.x[0, :2], now[0].transfer, now[0].horizon),
         now[0]._replace(has_failed=True),
         now[0]._replace(slack=0.1),
     )
     for other in spoilt:
-        parties = negotiate_pairs(now | {0: other}, everybody(now), {0: 1, 1: 0})
+        parties = negotiate_pairs(now | {0: other}, complete_graph(now), {0: 1, 1: 0})
         assert parties[0].offer is None
         assert parties[0].planner is other and parties[1].planner.nominal is now[1].nominal
 
 
-def test_who_ends_elsewhere_is_taken_to_its_goal_though_it_costs_more():
-    transfer, horizon = problem()
+def test_agent_off_its_target_is_taken_there_at_extra_fuel():
+    transfer, horizon = make_problem()
     ends = [([-1.5, 0.0], [1.5, 0.0]), ([0.1, -1.6], [0.1, 1.5])]
-    now = settled({i: agent(i, *ends[i], transfer, horizon) for i in range(2)})
+    now = solved({i: make_planner(i, *ends[i], transfer, horizon) for i in range(2)})
     still = transfer.simulate(now[1].nominal.x[0], np.zeros((len(transfer.model), 2)))
     now[1] = now[1]._replace(
         nominal=still, control_points=horizon.control_points(still.x, still.u), terminal_error=3.0
     )
-    assert paid(now)[:2] == (0, 1)
-    after = negotiate(now, everybody(now), 1).planners
-    assert paid(after)[:2] == (0, 0)
-    assert paid(after)[2] > paid(now)[2]
+    assert total_cost(now)[:2] == (0, 1)
+    after = negotiate(now, complete_graph(now), 1).planners
+    assert total_cost(after)[:2] == (0, 0)
+    assert total_cost(after)[2] > total_cost(now)[2]
     assert after[1].terminal_error == 0 and continuous_separation(after) >= RADIUS

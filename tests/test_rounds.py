@@ -48,7 +48,7 @@ def all_hops(network: CommunicationGraph) -> np.ndarray:
 
 @LAW
 @given(networks())
-def test_agents_learn_the_diameter_that_all_paths_have(network):
+def test_learned_and_batched_diameter_agree_with_all_paths(network):
     hops = all_hops(network)
     expected = [
         int(
@@ -67,7 +67,7 @@ def test_agents_learn_the_diameter_that_all_paths_have(network):
 
 @LAW
 @given(networks())
-def test_an_agent_knows_its_diameter_three_eccentricities_after_the_start(network):
+def test_diameter_is_known_after_three_eccentricities(network):
     live = np.flatnonzero(network.alive).tolist()
     states = {i: DiameterEstimator(WaveMessage(frozenset([i]))) for i in live}
     history = list(
@@ -84,7 +84,7 @@ def test_an_agent_knows_its_diameter_three_eccentricities_after_the_start(networ
 
 @LAW
 @given(networks())
-def test_components_are_what_paths_connect(network):
+def test_components_are_connected_by_paths(network):
     hops, component = all_hops(network), network.component
     for i in range(len(hops)):
         if not network.alive[i]:
@@ -98,7 +98,7 @@ def test_components_are_what_paths_connect(network):
 
 @LAW
 @given(networks(), st.integers(0, 2**32 - 1))
-def test_flooding_agrees_on_the_largest_of_each_component(network, seed):
+def test_flood_of_max_equals_component_max(network, seed):
     values = np.random.default_rng(seed).integers(1, 50, len(network.alive))
     largest = network.component_max(values)
     told = {i: int(values[i]) for i in np.flatnonzero(network.alive).tolist()}
@@ -120,7 +120,7 @@ def test_news_travels_one_hop_a_round():
             assert now[i] == {j for j in range(6) if abs(i - j) <= r}
 
 
-def test_an_agent_hears_its_neighbours_and_the_finished_but_nobody_else():
+def test_agent_hears_its_neighbors_alone_also_the_finished():
     network = line(4)
     inboxes = {i: [] for i in range(4)}
 
@@ -134,7 +134,7 @@ def test_an_agent_hears_its_neighbours_and_the_finished_but_nobody_else():
     assert inboxes == {0: [[1]], 1: [[0, 2]] * 2, 2: [[1, 3]] * 3, 3: [[2]] * 4}
 
 
-def test_the_dead_neither_act_nor_are_heard():
+def test_dead_agents_neither_act_nor_send():
     alive = np.array([True, False, True])
     network = CommunicationGraph.from_positions(np.array([[0.0], [1.0], [2.0]]), 1.5, alive)
     assert [n.tolist() for n in network.neighbors] == [[], [], []]
@@ -142,26 +142,26 @@ def test_the_dead_neither_act_nor_are_heard():
     assert flood(network, {0: 1, 2: 2}, max) == {0: 1, 2: 2}
 
 
-def test_exactly_the_radius_apart_is_still_heard():
+def test_agents_exactly_one_radius_apart_are_neighbors():
     network = CommunicationGraph.from_positions(
         np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 9.1]]), 5.0, np.full(3, True)
     )
     assert [n.tolist() for n in network.neighbors] == [[1], [0], []]
 
 
-def test_the_position_of_the_dead_does_not_matter():
+def test_position_of_a_dead_agent_is_ignored():
     position = np.array([[0.0, 0.0], [np.nan, np.nan], [1.0, 0.0]])
     network = CommunicationGraph.from_positions(position, 2.0, np.array([True, False, True]))
     assert network.diameter.tolist() == [1, 0, 1]
 
 
-def test_a_swarm_of_nobody_has_no_components():
+def test_swarm_without_live_agents_has_no_components():
     network = CommunicationGraph.from_positions(np.zeros((2, 3)), 1.0, np.full(2, False))
     assert network.component.tolist() == [-1, -1]
     assert learn_diameter(network).tolist() == [0, 0]
 
 
-def test_what_is_no_network_is_refused():
+def test_invalid_graph_is_refused():
     one_way = np.array([[False, True], [False, False]])
     with pytest.raises(ValueError, match="agent 0 hears agent 1 but not the other way round"):
         CommunicationGraph(one_way, np.full(2, True))
@@ -173,7 +173,7 @@ def test_what_is_no_network_is_refused():
         CommunicationGraph.from_positions(np.zeros((2, 2)), -1.0, np.full(2, True))
 
 
-def test_one_of_every_network_has_its_turn_at_a_time_and_each_once():
+def test_each_group_has_one_turn_one_of_each_component_at_a_time():
     hears = np.zeros((6, 6), dtype=bool)
     hears[0, 3] = hears[3, 0] = hears[1, 4] = hears[4, 1] = hears[4, 5] = hears[5, 4] = True
     network = CommunicationGraph(hears, np.arange(6) != 2)

@@ -14,7 +14,7 @@ from sato.scp.priority_orders import compute_priority_cost
 T, STEP, RADIUS = 12, 1.0, 0.5
 
 
-def problem(axes=2, horizon_steps=T, speed=0.6):
+def make_problem(axes=2, horizon_steps=T, speed=0.6):
     model = DoubleIntegrator(axes)
     transfer = TransferProblem(discretize_zoh(model, STEP, T), 0.2, speed, tie_break_rise=1e-3)
     ahead = discretize_zoh(model, STEP, horizon_steps)
@@ -23,7 +23,7 @@ def problem(axes=2, horizon_steps=T, speed=0.6):
     )
 
 
-def agent(number, start, goal, transfer, horizon, spent=0.0, velocity=0.0):
+def make_planner(number, start, goal, transfer, horizon, spent=0.0, velocity=0.0):
     start = np.concatenate([start, np.full(len(start), velocity) * (np.arange(len(start)) == 0)])
     goal = np.concatenate([goal, np.zeros(len(goal))])
     free = AvoidanceProblem(transfer).solve(start, goal, empty_half_spaces(transfer)).trajectory
@@ -31,9 +31,9 @@ def agent(number, start, goal, transfer, horizon, spent=0.0, velocity=0.0):
     return Planner((True, -spent, number), goal, transfer, horizon, free, free, path)
 
 
-def crowd(rng, count, axes=2, box=3.0):
+def random_swarm(rng, count, axes=2, box=3.0):
     """Agents that start apart and have goals apart, on the other side of one another."""
-    transfer, horizon = problem(axes)
+    transfer, horizon = make_problem(axes)
     ends = []
     for _ in range(2):
         points = []
@@ -42,36 +42,36 @@ def crowd(rng, count, axes=2, box=3.0):
             if all(np.linalg.norm(p - q) > 1.5 * RADIUS for q in points):
                 points.append(p)
         ends.append(np.array(points))
-    return {i: agent(i, ends[0][i], ends[1][i], transfer, horizon) for i in range(count)}
+    return {i: make_planner(i, ends[0][i], ends[1][i], transfer, horizon) for i in range(count)}
 
 
-def circle(count, radius, turn=0.03):
+def antipodal_swarm(count, radius, turn=0.03):
     """Agents that all change sides of a circle: every pair meets in the middle."""
-    transfer, horizon = problem(2, horizon_steps=12)
+    transfer, horizon = make_problem(2, horizon_steps=12)
     angle = 2 * np.pi * np.arange(count) / count
     start = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     goal = -radius * np.stack([np.cos(angle + turn), np.sin(angle + turn)], axis=1)
-    return {i: agent(i, start[i], goal[i], transfer, horizon) for i in range(count)}
+    return {i: make_planner(i, start[i], goal[i], transfer, horizon) for i in range(count)}
 
 
-def paid(planners):
+def total_cost(planners):
     return tuple(np.sum([compute_priority_cost(agent) for agent in planners.values()], axis=0))
 
 
-def everybody(planners):
+def complete_graph(planners):
     count = len(planners)
-    return heard(~np.eye(count, dtype=bool))
+    return graph_of(~np.eye(count, dtype=bool))
 
 
-def strangers(first, second):
+def two_components(first, second):
     """Two networks in which all hear each other, and nobody of the other."""
     hears = np.zeros((first + second, first + second), dtype=bool)
     hears[:first, :first] = hears[first:, first:] = True
     np.fill_diagonal(hears, False)
-    return heard(hears)
+    return graph_of(hears)
 
 
-def heard(hears):
+def graph_of(hears):
     return CommunicationGraph(hears, np.ones(len(hears), dtype=bool))
 
 
@@ -82,11 +82,11 @@ def continuous_separation(planners, states=None):
     return separations(x[..., :d], x[..., d:], alive, STEP).minimum.distance
 
 
-def weighted(flight, transfer):
+def weighted_fuel(flight, transfer):
     return STEP * float(transfer.weights @ np.abs(flight.u).sum(axis=1))
 
 
-def parked(number, place, transfer, horizon):
+def immobile(number, place, transfer, horizon):
     """An agent whose time is up: it stands where it is and cannot give way."""
     x = np.concatenate([place, np.zeros(len(place))])
     flight = Trajectory(x[None], np.zeros((0, len(place))), 0.0)
@@ -95,7 +95,7 @@ def parked(number, place, transfer, horizon):
     return Planner((False, 0.0, number), x, over, horizon, flight, flight, path)
 
 
-def as_before(planners, former):
+def with_previous_plans(planners, former):
     """The same agents, who begin with the plans that others of their number ended with."""
     begun = {}
     for i, p in planners.items():

@@ -25,19 +25,19 @@ def same(a: WinningBids, b: WinningBids) -> bool:
 
 @LAW
 @given(books(), books())
-def test_merging_ignores_who_speaks_first(a, b):
+def test_merge_is_commutative(a, b):
     assert same(merge_bids(a, b), merge_bids(b, a))
 
 
 @LAW
 @given(books(), books(), books())
-def test_merging_ignores_the_grouping(a, b, c):
+def test_merge_is_associative(a, b, c):
     assert same(merge_bids(merge_bids(a, b), c), merge_bids(a, merge_bids(b, c)))
 
 
 @LAW
 @given(books(), books())
-def test_hearing_something_twice_changes_nothing(a, b):
+def test_merge_is_idempotent(a, b):
     once = merge_bids(a, b)
     assert same(merge_bids(once, b), once)
     assert same(merge_bids(a, a), a)
@@ -45,7 +45,7 @@ def test_hearing_something_twice_changes_nothing(a, b):
 
 @LAW
 @given(books(), books())
-def test_a_book_only_grows(a, b):
+def test_merged_bids_are_no_older_than_either(a, b):
     # Nothing in either book is newer than what both give together.
     both = merge_bids(a, b)
     assert not find_newer_bids(both, a).any()
@@ -55,11 +55,11 @@ def test_a_book_only_grows(a, b):
 
 @LAW
 @given(books())
-def test_an_empty_book_says_nothing(a):
+def test_merge_with_no_bids_changes_nothing(a):
     assert same(merge_bids(a, WinningBids.empty(4)), a)
 
 
-def test_the_larger_magnitude_wins_then_for_sale_then_the_smaller_number():
+def test_larger_magnitude_wins_then_for_sale_then_smaller_agent():
     mine = WinningBids(np.array([1.0, -2.0, 1.0, 1.0]), np.array([4, NO_WINNER, 4, 4]))
     heard = WinningBids(np.array([-1.5, 1.0, -1.0, 1.0]), np.array([NO_WINNER, 2, NO_WINNER, 3]))
     both = merge_bids(mine, heard)
@@ -67,6 +67,6 @@ def test_the_larger_magnitude_wins_then_for_sale_then_the_smaller_number():
     assert both.winner.tolist() == [NO_WINNER, NO_WINNER, NO_WINNER, 3]
 
 
-def test_bidders_are_counted_by_standing_bids_not_by_prices():
+def test_winner_count_counts_standing_bids_alone():
     book = WinningBids(np.array([1.0, -2.0, 0.0, 3.0]), np.array([0, NO_WINNER, NO_WINNER, 7]))
     assert book.winner_count == 2

@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from swarm_cast import (
+from planner_examples import (
     RADIUS,
-    agent,
-    as_before,
-    circle,
+    antipodal_swarm,
+    complete_graph,
     continuous_separation,
-    crowd,
-    everybody,
-    paid,
-    parked,
-    problem,
-    strangers,
+    immobile,
+    make_planner,
+    make_problem,
+    random_swarm,
+    total_cost,
+    two_components,
+    with_previous_plans,
 )
 
 from dynamics import DoubleIntegrator, discretize_zoh
@@ -42,8 +42,8 @@ from sato.scp.priority_orders import (
 
 
 @cache
-def anybody():
-    return agent(0, np.zeros(2), np.ones(2), *problem())
+def any_planner():
+    return make_planner(0, np.zeros(2), np.ones(2), *make_problem())
 
 
 @given(
@@ -51,7 +51,7 @@ def anybody():
     dead=st.sets(st.integers(0, 6), max_size=3),
     seed=st.integers(0, 99),
 )
-def test_what_a_network_pays_keeps_and_has_in_common_each_knows_from_a_flood(links, dead, seed):
+def test_component_sums_and_choices_follow_from_a_flood(links, dead, seed):
     alive = np.array([i not in dead for i in range(7)])
     hears = np.zeros((7, 7), dtype=bool)
     hears[np.triu_indices(7, 1)] = links
@@ -63,7 +63,9 @@ def test_what_a_network_pays_keeps_and_has_in_common_each_knows_from_a_flood(lin
         for i in np.flatnonzero(alive).tolist()
     }
     other = {i: paid._replace(extra_fuel=draw.random()) for i, paid in tolls.items()}
-    some = {i: anybody()._replace(has_failed=bool(paid.misses_target)) for i, paid in tolls.items()}
+    some = {
+        i: any_planner()._replace(has_failed=bool(paid.misses_target)) for i, paid in tolls.items()
+    }
     again = {i: p._replace(has_converged=True) for i, p in some.items()}
     clear = select_components(some, network, lambda p: not p.has_failed)
     kept, _ = keep_cheaper(some, tolls, again, other, network)
@@ -78,9 +80,9 @@ def test_what_a_network_pays_keeps_and_has_in_common_each_knows_from_a_flood(lin
 
 
 def test_one_order_is_method_2_itself(rng):
-    planners = crowd(rng, 5)
-    once, exchanges = run_scp(planners, everybody(planners))
-    found = try_priority_orders(planners, everybody(planners), 1)
+    planners = random_swarm(rng, 5)
+    once, exchanges = run_scp(planners, complete_graph(planners))
+    found = try_priority_orders(planners, complete_graph(planners), 1)
     assert found.round_count == exchanges
     assert found.solve_count == sum(p.solve_count for p in once.values())
     for i, p in once.items():
@@ -88,49 +90,52 @@ def test_one_order_is_method_2_itself(rng):
 
 
 @pytest.mark.parametrize("axes", [2, 3])
-def test_more_orders_never_cost_more_and_keep_the_distance(rng, axes):
+def test_more_orders_never_cost_more_and_stay_separated(rng, axes):
     saved = 0.0
     for _ in range(3):
-        planners = crowd(rng, 5, axes, box=3.5)
+        planners = random_swarm(rng, 5, axes, box=3.5)
         once, after = (
-            try_priority_orders(planners, everybody(planners), orders).planners for orders in (1, 4)
+            try_priority_orders(planners, complete_graph(planners), orders).planners
+            for orders in (1, 4)
         )
-        assert paid(after) <= paid(once)
+        assert total_cost(after) <= total_cost(once)
         assert after.keys() == planners.keys()
         assert all(p.is_final for p in after.values())
-        assert paid(after)[:2] == (0, 0)
+        assert total_cost(after)[:2] == (0, 0)
         assert continuous_separation(after) >= RADIUS
         for p in after.values():
             np.testing.assert_allclose(p.nominal.x[-1], p.target_state, atol=1e-6)
-        saved += paid(once)[2] - paid(after)[2]
+        saved += total_cost(once)[2] - total_cost(after)[2]
     assert saved > 0
 
 
-def test_networks_that_do_not_hear_each_other_choose_for_themselves(rng):
-    left, right = crowd(rng, 4), crowd(rng, 3)
+def test_components_choose_their_orders_independently(rng):
+    left, right = random_swarm(rng, 4), random_swarm(rng, 3)
     both = left | {4 + i: p._replace(priority=(True, 0.0, 4 + i)) for i, p in right.items()}
-    together = try_priority_orders(both, strangers(4, 3), 4).planners
+    together = try_priority_orders(both, two_components(4, 3), 4).planners
     for some, first in ((left, 0), (right, 4)):
-        for i, p in try_priority_orders(some, everybody(some), 4).planners.items():
+        for i, p in try_priority_orders(some, complete_graph(some), 4).planners.items():
             np.testing.assert_array_equal(p.nominal.u, together[first + i].nominal.u)
 
 
-def test_whoever_pays_nothing_has_nothing_to_do_with_strangers_who_do(rng):
-    dear = crowd(rng, 4)
-    transfer, horizon = problem()
+def test_component_without_cost_tries_no_further_order(rng):
+    dear = random_swarm(rng, 4)
+    transfer, horizon = make_problem()
     cheap = {
-        4 + i: agent(4 + i, [0.0, 40.0 + 4 * i], [2.0, 40.0 + 4 * i], transfer, horizon)
+        4 + i: make_planner(4 + i, [0.0, 40.0 + 4 * i], [2.0, 40.0 + 4 * i], transfer, horizon)
         for i in range(3)
     }
-    both = try_priority_orders(dear | cheap, strangers(4, 3), 4)
-    assert both.solve_count == try_priority_orders(dear, everybody(dear), 4).solve_count > 0
+    both = try_priority_orders(dear | cheap, two_components(4, 3), 4)
+    assert both.solve_count == try_priority_orders(dear, complete_graph(dear), 4).solve_count > 0
 
 
-def test_who_flies_straight_to_its_goal_has_nothing_to_settle_anew():
-    transfer, horizon = problem()
-    planners = {i: agent(i, [0.0, 4.0 * i], [2.0, 4.0 * i], transfer, horizon) for i in range(3)}
-    once, exchanges = run_scp(planners, everybody(planners))
-    found = try_priority_orders(planners, everybody(planners), 9)
+def test_swarm_without_conflicts_solves_nothing():
+    transfer, horizon = make_problem()
+    planners = {
+        i: make_planner(i, [0.0, 4.0 * i], [2.0, 4.0 * i], transfer, horizon) for i in range(3)
+    }
+    once, exchanges = run_scp(planners, complete_graph(planners))
+    found = try_priority_orders(planners, complete_graph(planners), 9)
     assert (found.round_count, found.solve_count) == (
         exchanges + 1,
         0,
@@ -138,34 +143,34 @@ def test_who_flies_straight_to_its_goal_has_nothing_to_settle_anew():
     assert all(found.planners[i].nominal is once[i].nominal for i in once)
 
 
-def test_all_go_on_as_they_began_where_that_is_clear_and_cheaper(rng):
+def test_clear_and_cheaper_previous_plans_are_kept(rng):
     # Plans that several orders found; the first order alone would make dearer ones.
-    planners = crowd(rng, 5, box=3.5)
-    found = try_priority_orders(planners, everybody(planners), 5).planners
-    begun = as_before(planners, found)
-    again = try_priority_orders(begun, everybody(begun), 2).planners
-    assert paid(run_scp(planners, everybody(planners))[0]) > paid(found)
-    assert paid(again) <= paid(found)
+    planners = random_swarm(rng, 5, box=3.5)
+    found = try_priority_orders(planners, complete_graph(planners), 5).planners
+    begun = with_previous_plans(planners, found)
+    again = try_priority_orders(begun, complete_graph(begun), 2).planners
+    assert total_cost(run_scp(planners, complete_graph(planners))[0]) > total_cost(found)
+    assert total_cost(again) <= total_cost(found)
     assert continuous_separation(again) >= RADIUS
 
 
-def test_nobody_goes_on_where_two_would_meet(rng):
-    planners = crowd(rng, 4)
-    meeting = circle(2, 1.5)
-    assert not select_clear_components(meeting, everybody(meeting))
+def test_component_in_conflict_is_not_clear(rng):
+    planners = random_swarm(rng, 4)
+    meeting = antipodal_swarm(2, 1.5)
+    assert not select_clear_components(meeting, complete_graph(meeting))
     far = {0: meeting[0]}
-    assert select_clear_components(far, everybody(far)).keys() == {0}
-    settled = as_before(planners, run_scp(planners, everybody(planners))[0])
-    assert select_clear_components(settled, everybody(settled)).keys() == settled.keys()
+    assert select_clear_components(far, complete_graph(far)).keys() == {0}
+    settled = with_previous_plans(planners, run_scp(planners, complete_graph(planners))[0])
+    assert select_clear_components(settled, complete_graph(settled)).keys() == settled.keys()
 
 
-def test_who_finds_no_way_flies_what_it_tells():
+def test_infeasible_agent_sends_the_path_that_it_flies():
     # Between two walls that meet it there is none; it began bent to the right.
-    transfer, horizon = problem()
-    me = agent(2, [0.0, 0.0], [0.0, 0.0], transfer, horizon)
-    walls = {i: parked(i, np.array([0.1 * i, 0.0]), transfer, horizon) for i in range(2)}
+    transfer, horizon = make_problem()
+    me = make_planner(2, [0.0, 0.0], [0.0, 0.0], transfer, horizon)
+    walls = {i: immobile(i, np.array([0.1 * i, 0.0]), transfer, horizon) for i in range(2)}
     swarm = walls | {2: me._replace(control_points=me.control_points + 0.3, has_converged=False)}
-    after, _ = run_scp(swarm, everybody(swarm))
+    after, _ = run_scp(swarm, complete_graph(swarm))
     assert after[2].has_failed or after[2].slack > 0
     np.testing.assert_array_equal(
         after[2].control_points, horizon.control_points(after[2].nominal.x, after[2].nominal.u)
@@ -173,9 +178,9 @@ def test_who_finds_no_way_flies_what_it_tells():
 
 
 @pytest.mark.parametrize("axes", [2, 3])
-def test_the_fast_path_equals_the_definition_of_those_who_begin_bent(rng, axes):
-    planners = {i: offset_right(p, 1.0) for i, p in crowd(rng, 5, axes).items()}
-    network = everybody(planners)
+def test_batched_exchanges_of_offset_nominals_equal_the_definition(rng, axes):
+    planners = {i: offset_right(p, 1.0) for i, p in random_swarm(rng, 5, axes).items()}
+    network = complete_graph(planners)
     slow, fast = list(run_by_messages(planners, network)), list(run_batched(planners, network))
     assert len(slow) == len(fast)
     for a, b in zip(slow, fast, strict=True):
@@ -184,32 +189,30 @@ def test_the_fast_path_equals_the_definition_of_those_who_begin_bent(rng, axes):
             assert (a[i].is_final, a[i].solve_count) == (b[i].is_final, b[i].solve_count)
 
 
-def test_who_cannot_move_stays_and_all_settle_around_it(rng):
-    planners = crowd(rng, 4)
+def test_immobile_agent_stays_and_others_avoid_it(rng):
+    planners = random_swarm(rng, 4)
     still = planners[0]
-    planners[0] = parked(0, still.nominal.x[0, :2], still.transfer, still.horizon)
-    after = try_priority_orders(planners, everybody(planners), 4).planners
+    planners[0] = immobile(0, still.nominal.x[0, :2], still.transfer, still.horizon)
+    after = try_priority_orders(planners, complete_graph(planners), 4).planners
     assert after[0].nominal is planners[0].nominal
     assert all(p.is_final for p in after.values())
 
 
-def test_where_all_meet_in_one_point_one_order_fails_and_several_find_a_way():
-    planners = circle(6, 1.5)
-    once = try_priority_orders(planners, everybody(planners), 1).planners
-    after = try_priority_orders(planners, everybody(planners), 6).planners
-    assert paid(once)[1] > 0
-    assert paid(after)[:2] == (0, 0)
+def test_several_orders_solve_a_crossing_that_one_cannot():
+    planners = antipodal_swarm(6, 1.5)
+    once = try_priority_orders(planners, complete_graph(planners), 1).planners
+    after = try_priority_orders(planners, complete_graph(planners), 6).planners
+    assert total_cost(once)[1] > 0
+    assert total_cost(after)[:2] == (0, 0)
     assert continuous_separation(after) >= RADIUS
 
 
 @settings(max_examples=20, deadline=None)
 @given(angle=st.floats(0, 2 * np.pi), length=st.floats(1.0, 3.0), hand=st.sampled_from([1.0, -2.0]))
-def test_who_is_bent_begins_and_ends_on_its_way_and_is_as_far_aside_in_the_middle_as_asked(
-    angle, length, hand
-):
-    transfer, horizon = problem()
+def test_offset_is_zero_at_the_ends_and_as_asked_halfway(angle, length, hand):
+    transfer, horizon = make_problem()
     way = length * np.array([np.cos(angle), np.sin(angle)])
-    straight = agent(0, np.zeros(2), way, transfer, horizon)
+    straight = make_planner(0, np.zeros(2), way, transfer, horizon)
     curved = offset_right(straight, hand)
     right = np.array([way[1], -way[0]]) / length
     aside = (curved.control_points - straight.control_points) @ right / (hand * RADIUS)
@@ -221,26 +224,26 @@ def test_who_is_bent_begins_and_ends_on_its_way_and_is_as_far_aside_in_the_middl
     )
 
 
-def test_in_space_nobody_is_bent(rng):
-    planners = crowd(rng, 2, axes=3)
+def test_nominals_in_space_are_not_offset(rng):
+    planners = random_swarm(rng, 2, axes=3)
     assert offset_right(planners[0], 1.0) is planners[0]
 
 
-def test_within_a_horizon_that_ends_early_nobody_comes_too_close():
-    planners = circle(5, 1.5)
-    short = problem(horizon_steps=8)[1]
+def test_separation_is_kept_within_a_short_horizon():
+    planners = antipodal_swarm(5, 1.5)
+    short = make_problem(horizon_steps=8)[1]
     seen = {
         i: p._replace(horizon=short, control_points=short.control_points(p.nominal.x, p.nominal.u))
         for i, p in planners.items()
     }
-    after = try_priority_orders(seen, everybody(seen), 3).planners
+    after = try_priority_orders(seen, complete_graph(seen), 3).planners
     assert all(p.is_final for p in after.values())
     assert continuous_separation(seen, states=9) < RADIUS
     assert continuous_separation(after, states=9) >= RADIUS
 
 
 @pytest.mark.parametrize("bargains", [0, 2])
-def test_what_is_flown_with_replans_costs_no_more_than_the_first_plan(bargains):
+def test_replanning_never_raises_the_fuel_of_the_first_plan(bargains):
     # All through one point, each to its own target.
     angle = 2 * np.pi * np.arange(4) / 4
     start = 2.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
