@@ -255,12 +255,14 @@ def export_c(
     scenario: Annotated[
         str, typer.Option(metavar="NAME|FILE.toml", help="Of which an agent is.")
     ] = "uiuc",
-    neighbors: Annotated[int, typer.Option(metavar="K", min=1, help="That there is room for.")] = 5,
+    neighbors: Annotated[
+        int, typer.Option(metavar="K", min=1, help="Number of neighbors to make room for.")
+    ] = 5,
     steps: Annotated[
         int | None, typer.Option(metavar="T", min=2, help="Of a flight; the first leg's.")
     ] = None,
 ) -> None:
-    """Write C that solves one agent's transfer among its neighbours, for on board."""
+    """Write C that solves one agent's transfer among its neighbors, for onboard computers."""
     with report_errors():
         from sato.console import spinner
         from sato.onboard import export_c as write

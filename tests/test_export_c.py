@@ -1,4 +1,4 @@
-"""C for on board: what is written, and that it answers as Python does."""
+"""Exported C: its files, and that its solutions equal those of Python."""
 
 import ctypes
 import os
@@ -43,66 +43,67 @@ steps = 12
 """
 
 
-def call(*words: str) -> Result:
-    return CliRunner().invoke(app, words)
+def call(*args: str) -> Result:
+    return CliRunner().invoke(app, args)
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """Two programmes in C: in the plane with a speed limit, and in orbit without one."""
+    """Export and compile two problems: in the plane with a speed limit, and in orbit without."""
     home = tmp_path_factory.mktemp("onboard")
     (home / "orbit.toml").write_text(ORBIT)
-    wanted = {"uiuc": (3, 10), str(home / "orbit.toml"): (2, None)}
-    found = {}
-    for (scenario, size), name in zip(wanted.items(), ("plane", "orbit"), strict=True):
-        written = export_c(scenario, home / name, *size)
-        found[name] = written, compile_solver(home / name), home / name
-    return found
+    sources = {"plane": ("uiuc", 3, 10), "orbit": (str(home / "orbit.toml"), 2, None)}
+    return {
+        name: (export_c(scenario, home / name, *size), compile_solver(home / name), home / name)
+        for name, (scenario, *size) in sources.items()
+    }
 
 
-def flown_by_python(written, question):
-    transfer = written.program.transfer
-    flight = AvoidanceProblem(transfer).solve(*question).trajectory
-    return flight, transfer.model.dt * transfer.weight @ np.abs(flight.u).sum(axis=1)
+def solve_in_python(problem, instance):
+    transfer = problem.program.transfer
+    flight = AvoidanceProblem(transfer).solve(*instance).trajectory
+    return flight, transfer.model.dt * transfer.weights @ np.abs(flight.u).sum(axis=1)
 
 
 @pytest.mark.parametrize("name", ["plane", "orbit"])
-def test_the_code_answers_as_python_does(made, name, rng):
-    written, code, _ = made[name]
-    programme = written.program
-    steps, V = programme.transfer.model, programme.transfer.max_speed
-    least_cost = programme.transfer.max_control * steps.dt
+def test_c_finds_the_cost_of_python_and_keeps_all_constraints(made, name, rng):
+    problem, code, _ = made[name]
+    program = problem.program
+    steps, V = program.transfer.model, program.transfer.max_speed
+    least_cost = program.transfer.max_control * steps.dt
     bound = 0
-    for question in islice(random_instances(written, rng), 50):
-        start, goal, spaces = question
-        flight, cost = flown_by_python(written, question)
-        flown = code.solve(*question)
+    for instance in islice(random_instances(problem, rng), 50):
+        start, target, spaces = instance
+        flight, cost = solve_in_python(problem, instance)
+        flown = code.solve(*instance)
         assert flown.code == SOLVED
         assert abs(flown.cost - cost) <= 1e-6 * max(cost, least_cost)
-        # By arithmetic of our own: the answer keeps all that was asked.
+        # Recomputed independently of the code.
         x = steps.simulate(start, flown.u)
-        assert np.abs((x[-1] - goal) / programme.state_units).max() <= 1e-6
-        assert np.abs(flown.u).max() <= programme.transfer.max_control
-        assert spaces.violation(x, flown.u).max() <= 1e-6 * written.horizon.radius
-        if programme.limited:
+        assert np.abs((x[-1] - target) / program.state_units).max() <= 1e-6
+        assert np.abs(flown.u).max() <= program.transfer.max_control
+        assert spaces.violation(x, flown.u).max() <= 1e-6 * problem.horizon.collision_radius
+        if program.has_speed_limit:
             assert np.linalg.norm(x[1:-1, steps.axes :], axis=1).max() <= V * (1 + 1e-6)
-        bound += spaces.violation(flight.x, flight.u).max() > -1e-6 * written.horizon.radius
-    assert bound >= 10  # else the half-spaces were never put to the test
+        bound += (
+            spaces.violation(flight.x, flight.u).max() > -1e-6 * problem.horizon.collision_radius
+        )
+    assert bound >= 10  # enough instances in which half-spaces bind
 
 
-def test_the_speed_limit_is_kept_where_it_binds(made):
-    written, code, _ = made["plane"]
-    V = written.program.transfer.max_speed
-    nobody = empty_half_spaces(written.program.transfer)
-    start, goal = np.zeros(4), np.array([1.57, 0.4, 0, 0])
-    flight, cost = flown_by_python(written, (start, goal, nobody))
+def test_speed_limit_is_kept_where_it_binds(made):
+    problem, code, _ = made["plane"]
+    V = problem.program.transfer.max_speed
+    empty = empty_half_spaces(problem.program.transfer)
+    start, target = np.zeros(4), np.array([1.57, 0.4, 0, 0])
+    flight, cost = solve_in_python(problem, (start, target, empty))
     assert np.linalg.norm(flight.x[1:-1, 2:], axis=1).max() > V * (1 - 1e-6)
-    flown = code.solve(start, goal, nobody)
+    flown = code.solve(start, target, empty)
     assert (flown.code, flown.cost) == (SOLVED, pytest.approx(cost, rel=1e-6))
 
 
-def test_a_start_that_touches_a_half_space_is_no_obstacle(made):
-    # Nothing moves the first state: a wall that it lies beyond by rounding is not in the way.
+def test_start_on_the_boundary_of_a_half_space_is_feasible(made):
+    # No control changes the first state, so a violation by rounding must not matter.
     _, code, _ = made["plane"]
     axis, still = np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 2))
     for beyond, found in ((1e-13, SOLVED), (1e-3, UNSOLVED)):
@@ -110,100 +111,98 @@ def test_a_start_that_touches_a_half_space_is_no_obstacle(made):
         assert code.solve(np.zeros(4), np.array([0.5, 0.4, 0, 0]), wall).code == found
 
 
-def test_what_the_code_says_of_its_answer_is_so(made, rng):
-    written, code, _ = made["plane"]
-    steps = written.program.transfer.model
-    for start, goal, spaces in islice(random_instances(written, rng), 5):
-        flown = code.solve(start, goal, spaces)
+def test_reported_errors_equal_recomputed_ones(made, rng):
+    problem, code, _ = made["plane"]
+    steps = problem.program.transfer.model
+    for start, target, spaces in islice(random_instances(problem, rng), 5):
+        flown = code.solve(start, target, spaces)
         x = steps.simulate(start, flown.u)
         assert flown.fuel == pytest.approx(steps.dt * np.abs(flown.u).sum(), rel=1e-12)
-        assert flown.position_error == pytest.approx(np.abs(x[-1] - goal)[:2].max(), abs=1e-13)
-        assert flown.velocity_error == pytest.approx(np.abs(x[-1] - goal)[2:].max(), abs=1e-13)
-        assert flown.broken == pytest.approx(max(0, spaces.violation(x, flown.u).max()), abs=1e-13)
+        assert flown.position_error == pytest.approx(np.abs(x[-1] - target)[:2].max(), abs=1e-13)
+        assert flown.velocity_error == pytest.approx(np.abs(x[-1] - target)[2:].max(), abs=1e-13)
+        violation = max(0, spaces.violation(x, flown.u).max())
+        assert flown.half_space_violation == pytest.approx(violation, abs=1e-13)
         assert flown.residual <= 1e-6
 
 
-def test_an_answer_does_not_depend_on_those_before_it(made, rng):
-    written, code, _ = made["plane"]
-    first, *others = islice(random_instances(written, rng), 8)
+def test_solution_does_not_depend_on_earlier_calls(made, rng):
+    problem, code, _ = made["plane"]
+    first, *others = islice(random_instances(problem, rng), 8)
     alone = code.solve(*first)
     for other in others:
         code.solve(*other)
     np.testing.assert_array_equal(code.solve(*first).u, alone.u)
 
 
-def test_the_order_of_half_spaces_does_not_matter(made, rng):
-    written, code, _ = made["plane"]
-    start, goal, spaces = next(random_instances(written, rng))
-    turned = HalfSpaces(*(part[::-1] for part in spaces))
-    there, back = (code.solve(start, goal, s).cost for s in (spaces, turned))
-    assert there == pytest.approx(back, rel=1e-7)
+def test_order_of_half_spaces_does_not_matter(made, rng):
+    problem, code, _ = made["plane"]
+    start, target, spaces = next(random_instances(problem, rng))
+    reversed_spaces = HalfSpaces(*(column[::-1] for column in spaces))
+    costs = [code.solve(start, target, s).cost for s in (spaces, reversed_spaces)]
+    assert costs[0] == pytest.approx(costs[1], rel=1e-7)
 
 
-def test_where_there_is_no_flight_none_is_claimed(made):
-    written, code, _ = made["plane"]
-    nobody, far = empty_half_spaces(written.program.transfer), np.array([50.0, 0, 0, 0])
+def test_infeasible_transfer_is_unsolved(made):
+    problem, code, _ = made["plane"]
+    empty, far = empty_half_spaces(problem.program.transfer), np.array([50.0, 0, 0, 0])
     near = np.array([0.5, 0.2, 0, 0])
-    before = code.solve(np.zeros(4), near, nobody)
+    before = code.solve(np.zeros(4), near, empty)
     with pytest.raises(Infeasible):
-        AvoidanceProblem(written.program.transfer).solve(np.zeros(4), far, nobody)
-    flown = code.solve(np.zeros(4), far, nobody)
+        AvoidanceProblem(problem.program.transfer).solve(np.zeros(4), far, empty)
+    flown = code.solve(np.zeros(4), far, empty)
     assert flown.code == UNSOLVED
     assert not flown.residual <= 1e-6
-    # Nothing moves the first state, so neither can it be made to keep anything.
+    # No control changes the first state, so it cannot be moved into a half-space.
     wall = HalfSpaces(np.array([0]), np.array([[1.0, 0, 0, 0]]), np.zeros((1, 2)), np.array([1.0]))
     assert code.solve(np.zeros(4), near, wall).code == UNSOLVED
-    after = code.solve(np.zeros(4), near, nobody)
+    after = code.solve(np.zeros(4), near, empty)
     assert after.code == SOLVED
     np.testing.assert_array_equal(after.u, before.u)
 
 
-def test_bad_numbers_are_refused_before_anything_is_solved(made):
-    written, code, _ = made["plane"]
-    rest, goal = np.zeros(4), np.array([0.1, 0, 0, 0])
-    nobody = empty_half_spaces(written.program.transfer)
+def test_invalid_input_is_refused_before_solving(made):
+    problem, code, _ = made["plane"]
+    rest, target = np.zeros(4), np.array([0.1, 0, 0, 0])
+    empty = empty_half_spaces(problem.program.transfer)
     wall = HalfSpaces(np.array([1]), np.array([[1.0, 0, 0, 0]]), np.zeros((1, 2)), np.array([-9.0]))
-    assert code.solve(rest, goal, wall).code == SOLVED
-    most = written.program.rows
-    crowd = HalfSpaces(*(np.repeat(part, most, axis=0) for part in wall))
-    assert code.solve(rest, goal, crowd).code == SOLVED
+    assert code.solve(rest, target, wall).code == SOLVED
+    most = problem.program.rows_per_step
+    full = HalfSpaces(*(np.repeat(column, most, axis=0) for column in wall))
+    assert code.solve(rest, target, full).code == SOLVED
     for start, end, spaces in (
-        (np.array([np.nan, 0, 0, 0]), goal, nobody),
-        (rest, np.array([0, inf, 0, 0]), nobody),
-        (rest, goal, wall._replace(rhs=np.array([np.nan]))),
-        (rest, goal, wall._replace(step_index=np.array([written.program.horizon]))),
-        (rest, goal, wall._replace(step_index=np.array([-1]))),
-        (rest, goal, HalfSpaces(*(np.repeat(part, most + 1, axis=0) for part in wall))),
+        (np.array([np.nan, 0, 0, 0]), target, empty),
+        (rest, np.array([0, inf, 0, 0]), empty),
+        (rest, target, wall._replace(rhs=np.array([np.nan]))),
+        (rest, target, wall._replace(step_index=np.array([problem.program.horizon_steps]))),
+        (rest, target, wall._replace(step_index=np.array([-1]))),
+        (rest, target, HalfSpaces(*(np.repeat(column, most + 1, axis=0) for column in wall))),
     ):
         flown = code.solve(start, end, spaces)
         assert (flown.code, flown.residual, flown.fuel) == (INVALID_INPUT, inf, 0.0)
 
 
-def test_the_library_shows_one_function_alone(made):
+def test_library_exports_a_single_function(made):
     library = ctypes.CDLL(str(made["plane"][2] / "libsato_onboard.so"))
     assert library.sato_solve
-    for inner in ("cpg_solve", "qoco_solve", "plus"):
+    for internal in ("cpg_solve", "qoco_solve", "plus"):
         with pytest.raises(AttributeError):
-            getattr(library, inner)
+            getattr(library, internal)
 
 
-def test_the_statement_of_fixed_size_is_that_of_avoidance(rng):
-    """Without C: the same optimum, solved in Python."""
+def test_problem_of_fixed_size_has_the_optimum_of_avoidance(rng):
     import cvxpy as cp
 
-    written = build_onboard_problem("uiuc", 2, 8)
-    programme = written.program
-    transfer, units = programme.transfer, programme.state_units
-    start, goal, spaces = next(random_instances(written, rng))
-    statement = programme.to_cvxpy()
+    problem = build_onboard_problem("uiuc", 2, 8)
+    program = problem.program
+    transfer, units = program.transfer, program.state_units
+    start, target, spaces = next(random_instances(problem, rng))
+    statement = program.to_cvxpy()
     data = {parameter.name(): np.zeros(parameter.shape) for parameter in statement.parameters()}
     data["room"] += 1
     coast = transfer.model.simulate(start, np.zeros((len(transfer.model), 2)))
-    data["reach"] = (goal - coast[-1]) / units
+    data["reach"] = (target - coast[-1]) / units
     data["coasting"] = (coast[1:-1, 2:] / transfer.max_speed).T
-    free = {
-        k: list(np.flatnonzero(programme.row_steps == k)) for k in range(programme.horizon_steps)
-    }
+    free = {k: list(np.flatnonzero(program.row_steps == k)) for k in range(program.horizon_steps)}
     for k, on_state, on_control, least in zip(*spaces, strict=True):
         row = free[int(k)].pop()
         data["on_state"][:, row] = -on_state * units * (k > 0)
@@ -213,10 +212,10 @@ def test_the_statement_of_fixed_size_is_that_of_avoidance(rng):
         parameter.value = data[parameter.name()]
     scale = transfer.max_control * transfer.model.dt
     found = scale * statement.solve(solver=cp.CLARABEL)
-    assert found == pytest.approx(flown_by_python(written, (start, goal, spaces))[1], rel=1e-6)
+    assert found == pytest.approx(solve_in_python(problem, (start, target, spaces))[1], rel=1e-6)
 
 
-def test_what_cannot_be_written_once_is_refused():
+def test_problem_without_constant_matrices_is_refused():
     steps = discretize_zoh(DoubleIntegrator(2), 1.0, 6)
     with pytest.raises(ValueError, match="fuel norm 1 and control norm inf, got 2 and inf"):
         FixedSizeAvoidanceProblem(TransferProblem(steps, 0.1, fuel_norm=2), 3, 4)
@@ -229,63 +228,63 @@ def test_what_cannot_be_written_once_is_refused():
     assert not FixedSizeAvoidanceProblem(TransferProblem(constant, 0.01), 3, 4).has_speed_limit
 
 
-def test_the_command_writes_a_folder_that_says_what_it_is(tmp_path):
-    said = call("export-c", "--steps", "6", "--neighbours", "2", "--out", str(tmp_path / "c"))
-    assert said.exit_code == 0, said.stderr
-    assert "flights of 6 steps with the speed limit of 0.2 m/s" in said.stdout
-    assert "room for 2 neighbours" in said.stdout
+def test_command_writes_a_folder_with_a_readme(tmp_path):
+    result = call("export-c", "--steps", "6", "--neighbors", "2", "--out", str(tmp_path / "c"))
+    assert result.exit_code == 0, result.stderr
+    assert "flights of 6 steps with the speed limit of 0.2 m/s" in result.stdout
+    assert "room for 2 neighbors" in result.stdout
     text = (tmp_path / "c" / "README.md").read_text()
-    for word in ("`uiuc`", "6 of 1 s", "0.1 m/s²", "0.2 m/s", "Apache 2.0"):
-        assert word in text
-    assert os.listdir(tmp_path) == ["c"]  # and nothing beside it
+    for cell in ("`uiuc`", "6 of 1 s", "0.1 m/s²", "0.2 m/s", "Apache 2.0"):
+        assert cell in text
+    assert os.listdir(tmp_path) == ["c"]
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("args", "message"),
     [
         (["--scenario", "nowhere"], 'there is no scenario "nowhere"'),
-        (["--scenario", "changing.toml"], "its model changes with the time or with the path"),
+        (["--scenario", "changing.toml"], "its model changes with time or with the trajectory"),
         (["--scenario", "formation"], "solve no transfer"),
         (["--steps", "1"], "greater than or equal to 2"),
-        (["--neighbours", "0"], "greater than or equal to 1"),
+        (["--neighbors", "0"], "greater than or equal to 1"),
     ],
 )
-def test_bad_requests_are_refused_and_leave_nothing(tmp_path, monkeypatch, words, said):
+def test_refused_export_leaves_no_files(tmp_path, monkeypatch, args, message):
     (tmp_path / "changing.toml").write_text(ORBIT.replace("clohessy_wiltshire", "j2"))
     monkeypatch.chdir(tmp_path)
-    answer = call("export-c", *words, "--out", str(tmp_path / "c"))
-    assert answer.exit_code == 2
-    assert said in answer.stderr
+    result = call("export-c", *args, "--out", str(tmp_path / "c"))
+    assert result.exit_code == 2
+    assert message in result.stderr
     assert os.listdir(tmp_path) == ["changing.toml"]
 
 
-def test_what_is_there_is_not_written_over(tmp_path):
+def test_existing_files_are_not_overwritten(tmp_path):
     (tmp_path / "letter").write_text("dear")
     for out in (tmp_path, tmp_path / "letter"):
-        answer = call("export-c", "--out", str(out))
-        assert answer.exit_code == 2
-        assert str(out) in answer.stderr
+        result = call("export-c", "--out", str(out))
+        assert result.exit_code == 2
+        assert str(out) in result.stderr
     assert (tmp_path / "letter").read_text() == "dear"
 
 
-def test_a_failure_on_the_way_leaves_nothing(tmp_path, monkeypatch):
+def test_failure_while_writing_leaves_no_files(tmp_path, monkeypatch):
     def fail(*_):
         raise OSError(28, "No space left on device", "somewhere")
 
-    monkeypatch.setattr(export, "generate", fail)
-    answer = call("export-c", "--steps", "6", "--out", str(tmp_path / "c"))
-    assert answer.exit_code == 1
-    assert "No space left on device" in answer.stderr
+    monkeypatch.setattr(export, "generate_solver", fail)
+    result = call("export-c", "--steps", "6", "--out", str(tmp_path / "c"))
+    assert result.exit_code == 1
+    assert "No space left on device" in result.stderr
     assert os.listdir(tmp_path) == []
 
 
-def test_without_the_generator_the_line_that_installs_it_is_named(tmp_path, monkeypatch):
+def test_missing_generator_is_refused_with_the_install_command(tmp_path, monkeypatch):
     monkeypatch.setattr("sato.onboard.codegen.find_spec", lambda name: None)
-    answer = call("export-c", "--out", str(tmp_path / "c"))
-    assert answer.exit_code == 2
-    assert "pip install 'cvxpygen" in answer.stderr
+    result = call("export-c", "--out", str(tmp_path / "c"))
+    assert result.exit_code == 2
+    assert "pip install 'cvxpygen" in result.stderr
 
 
-def test_code_that_is_not_compiled_says_what_would_do_it(tmp_path):
-    with pytest.raises(ValueError, match="make in its folder compiles it"):
+def test_uncompiled_code_is_refused_with_the_cure(tmp_path):
+    with pytest.raises(ValueError, match="run make in its folder to compile it"):
         CompiledSolver(tmp_path)

@@ -1,4 +1,4 @@
-"""Code for on board: C that solves one agent's programme, written from a scenario."""
+"""Onboard code: C that solves one agent's transfer, generated from a scenario."""
 
 from sato.onboard.export import export_c
 

@@ -1,4 +1,4 @@
-"""The written C, compiled and called from here: to try it before it flies."""
+"""Python interface to the exported C, for tests before flight."""
 
 import ctypes
 import re
@@ -17,7 +17,7 @@ SOLVED, UNSOLVED, INVALID_INPUT = 0, 1, 2  # as in sato_onboard.h
 
 
 class OnboardSolution(NamedTuple):
-    """What the code answers; see sato_flight in sato_onboard.h."""
+    """Solution of the C code; see sato_flight in sato_onboard.h."""
 
     code: int
     u: Float[Array, "T m"]  # [m/s²]
@@ -25,27 +25,29 @@ class OnboardSolution(NamedTuple):
     cost: float  # [m/s]
     position_error: float  # [m]
     velocity_error: float  # [m/s]
-    half_space_violation: float  # in the unit of the half-space
+    half_space_violation: float  # in the unit of its right-hand side
     speed_violation: float  # [m/s]
     residual: float  # relative
-    seconds: float  # of the processor, in the call [s]
+    seconds: float  # processor time of the call [s]
 
 
-SOLUTION_FIELDS = OnboardSolution._fields[2:-1]  # numbers of sato_flight that follow u
+SOLUTION_FIELDS = OnboardSolution._fields[2:-1]  # the scalars of sato_flight, which follow u
 
 
 class CompiledSolver:
-    """A folder that `export_c` wrote, after `make`. One call at a time."""
+    """Solver in a folder of `export_c`, compiled with `make`; it takes one call at a time."""
 
     def __init__(self, folder: str | Path) -> None:
         """Load the library.
 
         Raises:
-            ValueError: There is none, or not in this folder.
+            ValueError: The folder has none.
         """
         library = Path(folder, "libsato_onboard.so")
         if not library.is_file():
-            raise ValueError(f"{library}: there is no such file; make in its folder compiles it")
+            raise ValueError(
+                f"{library}: there is no such file; run make in its folder to compile it"
+            )
         self._solve = ctypes.CDLL(str(library.resolve())).sato_solve
         n, m, T = _read_sizes(Path(folder, "sato_model.h"), "STATE", "AXES", "STEPS")
         self._row = np.dtype(
@@ -57,30 +59,30 @@ class CompiledSolver:
     def solve(
         self, start: Float[Array, " n"], target: Float[Array, " n"], half_spaces: HalfSpaces
     ) -> OnboardSolution:
-        """Fly from start to goal inside half-spaces."""
+        """Solve for a transfer from start to target among half-spaces."""
         count = len(half_spaces.rhs)
         rows = np.zeros(max(count, 1), self._row)
-        for name in HalfSpaces._fields:
-            rows[name][:count] = getattr(half_spaces, name)
+        for name, column in zip(self._row.names or (), half_spaces, strict=True):
+            rows[name][:count] = column
         answer = np.zeros((), self._answer)
         ends = [np.ascontiguousarray(state, dtype=float) for state in (start, target)]
         began = thread_time()
         code = self._solve(*map(_pointer, (*ends, rows)), count, _pointer(answer))
         seconds = thread_time() - began
-        told = {name: float(answer[name]) for name in SOLUTION_FIELDS}
-        return OnboardSolution(code, np.array(answer["u"]), **told, seconds=seconds)
+        scalars = {name: float(answer[name]) for name in SOLUTION_FIELDS}
+        return OnboardSolution(code, np.array(answer["u"]), **scalars, seconds=seconds)
 
 
 def compile_solver(folder: str | Path) -> CompiledSolver:
-    """Compile what `export_c` wrote, and load it.
+    """Compile the code of `export_c`, and load it.
 
     Raises:
-        ValueError: There is no make or no C compiler, or it does not compile.
+        ValueError: There is no make or no C compiler, or the code does not compile.
     """
     try:
         subprocess.run(["make", "-s"], cwd=folder, check=True, capture_output=True, text=True)
     except FileNotFoundError as error:
-        raise ValueError("compiling takes make and a C compiler, and there is no make") from error
+        raise ValueError("compilation needs make and a C compiler, and there is no make") from error
     except subprocess.CalledProcessError as error:
         raise ValueError(f"{folder}: does not compile: {error.stderr}") from error
     return CompiledSolver(folder)

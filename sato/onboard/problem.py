@@ -1,4 +1,4 @@
-"""What a scenario asks of the code on board: one agent's programme, of fixed size."""
+"""Transfer problem of fixed size for one agent of a scenario."""
 
 from typing import NamedTuple
 
@@ -13,36 +13,31 @@ from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.planning import make_horizon
 from sato.reconfiguration.solo_trajectories import TIE_BREAK_RISE
 
-CONTROL_POINTS_PER_PIECE = 4  # of a piece of path: a half-space keeps each of them
-
 
 class OnboardProblem(NamedTuple):
-    """A programme and where it comes from."""
+    """Transfer problem of an agent, with its origin."""
 
     scenario: str
-    neighbors: int
-    horizon: (
-        AvoidanceHorizon  # pieces of path, each with a half-space a control point and neighbour
-    )
+    neighbors: int  # for which the program has room
+    horizon: AvoidanceHorizon  # pieces of trajectory, with a half-space per control point
     program: FixedSizeAvoidanceProblem
 
 
 def build_onboard_problem(
     scenario: str, neighbors: int, steps: int | None = None
 ) -> OnboardProblem:
-    """The programme that an agent of a scenario solves among its neighbours.
+    """Build the transfer problem of one agent of a scenario among its neighbors.
 
     Args:
-        scenario: Built in, or a file.
-        neighbours: For how many there is room.
-        steps: That the flight has left; those of the first leg if None.
+        scenario: Name of a built-in scenario, or a file.
+        neighbors: Number of neighbors for which there is room.
+        steps: Number of steps of the flight; that of the first leg if None.
 
     Raises:
-        ValueError: There is no such scenario, or its programme cannot be written once for
-            all times.
+        ValueError: There is no such scenario, or its model changes with time or state.
     """
     file = read(scenario)
-    # Only the model and the limits count here, so any start will do.
+    # Only the model and the limits matter here, so any random start will do.
     mission = file.build(np.random.default_rng(0))
     if not isinstance(mission, Reconfiguration):
         raise ValueError(
@@ -51,8 +46,8 @@ def build_onboard_problem(
         )
     if mission.nonlinear_model is not None or not mission.linear_model.is_time_invariant:
         raise ValueError(
-            f"{file.name}: its model changes with the time or with the path, and code that is "
-            "written once knows neither; of models in orbit, clohessy_wiltshire and "
+            f"{file.name}: its model changes with time or with the trajectory, and exported code "
+            "has constant matrices; of models in orbit, clohessy_wiltshire and "
             "schweighart_sedwick would do"
         )
     T = mission.legs[0].steps if steps is None else steps
@@ -61,7 +56,10 @@ def build_onboard_problem(
     transfer = TransferProblem(
         discretize_zoh(mission.linear_model, mission.step, T), *limits, *norms, TIE_BREAK_RISE
     )
-    ahead = make_horizon(mission, 0.0, T)
-    rows = neighbors * ahead.pieces_per_step * CONTROL_POINTS_PER_PIECE
-    programme = FixedSizeAvoidanceProblem(transfer, min(T, ahead.steps), rows)
-    return OnboardProblem(file.name, neighbors, ahead, programme)
+    horizon = make_horizon(mission, 0.0, T)
+    # One half-space for each neighbor and control point of a step.
+    _, pieces, points, *_ = horizon.control_point_maps[0].shape
+    program = FixedSizeAvoidanceProblem(
+        transfer, min(T, horizon.steps), neighbors * pieces * points
+    )
+    return OnboardProblem(file.name, neighbors, horizon, program)

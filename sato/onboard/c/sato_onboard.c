@@ -1,4 +1,4 @@
-/* Data in, the generated solver, and an answer that is judged by what is recomputed. */
+/* Data input, call of the generated solver, and verification of its solution. */
 #include "sato_onboard.h"
 
 #include <math.h>
@@ -9,13 +9,13 @@
 #include "sato_numbers.h"
 
 #define ALL_ROWS (SATO_HORIZON * SATO_ROWS)
-#define ASKED 1e-9 /* of the solver, well below what its answer is judged by */
+#define ASKED 1e-9 /* the solver's tolerance, well below SATO_TOLERANCE */
 
-static double coast[SATO_STEPS + 1][SATO_STATE]; /* the free motion */
+static double coast[SATO_STEPS + 1][SATO_STATE]; /* states of the free motion */
 static double path[SATO_STEPS + 1][SATO_STATE];
-static double unit_of[ALL_ROWS]; /* of a row, in the unit of its least */
+static double unit_of[ALL_ROWS]; /* scale of a row, in the unit of its least */
 
-static double worse(double a, double b) { return a >= b || a != a ? a : b; } /* NaN is worst */
+static double worse(double a, double b) { return a >= b || a != a ? a : b; } /* NaN counts as the larger */
 
 static int finite_all(const double *numbers, int count) {
   for (int i = 0; i < count; i++)
@@ -44,13 +44,13 @@ static void roll(const double start[SATO_STATE], double u[][SATO_AXES],
                     (u ? dot(sato_B[i], u[k], SATO_AXES) : 0);
 }
 
-/* A half-space, its states eliminated and its numbers of the order of 1, into its row. */
+/* Write a half-space into its row, relative to the free motion and scaled to the order of 1. */
 static void put(int row, const sato_half_space *space) {
   double on_state[SATO_STATE], on_control[SATO_AXES];
   double room = dot(space->on_state, coast[space->step], SATO_STATE) - space->least;
   double size = 0;
   for (int i = 0; i < SATO_STATE; i++) {
-    /* Nothing moves the first state. */
+    /* No control changes the first state. */
     on_state[i] = space->step ? -space->on_state[i] * sato_units[i] : 0;
     size = worse(size, fabs(on_state[i]));
   }
@@ -58,7 +58,7 @@ static void put(int row, const sato_half_space *space) {
     on_control[i] = -space->on_control[i] * SATO_MAX_CONTROL;
     size = worse(size, fabs(on_control[i]));
   }
-  if (size == 0) size = worse(fabs(room), 1); /* nothing moves it: a metre is its unit */
+  if (size == 0) size = worse(fabs(room), 1); /* constant row: its unit is a meter */
   for (int i = 0; i < SATO_STATE; i++)
     cpg_update_on_state(row * SATO_STATE + i, on_state[i] / size);
   for (int i = 0; i < SATO_AXES; i++)
@@ -73,7 +73,7 @@ static void clear(int row) {
   cpg_update_room(row, 1);
 }
 
-/* All data of the programme, or 0 if there is no room for them. */
+/* Write all data of the program; return 0 if they are invalid or there is no room. */
 static int fill(const double goal[SATO_STATE], const sato_half_space spaces[], int count) {
   int used[SATO_HORIZON] = {0};
   for (int s = 0; s < count; s++) {
@@ -100,7 +100,7 @@ static int fill(const double goal[SATO_STATE], const sato_half_space spaces[], i
   return 1;
 }
 
-/* sum += M v, or M' v */
+/* sum += M v, or sum += M' v. */
 static void add(const cpg_csc *M, int columns, const double *v, double *sum, int transposed) {
   for (int j = 0; j < columns; j++)
     for (int e = M->p[j]; e < M->p[j + 1]; e++) {
@@ -109,7 +109,7 @@ static void add(const cpg_csc *M, int columns, const double *v, double *sum, int
     }
 }
 
-/* How far s is from the cone, which is its own dual. */
+/* Largest violation of the cones by s; they are self-dual. */
 static double outside(const double *s) {
   double most = 0;
   for (int i = 0; i < SATO_LINEAR; i++) most = worse(most, -s[i]);
@@ -120,7 +120,7 @@ static double outside(const double *s) {
   return most;
 }
 
-/* The largest of primal residual, dual residual and gap, as in problems/conic.py. */
+/* Return the largest of primal residual, dual residual and gap, as in problems/conic.py. */
 static double judged(const QOCOSolution *said) {
   static double below[SATO_EQUATIONS], s[SATO_INEQUALITIES], slope[SATO_VARIABLES];
   const Canon_Params_t *data = &Canon_Params;
@@ -143,7 +143,7 @@ static double judged(const QOCOSolution *said) {
   return worse(residual, fabs(value + dual) / (1 + fabs(value)));
 }
 
-/* Fly the controls from the start in SI units, and see what they keep; relative. */
+/* Simulate the controls in SI units, and return the largest relative violation. */
 static double flown(const double start[SATO_STATE], const double goal[SATO_STATE],
                     const sato_half_space spaces[], int count, sato_flight *flight) {
   double residual = 0;
@@ -183,7 +183,7 @@ static double flown(const double start[SATO_STATE], const double goal[SATO_STATE
 static int answered(const double start[SATO_STATE], const double goal[SATO_STATE],
                     const sato_half_space spaces[], int count, sato_flight *flight) {
   const QOCOSolution *said = qoco_solver->sol;
-  /* Only these statuses come with a point. Whether it is an answer, its residuals say. */
+  /* Only these statuses come with a point; its residuals decide whether it is a solution. */
   if (said->status != QOCO_SOLVED && said->status != QOCO_SOLVED_INACCURATE)
     return SATO_UNSOLVED;
   cpg_retrieve_prim();
@@ -201,7 +201,7 @@ static int answered(const double start[SATO_STATE], const double goal[SATO_STATE
                                                                               : SATO_UNSOLVED;
 }
 
-/* Memory, once. */
+/* Allocate the workspace, once. */
 static int set_up(void) {
   QOCOCscMatrix A, G;
   QOCOSettings settings;
@@ -221,21 +221,21 @@ static int set_up(void) {
   if (!solver) return 0;
   if (qoco_setup(solver, SATO_VARIABLES, SATO_INEQUALITIES, SATO_EQUATIONS, NULL, data->c, &A,
                  data->b, &G, data->h, SATO_LINEAR, SATO_CONES, sizes, &settings)) {
-    free(solver); /* what it had of memory by then, it keeps */
+    free(solver); /* memory that it has allocated itself is lost */
     return 0;
   }
   qoco_solver = solver;
   return 1;
 }
 
-/* Forget the last question. QOCO 0.2.2 computes its first point with the scaling of the last
- * solve, which may have been next to singular, where it means to have none. */
+/* Reset the scaling. QOCO 0.2.2 computes its initial point with the scaling of the last solve,
+ * which may have been nearly singular, where it should use none. */
 static void forget(void) {
   double *scaling = get_data_vectorf(qoco_solver->work->WtW);
   memset(scaling, 0, qoco_solver->work->Wnnz * sizeof *scaling);
   for (int i = 0; i < SATO_LINEAR; i++) scaling[i] = 1;
   scaling += SATO_LINEAR;
-  for (int c = 0; c < SATO_CONES; c++) /* each an upper triangle, column by column */
+  for (int c = 0; c < SATO_CONES; c++) /* upper triangles, column by column */
     for (int size = 1; size <= SATO_AXES + 1; size++) {
       scaling[size - 1] = 1;
       scaling += size;

@@ -1,4 +1,4 @@
-/* What the build system of QDLDL would write. */
+/* Replaces the file that QDLDL's build system generates. */
 #ifndef QDLDL_TYPES_H
 #define QDLDL_TYPES_H
 

@@ -1,1 +1,1 @@
-/* What the build system of QDLDL would write: its version, which nothing here asks for. */
+/* Replaces the file that QDLDL's build system generates; its version is not needed. */

@@ -1,8 +1,8 @@
-/* What the build system of QOCO would write. */
+/* Replaces the file that QOCO's build system generates. */
 #ifndef QOCO_CONFIG_H
 #define QOCO_CONFIG_H
 
-/* Only what it prints asks for these, and here it prints nothing. */
+/* QOCO needs these only for its printed output, which is switched off. */
 #define QOCO_VERSION_MAJOR 0
 #define QOCO_VERSION_MINOR 0
 #define QOCO_VERSION_PATCH 0
@@ -12,7 +12,7 @@
 #elif defined(__APPLE__)
 #define IS_MACOS
 #else
-#define IS_LINUX /* any POSIX: clock_gettime is all that is asked of it */
+#define IS_LINUX /* any POSIX system: QOCO needs only clock_gettime */
 #endif
 
 #endif
