@@ -198,7 +198,7 @@ def time_case(table: Table, case: TransferCase, turns: int) -> bool:
                 times[k].append(process_time() - began)
                 values[k] = weighted_fuel(case.transfer, u)
             apart = max(apart, abs(values[0] - values[1]) / values[1])
-    ours, theirs = (1e3 * float(np.min_median_rate(taken)) for taken in times)
+    ours, theirs = (1e3 * float(np.median(taken)) for taken in times)
     missed = ours / theirs > case.max_time_ratio or apart > COST_TOLERANCE
     table.add_row(
         case.name,
@@ -233,7 +233,7 @@ def measure_overheads(turns: int) -> dict[tuple[str, str], tuple[float, float]]:
                 if turn:  # what a library does once is not what is timed
                     taken[solver].append((seconds, seconds - claim.seconds))
         for solver, some in taken.items():
-            whole, over = np.min_median_rate(np.array(some), axis=0)
+            whole, over = np.median(np.array(some), axis=0)
             found[solver, name] = float(whole), float(over)
     return found
 

@@ -85,7 +85,7 @@ def describe_gradient_error(
     """How far a gradient is off at most, and in the median state."""
     error, state = norms(found - pairs.weight_gradient)[which], pairs.state[which]
     each = [error[state == k].max() for k in np.unique(state)]
-    return f"up to {max(each):.2f}/m, {np.min_median_rate(each):.2f}/m in the median state"
+    return f"up to {max(each):.2f}/m, {np.median(each):.2f}/m in the median state"
 
 
 def bearing_erratum(pairs: Pairs) -> Erratum:

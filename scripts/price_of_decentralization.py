@@ -291,7 +291,7 @@ def summary_table(rows: list[PriceResult]) -> tuple[Table, list[float]]:
 
 
 def _median(of: list[float]) -> float:
-    return float(np.min_median_rate(of)) if of else np.nan
+    return float(np.median(of)) if of else np.nan
 
 
 if __name__ == "__main__":

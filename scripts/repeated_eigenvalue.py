@@ -85,7 +85,7 @@ def measure_rings(count: int, rng: np.random.Generator) -> RingStatistics:
             off.append(np.linalg.norm(way - mean) / np.linalg.norm(mean))
             altered = max(altered, float(np.abs(apart.mean(axis=-1) - known.weight_gradient).max()))
         spread.append(max(off))
-    return RingStatistics(len(ours), float(np.min_median_rate(spread)), printed, ours, altered)
+    return RingStatistics(len(ours), float(np.median(spread)), printed, ours, altered)
 
 
 def main(rings: int = 200, seed: int = 2023) -> None:

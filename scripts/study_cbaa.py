@@ -130,12 +130,12 @@ def summary_cells(rows: list[CbaaTrial]) -> list[str]:
     flown = detour[np.isfinite(detour)]
     return [
         f"{good.sum()}/{len(rows)}",
-        f"{ratio.min():.3f}  {ratio.mean():.3f}  {np.min_median_rate(ratio):.3f}",
+        f"{ratio.min():.3f}  {ratio.mean():.3f}  {np.median(ratio):.3f}",
         f"{np.mean(flown):.3f}  {flown.max():.3f}" if len(flown) else "",
-        f"{np.min_median_rate(rounds):.0f}  {rounds.max()}",
-        f"{np.min_median_rate(of_bound):.3f}  {of_bound.max():.3f}",
-        f"{np.min_median_rate(of_fixed):.2f}  {of_fixed.max():.2f}",
-        f"{1e3 * np.min_median_rate(seconds):.2f}",
+        f"{np.median(rounds):.0f}  {rounds.max()}",
+        f"{np.median(of_bound):.3f}  {of_bound.max():.3f}",
+        f"{np.median(of_fixed):.2f}  {of_fixed.max():.2f}",
+        f"{1e3 * np.median(seconds):.2f}",
     ]
 
 

@@ -104,7 +104,7 @@ def make_table(found: dict[str, list[TimedTrial]], duration: float) -> Table:
         shown.add_row(
             name,
             f"{sum(t.stayed_connected for t in trials)} / {len(trials)}",
-            f"{min(least):.3f}, {np.min_median_rate(least):.2f}",
+            f"{min(least):.3f}, {np.median(least):.2f}",
             f"{min(t.min_separation for t in trials):.2f}",
             f"{min(t.min_obstacle_distance for t in trials):.2f}",
             " ".join(

@@ -113,7 +113,7 @@ def main() -> None:
     for name, outcomes in (("turned", done), ("only scaled", plain)):
         time = [o.time for o in outcomes if o.error <= SHAPE_TOLERANCE]
         print(
-            f"{name}: median {np.min_median_rate(time):.0f} s, longest {max(time):.0f} s, largest error "
+            f"{name}: median {np.median(time):.0f} s, longest {max(time):.0f} s, largest error "
             f"{max(o.error for o in outcomes):.4f} m"
         )
 
