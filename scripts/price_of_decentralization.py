@@ -34,9 +34,9 @@ from problems.centralized import (
     SimulatedSolution,
 )
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration.auction_costs import AgentMemory
+from sato.reconfiguration.state import AgentMemory
 from sato.reconfiguration.mission import Reconfiguration
-from sato.reconfiguration.moment import DecisionContext
+from sato.reconfiguration.state import DecisionContext
 from sato.reconfiguration.planning import NO_PLANS, plan_trajectories
 
 MAX_MEDIAN_RATIO = 1.05  # the median of SATO's fuel over that of the best optimum

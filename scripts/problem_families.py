@@ -21,7 +21,7 @@ from problems.gain_problem import GainProblem
 from problems.solvers import solve_highs
 from problems.sparse_transfer import SparseTransferSolver
 from problems.transfer import TransferProblem
-from sato.reconfiguration.loop import fly
+from sato.reconfiguration.loop import simulate
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.planning import make_horizon
 from sato.reconfiguration.solo_trajectories import TIE_BREAK_RISE
@@ -79,7 +79,7 @@ class LegStart(NamedTuple):
         """That of the first leg of a scenario."""
         rng = np.random.default_rng(seed)
         mission = sato.read(scenario, overrides).build(rng)
-        frame = next(fly(mission, rng))
+        frame = next(simulate(mission, rng))
         states = np.concatenate([frame.position, frame.velocity], axis=1)
         return cls(mission, states, mission.legs[0].targets[frame.target_index])
 

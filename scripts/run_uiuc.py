@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 import sato
-from sato.reconfiguration.frame import ReconfigurationFrame
+from sato.reconfiguration.state import ReconfigurationFrame
 
 
 def print_progress(mission: object, frame: ReconfigurationFrame) -> None:

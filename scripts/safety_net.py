@@ -34,7 +34,20 @@ FLIGHTS: dict[str, tuple[str, ...]] = {
     "connectivity-power_pi": ("estimator.kind=power_pi",),
 }
 UNREPEATABLE = ("wall_s", "peak_memory_mib", "version")  # entries of the summary
-RENAMED: dict[str, dict[str, str]] = {"variables": {}, "events": {}, "summary": {}}  # old: new
+RENAMED: dict[str, dict[str, str]] = {  # old: new
+    "variables": {
+        "leg": "leg_index",
+        "target": "target_index",
+        "believed": "target_count",
+        "point": "point_index",
+    },
+    "events": {
+        "no flight keeps clear of those that go before": (
+            "no trajectory keeps clear of agents with priority"
+        ),
+    },
+    "summary": {},
+}
 
 
 def main() -> int:

@@ -22,8 +22,9 @@ from sato.network.graph import CommunicationGraph
 from sato.network.rounds import flood
 from sato.reconfiguration.mission import Leg, Reconfiguration
 from sato.reconfiguration.assignment import assign_targets, compute_epsilon, share_claims
-from sato.reconfiguration.auction_costs import AgentMemory, CostTable, compute_bid_costs
-from sato.reconfiguration.moment import DecisionContext
+from sato.reconfiguration.auction_costs import CostTable, compute_bid_costs
+from sato.reconfiguration.state import AgentMemory
+from sato.reconfiguration.state import DecisionContext
 
 
 def at_rest(points):

@@ -18,7 +18,7 @@ from problems.transfer import TransferProblem
 from sato.check.common import check_times
 from sato.cli import app
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration.frame import ReconfigurationFrame
+from sato.reconfiguration.state import ReconfigurationFrame
 from sato.reconfiguration.check import ReconfigurationRecord, check_run
 from sato.reconfiguration.check.consistency import check_assignment
 from sato.reconfiguration.check.fuel import (

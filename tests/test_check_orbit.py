@@ -23,8 +23,8 @@ from sato.reconfiguration.check.motion import (
 from sato.reconfiguration.check.prediction import bound_speed_excess
 from sato.reconfiguration.check.promises import check_fuel
 from sato.reconfiguration.check.redraw import redraw_disturbances
-from sato.reconfiguration.frame import ReconfigurationFrame
-from sato.reconfiguration.loop import fly
+from sato.reconfiguration.state import ReconfigurationFrame
+from sato.reconfiguration.loop import simulate
 from sato.reconfiguration.mission import Leg, Reconfiguration
 from sato.reconfiguration.system import SYSTEM
 from sato.record import Run
@@ -144,7 +144,7 @@ SHAKEN = mission(
 
 @pytest.fixture(scope="module")
 def shaken():
-    return run_of(SHAKEN, list(fly(SHAKEN, np.random.default_rng(8))))
+    return run_of(SHAKEN, list(simulate(SHAKEN, np.random.default_rng(8))))
 
 
 def test_an_honest_run_on_a_plant_that_is_not_the_model_keeps_its_promises(flown):
@@ -155,7 +155,7 @@ def test_an_honest_run_on_a_plant_that_is_not_the_model_keeps_its_promises(flown
 @pytest.mark.parametrize("model", [EXACT, CIRCLE], ids=["J2", "circle"])
 def test_a_run_that_was_planned_and_flown_in_a_closed_loop_keeps_its_promises(model):
     about = mission(model=model, position_tolerance=5.0, velocity_tolerance=0.1)
-    run = run_of(about, list(fly(about, np.random.default_rng(1))))
+    run = run_of(about, list(simulate(about, np.random.default_rng(1))))
     report = check_run(run.data, about, np.random.default_rng(1))
     assert report.kept, report.broken
 

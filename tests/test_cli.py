@@ -18,7 +18,7 @@ import sato
 import sato.reconfiguration.system
 from sato.cli import app
 from sato.console import print_summary, show_mission_progress
-from sato.reconfiguration.frame import ReconfigurationFrame
+from sato.reconfiguration.state import ReconfigurationFrame
 from sato.reconfiguration.system import SYSTEM
 from sato.record import Run
 

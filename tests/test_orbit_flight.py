@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from dynamics import J2, Atmosphere, InertialPlant, LinearizedModel, Orbit, invariant_velocity
 from dynamics.trajectory_geometry import separations
-from sato.reconfiguration.loop import fly
+from sato.reconfiguration.loop import simulate
 from sato.reconfiguration.mission import Leg, Reconfiguration
 from sato.reconfiguration.disturbances import apply_thruster_errors
 from sato.reconfiguration.planning import make_horizon
@@ -54,7 +54,7 @@ def mission_of(start, goals, **changes):
 
 
 def flown(mission):
-    return list(fly(mission, np.random.default_rng(0)))
+    return list(simulate(mission, np.random.default_rng(0)))
 
 
 def miss(mission, frames):
@@ -70,7 +70,7 @@ def least_separation(mission, frames):
     least = np.inf
     for frame in frames[:-1]:
         x = np.hstack([frame.position, frame.velocity])
-        y = mission.truth.fly(x, frame.applied_control, frame.time, STEP, 60)
+        y = mission.truth.simulate(x, frame.applied_control, frame.time, STEP, 60)
         alive = np.ones(y.shape[:2], dtype=bool)
         least = min(least, separations(y[..., :3], y[..., 3:], alive, 1.0).minimum.distance)
     return least

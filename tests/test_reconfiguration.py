@@ -10,10 +10,10 @@ from dynamics import ClohessyWiltshire, DoubleIntegrator, LinearModel, discretiz
 from dynamics.trajectory_geometry import resample, separations
 from problems.transfer import TransferProblem
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration.auction_costs import AgentMemory
-from sato.reconfiguration.loop import fly
+from sato.reconfiguration.state import AgentMemory
+from sato.reconfiguration.loop import simulate
 from sato.reconfiguration.mission import Join, Leg, Loss, Reconfiguration
-from sato.reconfiguration.moment import DecisionContext
+from sato.reconfiguration.state import DecisionContext
 from sato.reconfiguration.planning import NO_PLANS, plan_trajectories
 from sato.reconfiguration.solo_trajectories import TIE_BREAK_RISE, solve_solo_transfers
 
@@ -50,7 +50,7 @@ def mission_of(start, *legs, d=2, **changes):
 
 
 def flown(mission, seed=0):
-    return list(fly(mission, np.random.default_rng(seed)))
+    return list(simulate(mission, np.random.default_rng(seed)))
 
 
 def leg_ends(frames):
@@ -357,7 +357,7 @@ def test_what_happens_out_of_hearing_changes_nothing(change):
     quiet = flown(mission_of(start, Leg(goal, 40), alive=alive))
     # Those far away may take long over it; here all is over with the last of the quiet frames.
     mission = mission_of(start, Leg(goal, 40, **event), alive=alive)
-    noisy = islice(fly(mission, np.random.default_rng(0)), len(quiet))
+    noisy = islice(simulate(mission, np.random.default_rng(0)), len(quiet))
     for a, b in zip(quiet, noisy, strict=True):
         np.testing.assert_array_equal(a.position[:4], b.position[:4])
         np.testing.assert_array_equal(a.target_index[:4], b.target_index[:4])

@@ -11,7 +11,7 @@ from dynamics import ClohessyWiltshire, DoubleIntegrator
 from dynamics.inertial import InertialPlant
 from dynamics.orbit import Orbit
 from dynamics.plant import LinearPlant
-from sato.reconfiguration.frame import ReconfigurationFrame
+from sato.reconfiguration.state import ReconfigurationFrame
 from sato.reconfiguration.mission import Leg, Reconfiguration
 from sato.reconfiguration.system import SYSTEM
 from sato.record import Run, RunFileError, load

@@ -10,8 +10,8 @@ from numpy import ndarray as Array
 from dynamics.inertial import InertialPlant
 from dynamics.plant import LinearPlant, Plant
 from sato.interfaces import Recorded
-from sato.reconfiguration.frame import ReconfigurationFrame
 from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.state import ReconfigurationFrame
 
 # Of the chief's orbit, as `dynamics.orbit.Orbit` has them.
 CHIEF_ELEMENTS = ("r", "v_x", "h", "node", "inclination", "latitude")

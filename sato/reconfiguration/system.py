@@ -4,14 +4,14 @@ from problems.conic import Unsolved
 from sato.auctions import OutOfTargets
 from sato.interfaces import MissionProgress, System, lazy
 from sato.reconfiguration.check import check_run
-from sato.reconfiguration.frame import ReconfigurationFrame
-from sato.reconfiguration.loop import fly
+from sato.reconfiguration.loop import simulate
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.record import (
     ReconfigurationVariables,
     collect_attributes,
     collect_variables,
 )
+from sato.reconfiguration.state import ReconfigurationFrame
 
 
 def make_progress(mission: Reconfiguration, frame: ReconfigurationFrame) -> MissionProgress:
@@ -26,7 +26,7 @@ SYSTEM = System(
     name="reconfiguration",
     frame=ReconfigurationFrame,
     run_variables=ReconfigurationVariables,
-    simulate=fly,
+    simulate=simulate,
     collect=collect_variables,
     attributes=collect_attributes,
     check=check_run,

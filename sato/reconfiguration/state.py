@@ -1,0 +1,102 @@
+"""State of a reconfiguration: memory of the agents, context of a decision, recorded frame."""
+
+from dataclasses import dataclass
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
+
+from dynamics.discretize import DiscreteModel, discretize_zoh
+from sato.interfaces import (
+    FrameAlive,
+    FrameComponent,
+    FrameEvents,
+    FramePosition,
+    FrameTime,
+    FrameVelocity,
+    Recorded,
+)
+from sato.network.graph import CommunicationGraph
+from sato.reconfiguration.mission import Leg, Reconfiguration
+
+Event = dict[str, Any]  # {"kind": …, "agents": […], …}
+
+_PER_AXIS = ("agent", "axis")
+
+
+@dataclass(frozen=True, eq=False)
+class AgentMemory:
+    """Memory of every agent in this leg, a row each."""
+
+    target_index: Int[Array, " agents"]  # target that it holds; −1 none
+    target_count: Int[Array, " agents"]  # m
+    bidder_count: Int[Array, " agents"]  # bidders in the last auction; 0 before the first
+    clock: Int[Array, " agents"]  # steps since the start or the last reset
+    claimed_target: Int[Array, "agents agents"]  # target that another last claimed; −1 none
+    claim_step: Int[Array, "agents agents"]  # step of that claim; −1 never
+
+    @classmethod
+    def initial(cls, target_count: Int[Array, " agents"]) -> "AgentMemory":
+        """Return the memory at the start of a leg: nothing but m."""
+        N = len(target_count)
+        none, never = np.full(N, -1), np.full((N, N), -1)
+        zero = np.zeros(N, dtype=int)
+        return cls(none, target_count, zero, zero, never, never)
+
+
+class DecisionContext(NamedTuple):
+    """Mission, graph and states at an instant of a leg, for the components that decide."""
+
+    mission: Reconfiguration
+    leg: Leg
+    graph: CommunicationGraph  # only agents that decide are alive in it
+    state: Float[Array, "agents n"]  # state that each agent measures of itself
+    step_index: int  # since the start of the leg
+    time: float  # since the start of the mission [s]
+
+    def remaining_model(self, clock: int) -> DiscreteModel:
+        """Discretize the steps that remain on a clock."""
+        steps = self.leg.steps - clock
+        return discretize_zoh(self.mission.linear_model, self.mission.step, steps, self.time)
+
+
+class ReconfigurationFrame(NamedTuple):
+    """One control instant; controls are NaN where there is none."""
+
+    time: FrameTime
+    position: FramePosition
+    velocity: FrameVelocity
+    alive: FrameAlive
+    component: FrameComponent
+    control: Annotated[
+        Float[Array, "agents d"],
+        Recorded(_PER_AXIS, "m/s2", "commanded control, held to the next instant", until_next=True),
+    ]
+    applied_control: Annotated[
+        Float[Array, "agents d"],
+        Recorded(_PER_AXIS, "m/s2", "control with thrust errors", until_next=True),
+    ]
+    leg_index: Annotated[int, Recorded((), "1", "leg under way; at the end, the last one")]
+    target_index: Annotated[
+        Int[Array, " agents"],
+        Recorded(("agent",), "1", "index of the target that the agent holds, -1 none"),
+    ]
+    target_count: Annotated[
+        Int[Array, " agents"],
+        Recorded(("agent",), "1", "number of targets that the agent bids on"),
+    ]
+    measured_position: Annotated[
+        Float[Array, "agents d"] | None,
+        Recorded(_PER_AXIS, "m", "position as the agent measures it", optional=True),
+    ]
+    measured_velocity: Annotated[
+        Float[Array, "agents d"] | None,
+        Recorded(_PER_AXIS, "m/s", "velocity as the agent measures it", optional=True),
+    ]
+    events: FrameEvents
+
+
+def to_indices(mask: Bool[Array, " agents"]) -> list[int]:
+    """Return the indices at which a mask is true."""
+    return [int(i) for i in np.flatnonzero(mask)]
