@@ -265,6 +265,8 @@ def _cast(values: Array, hint: Any) -> Array:
     # The file keeps the kind of a number, but a user's own tool may have written doubles.
     for option in get_args(hint) or (hint,):
         dtypes = getattr(option, "dtypes", ())
+        if not isinstance(dtypes, list | tuple):
+            continue  # of any kind
         for kind in ("bool", "float64", "complex128"):
             if kind in dtypes or option is {"bool": bool, "float64": float}.get(kind):
                 return np.asarray(values, dtype=kind)

@@ -1,103 +1,91 @@
-"""How one vehicle keeps away from others: by turning what it wants, or by stopping.
+"""Collision avoidance of one agent: turn the velocity command, or stop.
 
-A vehicle sees those around it from itself. Every one of them forbids a sector of directions;
-of those that remain it takes the nearest, if that turns it by 90° at most [Lusk2020, eq. 11].
+An agent senses those around it, relative to itself. Each of them forbids a sector of
+directions; of the directions that remain the closest is taken, if it is at most 90° from the
+command [Lusk2020, eq. 11].
 """
 
 from math import acos, asin, atan2, cos, pi, sin, sqrt
-from typing import NamedTuple, no_type_check
+from typing import no_type_check
 
 import numba
 import numpy as np
 
 
-class CollisionAvoidance(NamedTuple):
-    """The numbers of the avoidance."""
-
-    keep_out: float = 1.2  # least distance of two vehicles in the plane [m]
-    avoidance_range: float = 3.0  # farthest at which others are heeded [m]
-    margin: float = 0.05  # kept on top, for what measurements are wrong [m]
-    braking: float = 0.25  # deceleration that a vehicle counts on to stop in time [m/s²]
-    right_turn_bias: float = 0.35  # how much farther it turns right rather than left [rad]
-    blocked_time: float = 3.0  # for which a vehicle lets others stop it [s],
-    wander_time: float = 2.0  # before it goes anywhere, so long [s]
-    legacy: bool = False  # sectors as in the paper's code: by the distance alone
-    unwrapped_angles: bool = False  # with its angles that do not wrap around, too
-
-
 @no_type_check
 @numba.njit(cache=True)
-def avoid_collisions(u, others, count, rules, centre, half):
-    """Turn a velocity, or stop it, so that it leads towards nobody who is too near.
+def avoid_collisions(u, others, count, keep_out, rules, center, half):
+    """Turn a velocity, or stop it, so that it approaches no other agent too fast.
 
     Args:
-        u: The velocity, (3,), changed in place; its height is left alone [m/s].
-        others: Where the others are from here, in the plane, (≥ count, 2) [m].
-        count: How many there are.
-        rules: The numbers of the avoidance.
-        centre: Room for the sectors' centres, (≥ count,).
-        half: Room for their half-angles, (≥ count,).
+        u: Velocity, (3,), changed in place; its vertical part is left alone [m/s].
+        others: Relative positions of the others in the plane, (≥ count, 2) [m].
+        count: Number of others.
+        keep_out: Least distance of two agents [m].
+        rules: Numbers of the avoidance, a `CollisionAvoidance`.
+        center: Buffer for the centers of the sectors, (≥ count,).
+        half: Buffer for their half-angles, (≥ count,).
 
     Returns:
-        Whether anything was changed.
+        True where the velocity was changed.
     """
     speed = sqrt(u[0] ** 2 + u[1] ** 2)
     if rules.legacy:
-        sectors = _sectors_by_distance(others, count, rules, centre, half)
+        sectors = _sectors_by_distance(others, count, keep_out, rules, center, half)
     else:
-        sectors = _sectors_by_braking(others, count, speed, rules, centre, half)
+        sectors = _sectors_by_braking(others, count, speed, keep_out, rules, center, half)
     heading = atan2(u[1], u[0])
-    if not _is_forbidden(heading, centre, half, sectors):
+    if not _is_forbidden(heading, center, half, sectors):
         return False
-    turn = _smallest_turn(heading, centre, half, sectors, rules)
+    turn = _smallest_turn(heading, center, half, sectors, rules)
     if abs(turn) <= pi / 2 + 1e-9 and speed > 0:
         u[0], u[1] = speed * cos(heading + turn), speed * sin(heading + turn)
         return True
     if rules.legacy:
         u[:] = 0.0
     else:
-        limit_approach(u, others, count, rules)
+        limit_approach(u, others, count, keep_out, rules)
     return True
 
 
 @no_type_check
 @numba.njit(cache=True)
-def max_approach_speed(distance, rules):
-    """Fastest that one of two may move towards the other [m/s].
+def max_approach_speed(distance, keep_out, rules):
+    """Return the largest speed of one of two agents towards the other [m/s].
 
-    Each has half of the gap to stop in: v = √(2 b · gap/2). Both braking at b, the gap
-    closes as the speeds do. Those too near already part at a rate that grows with what
-    is lacking.
+    Each has half of the gap to stop in: v = √(2 b · gap/2). With both braking at b, the gap
+    closes as the speeds do. Agents that are too close separate at a rate that grows with
+    what is missing.
     """
-    gap = distance - rules.keep_out - rules.margin
+    gap = distance - keep_out - rules.margin
     return sqrt(rules.braking * gap) if gap > 0 else 2 * gap
 
 
 @no_type_check
 @numba.njit(cache=True)
-def _sectors_by_distance(others, count, rules, centre, half):
-    # [Lusk2020]'s code: the directions that pass within the keep-out of a body at rest.
+def _sectors_by_distance(others, count, keep_out, rules, center, half):
+    # [Lusk2020]'s code: directions that pass within the keep-out distance of a body at rest.
     sectors = 0
     for k in range(count):
         d = sqrt(others[k, 0] ** 2 + others[k, 1] ** 2)
         if d < rules.avoidance_range:
-            centre[sectors] = atan2(others[k, 1], others[k, 0])
-            half[sectors] = asin(min(1.0, rules.keep_out / d)) if d > 0 else pi / 2
+            center[sectors] = atan2(others[k, 1], others[k, 0])
+            half[sectors] = asin(min(1.0, keep_out / d)) if d > 0 else pi / 2
             sectors += 1
     return sectors
 
 
 @no_type_check
 @numba.njit(cache=True)
-def _sectors_by_braking(others, count, speed, rules, centre, half):
-    # The directions in which this speed comes nearer faster than can be braked.
+def _sectors_by_braking(others, count, speed, keep_out, rules, center, half):
+    # Directions in which this speed approaches another agent faster than it can brake.
     sectors = 0
     for k in range(count):
         d = sqrt(others[k, 0] ** 2 + others[k, 1] ** 2)
-        allowed = max_approach_speed(d, rules)
+        allowed = max_approach_speed(d, keep_out, rules)
         if d < rules.avoidance_range and allowed < speed:
-            centre[sectors] = atan2(others[k, 1], others[k, 0])
-            # Where it is too slow to part as fast as it must, every direction is forbidden.
+            center[sectors] = atan2(others[k, 1], others[k, 0])
+            # A speed too small to separate as fast as required is forbidden in all directions.
             half[sectors] = acos(allowed / speed) if allowed > -speed else 2 * pi
             sectors += 1
     return sectors
@@ -111,24 +99,24 @@ def _wrap_angle(angle):
 
 @no_type_check
 @numba.njit(cache=True)
-def _is_forbidden(heading, centre, half, sectors):
+def _is_forbidden(heading, center, half, sectors):
     for k in range(sectors):
-        if abs(_wrap_angle(heading - centre[k])) < half[k] - 1e-9:
+        if abs(_wrap_angle(heading - center[k])) < half[k] - 1e-9:
             return True
     return False
 
 
 @no_type_check
 @numba.njit(cache=True)
-def _smallest_turn(heading, centre, half, sectors, rules):
-    # The edges of the sectors that lie in no other; 2π where there is none.
+def _smallest_turn(heading, center, half, sectors, rules):
+    # Candidates are the edges of sectors that lie in no other sector; 2π where there is none.
     best, least = 2 * pi, np.inf
     for k in range(sectors):
         for side in (-1, 1):
-            edge = _wrap_angle(centre[k] + side * half[k])
+            edge = _wrap_angle(center[k] + side * half[k])
             turn = _wrap_angle(edge - heading)
             too_far = not rules.legacy and abs(turn) > pi / 2
-            if too_far or _is_forbidden(edge, centre, half, sectors):
+            if too_far or _is_forbidden(edge, center, half, sectors):
                 continue
             effort = abs(edge - heading) if rules.unwrapped_angles else abs(turn)
             if not rules.legacy and turn > 0:
@@ -140,26 +128,27 @@ def _smallest_turn(heading, centre, half, sectors, rules):
 
 @no_type_check
 @numba.njit(cache=True)
-def limit_approach(u, others, count, rules):
-    """Take from a velocity what approaches others too fast.
+def limit_approach(u, others, count, keep_out, rules):
+    """Project a velocity onto those that approach no other agent too fast.
 
-    Each of the others bounds the speed towards it, a half-plane of velocities; the nearest
-    velocity in all of them is taken. To stand still is among them, except where some are too
-    near already; between such, where no velocity parts from all of them, it is enough to
-    approach none.
+    Each of the others bounds the speed towards it, which makes a half-plane of velocities; the
+    closest velocity in all of them is taken. Standing still is one of them, except where some
+    agents are too close already. Where no velocity separates from all of these, one that
+    approaches none of them is taken.
 
     Args:
-        u: The velocity, (≥ 2,), changed in place; its height is left alone [m/s].
-        others: Where the others are from here, in the plane, (≥ count, 2) [m].
-        count: How many there are.
-        rules: The numbers of the avoidance.
+        u: Velocity, (≥ 2,), changed in place; its vertical part is left alone [m/s].
+        others: Relative positions of the others in the plane, (≥ count, 2) [m].
+        count: Number of others.
+        keep_out: Least distance of two agents [m].
+        rules: Numbers of the avoidance, a `CollisionAvoidance`.
 
     Returns:
-        Whether anything was changed.
+        True where the velocity was changed.
     """
-    x, y, found = _project_velocity(u[0], u[1], others, count, rules, -np.inf)
+    x, y, found = _project_velocity(u[0], u[1], others, count, keep_out, rules, -np.inf)
     if not found:
-        x, y, _ = _project_velocity(u[0], u[1], others, count, rules, 0.0)
+        x, y, _ = _project_velocity(u[0], u[1], others, count, keep_out, rules, 0.0)
     changed = x != u[0] or y != u[1]
     u[0], u[1] = x, y
     return changed
@@ -167,17 +156,18 @@ def limit_approach(u, others, count, rules):
 
 @no_type_check
 @numba.njit(cache=True)
-def _project_velocity(u_x, u_y, others, count, rules, least):
-    # The nearest velocity in the first half-planes, and whether there is one. Where it is not
-    # in the next, the nearest in that too lies on its edge, where the others leave an interval.
+def _project_velocity(u_x, u_y, others, count, keep_out, rules, least):
+    # Returns the closest velocity in the half-planes, and whether there is one. Half-planes
+    # are added one by one: where the closest velocity so far is outside the next one, the new
+    # closest lies on its edge, in the interval that the earlier ones leave there.
     x, y = u_x, u_y
     for k in range(count):
-        n_x, n_y, bound = _approach_half_plane(others[k], rules, least)
+        n_x, n_y, bound = _approach_half_plane(others[k], keep_out, rules, least)
         if x * n_x + y * n_y <= bound:
             continue
         low, high = -np.inf, np.inf
         for i in range(k):
-            m_x, m_y, limit = _approach_half_plane(others[i], rules, least)
+            m_x, m_y, limit = _approach_half_plane(others[i], keep_out, rules, least)
             across = m_y * n_x - m_x * n_y
             room = limit - bound * (m_x * n_x + m_y * n_y)
             if across > 1e-12:
@@ -195,9 +185,9 @@ def _project_velocity(u_x, u_y, others, count, rules, least):
 
 @no_type_check
 @numba.njit(cache=True)
-def _approach_half_plane(other, rules, least):
-    # The direction towards another, and the fastest in it.
+def _approach_half_plane(other, keep_out, rules, least):
+    # Direction towards another agent, and the largest speed in it.
     d = sqrt(other[0] ** 2 + other[1] ** 2)
     if not 0 < d < rules.avoidance_range:
         return 1.0, 0.0, np.inf
-    return other[0] / d, other[1] / d, max(least, max_approach_speed(d, rules))
+    return other[0] / d, other[1] / d, max(least, max_approach_speed(d, keep_out, rules))

@@ -1,183 +1,207 @@
-"""A formation flight: the frozen scenario of SYSTEM 2."""
+"""Definition of a formation flight: start, formations, control, messages and supervision."""
 
-from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
+from annotated_types import Ge
 from jaxtyping import Float
 from numpy import ndarray as Array
-from scipy.spatial.distance import pdist
 
-from problems.desired_formation import DesiredFormation
-from problems.gain_matrix import GainMatrix
-from sato.formation.avoidance import CollisionAvoidance
-from sato.formation.control_law import ControlLaw
-from sato.formation.kernel import CoordinateFrames, FormationLimits
+from dynamics.units import Acceleration, Length, Speed, Time
+from sato.formation import feasibility
+from sato.formation.leg import FormationLeg
+from sato.formation.settings import (
+    AssignmentSettings,
+    CollisionAvoidance,
+    ControlLaw,
+    CoordinateFrames,
+    FrameSettings,
+    OperatorCommand,
+    SupervisorSettings,
+)
+from sato.formation.start import AnyStart, draw_start, place_level
 from sato.network.radio import Radio
+from sato.scenario.definition import Convert, In, Key, Positive
+from sato.scenario.errors import InputError, errors_in
+from sato.scenario.mission import Mission
+from sato.scenario.table import resolve_key, write_table
+from sato.shapes.shape import Points, Shape, as_points
+
+if TYPE_CHECKING:
+    from problems.gain_matrix import GainMatrix
+
+FRAME_PERIOD = 0.02  # between two observations by the supervisor, as in [Lusk2020]'s trials [s]
 
 
-class AssignmentSettings(NamedTuple):
-    """Who takes which point, and when that is asked again."""
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Formation(Mission):
+    """Vehicles that take up one formation after another, anywhere and at any heading.
 
-    method: Literal["cbaa", "vsdaa", "hungarian", "none"] = "vsdaa"
-    first_delay: float = 1.5  # after a shape is called for [s]
-    period: float = 2.0  # between two auctions [s]
-    relative_epsilon: float = 0.04  # least raise of a bid of "vsdaa", of the extent of the shape
+    Args:
+        start: Array of (N, 2) or (N, 3) positions [m], a random start or a shape.
+        legs: Formations, one after another.
 
+    All others are explained by `sato keys formation`. Values are in SI units.
+    """
 
-class SupervisorSettings(NamedTuple):
-    """When a shape counts as taken up, and when a swarm as stuck [Lusk2020's trials]."""
+    system: ClassVar[str] = "formation"
 
-    convergence_speed: float = 0.15  # commanded speed below which a vehicle has arrived [m/s]
-    averaging_window: float = 1.0  # over which speeds and avoidance are averaged [s]
-    convergence_time: float = 1.0  # for which all must have arrived [s]
-    gridlock_share: float = 0.95  # share of the window for which a gridlocked vehicle avoids others
-    gridlock_timeout: float = 90.0  # in one gridlock [s]
-    hover_time: float = 5.0  # before the first shape, and in each [s]
-    time_limit: float = 600.0  # of the whole flight [s]
-    shape_tolerance: float = 0.1  # error of shape with which it counts as taken up [m]
-
-
-class OperatorCommand(NamedTuple):
-    """What an operator asks of one vehicle for a while."""
-
-    agent: int
-    start: float  # after the start of the flight [s]
-    end: float  # [s]
-    velocity: Float[Array, " 3"]  # in the vehicle's own frame [m/s]
-
-
-@dataclass(frozen=True, eq=False)
-class Formation:
-    """Vehicles that take up one shape after another, anywhere and at any heading."""
-
-    start: Float[Array, "agents 3"]  # [m]
-    gains: tuple[GainMatrix, ...]  # each with its formation
-    coordinate_frames: CoordinateFrames
-    control_law: ControlLaw = field(default_factory=ControlLaw)
-    avoidance: CollisionAvoidance = field(default_factory=CollisionAvoidance)
-    limits: FormationLimits = field(default_factory=FormationLimits)
-    assignment: AssignmentSettings = field(default_factory=AssignmentSettings)
-    supervision: SupervisorSettings = field(default_factory=SupervisorSettings)
-    radio: Radio = field(default_factory=Radio)
-    control_step: float = 0.02  # of control [s]
-    steps_per_frame: int = (
-        1  # control steps from one frame, and look of the supervisor, to the next
+    agents: Annotated[int, In("swarm"), Ge(3), "number of agents; as the start lists, if absent"] = (
+        None  # type: ignore[assignment]
     )
-    operator_commands: tuple[OperatorCommand, ...] = field(default=())
+    start: Annotated[AnyStart, In("swarm"), Convert(as_points), "initial positions, at rest"]
+    keep_out: Annotated[
+        Length, In("swarm"), Positive, "least distance of two vehicles in the plane"
+    ] = 1.2
+    max_speed: Annotated[Speed, In("swarm"), Positive, "largest speed in the plane"] = 0.5
+    max_climb: Annotated[Speed, In("swarm"), Positive, "largest vertical speed"] = 0.3
+    max_acceleration: Annotated[
+        Acceleration, In("swarm"), Positive, "largest acceleration in the plane"
+    ] = 0.5
+    max_climb_acceleration: Annotated[
+        Acceleration, In("swarm"), Positive, "largest vertical acceleration"
+    ] = 0.8
 
-    def __post_init__(self) -> None:
-        for gains in self.gains:
-            validate_formation(gains.formation, self.agents, self.avoidance.keep_out)
-        validate_assignment(self.assignment, self.radio)
-        for push in self.operator_commands:
-            validate_operator_command(push, self.agents)
+    step: Annotated[Time, In("control"), Positive, "control step"] = 0.02
+    control_law: Annotated[ControlLaw, Key("control"), "control law"] = ControlLaw()
+    avoidance: Annotated[CollisionAvoidance, "collision avoidance"] = CollisionAvoidance()
+    assignment: Annotated[AssignmentSettings, "assignment of points"] = AssignmentSettings()
+    frames: Annotated[FrameSettings, "coordinate frames and sensors"] = FrameSettings()
+    radio: Annotated[Radio, "messages"] = Radio()
+    supervision: Annotated[
+        SupervisorSettings, Key("protocol"), "convergence and gridlock"
+    ] = SupervisorSettings()
+
+    operator_commands: Annotated[
+        tuple[OperatorCommand, ...], Key("push"), "velocities commanded by an operator"
+    ] = ()
+    legs: Annotated[tuple[FormationLeg, ...], Key("leg"), "formations in turn"]
+
+    @classmethod
+    def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
+        """Return the keys of a file; with `legacy_avoidance`, defaults are the paper's."""
+        avoidance = data.get("avoidance")
+        if not isinstance(avoidance, dict) or avoidance.get("legacy_avoidance") is not True:
+            return data
+        points = np.eye(3)
+        legacy = write_table(legacy_formation(points, [FormationLeg(points)]))
+        filled = dict(data)
+        for table in ("control", "avoidance", "assignment", "frames", "protocol"):
+            given = data.get(table, {})
+            if isinstance(given, dict):
+                keys = {_resolved(key, legacy[table]) for key in given}
+                filled[table] = given | {k: v for k, v in legacy[table].items() if k not in keys}
+        return filled
+
+    def completed(self) -> dict[str, Any]:
+        """Return the number of agents, and identifiers that tell all of them apart."""
+        values: dict[str, Any] = {}
+        agents = self.agents
+        for points in (self.start, *(leg.formation for leg in self.legs)):
+            if agents is None and isinstance(points, Points) and points.positions is not None:
+                agents = values["agents"] = len(points.positions)
+        bits = (agents - 1).bit_length() if agents else 0
+        if bits > self.radio.id_bits:
+            values["radio"] = replace(self.radio, id_bits=bits)
+        return values
+
+    def check(self) -> None:
+        """Refuse fields that contradict each other."""
+        feasibility.check_swarm(self)
+        feasibility.check_clearance(self)
+        feasibility.check_messages(self)
+        feasibility.check_operator_commands(self)
+
+    def draw(self, rng: np.random.Generator) -> "Formation":
+        """Return the mission with its start, formations, gains and coordinate frames drawn."""
+        with errors_in("swarm.start"):
+            start = draw_start(self.start, self.agents, self.keep_out, rng)
+        legs = []
+        for number, leg in enumerate(self.legs):
+            with errors_in(f"leg.{number}"):
+                legs.append(leg.draw(self.agents, self.keep_out, rng))
+        with errors_in("frames"):
+            frames = self.frames.draw(self.agents, rng)
+        return replace(
+            self, start=Points(start, keep_order=True), legs=tuple(legs), frames=frames
+        )
+
+    def warnings(self) -> list[str]:
+        """List doubts about a drawn mission, a sentence each."""
+        return feasibility.separation_doubts(self)
+
+    def without_files(self) -> "Formation":
+        """Return the same mission with the contents of files and fonts."""
+        start, legs = self.start, []
+        if isinstance(start, Points) and start.uses_files:
+            start = replace(start, keep_order=True)
+        if isinstance(start, Shape) and start.uses_files:
+            start = Points(place_level(start, self.agents, 0.0), keep_order=True)
+        for number, leg in enumerate(self.legs):
+            with errors_in(f"leg.{number}"):
+                legs.append(leg.without_files(self.agents))
+        return replace(self, start=start, legs=tuple(legs))
+
+    @cached_property
+    def initial_positions(self) -> Float[Array, "agents 3"]:
+        """Initial position of every agent [m], once drawn."""
+        if not isinstance(self.start, Points):
+            raise ValueError("the start is known once the mission is drawn: mission.draw(rng)")
+        return place_level(replace(self.start, keep_order=True), self.agents, 0.0)
+
+    @cached_property
+    def gains(self) -> "tuple[GainMatrix, ...]":
+        """Gains of each leg, once drawn, each with its formation."""
+        return tuple(leg.gain_matrix for leg in self.legs)
+
+    @cached_property
+    def coordinate_frames(self) -> CoordinateFrames:
+        """Coordinate frame of each agent, once drawn."""
+        frames = self.frames
+        if isinstance(frames.yaw, str):
+            raise ValueError("the frames are known once the mission is drawn: mission.draw(rng)")
+        rotation = np.exp(1j * frames.yaw)
+        return CoordinateFrames(rotation, np.array(frames.offset), np.array(frames.drift))
 
     @property
-    def agents(self) -> int:
-        """Number of vehicles."""
-        return len(self.start)
+    def steps_per_frame(self) -> int:
+        """Control steps from one recorded frame, and observation, to the next."""
+        return max(1, round(FRAME_PERIOD / self.step))
 
     @property
     def frame_period(self) -> float:
-        """Time from one frame to the next [s]."""
-        return self.steps_per_frame * self.control_step
-
-
-def validate_formation(formation: DesiredFormation, agents: int, collision_radius: float) -> None:
-    """A swarm can take up a formation, and keep it.
-
-    Raises:
-        ValueError: It has more or fewer points than there are vehicles, or two are too near.
-    """
-    points = formation.points
-    if len(points) != agents:
-        raise ValueError(f"{agents} vehicles cannot take up a shape of {len(points)} points")
-    closest = pdist(points[:, :2]).min()
-    if closest < collision_radius:
-        raise ValueError(
-            f"two points of the formation are {closest:.3g} m apart in the plane, nearer "
-            f"than the keep-out of {collision_radius:g} m: no swarm could hold it"
-        )
-
-
-def validate_assignment(assigning: AssignmentSettings, radio: Radio) -> None:
-    """The auction can end with such a radio.
-
-    Raises:
-        ValueError: It waits for messages that may be lost.
-    """
-    if assigning.method == "vsdaa" and radio.loss_probability > 0:
-        raise ValueError(
-            f'"vsdaa" ends when nothing new is heard, which needs every message, and a share of '
-            f'{radio.loss_probability:g} is lost; "cbaa" goes on telling and would do'
-        )
-
-
-def validate_operator_command(push: OperatorCommand, agents: int) -> None:
-    """There is somebody to push, and a time for it.
-
-    Raises:
-        ValueError: There is not.
-    """
-    if not 0 <= push.agent < agents:
-        raise ValueError(f"there is no vehicle {push.agent}; they are 0 to {agents - 1}")
-    if not push.start < push.end:
-        raise ValueError(f"a push from {push.start:g} s to {push.end:g} s never begins")
-
-
-def aligned_frames(agents: int, noise: float = 0.0) -> CoordinateFrames:
-    """Frames that agree with each other and do not drift."""
-    return CoordinateFrames(
-        np.ones(agents, dtype=complex), np.zeros((agents, 3)), np.zeros((agents, 3)), noise
-    )
-
-
-def draw_frames(
-    agents: int, origin_range: float, drift: float, noise: float, rng: np.random.Generator
-) -> CoordinateFrames:
-    """Frames with any yaw and origins anywhere in a box, whose reckoning drifts.
-
-    Args:
-        agents: Number of vehicles.
-        spread: Half the side of the box of origins [m].
-        drift: Error of the reckoning for each metre flown; its direction is drawn.
-        noise: Standard deviation of every measured coordinate [m].
-        rng: Draws yaws, origins and directions of drift.
-    """
-    direction = rng.standard_normal((agents, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    yaw = rng.uniform(-np.pi, np.pi, agents)
-    offset = rng.uniform(-origin_range, origin_range, (agents, 3))
-    return CoordinateFrames(np.exp(1j * yaw), offset, drift * direction, noise)
+        """Time from one recorded frame to the next [s]."""
+        return self.steps_per_frame * self.step
 
 
 def legacy_formation(
-    start: Float[Array, "agents 3"],
-    shapes: tuple[GainMatrix, ...],
-    method: Literal["cbaa", "hungarian", "none"],
-    *,
-    unwrapped_angles: bool = True,
+    start: Any, legs: Sequence[FormationLeg], **changed: Any
 ) -> Formation:
-    """The flight as [Lusk2020]'s code has it, so that its tables can be reproduced.
+    """Return the flight as [Lusk2020]'s code has it, so that its tables can be reproduced.
 
     Args:
-        start: Where the vehicles are [m].
-        shapes: To take up.
-        kind: How points are assigned; Hungarian sees everything at once.
-        linear: Avoidance compares angles as if they did not wrap around, as that code does.
+        start: As of a `Formation`.
+        legs: As of a `Formation`.
+        changed: Fields that are to differ from the paper's.
     """
-    return Formation(
-        start,
-        shapes,
-        aligned_frames(len(start), noise=0.01),
-        control_law=ControlLaw(upright=False, legacy=True),
-        avoidance=CollisionAvoidance(
-            avoidance_range=1.5, legacy=True, unwrapped_angles=unwrapped_angles
+    paper: dict[str, Any] = {
+        "step": 0.01,
+        "control_law": ControlLaw(upright=False),
+        "avoidance": CollisionAvoidance(
+            avoidance_range=1.5, legacy=True, unwrapped_angles=True
         ),
-        limits=FormationLimits(per_axis=True),
-        assignment=AssignmentSettings(method),
-        supervision=SupervisorSettings(convergence_speed=1.0),
-        control_step=0.01,
-        steps_per_frame=2,
-    )
+        "assignment": AssignmentSettings("cbaa"),
+        "frames": FrameSettings("aligned", 0.0, 0.0, 0.01),
+        "supervision": SupervisorSettings(convergence_speed=1.0),
+    }
+    return Formation(start=start, legs=tuple(legs), **(paper | changed))
+
+
+def _resolved(key: str, table: dict[str, Any]) -> str:
+    try:
+        return resolve_key(key, table)[0]
+    except InputError:
+        return key  # which is refused when the table is read

@@ -1,4 +1,4 @@
-"""What a run of this system leaves behind, beyond what every run does."""
+"""Variables and attributes of a formation flight's run file, beside those of its frames."""
 
 from collections.abc import Sequence
 from typing import Annotated, NamedTuple
@@ -7,12 +7,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Shaped
 from numpy import ndarray as Array
 
-from problems.gain_matrix import GainMatrix
 from sato.formation.loop import FormationFrame
 from sato.formation.mission import Formation
 from sato.interfaces import Recorded
 
-GAIN_PARTS = ("xy_real", "xy_imaginary", "z")  # of gains, in the order of the file
+GAIN_PARTS = ("xy_real", "xy_imaginary", "z")
 
 _POINTS = ("leg", "point", "axis")
 _EDGES = ("leg", "point", "neighbor")
@@ -47,31 +46,25 @@ class FormationVariables(NamedTuple):
     ]
 
 
-def run_attributes(mission: Formation) -> dict[str, float]:
-    """The radii and limits that a run file says in its attributes."""
-    limits = mission.limits
+def collect_attributes(mission: Formation) -> dict[str, float]:
+    """Collect radii and limits for the attributes of the run file."""
     return {
-        "keep_out_m": mission.avoidance.keep_out,
-        "max_speed_m_s": limits.speed,
-        "max_climb_m_s": limits.climb,
-        "max_acceleration_m_s2": limits.acceleration,
-        "max_climb_acceleration_m_s2": limits.climb_acceleration,
+        "keep_out_m": mission.keep_out,
+        "max_speed_m_s": mission.max_speed,
+        "max_climb_m_s": mission.max_climb,
+        "max_acceleration_m_s2": mission.max_acceleration,
+        "max_climb_acceleration_m_s2": mission.max_climb_acceleration,
         "shape_m": mission.supervision.shape_tolerance,
     }
 
 
 def collect_variables(frames: Sequence[FormationFrame], mission: Formation) -> FormationVariables:
     """Collect coordinate frames, formations, graphs and gains."""
-    shapes = [gains.formation for gains in mission.gains]
     return FormationVariables(
         frame_yaw=np.angle(mission.coordinate_frames.rotation),
         frame_offset=mission.coordinate_frames.origin,
-        formation=np.array([shape.points for shape in shapes]),
-        graph=np.array([shape.graph for shape in shapes]),
+        formation=np.array([gains.formation.points for gains in mission.gains]),
+        graph=np.array([gains.formation.graph for gains in mission.gains]),
         part=np.array(GAIN_PARTS),
-        gains=np.array([_stack_gains(gains) for gains in mission.gains]),
+        gains=np.array([[gains.xy.real, gains.xy.imag, gains.z] for gains in mission.gains]),
     )
-
-
-def _stack_gains(gains: GainMatrix) -> Float[Array, "3 n n"]:
-    return np.stack([gains.xy.real, gains.xy.imag, gains.z])

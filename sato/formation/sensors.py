@@ -1,4 +1,4 @@
-"""What one vehicle measures, tells and hears: the only place where the truth is looked at."""
+"""Measurements and messages of the agents: the only functions that read the true state."""
 
 from typing import no_type_check
 
@@ -8,8 +8,8 @@ import numpy as np
 
 @no_type_check
 @numba.njit
-def measure_own_position(state, frames, rng):
-    """Each vehicle's own position in its own frame, drifted and noisy: all it knows of itself."""
+def measure_own_position(state, frames, noise, rng):
+    """Measure each agent's position in its own frame, with odometry drift and noise."""
     for i in range(len(state.position)):
         e = state.measured_position[i]
         p = complex(
@@ -19,48 +19,54 @@ def measure_own_position(state, frames, rng):
         e[0], e[1], e[2] = p.real, p.imag, state.position[i, 2] - frames.origin[i, 2]
         for a in range(3):
             e[a] += state.drift[i, a]
-            if frames.noise > 0:
-                e[a] += frames.noise * rng.standard_normal()
+            if noise > 0:
+                e[a] += noise * rng.standard_normal()
 
 
 @no_type_check
 @numba.njit
 def exchange_positions(state, roles, swarm, message, rng):
-    """Everybody tells its position; each hears those who hold its neighbouring points."""
-    ring, pace = len(state.sent), swarm.timing
+    """Send each agent's position to the agents that hold the neighboring points."""
+    ring, timing = len(state.sent), swarm.timing
     state.sent[message % ring] = state.measured_position
-    told = state.sent[(message - pace.message_delay) % ring]
+    arriving = state.sent[(message - timing.message_delay) % ring]
     for i in range(len(state.position)):
         for point in swarm.formation.neighbors[roles.assignment[i]]:
             if point < 0:
                 break
-            if pace.message_loss == 0 or rng.random() >= pace.message_loss:
+            if timing.message_loss == 0 or rng.random() >= timing.message_loss:
                 j = roles.holder[i, point]
                 for a in range(3):
-                    state.received[i, j, a] = told[j, a]
+                    state.received[i, j, a] = arriving[j, a]
 
 
 @no_type_check
 @numba.njit
-def locate_neighbors(i, state, roles, swarm, sees, near):
-    """Where vehicle i has the holders of its neighbouring points, from itself, in its own frame.
+def locate_neighbors(i, state, roles, swarm, relative, near):
+    """Locate the holders of neighboring points relative to agent i, in its own frame.
 
-    It takes their own reckoning, by the pose of their frames in its own, which it knows.
+    Their own estimates are used, and the poses of their frames in its own, which it knows.
+
+    Returns:
+        Number of neighbors heard; the first so many of `near` are their points.
     """
-    frames, me, k = swarm.coordinate_frames, state.measured_position[i], 0
+    frames, own_position, k = swarm.coordinate_frames, state.measured_position[i], 0
     own = np.conj(frames.rotation[i])
     for point in swarm.formation.neighbors[roles.assignment[i]]:
         if point < 0:
             break
         j = roles.holder[i, point]
-        told = state.received[i, j]
-        if j == i or np.isnan(told[0]):
+        heard = state.received[i, j]
+        if j == i or np.isnan(heard[0]):
             continue
         o_x = frames.origin[j, 0] - frames.origin[i, 0]
         o_y = frames.origin[j, 1] - frames.origin[i, 1]
-        flat = own * (frames.rotation[j] * complex(told[0], told[1]) + complex(o_x, o_y))
-        sees[point, 0], sees[point, 1] = flat.real - me[0], flat.imag - me[1]
-        sees[point, 2] = told[2] + frames.origin[j, 2] - frames.origin[i, 2] - me[2]
+        flat = own * (frames.rotation[j] * complex(heard[0], heard[1]) + complex(o_x, o_y))
+        relative[point, 0] = flat.real - own_position[0]
+        relative[point, 1] = flat.imag - own_position[1]
+        relative[point, 2] = (
+            heard[2] + frames.origin[j, 2] - frames.origin[i, 2] - own_position[2]
+        )
         near[k] = point
         k += 1
     return k
@@ -69,22 +75,21 @@ def locate_neighbors(i, state, roles, swarm, sees, near):
 @no_type_check
 @numba.njit
 def sense_nearby(i, state, swarm, others, rng):
-    """Those near vehicle i, as it sees them itself, in its own frame; nothing drifts here."""
-    frames, notice, count = swarm.coordinate_frames, swarm.avoidance.avoidance_range, 0
-    own, nearest = np.conj(frames.rotation[i]), np.inf
+    """Sense the agents within range of agent i, in its own frame; odometry does not matter here.
+
+    Returns:
+        Number of agents sensed; the first so many rows of `others` are their positions.
+    """
+    frames, noise, count = swarm.coordinate_frames, swarm.numbers.noise, 0
+    reach, own = swarm.avoidance.avoidance_range, np.conj(frames.rotation[i])
     for j in range(len(state.position)):
         x = state.position[j, 0] - state.position[i, 0]
         y = state.position[j, 1] - state.position[i, 1]
-        square = x * x + y * y
-        if j == i:
-            continue
-        nearest = min(nearest, square)
-        if square < notice * notice:
+        if j != i and x * x + y * y < reach * reach:
             flat = own * complex(x, y)
             others[count, 0], others[count, 1] = flat.real, flat.imag
-            if frames.noise > 0:
-                others[count, 0] += frames.noise * rng.standard_normal()
-                others[count, 1] += frames.noise * rng.standard_normal()
+            if noise > 0:
+                others[count, 0] += noise * rng.standard_normal()
+                others[count, 1] += noise * rng.standard_normal()
             count += 1
-    state.min_separation[i] = min(state.min_separation[i], np.sqrt(nearest))
     return count

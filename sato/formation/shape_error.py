@@ -1,4 +1,4 @@
-"""How well a swarm has taken up a shape, as seen from outside."""
+"""Shape error: distance of a swarm from its formation, wherever and at any heading."""
 
 from typing import NamedTuple
 
@@ -12,36 +12,36 @@ MIRROR = np.array([1.0, 1.0, -1.0])
 
 
 class ShapeError(NamedTuple):
-    """A swarm beside its shape: root mean square distances, laid where it fits best [m]."""
+    """Root mean square distance of a swarm from its aligned formation [m]."""
 
     upright: float
-    mirrored: float  # from its mirror image, upside down
+    mirrored: float  # from the mirror image, upside down
 
     @property
     def inverted(self) -> bool:
-        """Whether it is upside down: that fits twice as well, so not where it is all but flat."""
+        """True where the mirror image fits twice as well, so never where it is almost flat."""
         return 2 * self.mirrored < self.upright
 
     @property
     def error(self) -> float:
-        """From whichever of the two it is [m]."""
+        """Distance from the formation or its mirror image, see `inverted` [m]."""
         return self.mirrored if self.inverted else self.upright
 
 
 def compute_shape_error(
-    position: Float[Array, "points 3"], shape: Float[Array, "points 3"]
+    position: Float[Array, "points 3"], points: Float[Array, "points 3"]
 ) -> ShapeError:
-    """Lay a shape, and its mirror image, over those who hold its points.
+    """Align a formation, and its mirror image, with a swarm, and measure the distance.
 
-    It may be shifted and turned about the vertical, not scaled.
+    They may be translated, and rotated about the vertical, but not scaled.
 
     Args:
-        position: Of who holds each point [m].
-        shape: The points [m].
+        position: Position of the holder of each point [m].
+        points: Points of the formation [m].
     """
-    return ShapeError(_rms_error(position, shape), _rms_error(position, shape * MIRROR))
+    return ShapeError(_rms_error(position, points), _rms_error(position, points * MIRROR))
 
 
-def _rms_error(position: Array, shape: Array) -> float:
-    away = position - align(shape, position).transform(shape)
-    return float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
+def _rms_error(position: Array, points: Array) -> float:
+    offset = position - align(points, position).transform(points)
+    return float(np.sqrt(np.mean(np.sum(offset**2, axis=1))))

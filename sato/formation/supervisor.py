@@ -1,6 +1,7 @@
-"""Who watches the flight from outside: has the swarm settled, is it stuck?
+"""Supervisor of a flight: has the swarm converged, or is it gridlocked?
 
-The predicates of [Lusk2020]'s trials, as its base station applies them. No vehicle hears of it.
+The predicates are those of [Lusk2020]'s trials, as its base station applies them. No agent
+receives anything from it.
 """
 
 from enum import Enum
@@ -9,61 +10,58 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from sato.formation.mission import SupervisorSettings
+from sato.formation.settings import SupervisorSettings
 
 
 class Phase(Enum):
-    """How far the swarm has come with a shape."""
+    """Progress of the swarm with a formation."""
 
     WAITING = "waiting"  # for the first assignment
     FLYING = "flying"
-    CONVERGED = "settled"  # everybody is slow; it has to last
-    GRIDLOCKED = "gridlocked"  # somebody does nothing but avoid
-    COMPLETED = "done"
+    CONVERGED = "converged"  # all are slow, which has to last
+    GRIDLOCKED = "gridlocked"  # some agent does nothing but avoid others
+    COMPLETED = "completed"
     ABORTED = "given up"
 
 
 class Supervisor:
-    """Watches a swarm that takes up one shape."""
+    """Observer of a swarm that takes up one formation."""
 
-    def __init__(self, protocol: SupervisorSettings, sample: float, agents: int) -> None:
-        """Begin to wait.
+    def __init__(self, settings: SupervisorSettings, period: float, agents: int) -> None:
+        """Begin in the phase of waiting.
 
         Args:
-            protocol: What counts as settled and as stuck.
-            sample: Time between two observations [s].
-            agents: Number of vehicles.
+            settings: When a formation is converged, and a swarm gridlocked.
+            period: Time between two observations [s].
+            agents: Number of agents.
         """
         self.phase = Phase.WAITING
-        self.time_in_phase = 0.0  # in this phase [s]
-        self._settings, self._frame_period = protocol, sample
-        self._window_length = max(1, round(protocol.averaging_window / sample))
+        self.time_in_phase = 0.0  # [s]
+        self._settings, self._period = settings, period
+        self._window_length = max(1, round(settings.averaging_window / period))
         self._speed_window = np.zeros((self._window_length, agents))
         self._avoiding_window = np.zeros((self._window_length, agents))
-        self._speed_sum, self._avoiding_sum = (
-            np.zeros(agents),
-            np.zeros(agents),
-        )  # sums of the window
+        self._speed_sum, self._avoiding_sum = np.zeros(agents), np.zeros(agents)
         self._observation_count = 0
 
     def mark_assigned(self) -> None:
-        """Everybody knows its point now."""
+        """Note that every agent knows its point."""
         if self.phase is Phase.WAITING:
             self._enter(Phase.FLYING)
 
-    def observe(self, speed: Float[Array, " agents"], avoids: Bool[Array, " agents"]) -> Phase:
-        """One more observation; returns the phase that it leads to.
+    def observe(self, speed: Float[Array, " agents"], avoiding: Bool[Array, " agents"]) -> Phase:
+        """Add an observation, and return the phase that it leads to.
 
         Args:
-            speed: What the law commands of each vehicle, before any limit [m/s].
-            avoids: Who changes its command to avoid others.
+            speed: Speed that the control law commands each agent, before limits [m/s].
+            avoiding: True for agents that change their command to avoid others.
         """
         row = self._observation_count % self._window_length
         self._speed_sum += speed - self._speed_window[row]
-        self._avoiding_sum += avoids - self._avoiding_window[row]
-        self._speed_window[row], self._avoiding_window[row] = speed, avoids
+        self._avoiding_sum += avoiding - self._avoiding_window[row]
+        self._speed_window[row], self._avoiding_window[row] = speed, avoiding
         self._observation_count += 1
-        self.time_in_phase += self._frame_period
+        self.time_in_phase += self._period
         if self.phase is Phase.CONVERGED and not self._is_slow:
             self._enter(Phase.FLYING)
         elif self.phase is Phase.CONVERGED and self._has_lasted(self._settings.convergence_time):

@@ -3,15 +3,15 @@
 from sato.formation.check import check_run
 from sato.formation.loop import FormationFrame, simulate
 from sato.formation.mission import Formation
-from sato.formation.record import FormationVariables, collect_variables, run_attributes
+from sato.formation.record import FormationVariables, collect_attributes, collect_variables
 from sato.interfaces import MissionProgress, System, lazy
 
 
-def describe_progress(mission: Formation, frame: FormationFrame) -> MissionProgress:
-    """The leg under way, and the time that is left at most."""
+def make_progress(mission: Formation, frame: FormationFrame) -> MissionProgress:
+    """Count the frames until the time limit; a flight may end earlier."""
     done = round(frame.time / mission.frame_period)
     total = max(done, round(mission.supervision.time_limit / mission.frame_period))
-    stage = f"leg {frame.leg_index + 1} of {len(mission.gains)}"
+    stage = f"leg {frame.leg_index + 1} of {len(mission.legs)}"
     return MissionProgress(stage, done, total, frame.phase.value)
 
 
@@ -21,8 +21,8 @@ SYSTEM = System(
     run_variables=FormationVariables,
     simulate=simulate,
     collect=collect_variables,
-    attributes=run_attributes,
+    attributes=collect_attributes,
     check=check_run,
-    progress=describe_progress,
+    progress=make_progress,
     figures=lazy("sato.formation.figures:make_figures"),
 )

@@ -9,12 +9,10 @@ from pydantic import ValidationError
 
 from sato.former.connectivity import ConnectivityFile
 from sato.former.file import ScenarioFile
-from sato.former.formation import FormationFile
 from sato.former.overrides import override
 from sato.former.refusal import Refusal, ScenarioError, explain, listed, nearest
 
 SYSTEMS: dict[str, type[ScenarioFile]] = {
-    "formation": FormationFile,
     "connectivity": ConnectivityFile,
 }
 BUILT_IN = Path(__file__).parent.parent / "scenarios"
@@ -72,7 +70,7 @@ def parse(
     except tomllib.TOMLDecodeError as error:
         raise ScenarioError(f"{source}: is not TOML: {error}") from error
     data.setdefault("name", Path(source).stem)
-    if data.get("system") == "reconfiguration":
+    if data.get("system") != "connectivity":
         from sato.scenario.file import parse as parse_mission
 
         return parse_mission(text, overrides, source=source, folder=folder)  # type: ignore[return-value]
@@ -80,22 +78,12 @@ def parse(
         data = _located(data, folder)
     try:
         for setting in overrides:
-            override(data, setting, _system(data))
-        return _system(data).model_validate(data, context={"source": source})
+            override(data, setting, ConnectivityFile)
+        return ConnectivityFile.model_validate(data, context={"source": source})
     except Refusal as refusal:
         raise ScenarioError(f"{source}: {refusal}") from refusal
     except ValidationError as error:
         raise ScenarioError(f"{source}: {explain(error, data)}") from error
-
-
-def _system(data: dict[str, Any]) -> type[ScenarioFile]:
-    name = data.get("system")
-    if name is None:
-        raise Refusal("system", f"is missing; write system = {listed(map(_quoted, SYSTEMS))}")
-    if not isinstance(name, str) or name not in SYSTEMS:
-        known = listed(map(_quoted, SYSTEMS), "and")
-        raise Refusal("system", f"there is no system {_quoted(name)}, only {known}")
-    return SYSTEMS[name]
 
 
 def _find(name: str | Path) -> tuple[Path, str]:
@@ -121,7 +109,3 @@ def _located(value: Any, folder: Path, key: str = "") -> Any:
         return [_located(part, folder) for part in value]
     font_file = key == "font" and str(value).lower().endswith((".ttf", ".otf", ".ttc"))
     return str(folder / value) if isinstance(value, str) and (key == "file" or font_file) else value
-
-
-def _quoted(name: object) -> str:
-    return f'"{name}"'

@@ -19,30 +19,28 @@ sec. V-B] follow:
 
 from dataclasses import dataclass
 from math import ceil
+from typing import Annotated
+
+from annotated_types import Lt
+
+from dynamics.units import Time, Unit
+from sato.scenario.definition import Definition, Key, NotNegative, Positive
 
 WORD_BITS = 32  # bits of a coordinate, a price, a winner, the number of an auction and of a round
 
 
-@dataclass(frozen=True)
-class Radio:
-    """Radio link between neighbors; one message is sent in every period 1 / rate."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Radio(Definition):
+    """Radio by which messages between neighbors travel, one in every period 1 / rate."""
 
-    message_rate: float = 50.0  # messages of each kind [1/s]
-    loss_probability: float = 0.0  # of each message
-    delay: float = 0.0  # of each message [s]
-    id_bits: int = 8  # bits of a vehicle's number
-
-    def __post_init__(self) -> None:
-        if not (
-            self.message_rate > 0
-            and 0 <= self.loss_probability < 1
-            and self.delay >= 0
-            and self.id_bits > 0
-        ):
-            raise ValueError(
-                f"{self}: the rate and the bits of a number must be positive, the loss in [0, 1), "
-                "and the delay no less than 0 s"
-            )
+    message_rate: Annotated[
+        float, Unit("hz"), Key("rate"), Positive, "messages of each kind a second"
+    ] = 50.0
+    loss_probability: Annotated[
+        float, Key("loss"), NotNegative, Lt(1), "probability that a message is lost"
+    ] = 0.0
+    delay: Annotated[Time, NotNegative, "by which a message arrives late"] = 0.0
+    id_bits: Annotated[int, Positive, "bits of a vehicle's number"] = 8
 
     @property
     def delay_rounds(self) -> int:

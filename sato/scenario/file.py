@@ -96,7 +96,7 @@ def from_dict(
     definition = definition_of(system)
     for setting in overrides:
         override(data, setting, definition)
-    mission: Mission = read_table(definition, data)
+    mission: Mission = read_table(definition, definition.with_defaults(data))
     return mission
 
 

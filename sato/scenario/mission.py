@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import tomli_w
@@ -21,6 +21,11 @@ class Mission(Definition):
     system: ClassVar[str]
 
     name: Annotated[Name, In(""), "name of the scenario"] = "mission"
+
+    @classmethod
+    def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
+        """Return the tables of a file, with defaults that depend on other keys filled in."""
+        return data
 
     @abstractmethod
     def draw(self, rng: np.random.Generator) -> "Mission":

@@ -1,12 +1,12 @@
-"""Judges a run of this system: recomputes what it promises and what is said of it."""
+"""Check of a formation flight: recompute what it promises and what its summary says."""
 
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sato.check.report import Report
-from sato.formation.check.evidence import FormationRecord
 from sato.formation.check.promises import check_promises
+from sato.formation.check.recorded import FormationRecord
 from sato.formation.check.summary import summarize
 from sato.formation.mission import Formation
 
@@ -19,12 +19,12 @@ __all__ = ["FormationRecord", "check_run"]
 def check_run(
     data: "xarray.Dataset", mission: Formation, rng: np.random.Generator | None = None
 ) -> Report:
-    """Judge a run's data against a mission.
+    """Check the data of a run against a drawn mission.
 
     Args:
-        data: The run's.
-        mission: What was to be flown.
-        rng: Not asked: what was drawn in flight is judged by what it did.
+        data: Data of the run.
+        mission: Mission that was to be flown, drawn.
+        rng: Not used: noise and losses are checked by their effects.
     """
-    evidence = FormationRecord.from_dataset(data, mission)
-    return Report(check_promises(evidence), summarize(evidence))
+    record = FormationRecord.from_dataset(data, mission)
+    return Report(check_promises(record), summarize(record))

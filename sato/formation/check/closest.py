@@ -1,4 +1,4 @@
-"""How near two vehicles come that fly straight from each instant to the next."""
+"""Closest approach of vehicles that fly straight from each instant to the next."""
 
 from typing import NamedTuple, no_type_check
 
@@ -9,22 +9,18 @@ from numpy import ndarray as Array
 
 
 class ClosestPair(NamedTuple):
-    """Where two vehicles come closest."""
+    """Closest approach of two vehicles."""
 
-    distance: float  # in the plane [m]; infinite where there are no two
-    piece: int  # before it happens
+    distance: float  # in the plane [m]; infinite for fewer than two vehicles
+    piece: int  # instant before it
     pair: tuple[int, int]
 
 
 def find_closest_approach(position: Float[Array, "instants agents 2"]) -> ClosestPair:
-    """The closest two of all.
-
-    Args:
-        position: In the plane; who is nowhere, is near nobody [m].
-    """
+    """Find the closest approach of all pairs, from positions in the plane [m]."""
     if position.shape[1] < 2 or not len(position):
         return ClosestPair(np.inf, -1, (-1, -1))
-    # The last instant once more, so that it counts where there is no other.
+    # The last instant is repeated, so that it counts where there is no other.
     square, k, i, j = _closest_approach(np.concatenate([position, position[-1:]]))
     return ClosestPair(float(np.sqrt(square)), int(k), (int(i), int(j)))
 

@@ -1,4 +1,4 @@
-"""What a run promises, each judged by recomputing it."""
+"""Promises of a formation flight, each checked by recomputing it."""
 
 import numpy as np
 from jaxtyping import Float
@@ -6,243 +6,241 @@ from numpy import ndarray as Array
 
 from sato.check import common
 from sato.check.promise import (
-    ROUNDING_TOLERANCE,
     Promise,
     expect_below,
     expect_none,
     expect_small_error,
     max_or_zero,
 )
-from sato.formation import record
-from sato.formation.check.evidence import FormationRecord
+from sato.formation.check.recorded import FormationRecord
 from sato.formation.check.replay import REPLAYED_EVENTS, ReplayedEvent
+from sato.formation.record import collect_attributes
 
-RESIDUAL = 1e-10  # of gains: what rounding leaves
-NOISE_ALLOWANCE = 0.05  # than the keep-out may somebody come, for what noise does [m]
+RESIDUAL = 1e-10  # of gains, from rounding
+NOISE_ALLOWANCE = 0.05  # by which two may come closer than keep_out, because of noise [m]
 ROUNDING_TOLERANCE = 1e-9  # relative, of speeds and accelerations
 
 
-def check_promises(evidence: FormationRecord) -> tuple[Promise, ...]:
-    """Judge everything."""
-    mission, lives = evidence.mission, evidence.alive
+def check_promises(record: FormationRecord) -> tuple[Promise, ...]:
+    """Check all promises."""
+    mission, frames = record.mission, record.frames
     return (
-        check_complete(evidence),
-        common.check_attributes(evidence.attributes, record.run_attributes(mission)),
-        common.check_times(evidence.time, mission.frame_period),
+        check_complete(record),
+        common.check_attributes(record.attributes, collect_attributes(mission)),
+        common.check_times(np.asarray(frames.time), mission.frame_period),
         common.check_finite(
-            lives,
-            evidence.position,
-            evidence.velocity,
-            evidence.velocity_command,
-            evidence.frame_drift,
+            frames.alive,
+            frames.position,
+            frames.velocity,
+            frames.velocity_command,
+            frames.frame_drift,
         ),
-        common.check_alive(lives, evidence.events),
-        check_connected(evidence),
-        check_start(evidence),
-        check_coordinate_frames(evidence),
-        check_drift(evidence),
-        check_formations(evidence),
-        check_gains(evidence),
-        check_positions(evidence),
-        *check_speed_limits(evidence),
-        *check_acceleration_limits(evidence),
-        check_legs(evidence),
-        check_assignment_events(evidence),
-        check_assignment_is_unique(evidence),
-        check_separation(evidence),
+        common.check_alive(frames.alive, record.events),
+        check_connected(record),
+        check_start(record),
+        check_coordinate_frames(record),
+        check_drift(record),
+        check_formations(record),
+        check_gains(record),
+        check_positions(record),
+        *check_speed_limits(record),
+        *check_acceleration_limits(record),
+        check_legs(record),
+        check_assignment_events(record),
+        check_assignment_is_unique(record),
+        check_separation(record),
     )
 
 
-def check_complete(evidence: FormationRecord) -> Promise:
-    """The flight was not interrupted, and ends where who watches it would end it."""
-    cut, over = common.incomplete_reason(evidence.attributes), evidence.replay.is_complete
-    text = f"every instant is there{'' if over else ', or so it should be'}"
-    return expect_none("complete", int(not over or bool(cut)), f"{text}; {cut}" if cut else text)
+def check_complete(record: FormationRecord) -> Promise:
+    """Check that the flight was not interrupted, and ends where the supervisor would end it."""
+    reason, is_over = common.incomplete_reason(record.attributes), record.replay.is_complete
+    text = f"every instant is there{'' if is_over else ', or should be'}"
+    return expect_none(
+        "complete", int(not is_over or bool(reason)), f"{text}; {reason}" if reason else text
+    )
 
 
-def check_connected(evidence: FormationRecord) -> Promise:
-    """All take part in one network, that of the formation's graph."""
-    odd = int((~evidence.alive).sum() + (evidence.component != 0).sum())
-    return expect_none("component", odd, "times an agent was not there, or in another network")
+def check_connected(record: FormationRecord) -> Promise:
+    """Check that all agents take part in one network."""
+    odd = int((~record.frames.alive).sum() + (record.frames.component != 0).sum())
+    return expect_none("component", odd, "times an agent was missing, or in another network")
 
 
-def check_start(evidence: FormationRecord) -> Promise:
-    """Vehicles start where the scenario says, at rest."""
-    at = evidence.mission.start
-    if evidence.position.shape[1:] != at.shape:
+def check_start(record: FormationRecord) -> Promise:
+    """Check that vehicles start where the scenario says, at rest."""
+    start, frames = record.mission.initial_positions, record.frames
+    if frames.position.shape[1:] != start.shape:
         return expect_none("start", 1, "another number of agents than the scenario's")
-    off = np.abs(evidence.position[0] - at)
-    tolerance = ROUNDING_TOLERANCE * float(np.abs(at).max())
-    worst = max(max_or_zero(off), max_or_zero(np.abs(evidence.velocity[0])))
+    offset = np.abs(frames.position[0] - start)
+    tolerance = ROUNDING_TOLERANCE * float(np.abs(start).max())
+    worst = max(max_or_zero(offset), max_or_zero(np.abs(frames.velocity[0])))
     return expect_small_error(
         "start", worst, tolerance, "off from the scenario's own start, at most"
     )
 
 
-def check_coordinate_frames(evidence: FormationRecord) -> Promise:
-    """Frames are those that the seed gives."""
-    drawn = evidence.mission.coordinate_frames
-    turned = np.abs(np.exp(1j * evidence.frame_yaw) - drawn.rotation)
-    shifted = np.abs(evidence.frame_origin - drawn.origin) / max(
-        1.0, max_or_zero(np.abs(drawn.origin))
-    )
+def check_coordinate_frames(record: FormationRecord) -> Promise:
+    """Check that coordinate frames are those that the seed gives."""
+    drawn, found = record.mission.coordinate_frames, record.variables
+    turned = np.abs(np.exp(1j * found.frame_yaw) - drawn.rotation)
+    scale = max(1.0, max_or_zero(np.abs(drawn.origin)))
+    shifted = np.abs(found.frame_offset - drawn.origin) / scale
     worst = max(max_or_zero(turned), max_or_zero(shifted))
     return expect_small_error(
         "frames", worst, ROUNDING_TOLERANCE, "off from the frames that the seed gives, relative"
     )
 
 
-def check_drift(evidence: FormationRecord) -> Promise:
-    """Reckoning drifts with the distance flown, as the seed gives."""
-    mission = evidence.mission
-    speed = np.linalg.norm(evidence.velocity[1:], axis=2, keepdims=True)
-    off = (
-        np.diff(evidence.frame_drift, axis=0)
-        - speed * mission.frame_period * mission.coordinate_frames.drift_rate
-    )
-    rate = max_or_zero(np.abs(mission.coordinate_frames.drift_rate))
-    tolerance = ROUNDING_TOLERANCE * max_or_zero(
-        np.abs(evidence.frame_drift)
-    ) + rate * _position_uncertainty(evidence)
-    worst = max(max_or_zero(np.abs(off)), max_or_zero(np.abs(evidence.frame_drift[0])))
+def check_drift(record: FormationRecord) -> Promise:
+    """Check that odometry drifts with the distance flown, as the seed gives."""
+    mission, drift = record.mission, record.frames.frame_drift
+    drift_rate = mission.coordinate_frames.drift_rate
+    speed = np.linalg.norm(record.frames.velocity[1:], axis=2, keepdims=True)
+    error = np.diff(drift, axis=0) - speed * mission.frame_period * drift_rate
+    rounding = ROUNDING_TOLERANCE * max_or_zero(np.abs(drift))
+    tolerance = rounding + max_or_zero(np.abs(drift_rate)) * _position_uncertainty(record)
+    worst = max(max_or_zero(np.abs(error)), max_or_zero(np.abs(drift[0])))
     return expect_small_error(
-        "drift", worst, tolerance, "m off from the drift of the way flown in a step"
+        "drift", worst, tolerance, "m off from the drift of the distance flown in a step"
     )
 
 
-def check_formations(evidence: FormationRecord) -> Promise:
-    """Formations and graphs on file are those that the scenario gives."""
-    shapes = [gains.formation for gains in evidence.mission.gains]
-    if len(shapes) != len(evidence.formation_points):
+def check_formations(record: FormationRecord) -> Promise:
+    """Check that formations and graphs are those that the scenario gives."""
+    formations = [gains.formation for gains in record.mission.gains]
+    points, graphs = record.variables.formation, record.variables.graph
+    if len(formations) != len(points):
         return expect_none("formation", 1, "another number of formations than the scenario's")
+    tolerance = ROUNDING_TOLERANCE
     odd = sum(
-        not np.allclose(points, shape.points, rtol=ROUNDING_TOLERANCE, atol=ROUNDING_TOLERANCE)
-        or not np.array_equal(graph, shape.graph)
-        for points, graph, shape in zip(
-            evidence.formation_points, evidence.graph, shapes, strict=True
-        )
+        not np.allclose(p, wanted.points, rtol=tolerance, atol=tolerance)
+        or not np.array_equal(graph, wanted.graph)
+        for p, graph, wanted in zip(points, graphs, formations, strict=True)
     )
     return expect_none("formation", odd, "formations or graphs that are not the scenario's")
 
 
-def check_gains(evidence: FormationRecord) -> Promise:
-    """Gains are stable, leave the formation alone, and use no more than the graph gives."""
+def check_gains(record: FormationRecord) -> Promise:
+    """Check that gains are stable, leave the formation at rest, and use only its graph."""
     worst, rate = 0.0, np.inf
-    for leg in range(len(evidence.mission.gains)):
+    for leg in range(len(record.mission.gains)):
         try:
-            found = evidence.load_gains(leg)
+            found = record.load_gains(leg)
         except ValueError as error:
             return Promise("gains", False, np.inf, RESIDUAL, f"leg {leg + 1}: {error}")
         parts = (found.residual_kernel, found.residual_structure, found.residual_graph)
         worst, rate = max(worst, *parts), min(rate, found.convergence_rate)
-    text = f"largest residual of the gains, whose rate is {rate:.3g} 1/s or more"
+    text = f"largest residual of the gains, which converge at {rate:.3g} 1/s or more"
     return expect_small_error("gains", worst, RESIDUAL, text)
 
 
-def check_positions(evidence: FormationRecord) -> Promise:
-    """Vehicles are where their own velocities bring them."""
-    p, v = evidence.position, evidence.velocity
-    off = np.abs(np.diff(p, axis=0) - v[1:] * evidence.mission.frame_period)
-    tolerance = ROUNDING_TOLERANCE * max_or_zero(np.abs(p)) + _position_uncertainty(evidence)
+def check_positions(record: FormationRecord) -> Promise:
+    """Check that positions follow from velocities."""
+    p, v = record.frames.position, record.frames.velocity
+    error = np.abs(np.diff(p, axis=0) - v[1:] * record.mission.frame_period)
+    tolerance = ROUNDING_TOLERANCE * max_or_zero(np.abs(p)) + _position_uncertainty(record)
     return expect_small_error(
-        "flight", max_or_zero(off), tolerance, "m off from a step flown by its velocity"
+        "flight", max_or_zero(error), tolerance, "m off from a step flown by its velocity"
     )
 
 
-def check_speed_limits(evidence: FormationRecord) -> tuple[Promise, Promise]:
-    """Nobody is faster than it may be."""
-    limits = evidence.mission.limits
-    flat, up = _planar_and_vertical_norms(evidence, evidence.velocity)
+def check_speed_limits(record: FormationRecord) -> tuple[Promise, Promise]:
+    """Check the limits of speed."""
+    mission, tolerance = record.mission, ROUNDING_TOLERANCE
+    planar, vertical = _planar_and_vertical_norms(record, record.frames.velocity)
     return (
-        expect_below("speed", flat, limits.speed, ROUNDING_TOLERANCE, "m/s flown in the plane"),
-        expect_below("climb", up, limits.climb, ROUNDING_TOLERANCE, "m/s flown up or down"),
+        expect_below("speed", planar, mission.max_speed, tolerance, "m/s flown in the plane"),
+        expect_below("climb", vertical, mission.max_climb, tolerance, "m/s flown up or down"),
     )
 
 
-def check_acceleration_limits(evidence: FormationRecord) -> tuple[Promise, Promise]:
-    """Nobody changes its velocity faster than it may."""
-    limits = evidence.mission.limits
-    flat, up = _planar_and_vertical_norms(
-        evidence, np.diff(evidence.velocity, axis=0) / evidence.mission.frame_period
+def check_acceleration_limits(record: FormationRecord) -> tuple[Promise, Promise]:
+    """Check the limits of acceleration."""
+    mission, tolerance = record.mission, ROUNDING_TOLERANCE
+    planar, vertical = _planar_and_vertical_norms(
+        record, np.diff(record.frames.velocity, axis=0) / mission.frame_period
     )
     return (
         expect_below(
-            "acceleration", flat, limits.acceleration, ROUNDING_TOLERANCE, "m/s² in the plane"
+            "acceleration", planar, mission.max_acceleration, tolerance, "m/s² in the plane"
         ),
         expect_below(
             "climb_acceleration",
-            up,
-            limits.climb_acceleration,
-            ROUNDING_TOLERANCE,
+            vertical,
+            mission.max_climb_acceleration,
+            tolerance,
             "m/s² up or down",
         ),
     )
 
 
-def check_legs(evidence: FormationRecord) -> Promise:
-    """Legs, auctions and gridlocks come and go as commands and avoidance on file have it."""
-    told = [
+def check_legs(record: FormationRecord) -> Promise:
+    """Check legs, auctions and gridlocks against the recorded commands and avoidance."""
+    found = [
         ReplayedEvent(k, e["kind"], int(e["leg"]))
-        for k, e in evidence.events.of_kind(*REPLAYED_EVENTS)
+        for k, e in record.events.of_kind(*REPLAYED_EVENTS)
     ]
-    odd = len(set(told) ^ set(evidence.replay.events)) + len(told) - len(set(told))
-    odd += int((evidence.leg != evidence.replay.leg).sum())
+    odd = len(set(found) ^ set(record.replay.events)) + len(found) - len(set(found))
+    odd += int((record.frames.leg_index != record.replay.leg).sum())
     return expect_none("legs", odd, "entries of legs and their events that commands do not give")
 
 
-def check_assignment_events(evidence: FormationRecord) -> Promise:
-    """A point changes with an event, and only so; at the start of a leg it is one's number."""
-    agents = evidence.assignment.shape[1]
-    expected = np.tile(np.arange(agents), (len(evidence.assignment), 1))
+def check_assignment_events(record: FormationRecord) -> Promise:
+    """Check that assignments change with an event, and only so.
+
+    At the start of a leg every agent holds the point of its own number.
+    """
+    held = record.frames.point_index
+    agents = held.shape[1]
+    expected = np.tile(np.arange(agents), (len(held), 1))
     odd = 0
-    for k, event in evidence.events.of_kind("leg_start", "assignment"):
-        called = event["kind"] == "leg_start"
-        now = np.arange(agents) if called else np.asarray(event["point"], dtype=np.int64)
+    for k, event in record.events.of_kind("leg_start", "assignment"):
+        is_start = event["kind"] == "leg_start"
+        now = np.arange(agents) if is_start else np.asarray(event["point"], dtype=np.int64)
         changed = np.flatnonzero(expected[k] != now)
-        odd += not called and changed.tolist() != event["agents"]
+        odd += not is_start and changed.tolist() != event["agents"]
         expected[k:] = now
-    odd += int((expected != evidence.assignment).sum())
+    odd += int((expected != held).sum())
     return expect_none("assignment", odd, "points held against the events")
 
 
-def check_assignment_is_unique(evidence: FormationRecord) -> Promise:
-    """No two vehicles hold one point; where messages are lost, not when a leg is taken up.
+def check_assignment_is_unique(record: FormationRecord) -> Promise:
+    """Check that no two vehicles hold one point.
 
-    Who has not heard how an auction ended keeps the point that it had until the next.
+    With lost messages this is checked at the end of legs alone: an agent that has not learned
+    the outcome of an auction keeps its point until the next.
     """
-    held = evidence.assignment
-    if evidence.mission.radio.loss_probability > 0:
-        held = held[[s.end_instant for s in evidence.replay.legs if s.completed]]
-    everyone = np.arange(held.shape[1])
-    odd = int((np.sort(held, axis=1) != everyone).any(axis=1).sum())
+    held = record.frames.point_index
+    if record.mission.radio.loss_probability > 0:
+        held = held[[leg.end_instant for leg in record.replay.legs if leg.completed]]
+    odd = int((np.sort(held, axis=1) != np.arange(held.shape[1])).any(axis=1).sum())
     return expect_none("points", odd, "instants at which two hold one point")
 
 
-def check_separation(evidence: FormationRecord) -> Promise:
-    """No two vehicles come nearer in the plane than the keep-out, but for what noise does."""
-    keep_out, found = evidence.mission.avoidance.keep_out, evidence.closest_approach
+def check_separation(record: FormationRecord) -> Promise:
+    """Check that no two vehicles come closer in the plane than keep_out, but for noise."""
+    keep_out, found = record.mission.keep_out, record.closest_approach
     allowed = keep_out - NOISE_ALLOWANCE
     i, j = found.pair
     text = (
-        f"{found.distance:.6g} m between agents {i} and {j} after {found.piece} steps, a "
-        f"keep-out of {keep_out:g} m less {NOISE_ALLOWANCE:g} m for noise"
+        f"{found.distance:.6g} m between agents {i} and {j} after {found.piece} steps, with "
+        f"keep_out_m = {keep_out:g} m less {NOISE_ALLOWANCE:g} m for noise"
     )
     return Promise("separation", bool(found.distance >= allowed), found.distance, allowed, text)
 
 
 def _planar_and_vertical_norms(
-    evidence: FormationRecord, vectors: Float[Array, "instants agents 3"]
+    record: FormationRecord, vectors: Float[Array, "instants agents 3"]
 ) -> tuple[float, float]:
-    # In the plane and upwards; in the printed code each axis of the plane by itself is limited.
-    flat = np.abs(vectors[..., :2])
-    size = flat if evidence.mission.limits.per_axis else np.linalg.norm(flat, axis=2)
+    # The paper's code limits each axis of the plane by itself.
+    planar = np.abs(vectors[..., :2])
+    size = planar if record.mission.avoidance.legacy else np.linalg.norm(planar, axis=2)
     return max_or_zero(size), max_or_zero(np.abs(vectors[..., 2]))
 
 
-def _position_uncertainty(evidence: FormationRecord) -> float:
-    # How far control steps between two instants can lead from the last velocity [m].
-    mission, limits = evidence.mission, evidence.mission.limits
-    most = max(limits.acceleration, limits.climb_acceleration)
-    return (
-        mission.control_step**2 * most * mission.steps_per_frame * (mission.steps_per_frame - 1) / 2
-    )
+def _position_uncertainty(record: FormationRecord) -> float:
+    # Distance by which control steps between two instants can depart from the last velocity [m].
+    mission, steps = record.mission, record.mission.steps_per_frame
+    most = max(mission.max_acceleration, mission.max_climb_acceleration)
+    return mission.step**2 * most * steps * (steps - 1) / 2

@@ -1,4 +1,4 @@
-"""The flight once more, as who watched it saw it: by commands and avoidance alone."""
+"""Replay of the supervision of a flight, from recorded commands and avoidance alone."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -14,7 +14,7 @@ REPLAYED_EVENTS = ("leg_start", "leg_end", "given_up", "gridlock", "gridlock_end
 
 
 class ReplayedEvent(NamedTuple):
-    """An event that had to be."""
+    """Event that a flight must have."""
 
     instant: int
     kind: str
@@ -22,23 +22,23 @@ class ReplayedEvent(NamedTuple):
 
 
 class FormationLegRecord(NamedTuple):
-    """One leg as it had to be flown."""
+    """Instants of one leg."""
 
     leg: int
-    first_instant: int  # instant after the call for the shape
-    end_instant: int  # instant at which it is taken up or given up; the last where it never is
-    last_instant: int  # instant before the next call, or the last
-    completed: bool  # taken up, as who watches it sees it
+    first_instant: int  # the one after the start of the leg
+    end_instant: int  # the formation is taken up or given up; the last where it never is
+    last_instant: int  # the one before the next leg, or the last
+    completed: bool  # the formation is taken up, by the supervisor
 
 
 class Replay(NamedTuple):
-    """How a flight had to go, as far as it was recorded."""
+    """Course that a flight must have taken, as far as it was recorded."""
 
     leg: Int[Array, " instants"]  # −1 after the flight had to be over
-    phase: tuple[Phase, ...]  # at every instant that had to be
+    phase: tuple[Phase, ...]  # at each instant until then
     events: tuple[ReplayedEvent, ...]
     legs: tuple[FormationLegRecord, ...]
-    is_complete: bool  # the last instant is the one at which the flight had to be over
+    is_complete: bool  # True where the flight had to be over at the last instant
 
 
 def replay(
@@ -47,27 +47,29 @@ def replay(
     avoiding: Bool[Array, "instants agents"],
     rounds: Sequence[int],
 ) -> Replay:
-    """Watch a flight again.
+    """Supervise a flight again.
 
     Args:
-        mission: What was to be flown.
-        command: By the law, in the own frames, before limits [m/s].
-        avoiding: Who changed it to avoid others.
-        rounds: Of messages, of each auction: so long it takes until its end is known.
+        mission: The mission, drawn.
+        command: Velocity commands, in the own frames, before limits [m/s].
+        avoiding: True for agents that changed them to avoid others.
+        rounds: Rounds of messages of each auction, before its outcome is known.
     """
     speed = np.sqrt(np.einsum("kij,kij->ki", command, command))
-    watch = _SupervisionReplay(mission, speed, avoiding, rounds)
-    complete = watch.replay_legs()
-    k = len(watch.phase) - 1  # the last instant that had to be
+    supervision = _SupervisionReplay(mission, speed, avoiding, rounds)
+    is_over = supervision.replay_legs()
+    k = len(supervision.phase) - 1  # the last instant that there had to be
     leg = np.full(len(command), -1)
     leg[: k + 1] = 0
-    stretches = list[FormationLegRecord]()
-    for begun, (number, first, end, settled) in enumerate(watch.legs):
-        last = watch.legs[begun + 1][1] - 1 if begun + 1 < len(watch.legs) else k
+    legs = []
+    for i, (number, first, end, completed) in enumerate(supervision.legs):
+        last = supervision.legs[i + 1][1] - 1 if i + 1 < len(supervision.legs) else k
         leg[first : k + 1] = number
-        stretches.append(FormationLegRecord(number, first, end, last, settled))
-    complete = complete and k == len(command) - 1
-    return Replay(leg, tuple(watch.phase), tuple(watch.events), tuple(stretches), complete)
+        legs.append(FormationLegRecord(number, first, end, last, completed))
+    is_complete = is_over and k == len(command) - 1
+    return Replay(
+        leg, tuple(supervision.phase), tuple(supervision.events), tuple(legs), is_complete
+    )
 
 
 class _SupervisionReplay:
@@ -81,23 +83,21 @@ class _SupervisionReplay:
         self.legs: list[tuple[int, int, int, bool]] = []
 
     def replay_legs(self) -> bool:
-        """Watch until the flight is over, or the record; whether it is the former."""
+        """Supervise until the flight or the record ends; return True for the former."""
         if not self._hover(Phase.WAITING):
             return False
-        for leg in range(len(self.mission.gains)):
+        for leg in range(len(self.mission.legs)):
             if len(self.phase) == len(self.speed):
                 return False
             first = len(self.phase)
             self.events.append(ReplayedEvent(first, "leg_start", leg))
             ending = self._replay_leg(leg)
-            end = len(self.phase) - 1
-            self.legs.append((leg, first, end, ending is Phase.COMPLETED))
+            end, completed = len(self.phase) - 1, ending is Phase.COMPLETED
+            self.legs.append((leg, first, end, completed))
             if ending is None:
                 return False
-            self.events.append(
-                ReplayedEvent(end, "leg_end" if ending is Phase.COMPLETED else "given_up", leg)
-            )
-            if ending is not Phase.COMPLETED:
+            self.events.append(ReplayedEvent(end, "leg_end" if completed else "given_up", leg))
+            if not completed:
                 return True
             if not self._hover(Phase.COMPLETED):
                 return False
@@ -105,31 +105,32 @@ class _SupervisionReplay:
 
     def _hover(self, phase: Phase) -> bool:
         wanted = round(self.mission.supervision.hover_time / self.mission.frame_period)
-        there = min(wanted, len(self.speed) - len(self.phase))
-        self.phase += [phase] * there
-        return there == wanted
+        recorded = min(wanted, len(self.speed) - len(self.phase))
+        self.phase += [phase] * recorded
+        return recorded == wanted
 
     def _replay_leg(self, leg: int) -> Phase | None:
-        # The phase in which the leg ends; none where the record ends before.
-        mission, way = self.mission, self.mission.assignment
-        watcher = Supervisor(mission.supervision, mission.frame_period, mission.agents)
-        if way.method == "none":
-            watcher.mark_assigned()
-        due = np.inf if way.method == "none" else self._time(len(self.phase) - 1) + way.first_delay
-        known = np.inf  # when all know how the auction under way has ended
+        # Returns the phase in which the leg ends; none where the record ends before.
+        mission, settings = self.mission, self.mission.assignment
+        supervisor = Supervisor(mission.supervision, mission.frame_period, mission.agents)
+        due, known = np.inf, np.inf  # next auction, and when all know the outcome of one under way
+        if settings.method == "none":
+            supervisor.mark_assigned()
+        else:
+            due = self._time(len(self.phase) - 1) + settings.first_delay
         while (k := len(self.phase)) < len(self.speed):
-            now_at = self._time(k - 1)
-            if known == np.inf and now_at >= due - 1e-9:
+            time = self._time(k - 1)
+            if known == np.inf and time >= due - 1e-9:
                 self.events.append(ReplayedEvent(k, "auction", leg))
-                known, due = now_at + next(self.auction_durations, 0.0), now_at + way.period
-            if now_at >= known - 1e-9:
-                watcher.mark_assigned()
+                known, due = time + next(self.auction_durations, 0.0), time + settings.period
+            if time >= known - 1e-9:
+                supervisor.mark_assigned()
                 known = np.inf
-            before = watcher.phase
-            now = watcher.observe(self.speed[k], self.avoiding[k])
+            before = supervisor.phase
+            now = supervisor.observe(self.speed[k], self.avoiding[k])
             if now is not before and Phase.GRIDLOCKED in (before, now):
-                stuck = now is Phase.GRIDLOCKED
-                self.events.append(ReplayedEvent(k, "gridlock" if stuck else "gridlock_end", leg))
+                kind = "gridlock" if now is Phase.GRIDLOCKED else "gridlock_end"
+                self.events.append(ReplayedEvent(k, kind, leg))
             self.phase.append(now)
             late = self._time(k) >= mission.supervision.time_limit - 1e-9
             if now in (Phase.COMPLETED, Phase.ABORTED) or late:
@@ -137,4 +138,4 @@ class _SupervisionReplay:
         return None
 
     def _time(self, instant: int) -> float:
-        return instant * self.mission.steps_per_frame * self.mission.control_step
+        return instant * self.mission.steps_per_frame * self.mission.step

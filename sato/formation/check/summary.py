@@ -1,107 +1,111 @@
-"""The words of the summary: success, shape error, path and the rest."""
+"""Summary of a formation flight: success, shape error, path length, time and messages."""
 
 from typing import Any
 
 import numpy as np
 
 from sato.check.common import common_summary, incomplete_reason
-from sato.formation.check.evidence import FormationRecord
+from sato.formation.check.recorded import FormationRecord
 from sato.formation.check.replay import FormationLegRecord
 from sato.formation.shape_error import ShapeError, compute_shape_error
 from sato.formation.supervisor import Phase
 
 
-def summarize(evidence: FormationRecord) -> dict[str, Any]:
-    """Everything that the summary says of a run, from its data; what it lacks is absent."""
-    mission, sample = evidence.mission, evidence.mission.frame_period
-    legs = [summarize_leg(evidence, stretch) for stretch in evidence.replay.legs]
-    done = len(legs) == len(mission.gains) and not incomplete_reason(evidence.attributes)
-    stuck = sum(phase is Phase.GRIDLOCKED for phase in evidence.replay.phase[:-1])
-    said = common_summary(evidence.attributes, evidence.alive) | {
-        "success": done and all(leg["success"] for leg in legs),
-        "shape_error_m": max(
-            (leg["shape_error_m"] for leg in legs if "shape_error_m" in leg), default=np.nan
-        ),
+def summarize(record: FormationRecord) -> dict[str, Any]:
+    """Summarize a run; entries that it does not have are absent."""
+    return common_summary(record.attributes, record.frames.alive) | summarize_flight(record)
+
+
+def summarize_flight(record: FormationRecord) -> dict[str, Any]:
+    """Summarize a flight, without the entries that the runs of every system have."""
+    mission = record.mission
+    legs = [summarize_leg(record, leg) for leg in record.replay.legs]
+    is_over = len(legs) == len(mission.legs) and not incomplete_reason(record.attributes)
+    gridlocked = sum(phase is Phase.GRIDLOCKED for phase in record.replay.phase[:-1])
+    rounds = [int(e["rounds"]) for _, e in record.events.of_kind("auction")]
+    errors = [leg["shape_error_m"] for leg in legs if "shape_error_m" in leg]
+    summary = {
+        "success": is_over and all(leg["success"] for leg in legs),
+        "shape_error_m": max(errors, default=np.nan),
         "path_m": sum(leg["path_m"] for leg in legs),
         "time_s": sum(leg["time_s"] for leg in legs),
         "reassignments": sum(leg["reassignments"] for leg in legs),
-        "gridlocked_s": stuck * sample,
-        "bytes_per_vehicle_s": received_bit_rate(evidence) / 8,
-        "longest_auction_s": longest_auction_rounds(evidence) / mission.radio.message_rate,
-        "min_separation_m": evidence.closest_approach.distance,
-        "keep_out_m": mission.avoidance.keep_out,
-        "gains_rate": min_convergence_rate(evidence),
+        "gridlocked_s": gridlocked * mission.frame_period,
+        "bytes_per_vehicle_s": received_bit_rate(record) / 8,
+        "longest_auction_s": max(rounds, default=0) / mission.radio.message_rate,
+        "min_separation_m": record.closest_approach.distance,
+        "keep_out_m": mission.keep_out,
+        "gains_rate": min_convergence_rate(record),
         "legs": legs,
     }
-    return _drop_nonfinite(said)
+    return _drop_nonfinite(summary)
 
 
-def summarize_leg(evidence: FormationRecord, stretch: FormationLegRecord) -> dict[str, Any]:
-    """What one leg came to.
+def summarize_leg(record: FormationRecord, leg: FormationLegRecord) -> dict[str, Any]:
+    """Summarize one leg.
 
-    Its way and time are from the first assignment until it is taken up or given up, the way
-    in the plane and the mean of all vehicles, as [Lusk2020] has them. How well the shape is
-    taken up is measured when it has been held for a while: at the last instant before the next.
+    Path and time count from the first assignment until the formation is taken up or given up;
+    the path is in the plane, the mean of all vehicles, as in [Lusk2020]. The shape error is
+    measured after hovering in the formation, at the last instant before the next leg.
     """
-    mission = evidence.mission
-    k = np.arange(stretch.first_instant, stretch.end_instant + 1)
-    k = k[[evidence.replay.phase[i] is not Phase.WAITING for i in k]]
-    flown = np.linalg.norm((evidence.position[k] - evidence.position[k - 1])[..., :2], axis=2)
-    taken = [i for i, _ in evidence.events.of_kind("assignment")]
-    said: dict[str, Any] = {
+    mission = record.mission
+    k = np.arange(leg.first_instant, leg.end_instant + 1)
+    k = k[[record.replay.phase[i] is not Phase.WAITING for i in k]]
+    steps = record.frames.position[k] - record.frames.position[k - 1]
+    flown = np.linalg.norm(steps[..., :2], axis=2)
+    assigned = [i for i, _ in record.events.of_kind("assignment")]
+    summary: dict[str, Any] = {
         "success": False,
         "time_s": len(k) * mission.frame_period,
         "path_m": float(flown.mean(axis=1).sum()),
-        "reassignments": sum(stretch.first_instant <= i <= stretch.end_instant for i in taken),
+        "reassignments": sum(leg.first_instant <= i <= leg.end_instant for i in assigned),
     }
-    like = leg_shape_error(evidence, stretch)
-    if like is None:
-        return said
-    off = like.upright if mission.control_law.upright else min(like)
-    right = off <= mission.supervision.shape_tolerance
-    said["success"] = stretch.completed and right
-    return _drop_nonfinite(said | {"shape_error_m": like.error, "inverted": like.inverted})
-
-
-def leg_shape_error(evidence: FormationRecord, stretch: FormationLegRecord) -> ShapeError | None:
-    """How well a shape is taken up; nothing where two vehicles hold one point."""
-    point, shape = evidence.assignment[stretch.last_instant], evidence.mission.gains[stretch.leg]
-    if not np.array_equal(np.sort(point), np.arange(len(point))):
-        return None
-    return compute_shape_error(
-        evidence.position[stretch.last_instant, np.argsort(point)], shape.formation.points
+    shape_error = leg_shape_error(record, leg)
+    if shape_error is None:
+        return summary
+    error = shape_error.upright if mission.control_law.upright else min(shape_error)
+    is_close = error <= mission.supervision.shape_tolerance
+    summary["success"] = leg.completed and is_close
+    return _drop_nonfinite(
+        summary | {"shape_error_m": shape_error.error, "inverted": shape_error.inverted}
     )
 
 
-def received_bit_rate(evidence: FormationRecord) -> float:
-    """Bits a second that a vehicle receives, mean of all over the whole flight."""
-    mission, radio = evidence.mission, evidence.mission.radio
+def leg_shape_error(record: FormationRecord, leg: FormationLegRecord) -> ShapeError | None:
+    """Return the shape error after a leg; None where two vehicles hold one point."""
+    held = record.frames.point_index[leg.last_instant]
+    if not np.array_equal(np.sort(held), np.arange(len(held))):
+        return None
+    points = record.mission.gains[leg.leg].formation.points
+    position = record.frames.position[leg.last_instant, np.argsort(held)]
+    return compute_shape_error(position, points)
+
+
+def received_bit_rate(record: FormationRecord) -> float:
+    """Return the bits a second that a vehicle receives, mean of all over the whole flight."""
+    mission, radio, frames = record.mission, record.mission.radio, record.frames
     degree = [float(gains.formation.graph.sum(axis=1).mean()) for gains in mission.gains]
     bits = 0.0
-    for leg in evidence.leg[1:]:
+    for leg in np.asarray(frames.leg_index)[1:]:
         bits += degree[leg] * radio.localization_rate * mission.frame_period
-    for _, event in evidence.events.of_kind("auction"):
-        bits += degree[event["leg"]] * radio.count_auction_bits(
-            mission.agents, int(event["rounds"])
-        )
-    time = (len(evidence.time) - 1) * mission.frame_period
+    for _, event in record.events.of_kind("auction"):
+        rounds = int(event["rounds"])
+        bits += degree[event["leg"]] * radio.count_auction_bits(mission.agents, rounds)
+    time = (len(frames.position) - 1) * mission.frame_period
     return bits / time if time > 0 else np.nan
 
 
-def longest_auction_rounds(evidence: FormationRecord) -> int:
-    """Rounds of messages of the longest auction; they are sent as often as positions are."""
-    return max((int(e["rounds"]) for _, e in evidence.events.of_kind("auction")), default=0)
-
-
-def min_convergence_rate(evidence: FormationRecord) -> float:
-    """The least rate of the gains on file [1/s]; none where they are none."""
+def min_convergence_rate(record: FormationRecord) -> float:
+    """Return the least rate of the recorded gains [1/s]; NaN where they are not stable."""
     try:
         return min(
-            evidence.load_gains(leg).convergence_rate for leg in range(len(evidence.mission.gains))
+            record.load_gains(leg).convergence_rate for leg in range(len(record.mission.legs))
         )
     except ValueError:
         return np.nan
 
 
-def _drop_nonfinite(said: dict[str, Any]) -> dict[str, Any]:
-    return {k: v for k, v in said.items() if not (isinstance(v, float) and not np.isfinite(v))}
+def _drop_nonfinite(summary: dict[str, Any]) -> dict[str, Any]:
+    return {
+        k: v for k, v in summary.items() if not (isinstance(v, float) and not np.isfinite(v))
+    }

@@ -33,7 +33,7 @@ AUCTION_FIGURES: dict[str, Callable[[FormationRecord], Figure]] = {"assignments"
 
 def make_figures(data: "xarray.Dataset", mission: Formation) -> FigureFactories:
     """The figures of a run; those of `WITH_AUCTIONS` only where vehicles hold auctions."""
-    evidence = FormationRecord.from_dataset(data, mission)
+    record = FormationRecord.from_dataset(data, mission)
     auctions = mission.assignment.method in ("cbaa", "vsdaa")
     drawn = FIGURES | AUCTION_FIGURES if auctions else FIGURES
-    return {name: partial(draw, evidence) for name, draw in drawn.items()}
+    return {name: partial(draw, record) for name, draw in drawn.items()}

@@ -8,11 +8,11 @@ from sato.formation.check import FormationRecord
 from sato.formation.figures.time_series import add_leg_names_and_legend, stack_panels
 
 
-def plot_assignments(evidence: FormationRecord) -> Figure:
+def plot_assignments(record: FormationRecord) -> Figure:
     """How many took another point when, and the rounds and bits of every auction."""
-    figure, (took, rounds) = stack_panels(evidence, (1.0, 1.0))
-    changed = [(e["time"], len(e["agents"])) for _, e in evidence.events.of_kind("assignment")]
-    played = [(e["time"], e["rounds"]) for _, e in evidence.events.of_kind("auction")]
+    figure, (took, rounds) = stack_panels(record, (1.0, 1.0))
+    changed = [(e["time"], len(e["agents"])) for _, e in record.events.of_kind("assignment")]
+    played = [(e["time"], e["rounds"]) for _, e in record.events.of_kind("auction")]
     for ax, told in ((took, changed), (rounds, played)):
         when, height = np.array(told, dtype=float).reshape(-1, 2).T
         ax.vlines(when, 0, height, color=BLUE, lw=1.2)
@@ -21,10 +21,10 @@ def plot_assignments(evidence: FormationRecord) -> Figure:
     took.set_ylabel("take another\npoint")
     rounds.set_ylabel("rounds of\nmessages")
     each = (
-        evidence.mission.radio.count_auction_bits(evidence.mission.agents, 1) / 1000
+        record.mission.radio.count_auction_bits(record.mission.agents, 1) / 1000
     )  # a round and neighbour
     bits = rounds.secondary_yaxis("right", functions=(lambda r: r * each, lambda b: b / each))
     bits.set_ylabel("kbit a neighbour")
     bits.spines["right"].set_visible(True)
-    add_leg_names_and_legend(figure, evidence)
+    add_leg_names_and_legend(figure, record)
     return figure

@@ -13,13 +13,13 @@ from sato.formation.check import FormationRecord
 AXIS_LENGTH = 0.3  # length of a drawn axis, in the room that there is for each
 
 
-def plot_coordinate_frames(evidence: FormationRecord) -> Figure:
+def plot_coordinate_frames(record: FormationRecord) -> Figure:
     """Where each vehicle's frame lies and how it is turned, and how its reckoning drifts."""
     figure = Figure(figsize=(8.6, 3.9), layout="constrained")
     lie, drift = figure.subplots(1, 2, width_ratios=(1, 1.35))
-    _plot_poses(lie, evidence)
-    _plot_drift(drift, evidence)
-    noise = evidence.mission.coordinate_frames.noise
+    _plot_poses(lie, record)
+    _plot_drift(drift, record)
+    noise = record.mission.frames.noise
     drift.set_title(
         f"{panel_letter(1)} drift of reckoning; noise {100 * noise:g} cm on top", loc="left"
     )
@@ -35,26 +35,26 @@ def plot_coordinate_frames(evidence: FormationRecord) -> Figure:
     return figure
 
 
-def _plot_poses(ax: Any, evidence: FormationRecord) -> None:
-    frames, start = evidence.mission.coordinate_frames, evidence.mission.start[:, :2]
+def _plot_poses(ax: Any, record: FormationRecord) -> None:
+    frames, start = record.mission.coordinate_frames, record.mission.initial_positions[:, :2]
     origin = frames.origin[:, :2]
     every = np.concatenate([origin, start])
     length = AXIS_LENGTH * max(float(np.ptp(every, axis=0).max()), 1.0) / len(start) ** 0.5
     ax.plot(*start.T, "o", ms=3, color=GRAY, mew=0, alpha=0.6, zorder=1)
-    for turn, colour in ((1, BLUE), (1j, ORANGE)):
+    for turn, color in ((1, BLUE), (1j, ORANGE)):
         way = length * turn * frames.rotation
         tips = origin + np.stack([way.real, way.imag], axis=1)
-        ax.plot(*np.stack([origin, tips], axis=2).transpose(1, 2, 0), color=colour, lw=1.2)
+        ax.plot(*np.stack([origin, tips], axis=2).transpose(1, 2, 0), color=color, lw=1.2)
     ax.plot(*origin.T, ".", ms=2.5, color=DARK_GRAY, zorder=3)
     ax.margins(0.06)
     ax.set_aspect("equal", adjustable="datalim")
     ax.set(xlabel="x [m]", ylabel="y [m]")
 
 
-def _plot_drift(ax: Any, evidence: FormationRecord) -> None:
-    far = 100 * np.linalg.norm(evidence.frame_drift, axis=2)
-    ax.plot(evidence.time, far, color=SKY, lw=0.6, alpha=0.8)
-    ax.plot(evidence.time, np.median(far, axis=1), color=BLUE, lw=1.8)
-    start, end = float(evidence.time[0]), float(evidence.time[-1])
+def _plot_drift(ax: Any, record: FormationRecord) -> None:
+    far = 100 * np.linalg.norm(record.frames.frame_drift, axis=2)
+    ax.plot(record.frames.time, far, color=SKY, lw=0.6, alpha=0.8)
+    ax.plot(record.frames.time, np.median(far, axis=1), color=BLUE, lw=1.8)
+    start, end = float(record.frames.time[0]), float(record.frames.time[-1])
     ax.set(xlabel="time [s]", ylabel="drift [cm]", xlim=(start, max(end, start + 1e-9)))
     ax.set_ylim(0, max(1.05 * float(far.max()), 1.0))

@@ -15,7 +15,7 @@ from sato.figures.axes import panel_letter
 from sato.figures.style import DARK_GRAY
 from sato.formation.check import FormationRecord
 
-# From pale to dark, told apart by the colour-blind, and from white by all.
+# From pale to dark, told apart by the color-blind, and from white by all.
 COLORMAP = ListedColormap(colormaps["YlGnBu"](np.linspace(0.15, 1, 256)))
 MAX_ANNOTATED_POINTS = 8  # points, up to which entries are written out
 
@@ -33,9 +33,9 @@ SQUARE_LAYOUT = Layout([["graph", "plane", "upwards"]], [1.0], 10.2, 3.65)
 WIDE_LAYOUT = Layout([["graph", "graph"], ["plane", "upwards"]], [0.5, 1.0], 7.6, 5.9)
 
 
-def plot_gains(evidence: FormationRecord) -> Figure:
+def plot_gains(record: FormationRecord) -> Figure:
     """The graph of every shape, its edges by |A_ij|, and |A| in the plane and upwards."""
-    shapes = _unique_gains(evidence.mission.gains)
+    shapes = _unique_gains(record.mission.gains)
     layouts = [WIDE_LAYOUT if _is_wide(shape) else SQUARE_LAYOUT for shape in shapes]
     heights = [layout.height for layout in layouts]
     size = max(layout.width for layout in layouts), sum(heights)

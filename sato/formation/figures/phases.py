@@ -1,4 +1,4 @@
-"""What the swarm is about in each part of a run, and how the figures name it."""
+"""Phases of a flight, and their names in figures."""
 
 from itertools import pairwise
 from typing import NamedTuple
@@ -14,40 +14,44 @@ PHASE_LABELS = {
     Phase.WAITING: "waiting",
     Phase.FLYING: "flying",
     Phase.GRIDLOCKED: "gridlock",
-    Phase.CONVERGED: "settled",
-    Phase.COMPLETED: "settled",
+    Phase.CONVERGED: "converged",
+    Phase.COMPLETED: "converged",
     Phase.ABORTED: "gridlock",
 }
 
 
 class PhaseSpan(NamedTuple):
-    """What the swarm is about for a while."""
+    """Interval of one phase."""
 
     label: str
     start: float  # [s]
     end: float  # [s]
 
 
-def phase_spans(evidence: FormationRecord) -> list[PhaseSpan]:
-    """What the swarm is about from the start to the end, without gaps."""
-    words, time = [PHASE_LABELS[phase] for phase in evidence.replay.phase], evidence.time
-    edges = [0, *(k for k in range(1, len(words)) if words[k] != words[k - 1]), len(words) - 1]
+def phase_spans(record: FormationRecord) -> list[PhaseSpan]:
+    """Divide a flight into phases, from start to end without gaps."""
+    labels, time = [PHASE_LABELS[phase] for phase in record.replay.phase], _time(record)
+    edges = [0, *(k for k in range(1, len(labels)) if labels[k] != labels[k - 1]), len(labels) - 1]
     return [
-        PhaseSpan(words[a], float(time[a]), float(time[b])) for a, b in pairwise(edges) if b > a
+        PhaseSpan(labels[a], float(time[a]), float(time[b])) for a, b in pairwise(edges) if b > a
     ]
 
 
-def is_leg_active(evidence: FormationRecord) -> Bool[Array, " instants"]:
-    """Whether a shape is flown to, or held."""
-    there = [phase is not Phase.WAITING for phase in evidence.replay.phase]
-    return np.pad(np.array(there), (0, len(evidence.time) - len(there)))
+def is_leg_active(record: FormationRecord) -> Bool[Array, " instants"]:
+    """Tell at which instants a formation is flown to, or held."""
+    active = [phase is not Phase.WAITING for phase in record.replay.phase]
+    return np.pad(np.array(active), (0, len(_time(record)) - len(active)))
 
 
-def formation_name(evidence: FormationRecord, leg: int) -> str:
-    """The name of a leg's shape, without that of its group; it may have none."""
-    return evidence.mission.gains[leg].formation.name.rpartition("/")[2]
+def formation_name(record: FormationRecord, leg: int) -> str:
+    """Return the name of a leg's formation without that of its group; it may be empty."""
+    return record.mission.gains[leg].formation.name.rpartition("/")[2]
 
 
 def subsample(count: int, most: int) -> Int[Array, " kept"]:
-    """So many of the first numbers at most, evenly spaced, first and last among them."""
+    """Return at most so many of the first numbers, evenly spaced, with first and last."""
     return np.unique(np.round(np.linspace(0, count - 1, min(count, most))).astype(int))
+
+
+def _time(record: FormationRecord) -> Array:
+    return np.asarray(record.frames.time)

@@ -45,15 +45,15 @@ class LegScene(NamedTuple):
     is_avoiding: Bool[Array, " agents"]  # at the end
 
 
-def plot_paths(evidence: FormationRecord) -> Figure:
+def plot_paths(record: FormationRecord) -> Figure:
     """The last 40 s of each leg from above, and from the side where the shape is not flat.
 
     All panels have one scale, and vehicles are as large as they are. Each is drawn in the axes
     of its shape, which lies where it fits the vehicles best at the end.
     """
-    last = len(evidence.time) - 1
-    stretches = evidence.replay.legs or (FormationLegRecord(0, 0, last, last, completed=False),)
-    scenes = [_make_scene(evidence, stretch, i) for i, stretch in enumerate(stretches)]
+    last = len(record.frames.time) - 1
+    legs = record.replay.legs or (FormationLegRecord(0, 0, last, last, completed=False),)
+    scenes = [_make_scene(record, leg, i) for i, leg in enumerate(legs)]
     columns = min(len(scenes), MAX_COLUMNS) if len(scenes) != 4 else 2
     views = ["top", "side"] if any(_has_depth(s) for s in scenes) else ["top"]
     size = _scene_size(scenes)
@@ -69,24 +69,24 @@ def plot_paths(evidence: FormationRecord) -> Figure:
     return figure
 
 
-def _make_scene(evidence: FormationRecord, stretch: FormationLegRecord, number: int) -> LegScene:
-    formation = evidence.mission.gains[stretch.leg].formation
-    first = np.searchsorted(evidence.time, evidence.time[stretch.last_instant] - SHOWN_TIME)
-    window = np.arange(max(stretch.first_instant, int(first)), stretch.last_instant + 1)
+def _make_scene(record: FormationRecord, leg: FormationLegRecord, number: int) -> LegScene:
+    formation = record.mission.gains[leg.leg].formation
+    first = np.searchsorted(record.frames.time, record.frames.time[leg.last_instant] - SHOWN_TIME)
+    window = np.arange(max(leg.first_instant, int(first)), leg.last_instant + 1)
     held, end = (
-        formation.points[evidence.assignment[stretch.last_instant]],
-        evidence.position[stretch.last_instant],
+        formation.points[record.frames.point_index[leg.last_instant]],
+        record.frames.position[leg.last_instant],
     )
     pose, fit = align(held, end), compute_shape_error(end, held)
-    x, y, z = np.moveaxis(evidence.position[window] - pose.translation, -1, 0)
+    x, y, z = np.moveaxis(record.frames.position[window] - pose.translation, -1, 0)
     flat = (x + 1j * y) * np.exp(-1j * float(pose.yaw))
     path = np.stack([flat.real, flat.imag, z], axis=-1)
-    before = np.maximum(window - 1, stretch.first_instant)
-    changed = evidence.assignment[window] != evidence.assignment[before]
-    changed &= is_leg_active(evidence)[before, None]  # not those with whom it begins
-    how = "" if stretch.completed else "not settled, "
+    before = np.maximum(window - 1, leg.first_instant)
+    changed = record.frames.point_index[window] != record.frames.point_index[before]
+    changed &= is_leg_active(record)[before, None]  # not those with whom it begins
+    how = "" if leg.completed else "not settled, "
     name = ", ".join(
-        filter(None, (f"leg {stretch.leg + 1}", formation_name(evidence, stretch.leg)))
+        filter(None, (f"leg {leg.leg + 1}", formation_name(record, leg.leg)))
     )
     degrees = round(float(np.degrees(pose.yaw))) % 360
     title = (
@@ -98,7 +98,7 @@ def _make_scene(evidence: FormationRecord, stretch: FormationLegRecord, number: 
         formation,
         path[subsample(len(path), MAX_PIECES)],
         path[changed],
-        evidence.avoiding[stretch.last_instant],
+        record.frames.avoiding[leg.last_instant],
     )
 
 
@@ -148,11 +148,11 @@ def _draw_scene(ax: Any, scene: LegScene, shown: tuple[int, int]) -> None:
         ax.add_collection(LineCollection(list(points[pairs]), colors=LIGHT_GRAY, lw=0.6, zorder=1))
     ax.scatter(*points.T, marker="+", s=22, lw=0.7, color=GRAY, zorder=1.2)
     ax.add_collection(_fading_paths(path))
-    at, colours = path[-1], np.where(scene.is_avoiding, ORANGE, DARK_GRAY)
+    at, colors = path[-1], np.where(scene.is_avoiding, ORANGE, DARK_GRAY)
     if shown == VIEW_AXES["side"]:
         half = np.array([VEHICLE_DIAMETER / 2, 0.0])
         edge_on = np.stack([at - half, at + half], axis=1)
-        ax.add_collection(LineCollection(list(edge_on), colors=colours, lw=2.4, zorder=4))
+        ax.add_collection(LineCollection(list(edge_on), colors=colors, lw=2.4, zorder=4))
         return
     ax.plot(
         *scene.reassignment_positions[:, shown].T,
@@ -167,7 +167,7 @@ def _draw_scene(ax: Any, scene: LegScene, shown: tuple[int, int]) -> None:
     ax.add_collection(
         EllipseCollection(
             wide, wide, 0 * wide, units="xy", offsets=at, offset_transform=ax.transData,
-            facecolors=colours, edgecolors="white", linewidths=0.3, zorder=4,
+            facecolors=colors, edgecolors="white", linewidths=0.3, zorder=4,
         )
     )  # fmt: skip
 
@@ -177,8 +177,8 @@ def _fading_paths(path: Float[Array, "k agents 2"]) -> LineCollection:
     pieces = np.stack([path[:-1], path[1:]], axis=2).reshape(-1, 2, 2)
     age = np.linspace(1, 0, max(len(path) - 1, 1))[: len(path) - 1, None]
     strength = 1 - (1 - MIN_OPACITY) * age**2
-    colours = np.repeat(1 - strength * (1 - np.array(to_rgb(BLUE))), path.shape[1], axis=0)
-    return LineCollection(list(pieces), colors=colours, lw=0.9, capstyle="round", zorder=2)
+    colors = np.repeat(1 - strength * (1 - np.array(to_rgb(BLUE))), path.shape[1], axis=0)
+    return LineCollection(list(pieces), colors=colors, lw=0.9, capstyle="round", zorder=2)
 
 
 def _legend_handles(scenes: list[LegScene]) -> list[Any]:

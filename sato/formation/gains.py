@@ -1,0 +1,132 @@
+"""Gains of a leg: designed for its formation, listed, or read from a file."""
+
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+
+from problems.desired_formation import DesiredFormation
+from problems.gain_design import (
+    GainDesignUndecided,
+    GainMethod,
+    NoStabilizingGain,
+    design_gains,
+)
+from problems.gain_matrix import GainMatrix
+from sato.scenario.definition import Coordinates, Definition, Matrix
+from sato.scenario.errors import InputError
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DesignedGains(Definition):
+    """Gains that a method designs, see `problems.gain_design.design_gains`."""
+
+    kind: Annotated[GainMethod, "method of design"] = "auto"
+
+    def build(self, formation: DesiredFormation) -> GainMatrix:
+        """Design the gains of a formation.
+
+        Raises:
+            InputError: It has none, or the method finds none.
+        """
+        try:
+            return design_gains(formation, self.kind)
+        except NoStabilizingGain as error:
+            raise InputError("graph", str(error)) from error
+        except GainDesignUndecided as error:
+            raise InputError("gains", str(error)) from error
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ListedGains(Definition):
+    """Gains edge by edge; the diagonal makes the sum of each row 0."""
+
+    kind: ClassVar[str] = "listed"
+    edges: Annotated[Matrix, "rows: point, neighbor, real and imaginary part, vertical part [1/s]"]
+    bounds: Annotated[Coordinates, "largest rates possible, in the plane and vertical [1/s]"]
+    method: Annotated[str, "method that designed them"]
+
+    def check(self) -> None:
+        """Refuse rows of other lengths."""
+        if self.edges.shape[1] != 5 or len(self.bounds) != 2:
+            raise InputError("", "need two bounds, and five numbers an edge")
+
+    def build(self, formation: DesiredFormation) -> GainMatrix:
+        """Assemble the gains of a formation.
+
+        Raises:
+            InputError: They belong to another formation.
+        """
+        n = len(formation.points)
+        i, j, real, imaginary, z = self.edges.T
+        ends = np.stack([i, j]).astype(int)
+        if ((ends < 0) | (ends >= n)).any():
+            raise InputError("gains.edges", f"join points that do not exist; they are 0 to {n - 1}")
+        xy, vertical = np.zeros((n, n), dtype=complex), np.zeros((n, n))
+        xy[tuple(ends)], vertical[tuple(ends)] = real + 1j * imaginary, z
+        xy, vertical = xy + xy.conj().T, vertical + vertical.T
+        for A in (xy, vertical):
+            np.fill_diagonal(A, A.diagonal() - A.sum(axis=1))
+        try:
+            return GainMatrix(formation, xy, vertical, self.method, *self.bounds)
+        except ValueError as error:
+            raise InputError("gains", str(error)) from error
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class GainsFile(Definition):
+    """Gains of a file that `sato gains` wrote."""
+
+    kind: ClassVar[str] = "file"
+    file: Annotated[str, "file that `sato gains` wrote"]
+
+    def read(self, formation: DesiredFormation | None = None) -> ListedGains:
+        """Read the gains.
+
+        Args:
+            formation: Formation that they have to belong to, if that is to be checked.
+
+        Raises:
+            InputError: The file cannot be read, or holds gains of another formation.
+        """
+        try:
+            gains = GainMatrix.load(self.file)
+        except OSError as error:
+            reason = error.strerror or "not a file of gains"
+            raise InputError("gains.file", f"{self.file}: cannot be read: {reason}") from error
+        except ValueError as error:
+            raise InputError("gains.file", str(error)) from error
+        if formation is not None and not gains.matches_formation(formation):
+            is_graph = np.array_equal(gains.formation.points, formation.points)
+            raise InputError(
+                "gains.file",
+                f"{self.file} holds gains of other {'graph' if is_graph else 'points'} than this "
+                'formation\'s; `sato gains` designs its own, and so does gains = "auto"',
+            )
+        return list_gains(gains)
+
+    def build(self, formation: DesiredFormation) -> GainMatrix:
+        """Read the gains of a formation.
+
+        Raises:
+            InputError: The file cannot be read, or holds gains of another formation.
+        """
+        return self.read(formation).build(formation)
+
+
+AnyGains = DesignedGains | ListedGains | GainsFile
+
+
+def as_gains(value: Any) -> Any:
+    """Convert the name of a method, or a matrix, to gains; leave anything else as it is."""
+    if isinstance(value, str):
+        return DesignedGains(value)  # type: ignore[arg-type]
+    return list_gains(value) if isinstance(value, GainMatrix) else value
+
+
+def list_gains(gains: GainMatrix) -> ListedGains:
+    """List gains edge by edge."""
+    i, j = np.nonzero(np.triu(gains.formation.graph))
+    xy, z = gains.xy[i, j], gains.z[i, j]
+    edges = np.stack([i, j, xy.real, xy.imag, z], axis=1)
+    return ListedGains(edges, (gains.bound_xy, gains.bound_z), gains.method)

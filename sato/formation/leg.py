@@ -1,0 +1,291 @@
+"""Legs of a formation flight: desired points, the graph of neighbors, and gains."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from annotated_types import Gt, Le
+from jaxtyping import Bool, Float
+from numpy import ndarray as Array
+from pydantic import BeforeValidator
+from scipy.spatial.distance import pdist
+
+from dynamics.units import Length, Unit
+from problems.desired_formation import DesiredFormation
+from problems.gain_matrix import GainMatrix
+from sato.formation.gains import AnyGains, DesignedGains, GainsFile, as_gains
+from sato.formation.start import check_drawn_separation, place_level
+from sato.scenario.definition import Convert, Coordinates, Definition, NotNegative, Positive
+from sato.scenario.errors import InputError, errors_in
+from sato.shapes.formation_library import load_formation, read_formation
+from sato.shapes.graphs import (
+    graph_from_edges,
+    random_dense_graph,
+    random_sparse_graph,
+    read_graph,
+)
+from sato.shapes.random_points import sample_formation
+from sato.shapes.shape import Lattice, Picture, Points, Polygon, Ring, Shape, Text, as_points
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RandomFormation(Definition):
+    """Points drawn from a box, separated as seen from above."""
+
+    kind: ClassVar[str] = "random"
+    box: Annotated[Coordinates, Unit("m"), "sides of the box along x, y and z"]
+    separation: Annotated[Length, Positive, "least distance of two points in the plane"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LibraryFormation(Definition):
+    """Formation of the library."""
+
+    kind: ClassVar[str] = "library"
+    name: Annotated[str, "name in the library"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FormationFile(Definition):
+    """Points of a CSV file, in its order."""
+
+    kind: ClassVar[str] = "file"
+    file: Annotated[str, "CSV file with one point a line"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class NamedGraph(Definition):
+    """Complete graph, or the graph that the library gives the formation."""
+
+    kind: Annotated[Literal["complete", "own"], "complete, or own of the library"] = "complete"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ThinnedGraph(Definition):
+    """Complete graph without some random edges."""
+
+    kind: ClassVar[str] = "thinned"
+    removals: Annotated[int, NotNegative, "number of edges drawn for removal"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SparseGraph(Definition):
+    """Random graph with a share of all edges that has stabilizing gains."""
+
+    kind: ClassVar[str] = "sparse"
+    share: Annotated[float, Gt(0), Le(1), "share of all edges"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class GraphFile(Definition):
+    """Edges of a CSV file."""
+
+    kind: ClassVar[str] = "file"
+    file: Annotated[str, "CSV file with one edge a line"]
+
+
+def _as_edges(value: Any) -> Any:
+    if isinstance(value, Array):
+        value = value.tolist()
+    if not isinstance(value, list | tuple):
+        return value
+    return tuple(tuple(pair) if isinstance(pair, list) else pair for pair in value)
+
+
+if TYPE_CHECKING:
+    Edges = Sequence[Sequence[int]] | Array
+else:
+    Edges = Annotated[
+        tuple[tuple[Annotated[int, NotNegative], ...], ...], BeforeValidator(_as_edges)
+    ]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class EdgeList(Definition):
+    """Graph with these edges."""
+
+    kind: ClassVar[str] = "pairs"
+    pairs: Annotated[Edges, "pairs of points that measure each other, counted from 0"]
+
+    def adjacency(self, count: int) -> Bool[Array, "n n"]:
+        """Return the adjacency matrix for this number of points.
+
+        Raises:
+            InputError: An edge does not join two different points.
+        """
+        for pair in self.pairs:
+            if len(pair) != 2 or pair[0] == pair[1] or max(pair) >= count:
+                raise InputError(
+                    "pairs",
+                    f"{list(pair)} is no pair of two of the points, which are 0 to {count - 1}",
+                )
+        if not self.pairs:
+            raise InputError("pairs", "lists no pairs")
+        return graph_from_edges(count, self.pairs)
+
+
+AnyFormation = (
+    RandomFormation
+    | LibraryFormation
+    | FormationFile
+    | Points
+    | Text
+    | Ring
+    | Lattice
+    | Polygon
+    | Picture
+)
+AnyGraph = NamedGraph | ThinnedGraph | SparseGraph | GraphFile | EdgeList
+
+
+def _as_formation(value: Any) -> Any:
+    if isinstance(value, str):
+        return LibraryFormation(value)
+    points = as_points(value)
+    return points if points is value else replace(points, keep_order=True)
+
+
+def _as_graph(value: Any) -> Any:
+    if isinstance(value, str):
+        return NamedGraph(value)  # type: ignore[arg-type]
+    if not isinstance(value, Array):
+        return value
+    n = len(value)
+    if value.dtype != bool or value.shape != (n, n) or (value != value.T).any() or value.trace():
+        raise InputError("", "must be a symmetric matrix of True and False, without loops")
+    return EdgeList(np.argwhere(np.triu(value)))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FormationLeg(Definition):
+    """One formation to take up.
+
+    Args:
+        formation: Array of (N, 2) or (N, 3) points [m], a shape, or a name in the library.
+        graph: "complete", "own", a matrix of True and False, or a graph.
+        gains: Method of design, a `GainMatrix`, or gains.
+        name: Name in figures; that in the library or of the file, if absent.
+    """
+
+    formation: Annotated[AnyFormation, Convert(_as_formation), "points of the formation"]
+    graph: Annotated[AnyGraph, Convert(_as_graph), "points that measure each other"] = NamedGraph()
+    gains: Annotated[AnyGains, Convert(as_gains), "gains of the control law"] = DesignedGains()
+    name: Annotated[str | None, "name of the formation in figures"] = None
+
+    def check(self) -> None:
+        """Refuse points in motion, and the graph of a library for other points."""
+        if isinstance(self.formation, Points) and self.formation.velocities is not None:
+            raise InputError("formation.velocities_m_s", "a formation is at rest; drop it")
+        is_own = isinstance(self.graph, NamedGraph) and self.graph.kind == "own"
+        if is_own and not isinstance(self.formation, LibraryFormation):
+            raise InputError(
+                "graph", 'only formations of the library have their own; "complete" would do'
+            )
+
+    @cached_property
+    def desired(self) -> DesiredFormation:
+        """Points and graph, once drawn."""
+        if not isinstance(self.formation, Points) or not isinstance(self.graph, EdgeList):
+            raise ValueError("the formation is known once the mission is drawn: mission.draw(rng)")
+        points = np.array(self.formation.positions)
+        return DesiredFormation(points, self.graph.adjacency(len(points)), self.name or "")
+
+    @cached_property
+    def gain_matrix(self) -> GainMatrix:
+        """Gains of the formation, once drawn.
+
+        Raises:
+            InputError: The formation has none, or these belong to another.
+        """
+        return self.gains.build(self.desired)
+
+    def draw(self, agents: int, keep_out: float, rng: np.random.Generator) -> "FormationLeg":
+        """Return the leg with points, edges and gains; points are drawn first, then edges.
+
+        Args:
+            agents: Number of agents.
+            keep_out: Least distance of two of them in the plane [m].
+            rng: Generator for random points and edges.
+
+        Raises:
+            InputError: There is no such formation, or the swarm cannot take it up.
+        """
+        with errors_in("formation"):
+            points, name = self._draw_points(agents, keep_out, rng)
+            _check_points(points, agents, keep_out)
+        with errors_in("graph"):
+            desired = DesiredFormation(points, self._draw_graph(points, rng))
+        gains = self.gains
+        if isinstance(gains, GainsFile):
+            gains = gains.read(desired)
+        edges = np.argwhere(np.triu(desired.graph))
+        drawn = FormationLeg(
+            Points(points, keep_order=True), EdgeList(edges), gains, self.name or name
+        )
+        drawn = self if drawn == self else drawn  # which keeps gains that were designed before
+        _ = drawn.gain_matrix  # designed here, so that a formation without gains is refused
+        return drawn
+
+    def without_files(self, agents: int) -> "FormationLeg":
+        """Return the same leg with the contents of files and fonts."""
+        formation, name = self.formation, self.name
+        if isinstance(formation, FormationFile):
+            found = read_formation(formation.file)
+            formation, name = Points(found.points, keep_order=True), name or found.name
+        elif isinstance(formation, Shape) and formation.uses_files:
+            formation = Points(place_level(formation, agents, 0.0), keep_order=True)
+        graph, gains = self.graph, self.gains
+        if isinstance(graph, GraphFile):
+            graph = EdgeList(np.argwhere(np.triu(read_graph(graph.file, agents))))
+        if isinstance(gains, GainsFile):
+            gains = gains.read()
+        return FormationLeg(formation, graph, gains, name)
+
+    def _draw_points(
+        self, agents: int, keep_out: float, rng: np.random.Generator
+    ) -> tuple[Float[Array, "n 3"], str | None]:
+        chosen = self.formation
+        if isinstance(chosen, RandomFormation):
+            check_drawn_separation(chosen.separation, keep_out)
+            return sample_formation(agents, chosen.box, chosen.separation, rng), "random"
+        if isinstance(chosen, LibraryFormation):
+            found = load_formation(chosen.name)
+            return found.points, found.name
+        if isinstance(chosen, FormationFile):
+            found = read_formation(chosen.file)
+            return found.points, found.name
+        if isinstance(chosen, Points):
+            return place_level(chosen, agents, keep_out), None
+        return place_level(chosen, agents, keep_out), chosen.kind
+
+    def _draw_graph(
+        self, points: Float[Array, "n 3"], rng: np.random.Generator
+    ) -> Bool[Array, "n n"]:
+        chosen, n = self.graph, len(points)
+        if isinstance(chosen, ThinnedGraph):
+            return random_dense_graph(n, chosen.removals, rng)
+        if isinstance(chosen, SparseGraph):
+            return random_sparse_graph(points, chosen.share, rng)
+        if isinstance(chosen, GraphFile):
+            return read_graph(chosen.file, n)
+        if isinstance(chosen, EdgeList):
+            return chosen.adjacency(n)
+        if chosen.kind == "own" and isinstance(self.formation, LibraryFormation):
+            return load_formation(self.formation.name).graph
+        return ~np.eye(n, dtype=bool)
+
+
+def _check_points(points: Float[Array, "n 3"], agents: int, keep_out: float) -> None:
+    if len(points) != agents:
+        raise InputError(
+            "", f"{agents} vehicles cannot take up a formation of {len(points)} points"
+        )
+    closest = pdist(points[:, :2]).min()
+    if closest < keep_out:
+        raise InputError(
+            "",
+            f"two points are {closest:.3g} m apart in the plane, closer than keep_out_m = "
+            f"{keep_out:g}: no swarm could hold it",
+        )

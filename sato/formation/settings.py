@@ -1,0 +1,186 @@
+"""Settings of a formation flight: control, avoidance, assignment, frames and supervision."""
+
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+from annotated_types import Le
+from jaxtyping import Complex, Float
+from numpy import ndarray as Array
+from pydantic import BeforeValidator
+
+from dynamics.units import Acceleration, Angle, Length, Speed, Time, Unit
+from sato.scenario.definition import (
+    Coordinates,
+    Definition,
+    Key,
+    NotNegative,
+    Positive,
+    as_array,
+)
+from sato.scenario.errors import InputError
+
+
+class ControlLaw(NamedTuple):
+    """Numbers of the control law [Lusk2020, eq. 2, and Sec. III-C for the size]."""
+
+    gain: Annotated[float, Positive, "gain of the velocity command"] = 1.5
+    size_rate: Annotated[
+        float, Key("size"), Positive, "rate at which errors of size decay [1/s]"
+    ] = 0.6
+    upright: Annotated[
+        bool, "heights as in the formation; else its mirror image, upside down, will do"
+    ] = True
+
+
+class CollisionAvoidance(NamedTuple):
+    """Numbers of the collision avoidance; the legacy one uses its range alone."""
+
+    avoidance_range: Annotated[
+        Length, Key("notice"), Positive, "farthest at which others are avoided"
+    ] = 3.0
+    margin: Annotated[Length, NotNegative, "beyond keep_out_m, for errors of measurement"] = 0.05
+    braking: Annotated[
+        Acceleration, Key("brake"), Positive, "deceleration that a vehicle counts on to stop"
+    ] = 0.25
+    right_turn_bias: Annotated[
+        Angle, Key("aside"), NotNegative, "how much farther it turns right than left"
+    ] = 0.35
+    blocked_time: Annotated[Time, Positive, "for which a vehicle lets others stop it"] = 3.0
+    wander_time: Annotated[
+        Time, Positive, "for which it then flies in a random direction"
+    ] = 2.0
+    legacy: Annotated[
+        bool, Key("legacy_avoidance"), "avoidance, limits and size control of the paper's code"
+    ] = False
+    unwrapped_angles: Annotated[
+        bool, "with legacy_avoidance: angles that do not wrap around, as in the paper's code"
+    ] = False
+
+
+class AssignmentSettings(NamedTuple):
+    """Assignment of points to agents, and when it is repeated."""
+
+    method: Annotated[
+        Literal["vsdaa", "cbaa", "hungarian", "none"], Key("kind"), "assignment of points"
+    ] = "vsdaa"
+    first_delay: Annotated[
+        Time, Key("first"), NotNegative, "from the start of a leg to its first auction"
+    ] = 1.5
+    period: Annotated[Time, Positive, "between two auctions"] = 2.0
+    relative_epsilon: Annotated[
+        float, Key("fineness"), Positive, "bid increment of vsdaa, of the extent of the formation"
+    ] = 0.04
+
+
+class SupervisorSettings(NamedTuple):
+    """When a formation is converged, and when a swarm is gridlocked [Lusk2020's trials]."""
+
+    convergence_speed: Annotated[
+        Speed, Key("settled"), Positive, "commanded speed below which a vehicle has arrived"
+    ] = 0.15
+    averaging_window: Annotated[
+        Time, Positive, "over which speeds and avoidance are averaged"
+    ] = 1.0
+    convergence_time: Annotated[Time, NotNegative, "for which all must have arrived"] = 1.0
+    gridlock_share: Annotated[
+        float, Positive, Le(1), "of the window in which a gridlocked vehicle avoids others"
+    ] = 0.95
+    gridlock_timeout: Annotated[
+        Time, Key("patience"), Positive, "in one gridlock, before the flight is given up"
+    ] = 90.0
+    hover_time: Annotated[
+        Time, Key("hover"), NotNegative, "before the first formation, and in each"
+    ] = 5.0
+    time_limit: Annotated[Time, Key("limit"), Positive, "of the whole flight"] = 600.0
+    shape_tolerance: Annotated[
+        Length, Key("shape"), Positive, "shape error within which a formation is taken up"
+    ] = 0.1
+
+
+class CoordinateFrames(NamedTuple):
+    """Coordinate frame of each agent, in which it estimates positions."""
+
+    rotation: Complex[Array, " agents"]  # e^(j yaw)
+    origin: Float[Array, "agents 3"]  # [m]
+    drift_rate: Float[Array, "agents 3"]  # odometry error per meter flown, in its own axes
+
+
+def _angles(value: Any) -> Any:
+    return as_array(value, 1) if isinstance(value, Array | list | tuple) else value
+
+
+def _size_or_rows(value: Any) -> Any:
+    if isinstance(value, Array | list | tuple):
+        return as_array(value, 2)
+    if isinstance(value, int | float) and value < 0:
+        raise InputError("", f"must not be negative, got {value:g}")
+    return value
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FrameSettings(Definition):
+    """Coordinate frames of the agents, errors of their odometry and noise of their sensors.
+
+    Arrays, one row an agent, stand in place of what is drawn.
+    """
+
+    yaw: Annotated[
+        Literal["random", "aligned"] | Array,
+        BeforeValidator(_angles),
+        "heading of each frame [rad], random, or the same for all",
+    ] = "random"
+    offset: Annotated[
+        float | Array,
+        BeforeValidator(_size_or_rows),
+        Unit("m"),
+        "origin of each frame, or the largest coordinate of a random one",
+    ] = 10.0
+    drift: Annotated[
+        float | Array,
+        BeforeValidator(_size_or_rows),
+        "odometry error per meter flown, of each frame, or the size of a random one",
+    ] = 0.01
+    noise: Annotated[Length, NotNegative, "standard deviation of a measured coordinate"] = 0.02
+
+    def draw(self, agents: int, rng: np.random.Generator) -> "FrameSettings":
+        """Return the settings with an array, a row an agent, for whatever was to be drawn."""
+        rows = {"yaw": (agents,), "offset": (agents, 3), "drift": (agents, 3)}
+        for name, shape in rows.items():
+            value = getattr(self, name)
+            if isinstance(value, Array) and value.shape != shape:
+                raise InputError(name, f"needs the shape {shape}, got {value.shape}")
+        if all(isinstance(getattr(self, name), Array) for name in rows):
+            return self
+        direction = rng.standard_normal((agents, 3))
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        yaw: Any = rng.uniform(-np.pi, np.pi, agents)
+        offset, drift = self.offset, self.drift
+        if isinstance(self.yaw, Array):
+            yaw = self.yaw
+        elif self.yaw == "aligned":
+            yaw = np.zeros(agents)
+        if not isinstance(offset, Array):
+            offset = rng.uniform(-offset, offset, (agents, 3))
+        if not isinstance(drift, Array):
+            drift = drift * direction
+        return replace(self, yaw=yaw, offset=offset, drift=drift)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class OperatorCommand(Definition):
+    """Velocity that an operator commands of one agent for a while."""
+
+    agent: Annotated[int, Key("vehicle"), NotNegative, "index of the vehicle"]
+    start: Annotated[Time, NotNegative, "after the start of the flight"]
+    end: Annotated[Time, Positive, "after the start of the flight"]
+    velocity: Annotated[Coordinates, Unit("m_s"), "in the vehicle's own frame"]
+
+    def check(self) -> None:
+        """Refuse a command that ends before it begins, or in the plane."""
+        if len(self.velocity) != 3:
+            raise InputError("velocity_m_s", f"needs 3 coordinates, got {len(self.velocity)}")
+        if not self.start < self.end:
+            raise InputError(
+                "end_s", f"a command from {self.start:g} s to {self.end:g} s never begins"
+            )

@@ -1,0 +1,90 @@
+"""Initial positions of a formation flight, all agents at rest."""
+
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+from scipy.spatial.distance import pdist, squareform
+
+from dynamics.units import Length, Unit
+from sato.scenario.definition import Coordinates, Definition, Positive
+from sato.scenario.errors import InputError, errors_in
+from sato.shapes.random_points import sample_positions
+from sato.shapes.shape import Lattice, Picture, Points, Polygon, Ring, Shape, Text
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RandomStart(Definition):
+    """Positions drawn from a rectangle, all at one height."""
+
+    kind: ClassVar[str] = "random"
+    box: Annotated[Coordinates, Unit("m"), "sides along x and y, from the origin on"]
+    separation: Annotated[Length, Positive, "least distance of two agents"]
+    height: Annotated[Length, "height of all agents"] = 1.0
+
+
+AnyStart = RandomStart | Points | Text | Ring | Lattice | Polygon | Picture
+
+
+def draw_start(
+    start: AnyStart, agents: int, keep_out: float, rng: np.random.Generator
+) -> Float[Array, "agents 3"]:
+    """Return the initial position of every agent [m].
+
+    Args:
+        start: Random start, points or shape.
+        agents: Number of agents.
+        keep_out: Least distance of two of them in the plane [m].
+        rng: Generator for a random start.
+
+    Raises:
+        InputError: There is no such start, or two agents are too close in it.
+    """
+    if isinstance(start, RandomStart):
+        check_drawn_separation(start.separation, keep_out)
+        if len(start.box) != 2:
+            raise InputError("box_m", f"needs 2 sides, along x and y, got {len(start.box)}")
+        with errors_in("box_m"):
+            flat = sample_positions(agents, start.box, start.separation, rng)
+        placed = np.column_stack([flat, np.full(agents, start.height)])
+    elif isinstance(start, Points):
+        placed = place_level(replace(start, keep_order=True), agents, 0.0)
+    else:
+        placed = place_level(start, agents, keep_out)
+    distance = squareform(pdist(placed[:, :2]))
+    np.fill_diagonal(distance, np.inf)
+    if distance.min() < keep_out * (1 - 1e-9):  # rounding is not too close
+        i, j = sorted(int(k) for k in np.unravel_index(distance.argmin(), distance.shape))
+        raise InputError(
+            "",
+            f"vehicles {i} and {j} start {distance.min():.4g} m apart in the plane, closer than "
+            f"keep_out_m = {keep_out:g}; move one of them",
+        )
+    return placed
+
+
+def place_level(shape: Shape, count: int, min_distance: float) -> Float[Array, "count 3"]:
+    """Place a shape in space; a lattice is flat, for no vehicle may be above another.
+
+    Raises:
+        InputError: The shape does not fit the count or the distance.
+    """
+    level = np.zeros((count, 3))
+    placed = shape.place(count, 2 if isinstance(shape, Lattice) else 3, min_distance)
+    level[:, : placed.shape[1]] = placed
+    return level
+
+
+def check_drawn_separation(separation: float, keep_out: float) -> None:
+    """Refuse random points that may be closer than the agents are allowed to come.
+
+    Raises:
+        InputError: They may.
+    """
+    if separation < keep_out:
+        raise InputError(
+            "separation_m",
+            f"{separation:g} is less than keep_out_m = {keep_out:g}; {keep_out:g} or more would do",
+        )
