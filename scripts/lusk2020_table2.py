@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from time import perf_counter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from rich.console import Console
@@ -16,10 +16,16 @@ from scipy.stats import binomtest
 from scipy.stats import t as student
 from threadpoolctl import threadpool_limits
 
-from sato.formation import AssignmentSettings, Formation, draw_frames
-from sato.formation.mission import legacy_formation
-from sato.formation.trial import FormationTrial, draw_trial, run_trial
+from sato.formation.check.recorded import FormationRecord
+from sato.formation.check.summary import summarize_flight
+from sato.formation.leg import FormationLeg
+from sato.formation.loop import simulate
+from sato.formation.mission import Formation, legacy_formation
+from sato.formation.settings import AssignmentSettings
+from sato.shapes.graphs import random_dense_graph
+from sato.shapes.random_points import sample_formation, sample_positions
 
+AGENTS, HEIGHT = 30, 1.0  # number, and initial height [m]
 SHAPE_TOLERANCE = 0.1  # error of a shape that has been taken up [m]
 
 
@@ -46,24 +52,35 @@ ROWS = (
 
 
 def build_mission(row: Table2Row, seed: int) -> tuple[Formation, np.random.Generator]:
-    """The flight of a trial: the same start and formations in every row with the same graph."""
+    """Draw the flight of a trial: the same start and formations in every row of one graph.
+
+    As in [Lusk2020, Sec. V-A], two formations are drawn for one graph, which is complete, or
+    lacks 1 to n − 4 random edges.
+    """
     rng = np.random.default_rng(seed)
-    start, shapes = draw_trial(rng, remove_edges=row.is_sparse)
-    if row.solve:
-        frames = draw_frames(len(start), origin_range=10.0, drift=0.01, noise=0.02, rng=rng)
-        assigning = AssignmentSettings(row.assignment_method)
-        return Formation(start, shapes, frames, assignment=assigning), rng
-    return legacy_formation(start, shapes, row.assignment_method), rng
+    flat = sample_positions(AGENTS, (20.0, 20.0), 1.5, rng)
+    start = np.column_stack([flat, np.full(AGENTS, HEIGHT)])
+    points = [sample_formation(AGENTS, (15.0, 15.0, 2.0), 2.0, rng) for _ in range(2)]
+    removals = int(rng.integers(1, AGENTS - 3)) if row.is_sparse else 0
+    graph = random_dense_graph(AGENTS, removals, rng) if removals else ~np.eye(AGENTS, dtype=bool)
+    legs = [FormationLeg(p, graph, gains="projection") for p in points]
+    settings = AssignmentSettings(row.assignment_method)
+    build = Formation if row.ours else legacy_formation
+    return build(start=start, legs=legs, assignment=settings).draw(rng), rng
 
 
-def run_trial(job: tuple[int, int]) -> tuple[int, FormationTrial]:
-    """Fly one trial of a row."""
+def run_trial(job: tuple[int, int]) -> tuple[int, dict[str, Any]]:
+    """Fly one trial of a row, and summarize it."""
     row, seed = job
     with threadpool_limits(1, user_api="blas"):
-        return row, run_trial(*build_mission(ROWS[row], seed))
+        mission, rng = build_mission(ROWS[row], seed)
+        record = FormationRecord.from_frames(list(simulate(mission, rng)), mission)
+        ends = [leg.completed for leg in record.replay.legs]
+        converged = len(ends) == len(mission.legs) and all(ends)
+        return row, summarize_flight(record) | {"converged": converged}
 
 
-def run_trials(rows: list[int], trials: int, cores: int) -> Iterator[tuple[int, FormationTrial]]:
+def run_trials(rows: list[int], trials: int, cores: int) -> Iterator[tuple[int, dict[str, Any]]]:
     """All trials, the longest first."""
     jobs = [(row, seed) for row in rows for seed in range(trials)]
     with ProcessPoolExecutor(cores, mp_context=get_context("spawn")) as pool:
@@ -87,12 +104,14 @@ def format_share(good: int, trials: int) -> str:
     return f"{100 * good / trials:.0f} % [{100 * low:.0f}, {100 * high:.0f}]"
 
 
-def is_shape_reached(row: Table2Row, trial: FormationTrial) -> bool:
-    """Whether both shapes are there; in our rows not upside down, which printed ones may be."""
-    return trial.shape_error <= SHAPE_TOLERANCE and not (row.solve and trial.inverted)
+def is_shape_reached(row: Table2Row, trial: dict[str, Any]) -> bool:
+    """Tell whether both formations are reached, in our rows upright."""
+    inverted = any(leg.get("inverted", False) for leg in trial["legs"])
+    is_close = trial["converged"] and trial["shape_error_m"] <= SHAPE_TOLERANCE
+    return is_close and not (row.ours and inverted)
 
 
-def make_table(found: dict[int, list[FormationTrial]]) -> Table:
+def make_table(found: dict[int, list[dict[str, Any]]]) -> Table:
     """All rows, the paper's beside ours."""
     shown = Table(title="Two formations a trial, 30 vehicles; mean ± deviation [95 % interval]")
     for name in (
@@ -107,16 +126,16 @@ def make_table(found: dict[int, list[FormationTrial]]) -> Table:
     for name in ("least separation [m]", "worst shape [m]", "the paper"):
         shown.add_column(name)
     for number, trials in sorted(found.items()):
-        good = [t for t in trials if t.completed]
+        good = [t for t in trials if t["converged"]]
         shown.add_row(
             ROWS[number].name,
             format_share(len(good), len(trials)),
             format_share(sum(is_shape_reached(ROWS[number], t) for t in trials), len(trials)),
-            format_mean_interval([t.path_length for t in good]),
-            format_mean_interval([t.time for t in good]),
-            format_mean_interval([t.assignments for t in good]),
-            f"{min(t.min_separation for t in trials):.2f}",
-            f"{max((t.shape_error for t in good), default=float('nan')):.3f}",
+            format_mean_interval([t["path_m"] for t in good]),
+            format_mean_interval([t["time_s"] for t in good]),
+            format_mean_interval([t["reassignments"] for t in good]),
+            f"{min(t['min_separation_m'] for t in trials):.2f}",
+            f"{max((t['shape_error_m'] for t in good), default=float('nan')):.3f}",
             ROWS[number].paper,
         )
     return shown
@@ -130,8 +149,8 @@ def main() -> None:
     parser.add_argument("--rows", choices=("printed", "ours", "all"), default="all")
     asked = parser.parse_args()
     wanted = {"printed": (False,), "ours": (True,), "all": (False, True)}[asked.rows]
-    rows = [i for i, row in enumerate(ROWS) if row.solve in wanted]
-    found: dict[int, list[FormationTrial]] = {}
+    rows = [i for i, row in enumerate(ROWS) if row.ours in wanted]
+    found: dict[int, list[dict[str, Any]]] = {}
     began = perf_counter()
     for row, trial in run_trials(rows, asked.trials, asked.cores):
         found.setdefault(row, []).append(trial)

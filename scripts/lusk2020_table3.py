@@ -11,7 +11,6 @@ import argparse
 import os
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
 from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
@@ -30,22 +29,17 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from problems.alignment import align
-from problems.gain_design import GainMatrix, design_gains
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, LIGHT_GRAY, RED, STYLE
-from sato.formation import (
-    AssignmentSettings,
-    CoordinateFrames,
-    Formation,
-    FormationFrame,
-    draw_frames,
-    simulate,
-)
-from sato.formation.mission import legacy_formation
+from sato.formation.check.recorded import FormationRecord
+from sato.formation.check.summary import summarize_flight
+from sato.formation.leg import FormationLeg
+from sato.formation.loop import FormationFrame, simulate
+from sato.formation.mission import Formation, legacy_formation
+from sato.formation.settings import AssignmentSettings, FrameSettings
 from sato.formation.shape_error import compute_shape_error
-from sato.formation.trial import HEIGHT, FormationTrial, evaluate_trial
-from sato.shapes.formation_library import load_formation
 from sato.shapes.random_points import sample_positions
 
+HEIGHT = 1.0  # initial height [m]
 SHAPES = ("Pentagonal Pyramid", "Triangular Prism", "Slanted Plane")
 REPETITIONS = 2  # through all of them
 AUCTION_PERIOD = 1.2  # between two auctions [s]
@@ -82,30 +76,29 @@ ROWS = (
 
 
 class TransitionResult(NamedTuple):
-    """What came of one transition."""
+    """Outcome of one transition."""
 
-    trial: FormationTrial
-    error: float  # of the shape in the end, also if it was given up [m]
+    converged: bool
+    path_length: float  # in the plane, mean of the vehicles [m]
+    time: float  # [s]
+    min_separation: float  # in the plane [m]
+    error: float  # shape error at the end, also where the formation was given up [m]
 
 
 @cache
-def design_shape(shape: str, graph: str) -> GainMatrix:
-    """Of a shape on its own graph or the complete one."""
-    return design_gains(load_formation(shape, graph))
+def draw_leg(shape: str, graph: str) -> FormationLeg:
+    """Return the leg to a shape on its own graph or the complete one, with its gains."""
+    leg = FormationLeg(shape, graph)
+    return leg.draw(6, 0.0, np.random.default_rng(0))
 
 
-def build_mission(row: Table3Row, shape: str, start: Array, frames: CoordinateFrames) -> Formation:
-    """One transition."""
-    shapes = (design_shape(shape, row.graph),)
-    if row.solve:
-        return Formation(
-            start,
-            shapes,
-            frames,
-            assignment=AssignmentSettings(row.assignment_method, period=AUCTION_PERIOD),
-        )
-    flight = legacy_formation(start, shapes, row.assignment_method)
-    return replace(flight, assignment=flight.assignment._replace(period=AUCTION_PERIOD))
+def build_mission(row: Table3Row, shape: str, start: Array, frames: FrameSettings) -> Formation:
+    """Build the mission of one transition."""
+    legs = [draw_leg(shape, row.graph)]
+    settings = AssignmentSettings(row.assignment_method, period=AUCTION_PERIOD)
+    if row.ours:
+        return Formation(start=start, legs=legs, frames=frames, assignment=settings)
+    return legacy_formation(start, legs, assignment=settings)
 
 
 def run_transitions(
@@ -115,20 +108,24 @@ def run_transitions(
     rng = np.random.default_rng(seed)
     off = rng.normal(0, START_NOISE, (6, 2))
     flat = sample_positions(6, AREA, APART, rng) if scattered else ROWS_OF_THREE + off
-    frames = draw_frames(6, origin_range=10.0, drift=0.01, noise=0.02, rng=rng)
+    frames = FrameSettings().draw(6, rng)
     start = np.column_stack([flat, np.full(6, HEIGHT)])
     for shape in SHAPES * REPETITIONS:
-        flight = build_mission(row, shape, start, frames)
+        flight = build_mission(row, shape, start, frames).draw(np.random.default_rng(seed))
         seen = list(simulate(flight, rng))
         yield flight, seen
         start = seen[-1].position
 
 
 def evaluate_transition(flight: Formation, seen: list[FormationFrame]) -> TransitionResult:
-    """Judge one transition."""
+    """Evaluate one transition."""
     last, points = seen[-1], flight.gains[0].formation.points
     error = compute_shape_error(last.position[np.argsort(last.point_index)], points).error
-    return TransitionResult(evaluate_trial(flight, seen), error)
+    record = FormationRecord.from_frames(seen, flight)
+    found, [leg] = summarize_flight(record), record.replay.legs
+    return TransitionResult(
+        leg.completed, found["path_m"], found["time_s"], found["min_separation_m"], error
+    )
 
 
 def run_seed(job: tuple[int, int, bool]) -> tuple[int, list[TransitionResult]]:
@@ -154,7 +151,7 @@ def format_share(good: int, trials: int) -> str:
 
 def success_by_shape(outcomes: list[TransitionResult]) -> str:
     """How often each shape was settled in, in percent."""
-    settled = np.array([o.trial.completed for o in outcomes]).reshape(-1, len(SHAPES))
+    settled = np.array([o.converged for o in outcomes]).reshape(-1, len(SHAPES))
     return " ".join(f"{100 * x:.0f}" for x in settled.mean(axis=0))
 
 
@@ -169,20 +166,20 @@ def make_table(found: dict[int, list[TransitionResult]], seeds: int) -> Table:
     for name in ("longest [s]", "shape [m]", "least separation [m]", "the paper"):
         shown.add_column(name)
     for number, outcomes in sorted(found.items()):
-        good = [o for o in outcomes if o.trial.completed]
+        good = [o for o in outcomes if o.converged]
         shown.add_row(
             ROWS[number].name,
             format_share(len(good), len(outcomes)),
             success_by_shape(outcomes),
             format_share(
-                sum(o.trial.completed and o.error <= SHAPE_TOLERANCE for o in outcomes),
+                sum(o.converged and o.error <= SHAPE_TOLERANCE for o in outcomes),
                 len(outcomes),
             ),
-            format_mean_deviation([o.trial.path_length for o in good]),
-            format_mean_deviation([o.trial.time for o in good]),
-            f"{max((o.trial.time for o in good), default=float('nan')):.0f}",
+            format_mean_deviation([o.path_length for o in good]),
+            format_mean_deviation([o.time for o in good]),
+            f"{max((o.time for o in good), default=float('nan')):.0f}",
             format_mean_deviation([o.error for o in good], 2),
-            f"{min(o.trial.min_separation for o in outcomes):.2f}",
+            f"{min(o.min_separation for o in outcomes):.2f}",
             ROWS[number].paper,
         )
     return shown
@@ -203,7 +200,7 @@ def draw_gridlock(flight: Formation, seen: list[FormationFrame], path: Path) -> 
             ax.plot(*np.array([here, goal[i]]).T, color=LIGHT_GRAY, lw=0.8, ls=":", zorder=0)
             ax.plot(*goal[i], "+", color=GRAY, ms=8, mew=1.0)
             ax.annotate(str(i), goal[i], (5, -10), textcoords="offset points", color=GRAY)
-            keep_out = flight.avoidance.keep_out / 2
+            keep_out = flight.keep_out / 2
             ax.add_patch(Circle(here, keep_out, fill=False, ec=colour, lw=0.6, ls="--"))
             ax.add_patch(Circle(here, BODY_RADIUS, fc=colour, ec="none", alpha=0.85))
             ax.annotate(str(i), here, ha="center", va="center", color="white", weight="bold")

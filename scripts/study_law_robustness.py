@@ -17,7 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from problems.desired_formation import DesiredFormation
 from problems.gain_design import GainMatrix, design_gains
-from sato.formation.control_law import ControlLaw, compute_velocity_command, size_control_weights
+from sato.formation.control_law import compute_velocity_command, size_control_weights
+from sato.formation.settings import ControlLaw
 from sato.formation.shape_error import compute_shape_error
 from sato.shapes.graphs import random_sparse_graph
 from sato.shapes.random_points import sample_formation
@@ -37,7 +38,7 @@ class RobustnessResult(NamedTuple):
 
 
 def commands(
-    position: Float[Array, "n 3"], gains: GainMatrix, law: ControlLaw
+    position: Float[Array, "n 3"], gains: GainMatrix, law: ControlLaw, legacy: bool = False
 ) -> Float[Array, "n 3"]:
     """What the law asks of everybody [m/s]."""
     graph, points = gains.formation.graph, gains.formation.points
@@ -46,7 +47,16 @@ def commands(
     for i, u in enumerate(asked):
         near = np.flatnonzero(graph[i])
         compute_velocity_command(
-            i, position - position[i], near, gains.xy[i], gains.z[i], points, weight[i], law, u
+            i,
+            position - position[i],
+            near,
+            gains.xy[i],
+            gains.z[i],
+            points,
+            weight[i],
+            law,
+            legacy,
+            u,
         )
     return asked
 

@@ -76,15 +76,15 @@ def test_eight_hundred_vehicles_saturate_54_mbit_s_each():
 
 
 @pytest.mark.parametrize(
-    "bad",
+    ("bad", "message"),
     [
-        {"message_rate": 0.0},
-        {"loss_probability": 1.0},
-        {"loss_probability": -0.1},
-        {"delay": -1.0},
-        {"id_bits": 0},
+        ({"message_rate": 0.0}, "rate_hz: must be positive"),
+        ({"loss_probability": 1.0}, "loss: must be less than 1"),
+        ({"loss_probability": -0.1}, "loss: must not be negative"),
+        ({"delay": -1.0}, "delay_s: must not be negative"),
+        ({"id_bits": 0}, "id_bits: must be positive"),
     ],
 )
-def test_impossible_radio_is_refused(bad):
-    with pytest.raises(ValueError, match="the rate and the bits of a number must be positive"):
+def test_impossible_radio_is_refused(bad, message):
+    with pytest.raises(ValueError, match=message):
         Radio(**bad)

@@ -29,7 +29,7 @@ BLOCKED_SPEED_SHARE = 0.2  # of the largest speed: slower than this an agent cou
 
 # Numbers of the mission that compiled code takes, by the names that they have there.
 LIMITS = ("keep_out", "max_speed", "max_climb", "max_acceleration", "max_climb_acceleration")
-MissionNumbers = namedtuple("MissionNumbers", [*LIMITS, "noise"])  # type: ignore[misc]
+MissionNumbers = namedtuple("MissionNumbers", (*LIMITS, "noise"))  # type: ignore[misc]
 
 
 class FormationData(NamedTuple):
@@ -58,7 +58,7 @@ class KernelParameters(NamedTuple):
     coordinate_frames: CoordinateFrames
     control_law: ControlLaw
     avoidance: CollisionAvoidance
-    numbers: MissionNumbers
+    numbers: Any  # `MissionNumbers`
     timing: Timing
 
 
@@ -91,8 +91,10 @@ class FormationState(NamedTuple):
         """Return all agents at rest, before any message."""
         n = len(position)
         return cls(
-            position.copy(),
-            *(np.zeros((n, 3)) for _ in range(3)),
+            position=position.copy(),
+            velocity=np.zeros((n, 3)),
+            drift=np.zeros((n, 3)),
+            measured_position=np.zeros((n, 3)),
             sent=np.full((message_delay + 1, n, 3), np.nan),
             received=np.full((n, n, 3), np.nan),
             velocity_command=np.zeros((n, 3)),

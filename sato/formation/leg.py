@@ -123,7 +123,7 @@ class EdgeList(Definition):
                 )
         if not self.pairs:
             raise InputError("pairs", "lists no pairs")
-        return graph_from_edges(count, self.pairs)
+        return graph_from_edges(count, list(self.pairs))
 
 
 AnyFormation = (

@@ -185,9 +185,7 @@ class _Simulation:
 
     def _advance(self) -> None:
         steps = self.mission.steps_per_frame
-        simulate_steps(
-            self.state, self._roles(), self.parameters, self.step_index, steps, self.rng
-        )
+        simulate_steps(self.state, self._roles(), self.parameters, self.step_index, steps, self.rng)
         self.step_index += steps
 
     def _make_frame(self) -> FormationFrame:
@@ -223,7 +221,9 @@ def _kernel_parameters(mission: Formation, leg: int) -> KernelParameters:
         mission.coordinate_frames,
         mission.control_law,
         mission.avoidance,
-        MissionNumbers(*(getattr(mission, name) for name in LIMITS), mission.frames.noise),
+        MissionNumbers._make(
+            [*(getattr(mission, name) for name in LIMITS), mission.frames.noise]
+        ),
         Timing(
             mission.step,
             max(1, round(1 / (radio.message_rate * mission.step))),

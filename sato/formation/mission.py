@@ -49,9 +49,9 @@ class Formation(Mission):
 
     system: ClassVar[str] = "formation"
 
-    agents: Annotated[int, In("swarm"), Ge(3), "number of agents; as the start lists, if absent"] = (
-        None  # type: ignore[assignment]
-    )
+    agents: Annotated[
+        int, In("swarm"), Ge(3), "number of agents; as the start lists, if absent"
+    ] = None  # type: ignore[assignment]
     start: Annotated[AnyStart, In("swarm"), Convert(as_points), "initial positions, at rest"]
     keep_out: Annotated[
         Length, In("swarm"), Positive, "least distance of two vehicles in the plane"
@@ -71,9 +71,9 @@ class Formation(Mission):
     assignment: Annotated[AssignmentSettings, "assignment of points"] = AssignmentSettings()
     frames: Annotated[FrameSettings, "coordinate frames and sensors"] = FrameSettings()
     radio: Annotated[Radio, "messages"] = Radio()
-    supervision: Annotated[
-        SupervisorSettings, Key("protocol"), "convergence and gridlock"
-    ] = SupervisorSettings()
+    supervision: Annotated[SupervisorSettings, Key("protocol"), "convergence and gridlock"] = (
+        SupervisorSettings()
+    )
 
     operator_commands: Annotated[
         tuple[OperatorCommand, ...], Key("push"), "velocities commanded by an operator"
@@ -86,7 +86,7 @@ class Formation(Mission):
         avoidance = data.get("avoidance")
         if not isinstance(avoidance, dict) or avoidance.get("legacy_avoidance") is not True:
             return data
-        points = np.eye(3)
+        points = Points(np.eye(3))
         legacy = write_table(legacy_formation(points, [FormationLeg(points)]))
         filled = dict(data)
         for table in ("control", "avoidance", "assignment", "frames", "protocol"):
@@ -125,9 +125,7 @@ class Formation(Mission):
                 legs.append(leg.draw(self.agents, self.keep_out, rng))
         with errors_in("frames"):
             frames = self.frames.draw(self.agents, rng)
-        return replace(
-            self, start=Points(start, keep_order=True), legs=tuple(legs), frames=frames
-        )
+        return replace(self, start=Points(start, keep_order=True), legs=tuple(legs), frames=frames)
 
     def warnings(self) -> list[str]:
         """List doubts about a drawn mission, a sentence each."""
@@ -177,9 +175,7 @@ class Formation(Mission):
         return self.steps_per_frame * self.step
 
 
-def legacy_formation(
-    start: Any, legs: Sequence[FormationLeg], **changed: Any
-) -> Formation:
+def legacy_formation(start: Any, legs: Sequence[FormationLeg], **changed: Any) -> Formation:
     """Return the flight as [Lusk2020]'s code has it, so that its tables can be reproduced.
 
     Args:
@@ -190,9 +186,7 @@ def legacy_formation(
     paper: dict[str, Any] = {
         "step": 0.01,
         "control_law": ControlLaw(upright=False),
-        "avoidance": CollisionAvoidance(
-            avoidance_range=1.5, legacy=True, unwrapped_angles=True
-        ),
+        "avoidance": CollisionAvoidance(avoidance_range=1.5, legacy=True, unwrapped_angles=True),
         "assignment": AssignmentSettings("cbaa"),
         "frames": FrameSettings("aligned", 0.0, 0.0, 0.01),
         "supervision": SupervisorSettings(convergence_speed=1.0),

@@ -64,9 +64,7 @@ def locate_neighbors(i, state, roles, swarm, relative, near):
         flat = own * (frames.rotation[j] * complex(heard[0], heard[1]) + complex(o_x, o_y))
         relative[point, 0] = flat.real - own_position[0]
         relative[point, 1] = flat.imag - own_position[1]
-        relative[point, 2] = (
-            heard[2] + frames.origin[j, 2] - frames.origin[i, 2] - own_position[2]
-        )
+        relative[point, 2] = heard[2] + frames.origin[j, 2] - frames.origin[i, 2] - own_position[2]
         near[k] = point
         k += 1
     return k

@@ -47,9 +47,7 @@ class CollisionAvoidance(NamedTuple):
         Angle, Key("aside"), NotNegative, "how much farther it turns right than left"
     ] = 0.35
     blocked_time: Annotated[Time, Positive, "for which a vehicle lets others stop it"] = 3.0
-    wander_time: Annotated[
-        Time, Positive, "for which it then flies in a random direction"
-    ] = 2.0
+    wander_time: Annotated[Time, Positive, "for which it then flies in a random direction"] = 2.0
     legacy: Annotated[
         bool, Key("legacy_avoidance"), "avoidance, limits and size control of the paper's code"
     ] = False
@@ -79,9 +77,9 @@ class SupervisorSettings(NamedTuple):
     convergence_speed: Annotated[
         Speed, Key("settled"), Positive, "commanded speed below which a vehicle has arrived"
     ] = 0.15
-    averaging_window: Annotated[
-        Time, Positive, "over which speeds and avoidance are averaged"
-    ] = 1.0
+    averaging_window: Annotated[Time, Positive, "over which speeds and avoidance are averaged"] = (
+        1.0
+    )
     convergence_time: Annotated[Time, NotNegative, "for which all must have arrived"] = 1.0
     gridlock_share: Annotated[
         float, Positive, Le(1), "of the window in which a gridlocked vehicle avoids others"

@@ -224,7 +224,9 @@ class Estimator(Table):
             Refusal: They do not settle, or exchanges do not fall on control steps.
         """
         said = self.model_dump(exclude={"kind", "exchange_s"}, exclude_none=True)
-        power = default_gains(self.exchange_s, agents)._replace(**{GAINS[key]: value for key, value in said.items()})
+        power = default_gains(self.exchange_s, agents)._replace(
+            **{GAINS[key]: value for key, value in said.items()}
+        )
         if self.kind != "power_pi":
             return power
         whole = max(1, round(step / self.exchange_s))
@@ -241,7 +243,9 @@ class Estimator(Table):
                 f"with these gains the iteration of {agents} robots, or its consensus, does not "
                 f"settle at an exchange every {self.exchange_s:g} s: the spectral radius is "
                 f"{radius:.4g}, and must be below 1; "
-                + listed((f"{key} = {getattr(good, name):.4g}" for key, name in GAINS.items()), "and")
+                + listed(
+                    (f"{key} = {getattr(good, name):.4g}" for key, name in GAINS.items()), "and"
+                )
                 + " would do, and are taken where nothing is said",
             )
         return power

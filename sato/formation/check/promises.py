@@ -27,7 +27,7 @@ def check_promises(record: FormationRecord) -> tuple[Promise, ...]:
     return (
         check_complete(record),
         common.check_attributes(record.attributes, collect_attributes(mission)),
-        common.check_times(np.asarray(frames.time), mission.frame_period),
+        common.check_times(record.time, mission.frame_period),
         common.check_finite(
             frames.alive,
             frames.position,
@@ -182,7 +182,7 @@ def check_legs(record: FormationRecord) -> Promise:
         for k, e in record.events.of_kind(*REPLAYED_EVENTS)
     ]
     odd = len(set(found) ^ set(record.replay.events)) + len(found) - len(set(found))
-    odd += int((record.frames.leg_index != record.replay.leg).sum())
+    odd += int((record.leg_index != record.replay.leg).sum())
     return expect_none("legs", odd, "entries of legs and their events that commands do not give")
 
 

@@ -6,6 +6,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray as Array
 
 from problems.gain_matrix import GainMatrix
 from sato.check.event_log import EventLog
@@ -32,23 +34,35 @@ class FormationRecord:
     @classmethod
     def from_dataset(cls, data: "xarray.Dataset", mission: Formation) -> "FormationRecord":
         """Read the data of a run."""
-        frames, variables = read_frames(FormationFrame, data), read_variables(FormationVariables, data)
+        frames, variables = (
+            read_frames(FormationFrame, data),
+            read_variables(FormationVariables, data),
+        )
         return cls(mission, frames, variables, {str(k): v for k, v in data.attrs.items()})
 
     @classmethod
-    def from_frames(
-        cls, frames: Sequence[FormationFrame], mission: Formation
-    ) -> "FormationRecord":
+    def from_frames(cls, frames: Sequence[FormationFrame], mission: Formation) -> "FormationRecord":
         """Stack the frames of a flight."""
-        stacked = FormationFrame(*map(np.array, zip(*(f[:-1] for f in frames), strict=True)), ())  # type: ignore[arg-type]
+        columns = zip(*(frame[:-1] for frame in frames), strict=True)
+        stacked = [np.array(values) for values in columns]
         events = tuple({"time": f.time, **event} for f in frames for event in f.events)
         variables = collect_variables(frames, mission)
-        return cls(mission, stacked._replace(events=events), variables)
+        return cls(mission, FormationFrame._make([*stacked, events]), variables)
+
+    @property
+    def time(self) -> Float[Array, " instants"]:
+        """Time of each instant [s]."""
+        return np.asarray(self.frames.time)
+
+    @property
+    def leg_index(self) -> Int[Array, " instants"]:
+        """Leg under way at each instant."""
+        return np.asarray(self.frames.leg_index)
 
     @cached_property
     def events(self) -> EventLog:
         """Events of the flight, by instant."""
-        return EventLog(np.asarray(self.frames.time), self.frames.events)
+        return EventLog(self.time, self.frames.events)
 
     @cached_property
     def replay(self) -> Replay:

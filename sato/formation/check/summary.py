@@ -86,7 +86,7 @@ def received_bit_rate(record: FormationRecord) -> float:
     mission, radio, frames = record.mission, record.mission.radio, record.frames
     degree = [float(gains.formation.graph.sum(axis=1).mean()) for gains in mission.gains]
     bits = 0.0
-    for leg in np.asarray(frames.leg_index)[1:]:
+    for leg in record.leg_index[1:]:
         bits += degree[leg] * radio.localization_rate * mission.frame_period
     for _, event in record.events.of_kind("auction"):
         rounds = int(event["rounds"])
@@ -106,6 +106,4 @@ def min_convergence_rate(record: FormationRecord) -> float:
 
 
 def _drop_nonfinite(summary: dict[str, Any]) -> dict[str, Any]:
-    return {
-        k: v for k, v in summary.items() if not (isinstance(v, float) and not np.isfinite(v))
-    }
+    return {k: v for k, v in summary.items() if not (isinstance(v, float) and not np.isfinite(v))}

@@ -1,4 +1,4 @@
-"""The figures of this system; the first is in the manner of the paper's [Lusk2020, Fig. 5]."""
+"""Figures of a formation flight; the first follows [Lusk2020, Fig. 5]."""
 
 from collections.abc import Callable
 from functools import partial
@@ -32,7 +32,7 @@ AUCTION_FIGURES: dict[str, Callable[[FormationRecord], Figure]] = {"assignments"
 
 
 def make_figures(data: "xarray.Dataset", mission: Formation) -> FigureFactories:
-    """The figures of a run; those of `WITH_AUCTIONS` only where vehicles hold auctions."""
+    """Return the figures of a run; those of auctions only where there are any."""
     record = FormationRecord.from_dataset(data, mission)
     auctions = mission.assignment.method in ("cbaa", "vsdaa")
     drawn = FIGURES | AUCTION_FIGURES if auctions else FIGURES

@@ -1,4 +1,4 @@
-"""Auctions: who took another point, and what it took to agree."""
+"""Auctions: changes of assignment, and the messages that they took."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -9,7 +9,7 @@ from sato.formation.figures.time_series import add_leg_names_and_legend, stack_p
 
 
 def plot_assignments(record: FormationRecord) -> Figure:
-    """How many took another point when, and the rounds and bits of every auction."""
+    """Plot the number of changed points over time, and the rounds and bits of every auction."""
     figure, (took, rounds) = stack_panels(record, (1.0, 1.0))
     changed = [(e["time"], len(e["agents"])) for _, e in record.events.of_kind("assignment")]
     played = [(e["time"], e["rounds"]) for _, e in record.events.of_kind("auction")]

@@ -1,4 +1,4 @@
-"""The frames in which vehicles reckon: how they lie, and how they drift [Lusk2020, Fig. 2]."""
+"""Coordinate frames of the agents, and the drift of their odometry [Lusk2020, Fig. 2]."""
 
 from typing import Any
 
@@ -10,20 +10,20 @@ from sato.figures.axes import panel_letter
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, ORANGE, SKY
 from sato.formation.check import FormationRecord
 
-AXIS_LENGTH = 0.3  # length of a drawn axis, in the room that there is for each
+AXIS_LENGTH = 0.3  # of a drawn axis, relative to the mean spacing
 
 
 def plot_coordinate_frames(record: FormationRecord) -> Figure:
-    """Where each vehicle's frame lies and how it is turned, and how its reckoning drifts."""
+    """Plot the pose of each agent's frame, and its odometry drift over time."""
     figure = Figure(figsize=(8.6, 3.9), layout="constrained")
-    lie, drift = figure.subplots(1, 2, width_ratios=(1, 1.35))
-    _plot_poses(lie, record)
+    poses, drift = figure.subplots(1, 2, width_ratios=(1, 1.35))
+    _plot_poses(poses, record)
     _plot_drift(drift, record)
     noise = record.mission.frames.noise
     drift.set_title(
-        f"{panel_letter(1)} drift of reckoning; noise {100 * noise:g} cm on top", loc="left"
+        f"{panel_letter(1)} odometry drift; noise {100 * noise:g} cm on top", loc="left"
     )
-    lie.set_title(f"{panel_letter(0)} frames and starts", loc="left")
+    poses.set_title(f"{panel_letter(0)} frames and starts", loc="left")
     key = [
         Line2D([], [], color=BLUE, lw=1.4, label="x of a frame"),
         Line2D([], [], color=ORANGE, lw=1.4, label="y of a frame"),
@@ -53,8 +53,8 @@ def _plot_poses(ax: Any, record: FormationRecord) -> None:
 
 def _plot_drift(ax: Any, record: FormationRecord) -> None:
     far = 100 * np.linalg.norm(record.frames.frame_drift, axis=2)
-    ax.plot(record.frames.time, far, color=SKY, lw=0.6, alpha=0.8)
-    ax.plot(record.frames.time, np.median(far, axis=1), color=BLUE, lw=1.8)
-    start, end = float(record.frames.time[0]), float(record.frames.time[-1])
+    ax.plot(record.time, far, color=SKY, lw=0.6, alpha=0.8)
+    ax.plot(record.time, np.median(far, axis=1), color=BLUE, lw=1.8)
+    start, end = float(record.time[0]), float(record.time[-1])
     ax.set(xlabel="time [s]", ylabel="drift [cm]", xlim=(start, max(end, start + 1e-9)))
     ax.set_ylim(0, max(1.05 * float(far.max()), 1.0))

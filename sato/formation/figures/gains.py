@@ -1,4 +1,4 @@
-"""Gains of each shape: on the graph, and as matrices."""
+"""Gains of each formation: on the graph, and as matrices."""
 
 from typing import Any, NamedTuple
 
@@ -15,26 +15,26 @@ from sato.figures.axes import panel_letter
 from sato.figures.style import DARK_GRAY
 from sato.formation.check import FormationRecord
 
-# From pale to dark, told apart by the color-blind, and from white by all.
+# From pale to dark, distinct to color-blind readers, and all distinct from white.
 COLORMAP = ListedColormap(colormaps["YlGnBu"](np.linspace(0.15, 1, 256)))
-MAX_ANNOTATED_POINTS = 8  # points, up to which entries are written out
+MAX_ANNOTATED_POINTS = 8  # up to which entries are written out
 
 
 class Layout(NamedTuple):
-    """Where the three panels of a shape are."""
+    """Arrangement of the three panels of a formation."""
 
     mosaic: list[list[str]]
-    rows: list[float]  # their heights, to one another
+    rows: list[float]  # relative heights
     width: float  # [in]
     height: float  # [in]
 
 
-SQUARE_LAYOUT = Layout([["graph", "plane", "upwards"]], [1.0], 10.2, 3.65)
-WIDE_LAYOUT = Layout([["graph", "graph"], ["plane", "upwards"]], [0.5, 1.0], 7.6, 5.9)
+SQUARE_LAYOUT = Layout([["graph", "plane", "vertical"]], [1.0], 10.2, 3.65)
+WIDE_LAYOUT = Layout([["graph", "graph"], ["plane", "vertical"]], [0.5, 1.0], 7.6, 5.9)
 
 
 def plot_gains(record: FormationRecord) -> Figure:
-    """The graph of every shape, its edges by |A_ij|, and |A| in the plane and upwards."""
+    """Plot the graph of every formation, its edges by |A_ij|, and |A| in the plane and vertical."""
     shapes = _unique_gains(record.mission.gains)
     layouts = [WIDE_LAYOUT if _is_wide(shape) else SQUARE_LAYOUT for shape in shapes]
     heights = [layout.height for layout in layouts]
@@ -43,15 +43,15 @@ def plot_gains(record: FormationRecord) -> Figure:
     parts = figure.subfigures(len(shapes), 1, squeeze=False, height_ratios=heights)[:, 0]
     for number, (part, layout, shape) in enumerate(zip(parts, layouts, shapes, strict=True)):
         axes = part.subplot_mosaic(layout.mosaic, height_ratios=layout.rows)
-        plane, upwards = _edge_magnitudes(shape, shape.xy), _edge_magnitudes(shape, shape.z)
-        norm = Normalize(0, float(max(np.nanmax(plane), np.nanmax(upwards))))
+        plane, vertical = _edge_magnitudes(shape, shape.xy), _edge_magnitudes(shape, shape.z)
+        norm = Normalize(0, float(max(np.nanmax(plane), np.nanmax(vertical))))
         _plot_graph(axes["graph"], shape, plane, norm)
         axes["graph"].set_title(f"{panel_letter(number)} {_graph_title(shape)}")
         _plot_matrix(axes["plane"], plane, norm)
         axes["plane"].set_title(_matrix_title("in the plane", shape.rate_xy, shape.bound_xy))
-        image = _plot_matrix(axes["upwards"], upwards, norm)
-        axes["upwards"].set_title(_matrix_title("upwards", shape.rate_z, shape.bound_z))
-        part.colorbar(image, ax=axes["upwards"], label="|A$_{ij}$| [1/s]", shrink=0.85)
+        image = _plot_matrix(axes["vertical"], vertical, norm)
+        axes["vertical"].set_title(_matrix_title("vertical", shape.rate_z, shape.bound_z))
+        part.colorbar(image, ax=axes["vertical"], label="|A$_{ij}$| [1/s]", shrink=0.85)
     return figure
 
 
@@ -69,7 +69,7 @@ def _unique_gains(shapes: tuple[GainMatrix, ...]) -> list[GainMatrix]:
 
 
 def _edge_magnitudes(shape: GainMatrix, A: Array) -> Float[Array, "n n"]:
-    # The diagonal is minus the sum of its row, and would outshine all others.
+    # The diagonal, minus the sum of its row, would dominate the color scale.
     return np.where(shape.formation.graph, np.abs(A), np.nan)
 
 

@@ -30,7 +30,7 @@ class PhaseSpan(NamedTuple):
 
 def phase_spans(record: FormationRecord) -> list[PhaseSpan]:
     """Divide a flight into phases, from start to end without gaps."""
-    labels, time = [PHASE_LABELS[phase] for phase in record.replay.phase], _time(record)
+    labels, time = [PHASE_LABELS[phase] for phase in record.replay.phase], record.time
     edges = [0, *(k for k in range(1, len(labels)) if labels[k] != labels[k - 1]), len(labels) - 1]
     return [
         PhaseSpan(labels[a], float(time[a]), float(time[b])) for a, b in pairwise(edges) if b > a
@@ -40,7 +40,7 @@ def phase_spans(record: FormationRecord) -> list[PhaseSpan]:
 def is_leg_active(record: FormationRecord) -> Bool[Array, " instants"]:
     """Tell at which instants a formation is flown to, or held."""
     active = [phase is not Phase.WAITING for phase in record.replay.phase]
-    return np.pad(np.array(active), (0, len(_time(record)) - len(active)))
+    return np.pad(np.array(active), (0, len(record.time) - len(active)))
 
 
 def formation_name(record: FormationRecord, leg: int) -> str:
@@ -51,7 +51,3 @@ def formation_name(record: FormationRecord, leg: int) -> str:
 def subsample(count: int, most: int) -> Int[Array, " kept"]:
     """Return at most so many of the first numbers, evenly spaced, with first and last."""
     return np.unique(np.round(np.linspace(0, count - 1, min(count, most))).astype(int))
-
-
-def _time(record: FormationRecord) -> Array:
-    return np.asarray(record.frames.time)

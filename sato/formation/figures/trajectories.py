@@ -1,4 +1,4 @@
-"""Where vehicles went at the end of each leg [Lusk2020, Fig. 5]."""
+"""Trajectories at the end of each leg [Lusk2020, Fig. 5]."""
 
 from math import ceil
 from typing import Any, NamedTuple
@@ -23,7 +23,7 @@ from sato.formation.shape_error import compute_shape_error
 SHOWN_TIME = 40.0  # of a leg, shown [s]
 VEHICLE_DIAMETER = 0.5  # of a vehicle [Lusk2020, sec. V] [m]
 MAX_PIECES = 300  # of a trace, at most
-MAX_DRAWN_EDGES = 60  # edges, up to which they are drawn
+MAX_DRAWN_EDGES = 60  # up to which edges are drawn
 MIN_OPACITY = 0.2  # of a trace where it begins, against where it ends
 MARGIN = 1.0  # around what is shown [m]
 MAX_COLUMNS = 3
@@ -34,24 +34,24 @@ VIEW_AXES = {"top": (0, 1), "side": (0, 2)}
 
 
 class LegScene(NamedTuple):
-    """The end of a leg, in the axes of its shape: as if the shape had not been turned."""
+    """End of a leg, in the axes of its formation."""
 
     title: str
     formation: DesiredFormation
     positions: Float[Array, "instants agents 3"]  # [m]
     reassignment_positions: Float[
         Array, "turns 3"
-    ]  # where somebody under way took another point [m]
+    ]  # where agents under way were assigned another point [m]
     is_avoiding: Bool[Array, " agents"]  # at the end
 
 
 def plot_paths(record: FormationRecord) -> Figure:
-    """The last 40 s of each leg from above, and from the side where the shape is not flat.
+    """Plot the last 40 s of each leg from above, and from the side unless all are flat.
 
-    All panels have one scale, and vehicles are as large as they are. Each is drawn in the axes
-    of its shape, which lies where it fits the vehicles best at the end.
+    All panels have one scale, in which vehicles are to scale too. Each leg is drawn in the
+    axes of its formation, aligned with the vehicles at the end.
     """
-    last = len(record.frames.time) - 1
+    last = len(record.time) - 1
     legs = record.replay.legs or (FormationLegRecord(0, 0, last, last, completed=False),)
     scenes = [_make_scene(record, leg, i) for i, leg in enumerate(legs)]
     columns = min(len(scenes), MAX_COLUMNS) if len(scenes) != 4 else 2
@@ -71,7 +71,7 @@ def plot_paths(record: FormationRecord) -> Figure:
 
 def _make_scene(record: FormationRecord, leg: FormationLegRecord, number: int) -> LegScene:
     formation = record.mission.gains[leg.leg].formation
-    first = np.searchsorted(record.frames.time, record.frames.time[leg.last_instant] - SHOWN_TIME)
+    first = np.searchsorted(record.time, record.time[leg.last_instant] - SHOWN_TIME)
     window = np.arange(max(leg.first_instant, int(first)), leg.last_instant + 1)
     held, end = (
         formation.points[record.frames.point_index[leg.last_instant]],
@@ -83,11 +83,9 @@ def _make_scene(record: FormationRecord, leg: FormationLegRecord, number: int) -
     path = np.stack([flat.real, flat.imag, z], axis=-1)
     before = np.maximum(window - 1, leg.first_instant)
     changed = record.frames.point_index[window] != record.frames.point_index[before]
-    changed &= is_leg_active(record)[before, None]  # not those with whom it begins
-    how = "" if leg.completed else "not settled, "
-    name = ", ".join(
-        filter(None, (f"leg {leg.leg + 1}", formation_name(record, leg.leg)))
-    )
+    changed &= is_leg_active(record)[before, None]  # not the first assignment
+    how = "" if leg.completed else "not converged, "
+    name = ", ".join(filter(None, (f"leg {leg.leg + 1}", formation_name(record, leg.leg))))
     degrees = round(float(np.degrees(pose.yaw))) % 360
     title = (
         f"{panel_letter(number)} {name}\n{how}"
@@ -107,7 +105,7 @@ def _has_depth(scene: LegScene) -> bool:
 
 
 def _scene_size(scenes: list[LegScene]) -> Float[Array, " 3"]:
-    # What the largest scene needs; all get as much, so that all have one scale.
+    # All scenes have the size of the largest, so that all have one scale.
     sizes = [np.ptp(s.positions.reshape(-1, 3), axis=0) for s in scenes]
     sizes += [np.ptp(s.formation.points, axis=0) for s in scenes]
     size = np.max(sizes, axis=0) + 2 * MARGIN
@@ -173,7 +171,7 @@ def _draw_scene(ax: Any, scene: LegScene, shown: tuple[int, int]) -> None:
 
 
 def _fading_paths(path: Float[Array, "k agents 2"]) -> LineCollection:
-    # One piece after the other in time, so that what is later lies above what is earlier.
+    # Pieces in the order of time, so that later ones lie above earlier ones.
     pieces = np.stack([path[:-1], path[1:]], axis=2).reshape(-1, 2, 2)
     age = np.linspace(1, 0, max(len(path) - 1, 1))[: len(path) - 1, None]
     strength = 1 - (1 - MIN_OPACITY) * age**2
@@ -197,13 +195,13 @@ def _legend_handles(scenes: list[LegScene]) -> list[Any]:
             "mfc": "white",
             "mec": RED,
         }
-        key.append(Line2D([], [], **ring, label="takes another point here"))
+        key.append(Line2D([], [], **ring, label="assigned another point here"))
     key.append(
         Line2D([], [], **disc, color=DARK_GRAY, label=f"vehicle, {VEHICLE_DIAMETER:g} m wide")
     )
     if any(s.is_avoiding.any() for s in scenes):
         key.append(Line2D([], [], **disc, color=ORANGE, label="avoids others at the end"))
-    key.append(Line2D([], [], ls="", marker="+", ms=5, color=GRAY, label="point of the shape"))
+    key.append(Line2D([], [], ls="", marker="+", ms=5, color=GRAY, label="point of the formation"))
     if any(s.formation.graph.sum() / 2 <= MAX_DRAWN_EDGES for s in scenes):
-        key.append(Line2D([], [], color=LIGHT_GRAY, lw=0.8, label="who measure each other"))
+        key.append(Line2D([], [], color=LIGHT_GRAY, lw=0.8, label="neighbors"))
     return key
