@@ -1,7 +1,7 @@
-"""The programme of `Central` as CasADi and IPOPT take it: sparse, with exact derivatives.
+"""Nonlinear program of `CentralizedProblem` for CasADi and IPOPT, sparse with exact derivatives.
 
-Multiple shooting: states and controls are unknown, and the motion is an equation of each
-step. Places are in units of R, speeds of R/Δt, controls of U.
+Multiple shooting: states and controls are variables, and the dynamics are equations of each
+step. Positions are in units of R, velocities of R/Δt, controls of U.
 """
 
 from math import isfinite
@@ -16,7 +16,7 @@ from dynamics import DiscreteModel
 from problems.convexify import AvoidanceHorizon
 from problems.transfer import TransferProblem
 
-NORM_INITIAL_SLACK = 0.1  # of U, by which a guess of ‖u‖₂ begins above what it bounds
+NORM_INITIAL_SLACK = 0.1  # of U, initial slack of the variable that bounds ‖u‖₂
 IPOPT_OPTIONS: dict[str, Any] = {
     "print_level": 0,
     "sb": "yes",
@@ -27,41 +27,39 @@ IPOPT_OPTIONS: dict[str, Any] = {
     "mu_strategy": "adaptive",
 }
 
-# From an answer that lacks little: the barrier begins low, and what costs the same stays put.
+# From a nearly feasible point: a low initial barrier keeps the solution near it.
 WARM_START_OPTIONS = IPOPT_OPTIONS | {
     "mu_strategy": "monotone",
     "mu_init": 1e-4,
     "bound_push": 1e-5,
     "bound_frac": 1e-5,
 }
-PROXIMAL_WEIGHT = (
-    1e-3  # of (u / U)² back to the answer before; where that is an optimum, it is still one
-)
+PROXIMAL_WEIGHT = 1e-3  # of ‖(u − u₀)/U‖² to the last solution u₀; an optimum u₀ stays optimal
 
 InitialGuess = tuple[Float[Array, "agents instants n"], Float[Array, "agents T m"]]
 
 
 class SeparationConstraints(NamedTuple):
-    """When two agents are kept apart: a row each."""
+    """Instants at which two agents keep a distance, one a row."""
 
     pair: Int[Array, "rows 2"]
     piece: Int[Array, " rows"]
     fraction: Float[Array, " rows"]  # of the piece, in [0, 1]
-    min_distance: Float[Array, " rows"]  # the distance that is kept then, in units of R
+    min_distance: Float[Array, " rows"]  # in units of R
 
     def concatenate(self, more: "SeparationConstraints") -> "SeparationConstraints":
-        """These and others."""
+        """Append other constraints."""
         return SeparationConstraints(
             *(np.concatenate(both) for both in zip(self, more, strict=True))
         )
 
     @property
     def time(self) -> Float[Array, " rows"]:
-        """In pieces, from the beginning."""
+        """Time since the start in units of a piece."""
         return np.asarray(self.piece + self.fraction)
 
     def shift(self, by: float, last: int) -> "SeparationConstraints":
-        """So many pieces later, but not before the first piece or after the last."""
+        """Move the instants by a number of pieces, clipped to the first and the last piece."""
         time = np.clip(self.time + by, 0, last + 1)
         piece = np.minimum(time.astype(int), last)
         return self._replace(piece=piece, fraction=time - piece)
@@ -69,7 +67,7 @@ class SeparationConstraints(NamedTuple):
     def enlarge_distance(
         self, where: "SeparationConstraints", by: Float[Array, " others"], span: float
     ) -> "SeparationConstraints":
-        """The same pairs kept further apart at what is within so many pieces of others."""
+        """Enlarge the distance of the same pairs within a span of pieces of other constraints."""
         same = (self.pair[:, None] == where.pair).all(axis=-1)
         near = same & (np.abs(self.time[:, None] - where.time) <= span)
         return self._replace(
@@ -78,9 +76,9 @@ class SeparationConstraints(NamedTuple):
 
 
 class NonlinearProgram(NamedTuple):
-    """What is unknown, what is wanted of it, and within what bounds."""
+    """Variables, objective and bounded constraints as CasADi expressions."""
 
-    variables: Any  # z: states, u⁺ and u⁻ or u, ‖u‖₂ where it is the fuel, differences of places
+    variables: Any  # z: states, u⁺ and u⁻ or u, ‖u‖₂ if fuel, relative positions
     objective: Any  # fuel in units of U Δt
     constraints: Any  # g(z)
     lower: Float[Array, " rows"]  # ≤ g(z)
@@ -88,12 +86,12 @@ class NonlinearProgram(NamedTuple):
 
     @property
     def to_casadi(self) -> dict[str, Any]:
-        """As CasADi names it."""
+        """Return the program under the names of CasADi."""
         return {"x": self.variables, "f": self.objective, "g": self.constraints}
 
 
 def state_units(transfer: TransferProblem, horizon: AvoidanceHorizon) -> Float[Array, " n"]:
-    """Of each state: R for a place, R/Δt for a speed."""
+    """Return the scale of each state: R for positions, R/Δt for velocities."""
     R = horizon.collision_radius
     return np.repeat([R, R / transfer.model.dt], transfer.model.axes)
 
@@ -106,27 +104,30 @@ def solve_nlp(
     constraints: SeparationConstraints,
     is_warm_start: bool = False,
 ) -> tuple[Array, Array, str]:
-    """Descend from a guess; states, controls and IPOPT's word, which is not to be believed.
+    """Solve the program from an initial guess.
 
     Args:
         transfer: Dynamics, limits and norms.
-        horizon: How paths run between samples.
-        ends: Where agents begin, and where they are to arrive.
-        guess: States and controls, which need not belong together.
-        instants: When who is kept apart, and by how much.
-        nearby: Whether the guess is an answer that lacks little, to stay by.
+        horizon: Control points of the pieces between samples.
+        ends: Initial and terminal states.
+        guess: States and controls, not necessarily consistent.
+        constraints: Instants and distances of pairs.
+        is_warm_start: True for a nearly feasible guess, to stay near.
+
+    Returns:
+        States, controls and the status that IPOPT reports, which is not verified.
     """
     import casadi
 
     unit, U = state_units(transfer, horizon), transfer.max_control
     x, u = guess[0] / unit, guess[1] / U
-    programme = build_nlp(transfer, horizon, len(x), constraints, u if is_warm_start else None)
+    program = build_nlp(transfer, horizon, len(x), constraints, u if is_warm_start else None)
     lower, upper = np.full((2, *x.shape), np.inf)
     lower *= -1
     for side in (lower, upper):
         side[:, 0], side[:, -1] = ends[0] / unit, ends[1] / unit
     Dx, Du = relative_position_maps(horizon, unit, U, len(x), constraints)
-    apart = Dx @ x.ravel() + Du @ u.ravel()
+    relative = Dx @ x.ravel() + Du @ u.ravel()
     size = (
         np.linalg.norm(u, axis=-1).ravel() + NORM_INITIAL_SLACK
         if transfer.fuel_norm == 2
@@ -135,19 +136,19 @@ def solve_nlp(
     signs = (1, -1)[: _variables_per_control(transfer)]
     controls = np.stack([np.maximum(sign * u, 0) for sign in signs] if len(signs) == 2 else [u])
     least = 0.0 if len(signs) == 2 else -1.0
-    free = np.full(len(size) + len(apart), np.inf)
+    free = np.full(len(size) + len(relative), np.inf)
     below = np.concatenate([np.zeros(len(size)), -free[len(size) :]])
     settings: dict[str, Any] = {
         "ipopt": WARM_START_OPTIONS if is_warm_start else IPOPT_OPTIONS,
         "print_time": False,
     }
-    solver = casadi.nlpsol("central", "ipopt", programme.to_casadi, settings)
+    solver = casadi.nlpsol("central", "ipopt", program.to_casadi, settings)
     found = solver(
-        x0=np.concatenate([x.ravel(), controls.ravel(), size, apart]),
+        x0=np.concatenate([x.ravel(), controls.ravel(), size, relative]),
         lbx=np.concatenate([lower.ravel(), np.full(controls.size, least), below]),
         ubx=np.concatenate([upper.ravel(), np.ones(controls.size), free]),
-        lbg=programme.lower,
-        ubg=programme.upper,
+        lbg=program.lower,
+        ubg=program.upper,
     )
     z = np.asarray(found["x"]).ravel()
     answer = z[x.size : x.size + controls.size].reshape(controls.shape)
@@ -156,7 +157,7 @@ def solve_nlp(
 
 
 def _variables_per_control(transfer: TransferProblem) -> int:
-    """Unknowns for each control: u⁺ and u⁻ where a 1-norm needs them."""
+    """Return the number of variables per control: u⁺ and u⁻ where a 1-norm needs them."""
     return 2 if 1 in (transfer.fuel_norm, transfer.control_norm) else 1
 
 
@@ -164,10 +165,10 @@ def build_nlp(
     transfer: TransferProblem,
     horizon: AvoidanceHorizon,
     agents: int,
-    instants: SeparationConstraints,
-    by: Float[Array, "agents T m"] | None = None,
+    constraints: SeparationConstraints,
+    u0: Float[Array, "agents T m"] | None = None,
 ) -> NonlinearProgram:
-    """The programme in CasADi's symbols, with a pull towards controls, if any are given."""
+    """Build the program, with a proximal term towards given controls u₀ in units of U."""
     import casadi
 
     steps, unit, U = transfer.model, state_units(transfer, horizon), transfer.max_control
@@ -185,9 +186,9 @@ def build_nlp(
     if isfinite(transfer.max_speed) and T > 1:
         v = casadi.reshape(x, n, (T + 1) * agents)[m:, :]
         inside = [i * (T + 1) + k for i in range(agents) for k in range(1, T)]
-        fastest = (transfer.max_speed / unit[-1]) ** 2
+        speed_limit = (transfer.max_speed / unit[-1]) ** 2
         rows.append(casadi.sum1(v[:, inside] ** 2).T)
-        bounds.append((np.full(len(inside), -np.inf), np.full(len(inside), fastest)))
+        bounds.append((np.full(len(inside), -np.inf), np.full(len(inside), speed_limit)))
 
     squares = casadi.sum1(casadi.reshape(u, m, T * agents) ** 2).T
     sums = casadi.sum1(casadi.reshape(sum(parts), m, T * agents)).T
@@ -195,33 +196,33 @@ def build_nlp(
         rows.append(squares if transfer.control_norm == 2 else sums)
         bounds.append((np.full(T * agents, -np.inf), np.ones(T * agents)))
 
-    # Differences of places are unknowns of their own: so second derivatives stand on the diagonal.
-    apart = casadi.MX.sym("apart", transfer.model.axes, len(instants.piece))
-    if len(instants.piece):
-        Dx, Du = map(_to_dm, relative_position_maps(horizon, unit, U, agents, instants))
-        rows.append(Dx @ casadi.vec(x) + Du @ casadi.vec(u) - casadi.vec(apart))
-        bounds.append((np.zeros(apart.numel()),) * 2)
-        rows.append(casadi.sum1(apart**2).T)
-        far = np.full(len(instants.piece), np.inf)
-        bounds.append((instants.min_distance**2, far))
+    # Relative positions as variables make second derivatives diagonal.
+    relative = casadi.MX.sym("relative", transfer.model.axes, len(constraints.piece))
+    if len(constraints.piece):
+        Dx, Du = map(_to_dm, relative_position_maps(horizon, unit, U, agents, constraints))
+        rows.append(Dx @ casadi.vec(x) + Du @ casadi.vec(u) - casadi.vec(relative))
+        bounds.append((np.zeros(relative.numel()),) * 2)
+        rows.append(casadi.sum1(relative**2).T)
+        far = np.full(len(constraints.piece), np.inf)
+        bounds.append((constraints.min_distance**2, far))
 
-    # The 2-norm has no derivative at 0: it is an unknown σ ≥ 0 with σ² ≥ ‖u‖².
+    # The 2-norm has no derivative at 0: a variable σ ≥ 0 with σ² ≥ ‖u‖² replaces it.
     size = casadi.MX.sym("size", T * agents if transfer.fuel_norm == 2 else 0)
     if transfer.fuel_norm == 2:
         rows.append(squares - size**2)
         bounds.append((np.full(T * agents, -np.inf), np.zeros(T * agents)))
-    least, most = (np.concatenate(side) for side in zip(*bounds, strict=True))
-    unknown = casadi.vertcat(*(casadi.vec(part) for part in (x, *parts, size, apart)))
+    lower, upper = (np.concatenate(side) for side in zip(*bounds, strict=True))
+    unknown = casadi.vertcat(*(casadi.vec(part) for part in (x, *parts, size, relative)))
     cost = casadi.sum1(size if transfer.fuel_norm == 2 else sums)
-    if by is not None:
-        cost += PROXIMAL_WEIGHT * casadi.sumsqr(u - by.reshape(agents, T * m).T)
-    return NonlinearProgram(unknown, cost, casadi.vertcat(*rows), least, most)
+    if u0 is not None:
+        cost += PROXIMAL_WEIGHT * casadi.sumsqr(u - u0.reshape(agents, T * m).T)
+    return NonlinearProgram(unknown, cost, casadi.vertcat(*rows), lower, upper)
 
 
 def dynamics_equations(
     steps: DiscreteModel, unit: Float[Array, " n"], U: float
 ) -> tuple[csc_matrix, csc_matrix, Float[Array, " rows"]]:
-    """E, F and e of E x + F u = e: every step of one agent, in the units of the programme."""
+    """Build E, F and e of E x + F u = e, the scaled dynamics of one agent over all steps."""
     T, n = len(steps), len(unit)
     A = steps.A * unit / unit[:, None]
     on_x = eye_array(T * n, (T + 1) * n, k=n) - hstack(
@@ -236,21 +237,21 @@ def relative_position_maps(
     unit: Float[Array, " n"],
     U: float,
     agents: int,
-    instants: SeparationConstraints,
+    constraints: SeparationConstraints,
 ) -> tuple[csc_matrix, csc_matrix]:
-    """Dx and Du: places of one less those of the other, in units of R, are Dx x + Du u.
+    """Build Dx and Du of the relative positions Dx x + Du u, in units of R.
 
-    All states, and all controls, in one column, agent by agent.
+    x and u are the scaled states and controls of all agents as columns, agent by agent.
     """
-    P, Q, _ = horizon.control_point_maps  # what is common to all drops out
+    P, Q, _ = horizon.control_point_maps  # r cancels in differences
     T, S, _, d, n = P.shape
-    t, s = instants.fraction, 1 - instants.fraction
+    t, s = constraints.fraction, 1 - constraints.fraction
     bernstein = np.stack([s**3, 3 * s**2 * t, 3 * s * t**2, t**3], axis=1)
-    step, part = np.divmod(instants.piece, S)
+    step, part = np.divmod(constraints.piece, S)
     on_x = np.einsum("ki,kidn->kdn", bernstein, P[step, part]) * unit / horizon.collision_radius
     on_u = np.einsum("ki,kidm->kdm", bernstein, Q[step, part]) * U / horizon.collision_radius
-    first_x = (instants.pair * (T + 1) + step[:, None]) * n
-    first_u = (instants.pair * T + step[:, None]) * d
+    first_x = (constraints.pair * (T + 1) + step[:, None]) * n
+    first_u = (constraints.pair * T + step[:, None]) * d
     return (
         _subtract_blocks(on_x, first_x, agents * (T + 1) * n),
         _subtract_blocks(on_u, first_u, agents * T * d),
@@ -260,7 +261,7 @@ def relative_position_maps(
 def _subtract_blocks(
     blocks: Float[Array, "k d w"], first: Int[Array, "k 2"], columns: int
 ) -> csc_matrix:
-    """Each block at its first column, less the same at its second."""
+    """Place each block at its first column and its negative at the second."""
     k, d, w = blocks.shape
     row = np.broadcast_to(np.arange(k * d).reshape(k, d, 1), blocks.shape).ravel()
     own, other = (
@@ -283,4 +284,4 @@ def _to_dm(sparse: csc_matrix) -> Any:
 
 
 def _format_status(stats: dict[str, Any]) -> str:
-    return f"IPOPT says {stats['return_status']} after {stats['iter_count']} iterations"
+    return f"IPOPT reports {stats['return_status']} after {stats['iter_count']} iterations"

@@ -1,7 +1,8 @@
-"""λ₂ and its eigenvectors of one graph after another, each little different from the last.
+"""Tracking of λ₂ and its eigenvectors over slowly changing graphs.
 
-Inverse iteration on three vectors, from where the last graph left them, is several times as fast
-as all eigenvectors of a hundred robots; and one factorisation shows that nothing was missed.
+Inverse iteration on three vectors, from those of the last graph, is several times as fast
+as a full eigendecomposition for a hundred agents. One Cholesky factorization proves the
+result.
 """
 
 from typing import no_type_check
@@ -11,61 +12,61 @@ import numpy as np
 
 from problems.interaction_graph import MULTIPLICITY_TOLERANCE
 
-DENSE_MAX_AGENTS = 20  # robots up to which all eigenvectors together are as fast
-SHIFT_FACTOR = 0.95  # of λ₂ as the last vectors have it: no eigenvalue may lie below
-RESIDUAL_TOLERANCE = 1e-7  # |L v − λ v| with which an eigenvector is taken
-MAX_ITERATIONS = 12  # of the iteration before it is given up for all eigenvectors
+DENSE_MAX_AGENTS = 20  # up to here a full eigendecomposition is as fast
+SHIFT_FACTOR = 0.95  # of the first Rayleigh quotient: no eigenvalue may lie below
+RESIDUAL_TOLERANCE = 1e-7  # ‖L v − λ v‖ of an accepted eigenvector
+MAX_ITERATIONS = 12  # inverse iterations before a full eigendecomposition
 
 
 @no_type_check
 @numba.njit
 def fiedler_vectors(L, basis):
-    """λ₂ of a Laplacian, and its eigenvectors.
+    """Compute λ₂ of a Laplacian and its eigenvectors.
 
-    That no eigenvalue lies below 0.95 of what is found, the constant vector's aside, is proven by
-    a Cholesky factorisation of L − 0.95 λ₂ I. Where there is none, the graph has changed much
-    since the last time, and all eigenvectors are computed.
+    A Cholesky factorization of L − 0.95 λ₂ I proves that no eigenvalue lies below 0.95 λ₂,
+    except for that of the constant vector. Where it fails, the graph has changed much since
+    the last call, and all eigenvectors are computed.
 
     Args:
-        L: The Laplacian, of two robots or more, (m, m).
-        basis: The eigenvectors after the constant one as they were of the last graph, or
-            anything, (3, m). Changed in place: those of this graph, if there are so many.
+        L: Laplacian of two agents or more, (m, m).
+        basis: Initial vectors, for example the eigenvectors of the last graph after the
+            constant one, (3, m). Changed in place to those of this graph.
 
     Returns:
-        λ₂, and an orthonormal basis of its eigenvectors, (s, m).
+        λ₂ and an orthonormal basis of its eigenvectors, (s, m).
     """
-    m, three = len(L), np.full(3, np.inf)
-    if m > DENSE_MAX_AGENTS and _inverse_iteration(L, basis, three):
-        same = _multiplicity(three)
-        if same < 3:
-            return three[0], basis[:same].copy()
+    m, ritz_values = len(L), np.full(3, np.inf)
+    if m > DENSE_MAX_AGENTS and _inverse_iteration(L, basis, ritz_values):
+        count = _multiplicity(ritz_values)
+        if count < 3:
+            return ritz_values[0], basis[:count].copy()
     value, vector = np.linalg.eigh(L)
-    above = np.ascontiguousarray(vector[:, 1:].T)
+    following = np.ascontiguousarray(vector[:, 1:].T)
     for k in range(min(3, m - 1)):
-        basis[k] = above[k]
-    return value[1], above[: _multiplicity(value[1:])]
+        basis[k] = following[k]
+    return value[1], following[: _multiplicity(value[1:])]
 
 
 @no_type_check
 @numba.njit
 def _multiplicity(value):
-    # How many of them, in order, are the first one, but for rounding.
-    same = 1
-    while same < len(value) and value[same] - value[0] <= MULTIPLICITY_TOLERANCE * max(
+    # Number of ascending eigenvalues that equal the first one but for rounding.
+    count = 1
+    while count < len(value) and value[count] - value[0] <= MULTIPLICITY_TOLERANCE * max(
         1.0, value[0]
     ):
-        same += 1
-    return same
+        count += 1
+    return count
 
 
-# Sums may be taken in any order: they are four times as fast.
+# Sums in any order are four times as fast.
 _njit = numba.njit(fastmath={"reassoc", "contract"})
 
 
 @no_type_check
 @_njit
 def _inverse_iteration(L, basis, value):
-    # Whether λ₂ was found from the last eigenvectors, and proven.
+    # True where λ₂ was found from the initial vectors, and proven.
     m = len(L)
     image = np.empty((3, m))
     if not _orthonormalize(basis):
@@ -84,11 +85,11 @@ def _inverse_iteration(L, basis, value):
         if not _orthonormalize(basis):
             return False
         _rayleigh_ritz(L, basis, image, value)
-        worst = 0.0
+        max_residual = 0.0
         for k in range(_multiplicity(value)):
-            off = image[k] - value[k] * basis[k]
-            worst = max(worst, np.sqrt(_dot(off, off)))
-        if worst <= RESIDUAL_TOLERANCE:
+            residual = image[k] - value[k] * basis[k]
+            max_residual = max(max_residual, np.sqrt(_dot(residual, residual)))
+        if max_residual <= RESIDUAL_TOLERANCE:
             return True
     return False
 
@@ -96,7 +97,7 @@ def _inverse_iteration(L, basis, value):
 @no_type_check
 @_njit
 def _orthonormalize(basis):
-    # Gram and Schmidt, twice over, the constant vector first; False if nothing is left of one.
+    # Gram–Schmidt twice, after the constant vector; False where the vectors are dependent.
     for k in range(3):
         v = basis[k]
         for _ in range(2):
@@ -113,17 +114,17 @@ def _orthonormalize(basis):
 @no_type_check
 @_njit
 def _rayleigh_ritz(L, basis, image, value):
-    # The best that can be made of a basis: its eigenvectors of L, in order, and their images.
-    small = np.zeros((3, 3))
+    # Ritz vectors of L in the span of the basis, ascending, and their images under L.
+    projected = np.zeros((3, 3))
     for k in range(3):
         for i in range(len(L)):
             image[k, i] = _dot(L[i], basis[k])
         for j in range(k + 1):
-            small[k, j] = small[j, k] = _dot(basis[j], image[k])
-    found, turn = np.linalg.eigh(small)
-    value[:] = found
-    basis[:] = turn.T @ basis
-    image[:] = turn.T @ image
+            projected[k, j] = projected[j, k] = _dot(basis[j], image[k])
+    ritz_values, rotation = np.linalg.eigh(projected)
+    value[:] = ritz_values
+    basis[:] = rotation.T @ basis
+    image[:] = rotation.T @ image
 
 
 @no_type_check
@@ -138,13 +139,13 @@ def _dot(x, y):
 @no_type_check
 @_njit
 def _factor_cholesky(lower):
-    # Cholesky, in place of the lower triangle. False if a pivot is not positive.
+    # Cholesky factorization in the lower triangle; False where a pivot is not positive.
     for i in range(len(lower)):
         for j in range(i):
-            rest = lower[i, j]
+            entry = lower[i, j]
             for k in range(j):
-                rest -= lower[i, k] * lower[j, k]
-            lower[i, j] = rest / lower[j, j]
+                entry -= lower[i, k] * lower[j, k]
+            lower[i, j] = entry / lower[j, j]
         pivot = lower[i, i]
         for k in range(i):
             pivot -= lower[i, k] * lower[i, k]
@@ -157,7 +158,7 @@ def _factor_cholesky(lower):
 @no_type_check
 @_njit
 def _solve_cholesky(lower, basis):
-    # For three right sides at once, in place of them.
+    # Solve for three right-hand sides in place.
     x, y, z = basis
     for i in range(len(lower)):
         a, b, c = x[i], y[i], z[i]

@@ -1,7 +1,7 @@
-"""Who can see whom, and how well the swarm hangs together: weights, λ₂ and its gradient.
+"""Interaction graph of mutual visibility: edge weights, λ₂ and its gradient.
 
-The weights of [Bernard2023, eq. 6–11] and their gradients, eq. 12–13, with what is misprinted
-there put right: a robot's bearing as the other one has it is β_ji = −(ⁱR_j)ᵀ β_ij.
+The weights of [Bernard2023, eq. 6–11] and their gradients, eq. 12–13, with a misprint
+corrected: the bearing in the other agent's body frame is β_ji = −(ⁱR_j)ᵀ β_ij.
 """
 
 from math import cos, pi, sin, sqrt
@@ -12,34 +12,32 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-MULTIPLICITY_TOLERANCE = 1e-7  # eigenvalues of the Laplacian that are no farther apart count as one
+MULTIPLICITY_TOLERANCE = 1e-7  # eigenvalues within this distance count as one
 DEFAULT_OPTICAL_AXIS = (1 / sqrt(2), 1 / sqrt(2), 0.0)
 
 
 class Camera(NamedTuple):
-    """Range and field of view of a robot's camera [Bernard2023, Table I]."""
+    """Range and field of view of an agent's camera [Bernard2023, Table I]."""
 
-    d_min: float = 1.0  # nearer, nothing is seen [m]
-    d_near: float = 3.0  # D1: from here on, all is seen [m]
-    d_far: float = 7.0  # D2: to here [m]
-    d_max: float = 9.0  # farther, nothing [m]
-    a_min: float = 0.4  # cosine from the optical axis below which nothing is seen
-    a_max: float = 0.95  # and above which all is
-    optical_axis: tuple[float, float, float] = (
-        DEFAULT_OPTICAL_AXIS  # the optical axis in the body frame
-    )
+    d_min: float = 1.0  # nothing is visible nearer [m]
+    d_near: float = 3.0  # D1, full weight from here [m]
+    d_far: float = 7.0  # D2, full weight up to here [m]
+    d_max: float = 9.0  # nothing is visible farther [m]
+    a_min: float = 0.4  # cosine from the optical axis below which nothing is visible
+    a_max: float = 0.95  # cosine above which the weight is full
+    optical_axis: tuple[float, float, float] = DEFAULT_OPTICAL_AXIS  # in the body frame
 
 
 class InteractionGraph(NamedTuple):
-    """Weights of the edges of one swarm, or of many."""
+    """Edge weights of one swarm or of several."""
 
     weights: Float[Array, "*k n n"]  # A_ij, symmetric
-    fov_weights: Float[Array, "*k n n"]  # f*_ij: how well i has j in its field of view
-    range_weights: Float[Array, "*k n n"]  # γ_ij: how good the distance is
+    fov_weights: Float[Array, "*k n n"]  # f*_ij, of j in the field of view of i
+    range_weights: Float[Array, "*k n n"]  # γ_ij, of the distance
 
 
 class AlgebraicConnectivity(NamedTuple):
-    """The connectivity eigenvalue, and what it feels of every edge."""
+    """Algebraic connectivity and its derivative by the edge weights."""
 
     lambda2: Float[Array, "*k"]
     lambda3: Float[Array, "*k"]
@@ -47,7 +45,7 @@ class AlgebraicConnectivity(NamedTuple):
 
 
 class Lambda2Gradient(NamedTuple):
-    """How λ₂ changes with where the robots are, and look."""
+    """Gradient of λ₂ with respect to positions and yaws."""
 
     position: Float[Array, "*k n 3"]  # in the world frame [1/m]
     yaw: Float[Array, "*k n"]  # [1/rad]
@@ -56,7 +54,7 @@ class Lambda2Gradient(NamedTuple):
 @no_type_check
 @numba.njit(cache=True)
 def cosine_ramp(x, low, high):
-    """From 0 at `low` to 1 at `high`, along half a cosine [Bernard2023, eq. 7]."""
+    """Rise from 0 at `low` to 1 at `high` along half a cosine [Bernard2023, eq. 7]."""
     if x <= low:
         return 0.0
     return 1.0 if x >= high else (1 - cos(pi * (x - low) / (high - low))) / 2
@@ -65,7 +63,7 @@ def cosine_ramp(x, low, high):
 @no_type_check
 @numba.njit(cache=True)
 def cosine_ramp_derivative(x, low, high):
-    """The derivative of `rise`."""
+    """Differentiate `cosine_ramp` with respect to x."""
     if x <= low or x >= high:
         return 0.0
     return pi / (2 * (high - low)) * sin(pi * (x - low) / (high - low))
@@ -73,181 +71,187 @@ def cosine_ramp_derivative(x, low, high):
 
 @no_type_check
 @numba.njit(cache=True)
-def range_weight(d, sight):
-    """γ and its derivative at a distance [Bernard2023, eq. 9]."""
-    near, far = (
-        cosine_ramp(d, sight.d_min, sight.d_near),
-        1 - cosine_ramp(d, sight.d_far, sight.d_max),
-    )
-    steeper = cosine_ramp_derivative(d, sight.d_min, sight.d_near) * far
-    return near * far, steeper - near * cosine_ramp_derivative(d, sight.d_far, sight.d_max)
+def range_weight(d, camera):
+    """Compute γ and its derivative at a distance [Bernard2023, eq. 9]."""
+    near = cosine_ramp(d, camera.d_min, camera.d_near)
+    far = 1 - cosine_ramp(d, camera.d_far, camera.d_max)
+    rise = cosine_ramp_derivative(d, camera.d_min, camera.d_near) * far
+    return near * far, rise - near * cosine_ramp_derivative(d, camera.d_far, camera.d_max)
 
 
 @no_type_check
 @numba.njit(cache=True)
-def edge_weight(d, mine, theirs, yaw, sees_other, seen_by_other, sight, motion):
-    """Weight of an edge, and its gradient, as one of its two robots computes them.
+def edge_weight(d, own, other, yaw, sees_other, seen_by_other, camera, gradient):
+    """Compute the weight of edge i–j and its gradient, from quantities known to agent i.
 
     Args:
-        d: Distance of the two [m].
-        mine: β_ij, bearing of the other one in this one's body frame, (3,).
-        theirs: β_ji, bearing of this one in the other one's, (3,).
-        yaw: ψ_ij = ψ_j − ψ_i, of the other one's frame in this one's [rad].
-        sees: Whether this one has the other in sight; what it does not see has f* = 0.
-        seen: Whether the other one has this one in sight.
-        sight: The cameras.
-        motion: Where the gradient goes, (4,): ∂A_ij/∂p_i in the body frame [1/m], ∂A_ij/∂ψ_i.
+        d: Distance of the two agents [m].
+        own: β_ij, bearing of j in the body frame of i, (3,).
+        other: β_ji, bearing of i in the body frame of j, (3,).
+        yaw: ψ_ij = ψ_j − ψ_i, yaw of j relative to i [rad].
+        sees_other: True where i sees j; otherwise f*_ij = 0.
+        seen_by_other: True where j sees i; otherwise f*_ji = 0.
+        camera: Camera of every agent.
+        gradient: Output, (4,): ∂A_ij/∂p_i in the body frame of i [1/m] and ∂A_ij/∂ψ_i [1/rad].
 
     Returns:
         A_ij, f*_ij and f*_ji [Bernard2023, eq. 6, 10–13].
     """
-    o_x, o_y, o_z = sight.optical_axis
-    motion[:] = 0.0
-    if not (sees_other or seen_by_other) or d <= sight.d_min or d >= sight.d_max:
+    o_x, o_y, o_z = camera.optical_axis
+    gradient[:] = 0.0
+    if not (sees_other or seen_by_other) or d <= camera.d_min or d >= camera.d_max:
         return 0.0, 0.0, 0.0
-    a = o_x * mine[0] + o_y * mine[1] + o_z * mine[2]
-    b = o_x * theirs[0] + o_y * theirs[1] + o_z * theirs[2]
-    f = cosine_ramp(a, sight.a_min, sight.a_max) if sees_other else 0.0
-    g = cosine_ramp(b, sight.a_min, sight.a_max) if seen_by_other else 0.0
-    gamma, steep = range_weight(d, sight)
+    a = o_x * own[0] + o_y * own[1] + o_z * own[2]
+    b = o_x * other[0] + o_y * other[1] + o_z * other[2]
+    f = cosine_ramp(a, camera.a_min, camera.a_max) if sees_other else 0.0
+    g = cosine_ramp(b, camera.a_min, camera.a_max) if seen_by_other else 0.0
+    gamma, range_slope = range_weight(d, camera)
     view = f + g - f * g
     rate_f = (
-        gamma * (1 - g) * cosine_ramp_derivative(a, sight.a_min, sight.a_max) if sees_other else 0.0
+        gamma * (1 - g) * cosine_ramp_derivative(a, camera.a_min, camera.a_max)
+        if sees_other
+        else 0.0
     )
     rate_g = (
-        gamma * (1 - f) * cosine_ramp_derivative(b, sight.a_min, sight.a_max)
+        gamma * (1 - f) * cosine_ramp_derivative(b, camera.a_min, camera.a_max)
         if seen_by_other
         else 0.0
     )
     # ⁱR_j P_ji o_C, with P = I − β βᵀ
     c, s = cos(yaw), sin(yaw)
-    q_x, q_y, q_z = o_x - b * theirs[0], o_y - b * theirs[1], o_z - b * theirs[2]
-    motion[0] = (rate_g * (c * q_x - s * q_y) - rate_f * (o_x - a * mine[0])) / d
-    motion[1] = (rate_g * (s * q_x + c * q_y) - rate_f * (o_y - a * mine[1])) / d
-    motion[2] = (rate_g * q_z - rate_f * (o_z - a * mine[2])) / d
+    q_x, q_y, q_z = (
+        o_x - b * other[0],
+        o_y - b * other[1],
+        o_z - b * other[2],
+    )
+    gradient[0] = (rate_g * (c * q_x - s * q_y) - rate_f * (o_x - a * own[0])) / d
+    gradient[1] = (rate_g * (s * q_x + c * q_y) - rate_f * (o_y - a * own[1])) / d
+    gradient[2] = (rate_g * q_z - rate_f * (o_z - a * own[2])) / d
     for k in range(3):
-        motion[k] -= view * steep * mine[k]
-    motion[3] = -rate_f * (o_y * mine[0] - o_x * mine[1])
+        gradient[k] -= view * range_slope * own[k]
+    gradient[3] = -rate_f * (o_y * own[0] - o_x * own[1])
     return gamma * view, f, g
 
 
 def interaction_graph(
-    position: Float[Array, "*k n 3"], yaw: Float[Array, "*k n"], sight: Camera
+    position: Float[Array, "*k n 3"], yaw: Float[Array, "*k n"], camera: Camera
 ) -> InteractionGraph:
-    """Weights of all edges [Bernard2023, eq. 6–11].
+    """Compute the weights of all edges [Bernard2023, eq. 6–11].
 
     Args:
-        position: In the world frame [m].
-        yaw: Of the body frames [rad].
-        sight: The cameras.
+        position: Positions in the world frame [m].
+        yaw: Yaws of the body frames [rad].
+        camera: Camera of every agent.
     """
     *k, n, _ = position.shape
-    found = np.zeros((3, *k, n, n))
-    flat = found.reshape(3, -1, n, n)
-    _fill_weights(position.reshape(-1, n, 3), yaw.reshape(-1, n), sight, flat)
-    return InteractionGraph(*found)
+    weights = np.zeros((3, *k, n, n))
+    flat = weights.reshape(3, -1, n, n)
+    _fill_weights(position.reshape(-1, n, 3), yaw.reshape(-1, n), camera, flat)
+    return InteractionGraph(*weights)
 
 
 @no_type_check
 @numba.njit(cache=True)
-def _fill_weights(position, yaw, sight, found):
-    motion, mine, theirs = np.zeros(4), np.zeros(3), np.zeros(3)
+def _fill_weights(position, yaw, camera, weights):
+    gradient, own, other = np.zeros(4), np.zeros(3), np.zeros(3)
     for k in range(len(position)):
         for i in range(position.shape[1]):
             for j in range(i):
-                d = bearings(position[k], yaw[k], i, j, mine, theirs)
-                turn = yaw[k, j] - yaw[k, i]
-                weight, f, g = edge_weight(d, mine, theirs, turn, True, True, sight, motion)
-                found[0, k, i, j] = found[0, k, j, i] = weight
-                found[1, k, i, j], found[1, k, j, i] = f, g
-                found[2, k, i, j] = found[2, k, j, i] = range_weight(d, sight)[0]
+                d = bearings(position[k], yaw[k], i, j, own, other)
+                relative_yaw = yaw[k, j] - yaw[k, i]
+                weight, f, g = edge_weight(
+                    d, own, other, relative_yaw, True, True, camera, gradient
+                )
+                weights[0, k, i, j] = weights[0, k, j, i] = weight
+                weights[1, k, i, j], weights[1, k, j, i] = f, g
+                weights[2, k, i, j] = weights[2, k, j, i] = range_weight(d, camera)[0]
 
 
 @no_type_check
 @numba.njit(cache=True)
-def bearings(position, yaw, i, j, mine, theirs):
-    """Bearing of robot j in i's body frame, of i in j's, and their distance [m].
+def bearings(position, yaw, i, j, own, other):
+    """Compute both bearings of agents i and j, and return their distance [m].
 
     Args:
-        position: In the world frame, (n, 3) [m].
-        yaw: Of the body frames, (n,) [rad].
-        i: One robot.
-        j: The other one.
-        mine: Where β_ij goes, (3,).
-        theirs: Where β_ji goes, (3,).
+        position: Positions in the world frame, (n, 3) [m].
+        yaw: Yaws of the body frames, (n,) [rad].
+        i: Index of one agent.
+        j: Index of the other agent.
+        own: Output β_ij, bearing of j in the body frame of i, (3,).
+        other: Output β_ji, bearing of i in the body frame of j, (3,).
     """
     x, y = position[j, 0] - position[i, 0], position[j, 1] - position[i, 1]
     z = position[j, 2] - position[i, 2]
     d = sqrt(x * x + y * y + z * z)
-    over = 1 / d if d > 0 else 0.0
+    scale = 1 / d if d > 0 else 0.0
     c, s = cos(yaw[i]), sin(yaw[i])
-    mine[0], mine[1], mine[2] = (c * x + s * y) * over, (c * y - s * x) * over, z * over
+    own[0], own[1], own[2] = (c * x + s * y) * scale, (c * y - s * x) * scale, z * scale
     c, s = cos(yaw[j]), sin(yaw[j])
-    theirs[0], theirs[1], theirs[2] = -(c * x + s * y) * over, (s * x - c * y) * over, -z * over
+    other[0], other[1], other[2] = -(c * x + s * y) * scale, (s * x - c * y) * scale, -z * scale
     return d
 
 
 def laplacian(weight: Float[Array, "*k n n"]) -> Float[Array, "*k n n"]:
-    """L = diag(Σ_j A_ij) − A."""
+    """Build the Laplacian L = diag(Σ_j A_ij) − A."""
     n = weight.shape[-1]
     return np.asarray(weight.sum(axis=-1)[..., None] * np.eye(n) - weight)
 
 
 def algebraic_connectivity(weight: Float[Array, "*k n n"]) -> AlgebraicConnectivity:
-    """λ₂ of the Laplacian, and its derivatives with respect to the weights.
+    """Compute λ₂ of the Laplacian and its derivatives with respect to the weights.
 
-    Where λ₂ is not simple it has no gradient, and what an eigenvalue routine makes of one
-    depends on the basis that it happens to choose. Then `felt` is the mean over the
-    eigenvectors of λ₂: the derivative of the mean of those eigenvalues that coincide there,
-    which is smooth and the same whichever basis was found.
+    A multiple λ₂ has no gradient, and the result would depend on the basis of its
+    eigenvectors. There `weight_gradient` is the mean over these eigenvectors: the derivative
+    of the mean of the coinciding eigenvalues, which is smooth and independent of the basis.
 
     Args:
-        weight: Weights of the edges, of at least two robots.
+        weight: Edge weights of at least two agents.
     """
     value, vector = np.linalg.eigh(laplacian(weight))
-    same = np.abs(value[..., 1:] - value[..., 1:2]) <= MULTIPLICITY_TOLERANCE * np.maximum(
+    equal = np.abs(value[..., 1:] - value[..., 1:2]) <= MULTIPLICITY_TOLERANCE * np.maximum(
         1, value[..., 1:2]
     )
-    apart = vector[..., :, None, 1:] - vector[..., None, :, 1:]
-    felt = np.einsum("...ijm,...m->...ij", apart**2, same / same.sum(axis=-1, keepdims=True))
+    diff = vector[..., :, None, 1:] - vector[..., None, :, 1:]
+    shares = equal / equal.sum(axis=-1, keepdims=True)
+    weight_gradient = np.einsum("...ijm,...m->...ij", diff**2, shares)
     third = value[..., 2] if value.shape[-1] > 2 else np.full_like(value[..., 1], np.inf)
-    return AlgebraicConnectivity(value[..., 1], third, felt)
+    return AlgebraicConnectivity(value[..., 1], third, weight_gradient)
 
 
 def lambda2_gradient(
-    position: Float[Array, "*k n 3"], yaw: Float[Array, "*k n"], sight: Camera
+    position: Float[Array, "*k n 3"], yaw: Float[Array, "*k n"], camera: Camera
 ) -> Lambda2Gradient:
-    """The gradient of λ₂ [Bernard2023, eq. 4].
+    """Compute the gradient of λ₂ [Bernard2023, eq. 4].
 
     Args:
-        position: In the world frame [m].
-        yaw: Of the body frames [rad].
-        sight: The cameras.
+        position: Positions in the world frame [m].
+        yaw: Yaws of the body frames [rad].
+        camera: Camera of every agent.
     """
     *k, n, _ = position.shape
-    felt = algebraic_connectivity(
-        interaction_graph(position, yaw, sight).weights
-    ).weight_gradient.reshape(-1, n, n)
-    by_position, by_yaw = np.zeros((len(felt), n, 3)), np.zeros((len(felt), n))
+    weights = interaction_graph(position, yaw, camera).weights
+    by_weight = algebraic_connectivity(weights).weight_gradient.reshape(-1, n, n)
+    by_position, by_yaw = np.zeros((len(by_weight), n, 3)), np.zeros((len(by_weight), n))
     _accumulate_gradient(
-        position.reshape(-1, n, 3), yaw.reshape(-1, n), sight, felt, by_position, by_yaw
+        position.reshape(-1, n, 3), yaw.reshape(-1, n), camera, by_weight, by_position, by_yaw
     )
     return Lambda2Gradient(by_position.reshape(*k, n, 3), by_yaw.reshape(*k, n))
 
 
 @no_type_check
 @numba.njit(cache=True)
-def _accumulate_gradient(position, yaw, sight, felt, by_position, by_yaw):
-    motion, mine, theirs = np.zeros(4), np.zeros(3), np.zeros(3)
+def _accumulate_gradient(position, yaw, camera, by_weight, by_position, by_yaw):
+    gradient, own, other = np.zeros(4), np.zeros(3), np.zeros(3)
     for k in range(len(position)):
         for i in range(position.shape[1]):
             c, s = cos(yaw[k, i]), sin(yaw[k, i])
             for j in range(position.shape[1]):
                 if j == i:
                     continue
-                d = bearings(position[k], yaw[k], i, j, mine, theirs)
-                edge_weight(d, mine, theirs, yaw[k, j] - yaw[k, i], True, True, sight, motion)
-                by_position[k, i, 0] += felt[k, i, j] * (c * motion[0] - s * motion[1])
-                by_position[k, i, 1] += felt[k, i, j] * (s * motion[0] + c * motion[1])
-                by_position[k, i, 2] += felt[k, i, j] * motion[2]
-                by_yaw[k, i] += felt[k, i, j] * motion[3]
+                d = bearings(position[k], yaw[k], i, j, own, other)
+                relative_yaw = yaw[k, j] - yaw[k, i]
+                edge_weight(d, own, other, relative_yaw, True, True, camera, gradient)
+                by_position[k, i, 0] += by_weight[k, i, j] * (c * gradient[0] - s * gradient[1])
+                by_position[k, i, 1] += by_weight[k, i, j] * (s * gradient[0] + c * gradient[1])
+                by_position[k, i, 2] += by_weight[k, i, j] * gradient[2]
+                by_yaw[k, i] += by_weight[k, i, j] * gradient[3]

@@ -1,16 +1,14 @@
-"""Whether distances along the edges hold a formation together, in the plane or in space.
+"""Rigidity of measurement graphs in the plane or in space, by rank tests.
 
-Help for who draws a graph, and no condition for gains: these turn and scale what they see
-instead of keeping distances. [Lusk2020] asks for universal rigidity, which is enough. Less may
-do: a pyramid with too few edges to be rigid even from above has gains in the plane. And to be
-rigid is not enough: two storeys of three that see only each other have none. Whether there are
-gains is answered by designing them.
+A guide for drawing graphs, and no condition for gains: gains rotate and scale measured
+positions instead of keeping distances. [Lusk2020] requires universal rigidity, which is
+sufficient. Less may do: a pyramid with too few edges to be rigid in the plane has horizontal
+gains. And rigidity is not sufficient: two levels of three agents that measure only each other
+have none. `gain_design` decides whether there are gains.
 
-Three questions, each harder than the one before. Rigid: no small motion keeps all lengths.
-Redundantly rigid: nor does one if any one edge is lost. Globally rigid: no other shape at
-all has the same lengths. Of a graph they are asked at points in general position, where
-almost all points give the same answer; a special position, as flat or symmetric, may move
-where others do not, and `flexes` tells how.
+Rigid: no infinitesimal motion keeps all lengths. Redundantly rigid: rigid after the loss of any
+one edge. Globally rigid: no other shape has the same lengths. All three are properties of a
+graph at points in general position, where almost all points give the same answer.
 """
 
 from typing import Literal
@@ -20,16 +18,16 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 from scipy.linalg import null_space
 
-RANK_TOLERANCE = 1e-9  # relative: singular values below are zeros, rounded
+RANK_TOLERANCE = 1e-9  # relative: smaller singular values are zeros with rounding errors
 Dimension = Literal[2, 3]
 
 
 def rigidity_matrix(
     points: Float[Array, "n d"], graph: Bool[Array, "n n"]
 ) -> Float[Array, "edges n*d"]:
-    """How fast half the squared length of each edge changes with the points.
+    """Differentiate half the squared length of each edge with respect to the points.
 
-    The row of edge i–j holds p_i − p_j at the columns of i and p_j − p_i at those of j; rows
+    The row of edge i–j holds p_i − p_j in the columns of i and p_j − p_i in those of j; rows
     are in the order of `edges`.
     """
     n, d = points.shape
@@ -42,7 +40,7 @@ def rigidity_matrix(
 
 
 def edges(graph: Bool[Array, "n n"]) -> tuple[Array, Array]:
-    """The two ends of every edge, the lower number first."""
+    """Return both vertices of every edge, the lower number first."""
     i, j = np.nonzero(np.triu(graph, 1))
     return i, j
 
@@ -50,39 +48,40 @@ def edges(graph: Bool[Array, "n n"]) -> tuple[Array, Array]:
 def infinitesimal_flexes(
     points: Float[Array, "n d"], graph: Bool[Array, "n n"]
 ) -> Float[Array, "flexes n d"]:
-    """The ways in which the points can start to move with all lengths kept.
+    """Find an orthonormal basis of the infinitesimal motions that keep all lengths.
 
-    Motions of the shape as a whole are left out: those given are orthogonal to them and to
-    each other. A flat shape of n points has at least n − 3 of them in space, whatever its
-    graph, since nothing holds its points in the plane at first order.
+    Motions of the shape as a whole are excluded. A flat shape of n points has at least n − 3
+    flexes in space with any graph, since nothing holds its points in the plane to first order.
     """
     n, d = points.shape
     shape = (points - points.mean(axis=0)) / max(float(np.ptp(points, axis=0).max()), 1e-300)
-    shifts = np.tile(np.eye(d), n)
-    turns = np.zeros((d * (d - 1) // 2, n, d))
+    translations = np.tile(np.eye(d), n)
+    rotations = np.zeros((d * (d - 1) // 2, n, d))
     for k, (a, b) in enumerate(zip(*np.triu_indices(d, 1), strict=True)):
-        turns[k, :, a], turns[k, :, b] = -shape[:, b], shape[:, a]
-    held = np.vstack([rigidity_matrix(shape, graph), shifts, turns.reshape(len(turns), -1)])
-    return np.ascontiguousarray(null_space(held, rcond=RANK_TOLERANCE).T).reshape(-1, n, d)
+        rotations[k, :, a], rotations[k, :, b] = -shape[:, b], shape[:, a]
+    constraints = np.vstack(
+        [rigidity_matrix(shape, graph), translations, rotations.reshape(len(rotations), -1)]
+    )
+    return np.ascontiguousarray(null_space(constraints, rcond=RANK_TOLERANCE).T).reshape(-1, n, d)
 
 
 def is_infinitesimally_rigid(points: Float[Array, "n d"], graph: Bool[Array, "n n"]) -> bool:
-    """Whether the shape, where it is, cannot start to move with all lengths kept."""
+    """Return True where no infinitesimal motion of these points keeps all lengths."""
     return len(infinitesimal_flexes(points, graph)) == 0
 
 
 def is_rigid(graph: Bool[Array, "n n"], dimension: Dimension, rng: np.random.Generator) -> bool:
-    """Whether the graph is rigid at points in general position."""
+    """Return True where the graph is rigid at points in general position."""
     return is_infinitesimally_rigid(_generic_points(graph, dimension, rng), graph)
 
 
 def is_redundantly_rigid(
     graph: Bool[Array, "n n"], dimension: Dimension, rng: np.random.Generator
 ) -> bool:
-    """Whether the graph stays rigid, in general position, when any one of its edges is lost.
+    """Return True where the graph stays rigid, in general position, without any one edge.
 
-    An edge can be spared if and only if some stress of the edges, in equilibrium at every
-    point, loads it: then the row of the edge is a combination of the others.
+    An edge is redundant if and only if some equilibrium stress loads it: then its row of the
+    rigidity matrix is a combination of the others.
     """
     points = _generic_points(graph, dimension, rng)
     loads = np.abs(_self_stresses(points, graph)).max(axis=1, initial=0.0)
@@ -92,19 +91,19 @@ def is_redundantly_rigid(
 def is_globally_rigid(
     graph: Bool[Array, "n n"], dimension: Dimension, rng: np.random.Generator
 ) -> bool:
-    """Whether its lengths fix the shape, in general position, up to motions and mirroring.
+    """Return True where the lengths fix the shape, in general position, up to congruence.
 
-    So it is if and only if a stress of the edges at random has a matrix of rank n − d − 1
-    [Gortler2010]; up to d + 1 points, if the graph is complete.
+    That holds if and only if the matrix of a random equilibrium stress has rank n − d − 1
+    [Gortler2010]; up to d + 1 points, if and only if the graph is complete.
     """
     n = len(graph)
     if n <= dimension + 1:
         return bool((graph | np.eye(n, dtype=bool)).all())
     stresses = _self_stresses(_generic_points(graph, dimension, rng), graph)
-    load = stresses @ rng.normal(size=stresses.shape[1])
+    stress = stresses @ rng.normal(size=stresses.shape[1])
     i, j = edges(graph)
     Ω = np.zeros((n, n))
-    Ω[i, j] = Ω[j, i] = -load
+    Ω[i, j] = Ω[j, i] = -stress
     Ω[np.diag_indices(n)] = -Ω.sum(axis=1)
     return int(np.linalg.matrix_rank(Ω, rtol=RANK_TOLERANCE)) == n - dimension - 1
 
@@ -114,6 +113,6 @@ def _generic_points(graph: Array, dimension: int, rng: np.random.Generator) -> A
 
 
 def _self_stresses(points: Array, graph: Array) -> Array:
-    # Columns span the loads of the edges that are in equilibrium at every point.
-    loads: Array = null_space(rigidity_matrix(points, graph).T, rcond=RANK_TOLERANCE)
-    return loads
+    # Columns span the stresses that are in equilibrium at every point.
+    stresses: Array = null_space(rigidity_matrix(points, graph).T, rcond=RANK_TOLERANCE)
+    return stresses
