@@ -1,9 +1,9 @@
-"""The whole swarm as one nonconvex programme: Problem 3 [Morgan2016, eq. 19], in CasADi.
+"""Centralized reconfiguration of a swarm: Problem 3 [Morgan2016, eq. 19], nonconvex, in CasADi.
 
-What a distributed method gives away is seen against this, for few agents: nobody has priority,
-and all know all. Local optima are many, so it is begun from several guesses, and what counts
-is the best answer that stands when it is flown again from its controls alone. IPOPT is not
-safe among threads: use processes.
+A reference for distributed methods with few agents: it has no priorities and full information.
+Local optima are many, so the program is solved from several initial guesses, and the result is
+the best solution that is feasible when simulated from its controls alone. IPOPT is not
+thread-safe: use processes.
 """
 
 from collections.abc import Sequence
@@ -24,108 +24,111 @@ from problems.conic import Unsolved
 from problems.convexify import SEPARATION_TOLERANCE, AvoidanceHorizon, are_balls_separated
 from problems.transfer import TransferProblem, compute_fuel
 
-FEASIBILITY_TOLERANCE = 1e-6  # of what recomputing shows, in the units of `Central.unit`
-PROXIMITY_FACTOR = 2.0  # times R: who comes closer in the guess is kept apart there from the first,
-CONSTRAINTS_PER_STEP = 4  # at this many in a step, or at the ends of its pieces
-MAX_ITERATIONS = 12  # of solving again with the instants at which an answer comes too close
-ITERATIONS_BEFORE_PADDING = 3  # after which more is kept than is asked, whatever was missing
-MAX_PADDING = 1e-4  # of R, the most that is added in a round: who lacks less has it added at once
+FEASIBILITY_TOLERANCE = 1e-6  # of simulated violations, in `state_units`
+PROXIMITY_FACTOR = 2.0  # times R: pairs that come closer in the guess get constraints at once,
+CONSTRAINTS_PER_STEP = 4  # at so many instants a step, or at the ends of its pieces
+MAX_ITERATIONS = 12  # solutions with additional instants of too is_small a separation
+ITERATIONS_BEFORE_PADDING = 3  # after which the required distance is padded for any violation
+MIN_DISTANCE = 1 + SEPARATION_TOLERANCE  # of R, without padding
+MAX_PADDING = 1e-4  # of R, largest increase per iteration; smaller violations are padded at once
 
 
 class SimulatedSolution(NamedTuple):
-    """Controls of all agents, flown again, and what that shows."""
+    """Controls of all agents, their simulation, and its violations."""
 
     x: Float[Array, "agents instants n"]
     u: Float[Array, "agents T m"]
     fuel: float  # Δt Σ Σ ‖u‖ [m/s]
-    terminal_error: float  # distance from a goal at the end, in units of R and R/Δt
-    control_violation: float  # above U, as a part of it
-    speed_violation: float  # above V, as a part of it
-    min_separation: float  # least along the continuous paths, as a part of R
-    solver_message: str  # how the solver ended
-    padding: float = 0.0  # most that it was made to keep beyond R (1 + HOLD), in units of R
+    terminal_error: float  # largest over agents, in units of R and R/Δt
+    control_violation: float  # relative to U
+    speed_violation: float  # relative to V
+    min_separation: float  # over continuous time, relative to R
+    solver_message: str  # status that the solver reported
+    padding: float = 0.0  # largest required distance beyond R (1 + tolerance), in units of R
 
     @property
     def max_violation(self) -> float:
-        """The largest violation; NaN where one of them is."""
-        broken = [
-            self.terminal_error,
-            self.control_violation,
-            self.speed_violation,
-            1 - self.min_separation,
-            0.0,
-        ]
-        return float(np.max(np.array(broken)))
+        """Largest violation; NaN where one of them is NaN."""
+        separation = 1 - self.min_separation
+        limits = self.control_violation, self.speed_violation
+        return float(np.max(np.array([self.terminal_error, *limits, separation, 0.0])))
 
     @property
     def is_feasible(self) -> bool:
-        """Whether it keeps everything."""
+        """True where all constraints hold within the tolerance."""
         return self.max_violation <= FEASIBILITY_TOLERANCE
 
     def __str__(self) -> str:
-        """What was found."""
+        """Summarize fuel and violations."""
         return (
-            f"{self.solver_message}: fuel {self.fuel:.6g} m/s, missed {self.terminal_error:.1e}, "
-            f"thrust over {self.control_violation:.1e}, speed over {self.speed_violation:.1e}, "
-            + _format_separation(self.min_separation)
+            f"{self.solver_message}: fuel {self.fuel:.6g} m/s, terminal error "
+            f"{self.terminal_error:.1e}, control above its limit by {self.control_violation:.1e}, "
+            f"speed by {self.speed_violation:.1e}, " + _format_separation(self.min_separation)
         )
 
 
 class NoFeasibleSolution(Unsolved):
-    """No guess led to an answer that keeps everything. That proves nothing, but is evidence."""
+    """No initial guess led to a feasible solution, which does not prove infeasibility.
+
+    Attributes:
+        solutions: The guesses and their solutions, with their violations.
+    """
 
     def __init__(self, problem: object, tried: tuple[SimulatedSolution, ...]) -> None:
-        """Keep all that was tried."""
+        """Keep all solutions."""
         least = min(tried, key=lambda t: t.max_violation if isfinite(t.max_violation) else inf)
-        nearest = f"the nearest was {least}" if isfinite(least.max_violation) else "none is finite"
-        why = f"none of {len(tried)} answers keeps everything; {nearest}"
-        super().__init__(problem, why)
+        nearest = f"the nearest is {least}" if isfinite(least.max_violation) else "none is finite"
+        super().__init__(problem, f"none of {len(tried)} solutions is feasible; {nearest}")
         self.solutions = tried
 
 
 class CentralizedResult(NamedTuple):
-    """The best that was found, and all that was tried."""
+    """Best feasible solution, and all solutions."""
 
     best: SimulatedSolution
-    solutions: tuple[SimulatedSolution, ...]  # the guesses themselves, and then what each led to
+    solutions: tuple[SimulatedSolution, ...]  # the guesses themselves, then their solutions
 
 
 @dataclass(frozen=True, eq=False)
 class CentralizedProblem:
-    """Transfers of all agents at once that stay apart.
+    """Joint transfers of all agents without collisions.
 
-        minimise    Δt Σᵢ Σₖ ‖uᵢ[k]‖_q
+        minimize    Δt Σᵢ Σₖ ‖uᵢ[k]‖_q
         subject to  xᵢ[k+1] = A[k] xᵢ[k] + B[k] uᵢ[k] + z[k]     (10)
                     ‖uᵢ[k]‖_r ≤ U                                (12)
                     xᵢ[0] = startᵢ,  xᵢ[T] = goalᵢ               (14), (18)
                     ‖H xᵢ[k]‖₂ ≤ V,  k = 1 … T−1                 (66)
                     ‖pᵢ(t) − pⱼ(t)‖₂ ≥ R  for all t              (13)
 
-    The distance is kept along the cubic pieces of the paths and not at samples alone: it is
-    written for some instants, and for those at which an answer still comes too close, until it
-    comes too close at none. Flights among the half-spaces of `convexify` keep it, so they are
-    points of this programme; it allows more, because hulls are larger than paths.
+    The distance holds along the cubic pieces of the trajectories, not only at samples: it is
+    imposed at some instants, then at those where a solution still comes too close, until there
+    are none. Trajectories among the half-spaces of `convexify` are feasible points of this
+    program, which admits more, because hulls are larger than trajectories.
 
-    A slope in the weights of the transfer is left out.
+    The tie-break weights of the transfer are ignored.
+
+    Raises:
+        ValueError: The transfer has no steps or another length than the horizon, or fuel_norm
+            is "inf".
     """
 
     transfer: TransferProblem
-    horizon: AvoidanceHorizon  # as long as the transfer
+    horizon: AvoidanceHorizon  # of the same length
 
     def __post_init__(self) -> None:
-        """Refuse what is not written here."""
+        """Refuse unsupported norms and inconsistent lengths."""
         self.transfer.require_steps()
         if self.transfer.fuel_norm == "inf":
-            raise ValueError("fuel in the inf-norm is not written here: fuel_norm = 1 or 2 is")
+            raise ValueError('fuel_norm "inf" is not supported: use fuel_norm = 1 or 2')
         if self.horizon.steps != len(self.transfer.model):
             raise ValueError(
-                f"distances are looked for over {self.horizon.steps} steps, "
-                f"and the transfer takes {len(self.transfer.model)}"
+                f"the horizon must be as long as the transfer: got {self.horizon.steps} steps "
+                f"and {len(self.transfer.model)}"
             )
 
     @cached_property
     def state_units(self) -> Float[Array, " n"]:
-        """Of each state: R for a place, R/Δt for a speed."""
+        """Scale of each state: R for positions, R/Δt for velocities."""
         return state_units(self.transfer, self.horizon)
 
     def solve(
@@ -134,35 +137,35 @@ class CentralizedProblem:
         goal: Float[Array, "agents n"],
         guesses: Sequence[InitialGuess],
     ) -> CentralizedResult:
-        """The best of what the guesses are, where they stand already, and of what they lead to.
+        """Solve from each guess and return the best feasible solution, guesses included.
 
         Args:
-            start: States at the beginning; apart.
-            goal: States at the end; apart.
-            guesses: Where to begin; states and controls need not belong together.
+            start: Initial states without collisions.
+            goal: Terminal states without collisions.
+            guesses: Initial guesses; states and controls need not be consistent.
 
         Raises:
-            NoneStands: No answer keeps everything, by recomputation.
-            ValueError: Two starts or two goals are too close, or there is no guess, or one
-                that is not finite.
+            NoFeasibleSolution: No simulated solution satisfies all constraints.
+            ValueError: Two starts or two goals are too close, there is no guess, or a guess is
+                not finite.
         """
         self._validate(start, goal, guesses)
-        tried = [self.simulate(start, goal, u, "a guess") for _, u in guesses]
+        tried = [self.simulate(start, goal, u, "initial guess") for _, u in guesses]
         for guess in guesses:
             tried.append(self._solve_from(start, goal, guess, _least_fuel(tried)))
-        standing = [t for t in tried if t.is_feasible]
-        if not standing:
+        feasible = [t for t in tried if t.is_feasible]
+        if not feasible:
             raise NoFeasibleSolution(self, tuple(tried))
-        return CentralizedResult(min(standing, key=lambda t: t.fuel), tuple(tried))
+        return CentralizedResult(min(feasible, key=lambda t: t.fuel), tuple(tried))
 
     def simulate(
         self,
         start: Float[Array, "agents n"],
         goal: Float[Array, "agents n"],
         u: Float[Array, "agents T m"],
-        said: str,
+        solver_message: str,
     ) -> SimulatedSolution:
-        """Recompute everything from the controls alone."""
+        """Simulate the controls and compute all violations."""
         transfer, d = self.transfer, self.transfer.model.axes
         x = transfer.model.simulate(start, u)
         order = np.inf if transfer.control_norm == "inf" else transfer.control_norm
@@ -177,29 +180,29 @@ class CentralizedProblem:
             float(thrust - 1),
             float(speed - 1),
             float(least / self.horizon.collision_radius),
-            said,
+            solver_message,
         )
 
     def count_conflicts(
         self, x: Float[Array, "agents instants n"], u: Float[Array, "agents T m"]
     ) -> int:
-        """How many pairs come too close on given flights."""
+        """Count the pairs that come too close on given trajectories."""
         return int(
             (self._closest_approaches(x, u)[0] < self.horizon.collision_radius).any(axis=1).sum()
         )
 
     def _validate(self, start: Array, goal: Array, guesses: Sequence[InitialGuess]) -> None:
         if not guesses:
-            raise ValueError("there must be at least one guess to begin with")
+            raise ValueError("guesses must hold at least one guess")
         for number, guess in enumerate(guesses):
             if not all(np.isfinite(part).all() for part in guess):
-                raise ValueError(f"guess {number} is not finite")
-        for who, states in (("starts", start), ("goals", goal)):
+                raise ValueError(f"guess {number} must be finite")
+        for name, states in (("starts", start), ("goals", goal)):
             least = min_distance(states[:, : self.transfer.model.axes])
             if not least >= self.horizon.collision_radius:
                 raise ValueError(
-                    f"two {who} are {least:.6g} m apart, and {self.horizon.collision_radius:.6g} m are to "
-                    "be kept"
+                    f"two {name} are {least:.6g} m apart, at least "
+                    f"{self.horizon.collision_radius:.6g} m are needed"
                 )
 
     def _solve_from(
@@ -210,10 +213,9 @@ class CentralizedProblem:
         )
         if not found.is_feasible or found.padding <= MAX_PADDING:
             return found
-        # The optimum of a tighter programme: begin there once more, with nothing padded.
-        bare = instants._replace(
-            min_distance=np.full(len(instants.min_distance), 1 + SEPARATION_TOLERANCE)
-        )
+        # This is an optimum of the padded program: solve once more from there without padding.
+        unpadded = np.full(len(instants.min_distance), MIN_DISTANCE)
+        bare = instants._replace(min_distance=unpadded)
         again, _ = self._refine_constraints(
             (start, goal), (found.x, found.u), bare, cheapest, nearby=True
         )
@@ -227,33 +229,32 @@ class CentralizedProblem:
         cheapest: float,
         nearby: bool = False,
     ) -> tuple[SimulatedSolution, SeparationConstraints]:
-        """Descend with ever more instants, until an answer comes too close at none.
+        """Add instants until a solution comes too close at none.
 
-        More instants mostly make an answer dearer, so one that costs more than what stands is left:
-        in 26 instances of three to five agents that lost no more than 2e-6 of the best fuel.
+        More constraints mostly cost fuel, so a solution that costs more than the best feasible
+        one is abandoned: in 26 instances of three to five agents that lost at most 2e-6 of the
+        best fuel.
         """
-        pieces, last = (
-            self.horizon.pieces_per_step,
-            self.horizon.steps * self.horizon.pieces_per_step - 1,
-        )
+        pieces = self.horizon.pieces_per_step
+        last = self.horizon.steps * pieces - 1
         for attempt in range(MAX_ITERATIONS):
-            x, u, said = solve_nlp(self.transfer, self.horizon, ends, guess, instants, nearby)
-            padding = float(
-                instants.min_distance.max(initial=1 + SEPARATION_TOLERANCE)
-                - (1 + SEPARATION_TOLERANCE)
-            )
-            found = self.simulate(*ends, u, said)._replace(padding=padding)
-            more, missing = self._violated_constraints(found)
+            x, u, message = solve_nlp(self.transfer, self.horizon, ends, guess, instants, nearby)
+            padding = instants.min_distance.max(initial=MIN_DISTANCE) - MIN_DISTANCE
+            found = self.simulate(*ends, u, message)._replace(padding=float(padding))
+            more, violation = self._violated_constraints(found)
             if (
                 not len(more.piece)
                 or not found.terminal_error <= FEASIBILITY_TOLERANCE
                 or found.fuel > cheapest
             ):
                 break
-            # Equal optima pass each other at other times, so instants alone might never do.
-            small = (missing <= MAX_PADDING) | (attempt >= ITERATIONS_BEFORE_PADDING)
-            raised = np.where(small, np.minimum(missing + MAX_PADDING / 10, MAX_PADDING), 0.0)
-            instants = instants.enlarge_distance(more, raised, pieces).concatenate(more)
+            # Equal optima differ in the time of closest approach, so that new instants alone
+            # might never suffice.
+            is_small = (violation <= MAX_PADDING) | (attempt >= ITERATIONS_BEFORE_PADDING)
+            padding_added = np.where(
+                is_small, np.minimum(violation + MAX_PADDING / 10, MAX_PADDING), 0.0
+            )
+            instants = instants.enlarge_distance(more, padding_added, pieces).concatenate(more)
             for part in (1.0, 2.0 ** -(attempt + 1)):
                 for side in (-1, 1):
                     beside = side * part * pieces / CONSTRAINTS_PER_STEP
@@ -261,11 +262,13 @@ class CentralizedProblem:
             guess, nearby = (x, u), True
         return found, instants
 
+    def _relative_control_points(self, x: Array, u: Array) -> Array:
+        points, pairs = self.horizon.control_points(x, u), _agent_pairs(len(x))
+        return np.asarray(points[pairs[:, 0]] - points[pairs[:, 1]])
+
     def _closest_approaches(self, x: Array, u: Array) -> tuple[Array, Array]:
-        """Least distance of every pair over every piece, where below NEAR R, and when it is."""
-        path = self.horizon.control_points(x, u)
-        pairs = _agent_pairs(len(x))
-        relative = path[pairs[:, 0]] - path[pairs[:, 1]]
+        """Find the least distance of every pair over every piece, where near, and its instant."""
+        relative = self._relative_control_points(x, u)
         distance, fraction = np.full(relative.shape[:2], np.inf), np.zeros(relative.shape[:2])
         near = ~are_balls_separated(relative, PROXIMITY_FACTOR * self.horizon.collision_radius)
         for a, p in np.argwhere(near):
@@ -274,48 +277,45 @@ class CentralizedProblem:
         return distance, fraction
 
     def _initial_constraints(self, x: Array, u: Array) -> SeparationConstraints:
-        """Instants, a few in a step, of the pieces over which agents are near each other."""
-        path = self.horizon.control_points(x, u)
-        pairs = _agent_pairs(len(x))
-        relative = path[pairs[:, 0]] - path[pairs[:, 1]]
-        distance = hull_distance(relative)[0] if len(pairs) else np.zeros((0, 0))
-        which, piece = np.nonzero(distance < PROXIMITY_FACTOR * self.horizon.collision_radius)
+        """Place constraints at a few instants a step on the pieces of nearby agents."""
+        relative = self._relative_control_points(x, u)
+        distance = hull_distance(relative)[0] if len(relative) else np.zeros((0, 0))
+        pair, piece = np.nonzero(distance < PROXIMITY_FACTOR * self.horizon.collision_radius)
         count = ceil(CONSTRAINTS_PER_STEP / self.horizon.pieces_per_step)
         fraction = np.repeat(np.arange(1, count + 1) / count, len(piece))
-        pair, keep = (
-            np.tile(pairs[which], (count, 1)),
-            np.full(len(fraction), 1 + SEPARATION_TOLERANCE),
-        )
-        return SeparationConstraints(pair, np.tile(piece, count), fraction, keep)
+        return _require_distance(len(x), np.tile(pair, count), np.tile(piece, count), fraction)
 
     def _violated_constraints(
         self, found: SimulatedSolution
     ) -> tuple[SeparationConstraints, Array]:
-        """When agents come too close, and by how much, in units of R."""
+        """Find the instants of too is_small a separation and the violations in units of R."""
         distance, fraction = self._closest_approaches(found.x, found.u)
-        which, piece = np.nonzero(distance < self.horizon.collision_radius)
-        missing = 1 - distance[which, piece] / self.horizon.collision_radius
-        pair, keep = (
-            _agent_pairs(len(found.x))[which],
-            np.full(len(piece), 1 + SEPARATION_TOLERANCE),
-        )
-        return SeparationConstraints(pair, piece, fraction[which, piece], keep), missing
+        pair, piece = np.nonzero(distance < self.horizon.collision_radius)
+        violation = 1 - distance[pair, piece] / self.horizon.collision_radius
+        return _require_distance(len(found.x), pair, piece, fraction[pair, piece]), violation
+
+
+def _require_distance(
+    agents: int, pair: Array, piece: Array, fraction: Array
+) -> SeparationConstraints:
+    distance = np.full(len(piece), MIN_DISTANCE)
+    return SeparationConstraints(_agent_pairs(agents)[pair], piece, fraction, distance)
 
 
 def displace_guess(guess: InitialGuess, dt: float, by: Float[Array, "agents d"]) -> InitialGuess:
-    """A guess with every path bent aside: by so much half-way, and not at the ends.
+    """Displace every trajectory of a guess sideways: most half-way, and not at the ends.
 
     Args:
         guess: States and controls.
-        dt: Length of a step [s].
-        by: The largest displacement of each agent [m].
+        dt: Step [s].
+        by: Largest displacement of each agent [m].
     """
     x, u = guess
     T = u.shape[1]
     phase = np.pi * np.arange(T + 1)[:, None] / T
-    place = np.sin(phase) * by[:, None]
+    position = np.sin(phase) * by[:, None]
     speed = np.pi / (T * dt) * np.cos(phase) * by[:, None]
-    return x + np.concatenate([place, speed], axis=-1), u
+    return x + np.concatenate([position, speed], axis=-1), u
 
 
 def _least_fuel(tried: Sequence[SimulatedSolution]) -> float:
@@ -323,7 +323,7 @@ def _least_fuel(tried: Sequence[SimulatedSolution]) -> float:
 
 
 def _format_separation(separation: float) -> str:
-    # Who is nowhere near another has no distance that was looked for.
+    # Distances beyond the proximity factor are not computed.
     return (
         f"separation {separation:.6f} R"
         if isfinite(separation)
