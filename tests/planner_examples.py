@@ -1,4 +1,4 @@
-"""Agents that plan, for tests of how they settle: crowds, the parked, and who hears whom."""
+"""Example planners and graphs for tests of conflict resolution."""
 
 import numpy as np
 
@@ -32,7 +32,7 @@ def make_planner(number, start, goal, transfer, horizon, spent=0.0, velocity=0.0
 
 
 def random_swarm(rng, count, axes=2, box=3.0):
-    """Agents that start apart and have goals apart, on the other side of one another."""
+    """Agents with random, separated starts and random, separated targets."""
     transfer, horizon = make_problem(axes)
     ends = []
     for _ in range(2):
@@ -46,7 +46,7 @@ def random_swarm(rng, count, axes=2, box=3.0):
 
 
 def antipodal_swarm(count, radius, turn=0.03):
-    """Agents that all change sides of a circle: every pair meets in the middle."""
+    """Agents that move to the opposite side of a circle: every pair meets in the middle."""
     transfer, horizon = make_problem(2, horizon_steps=12)
     angle = 2 * np.pi * np.arange(count) / count
     start = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -64,15 +64,15 @@ def complete_graph(planners):
 
 
 def two_components(first, second):
-    """Two networks in which all hear each other, and nobody of the other."""
-    hears = np.zeros((first + second, first + second), dtype=bool)
-    hears[:first, :first] = hears[first:, first:] = True
-    np.fill_diagonal(hears, False)
-    return graph_of(hears)
+    """Graph of two complete components."""
+    adjacency = np.zeros((first + second, first + second), dtype=bool)
+    adjacency[:first, :first] = adjacency[first:, first:] = True
+    np.fill_diagonal(adjacency, False)
+    return graph_of(adjacency)
 
 
-def graph_of(hears):
-    return CommunicationGraph(hears, np.ones(len(hears), dtype=bool))
+def graph_of(adjacency):
+    return CommunicationGraph(adjacency, np.ones(len(adjacency), dtype=bool))
 
 
 def continuous_separation(planners, states=None):
@@ -87,7 +87,7 @@ def weighted_fuel(flight, transfer):
 
 
 def immobile(number, place, transfer, horizon):
-    """An agent whose time is up: it stands where it is and cannot give way."""
+    """Agent without steps left: it stays in place and cannot give way."""
     x = np.concatenate([place, np.zeros(len(place))])
     flight = Trajectory(x[None], np.zeros((0, len(place))), 0.0)
     over = TransferProblem(transfer.model[:0], transfer.max_control)
@@ -96,7 +96,7 @@ def immobile(number, place, transfer, horizon):
 
 
 def with_previous_plans(planners, former):
-    """The same agents, who begin with the plans that others of their number ended with."""
+    """The same agents, with the nominals of others of the same number."""
     begun = {}
     for i, p in planners.items():
         flight = former[i].nominal

@@ -1,4 +1,4 @@
-"""Books: the algebra that lets news arrive in any order, and who wins."""
+"""Merge of winning bids: its algebra, and the order of bids."""
 
 import numpy as np
 from hypothesis import given, settings
@@ -11,12 +11,12 @@ PRICES = st.sampled_from([0.0, 0.5, 1.0, 1.5])  # few, so that ties are common
 
 
 @st.composite
-def books(draw: st.DrawFn, targets: int = 4) -> WinningBids:
+def tables(draw: st.DrawFn, targets: int = 4) -> WinningBids:
     sizes = draw(st.lists(PRICES, min_size=targets, max_size=targets))
-    holders = draw(st.lists(st.integers(NO_WINNER, 3), min_size=targets, max_size=targets))
-    holder = [NO_WINNER if size == 0 else who for size, who in zip(sizes, holders, strict=True)]
-    price = [-size if who == NO_WINNER else size for size, who in zip(sizes, holder, strict=True)]
-    return WinningBids(np.array(price), np.array(holder))
+    winners = draw(st.lists(st.integers(NO_WINNER, 3), min_size=targets, max_size=targets))
+    winner = [NO_WINNER if size == 0 else i for size, i in zip(sizes, winners, strict=True)]
+    price = [-size if i == NO_WINNER else size for size, i in zip(sizes, winner, strict=True)]
+    return WinningBids(np.array(price), np.array(winner))
 
 
 def same(a: WinningBids, b: WinningBids) -> bool:
@@ -24,19 +24,19 @@ def same(a: WinningBids, b: WinningBids) -> bool:
 
 
 @LAW
-@given(books(), books())
+@given(tables(), tables())
 def test_merge_is_commutative(a, b):
     assert same(merge_bids(a, b), merge_bids(b, a))
 
 
 @LAW
-@given(books(), books(), books())
+@given(tables(), tables(), tables())
 def test_merge_is_associative(a, b, c):
     assert same(merge_bids(merge_bids(a, b), c), merge_bids(a, merge_bids(b, c)))
 
 
 @LAW
-@given(books(), books())
+@given(tables(), tables())
 def test_merge_is_idempotent(a, b):
     once = merge_bids(a, b)
     assert same(merge_bids(once, b), once)
@@ -44,9 +44,9 @@ def test_merge_is_idempotent(a, b):
 
 
 @LAW
-@given(books(), books())
+@given(tables(), tables())
 def test_merged_bids_are_no_older_than_either(a, b):
-    # Nothing in either book is newer than what both give together.
+    # No entry of either is newer than the merged one.
     both = merge_bids(a, b)
     assert not find_newer_bids(both, a).any()
     assert not find_newer_bids(both, b).any()
@@ -54,7 +54,7 @@ def test_merged_bids_are_no_older_than_either(a, b):
 
 
 @LAW
-@given(books())
+@given(tables())
 def test_merge_with_no_bids_changes_nothing(a):
     assert same(merge_bids(a, WinningBids.empty(4)), a)
 
@@ -68,5 +68,5 @@ def test_larger_magnitude_wins_then_for_sale_then_smaller_agent():
 
 
 def test_winner_count_counts_standing_bids_alone():
-    book = WinningBids(np.array([1.0, -2.0, 0.0, 3.0]), np.array([0, NO_WINNER, NO_WINNER, 7]))
-    assert book.winner_count == 2
+    bids = WinningBids(np.array([1.0, -2.0, 0.0, 3.0]), np.array([0, NO_WINNER, NO_WINNER, 7]))
+    assert bids.winner_count == 2

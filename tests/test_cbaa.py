@@ -1,6 +1,5 @@
-"""CBAA: one agent's part against the compiled rounds, laws, and other solvers."""
+"""CBAA: the kernel against the definition, laws, and other solvers."""
 
-from itertools import permutations
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,20 +24,20 @@ LAW = settings(deadline=None, derandomize=True, max_examples=80)
 
 
 class Case(NamedTuple):
-    """The arguments of an auction."""
+    """Arguments of an auction."""
 
     score: np.ndarray
-    network: CommunicationGraph
-    air: dict[str, Any]
+    graph: CommunicationGraph
+    link: dict[str, Any]
     seed: int
 
     @property
     def live(self) -> np.ndarray:
-        return np.flatnonzero(self.network.alive)
+        return np.flatnonzero(self.graph.alive)
 
     def keywords(self) -> dict[str, Any]:
-        """The same losses every time."""
-        return {**self.air, "rng": np.random.default_rng(self.seed)}
+        """Keyword arguments, with a generator that draws the same losses each time."""
+        return {**self.link, "rng": np.random.default_rng(self.seed)}
 
 
 def complete(agents: int) -> CommunicationGraph:
@@ -53,20 +52,22 @@ def line(agents: int) -> CommunicationGraph:
 def connected(
     rng: np.random.Generator, agents: int, share: float, dead: int = 0
 ) -> CommunicationGraph:
-    """A random tree on those alive, and some edges more."""
+    """Random tree of the live agents, with random further edges."""
     live = rng.permutation(agents)[dead:]
-    hears = np.zeros((agents, agents), dtype=bool)
+    adjacency = np.zeros((agents, agents), dtype=bool)
     for k in range(1, len(live)):
-        hears[live[k], live[rng.integers(k)]] = True
+        adjacency[live[k], live[rng.integers(k)]] = True
     more = np.triu(rng.random((agents, agents)) < share, 1)
     more &= np.isin(np.arange(agents), live) & np.isin(np.arange(agents), live)[:, None]
-    return CommunicationGraph(hears | hears.T | more | more.T, np.isin(np.arange(agents), live))
+    return CommunicationGraph(
+        adjacency | adjacency.T | more | more.T, np.isin(np.arange(agents), live)
+    )
 
 
 def scores(rng: np.random.Generator, kind: str, agents: int, points: int) -> np.ndarray:
     if kind == "ties":
         return rng.integers(1, 4, (agents, points)).astype(float)
-    if kind == "alike":  # all want the same points in the same order
+    if kind == "equal order":  # all agents prefer the same points in the same order
         return np.tile(np.arange(points, 0, -1.0), (agents, 1))
     apart = rng.random((agents, 1, 3)) - rng.random((points, 3))
     return 1 / ((apart**2).sum(axis=2) + 1e-8)
@@ -78,18 +79,18 @@ def cases(draw: st.DrawFn, most: int = 8, lossy: bool = True) -> Case:
     rng = np.random.default_rng(seed)
     agents = draw(st.integers(1, most))
     dead = draw(st.integers(0, agents - 1)) if draw(st.booleans()) else 0
-    network = connected(rng, agents, draw(st.sampled_from([0.0, 0.2, 1.0])), dead)
+    graph = connected(rng, agents, draw(st.sampled_from([0.0, 0.2, 1.0])), dead)
     points = agents - dead + draw(st.sampled_from([0, 0, 0, 2]))
-    score = scores(rng, draw(st.sampled_from(["distance", "ties", "alike"])), agents, points)
-    air = {"delay": draw(st.integers(0, 3))}
+    score = scores(rng, draw(st.sampled_from(["distance", "ties", "equal order"])), agents, points)
+    link = {"delay": draw(st.integers(0, 3))}
     if lossy and draw(st.booleans()):
         loss, after = draw(st.sampled_from([0.1, 0.5])), draw(st.integers(1, 300))
-        air |= {"loss": loss, "rounds": after}
-    return Case(score, network, air, seed)
+        link |= {"loss": loss, "rounds": after}
+    return Case(score, graph, link, seed)
 
 
 def greedy(score: np.ndarray, live: np.ndarray) -> np.ndarray:
-    """The largest of all scores, then of the rest: by sorting, with the whole table at hand."""
+    """Greedy choice of the largest score, by sorting the whole table."""
     point, free = np.full(len(score), -1), np.full(score.shape[1], True)
     pairs = [(-score[i, j], i, j) for i in live for j in range(score.shape[1])]
     for _, i, j in sorted(pairs):
@@ -104,16 +105,16 @@ def greedy(score: np.ndarray, live: np.ndarray) -> np.ndarray:
 @settings(LAW, max_examples=120)
 @given(case=cases())
 def test_kernel_equals_the_definition_bit_for_bit(case):
-    swarm = init_state(case.score, case.network, case.air["delay"])
+    swarm = init_state(case.score, case.graph, case.link["delay"])
     rng, played = np.random.default_rng(case.seed), 0
-    for now in run_by_messages(case.score, case.network, **case.keywords()):
-        run_kernel(swarm, 1, case.air.get("loss", 0.0), rng)
+    for now in run_by_messages(case.score, case.graph, **case.keywords()):
+        run_kernel(swarm, 1, case.link.get("loss", 0.0), rng)
         played += 1
         for i in case.live:
             assert now[i].bids.price.tobytes() == swarm.price[i].tobytes()
             assert now[i].bids.winner.tobytes() == swarm.winner[i].tobytes()
             assert (now[i].point, is_finished(now[i])) == (swarm.point[i], not swarm.is_running[i])
-    assert run_cbaa(case.score, case.network, **case.keywords()).round_count == played
+    assert run_cbaa(case.score, case.graph, **case.keywords()).round_count == played
 
 
 @LAW
@@ -121,8 +122,8 @@ def test_kernel_equals_the_definition_bit_for_bit(case):
 def test_without_loss_and_delay_rounds_are_those_of_run_rounds(case):
     empty = WinningBids.empty(case.score.shape[1])
     first = {i: CbaaBidder(i, case.score[i], len(case.live), empty) for i in case.live.tolist()}
-    expected = run_rounds(case.network, first, update_bidder, lambda agent: agent.bids, is_finished)
-    for ours, theirs in zip(run_by_messages(case.score, case.network), expected, strict=True):
+    expected = run_rounds(case.graph, first, update_bidder, lambda agent: agent.bids, is_finished)
+    for ours, theirs in zip(run_by_messages(case.score, case.graph), expected, strict=True):
         for i in case.live:
             one, other = ours[i], theirs[i]
             assert one.point == other.point
@@ -133,39 +134,39 @@ def test_without_loss_and_delay_rounds_are_those_of_run_rounds(case):
 @settings(LAW, max_examples=150)
 @given(case=cases(most=16, lossy=False))
 def test_result_is_the_greedy_choice_within_the_round_bound(case):
-    result = run_cbaa(case.score, case.network, **case.air)
+    result = run_cbaa(case.score, case.graph, **case.link)
     assert result.point.tolist() == greedy(case.score, case.live).tolist()
     assert result.is_conflict_free
     assert result.has_consensus
-    waits = (case.air["delay"] + 1) * len(case.live) * int(case.network.diameter.max())
+    waits = (case.link["delay"] + 1) * len(case.live) * int(case.graph.diameter.max())
     assert result.round_count <= waits + 1
     assert result.finished_round[case.live].max() == result.round_count
-    assert np.all(result.point[~case.network.alive] == -1)
+    assert np.all(result.point[~case.graph.alive] == -1)
 
 
 @LAW
 @given(case=cases())
 def test_no_agent_bids_once_one_has_finished(case):
     final = greedy(case.score, case.live)
-    known, books = False, set()
-    for now in run_by_messages(case.score, case.network, **case.keywords()):
+    known, tables = False, set()
+    for now in run_by_messages(case.score, case.graph, **case.keywords()):
         if known := known or any(is_finished(now[i]) for i in case.live):
             assert [now[i].point for i in case.live] == final[case.live].tolist()
-        books |= {now[i].bids.winner.tobytes() for i in case.live if is_finished(now[i])}
-    assert len(books) <= 1
+        tables |= {now[i].bids.winner.tobytes() for i in case.live if is_finished(now[i])}
+    assert len(tables) <= 1
 
 
 @LAW
 @given(case=cases())
 def test_result_reports_the_last_round_of_the_definition(case):
-    result = run_cbaa(case.score, case.network, **case.keywords())
-    *_, last = run_by_messages(case.score, case.network, **case.keywords())
+    result = run_cbaa(case.score, case.graph, **case.keywords())
+    *_, last = run_by_messages(case.score, case.graph, **case.keywords())
     claimed = [last[i].point for i in case.live]
-    books = {last[i].bids.price.tobytes() + last[i].bids.winner.tobytes() for i in case.live}
+    tables = {last[i].bids.price.tobytes() + last[i].bids.winner.tobytes() for i in case.live}
     held = all(last[i].bids.winner[last[i].point] == i for i in case.live)
     assert result.point[case.live].tolist() == claimed
     assert result.is_conflict_free == (len(set(claimed)) == len(claimed))
-    assert result.has_consensus == (len(books) == 1 and held)
+    assert result.has_consensus == (len(tables) == 1 and held)
     assert result.is_conflict_free or not result.has_consensus
     sure = np.flatnonzero(result.finished_round)
     assert result.point[sure].tolist() == greedy(case.score, case.live)[sure].tolist()
@@ -174,9 +175,9 @@ def test_result_reports_the_last_round_of_the_definition(case):
 @pytest.mark.parametrize("loss", [0.2, 0.6, 0.9])
 @pytest.mark.parametrize("delay", [0, 2])
 def test_lost_messages_delay_the_same_result(rng, loss, delay):
-    network, score = connected(rng, 20, 0.1), scores(rng, "distance", 20, 20)
-    calm = run_cbaa(score, network)
-    rough = run_cbaa(score, network, rounds=2000, loss=loss, delay=delay, rng=rng)
+    graph, score = connected(rng, 20, 0.1), scores(rng, "distance", 20, 20)
+    calm = run_cbaa(score, graph)
+    rough = run_cbaa(score, graph, rounds=2000, loss=loss, delay=delay, rng=rng)
     assert rough.has_consensus
     assert rough.point.tolist() == calm.point.tolist()
     assert rough.round_count > calm.round_count
@@ -185,19 +186,19 @@ def test_lost_messages_delay_the_same_result(rng, loss, delay):
 @LAW
 @given(case=cases(lossy=False))
 def test_monotone_map_of_scores_keeps_the_result(case):
-    one = run_cbaa(case.score, case.network)
-    other = run_cbaa(np.log1p(case.score) ** 3, case.network)
+    one = run_cbaa(case.score, case.graph)
+    other = run_cbaa(np.log1p(case.score) ** 3, case.graph)
     assert one.point.tolist() == other.point.tolist()
     assert (one.round_count, one.message_count) == (other.round_count, other.message_count)
 
 
 def test_scores_have_no_effect_h_hops_away_before_round_h_plus_1(rng):
-    score, network = scores(rng, "distance", 10, 10), line(10)
+    score, graph = scores(rng, "distance", 10, 10), line(10)
     changed = score.copy()
     changed[0, np.argmax(score[0])] *= 2
     for delay in (0, 1):
         for after in range(1, 22):
-            one, other = (run_cbaa(s, network, rounds=after, delay=delay) for s in (score, changed))
+            one, other = (run_cbaa(s, graph, rounds=after, delay=delay) for s in (score, changed))
             differ = np.any(one.price != other.price, axis=1)
             assert not differ[(after - 1) // (delay + 1) + 1 :].any()
             assert differ[0]
@@ -206,17 +207,17 @@ def test_scores_have_no_effect_h_hops_away_before_round_h_plus_1(rng):
 @LAW
 @given(case=cases())
 def test_message_count_counts_every_message(case):
-    result = run_cbaa(case.score, case.network, **case.keywords())
+    result = run_cbaa(case.score, case.graph, **case.keywords())
     told, before = 0, dict.fromkeys(case.live.tolist(), False)
-    for now in run_by_messages(case.score, case.network, **case.keywords()):
+    for now in run_by_messages(case.score, case.graph, **case.keywords()):
         told += sum(
-            len(case.network.neighbors[i])
+            len(case.graph.neighbors[i])
             for i in case.live
-            if not before[i] or case.air.get("loss")
+            if not before[i] or case.link.get("loss")
         )
         before = {i: is_finished(agent) for i, agent in now.items()}
-    if case.air.get("loss"):  # those who know go on until the others must have heard
-        told = case.air["rounds"] * int(case.network.adjacency.sum())
+    if case.link.get("loss"):  # finished agents send until the last round
+        told = case.link["rounds"] * int(case.graph.adjacency.sum())
     assert result.message_count == told
 
 
@@ -226,21 +227,11 @@ def test_message_count_counts_every_message(case):
 @settings(LAW, max_examples=120)
 @given(case=cases(most=20, lossy=False))
 def test_total_score_is_at_least_half_of_the_optimum(case):
-    result, live = run_cbaa(case.score, case.network), case.live
+    result, live = run_cbaa(case.score, case.graph), case.live
     best = case.score[live][linear_sum_assignment(case.score[live], maximize=True)].sum()
     total = case.score[live, result.point[live]].sum()
     assert 0.5 * best <= total * (1 + 1e-12)
     assert total <= best * (1 + 1e-12)
-
-
-@pytest.mark.parametrize("agents", [1, 2, 3, 5, 6])
-def test_total_score_is_at_least_half_of_the_best_permutation(rng, agents):
-    everyone = np.arange(agents)
-    for _ in range(5):
-        score = scores(rng, "distance", agents, agents)
-        best = max(score[everyone, list(order)].sum() for order in permutations(everyone))
-        total = score[everyone, run_cbaa(score, complete(agents)).point].sum()
-        assert 0.5 * best <= total <= best * (1 + 1e-12)
 
 
 def test_half_of_the_optimum_is_a_tight_bound():
@@ -256,21 +247,21 @@ def test_half_of_the_optimum_is_a_tight_bound():
 @pytest.mark.parametrize("agents", [2, 5, 30])
 def test_equal_preferences_take_as_many_rounds_as_the_bound(rng, agents):
     # n d iterations [Lusk2020, sec. IV-B]; the first round has nothing to listen to.
-    result = run_cbaa(scores(rng, "alike", agents, agents), complete(agents))
+    result = run_cbaa(scores(rng, "equal order", agents, agents), complete(agents))
     assert result.round_count == agents * 1 + 1
     assert result.point.tolist() == list(range(agents))
 
 
 def test_two_rounds_an_agent_are_too_few_on_a_line(rng):
-    # What the published code plays, whatever the diameter.
-    # All want the same, and those whose score is next sit at opposite ends.
-    score, network = scores(rng, "alike", 12, 12), line(12)
+    # The published code runs so many, whatever the diameter.
+    # All prefer the same points, and agents of successive scores are at opposite ends.
+    score, graph = scores(rng, "equal order", 12, 12), line(12)
     score[[0, 11, 1, 10, 2, 9, 3, 8, 4, 7, 5, 6]] += np.linspace(0.9, 0, 12)[:, None]
-    early = run_cbaa(score, network, rounds=24)
+    early = run_cbaa(score, graph, rounds=24)
     assert not early.is_conflict_free
     assert not early.has_consensus
     assert not early.finished_round.any()
-    assert 24 < run_cbaa(score, network).round_count <= 12 * 11 + 1
+    assert 24 < run_cbaa(score, graph).round_count <= 12 * 11 + 1
 
 
 # Small cases and refusals
@@ -283,7 +274,7 @@ def test_lone_agent_finishes_in_one_round():
 
 
 def test_first_bid_is_on_the_point_of_the_largest_score(rng):
-    result = run_cbaa(scores(rng, "alike", 4, 4), complete(4), rounds=1)
+    result = run_cbaa(scores(rng, "equal order", 4, 4), complete(4), rounds=1)
     assert result.point.tolist() == [0, 0, 0, 0]
     assert not result.is_conflict_free
     assert not result.has_consensus
@@ -297,9 +288,9 @@ def test_consensus_on_distinct_points_takes_a_second_round():
 
 
 def test_disconnected_graph_is_refused():
-    network = CommunicationGraph(np.kron(np.eye(2), 1 - np.eye(2)).astype(bool), np.full(4, True))
+    graph = CommunicationGraph(np.kron(np.eye(2), 1 - np.eye(2)).astype(bool), np.full(4, True))
     with pytest.raises(ValueError, match="no message gets from agent 0 to agent 2"):
-        run_cbaa(np.ones((4, 4)), network)
+        run_cbaa(np.ones((4, 4)), graph)
 
 
 @pytest.mark.parametrize("bad", [0.0, -1.0, np.inf, np.nan])
@@ -311,11 +302,11 @@ def test_scores_must_be_positive_and_finite(bad):
 
 
 def test_dead_agents_do_not_bid():
-    network = CommunicationGraph(
+    graph = CommunicationGraph(
         np.array([[0, 0, 1], [0, 0, 0], [1, 0, 0]], dtype=bool), np.arange(3) != 1
     )
     score = np.array([[3.0, 2.0], [np.nan, np.nan], [2.0, 1.0]])
-    assert run_cbaa(score, network).point.tolist() == [0, -1, 1]
+    assert run_cbaa(score, graph).point.tolist() == [0, -1, 1]
 
 
 @pytest.mark.parametrize("shape", [(3, 2), (4, 4)])
@@ -324,15 +315,15 @@ def test_score_of_wrong_shape_is_refused(shape):
         run_cbaa(np.ones(shape), complete(3))
 
 
-@pytest.mark.parametrize("air", [{"loss": 1.0}, {"loss": -0.1}, {"delay": -1}, {"rounds": 0}])
-def test_impossible_link_is_refused(rng, air):
+@pytest.mark.parametrize("link", [{"loss": 1.0}, {"loss": -0.1}, {"delay": -1}, {"rounds": 0}])
+def test_impossible_link_is_refused(rng, link):
     with pytest.raises(ValueError, match="the loss must be in"):
-        run_cbaa(np.ones((3, 3)), complete(3), **{"rounds": 9, "rng": rng} | air)
+        run_cbaa(np.ones((3, 3)), complete(3), **{"rounds": 9, "rng": rng} | link)
 
 
 @pytest.mark.parametrize("without", ["rounds", "rng"])
 def test_loss_needs_a_number_of_rounds_and_a_generator(rng, without):
-    air = {"loss": 0.1, "rounds": 9, "rng": rng}
-    del air[without]
+    link = {"loss": 0.1, "rounds": 9, "rng": rng}
+    del link[without]
     with pytest.raises(ValueError, match="give the number of rounds after which all stop"):
-        run_cbaa(np.ones((3, 3)), complete(3), **air)
+        run_cbaa(np.ones((3, 3)), complete(3), **link)

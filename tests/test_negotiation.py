@@ -1,4 +1,4 @@
-"""Bargains in pairs: who has a turn, what it never costs, and what it saves."""
+"""Negotiation in pairs: turns, agreements, and the fuel saved."""
 
 from dataclasses import replace
 
@@ -72,10 +72,10 @@ def test_two_agents_reach_the_centralized_optimum():
 
 def test_negotiation_saves_a_tenth_of_the_extra_fuel_of_five():
     now = solved(antipodal_swarm(5, 1.5), orders=4)
-    dealt = negotiate(now, complete_graph(now), 6)
-    assert total_cost(now)[:2] == total_cost(dealt.planners)[:2] == (0, 0)
-    assert total_cost(dealt.planners)[2] < 0.9 * total_cost(now)[2]
-    assert continuous_separation(dealt.planners) >= RADIUS
+    negotiated = negotiate(now, complete_graph(now), 6)
+    assert total_cost(now)[:2] == total_cost(negotiated.planners)[:2] == (0, 0)
+    assert total_cost(negotiated.planners)[2] < 0.9 * total_cost(now)[2]
+    assert continuous_separation(negotiated.planners) >= RADIUS
 
 
 def test_agents_without_cost_have_no_turn():
@@ -84,12 +84,12 @@ def test_agents_without_cost_have_no_turn():
         i: make_planner(i, [0.0, 0.7 * i], [2.0, 0.7 * i], transfer, horizon) for i in range(3)
     }
     now = solved(planners)
-    dealt = negotiate(now, complete_graph(now), 5)
-    assert (dealt.round_count, dealt.solve_count) == (
+    negotiated = negotiate(now, complete_graph(now), 5)
+    assert (negotiated.round_count, negotiated.solve_count) == (
         2,
         0,
-    )  # to hear who is near, and that nobody pays
-    assert all(dealt.planners[i] is now[i] for i in now)
+    )  # trajectories of the neighbors, and a flood of the costs
+    assert all(negotiated.planners[i] is now[i] for i in now)
 
 
 def test_zero_sweeps_change_nothing(rng):
@@ -108,37 +108,42 @@ def test_components_negotiate_independently(rng):
 
 def test_scheduled_pairs_follow_from_a_flood(rng):
     now = solved(random_swarm(rng, 6, box=3.5))
-    hears = rng.random((6, 6)) < 0.4
-    network = graph_of(np.triu(hears, 1) | np.triu(hears, 1).T)
-    nearby = run_round(network, now, find_nearby, {i: p.message for i, p in now.items()})
-    turns = schedule_pairs(now, network, now)
-    for known in flood(network, {i: {i: nearby[i]} for i in now}, dict.__or__).values():
+    adjacency = rng.random((6, 6)) < 0.4
+    graph = graph_of(np.triu(adjacency, 1) | np.triu(adjacency, 1).T)
+    nearby = run_round(graph, now, find_nearby, {i: p.message for i, p in now.items()})
+    turns = schedule_pairs(now, graph, now)
+    for known in flood(graph, {i: {i: nearby[i]} for i in now}, dict.__or__).values():
         near = {(min(i, j), max(i, j)) for i in known for j in known[i]}
         pairs = [{a: b, b: a} for a, b in sorted(near)]
         mine = [{a: b for a, b in turn.items() if a in known} for turn in turns]
         assert [turn for turn in mine if turn] == pairs
-        assert all(network.adjacency[a, b] for a, b in near)
+        assert all(graph.adjacency[a, b] for a, b in near)
     assert turns
 
 
 def test_both_partners_fly_the_agreed_trajectories():
     now = solved(antipodal_swarm(5, 1.5), orders=4)
     turns = schedule_pairs(now, complete_graph(now), now)
-    dealt = [negotiate_pairs(now, complete_graph(now), turn) for turn in turns]
-    assert all(parties.keys() == turn.keys() for parties, turn in zip(dealt, turns, strict=True))
-    made = [(turn, parties) for turn, parties in zip(turns, dealt, strict=True)
-            if any(party.agreement for party in parties.values())]  # fmt: skip
+    negotiated = [negotiate_pairs(now, complete_graph(now), turn) for turn in turns]
+    assert all(
+        negotiators.keys() == turn.keys()
+        for negotiators, turn in zip(negotiated, turns, strict=True)
+    )
+    made = [(turn, negotiators) for turn, negotiators in zip(turns, negotiated, strict=True)
+            if any(negotiator.agreement for negotiator in negotiators.values())]  # fmt: skip
     assert made
-    for turn, parties in made:
+    for turn, negotiators in made:
         host, guest = sorted(turn)
-        assert parties[host].agreement.recipient == guest and parties[guest].agreement is None
-        assert parties[guest].planner.nominal is parties[host].agreement.trajectory
-        assert parties[host].planner.nominal is not now[host].nominal
+        assert (
+            negotiators[host].agreement.recipient == guest and negotiators[guest].agreement is None
+        )
+        assert negotiators[guest].planner.nominal is negotiators[host].agreement.trajectory
+        assert negotiators[host].planner.nominal is not now[host].nominal
 
 
 def offers(now, i, j):
-    parties = negotiate_pairs(now, complete_graph(now), {i: j, j: i})
-    return [parties[k].offer for k in (i, j)]
+    negotiators = negotiate_pairs(now, complete_graph(now), {i: j, j: i})
+    return [negotiators[k].offer for k in (i, j)]
 
 
 def test_costlier_pair_is_rejected_unless_a_target_was_missed():
@@ -177,14 +182,14 @@ def test_each_partner_linearizes_about_its_own_trajectory():
     now = solved(antipodal_swarm(3, 1.5), orders=3)
     about = {}
 
-    def linearised(flight):
+    def relinearize(flight):
         about[id(flight)] = replace(now[0].transfer, tie_break_rise=0.5)
         return about[id(flight)]
 
-    curved = {i: p._replace(relinearize=linearised) for i, p in now.items()}
-    parties = negotiate_pairs(curved, complete_graph(curved), {0: 1, 1: 0})
+    curved = {i: p._replace(relinearize=relinearize) for i, p in now.items()}
+    negotiators = negotiate_pairs(curved, complete_graph(curved), {0: 1, 1: 0})
     assert about.keys() == {id(now[0].nominal), id(now[1].nominal)}
-    assert all(parties[i].planner.transfer is about[id(now[i].nominal)] for i in range(2))
+    assert all(negotiators[i].planner.transfer is about[id(now[i].nominal)] for i in range(2))
 
 
 def test_partners_with_different_steps_left_do_not_agree():
@@ -192,13 +197,13 @@ def test_partners_with_different_steps_left_do_not_agree():
     transfer = replace(now[1].transfer, model=now[1].transfer.model[:8])
     goal = now[1].nominal.x[8]
     short = make_planner(1, now[1].nominal.x[0, :2], goal[:2], transfer, now[1].horizon)
-    parties = negotiate_pairs({0: now[0], 1: short}, complete_graph(now), {0: 1, 1: 0})
-    assert parties[0].offer and parties[1].offer
-    assert (parties[0].solve_count, parties[0].agreement) == (0, None)
+    negotiators = negotiate_pairs({0: now[0], 1: short}, complete_graph(now), {0: 1, 1: 0})
+    assert negotiators[0].offer and negotiators[1].offer
+    assert (negotiators[0].solve_count, negotiators[0].agreement) == (0, None)
 
 
 def test_separation_is_kept_while_an_agent_drifts_at_its_target():
-    # The third passes the goal of the first late, when the first has drifted there for long.
+    # The third passes the target of the first while the first drifts there after its last step.
     slow, horizon = make_problem()
     fast = replace(slow, model=slow.model[:6])
     first = make_planner(0, [-1.0, 0.0], [0.0, 0.0], fast, horizon)
@@ -250,9 +255,9 @@ def test_immobile_or_infeasible_agent_makes_no_offer(rng):
         now[0]._replace(slack=0.1),
     )
     for other in spoilt:
-        parties = negotiate_pairs(now | {0: other}, complete_graph(now), {0: 1, 1: 0})
-        assert parties[0].offer is None
-        assert parties[0].planner is other and parties[1].planner.nominal is now[1].nominal
+        negotiators = negotiate_pairs(now | {0: other}, complete_graph(now), {0: 1, 1: 0})
+        assert negotiators[0].offer is None
+        assert negotiators[0].planner is other and negotiators[1].planner.nominal is now[1].nominal
 
 
 def test_agent_off_its_target_is_taken_there_at_extra_fuel():

@@ -1,4 +1,4 @@
-"""Several orders of priority: what is kept, who decides it, and what it saves."""
+"""Several orders of priority: the choice of each component, and the fuel saved."""
 
 from dataclasses import replace
 from functools import cache
@@ -53,27 +53,27 @@ def any_planner():
 )
 def test_component_sums_and_choices_follow_from_a_flood(links, dead, seed):
     alive = np.array([i not in dead for i in range(7)])
-    hears = np.zeros((7, 7), dtype=bool)
-    hears[np.triu_indices(7, 1)] = links
-    hears = (hears | hears.T) & alive & alive[:, None]
-    network = CommunicationGraph(hears, alive)
+    adjacency = np.zeros((7, 7), dtype=bool)
+    adjacency[np.triu_indices(7, 1)] = links
+    adjacency = (adjacency | adjacency.T) & alive & alive[:, None]
+    graph = CommunicationGraph(adjacency, alive)
     draw = np.random.default_rng(seed)
-    tolls = {
+    costs = {
         i: PriorityCost(*draw.integers(0, 2, 2).astype(float), draw.random())
         for i in np.flatnonzero(alive).tolist()
     }
-    other = {i: paid._replace(extra_fuel=draw.random()) for i, paid in tolls.items()}
+    other = {i: cost._replace(extra_fuel=draw.random()) for i, cost in costs.items()}
     some = {
-        i: any_planner()._replace(has_failed=bool(paid.misses_target)) for i, paid in tolls.items()
+        i: any_planner()._replace(has_failed=bool(cost.misses_target)) for i, cost in costs.items()
     }
     again = {i: p._replace(has_converged=True) for i, p in some.items()}
-    clear = select_components(some, network, lambda p: not p.has_failed)
-    kept, _ = keep_cheaper(some, tolls, again, other, network)
-    told = {i: {i: (tolls[i], other[i])} for i in tolls}
-    for i, known in flood(network, told, dict.__or__).items():
+    clear = select_components(some, graph, lambda p: not p.has_failed)
+    kept, _ = keep_cheaper(some, costs, again, other, graph)
+    told = {i: {i: (costs[i], other[i])} for i in costs}
+    for i, known in flood(graph, told, dict.__or__).items():
         mine, theirs = ([known[j][k] for j in sorted(known)] for k in (0, 1))
         added = np.sum(mine, axis=0)
-        np.testing.assert_allclose(sum_by_component(tolls, network)[i], added, rtol=1e-12)
+        np.testing.assert_allclose(sum_by_component(costs, graph)[i], added, rtol=1e-12)
         assert (i in clear) == all(not some[j].has_failed for j in known)
         better = tuple(np.sum(theirs, axis=0)) < tuple(added)
         assert kept[i] is (again[i] if better else some[i])
@@ -139,12 +139,12 @@ def test_swarm_without_conflicts_solves_nothing():
     assert (found.round_count, found.solve_count) == (
         exchanges + 1,
         0,
-    )  # one, to hear that nobody pays
+    )  # one flood of the costs
     assert all(found.planners[i].nominal is once[i].nominal for i in once)
 
 
 def test_clear_and_cheaper_previous_plans_are_kept(rng):
-    # Plans that several orders found; the first order alone would make dearer ones.
+    # Begin with the result of several orders; the first order alone costs more.
     planners = random_swarm(rng, 5, box=3.5)
     found = try_priority_orders(planners, complete_graph(planners), 5).planners
     begun = with_previous_plans(planners, found)
@@ -165,7 +165,7 @@ def test_component_in_conflict_is_not_clear(rng):
 
 
 def test_infeasible_agent_sends_the_path_that_it_flies():
-    # Between two walls that meet it there is none; it began bent to the right.
+    # Two immobile agents overlap it, and its nominal is offset: no program is feasible.
     transfer, horizon = make_problem()
     me = make_planner(2, [0.0, 0.0], [0.0, 0.0], transfer, horizon)
     walls = {i: immobile(i, np.array([0.1 * i, 0.0]), transfer, horizon) for i in range(2)}
@@ -180,8 +180,8 @@ def test_infeasible_agent_sends_the_path_that_it_flies():
 @pytest.mark.parametrize("axes", [2, 3])
 def test_batched_exchanges_of_offset_nominals_equal_the_definition(rng, axes):
     planners = {i: offset_right(p, 1.0) for i, p in random_swarm(rng, 5, axes).items()}
-    network = complete_graph(planners)
-    slow, fast = list(run_by_messages(planners, network)), list(run_batched(planners, network))
+    graph = complete_graph(planners)
+    slow, fast = list(run_by_messages(planners, graph)), list(run_batched(planners, graph))
     assert len(slow) == len(fast)
     for a, b in zip(slow, fast, strict=True):
         for i in planners:
@@ -244,7 +244,7 @@ def test_separation_is_kept_within_a_short_horizon():
 
 @pytest.mark.parametrize("bargains", [0, 2])
 def test_replanning_never_raises_the_fuel_of_the_first_plan(bargains):
-    # All through one point, each to its own target.
+    # All trajectories cross in one point.
     angle = 2 * np.pi * np.arange(4) / 4
     start = 2.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     goal = -start @ np.array([[1.0, 0.03], [-0.03, 1.0]])
@@ -252,9 +252,8 @@ def test_replanning_never_raises_the_fuel_of_the_first_plan(bargains):
     leg, steps = Leg(np.hstack([goal, still]), 24), discretize_zoh(DoubleIntegrator(2), 1.0, 24)
     x = np.hstack([start, still])
     mission = Reconfiguration(
-        linear_model=DoubleIntegrator(2),
-        initial_states=x,
-        alive=everyone,
+        model=DoubleIntegrator(2),
+        start=x,
         legs=(leg,),
         step=1.0,
         comm_radius=100.0,
@@ -268,12 +267,12 @@ def test_replanning_never_raises_the_fuel_of_the_first_plan(bargains):
     plans, spent, planned, flown = NO_PLANS, np.zeros(4), [], []
     for k in range(24):
         if k % 4 == 0:
-            network = CommunicationGraph.from_positions(x[:, :2], mission.comm_radius, everyone)
+            graph = CommunicationGraph.from_positions(x[:, :2], mission.comm_radius, everyone)
             clock = np.full(4, k)
             minds = replace(
                 AgentMemory.initial(np.full(4, 4)), target_index=np.arange(4), clock=clock
             )
-            moment = DecisionContext(mission, leg, network, x, k, float(k))
+            moment = DecisionContext(mission, leg, graph, x, k, float(k))
             plans, events = plan_trajectories(moment, minds, spent, plans)
             assert [event["kind"] for event in events] == ["replan"]
             planned.append(spent.sum() + sum(flight.fuel for flight in plans.trajectories.values()))
@@ -283,6 +282,6 @@ def test_replanning_never_raises_the_fuel_of_the_first_plan(bargains):
         x = steps[k : k + 1].simulate(x, u[:, None])[:, -1]
     np.testing.assert_allclose(x, leg.targets, atol=1e-6)
     assert np.diff(planned).max() < 1e-6
-    path = steps.simulate(mission.initial_states, np.stack(flown, axis=1)).swapaxes(0, 1)
+    path = steps.simulate(mission.start, np.stack(flown, axis=1)).swapaxes(0, 1)
     alive = np.ones(path.shape[:2], dtype=bool)
     assert separations(path[..., :2], path[..., 2:], alive, 1.0).minimum.distance >= 1.0

@@ -1,4 +1,4 @@
-"""Roundabouts: who comes to one, on which hand, and what it saves."""
+"""Roundabouts and conflict resolution: turns, sides, and the fuel saved."""
 
 from dataclasses import replace
 
@@ -26,7 +26,7 @@ from sato.scp.roundabout import can_use_roundabout, solve_roundabout, update_in_
 
 
 def spin(planners):
-    """By how much each turns about the middle of the circle on its way: positive to the left."""
+    """Angular momentum of each agent about the center, summed over time."""
     found = []
     for p in planners.values():
         place, speed = p.nominal.x[:, :2], p.nominal.x[:, 2:]
@@ -48,18 +48,20 @@ def test_all_go_around_on_one_side_separated_and_reach_targets(bend, hand):
         )
         assert np.abs(p.nominal.u).max() <= p.transfer.max_control * (1 + 1e-9)
     assert found.solve_count == sum(p.solve_count for p in found.planners.values()) == 5
-    assert found.round_count == 5 + 1 + 1  # a turn each, to hear who is clear, and to flood it
+    assert (
+        found.round_count == 5 + 1 + 1
+    )  # a turn each, one round of trajectories, and a flood of the outcome
 
 
 def test_later_turns_use_the_plans_of_earlier_ones():
-    # If all answered what they had been told at first, these six would never be clear.
+    # If all planned around the first messages, these six would never be clear.
     planners = antipodal_swarm(6, 1.5)
     found = solve_roundabout(planners, complete_graph(planners), -1.0)
     assert (found.planners.keys(), found.solve_count) == (planners.keys(), 6)
 
 
 def test_agents_in_conflict_after_a_round_have_another_turn():
-    # Bent by so little, the first come too close in the first round and find a way in a later one.
+    # With so small an offset, the first agents conflict in round one and not in a later one.
     planners = antipodal_swarm(6, 1.5)
     found = solve_roundabout(planners, complete_graph(planners), 0.1)
     assert found.planners.keys() == planners.keys()
@@ -70,28 +72,28 @@ def test_agents_in_conflict_after_a_round_have_another_turn():
 
 def test_resolution_is_the_cheaper_of_orders_and_roundabout(monkeypatch):
     planners = antipodal_swarm(5, 1.5)
-    network = complete_graph(planners)
-    settled = try_priority_orders(planners, network, 2)
-    ordered = negotiate(settled.planners, network, 2)
-    begun = solve_roundabout(planners, network, -1.0)
-    dealt = negotiate(begun.planners, network, 2)
+    graph = complete_graph(planners)
+    settled = try_priority_orders(planners, graph, 2)
+    ordered = negotiate(settled.planners, graph, 2)
+    begun = solve_roundabout(planners, graph, -1.0)
+    negotiated = negotiate(begun.planners, graph, 2)
     monkeypatch.setattr("sato.scp.resolve.OFFSETS", [-1.0])
-    terms = resolve_conflicts(planners, network, 2, 2)
-    assert total_cost(terms.planners) == total_cost(dealt.planners)
-    assert total_cost(terms.planners)[:2] == (0, 0)
-    assert continuous_separation(terms.planners) >= RADIUS
-    assert total_cost(terms.planners)[2] < 0.95 * total_cost(ordered.planners)[2]
-    parts = settled, ordered, begun, dealt
-    assert terms.solve_count == sum(part.solve_count for part in parts)
+    resolved = resolve_conflicts(planners, graph, 2, 2)
+    assert total_cost(resolved.planners) == total_cost(negotiated.planners)
+    assert total_cost(resolved.planners)[:2] == (0, 0)
+    assert continuous_separation(resolved.planners) >= RADIUS
+    assert total_cost(resolved.planners)[2] < 0.95 * total_cost(ordered.planners)[2]
+    parts = settled, ordered, begun, negotiated
+    assert resolved.solve_count == sum(part.solve_count for part in parts)
     assert (
-        terms.round_count == sum(part.round_count for part in parts) + 2
-    )  # floods of what all pay
+        resolved.round_count == sum(part.round_count for part in parts) + 2
+    )  # floods of the costs
 
 
 def test_both_sides_are_tried_with_two_offsets_each(monkeypatch):
     tried = []
 
-    def nowhere(planners, network, bend):
+    def nowhere(planners, graph, bend):
         tried.append(bend)
         return ConflictResolution({}, 0, 0)
 
@@ -117,30 +119,32 @@ def test_component_without_cost_has_no_roundabout(monkeypatch):
 def test_resolution_never_costs_more_than_negotiated_orders(rng):
     for _ in range(2):
         planners = random_swarm(rng, 4, box=3.0)
-        network = complete_graph(planners)
-        ordered = negotiate(try_priority_orders(planners, network, 2).planners, network, 2)
-        terms = resolve_conflicts(planners, network, 2, 2)
-        assert total_cost(terms.planners) <= total_cost(ordered.planners)
-        assert continuous_separation(terms.planners) >= RADIUS
+        graph = complete_graph(planners)
+        ordered = negotiate(try_priority_orders(planners, graph, 2).planners, graph, 2)
+        resolved = resolve_conflicts(planners, graph, 2, 2)
+        assert total_cost(resolved.planners) <= total_cost(ordered.planners)
+        assert continuous_separation(resolved.planners) >= RADIUS
 
 
 @pytest.mark.parametrize("axes", [2, 3])
 def test_no_roundabout_without_sweeps_or_in_space(rng, axes):
     planners = random_swarm(rng, 4, axes)
-    network, sweeps = complete_graph(planners), axes - 2
-    settled = try_priority_orders(planners, network, 2)
-    ordered = negotiate(settled.planners, network, sweeps)
-    terms = resolve_conflicts(planners, network, 2, sweeps)
-    assert terms.solve_count == settled.solve_count + ordered.solve_count
-    assert terms.round_count == settled.round_count + ordered.round_count + sweeps  # what all pay
+    graph, sweeps = complete_graph(planners), axes - 2
+    settled = try_priority_orders(planners, graph, 2)
+    ordered = negotiate(settled.planners, graph, sweeps)
+    resolved = resolve_conflicts(planners, graph, 2, sweeps)
+    assert resolved.solve_count == settled.solve_count + ordered.solve_count
+    assert (
+        resolved.round_count == settled.round_count + ordered.round_count + sweeps
+    )  # floods of the costs
     for i, p in ordered.planners.items():
-        np.testing.assert_array_equal(p.nominal.u, terms.planners[i].nominal.u)
+        np.testing.assert_array_equal(p.nominal.u, resolved.planners[i].nominal.u)
 
 
 def test_previous_plan_or_missed_target_excludes_a_roundabout():
     planners = antipodal_swarm(4, 1.5)
-    network = complete_graph(planners)
-    before = solve_roundabout(planners, network, 1.0).planners
+    graph = complete_graph(planners)
+    before = solve_roundabout(planners, graph, 1.0).planners
     transfer, horizon = make_problem()
     stuck = immobile(0, planners[0].nominal.x[0, :2], transfer, horizon)
     kept, lost = (
@@ -151,10 +155,10 @@ def test_previous_plan_or_missed_target_excludes_a_roundabout():
     for one in (kept, lost):
         assert not can_use_roundabout(one)
         some = planners | {0: one}
-        settled = try_priority_orders(some, network, 1)
-        ordered = negotiate(settled.planners, network, 1)
+        settled = try_priority_orders(some, graph, 1)
+        ordered = negotiate(settled.planners, graph, 1)
         assert (
-            resolve_conflicts(some, network, 1, 1).solve_count
+            resolve_conflicts(some, graph, 1, 1).solve_count
             == settled.solve_count + ordered.solve_count
         )
 

@@ -1,4 +1,4 @@
-"""VSDAA: one agent's part against the compiled rounds, laws, and the central optimum."""
+"""VSDAA: the kernel against the definition, laws, and the optimal assignment."""
 
 from typing import NamedTuple
 
@@ -18,11 +18,11 @@ LAW = settings(deadline=None, derandomize=True, max_examples=60)
 
 
 class Case(NamedTuple):
-    """The arguments of an auction."""
+    """Arguments of an auction."""
 
     cost: np.ndarray
-    network: CommunicationGraph
-    believed: np.ndarray
+    graph: CommunicationGraph
+    target_count: np.ndarray
     epsilon: float
 
 
@@ -40,8 +40,8 @@ def random_graph(
     rng: np.random.Generator, agents: int, share: float, alive: float
 ) -> CommunicationGraph:
     live = rng.random(agents) < alive
-    hears = np.triu(rng.random((agents, agents)) < share, 1)
-    return CommunicationGraph((hears | hears.T) & live & live[:, None], live)
+    adjacency = np.triu(rng.random((agents, agents)) < share, 1)
+    return CommunicationGraph((adjacency | adjacency.T) & live & live[:, None], live)
 
 
 def costs(rng: np.random.Generator, kind: str, agents: int, targets: int) -> np.ndarray:
@@ -65,22 +65,22 @@ def cases(draw: st.DrawFn, most: int = 9) -> Case:
     agents, spare = draw(st.integers(1, most)), draw(st.integers(0, 4))
     shape = draw(st.sampled_from(["line", "ring", "dense", "sparse", "losses"]))
     if shape in ("line", "ring"):
-        network = {"line": line, "ring": ring if agents > 2 else line}[shape](agents)
+        graph = {"line": line, "ring": ring if agents > 2 else line}[shape](agents)
     else:
-        network = random_graph(
+        graph = random_graph(
             rng, agents, 0.6 if shape == "dense" else 0.25, 0.7 if shape == "losses" else 1.0
         )
     kind = draw(st.sampled_from(["random", "far", "ties", "all equal", "grid", "circle"]))
     targets = agents + spare
     m = draw(st.integers(1, targets))
-    believed = rng.integers(1, m + 1, agents) if draw(st.booleans()) else np.full(agents, m)
+    target_count = rng.integers(1, m + 1, agents) if draw(st.booleans()) else np.full(agents, m)
     epsilon = draw(st.sampled_from([0.01, 0.03, 0.25, 1.0]))
-    return Case(costs(rng, kind, agents, targets), network, believed, epsilon)
+    return Case(costs(rng, kind, agents, targets), graph, target_count, epsilon)
 
 
 def kernel(case: Case, ids: bool, rounds: int) -> list[VsdaaState]:
-    """All agents after each round, for that many rounds; the last is repeated."""
-    swarm, history = init_state(case.cost, case.network, case.believed), []
+    """State after each round; the last is repeated up to this number of rounds."""
+    swarm, history = init_state(case.cost, case.graph, case.target_count), []
     for _ in run_kernel(swarm, case.epsilon, ids, stride=1):
         history.append(VsdaaState(*(field.copy() for field in swarm)))
     return history + [history[-1]] * (rounds - len(history))
@@ -95,7 +95,7 @@ def definition(case: Case, ids: bool, rounds: int = 0) -> list:
 @settings(LAW, max_examples=150)
 @given(case=cases())
 def test_kernel_equals_the_definition_bit_for_bit(ids, case):
-    if not case.network.alive.any():
+    if not case.graph.alive.any():
         return
     try:
         agents = definition(case, ids)
@@ -107,7 +107,7 @@ def test_kernel_equals_the_definition_bit_for_bit(ids, case):
     swarms = kernel(case, ids, len(agents))
     agents = definition(case, ids, len(swarms))
     for r, (now, swarm) in enumerate(zip(agents, swarms, strict=True), start=1):
-        for i in np.flatnonzero(case.network.alive):
+        for i in np.flatnonzero(case.graph.alive):
             me = now[i]
             assert me.bids.price.tobytes() == swarm.price[i].tobytes()
             assert me.bids.winner.tobytes() == swarm.winner[i].tobytes()
@@ -123,30 +123,30 @@ def test_kernel_equals_the_definition_bit_for_bit(ids, case):
 @given(case=cases())
 @LAW
 def test_kernel_and_definition_have_the_same_result(ids, case):
-    if not case.network.alive.any():
+    if not case.graph.alive.any():
         return
     try:
         history = definition(case, ids)
     except OutOfTargets:
         return
     auction = run_vsdaa(*case, bidder_ids=ids)
-    live = np.flatnonzero(case.network.alive)
+    live = np.flatnonzero(case.graph.alive)
     last = [history[-1][i] for i in live]
     assert auction.round_count == len(history)
     assert auction.target_index[live].tolist() == [agent.target_index for agent in last]
     assert auction.bidder_count[live].tolist() == [agent.bids.winner_count for agent in last]
     assert auction.bid_count == sum(agent.bid_count for agent in last)
-    assert np.all(auction.target_index[~case.network.alive] == -1)
+    assert np.all(auction.target_index[~case.graph.alive] == -1)
 
 
-def check_promises(case: Case) -> None:
-    """Every promise of the auction, component by component."""
-    cost, network, believed, epsilon = case
+def check_result(case: Case) -> None:
+    """Check the result of the auction in each component."""
+    cost, graph, target_count, epsilon = case
     auction = run_vsdaa(*case)
-    for c in range(network.component.max(initial=-1) + 1):
-        members = np.flatnonzero(network.component == c)
+    for c in range(graph.component.max(initial=-1) + 1):
+        members = np.flatnonzero(graph.component == c)
         n, target = len(members), auction.target_index[members]
-        m = max(n, int(believed[members].max()))
+        m = max(n, int(target_count[members].max()))
         assert len(set(target.tolist())) == n
         assert set(auction.target_count[members].tolist()) == {m}
         assert set(auction.bidder_count[members].tolist()) == {n}
@@ -159,25 +159,25 @@ def check_promises(case: Case) -> None:
 @settings(LAW, max_examples=300)
 @given(cases(most=14))
 def test_components_agree_on_unique_targets_within_n_epsilon(case):
-    check_promises(case)
+    check_result(case)
 
 
 @pytest.mark.parametrize("kind", ["random", "grid", "circle", "all equal"])
 def test_every_initial_target_count_converges(rng, kind):
     cost = costs(rng, kind, 9, 12)
     for m in range(1, 13):
-        check_promises(Case(cost, ring(9), np.full(9, m), 1e-2))
+        check_result(Case(cost, ring(9), np.full(9, m), 1e-2))
 
 
 @pytest.mark.parametrize("share", [0.05, 0.1])
 def test_sixty_agents_in_several_components_converge(rng, share):
-    network = random_graph(rng, 60, share, 0.9)
-    check_promises(Case(rng.random((60, 70)), network, rng.integers(20, 71, 60), 1e-3))
+    graph = random_graph(rng, 60, share, 0.9)
+    check_result(Case(rng.random((60, 70)), graph, rng.integers(20, 71, 60), 1e-3))
 
 
 def test_agents_agree_on_the_largest_m_first(rng):
-    believed = np.array([3, 7, 2, 5])
-    auction = run_vsdaa(rng.random((4, 8)), line(4), believed, 1e-2)
+    target_count = np.array([3, 7, 2, 5])
+    auction = run_vsdaa(rng.random((4, 8)), line(4), target_count, 1e-2)
     assert auction.target_count.tolist() == [7, 7, 7, 7]
 
 
@@ -192,7 +192,7 @@ def test_lone_agent_with_m_of_one_takes_the_first_target():
     assert auction.target_index.tolist() == [0]
 
 
-def books_differ(before: tuple, after: tuple, r: int, i: int) -> bool:
+def tables_differ(before: tuple, after: tuple, r: int, i: int) -> bool:
     (price, holder), (price_2, holder_2) = before, after
     return (
         price[r][i].tobytes() != price_2[r][i].tobytes()
@@ -200,7 +200,7 @@ def books_differ(before: tuple, after: tuple, r: int, i: int) -> bool:
     )
 
 
-def books_by_messages(case: Case, rounds: int) -> tuple:
+def tables_by_messages(case: Case, rounds: int) -> tuple:
     history = definition(case, True, rounds)
     return (
         [{i: agent.bids.price for i, agent in now.items()} for now in history],
@@ -208,43 +208,43 @@ def books_by_messages(case: Case, rounds: int) -> tuple:
     )
 
 
-def books_by_kernel(case: Case, rounds: int) -> tuple:
+def tables_by_kernel(case: Case, rounds: int) -> tuple:
     history = kernel(case, True, rounds)
     return [swarm.price for swarm in history], [swarm.winner for swarm in history]
 
 
-@pytest.mark.parametrize("books", [books_by_messages, books_by_kernel])
-@pytest.mark.parametrize("believed", [3, 12])
-def test_costs_have_no_effect_h_hops_away_before_round_h(rng, books, believed):
+@pytest.mark.parametrize("tables", [tables_by_messages, tables_by_kernel])
+@pytest.mark.parametrize("target_count", [3, 12])
+def test_costs_have_no_effect_h_hops_away_before_round_h(rng, tables, target_count):
     cost = rng.random((10, 12))
     changed = cost.copy()
     changed[0] = rng.random(12)
-    changed[0, np.argmin(cost[0, :believed])] = 2.0  # so that it bids elsewhere at once
-    network, m = line(10), np.full(10, believed)
-    before, after = (books(Case(c, network, m, 1e-2), 40) for c in (cost, changed))
+    changed[0, np.argmin(cost[0, :target_count])] = 2.0  # so that it bids elsewhere at once
+    graph, m = line(10), np.full(10, target_count)
+    before, after = (tables(Case(c, graph, m, 1e-2), 40) for c in (cost, changed))
     for hops in range(10):
-        # Index r is the book after r + 1 rounds; the first bid is heard a hop away in the second.
+        # Index r is the state after r + 1 rounds; the first bid arrives a hop away in the second.
         for r in range(hops):
-            assert not books_differ(before, after, r, hops)
-    assert books_differ(before, after, 0, 0)
-    assert any(books_differ(before, after, r, 9) for r in range(9, 40))
+            assert not tables_differ(before, after, r, hops)
+    assert tables_differ(before, after, 0, 0)
+    assert any(tables_differ(before, after, r, 9) for r in range(9, 40))
 
 
-@pytest.mark.parametrize("books", [books_by_messages, books_by_kernel])
-def test_effects_travel_one_hop_a_round_on_random_graphs(rng, books):
+@pytest.mark.parametrize("tables", [tables_by_messages, tables_by_kernel])
+def test_effects_travel_one_hop_a_round_on_random_graphs(rng, tables):
     for _ in range(5):
-        network = random_graph(rng, 14, 0.15, 1.0)
+        graph = random_graph(rng, 14, 0.15, 1.0)
         cost = rng.random((14, 16))
         changed = cost.copy()
         changed[3] = rng.random(16)
-        before, after = (books(Case(c, network, np.full(14, 9), 1e-2), 30) for c in (cost, changed))
-        for i, hops in enumerate(network.hops[3]):
+        before, after = (tables(Case(c, graph, np.full(14, 9), 1e-2), 30) for c in (cost, changed))
+        for i, hops in enumerate(graph.hops[3]):
             for r in range(int(min(hops, 30))):
-                assert not books_differ(before, after, r, i)
+                assert not tables_differ(before, after, r, i)
 
 
 def test_tied_bids_without_ids_assign_one_target_to_several():
-    # Everybody bids the same on target 0 and, without numbers, believes to hold it.
+    # All bid the same on target 0 and, without ids, each believes to hold it.
     case = Case(np.ones((4, 6)), line(4), np.full(4, 1), 0.1)
     assert run_vsdaa(*case, bidder_ids=False).target_index.tolist() == [0, 0, 0, 0]
     assert sorted(run_vsdaa(*case, bidder_ids=True).target_index.tolist()) == [0, 1, 2, 3]
@@ -264,17 +264,17 @@ def test_printed_method_is_near_optimal_without_ties(rng):
 def test_last_bid_round_is_within_the_bound_of_proposition_1(rng):
     # [Morgan2016, eq. 20]; the proof ignores growing m, so m starts at N.
     for agents in (3, 8, 20):
-        cost, network = rng.random((agents, agents)), ring(agents)
-        auction = run_vsdaa(cost, network, np.full(agents, agents), 1e-2)
+        cost, graph = rng.random((agents, agents)), ring(agents)
+        auction = run_vsdaa(cost, graph, np.full(agents, agents), 1e-2)
         steps = np.ceil((cost.max(axis=1) - cost.min(axis=1)) / 1e-2).max()
-        assert auction.last_bid_round <= network.diameter[0] * (agents - 1) * steps
+        assert auction.last_bid_round <= graph.diameter[0] * (agents - 1) * steps
 
 
 def test_auction_ends_where_many_targets_are_out_of_reach(rng):
-    # Out of reach is a large finite cost; here four agents fight for three good targets.
+    # Out of reach is a large finite cost; here four agents compete for three that are in reach.
     cost = rng.random((6, 8))
     cost[:4, 3:] += 1e3
-    check_promises(Case(cost, line(6), np.full(6, 8), 1e-2))
+    check_result(Case(cost, line(6), np.full(6, 8), 1e-2))
 
 
 @pytest.mark.parametrize("run", [run_vsdaa, lambda *case: list(run_by_messages(*case))])
@@ -286,18 +286,18 @@ def test_more_agents_than_targets_raise_out_of_targets(rng, run):
 
 
 def test_auction_without_live_agents_ends_at_once():
-    network = CommunicationGraph(np.zeros((2, 2), dtype=bool), np.full(2, False))
-    auction = run_vsdaa(np.full((2, 3), np.nan), network, np.zeros(2, dtype=int), 0.1)
+    graph = CommunicationGraph(np.zeros((2, 2), dtype=bool), np.full(2, False))
+    auction = run_vsdaa(np.full((2, 3), np.nan), graph, np.zeros(2, dtype=int), 0.1)
     assert auction.target_index.tolist() == [-1, -1]
     assert (auction.round_count, auction.bid_count) == (0, 0)
 
 
 def test_dead_agents_need_no_costs(rng):
     alive = np.array([True, False, True])
-    network = CommunicationGraph.from_positions(np.array([[0.0], [1.0], [2.0]]), 3.0, alive)
+    graph = CommunicationGraph.from_positions(np.array([[0.0], [1.0], [2.0]]), 3.0, alive)
     cost = rng.random((3, 3))
     cost[1] = np.nan
-    auction = run_vsdaa(cost, network, np.array([2, 0, 2]), 1e-2)
+    auction = run_vsdaa(cost, graph, np.array([2, 0, 2]), 1e-2)
     assert auction.target_index[1] == NO_WINNER
     assert len({*auction.target_index[alive].tolist()}) == 2
 
@@ -307,11 +307,11 @@ def test_dead_agents_need_no_costs(rng):
     [
         ({"cost": np.array([[0.0, np.inf], [0, 0]])}, "cost of target 1 for agent 0 is inf"),
         (
-            {"cost": np.zeros((3, 2)), "believed": np.array([1, 1, 1])},
+            {"cost": np.zeros((3, 2)), "target_count": np.array([1, 1, 1])},
             "costs for 3 agents, a graph of 2, m of 3: there must be a row",
         ),
-        ({"believed": np.array([1, 3])}, "agent 1 bids on 3 targets: must be from 1 to the 2"),
-        ({"believed": np.array([0, 1])}, "agent 0 bids on 0 targets"),
+        ({"target_count": np.array([1, 3])}, "agent 1 bids on 3 targets: must be from 1 to the 2"),
+        ({"target_count": np.array([0, 1])}, "agent 0 bids on 0 targets"),
         ({"epsilon": 0.0}, "the bid increment is 0.0"),
         ({"epsilon": float("nan")}, "the bid increment is nan"),
         ({"cost": np.full((2, 2), 1e15)}, "the bid increment is 0.1: it must be"),
