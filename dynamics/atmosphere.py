@@ -1,4 +1,4 @@
-"""Drag in an atmosphere that thins out exponentially and turns with the Earth."""
+"""Atmosphere of exponential density that rotates with the Earth, and its drag."""
 
 from dataclasses import dataclass
 from math import inf
@@ -9,8 +9,8 @@ from numpy import ndarray as Array
 
 from dynamics.orbit import EARTH_RADIUS, EARTH_ROTATION
 
-# Altitude [km], density there [kg/m³] and scale height above it [km]: the rows in which
-# spacecraft stay in orbit of [Vallado2013, table 8-4].
+# Altitude [km], density there [kg/m³] and scale height above it [km]: those rows of
+# [Vallado2013, table 8-4] at which spacecraft stay in orbit.
 DENSITY_TABLE = (
     (150, 2.070e-9, 22.523),
     (180, 5.464e-10, 29.740),
@@ -31,10 +31,10 @@ DENSITY_TABLE = (
 
 @dataclass(frozen=True)
 class Atmosphere:
-    """Air of density ρ₀ exp(−(h − h₀)/H) at altitude h above a sphere of the Earth's radius.
+    """Exponential atmosphere: density ρ₀ exp(−(h − h₀)/H) at altitude h above a sphere.
 
-    As it stands, that of 500 to 600 km at moderate solar activity; the real one is several
-    times thinner or denser as the Sun has it.
+    The defaults hold from 500 to 600 km at moderate solar activity. With solar activity the
+    real density varies by a factor of several in both directions.
     """
 
     reference_density: float = 6.967e-13  # ρ₀ [kg/m³]
@@ -43,51 +43,47 @@ class Atmosphere:
     rotation_rate: float = EARTH_ROTATION  # about the Earth's axis [rad/s]
 
     def __post_init__(self) -> None:
-        """Refuse air that is not air."""
+        """Check density and scale height."""
         if not (0 <= self.reference_density < inf and 0 < self.scale_height < inf):
             raise ValueError(
-                "an atmosphere has a density that is not negative and a positive scale height, "
-                f"got {self.reference_density} kg/m³ and {self.scale_height} m"
+                "reference_density must not be negative and scale_height must be positive, got "
+                f"{self.reference_density} kg/m³ and {self.scale_height} m"
             )
 
     @classmethod
     def from_altitude(cls, altitude: float) -> "Atmosphere":
-        """The air at and some way above an altitude [m] [Vallado2013, table 8-4].
+        """Take the row of [Vallado2013, table 8-4] for an altitude [m].
 
         Raises:
-            ValueError: It is below the table, where no spacecraft stays in orbit.
+            ValueError: The altitude is below the table, where no spacecraft stays in orbit.
         """
         below = [row for row in DENSITY_TABLE if row[0] * 1e3 <= altitude]
         if not below:
             raise ValueError(
-                f"the atmosphere's table begins at {DENSITY_TABLE[0][0]} km, below which no spacecraft "
-                f"stays up, got {altitude / 1e3:.4g} km; altitudes here are in metres"
+                f"altitude: the table begins at {DENSITY_TABLE[0][0]} km, and no spacecraft can "
+                f"stay in orbit below, got {altitude / 1e3:.4g} km; altitudes are in meters"
             )
         height, density, scale = below[-1]
         return cls(density, height * 1e3, scale * 1e3)
 
     def density_at(self, position: Float[Array, "*k 3"]) -> Float[Array, "*k"]:
-        """Density [kg/m³] at places in inertial axes [m]."""
+        """Return the density [kg/m³] at positions in inertial axes [m]."""
         r = np.sqrt((position * position).sum(axis=-1))
         above = r - (EARTH_RADIUS + self.reference_altitude)
         return np.asarray(self.reference_density * np.exp(-above / self.scale_height))
 
     def drag_acceleration(
-        self,
-        position: Float[Array, "*k 3"],
-        velocity: Float[Array, "*k 3"],
-        ballistic: float | Float[Array, "*#k"],
+        self, state: Float[Array, "*k 6"], ballistic_coefficient: float | Float[Array, "*#k"]
     ) -> Float[Array, "*k 3"]:
-        """Deceleration −½ ρ B |v| v, with v the velocity against the turning air [m/s²].
+        """Return −½ ρ B |v| v, with v the velocity relative to the rotating air [m/s²].
 
         Args:
-            position: In inertial axes [m].
-            velocity: In inertial axes [m/s].
-            ballistic: Ballistic coefficient B = C_D A/m [m²/kg].
+            state: Inertial positions and velocities [m, m/s].
+            ballistic_coefficient: B = C_D A/m [m²/kg].
         """
-        against = velocity.copy()
-        against[..., 0] += self.rotation_rate * position[..., 1]
-        against[..., 1] -= self.rotation_rate * position[..., 0]
-        speed = np.sqrt((against * against).sum(axis=-1))
-        strength = -0.5 * ballistic * self.density_at(position) * speed
-        return np.asarray(strength[..., None] * against)
+        position, relative = state[..., :3], state[..., 3:].copy()
+        relative[..., 0] += self.rotation_rate * position[..., 1]
+        relative[..., 1] -= self.rotation_rate * position[..., 0]
+        speed = np.sqrt((relative * relative).sum(axis=-1))
+        strength = -0.5 * ballistic_coefficient * self.density_at(position) * speed
+        return np.asarray(strength[..., None] * relative)

@@ -1,4 +1,4 @@
-"""How close two cubic pieces come: the least of a sextic, found by halving and polished."""
+"""Compiled kernels for Bézier curves: closest approach of two, distance of a hull."""
 
 from typing import no_type_check
 
@@ -14,13 +14,15 @@ _PRODUCT_WEIGHTS = np.outer([1.0, 3.0, 3.0, 1.0], [1.0, 3.0, 3.0, 1.0]) / np.arr
 @numba.njit(cache=True)
 @no_type_check
 def closest_pair(b, pairs):
-    """Least distance of any pair, when it is, and which pair of the list.
+    """Return the minimum distance of any pair, its fraction of the piece, and its pair.
+
+    The squared distance of two cubic pieces is a sextic. Its Bernstein coefficients bound
+    it from below; subdivision isolates the minimum and Newton's method refines it.
 
     Args:
-        b: Bézier points of every agent's piece.
-        pairs: Numbers of the agents to compare.
+        b: Bézier points of every agent's piece, (agents, 4, d).
+        pairs: Indices of the agents of each pair.
     """
-    # Squared distance as a sextic in Bernstein form: its coefficients bound it from below.
     least, fraction, best = np.inf, 0.0, 0
     for q in range(len(pairs)):
         r = b[pairs[q, 1]] - b[pairs[q, 0]]
@@ -39,7 +41,7 @@ def closest_pair(b, pairs):
 @numba.njit(cache=True)
 @no_type_check
 def _min_norm_of_sextic(c, r):
-    # Halve where the coefficients leave room for less than what was met, then polish.
+    # Subdivide where the coefficients allow a value below the least one found so far.
     slack = 1e-15 * np.abs(c).max()
     least, t = (c[0], 0.0) if c[0] <= c[6] else (c[6], 1.0)
     stack, low, width = np.empty((64, 7)), np.empty(64), np.empty(64)
@@ -55,7 +57,7 @@ def _min_norm_of_sextic(c, r):
             left[m] = a[0]
             for i in range(6 - m):
                 a[i] = (a[i] + a[i + 1]) / 2
-        # De Casteljau leaves the right half's coefficients in place, in order.
+        # De Casteljau's algorithm leaves the coefficients of the right half in a, in order.
         if a[0] < least:
             least, t = a[0], start + half
         stack[top], low[top], width[top] = left, start, half
@@ -83,3 +85,68 @@ def _refine_by_newton(r, t):
             break
         t = min(max(t - (p * v).sum() / curve, 0.0), 1.0)
     return best, at
+
+
+@numba.njit(cache=True)
+@no_type_check
+def min_norm_points(points):
+    """Return the distance of each hull of four points from the origin, and its nearest point."""
+    count, _, d = points.shape
+    distance, nearest = np.zeros(count), np.zeros((count, d))
+    best, n = np.empty(d), np.empty(d)
+    for q in range(count):
+        b = points[q]
+        least = 0.0
+        best[:] = 0.0
+        for i in range(4):
+            n[:] = b[i]
+            least = _update_best_normal(b, n, least, best)
+            for j in range(i):
+                if d == 2:
+                    n[0], n[1] = b[j, 1] - b[i, 1], b[i, 0] - b[j, 0]
+                    least = _update_best_normal(b, n, least, best)
+                    continue
+                n[:] = b[i]
+                _orthogonalize(n, b[j] - b[i])
+                least = _update_best_normal(b, n, least, best)
+                for m in range(j):
+                    e, f = b[j] - b[i], b[m] - b[i]
+                    n[0] = e[1] * f[2] - e[2] * f[1]
+                    n[1] = e[2] * f[0] - e[0] * f[2]
+                    n[2] = e[0] * f[1] - e[1] * f[0]
+                    least = _update_best_normal(b, n, least, best)
+        distance[q] = least
+        nearest[q] = least * best
+    return distance, nearest
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _orthogonalize(n, e):
+    # Subtract the projection of n on e; twice, so that n is orthogonal to rounding.
+    size = (e * e).sum()
+    if size > 0.0:
+        for _ in range(2):
+            n -= e * ((n * e).sum() / size)
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _update_best_normal(b, n, least, best):
+    # Both sides of the line or plane with normal n.
+    size = np.sqrt((n * n).sum())
+    if size < 1e-150:
+        return least
+    low, high = np.inf, -np.inf
+    for i in range(4):
+        projection = 0.0
+        for a in range(len(n)):
+            projection += n[a] / size * b[i, a]
+        low, high = min(low, projection), max(high, projection)
+    if low > least:
+        best[:] = n / size
+        return low
+    if -high > least:
+        best[:] = -n / size
+        return -high
+    return least

@@ -1,18 +1,18 @@
-"""Inertial space and the frame of the chief.
+"""Coordinate frames: inertial axes and the LVLH axes of the chief.
 
-The axes of the chief's frame, in all of this package (LVLH; also called RSW, RTN or Hill's):
+In this package LVLH (also called RSW, RTN or Hill's frame) has the axes
 
-    x  radially out, from the Earth's centre to the chief
-    y  transverse: in the plane of the orbit, square to x, towards where the chief goes
-    z  along the orbit's normal, r × v
+    x  radial, from the Earth's center to the chief
+    y  transverse (along-track): in the orbital plane, perpendicular to x, in the direction
+       of motion
+    z  normal (cross-track), r × v
 
-They are those of the osculating orbit, and velocities are seen from them as they turn,
-with ω = (ω_x, 0, ω_z). Another frame is called LVLH too, such as Orekit's LVLH_CCSDS, whose
-z points to the nadir and y against the normal: (X, Y, Z) there is (y, −z, −x) here.
+of the chief's osculating orbit. Velocities are relative to these axes, which rotate with
+ω = (ω_x, 0, ω_z). Other software uses the same name for other axes: in Orekit's LVLH_CCSDS
+z points to the nadir and y against the normal, so (X, Y, Z) there is (y, −z, −x) here.
 
-Inertial axes: z along the Earth's axis, x and y in its equator. A state is a position and
-a velocity [m, m/s]. The six numbers of a chief are those of `Orbit`: radius, radial
-speed, angular momentum, node, inclination and argument of latitude.
+Inertial axes: z along the Earth's axis, x and y in the plane of the equator. A state is a
+position and a velocity [m, m/s]. Polar-nodal elements are those of `Orbit`.
 """
 
 from dataclasses import dataclass
@@ -26,32 +26,32 @@ from dynamics.orbit import lvlh_rates
 
 @dataclass(frozen=True, eq=False)
 class LVLH:
-    """The chief's frame at an instant, or at many.
+    """LVLH coordinate frame of the chief at one instant or at many.
 
-    Its methods take states of one vehicle or of many: their first axes are those of the
-    frame, and what follows them counts vehicles.
+    Methods take the states of one agent or of many. The leading axes of an array of states
+    are those of the instants; agent axes follow.
     """
 
     chief_state: Float[Array, "*k 6"]  # inertial state of the chief [m, m/s]
     axes: Float[Array, "*k 3 3"]  # rows: x, y and z in inertial axes
-    omega: Float[Array, "*k 3"]  # as the frame turns, in its own axes [rad/s]
+    omega: Float[Array, "*k 3"]  # angular velocity in LVLH axes [rad/s]
 
     @classmethod
     def from_state(
         cls, chief: Float[Array, "*k 6"], acceleration: Float[Array, "*k 3"] | None = None
     ) -> "LVLH":
-        """The frame of a chief with this inertial state.
+        """Construct the frame from the inertial state of the chief.
 
             ω_z = h/r²,    ω_x = r a_n/h    [Xu2008]
 
         Args:
-            chief: Its inertial position and velocity [m, m/s].
-            acceleration: All that it feels, in inertial axes; of it only the part a_n
-                along the normal counts, which tilts the orbit [m/s²]. None is Kepler's
-                motion, in which there is no such part.
+            chief: Inertial position and velocity [m, m/s].
+            acceleration: Total acceleration of the chief in inertial axes [m/s²]. Only its
+                component a_n along the normal has an effect: it tilts the orbital plane.
+                None is Keplerian motion, with a_n = 0.
 
         Raises:
-            ValueError: The chief falls along a line, which has no normal.
+            ValueError: The motion is rectilinear, so that there is no orbital plane.
         """
         r, h = radius_and_momentum(chief)
         axes = orbit_axes(chief)
@@ -63,68 +63,66 @@ class LVLH:
 
     @classmethod
     def from_polar_nodal(cls, chief: Float[Array, "*k 6"], k_J2: float) -> "LVLH":
-        """The frame of a chief with these six numbers, under two bodies and J2.
+        """Construct the frame from polar-nodal elements, under two-body gravity and J2.
 
         Args:
-            chief: As `Orbit.at` gives them.
-            k_J2: Strength of the oblateness, 0 for Kepler's motion [m⁵/s²].
+            chief: Polar-nodal elements, as `Orbit.elements_at` returns them.
+            k_J2: Strength of the oblateness, 0 for Keplerian motion [m⁵/s²].
         """
         rates = lvlh_rates(chief, k_J2)
         omega = np.stack([rates.omega_x, np.zeros_like(rates.omega_x), rates.omega_z], axis=-1)
         return cls(inertial_state(chief), _axes_from_angles(chief), omega)
 
     def to_inertial(self, x: Float[Array, "... 6"]) -> Float[Array, "... 6"]:
-        """Inertial states, of states in this frame.
+        """Convert LVLH states to inertial states.
 
-        A position is known to no better than the last digit of the distance from the
-        Earth's centre, a nanometre in low orbit. `to_offset` keeps what lies below.
+        Positions are rounded to the last digit of the distance from the Earth's center,
+        about a nanometer in low orbit. `to_offset` is free of this rounding.
         """
         return np.asarray(self._add_agent_axes(self.chief_state, x, 1) + self.to_offset(x))
 
     def from_inertial(self, state: Float[Array, "... 6"]) -> Float[Array, "... 6"]:
-        """States in this frame, of inertial states."""
+        """Convert inertial states to LVLH states."""
         return self.from_offset(state - self._add_agent_axes(self.chief_state, state, 1))
 
     def to_offset(self, x: Float[Array, "... 6"]) -> Float[Array, "... 6"]:
-        """How inertial states differ from the chief's, of states in this frame."""
+        """Convert LVLH states to inertial states minus that of the chief."""
         omega, axes = self._add_agent_axes(self.omega, x, 1), self._add_agent_axes(self.axes, x, 2)
-        seen = x[..., 3:] + _cross_omega(omega, x[..., :3])
+        velocity = x[..., 3:] + _cross_omega(omega, x[..., :3])
         return np.concatenate(
-            [np.einsum("...ab,...a->...b", axes, part) for part in (x[..., :3], seen)], axis=-1
+            [np.einsum("...ab,...a->...b", axes, part) for part in (x[..., :3], velocity)], axis=-1
         )
 
     def from_offset(self, offset: Float[Array, "... 6"]) -> Float[Array, "... 6"]:
-        """States in this frame, of how inertial states differ from the chief's."""
-        omega, axes = (
-            self._add_agent_axes(self.omega, offset, 1),
-            self._add_agent_axes(self.axes, offset, 2),
-        )
+        """Convert inertial states minus that of the chief to LVLH states."""
+        omega = self._add_agent_axes(self.omega, offset, 1)
+        axes = self._add_agent_axes(self.axes, offset, 2)
         position, velocity = (
             np.einsum("...ab,...b->...a", axes, part) for part in (offset[..., :3], offset[..., 3:])
         )
         return np.concatenate([position, velocity - _cross_omega(omega, position)], axis=-1)
 
     def _add_agent_axes(self, part: Array, x: Array, own: int) -> Array:
-        # Axes that count vehicles go between those of the frame and those of a vector.
+        # Agent axes go between those of the instants and those of a vector or matrix.
         instants = part.ndim - own
-        vehicles = max(0, x.ndim - 1 - instants)
-        return part.reshape(part.shape[:instants] + (1,) * vehicles + part.shape[instants:])
+        agents = max(0, x.ndim - 1 - instants)
+        return part.reshape(part.shape[:instants] + (1,) * agents + part.shape[instants:])
 
 
 def to_polar_nodal(state: Float[Array, "*k 6"]) -> Float[Array, "*k 6"]:
-    """The six numbers of a chief, of its inertial state.
+    """Convert inertial states to polar-nodal elements.
 
-    In an equatorial orbit every direction is a node; the one taken is the x axis (node 0).
-    The argument of latitude lies between −π and π.
+    An equatorial orbit has no node; Ω = 0 is used. The argument of latitude lies between
+    −π and π.
 
     Raises:
-        ValueError: The state falls along a line, and has no plane.
+        ValueError: The motion is rectilinear, so that there is no orbital plane.
     """
     r, h = radius_and_momentum(state)
     position, velocity = state[..., :3], state[..., 3:]
     normal = _cross(position, velocity)
     tilt = np.hypot(normal[..., 0], normal[..., 1])
-    # 0.0 − y is never −0, of which the arctangent would be π where there is no tilt.
+    # 0.0 − y is never −0, for which the arctangent would be π in an equatorial orbit.
     node = np.arctan2(normal[..., 0] + 0.0, 0.0 - normal[..., 1])
     to_node = np.stack([np.cos(node), np.sin(node), np.zeros_like(node)], axis=-1)
     ahead = _cross(normal, to_node) / h[..., None]
@@ -134,7 +132,7 @@ def to_polar_nodal(state: Float[Array, "*k 6"]) -> Float[Array, "*k 6"]:
 
 
 def inertial_state(chief: Float[Array, "*k 6"]) -> Float[Array, "*k 6"]:
-    """The inertial state of a chief, of its six numbers."""
+    """Convert polar-nodal elements to inertial states."""
     r, v_x, h = (part[..., None] for part in np.moveaxis(chief[..., :3], -1, 0))
     axes = _axes_from_angles(chief)
     x, y = axes[..., 0, :], axes[..., 1, :]
@@ -142,7 +140,7 @@ def inertial_state(chief: Float[Array, "*k 6"]) -> Float[Array, "*k 6"]:
 
 
 def orbit_axes(state: Float[Array, "*k 6"]) -> Float[Array, "*k 3 3"]:
-    """The axes x, y and z of an inertial state's orbit, as rows."""
+    """Return the LVLH axes x, y and z of inertial states as rows."""
     position, normal = state[..., :3], _cross(state[..., :3], state[..., 3:])
     x = position / np.sqrt((position * position).sum(axis=-1, keepdims=True))
     z = normal / np.sqrt((normal * normal).sum(axis=-1, keepdims=True))
@@ -152,40 +150,40 @@ def orbit_axes(state: Float[Array, "*k 6"]) -> Float[Array, "*k 3 3"]:
 def radius_and_momentum(
     state: Float[Array, "*k 6"],
 ) -> tuple[Float[Array, "*k"], Float[Array, "*k"]]:
-    """Distance from the Earth's centre and angular momentum of inertial states.
+    """Return the radius and the specific angular momentum of inertial states.
 
     Raises:
-        ValueError: One is not finite, or falls along a line.
+        ValueError: A state is not finite, or its motion is rectilinear.
     """
     r = np.linalg.norm(state[..., :3], axis=-1)
     h = np.linalg.norm(_cross(state[..., :3], state[..., 3:]), axis=-1)
     if not (np.isfinite(h).all() and (h > 0).all()):
         raise ValueError(
             "an orbit needs a finite position and velocity that do not lie on one line through "
-            f"the Earth's centre, got {state.reshape(-1, 6)[np.argmin(np.nan_to_num(h))]}"
+            f"the Earth's center, got {state.reshape(-1, 6)[np.argmin(np.nan_to_num(h))]}"
         )
     return np.asarray(r), np.asarray(h)
 
 
 def _axes_from_angles(chief: Array) -> Array:
-    """The axes of a chief by its angles, as rows: about z, x and z again."""
+    """Return the LVLH axes as rows: rotations by Ω about z, i about x and θ about z."""
     node, i, theta = np.moveaxis(chief[..., 3:], -1, 0)
     cos_n, sin_n, cos_i, sin_i = np.cos(node), np.sin(node), np.cos(i), np.sin(i)
     to_node = np.stack([cos_n, sin_n, np.zeros_like(node)], axis=-1)
-    square = np.stack([-sin_n * cos_i, cos_n * cos_i, sin_i], axis=-1)
+    transverse = np.stack([-sin_n * cos_i, cos_n * cos_i, sin_i], axis=-1)
     normal = np.stack([sin_n * sin_i, -cos_n * sin_i, cos_i], axis=-1)
     c, s = np.cos(theta)[..., None], np.sin(theta)[..., None]
-    return np.stack([c * to_node + s * square, c * square - s * to_node, normal], axis=-2)
+    return np.stack([c * to_node + s * transverse, c * transverse - s * to_node, normal], axis=-2)
 
 
 def _cross_omega(omega: Array, position: Array) -> Array:
-    """ω × r with ω = (ω_x, 0, ω_z)."""
+    """Return ω × r with ω = (ω_x, 0, ω_z)."""
     x, y, z = np.moveaxis(position, -1, 0)
     about_x, about_z = omega[..., 0], omega[..., 2]
     return np.stack([-about_z * y, about_z * x - about_x * z, about_x * y], axis=-1)
 
 
 def _cross(a: Array, b: Array) -> Array:
-    # A tenth of the time of np.cross, which counts where few vehicles are integrated.
+    # Ten times faster than np.cross, which matters where few agents are integrated.
     one, two = [1, 2, 0], [2, 0, 1]
     return np.asarray(a[..., one] * b[..., two] - a[..., two] * b[..., one])

@@ -1,4 +1,4 @@
-"""From rates to steps."""
+"""Discretization: from equations of motion in continuous time to steps."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,9 +20,9 @@ RTOL, ATOL = 1e-11, 1e-11  # of a step's matrices, in SI units
 class DiscreteModel:
     """x[k+1] = A[k] x[k] + B[k] u[k] + z[k],  k = 0 … T−1  [Morgan2016, eq. 10].
 
-    Matrices are always stacked over time, so nothing downstream asks whether the
-    model was time-varying. Steps of many agents, each with its own, have the agents'
-    axis before that of time; `of` picks one.
+    Matrices are always stacked over time, also those of a time-invariant model. Where
+    every agent has matrices of its own (`linearize_along`), the agent axes come before
+    that of time, and `for_agent` takes those of one agent.
     """
 
     A: Float[Array, "*agents T n n"]
@@ -35,20 +35,30 @@ class DiscreteModel:
 
     @property
     def axes(self) -> int:
-        """Axes of space."""
+        """Dimension of space."""
         return int(self.B.shape[-1])
 
     def __getitem__(self, window: slice) -> "DiscreteModel":
-        return DiscreteModel(self.A[window], self.B[window], self.z[window], self.dt)
+        A, B, z = self.A[..., window, :, :], self.B[..., window, :, :], self.z[..., window, :]
+        return DiscreteModel(A, B, z, self.dt)
 
     def for_agent(self, agent: int) -> "DiscreteModel":
-        """The steps of one of many agents."""
+        """Take the steps of one of many agents."""
         return DiscreteModel(self.A[agent], self.B[agent], self.z[agent], self.dt)
 
     def simulate(
         self, x: Float[Array, "*agents n"], u: Float[Array, "*agents T m"]
     ) -> Float[Array, "*agents T+1 n"]:
-        """States visited from x under the inputs u, for one agent or for many."""
+        """Return the states from x on, of one agent or of many with the same matrices.
+
+        Raises:
+            ValueError: Each agent has matrices of its own.
+        """
+        if self.A.ndim != 3:
+            raise ValueError(
+                f"these are the steps of agents of shape {self.A.shape[:-3]}, each with matrices "
+                "of its own: simulate one agent at a time, with `for_agent(i).simulate(x[i], u[i])`"
+            )
         states = [x]
         for k in range(u.shape[-2]):
             states.append(states[-1] @ self.A[k].T + u[..., k, :] @ self.B[k].T + self.z[k])
@@ -56,27 +66,27 @@ class DiscreteModel:
 
 
 def discretize_zoh(model: LinearModel, dt: float, count: int, t0: float = 0.0) -> DiscreteModel:
-    """Discretise with the input held over each step [Morgan2016, eq. 11].
+    """Discretize with a zero-order hold: the control is constant over each step.
 
-    Exact for a model whose matrices are constant. For others the linear equations are
-    integrated over each step, to eleven digits; they are not frozen as in eq. 11.
+    Exact for a time-invariant model [Morgan2016, eq. 11]. The equations of other models
+    are integrated over each step, to eleven digits, and not frozen as in eq. 11. That
+    takes time: for a model that is a frozen, hashable dataclass, steps are kept and reused.
 
     Args:
-        model: The model.
+        model: The model, of any class derived from `LinearModel`.
         dt: Length of a step [s].
         count: Number of steps.
-        start: Time at which the first step begins [s].
+        t0: Start of the first step [s].
 
     Raises:
-        ValueError: The step is not positive or the count negative.
+        ValueError: The step is not positive and finite, or the count is negative.
     """
     _validate_steps(dt, count)
     if model.is_time_invariant:
-        A, B, z = (
-            np.repeat(part[None], count, axis=0) for part in _discretize_time_invariant(model, dt)
-        )
-        return DiscreteModel(A, B, z, dt)
-    return _discretize_time_varying(model, dt, count, t0)
+        return _discretize_time_invariant(model, dt, count)
+    if not _is_immutable(model):
+        return _discretize_time_varying(model, dt, count, t0)
+    return _discretize_cached(model, dt, count, t0)
 
 
 def linearize_along(
@@ -86,24 +96,24 @@ def linearize_along(
     dt: float,
     t0: float = 0.0,
 ) -> DiscreteModel:
-    """Discretise about each agent's own nominal path [Morgan2016, eqs. 7 to 10].
+    """Linearize and discretize about each agent's nominal trajectory.
 
-    Each step is linearised about the motion that begins at its own nominal state under
-    its own nominal input, so it is exact there: what is left is of second order in the
-    distance from the nominal, and none of it comes from the discretisation.
+    Each step is linearized about the motion that begins at its nominal state under its
+    nominal control [Morgan2016, eqs. 7 to 10], so it is exact there. The error is of second
+    order in the distance from the nominal; discretization adds none.
 
     Args:
         model: The model.
-        x: Nominal states at the instants; the last one is not needed.
-        u: Nominal inputs, held over each step.
+        x: Nominal states at the starts of the steps; a last one, at the end, is not used.
+        u: Nominal controls, held over each step.
         dt: Length of a step [s].
-        start: Time of the first instant [s].
+        t0: Start of the first step [s].
 
     Returns:
-        A[k], B[k] and z[k] of every agent, with the agents' axes before that of time.
+        A[k], B[k] and z[k] of every agent, with the agent axes before that of time.
 
     Raises:
-        ValueError: The step is not positive.
+        ValueError: The step is not positive and finite.
     """
     T, n, m = u.shape[-2], x.shape[-1], u.shape[-1]
     _validate_steps(dt, T)
@@ -113,14 +123,14 @@ def linearize_along(
     def rate(t: float, y: Array) -> Array:
         state = y.reshape(*lead, n, 1 + n + m)
         A, B = model.jacobian(times + t, state[..., 0], u)
-        moved = A @ state
-        moved[..., 0] = model.rate(times + t, state[..., 0], u)
-        moved[..., 1 + n :] += B
-        return np.asarray(moved.ravel())
+        change = A @ state
+        change[..., 0] = model.rate(times + t, state[..., 0], u)
+        change[..., 1 + n :] += B
+        return np.asarray(change.ravel())
 
-    begin = np.zeros((*lead, n, 1 + n + m))
-    begin[..., 0], begin[..., 1 : 1 + n] = x0, np.eye(n)
-    end = _integrate(rate, begin.ravel(), dt).reshape(begin.shape)
+    start = np.zeros((*lead, n, 1 + n + m))
+    start[..., 0], start[..., 1 : 1 + n] = x0, np.eye(n)
+    end = _integrate(rate, start.ravel(), dt).reshape(start.shape)
     A, B = end[..., 1 : 1 + n], end[..., 1 + n :]
     z = end[..., 0] - _matvec(A, x0) - _matvec(B, u)
     return DiscreteModel(A, B, z, dt)
@@ -129,51 +139,70 @@ def linearize_along(
 def _validate_steps(dt: float, count: int) -> None:
     if not 0 < dt < inf or count < 0:
         raise ValueError(
-            f"a step must be positive and finite and a count not negative, got {dt} and {count}"
+            "a step must be positive and finite and the number of steps not negative, got "
+            f"dt = {dt} s and {count} steps"
         )
 
 
-@lru_cache(maxsize=64)
-def _discretize_time_invariant(model: LinearModel, dt: float) -> tuple[Array, Array, Array]:
-    return _van_loan(model, 0.0, dt)
+def _discretize_time_invariant(model: LinearModel, dt: float, count: int) -> DiscreteModel:
+    # exp([[A, B, z], [0, 0, 0]] dt) = [[A_d, B_d, z_d], [0, I]]  [VanLoan1978]
+    A, B, z = model.A(0.0), model.B(0.0), model.z(0.0)
+    n, m = B.shape
+    M = np.zeros((n + m + 1, n + m + 1))
+    M[:n, :n], M[:n, n : n + m], M[:n, -1] = A, B, z
+    E = _exponential((dt * M).tobytes(), len(M))
+    parts = E[:n, :n], E[:n, n : n + m], E[:n, -1]
+    A, B, z = (np.repeat(part[None], count, axis=0) for part in parts)
+    return DiscreteModel(A, B, z, dt)
 
 
-@lru_cache(maxsize=64)  # a plan asks for the same steps again and again
-def _discretize_time_varying(
-    model: LinearModel, dt: float, count: int, start: float
-) -> DiscreteModel:
+@lru_cache(maxsize=64)  # by its entries: a model may change, or not be hashable
+def _exponential(entries: bytes, size: int) -> Array:
+    return np.asarray(expm(np.frombuffer(entries).reshape(size, size)))
+
+
+def _is_immutable(model: LinearModel) -> bool:
+    declared = vars(type(model)).get("__dataclass_params__")
+    if declared is None or not (declared.frozen and declared.eq):
+        return False
+    try:
+        hash(model)
+    except TypeError:  # a field, such as an array, can be changed in place
+        return False
+    return True
+
+
+@lru_cache(maxsize=64)  # planning asks for the same steps again and again
+def _discretize_cached(model: LinearModel, dt: float, count: int, t0: float) -> DiscreteModel:
+    steps = _discretize_time_varying(model, dt, count, t0)
+    for part in (steps.A, steps.B, steps.z):
+        part.setflags(write=False)
+    return steps
+
+
+def _discretize_time_varying(model: LinearModel, dt: float, count: int, t0: float) -> DiscreteModel:
     n, m = 2 * model.axes, model.axes
-    times = start + dt * np.arange(count)
+    times = t0 + dt * np.arange(count)
 
     def rate(t: float, y: Array) -> Array:
         A, B, z = model.matrices(times + t)
-        moved = A @ y.reshape(count, n, n + m + 1)
-        moved[:, :, n : n + m] += B
-        moved[:, :, -1] += z
-        return np.asarray(moved.ravel())
+        change = A @ y.reshape(count, n, n + m + 1)
+        change[:, :, n : n + m] += B
+        change[:, :, -1] += z
+        return np.asarray(change.ravel())
 
-    begin = np.broadcast_to(np.eye(n, n + m + 1), (count, n, n + m + 1))
-    end = _integrate(rate, begin.ravel(), dt).reshape(begin.shape)
+    start = np.broadcast_to(np.eye(n, n + m + 1), (count, n, n + m + 1))
+    end = _integrate(rate, start.ravel(), dt).reshape(start.shape)
     return DiscreteModel(end[..., :n], end[..., n : n + m], end[..., -1], dt)
 
 
-def _integrate(rate: Callable[[float, Array], Array], begin: Array, dt: float) -> Array:
-    # One step of an eighth-order method is what a control step mostly takes.
-    if not begin.size:
-        return begin
-    found = solve_ivp(rate, (0.0, dt), begin, "DOP853", first_step=dt, rtol=RTOL, atol=ATOL)
+def _integrate(rate: Callable[[float, Array], Array], start: Array, dt: float) -> Array:
+    # One step of an eighth-order method is enough for most control steps.
+    if not start.size:
+        return start
+    found = solve_ivp(rate, (0.0, dt), start, "DOP853", first_step=dt, rtol=RTOL, atol=ATOL)
     return np.asarray(found.y[:, -1])
 
 
 def _matvec(matrix: Array, vector: Array) -> Array:
     return np.asarray(np.einsum("...ab,...b->...a", matrix, vector))
-
-
-def _van_loan(model: LinearModel, t: float, dt: float) -> tuple[Array, Array, Array]:
-    # exp([[A, B, z], [0, 0, 0]] dt) = [[A_d, B_d, z_d], [0, I]]  [VanLoan1978]
-    A, B, z = model.A(t), model.B(t), model.z(t)
-    n, m = B.shape
-    M = np.zeros((n + m + 1, n + m + 1))
-    M[:n, :n], M[:n, n : n + m], M[:n, -1] = A, B, z
-    E = expm(dt * M)
-    return E[:n, :n], E[:n, n : n + m], E[:n, -1]

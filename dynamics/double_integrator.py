@@ -1,4 +1,4 @@
-"""A point mass that is pushed."""
+"""Double integrator: a point mass under a controlled acceleration."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -18,10 +18,10 @@ class DoubleIntegrator(LinearModel):
     is_time_invariant: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Refuse what is neither a plane nor space."""
+        """Check the dimension."""
         if self.axes not in (2, 3):
-            raise ValueError(f"a double integrator has 2 or 3 axes, got {self.axes}")
+            raise ValueError(f"axes: a double integrator has 2 or 3 axes, got {self.axes}")
 
     def A(self, t: float) -> Float[Array, "n n"]:
-        """State matrix, constant in time."""
+        """State matrix."""
         return np.kron([[0.0, 1.0], [0.0, 0.0]], np.eye(self.axes))

@@ -1,7 +1,7 @@
-"""The truth: spacecraft in inertial space, under two bodies, J2, drag and their thrust.
+"""Plant in inertial space: two-body gravity, J2, drag and thrust.
 
-It shares no equation with the relative motion of `dynamics.j2`, so that each is a second
-opinion on the other.
+It shares no equation with the relative motion of `dynamics.j2`, so that each verifies the
+other.
 """
 
 from dataclasses import dataclass
@@ -19,37 +19,38 @@ from dynamics.orbit import Orbit
 from dynamics.plant import Plant, is_present, validate_propagation
 from dynamics.propagation import integrate_orbits
 
-CHECKPOINT_INTERVAL = 60.0  # the chief's state is kept at multiples of this [s]
-FIRST_STEP = 60.0  # tried first; in low orbit it keeps well within what follows [s]
-RTOL = 1e-13  # allowed in a step, of the chief's state and of offsets from it,
-OFFSET_ATOL = np.repeat([1e-10, 1e-13], 3)  # and besides, of an offset [m, m/s]
+CHECKPOINT_INTERVAL = 60.0  # the chief's state is cached at multiples of this [s]
+FIRST_STEP = 60.0  # first step to try, small enough for low orbits [s]
+RTOL = 1e-13  # of a step, for the chief's state and for offsets from it, and in addition
+OFFSET_ATOL = np.repeat([1e-10, 1e-13], 3)  # for offsets [m, m/s]
 
 
 @dataclass(frozen=True, eq=False)
 class InertialPlant(Plant):
-    """Vehicles and their chief in inertial space, integrated together.
+    """Agents and their chief in inertial space, integrated together.
 
-    The chief flies as they do, without thrust. What is integrated are the offsets from
-    it, so that nothing is lost to the size of the Earth. Thrust keeps its direction in
-    the chief's frame during a flight.
+    The chief moves under the same forces, without thrust. The offsets of the agents from it
+    are integrated, so that no digits are lost to the radius of the orbit. Thrust is constant
+    in LVLH axes while it is held.
 
     Args:
-        orbit: The chief's at time 0, and the Earth's gravity.
-        ballistic: Coefficient C_D A/m of all vehicles or of each, where there is air [m²/kg].
-        chief_ballistic: That of the chief.
+        chief_orbit: Orbit of the chief at time 0, with the Earth's gravity.
+        ballistic_coefficient: C_D A/m of all agents or of each [m²/kg].
+        chief_ballistic_coefficient: That of the chief [m²/kg].
         atmosphere: None is no drag.
 
     Raises:
-        ValueError: There is drag without ballistic coefficients, or the other way round.
+        ValueError: An atmosphere without both ballistic coefficients, or nonzero ones
+            without an atmosphere.
     """
 
     chief_orbit: Orbit
     ballistic_coefficient: float | Float[Array, " agents"] | None = None
-    chief_ballistic_coefficient: float = 0.0  # [m²/kg]
+    chief_ballistic_coefficient: float | None = None
     atmosphere: Atmosphere | None = None
 
     def __post_init__(self) -> None:
-        """Refuse half a drag."""
+        """Check the ballistic coefficients."""
         self._forces.validate_ballistic_coefficients(self.ballistic_coefficient)
         self._forces.validate_ballistic_coefficients(self.chief_ballistic_coefficient)
 
@@ -61,111 +62,97 @@ class InertialPlant(Plant):
         dt: float,
         substeps: int = 1,
     ) -> Float[Array, "{substeps}+1 agents n"]:
-        """States at equal instants from t to t + dt, the first of them x itself.
+        """Return the states at equal instants from t to t + dt, the first of them x itself.
 
         Raises:
-            ValueError: The states or the inputs are not what this plant flies.
-            Impact: A vehicle or the chief meets the Earth.
+            ValueError: Shapes, controls or times do not fit this plant.
+            Impact: An agent or the chief hits the Earth.
         """
         validate_propagation(x, u, dt, substeps, axes=3)
-        air = self._forces.broadcast_ballistic_coefficients(self.ballistic_coefficient, len(x))
-        here = np.flatnonzero(is_present(x))
+        drag = self._forces.broadcast_ballistic_coefficients(self.ballistic_coefficient, len(x))
+        present = np.flatnonzero(is_present(x))
         chief = self._chief_state(t)
-        offset = self._lvlh(chief).to_offset(x[here])
+        start = np.vstack([chief, self._lvlh(chief).to_offset(x[present])])
         instants = np.linspace(0, dt, substeps + 1)[1:]
-        air = None if air is None else air[here]
-        flown = self._integrate(np.vstack([chief, offset]), t, instants, here, u[here], air)
-        result = np.full((substeps + 1, *x.shape), np.nan)
-        result[0] = x
-        result[1:, here] = self._lvlh(flown[:, 0]).from_offset(flown[:, 1:])
-        return result
+        path = self._integrate(start, t, instants, present, u[present], drag[present])
+        states = np.full((substeps + 1, *x.shape), np.nan)
+        states[0] = x
+        states[1:, present] = self._lvlh(path[:, 0]).from_offset(path[:, 1:])
+        return states
 
     def chief_elements(self, t: float) -> Float[Array, " 6"]:
-        """The six numbers of the chief's orbit at a time."""
+        """Return the polar-nodal elements of the chief."""
         return to_polar_nodal(self._chief_state(t))
 
     def _chief_state(self, t: float) -> Array:
-        """The chief's inertial state, always by way of the same instants."""
+        # Always by way of the same checkpoints, so that a time has one state, bit for bit.
         if not 0 <= t < inf:
             raise ValueError(f"the chief's orbit is known from time 0 on, got t = {t} s")
-        knots, count = self._checkpoints, int(t // CHECKPOINT_INTERVAL)
-        while len(knots) <= count:
-            knots.append(
-                self._propagate_chief(
-                    knots[-1], CHECKPOINT_INTERVAL * (len(knots) - 1), CHECKPOINT_INTERVAL
-                )
-            )
-        left = t - CHECKPOINT_INTERVAL * count
+        states, count = self._checkpoints, int(t // CHECKPOINT_INTERVAL)
+        while len(states) <= count:
+            start = CHECKPOINT_INTERVAL * (len(states) - 1)
+            states.append(self._propagate_chief(states[-1], start, CHECKPOINT_INTERVAL))
+        start = CHECKPOINT_INTERVAL * count
         return (
-            self._propagate_chief(knots[count], CHECKPOINT_INTERVAL * count, left)
-            if left > 0
-            else knots[count]
+            self._propagate_chief(states[count], start, t - start) if t > start else states[count]
         )
 
     def _propagate_chief(self, chief: Array, t: float, dt: float) -> Array:
-        nobody = np.array([], dtype=int)
-        flown = self._integrate(chief[None], t, np.array([dt]), nobody, np.zeros((0, 3)), None)
-        return np.asarray(flown[0, 0])
+        none = np.array([], dtype=int)
+        path = self._integrate(chief[None], t, np.array([dt]), none, np.zeros((0, 3)), np.zeros(0))
+        return np.asarray(path[0, 0])
 
     def _lvlh(self, chief: Array) -> LVLH:
-        return LVLH.from_state(
-            chief, self._forces.acceleration(chief, self._chief_drag_coefficient)
-        )
+        return LVLH.from_state(chief, self._forces.acceleration(chief, self._chief_drag))
 
     def _integrate(
-        self,
-        start: Array,
-        t: float,
-        times: Array,
-        here: Array,
-        push: Array,
-        air: Array | None,
+        self, start: Array, t: float, times: Array, present: Array, thrust: Array, drag: Array
     ) -> Array:
-        """The chief and the offsets of those who are here, at times after t."""
-        size = np.linalg.norm(start[0].reshape(2, 3), axis=1).repeat(3)
-        offsets = np.tile(OFFSET_ATOL / np.sqrt(len(start)), (len(here), 1))
-        allowed = np.vstack([RTOL * size, offsets])
+        """Return the chief's state and the offsets of present agents at times after t."""
+        scale = np.linalg.norm(start[0].reshape(2, 3), axis=1).repeat(3)
+        offset_atol = np.tile(OFFSET_ATOL / np.sqrt(len(start)), (len(present), 1))
+        atol = np.vstack([RTOL * scale, offset_atol])
 
         def rate(t: float, y: Array) -> Array:
             now = y.reshape(-1, 6)
             chief, offset = now[0], now[1:]
-            moved = np.empty_like(now)
-            moved[:, :3] = now[:, 3:]
-            moved[0, 3:] = self._forces.acceleration(chief, self._chief_drag_coefficient)
-            if len(here):
-                pull = self._forces.differential_acceleration(
-                    chief, offset, air, self.chief_ballistic_coefficient
+            change = np.empty_like(now)
+            change[:, :3] = now[:, 3:]
+            change[0, 3:] = self._forces.acceleration(chief, self._chief_drag)
+            if len(present):
+                acceleration = self._forces.differential_acceleration(
+                    chief, offset, drag, self._chief_drag
                 )
-                moved[1:, 3:] = pull + push @ orbit_axes(chief)
-            return moved.ravel()
+                change[1:, 3:] = acceleration + thrust @ orbit_axes(chief)
+            return change.ravel()
 
         def radii(y: Array) -> Array:
             now = y.reshape(-1, 6)[:, :3]
             now = np.vstack([now[:1], now[0] + now[1:]])
             return np.asarray(np.linalg.norm(now, axis=1))
 
-        flown = integrate_orbits(
+        path = integrate_orbits(
             rate,
             start.ravel(),
             times,
             rtol=RTOL,
-            atol=allowed.ravel(),
+            atol=atol.ravel(),
             radii=radii,
-            agents=np.concatenate([[-1], here]),
+            agents=np.concatenate([[-1], present]),
             t0=t,
             first_step=min(float(times[-1]), FIRST_STEP),
         )
-        return flown.reshape(len(times), -1, 6)
+        return path.reshape(len(times), -1, 6)
 
     @cached_property
     def _forces(self) -> Forces:
         return Forces(self.chief_orbit.mu, self.chief_orbit.k_J2, self.atmosphere)
 
-    @cached_property
-    def _chief_drag_coefficient(self) -> float | None:
-        return None if self.atmosphere is None else self.chief_ballistic_coefficient
+    @property
+    def _chief_drag(self) -> float:
+        return self.chief_ballistic_coefficient or 0.0
 
     @cached_property
     def _checkpoints(self) -> list[Array]:
-        # Grows as later times are asked for; what it holds depends on nothing else.
+        # Extended on demand; its entries do not depend on the order of the calls.
         return [inertial_state(np.array(self.chief_orbit.initial_elements))]

@@ -1,4 +1,4 @@
-"""Vehicles that are told how fast to go: velocity in the body frame, and yaw rate."""
+"""Kinematic vehicle, commanded by velocity in the body frame and yaw rate."""
 
 from math import cos, exp, sin
 from typing import NamedTuple, no_type_check
@@ -7,55 +7,55 @@ import numba
 
 
 class KinematicVehicle(NamedTuple):
-    """ṗ = R_z(ψ) v, ψ̇ = w, and v and w follow what is commanded [Bernard2023, eq. 1].
+    """ṗ = R_z(ψ) v, ψ̇ = w, where v and w follow their commands [Bernard2023, eq. 1].
 
-    v and w are exact for a command that is held: with a lag, they approach it as systems of
-    first order, each on its own. The path of a step is taken at its mean velocity and middle
-    yaw, which leaves an error of third order in the step.
+    v and w follow as independent first-order systems, exactly for a command that is held.
+    The displacement in a step is computed from the mean velocity and the middle yaw; its
+    error is of third order in the step.
     """
 
-    time_constant: float = 0.0  # time constant [s]; without it, commands are obeyed at once
+    time_constant: float = 0.0  # [s]; 0 is an immediate response
     noise_std: float = 0.0  # standard deviation of each velocity in each step [m/s, rad/s]
 
 
 @no_type_check
 @numba.njit
-def step_kinematic(position, yaw, velocity, rate, command, turn, plant, dt, rng):
-    """Drive a vehicle for a step.
+def step_kinematic(position, yaw, velocity, yaw_rate, command, yaw_command, plant, dt, rng):
+    """Advance a vehicle by a step.
 
     Args:
         position: In the world frame, (3,), changed in place [m].
         yaw: Of the body frame [rad].
         velocity: In the body frame, (3,), changed in place [m/s].
-        rate: Of yaw [rad/s].
-        command: Velocity asked for, in the body frame, (3,) [m/s].
-        turn: Yaw rate asked for [rad/s].
-        plant: How it obeys.
+        yaw_rate: [rad/s].
+        command: Commanded velocity in the body frame, (3,) [m/s].
+        yaw_command: Commanded yaw rate [rad/s].
+        plant: A `KinematicVehicle`.
         dt: Step [s].
-        rng: Draws the noise.
+        rng: Random generator of the noise.
 
     Returns:
         Yaw and yaw rate at the end of the step.
     """
-    keep = exp(-dt / plant.time_constant) if plant.time_constant > 0 else 0.0
-    mean = plant.time_constant / dt * (1 - keep) if plant.time_constant > 0 else 0.0
-    swept = turn + (rate - turn) * mean
-    rate = turn + (rate - turn) * keep
-    gone = [0.0, 0.0, 0.0]
+    decay = exp(-dt / plant.time_constant) if plant.time_constant > 0 else 0.0
+    mean = plant.time_constant / dt * (1 - decay) if plant.time_constant > 0 else 0.0
+    mean_yaw_rate = yaw_command + (yaw_rate - yaw_command) * mean
+    yaw_rate = yaw_command + (yaw_rate - yaw_command) * decay
+    mean_velocity = [0.0, 0.0, 0.0]
     for a in range(3):
-        gone[a] = command[a] + (velocity[a] - command[a]) * mean
-        velocity[a] = command[a] + (velocity[a] - command[a]) * keep
+        mean_velocity[a] = command[a] + (velocity[a] - command[a]) * mean
+        velocity[a] = command[a] + (velocity[a] - command[a]) * decay
         if plant.noise_std > 0:
-            shaken = plant.noise_std * rng.standard_normal()
-            gone[a] += shaken
-            velocity[a] += shaken
+            noise = plant.noise_std * rng.standard_normal()
+            mean_velocity[a] += noise
+            velocity[a] += noise
     if plant.noise_std > 0:
-        shaken = plant.noise_std * rng.standard_normal()
-        swept += shaken
-        rate += shaken
-    middle = yaw + swept * dt / 2
+        noise = plant.noise_std * rng.standard_normal()
+        mean_yaw_rate += noise
+        yaw_rate += noise
+    middle = yaw + mean_yaw_rate * dt / 2
     c, s = cos(middle), sin(middle)
-    position[0] += dt * (c * gone[0] - s * gone[1])
-    position[1] += dt * (s * gone[0] + c * gone[1])
-    position[2] += dt * gone[2]
-    return yaw + swept * dt, rate
+    position[0] += dt * (c * mean_velocity[0] - s * mean_velocity[1])
+    position[1] += dt * (s * mean_velocity[0] + c * mean_velocity[1])
+    position[2] += dt * mean_velocity[2]
+    return yaw + mean_yaw_rate * dt, yaw_rate

@@ -1,60 +1,61 @@
-"""What a model is: a state, an input and a rate."""
+"""Models: equations of motion that planning and plants share."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+# One instant, or many: the leading axes of times, states and controls broadcast.
+Times: TypeAlias = float | Float[Array, "*#k"]
+States: TypeAlias = Float[Array, "*#k n"]
+Controls: TypeAlias = Float[Array, "*#k m"]
+Matrices: TypeAlias = tuple[Float[Array, "k n n"], Float[Array, "k n m"], Float[Array, "k n"]]
+
 
 class Model(ABC):
-    """ẋ = f(t, x, u), with the state x = (position, velocity)."""
+    """Equations of motion ẋ = f(t, x, u) with the state x = (position, velocity)."""
 
-    axes: int  # axes of space, d: the state has 2 d entries, the input d
+    axes: int  # dimension d of space: the state has 2d entries, the control d
 
     @abstractmethod
-    def rate(self, t: float, x: Float[Array, "*k n"], u: Float[Array, "*k m"]) -> Array:
-        """Rate of change of the state, of one or of many."""
+    def rate(self, t: Times, x: States, u: Controls) -> Float[Array, "... n"]:
+        """Return the rate of change of one state or of many."""
 
 
 class NonlinearModel(Model):
-    """A model that can be linearised about any of its states.
+    """A model that can be linearized about any of its states.
 
-    Times, states and inputs may be stacked: their leading axes broadcast.
+    To add a nonlinear model, write `axes`, `rate` and `jacobian`, or let `SymbolicModel`
+    differentiate an expression. Times, states and controls may be stacked.
     """
-
-    @abstractmethod
-    def rate(
-        self, t: float | Float[Array, "*#k"], x: Float[Array, "*#k n"], u: Float[Array, "*#k m"]
-    ) -> Float[Array, "... n"]:
-        """Rate of change of the state, of one or of many."""
 
     @abstractmethod
     def jacobian(
-        self, t: float | Float[Array, "*#k"], x: Float[Array, "*#k n"], u: Float[Array, "*#k m"]
+        self, t: Times, x: States, u: Controls
     ) -> tuple[Float[Array, "... n n"], Float[Array, "... n m"]]:
-        """∂f/∂x and ∂f/∂u."""
+        """Return ∂f/∂x and ∂f/∂u."""
 
 
 class LinearModel(Model):
-    """ẋ = A(t) x + B u + z(t), with the input u entering as an acceleration.
+    """ẋ = A(t) x + B u + z(t), where by default the control u is an acceleration.
 
-    To add a linear model, write its axes and A, and z where the model is affine.
-    Discretisation, problems and simulations then accept it as it is.
+    To add a linear model, write `axes` and `A`, and `z` where the model is affine.
+    Discretization, problems and plants then accept it as it is.
     """
 
-    is_time_invariant: ClassVar[bool] = False  # whether A, B and z are the same at all times
+    is_time_invariant: ClassVar[bool] = False  # True where A, B and z are the same at all times
 
     @abstractmethod
     def A(self, t: float) -> Float[Array, "n n"]:
         """State matrix."""
 
     def B(self, t: float) -> Float[Array, "n m"]:
-        """Input matrix: acceleration enters the velocity."""
+        """Control matrix: an acceleration changes the velocity."""
         d = self.axes
         return np.vstack([np.zeros((d, d)), np.eye(d)])
 
@@ -62,46 +63,45 @@ class LinearModel(Model):
         """Affine term."""
         return np.zeros(2 * self.axes)
 
-    def matrices(
-        self, times: Float[Array, " k"]
-    ) -> tuple[Float[Array, "k n n"], Float[Array, "k n m"], Float[Array, "k n"]]:
-        """A, B and z at many times; one by one, where a model knows nothing better."""
+    def matrices(self, times: Float[Array, " k"]) -> Matrices:
+        """Stack A, B and z at many times; override it where this can be done faster."""
         each = [(self.A(t), self.B(t), self.z(t)) for t in times.tolist()]
         A, B, z = (np.array(part) for part in zip(*each, strict=True))
         return A, B, z
 
-    def rate(self, t: float, x: Float[Array, "*k n"], u: Float[Array, "*k m"]) -> Array:
-        """Rate of change of the state, of one or of many."""
-        return np.asarray(x @ self.A(t).T + u @ self.B(t).T + self.z(t))
+    def rate(self, t: Times, x: States, u: Controls) -> Float[Array, "... n"]:
+        """Return the rate of change of one state or of many."""
+        stacked = self.matrices(np.ravel(t))
+        A, B, z = (part.reshape(*np.shape(t), *part.shape[1:]) for part in stacked)
+        change = np.einsum("...ab,...b->...a", A, x) + np.einsum("...ab,...b->...a", B, u)
+        return np.asarray(change + z)
 
 
 @dataclass(frozen=True, eq=False)
 class SymbolicModel(NonlinearModel):
-    """A model written in CasADi's symbols, so that it can be linearised exactly.
+    """A model written in CasADi symbols and differentiated automatically.
 
     Args:
-        axes: Axes of space.
-        formula: (t, x, u) ↦ ẋ, written with operations that CasADi overloads.
+        axes: Dimension of space.
+        expression: (t, x, u) ↦ ẋ, written with operations that CasADi overloads.
     """
 
     axes: int
     expression: Callable[[Any, Any, Any], Any]
 
-    def rate(
-        self, t: float | Float[Array, "*#k"], x: Float[Array, "*#k n"], u: Float[Array, "*#k m"]
-    ) -> Float[Array, "... n"]:
-        """Rate of change of the state, of one or of many."""
+    def rate(self, t: Times, x: States, u: Controls) -> Float[Array, "... n"]:
+        """Return the rate of change of one state or of many."""
         (found,) = self._map_batch(self._casadi_functions[0], t, x, u)
         return found[..., 0]
 
     def jacobian(
-        self, t: float | Float[Array, "*#k"], x: Float[Array, "*#k n"], u: Float[Array, "*#k m"]
+        self, t: Times, x: States, u: Controls
     ) -> tuple[Float[Array, "... n n"], Float[Array, "... n m"]]:
-        """∂f/∂x and ∂f/∂u, by algorithmic differentiation."""
+        """Return ∂f/∂x and ∂f/∂u by automatic differentiation."""
         A, B = self._map_batch(self._casadi_functions[1], t, x, u)
         return A, B
 
-    def _map_batch(self, function: Any, t: Any, x: Array, u: Array) -> list[Array]:
+    def _map_batch(self, function: Any, t: Times, x: Array, u: Array) -> list[Array]:
         lead = np.broadcast_shapes(np.shape(t), x.shape[:-1], u.shape[:-1])
         rows = zip(
             np.broadcast_to(t, lead).ravel(),
@@ -127,45 +127,45 @@ class SymbolicModel(NonlinearModel):
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class LinearizedModel(LinearModel):
-    """A nonlinear model about a nominal path [Morgan2016, eqs. 7 and 8].
+    """A nonlinear model linearized about a nominal trajectory [Morgan2016, eqs. 7 and 8].
 
-        A(t) = ∂f/∂x,  B(t) = ∂f/∂u,  z(t) = f − A x̄ − B ū,  all on the nominal.
+        A(t) = ∂f/∂x,  B(t) = ∂f/∂u,  z(t) = f − A x̄ − B ū,  all at the nominal (x̄, ū)
 
     The error is of second order in the distance from the nominal.
     """
 
     model: NonlinearModel
-    nominal: Callable[[float], tuple[Array, Array]]  # t ↦ (x̄, ū)
+    nominal: Callable[[float], tuple[Array, Array]] | None  # t ↦ (x̄, ū); None: the origin
 
     @classmethod
     def at_origin(cls, model: NonlinearModel) -> "LinearizedModel":
-        """About staying at the origin: in orbit, about the chief."""
-        still = np.zeros(2 * model.axes), np.zeros(model.axes)
-        return cls(model, lambda t: still)
+        """Linearize about rest at the origin, which in orbit is the chief."""
+        return cls(model, None)
 
     def __post_init__(self) -> None:
-        """Live in the same space as the model."""
+        """Take the dimension of space from the nonlinear model."""
         object.__setattr__(self, "axes", self.model.axes)
 
     def A(self, t: float) -> Float[Array, "n n"]:
-        """State matrix on the nominal."""
+        """State matrix at the nominal."""
         return np.asarray(self.matrices(np.array([t]))[0][0])
 
     def B(self, t: float) -> Float[Array, "n m"]:
-        """Input matrix on the nominal."""
+        """Control matrix at the nominal."""
         return np.asarray(self.matrices(np.array([t]))[1][0])
 
     def z(self, t: float) -> Float[Array, " n"]:
-        """What the linear terms leave of the rate on the nominal."""
+        """Part of the rate at the nominal that the linear terms leave."""
         return np.asarray(self.matrices(np.array([t]))[2][0])
 
-    def matrices(
-        self, times: Float[Array, " k"]
-    ) -> tuple[Float[Array, "k n n"], Float[Array, "k n m"], Float[Array, "k n"]]:
-        """A, B and z at many times."""
-        x, u = (np.array(part) for part in zip(*map(self.nominal, times.tolist()), strict=True))
+    def matrices(self, times: Float[Array, " k"]) -> Matrices:
+        """Stack A, B and z at many times."""
+        if self.nominal is None:
+            x, u = np.zeros((len(times), 2 * self.axes)), np.zeros((len(times), self.axes))
+        else:
+            x, u = (np.array(part) for part in zip(*map(self.nominal, times.tolist()), strict=True))
         A, B = self.model.jacobian(times, x, u)
         rest = np.einsum("kab,kb->ka", A, x) + np.einsum("kab,kb->ka", B, u)
         return A, B, self.model.rate(times, x, u) - rest

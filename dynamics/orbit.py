@@ -1,8 +1,9 @@
-"""The chief's orbit: an osculating state, and how it moves under two bodies and J2 [Xu2008].
+"""Orbit of the chief under two-body gravity and J2, in polar-nodal elements [Xu2008].
 
-The chief is held as six numbers: radius r, radial speed v_x, angular momentum h (all per
-unit of mass), node Ω, inclination i and argument of latitude θ. Unlike perigee and anomaly
-they are defined for circular orbits, and their rates for equatorial ones too.
+The six polar-nodal elements are radius r, radial speed v_x, specific angular momentum h,
+right ascension of the ascending node Ω (RAAN), inclination i and argument of latitude θ.
+Unlike perigee and anomaly they are defined for circular orbits, and their rates for
+equatorial orbits too.
 """
 
 from dataclasses import dataclass
@@ -15,19 +16,19 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.integrate import solve_ivp
 
-# All of the Earth's constants are of [IERS2010, table 1.1].
+# The constants of the Earth are those of [IERS2010, table 1.1].
 EARTH_MU = 3.986004418e14  # gravitational parameter [m³/s²]
 EARTH_RADIUS = 6378136.6  # at the equator [m]
 EARTH_J2 = 1.0826359e-3  # dynamical form factor
 EARTH_ROTATION = 7.292115e-5  # [rad/s]
-K_J2 = 1.5 * EARTH_J2 * EARTH_MU * EARTH_RADIUS**2  # as the equations use J2 [m⁵/s²]
+K_J2 = 1.5 * EARTH_J2 * EARTH_MU * EARTH_RADIUS**2  # 3/2 J₂ μ R² [m⁵/s²]
 
-SEGMENT_DURATION = 3600.0  # pieces in which the orbit is integrated and kept [s]
-RTOL = 1e-13  # of the integration: about what doubles can hold
+SEGMENT_DURATION = 3600.0  # the orbit is integrated and cached in segments of this length [s]
+RTOL = 1e-13  # of the integration, near the resolution of double precision
 
 
 class LVLHRates(NamedTuple):
-    """How the chief's frame turns: ω = (ω_x, 0, ω_z), α = (α_x, 0, α_z)."""
+    """Angular velocity (ω_x, 0, ω_z) and acceleration (α_x, 0, α_z) of the LVLH axes."""
 
     omega_x: Float[Array, "*k"] | float  # [rad/s]
     omega_z: Float[Array, "*k"] | float
@@ -37,20 +38,20 @@ class LVLHRates(NamedTuple):
 
 @dataclass(frozen=True)
 class Orbit:
-    """An orbit of the Earth, by its osculating state at time 0. Angles in radians.
+    """Orbit about the Earth, given by its osculating state at time 0. Angles in radians.
 
     Args:
         r: Radius [m].
         v_x: Radial speed [m/s].
-        h: Angular momentum [m²/s].
-        node: Right ascension of the ascending node, Ω.
+        h: Specific angular momentum [m²/s].
+        raan: Right ascension of the ascending node, Ω.
         inclination: i, between 0 and π.
-        latitude: Argument of latitude, θ, from the node.
+        arg_latitude: Argument of latitude, θ, from the node.
         mu: Gravitational parameter [m³/s²].
-        k_J2: 3/2 J₂ μ R², the strength of the oblateness [m⁵/s²]; 0 is Kepler's motion.
+        k_J2: 3/2 J₂ μ R², the strength of the oblateness [m⁵/s²]; 0 is Keplerian motion.
 
     Raises:
-        ValueError: This is no ellipse, or it meets the Earth.
+        ValueError: The state is not on an ellipse, or the perigee is inside the Earth.
     """
 
     r: float
@@ -63,30 +64,17 @@ class Orbit:
     k_J2: float = K_J2
 
     def __post_init__(self) -> None:
-        """Refuse what no spacecraft could fly."""
+        """Check that the state is on an ellipse above the Earth."""
         if not all(map(isfinite, self.initial_elements)) or not (
             self.r > 0 and self.h > 0 and self.mu > 0
         ):
             raise ValueError(
-                "an orbit needs six finite numbers, and a positive radius and angular momentum, "
+                "an orbit needs six finite elements, and a positive radius and angular momentum, "
                 f"got {tuple(map(float, self.initial_elements))}"
             )
-        if not 0 <= self.inclination <= pi:
-            raise ValueError(
-                f"an inclination lies between 0 and 180 degrees, got {np.degrees(self.inclination)}"
-            )
-        if self.eccentricity >= 1:
-            raise ValueError(
-                f"an orbit with eccentricity {self.eccentricity:.4g} never comes back; "
-                "relative motion here is about an ellipse, with 0 ≤ e < 1"
-            )
-        if (perigee := self.semi_major_axis * (1 - self.eccentricity)) <= EARTH_RADIUS:
-            least = EARTH_RADIUS / (1 - self.eccentricity)
-            raise ValueError(
-                f"the perigee, {perigee / 1e3:.0f} km from the centre, is inside the Earth, whose "
-                f"radius is {EARTH_RADIUS / 1e3:.0f} km; with this eccentricity a semi-major axis "
-                f"above {least / 1e3:.0f} km would do"
-            )
+        validate_inclination(self.inclination)
+        validate_eccentricity(self.eccentricity)
+        validate_perigee(self.semi_major_axis, self.eccentricity)
 
     @classmethod
     def from_elements(
@@ -100,26 +88,22 @@ class Orbit:
         mu: float = EARTH_MU,
         k_J2: float = K_J2,
     ) -> "Orbit":
-        """An orbit by its osculating classical elements.
+        """Create an orbit from osculating classical elements at time 0.
 
         Args:
             semi_major_axis: [m].
-            eccentricity: Between 0 and 1.
-            inclination: [rad].
-            node: Right ascension of the ascending node [rad].
-            perigee: Argument of perigee [rad].
-            anomaly: True anomaly at time 0 [rad].
+            eccentricity: From 0 to below 1.
+            inclination: Between 0 and π [rad].
+            raan: Right ascension of the ascending node [rad].
+            arg_perigee: Argument of perigee [rad].
+            true_anomaly: True anomaly at time 0 [rad].
             mu: Gravitational parameter [m³/s²].
             k_J2: Strength of the oblateness [m⁵/s²].
 
         Raises:
-            ValueError: This is no ellipse, or it meets the Earth.
+            ValueError: This is not an ellipse, or the perigee is inside the Earth.
         """
-        if not 0 <= eccentricity < 1 or not 0 < semi_major_axis < inf:
-            raise ValueError(
-                "an ellipse has 0 ≤ eccentricity < 1 and a positive semi-major axis, got "
-                f"eccentricity = {eccentricity} and {semi_major_axis} m"
-            )
+        validate_ellipse(semi_major_axis, eccentricity)
         p = semi_major_axis * (1 - eccentricity**2)
         h = sqrt(mu * p)
         return cls(
@@ -135,35 +119,35 @@ class Orbit:
 
     @property
     def initial_elements(self) -> tuple[float, ...]:
-        """The six numbers at time 0."""
+        """Polar-nodal elements at time 0."""
         return self.r, self.v_x, self.h, self.raan, self.inclination, self.arg_latitude
 
     @property
     def semi_major_axis(self) -> float:
-        """Osculating at time 0 [m]."""
+        """Osculating semi-major axis at time 0 [m]."""
         return 1 / (2 / self.r - (self.v_x**2 + (self.h / self.r) ** 2) / self.mu)
 
     @property
     def eccentricity(self) -> float:
-        """Osculating at time 0."""
-        # As a vector towards the perigee, which is exact near e = 0 where 1 − h²/(μa) is not.
+        """Osculating eccentricity at time 0."""
+        # The length of the eccentricity vector is exact near e = 0, where 1 − h²/(μa) is not.
         return hypot(self.h**2 / (self.mu * self.r) - 1, self.h * self.v_x / self.mu)
 
     @property
     def mean_motion(self) -> float:
-        """Osculating at time 0 [rad/s]."""
+        """Osculating mean motion at time 0 [rad/s]."""
         return sqrt(self.mu / self.semi_major_axis**3)
 
     @property
     def period(self) -> float:
-        """Of Kepler's motion from time 0 on [s]."""
+        """Keplerian period of the osculating ellipse at time 0 [s]."""
         return 2 * pi / self.mean_motion
 
     def elements_at(self, t: float | Float[Array, "*k"]) -> Float[Array, "*k 6"]:
-        """The six numbers at a time, or at many.
+        """Return the polar-nodal elements at one time or at many.
 
         Args:
-            t: Since time 0 [s]; not negative.
+            t: Times, not negative [s].
 
         Raises:
             ValueError: A time is negative or not finite.
@@ -171,17 +155,73 @@ class Orbit:
         times = np.asarray(t, dtype=float)
         if not (np.isfinite(times).all() and (times >= 0).all()):
             raise ValueError(f"the chief's orbit is known from time 0 on, got t = {times.min()} s")
-        found = np.empty((*times.shape, 6))
-        piece = (times // SEGMENT_DURATION).astype(int)
-        for j in range(int(piece.max(initial=0))):
-            _integrate_segment(self, j)  # each begins where the one before ends
-        for j in np.unique(piece):
-            found[piece == j] = _integrate_segment(self, int(j)).sol(times[piece == j]).T
-        return found
+        elements = np.empty((*times.shape, 6))
+        segment = (times // SEGMENT_DURATION).astype(int)
+        for j in range(int(segment.max(initial=0))):
+            _integrate_segment(self, j)  # in order, so that none recurses through all before it
+        for j in np.unique(segment):
+            elements[segment == j] = _integrate_segment(self, int(j)).sol(times[segment == j]).T
+        return elements
+
+
+def validate_eccentricity(eccentricity: float | Float[Array, "*k"]) -> None:
+    """Check that orbits are closed.
+
+    Raises:
+        ValueError: An eccentricity is not in [0, 1).
+    """
+    e = np.ravel(eccentricity)
+    if len(wrong := e[~((e >= 0) & (e < 1))]):
+        raise ValueError(
+            f"eccentricity: an ellipse needs 0 ≤ e < 1, got {wrong[0]:.6g}; a circle has e = 0, "
+            "and an orbit that escapes can only be given by its inertial position and velocity"
+        )
+
+
+def validate_ellipse(
+    semi_major_axis: float | Float[Array, "*k"], eccentricity: float | Float[Array, "*k"]
+) -> None:
+    """Check the shape of ellipses.
+
+    Raises:
+        ValueError: An eccentricity is not in [0, 1), or a semi-major axis is not positive.
+    """
+    validate_eccentricity(eccentricity)
+    a = np.ravel(semi_major_axis)
+    if len(wrong := a[~((a > 0) & (a < inf))]):
+        raise ValueError(f"semi_major_axis: must be positive and finite, got {wrong[0]} m")
+
+
+def validate_inclination(inclination: float | Float[Array, "*k"]) -> None:
+    """Check inclinations.
+
+    Raises:
+        ValueError: An inclination is not between 0 and π.
+    """
+    i = np.ravel(inclination)
+    if len(wrong := i[~((i >= 0) & (i <= pi))]):
+        raise ValueError(
+            f"inclination: must lie between 0 and π, got {wrong[0]:.6g} rad; angles are in "
+            f"radians, and {wrong[0]:.6g}° would be {np.radians(wrong[0]):.6g}"
+        )
+
+
+def validate_perigee(semi_major_axis: float, eccentricity: float) -> None:
+    """Check that a perigee is above the surface of the Earth.
+
+    Raises:
+        ValueError: It is not.
+    """
+    if (perigee := semi_major_axis * (1 - eccentricity)) <= EARTH_RADIUS:
+        raise ValueError(
+            f"the perigee, {perigee / 1e3:.0f} km from the center, is inside the Earth, whose "
+            f"radius is {EARTH_RADIUS / 1e3:.0f} km; with an eccentricity of {eccentricity:g} a "
+            f"semi-major axis above {EARTH_RADIUS / (1 - eccentricity) / 1e3:.0f} km would do"
+        )
 
 
 def polar_nodal_rates(chief: Float[Array, "*k 6"], mu: float, k_J2: float) -> Float[Array, "*k 6"]:
-    """Rates of the six numbers [Xu2008]."""
+    """Return the rates of change of polar-nodal elements [Xu2008]."""
     r, v_x, h, _, i, theta = np.moveaxis(chief, -1, 0)
     sin_i, cos_i, sin_t = np.sin(i), np.cos(i), np.sin(theta)
     return np.stack(
@@ -198,7 +238,7 @@ def polar_nodal_rates(chief: Float[Array, "*k 6"], mu: float, k_J2: float) -> Fl
 
 
 def lvlh_rates(chief: Float[Array, "*k 6"], k_J2: float) -> LVLHRates:
-    """How the frame of the chief's osculating orbit turns, and how that changes [Xu2008]."""
+    """Return the angular velocity and acceleration of the chief's LVLH axes [Xu2008]."""
     r, v_x, h, _, i, theta = np.moveaxis(chief, -1, 0)
     sin_2i, sin_t, cos_t = np.sin(2 * i), np.sin(theta), np.cos(theta)
     return LVLHRates(
@@ -214,7 +254,7 @@ def lvlh_rates(chief: Float[Array, "*k 6"], k_J2: float) -> LVLHRates:
 
 
 def polar_nodal_scales(chief: Float[Array, " 6"]) -> Float[Array, " 6"]:
-    """How large each of the six numbers is about, also where it happens to be 0."""
+    """Return the order of magnitude of each polar-nodal element, for tolerances."""
     r, _, h, *_ = chief
     return np.array([r, h / r, h, 1.0, 1.0, 1.0])
 

@@ -1,23 +1,29 @@
-"""What the vehicles really do, as opposed to what a plan thinks they do."""
+"""Plants: the equations of motion that a run propagates."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
+from scipy.integrate import solve_ivp
 
 from dynamics.discretize import discretize_zoh
-from dynamics.model import LinearModel
+from dynamics.model import LinearModel, NonlinearModel
 from dynamics.orbit import Orbit
+
+RTOL = 1e-13  # of a step of `NonlinearPlant`, and in addition
+ATOL = 1e-9, 1e-12  # of each agent's position and velocity [m, m/s]
 
 
 class Plant(ABC):
-    """What the vehicles really do.
+    """Motion of all agents under controls that are held.
 
-    A plant remembers nothing: the same call gives the same states, bit for bit, whatever
-    was asked before. Rows of NaN are vehicles that are not there; they stay NaN.
+    A plant is stateless: the same call returns the same states, bit for bit, whatever was
+    propagated before. Rows of NaN are absent agents; they stay NaN.
     """
+
+    chief_orbit: Orbit | None  # None where there is no orbit
 
     @abstractmethod
     def propagate(
@@ -28,30 +34,30 @@ class Plant(ABC):
         dt: float,
         substeps: int = 1,
     ) -> Float[Array, "{substeps}+1 agents n"]:
-        """States at equal instants from t to t + dt, the first of them x itself.
+        """Return the states at equal instants from t to t + dt, the first of them x itself.
 
         Args:
-            x: States at t; in orbit, in the chief's frame.
-            u: Accelerations, held in the same axes [m/s²].
-            t: When the flight begins [s].
-            dt: How long it takes [s].
-            pieces: Into how many parts the instants divide it.
+            x: States at t; in orbit, in LVLH axes of the chief.
+            u: Accelerations, constant in the same axes [m/s²].
+            t: Initial time [s].
+            dt: Duration [s].
+            substeps: Number of intervals between the returned instants.
 
         Raises:
-            ValueError: The states or the inputs are not what this plant flies.
+            ValueError: Shapes, controls or times do not fit this plant.
         """
 
     @abstractmethod
     def chief_elements(self, t: float) -> Float[Array, " 6"] | None:
-        """The six numbers of the chief's orbit at a time, or None where there is no orbit."""
+        """Return the polar-nodal elements of the chief, or None where there is no orbit."""
 
 
 @dataclass(frozen=True, eq=False)
 class LinearPlant(Plant):
-    """Vehicles that do exactly what a linear model says."""
+    """Agents that move exactly as a linear model says."""
 
     model: LinearModel
-    chief_orbit: Orbit | None = None  # that of the chief, where there is one
+    chief_orbit: Orbit | None = None
 
     def propagate(
         self,
@@ -61,39 +67,100 @@ class LinearPlant(Plant):
         dt: float,
         substeps: int = 1,
     ) -> Float[Array, "{substeps}+1 agents n"]:
-        """States at equal instants from t to t + dt, the first of them x itself."""
+        """Return the states at equal instants from t to t + dt, the first of them x itself."""
         validate_propagation(x, u, dt, substeps, self.model.axes)
         steps = discretize_zoh(self.model, dt / substeps, substeps, t)
         held = np.repeat(u[:, None], substeps, axis=1)
         return np.moveaxis(steps.simulate(x, held), 1, 0)
 
     def chief_elements(self, t: float) -> Float[Array, " 6"] | None:
-        """The six numbers of the chief's orbit at a time, or None where there is no orbit."""
+        """Return the polar-nodal elements of the chief, or None where there is no orbit."""
+        return None if self.chief_orbit is None else self.chief_orbit.elements_at(t)
+
+
+@dataclass(frozen=True, eq=False)
+class NonlinearPlant(Plant):
+    """Agents that move exactly as a nonlinear model says, all in one integration.
+
+    The chief is that of the model, where it has an attribute `orbit`, as `J2` does.
+    """
+
+    model: NonlinearModel
+    chief_orbit: Orbit | None = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Take the orbit of the chief from the model."""
+        object.__setattr__(self, "chief_orbit", getattr(self.model, "orbit", None))
+
+    def propagate(
+        self,
+        x: Float[Array, "agents n"],
+        u: Float[Array, "agents m"],
+        t: float,
+        dt: float,
+        substeps: int = 1,
+    ) -> Float[Array, "{substeps}+1 agents n"]:
+        """Return the states at equal instants from t to t + dt, the first of them x itself.
+
+        Raises:
+            ValueError: Shapes, controls or times do not fit this plant.
+            RuntimeError: The integrator fails, as at a singularity of the model.
+        """
+        validate_propagation(x, u, dt, substeps, self.model.axes)
+        states = np.full((substeps + 1, *x.shape), np.nan)
+        states[0] = x
+        present = np.flatnonzero(is_present(x))
+        if not len(present):
+            return states
+        # The integrator bounds the root mean square over all entries; divided by the root
+        # of their number, the tolerance bounds each agent.
+        atol = np.tile(np.repeat(ATOL, self.model.axes), len(present)) / np.sqrt(len(present))
+        held = u[present]
+
+        def rate(s: float, y: Array) -> Array:
+            return np.asarray(self.model.rate(s, y.reshape(len(present), -1), held).ravel())
+
+        instants = t + np.linspace(0, dt, substeps + 1)
+        y = x[present].ravel()
+        for k in range(substeps):
+            span = (float(instants[k]), float(instants[k + 1]))
+            solution = solve_ivp(rate, span, y, "DOP853", rtol=RTOL, atol=atol)
+            if not solution.success:
+                raise RuntimeError(
+                    f"{type(self.model).__name__} cannot be integrated from t = {span[0]:.6g} to "
+                    f"{span[1]:.6g} s: {solution.message}"
+                )
+            y = solution.y[:, -1]
+            states[k + 1, present] = y.reshape(len(present), -1)
+        return states
+
+    def chief_elements(self, t: float) -> Float[Array, " 6"] | None:
+        """Return the polar-nodal elements of the chief, or None where there is no orbit."""
         return None if self.chief_orbit is None else self.chief_orbit.elements_at(t)
 
 
 def validate_propagation(x: Array, u: Array, dt: float, substeps: int, axes: int) -> None:
-    """Refuse a flight that means nothing in a space of so many axes.
+    """Check the arguments of `Plant.propagate`.
 
     Raises:
-        ValueError: Shapes do not fit, the time is not positive, there are no pieces, or a
-            vehicle that is there has an input that is not finite.
+        ValueError: Shapes do not fit, the duration is not positive, there are no substeps,
+            or the control of an agent that is present is not finite.
     """
     if x.ndim != 2 or x.shape[1] != 2 * axes or u.shape != (len(x), axes):
         raise ValueError(
-            f"vehicles in {axes} axes have states of shape (agents, {2 * axes}) and accelerations "
+            f"agents in {axes} axes have states of shape (agents, {2 * axes}) and accelerations "
             f"of shape (agents, {axes}), got {x.shape} and {u.shape}"
         )
     if not 0 < dt < np.inf or substeps < 1:
         raise ValueError(
-            "a flight takes some time and has at least one piece, got "
-            f"dt = {dt} s, pieces = {substeps}"
+            "the duration must be positive and finite, with at least one substep, got "
+            f"dt = {dt} s and substeps = {substeps}"
         )
-    lost = np.flatnonzero(is_present(x) & ~np.isfinite(u).all(axis=1))
-    if len(lost):
-        raise ValueError(f"vehicle {lost[0]} is there, but its acceleration is {u[lost[0]]}")
+    wrong = np.flatnonzero(is_present(x) & ~np.isfinite(u).all(axis=1))
+    if len(wrong):
+        raise ValueError(f"agent {wrong[0]} is present, but its acceleration is {u[wrong[0]]}")
 
 
 def is_present(x: Float[Array, "agents n"]) -> Array:
-    """Which vehicles are there: those whose state has no NaN."""
+    """Return True for agents that are present: all entries of their state are finite."""
     return np.asarray(np.isfinite(x).all(axis=1))

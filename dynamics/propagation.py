@@ -1,4 +1,4 @@
-"""Many spacecraft in inertial space, in one integration that is accurate for each."""
+"""Propagation of many agents in inertial space, with an accuracy that holds for each."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,23 +14,23 @@ from dynamics.coordinate_frames import radius_and_momentum
 from dynamics.forces import Forces
 from dynamics.orbit import EARTH_RADIUS
 
-MIN_RTOL = 2.3e-14  # below, SciPy takes this and warns
-MAX_ECCENTRICITY = 0.95  # for which `propagate` keeps its promise
+MIN_RTOL = 2.3e-14  # SciPy replaces smaller values by this one, with a warning
+MAX_ECCENTRICITY = 0.95  # the accuracy of `propagate` holds up to this
 
-DEFAULT_FORCES = Forces()  # two bodies and J2
+DEFAULT_FORCES = Forces()  # two-body gravity and J2
 
 
 class Impact(RuntimeError):
-    """A vehicle meets the Earth."""
+    """Collision of an agent or of the chief with the Earth."""
 
-    def __init__(self, vehicle: int, time: float) -> None:
-        """Name the vehicle, −1 for the chief, and when it happens [s]."""
-        who = f"vehicle {vehicle}" if vehicle >= 0 else "the chief"
+    def __init__(self, agent: int, time: float) -> None:
+        """Describe the impact of an agent, −1 for the chief, at a time [s]."""
+        name = f"agent {agent}" if agent >= 0 else "the chief"
         super().__init__(
-            f"{who} meets the Earth at t = {time:.6g} s: raise the perigee above "
-            f"{EARTH_RADIUS / 1e3:.0f} km from the centre, or end before"
+            f"{name} hits the Earth at t = {time:.6g} s: raise the perigee above "
+            f"{EARTH_RADIUS / 1e3:.0f} km from the center, or end before"
         )
-        self.agent = vehicle
+        self.agent = agent
         self.time = time
 
 
@@ -38,32 +38,34 @@ def propagate(
     state: Float[Array, "agents 6"],
     times: Float[Array, " instants"],
     forces: Forces = DEFAULT_FORCES,
-    ballistic: float | Float[Array, " each"] | None = None,
+    ballistic_coefficient: float | Float[Array, " each"] | None = None,
     accuracy: float = 1e-9,
 ) -> Float[Array, "instants agents 6"]:
-    """Fly many spacecraft at once without thrust, all in one integration.
+    """Propagate many agents without thrust, all in one integration.
 
     Args:
         state: Inertial positions and velocities at time 0 [m, m/s].
-        times: At which states are wanted, increasing from 0 or later [s].
-        forces: What pulls at them; two bodies and J2 if nothing is said.
-        ballistic: Coefficient C_D A/m of all or of each, where there is an atmosphere [m²/kg].
-        accuracy: Largest error of any one spacecraft after an orbit, as a fraction of its
-            distance from the Earth's centre. Later it grows with the square of the orbits.
+        times: Times of the states to return, increasing from 0 or later [s].
+        forces: Forces on the agents.
+        ballistic_coefficient: C_D A/m of all or of each, where there is an atmosphere [m²/kg].
+        accuracy: Largest error of any agent after an orbit, as a fraction of its distance
+            from the Earth's center. It grows with the square of the number of orbits.
 
     Raises:
-        ValueError: Times do not increase, a spacecraft begins inside the Earth, or drag
-            lacks ballistic coefficients.
-        Impact: A spacecraft meets the Earth.
+        ValueError: Times do not increase, an agent starts inside the Earth, or drag lacks
+            ballistic coefficients.
+        Impact: An agent hits the Earth.
     """
     _validate_initial_states(state, times, accuracy)
-    air = forces.broadcast_ballistic_coefficients(ballistic, len(state))
+    drag = forces.broadcast_ballistic_coefficients(ballistic_coefficient, len(state))
+    if not len(state):
+        return np.empty((len(times), 0, 6))
 
     def rate(t: float, y: Array) -> Array:
         now = y.reshape(-1, 6)
-        return np.hstack([now[:, 3:], forces.acceleration(now, air)]).ravel()
+        return np.hstack([now[:, 3:], forces.acceleration(now, drag)]).ravel()
 
-    flown = integrate_orbits(
+    path = integrate_orbits(
         rate,
         state.ravel(),
         times,
@@ -72,12 +74,12 @@ def propagate(
         radii=lambda y: np.asarray(np.linalg.norm(y.reshape(-1, 6)[:, :3], axis=1)),
         agents=np.arange(len(state)),
     )
-    return flown.reshape(len(times), -1, 6)
+    return path.reshape(len(times), -1, 6)
 
 
 @dataclass(frozen=True)
 class _ImpactEvent:
-    """An event, in the words of SciPy: someone's radius is that of the Earth."""
+    """Event function for SciPy: the smallest radius minus that of the Earth."""
 
     radii: Callable[[Array], Array]
     terminal: ClassVar[bool] = True
@@ -97,76 +99,78 @@ def integrate_orbits(
     t0: float = 0.0,
     first_step: float | None = None,
 ) -> Array:
-    """States at times after the start, by the method of Dormand and Prince of order eight.
+    """Integrate by the Dormand–Prince method of order eight, until an impact.
 
     Args:
-        rate: (t, y) ↦ ẏ.
-        start: y at time 0.
-        times: At which states are wanted [s].
-        rtol: Error allowed in a step, of what an entry of y is,
-        atol: and of each entry besides. The root mean square over all entries keeps to it.
-        radii: y ↦ everyone's distance from the Earth's centre [m].
-        names: What an `Impact` calls them,
-        begin: and what it takes for time 0 [s].
-        first: Length of the first step [s], or None to leave it to the integrator.
+        rate: (t, y) ↦ ẏ, with t counted from the initial time.
+        y0: Initial y.
+        times: Times of the values to return, counted from the initial time [s].
+        rtol: Error tolerance of a step relative to each entry of y.
+        atol: Absolute tolerance in addition; the integrator bounds the root mean square of
+            the errors over all entries.
+        radii: y ↦ distances from the Earth's center [m].
+        agents: Index of each distance in an `Impact`.
+        t0: Initial time, for an `Impact` [s].
+        first_step: Length of the first step [s], or None to let the integrator choose.
 
     Raises:
-        Impact: Someone meets the Earth.
-        RuntimeError: The integrator gives up.
+        Impact: An agent hits the Earth.
+        RuntimeError: The integrator fails.
     """
-    ground = _ImpactEvent(radii)
-    found = solve_ivp(
+    solution = solve_ivp(
         rate,
         (0.0, float(times[-1])),
         y0,
         method="DOP853",
         t_eval=times,
-        events=ground,
+        events=_ImpactEvent(radii),
         rtol=rtol,
         atol=atol,
         first_step=first_step,
     )
-    if found.status == 1:
-        lowest = np.argmin(radii(found.y_events[0][0]))
-        raise Impact(int(agents[lowest]), t0 + float(found.t_events[0][0]))
-    if not found.success:
-        raise RuntimeError(f"the flight cannot be integrated: {found.message}")
-    return np.asarray(found.y.T)
+    if solution.status == 1:
+        lowest = np.argmin(radii(solution.y_events[0][0]))
+        raise Impact(int(agents[lowest]), t0 + float(solution.t_events[0][0]))
+    if not solution.success:
+        raise RuntimeError(f"the orbits cannot be integrated: {solution.message}")
+    return np.asarray(solution.y.T)
 
 
 def _absolute_tolerances(state: Array, accuracy: float, mu: float) -> Array:
-    """Errors allowed in a step, for each vehicle to be as accurate as asked an orbit later.
+    """Return the tolerances of a step that give each agent its accuracy after an orbit.
 
-    An error of the semi-major axis moves a vehicle along its orbit by 3π δa an orbit, and
-    the faster the lower its perigee; near there an axis is also the most easily wrong:
+    An error of the semi-major axis displaces an agent along its orbit by 3π δa an orbit,
+    most at perigee, where the axis is also most sensitive to errors of the state:
 
         δr/r = 3π √(1 + e)/(1 − e)^(3/2) δa/a,    δa/a = 2a δr/r² = 2a v δv/μ
 
-    The integrator bounds the root mean square over all vehicles; divided by the root of
-    their number it bounds each.
+    The integrator bounds the root mean square over all agents; divided by the root of
+    their number, the tolerance bounds each.
     """
     r, h = radius_and_momentum(state)
     energy = (state[:, 3:] ** 2).sum(axis=1) / 2 - mu / r
     e = np.sqrt(np.maximum(0, 1 + 2 * energy * (h / mu) ** 2))
     perigee = h**2 / mu / (1 + e)
     e = np.minimum(e, MAX_ECCENTRICITY)
-    axis = accuracy / (3 * pi) * (1 - e) ** 1.5 / np.sqrt(1 + e) / np.sqrt(max(1, len(r)))
-    size = np.stack([perigee, mu / h], axis=1) * ((1 - e) / 2 * axis)[:, None]
-    return np.asarray(size.repeat(3, axis=1))
+    axis_error = accuracy / (3 * pi) * (1 - e) ** 1.5 / np.sqrt(1 + e) / np.sqrt(max(1, len(r)))
+    errors = np.stack([perigee, mu / h], axis=1) * ((1 - e) / 2 * axis_error)[:, None]
+    return np.asarray(errors.repeat(3, axis=1))
 
 
 def _validate_initial_states(state: Array, times: Array, accuracy: float) -> None:
     if len(times) == 0 or not (
         np.isfinite(times).all() and times[0] >= 0 and (np.diff(times) > 0).all()
     ):
-        raise ValueError(f"times increase from 0 or later, got {times}")
+        raise ValueError(f"times: must increase from 0 or later, got {times}")
     if not 1e-13 <= accuracy <= 1e-3:
-        raise ValueError(f"an accuracy lies between 1e-13 and 1e-3, got {accuracy}")
+        raise ValueError(f"accuracy: must lie between 1e-13 and 1e-3, got {accuracy}")
     if not np.isfinite(state).all():
-        raise ValueError(f"vehicle {np.argmin(np.isfinite(state).all(axis=1))} has no finite state")
+        raise ValueError(
+            f"the state of agent {np.argmin(np.isfinite(state).all(axis=1))} is not finite"
+        )
     r = np.linalg.norm(state[:, :3], axis=1)
     if len(r) and r.min() <= EARTH_RADIUS:
         raise ValueError(
-            f"vehicle {np.argmin(r)} begins inside the Earth, {r.min() / 1e3:.6g} km from its "
-            "centre; states are in metres"
+            f"agent {np.argmin(r)} starts inside the Earth, {r.min() / 1e3:.6g} km from its "
+            "center; states are in meters"
         )

@@ -1,13 +1,13 @@
-"""What happens between the samples: cubic pieces, and how close they come.
+"""Trajectory geometry between samples: cubic pieces, their separation and their error.
 
-A path over [0, h] is held as the Bézier points of the cubic with the same positions
-and velocities at both ends,
+A trajectory over [0, h] is represented by the Bézier control points of the cubic with the
+same positions and velocities at both ends,
 
     b₀ = p₀,  b₁ = p₀ + v₀ h/3,  b₂ = p₁ − v₁ h/3,  b₃ = p₁,
 
-and it never leaves their convex hull. For a double integrator under a held input it
-is the path itself; for other models it is off by at most max |p⁗| h⁴/384, which
-`error_bound` bounds for constant matrices, and `missed_by_halves` measures for any path.
+whose convex hull contains the cubic. The cubic is exact for a double integrator under a
+zero-order hold. Otherwise its error is at most max |p⁗| h⁴/384: `interpolation_error_bound`
+bounds it for time-invariant models, `sampled_interpolation_error` estimates it from samples.
 """
 
 from typing import NamedTuple
@@ -17,31 +17,30 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from scipy.spatial import cKDTree
 
-from dynamics.bezier_kernels import closest_pair
-from dynamics.discretize import DiscreteModel, discretize_zoh
-from dynamics.hull import min_norm_points
+from dynamics.bezier_kernels import closest_pair, min_norm_points
+from dynamics.discretize import discretize_zoh
 from dynamics.model import LinearModel
 
 
 class ClosestApproach(NamedTuple):
-    """Where two agents come closest."""
+    """Closest approach of any two agents over a trajectory."""
 
-    distance: float  # [m]; infinite where there are no two agents
-    piece: int  # k, between instants k and k + 1; −1 where there are no two agents
+    distance: float  # [m]; infinite for fewer than two agents
+    piece: int  # k, between instants k and k + 1; −1 for fewer than two agents
     fraction: float  # of the piece, in [0, 1]
     pair: tuple[int, int]
 
 
 class Separations(NamedTuple):
-    """The closest two agents of every piece."""
+    """Closest approach of any two agents in every piece."""
 
-    distance: Float[Array, " K"]  # [m]; infinite where fewer than two agents fly
+    distance: Float[Array, " K"]  # [m]; infinite for fewer than two agents
     fraction: Float[Array, " K"]  # of the piece, in [0, 1]
-    pair: Int[Array, "K 2"]  # −1 where fewer than two agents fly
+    pair: Int[Array, "K 2"]  # −1 for fewer than two agents
 
     @property
     def minimum(self) -> ClosestApproach:
-        """The closest of all."""
+        """Closest approach over all pieces."""
         if not len(self.distance):
             return ClosestApproach(np.inf, -1, 0.0, (-1, -1))
         k = int(np.argmin(self.distance))
@@ -50,46 +49,17 @@ class Separations(NamedTuple):
         return ClosestApproach(float(self.distance[k]), piece, float(self.fraction[k]), (i, j))
 
 
-def resample(
-    fine: DiscreteModel, x: Float[Array, "*agents instants n"], u: Float[Array, "*agents T m"]
-) -> Float[Array, "*agents fine_instants n"]:
-    """States at finer instants, each step flown from its own start.
-
-    The given states are kept as they are. Exact where `fine` is.
-
-    Args:
-        fine: The same dynamics in steps s times shorter: `hold(model, dt / s, T * s)`.
-        x: States at the coarse instants.
-        u: Inputs held over the coarse steps.
-
-    Raises:
-        ValueError: The fine steps do not divide the coarse ones.
-    """
-    T = u.shape[-2]
-    s = len(fine) // T if T else 1
-    if s * T != len(fine) or (T and s == 0):
-        raise ValueError(f"{len(fine)} fine steps do not divide {T} steps evenly")
-    found = np.empty((*x.shape[:-2], T * s + 1, x.shape[-1]))
-    found[..., ::s, :] = x
-    state = x[..., :-1, :]
-    for j in range(s - 1):
-        A, B, z = fine.A[j::s], fine.B[j::s], fine.z[j::s]
-        state = np.einsum("kab,...kb->...ka", A, state) + np.einsum("kab,...kb->...ka", B, u) + z
-        found[..., j + 1 :: s, :] = state
-    return found
-
-
 def control_points(
     position: Float[Array, "*agents instants d"],
     velocity: Float[Array, "*agents instants d"],
     h: float | Float[Array, " instants-1"],
 ) -> Float[Array, "*agents instants-1 4 d"]:
-    """Bézier points of every piece.
+    """Return the Bézier control points of every piece.
 
     Args:
-        position: At the instants [m].
-        velocity: At the instants [m/s].
-        h: Length of the pieces, one for all or one each [s].
+        position: Positions at the instants [m].
+        velocity: Velocities at the instants [m/s].
+        h: Duration of all pieces, or of each [s].
     """
     third = (np.asarray(h) / 3)[..., None]
     first, last = position[..., :-1, :], position[..., 1:, :]
@@ -102,7 +72,7 @@ def control_points(
 def evaluate_bezier(
     points: Float[Array, "*k 4 d"], fraction: float | Float[Array, "*k"]
 ) -> Float[Array, "*k d"]:
-    """Position on a piece, at a fraction of its time."""
+    """Return the position on a piece at a fraction of its duration."""
     t = np.asarray(fraction)[..., None]
     s = 1 - t
     b = np.moveaxis(points, -2, 0)
@@ -112,14 +82,17 @@ def evaluate_bezier(
 def hull_distance(
     points: Float[Array, "*k 4 d"],
 ) -> tuple[Float[Array, "*k"], Float[Array, "*k d"]]:
-    """Least-norm point of the convex hull of four points, in the plane or in space.
+    """Return the minimum-norm point of the convex hull of four points, in 2D or 3D.
 
-    The distance is max over unit n of min_i n·b_i, and the best n stands square on a
-    vertex, an edge or a face: all are tried. Whatever n rounding leaves, the law
-    n·b_i ≥ distance holds for it, also where points coincide or lie on a line.
+    The distance is max over unit n of min_i n·b_i, and the best n is normal to a vertex,
+    an edge or a face; all are tried. n·b_i ≥ distance holds in spite of rounding, and also
+    for points that coincide or are collinear.
 
     Returns:
-        The distance, 0 where the hull holds the origin, and the point, distance × n.
+        The distance, 0 where the hull contains the origin, and the point, distance × n.
+
+    Raises:
+        ValueError: The points have neither 2 nor 3 axes.
     """
     d = points.shape[-1]
     if d not in (2, 3):
@@ -135,10 +108,10 @@ def separations(
     alive: Bool[Array, "instants agents"],
     h: float | Float[Array, " instants-1"],
 ) -> Separations:
-    """Least distance of any two agents along every piece, exact for cubic pieces.
+    """Return the minimum distance of any two agents in every piece, exact for cubics.
 
-    An agent flies a piece when it is alive at its start; one that is lost at its end
-    has still flown it, if it left its state there.
+    An agent counts in a piece if it is alive at the start and its states at both ends are
+    finite, also where it is lost at the end.
     """
     K = len(position) - 1
     b = np.moveaxis(
@@ -146,33 +119,23 @@ def separations(
     )
     found = Separations(np.full(K, np.inf), np.zeros(K), np.full((K, 2), -1))
     for k in range(K):
-        flies = np.flatnonzero(alive[k] & np.isfinite(b[k]).all(axis=(1, 2)))
-        if len(flies) > 1:
-            distance, fraction, pair = _closest_approach(np.ascontiguousarray(b[k, flies]))
-            found.distance[k], found.fraction[k], found.pair[k] = distance, fraction, flies[pair]
+        agents = np.flatnonzero(alive[k] & np.isfinite(b[k]).all(axis=(1, 2)))
+        if len(agents) > 1:
+            distance, fraction, pair = _closest_approach(np.ascontiguousarray(b[k, agents]))
+            found.distance[k], found.fraction[k], found.pair[k] = distance, fraction, agents[pair]
     return found
-
-
-def min_separation(
-    position: Float[Array, "instants agents d"],
-    velocity: Float[Array, "instants agents d"],
-    alive: Bool[Array, "instants agents"],
-    h: float | Float[Array, " instants-1"],
-) -> ClosestApproach:
-    """Least distance of any two agents along the whole path."""
-    return separations(position, velocity, alive, h).minimum
 
 
 def sampled_separations(
     position: Float[Array, "instants agents d"], alive: Bool[Array, "instants agents"]
 ) -> Float[Array, " instants"]:
-    """Least distance of any two live agents at every instant; infinite for fewer than two."""
-    there = alive & np.isfinite(position).all(axis=2)
-    return np.array([min_distance(p[a]) for p, a in zip(position, there, strict=True)])
+    """Return the minimum distance of two live agents per instant, infinite for fewer than two."""
+    present = alive & np.isfinite(position).all(axis=2)
+    return np.array([min_distance(p[a]) for p, a in zip(position, present, strict=True)])
 
 
 def min_distance(points: Float[Array, "k d"]) -> float:
-    """Least distance of any two points; infinite for fewer than two."""
+    """Return the minimum distance of any two points, infinite for fewer than two."""
     if len(points) < 2:
         return np.inf
     return float(cKDTree(points).query(points, k=2)[0][:, 1].min())
@@ -185,19 +148,18 @@ def interpolation_error(
     h: float,
     t0: float = 0.0,
 ) -> float:
-    """How far a path may be from its cubic pieces, at most [m].
+    """Return the largest distance of a trajectory from its cubic pieces [m].
 
-    Two agents may be closer than their pieces by twice as much. For a model whose matrices
-    are constant it is `error_bound`, which is proven. For others it is measured: every piece
-    is flown from its start in two halves, and its cubic compared with the middle, as in
-    `missed_by_halves`.
+    The separation of two agents may be less than that of their cubics by twice as much.
+    For a time-invariant model it is `interpolation_error_bound`, which is proven. For other
+    models it is measured at the middle of each piece, integrated from the start of the piece.
 
     Args:
-        model: What moves the agents.
-        x: States at the start of each piece; one at the end of the last is not needed.
-        u: Inputs, held over each piece.
-        h: Length of the pieces [s].
-        start: Time of the first instant [s].
+        model: Model of the agents.
+        x: States at the start of each piece; the end of the last one is not used.
+        u: Controls, held over each piece.
+        h: Duration of the pieces [s].
+        t0: Time of the first instant [s].
     """
     if model.is_time_invariant:
         return interpolation_error_bound(model, x, u, h)
@@ -206,8 +168,8 @@ def interpolation_error(
     states = [x[..., :K, :]]
     for j in range(2):
         A, B, z = halves.A[j::2], halves.B[j::2], halves.z[j::2]
-        moved = np.einsum("kab,...kb->...ka", A, states[-1]) + z
-        states.append(moved + np.einsum("kab,...kb->...ka", B, u))
+        free = np.einsum("kab,...kb->...ka", A, states[-1]) + z
+        states.append(free + np.einsum("kab,...kb->...ka", B, u))
     path = np.stack(states, axis=-2)
     return _midpoint_error(path[..., :d], path[..., d:], h / 2)
 
@@ -217,25 +179,26 @@ def sampled_interpolation_error(
     velocity: Float[Array, "*agents instants d"],
     h: float,
 ) -> float:
-    """How far a path may be from its cubic pieces, as pieces of twice the length show [m].
+    """Estimate the largest distance of a trajectory from its cubic pieces [m].
 
-    Those miss p⁗ (2h)⁴/384 at their middles, which are instants of the path, and pieces of
-    length h a sixteenth of it. It is a measurement, good while p⁗ hardly changes over two
-    pieces and the input stays the same in both. Nobody is there where numbers are not finite.
-    Two agents may be closer than their pieces by twice as much.
+    Cubics over two pieces have an error of p⁗ (2h)⁴/384 at their middles, which are samples
+    of the trajectory; those of one piece have a sixteenth of it. The estimate is good while
+    p⁗ changes little and the control is the same over two pieces. Entries that are not
+    finite belong to absent agents. The separation of two agents may be less than that of
+    their cubics by twice as much.
 
     Args:
-        position: At the instants, an odd number of them [m].
-        velocity: At the instants [m/s].
-        h: Time between them [s].
+        position: Positions at an odd number of instants [m].
+        velocity: Velocities at these instants [m/s].
+        h: Time between the instants [s].
 
     Raises:
-        ValueError: Some instant is the end of half a piece.
+        ValueError: The number of instants is even.
     """
     if position.shape[-2] % 2 == 0:
         raise ValueError(
-            f"{position.shape[-2]} instants do not make pieces of twice the length: "
-            "an odd number does"
+            f"{position.shape[-2]} instants do not pair up into pieces of twice the length: "
+            "an odd number is needed"
         )
     return _midpoint_error(position, velocity, h) / 16
 
@@ -246,24 +209,24 @@ def interpolation_error_bound(
     u: Float[Array, "*agents K m"],
     h: float,
 ) -> float:
-    """How far a path may be from its cubic pieces, proven for constant matrices [m].
+    """Bound the distance of a trajectory from its cubic pieces, for time-invariant models [m].
 
-    With ẋ = A x + B u + z and the input held, p⁗(t) is the position part of
-    A³ e^{At} ẋ(0), whose Taylor series is summed term by term in norm; the cubic
-    misses at most max |p⁗| h⁴/384. Two agents may be closer than their pieces by
+    With ẋ = A x + B u + z and u held, p⁗(t) is the position part of A³ e^{At} ẋ(0), whose
+    Taylor series is summed term by term in norm. The error of the cubic is at most
+    max |p⁗| h⁴/384. The separation of two agents may be less than that of their cubics by
     twice as much.
 
     Raises:
-        ValueError: The matrices change in time.
+        ValueError: The model is not time-invariant.
     """
     if not model.is_time_invariant:
         raise ValueError(
-            f"{type(model).__name__} changes in time, so nothing is proven of its cubic pieces: "
-            "ask `missed`, which measures"
+            f"{type(model).__name__} is not time-invariant, so there is no proven bound: use "
+            "`interpolation_error`, which measures"
         )
     d, A = model.axes, model.A(0.0)
     rate = x[..., : u.shape[-2], :] @ A.T + u @ model.B(0.0).T + model.z(0.0)
-    rate = np.where(np.isfinite(rate), rate, 0.0)  # nobody there
+    rate = np.where(np.isfinite(rate), rate, 0.0)  # absent agents
     term = rate @ np.linalg.matrix_power(A, 3).T
     total = np.linalg.norm(term[..., :d], axis=-1)
     for j in range(1, 40):
@@ -275,15 +238,15 @@ def interpolation_error_bound(
 
 
 def _midpoint_error(position: Array, velocity: Array, h: float) -> float:
-    """What cubic pieces from every other instant to the next such miss between them."""
+    """Return the error of cubics over two intervals at the instants in their middles."""
     pieces = control_points(position[..., ::2, :], velocity[..., ::2, :], 2 * h)
-    off = np.linalg.norm(evaluate_bezier(pieces, 0.5) - position[..., 1::2, :], axis=-1)
-    return float(np.max(off, initial=0.0, where=np.isfinite(off)))
+    error = np.linalg.norm(evaluate_bezier(pieces, 0.5) - position[..., 1::2, :], axis=-1)
+    return float(np.max(error, initial=0.0, where=np.isfinite(error)))
 
 
-def _closest_approach(b: Float[Array, "flies 4 d"]) -> tuple[float, float, Int[Array, " 2"]]:
-    # No path leaves the ball about the middle of its ends that holds its four points,
-    # so pairs whose balls are further apart than a distance already met are left out.
+def _closest_approach(b: Float[Array, "agents 4 d"]) -> tuple[float, float, Int[Array, " 2"]]:
+    # A piece stays in the ball about the midpoint of its ends that contains its control
+    # points. Pairs whose balls are further apart than the ends of some pair are left out.
     bound = min(min_distance(b[:, 0]), min_distance(b[:, 3]))
     middle = (b[:, 0] + b[:, 3]) / 2
     reach = float(np.linalg.norm(b - middle[:, None], axis=2).max())

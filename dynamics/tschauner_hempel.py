@@ -1,7 +1,7 @@
-"""Relative motion about an ellipse [Tschauner1965], in closed form [Yamanaka2002].
+"""Tschauner–Hempel equations: relative motion about an ellipse [Tschauner1965].
 
-Axes: x radially out, y along the orbit (across the radius, in the plane), z along its
-normal. Velocities are those seen in the frame, which turns with the chief.
+Axes (LVLH): x radial, outward; y transverse, in the plane and perpendicular to x; z normal
+(cross-track). Velocities are relative to the rotating axes.
 """
 
 from dataclasses import dataclass, field
@@ -13,39 +13,39 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.elements import mean_anomaly, true_anomaly
-from dynamics.model import LinearModel
-from dynamics.orbit import EARTH_MU, EARTH_RADIUS, Orbit
+from dynamics.model import LinearModel, Matrices
+from dynamics.orbit import EARTH_MU, Orbit, validate_ellipse, validate_perigee
 
-IN_PLANE = np.array([0, 1, 3, 4])  # of the state
+IN_PLANE = np.array([0, 1, 3, 4])  # entries of the state
 
 
 class AnomalyTerms(NamedTuple):
-    """Where the chief is on its ellipse."""
+    """Functions of the chief's true anomaly f."""
 
-    e_sin: Array | float  # e sin f, f the true anomaly
-    rho: Array | float  # 1 + e cos f = p/r
-    omega: Array | float  # ω = ḟ, the rate of the frame [rad/s]
+    e_sin: Array | float  # e sin f
+    rho: Array | float  # ρ = 1 + e cos f = p/r
+    omega: Array | float  # ω = ḟ, rate of rotation of the LVLH axes [rad/s]
 
 
 @dataclass(frozen=True)
 class TschaunerHempel(LinearModel):
-    """The Tschauner–Hempel equations: linear, about an ellipse of Kepler's.
+    """Tschauner–Hempel equations about a Keplerian ellipse.
 
         ẍ =  2ωẏ + (ω² + 2μ/r³)x + αy + u_x
         ÿ = −2ωẋ + (ω² −  μ/r³)y − αx + u_y
         z̈ =            −(μ/r³)z       + u_z,     ω = h/r²,  α = ω̇
 
-    Good while the separation is small against the radius, at any eccentricity below 1.
-    J2 is left out. With no eccentricity they are those of Clohessy and Wiltshire.
+    Valid while the separation is small against the radius, at any eccentricity below 1,
+    without J2. For e = 0 they are the Clohessy–Wiltshire equations.
 
     Args:
         semi_major_axis: a [m].
         eccentricity: e, from 0 to below 1.
-        anomaly: True anomaly at time 0 [rad].
+        true_anomaly: True anomaly at time 0 [rad].
         mu: Gravitational parameter [m³/s²].
 
     Raises:
-        ValueError: This is no ellipse, or it meets the Earth.
+        ValueError: This is not an ellipse, or the perigee is inside the Earth.
     """
 
     semi_major_axis: float
@@ -55,30 +55,18 @@ class TschaunerHempel(LinearModel):
     axes: int = field(default=3, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Refuse what is no ellipse round the Earth."""
-        a, e = self.semi_major_axis, self.eccentricity
-        if not 0 <= e < 1:
-            raise ValueError(
-                f"not an ellipse: eccentricity = {e}; it is 0 for a circle, and the closed form "
-                "holds below 1"
-            )
-        if not 0 < a < inf:
-            raise ValueError(f"a semi-major axis must be positive and finite, got {a} m")
+        """Check the ellipse."""
+        validate_ellipse(self.semi_major_axis, self.eccentricity)
         if not 0 < self.mu < inf or not isfinite(self.true_anomaly):
             raise ValueError(
-                "gravity must be positive and the anomaly finite, got "
-                f"mu = {self.mu} m³/s² and {self.true_anomaly} rad"
+                "mu: must be positive and finite, and true_anomaly finite, got "
+                f"{self.mu} m³/s² and {self.true_anomaly} rad"
             )
-        if (perigee := a * (1 - e)) <= EARTH_RADIUS:
-            raise ValueError(
-                f"the perigee, at an altitude of {(perigee - EARTH_RADIUS) / 1e3:.0f} km, is "
-                f"inside the Earth; with an eccentricity of {e:g} a semi-major axis above "
-                f"{EARTH_RADIUS / (1 - e) / 1e3:.0f} km would do"
-            )
+        validate_perigee(self.semi_major_axis, self.eccentricity)
 
     @classmethod
     def from_orbit(cls, orbit: Orbit) -> "TschaunerHempel":
-        """About the ellipse that osculates the orbit at time 0."""
+        """Take the osculating ellipse of an orbit at time 0."""
         e_cos = orbit.h**2 / (orbit.mu * orbit.r) - 1
         e_sin = orbit.h * orbit.v_x / orbit.mu
         anomaly = atan2(e_sin, e_cos)
@@ -95,16 +83,16 @@ class TschaunerHempel(LinearModel):
         return self.semi_major_axis * (1 - self.eccentricity**2)
 
     def true_anomaly_at(self, t: float | Float[Array, "*k"]) -> Float[Array, "*k"]:
-        """The chief's true anomaly, growing through all revolutions [rad].
+        """Return the chief's true anomaly, not reduced to one revolution [rad].
 
         Args:
-            t: Since time 0 [s]; of either sign.
+            t: Time, positive or negative [s].
         """
         e = self.eccentricity
         return true_anomaly(mean_anomaly(self.true_anomaly, e) + self.n * np.asarray(t), e)
 
     def A(self, t: float | Float[Array, "*k"]) -> Float[Array, "*k 6 6"]:
-        """State matrix, at a time or at many."""
+        """State matrix at one time or at many."""
         at = self._anomaly_terms(self.true_anomaly_at(t))
         w = at.omega
         pull = w**2 / at.rho  # μ/r³
@@ -116,21 +104,19 @@ class TschaunerHempel(LinearModel):
         A[..., 5, 2] = -pull
         return A
 
-    def matrices(
-        self, times: Float[Array, " k"]
-    ) -> tuple[Float[Array, "k 6 6"], Float[Array, "k 6 3"], Float[Array, "k 6"]]:
-        """A, B and z at many times."""
+    def matrices(self, times: Float[Array, " k"]) -> Matrices:
+        """Stack A, B and z at many times."""
         k = len(times)
         return self.A(times), np.repeat(self.B(0.0)[None], k, axis=0), np.zeros((k, 6))
 
     def transition_matrix(
         self, start: float | Float[Array, "*#k"], end: float | Float[Array, "*#k"]
     ) -> Float[Array, "*#k 6 6"]:
-        """Φ(end, start): the state at the end, without input [Yamanaka2002].
+        """Return Φ(end, start), free motion in closed form [Yamanaka2002].
 
         Args:
-            start: From when [s].
-            end: Until when [s]; before the start, too.
+            start: Initial time [s].
+            end: Final time, which may be before the initial one [s].
         """
         f0, f1 = np.broadcast_arrays(self.true_anomaly_at(start), self.true_anomaly_at(end))
         J = np.asarray(self._k * np.subtract(end, start))
@@ -147,16 +133,16 @@ class TschaunerHempel(LinearModel):
     def bounded_velocity(
         self, position: Float[Array, "*k 3"], t: float = 0.0
     ) -> Float[Array, "*k 3"]:
-        """Velocity with which an orbit through a position closes [m/s].
+        """Return the velocity of a closed orbit through a position [m/s].
 
-            ẏ = −(ω + μ/rh) x + (v_x/r) y
+            ẏ = −(ω + μ/rh) x + (v_x/r) y,  ẋ = ż = 0
 
-        gives it the chief's energy, to first order, and so its period; the other axes are
-        left at rest. About a circle it is −2nx.
+        matches the chief's energy to first order, and so its period. About a circle it is
+        ẏ = −2nx.
 
         Args:
             position: Relative to the chief [m].
-            t: When it is there [s].
+            t: Time at that position [s].
         """
         at = self._anomaly_terms(self.true_anomaly_at(t))
         x, y = position[..., 0], position[..., 1]
@@ -167,7 +153,7 @@ class TschaunerHempel(LinearModel):
 
     @property
     def _k(self) -> float:
-        """h/p², with which ḟ = k ρ² [rad/s]."""
+        """Constant k = h/p² of ḟ = k ρ² [rad/s]."""
         return sqrt(self.mu / self.p**3)
 
     def _anomaly_terms(self, f: Array) -> AnomalyTerms:
@@ -175,9 +161,9 @@ class TschaunerHempel(LinearModel):
         return AnomalyTerms(self.eccentricity * np.sin(f), rho, self._k * rho**2)
 
     def _fundamental_matrix(self, f: Array, J: Array) -> Array:
-        """Four motions in the plane, as columns of ρx, ρy and their derivatives by f.
+        """Return four in-plane solutions as columns of ρx, ρy and their derivatives by f.
 
-        Of them, only the last drifts. J is k times the time from where it begins to.
+        Only the last of them drifts. J is k times the time since the initial instant.
         """
         e, C, S = self.eccentricity, np.cos(f), np.sin(f)
         rho = 1 + e * C
@@ -193,17 +179,17 @@ class TschaunerHempel(LinearModel):
         return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
     def _scaling_matrix(self, f: Array) -> Array:
-        """From the state to ρ times the position and its derivative by f."""
+        """Map the state to ρ times the position and its derivative by f."""
         at = self._anomaly_terms(f)
         return _block_matrix(at.rho, np.zeros_like(f), -at.e_sin, at.rho / at.omega)
 
     def _inverse_scaling_matrix(self, f: Array) -> Array:
-        """Back again."""
+        """Invert `_scaling_matrix`."""
         at = self._anomaly_terms(f)
         return _block_matrix(1 / at.rho, np.zeros_like(f), self._k * at.e_sin, self._k * at.rho)
 
 
 def _block_matrix(a: Array | float, b: Array, c: Array | float, d: Array | float) -> Array:
-    """[[a, b], [c, d]] for each of the three axes."""
+    """Return [[a I, b I], [c I, d I]]."""
     both = np.stack([np.stack([a, b], axis=-1), np.stack([c, d], axis=-1)], axis=-2)
     return np.asarray(np.kron(both, np.eye(3)))

@@ -1,4 +1,4 @@
-"""Relative orbits: they close, drift and conserve as theory says."""
+"""Clohessy–Wiltshire: closed orbits, drift, invariants and two-body motion."""
 
 import numpy as np
 import pytest
@@ -12,56 +12,49 @@ model = ClohessyWiltshire(float(n))
 period = 2 * np.pi / n
 
 
-def coast(x, duration, count):
+def propagate_free(x, duration, count):
     return discretize_zoh(model, duration / count, count).simulate(
         x, np.zeros((*x.shape[:-1], count, 3))
     )
 
 
-def test_a_bounded_orbit_closes_after_a_period(rng):
+def test_bounded_orbit_closes_after_one_period(rng):
     position = rng.uniform(-1500, 1500, (20, 3))
     start = np.hstack([position, model.bounded_velocity(position)])
-    start[:, [3, 5]] = rng.uniform(-2, 2, (20, 2))  # radial and normal speeds do not open it
-    path = coast(start, period, 90)
+    start[:, [3, 5]] = rng.uniform(-2, 2, (20, 2))  # does not open the orbit
+    path = propagate_free(start, period, 90)
     np.testing.assert_allclose(path[:, -1], start, atol=1e-8)
-    assert np.abs(path[:, 45] - start).max() > 100  # it went somewhere
+    assert np.abs(path[:, 45] - start).max() > 100  # the orbit is not a point
 
 
-def test_bounded_is_for_one_position_or_many(rng):
-    position = rng.uniform(-1500, 1500, (4, 5, 3))
-    velocity = model.bounded_velocity(position)
-    np.testing.assert_array_equal(velocity[2, 3], model.bounded_velocity(position[2, 3]))
-    assert not velocity[..., [0, 2]].any()
-
-
-def test_any_other_orbit_drifts_by_the_known_amount(rng):
+def test_other_orbits_drift_by_the_known_amount(rng):
     x = np.concatenate([rng.uniform(-1000, 1000, 3), rng.uniform(-1, 1, 3)])
-    end = coast(x, period, 60)[-1]
+    end = propagate_free(x, period, 60)[-1]
     drift = -period * (6 * n * x[0] + 3 * x[4])
     np.testing.assert_allclose(end - x, [0, drift, 0, 0, 0, 0], atol=1e-7)
 
 
-def test_coasting_conserves_the_jacobi_integral(rng):
+def test_free_motion_conserves_the_jacobi_integral(rng):
     start = np.hstack([rng.uniform(-1000, 1000, (10, 3)), rng.uniform(-1, 1, (10, 3))])
-    x = coast(start, 3 * period, 200)
+    x = propagate_free(start, 3 * period, 200)
     kinetic = (x[..., 3:] ** 2).sum(-1) / 2
     energy = kinetic - 1.5 * n**2 * x[..., 0] ** 2 + n**2 * x[..., 2] ** 2 / 2
     np.testing.assert_allclose(energy, energy[:, :1] * np.ones(201), rtol=1e-9)
 
 
-def test_a_place_along_the_orbit_is_at_rest():
+def test_an_along_track_offset_stays_at_rest():
     x = np.array([0.0, 700, 0, 0, 0, 0])
-    np.testing.assert_allclose(coast(x, period, 30), np.tile(x, (31, 1)), atol=1e-9)
+    np.testing.assert_allclose(propagate_free(x, period, 30), np.tile(x, (31, 1)), atol=1e-9)
 
 
-def test_motion_along_the_normal_is_a_pendulum_of_its_own():
-    path = coast(np.array([0.0, 0, 100, 0, 0, 0]), period, 40)
+def test_cross_track_motion_is_a_separate_oscillator():
+    path = propagate_free(np.array([0.0, 0, 100, 0, 0, 0]), period, 40)
     np.testing.assert_allclose(path[:, 2], 100 * np.cos(2 * np.pi * np.arange(41) / 40), atol=1e-9)
     assert not path[:, [0, 1, 3, 4]].any()
 
 
-def test_the_equations_are_those_of_two_bodies_nearby():
-    """A second opinion: both orbits integrated in inertial space, then subtracted."""
+def test_equations_are_two_body_motion_to_first_order():
+    """Compare with the difference of two orbits integrated in inertial space."""
     radius, mu = 6878e3, 3.986004418e14
     offset, velocity = np.array([30.0, -50.0, 40.0]), np.array([0.02, 0.05, -0.03])
     chief = np.array([radius, 0, 0, 0, n * radius, 0])
@@ -76,15 +69,15 @@ def test_the_equations_are_those_of_two_bodies_nearby():
     time = period / 4
     precise = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-7}
     ends = [solve_ivp(fall, (0, time), x, **precise).y[:, -1] for x in (chief, deputy)]
-    turn = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])  # by a quarter
+    turn = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])  # a quarter of a revolution
     truth = turn @ (ends[1] - ends[0])[:3]
-    linear = coast(np.concatenate([offset, velocity]), time, 10)[-1, :3]
+    linear = propagate_free(np.concatenate([offset, velocity]), time, 10)[-1, :3]
     assert np.linalg.norm(truth) > 100
     np.testing.assert_allclose(linear, truth, atol=0.01)  # separation² over radius: 6 mm
 
 
-def test_the_closed_forms_are_the_printed_ones():
-    """The solution as textbooks print it [Clohessy1960], entry by entry."""
+def test_transition_and_control_matrices_are_the_published_ones():
+    """Compare every entry with the published solution [Clohessy1960]."""
     t = 1440.0
     c, s, a = np.cos(n * t), np.sin(n * t), n * t
     Phi = [
@@ -104,10 +97,10 @@ def test_the_closed_forms_are_the_printed_ones():
         [0, 0, s / n],
     ]
     np.testing.assert_allclose(model.transition_matrix(t), Phi, rtol=1e-13, atol=0)
-    np.testing.assert_allclose(model.zoh_input_matrix(t), Gamma, rtol=1e-13, atol=0)
+    np.testing.assert_allclose(discretize_zoh(model, t, 1).B[0], Gamma, rtol=1e-11, atol=0)
 
 
-def test_about_an_orbit_it_turns_as_the_orbit_does():
+def test_mean_motion_is_that_of_the_orbit():
     orbit = Orbit.from_elements(6878e3, inclination=0.8, true_anomaly=1.0)
     assert ClohessyWiltshire.from_orbit(orbit).n == pytest.approx(n, rel=1e-13)
     eccentric = Orbit.from_elements(8600e3, 0.2, true_anomaly=2.0)
@@ -115,6 +108,6 @@ def test_about_an_orbit_it_turns_as_the_orbit_does():
 
 
 @pytest.mark.parametrize("bad", [0.0, -1e-3, np.nan, np.inf])
-def test_an_orbit_must_turn(bad):
-    with pytest.raises(ValueError, match="mean motion must be positive"):
+def test_a_mean_motion_that_is_not_positive_is_refused(bad):
+    with pytest.raises(ValueError, match="n: the mean motion must be positive"):
         ClohessyWiltshire(bad)

@@ -1,4 +1,4 @@
-"""Gravity and drag: potentials, rounding, and the table of the atmosphere."""
+"""Gravity and drag: potential, rounding, and the density table."""
 
 from itertools import pairwise
 
@@ -24,12 +24,12 @@ def states(rng, count):
 def potential(position):
     # [Vallado2013, Sec. 8.6] with J2 alone: U = −μ/r (1 − J₂ (R/r)² (3 sin²φ − 1)/2).
     r, sine = np.linalg.norm(position), position[2] / np.linalg.norm(position)
-    bulge = EARTH_J2 * (EARTH_RADIUS / r) ** 2 * (3 * sine**2 - 1) / 2
-    return -EARTH_MU / r * (1 - bulge)
+    oblateness = EARTH_J2 * (EARTH_RADIUS / r) ** 2 * (3 * sine**2 - 1) / 2
+    return -EARTH_MU / r * (1 - oblateness)
 
 
 @given(seeds)
-def test_gravity_is_the_slope_of_its_potential(seed):
+def test_gravity_is_the_gradient_of_its_potential(seed):
     state = states(np.random.default_rng(seed), 1)[0]
     at, h = state[:3], 2000.0
     slope = [
@@ -44,7 +44,7 @@ def test_gravity_is_the_slope_of_its_potential(seed):
 
 
 @given(seeds, st.floats(1, 1e6))
-def test_a_difference_is_that_of_two_accelerations(seed, far):
+def test_differential_acceleration_is_that_of_two_spacecraft(seed, far):
     rng = np.random.default_rng(seed)
     chief, air = states(rng, 1)[0], Forces(atmosphere=Atmosphere())
     offset = rng.uniform(-1, 1, (4, 6)) * np.repeat([far, far / 1e3], 3)
@@ -54,7 +54,7 @@ def test_a_difference_is_that_of_two_accelerations(seed, far):
     np.testing.assert_allclose(found, direct, rtol=0, atol=1e-14)
 
 
-def test_a_difference_keeps_its_digits_where_two_accelerations_lose_them():
+def test_differential_acceleration_loses_no_digits_to_cancellation():
     chief, push = np.array([7e6, 0, 0, 0, 7.5e3, 0]), Forces(k_J2=0.0)
     offset = np.array([1e-3, 0, 0, 0, 0, 0])
     # 2μ d/R³ (1 − 3/2 d/R + …) along the radius
@@ -62,29 +62,29 @@ def test_a_difference_keeps_its_digits_where_two_accelerations_lose_them():
     assert push.differential_acceleration(chief, offset)[0] == pytest.approx(expected, rel=1e-14)
 
 
-def test_drag_is_against_the_turning_air():
+def test_drag_opposes_velocity_relative_to_the_rotating_air():
     air, B = Atmosphere(), 0.02
     at = np.array([EARTH_RADIUS + 500e3, 0, 0])
-    carried = np.array([0, EARTH_ROTATION * at[0], 0])
-    np.testing.assert_array_equal(air.drag_acceleration(at, carried, B), np.zeros(3))
-    found = air.drag_acceleration(at, carried + np.array([0, 7e3, 0]), B)
+    corotating = np.array([*at, 0, EARTH_ROTATION * at[0], 0])
+    np.testing.assert_array_equal(air.drag_acceleration(corotating, B), np.zeros(3))
+    found = air.drag_acceleration(corotating + np.array([0, 0, 0, 0, 7e3, 0]), B)
     np.testing.assert_allclose(found, [0, -0.5 * 6.967e-13 * B * 7e3**2, 0])
 
 
-def test_air_thins_by_e_in_a_scale_height():
+def test_density_falls_by_e_in_a_scale_height():
     air = Atmosphere.from_altitude(420e3)
     low, high = (np.array([0, 0, EARTH_RADIUS + h]) for h in (400e3, 400e3 + 58.515e3))
     assert air.density_at(low) == pytest.approx(3.725e-12)
     assert air.density_at(high) == pytest.approx(3.725e-12 / np.e)
 
 
-def test_the_rows_of_the_table_follow_from_one_another():
-    # Each row's law meets the next row to within the table's own breaks, 3 %.
+def test_rows_of_the_density_table_join_within_3_percent():
+    # The table itself is continuous to 3 % only.
     for (h, density, scale), (above, next_density, _) in pairwise(DENSITY_TABLE):
         assert density * np.exp(-(above - h) / scale) == pytest.approx(next_density, rel=0.03)
 
 
-def test_every_force_is_optional():
+def test_two_body_gravity_is_left_without_oblateness():
     state = np.array([7e6, 1e6, 2e6, 0, 7.5e3, 0])
     round_earth = Forces(k_J2=0.0).acceleration(state)
     r = np.linalg.norm(state[:3])
@@ -93,28 +93,28 @@ def test_every_force_is_optional():
     assert np.linalg.norm(flat) == pytest.approx(K_J2 / r**4, rel=1.0)
 
 
-def test_air_without_coefficients_is_refused():
-    with pytest.raises(ValueError, match=r"ballistic coefficient C_D A/m of every vehicle"):
+def test_an_atmosphere_without_ballistic_coefficients_is_refused():
+    with pytest.raises(ValueError, match=r"ballistic coefficient C_D A/m of every agent"):
         Forces(atmosphere=Atmosphere()).validate_ballistic_coefficients(None)
 
 
-def test_coefficients_without_air_are_refused():
-    with pytest.raises(ValueError, match=r"do nothing without an atmosphere: give one"):
+def test_ballistic_coefficients_without_atmosphere_are_refused():
+    with pytest.raises(ValueError, match=r"have no effect without an atmosphere: give one"):
         Forces().validate_ballistic_coefficients(np.array([0.01]))
     Forces().validate_ballistic_coefficients(np.zeros(2))
 
 
 @pytest.mark.parametrize("wrong", [-0.01, np.nan])
-def test_coefficients_are_not_negative(wrong):
+def test_negative_ballistic_coefficients_are_refused(wrong):
     with pytest.raises(ValueError, match="finite and not negative"):
         Forces(atmosphere=Atmosphere()).validate_ballistic_coefficients(np.array([0.01, wrong]))
 
 
-def test_no_spacecraft_flies_below_the_table():
-    with pytest.raises(ValueError, match=r"begins at 150 km.* got 0.5 km; altitudes here are in m"):
+def test_altitudes_below_the_density_table_are_refused():
+    with pytest.raises(ValueError, match=r"begins at 150 km.* got 0.5 km; altitudes are in meters"):
         Atmosphere.from_altitude(500.0)
 
 
-def test_air_has_a_density_and_a_scale_height():
+def test_a_negative_density_is_refused():
     with pytest.raises(ValueError, match=r"got -1.0 kg/m³ and 60000.0 m"):
         Atmosphere(-1.0, 5e5, 6e4)

@@ -1,4 +1,4 @@
-"""The truth to fly against: second opinions on it, drag, and a table of 80-bit numbers."""
+"""Inertial plant, against relative equations, a table of 80-bit numbers, and drag theory."""
 
 import json
 from pathlib import Path
@@ -25,34 +25,33 @@ def random_orbit(rng):
     return Orbit.from_elements((EARTH_RADIUS + 4e5) / (1 - e), e, *rng.uniform(0, np.pi, 4))
 
 
-def some(rng, count, far=1e4):
+def relative_states(rng, count, far=1e4):
     return rng.uniform(-1, 1, (count, 6)) * np.repeat([far, far * 1e-3], 3)
 
 
-def in_steps(plant, x, u, end, dt, t=0.0):
+def propagate_in_steps(plant, x, u, end, dt, t=0.0):
     while end - t > 1e-9:
         x = plant.propagate(x, u, t, min(dt, end - t))[-1]
         t += min(dt, end - t)
     return x
 
 
-def test_a_vehicle_at_the_chief_stays_there():
+def test_an_agent_at_the_chief_stays_there():
     air = InertialPlant(CIRCLE, np.array([0.02]), 0.02, Atmosphere())
     for plant in (InertialPlant(CIRCLE), air):
         path = plant.propagate(np.zeros((1, 6)), np.zeros((1, 3)), 500.0, 600.0, 5)
         np.testing.assert_array_equal(path, np.zeros((6, 1, 6)))
 
 
-def test_thrust_changes_velocity_by_its_time():
+def test_thrust_changes_velocity_by_acceleration_times_time():
     u = np.array([[1e-3, 0, 0], [0, 1e-3, 0], [0, 0, 1e-3]])
     end = InertialPlant(CIRCLE).propagate(np.zeros((3, 6)), u, 100.0, 0.1)[-1]
     np.testing.assert_allclose(end[:, 3:], u * 0.1, rtol=0, atol=3e-8)
 
 
-def test_thrust_turns_with_the_chief(rng):
-    # The relative equations hold their input in the chief's frame; these do so in space.
+def test_thrust_rotates_with_the_lvlh_axes_of_the_chief(rng):
     orbit = random_orbit(rng)
-    x, u = some(rng, 4), rng.normal(0, 1e-3, (4, 3))
+    x, u = relative_states(rng, 4), rng.normal(0, 1e-3, (4, 3))
     model = J2(orbit)
     second = solve_ivp(
         lambda t, y: model.rate(t, y.reshape(4, 6), u).ravel(),
@@ -62,31 +61,31 @@ def test_thrust_turns_with_the_chief(rng):
         rtol=1e-12,
         atol=1e-9,
     ).y[:, -1]
-    flown = InertialPlant(orbit).propagate(x, u, 300.0, 900.0)[-1]
-    np.testing.assert_allclose(flown, second.reshape(4, 6), rtol=0, atol=1e-6)
+    path = InertialPlant(orbit).propagate(x, u, 300.0, 900.0)[-1]
+    np.testing.assert_allclose(path, second.reshape(4, 6), rtol=0, atol=1e-6)
 
 
-def test_it_is_the_difference_of_two_flights_in_inertial_space(rng):
+def test_relative_motion_is_the_difference_of_two_inertial_orbits(rng):
     orbit = random_orbit(rng)
-    plant, x = InertialPlant(orbit), some(rng, 6, 2e4)
+    plant, x = InertialPlant(orbit), relative_states(rng, 6, 2e4)
     chief = LVLH.from_polar_nodal(orbit.elements_at(0.0), orbit.k_J2)
     both = np.vstack([chief.chief_state, chief.to_inertial(x)])
-    flown = propagate(both, np.array([orbit.period]), accuracy=1e-13)[0]
-    frame = LVLH.from_state(flown[0], Forces().acceleration(flown[0]))
-    end = in_steps(plant, x, np.zeros((6, 3)), orbit.period, 600.0)
-    np.testing.assert_allclose(end[:, :3], frame.from_inertial(flown[1:])[:, :3], atol=1e-6)
+    path = propagate(both, np.array([orbit.period]), accuracy=1e-13)[0]
+    frame = LVLH.from_state(path[0], Forces().acceleration(path[0]))
+    end = propagate_in_steps(plant, x, np.zeros((6, 3)), orbit.period, 600.0)
+    np.testing.assert_allclose(end[:, :3], frame.from_inertial(path[1:])[:, :3], atol=1e-6)
 
 
-def test_it_agrees_with_the_relative_equations(rng):
+def test_inertial_plant_agrees_with_the_relative_equations(rng):
     orbit = random_orbit(rng)
-    x = some(rng, 6, 2e4)
-    flown = InertialPlant(orbit).propagate(x, np.zeros((6, 3)), 0.0, 2e3, 2)
+    x = relative_states(rng, 6, 2e4)
+    path = InertialPlant(orbit).propagate(x, np.zeros((6, 3)), 0.0, 2e3, 2)
     second = J2(orbit).propagate(x, np.array([0.0, 1e3, 2e3]))
-    np.testing.assert_allclose(flown, second, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(path, second, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("tilt", [0.0, np.pi / 2, np.pi])
-def test_the_chief_moves_as_its_six_numbers_do(tilt):
+def test_the_chief_agrees_with_the_polar_nodal_equations(tilt):
     orbit = Orbit.from_elements(7.5e6, 0.05, tilt, 0.3, 0.4, 0.5)
     plant = InertialPlant(orbit)
     for t in (0.0, 59.0, 3000.0, 7261.5):
@@ -96,22 +95,22 @@ def test_the_chief_moves_as_its_six_numbers_do(tilt):
         assert np.exp(1j * turn) == pytest.approx(1, abs=1e-12)
 
 
-def test_drag_of_one_more_than_the_other_carries_it_ahead():
-    # Under a steady pull f along the orbit y = −3/2 f t² + 4 f/n² (1 − cos nt)
-    # [Clohessy1960]: who is braked falls, and then leads.
+def test_higher_drag_moves_an_agent_ahead():
+    # A constant along-track acceleration f gives y = −3/2 f t² + 4 f/n² (1 − cos nt)
+    # [Clohessy1960]: drag lowers the orbit, and a lower orbit is faster.
     air, more = Atmosphere(rotation_rate=0.0), 0.004
     orbit = Orbit.from_elements(6878e3, inclination=0.5, k_J2=0.0)
     plant = InertialPlant(orbit, np.array([0.02 + more]), 0.02, air)
     t, n = orbit.period, orbit.mean_motion
-    end = in_steps(plant, np.zeros((1, 6)), np.zeros((1, 3)), t, 600.0)
+    end = propagate_in_steps(plant, np.zeros((1, 6)), np.zeros((1, 3)), t, 600.0)
     chief = ClassicalElements.from_polar_nodal(orbit.elements_at(0.0)).to_state()
     f = -0.5 * more * float(air.density_at(chief[:3])) * (chief[3:] @ chief[3:])
     assert end[0, 1] == pytest.approx(-1.5 * f * t**2, rel=2e-3)
     assert end[0, 0] == pytest.approx(2 * f * t / n, rel=2e-3)
 
 
-def test_the_chief_sinks_where_there_is_air():
-    # −2π B ρ a² a revolution, the air at rest [Wertz1999, Sec. 6.2].
+def test_drag_lowers_the_chief_at_the_known_rate():
+    # Δa = −2π B ρ a² a revolution in air that does not rotate [Wertz1999, Sec. 6.2].
     orbit = Orbit.from_elements(6878e3, k_J2=0.0)
     sinking = InertialPlant(orbit, np.array([0.02]), 0.02, Atmosphere(rotation_rate=0.0))
     end = ClassicalElements.from_polar_nodal(sinking.chief_elements(orbit.period))
@@ -121,7 +120,7 @@ def test_the_chief_sinks_where_there_is_air():
 
 
 @pytest.mark.parametrize("dt", [60.0, 480.0])
-def test_the_truth_table_is_met_within_a_hundredth_of_a_micrometre(dt):
+def test_reference_table_is_met_within_a_hundredth_of_a_micrometer(dt):
     six = 6878e3, 0.0, np.sqrt(TRUTH["mu"] * 6878) * 1e6, 0.0, np.pi / 4, 0.0
     plant = InertialPlant(Orbit(*six, mu=TRUTH["mu"] * 1e9, k_J2=TRUTH["kJ2"] * 1e15))
     found = 1e3 * np.array([deputy["initial"] for deputy in TRUTH["deputies"]])
@@ -129,7 +128,7 @@ def test_the_truth_table_is_met_within_a_hundredth_of_a_micrometre(dt):
     begin = 0.0
     for name, end in ends.items():
         known = 1e3 * np.array([deputy[name] for deputy in TRUTH["deputies"]])
-        found, begin = in_steps(plant, found, np.zeros((2, 3)), end, dt, begin), end
+        found, begin = propagate_in_steps(plant, found, np.zeros((2, 3)), end, dt, begin), end
         np.testing.assert_allclose(found[:, :3], known[:, :3], rtol=0, atol=2e-8)
         np.testing.assert_allclose(found[:, 3:], known[:, 3:], rtol=0, atol=2e-11)
         chief = TRUTH["reference_states"][name] * np.array([1e3, 1e3, 1e6, 1, 1, 1])
@@ -138,53 +137,54 @@ def test_the_truth_table_is_met_within_a_hundredth_of_a_micrometre(dt):
         assert np.all(np.abs(plant.chief_elements(end) - chief) < np.array(digits))
 
 
-def test_who_meets_the_earth_is_named():
+def test_an_impact_names_agent_and_time():
     plant = InertialPlant(Orbit.from_elements(EARTH_RADIUS + 1e5, 0.0, 0.5))
     falling = np.zeros((3, 6))
     falling[2, 4] = -500.0
-    with pytest.raises(Impact, match="vehicle 2 meets the Earth at t = ") as caught:
+    with pytest.raises(Impact, match="agent 2 hits the Earth at t = ") as caught:
         plant.propagate(falling, np.zeros((3, 3)), 600.0, 3000.0)
     assert caught.value.agent == 2
     assert 600 < caught.value.time < 3600
 
 
-def test_a_chief_that_falls_is_named():
+def test_an_impact_of_the_chief_is_reported():
     heavy = InertialPlant(
         Orbit.from_elements(EARTH_RADIUS + 1.6e5, 0.0, 0.5),
         np.zeros(1),
         1.0,
         Atmosphere.from_altitude(150e3),
     )
-    with pytest.raises(Impact, match="the chief meets the Earth at t = "):
+    with pytest.raises(Impact, match="the chief hits the Earth at t = "):
         heavy.chief_elements(3e4)
 
 
-def test_drag_needs_the_coefficients_of_the_vehicles():
-    with pytest.raises(ValueError, match="drag needs the ballistic coefficient C_D A/m of every"):
-        InertialPlant(CIRCLE, atmosphere=Atmosphere())
+def test_an_atmosphere_needs_both_ballistic_coefficients():
+    for given in ({}, {"ballistic_coefficient": 0.01}, {"chief_ballistic_coefficient": 0.01}):
+        with pytest.raises(ValueError, match="C_D A/m of every agent and of the chief"):
+            InertialPlant(CIRCLE, atmosphere=Atmosphere(), **given)
 
 
-@pytest.mark.parametrize("half", [{"ballistic": np.array([0.01])}, {"chief_ballistic": 0.01}])
-def test_coefficients_need_air(half):
-    with pytest.raises(ValueError, match="do nothing without an atmosphere"):
-        InertialPlant(CIRCLE, **half)
+@pytest.mark.parametrize(
+    "given", [{"ballistic_coefficient": np.array([0.01])}, {"chief_ballistic_coefficient": 0.01}]
+)
+def test_ballistic_coefficients_need_an_atmosphere(given):
+    with pytest.raises(ValueError, match="have no effect without an atmosphere"):
+        InertialPlant(CIRCLE, **given)
 
 
-def test_one_coefficient_is_that_of_all(rng):
-    x, u, air = some(rng, 3), np.zeros((3, 3)), Atmosphere()
+def test_one_ballistic_coefficient_is_that_of_all_agents(rng):
+    x, u, air = relative_states(rng, 3), np.zeros((3, 3)), Atmosphere()
     all_alike = InertialPlant(CIRCLE, 0.01, 0.02, air).propagate(x, u, 0.0, 60.0)
     each = InertialPlant(CIRCLE, np.full(3, 0.01), 0.02, air).propagate(x, u, 0.0, 60.0)
     np.testing.assert_array_equal(all_alike, each)
 
 
-def test_more_coefficients_than_vehicles_are_refused():
+def test_more_coefficients_than_agents_are_refused():
     plant = InertialPlant(CIRCLE, np.full(3, 0.01), 0.01, Atmosphere())
-    with pytest.raises(
-        ValueError, match=r"one for every vehicle: there are 2 vehicles and 3 coefficients"
-    ):
+    with pytest.raises(ValueError, match=r"one for each; there are 2 agents and 3 coefficients"):
         plant.propagate(np.zeros((2, 6)), np.zeros((2, 3)), 0.0, 60.0)
 
 
-def test_nothing_is_known_before_time_0():
+def test_times_before_0_are_refused():
     with pytest.raises(ValueError, match=r"known from time 0 on, got t = -1.0 s"):
         InertialPlant(CIRCLE).chief_elements(-1.0)

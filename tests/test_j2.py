@@ -1,4 +1,4 @@
-"""Relative motion under J2, against a truth table, inertial differences and CasADi."""
+"""Relative motion under J2, against a reference table, inertial orbits and CasADi."""
 
 import json
 from math import pi, sqrt
@@ -22,31 +22,31 @@ TRUTH = json.loads(Path(__file__).with_name("j2_truth.json").read_text())
 LOW = Orbit.from_elements(6878e3, inclination=pi / 4)
 
 
-def test_the_truth_table_is_met_to_a_micrometre():
+def test_reference_table_is_met_to_a_micrometer():
     mu, k = TRUTH["mu"] * 1e9, TRUTH["kJ2"] * 1e15
     orbit = Orbit(6878e3, 0.0, sqrt(mu * 6878e3), 0.0, pi / 4, 0.0, mu=mu, k_J2=k)
     names = ["8min", "16min", "24min", "1orbit"]
     times = np.array([480.0, 960.0, 1440.0, TRUTH["orbit_s"]])
     start = 1e3 * np.array([deputy["initial"] for deputy in TRUTH["deputies"]])
-    said = 1e3 * np.array([[deputy[name] for deputy in TRUTH["deputies"]] for name in names])
-    off = np.abs(J2(orbit).propagate(start, times) - said)
+    expected = 1e3 * np.array([[deputy[name] for deputy in TRUTH["deputies"]] for name in names])
+    off = np.abs(J2(orbit).propagate(start, times) - expected)
     assert off[..., :3].max() <= 1e-6
     assert off[..., 3:].max() <= 1e-9
 
 
-def drawn_orbit(rng):
+def random_orbit(rng):
     e = rng.uniform(0, 0.3)
     perigee = rng.uniform(6.7e6, 9e6)
     return Orbit.from_elements(perigee / (1 - e), e, rng.uniform(0, pi), *rng.uniform(0, 2 * pi, 3))
 
 
 @pytest.mark.parametrize("case", range(20))
-def test_it_is_the_difference_of_two_inertial_flights(case):
+def test_relative_motion_is_the_difference_of_two_inertial_orbits(case):
     rng = np.random.default_rng(case)
-    orbit = drawn_orbit(rng)
-    place = rng.normal(size=(3, 3))
-    place *= rng.uniform(0.1, 20e3, (3, 1)) / np.linalg.norm(place, axis=1, keepdims=True)
-    x = np.hstack([place, rng.normal(scale=orbit.mean_motion * 1e3, size=(3, 3))])
+    orbit = random_orbit(rng)
+    position = rng.normal(size=(3, 3))
+    position *= rng.uniform(0.1, 20e3, (3, 1)) / np.linalg.norm(position, axis=1, keepdims=True)
+    x = np.hstack([position, rng.normal(scale=orbit.mean_motion * 1e3, size=(3, 3))])
     end = np.array([orbit.period])
     relative = J2(orbit).propagate(x, end)[0]
 
@@ -60,7 +60,7 @@ def test_it_is_the_difference_of_two_inertial_flights(case):
 
 
 def symbolic_rate(chief, alpha, x, u, mu, k):
-    """The same equations component by component, as [Xu2008] prints them."""
+    """Return the equations component by component, as published in [Xu2008]."""
     r, _, h, _, i, theta = (chief[j] for j in range(6))
     s, c = casadi.sin, casadi.cos
     w_x, w_z = -k * s(2 * i) * s(theta) / (h * r**3), h / r**2
@@ -84,27 +84,27 @@ def symbolic_rate(chief, alpha, x, u, mu, k):
     )
 
 
-def test_rate_and_jacobian_agree_with_the_printed_equations_and_casadi():
+def test_rate_and_jacobian_agree_with_the_published_equations():
     x, u = casadi.SX.sym("x", 6), casadi.SX.sym("u", 3)
     chief, alpha = casadi.SX.sym("chief", 6), casadi.SX.sym("alpha", 2)
     rng = np.random.default_rng(3)
     for _ in range(20):
-        orbit = drawn_orbit(rng)
+        orbit = random_orbit(rng)
         f = symbolic_rate(chief, alpha, x, u, orbit.mu, orbit.k_J2)
         slopes = casadi.jacobian(f, x), casadi.jacobian(f, u)
         printed = casadi.Function("printed", [chief, alpha, x, u], [f, *slopes])
         t, model = rng.uniform(0, 9e3), J2(orbit)
         state = rng.normal(scale=[5e3] * 3 + [5] * 3)
-        push = rng.normal(scale=1e-2, size=3)
+        control = rng.normal(scale=1e-2, size=3)
         rates = lvlh_rates(orbit.elements_at(t), orbit.k_J2)
-        said = printed(orbit.elements_at(t), [rates.alpha_x, rates.alpha_z], state, push)
-        found = model.rate(t, state, push), *model.jacobian(t, state, push)
-        for ours, theirs in zip(found, said, strict=True):
+        expected = printed(orbit.elements_at(t), [rates.alpha_x, rates.alpha_z], state, control)
+        found = model.rate(t, state, control), *model.jacobian(t, state, control)
+        for ours, theirs in zip(found, expected, strict=True):
             theirs = np.asarray(theirs).reshape(ours.shape)
             np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-13)
 
 
-def test_without_oblateness_it_is_keplers_relative_motion():
+def test_without_oblateness_it_is_keplerian_relative_motion():
     orbit = Orbit.from_elements(9e6, 0.1, 0.7, 0.3, 0.4, 0.5, k_J2=0.0)
     x = np.array([3e3, -8e3, 5e3, 1.0, -2.0, 3.0])
 
@@ -125,7 +125,7 @@ def test_without_oblateness_it_is_keplers_relative_motion():
 
 
 @given(st.floats(0, 2 * pi), st.floats(6.6e6, 5e7))
-def test_gravity_is_the_slope_of_its_potential(angle, rho):
+def test_gravity_is_the_gradient_of_its_potential(angle, rho):
     pole = np.array([0.36, 0.48, 0.8])
     R = rho * np.array([np.cos(angle), np.sin(angle), 0.0])
 
@@ -145,7 +145,7 @@ def test_the_chief_stays_at_the_origin():
 
 
 def drift(orbit, position, orbits):
-    """Along-track, of the mean over the last orbit from that over the first [m an orbit]."""
+    """Return the along-track drift of the mean over an orbit [m an orbit]."""
     phase = np.arange(8) / 8
     times = orbit.period * np.concatenate([phase, orbits - 1 + phase])
     x = np.hstack([position, invariant_velocity(orbit, position)])
@@ -154,27 +154,27 @@ def drift(orbit, position, orbits):
 
 
 @pytest.mark.parametrize("latitude", [0.0, 0.8, 1.57, 3.9])
-def test_in_the_plane_invariant_velocities_leave_no_drift(latitude):
+def test_in_plane_invariant_velocities_leave_no_drift(latitude):
     orbit = Orbit.from_elements(6878e3, inclination=pi / 4, true_anomaly=latitude)
     angle = np.arange(6) * pi / 3
     ring = 1e3 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1)
     assert drift(orbit, ring, 15) <= 0.1
 
 
-def test_out_of_the_plane_they_leave_little():
+def test_out_of_plane_invariant_velocities_leave_little_drift():
     tilted = Orbit.from_elements(6878e3, inclination=pi / 4, true_anomaly=-pi / 4)
     assert drift(tilted, np.array([[500.0, -300.0, 400.0], [0.0, 800.0, -700.0]]), 15) <= 0.1
 
 
-def test_about_an_ellipse_they_leave_what_the_turning_of_its_perigee_brings():
-    # Energy is matched, and the mean motion with it; how fast the perigee turns is not.
+def test_about_an_ellipse_the_drift_of_the_perigee_is_left():
+    # Equal energy gives equal mean motion, but perigees still turn at different rates.
     long = Orbit.from_elements(8600e3, 0.2, pi / 4, true_anomaly=0.3)
     ring = np.array([[700.0, 300.0, 0.0], [-500.0, 800.0, 0.0]])
     assert drift(long, ring, 8) <= 1.0
 
 
 @given(st.floats(0.0, 0.3), st.floats(-1.2, 1.2))
-def test_out_of_the_plane_they_leave_no_difference_in_inclination(e, latitude):
+def test_invariant_velocities_give_equal_inclinations(e, latitude):
     orbit = Orbit.from_elements(9e6 / (1 - e), e, pi / 4, true_anomaly=latitude)
     place = np.array([0.0, 0.0, 1000.0])
     frame = LVLH.from_polar_nodal(np.array(orbit.initial_elements), orbit.k_J2)
@@ -182,13 +182,13 @@ def test_out_of_the_plane_they_leave_no_difference_in_inclination(e, latitude):
     assert abs(to_polar_nodal(deputy)[4] - orbit.inclination) * orbit.r < 0.5
 
 
-def test_out_of_the_plane_there_is_no_such_velocity_at_the_top_of_an_orbit():
+def test_out_of_plane_positions_at_latitude_90_are_refused():
     top = Orbit.from_elements(6878e3, inclination=pi / 4, true_anomaly=pi / 2)
     with pytest.raises(ValueError, match=r"latitude 90°.*in the plane \(z = 0\)"):
         invariant_velocity(top, np.array([0.0, 500.0, 300.0]))
 
 
-def test_steps_about_a_path_are_exact_on_it(rng):
+def test_linearization_along_a_trajectory_is_exact_on_it(rng):
     model = J2(LOW)
     x = np.hstack([rng.normal(scale=2e3, size=(4, 3)), rng.normal(scale=2, size=(4, 3))])
     u = rng.normal(scale=2e-3, size=(4, 5, 3))
@@ -207,7 +207,7 @@ def test_steps_about_a_path_are_exact_on_it(rng):
     np.testing.assert_allclose(path[:, -1], truth.reshape(4, 6), atol=1e-6)
 
 
-def test_linearised_about_the_chief_it_is_wrong_by_the_square_of_the_distance():
+def test_linearization_at_the_chief_has_a_second_order_error():
     model = J2(LOW)
     shared = discretize_zoh(LinearizedModel.at_origin(model), 60.0, 24)
     x = np.array([600.0, 800.0, 0.0, 0.4, -1.3, 0.0])

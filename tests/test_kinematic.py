@@ -1,4 +1,4 @@
-"""Vehicles that are told how fast to go, by themselves and against integration."""
+"""Kinematic vehicle: step size, noise, and integration."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 from dynamics.kinematic import KinematicVehicle, step_kinematic
 
 
-def driven(plant, command, turn, time, step, rng=None):
+def simulate(plant, command, turn, time, step, rng=None):
     position, velocity, yaw, rate = np.zeros(3), np.array([0.5, 0.2, 0.0]), 0.3, 0.4
     for _ in range(round(time / step)):
         yaw, rate = step_kinematic(
@@ -30,21 +30,21 @@ def test_steps_agree_with_integration_to_second_order(lag):
     begin = [0, 0, 0, 0.3, 0.5, 0.2, 0.0, 0.4] if lag else [0, 0, 0, 0.3, *command, turn]
     end = solve_ivp(rates, (0, 2), begin, rtol=1e-11, atol=1e-12).y[:, -1]
     errors = [
-        abs(driven(KinematicVehicle(lag), command, turn, 2, h) - end).max() for h in (0.04, 0.02)
+        abs(simulate(KinematicVehicle(lag), command, turn, 2, h) - end).max() for h in (0.04, 0.02)
     ]
     assert errors[1] < 1e-4
     assert errors[0] / errors[1] == pytest.approx(4, rel=0.1)
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.05, 0.3])
-def test_how_time_is_cut_matters_to_the_path_alone(lag):
+def test_all_but_the_horizontal_path_is_independent_of_the_step(lag):
     # Height, yaw and velocities are exact for a command that is held.
     command, turn = np.array([1.0, -0.5, 0.3]), 0.8
-    fine, coarse = (driven(KinematicVehicle(lag), command, turn, 0.6, h) for h in (0.01, 0.3))
+    fine, coarse = (simulate(KinematicVehicle(lag), command, turn, 0.6, h) for h in (0.01, 0.3))
     assert fine[2:] == pytest.approx(coarse[2:], abs=1e-12)
 
 
-def test_noise_of_actuators_is_of_the_size_that_is_said():
+def test_actuator_noise_has_the_stated_standard_deviation():
     rng, plant = np.random.default_rng(5), KinematicVehicle(0.0, 0.05)
     found = []
     for _ in range(2000):

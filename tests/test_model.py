@@ -1,4 +1,4 @@
-"""Models: linear ones by hand, nonlinear ones by algorithmic differentiation."""
+"""Linear, symbolic and linearized models."""
 
 import casadi
 import numpy as np
@@ -12,8 +12,8 @@ GRAVITY = 9.81  # [m/s²]
 angles = st.tuples(*[st.floats(-3, 3) for _ in range(6)])
 
 
-def swing(t, x, u):
-    """Two pendulums of 1 m, the second hung in a wind that grows, and with drag."""
+def pendulums(t, x, u):
+    """Return the rate of two pendulums of 1 m, one with drag in an increasing wind."""
     return casadi.vertcat(
         x[2:],
         -GRAVITY * casadi.sin(x[0]) + u[0] * casadi.cos(x[0]),
@@ -21,7 +21,7 @@ def swing(t, x, u):
     )
 
 
-def slopes(x, u):
+def jacobian_by_hand(x, u):
     A, B = np.zeros((4, 4)), np.zeros((4, 2))
     A[:2, 2:] = np.eye(2)
     A[2, 0] = -GRAVITY * np.cos(x[0]) - u[0] * np.sin(x[0])
@@ -30,20 +30,20 @@ def slopes(x, u):
     return A, B
 
 
-pendulum = SymbolicModel(2, swing)
+pendulum = SymbolicModel(2, pendulums)
 
 
 class Wind(LinearModel):
-    """r̈ = u + w, without more being said than A and z."""
+    """r̈ = u + w(t), with nothing but A and z written."""
 
     axes = 2
 
     def A(self, t):
-        """Straight on."""
+        """State matrix."""
         return DoubleIntegrator(2).A(t)
 
     def z(self, t):
-        """The wind."""
+        """Affine term."""
         return np.array([0.0, 0.0, 0.5, -t])
 
 
@@ -51,7 +51,7 @@ class Wind(LinearModel):
 def test_jacobians_are_those_found_by_hand(values):
     x, u = np.array(values[:4]), np.array(values[4:])
     A, B = pendulum.jacobian(0.4, x, u)
-    by_hand = slopes(x, u)
+    by_hand = jacobian_by_hand(x, u)
     np.testing.assert_allclose(A, by_hand[0], atol=1e-13)
     np.testing.assert_allclose(B, by_hand[1], atol=1e-13)
 
@@ -71,13 +71,13 @@ def test_jacobians_agree_with_finite_differences(values):
 
 
 @given(angles, st.floats(-5, 5))
-def test_on_the_nominal_the_linearised_rate_is_the_rate(values, t):
+def test_the_linearized_rate_is_exact_at_the_nominal(values, t):
     x, u = np.array(values[:4]), np.array(values[4:])
     linear = LinearizedModel(pendulum, lambda t: (x, u))
     np.testing.assert_allclose(linear.rate(t, x, u), pendulum.rate(t, x, u), atol=1e-12)
 
 
-def test_the_linearised_rate_is_wrong_by_the_square_of_the_distance(rng):
+def test_the_linearized_rate_has_a_second_order_error(rng):
     x, u = rng.normal(size=4), rng.normal(size=2)
     away = rng.normal(size=4)
     linear = LinearizedModel(pendulum, lambda t: (x, u))
@@ -88,34 +88,36 @@ def test_the_linearised_rate_is_wrong_by_the_square_of_the_distance(rng):
     assert 80 < errors[0] / errors[1] < 125
 
 
-def test_a_linear_model_lives_where_the_nonlinear_one_does():
+def test_a_linearized_model_has_the_dimension_of_its_model():
     linear = LinearizedModel(pendulum, lambda t: (np.zeros(4), np.zeros(2)))
     assert linear.axes == 2
     assert not linear.is_time_invariant
 
 
-def test_a_model_needs_no_more_than_its_matrices():
+def test_a_linear_model_needs_only_axes_and_matrices():
     wind = Wind()
-    rate = wind.rate(2.0, np.array([1.0, 2, 3, 4]), np.array([0.25, 1.0]))
-    np.testing.assert_array_equal(rate, [3.0, 4.0, 0.75, -1.0])
+    x, u = np.array([1.0, 2, 3, 4]), np.array([0.25, 1.0])
+    np.testing.assert_array_equal(wind.rate(2.0, x, u), [3.0, 4.0, 0.75, -1.0])
+    at_many_times = wind.rate(np.array([2.0, 3.0]), np.array([x, x]), u)
+    np.testing.assert_array_equal(at_many_times, [[3, 4, 0.75, -1], [3, 4, 0.75, -2]])
 
 
-def test_near_the_nominal_the_linearised_pendulum_flies_as_the_true_one():
-    start, push, dt, count = np.array([0.6, -0.3, 0.0, 0.2]), np.array([0.5, -0.4]), 0.02, 60
+def test_a_linearized_pendulum_moves_as_the_true_one_near_the_nominal():
+    start, control, dt, count = np.array([0.6, -0.3, 0.0, 0.2]), np.array([0.5, -0.4]), 0.02, 60
     exactly = {"rtol": 1e-11, "atol": 1e-12}
 
-    def flown(x, u):
+    def integrate(x, u):
         rate = lambda t, x: pendulum.rate(t, x, u)  # noqa: E731
         return solve_ivp(rate, (0, dt * count), x, dense_output=True, **exactly).sol
 
-    nominal = flown(start, push)
-    steps = discretize_zoh(LinearizedModel(pendulum, lambda t: (nominal(t), push)), dt, count)
-    # On the nominal they are exact, but for what its interpolation lacks.
-    held = np.tile(push, (count, 1))
+    nominal = integrate(start, control)
+    steps = discretize_zoh(LinearizedModel(pendulum, lambda t: (nominal(t), control)), dt, count)
+    # At the nominal the steps are exact but for its interpolation.
+    held = np.tile(control, (count, 1))
     assert np.abs(steps.simulate(start, held)[-1] - nominal(dt * count)).max() < 1e-8
-    # A little away from it, the error of the difference is of second order in the distance.
+    # Near it the error of a difference is of second order in the distance.
     apart, more = np.array([1e-3, -2e-3, 1e-3, 0.0]), np.array([1e-3, 2e-3])
-    truth = flown(start + apart, push + more)(dt * count) - nominal(dt * count)
+    truth = integrate(start + apart, control + more)(dt * count) - nominal(dt * count)
     linear = steps.simulate(start + apart, held + more)[-1] - steps.simulate(start, held)[-1]
     assert np.abs(truth).max() > 1e-3
     assert np.abs(linear - truth).max() < 1e-2 * np.abs(truth).max()

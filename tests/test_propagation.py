@@ -1,4 +1,4 @@
-"""Many spacecraft at once: what is conserved, what is promised, and known rates."""
+"""Propagation of many agents: invariants, accuracy, and known rates."""
 
 import numpy as np
 import pytest
@@ -19,102 +19,102 @@ def swarm(rng, count, e):
     return ClassicalElements(perigee / (1 - e), e, *rng.uniform(0, np.pi, (4, count)))
 
 
-def lap(a):
+def period(a):
     return 2 * np.pi * np.sqrt(a**3 / EARTH_MU)
 
 
-def far(a, b):
-    """Distance of positions, as a fraction of the radius."""
+def relative_error(a, b):
+    """Return the distance of positions as a fraction of the radius."""
     return np.linalg.norm((a - b)[..., :3], axis=-1) / np.linalg.norm(b[..., :3], axis=-1)
 
 
-def test_energy_and_momentum_about_the_axis_are_kept(rng):
+def test_energy_and_polar_angular_momentum_are_conserved(rng):
     start = swarm(rng, 30, 0.5).to_state()
-    flown = propagate(start, np.array([0.0, 3e3, 2e4]), accuracy=1e-12)
+    path = propagate(start, np.array([0.0, 3e3, 2e4]), accuracy=1e-12)
 
-    def kept(state):
+    def invariants(state):
         position, velocity = state[..., :3], state[..., 3:]
         r = np.linalg.norm(position, axis=-1)
-        bulge = K_J2 / r**3 * (1 / 3 - (position[..., 2] / r) ** 2)
-        energy = (velocity**2).sum(axis=-1) / 2 - EARTH_MU / r - bulge
-        about = position[..., 0] * velocity[..., 1] - position[..., 1] * velocity[..., 0]
-        return energy, about
+        oblateness = K_J2 / r**3 * (1 / 3 - (position[..., 2] / r) ** 2)
+        energy = (velocity**2).sum(axis=-1) / 2 - EARTH_MU / r - oblateness
+        momentum = position[..., 0] * velocity[..., 1] - position[..., 1] * velocity[..., 0]
+        return energy, momentum
 
-    np.testing.assert_array_equal(flown[0], start)
-    for was, now in zip(
-        kept(start), np.moveaxis(kept(flown[1:]), 1, 0).swapaxes(0, 1), strict=True
+    np.testing.assert_array_equal(path[0], start)
+    for before, after in zip(
+        invariants(start), np.moveaxis(invariants(path[1:]), 1, 0).swapaxes(0, 1), strict=True
     ):
-        np.testing.assert_allclose(now, np.broadcast_to(was, now.shape), rtol=1e-11)
+        np.testing.assert_allclose(after, np.broadcast_to(before, after.shape), rtol=1e-11)
 
 
-def test_an_orbit_about_a_round_earth_closes(rng):
+def test_orbits_without_oblateness_close(rng):
     start = ClassicalElements(9e6, 0.25, *rng.uniform(0, 3, (4, 12))).to_state()
-    end = propagate(start, np.array([lap(9e6)]), ROUND)[0]
-    assert far(end, start).max() < 1e-9
+    end = propagate(start, np.array([period(9e6)]), ROUND)[0]
+    assert relative_error(end, start).max() < 1e-9
 
 
-def test_what_flies_back_arrives(rng):
+def test_reversed_motion_returns_to_the_start(rng):
     start = swarm(rng, 8, 0.2).to_state()
     there = propagate(start, np.array([5e3]), accuracy=1e-12)[0]
     mirror = np.repeat([1, -1], 3)
     back = propagate(there * mirror, np.array([5e3]), accuracy=1e-12)[0] * mirror
-    assert far(back, start).max() < 2e-12
+    assert relative_error(back, start).max() < 2e-12
 
 
 @pytest.mark.parametrize("accuracy", [1e-6, 1e-9])
-def test_each_is_as_accurate_as_asked_in_whatever_company(accuracy, rng):
-    # One in an eccentric orbit among many in circles, where an average would hide it.
+def test_each_agent_is_as_accurate_as_asked_in_any_swarm(accuracy, rng):
+    # An average over the swarm would hide the errors of two eccentric orbits among circles.
     e = np.append(np.zeros(60), [0.3, 0.6])
     a = (EARTH_RADIUS + 5e5) / (1 - e)
     start = ClassicalElements(a, e, *rng.uniform(0, np.pi, (3, 62)), np.full(62, 2.0)).to_state()
-    times = np.linspace(0, lap(a.max()), 50)
-    times = times[times <= lap(a.min())] if accuracy < 1e-6 else times
+    times = np.linspace(0, period(a.max()), 50)
+    times = times[times <= period(a.min())] if accuracy < 1e-6 else times
     together = propagate(start, times, accuracy=accuracy)
     truth = propagate(start, times, accuracy=1e-13)
-    laps = np.maximum(1, times[:, None] / lap(a))
-    assert (far(together, truth) / laps**2).max() < accuracy
+    revolutions = np.maximum(1, times[:, None] / period(a))
+    assert (relative_error(together, truth) / revolutions**2).max() < accuracy
     alone = propagate(start[-1:], times, accuracy=1e-13)
-    assert far(together[:, -1:], alone).max() < accuracy
+    assert relative_error(together[:, -1:], alone).max() < accuracy
 
 
-def test_it_agrees_with_the_six_numbers_of_the_chief(rng):
+def test_propagation_agrees_with_the_polar_nodal_equations(rng):
     for elements in (swarm(rng, 3, 0.3), swarm(rng, 2, 0.01)):
-        for state, six in zip(elements.to_state(), elements.to_polar_nodal(), strict=True):
+        for state, polar_nodal in zip(elements.to_state(), elements.to_polar_nodal(), strict=True):
             times = np.array([1e3, 6e3])
-            flown = propagate(state[None], times, accuracy=1e-13)[:, 0]
-            # The chief's are read off between the steps of an integration.
-            second = inertial_state(Orbit(*six).elements_at(times))
-            np.testing.assert_allclose(flown[:, :3], second[:, :3], rtol=0, atol=3e-5)
+            path = propagate(state[None], times, accuracy=1e-13)[:, 0]
+            # `Orbit` interpolates between the steps of its integration.
+            second = inertial_state(Orbit(*polar_nodal).elements_at(times))
+            np.testing.assert_allclose(path[:, :3], second[:, :3], rtol=0, atol=3e-5)
 
 
-def test_nodes_move_at_their_known_rate():
-    # To first order in J2 [Vallado2013, Chapter 9]; at 98.6° and 800 km they follow the Sun.
+def test_nodes_drift_at_the_known_rate():
+    # To first order in J2 [Vallado2013, Chapter 9]; 98.6° and 800 km are Sun-synchronous.
     a, i = EARTH_RADIUS + 800e3, np.radians(98.6)
     start = ClassicalElements(a, 0.001, i, 0.0, 0.0, 0.0)
-    t = 10 * lap(a)
+    t = 10 * period(a)
     end = ClassicalElements.from_state(propagate(start.to_state()[None], np.array([t]))[0, 0])
-    known = -1.5 * EARTH_J2 * (EARTH_RADIUS / a) ** 2 * np.cos(i) * 2 * np.pi / lap(a)
+    known = -1.5 * EARTH_J2 * (EARTH_RADIUS / a) ** 2 * np.cos(i) * 2 * np.pi / period(a)
     assert end.raan / t == pytest.approx(known, rel=5e-3)
     assert np.degrees(known) * 86400 == pytest.approx(0.9856, rel=5e-3)
 
 
-def test_drag_lowers_a_circle_at_its_known_rate():
-    # Δa = −2π B ρ a² a revolution through air at rest [Wertz1999, Sec. 6.2].
+def test_drag_lowers_a_circular_orbit_at_the_known_rate():
+    # Δa = −2π B ρ a² a revolution in air that does not rotate [Wertz1999, Sec. 6.2].
     a, B = EARTH_RADIUS + 500e3, np.array([0.01, 0.02])
     still = Forces(k_J2=0.0, atmosphere=Atmosphere(rotation_rate=0.0))
     start = np.tile(ClassicalElements(a, 0.0, 0.9, 0.1, 0.0, 0.4).to_state(), (2, 1))
-    end = ClassicalElements.from_state(propagate(start, np.array([lap(a)]), still, B, 1e-12)[0])
+    end = ClassicalElements.from_state(propagate(start, np.array([period(a)]), still, B, 1e-12)[0])
     np.testing.assert_allclose(
         end.semi_major_axis - a, -2 * np.pi * B * 6.967e-13 * a**2, rtol=1e-3
     )
 
 
-def test_who_meets_the_earth_is_named():
+def test_an_impact_names_agent_and_time():
     doomed = ClassicalElements(
         np.array([7e6, 7e6]), np.array([0.0, 0.2]), 0.5, 0.0, 0.0, np.pi
     ).to_state()
-    with pytest.raises(Impact, match="vehicle 1 meets the Earth at t = ") as caught:
-        propagate(doomed, np.array([lap(7e6)]))
+    with pytest.raises(Impact, match="agent 1 hits the Earth at t = ") as caught:
+        propagate(doomed, np.array([period(7e6)]))
     there = propagate(doomed, np.array([caught.value.time - 1e-3]))[0, 1]
     assert caught.value.agent == 1
     assert np.linalg.norm(there[:3]) == pytest.approx(EARTH_RADIUS, abs=10)
@@ -123,20 +123,24 @@ def test_who_meets_the_earth_is_named():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"times": np.array([2.0, 1.0])}, "times increase from 0 or later"),
-        ({"times": np.array([-1.0, 1.0])}, "times increase from 0 or later"),
-        ({"times": np.array([])}, "times increase from 0 or later"),
+        ({"times": np.array([2.0, 1.0])}, "times: must increase from 0 or later"),
+        ({"times": np.array([-1.0, 1.0])}, "times: must increase from 0 or later"),
+        ({"times": np.array([])}, "times: must increase from 0 or later"),
         ({"accuracy": 1e-15}, "between 1e-13 and 1e-3, got 1e-15"),
-        ({"state": np.full((1, 6), np.nan)}, "vehicle 0 has no finite state"),
-        ({"state": np.array([[7e3, 0, 0, 0, 7.5, 0]])}, "begins inside the Earth, 7 km.*in metres"),
+        ({"state": np.full((1, 6), np.nan)}, "the state of agent 0 is not finite"),
+        ({"state": np.array([[7e3, 0, 0, 0, 7.5, 0]])}, "starts inside the Earth, 7 km.*in meters"),
         ({"forces": Forces(atmosphere=Atmosphere())}, "drag needs the ballistic coefficient"),
         (
-            {"forces": Forces(atmosphere=Atmosphere()), "ballistic": np.ones(3)},
-            "there are 1 vehicles and 3 coefficients",
+            {"forces": Forces(atmosphere=Atmosphere()), "ballistic_coefficient": np.ones(3)},
+            "there are 1 agents and 3 coefficients",
         ),
     ],
 )
-def test_what_cannot_be_flown_is_refused(change, message):
+def test_invalid_arguments_are_refused(change, message):
     good = {"state": np.array([[7e6, 0, 0, 0, 7.5e3, 0]]), "times": np.array([1.0])}
     with pytest.raises(ValueError, match=message):
         propagate(**(good | change))
+
+
+def test_an_empty_swarm_can_be_propagated():
+    assert propagate(np.zeros((0, 6)), np.array([0.0, 60.0])).shape == (2, 0, 6)

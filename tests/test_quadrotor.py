@@ -1,4 +1,4 @@
-"""A quadrotor that is told how fast to go: limits, rest, and another integrator."""
+"""Quadrotor: limits, equilibrium, symmetry, and integration."""
 
 from itertools import pairwise
 
@@ -15,33 +15,37 @@ VELOCITIES = st.tuples(*[st.floats(-8, 8)] * 3).map(np.array)
 ANGLES = st.floats(-np.pi, np.pi)
 
 
-def flown(velocity, yaw, command, turn, time, step, rate=0.0, begin=(0.0, 0.0, 0.0)):
-    """Every state on the way: position, yaw, velocity, yaw rate, push; the first as it begins."""
-    position, velocity, push = np.zeros(3), velocity.astype(float), np.array(begin)
-    states = [np.array([*position, yaw, *velocity, rate, *push])]
+def simulate(velocity, yaw, command, turn, time, step, rate=0.0, begin=(0.0, 0.0, 0.0)):
+    """Return the position, yaw, velocity, yaw rate and acceleration at every step."""
+    position, velocity, acceleration = np.zeros(3), velocity.astype(float), np.array(begin)
+    states = [np.array([*position, yaw, *velocity, rate, *acceleration])]
     for _ in range(round(time / step)):
-        yaw, rate = step_quadrotor(position, yaw, velocity, rate, push, command, turn, PLANT, step)
-        states.append(np.array([*position, yaw, *velocity, rate, *push]))
+        yaw, rate = step_quadrotor(
+            position, yaw, velocity, rate, acceleration, command, turn, PLANT, step
+        )
+        states.append(np.array([*position, yaw, *velocity, rate, *acceleration]))
     return np.array(states)
 
 
-def test_who_hovers_stays():
-    states = flown(np.zeros(3), 0.7, np.zeros(3), 0.0, 10.0, 0.02)
+def test_hover_is_an_equilibrium():
+    states = simulate(np.zeros(3), 0.7, np.zeros(3), 0.0, 10.0, 0.02)
     assert np.array_equal(states, np.tile(states[0], (501, 1)))
 
 
 @given(VELOCITIES, VELOCITIES, ANGLES)
-def test_acceleration_stays_within_what_tilt_and_climb_allow(velocity, command, yaw):
-    push = flown(velocity, yaw, command, 1.0, 3.0, 0.02)[:, 8:]
-    tilt = np.arctan2(np.hypot(push[:, 0], push[:, 1]), STANDARD_GRAVITY + push[:, 2])
+def test_acceleration_stays_within_tilt_and_vertical_limits(velocity, command, yaw):
+    acceleration = simulate(velocity, yaw, command, 1.0, 3.0, 0.02)[:, 8:]
+    tilt = np.arctan2(
+        np.hypot(acceleration[:, 0], acceleration[:, 1]), STANDARD_GRAVITY + acceleration[:, 2]
+    )
     assert tilt.max() <= PLANT.max_tilt + 1e-12
-    assert np.abs(push[:, 2]).max() <= PLANT.max_vertical_acceleration + 1e-12
+    assert np.abs(acceleration[:, 2]).max() <= PLANT.max_vertical_acceleration + 1e-12
 
 
 @given(VELOCITIES, ANGLES)
-def test_who_is_told_to_stop_only_slows_down_and_does_not_swing_back(velocity, yaw):
-    # The two loops, 0.08 s and 0.4 s, are more than critically damped: 4 × 0.08 < 0.4.
-    states = flown(velocity, yaw, np.zeros(3), 0.0, 6.0, 0.02)
+def test_braking_does_not_overshoot(velocity, yaw):
+    # The two loops, 0.08 s and 0.4 s, are overdamped: 4 × 0.08 < 0.4.
+    states = simulate(velocity, yaw, np.zeros(3), 0.0, 6.0, 0.02)
     v = states[:, 4:7]
     assert (np.diff((v**2).sum(axis=1)) <= 1e-12).all()
     assert (v @ np.diag(velocity) >= -1e-9).all()
@@ -49,25 +53,25 @@ def test_who_is_told_to_stop_only_slows_down_and_does_not_swing_back(velocity, y
 
 
 @given(VELOCITIES, VELOCITIES, ANGLES, ANGLES)
-def test_to_turn_the_world_turns_the_path(velocity, command, yaw, turn):
+def test_motion_is_invariant_to_rotations_about_the_vertical(velocity, command, yaw, turn):
     c, s = np.cos(turn), np.sin(turn)
     R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    here = flown(velocity, yaw, command, 0.5, 2.0, 0.02)
-    there = flown(R @ velocity, yaw + turn, command, 0.5, 2.0, 0.02)
+    here = simulate(velocity, yaw, command, 0.5, 2.0, 0.02)
+    there = simulate(R @ velocity, yaw + turn, command, 0.5, 2.0, 0.02)
     assert there[:, :3] == pytest.approx(here[:, :3] @ R.T, abs=1e-9)
     assert there[:, 8:] == pytest.approx(here[:, 8:] @ R.T, abs=1e-9)
 
 
 @pytest.mark.parametrize("command", [(1.0, -0.5, 0.3), (6.0, 3.0, -4.0)])
 def test_steps_agree_with_integration_to_first_order(command):
-    # The second command is held by both limits for a while.
+    # The second command saturates both limits for a while.
     velocity, turn, time = np.array([0.5, 0.2, 0.0]), 0.8, 1.28
 
     def rates(_, x):
         yaw, v, w, a = x[3], x[4:7], x[7], x[8:]
         c, s = np.cos(yaw), np.sin(yaw)
-        wish = np.array([c * command[0] - s * command[1], s * command[0] + c * command[1]])
-        flat = (wish - v[:2]) / PLANT.velocity_time_constant
+        wanted = np.array([c * command[0] - s * command[1], s * command[0] + c * command[1]])
+        flat = (wanted - v[:2]) / PLANT.velocity_time_constant
         up = np.clip(
             (command[2] - v[2]) / PLANT.velocity_time_constant,
             -PLANT.max_vertical_acceleration,
@@ -83,71 +87,73 @@ def test_steps_agree_with_integration_to_first_order(command):
     end = solve_ivp(rates, (0, time), begin, rtol=1e-9, atol=1e-11, max_step=0.01).y[:, -1]
     errors = []
     for step in (0.02, 0.01, 0.005):
-        states = flown(velocity, 0.3, np.array(command), turn, time, step, 0.1, begin[8:])
+        states = simulate(velocity, 0.3, np.array(command), turn, time, step, 0.1, begin[8:])
         errors.append(np.abs(states[-1] - end).max())
-    # It looks at its velocity once a step.
+    # The velocity is fed back once a step.
     assert all(coarse / fine == pytest.approx(2, rel=0.2) for coarse, fine in pairwise(errors))
     assert errors[-1] < 0.03
 
 
-def test_it_goes_as_fast_and_turns_as_fast_as_it_is_told_when_all_has_settled():
+def test_commands_are_reached_in_steady_state():
     command = np.array([2.0, -1, 0.4])
-    straight = flown(np.zeros(3), 0.7, command, 0.0, 12.0, 0.02)
+    straight = simulate(np.zeros(3), 0.7, command, 0.0, 12.0, 0.02)
     c, s = np.cos(0.7), np.sin(0.7)
     assert straight[-1, 4:7] == pytest.approx([2 * c + s, 2 * s - c, 0.4], abs=1e-6)
     assert straight[-1, 8:] == pytest.approx(np.zeros(3), abs=1e-6)
-    # In a steady turn the velocity goes round too, behind the wish by what both loops lag: at
+    # In a steady turn the velocity rotates too, and lags the command by both loops: at
     # w = 0.5/s the response of 1/(1 + 0.4 s + 0.4 × 0.08 s²) at s = iw.
-    turning = flown(np.zeros(3), 0.7, command, 0.5, 40.0, 0.002)
+    turning = simulate(np.zeros(3), 0.7, command, 0.5, 40.0, 0.002)
     assert turning[-1, 7] == pytest.approx(0.5, abs=1e-9)
-    wish = (2 - 1j) * np.exp(1j * turning[-1, 3])
-    lagging = wish / (1 + 0.4 * 0.5j + 0.4 * 0.08 * (0.5j) ** 2)
+    wanted = (2 - 1j) * np.exp(1j * turning[-1, 3])
+    lagging = wanted / (1 + 0.4 * 0.5j + 0.4 * 0.08 * (0.5j) ** 2)
     assert turning[-1, 4] + 1j * turning[-1, 5] == pytest.approx(lagging, abs=5e-3)
 
 
 @given(VELOCITIES, ANGLES)
-def test_a_camera_that_looks_down_looks_away_from_the_thrust(push, yaw):
+def test_the_downward_body_axis_is_opposite_to_the_thrust(acceleration, yaw):
     down = np.zeros(3)
-    rotate_to_heading_frame(np.array([0.0, 0, -1]), push, yaw, down)
-    thrust = push + np.array([0, 0, STANDARD_GRAVITY])
+    rotate_to_heading_frame(np.array([0.0, 0, -1]), acceleration, yaw, down)
+    thrust = acceleration + np.array([0, 0, STANDARD_GRAVITY])
     c, s = np.cos(yaw), np.sin(yaw)
     seen = np.array([c * down[0] - s * down[1], s * down[0] + c * down[1], down[2]])
     assert seen == pytest.approx(-thrust / np.linalg.norm(thrust), abs=1e-12)
-    # Who does not accelerate sideways does not tilt.
+    # Without horizontal acceleration there is no tilt.
     level = np.zeros(3)
-    rotate_to_heading_frame(np.array([1.0, 0, 0]), np.array([0, 0, push[2]]), yaw, level)
+    rotate_to_heading_frame(np.array([1.0, 0, 0]), np.array([0, 0, acceleration[2]]), yaw, level)
     assert level == pytest.approx([1, 0, 0], abs=1e-12)
 
 
-def test_a_quadrotor_comes_to_the_velocity_that_is_asked_for_and_tilts_on_the_way():
-    plant, position, velocity, push = Quadrotor(), np.zeros(3), np.zeros(3), np.zeros(3)
+def test_a_velocity_command_is_reached_by_tilting():
+    plant, position, velocity, acceleration = Quadrotor(), np.zeros(3), np.zeros(3), np.zeros(3)
     yaw, rate, most = 0.7, 0.0, 0.0
     for _ in range(400):
         yaw, rate = step_quadrotor(
-            position, yaw, velocity, rate, push, np.array([3.0, 0, 0.5]), 0.0, plant, 0.02
+            position, yaw, velocity, rate, acceleration, np.array([3.0, 0, 0.5]), 0.0, plant, 0.02
         )
-        most = max(most, np.arctan2(np.hypot(*push[:2]), STANDARD_GRAVITY + push[2]))
+        most = max(
+            most, np.arctan2(np.hypot(*acceleration[:2]), STANDARD_GRAVITY + acceleration[2])
+        )
     assert velocity == pytest.approx([3 * np.cos(0.7), 3 * np.sin(0.7), 0.5], abs=1e-3)
     assert 0.5 * plant.max_tilt < most <= plant.max_tilt + 1e-12
 
 
-def test_the_camera_tilts_with_the_thrust(rng):
-    axis, turned = np.array([1.0, 0, 0]), np.zeros(3)
-    rotate_to_heading_frame(axis, np.zeros(3), 0.4, turned)
-    assert turned == pytest.approx(axis, abs=1e-15)
-    # To speed up ahead it pitches down: the thrust leans forward, and what looked ahead looks down.
+def test_the_body_frame_tilts_with_the_thrust(rng):
+    axis, rotated = np.array([1.0, 0, 0]), np.zeros(3)
+    rotate_to_heading_frame(axis, np.zeros(3), 0.4, rotated)
+    assert rotated == pytest.approx(axis, abs=1e-15)
+    # Forward acceleration pitches down: the forward body axis then points down.
     rotate_to_heading_frame(
-        axis, STANDARD_GRAVITY * np.array([np.cos(0.4), np.sin(0.4), 0]), 0.4, turned
+        axis, STANDARD_GRAVITY * np.array([np.cos(0.4), np.sin(0.4), 0]), 0.4, rotated
     )
-    assert turned == pytest.approx([np.sqrt(0.5), 0, -np.sqrt(0.5)], abs=1e-12)
+    assert rotated == pytest.approx([np.sqrt(0.5), 0, -np.sqrt(0.5)], abs=1e-12)
     for _ in range(20):
-        push, yaw = rng.normal(0, 3, 3), rng.uniform(-np.pi, np.pi)
+        acceleration, yaw = rng.normal(0, 3, 3), rng.uniform(-np.pi, np.pi)
         body = []
         for unit in np.eye(3):
-            rotate_to_heading_frame(unit, push, yaw, turned)
-            body.append(turned.copy())
+            rotate_to_heading_frame(unit, acceleration, yaw, rotated)
+            body.append(rotated.copy())
         assert np.array(body) @ np.array(body).T == pytest.approx(np.eye(3), abs=1e-12)
-        thrust = push + np.array([0, 0, STANDARD_GRAVITY])
+        thrust = acceleration + np.array([0, 0, STANDARD_GRAVITY])
         c, s = np.cos(yaw), np.sin(yaw)
         ahead = np.array([c * thrust[0] + s * thrust[1], c * thrust[1] - s * thrust[0], thrust[2]])
         assert body[2] == pytest.approx(ahead / np.linalg.norm(thrust), abs=1e-12)

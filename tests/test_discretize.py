@@ -1,6 +1,6 @@
-"""Holding the input over a step: laws, an integrator, and an integral."""
+"""Discretization with a zero-order hold, against integration and the matrix exponential."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import casadi
 import numpy as np
@@ -20,24 +20,24 @@ from dynamics import (
 )
 from dynamics.discretize import linearize_along
 
-short = st.floats(1e-3, 200)
+durations = st.floats(1e-3, 200)
 
 
 @dataclass(frozen=True)
 class Swinging(LinearModel):
-    """An oscillator whose stiffness and wind change in time."""
+    """Oscillator with time-varying stiffness and wind."""
 
     axes: int = 2
 
     def A(self, t):
-        """Stiffness that comes and goes."""
+        """State matrix."""
         A = np.zeros((4, 4))
         A[:2, 2:] = np.eye(2)
         A[2:, :2] = -(1 + 0.5 * np.sin(t)) * np.array([[1.0, 0.2], [0.2, 2.0]])
         return A
 
     def z(self, t):
-        """Wind."""
+        """Affine term."""
         return np.array([0, 0, 0.1 * np.cos(t), 0.2])
 
 
@@ -47,7 +47,7 @@ def random_steps(rng, count, axes=2):
     return DiscreteModel(*(rng.normal(size=shape) / n for shape in shapes), 1.0)
 
 
-@given(short)
+@given(durations)
 def test_two_half_steps_make_a_step(dt):
     model = ClohessyWiltshire(1.1e-3)
     whole, half = discretize_zoh(model, dt, 1), discretize_zoh(model, dt / 2, 1)
@@ -56,14 +56,7 @@ def test_two_half_steps_make_a_step(dt):
     np.testing.assert_allclose(A @ B + B, whole.B[0], rtol=1e-12, atol=1e-12)
 
 
-@given(short)
-def test_a_step_back_undoes_a_step(dt):
-    A = discretize_zoh(ClohessyWiltshire(1.1e-3), dt, 1).A[0]
-    back = expm(-dt * ClohessyWiltshire(1.1e-3).A(0.0))
-    np.testing.assert_allclose(back @ A, np.eye(6), atol=1e-12)
-
-
-@given(short)
+@given(durations)
 def test_volume_in_phase_space_is_conserved(dt):
     for model in (DoubleIntegrator(3), ClohessyWiltshire(1.1e-3)):
         assert np.linalg.det(discretize_zoh(model, dt, 1).A[0]) == pytest.approx(1, rel=1e-9)
@@ -71,7 +64,7 @@ def test_volume_in_phase_space_is_conserved(dt):
 
 @settings(deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(0, 6), st.sampled_from([(), (1,), (5,), (2, 3)]))
-def test_the_roll_of_many_is_the_roll_of_each(seed, count, many):
+def test_simulation_of_many_agents_is_that_of_each(seed, count, many):
     rng = np.random.default_rng(seed)
     steps = random_steps(rng, count)
     x, u = rng.normal(size=(*many, 4)), rng.normal(size=(*many, count, 2))
@@ -81,7 +74,7 @@ def test_the_roll_of_many_is_the_roll_of_each(seed, count, many):
         np.testing.assert_allclose(together[index], steps.simulate(x[index], u[index]), atol=1e-13)
 
 
-def test_the_roll_is_affine_in_state_and_input(rng):
+def test_simulation_is_affine_in_state_and_control(rng):
     steps = random_steps(rng, 6)
     x, u = rng.normal(size=(2, 4)), rng.normal(size=(2, 6, 2))
     mixed = steps.simulate(0.3 * x[0] + 0.7 * x[1], 0.3 * u[0] + 0.7 * u[1])
@@ -89,7 +82,7 @@ def test_the_roll_is_affine_in_state_and_input(rng):
     np.testing.assert_allclose(mixed, 0.3 * each[0] + 0.7 * each[1], atol=1e-13)
 
 
-def test_a_window_of_steps_goes_on_where_the_steps_before_it_ended(rng):
+def test_a_slice_of_steps_continues_the_trajectory(rng):
     steps = random_steps(rng, 7)
     x, u = rng.normal(size=4), rng.normal(size=(7, 2))
     path = steps.simulate(x, u)
@@ -97,13 +90,26 @@ def test_a_window_of_steps_goes_on_where_the_steps_before_it_ended(rng):
     assert (len(steps[3:]), steps.axes, steps[3:].dt) == (4, 2, steps.dt)
 
 
-def test_fewer_inputs_than_steps_roll_as_far_as_they_go(rng):
+def test_steps_of_each_agent_are_sliced_in_time_and_simulated_apart(rng):
+    shared = [random_steps(rng, 4) for _ in range(4)]
+    own = DiscreteModel(*(np.stack([getattr(s, k) for s in shared]) for k in "ABz"), 1.0)
+    x, u = rng.normal(size=(4, 4)), rng.normal(size=(4, 4, 2))
+    later = own[1:]
+    assert len(later) == 3
+    for i in range(4):
+        expected = shared[i][1:].simulate(x[i], u[i, 1:])
+        np.testing.assert_array_equal(later.for_agent(i).simulate(x[i], u[i, 1:]), expected)
+    with pytest.raises(ValueError, match=r"agents of shape \(4,\).*`for_agent\(i\)"):
+        own.simulate(x, u)
+
+
+def test_simulation_ends_with_the_last_control(rng):
     steps = random_steps(rng, 7)
     x, u = rng.normal(size=4), rng.normal(size=(7, 2))
     np.testing.assert_array_equal(steps.simulate(x, u[:4]), steps.simulate(x, u)[:5])
 
 
-def test_a_constant_model_has_the_same_matrices_whenever_it_begins():
+def test_a_time_invariant_model_has_the_same_steps_at_all_times():
     early, late = (
         discretize_zoh(ClohessyWiltshire(1.1e-3), 60.0, 3, start) for start in (0.0, 1e4)
     )
@@ -111,7 +117,7 @@ def test_a_constant_model_has_the_same_matrices_whenever_it_begins():
     np.testing.assert_array_equal(early.B[0], late.B[2])
 
 
-def test_a_changing_model_discretised_in_one_go_or_in_two_is_the_same():
+def test_a_time_varying_model_has_the_same_steps_from_any_start():
     whole, rest = (
         discretize_zoh(Swinging(), 0.1, 9, t0=1.0),
         discretize_zoh(Swinging(), 0.1, 4, t0=1.5),
@@ -120,7 +126,7 @@ def test_a_changing_model_discretised_in_one_go_or_in_two_is_the_same():
     np.testing.assert_allclose(whole.z[5:], rest.z, atol=1e-14)
 
 
-def test_no_steps_are_no_steps():
+def test_no_steps_give_the_initial_state_alone():
     none = discretize_zoh(DoubleIntegrator(2), 1.0, 0)
     assert len(none) == 0
     assert none.B.shape == (0, 4, 2)
@@ -128,8 +134,8 @@ def test_no_steps_are_no_steps():
     np.testing.assert_array_equal(path, [[0.0, 1.0, 2.0, 3.0]])
 
 
-@given(short, st.sampled_from([DoubleIntegrator(2), ClohessyWiltshire(1.1e-3)]))
-def test_van_loan_agrees_with_the_integral_of_the_exponential(dt, model):
+@given(durations, st.sampled_from([DoubleIntegrator(2), ClohessyWiltshire(1.1e-3)]))
+def test_steps_agree_with_the_integral_of_the_exponential(dt, model):
     steps = discretize_zoh(model, dt, 1)
     A, B = model.A(0.0), model.B(0.0)
     np.testing.assert_allclose(steps.A[0], expm(A * dt), rtol=1e-12, atol=1e-12)
@@ -137,25 +143,58 @@ def test_van_loan_agrees_with_the_integral_of_the_exponential(dt, model):
     np.testing.assert_allclose(steps.B[0], integral, rtol=1e-10, atol=1e-12)
 
 
-def flown(model, x, u, dt):
-    for k, push in enumerate(u):
+def unhashable_oscillator(frozen, constant):
+    @dataclass(frozen=frozen)
+    class Oscillator(LinearModel):
+        stiffness: np.ndarray = field(default_factory=lambda: np.eye(2))
+        is_time_invariant: bool = constant
+        axes: int = 2
+
+        def A(self, t):
+            """State matrix."""
+            return np.block([[np.zeros((2, 2)), np.eye(2)], [-self.stiffness, np.zeros((2, 2))]])
+
+    return Oscillator()
+
+
+@pytest.mark.parametrize("constant", [True, False])
+@pytest.mark.parametrize("frozen", [True, False])
+def test_a_model_that_was_changed_is_discretized_anew(frozen, constant):
+    model = unhashable_oscillator(frozen, constant)
+    discretize_zoh(model, 0.5, 2)
+    model.stiffness[0, 0] = 4.0
+    steps = discretize_zoh(model, 0.5, 2)
+    np.testing.assert_allclose(steps.A, [expm(0.5 * model.A(0.0))] * 2, rtol=1e-10, atol=1e-12)
+
+
+@pytest.mark.parametrize("model", [DoubleIntegrator(2), Swinging()])
+def test_steps_cannot_be_altered_for_the_next_caller(model):
+    first = discretize_zoh(model, 1.0, 3)
+    expected = first.A.copy()
+    if first.A.flags.writeable:
+        first.A[:] = 0
+    np.testing.assert_array_equal(discretize_zoh(model, 1.0, 3).A, expected)
+
+
+def integrate(model, x, u, dt):
+    for k, control in enumerate(u):
         span = (k * dt, (k + 1) * dt)
-        rate = lambda t, x, push=push: model.rate(t, x, push)  # noqa: E731
+        rate = lambda t, x, u=control: model.rate(t, x, u)  # noqa: E731
         x = solve_ivp(rate, span, x, rtol=1e-11, atol=1e-12).y[:, -1]
     return x
 
 
-def test_a_constant_model_is_held_exactly(rng):
+def test_a_time_invariant_model_is_discretized_exactly(rng):
     model = ClohessyWiltshire(1.1e-3)
     x, u = rng.normal(0, [300] * 3 + [0.5] * 3), rng.normal(0, 1e-3, (4, 3))
     path = discretize_zoh(model, 90.0, 4).simulate(x, u)
-    np.testing.assert_allclose(path[-1], flown(model, x, u, 90.0), rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(path[-1], integrate(model, x, u, 90.0), rtol=1e-8, atol=1e-8)
 
 
 @pytest.mark.parametrize("parts", [1, 5])
-def test_a_changing_model_is_held_exactly(parts):
+def test_a_time_varying_model_is_discretized_exactly(parts):
     x, u, model = np.array([1.0, -0.5, 0.2, 0.0]), np.array([[0.3, -0.2]]), Swinging()
-    truth = flown(model, x, np.tile(u, (4, 1)), 0.5)
+    truth = integrate(model, x, np.tile(u, (4, 1)), 0.5)
     end = discretize_zoh(model, 0.5 / parts, 4 * parts).simulate(x, np.tile(u, (4 * parts, 1)))[-1]
     np.testing.assert_allclose(end, truth, rtol=0, atol=1e-9)
 
@@ -164,7 +203,7 @@ def swing(t, x, u):
     return casadi.vertcat(x[1], -casadi.sin(x[0]) * (2 + casadi.sin(t)) + u[0])
 
 
-def test_steps_about_a_path_are_those_of_each_agent(rng):
+def test_linearization_of_many_agents_is_that_of_each(rng):
     model, u = SymbolicModel(1, swing), rng.normal(size=(3, 4, 1))
     x = rng.normal(size=(3, 5, 2))
     together = linearize_along(model, x, u, 0.3, t0=0.7)
@@ -175,13 +214,13 @@ def test_steps_about_a_path_are_those_of_each_agent(rng):
         np.testing.assert_allclose(own.z, alone.z, rtol=0, atol=1e-9)
 
 
-def test_steps_about_a_path_have_the_slopes_of_the_motion(rng):
+def test_linearization_agrees_with_finite_differences_of_the_motion(rng):
     model, u = SymbolicModel(1, swing), np.array([[0.4]])
     x, h = np.array([[0.8, -0.3], [0.0, 0.0]]), 1e-5
     steps = linearize_along(model, x, u, 0.5)
 
-    def end(state, push):
-        rate = lambda t, y: model.rate(t, y, push)  # noqa: E731
+    def end(state, control):
+        rate = lambda t, y: model.rate(t, y, control)  # noqa: E731
         return solve_ivp(rate, (0, 0.5), state, "DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
 
     for i, e in enumerate(np.eye(2)):
@@ -195,6 +234,6 @@ def test_steps_about_a_path_have_the_slopes_of_the_motion(rng):
 @pytest.mark.parametrize(
     ("dt", "count"), [(0.0, 3), (-1.0, 3), (np.nan, 3), (np.inf, 3), (1.0, -1)]
 )
-def test_a_step_takes_time(dt, count):
+def test_a_step_that_is_not_positive_is_refused(dt, count):
     with pytest.raises(ValueError, match="a step must be positive"):
         discretize_zoh(DoubleIntegrator(2), dt, count)

@@ -1,25 +1,23 @@
-"""Paths between samples, checked against dense sampling, scipy and their own laws."""
+"""Trajectory geometry, against dense sampling, SciPy and laws of convexity."""
 
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from scipy.integrate import solve_ivp
 from scipy.optimize import minimize_scalar, nnls
 
 from dynamics import ClohessyWiltshire, DoubleIntegrator, LinearizedModel, discretize_zoh
 from dynamics.inertial import InertialPlant
 from dynamics.j2 import J2
 from dynamics.orbit import Orbit
+from dynamics.plant import LinearPlant
 from dynamics.trajectory_geometry import (
     control_points,
     evaluate_bezier,
     hull_distance,
     interpolation_error,
     interpolation_error_bound,
-    min_separation,
-    resample,
     sampled_interpolation_error,
     sampled_separations,
     separations,
@@ -34,11 +32,20 @@ line = st.tuples(
 ).map(lambda t: t[0] + t[2] * t[1])
 
 
-def swarm(rng, agents=12, steps=9, axes=2, box=4.0):
+def random_swarm(rng, agents=12, steps=9, axes=2, box=4.0):
     model = DoubleIntegrator(axes)
     x0 = np.hstack([rng.uniform(0, box, (agents, axes)), rng.normal(0, 0.4, (agents, axes))])
     u = rng.normal(0, 0.5, (agents, steps, axes))
     return model, discretize_zoh(model, 0.7, steps).simulate(x0, u), u
+
+
+def substates(model, x, u, h, parts, t0=0.0):
+    """Return states at finer instants, each step propagated from its own start."""
+    plant, starts = LinearPlant(model), t0 + h * np.arange(u.shape[1])
+    steps = [
+        plant.propagate(x[:, k], u[:, k], t, h, parts)[:-1] for k, t in enumerate(starts.tolist())
+    ]
+    return np.moveaxis(np.concatenate([*steps, x[None, :, -1]]), 0, 1)
 
 
 def parts(x, axes):
@@ -47,9 +54,9 @@ def parts(x, axes):
 
 
 @pytest.mark.parametrize("axes", [2, 3])
-def test_pieces_are_the_path_of_a_double_integrator(rng, axes):
-    model, x, u = swarm(rng, axes=axes)
-    fine = resample(discretize_zoh(model, 0.7 / 5, 9 * 5), x, u)
+def test_cubic_pieces_are_exact_for_a_double_integrator(rng, axes):
+    model, x, u = random_swarm(rng, axes=axes)
+    fine = substates(model, x, u, 0.7, 5)
     pieces = control_points(x[..., :axes], x[..., axes:], 0.7)
     for j in range(5):
         np.testing.assert_allclose(
@@ -58,93 +65,71 @@ def test_pieces_are_the_path_of_a_double_integrator(rng, axes):
     assert interpolation_error_bound(model, x, u, 0.7) == 0.0
 
 
-def test_states_between_agree_with_an_integrator(rng):
-    model = ClohessyWiltshire(1.1e-3)
-    x0, u = rng.normal(0, [300] * 3 + [0.5] * 3), rng.normal(0, 1e-3, (2, 3))
-    x = discretize_zoh(model, 60.0, 2).simulate(x0, u)
-    fine = resample(discretize_zoh(model, 15.0, 8), x, u)
-    for k in range(2):
-        flown = solve_ivp(
-            lambda t, y, k=k: model.rate(t, y, u[k]),
-            (0, 60),
-            x[k],
-            t_eval=[15, 30, 45],
-            rtol=1e-12,
-            atol=1e-9,
-        )
-        np.testing.assert_allclose(fine[4 * k + 1 : 4 * k + 4], flown.y.T, rtol=1e-9, atol=1e-7)
-    np.testing.assert_array_equal(fine[::4], x)
-
-
-def test_fine_steps_must_divide_the_coarse_ones(rng):
-    model, x, u = swarm(rng)
-    with pytest.raises(ValueError, match="10 fine steps do not divide 9 steps evenly"):
-        resample(discretize_zoh(model, 0.1, 10), x, u)
-
-
-def test_what_the_cubic_misses_is_within_its_bound_and_the_bound_is_tight(rng):
+def test_interpolation_error_bound_holds_and_is_tight(rng):
     model = ClohessyWiltshire(1.1e-3)
     x0 = rng.normal(0, [1000] * 3 + [2.0] * 3, (6, 6))
     u = rng.normal(0, 1e-2, (6, 4, 3))
     x = discretize_zoh(model, 60.0, 4).simulate(x0, u)
-    fine = resample(discretize_zoh(model, 60.0 / 16, 64), x, u)[..., :3]
+    fine = substates(model, x, u, 60.0, 16)[..., :3]
     pieces = control_points(x[..., :3], x[..., 3:], 60.0)
-    off = max(
+    error = max(
         np.linalg.norm(evaluate_bezier(pieces, j / 16) - fine[:, j:-1:16], axis=-1).max()
         for j in range(16)
     )
     bound = interpolation_error_bound(model, x, u, 60.0)
-    assert 0.5 * bound < off <= bound
+    assert 0.5 * bound < error <= bound
     assert interpolation_error(model, x, u, 60.0, t0=7.0) == bound
 
 
 ORBIT = Orbit.from_elements(7500e3, 0.1, 0.8)
 
 
-def test_the_bound_is_refused_where_it_is_not_proven(rng):
+def test_interpolation_error_bound_refuses_time_varying_models(rng):
     model = LinearizedModel.at_origin(J2(ORBIT))
-    with pytest.raises(ValueError, match="Linearised changes in time"):
+    with pytest.raises(ValueError, match="LinearizedModel is not time-invariant"):
         interpolation_error_bound(model, np.zeros((2, 6)), np.zeros((1, 3)), 1.0)
 
 
-def test_what_pieces_of_a_changing_model_miss_is_measured(rng):
+def test_interpolation_error_of_a_time_varying_model_is_measured(rng):
     model, start, h = LinearizedModel.at_origin(J2(ORBIT)), 300.0, 20.0
     x0, u = rng.normal(0, [1000] * 3 + [2.0] * 3, (6, 6)), rng.normal(0, 1e-2, (6, 4, 3))
     x = discretize_zoh(model, h, 4, start).simulate(x0, u)
-    fine = resample(discretize_zoh(model, h / 16, 64, start), x, u)[..., :3]
+    fine = substates(model, x, u, h, 16, start)[..., :3]
     pieces = control_points(x[..., :3], x[..., 3:], h)
-    off = max(
+    error = max(
         np.linalg.norm(evaluate_bezier(pieces, j / 16) - fine[:, j:-1:16], axis=-1).max()
         for j in range(16)
     )
-    assert interpolation_error(model, x, u, h, start) == pytest.approx(off, rel=2e-3)
-    # The ends of the pieces need not be known, and who is not there misses nothing.
+    assert interpolation_error(model, x, u, h, start) == pytest.approx(error, rel=2e-3)
+    # The ends of the pieces need not be known, and absent agents have no error.
     x[:, 4] = np.nan
     x, u = np.vstack([x, np.full((1, 5, 6), np.nan)]), np.vstack([u, np.full((1, 4, 3), np.nan)])
-    assert interpolation_error(model, x, u, h, start) == pytest.approx(off, rel=2e-3)
+    assert interpolation_error(model, x, u, h, start) == pytest.approx(error, rel=2e-3)
 
 
-def test_what_pieces_of_any_flight_miss_is_seen_in_pieces_of_twice_the_length(rng):
+def test_sampled_interpolation_error_is_within_5_percent(rng):
     plant = InertialPlant(ORBIT)
     x0, u = rng.normal(0, [1000] * 3 + [2.0] * 3, (6, 6)), rng.normal(0, 1e-2, (6, 3))
     fine = np.moveaxis(plant.propagate(x0, u, 500.0, 120.0, 96), 0, 1)
     position, velocity = fine[..., :3], fine[..., 3:]
     pieces = control_points(position[:, ::8], velocity[:, ::8], 10.0)
-    off = max(
+    error = max(
         np.linalg.norm(evaluate_bezier(pieces, j / 8) - position[:, j:-1:8], axis=-1).max()
         for j in range(8)
     )
     found = sampled_interpolation_error(position[:, ::8], velocity[:, ::8], 10.0)
-    assert found == pytest.approx(off, rel=0.05)
+    assert found == pytest.approx(error, rel=0.05)
     position[2] = np.nan
     assert 0 < sampled_interpolation_error(position[:, ::8], velocity[:, ::8], 10.0) <= found
-    with pytest.raises(ValueError, match="12 instants do not make pieces of twice the length"):
+    with pytest.raises(
+        ValueError, match="12 instants do not pair up into pieces of twice the length"
+    ):
         sampled_interpolation_error(position[:, :12], velocity[:, :12], 1.25)
 
 
 @pytest.mark.parametrize("axes", [2, 3])
-def test_nothing_is_missed_of_a_double_integrator(rng, axes):
-    model, x, u = swarm(rng, axes=axes)
+def test_interpolation_error_of_a_double_integrator_is_zero(rng, axes):
+    model, x, u = random_swarm(rng, axes=axes)
     assert interpolation_error(model, x, u, 0.7) == 0.0
     held = discretize_zoh(model, 0.7, 8).simulate(x[:, 0], np.repeat(u[:, :1], 8, axis=1))
     assert sampled_interpolation_error(held[..., :axes], held[..., axes:], 0.7) < 1e-13
@@ -155,21 +140,21 @@ def test_nothing_is_missed_of_a_double_integrator(rng, axes):
 @example(np.zeros((4, 2)))
 @example(np.outer([1.0, 2.0, 3.0, 4.0], [0.1, 0.3]))
 @example(np.outer([-1.0, 2.0, 3.0, 4.0], [0.1, 0.3, 0.7]))
-def test_the_hull_lies_beyond_its_nearest_point_and_the_point_in_the_hull(b):
+def test_hull_distance_separates_and_its_point_is_in_the_hull(b):
     distance, nearest = hull_distance(b)
     scale = float(np.abs(b).max()) or 1.0
     if distance > 0:
         n = nearest / distance
         assert np.linalg.norm(n) == pytest.approx(1, abs=1e-14)
         assert (b @ n >= distance - 1e-12 * scale).all()
-    # Some point of the hull is as near: weights w ≥ 0 with Σ w = 1 and Σ w b = nearest.
+    # The point is in the hull: weights w ≥ 0 with Σ w = 1 and Σ w b = nearest.
     heavy = 1e3 * scale
-    w, miss = nnls(np.vstack([b.T, np.full(4, heavy)]), np.append(nearest, heavy))
-    assert miss <= 1e-7 * scale
+    w, residual = nnls(np.vstack([b.T, np.full(4, heavy)]), np.append(nearest, heavy))
+    assert residual <= 1e-7 * scale
     assert np.linalg.norm(w @ b) <= distance + 1e-7 * scale
 
 
-def test_many_hulls_at_once_are_the_hulls_one_by_one(rng):
+def test_distances_of_many_hulls_are_those_of_each(rng):
     b = rng.normal(size=(3, 5, 4, 3)) + 0.8
     distance, nearest = hull_distance(b)
     assert distance.shape == (3, 5) and nearest.shape == (3, 5, 3)
@@ -178,21 +163,21 @@ def test_many_hulls_at_once_are_the_hulls_one_by_one(rng):
         assert one == distance[i] and (point == nearest[i]).all()
 
 
-def test_a_hull_around_the_origin_is_at_no_distance():
+def test_a_hull_that_contains_the_origin_has_distance_zero():
     square = np.array([[1.0, 1], [-1, 1], [-1, -1], [1, -1]])
     corners = np.array([[1.0, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]])
     assert hull_distance(square)[0] == 0 and hull_distance(corners)[0] == 0
     assert hull_distance(corners + np.array([1.1, 0, 0]))[0] == pytest.approx(0.1)
 
 
-def test_hulls_are_of_the_plane_or_of_space():
+def test_hulls_in_dimensions_other_than_2_and_3_are_refused():
     with pytest.raises(ValueError, match="2 or 3 axes, got 1"):
         hull_distance(np.zeros((4, 1)))
 
 
 @pytest.mark.parametrize("axes", [2, 3])
-def test_separation_is_the_least_over_pairs_and_time(rng, axes):
-    _, x, _ = swarm(rng, agents=6, axes=axes, box=3.0)
+def test_separation_is_the_minimum_over_pairs_and_time(rng, axes):
+    _, x, _ = random_swarm(rng, agents=6, axes=axes, box=3.0)
     position, velocity, alive = parts(x, axes)
     found = separations(position, velocity, alive, 0.7)
     b = control_points(x[..., :axes], x[..., axes:], 0.7)
@@ -218,20 +203,20 @@ def test_separation_is_the_least_over_pairs_and_time(rng, axes):
         there = np.linalg.norm(evaluate_bezier(b[i, k] - b[j, k], float(found.fraction[k])))
         assert there == pytest.approx(found.distance[k], rel=1e-12)
     assert found.minimum.distance == found.distance.min()
-    assert min_separation(position, velocity, alive, 0.7) == found.minimum
+    assert found.distance[found.minimum.piece] == found.minimum.distance
     samples = sampled_separations(position, alive)
     assert (found.distance <= np.minimum(samples[:-1], samples[1:])).all()
 
 
-def test_a_head_on_pass_is_found_between_the_samples():
+def test_a_head_on_encounter_between_samples_is_found():
     position = np.array([[[-1.0, 0.01], [1.0, 0.0]], [[1.0, 0.01], [-1.0, 0.0]]])
     velocity = np.array([[[2.0, 0], [-2, 0]]] * 2)
-    found = min_separation(position, velocity, np.ones((2, 2), bool), 1.0)
+    found = separations(position, velocity, np.ones((2, 2), bool), 1.0).minimum
     assert found.distance == pytest.approx(0.01, rel=1e-12)
     assert found.fraction == pytest.approx(0.5) and found.piece == 0 and found.pair == (0, 1)
 
 
-def test_a_collision_is_found_to_the_last_digit():
+def test_a_collision_is_found_to_rounding_error():
     position = np.array([[[-0.7, 0.3], [1.0, 0.0]], [[0.9, -0.2], [-1.0, 0.0]]])
     meet = 0.375
     velocity = (position[1] - position[0])[None].repeat(2, axis=0)
@@ -239,18 +224,18 @@ def test_a_collision_is_found_to_the_last_digit():
     there = position[0, 0] + meet * velocity[0, 0]
     position[0, 1] = there - meet * velocity[0, 1]
     position[1, 1] = position[0, 1] + velocity[0, 1]
-    found = min_separation(position, velocity, np.ones((2, 2), bool), 1.0)
+    found = separations(position, velocity, np.ones((2, 2), bool), 1.0).minimum
     assert found.distance < 1e-15 and found.fraction == pytest.approx(meet, abs=1e-12)
 
 
-def test_two_agents_on_one_another_are_at_no_distance_all_along(rng):
-    _, x, _ = swarm(rng, agents=1)
+def test_coincident_agents_have_separation_zero(rng):
+    _, x, _ = random_swarm(rng, agents=1)
     position, velocity, alive = parts(np.repeat(x, 2, axis=0), 2)
     assert (separations(position, velocity, alive, 0.7).distance == 0).all()
 
 
-def test_only_live_agents_count_and_the_lost_until_they_are_lost(rng):
-    _, x, _ = swarm(rng, agents=3)
+def test_lost_agents_count_until_they_are_lost(rng):
+    _, x, _ = random_swarm(rng, agents=3)
     position, velocity, alive = parts(x, 2)
     alive[4:, 2] = False
     whole = separations(position, velocity, np.ones_like(alive), 0.7)
@@ -266,8 +251,8 @@ def test_only_live_agents_count_and_the_lost_until_they_are_lost(rng):
     assert np.isinf(alone.distance).all() and alone.minimum.pair == (-1, -1)
 
 
-def test_pieces_may_have_their_own_lengths(rng):
-    _, x, _ = swarm(rng, steps=4)
+def test_each_piece_may_have_its_own_duration(rng):
+    _, x, _ = random_swarm(rng, steps=4)
     position, velocity, alive = parts(x, 2)
     one = separations(position, velocity, alive, 0.7)
     each = separations(position, velocity, alive, np.full(4, 0.7))

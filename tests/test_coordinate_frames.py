@@ -1,4 +1,4 @@
-"""The chief's frame: round trips, what turns, and the convention."""
+"""Coordinate frames: round trips, rotation, and the axis convention."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from dynamics.orbit import K_J2, lvlh_rates
 from dynamics.propagation import propagate
 
 angle = st.floats(-np.pi, np.pi)
-NEAR = np.repeat([2e4, 20.0], 3)  # of vehicles about a chief [m, m/s]
+NEAR = np.repeat([2e4, 20.0], 3)  # scale of relative states [m, m/s]
 
 
 @st.composite
@@ -26,52 +26,52 @@ def states(draw):
     ).to_state()
 
 
-def some(rng, shape):
+def relative_states(rng, shape):
     return rng.uniform(-1, 1, (*shape, 6)) * NEAR
 
 
 @given(states(), st.integers(0, 2**32 - 1))
-def test_states_go_to_offsets_and_back_within_a_nanometre(chief, seed):
+def test_offsets_survive_the_round_trip_within_a_nanometer(chief, seed):
     rng = np.random.default_rng(seed)
     frame = LVLH.from_state(chief, rng.normal(size=3))
-    x = some(rng, (20,))
+    x = relative_states(rng, (20,))
     back = frame.from_offset(frame.to_offset(x))
     np.testing.assert_allclose(back[:, :3], x[:, :3], rtol=0, atol=1e-9)
     np.testing.assert_allclose(back[:, 3:], x[:, 3:], rtol=0, atol=1e-12)
 
 
 @given(states(), st.integers(0, 2**32 - 1))
-def test_states_go_to_inertial_space_and_back_within_its_last_digit(chief, seed):
+def test_inertial_states_survive_the_round_trip_to_the_last_digit(chief, seed):
     rng = np.random.default_rng(seed)
     frame = LVLH.from_state(chief, rng.normal(0, 1e-2, 3))
-    x = some(rng, (20,))
+    x = relative_states(rng, (20,))
     back = frame.from_inertial(frame.to_inertial(x))
     digit = np.spacing(np.linalg.norm(chief.reshape(2, 3), axis=1) + 2 * NEAR[::3])
     digit[1] += np.linalg.norm(frame.omega) * digit[0]
     error = np.linalg.norm((back - x).reshape(-1, 2, 3), axis=2)
-    assert np.all(error <= 3 * digit)  # one is a nanometre in low orbit
+    assert np.all(error <= 3 * digit)  # a nanometer in low orbit
 
 
 @given(states())
-def test_the_six_numbers_give_the_state_back(state):
+def test_states_survive_the_round_trip_through_polar_nodal_elements(state):
     back = inertial_state(to_polar_nodal(state))
     size = np.linalg.norm(state.reshape(2, 3), axis=1).repeat(3)
     np.testing.assert_allclose(back / size, state / size, rtol=0, atol=2e-15)
 
 
 @given(states())
-def test_axes_are_square_and_right_handed(state):
+def test_axes_are_orthonormal_and_right_handed(state):
     axes = LVLH.from_state(state).axes
     np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-15)
     assert np.linalg.det(axes) == pytest.approx(1)
 
 
 @given(states())
-def test_the_frame_of_a_state_is_that_of_its_six_numbers(state):
+def test_frames_from_state_and_from_polar_nodal_elements_agree(state):
     by_state = LVLH.from_state(state, Forces().acceleration(state))
-    by_six = LVLH.from_polar_nodal(to_polar_nodal(state), K_J2)
-    np.testing.assert_allclose(by_state.axes, by_six.axes, atol=1e-14)
-    np.testing.assert_allclose(by_state.omega, by_six.omega, rtol=1e-12, atol=1e-18)
+    by_elements = LVLH.from_polar_nodal(to_polar_nodal(state), K_J2)
+    np.testing.assert_allclose(by_state.axes, by_elements.axes, atol=1e-14)
+    np.testing.assert_allclose(by_state.omega, by_elements.omega, rtol=1e-12, atol=1e-18)
 
 
 def test_the_chief_is_at_rest_at_the_origin():
@@ -91,25 +91,25 @@ def test_the_axes_are_radial_transverse_and_normal():
         np.testing.assert_array_equal(x[:3], np.eye(3)[here] * 100)
 
 
-def test_a_vehicle_at_rest_in_space_is_swept_backwards():
+def test_an_inertially_fixed_offset_moves_backward_in_lvlh():
     chief = np.array([7e6, 0, 0, 0, 7.5e3, 0])
     x = LVLH.from_state(chief).from_offset(np.array([100.0, 0, 0, 0, 0, 0]))
     np.testing.assert_allclose(x[3:], [0, -100 * 7.5e3 / 7e6, 0])
 
 
-def test_many_instants_and_vehicles_are_each_by_itself(rng):
+def test_conversions_of_many_instants_and_agents_are_each_its_own(rng):
     chief = ClassicalElements(8e6, 0.1, *rng.uniform(0, 2, (4, 5))).to_state()
-    push, x = rng.normal(size=(5, 3)), some(rng, (5, 4))
-    together = LVLH.from_state(chief, push)
+    acceleration, x = rng.normal(size=(5, 3)), relative_states(rng, (5, 4))
+    together = LVLH.from_state(chief, acceleration)
     for k in range(5):
-        alone = LVLH.from_state(chief[k], push[k])
+        alone = LVLH.from_state(chief[k], acceleration[k])
         np.testing.assert_allclose(together.to_offset(x)[k], alone.to_offset(x[k]), atol=1e-11)
         np.testing.assert_allclose(together.from_offset(x)[k, 2], alone.from_offset(x[k, 2]))
         np.testing.assert_allclose(together.to_inertial(x[:, 0])[k], alone.to_inertial(x[k, 0]))
 
 
 def slopes(states, forces, ballistic, dt):
-    """LVLH velocity of a deputy as its position changes, by sixth-order differences."""
+    """Return the LVLH velocity of a deputy and the sixth-order difference of its position."""
     chief, deputy = np.moveaxis(states, 1, 0)
     frame = LVLH.from_state(chief, forces.acceleration(chief, ballistic))
     x = frame.from_inertial(deputy)
@@ -119,28 +119,28 @@ def slopes(states, forces, ballistic, dt):
 
 @pytest.mark.parametrize("air", [None, 1e-6])
 @pytest.mark.parametrize(("e", "i"), [(0.0, 0.8), (0.3, 1.2), (0.01, 2.4)])
-def test_relative_velocity_is_how_relative_position_changes(e, i, air, rng):
+def test_relative_velocity_is_the_derivative_of_relative_position(e, i, air, rng):
     forces = Forces(atmosphere=None if air is None else Atmosphere(reference_density=air))
     chief = ClassicalElements(6.9e6 / (1 - e), e, i, 0.3, 0.4, 0.9).to_state()
-    deputy = LVLH.from_state(chief).to_inertial(some(rng, (1,)))
+    deputy = LVLH.from_state(chief).to_inertial(relative_states(rng, (1,)))
     start, dt = np.vstack([chief, deputy]), 2.0
     drag = None if air is None else np.array([0.01, 0.02])
-    flown = propagate(start, dt * np.arange(7), forces, drag, accuracy=1e-13)
-    each = None if air is None else 0.01
-    velocity, slope, without_tilt = slopes(flown, forces, each, dt)
-    # A last digit of a position, a nanometre, over two seconds.
+    path = propagate(start, dt * np.arange(7), forces, drag, accuracy=1e-13)
+    each = 0.0 if air is None else 0.01
+    velocity, slope, without_tilt = slopes(path, forces, each, dt)
+    # The last digit of a position, a nanometer, over two seconds.
     np.testing.assert_allclose(velocity[3:], slope, rtol=0, atol=3e-9)
     assert np.abs(without_tilt[3:] - slope).max() > 1e-3
 
 
-def test_an_orbit_over_the_equator_does_not_tilt():
+def test_j2_does_not_tilt_an_equatorial_orbit():
     flat = to_polar_nodal(ClassicalElements(7e6, 0.1, 0.0, 0.0, 0.3, 0.9).to_state())
     assert lvlh_rates(flat, K_J2).omega_x == 0
     assert LVLH.from_polar_nodal(flat, K_J2).omega[0] == 0
 
 
 @pytest.mark.parametrize("turn", [1.0, -1.0])
-def test_an_equatorial_orbit_counts_from_the_x_axis(turn):
+def test_an_equatorial_orbit_has_its_node_on_the_x_axis(turn):
     state = np.array([0, 7e6, 0, -7.5e3 * turn, 10, 0])
     _, _, _, node, i, latitude = to_polar_nodal(state)
     assert (node, i) == (0, 0 if turn > 0 else np.pi)
@@ -148,6 +148,6 @@ def test_an_equatorial_orbit_counts_from_the_x_axis(turn):
 
 
 @pytest.mark.parametrize("state", [[7e6, 0, 0, 100, 0, 0], [0] * 6, [np.nan, 0, 0, 0, 1, 0]])
-def test_a_line_has_no_frame(state):
-    with pytest.raises(ValueError, match="do not lie on one line through the Earth's centre"):
+def test_rectilinear_motion_is_refused(state):
+    with pytest.raises(ValueError, match="do not lie on one line through the Earth's center"):
         LVLH.from_state(np.array(state, dtype=float))
