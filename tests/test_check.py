@@ -659,7 +659,7 @@ def test_an_altered_run_that_can_no_longer_be_flown_is_refused(shaken, monkeypat
         shaken.check()
     run = altered(shaken)
     run.data["position"][2, 1, 0] -= 7e6
-    with pytest.raises(sato.RunFileError, match=r"altered .* vehicle 3 meets the Earth"):
+    with pytest.raises(sato.RunFileError, match=r"altered .* agent 3 hits the Earth"):
         run.check()
 
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from dynamics import ClohessyWiltshire, DoubleIntegrator, LinearModel, discretize_zoh
-from dynamics.trajectory_geometry import resample, separations
+from dynamics.plant import LinearPlant
+from dynamics.trajectory_geometry import separations
 from problems.transfer import TransferProblem
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.state import AgentMemory
@@ -75,8 +76,9 @@ def least_separation(mission, frames, parts=1):
     x = np.array([np.concatenate([f.position, f.velocity], axis=1) for f in frames])
     u = np.nan_to_num([f.applied_control for f in frames[:-1]])
     alive = np.array([f.alive for f in frames])
-    fine = discretize_zoh(mission.model, mission.step / parts, parts * len(u))
-    x = resample(fine, x.swapaxes(0, 1), u.swapaxes(0, 1)).swapaxes(0, 1)
+    plant, h = LinearPlant(mission.model), mission.step
+    fine = [plant.propagate(x[k], u[k], k * h, h, parts)[:-1] for k in range(len(u))]
+    x = np.concatenate([*fine, x[-1:]])
     d = mission.model.axes
     alive = np.concatenate([np.repeat(alive[:-1], parts, axis=0), alive[-1:]])
     return separations(x[..., :d], x[..., d:], alive, mission.step / parts).minimum.distance

@@ -21,7 +21,7 @@ from dynamics.inertial import InertialPlant
 from dynamics.j2 import J2, invariant_velocity
 from dynamics.model import LinearizedModel, LinearModel, NonlinearModel
 from dynamics.orbit import EARTH_J2, EARTH_MU, EARTH_RADIUS, Orbit
-from dynamics.plant import LinearPlant, Plant
+from dynamics.plant import LinearPlant, NonlinearPlant, Plant
 from dynamics.schweighart_sedwick import SchweighartSedwick
 from dynamics.tschauner_hempel import TschaunerHempel
 from dynamics.units import Unit
@@ -364,9 +364,7 @@ class World(NamedTuple):
             return self.plant
         if self.chief is None or self.flies_model:
             if isinstance(self.model, NonlinearModel):
-                from dynamics import plant
-
-                return plant.NonlinearPlant(self.model)  # type: ignore[attr-defined,no-any-return]
+                return NonlinearPlant(self.model)
             return LinearPlant(model, None if self.chief is None else self.chief.orbit)
         if not self.plant.drag:
             return InertialPlant(self.chief.orbit)
