@@ -263,7 +263,8 @@ def test_replanning_never_raises_the_fuel_of_the_first_plan(bargains):
         foresight_steps=24,
         orders=4,
         bargains=bargains,
-    )
+    ).draw(np.random.default_rng(0))
+    leg = mission.legs[0]
     plans, spent, planned, flown = NO_PLANS, np.zeros(4), [], []
     for k in range(24):
         if k % 4 == 0:
@@ -282,6 +283,6 @@ def test_replanning_never_raises_the_fuel_of_the_first_plan(bargains):
         x = steps[k : k + 1].simulate(x, u[:, None])[:, -1]
     np.testing.assert_allclose(x, leg.targets, atol=1e-6)
     assert np.diff(planned).max() < 1e-6
-    path = steps.simulate(mission.start, np.stack(flown, axis=1)).swapaxes(0, 1)
+    path = steps.simulate(np.hstack([start, still]), np.stack(flown, axis=1)).swapaxes(0, 1)
     alive = np.ones(path.shape[:2], dtype=bool)
     assert separations(path[..., :2], path[..., 2:], alive, 1.0).minimum.distance >= 1.0
