@@ -1,4 +1,4 @@
-"""The central optimum of an assignment: the yardstick of every auction."""
+"""Optimal assignment from all costs, for comparison with auctions."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -7,22 +7,22 @@ from scipy.optimize import linear_sum_assignment
 
 
 def solve_assignment(cost: Float[Array, "agents targets"]) -> Int[Array, " agents"]:
-    """Give every agent its own target at the least total cost [Morgan2016, Problem 2].
+    """Assign a different target to every agent at the least total cost [Morgan2016, Problem 2].
 
-    It sees every cost at once, which no agent of a swarm can; nothing here takes part
-    in a distributed decision.
+    This needs all costs at once, which no agent of a swarm knows; no distributed decision uses
+    it.
 
     Args:
-        cost: Price of each target for each agent; at least as many targets as agents.
+        cost: Cost of each target for each agent; at least as many targets as agents.
 
     Returns:
         The target of each agent.
 
     Raises:
-        ValueError: The table is not finite, or has fewer targets than agents.
+        ValueError: A cost is not finite, or there are fewer targets than agents.
     """
     if cost.ndim != 2:
-        raise ValueError(f"a cost table has two axes, agents and targets, got {cost.ndim}")
+        raise ValueError(f"cost must have two axes, agents and targets, got {cost.ndim}")
     agents, targets = cost.shape
     if agents > targets:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""Many questions that share all but their ends, answered lot by lot on all cores."""
+"""Many programs that differ in their right-hand sides, solved in batches on all cores."""
 
 import os
 from concurrent.futures import ThreadPoolExecutor
@@ -12,57 +12,49 @@ from numpy import ndarray as Array
 from problems.certificates import TransferProgram
 from problems.cutting_planes import solve_batch_kernel
 
-TASKS_PER_CORE = 8  # of the work, for each core
-MIN_PARALLEL = (
-    500  # questions without a speed limit, which one core answers before others are awake
-)
+TASKS_PER_CORE = 8  # some batches take far longer than others: small tasks balance the cores
+MIN_PARALLEL = 500  # programs without a speed limit that are worth starting threads for
 
 
 class BatchSolutions(NamedTuple):
-    """What was found, and how each question ended; see `proof`."""
+    """Solutions, and the status of each program, as in `certificates`."""
 
-    x: Float[Array, "questions N"]  # NaN where there is none
-    dual_bound: Float[Array, " questions"]
-    status: Int[Array, " questions"]
-    cut_rounds: Int[Array, " questions"]  # of cuts
+    x: Float[Array, "programs N"]  # NaN where there is none
+    dual_bound: Float[Array, " programs"]
+    status: Int[Array, " programs"]
 
 
 def solve_batches(
     shared: TransferProgram,
-    b: Float[Array, "questions m"],
-    free: Float[Array, "questions K d"],
+    b: Float[Array, "programs m"],
+    free_velocity: Float[Array, "programs K d"],
     batch_starts: Int[Array, " fences"],
     max_pivots: int,
 ) -> BatchSolutions:
-    """Answer every question; those of other lots do not change a bit of it.
+    """Solve every program; those of other batches do not change a bit of its solution.
 
     Args:
-        shared: What the questions have in common.
-        b: What each one asks for.
-        free: s, the speeds without control.
-        first: The question with which each lot begins, and at the end how many there are.
-        pivots: After how many a climb is given up.
+        shared: Data that the programs have in common.
+        b: Right-hand sides of the equations.
+        free_velocity: s, the velocities without control.
+        batch_starts: First program of each batch, and at the end the number of programs.
+        max_pivots: Pivots after which an ascent is stopped.
     """
-    questions, N = len(b), len(shared.w)
-    found = BatchSolutions(
-        np.empty((questions, N)),
-        np.empty(questions),
-        np.empty(questions, np.int64),
-        np.empty(questions, np.int64),
-    )
+    count, N = len(b), len(shared.w)
+    found = BatchSolutions(np.empty((count, N)), np.empty(count), np.empty(count, np.int64))
 
-    def some(bounds: Array) -> None:
-        here = slice(bounds[0], bounds[-1])
-        fields = (field[here] for field in found)
-        solve_batch_kernel(shared, b[here], free[here], bounds - bounds[0], max_pivots, *fields)
+    def solve_some(starts: Array) -> None:
+        some = slice(starts[0], starts[-1])
+        fields = (field[some] for field in found)
+        first = starts - starts[0]
+        solve_batch_kernel(shared, b[some], free_velocity[some], first, max_pivots, *fields)
 
-    # Some take far longer than others: many parts of the work keep every core busy.
-    threads, lots = os.cpu_count() or 1, len(batch_starts) - 1
-    parts = min(lots, TASKS_PER_CORE * threads)
-    if parts < 2 or (len(shared.velocity_response) == 0 and questions < MIN_PARALLEL):
-        some(batch_starts)
+    threads, batches = os.cpu_count() or 1, len(batch_starts) - 1
+    tasks = min(batches, TASKS_PER_CORE * threads)
+    if tasks < 2 or (len(shared.velocity_response) == 0 and count < MIN_PARALLEL):
+        solve_some(batch_starts)
         return found
-    cuts = np.arange(parts + 1) * lots // parts
+    ends = np.arange(tasks + 1) * batches // tasks
     with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(some, (batch_starts[a : b + 1] for a, b in pairwise(cuts))))
+        list(pool.map(solve_some, (batch_starts[i : j + 1] for i, j in pairwise(ends))))
     return found

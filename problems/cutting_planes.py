@@ -1,11 +1,10 @@
-"""Least fuel within a speed limit, by cutting planes in the dual simplex method, compiled.
+"""Least fuel within a speed limit: cutting planes in the dual simplex method, compiled.
 
-The programme stands in `proof`. The limit is left out at first. Wherever it is broken
-then, a half-space is added that touches the ball of allowed velocities in the direction
-flown [Kelley1960]; the basis found is a point of the new dual too, and the climb goes on
-from there. The value never rises above the optimum. Once all speeds are near the limit,
-`polish` looks for the optimum itself. What is found, or said to be out of reach, is judged
-by `proof` before it counts.
+`certificates` states the program. The limit is left out at first. Wherever it is violated
+then, a half-space is added that touches the ball of allowed velocities in the direction of the
+velocity [Kelley1960]; the basis found is a point of the new dual too, and the ascent continues
+from there. The value never rises above the optimum. Once all speeds are near the limit, Newton's
+method finds the optimum itself (`polish`). Every result is certified before it is returned.
 """
 
 from pathlib import Path
@@ -38,80 +37,80 @@ from problems.tableau import (
 )
 
 MAX_ROUNDS = 100
-MAX_REPAIRS = 10  # of a basis that has lost its accuracy
-CUT_CAPACITY = 100  # for cuts, and three more a step
-NEWTON_THRESHOLD = 1e-2  # by which speeds may be above the limit when Newton's method is tried
-BOUND_TOLERANCE_RATIO = 1e-4  # of that, by which the bounds of controls may be broken meanwhile
-MIN_ROW_NORM = 1e-100  # size of a row that no control changes; it shows out of reach by itself
+MAX_REPAIRS = 10  # refactorizations of an inaccurate basis
+CUT_CAPACITY = 100  # cuts, and three more for each step
+NEWTON_THRESHOLD = 1e-2  # largest excess of speed at which Newton's method is tried
+BOUND_TOLERANCE_RATIO = (
+    1e-4  # violation of control bounds allowed until then, relative to that excess
+)
+MIN_ROW_NORM = 1e-100  # a row of smaller norm is independent of the controls
 
 
 class Cuts(NamedTuple):
-    """Which step each added row limits, and how; changed in place."""
+    """Step and normal of each added row; changed in place."""
 
     step: Array
     normal: Array
-    row_norm: Array  # of the row before it was made one long
+    row_norm: Array  # of the row before it was normalized
 
 
 class SpeedConstraints(NamedTuple):
-    """What the speed limit says at some point; changed in place."""
+    """Velocities and multipliers of the speed limit; changed in place."""
 
     velocity: Array
-    multipliers: Array  # what the multipliers of its cuts come to at each step
-    newton_normal: (
-        Array  # where Newton's method would have the velocity; zero where it says nothing
-    )
+    multipliers: Array  # summed over the cuts of each step
+    newton_normal: Array  # direction of the velocity after Newton's method; zero where unknown
 
 
 @numba.njit(error_model="numpy")
 @no_type_check
-def _solve_with_cuts(shared, question, d, g, cuts, limits, pivots, basis, sign, x):
-    # Climb and cut until no speed is above the limit.
-    m, repairs, last, exact = len(question.b), 0, np.inf, PRIMAL_TOLERANCE
-    for turn in range(MAX_ROUNDS):
-        ended = maximize_dual(d, m, pivots, exact)
-        if turn == 0:
+def _solve_with_cuts(shared, rhs, d, g, cuts, limits, pivots, basis, sign, x):
+    # Maximizes the dual and adds cuts until no speed is above the limit.
+    m, repairs, last, exact = len(rhs.b), 0, np.inf, PRIMAL_TOLERANCE
+    for cut_round in range(MAX_ROUNDS):
+        status = maximize_dual(d, m, pivots, exact)
+        if cut_round == 0:
             copy_prefix(basis, d.basis, m)
             copy_prefix(sign, d.basic_sign, m)
         extract_controls(d, x)
-        if ended == INFEASIBLE:
+        if status == INFEASIBLE:
             _sum_multipliers(d, cuts, m, d.ρ, limits.multipliers)
-            if certifies_infeasibility(shared, question, d.ρ, limits.multipliers):
-                return INFEASIBLE, np.inf, turn
-        if ended != OPTIMAL or (d.row_count[0] > m and _is_inaccurate(d, x, exact)):
+            if certifies_infeasibility(shared, rhs, d.ρ, limits.multipliers):
+                return INFEASIBLE, np.inf
+        if status != OPTIMAL or (d.row_count[0] > m and _is_inaccurate(d, x, exact)):
             repairs += 1
             if repairs > MAX_REPAIRS:
-                return UNCERTIFIED, np.nan, turn
-            if ended == UNCERTIFIED:
+                return UNCERTIFIED, np.nan
+            if status == UNCERTIFIED:
                 exact *= 10
                 _restore_basis(d, basis, sign, m)
             d.needs_refactorization[0] = True
             continue
-        over = compute_velocities(shared, question, x, limits.velocity) - 1.0
+        excess = compute_velocities(shared, rhs, x, limits.velocity) - 1.0
         _sum_multipliers(d, cuts, m, d.λ, limits.multipliers)
-        if over <= CERTIFICATE_TOLERANCE:
-            verdict, bound = certify_optimality(shared, question, x, d.λ, limits.multipliers)
-            if verdict == OPTIMAL or exact == PRIMAL_TOLERANCE:
-                return verdict, bound, turn
+        if excess <= CERTIFICATE_TOLERANCE:
+            status, bound = certify_optimality(shared, rhs, x, d.λ, limits.multipliers)
+            if status == OPTIMAL or exact == PRIMAL_TOLERANCE:
+                return status, bound
             exact = PRIMAL_TOLERANCE
             continue
         limits.newton_normal[:] = 0.0
-        if over < NEWTON_THRESHOLD and over < last / 2:
-            last = over
-            verdict, bound = _try_newton(shared, question, d, g, limits, x)
-            if verdict == OPTIMAL:
-                return verdict, bound, turn
+        if excess < NEWTON_THRESHOLD and excess < last / 2:
+            last = excess
+            status, bound = _try_newton(shared, rhs, d, g, limits, x)
+            if status == OPTIMAL:
+                return status, bound
         _drop_inactive_cuts(d, cuts, m)
-        if not _add_cuts(shared, question, d, cuts, limits):
+        if not _add_cuts(shared, rhs, d, cuts, limits):
             break
-        exact = max(PRIMAL_TOLERANCE, BOUND_TOLERANCE_RATIO * over)
-    return UNCERTIFIED, np.nan, MAX_ROUNDS
+        exact = max(PRIMAL_TOLERANCE, BOUND_TOLERANCE_RATIO * excess)
+    return UNCERTIFIED, np.nan
 
 
 @numba.njit(error_model="numpy")
 @no_type_check
 def _is_inaccurate(d, x, exact):
-    # Whether rows do not hold that should at this basis.
+    # Tells whether rows are violated that should hold at this basis.
     worst = 0.0
     for a in range(d.row_count[0]):
         rest = d.b[a] - dot_prefix(d.rows[a], x, d.row_end[a])
@@ -122,7 +121,7 @@ def _is_inaccurate(d, x, exact):
 @numba.njit(error_model="numpy")
 @no_type_check
 def _restore_basis(d, basis, sign, m):
-    # To a basis without cuts; these stay, with their slacks basic.
+    # Returns to a basis without cuts; these stay, with their slacks basic.
     d.needs_refactorization[0] = True
     copy_prefix(d.basis, basis, m)
     copy_prefix(d.basic_sign, sign, m)
@@ -135,16 +134,16 @@ def _restore_basis(d, basis, sign, m):
 def _sum_multipliers(d, cuts, m, λ, p):
     p[:] = 0.0
     for i in range(d.row_count[0] - m):
-        part = min(λ[m + i], 0.0) / cuts.row_norm[i]
+        multiplier = min(λ[m + i], 0.0) / cuts.row_norm[i]
         for c in range(p.shape[1]):
-            p[cuts.step[i], c] -= part * cuts.normal[i, c]
+            p[cuts.step[i], c] -= multiplier * cuts.normal[i, c]
 
 
 @numba.njit(error_model="numpy")
 @no_type_check
-def _try_newton(shared, question, d, g, limits, x):
-    # To where Newton's method leads; the controls are changed only if that is the answer.
-    m, (K, axes) = len(question.b), limits.multipliers.shape
+def _try_newton(shared, rhs, d, g, limits, x):
+    # Applies Newton's method; the controls are changed only if the result is certified.
+    m, (K, axes) = len(rhs.b), limits.multipliers.shape
     copy_prefix(g.x, x, len(x))
     copy_prefix(g.λ, d.λ, m)
     controls, limited = 0, 0
@@ -160,31 +159,31 @@ def _try_newton(shared, question, d, g, limits, x):
             g.active_steps[limited], g.μ[limited] = k, np.sqrt(size)
             limited += 1
     g.counts[0], g.counts[1] = controls, limited
-    if not polish(g, shared, question):
+    if not polish(g, shared, rhs):
         return UNCERTIFIED, np.nan
     limits.multipliers[:] = 0.0
-    right = True
+    is_valid = True
     for i in range(limited):
         k = g.active_steps[i]
-        right &= g.μ[i] >= 0.0
+        is_valid &= g.μ[i] >= 0.0
         for c in range(axes):
             limits.newton_normal[k, c] = g.velocity[i, c]
             limits.multipliers[k, c] = g.μ[i] * g.velocity[i, c]
     for j in range(len(x)):
-        right &= abs(g.x[j]) <= 1 + CERTIFICATE_TOLERANCE
+        is_valid &= abs(g.x[j]) <= 1 + CERTIFICATE_TOLERANCE
         g.x[j] = min(max(g.x[j], -1.0), 1.0)
-    if not right:
+    if not is_valid:
         return UNCERTIFIED, np.nan
-    verdict, bound = certify_optimality(shared, question, g.x, g.λ, limits.multipliers)
-    if verdict == OPTIMAL:
+    status, bound = certify_optimality(shared, rhs, g.x, g.λ, limits.multipliers)
+    if status == OPTIMAL:
         copy_prefix(x, g.x, len(x))
-    return verdict, bound
+    return status, bound
 
 
 @numba.njit(error_model="numpy")
 @no_type_check
 def _drop_inactive_cuts(d, cuts, m):
-    # Cuts that the velocity does not touch; it comes back to few of them.
+    # Drops cuts that are inactive; few of them become active again.
     n = len(d.w)
     for i in range(d.row_count[0] - 1, -1, -1):
         row = d.basis[i] - n
@@ -198,9 +197,9 @@ def _drop_inactive_cuts(d, cuts, m):
 
 @numba.njit(error_model="numpy")
 @no_type_check
-def _add_cuts(shared, question, d, cuts, limits):
-    # One half-space for each speed above the limit; False where there is no room.
-    m, (K, axes, n) = len(question.b), shared.velocity_response.shape
+def _add_cuts(shared, rhs, d, cuts, limits):
+    # Adds a half-space for each speed above the limit; returns False where there is no room.
+    m, (K, axes, n) = len(rhs.b), shared.velocity_response.shape
     for k in range(K):
         square, along = 0.0, 0.0
         for c in range(axes):
@@ -215,10 +214,10 @@ def _add_cuts(shared, question, d, cuts, limits):
         normal, row = cuts.normal[M - m], d.rows[M]
         row[:], d.b[M], d.row_end[M] = 0.0, 1.0, (k + 1) * (n // (K + 1))
         for c in range(axes):
-            # Where Newton's method would go is where the limit will be met.
+            # Newton's method predicts the direction in which the limit will be active.
             better = along > 1 + CERTIFICATE_TOLERANCE / 2
             normal[c] = limits.newton_normal[k, c] if better else limits.velocity[k, c] / speed
-            d.b[M] -= normal[c] * question.free_velocity[k, c]
+            d.b[M] -= normal[c] * rhs.free_velocity[k, c]
             for j in range(d.row_end[M]):
                 row[j] += normal[c] * shared.velocity_response[k, c, j]
         size = np.sqrt(dot_prefix(row, row, n))
@@ -232,31 +231,31 @@ def _add_cuts(shared, question, d, cuts, limits):
 
 
 def _compile_kernel(stamp: int) -> Any:
-    # Numba compiles anew when the file of a function changes, or what it closes over. The
-    # stamp is of all the files that are compiled into this one function.
+    # Numba caches by this function's file alone. The stamp, a checksum of all files that are
+    # compiled into it, makes it compile again when any of them changes.
     @numba.njit(cache=True, nogil=True, error_model="numpy")
     @no_type_check
-    def solve_lots(shared, b, free, first, pivots, x, bound, status, rounds):
+    def solve_batches(shared, b, free_velocity, starts, pivots, x, bound, status):
         (m, n), (K, axes, _) = shared.rows.shape, shared.velocity_response.shape
         room = CUT_CAPACITY + 3 * K if K > 0 else 0
-        for lot in range(len(first) - 1 if stamp >= 0 else 0):
+        for batch in range(len(starts) - 1 if stamp >= 0 else 0):
             d, g = allocate_tableau(shared.rows, shared.w, room), allocate_newton(n, m, K, axes)
             cuts = Cuts(np.zeros(room, np.int64), np.zeros((room, axes)), np.ones(room))
             limits = SpeedConstraints(np.zeros((K, axes)), np.zeros((K, axes)), np.zeros((K, axes)))
             basis, sign = d.basis.copy(), d.basic_sign.copy()
-            for q in range(first[lot], first[lot + 1]):
-                # From where the one before in the lot began its cuts.
+            for q in range(starts[batch], starts[batch + 1]):
+                # Starts from the basis before the first cuts of the program before.
                 d.row_count[0] = m
                 _restore_basis(d, basis, sign, m)
                 copy_prefix(d.b, b[q], m)
-                question = RightHandSide(b[q], free[q])
-                status[q], bound[q], rounds[q] = _solve_with_cuts(
-                    shared, question, d, g, cuts, limits, pivots, basis, sign, x[q]
+                rhs = RightHandSide(b[q], free_velocity[q])
+                status[q], bound[q] = _solve_with_cuts(
+                    shared, rhs, d, g, cuts, limits, pivots, basis, sign, x[q]
                 )
                 if status[q] != OPTIMAL:
                     x[q] = np.nan
 
-    return solve_lots
+    return solve_batches
 
 
 KERNEL_FILES = ("certificates", "cutting_planes", "dual_simplex", "polish", "tableau")

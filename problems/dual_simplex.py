@@ -1,7 +1,7 @@
-"""The dual simplex method with the long-step rule, compiled [Maros2003].
+"""Dual simplex method with the long-step rule, compiled [Maros2003].
 
-Why this way stands in `least_fuel`, and the programme in `tableau`. Every basis is a point
-of the dual, also with a row more: rows may be added at the top, and the climb goes on.
+`minimum_fuel` explains the choice of method, and `tableau` states the program. Every basis is a
+point of the dual, also after a row is added: the ascent continues from the optimum before.
 """
 
 from typing import no_type_check
@@ -12,23 +12,21 @@ import numpy as np
 from problems.certificates import INFEASIBLE, OPTIMAL, UNCERTIFIED
 from problems.tableau import pivot, refactorize, set_nonbasic
 
-PRIMAL_TOLERANCE = 1e-11  # bounds that are broken by less are kept
-ZERO_SLOPE = 1e-11  # a slope of the dual, in rows of length one, that is none
-MIN_RELATIVE_PIVOT = (
-    1e-7  # a pivot, against the others of its column, after which all is computed anew
-)
-MIN_SLACK_PIVOT = (
-    1e-8  # the same for slacks, behind which there is no slope at all: too small a pivot
-)
+PRIMAL_TOLERANCE = 1e-11  # largest violation of a bound
+ZERO_SLOPE = 1e-11  # a slope of the dual that counts as zero, for rows of norm 1
+# Smallest pivot relative to its column; after a smaller one the tableau is refactorized.
+MIN_RELATIVE_PIVOT = 1e-7
+# Smallest component of the direction, relative to its norm, with which a slack may enter.
+MIN_SLACK_PIVOT = 1e-8
 
 
 @numba.njit(error_model="numpy")
 @no_type_check
 def maximize_dual(d, equations, pivots, exact):
-    """Walk uphill to the top of the dual, after computing everything anew where the desk is worn.
+    """Maximize the dual from the basis of the tableau d.
 
-    Returns ANSWERED, or OUT_OF_REACH with the direction of endless ascent in `ρ`, or
-    UNPROVEN after too many pivots.
+    Returns OPTIMAL, or INFEASIBLE with the direction of unbounded ascent in `ρ`, or UNCERTIFIED
+    after too many pivots.
     """
     M, n, most = d.row_count[0], len(d.w), 0.0
     for a in range(M):
@@ -37,26 +35,26 @@ def maximize_dual(d, equations, pivots, exact):
     for _ in range(pivots):
         if d.needs_refactorization[0] and not refactorize(d):
             break
-        out, worst, up = _select_leaving(d, exact * (1 + most))
-        if out < 0:
+        leaving, worst, up = _select_leaving(d, exact * (1 + most))
+        if leaving < 0:
             return OPTIMAL
-        left = basis[out]
-        turn = -1.0 if left >= n else sign[out] if up else -sign[out]
+        left = basis[leaving]
+        direction = -1.0 if left >= n else sign[leaving] if up else -sign[leaving]
         α[:] = 0.0
         for a in range(M):
-            ρ[a] = turn * inverse[a, out]
+            ρ[a] = direction * inverse[a, leaving]
             for j in range(d.row_end[a]):
                 α[j] += rows[a, j] * ρ[a]
         for i in range(M):
             if basis[i] < n:
                 α[basis[i]] = 0.0
         if left < n:
-            # It is a kink ahead too, where it is let go towards zero and beyond.
-            α[left] = turn
-            d.v[left] = sign[out] * d.w[left]
+            # The leaving control is a kink too, where it may go to zero and on to the other bound.
+            α[left] = direction
+            d.v[left] = sign[leaving] * d.w[left]
             if up:
-                set_nonbasic(d, left, sign[out])
-        enter, t = _select_entering(d, equations, worst, np.sqrt(d.row_norm[out]))
+                set_nonbasic(d, left, sign[leaving])
+        enter, t = _select_entering(d, equations, worst, np.sqrt(d.row_norm[leaving]))
         if enter < 0:
             return INFEASIBLE
         for k in range(n):
@@ -66,20 +64,20 @@ def maximize_dual(d, equations, pivots, exact):
         if left >= n:
             d.is_slack_basic[left - n] = False
         if enter < n:
-            ahead = 1.0 if α[enter] > 0 else -1.0
-            sign[out] = d.nonbasic_value[enter] if d.nonbasic_value[enter] != 0.0 else ahead
+            sense = 1.0 if α[enter] > 0 else -1.0
+            sign[leaving] = d.nonbasic_value[enter] if d.nonbasic_value[enter] != 0.0 else sense
             set_nonbasic(d, enter, 0.0)
         else:
-            sign[out], d.is_slack_basic[enter - n], d.λ[enter - n] = 1.0, True, 0.0
-        basis[out] = enter
-        d.needs_refactorization[0] = pivot(d, enter, out) < MIN_RELATIVE_PIVOT
+            sign[leaving], d.is_slack_basic[enter - n], d.λ[enter - n] = 1.0, True, 0.0
+        basis[leaving] = enter
+        d.needs_refactorization[0] = pivot(d, enter, leaving) < MIN_RELATIVE_PIVOT
     return UNCERTIFIED
 
 
 @numba.njit(error_model="numpy")
 @no_type_check
 def _select_leaving(d, tolerance):
-    # The steepest way uphill: by how much a bound is broken, over the length of the direction.
+    # Steepest ascent: violation of a bound over the norm of its direction.
     M, n, r, inverse, y, norm = (
         d.row_count[0],
         len(d.w),
@@ -95,67 +93,67 @@ def _select_leaving(d, tolerance):
             y[i] += inverse[a, i] * r[a]
             norm[i] += inverse[a, i] ** 2
     basis, sign = d.basis, d.basic_sign
-    out, worst, up, steepest = -1, 0.0, False, 0.0
+    leaving, worst, up, steepest = -1, 0.0, False, 0.0
     for i in range(M):
-        broken, over = -y[i], False
+        violation, over = -y[i], False
         if basis[i] < n:
-            broken *= sign[i]
-            over = -broken - 1.0 > broken
-            broken = -broken - 1.0 if over else broken
-        if broken > tolerance and broken**2 > steepest * norm[i]:
-            out, worst, up, steepest = i, broken, over, broken**2 / norm[i]
-    return out, worst, up
+            violation *= sign[i]
+            over = -violation - 1.0 > violation
+            violation = -violation - 1.0 if over else violation
+        if violation > tolerance and violation**2 > steepest * norm[i]:
+            leaving, worst, up, steepest = i, violation, over, violation**2 / norm[i]
+    return leaving, worst, up
 
 
 @numba.njit(error_model="numpy")
 @no_type_check
 def _select_entering(d, equations, slope, length):
     M, n, kinks = d.row_count[0], len(d.w), 0
-    w, v, α, state, when, who = d.w, d.v, d.α, d.nonbasic_value, d.kink_step, d.kink_index
+    w, v, α, state, step, kink = d.w, d.v, d.α, d.nonbasic_value, d.kink_step, d.kink_index
     for j in range(n):
         if abs(α[j]) < ZERO_SLOPE * length:
             continue
-        ahead = 1.0 if α[j] > 0 else -1.0
+        sense = 1.0 if α[j] > 0 else -1.0
         if state[j] == 0.0:
-            when[kinks], who[kinks] = max(0.0, (ahead * w[j] - v[j]) / α[j]), j
+            step[kinks], kink[kinks] = max(0.0, (sense * w[j] - v[j]) / α[j]), j
             kinks += 1
-        elif state[j] != ahead:
-            when[kinks], who[kinks] = max(0.0, (-ahead * w[j] - v[j]) / α[j]), j
-            when[kinks + 1], who[kinks + 1] = max(0.0, (ahead * w[j] - v[j]) / α[j]), j
+        elif state[j] != sense:
+            step[kinks], kink[kinks] = max(0.0, (-sense * w[j] - v[j]) / α[j]), j
+            step[kinks + 1], kink[kinks + 1] = max(0.0, (sense * w[j] - v[j]) / α[j]), j
             kinks += 2
-    ρ, λ, loose = d.ρ, d.λ, d.is_slack_basic
+    ρ, λ, is_slack_basic = d.ρ, d.λ, d.is_slack_basic
     for a in range(equations, M):
-        if not loose[a] and ρ[a] > MIN_SLACK_PIVOT * length:
-            when[kinks], who[kinks] = max(0.0, -λ[a] / ρ[a]), n + a
+        if not is_slack_basic[a] and ρ[a] > MIN_SLACK_PIVOT * length:
+            step[kinks], kink[kinks] = max(0.0, -λ[a] / ρ[a]), n + a
             kinks += 1
     for i in range(kinks // 2 - 1, -1, -1):
-        _sift_down(when, who, i, kinks)
+        _sift_down(step, kink, i, kinks)
     while kinks > 0:
-        j = who[0]
+        j = kink[0]
         if j >= n:
-            return j, when[0]  # no slack is negative: behind this kink the dual falls at once
+            return j, step[0]  # no slack may be negative: the dual falls beyond this kink
         slope -= abs(α[j])
         if slope <= 0.0:
-            return j, when[0]
+            return j, step[0]
         kinks -= 1
-        when[0], who[0] = when[kinks], who[kinks]
-        _sift_down(when, who, 0, kinks)
-        # Passed: the control flips from one bound to nothing, or from nothing to a bound.
-        ahead = 1.0 if α[j] > 0 else -1.0
-        set_nonbasic(d, j, ahead if state[j] == 0.0 else 0.0)
+        step[0], kink[0] = step[kinks], kink[kinks]
+        _sift_down(step, kink, 0, kinks)
+        # Passing the kink moves the control from a bound to zero, or from zero to a bound.
+        sense = 1.0 if α[j] > 0 else -1.0
+        set_nonbasic(d, j, sense if state[j] == 0.0 else 0.0)
     return -1, 0.0
 
 
 @numba.njit(error_model="numpy")
 @no_type_check
-def _sift_down(when, who, i, count):
-    t, j = when[i], who[i]
+def _sift_down(step, kink, i, count):
+    t, j = step[i], kink[i]
     while 2 * i + 1 < count:
         child = 2 * i + 1
-        if child + 1 < count and when[child + 1] < when[child]:
+        if child + 1 < count and step[child + 1] < step[child]:
             child += 1
-        if when[child] >= t:
+        if step[child] >= t:
             break
-        when[i], who[i] = when[child], who[child]
+        step[i], kink[i] = step[child], kink[child]
         i = child
-    when[i], who[i] = t, j
+    step[i], kink[i] = t, j

@@ -1,18 +1,18 @@
-"""Least ℓ₁ fuel for one system and very many end points.
+"""Least ℓ₁ fuel of one system for very many displacements.
 
-    minimise  Σ_j w_j |u_j|   subject to  C u = b,  |u_j| ≤ U
+    minimize  Σ_j w_j |u_j|   subject to  C u = b,  |u_j| ≤ U
 
-Only b differs from one question to the next. The dual has as many variables as the
+Only b differs from one program to the next. The dual has as many variables as the
 state and no constraints,
 
-    maximise  λᵀb − U Σ_j max(0, |c_jᵀλ| − w_j),
+    maximize  λᵀb − U Σ_j max(0, |c_jᵀλ| − w_j),
 
 so every choice of a basis (as many columns j with |c_jᵀλ| = w_j as there are rows)
-is a point of it, and the best basis of one question is a start for the next. From
-there the dual simplex method with the long-step rule walks uphill: it lets go of one
-basic column and passes kinks of the dual for as long as the slope stays positive
-[Maros2003]. It ends after a few pivots at the exact optimum, or with a direction
-along which the dual grows without bound, which proves that b is out of reach.
+is a point of it, and the optimal basis of one program is a start for the next. From
+there the dual simplex method with the long-step rule ascends: one column leaves the basis,
+and kinks of the dual are passed for as long as the slope stays positive [Maros2003]. It ends
+after a few pivots at the exact optimum, or with a direction along which the dual grows without
+bound, which certifies that b is unreachable.
 """
 
 from math import isfinite
@@ -30,124 +30,120 @@ from problems.certificates import UNCERTIFIED, TransferProgram
 from problems.conic import ConicProgram, Infeasible, solve
 from problems.orthonormal_rows import OrthonormalRows
 
-MAX_PIVOTS = 10_000  # far above what any question took; one that needs more is asked of HiGHS
+MAX_PIVOTS = 10_000  # far above any number seen; HiGHS solves a program that needs more
 DEFAULT_BATCHES = 64
 
 
 class MinimumFuelSolutions(NamedTuple):
-    """Answers to every question, each with what proves it."""
+    """Solutions of many programs, each with its dual bound."""
 
-    u: Float[Array, "questions T m"]  # [m/s²]; NaN where the end is out of reach
-    fuel: Float[Array, " questions"]  # Δt Σ |u| [m/s]; infinite where out of reach
-    dual_bound: Float[Array, " questions"]  # Δt × the dual value: weighted fuel is never below it
+    u: Float[Array, "programs T m"]  # [m/s²]; NaN where unreachable
+    fuel: Float[Array, " programs"]  # Δt Σ |u| [m/s]; infinite where unreachable
+    dual_bound: Float[Array, " programs"]  # Δt × dual value, a lower bound of the weighted fuel
 
 
 def solve_minimum_fuel(
     steps: DiscreteModel,
-    displacement: Float[Array, "questions n"],
+    displacement: Float[Array, "programs n"],
     max_control: float,
     weight: Float[Array, " T"],
     batches: int = DEFAULT_BATCHES,
 ) -> MinimumFuelSolutions:
-    """Least fuel to displace the free motion's end, for many displacements.
+    """Solve many transfers of least fuel without a speed limit.
 
-    Axes that do not act on one another are separate questions, and are answered so.
-    Every answer is checked by its residual and its gap, and every "out of reach" by the
-    direction that proves it; what fails is asked of HiGHS.
+    Axes that do not act on one another are solved separately. Every solution is verified by its
+    residual and its gap, and every infeasibility by its certificate; HiGHS solves the programs
+    where this fails.
 
     Args:
         steps: Dynamics, the same for all.
-        displacement: x_f − Φ x₀ − (drift), one row a question.
+        displacement: x_f − Φ x₀ − (drift), a row for each program.
         max_control: U, the largest |u| on each axis [m/s²].
-        weight: Price of a unit of |u[k]|, near 1; a slope in it breaks ties.
-        lots: Equal parts into which the questions are split, in their order. Answers do
-            not depend on the questions of other lots, not even in the last bit.
+        weight: Weights of |u[k]|, near 1; see `tie_break_weights`.
+        batches: Equal parts into which the programs are split, in their order. Solutions do
+            not depend on the programs of other batches, not even in the last bit.
 
     Raises:
-        ValueError: There is no step to burn in, or a number that makes no sense.
-        Unsolved: Not even HiGHS has an answer that can be proven.
+        ValueError: There is no step, or a displacement, weight or limit is not valid.
+        Unsolved: The solution of HiGHS fails verification too.
     """
     T, m = len(steps), steps.axes
     _validate(T, displacement, max_control, weight)
-    questions = len(displacement)
-    u = np.zeros((questions, T, m))
-    fuel, bound = np.zeros(questions), np.zeros(questions)
+    count = len(displacement)
+    u, fuel, bound = np.zeros((count, T, m)), np.zeros(count), np.zeros(count)
     for states, inputs in decouple_axes(steps):
         C = reachability_matrix(steps)[states][:, :, inputs]
-        answer, dual = _solve_decoupled(C, displacement[:, states], max_control, weight, batches)
-        for i, axis in enumerate(inputs):
-            u[:, :, axis] = answer[:, :, i]
-        fuel += steps.dt * np.abs(answer).sum(axis=(1, 2))
+        found, dual = _solve_decoupled(C, displacement[:, states], max_control, weight, batches)
+        u[:, :, inputs] = found
+        fuel += steps.dt * np.abs(found).sum(axis=(1, 2))
         bound += steps.dt * dual
-    beyond = np.isinf(bound)
-    u[beyond], fuel[beyond] = np.nan, np.inf
+    unreachable = np.isinf(bound)
+    u[unreachable], fuel[unreachable] = np.nan, np.inf
     return MinimumFuelSolutions(u, fuel, bound)
 
 
 def _validate(T: int, displacement: Array, max_control: float, weight: Array) -> None:
     if T == 0:
-        raise ValueError("there must be at least one step to burn in")
+        raise ValueError("a transfer needs at least one step")
     if not (0 < max_control and isfinite(max_control)):
         raise ValueError(f"max_control must be positive and finite, got {max_control}")
     if weight.shape != (T,) or not (weight > 0).all():
-        raise ValueError(f"there must be a positive weight for each of {T} steps, got {weight}")
+        raise ValueError(f"weight needs a positive weight for each of {T} steps, got {weight}")
     if not np.isfinite(displacement).all():
         q = int(np.flatnonzero(~np.isfinite(displacement).all(axis=1))[0])
         raise ValueError(f"displacement {q} is not finite: {displacement[q]}")
 
 
 def reachability_matrix(steps: DiscreteModel) -> Float[Array, "n T m"]:
-    """C: what a unit of u[k] does to the last state."""
+    """Compute C, the response of the last state to a unit of each u[k]."""
     n, m = steps.B.shape[1:]
     C = np.empty((n, len(steps), m))
-    after = np.eye(n)
+    transition = np.eye(n)  # from step k + 1 to the last
     for k in reversed(range(len(steps))):
-        C[:, k] = after @ steps.B[k]
-        after = after @ steps.A[k]
+        C[:, k] = transition @ steps.B[k]
+        transition = transition @ steps.A[k]
     return C
 
 
 def decouple_axes(steps: DiscreteModel) -> list[tuple[Int[Array, " s"], Int[Array, " i"]]]:
-    """Groups of states and inputs that do not act on one another."""
+    """Find the groups of states and inputs that do not act on one another."""
     n, m = steps.B.shape[1:]
-    acts = np.zeros((n + m, n + m))
-    acts[:n, :n] = np.abs(steps.A).sum(axis=0)
-    acts[:n, n:] = np.abs(steps.B).sum(axis=0)
-    count, group = connected_components(acts, directed=False)
-    members = [np.flatnonzero(group == g) for g in range(count)]
-    return [(part[part < n], part[part >= n] - n) for part in members]
+    coupling = np.zeros((n + m, n + m))
+    coupling[:n, :n] = np.abs(steps.A).sum(axis=0)
+    coupling[:n, n:] = np.abs(steps.B).sum(axis=0)
+    count, label = connected_components(coupling, directed=False)
+    groups = [np.flatnonzero(label == g) for g in range(count)]
+    return [(group[group < n], group[group >= n] - n) for group in groups]
 
 
 def _solve_decoupled(
     C: Float[Array, "s T i"],
-    b: Float[Array, "questions s"],
+    b: Float[Array, "programs s"],
     U: float,
     weight: Float[Array, " T"],
-    lots: int,
-) -> tuple[Float[Array, "questions T i"], Float[Array, " questions"]]:
+    batches: int,
+) -> tuple[Float[Array, "programs T i"], Float[Array, " programs"]]:
     s, T, i = C.shape
-    white = OrthonormalRows.from_matrix(C.reshape(s, T * i))
-    Q, (whitened, missed) = white.rows, white.transform(b, U)
-    w = np.repeat(weight, i)
-    if len(Q) == 0:
-        u, dual = np.zeros((len(b), T * i)), np.zeros(len(b))
-        u[missed], dual[missed] = np.nan, np.inf
-        return u.reshape(len(b), T, i), dual
-    lots = max(1, min(len(b), lots))
-    first = np.arange(lots + 1) * len(b) // lots
-    shared = TransferProgram(Q, w, np.zeros((0, 1, T * i)))
-    found = solve_batches(shared, whitened / U, np.zeros((len(b), 0, 1)), first, MAX_PIVOTS)
-    u, dual = U * found.x, U * found.dual_bound
-    for q in np.flatnonzero(found.status == UNCERTIFIED):
-        u[q], dual[q] = _solve_with_highs(Q, whitened[q], U, w)
-    u[missed], dual[missed] = np.nan, np.inf
+    orthonormal = OrthonormalRows.from_matrix(C.reshape(s, T * i))
+    Q, (transformed, unreachable) = orthonormal.rows, orthonormal.transform(b, U)
+    u, dual, w = np.zeros((len(b), T * i)), np.zeros(len(b)), np.repeat(weight, i)
+    if len(Q) > 0:
+        batches = max(1, min(len(b), batches))
+        starts = np.arange(batches + 1) * len(b) // batches
+        shared = TransferProgram(Q, w, np.zeros((0, 1, T * i)))
+        no_speeds = np.zeros((len(b), 0, 1))
+        found = solve_batches(shared, transformed / U, no_speeds, starts, MAX_PIVOTS)
+        u, dual = U * found.x, U * found.dual_bound
+        for q in np.flatnonzero(found.status == UNCERTIFIED):
+            u[q], dual[q] = _solve_with_highs(Q, transformed[q], U, w)
+    u[unreachable], dual[unreachable] = np.nan, np.inf
     return u.reshape(len(b), T, i), dual
 
 
 def _solve_with_highs(
     Q: Float[Array, "r N"], b: Float[Array, " r"], U: float, w: Float[Array, " N"]
 ) -> tuple[Float[Array, " N"], float]:
-    """One question by another way; the dual is infinite where it is out of reach."""
+    """Solve one program; the dual value is infinite where it is infeasible."""
     from problems.solvers import solve_highs
 
     r, N = Q.shape
@@ -156,7 +152,7 @@ def _solve_with_highs(
     limits = np.concatenate([b / U, np.ones(2 * N), np.zeros(2 * N)])
     problem = ConicProgram(np.concatenate([w, w]), csc_array(A), limits, r, 4 * N)
     try:
-        answer = solve(problem, solve_highs)
+        found = solve(problem, solve_highs)
     except Infeasible:
         return np.full(N, np.nan), np.inf
-    return U * (answer.x[:N] - answer.x[N:]), -U * float(limits @ answer.y)
+    return U * (found.x[:N] - found.x[N:]), -U * float(limits @ found.y)

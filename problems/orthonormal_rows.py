@@ -1,4 +1,4 @@
-"""Equations made well conditioned: rows of length one, square to each other."""
+"""Equations with orthonormal rows, which makes them well conditioned."""
 
 from dataclasses import dataclass
 
@@ -11,41 +11,41 @@ from problems.certificates import CERTIFICATE_TOLERANCE
 
 @dataclass(frozen=True, eq=False)
 class OrthonormalRows:
-    """Q u = b' in place of C u = b.
+    """Equations Q u = b' in place of C u = b.
 
-    With fewer steps than it takes to reach every state, what no control reaches is left
-    out, and questions that ask for it are listed.
+    With too few steps to reach every state, Q has fewer rows than C, and `transform` lists the
+    right-hand sides that no control reaches.
     """
 
     rows: Float[Array, "r N"]  # Q
     factor: Float[Array, "s r"]  # L of C = L Q, in the units below
     row_scale: Float[Array, " s"]  # of the rows of C
-    has_full_rank: bool  # whether no row had to be left out
+    has_full_rank: bool  # True where Q has as many rows as C
 
     @classmethod
-    def from_matrix(cls, columns: Float[Array, "s N"]) -> "OrthonormalRows":
-        """The same questions, from the coefficients C."""
-        s, N = columns.shape
+    def from_matrix(cls, C: Float[Array, "s N"]) -> "OrthonormalRows":
+        """Orthonormalize the rows of C."""
+        s, N = C.shape
         if N == 0:
             return cls(np.zeros((0, 0)), np.zeros((s, 0)), np.ones(s), False)
-        if np.linalg.matrix_rank(columns) == s:
-            Q, R = np.linalg.qr(columns.T)
+        if np.linalg.matrix_rank(C) == s:
+            Q, R = np.linalg.qr(C.T)
             return cls(np.ascontiguousarray(Q.T), R.T, np.ones(s), True)
-        # States in metres and in metres a second are made comparable before a rank is read.
-        unit = np.maximum(np.abs(columns).max(axis=1, initial=0.0), 1e-300)
-        left, size, right = np.linalg.svd(columns / unit[:, None], full_matrices=False)
+        # Positions and velocities are made comparable before the rank is determined.
+        unit = np.maximum(np.abs(C).max(axis=1, initial=0.0), 1e-300)
+        left, size, right = np.linalg.svd(C / unit[:, None], full_matrices=False)
         keep = size > 1e-12 * size.max(initial=0.0)
         return cls(right[keep], left[:, keep] * size[keep], unit, False)
 
     def transform(
-        self, b: Float[Array, "questions s"], U: float
-    ) -> tuple[Float[Array, "questions r"], Int[Array, " missed"]]:
-        """b', and the questions that ask for what no control of size U or any other reaches."""
+        self, b: Float[Array, "programs s"], U: float
+    ) -> tuple[Float[Array, "programs r"], Int[Array, " unreachable"]]:
+        """Compute b', and the indices of those that no control reaches, at the scale U."""
         b = b / self.row_scale
         if self.has_full_rank:
-            white = np.linalg.solve(self.factor, b.T).T
-            return np.ascontiguousarray(white), np.zeros(0, np.int64)
-        white = b @ np.linalg.pinv(self.factor).T
-        missing = np.abs(b - white @ self.factor.T).max(axis=1, initial=0.0)
-        missed = missing > CERTIFICATE_TOLERANCE * (U + np.abs(b).max(axis=1, initial=0.0))
-        return np.ascontiguousarray(white), np.flatnonzero(missed)
+            transformed = np.linalg.solve(self.factor, b.T).T
+            return np.ascontiguousarray(transformed), np.zeros(0, np.int64)
+        transformed = b @ np.linalg.pinv(self.factor).T
+        residual = np.abs(b - transformed @ self.factor.T).max(axis=1, initial=0.0)
+        unreachable = residual > CERTIFICATE_TOLERANCE * (U + np.abs(b).max(axis=1, initial=0.0))
+        return np.ascontiguousarray(transformed), np.flatnonzero(unreachable)

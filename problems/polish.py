@@ -1,14 +1,14 @@
-"""From a nearby answer to the exact one by Newton's method, compiled.
+"""Newton's method from a nearby point to the exact optimum, compiled.
 
-Cutting planes come near quickly and then gain a factor of four a round. What they tell by
-then is which controls x_F are inside their bounds and which speeds are at the limit, and
-with that guess the optimum is a root of
+Cutting planes come near quickly and then gain a factor of four a round. By then they tell which
+controls x_F are inside their bounds and which speeds are at the limit, and with this active set
+the optimum is a root of
 
     w_j sign_j − q_jᵀλ + Σ_k μ_k g_kjᵀ y_k = 0   for j in F,      y_k = s_k + Σ_j g_kj x_j,
     Σ_j q_j x_j = b,     ‖y_k‖² = 1,
 
-which Newton's method finds in three or four steps. Whether it is the optimum, and the
-guess was right, is for `proof` to say.
+which Newton's method finds in three or four steps. `certificates` verifies the result, and with
+it the active set.
 """
 
 from typing import NamedTuple, no_type_check
@@ -20,20 +20,20 @@ from numpy import ndarray as Array
 from problems.tableau import dot_prefix
 
 MAX_STEPS = 6
-CONVERGED = 1e-13  # of a root
-DIVERGED = 10.0  # a residual from which nothing good comes
+CONVERGED = 1e-13  # residual of a root
+DIVERGED = 10.0  # residual at which the method is stopped
 
 
 class NewtonState(NamedTuple):
-    """Which controls and speeds take part, and their values; changed in place."""
+    """Active set and the values of its unknowns; changed in place."""
 
     counts: Array  # [controls, speeds]
-    free_controls: Array  # controls inside their bounds, those with which the list begins
+    free_controls: Array  # indices of controls inside their bounds, at the beginning
     sign: Array  # of these
-    active_steps: Array  # steps at the speed limit, those with which the list begins
+    active_steps: Array  # indices of steps at the speed limit, at the beginning
     x: Array
     λ: Array
-    μ: Array  # of the limited steps
+    μ: Array  # multipliers of the active steps
     velocity: Array  # at these
     matrix: Array  # the other fields are scratch
     rhs: Array
@@ -43,26 +43,28 @@ class NewtonState(NamedTuple):
 @numba.njit(error_model="numpy")
 @no_type_check
 def allocate_newton(n, m, K, d):
-    """An empty guess."""
+    """Allocate the state of Newton's method."""
     size = n + m + K
-    parts, free, limited = np.zeros(2, np.int64), np.zeros(n, np.int64), np.zeros(K, np.int64)
+    counts, free, active = np.zeros(2, np.int64), np.zeros(n, np.int64), np.zeros(K, np.int64)
     sign, x, λ, μ, velocity = np.zeros(n), np.zeros(n), np.zeros(m), np.zeros(K), np.zeros((K, d))
-    matrix, right, push = np.empty((size, size)), np.empty(size), np.empty((K, d, n))
-    return NewtonState(parts, free, sign, limited, x, λ, μ, velocity, matrix, right, push)
+    matrix, rhs, velocity_response = np.empty((size, size)), np.empty(size), np.empty((K, d, n))
+    return NewtonState(
+        counts, free, sign, active, x, λ, μ, velocity, matrix, rhs, velocity_response
+    )
 
 
 @numba.njit(error_model="numpy")
 @no_type_check
-def polish(g, shared, question):
-    """Improve a guess to the root; False where it leads nowhere."""
+def polish(g, shared, rhs):
+    """Improve a point to the root; return False where it does not converge."""
     m, axes = len(g.λ), g.velocity.shape[1]
     F, K = g.counts
     size = F + m + K
     if F > len(g.x) or size > len(g.rhs):
         return False
-    _restrict_to_active(g, shared, question)
+    _restrict_to_active(g, shared, rhs)
     for step in range(MAX_STEPS):
-        worst = _assemble_newton_system(g, shared, question)
+        worst = _assemble_newton_system(g, shared, rhs)
         if worst < CONVERGED or (step == MAX_STEPS - 1 and worst < 1e3 * CONVERGED):
             return True
         if not worst < DIVERGED or not _eliminate(g.matrix, g.rhs, size):
@@ -81,12 +83,12 @@ def polish(g, shared, question):
 
 @numba.njit(error_model="numpy")
 @no_type_check
-def _restrict_to_active(g, shared, question):
+def _restrict_to_active(g, shared, rhs):
     F, K = g.counts
     for i in range(K):
         k = g.active_steps[i]
         for c in range(g.velocity.shape[1]):
-            g.velocity[i, c] = question.free_velocity[k, c] + dot_prefix(
+            g.velocity[i, c] = rhs.free_velocity[k, c] + dot_prefix(
                 shared.velocity_response[k, c], g.x, len(g.x)
             )
             for f in range(F):
@@ -95,8 +97,8 @@ def _restrict_to_active(g, shared, question):
 
 @numba.njit(error_model="numpy")
 @no_type_check
-def _assemble_newton_system(g, shared, question):
-    # Fills the matrix and the right-hand side of a Newton step; returns the largest residual.
+def _assemble_newton_system(g, shared, rhs):
+    # Fills the matrix and right-hand side of a Newton step; returns the largest residual.
     m = len(g.λ)
     F, K = g.counts
     size = F + m + K
@@ -115,7 +117,7 @@ def _assemble_newton_system(g, shared, question):
                     A[f, h] += part * g.velocity_response[i, c, h]
         r[F + m + i] = (1 - square) / 2
     for a in range(m):
-        r[F + a] = question.b[a] - dot_prefix(shared.rows[a], g.x, len(g.x))
+        r[F + a] = rhs.b[a] - dot_prefix(shared.rows[a], g.x, len(g.x))
         for f in range(F):
             A[F + a, f] = shared.rows[a, g.free_controls[f]]
             A[f, F + a] = -A[F + a, f]
@@ -132,7 +134,7 @@ def _assemble_newton_system(g, shared, question):
 @numba.njit(error_model="numpy")
 @no_type_check
 def _eliminate(A, r, size):
-    # Gauss with partial pivoting, in place.
+    # Gaussian elimination with partial pivoting, in place.
     for c in range(size):
         p = c
         for i in range(c + 1, size):

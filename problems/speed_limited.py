@@ -1,7 +1,7 @@
-"""Transfers that the speed limit binds: any number of them, by cutting planes.
+"""Transfers with an active speed limit, by cutting planes.
 
-What is done for each stands in `speed_cuts`; here are the units, the weights, and what
-happens to the few that do not end well.
+`cutting_planes` solves each; this module scales units and weights, and solves the few that fail
+with Clarabel.
 """
 
 from dataclasses import dataclass
@@ -19,85 +19,85 @@ from problems.orthonormal_rows import OrthonormalRows
 from problems.sparse_transfer import SparseTransferSolver, require_speed_limit
 from problems.transfer import Trajectory, TransferProblem, tie_break_weights
 
-MAX_PIVOTS = 1_000  # of one climb; a question that needs more is asked of Clarabel
-MIN_TIE_BREAK_RISE = (
-    1e-8  # of the weights at least: it breaks ties, and costs no more than this part of fuel
-)
+MAX_PIVOTS = 1_000  # of one ascent; Clarabel solves a program that needs more
+MIN_TIE_BREAK_RISE = 1e-8  # breaks ties, at the cost of at most this part of the fuel
 
 
 @dataclass(frozen=True, eq=False)
 class SpeedLimitedSolver:
-    """The statement of `Transfer` for q = 1 and r = ∞, solved over and over.
+    """`TransferProblem` with q = 1 and r = ∞, for many starts and targets.
 
-    Every answer arrives, keeps the limits (that of the speed to 1e-9) and costs no more
-    than 3e-8 above its dual bound, and every "out of reach" has its proof; all of that is
-    recomputed from the answer. What fails is asked of Clarabel (`SpeedCones`).
+    Every solution arrives, keeps the limits (the speed limit to 1e-9) and costs at most 3e-8
+    more than its dual bound, and every infeasibility has a certificate; all of this is recomputed
+    from the solution. Clarabel solves what fails (`SparseTransferSolver`); its dual bound is the
+    fuel itself.
     """
 
     transfer: TransferProblem
 
     def __post_init__(self) -> None:
-        """Refuse what needs another programme."""
+        """Check the norms and limits."""
         require_speed_limit(self.transfer)
 
-    def solve(self, start: Float[Array, " n"], goal: Float[Array, " n"]) -> Trajectory:
-        """Fly from start to goal.
+    def solve(self, start: Float[Array, " n"], target: Float[Array, " n"]) -> Trajectory:
+        """Solve one transfer.
 
         Raises:
-            Infeasible: The goal is out of reach in this time.
-            Unsolved: Neither could be proven.
+            Infeasible: The target is unreachable in this time.
+            Unsolved: Neither a trajectory nor its infeasibility can be certified.
         """
-        burns = self.solve_many(start[None], goal[None])
-        if np.isinf(burns.fuel[0]):
-            raise Infeasible(self.transfer, "the dual grows without bound: out of reach")
-        if np.isnan(burns.fuel[0]):
-            raise Unsolved(self.transfer, "neither a flight nor that there is none can be proven")
-        return self.transfer.simulate(start, burns.u[0])
+        found = self.solve_many(start[None], target[None])
+        if np.isinf(found.fuel[0]):
+            raise Infeasible(self.transfer, "the dual grows without bound: unreachable")
+        if np.isnan(found.fuel[0]):
+            raise Unsolved(self.transfer, "neither trajectory nor infeasibility is certified")
+        return self.transfer.simulate(start, found.u[0])
 
     def solve_many(
         self,
         start: Float[Array, "pairs n"],
-        goal: Float[Array, "pairs n"],
+        target: Float[Array, "pairs n"],
         batch_starts: Int[Array, " fences"] | None = None,
     ) -> MinimumFuelSolutions:
-        """What many flights take; fuel is NaN where neither it nor the contrary can be proven.
+        """Solve many transfers; fuel is NaN where neither it nor infeasibility is certified.
 
         Args:
-            start: Where each begins.
-            goal: Where each ends.
-            first: The pair with which each lot begins, and at the end how many there are.
-                Answers do not depend on the pairs of other lots, not even in the last bit.
+            start: Initial states.
+            target: Terminal states.
+            batch_starts: First pair of each batch, and at the end the number of pairs; all are
+                one batch where it is None. Solutions do not depend on the pairs of other
+                batches, not even in the last bit.
         """
         transfer, U = self.transfer, self.transfer.max_control
         T, _, m = transfer.model.B.shape
         pairs, free = len(start), transfer.coast(start)
-        white, missed = self._orthonormal.transform(goal - free[:, T], U)
+        transformed, unreachable = self._orthonormal.transform(target - free[:, T], U)
         found = solve_batches(
             self._program,
-            white / U,
+            transformed / U,
             np.ascontiguousarray(free[:, 1:T, m:]) / transfer.max_speed,
             np.array([0, pairs]) if batch_starts is None else batch_starts,
             MAX_PIVOTS,
         )
         u = U * found.x.reshape(pairs, T, m)
         bound = transfer.model.dt * U * found.dual_bound / (1 + MIN_TIE_BREAK_RISE)
-        u[missed], bound[missed] = np.nan, np.inf
-        for q in np.setdiff1d(np.flatnonzero(found.status == UNCERTIFIED), missed):
-            u[q], bound[q] = self._solve_with_clarabel(start[q], goal[q])
+        u[unreachable], bound[unreachable] = np.nan, np.inf
+        for q in np.setdiff1d(np.flatnonzero(found.status == UNCERTIFIED), unreachable):
+            u[q], bound[q] = self._solve_with_clarabel(start[q], target[q])
         fuel = transfer.model.dt * np.abs(u).sum(axis=(1, 2))
         fuel[np.isinf(bound)] = np.inf
         return MinimumFuelSolutions(u, fuel, bound)
 
     def _solve_with_clarabel(
-        self, start: Float[Array, " n"], goal: Float[Array, " n"]
+        self, start: Float[Array, " n"], target: Float[Array, " n"]
     ) -> tuple[Float[Array, "T m"] | float, float]:
         try:
-            flight = self._fallback.solve(start, goal)
+            found = self._fallback.solve(start, target)
         except Infeasible:
             return np.nan, np.inf
         except Unsolved:
             return np.nan, np.nan
-        return flight.u, flight.fuel
+        return found.u, found.fuel
 
     @cached_property
     def _fallback(self) -> SparseTransferSolver:
@@ -111,11 +111,7 @@ class SpeedLimitedSolver:
     def _program(self) -> TransferProgram:
         transfer = self.transfer
         T, _, m = transfer.model.B.shape
-        weight = (
-            transfer.weights
-            if transfer.tie_break_rise >= MIN_TIE_BREAK_RISE
-            else tie_break_weights(T, MIN_TIE_BREAK_RISE)
-        )
-        per = transfer.max_control / transfer.max_speed
-        push = np.ascontiguousarray(transfer.response_matrices[0][1:T, m:]) * per
-        return TransferProgram(self._orthonormal.rows, np.repeat(weight, m), push)
+        weight = tie_break_weights(T, max(transfer.tie_break_rise, MIN_TIE_BREAK_RISE))
+        scale = transfer.max_control / transfer.max_speed
+        response = np.ascontiguousarray(transfer.response_matrices[0][1:T, m:]) * scale
+        return TransferProgram(self._orthonormal.rows, np.repeat(weight, m), response)

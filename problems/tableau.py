@@ -1,9 +1,9 @@
-"""What the dual simplex method works on: rows that may be added, and a basis, compiled.
+"""Tableau of the dual simplex method: rows, to which more may be added, and a basis, compiled.
 
-    minimise  Σ_j w_j |x_j|   subject to  a_iᵀx = b_i  in the first rows,
+    minimize  Σ_j w_j |x_j|   subject to  a_iᵀx = b_i  in the first rows,
                                           a_iᵀx ≤ b_i  in those added later,  |x_j| ≤ 1
 
-A column below the number of controls is a control, others are the slacks of added rows.
+Columns below the number of controls are controls, the others slacks of added rows.
 """
 
 from typing import NamedTuple, no_type_check
@@ -12,27 +12,27 @@ import numba
 import numpy as np
 from numpy import ndarray as Array
 
-SINGULAR_PIVOT = 1e-14  # a pivot, of rows of length one, with which a basis is none
+SINGULAR_PIVOT = 1e-14  # largest pivot, for rows of norm 1, of a singular basis
 
 
 class Tableau(NamedTuple):
-    """What one programme is worked on with; all fields are changed in place."""
+    """Working data of one program; all fields are changed in entries."""
 
-    rows: Array  # a_i, one after the other; there is room for more
-    row_end: Array  # of each row, the controls from which on it is zero
+    rows: Array  # a_i, with room for more
+    row_end: Array  # first control from which on each row is zero
     b: Array
     row_count: Array  # [rows in use]
-    needs_refactorization: Array  # [whether to compute everything anew before going on]
+    needs_refactorization: Array  # [True before the next step]
     w: Array
-    basis: Array  # the column in each place
+    basis: Array  # column at each position
     basic_sign: Array  # of the basic controls
-    is_slack_basic: Array  # whether the slack of a row is basic
-    basis_inverse: Array  # of the basis, transposed: places are along the second axis
+    is_slack_basic: Array  # of each row
+    basis_inverse: Array  # transposed: positions are along the second axis
     λ: Array
     v: Array  # Σ_i λ_i a_i
-    nonbasic_value: Array  # of the controls that are not basic: −1, 0 or 1
-    residual: Array  # b less what those controls use of it
-    basic_value: Array  # what is in each place
+    nonbasic_value: Array  # of the other controls: −1, 0 or 1
+    residual: Array  # b minus the contribution of the nonbasic controls
+    basic_value: Array  # at each position
     α: Array  # the other fields are scratch
     ρ: Array
     pivot_column: Array
@@ -44,15 +44,15 @@ class Tableau(NamedTuple):
 @numba.njit(error_model="numpy")
 @no_type_check
 def copy_prefix(into, source, count):
-    """The first so many numbers; assigning a slice takes a hundred times as long to compile."""
+    """Copy the first numbers; assigning a slice takes a hundred times as long to compile."""
     for i in range(count):
         into[i] = source[i]
 
 
-@numba.njit(error_model="numpy", fastmath={"reassoc"})  # any order: several terms at a time
+@numba.njit(error_model="numpy", fastmath={"reassoc"})  # lets the compiler vectorize the sum
 @no_type_check
 def dot_prefix(a, b, count):
-    """Σ_j a_j b_j over the first so many."""
+    """Compute Σ_j a_j b_j over the first numbers."""
     total = 0.0
     for j in range(count):
         total += a[j] * b[j]
@@ -62,7 +62,7 @@ def dot_prefix(a, b, count):
 @numba.njit(error_model="numpy")
 @no_type_check
 def allocate_tableau(first, w, room):
-    """An empty desk for equations with given coefficients, with room for more rows."""
+    """Allocate a tableau for equations, with room for more rows."""
     m, n = first.shape
     size = m + room
     rows, inverse, lines = np.zeros((size, n)), np.empty((size, size)), np.zeros((7, size))
@@ -98,7 +98,7 @@ def allocate_tableau(first, w, room):
 @numba.njit(error_model="numpy")
 @no_type_check
 def initial_basis(rows):
-    """Greedy: each column is the one that reaches furthest out of the span of those before."""
+    """Choose columns greedily, each the farthest from the span of those before."""
     m, n = rows.shape
     rest = rows.T.copy()
     basis = np.empty(m, np.int64)
@@ -124,7 +124,7 @@ def initial_basis(rows):
 @numba.njit(error_model="numpy")
 @no_type_check
 def refactorize(d):
-    """Everything anew from rows, basis and signs; False where that is no basis."""
+    """Recompute the tableau from rows, basis and signs; False where the basis is singular."""
     M, n, rows, inverse, basis, sign = (
         d.row_count[0],
         len(d.w),
@@ -137,7 +137,7 @@ def refactorize(d):
         for i in range(M):
             inverse[a, i] = 1.0 if a == i else 0.0
     for i in range(M):
-        # Columns enter one by one where they pivot best: the inverse, by Gauss and Jordan.
+        # Gauss–Jordan inversion, with the column of largest pivot next.
         best, size = i, -1.0
         for k in range(i, M):
             j, along = basis[k], 0.0
@@ -153,10 +153,10 @@ def refactorize(d):
         basis[i], basis[best] = basis[best], basis[i]
         sign[i], sign[best] = sign[best], sign[i]
         pivot(d, basis[i], i)
-    w, v, λ, state, loose = d.w, d.v, d.λ, d.nonbasic_value, d.is_slack_basic
+    w, v, λ, state, is_slack_basic = d.w, d.v, d.λ, d.nonbasic_value, d.is_slack_basic
     v[:] = 0.0
     for a in range(M):
-        λ[a], loose[a] = 0.0, False
+        λ[a], is_slack_basic[a] = 0.0, False
         for i in range(M):
             if basis[i] < n:
                 λ[a] += sign[i] * w[basis[i]] * inverse[a, i]
@@ -168,7 +168,7 @@ def refactorize(d):
         if basis[i] < n:
             state[basis[i]] = 0.0
         else:
-            loose[basis[i] - n] = True
+            is_slack_basic[basis[i] - n] = True
     for a in range(M):
         d.residual[a] = d.b[a] - dot_prefix(rows[a], state, d.row_end[a])
     d.needs_refactorization[0] = False
@@ -178,7 +178,7 @@ def refactorize(d):
 @numba.njit(error_model="numpy")
 @no_type_check
 def add_row(d):
-    """Take into use the row that was written after the last one, a_iᵀx ≤ b_i."""
+    """Add the row a_iᵀx ≤ b_i that was written after the last one."""
     M, n = d.row_count[0], len(d.w)
     for a in range(M + 1):
         d.basis_inverse[a, M] = d.basis_inverse[M, a] = 0.0
@@ -196,7 +196,7 @@ def add_row(d):
 @numba.njit(error_model="numpy")
 @no_type_check
 def drop_row(d, row):
-    """Forget an added row whose slack is basic; the last row takes its number."""
+    """Drop an added row whose slack is basic; the last row takes its index."""
     M, n = d.row_count[0], len(d.w)
     end, out = M - 1, -1
     for i in range(M):
@@ -223,24 +223,24 @@ def drop_row(d, row):
 @numba.njit(error_model="numpy")
 @no_type_check
 def pivot(d, column, out):
-    """Let a column into a basis; how small the pivot is against its neighbours."""
-    M, rows, inverse, place = d.row_count[0], d.rows, d.basis_inverse, d.pivot_column
+    """Exchange a basic column; return the pivot relative to the largest entry of its column."""
+    M, rows, inverse, entries = d.row_count[0], d.rows, d.basis_inverse, d.pivot_column
     if column < len(d.w):
         for i in range(M):
-            place[i] = 0.0
+            entries[i] = 0.0
         for a in range(M):
             for i in range(M):
-                place[i] += inverse[a, i] * rows[a, column]
+                entries[i] += inverse[a, i] * rows[a, column]
     else:
-        copy_prefix(place, inverse[column - len(d.w)], M)
-    pivot, largest = place[out], 0.0
+        copy_prefix(entries, inverse[column - len(d.w)], M)
+    pivot, largest = entries[out], 0.0
     for i in range(M):
-        largest = max(largest, abs(place[i]))
-    place[out] = 0.0
+        largest = max(largest, abs(entries[i]))
+    entries[out] = 0.0
     for a in range(M):
         part = inverse[a, out] / pivot
         for i in range(M):
-            inverse[a, i] -= place[i] * part
+            inverse[a, i] -= entries[i] * part
         inverse[a, out] = part
     return abs(pivot) / largest
 
@@ -248,17 +248,17 @@ def pivot(d, column, out):
 @numba.njit(error_model="numpy")
 @no_type_check
 def set_nonbasic(d, j, new):
-    """Put a control that is not basic at another of −1, 0 and 1."""
-    change = new - d.nonbasic_value[j]
+    """Set a nonbasic control to another of −1, 0 and 1."""
+    step = new - d.nonbasic_value[j]
     for a in range(d.row_count[0]):
-        d.residual[a] -= change * d.rows[a, j]
+        d.residual[a] -= step * d.rows[a, j]
     d.nonbasic_value[j] = new
 
 
 @numba.njit(error_model="numpy")
 @no_type_check
 def extract_controls(d, x):
-    """The controls at this basis, within their bounds."""
+    """Write the controls of this basis, clipped to their bounds."""
     copy_prefix(x, d.nonbasic_value, len(x))
     for i in range(d.row_count[0]):
         if d.basis[i] < len(x):
