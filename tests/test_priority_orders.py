@@ -25,10 +25,9 @@ from dynamics import DoubleIntegrator, discretize_zoh
 from dynamics.trajectory_geometry import separations
 from sato.network.graph import CommunicationGraph
 from sato.network.rounds import flood
-from sato.reconfiguration.state import AgentMemory
 from sato.reconfiguration.mission import Leg, Reconfiguration
-from sato.reconfiguration.state import DecisionContext
 from sato.reconfiguration.planning import NO_PLANS, plan_trajectories
+from sato.reconfiguration.state import AgentMemory, DecisionContext
 from sato.scp.exchange import run_batched, run_by_messages, run_scp
 from sato.scp.priority_orders import (
     PriorityCost,
