@@ -1,4 +1,4 @@
-"""Planning for swarms of vehicles: who goes where, and how to get there.
+"""Planning for swarms of vehicles: assignment, trajectories, formation, connectivity.
 
     import sato
 
@@ -6,39 +6,56 @@
     print(run.summary["reached"], run.check().kept)
     run.save("runs/uiuc-1")
 
-What takes long to import is imported when it is asked for.
+Names are imported when they are first used, for some take long.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sato.former import ScenarioError, ScenarioFile, names, parse, read
-    from sato.record import Run, RunFileError, load
-    from sato.simulate import run
+    from dynamics import DoubleIntegrator
+    from sato.reconfiguration.mission import Join, Leg, Loss, Reconfiguration
+    from sato.record import RunFileError
+    from sato.runs import Run, load, run, simulate
+    from sato.scenario.errors import InputError, ScenarioError
+    from sato.scenario.file import from_dict, parse, read, scenarios
 
-_LAZY_IMPORTS = {
-    "run": "sato.simulate",
-    "Run": "sato.record",
+_MODULES = {
+    "DoubleIntegrator": "dynamics",
+    "InputError": "sato.scenario.errors",
+    "Join": "sato.reconfiguration.mission",
+    "Leg": "sato.reconfiguration.mission",
+    "Loss": "sato.reconfiguration.mission",
+    "Reconfiguration": "sato.reconfiguration.mission",
+    "Run": "sato.runs",
     "RunFileError": "sato.record",
-    "load": "sato.record",
-    "ScenarioError": "sato.former",
-    "ScenarioFile": "sato.former",
+    "ScenarioError": "sato.scenario.errors",
+    "from_dict": "sato.scenario.file",
+    "load": "sato.runs",
     "parse": "sato.former",
     "read": "sato.former",
-    "names": "sato.former",
+    "run": "sato.runs",
+    "scenarios": "sato.scenario.file",
+    "simulate": "sato.runs",
 }
 
 __all__ = [
+    "DoubleIntegrator",
+    "InputError",
+    "Join",
+    "Leg",
+    "Loss",
+    "Reconfiguration",
     "Run",
     "RunFileError",
     "ScenarioError",
-    "ScenarioFile",
+    "from_dict",
     "load",
-    "names",
     "parse",
     "read",
     "run",
+    "scenarios",
+    "simulate",
 ]
 
 
@@ -47,10 +64,10 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("sato-swarm")
-    if name in _LAZY_IMPORTS:
-        return getattr(import_module(_LAZY_IMPORTS[name]), name)
+    if name in _MODULES:
+        return getattr(import_module(_MODULES[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_LAZY_IMPORTS, "__version__"])
+    return [*__all__, "__version__"]

@@ -1,8 +1,6 @@
 """Gains for a formation from the command line: what is asked, what is certified, what is kept."""
 
-import os
 import sys
-import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +14,9 @@ from rich.table import Table
 from problems.desired_formation import DesiredFormation
 from problems.gain_design import GainMatrix, GainMethod, design_gains
 from problems.rigidity import Dimension, is_globally_rigid, is_redundantly_rigid, is_rigid
+from sato.atomic import replace_atomically
 from sato.console import spinner
+from sato.scenario.errors import InputError
 from sato.shapes.formation_library import formation_names, load_formation, read_formation
 from sato.shapes.graphs import read_graph
 
@@ -70,24 +70,17 @@ def design_and_save(shape: DesiredFormation, method: str, out: Path) -> None:
         NoStabilisingGain: The formation cannot have any.
     """
     if method not in METHODS:
-        raise ValueError(f'--method takes one of {", ".join(METHODS)}, not "{method}"')
+        raise InputError("", f'--method takes one of {", ".join(METHODS)}, not "{method}"')
     began = perf_counter()
     with spinner("designing the gains"):
         gains = design_gains(shape, METHODS[method])
     took = perf_counter() - began
-    _save_atomically(gains, out)
+    with replace_atomically(out) as file:
+        gains.save(file)
     with spinner("asking for rigidity"):
         rigidity = [_rigidity_label(shape, dimension) for dimension in (2, 3)]
     _print_report(gains, took, rigidity)
     print(out)
-
-
-def _save_atomically(gains: GainMatrix, out: Path) -> None:
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=".saving-", dir=out.parent) as workshop:
-        whole = Path(workshop, "gains.npz")
-        gains.save(whole)
-        os.replace(whole, out)
 
 
 def _print_report(gains: GainMatrix, took: float, rigidity: list[str]) -> None:

@@ -131,7 +131,9 @@ class System(Generic[MissionT, FrameT]):
     simulate: Callable[
         [MissionT, np.random.Generator], Iterator[FrameT]
     ]  # a frame an instant; all random numbers from the generator
-    attributes: Callable[[MissionT], dict[str, float]]  # radii, limits and constants of a run
+    attributes: Callable[
+        [MissionT], Mapping[str, float | str]
+    ]  # radii, limits and constants of a run
     check: Callable[
         ["xarray.Dataset", MissionT, np.random.Generator], Report
     ]  # generator as `draw` left it
@@ -140,6 +142,7 @@ class System(Generic[MissionT, FrameT]):
     animation: "Callable[[xarray.Dataset, MissionT], Animation] | None" = None
     run_variables: type | None = None  # named tuple with `Recorded` fields: variables of a run
     collect: Callable[[Sequence[FrameT], MissionT], Any] | None = None  # their values
+    promises: tuple[str, ...] = ()  # names of what `check` recomputes, for runs without a mission
     stop_errors: tuple[type[Exception], ...] = ()  # may end a flight early without being a fault
 
 

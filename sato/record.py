@@ -1,26 +1,22 @@
-"""What a run leaves behind: frames, stacked, in one file that explains itself."""
+"""Run files: frames stacked to a dataset, and a dataset written and read as netCDF-4."""
 
 import hashlib
 import json
-import os
-import tempfile
-from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_type_hints
 
 import numpy as np
 from numpy import ndarray as Array
 
+from sato.atomic import replace_atomically
+from sato.check.report import finite_or_none
 from sato.interfaces import Frame, FrameT, MissionT, Recorded, System
 from sato.scenario.errors import InputError
 from sato.systems import load_system
 
-if TYPE_CHECKING:  # xarray takes a second to load
+if TYPE_CHECKING:  # slow to import
     import xarray
-
-    import sato.check
 
 RUN_FILE, SUMMARY_FILE = "run.nc", "summary.json"
 AXIS_NAMES = ("x", "y", "z")
@@ -39,152 +35,135 @@ class RunFileError(ValueError):
     """A run file that cannot be read; the message names the file."""
 
 
-@dataclass(frozen=True, eq=False)
-class Run:
-    """A run: everything that happened, and what is said of it."""
+def build_dataset(
+    system: System[MissionT, FrameT],
+    frames: Sequence[FrameT],
+    mission: MissionT,
+    *,
+    scenario: str,
+    name: str,
+    seed: int,
+    version: str,
+    wall_s: float,
+    peak_memory_mib: float,
+    stopped: str = "",
+) -> "xarray.Dataset":
+    """Collect the dataset of a run from its frames.
 
-    data: "xarray.Dataset"
-    summary: dict[str, Any]
+    Args:
+        system: System of the frames.
+        frames: One an instant, in the order of time; at least one.
+        mission: Mission that was flown, drawn.
+        scenario: Scenario file of the mission, from which the run can be repeated.
+        name: Name of the scenario.
+        seed: Random seed.
+        version: Version of this library.
+        wall_s: Time that the simulation took [s].
+        peak_memory_mib: Most memory that it took [MiB].
+        stopped: Reason why the flight ended early; empty where it did not.
+    """
+    import xarray
 
-    @classmethod
-    def from_frames(
-        cls,
-        system: System[MissionT, FrameT],
-        frames: Iterable[FrameT],
-        mission: MissionT,
-        scenario_text: str,
-        *,
-        name: str,
-        seed: int,
-        version: str,
-        wall_s: float,
-        peak_memory_mib: float,
-        stopped: str = "",
-    ) -> "Run":
-        """Collect a run from the frames of a system.
-
-        Args:
-            system: Whose frames they are, and what they mean.
-            frames: One a control instant, in the order of time; at least one.
-            mission: What was flown.
-            scenario_text: The whole scenario as TOML, so that the run can be repeated.
-            name: Name of the scenario.
-            seed: Seed of everything that was drawn.
-            version: Version of this library.
-            wall_s: How long the flight took to compute [s].
-            peak_memory_mib: The most memory that it took [MiB].
-            stopped: Why the flight ended before it was over; empty where it did not.
-        """
-        frames = list(frames)
-        if not frames:
-            raise ValueError("a run needs at least one frame")
-        about = {
-            "format": FORMAT,
-            "system": system.name,
-            "name": name,
-            "seed": seed,
-            "version": version,
-            "wall_s": float(wall_s),
-            "peak_memory_mib": float(peak_memory_mib),
-        }
-        about |= {"scenario": scenario_text, "complete": int(not stopped)}
-        about |= system.attributes(mission)
-        if stopped:
-            about["stopped"] = stopped
-        data = _build_dataset(system, frames, mission, about)
-        data.attrs["digest"] = compute_digest(data)
-        return cls(data, initial_summary(data.attrs))
-
-    def save(self, folder: str | Path) -> Path:
-        """Write run.nc and summary.json, each whole or not at all; returns the folder."""
-        folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
-        packed = {
-            name: {"zlib": True} for name, v in self.data.variables.items() if _is_compressible(v)
-        }
-        words = json.dumps(self.summary, indent=2, default=json_default, allow_nan=False) + "\n"
-        with tempfile.TemporaryDirectory(prefix=".saving-", dir=folder) as workshop:
-            run, summary = Path(workshop, RUN_FILE), Path(workshop, SUMMARY_FILE)
-            self.data.to_netcdf(run, engine="h5netcdf", encoding=packed)
-            summary.write_text(words, encoding="utf-8")
-            os.replace(run, folder / RUN_FILE)
-            os.replace(summary, folder / SUMMARY_FILE)
-        return folder
-
-    def check(self) -> "sato.check.Report":
-        """Judge the run by recomputing what it promises."""
-        from sato.verify import verify_run
-
-        return verify_run(self)
-
-    def plot(self, folder: str | Path) -> list[Path]:
-        """Draw the run's figures into a folder; returns their paths."""
-        from sato.figures import plot
-
-        return plot(self, Path(folder))
-
-    def export(self, path: str | Path, format: str = "oem") -> Path:
-        """Write the trajectories for other tools, see `sato.export`."""
-        from sato.export import export
-
-        return export(self, path, format)
-
-    def events(self, *kinds: str) -> list[dict[str, Any]]:
-        """Everything that happened, in the order of time; of the given kinds only, if any."""
-        heard = [json.loads(str(e)) for e in self.data["event"].values]
-        return [e for e in heard if not kinds or e["kind"] in kinds]
+    if not frames:
+        raise ValueError("a run needs at least one frame")
+    attributes = {
+        "format": FORMAT,
+        "system": system.name,
+        "name": name,
+        "seed": seed,
+        "version": version,
+        "wall_s": float(wall_s),
+        "peak_memory_mib": float(peak_memory_mib),
+        "scenario": scenario,
+        "complete": int(not stopped),
+        **({"stopped": stopped} if stopped else {}),
+        **system.attributes(mission),
+    }
+    variables = stack(frames)
+    if system.collect is not None:
+        variables |= write_variables(system.collect(frames, mission))
+    events = [
+        json.dumps({"time": float(frame.time), **event}, default=json_default)
+        for frame in frames
+        for event in frame.events
+    ]
+    axes = np.array(AXIS_NAMES[: frames[0].position.shape[1]])
+    variables |= {
+        "control_instant": _variable(("time",), np.ones(len(frames), dtype=bool), _CONTROL_INSTANT),
+        "event": _variable(("event",), np.array(events, dtype=object), _EVENT),
+        "axis": _variable(("axis",), axes, _AXIS),
+    }
+    data = xarray.Dataset(variables, attrs=attributes)
+    data.attrs["digest"] = compute_digest(data)
+    return data
 
 
-def load(path: str | Path) -> Run:
-    """Read a run from its folder, or from the run file itself.
+def save(data: "xarray.Dataset", summary: Mapping[str, Any], folder: Path) -> None:
+    """Write run.nc and summary.json, each whole or not at all."""
+    packed = {name: {"zlib": True} for name, v in data.variables.items() if _is_compressible(v)}
+    plain = json.loads(json.dumps(summary, default=json_default))
+    text = json.dumps(finite_or_none(plain), indent=2, allow_nan=False) + "\n"
+    with (
+        replace_atomically(folder / SUMMARY_FILE) as summary_file,
+        replace_atomically(folder / RUN_FILE) as run_file,
+    ):
+        data.to_netcdf(run_file, engine="h5netcdf", encoding=packed)
+        summary_file.write_text(text, encoding="utf-8")
+
+
+def load(path: Path) -> tuple["xarray.Dataset", dict[str, Any]]:
+    """Read the dataset and the summary of a run from its folder, or from the run file itself.
+
+    A file of another name than run.nc has no summary beside it, for that may be another run's.
 
     Raises:
         RunFileError: The file is missing, damaged, or not a run.
     """
     import xarray
 
-    path = Path(path)
     file = path / RUN_FILE if path.is_dir() else path
     if not file.is_file():
         raise RunFileError(f"{file}: there is no such run file; `sato run` writes one")
     try:
         data = xarray.load_dataset(file, engine="h5netcdf")
-    except Exception as error:  # a damaged file makes h5py raise whatever it stumbles over
+    except Exception as error:  # a damaged file makes h5py raise errors of many kinds
         raise RunFileError(
             f"{file}: cannot be read as netCDF-4, so it is damaged, cut short or something else; "
             "fly the scenario again"
         ) from error
     _check_format(file, data)
-    return Run(data, _read_summary(file.with_name(SUMMARY_FILE)) or initial_summary(data.attrs))
+    beside = file.with_name(SUMMARY_FILE)
+    found = _read_summary(beside) if file.name == RUN_FILE and beside.is_file() else {}
+    return data, found or initial_summary(data.attrs)
 
 
 def compute_digest(data: "xarray.Dataset") -> str:
-    """SHA-256 of all that a run says but what it took to compute: the same of the same flight."""
-    said = hashlib.sha256()
-    about = {str(k): v for k, v in data.attrs.items() if k not in _NOT_IN_DIGEST}
-    said.update(json.dumps(about, sort_keys=True, default=json_default).encode())
+    """Compute SHA-256 of a dataset, without the time and memory that the flight took."""
+    digest = hashlib.sha256()
+    attributes = {str(k): v for k, v in data.attrs.items() if k not in _NOT_IN_DIGEST}
+    digest.update(json.dumps(attributes, sort_keys=True, default=json_default).encode())
     for name in sorted(map(str, data.variables)):
         values = np.asarray(data.variables[name].values)
-        said.update(f"{name} {values.shape}".encode())
+        digest.update(f"{name} {values.shape}".encode())
         if values.dtype.kind in "biuf":
-            said.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
+            digest.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
         else:
-            said.update("\0".join(map(str, values.ravel())).encode())
-    return said.hexdigest()
+            digest.update("\0".join(map(str, values.ravel())).encode())
+    return digest.hexdigest()
 
 
 def initial_summary(attributes: Mapping[Any, Any]) -> dict[str, Any]:
-    """What a summary says before the run is judged."""
-    words = {"system": attributes["system"], "scenario": attributes["name"]}
+    """Begin the summary of a run that is not checked yet."""
+    summary = {"system": attributes["system"], "scenario": attributes["name"]}
     for name in ("seed", "version", "wall_s", "peak_memory_mib", "stopped"):
-        with suppress(KeyError):
+        if name in attributes:
             value = attributes[name]
-            words[name] = value.item() if isinstance(value, np.generic) else value
-    return words
+            summary[name] = value.item() if isinstance(value, np.generic) else value
+    return summary
 
 
 def json_default(value: object) -> object:
-    """What JSON cannot write by itself: NumPy's arrays and scalars."""
+    """Convert NumPy arrays and scalars for JSON."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     raise TypeError(f"cannot write {type(value).__name__} as JSON")
@@ -273,34 +252,6 @@ def _cast(values: Array, hint: Any) -> Array:
     return np.asarray(values)
 
 
-def _build_dataset(
-    system: System[MissionT, FrameT],
-    frames: Sequence[FrameT],
-    mission: MissionT,
-    attributes: dict[str, Any],
-) -> "xarray.Dataset":
-    import xarray
-
-    variables = stack(frames)
-    if system.collect is not None:
-        variables |= write_variables(system.collect(frames, mission))
-    events = [
-        json.dumps({"time": float(frame.time), **event}, default=json_default)
-        for frame in frames
-        for event in frame.events
-    ]
-    instants, axes = (
-        np.ones(len(frames), dtype=bool),
-        np.array(AXIS_NAMES[: frames[0].position.shape[1]]),
-    )
-    variables |= {
-        "control_instant": _variable(("time",), instants, _CONTROL_INSTANT),
-        "event": _variable(("event",), np.array(events, dtype=object), _EVENT),
-        "axis": _variable(("axis",), axes, _AXIS),
-    }
-    return xarray.Dataset(variables, attrs=attributes)
-
-
 def _check_format(file: Path, data: "xarray.Dataset") -> None:
     lacking = [name for name in ("time", "position", "event") if name not in data.variables]
     lacking += [name for name in _REQUIRED_ATTRIBUTES if name not in data.attrs]
@@ -338,13 +289,11 @@ def _is_compressible(variable: "xarray.Variable") -> bool:
 
 
 def _read_summary(file: Path) -> dict[str, Any]:
-    if not file.is_file():
-        return {}
     try:
-        said = json.loads(file.read_text(encoding="utf-8"))
-        if not isinstance(said, dict):
+        summary = json.loads(file.read_text(encoding="utf-8"))
+        if not isinstance(summary, dict):
             raise ValueError("not a table")
-        return said
+        return summary
     except (ValueError, OSError) as error:
         raise RunFileError(
             f"{file}: is not readable JSON; delete it, the run file beside it is enough"

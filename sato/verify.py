@@ -1,79 +1,110 @@
-"""Judges a run by what its data say."""
+"""Verification of a run: everything that its file and its summary say, recomputed."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from math import isclose
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sato.check import common
+from sato.check.event_log import EventLog
 from sato.check.promise import Promise, expect_none
 from sato.check.report import Report
-from sato.former import parse
-from sato.record import Run, RunFileError, compute_digest, initial_summary
+from sato.record import RunFileError, compute_digest, initial_summary
 from sato.systems import load_system
 
 if TYPE_CHECKING:
     import xarray
 
 
-def verify_run(run: "Run | xarray.Dataset") -> Report:
-    """Judge a run by what its data say; the scenario is rebuilt from its own text."""
-    data = run.data if isinstance(run, Run) else run
-    mission, rng = _rebuild_with_rng(data)
-    unaltered = data.attrs.get("digest") == compute_digest(data)
+def verify_run(
+    data: "xarray.Dataset", mission: Any | None, summary: Mapping[str, Any] | None = None
+) -> Report:
+    """Check a run by recomputing what its data and its summary say.
+
+    Args:
+        data: Dataset of the run.
+        mission: Mission of the run, not drawn; without it, only what needs no mission is
+            recomputed, and the report lists the rest as skipped.
+        summary: Summary to be checked too, if there is one.
+
+    Raises:
+        RunFileError: The file was altered so that nothing can be recomputed.
+    """
+    is_unaltered = data.attrs.get("digest") == compute_digest(data)
     try:
-        found = load_system(str(data.attrs["system"])).check(data, mission, rng)
+        found = _check_common(data) if mission is None else _check_mission(data, mission)
     except (LookupError, TypeError, ValueError, RuntimeError) as error:
-        if unaltered:
+        if is_unaltered:
             raise
         raise RunFileError(
             "the run file was altered since it was written, and no longer makes sense "
             f"({type(error).__name__}: {error}); fly the scenario again"
         ) from error
-    first = expect_none("unaltered", not unaltered, "alteration of the file since it was written")
+    first = expect_none(
+        "unaltered", not is_unaltered, "alteration of the file since it was written"
+    )
     report = replace(found, promises=(first, *found.promises))
-    if not isinstance(run, Run):
+    if summary is None or mission is None:
         return report
-    return replace(report, promises=(*report.promises, _check_summary(run, report, unaltered)))
+    last = _check_summary(data, summary, report, is_unaltered)
+    return replace(report, promises=(*report.promises, last))
 
 
-def rebuild_mission(data: "xarray.Dataset") -> Any:
-    """The mission that a run flew, from its own scenario text and seed."""
-    return _rebuild_with_rng(data)[0]
-
-
-def _rebuild_with_rng(data: "xarray.Dataset") -> tuple[Any, np.random.Generator]:
+def _check_mission(data: "xarray.Dataset", mission: Any) -> Report:
     rng = np.random.default_rng(int(data.attrs["seed"]))
-    return parse(str(data.attrs["scenario"])).build(rng), rng
+    drawn = mission.build(rng)
+    return load_system(data.attrs["system"]).check(data, drawn, rng)
 
 
-def _check_summary(run: Run, report: Report, unaltered: bool) -> Promise:
-    """What the summary says is what was found; a run not yet judged has said little."""
-    found = initial_summary(run.data.attrs) | report.summary
-    found["broken"] = [p.name for p in report.broken]
-    said = run.summary
-    if not unaltered:
-        said = {k: v for k, v in said.items() if k != "broken"}  # other than it was, of course
-    wrong = [name for name in said if name not in found or _values_differ(said[name], found[name])]
-    text = "entries of summary.json that are not what was found"
+def _check_common(data: "xarray.Dataset") -> Report:
+    names = load_system(data.attrs["system"]).promises
+    alive = np.asarray(data["alive"], dtype=bool)
+    position, velocity = (np.asarray(data[n], dtype=float) for n in ("position", "velocity"))
+    promises = [
+        common.check_finite(alive, position, velocity),
+        common.check_alive(alive, EventLog.from_dataset(data)),
+    ]
+    if "comm_radius_m" in data.attrs:
+        labels, radius = np.asarray(data["component"]), float(data.attrs["comm_radius_m"])
+        promises.append(common.check_components(position, alive, labels, radius))
+    done = {promise.name for promise in promises}
+    skipped = tuple(name for name in (*names, "summary") if name not in done)
+    return Report(tuple(promises), common.common_summary(data.attrs, alive), skipped)
+
+
+def _check_summary(
+    data: "xarray.Dataset", summary: Mapping[str, Any], report: Report, is_unaltered: bool
+) -> Promise:
+    # The summary of a run that is not checked yet has few entries.
+    expected = initial_summary(data.attrs) | report.summary
+    expected["broken"] = [promise.name for promise in report.broken]
+    compared = set(summary) if is_unaltered else set(summary) - {"broken"}
+    wrong = [
+        name
+        for name in summary
+        if name in compared and (name not in expected or _differs(summary[name], expected[name]))
+    ]
+    text = "entries of summary.json that differ from the data"
     if wrong:
         text += f": {', '.join(wrong)}"
     return expect_none("summary", len(wrong), text)
 
 
-def _values_differ(said: Any, found: Any) -> bool:
-    if isinstance(found, dict):
+def _differs(value: Any, expected: Any) -> bool:
+    if isinstance(expected, dict):
         return (
-            not isinstance(said, dict)
-            or said.keys() != found.keys()
-            or any(_values_differ(said[name], value) for name, value in found.items())
+            not isinstance(value, dict)
+            or value.keys() != expected.keys()
+            or any(_differs(value[name], part) for name, part in expected.items())
         )
-    if isinstance(found, list):
+    if isinstance(expected, list):
         return (
-            not isinstance(said, list)
-            or len(said) != len(found)
-            or any(map(_values_differ, said, found))
+            not isinstance(value, list)
+            or len(value) != len(expected)
+            or any(map(_differs, value, expected))
         )
-    if isinstance(found, float) and isinstance(said, int | float):
-        return not isclose(said, found, rel_tol=1e-6, abs_tol=1e-9)
-    return bool(said != found)
+    if isinstance(expected, float) and isinstance(value, int | float):
+        return not isclose(value, expected, rel_tol=1e-6, abs_tol=1e-9)
+    return bool(value != expected)

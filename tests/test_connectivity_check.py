@@ -6,12 +6,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from recorded_run import record_run
 
 from sato.connectivity import simulate
 from sato.connectivity.check import ConnectivityRecord, check_run
 from sato.connectivity.distance import min_separation
 from sato.connectivity.system import SYSTEM, describe_progress
-from sato.record import Run
 from sato.former import read
 
 QUADROTOR = 'plant={kind="quadrotor"}'
@@ -25,9 +25,8 @@ def flown(*settings, seed=1, **changed):
     return run_of(mission, simulate(mission, rng)), mission
 
 
-def run_of(mission, frames, **said):
-    about = {"name": "by hand", "seed": 3, "version": "0", "wall_s": 1.0, "peak_memory_mib": 1.0}
-    return Run.from_frames(SYSTEM, frames, mission, "", **(about | said))
+def run_of(mission, frames, **attributes):
+    return record_run(SYSTEM, frames, mission, **attributes)
 
 
 def broken(run, mission):

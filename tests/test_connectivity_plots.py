@@ -11,6 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
 from matplotlib.patches import Circle, Wedge
 from pictures import words_inside
+from recorded_run import record_run
 
 from problems.interaction_graph import interaction_graph
 from sato.connectivity import simulate
@@ -32,7 +33,6 @@ from sato.connectivity.potential import evaluate_potential, negative_slope, repu
 from sato.connectivity.system import SYSTEM
 from sato.figures.axes import AxisBounds
 from sato.figures.style import BLUE, GREEN, ORANGE, RED, STYLE
-from sato.record import Run
 from sato.former import read
 
 STICK = (
@@ -70,8 +70,7 @@ def recorded(mission, frames):
 
 
 def data_of(mission, frames):
-    made = {"name": "made up", "seed": 1, "version": "0", "wall_s": 0.0, "peak_memory_mib": 0.0}
-    return Run.from_frames(SYSTEM, frames, mission, "", **made).data
+    return record_run(SYSTEM, frames, mission).data
 
 
 def drawn(name, evidence):

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from recorded_run import record_run
 
 import sato
 from sato.formation import OperatorCommand, simulate
@@ -13,7 +14,6 @@ from sato.formation.check import FormationRecord, check_run
 from sato.formation.check.closest import find_closest_approach
 from sato.formation.system import SYSTEM
 from sato.formation.trial import evaluate_trial
-from sato.record import Run
 from sato.former import parse
 
 FIVE = """
@@ -45,9 +45,8 @@ def flown(*settings, seed=2, **changed):
     return run_of(mission, frames), mission, frames
 
 
-def run_of(mission, frames, **said):
-    about = {"name": "by hand", "seed": 3, "version": "0", "wall_s": 1.0, "peak_memory_mib": 1.0}
-    return Run.from_frames(SYSTEM, frames, mission, "", **(about | said))
+def run_of(mission, frames, **attributes):
+    return record_run(SYSTEM, frames, mission, **attributes)
 
 
 def broken(run, mission):

@@ -9,6 +9,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import EllipseCollection, LineCollection
 from pictures import words_inside
+from recorded_run import record_run
 from scipy.spatial.distance import pdist
 
 from problems.alignment import Pose
@@ -30,17 +31,13 @@ from sato.formation.figures.trajectories import SHOWN_TIME, VEHICLE_DIAMETER
 from sato.formation.shape_error import compute_shape_error
 from sato.formation.supervisor import Phase
 from sato.formation.system import SYSTEM
-from sato.record import Run
 from sato.shapes.formation_library import load_formation
 
 LINE = np.array([[3.0 * i, 0.0, 1.0] for i in range(6)])
 
 
 def recorded(mission, frames):
-    made = {"name": "made up", "seed": 0, "version": "0", "wall_s": 0.0, "peak_memory_mib": 0.0}
-    return FormationRecord.from_dataset(
-        Run.from_frames(SYSTEM, frames, mission, "", **made).data, mission
-    )
+    return FormationRecord.from_dataset(record_run(SYSTEM, frames, mission).data, mission)
 
 
 def three_legs():
@@ -112,10 +109,8 @@ def test_no_words_run_out_of_the_picture_or_over_one_another(evidence, name):
 
 def test_auctions_are_drawn_only_where_there_are_any():
     for mission in (three_legs(), flat()):
-        data = Run.from_frames(
-            SYSTEM, list(simulate(mission, np.random.default_rng(7)))[:3], mission, "",
-            name="made up", seed=0, version="0", wall_s=0.0, peak_memory_mib=0.0,
-        ).data  # fmt: skip
+        frames = list(simulate(mission, np.random.default_rng(7)))[:3]
+        data = record_run(SYSTEM, frames, mission).data
         auctions = mission.assignment.method != "none"
         assert set(make_figures(data, mission)) == set(ALL if auctions else FIGURES)
 

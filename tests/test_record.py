@@ -1,38 +1,40 @@
-"""The run file: what goes in comes out, whole or not at all."""
+"""Run files: written whole or not at all, and read back as they were."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-import sato.record
+import sato
 from dynamics import ClohessyWiltshire, DoubleIntegrator
 from dynamics.inertial import InertialPlant
 from dynamics.orbit import Orbit
 from dynamics.plant import LinearPlant
-from sato.reconfiguration.state import ReconfigurationFrame
 from sato.reconfiguration.mission import Leg, Reconfiguration
+from sato.reconfiguration.state import ReconfigurationFrame
 from sato.reconfiguration.system import SYSTEM
-from sato.record import Run, RunFileError, load
+from sato.record import RunFileError, build_dataset, initial_summary, json_default
+from sato.runs import Run, load
 
 
-def mission() -> Reconfiguration:
-    rest = np.zeros((3, 2))
-    return Reconfiguration(
-        linear_model=DoubleIntegrator(2),
-        initial_states=np.hstack([[[0.0, 0.0], [1.0, 0.0]], rest[:2]]),
-        alive=np.array([True, True]),
-        legs=(
-            Leg(np.hstack([[[0.0, 1.0], [1.0, 1.0]], rest[:2]]), steps=2),
-            Leg(np.hstack([[[0.0, 2.0], [1.0, 2.0], [2.0, 2.0]], rest]), steps=1),
+def mission(**changes: object) -> Reconfiguration:
+    values = {
+        "model": DoubleIntegrator(2),
+        "start": np.array([[0.0, 0.0], [1.0, 0.0]]),
+        "legs": (
+            Leg(np.array([[0.0, 1.0], [1.0, 1.0]]), steps=2),
+            Leg(np.array([[0.0, 2.0], [1.0, 2.0], [2.0, 2.0]]), steps=1, count=3),
         ),
-        step=1.0,
-        comm_radius=3.0,
-        collision_radius=0.5,
-        max_control=0.1,
-        max_speed=0.3,
-    )
+        "name": "tiny",
+        "step": 1.0,
+        "comm_radius": 4.0,
+        "collision_radius": 0.5,
+        "max_control": 5.0,
+        "max_speed": 3.0,
+        "horizon_steps": 1,
+        "allow_undetectable": True,
+    }
+    return Reconfiguration(**(values | changes))
 
 
 def frames(rng: np.random.Generator, measured: bool = False) -> list[ReconfigurationFrame]:
@@ -62,14 +64,17 @@ def frames(rng: np.random.Generator, measured: bool = False) -> list[Reconfigura
     ]
 
 
-def run_of(collected: list[ReconfigurationFrame], **said: object) -> Run:
+def run_of(
+    collected: list[ReconfigurationFrame], flown: Reconfiguration | None = None, **said: object
+) -> Run:
     about = {"name": "tiny", "seed": 7, "version": "0", "wall_s": 0.5, "peak_memory_mib": 9.0}
-    return Run.from_frames(
-        SYSTEM, collected, mission(), "system = 'reconfiguration'\n", **(about | said)
-    )
+    flown = flown or mission()
+    drawn = flown.draw(np.random.default_rng(7))
+    data = build_dataset(SYSTEM, collected, drawn, scenario=flown.to_toml(), **(about | said))
+    return Run(data, initial_summary(data.attrs), flown)
 
 
-def test_what_was_saved_is_what_is_loaded(rng, tmp_path):
+def test_loaded_run_equals_the_saved_one(rng, tmp_path):
     run = run_of(frames(rng, measured=True))
     run.save(tmp_path / "deep" / "down")
     again = load(tmp_path / "deep" / "down")
@@ -81,7 +86,7 @@ def test_what_was_saved_is_what_is_loaded(rng, tmp_path):
     ]
 
 
-def test_every_variable_says_its_unit_and_its_meaning(rng, tmp_path):
+def test_every_variable_has_a_unit_and_a_long_name(rng, tmp_path):
     run_of(frames(rng, measured=True)).save(tmp_path)
     data = load(tmp_path / "run.nc").data
     for name, variable in data.variables.items():
@@ -93,26 +98,26 @@ def test_every_variable_says_its_unit_and_its_meaning(rng, tmp_path):
     assert data["targets_believed"].dims == ("leg", "agent")
 
 
-def test_the_attributes_tell_how_to_repeat_the_run(rng, tmp_path):
+def test_attributes_hold_scenario_seed_and_limits(rng, tmp_path):
     run_of(frames(rng)).save(tmp_path)
     said = load(tmp_path).data.attrs
-    assert said["scenario"] == "system = 'reconfiguration'\n"
+    assert sato.parse(said["scenario"]) == mission()
     assert (said["system"], said["name"], said["seed"]) == ("reconfiguration", "tiny", 7)
-    assert (said["comm_radius_m"], said["collision_radius_m"]) == (3.0, 0.5)
-    assert (said["max_control_m_s2"], said["max_speed_m_s"]) == (0.1, 0.3)
+    assert (said["comm_radius_m"], said["collision_radius_m"]) == (4.0, 0.5)
+    assert (said["max_control_m_s2"], said["max_speed_m_s"]) == (5.0, 3.0)
 
 
-def test_nothing_is_commanded_from_the_last_instant_on(rng):
+def test_controls_of_the_last_instant_are_nan(rng):
     data = run_of(frames(rng)).data
     assert np.isnan(data["control"][-1]).all()
     assert np.isnan(data["applied_control"][-1]).all()
     assert np.isfinite(data["control"][:-1]).all()
 
 
-def test_short_legs_are_padded_and_beliefs_are_those_of_the_live_at_the_end(rng):
+def test_short_legs_are_padded_and_counts_are_of_live_agents(rng):
     data = run_of(frames(rng)).data
     assert np.isnan(data["target_position"][0, 2]).all()
-    np.testing.assert_array_equal(data["target_position"][1, 2], [2.0, 2.0])
+    assert np.isfinite(data["target_position"][1, 2]).all()
     np.testing.assert_array_equal(data["targets_believed"], [[2, 3], [3, -1]])
 
 
@@ -125,24 +130,24 @@ PLANTS = {
 
 
 def run_in_orbit(rng: np.random.Generator, plant: str) -> Run:
-    orbit = replace(
-        mission(),
-        linear_model=ClohessyWiltshire.from_orbit(ORBIT),
+    states = np.zeros((3, 6))
+    states[:, 0] = [0.0, 1.0, 2.0]
+    orbit = mission(
+        model=ClohessyWiltshire.from_orbit(ORBIT),
         plant=PLANTS[plant],
-        initial_states=np.zeros((2, 6)),
-        legs=(Leg(np.zeros((2, 6)), steps=2), Leg(np.zeros((2, 6)), steps=1)),
+        start=states[:2],
+        legs=(Leg(states[:2], steps=2), Leg(states, steps=1)),
+        margin=0.0,
     )
-    about = {"name": "o", "seed": 0, "version": "0", "wall_s": 0.0, "peak_memory_mib": 0.0}
     in_space = [
         f._replace(**{n: rng.normal(size=(2, 3)) for n in ("position", "velocity", "control")})
         for f in frames(rng)
     ]
-    in_space = [f._replace(applied_control=f.control) for f in in_space]
-    return Run.from_frames(SYSTEM, in_space, orbit, "", **about)
+    return run_of([f._replace(applied_control=f.control) for f in in_space], orbit)
 
 
 @pytest.mark.parametrize("plant", ["inertial", "model"])
-def test_in_orbit_the_chief_of_the_plant_is_on_file(rng, tmp_path, plant):
+def test_orbit_of_the_plants_chief_is_recorded(rng, tmp_path, plant):
     run_in_orbit(rng, plant).save(tmp_path)
     data = load(tmp_path).data
     chief = data["chief"]
@@ -157,7 +162,7 @@ def test_in_orbit_the_chief_of_the_plant_is_on_file(rng, tmp_path, plant):
     assert (data.attrs["mu_m3_s2"], data.attrs["k_j2_m5_s2"]) == (ORBIT.mu, 2.633e25)
 
 
-def test_where_there_is_no_orbit_there_is_no_chief_on_file(rng):
+def test_no_chief_is_recorded_without_an_orbit(rng):
     for data in (run_in_orbit(rng, "nowhere").data, run_of(frames(rng)).data):
         assert "chief" not in data and "element" not in data
         assert "mu_m3_s2" not in data.attrs
@@ -175,7 +180,7 @@ def test_events_carry_their_time(rng):
     ]
 
 
-def test_a_run_in_which_nothing_happened_is_a_run(rng, tmp_path):
+def test_a_run_without_events_is_readable(rng, tmp_path):
     quiet = [f._replace(events=()) for f in frames(rng)]
     run_of(quiet).save(tmp_path)
     assert load(tmp_path).events() == []
@@ -193,7 +198,7 @@ def test_a_run_needs_a_frame():
         run_of([])
 
 
-def test_a_failed_save_leaves_the_old_run_and_nothing_half_written(rng, tmp_path):
+def test_failed_save_leaves_the_old_run(rng, tmp_path):
     run_of(frames(rng)).save(tmp_path)
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
     broken = run_of(frames(rng))
@@ -203,7 +208,7 @@ def test_a_failed_save_leaves_the_old_run_and_nothing_half_written(rng, tmp_path
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
 
 
-def test_a_crash_while_the_file_is_written_leaves_nothing(rng, tmp_path, monkeypatch):
+def test_full_disk_leaves_no_partial_file(rng, tmp_path, monkeypatch):
     run = run_of(frames(rng))
 
     def fall(_: object, path: object, **__: object) -> None:
@@ -218,7 +223,7 @@ def test_a_crash_while_the_file_is_written_leaves_nothing(rng, tmp_path, monkeyp
 
 
 @pytest.mark.parametrize("share", [0.02, 0.3, 0.6, 0.99])
-def test_a_file_cut_short_is_refused_by_name(rng, tmp_path, share):
+def test_truncated_file_is_refused_by_name(rng, tmp_path, share):
     run_of(frames(rng)).save(tmp_path)
     file = tmp_path / "run.nc"
     whole = file.read_bytes()
@@ -227,7 +232,7 @@ def test_a_file_cut_short_is_refused_by_name(rng, tmp_path, share):
         load(tmp_path)
 
 
-def test_what_is_not_a_run_is_refused_by_name(tmp_path):
+def test_other_files_are_refused_by_name(tmp_path):
     import xarray
 
     (tmp_path / "text.nc").write_text("not a run")
@@ -240,18 +245,31 @@ def test_what_is_not_a_run_is_refused_by_name(tmp_path):
         load(tmp_path)
 
 
-def test_a_damaged_summary_is_refused_and_a_missing_one_is_not_needed(rng, tmp_path):
+def test_damaged_summary_is_refused_and_missing_one_is_not(rng, tmp_path):
     run_of(frames(rng)).save(tmp_path)
     (tmp_path / "summary.json").write_text("{")
     with pytest.raises(RunFileError, match=r"summary\.json: is not readable JSON"):
         load(tmp_path)
-    (tmp_path / "summary.json").unlink()
-    assert load(tmp_path).summary["seed"] == 7
+    (tmp_path / "run.nc").rename(tmp_path / "copy.nc")
+    assert load(tmp_path / "copy.nc").summary["seed"] == 7
 
 
-def test_numpy_is_written_as_plain_json():
+def test_numbers_that_json_cannot_hold_are_null(rng, tmp_path):
+    run = run_of(frames(rng))
+    run.summary["gap"] = [float("nan"), np.float64("inf")]
+    assert load(run.save(tmp_path)).summary["gap"] == [None, None]
+
+
+def test_run_of_another_mission_is_refused(rng, tmp_path):
+    run_of(frames(rng)).save(tmp_path)
+    assert load(tmp_path, mission()).mission == mission()
+    with pytest.raises(RunFileError, match="of another mission"):
+        load(tmp_path, mission(max_speed=2.0))
+
+
+def test_numpy_values_are_written_as_plain_json():
     said = {"a": np.arange(2), "b": np.float64(0.5), "c": np.bool_(True)}
-    assert json.loads(json.dumps(said, default=sato.record.json_default)) == {
+    assert json.loads(json.dumps(said, default=json_default)) == {
         "a": [0, 1],
         "b": 0.5,
         "c": True,

@@ -1,25 +1,20 @@
-"""What a system must bring, shown by one that is made up here, and all that it then has."""
+"""A system in one file: all that it must bring, and all that it then has."""
 
 import subprocess
 import sys
-from dataclasses import replace
-from typing import Annotated, Literal, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar, NamedTuple
 
 import numpy as np
 import pytest
-import tomli_w
 from matplotlib.figure import Figure
-from pydantic import PositiveInt
 from test_cli import call, sentence
 
 import sato
-import sato.systems
+from dynamics.units import Length
 from sato.check import Report, common
 from sato.check.event_log import EventLog
 from sato.check.promise import expect_below
-from sato.former import SYSTEMS as FILES
-from sato.former import ScenarioFile, parse
-from sato.former.refusal import Refusal
 from sato.interfaces import (
     Frame,
     FrameAlive,
@@ -34,27 +29,51 @@ from sato.interfaces import (
 )
 from sato.network.graph import CommunicationGraph
 from sato.record import read_frames, recorded_fields
+from sato.scenario.definition import Convert, In, Positive, as_array
 from sato.scenario.errors import InputError
+from sato.scenario.mission import Mission
 from sato.systems import SYSTEMS, load_system
 
-DRIFT = """
+SCENARIO = """
 system = "drift"
 name = "still"
+comm_radius_m = 2.5
+
+[swarm]
 agents = 4
 steps = 6
-comm_radius_m = 2.5
 """
 
 
-class Drift(NamedTuple):
-    """Agents a metre and a half apart that drift as they are pushed."""
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Drift(Mission):
+    """Agents 1.5 m apart that drift at random velocities."""
 
-    velocity: np.ndarray  # (agents, 2) [m/s]
-    steps: int
-    comm_radius: float  # [m]
+    system: ClassVar[str] = "drift"
+
+    agents: Annotated[int, In("swarm"), Positive, "number of agents"]
+    steps: Annotated[int, In("swarm"), Positive, "steps of a second"]
+    comm_radius: Annotated[Length, In(""), Positive, "communication radius"]
+    velocity: Annotated[
+        np.ndarray | None, In("swarm"), Convert(lambda v: None if v is None else as_array(v, 2)),
+        "velocity of each agent; drawn if absent",
+    ] = None  # fmt: skip
+
+    def check(self):
+        if self.agents > 9:
+            raise InputError("agents", f"9 at most would do, got {self.agents}")
+
+    def draw(self, rng):
+        return replace(self, velocity=rng.uniform(-0.01, 0.01, (self.agents, 2)))
+
+    def warnings(self):
+        return []
+
+    def without_files(self):
+        return self
 
 
-class Drifting(NamedTuple):
+class DriftFrame(NamedTuple):
     """One instant."""
 
     time: FrameTime
@@ -67,40 +86,15 @@ class Drifting(NamedTuple):
     events: FrameEvents
 
 
-class DriftFile(ScenarioFile):
-    """The system as a file."""
-
-    system: Literal["drift"]
-    agents: PositiveInt
-    steps: PositiveInt
-    comm_radius_m: float
-
-    def build(self, rng):
-        with self.building():
-            if self.agents > 9:
-                raise Refusal("agents", f"9 at most would do, got {self.agents}")
-        velocity = rng.uniform(-0.01, 0.01, (self.agents, 2))
-        return Drift(velocity, self.steps, self.comm_radius_m)
-
-    def warn(self, mission):
-        pass
-
-    def to_toml(self):
-        return tomli_w.dumps(self.model_dump())
-
-
-def drift(mission, rng):
-    agents = len(mission.velocity)
-    alive, heading = np.ones(agents, bool), np.arctan2(*mission.velocity.T)
+def simulate(mission, rng):
+    alive, heading = np.ones(mission.agents, bool), np.arctan2(*mission.velocity.T)
+    start = np.stack([1.5 * np.arange(mission.agents), np.zeros(mission.agents)], axis=1)
     for k in range(mission.steps + 1):
-        place = np.stack([1.5 * np.arange(agents), np.zeros(agents)], axis=1)
-        position = place + k * mission.velocity
-        component = CommunicationGraph.from_positions(
-            position, mission.comm_radius, alive
-        ).component
-        told = ({"kind": "half", "agents": [0]},) if 2 * k == mission.steps else ()
-        yield Drifting(
-            float(k), position, mission.velocity, alive, component, heading, "calm", told
+        position = start + k * mission.velocity
+        graph = CommunicationGraph.from_positions(position, mission.comm_radius, alive)
+        events = ({"kind": "half", "agents": [0]},) if 2 * k == mission.steps else ()
+        yield DriftFrame(
+            float(k), position, mission.velocity, alive, graph.component, heading, "calm", events
         )
 
 
@@ -108,24 +102,21 @@ def attributes(mission):
     return {"comm_radius_m": mission.comm_radius}
 
 
-def judge(data, mission, rng):
+def check(data, mission, rng):
     time, position = (np.asarray(data[name], dtype=float) for name in ("time", "position"))
-    alive = np.asarray(data["alive"], dtype=bool)
-    off = np.abs(np.diff(position, axis=0) - mission.velocity).max()
+    alive, labels = np.asarray(data["alive"], dtype=bool), np.asarray(data["component"])
+    error = np.abs(np.diff(position, axis=0) - mission.velocity).max()
     promises = (
         common.check_attributes(data.attrs, attributes(mission)),
         common.check_times(time, 1.0),
         common.check_finite(alive, position),
         common.check_alive(alive, EventLog.from_dataset(data)),
-        common.check_components(
-            position, alive, np.asarray(data["component"]), mission.comm_radius
-        ),
-        expect_below("drift", float(off), 1e-12, 0.0, "m off in a step"),
+        common.check_components(position, alive, labels, mission.comm_radius),
+        expect_below("drift", float(error), 1e-12, 0.0, "m off in a step"),
     )
-    came = not common.incomplete_reason(data.attrs)
-    return Report(
-        promises, common.common_summary(data.attrs, alive) | {"success": came, "path_m": 1.0}
-    )
+    success = not common.incomplete_reason(data.attrs)
+    summary = {"success": success, "path_m": 1.0}
+    return Report(promises, common.common_summary(data.attrs, alive) | summary)
 
 
 def figures(data, mission):
@@ -139,24 +130,24 @@ def figures(data, mission):
 
 SYSTEM = System(
     name="drift",
-    frame=Drifting,
-    simulate=drift,
+    frame=DriftFrame,
+    simulate=simulate,
     stop_errors=(ArithmeticError,),
     attributes=attributes,
-    check=judge,
+    check=check,
     progress=lambda mission, frame: MissionProgress(
         "drift", round(frame.time), mission.steps, "calm"
     ),
     figures=figures,
 )
+MISSION = Drift
 
 
 @pytest.fixture
 def home(tmp_path, monkeypatch):
     monkeypatch.setitem(SYSTEMS, "drift", __name__)
-    monkeypatch.setitem(FILES, "drift", DriftFile)
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "drift.toml").write_text(DRIFT)
+    (tmp_path / "drift.toml").write_text(SCENARIO)
     return tmp_path
 
 
@@ -177,41 +168,47 @@ def test_every_variable_is_declared_once_and_none_has_the_name_of_a_dimension(na
 def test_frames_are_read_back_as_the_type_that_was_recorded(home):
     run = sato.run("drift.toml", seed=5)
     run.save("here")
-    frames = read_frames(Drifting, sato.load("here").data)
-    assert type(frames) is Drifting and frames.mood is None
-    flown = list(drift(parse(DRIFT).build(np.random.default_rng(5)), None))
-    for name in recorded_fields(Drifting):
+    data = sato.load("here").data
+    frames = read_frames(DriftFrame, data)
+    assert type(frames) is DriftFrame and frames.mood is None
+    flown = list(sato.simulate("drift.toml", seed=5))
+    for name in recorded_fields(DriftFrame):
         expected = np.array([getattr(frame, name) for frame in flown])
         assert np.array_equal(getattr(frames, name), expected), name
         assert getattr(frames, name).dtype == expected.dtype
     assert frames.events == ({"time": 3.0, "kind": "half", "agents": [0]},)
-    assert sato.load("here").data["axis"].values.tolist() == ["x", "y"]
+    assert data["axis"].values.tolist() == ["x", "y"]
 
 
-def test_a_file_of_the_former_format_is_refused_with_the_version_that_reads_it(home):
+def test_file_of_the_former_format_names_the_version_that_reads_it(home):
     run = sato.run("drift.toml")
     del run.data.attrs["format"]
     run.data.attrs["version"] = "0.1.0"
     run.save("old")
     with pytest.raises(sato.RunFileError, match=r"written by sato 0.1.0, which reads it"):
         sato.load("old")
+    run.data.attrs["format"] = 99
+    run.save("new")
+    with pytest.raises(sato.RunFileError, match="too old for it"):
+        sato.load("new")
 
 
-def test_a_system_is_not_loaded_before_it_is_asked_for():
+def test_system_is_not_imported_before_it_is_needed():
     code = (
-        "import sys, sato.record, sato.systems;"
-        "print(*[m for m in sys.modules if m.startswith(('sato.reconf', 'sato.form'))])"
+        "import sys, sato.record, sato.runs, sato.systems;"
+        "print(*[m for m in sys.modules if m.startswith(('sato.reconf', 'matplotlib', 'xarray'))])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == ""
 
 
-def test_a_system_that_is_not_there_is_refused_with_those_that_are():
-    with pytest.raises(InputError, match=r'no system "drfit", only .*"reconfiguration"'):
-        load_system("drfit")
+@pytest.mark.parametrize("name", ["drfit", 3, None])
+def test_unknown_system_is_refused_with_those_that_exist(name):
+    with pytest.raises(InputError, match=r'system: there is no system .*, only .*"formation"'):
+        load_system(name)
 
 
-def test_another_system_is_flown_recorded_and_judged_like_any(home):
+def test_new_system_is_flown_recorded_and_checked(home):
     first = call("run", "drift.toml", "--out", "here", "--seed", "5")
     assert first.exit_code == 0, first.output
     assert first.stderr == "drift at 0 s: 1 component, least separation 1.5 m, calm\n"
@@ -221,12 +218,13 @@ def test_another_system_is_flown_recorded_and_judged_like_any(home):
     assert run.data["control_instant"].all()
     assert run.events("half") == [{"time": 3.0, "kind": "half", "agents": [0]}]
     assert run.summary["seed"] == 5 and run.summary["broken"] == []
-    assert [p.name for p in run.check().promises] == [
+    assert [promise.name for promise in run.check().promises] == [
         "unaltered", "attributes", "times", "numbers", "alive", "component", "drift", "summary",
     ]  # fmt: skip
     assert call("check", "here").exit_code == 0
-    again = sato.run("drift.toml", seed=5)
+    again = sato.run(Drift(name="still", agents=4, steps=6, comm_radius=2.5), seed=5)
     assert again.data.attrs["digest"] == run.data.attrs["digest"]
+    assert again.mission == run.mission
 
 
 @pytest.mark.parametrize(
@@ -236,11 +234,11 @@ def test_another_system_is_flown_recorded_and_judged_like_any(home):
         ("position", lambda x: x * np.nan, "numbers"),
         ("time", lambda t: t + 1e-6, "times"),
         ("time", lambda t: 0 * t, "times"),
-        ("alive", lambda lives: ~lives, "alive"),
+        ("alive", lambda alive: ~alive, "alive"),
         ("component", lambda labels: labels + np.arange(4), "component"),
     ],
 )
-def test_another_system_is_judged_by_what_is_common_to_all(home, name, change, promise):
+def test_common_promises_are_checked_for_every_system(home, name, change, promise):
     run = sato.run("drift.toml", seed=5)
     values = run.data[name].values.copy()
     values[2] = change(values[2])
@@ -249,41 +247,67 @@ def test_another_system_is_judged_by_what_is_common_to_all(home, name, change, p
     assert {"unaltered", promise} <= broken
 
 
-def test_what_ends_a_flight_without_being_a_fault_is_the_systems_own_word(home, monkeypatch):
-    def lost(mission, rng):
-        for frame in drift(mission, rng):
+def test_a_stop_error_of_the_system_ends_a_run_early(home, monkeypatch):
+    def stopped(mission, rng):
+        for frame in simulate(mission, rng):
             if frame.time == 4:
                 raise ArithmeticError("a wall in the way")
             yield frame
 
-    monkeypatch.setattr(sys.modules[__name__], "SYSTEM", replace(SYSTEM, simulate=lost))
+    monkeypatch.setattr(sys.modules[__name__], "SYSTEM", replace(SYSTEM, simulate=stopped))
     assert call("run", "drift.toml", "--out", "here").exit_code == 1
     run = sato.load("here")
     assert run.summary["stopped"] == "a wall in the way" and len(run.data["time"]) == 4
     assert run.summary["success"] is False
 
 
-def test_its_figures_are_drawn_and_a_film_that_it_has_not_is_refused(home):
+def test_a_fault_in_a_check_does_not_lose_the_run(home, monkeypatch):
+    def faulty(data, mission, rng):
+        raise LookupError("oops")
+
+    monkeypatch.setattr(sys.modules[__name__], "SYSTEM", replace(SYSTEM, check=faulty))
+    with pytest.warns(UserWarning, match="could not be checked: oops"):
+        run = sato.run("drift.toml")
+    assert run.summary["check_failed"] == "LookupError: oops" and len(run.data["time"]) == 7
+
+
+def test_figures_are_drawn_and_a_missing_animation_is_refused(home):
     call("run", "drift.toml", "--out", "here", "--quiet")
+    (home / "here" / "mine.png").write_bytes(b"not a figure of a run")
+    sato.load("here").figures()["path"].savefig("here/kept.png")
+    assert call("plot", "here", "--pdf").stdout == "here/path.pdf\n"
     assert call("plot", "here").stdout == "here/path.png\n"
+    names = sorted(path.name for path in (home / "here").iterdir())
+    assert names == ["kept.png", "mine.png", "path.png", "run.nc", "summary.json"]
     refused = call("animate", "here")
     assert refused.exit_code == 2
     assert sentence(refused) == (
-        "sato: drift runs have no film, only figures, which `sato plot` draws"
+        "sato: runs of drift have no animation, only figures, which `sato plot` draws"
     )
     assert call("export", "here", "--format", "csv").exit_code == 0
 
 
-def test_what_its_scenario_refuses_names_the_file(home):
+def test_refusals_of_the_definition_name_the_file(home):
     refused = call("run", "drift.toml", "--set", "agents=12")
     assert refused.exit_code == 2
     assert sentence(refused) == "sato: drift.toml: agents: 9 at most would do, got 12"
 
 
-def test_a_run_of_a_system_that_is_not_known_or_lacks_its_variables_is_refused(home, monkeypatch):
+def test_definition_is_shown_with_its_keys_and_defaults(home):
+    assert call("keys", "drift").stdout.splitlines()[5:9] == [
+        "[swarm]",
+        "  agents    integer > 0  required  number of agents",
+        "  steps     integer > 0  required  steps of a second",
+        "  velocity  list         -         velocity of each agent; drawn if absent",
+    ]
+    shown = call("show", "drift.toml", "--set", "steps=8").stdout
+    assert 'system = "drift"' in shown and "steps = 8" in shown and "comm_radius_m = 2.5" in shown
+
+
+def test_runs_of_unknown_systems_or_without_variables_are_refused(home, monkeypatch):
     sato.run("drift.toml").save("here")
     lacking = sato.run("drift.toml")
-    sato.Run(lacking.data.drop_vars("heading"), lacking.summary).save("there")
+    replace(lacking, data=lacking.data.drop_vars("heading")).save("there")
     with pytest.raises(sato.RunFileError, match=r"there/run.nc: is not a run .* no heading"):
         sato.load("there")
     monkeypatch.delitem(SYSTEMS, "drift")
@@ -291,8 +315,7 @@ def test_a_run_of_a_system_that_is_not_known_or_lacks_its_variables_is_refused(h
         sato.load("here")
 
 
-def test_a_frame_is_whatever_has_what_all_have(rng):
-    mission = Drift(np.zeros((2, 2)), 1, 1.0)
-    for frame in drift(mission, rng):
-        assert isinstance(frame, Frame)
+def test_a_frame_is_whatever_has_the_common_fields(rng):
+    mission = Drift(agents=2, steps=1, comm_radius=1.0).draw(rng)
+    assert all(isinstance(frame, Frame) for frame in simulate(mission, rng))
     assert not isinstance(mission, Frame)

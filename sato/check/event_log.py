@@ -1,4 +1,4 @@
-"""What happened in a run, and at which instant."""
+"""Events of a run, with the instants of the record at which they happened."""
 
 import json
 from dataclasses import dataclass
@@ -15,26 +15,26 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class EventLog:
-    """The events of a run."""
+    """Events of a run."""
 
-    time: Float[Array, " instants"]  # [s]
+    time: Float[Array, " instants"]  # of the record [s]
     events: tuple[dict[str, Any], ...]  # in the order of time
 
     @classmethod
     def from_dataset(cls, data: "xarray.Dataset") -> "EventLog":
-        """Read a run's data."""
-        told = tuple(json.loads(str(e)) for e in np.asarray(data["event"]))
-        return cls(np.asarray(data["time"], dtype=float), told)
+        """Read the events of a run."""
+        events = tuple(json.loads(str(text)) for text in np.asarray(data["event"]))
+        return cls(np.asarray(data["time"], dtype=float), events)
 
     @cached_property
     def instants(self) -> tuple[int, ...]:
-        """The instant of each event: the nearest one."""
-        when = np.array([float(e["time"]) for e in self.events])
+        """Index of the instant nearest to each event."""
+        times = np.array([float(event["time"]) for event in self.events])
         middles = (self.time[1:] + self.time[:-1]) / 2
-        return tuple(int(k) for k in np.searchsorted(np.sort(middles), when))
+        return tuple(int(k) for k in np.searchsorted(np.sort(middles), times))
 
     def of_kind(self, *kinds: str) -> list[tuple[int, dict[str, Any]]]:
-        """Events of some kinds, each with its instant."""
+        """Return the events of some kinds, each with the index of its instant."""
         return [
             (k, e) for k, e in zip(self.instants, self.events, strict=True) if e["kind"] in kinds
         ]

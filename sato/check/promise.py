@@ -1,4 +1,4 @@
-"""A promise, and how it is said to be kept or broken."""
+"""Promises of a run, kept or broken."""
 
 from typing import NamedTuple
 
@@ -6,38 +6,41 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-ROUNDING_TOLERANCE = (
-    1e-10  # of the largest position, speed or control: what rounding may do in a step
-)
+# Rounding in one step, relative to the largest position, speed or control.
+ROUNDING_TOLERANCE = 1e-10
 
 
 class Promise(NamedTuple):
-    """Something that a run must keep, and what was found."""
+    """Property that a run must have, and the value that was found."""
 
     name: str
     kept: bool
-    value: float  # what was found: the worst violation, or the quantity itself
-    tolerance: float  # what it may be
+    value: float  # worst violation, or the quantity itself
+    tolerance: float  # largest value that keeps the promise
     message: str
 
 
-def expect_none(name: str, count: int | np.integer, what: str) -> Promise:
-    """Nothing may have been found of this."""
-    text = what if what.startswith(("legs", "every")) else f"{int(count) or 'no'} {what}"
+def expect_none(name: str, count: int | np.integer, violations: str) -> Promise:
+    """Promise that there are no violations, described in the plural."""
+    text = (
+        violations
+        if violations.startswith(("legs", "every"))
+        else f"{int(count) or 'no'} {violations}"
+    )
     return Promise(name, int(count) == 0, float(count), 0.0, text)
 
 
-def expect_small_error(name: str, value: float, tolerance: float, what: str) -> Promise:
-    """An error within rounding."""
-    return Promise(name, bool(value <= tolerance), value, tolerance, f"{value:.3g} {what}")
+def expect_small_error(name: str, value: float, tolerance: float, error: str) -> Promise:
+    """Promise that an error is within its tolerance."""
+    return Promise(name, bool(value <= tolerance), value, tolerance, f"{value:.3g} {error}")
 
 
-def expect_below(name: str, value: float, limit: float, relative: float, what: str) -> Promise:
-    """A quantity below its limit."""
+def expect_below(name: str, value: float, limit: float, relative: float, quantity: str) -> Promise:
+    """Promise that a quantity does not exceed its limit, but for a relative tolerance."""
     kept = bool(value <= limit * (1 + relative))
-    return Promise(name, kept, value, limit, f"{value:.6g} {what}, {limit:.6g} allowed")
+    return Promise(name, kept, value, limit, f"{value:.6g} {quantity}, {limit:.6g} allowed")
 
 
 def max_or_zero(values: Float[Array, "*k"] | Bool[Array, "*k"]) -> float:
-    """The largest of some sizes; NaN where there is any, so that nothing passes unseen."""
+    """Return the largest value; NaN where there is one, which breaks every promise."""
     return float(np.max(values, initial=0.0))

@@ -28,7 +28,7 @@ def names() -> dict[str, str]:
     }
 
 
-def read(name: str | Path, overrides: Iterable[str] = ()) -> ScenarioFile:
+def read(name: str | Path, overrides: Iterable[str] = ()) -> Any:
     """Read a built-in scenario by its name, or a file.
 
     Args:
@@ -53,7 +53,7 @@ def parse(
     *,
     source: str = "scenario",
     folder: Path | None = None,
-) -> ScenarioFile:
+) -> Any:
     """Read a scenario from its text.
 
     Args:
@@ -70,10 +70,10 @@ def parse(
     except tomllib.TOMLDecodeError as error:
         raise ScenarioError(f"{source}: is not TOML: {error}") from error
     data.setdefault("name", Path(source).stem)
-    if data.get("system") != "connectivity":
+    if data.get("system") not in list(SYSTEMS):
         from sato.scenario.file import parse as parse_mission
 
-        return parse_mission(text, overrides, source=source, folder=folder)  # type: ignore[return-value]
+        return parse_mission(text, overrides, source=source, folder=folder)
     if folder is not None:
         data = _located(data, folder)
     try:

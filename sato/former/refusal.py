@@ -9,9 +9,10 @@ from typing import Any
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
+from sato.scenario.errors import ScenarioError
 
-class ScenarioError(ValueError):
-    """A scenario that cannot be run; the message names the file and the key."""
+
+__all__ = ["Refusal", "ScenarioError", "explain", "listed", "nearest"]
 
 
 class Refusal(ValueError):

@@ -52,13 +52,14 @@ class ReconfigurationVariables(NamedTuple):
     ]
 
 
-def collect_attributes(mission: Reconfiguration) -> dict[str, float]:
+def collect_attributes(mission: Reconfiguration) -> dict[str, float | str]:
     """Collect radii, limits and constants for the attributes of the run file."""
     return {
         "comm_radius_m": mission.comm_radius,
         "collision_radius_m": mission.collision_radius,
         "max_control_m_s2": mission.max_control,
         "max_speed_m_s": mission.max_speed,
+        **({} if mission.chief is None else {"epoch": mission.chief.epoch}),
         **_gravity_constants(mission.flown_plant),
     }
 

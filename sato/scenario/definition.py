@@ -192,11 +192,11 @@ class _Adapter:
     """Check of a value that is no definition, by pydantic; built when it is first needed."""
 
     def __init__(self, hint: Any) -> None:
-        self._hint = hint
+        self.hint = hint
 
     @cached_property
     def _adapter(self) -> Any:
-        return TypeAdapter(self._hint, config=_STRICT)
+        return TypeAdapter(self.hint, config=_STRICT)
 
     def check(self, value: Any) -> Any:
         if isinstance(value, np.generic):

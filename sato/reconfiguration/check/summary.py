@@ -18,10 +18,12 @@ def summarize(evidence: ReconfigurationRecord, bounds: list[FuelBound | None]) -
     """Everything that the summary says of a run, from its data; what it lacks is absent."""
     mission = evidence.mission
     legs = [summarize_leg(evidence, s) for s in evidence.leg_records]
+    is_reached_throughout = len(legs) == len(mission.legs) and all(leg["reached"] for leg in legs)
     found, _ = evidence.separations
     samples = sampled_separations(evidence.position, evidence.alive)
     said = common_summary(evidence.attributes, evidence.alive) | {
-        "reached": len(legs) == len(mission.legs) and all(leg["reached"] for leg in legs),
+        "reached": is_reached_throughout,
+        "success": is_reached_throughout,
         "min_separation_m": min(found.minimum.distance, float(samples.min())),
         "min_separation_at_samples_m": float(samples.min()),
         "collision_radius_m": mission.collision_radius,

@@ -1,0 +1,5 @@
+"""Command line as `python -m sato`."""
+
+from sato.cli import main
+
+main()

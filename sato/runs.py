@@ -1,0 +1,338 @@
+"""Runs: missions flown, saved, loaded, checked and shown."""
+
+import signal
+import threading
+import tomllib
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+from html import escape
+from importlib.metadata import version
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from threadpoolctl import ThreadpoolController, threadpool_limits
+
+from sato import record
+from sato.check.event_log import EventLog
+from sato.check.report import Report
+from sato.former import ScenarioFile, parse, read
+from sato.interfaces import Frame, System
+from sato.record import RunFileError
+from sato.resource_usage import peak_memory_mib
+from sato.scenario.errors import InputError, ScenarioError, format_value
+from sato.scenario.file import from_dict
+from sato.scenario.mission import Mission
+from sato.summary import summary_rows
+from sato.systems import load_system
+
+if TYPE_CHECKING:  # slow to import
+    import matplotlib.figure
+    import xarray
+
+Scenario = str | Path | Mission | ScenarioFile | Mapping[str, Any]
+FrameCallback = Callable[[Any, Any], object]  # of the drawn mission and a frame
+
+MAX_SEED = 2**64 - 1
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Run:
+    """Mission that was flown: its data, its summary, and the mission itself."""
+
+    data: "xarray.Dataset"
+    summary: dict[str, Any]
+    mission: Any | None = None  # not drawn; None where a file holds a model of the user's own
+
+    @property
+    def system(self) -> System[Any, Any]:
+        """System of the mission."""
+        return load_system(self.data.attrs["system"])
+
+    @cached_property
+    def drawn_mission(self) -> Any:
+        """Mission with all random numbers drawn, as it was flown.
+
+        Raises:
+            RunFileError: The run was loaded without its mission, which has its own model.
+        """
+        if self.mission is None:
+            raise RunFileError(
+                "this run has a model of your own, which no file can hold; give its mission: "
+                "sato.load(path, mission=...)"
+            )
+        return self.mission.build(np.random.default_rng(int(self.data.attrs["seed"])))
+
+    def events(self, *kinds: str) -> list[dict[str, Any]]:
+        """Return the events in the order of time; of the given kinds only, if any."""
+        log = EventLog.from_dataset(self.data)
+        return [event for event in log.events if not kinds or event["kind"] in kinds]
+
+    def check(self) -> Report:
+        """Check the run by recomputing what its data and its summary say."""
+        from sato.verify import verify_run
+
+        return verify_run(self.data, self.mission, self.summary)
+
+    def figures(self) -> dict[str, "matplotlib.figure.Figure"]:
+        """Draw the figures of the run, by name."""
+        from sato.render import draw_figures
+
+        return draw_figures(self.data, self.drawn_mission)
+
+    def plot(self, directory: str | Path, pdf: bool = False) -> list[Path]:
+        """Write the figures of the run as PNG, or PDF, in place of figures of earlier runs."""
+        from sato.render import plot
+
+        return plot(self.data, self.drawn_mission, Path(directory), pdf)
+
+    def animate(self, directory: str | Path, **options: Any) -> Path:
+        """Write an animation of the run; options as in `sato.render.animate`."""
+        from sato.render import animate
+
+        return animate(self.data, self.drawn_mission, Path(directory), **options)
+
+    def export(self, path: str | Path, format: str = "oem") -> Path:
+        """Write the trajectories for other tools, see `sato.export`."""
+        from sato.export import export
+
+        return export(self.data, path, format)
+
+    def save(self, directory: str | Path) -> Path:
+        """Write run.nc and summary.json into a directory, and return it."""
+        record.save(self.data, self.summary, Path(directory))
+        return Path(directory)
+
+    def __repr__(self) -> str:
+        """Show the summary, an entry a line."""
+        rows = summary_rows(self.summary)
+        width = max((len(label) for label, _ in rows), default=0)
+        return "\n".join(["Run", *(f"  {label:{width}}  {text}" for label, text in rows)])
+
+    def _repr_html_(self) -> str:
+        rows = (
+            f"<tr><th>{escape(label)}</th><td>{escape(text)}</td></tr>"
+            for label, text in summary_rows(self.summary)
+        )
+        return f"<table>{''.join(rows)}</table>"
+
+
+def run(
+    scenario: Scenario,
+    *,
+    seed: int = 0,
+    overrides: Iterable[str] = (),
+    progress: bool | FrameCallback | None = None,
+) -> Run:
+    """Fly a mission and check the run.
+
+    The same seed and version give the same run. Ctrl-C, or a problem without a solution, ends
+    the flight early: the run then holds what was flown, its attribute `complete` is 0, and
+    `stopped` gives the reason.
+
+    Args:
+        scenario: Name of a built-in scenario, TOML file, mission, or dict with the keys of a
+            file.
+        seed: Random seed, from 0 to 2⁶⁴ − 1.
+        overrides: Each "table.key=value"; not with a mission.
+        progress: True shows a progress bar; a function is called with the drawn mission and
+            each frame.
+
+    Raises:
+        ValueError: The scenario cannot be flown; nothing was.
+    """
+    _validate_seed(seed)
+    mission = _as_mission(scenario, overrides)
+    system = load_system(mission.system)
+    began = perf_counter()
+    # With matrices as small as these, the threads of BLAS only wait for each other.
+    with threadpool_limits(1, user_api="blas"):
+        rng = np.random.default_rng(seed)
+        drawn = _draw(mission, rng, scenario)
+        mission.warn(drawn)
+        with _progress_callback(system, progress) as callback:
+            frames, stopped = _collect_frames(system, drawn, rng, callback)
+        data = record.build_dataset(
+            system,
+            frames,
+            drawn,
+            scenario=mission.to_toml(),
+            name=mission.name,
+            seed=int(seed),
+            version=version("sato-swarm"),
+            wall_s=perf_counter() - began,
+            peak_memory_mib=peak_memory_mib(),
+            stopped=stopped,
+        )
+        return _add_check_results(Run(data, record.initial_summary(data.attrs), mission))
+
+
+def simulate(scenario: Scenario, seed: int = 0, overrides: Iterable[str] = ()) -> Iterator[Frame]:
+    """Fly a mission and yield its frames one by one.
+
+    Args:
+        scenario: Name of a built-in scenario, TOML file, mission, or dict with the keys of a
+            file.
+        seed: Random seed, from 0 to 2⁶⁴ − 1.
+        overrides: Each "table.key=value"; not with a mission.
+
+    Raises:
+        ValueError: The scenario cannot be flown.
+    """
+    _validate_seed(seed)
+    mission = _as_mission(scenario, overrides)
+    rng = np.random.default_rng(seed)
+    drawn = _draw(mission, rng, scenario)
+    return _one_by_one(load_system(mission.system).simulate(drawn, rng))
+
+
+def load(path: str | Path, mission: Mission | None = None) -> Run:
+    """Load a run from its folder, or from the run file itself.
+
+    Args:
+        path: Folder or file.
+        mission: Mission that was flown; only needed where its model is of your own, for all
+            others are in the file.
+
+    Raises:
+        RunFileError: The file is missing, damaged, not a run, or of another mission.
+    """
+    data, summary = record.load(Path(path))
+    text = str(data.attrs["scenario"])
+    if mission is None:
+        return Run(data, summary, None if _has_own_model(text) else _parse_mission(path, text))
+    if mission.to_toml() != text:
+        raise RunFileError(f"{path}: is a run of another mission than the one that is given")
+    return Run(data, summary, mission)
+
+
+def _parse_mission(path: str | Path, text: str) -> Any:
+    try:
+        return parse(text)
+    except ScenarioError as error:
+        raise RunFileError(f"{path}: the scenario in the file cannot be read: {error}") from error
+
+
+def _has_own_model(text: str) -> bool:
+    with suppress(tomllib.TOMLDecodeError):
+        model = tomllib.loads(text).get("model")
+        return isinstance(model, dict) and model.get("kind") == "own"
+    return False
+
+
+def _validate_seed(seed: object) -> None:
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer):
+        raise InputError("seed", f"must be an integer, got {format_value(seed)}")
+    if not 0 <= seed <= MAX_SEED:
+        raise InputError("seed", f"must be from 0 to 2**64 - 1, got {seed}")
+
+
+def _as_mission(scenario: Scenario, overrides: Iterable[str]) -> Any:
+    if isinstance(scenario, str | Path):
+        return read(scenario, overrides)
+    if isinstance(scenario, Mapping):
+        return from_dict(dict(scenario), overrides)
+    if not isinstance(scenario, Mission | ScenarioFile):
+        kind = type(scenario).__name__
+        raise InputError(
+            "scenario", f"must be a name, a path, a mission or a dict, got an object of type {kind}"
+        )
+    if tuple(overrides):
+        raise InputError("overrides", "cannot change a mission; dataclasses.replace can")
+    return scenario
+
+
+def _draw(mission: Any, rng: np.random.Generator, scenario: Scenario) -> Any:
+    try:
+        return mission.build(rng)
+    except InputError as error:
+        if isinstance(scenario, str | Path):
+            raise ScenarioError(f"{scenario}: {error}") from error
+        raise
+
+
+def _add_check_results(run: Run) -> Run:
+    summary = dict(run.summary)
+    # Neither Ctrl-C nor a fault in a check may lose what was flown.
+    try:
+        report = run.check()
+    except KeyboardInterrupt:
+        pass
+    except Exception as error:
+        summary["check_failed"] = f"{type(error).__name__}: {error}"
+        warnings.warn(f"the run could not be checked: {error}", stacklevel=3)
+    else:
+        summary |= report.summary
+        summary["broken"] = [promise.name for promise in report.broken]
+    return replace(run, summary=summary)
+
+
+@contextmanager
+def _progress_callback(
+    system: System[Any, Any], progress: bool | FrameCallback | None
+) -> Iterator[FrameCallback]:
+    if progress is True:
+        from sato.console import show_mission_progress
+
+        with show_mission_progress(system.progress) as callback:
+            yield callback
+    else:
+        yield progress or (lambda mission, frame: None)
+
+
+def _one_by_one(frames: Iterator[Frame]) -> Iterator[Frame]:
+    controller = ThreadpoolController()
+    while True:
+        with controller.limit(limits=1, user_api="blas"):
+            frame = next(frames, None)
+        if frame is None:
+            return
+        yield frame
+
+
+def _collect_frames(
+    system: System[Any, Any], mission: Any, rng: np.random.Generator, callback: FrameCallback
+) -> tuple[list[Any], str]:
+    frames: list[Any] = []
+    try:
+        with _defer_interrupt() as interrupted:
+            for frame in system.simulate(mission, rng):
+                frames.append(frame)
+                callback(mission, frame)
+                if interrupted.is_set():
+                    return frames, "interrupted"
+    except KeyboardInterrupt:
+        if not frames:
+            raise
+        return frames, "interrupted"
+    except system.stop_errors as error:
+        if not frames:
+            raise
+        return frames, str(error)
+    return frames, ""
+
+
+@contextmanager
+def _defer_interrupt() -> Iterator[threading.Event]:
+    # Compiled code loses an exception that is raised in it by a signal, so the first Ctrl-C
+    # waits for the next frame; a second one does not.
+    interrupted = threading.Event()
+    former = signal.getsignal(signal.SIGINT)
+    is_main = threading.current_thread() is threading.main_thread()
+    if not is_main or former is not signal.default_int_handler:
+        yield interrupted
+        return
+
+    def note(number: int, frame: object) -> None:
+        interrupted.set()
+        signal.signal(signal.SIGINT, former)
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield interrupted
+    finally:
+        signal.signal(signal.SIGINT, former)
