@@ -14,12 +14,12 @@ def turn(yaw):
     return np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
 
 
-def missed(shape, seen, pose):
+def misfit(shape, seen, pose):
     return np.sum((seen - pose.transform(shape)) ** 2)
 
 
 @given(seeds)
-def test_a_known_motion_is_recovered(seed):
+def test_a_known_pose_is_recovered(seed):
     rng = np.random.default_rng(seed)
     k, yaw = rng.integers(2, 9), rng.uniform(-np.pi, np.pi)
     shape, r = rng.normal(size=(k, 3)), rng.normal(size=3)
@@ -29,7 +29,7 @@ def test_a_known_motion_is_recovered(seed):
 
 
 @given(seeds)
-def test_in_whatever_frame_it_is_seen_the_shape_is_placed_alike(seed):
+def test_the_placed_shape_does_not_depend_on_the_coordinate_frame(seed):
     rng = np.random.default_rng(seed)
     shape, seen = rng.normal(size=(2, 6, 3))
     yaw, r = rng.uniform(-np.pi, np.pi), 50 * rng.normal(size=3)
@@ -38,7 +38,7 @@ def test_in_whatever_frame_it_is_seen_the_shape_is_placed_alike(seed):
     np.testing.assert_allclose(there, here @ turn(yaw).T + r, atol=1e-9)
 
 
-def test_how_the_shape_itself_was_drawn_does_not_matter(rng):
+def test_the_placed_shape_does_not_depend_on_the_pose_of_the_shape(rng):
     shape, seen = rng.normal(size=(2, 6, 3))
     drawn = shape @ turn(2.2).T + [5.0, -3.0, 1.0]
     np.testing.assert_allclose(
@@ -47,19 +47,19 @@ def test_how_the_shape_itself_was_drawn_does_not_matter(rng):
 
 
 @pytest.mark.parametrize("k", [2, 3, 10])
-def test_no_other_turn_or_shift_is_nearer(rng, k):
+def test_no_other_rotation_or_translation_is_nearer(rng, k):
     shape, seen = rng.normal(size=(2, k, 3))
     pose = align(shape, seen)
-    best = missed(shape, seen, pose)
+    best = misfit(shape, seen, pose)
     middle = seen.mean(axis=0)
     for yaw in np.linspace(-np.pi, np.pi, 2001):
         other = Pose(yaw, middle - turn(yaw) @ shape.mean(axis=0))
-        assert missed(shape, seen, other) >= best - 1e-12
+        assert misfit(shape, seen, other) >= best - 1e-12
     for step in 1e-3 * np.vstack([np.eye(3), -np.eye(3)]):
-        assert missed(shape, seen, Pose(pose.yaw, pose.translation + step)) > best
+        assert misfit(shape, seen, Pose(pose.yaw, pose.translation + step)) > best
 
 
-def test_the_turn_is_that_of_the_singular_value_decomposition(rng):
+def test_the_rotation_is_that_of_the_singular_value_decomposition(rng):
     # [Arun1987] on the planar parts, as [Lusk2020] describes it.
     shape, seen = rng.normal(size=(2, 7, 3))
     s, w = (points[:, :2] - points[:, :2].mean(axis=0) for points in (shape, seen))
@@ -68,7 +68,7 @@ def test_the_turn_is_that_of_the_singular_value_decomposition(rng):
     np.testing.assert_allclose(turn(align(shape, seen).yaw)[:2, :2], R, atol=1e-12)
 
 
-def test_many_at_once_are_as_one_by_one_and_who_does_not_count_may_be_unknown(rng):
+def test_batches_equal_single_alignments_and_masked_points_may_be_nan(rng):
     n = 7
     shape, seen = rng.normal(size=(n, 3)), rng.normal(size=(n, n, 3))  # each in its own frame
     counts = (rng.random((n, n)) < 0.5) | np.eye(n, dtype=bool)
@@ -80,7 +80,7 @@ def test_many_at_once_are_as_one_by_one_and_who_does_not_count_may_be_unknown(rn
 
 
 @pytest.mark.parametrize("offset", [0.0, 12.3, 1e4])
-def test_points_on_one_vertical_have_no_yaw_and_get_none(rng, offset):
+def test_points_on_one_vertical_get_the_yaw_zero(rng, offset):
     stack = np.array([[offset / 3, offset, z] for z in (0.1, 1.0, 2.5)])
     others = rng.normal(size=(3, 3)) + offset
     for shape, seen in [(stack, others), (others, stack), (stack, stack), (stack[:1], others[:1])]:
@@ -89,18 +89,18 @@ def test_points_on_one_vertical_have_no_yaw_and_get_none(rng, offset):
         np.testing.assert_allclose(pose.transform(shape).mean(axis=0), seen.mean(axis=0), atol=1e-9)
 
 
-def test_a_square_and_its_mirror_image_have_no_best_turn_and_are_not_turned():
+def test_a_square_and_its_mirror_image_get_the_yaw_zero():
     square = np.array([[1.0, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]])
     assert align(square, square * [1, -1, 1]).yaw == 0
 
 
-def test_a_small_shape_far_away_keeps_its_yaw(rng):
+def test_a_small_shape_far_from_the_origin_keeps_its_yaw(rng):
     shape = rng.normal(size=(5, 3))
     pose = align(shape, shape @ turn(1.0).T + [1e6, -1e6, 0])
     assert pose.yaw == pytest.approx(1.0, abs=1e-8)
 
 
-def test_without_a_point_nothing_is_aligned(rng):
+def test_an_alignment_without_points_is_refused(rng):
     with pytest.raises(ValueError, match="at least one measured point"):
         align(np.zeros((0, 3)), np.zeros((0, 3)))
     with pytest.raises(ValueError, match="at least one measured point"):

@@ -1,4 +1,4 @@
-"""Transfers among half-spaces: the assembled path against the statement."""
+"""Avoidance problems: the condensed program against CVXPY, and relaxations."""
 
 from math import inf
 
@@ -39,7 +39,7 @@ def ends(steps):
     return x, g
 
 
-def test_without_half_spaces_it_is_the_transfer(rng):
+def test_without_half_spaces_the_solution_is_the_plain_transfer(rng):
     for steps, U in ((plane, 0.2), (space, 0.2), (orbit, 0.01)):
         for V in (inf, 0.45 if steps is not orbit else 3.0):
             transfer = TransferProblem(steps, U, V)
@@ -56,7 +56,7 @@ def test_without_half_spaces_it_is_the_transfer(rng):
 @pytest.mark.parametrize("V", [inf, 0.305])
 @pytest.mark.parametrize("gives", ["none", "terminal", "separation"])
 @pytest.mark.parametrize("steps", [plane, space], ids=["2-D", "3-D"])
-def test_the_assembled_path_is_the_statement(steps, gives, V):
+def test_the_condensed_program_agrees_with_cvxpy(steps, gives, V):
     spaces, (x0, xf) = detour(steps), ends(steps)
     avoid = AvoidanceProblem(TransferProblem(steps, 0.25, V, tie_break_rise=1e-2))
     fast, stated = (solve(x0, xf, spaces, gives) for solve in (avoid.solve, avoid.solve_cvxpy))
@@ -78,7 +78,7 @@ def test_the_assembled_path_is_the_statement(steps, gives, V):
 
 
 @pytest.mark.parametrize("V", [inf, 0.3])
-def test_what_gives_is_the_same_in_both(V):
+def test_relaxations_agree_with_cvxpy(V):
     """The goal is out of reach, or the half-spaces are, by much."""
     far = np.array([9.0, 0, 0, 0])
     avoid = AvoidanceProblem(TransferProblem(plane, 0.1, V, tie_break_rise=1e-2))
@@ -97,7 +97,7 @@ def test_what_gives_is_the_same_in_both(V):
     assert passages[0].slack > 0.5
 
 
-def test_what_may_give_does_not_where_nothing_must():
+def test_a_relaxation_changes_nothing_where_the_problem_is_feasible():
     avoid = AvoidanceProblem(TransferProblem(plane, 0.25))
     strict = avoid.solve(start, goal, detour()).trajectory.fuel
     for gives in ("terminal", "separation"):
@@ -106,8 +106,8 @@ def test_what_may_give_does_not_where_nothing_must():
         assert max(passage.terminal_error, passage.slack) < 1e-8
 
 
-def test_the_arrival_gives_before_the_separation():
-    # Held to one side until the last step, the goal on the other side cannot be reached.
+def test_the_terminal_state_is_relaxed_before_the_separation():
+    # Half-spaces until the last step make the goal on the other side unreachable.
     spaces = detour(last=12)
     avoid = AvoidanceProblem(TransferProblem(plane, 0.1))
     with pytest.raises(Infeasible):
@@ -120,14 +120,14 @@ def test_the_arrival_gives_before_the_separation():
     )
 
 
-def test_half_spaces_that_hold_anyway_change_nothing():
+def test_inactive_half_spaces_change_nothing():
     avoid = AvoidanceProblem(TransferProblem(plane, 0.25, tie_break_rise=1e-2))
     plain = avoid.solve(start, goal, empty_half_spaces(avoid.transfer)).trajectory
     loose = avoid.solve(start, goal, detour(least=-5.0)).trajectory
     np.testing.assert_allclose(loose.x, plain.x, atol=1e-6)
 
 
-def test_fuel_does_not_fall_as_half_spaces_close_in():
+def test_fuel_does_not_fall_as_half_spaces_tighten():
     avoid = AvoidanceProblem(TransferProblem(plane, 0.25))
     fuel = [
         avoid.solve(start, goal, detour(least=h)).trajectory.fuel for h in (-1, 0.2, 0.4, 0.6, 0.8)
@@ -136,7 +136,7 @@ def test_fuel_does_not_fall_as_half_spaces_close_in():
     assert fuel[-1] > 1.2 * fuel[0]
 
 
-def test_what_is_missing_is_what_the_definition_says(rng):
+def test_violations_follow_their_definition(rng):
     spaces = HalfSpaces(
         np.array([2, 5]), rng.normal(size=(2, 4)), rng.normal(size=(2, 2)), rng.normal(size=2)
     )
@@ -146,7 +146,7 @@ def test_what_is_missing_is_what_the_definition_says(rng):
         assert spaces.violation(x, u)[row] == pytest.approx(spaces.rhs[row] - kept)
 
 
-def test_other_norms_go_by_the_statement():
+def test_other_norms_are_solved_in_cvxpy():
     for q, r in ((2, 2), ("inf", 1)):
         avoid = AvoidanceProblem(TransferProblem(plane, 0.4, 0.6, q, r))
         passage = avoid.solve(start, goal, detour())
@@ -160,7 +160,7 @@ def test_other_norms_go_by_the_statement():
 
 
 @pytest.mark.parametrize("solve", ["solve", "solve_cvxpy"])
-def test_what_cannot_be_is_infeasible(solve):
+def test_unreachable_goals_and_half_spaces_are_infeasible(solve):
     avoid = AvoidanceProblem(TransferProblem(plane, 0.1))
     with pytest.raises(Infeasible):
         getattr(avoid, solve)(start, 20 * goal, empty_half_spaces(avoid.transfer))
@@ -170,7 +170,7 @@ def test_what_cannot_be_is_infeasible(solve):
 
 @pytest.mark.parametrize("gives", ["none", "terminal", "separation"])
 @pytest.mark.parametrize("count", [1, 2])
-def test_a_step_or_two_do_what_they_can(rng, gives, count):
+def test_one_or_two_steps_reach_what_they_can(rng, gives, count):
     steps = plane[:count]
     avoid, u = (
         AvoidanceProblem(TransferProblem(steps, 0.1, 5.0)),

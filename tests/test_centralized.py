@@ -1,4 +1,4 @@
-"""The whole swarm as one programme: laws, convex cases, and the distributed method against it."""
+"""Centralized problem: laws, convex cases, and the distributed method against it."""
 
 from dataclasses import replace
 
@@ -53,7 +53,7 @@ def by_priority(central, start, goal):
 
 
 def keeps_everything(central, found, start, goal):
-    """By other means than `Central.fly`: step by step, and densely between the samples."""
+    """Check feasibility step by step and densely between the samples."""
     transfer, d = central.transfer, central.transfer.model.axes
     for x, u, begin, end in zip(found.x, found.u, start, goal, strict=True):
         state = begin
@@ -73,7 +73,7 @@ def keeps_everything(central, found, start, goal):
 
 
 @pytest.mark.parametrize("axes", [2, 3])
-def test_two_that_cross_stay_apart_for_no_more_fuel_than_by_priorities(axes):
+def test_two_crossing_agents_need_no_more_fuel_than_by_priority(axes):
     central = question(axes)
     start, goal = (
         np.insert(side, [2] * (axes - 2) + [4] * (axes - 2), 0.0, 1) for side in CROSSING
@@ -84,28 +84,28 @@ def test_two_that_cross_stay_apart_for_no_more_fuel_than_by_priorities(axes):
     best, tried = central.solve(start, goal, [planned, free])
     keeps_everything(central, best, start, goal)
     assert best.fuel <= tried[0].fuel
-    assert best.fuel >= tried[1].fuel - 1e-9  # nobody flies for less than alone
+    assert best.fuel >= tried[1].fuel - 1e-9  # no agent needs less fuel than alone
     x = np.moveaxis(best.x, 0, 1)
     closest = separations(x[..., :axes], x[..., axes:], np.ones(x.shape[:2], dtype=bool), STEP)
     assert closest.minimum.distance == pytest.approx(RADIUS * best.min_separation, rel=1e-9)
-    assert best.min_separation <= 1.001  # they brush past each other
+    assert best.min_separation <= 1.001  # the constraint is active
 
 
 @pytest.mark.parametrize("fuel_norm", [1, 2])
 @pytest.mark.parametrize("control_norm", ["inf", 2, 1])
-def test_agents_far_apart_fly_as_if_they_were_alone(fuel_norm, control_norm):
+def test_distant_agents_fly_their_own_transfers(fuel_norm, control_norm):
     central = question(fuel_norm=fuel_norm, control_norm=control_norm)
     start = at_rest([[0.0, 0.0], [9.0, 0.0], [0.0, 9.0]])
     goal = start + at_rest([[3.0, 1.0], [1.0, -2.0], [0.5, 0.0]])
     free = [central.transfer.solve(*ends) for ends in zip(start, goal, strict=True)]
     rest = central.transfer.model.simulate(start, np.zeros((3, T, 2))), np.zeros((3, T, 2))
     best, tried = central.solve(start, goal, [rest])
-    assert not tried[0].is_feasible  # the optimum is found, and not handed over
+    assert not tried[0].is_feasible  # the optimum is not among the guesses
     assert best.fuel == pytest.approx(sum(f.fuel for f in free), rel=1e-6)
     keeps_everything(central, best, start, goal)
 
 
-def test_in_orbit_agents_far_apart_fly_as_if_they_were_alone():
+def test_distant_agents_in_orbit_fly_their_own_transfers():
     central = question(
         3, 50.0, model=ClohessyWiltshire(1.1e-3), step=60.0, max_control=0.01, max_speed=4.0
     )
@@ -117,7 +117,7 @@ def test_in_orbit_agents_far_apart_fly_as_if_they_were_alone():
     assert best.fuel == pytest.approx(sum(f.fuel for f in free), rel=1e-6)
 
 
-def test_a_guess_that_stands_is_never_lost():
+def test_a_feasible_guess_is_never_lost():
     central = question()
     start, goal = CROSSING
     planned = by_priority(central, start, goal)
@@ -126,7 +126,7 @@ def test_a_guess_that_stands_is_never_lost():
     assert best.fuel <= tried[0].fuel and tried[0].solver_message == "initial guess"
 
 
-def test_a_descent_that_is_dearer_than_what_stands_is_left_at_once(monkeypatch):
+def test_solutions_dearer_than_the_best_feasible_one_are_abandoned(monkeypatch):
     rounds = []
 
     def counted(*args, **kwargs):
@@ -144,9 +144,9 @@ def test_a_descent_that_is_dearer_than_what_stands_is_left_at_once(monkeypatch):
     assert again.fuel == best.fuel and len(rounds) == alone_takes + 1
 
 
-def test_what_has_no_answer_raises_with_all_that_was_tried():
-    # Just time enough to go straight, at full thrust to half-way and back. What that leaves for
-    # the other axis takes nobody aside by R / 2.
+def test_without_a_feasible_solution_all_solutions_are_raised():
+    # The time just suffices to fly straight at full control, which leaves too little for a
+    # displacement of R / 2 on the other axis.
     central = question(max_speed=np.inf, control_norm=1)
     start = at_rest([[-3.59, 0.0], [3.59, 0.0]])
     goal = start[::-1].copy()
@@ -160,7 +160,7 @@ def test_what_has_no_answer_raises_with_all_that_was_tried():
     assert all(t.max_violation > 1e-3 for t in raised.value.solutions)
 
 
-def test_those_nowhere_near_each_other_have_no_separation_to_tell():
+def test_messages_give_no_separation_of_distant_agents():
     central = question(max_control=0.01)
     start = at_rest([[0.0, 0.0], [9.0, 0.0]])
     rest = central.transfer.model.simulate(start, np.zeros((2, T, 2))), np.zeros((2, T, 2))
@@ -170,7 +170,7 @@ def test_those_nowhere_near_each_other_have_no_separation_to_tell():
 
 
 def through_one_point(rng, count):
-    """Vehicles change sides of a circle; all alone, and bent aside."""
+    """Agents that exchange sides of a circle, with plain and displaced guesses."""
     turn = np.linspace(0, 2 * np.pi, count, endpoint=False) + rng.uniform(-0.2, 0.2, count)
     start = at_rest(1.6 * np.column_stack([np.cos(turn), np.sin(turn)]))
     central, goal = question(), -start
@@ -180,7 +180,7 @@ def through_one_point(rng, count):
 
 
 @pytest.mark.parametrize(("count", "instances"), [(3, 3), (4, 1)])
-def test_an_optimum_is_that_of_hardly_more_than_what_was_asked(rng, count, instances):
+def test_optima_need_hardly_any_padding(rng, count, instances):
     for _ in range(instances):
         central, start, goal, guesses = through_one_point(rng, count)
         best, tried = central.solve(start, goal, guesses)
@@ -189,7 +189,7 @@ def test_an_optimum_is_that_of_hardly_more_than_what_was_asked(rng, count, insta
         keeps_everything(central, best, start, goal)
 
 
-def test_ends_that_are_too_close_are_refused():
+def test_close_ends_and_invalid_guesses_are_refused():
     central = question()
     near = at_rest([[0.0, 0.0], [0.4, 0.0]])
     free = by_themselves(central, CROSSING[0], CROSSING[1])
@@ -206,7 +206,7 @@ def test_ends_that_are_too_close_are_refused():
             central.solve(*CROSSING, [free, tuple(spoilt)])
 
 
-def test_questions_that_are_not_written_are_refused():
+def test_unsupported_norms_and_lengths_are_refused():
     with pytest.raises(ValueError, match="fuel_norm = 1 or 2"):
         question(fuel_norm="inf")
     central = question()
@@ -217,7 +217,7 @@ def test_questions_that_are_not_written_are_refused():
 @pytest.mark.parametrize(
     "spoilt", ["control_violation", "speed_violation", "terminal_error", "separation"]
 )
-def test_each_broken_promise_is_seen_in_recomputing(spoilt):
+def test_simulation_reveals_each_kind_of_violation(spoilt):
     central = question()
     start, goal = CROSSING
     good = by_priority(central, start, goal)[1]
@@ -239,7 +239,7 @@ def test_each_broken_promise_is_seen_in_recomputing(spoilt):
     assert broken | ({"separation"} if found.min_separation < 1 - 1e-6 else set()) == {spoilt}
 
 
-def test_a_bent_guess_is_bent_most_half_way_and_keeps_its_ends():
+def test_a_displaced_guess_keeps_its_ends_and_is_consistent():
     x, u = np.zeros((2, T + 1, 4)), np.zeros((2, T, 2))
     by = np.array([[1.0, 0.0], [0.0, -2.0]])
     bent, same = displace_guess((x, u), STEP, by)

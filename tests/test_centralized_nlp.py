@@ -1,4 +1,4 @@
-"""The programme of the whole swarm as it is written: instants, derivatives, bounds."""
+"""Nonlinear program of the swarm: instants, derivatives and bounds."""
 
 import casadi
 import numpy as np
@@ -23,7 +23,7 @@ def drawn(rng, axes=2, **norms):
     return central, x, u, SeparationConstraints(pair, piece, np.array([0.3, 0.0, 1.0, 0.71]), keep)
 
 
-def test_instants_move_over_the_pieces_and_stay_among_them(rng):
+def test_shifted_instants_stay_within_the_pieces(rng):
     instants = drawn(rng)[-1]
     later, earlier = instants.shift(0.9, 23), instants.shift(-6.0, 23)
     np.testing.assert_allclose(later.time, [1.2, 5.9, 24.0, 12.61])
@@ -33,7 +33,7 @@ def test_instants_move_over_the_pieces_and_stay_among_them(rng):
         assert (moved.fraction >= 0).all() and (moved.fraction <= 1).all()
 
 
-def test_only_the_same_pair_about_the_same_time_is_kept_further_apart(rng):
+def test_only_the_same_pair_near_the_same_time_gets_a_larger_distance(rng):
     instants = drawn(rng)[-1]
     pair = np.array([[0, 1], [0, 1]])
     others = SeparationConstraints(pair, np.array([0, 1]), np.array([0.9, 0.1]), np.ones(2))
@@ -42,7 +42,7 @@ def test_only_the_same_pair_about_the_same_time_is_kept_further_apart(rng):
 
 
 @pytest.mark.parametrize("axes", [2, 3])
-def test_differences_of_places_are_those_of_the_paths(rng, axes):
+def test_relative_positions_are_those_of_the_trajectories(rng, axes):
     central, x, u, instants = drawn(rng, axes)
     path = central.horizon.control_points(x, u)
     own, other = (path[instants.pair[:, side], instants.piece] for side in (0, 1))
@@ -53,7 +53,7 @@ def test_differences_of_places_are_those_of_the_paths(rng, axes):
 
 
 @pytest.mark.parametrize(("fuel_norm", "control_norm"), [(1, "inf"), (2, 2), (1, 1)])
-def test_derivatives_are_those_of_finite_differences_and_sparse(rng, fuel_norm, control_norm):
+def test_derivatives_agree_with_finite_differences_and_are_sparse(rng, fuel_norm, control_norm):
     central, _, _, instants = drawn(rng, fuel_norm=fuel_norm, control_norm=control_norm)
     by = rng.uniform(-0.5, 0.5, (3, T, 2))
     programme = build_nlp(central.transfer, central.horizon, 3, instants, by)
@@ -82,8 +82,8 @@ def test_derivatives_are_those_of_finite_differences_and_sparse(rng, fuel_norm, 
     assert H.nnz() <= 3 * z.numel()
 
 
-def test_the_programme_holds_the_motion_and_its_bounds(rng):
-    # Flown states satisfy every equation; rows of distance are their squares.
+def test_simulated_states_satisfy_dynamics_and_bounds(rng):
+    # Simulated states satisfy every equation; distances enter as squares.
     central, _, u, instants = drawn(rng, control_norm=2)
     start = rng.normal(size=(3, 4))
     x = central.transfer.model.simulate(start, u)
@@ -111,7 +111,7 @@ def test_the_programme_holds_the_motion_and_its_bounds(rng):
     np.testing.assert_allclose(kept[after : after + len(thrusts)], thrusts, atol=1e-12)
 
 
-def test_the_solver_is_not_believed_but_what_it_says_is_kept():
+def test_the_reported_status_does_not_decide_feasibility():
     central = question()
     start, goal = CROSSING
     free = by_themselves(central, start, goal)
@@ -119,5 +119,5 @@ def test_the_solver_is_not_believed_but_what_it_says_is_kept():
         np.zeros((0, 2), dtype=int), np.zeros(0, dtype=int), np.zeros(0), np.zeros(0)
     )
     _, u, said = solve_nlp(central.transfer, central.horizon, (start, goal), free, nowhere)
-    assert "Solve_Succeeded" in said  # of a programme that forgot to keep them apart
+    assert "Solve_Succeeded" in said  # of a program without separation constraints
     assert not central.simulate(start, goal, u, said).is_feasible

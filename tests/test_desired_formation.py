@@ -1,18 +1,12 @@
-"""A formation: what its gains must leave alone, and what is no formation."""
+"""Desired formation: kernels of its gains, and validation."""
 
 import numpy as np
 import pytest
+from gain_examples import complete, ring
 from hypothesis import given
 from hypothesis import strategies as st
 
 from problems.desired_formation import DesiredFormation, _validate_graph
-
-
-def ring(n):
-    graph = np.zeros((n, n), dtype=bool)
-    at = np.arange(n)
-    graph[at, (at + 1) % n] = graph[(at + 1) % n, at] = True
-    return graph
 
 
 def spans(kernel, column):
@@ -20,7 +14,7 @@ def spans(kernel, column):
 
 
 @given(st.integers(3, 12), st.integers(0, 2**32 - 1), st.floats(0, 1e5))
-def test_kernels_are_orthonormal_and_span_the_shape_wherever_it_stands(n, seed, away):
+def test_kernels_are_orthonormal_and_span_the_shape_at_any_offset(n, seed, away):
     rng = np.random.default_rng(seed)
     formation = DesiredFormation.with_complete_graph(rng.normal(size=(n, 3)) * [9, 9, 2] + away)
     for kernel, column in (
@@ -39,7 +33,7 @@ def test_planar_points_are_complex_numbers():
 
 
 @pytest.mark.parametrize(("spread", "flat"), [(0.0, True), (0.009, True), (0.011, False)])
-def test_heights_within_a_centimetre_of_their_middle_count_as_equal(spread, flat):
+def test_heights_within_one_centimeter_of_their_middle_count_as_equal(spread, flat):
     square = np.array([[0.0, 0, 1], [9, 0, 1], [9, 9, 1], [0, 9, 1]])
     square[:, 2] += spread * np.array([1, -1, 1, -1])
     formation = DesiredFormation.with_complete_graph(square)
@@ -49,7 +43,7 @@ def test_heights_within_a_centimetre_of_their_middle_count_as_equal(spread, flat
 
 @pytest.mark.parametrize("n", [3, 20, 200])
 @given(seed=st.integers(0, 2**32 - 1))
-def test_one_point_that_is_higher_is_not_lost_among_many(n, seed):
+def test_one_higher_point_among_many_makes_a_formation_not_flat(n, seed):
     rng = np.random.default_rng(seed)
     points = np.column_stack([rng.uniform(0, 60, (n, 2)), np.full(n, 1.0)])
     assert DesiredFormation.with_complete_graph(points).is_flat
@@ -58,12 +52,12 @@ def test_one_point_that_is_higher_is_not_lost_among_many(n, seed):
     assert not formation.is_flat and formation.kernel_z.shape == (n, 2)
 
 
-def test_a_vertical_stack_has_one_column_in_the_plane_and_two_upwards():
+def test_a_vertical_stack_has_one_horizontal_and_two_vertical_columns():
     stack = DesiredFormation.with_complete_graph(np.array([[5.3, -2.1, z] for z in (0.0, 2, 3, 7)]))
     assert stack.kernel_xy.shape == (4, 1) and stack.kernel_z.shape == (4, 2)
 
 
-def test_points_in_a_row_have_two_columns_in_the_plane():
+def test_collinear_points_have_two_horizontal_columns():
     row = DesiredFormation.with_complete_graph(np.array([[2.0 * k, -k, 1] for k in range(5)]))
     assert row.kernel_xy.shape == (5, 2) and row.is_flat
 
@@ -81,7 +75,7 @@ def changed(graph, pairs, value):
 
 
 POINTS = np.random.default_rng(0).normal(size=(6, 3))
-FULL = ~np.eye(6, dtype=bool)
+FULL = complete(6)
 PARTS = np.kron(np.eye(2, dtype=bool), ~np.eye(3, dtype=bool))
 LEAF = changed(FULL, [(5, k) for k in range(1, 6)] + [(k, 5) for k in range(1, 6)], False)
 
@@ -94,23 +88,27 @@ LEAF = changed(FULL, [(5, k) for k in range(1, 6)] + [(k, 5) for k in range(1, 6
         (POINTS * [1, 1, np.nan], FULL, "point 0 is .* must be finite"),
         (changed(POINTS, [(4, 2)], 1e200), FULL, r"point 4 is .* at most 1e\+09 m"),
         (POINTS, changed(FULL, [(3, 3)], True), "vertex 3 is its own neighbor"),
-        (POINTS, changed(FULL, [(4, 2)], False), "edge 2–4 is missing in the other direction: set 4–2"),
+        (
+            POINTS,
+            changed(FULL, [(4, 2)], False),
+            "edge 2–4 is missing in the other direction: set 4–2",
+        ),
         (POINTS, PARTS, "no edge joins vertices 0, 1, 2 to the rest"),
         (POINTS, LEAF, "too sparse at vertex 5"),
     ],
 )
-def test_what_is_no_formation_is_refused_with_the_reason(points, graph, words):
+def test_invalid_formations_are_refused_with_the_reason(points, graph, words):
     with pytest.raises(ValueError, match=words):
         DesiredFormation(points, graph)
 
 
 def test_a_graph_of_another_size_is_refused():
-    # Asked of the check itself: in tests, the annotation of the shape would answer first.
+    # In tests, the annotated shape would be refused before the validation runs.
     with pytest.raises(ValueError, match=r"5 points need a graph of 5 × 5, got \(6, 6\)"):
         _validate_graph(FULL, 5)
 
 
-def test_the_smaller_part_is_named_and_long_lists_are_cut(rng):
+def test_a_disconnected_part_is_named_and_long_lists_are_cut(rng):
     n = 30
     graph = np.zeros((n, n), dtype=bool)
     graph[:12, :12], graph[12:, 12:] = ring(12), ring(18)

@@ -1,4 +1,4 @@
-"""λ₂ from where the last graph left its eigenvectors, against all eigenvectors of each."""
+"""Tracking of λ₂ against full eigendecompositions."""
 
 import numba
 import numpy as np
@@ -17,7 +17,7 @@ def both(L, basis):
 
 
 def drifting(agents, seed, steps=30, speed=0.3, density=0.05):
-    """Laplacians of robots that drift, 20 ms apart."""
+    """Laplacians of a drifting swarm every 20 ms."""
     rng = np.random.default_rng(seed)
     side = (agents / density) ** (1 / 3)
     position, yaw = rng.uniform(0, side, (agents, 3)), rng.uniform(-np.pi, np.pi, agents)
@@ -37,26 +37,26 @@ def agrees(L, lambda2, vectors):
 
 
 @given(st.sampled_from([3, 6, DENSE_MAX_AGENTS, DENSE_MAX_AGENTS + 1, 40]), st.integers(0, 10_000))
-def test_on_a_drifting_swarm_it_finds_what_all_eigenvectors_have(agents, seed):
+def test_tracking_a_drifting_swarm_agrees_with_the_full_decomposition(agents, seed):
     basis = np.random.default_rng(seed).standard_normal((3, agents))
     for L in drifting(agents, seed, steps=8):
         value = np.linalg.eigvalsh(L)
         lambda2, vectors = both(L, basis)
-        if value[1] > 1e-3:  # elsewhere the constant vector is one of several, but for rounding
+        if value[1] > 1e-3:  # otherwise 0 is a multiple eigenvalue but for rounding
             agrees(L, lambda2, vectors)
         assert lambda2 == pytest.approx(value[1], abs=1e-11)
 
 
 @given(st.integers(0, 10_000))
-def test_a_graph_that_has_nothing_to_do_with_the_last_one_is_no_trap(seed):
+def test_an_unrelated_new_graph_is_solved_correctly(seed):
     one, other = drifting(30, seed, steps=1)[0], drifting(30, seed + 1, steps=1)[0]
     basis = np.random.default_rng(seed).standard_normal((3, 30))
     both(one, basis)
     assert both(other, basis)[0] == pytest.approx(np.linalg.eigvalsh(other)[1], abs=1e-11)
 
 
-def test_vectors_of_others_are_not_taken_for_the_least():
-    # From exact eigenvectors that are not of λ₂, the iteration alone would never leave.
+def test_eigenvectors_of_other_eigenvalues_are_rejected():
+    # Exact eigenvectors of larger eigenvalues are fixed points of the iteration.
     L = drifting(40, 3, steps=1)[0]
     value, vector = np.linalg.eigh(L)
     assert value[5] > 1.1 * value[1] > 0
@@ -65,7 +65,7 @@ def test_vectors_of_others_are_not_taken_for_the_least():
 
 
 @pytest.mark.parametrize("agents", [5, DENSE_MAX_AGENTS + 10])
-def test_all_eigenvectors_of_a_repeated_eigenvalue_come_back(agents):
+def test_all_eigenvectors_of_a_repeated_eigenvalue_are_returned(agents):
     L = agents * np.eye(agents) - np.ones((agents, agents))
     basis = np.random.default_rng(0).standard_normal((3, agents))
     for _ in range(3):
@@ -74,7 +74,7 @@ def test_all_eigenvectors_of_a_repeated_eigenvalue_come_back(agents):
         assert len(vectors) == agents - 1
 
 
-def test_a_double_eigenvalue_gives_both_of_its_vectors():
+def test_a_double_eigenvalue_returns_two_vectors():
     ring = np.roll(np.eye(30), 1, axis=0)
     L = 2 * np.eye(30) - ring - ring.T
     basis = np.random.default_rng(0).standard_normal((3, 30))
@@ -84,7 +84,7 @@ def test_a_double_eigenvalue_gives_both_of_its_vectors():
         agrees(L, lambda2, vectors)
 
 
-def test_on_a_drifting_swarm_the_last_vectors_do_nearly_always():
+def test_inverse_iteration_nearly_always_suffices_on_a_drifting_swarm():
     @numba.njit
     def follow(L, basis, value):
         return module._inverse_iteration(L, basis, value)

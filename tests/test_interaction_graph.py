@@ -1,4 +1,4 @@
-"""Weights, λ₂ and its gradient: against differences, another derivative, and their symmetries."""
+"""Interaction graph: gradients against differences and CasADi, and symmetries."""
 
 import casadi
 import numpy as np
@@ -15,7 +15,7 @@ from problems.interaction_graph import (
 SIGHT = Camera()
 
 
-def robots(rng, count=6):
+def draw_swarm(rng, count=6):
     return rng.uniform(0, 1, (count, 3)) * [8, 8, 3], rng.uniform(-np.pi, np.pi, count)
 
 
@@ -23,10 +23,10 @@ def lambda2(position, yaw):
     return algebraic_connectivity(interaction_graph(position, yaw, SIGHT).weights).lambda2
 
 
-def test_the_gradient_is_that_of_central_differences():
+def test_the_gradient_agrees_with_central_differences():
     rng, h = np.random.default_rng(2023), 1e-6
     for _ in range(200):
-        position, yaw = robots(rng)
+        position, yaw = draw_swarm(rng)
         found = lambda2_gradient(position, yaw, SIGHT)
         steps = h * np.eye(18).reshape(18, 6, 3)
         along = lambda2(position + steps, np.tile(yaw, (18, 1)))
@@ -41,7 +41,7 @@ def test_the_gradient_is_that_of_central_differences():
 
 
 def symbolic_weight():
-    """A_ij written down anew, as the paper prints it in world coordinates."""
+    """A_ij as the paper prints it in world coordinates."""
 
     def rise(x, low, high):
         inside = (1 - casadi.cos(casadi.pi * (x - low) / (high - low))) / 2
@@ -66,10 +66,10 @@ def symbolic_weight():
     return casadi.Function("weight", [p, a, q, b], [weight, slope])
 
 
-def test_weights_and_gradient_agree_with_the_printed_formulas_and_casadi():
+def test_weights_and_gradient_agree_with_the_printed_formulas():
     rng, weigh = np.random.default_rng(7), symbolic_weight()
     for _ in range(40):
-        position, yaw = robots(rng)
+        position, yaw = draw_swarm(rng)
         found = interaction_graph(position, yaw, SIGHT).weights
         felt = algebraic_connectivity(found).weight_gradient
         for i in range(6):
@@ -83,16 +83,16 @@ def test_weights_and_gradient_agree_with_the_printed_formulas_and_casadi():
             assert [*whole.position[i], whole.yaw[i]] == pytest.approx(slope, abs=1e-10)
 
 
-def test_where_the_swarm_stands_and_looks_as_a_whole_makes_no_difference(rng):
-    position, yaw = robots(rng)
+def test_lambda2_is_invariant_to_a_common_rotation_and_translation(rng):
+    position, yaw = draw_swarm(rng)
     turn = 1.234
     c, s = np.cos(turn), np.sin(turn)
     elsewhere = position @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + [5, -7, 2]
     assert lambda2(elsewhere, yaw + turn) == pytest.approx(lambda2(position, yaw), abs=1e-12)
 
 
-def test_many_swarms_at_once_are_as_each_by_itself(rng):
-    many = [robots(rng) for _ in range(12)]
+def test_a_batch_of_swarms_equals_each_swarm_alone(rng):
+    many = [draw_swarm(rng) for _ in range(12)]
     position, yaw = (
         np.array(part).reshape(3, 4, *part[0].shape) for part in zip(*many, strict=True)
     )
@@ -105,7 +105,7 @@ def test_many_swarms_at_once_are_as_each_by_itself(rng):
         )
 
 
-def test_one_is_enough_to_see_the_other_and_none_is_too_few():
+def test_one_of_two_agents_must_see_the_other():
     position = np.array([[0.0, 0, 0], [5, 0, 0]])
     ahead = np.arctan2(SIGHT.optical_axis[1], SIGHT.optical_axis[0])
     for yaw, weight in (((-ahead, -ahead), 1.0), ((np.pi - ahead, -ahead), 0.0)):
@@ -113,14 +113,14 @@ def test_one_is_enough_to_see_the_other_and_none_is_too_few():
         assert found.weights[0, 1] == found.weights[1, 0] == pytest.approx(weight, abs=1e-12)
 
 
-def test_on_one_spot_nobody_sees_anybody_and_nothing_pulls():
+def test_coinciding_agents_have_zero_weights_and_gradient():
     position, yaw = np.zeros((3, 3)), np.zeros(3)
     assert not interaction_graph(position, yaw, SIGHT).weights.any()
     assert not lambda2_gradient(position, yaw, SIGHT).position.any()
 
 
-def test_what_a_multiple_eigenvalue_feels_does_not_hang_on_the_basis(rng):
-    # All weights alike: λ₂ … λ_n coincide, and every edge feels as much as any other.
+def test_the_gradient_of_a_multiple_eigenvalue_is_independent_of_the_basis(rng):
+    # With equal weights λ₂ … λ_n coincide, and all edges have the same derivative.
     weight = np.ones((5, 5)) - np.eye(5)
     found = algebraic_connectivity(weight)
     assert found.lambda2 == pytest.approx(5) and found.lambda3 == pytest.approx(5)
@@ -128,7 +128,7 @@ def test_what_a_multiple_eigenvalue_feels_does_not_hang_on_the_basis(rng):
     assert found.weight_gradient[off] == pytest.approx(
         np.full(20, found.weight_gradient[0, 1]), abs=1e-12
     )
-    # The mean of the four grows with an edge as their sum, the trace, does: by 2 for both ends.
+    # An edge adds 2 to the trace, the sum of the four eigenvalues.
     assert found.weight_gradient[0, 1] == pytest.approx(2 / 4)
     h, more = 1e-6, weight.copy()
     more[0, 1] = more[1, 0] = 1 + h

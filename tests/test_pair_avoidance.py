@@ -1,4 +1,4 @@
-"""Two transfers as one programme: the assembled path against the statement, and laws."""
+"""Joint avoidance of two agents: the condensed program against CVXPY, and priority."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from problems.transfer import TransferProblem
 
 
 def crossing(rng, axes=2, **limits):
-    """Two who change sides, and a third of whom the second keeps clear."""
+    """Two agents that exchange sides, and a third one that the second avoids."""
     transfer, horizon = make_problem(axes)
     transfer = replace(transfer, tie_break_rise=0.0, **limits)
     aside = np.eye(axes)[1]
@@ -47,7 +47,7 @@ def stands(pair, flights):
 
 
 @pytest.mark.parametrize("axes", [2, 3])
-def test_the_assembled_path_is_the_statement(rng, axes):
+def test_the_condensed_program_agrees_with_cvxpy(rng, axes):
     for _ in range(2):
         _, pair, _ = crossing(rng, axes)
         unhurried = pair.solve()
@@ -69,7 +69,7 @@ def fastest(flights):
     return max(np.linalg.norm(flight.x[1:-1, d:], axis=1).max() for flight in flights)
 
 
-def test_rows_between_two_are_those_of_their_relative_control_points(rng):
+def test_relative_rows_are_those_of_the_relative_control_points(rng):
     both, _, horizon = crossing(rng)
     first, second = (p.nominal for p in both)
     normal = rng.normal(size=(len(both[0].control_points), 2))
@@ -82,7 +82,7 @@ def test_rows_between_two_are_those_of_their_relative_control_points(rng):
     np.testing.assert_allclose(np.sort(-missing), np.sort(room.ravel()[-len(missing) :]), atol=1e-9)
 
 
-def test_two_with_nothing_between_them_fly_as_if_they_were_alone(rng):
+def test_without_relative_half_spaces_both_fly_their_own_transfers(rng):
     _, pair, _ = crossing(rng)
     nothing = replace(
         pair,
@@ -93,7 +93,7 @@ def test_two_with_nothing_between_them_fly_as_if_they_were_alone(rng):
         assert flight.fuel == pytest.approx(side.transfer.solve(side.start, side.goal).fuel)
 
 
-def test_together_they_pay_no_more_than_where_one_of_them_goes_first(rng):
+def test_a_joint_solution_costs_no_more_than_one_by_priority(rng):
     saved = []
     for _ in range(4):
         _, pair, _ = crossing(rng)
@@ -111,7 +111,7 @@ def test_together_they_pay_no_more_than_where_one_of_them_goes_first(rng):
 
 
 @pytest.mark.parametrize("norms", [(2, 2), ("inf", 1)])
-def test_other_norms_go_by_the_statement(rng, norms):
+def test_other_norms_are_solved_in_cvxpy(rng, norms):
     _, pair, _ = crossing(rng, fuel_norm=norms[0], control_norm=norms[1])
     found = pair.solve()
     assert pair.relative_half_spaces.violation(*found).max() <= 1e-6
@@ -119,7 +119,7 @@ def test_other_norms_go_by_the_statement(rng, norms):
 
 
 @pytest.mark.parametrize("solve", ["solve", "solve_cvxpy"])
-def test_what_cannot_be_is_infeasible(rng, solve):
+def test_incompatible_constraints_are_infeasible(rng, solve):
     _, pair, _ = crossing(rng)
     first = pair.relative_half_spaces.first
     far = pair.relative_half_spaces._replace(first=first._replace(rhs=first.rhs + 50.0))
