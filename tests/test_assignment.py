@@ -1,4 +1,4 @@
-"""The central optimum, against all permutations."""
+"""Optimal assignment, against all permutations."""
 
 from itertools import permutations
 
@@ -20,7 +20,7 @@ def test_no_permutation_is_cheaper(rng, agents, targets):
     assert cost[np.arange(agents), target].sum() == pytest.approx(best, abs=1e-12)
 
 
-def test_nobody_is_assigned_nothing():
+def test_no_agents_get_an_empty_assignment():
     assert solve_assignment(np.zeros((0, 3))).shape == (0,)
 
 
@@ -30,7 +30,7 @@ def test_fewer_targets_than_agents_are_refused():
 
 
 @pytest.mark.parametrize("bad", [np.inf, np.nan])
-def test_a_cost_that_is_not_finite_is_refused_by_its_place(bad):
+def test_a_cost_that_is_not_finite_is_refused_with_its_indices(bad):
     cost = np.zeros((2, 3))
     cost[1, 2] = bad
     with pytest.raises(ValueError, match="cost of target 2 for agent 1"):

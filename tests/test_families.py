@@ -1,4 +1,4 @@
-"""Frozen questions: their answers are recomputed, not believed."""
+"""Recorded families of programs: their solutions are recomputed."""
 
 import runpy
 from importlib.resources import files
@@ -29,7 +29,7 @@ NAMES = {
 }
 ALL = [(name, size) for name, sizes in list_families().items() for size in sizes]
 FINE = 1e-9  # of residuals and gaps, relative
-ALIKE = 1e-6  # by which two solvers may differ where one of them is less exact
+ALIKE = 1e-6  # largest difference of two solvers, one of them less exact
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def test_every_family_has_every_size():
 
 
 @pytest.mark.parametrize(("name", "size"), ALL)
-def test_an_answer_is_an_optimum_or_a_proof_that_there_is_none(name, size):
+def test_solutions_are_optima_or_certificates_of_infeasibility(name, size):
     for instance in load_family(name, size).instances:
         if instance.is_feasible:
             answer = ConicSolution.evaluate(instance.problem, instance.x, instance.y)
@@ -59,8 +59,8 @@ def test_an_answer_is_an_optimum_or_a_proof_that_there_is_none(name, size):
 
 
 @pytest.mark.parametrize("name", list_families())
-def test_within_a_tolerance_no_cost_is_further_off_than_duality_allows(rng, name):
-    # Answers that lean as far over as they may, in whatever direction.
+def test_cost_errors_are_within_what_duality_allows(rng, name):
+    # Optima with random errors in all directions.
     for instance in load_family(name, "small").instances:
         problem = instance.problem
         for _ in range(5 if instance.is_feasible else 0):
@@ -73,18 +73,18 @@ def test_within_a_tolerance_no_cost_is_further_off_than_duality_allows(rng, name
 
 
 @pytest.mark.parametrize("name", list_families())
-def test_a_larger_size_is_larger(name):
+def test_a_larger_size_has_more_unknowns(name):
     unknowns = [len(load_family(name, size).instances[0].problem.q) for size in SIZES]
     assert unknowns == sorted(set(unknowns))
 
 
 @pytest.mark.parametrize(("name", "size"), ALL)
-def test_only_the_impossible_family_is_impossible(name, size):
+def test_only_the_infeasible_family_is_infeasible(name, size):
     assert {i.is_feasible for i in load_family(name, size).instances} == {name != "infeasible"}
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_the_speed_limit_binds_wherever_there_is_one(size):
+def test_speed_limits_are_active_but_not_everywhere(size):
     for instance in load_family("transfer-socp", size).instances:
         problem = instance.problem
         room = (problem.b - problem.A @ instance.x)[problem.zero + problem.nonnegative :]
@@ -94,7 +94,7 @@ def test_the_speed_limit_binds_wherever_there_is_one(size):
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_a_half_space_binds_on_whoever_avoids(size):
+def test_avoidance_programs_have_an_active_half_space(size):
     # Rows are the arrival, the half-spaces, and the box: two rows for each unknown.
     for instance in (
         load_family("avoidance-5", size).instances + load_family("avoidance-20", size).instances
@@ -104,7 +104,7 @@ def test_a_half_space_binds_on_whoever_avoids(size):
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_a_goal_in_reach_by_a_hair_is_not_with_a_little_less_control(size):
+def test_infeasible_targets_are_just_beyond_the_near_infeasible(size):
     near = [instance.problem for instance in load_family("near-infeasible", size).instances]
     beyond = [instance.problem for instance in load_family("infeasible", size).instances]
     beyond = [problem for problem in beyond if problem.A.shape == near[0].A.shape]
@@ -116,7 +116,7 @@ def test_a_goal_in_reach_by_a_hair_is_not_with_a_little_less_control(size):
 
 
 @pytest.mark.parametrize(("name", "size"), ALL)
-def test_who_differ_in_b_alone_share_the_rest_and_follow_each_other(name, size):
+def test_programs_that_differ_in_b_alone_share_their_matrix(name, size):
     problems = [instance.problem for instance in load_family(name, size).instances]
     met = []
     for problem in problems:
@@ -128,19 +128,19 @@ def test_who_differ_in_b_alone_share_the_rest_and_follow_each_other(name, size):
     assert len(asked) == len(problems)
 
 
-def test_what_there_is_not_is_refused_with_what_there_is():
+def test_unknown_families_are_refused_with_the_known_ones():
     with pytest.raises(ValueError, match=r'no family "transfer".* transfer-lp'):
         load_family("transfer", "small")
     with pytest.raises(ValueError, match='no size "tiny"; it has small, medium, large'):
         load_family("transfer-lp", "tiny")
 
 
-def test_a_family_that_asks_nothing_is_refused():
+def test_an_empty_family_is_refused():
     with pytest.raises(ValueError, match="empty: it needs at least one instance"):
         Family("transfer-lp", "small", 1, "nowhere", (), ())
 
 
-def test_a_family_is_small_enough_to_ship():
+def test_families_are_small_enough_to_ship():
     sizes = [
         len(file.read_bytes())
         for file in files("problems.families").iterdir()
@@ -150,7 +150,7 @@ def test_a_family_is_small_enough_to_ship():
     assert sum(sizes) < 3e6
 
 
-def test_a_family_drawn_anew_is_the_same(maker):
+def test_a_family_drawn_again_is_the_same(maker):
     drawn, again = (maker["FAMILIES"]["gain-sdp"]("small") for _ in range(2))
     frozen = load_family("gain-sdp", "small")
     assert (maker["SEED"], drawn.source) == (frozen.seed, frozen.source)
@@ -160,7 +160,7 @@ def test_a_family_drawn_anew_is_the_same(maker):
         assert one.q @ solve(one, solve_clarabel).x == pytest.approx(known.reference_cost, abs=1e-6)
 
 
-def test_a_goal_is_moved_just_as_far_as_controls_can_reach(maker):
+def test_targets_are_moved_to_the_edge_of_reach(maker):
     transfer = TransferProblem(discretize_zoh(DoubleIntegrator(2), 1.0, 10), max_control=0.1)
     with maker["record_problems"]("avoidance") as asked:
         AvoidanceProblem(transfer).solve(
@@ -176,7 +176,7 @@ def test_a_goal_is_moved_just_as_far_as_controls_can_reach(maker):
         solve(maker["move_target"](problem, 1.001), solve_clarabel)
 
 
-def test_the_programme_of_the_gains_says_what_the_statement_says(rng, maker):
+def test_the_gain_program_has_the_convergence_rate_of_the_statement(rng, maker):
     graph = ~np.eye(6, dtype=bool)
     graph[0, 3] = graph[3, 0] = False
     question = GainProblem.from_formation(DesiredFormation(rng.uniform(0, 5, (6, 3)), graph), "xy")
