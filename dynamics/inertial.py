@@ -4,7 +4,7 @@ It shares no equation with the relative motion of `dynamics.j2`, so that each ve
 other.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from math import inf
 
@@ -16,7 +16,14 @@ from dynamics.atmosphere import Atmosphere
 from dynamics.coordinate_frames import LVLH, inertial_state, orbit_axes, to_polar_nodal
 from dynamics.forces import Forces
 from dynamics.orbit import Orbit
-from dynamics.plant import Plant, is_present, validate_propagation
+from dynamics.plant import (
+    AgentControls,
+    AgentStates,
+    AgentTrajectories,
+    Plant,
+    is_present,
+    validate_propagation,
+)
 from dynamics.propagation import integrate_orbits
 
 CHECKPOINT_INTERVAL = 60.0  # the chief's state is cached at multiples of this [s]
@@ -44,7 +51,7 @@ class InertialPlant(Plant):
             without an atmosphere.
     """
 
-    chief_orbit: Orbit
+    chief_orbit: Orbit = field()  # required: without this, the default of `Plant` would hold
     ballistic_coefficient: float | Float[Array, " agents"] | None = None
     chief_ballistic_coefficient: float | None = None
     atmosphere: Atmosphere | None = None
@@ -55,13 +62,8 @@ class InertialPlant(Plant):
         self._forces.validate_ballistic_coefficients(self.chief_ballistic_coefficient)
 
     def propagate(
-        self,
-        x: Float[Array, "agents n"],
-        u: Float[Array, "agents m"],
-        t: float,
-        dt: float,
-        substeps: int = 1,
-    ) -> Float[Array, "{substeps}+1 agents n"]:
+        self, x: AgentStates, u: AgentControls, t: float, dt: float, substeps: int = 1
+    ) -> AgentTrajectories:
         """Return the states at equal instants from t to t + dt, the first of them x itself.
 
         Raises:

@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -11,6 +12,10 @@ from scipy.integrate import solve_ivp
 from dynamics.discretize import discretize_zoh
 from dynamics.model import LinearModel, NonlinearModel
 from dynamics.orbit import Orbit
+
+AgentStates: TypeAlias = Float[Array, "agents n"]
+AgentControls: TypeAlias = Float[Array, "agents m"]
+AgentTrajectories: TypeAlias = Float[Array, "{substeps}+1 agents n"]
 
 RTOL = 1e-13  # of a step of `NonlinearPlant`, and in addition
 ATOL = 1e-9, 1e-12  # of each agent's position and velocity [m, m/s]
@@ -23,17 +28,12 @@ class Plant(ABC):
     propagated before. Rows of NaN are absent agents; they stay NaN.
     """
 
-    chief_orbit: Orbit | None  # None where there is no orbit
+    chief_orbit: Orbit | None = None  # None where there is no orbit
 
     @abstractmethod
     def propagate(
-        self,
-        x: Float[Array, "agents n"],
-        u: Float[Array, "agents m"],
-        t: float,
-        dt: float,
-        substeps: int = 1,
-    ) -> Float[Array, "{substeps}+1 agents n"]:
+        self, x: AgentStates, u: AgentControls, t: float, dt: float, substeps: int = 1
+    ) -> AgentTrajectories:
         """Return the states at equal instants from t to t + dt, the first of them x itself.
 
         Args:
@@ -60,13 +60,8 @@ class LinearPlant(Plant):
     chief_orbit: Orbit | None = None
 
     def propagate(
-        self,
-        x: Float[Array, "agents n"],
-        u: Float[Array, "agents m"],
-        t: float,
-        dt: float,
-        substeps: int = 1,
-    ) -> Float[Array, "{substeps}+1 agents n"]:
+        self, x: AgentStates, u: AgentControls, t: float, dt: float, substeps: int = 1
+    ) -> AgentTrajectories:
         """Return the states at equal instants from t to t + dt, the first of them x itself."""
         validate_propagation(x, u, dt, substeps, self.model.axes)
         steps = discretize_zoh(self.model, dt / substeps, substeps, t)
@@ -93,13 +88,8 @@ class NonlinearPlant(Plant):
         object.__setattr__(self, "chief_orbit", getattr(self.model, "orbit", None))
 
     def propagate(
-        self,
-        x: Float[Array, "agents n"],
-        u: Float[Array, "agents m"],
-        t: float,
-        dt: float,
-        substeps: int = 1,
-    ) -> Float[Array, "{substeps}+1 agents n"]:
+        self, x: AgentStates, u: AgentControls, t: float, dt: float, substeps: int = 1
+    ) -> AgentTrajectories:
         """Return the states at equal instants from t to t + dt, the first of them x itself.
 
         Raises:

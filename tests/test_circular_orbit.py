@@ -63,7 +63,7 @@ def test_transitions_over_many_times_are_each_its_own(model, rng):
 
 
 @models
-def test_bounded_orbit_closes_at_any_radial_speed(model, rng):
+def test_bounded_orbit_closes_after_one_period(model, rng):
     x = rng.uniform(-1500, 1500, (20, 6)) * units(model)
     x[:, 4] = model.bounded_velocity(x[:, :3])[:, 1]
     period = 2 * np.pi / model.in_plane_rate

@@ -61,15 +61,6 @@ def test_an_orbit_without_oblateness_closes():
     assert after[5] - orbit.arg_latitude == pytest.approx(6 * pi, rel=1e-10)
 
 
-def test_the_node_drifts_at_the_textbook_rate():
-    # −3/2 J₂ n (R/p)² cos i on average, to first order in J₂ [Vallado2013, eq. 9-38].
-    orbit = low()
-    n, a = orbit.mean_motion, orbit.semi_major_axis
-    turned = orbit.elements_at(15 * orbit.period)[3]
-    first = -(K_J2 / (EARTH_MU * a**2)) * n * np.cos(pi / 4) * 15 * orbit.period
-    assert turned == pytest.approx(first, rel=5e-3)
-
-
 @given(elements, st.floats(0, 4e4))
 def test_energy_and_polar_angular_momentum_are_conserved(values, t):
     orbit = Orbit.from_elements(*values)

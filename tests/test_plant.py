@@ -124,12 +124,6 @@ def test_a_nonlinear_plant_agrees_with_free_motion_under_j2(swarm):
     np.testing.assert_allclose(path, J2(ORBIT).propagate(x, times, 200.0), rtol=0, atol=1e-7)
 
 
-def test_a_nonlinear_plant_agrees_with_an_inertial_one_under_thrust(swarm):
-    path = NonlinearPlant(J2(ORBIT)).propagate(*swarm, 200.0, 60.0)
-    second = InertialPlant(ORBIT).propagate(*swarm, 200.0, 60.0)
-    np.testing.assert_allclose(path, second, rtol=0, atol=1e-7)
-
-
 def test_a_nonlinear_plant_agrees_with_a_linear_one_for_a_linear_model(swarm):
     linear = ClohessyWiltshire(1.1e-3)
     A, B = linear.A(0.0), linear.B(0.0)

@@ -109,34 +109,6 @@ def test_commands_are_reached_in_steady_state():
     assert turning[-1, 4] + 1j * turning[-1, 5] == pytest.approx(lagging, abs=5e-3)
 
 
-@given(VELOCITIES, ANGLES)
-def test_the_downward_body_axis_is_opposite_to_the_thrust(acceleration, yaw):
-    down = np.zeros(3)
-    rotate_to_heading_frame(np.array([0.0, 0, -1]), acceleration, yaw, down)
-    thrust = acceleration + np.array([0, 0, STANDARD_GRAVITY])
-    c, s = np.cos(yaw), np.sin(yaw)
-    seen = np.array([c * down[0] - s * down[1], s * down[0] + c * down[1], down[2]])
-    assert seen == pytest.approx(-thrust / np.linalg.norm(thrust), abs=1e-12)
-    # Without horizontal acceleration there is no tilt.
-    level = np.zeros(3)
-    rotate_to_heading_frame(np.array([1.0, 0, 0]), np.array([0, 0, acceleration[2]]), yaw, level)
-    assert level == pytest.approx([1, 0, 0], abs=1e-12)
-
-
-def test_a_velocity_command_is_reached_by_tilting():
-    plant, position, velocity, acceleration = Quadrotor(), np.zeros(3), np.zeros(3), np.zeros(3)
-    yaw, rate, most = 0.7, 0.0, 0.0
-    for _ in range(400):
-        yaw, rate = step_quadrotor(
-            position, yaw, velocity, rate, acceleration, np.array([3.0, 0, 0.5]), 0.0, plant, 0.02
-        )
-        most = max(
-            most, np.arctan2(np.hypot(*acceleration[:2]), STANDARD_GRAVITY + acceleration[2])
-        )
-    assert velocity == pytest.approx([3 * np.cos(0.7), 3 * np.sin(0.7), 0.5], abs=1e-3)
-    assert 0.5 * plant.max_tilt < most <= plant.max_tilt + 1e-12
-
-
 def test_the_body_frame_tilts_with_the_thrust(rng):
     axis, rotated = np.array([1.0, 0, 0]), np.zeros(3)
     rotate_to_heading_frame(axis, np.zeros(3), 0.4, rotated)

@@ -208,14 +208,6 @@ def test_separation_is_the_minimum_over_pairs_and_time(rng, axes):
     assert (found.distance <= np.minimum(samples[:-1], samples[1:])).all()
 
 
-def test_a_head_on_encounter_between_samples_is_found():
-    position = np.array([[[-1.0, 0.01], [1.0, 0.0]], [[1.0, 0.01], [-1.0, 0.0]]])
-    velocity = np.array([[[2.0, 0], [-2, 0]]] * 2)
-    found = separations(position, velocity, np.ones((2, 2), bool), 1.0).minimum
-    assert found.distance == pytest.approx(0.01, rel=1e-12)
-    assert found.fraction == pytest.approx(0.5) and found.piece == 0 and found.pair == (0, 1)
-
-
 def test_a_collision_is_found_to_rounding_error():
     position = np.array([[[-0.7, 0.3], [1.0, 0.0]], [[0.9, -0.2], [-1.0, 0.0]]])
     meet = 0.375

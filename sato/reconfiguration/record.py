@@ -7,8 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 from numpy import ndarray as Array
 
-from dynamics.inertial import InertialPlant
-from dynamics.plant import LinearPlant, Plant
+from dynamics.plant import Plant
 from sato.interfaces import Recorded
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.state import ReconfigurationFrame
@@ -89,5 +88,5 @@ def collect_variables(
 
 
 def _gravity_constants(plant: Plant) -> dict[str, float]:
-    orbit = plant.chief_orbit if isinstance(plant, InertialPlant | LinearPlant) else None
+    orbit = plant.chief_orbit
     return {} if orbit is None else {"mu_m3_s2": orbit.mu, "k_j2_m5_s2": orbit.k_J2}
