@@ -147,15 +147,15 @@ class AvoidanceProblem:
         self, start: Array, goal: Array, half_spaces: HalfSpaces, relaxation: Relaxation
     ) -> AvoidanceResult:
         """Eliminate the states and add speed limits only where a solution violates them."""
-        limited_steps: list[int] = []
+        limited: list[int] = []
         while True:
-            problem = self.assemble_conic(start, goal, half_spaces, relaxation, limited_steps)
+            problem = self.assemble_conic(start, goal, half_spaces, relaxation, limited)
             u = self.extract_controls(solve(problem, solve_clarabel).x)
             result = self._make_result(start, goal, u, half_spaces, relaxation)
-            violated = self.find_speed_violations(result.trajectory.x, limited_steps)
+            violated = self.find_speed_violations(result.trajectory.x, limited)
             if not len(violated):
                 return result
-            limited_steps = [*limited_steps, *violated]
+            limited = [*limited, *violated]
 
     def find_speed_violations(self, x: Float[Array, "instants n"], known: list[int]) -> list[int]:
         """Find the instants of violated speed limits, other than those known."""
@@ -177,7 +177,7 @@ class AvoidanceProblem:
         goal: Float[Array, " n"],
         half_spaces: HalfSpaces,
         relaxation: Relaxation,
-        limited_steps: list[int],
+        limited: list[int],
     ) -> ConicProgram:
         """Assemble the program with the states eliminated and speed limits at some instants.
 
@@ -192,47 +192,47 @@ class AvoidanceProblem:
         breakable = U * np.abs(coeffs).sum(axis=1) > rhs  # most rows hold for any control
         coeffs, rhs = coeffs[breakable], rhs[breakable]
         rows = len(rhs)
-        error_columns = 0 if relaxation == "none" else n
-        slack_columns = rows if relaxation == "separation" else 0
-        columns = 2 * N + 2 * error_columns + slack_columns
-        slack_start = 2 * N + 2 * error_columns
+        errors = 0 if relaxation == "none" else n
+        slacks = rows if relaxation == "separation" else 0
+        columns = 2 * N + 2 * errors + slacks
+        slacks_at = 2 * N + 2 * errors
 
         fuel = U * transfer.model.dt * np.repeat(transfer.weights, m)
         penalty = self._penalty
         q = np.concatenate(
-            [fuel, fuel, np.full(2 * error_columns, penalty), np.full(slack_columns, 10 * penalty)]
+            [fuel, fuel, np.full(2 * errors, penalty), np.full(slacks, 10 * penalty)]
         )
 
         whitening = np.linalg.inv(factor)
         terminal = np.zeros((n, columns))
         terminal[:, :N] = U * whitening @ R[T]
         terminal[:, N : 2 * N] = -terminal[:, :N]
-        if error_columns:
+        if errors:
             unit = whitening / self._terminal_error_weights
-            terminal[:, 2 * N : 2 * N + n], terminal[:, 2 * N + n : slack_start] = unit, -unit
+            terminal[:, 2 * N : 2 * N + n], terminal[:, 2 * N + n : slacks_at] = unit, -unit
         scale = 1 / U
         terminal, terminal_rhs = scale * terminal, scale * whitening @ (goal - free[T])
 
         separation = np.zeros((rows, columns))
         separation[:, :N], separation[:, N : 2 * N] = -U * coeffs, U * coeffs
-        separation[np.arange(slack_columns), slack_start + np.arange(slack_columns)] = -1
+        separation[np.arange(slacks), slacks_at + np.arange(slacks)] = -1
 
         bound_rhs = np.concatenate([np.ones(2 * N), np.zeros(columns)])
-        cone_rows, cone_rhs = self._assemble_speed_cones(R, free, limited_steps, columns)
+        cone_rows, cone_rhs = self._assemble_speed_cones(R, free, limited, columns)
         A = _stack_with_bounds(np.vstack([terminal, separation]), 2 * N, cone_rows)
         b = np.concatenate([terminal_rhs, rhs, bound_rhs, cone_rhs])
         return ConicProgram(
-            q, A, b, n, rows + len(bound_rhs), (transfer.model.axes + 1,) * len(limited_steps)
+            q, A, b, n, rows + len(bound_rhs), (transfer.model.axes + 1,) * len(limited)
         )
 
     def _assemble_speed_cones(
-        self, R: Array, free: Array, limited_steps: list[int], columns: int
+        self, R: Array, free: Array, limited: list[int], columns: int
     ) -> tuple[Array, Array]:
         d, U = self.transfer.model.axes, self.transfer.max_control
         N = R.shape[2]
-        cone_rows = np.zeros((len(limited_steps), d + 1, columns))
-        cone_rhs = np.zeros((len(limited_steps), d + 1))
-        for row, k in enumerate(limited_steps):
+        cone_rows = np.zeros((len(limited), d + 1, columns))
+        cone_rhs = np.zeros((len(limited), d + 1))
+        for row, k in enumerate(limited):
             cone_rows[row, 1:, :N], cone_rows[row, 1:, N : 2 * N] = -U * R[k, d:], U * R[k, d:]
             cone_rhs[row, 0], cone_rhs[row, 1:] = self.transfer.max_speed, free[k, d:]
         return cone_rows.reshape(-1, columns), cone_rhs.ravel()

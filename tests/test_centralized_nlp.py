@@ -56,8 +56,8 @@ def test_relative_positions_are_those_of_the_trajectories(rng, axes):
 def test_derivatives_agree_with_finite_differences_and_are_sparse(rng, fuel_norm, control_norm):
     central, _, _, instants = drawn(rng, fuel_norm=fuel_norm, control_norm=control_norm)
     by = rng.uniform(-0.5, 0.5, (3, T, 2))
-    programme = build_nlp(central.transfer, central.horizon, 3, instants, by)
-    z, f, g = programme.variables, programme.objective, programme.constraints
+    program = build_nlp(central.transfer, central.horizon, 3, instants, by)
+    z, f, g = program.variables, program.objective, program.constraints
     weight = casadi.MX.sym("weight", g.numel())
     slope = casadi.gradient(f + casadi.dot(weight, g), z)
     values = casadi.Function("values", [z], [casadi.vertcat(f, g)])
@@ -87,25 +87,23 @@ def test_simulated_states_satisfy_dynamics_and_bounds(rng):
     central, _, u, instants = drawn(rng, control_norm=2)
     start = rng.normal(size=(3, 4))
     x = central.transfer.model.simulate(start, u)
-    programme = build_nlp(central.transfer, central.horizon, 3, instants)
+    program = build_nlp(central.transfer, central.horizon, 3, instants)
     xs, us = x / central.state_units, u / 0.2
     Dx, Du = relative_position_maps(central.horizon, central.state_units, 0.2, 3, instants)
     apart = Dx @ xs.ravel() + Du @ us.ravel()
     parts = xs, np.maximum(us, 0), np.maximum(-us, 0), apart
     z = np.concatenate([part.ravel() for part in parts])
-    kept = np.asarray(
-        casadi.Function("g", [programme.variables], [programme.constraints])(z)
-    ).ravel()
-    equations = programme.lower == programme.upper
+    kept = np.asarray(casadi.Function("g", [program.variables], [program.constraints])(z)).ravel()
+    equations = program.lower == program.upper
     assert equations.sum() == 3 * T * 4 + len(apart)
-    np.testing.assert_allclose(kept[equations], programme.lower[equations], atol=1e-12)
+    np.testing.assert_allclose(kept[equations], program.lower[equations], atol=1e-12)
     np.testing.assert_allclose(kept[-4:], (apart.reshape(4, 2) ** 2).sum(axis=1))
-    assert (programme.lower[-4:] == instants.min_distance**2).all() and np.isinf(
-        programme.upper[-4:]
+    assert (program.lower[-4:] == instants.min_distance**2).all() and np.isinf(
+        program.upper[-4:]
     ).all()
     speeds = (np.linalg.norm(x[:, 1:-1, 2:], axis=-1) * STEP / RADIUS).ravel() ** 2
     np.testing.assert_allclose(kept[3 * T * 4 :][: len(speeds)], speeds, atol=1e-12)
-    assert (programme.upper[3 * T * 4 :][: len(speeds)] == (0.6 / RADIUS) ** 2).all()
+    assert (program.upper[3 * T * 4 :][: len(speeds)] == (0.6 / RADIUS) ** 2).all()
     thrusts = (us**2).sum(axis=-1).ravel()
     after = 3 * T * 4 + len(speeds)
     np.testing.assert_allclose(kept[after : after + len(thrusts)], thrusts, atol=1e-12)
