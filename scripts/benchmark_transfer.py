@@ -16,7 +16,7 @@ from typing import Annotated, NamedTuple
 import cvxpy as cp
 import numpy as np
 import typer
-from draw_families import DENSE_OVERRIDES, SPEED_LIMIT, LegStart
+from problem_families import DENSE_OVERRIDES, SPEED_LIMIT, LegStart
 from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits

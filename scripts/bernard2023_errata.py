@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 import typer
-from double_eigenvalue import BASES_PER_RING, measure_rings
+from repeated_eigenvalue import BASES_PER_RING, measure_rings
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
-from printed_equations import (
+from bernard2023_equations import (
     AXIS,
     SIGHT,
     N,

@@ -1,4 +1,4 @@
-"""The instances that `price_of_decentralisation.py` asks about, and guesses for them."""
+"""Instances of `price_of_decentralization.py`, and initial guesses for them."""
 
 from collections.abc import Iterator
 from enum import StrEnum
@@ -17,30 +17,32 @@ from dynamics import (
     discretize_zoh,
     invariant_velocity,
 )
-from problems.centralized import CentralizedProblem, InitialGuess, displace_guess
+from problems.centralized import CentralizedProblem, displace_guess
+from problems.centralized_nlp import InitialGuess
 from problems.convexify import AvoidanceHorizon
 from problems.transfer import TransferProblem
 from sato.reconfiguration.mission import Leg, Reconfiguration
 from sato.reconfiguration.planning import make_horizon
 from sato.reconfiguration.solo_trajectories import solve_solo_transfers
+from sato.shapes.shape import Points
 
 MIN_SPACING = 1.2  # times R: between starts, and between targets
-TARGET_NOISE = 0.03  # of the radius, on targets
+TARGET_NOISE = 0.03  # standard deviation of the targets, relative to the radius
 ORBIT = Orbit.from_elements(6878e3, inclination=np.pi / 4, true_anomaly=-np.pi / 4)
 SPHERE_RADIUS = 150.0  # radius [m]
 CIRCLE_RADIUS = 5.0  # radius [m]
-MAX_DRAWS = 20_000  # of ends that are too close, before it is said that there is no room
+MAX_DRAWS = 20_000  # draws with too little spacing, after which there is taken to be no room
 
 
 class MotionModel(StrEnum):
-    """Where vehicles fly."""
+    """Model of the motion."""
 
     plane = "plane"
     j2 = "j2"
 
 
 class PriceCase(NamedTuple):
-    """One instance."""
+    """Instance and settings."""
 
     model: MotionModel
     agents: int
@@ -52,21 +54,18 @@ class PriceCase(NamedTuple):
 
 
 def draw_missions(case: PriceCase) -> Iterator[Reconfiguration]:
-    """Missions of a case, drawn one after another."""
+    """Draw missions of a case without end."""
     rng = np.random.default_rng([case.seed, case.agents, case.number])
     while True:
         if case.model is MotionModel.plane:
-            start, goal = (
+            start, target = (
                 CIRCLE_RADIUS * side
                 for side in draw_opposite_points(case.agents, 2, 1 / CIRCLE_RADIUS, rng)
             )
-            still = np.zeros_like(start)
-            leg = Leg(np.hstack([goal, still]), 36)
-            yield Reconfiguration(
-                linear_model=DoubleIntegrator(2),
-                initial_states=np.hstack([start, still]),
-                alive=np.ones(case.agents, dtype=bool),
-                legs=(leg,),
+            mission = Reconfiguration(
+                model=DoubleIntegrator(2),
+                start=Points(start, keep_order=True),
+                legs=(Leg(Points(target, keep_order=True), 36),),
                 step=1.0,
                 comm_radius=100.0,
                 collision_radius=1.0,
@@ -75,16 +74,15 @@ def draw_missions(case: PriceCase) -> Iterator[Reconfiguration]:
                 foresight_steps=36,
             )
         else:
-            start, goal = (
+            start, target = (
                 SPHERE_RADIUS * side
                 for side in draw_opposite_points(case.agents, 3, 50 / SPHERE_RADIUS, rng)
             )
-            leg = Leg(np.hstack([goal, invariant_velocity(ORBIT, goal, 24 * 60.0)]), 24)
-            yield Reconfiguration(
-                linear_model=LinearizedModel.at_origin(J2(ORBIT)),
-                initial_states=np.hstack([start, invariant_velocity(ORBIT, start)]),
-                alive=np.ones(case.agents, dtype=bool),
-                legs=(leg,),
+            arrival = invariant_velocity(ORBIT, target, 24 * 60.0)
+            mission = Reconfiguration(
+                model=LinearizedModel.at_origin(J2(ORBIT)),
+                start=Points(start, invariant_velocity(ORBIT, start), keep_order=True),
+                legs=(Leg(Points(target, arrival, keep_order=True), 24),),
                 step=60.0,
                 comm_radius=1e5,
                 collision_radius=50.0,
@@ -92,41 +90,42 @@ def draw_missions(case: PriceCase) -> Iterator[Reconfiguration]:
                 max_speed=4.0,
                 foresight_steps=24,
             )
+        yield mission.draw(rng)
 
 
 def draw_opposite_points(
     count: int, axes: int, radius: float, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points on the unit circle or sphere, and nearly opposite ones, none too close."""
+    """Draw points on the unit circle or sphere, and nearly opposite ones, none too close."""
     for _ in range(MAX_DRAWS):
         start = rng.normal(size=(count, axes))
         start /= np.linalg.norm(start, axis=1, keepdims=True)
-        goal = TARGET_NOISE * rng.normal(size=start.shape) - start
+        target = TARGET_NOISE * rng.normal(size=start.shape) - start
         if all(
             np.linalg.norm(side[i] - side[j]) >= MIN_SPACING * radius
-            for side in (start, goal)
+            for side in (start, target)
             for i, j in combinations(range(count), 2)
         ):
-            return start, goal
+            return start, target
     raise typer.BadParameter(f"{count} vehicles found no room in {MAX_DRAWS} draws")
 
 
 def make_instance(case: PriceCase) -> tuple[Reconfiguration, CentralizedProblem, InitialGuess, int]:
-    """The first mission in which enough pairs would meet if all flew alone, and how they would."""
-    transfer, near = shared_problem(case.model)
+    """Return the first mission with enough conflicts if all fly alone, and these trajectories."""
+    transfer, horizon = shared_problem(case.model)
     for mission in draw_missions(case):
         free = solve_alone(transfer, mission)
         if free is None:
             continue
-        meetings = CentralizedProblem(transfer, near).count_conflicts(*free)
+        meetings = CentralizedProblem(transfer, horizon).count_conflicts(*free)
         if 2 * meetings >= case.agents:
             horizon = make_horizon(mission, 0.0, mission.legs[0].steps)
             return mission, CentralizedProblem(transfer, horizon), free, meetings
-    raise AssertionError("missions never end")
+    raise AssertionError("unreachable: draw_missions does not end")
 
 
 def solve_alone(transfer: TransferProblem, mission: Reconfiguration) -> InitialGuess | None:
-    """How all would fly alone, if all can arrive."""
+    """Return the trajectories of all if each flies alone, or None where one cannot arrive."""
     flights = [
         f
         for f in solve_solo_transfers(transfer, mission.initial_states, mission.legs[0].targets)[0]
@@ -139,7 +138,7 @@ def solve_alone(transfer: TransferProblem, mission: Reconfiguration) -> InitialG
 
 @cache
 def shared_problem(kind: MotionModel) -> tuple[TransferProblem, AvoidanceHorizon]:
-    """What all missions of a kind share, but for millimetres of the radius."""
+    """Return transfer and horizon, which missions of a model share up to rounding of the radius."""
     mission = next(draw_missions(PriceCase(kind, 2, 0, 0, 0)))
     steps = mission.legs[0].steps
     transfer = TransferProblem(
@@ -153,7 +152,7 @@ def shared_problem(kind: MotionModel) -> tuple[TransferProblem, AvoidanceHorizon
 def initial_guesses(
     case: PriceCase, free: InitialGuess, radius: float, dt: float
 ) -> dict[str, InitialGuess]:
-    """All alone; all aside to one hand and to the other; all aside at random."""
+    """Return guesses: all alone, all displaced to the right or left, and at random."""
     rng = np.random.default_rng([case.seed, case.agents, case.number, 1])
     d = free[1].shape[-1]
     along = free[0][:, -1, :d] - free[0][:, 0, :d]

@@ -1,13 +1,13 @@
-"""What the distributed method pays: python scripts/price_of_decentralization.py --agents 2-10.
+"""Price of decentralization: python scripts/price_of_decentralization.py --agents 2-10.
 
-Vehicles exchange places through one point, each with its target: across a circle in the plane, by
-the limits of the scenario `crossing`, or across a sphere about a chief in orbit, by those of
-`orbit3d`, drawn anew until as many pairs as half the vehicles would meet if each flew alone.
-For every instance: the fuel of one plan of the swarm (all hear each other, nobody has burnt fuel),
-of the best optimum of the coupled programme, and of all alone. The plan is made with one order of
-priority, which is by number, and with several, bargains and roundabouts. Both fly the same linear
-model, exactly; a ratio that is infinite means that SATO gave up a target or a distance. Exits with
-1 unless every median is as wanted.
+Vehicles exchange places through one point, each with its target: across a circle in the plane,
+with the limits of the scenario `crossing`, or across a sphere about a chief in orbit, with those of
+`orbit3d`. Instances are drawn until at least as many pairs as half the vehicles would conflict if
+each flew alone. For every instance the fuel of three is compared: one plan of the swarm (all hear
+each other), the best optimum of the coupled program, and all alone. The plan is made with one order
+of priority, which is by number, and with several, bargains and roundabouts. All use the same linear
+model; an infinite ratio means that SATO gave up a target or a distance. The exit code is 1 where a
+median exceeds 1.05.
 """
 
 import csv
@@ -29,72 +29,76 @@ from rich.table import Table
 
 from problems.centralized import (
     CentralizedProblem,
-    InitialGuess,
     NoFeasibleSolution,
     SimulatedSolution,
 )
+from problems.centralized_nlp import InitialGuess
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.state import AgentMemory
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.state import DecisionContext
 from sato.reconfiguration.planning import NO_PLANS, plan_trajectories
 
-MAX_MEDIAN_RATIO = 1.05  # the median of SATO's fuel over that of the best optimum
+MAX_MEDIAN_RATIO = 1.05  # largest median of SATO's fuel over that of the best optimum
+COLUMNS = (
+    "model, N", "best / alone", "from SATO", "one order / best", "gave up", "SATO / best", "worst",
+    "gave up", "most padding [R]", "no optimum",
+)  # fmt: skip
 
 
 class PriceResult(NamedTuple):
-    """What was found of it."""
+    """Result of an instance."""
 
     case: PriceCase
-    meetings: int  # pairs that would meet if each flew as SATO has it fly alone
+    meetings: int  # pairs that would conflict if each flew alone
     alone: float  # fuel [m/s]
     central: float  # fuel of the best optimum [m/s]; NaN where none was found
-    from_guess: str  # what that was found from
-    padding: float  # most that it was made to keep beyond R, in units of R
+    from_guess: str  # initial guess of that optimum
+    padding: float  # largest distance beyond R that it had to keep, in units of R
     printed: float  # fuel with one order of priority; infinite where something was given up [m/s]
-    sato: float  # fuel with several, bargains and roundabouts, likewise
-    gave_up: str  # what SATO gave up then, if anything
-    planning: float  # with several orders, on the processor [s]
-    descending: float  # from all guesses, likewise [s]
+    sato: float  # fuel with several orders, bargains and roundabouts, likewise
+    gave_up: str  # constraints that SATO gave up then, if any
+    planning: float  # processor time with several orders [s]
+    descending: float  # processor time of the optima from all guesses [s]
 
     @property
     def ratio(self) -> float:
-        """SATO over the best optimum; NaN where none was found."""
+        """Fuel of SATO over the best optimum; NaN where none was found."""
         return self.sato / self.central
 
     @property
     def ratio_printed(self) -> float:
-        """The same with one order of priority."""
+        """Ratio with one order of priority."""
         return self.printed / self.central
 
 
 def plan_swarm(mission: Reconfiguration) -> tuple[InitialGuess, str]:
-    """One plan of the swarm, by messages among all, and what it gave up."""
+    """Plan once for the swarm, with messages among all; also return what was given up."""
     N, d = len(mission.initial_states), mission.linear_model.axes
     network = CommunicationGraph.from_positions(
         mission.initial_states[:, :d], mission.comm_radius, mission.alive
     )
-    moment = DecisionContext(mission, mission.legs[0], network, mission.initial_states, 0, 0.0)
-    minds = replace(AgentMemory.initial(np.full(N, N)), target_index=np.arange(N))
-    plans, events = plan_trajectories(moment, minds, np.zeros(N), NO_PLANS)
+    context = DecisionContext(mission, mission.legs[0], network, mission.initial_states, 0, 0.0)
+    memory = replace(AgentMemory.initial(np.full(N, N)), target_index=np.arange(N))
+    plans, events = plan_trajectories(context, memory, np.zeros(N), NO_PLANS)
     flights = [plans.trajectories[i] for i in range(N)]
     gave_up = ", ".join(sorted({event["kind"] for event in events} - {"replan"}))
     return (np.stack([f.x for f in flights]), np.stack([f.u for f in flights])), gave_up
 
 
 def compare_case(case: PriceCase) -> PriceResult:
-    """One instance."""
+    """Compare plan and optima of an instance."""
     mission, central, free, meetings = make_instance(case)
-    start, goal = mission.initial_states, mission.legs[0].targets
-    tried = replace(mission, orders=case.orders, bargains=case.bargains)
-    planned, own, gave_up, planning = plan_and_verify(central, tried)
+    start, target = mission.initial_states, mission.legs[0].targets
+    with_orders = replace(mission, orders=case.orders, bargains=case.bargains)
+    planned, own, gave_up, planning = plan_and_verify(central, with_orders)
     _, once, gave_up_once, _ = plan_and_verify(central, mission)
     begin = {"SATO": planned} | initial_guesses(case, free, mission.collision_radius, mission.step)
-    lower = central.simulate(start, goal, free[1], "alone").fuel
+    lower = central.simulate(start, target, free[1], "alone").fuel
     fuel, origin, padding = np.nan, "none", np.nan
     begun = process_time()
     try:
-        best, tried = central.solve(start, goal, list(begin.values()))
+        best, tried = central.solve(start, target, list(begin.values()))
         fuel, origin, padding = best.fuel, _guess_name(best, tried, list(begin)), best.padding
     except NoFeasibleSolution:
         pass
@@ -117,7 +121,7 @@ def compare_case(case: PriceCase) -> PriceResult:
 def plan_and_verify(
     central: CentralizedProblem, mission: Reconfiguration
 ) -> tuple[InitialGuess, SimulatedSolution, str, float]:
-    """A plan of the swarm, the same judged as answers are, what it gave up, and its time."""
+    """Return a plan of the swarm, its verified simulation, what it gave up, and its time."""
     begun = process_time()
     planned, gave_up = plan_swarm(mission)
     took = process_time() - begun
@@ -128,7 +132,7 @@ def plan_and_verify(
 
 
 def warm_up(kinds: list[MotionModel]) -> None:
-    """Let a process load and compile what it needs, so that it counts for no instance."""
+    """Import and compile in a process, so that no time of an instance includes it."""
     for kind in kinds:
         compare_case(PriceCase(kind, 2, 0, 0, 0, 2, 1))
 
@@ -143,34 +147,40 @@ def _guess_name(
 def _parse_range(text: str) -> list[int]:
     first, dash, last = text.partition("-")
     if not (first.isdecimal() and (last.isdecimal() or not dash)):
-        raise typer.BadParameter(f"how many vehicles is a number or two, as in 4 or 2-10: {text!r}")
+        raise typer.BadParameter(f"--agents takes a number or two, as in 4 or 2-10, got {text!r}")
     counts = list(range(int(first), int(last or first) + 1))
     if not counts or counts[0] < 2:
-        raise typer.BadParameter(f"vehicles are 2 or more, and the larger number is last: {text!r}")
+        raise typer.BadParameter(
+            f"--agents takes 2 or more, and the larger number is last, got {text!r}"
+        )
     return counts
 
 
 def main(
-    agents: Annotated[str, typer.Option(help="how many, as in 4 or 2-10")] = "2-10",
-    instances: Annotated[int, typer.Option(help="of each number of agents", min=1)] = 20,
+    agents: Annotated[str, typer.Option(help="number of vehicles, as in 4 or 2-10")] = "2-10",
+    instances: Annotated[
+        int, typer.Option(help="instances for each number of vehicles", min=1)
+    ] = 20,
     model: Annotated[
         list[MotionModel] | None, typer.Option(help="plane, j2; both if left out")
     ] = None,
     workers: Annotated[int, typer.Option(help="processes", min=1)] = 2,
-    guesses: Annotated[int, typer.Option(help="random ones, beyond four others", min=0)] = 3,
-    orders: Annotated[int, typer.Option(help="of priority that a plan tries", min=1)] = 12,
-    bargains: Annotated[int, typer.Option(help="sweeps in which pairs then bargain", min=0)] = 8,
+    guesses: Annotated[
+        int, typer.Option(help="random initial guesses, besides four others", min=0)
+    ] = 3,
+    orders: Annotated[int, typer.Option(help="orders of priority that a plan tries", min=1)] = 12,
+    bargains: Annotated[int, typer.Option(help="sweeps of bargains between pairs", min=0)] = 8,
     seed: Annotated[int, typer.Option(min=0)] = 0,
     table: Annotated[
         Path | None,
-        typer.Option("--csv", help="a file for a line an instance; what it has is not done again"),
+        typer.Option("--csv", help="table of instances; those that it has are not solved again"),
     ] = None,
 ) -> None:
-    """Compare; exit with 1 unless every median is as wanted."""
+    """Compare; exit with 1 where a median is too large."""
     if bargains and orders == 1:
-        raise typer.BadParameter("bargains follow upon orders of 2 or more: --bargains 0 has none")
+        raise typer.BadParameter("bargains need --orders of 2 or more; --bargains 0 has none")
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ[name] = "1"  # of the workers: IPOPT's solver would take all cores
+        os.environ[name] = "1"  # for the workers: IPOPT's linear solver would use all cores
     cases = [
         PriceCase(kind, count, number, seed, guesses, orders, bargains)
         for kind in model or list(MotionModel)
@@ -178,7 +188,9 @@ def main(
         for number in range(instances)
     ]
     for kind, count in dict.fromkeys((case.model, case.agents) for case in cases):
-        next(draw_missions(PriceCase(kind, count, 0, seed, guesses)))  # refuses what has no room
+        next(
+            draw_missions(PriceCase(kind, count, 0, seed, guesses))
+        )  # refuses a number of vehicles without room
     rows = compute_results(cases, workers, table)
     out = Console(width=max(150, Console().width))
     out.print(instance_table(rows))
@@ -190,7 +202,7 @@ def main(
 def compute_results(
     cases: list[PriceCase], workers: int, table: Path | None = None
 ) -> list[PriceResult]:
-    """All instances, in their order, by several processes; what the table has is not done again."""
+    """Solve all instances that the table does not have, in several processes; keep their order."""
     found = {row.case: row for row in read_csv(table)} if table and table.exists() else {}
     left = [case for case in cases if case not in found]
     kinds = list(dict.fromkeys(case.model for case in left))
@@ -209,7 +221,7 @@ def compute_results(
 
 
 def write_csv(path: Path, rows: list[PriceResult]) -> None:
-    """A line an instance, the whole file or none."""
+    """Write a row for each instance, the whole file or none."""
     part = path.with_name(path.name + ".part")
     with part.open("w", newline="") as file:
         out = csv.writer(file)
@@ -219,27 +231,27 @@ def write_csv(path: Path, rows: list[PriceResult]) -> None:
 
 
 def read_csv(path: Path) -> list[PriceResult]:
-    """The lines of such a file."""
+    """Read the rows of a table of instances."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
             return [_parse_row(line) for line in csv.DictReader(file)]
     except (OSError, KeyError, ValueError) as error:
-        raise typer.BadParameter(f"{path} holds no instances of this study: {error!r}") from None
+        raise typer.BadParameter(f"{path} is not a table of instances: {error!r}") from None
 
 
 def _parse_row(line: dict[str, str]) -> PriceResult:
     case = PriceCase(
         MotionModel(line["model"]), *(int(line[name]) for name in PriceCase._fields[1:])
     )
-    words = ("from_guess", "gave_up")
+    texts = ("from_guess", "gave_up")
     values: dict[str, Any] = {
-        name: line[name] if name in words else float(line[name]) for name in PriceResult._fields[1:]
+        name: line[name] if name in texts else float(line[name]) for name in PriceResult._fields[1:]
     }
     return PriceResult(case=case, **values | {"meetings": int(line["meetings"])})
 
 
 def instance_table(rows: list[PriceResult]) -> Table:
-    """A line an instance."""
+    """Make a row for each instance."""
     table = Table(
         "model", "N", "no.", "meet", "alone [m/s]", "best/alone", "one order/best", "SATO/best",
         "best from", "padding [R]", "CPU [s]", "SATO gave up",
@@ -249,7 +261,7 @@ def instance_table(rows: list[PriceResult]) -> Table:
             row.case.model,
             str(row.case.agents),
             str(row.case.number),
-            str(row.count_conflicts),
+            str(row.meetings),
             f"{row.alone:.4f}",
             f"{row.central / row.alone:.4f}",
             f"{row.ratio_printed:.4f}",
@@ -263,35 +275,46 @@ def instance_table(rows: list[PriceResult]) -> Table:
 
 
 def summary_table(rows: list[PriceResult]) -> tuple[Table, list[float]]:
-    """A line a number of agents, and the median of each; NaN where no optimum was found."""
-    table = Table(
-        "model", "N", "one order/best: median", "worst", "gave up", "SATO/best: median", "worst",
-        "gave up", "best/alone: median", "worst padding [R]", "no optimum",
-    )  # fmt: skip
-    medians = []
-    for kind, count in dict.fromkeys((row.case.model, row.case.agents) for row in rows):
-        those = [r for r in rows if (r.case.model, r.case.agents) == (kind, count)]
-        found = [r for r in those if not np.isnan(r.central)]
-        printed, ratios = [r.ratio_printed for r in found], [r.ratio for r in found]
-        medians.append(_median(ratios))
-        table.add_row(
-            kind,
-            str(count),
-            f"{_median(printed):.4f}",
-            f"{max(printed, default=np.nan):.4f}",
-            f"{sum(np.isinf(r.printed) for r in those)} of {len(those)}",
-            f"{medians[-1]:.4f}",
-            f"{max(ratios, default=np.nan):.4f}",
-            f"{sum(bool(r.gave_up) for r in those)} of {len(those)}",
-            f"{_median([r.central / r.alone for r in found]):.4f}",
-            f"{max((r.padding for r in found), default=np.nan):.0e}",
-            f"{len(those) - len(found)} of {len(those)}",
-        )
+    """Make a row for each number of vehicles; also return the median ratio of each."""
+    table, medians = Table(*COLUMNS), []
+    for name, group in group_by_size(rows).items():
+        table.add_row(name, *summary_cells(group))
+        medians.append(_median([row.ratio for row in group if not np.isnan(row.central)]))
     return table, medians
 
 
-def _median(of: list[float]) -> float:
-    return float(np.median(of)) if of else np.nan
+def group_by_size(rows: list[PriceResult]) -> dict[str, list[PriceResult]]:
+    """Group rows by model and number of vehicles, in the order in which they come."""
+    groups: dict[str, list[PriceResult]] = {}
+    for row in rows:
+        groups.setdefault(f"{row.case.model} {row.case.agents}", []).append(row)
+    return groups
+
+
+def summary_cells(rows: list[PriceResult]) -> list[str]:
+    """Format the cells of one number of vehicles."""
+    found = [row for row in rows if not np.isnan(row.central)]
+    printed, ratios = [row.ratio_printed for row in found], [row.ratio for row in found]
+    return [
+        f"{_median([row.central / row.alone for row in found]):.3f}",
+        str(sum(row.from_guess.startswith("SATO") for row in found)),
+        format_ratio(_median(printed), 4),
+        f"{sum(np.isinf(row.printed) for row in rows)} of {len(rows)}",
+        format_ratio(_median(ratios), 4),
+        format_ratio(max(ratios, default=np.nan), 4),
+        f"{sum(np.isinf(row.sato) for row in rows)} of {len(rows)}",
+        f"{max((row.padding for row in found), default=np.nan):.0e}",
+        f"{len(rows) - len(found)} of {len(rows)}",
+    ]
+
+
+def format_ratio(ratio: float, digits: int = 3) -> str:
+    """Format a ratio, or "gave up" where it is infinite and "none" where there is no optimum."""
+    return "gave up" if np.isinf(ratio) else "none" if np.isnan(ratio) else f"{ratio:.{digits}f}"
+
+
+def _median(values: list[float]) -> float:
+    return float(np.median(values)) if values else np.nan
 
 
 if __name__ == "__main__":

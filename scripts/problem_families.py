@@ -64,7 +64,7 @@ class UnsolvedFamily(NamedTuple):
 
     source: str
     problems: list[ConicProgram]
-    feasible: bool = True
+    is_feasible: bool = True
 
 
 class LegStart(NamedTuple):
@@ -190,7 +190,7 @@ def make_infeasible(size: str) -> UnsolvedFamily:
     both = avoidance_problems(size, 5, ("same", "opposite"), INSTANCE_COUNT // 2)
     source = f"transfer-lp with its goals {REACH_FACTOR} times as far as can be reached, and avoidance-5 "
     source += "with the half-spaces of both sides of each neighbour"
-    return UnsolvedFamily(source, far + both, feasible=False)
+    return UnsolvedFamily(source, far + both, is_feasible=False)
 
 
 def move_target(problem: ConicProgram, share: float) -> ConicProgram:

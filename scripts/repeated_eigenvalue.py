@@ -11,7 +11,7 @@ import numpy as np
 import typer
 from jaxtyping import Float
 from numpy import ndarray as Array
-from printed_equations import AXIS, SIGHT, N, matvec, rotation
+from bernard2023_equations import AXIS, SIGHT, N, matvec, rotation
 
 from problems.interaction_graph import (
     algebraic_connectivity,

@@ -1,101 +1,61 @@
-"""The price of decentralisation as the table of docs/price.md.
+"""Tables of docs/price.md: python scripts/tabulate_price.py plane.csv j2.csv.
 
-    python scripts/tabulate_price.py plane.csv j2.csv
-
-reads what `price_of_decentralisation.py --csv` wrote, and prints Markdown: a line a number of
-vehicles, and then every instance. With `--best other.csv` an optimum that another run of the same
-instances found counts where it is the better one.
+Reads what `price_of_decentralization.py --csv` wrote, and prints Markdown: a row for each number
+of vehicles, and then every instance. With `--best other.csv`, the better of the two optima counts
+where another run of the same instances found one.
 """
 
-from collections.abc import Sequence
-from math import inf, isnan
+from math import isnan
 from pathlib import Path
-from statistics import median
 from typing import Annotated
 
 import typer
-from tabulate_comparison import Row, format_markdown_table, read_measurements
-
-COLUMNS = (
-    "model, N", "best / alone", "from SATO", "one order / best", "gave up", "SATO / best", "worst",
-    "gave up", "most padding [R]", "no optimum",
-)  # fmt: skip
-MODEL_LABELS = {"plane": "plane", "j2": "J2"}
+from price_of_decentralization import (
+    COLUMNS,
+    PriceResult,
+    format_ratio,
+    group_by_size,
+    read_csv,
+    summary_cells,
+)
 
 
 def main(
-    files: Annotated[list[Path], typer.Argument(help="lines of instances", dir_okay=False)],
-    best: Annotated[list[Path] | None, typer.Option(help="more, of which optima count")] = None,
+    files: Annotated[list[Path], typer.Argument(help="tables of instances", dir_okay=False)],
+    best: Annotated[list[Path] | None, typer.Option(help="more tables, for their optima")] = None,
 ) -> None:
     """Print a table and a list."""
-    rows = [row for path in files for row in read_measurements(path)]
-    rows = merge_best_optima(rows, [row for path in best or [] for row in read_measurements(path)])
-    groups: dict[str, list[Row]] = {}
-    for row in sorted(rows, key=_sort_key):
-        groups.setdefault(f"{MODEL_LABELS[row['model']]} {row['agents']}", []).append(row)
-    print(
-        format_markdown_table(COLUMNS, ([name, *summary_cells(of)] for name, of in groups.items()))
-    )
-    print("```")
-    for name, of in groups.items():
-        print(f"{name:8}", *(format_ratio(ratio) for ratio in fuel_ratios(of, "sato")))
+    rows = [row for path in files for row in read_csv(path)]
+    rows = merge_best_optima(rows, [row for path in best or [] for row in read_csv(path)])
+    groups = group_by_size(sorted(rows, key=lambda row: (row.case.model == "j2", row.case[1:])))
+    print("|", " | ".join(COLUMNS), "|\n|---|" + "---:|" * (len(COLUMNS) - 1))
+    for name, group in groups.items():
+        print("|", " | ".join([name, *summary_cells(group)]), "|")
+    print("\n```")
+    for name, group in groups.items():
+        print(f"{name:8}", *(format_ratio(row.ratio) for row in group))
     print("```")
 
 
-def _sort_key(row: Row) -> tuple[bool, int, int]:
-    return row["model"] == "j2", int(row["agents"]), int(row["number"])
-
-
-def merge_best_optima(rows: Sequence[Row], others: Sequence[Row]) -> list[Row]:
-    """The same rows, each with the best optimum that any row of its instance has."""
-    optima: dict[tuple[str, ...], Row] = {}
+def merge_best_optima(rows: list[PriceResult], others: list[PriceResult]) -> list[PriceResult]:
+    """Return the rows, each with the best optimum that any row of its instance has."""
+    optima: dict[tuple[object, ...], PriceResult] = {}
     for row in [*rows, *others]:
         known = optima.setdefault(_instance_key(row), row)
-        if float(row["central"]) < float(known["central"]) or isnan(float(known["central"])):
+        if row.central < known.central or isnan(known.central):
             optima[_instance_key(row)] = row
-    found = ("central", "from_guess", "padding")
-    return [row | {name: optima[_instance_key(row)][name] for name in found} for row in rows]
+    merged = []
+    for row in rows:
+        best = optima[_instance_key(row)]
+        merged.append(
+            row._replace(central=best.central, from_guess=best.from_guess, padding=best.padding)
+        )
+    return merged
 
 
-def _instance_key(row: Row) -> tuple[str, ...]:
-    # What all alone burn tells instances of different programmes apart.
-    return row["model"], row["agents"], row["number"], row["seed"], f"{float(row['alone']):.9f}"
-
-
-def summary_cells(rows: Sequence[Row]) -> list[str]:
-    """The cells of one number of vehicles."""
-    found = [row for row in rows if not isnan(float(row["central"]))]
-    if not found:
-        return [""] * (len(COLUMNS) - 2) + [f"{len(rows)} of {len(rows)}"]
-    above = [float(row["central"]) / float(row["alone"]) for row in found]
-    padding = max(float(row["padding"]) for row in found)
-    once, often = fuel_ratios(found, "printed"), fuel_ratios(found, "sato")
-    return [
-        f"{median(above):.3f}",
-        str(sum(row["from_guess"].startswith("SATO") for row in found)),
-        format_ratio(median(once), 4),
-        format_gave_up(rows, "printed"),
-        f"**{format_ratio(median(often), 4)}**",
-        format_ratio(max(often), 4),
-        format_gave_up(rows, "sato"),
-        f"{padding:.0e}",
-        f"{len(rows) - len(found)} of {len(rows)}",
-    ]
-
-
-def format_gave_up(rows: Sequence[Row], which: str) -> str:
-    """How many have something given up, of all."""
-    return f"{sum(float(row[which]) == inf for row in rows)} of {len(rows)}"
-
-
-def fuel_ratios(rows: Sequence[Row], which: str) -> list[float]:
-    """Fuel over that of the best optimum; infinite where something was given up."""
-    return [float(row[which]) / float(row["central"]) for row in rows]
-
-
-def format_ratio(ratio: float, digits: int = 3) -> str:
-    """A ratio, or what there is instead."""
-    return "gave up" if ratio == inf else "none" if isnan(ratio) else f"{ratio:.{digits}f}"
+def _instance_key(row: PriceResult) -> tuple[object, ...]:
+    # The fuel without avoidance tells instances of different programs apart.
+    return *row.case[:4], f"{row.alone:.9f}"
 
 
 if __name__ == "__main__":

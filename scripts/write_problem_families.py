@@ -9,7 +9,7 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import typer
-from draw_families import FAMILIES, SEED, UnsolvedFamily
+from problem_families import FAMILIES, SEED, UnsolvedFamily
 from threadpoolctl import threadpool_limits
 
 import problems.families
@@ -85,8 +85,8 @@ def pack_family(drawn: UnsolvedFamily) -> dict[str, Any]:
         "programmes": len(shared),
         "programme": programme,
         "feasible": [drawn.is_feasible] * len(settled),
-        "reference": [answer.reference_cost for answer in settled],
-        "agreed": [answer.differential_acceleration for answer in settled],
+        "reference": [answer.reference for answer in settled],
+        "agreed": [answer.difference for answer in settled],
     }
     for k, problem in enumerate(shared):
         A = problem.A.copy()

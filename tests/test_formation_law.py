@@ -18,8 +18,8 @@ from sato.shapes.formation_library import load_formation
 from sato.shapes.graphs import random_sparse_graph
 from sato.shapes.random_points import sample_formation
 
-ROBUSTNESS = runpy.run_path(str(Path(__file__).parents[1] / "scripts" / "robustness.py"))
-commands, settle = ROBUSTNESS["commands"], ROBUSTNESS["settle"]
+ROBUSTNESS = runpy.run_path(str(Path(__file__).parents[1] / "scripts" / "study_law_robustness.py"))
+commands, settle = ROBUSTNESS["commands"], ROBUSTNESS["simulate_distorted"]
 
 OURS, EITHER = ControlLaw(), ControlLaw(upright=False)
 PRINTED = ControlLaw(upright=False, legacy=True)
@@ -67,13 +67,13 @@ def potential(position, gains, law):
     for i, j in np.argwhere(np.triu(graph)):
         near, far = (np.linalg.norm(x[j, :2] - x[i, :2]) for x in (position, shape))
         up, should = (x[j, 2] - x[i, 2] for x in (position, shape))
-        if law.printed:
+        if law.legacy:
             V += until(near, (law.legacy_gain_xy, law.legacy_slope_xy, law.legacy_deadband_xy), far)
             V += until(
                 abs(up), (law.legacy_gain_z, law.legacy_slope_z, law.legacy_deadband_z), abs(should)
             )
             continue
-        weight = law.size / max(degree[i], degree[j])
+        weight = law.size_rate / max(degree[i], degree[j])
         V += weight * stretched(near, far)
         V += weight * ((up - should) ** 2 / 2 if law.upright else stretched(abs(up), abs(should)))
     return law.gain * V
@@ -97,7 +97,7 @@ def test_who_is_in_the_shape_anywhere_and_at_any_heading_rests(law, seed, yaw, s
 @given(seed=st.integers(0, 5), wide=st.floats(0.1, 5), high=st.floats(-5, 5))
 def test_without_size_control_the_shape_rests_at_any_size(law, seed, wide, high):
     gains = some(seed)
-    free = law._replace(size=0.0, legacy_gain_xy=0.0, legacy_gain_z=0.0)
+    free = law._replace(size_rate=0.0, legacy_gain_xy=0.0, legacy_gain_z=0.0)
     placed = gains.formation.points * [wide, wide, high]
     assert np.abs(commands(placed, gains, free)).max() <= 1e-12
 
@@ -137,7 +137,7 @@ def test_the_potential_falls_also_where_commands_are_scaled_and_turned(law, rng)
     gains, position = some(3), rng.uniform(0, 10, (7, 3))
     before = potential(position, gains, law)
     for _ in range(100):
-        way = ROBUSTNESS["distort"](7, 0.99 * np.pi / 2, rng)
+        way = ROBUSTNESS["draw_distortions"](7, 0.99 * np.pi / 2, rng)
         asked = commands(position, gains, law)
         # Short enough that what is of second order is less than the fall.
         position = position + 1e-5 * (way @ asked[..., None])[..., 0]
@@ -162,13 +162,13 @@ def test_only_neighbours_are_looked_at():
 @pytest.mark.parametrize("seed", range(4))
 def test_scaled_and_turned_by_less_than_90_degrees_the_formation_still_forms(seed):
     rng = np.random.default_rng(seed)
-    found = settle(*ROBUSTNESS["case"](rng), rng)
-    assert found.error <= ROBUSTNESS["FORMED"] and not found.inverted
+    found = settle(*ROBUSTNESS["draw_case"](rng), rng)
+    assert found.error <= ROBUSTNESS["SHAPE_TOLERANCE"] and not found.is_inverted
 
 
 def test_turned_by_more_than_90_degrees_all_fly_apart():
     rng = np.random.default_rng(0)
-    gains, start = ROBUSTNESS["case"](rng)
+    gains, start = ROBUSTNESS["draw_case"](rng)
     turn = about_the_vertical(np.deg2rad(100))
     position, before = start, compute_shape_error(start, gains.formation.points).error
     for _ in range(1000):
@@ -183,8 +183,8 @@ def test_from_the_mirror_image_only_the_upright_law_comes_back(law, name):
     points = gains.formation.points
     noise = np.random.default_rng(4).normal(0, 0.05, points.shape)
     found = settle(gains, points * MIRROR + noise, np.random.default_rng(5), law)
-    assert found.error <= ROBUSTNESS["FORMED"]
-    assert found.inverted == (not law.upright)
+    assert found.error <= ROBUSTNESS["SHAPE_TOLERANCE"]
+    assert found.is_inverted == (not law.upright)
 
 
 def test_a_swarm_is_inverted_where_the_mirror_image_fits_better(rng):
