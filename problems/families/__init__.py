@@ -1,6 +1,6 @@
-"""Questions drawn from real runs, frozen with their seeds, and what is known of their answers.
+"""Programs recorded from runs, with their seeds and reference solutions.
 
-Made by scripts/write_problem_families.py, one file a family and size.
+`scripts/write_problem_families.py` writes them, a file for each family and size.
 """
 
 from dataclasses import dataclass, replace
@@ -16,36 +16,36 @@ from scipy.sparse import csc_array
 from problems.conic import ConicProgram
 
 SIZES = ("small", "medium", "large")
-MIN_COST_SCALE = 1e-6  # a reference below it is as good as none
-REFERENCE_ERROR = 1e-7  # what is left of the residuals of an answer that is kept here, in its cost
+MIN_COST_SCALE = 1e-6  # smallest scale of a relative error of the cost
+REFERENCE_ERROR = 1e-7  # of a reference cost, from the residuals of its solution
 
 
 @dataclass(frozen=True, eq=False)
 class Instance:
-    """One question and its answer, which anybody can recompute.
+    """Program and its reference solution.
 
-    Where there is a point, x and y are one of the optima and its duals, see
-    `problems.conic.Answer`; where there is none, y is the ray that proves it, and x and the
-    reference are NaN.
+    x and y are an optimum and its duals, see `problems.conic.ConicSolution`; where the program
+    is infeasible, y is the ray that certifies it, and x and the reference cost are NaN.
     """
 
     name: str
     problem: ConicProgram
     is_feasible: bool
     reference_cost: float  # the optimum
-    reference_gap: float  # by how much the optima of two solvers differ, over 1 + |reference|
+    reference_gap: float  # difference of the optima of two solvers, over 1 + |reference|
     x: Float[Array, " n"]
     y: Float[Array, " m"]
 
     @property
     def cost_scale(self) -> float:
-        """What an error of the cost is relative to."""
+        """Scale of relative errors of the cost."""
         return max(abs(self.reference_cost), MIN_COST_SCALE)
 
     def cost_tolerance(self, tolerance: float) -> float:
-        """How far from the reference the cost of an answer within a tolerance can be.
+        """Bound the cost error of a solution whose residuals and gap are within a tolerance.
 
-        By weak duality: an answer's x against the y that is known, and its y against that x.
+        Weak duality bounds it: the solution's x against the reference y, and its y against the
+        reference x.
         """
         p = self.problem
         primal = tolerance * (1 + np.abs(p.b).max(initial=0.0))
@@ -58,21 +58,21 @@ class Instance:
 
 @dataclass(frozen=True, eq=False)
 class Family:
-    """Questions of one kind and size.
+    """Programs of one kind and size.
 
-    Those that differ in b alone share q and A, the very same arrays, and follow each other:
-    a solver can be kept for them.
+    Those that differ in b alone share the same arrays q and A and follow each other, so that
+    one solver session serves them.
     """
 
     name: str
     size: str
-    seed: int  # of the run that they are drawn from
-    source: str  # what they are, and from which run
-    solvers: tuple[str, ...]  # who agree on the answers
+    seed: int  # of the run
+    source: str  # description, and the run they were recorded from
+    solvers: tuple[str, ...]  # that agree on the solutions
     instances: tuple[Instance, ...]
 
     def __post_init__(self) -> None:
-        """Refuse a family that asks nothing."""
+        """Check that there is an instance."""
         if not self.instances:
             raise ValueError(
                 f"the family {self.name}, {self.size}, is empty: it needs at least one instance"
@@ -80,7 +80,7 @@ class Family:
 
 
 def list_families() -> dict[str, tuple[str, ...]]:
-    """The sizes that there are of each family, by its name."""
+    """List the sizes of each family, by its name."""
     stems = {file.name.removesuffix(".npz") for file in files(__name__).iterdir()}
     found: dict[str, tuple[str, ...]] = {}
     for name in sorted({stem.rpartition("-")[0] for stem in stems} - {""}):
@@ -90,10 +90,10 @@ def list_families() -> dict[str, tuple[str, ...]]:
 
 @cache
 def load_family(name: str, size: str) -> Family:
-    """The questions of one kind and size.
+    """Load the programs of one family and size.
 
     Raises:
-        ValueError: There are none of this name, or of this size.
+        ValueError: There is no family of this name, or not of this size.
     """
     known = list_families()
     if name not in known:
@@ -105,7 +105,7 @@ def load_family(name: str, size: str) -> Family:
 
 
 def _parse_family(name: str, size: str, data: Any) -> Family:
-    # A matrix and its cost are stored once for all the instances that share them.
+    # A and q are stored once for all the instances that share them.
     shared = [_parse_program(data, k) for k in range(int(data["programmes"]))]
     instances = []
     for i, k in enumerate(data["programme"]):
