@@ -1,39 +1,41 @@
-"""What a vehicle may do among others: the printed rule, its fault, and half-planes instead."""
+"""Collision avoidance: the paper's sectors and their fault, and half-planes of velocities."""
 
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from sato.formation.avoidance import (
-    CollisionAvoidance,
-    avoid_collisions,
-    limit_approach,
-    max_approach_speed,
-)
+from sato.formation import avoidance
+from sato.formation.avoidance import avoid_collisions, limit_approach
+from sato.formation.settings import CollisionAvoidance
 
+KEEP_OUT = 1.2
 OURS = CollisionAvoidance()
-PRINTED = CollisionAvoidance(avoidance_range=1.5, legacy=True)
-FAULTY = PRINTED._replace(unwrapped_angles=True)
+LEGACY = CollisionAvoidance(avoidance_range=1.5, legacy=True)
+FAULTY = LEGACY._replace(unwrapped_angles=True)
 SEEDS = st.integers(0, 2**32 - 1)
 MANY = settings(max_examples=200)
 
 
-def steered(u, others, rules):
+def avoided(u, others, rules):
     """The velocity afterwards, and whether anything was changed."""
     v, others = np.array([*u, 0.1]), np.asarray(others, dtype=float)
-    changed = avoid_collisions(v, others, len(others), rules, np.zeros(20), np.zeros(20))
+    changed = avoid_collisions(v, others, len(others), KEEP_OUT, rules, np.zeros(20), np.zeros(20))
     return v[:2], bool(changed)
 
 
-def held(u, others, rules=OURS):
+def max_approach_speed(distance):
+    return avoidance.max_approach_speed(distance, KEEP_OUT, OURS)
+
+
+def limited(u, others, rules=OURS):
     v = np.array(u, dtype=float)
-    limit_approach(v, others, len(others), rules)
+    limit_approach(v, others, len(others), KEEP_OUT, rules)
     return v
 
 
-def crowd(seed, most=8, nearest=0.9):
-    """A velocity, and some others around, who keep some distance from each other."""
+def random_others(seed, most=8, nearest=0.9):
+    """A velocity, and relative positions of other agents that are apart from each other."""
     rng = np.random.default_rng(seed)
     others = []
     for _ in range(rng.integers(1, 40)):
@@ -48,13 +50,13 @@ def angle(u):
     return np.arctan2(u[1], u[0])
 
 
-def around(turn):
+def wrapped(turn):
     return (turn + np.pi) % (2 * np.pi) - np.pi
 
 
 def towards(other, half, far=1.3):
     """Who is seen in that direction [°], so far that its sector has that half-angle [°]."""
-    distance = PRINTED.keep_out / np.sin(np.deg2rad(half)) if half else far
+    distance = KEEP_OUT / np.sin(np.deg2rad(half)) if half else far
     return distance * np.array([np.cos(np.deg2rad(other)), np.sin(np.deg2rad(other))])
 
 
@@ -66,7 +68,7 @@ def bounds(others, least=-np.inf):
     """Directions in which the speed is bounded, and by what."""
     far = np.linalg.norm(others, axis=1)
     near = far < OURS.avoidance_range
-    most = np.array([max(least, max_approach_speed(d, OURS)) for d in far[near]])
+    most = np.array([max(least, max_approach_speed(d)) for d in far[near]])
     return others[near] / far[near, None], most
 
 
@@ -84,105 +86,105 @@ def nearest_of_all(u, normals, most):
 
 @MANY
 @given(SEEDS)
-def test_printed_the_nearest_direction_that_nobody_forbids_is_taken_or_none(seed):
-    u, others = crowd(seed)
+def test_legacy_takes_the_closest_allowed_direction_or_stops(seed):
+    u, others = random_others(seed)
     heading = np.linspace(-np.pi, np.pi, 20_001)
     forbidden = np.zeros(len(heading), dtype=bool)
     for other in others:
         far = np.linalg.norm(other)
-        if far < PRINTED.avoidance_range:
-            half = np.arcsin(min(1.0, PRINTED.keep_out / far))
-            forbidden |= np.abs(around(heading - angle(other))) < half
-    least = np.abs(around(heading[~forbidden] - angle(u))).min(initial=np.inf)
+        if far < LEGACY.avoidance_range:
+            half = np.arcsin(min(1.0, KEEP_OUT / far))
+            forbidden |= np.abs(wrapped(heading - angle(other))) < half
+    least = np.abs(wrapped(heading[~forbidden] - angle(u))).min(initial=np.inf)
     assume(abs(least - np.pi / 2) > 1e-3)
-    v, changed = steered(u, others, PRINTED)
+    v, changed = avoided(u, others, LEGACY)
     assert changed == (least > 1e-3)
     if least > np.pi / 2:
         assert not v.any()
     else:
         assert np.linalg.norm(v) == pytest.approx(np.linalg.norm(u))
-        assert abs(around(angle(v) - angle(u))) == pytest.approx(least, abs=1e-3)
+        assert abs(wrapped(angle(v) - angle(u))) == pytest.approx(least, abs=1e-3)
 
 
-def test_angles_that_do_not_wrap_around_turn_to_the_wrong_side():
+def test_unwrapped_angles_turn_to_the_wrong_side():
     u, others = headed(170), [towards(160, half=70)]
-    right, faulty = steered(u, others, PRINTED)[0], steered(u, others, FAULTY)[0]
+    right, faulty = avoided(u, others, LEGACY)[0], avoided(u, others, FAULTY)[0]
     assert right == pytest.approx(headed(230))
     assert faulty == pytest.approx(headed(90))
 
 
-def test_angles_that_do_not_wrap_around_stop_who_could_go_on():
+def test_unwrapped_angles_stop_agents_that_could_turn():
     u, others = headed(170), [towards(150, half=75)]
-    assert steered(u, others, PRINTED)[0] == pytest.approx(headed(225))
-    assert not steered(u, others, FAULTY)[0].any()
+    assert avoided(u, others, LEGACY)[0] == pytest.approx(headed(225))
+    assert not avoided(u, others, FAULTY)[0].any()
     # Turned by a half turn it is no fault any more.
-    assert steered(-u, -np.array(others), FAULTY)[0] == pytest.approx(-headed(225))
+    assert avoided(-u, -np.array(others), FAULTY)[0] == pytest.approx(-headed(225))
 
 
-@given(SEEDS, st.floats(-np.pi, np.pi), st.sampled_from([OURS, PRINTED]))
-def test_all_turned_the_way_out_is_turned(seed, yaw, rules):
-    u, others = crowd(seed)
+@given(SEEDS, st.floats(-np.pi, np.pi), st.sampled_from([OURS, LEGACY]))
+def test_avoidance_rotates_with_the_surroundings(seed, yaw, rules):
+    u, others = random_others(seed)
     turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-    v, changed = steered(turn @ u, others @ turn.T, rules)
-    plain, once = steered(u, others, rules)
+    v, changed = avoided(turn @ u, others @ turn.T, rules)
+    plain, once = avoided(u, others, rules)
     assert changed == once
     assert v == pytest.approx(turn @ plain, abs=1e-9)
 
 
 @pytest.mark.parametrize("gap", [0.01, 0.3, 1.5])
-def test_two_who_brake_from_the_allowed_speed_stop_at_the_keep_out(gap):
-    allowed = max_approach_speed(OURS.keep_out + OURS.margin + gap, OURS)
+def test_two_agents_braking_from_the_allowed_speed_stop_at_keep_out(gap):
+    allowed = max_approach_speed(KEEP_OUT + OURS.margin + gap)
     assert 2 * allowed**2 / (2 * OURS.braking) == pytest.approx(gap)
 
 
-def test_who_is_too_near_has_to_part_the_faster_the_nearer():
-    least = OURS.keep_out + OURS.margin
-    assert max_approach_speed(least, OURS) == pytest.approx(0, abs=1e-8)  # rounded in a square root
-    assert max_approach_speed(least - 0.2, OURS) < max_approach_speed(least - 0.1, OURS) < 0
+def test_closer_agents_must_separate_faster():
+    least = KEEP_OUT + OURS.margin
+    assert max_approach_speed(least) == pytest.approx(0, abs=1e-8)  # rounded in a square root
+    assert max_approach_speed(least - 0.2) < max_approach_speed(least - 0.1) < 0
 
 
 @MANY
 @given(SEEDS)
-def test_who_is_held_back_takes_the_nearest_velocity_that_approaches_nobody_too_fast(seed):
-    u, others = crowd(seed)
+def test_limited_velocity_is_the_projection_onto_the_half_planes(seed):
+    u, others = random_others(seed)
     best = nearest_of_all(u, *bounds(others))
-    if best is None:  # between two who are too near: enough to approach none
+    if best is None:  # between two that are too close, it is enough to approach neither
         best = nearest_of_all(u, *bounds(others, least=0.0))
-    assert held(u, others) == pytest.approx(best, abs=1e-8)
+    assert limited(u, others) == pytest.approx(best, abs=1e-8)
 
 
 @MANY
 @given(SEEDS)
-def test_nobody_is_approached_faster_than_allowed_if_that_is_possible(seed):
-    u, others = crowd(seed)
+def test_no_agent_is_approached_too_fast_where_that_is_possible(seed):
+    u, others = random_others(seed)
     normals, most = bounds(others)
     assume(nearest_of_all(u, normals, most) is not None)
-    v, changed = steered(u, others, OURS)
+    v, changed = avoided(u, others, OURS)
     assert np.all(normals @ v <= most + 1e-8)
     assert changed == bool(np.any(normals @ u > most + 1e-12))
 
 
 @given(SEEDS)
-def test_between_who_are_too_near_at_least_none_is_approached(seed):
-    u, others = crowd(seed, most=12, nearest=0.3)
-    v, _ = steered(u, others * 0.5, OURS)
+def test_between_agents_too_close_none_is_approached(seed):
+    u, others = random_others(seed, most=12, nearest=0.3)
+    v, _ = avoided(u, others * 0.5, OURS)
     normals, most = bounds(others * 0.5, least=0.0)
     assert np.all(normals @ v <= most + 1e-8)
 
 
-def test_where_nobody_is_near_nothing_is_changed():
-    for rules in (OURS, PRINTED):
-        v, changed = steered([0.3, 0.1], np.array([[rules.avoidance_range + 0.01, 0.0]]), rules)
+def test_agents_out_of_range_change_nothing():
+    for rules in (OURS, LEGACY):
+        v, changed = avoided([0.3, 0.1], np.array([[rules.avoidance_range + 0.01, 0.0]]), rules)
         assert not changed and v.tolist() == [0.3, 0.1]
 
 
-def test_of_two_ways_as_near_the_right_one_is_taken():
-    v, changed = steered([0.5, 0.0], [[1.3, 0.0]], OURS)
+def test_of_two_equal_turns_the_right_one_is_taken():
+    v, changed = avoided([0.5, 0.0], [[1.3, 0.0]], OURS)
     assert changed and v[1] < 0
     assert np.linalg.norm(v) == pytest.approx(0.5)
 
 
-def test_who_rests_too_near_to_another_parts_from_it():
+def test_agent_at_rest_too_close_to_another_separates():
     for other in ([1.0, 0.0], [-1.0, 0.0], [0.0, 1.0]):
-        v, changed = steered([0.0, 0.0], [other], OURS)
-        assert changed and v == pytest.approx(max_approach_speed(1.0, OURS) * np.array(other))
+        v, changed = avoided([0.0, 0.0], [other], OURS)
+        assert changed and v == pytest.approx(max_approach_speed(1.0) * np.array(other))

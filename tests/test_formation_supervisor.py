@@ -1,37 +1,37 @@
-"""Settled and stuck by the protocol of the trials, on speeds and avoidance made by hand."""
+"""Supervisor: convergence and gridlock, from given speeds and avoidance."""
 
 import numpy as np
 import pytest
 
-from sato.formation.mission import SupervisorSettings
+from sato.formation.settings import SupervisorSettings
 from sato.formation.supervisor import Phase, Supervisor
 
-PROTOCOL = SupervisorSettings(
+SETTINGS = SupervisorSettings(
     convergence_speed=1.0,
     averaging_window=1.0,
     convergence_time=1.0,
     gridlock_share=0.95,
     gridlock_timeout=3.0,
 )
-SAMPLE = 0.1
+PERIOD = 0.1
 SLOW, FAST = np.array([0.2, 0.9]), np.array([0.2, 1.5])
-FREE, AVOIDS = np.array([False, False]), np.array([False, True])
+FREE, AVOIDING = np.array([False, False]), np.array([False, True])
 
 
-def watch():
+def assigned_supervisor():
     """A supervisor whose swarm has just been assigned."""
-    supervisor = Supervisor(PROTOCOL, SAMPLE, 2)
+    supervisor = Supervisor(SETTINGS, PERIOD, 2)
     supervisor.mark_assigned()
     return supervisor
 
 
-def show(supervisor, time, speed=SLOW, avoids=FREE):
-    """The phases of so many seconds in which all stays the same."""
-    return [supervisor.observe(speed, avoids) for _ in range(round(time / SAMPLE))]
+def observe(supervisor, time, speed=SLOW, avoiding=FREE):
+    """Phases while nothing changes for a time [s]."""
+    return [supervisor.observe(speed, avoiding) for _ in range(round(time / PERIOD))]
 
 
 def changes(phases):
-    """Phases in order, each with how often it was shown in a row."""
+    """Phases in order, each with its number of observations in a row."""
     found = []
     for phase in phases:
         if found and found[-1][0] is phase:
@@ -41,77 +41,77 @@ def changes(phases):
     return [(phase, count) for phase, count in found]
 
 
-def test_without_an_assignment_it_waits_whatever_is_seen():
-    supervisor = Supervisor(PROTOCOL, SAMPLE, 2)
-    phases = show(supervisor, 5) + show(supervisor, 5, FAST, AVOIDS)
+def test_swarm_waits_until_it_is_assigned():
+    supervisor = Supervisor(SETTINGS, PERIOD, 2)
+    phases = observe(supervisor, 5) + observe(supervisor, 5, FAST, AVOIDING)
     assert set(phases) == {Phase.WAITING}
 
 
-def test_who_is_slow_for_a_window_is_settled_and_for_as_long_again_done():
-    assert changes(show(watch(), 4)) == [
+def test_slow_swarm_converges_after_a_window_and_completes_after_another():
+    assert changes(observe(assigned_supervisor(), 4)) == [
         (Phase.FLYING, 9),
         (Phase.CONVERGED, 10),
         (Phase.COMPLETED, 21),
     ]
 
 
-def test_one_fast_vehicle_keeps_all_flying():
-    assert set(show(watch(), 5, FAST)) == {Phase.FLYING}
+def test_one_fast_agent_prevents_convergence():
+    assert set(observe(assigned_supervisor(), 5, FAST)) == {Phase.FLYING}
 
 
-def test_it_is_the_mean_over_the_window_that_has_to_be_slow():
-    supervisor = watch()
+def test_convergence_is_of_the_mean_over_the_window():
+    supervisor = assigned_supervisor()
     # 9 observations at 0.9 and then one at 1.8: 0.99 in the mean.
-    show(supervisor, 0.9)
+    observe(supervisor, 0.9)
     assert supervisor.observe(np.array([0.2, 1.8]), FREE) is Phase.CONVERGED
-    supervisor = watch()
-    show(supervisor, 0.9)
+    supervisor = assigned_supervisor()
+    observe(supervisor, 0.9)
     assert supervisor.observe(np.array([0.2, 2.0]), FREE) is Phase.FLYING
 
 
-def test_the_window_slides_on_over_who_is_settled():
-    supervisor = watch()
-    show(supervisor, 1, FAST)
+def test_window_keeps_sliding_while_converged():
+    supervisor = assigned_supervisor()
+    observe(supervisor, 1, FAST)
     # One of 1.5 among 0.9 is 0.96 in the mean, two would be 1.02.
-    assert show(supervisor, 0.9)[-2:] == [Phase.FLYING, Phase.CONVERGED]
-    assert supervisor.observe(FAST, FREE) is Phase.CONVERGED  # for the other has left the window
+    assert observe(supervisor, 0.9)[-2:] == [Phase.FLYING, Phase.CONVERGED]
+    assert supervisor.observe(FAST, FREE) is Phase.CONVERGED  # the other one has left the window
     assert supervisor.observe(FAST, FREE) is Phase.FLYING
 
 
-def test_who_does_not_stay_slow_flies_on_and_is_judged_on_what_comes_then():
-    supervisor = watch()
-    assert show(supervisor, 1.5)[-1] is Phase.CONVERGED
-    assert show(supervisor, 0.5, 5 * FAST)[0] is Phase.FLYING  # the mean is 1.5 by then
+def test_swarm_that_speeds_up_again_starts_a_new_window():
+    supervisor = assigned_supervisor()
+    assert observe(supervisor, 1.5)[-1] is Phase.CONVERGED
+    assert observe(supervisor, 0.5, 5 * FAST)[0] is Phase.FLYING  # the mean is 1.5 by then
     # The window is full again after 5 more, and without what was fast after 9.
-    assert changes(show(supervisor, 3)) == [
+    assert changes(observe(supervisor, 3)) == [
         (Phase.FLYING, 9),
         (Phase.CONVERGED, 10),
         (Phase.COMPLETED, 11),
     ]
 
 
-def test_who_does_nothing_but_avoid_is_gridlocked_and_after_so_long_given_up():
-    assert changes(show(watch(), 6, FAST, AVOIDS)) == [
+def test_gridlock_that_lasts_is_given_up():
+    assert changes(observe(assigned_supervisor(), 6, FAST, AVOIDING)) == [
         (Phase.FLYING, 9),
         (Phase.GRIDLOCKED, 30),
         (Phase.ABORTED, 21),
     ]
 
 
-def test_settled_is_asked_before_stuck_and_in_a_gridlock_not_at_all():
-    assert changes(show(watch(), 3, SLOW, AVOIDS))[1][0] is Phase.CONVERGED
-    supervisor = watch()
-    show(supervisor, 1, FAST, AVOIDS)
-    assert set(show(supervisor, 2, SLOW, AVOIDS)) == {Phase.GRIDLOCKED}
+def test_convergence_precedes_gridlock_and_does_not_end_it():
+    assert changes(observe(assigned_supervisor(), 3, SLOW, AVOIDING))[1][0] is Phase.CONVERGED
+    supervisor = assigned_supervisor()
+    observe(supervisor, 1, FAST, AVOIDING)
+    assert set(observe(supervisor, 2, SLOW, AVOIDING)) == {Phase.GRIDLOCKED}
 
 
-def test_who_gets_out_of_a_gridlock_flies_on_and_its_patience_begins_anew():
-    supervisor = watch()
-    show(supervisor, 1, FAST, AVOIDS)
-    assert set(show(supervisor, 2, FAST, AVOIDS)) == {Phase.GRIDLOCKED}
+def test_timeout_starts_again_with_each_gridlock():
+    supervisor = assigned_supervisor()
+    observe(supervisor, 1, FAST, AVOIDING)
+    assert set(observe(supervisor, 2, FAST, AVOIDING)) == {Phase.GRIDLOCKED}
     # One free observation in ten is 90 % of the window, and less than stuck.
-    assert show(supervisor, 0.1, FAST, FREE) == [Phase.FLYING]
-    assert changes(show(supervisor, 5, FAST, AVOIDS)) == [
+    assert observe(supervisor, 0.1, FAST, FREE) == [Phase.FLYING]
+    assert changes(observe(supervisor, 5, FAST, AVOIDING)) == [
         (Phase.FLYING, 9),
         (Phase.GRIDLOCKED, 30),
         (Phase.ABORTED, 11),
@@ -119,22 +119,22 @@ def test_who_gets_out_of_a_gridlock_flies_on_and_its_patience_begins_anew():
 
 
 def test_avoiding_by_turns_is_no_gridlock():
-    supervisor, turns = watch(), [np.array([True, False]), np.array([False, True])]
+    supervisor, turns = assigned_supervisor(), [np.array([True, False]), np.array([False, True])]
     phases = [supervisor.observe(FAST, turns[k // 3 % 2]) for k in range(100)]
     assert set(phases) == {Phase.FLYING}
 
 
-@pytest.mark.parametrize("sample", [0.02, 0.1, 0.5])
-def test_how_often_it_looks_changes_no_time(sample):
-    supervisor = Supervisor(PROTOCOL, sample, 2)
+@pytest.mark.parametrize("period", [0.02, 0.1, 0.5])
+def test_times_do_not_depend_on_the_period_of_observation(period):
+    supervisor = Supervisor(SETTINGS, period, 2)
     supervisor.mark_assigned()
-    phases = [supervisor.observe(SLOW, FREE) for _ in range(round(4 / sample))]
-    assert phases.index(Phase.CONVERGED) + 1 == round(1 / sample)
-    assert phases.index(Phase.COMPLETED) + 1 == round(2 / sample)
+    phases = [supervisor.observe(SLOW, FREE) for _ in range(round(4 / period))]
+    assert phases.index(Phase.CONVERGED) + 1 == round(1 / period)
+    assert phases.index(Phase.COMPLETED) + 1 == round(2 / period)
 
 
-def test_an_assignment_in_flight_changes_no_phase():
-    supervisor = watch()
-    show(supervisor, 1.5)
+def test_later_assignments_change_no_phase():
+    supervisor = assigned_supervisor()
+    observe(supervisor, 1.5)
     supervisor.mark_assigned()
     assert supervisor.phase is Phase.CONVERGED

@@ -1,0 +1,325 @@
+"""Compiled control steps: frames, messages, limits, avoidance and wandering."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.sparse.csgraph import shortest_path
+from scipy.spatial.distance import pdist, squareform
+
+from problems.desired_formation import DesiredFormation
+from problems.gain_design import design_gains
+from sato.formation.control_law import size_control_weights
+from sato.formation.kernel import (
+    FormationData,
+    FormationState,
+    KernelParameters,
+    MissionNumbers,
+    Roles,
+    Timing,
+    simulate_steps,
+)
+from sato.formation.settings import (
+    CollisionAvoidance,
+    ControlLaw,
+    CoordinateFrames,
+    FrameSettings,
+)
+from sato.shapes.graphs import random_sparse_graph
+from sato.shapes.random_points import sample_formation, sample_positions
+
+STEP = 0.02
+RULES = CollisionAvoidance()
+NUMBERS = MissionNumbers(1.2, 0.5, 0.3, 0.5, 0.8, noise=0.0)
+
+
+@cache
+def gains(agents=8, share=0.7):
+    rng = np.random.default_rng(agents)
+    points = sample_formation(agents, (9.0, 9.0, 3.0), 2.0, rng)
+    return design_gains(DesiredFormation(points, random_sparse_graph(points, share, rng)))
+
+
+def formation_data(gains):
+    graph = gains.formation.graph
+    n, degree = len(graph), graph.sum(axis=1)
+    neighbors = np.full((n, degree.max()), -1)
+    for i, row in enumerate(graph):
+        neighbors[i, : degree[i]] = np.flatnonzero(row)
+    weights = size_control_weights(graph)
+    return FormationData(gains.xy, gains.z, gains.formation.points, neighbors, weights)
+
+
+def frames(agents=8, offset=10.0, drift=0.01, seed=None):
+    """Random frames; aligned ones without a seed."""
+    if seed is None:
+        zero = np.zeros((agents, 3))
+        return CoordinateFrames(np.ones(agents, dtype=complex), zero, zero.copy())
+    drawn = FrameSettings("random", offset, drift).draw(agents, np.random.default_rng(seed))
+    return CoordinateFrames(np.exp(1j * drawn.yaw), np.array(drawn.offset), np.array(drawn.drift))
+
+
+def swarm(frames, data=None, rules=RULES, numbers=NUMBERS, every=1, delay=0, loss=0.0):
+    data = formation_data(gains()) if data is None else data
+    timing = Timing(STEP, every, delay, loss)
+    return KernelParameters(data, frames, ControlLaw(), rules, numbers, timing)
+
+
+def roles(agents=8, active=None, commanded=-1, velocity=(0.0, 0.0, 0.0)):
+    points = np.arange(agents)
+    active = np.full(agents, True) if active is None else active
+    return Roles(points, np.tile(points, (agents, 1)), active, commanded, np.array(velocity))
+
+
+def crowded(seed, agents=8, separation=1.5):
+    rng = np.random.default_rng(seed)
+    flat = sample_positions(agents, (7.0, 7.0), separation, rng)
+    return np.column_stack([flat, rng.uniform(0, 3, agents)])
+
+
+def simulate(parameters, start, count, who=None, seed=0):
+    """Copies of the state after every step."""
+    delay, rng = parameters.timing.message_delay, np.random.default_rng(seed)
+    state = FormationState.at_rest(start, delay)
+    for number in range(count):
+        simulate_steps(state, who or roles(len(start)), parameters, number, 1, rng)
+        yield FormationState(*(array.copy() for array in state))
+
+
+def separations(position):
+    return squareform(pdist(position[:, :2])) + np.diag(np.full(len(position), np.inf))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_motion_does_not_depend_on_the_coordinate_frames(seed):
+    # Step by step from the same state: in a crowd, rounding errors grow.
+    rng = np.random.default_rng(seed)
+    aligned, turned = swarm(frames()), swarm(frames(offset=50.0, drift=0.0, seed=seed))
+    rotation = turned.coordinate_frames.rotation
+    one, length = FormationState.at_rest(crowded(seed), 0), 0.0
+    for number in range(300):
+        other = FormationState(*(array.copy() for array in one))
+        simulate_steps(one, roles(), aligned, number, 1, rng)
+        simulate_steps(other, roles(), turned, number, 1, rng)
+        assert other.velocity == pytest.approx(one.velocity, abs=1e-10)
+        assert np.array_equal(one.avoiding, other.avoiding)
+        found, expected = (u.velocity_command[:, :2] @ [1, 1j] for u in (other, one))
+        assert rotation * found == pytest.approx(expected, abs=1e-10)
+        length += STEP * np.linalg.norm(one.velocity[:, :2], axis=1)
+    assert length.min() > 0.5
+
+
+def test_odometry_drifts_by_a_share_of_the_distance_flown():
+    own, start = frames(seed=3), crowded(3)
+    before, flown = start, np.zeros(8)
+    for state in simulate(swarm(own), start, 200):
+        flown += np.linalg.norm(state.position - before, axis=1)
+        before = state.position
+    assert np.linalg.norm(own.drift_rate, axis=1) == pytest.approx(np.full(8, 0.01))
+    assert state.drift == pytest.approx(flown[:, None] * own.drift_rate, abs=1e-12)
+    assert flown.min() > 0.3
+
+
+def test_measured_position_is_the_true_one_in_the_own_frame_plus_drift():
+    own = frames(seed=4)
+    position, drift = crowded(4), np.zeros((8, 3))
+    for state in simulate(swarm(own), position, 100):
+        found = state.measured_position - drift  # measured at the beginning of the step
+        flat = own.rotation * (found[:, 0] + 1j * found[:, 1])
+        seen = np.column_stack([flat.real, flat.imag, found[:, 2]]) + own.origin
+        assert seen == pytest.approx(position, abs=1e-9)
+        position, drift = state.position, state.drift
+
+
+def test_measured_coordinates_have_the_standard_deviation_of_the_noise():
+    hovering = roles(active=np.zeros(8, dtype=bool))
+    start = crowded(0) * [10, 10, 1]  # too far apart to avoid each other
+    noisy = swarm(frames(), numbers=NUMBERS._replace(noise=0.02))
+    errors = [state.measured_position - start for state in simulate(noisy, start, 500, hovering)]
+    assert np.std(errors) == pytest.approx(0.02, rel=0.03)
+    assert np.abs(np.mean(errors, axis=0)).max() <= 5 * 0.02 / 500**0.5
+
+
+@pytest.mark.parametrize(("delay", "every"), [(0, 1), (3, 1), (2, 5)])
+def test_messages_arrive_late_and_at_neighbors_alone(delay, every):
+    graph, sent = gains().formation.graph, []
+    delayed = swarm(frames(), every=every, delay=delay)
+    for number, state in enumerate(simulate(delayed, crowded(1), 40)):
+        if number % every == 0:
+            sent.append(state.measured_position)
+        assert np.isnan(state.received[~graph]).all()
+        if len(sent) <= delay:
+            assert np.isnan(state.received).all()
+        else:
+            for i, j in np.argwhere(graph):
+                assert np.array_equal(state.received[i, j], sent[-1 - delay][j])
+
+
+def test_lost_message_leaves_the_last_one_received():
+    i, j = np.nonzero(gains().formation.graph)
+    sent, ages = [], []
+    lossy = swarm(frames(), numbers=NUMBERS._replace(noise=0.01), loss=0.3)
+    for state in simulate(lossy, crowded(1), 500):
+        sent.append(state.measured_position)
+        if len(sent) >= 12:  # no two of them are equal
+            latest = np.array(sent[:-13:-1])[:, j]
+            same = (latest == state.received[i, j]).all(axis=-1)
+            ages.append(same.argmax(axis=0)[same.any(axis=0)])
+    share = np.bincount(np.concatenate(ages)) / (len(ages) * len(i))
+    assert share[:4] == pytest.approx(0.7 * 0.3 ** np.arange(4), abs=0.01)
+    assert share.sum() == pytest.approx(1, abs=1e-4)
+
+
+def test_agents_hover_until_the_first_message_arrives():
+    *before, after = simulate(swarm(frames(), delay=5), crowded(1) * [10, 10, 1], 6)
+    assert not any(state.velocity.any() for state in before)
+    assert np.linalg.norm(after.velocity, axis=1).min() > 0
+
+
+def test_disturbance_spreads_one_hop_a_message():
+    n = 12
+    turn = np.linspace(0, 2 * np.pi, n, endpoint=False)
+    ring = np.column_stack([20 * np.cos(turn), 20 * np.sin(turn), np.arange(n) % 3])
+    gap = np.abs(np.arange(n) - np.arange(n)[:, None])
+    graph = np.isin(np.minimum(gap, n - gap), (1, 2))
+    data = formation_data(design_gains(DesiredFormation(ring, graph)))
+    start = ring + np.random.default_rng(7).normal(0, 0.5, (n, 3))
+    moved = start.copy()
+    moved[0] += [0.3, -0.2, 0.1]  # still out of range of all others
+    own = swarm(frames(n, seed=7), data)
+    hops = shortest_path(graph, unweighted=True)[0]
+    assert hops.max() == 3
+    pairs = zip(simulate(own, start, 3), simulate(own, moved, 3), strict=True)
+    for step, (one, other) in enumerate(pairs, start=1):
+        touched = (one.velocity != other.velocity).any(axis=1)
+        assert touched.tolist() == (hops <= step).tolist()
+        far = hops > step
+        assert np.array_equal(one.velocity_command[far], other.velocity_command[far])
+
+
+def test_agents_that_are_no_neighbors_matter_within_range_alone():
+    i, j = np.argwhere(~gains().formation.graph & ~np.eye(8, dtype=bool))[0]
+    start = gains().formation.points * [20, 20, 1]  # all out of range of each other
+    (alone,) = simulate(swarm(frames()), start, 1)
+    ahead = alone.velocity_command[i] * [1, 1, 0]
+    ahead /= np.linalg.norm(ahead)
+    after = {}
+    for distance in (2.0, 3.1, 7.0):
+        close = start.copy()
+        close[j] = start[i] + distance * ahead
+        (after[distance],) = simulate(swarm(frames()), close, 1)
+    assert [bool(state.avoiding[i]) for state in after.values()] == [True, False, False]
+    assert np.array_equal(after[3.1].velocity[i], after[7.0].velocity[i])
+    assert np.array_equal(after[3.1].velocity_command[i], after[2.0].velocity_command[i])
+
+
+@pytest.mark.parametrize("separation", [1.5, 0.4])
+def test_limits_of_speed_and_acceleration_hold_even_in_a_crowd(separation):
+    limits = NUMBERS._replace(
+        max_speed=0.4, max_climb=0.2, max_acceleration=0.6, max_climb_acceleration=0.7, noise=0.02
+    )
+    start = crowded(2, separation=separation) * ([1, 1, 1] if separation > 1 else [0.5, 0.5, 1])
+    before, fastest = np.zeros((8, 3)), 0.0
+    for state in simulate(swarm(frames(seed=2), numbers=limits), start, 500):
+        change = (state.velocity - before) / STEP
+        before = state.velocity
+        fastest = max(fastest, np.linalg.norm(before[:, :2], axis=1).max())
+        assert np.linalg.norm(change[:, :2], axis=1).max() <= limits.max_acceleration + 1e-9
+        assert np.abs(change[:, 2]).max() <= limits.max_climb_acceleration + 1e-9
+        assert np.abs(before[:, 2]).max() <= limits.max_climb + 1e-12
+    assert fastest == pytest.approx(limits.max_speed)
+
+
+def test_legacy_acceleration_is_limited_on_each_axis():
+    before, most, limit = np.zeros((8, 3)), 0.0, NUMBERS.max_acceleration
+    legacy = swarm(frames(), rules=CollisionAvoidance(legacy=True))
+    for state in simulate(legacy, crowded(2), 200):
+        change = (state.velocity - before)[:, :2] / STEP
+        before, most = state.velocity, max(most, np.linalg.norm(change, axis=1).max())
+        assert np.abs(change).max() <= limit + 1e-9
+    assert most == pytest.approx(2**0.5 * limit)
+
+
+def towards(anchors):
+    """Formation data and roles of agents that fly to anchors, which are hovering agents."""
+    n = len(anchors)
+    xy, z = np.zeros((2 * n, 2 * n), dtype=complex), np.zeros((2 * n, 2 * n))
+    xy[np.arange(n), np.arange(n, 2 * n)] = 1.0
+    neighbors = np.full((2 * n, 1), -1)
+    neighbors[:n, 0] = np.arange(n, 2 * n)
+    data = FormationData(xy, z, np.zeros((2 * n, 3)), neighbors, np.zeros((2 * n, 2 * n)))
+    return data, roles(2 * n, active=np.arange(2 * n) < n)
+
+
+def test_two_agents_that_meet_pass_on_the_right():
+    ends = np.array([[0.0, 0, 1], [10, 0, 1]])
+    anchors = np.array([[60.0, 0, 1], [-50, 0, 1]])
+    data, who = towards(anchors)
+    met, length = False, np.zeros(2)
+    for state in simulate(swarm(frames(4), data), np.concatenate([ends, anchors]), 2000, who):
+        one, other = state.position[:2, :2]
+        length += STEP * np.linalg.norm(state.velocity[:2, :2], axis=1)
+        if not met and one[0] >= other[0]:
+            met = True
+            assert one[1] < other[1]
+        assert np.linalg.norm(one - other) >= NUMBERS.keep_out
+    assert met and np.linalg.norm(one - other) > 5
+    assert length[0] == pytest.approx(length[1])  # both give way alike
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+@pytest.mark.parametrize("seed", range(3))
+def test_agents_that_cross_from_all_sides_keep_out_to_5_cm(seed, noise):
+    n, rng = 6, np.random.default_rng(seed)
+    turn = np.linspace(0, 2 * np.pi, n, endpoint=False) + rng.uniform(-0.1, 0.1, n)
+    start = np.column_stack([6 * np.cos(turn), 6 * np.sin(turn), np.full(n, 1.0)])
+    anchors = -start * [5, 5, -1]
+    data, who = towards(anchors)
+    own = swarm(frames(2 * n, drift=0.0, seed=seed), data, numbers=NUMBERS._replace(noise=noise))
+    least = np.full(2 * n, np.inf)
+    for state in simulate(own, np.concatenate([start, anchors]), 2500, who, seed):
+        least = np.minimum(least, separations(state.position).min(axis=1))
+    assert least[:n].max() < NUMBERS.keep_out + 0.1  # each of them met another
+    assert least.min() >= NUMBERS.keep_out - (0.05 if noise else 0.0)
+    assert np.linalg.norm(state.position[:n] - start, axis=1).min() > 4
+
+
+def blocked_flight(blocked_time):
+    """States of an agent that flies at a wall of three hovering ones."""
+    start = np.array([[0.0, 0, 1], [3, 0, 1], [2.6, 1.6, 1], [2.6, -1.6, 1]])
+    data, _ = towards(np.zeros((4, 3)))
+    who = roles(active=np.arange(8) == 0)
+    rules = RULES._replace(blocked_time=blocked_time)
+    places = np.concatenate([start, start + np.array([60.0, 0, 0])])
+    return list(simulate(swarm(frames(), data, rules), places, 1500, who))
+
+
+def test_blocked_agent_wanders_for_a_while_in_one_direction():
+    states, slow = blocked_flight(RULES.blocked_time), 0.2 * NUMBERS.max_speed
+    blocked = np.array([state.blocked_time[0] for state in states])
+    speed = np.array([np.linalg.norm(state.velocity[0, :2]) for state in states])
+    begins = int(np.argmax(blocked < 0))
+    waited, wanders = round(RULES.blocked_time / STEP), round(RULES.wander_time / STEP)
+    assert (speed[begins - waited + 1 : begins + 1] < slow).all()
+    assert speed[begins : begins + wanders].max() > slow
+    assert (blocked[begins : begins + wanders - 1] < 0).all()
+    assert blocked[begins + wanders] == 0
+    # It flies in one direction, as far as the others allow, and keeps out of them.
+    assert len({state.wander_direction[0] for state in states[begins : begins + wanders]}) == 1
+    least = min(separations(state.position[:4]).min() for state in states)
+    assert least >= NUMBERS.keep_out
+
+
+def test_agent_that_never_wanders_stays_blocked():
+    states = blocked_flight(np.inf)
+    assert np.linalg.norm(states[-1].velocity[0]) < 0.01
+    assert np.linalg.norm(states[-1].position[0] - states[-500].position[0]) < 0.01
+
+
+def test_operator_commands_one_agent_in_its_own_frame_and_others_hover():
+    own = frames(drift=0.0, seed=5)
+    who = roles(active=np.zeros(8, dtype=bool), commanded=2, velocity=(0.3, 0.1, 0.2))
+    (*_, state) = simulate(swarm(own), crowded(5) * [10, 10, 1], 100, who)
+    expected = own.rotation[2] * (0.3 + 0.1j)
+    assert state.velocity[2] == pytest.approx([expected.real, expected.imag, 0.2])
+    assert not np.delete(state.velocity, 2, axis=0).any()
