@@ -26,6 +26,8 @@ simulate_distorted, SHAPE_TOLERANCE = STUDY["simulate_distorted"], STUDY["SHAPE_
 
 
 class Law(NamedTuple):
+    """Numbers of the law, and whether it is that of the paper's code."""
+
     numbers: ControlLaw
     legacy: bool = False
 
