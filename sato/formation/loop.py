@@ -221,9 +221,7 @@ def _kernel_parameters(mission: Formation, leg: int) -> KernelParameters:
         mission.coordinate_frames,
         mission.control_law,
         mission.avoidance,
-        MissionNumbers._make(
-            [*(getattr(mission, name) for name in LIMITS), mission.frames.noise]
-        ),
+        MissionNumbers._make([*(getattr(mission, name) for name in LIMITS), mission.frames.noise]),
         Timing(
             mission.step,
             max(1, round(1 / (radio.message_rate * mission.step))),

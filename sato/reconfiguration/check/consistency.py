@@ -1,4 +1,4 @@
-"""Promises of what is written: a file that agrees with its scenario and with itself."""
+"""Promises of consistency: the file agrees with its mission and with itself."""
 
 from itertools import pairwise
 
@@ -17,131 +17,122 @@ from sato.check.promise import (
 )
 from sato.network.graph import CommunicationGraph, canonicalize_labels
 from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
-from sato.reconfiguration.check.summary import read_leg_end
 
 
-def check_chief(evidence: ReconfigurationRecord) -> Promise:
-    """The chief's orbit on file is the plant's, at every instant."""
-    plant, step, said = evidence.mission.flown_plant, evidence.mission.step, evidence.chief
-    flown = [plant.chief_elements(k * step) for k in range(len(evidence.time))]
-    known = np.array([six for six in flown if six is not None])
-    if said is None or not len(known):
-        odd = (said is None) != (not len(known))
-        return expect_none(
-            "chief", odd, "lack of a chief's orbit, or orbit where the plant has none"
-        )
-    if said.shape != known.shape:
-        return expect_none(
-            "chief", 1, "orbit of a chief with another number of entries than the plant's"
-        )
-    off = max_or_zero(np.abs(said - known) / polar_nodal_scales(known[0]))
-    return expect_small_error(
-        "chief", off, ROUNDING_TOLERANCE, "off from the orbit of the plant's chief, relative"
-    )
+def check_chief(record: ReconfigurationRecord) -> Promise:
+    """Check that the recorded orbit of the chief is that of the plant, at every instant."""
+    plant, step, found = record.mission.flown_plant, record.mission.step, record.chief
+    elements = [plant.chief_elements(k * step) for k in range(len(record.time))]
+    known = np.array([each for each in elements if each is not None])
+    if found is None or not len(known):
+        is_wrong = (found is None) != (not len(known))
+        return expect_none("chief", is_wrong, "missing orbit of a chief, or one without a chief")
+    if found.shape != known.shape:
+        return expect_none("chief", 1, "orbit of a chief with another number of entries")
+    error = max_or_zero(np.abs(found - known) / polar_nodal_scales(known[0]))
+    text = "relative error of the orbit of the chief"
+    return expect_small_error("chief", error, ROUNDING_TOLERANCE, text)
 
 
-def check_finite(evidence: ReconfigurationRecord) -> Promise:
-    """Live agents have states at all instants and controls at all but the last."""
-    lives = evidence.alive
-    bad = count_non_finite(lives, evidence.state)
-    for u in (evidence.control, evidence.applied_control):
-        bad += int((lives[:-1, :, None] != np.isfinite(u[:-1])).any(axis=2).sum())
+def check_finite(record: ReconfigurationRecord) -> Promise:
+    """Check that live agents have states at all instants and controls at all but the last."""
+    alive = record.alive
+    bad = count_non_finite(alive, record.state)
+    for u in (record.control, record.applied_control):
+        bad += int((alive[:-1, :, None] != np.isfinite(u[:-1])).any(axis=2).sum())
         bad += int(np.isfinite(u[-1]).any(axis=1).sum())
-    return expect_none("numbers", bad, "states or controls that are no numbers, or of nobody's")
+    text = "states or controls that are not finite, or of agents that are not alive"
+    return expect_none("numbers", bad, text)
 
 
-def check_start(evidence: ReconfigurationRecord) -> Promise:
-    """Agents start, and come in, where the scenario says."""
-    mission, lives = evidence.mission, evidence.alive
-    came = np.vstack([lives[:1], lives[1:] & ~lives[:-1]])
-    k, i = np.nonzero(came)
-    if evidence.state.shape[1:] != mission.initial_states.shape:
-        return expect_none("start", 1, "another number of agents than the scenario's")
-    off = max_or_zero(np.abs(evidence.state[k, i] - mission.initial_states[i]))
-    odd = int((lives[0] != mission.alive).sum())
-    if odd:
-        return expect_none("start", odd, "agents there at the start that should not be, or lacking")
+def check_start(record: ReconfigurationRecord) -> Promise:
+    """Check that agents start, and join, with the states of the mission."""
+    mission, alive = record.mission, record.alive
+    if record.state.shape[1:] != mission.initial_states.shape:
+        return expect_none("start", 1, "another number of agents than in the mission")
+    wrong = int((alive[0] != mission.alive).sum())
+    if wrong:
+        text = "agents that are alive at the start and should not be, or the reverse"
+        return expect_none("start", wrong, text)
+    k, i = np.nonzero(np.vstack([alive[:1], alive[1:] & ~alive[:-1]]))
+    error = max_or_zero(np.abs(record.state[k, i] - mission.initial_states[i]))
     tolerance = ROUNDING_TOLERANCE * float(np.abs(mission.initial_states).max())
-    return expect_small_error("start", off, tolerance, "off from the scenario's own start, at most")
+    return expect_small_error("start", error, tolerance, "error of an initial state, at most")
 
 
-def check_targets(evidence: ReconfigurationRecord) -> Promise:
-    """The targets on file are those that the scenario gives."""
-    off, odd = 0.0, 0
-    for goals, leg in zip(evidence.targets, evidence.mission.legs, strict=False):
+def check_targets(record: ReconfigurationRecord) -> Promise:
+    """Check that the recorded targets are those of the mission."""
+    legs = record.mission.legs
+    error, wrong = 0.0, abs(len(record.targets) - len(legs))
+    for targets, leg in zip(record.targets, legs, strict=False):
         count = len(leg.targets)
-        if len(goals) < count or np.isfinite(goals[count:]).any():
-            odd += 1
+        if len(targets) < count or np.isfinite(targets[count:]).any():
+            wrong += 1
             continue
-        off = max(off, max_or_zero(np.abs(goals[:count] - leg.targets)))
-    odd += abs(len(evidence.targets) - len(evidence.mission.legs))
-    if odd:
-        return expect_none(
-            "targets", odd, "legs with another number of targets than the scenario's"
-        )
-    tolerance = ROUNDING_TOLERANCE * float(np.nanmax(np.abs(evidence.targets)))
-    return expect_small_error("targets", off, tolerance, "off from the scenario's own targets")
+        error = max(error, max_or_zero(np.abs(targets[:count] - leg.targets)))
+    if wrong:
+        text = "legs with another number of targets than in the mission"
+        return expect_none("targets", wrong, text)
+    tolerance = ROUNDING_TOLERANCE * float(np.nanmax(np.abs(record.targets)))
+    return expect_small_error("targets", error, tolerance, "error of a target, at most")
 
 
-def check_legs(evidence: ReconfigurationRecord) -> Promise:
-    """Legs follow one another, and each ends as the instants before it say."""
-    expected = np.zeros(len(evidence.time), dtype=np.int64)
-    for k, event in evidence.events.of_kind("leg_start"):
+def check_legs(record: ReconfigurationRecord) -> Promise:
+    """Check that legs follow one another, and that each ends as its last instants show."""
+    expected = np.zeros(len(record.time), dtype=np.int64)
+    for k, event in record.events.of_kind("leg_start"):
         expected[k:] = int(event["leg"])
-    odd = int((expected != evidence.leg).sum())
-    begun = [s.leg_index for s in evidence.leg_records]
-    odd += begun != list(range(len(begun)))
-    for one, other in pairwise(evidence.leg_records):
-        odd += one.end_event is None or one.end_index != other.start_index
-    odd += sum(
-        _count_contradictions(evidence, s) for s in evidence.leg_records if s.end_event is not None
-    )
-    return expect_none("legs", odd, "entries of legs and their ends that the instants contradict")
+    wrong = int((expected != record.leg).sum())
+    begun = [leg.leg_index for leg in record.leg_records]
+    wrong += begun != list(range(len(begun)))
+    for leg, following in pairwise(record.leg_records):
+        wrong += leg.end_event is None or leg.end_index != following.start_index
+    ended = (leg for leg in record.leg_records if leg.end_event is not None)
+    wrong += sum(_count_contradictions(record, leg) for leg in ended)
+    return expect_none("legs", wrong, "entries of legs and their ends that the instants contradict")
 
 
-def check_assignment(evidence: ReconfigurationRecord) -> Promise:
-    """A target changes with an event, and only so; lost agents hold none."""
-    agents = evidence.alive.shape[1]
-    expected = np.full((len(evidence.time), agents), -1)
-    for k, event in evidence.events.of_kind("assignment", "loss"):
-        who = np.asarray(event["agents"], dtype=np.int64)
-        lost = event["kind"] == "loss"
-        expected[k:, who] = -1 if lost else np.asarray(event["target"], dtype=np.int64)
-    odd = int((expected != evidence.target_index).sum())
-    return expect_none("assignment", odd, "targets held against the events")
+def check_assignment(record: ReconfigurationRecord) -> Promise:
+    """Check that targets change by events only, and that lost agents hold none."""
+    expected = np.full(record.target_index.shape, -1)
+    for k, event in record.events.of_kind("assignment", "loss"):
+        agents = np.asarray(event["agents"], dtype=np.int64)
+        is_loss = event["kind"] == "loss"
+        expected[k:, agents] = -1 if is_loss else np.asarray(event["target"], dtype=np.int64)
+    wrong = int((expected != record.target_index).sum())
+    return expect_none("assignment", wrong, "targets held against the events")
 
 
-def check_target_counts(evidence: ReconfigurationRecord) -> Promise:
-    """The numbers of targets believed in are those told at the end of each leg."""
-    expected = np.full(evidence.final_target_count.shape, -1)
-    for stretch in evidence.leg_records:
-        if stretch.end_event is not None:
-            _, live, told, _ = read_leg_end(evidence, stretch)
-            expected[stretch.leg_index, live] = told[live]
-    odd = int((expected != evidence.final_target_count).sum())
-    return expect_none("believed", odd, "numbers of targets believed in against the events")
+def check_target_counts(record: ReconfigurationRecord) -> Promise:
+    """Check that the final target counts are those of the events at the end of each leg."""
+    expected = np.full(record.final_target_count.shape, -1)
+    for leg in record.leg_records:
+        if leg.end_event is not None:
+            end = record.leg_end(leg)
+            expected[leg.leg_index, end.alive] = end.target_count[end.alive]
+    wrong = int((expected != record.final_target_count).sum())
+    return expect_none("believed", wrong, "target counts against the events")
 
 
-def _count_contradictions(evidence: ReconfigurationRecord, stretch: LegRecord) -> int:
-    # What the end of a leg tells against what its last instants show.
-    held, live, _, labels = read_leg_end(evidence, stretch)
-    position = np.where(live[:, None], evidence.position[stretch.end_index], np.nan)
-    network = CommunicationGraph.from_positions(position, evidence.mission.comm_radius, live)
-    odd = int((live != _find_alive_at_end(evidence, stretch)).sum())
-    odd += int((canonicalize_labels(labels) != canonicalize_labels(network.component)).sum())
-    if stretch.step_count:
-        odd += int((held != evidence.target_index[stretch.end_index - 1])[live].sum())
-    return odd
+def _count_contradictions(record: ReconfigurationRecord, leg: LegRecord) -> int:
+    end = record.leg_end(leg)
+    position = np.where(end.alive[:, None], record.position[leg.end_index], np.nan)
+    graph = CommunicationGraph.from_positions(position, record.mission.comm_radius, end.alive)
+    wrong = int((end.alive != _find_alive_at_end(record, leg)).sum())
+    labels = canonicalize_labels(end.component), canonicalize_labels(graph.component)
+    wrong += int((labels[0] != labels[1]).sum())
+    if leg.step_count:
+        is_changed = end.target_index != record.target_index[leg.end_index - 1]
+        wrong += int(is_changed[end.alive].sum())
+    return wrong
 
 
-def _find_alive_at_end(
-    evidence: ReconfigurationRecord, stretch: LegRecord
-) -> Bool[Array, " agents"]:
-    # The instant before, and what happened in the last one until the leg was declared over.
-    lives: Array = evidence.alive[max(stretch.end_index - 1, 0)].copy()
-    for k, event in evidence.events.of_kind("loss", "join", "leg_end"):
-        if event is stretch.end_event:
+def _find_alive_at_end(record: ReconfigurationRecord, leg: LegRecord) -> Bool[Array, " agents"]:
+    # The instant before, and the events of the last one until the leg ended.
+    alive: Array = record.alive[max(leg.end_index - 1, 0)].copy()
+    for k, event in record.events.of_kind("loss", "join", "leg_end"):
+        if event is leg.end_event:
             break
-        if k == stretch.end_index:
-            lives[np.asarray(event["agents"], dtype=np.int64)] = event["kind"] == "join"
-    return lives
+        if k == leg.end_index:
+            alive[np.asarray(event["agents"], dtype=np.int64)] = event["kind"] == "join"
+    return alive

@@ -1,8 +1,8 @@
-"""What a run file holds, as arrays, beside the mission that its own text describes."""
+"""Recorded run as arrays, beside the mission that its own scenario describes."""
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -27,22 +27,31 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class LegRecord:
-    """One leg as it was flown, told by the events at its ends."""
+    """One leg as it was flown, by the events at its start and end."""
 
     leg_index: int
     start_index: int  # instant at which it starts
-    end_index: int  # instant at which it ends; the last of the run where it never did
-    end_event: dict[str, Any] | None  # the event at its end; None where the run stopped before
+    end_index: int  # instant at which it ends; the last of the run where it did not end
+    end_event: dict[str, Any] | None  # None where the run stopped before
 
     @property
     def step_count(self) -> int:
-        """Control steps that it took."""
+        """Number of control steps."""
         return self.end_index - self.start_index
+
+
+class LegEnd(NamedTuple):
+    """State of the agents at the end of a leg."""
+
+    target_index: Int[Array, " agents"]
+    alive: Bool[Array, " agents"]
+    target_count: Int[Array, " agents"]
+    component: Int[Array, " agents"]
 
 
 @dataclass(frozen=True, eq=False)
 class ReconfigurationRecord:
-    """A run as recorded, and the mission rebuilt from its scenario."""
+    """Arrays of a recorded run, and the drawn mission."""
 
     mission: Reconfiguration
     attributes: dict[str, Any]
@@ -52,19 +61,19 @@ class ReconfigurationRecord:
     component: Int[Array, "instants agents"]
     control: Float[Array, "instants agents d"]
     applied_control: Float[Array, "instants agents d"]
-    measured_state: Float[Array, "instants agents n"] | None  # where it differs from the state
+    measured_state: Float[Array, "instants agents n"] | None  # only under noise
     leg: Int[Array, " instants"]
     target_index: Int[Array, "instants agents"]
     targets: Float[Array, "legs targets n"]  # states; NaN where a leg has fewer
     final_target_count: Int[Array, "legs agents"]
-    chief: Float[Array, "instants elements"] | None  # the six of its orbit, where there is one
+    chief: Float[Array, "instants elements"] | None  # polar-nodal elements of the chief, in orbit
     events: EventLog
 
     @classmethod
     def from_dataset(
         cls, data: "xarray.Dataset", mission: Reconfiguration
     ) -> "ReconfigurationRecord":
-        """Read a run's data."""
+        """Read the arrays of a dataset."""
 
         def both(name: str) -> Array:
             parts = [np.asarray(data[f"{name}{part}"], dtype=float) for part in _STATE_PARTS]
@@ -91,7 +100,7 @@ class ReconfigurationRecord:
     @property
     def axes(self) -> int:
         """Axes of space."""
-        return self.mission.linear_model.axes
+        return self.mission.axes
 
     @property
     def position(self) -> Float[Array, "instants agents d"]:
@@ -105,7 +114,7 @@ class ReconfigurationRecord:
 
     @cached_property
     def leg_records(self) -> tuple[LegRecord, ...]:
-        """The legs that were begun, in order."""
+        """Legs that began, in order."""
         ends = {int(e["leg"]): (k, e) for k, e in self.events.of_kind("leg_end")}
         found = []
         for first, event in self.events.of_kind("leg_start"):
@@ -114,55 +123,70 @@ class ReconfigurationRecord:
             found.append(LegRecord(leg, first, max(first, last), end))
         return tuple(found)
 
+    def leg_end(self, leg: LegRecord) -> LegEnd:
+        """Read the end of a leg from its event.
+
+        Its last instant is the first of the next leg, which has its own targets and losses
+        by then. A leg that did not end is taken as it stood.
+        """
+        agents, last = self.alive.shape[1], leg.end_index
+        if leg.end_event is None:
+            none = np.zeros(agents, dtype=int)
+            return LegEnd(self.target_index[last], self.alive[last], none, self.component[last])
+        alive = np.zeros(agents, dtype=bool)
+        alive[np.asarray(leg.end_event["agents"], dtype=np.int64)] = True
+        target, count, component = (
+            np.asarray(leg.end_event[name], dtype=np.int64)
+            for name in ("target", "believed", "component")
+        )
+        return LegEnd(target, alive, count, component)
+
     @cached_property
     def model(self) -> DiscreteModel:
-        """The shared model from each instant to the next."""
+        """Shared model from each instant to the next."""
         return discretize_zoh(self.mission.linear_model, self.mission.step, len(self.time) - 1)
 
     @cached_property
     def is_flying(self) -> Bool[Array, "steps agents"]:
-        """Who flies each step: those alive at its start, also if they are lost at its end."""
+        """True for agents that fly a step: alive at its start, also if they are lost at its end."""
         return self.alive[:-1]
 
     def repropagate(self, pieces: int = 1) -> Float[Array, "steps {pieces}+1 agents n"]:
-        """Every step flown again by the plant, from the recorded state by the applied control.
+        """Propagate every recorded state by the plant under the applied control of its step.
 
-        NaN for who does not fly, and for whom numbers are lacking.
+        NaN for agents that do not fly, or without a finite control.
         """
         mission, agents = self.mission, self.state.shape[1]
         found = np.empty((len(self.is_flying), pieces + 1, agents, self.state.shape[2]))
-        lacking = ~self.is_flying | ~np.isfinite(self.applied_control[:-1]).all(axis=2)
-        u = np.where(lacking[..., None], 0.0, self.applied_control[:-1])
+        is_missing = ~self.is_flying | ~np.isfinite(self.applied_control[:-1]).all(axis=2)
+        u = np.where(is_missing[..., None], 0.0, self.applied_control[:-1])
         for k, x in enumerate(self.state[:-1]):
             found[k] = mission.flown_plant.propagate(
                 x, u[k], k * mission.step, mission.step, pieces
             )
-        found[np.broadcast_to(lacking[:, None], found.shape[:3])] = np.nan
+        found[np.broadcast_to(is_missing[:, None], found.shape[:3])] = np.nan
         return found
 
     @cached_property
     def pieces_per_step(self) -> int:
-        """Pieces a step is cut into: one where a cubic is exact, else a second long at most.
+        """Cubic pieces per step: one where a cubic is exact, else at most a second each.
 
-        Where what they miss is measured, there is an even number of them.
+        An even number where the interpolation error is measured instead of bounded.
         """
         step = self.mission.step
-        if self._constant_model is None:
+        if self._time_invariant_model is None:
             return 2 * int(np.ceil(step / 2))
         x, u = np.moveaxis(self.state, 0, 1), np.moveaxis(self.applied_control[:-1], 0, 1)
-        return (
-            1
-            if interpolation_error_bound(self._constant_model, x, u, step) == 0
-            else int(np.ceil(step))
-        )
+        is_exact = interpolation_error_bound(self._time_invariant_model, x, u, step) == 0
+        return 1 if is_exact else int(np.ceil(step))
 
     @cached_property
     def separations(self) -> tuple[Separations, float]:
-        """The closest two agents of every piece, and how much closer they may have been.
+        """Least separation in every piece, and an allowance for the interpolation error [m].
 
-        Pieces lie between states of the plant itself. That two agents may have been closer
-        by twice of what one piece misses is proven where the plant is a model with constant
-        matrices (`error_bound`) and measured elsewhere (`missed_by_halves`).
+        Pieces lie between states of the plant itself. Two agents may have been closer by twice
+        the interpolation error: it is bounded where the plant is a time-invariant linear model
+        (`interpolation_error_bound`), and measured elsewhere (`sampled_interpolation_error`).
         """
         s, d = self.pieces_per_step, self.axes
         h = self.mission.step / s
@@ -177,20 +201,18 @@ class ReconfigurationRecord:
 
     def _interpolation_error(self, x: Float[Array, "agents instants n"], h: float) -> float:
         s, d = self.pieces_per_step, self.axes
-        if self._constant_model is None:
+        if self._time_invariant_model is None:
             return sampled_interpolation_error(x[..., :d], x[..., d:], h)
         u = np.repeat(np.moveaxis(self.applied_control[:-1], 0, 1), s, axis=1)
-        return interpolation_error_bound(self._constant_model, x, u, h)
+        return interpolation_error_bound(self._time_invariant_model, x, u, h)
 
     @property
-    def _constant_model(self) -> LinearModel | None:
-        """The model with constant matrices that flew, if it was one."""
+    def _time_invariant_model(self) -> LinearModel | None:
+        """Time-invariant linear model that was flown, if it was one."""
         plant = self.mission.flown_plant
-        return (
-            plant.model
-            if isinstance(plant, LinearPlant) and plant.model.is_time_invariant
-            else None
-        )
+        if isinstance(plant, LinearPlant) and plant.model.is_time_invariant:
+            return plant.model
+        return None
 
 
 def _read_chief(data: "xarray.Dataset") -> Float[Array, "instants elements"] | None:

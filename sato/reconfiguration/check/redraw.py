@@ -1,4 +1,4 @@
-"""What was left to chance in a flight, drawn again from the seed."""
+"""Random draws of a run, made again from its seed."""
 
 from typing import NamedTuple
 
@@ -11,52 +11,49 @@ from sato.reconfiguration.disturbances import apply_thruster_errors, has_thruste
 
 
 class DisturbanceSamples(NamedTuple):
-    """What was added to the truth at every instant but the last."""
+    """Errors that the seed gives, for every control step."""
 
-    measurement_noise: Float[Array, "steps agents n"]  # to the state that an agent measured
-    control_error: Float[Array, "steps agents d"]  # to the control that it commanded [m/s²]
+    measurement_noise: Float[Array, "steps agents n"]  # of the state that an agent measures
+    control_error: Float[Array, "steps agents d"]  # of the control that it commands [m/s²]
 
 
 def redraw_disturbances(
-    evidence: ReconfigurationRecord, rng: np.random.Generator
+    record: ReconfigurationRecord, rng: np.random.Generator
 ) -> DisturbanceSamples:
-    """Draw again, in the order of the flight: losses, measurements, disturbances, thrusts.
+    """Draw again, in the order of the loop: losses, measurements, disturbances, thruster errors.
 
     Args:
-        evidence: What was recorded; who was lost is taken from its events.
-        rng: As the drawing of the mission left it.
+        record: Run; the agents that are lost are taken from its events.
+        rng: Generator as the drawing of the mission left it.
     """
-    mission, d = evidence.mission, evidence.axes
+    mission, d = record.mission, record.axes
     noise = np.repeat([mission.position_noise, mission.velocity_noise], d)
-    steps, agents, n = len(evidence.time) - 1, *evidence.state.shape[1:]
-    seen, pushed = np.zeros((steps, agents, n)), np.zeros((steps, agents, d))
-    for stretch in evidence.leg_records:
-        for k in range(stretch.start_index, min(stretch.end_index, steps)):
-            _redraw_losses(evidence, stretch, k, rng)
+    steps, agents, n = len(record.time) - 1, *record.state.shape[1:]
+    measured, applied = np.zeros((steps, agents, n)), np.zeros((steps, agents, d))
+    for leg in record.leg_records:
+        for k in range(leg.start_index, min(leg.end_index, steps)):
+            _redraw_losses(record, leg, k, rng)
             if noise.any():
-                seen[k] = noise * rng.standard_normal((agents, n))
-            pushed[k] = mission.disturbance * rng.standard_normal((agents, d))
+                measured[k] = noise * rng.standard_normal((agents, n))
+            applied[k] = mission.disturbance * rng.standard_normal((agents, d))
             if has_thruster_errors(mission):
-                told = evidence.control[k]
-                pushed[k] += (
-                    apply_thruster_errors(mission, told, rng.standard_normal((agents, 1 + d)))
-                    - told
-                )
-    return DisturbanceSamples(seen, pushed)
+                control, draws = record.control[k], rng.standard_normal((agents, 1 + d))
+                applied[k] += apply_thruster_errors(mission, control, draws) - control
+    return DisturbanceSamples(measured, applied)
 
 
 def _redraw_losses(
-    evidence: ReconfigurationRecord, stretch: LegRecord, k: int, rng: np.random.Generator
+    record: ReconfigurationRecord, leg: LegRecord, k: int, rng: np.random.Generator
 ) -> None:
-    leg = evidence.mission.legs[stretch.leg_index]
-    due = [loss for loss in leg.losses if loss.at_step == k - stretch.start_index]
+    losses = record.mission.legs[leg.leg_index].losses
+    due = [loss for loss in losses if loss.at_step == k - leg.start_index]
     if not any(loss.kind == "random" for loss in due):
         return
-    told = [e["agents"] for at, e in evidence.events.of_kind("loss") if at == k]
-    lives = evidence.alive[k].copy()
-    lives[[i for lost in told for i in lost]] = True
-    for loss, lost in zip(due, told, strict=False):
+    events = [e["agents"] for at, e in record.events.of_kind("loss") if at == k]
+    alive = record.alive[k].copy()
+    alive[[i for lost in events for i in lost]] = True
+    for loss, lost in zip(due, events, strict=False):
         if loss.kind == "random":
-            live = np.flatnonzero(lives)
+            live = np.flatnonzero(alive)
             rng.choice(live, round((loss.share or 0.0) * len(live)), replace=False)
-        lives[lost] = False
+        alive[lost] = False

@@ -1,9 +1,9 @@
-"""The words of the summary: reached, hole, duplicate, gap and the rest."""
+"""Summary of a reconfiguration: reached, holes, duplicates, gap, fuel and the rest."""
 
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
 from scipy.spatial import cKDTree
 
@@ -12,174 +12,139 @@ from sato.check.common import common_summary
 from sato.reconfiguration.check.fuel import FuelBound, compute_step_fuel
 from sato.reconfiguration.check.prediction import predict_end_states
 from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
+from sato.reconfiguration.feasibility import is_detectable
 
 
-def summarize(evidence: ReconfigurationRecord, bounds: list[FuelBound | None]) -> dict[str, Any]:
-    """Everything that the summary says of a run, from its data; what it lacks is absent."""
-    mission = evidence.mission
-    legs = [summarize_leg(evidence, s) for s in evidence.leg_records]
-    is_reached_throughout = len(legs) == len(mission.legs) and all(leg["reached"] for leg in legs)
-    found, _ = evidence.separations
-    samples = sampled_separations(evidence.position, evidence.alive)
-    said = common_summary(evidence.attributes, evidence.alive) | {
-        "reached": is_reached_throughout,
-        "success": is_reached_throughout,
+def summarize(record: ReconfigurationRecord, bounds: list[FuelBound | None]) -> dict[str, Any]:
+    """Summarize a run from its data; entries that do not apply are absent."""
+    mission = record.mission
+    legs = [summarize_leg(record, leg) for leg in record.leg_records]
+    found, _ = record.separations
+    samples = sampled_separations(record.position, record.alive)
+    summary = common_summary(record.attributes, record.alive) | {
+        "reached": len(legs) == len(mission.legs) and all(leg["reached"] for leg in legs),
         "min_separation_m": min(found.minimum.distance, float(samples.min())),
         "min_separation_at_samples_m": float(samples.min()),
         "collision_radius_m": mission.collision_radius,
-        "solves": sum(int(e["solves"]) for _, e in evidence.events.of_kind("replan")),
-        "fuel_m_s": float(compute_step_fuel(evidence).sum()),
-        "slack_used": _count_events(evidence, "slack"),
-        "braked": _count_events(evidence, "braked"),
-        "infeasible": _count_events(evidence, "infeasible"),
+        "solves": sum(int(e["solves"]) for _, e in record.events.of_kind("replan")),
+        "fuel_m_s": float(compute_step_fuel(record).sum()),
+        "slack_used": _count_events(record, "slack"),
+        "braked": _count_events(record, "braked"),
+        "infeasible": _count_events(record, "infeasible"),
         "legs": legs,
     }
     if mission.flown_plant.chief_elements(0.0) is not None:
-        said |= _summarize_orbit(evidence)
-    known = [b.total for b in bounds if b is not None]
+        summary |= _summarize_orbit(record)
+    known = [bound.total for bound in bounds if bound is not None]
     if len(known) == len(mission.legs):
-        said["fuel_lower_bound_m_s"] = sum(known)
-    if not is_detectable(evidence):
-        said["undetectable"] = True
-    return {k: v for k, v in said.items() if not (isinstance(v, float) and not np.isfinite(v))}
+        summary["fuel_lower_bound_m_s"] = sum(known)
+    if np.isfinite(mission.max_speed) and not is_detectable(mission):
+        summary["undetectable"] = True
+    return {k: v for k, v in summary.items() if not (isinstance(v, float) and not np.isfinite(v))}
 
 
-def max_model_error(evidence: ReconfigurationRecord, stretch: LegRecord) -> float:
-    """How far the plant ended a leg from where the shared model would have, at most [m].
-
-    Over the agents that were there at the end, each from where it was at the leg's start, or
-    where it came in, under the controls that were applied to it.
-    """
-    _, live, _, _ = read_leg_end(evidence, stretch)
-    agents = np.flatnonzero(live)
-    end = predict_end_states(evidence, stretch, agents, evidence.applied_control)
-    off = (evidence.state[stretch.end_index, agents] - end)[:, : evidence.axes]
-    return float(np.linalg.norm(off, axis=1).max(initial=0.0))
-
-
-def summarize_leg(evidence: ReconfigurationRecord, stretch: LegRecord) -> dict[str, Any]:
-    """What one leg came to."""
-    held, live, believed, component = read_leg_end(evidence, stretch)
-    position_error, velocity_error = compute_terminal_errors(evidence, stretch)
-    count = int(believed[live].max(initial=0))
-    said = {
-        "reached": is_reached(evidence, stretch),
-        "duplicates": count_duplicates(held[live]),
-        "holes": len(find_holes(evidence, stretch)),
-        "gap": compute_gap(evidence, stretch),
-        "targets_believed": count,
+def summarize_leg(record: ReconfigurationRecord, leg: LegRecord) -> dict[str, Any]:
+    """Summarize one leg; entries that do not apply are absent."""
+    end = record.leg_end(leg)
+    position_error, velocity_error = compute_terminal_errors(record, leg)
+    resets = (k for k, _ in record.events.of_kind("reset"))
+    summary = {
+        "reached": is_reached(record, leg),
+        "duplicates": count_duplicates(end.target_index[end.alive]),
+        "holes": len(find_holes(record, leg)),
+        "gap": compute_gap(record, leg),
+        "targets_believed": _largest_target_count(record, leg),
         "worst_position_error_m": _max_finite(position_error),
         "worst_velocity_error_m_s": _max_finite(velocity_error),
-        "components_at_start": len(np.unique(_drop_dead(evidence.component[stretch.start_index]))),
-        "components_at_end": len(np.unique(_drop_dead(component))),
-        "steps": stretch.step_count,
-        "resets": sum(
-            stretch.start_index <= k < stretch.end_index
-            for k, _ in evidence.events.of_kind("reset")
-        ),
+        "components_at_start": _count_components(record.component[leg.start_index]),
+        "components_at_end": _count_components(end.component),
+        "steps": leg.step_count,
+        "resets": sum(leg.start_index <= k < leg.end_index for k in resets),
     }
-    return {k: v for k, v in said.items() if v is not None}
+    return {k: v for k, v in summary.items() if v is not None}
 
 
-def read_leg_end(
-    evidence: ReconfigurationRecord, stretch: LegRecord
-) -> tuple[
-    Int[Array, " agents"], Bool[Array, " agents"], Int[Array, " agents"], Int[Array, " agents"]
-]:
-    """Target held, whether alive, targets believed in and component when a leg ends.
+def max_model_error(record: ReconfigurationRecord, leg: LegRecord) -> float:
+    """Compute the largest error of the shared model at the end of a leg [m].
 
-    Its last instant is the first of the next leg, which has its own targets and losses
-    by then, so they are told by the event. A leg that never ended is taken as it stood.
+    Over the agents that are there at the end, each from its state at the start of the leg, or
+    where it joined, under the controls that were applied to it.
     """
-    agents = evidence.alive.shape[1]
-    if stretch.end_event is None:
-        last = stretch.end_index
-        alive = evidence.alive[last]
-        return evidence.target_index[last], alive, np.zeros(agents, int), evidence.component[last]
-    alive = np.zeros(agents, dtype=bool)
-    alive[np.asarray(stretch.end_event["agents"], dtype=np.int64)] = True
-    held, believed, component = (
-        np.asarray(stretch.end_event[name], dtype=np.int64)
-        for name in ("target", "believed", "component")
-    )
-    return held, alive, believed, component
+    agents = np.flatnonzero(record.leg_end(leg).alive)
+    end = predict_end_states(record, leg, agents, record.applied_control)
+    error = (record.state[leg.end_index, agents] - end)[:, : record.axes]
+    return float(np.linalg.norm(error, axis=1).max(initial=0.0))
 
 
 def compute_terminal_errors(
-    evidence: ReconfigurationRecord, stretch: LegRecord
+    record: ReconfigurationRecord, leg: LegRecord
 ) -> tuple[Float[Array, " live"], Float[Array, " live"]]:
-    """How far every live agent is from its target's position and velocity; NaN without one."""
-    held, live, _, _ = read_leg_end(evidence, stretch)
-    goals, d = evidence.targets[stretch.leg_index], evidence.axes
-    inside = (held[live] >= 0) & (held[live] < len(goals))
-    off = evidence.state[stretch.end_index, live] - goals[np.where(inside, held[live], 0)]
-    off[~inside] = np.nan
-    return np.linalg.norm(off[:, :d], axis=1), np.linalg.norm(off[:, d:], axis=1)
+    """Compute the error in position and velocity at each live agent's target; NaN without one."""
+    end, targets, d = record.leg_end(leg), record.targets[leg.leg_index], record.axes
+    held = end.target_index[end.alive]
+    is_valid = (held >= 0) & (held < len(targets))
+    error = record.state[leg.end_index, end.alive] - targets[np.where(is_valid, held, 0)]
+    error[~is_valid] = np.nan
+    return np.linalg.norm(error[:, :d], axis=1), np.linalg.norm(error[:, d:], axis=1)
 
 
-def is_reached(evidence: ReconfigurationRecord, stretch: LegRecord) -> bool:
-    """Whether every live agent is at the target that it holds, and holds it alone."""
-    held, live, _, _ = read_leg_end(evidence, stretch)
-    mission, (position, velocity) = evidence.mission, compute_terminal_errors(evidence, stretch)
-    near = (position <= mission.position_tolerance) & (velocity <= mission.velocity_tolerance)
-    return stretch.end_event is not None and bool(near.all()) and not count_duplicates(held[live])
+def is_reached(record: ReconfigurationRecord, leg: LegRecord) -> bool:
+    """Tell whether every live agent is at the target that it alone holds."""
+    end, mission = record.leg_end(leg), record.mission
+    position, velocity = compute_terminal_errors(record, leg)
+    is_near = (position <= mission.position_tolerance) & (velocity <= mission.velocity_tolerance)
+    is_unique = not count_duplicates(end.target_index[end.alive])
+    return leg.end_event is not None and bool(is_near.all()) and is_unique
 
 
 def count_duplicates(held: Int[Array, " live"]) -> int:
-    """Targets with two live holders or more."""
+    """Count the targets with two live holders or more."""
     _, counts = np.unique(held[held >= 0], return_counts=True)
     return int((counts > 1).sum())
 
 
-def find_holes(evidence: ReconfigurationRecord, stretch: LegRecord) -> Int[Array, " find_holes"]:
-    """Targets among the first m that no live agent is near."""
-    _, live, believed, _ = read_leg_end(evidence, stretch)
-    first = _finite_targets(evidence, stretch)[: int(believed[live].max(initial=0))]
-    apart = _distance_to_nearest(first, evidence.position[stretch.end_index, live])
-    return np.flatnonzero(~(apart <= evidence.mission.position_tolerance))
+def find_holes(record: ReconfigurationRecord, leg: LegRecord) -> Int[Array, " holes"]:
+    """Find the targets among the first m without a live agent within the tolerance."""
+    first = _finite_targets(record, leg)[: _largest_target_count(record, leg)]
+    distance = _distance_to_nearest(first, _live_positions(record, leg))
+    return np.flatnonzero(~(distance <= record.mission.position_tolerance))
 
 
-def compute_gap(evidence: ReconfigurationRecord, stretch: LegRecord) -> float | None:
-    """Largest distance from a target to its nearest live agent, in spacings of the first m.
+def compute_gap(record: ReconfigurationRecord, leg: LegRecord) -> float | None:
+    """Compute the largest distance from a target to its nearest live agent.
 
-    None where the first m have no spacing: fewer than two, or the leg never ended.
+    In spacings of the first m targets; None where they have none, or no agent is alive.
     """
-    _, live, believed, _ = read_leg_end(evidence, stretch)
-    goals = _finite_targets(evidence, stretch)
-    spacing = min_distance(goals[: int(believed[live].max(initial=0))])
-    if not np.isfinite(spacing) or not live.any():
+    targets, agents = _finite_targets(record, leg), _live_positions(record, leg)
+    spacing = min_distance(targets[: _largest_target_count(record, leg)])
+    if not np.isfinite(spacing) or not len(agents):
         return None
-    return float(
-        _distance_to_nearest(goals, evidence.position[stretch.end_index, live]).max() / spacing
-    )
+    return float(_distance_to_nearest(targets, agents).max() / spacing)
 
 
-def is_detectable(evidence: ReconfigurationRecord) -> bool:
-    """Whether agents out of earshot cannot collide within the horizon [Morgan2016, Prop. 9]."""
-    m = evidence.mission
-    reach = 2 * m.max_speed * m.horizon_steps * m.step + m.collision_radius
-    return bool(not np.isfinite(reach) or m.comm_radius >= reach * (1 - 1e-12))
-
-
-def _summarize_orbit(evidence: ReconfigurationRecord) -> dict[str, Any]:
-    # Fuel of the agents that are there at the end: who was lost had less to do.
-    fuel = compute_step_fuel(evidence).sum(axis=0)[evidence.alive[-1]]
-    said: dict[str, Any] = {
-        "model_error_m": max(
-            (max_model_error(evidence, s) for s in evidence.leg_records), default=0.0
-        )
-    }
+def _summarize_orbit(record: ReconfigurationRecord) -> dict[str, Any]:
+    # Fuel of the agents that are there at the end: a lost agent had less to do.
+    fuel = compute_step_fuel(record).sum(axis=0)[record.alive[-1]]
+    errors = (max_model_error(record, leg) for leg in record.leg_records)
+    summary: dict[str, Any] = {"model_error_m": max(errors, default=0.0)}
     if len(fuel):
         each = {"mean": fuel.mean(), "least": fuel.min(), "most": fuel.max()}
-        said["fuel_per_agent_m_s"] = {name: float(value) for name, value in each.items()}
-    return said
+        summary["fuel_per_agent_m_s"] = {name: float(value) for name, value in each.items()}
+    return summary
 
 
-def _finite_targets(
-    evidence: ReconfigurationRecord, stretch: LegRecord
-) -> Float[Array, "targets d"]:
-    goals = evidence.targets[stretch.leg_index]
-    return np.asarray(goals[np.isfinite(goals).all(axis=1), : evidence.axes])
+def _largest_target_count(record: ReconfigurationRecord, leg: LegRecord) -> int:
+    end = record.leg_end(leg)
+    return int(end.target_count[end.alive].max(initial=0))
+
+
+def _finite_targets(record: ReconfigurationRecord, leg: LegRecord) -> Float[Array, "targets d"]:
+    targets = record.targets[leg.leg_index]
+    return np.asarray(targets[np.isfinite(targets).all(axis=1), : record.axes])
+
+
+def _live_positions(record: ReconfigurationRecord, leg: LegRecord) -> Float[Array, "live d"]:
+    return np.asarray(record.position[leg.end_index, record.leg_end(leg).alive])
 
 
 def _distance_to_nearest(
@@ -191,8 +156,8 @@ def _distance_to_nearest(
     return np.asarray(cKDTree(agents).query(points)[0])
 
 
-def _count_events(evidence: ReconfigurationRecord, kind: str) -> int:
-    return sum(max(len(e["agents"]), 1) for _, e in evidence.events.of_kind(kind))
+def _count_events(record: ReconfigurationRecord, kind: str) -> int:
+    return sum(max(len(e["agents"]), 1) for _, e in record.events.of_kind(kind))
 
 
 def _max_finite(values: Float[Array, " k"]) -> float | None:
@@ -200,5 +165,5 @@ def _max_finite(values: Float[Array, " k"]) -> float | None:
     return float(known.max()) if len(known) else None
 
 
-def _drop_dead(component: Int[Array, " agents"]) -> Int[Array, " live"]:
-    return np.asarray(component[component >= 0])
+def _count_components(component: Int[Array, " agents"]) -> int:
+    return len(np.unique(component[component >= 0]))

@@ -22,7 +22,6 @@ from sato.figures.axes import (
 from sato.figures.snapshot import Snapshot, draw_swarm, snapshots_legend
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, LIGHT_GRAY, RED
 from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
-from sato.reconfiguration.check.summary import read_leg_end
 from sato.reconfiguration.figures.perspective import select_view
 from sato.reconfiguration.figures.snapshots import (
     all_used_targets,
@@ -127,7 +126,7 @@ def _make_snapshot(evidence: ReconfigurationRecord, leg: LegRecord, k: int) -> S
     if (
         k == leg.end_index and leg.end_event is not None
     ):  # before the losses that the next leg begins with
-        _, live, _, component = read_leg_end(evidence, leg)
+        _, live, _, component = evidence.leg_end(leg)
         component = np.where(live, component, -1)
     view = select_view(evidence)
     where, goals = view.project(evidence.position[k]), used_targets(evidence, leg.leg_index)

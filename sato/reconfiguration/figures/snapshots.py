@@ -12,7 +12,6 @@ from sato.figures.axes import AxisBounds, make_panels, panel_letter, set_panel_t
 from sato.figures.snapshot import Snapshot, draw_swarm, snapshots_legend
 from sato.figures.style import BLUE, GRAY, LIGHT_GRAY, RED
 from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
-from sato.reconfiguration.check.summary import read_leg_end
 from sato.reconfiguration.figures.perspective import select_view
 
 _LEGEND_COLUMNS = {1: 1, 2: 3, 3: 4}  # of a legend under so many panels
@@ -31,7 +30,7 @@ def plot_stages(evidence: ReconfigurationRecord) -> Figure:
             shots.append(
                 _make_snapshot(evidence, stretch.start_index, title)._replace(targets=before)
             )
-        _, live, believed, component = read_leg_end(evidence, stretch)
+        _, live, believed, component = evidence.leg_end(stretch)
         title = f"after leg {stretch.leg_index + 1}, {names[stretch.leg_index]}"
         if stretch.end_event is None:
             title = f"leg {stretch.leg_index + 1}, {names[stretch.leg_index]}, not ended"
@@ -51,7 +50,7 @@ def plot_first_leg(evidence: ReconfigurationRecord) -> Figure:
     for k in when + stretch.start_index:
         shot = _make_snapshot(evidence, int(k), f"t = {view.format_time(evidence.time[k])}")
         if k == stretch.end_index and stretch.end_event is not None:
-            _, live, _, component = read_leg_end(evidence, stretch)
+            _, live, _, component = evidence.leg_end(stretch)
             shot = shot._replace(component=np.where(live, component, -1))
         shots.append(shot._replace(targets=shots[0].targets if shots else shot.targets))
     return _plot_snapshots(evidence, shots)
