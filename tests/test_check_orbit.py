@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from recorded_run import record_run
 
 from dynamics import ClohessyWiltshire, DoubleIntegrator, LinearizedModel, discretize_zoh
 from dynamics.atmosphere import Atmosphere
@@ -23,11 +24,12 @@ from sato.reconfiguration.check.motion import (
 from sato.reconfiguration.check.prediction import bound_speed_excess
 from sato.reconfiguration.check.promises import check_fuel
 from sato.reconfiguration.check.redraw import redraw_disturbances
-from sato.reconfiguration.state import ReconfigurationFrame
 from sato.reconfiguration.loop import simulate
 from sato.reconfiguration.mission import Leg, Reconfiguration
+from sato.reconfiguration.state import ReconfigurationFrame
 from sato.reconfiguration.system import SYSTEM
-from sato.record import Run
+from sato.runs import Run
+from sato.shapes.shape import Points
 
 ORBIT = Orbit.from_elements(6878e3, inclination=np.pi / 4)
 CIRCLE, EXACT = ClohessyWiltshire.from_orbit(ORBIT), LinearizedModel.at_origin(J2(ORBIT))
@@ -39,11 +41,11 @@ def mission(**changed: object) -> Reconfiguration:
     """Four in a row change places, so that two pairs meet half-way."""
     place = np.array([[0.0, -400, 0], [30, -200, 0], [0, 200, 0], [30, 400, 0]])
     goal = place[[1, 0, 3, 2]]
+    goals = Points(goal, invariant_velocity(ORBIT, goal, STEP * STEPS), keep_order=True)
     plain = Reconfiguration(
-        linear_model=EXACT,
-        initial_states=np.hstack([place, invariant_velocity(ORBIT, place)]),
-        alive=np.ones(4, dtype=bool),
-        legs=(Leg(np.hstack([goal, invariant_velocity(ORBIT, goal, STEP * STEPS)]), STEPS),),
+        model=EXACT,
+        start=np.hstack([place, invariant_velocity(ORBIT, place)]),
+        legs=(Leg(goals, STEPS),),
         step=STEP,
         comm_radius=2e3,
         collision_radius=10.0,
@@ -56,7 +58,7 @@ def mission(**changed: object) -> Reconfiguration:
         position_tolerance=0.5,
         velocity_tolerance=0.01,
     )
-    return replace(plain, **changed)
+    return replace(plain.draw(np.random.default_rng(0)), **changed)
 
 
 def recorded(about: Reconfiguration, u: np.ndarray) -> Run:
@@ -96,8 +98,7 @@ def recorded(about: Reconfiguration, u: np.ndarray) -> Run:
 
 
 def run_of(about: Reconfiguration, frames: list[ReconfigurationFrame]) -> Run:
-    named = {"name": "by hand", "seed": 3, "version": "0", "wall_s": 1.0, "peak_memory_mib": 1.0}
-    return Run.from_frames(SYSTEM, frames, about, "", **named)
+    return record_run(SYSTEM, frames, about, about)
 
 
 def least_norm(about: Reconfiguration) -> np.ndarray:
@@ -115,7 +116,7 @@ def least_norm(about: Reconfiguration) -> np.ndarray:
 
 
 def altered(run: Run) -> Run:
-    return Run(run.data.copy(deep=True), dict(run.summary))
+    return replace(run, data=run.data.copy(deep=True), summary=dict(run.summary))
 
 
 def broken(run: Run, about: Reconfiguration) -> set[str]:
@@ -129,14 +130,14 @@ def flown():
 
 AIR = InertialPlant(ORBIT, np.array([0.01, 0.012, 0.008, 0.01]), 0.01, Atmosphere())
 SHAKEN = mission(
-    nonlinear_model=J2(ORBIT),
+    model=J2(ORBIT),
     plant=AIR,
     disturbance=1e-6,
     position_noise=0.1,
     velocity_noise=1e-4,
     thrust_error=0.05,
     pointing_error=0.02,
-    commit_steps=2,
+    freeze_steps=2,
     position_tolerance=20.0,
     velocity_tolerance=0.5,
 )
@@ -228,13 +229,13 @@ def test_a_wrong_chief_is_caught(flown, element):
 
 
 def test_a_chief_is_on_file_where_the_plant_has_one_and_only_there(flown):
-    lacking = Run(flown.data.drop_vars(["chief", "element"]), flown.summary)
+    lacking = replace(flown, data=flown.data.drop_vars(["chief", "element"]))
     assert broken(lacking, mission()) == {"chief"}
     about = mission(plant=LinearPlant(EXACT))
     free = recorded(about, least_norm(about))
     assert broken(free, about) == set()
     said = free.data.assign(element=flown.data["element"], chief=flown.data["chief"])
-    assert broken(Run(said, {}), about) == {"chief"}
+    assert broken(replace(free, data=said), about) == {"chief"}
 
 
 def test_the_gravity_in_the_attributes_is_that_of_the_plant(flown):
@@ -288,7 +289,7 @@ def test_pieces_are_a_second_long_at_most_and_an_even_number(flown):
 @pytest.mark.parametrize(("replan", "commit"), [(1, 0), (2, 0), (2, 3), (1, 2)])
 def test_agents_may_be_faster_by_what_the_plant_did_otherwise_since_they_planned(replan, commit):
     about = mission(
-        model=CIRCLE, replan_steps=replan, auction_steps=2, horizon_steps=3, commit_steps=commit
+        model=CIRCLE, replan_steps=replan, auction_steps=2, horizon_steps=3, freeze_steps=commit
     )
     evidence = ReconfigurationRecord.from_dataset(recorded(about, least_norm(about)).data, about)
     found = bound_speed_excess(evidence)
