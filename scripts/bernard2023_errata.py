@@ -10,9 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 import typer
-from repeated_eigenvalue import BASES_PER_RING, measure_rings
-from jaxtyping import Bool, Float
-from numpy import ndarray as Array
 from bernard2023_equations import (
     AXIS,
     SIGHT,
@@ -24,6 +21,9 @@ from bernard2023_equations import (
     matvec,
     rotation,
 )
+from jaxtyping import Bool, Float
+from numpy import ndarray as Array
+from repeated_eigenvalue import BASES_PER_RING, measure_rings
 from rich.console import Console
 from rich.table import Table
 

@@ -34,10 +34,9 @@ from problems.centralized import (
 )
 from problems.centralized_nlp import InitialGuess
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration.state import AgentMemory
 from sato.reconfiguration.mission import Reconfiguration
-from sato.reconfiguration.state import DecisionContext
 from sato.reconfiguration.planning import NO_PLANS, plan_trajectories
+from sato.reconfiguration.state import AgentMemory, DecisionContext
 
 MAX_MEDIAN_RATIO = 1.05  # largest median of SATO's fuel over that of the best optimum
 COLUMNS = (

@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 import typer
+from bernard2023_equations import AXIS, SIGHT, N, matvec, rotation
 from jaxtyping import Float
 from numpy import ndarray as Array
-from bernard2023_equations import AXIS, SIGHT, N, matvec, rotation
 
 from problems.interaction_graph import (
     algebraic_connectivity,
