@@ -1,9 +1,12 @@
 """Kinematic vehicle, commanded by velocity in the body frame and yaw rate."""
 
 from math import cos, exp, sin
-from typing import NamedTuple, no_type_check
+from typing import Annotated, NamedTuple, no_type_check
 
 import numba
+from annotated_types import Ge
+
+from dynamics.units import Key, Time
 
 
 class KinematicVehicle(NamedTuple):
@@ -14,8 +17,16 @@ class KinematicVehicle(NamedTuple):
     error is of third order in the step.
     """
 
-    time_constant: float = 0.0  # [s]; 0 is an immediate response
-    noise_std: float = 0.0  # standard deviation of each velocity in each step [m/s, rad/s]
+    time_constant: Annotated[Time, Key("lag"), Ge(0), "time constant; 0 obeys at once"] = 0.0
+    noise_std: Annotated[
+        float,
+        Key("noise"),
+        Ge(0),
+        "standard deviation of each velocity in each step [m/s, rad/s]",
+    ] = 0.0
+
+
+KinematicVehicle.kind = "kinematic"  # type: ignore[attr-defined]  # name in scenario files
 
 
 @no_type_check

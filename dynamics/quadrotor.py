@@ -1,9 +1,12 @@
 """Quadrotor, commanded by velocity in the heading frame and yaw rate."""
 
 from math import cos, exp, sin, sqrt, tan
-from typing import NamedTuple, no_type_check
+from typing import Annotated, NamedTuple, no_type_check
 
 import numba
+from annotated_types import Gt, Lt
+
+from dynamics.units import Acceleration, Angle, Key, Time
 
 STANDARD_GRAVITY = 9.80665  # [m/s²]
 
@@ -16,10 +19,21 @@ class Quadrotor(NamedTuple):
     is independent of tilt.
     """
 
-    velocity_time_constant: float = 0.4  # of the velocity loop [s]
-    attitude_time_constant: float = 0.08  # of the attitude loop and of the yaw rate [s]
-    max_tilt: float = 0.5  # largest angle of the thrust from the vertical [rad]
-    max_vertical_acceleration: float = 4.0  # less than gravity [m/s²]
+    velocity_time_constant: Annotated[
+        Time, Key("response"), Gt(0), "time constant of the velocity loop"
+    ] = 0.4
+    attitude_time_constant: Annotated[
+        Time, Key("attitude"), Gt(0), "time constant of the attitude loop and of the yaw rate"
+    ] = 0.08
+    max_tilt: Annotated[
+        Angle, Key("tilt"), Gt(0), Lt(1.5), "largest angle of the thrust from the vertical"
+    ] = 0.5
+    max_vertical_acceleration: Annotated[
+        Acceleration, Key("climb"), Gt(0), Lt(STANDARD_GRAVITY), "largest vertical acceleration"
+    ] = 4.0
+
+
+Quadrotor.kind = "quadrotor"  # type: ignore[attr-defined]  # name in scenario files
 
 
 @no_type_check

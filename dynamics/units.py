@@ -24,6 +24,12 @@ class Unit(NamedTuple):
         return SUFFIXES[self.suffix].symbol
 
 
+class Key(NamedTuple):
+    """Key of a field in a scenario file, where it is not the name of the field."""
+
+    name: str
+
+
 class Suffix(NamedTuple):
     """Suffix of a key: the quantity, the size in SI units, and the symbol of the unit."""
 

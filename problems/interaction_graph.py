@@ -5,12 +5,15 @@ corrected: the bearing in the other agent's body frame is β_ji = −(ⁱR_j)ᵀ
 """
 
 from math import cos, pi, sin, sqrt
-from typing import NamedTuple, no_type_check
+from typing import Annotated, NamedTuple, no_type_check
 
 import numba
 import numpy as np
+from annotated_types import Ge, Gt
 from jaxtyping import Float
 from numpy import ndarray as Array
+
+from dynamics.units import Key, Length
 
 MULTIPLICITY_TOLERANCE = 1e-7  # eigenvalues within this distance count as one
 DEFAULT_OPTICAL_AXIS = (1 / sqrt(2), 1 / sqrt(2), 0.0)
@@ -19,13 +22,15 @@ DEFAULT_OPTICAL_AXIS = (1 / sqrt(2), 1 / sqrt(2), 0.0)
 class Camera(NamedTuple):
     """Range and field of view of an agent's camera [Bernard2023, Table I]."""
 
-    d_min: float = 1.0  # nothing is visible nearer [m]
-    d_near: float = 3.0  # D1, full weight from here [m]
-    d_far: float = 7.0  # D2, full weight up to here [m]
-    d_max: float = 9.0  # nothing is visible farther [m]
-    a_min: float = 0.4  # cosine from the optical axis below which nothing is visible
-    a_max: float = 0.95  # cosine above which the weight is full
-    optical_axis: tuple[float, float, float] = DEFAULT_OPTICAL_AXIS  # in the body frame
+    d_min: Annotated[Length, Ge(0), "distance below which nothing is visible"] = 1.0
+    d_near: Annotated[Length, Gt(0), "distance D1 from which on the weight is full"] = 3.0
+    d_far: Annotated[Length, Gt(0), "distance D2 up to which the weight is full"] = 7.0
+    d_max: Annotated[Length, Gt(0), "distance beyond which nothing is visible"] = 9.0
+    a_min: Annotated[float, Ge(-1), "cosine to the axis below which nothing is visible"] = 0.4
+    a_max: Annotated[float, Gt(-1), "cosine to the axis above which the weight is full"] = 0.95
+    optical_axis: Annotated[tuple[float, ...], Key("axis"), "optical axis in the body frame"] = (
+        DEFAULT_OPTICAL_AXIS
+    )
 
 
 class InteractionGraph(NamedTuple):

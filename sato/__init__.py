@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dynamics import DoubleIntegrator
+    from sato.connectivity.mission import Connectivity
     from sato.reconfiguration.mission import Join, Leg, Loss, Reconfiguration
     from sato.record import RunFileError
     from sato.runs import Run, load, run, simulate
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from sato.scenario.file import from_dict, parse, read, scenarios
 
 _MODULES = {
+    "Connectivity": "sato.connectivity.mission",
     "DoubleIntegrator": "dynamics",
     "InputError": "sato.scenario.errors",
     "Join": "sato.reconfiguration.mission",
@@ -32,14 +34,15 @@ _MODULES = {
     "ScenarioError": "sato.scenario.errors",
     "from_dict": "sato.scenario.file",
     "load": "sato.runs",
-    "parse": "sato.former",
-    "read": "sato.former",
+    "parse": "sato.scenario.file",
+    "read": "sato.scenario.file",
     "run": "sato.runs",
     "scenarios": "sato.scenario.file",
     "simulate": "sato.runs",
 }
 
 __all__ = [
+    "Connectivity",
     "DoubleIntegrator",
     "InputError",
     "Join",

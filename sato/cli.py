@@ -58,7 +58,7 @@ def scenarios() -> None:
 @app.command()
 def show(scenario: ScenarioArgument, override: OverrideOption = None) -> None:
     """Print a whole scenario, defaults filled in, as TOML."""
-    from sato.former import read
+    from sato.scenario.file import read
 
     typer.echo(read(scenario, override or ()).to_toml(), nl=False)
 
@@ -85,9 +85,9 @@ def run(
 ) -> None:
     """Fly a scenario; write DIR/run.nc and DIR/summary.json."""
     from sato.console import print_summary
-    from sato.former import read
     from sato.record import RUN_FILE
     from sato.runs import run as fly
+    from sato.scenario.file import read
 
     folder = out or Path("runs", f"{read(scenario, override or ()).name}-{seed}")
     ensure_writable(folder)

@@ -20,12 +20,11 @@ from threadpoolctl import ThreadpoolController, threadpool_limits
 from sato import record
 from sato.check.event_log import EventLog
 from sato.check.report import Report
-from sato.former import ScenarioFile, parse, read
 from sato.interfaces import Frame, System
 from sato.record import RunFileError
 from sato.resource_usage import peak_memory_mib
 from sato.scenario.errors import InputError, ScenarioError, format_value
-from sato.scenario.file import from_dict
+from sato.scenario.file import from_dict, parse, read
 from sato.scenario.mission import Mission
 from sato.summary import summary_rows
 from sato.systems import load_system
@@ -34,7 +33,7 @@ if TYPE_CHECKING:  # slow to import
     import matplotlib.figure
     import xarray
 
-Scenario = str | Path | Mission | ScenarioFile | Mapping[str, Any]
+Scenario = str | Path | Mission | Mapping[str, Any]
 FrameCallback = Callable[[Any, Any], object]  # of the drawn mission and a frame
 
 MAX_SEED = 2**64 - 1
@@ -236,7 +235,7 @@ def _as_mission(scenario: Scenario, overrides: Iterable[str]) -> Any:
         return read(scenario, overrides)
     if isinstance(scenario, Mapping):
         return from_dict(dict(scenario), overrides)
-    if not isinstance(scenario, Mission | ScenarioFile):
+    if not isinstance(scenario, Mission):
         kind = type(scenario).__name__
         raise InputError(
             "scenario", f"must be a name, a path, a mission or a dict, got an object of type {kind}"

@@ -41,7 +41,7 @@ from sato.connectivity.yaw_estimator import (
     wrap_angle,
     yaw_from_motion,
 )
-from sato.former import read
+from sato.scenario.file import read
 
 POTENTIAL = Potential()
 YAW_ERROR = 0.1  # of a relative yaw that is estimated [rad]
@@ -181,7 +181,7 @@ def repeated_eigenvalue_erratum(rings: int, rng: np.random.Generator) -> Erratum
 def simulate_run(seed: int, *settings: str) -> list[ConnectivityFrame]:
     """A flight without obstacles."""
     rng = np.random.default_rng(seed)
-    return list(simulate(read("connectivity", ["obstacles.count=0", *settings]).build(rng), rng))
+    return list(simulate(read("connectivity", ["obstacles.count=0", *settings]).draw(rng), rng))
 
 
 def leader_erratum(pull: Float[Array, "states 6 3"]) -> Erratum:

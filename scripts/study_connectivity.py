@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 
 from sato.connectivity.mission import Connectivity
 from sato.connectivity.trial import ConnectivityTrial, run_trial
-from sato.former import read
+from sato.scenario.file import read
 
 
 class CampaignRow(NamedTuple):
@@ -81,7 +81,7 @@ def build_mission(job: TrialJob) -> tuple[Connectivity, np.random.Generator]:
     """What is flown, and who draws on."""
     rng = np.random.default_rng(job.seed)
     settings = (*ROWS[job.row].overrides, f"run.duration_s={job.duration}")
-    return read("connectivity", settings).build(rng), rng
+    return read("connectivity", settings).draw(rng), rng
 
 
 def run_job(job: TrialJob) -> TimedTrial:

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from recorded_run import record_run
 
-from sato.connectivity import simulate
 from sato.connectivity.check import ConnectivityRecord, check_run
 from sato.connectivity.distance import min_separation
+from sato.connectivity.loop import simulate
 from sato.connectivity.system import SYSTEM, describe_progress
-from sato.former import read
+from sato.scenario.file import read
 
 QUADROTOR = 'plant={kind="quadrotor"}'
 SHAKEN = 'plant={kind="kinematic", lag_s=0.3, noise=0.02}'
@@ -21,7 +21,7 @@ SHAKEN = 'plant={kind="kinematic", lag_s=0.3, noise=0.02}'
 def flown(*settings, seed=1, **changed):
     """A run of three seconds, and its mission."""
     rng = np.random.default_rng(seed)
-    mission = replace(read("connectivity", ["duration_s=3", *settings]).build(rng), **changed)
+    mission = replace(read("connectivity", ["duration_s=3", *settings]).draw(rng), **changed)
     return run_of(mission, simulate(mission, rng)), mission
 
 
@@ -115,7 +115,7 @@ def test_what_is_altered_by_a_millionth_is_found(honest, name, change, promises)
 
 def test_a_robot_at_an_obstacle_or_at_another_is_found(honest):
     run, mission = honest
-    centre = mission.obstacles.spheres[0, :3]
+    centre = mission.obstacle_arrays.spheres[0, :3]
     at_obstacle = altered(run, "position", lambda p: np.vstack([centre, p[1:]]))
     assert {"obstacles", "flight"} <= broken(at_obstacle, mission)
     at_another = altered(run, "position", lambda p: np.vstack([p[1] + [0.9, 0, 0], p[1:]]))

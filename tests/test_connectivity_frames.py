@@ -5,15 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from connectivity_cast import connected_poses, fly, spheres
 from hypothesis import Phase, assume, given, settings
 from hypothesis import strategies as st
 
-from problems.interaction_graph import Camera, algebraic_connectivity, interaction_graph
-from sato.connectivity import Connectivity, simulate
+from problems.interaction_graph import Camera
 from sato.connectivity.controller import compute_command, estimate_edges
 from sato.connectivity.kernel import advance
 from sato.connectivity.messages import CommunicationLink
-from sato.connectivity.obstacles import Obstacles
+from sato.connectivity.mission import Connectivity
 from sato.connectivity.record import rotate_by_yaw
 from sato.connectivity.state import initial_state
 from sato.connectivity.stick import WaypointStick
@@ -32,27 +32,20 @@ def about(turn):
 
 
 def mission(seed, camera, **settings):
-    """Six robots among spheres."""
+    """Build a mission of six robots among spheres."""
     rng = np.random.default_rng(seed)
-    while True:
-        position = rng.uniform(0, 1, (6, 3)) * [8, 8, 3] + [0, 0, 3]
-        yaw = rng.uniform(-np.pi, np.pi, 6)
-        apart = np.linalg.norm(position[:, None] - position, axis=2) + 9 * np.eye(6)
-        weight = interaction_graph(position, yaw, camera).weights
-        if apart.min() > 1.8 and algebraic_connectivity(weight).lambda2 > 0.05:
-            break
-    believed = yaw - yaw[:, None] + rng.uniform(-0.5, 0.5, (6, 6))
-    ways = position[0] + np.array([[6.0, 0, 0], [6, 6, 0]])
-    spheres = np.column_stack([ways + np.array([0, 2.5, 1]), [0.5, 0.5]])
-    obstacles = Obstacles.empty()._replace(spheres=spheres)
+    clear = False
+    while not clear:
+        position, yaw = connected_poses(rng, camera)
+        ways = position[0] + np.array([[6.0, 0, 0], [6, 6, 0]])
+        centers = ways + np.array([0, 2.5, 1])
+        clear = np.linalg.norm(position[:, None] - centers, axis=2).min() > 1.5
     return Connectivity(
-        position, yaw, believed, WaypointStick(ways), camera=camera, obstacles=obstacles,
+        start=position, yaw=yaw, yaw_error=rng.uniform(-0.5, 0.5, (6, 6)),
+        stick=WaypointStick(ways), camera=camera,
+        obstacles=spheres(np.column_stack([centers, [0.5, 0.5]])),
         **({"duration": 3.0} | settings),
     )  # fmt: skip
-
-
-def flown(mission):
-    return list(simulate(mission, np.random.default_rng(0)))
 
 
 def smooth(frames):
@@ -64,18 +57,18 @@ def smooth(frames):
 @given(st.integers(0, 100), TURNS, st.sampled_from(["flood", "exact"]))
 def test_to_turn_the_whole_world_turns_the_paths_and_no_command(seed, turn, estimator):
     here, shift = mission(seed, Camera(), estimator=estimator), np.array([3.0, -1, 2])
-    spheres = here.obstacles.spheres.copy()
-    spheres[:, :3] = spheres[:, :3] @ about(turn).T + shift
+    rows = here.obstacle_arrays.spheres.copy()
+    rows[:, :3] = rows[:, :3] @ about(turn).T + shift
     there = replace(
         here,
-        start=here.start @ about(turn).T + shift,
-        start_yaw=here.start_yaw + turn,
+        start=here.initial_position @ about(turn).T + shift,
+        yaw=here.yaw + turn,
         stick=WaypointStick(here.stick.waypoints @ about(turn).T + shift),
-        obstacles=Obstacles.empty()._replace(spheres=spheres),
+        obstacles=spheres(rows),
     )
-    frames = flown(here)
+    frames = fly(here)
     assume(smooth(frames))
-    for one, other in zip(frames, flown(there), strict=True):
+    for one, other in zip(frames, fly(there), strict=True):
         assert other.position == pytest.approx(one.position @ about(turn).T + shift, abs=1e-9)
         assert other.command == pytest.approx(one.command, abs=1e-9)
         assert np.array_equal(other.visibility, one.visibility)
@@ -87,14 +80,12 @@ def test_to_turn_the_axes_of_one_robot_changes_nothing_in_the_world(seed, robot,
     # Its camera looks along the axis of the turn, so that the axes alone are turned: what it
     # senses, says and is said to be. Everybody else goes on as before.
     plain = mission(seed, ROUND, estimator=estimator)
-    yaw, believed = plain.start_yaw.copy(), plain.start_yaw_estimate.copy()
+    yaw = plain.yaw.copy()
     yaw[robot] += turn
-    believed[:, robot] += turn
-    believed[robot, :] -= turn
-    other = replace(plain, start_yaw=yaw, start_yaw_estimate=believed)
-    frames = flown(plain)
+    other = replace(plain, yaw=yaw)
+    frames = fly(plain)
     assume(smooth(frames))
-    for one, another in zip(frames, flown(other), strict=True):
+    for one, another in zip(frames, fly(other), strict=True):
         assert another.position == pytest.approx(one.position, abs=1e-9)
         assert another.command[:, 3] == pytest.approx(one.command[:, 3], abs=1e-9)
         seen = [rotate_by_yaw(f.command[:, :3], f.yaw) for f in (one, another)]
@@ -109,10 +100,10 @@ def test_to_turn_the_axes_of_one_robot_changes_nothing_in_the_world(seed, robot,
 def test_to_turn_all_axes_under_the_cameras_changes_nothing_in_the_world(seed, turn):
     plain = mission(seed, Camera())
     x, y, z = about(-turn) @ plain.camera.optical_axis
-    other = replace(plain, start_yaw=plain.start_yaw + turn, camera=Camera(optical_axis=(x, y, z)))
-    frames = flown(plain)
+    other = replace(plain, yaw=plain.yaw + turn, camera=Camera(optical_axis=(x, y, z)))
+    frames = fly(plain)
     assume(smooth(frames) and max(np.abs(f.command[:, 3]).max() for f in frames) > 0.05)
-    for one, another in zip(frames, flown(other), strict=True):
+    for one, another in zip(frames, fly(other), strict=True):
         assert another.position == pytest.approx(one.position, abs=1e-9)
         assert another.command[:, 3] == pytest.approx(one.command[:, 3], abs=1e-9)
         seen = [rotate_by_yaw(f.command[:, :3], f.yaw) for f in (one, another)]
@@ -120,7 +111,7 @@ def test_to_turn_all_axes_under_the_cameras_changes_nothing_in_the_world(seed, t
 
 
 def test_they_do_fly_in_those_tests():
-    frames = flown(mission(0, ROUND))
+    frames = fly(mission(0, ROUND))
     assert np.linalg.norm(frames[-1].position - frames[0].position, axis=1).min() > 0.05
     one_sided = [f.visibility & ~f.visibility.T for f in frames]
     assert any(one.any() for one in one_sided)
@@ -135,7 +126,9 @@ def test_what_decides_for_a_robot_is_not_given_the_world():
 def in_flight(seed, link):
     """A state some steps on, with much in everybody's mail."""
     whole, rng = mission(seed, Camera(), camera_noise=0.02, link=link), np.random.default_rng(0)
-    state = initial_state(whole.start, whole.start_yaw, whole.start_yaw_estimate, link.delay_messages, 2, rng)
+    state = initial_state(
+        whole.initial_position, whole.yaw, whole.initial_relative_yaw, link.delay_messages, 2, rng
+    )
     for number in range(30):
         asked, alive = np.array([1.0, 0, 0]), np.ones(6, dtype=bool)
         advance(state, whole.parameters, asked, alive, number, number > 0, rng)

@@ -2,16 +2,15 @@
 
 import numpy as np
 import pytest
+from connectivity_cast import fly, posed, spheres
 
 from problems.interaction_graph import Camera, algebraic_connectivity, interaction_graph
-from sato.connectivity import AgentLoss, Connectivity, simulate
 from sato.connectivity.controller import MAX_MESSAGE_AGE
 from sato.connectivity.kernel import MAX_ROW_AGE
 from sato.connectivity.messages import CommunicationLink
-from sato.connectivity.obstacles import Obstacles
+from sato.connectivity.mission import AgentLoss
 from sato.connectivity.potential import Potential, Repulsion, repulsion_gain
 from sato.connectivity.record import rotate_by_yaw
-from sato.connectivity.stick import WaypointStick
 
 DEATH = 0.2  # [s]
 AHEAD = -np.pi / 4  # yaw with which the camera looks along x
@@ -22,12 +21,12 @@ def cut(dies, agents=4, **settings):
     """Frames of a row of robots; one of them dies, and who is beyond it is out of sight."""
     start = np.array([[7.5, 0, 0]]) * np.arange(agents)[:, None] + [0, 0, 5]
     yaw = np.full(agents, AHEAD)
-    mission = Connectivity(
-        start, yaw, np.zeros((agents, agents)), WaypointStick(np.zeros((0, 3))), 4.0,
-        losses=(AgentLoss(dies, DEATH),), obstacles=Obstacles.empty()._replace(spheres=SPHERE[None]),
-        **settings,
-    )  # fmt: skip
-    return list(simulate(mission, np.random.default_rng(0)))
+    return fly(
+        posed(
+            start, yaw, duration=4.0, losses=(AgentLoss(dies, DEATH),),
+            obstacles=spheres([SPHERE]), **settings,
+        )  # fmt: skip
+    )
 
 
 def away(position):

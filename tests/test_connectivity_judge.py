@@ -13,7 +13,7 @@ from test_connectivity_check import QUADROTOR, SHAKEN, broken, flown
 from problems.interaction_graph import algebraic_connectivity, interaction_graph
 from sato.connectivity.check import ConnectivityRecord
 from sato.connectivity.distance import min_obstacle_distance, obstacle_distances
-from sato.connectivity.obstacles import Obstacles
+from sato.connectivity.obstacles import Box, Obstacles, Sphere
 
 HIDING = ("camera.occlusion=true", "camera.body_m=1.0")
 
@@ -135,21 +135,20 @@ def test_an_obstacle_hides_whom_it_stands_between(hiding):
     run, mission = hiding
     p, sees = run.data["position"].values, run.data["visibility"].values
     i, j = np.argwhere(sees[-1])[0]
-    wall = Obstacles.empty()._replace(spheres=np.array([[*(p[-1, i] + p[-1, j]) / 2, 0.1]]))
-    assert {"weights", "visibility"} <= broken(run, replace(mission, obstacles=wall))
+    wall = Sphere(tuple((p[-1, i] + p[-1, j]) / 2), 0.1)
+    assert {"weights", "visibility"} <= broken(run, replace(mission, obstacles=(wall,)))
 
 
-@pytest.mark.parametrize("kind", ["spheres", "boxes"])
+@pytest.mark.parametrize("kind", [Sphere, Box])
 def test_who_passes_through_an_obstacle_between_instants_is_found(tilted, kind):
     run, mission = tilted
     p = run.data["position"].values.copy()
     top = int(np.argmax(p[0, :, 2]))
     high, half = p[99, top] + [0, 0, 4.0], np.array([9, 9, 0.1])
     p[100:, top, 2] += 8.0
-    shape = {"spheres": [*high, 0.3], "boxes": [*(high - half), *(high + half)]}
-    wall = Obstacles.empty()._replace(**{kind: np.array([shape[kind]])})
-    assert obstacle_distances(p, wall).min() > 2 * mission.repulsion.min_distance
-    walled = replace(mission, obstacles=wall)
+    wall = Sphere(tuple(high), 0.3) if kind is Sphere else Box(tuple(high - half), tuple(high + half))
+    assert obstacle_distances(p, Obstacles.of([wall])).min() > 2 * mission.repulsion.min_distance
+    walled = replace(mission, obstacles=(wall,))
     assert "obstacles" not in broken(run, walled)
     assert {"obstacles", "flight"} <= broken(told(run, position=p), walled)
 
@@ -177,7 +176,7 @@ def test_the_least_distance_to_obstacles_is_that_of_ways_sampled_finely(rng):
 
 def test_the_least_distance_is_exact_where_it_is_known():
     way, both = np.array([[[-1.0, 0.3, 0.4]], [[2.0, 0.3, 0.4]]]), np.ones((2, 1), dtype=bool)
-    empty = Obstacles.empty()
+    empty = Obstacles.of(())
     ball = empty._replace(spheres=np.array([[0.0, 0.0, 0.0, 0.2]]))
     box = empty._replace(boxes=np.array([[-0.1, -0.1, -0.1, 0.1, 0.0, 0.0]]))
     floor = empty._replace(planes=np.array([[1.0, 0.0, 0.0, -1.5]]))

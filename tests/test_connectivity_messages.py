@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from connectivity_cast import fly, posed
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.sparse.csgraph import shortest_path
@@ -14,13 +15,12 @@ from problems.interaction_graph import (
     lambda2_gradient,
     laplacian,
 )
-from sato.connectivity import AgentLoss, Connectivity, simulate
 from sato.connectivity.flooding import compute_lambda2_gradient, merge_rows
 from sato.connectivity.messages import CommunicationLink, exchange_messages
+from sato.connectivity.mission import AgentLoss
 from sato.connectivity.potential import Potential, Repulsion, negative_slope
 from sato.connectivity.record import rotate_by_yaw
 from sato.connectivity.state import initial_state
-from sato.connectivity.stick import WaypointStick
 
 GENTLE = Potential(strength=1e-15)  # nobody gets anywhere
 
@@ -38,11 +38,8 @@ def chain(rng, agents=8):
 
 def rested(position, yaw, believed, duration, **settings):
     """Frames of robots that do next to nothing, but reckon what they would do."""
-    mission = Connectivity(
-        position, yaw, believed, WaypointStick(np.zeros((0, 3))), duration,
-        potential=GENTLE, repulsion=Repulsion(strength=0.0), **settings,
-    )  # fmt: skip
-    return list(simulate(mission, np.random.default_rng(0)))
+    weak = {"potential": GENTLE, "repulsion": Repulsion(strength=0.0)}
+    return fly(posed(position, yaw, believed, duration=duration, **weak, **settings))
 
 
 def test_after_as_many_rounds_as_the_graph_is_wide_everybody_knows_lambda2(rng):

@@ -6,7 +6,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from sato.connectivity.distance import obstacle_distances
-from sato.connectivity.obstacles import Obstacles, blocks_line_of_sight, nearest_point
+from sato.connectivity.obstacle_geometry import blocks_line_of_sight, nearest_point
+from sato.connectivity.obstacles import Obstacles
 from sato.connectivity.potential import (
     ASYMPTOTE_OFFSET,
     Potential,
@@ -140,7 +141,7 @@ def test_no_point_of_an_obstacle_is_nearer_than_the_nearest(p, sphere, box, plan
 
 @given(PLACES, PLACES, SPHERES, BOXES, PLANES)
 def test_hidden_is_who_has_a_point_of_an_obstacle_in_between(p, q, sphere, box, plane):
-    none = Obstacles.empty()
+    none = Obstacles.of(())
     for one in (
         none._replace(spheres=sphere[None]),
         none._replace(boxes=box[None]),
@@ -158,7 +159,7 @@ def test_hidden_is_who_has_a_point_of_an_obstacle_in_between(p, q, sphere, box, 
 
 def test_a_way_along_an_axis_is_hidden_by_the_box_that_it_leads_through():
     # Two of three coordinates rest, which a division by the way would not bear.
-    one = Obstacles.empty()._replace(boxes=np.array([[-1.0, -1, -1, 1, 1, 1]]))
+    one = Obstacles.of(())._replace(boxes=np.array([[-1.0, -1, -1, 1, 1, 1]]))
     p, q = np.array([-3.0, 0.5, 0.5]), np.array([3.0, 0.5, 0.5])
     assert blocks_line_of_sight(p, q, one)
     beside, short = np.array([0, 1.0, 0]), np.array([-2.0, 0.5, 0.5])

@@ -14,7 +14,6 @@ from pictures import words_inside
 from recorded_run import record_run
 
 from problems.interaction_graph import interaction_graph
-from sato.connectivity import simulate
 from sato.connectivity.check import ConnectivityRecord
 from sato.connectivity.figures import FIGURES, make_figures
 from sato.connectivity.figures.obstacles import draw_obstacles_3d, draw_obstacles_from_above
@@ -28,12 +27,13 @@ from sato.connectivity.figures.yaw_error import (
     classify_visibility,
     select_pairs,
 )
+from sato.connectivity.loop import simulate
 from sato.connectivity.obstacles import Obstacles
 from sato.connectivity.potential import evaluate_potential, negative_slope, repulsion_gain
 from sato.connectivity.system import SYSTEM
 from sato.figures.axes import AxisBounds
 from sato.figures.style import BLUE, GREEN, ORANGE, RED, STYLE
-from sato.former import read
+from sato.scenario.file import read
 
 STICK = (
     'stick={kind="recorded", times_s=[0, 0.5, 1.5, 2], '
@@ -61,7 +61,7 @@ VARIANTS = {
 @cache
 def flown(variant):
     rng = np.random.default_rng(1)
-    mission = read("connectivity", list(VARIANTS[variant])).build(rng)
+    mission = read("connectivity", list(VARIANTS[variant])).draw(rng)
     return recorded(mission, list(simulate(mission, rng)))
 
 
@@ -246,7 +246,7 @@ def test_distances_are_the_least_by_brute_force():
     evidence = flown("lost")
     robots, obstacles = shown("distances", "lost").axes
     least, near = line(robots, "the least")[1], line(obstacles, "the least")[1]
-    balls = evidence.mission.obstacles.spheres
+    balls = evidence.mission.obstacle_arrays.spheres
     for k in range(0, len(evidence.time), 25):
         there = evidence.position[k, evidence.alive[k]]
         gaps = [np.linalg.norm(p - q) for p, q in combinations(there, 2)]

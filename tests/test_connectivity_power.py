@@ -9,7 +9,7 @@ from problems.interaction_graph import algebraic_connectivity, laplacian
 from sato.connectivity.power_iteration import (
     PowerIterationGains,
     PowerIterationState,
-    default_gains,
+    complete_gains,
     estimate_lambda2_from_power,
     iterate_power,
     spectral_radius,
@@ -17,7 +17,7 @@ from sato.connectivity.power_iteration import (
 
 ALL = np.ones((6, 6)) - np.eye(6)
 PATH = np.eye(6, k=1) + np.eye(6, k=-1)
-TEXTBOOK = default_gains(0.002, 6)._replace(
+TEXTBOOK = complete_gains(PowerIterationGains(0.002), 6)._replace(
     filter_gain=200.0, proportional_gain=50.0, integral_gain=200.0
 )
 
@@ -62,7 +62,7 @@ def slowest(links, power):
 
 @pytest.mark.parametrize("links", [PATH, ALL, some(0), some(1)])
 def test_exchanges_are_those_of_the_matrix(links, rng):
-    power, iterate = averaging(default_gains(0.002, 6)), begun(6, rng)
+    power, iterate = averaging(complete_gains(PowerIterationGains(0.002), 6)), begun(6, rng)
     x = np.vstack([iterate.average, iterate.integral])
     drawn = power.exchange_period * power.filter_gain * np.column_stack([iterate.v, iterate.v**2])
     for _ in range(20):
@@ -74,7 +74,7 @@ def test_exchanges_are_those_of_the_matrix(links, rng):
 @pytest.mark.parametrize("period", [0.001, 0.002, 0.005])
 @pytest.mark.parametrize("links", [PATH, ALL, some(2), some(3)])
 def test_what_fits_brings_everybody_to_the_averages(links, period, rng):
-    power, iterate = averaging(default_gains(period, 6)), begun(6, rng)
+    power, iterate = averaging(complete_gains(PowerIterationGains(period), 6)), begun(6, rng)
     target = np.tile([iterate.v.mean(), (iterate.v**2).mean()], (6, 1))
     at_first = np.abs(iterate.average - target).max()
     rounds = int(np.log(1e-9) / np.log(slowest(links, power)))
@@ -86,7 +86,7 @@ def test_what_fits_brings_everybody_to_the_averages(links, period, rng):
 def test_no_graph_is_slower_or_wilder_than_the_radius_says(agents, seed):
     rng, links = np.random.default_rng(seed), some(seed, agents)
     period, scale = rng.choice([0.001, 0.002, 0.005]), rng.uniform(0.2, 3, 3)
-    power = default_gains(period, agents)
+    power = complete_gains(PowerIterationGains(period), agents)
     power = power._replace(
         filter_gain=power.filter_gain * scale[0],
         proportional_gain=power.proportional_gain * scale[1],
@@ -130,7 +130,7 @@ def weights(seed):
 @pytest.mark.parametrize("seed", range(6))
 def test_on_a_graph_that_rests_everybody_finds_lambda2_and_its_vector(seed):
     weight, found = weights(seed)
-    power, rng = PowerIterationGains(), np.random.default_rng(seed)
+    power, rng = complete_gains(PowerIterationGains(), 6), np.random.default_rng(seed)
     iterate = PowerIterationState(rng.standard_normal(6), np.zeros((6, 2)), np.zeros((6, 2)))
     # At the rate e₂ (λ₃ − λ₂) ≥ 0.9/s, which takes long where it first comes near to v₃.
     iterate_power(iterate, weight, weight > 0, power, round(40 / power.exchange_period))
@@ -147,7 +147,7 @@ def test_on_a_graph_that_rests_everybody_finds_lambda2_and_its_vector(seed):
 
 def test_who_is_alone_reports_more_than_there_can_be(rng):
     # Means are its own: v̇ = −e₃ v³ as e₁ = e₃, so that v² = 1/(2 e₃ t) dies and e₃/e₂ is left.
-    power, nobody, time = PowerIterationGains(), np.zeros((6, 6)), 20.0
+    power, nobody, time = complete_gains(PowerIterationGains(), 6), np.zeros((6, 6)), 20.0
     assert power.deflation_gain == power.normalization_gain
     iterate = begun(6, rng)
     iterate_power(iterate, nobody, nobody > 0, power, round(time / power.exchange_period))

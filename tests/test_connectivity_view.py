@@ -4,19 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from connectivity_cast import IDLE, fly, posed
 
 from dynamics.quadrotor import Quadrotor
 from problems.interaction_graph import Camera, interaction_graph
-from sato.connectivity import Connectivity, simulate
 from sato.connectivity.messages import CommunicationLink
-from sato.connectivity.obstacles import Obstacles
+from sato.connectivity.obstacles import Box, Sphere
 from sato.connectivity.potential import Potential, Repulsion
 from sato.connectivity.stick import WaypointStick
 from sato.connectivity.yaw_estimator import YawTracking
 
 AHEAD = Camera(optical_axis=(1.0, 0.0, 0.0))
 STILL = {"potential": Potential(strength=0.0), "repulsion": Repulsion(strength=0.0)}
-NOWHERE = WaypointStick(np.zeros((0, 3)))
 # Robot 0 sees 1, which does not see it; each sees 2, and 2 both of them.
 THREE = np.array([[0.0, 0, 3], [5, 0, 3], [5, 5, 3]])
 LOOKS = np.radians([0.0, 90, 247])
@@ -27,15 +26,11 @@ def three(**settings):
     believed = LOOKS - LOOKS[:, None]
     believed[0, 1] += 0.5
     given = {"duration": 2.0, "camera": AHEAD} | STILL | settings
-    return Connectivity(THREE, LOOKS, believed, NOWHERE, **given)
-
-
-def flown(mission, seed=0):
-    return list(simulate(mission, np.random.default_rng(seed)))
+    return posed(THREE, LOOKS, believed, **given)
 
 
 def one_sided_error(mission):
-    last = flown(mission)[-1]
+    last = fly(mission)[-1]
     assert (
         last.visibility[0, 1]
         and not last.visibility[1, 0]
@@ -58,15 +53,15 @@ def test_a_third_that_both_see_tells_how_another_is_turned():
 @pytest.mark.parametrize(
     ("what", "hides"),
     [
-        ({"spheres": np.array([[2.5, 0, 3, 0.4]])}, True),
-        ({"spheres": np.array([[2.5, 1, 3, 0.4]])}, False),
-        ({"boxes": np.array([[2.0, -1, 2, 3, 1, 4]])}, True),
-        ({"boxes": np.array([[2.0, 1, 2, 3, 2, 4]])}, False),
+        (Sphere((2.5, 0, 3), 0.4), True),
+        (Sphere((2.5, 1, 3), 0.4), False),
+        (Box((2.0, -1, 2), (3, 1, 4)), True),
+        (Box((2.0, 1, 2), (3, 2, 4)), False),
     ],
 )
 def test_who_stands_behind_an_obstacle_is_not_seen(what, hides):
-    mission = three(obstacles=Obstacles.empty()._replace(**what), duration=0.1)
-    open_sight, hidden = flown(mission)[-1], flown(replace(mission, occlusion=True))[-1]
+    mission = three(obstacles=(what,), duration=0.1)
+    open_sight, hidden = fly(mission)[-1], fly(replace(mission, occlusion=True))[-1]
     assert open_sight.visibility[0, 1] and open_sight.edge_weight[0, 1] == pytest.approx(1)
     assert hidden.visibility[0, 1] != hides
     assert hidden.edge_weight[0, 1] == pytest.approx(0 if hides else 1)
@@ -76,11 +71,9 @@ def test_who_stands_behind_an_obstacle_is_not_seen(what, hides):
 def test_a_robot_hides_who_is_behind_it():
     start = np.array([[0.0, 0, 3], [3, 0, 3], [6, 0, 3]])
     yaw = np.zeros(3)
-    mission = Connectivity(
-        start, yaw, np.zeros((3, 3)), NOWHERE, camera=AHEAD, duration=0.1, **STILL
-    )
-    assert flown(mission)[-1].visibility[0].tolist() == [False, True, True]
-    assert flown(replace(mission, occlusion=True))[-1].visibility[0].tolist() == [
+    mission = posed(start, yaw, camera=AHEAD, duration=0.1, **STILL)
+    assert fly(mission)[-1].visibility[0].tolist() == [False, True, True]
+    assert fly(replace(mission, occlusion=True))[-1].visibility[0].tolist() == [
         False,
         True,
         False,
@@ -91,16 +84,16 @@ def test_cameras_tilt_with_those_who_accelerate_and_not_with_those_who_rest():
     start = np.array([[0.0, 0, 3], [4.5, 0, 6.0]])
     yaw = np.array([0.0, 0.0])
     away = WaypointStick(np.array([[-40.0, 0, 3]]))
-    mission = Connectivity(
-        start, yaw, np.zeros((2, 2)), away, camera=AHEAD, duration=0.5, plant=Quadrotor(), **STILL
+    mission = posed(
+        start, yaw, stick=away, camera=AHEAD, duration=0.5, plant=Quadrotor(), **STILL
     )
-    frames = flown(mission)
+    frames = fly(mission)
     level = [interaction_graph(f.position, f.yaw, AHEAD).weights[0, 1] for f in frames]
     true = [f.edge_weight[0, 1] for f in frames]
     assert true[0] == pytest.approx(level[0])
     # Backwards: the nose goes up, towards the other one, who is above.
     assert true[10] > level[10] + 0.02
-    assert flown(replace(mission, stick=NOWHERE))[-1].edge_weight[0, 1] == pytest.approx(true[0])
+    assert fly(replace(mission, stick=IDLE))[-1].edge_weight[0, 1] == pytest.approx(true[0])
 
 
 def six(**settings):
@@ -110,9 +103,7 @@ def six(**settings):
     yaw = turn + np.pi + 0.2 * np.cos(np.arange(6))
     believed = yaw - yaw[:, None] + 0.3 * np.sin(np.arange(36)).reshape(6, 6)
     stick = WaypointStick(np.array([[12.0, 3, 3]]))
-    return Connectivity(
-        start, yaw, believed, stick, **({"duration": 6.0, "camera": AHEAD} | settings)
-    )
+    return posed(start, yaw, believed, stick, **({"duration": 6.0, "camera": AHEAD} | settings))
 
 
 @pytest.mark.parametrize(
@@ -124,7 +115,7 @@ def six(**settings):
     ],
 )
 def test_messages_that_are_rare_or_late_are_used_for_what_they_are_worth(link):
-    prompt, frames = flown(six()), flown(six(link=link))
+    prompt, frames = fly(six()), fly(six(link=link))
     assert min(f.lambda2 for f in frames) > 0.01
 
     def errors(frames):

@@ -12,7 +12,7 @@ import sato
 from problems.gain_design import design_gains
 from sato.formation import Formation
 from sato.formation.mission import legacy_formation
-from sato.former import names, parse, read
+from sato.scenario.file import parse, read, scenarios
 from sato.shapes.formation_library import load_formation
 from sato.shapes.graphs import random_dense_graph
 from sato.shapes.random_points import sample_formation, sample_positions
@@ -34,7 +34,7 @@ formation = { kind = "library", name = "swarm6/Star" }
 graph = "own"
 """
 RANDOM = 'leg.formation={kind="random", box_m=[8, 8, 2], separation_m=2}'
-BUILT_IN = [name for name in names() if name.startswith("formation")]
+BUILT_IN = [name for name in scenarios() if name.startswith("formation")]
 
 
 @pytest.fixture
@@ -212,7 +212,7 @@ def test_what_cannot_be_flown_is_refused_in_a_sentence_before_anything_is_writte
 
 @pytest.mark.parametrize("name", BUILT_IN)
 def test_a_built_in_scenario_says_what_it_shows_and_writes_itself_whole(name):
-    assert len(names()[name]) > 20
+    assert len(scenarios()[name]) > 20
     scenario = read(name)
     assert scenario.name == name
     text = scenario.to_toml()

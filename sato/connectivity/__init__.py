@@ -1,15 +1,12 @@
-"""SYSTEM 3: connectivity maintenance. See → talk → reckon → keep together [Bernard2023]."""
+"""System 3, connectivity maintenance with cameras [Bernard2023]."""
 
 from typing import Any
-
-from sato.connectivity.loop import ConnectivityFrame, simulate
-from sato.connectivity.mission import AgentLoss, Connectivity
-
-__all__ = ["AgentLoss", "Connectivity", "ConnectivityFrame", "simulate"]
 
 
 def __getattr__(name: str) -> Any:
     if name == "MISSION":
+        from sato.connectivity.mission import Connectivity
+
         return Connectivity
     if name == "SYSTEM":
         from sato.connectivity.system import SYSTEM

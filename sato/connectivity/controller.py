@@ -5,11 +5,12 @@ and its mind. Nothing here is in any frame but the robot's own.
 """
 
 from math import cos, sin, sqrt
-from typing import no_type_check
+from typing import Annotated, NamedTuple, no_type_check
 
 import numba
 import numpy as np
 
+from dynamics.units import AngularRate, Key, Speed
 from problems.interaction_graph import cosine_ramp, edge_weight
 from sato.connectivity.potential import negative_slope, repulsion_gain
 from sato.connectivity.yaw_estimator import (
@@ -20,8 +21,16 @@ from sato.connectivity.yaw_estimator import (
     yaw_from_bearings,
     yaw_from_motion,
 )
+from sato.scenario.definition import Positive
 
 MAX_MESSAGE_AGE = 0.2  # for which what a neighbour said is used when nothing new comes [s]
+
+
+class CommandLimits(NamedTuple):
+    """Limits of what a robot commands, beside the operator's command to the leader."""
+
+    speed: Annotated[Speed, Positive, "largest speed"] = 3.0
+    yaw_rate: Annotated[AngularRate, Key("turn"), Positive, "largest yaw rate"] = 1.5
 
 
 @no_type_check

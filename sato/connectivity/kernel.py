@@ -10,7 +10,7 @@ import numpy as np
 from dynamics.kinematic import KinematicVehicle, step_kinematic
 from dynamics.quadrotor import Quadrotor, step_quadrotor
 from problems.interaction_graph import Camera
-from sato.connectivity.controller import compute_command, estimate_edges
+from sato.connectivity.controller import CommandLimits, compute_command, estimate_edges
 from sato.connectivity.flooding import (
     compute_lambda2_gradient,
     estimate_lambda2_from_rows,
@@ -30,13 +30,6 @@ from sato.connectivity.yaw_estimator import YawTracking, rotate_about_z
 
 EXACT, FLOOD, POWER = 0, 1, 2  # who tells λ₂
 MAX_ROW_AGE = 1.0  # after which a row of the adjacency is no longer believed [s]
-
-
-class CommandLimits(NamedTuple):
-    """What a robot asks of itself at most, on top of the operator's command."""
-
-    speed: float = 3.0  # [m/s]
-    yaw_rate: float = 1.5  # [rad/s]
 
 
 class SwarmParameters(NamedTuple):
@@ -209,7 +202,7 @@ KERNEL_FILES = (
             "flooding",
             "messages",
             "controller",
-            "obstacles",
+            "obstacle_geometry",
             "potential",
             "power_iteration",
             "sensors",

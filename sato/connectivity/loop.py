@@ -71,9 +71,9 @@ def simulate(mission: Connectivity, rng: np.random.Generator) -> Iterator[Connec
 class _Simulation:
     def __init__(self, mission: Connectivity, rng: np.random.Generator) -> None:
         self.mission, self.rng, self.parameters = mission, rng, mission.parameters
-        obstacles, late = mission.obstacles.total, mission.link.delay_messages
+        obstacles, late = mission.obstacle_arrays.total, mission.link.delay_messages
         self.state = initial_state(
-            mission.start, mission.start_yaw, mission.start_yaw_estimate, late, obstacles, rng
+            mission.initial_position, mission.yaw, mission.initial_relative_yaw, late, obstacles, rng
         )
         self.step_number = -1  # of the control step, with those before the clock starts
         self.alive = np.ones(mission.agents, dtype=bool)

@@ -1,19 +1,26 @@
 """What robots tell each other, while one of them has the other in sight."""
 
-from typing import NamedTuple, no_type_check
+from typing import Annotated, NamedTuple, no_type_check
 
 import numba
 import numpy as np
+from annotated_types import Lt
 
+from dynamics.units import Key
 from sato.connectivity.flooding import merge_rows
+from sato.scenario.definition import NotNegative, Positive
 
 
 class CommunicationLink(NamedTuple):
     """How messages travel."""
 
-    period_steps: int = 1  # control steps between two messages
-    delay_messages: int = 0  # how many messages later one arrives
-    loss_probability: float = 0.0  # share that is lost
+    period_steps: Annotated[int, Key("every"), Positive, "control steps between two messages"] = 1
+    delay_messages: Annotated[
+        int, Key("late"), NotNegative, "messages that are sent before one arrives"
+    ] = 0
+    loss_probability: Annotated[
+        float, Key("loss"), NotNegative, Lt(1), "probability that a message is lost"
+    ] = 0.0
 
 
 @no_type_check

@@ -1,114 +1,231 @@
-"""Keeping together: the frozen scenario of SYSTEM 3."""
+"""Definition of a connectivity mission: robots that follow a leader and stay connected."""
 
-from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import hypot
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
+from annotated_types import Ge
 from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.kinematic import KinematicVehicle
 from dynamics.quadrotor import Quadrotor
-from problems.interaction_graph import Camera, algebraic_connectivity, interaction_graph
-from sato.connectivity.kernel import EXACT, FLOOD, POWER, CommandLimits, SwarmParameters
+from dynamics.units import Key, Length, Time, Unit
+from problems.interaction_graph import Camera
+from sato.connectivity import feasibility
+from sato.connectivity.controller import CommandLimits
+from sato.connectivity.kernel import EXACT, FLOOD, POWER, SwarmParameters
 from sato.connectivity.messages import CommunicationLink
-from sato.connectivity.obstacles import Obstacles
+from sato.connectivity.obstacles import Box, Obstacles, Plane, RandomSpheres, Sphere
 from sato.connectivity.potential import Potential, Repulsion
-from sato.connectivity.power_iteration import PowerIterationGains
-from sato.connectivity.stick import Stick
+from sato.connectivity.power_iteration import PowerIterationGains, complete_gains
+from sato.connectivity.start import Poses, RandomPoses, as_poses
+from sato.connectivity.stick import RecordedStick, WaypointStick
 from sato.connectivity.yaw_estimator import YawTracking
-from sato.network.graph import label_components
+from sato.scenario.definition import (
+    Convert,
+    Definition,
+    In,
+    Matrix,
+    NotNegative,
+    Positive,
+    Vector,
+)
+from sato.scenario.errors import InputError, errors_in
+from sato.scenario.mission import Mission
 
 ESTIMATORS = {"exact": EXACT, "flood": FLOOD, "power_pi": POWER}
-OMNIDIRECTIONAL = (
-    -3.0,
-    -2.0,
-)  # a_min, a_max of who is blind to the field of view: below any cosine
+OMNIDIRECTIONAL = (-3.0, -2.0)  # a_min, a_max of a robot that ignores its field of view
+DEFAULT_AGENTS = 6
 
 
-class AgentLoss(NamedTuple):
-    """A robot that is lost."""
+@dataclass(frozen=True, eq=False, repr=False)
+class AgentLoss(Definition):
+    """Loss of a robot; what is absent is drawn."""
 
-    agent: int
-    time: float  # [s]
+    agent: Annotated[int, Key("robot"), NotNegative, "index"] = None  # type: ignore[assignment]
+    time: Annotated[Time, NotNegative, "time of the loss"] = None  # type: ignore[assignment]
 
 
-@dataclass(frozen=True, eq=False)
-class Connectivity:
-    """Robots that follow a leader, and must not lose each other [Bernard2023]."""
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Connectivity(Mission):
+    """Robots with cameras that follow a leader and stay connected [Bernard2023].
 
-    start: Float[Array, "agents 3"]  # [m]
-    start_yaw: Float[Array, " agents"]  # [rad]
-    start_yaw_estimate: Float[
-        Array, "agents agents"
-    ]  # relative yaws, as each takes them at first [rad]
-    stick: Stick  # of the first robot, the leader
-    duration: float = 60.0  # [s]
-    step: float = 0.02  # of control [s]
-    camera: Camera = field(default_factory=Camera)
-    range_only: bool = False  # to the field of view: weights by range alone
-    potential: Potential = field(default_factory=Potential)
-    repulsion: Repulsion = field(default_factory=Repulsion)
-    tracking: YawTracking = field(default_factory=YawTracking)
-    limits: CommandLimits = field(default_factory=CommandLimits)
-    link: CommunicationLink = field(default_factory=CommunicationLink)
-    estimator: Literal["exact", "flood", "power_pi"] = "flood"
-    power_iteration: PowerIterationGains = field(default_factory=PowerIterationGains)
-    plant: KinematicVehicle | Quadrotor = field(default_factory=KinematicVehicle)
-    obstacles: Obstacles = field(default_factory=Obstacles.empty)
-    camera_noise: float = 0.0  # standard deviation of each coordinate that a camera measures [m]
-    occlusion: bool = False  # robots and obstacles stand in the line of sight
-    body_radius: float = 0.3  # radius of a robot that stands there [m]
-    losses: tuple[AgentLoss, ...] = ()
+    Args:
+        agents: Number of robots.
+        start: Array of (N, 3) positions, or a definition of poses.
+        yaw: Yaw of each robot, where positions are given.
 
-    def __post_init__(self) -> None:
-        camera, potential, repulsion = self.camera, self.potential, self.repulsion
-        for low, high, order in (
-            (camera.d_min, camera.d_near, "camera.d_min < camera.d_near"),
-            (camera.d_near, camera.d_far, "camera.d_near < camera.d_far"),
-            (camera.d_far, camera.d_max, "camera.d_far < camera.d_max"),
-            (camera.a_min, camera.a_max, "camera.a_min < camera.a_max"),
-            (potential.lambda2_min, potential.lambda2_max, "potential.least < potential.most"),
-            (
-                repulsion.min_distance,
-                repulsion.max_distance,
-                "repulsion.nearest < repulsion.farthest",
-            ),
-            (0.0, self.step, "0 < step"),
-        ):
-            if not low < high:
-                raise ValueError(f"{order} must hold, got {low:g} and {high:g}")
-        weight = interaction_graph(self.start, self.start_yaw, self.camera).weights
-        found = algebraic_connectivity(weight).lambda2
-        if found <= self.potential.lambda2_min:
-            raise ValueError(
-                f"the swarm does not hang together at the start: λ₂ is {found:.3g}, and must be "
-                f"above λ₂^min = {self.potential.lambda2_min:g}"
+    All others are explained by `sato keys connectivity`. Values are in SI units.
+    """
+
+    system: ClassVar[str] = "connectivity"
+
+    agents: Annotated[int, In("swarm"), Ge(2), "number of robots; 6 if absent"] = (
+        None  # type: ignore[assignment]
+    )
+    start: Annotated[
+        RandomPoses | Poses, In("swarm"), Convert(as_poses), "initial poses"
+    ] = RandomPoses()
+    yaw: Annotated[Vector, In("swarm"), Unit("rad"), "yaw of each robot at the start"] = (
+        None  # type: ignore[assignment]
+    )
+    yaw_error: Annotated[
+        Annotated[float, NotNegative] | Matrix,
+        In("swarm"),
+        Unit("rad"),
+        "error of the first estimates of relative yaw: one for each pair, or drawn up to a bound",
+    ] = 0.5
+
+    camera: Annotated[Camera, "cameras"] = Camera()
+    range_only: Annotated[
+        bool, In("camera"), Key("blind"), "weigh edges by range alone, not by the field of view"
+    ] = False
+    occlusion: Annotated[bool, In("camera"), "robots and obstacles block the line of sight"] = False
+    body_radius: Annotated[
+        Length, In("camera"), Key("body"), Positive, "radius of a robot that blocks it"
+    ] = 0.3
+
+    potential: Annotated[Potential, "potential of λ₂"] = Potential()
+    repulsion: Annotated[Repulsion, "repulsion of robots and obstacles"] = Repulsion()
+    tracking: Annotated[YawTracking, "estimator of relative yaw"] = YawTracking()
+    limits: Annotated[CommandLimits, "limits of what a robot commands"] = CommandLimits()
+    link: Annotated[CommunicationLink, "messages"] = CommunicationLink()
+    estimator: Annotated[
+        Literal["flood", "exact", "power_pi"], In("estimator"), Key("kind"), "estimator of λ₂"
+    ] = "flood"
+    power_iteration: Annotated[PowerIterationGains, Key("estimator"), "gains of power_pi"] = (
+        PowerIterationGains()
+    )
+    plant: Annotated[KinematicVehicle | Quadrotor, "motion that is flown"] = KinematicVehicle()
+    camera_noise: Annotated[
+        Length, In("noise"), Key("camera"), NotNegative, "of each coordinate that a camera measures"
+    ] = 0.0
+    stick: Annotated[WaypointStick | RecordedStick, "stick of the operator"] = WaypointStick()
+    random_obstacles: Annotated[RandomSpheres, Key("obstacles"), "drawn obstacles"] = (
+        RandomSpheres()
+    )
+    obstacles: Annotated[tuple[Sphere | Box | Plane, ...], Key("obstacle"), "obstacles"] = ()
+    losses: Annotated[tuple[AgentLoss, ...], Key("death"), "robots that are lost"] = ()
+    duration: Annotated[Time, In("run"), Positive, "duration"] = 60.0
+    step: Annotated[Time, In("run"), Positive, "control step"] = 0.02
+
+    def completed(self) -> dict[str, Any]:
+        """Return the number of agents, the yaw of listed poses, and a unit optical axis."""
+        values: dict[str, Any] = {}
+        if isinstance(self.start, Poses):
+            if self.start.yaw is not None:
+                if self.yaw is not None:
+                    raise InputError("swarm.yaw_rad", "is given twice; the start has it too")
+                values = {"start": Poses(self.start.positions), "yaw": self.start.yaw}
+        elif self.yaw is not None:
+            raise InputError("swarm.yaw_rad", "needs a start with positions")
+        if self.agents is None:
+            listed = isinstance(self.start, Poses)
+            values["agents"] = len(self.start.positions) if listed else DEFAULT_AGENTS
+        size = hypot(*self.camera.optical_axis)
+        # A unit vector stays what it is to the last bit, so that a file gives the same mission.
+        if 1e-6 < size < 1e6 and abs(size - 1) > 1e-12:
+            axis = tuple(a / size for a in self.camera.optical_axis)
+            values["camera"] = self.camera._replace(optical_axis=axis)
+        return values
+
+    def check(self) -> None:
+        """Refuse fields that contradict each other."""
+        feasibility.check_settings(self)
+        feasibility.check_sampling(self)
+        feasibility.check_losses(self)
+        if np.ndim(self.yaw_error) and np.shape(self.yaw_error) != (self.agents, self.agents):
+            raise InputError(
+                "swarm.yaw_error_rad", f"needs {self.agents} rows of {self.agents} errors"
             )
+        if isinstance(self.start, Poses):
+            feasibility.check_start(self)
+            feasibility.check_obstacles(self)
+
+    def draw(self, rng: np.random.Generator) -> "Connectivity":
+        """Return the mission with drawn poses, yaw errors, waypoints, obstacles and losses."""
+        n, start, yaw, error = self.agents, self.start, self.yaw, self.yaw_error
+        if isinstance(start, RandomPoses):
+            with errors_in("swarm.start"):
+                drawn = start.draw(n, self.camera, rng)
+            start, yaw = Poses(drawn.positions), drawn.yaw
+        posed = replace(self, start=start, yaw=yaw)
+        if not np.ndim(error):
+            error = rng.uniform(-error, error, (n, n))
+        with errors_in("stick"):
+            stick = self.stick.draw(start.positions[0], rng)
+        with errors_in("obstacles"):
+            spheres = self.random_obstacles.draw(
+                start.positions, stick.waypoints, self.repulsion.min_distance, rng
+            )
+        return replace(
+            posed,
+            yaw_error=error,
+            stick=stick,
+            random_obstacles=replace(self.random_obstacles, count=0),
+            obstacles=(*self.obstacles, *spheres),
+            losses=self._draw_losses(rng),
+            power_iteration=self.gains,
+        )
+
+    def warnings(self) -> list[str]:
+        """List doubts about a drawn mission, a sentence each."""
+        return feasibility.doubts(self)
+
+    def without_files(self) -> "Connectivity":
+        """Return the same mission with the contents of a recorded stick's file."""
+        with errors_in("stick"):
+            return replace(self, stick=self.stick.without_file())
 
     @property
-    def agents(self) -> int:
-        """Number of robots."""
-        return len(self.start)
+    def initial_position(self) -> Float[Array, "agents 3"]:
+        """Initial positions [m], once the mission is drawn."""
+        if not isinstance(self.start, Poses):
+            raise ValueError("the start is known once the mission is drawn: mission.draw(rng)")
+        return self.start.positions
 
     @property
+    def initial_relative_yaw(self) -> Float[Array, "agents agents"]:
+        """First estimates of relative yaw [rad], once the mission is drawn."""
+        return np.asarray(self.yaw - self.yaw[:, None] + self.yaw_error)
+
+    @property
+    def gains(self) -> PowerIterationGains:
+        """Gains of the power iteration, with those that are not given."""
+        return complete_gains(self.power_iteration, self.agents)
+
+    @cached_property
+    def obstacle_arrays(self) -> Obstacles:
+        """Obstacles as arrays, once the mission is drawn."""
+        return Obstacles.of(self.obstacles)
+
+    @cached_property
     def parameters(self) -> SwarmParameters:
-        """What the robots work with."""
-        sight = self.camera
+        """Parameters of the compiled kernels."""
+        assumed, flies = self.camera, isinstance(self.plant, Quadrotor)
         if self.range_only:
-            sight = sight._replace(a_min=OMNIDIRECTIONAL[0], a_max=OMNIDIRECTIONAL[1])
-        tilts = isinstance(self.plant, Quadrotor)
-        return SwarmParameters(
-            self.camera, sight, self.potential, self.repulsion, self.tracking, self.limits,
-            self.link, self.power_iteration,
-            self.plant if isinstance(self.plant, KinematicVehicle) else KinematicVehicle(),
-            self.plant if isinstance(self.plant, Quadrotor) else Quadrotor(),
-            tilts, self.obstacles, ESTIMATORS[self.estimator], self.camera_noise, self.occlusion,
-            self.body_radius, self.step,
-        )  # fmt: skip
+            assumed = assumed._replace(a_min=OMNIDIRECTIONAL[0], a_max=OMNIDIRECTIONAL[1])
+        own = {name: getattr(self, name) for name in SwarmParameters._fields if hasattr(self, name)}
+        other = {
+            "assumed_camera": assumed,
+            "power_iteration": self.gains,
+            "plant": KinematicVehicle() if flies else self.plant,
+            "quadrotor": self.plant if flies else Quadrotor(),
+            "is_quadrotor": flies,
+            "obstacles": self.obstacle_arrays,
+            "estimator": ESTIMATORS[self.estimator],
+        }
+        return SwarmParameters(**(own | other))
 
-
-def component_members(weight: Float[Array, "n n"]) -> list[list[int]]:
-    """The parts that a graph falls into, each as a list of its robots."""
-    label = label_components(weight > 0, np.ones(len(weight), dtype=bool))
-    return [np.flatnonzero(label == part).tolist() for part in range(label.max() + 1)]
+    def _draw_losses(self, rng: np.random.Generator) -> tuple[AgentLoss, ...]:
+        named = [loss.agent for loss in self.losses]
+        left = [i for i in range(self.agents) if i not in named]
+        drawn = []
+        for loss in self.losses:
+            agent = left.pop(int(rng.integers(len(left)))) if loss.agent is None else loss.agent
+            time = rng.uniform(0, self.duration) if loss.time is None else loss.time
+            drawn.append(AgentLoss(agent, float(time)))
+        return tuple(drawn)

@@ -1,126 +1,158 @@
-"""Obstacles: where their nearest point lies, and whether they stand in a line of sight."""
+"""Obstacles: spheres, boxes and planes, listed one by one or drawn at random."""
 
-from typing import NamedTuple, no_type_check
+from collections.abc import Iterable
+from dataclasses import dataclass
+from math import hypot
+from typing import Annotated, Any, ClassVar, NamedTuple
 
-import numba
 import numpy as np
+from annotated_types import Le
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.units import Length, Unit
+from sato.scenario.definition import Coordinates, Definition, NotNegative, Positive
+from sato.scenario.errors import InputError
+
+DRAW_HALF_BOX = np.array([15.0, 15.0, 3.0])  # about the middle of the swarm [m]
+START_CLEARANCE, WAYPOINT_CLEARANCE = 1.5, 1.8  # of a drawn sphere, at least [m]
+REPULSION_CLEARANCE = 0.5  # beyond the distance at which repulsion is infinite, at least [m]
+MAX_DRAWS = 10_000  # of one sphere, before it is given up
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Sphere(Definition):
+    """Sphere."""
+
+    kind: ClassVar[str] = "sphere"
+    center: Annotated[Coordinates, Unit("m"), "center"]
+    radius: Annotated[Length, Positive, "radius"]
+
+    def check(self) -> None:
+        """Refuse a center that is not in space."""
+        _check_point(self.center, "center_m")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Box(Definition):
+    """Box with sides along the axes."""
+
+    kind: ClassVar[str] = "box"
+    low: Annotated[Coordinates, Unit("m"), "lowest corner"]
+    high: Annotated[Coordinates, Unit("m"), "highest corner"]
+
+    def check(self) -> None:
+        """Refuse corners that are not in space or not in order."""
+        _check_point(self.low, "low_m")
+        _check_point(self.high, "high_m")
+        if not (np.array(self.low) < self.high).all():
+            raise InputError("low_m", "must be less than high_m along every axis")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Plane(Definition):
+    """Half-space."""
+
+    kind: ClassVar[str] = "plane"
+    normal: Annotated[Coordinates, "normal of its surface, out of the obstacle"]
+    through: Annotated[Coordinates, Unit("m"), "point of its surface"]
+
+    def check(self) -> None:
+        """Refuse a normal without a direction."""
+        _check_point(self.normal, "normal")
+        _check_point(self.through, "through_m")
+        size = hypot(*self.normal)
+        if not 1e-6 < size < 1e6:
+            raise InputError("normal", f"has length {size:g}; [0, 0, 1] would do for a floor")
+
+
+Obstacle = Sphere | Box | Plane
+
 
 class Obstacles(NamedTuple):
-    """Spheres, boxes whose sides are along the axes, and planes; any number of each."""
+    """Obstacles as arrays; any number of each kind."""
 
-    spheres: Float[Array, "spheres 4"]  # centre, radius [m]
+    spheres: Float[Array, "spheres 4"]  # center, radius [m]
     boxes: Float[Array, "boxes 6"]  # lowest corner, highest corner [m]
     planes: Float[Array, "planes 4"]  # unit normal out of the obstacle, n·x at its surface [m]
 
     @classmethod
-    def empty(cls) -> "Obstacles":
-        """Empty space."""
-        return cls(np.zeros((0, 4)), np.zeros((0, 6)), np.zeros((0, 4)))
+    def of(cls, obstacles: Iterable[Obstacle]) -> "Obstacles":
+        """Collect definitions."""
+        rows: dict[type, list[Any]] = {Sphere: [], Box: [], Plane: []}
+        for one in obstacles:
+            if isinstance(one, Sphere):
+                rows[Sphere].append([*one.center, one.radius])
+            elif isinstance(one, Box):
+                rows[Box].append([*one.low, *one.high])
+            else:
+                normal = np.array(one.normal) / hypot(*one.normal)
+                rows[Plane].append([*normal, normal @ np.array(one.through)])
+        found = (np.array(part, dtype=float) for part in rows.values())
+        return cls(*(part.reshape(-1, k) for part, k in zip(found, (4, 6, 4), strict=True)))
 
     @property
     def total(self) -> int:
-        """How many there are."""
+        """Number of obstacles."""
         return len(self.spheres) + len(self.boxes) + len(self.planes)
 
 
-@no_type_check
-@numba.njit
-def nearest_point(number, p, obstacles, point):
-    """Where an obstacle is nearest to a place, and how far; negative inside [m].
+@dataclass(frozen=True, eq=False, repr=False)
+class RandomSpheres(Definition):
+    """Spheres at random, clear of starts and waypoints."""
 
-    Args:
-        number: Of the obstacle: spheres first, then boxes, then planes.
-        p: The place, (3,) [m].
-        obstacles: All of them.
-        point: Where the nearest point of its surface goes, (3,) [m].
-    """
-    s, b = len(obstacles.spheres), len(obstacles.boxes)
-    if number < s:
-        return _nearest_on_sphere(p, obstacles.spheres[number], point)
-    if number < s + b:
-        return _nearest_on_box(p, obstacles.boxes[number - s], point)
-    plane = obstacles.planes[number - s - b]
-    d = plane[0] * p[0] + plane[1] * p[1] + plane[2] * p[2] - plane[3]
-    for a in range(3):
-        point[a] = p[a] - d * plane[a]
-    return d
+    count: Annotated[int, NotNegative, Le(1000), "number of spheres"] = 0
+    radius: Annotated[
+        tuple[Annotated[float, Positive], ...], Unit("m"), "smallest and largest radius"
+    ] = (0.3, 0.8)
 
+    def check(self) -> None:
+        """Refuse radii that are no interval."""
+        if len(self.radius) != 2 or self.radius[0] > self.radius[1]:
+            raise InputError(
+                "radius_m", "needs the smallest and the largest; [0.3, 0.8] would do"
+            )
 
-@no_type_check
-@numba.njit
-def _nearest_on_sphere(p, sphere, point):
-    square = 0.0
-    for a in range(3):
-        square += (p[a] - sphere[a]) ** 2
-    far = np.sqrt(square)
-    for a in range(3):
-        outwards = (p[a] - sphere[a]) / far if far > 0 else (1.0 if a == 0 else 0.0)
-        point[a] = sphere[a] + sphere[3] * outwards
-    return far - sphere[3]
+    def draw(
+        self,
+        start: Float[Array, "agents 3"],
+        waypoints: Float[Array, "waypoints 3"],
+        min_distance: float,
+        rng: np.random.Generator,
+    ) -> tuple[Sphere, ...]:
+        """Draw spheres about the swarm.
 
+        Args:
+            start: Initial positions [m].
+            waypoints: Waypoints of the leader [m].
+            min_distance: Distance at which repulsion is infinite [m].
+            rng: Random generator.
 
-@no_type_check
-@numba.njit
-def _nearest_on_box(p, box, point):
-    square, depth, side = 0.0, np.inf, 0
-    for a in range(3):
-        point[a] = min(max(p[a], box[a]), box[3 + a])
-        square += (p[a] - point[a]) ** 2
-        for end in (a, 3 + a):
-            if abs(p[a] - box[end]) < depth:
-                depth, side = abs(p[a] - box[end]), end
-    if square > 0:
-        return np.sqrt(square)
-    point[side % 3] = box[side]
-    return -depth
-
-
-@no_type_check
-@numba.njit
-def blocks_line_of_sight(p, q, obstacles):
-    """Whether an obstacle stands between two places."""
-    for sphere in obstacles.spheres:
-        if segment_hits_sphere(p, q, sphere[:3], sphere[3]):
-            return True
-    for box in obstacles.boxes:
-        if _segment_hits_box(p, q, box):
-            return True
-    for plane in obstacles.planes:
-        of_p = plane[0] * p[0] + plane[1] * p[1] + plane[2] * p[2] - plane[3]
-        of_q = plane[0] * q[0] + plane[1] * q[1] + plane[2] * q[2] - plane[3]
-        if min(of_p, of_q) < 0:
-            return True
-    return False
+        Raises:
+            InputError: There is no room.
+        """
+        drawn: list[Sphere] = []
+        of_start = max(START_CLEARANCE, min_distance + REPULSION_CLEARANCE)
+        of_waypoint = max(WAYPOINT_CLEARANCE, min_distance + REPULSION_CLEARANCE)
+        misses = 0
+        while len(drawn) < self.count:
+            center = start.mean(axis=0) + rng.uniform(-1, 1, 3) * DRAW_HALF_BOX
+            radius = rng.uniform(self.radius[0], self.radius[1])
+            is_clear = np.linalg.norm(start - center, axis=1).min() > radius + of_start
+            if is_clear and (
+                np.linalg.norm(waypoints - center, axis=1) > radius + of_waypoint
+            ).all():
+                drawn.append(Sphere(tuple(center.tolist()), radius))
+                misses = 0
+            elif (misses := misses + 1) == MAX_DRAWS:
+                raise InputError(
+                    "radius_m",
+                    f"no room for a sphere {of_start:g} m clear of starts and {of_waypoint:g} m "
+                    "of waypoints; smaller ones would do",
+                )
+        return tuple(drawn)
 
 
-@no_type_check
-@numba.njit
-def segment_hits_sphere(p, q, centre, radius):
-    """Whether the straight way between two places leads through a ball."""
-    along, length = 0.0, 0.0
-    for a in range(3):
-        along += (centre[a] - p[a]) * (q[a] - p[a])
-        length += (q[a] - p[a]) ** 2
-    t = min(max(along / length, 0.0), 1.0) if length > 0 else 0.0
-    square = 0.0
-    for a in range(3):
-        square += (p[a] + t * (q[a] - p[a]) - centre[a]) ** 2
-    return square < radius * radius
-
-
-@no_type_check
-@numba.njit
-def _segment_hits_box(p, q, box):
-    enters, leaves = 0.0, 1.0
-    for a in range(3):
-        way = q[a] - p[a]
-        if way == 0:
-            if p[a] <= box[a] or p[a] >= box[3 + a]:
-                return False
-            continue
-        first, second = (box[a] - p[a]) / way, (box[3 + a] - p[a]) / way
-        enters, leaves = max(enters, min(first, second)), min(leaves, max(first, second))
-    return enters < leaves
+def _check_point(point: tuple[float, ...], key: str) -> None:
+    if len(point) != 3:
+        raise InputError(key, f"needs 3 coordinates, got {len(point)}")

@@ -3,9 +3,12 @@
 [Bernard2023] shows pictures of both and asks for their limits; the formulas are ours.
 """
 
-from typing import NamedTuple, no_type_check
+from typing import Annotated, NamedTuple, no_type_check
 
 import numba
+
+from dynamics.units import Key, Length
+from sato.scenario.definition import NotNegative, Positive
 
 ASYMPTOTE_OFFSET = 1e-3  # nearest to an asymptote that a potential is evaluated
 
@@ -13,17 +16,21 @@ ASYMPTOTE_OFFSET = 1e-3  # nearest to an asymptote that a potential is evaluated
 class Potential(NamedTuple):
     """V(λ₂): zero above `most`, infinite at `least` [Bernard2023, Fig. 2]."""
 
-    lambda2_min: float = 0.01  # λ₂^min
-    lambda2_max: float = 3.01  # λ₂^max
-    strength: float = 0.1
+    lambda2_min: Annotated[float, NotNegative, "λ₂^min, at which the potential is infinite"] = 0.01
+    lambda2_max: Annotated[float, Positive, "λ₂^max, from which on the potential is zero"] = 3.01
+    strength: Annotated[float, NotNegative, "gain of the action that keeps λ₂ large"] = 0.1
 
 
 class Repulsion(NamedTuple):
     """The push of a point that the range sensor finds [Bernard2023, Sec. III-D]."""
 
-    min_distance: float = 1.0  # d_min^obs: where the push has its asymptote [m]
-    max_distance: float = 3.5  # d_max^obs: where it begins, with no jump in value or slope [m]
-    strength: float = 0.5  # [1/s]
+    min_distance: Annotated[
+        Length, Key("nearest"), Positive, "distance d_min^obs, at which repulsion is infinite"
+    ] = 1.0
+    max_distance: Annotated[
+        Length, Key("farthest"), Positive, "distance d_max^obs, from which on repulsion is zero"
+    ] = 3.5
+    strength: Annotated[float, NotNegative, "gain of repulsion [1/s]"] = 0.5
 
 
 @no_type_check

@@ -5,42 +5,47 @@ proportional-integral consensus tracks [Freeman2006]. Here it serves for compari
 comes near λ₂ it follows too slowly.
 """
 
-from typing import NamedTuple, no_type_check
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, no_type_check
 
 import numba
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.units import Key, Time
+from sato.scenario.definition import Positive
+
+if TYPE_CHECKING:
+    Gain = Any  # a number once the mission is complete
+else:
+    Gain = Annotated[float | None, Positive]
+
 
 class PowerIterationGains(NamedTuple):
-    """The gains, for an exchange with all neighbours in every step of length `exchange`."""
+    """Gains of the iteration and its consensus; those that are None fit the other numbers."""
 
-    exchange_period: float = 0.002  # h, from one exchange to the next [s]
-    deflation_gain: float = 25.0  # e₁: takes out the mean [1/s]
-    iteration_gain: float = 3.0  # e₂: draws towards the eigenvector [1/s]
-    normalization_gain: float = 25.0  # e₃: keeps the size [1/s]
-    filter_gain: float = 100.0  # g, of the consensus [1/s]
-    proportional_gain: float = 140.0  # K_P [1/s]
-    integral_gain: float = 100.0  # K_I [1/s]
+    exchange_period: Annotated[
+        Time, Key("exchange"), Positive, "time h between two exchanges with all neighbors"
+    ] = 0.002
+    deflation_gain: Annotated[Gain, Key("deflate"), "e₁, removes the mean [1/s]"] = None
+    iteration_gain: Annotated[Gain, Key("iterate"), "e₂, draws towards the eigenvector [1/s]"] = (
+        None
+    )
+    normalization_gain: Annotated[Gain, Key("normalize"), "e₃, keeps the size [1/s]"] = None
+    filter_gain: Annotated[Gain, Key("follow"), "g, input filter of the consensus [1/s]"] = None
+    proportional_gain: Annotated[Gain, Key("agree"), "K_P of the consensus [1/s]"] = None
+    integral_gain: Annotated[Gain, Key("settle"), "K_I of the consensus [1/s]"] = None
 
 
-def default_gains(exchange: float, agents: int) -> PowerIterationGains:
-    """Gains for a period of exchange and a number of robots.
-
-    Args:
-        exchange: From one exchange to the next [s].
-        agents: Number of robots.
-    """
-    h = exchange
-    return PowerIterationGains(
-        h,
-        0.05 / h,
-        0.006 * 6 / (agents * h),
-        0.05 / h,
-        0.2 / h,
-        1.7 / (agents * h),
+def complete_gains(given: PowerIterationGains, agents: int) -> PowerIterationGains:
+    """Replace gains that are None by ones that suit the period and the number of agents."""
+    h = given.exchange_period
+    suited = PowerIterationGains(
+        h, 0.05 / h, 0.006 * 6 / (agents * h), 0.05 / h, 0.2 / h, 1.7 / (agents * h),
         1.2 / (agents * h),
+    )  # fmt: skip
+    return PowerIterationGains(
+        *(new if old is None else old for old, new in zip(given, suited, strict=True))
     )
 
 

@@ -8,7 +8,11 @@ import numpy as np
 
 from dynamics.quadrotor import rotate_to_heading_frame
 from problems.interaction_graph import bearings, cosine_ramp, range_weight
-from sato.connectivity.obstacles import blocks_line_of_sight, nearest_point, segment_hits_sphere
+from sato.connectivity.obstacle_geometry import (
+    blocks_line_of_sight,
+    nearest_point,
+    segment_hits_sphere,
+)
 
 
 @no_type_check

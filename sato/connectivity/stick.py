@@ -1,75 +1,172 @@
-"""The operator's stick: what is asked of the leader, from a script."""
+"""Operator's stick: velocity commands to the leader over time."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, ClassVar
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.units import Key, Length, Speed, Time, Unit
+from sato.scenario.definition import Definition, Matrix, NotNegative, Positive, Vector
+from sato.scenario.errors import InputError
 
-@dataclass(frozen=True, eq=False)
-class WaypointStick:
-    """An operator who steers for one waypoint after another, and lets go now and then."""
+MAX_TURN = 1.0  # between two drawn legs [rad]
 
-    waypoints: Float[Array, "waypoints 3"]  # in the world frame [m]
-    speed: float = 2.0  # [m/s]
-    hold_time: float = 9.0  # for which the stick is held [s],
-    release_time: float = 3.0  # and then let go [s]
-    arrival_radius: float = 1.0  # distance at which a waypoint is reached [m]
-    time_constant: float = 0.5  # time constant of coming to a waypoint [s]
+
+@dataclass(frozen=True, eq=False, repr=False)
+class WaypointStick(Definition):
+    """An operator that steers for one waypoint after another, and lets go now and then."""
+
+    kind: ClassVar[str] = "waypoints"
+    waypoints: Annotated[Matrix, Unit("m"), "waypoints in the world frame; drawn if absent"] = (
+        None  # type: ignore[assignment]
+    )
+    count: Annotated[int, Positive, "number of waypoints that are drawn"] = 3
+    spacing: Annotated[Length, Positive, "distance of two drawn waypoints"] = 5.0
+    speed: Annotated[Speed, Positive, "commanded speed"] = 2.0
+    hold_time: Annotated[Time, Key("on"), Positive, "time for which the stick is held"] = 9.0
+    release_time: Annotated[Time, Key("off"), NotNegative, "time for which it is then let go"] = 3.0
+    arrival_radius: Annotated[
+        Length, Key("near"), Positive, "distance at which a waypoint is reached"
+    ] = 1.0
+    time_constant: Annotated[
+        Time, Key("slow"), Positive, "time constant of the approach to a waypoint"
+    ] = 0.5
+
+    def check(self) -> None:
+        """Refuse waypoints that are not in space."""
+        if self.waypoints is not None:
+            _check_rows(self.waypoints, "waypoints_m")
+
+    def draw(self, leader: Float[Array, " 3"], rng: np.random.Generator) -> "WaypointStick":
+        """Return the stick with waypoints; drawn ones are level with the leader's start."""
+        if self.waypoints is not None:
+            return self
+        turns = rng.uniform(-np.pi, np.pi), rng.uniform(-MAX_TURN, MAX_TURN, self.count - 1)
+        angle = np.cumsum(np.append(*turns))
+        legs = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(self.count)])
+        return replace(self, waypoints=leader + self.spacing * np.cumsum(legs, axis=0))
+
+    def without_file(self) -> "WaypointStick":
+        """Return the same stick: it has no file."""
+        return self
 
     def command_velocity(
-        self, time: float, position: Array, waypoints_reached: int
+        self, time: float, position: Float[Array, " 3"], waypoints_reached: int
     ) -> Float[Array, " 3"]:
-        """Velocity asked for, in the world frame [m/s].
+        """Compute the commanded velocity in the world frame [m/s].
 
         Args:
-            time: Since the start [s].
-            position: Of the leader [m].
-            reached: Number of waypoints that it has reached.
+            time: Time since the start [s].
+            position: Position of the leader [m].
+            waypoints_reached: Number of waypoints that it has reached.
         """
-        if (
-            waypoints_reached >= len(self.waypoints)
-            or time % (self.hold_time + self.release_time) >= self.hold_time
-        ):
+        is_held = time % (self.hold_time + self.release_time) < self.hold_time
+        if waypoints_reached >= len(self.waypoints) or not is_held:
             return np.zeros(3)
         gap = self.waypoints[waypoints_reached] - position
         return np.asarray(
             gap * self.speed / max(np.linalg.norm(gap), self.speed * self.time_constant)
         )
 
-    def has_arrived(self, position: Array, reached: int) -> bool:
-        """Whether the leader is at its next waypoint."""
-        if reached >= len(self.waypoints):
+    def has_arrived(self, position: Float[Array, " 3"], waypoints_reached: int) -> bool:
+        """Tell whether the leader is at its next waypoint."""
+        if waypoints_reached >= len(self.waypoints):
             return False
-        return bool(np.linalg.norm(self.waypoints[reached] - position) < self.arrival_radius)
+        gap = self.waypoints[waypoints_reached] - position
+        return bool(np.linalg.norm(gap) < self.arrival_radius)
 
 
-@dataclass(frozen=True, eq=False)
-class RecordedStick:
-    """A stick as it was recorded; each velocity holds until the next."""
+@dataclass(frozen=True, eq=False, repr=False)
+class RecordedStick(Definition):
+    """A recorded stick; each velocity holds until the next."""
 
-    time: Float[Array, " k"]  # increasing [s]
-    velocity: Float[Array, "k 3"]  # in the world frame [m/s]
+    kind: ClassVar[str] = "recorded"
+    times: Annotated[Vector, Unit("s"), "increasing times"] = None  # type: ignore[assignment]
+    velocities: Annotated[Matrix, Unit("m_s"), "velocity from each time on, in the world frame"] = (
+        None  # type: ignore[assignment]
+    )
+    file: Annotated[str | None, "CSV file with rows of time, v_x, v_y, v_z; in s and m/s"] = None
+
+    def check(self) -> None:
+        """Refuse other than one velocity for each of increasing times."""
+        if self.file is not None:
+            return
+        if self.times is None or self.velocities is None:
+            raise InputError("", "needs a file, or times_s and velocities_m_s")
+        _check_rows(self.velocities, "velocities_m_s")
+        if len(self.times) != len(self.velocities):
+            raise InputError(
+                "times_s", f"has {len(self.times)} times for {len(self.velocities)} velocities"
+            )
+        _check_increasing(self.times, "times_s")
+
+    def draw(self, leader: Float[Array, " 3"], rng: np.random.Generator) -> "RecordedStick":
+        """Return the stick with the contents of its file."""
+        return self.without_file()
+
+    def without_file(self) -> "RecordedStick":
+        """Return the same stick with the contents of its file.
+
+        Raises:
+            InputError: The file cannot be read, or holds no recording.
+        """
+        if self.file is None:
+            return self
+        table = _read_table(self.file)
+        _check_increasing(table[:, 0], "file")
+        return RecordedStick(table[:, 0], table[:, 1:])
 
     @property
     def waypoints(self) -> Float[Array, "0 3"]:
-        """None: it steers for nothing that is known."""
+        """No waypoints."""
         return np.zeros((0, 3))
 
     @property
     def speed(self) -> float:
-        """The largest that is asked for [m/s]."""
-        return float(np.linalg.norm(self.velocity, axis=1).max(initial=0))
+        """Largest commanded speed [m/s]."""
+        return float(np.linalg.norm(self.velocities, axis=1).max())
 
-    def command_velocity(self, time: float, position: Array, reached: int) -> Float[Array, " 3"]:
-        """Velocity asked for, in the world frame [m/s]."""
-        k = int(np.searchsorted(self.time, time, side="right")) - 1
-        return self.velocity[k] if k >= 0 else np.zeros(3)
+    def command_velocity(
+        self, time: float, position: Float[Array, " 3"], waypoints_reached: int
+    ) -> Float[Array, " 3"]:
+        """Return the recorded velocity, in the world frame [m/s]."""
+        k = int(np.searchsorted(self.times, time, side="right")) - 1
+        return self.velocities[k].copy() if k >= 0 else np.zeros(3)
 
-    def has_arrived(self, position: Array, reached: int) -> bool:
-        """Never: there are no waypoints."""
+    def has_arrived(self, position: Float[Array, " 3"], waypoints_reached: int) -> bool:
+        """Return False: there are no waypoints."""
         return False
 
 
 Stick = WaypointStick | RecordedStick
+
+
+def _check_rows(rows: Float[Array, "k d"], key: str) -> None:
+    if rows.shape[1] != 3:
+        raise InputError(key, f"needs rows of 3 coordinates, got {rows.shape[1]}")
+
+
+def _check_increasing(times: Float[Array, " k"], key: str) -> None:
+    if not (np.diff(times) > 0).all():
+        raise InputError(key, "times must increase from row to row")
+
+
+def _read_table(file: str) -> Float[Array, "k 4"]:
+    try:
+        lines = Path(file).read_text(encoding="utf-8").splitlines()
+        rows = [line for line in lines if line.partition("#")[0].strip()]
+        if not rows:
+            raise InputError("file", f'"{file}" has no rows')
+        table = np.loadtxt(rows, delimiter=",", ndmin=2, comments="#")
+    except OSError as error:
+        raise InputError("file", f'"{file}" cannot be read: {error.strerror or error}') from error
+    except InputError:
+        raise
+    except ValueError as error:
+        raise InputError("file", f'"{file}" is no table of numbers: {error}') from error
+    if table.shape[1] != 4 or not np.isfinite(table).all():
+        raise InputError("file", f'"{file}" needs rows of time, v_x, v_y, v_z; in s and m/s')
+    return table

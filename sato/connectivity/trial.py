@@ -125,7 +125,7 @@ def _find_undisturbed(
     for i in np.flatnonzero(free):
         others = np.delete(frame.position, i, axis=0)[np.delete(frame.alive, i)]
         away = np.linalg.norm(others - frame.position[i], axis=1)
-        to_walls = obstacle_distances(frame.position[i], mission.obstacles)
+        to_walls = obstacle_distances(frame.position[i], mission.obstacle_arrays)
         nearest = min(away.min(initial=np.inf), to_walls.min(initial=np.inf))
         free[i] = nearest > mission.repulsion.max_distance + DISTANCE_TOLERANCE
     return free

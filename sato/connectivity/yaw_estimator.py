@@ -6,23 +6,33 @@ with the velocity that the other one says it has.
 """
 
 from math import atan2, cos, exp, pi, sin, sqrt
-from typing import NamedTuple, no_type_check
+from typing import Annotated, NamedTuple, no_type_check
 
 import numba
 
+from dynamics.units import Key, Speed
 from problems.interaction_graph import cosine_ramp
+from sato.scenario.definition import NotNegative, Positive
 
 
 class YawTracking(NamedTuple):
     """The numbers of the estimator."""
 
-    k1: float = 10.0  # of the observer of the other's velocity [1/s]
-    k2: float = 10.0  # of the correction by it [1/s]
-    k3: float = 10.0  # of the correction by two bearings [1/s]
-    min_speed: float = 0.1  # v_min: speed in the plane below which motion tells nothing [m/s]
-    max_speed: float = 0.3  # v_max: and above which it tells all [m/s]
-    closure_gain: float = 5.0  # of the correction round triangles [1/s]
-    as_printed: bool = False  # as printed: what the observer lags behind is not made up for
+    k1: Annotated[float, Positive, "gain of the velocity observer [1/s]"] = 10.0
+    k2: Annotated[float, NotNegative, "gain of the correction by motion [1/s]"] = 10.0
+    k3: Annotated[float, NotNegative, "gain of the correction by mutual bearings [1/s]"] = 10.0
+    min_speed: Annotated[
+        Speed, Key("slow"), NotNegative, "horizontal speed v_min below which motion is not used"
+    ] = 0.1
+    max_speed: Annotated[
+        Speed, Key("fast"), Positive, "horizontal speed v_max above which motion counts fully"
+    ] = 0.3
+    closure_gain: Annotated[
+        float, Key("closure"), NotNegative, "gain of the correction around triangles [1/s]"
+    ] = 5.0
+    as_printed: Annotated[
+        bool, Key("printed"), "estimator as printed, without compensation of the observer's lag"
+    ] = False
 
 
 @no_type_check

@@ -8,10 +8,10 @@ from dynamics.discretize import discretize_zoh
 from problems.convexify import AvoidanceHorizon
 from problems.fixed_size_avoidance import FixedSizeAvoidanceProblem
 from problems.transfer import TransferProblem
-from sato.former import read
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.planning import make_horizon
 from sato.reconfiguration.solo_trajectories import TIE_BREAK_RISE
+from sato.scenario.file import read
 
 
 class OnboardProblem(NamedTuple):
@@ -38,7 +38,7 @@ def build_onboard_problem(
     """
     file = read(scenario)
     # Only the model and the limits matter here, so any random start will do.
-    mission = file.build(np.random.default_rng(0))
+    mission = file.draw(np.random.default_rng(0))
     if not isinstance(mission, Reconfiguration):
         raise ValueError(
             f"{file.name}: agents of the system {file.system} solve no transfer; a scenario of "

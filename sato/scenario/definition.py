@@ -29,8 +29,9 @@ from annotated_types import Ge, Gt
 from numpy import ndarray as Array
 from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError
 
+from dynamics.units import Key as Key
 from dynamics.units import Unit
-from sato.scenario.errors import InputError, format_value, join_names
+from sato.scenario.errors import InputError, errors_in, format_value, join_names
 from sato.scenario.messages import explain
 
 Positive, NotNegative = Gt(0), Ge(0)
@@ -41,12 +42,6 @@ class In(NamedTuple):
     """Table of the scenario file that holds a field."""
 
     table: str
-
-
-class Key(NamedTuple):
-    """Key of a field in the scenario file, where it is not the name of the field."""
-
-    name: str
 
 
 class Convert(NamedTuple):
@@ -184,7 +179,8 @@ class Field(NamedTuple):
             raise InputError(address, f"must be {names}, got {type(value).__name__}")
         if not is_named_tuple(type(value)):
             return value
-        values = (own.checked(getattr(value, own.name)) for own in fields_of(type(value)))
+        with errors_in(address):
+            values = [own.checked(getattr(value, own.name)) for own in fields_of(type(value))]
         return type(value)(*values)
 
 
@@ -201,6 +197,8 @@ class _Adapter:
     def check(self, value: Any) -> Any:
         if isinstance(value, np.generic):
             value = value.item()
+        if isinstance(value, list | Array) and get_origin(self._hint) is tuple:
+            value = tuple(value.tolist() if isinstance(value, Array) else value)
         try:
             return self._adapter.validate_python(value)
         except ValidationError as error:

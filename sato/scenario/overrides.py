@@ -71,6 +71,12 @@ def override(data: dict[str, Any], setting: str, definition: Any) -> None:
     before = set(data)
     spots = list(_spots(definition, data))
     holders = [s for s in spots if _ends_with(s.path, table) and s.holds(key)]
+    whole = [s for s in spots if s.path and _ends_with(s.path, [*table, key])]
+    if not holders and whole and isinstance(_value(written.strip()), dict):
+        for spot in whole:
+            spot.data.clear()
+            spot.data.update(_value(written.strip()))
+        return
     if not holders:
         raise _unknown(address, key, [s for s in spots if _ends_with(s.path, table)], spots)
     holders = [s for s in holders if s.is_given(key)] or holders

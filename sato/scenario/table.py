@@ -11,7 +11,6 @@ from dynamics.units import SUFFIXES, Unit
 from sato.scenario.definition import Definition, Field, fields_of, is_named_tuple, kinds_of
 from sato.scenario.errors import InputError, closest_name, errors_in, format_value, join_names
 
-
 RENAMED = {  # former keys
     "centre_m": "center_m",
     "commit_steps": "freeze_steps",

@@ -83,7 +83,7 @@ class ConnectivityRecord:
     @cached_property
     def min_obstacle_distance(self) -> float:
         """Least distance of a robot to an obstacle, between instants too; infinite without [m]."""
-        return min_obstacle_distance(self.position, self.alive, self.mission.obstacles)
+        return min_obstacle_distance(self.position, self.alive, self.mission.obstacle_arrays)
 
     @cached_property
     def total_command(self) -> Float[Array, "instants agents 3"]:

@@ -76,14 +76,14 @@ def check_losses(evidence: ConnectivityRecord) -> Promise:
 def check_start(evidence: ConnectivityRecord) -> Promise:
     """Robots start where the scenario says, at rest."""
     mission = evidence.mission
-    if evidence.position.shape[1:] != mission.start.shape:
+    if evidence.position.shape[1:] != mission.initial_position.shape:
         return expect_none("start", 1, "another number of agents than the scenario's")
     worst = max(
-        max_or_zero(np.abs(evidence.position[0] - mission.start)),
-        max_or_zero(np.abs(evidence.yaw[0] - mission.start_yaw)),
+        max_or_zero(np.abs(evidence.position[0] - mission.initial_position)),
+        max_or_zero(np.abs(evidence.yaw[0] - mission.yaw)),
         max_or_zero(np.abs(evidence.velocity[0])),
     )
-    tolerance = ROUNDING_TOLERANCE * float(np.abs(mission.start).max())
+    tolerance = ROUNDING_TOLERANCE * float(np.abs(mission.initial_position).max())
     return expect_small_error(
         "start", worst, tolerance, "off from the scenario's own start, at most"
     )

@@ -12,7 +12,7 @@ from dynamics.quadrotor import Quadrotor, rotate_to_heading_frame, step_quadroto
 from problems.interaction_graph import bearings, cosine_ramp, range_weight
 from sato.connectivity.kernel import KERNEL_FILES
 from sato.connectivity.mission import Connectivity
-from sato.connectivity.obstacles import blocks_line_of_sight, segment_hits_sphere
+from sato.connectivity.obstacle_geometry import blocks_line_of_sight, segment_hits_sphere
 
 
 class QuadrotorReplay(NamedTuple):
@@ -78,7 +78,7 @@ def compute_views(
     """
     pairs = (*yaw.shape, yaw.shape[1])
     found = CameraViews(np.zeros(pairs), np.full(pairs, -np.inf))
-    covers = (mission.occlusion, mission.body_radius, mission.obstacles)
+    covers = (mission.occlusion, mission.body_radius, mission.obstacle_arrays)
     _compute_views(position, yaw, push, alive, mission.camera, *covers, found)
     return found
 

@@ -76,7 +76,7 @@ def plot_edges(evidence: ConnectivityRecord) -> Figure:
 def plot_distances(evidence: ConnectivityRecord) -> Figure:
     """How near every robot is to another one, and to an obstacle."""
     there = np.where(evidence.alive[..., None], evidence.position, np.nan)
-    obstacles, between = evidence.mission.obstacles, evidence.mission.repulsion
+    obstacles, between = evidence.mission.obstacle_arrays, evidence.mission.repulsion
     found = {"another robot": nearest_agent_distance(there)}
     if obstacles.total:
         found["an obstacle"] = obstacle_distances(there, obstacles).min(axis=-1)

@@ -36,7 +36,7 @@ def plot_trajectories(evidence: ConnectivityRecord) -> Figure:
     figure = Figure(figsize=(10.4, 5.4))  # what a layout takes a view of space for is not its size
     deep: Any = figure.add_axes((0.0, 0.13, 0.54, 0.85), projection="3d", computed_zorder=False)
     above = figure.add_axes((0.61, 0.2, 0.37, 0.73))
-    obstacles = evidence.mission.obstacles
+    obstacles = evidence.mission.obstacle_arrays
     set_axis_bounds(deep, space)
     deep.set_box_aspect(space.high - space.low, zoom=1.0)
     draw_obstacles_3d(deep, obstacles, space)
@@ -54,7 +54,7 @@ def plot_trajectories(evidence: ConnectivityRecord) -> Figure:
 
 
 def _picture_bounds(evidence: ConnectivityRecord) -> AxisBounds:
-    obstacles, between = evidence.mission.obstacles, evidence.mission.repulsion
+    obstacles, between = evidence.mission.obstacle_arrays, evidence.mission.repulsion
     points = [evidence.position, evidence.mission.stick.waypoints]
     margin = between.max_distance if obstacles.total else FIELD_OF_VIEW_RADIUS
     return AxisBounds.enclosing(VIEW, *points, margin=margin)
@@ -87,7 +87,8 @@ def _draw_edges(ax: Any, evidence: ConnectivityRecord, axes: list[int]) -> None:
         width = finer * (0.3 + 1.1 * weight[i, j])
         ax.plot(*end[[i, j]].T, color=GREEN, lw=width, zorder=2)
     body = evidence.yaw[-1]
-    camera = body + np.arctan2(*evidence.mission.camera.optical_axis[1::-1])
+    x, y, _ = evidence.mission.camera.optical_axis
+    camera = body + np.arctan2(y, x)
     for turn, colour in ((body, DARK_GRAY), (camera, RED)):
         ways = np.stack([np.cos(turn), np.sin(turn), np.zeros(len(turn))], axis=1)[:, axes]
         for i in np.flatnonzero(alive):
@@ -153,6 +154,6 @@ def _legend_handles(evidence: ConnectivityRecord) -> list[Any]:
         key.append(Line2D([], [], **WAYPOINT_STYLE, label="waypoint"))
     if not evidence.alive[-1].all():
         key.append(Line2D([], [], **LOST_STYLE, label="lost here"))
-    if evidence.mission.obstacles.total:
+    if evidence.mission.obstacle_arrays.total:
         key.append(Patch(fc=LIGHT_GRAY, ec=GRAY, lw=0.5, label="obstacle"))
     return key

@@ -1,0 +1,235 @@
+"""Checks of a mission across its fields; each error names a value that would do."""
+
+from math import hypot
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial.distance import pdist, squareform
+
+from problems.interaction_graph import algebraic_connectivity, interaction_graph
+from sato.connectivity.distance import obstacle_distances
+from sato.connectivity.kernel import MAX_ROW_AGE
+from sato.connectivity.obstacles import Obstacles
+from sato.connectivity.power_iteration import (
+    PowerIterationGains,
+    complete_gains,
+    spectral_radius,
+)
+from sato.network.graph import label_components
+from sato.scenario.definition import fields_of
+from sato.scenario.errors import InputError, join_names
+
+if TYPE_CHECKING:
+    from sato.connectivity.mission import Connectivity
+
+MAX_MESSAGE_AGE = MAX_ROW_AGE / 5  # rows are relayed several times before they are forgotten [s]
+MAX_POWER_STEP = 2.5e-3  # distance flown per exchange of power_pi at which 50 runs held [m]
+
+
+def check_settings(mission: "Connectivity") -> None:
+    """Refuse limits that are not in order.
+
+    Raises:
+        InputError: They are not.
+    """
+    camera, tracking = mission.camera, mission.tracking
+    potential, repulsion = mission.potential, mission.repulsion
+    _check_order("camera.d_near_m", camera.d_near, "d_far_m", camera.d_far, camera.d_far / 2)
+    _check_order("camera.d_min_m", camera.d_min, "d_near_m", camera.d_near, camera.d_near / 3)
+    if not camera.d_far < camera.d_max:
+        raise InputError(
+            "camera.d_max_m",
+            f"{camera.d_max:g} is not more than d_far_m = {camera.d_far:g}; "
+            f"{camera.d_far + 2:g} would do",
+        )
+    if not camera.a_min < camera.a_max <= 1:
+        raise InputError(
+            "camera.a_min",
+            f"{camera.a_min:g} and a_max = {camera.a_max:g} are cosines to the optical axis, the "
+            "first less than the second, and that 1 at most; 0.4 and 0.95 would do",
+        )
+    if len(camera.optical_axis) != 3 or not 1e-6 < hypot(*camera.optical_axis) < 1e6:
+        raise InputError("camera.axis", "needs 3 coordinates, not all 0; [1, 1, 0] would do")
+    low, high = potential.lambda2_min, potential.lambda2_max
+    _check_order("potential.lambda2_min", low, "lambda2_max", high, high / 300)
+    low, high = repulsion.min_distance, repulsion.max_distance
+    _check_order("repulsion.nearest_m", low, "farthest_m", high, high / 3)
+    low, high = tracking.min_speed, tracking.max_speed
+    _check_order("tracking.slow_m_s", low, "fast_m_s", high, high / 3)
+
+
+def check_sampling(mission: "Connectivity") -> None:
+    """Refuse gains and messages that do not suit the control step.
+
+    Raises:
+        InputError: They do not.
+    """
+    _check_tracking(mission)
+    _check_link(mission)
+    if mission.estimator == "power_pi":
+        _check_power_iteration(mission)
+
+
+def check_start(mission: "Connectivity") -> None:
+    """Refuse initial poses that are too close to each other, or not connected.
+
+    Raises:
+        InputError: They are.
+    """
+    positions, agents = mission.start.positions, mission.agents  # type: ignore[union-attr]
+    if positions.shape != (agents, 3):
+        raise InputError(
+            "swarm.start.positions_m",
+            f"needs {agents} rows of 3 coordinates, one for each, got shape {positions.shape}",
+        )
+    if mission.yaw is None or len(mission.yaw) != agents:
+        given = "none" if mission.yaw is None else len(mission.yaw)
+        raise InputError("swarm.start.yaw_rad", f"needs {agents} angles, got {given}")
+    nearest = mission.repulsion.min_distance
+    gap = squareform(pdist(positions))
+    np.fill_diagonal(gap, np.inf)
+    if gap.min() <= nearest:
+        i, j = sorted(int(k) for k in np.unravel_index(gap.argmin(), gap.shape))
+        raise InputError(
+            "swarm.start",
+            f"robots {i} and {j} start {gap.min():.4g} m apart, and repulsion is infinite at "
+            f"repulsion.nearest_m = {nearest:g}; move one of them",
+        )
+    _check_connected(mission)
+
+
+def _check_connected(mission: "Connectivity") -> None:
+    camera, least = mission.camera, mission.potential.lambda2_min
+    weights = interaction_graph(mission.initial_position, mission.yaw, camera).weights
+    lambda2 = float(algebraic_connectivity(weights).lambda2)
+    label = label_components(weights > 0, np.ones(len(weights), dtype=bool))
+    if label.max() > 0:
+        members = [np.flatnonzero(label == k).tolist() for k in range(label.max() + 1)]
+        groups = join_names((f"{{{', '.join(map(str, group))}}}" for group in members), "and")
+        raise InputError(
+            "swarm.start",
+            f"the graph is not connected, λ₂ is 0: robots {groups} do not see each other; turn "
+            f"or move one until another has it in view, {camera.d_near:g} to {camera.d_far:g} m "
+            "away",
+        )
+    if lambda2 <= least:
+        raise InputError(
+            "swarm.start",
+            f"the graph is hardly connected, λ₂ is {lambda2:.3g}, and must be above "
+            f"potential.lambda2_min = {least:g}; robots {camera.d_near:g} to {camera.d_far:g} m "
+            "apart that look at each other would do",
+        )
+
+
+def check_obstacles(mission: "Connectivity") -> None:
+    """Refuse obstacles that are too close to an initial position.
+
+    Raises:
+        InputError: They are.
+    """
+    nearest = mission.repulsion.min_distance
+    for number, obstacle in enumerate(mission.obstacles):
+        distance = obstacle_distances(mission.initial_position, Obstacles.of([obstacle]))[:, 0]
+        agent = int(distance.argmin())
+        if distance[agent] <= nearest:
+            where = f"{distance[agent]:.3g} m from" if distance[agent] >= 0 else "inside of"
+            raise InputError(
+                f"obstacle.{number}",
+                f"robot {agent} starts {where} this {obstacle.kind}, and repulsion is infinite at "
+                f"repulsion.nearest_m = {nearest:g}; move one of them",
+            )
+
+
+def check_losses(mission: "Connectivity") -> None:
+    """Refuse losses of robots that are not there, and of all but one.
+
+    Raises:
+        InputError: There are such losses.
+    """
+    agents, losses = mission.agents, mission.losses
+    if losses and agents - len(losses) < 2:
+        raise InputError("death", f"{len(losses)} of {agents} robots are lost; two must be left")
+    left = list(range(agents))
+    for number, loss in enumerate(losses):
+        if loss.agent is None:
+            continue
+        if loss.agent not in left:
+            names = ", ".join(map(str, left))
+            raise InputError(f"death.{number}.robot", f"must be one of {names}, got {loss.agent}")
+        left.remove(loss.agent)
+
+
+def doubts(mission: "Connectivity") -> list[str]:
+    """List doubts about a drawn mission: a fast leader, and an estimator that cannot follow."""
+    speed, commanded = mission.limits.speed, mission.stick.speed
+    period = mission.power_iteration.exchange_period
+    found = []
+    if commanded >= speed:
+        found.append(
+            f"the stick asks for {commanded:g} m/s, and limits.speed_m_s = {speed:g} is all that "
+            "the robots answer it with: at 5 and 3 m/s the swarm stayed connected in 20 flights, "
+            "but the leader came within 0.92 m of an obstacle, of which 1 m is to be kept; "
+            f"{2 / 3 * speed:.3g} m/s would do"
+        )
+    if mission.estimator == "power_pi" and speed * period > MAX_POWER_STEP:
+        found.append(
+            f"robots fly {1e3 * speed * period:.3g} mm from one exchange of power_pi to the next, "
+            f"and beyond {1e3 * MAX_POWER_STEP:g} mm it was seen to lose connectivity; "
+            f"limits.speed_m_s = {MAX_POWER_STEP / period:.3g} would do"
+        )
+    return found
+
+
+def _check_order(key: str, low: float, other: str, high: float, cure: float) -> None:
+    if not low < high:
+        raise InputError(
+            key, f"{low:g} is not less than {other} = {high:g}; {cure:.3g} would do"
+        )
+
+
+def _check_tracking(mission: "Connectivity") -> None:
+    tracking, step = mission.tracking, mission.step
+    # In discrete time a factor 1 − gain × step of an error is left after each step.
+    for key, gain in (("k2", tracking.k2 + tracking.closure_gain), ("k3", tracking.k3)):
+        if gain * step >= 2:
+            also = f", with closure = {tracking.closure_gain:g}," if key == "k2" else ""
+            raise InputError(
+                f"tracking.{key}",
+                f"{getattr(tracking, key):g}{also} is unstable at a control step of {step:g} s: "
+                f"an error becomes {1 - gain * step:.3g} times as large in each; gains of "
+                f"{0.2 / step:.3g} would do",
+            )
+
+
+def _check_link(mission: "Connectivity") -> None:
+    link, step = mission.link, mission.step
+    oldest = (link.delay_messages + 1) * link.period_steps * step
+    if oldest > MAX_MESSAGE_AGE * (1 + 1e-9):
+        most = max(1, int(MAX_MESSAGE_AGE / step))
+        raise InputError(
+            "link.late" if link.delay_messages else "link.every",
+            f"messages are {oldest:.3g} s old before the next one comes, and may be "
+            f"{MAX_MESSAGE_AGE:g} s: rows of the adjacency are relayed several times before they "
+            f"are forgotten, after {MAX_ROW_AGE:g} s; every = 1 and late = {most - 1} would do",
+        )
+
+
+def _check_power_iteration(mission: "Connectivity") -> None:
+    period, step, agents = mission.power_iteration.exchange_period, mission.step, mission.agents
+    exchanges = max(1, round(step / period))
+    if abs(step - exchanges * period) > 1e-6 * step:
+        raise InputError(
+            "estimator.exchange_s",
+            f"{period:g} does not divide the control step of {step:g} s; "
+            f"{step / exchanges:.6g} would do",
+        )
+    radius = spectral_radius(mission.gains, agents)
+    if radius >= 1:
+        suited = complete_gains(PowerIterationGains(period), agents)
+        cures = (f"{f.key} = {getattr(suited, f.name):.4g}" for f in fields_of(type(suited))[1:])
+        raise InputError(
+            "estimator",
+            f"with these gains the iteration of {agents} robots, or its consensus, is unstable at "
+            f"an exchange every {period:g} s: the spectral radius is {radius:.4g}, and must be "
+            f"below 1; {join_names(cures, 'and')} would do, and are taken where none are given",
+        )
