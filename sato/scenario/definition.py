@@ -197,7 +197,7 @@ class _Adapter:
     def check(self, value: Any) -> Any:
         if isinstance(value, np.generic):
             value = value.item()
-        if isinstance(value, list | Array) and get_origin(self._hint) is tuple:
+        if isinstance(value, list | Array) and get_origin(self.hint) is tuple:
             value = tuple(value.tolist() if isinstance(value, Array) else value)
         try:
             return self._adapter.validate_python(value)
