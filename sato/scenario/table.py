@@ -19,6 +19,9 @@ RENAMED = {  # former keys
 }
 
 
+OWN = "own"  # kind of a value of the user's own
+
+
 class Entry(NamedTuple):
     """Key of a table: the field that it fills, and the definitions on the way to the field."""
 
@@ -82,11 +85,14 @@ def read_table(definition: Any, data: Any) -> Any:
 
 
 def write_table(value: Any) -> dict[str, Any]:
-    """Write a definition as the table of a file; what is not given is left out."""
+    """Write a definition as the table of a file; what is not given is left out.
+
+    A value that no file can hold, as a model of the user's own, is written as kind "own".
+    """
     inline = (getattr(value, f.name) for f in fields_of(type(value)) if f.is_inline)
     kind = next(map(_kind_of, inline), None)
     written: dict[str, Any] = {}
-    for table, entries in layout(type(value), kind).tables.items():
+    for table, entries in layout(type(value), None if kind == OWN else kind).tables.items():
         rows = written if not table else {}
         for key, entry in entries.items():
             held = value
@@ -112,6 +118,8 @@ def choose(field: Field, kind: Any) -> type:
         InputError: None has this kind.
     """
     known = {name: variant for variant in field.variants for name in kinds_of(variant)}
+    if kind == OWN:
+        raise InputError("kind", '"own" is of a mission in Python, which no file can hold')
     if not isinstance(kind, str) or kind not in known:
         close = closest_name(str(kind), known)
         hint = f'; did you mean "{close}"?' if close else ""
@@ -248,6 +256,8 @@ def _build(definition: type, values: dict[tuple[str, ...], Any]) -> Any:
 
 
 def _kind_of(value: Any) -> Any:
+    if not (isinstance(value, Definition) or is_named_tuple(type(value))):
+        return OWN
     kinds = kinds_of(type(value))
     return value.kind if hasattr(value, "kind") else kinds[0]
 
