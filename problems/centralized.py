@@ -179,7 +179,7 @@ class CentralizedProblem:
             float(np.abs((x[:, -1] - goal) / self.state_units).max()),
             float(thrust - 1),
             float(speed - 1),
-            float(least / self.horizon.collision_radius),
+            float(least / self.horizon.clearance),
             solver_message,
         )
 
@@ -188,7 +188,7 @@ class CentralizedProblem:
     ) -> int:
         """Count the pairs that come too close on given trajectories."""
         return int(
-            (self._closest_approaches(x, u)[0] < self.horizon.collision_radius).any(axis=1).sum()
+            (self._closest_approaches(x, u)[0] < self.horizon.clearance).any(axis=1).sum()
         )
 
     def _validate(self, start: Array, goal: Array, guesses: Sequence[InitialGuess]) -> None:
@@ -199,10 +199,10 @@ class CentralizedProblem:
                 raise ValueError(f"guess {number} must be finite")
         for name, states in (("starts", start), ("goals", goal)):
             least = min_distance(states[:, : self.transfer.model.axes])
-            if not least >= self.horizon.collision_radius:
+            if not least >= self.horizon.clearance:
                 raise ValueError(
                     f"two {name} are {least:.6g} m apart, at least "
-                    f"{self.horizon.collision_radius:.6g} m are needed"
+                    f"{self.horizon.clearance:.6g} m are needed"
                 )
 
     def _solve_from(
@@ -270,7 +270,7 @@ class CentralizedProblem:
         """Find the least distance of every pair over every piece, where near, and its instant."""
         relative = self._relative_control_points(x, u)
         distance, fraction = np.full(relative.shape[:2], np.inf), np.zeros(relative.shape[:2])
-        near = ~are_balls_separated(relative, PROXIMITY_FACTOR * self.horizon.collision_radius)
+        near = ~are_balls_separated(relative, PROXIMITY_FACTOR * self.horizon.clearance)
         for a, p in np.argwhere(near):
             both = np.stack([np.zeros_like(relative[a, p]), relative[a, p]])
             distance[a, p], fraction[a, p], _ = closest_pair(both, np.array([[0, 1]]))
@@ -280,7 +280,7 @@ class CentralizedProblem:
         """Place constraints at a few instants a step on the pieces of nearby agents."""
         relative = self._relative_control_points(x, u)
         distance = hull_distance(relative)[0] if len(relative) else np.zeros((0, 0))
-        pair, piece = np.nonzero(distance < PROXIMITY_FACTOR * self.horizon.collision_radius)
+        pair, piece = np.nonzero(distance < PROXIMITY_FACTOR * self.horizon.clearance)
         count = ceil(CONSTRAINTS_PER_STEP / self.horizon.pieces_per_step)
         fraction = np.repeat(np.arange(1, count + 1) / count, len(piece))
         return _require_distance(len(x), np.tile(pair, count), np.tile(piece, count), fraction)
@@ -290,8 +290,8 @@ class CentralizedProblem:
     ) -> tuple[SeparationConstraints, Array]:
         """Find the instants of too is_small a separation and the violations in units of R."""
         distance, fraction = self._closest_approaches(found.x, found.u)
-        pair, piece = np.nonzero(distance < self.horizon.collision_radius)
-        violation = 1 - distance[pair, piece] / self.horizon.collision_radius
+        pair, piece = np.nonzero(distance < self.horizon.clearance)
+        violation = 1 - distance[pair, piece] / self.horizon.clearance
         return _require_distance(len(found.x), pair, piece, fraction[pair, piece]), violation
 
 

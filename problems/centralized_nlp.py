@@ -92,7 +92,7 @@ class NonlinearProgram(NamedTuple):
 
 def state_units(transfer: TransferProblem, horizon: AvoidanceHorizon) -> Float[Array, " n"]:
     """Return the scale of each state: R for positions, R/Δt for velocities."""
-    R = horizon.collision_radius
+    R = horizon.clearance
     return np.repeat([R, R / transfer.model.dt], transfer.model.axes)
 
 
@@ -248,8 +248,8 @@ def relative_position_maps(
     t, s = constraints.fraction, 1 - constraints.fraction
     bernstein = np.stack([s**3, 3 * s**2 * t, 3 * s * t**2, t**3], axis=1)
     step, part = np.divmod(constraints.piece, S)
-    on_x = np.einsum("ki,kidn->kdn", bernstein, P[step, part]) * unit / horizon.collision_radius
-    on_u = np.einsum("ki,kidm->kdm", bernstein, Q[step, part]) * U / horizon.collision_radius
+    on_x = np.einsum("ki,kidn->kdn", bernstein, P[step, part]) * unit / horizon.clearance
+    on_u = np.einsum("ki,kidm->kdm", bernstein, Q[step, part]) * U / horizon.clearance
     first_x = (constraints.pair * (T + 1) + step[:, None]) * n
     first_u = (constraints.pair * T + step[:, None]) * d
     return (

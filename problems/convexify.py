@@ -30,7 +30,7 @@ class AvoidanceHorizon:
 
     discrete_model: DiscreteModel  # the next T_H steps
     fine_model: DiscreteModel  # the same time span, each step divided into equal pieces
-    collision_radius: float  # R_col plus the interpolation error of the pieces [m]
+    clearance: float  # R_col, the margin and the interpolation error of the pieces [m]
 
     @cached_property
     def pieces_per_step(self) -> int:
@@ -45,7 +45,7 @@ class AvoidanceHorizon:
     @cached_property
     def required_separation(self) -> float:
         """Distance of planned trajectories [m]."""
-        return self.collision_radius * (1 + SEPARATION_TOLERANCE)
+        return self.clearance * (1 + SEPARATION_TOLERANCE)
 
     @cached_property
     def control_point_maps(self) -> tuple[Array, Array, Array]:

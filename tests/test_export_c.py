@@ -82,11 +82,11 @@ def test_c_finds_the_cost_of_python_and_keeps_all_constraints(made, name, rng):
         x = steps.simulate(start, flown.u)
         assert np.abs((x[-1] - target) / program.state_units).max() <= 1e-6
         assert np.abs(flown.u).max() <= program.transfer.max_control
-        assert spaces.violation(x, flown.u).max() <= 1e-6 * problem.horizon.collision_radius
+        assert spaces.violation(x, flown.u).max() <= 1e-6 * problem.horizon.clearance
         if program.has_speed_limit:
             assert np.linalg.norm(x[1:-1, steps.axes :], axis=1).max() <= V * (1 + 1e-6)
         bound += (
-            spaces.violation(flight.x, flight.u).max() > -1e-6 * problem.horizon.collision_radius
+            spaces.violation(flight.x, flight.u).max() > -1e-6 * problem.horizon.clearance
         )
     assert bound >= 10  # enough instances in which half-spaces bind
 

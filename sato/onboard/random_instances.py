@@ -43,7 +43,7 @@ def random_instances(
 def _random_transfer(problem: OnboardProblem, rng: np.random.Generator) -> tuple[Array, Array]:
     transfer = problem.program.transfer
     model, limit = transfer.model, transfer.max_speed
-    T, d, R = len(model), model.axes, problem.horizon.collision_radius
+    T, d, R = len(model), model.axes, problem.horizon.clearance
     u = transfer.max_control * rng.uniform(-1, 1, (T, d))
     speed = min(limit, transfer.max_control * T * model.dt) / 4
     start = np.concatenate([rng.normal(0, 5 * R, d), rng.normal(0, speed, d)])
@@ -57,7 +57,7 @@ def _neighbor_control_points(
     problem: OnboardProblem, nominal: Float[Array, "pieces 4 d"], rng: np.random.Generator
 ) -> Float[Array, "pieces 4 d"]:
     x, u = _random_transfer(problem, rng)
-    other, R = problem.horizon.control_points(x, u), problem.horizon.collision_radius
+    other, R = problem.horizon.control_points(x, u), problem.horizon.clearance
     meet = int(rng.integers(len(other)))
     direction = rng.standard_normal((other.shape[-1],))
     direction = direction / np.linalg.norm(direction)

@@ -149,7 +149,7 @@ def _plan_alone(
     solve_count = 0
     # The first agent may have given way by little in a negotiation, and others count on it.
     relative = FEASIBILITY_TOLERANCE if mission.bargains else CONVERGENCE_TOLERANCE
-    tolerance = relative * horizon.collision_radius
+    tolerance = relative * horizon.clearance
     for clock in np.unique(memory.clock[context.graph.alive]):
         agents = np.flatnonzero(context.graph.alive & (memory.clock == clock)).tolist()
         model = context.remaining_model(int(clock))

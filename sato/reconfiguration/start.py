@@ -33,8 +33,8 @@ class Surroundings(NamedTuple):
     """Space in which agents start."""
 
     axes: int
-    comm_radius: float  # [m]
-    collision_radius: float  # [m]
+    hearing_distance: float  # communication radius [m]
+    min_distance: float  # collision radius [m]
     occupied: Float[Array, "k d"]  # positions of agents that are there already [m]
 
 
@@ -69,11 +69,11 @@ class Random(Definition):
         Raises:
             InputError: There is no room, or no such graph in many draws.
         """
-        if self.separation < around.collision_radius:
+        if self.separation < around.min_distance:
             raise InputError(
                 "separation_m",
                 f"{self.separation:g} lets agents start closer than the collision radius; "
-                f"{around.collision_radius:g} or more would do",
+                f"{around.min_distance:g} or more would do",
             )
         if self.depth is not None and (around.axes == 2 or self.box is None):
             missing = "a model in space" if around.axes == 2 else "a box_m for its other sides"
@@ -86,7 +86,7 @@ class Random(Definition):
             if not self.connected and self.min_components is None:
                 return drawn
             graph = CommunicationGraph.from_positions(
-                drawn, around.comm_radius, np.ones(count, dtype=bool)
+                drawn, around.hearing_distance, np.ones(count, dtype=bool)
             )
             components = int(graph.component.max()) + 1
             if components == 1 if self.connected else components >= (self.min_components or 1):
@@ -160,7 +160,7 @@ def draw_positions(
             )
         placed = replace(start, keep_order=True).place(count, around.axes, 0.0)
     else:
-        placed = start.place(count, around.axes, around.collision_radius)
+        placed = start.place(count, around.axes, around.min_distance)
     _check_separation(placed, around)
     return placed
 
@@ -178,7 +178,7 @@ def _check_separation(placed: Float[Array, "count d"], around: Surroundings) -> 
     from scipy.spatial import cKDTree
 
     together = np.concatenate([placed, around.occupied])
-    radius = around.collision_radius * (1 - 1e-9)  # rounding is no collision
+    radius = around.min_distance * (1 - 1e-9)  # rounding is no collision
     if min_distance(together) >= radius:
         return
     distance, near = cKDTree(together).query(placed, k=2)
@@ -190,10 +190,10 @@ def _check_separation(placed: Float[Array, "count d"], around: Surroundings) -> 
     raise InputError(
         "",
         f"agent {i} starts {distance[i, 1]:.4g} m from {other}, closer than the collision radius "
-        f"of {around.collision_radius:g} m; move one of them",
+        f"of {around.min_distance:g} m; move one of them",
     )
 
 
 def _default_box(count: int, around: Surroundings) -> float:
-    ball = {2: np.pi, 3: 4 / 3 * np.pi}[around.axes] * around.comm_radius**around.axes
+    ball = {2: np.pi, 3: 4 / 3 * np.pi}[around.axes] * around.hearing_distance**around.axes
     return float((count * ball / MEAN_NEIGHBORS) ** (1 / around.axes))

@@ -47,7 +47,7 @@ def run_batched(
     now = [planners[i] for i in ids]
     if not now:
         return
-    radius = now[0].horizon.collision_radius
+    radius = now[0].horizon.clearance
     rank = np.empty(len(now), dtype=int)
     rank[sorted(range(len(now)), key=lambda k: now[k].priority)] = np.arange(len(now))
     above = graph.adjacency[np.ix_(ids, ids)] & (rank < rank[:, None])

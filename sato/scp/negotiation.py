@@ -134,7 +134,7 @@ def schedule_pairs(
 
 def find_nearby(agent: Planner, inbox: list[TrajectoryMessage]) -> list[int]:
     """Find the neighbors whose trajectories come near the agent's own."""
-    path, near = _nominal_points(agent), NEARBY_FACTOR * agent.horizon.collision_radius
+    path, near = _nominal_points(agent), NEARBY_FACTOR * agent.horizon.clearance
     return [
         message.priority[2]
         for message in inbox
@@ -232,7 +232,7 @@ def solve_pair(
     leave others more room. Few half-spaces are active: begin with those active at the nominals,
     and add those that the solution violates, until there are none.
     """
-    T, R = len(own.trajectory.u), horizon.collision_radius
+    T, R = len(own.trajectory.u), horizon.clearance
     relative = (own.nominal_points - other.nominal_points)[None]
     normals = choose_normals(relative, horizon.required_separation)[0]
     between = RelativeHalfSpaces.from_normals(horizon, T, normals)
@@ -273,7 +273,7 @@ def _are_clear(
 ) -> bool:
     first, second = (horizon.control_points(trajectory.x, trajectory.u) for trajectory in both)
     gaps = (first - own.neighbor_points, second - other.neighbor_points, first - second)
-    return all(bool(are_hulls_separated(gap, horizon.collision_radius).all()) for gap in gaps)
+    return all(bool(are_hulls_separated(gap, horizon.clearance).all()) for gap in gaps)
 
 
 def _compute_violations(

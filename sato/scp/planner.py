@@ -104,7 +104,7 @@ class Planner(NamedTuple):
 
     def reaches_target(self, trajectory: Trajectory) -> bool:
         """Return True where a trajectory ends at the target."""
-        return reaches_target(trajectory, self.target_state, self.horizon.collision_radius)
+        return reaches_target(trajectory, self.target_state, self.horizon.clearance)
 
 
 def reaches_target(trajectory: Trajectory, target: Float[Array, " n"], radius: float) -> bool:
@@ -123,7 +123,7 @@ class AvoidedAgents(NamedTuple):
         """Mark the agents that come near the nominal; others need no half-spaces yet."""
         paths = np.stack([message.control_points for message in above])
         far = are_balls_separated(
-            agent.control_points - paths, NEARBY_FACTOR * agent.horizon.collision_radius
+            agent.control_points - paths, NEARBY_FACTOR * agent.horizon.clearance
         )
         return cls(paths, np.asarray(~far.all(axis=1)))
 
@@ -154,7 +154,7 @@ def _needs_solve(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> bool:
     if len(agent.nominal.u) == 0:
         return False
     if follows_solo(agent):
-        return not is_clear(agent.control_points, above, agent.horizon.collision_radius)
+        return not is_clear(agent.control_points, above, agent.horizon.clearance)
     is_unchanged = len(above) == len(agent.last_inbox) and all(
         np.array_equal(a.control_points, b.control_points)
         for a, b in zip(above, agent.last_inbox, strict=True)
@@ -177,7 +177,7 @@ def is_clear(
 
 
 def _solve_iteration(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Planner:
-    R = agent.horizon.collision_radius
+    R = agent.horizon.clearance
     solo_points = agent.horizon.control_points(agent.solo.x, agent.solo.u)
     if is_clear(solo_points, above, R):
         after = agent._replace(
@@ -197,7 +197,7 @@ def _solve_iteration(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Pl
 def _solve_avoidance(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Planner:
     agent = agent.relinearized
     others = AvoidedAgents.from_messages(agent, above)
-    collides = not is_clear(agent.control_points, above, agent.horizon.collision_radius)
+    collides = not is_clear(agent.control_points, above, agent.horizon.clearance)
     sides = PASSING_SIDES[agent.control_points.shape[-1]] if collides else ("same",)
     tried = [solve_around(agent, others, agent.control_points, side) for side in sides]
     solves = agent.solve_count + len(sides)
@@ -247,7 +247,7 @@ def solve_around(
         except Unsolved:
             return None
         path = agent.horizon.control_points(result.trajectory.x, result.trajectory.u)
-        met = others.find_conflicts(path, agent.horizon.collision_radius) & ~constrained
+        met = others.find_conflicts(path, agent.horizon.clearance) & ~constrained
         if not met.any():
             return result
         constrained = constrained | met
@@ -272,7 +272,7 @@ def _solve_active_set(
     # Few half-spaces are active: begin with those active at the nominal, and add at each step
     # the one that is violated most, until none is.
     problem, nominal = AvoidanceProblem(agent.transfer), agent.nominal
-    R = agent.horizon.collision_radius
+    R = agent.horizon.clearance
     active = np.abs(half_spaces.violation(nominal.x, nominal.u)) < ACTIVE_TOLERANCE * R
     violation = half_spaces.violation(agent.solo.x, agent.solo.u)
     while True:

@@ -71,7 +71,7 @@ def try_priority_orders(
 
 def compute_priority_cost(agent: Planner) -> PriorityCost:
     """Compute the cost of the others to one agent, from its own memory."""
-    slack_limit = FEASIBILITY_TOLERANCE * agent.horizon.collision_radius
+    slack_limit = FEASIBILITY_TOLERANCE * agent.horizon.clearance
     return PriorityCost(
         float(agent.has_failed or agent.slack > slack_limit),
         float(not agent.reaches_target(agent.nominal)),
@@ -112,7 +112,7 @@ def offset_right(agent: Planner, offset: float) -> Planner:
     path = agent.horizon.control_points(agent.solo.x, agent.solo.u)
     right = np.array([way[1], -way[0]]) / np.linalg.norm(way)
     along = (np.arange(pieces)[:, None] + np.linspace(0, 1, points)) / pieces
-    bend = offset * agent.horizon.collision_radius * np.sin(np.pi * along)
+    bend = offset * agent.horizon.clearance * np.sin(np.pi * along)
     return agent._replace(control_points=path + bend[..., None] * right, has_converged=False)
 
 
@@ -126,7 +126,7 @@ def select_clear_components(
 
 
 def _mark_clear(agent: Planner, inbox: list[TrajectoryMessage]) -> Planner:
-    has_failed = not is_clear(agent.control_points, inbox, agent.horizon.collision_radius)
+    has_failed = not is_clear(agent.control_points, inbox, agent.horizon.clearance)
     return agent._replace(is_final=True, has_converged=True, has_failed=has_failed)
 
 
