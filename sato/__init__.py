@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from dynamics import DoubleIntegrator
     from sato.connectivity.mission import Connectivity
+    from sato.formation.leg import FormationLeg
+    from sato.formation.mission import Formation
     from sato.reconfiguration.mission import Join, Leg, Loss, Reconfiguration
     from sato.record import RunFileError
     from sato.runs import Run, load, run, simulate
@@ -24,6 +26,8 @@ if TYPE_CHECKING:
 _MODULES = {
     "Connectivity": "sato.connectivity.mission",
     "DoubleIntegrator": "dynamics",
+    "Formation": "sato.formation.mission",
+    "FormationLeg": "sato.formation.leg",
     "InputError": "sato.scenario.errors",
     "Join": "sato.reconfiguration.mission",
     "Leg": "sato.reconfiguration.mission",
@@ -44,6 +48,8 @@ _MODULES = {
 __all__ = [
     "Connectivity",
     "DoubleIntegrator",
+    "Formation",
+    "FormationLeg",
     "InputError",
     "Join",
     "Leg",

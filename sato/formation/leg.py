@@ -175,14 +175,9 @@ class FormationLeg(Definition):
     name: Annotated[str | None, "name of the formation in figures"] = None
 
     def check(self) -> None:
-        """Refuse points in motion, and the graph of a library for other points."""
+        """Refuse points in motion."""
         if isinstance(self.formation, Points) and self.formation.velocities is not None:
             raise InputError("formation.velocities_m_s", "a formation is at rest; drop it")
-        is_own = isinstance(self.graph, NamedGraph) and self.graph.kind == "own"
-        if is_own and not isinstance(self.formation, LibraryFormation):
-            raise InputError(
-                "graph", 'only formations of the library have their own; "complete" would do'
-            )
 
     @cached_property
     def desired(self) -> DesiredFormation:
@@ -272,9 +267,13 @@ class FormationLeg(Definition):
             return read_graph(chosen.file, n)
         if isinstance(chosen, EdgeList):
             return chosen.adjacency(n)
-        if chosen.kind == "own" and isinstance(self.formation, LibraryFormation):
-            return load_formation(self.formation.name).graph
-        return ~np.eye(n, dtype=bool)
+        if chosen.kind == "complete":
+            return ~np.eye(n, dtype=bool)
+        if not isinstance(self.formation, LibraryFormation):
+            raise InputError(
+                "", 'only formations of the library have their own; "complete" would do'
+            )
+        return load_formation(self.formation.name).graph
 
 
 def _check_points(points: Float[Array, "n 3"], agents: int, keep_out: float) -> None:

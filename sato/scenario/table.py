@@ -118,7 +118,7 @@ def choose(field: Field, kind: Any) -> type:
         InputError: None has this kind.
     """
     known = {name: variant for variant in field.variants for name in kinds_of(variant)}
-    if kind == OWN:
+    if kind == OWN and OWN not in known:
         raise InputError("kind", '"own" is of a mission in Python, which no file can hold')
     if not isinstance(kind, str) or kind not in known:
         close = closest_name(str(kind), known)
