@@ -218,8 +218,8 @@ def _parse_mission(path: str | Path, text: str) -> Any:
 
 def _has_own_model(text: str) -> bool:
     with suppress(tomllib.TOMLDecodeError):
-        model = tomllib.loads(text).get("model")
-        return isinstance(model, dict) and model.get("kind") == "own"
+        tables = tomllib.loads(text).values()
+        return any(isinstance(table, dict) and table.get("kind") == "own" for table in tables)
     return False
 
 

@@ -13,7 +13,7 @@ from dynamics.j2 import J2, invariant_velocity
 from dynamics.orbit import Orbit
 from dynamics.plant import LinearPlant
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration.check import ReconfigurationRecord, check_run
+from sato.reconfiguration.check import ReconfigurationRecord, check_fuel, check_run
 from sato.reconfiguration.check.consistency import check_chief
 from sato.reconfiguration.check.fuel import compute_fuel_bound
 from sato.reconfiguration.check.motion import (
@@ -22,7 +22,6 @@ from sato.reconfiguration.check.motion import (
     check_speed_limit,
 )
 from sato.reconfiguration.check.prediction import bound_speed_excess
-from sato.reconfiguration.check.promises import check_fuel
 from sato.reconfiguration.check.redraw import redraw_disturbances
 from sato.reconfiguration.loop import simulate
 from sato.reconfiguration.mission import Leg, Reconfiguration

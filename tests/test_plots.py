@@ -9,7 +9,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from pictures import words_inside
 from PIL import Image
-from test_check import crossing, fly_crossed, fly_straight, mission, recorded, replace
+from test_check import crossing, fly_crossed, fly_straight, in_order, mission, recorded, replace
 
 import sato.figures
 import sato.render
@@ -43,13 +43,14 @@ def box():
     ring = np.stack([500 * np.cos(turn), 1000 * np.sin(turn), 800 * np.cos(turn)], axis=1)
     start, goals = (np.hstack([p, model.bounded_velocity(p)]) for p in (place, ring))
     return mission(
-        linear_model=model, start=start, alive=np.ones(12, bool), legs=(Leg(goals, 20),), step=60.0,
-        comm_radius=1200.0, collision_radius=50.0, max_control=0.01, max_speed=6.0, believed=12,
+        12, model=model, plant=LinearPlant(model), start=start,
+        legs=(Leg(in_order(goals), 20),), step=60.0,
+        comm_radius=1200.0, collision_radius=50.0, max_control=0.01, max_speed=6.0,
     )  # fmt: skip
 
 
 def plane_run():
-    start = mission().initial_states.copy()
+    start = mission().initial_states[:6].copy()
     start[2:, 0] += 0.5  # the row falls apart: two, three and one
     start[5, 0] += 0.5
     about = mission(comm_radius=1.21, start=start)
@@ -63,7 +64,7 @@ def orbit():
     about = box()
     orbit = Orbit.from_elements(6878e3, inclination=0.8)
     [leg] = about.legs
-    again = Leg(leg.targets[::-1].copy(), 12, losses=(Loss("agents", agents=(3,)),))
+    again = Leg(in_order(leg.targets[::-1]), 12, losses=(Loss("agents", agents=(3,)),))
     return replace(about, legs=(leg, again), plant=LinearPlant(about.linear_model, orbit))
 
 
@@ -81,7 +82,7 @@ def flat_orbit_run():
     about = orbit()
     start = about.initial_states.copy()
     start[:, 2::3] = 0
-    leg = Leg(about.legs[0].targets * [1, 1, 0, 1, 1, 0], 18)
+    leg = Leg(in_order(about.legs[0].targets * [1, 1, 0, 1, 1, 0]), 18)
     about = replace(about, start=start, legs=(leg,))
     return recorded(about), about
 
