@@ -11,12 +11,9 @@ from pictures import words_inside
 from PIL import Image
 from test_check import crossing, fly_crossed, fly_straight, in_order, mission, recorded, replace
 
-import sato.figures
-import sato.render
 from dynamics import ClohessyWiltshire
 from dynamics.orbit import Orbit
 from dynamics.plant import LinearPlant
-from sato.figures import plot
 from sato.figures.style import ISOLATED, STYLE, marker_style, style_components
 from sato.reconfiguration.check import ReconfigurationRecord
 from sato.reconfiguration.figures import FIGURES, ORBIT_FIGURES
@@ -25,7 +22,6 @@ from sato.reconfiguration.figures.measures import compute_fuel_use
 from sato.reconfiguration.figures.orbital import POINTS_PER_STEP, interpolate_positions
 from sato.reconfiguration.figures.perspective import has_chief
 from sato.reconfiguration.mission import Leg, Loss
-from sato.render import animate
 
 LETTERS = """
 [[leg]]
@@ -132,10 +128,8 @@ def evidence(request):
 
 
 @pytest.fixture
-def plane(monkeypatch):
+def plane():
     run, about = plane_run()
-    for module in (sato.figures, sato.render):
-        monkeypatch.setattr(module, "rebuild", lambda _: about)
     return run, ReconfigurationRecord.from_dataset(run.data, about)
 
 
@@ -242,10 +236,8 @@ def test_the_half_plane_keeps_a_real_pair_apart():
 
 
 @pytest.fixture
-def ring(monkeypatch):
+def ring():
     run, about = orbit_run()
-    for module in (sato.figures, sato.render):
-        monkeypatch.setattr(module, "rebuild", lambda _: about)
     return run, ReconfigurationRecord.from_dataset(run.data, about)
 
 
@@ -316,34 +308,33 @@ def test_the_least_for_the_target_held_is_below_each_bar():
 
 
 def test_figures_of_orbits_are_written_beside_the_others(ring, tmp_path):
-    paths = plot(ring[0], tmp_path)
+    paths = ring[0].plot(tmp_path)
     assert [p.stem for p in paths] == [*FIGURES, *ORBIT_FIGURES]
 
 
 def test_all_figures_are_written_as_png_or_as_pdf(plane, tmp_path):
     run, _ = plane
-    paths = plot(run, tmp_path / "new" / "folder")
+    paths = run.plot(tmp_path / "new" / "folder")
     assert [p.name for p in paths] == [f"{name}.png" for name in FIGURES]
     for path in paths:
         with Image.open(path) as image:
             assert image.width > 600 and len(image.convert("RGB").getcolors(1 << 20)) > 20
-    for path in plot(run, tmp_path, pdf=True):
+    for path in run.plot(tmp_path, pdf=True):
         assert path.read_bytes().startswith(b"%PDF")
 
 
 def test_drawing_leaves_the_settings_of_matplotlib_alone(plane, tmp_path):
     before = dict(matplotlib.rcParams)
-    plot(plane[0], tmp_path)
+    plane[0].plot(tmp_path)
     assert dict(matplotlib.rcParams) == before
 
 
 @pytest.mark.parametrize("kind", ["plane", "box", "orbit"])
 def test_without_ffmpeg_the_film_is_a_gif(kind, tmp_path, monkeypatch):
     run, about = RUNS[kind]()
-    monkeypatch.setattr(sato.render, "rebuild", lambda _: about)
     monkeypatch.setenv("PATH", str(tmp_path))
     told = []
-    path = animate(run, tmp_path, fps=10, frames=7, progress=lambda i, n: told.append((i, n)))
+    path = run.animate(tmp_path, fps=10, frames=7, progress=lambda i, n: told.append((i, n)))
     assert path == tmp_path / "run.gif"
     with Image.open(path) as film:
         assert film.n_frames == 7 and film.info["duration"] == 100
@@ -357,13 +348,13 @@ def test_with_ffmpeg_the_film_is_an_mp4(plane, tmp_path, monkeypatch):
     # A stand-in that keeps what it is sent: raw frames of four bytes a pixel.
     tool = tmp_path / "ffmpeg"
     tool.write_text(
-        '#!/bin/sh\nfor last; do :; done\necho "$@" > "$last.said"\nexec cat > "$last"\n'
+        f'#!/bin/sh\nfor last; do :; done\necho "$@" > {tmp_path}/said\nexec cat > "$last"\n'
     )
     tool.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
-    path = animate(plane[0], tmp_path, fps=25, frames=3)
+    path = plane[0].animate(tmp_path, fps=25, frames=3)
     assert path == tmp_path / "run.mp4"
-    said = (tmp_path / "run.mp4.said").read_text().split()
+    said = (tmp_path / "said").read_text().split()
     width, height = map(int, said[said.index("-s") + 1].split("x"))
     assert path.stat().st_size == 3 * 4 * width * height
     assert said[said.index("-framerate") + 1] == "25" and "yuv420p" in said
@@ -372,7 +363,7 @@ def test_with_ffmpeg_the_film_is_an_mp4(plane, tmp_path, monkeypatch):
 def test_a_film_moves_on_the_cubic_pieces_between_the_instants(plane):
     _, evidence = plane
     scene = SwarmAnimation(evidence)
-    scene.draw_at(3.25)
+    scene.draw_frame(3.25)
     moved = points(scene.axes)
     h, u = evidence.mission.step, evidence.applied_control[3, :6]
     x, v = evidence.position[3, :6], evidence.velocity[3, :6]
@@ -381,5 +372,5 @@ def test_a_film_moves_on_the_cubic_pieces_between_the_instants(plane):
 
 
 def test_a_film_of_nothing_is_refused(plane, tmp_path):
-    with pytest.raises(ValueError, match="got 0 frames at 20 a second"):
-        animate(plane[0], tmp_path, frames=0)
+    with pytest.raises(ValueError, match="got 0 frames at 20 fps"):
+        plane[0].animate(tmp_path, frames=0)
