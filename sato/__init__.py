@@ -6,66 +6,82 @@
     print(run.summary["reached"], run.check().kept)
     run.save("runs/uiuc-1")
 
-Names are imported when they are first used, for some take long.
+A name is imported from its module when it is first used, so that `import sato` is fast.
 """
+# mypy: implicit-reexport
+# ruff: noqa: F401
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from dynamics import DoubleIntegrator
-    from sato.connectivity.mission import Connectivity
+    from dynamics import (
+        J2,
+        ClohessyWiltshire,
+        DoubleIntegrator,
+        InertialPlant,
+        LinearModel,
+        LinearPlant,
+        NonlinearModel,
+        NonlinearPlant,
+        Orbit,
+        Plant,
+        SchweighartSedwick,
+        SymbolicModel,
+        TschaunerHempel,
+    )
+    from problems import GainMatrix, Infeasible, Trajectory, TransferProblem, Unsolved, design_gains
+    from sato.connectivity.mission import AgentLoss, Connectivity
     from sato.formation.leg import FormationLeg
     from sato.formation.mission import Formation
     from sato.reconfiguration.mission import Join, Leg, Loss, Reconfiguration
+    from sato.reconfiguration.orbit import Chief, PlantSettings
+    from sato.reconfiguration.start import Random
     from sato.record import RunFileError
     from sato.runs import Run, load, run, simulate
     from sato.scenario.errors import InputError, ScenarioError
     from sato.scenario.file import from_dict, parse, read, scenarios
+    from sato.shapes.shape import Lattice, Picture, Points, Polygon, Ring, Text
 
-_MODULES = {
-    "Connectivity": "sato.connectivity.mission",
-    "DoubleIntegrator": "dynamics",
-    "Formation": "sato.formation.mission",
-    "FormationLeg": "sato.formation.leg",
-    "InputError": "sato.scenario.errors",
-    "Join": "sato.reconfiguration.mission",
-    "Leg": "sato.reconfiguration.mission",
-    "Loss": "sato.reconfiguration.mission",
-    "Reconfiguration": "sato.reconfiguration.mission",
-    "Run": "sato.runs",
-    "RunFileError": "sato.record",
-    "ScenarioError": "sato.scenario.errors",
-    "from_dict": "sato.scenario.file",
-    "load": "sato.runs",
-    "parse": "sato.scenario.file",
-    "read": "sato.scenario.file",
-    "run": "sato.runs",
-    "scenarios": "sato.scenario.file",
-    "simulate": "sato.runs",
+_PUBLIC = {
+    "dynamics": [
+        "ClohessyWiltshire",
+        "DoubleIntegrator",
+        "InertialPlant",
+        "J2",
+        "LinearModel",
+        "LinearPlant",
+        "NonlinearModel",
+        "NonlinearPlant",
+        "Orbit",
+        "Plant",
+        "SchweighartSedwick",
+        "SymbolicModel",
+        "TschaunerHempel",
+    ],
+    "problems": [
+        "GainMatrix",
+        "Infeasible",
+        "Trajectory",
+        "TransferProblem",
+        "Unsolved",
+        "design_gains",
+    ],
+    "sato.connectivity.mission": ["AgentLoss", "Connectivity"],
+    "sato.formation.leg": ["FormationLeg"],
+    "sato.formation.mission": ["Formation"],
+    "sato.reconfiguration.mission": ["Join", "Leg", "Loss", "Reconfiguration"],
+    "sato.reconfiguration.orbit": ["Chief", "PlantSettings"],
+    "sato.reconfiguration.start": ["Random"],
+    "sato.record": ["RunFileError"],
+    "sato.runs": ["Run", "load", "run", "simulate"],
+    "sato.scenario.errors": ["InputError", "ScenarioError"],
+    "sato.scenario.file": ["from_dict", "parse", "read", "scenarios"],
+    "sato.shapes.shape": ["Lattice", "Picture", "Points", "Polygon", "Ring", "Text"],
 }
+_MODULES = {name: module for module, names in _PUBLIC.items() for name in names}
 
-__all__ = [
-    "Connectivity",
-    "DoubleIntegrator",
-    "Formation",
-    "FormationLeg",
-    "InputError",
-    "Join",
-    "Leg",
-    "Loss",
-    "Reconfiguration",
-    "Run",
-    "RunFileError",
-    "ScenarioError",
-    "from_dict",
-    "load",
-    "parse",
-    "read",
-    "run",
-    "scenarios",
-    "simulate",
-]
+__all__ = sorted(_MODULES)
 
 
 def __getattr__(name: str) -> Any:
@@ -73,9 +89,9 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("sato-swarm")
-    if name in _MODULES:
-        return getattr(import_module(_MODULES[name]), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_MODULES[name]), name)
 
 
 def __dir__() -> list[str]:

@@ -518,7 +518,12 @@ def test_a_disturbed_run_may_differ_from_its_commands_by_the_disturbance_alone(r
 
 
 def test_out_of_earshot_is_said_where_proposition_9_does_not_hold(flown):
-    assert check_run(flown.data, mission(horizon_steps=2, allow_undetectable=True)).summary["undetectable"] is True
+    assert (
+        check_run(flown.data, mission(horizon_steps=2, allow_undetectable=True)).summary[
+            "undetectable"
+        ]
+        is True
+    )
 
 
 TINY = """

@@ -162,7 +162,9 @@ def test_another_mission_than_the_scenarios_is_found(honest):
     other = flown(seed=2)[1]
     assert {"start", "stick"} <= broken(run, other)
     assert broken(run, mission) == set()
-    assert "attributes" in broken(run, replace(mission, limits=mission.limits._replace(yaw_rate=2.0)))
+    assert "attributes" in broken(
+        run, replace(mission, limits=mission.limits._replace(yaw_rate=2.0))
+    )
 
 
 def test_the_summary_says_what_the_data_say(honest):

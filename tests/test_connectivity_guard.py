@@ -23,8 +23,12 @@ def cut(dies, agents=4, **settings):
     yaw = np.full(agents, AHEAD)
     return fly(
         posed(
-            start, yaw, duration=4.0, losses=(AgentLoss(dies, DEATH),),
-            obstacles=spheres([SPHERE]), **settings,
+            start,
+            yaw,
+            duration=4.0,
+            losses=(AgentLoss(dies, DEATH),),
+            obstacles=spheres([SPHERE]),
+            **settings,
         )  # fmt: skip
     )
 

@@ -146,7 +146,9 @@ def test_who_passes_through_an_obstacle_between_instants_is_found(tilted, kind):
     top = int(np.argmax(p[0, :, 2]))
     high, half = p[99, top] + [0, 0, 4.0], np.array([9, 9, 0.1])
     p[100:, top, 2] += 8.0
-    wall = Sphere(tuple(high), 0.3) if kind is Sphere else Box(tuple(high - half), tuple(high + half))
+    wall = (
+        Sphere(tuple(high), 0.3) if kind is Sphere else Box(tuple(high - half), tuple(high + half))
+    )
     assert obstacle_distances(p, Obstacles.of([wall])).min() > 2 * mission.repulsion.min_distance
     walled = replace(mission, obstacles=(wall,))
     assert "obstacles" not in broken(run, walled)

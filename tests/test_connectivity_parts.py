@@ -45,9 +45,13 @@ def test_the_potential_ends_without_a_jump_or_a_kink(potential):
         assert evaluate_potential(potential.lambda2_max + beyond, potential) == pytest.approx(
             0, abs=1e-25
         )
-        assert negative_slope(potential.lambda2_max + beyond, potential) == pytest.approx(0, abs=1e-13)
+        assert negative_slope(potential.lambda2_max + beyond, potential) == pytest.approx(
+            0, abs=1e-13
+        )
     h = 1e-6
-    assert evaluate_potential(potential.lambda2_max - h, potential) <= 3 * potential.strength * h * h
+    assert (
+        evaluate_potential(potential.lambda2_max - h, potential) <= 3 * potential.strength * h * h
+    )
     assert 0 < negative_slope(potential.lambda2_max - h, potential) <= 10 * potential.strength * h
 
 

@@ -46,7 +46,10 @@ def matrix(links, power):
     h, L, one = power.exchange_period, laplacian(links), np.eye(len(links))
     return np.block(
         [
-            [(1 - h * power.filter_gain) * one - h * power.proportional_gain * L, h * power.integral_gain * L],
+            [
+                (1 - h * power.filter_gain) * one - h * power.proportional_gain * L,
+                h * power.integral_gain * L,
+            ],
             [-h * power.integral_gain * L, one],
         ]
     )

@@ -84,9 +84,7 @@ def test_cameras_tilt_with_those_who_accelerate_and_not_with_those_who_rest():
     start = np.array([[0.0, 0, 3], [4.5, 0, 6.0]])
     yaw = np.array([0.0, 0.0])
     away = WaypointStick(np.array([[-40.0, 0, 3]]))
-    mission = posed(
-        start, yaw, stick=away, camera=AHEAD, duration=0.5, plant=Quadrotor(), **STILL
-    )
+    mission = posed(start, yaw, stick=away, camera=AHEAD, duration=0.5, plant=Quadrotor(), **STILL)
     frames = fly(mission)
     level = [interaction_graph(f.position, f.yaw, AHEAD).weights[0, 1] for f in frames]
     true = [f.edge_weight[0, 1] for f in frames]

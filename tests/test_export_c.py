@@ -85,9 +85,7 @@ def test_c_finds_the_cost_of_python_and_keeps_all_constraints(made, name, rng):
         assert spaces.violation(x, flown.u).max() <= 1e-6 * problem.horizon.clearance
         if program.has_speed_limit:
             assert np.linalg.norm(x[1:-1, steps.axes :], axis=1).max() <= V * (1 + 1e-6)
-        bound += (
-            spaces.violation(flight.x, flight.u).max() > -1e-6 * problem.horizon.clearance
-        )
+        bound += spaces.violation(flight.x, flight.u).max() > -1e-6 * problem.horizon.clearance
     assert bound >= 10  # enough instances in which half-spaces bind
 
 
