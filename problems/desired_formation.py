@@ -43,6 +43,17 @@ class DesiredFormation:
         return cls(points, ~np.eye(len(points), dtype=bool), name)
 
     @property
+    def edge_count(self) -> int:
+        """Number of edges of the graph."""
+        return int(self.graph.sum()) // 2
+
+    @property
+    def density(self) -> float:
+        """Edges of the graph as a share of those of the complete graph."""
+        n = len(self.points)
+        return 2 * self.edge_count / (n * (n - 1))
+
+    @property
     def planar_points(self) -> Complex[Array, " n"]:
         """Horizontal coordinates of the points, x + jy [m]."""
         return np.asarray(self.points[:, 0] + 1j * self.points[:, 1])

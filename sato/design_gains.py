@@ -1,11 +1,10 @@
-"""Gains for a formation from the command line: what is asked, what is certified, what is kept."""
+"""Command `sato gains`: design, certify and write the gains of a formation."""
 
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 from rich.console import Console
@@ -20,116 +19,112 @@ from sato.scenario.errors import InputError
 from sato.shapes.formation_library import formation_names, load_formation, read_formation
 from sato.shapes.graphs import read_graph
 
-METHODS: dict[str, GainMethod] = {method: method for method in get_args(GainMethod)}
-MAX_RIGIDITY_EDGES = 3000  # edges, beyond which what rigidity takes grows out of proportion
+METHODS: tuple[Any, ...] = get_args(GainMethod)
+MAX_RIGIDITY_EDGES = 3000  # beyond which tests of rigidity take minutes
 
 
 def print_formations() -> None:
-    """The names of the library, a line each."""
+    """Print the names of the library, a line each."""
     width = max(map(len, formation_names()))
     for name in formation_names():
-        shape = load_formation(name)
-        print(f"{name:{width}}  {_format_size(shape)}{', flat' if shape.is_flat else ''}")
+        formation = load_formation(name)
+        flat = ", flat" if formation.is_flat else ""
+        print(f"{name:{width}}  {_format_size(formation)}{flat}")
 
 
 def resolve_formation(name: str, graph: str) -> DesiredFormation:
-    """The formation that the words mean.
+    """Load the formation that the arguments of the command mean.
 
     Args:
-        name: In the library, or a file of points.
+        name: Name in the library, or a file of points.
         graph: "own", "complete", or a file of pairs of vertices.
 
     Raises:
         ValueError: There is no such formation or graph.
     """
     if Path(name).suffix.lower() == ".csv" or Path(name).is_file():
-        shape = read_formation(name)
+        formation = read_formation(name)
     else:
-        shape = load_formation(name, "complete" if graph == "complete" else "own")
+        formation = load_formation(name, "complete" if graph == "complete" else "own")
     if graph in ("own", "complete"):
-        return shape
+        return formation
     if not Path(graph).is_file():
         raise ValueError(f'--graph takes complete, own or a file, and there is no file "{graph}"')
-    adjacency = read_graph(graph, len(shape.points))
+    adjacency = read_graph(graph, len(formation.points))
     try:
-        return replace(shape, graph=adjacency)
+        return replace(formation, graph=adjacency)
     except ValueError as error:
         raise ValueError(f"{graph}: {error}") from error
 
 
-def default_path(shape: DesiredFormation) -> Path:
-    """Where gains are written when nothing else is said."""
-    return Path("gains", shape.name.replace("/", "-").replace(" ", "-") + ".npz")
+def default_path(formation: DesiredFormation) -> Path:
+    """Return the path at which gains are written unless another is given."""
+    return Path("gains", formation.name.replace("/", "-").replace(" ", "-") + ".npz")
 
 
-def design_and_save(shape: DesiredFormation, method: str, out: Path) -> None:
-    """Design gains, tell what is certain of them, and write them, whole or not at all.
+def design_and_save(formation: DesiredFormation, method: str, out: Path) -> None:
+    """Design gains, print their certificate, and write them, whole or not at all.
 
     Raises:
         ValueError: There is no such method.
-        NoStabilisingGain: The formation cannot have any.
+        NoStabilizingGain: The formation has no stabilizing gains.
     """
     if method not in METHODS:
         raise InputError("", f'--method takes one of {", ".join(METHODS)}, not "{method}"')
     began = perf_counter()
     with spinner("designing the gains"):
-        gains = design_gains(shape, METHODS[method])
-    took = perf_counter() - began
+        gains = design_gains(formation, method)  # type: ignore[arg-type]
+    time = perf_counter() - began
     with replace_atomically(out) as file:
         gains.save(file)
-    with spinner("asking for rigidity"):
-        rigidity = [_rigidity_label(shape, dimension) for dimension in (2, 3)]
-    _print_report(gains, took, rigidity)
+    with spinner("testing for rigidity"):
+        rigidity = [_rigidity_label(formation, dimension) for dimension in (2, 3)]
+    _print_report(gains, time, rigidity)
     print(out)
 
 
-def _print_report(gains: GainMatrix, took: float, rigidity: list[str]) -> None:
+def _print_report(gains: GainMatrix, time: float, rigidity: list[str]) -> None:
     console = Console(file=sys.stdout)
     rates = Table(title=gains.formation.name or None, title_justify="left")
-    for head in ("", "in the plane", "upwards"):
+    for head in ("", "in the plane", "vertical"):
         rates.add_column(head, justify="right" if head else "left")
-    for what, plane, upwards in (
+    for label, planar, vertical in (
         ("rate, 1/s", gains.rate_xy, gains.rate_z),
         ("no rate exceeds, 1/s", gains.bound_xy, gains.bound_z),
         ("short of it by, %", 100 * gains.gap_xy, 100 * gains.gap_z),
     ):
-        rates.add_row(what, f"{plane:.4f}", f"{upwards:.4f}")
-    whole = Table(show_header=False)
-    for what, said in (
+        rates.add_row(label, f"{planar:.4f}", f"{vertical:.4f}")
+    table = Table(show_header=False)
+    for label, text in (
         ("graph", _format_size(gains.formation)),
         ("method", gains.method),
-        ("time, s", f"{took:.3g}"),
+        ("time, s", f"{time:.3g}"),
         ("largest entry of A N", f"{gains.residual_kernel:.1e}"),
         ("structure, off by", f"{gains.residual_structure:.1e}"),
         ("largest entry off the graph", f"{gains.residual_graph:.1e}"),
-        ("graph from above, in space", ", ".join(rigidity)),
+        ("graph in the plane, in space", ", ".join(rigidity)),
     ):
-        whole.add_row(what, said)
+        table.add_row(label, text)
     console.print(rates)
-    console.print(whole)
+    console.print(table)
 
 
-def _format_size(shape: DesiredFormation) -> str:
-    n = len(shape.points)
-    edges, every = int(shape.graph.sum()) // 2, n * (n - 1) // 2
-    share = "all" if edges == every else f"{100 * edges / every:.3g} %"
-    return f"{n} vertices, {edges} edges ({share})"
+def _format_size(formation: DesiredFormation) -> str:
+    share = "all" if formation.density == 1 else f"{100 * formation.density:.3g} %"
+    return f"{len(formation.points)} vertices, {formation.edge_count} edges ({share})"
 
 
-def _rigidity_label(shape: DesiredFormation, dimension: Dimension) -> str:
-    n, edges = len(shape.points), int(shape.graph.sum()) // 2
-    if edges == n * (n - 1) // 2:
+def _rigidity_label(formation: DesiredFormation, dimension: Dimension) -> str:
+    if formation.density == 1:
         return "globally rigid"
-    if edges > MAX_RIGIDITY_EDGES:
-        return f"not asked of more than {MAX_RIGIDITY_EDGES} edges"
-    questions: dict[str, Callable[..., bool]] = {
+    if formation.edge_count > MAX_RIGIDITY_EDGES:
+        return f"not tested with more than {MAX_RIGIDITY_EDGES} edges"
+    tests = {
         "globally rigid": is_globally_rigid,
         "redundantly rigid": is_redundantly_rigid,
         "rigid": is_rigid,
     }
-    # The verdict is of points in general position, whichever they are.
+    # The answer holds for points in general position, whichever they are.
     rng = np.random.default_rng(0)
-    return next(
-        (word for word, holds in questions.items() if holds(shape.graph, dimension, rng)),
-        "flexible",
-    )
+    found = (label for label, test in tests.items() if test(formation.graph, dimension, rng))
+    return next(found, "flexible")

@@ -43,8 +43,7 @@ def check_promises(record: FormationRecord) -> tuple[Promise, ...]:
         check_formations(record),
         check_gains(record),
         check_positions(record),
-        *check_speed_limits(record),
-        *check_acceleration_limits(record),
+        *check_limits(record),
         check_legs(record),
         check_assignment_events(record),
         check_assignment_is_unique(record),
@@ -145,34 +144,22 @@ def check_positions(record: FormationRecord) -> Promise:
     )
 
 
-def check_speed_limits(record: FormationRecord) -> tuple[Promise, Promise]:
-    """Check the limits of speed."""
-    mission, tolerance = record.mission, ROUNDING_TOLERANCE
-    planar, vertical = _planar_and_vertical_norms(record, record.frames.velocity)
-    return (
-        expect_below("speed", planar, mission.max_speed, tolerance, "m/s flown in the plane"),
-        expect_below("climb", vertical, mission.max_climb, tolerance, "m/s flown up or down"),
-    )
-
-
-def check_acceleration_limits(record: FormationRecord) -> tuple[Promise, Promise]:
-    """Check the limits of acceleration."""
-    mission, tolerance = record.mission, ROUNDING_TOLERANCE
-    planar, vertical = _planar_and_vertical_norms(
-        record, np.diff(record.frames.velocity, axis=0) / mission.frame_period
-    )
-    return (
-        expect_below(
-            "acceleration", planar, mission.max_acceleration, tolerance, "m/s² in the plane"
-        ),
-        expect_below(
-            "climb_acceleration",
-            vertical,
-            mission.max_climb_acceleration,
-            tolerance,
-            "m/s² up or down",
-        ),
-    )
+def check_limits(record: FormationRecord) -> list[Promise]:
+    """Check the limits of speed and acceleration, in the plane and vertical."""
+    mission, velocity = record.mission, record.frames.velocity
+    acceleration = np.diff(velocity, axis=0) / mission.frame_period
+    speed, climb = _planar_and_vertical_norms(record, velocity)
+    planar, vertical = _planar_and_vertical_norms(record, acceleration)
+    limits = [
+        ("speed", speed, mission.max_speed, "m/s flown in the plane"),
+        ("climb", climb, mission.max_climb, "m/s flown up or down"),
+        ("acceleration", planar, mission.max_acceleration, "m/s² in the plane"),
+        ("climb_acceleration", vertical, mission.max_climb_acceleration, "m/s² up or down"),
+    ]
+    return [
+        expect_below(name, value, limit, ROUNDING_TOLERANCE, text)
+        for name, value, limit, text in limits
+    ]
 
 
 def check_legs(record: FormationRecord) -> Promise:

@@ -7,10 +7,14 @@ from typing import TYPE_CHECKING
 from matplotlib.figure import Figure
 
 from sato.formation.check import FormationRecord
-from sato.formation.figures.assignments import plot_assignments
 from sato.formation.figures.coordinate_frames import plot_coordinate_frames
 from sato.formation.figures.gains import plot_gains
-from sato.formation.figures.time_series import plot_convergence, plot_separation, plot_speeds
+from sato.formation.figures.time_series import (
+    plot_assignments,
+    plot_convergence,
+    plot_separation,
+    plot_speeds,
+)
 from sato.formation.figures.trajectories import plot_paths
 from sato.formation.mission import Formation
 from sato.interfaces import FigureFactories

@@ -35,59 +35,58 @@ WIDE_LAYOUT = Layout([["graph", "graph"], ["plane", "vertical"]], [0.5, 1.0], 7.
 
 def plot_gains(record: FormationRecord) -> Figure:
     """Plot the graph of every formation, its edges by |A_ij|, and |A| in the plane and vertical."""
-    shapes = _unique_gains(record.mission.gains)
-    layouts = [WIDE_LAYOUT if _is_wide(shape) else SQUARE_LAYOUT for shape in shapes]
+    different = _unique_gains(record.mission.gains)
+    layouts = [WIDE_LAYOUT if _is_wide(gains) else SQUARE_LAYOUT for gains in different]
     heights = [layout.height for layout in layouts]
     size = max(layout.width for layout in layouts), sum(heights)
     figure = Figure(figsize=size, layout="constrained")
-    parts = figure.subfigures(len(shapes), 1, squeeze=False, height_ratios=heights)[:, 0]
-    for number, (part, layout, shape) in enumerate(zip(parts, layouts, shapes, strict=True)):
+    parts = figure.subfigures(len(different), 1, squeeze=False, height_ratios=heights)[:, 0]
+    for number, (part, layout, gains) in enumerate(zip(parts, layouts, different, strict=True)):
         axes = part.subplot_mosaic(layout.mosaic, height_ratios=layout.rows)
-        plane, vertical = _edge_magnitudes(shape, shape.xy), _edge_magnitudes(shape, shape.z)
+        plane, vertical = _edge_magnitudes(gains, gains.xy), _edge_magnitudes(gains, gains.z)
         norm = Normalize(0, float(max(np.nanmax(plane), np.nanmax(vertical))))
-        _plot_graph(axes["graph"], shape, plane, norm)
-        axes["graph"].set_title(f"{panel_letter(number)} {_graph_title(shape)}")
+        _plot_graph(axes["graph"], gains, plane, norm)
+        axes["graph"].set_title(f"{panel_letter(number)} {_graph_title(gains)}")
         _plot_matrix(axes["plane"], plane, norm)
-        axes["plane"].set_title(_matrix_title("in the plane", shape.rate_xy, shape.bound_xy))
+        axes["plane"].set_title(_matrix_title("in the plane", gains.rate_xy, gains.bound_xy))
         image = _plot_matrix(axes["vertical"], vertical, norm)
-        axes["vertical"].set_title(_matrix_title("vertical", shape.rate_z, shape.bound_z))
+        axes["vertical"].set_title(_matrix_title("vertical", gains.rate_z, gains.bound_z))
         part.colorbar(image, ax=axes["vertical"], label="|A$_{ij}$| [1/s]", shrink=0.85)
     return figure
 
 
-def _is_wide(shape: GainMatrix) -> bool:
-    size = np.ptp(shape.formation.points, axis=0)
+def _is_wide(gains: GainMatrix) -> bool:
+    size = np.ptp(gains.formation.points, axis=0)
     return bool(size[0] > 3 * size[1])
 
 
-def _unique_gains(shapes: tuple[GainMatrix, ...]) -> list[GainMatrix]:
+def _unique_gains(all_gains: tuple[GainMatrix, ...]) -> list[GainMatrix]:
     found: list[GainMatrix] = []
-    for shape in shapes:
-        if not any(shape.matches_formation(seen.formation) for seen in found):
-            found.append(shape)
+    for gains in all_gains:
+        if not any(gains.matches_formation(seen.formation) for seen in found):
+            found.append(gains)
     return found
 
 
-def _edge_magnitudes(shape: GainMatrix, A: Array) -> Float[Array, "n n"]:
+def _edge_magnitudes(gains: GainMatrix, A: Array) -> Float[Array, "n n"]:
     # The diagonal, minus the sum of its row, would dominate the color scale.
-    return np.where(shape.formation.graph, np.abs(A), np.nan)
+    return np.where(gains.formation.graph, np.abs(A), np.nan)
 
 
 def _matrix_title(way: str, rate: float, bound: float) -> str:
     return f"|A| {way}\nrate {rate:.3f}/s, none exceeds {bound:.3f}/s"
 
 
-def _graph_title(shape: GainMatrix) -> str:
-    formation = shape.formation
-    n, edges = len(formation.points), int(formation.graph.sum()) // 2
-    share = 200 * edges / (n * (n - 1))
-    name = formation.name.rpartition("/")[2] or f"{n} points"
-    return f"{name}, by {shape.method}\n{edges} edges, {share:.3g} % of all"
+def _graph_title(gains: GainMatrix) -> str:
+    formation = gains.formation
+    name = formation.name.rpartition("/")[2] or f"{len(formation.points)} points"
+    edges = f"{formation.edge_count} edges, {100 * formation.density:.3g} % of all"
+    return f"{name}, by {gains.method}\n{edges}"
 
 
-def _plot_graph(ax: Any, shape: GainMatrix, size: Float[Array, "n n"], norm: Normalize) -> None:
-    points = shape.formation.points[:, :2]
-    pairs = np.argwhere(np.triu(shape.formation.graph))
+def _plot_graph(ax: Any, gains: GainMatrix, size: Float[Array, "n n"], norm: Normalize) -> None:
+    points = gains.formation.points[:, :2]
+    pairs = np.argwhere(np.triu(gains.formation.graph))
     weight = size[tuple(pairs.T)]
     pairs, weight = pairs[np.argsort(weight)], np.sort(weight)  # the strongest on top
     lines = LineCollection(list(points[pairs]), cmap=COLORMAP, norm=norm, zorder=1)
@@ -100,7 +99,7 @@ def _plot_graph(ax: Any, shape: GainMatrix, size: Float[Array, "n n"], norm: Nor
             ax.annotate(str(i), point, xytext=(4, 4), textcoords="offset points", color=DARK_GRAY)
     ax.margins(0.08)
     ax.set_aspect("equal", adjustable="datalim")
-    ax.set(xlabel="x [m]", ylabel="y [m]", box_aspect=None if _is_wide(shape) else 1)
+    ax.set(xlabel="x [m]", ylabel="y [m]", box_aspect=None if _is_wide(gains) else 1)
 
 
 def _plot_matrix(ax: Any, size: Float[Array, "n n"], norm: Normalize) -> Any:

@@ -20,16 +20,16 @@ from sato.formation.check.replay import FormationLegRecord
 from sato.formation.figures.phases import formation_name, is_leg_active, subsample
 from sato.formation.shape_error import compute_shape_error
 
-SHOWN_TIME = 40.0  # of a leg, shown [s]
+SHOWN_TIME = 40.0  # at the end of a leg [s]
 VEHICLE_DIAMETER = 0.5  # of a vehicle [Lusk2020, sec. V] [m]
-MAX_PIECES = 300  # of a trace, at most
+MAX_PIECES = 300  # of a trace
 MAX_DRAWN_EDGES = 60  # up to which edges are drawn
-MIN_OPACITY = 0.2  # of a trace where it begins, against where it ends
-MARGIN = 1.0  # around what is shown [m]
+MIN_OPACITY = 0.2  # of a trace at its beginning, relative to its end
+MARGIN = 1.0  # around agents and points [m]
 MAX_COLUMNS = 3
-PANEL_WIDTHS = {1: 6.6, 2: 4.4, 3: 3.4}  # of a panel among so many [in]
+PANEL_WIDTHS = {1: 6.6, 2: 4.4, 3: 3.4}  # by the number of columns [in]
 MAX_ROW_HEIGHT = 6.5  # of a panel and the one below [in]
-MAX_ASPECT = 1.35  # a panel's height over its width, at most
+MAX_ASPECT = 1.35  # height of a panel over its width
 VIEW_AXES = {"top": (0, 1), "side": (0, 2)}
 
 
@@ -39,9 +39,7 @@ class LegScene(NamedTuple):
     title: str
     formation: DesiredFormation
     positions: Float[Array, "instants agents 3"]  # [m]
-    reassignment_positions: Float[
-        Array, "turns 3"
-    ]  # where agents under way were assigned another point [m]
+    reassignment_positions: Float[Array, "changes 3"]  # at new assignments under way [m]
     is_avoiding: Bool[Array, " agents"]  # at the end
 
 
@@ -55,7 +53,7 @@ def plot_paths(record: FormationRecord) -> Figure:
     legs = record.replay.legs or (FormationLegRecord(0, 0, last, last, completed=False),)
     scenes = [_make_scene(record, leg, i) for i, leg in enumerate(legs)]
     columns = min(len(scenes), MAX_COLUMNS) if len(scenes) != 4 else 2
-    views = ["top", "side"] if any(_has_depth(s) for s in scenes) else ["top"]
+    views = ["top", "side"] if any(not s.formation.is_flat for s in scenes) else ["top"]
     size = _scene_size(scenes)
     figure, axes = _make_panels(len(scenes), columns, views, size)
     for scene, own in zip(scenes, axes, strict=True):
@@ -73,22 +71,20 @@ def _make_scene(record: FormationRecord, leg: FormationLegRecord, number: int) -
     formation = record.mission.gains[leg.leg].formation
     first = np.searchsorted(record.time, record.time[leg.last_instant] - SHOWN_TIME)
     window = np.arange(max(leg.first_instant, int(first)), leg.last_instant + 1)
-    held, end = (
-        formation.points[record.frames.point_index[leg.last_instant]],
-        record.frames.position[leg.last_instant],
-    )
+    assignment, position = record.frames.point_index, record.frames.position
+    held, end = formation.points[assignment[leg.last_instant]], position[leg.last_instant]
     pose, fit = align(held, end), compute_shape_error(end, held)
-    x, y, z = np.moveaxis(record.frames.position[window] - pose.translation, -1, 0)
+    x, y, z = np.moveaxis(position[window] - pose.translation, -1, 0)
     flat = (x + 1j * y) * np.exp(-1j * float(pose.yaw))
     path = np.stack([flat.real, flat.imag, z], axis=-1)
     before = np.maximum(window - 1, leg.first_instant)
-    changed = record.frames.point_index[window] != record.frames.point_index[before]
+    changed = assignment[window] != assignment[before]
     changed &= is_leg_active(record)[before, None]  # not the first assignment
-    how = "" if leg.completed else "not converged, "
+    state = "" if leg.completed else "not converged, "
     name = ", ".join(filter(None, (f"leg {leg.leg + 1}", formation_name(record, leg.leg))))
     degrees = round(float(np.degrees(pose.yaw))) % 360
     title = (
-        f"{panel_letter(number)} {name}\n{how}"
+        f"{panel_letter(number)} {name}\n{state}"
         f"{fit.error:.3f} m off, turned by {degrees}°{', upside down' * fit.inverted}"
     )
     return LegScene(
@@ -98,10 +94,6 @@ def _make_scene(record: FormationRecord, leg: FormationLegRecord, number: int) -
         path[changed],
         record.frames.avoiding[leg.last_instant],
     )
-
-
-def _has_depth(scene: LegScene) -> bool:
-    return not scene.formation.is_flat
 
 
 def _scene_size(scenes: list[LegScene]) -> Float[Array, " 3"]:
@@ -152,15 +144,8 @@ def _draw_scene(ax: Any, scene: LegScene, shown: tuple[int, int]) -> None:
         edge_on = np.stack([at - half, at + half], axis=1)
         ax.add_collection(LineCollection(list(edge_on), colors=colors, lw=2.4, zorder=4))
         return
-    ax.plot(
-        *scene.reassignment_positions[:, shown].T,
-        "o",
-        ms=2.2,
-        mew=0.6,
-        mfc="white",
-        mec=RED,
-        zorder=3,
-    )
+    rings = scene.reassignment_positions[:, shown].T
+    ax.plot(*rings, "o", ms=2.2, mew=0.6, mfc="white", mec=RED, zorder=3)
     wide = np.full(len(at), VEHICLE_DIAMETER)
     ax.add_collection(
         EllipseCollection(
@@ -181,24 +166,13 @@ def _fading_paths(path: Float[Array, "k agents 2"]) -> LineCollection:
 
 def _legend_handles(scenes: list[LegScene]) -> list[Any]:
     disc: dict[str, Any] = {"ls": "", "marker": "o", "ms": 5, "mew": 0}
-    key = [
-        Line2D(
-            [], [], color=BLUE, lw=1.2, label=f"path of the last {SHOWN_TIME:g} s, paler is earlier"
-        )
-    ]
+    path = f"path of the last {SHOWN_TIME:g} s, paler is earlier"
+    key = [Line2D([], [], color=BLUE, lw=1.2, label=path)]
     if any(len(s.reassignment_positions) for s in scenes):
-        ring: dict[str, Any] = {
-            "ls": "",
-            "marker": "o",
-            "ms": 3.5,
-            "mew": 0.9,
-            "mfc": "white",
-            "mec": RED,
-        }
-        key.append(Line2D([], [], **ring, label="assigned another point here"))
-    key.append(
-        Line2D([], [], **disc, color=DARK_GRAY, label=f"vehicle, {VEHICLE_DIAMETER:g} m wide")
-    )
+        ring: dict[str, Any] = {"ls": "", "marker": "o", "ms": 3.5, "mew": 0.9, "mfc": "white"}
+        key.append(Line2D([], [], **ring, mec=RED, label="assigned another point here"))
+    vehicle = f"vehicle, {VEHICLE_DIAMETER:g} m wide"
+    key.append(Line2D([], [], **disc, color=DARK_GRAY, label=vehicle))
     if any(s.is_avoiding.any() for s in scenes):
         key.append(Line2D([], [], **disc, color=ORANGE, label="avoids others at the end"))
     key.append(Line2D([], [], ls="", marker="+", ms=5, color=GRAY, label="point of the formation"))
