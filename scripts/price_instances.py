@@ -24,7 +24,7 @@ from problems.transfer import TransferProblem
 from sato.reconfiguration.mission import Leg, Reconfiguration
 from sato.reconfiguration.planning import make_horizon
 from sato.reconfiguration.solo_trajectories import solve_solo_transfers
-from sato.shapes.shape import Points
+from sato.shapes import Points
 
 MIN_SPACING = 1.2  # times R: between starts, and between targets
 TARGET_NOISE = 0.03  # standard deviation of the targets, relative to the radius

@@ -31,7 +31,7 @@ from sato.reconfiguration.mission import Join, Leg, Loss, Reconfiguration
 from sato.reconfiguration.state import ReconfigurationFrame
 from sato.reconfiguration.system import SYSTEM
 from sato.runs import Run
-from sato.shapes.shape import Points
+from sato.shapes import Points
 
 
 def square(corner: tuple[float, float], spacing: float) -> np.ndarray:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from recorded_run import record_run
+from sato.reconfiguration.check.promises import check_fuel
 
 from dynamics import ClohessyWiltshire, DoubleIntegrator, LinearizedModel, discretize_zoh
 from dynamics.atmosphere import Atmosphere
@@ -28,7 +29,7 @@ from sato.reconfiguration.mission import Leg, Reconfiguration
 from sato.reconfiguration.state import ReconfigurationFrame
 from sato.reconfiguration.system import SYSTEM
 from sato.runs import Run
-from sato.shapes.shape import Points
+from sato.shapes import Points
 
 ORBIT = Orbit.from_elements(6878e3, inclination=np.pi / 4)
 CIRCLE, EXACT = ClohessyWiltshire.from_orbit(ORBIT), LinearizedModel.at_origin(J2(ORBIT))

@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import pdist
 
 from problems.gain_design import design_gains
-from sato import shapes
+from sato.shapes import Lattice, Text
 from sato.shapes.formation_library import (
     formation_names,
     load_formation,
@@ -255,9 +255,9 @@ def test_impossible_share_of_edges_is_refused_with_the_possible_range(rng):
 
 
 def test_any_shape_makes_a_formation():
-    flat = make_formation(shapes.text("A", 12, spacing=2.0), name="A")
+    flat = make_formation(Text("A", spacing=2.0).place(12, 2), name="A")
     assert (flat.points.shape, flat.is_flat, flat.name) == ((12, 3), True, "A")
-    assert not make_formation(shapes.lattice(13, dimension=3, spacing=2.0)).is_flat
+    assert not make_formation(Lattice(spacing=2.0).place(13, 3)).is_flat
     with pytest.raises(ValueError, match="two or three coordinates, got 1"):
         make_formation(np.zeros((4, 1)))
 

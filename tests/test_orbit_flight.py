@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from dynamics import J2, Atmosphere, InertialPlant, LinearizedModel, Orbit, invariant_velocity
 from dynamics.trajectory_geometry import separations
+from sato.reconfiguration.disturbances import apply_thruster_errors
 from sato.reconfiguration.loop import simulate
 from sato.reconfiguration.mission import Leg, Reconfiguration
-from sato.reconfiguration.disturbances import apply_thruster_errors
 from sato.reconfiguration.planning import make_horizon
 
 STEP, STEPS, RADIUS = 60.0, 12, 50.0

@@ -4,7 +4,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from sato.scenario.errors import InputError, round_up
-from sato.shapes.shape import Points
+from sato.shapes import Points
 
 if TYPE_CHECKING:
     from sato.formation.mission import Formation

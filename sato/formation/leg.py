@@ -19,6 +19,7 @@ from sato.formation.gains import AnyGains, DesignedGains, GainsFile, as_gains
 from sato.formation.start import check_drawn_separation, place_level
 from sato.scenario.definition import Convert, Coordinates, Definition, NotNegative, Positive
 from sato.scenario.errors import InputError, errors_in
+from sato.shapes import Lattice, Picture, Points, Polygon, Ring, Shape, Text
 from sato.shapes.formation_library import load_formation, read_formation
 from sato.shapes.graphs import (
     graph_from_edges,
@@ -26,8 +27,8 @@ from sato.shapes.graphs import (
     random_sparse_graph,
     read_graph,
 )
+from sato.shapes.points import as_points
 from sato.shapes.random_points import sample_formation
-from sato.shapes.shape import Lattice, Picture, Points, Polygon, Ring, Shape, Text, as_points
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -28,7 +28,8 @@ from sato.scenario.definition import Convert, In, Key, Positive
 from sato.scenario.errors import InputError, errors_in
 from sato.scenario.mission import Mission
 from sato.scenario.table import resolve_key, write_table
-from sato.shapes.shape import Points, Shape, as_points
+from sato.shapes import Points, Shape
+from sato.shapes.points import as_points
 
 if TYPE_CHECKING:
     from problems.gain_matrix import GainMatrix

@@ -11,8 +11,8 @@ from scipy.spatial.distance import pdist, squareform
 from dynamics.units import Length, Unit
 from sato.scenario.definition import Coordinates, Definition, Positive
 from sato.scenario.errors import InputError, errors_in
+from sato.shapes import Lattice, Picture, Points, Polygon, Ring, Shape, Text
 from sato.shapes.random_points import sample_positions
-from sato.shapes.shape import Lattice, Picture, Points, Polygon, Ring, Shape, Text
 
 
 @dataclass(frozen=True, eq=False, repr=False)

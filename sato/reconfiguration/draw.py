@@ -11,7 +11,7 @@ from sato.reconfiguration.mission import Join, Leg, Reconfiguration, join_size
 from sato.reconfiguration.orbit import better_start
 from sato.reconfiguration.start import Start, Surroundings, draw_positions
 from sato.scenario.errors import InputError, errors_in, round_up
-from sato.shapes.shape import Points
+from sato.shapes import Points
 
 
 def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:

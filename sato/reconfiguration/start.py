@@ -13,17 +13,9 @@ from dynamics.units import Length, Unit
 from sato.network.graph import CommunicationGraph
 from sato.scenario.definition import Coordinates, Definition, NotNegative, Positive
 from sato.scenario.errors import InputError, round_up
+from sato.shapes import Lattice, Picture, Points, Polygon, Ring, Shape, Text
 from sato.shapes.random_points import PACKING_FRACTION, NoRoomError, sample_separated_points
-from sato.shapes.shape import (
-    Lattice,
-    Picture,
-    Points,
-    Polygon,
-    Ring,
-    Shape,
-    Text,
-    center_in,
-)
+from sato.shapes.shape import center_in
 
 MAX_DRAWS = 200  # of a whole swarm, before its graph is given up
 MEAN_NEIGHBORS = 10  # in a box of no stated size: enough for a connected graph

@@ -1,4 +1,4 @@
-"""Targets from a file of points."""
+"""Points from CSV files."""
 
 import csv
 from collections.abc import Callable
@@ -8,56 +8,15 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from sato.shapes.ordering import farthest_point_order
-from sato.shapes.placement import Center, UnplacedShape, check_count, place_shape
-
 MAX_COORDINATE = 1e9  # largest coordinate whose square is sure not to overflow [m]
 HEADERS = ("x,y", "x_m,y_m", "x,y,z", "x_m,y_m,z_m")
 
 
-def points(
-    path: str | Path,
-    count: int | None = None,
-    *,
-    keep_order: bool = False,
-    spacing: float | None = None,
-    minimum_spacing: float = 0.0,
-    center: Center = "origin",
-) -> Float[Array, "count d"]:
-    """Read targets from a CSV file with two or three columns of meters.
+def read_points(path: Path) -> Float[Array, "k d"]:
+    """Read every point of a CSV file with two or three columns of meters, in its order.
 
     A first line `x,y`, `x,y,z`, `x_m,y_m` or `x_m,y_m,z_m` may name the columns; empty lines and
     lines that begin with # are skipped.
-
-    Args:
-        path: The file.
-        count: Number of targets, the first in the order; all without it.
-        keep_order: Keep the order of the file, in which a prefix may not keep the shape;
-            otherwise the points are put in farthest-point order.
-        spacing: Least distance between two of the targets, to which they are scaled [m].
-        minimum_spacing: Least distance between two targets that is accepted [m].
-        center: Position of the middle of the bounding box of all points; "given" leaves them
-            where the file has them.
-
-    Raises:
-        ValueError: The file cannot be read, a line is not a point, two points coincide, there
-            are too few, or they would be too close.
-    """
-    if count is not None:
-        check_count(count)
-    listed = read_points(Path(path))
-    if count is not None and count > len(listed):
-        raise ValueError(f"{path} lists {len(listed)} points, fewer than the {count} asked for")
-    middle = (listed.min(axis=0) + listed.max(axis=0)) / 2
-    chosen = listed if keep_order else listed[farthest_point_order(listed)]
-    shape = UnplacedShape(f"the list {path}", chosen[:count], middle, None, 1.0)
-    return place_shape(
-        shape, spacing=spacing, size=None, minimum_spacing=minimum_spacing, center=center
-    )
-
-
-def read_points(path: Path) -> Float[Array, "k d"]:
-    """Read every point of a file, in its order.
 
     Raises:
         ValueError: The file cannot be read, a line is not a point, or two points coincide.

@@ -7,8 +7,6 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from sato.shapes.placement import check_count
-
 MAX_REJECTIONS = 10_000  # successive rejections after which there is taken to be no room
 PACKING_FRACTION = {2: 0.4, 3: 0.25}  # share of a box that points fill while sampling stays quick
 
@@ -89,7 +87,8 @@ def sample_formation(
 def _sample_in_box(
     count: int, box: Sequence[float], separation: float, rng: np.random.Generator, axes: int
 ) -> Float[Array, "count d"]:
-    check_count(count)
+    if count < 1:
+        raise ValueError(f"at least one point is needed, got count = {count}")
     if len(box) not in (2, 3) or not min(box) >= 0 or not min(box[:2]) > 0:
         raise ValueError(f"a box has two or three positive sides, got {list(box)} m")
     if not separation >= 0:

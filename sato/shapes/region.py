@@ -1,14 +1,13 @@
 """Regions of the plane, and targets spread over them."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from sato.shapes.ordering import TIE_TOLERANCE, farthest_point_sampling, golden_ratio_order
-from sato.shapes.placement import UnplacedShape
+from sato.shapes.shape import Drawing
 
 MIN_CANDIDATES = 30_000  # positions from which the targets of a region are chosen, about
 CANDIDATES_PER_TARGET = 40  # and at least this many per target
@@ -16,33 +15,33 @@ COARSE_CELLS = 200  # rows and columns of the grid that estimates the area
 MAX_GRID_CELLS = 4_000_000  # cells of the bounding box, a limit for a sliver across it
 
 
-class Region(NamedTuple):
-    """Region of the plane, represented by many candidate positions."""
+def spread_targets(
+    label: str,
+    candidates: Float[Array, "k 2"],
+    lower: Float[Array, " 2"],
+    upper: Float[Array, " 2"],
+    count: int,
+) -> Drawing:
+    """Spread targets over a region, each as far as possible from those before it.
 
-    label: str  # name of the region in messages
-    candidates: Float[Array, "k 2"]
-    lower: Float[Array, " 2"]  # corners of the bounding box
-    upper: Float[Array, " 2"]
+    Args:
+        label: Name of the region in messages.
+        candidates: Many positions all over the region, from which the targets are chosen.
+        lower: Lower left corner of its bounding box.
+        upper: Upper right corner.
+        count: Number of targets.
+    """
+    chosen = farthest_point_sampling(candidates, count)
 
-    def sample_targets(self, count: int) -> UnplacedShape:
-        """Spread targets over the region, each as far as possible from those before it."""
-        chosen = farthest_point_sampling(self.candidates, count)
+    def max_count(spacing: float) -> int:
+        return max(1, int(np.sum(chosen.spacings >= spacing * (1 + 2 * TIE_TOLERANCE))))
 
-        def max_count(spacing: float) -> int:
-            return max(1, int(np.sum(chosen.spacings >= spacing * (1 + 2 * TIE_TOLERANCE))))
-
-        return UnplacedShape(
-            self.label,
-            self.candidates[chosen.indices],
-            (self.lower + self.upper) / 2,
-            "height",
-            float(self.upper[1] - self.lower[1]),
-            max_count,
-        )
+    points, middle = candidates[chosen.indices], (lower + upper) / 2
+    return Drawing(label, points, middle, "height", float(upper[1] - lower[1]), max_count)
 
 
-def fill_outlines(label: str, outlines: Sequence[Float[Array, "_ 2"]], count: int) -> Region:
-    """Return the region that closed outlines enclose.
+def fill_outlines(label: str, outlines: Sequence[Float[Array, "_ 2"]], count: int) -> Drawing:
+    """Spread targets over the region that closed outlines enclose.
 
     A position is inside where the outlines have a winding number other than 0 (a hole runs the
     other way round, as in fonts). Candidates are the nodes of a grid and, so that edges and
@@ -70,7 +69,7 @@ def fill_outlines(label: str, outlines: Sequence[Float[Array, "_ 2"]], count: in
     candidates = np.concatenate(
         [edge[golden_ratio_order(len(edge))], grid[golden_ratio_order(len(grid))]]
     )
-    return Region(label, candidates, lower, upper)
+    return spread_targets(label, candidates, lower, upper, count)
 
 
 def _signed_area(start: Float[Array, "edges 2"], end: Float[Array, "edges 2"]) -> float:

@@ -1,87 +1,54 @@
 """Rings and lattices."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import asin, floor, isfinite, pi, sin
+from typing import Annotated, ClassVar
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.units import Unit
+from sato.scenario.definition import Coordinates
 from sato.shapes.ordering import farthest_point_sampling, golden_ratio_order
-from sato.shapes.placement import Center, UnplacedShape, check_count, place_shape
+from sato.shapes.shape import Drawing, Shape, Size
 
 
-def ring(
-    count: int,
-    *,
-    spacing: float | None = None,
-    radius: float | None = None,
-    normal: Sequence[float] | None = None,
-    minimum_spacing: float = 0.0,
-    center: Center = "origin",
-) -> Float[Array, "count d"]:
-    """Space targets equally on a circle.
+@dataclass(frozen=True, eq=False, repr=False)
+class Ring(Shape):
+    """A circle with equal distances; without a normal, in the x-y plane."""
 
-    Args:
-        count: Number of targets.
-        spacing: Straight distance from one target to the next [m]; or
-        radius: Radius of the circle [m].
-        normal: Normal of the circle's plane, for a ring in space; without it the ring is in 2-D.
-        minimum_spacing: Least distance between two targets that is accepted [m].
-        center: Position of the middle of the circle.
+    kind: ClassVar[str] = "ring"
+    radius: Annotated[Size | None, Unit("m"), "radius of the circle"] = None
+    normal: Annotated[Coordinates | None, "normal of its plane, in space"] = None
 
-    Raises:
-        ValueError: The targets would be too close.
-    """
-    check_count(count)
-    angle = 2 * pi / count * golden_ratio_order(count)
-    circle = np.column_stack([np.cos(angle), np.sin(angle)])
-    circle = circle[farthest_point_sampling(circle, count).indices]
-    nodes = circle if normal is None else embed_in_plane(circle, normal)
-    shape = UnplacedShape(
-        "the ring", nodes, np.zeros(nodes.shape[1]), "radius", 1.0, _max_count_on_circle
-    )
-    return place_shape(
-        shape, spacing=spacing, size=radius, minimum_spacing=minimum_spacing, center=center
-    )
+    def draw(self, count: int, axes: int) -> Drawing:
+        """Space targets equally on a circle."""
+        angle = 2 * pi / count * golden_ratio_order(count)
+        circle = np.column_stack([np.cos(angle), np.sin(angle)])
+        circle = circle[farthest_point_sampling(circle, count).indices]
+        nodes = circle if self.normal is None else embed_in_plane(circle, self.normal)
+        middle = np.zeros(nodes.shape[1])
+        return Drawing("the ring", nodes, middle, "radius", 1.0, _max_count_on_circle)
 
 
-def lattice(
-    count: int,
-    *,
-    dimension: int = 2,
-    spacing: float | None = None,
-    radius: float | None = None,
-    minimum_spacing: float = 0.0,
-    center: Center = "origin",
-) -> Float[Array, "count d"]:
-    """Pack targets as densely as their spacing allows.
+@dataclass(frozen=True, eq=False, repr=False)
+class Lattice(Shape):
+    """A dense patch: hexagonal and round in the plane, a face-centered cubic ball in space."""
 
-    In 2-D they are a round patch of the hexagonal lattice, in 3-D a ball of the face-centered
-    cubic lattice.
+    kind: ClassVar[str] = "lattice"
+    kinds: ClassVar[tuple[str, ...]] = ("lattice", "grid")
+    radius: Annotated[Size | None, Unit("m"), "radius of the patch"] = None
+    flat: Annotated[bool, "in the x-y plane, also where the model moves in space"] = False
 
-    Args:
-        count: Number of targets.
-        dimension: 2 or 3.
-        spacing: Distance from a target to its nearest neighbors [m]; or
-        radius: Distance of the outermost target from the middle of the bounding box [m].
-        minimum_spacing: Least distance between two targets that is accepted [m].
-        center: Position of the middle of the bounding box.
-
-    Raises:
-        ValueError: The dimension is neither 2 nor 3, or the targets would be too close.
-    """
-    check_count(count)
-    if dimension not in (2, 3):
-        raise ValueError(f"a lattice is in 2 or 3 dimensions, got {dimension}")
-    nodes = _lattice_nodes(count, dimension)
-    nodes = nodes[farthest_point_sampling(nodes, count).indices]
-    middle = (nodes.min(axis=0) + nodes.max(axis=0)) / 2
-    drawn_radius = float(np.linalg.norm(nodes - middle, axis=1).max())
-    shape = UnplacedShape("the lattice", nodes, middle, "radius", drawn_radius)
-    return place_shape(
-        shape, spacing=spacing, size=radius, minimum_spacing=minimum_spacing, center=center
-    )
+    def draw(self, count: int, axes: int) -> Drawing:
+        """Take the innermost nodes of a lattice."""
+        nodes = _lattice_nodes(count, 2 if self.flat else axes)
+        nodes = nodes[farthest_point_sampling(nodes, count).indices]
+        middle = (nodes.min(axis=0) + nodes.max(axis=0)) / 2
+        radius = float(np.linalg.norm(nodes - middle, axis=1).max())
+        return Drawing("the lattice", nodes, middle, "radius", radius)
 
 
 def embed_in_plane(points: Float[Array, "k 2"], normal: Sequence[float]) -> Float[Array, "k 3"]:

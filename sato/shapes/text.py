@@ -1,15 +1,17 @@
 """Text in any installed font."""
 
+from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from sato.shapes.placement import Center, check_count, place_shape
+from dynamics.units import Unit
 from sato.shapes.region import fill_outlines
+from sato.shapes.shape import Drawing, Shape, Size
 
 if TYPE_CHECKING:
     from matplotlib.font_manager import FontProperties
@@ -20,45 +22,26 @@ LETTER_FONT, WORD_FONT = "DejaVu Sans:bold", "DejaVu Sans"
 CURVE_RESOLUTION = 10.0  # curves become chords this many times finer than matplotlib's own
 
 
-def text(
-    text: str,
-    count: int,
-    *,
-    spacing: float | None = None,
-    height: float | None = None,
-    font: str | None = None,
-    minimum_spacing: float = 0.0,
-    center: Center = "origin",
-) -> Float[Array, "count 2"]:
-    """Spread targets over the strokes of all letters of a text.
+@dataclass(frozen=True, eq=False, repr=False)
+class Text(Shape):
+    """A line of text.
 
-    Args:
-        text: The text, in one line.
-        count: Number of targets.
-        spacing: Least distance between two targets [m]; or
-        height: Height from the lowest to the highest point of the letters [m].
-        font: Family and style ("DejaVu Serif:bold"), or a font file; without it DejaVu Sans, bold
-            for a single letter.
-        minimum_spacing: Least distance between two targets that is accepted [m].
-        center: Position of the middle of the text's bounding box.
-
-    Raises:
-        ValueError: There is no such font, it lacks a character, there is nothing to draw, or the
-            targets would be too close.
+    The font is a family and style ("DejaVu Serif:bold") or a font file; without it DejaVu Sans,
+    bold for a single letter. The height is that from the lowest to the highest point.
     """
-    check_count(count)
-    if not text.strip():
-        raise ValueError(f"the text {text!r} is blank: there is nothing to draw")
-    if font is None:
-        font = LETTER_FONT if len(text.strip()) == 1 else WORD_FONT
-    region = fill_outlines(f"the text {text!r}", _outlines(text, font), count)
-    return place_shape(
-        region.sample_targets(count),
-        spacing=spacing,
-        size=height,
-        minimum_spacing=minimum_spacing,
-        center=center,
-    )
+
+    kind: ClassVar[str] = "text"
+    text: Annotated[str, "text, in one line"]
+    font: Annotated[str | None, "name or file of a font"] = None
+    height: Annotated[Size | None, Unit("m"), "height of the text"] = None
+
+    def draw(self, count: int, axes: int) -> Drawing:
+        """Spread targets over the strokes of all letters."""
+        text = self.text
+        if not text.strip():
+            raise ValueError(f"the text {text!r} is blank: there is nothing to draw")
+        font = self.font or (LETTER_FONT if len(text.strip()) == 1 else WORD_FONT)
+        return fill_outlines(f"the text {text!r}", _outlines(text, font), count)
 
 
 def _outlines(text: str, font: str) -> list[Float[Array, "_ 2"]]:
@@ -84,12 +67,10 @@ def _find_font(font: str) -> "FontProperties":
             raise ValueError(f"there is no font file {font}")
         return font_manager.FontProperties(fname=font)
     try:
-        style = font_manager.FontProperties(
-            font.replace("-", r"\-")
-        )  # an unescaped dash begins a size
-        return font_manager.FontProperties(
-            fname=font_manager.findfont(style, fallback_to_default=False)
-        )
+        # An unescaped dash begins a size.
+        style = font_manager.FontProperties(font.replace("-", r"\-"))
+        path = font_manager.findfont(style, fallback_to_default=False)
+        return font_manager.FontProperties(fname=path)
     except ValueError as error:
         installed = sorted({entry.name for entry in font_manager.fontManager.ttflist})
         family = font.split(":")[0]
