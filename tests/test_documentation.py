@@ -1,10 +1,12 @@
-"""Pages that must agree with the code: glossary and keys."""
+"""Pages and names that must agree with the code: glossary, keys, docstrings, classes, tests."""
 
 import re
+import runpy
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("dynamics", "problems", "sato")
+MEASURES = runpy.run_path(str(ROOT / "scripts/measure_code.py"))
 
 
 def test_every_name_of_the_glossary_is_found_in_the_code():
@@ -15,3 +17,15 @@ def test_every_name_of_the_glossary_is_found_in_the_code():
     words = set(re.findall(r"\w+", " ".join(file.read_text("utf-8") for file in files)))
     assert len(names) >= 60
     assert names - words == set()
+
+
+def test_docstrings_name_a_thing_or_an_action():
+    assert MEASURES["evasive_docstrings"]() == []
+
+
+def test_public_classes_have_names_of_their_own():
+    assert MEASURES["shared_class_names"]() == {}
+
+
+def test_names_of_tests_have_at_most_70_characters():
+    assert MEASURES["long_test_names"]() == []

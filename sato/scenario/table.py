@@ -34,13 +34,13 @@ class Entry(NamedTuple):
         return (*(owner.name for owner in self.owners), self.field.name)
 
 
-class Layout(NamedTuple):
+class TableLayout(NamedTuple):
     """Keys of a definition in a file: by table, "" being the definition's own."""
 
     tables: Mapping[str, Mapping[str, Entry]]
 
 
-def layout(definition: Any, kind: str | None = None) -> Layout:
+def layout(definition: Any, kind: str | None = None) -> TableLayout:
     """List the tables and keys of a definition.
 
     Args:
@@ -55,7 +55,7 @@ def layout(definition: Any, kind: str | None = None) -> Layout:
             variant = choose(found.field, kind)
             for _, inner in _entries(variant, (found.field,), table):
                 tables[table][inner.field.full_key] = inner
-    return Layout(tables)
+    return TableLayout(tables)
 
 
 def read_table(definition: Any, data: Any) -> Any:

@@ -1,0 +1,102 @@
+"""Measure the code: lines, docstrings, names: python scripts/measure_code.py.
+
+A line of code is one that is not blank, a comment or part of a docstring.
+"""
+
+import ast
+import io
+import tokenize
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("dynamics", "problems", "sato")
+EVASIVE = {"What", "Who", "How", "Whether", "Where", "When", "As", "By", "That"}
+LAYOUT = {
+    tokenize.COMMENT,
+    tokenize.NL,
+    tokenize.NEWLINE,
+    tokenize.INDENT,
+    tokenize.DEDENT,
+    tokenize.ENDMARKER,
+}
+Documented = ast.Module | ast.ClassDef | ast.FunctionDef
+
+
+def code_lines(file: Path) -> int:
+    """Count the lines of code of a file."""
+    text = file.read_text(encoding="utf-8")
+    docstrings: set[int] = set()
+    for node in documented(ast.parse(text)):
+        if ast.get_docstring(node) is not None:
+            first = node.body[0]
+            docstrings.update(range(first.lineno, (first.end_lineno or first.lineno) + 1))
+    lines: set[int] = set()
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type not in LAYOUT:
+            lines.update(range(token.start[0], token.end[0] + 1))
+    return len(lines - docstrings)
+
+
+def documented(tree: ast.AST) -> Iterator[Documented]:
+    """Yield the nodes of a tree that may have a docstring."""
+    return (node for node in ast.walk(tree) if isinstance(node, Documented))
+
+
+def trees(folder: str) -> Iterator[tuple[str, ast.Module]]:
+    """Yield the syntax tree of every file in a folder, with its path."""
+    for file in sorted((ROOT / folder).rglob("*.py")):
+        yield str(file.relative_to(ROOT)), ast.parse(file.read_text(encoding="utf-8"))
+
+
+def evasive_docstrings() -> list[str]:
+    """List docstrings of the packages that begin with a word like What or Whether."""
+    found = []
+    for package in PACKAGES:
+        for path, tree in trees(package):
+            for node in documented(tree):
+                text = ast.get_docstring(node)
+                if text and text.split()[0].rstrip(",:") in EVASIVE:
+                    found.append(f"{path}:{getattr(node, 'lineno', 1)}: {text.splitlines()[0]}")
+    return found
+
+
+def shared_class_names() -> dict[str, list[str]]:
+    """Return the public classes of the packages that share a name, with their files."""
+    files: dict[str, list[str]] = defaultdict(list)
+    for package in PACKAGES:
+        for path, tree in trees(package):
+            for node in ast.walk(tree):
+                if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                    files[node.name].append(path)
+    return {name: paths for name, paths in files.items() if len(paths) > 1}
+
+
+def long_test_names(longest: int = 70) -> list[str]:
+    """List the tests with longer names."""
+    return [
+        node.name
+        for _, tree in trees("tests")
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef)
+        and node.name.startswith("test_")
+        and len(node.name) > longest
+    ]
+
+
+def main() -> None:
+    """Print the measures."""
+    lines: Counter[str] = Counter()
+    for folder in (*PACKAGES, "tests", "scripts"):
+        lines[folder] = sum(map(code_lines, (ROOT / folder).rglob("*.py")))
+    for folder, count in lines.items():
+        print(f"{folder}: {count} lines of code")
+    print(f"three packages: {sum(lines[package] for package in PACKAGES)} lines of code")
+    print(f"docstrings that begin with a word like What: {len(evasive_docstrings())}")
+    print(f"public classes that share a name: {len(shared_class_names())}")
+    print(f"test names longer than 70 characters: {len(long_test_names())}")
+
+
+if __name__ == "__main__":
+    main()
