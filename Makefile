@@ -1,11 +1,10 @@
-# `make demo` and `make test`; besides `make lint`, `make docs` and `make wheel`. Each makes
-# .venv when it is missing and installs what it needs; a second call installs nothing.
+# Targets: demo, test, lint, docs, wheel. Each creates .venv and installs what it needs, once.
 PYTHON ?= python3
 BIN := .venv/bin
 SEED ?= 0
 DEMO := runs/uiuc-$(SEED)
 
-# Small matrices: threads of their own would only wait for one another.
+# Matrices are small: threads of BLAS would only wait for each other.
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 
@@ -34,7 +33,7 @@ docs: .venv/installed-dev
 	$(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html
 	@echo "The pages are in docs/_build/html/index.html"
 
-# Build the wheel, install it into an empty environment, and fly every built-in scenario from it.
+# Build the wheel, install it into an empty environment, and run every built-in scenario from it.
 wheel: .venv/installed-dev
 	rm -rf build/wheel && mkdir -p build/wheel
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir build/wheel .
