@@ -47,17 +47,16 @@ def in_order(states: np.ndarray) -> Points:
 
 def mission(agents: int = 6, **changed: object) -> Reconfiguration:
     """A row that becomes a square and, one lost and one come in, moves on."""
-    x = np.arange(agents + 1) * 1.2
+    x = np.arange(6) * 1.2
     start = np.stack([x, 0.1 * x], axis=1)
-    start[agents] = [6.5, 5.0]
-    join = Join(None, start[agents:], at_step=3)
+    join = Join(None, [[6.5, 5.0]], at_step=3)
     plain = Reconfiguration(
         model=DoubleIntegrator(2),
-        start=start[:agents],
+        start=start,
         legs=(
-            Leg(square((1.0, 3.0), 1.0), steps=12, count=9),
+            Leg(in_order(square((1.0, 3.0), 1.0)), steps=12, count=9),
             Leg(
-                square((4.0, 6.0), 1.1),
+                in_order(square((4.0, 6.0), 1.1)),
                 steps=10,
                 count=9,
                 losses=(Loss("agents", agents=(2,)),),
@@ -72,11 +71,11 @@ def mission(agents: int = 6, **changed: object) -> Reconfiguration:
         horizon_steps=1,
         replan_steps=1,
         auction_steps=1,
-        target_count=agents,
         position_tolerance=1e-6,
         velocity_tolerance=1e-6,
     )
-    return replace(plain.draw(np.random.default_rng(0)), agents=agents, **changed)
+    drawn = plain.draw(np.random.default_rng(0))
+    return replace(drawn, agents=agents, target_count=agents, **changed)
 
 
 def fly_straight(mission: Reconfiguration) -> list[ReconfigurationFrame]:

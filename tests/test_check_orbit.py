@@ -214,7 +214,7 @@ def test_controls_altered_together_are_caught_too(flown):
 
 
 def test_the_plant_is_what_flies_again_and_not_the_model(flown):
-    assert "flight" in broken(flown, mission(plant=None))
+    assert "flight" in broken(flown, mission(plant=LinearPlant(EXACT)))
     assert "flight" in broken(flown, mission(plant=AIR))
 
 

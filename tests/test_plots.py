@@ -49,7 +49,7 @@ def plane_run():
     start = mission().initial_states[:6].copy()
     start[2:, 0] += 0.5  # the row falls apart: two, three and one
     start[5, 0] += 0.5
-    about = mission(comm_radius=1.21, start=start)
+    about = mission(comm_radius=1.21, start=start, allow_undetectable=True)
     run = recorded(about)
     run.data.attrs["scenario"] = LETTERS
     return run, about
@@ -252,7 +252,7 @@ def test_instants_are_the_thirds_of_every_leg_in_minutes(ring):
     _, evidence = ring
     titles = [ax.get_title() for ax in drawn("instants", evidence).axes]
     minutes = [0, 7, 13, 20, 20, 24, 28, 32]  # legs of 20 and of 12 steps of a minute
-    assert titles == [f"({c}) {t} min, shape" for c, t in zip("abcdefgh", minutes, strict=True)]
+    assert titles == [f"({c}) {t} min, points" for c, t in zip("abcdefgh", minutes, strict=True)]
 
 
 def test_who_is_lost_between_two_legs_is_seen_at_the_end_of_the_first(ring):
