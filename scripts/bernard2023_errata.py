@@ -33,8 +33,10 @@ from problems.interaction_graph import (
     interaction_graph,
     lambda2_gradient,
 )
-from sato.connectivity import ConnectivityFrame, simulate
+from sato.connectivity.distance import min_separation
+from sato.connectivity.loop import simulate
 from sato.connectivity.potential import Potential, evaluate_potential, negative_slope
+from sato.connectivity.record import ConnectivityFrame
 from sato.connectivity.yaw_estimator import (
     YawTracking,
     update_velocity_observer,
@@ -184,6 +186,13 @@ def simulate_run(seed: int, *settings: str) -> list[ConnectivityFrame]:
     return list(simulate(read("connectivity", ["obstacles.count=0", *settings]).draw(rng), rng))
 
 
+def least_distance(frames: list[ConnectivityFrame]) -> float:
+    """Return the least distance of two robots in a flight [m]."""
+    return min_separation(
+        np.array([f.position for f in frames]), np.array([f.alive for f in frames])
+    )
+
+
 def leader_erratum(pull: Float[Array, "states 6 3"]) -> Erratum:
     """What holds the robots together moves nobody on the whole."""
     speeds = []
@@ -208,7 +217,7 @@ def repulsion_erratum(pairs: Pairs) -> Erratum:
 
     def least(strength: float) -> float:
         dense = ("box_m=[5, 5, 2.5]", f"repulsion.strength={strength}")
-        return min(simulate_run(seed, *dense)[-1].min_separation for seed in range(RUN_COUNT))
+        return min(least_distance(simulate_run(seed, *dense)) for seed in range(RUN_COUNT))
 
     return Erratum(
         "Sec. III-A: γ_ij falls to 0 towards d_min, so that robots keep their distance",

@@ -9,6 +9,7 @@ import os
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from multiprocessing import get_context
 from time import perf_counter
 from typing import NamedTuple
@@ -100,28 +101,26 @@ def make_table(found: dict[str, list[TimedTrial]], duration: float) -> Table:
     shown = Table(*names)
     for name, done in found.items():
         trials = [d.trial for d in done]
-        least = [t.min_lambda2 for t in trials]
+        column = partial(summary_column, trials)
+        least, reached = column("lambda2_min"), column("waypoints_reached")
         shown.add_row(
             name,
             f"{sum(t.stayed_connected for t in trials)} / {len(trials)}",
             f"{min(least):.3f}, {np.median(least):.2f}",
-            f"{min(t.min_separation for t in trials):.2f}",
-            f"{min(t.min_obstacle_distance for t in trials):.2f}",
-            " ".join(
-                f"{k}: {sum(t.waypoints_reached == k for t in trials)}"
-                for k in distinct_waypoint_counts(trials)
-            ),
-            f"{finite_mean([t.lambda2_error for t in trials]):.5f}",
-            f"{finite_mean([t.yaw_error_mutual for t in trials]):.4f}",
-            f"{finite_mean([t.yaw_error_one_sided for t in trials]):.4f}",
+            f"{min(column('min_separation_m')):.2f}",
+            f"{min(column('min_obstacle_distance_m')):.2f}",
+            " ".join(f"{k:.0f}: {reached.count(k)}" for k in sorted(set(reached), reverse=True)),
+            f"{finite_mean(column('lambda2_error_mean')):.5f}",
+            f"{finite_mean(column('yaw_error_mutual')):.4f}",
+            f"{finite_mean(column('yaw_error_one_sided')):.4f}",
             f"{np.mean([d.wall_seconds for d in done]) / duration:.3f}",
         )
     return shown
 
 
-def distinct_waypoint_counts(trials: Sequence[ConnectivityTrial]) -> list[int]:
-    """Which numbers of waypoints were reached, the most first."""
-    return sorted({t.waypoints_reached for t in trials}, reverse=True)
+def summary_column(trials: Sequence[ConnectivityTrial], name: str) -> list[float]:
+    """Collect an entry of all summaries; NaN where it is absent."""
+    return [trial.summary.get(name, np.nan) for trial in trials]
 
 
 def finite_mean(values: Sequence[float]) -> float:

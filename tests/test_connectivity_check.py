@@ -209,8 +209,8 @@ def test_a_run_file_says_the_world_velocity_and_explains_itself(honest):
     run, mission = honest
     p, v = run.data["position"].values, run.data["velocity"].values
     assert np.diff(p, axis=0) / mission.step == pytest.approx(v[1:], abs=0.1)
-    evidence = ConnectivityRecord.from_dataset(run.data, mission)
-    error = np.abs(evidence.yaw_estimate_error[0][evidence.visibility[0]])
+    record = ConnectivityRecord.from_dataset(run.data, mission)
+    error = np.abs(record.frames.yaw_estimate_error[0][record.frames.visibility[0]])
     assert error.max() <= 0.5 and error.max() > 0.05  # as drawn, but for the first correction
     frame = next(simulate(mission, np.random.default_rng(0)))
-    assert describe_progress(mission, frame)[:3] == ("the swarm is together", 0, 150)
+    assert describe_progress(mission, frame)[:3] == ("connected", 0, 150)

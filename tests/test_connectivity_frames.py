@@ -70,7 +70,8 @@ def test_to_turn_the_whole_world_turns_the_paths_and_no_command(seed, turn, esti
     assume(smooth(frames))
     for one, other in zip(frames, fly(there), strict=True):
         assert other.position == pytest.approx(one.position @ about(turn).T + shift, abs=1e-9)
-        assert other.command == pytest.approx(one.command, abs=1e-9)
+        assert other.velocity_command == pytest.approx(one.velocity_command, abs=1e-9)
+        assert other.yaw_rate == pytest.approx(one.yaw_rate, abs=1e-9)
         assert np.array_equal(other.visibility, one.visibility)
 
 
@@ -87,8 +88,8 @@ def test_to_turn_the_axes_of_one_robot_changes_nothing_in_the_world(seed, robot,
     assume(smooth(frames))
     for one, another in zip(frames, fly(other), strict=True):
         assert another.position == pytest.approx(one.position, abs=1e-9)
-        assert another.command[:, 3] == pytest.approx(one.command[:, 3], abs=1e-9)
-        seen = [rotate_by_yaw(f.command[:, :3], f.yaw) for f in (one, another)]
+        assert another.yaw_rate == pytest.approx(one.yaw_rate, abs=1e-9)
+        seen = [rotate_by_yaw(f.velocity_command, f.yaw) for f in (one, another)]
         assert seen[1] == pytest.approx(seen[0], abs=1e-9)
         assert another.lambda2_estimate == pytest.approx(
             one.lambda2_estimate, abs=1e-9, nan_ok=True
@@ -102,11 +103,11 @@ def test_to_turn_all_axes_under_the_cameras_changes_nothing_in_the_world(seed, t
     x, y, z = about(-turn) @ plain.camera.optical_axis
     other = replace(plain, yaw=plain.yaw + turn, camera=Camera(optical_axis=(x, y, z)))
     frames = fly(plain)
-    assume(smooth(frames) and max(np.abs(f.command[:, 3]).max() for f in frames) > 0.05)
+    assume(smooth(frames) and max(np.abs(f.yaw_rate).max() for f in frames) > 0.05)
     for one, another in zip(frames, fly(other), strict=True):
         assert another.position == pytest.approx(one.position, abs=1e-9)
-        assert another.command[:, 3] == pytest.approx(one.command[:, 3], abs=1e-9)
-        seen = [rotate_by_yaw(f.command[:, :3], f.yaw) for f in (one, another)]
+        assert another.yaw_rate == pytest.approx(one.yaw_rate, abs=1e-9)
+        seen = [rotate_by_yaw(f.velocity_command, f.yaw) for f in (one, another)]
         assert seen[1] == pytest.approx(seen[0], abs=1e-9)
 
 

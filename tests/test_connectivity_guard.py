@@ -45,12 +45,12 @@ def test_who_is_alone_holds_and_keeps_away_from_what_is_near(estimator):
     # The third dies: the first two are left together, and the fourth, at the sphere, is alone.
     frames = cut(dies=2, estimator=estimator)
     before = [f for f in frames if 0.1 < f.time < DEATH - 1e-9]
-    assert all(np.linalg.norm(f.command[0, :3]) > 0.01 for f in before)
+    assert all(np.linalg.norm(f.velocity_command[0]) > 0.01 for f in before)
     alone = [f for f in frames if f.time > DEATH + MAX_MESSAGE_AGE + 0.01]
     for f in alone:
-        asked = rotate_by_yaw(f.command[:, :3], f.yaw)[3]
+        asked = rotate_by_yaw(f.velocity_command, f.yaw)[3]
         assert asked == pytest.approx(away(f.position[3]), abs=1e-12)
-        assert f.command[3, 3] == 0
+        assert f.yaw_rate[3] == 0
     assert np.linalg.norm(away(alone[0].position[3])) > 0.05
     later = [f.lambda2_estimate[3] for f in frames if f.time > DEATH + MAX_ROW_AGE]
     if estimator == "flood":

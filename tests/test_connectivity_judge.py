@@ -113,9 +113,9 @@ def test_nothing_is_asked_of_a_leader_that_is_lost():
 @pytest.mark.parametrize("plant", ['plant={kind="kinematic"}', QUADROTOR])
 def test_who_stands_in_the_line_of_sight_is_judged(plant):
     run, mission = flown(plant, *HIDING)
-    evidence = ConnectivityRecord.from_dataset(run.data, mission)
+    record = ConnectivityRecord.from_dataset(run.data, mission)
     clear = ConnectivityRecord.from_dataset(run.data, replace(mission, occlusion=False)).views
-    covered = (clear.weight > 0) & (evidence.views.weight == 0)
+    covered = (clear.weight > 0) & (record.views.weight == 0)
     assert covered.any()
     assert broken(weighing(run, clear.weight), mission) == {"weights"}
     seen = clear.view_cosine > mission.camera.a_min

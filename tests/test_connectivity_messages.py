@@ -69,7 +69,7 @@ def test_a_second_after_a_robot_died_the_rest_act_as_if_it_had_never_been(rng, e
     ).lambda2
     assert last.lambda2_estimate[:7] == pytest.approx(np.full(7, lambda2), rel=1e-6)
     action = np.column_stack([rest.position, rest.yaw]) * negative_slope(float(lambda2), GENTLE)
-    did = np.column_stack([rotate_by_yaw(last.command[:7, :3], yaw[:7]), last.command[:7, 3]])
+    did = np.column_stack([rotate_by_yaw(last.velocity_command[:7], yaw[:7]), last.yaw_rate[:7]])
     assert did == pytest.approx(action, rel=1e-5, abs=1e-5 * np.abs(action).max())
 
 

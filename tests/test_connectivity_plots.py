@@ -15,10 +15,11 @@ from recorded_run import record_run
 
 from problems.interaction_graph import interaction_graph
 from sato.connectivity.check import ConnectivityRecord
+from sato.connectivity.distance import nearest_agent_distance
 from sato.connectivity.figures import FIGURES, make_figures
 from sato.connectivity.figures.obstacles import draw_obstacles_3d, draw_obstacles_from_above
 from sato.connectivity.figures.time_panels import STICK_COLOR, find_intervals, find_stick_intervals
-from sato.connectivity.figures.time_series import count_edges, nearest_agent_distance
+from sato.connectivity.figures.time_series import count_edges
 from sato.connectivity.figures.trajectories import MAX_POINTS
 from sato.connectivity.figures.yaw_error import (
     LOST,
@@ -73,9 +74,9 @@ def data_of(mission, frames):
     return record_run(SYSTEM, frames, mission).data
 
 
-def drawn(name, evidence):
+def drawn(name, record):
     with matplotlib.rc_context(STYLE):
-        figure = FIGURES[name](evidence)
+        figure = FIGURES[name](record)
         FigureCanvasAgg(figure).draw()
     return figure
 
@@ -120,8 +121,8 @@ def test_no_words_run_out_of_the_picture_and_no_legend_covers_a_panel(name, vari
 
 @pytest.mark.parametrize("variant", ["six", "lost", "two"])
 def test_all_figures_are_drawn_whatever_is_flown(variant):
-    evidence = flown(variant)
-    mission = evidence.mission
+    record = flown(variant)
+    mission = record.mission
     frames = list(simulate(mission, np.random.default_rng(0)))[:1]
     assert list(make_figures(data_of(mission, frames), mission)) == list(FIGURES)
     assert SYSTEM.figures(data_of(mission, frames), mission).keys() == FIGURES.keys()
@@ -145,35 +146,39 @@ def test_the_ground_is_shaded_while_the_stick_is_held_and_not_else(name):
 
 
 def test_the_stick_is_held_where_something_is_asked():
-    evidence = flown("six")
-    inside = np.zeros(len(evidence.time), dtype=bool)
-    for span in find_stick_intervals(evidence):
-        inside |= (evidence.time >= span.start) & (evidence.time < span.end)
-    asked = np.linalg.norm(evidence.stick, axis=1) > 0
+    record = flown("six")
+    inside = np.zeros(len(record.frames.time), dtype=bool)
+    for span in find_stick_intervals(record):
+        inside |= (record.frames.time >= span.start) & (record.frames.time < span.end)
+    asked = np.linalg.norm(record.frames.stick, axis=1) > 0
     np.testing.assert_array_equal(inside[:-1], asked[:-1])
 
 
 @pytest.mark.parametrize("variant", ["six", "thirty", "lost"])
 def test_eigenvalues_are_those_of_the_run_and_of_every_robot(variant):
-    evidence = flown(variant)
+    record = flown(variant)
     ax, error = shown("connectivity", variant).axes
-    np.testing.assert_array_equal(line(ax, "λ$_2$, true"), [evidence.time, evidence.lambda2])
-    third = np.where(evidence.alive.sum(axis=1) > 2, evidence.lambda3, np.nan)
+    np.testing.assert_array_equal(
+        line(ax, "λ$_2$, true"), [record.frames.time, record.frames.lambda2]
+    )
+    third = np.where(record.frames.alive.sum(axis=1) > 2, record.frames.lambda3, np.nan)
     np.testing.assert_array_equal(line(ax, "λ$_3$, true")[1], third)
     own = np.array([one.get_ydata() for one in ax.lines if one.get_color() == ORANGE]).T
-    np.testing.assert_array_equal(own, np.where(evidence.alive, evidence.lambda2_estimate, np.nan))
-    off = np.abs(own - evidence.lambda2[:, None])
+    np.testing.assert_array_equal(
+        own, np.where(record.frames.alive, record.frames.lambda2_estimate, np.nan)
+    )
+    off = np.abs(own - record.frames.lambda2[:, None])
     known = np.isfinite(off).any(axis=1)  # before anything is told, nobody knows
     median = line(error, "their median")[1]
     np.testing.assert_array_equal(median[known], np.nanmedian(off[known], axis=1))
     assert known[1:].all() and np.isnan(median[~known]).all()
-    limits = evidence.mission.potential
+    limits = record.mission.potential
     for level, name in ((limits.lambda2_min, "min"), (limits.lambda2_max, "max")):
         [at] = [t.xy[1] for t in ax.texts if f"{{{name}}}" in t.get_text()]
         assert at == level
         assert any(np.all(np.array(one.get_ydata()) == level) for one in ax.lines)
     low, high = ax.get_ylim()
-    assert low == 0 and high >= max(evidence.lambda2.max(), limits.lambda2_max)
+    assert low == 0 and high >= max(record.frames.lambda2.max(), limits.lambda2_max)
 
 
 def test_two_robots_have_no_third_eigenvalue():
@@ -182,9 +187,9 @@ def test_two_robots_have_no_third_eigenvalue():
 
 
 def test_a_split_and_losses_are_marked_in_every_panel():
-    evidence = flown("lost")
-    lost = [e["time"] for _, e in evidence.events.of_kind("loss")]
-    (_, split), *_ = evidence.events.of_kind("split")
+    record = flown("lost")
+    lost = [e["time"] for _, e in record.events.of_kind("loss")]
+    (_, split), *_ = record.events.of_kind("split")
     for ax in shown("connectivity", "lost").axes:
         dots = [one.get_xdata()[0] for one in ax.lines if one.get_linestyle() == ":"]
         assert set(lost) <= set(dots)
@@ -193,67 +198,69 @@ def test_a_split_and_losses_are_marked_in_every_panel():
 
 @pytest.mark.parametrize("variant", ["six", "lost", "thirty"])
 def test_the_number_of_edges_is_that_of_the_graph(variant):
-    evidence = flown(variant)
+    record = flown(variant)
     [ax] = shown("edges", variant).axes
-    edges, mutual, pairs = count_edges(evidence).T
+    edges, mutual, pairs = count_edges(record).T
     np.testing.assert_array_equal(line(ax, "edges")[1], edges)
     np.testing.assert_array_equal(line(ax, "where both see each other")[1], mutual)
     np.testing.assert_array_equal(line(ax, "pairs of robots")[1], pairs)
-    for k in range(0, len(evidence.time), 20):
-        live = np.flatnonzero(evidence.alive[k]).tolist()
+    for k in range(0, len(record.frames.time), 20):
+        live = np.flatnonzero(record.frames.alive[k]).tolist()
         two = list(combinations(live, 2))
         assert len(two) == pairs[k]
-        assert sum(evidence.edge_weight[k, i, j] > 0 for i, j in two) == edges[k]
-        both = [evidence.visibility[k, i, j] and evidence.visibility[k, j, i] for i, j in two]
-        weighs = [evidence.edge_weight[k, i, j] > 0 for i, j in two]
+        assert sum(record.frames.edge_weight[k, i, j] > 0 for i, j in two) == edges[k]
+        both = [
+            record.frames.visibility[k, i, j] and record.frames.visibility[k, j, i] for i, j in two
+        ]
+        weighs = [record.frames.edge_weight[k, i, j] > 0 for i, j in two]
         assert sum(np.array(both) & np.array(weighs)) == mutual[k]
 
 
 @pytest.mark.parametrize("variant", ["six", "lost", "thirty", "two"])
 def test_errors_of_yaw_stand_on_who_sees_whom(variant):
-    evidence = flown(variant)
+    record = flown(variant)
     axes = [ax for ax in shown("yaw", variant).axes if ax.get_title(loc="left")]
-    pairs = select_pairs(evidence)
-    n = evidence.mission.agents
+    pairs = select_pairs(record)
+    n = record.mission.agents
     assert len(axes) == len(pairs) == min(MAX_PAIRS, n * (n - 1) // 2)
     for ax, (i, j) in zip(axes, pairs, strict=True):
         assert ax.get_title(loc="left").endswith(f"i = {i}, j = {j}")
-        both = evidence.alive[:, i] & evidence.alive[:, j]
+        both = record.frames.alive[:, i] & record.frames.alive[:, j]
         for one, (a, b) in zip(ax.lines, ((i, j), (j, i)), strict=True):
-            off = np.abs(np.sin(evidence.yaw_estimate_error[:, a, b] / 2))
+            off = np.abs(np.sin(record.frames.yaw_estimate_error[:, a, b] / 2))
             np.testing.assert_array_equal(one.get_ydata(), np.where(both, off, np.nan))
-        sees, seen_too = evidence.visibility[:, i, j], evidence.visibility[:, j, i]
+        sees, seen_too = record.frames.visibility[:, i, j], record.frames.visibility[:, j, i]
         cases = (sees & ~seen_too, ~sees & seen_too, sees & seen_too, both)
         for number, case in enumerate(cases, 1):
             case = both & case if number < LOST else ~both
-            inside = np.zeros(len(evidence.time), dtype=bool)
+            inside = np.zeros(len(record.frames.time), dtype=bool)
             for start, end in shades(ax, VISIBILITY_COLORS[number]):
-                inside |= (evidence.time >= start - 1e-9) & (evidence.time < end - 1e-9)
+                inside |= (record.frames.time >= start - 1e-9) & (record.frames.time < end - 1e-9)
             np.testing.assert_array_equal(inside[:-1], case[:-1])
 
 
 def test_the_pairs_shown_see_each_other_in_most_ways():
-    evidence = flown("thirty")
+    record = flown("thirty")
     ways = {
-        pair: len(set(classify_visibility(evidence, *pair).tolist()) - {LOST})
+        pair: len(set(classify_visibility(record, *pair).tolist()) - {LOST})
         for pair in combinations(range(30), 2)
     }
-    shown_ways = [ways.pop(pair) for pair in select_pairs(evidence)]
+    shown_ways = [ways.pop(pair) for pair in select_pairs(record)]
     assert min(shown_ways) >= max(ways.values()) > 0
 
 
 def test_distances_are_the_least_by_brute_force():
-    evidence = flown("lost")
+    record = flown("lost")
     robots, obstacles = shown("distances", "lost").axes
     least, near = line(robots, "the least")[1], line(obstacles, "the least")[1]
-    balls = evidence.mission.obstacle_arrays.spheres
-    for k in range(0, len(evidence.time), 25):
-        there = evidence.position[k, evidence.alive[k]]
+    balls = record.mission.obstacle_arrays.spheres
+    for k in range(0, len(record.frames.time), 25):
+        there = record.frames.position[k, record.frames.alive[k]]
         gaps = [np.linalg.norm(p - q) for p, q in combinations(there, 2)]
         assert least[k] == pytest.approx(min(gaps))
         away = [np.linalg.norm(p - ball[:3]) - ball[3] for p in there for ball in balls]
         assert near[k] == pytest.approx(min(away))
-    between = evidence.mission.repulsion
+    between = record.mission.repulsion
     for ax in (robots, obstacles):
         said = {t.get_text(): t.xy[1] for t in ax.texts}
         assert said == {
@@ -276,21 +283,21 @@ def test_who_is_lost_is_nobodys_nearest():
 
 @pytest.mark.parametrize("variant", ["six", "lost", "recorded", "thirty"])
 def test_paths_end_where_robots_are_or_are_lost(variant):
-    evidence = flown(variant)
+    record = flown(variant)
     deep, above = shown("paths", variant).axes
-    last = len(evidence.time) - 1
-    for i in range(evidence.mission.agents):
-        end = int(np.flatnonzero(evidence.alive[:, i]).max(initial=0))
-        place = evidence.position[end, i]
-        mark = "o" if evidence.alive[last, i] else "X"
+    last = len(record.frames.time) - 1
+    for i in range(record.mission.agents):
+        end = int(np.flatnonzero(record.frames.alive[:, i]).max(initial=0))
+        place = record.frames.position[end, i]
+        mark = "o" if record.frames.alive[last, i] else "X"
         for ax, shown_axes in ((deep, 3), (above, 2)):
             dots = [one for one in ax.lines if one.get_marker() == mark]
             at = [np.ravel(coordinates(one)) for one in dots]
             assert any(np.allclose(p, place[:shown_axes]) for p in at if len(p) == shown_axes)
     [leader] = [one for one in above.lines if one.get_color() == ORANGE and one.get_lw() == 2.0]
-    live = evidence.alive[:, 0]
-    assert len(evidence.time) <= MAX_POINTS
-    np.testing.assert_array_equal(leader.get_xydata()[live], evidence.position[live, 0, :2])
+    live = record.frames.alive[:, 0]
+    assert len(record.frames.time) <= MAX_POINTS
+    np.testing.assert_array_equal(leader.get_xydata()[live], record.frames.position[live, 0, :2])
     assert np.isnan(leader.get_xydata()[~live]).all()
 
 
@@ -300,9 +307,11 @@ def coordinates(one):
 
 
 def test_the_graph_at_the_end_is_drawn_wider_where_it_weighs_more():
-    evidence = flown("six")
-    mission = evidence.mission
-    weight = interaction_graph(evidence.position[-1], evidence.yaw[-1], mission.camera).weights
+    record = flown("six")
+    mission = record.mission
+    weight = interaction_graph(
+        record.frames.position[-1], record.frames.yaw[-1], mission.camera
+    ).weights
     for ax in shown("paths", "six").axes:
         edges = [one for one in ax.lines if one.get_color() == GREEN]
         assert len(edges) == np.triu(weight > 0).sum()
@@ -312,23 +321,21 @@ def test_the_graph_at_the_end_is_drawn_wider_where_it_weighs_more():
 
 
 def test_fields_of_view_open_about_the_optical_axis():
-    evidence = flown("six")
+    record = flown("six")
     above = shown("paths", "six").axes[1]
     wedges = [p for p in above.patches if isinstance(p, Wedge)]
     for i, wedge in enumerate(wedges):
-        assert wedge.center == pytest.approx(evidence.position[-1, i, :2])
+        assert wedge.center == pytest.approx(record.frames.position[-1, i, :2])
         half = np.degrees(np.arccos(0.4))
-        middle = np.degrees(evidence.yaw[-1, i]) + 45  # the axis is between x and y
+        middle = np.degrees(record.frames.yaw[-1, i]) + 45  # the axis is between x and y
         assert (wedge.theta1, wedge.theta2) == pytest.approx((middle - half, middle + half))
     assert len(wedges) == 6
 
 
 def test_a_camera_that_looks_down_has_no_field_of_view_beside_it():
-    evidence = flown("blind")
-    down = evidence.mission.camera._replace(optical_axis=(0.0, 0.0, -1.0), a_min=-0.5)
-    above = drawn("paths", replace(evidence, mission=replace(evidence.mission, camera=down))).axes[
-        1
-    ]
+    record = flown("blind")
+    down = record.mission.camera._replace(optical_axis=(0.0, 0.0, -1.0), a_min=-0.5)
+    above = drawn("paths", replace(record, mission=replace(record.mission, camera=down))).axes[1]
     assert not [p for p in above.patches if isinstance(p, Wedge)]
 
 
@@ -380,9 +387,9 @@ def test_from_above_a_wall_hides_what_is_behind_it_and_a_floor_nothing():
 
 
 def test_weights_are_those_of_the_graph():
-    evidence = flown("six")
+    record = flown("six")
     reach, view, either, plane = shown("weights", "six").axes[:4]
-    sight, alone = evidence.mission.camera, np.zeros(3)
+    sight, alone = record.mission.camera, np.zeros(3)
     toward = np.pi / 4  # of the optical axis
     for d, gamma in reach.lines[0].get_xydata()[1::20]:
         there = np.array([alone, d * np.array([np.cos(toward), np.sin(toward), 0])])
@@ -416,8 +423,8 @@ def test_who_is_blind_to_the_field_of_view_weighs_by_distance_alone():
 
 
 def test_laws_are_drawn_as_the_mission_has_them():
-    evidence = flown("six")
-    mission = evidence.mission
+    record = flown("six")
+    mission = record.mission
     v, slope, away = shown("potential", "six").axes
     laws = (
         (v, lambda x: evaluate_potential(x, mission.potential)),
@@ -431,5 +438,5 @@ def test_laws_are_drawn_as_the_mission_has_them():
     marks = [one.get_xdata()[0] for one in away.lines if one.get_linestyle() == ":"]
     assert marks == [mission.repulsion.min_distance, mission.repulsion.max_distance]
     [(low, high)] = shades(v, "#56b4e9")
-    assert (low, high) == pytest.approx((evidence.lambda2.min(), evidence.lambda2.max()))
+    assert (low, high) == pytest.approx((record.frames.lambda2.min(), record.frames.lambda2.max()))
     assert BLUE == v.lines[0].get_color()

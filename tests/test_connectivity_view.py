@@ -36,8 +36,7 @@ def one_sided_error(mission):
         and not last.visibility[1, 0]
         and (last.visibility & last.visibility.T).sum() == 4
     )
-    off = last.relative_yaw_estimate[0, 1] - (last.yaw[1] - last.yaw[0])
-    return abs(np.sin(off / 2))
+    return abs(np.sin(last.yaw_estimate_error[0, 1] / 2))
 
 
 def test_a_third_that_both_see_tells_how_another_is_turned():
@@ -120,7 +119,7 @@ def test_messages_that_are_rare_or_late_are_used_for_what_they_are_worth(link):
         later = frames[100:]
         yaw = []
         for f in later:
-            off = np.abs(np.sin((f.relative_yaw_estimate - (f.yaw - f.yaw[:, None])) / 2))
+            off = np.abs(np.sin(f.yaw_estimate_error / 2))
             yaw.append(off[f.visibility & f.visibility.T])
         lambda2 = np.mean([np.abs(f.lambda2_estimate - f.lambda2).mean() for f in later])
         return lambda2, np.concatenate(yaw).mean()

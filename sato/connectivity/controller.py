@@ -1,7 +1,7 @@
-"""What one robot makes of what it senses and is told, and what it does about it.
+"""Controller of one agent: relative yaw, edges with their gradients, and the command.
 
-Each function is given the number of a robot and reads its rows alone: of its senses, its mail
-and its mind. Nothing here is in any frame but the robot's own.
+Functions are given the index of an agent and read its rows alone: of its measurements, its
+messages and its estimates, all in its own body frame.
 """
 
 from math import cos, sin, sqrt
@@ -23,7 +23,7 @@ from sato.connectivity.yaw_estimator import (
 )
 from sato.scenario.definition import Positive
 
-MAX_MESSAGE_AGE = 0.2  # for which what a neighbour said is used when nothing new comes [s]
+MAX_MESSAGE_AGE = 0.2  # time for which a neighbor's last message is used [s]
 
 
 class CommandLimits(NamedTuple):
@@ -35,163 +35,150 @@ class CommandLimits(NamedTuple):
 
 @no_type_check
 @numba.njit
-def estimate_edges(i, senses, mail, mind, team, time):
-    """Robot i: how its neighbours are turned, its own edges and their gradients."""
-    mine, theirs = np.zeros(3), np.zeros(3)
-    link = team.link
-    since = time - MAX_MESSAGE_AGE - ((link.delay_messages + 1) * link.period_steps - 1) * team.step
-    for j in range(len(mind.relative_yaw)):
+def estimate_edges(i, measurements, messages, estimates, parameters, time):
+    """Estimate the relative yaw of the neighbors of agent i, its edges and their gradients."""
+    bearing, bearing_back = np.zeros(3), np.zeros(3)
+    link, n = parameters.link, len(estimates.relative_yaw)
+    delay_steps = (link.delay_messages + 1) * link.period_steps - 1
+    oldest = time - MAX_MESSAGE_AGE - delay_steps * parameters.step
+    for j in range(n):
         if j == i:
             continue
-        known = mail.received_time[i, j] >= since
-        sees, seen = senses.visibility[i, j], known and mail.received_visibility[i, j]
-        mind.weight[i, j] = 0.0
-        for a in range(4):
-            mind.weight_gradient[i, j, a] = 0.0
-        mind.is_mutual[i, j] = sees and seen
-        if sees and known:
-            _update_relative_yaw(i, j, seen, senses, mail, mind, team, time)
-        elif seen:
-            mind.relative_yaw[i, j] = _yaw_from_message(i, j, senses, mail, team, time)
-        if sees or seen:
-            turn = mind.relative_yaw[i, j]
-            d = _mutual_bearings(
-                senses.relative_position[i, j],
-                mail.received_relative_position[i, j],
-                sees,
-                seen,
-                turn,
-                mine,
-                theirs,
+        has_message = messages.received_time[i, j] >= oldest
+        sees = measurements.visibility[i, j]
+        is_seen = has_message and messages.received_visibility[i, j]
+        estimates.weight[i, j] = 0.0
+        estimates.weight_gradient[i, j, :] = 0.0
+        estimates.is_mutual[i, j] = sees and is_seen
+        if sees and has_message:
+            _update_relative_yaw(i, j, is_seen, measurements, messages, estimates, parameters, time)
+        elif is_seen:
+            estimates.relative_yaw[i, j] = _yaw_from_message(
+                i, j, measurements, messages, parameters, time
             )
-            mind.weight[i, j], _, _ = edge_weight(
-                d, mine, theirs, turn, sees, seen, team.assumed_camera, mind.weight_gradient[i, j]
-            )
-    if team.tracking.closure_gain > 0 and not team.tracking.as_printed:
-        _close_triangles(i, senses, mail, mind, team, since)
-    for j in range(len(mind.relative_yaw)):
-        mind.adjacency_rows[i, i, j] = mind.weight[i, j]
-    mind.row_time[i, i] = time
+        if sees or is_seen:
+            psi = estimates.relative_yaw[i, j]
+            p = measurements.relative_position[i, j]
+            p_back = messages.received_relative_position[i, j]
+            d = _mutual_bearings(p, p_back, sees, is_seen, psi, bearing, bearing_back)
+            estimates.weight[i, j], _, _ = edge_weight(
+                d, bearing, bearing_back, psi, sees, is_seen, parameters.assumed_camera,
+                estimates.weight_gradient[i, j],
+            )  # fmt: skip
+    if parameters.tracking.closure_gain > 0 and not parameters.tracking.as_printed:
+        _close_triangles(i, measurements, messages, estimates, parameters, oldest)
+    estimates.adjacency_rows[i, i] = estimates.weight[i]
+    estimates.row_time[i, i] = time
 
 
 @no_type_check
 @numba.njit
-def _mutual_bearings(p, q, sees, seen, turn, mine, theirs):
-    # Own and other's bearing, and the distance; who sees nothing turns what the other one sees
-    # [Bernard2023, Sec. III-C, where the turn is printed the wrong way round].
-    c, s = cos(turn), sin(turn)
-    own = sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2])
-    his = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
-    for a in range(3):
-        mine[a], theirs[a] = p[a] / own, q[a] / his
-    if not sees:
-        mine[0], mine[1] = -(c * theirs[0] - s * theirs[1]), -(s * theirs[0] + c * theirs[1])
-        mine[2] = -theirs[2]
-    if not seen:
-        theirs[0], theirs[1] = -(c * mine[0] + s * mine[1]), -(c * mine[1] - s * mine[0])
-        theirs[2] = -mine[2]
-    return own if sees else his
-
-
-@no_type_check
-@numba.njit
-def _update_relative_yaw(i, j, seen, senses, mail, mind, team, time):
-    dt, track, v = team.step, team.tracking, mail.received_twist[i, j]
-    watch, p, q = (
-        mind.velocity_observer[i, j],
-        senses.relative_position[i, j],
-        mail.received_relative_position[i, j],
-    )
-    update_velocity_observer(
-        p, senses.previous_relative_position[i, j], not senses.previous_visibility[i, j], senses.velocity[i], senses.yaw_rate[i],
-        v, watch, track, dt,
-    )  # fmt: skip
-    guessed, trust = yaw_from_motion(watch, v, track)
-    turn, yaw = v[3] - senses.yaw_rate[i], mind.relative_yaw[i, j]
-    mutual = (
-        _view_weight(p, team.assumed_camera) * _view_weight(q, team.assumed_camera) if seen else 0.0
-    )
-    # Bearings belong together if they are of one time; without news there are none.
-    both = seen and mail.is_new[i, j] and not np.isnan(mail.relative_position_when_sent[i, j, 0])
-    measured = yaw
-    if both:
-        measured = (
-            yaw_from_bearings(mail.relative_position_when_sent[i, j], q)
-            + (time - mail.received_time[i, j]) * turn
-        )
-    yaw = update_yaw_estimate(yaw, turn, mutual, measured, guessed, trust, track, dt)
-    if both:
-        yaw = circular_mean(yaw, -_yaw_from_message(i, j, senses, mail, team, time))
-    mind.relative_yaw[i, j] = yaw
-
-
-@no_type_check
-@numba.njit
-def _yaw_from_message(i, j, senses, mail, team, time):
-    # ψ̃_ij by what j reckoned a step before it told, and how both have turned since.
-    since = time - mail.received_time[i, j] + team.step
-    turn = mail.received_twist[i, j, 3] - senses.yaw_rate[i]
-    return wrap_angle(since * turn - mail.received_relative_yaw[i, j, i])
-
-
-@no_type_check
-@numba.njit
-def _view_weight(p, sight):
+def _mutual_bearings(p, p_back, sees, is_seen, psi, bearing, bearing_back):
+    # Returns the distance. An agent that does not see rotates the other's measurement
+    # [Bernard2023, Sec. III-C, where the rotation is printed in the wrong sense].
+    c, s = cos(psi), sin(psi)
     d = sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2])
-    facing = (
-        sight.optical_axis[0] * p[0] + sight.optical_axis[1] * p[1] + sight.optical_axis[2] * p[2]
-    ) / d
-    return cosine_ramp(facing, sight.a_min, sight.a_max)
+    d_back = sqrt(p_back[0] * p_back[0] + p_back[1] * p_back[1] + p_back[2] * p_back[2])
+    for a in range(3):
+        bearing[a], bearing_back[a] = p[a] / d, p_back[a] / d_back
+    if not sees:
+        bearing[0] = -(c * bearing_back[0] - s * bearing_back[1])
+        bearing[1] = -(s * bearing_back[0] + c * bearing_back[1])
+        bearing[2] = -bearing_back[2]
+    if not is_seen:
+        bearing_back[0] = -(c * bearing[0] + s * bearing[1])
+        bearing_back[1] = -(c * bearing[1] - s * bearing[0])
+        bearing_back[2] = -bearing[2]
+    return d if sees else d_back
 
 
 @no_type_check
 @numba.njit
-def _close_triangles(i, senses, mail, mind, team, since):
-    # Where only one of i and j sees the other, somebody in sight of both knows more.
-    n, gain = len(mind.relative_yaw), team.step * team.tracking.closure_gain
+def _update_relative_yaw(i, j, is_seen, measurements, messages, estimates, parameters, time):
+    dt, tracking, camera = parameters.step, parameters.tracking, parameters.assumed_camera
+    observer, twist = estimates.velocity_observer[i, j], messages.received_twist[i, j]
+    p, p_back = measurements.relative_position[i, j], messages.received_relative_position[i, j]
+    update_velocity_observer(
+        p, measurements.previous_relative_position[i, j],
+        not measurements.previous_visibility[i, j], measurements.velocity[i],
+        measurements.yaw_rate[i], twist, observer, tracking, dt,
+    )  # fmt: skip
+    psi_motion, trust = yaw_from_motion(observer, twist, tracking)
+    rate, psi = twist[3] - measurements.yaw_rate[i], estimates.relative_yaw[i, j]
+    mutual = _view_weight(p, camera) * _view_weight(p_back, camera) if is_seen else 0.0
+    # Two bearings belong together only if they are of one time, so a message must be new.
+    p_then = messages.relative_position_when_sent[i, j]
+    has_both = is_seen and messages.is_new[i, j] and not np.isnan(p_then[0])
+    psi_bearings = psi
+    if has_both:
+        age = time - messages.received_time[i, j]
+        psi_bearings = yaw_from_bearings(p_then, p_back) + age * rate
+    psi = update_yaw_estimate(psi, rate, mutual, psi_bearings, psi_motion, trust, tracking, dt)
+    if has_both:
+        psi = circular_mean(psi, _yaw_from_message(i, j, measurements, messages, parameters, time))
+    estimates.relative_yaw[i, j] = psi
+
+
+@no_type_check
+@numba.njit
+def _yaw_from_message(i, j, measurements, messages, parameters, time):
+    # ψ̃_ij by the estimate of j, a step older than its message, and the turns of both since.
+    age = time - messages.received_time[i, j] + parameters.step
+    rate = messages.received_twist[i, j, 3] - measurements.yaw_rate[i]
+    return wrap_angle(age * rate - messages.received_relative_yaw[i, j, i])
+
+
+@no_type_check
+@numba.njit
+def _view_weight(p, camera):
+    d = sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2])
+    o_x, o_y, o_z = camera.optical_axis
+    return cosine_ramp((o_x * p[0] + o_y * p[1] + o_z * p[2]) / d, camera.a_min, camera.a_max)
+
+
+@no_type_check
+@numba.njit
+def _close_triangles(i, measurements, messages, estimates, parameters, oldest):
+    # Where only i sees j, a third agent in mutual view of both knows the angle better.
+    psi, n = estimates.relative_yaw, len(estimates.relative_yaw)
+    gain = parameters.step * parameters.tracking.closure_gain
     for j in range(n):
-        if j == i or mind.is_mutual[i, j] or not senses.visibility[i, j]:
+        if j == i or estimates.is_mutual[i, j] or not measurements.visibility[i, j]:
             continue
-        off, count = 0.0, 0
+        error, count = 0.0, 0
         for k in range(n):
-            if k == i or k == j or mail.received_time[i, k] < since:
+            if k == i or k == j or messages.received_time[i, k] < oldest:
                 continue
-            if mind.is_mutual[i, k] and mail.received_is_mutual[i, k, j]:
-                off += sin(
-                    mind.relative_yaw[i, k]
-                    + mail.received_relative_yaw[i, k, j]
-                    - mind.relative_yaw[i, j]
-                )
+            if estimates.is_mutual[i, k] and messages.received_is_mutual[i, k, j]:
+                error += sin(psi[i, k] + messages.received_relative_yaw[i, k, j] - psi[i, j])
                 count += 1
         if count > 0:
-            mind.relative_yaw[i, j] = wrap_angle(mind.relative_yaw[i, j] + gain * off / count)
+            psi[i, j] = wrap_angle(psi[i, j] + gain * error / count)
 
 
 @no_type_check
 @numba.njit
-def compute_command(i, senses, mind, team):
-    """Robot i: velocity and yaw rate, but for what an operator adds [Bernard2023, eq. 5].
+def compute_command(i, measurements, estimates, parameters):
+    """Compute velocity and yaw rate of agent i, without the stick [Bernard2023, eq. 5].
 
-    A robot without an edge, or that does not know λ₂, keeps away from what is near and holds.
+    An agent without an edge, or without an estimate of λ₂, only keeps its distance.
     """
-    u, n = mind.command[i], len(mind.relative_yaw)
-    linked = False
-    for a in range(4):
-        u[a] = 0.0
-    for j in range(n):
-        linked = linked or mind.weight[i, j] > 0
-    if linked and not np.isnan(mind.lambda2[i]):
-        steep = negative_slope(mind.lambda2[i], team.potential)
-        for j in range(n):
+    u, limits = estimates.command[i], parameters.limits
+    u[:] = 0.0
+    if (estimates.weight[i] > 0).any() and not np.isnan(estimates.lambda2[i]):
+        slope = negative_slope(estimates.lambda2[i], parameters.potential)
+        for j in range(len(estimates.relative_yaw)):
             for a in range(4):
-                u[a] += steep * mind.lambda2_gradient[i, j] * mind.weight_gradient[i, j, a]
-    for k in range(senses.range_point_count[i]):
-        o = senses.range_points[i, k]
-        away = repulsion_gain(sqrt(o[0] * o[0] + o[1] * o[1] + o[2] * o[2]), team.repulsion)
+                u[a] += (
+                    slope * estimates.lambda2_gradient[i, j] * estimates.weight_gradient[i, j, a]
+                )
+    for k in range(measurements.range_point_count[i]):
+        p = measurements.range_points[i, k]
+        gain = repulsion_gain(sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]), parameters.repulsion)
         for a in range(3):
-            u[a] -= away * o[a]
+            u[a] -= gain * p[a]
     speed = sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
-    if speed > team.limits.speed:
+    if speed > limits.speed:
         for a in range(3):
-            u[a] *= team.limits.speed / speed
-    u[3] = min(max(u[3], -team.limits.yaw_rate), team.limits.yaw_rate)
+            u[a] *= limits.speed / speed
+    u[3] = min(max(u[3], -limits.yaw_rate), limits.yaw_rate)

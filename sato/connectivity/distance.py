@@ -1,4 +1,4 @@
-"""How far robots are from obstacles and from each other, of many instants at a time."""
+"""Distances of agents to obstacles and to each other, at many instants at a time."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -10,12 +10,7 @@ from sato.connectivity.obstacles import Obstacles
 def obstacle_distances(
     position: Float[Array, "*k 3"], obstacles: Obstacles
 ) -> Float[Array, "*k obstacles"]:
-    """Distance to the surface of each obstacle, negative inside [m]: spheres, boxes, planes.
-
-    Args:
-        position: Places [m].
-        obstacles: All of them.
-    """
+    """Compute the distance to each sphere, box and plane, negative inside [m]."""
     at = position[..., None, :]
     spheres = np.linalg.norm(at - obstacles.spheres[:, :3], axis=-1) - obstacles.spheres[:, 3]
     beyond = np.maximum(obstacles.boxes[:, :3] - at, at - obstacles.boxes[:, 3:])
@@ -25,14 +20,26 @@ def obstacle_distances(
     return np.concatenate([spheres, boxes, planes], axis=-1)
 
 
+def nearest_agent_distance(
+    there: Float[Array, "instants agents 3"],
+) -> Float[Array, "instants agents"]:
+    """Compute the distance of each agent to the nearest other [m]; NaN where its position is."""
+    found = np.full(there.shape[:2], np.inf)
+    for j in range(there.shape[1]):
+        away = np.linalg.norm(there - there[:, j : j + 1], axis=2)
+        away[:, j] = np.inf
+        found = np.fmin(found, away)
+    return np.where(np.isfinite(there[..., 0]) & np.isfinite(found), found, np.nan)
+
+
 def min_separation(
     position: Float[Array, "instants agents 3"], alive: Bool[Array, "instants agents"]
 ) -> float:
-    """Least distance of two live robots that go straight from instant to instant [m].
+    """Compute the least distance of two live agents on straight lines between instants [m].
 
     Args:
-        position: At every instant [m].
-        alive: Who takes part.
+        position: Positions at each instant [m].
+        alive: True for agents that take part.
     """
     least = np.inf
     for i in range(position.shape[1]):
@@ -54,16 +61,16 @@ def min_obstacle_distance(
     alive: Bool[Array, "instants agents"],
     obstacles: Obstacles,
 ) -> float:
-    """Least distance of a live robot that goes straight from instant to instant [m].
+    """Compute the least distance of a live agent on straight lines between instants [m].
 
-    Obstacles are convex, so along a way the distance to one falls and then rises: ways are
-    searched by thirds, to 1e-9 of their length. Distance changes by no more than one goes: few
-    ways can lead nearer than their ends.
+    Obstacles are convex, so the distance to one falls and then rises along a line: a ternary
+    search finds its minimum to 1e-9 of the length. Distance changes by no more than the length
+    of the line, so few lines can lead closer than their ends.
 
     Args:
-        position: At every instant [m].
-        alive: Who takes part.
-        obstacles: All of them.
+        position: Positions at each instant [m].
+        alive: True for agents that take part.
+        obstacles: Obstacles.
     """
     away = obstacle_distances(position, obstacles)
     least = float(away[alive].min(initial=np.inf))

@@ -182,9 +182,7 @@ def doubts(mission: "Connectivity") -> list[str]:
 
 def _check_order(key: str, low: float, other: str, high: float, cure: float) -> None:
     if not low < high:
-        raise InputError(
-            key, f"{low:g} is not less than {other} = {high:g}; {cure:.3g} would do"
-        )
+        raise InputError(key, f"{low:g} is not less than {other} = {high:g}; {cure:.3g} would do")
 
 
 def _check_tracking(mission: "Connectivity") -> None:

@@ -1,8 +1,8 @@
-"""λ₂ from relayed rows: every robot passes on all rows of the adjacency that it knows.
+"""Estimate of λ₂ from flooded rows of the adjacency matrix.
 
-A row is what its robot has computed of its own edges, with the time of it. Robots keep the
-newest copy of each, forget what is older than a second, and take the eigenvalues of what is
-left, by themselves. News from the other end of the graph is as many steps old as it is far.
+Every agent computes the row of its own edges, with the time, and relays all rows that it
+knows. Each keeps the newest copy of a row, forgets old ones, and decomposes what is left. A
+row from the other end of the graph is as many steps old as it is hops away.
 """
 
 from typing import no_type_check
@@ -15,92 +15,89 @@ from problems.fiedler_tracking import fiedler_vectors
 
 @no_type_check
 @numba.njit
-def merge_rows(rows, stamp, rows_heard, stamp_heard):
-    """Take over what a neighbour knows better.
+def merge_rows(rows, row_time, received_rows, received_time):
+    """Take over the rows that a neighbor has newer.
 
     Args:
-        rows: The adjacency as this robot has it, (n, n), changed in place.
-        stamp: When each row was computed, (n,) [s], changed in place.
-        rows_heard: As the neighbour has it.
-        stamp_heard: And when.
+        rows: Adjacency matrix as known to this agent, (n, n), changed in place.
+        row_time: Time at which each row was computed, (n,) [s], changed in place.
+        received_rows: Matrix of the neighbor.
+        received_time: Times of the neighbor.
     """
-    for k in range(len(stamp)):
-        if stamp_heard[k] > stamp[k]:
-            stamp[k] = stamp_heard[k]
-            rows[k] = rows_heard[k]
+    for k in range(len(row_time)):
+        if received_time[k] > row_time[k]:
+            row_time[k] = received_time[k]
+            rows[k] = received_rows[k]
 
 
 @no_type_check
 @numba.njit
-def estimate_lambda2_from_rows(rows, stamp, me, oldest, modes, felt):
-    """λ₂ of the graph that a robot knows of, and what its own edges do to it.
+def estimate_lambda2_from_rows(rows, row_time, i, oldest, guess, gradient):
+    """Estimate λ₂ of the graph known to agent i, and its gradient in the edges of i.
 
     Args:
-        rows: The adjacency as it has it, (n, n).
-        stamp: When each row was computed, (n,) [s].
-        me: The robot.
-        oldest: What was computed before is forgotten [s].
-        modes: Where its search for eigenvectors begins, (3, n), and where it ends.
-        felt: Where ∂λ₂/∂A of its own edges go, (n,); 0 for who is forgotten.
+        rows: Adjacency matrix as known to the agent, (n, n).
+        row_time: Time at which each row was computed, (n,) [s].
+        i: Index of the agent.
+        oldest: Time before which rows are forgotten [s].
+        guess: Start of the search for eigenvectors, (3, n); overwritten with its end.
+        gradient: Output ∂λ₂/∂A_ij, (n,); 0 for forgotten agents.
 
     Returns:
-        λ₂, or NaN where it knows of nobody else.
+        λ₂, or NaN where no other agent is known.
     """
-    known = np.flatnonzero(stamp >= oldest)
-    felt[:] = 0.0
+    known = np.flatnonzero(row_time >= oldest)
+    gradient[:] = 0.0
     if len(known) < 2:
         return np.nan
-    lambda2, vectors = known_fiedler_vectors(rows, known, modes)
-    compute_lambda2_gradient(vectors, known, me, felt)
+    lambda2, vectors = known_fiedler_vectors(rows, known, guess)
+    compute_lambda2_gradient(vectors, known, i, gradient)
     return lambda2
 
 
 @no_type_check
 @numba.njit
-def known_fiedler_vectors(rows, known, modes):
-    """λ₂ and its eigenvectors, of the graph of some robots.
+def known_fiedler_vectors(rows, known, guess):
+    """Compute λ₂ and its eigenvectors for the graph of some agents.
 
     Args:
-        rows: The adjacency of all, (n, n).
-        known: Which of them count, m ≥ 2.
-        modes: Where the search begins, (3, n), and where it ends.
+        rows: Adjacency matrix of all agents, (n, n).
+        known: Indices of the agents of the graph, m ≥ 2.
+        guess: Start of the search for eigenvectors, (3, n); overwritten with its end.
 
     Returns:
         λ₂, and its eigenvectors, (s, m).
     """
-    basis = np.empty((3, len(known)))
-    for a in range(len(known)):
-        basis[:, a] = modes[:, known[a]]
+    basis = np.ascontiguousarray(guess[:, known])
     lambda2, vectors = fiedler_vectors(_laplacian(rows, known), basis)
-    for a in range(len(known)):
-        modes[:, known[a]] = basis[:, a]
+    guess[:, known] = basis
     return lambda2, vectors
 
 
 @no_type_check
 @numba.njit
-def compute_lambda2_gradient(vectors, known, me, felt):
-    """∂λ₂/∂A of a robot's edges, the mean over the eigenvectors of λ₂.
+def compute_lambda2_gradient(vectors, known, i, gradient):
+    """Compute ∂λ₂/∂A_ij of the edges of agent i, as the mean over the eigenvectors of λ₂.
 
     Args:
-        vectors: Of λ₂, (s, m).
-        known: Whose entries they have, (m,).
-        me: The robot, one of them.
-        felt: Where the derivatives go, (n,).
+        vectors: Eigenvectors of λ₂, (s, m).
+        known: Agents of their entries, (m,).
+        i: Index of the agent, one of them.
+        gradient: Output, (n,).
     """
-    at = np.searchsorted(known, me)
+    at = np.searchsorted(known, i)
     for a in range(len(known)):
         square = 0.0
         for v in vectors:
             square += (v[at] - v[a]) ** 2
-        felt[known[a]] = square / len(vectors)
+        gradient[known[a]] = square / len(vectors)
 
 
 @no_type_check
 @numba.njit
-def smallest_eigenvalues(rows, stamp):
-    """λ₂ and λ₃ of those with a stamp; infinite where there are too few."""
-    known = np.flatnonzero(stamp > -np.inf)
+def smallest_eigenvalues(rows, row_time):
+    """Compute λ₂ and λ₃ of agents whose row has a time; infinite for too few agents."""
+    known = np.flatnonzero(row_time > -np.inf)
     value = np.linalg.eigvalsh(_laplacian(rows, known))
     m = len(known)
     return (value[1] if m > 1 else np.inf), (value[2] if m > 2 else np.inf)
@@ -113,7 +110,7 @@ def _laplacian(rows, known):
     L = np.zeros((m, m))
     for a in range(m):
         for b in range(a):
-            # Both ends compute the weight; noise and age make them differ a little.
+            # Both ends of an edge compute its weight; noise and age make the two differ.
             weight = (rows[known[a], known[b]] + rows[known[b], known[a]]) / 2
             L[a, b] = L[b, a] = -weight
             L[a, a] += weight

@@ -1,4 +1,4 @@
-"""All robots for a control step: each senses, hears, reckons, decides and moves."""
+"""Compiled control step of all agents: move, measure, exchange messages, estimate, command."""
 
 from pathlib import Path
 from typing import Any, NamedTuple, no_type_check
@@ -28,15 +28,15 @@ from sato.connectivity.power_iteration import (
 from sato.connectivity.sensors import simulate_cameras, simulate_range_sensors
 from sato.connectivity.yaw_estimator import YawTracking, rotate_about_z
 
-EXACT, FLOOD, POWER = 0, 1, 2  # who tells λ₂
-MAX_ROW_AGE = 1.0  # after which a row of the adjacency is no longer believed [s]
+EXACT, FLOOD, POWER = 0, 1, 2  # estimators of λ₂
+MAX_ROW_AGE = 1.0  # age at which a row of the adjacency matrix is forgotten [s]
 
 
 class SwarmParameters(NamedTuple):
-    """What stays during a flight."""
+    """Parameters of the kernels, constant during a simulation."""
 
     camera: Camera
-    assumed_camera: Camera  # as the robots believe; wider where they are blind to the field of view
+    assumed_camera: Camera  # of the controllers; wider where they ignore the field of view
     potential: Potential
     repulsion: Repulsion
     tracking: YawTracking
@@ -45,121 +45,113 @@ class SwarmParameters(NamedTuple):
     power_iteration: PowerIterationGains
     plant: KinematicVehicle
     quadrotor: Quadrotor
-    is_quadrotor: bool  # it is the quadrotor that flies, and its camera tilts with it
+    is_quadrotor: bool  # True where quadrotors fly, whose cameras tilt
     obstacles: Obstacles
     estimator: int  # EXACT, FLOOD or POWER
-    camera_noise: float  # of every coordinate that a camera measures [m]
-    occlusion: bool  # robots and obstacles stand in the line of sight
-    body_radius: float  # radius of a robot that hides others [m]
+    camera_noise: float  # standard deviation of each measured coordinate [m]
+    occlusion: bool
+    body_radius: float  # [m]
     step: float  # [s]
 
 
 @no_type_check
 @numba.njit
-def _sense_and_decide(state, team, number, rng):
-    world, senses, mail, mind = state
-    n, time = len(world.position), number * team.step
-    simulate_cameras(world, senses, team, rng)
-    simulate_range_sensors(world, senses, team)
+def _measure_and_command(state, parameters, number, rng):
+    truth, measurements, messages, estimates = state
+    n, time = len(truth.position), number * parameters.step
+    simulate_cameras(truth, measurements, parameters, rng)
+    simulate_range_sensors(truth, measurements, parameters)
     exchange_messages(
-        senses, mail, mind, team.link, team.estimator == FLOOD, number, team.step, rng
-    )
+        measurements, messages, estimates, parameters.link, parameters.estimator == FLOOD, number,
+        parameters.step, rng,
+    )  # fmt: skip
     for i in range(n):
-        if world.alive[i]:
-            estimate_edges(i, senses, mail, mind, team, time)
-    now = np.where(world.alive, time, -np.inf)
-    world.eigenvalues[0], world.eigenvalues[1] = smallest_eigenvalues(world.weight, now)
-    if team.estimator == POWER:
-        # Between the steps of control, and by themselves: neither lost nor late.
-        linked = senses.visibility | senses.visibility.T
+        if truth.alive[i]:
+            estimate_edges(i, measurements, messages, estimates, parameters, time)
+    row_time = np.where(truth.alive, time, -np.inf)
+    truth.eigenvalues[0], truth.eigenvalues[1] = smallest_eigenvalues(truth.weight, row_time)
+    if parameters.estimator == POWER:
+        # Exchanged between control steps, without loss or delay.
+        hears = measurements.visibility | measurements.visibility.T
+        exchanges = round(parameters.step / parameters.power_iteration.exchange_period)
         iterate_power(
-            mind.power_iteration,
-            mind.weight,
-            linked,
-            team.power_iteration,
-            round(team.step / team.power_iteration.exchange_period),
-        )
-    if team.estimator == EXACT:
-        _estimate_centrally(world.alive, mind)
+            estimates.power_iteration, estimates.weight, hears, parameters.power_iteration,
+            exchanges,
+        )  # fmt: skip
+    if parameters.estimator == EXACT:
+        _estimate_centrally(truth.alive, estimates)
     for i in range(n):
-        if world.alive[i]:
-            if team.estimator == FLOOD:
-                mind.lambda2[i] = estimate_lambda2_from_rows(
-                    mind.adjacency_rows[i],
-                    mind.row_time[i],
-                    i,
-                    time - MAX_ROW_AGE,
-                    mind.eigenvector_guess[i],
-                    mind.lambda2_gradient[i],
-                )
-            elif team.estimator == POWER:
-                _estimate_by_power_iteration(i, mind, team)
-            compute_command(i, senses, mind, team)
-
-
-@no_type_check
-@numba.njit
-def _estimate_centrally(alive, mind):
-    # From outside, of the weights that all robots have themselves.
-    known = np.flatnonzero(alive)
-    mind.lambda2[:], mind.lambda2_gradient[:] = np.nan, 0.0
-    if len(known) > 1:
-        lambda2, vectors = known_fiedler_vectors(
-            mind.weight, known, mind.eigenvector_guess[known[0]]
-        )
-        for i in known:
-            mind.lambda2[i] = lambda2
-            compute_lambda2_gradient(vectors, known, i, mind.lambda2_gradient[i])
-
-
-@no_type_check
-@numba.njit
-def _estimate_by_power_iteration(i, mind, team):
-    # |v̂|² tends to N (1 − (e₂/e₃) λ₂); z₂ is its average. Who is left alone, or reports what
-    # there cannot be, does not know, and goes on as it last did.
-    found, size = (
-        estimate_lambda2_from_power(mind.power_iteration, i, team.power_iteration),
-        mind.power_iteration.average[i, 1],
-    )
-    if not 0 <= found <= 1.1 * team.potential.lambda2_max or size < 0.05:
-        return
-    n = len(mind.relative_yaw)
-    mind.lambda2[i] = found
-    for j in range(n):
-        apart = mind.power_iteration.v[i] - mind.power_iteration.v[j]
-        mind.lambda2_gradient[i, j] = apart * apart / (n * size)
-
-
-@no_type_check
-@numba.njit
-def _move_agents(state, team, asked, rng):
-    world, senses, u = state.truth, state.measurements, state.estimates.command
-    v = np.zeros(3)
-    if world.alive[0]:
-        rotate_about_z(asked, -world.yaw[0], v)
-        for a in range(3):
-            u[0, a] += v[a]
-    for i in range(len(world.position)):
-        if not world.alive[i]:
+        if not truth.alive[i]:
             continue
-        if team.is_quadrotor:
-            rotate_about_z(senses.velocity[i], world.yaw[i], v)
-            world.yaw[i], senses.yaw_rate[i] = step_quadrotor(
-                world.position[i], world.yaw[i], v, senses.yaw_rate[i], world.acceleration[i],
-                u[i], u[i, 3], team.quadrotor, team.step,
+        if parameters.estimator == FLOOD:
+            estimates.lambda2[i] = estimate_lambda2_from_rows(
+                estimates.adjacency_rows[i], estimates.row_time[i], i, time - MAX_ROW_AGE,
+                estimates.eigenvector_guess[i], estimates.lambda2_gradient[i],
             )  # fmt: skip
-            rotate_about_z(v, -world.yaw[i], senses.velocity[i])
+        elif parameters.estimator == POWER:
+            _estimate_by_power_iteration(i, estimates, parameters)
+        compute_command(i, measurements, estimates, parameters)
+
+
+@no_type_check
+@numba.njit
+def _estimate_centrally(alive, estimates):
+    # Decomposes the matrix of the weights that the agents estimate.
+    known = np.flatnonzero(alive)
+    estimates.lambda2[:], estimates.lambda2_gradient[:] = np.nan, 0.0
+    if len(known) > 1:
+        guess = estimates.eigenvector_guess[known[0]]
+        lambda2, vectors = known_fiedler_vectors(estimates.weight, known, guess)
+        for i in known:
+            estimates.lambda2[i] = lambda2
+            compute_lambda2_gradient(vectors, known, i, estimates.lambda2_gradient[i])
+
+
+@no_type_check
+@numba.njit
+def _estimate_by_power_iteration(i, estimates, parameters):
+    # |v̂|² tends to N (1 − (e₂/e₃) λ₂), and z₂ is its mean. The estimate of an isolated agent
+    # is out of range; the last one is then kept.
+    iterates, n = estimates.power_iteration, len(estimates.relative_yaw)
+    lambda2 = estimate_lambda2_from_power(iterates, i, parameters.power_iteration)
+    size = iterates.average[i, 1]
+    if not 0 <= lambda2 <= 1.1 * parameters.potential.lambda2_max or size < 0.05:
+        return
+    estimates.lambda2[i] = lambda2
+    for j in range(n):
+        difference = iterates.v[i] - iterates.v[j]
+        estimates.lambda2_gradient[i, j] = difference * difference / (n * size)
+
+
+@no_type_check
+@numba.njit
+def _move_agents(state, parameters, stick, rng):
+    truth, measurements, u = state.truth, state.measurements, state.estimates.command
+    v = np.zeros(3)
+    if truth.alive[0]:
+        rotate_about_z(stick, -truth.yaw[0], v)
+        u[0, :3] += v
+    for i in range(len(truth.position)):
+        if not truth.alive[i]:
+            continue
+        if parameters.is_quadrotor:
+            rotate_about_z(measurements.velocity[i], truth.yaw[i], v)
+            truth.yaw[i], measurements.yaw_rate[i] = step_quadrotor(
+                truth.position[i], truth.yaw[i], v, measurements.yaw_rate[i],
+                truth.acceleration[i], u[i], u[i, 3], parameters.quadrotor, parameters.step,
+            )  # fmt: skip
+            rotate_about_z(v, -truth.yaw[i], measurements.velocity[i])
         else:
-            world.yaw[i], senses.yaw_rate[i] = step_kinematic(
-                world.position[i], world.yaw[i], senses.velocity[i], senses.yaw_rate[i],
-                u[i], u[i, 3], team.plant, team.step, rng,
+            truth.yaw[i], measurements.yaw_rate[i] = step_kinematic(
+                truth.position[i], truth.yaw[i], measurements.velocity[i],
+                measurements.yaw_rate[i], u[i], u[i, 3], parameters.plant, parameters.step, rng,
             )  # fmt: skip
 
 
 @no_type_check
 @numba.njit
 def _remove_lost(alive, state):
-    # The dead rest, ask for nothing and know nothing.
+    # Lost agents stop, command nothing and know nothing.
     state.truth.alive[:] = alive
     for i in range(len(alive)):
         if not alive[i]:
@@ -168,52 +160,40 @@ def _remove_lost(alive, state):
 
 
 def _compile_advance(stamp: int) -> Any:
-    # Numba compiles anew when the file of a function changes, or what it closes over. The
-    # stamp is of all the files that are compiled into this function. It is one, for numba
-    # takes longer to read the state than six robots to decide.
+    # Numba compiles anew when the file of a function or a closed-over value changes, so the
+    # stamp covers all files that are compiled into this one function. It is one function
+    # because passing the state to numba takes longer than the commands of six agents.
     @no_type_check
     @numba.njit(cache=True)
-    def advance(state, team, asked, alive, number, moves, rng):
-        """Everybody moves as it decided a step ago; then senses, talks, reckons and decides.
+    def advance(state, parameters, stick, alive, number, is_moving, rng):
+        """Move as commanded a step ago; then measure, exchange messages and command.
 
         Args:
-            state: Changed in place.
-            team: What stays.
-            asked: Velocity that the operator asks of the leader, in the world frame, (3,) [m/s].
-            alive: Who is there from then on, (n,).
-            number: Of the control step.
-            moves: False: nobody moves yet.
-            rng: Draws noise and losses.
+            state: State, changed in place.
+            parameters: Parameters of the swarm.
+            stick: Velocity that the operator commands to agent 0, world frame, (3,) [m/s].
+            alive: True for agents that take part from now on, (n,).
+            number: Number of the control step.
+            is_moving: False while nothing moves yet.
+            rng: Draws noise and message losses.
         """
         if stamp >= 0:
-            if moves:
-                _move_agents(state, team, asked, rng)
+            if is_moving:
+                _move_agents(state, parameters, stick, rng)
             _remove_lost(alive, state)
-            _sense_and_decide(state, team, number, rng)
+            _measure_and_command(state, parameters, number, rng)
 
     return advance
 
 
 FOLDER = Path(__file__).parent
 KERNEL_FILES = (
-    *(
-        FOLDER / f"{name}.py"
-        for name in (
-            "flooding",
-            "messages",
-            "controller",
-            "obstacle_geometry",
-            "potential",
-            "power_iteration",
-            "sensors",
-            "kernel",
-            "yaw_estimator",
-        )
-    ),
+    *(FOLDER / f"{name}.py" for name in (
+        "flooding", "messages", "controller", "obstacle_geometry", "potential",
+        "power_iteration", "sensors", "kernel", "yaw_estimator",
+    )),
     *(FOLDER.parents[1] / "dynamics" / f"{name}.py" for name in ("kinematic", "quadrotor")),
-    *(
-        FOLDER.parents[1] / "problems" / f"{name}.py"
-        for name in ("fiedler_tracking", "interaction_graph")
-    ),
-)
+    *(FOLDER.parents[1] / "problems" / f"{name}.py"
+      for name in ("fiedler_tracking", "interaction_graph")),
+)  # fmt: skip
 advance = _compile_advance(crc32(b"".join(file.read_bytes() for file in KERNEL_FILES)))

@@ -1,4 +1,4 @@
-"""What robots tell each other, while one of them has the other in sight."""
+"""Messages between agents of which one sees the other."""
 
 from typing import Annotated, NamedTuple, no_type_check
 
@@ -12,7 +12,7 @@ from sato.scenario.definition import NotNegative, Positive
 
 
 class CommunicationLink(NamedTuple):
-    """How messages travel."""
+    """Period, delay and loss of messages."""
 
     period_steps: Annotated[int, Key("every"), Positive, "control steps between two messages"] = 1
     delay_messages: Annotated[
@@ -25,65 +25,61 @@ class CommunicationLink(NamedTuple):
 
 @no_type_check
 @numba.njit
-def exchange_messages(senses, mail, mind, link, is_flooding, number, step, rng):
-    """Everybody tells what it sees and reckons; some of it is lost or late.
+def exchange_messages(measurements, messages, estimates, link, is_flooding, number, step, rng):
+    """Send what every agent measures and estimates; some messages are lost or delayed.
 
     Args:
-        senses: What is told of, and who is in sight of whom.
-        mail: Changed in place.
-        mind: What is told of; takes over rows of the adjacency.
-        link: How messages travel.
-        relays: Whether rows of the adjacency are passed on.
-        number: Of the control step.
-        step: Its length [s].
+        measurements: Content of messages, and visibility.
+        messages: Buffers, changed in place.
+        estimates: Content of messages; receives rows of the adjacency matrix.
+        link: Period, delay and loss.
+        is_flooding: True where rows of the adjacency matrix are relayed.
+        number: Number of the control step.
+        step: Control step [s].
         rng: Draws losses.
     """
-    mail.is_new[:] = False
+    messages.is_new[:] = False
     if number % link.period_steps != 0:
         return
-    ring, n, message = (
-        len(mail.sent_relative_position),
-        len(mail.received_time),
-        number // link.period_steps,
-    )
-    now, then = message % ring, (message - link.delay_messages) % ring
-    mail.sent_relative_position[now], mail.sent_visibility[now] = (
-        senses.relative_position,
-        senses.visibility,
-    )
-    mail.sent_relative_yaw[now], mail.sent_is_mutual[now] = mind.relative_yaw, mind.is_mutual
-    mail.sent_twist[now, :, :3], mail.sent_twist[now, :, 3] = senses.velocity, senses.yaw_rate
+    n, ring = len(messages.received_time), len(messages.sent_visibility)
+    message = number // link.period_steps
+    sent, arriving = message % ring, (message - link.delay_messages) % ring
+    messages.sent_relative_position[sent] = measurements.relative_position
+    messages.sent_visibility[sent] = measurements.visibility
+    messages.sent_relative_yaw[sent] = estimates.relative_yaw
+    messages.sent_is_mutual[sent] = estimates.is_mutual
+    messages.sent_twist[sent, :, :3] = measurements.velocity
+    messages.sent_twist[sent, :, 3] = measurements.yaw_rate
     if is_flooding:
-        mail.sent_rows[now], mail.sent_row_time[now] = mind.adjacency_rows, mind.row_time
+        messages.sent_rows[sent] = estimates.adjacency_rows
+        messages.sent_row_time[sent] = estimates.row_time
     if message < link.delay_messages:
         return
+    time = (number - link.delay_messages * link.period_steps) * step
     for i in range(n):
         for j in range(n):
-            if not (senses.visibility[i, j] or senses.visibility[j, i]):
+            if not (measurements.visibility[i, j] or measurements.visibility[j, i]):
                 continue
             if link.loss_probability > 0 and rng.random() < link.loss_probability:
                 continue
-            mail.received_time[i, j] = (number - link.delay_messages * link.period_steps) * step
-            mail.is_new[i, j] = True
-            mail.received_visibility[i, j] = mail.sent_visibility[then, j, i]
+            messages.received_time[i, j] = time
+            messages.is_new[i, j] = True
+            messages.received_visibility[i, j] = messages.sent_visibility[arriving, j, i]
+            own = messages.sent_relative_position[arriving, i, j]
             for a in range(3):
-                mail.received_relative_position[i, j, a] = mail.sent_relative_position[
-                    then, j, i, a
+                messages.received_relative_position[i, j, a] = messages.sent_relative_position[
+                    arriving, j, i, a
                 ]
-                mail.relative_position_when_sent[i, j, a] = (
-                    mail.sent_relative_position[then, i, j, a]
-                    if mail.sent_visibility[then, i, j]
-                    else np.nan
+                messages.relative_position_when_sent[i, j, a] = (
+                    own[a] if messages.sent_visibility[arriving, i, j] else np.nan
                 )
-            for a in range(4):
-                mail.received_twist[i, j, a] = mail.sent_twist[then, j, a]
-            for k in range(n):
-                mail.received_relative_yaw[i, j, k] = mail.sent_relative_yaw[then, j, k]
-                mail.received_is_mutual[i, j, k] = mail.sent_is_mutual[then, j, k]
+            messages.received_twist[i, j] = messages.sent_twist[arriving, j]
+            messages.received_relative_yaw[i, j] = messages.sent_relative_yaw[arriving, j]
+            messages.received_is_mutual[i, j] = messages.sent_is_mutual[arriving, j]
             if is_flooding:
                 merge_rows(
-                    mind.adjacency_rows[i],
-                    mind.row_time[i],
-                    mail.sent_rows[then, j],
-                    mail.sent_row_time[then, j],
+                    estimates.adjacency_rows[i],
+                    estimates.row_time[i],
+                    messages.sent_rows[arriving, j],
+                    messages.sent_row_time[arriving, j],
                 )

@@ -63,15 +63,11 @@ class Connectivity(Mission):
 
     system: ClassVar[str] = "connectivity"
 
-    agents: Annotated[int, In("swarm"), Ge(2), "number of robots; 6 if absent"] = (
-        None  # type: ignore[assignment]
+    agents: Annotated[int, In("swarm"), Ge(2), "number of robots; 6 if absent"] = None  # type: ignore[assignment]
+    start: Annotated[RandomPoses | Poses, In("swarm"), Convert(as_poses), "initial poses"] = (
+        RandomPoses()
     )
-    start: Annotated[
-        RandomPoses | Poses, In("swarm"), Convert(as_poses), "initial poses"
-    ] = RandomPoses()
-    yaw: Annotated[Vector, In("swarm"), Unit("rad"), "yaw of each robot at the start"] = (
-        None  # type: ignore[assignment]
-    )
+    yaw: Annotated[Vector, In("swarm"), Unit("rad"), "yaw of each robot at the start"] = None  # type: ignore[assignment]
     yaw_error: Annotated[
         Annotated[float, NotNegative] | Matrix,
         In("swarm"),

@@ -1,4 +1,4 @@
-"""Obstacles: where their nearest point lies, and whether they stand in a line of sight."""
+"""Compiled geometry of obstacles: nearest points and lines of sight."""
 
 from typing import no_type_check
 
@@ -9,13 +9,13 @@ import numpy as np
 @no_type_check
 @numba.njit
 def nearest_point(number, p, obstacles, point):
-    """Where an obstacle is nearest to a place, and how far; negative inside [m].
+    """Find the nearest point of an obstacle; return its distance, negative inside [m].
 
     Args:
-        number: Of the obstacle: spheres first, then boxes, then planes.
-        p: The place, (3,) [m].
-        obstacles: All of them.
-        point: Where the nearest point of its surface goes, (3,) [m].
+        number: Index of the obstacle: spheres first, then boxes, then planes.
+        p: Position, (3,) [m].
+        obstacles: Obstacles.
+        point: Output, the nearest point of the surface, (3,) [m].
     """
     s, b = len(obstacles.spheres), len(obstacles.boxes)
     if number < s:
@@ -61,7 +61,7 @@ def _nearest_on_box(p, box, point):
 @no_type_check
 @numba.njit
 def blocks_line_of_sight(p, q, obstacles):
-    """Whether an obstacle stands between two places."""
+    """Tell whether an obstacle is between two positions."""
     for sphere in obstacles.spheres:
         if segment_hits_sphere(p, q, sphere[:3], sphere[3]):
             return True
@@ -78,16 +78,16 @@ def blocks_line_of_sight(p, q, obstacles):
 
 @no_type_check
 @numba.njit
-def segment_hits_sphere(p, q, centre, radius):
-    """Whether the straight way between two places leads through a ball."""
+def segment_hits_sphere(p, q, center, radius):
+    """Tell whether the segment between two positions meets a ball."""
     along, length = 0.0, 0.0
     for a in range(3):
-        along += (centre[a] - p[a]) * (q[a] - p[a])
+        along += (center[a] - p[a]) * (q[a] - p[a])
         length += (q[a] - p[a]) ** 2
     t = min(max(along / length, 0.0), 1.0) if length > 0 else 0.0
     square = 0.0
     for a in range(3):
-        square += (p[a] + t * (q[a] - p[a]) - centre[a]) ** 2
+        square += (p[a] + t * (q[a] - p[a]) - center[a]) ** 2
     return square < radius * radius
 
 

@@ -109,9 +109,7 @@ class RandomSpheres(Definition):
     def check(self) -> None:
         """Refuse radii that are no interval."""
         if len(self.radius) != 2 or self.radius[0] > self.radius[1]:
-            raise InputError(
-                "radius_m", "needs the smallest and the largest; [0.3, 0.8] would do"
-            )
+            raise InputError("radius_m", "needs the smallest and the largest; [0.3, 0.8] would do")
 
     def draw(
         self,
@@ -139,9 +137,10 @@ class RandomSpheres(Definition):
             center = start.mean(axis=0) + rng.uniform(-1, 1, 3) * DRAW_HALF_BOX
             radius = rng.uniform(self.radius[0], self.radius[1])
             is_clear = np.linalg.norm(start - center, axis=1).min() > radius + of_start
-            if is_clear and (
-                np.linalg.norm(waypoints - center, axis=1) > radius + of_waypoint
-            ).all():
+            if (
+                is_clear
+                and (np.linalg.norm(waypoints - center, axis=1) > radius + of_waypoint).all()
+            ):
                 drawn.append(Sphere(tuple(center.tolist()), radius))
                 misses = 0
             elif (misses := misses + 1) == MAX_DRAWS:

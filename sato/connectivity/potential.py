@@ -1,6 +1,6 @@
-"""How hard connectivity is defended, and how hard obstacles push.
+"""Potential of λ₂, and repulsion of agents and obstacles.
 
-[Bernard2023] shows pictures of both and asks for their limits; the formulas are ours.
+[Bernard2023] shows both in figures and states their limits; the formulas are ours.
 """
 
 from typing import Annotated, NamedTuple, no_type_check
@@ -10,11 +10,11 @@ import numba
 from dynamics.units import Key, Length
 from sato.scenario.definition import NotNegative, Positive
 
-ASYMPTOTE_OFFSET = 1e-3  # nearest to an asymptote that a potential is evaluated
+ASYMPTOTE_OFFSET = 1e-3  # least distance to an asymptote at which to evaluate
 
 
 class Potential(NamedTuple):
-    """V(λ₂): zero above `most`, infinite at `least` [Bernard2023, Fig. 2]."""
+    """Potential V(λ₂) [Bernard2023, Fig. 2]."""
 
     lambda2_min: Annotated[float, NotNegative, "λ₂^min, at which the potential is infinite"] = 0.01
     lambda2_max: Annotated[float, Positive, "λ₂^max, from which on the potential is zero"] = 3.01
@@ -22,7 +22,7 @@ class Potential(NamedTuple):
 
 
 class Repulsion(NamedTuple):
-    """The push of a point that the range sensor finds [Bernard2023, Sec. III-D]."""
+    """Repulsion of a point that the range sensor measures [Bernard2023, Sec. III-D]."""
 
     min_distance: Annotated[
         Length, Key("nearest"), Positive, "distance d_min^obs, at which repulsion is infinite"
@@ -36,7 +36,7 @@ class Repulsion(NamedTuple):
 @no_type_check
 @numba.njit
 def evaluate_potential(lambda2, potential):
-    """V = k (m − x)² / x with x = λ₂ − λ₂^min and m = λ₂^max − λ₂^min; 0 beyond."""
+    """Compute V = k (m − x)² / x with x = λ₂ − λ₂^min and m = λ₂^max − λ₂^min; 0 beyond."""
     m = potential.lambda2_max - potential.lambda2_min
     x = max(lambda2 - potential.lambda2_min, ASYMPTOTE_OFFSET)
     return potential.strength * (m - x) ** 2 / x if x < m else 0.0
@@ -45,7 +45,7 @@ def evaluate_potential(lambda2, potential):
 @no_type_check
 @numba.njit
 def negative_slope(lambda2, potential):
-    """−V′(λ₂) = k (m²/x² − 1), which is 0 at λ₂^max, as V is."""
+    """Compute −V′(λ₂) = k (m²/x² − 1), which is 0 at λ₂^max, as V is."""
     m = potential.lambda2_max - potential.lambda2_min
     x = max(lambda2 - potential.lambda2_min, ASYMPTOTE_OFFSET)
     return potential.strength * (m * m / (x * x) - 1) if x < m else 0.0
@@ -54,7 +54,7 @@ def negative_slope(lambda2, potential):
 @no_type_check
 @numba.njit
 def repulsion_gain(distance, repulsion):
-    """k_obs: speed away from a point, over its distance [1/s]."""
+    """Compute k_obs, the speed away from a point over its distance [1/s]."""
     m = repulsion.max_distance - repulsion.min_distance
     x = max(distance - repulsion.min_distance, ASYMPTOTE_OFFSET)
     return repulsion.strength * (m - x) ** 2 / (m * x) if x < m else 0.0

@@ -1,8 +1,7 @@
-"""λ₂ by power iteration with averages by consensus, the lineage that [Bernard2023] builds on.
+"""Estimate of λ₂ by decentralized power iteration, for comparison.
 
 [Yang2010] iterates towards the eigenvector and needs two averages over the swarm, which
-proportional-integral consensus tracks [Freeman2006]. Here it serves for comparison: where λ₃
-comes near λ₂ it follows too slowly.
+proportional-integral consensus tracks [Freeman2006]. It is too slow where λ₃ is close to λ₂.
 """
 
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, no_type_check
@@ -49,56 +48,56 @@ def complete_gains(given: PowerIterationGains, agents: int) -> PowerIterationGai
     )
 
 
-def spectral_radius(power: PowerIterationGains, agents: int) -> float:
-    """The largest in discrete time, over all graphs of so many robots; 1 is the limit.
+def spectral_radius(gains: PowerIterationGains, agents: int) -> float:
+    """Compute the largest spectral radius over all graphs of so many agents; stable below 1.
 
     *Consensus*: on a graph with Laplacian eigenvalue μ the errors of z and w follow
     z⁺ = z − h (g + K_P μ) z + h K_I μ w,  w⁺ = w − h K_I μ z. The eigenvalues of graphs with
-    weights up to 1 lie between 0 and N. At μ = 0, w rests, which is no error: it acts through μ
-    alone. *Iteration*: the mean of v̂ and its average z₁, with gain e₁; the largest eigenvalue,
-    N e₂; and the size of v̂ and its average z₂ about their equilibrium, with gain e₃, where it is
-    the least damped, z₂ = 1.
+    weights up to 1 lie between 0 and N. At μ = 0, w is constant, which is no error, for it acts
+    through μ alone. *Iteration*: the mean of v̂ and its average z₁, with gain e₁; the largest
+    eigenvalue, N e₂; and the size of v̂ and its average z₂ about their equilibrium, with gain
+    e₃, where they are damped least, z₂ = 1.
 
     Args:
-        power: The gains.
-        agents: N.
+        gains: Complete gains.
+        agents: Number of agents N.
     """
-    h, g = power.exchange_period, power.filter_gain
+    h, g = gains.exchange_period, gains.filter_gain
     loops = [
         np.array([[1 - h * g]]),
-        np.array([[1, -h * power.deflation_gain], [h * g, 1 - h * g]]),
-        np.array([[1 - h * power.iteration_gain * agents]]),
-        np.array([[1, -h * power.normalization_gain], [2 * h * g, 1 - h * g]]),
+        np.array([[1, -h * gains.deflation_gain], [h * g, 1 - h * g]]),
+        np.array([[1 - h * gains.iteration_gain * agents]]),
+        np.array([[1, -h * gains.normalization_gain], [2 * h * g, 1 - h * g]]),
     ]
     for mu in np.linspace(0, agents, 60 * agents + 1)[1:]:
-        agree, settle = h * power.proportional_gain * mu, h * power.integral_gain * mu
-        loops.append(np.array([[1 - h * g - agree, settle], [-settle, 1]]))
+        proportional, integral = h * gains.proportional_gain * mu, h * gains.integral_gain * mu
+        loops.append(np.array([[1 - h * g - proportional, integral], [-integral, 1]]))
     return max(float(np.abs(np.linalg.eigvals(loop)).max()) for loop in loops)
 
 
 class PowerIterationState(NamedTuple):
-    """What each robot iterates on."""
+    """Iterates of each agent."""
 
-    v: Float[Array, " n"]  # of the eigenvector
+    v: Float[Array, " n"]  # v̂, of the eigenvector
     average: Float[Array, "n 2"]  # z₁, z₂: averages of v and of v²
-    integral: Float[Array, "n 2"]  # w₁, w₂, the integrals
+    integral: Float[Array, "n 2"]  # w₁, w₂
 
 
 @no_type_check
 @numba.njit
-def iterate_power(iterate, weight, hears, gains, steps):
-    """So many exchanges: each robot with its neighbours, all at once.
+def iterate_power(iterates, weight, hears, gains, exchanges):
+    """Exchange iterates with all neighbors, synchronously.
 
     Args:
-        iterate: Of each robot, changed in place.
-        weight: A_ij as robot i has it, (n, n).
-        linked: Who hears whom, (n, n).
-        power: The gains.
-        steps: How many.
+        iterates: Iterates of each agent, changed in place.
+        weight: A_ij as estimated by agent i, (n, n).
+        hears: True where agent i hears agent j, (n, n).
+        gains: Complete gains.
+        exchanges: Number of exchanges.
     """
-    n, h = len(iterate.v), gains.exchange_period
-    v, mean, held = iterate.v, iterate.average, iterate.integral
-    for _ in range(steps):
+    n, h = len(iterates.v), gains.exchange_period
+    v, mean, held = iterates.v, iterates.average, iterates.integral
+    for _ in range(exchanges):
         old_v, old_mean, old_held = v.copy(), mean.copy(), held.copy()
         for i in range(n):
             pull, near = 0.0, np.zeros(2)
@@ -126,6 +125,6 @@ def iterate_power(iterate, weight, hears, gains, steps):
 
 @no_type_check
 @numba.njit
-def estimate_lambda2_from_power(iterate, i, power):
-    """λ̂₂ of robot i, from the average size of the iterates."""
-    return power.normalization_gain / power.iteration_gain * (1 - iterate.average[i, 1])
+def estimate_lambda2_from_power(iterates, i, gains):
+    """Estimate λ₂ of agent i from the mean size of the iterates."""
+    return gains.normalization_gain / gains.iteration_gain * (1 - iterates.average[i, 1])

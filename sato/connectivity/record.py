@@ -1,43 +1,68 @@
-"""What a run of this system leaves behind, beyond what every run does."""
+"""Recorded frames and attributes of a connectivity run."""
 
-from collections.abc import Sequence
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from sato.connectivity.loop import ConnectivityFrame
 from sato.connectivity.mission import Connectivity
-from sato.interfaces import Recorded
+from sato.interfaces import (
+    FrameAlive,
+    FrameComponent,
+    FrameEvents,
+    FramePosition,
+    FrameTime,
+    FrameVelocity,
+    Recorded,
+)
 
-_PER_AXIS, _PER_PAIR = ("time", "agent", "axis"), ("time", "agent", "other")
+_PAIR = ("agent", "other")
 
 
-class ConnectivityVariables(NamedTuple):
-    """Variables of a run that are computed from its frames."""
+class ConnectivityFrame(NamedTuple):
+    """One control step; components are those of agents that see each other."""
 
-    velocity: Annotated[
-        Float[Array, "instants agents 3"], Recorded(_PER_AXIS, "m/s", "true velocity")
-    ]
+    time: FrameTime
+    position: FramePosition
+    velocity: FrameVelocity
+    alive: FrameAlive
+    component: FrameComponent
     velocity_command: Annotated[
-        Float[Array, "instants agents 3"],
-        Recorded(
-            _PER_AXIS, "m/s", "velocity that the agent commands, in its body frame, without stick"
-        ),
+        Float[Array, "agents 3"],
+        Recorded(("agent", "axis"), "m/s", "commanded velocity, body frame, without the stick"),
     ]
     yaw_rate: Annotated[
-        Float[Array, "instants agents"],
-        Recorded(("time", "agent"), "rad/s", "yaw rate that the agent commands"),
+        Float[Array, " agents"], Recorded(("agent",), "rad/s", "commanded yaw rate")
+    ]
+    yaw: Annotated[Float[Array, " agents"], Recorded(("agent",), "rad", "yaw, not wrapped")]
+    lambda2: Annotated[float, Recorded((), "1", "algebraic connectivity of the live agents")]
+    lambda3: Annotated[
+        float, Recorded((), "1", "eigenvalue after lambda2, infinite for two agents")
+    ]
+    lambda2_estimate: Annotated[
+        Float[Array, " agents"], Recorded(("agent",), "1", "estimate of lambda2, NaN unknown")
+    ]
+    edge_weight: Annotated[
+        Float[Array, "agents agents"], Recorded(_PAIR, "1", "true weight of the edge")
     ]
     yaw_estimate_error: Annotated[
-        Float[Array, "instants agents agents"],
-        Recorded(_PER_PAIR, "rad", "error of the estimated relative yaw"),
+        Float[Array, "agents agents"],
+        Recorded(_PAIR, "rad", "error of the estimated relative yaw"),
     ]
+    visibility: Annotated[
+        Bool[Array, "agents agents"], Recorded(_PAIR, "1", "true where the agent sees the other")
+    ]
+    stick: Annotated[
+        Float[Array, " 3"],
+        Recorded(("axis",), "m/s", "velocity that the operator commands to agent 0, world frame"),
+    ]
+    known_agents: Bool[Array, "agents agents"]  # true where agent i still counts on agent j
+    events: FrameEvents
 
 
 def run_attributes(mission: Connectivity) -> dict[str, float]:
-    """The radii and limits that a run file says in its attributes."""
+    """Collect limits for the attributes of the run file."""
     return {
         "lambda2_min": mission.potential.lambda2_min,
         "lambda2_max": mission.potential.lambda2_max,
@@ -48,23 +73,7 @@ def run_attributes(mission: Connectivity) -> dict[str, float]:
     }
 
 
-def collect_variables(
-    frames: Sequence[ConnectivityFrame], mission: Connectivity
-) -> ConnectivityVariables:
-    """Collect velocities in the world frame, commands, and errors of yaw estimates."""
-    command = np.array([f.command for f in frames])
-    yaw = np.array([f.yaw for f in frames])
-    turned = np.array([f.relative_yaw_estimate for f in frames])
-    off = turned - (yaw[:, None, :] - yaw[:, :, None])
-    return ConnectivityVariables(
-        velocity=rotate_by_yaw(np.array([f.velocity for f in frames]), yaw),
-        velocity_command=command[..., :3],
-        yaw_rate=command[..., 3],
-        yaw_estimate_error=(off + np.pi) % (2 * np.pi) - np.pi,
-    )
-
-
 def rotate_by_yaw(vectors: Float[Array, "*k 3"], yaw: Float[Array, "*k"]) -> Float[Array, "*k 3"]:
-    """R_z(ψ) v: from body frames to the world frame."""
+    """Rotate from body frames to the world frame: R_z(ψ) v."""
     c, s, (x, y, z) = np.cos(yaw), np.sin(yaw), np.moveaxis(vectors, -1, 0)
     return np.stack([c * x - s * y, s * x + c * y, z], axis=-1)

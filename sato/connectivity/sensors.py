@@ -1,4 +1,4 @@
-"""What cameras and range sensors tell: the only place where the truth is looked at."""
+"""Cameras and range sensors: the only readers of the truth."""
 
 from math import cos, sin, sqrt
 from typing import no_type_check
@@ -17,86 +17,83 @@ from sato.connectivity.obstacle_geometry import (
 
 @no_type_check
 @numba.njit
-def simulate_cameras(world, senses, team, rng):
-    """What every camera sees; and the true weights, for who watches from outside."""
-    n = len(world.position)
-    mine, theirs, upright = np.zeros(3), np.zeros(3), np.array(team.camera.optical_axis)
-    axis = np.zeros((n, 3))
+def simulate_cameras(truth, measurements, parameters, rng):
+    """Measure with every camera, and compute the true weights."""
+    n, camera = len(truth.position), parameters.camera
+    bearing, bearing_back = np.zeros(3), np.zeros(3)
+    level_axis, axis = np.array(camera.optical_axis), np.zeros((n, 3))
     for i in range(n):
-        axis[i] = upright
-        if team.is_quadrotor:
-            rotate_to_heading_frame(upright, world.acceleration[i], world.yaw[i], axis[i])
-    senses.previous_visibility[:] = senses.visibility
-    senses.previous_relative_position[:] = senses.relative_position
+        axis[i] = level_axis
+        if parameters.is_quadrotor:
+            rotate_to_heading_frame(level_axis, truth.acceleration[i], truth.yaw[i], axis[i])
+    measurements.previous_visibility[:] = measurements.visibility
+    measurements.previous_relative_position[:] = measurements.relative_position
+    measurements.visibility[:] = False
+    truth.weight[:] = 0.0
     for i in range(n):
         for j in range(i):
-            senses.visibility[i, j] = senses.visibility[j, i] = False
-            world.weight[i, j] = world.weight[j, i] = 0.0
-            if not (world.alive[i] and world.alive[j]):
+            if not (truth.alive[i] and truth.alive[j]):
                 continue
-            d = bearings(world.position, world.yaw, i, j, mine, theirs)
-            world.min_separation[i], world.min_separation[j] = (
-                min(world.min_separation[i], d),
-                min(world.min_separation[j], d),
-            )
-            if not team.camera.d_min < d < team.camera.d_max:
+            d = bearings(truth.position, truth.yaw, i, j, bearing, bearing_back)
+            if not camera.d_min < d < camera.d_max:
                 continue
-            if team.occlusion and is_occluded(i, j, world, team):
+            if parameters.occlusion and is_occluded(
+                i, j, truth.position, truth.alive, parameters.body_radius, parameters.obstacles
+            ):
                 continue
-            f = _simulate_camera(i, j, d, mine, axis[i], senses, team, rng)
-            g = _simulate_camera(j, i, d, theirs, axis[j], senses, team, rng)
-            gamma, _ = range_weight(d, team.camera)
-            world.weight[i, j] = world.weight[j, i] = gamma * (f + g - f * g)
+            f = _simulate_camera(i, j, d, bearing, axis[i], measurements, parameters, rng)
+            g = _simulate_camera(j, i, d, bearing_back, axis[j], measurements, parameters, rng)
+            gamma, _ = range_weight(d, camera)
+            truth.weight[i, j] = truth.weight[j, i] = gamma * (f + g - f * g)
 
 
 @no_type_check
 @numba.njit
-def _simulate_camera(i, j, d, bearing, axis, senses, team, rng):
-    # One camera: whether it has the other robot, and where; returns the true f*.
-    facing = axis[0] * bearing[0] + axis[1] * bearing[1] + axis[2] * bearing[2]
-    if facing > team.assumed_camera.a_min:
-        senses.visibility[i, j] = True
+def _simulate_camera(i, j, d, bearing, axis, measurements, parameters, rng):
+    # Returns the true f*.
+    cosine = axis[0] * bearing[0] + axis[1] * bearing[1] + axis[2] * bearing[2]
+    if cosine > parameters.assumed_camera.a_min:
+        measurements.visibility[i, j] = True
         for k in range(3):
-            senses.relative_position[i, j, k] = d * bearing[k]
-            if team.camera_noise > 0:
-                senses.relative_position[i, j, k] += team.camera_noise * rng.standard_normal()
-    return cosine_ramp(facing, team.camera.a_min, team.camera.a_max)
+            measurements.relative_position[i, j, k] = d * bearing[k]
+            if parameters.camera_noise > 0:
+                noise = parameters.camera_noise * rng.standard_normal()
+                measurements.relative_position[i, j, k] += noise
+    return cosine_ramp(cosine, parameters.camera.a_min, parameters.camera.a_max)
 
 
 @no_type_check
 @numba.njit
-def is_occluded(i, j, world, team):
-    p, q = world.position[i], world.position[j]
-    for k in range(len(world.position)):
-        if k not in (i, j) and world.alive[k]:
-            if segment_hits_sphere(p, q, world.position[k], team.body_radius):
+def is_occluded(i, j, position, alive, body_radius, obstacles):
+    """Tell whether a live agent or an obstacle blocks the line of sight of two agents."""
+    for k in range(len(position)):
+        if k not in (i, j) and alive[k]:
+            if segment_hits_sphere(position[i], position[j], position[k], body_radius):
                 return True
-    return blocks_line_of_sight(p, q, team.obstacles)
+    return blocks_line_of_sight(position[i], position[j], obstacles)
 
 
 @no_type_check
 @numba.njit
-def simulate_range_sensors(world, senses, team):
-    """What every range sensor finds: where something is, not what; robots and obstacles alike."""
-    point, n, far = np.zeros(3), len(world.position), team.repulsion.max_distance
-    o = team.obstacles
-    others = len(o.spheres) + len(o.boxes) + len(o.planes)
+def simulate_range_sensors(truth, measurements, parameters):
+    """Measure the nearest points of all agents and obstacles in range, without telling which."""
+    n, obstacles, point = len(truth.position), parameters.obstacles, np.zeros(3)
+    total = len(obstacles.spheres) + len(obstacles.boxes) + len(obstacles.planes)
     for i in range(n):
-        senses.range_point_count[i] = 0
-        if not world.alive[i]:
+        measurements.range_point_count[i] = 0
+        if not truth.alive[i]:
             continue
-        p, c, s = world.position[i], cos(world.yaw[i]), sin(world.yaw[i])
-        for k in range(n + others):
+        p, c, s = truth.position[i], cos(truth.yaw[i]), sin(truth.yaw[i])
+        for k in range(n + total):
             if k < n:
-                if k == i or not world.alive[k]:
+                if k == i or not truth.alive[k]:
                     continue
-                point[:] = world.position[k]
+                point[:] = truth.position[k]
                 d = sqrt((point[0] - p[0]) ** 2 + (point[1] - p[1]) ** 2 + (point[2] - p[2]) ** 2)
             else:
-                d = nearest_point(k - n, p, o, point)
-                world.min_obstacle_distance[i] = min(world.min_obstacle_distance[i], d)
-            if d < far:
+                d = nearest_point(k - n, p, obstacles, point)
+            if d < parameters.repulsion.max_distance:
                 x, y = point[0] - p[0], point[1] - p[1]
-                found = senses.range_points[i, senses.range_point_count[i]]
+                found = measurements.range_points[i, measurements.range_point_count[i]]
                 found[0], found[1], found[2] = c * x + s * y, c * y - s * x, point[2] - p[2]
-                senses.range_point_count[i] += 1
+                measurements.range_point_count[i] += 1

@@ -1,7 +1,7 @@
-"""What is true, what is sensed, what is told, and what each robot has in mind.
+"""State of a simulation: truth, measurements, messages and estimates.
 
-Four parts, so that the signature of a function says what it may read: what decides for a robot
-is given its senses, its mail and its mind, and never the world.
+The four parts keep the information structure visible in signatures: the controller of an
+agent is given its measurements, messages and estimates, and never the truth.
 """
 
 from typing import NamedTuple
@@ -14,76 +14,68 @@ from sato.connectivity.power_iteration import PowerIterationState
 
 
 class TrueState(NamedTuple):
-    """The truth, for sensors and for who watches from outside."""
+    """Truth, for sensors and for the record."""
 
     position: Float[Array, "n 3"]  # [m]
     yaw: Float[Array, " n"]  # [rad]
-    acceleration: Float[Array, "n 3"]  # acceleration in the world frame, where robots tilt [m/s²]
+    acceleration: Float[Array, "n 3"]  # in the world frame, of quadrotors [m/s²]
     alive: Bool[Array, " n"]
-    weight: Float[Array, "n n"]  # A_ij, of what cameras can see
-    eigenvalues: Float[Array, " 2"]  # λ₂ and λ₃ of those alive
-    min_separation: Float[Array, " n"]  # least distance to another robot so far [m]
-    min_obstacle_distance: Float[Array, " n"]  # least distance to an obstacle so far [m]
+    weight: Float[Array, "n n"]  # A_ij
+    eigenvalues: Float[Array, " 2"]  # λ₂ and λ₃ of live agents
 
 
 class Measurements(NamedTuple):
-    """What the sensors of robot i tell it: row i, in its body frame."""
+    """Measurements of agent i, in row i, in its body frame."""
 
-    velocity: Float[Array, "n 3"]  # its own [m/s]
-    yaw_rate: Float[Array, " n"]  # its own, of yaw [rad/s]
-    visibility: Bool[Array, "n n"]  # its camera has j in sight
+    velocity: Float[Array, "n 3"]  # [m/s]
+    yaw_rate: Float[Array, " n"]  # [rad/s]
+    visibility: Bool[Array, "n n"]  # true where i sees j
     relative_position: Float[Array, "n n 3"]  # p_ij as measured [m]
     previous_visibility: Bool[Array, "n n"]  # a step ago
     previous_relative_position: Float[Array, "n n 3"]  # a step ago [m]
-    range_points: Float[Array, "n points 3"]  # nearest points of what is around [m]
-    range_point_count: Int[Array, " n"]  # how many of them
+    range_points: Float[Array, "n points 3"]  # nearest points of what is near [m]
+    range_point_count: Int[Array, " n"]  # number of these points
 
 
 class MessageBuffers(NamedTuple):
-    """Messages: those on their way, and of every other robot the last that arrived."""
+    """Messages on their way, in a ring, and the last that each agent received from each other."""
 
-    sent_relative_position: Float[Array, "ring n n 3"]  # [., j]: what j tells: p_ji for every i
+    sent_relative_position: Float[Array, "ring n n 3"]  # [·, j, i]: p_ji
     sent_visibility: Bool[Array, "ring n n"]
     sent_relative_yaw: Float[Array, "ring n n"]
     sent_is_mutual: Bool[Array, "ring n n"]
     sent_twist: Float[Array, "ring n 4"]
     sent_rows: Float[Array, "ring n n n"]
     sent_row_time: Float[Array, "ring n n"]
-    received_time: Float[
-        Array, "n n"
-    ]  # [i, j]: when the message was told that i last had from j [s]
-    received_relative_position: Float[Array, "n n 3"]  # [i, j]: p_ji in it
-    received_visibility: Bool[Array, "n n"]  # [i, j]: whether j had i in sight
+    received_time: Float[Array, "n n"]  # [i, j]: time at which j sent what i received last [s]
+    received_relative_position: Float[Array, "n n 3"]  # [i, j]: p_ji
+    received_visibility: Bool[Array, "n n"]  # [i, j]: true where j saw i
     received_relative_yaw: Float[Array, "n n n"]  # [i, j, k]: ψ̃_jk
-    received_is_mutual: Bool[Array, "n n n"]
-    is_new: Bool[Array, "n n"]  # [i, j]: it came in this very step
-    relative_position_when_sent: Float[
-        Array, "n n 3"
-    ]  # [i, j]: p_ij, as i saw it itself when that was told [m]
+    received_is_mutual: Bool[Array, "n n n"]  # [i, j, k]
+    is_new: Bool[Array, "n n"]  # [i, j]: true where it arrived in this step
+    relative_position_when_sent: Float[Array, "n n 3"]  # [i, j]: p_ij of i at that time [m]
     received_twist: Float[Array, "n n 4"]  # [i, j]: v_j, w_j
 
 
 class AgentEstimates(NamedTuple):
-    """What robot i reckons: row i."""
+    """Estimates of agent i, in row i."""
 
-    velocity_observer: Float[Array, "n n 7"]  # observers of others' velocities, see `yaw`
+    velocity_observer: Float[Array, "n n 7"]  # see `yaw_estimator.update_velocity_observer`
     relative_yaw: Float[Array, "n n"]  # ψ̃_ij [rad]
-    is_mutual: Bool[Array, "n n"]  # ψ̃_ij rests on two bearings
+    is_mutual: Bool[Array, "n n"]  # true where ψ̃_ij rests on two bearings
     weight: Float[Array, "n n"]  # A_ij
-    weight_gradient: Float[Array, "n n 4"]  # its gradient: ∂A_ij/∂p_i in the body frame, ∂A_ij/∂ψ_i
-    adjacency_rows: Float[Array, "n n n"]  # the adjacency as far as i knows it
-    row_time: Float[Array, "n n"]  # when row k of it was computed [s]
-    eigenvector_guess: Float[
-        Array, "n 3 n"
-    ]  # eigenvectors as i last had them, where it looks for new ones
+    weight_gradient: Float[Array, "n n 4"]  # ∂A_ij/∂p_i in the body frame, ∂A_ij/∂ψ_i
+    adjacency_rows: Float[Array, "n n n"]  # adjacency matrix as known to i
+    row_time: Float[Array, "n n"]  # [i, k]: time at which row k of it was computed [s]
+    eigenvector_guess: Float[Array, "n 3 n"]  # start of the search for eigenvectors
     power_iteration: PowerIterationState
     lambda2: Float[Array, " n"]  # NaN unknown
     lambda2_gradient: Float[Array, "n n"]  # ∂λ₂/∂A_ij
-    command: Float[Array, "n 4"]  # velocity in the body frame, yaw rate
+    command: Float[Array, "n 4"]  # velocity in the body frame [m/s], yaw rate [rad/s]
 
 
 class ConnectivityState(NamedTuple):
-    """All of it; changed in place from step to step."""
+    """State of all agents, changed in place from step to step."""
 
     truth: TrueState
     measurements: Measurements
@@ -94,46 +86,45 @@ class ConnectivityState(NamedTuple):
 def initial_state(
     position: Float[Array, "n 3"],
     yaw: Float[Array, " n"],
-    yaw_estimate: Float[Array, "n n"],
+    relative_yaw: Float[Array, "n n"],
     delay_messages: int,
     obstacles: int,
     rng: np.random.Generator,
 ) -> ConnectivityState:
-    """Everybody at rest, and nothing seen or told yet.
+    """Build the state at rest, before anything is measured or sent.
 
     Args:
-        position: Of each robot [m].
-        yaw: Of each robot [rad].
-        believed: What each takes for the relative yaw of others at first [rad].
-        late: How many messages later one arrives.
-        obstacles: How many there are.
-        rng: Draws where the power iteration begins.
+        position: Positions [m].
+        yaw: Yaw of each agent [rad].
+        relative_yaw: First estimates ψ̃_ij [rad].
+        delay_messages: Messages that are sent before one arrives.
+        obstacles: Number of obstacles.
+        rng: Draws the first iterates of the power iteration.
     """
     n, ring = len(position), delay_messages + 1
-    zero, unseen, ages = np.zeros, np.nan, -np.inf
+    zero, full = np.zeros, np.full
 
-    def never(*shape: int) -> Array:
+    def false(*shape: int) -> Array:
         return np.zeros(shape, dtype=bool)
 
-    world = TrueState(
-        position.copy(), yaw.copy(), zero((n, 3)), np.ones(n, dtype=bool), zero((n, n)),
-        zero(2), np.full(n, np.inf), np.full(n, np.inf),
+    truth = TrueState(
+        position.copy(), yaw.copy(), zero((n, 3)), np.ones(n, dtype=bool), zero((n, n)), zero(2)
+    )
+    measurements = Measurements(
+        zero((n, 3)), zero(n), false(n, n), full((n, n, 3), np.nan), false(n, n),
+        full((n, n, 3), np.nan), zero((n, n + obstacles, 3)), zero(n, dtype=np.int64),
     )  # fmt: skip
-    senses = Measurements(
-        zero((n, 3)), zero(n), never(n, n), np.full((n, n, 3), unseen), never(n, n),
-        np.full((n, n, 3), unseen), zero((n, n + obstacles, 3)), zero(n, dtype=np.int64),
-    )  # fmt: skip
-    mail = MessageBuffers(
-        np.full((ring, n, n, 3), unseen), never(ring, n, n), zero((ring, n, n)),
-        never(ring, n, n), zero((ring, n, 4)), zero((ring, n, n, n)),
-        np.full((ring, n, n), ages), np.full((n, n), ages), np.full((n, n, 3), unseen),
-        never(n, n), zero((n, n, n)), never(n, n, n), never(n, n), np.full((n, n, 3), unseen),
+    messages = MessageBuffers(
+        full((ring, n, n, 3), np.nan), false(ring, n, n), zero((ring, n, n)),
+        false(ring, n, n), zero((ring, n, 4)), zero((ring, n, n, n)),
+        full((ring, n, n), -np.inf), full((n, n), -np.inf), full((n, n, 3), np.nan),
+        false(n, n), zero((n, n, n)), false(n, n, n), false(n, n), full((n, n, 3), np.nan),
         zero((n, n, 4)),
     )  # fmt: skip
-    iterate = PowerIterationState(rng.standard_normal(n), zero((n, 2)), zero((n, 2)))
-    mind = AgentEstimates(
-        zero((n, n, 7)), yaw_estimate.copy(), never(n, n), zero((n, n)), zero((n, n, 4)),
-        zero((n, n, n)), np.full((n, n), ages), zero((n, 3, n)), iterate,
-        np.full(n, np.nan), zero((n, n)), zero((n, 4)),
+    iterates = PowerIterationState(rng.standard_normal(n), zero((n, 2)), zero((n, 2)))
+    estimates = AgentEstimates(
+        zero((n, n, 7)), relative_yaw.copy(), false(n, n), zero((n, n)), zero((n, n, 4)),
+        zero((n, n, n)), full((n, n), -np.inf), zero((n, 3, n)), iterates,
+        full(n, np.nan), zero((n, n)), zero((n, 4)),
     )  # fmt: skip
-    return ConnectivityState(world, senses, mail, mind)
+    return ConnectivityState(truth, measurements, messages, estimates)

@@ -20,9 +20,7 @@ class WaypointStick(Definition):
     """An operator that steers for one waypoint after another, and lets go now and then."""
 
     kind: ClassVar[str] = "waypoints"
-    waypoints: Annotated[Matrix, Unit("m"), "waypoints in the world frame; drawn if absent"] = (
-        None  # type: ignore[assignment]
-    )
+    waypoints: Annotated[Matrix, Unit("m"), "waypoints in the world frame; drawn if absent"] = None  # type: ignore[assignment]
     count: Annotated[int, Positive, "number of waypoints that are drawn"] = 3
     spacing: Annotated[Length, Positive, "distance of two drawn waypoints"] = 5.0
     speed: Annotated[Speed, Positive, "commanded speed"] = 2.0

@@ -1,131 +1,89 @@
-"""What came of a flight, in a few numbers: what studies of many seeds count."""
+"""Trial: a simulation reduced to the numbers that studies of many seeds count."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from numpy import ndarray as Array
 
-from sato.connectivity.distance import obstacle_distances
-from sato.connectivity.loop import ConnectivityFrame, simulate
+from sato.check.event_log import EventLog
+from sato.connectivity.check.recorded import ConnectivityRecord
+from sato.connectivity.check.summary import summarize_flight
+from sato.connectivity.distance import nearest_agent_distance, obstacle_distances
+from sato.connectivity.loop import simulate
 from sato.connectivity.mission import Connectivity
+from sato.connectivity.record import ConnectivityFrame
 
-GAP_WINDOW = 1.0  # a loss of connectivity, for which λ₃ − λ₂ is looked at [s]
-IDLE_TIME = 1.0  # after which a robot that was left alone must hold [s]
-DISTANCE_TOLERANCE = 1e-9  # beyond the distance at which the push of what is near begins [m]
+GAP_WINDOW = 1.0  # time before a loss of connectivity in which λ₃ − λ₂ is looked at [s]
+IDLE_TIME = 1.0  # time after which an isolated agent must hold [s]
+DISTANCE_TOLERANCE = 1e-9  # beyond the distance at which repulsion begins [m]
 
 
-@dataclass(frozen=True)
-class ConnectivityTrial:
-    """What came of a flight."""
+class ConnectivityTrial(NamedTuple):
+    """Outcome of a simulation."""
 
-    min_lambda2: float  # least
-    disconnection_time: float  # when λ₂ first was at λ₂^min or below [s]; NaN never
-    min_eigenvalue_gap: float  # least λ₃ − λ₂ in the second before; NaN if it never was
-    min_separation: float  # least distance of two robots, at control steps [m]
-    min_obstacle_distance: float  # least distance of a robot to an obstacle, at control steps [m]
-    waypoints_reached: int  # reached by the leader
-    lambda2_error: float  # |λ̂₂ − λ₂|, mean over robots that know and instants
-    yaw_error_mutual: float  # |sin(Δψ/2)|, mean over pairs that see each other and instants
-    yaw_error_one_sided: float  # the same, where one sees the other only, as that one has it
-    max_forget_time: float  # for how long after its death a robot was counted with, the longest [s]
-    max_idle_command: (
-        float  # most that robots on their own ask of themselves, nothing near [m/s, rad/s]
-    )
+    summary: dict[str, Any]  # see `summarize_flight`
+    disconnection_time: float  # first time at which λ₂ ≤ λ₂^min [s]; NaN never
+    min_eigenvalue_gap: float  # least λ₃ − λ₂ in the second before; NaN if never
+    max_forget_time: float  # longest time for which a lost agent was counted on [s]
+    max_idle_command: float  # largest command of isolated agents with nothing near [m/s, rad/s]
 
     @property
     def stayed_connected(self) -> bool:
-        """Whether the swarm hung together throughout."""
+        """True where λ₂ stayed above λ₂^min."""
         return bool(np.isnan(self.disconnection_time))
 
 
-@dataclass
-class _RunningMean:
-    total: float = 0.0
-    count: int = 0
-
-    def add(self, values: np.ndarray) -> None:
-        self.total += float(values.sum())
-        self.count += values.size
-
-    @property
-    def value(self) -> float:
-        return self.total / self.count if self.count else np.nan
-
-
-@dataclass
-class _EstimationErrors:
-    lambda2_error: _RunningMean = field(default_factory=_RunningMean)
-    yaw_error_mutual: _RunningMean = field(default_factory=_RunningMean)
-    yaw_error_one_sided: _RunningMean = field(default_factory=_RunningMean)
-
-    def update(self, frame: ConnectivityFrame) -> None:
-        off = np.abs(frame.lambda2_estimate - frame.lambda2)[frame.alive]
-        self.lambda2_error.add(off[np.isfinite(off)])
-        turned = frame.relative_yaw_estimate - (frame.yaw - frame.yaw[:, None])
-        wrong, sees = np.abs(np.sin(turned / 2)), frame.visibility
-        self.yaw_error_mutual.add(wrong[sees & sees.T])
-        self.yaw_error_one_sided.add(wrong[sees & ~sees.T])
-
-
 def run_trial(mission: Connectivity, rng: np.random.Generator) -> ConnectivityTrial:
-    """Fly, and judge what comes of it.
-
-    Args:
-        mission: What is flown.
-        rng: Draws noise, losses, and where the power iteration begins.
-    """
+    """Simulate a drawn mission and evaluate its frames."""
     return evaluate_trial(mission, simulate(mission, rng))
 
 
 def evaluate_trial(mission: Connectivity, frames: Iterable[ConnectivityFrame]) -> ConnectivityTrial:
-    """What came of a flight, by all its frames."""
-    watch, waypoints, counted, restless = _EstimationErrors(), 0, 0.0, 0.0
-    lambdas: list[tuple[float, float]] = []
-    alone = np.zeros(mission.agents)  # for how long [s]
-    for frame in frames:
-        watch.update(frame)
-        lambdas.append((frame.lambda2, frame.lambda3))
-        waypoints += sum(event["kind"] == "waypoint" for event in frame.events)
-        for death in mission.losses:
-            if not frame.alive[death.agent] and frame.known_agents[frame.alive, death.agent].any():
-                counted = max(counted, frame.time - death.time)
-        alone = np.where(frame.edge_weight.any(axis=1) | ~frame.alive, 0, alone + mission.step)
-        asked = np.abs(frame.command[_find_undisturbed(frame, mission, alone)])
-        restless = max(restless, float(asked.max(initial=0)))
-    lambda2, lambda3 = np.array(lambdas).T
+    """Evaluate all frames of a simulation."""
+    listed = list(frames)
+    events = tuple({"time": frame.time, **event} for frame in listed for event in frame.events)
+    *columns, _ = zip(*listed, strict=True)
+    whole: Any = ConnectivityFrame._make([*map(np.array, columns), events])
+    record = ConnectivityRecord(mission, {}, whole, EventLog(whole.time, events))
     lost, gap = np.nan, np.nan
-    below = lambda2 <= mission.potential.lambda2_min
+    below = whole.lambda2 <= mission.potential.lambda2_min
     if below.any():
         first = int(np.argmax(below))
         since = max(0, first - round(GAP_WINDOW / mission.step))
         lost = first * mission.step
-        gap = float((lambda3 - lambda2)[since : first + 1].min())
+        gap = float((whole.lambda3 - whole.lambda2)[since : first + 1].min())
     return ConnectivityTrial(
-        min_lambda2=float(lambda2.min()),
-        disconnection_time=lost,
-        min_eigenvalue_gap=gap,
-        min_separation=frame.min_separation,
-        min_obstacle_distance=frame.min_obstacle_distance,
-        waypoints_reached=waypoints,
-        lambda2_error=watch.lambda2_error.value,
-        yaw_error_mutual=watch.yaw_error_mutual.value,
-        yaw_error_one_sided=watch.yaw_error_one_sided.value,
-        max_forget_time=counted,
-        max_idle_command=restless,
+        summarize_flight(record), lost, gap, _max_forget_time(record), _max_idle_command(record)
     )
 
 
-def _find_undisturbed(
-    frame: ConnectivityFrame, mission: Connectivity, alone: Float[Array, " n"]
-) -> Bool[Array, " n"]:
-    # Who is alone, and has nothing near that would push.
-    free = alone > IDLE_TIME
-    for i in np.flatnonzero(free):
-        others = np.delete(frame.position, i, axis=0)[np.delete(frame.alive, i)]
-        away = np.linalg.norm(others - frame.position[i], axis=1)
-        to_walls = obstacle_distances(frame.position[i], mission.obstacle_arrays)
-        nearest = min(away.min(initial=np.inf), to_walls.min(initial=np.inf))
-        free[i] = nearest > mission.repulsion.max_distance + DISTANCE_TOLERANCE
-    return free
+def _max_forget_time(record: ConnectivityRecord) -> float:
+    frames, longest = record.frames, 0.0
+    for loss in record.mission.losses:
+        is_known = (frames.known_agents[..., loss.agent] & frames.alive).any(axis=1)
+        times = frames.time[is_known & ~frames.alive[:, loss.agent]]
+        longest = max(longest, float((times - loss.time).max(initial=0.0)))
+    return longest
+
+
+def _max_idle_command(record: ConnectivityRecord) -> float:
+    frames, mission = record.frames, record.mission
+    position = np.where(frames.alive[..., None], frames.position, np.nan)
+    distance = np.nan_to_num(nearest_agent_distance(position), nan=np.inf)
+    for walls in np.moveaxis(obstacle_distances(position, mission.obstacle_arrays), -1, 0):
+        distance = np.fmin(distance, walls)
+    is_isolated = ~frames.edge_weight.any(axis=2) & frames.alive
+    idle = _durations(is_isolated, mission.step) > IDLE_TIME
+    idle &= distance > mission.repulsion.max_distance + DISTANCE_TOLERANCE
+    command = np.maximum(np.abs(frames.velocity_command).max(axis=2), np.abs(frames.yaw_rate))
+    return float(command[idle].max(initial=0.0))
+
+
+def _durations(holds: Array, step: float) -> Float[Array, "instants agents"]:
+    # Time for which a condition has held without a break.
+    found, time = np.zeros(holds.shape), np.zeros(holds.shape[1])
+    for k, now in enumerate(holds):
+        found[k] = time = np.where(now, time + step, 0.0)
+    return found

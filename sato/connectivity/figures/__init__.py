@@ -33,5 +33,5 @@ FIGURES: dict[str, Callable[[ConnectivityRecord], Figure]] = {
 
 def make_figures(data: "xarray.Dataset", mission: Connectivity) -> FigureFactories:
     """The figures of a run."""
-    evidence = ConnectivityRecord.from_dataset(data, mission)
-    return {name: partial(draw, evidence) for name, draw in FIGURES.items()}
+    record = ConnectivityRecord.from_dataset(data, mission)
+    return {name: partial(draw, record) for name, draw in FIGURES.items()}

@@ -29,9 +29,9 @@ RUN_RANGE_STYLE: dict[str, Any] = {
 }
 
 
-def plot_potential(evidence: ConnectivityRecord) -> Figure:
+def plot_potential(record: ConnectivityRecord) -> Figure:
     """V and −V′ over λ₂, and the push over distance, and to where the run came."""
-    mission = evidence.mission
+    mission = record.mission
     defence, repulsion = mission.potential, mission.repulsion
     figure = Figure(figsize=(9.6, 3.7), layout="constrained")
     v, slope, away = figure.subplots(1, 3)
@@ -43,7 +43,9 @@ def plot_potential(evidence: ConnectivityRecord) -> Figure:
         _draw_curve(
             ax, partial(law, potential=defence), (defence.lambda2_min, defence.lambda2_max), names
         )
-        ax.axvspan(np.nanmin(evidence.lambda2), np.nanmax(evidence.lambda2), **RUN_RANGE_STYLE)
+        ax.axvspan(
+            np.nanmin(record.frames.lambda2), np.nanmax(record.frames.lambda2), **RUN_RANGE_STYLE
+        )
         ax.set(xlabel="λ$_2$", ylabel=name)
     if defence.strength > 0:
         slope.set(
@@ -54,7 +56,7 @@ def plot_potential(evidence: ConnectivityRecord) -> Figure:
         away, lambda d: d * repulsion_gain(d, repulsion), limits, ("nearest", "farthest"), " m"
     )
     away.axvspan(
-        min(evidence.min_separation, evidence.min_obstacle_distance),
+        min(record.min_separation, record.min_obstacle_distance),
         away.get_xlim()[1],
         **RUN_RANGE_STYLE,
     )

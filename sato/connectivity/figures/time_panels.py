@@ -42,49 +42,53 @@ def find_intervals(
     ]
 
 
-def find_stick_intervals(evidence: ConnectivityRecord) -> list[Interval]:
+def find_stick_intervals(record: ConnectivityRecord) -> list[Interval]:
     """The spans for which something is asked of the leader."""
     return [
-        s for s in find_intervals(evidence.time, np.asarray(evidence.stick.any(axis=1))) if s.value
+        s
+        for s in find_intervals(record.frames.time, np.asarray(record.frames.stick.any(axis=1)))
+        if s.value
     ]
 
 
 def stack_panels(
-    evidence: ConnectivityRecord, heights: tuple[float, ...]
+    record: ConnectivityRecord, heights: tuple[float, ...]
 ) -> tuple[Figure, list[Any]]:
     """Panels over time, one above the other, shaded while the stick is held."""
     figure = Figure(figsize=(7.2, 1.35 * sum(heights) + 1.1), layout="constrained")
     axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)
     for ax in axes[:, 0]:
-        for span in find_stick_intervals(evidence):
+        for span in find_stick_intervals(record):
             ax.axvspan(span.start, span.end, fc=STICK_COLOR, lw=0, zorder=0)
-        for _, lost in evidence.events.of_kind("loss"):
+        for _, lost in record.events.of_kind("loss"):
             ax.axvline(lost["time"], color=DARK_GRAY, ls=":", lw=0.9, zorder=0.5)
-    for span in find_intervals(evidence.time, np.asarray((evidence.component > 0).any(axis=1))):
+    for span in find_intervals(
+        record.frames.time, np.asarray((record.frames.component > 0).any(axis=1))
+    ):
         if span.value:
             for ax in axes[:, 0]:
                 ax.axvspan(span.start, span.end, 0.97, 1, fc=RED, lw=0, zorder=0.4)
-    set_time_axis(axes[-1, 0], evidence)
+    set_time_axis(axes[-1, 0], record)
     return figure, list(axes[:, 0])
 
 
-def set_time_axis(ax: Any, evidence: ConnectivityRecord) -> None:
+def set_time_axis(ax: Any, record: ConnectivityRecord) -> None:
     """From the start of a run to its end."""
-    start, end = float(evidence.time[0]), float(evidence.time[-1])
+    start, end = float(record.frames.time[0]), float(record.frames.time[-1])
     ax.set(xlabel="time [s]", xlim=(start, max(end, start + 1e-9)))
 
 
-def add_legend(figure: Figure, evidence: ConnectivityRecord) -> None:
+def add_legend(figure: Figure, record: ConnectivityRecord) -> None:
     """Say below the panels what all of it is."""
     handles: dict[str, Any] = {}
     for ax in figure.axes:
         drawn, said = ax.get_legend_handles_labels()
         handles |= dict(zip(said, drawn, strict=True))
-    if find_stick_intervals(evidence):
+    if find_stick_intervals(record):
         handles["stick held"] = Patch(fc=STICK_COLOR, lw=0)
-    if evidence.events.of_kind("loss"):
+    if record.events.of_kind("loss"):
         handles["a robot is lost"] = Line2D([], [], color=DARK_GRAY, ls=":", lw=0.9)
-    if (evidence.component > 0).any():
+    if (record.frames.component > 0).any():
         handles["the swarm has split"] = Patch(fc=RED, lw=0)
     columns = ceil(len(handles) / ceil(len(handles) / LEGEND_COLUMNS))
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=columns)

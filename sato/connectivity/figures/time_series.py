@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from numpy import ndarray as Array
 
 from sato.connectivity.check import ConnectivityRecord
-from sato.connectivity.distance import obstacle_distances
+from sato.connectivity.distance import nearest_agent_distance, obstacle_distances
 from sato.connectivity.figures.time_panels import add_legend, stack_panels
 from sato.figures.axes import draw_limit
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, GREEN, ORANGE, SKY
@@ -17,13 +17,13 @@ LOG_SCALE_BELOW = 0.1  # of λ₂^max: a λ₂ below it is seen on a logarithmic
 LINEAR_BELOW = 1e-3  # error of λ₂, down from which the scale is linear
 
 
-def plot_connectivity(evidence: ConnectivityRecord) -> Figure:
+def plot_connectivity(record: ConnectivityRecord) -> Figure:
     """λ₂ as it is and as every robot has it, between its limits, and how far these are off."""
-    figure, (value, error) = stack_panels(evidence, (2.2, 1.0))
-    time, limits = evidence.time, evidence.mission.potential
-    true = np.where(evidence.alive.sum(axis=1) > 1, evidence.lambda2, np.nan)
-    third = np.where(np.isfinite(evidence.lambda3), evidence.lambda3, np.nan)
-    estimate = np.where(evidence.alive, evidence.lambda2_estimate, np.nan)
+    figure, (value, error) = stack_panels(record, (2.2, 1.0))
+    time, limits = record.frames.time, record.mission.potential
+    true = np.where(record.frames.alive.sum(axis=1) > 1, record.frames.lambda2, np.nan)
+    third = np.where(np.isfinite(record.frames.lambda3), record.frames.lambda3, np.nan)
+    estimate = np.where(record.frames.alive, record.frames.lambda2_estimate, np.nan)
     if np.isfinite(third).any():
         value.plot(time, third, color=GRAY, lw=0.6, label="λ$_3$, true")
     value.plot(time, true, color=BLUE, lw=2.2, label="λ$_2$, true")
@@ -47,44 +47,46 @@ def plot_connectivity(evidence: ConnectivityRecord) -> Figure:
     _plot_spread(error, time, np.abs(estimate - true[:, None]))
     error.set_yscale("symlog", linthresh=LINEAR_BELOW)
     error.set(ylabel="error of what\nrobots have", ylim=(0, None))
-    add_legend(figure, evidence)
+    add_legend(figure, record)
     return figure
 
 
-def count_edges(evidence: ConnectivityRecord) -> Int[Array, "instants 3"]:
+def count_edges(record: ConnectivityRecord) -> Int[Array, "instants 3"]:
     """At every instant: edges, those of robots that see each other, and pairs of live robots."""
-    edge = np.triu(evidence.edge_weight > 0)
-    mutual = edge & evidence.visibility & evidence.visibility.transpose(0, 2, 1)
-    live = evidence.alive.sum(axis=1)
+    edge = np.triu(record.frames.edge_weight > 0)
+    mutual = edge & record.frames.visibility & record.frames.visibility.transpose(0, 2, 1)
+    live = record.frames.alive.sum(axis=1)
     return np.stack([edge.sum((1, 2)), mutual.sum((1, 2)), live * (live - 1) // 2], axis=1)
 
 
-def plot_edges(evidence: ConnectivityRecord) -> Figure:
+def plot_edges(record: ConnectivityRecord) -> Figure:
     """How many edges the graph has, and of how many both ends see each other."""
-    figure, [ax] = stack_panels(evidence, (2.0,))
+    figure, [ax] = stack_panels(record, (2.0,))
     looks = ((BLUE, "-", "edges"), (GREEN, "-", "where both see each other"),
              (GRAY, "--", "pairs of robots"))  # fmt: skip
-    numbers = count_edges(evidence)
+    numbers = count_edges(record)
     for number, (colour, style, name) in zip(numbers.T, looks, strict=True):
-        ax.step(evidence.time, number, where="post", color=colour, ls=style, lw=1.1, label=name)
+        ax.step(
+            record.frames.time, number, where="post", color=colour, ls=style, lw=1.1, label=name
+        )
     ax.set(ylabel="number", ylim=(0, 1.06 * float(numbers.max(initial=1))))
     ax.yaxis.get_major_locator().set_params(integer=True)
-    add_legend(figure, evidence)
+    add_legend(figure, record)
     return figure
 
 
-def plot_distances(evidence: ConnectivityRecord) -> Figure:
+def plot_distances(record: ConnectivityRecord) -> Figure:
     """How near every robot is to another one, and to an obstacle."""
-    there = np.where(evidence.alive[..., None], evidence.position, np.nan)
-    obstacles, between = evidence.mission.obstacle_arrays, evidence.mission.repulsion
+    there = np.where(record.frames.alive[..., None], record.frames.position, np.nan)
+    obstacles, between = record.mission.obstacle_arrays, record.mission.repulsion
     found = {"another robot": nearest_agent_distance(there)}
     if obstacles.total:
         found["an obstacle"] = obstacle_distances(there, obstacles).min(axis=-1)
-    figure, axes = stack_panels(evidence, (1.6,) * len(found))
+    figure, axes = stack_panels(record, (1.6,) * len(found))
     for ax, (name, away) in zip(axes, found.items(), strict=True):
-        _plot_spread(ax, evidence.time, away)
+        _plot_spread(ax, record.frames.time, away)
         least = np.fmin.reduce(away, axis=1)
-        ax.plot(evidence.time, least, color=BLUE, lw=1.1, label="the least")
+        ax.plot(record.frames.time, least, color=BLUE, lw=1.1, label="the least")
         shown = np.clip(
             1.05 * np.nanmax(away), 1.2 * between.max_distance, 3 * between.max_distance
         )
@@ -93,20 +95,8 @@ def plot_distances(evidence: ConnectivityRecord) -> Figure:
         draw_limit(
             ax, between.max_distance, f"push begins,\n{between.max_distance:g} m", colour=DARK_GRAY
         )
-    add_legend(figure, evidence)
+    add_legend(figure, record)
     return figure
-
-
-def nearest_agent_distance(
-    there: Float[Array, "instants agents 3"],
-) -> Float[Array, "instants agents"]:
-    """Distance of every robot to the nearest other one; NaN for who is not there [m]."""
-    found = np.full(there.shape[:2], np.inf)
-    for j in range(there.shape[1]):
-        away = np.linalg.norm(there - there[:, j : j + 1], axis=2)
-        away[:, j] = np.inf
-        found = np.fmin(found, away)
-    return np.where(np.isfinite(there[..., 0]) & np.isfinite(found), found, np.nan)
 
 
 def _plot_spread(ax: Any, time: Float[Array, " k"], each: Float[Array, "k agents"]) -> None:

@@ -26,68 +26,70 @@ WAYPOINT_STYLE: dict[str, Any] = {"ls": "", "marker": "*", "ms": 10, "mfc": "non
 VIEW = Projection((0, 1, 2), ("x", "y", "z"))
 
 
-def plot_trajectories(evidence: ConnectivityRecord) -> Figure:
+def plot_trajectories(record: ConnectivityRecord) -> Figure:
     """Paths in space and from above, and the graph and the cameras at the end.
 
     Of obstacles those are seen that can have pushed somebody, and what else lies that near.
     """
-    space = _picture_bounds(evidence)
+    space = _picture_bounds(record)
     flat = AxisBounds(space.low[:2], space.high[:2], space.labels[:2])
     figure = Figure(figsize=(10.4, 5.4))  # what a layout takes a view of space for is not its size
     deep: Any = figure.add_axes((0.0, 0.13, 0.54, 0.85), projection="3d", computed_zorder=False)
     above = figure.add_axes((0.61, 0.2, 0.37, 0.73))
-    obstacles = evidence.mission.obstacle_arrays
+    obstacles = record.mission.obstacle_arrays
     set_axis_bounds(deep, space)
     deep.set_box_aspect(space.high - space.low, zoom=1.0)
     draw_obstacles_3d(deep, obstacles, space)
     set_axis_bounds(above, flat)
-    draw_obstacles_from_above(above, obstacles, space, float(evidence.position[-1, :, 2].mean()))
-    _draw_fields_of_view(above, evidence)
+    draw_obstacles_from_above(
+        above, obstacles, space, float(record.frames.position[-1, :, 2].mean())
+    )
+    _draw_fields_of_view(above, record)
     for ax, axes in ((deep, [0, 1, 2]), (above, [0, 1])):
-        _draw_trajectories(ax, evidence, axes)
-        _draw_edges(ax, evidence, axes)
-    _label_agents(above, evidence)
-    deep.set_title(f"{panel_letter(0)} {evidence.time[-1]:g} s of flight", y=0.98)
+        _draw_trajectories(ax, record, axes)
+        _draw_edges(ax, record, axes)
+    _label_agents(above, record)
+    deep.set_title(f"{panel_letter(0)} {record.frames.time[-1]:g} s of flight", y=0.98)
     above.set_title(f"{panel_letter(1)} from above")
-    figure.legend(handles=_legend_handles(evidence), loc="lower center", ncols=6)
+    figure.legend(handles=_legend_handles(record), loc="lower center", ncols=6)
     return figure
 
 
-def _picture_bounds(evidence: ConnectivityRecord) -> AxisBounds:
-    obstacles, between = evidence.mission.obstacle_arrays, evidence.mission.repulsion
-    points = [evidence.position, evidence.mission.stick.waypoints]
+def _picture_bounds(record: ConnectivityRecord) -> AxisBounds:
+    obstacles, between = record.mission.obstacle_arrays, record.mission.repulsion
+    points = [record.frames.position, record.mission.stick.waypoints]
     margin = between.max_distance if obstacles.total else FIELD_OF_VIEW_RADIUS
     return AxisBounds.enclosing(VIEW, *points, margin=margin)
 
 
-def _draw_trajectories(ax: Any, evidence: ConnectivityRecord, axes: list[int]) -> None:
-    alive, last = evidence.alive, len(evidence.time) - 1
+def _draw_trajectories(ax: Any, record: ConnectivityRecord, axes: list[int]) -> None:
+    alive, last = record.frames.alive, len(record.frames.time) - 1
     kept = np.unique(np.linspace(0, last, min(last + 1, MAX_POINTS)).astype(int))
-    there = np.where(alive[..., None], evidence.position, np.nan)[..., axes]
-    dots = np.flatnonzero(np.diff(evidence.time // DOT_INTERVAL, prepend=0))
-    for i in reversed(range(evidence.mission.agents)):
+    there = np.where(alive[..., None], record.frames.position, np.nan)[..., axes]
+    dots = np.flatnonzero(np.diff(record.frames.time // DOT_INTERVAL, prepend=0))
+    for i in reversed(range(record.mission.agents)):
         colour, width, z = (ORANGE, 2.0, 4) if i == 0 else (BLUE, 0.9, 3)
         end = int(np.flatnonzero(alive[:, i]).max(initial=0))
         ax.plot(*there[kept, i].T, color=colour, lw=width, zorder=z)
         ax.plot(*there[dots, i].T, ".", ms=4 + 2 * width, mew=0, color=colour, zorder=z)
         ax.plot(*there[:1, i].T, **START_STYLE, mec=colour, zorder=z + 2)
         look = {**END_STYLE, "color": colour} if alive[last, i] else LOST_STYLE
-        ax.plot(*evidence.position[[end], i][:, axes].T, **look, zorder=z + 3)
-    ways = evidence.mission.stick.waypoints[:, axes]
+        ax.plot(*record.frames.position[[end], i][:, axes].T, **look, zorder=z + 3)
+    ways = record.mission.stick.waypoints[:, axes]
     ax.plot(*ways.T, **WAYPOINT_STYLE, zorder=5)
 
 
-def _draw_edges(ax: Any, evidence: ConnectivityRecord, axes: list[int]) -> None:
+def _draw_edges(ax: Any, record: ConnectivityRecord, axes: list[int]) -> None:
     """The edges and the axes at the end."""
-    alive, weight = evidence.alive[-1], evidence.edge_weight[-1]
-    end = evidence.position[-1][:, axes]
+    alive, weight = record.frames.alive[-1], record.frames.edge_weight[-1]
+    end = record.frames.position[-1][:, axes]
     pairs = np.argwhere(np.triu(weight) > 0)
     finer = np.clip(FULL_WIDTH_EDGES / max(len(pairs), 1), 0.3, 1.0)
     for i, j in pairs:
         width = finer * (0.3 + 1.1 * weight[i, j])
         ax.plot(*end[[i, j]].T, color=GREEN, lw=width, zorder=2)
-    body = evidence.yaw[-1]
-    x, y, _ = evidence.mission.camera.optical_axis
+    body = record.frames.yaw[-1]
+    x, y, _ = record.mission.camera.optical_axis
     camera = body + np.arctan2(y, x)
     for turn, colour in ((body, DARK_GRAY), (camera, RED)):
         ways = np.stack([np.cos(turn), np.sin(turn), np.zeros(len(turn))], axis=1)[:, axes]
@@ -100,25 +102,25 @@ def _draw_edges(ax: Any, evidence: ConnectivityRecord, axes: list[int]) -> None:
             )
 
 
-def _draw_fields_of_view(ax: Any, evidence: ConnectivityRecord) -> None:
+def _draw_fields_of_view(ax: Any, record: ConnectivityRecord) -> None:
     """What each camera sees at its own height: the slice of a cone."""
-    x, y, _ = evidence.mission.camera.optical_axis
+    x, y, _ = record.mission.camera.optical_axis
     level = np.hypot(x, y)
-    if level <= abs(evidence.mission.camera.a_min):
+    if level <= abs(record.mission.camera.a_min):
         return  # it looks up or down, and sees all about or nothing
-    half = np.degrees(np.arccos(evidence.mission.camera.a_min / level))
-    for i in np.flatnonzero(evidence.alive[-1]):
-        middle = np.degrees(evidence.yaw[-1, i] + np.arctan2(y, x))
-        at = tuple(evidence.position[-1, i, :2])
+    half = np.degrees(np.arccos(record.mission.camera.a_min / level))
+    for i in np.flatnonzero(record.frames.alive[-1]):
+        middle = np.degrees(record.frames.yaw[-1, i] + np.arctan2(y, x))
+        at = tuple(record.frames.position[-1, i, :2])
         ax.add_patch(
             Wedge(at, FIELD_OF_VIEW_RADIUS, middle - half, middle + half, fc=SKY, alpha=0.25, lw=0)
         )
 
 
-def _label_agents(ax: Any, evidence: ConnectivityRecord) -> None:
-    if evidence.mission.agents > MAX_LABELED_AGENTS:
+def _label_agents(ax: Any, record: ConnectivityRecord) -> None:
+    if record.mission.agents > MAX_LABELED_AGENTS:
         return
-    for i, at in enumerate(evidence.position[-1, :, :2]):
+    for i, at in enumerate(record.frames.position[-1, :, :2]):
         ax.annotate(
             str(i),
             at,
@@ -131,7 +133,7 @@ def _label_agents(ax: Any, evidence: ConnectivityRecord) -> None:
         )
 
 
-def _legend_handles(evidence: ConnectivityRecord) -> list[Any]:
+def _legend_handles(record: ConnectivityRecord) -> list[Any]:
     key: list[Any] = [
         Line2D([], [], color=ORANGE, lw=2.0, label="leader"),
         Line2D(
@@ -150,10 +152,10 @@ def _legend_handles(evidence: ConnectivityRecord) -> list[Any]:
         Line2D([], [], color=RED, lw=1.2, label="optical axis"),
         Patch(fc=SKY, alpha=0.25, lw=0, label="field of view"),
     ]
-    if len(evidence.mission.stick.waypoints):
+    if len(record.mission.stick.waypoints):
         key.append(Line2D([], [], **WAYPOINT_STYLE, label="waypoint"))
-    if not evidence.alive[-1].all():
+    if not record.frames.alive[-1].all():
         key.append(Line2D([], [], **LOST_STYLE, label="lost here"))
-    if evidence.mission.obstacle_arrays.total:
+    if record.mission.obstacle_arrays.total:
         key.append(Patch(fc=LIGHT_GRAY, ec=GRAY, lw=0.5, label="obstacle"))
     return key

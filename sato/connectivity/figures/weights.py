@@ -20,9 +20,9 @@ Y_MAX = 1.3  # of the picture, with room for names above 1
 GRID_POINTS = 201  # points along an axis
 
 
-def plot_weights(evidence: ConnectivityRecord) -> Figure:
+def plot_weights(record: ConnectivityRecord) -> Figure:
     """γ over distance, f* over angle, f over both f*, and what one camera makes of the plane."""
-    sight = evidence.mission.parameters.assumed_camera
+    sight = record.mission.parameters.assumed_camera
     figure = Figure(figsize=(7.6, 6.4), layout="constrained")
     axes = figure.subplots(2, 2)
     _plot_range_weight(axes[0, 0], sight)

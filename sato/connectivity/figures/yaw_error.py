@@ -28,26 +28,26 @@ VISIBILITY_LABELS = (
 LOST = 4
 
 
-def classify_visibility(evidence: ConnectivityRecord, i: int, j: int) -> Int[Array, " instants"]:
+def classify_visibility(record: ConnectivityRecord, i: int, j: int) -> Int[Array, " instants"]:
     """How a pair sees each other, see `SAID`, or that it is `GONE`."""
-    phase = evidence.visibility[:, i, j] + 2 * evidence.visibility[:, j, i]
-    return np.where(evidence.alive[:, [i, j]].all(axis=1), phase, LOST)
+    phase = record.frames.visibility[:, i, j] + 2 * record.frames.visibility[:, j, i]
+    return np.where(record.frames.alive[:, [i, j]].all(axis=1), phase, LOST)
 
 
-def select_pairs(evidence: ConnectivityRecord) -> list[tuple[int, int]]:
+def select_pairs(record: ConnectivityRecord) -> list[tuple[int, int]]:
     """The pairs that see each other in most ways, and among these change most often."""
 
     def tells(pair: tuple[int, int]) -> tuple[int, int]:
-        found = find_intervals(evidence.time, classify_visibility(evidence, *pair))
+        found = find_intervals(record.frames.time, classify_visibility(record, *pair))
         return len({span.value for span in found} - {LOST}), len(found)
 
-    pairs = list(combinations(range(evidence.mission.agents), 2))
+    pairs = list(combinations(range(record.mission.agents), 2))
     return sorted(sorted(pairs, key=tells, reverse=True)[:MAX_PAIRS])
 
 
-def plot_yaw_error(evidence: ConnectivityRecord) -> Figure:
+def plot_yaw_error(record: ConnectivityRecord) -> Figure:
     """|sin(Δψ/2)| of the relative yaws that some pairs reckon, on who sees whom meanwhile."""
-    pairs = select_pairs(evidence)
+    pairs = select_pairs(record)
     columns = min(COLUMNS, len(pairs))
     rows = ceil(len(pairs) / columns)
     figure = Figure(
@@ -55,19 +55,21 @@ def plot_yaw_error(evidence: ConnectivityRecord) -> Figure:
     )
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
     for number, (ax, (i, j)) in enumerate(zip(axes, pairs, strict=False)):
-        phase = classify_visibility(evidence, i, j)
-        for span in find_intervals(evidence.time, phase):
+        phase = classify_visibility(record, i, j)
+        for span in find_intervals(record.frames.time, phase):
             ax.axvspan(span.start, span.end, fc=VISIBILITY_COLORS[span.value], lw=0, zorder=0)
         for (a, b), colour, width in (((i, j), BLUE, 2.0), ((j, i), ORANGE, 0.8)):
-            off = np.abs(np.sin(evidence.yaw_estimate_error[:, a, b] / 2))
-            ax.plot(evidence.time, np.where(phase == LOST, np.nan, off), color=colour, lw=width)
+            off = np.abs(np.sin(record.frames.yaw_estimate_error[:, a, b] / 2))
+            ax.plot(
+                record.frames.time, np.where(phase == LOST, np.nan, off), color=colour, lw=width
+            )
         ax.set_title(f"{panel_letter(number)} i = {i}, j = {j}", loc="left")
     for ax in axes[len(pairs) :]:
         ax.set_axis_off()
     for ax in axes[-columns:]:
-        set_time_axis(ax, evidence)
+        set_time_axis(ax, record)
     figure.supylabel("|sin(Δψ/2)|", fontsize=8.5)
-    lost = (LOST in classify_visibility(evidence, *pair) for pair in pairs)
+    lost = (LOST in classify_visibility(record, *pair) for pair in pairs)
     key: list[Patch | Line2D] = [
         Patch(fc=colour, ec="#cccccc", lw=0.5, label=said)
         for colour, said in list(zip(VISIBILITY_COLORS, VISIBILITY_LABELS, strict=True))[
