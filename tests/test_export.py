@@ -5,8 +5,8 @@ import warnings
 
 import numpy as np
 import pytest
-from test_check import fly_straight, mission, recorded
-from test_plots import orbit
+from test_reconfiguration_check import fly_straight, mission, recorded
+from test_reconfiguration_figures import orbit
 
 import sato.export
 from dynamics.coordinate_frames import LVLH, inertial_state

@@ -9,7 +9,15 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from pictures import words_inside
 from PIL import Image
-from test_check import crossing, fly_crossed, fly_straight, in_order, mission, recorded, replace
+from test_reconfiguration_check import (
+    crossing,
+    fly_crossed,
+    fly_straight,
+    in_order,
+    mission,
+    recorded,
+    replace,
+)
 
 from dynamics import ClohessyWiltshire
 from dynamics.orbit import Orbit

@@ -1,0 +1,52 @@
+"""Small reconfigurations, drawn and simulated, for tests of their parts."""
+
+import numpy as np
+
+from dynamics import DoubleIntegrator
+from sato.reconfiguration.loop import simulate
+from sato.reconfiguration.mission import Leg, Reconfiguration
+from sato.shapes.shape import Points
+
+
+def at_rest(positions):
+    """States at rest."""
+    return np.concatenate([positions, np.zeros_like(positions)], axis=1)
+
+
+def row(count, y, axes=2):
+    """Positions a meter apart."""
+    positions = np.zeros((count, axes))
+    positions[:, 0] = np.arange(count) - (count - 1) / 2
+    positions[:, 1] = y
+    return positions
+
+
+def leg_to(states, steps, **more):
+    """A leg to all of these states, in this order."""
+    d = states.shape[1] // 2
+    shape = Points(states[:, :d], states[:, d:], keep_order=True)
+    return Leg(shape, steps, count=len(states), **more)
+
+
+def make_mission(start, *legs, **changes):
+    """A drawn mission from positions or states, of double integrators unless it is changed."""
+    columns = start.shape[1]
+    values = {
+        "model": DoubleIntegrator(columns if columns < 4 else columns // 2),
+        "start": start,
+        "legs": legs,
+        "step": 1.0,
+        "comm_radius": 4.0,
+        "collision_radius": 0.5,
+        "max_control": 0.1,
+        "max_speed": 0.4,
+        "horizon_steps": 4,
+        "replan_steps": 2,
+        "auction_steps": 4,
+    }
+    return Reconfiguration(**(values | changes)).draw(np.random.default_rng(0))
+
+
+def fly(mission, seed=0):
+    """All frames of a flight."""
+    return list(simulate(mission, np.random.default_rng(seed)))

@@ -1,0 +1,276 @@
+"""Assignment in a reconfiguration: auction costs, claims and clocks of the agents."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from reconfiguration_runs import at_rest, leg_to, make_mission
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import maximum_bipartite_matching
+
+from dynamics import ClohessyWiltshire
+from dynamics.trajectory_geometry import min_distance
+from problems.assignment import solve_assignment
+from problems.auction_cost import (
+    compute_distances,
+    compute_energies,
+    compute_transfer_costs,
+    solve_transfer,
+    unreachable_cost,
+)
+from problems.transfer import TransferProblem
+from sato.network.graph import CommunicationGraph
+from sato.network.rounds import flood
+from sato.reconfiguration.assignment import assign_targets, compute_epsilon, share_claims
+from sato.reconfiguration.auction_costs import CostTable, compute_bid_costs
+from sato.reconfiguration.state import AgentMemory, DecisionContext
+
+LIMITS = {
+    "comm_radius": 100.0,
+    "collision_radius": 1e-3,
+    "max_control": 0.2,
+    "max_speed": np.inf,
+    "allow_undetectable": True,
+}
+
+
+def plan_from(start, targets, steps=20, **changes):
+    """A mission of one leg, from rest to rest."""
+    return make_mission(at_rest(start), leg_to(at_rest(targets), steps), **(LIMITS | changes))
+
+
+def cloud(rng, count, d=2):
+    return rng.uniform(-5, 5, (count, d))
+
+
+def context_of(mission, step=0, alive=None):
+    alive = mission.alive if alive is None else alive
+    x = mission.initial_states
+    graph = CommunicationGraph.from_positions(x[:, : mission.axes], mission.comm_radius, alive)
+    return DecisionContext(mission, mission.legs[0], graph, x, step, step * mission.step)
+
+
+def no_plans(mission):
+    return np.full(len(mission.initial_states), np.inf)
+
+
+def first_decision(mission, target_count=None):
+    N = len(mission.initial_states)
+    memory = AgentMemory.initial(np.full(N, target_count or N))
+    return assign_targets(context_of(mission), memory, no_plans(mission))
+
+
+def cost_table(cost, reachable=None):
+    reachable = np.ones(cost.shape, dtype=bool) if reachable is None else reachable
+    return CostTable(cost, reachable, np.ones(cost.shape, dtype=bool))
+
+
+@pytest.mark.parametrize("speed", [np.inf, 0.32])
+def test_assignment_is_within_n_epsilon_of_the_optimum(rng, speed):
+    # Also where the speed limit makes some costs lower bounds at first.
+    mission = plan_from(cloud(rng, 12), cloud(rng, 15), max_speed=speed)
+    decision = first_decision(mission)
+    leg, targets = mission.legs[0], decision.memory.target_index
+    model = context_of(mission).remaining_model(0)
+    transfer = TransferProblem(model, mission.max_control, speed)
+    fuel, reachable, exact = compute_transfer_costs(transfer, mission.initial_states, leg.targets)
+    for i, j in np.argwhere(~exact):
+        found = solve_transfer(transfer, mission.initial_states[i], leg.targets[j])
+        reachable[i, j] = found is not None
+        fuel[i, j] = found.fuel if found else unreachable_cost(model, mission.max_control)
+    cost = 10.0 * fuel + 0.2 * compute_distances(model, mission.initial_states, leg.targets) ** 2
+    cost = cost[:, :12]
+    epsilon = 0.1 * min_distance(leg.targets[:, :2]) ** 2
+    best = cost[np.arange(12), solve_assignment(cost)].sum()
+    assert reachable[np.arange(12), targets].all()
+    assert len(set(targets)) == 12
+    assert cost[np.arange(12), targets].sum() <= best + 12 * epsilon + 1e-9
+    assert (decision.solve_count > 0) == np.isfinite(speed)
+
+
+def test_distance_cost_minimizes_distance(rng):
+    start, targets = cloud(rng, 10), cloud(rng, 10)
+    mission = plan_from(start, targets, cost="distance", tie_break=0.0, epsilon=1e-4)
+    decision = first_decision(mission)
+    d = np.linalg.norm(start[:, None] - targets[None], axis=2)
+    total = d[np.arange(10), decision.memory.target_index].sum()
+    assert total <= d[np.arange(10), solve_assignment(d)].sum() + 10 * 1e-4
+
+
+def test_tie_break_in_orbit_is_the_control_energy(rng):
+    model = ClohessyWiltshire(1.1e-3)
+    start, targets = cloud(rng, 6, 3) * 100, cloud(rng, 6, 3) * 100
+    mission = plan_from(
+        start, targets, model=model, step=60.0, max_control=0.05,
+        tie_break=1e3, epsilon=1e-2, comm_radius=1e5, collision_radius=1.0,
+    )  # fmt: skip
+    decision = first_decision(mission)
+    model = context_of(mission).remaining_model(0)
+    cost = compute_energies(model, at_rest(start), at_rest(targets))
+    assert decision.memory.target_index.tolist() == solve_assignment(cost).tolist()
+
+
+def test_claims_and_clocks_are_shared_as_by_flooding(rng):
+    N = 9
+    alive = np.arange(N) != 4
+    graph = CommunicationGraph.from_positions(cloud(rng, N), 3.5, alive)
+    # One claim of an agent at a time: the target is a function of the step.
+    step = rng.integers(-1, 4, (N, N))
+    memory = replace(
+        AgentMemory.initial(np.full(N, N)),
+        claim_step=step,
+        claimed_target=np.where(step < 0, -1, (step * 7 + np.arange(N)) % N),
+        clock=rng.integers(0, 20, N),
+    )
+    shared = share_claims(memory, graph)
+
+    def newest(a, b):
+        return tuple(max(x, y) for x, y in zip(a, b, strict=True))
+
+    def claims(memory, i):
+        each = zip(memory.claim_step[i].tolist(), memory.claimed_target[i].tolist(), strict=True)
+        return tuple(each)
+
+    live = np.flatnonzero(alive).tolist()
+    flooded = flood(graph, {i: claims(memory, i) for i in live}, newest)
+    for i in live:
+        assert claims(shared, i) == flooded[i]
+    clocks = flood(graph, {i: int(memory.clock[i]) for i in live}, min)
+    assert shared.clock[alive].tolist() == [clocks[i] for i in live]
+
+
+def test_claim_of_an_absent_agent_makes_its_target_dearer():
+    graph = CommunicationGraph(np.zeros((2, 2), dtype=bool), np.ones(2, dtype=bool))
+    memory = AgentMemory.initial(np.full(2, 3))
+    memory = replace(
+        memory,
+        claimed_target=np.array([[-1, 1], [-1, -1]]),
+        claim_step=np.array([[-1, 5], [-1, -1]]),
+        target_index=np.array([0, -1]),
+    )
+    cost = np.array([[3.0, 1.0, 2.0], [3.0, 1.0, 2.0]])
+    bid = compute_bid_costs(cost_table(cost), memory, graph)
+    np.testing.assert_allclose(bid[0], [3.0 - 0.02 * 2, 1.0 + 2.0, 2.0])
+    np.testing.assert_allclose(bid[1], cost[1])
+
+
+def test_unreachable_target_costs_more_than_all_reachable_ones():
+    graph = CommunicationGraph(np.zeros((2, 2), dtype=bool), np.ones(2, dtype=bool))
+    memory = AgentMemory.initial(np.full(2, 3))
+    cost = np.array([[3.0, 0.5, 0.2], [0.0, 0.0, 0.0]])
+    reachable = np.array([[True, True, False], [True, False, False]])
+    bid = compute_bid_costs(cost_table(cost, reachable), memory, graph)
+    np.testing.assert_allclose(bid, [[3.0, 0.5, 0.2 + 3.0 + 2.5], [0.0, 1.0, 1.0]])
+
+
+def test_claim_of_a_connected_agent_changes_no_cost():
+    graph = CommunicationGraph(~np.eye(2, dtype=bool), np.ones(2, dtype=bool))
+    memory = replace(
+        AgentMemory.initial(np.full(2, 2)),
+        claimed_target=np.array([[-1, 1], [0, -1]]),
+        claim_step=np.array([[-1, 5], [5, -1]]),
+    )
+    cost = np.array([[3.0, 1.0], [3.0, 1.0]])
+    np.testing.assert_array_equal(compute_bid_costs(cost_table(cost), memory, graph), cost)
+
+
+def test_change_of_bidders_resets_the_clocks_of_its_component(rng):
+    mission = plan_from(cloud(rng, 6), cloud(rng, 6))
+    first = first_decision(mission)
+    assert not first.was_reset.any()
+    later = replace(first.memory, clock=np.full(6, 5))
+    again = assign_targets(context_of(mission, 5), later, no_plans(mission))
+    assert not again.was_reset.any() and (again.memory.clock == 5).all()
+    assert again.memory.target_index.tolist() == first.memory.target_index.tolist()
+    fewer = np.arange(6) != 2
+    after = assign_targets(context_of(mission, 5, fewer), later, no_plans(mission))
+    assert after.was_reset.tolist() == fewer.tolist()
+    assert (after.memory.clock[fewer] == 0).all()
+    assert after.memory.bidder_count[0] == 5
+
+
+def test_reset_stays_in_its_component(rng):
+    far = np.concatenate([cloud(rng, 4), cloud(rng, 4) + 500.0])
+    mission = plan_from(far, np.concatenate([cloud(rng, 4), cloud(rng, 4) + 500.0]))
+    first = first_decision(mission)
+    later = replace(first.memory, clock=np.full(8, 5))
+    after = assign_targets(context_of(mission, 5, np.arange(8) != 1), later, no_plans(mission))
+    assert np.flatnonzero(after.was_reset).tolist() == [0, 2, 3]
+    assert after.memory.clock[4:].tolist() == [5] * 4
+
+
+def test_component_takes_over_the_clock_with_most_time_left(rng):
+    mission = plan_from(cloud(rng, 4), cloud(rng, 4))
+    first = first_decision(mission)
+    later = replace(first.memory, clock=np.array([5, 5, 5, 2]))
+    after = assign_targets(context_of(mission, 5), later, no_plans(mission))
+    assert np.flatnonzero(after.was_reset).tolist() == [0, 1, 2]
+    assert (after.memory.clock == 2).all()
+
+
+def test_target_unreachable_in_the_time_left_resets_the_clock():
+    mission = plan_from(np.array([[0.0, 0.0]]), np.array([[4.0, 0.0]]))
+    first = first_decision(mission)
+    late = replace(first.memory, clock=np.array([17]))
+    decision = assign_targets(context_of(mission, 17), late, no_plans(mission))
+    assert decision.was_reset.tolist() == [True] and decision.memory.clock.tolist() == [0]
+    # A plan that leads there is proof that it is in reach.
+    assert not assign_targets(context_of(mission, 17), late, np.array([0.3])).was_reset.any()
+
+
+def test_no_agent_gets_an_unreachable_target_if_it_can_be_avoided(rng):
+    hard = 0
+    for _ in range(150):
+        mission = plan_from(cloud(rng, 4), cloud(rng, 4))
+        mission = replace(mission, legs=replace(mission.legs[0], steps=11))
+        transfer = TransferProblem(context_of(mission).remaining_model(0), 0.2)
+        reachable = compute_transfer_costs(
+            transfer, mission.initial_states, mission.legs[0].targets
+        ).is_reachable
+        if reachable.all() or (maximum_bipartite_matching(csr_array(reachable)) < 0).any():
+            continue
+        hard += 1
+        assert reachable[np.arange(4), first_decision(mission).memory.target_index].all()
+    assert hard > 10
+
+
+def test_newer_claim_counts_and_an_older_one_does_not():
+    graph = CommunicationGraph(np.zeros((2, 2), dtype=bool), np.ones(2, dtype=bool))
+    memory = AgentMemory.initial(np.full(2, 2))
+    cost = np.array([[1.0, 3.0], [1.0, 3.0]])
+    for step, extra in ((4, 0.0), (12, 2.0)):
+        known = replace(
+            memory,
+            claimed_target=np.array([[0, 0], [-1, -1]]),
+            claim_step=np.array([[8, step], [-1, -1]]),
+        )
+        bid = compute_bid_costs(cost_table(cost), known, graph)
+        np.testing.assert_allclose(bid[0], [1.0 + extra, 3.0])
+
+
+def test_bid_increment_follows_from_the_mission(rng):
+    mission = plan_from(cloud(rng, 3), np.array([[0.0, 0.0], [3.0, 4.0], [9.0, 0.0]]))
+    leg = mission.legs[0]
+    assert compute_epsilon(mission, leg) == pytest.approx(0.5 * 0.2 * 25)
+    assert compute_epsilon(replace(mission, tie_break=0.0), leg) == pytest.approx(
+        0.01 * np.hypot(9, 4)
+    )
+    assert compute_epsilon(replace(mission, epsilon=0.3), leg) == 0.3
+
+
+def test_fuel_in_other_norms_is_that_of_the_transfer_problem(rng):
+    mission = plan_from(cloud(rng, 3), cloud(rng, 3), fuel_norm=2, control_norm=2, tie_break=0.0)
+    targets = first_decision(replace(mission, epsilon=1e-6)).memory.target_index
+    transfer = TransferProblem(context_of(mission).remaining_model(0), 0.2, np.inf, 2, 2)
+    goals = mission.legs[0].targets
+    cost = np.array([[transfer.solve(x, y).fuel for y in goals] for x in mission.initial_states])
+    assert targets.tolist() == solve_assignment(cost).tolist()
+
+
+def test_target_count_grows_to_the_number_of_bidders(rng):
+    mission = plan_from(cloud(rng, 8), cloud(rng, 12))
+    few = first_decision(mission, target_count=3)
+    many = first_decision(mission, target_count=11)
+    assert few.memory.target_count.tolist() == [8] * 8 and few.memory.target_index.max() < 8
+    assert many.memory.target_count.tolist() == [11] * 8
+    assert few.memory.bidder_count.tolist() == many.memory.bidder_count.tolist() == [8] * 8

@@ -1,0 +1,339 @@
+"""Loop of a reconfiguration: arrival, separation, losses, joins and noise on small missions."""
+
+from dataclasses import replace
+from itertools import islice, pairwise
+
+import numpy as np
+import pytest
+from reconfiguration_runs import at_rest, fly, leg_to, make_mission, row
+
+from dynamics import ClohessyWiltshire, DoubleIntegrator, LinearModel, discretize_zoh
+from dynamics.trajectory_geometry import separations
+from problems.transfer import TransferProblem
+from sato.network.graph import CommunicationGraph
+from sato.reconfiguration.loop import simulate
+from sato.reconfiguration.mission import Join, Loss
+from sato.reconfiguration.planning import NO_PLANS, plan_trajectories
+from sato.reconfiguration.solo_trajectories import TIE_BREAK_RISE, solve_solo_transfers
+from sato.reconfiguration.state import AgentMemory, DecisionContext
+
+
+def leg_ends(frames):
+    return [(f, e) for f in frames for e in f.events if e["kind"] == "leg_end"]
+
+
+def event_kinds(frames):
+    return [e["kind"] for f in frames for e in f.events]
+
+
+def assert_reached(mission, frames, tolerance=1e-9):
+    for frame, end in leg_ends(frames):
+        live = np.array(end["agents"])
+        held = np.array(end["target"])[live]
+        assert len(set(held)) == len(held)
+        states = np.concatenate([frame.position, frame.velocity], axis=1)[live]
+        targets = mission.legs[end["leg"]].targets[held]
+        np.testing.assert_allclose(states, targets, atol=tolerance)
+
+
+def min_separation(mission, frames, pieces=1):
+    """Least separation along the trajectories, each step divided into pieces."""
+    x = np.array([np.concatenate([f.position, f.velocity], axis=1) for f in frames])
+    u = np.nan_to_num([f.applied_control for f in frames[:-1]])
+    alive = np.array([f.alive for f in frames])
+    plant, h, d = mission.flown_plant, mission.step, mission.axes
+    fine = [plant.propagate(x[k], u[k], k * h, h, pieces)[:-1] for k in range(len(u))]
+    x = np.concatenate([*fine, x[-1:]])
+    alive = np.concatenate([np.repeat(alive[:-1], pieces, axis=0), alive[-1:]])
+    return separations(x[..., :d], x[..., d:], alive, h / pieces).minimum.distance
+
+
+def gathering(count, **changes):
+    """Two groups, out of hearing at first, that gather in two rows and meet on the way."""
+    rng = np.random.default_rng(count)
+    start = np.concatenate([row(count, -3.0), row(count, 3.0)])
+    start += rng.uniform(-0.1, 0.1, start.shape)
+    targets = np.concatenate([row(count, -0.5), row(count, 0.5)])[:, ::-1]
+    return make_mission(start, leg_to(at_rest(targets), 30), **changes)
+
+
+def test_agents_reach_two_shapes_within_all_limits(rng):
+    start = rng.permutation(np.concatenate([row(5, y) for y in (-2.0, -1.0, 1.0)]))
+    targets = np.concatenate([row(5, y) for y in (0.0, 1.5, 3.0)])
+    aside = start + np.array([3.0, 0.0])
+    mission = make_mission(start, leg_to(at_rest(targets), 40), leg_to(at_rest(aside), 40))
+    frames = fly(mission)
+    assert [f.time for f in frames] == list(range(81))
+    assert_reached(mission, frames)
+    assert min_separation(mission, frames) >= 0.5
+    assert not {"slack", "braked", "infeasible", "reset"} & set(event_kinds(frames))
+    speeds = np.linalg.norm([f.velocity for f in frames], axis=2)
+    controls = np.abs([f.control for f in frames[:-1]])
+    assert speeds.max() <= 0.4 * (1 + 1e-9) and controls.max() <= 0.1 * (1 + 1e-9)
+
+
+def test_states_follow_from_the_applied_controls():
+    frames = fly(gathering(3))
+    for a, b in pairwise(frames):
+        p, v, u = a.position, a.velocity, a.applied_control
+        np.testing.assert_allclose(b.position, p + v + u / 2, atol=1e-12)
+        np.testing.assert_allclose(b.velocity, v + u, atol=1e-12)
+        np.testing.assert_array_equal(a.control, a.applied_control)
+    assert np.isnan(frames[-1].control).all()
+
+
+def test_same_seed_gives_the_same_flight_and_another_seed_another():
+    mission = gathering(2, disturbance=1e-3, position_noise=1e-3)
+    one, two, other = fly(mission, 7), fly(mission, 7), fly(mission, 8)
+    assert len(one) == len(two)
+    for a, b in zip(one, two, strict=True):
+        np.testing.assert_array_equal(a.position, b.position)
+        assert a.events == b.events
+    assert not np.array_equal(one[-1].position, other[-1].position)
+
+
+def test_components_that_claim_one_target_resolve_it_when_they_meet():
+    # [Morgan2016, Fig. 3b]: out of hearing both choose the only target that they know of.
+    start = np.array([[-5.0, 0.0], [5.0, 0.0]])
+    targets = at_rest(np.array([[0.0, 0.0], [0.0, 2.0]]))
+    mission = make_mission(start, leg_to(targets, 40), target_count=1)
+    frames = fly(mission)
+    assert frames[0].target_index.tolist() == [0, 0]
+    assert frames[0].component.tolist() == [0, 1]
+    assert "reset" in event_kinds(frames)
+    assert_reached(mission, frames)
+    assert sorted(frames[-1].target_index.tolist()) == [0, 1]
+    assert min_separation(mission, frames) >= 0.5
+
+
+def test_agent_leaves_the_target_of_a_holder_that_went_out_of_hearing():
+    # Out of hearing and with a new clock, the nearer target would be the cheaper one.
+    start = np.array([[-0.5, 0.0], [0.5, 0.0]])
+    targets = at_rest(np.array([[3.0, 6.0], [14.0, 0.0]]))
+    frames = fly(make_mission(start, leg_to(targets, 40)))
+    assert frames[-1].component.tolist() == [0, 1]
+    assert frames[-1].target_index.tolist() == [0, 1]
+    assert event_kinds(frames).count("assignment") == 1
+
+
+@pytest.mark.parametrize("share", [0.25, 0.5])
+def test_recount_takes_the_target_count_from_the_bids_before(share):
+    start = np.concatenate([row(6, 0.0), row(6, 1.0)])
+    targets = at_rest(np.concatenate([row(6, 4.0), row(6, 5.0)]))
+    loss = Loss("random", share)
+    legs = (
+        leg_to(targets, 40),
+        leg_to(targets - [0, 4, 0, 0], 40, losses=loss),
+        leg_to(targets, 40, recount=True),
+    )
+    mission = make_mission(start, *legs)
+    frames = fly(mission)
+    believed = [np.array(e["believed"])[e["agents"]] for _, e in leg_ends(frames)]
+    left = round(12 * (1 - share))
+    assert [set(b.tolist()) for b in believed] == [{12}, {12}, {left}]
+    assert len(leg_ends(frames)[-1][1]["agents"]) == left
+    assert_reached(mission, frames)
+    assert max(leg_ends(frames)[-1][1]["target"]) < left  # no hole among the first m
+
+
+def test_more_agents_than_believed_find_a_target_each():
+    mission = make_mission(row(8, 0.0), leg_to(at_rest(row(10, 3.0)), 40), target_count=2)
+    frames = fly(mission)
+    assert_reached(mission, frames)
+    assert frames[-1].target_count.tolist() == [8] * 8
+    assert sorted(frames[-1].target_index.tolist()) == list(range(8))
+
+
+def test_agents_lost_on_the_way_leave_the_others_to_arrive():
+    loss = Loss("agents", agents=(1, 6), at_step=10)
+    mission = make_mission(row(8, 0.0), leg_to(at_rest(row(8, 4.0)), 40, losses=loss))
+    frames = fly(mission)
+    assert frames[9].alive.all() and frames[10].alive.sum() == 6
+    assert np.isnan(frames[10].control[[1, 6]]).all()
+    assert frames[10].component[1] == frames[10].component[6] == -1
+    assert frames[-1].target_index[[1, 6]].tolist() == [-1, -1]
+    assert_reached(mission, frames)
+
+
+def test_loss_of_the_middle_splits_the_graph():
+    leg = leg_to(at_rest(row(9, 4.0)), 40, losses=Loss("middle", share=1 / 3))
+    frames = fly(make_mission(row(9, 0.0), leg, comm_radius=3.8))
+    assert np.flatnonzero(~frames[0].alive).tolist() == [3, 4, 5]
+    assert len(set(frames[0].component[frames[0].alive].tolist())) == 2
+
+
+def test_agents_that_join_get_targets():
+    joining = row(2, -2.0)
+    leg = leg_to(at_rest(row(10, 3.0)), 40, joins=Join(2, joining, at_step=6))
+    mission = make_mission(row(6, 0.0), leg)
+    frames = fly(mission)
+    assert not frames[5].alive[6:].any() and frames[6].alive.all()
+    np.testing.assert_array_equal(frames[5].position[6:], joining)
+    assert_reached(mission, frames)
+    assert frames[-1].target_count.tolist() == [8] * 8
+
+
+def test_replanning_corrects_noise_and_disturbances():
+    mission = gathering(
+        2, disturbance=2e-4, position_noise=1e-4, velocity_noise=1e-4, replan_steps=1
+    )
+    frames = fly(mission)
+    assert frames[3].measured_position is not None
+    error = frames[3].measured_position - frames[3].position
+    assert 0 < np.abs(error).max() < 1e-3
+    assert_reached(mission, frames, tolerance=5e-3)
+    assert min_separation(mission, frames) >= 0.5 - 2e-3
+    assert not np.array_equal(frames[3].control, frames[3].applied_control)
+
+
+@pytest.mark.parametrize("norm", [2, "inf"])
+def test_swarm_arrives_in_other_norms(norm):
+    mission = gathering(1, fuel_norm=norm, control_norm=norm, replan_steps=4)
+    frames = fly(mission)
+    assert_reached(mission, frames, tolerance=1e-5)
+    assert min_separation(mission, frames) >= 0.5 - 1e-6
+
+
+def test_swarm_arrives_in_space(rng):
+    start = rng.permutation(np.concatenate([row(4, y, 3) for y in (-1.0, 1.0)]))
+    mission = make_mission(start, leg_to(at_rest(start[:, [0, 2, 1]] + [0, 3, 0]), 30))
+    frames = fly(mission)
+    assert_reached(mission, frames)
+    assert min_separation(mission, frames) >= 0.5
+
+
+def test_swarm_arrives_about_a_circular_orbit(rng):
+    model = ClohessyWiltshire(1.1e-3)
+    angle = 2 * np.pi * np.arange(8) / 8
+    ring = 500 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    start = rng.permutation(ring * [-0.6, 0.9, 1] + [0, 50, 0])
+    bounded = [np.concatenate([p, model.bounded_velocity(p)], axis=1) for p in (start, ring)]
+    mission = make_mission(
+        bounded[0], leg_to(bounded[1], 24), model=model, step=60.0, comm_radius=2e3,
+        collision_radius=50.0, max_control=0.01, max_speed=4.0, tie_break=5e-4, replan_steps=1,
+    )  # fmt: skip
+    frames = fly(mission)
+    assert_reached(mission, frames, tolerance=1e-6)
+    assert min_separation(mission, frames, pieces=12) >= 50
+
+
+def test_auction_as_printed_reaches_all_targets():
+    mission = gathering(3, bidder_ids=False, tie_break=0.0)
+    assert_reached(mission, fly(mission))
+
+
+def test_loss_is_noticed_at_the_next_auction():
+    # Silence is all there is to hear: until then no agent changes its control.
+    loss = Loss("agents", agents=(2,), at_step=9)
+    with_loss, without = (
+        fly(make_mission(row(6, 0.0), leg_to(at_rest(row(6, 4.0)), 40, losses=losses)))
+        for losses in (loss, ())
+    )
+    others = [0, 1, 3, 4, 5]
+    for k in range(12):
+        np.testing.assert_array_equal(with_loss[k].control[others], without[k].control[others])
+    assert "reset" in [e["kind"] for e in with_loss[12].events]
+
+
+def test_flight_ends_when_all_agents_are_lost():
+    loss = Loss("agents", agents=(0, 1, 2), at_step=4)
+    frames = fly(make_mission(row(3, 0.0), leg_to(at_rest(row(3, 2.0)), 20, losses=loss)))
+    assert not frames[-1].alive.any() and leg_ends(frames)[0][1]["agents"] == []
+
+
+class PeriodicDrift(LinearModel):
+    """A double integrator whose drift depends on the time."""
+
+    axes = 2
+
+    def A(self, t):
+        return DoubleIntegrator(2).A(t)
+
+    def z(self, t):
+        return np.array([0.0, 0.0, 0.02 * np.sin(2 * np.pi * t / 50), 0.0])
+
+
+def test_time_varying_model_is_planned_at_the_time_of_flight():
+    targets = at_rest(row(3, 2.0))
+    legs = leg_to(targets, 20), leg_to(np.array([1.0, 0, 0, 0]) + targets, 20)
+    mission = make_mission(row(3, 0.0), *legs, model=PeriodicDrift())
+    assert_reached(mission, fly(mission), tolerance=1e-9)
+
+
+def test_solo_trajectories_from_rest_are_straight_at_one_pace(rng):
+    # The slope of the weights is for this; without it these optima are far from unique.
+    transfer = TransferProblem(
+        discretize_zoh(DoubleIntegrator(2), 1.0, 30), 0.3, tie_break_rise=TIE_BREAK_RISE
+    )
+    start, targets = at_rest(rng.uniform(-3, 3, (20, 2))), at_rest(rng.uniform(-3, 3, (20, 2)))
+    found, _ = solve_solo_transfers(transfer, start, targets)
+    for trajectory, x, y in zip(found, start, targets, strict=True):
+        pace = np.linspace(0, 1, 31)[:, None] * (y - x)[:2] + x[:2]
+        assert np.abs(trajectory.x[:, :2] - pace).max() < 0.6  # a burn or two at each end
+        burns = np.flatnonzero(np.abs(trajectory.u).sum(axis=1) > 1e-9).tolist()
+        assert burns[1:-1] in ([], [1, 28])
+
+
+def test_solo_burns_that_are_not_unique_are_at_the_ends():
+    # Half the speed is left: any braking that covers the distance costs the same fuel.
+    transfer = TransferProblem(
+        discretize_zoh(DoubleIntegrator(2), 1.0, 20), 0.5, tie_break_rise=TIE_BREAK_RISE
+    )
+    [trajectory], _ = solve_solo_transfers(
+        transfer, np.array([[0.0, 0.0, 0.4, 0.0]]), np.array([[4.0, 0.0, 0.0, 0.0]])
+    )
+    braking = np.flatnonzero(np.abs(trajectory.u[:, 0]) > 1e-9)
+    assert set(braking.tolist()) <= {0, 19} and trajectory.fuel == pytest.approx(0.4, rel=1e-6)
+
+
+def test_batched_solo_trajectories_equal_single_transfers(rng):
+    transfer = TransferProblem(
+        discretize_zoh(DoubleIntegrator(2), 1.0, 15), 0.2, 0.45, tie_break_rise=TIE_BREAK_RISE
+    )
+    start, targets = at_rest(rng.uniform(-2, 2, (8, 2))), at_rest(rng.uniform(-2, 2, (8, 2)))
+    found, _ = solve_solo_transfers(transfer, start, targets)
+    for trajectory, x, y in zip(found, start, targets, strict=True):
+        np.testing.assert_allclose(trajectory.u, transfer.solve(x, y).u, atol=1e-5)
+
+
+@pytest.mark.parametrize("fuel_used", [(0.0, 1.0), (1.0, 0.0)])
+def test_agent_that_burned_more_has_priority(fuel_used):
+    # [Morgan2016, Remark 5]: two vehicles that must exchange places head-on.
+    start = np.array([[-2.0, 0.0], [2.0, 0.0]])
+    mission = make_mission(
+        start, leg_to(at_rest(start[::-1]), 20), horizon_steps=20, comm_radius=20.0
+    )
+    graph = CommunicationGraph.from_positions(start, 10.0, np.ones(2, dtype=bool))
+    context = DecisionContext(mission, mission.legs[0], graph, mission.initial_states, 0, 0.0)
+    memory = replace(AgentMemory.initial(np.full(2, 2)), target_index=np.array([0, 1]))
+    plans, _ = plan_trajectories(context, memory, np.array(fuel_used), NO_PLANS)
+    sideways = [np.abs(plans.trajectories[i].x[:, 1]).max() for i in range(2)]
+    first = int(np.argmax(fuel_used))
+    assert sideways[first] < 1e-9 < 0.4 < sideways[1 - first]
+
+
+@pytest.mark.parametrize("change", ["loss", "join"])
+def test_events_out_of_hearing_change_nothing(change):
+    here, far = row(4, 0.0), row(4, 0.0) + np.array([200.0, 0.0])
+    targets = at_rest(np.concatenate([here, far]) + np.array([1.0, 3.0]))
+    if change == "loss":
+        start = np.concatenate([here, far])
+        event = {"losses": Loss("agents", agents=(6,), at_step=7)}
+    else:
+        start = np.concatenate([here, far[[0, 1, 3]]])
+        event = {"joins": Join(1, far[[2]], at_step=7)}
+    quiet = fly(make_mission(start, leg_to(targets, 40)))
+    # The agents far away may take long over it: compare until the last of the quiet frames.
+    mission = make_mission(start, leg_to(targets, 40, **event))
+    changed = islice(simulate(mission, np.random.default_rng(0)), len(quiet))
+    for a, b in zip(quiet, changed, strict=True):
+        np.testing.assert_array_equal(a.position[:4], b.position[:4])
+        np.testing.assert_array_equal(a.target_index[:4], b.target_index[:4])
+
+
+def test_leg_that_outlasts_its_steps_records_the_reset():
+    leg = leg_to(at_rest(row(6, 3.0)), 30, joins=Join(1, row(1, -2.0), at_step=13))
+    frames = fly(make_mission(row(4, 0.0), leg))
+    assert len(frames) > 31
+    reset = [(f.time, e["agents"]) for f in frames for e in f.events if e["kind"] == "reset"]
+    assert reset[0] == (13.0, [0, 1, 2, 3])
