@@ -18,6 +18,7 @@ myst_heading_anchors = 3
 exclude_patterns = ["_build"]
 suppress_warnings = ["myst.header"]
 
+default_role = "code"
 autosummary_generate = True
 autodoc_typehints = "signature"
 autodoc_member_order = "bysource"
@@ -27,3 +28,25 @@ napoleon_numpy_docstring = False
 
 html_theme = "furo"
 html_title = f"sato {release}"
+
+
+def prepare_docstring(app, what, name, obj, options, lines):
+    """Make literal blocks of indented formulas, and escape bars, which are substitutions in RST."""
+    found, is_formula = [], False
+    last = ""  # line that is not blank
+    for number, line in enumerate(lines):
+        is_indented = line.startswith("    ")
+        follows_blank = number > 0 and not lines[number - 1].strip()
+        if line.strip():
+            if is_indented and not is_formula and follows_blank and last and last[0] != " ":
+                found += ["::", ""]
+                is_formula = True
+            is_formula = is_formula and is_indented
+            last = line
+        found.append(line if is_formula else line.replace("|", "\\|"))
+    lines[:] = found
+
+
+def setup(app):
+    """Prepare docstrings before napoleon reads them."""
+    app.connect("autodoc-process-docstring", prepare_docstring, priority=400)
