@@ -37,17 +37,24 @@ class CollisionAvoidance(NamedTuple):
     """Numbers of the collision avoidance; the legacy one uses its range alone."""
 
     avoidance_range: Annotated[
-        Length, Key("notice"), Positive, "farthest at which others are avoided"
+        Length, Key("notice"), Positive, "distance within which others are avoided"
     ] = 3.0
-    margin: Annotated[Length, NotNegative, "beyond keep_out_m, for errors of measurement"] = 0.05
+    margin: Annotated[
+        Length, NotNegative, "distance kept beyond keep_out_m, for errors of measurement"
+    ] = 0.05
     braking: Annotated[
         Acceleration, Key("brake"), Positive, "deceleration that a vehicle counts on to stop"
     ] = 0.25
     right_turn_bias: Annotated[
-        Angle, Key("aside"), NotNegative, "how much farther it turns right than left"
+        Angle,
+        Key("aside"),
+        NotNegative,
+        "preference for turning right: extra angle that it accepts",
     ] = 0.35
-    blocked_time: Annotated[Time, Positive, "for which a vehicle lets others stop it"] = 3.0
-    wander_time: Annotated[Time, Positive, "for which it then flies in a random direction"] = 2.0
+    blocked_time: Annotated[Time, Positive, "time for which a vehicle lets others stop it"] = 3.0
+    wander_time: Annotated[Time, Positive, "time for which it then flies in a random direction"] = (
+        2.0
+    )
     legacy: Annotated[
         bool, Key("legacy_avoidance"), "avoidance, limits and size control of the paper's code"
     ] = False
@@ -60,12 +67,12 @@ class AssignmentSettings(NamedTuple):
     """Assignment of points to agents, and when it is repeated."""
 
     method: Annotated[
-        Literal["vsdaa", "cbaa", "hungarian", "none"], Key("kind"), "assignment of points"
+        Literal["vsdaa", "cbaa", "hungarian", "none"], Key("kind"), "method of assignment"
     ] = "vsdaa"
     first_delay: Annotated[
-        Time, Key("first"), NotNegative, "from the start of a leg to its first auction"
+        Time, Key("first"), NotNegative, "time from the start of a leg to its first auction"
     ] = 1.5
-    period: Annotated[Time, Positive, "between two auctions"] = 2.0
+    period: Annotated[Time, Positive, "time between two auctions"] = 2.0
     relative_epsilon: Annotated[
         float, Key("fineness"), Positive, "bid increment of vsdaa, of the extent of the formation"
     ] = 0.04
@@ -77,20 +84,22 @@ class SupervisorSettings(NamedTuple):
     convergence_speed: Annotated[
         Speed, Key("settled"), Positive, "commanded speed below which a vehicle has arrived"
     ] = 0.15
-    averaging_window: Annotated[Time, Positive, "over which speeds and avoidance are averaged"] = (
-        1.0
-    )
-    convergence_time: Annotated[Time, NotNegative, "for which all must have arrived"] = 1.0
+    averaging_window: Annotated[
+        Time, Positive, "time over which speeds and avoidance are averaged"
+    ] = 1.0
+    convergence_time: Annotated[Time, NotNegative, "time for which all must have arrived"] = 1.0
     gridlock_share: Annotated[
-        float, Positive, Le(1), "of the window in which a gridlocked vehicle avoids others"
+        float, Positive, Le(1), "share of the window in which a gridlocked vehicle avoids others"
     ] = 0.95
     gridlock_timeout: Annotated[
-        Time, Key("patience"), Positive, "in one gridlock, before the flight is given up"
+        Time, Key("patience"), Positive, "longest gridlock before the flight is given up"
     ] = 90.0
     hover_time: Annotated[
-        Time, Key("hover"), NotNegative, "before the first formation, and in each"
+        Time, Key("hover"), NotNegative, "time of hovering before the first formation, and in each"
     ] = 5.0
-    time_limit: Annotated[Time, Key("limit"), Positive, "of the whole flight"] = 600.0
+    time_limit: Annotated[
+        Time, Key("limit"), Positive, "longest flight, which then is given up"
+    ] = 600.0
     shape_tolerance: Annotated[
         Length, Key("shape"), Positive, "shape error within which a formation is taken up"
     ] = 0.1
@@ -170,9 +179,9 @@ class OperatorCommand(Definition):
     """Velocity that an operator commands of one agent for a while."""
 
     agent: Annotated[int, Key("vehicle"), NotNegative, "index of the vehicle"]
-    start: Annotated[Time, NotNegative, "after the start of the flight"]
-    end: Annotated[Time, Positive, "after the start of the flight"]
-    velocity: Annotated[Coordinates, Unit("m_s"), "in the vehicle's own frame"]
+    start: Annotated[Time, NotNegative, "time of its beginning, from the start of the flight"]
+    end: Annotated[Time, Positive, "time of its end"]
+    velocity: Annotated[Coordinates, Unit("m_s"), "velocity in the vehicle's own frame"]
 
     def check(self) -> None:
         """Refuse a command that ends before it begins, or in the plane."""

@@ -39,7 +39,7 @@ class Radio(Definition):
     loss_probability: Annotated[
         float, Key("loss"), NotNegative, Lt(1), "probability that a message is lost"
     ] = 0.0
-    delay: Annotated[Time, NotNegative, "by which a message arrives late"] = 0.0
+    delay: Annotated[Time, NotNegative, "delay of a message"] = 0.0
     id_bits: Annotated[int, Positive, "bits of a vehicle's number"] = 8
 
     @property
