@@ -83,7 +83,9 @@ def _type_name(hint: Any) -> str:
         return join_names(map(format_value, get_args(hint)))
     options = [option for option in get_args(hint) if option not in (type(None), Ellipsis)]
     if get_origin(hint) is tuple:
-        return f"list of {_type_name(options[0])}s"
+        inner = _type_name(options[0])
+        is_list = inner.startswith("list of")
+        return f"list of lists{inner.removeprefix('list')}" if is_list else f"list of {inner}s"
     if options:
         return join_names(map(_type_name, options))
     return NAMES.get(hint, getattr(hint, "__name__", str(hint)))

@@ -19,7 +19,7 @@ from sato.formation.gains import AnyGains, DesignedGains, GainsFile, as_gains
 from sato.formation.start import check_drawn_separation, place_level
 from sato.scenario.definition import Convert, Coordinates, Definition, NotNegative, Positive
 from sato.scenario.errors import InputError, errors_in
-from sato.shapes import Lattice, Picture, Points, Polygon, Ring, Shape, Text
+from sato.shapes import AnyShape, Points, Shape
 from sato.shapes.formation_library import load_formation, read_formation
 from sato.shapes.graphs import (
     graph_from_edges,
@@ -127,17 +127,7 @@ class EdgeList(Definition):
         return graph_from_edges(count, list(self.pairs))
 
 
-AnyFormation = (
-    RandomFormation
-    | LibraryFormation
-    | FormationFile
-    | Points
-    | Text
-    | Ring
-    | Lattice
-    | Polygon
-    | Picture
-)
+AnyFormation = RandomFormation | LibraryFormation | FormationFile | AnyShape
 AnyGraph = NamedGraph | ThinnedGraph | SparseGraph | GraphFile | EdgeList
 
 

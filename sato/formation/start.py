@@ -11,7 +11,7 @@ from scipy.spatial.distance import pdist, squareform
 from dynamics.units import Length, Unit
 from sato.scenario.definition import Coordinates, Definition, Positive
 from sato.scenario.errors import InputError, errors_in
-from sato.shapes import Lattice, Picture, Points, Polygon, Ring, Shape, Text
+from sato.shapes import AnyShape, Lattice, Points, Shape
 from sato.shapes.random_points import sample_positions
 
 
@@ -25,7 +25,7 @@ class RandomStart(Definition):
     height: Annotated[Length, "height of all agents"] = 1.0
 
 
-AnyStart = RandomStart | Points | Text | Ring | Lattice | Polygon | Picture
+AnyStart = RandomStart | AnyShape
 
 
 def draw_start(

@@ -12,6 +12,8 @@ from sato.shapes.regular import Lattice, Ring
 from sato.shapes.shape import Shape
 from sato.shapes.text import Text
 
+AnyShape = Points | Text | Ring | Lattice | Polygon | Picture
+
 __all__ = [
-    "Lattice", "Picture", "Points", "Polygon", "Ring", "Shape", "Text", "farthest_point_order",
+    "AnyShape", "Lattice", "Picture", "Points", "Polygon", "Ring", "Shape", "Text", "farthest_point_order",
 ]  # fmt: skip
