@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from sato.runs import Run, load, run, simulate
     from sato.scenario.errors import InputError, ScenarioError
     from sato.scenario.file import from_dict, parse, read, scenarios
-    from sato.shapes.shape import Lattice, Picture, Points, Polygon, Ring, Text
+    from sato.shapes import Lattice, Picture, Points, Polygon, Ring, Text
 
 _PUBLIC = {
     "dynamics": [
@@ -77,7 +77,7 @@ _PUBLIC = {
     "sato.runs": ["Run", "load", "run", "simulate"],
     "sato.scenario.errors": ["InputError", "ScenarioError"],
     "sato.scenario.file": ["from_dict", "parse", "read", "scenarios"],
-    "sato.shapes.shape": ["Lattice", "Picture", "Points", "Polygon", "Ring", "Text"],
+    "sato.shapes": ["Lattice", "Picture", "Points", "Polygon", "Ring", "Text"],
 }
 _MODULES = {name: module for module, names in _PUBLIC.items() for name in names}
 

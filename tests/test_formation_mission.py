@@ -30,10 +30,10 @@ from sato.formation.start import RandomStart
 from sato.network.radio import Radio
 from sato.scenario.errors import InputError, ScenarioError
 from sato.scenario.file import parse, read, scenarios
+from sato.shapes import Lattice, Ring, Text
 from sato.shapes.formation_library import formation_names, load_formation
 from sato.shapes.graphs import random_dense_graph
 from sato.shapes.random_points import sample_formation, sample_positions
-from sato.shapes.shape import Lattice, Ring, Text
 
 SIX = """
 system = "formation"

@@ -15,5 +15,13 @@ from sato.shapes.text import Text
 AnyShape = Points | Text | Ring | Lattice | Polygon | Picture
 
 __all__ = [
-    "AnyShape", "Lattice", "Picture", "Points", "Polygon", "Ring", "Shape", "Text", "farthest_point_order",
-]  # fmt: skip
+    "AnyShape",
+    "Lattice",
+    "Picture",
+    "Points",
+    "Polygon",
+    "Ring",
+    "Shape",
+    "Text",
+    "farthest_point_order",
+]
