@@ -64,10 +64,12 @@ class RelativeHalfSpaces(NamedTuple):
 class PairProblem:
     """Two fuel-optimal transfers that keep the distance from each other.
 
-    minimize    Δt Σ w₁[k] ‖u₁[k]‖_q + Δt Σ w₂[k] ‖u₂[k]‖_q
-    subject to  (10), (12), (14), (18), (66)      of each, as in `TransferProblem`
-                n · (c(x[k], u[k]) − c̄) ≥ R       of each, as in `AvoidanceProblem`
-                n · (c₁(x₁, u₁) − c₂(x₂, u₂)) ≥ R
+        minimize    Δt Σ w₁[k] ‖u₁[k]‖_q + Δt Σ w₂[k] ‖u₂[k]‖_q
+        subject to  (10), (12), (14), (18), (66)      of each, as in `TransferProblem`
+                    n · (c(x[k], u[k]) − c̄) ≥ R       of each, as in `AvoidanceProblem`
+                    n · (c₁(x₁, u₁) − c₂(x₂, u₂)) ≥ R
+
+    Both agents may move, so that the sum of their fuel is least.
     """
 
     first: PairMember
