@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from dataclasses import dataclass, field
 from statistics import median
 from typing import Literal, NamedTuple
 
@@ -84,58 +85,43 @@ def measure_solvers(
         progress: Function called after each instance.
         lookup: Function that returns the adapters; another process must be able to import it.
     """
-    campaign = _MeasurementRun(plan, rng, progress, lookup)
-    return [
-        measurement for family in plan.families for measurement in campaign.measure_family(family)
-    ]
+    run = _MeasurementRun(plan, rng, progress, lookup)
+    return [measurement for family in plan.families for measurement in run.measure_family(family)]
 
 
-class _TimeLimit:
-    """Record of the solvers that exceeded the patience, and of the problems."""
-
-    def __init__(self, seconds: float) -> None:
-        self.seconds = seconds
-        self._exceeded: dict[tuple[str, str], list[tuple[int, float]]] = {}
-
-    def record(self, name: str, family: Family, tolerance: float, reply: SolveReply) -> None:
-        """Record the time that a solver took."""
-        second = reply.second.seconds if reply.second else 0.0
-        if reply.first.seconds > self.seconds or second > self.seconds:
-            problem = SIZES.index(family.size), tolerance
-            self._exceeded.setdefault((name, family.name), []).append(problem)
-
-    def skip_reason(self, name: str, family: Family, tolerance: float) -> str:
-        """Return why a solver is skipped, or an empty text."""
-        for size, known in self._exceeded.get((name, family.name), ()):
-            if size <= SIZES.index(family.size) and known >= tolerance:
-                return (
-                    f"it took more than {self.seconds:g} s at {SIZES[size]}, "
-                    f"{format_tolerance(known)}"
-                )
-        return ""
-
-
+@dataclass(eq=False)
 class _MeasurementRun:
     """Solvers in their processes, and the problems one after another."""
 
-    def __init__(
-        self,
-        plan: ComparisonPlan,
-        rng: np.random.Generator,
-        progress: ProgressCallback,
-        lookup: SolverLookup,
-    ) -> None:
-        self.plan, self.rng, self.lookup = plan, rng, lookup
-        self.limit = _TimeLimit(plan.patience)
-        self.progress, self.done = progress, 0
-        self.workers: dict[str, Worker] = {}
+    plan: ComparisonPlan
+    rng: np.random.Generator
+    progress: ProgressCallback
+    lookup: SolverLookup
+    workers: dict[str, Worker] = field(default_factory=dict)
+    done: int = 0
+    # Sizes and tolerances at which a solver exceeded the patience, by its name and the family's.
+    exceeded: dict[tuple[str, str], list[tuple[int, float]]] = field(default_factory=dict)
+
+    def record_time(self, name: str, family: Family, tolerance: float, reply: SolveReply) -> None:
+        """Record a solver that exceeded the patience."""
+        second = reply.second.seconds if reply.second else 0.0
+        if reply.first.seconds > self.plan.patience or second > self.plan.patience:
+            problem = SIZES.index(family.size), tolerance
+            self.exceeded.setdefault((name, family.name), []).append(problem)
+
+    def skip_reason(self, name: str, family: Family, tolerance: float) -> str:
+        """Return why a solver is skipped, or an empty text."""
+        for size, known in self.exceeded.get((name, family.name), ()):
+            if size <= SIZES.index(family.size) and known >= tolerance:
+                at = f"{SIZES[size]}, {format_tolerance(known)}"
+                return f"it took more than {self.plan.patience:g} s at {at}"
+        return ""
 
     def measure_family(self, family: Family) -> Iterator[Measurement]:
         """Measure all solvers on a family of a size."""
-        warm_up = SolveRequest(
-            family.instances[0], next_with_same_matrix(family)[0], self.plan.tolerances[0]
-        )
-        timeout = max(WARM_UP_TIMEOUT, HANG_FACTOR * self.limit.seconds)
+        following = next_with_same_matrix(family)[0]
+        warm_up = SolveRequest(family.instances[0], following, self.plan.tolerances[0])
+        timeout = max(WARM_UP_TIMEOUT, HANG_FACTOR * self.plan.patience)
         names = [solver.name for solver in capable_solvers(self.plan.solvers, family)]
         with ExitStack() as stack:
             for name in names:
@@ -152,15 +138,13 @@ class _MeasurementRun:
         """
         loosest, growth = self.plan.tolerances[0], dict[str, float]()
         for name in names:
-            if self.limit.skip_reason(name, family, loosest):
-                continue
-            worker = self.workers[name]
-            try:
-                worker.start()
-            except WorkerError as end:
-                reply = SolveReply(end.outcome, None, worker.memory_growth)
-                self.limit.record(name, family, loosest, reply)
-            growth[name] = worker.memory_growth
+            if not self.skip_reason(name, family, loosest):
+                worker = self.workers[name]
+                try:
+                    worker.start()
+                except WorkerError as end:
+                    self.record_time(name, family, loosest, SolveReply(end.outcome))
+                growth[name] = worker.memory_growth
         return growth
 
     def measure_at_tolerance(
@@ -169,14 +153,13 @@ class _MeasurementRun:
         """Measure all solvers on a family of a size at a tolerance."""
         firsts: dict[tuple[str, str], list[SolveOutcome]] = {}
         seconds: dict[tuple[str, str], list[SolveOutcome]] = {}
-        for instance, following in zip(
-            family.instances, next_with_same_matrix(family), strict=True
-        ):
+        followers = next_with_same_matrix(family)
+        for instance, following in zip(family.instances, followers, strict=True):
             request, crashed = SolveRequest(instance, following, tolerance), set[str]()
             for _ in range(self.plan.repeats):
                 for name in self.rng.permutation(names):
                     self.done += 1
-                    if name in crashed or self.limit.skip_reason(name, family, tolerance):
+                    if name in crashed or self.skip_reason(name, family, tolerance):
                         continue
                     reply = self.solve(name, family, request)
                     firsts.setdefault((name, instance.name), []).append(reply.first)
@@ -186,7 +169,7 @@ class _MeasurementRun:
                         crashed.add(name)
                 self.progress(self.done, self.plan.solve_count)
         for name in names:
-            skipped = SolveOutcome("skipped", self.limit.skip_reason(name, family, tolerance))
+            skipped = SolveOutcome("skipped", self.skip_reason(name, family, tolerance))
             for instance in family.instances:
                 key = name, instance.name
                 yield Measurement(
@@ -203,12 +186,12 @@ class _MeasurementRun:
     def solve(self, name: str, family: Family, request: SolveRequest) -> SolveReply:
         """Make a request; the end of the process is an outcome too."""
         try:
-            reply = self.workers[name].solve(request, HANG_FACTOR * self.limit.seconds)
+            reply = self.workers[name].solve(request, HANG_FACTOR * self.plan.patience)
         except WorkerError as end:
             # A solver that did not reach the second solve is not correct there either.
             second = SolveOutcome("crashed", str(end)) if request.next_instance else None
-            reply = SolveReply(end.outcome, second, float("nan"))
-        self.limit.record(name, family, request.tolerance, reply)
+            reply = SolveReply(end.outcome, second)
+        self.record_time(name, family, request.tolerance, reply)
         return reply
 
 

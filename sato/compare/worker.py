@@ -18,7 +18,7 @@ from time import process_time
 from typing import Any, Literal, NamedTuple, TextIO
 
 import problems.solvers
-from problems.conic import ConicProgram, SolverResult, Verified, verify
+from problems.conic import SolverResult, Verified, verify
 from problems.families import Instance
 from problems.solvers.adapter import SolverAdapter
 from sato.resource_usage import peak_memory_mib
@@ -58,8 +58,8 @@ class SolveReply(NamedTuple):
     """Outcomes of a request."""
 
     first: SolveOutcome
-    second: SolveOutcome | None
-    memory_growth: float  # of the process's peak with the first solve [MiB]
+    second: SolveOutcome | None = None
+    memory_growth: float = float("nan")  # of the process's peak with the first solve [MiB]
 
     @property
     def crashed(self) -> bool:
@@ -183,12 +183,12 @@ class Worker:
         except ConnectionError:  # the process ended after its last answer
             raise self._close_with_error(self._exit_reason()) from None
         first, memory = self._receive(connection, timeout)
-        if request.next_instance is None:
-            return SolveReply(first, None, memory)
-        try:
-            second, _ = self._receive(connection, timeout)
-        except WorkerError as end:
-            second = end.outcome
+        second = None
+        if request.next_instance is not None:
+            try:
+                second, _ = self._receive(connection, timeout)
+            except WorkerError as end:
+                second = end.outcome
         return SolveReply(first, second, memory)
 
     def _receive(self, connection: Connection, timeout: float) -> Any:
@@ -252,25 +252,19 @@ def _redirect_output(stderr: str) -> None:
 
 
 def _solve_request(solver: SolverAdapter, request: SolveRequest) -> Iterator[SolveOutcome]:
-    problem, tolerance = request.instance.problem, request.tolerance
     began = process_time()
     # Not `open_session`: the plan has checked that the solver supports the problem.
-    session = solver.session_factory(problem, tolerance)
-    result = session.solve(problem.b)
-    yield _evaluate(request.instance, result, tolerance, process_time() - began)
-    if request.next_instance is None:
-        return
-    b = request.next_instance.problem.b
-    began = process_time()
-    result = session.solve(b)
-    yield _evaluate(request.next_instance, result, tolerance, process_time() - began)
+    session = solver.session_factory(request.instance.problem, request.tolerance)
+    for instance in filter(None, (request.instance, request.next_instance)):
+        result = session.solve(instance.problem.b)
+        yield _evaluate(instance, result, request.tolerance, process_time() - began)
+        began = process_time()
 
 
 def _evaluate(
     instance: Instance, result: SolverResult, tolerance: float, seconds: float
 ) -> SolveOutcome:
-    problem: ConicProgram = instance.problem
-    verdict, solution, reason, _ = verify(problem, result, tolerance)
+    verdict, solution, reason, _ = verify(instance.problem, result, tolerance)
     if verdict == "unproven" and instance.is_feasible:
         verdict, reason = "wrong claim", f"{reason}, but there is a point"
     if verdict == "wrong claim" and result.status == "infeasible" and not instance.is_feasible:
@@ -285,5 +279,5 @@ def _evaluate(
     )
     if not instance.is_feasible:
         return outcome
-    error = abs(float(problem.q @ solution.x) - instance.reference_cost)
+    error = abs(float(instance.problem.q @ solution.x) - instance.reference_cost)
     return outcome._replace(cost_error=error / instance.cost_scale)
