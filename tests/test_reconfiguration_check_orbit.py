@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from recorded_run import record_run
-from sato.reconfiguration.check.promises import check_fuel
 
 from dynamics import ClohessyWiltshire, DoubleIntegrator, LinearizedModel, discretize_zoh
 from dynamics.atmosphere import Atmosphere
