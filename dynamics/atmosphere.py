@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics.orbit import EARTH_RADIUS, EARTH_ROTATION
+from dynamics.orbit import EARTH_RADIUS, EARTH_ROTATION, OrbitStates, Scalars, Vectors
 
 # Altitude [km], density there [kg/m³] and scale height above it [km]: those rows of
 # [Vallado2013, table 8-4] at which spacecraft stay in orbit.
@@ -72,9 +72,7 @@ class Atmosphere:
         above = r - (EARTH_RADIUS + self.reference_altitude)
         return np.asarray(self.reference_density * np.exp(-above / self.scale_height))
 
-    def drag_acceleration(
-        self, state: Float[Array, "*k 6"], ballistic_coefficient: float | Float[Array, "*#k"]
-    ) -> Float[Array, "*k 3"]:
+    def drag_acceleration(self, state: OrbitStates, ballistic_coefficient: Scalars) -> Vectors:
         """Return −½ ρ B |v| v, with v the velocity relative to the rotating air [m/s²].
 
         Args:

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.model import LinearModel
+from dynamics.orbit import Scalars, Vectors
 
 
 class CircularOrbitModel(LinearModel):
@@ -57,7 +58,7 @@ class CircularOrbitModel(LinearModel):
         C = np.array([[0, 2 * a, 0], [-2 * a, 0, 0], [0, 0, 0]])
         return np.block([[np.zeros((3, 3)), np.eye(3)], [K, C]])
 
-    def transition_matrix(self, t: float | Float[Array, "*k"]) -> Float[Array, "*k 6 6"]:
+    def transition_matrix(self, t: Scalars) -> Float[Array, "*k 6 6"]:
         """Return Φ(t) = exp(A t) in closed form: free motion over a time t.
 
         Args:
@@ -78,9 +79,7 @@ class CircularOrbitModel(LinearModel):
         Phi[..., 2, 5], Phi[..., 5, 2] = np.sin(q * t) / q, -q * np.sin(q * t)
         return Phi
 
-    def bounded_velocity(
-        self, position: Float[Array, "*k 3"], t: float = 0.0
-    ) -> Float[Array, "*k 3"]:
+    def bounded_velocity(self, position: Vectors, t: float = 0.0) -> Vectors:
         """Return the velocity of a closed orbit through a position [m/s].
 
         ẏ = −2ax cancels the along-track drift; ẋ = ż = 0.
@@ -93,9 +92,7 @@ class CircularOrbitModel(LinearModel):
         velocity[..., 1] = -2 * self.rotation_rate * position[..., 0]
         return velocity
 
-    def centered_velocity(
-        self, position: Float[Array, "*k 3"], t: float = 0.0
-    ) -> Float[Array, "*k 3"]:
+    def centered_velocity(self, position: Vectors, t: float = 0.0) -> Vectors:
         """Return the velocity of a closed orbit that is centered on the chief [m/s].
 
         ẋ = w²y / 2a and ẏ = −2ax put the center of the ellipse at the chief; ż = 0.

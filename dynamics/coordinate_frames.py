@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics.orbit import lvlh_rates
+from dynamics.orbit import OrbitStates, Vectors, lvlh_rates
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +37,7 @@ class LVLH:
     omega: Float[Array, "*k 3"]  # angular velocity in LVLH axes [rad/s]
 
     @classmethod
-    def from_state(
-        cls, chief: Float[Array, "*k 6"], acceleration: Float[Array, "*k 3"] | None = None
-    ) -> "LVLH":
+    def from_state(cls, chief: OrbitStates, acceleration: Vectors | None = None) -> "LVLH":
         """Construct the frame from the inertial state of the chief.
 
             ω_z = h/r²,    ω_x = r a_n/h    [Xu2008]
@@ -89,9 +87,8 @@ class LVLH:
         """Convert LVLH states to inertial states minus that of the chief."""
         omega, axes = self._add_agent_axes(self.omega, x, 1), self._add_agent_axes(self.axes, x, 2)
         velocity = x[..., 3:] + _cross_omega(omega, x[..., :3])
-        return np.concatenate(
-            [np.einsum("...ab,...a->...b", axes, part) for part in (x[..., :3], velocity)], axis=-1
-        )
+        parts = [np.einsum("...ab,...a->...b", axes, part) for part in (x[..., :3], velocity)]
+        return np.concatenate(parts, axis=-1)
 
     def from_offset(self, offset: Float[Array, "... 6"]) -> Float[Array, "... 6"]:
         """Convert inertial states minus that of the chief to LVLH states."""
@@ -147,9 +144,7 @@ def orbit_axes(state: Float[Array, "*k 6"]) -> Float[Array, "*k 3 3"]:
     return np.stack([x, _cross(z, x), z], axis=-2)
 
 
-def radius_and_momentum(
-    state: Float[Array, "*k 6"],
-) -> tuple[Float[Array, "*k"], Float[Array, "*k"]]:
+def radius_and_momentum(state: OrbitStates) -> tuple[Float[Array, "*k"], Float[Array, "*k"]]:
     """Return the radius and the specific angular momentum of inertial states.
 
     Raises:

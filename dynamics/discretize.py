@@ -11,7 +11,7 @@ from numpy import ndarray as Array
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from dynamics.model import LinearModel, NonlinearModel
+from dynamics.model import ControlSamples, LinearModel, NonlinearModel, StateSamples
 
 RTOL, ATOL = 1e-11, 1e-11  # of a step's matrices, in SI units
 
@@ -46,9 +46,7 @@ class DiscreteModel:
         """Take the steps of one of many agents."""
         return DiscreteModel(self.A[agent], self.B[agent], self.z[agent], self.dt)
 
-    def simulate(
-        self, x: Float[Array, "*agents n"], u: Float[Array, "*agents T m"]
-    ) -> Float[Array, "*agents T+1 n"]:
+    def simulate(self, x: Float[Array, "*agents n"], u: ControlSamples) -> StateSamples:
         """Return the states from x on, of one agent or of many with the same matrices.
 
         Raises:
@@ -90,11 +88,7 @@ def discretize_zoh(model: LinearModel, dt: float, count: int, t0: float = 0.0) -
 
 
 def linearize_along(
-    model: NonlinearModel,
-    x: Float[Array, "*agents instants n"],
-    u: Float[Array, "*agents T m"],
-    dt: float,
-    t0: float = 0.0,
+    model: NonlinearModel, x: StateSamples, u: ControlSamples, dt: float, t0: float = 0.0
 ) -> DiscreteModel:
     """Linearize and discretize about each agent's nominal trajectory.
 

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.coordinate_frames import inertial_state, to_polar_nodal
-from dynamics.orbit import EARTH_MU, validate_ellipse, validate_inclination
+from dynamics.orbit import EARTH_MU, OrbitStates, Scalars, validate_ellipse, validate_inclination
 
 MAX_NEWTON_ITERATIONS = 50  # 6 are enough for e = 0.9
 
@@ -27,12 +27,12 @@ MAX_NEWTON_ITERATIONS = 50  # 6 are enough for e = 0.9
 class ClassicalElements:
     """Osculating classical elements of one orbit or of many, angles in radians."""
 
-    semi_major_axis: float | Float[Array, "*k"]  # [m]
-    eccentricity: float | Float[Array, "*k"]
-    inclination: float | Float[Array, "*k"]
-    raan: float | Float[Array, "*k"]  # right ascension of the ascending node, Ω
-    arg_perigee: float | Float[Array, "*k"]  # argument of perigee, ω, from the node
-    true_anomaly: float | Float[Array, "*k"]
+    semi_major_axis: Scalars  # [m]
+    eccentricity: Scalars
+    inclination: Scalars
+    raan: Scalars  # right ascension of the ascending node, Ω
+    arg_perigee: Scalars  # argument of perigee, ω, from the node
+    true_anomaly: Scalars
 
     def __post_init__(self) -> None:
         """Check that all orbits are ellipses."""
@@ -40,9 +40,7 @@ class ClassicalElements:
         validate_inclination(self.inclination)
 
     @classmethod
-    def from_polar_nodal(
-        cls, chief: Float[Array, "*k 6"], mu: float = EARTH_MU
-    ) -> "ClassicalElements":
+    def from_polar_nodal(cls, chief: OrbitStates, mu: float = EARTH_MU) -> "ClassicalElements":
         """Convert polar-nodal elements.
 
         Raises:
@@ -82,9 +80,7 @@ class ClassicalElements:
         return inertial_state(self.to_polar_nodal(mu))
 
 
-def mean_anomaly(
-    true_anomaly: float | Float[Array, "*k"], eccentricity: float | Float[Array, "*k"]
-) -> Float[Array, "*k"]:
+def mean_anomaly(true_anomaly: Scalars, eccentricity: Scalars) -> Float[Array, "*k"]:
     """Convert a true anomaly, not reduced to one revolution."""
     f, e = np.asarray(true_anomaly), np.asarray(eccentricity)
     beta = e / (1 + np.sqrt(1 - e**2))  # tan((f − E)/2) = β sin f/(1 + β cos f)
@@ -92,9 +88,7 @@ def mean_anomaly(
     return np.asarray(E - e * np.sin(E))
 
 
-def true_anomaly(
-    mean_anomaly: float | Float[Array, "*k"], eccentricity: float | Float[Array, "*k"]
-) -> Float[Array, "*k"]:
+def true_anomaly(mean_anomaly: Scalars, eccentricity: Scalars) -> Float[Array, "*k"]:
     """Solve Kepler's equation for a mean anomaly, not reduced to one revolution."""
     M, e = np.asarray(mean_anomaly, dtype=float), np.asarray(eccentricity, dtype=float)
     turns = 2 * pi * np.round(M / (2 * pi))

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.atmosphere import Atmosphere
-from dynamics.orbit import EARTH_MU, K_J2
+from dynamics.orbit import EARTH_MU, K_J2, OrbitStates, Scalars, Vectors
 
 
 @dataclass(frozen=True)
@@ -22,9 +22,7 @@ class Forces:
     k_J2: float = K_J2  # 3/2 J₂ μ R², the strength of the oblateness [m⁵/s²]
     atmosphere: Atmosphere | None = None
 
-    def acceleration(
-        self, state: Float[Array, "*k 6"], ballistic_coefficient: float | Float[Array, "*#k"] = 0.0
-    ) -> Float[Array, "*k 3"]:
+    def acceleration(self, state: OrbitStates, ballistic_coefficient: Scalars = 0.0) -> Vectors:
         """Return the acceleration of one spacecraft or of many [m/s²]."""
         gravity = self._gravity(state[..., :3], self.mu)
         if self.atmosphere is None:
@@ -34,10 +32,10 @@ class Forces:
     def differential_acceleration(
         self,
         chief: Float[Array, " 6"],
-        offset: Float[Array, "*k 6"],
-        ballistic_coefficient: float | Float[Array, "*#k"] = 0.0,
+        offset: OrbitStates,
+        ballistic_coefficient: Scalars = 0.0,
         chief_ballistic_coefficient: float = 0.0,
-    ) -> Float[Array, "*k 3"]:
+    ) -> Vectors:
         """Return the accelerations of deputies minus that of the chief [m/s²].
 
         The difference of two accelerations would lose most digits of two-body gravity, which
@@ -65,7 +63,7 @@ class Forces:
         return np.asarray(gravity + drag - chief_drag)
 
     def broadcast_ballistic_coefficients(
-        self, ballistic_coefficient: float | Float[Array, " each"] | None, count: int
+        self, ballistic_coefficient: Scalars | None, count: int
     ) -> Float[Array, " {count}"]:
         """Return a ballistic coefficient for each of so many agents, 0 without atmosphere.
 
@@ -83,9 +81,7 @@ class Forces:
             )
         return np.broadcast_to(np.asarray(ballistic_coefficient, dtype=float), (count,))
 
-    def validate_ballistic_coefficients(
-        self, ballistic_coefficient: float | Float[Array, "*k"] | None
-    ) -> None:
+    def validate_ballistic_coefficients(self, ballistic_coefficient: Scalars | None) -> None:
         """Check that there are ballistic coefficients where there is an atmosphere.
 
         Raises:
@@ -108,7 +104,7 @@ class Forces:
             )
         if not (np.isfinite(given) & (given >= 0)).all():
             raise ValueError(
-                f"ballistic coefficients are finite and not negative, got {np.min(given)} m²/kg"
+                f"ballistic coefficients are finite and not negative, got {given.min()} m²/kg"
             )
 
     def _gravity(self, position: Array, mu: float) -> Array:

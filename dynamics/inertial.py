@@ -15,15 +15,9 @@ from numpy import ndarray as Array
 from dynamics.atmosphere import Atmosphere
 from dynamics.coordinate_frames import LVLH, inertial_state, orbit_axes, to_polar_nodal
 from dynamics.forces import Forces
+from dynamics.model import Controls, States
 from dynamics.orbit import Orbit
-from dynamics.plant import (
-    AgentControls,
-    AgentStates,
-    AgentTrajectories,
-    Plant,
-    is_present,
-    validate_propagation,
-)
+from dynamics.plant import Plant, Samples, is_present, validate_propagation
 from dynamics.propagation import integrate_orbits
 
 CHECKPOINT_INTERVAL = 60.0  # the chief's state is cached at multiples of this [s]
@@ -61,9 +55,7 @@ class InertialPlant(Plant):
         self._forces.validate_ballistic_coefficients(self.ballistic_coefficient)
         self._forces.validate_ballistic_coefficients(self.chief_ballistic_coefficient)
 
-    def propagate(
-        self, x: AgentStates, u: AgentControls, t: float, dt: float, substeps: int = 1
-    ) -> AgentTrajectories:
+    def propagate(self, x: States, u: Controls, t: float, dt: float, substeps: int = 1) -> Samples:
         """Return the states at equal instants from t to t + dt, the first of them x itself.
 
         Raises:
@@ -94,10 +86,8 @@ class InertialPlant(Plant):
         while len(states) <= count:
             start = CHECKPOINT_INTERVAL * (len(states) - 1)
             states.append(self._propagate_chief(states[-1], start, CHECKPOINT_INTERVAL))
-        start = CHECKPOINT_INTERVAL * count
-        return (
-            self._propagate_chief(states[count], start, t - start) if t > start else states[count]
-        )
+        start, chief = CHECKPOINT_INTERVAL * count, states[count]
+        return self._propagate_chief(chief, start, t - start) if t > start else chief
 
     def _propagate_chief(self, chief: Array, t: float, dt: float) -> Array:
         none = np.array([], dtype=int)
@@ -122,9 +112,8 @@ class InertialPlant(Plant):
             change[:, :3] = now[:, 3:]
             change[0, 3:] = self._forces.acceleration(chief, self._chief_drag)
             if len(present):
-                acceleration = self._forces.differential_acceleration(
-                    chief, offset, drag, self._chief_drag
-                )
+                drags = drag, self._chief_drag
+                acceleration = self._forces.differential_acceleration(chief, offset, *drags)
                 change[1:, 3:] = acceleration + thrust @ orbit_axes(chief)
             return change.ravel()
 
@@ -133,17 +122,9 @@ class InertialPlant(Plant):
             now = np.vstack([now[:1], now[0] + now[1:]])
             return np.asarray(np.linalg.norm(now, axis=1))
 
-        path = integrate_orbits(
-            rate,
-            start.ravel(),
-            times,
-            rtol=RTOL,
-            atol=atol.ravel(),
-            radii=radii,
-            agents=np.concatenate([[-1], present]),
-            t0=t,
-            first_step=min(float(times[-1]), FIRST_STEP),
-        )
+        y, agents = start.ravel(), np.concatenate([[-1], present])
+        tolerances, first_step = (RTOL, atol.ravel()), min(float(times[-1]), FIRST_STEP)
+        path = integrate_orbits(rate, y, times, *tolerances, radii, agents, t, first_step)
         return path.reshape(len(times), -1, 6)
 
     @cached_property

@@ -11,8 +11,8 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.integrate import solve_ivp
 
-from dynamics.model import Controls, NonlinearModel, States, Times
-from dynamics.orbit import Orbit, lvlh_rates, polar_nodal_rates, polar_nodal_scales
+from dynamics.model import Controls, Jacobian, NonlinearModel, States, Times
+from dynamics.orbit import Orbit, Vectors, lvlh_rates, polar_nodal_rates, polar_nodal_scales
 
 RTOL = 1e-13  # of `J2.propagate`: an error below a micrometer after an orbit
 ATOL = np.repeat([1e-9, 1e-12], 3)  # in a step, of each deputy [m, m/s]
@@ -36,9 +36,7 @@ class J2(NonlinearModel):
         """Return the rate of change of one state or of many."""
         return self._rate(self.orbit.elements_at(t), x, u)
 
-    def jacobian(
-        self, t: Times, x: States, u: Controls
-    ) -> tuple[Float[Array, "... 6 6"], Float[Array, "... 6 3"]]:
+    def jacobian(self, t: Times, x: States, u: Controls) -> Jacobian:
         """Return ∂f/∂x and ∂f/∂u."""
         chief = self.orbit.elements_at(t)
         omega, centrifugal = _rotation_matrices(chief, self.orbit)
@@ -68,10 +66,9 @@ class J2(NonlinearModel):
             chief_rate = polar_nodal_rates(chief, self.orbit.mu, self.orbit.k_J2)
             return np.concatenate([chief_rate, self._rate(chief, deputies, np.zeros(3)).ravel()])
 
-        y = np.concatenate([self.orbit.elements_at(t0), x.ravel()])
-        atol = np.concatenate(
-            [RTOL * polar_nodal_scales(y[:6]), np.tile(ATOL, x.size // 6) / (x.size // 6) ** 0.5]
-        )
+        y, count = np.concatenate([self.orbit.elements_at(t0), x.ravel()]), x.size // 6
+        own_atol = np.tile(ATOL, count) / count**0.5
+        atol = np.concatenate([RTOL * polar_nodal_scales(y[:6]), own_atol])
         states = np.empty((len(times), x.size))
         # One integration per interval: dense output between steps is of lower order.
         for k, (before, after) in enumerate(zip([t0, *times[:-1]], times, strict=True)):
@@ -91,9 +88,7 @@ class J2(NonlinearModel):
         return np.concatenate([np.broadcast_to(v, a.shape), a], axis=-1)
 
 
-def gravity_acceleration(
-    R: Float[Array, "*#k 3"], pole: Float[Array, "*#k 3"], orbit: Orbit
-) -> Float[Array, "... 3"]:
+def gravity_acceleration(R: Vectors, pole: Vectors, orbit: Orbit) -> Float[Array, "... 3"]:
     """Return the gravity of the oblate Earth, g = −η² R − ζ s [m/s²].
 
     Args:
@@ -108,9 +103,7 @@ def gravity_acceleration(
     return np.asarray(-eta2 * R - 2 * k * Z / (rho * rho2**2) * pole)
 
 
-def gravity_gradient(
-    R: Float[Array, "*#k 3"], pole: Float[Array, "*#k 3"], orbit: Orbit
-) -> Float[Array, "... 3 3"]:
+def gravity_gradient(R: Vectors, pole: Vectors, orbit: Orbit) -> Float[Array, "... 3 3"]:
     """Return ∂g/∂R [1/s²] of `gravity_acceleration`."""
     mu, k = orbit.mu, orbit.k_J2
     R, pole = np.broadcast_arrays(R, pole)
@@ -123,9 +116,7 @@ def gravity_gradient(
     return np.asarray(-eta2 * np.eye(3) + along * RR + cross - 2 * k / rho**5 * ss)
 
 
-def invariant_velocity(
-    orbit: Orbit, position: Float[Array, "*k 3"], t: float = 0.0
-) -> Float[Array, "*k 3"]:
+def invariant_velocity(orbit: Orbit, position: Vectors, t: float = 0.0) -> Vectors:
     """Return the velocity of a J2-invariant relative orbit through a position [m/s].
 
         ẋ = ω_z y / 2              a 2:1 ellipse centered on a chief in circular orbit

@@ -19,10 +19,7 @@ class KinematicVehicle(NamedTuple):
 
     time_constant: Annotated[Time, Key("lag"), Ge(0), "time constant; 0 obeys at once"] = 0.0
     noise_std: Annotated[
-        float,
-        Key("noise"),
-        Ge(0),
-        "standard deviation of each velocity in each step [m/s, rad/s]",
+        float, Key("noise"), Ge(0), "standard deviation of each velocity in each step [m/s, rad/s]"
     ] = 0.0
 
 

@@ -4,17 +4,21 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
 # One instant, or many: the leading axes of times, states and controls broadcast.
-Times: TypeAlias = float | Float[Array, "*#k"]
-States: TypeAlias = Float[Array, "*#k n"]
-Controls: TypeAlias = Float[Array, "*#k m"]
-Matrices: TypeAlias = tuple[Float[Array, "k n n"], Float[Array, "k n m"], Float[Array, "k n"]]
+Times = float | Float[Array, "*#k"]
+States = Float[Array, "*#k n"]
+Controls = Float[Array, "*#k m"]
+Jacobian = tuple[Float[Array, "... n n"], Float[Array, "... n m"]]
+# Samples of a trajectory of one agent or of many.
+StateSamples = Float[Array, "*agents instants n"]
+ControlSamples = Float[Array, "*agents T m"]
+Matrices = tuple[Float[Array, "k n n"], Float[Array, "k n m"], Float[Array, "k n"]]
 
 
 class Model(ABC):
@@ -35,9 +39,7 @@ class NonlinearModel(Model):
     """
 
     @abstractmethod
-    def jacobian(
-        self, t: Times, x: States, u: Controls
-    ) -> tuple[Float[Array, "... n n"], Float[Array, "... n m"]]:
+    def jacobian(self, t: Times, x: States, u: Controls) -> Jacobian:
         """Return ∂f/∂x and ∂f/∂u."""
 
 
@@ -94,9 +96,7 @@ class SymbolicModel(NonlinearModel):
         (found,) = self._map_batch(self._casadi_functions[0], t, x, u)
         return found[..., 0]
 
-    def jacobian(
-        self, t: Times, x: States, u: Controls
-    ) -> tuple[Float[Array, "... n n"], Float[Array, "... n m"]]:
+    def jacobian(self, t: Times, x: States, u: Controls) -> Jacobian:
         """Return ∂f/∂x and ∂f/∂u by automatic differentiation."""
         A, B = self._map_batch(self._casadi_functions[1], t, x, u)
         return A, B
@@ -120,11 +120,9 @@ class SymbolicModel(NonlinearModel):
         n, m = 2 * self.axes, self.axes
         t, x, u = casadi.SX.sym("t"), casadi.SX.sym("x", n), casadi.SX.sym("u", m)
         f = self.expression(t, x, u)
+        rate = casadi.Function("rate", [t, x, u], [f])
         derivatives = [casadi.jacobian(f, x), casadi.jacobian(f, u)]
-        return (
-            casadi.Function("rate", [t, x, u], [f]),
-            casadi.Function("jacobian", [t, x, u], derivatives),
-        )
+        return rate, casadi.Function("jacobian", [t, x, u], derivatives)
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,11 @@ EARTH_J2 = 1.0826359e-3  # dynamical form factor
 EARTH_ROTATION = 7.292115e-5  # [rad/s]
 K_J2 = 1.5 * EARTH_J2 * EARTH_MU * EARTH_RADIUS**2  # 3/2 J₂ μ R² [m⁵/s²]
 
+# One number, vector or state, or many.
+Scalars = float | Float[Array, "*#k"]
+Vectors = Float[Array, "*#k 3"]
+OrbitStates = Float[Array, "*k 6"]  # polar-nodal elements, or positions and velocities
+
 SEGMENT_DURATION = 3600.0  # the orbit is integrated and cached in segments of this length [s]
 RTOL = 1e-13  # of the integration, near the resolution of double precision
 
@@ -30,10 +35,10 @@ RTOL = 1e-13  # of the integration, near the resolution of double precision
 class LVLHRates(NamedTuple):
     """Angular velocity (ω_x, 0, ω_z) and acceleration (α_x, 0, α_z) of the LVLH axes."""
 
-    omega_x: Float[Array, "*k"] | float  # [rad/s]
-    omega_z: Float[Array, "*k"] | float
-    alpha_x: Float[Array, "*k"] | float  # [rad/s²]
-    alpha_z: Float[Array, "*k"] | float
+    omega_x: Scalars  # [rad/s]
+    omega_z: Scalars
+    alpha_x: Scalars  # [rad/s²]
+    alpha_z: Scalars
 
 
 @dataclass(frozen=True)
@@ -65,12 +70,11 @@ class Orbit:
 
     def __post_init__(self) -> None:
         """Check that the state is on an ellipse above the Earth."""
-        if not all(map(isfinite, self.initial_elements)) or not (
-            self.r > 0 and self.h > 0 and self.mu > 0
-        ):
+        elements, is_positive = self.initial_elements, self.r > 0 and self.h > 0 and self.mu > 0
+        if not is_positive or not all(map(isfinite, elements)):
             raise ValueError(
                 "an orbit needs six finite elements, and a positive radius and angular momentum, "
-                f"got {tuple(map(float, self.initial_elements))}"
+                f"got {tuple(map(float, elements))}"
             )
         validate_inclination(self.inclination)
         validate_eccentricity(self.eccentricity)
@@ -105,17 +109,9 @@ class Orbit:
         """
         validate_ellipse(semi_major_axis, eccentricity)
         p = semi_major_axis * (1 - eccentricity**2)
-        h = sqrt(mu * p)
-        return cls(
-            r=p / (1 + eccentricity * cos(true_anomaly)),
-            v_x=mu / h * eccentricity * sin(true_anomaly),
-            h=h,
-            raan=raan,
-            inclination=inclination,
-            arg_latitude=arg_perigee + true_anomaly,
-            mu=mu,
-            k_J2=k_J2,
-        )
+        r, h = p / (1 + eccentricity * cos(true_anomaly)), sqrt(mu * p)
+        v_x = mu / h * eccentricity * sin(true_anomaly)
+        return cls(r, v_x, h, raan, inclination, arg_perigee + true_anomaly, mu, k_J2)
 
     @property
     def initial_elements(self) -> tuple[float, ...]:
@@ -164,7 +160,7 @@ class Orbit:
         return elements
 
 
-def validate_eccentricity(eccentricity: float | Float[Array, "*k"]) -> None:
+def validate_eccentricity(eccentricity: Scalars) -> None:
     """Check that orbits are closed.
 
     Raises:
@@ -178,9 +174,7 @@ def validate_eccentricity(eccentricity: float | Float[Array, "*k"]) -> None:
         )
 
 
-def validate_ellipse(
-    semi_major_axis: float | Float[Array, "*k"], eccentricity: float | Float[Array, "*k"]
-) -> None:
+def validate_ellipse(semi_major_axis: Scalars, eccentricity: Scalars) -> None:
     """Check the shape of ellipses.
 
     Raises:
@@ -192,7 +186,7 @@ def validate_ellipse(
         raise ValueError(f"semi_major_axis: must be positive and finite, got {wrong[0]} m")
 
 
-def validate_inclination(inclination: float | Float[Array, "*k"]) -> None:
+def validate_inclination(inclination: Scalars) -> None:
     """Check inclinations.
 
     Raises:
@@ -224,17 +218,15 @@ def polar_nodal_rates(chief: Float[Array, "*k 6"], mu: float, k_J2: float) -> Fl
     """Return the rates of change of polar-nodal elements [Xu2008]."""
     r, v_x, h, _, i, theta = np.moveaxis(chief, -1, 0)
     sin_i, cos_i, sin_t = np.sin(i), np.cos(i), np.sin(theta)
-    return np.stack(
-        [
-            v_x,
-            -mu / r**2 + h**2 / r**3 - k_J2 / r**4 * (1 - 3 * (sin_i * sin_t) ** 2),
-            -k_J2 / r**3 * sin_i**2 * np.sin(2 * theta),
-            -2 * k_J2 * cos_i * sin_t**2 / (h * r**3),
-            -k_J2 * np.sin(2 * i) * np.sin(2 * theta) / (2 * h * r**3),
-            h / r**2 + 2 * k_J2 * cos_i**2 * sin_t**2 / (h * r**3),
-        ],
-        axis=-1,
+    rates = (
+        v_x,
+        -mu / r**2 + h**2 / r**3 - k_J2 / r**4 * (1 - 3 * (sin_i * sin_t) ** 2),
+        -k_J2 / r**3 * sin_i**2 * np.sin(2 * theta),
+        -2 * k_J2 * cos_i * sin_t**2 / (h * r**3),
+        -k_J2 * np.sin(2 * i) * np.sin(2 * theta) / (2 * h * r**3),
+        h / r**2 + 2 * k_J2 * cos_i**2 * sin_t**2 / (h * r**3),
     )
+    return np.stack(rates, axis=-1)
 
 
 def lvlh_rates(chief: Float[Array, "*k 6"], k_J2: float) -> LVLHRates:
@@ -261,15 +253,10 @@ def polar_nodal_scales(chief: Float[Array, " 6"]) -> Float[Array, " 6"]:
 
 @lru_cache(maxsize=4096)
 def _integrate_segment(orbit: Orbit, j: int) -> Any:
-    start = (
-        np.array(orbit.initial_elements) if j == 0 else _integrate_segment(orbit, j - 1).y[:, -1]
-    )
-    return solve_ivp(
-        lambda t, y: polar_nodal_rates(y, orbit.mu, orbit.k_J2),
-        (j * SEGMENT_DURATION, (j + 1) * SEGMENT_DURATION),
-        start,
-        method="DOP853",
-        rtol=RTOL,
-        atol=RTOL * polar_nodal_scales(start),
-        dense_output=True,
-    )
+    y = _integrate_segment(orbit, j - 1).y[:, -1] if j > 0 else np.array(orbit.initial_elements)
+    span, atol = (j * SEGMENT_DURATION, (j + 1) * SEGMENT_DURATION), RTOL * polar_nodal_scales(y)
+
+    def rate(t: float, y: Array) -> Array:
+        return polar_nodal_rates(y, orbit.mu, orbit.k_J2)
+
+    return solve_ivp(rate, span, y, "DOP853", dense_output=True, rtol=RTOL, atol=atol)

@@ -2,7 +2,6 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -10,12 +9,10 @@ from numpy import ndarray as Array
 from scipy.integrate import solve_ivp
 
 from dynamics.discretize import discretize_zoh
-from dynamics.model import LinearModel, NonlinearModel
+from dynamics.model import Controls, LinearModel, NonlinearModel, States
 from dynamics.orbit import Orbit
 
-AgentStates: TypeAlias = Float[Array, "agents n"]
-AgentControls: TypeAlias = Float[Array, "agents m"]
-AgentTrajectories: TypeAlias = Float[Array, "{substeps}+1 agents n"]
+Samples = Float[Array, "{substeps}+1 agents n"]
 
 RTOL = 1e-13  # of a step of `NonlinearPlant`, and in addition
 ATOL = 1e-9, 1e-12  # of each agent's position and velocity [m, m/s]
@@ -31,9 +28,7 @@ class Plant(ABC):
     chief_orbit: Orbit | None = None  # None where there is no orbit
 
     @abstractmethod
-    def propagate(
-        self, x: AgentStates, u: AgentControls, t: float, dt: float, substeps: int = 1
-    ) -> AgentTrajectories:
+    def propagate(self, x: States, u: Controls, t: float, dt: float, substeps: int = 1) -> Samples:
         """Return the states at equal instants from t to t + dt, the first of them x itself.
 
         Args:
@@ -59,9 +54,7 @@ class LinearPlant(Plant):
     model: LinearModel
     chief_orbit: Orbit | None = None
 
-    def propagate(
-        self, x: AgentStates, u: AgentControls, t: float, dt: float, substeps: int = 1
-    ) -> AgentTrajectories:
+    def propagate(self, x: States, u: Controls, t: float, dt: float, substeps: int = 1) -> Samples:
         """Return the states at equal instants from t to t + dt, the first of them x itself."""
         validate_propagation(x, u, dt, substeps, self.model.axes)
         steps = discretize_zoh(self.model, dt / substeps, substeps, t)
@@ -87,9 +80,7 @@ class NonlinearPlant(Plant):
         """Take the orbit of the chief from the model."""
         object.__setattr__(self, "chief_orbit", getattr(self.model, "orbit", None))
 
-    def propagate(
-        self, x: AgentStates, u: AgentControls, t: float, dt: float, substeps: int = 1
-    ) -> AgentTrajectories:
+    def propagate(self, x: States, u: Controls, t: float, dt: float, substeps: int = 1) -> Samples:
         """Return the states at equal instants from t to t + dt, the first of them x itself.
 
         Raises:
@@ -116,10 +107,9 @@ class NonlinearPlant(Plant):
             span = (float(instants[k]), float(instants[k + 1]))
             solution = solve_ivp(rate, span, y, "DOP853", rtol=RTOL, atol=atol)
             if not solution.success:
-                raise RuntimeError(
-                    f"{type(self.model).__name__} cannot be integrated from t = {span[0]:.6g} to "
-                    f"{span[1]:.6g} s: {solution.message}"
-                )
+                name = type(self.model).__name__
+                when = f"from t = {span[0]:.6g} to {span[1]:.6g} s"
+                raise RuntimeError(f"{name} cannot be integrated {when}: {solution.message}")
             y = solution.y[:, -1]
             states[k + 1, present] = y.reshape(len(present), -1)
         return states

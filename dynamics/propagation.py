@@ -65,15 +65,11 @@ def propagate(
         now = y.reshape(-1, 6)
         return np.hstack([now[:, 3:], forces.acceleration(now, drag)]).ravel()
 
-    path = integrate_orbits(
-        rate,
-        state.ravel(),
-        times,
-        rtol=MIN_RTOL,
-        atol=_absolute_tolerances(state, accuracy, forces.mu).ravel(),
-        radii=lambda y: np.asarray(np.linalg.norm(y.reshape(-1, 6)[:, :3], axis=1)),
-        agents=np.arange(len(state)),
-    )
+    def radii(y: Array) -> Array:
+        return np.asarray(np.linalg.norm(y.reshape(-1, 6)[:, :3], axis=1))
+
+    y, atol = state.ravel(), _absolute_tolerances(state, accuracy, forces.mu).ravel()
+    path = integrate_orbits(rate, y, times, MIN_RTOL, atol, radii, np.arange(len(state)))
     return path.reshape(len(times), -1, 6)
 
 
@@ -117,17 +113,9 @@ def integrate_orbits(
         Impact: An agent hits the Earth.
         RuntimeError: The integrator fails.
     """
-    solution = solve_ivp(
-        rate,
-        (0.0, float(times[-1])),
-        y0,
-        method="DOP853",
-        t_eval=times,
-        events=_ImpactEvent(radii),
-        rtol=rtol,
-        atol=atol,
-        first_step=first_step,
-    )
+    settings = {"rtol": rtol, "atol": atol, "first_step": first_step}
+    span, event = (0.0, float(times[-1])), _ImpactEvent(radii)
+    solution = solve_ivp(rate, span, y0, "DOP853", times, events=event, **settings)
     if solution.status == 1:
         lowest = np.argmin(radii(solution.y_events[0][0]))
         raise Impact(int(agents[lowest]), t0 + float(solution.t_events[0][0]))
@@ -158,16 +146,14 @@ def _absolute_tolerances(state: Array, accuracy: float, mu: float) -> Array:
 
 
 def _validate_initial_states(state: Array, times: Array, accuracy: float) -> None:
-    if len(times) == 0 or not (
-        np.isfinite(times).all() and times[0] >= 0 and (np.diff(times) > 0).all()
-    ):
+    is_increasing = len(times) > 0 and times[0] >= 0 and (np.diff(times) > 0).all()
+    if not is_increasing or not np.isfinite(times).all():
         raise ValueError(f"times: must increase from 0 or later, got {times}")
     if not 1e-13 <= accuracy <= 1e-3:
         raise ValueError(f"accuracy: must lie between 1e-13 and 1e-3, got {accuracy}")
-    if not np.isfinite(state).all():
-        raise ValueError(
-            f"the state of agent {np.argmin(np.isfinite(state).all(axis=1))} is not finite"
-        )
+    is_finite = np.isfinite(state).all(axis=1)
+    if not is_finite.all():
+        raise ValueError(f"the state of agent {np.argmin(is_finite)} is not finite")
     r = np.linalg.norm(state[:, :3], axis=1)
     if len(r) and r.min() <= EARTH_RADIUS:
         raise ValueError(

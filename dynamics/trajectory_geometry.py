@@ -19,7 +19,11 @@ from scipy.spatial import cKDTree
 
 from dynamics.bezier_kernels import closest_pair, min_norm_points
 from dynamics.discretize import discretize_zoh
-from dynamics.model import LinearModel
+from dynamics.model import ControlSamples, LinearModel, StateSamples
+from dynamics.orbit import Scalars
+
+Duration = float | Float[Array, " instants-1"]  # of all pieces, or of each [s]
+Samples = Float[Array, "*agents instants d"]  # positions or velocities at the instants
 
 
 class ClosestApproach(NamedTuple):
@@ -50,9 +54,7 @@ class Separations(NamedTuple):
 
 
 def control_points(
-    position: Float[Array, "*agents instants d"],
-    velocity: Float[Array, "*agents instants d"],
-    h: float | Float[Array, " instants-1"],
+    position: Samples, velocity: Samples, h: Duration
 ) -> Float[Array, "*agents instants-1 4 d"]:
     """Return the Bézier control points of every piece.
 
@@ -63,15 +65,11 @@ def control_points(
     """
     third = (np.asarray(h) / 3)[..., None]
     first, last = position[..., :-1, :], position[..., 1:, :]
-    return np.stack(
-        [first, first + velocity[..., :-1, :] * third, last - velocity[..., 1:, :] * third, last],
-        axis=-2,
-    )
+    second, before_last = velocity[..., :-1, :] * third, velocity[..., 1:, :] * third
+    return np.stack([first, first + second, last - before_last, last], axis=-2)
 
 
-def evaluate_bezier(
-    points: Float[Array, "*k 4 d"], fraction: float | Float[Array, "*k"]
-) -> Float[Array, "*k d"]:
+def evaluate_bezier(points: Float[Array, "*k 4 d"], fraction: Scalars) -> Float[Array, "*k d"]:
     """Return the position on a piece at a fraction of its duration."""
     t = np.asarray(fraction)[..., None]
     s = 1 - t
@@ -79,9 +77,7 @@ def evaluate_bezier(
     return np.asarray(s**3 * b[0] + 3 * s**2 * t * b[1] + 3 * s * t**2 * b[2] + t**3 * b[3])
 
 
-def hull_distance(
-    points: Float[Array, "*k 4 d"],
-) -> tuple[Float[Array, "*k"], Float[Array, "*k d"]]:
+def hull_distance(points: Float[Array, "*k 4 d"]) -> tuple[Float[Array, "*k"], Array]:
     """Return the minimum-norm point of the convex hull of four points, in 2D or 3D.
 
     The distance is max over unit n of min_i n·b_i, and the best n is normal to a vertex,
@@ -106,7 +102,7 @@ def separations(
     position: Float[Array, "instants agents d"],
     velocity: Float[Array, "instants agents d"],
     alive: Bool[Array, "instants agents"],
-    h: float | Float[Array, " instants-1"],
+    h: Duration,
 ) -> Separations:
     """Return the minimum distance of any two agents in every piece, exact for cubics.
 
@@ -114,9 +110,8 @@ def separations(
     finite, also where it is lost at the end.
     """
     K = len(position) - 1
-    b = np.moveaxis(
-        control_points(np.moveaxis(position, 0, 1), np.moveaxis(velocity, 0, 1), h), 0, 1
-    )
+    by_agent = np.moveaxis(position, 0, 1), np.moveaxis(velocity, 0, 1)
+    b = np.moveaxis(control_points(*by_agent, h), 0, 1)
     found = Separations(np.full(K, np.inf), np.zeros(K), np.full((K, 2), -1))
     for k in range(K):
         agents = np.flatnonzero(alive[k] & np.isfinite(b[k]).all(axis=(1, 2)))
@@ -142,11 +137,7 @@ def min_distance(points: Float[Array, "k d"]) -> float:
 
 
 def interpolation_error(
-    model: LinearModel,
-    x: Float[Array, "*agents instants n"],
-    u: Float[Array, "*agents K m"],
-    h: float,
-    t0: float = 0.0,
+    model: LinearModel, x: StateSamples, u: ControlSamples, h: float, t0: float = 0.0
 ) -> float:
     """Return the largest distance of a trajectory from its cubic pieces [m].
 
@@ -174,11 +165,7 @@ def interpolation_error(
     return _midpoint_error(path[..., :d], path[..., d:], h / 2)
 
 
-def sampled_interpolation_error(
-    position: Float[Array, "*agents instants d"],
-    velocity: Float[Array, "*agents instants d"],
-    h: float,
-) -> float:
+def sampled_interpolation_error(position: Samples, velocity: Samples, h: float) -> float:
     """Estimate the largest distance of a trajectory from its cubic pieces [m].
 
     Cubics over two pieces have an error of p⁗ (2h)⁴/384 at their middles, which are samples
@@ -204,10 +191,7 @@ def sampled_interpolation_error(
 
 
 def interpolation_error_bound(
-    model: LinearModel,
-    x: Float[Array, "*agents instants n"],
-    u: Float[Array, "*agents K m"],
-    h: float,
+    model: LinearModel, x: StateSamples, u: ControlSamples, h: float
 ) -> float:
     """Bound the distance of a trajectory from its cubic pieces, for time-invariant models [m].
 

@@ -14,7 +14,7 @@ from numpy import ndarray as Array
 
 from dynamics.elements import mean_anomaly, true_anomaly
 from dynamics.model import LinearModel, Matrices
-from dynamics.orbit import EARTH_MU, Orbit, validate_ellipse, validate_perigee
+from dynamics.orbit import EARTH_MU, Orbit, Scalars, Vectors, validate_ellipse, validate_perigee
 
 IN_PLANE = np.array([0, 1, 3, 4])  # entries of the state
 
@@ -82,7 +82,7 @@ class TschaunerHempel(LinearModel):
         """Semi-latus rectum [m]."""
         return self.semi_major_axis * (1 - self.eccentricity**2)
 
-    def true_anomaly_at(self, t: float | Float[Array, "*k"]) -> Float[Array, "*k"]:
+    def true_anomaly_at(self, t: Scalars) -> Float[Array, "*k"]:
         """Return the chief's true anomaly, not reduced to one revolution [rad].
 
         Args:
@@ -91,7 +91,7 @@ class TschaunerHempel(LinearModel):
         e = self.eccentricity
         return true_anomaly(mean_anomaly(self.true_anomaly, e) + self.n * np.asarray(t), e)
 
-    def A(self, t: float | Float[Array, "*k"]) -> Float[Array, "*k 6 6"]:
+    def A(self, t: Scalars) -> Float[Array, "*k 6 6"]:
         """State matrix at one time or at many."""
         at = self._anomaly_terms(self.true_anomaly_at(t))
         w = at.omega
@@ -109,9 +109,7 @@ class TschaunerHempel(LinearModel):
         k = len(times)
         return self.A(times), np.repeat(self.B(0.0)[None], k, axis=0), np.zeros((k, 6))
 
-    def transition_matrix(
-        self, start: float | Float[Array, "*#k"], end: float | Float[Array, "*#k"]
-    ) -> Float[Array, "*#k 6 6"]:
+    def transition_matrix(self, start: Scalars, end: Scalars) -> Float[Array, "*#k 6 6"]:
         """Return Φ(end, start), free motion in closed form [Yamanaka2002].
 
         Args:
@@ -120,9 +118,8 @@ class TschaunerHempel(LinearModel):
         """
         f0, f1 = np.broadcast_arrays(self.true_anomaly_at(start), self.true_anomaly_at(end))
         J = np.asarray(self._k * np.subtract(end, start))
-        plane = self._fundamental_matrix(f1, J) @ np.linalg.inv(
-            self._fundamental_matrix(f0, np.zeros_like(J))
-        )
+        initial = self._fundamental_matrix(f0, np.zeros_like(J))
+        plane = self._fundamental_matrix(f1, J) @ np.linalg.inv(initial)
         scaled = np.zeros((*f0.shape, 6, 6))
         scaled[..., IN_PLANE[:, None], IN_PLANE] = plane
         scaled[..., 2, 2] = scaled[..., 5, 5] = np.cos(f1 - f0)
@@ -130,9 +127,7 @@ class TschaunerHempel(LinearModel):
         scaled[..., 5, 2] = -scaled[..., 2, 5]
         return np.asarray(self._inverse_scaling_matrix(f1) @ scaled @ self._scaling_matrix(f0))
 
-    def bounded_velocity(
-        self, position: Float[Array, "*k 3"], t: float = 0.0
-    ) -> Float[Array, "*k 3"]:
+    def bounded_velocity(self, position: Vectors, t: float = 0.0) -> Vectors:
         """Return the velocity of a closed orbit through a position [m/s].
 
             ẏ = −(ω + μ/rh) x + (v_x/r) y,  ẋ = ż = 0
