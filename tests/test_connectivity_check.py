@@ -72,7 +72,7 @@ def honest():
         ('stick={kind="recorded", times_s=[0.5, 2], velocities_m_s=[[1, 0, 0], [0, 0, 0.5]]}',),
     ],
 )
-def test_an_honest_run_keeps_what_it_promises_whatever_flies(settings):
+def test_unaltered_run_keeps_all_promises(settings):
     run, mission = flown(*settings)
     report = check_run(run.data, mission)
     assert report.kept, report.broken
@@ -108,12 +108,12 @@ def bent(values, by=1e-6):
         ("yaw_estimate_error", lambda x: x * np.nan, {"numbers"}),
     ],
 )
-def test_what_is_altered_by_a_millionth_is_found(honest, name, change, promises):
+def test_alteration_by_a_millionth_is_detected(honest, name, change, promises):
     run, mission = honest
     assert promises <= broken(altered(run, name, change), mission)
 
 
-def test_a_robot_at_an_obstacle_or_at_another_is_found(honest):
+def test_collision_with_an_obstacle_or_an_agent_is_detected(honest):
     run, mission = honest
     centre = mission.obstacle_arrays.spheres[0, :3]
     at_obstacle = altered(run, "position", lambda p: np.vstack([centre, p[1:]]))
@@ -125,7 +125,7 @@ def test_a_robot_at_an_obstacle_or_at_another_is_found(honest):
     assert check_run(at_obstacle.data, mission).summary["min_obstacle_distance_m"] < 0
 
 
-def test_losses_and_waypoints_that_are_not_told_or_made_up_are_found():
+def test_missing_and_invented_events_are_detected():
     run, mission = flown("death=[{robot=2, time_s=1}]", "spacing_m=2")
     told = run.events()
     assert {e["kind"] for e in told} == {"waypoint", "loss"}
@@ -136,7 +136,7 @@ def test_losses_and_waypoints_that_are_not_told_or_made_up_are_found():
     assert {"losses"} <= broken(run, replace(mission, losses=()))
 
 
-def test_who_is_blind_to_the_field_of_view_breaks_the_promise_and_has_no_success():
+def test_weights_by_range_alone_lose_connectivity_and_fail():
     run, mission = flown("camera.blind=true", "estimator.kind=exact")
     report = check_run(run.data, mission)
     assert {p.name for p in report.broken} == {"connectivity"}
@@ -147,7 +147,7 @@ def test_who_is_blind_to_the_field_of_view_breaks_the_promise_and_has_no_success
     assert run.events("split")[0]["time"] >= since
 
 
-def test_a_flight_that_was_cut_short_is_no_success(honest):
+def test_incomplete_flight_is_no_success(honest):
     _, mission = honest
     frames = list(simulate(mission, np.random.default_rng(1)))[:40]
     run = run_of(mission, frames, stopped="interrupted")
@@ -157,7 +157,7 @@ def test_a_flight_that_was_cut_short_is_no_success(honest):
     assert broken(unsaid, mission) == {"complete"}
 
 
-def test_another_mission_than_the_scenarios_is_found(honest):
+def test_run_of_another_mission_is_detected(honest):
     run, mission = honest
     other = flown(seed=2)[1]
     assert {"start", "stick"} <= broken(run, other)
@@ -167,7 +167,7 @@ def test_another_mission_than_the_scenarios_is_found(honest):
     )
 
 
-def test_the_summary_says_what_the_data_say(honest):
+def test_summary_agrees_with_the_data(honest):
     run, mission = honest
     said, data = check_run(run.data, mission).summary, run.data
     assert said["lambda2_min"] == data["lambda2"].values.min()
@@ -187,14 +187,14 @@ def test_the_summary_says_what_the_data_say(honest):
     assert json.loads(json.dumps(said)) == said
 
 
-def test_what_there_is_not_is_not_said():
+def test_quantities_without_a_value_are_absent_from_the_summary():
     held = 'stick={kind="recorded", times_s=[0], velocities_m_s=[[0, 0, 0]]}'
     run, mission = flown("agents=2", "obstacles.count=0", held)
     said = check_run(run.data, mission).summary
     assert "min_obstacle_distance_m" not in said and said["waypoints"] == 0
 
 
-def test_two_that_pass_between_instants_come_near(rng):
+def test_separation_includes_passages_between_instants(rng):
     position = np.array([[[0, 0, 0], [1, 0.1, 0]], [[1, 0, 0], [0, 0.1, 0]]], dtype=float)
     assert min_separation(position, np.ones((2, 2), dtype=bool)) == pytest.approx(0.1)
     assert min_separation(position, np.array([[True, True], [True, False]])) > 1
@@ -205,7 +205,7 @@ def test_two_that_pass_between_instants_come_near(rng):
     assert min_separation(walk, np.ones((9, 4), dtype=bool)) == pytest.approx(away.min(), abs=0.02)
 
 
-def test_a_run_file_says_the_world_velocity_and_explains_itself(honest):
+def test_recorded_velocity_is_in_the_world_frame(honest):
     run, mission = honest
     p, v = run.data["position"].values, run.data["velocity"].values
     assert np.diff(p, axis=0) / mission.step == pytest.approx(v[1:], abs=0.1)

@@ -32,7 +32,7 @@ def flight(seed, **settings):
 
 @pytest.mark.parametrize("estimator", ["flood", "exact"])
 @pytest.mark.parametrize("seed", range(3))
-def test_the_swarm_hangs_together_keeps_its_distance_and_follows(seed, estimator):
+def test_swarm_stays_connected_and_separated_and_follows_the_leader(seed, estimator):
     frames = fly(flight(seed, estimator=estimator))
     assert min(f.lambda2 for f in frames) > 0.01
     position, alive = (
@@ -44,13 +44,13 @@ def test_the_swarm_hangs_together_keeps_its_distance_and_follows(seed, estimator
     assert waypoints  # the leader gets somewhere
 
 
-def test_what_flood_says_of_lambda2_is_nearly_true():
+def test_flooded_estimate_of_lambda2_is_within_two_thousandths():
     frames = fly(flight(1))
     off = [np.abs(f.lambda2_estimate - f.lambda2).mean() for f in frames[10:]]
     assert np.mean(off) <= 0.002
 
 
-def test_without_the_action_the_leader_is_lost():
+def test_without_the_connectivity_action_the_leader_is_lost():
     idle = flight(2, potential=Potential(strength=0.0))
     frames = fly(
         replace(
@@ -61,7 +61,7 @@ def test_without_the_action_the_leader_is_lost():
     assert [e["kind"] for f in frames for e in f.events if e["kind"] == "split"] == ["split"]
 
 
-def test_who_dies_is_neither_seen_nor_followed():
+def test_lost_robot_is_neither_seen_nor_followed():
     mission = flight(0, losses=(AgentLoss(3, 2.0),))
     frames = fly(mission)
     dead = [f for f in frames if f.time >= 2.0]
@@ -71,7 +71,7 @@ def test_who_dies_is_neither_seen_nor_followed():
     assert [e["agents"] for e in alone] == [[3]]
 
 
-def test_lag_noise_and_losses_are_borne():
+def test_swarm_stays_connected_with_lag_noise_and_message_loss():
     rough = flight(
         1,
         plant=KinematicVehicle(time_constant=0.3),
@@ -82,7 +82,7 @@ def test_lag_noise_and_losses_are_borne():
     assert min(f.lambda2 for f in frames) > 0.01
 
 
-def test_a_leader_that_is_dead_is_not_steered():
+def test_lost_leader_gets_no_commands():
     frames = fly(flight(0, losses=(AgentLoss(0, 2.0),)))
     dead = [f for f in frames if f.time >= 2.0]
     assert any(f.stick.any() for f in frames if f.time < 2.0)

@@ -55,7 +55,7 @@ def smooth(frames):
 
 @FEW
 @given(st.integers(0, 100), TURNS, st.sampled_from(["flood", "exact"]))
-def test_to_turn_the_whole_world_turns_the_paths_and_no_command(seed, turn, estimator):
+def test_rotating_the_world_rotates_trajectories_and_no_command(seed, turn, estimator):
     here, shift = mission(seed, Camera(), estimator=estimator), np.array([3.0, -1, 2])
     rows = here.obstacle_arrays.spheres.copy()
     rows[:, :3] = rows[:, :3] @ about(turn).T + shift
@@ -77,7 +77,7 @@ def test_to_turn_the_whole_world_turns_the_paths_and_no_command(seed, turn, esti
 
 @FEW
 @given(st.integers(0, 100), st.integers(0, 5), TURNS, st.sampled_from(["flood", "exact"]))
-def test_to_turn_the_axes_of_one_robot_changes_nothing_in_the_world(seed, robot, turn, estimator):
+def test_rotating_the_axes_of_one_robot_changes_no_trajectory(seed, robot, turn, estimator):
     # Its camera looks along the axis of the turn, so that the axes alone are turned: what it
     # senses, says and is said to be. Everybody else goes on as before.
     plain = mission(seed, ROUND, estimator=estimator)
@@ -98,7 +98,7 @@ def test_to_turn_the_axes_of_one_robot_changes_nothing_in_the_world(seed, robot,
 
 @FEW
 @given(st.integers(0, 100), TURNS)
-def test_to_turn_all_axes_under_the_cameras_changes_nothing_in_the_world(seed, turn):
+def test_rotating_all_body_axes_under_the_cameras_changes_no_trajectory(seed, turn):
     plain = mission(seed, Camera())
     x, y, z = about(-turn) @ plain.camera.optical_axis
     other = replace(plain, yaw=plain.yaw + turn, camera=Camera(optical_axis=(x, y, z)))
@@ -111,14 +111,14 @@ def test_to_turn_all_axes_under_the_cameras_changes_nothing_in_the_world(seed, t
         assert seen[1] == pytest.approx(seen[0], abs=1e-9)
 
 
-def test_they_do_fly_in_those_tests():
+def test_robots_move_in_the_tests_of_frames():
     frames = fly(mission(0, ROUND))
     assert np.linalg.norm(frames[-1].position - frames[0].position, axis=1).min() > 0.05
     one_sided = [f.visibility & ~f.visibility.T for f in frames]
     assert any(one.any() for one in one_sided)
 
 
-def test_what_decides_for_a_robot_is_not_given_the_world():
+def test_controllers_have_no_access_to_the_truth():
     for decides in (estimate_edges, compute_command):
         assert "world" not in inspect.signature(decides.py_func).parameters
         assert "position" not in inspect.signature(decides.py_func).parameters
@@ -157,7 +157,7 @@ def spoil(part, robot):
 @pytest.mark.parametrize(
     "link", [CommunicationLink(), CommunicationLink(delay_messages=2, loss_probability=0.2)]
 )
-def test_a_robot_reads_its_own_senses_mail_and_mind_alone(robot, link):
+def test_controller_reads_only_rows_of_its_own_agent(robot, link):
     team, state = in_flight(3, link)
 
     def thought(senses, mail, mind):

@@ -41,7 +41,7 @@ def away(position):
 
 
 @pytest.mark.parametrize("estimator", ["flood", "exact", "power_pi"])
-def test_who_is_alone_holds_and_keeps_away_from_what_is_near(estimator):
+def test_isolated_robot_stops_and_keeps_its_distance(estimator):
     # The third dies: the first two are left together, and the fourth, at the sphere, is alone.
     frames = cut(dies=2, estimator=estimator)
     before = [f for f in frames if 0.1 < f.time < DEATH - 1e-9]
@@ -57,7 +57,7 @@ def test_who_is_alone_holds_and_keeps_away_from_what_is_near(estimator):
         assert np.isnan(later).all()
 
 
-def test_who_is_left_together_goes_by_the_graph_that_is_left():
+def test_remaining_pair_uses_the_remaining_graph():
     frames = cut(dies=2)
     for f in frames:
         if f.time > DEATH + MAX_ROW_AGE + 0.02:
@@ -69,7 +69,7 @@ def test_who_is_left_together_goes_by_the_graph_that_is_left():
             assert pair > 0.5
 
 
-def test_an_estimate_that_cannot_be_is_not_believed():
+def test_estimate_out_of_range_is_rejected():
     # Who is alone would come to report e₃/e₂ = 8.3, for which nobody would do anything.
     frames = cut(dies=2, estimator="power_pi")
     told = np.array([f.lambda2_estimate for f in frames])
@@ -83,7 +83,7 @@ def test_an_estimate_that_cannot_be_is_not_believed():
 
 @pytest.mark.parametrize("estimator", ["flood", "exact", "power_pi"])
 @pytest.mark.parametrize("late", [0, 3])
-def test_nothing_is_left_of_the_dead_a_second_later(estimator, late):
+def test_lost_robot_is_forgotten_after_a_second(estimator, late):
     frames = cut(dies=1, estimator=estimator, link=CommunicationLink(delay_messages=late))
     alive = np.arange(4) != 1
     assert frames[0].known_agents[alive, 1].any()

@@ -46,7 +46,7 @@ def poses(run, mission):
     return interaction_graph(run.data["position"].values, run.data["yaw"].values, mission.camera)
 
 
-def test_weights_that_forget_the_field_of_view_or_the_tilt_are_found(tilted):
+def test_weights_without_field_of_view_or_tilt_are_detected(tilted):
     run, mission = tilted
     blind = weighing(run, poses(run, mission).range_weights)
     assert blind.data["lambda2"].values.mean() > run.data["lambda2"].values.mean() + 0.5
@@ -55,7 +55,7 @@ def test_weights_that_forget_the_field_of_view_or_the_tilt_are_found(tilted):
     assert broken(upright, mission) == {"weights"}
 
 
-def test_who_is_in_sight_is_judged_by_the_tilted_camera(tilted):
+def test_visibility_is_checked_with_tilted_cameras(tilted):
     run, mission = tilted
     p, yaw = run.data["position"].values, run.data["yaw"].values
     gap = p[:, None] - p[:, :, None]
@@ -78,7 +78,7 @@ def test_who_is_in_sight_is_judged_by_the_tilted_camera(tilted):
         ("stick", {"stick", "flight", "obedience"}),
     ],
 )
-def test_a_quadrotor_that_flew_and_asked_for_nothing_is_found(tilted, name, promises):
+def test_quadrotor_that_moves_without_commands_is_detected(tilted, name, promises):
     run, mission = tilted
     nothing = told(run, **{name: np.zeros_like(run.data[name].values)})
     assert promises <= broken(nothing, mission)
@@ -87,14 +87,14 @@ def test_a_quadrotor_that_flew_and_asked_for_nothing_is_found(tilted, name, prom
 @pytest.mark.parametrize(
     ("name", "promise"), [("position", "flight"), ("velocity", "obedience"), ("yaw", "heading")]
 )
-def test_a_quadrotor_that_is_off_by_a_millionth_is_found(tilted, name, promise):
+def test_quadrotor_error_of_a_millionth_is_detected(tilted, name, promise):
     run, mission = tilted
     values = run.data[name].values.copy()
     values[100, 2] += 1e-6
     assert promise in broken(told(run, **{name: values}), mission)
 
 
-def test_noise_is_no_excuse_for_what_was_never_asked_for():
+def test_noise_does_not_excuse_motion_without_commands():
     run, mission = flown(SHAKEN.replace("lag_s=0.3, ", ""))
     assert broken(run, mission) == set()
     for name, promise in (("velocity_command", "obedience"), ("yaw_rate", "heading")):
@@ -102,7 +102,7 @@ def test_noise_is_no_excuse_for_what_was_never_asked_for():
         assert promise in broken(nothing, mission)
 
 
-def test_nothing_is_asked_of_a_leader_that_is_lost():
+def test_stick_commands_to_a_lost_leader_are_detected():
     run, mission = flown(QUADROTOR, "death=[{robot=0, time_s=1}]")
     stick = run.data["stick"].values.copy()
     assert stick[:50].any(axis=1).all() and not stick[50:].any()
@@ -111,7 +111,7 @@ def test_nothing_is_asked_of_a_leader_that_is_lost():
 
 
 @pytest.mark.parametrize("plant", ['plant={kind="kinematic"}', QUADROTOR])
-def test_who_stands_in_the_line_of_sight_is_judged(plant):
+def test_occlusion_by_robots_is_checked(plant):
     run, mission = flown(plant, *HIDING)
     record = ConnectivityRecord.from_dataset(run.data, mission)
     clear = ConnectivityRecord.from_dataset(run.data, replace(mission, occlusion=False)).views
@@ -123,7 +123,7 @@ def test_who_stands_in_the_line_of_sight_is_judged(plant):
     assert {"weights", "visibility"} <= broken(run, replace(mission, occlusion=False))
 
 
-def test_an_edge_that_nobody_hides_cannot_be_left_out(hiding):
+def test_missing_edge_in_clear_view_is_detected(hiding):
     run, mission = hiding
     weight = run.data["edge_weight"].values.copy()
     k, i, j = np.unravel_index(np.argmin(np.where(weight > 1e-3, weight, 9)), weight.shape)
@@ -131,7 +131,7 @@ def test_an_edge_that_nobody_hides_cannot_be_left_out(hiding):
     assert broken(weighing(run, weight), mission) == {"weights"}
 
 
-def test_an_obstacle_hides_whom_it_stands_between(hiding):
+def test_occlusion_by_obstacles_is_checked(hiding):
     run, mission = hiding
     p, sees = run.data["position"].values, run.data["visibility"].values
     i, j = np.argwhere(sees[-1])[0]
@@ -140,7 +140,7 @@ def test_an_obstacle_hides_whom_it_stands_between(hiding):
 
 
 @pytest.mark.parametrize("kind", [Sphere, Box])
-def test_who_passes_through_an_obstacle_between_instants_is_found(tilted, kind):
+def test_passage_through_an_obstacle_between_instants_is_detected(tilted, kind):
     run, mission = tilted
     p = run.data["position"].values.copy()
     top = int(np.argmax(p[0, :, 2]))
@@ -155,7 +155,7 @@ def test_who_passes_through_an_obstacle_between_instants_is_found(tilted, kind):
     assert {"obstacles", "flight"} <= broken(told(run, position=p), walled)
 
 
-def test_the_least_distance_to_obstacles_is_that_of_ways_sampled_finely(rng):
+def test_least_obstacle_distance_agrees_with_fine_sampling(rng):
     spheres = np.hstack([rng.uniform(-3, 3, (3, 3)), rng.uniform(0.1, 0.5, (3, 1))])
     corner = rng.uniform(-3, 3, (3, 3))
     normal = rng.standard_normal((2, 3))
@@ -176,7 +176,7 @@ def test_the_least_distance_to_obstacles_is_that_of_ways_sampled_finely(rng):
         assert found == least if least == np.inf else least - 3.5e-3 <= found <= least + 1e-8
 
 
-def test_the_least_distance_is_exact_where_it_is_known():
+def test_least_obstacle_distance_is_exact_in_closed_form_cases():
     way, both = np.array([[[-1.0, 0.3, 0.4]], [[2.0, 0.3, 0.4]]]), np.ones((2, 1), dtype=bool)
     empty = Obstacles.of(())
     ball = empty._replace(spheres=np.array([[0.0, 0.0, 0.0, 0.2]]))

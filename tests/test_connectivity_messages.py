@@ -42,7 +42,7 @@ def rested(position, yaw, believed, duration, **settings):
     return fly(posed(position, yaw, believed, duration=duration, **weak, **settings))
 
 
-def test_after_as_many_rounds_as_the_graph_is_wide_everybody_knows_lambda2(rng):
+def test_flooding_finds_lambda2_after_as_many_rounds_as_the_diameter(rng):
     for _ in range(5):
         position, yaw, weight, way = chain(rng)
         wide = int(way.max())
@@ -55,7 +55,7 @@ def test_after_as_many_rounds_as_the_graph_is_wide_everybody_knows_lambda2(rng):
 
 
 @pytest.mark.parametrize("estimator", ["flood", "exact"])
-def test_a_second_after_a_robot_died_the_rest_act_as_if_it_had_never_been(rng, estimator):
+def test_a_second_after_a_loss_the_rest_act_as_a_smaller_swarm(rng, estimator):
     position, yaw, _, _ = chain(rng)
     death = {"losses": (AgentLoss(7, 0.6),), "estimator": estimator}
     frames = rested(position, yaw, yaw - yaw[:, None], 1.6, **death)
@@ -79,7 +79,7 @@ TALES = st.lists(
 
 
 @given(TALES)
-def test_a_row_never_goes_back_in_time_whoever_passes_it_on(tales):
+def test_relayed_rows_never_become_older(tales):
     # Rows say who computed them and when, so that any mixture would show.
     rows, stamp = np.zeros((5, 5, 5)), np.full((5, 5), -np.inf)
     for time, (a, b, computes) in enumerate(tales):
@@ -95,7 +95,7 @@ def test_a_row_never_goes_back_in_time_whoever_passes_it_on(tales):
 
 
 @given(st.integers(3, 9), st.integers(0, 2**32 - 1))
-def test_what_a_robot_feels_of_its_edges_is_what_lambda2_feels(agents, seed):
+def test_local_lambda2_gradient_agrees_with_the_central_one(agents, seed):
     rng = np.random.default_rng(seed)
     weight = np.triu(rng.uniform(0.05, 1, (agents, agents)), 1)
     weight += weight.T
@@ -113,7 +113,7 @@ def test_what_a_robot_feels_of_its_edges_is_what_lambda2_feels(agents, seed):
 
 
 @given(st.integers(3, 20), st.integers(0, 2**32 - 1))
-def test_of_a_multiple_eigenvalue_all_edges_feel_alike_whatever_the_basis(agents, seed):
+def test_gradient_of_a_multiple_eigenvalue_is_independent_of_the_basis(agents, seed):
     # v₂ … v_n are any orthonormal basis of what is orthogonal to 1: Σ (v_i − v_j)² = 2.
     rng = np.random.default_rng(seed)
     beside = np.column_stack([np.ones(agents), rng.standard_normal((agents, agents - 1))])
@@ -139,7 +139,7 @@ def listening(agents, link):
 
 
 @given(st.integers(1, 5), st.integers(0, 6))
-def test_messages_come_as_often_and_as_late_as_is_said(every, late):
+def test_messages_arrive_with_the_given_period_and_delay(every, late):
     link, step, rng = CommunicationLink(every, late), 0.02, np.random.default_rng(0)
     _, senses, mail, mind = listening(3, link)
     for number in range(40):
@@ -154,7 +154,7 @@ def test_messages_come_as_often_and_as_late_as_is_said(every, late):
                 assert mail.received_twist[i, j] == pytest.approx([told, told, told, -told])
 
 
-def test_as_many_messages_are_lost_as_is_said_and_none_between_strangers(rng):
+def test_message_loss_has_the_given_rate_and_needs_visibility(rng):
     link, rounds = CommunicationLink(loss_probability=0.1), 400
     _, senses, mail, mind = listening(6, link)
     senses.visibility[0, 1] = senses.visibility[1, 0] = False

@@ -29,7 +29,7 @@ SHARES = st.floats(0.01, 0.99)  # of the way from the asymptote to where all end
 
 
 @given(POTENTIALS, SHARES)
-def test_the_action_is_minus_the_slope_of_the_potential(potential, share):
+def test_action_is_minus_the_slope_of_the_potential(potential, share):
     x = share * (potential.lambda2_max - potential.lambda2_min)
     h = 1e-5 * min(x, 1)
     assume(x > ASYMPTOTE_OFFSET + h)
@@ -40,7 +40,7 @@ def test_the_action_is_minus_the_slope_of_the_potential(potential, share):
 
 
 @given(POTENTIALS)
-def test_the_potential_ends_without_a_jump_or_a_kink(potential):
+def test_potential_ends_smoothly_at_lambda2_max(potential):
     for beyond in (0.0, 1.0, 100.0):
         assert evaluate_potential(potential.lambda2_max + beyond, potential) == pytest.approx(
             0, abs=1e-25
@@ -56,7 +56,7 @@ def test_the_potential_ends_without_a_jump_or_a_kink(potential):
 
 
 @given(POTENTIALS, SHARES, SHARES)
-def test_the_less_connected_the_harder_it_is_defended(potential, share, other):
+def test_potential_and_action_decrease_with_lambda2(potential, share, other):
     low, high = sorted((share, other))
     assume(high - low > 1e-6)
     m = potential.lambda2_max - potential.lambda2_min
@@ -66,7 +66,7 @@ def test_the_less_connected_the_harder_it_is_defended(potential, share, other):
 
 
 @given(POTENTIALS)
-def test_the_potential_goes_to_infinity_as_one_over_what_is_left(potential):
+def test_potential_grows_as_one_over_the_distance_to_lambda2_min(potential):
     m = potential.lambda2_max - potential.lambda2_min
     at = potential.lambda2_min + ASYMPTOTE_OFFSET
     assert evaluate_potential(at, potential) * ASYMPTOTE_OFFSET == pytest.approx(
@@ -80,13 +80,13 @@ def test_the_potential_goes_to_infinity_as_one_over_what_is_left(potential):
         assert negative_slope(beyond, potential) == pytest.approx(negative_slope(at, potential))
 
 
-def test_the_action_at_a_few_eigenvalues():
+def test_action_has_known_values_at_a_few_eigenvalues():
     found = [round(negative_slope(at, Potential()), 2) for at in (0.05, 0.1, 0.3, 0.5, 1.0, 2.0)]
     assert found == [562.4, 111.01, 10.6, 3.65, 0.82, 0.13]
 
 
 @given(REPULSIONS, SHARES, SHARES)
-def test_what_is_near_pushes_harder_and_what_is_far_not_at_all(repulsion, share, other):
+def test_repulsion_decreases_with_distance_to_zero(repulsion, share, other):
     low, high = sorted((share, other))
     assume(high - low > 1e-6)
     m = repulsion.max_distance - repulsion.min_distance
@@ -131,7 +131,7 @@ def surfaces(sphere, box, plane, rng):
 
 
 @given(PLACES, SPHERES, BOXES, PLANES)
-def test_no_point_of_an_obstacle_is_nearer_than_the_nearest(p, sphere, box, plane):
+def test_nearest_point_is_nearer_than_any_sample_of_the_surface(p, sphere, box, plane):
     obstacles = Obstacles(sphere[None], box[None], plane[None])
     drawn = surfaces(sphere, box, plane, np.random.default_rng(0))
     for number, surface in enumerate(drawn):
@@ -144,7 +144,7 @@ def test_no_point_of_an_obstacle_is_nearer_than_the_nearest(p, sphere, box, plan
 
 
 @given(PLACES, PLACES, SPHERES, BOXES, PLANES)
-def test_hidden_is_who_has_a_point_of_an_obstacle_in_between(p, q, sphere, box, plane):
+def test_line_of_sight_is_blocked_by_points_inside_obstacles(p, q, sphere, box, plane):
     none = Obstacles.of(())
     for one in (
         none._replace(spheres=sphere[None]),
@@ -161,7 +161,7 @@ def test_hidden_is_who_has_a_point_of_an_obstacle_in_between(p, q, sphere, box, 
             assert not blocks_line_of_sight(p, q, one) and not blocks_line_of_sight(q, p, one)
 
 
-def test_a_way_along_an_axis_is_hidden_by_the_box_that_it_leads_through():
+def test_box_blocks_lines_of_sight_along_an_axis():
     # Two of three coordinates rest, which a division by the way would not bear.
     one = Obstacles.of(())._replace(boxes=np.array([[-1.0, -1, -1, 1, 1, 1]]))
     p, q = np.array([-3.0, 0.5, 0.5]), np.array([3.0, 0.5, 0.5])

@@ -108,7 +108,7 @@ EVERY = [
 
 
 @pytest.mark.parametrize(("name", "variant"), EVERY)
-def test_no_words_run_out_of_the_picture_and_no_legend_covers_a_panel(name, variant):
+def test_text_stays_inside_figures_and_legends_off_panels(name, variant):
     figure = shown(name, variant)
     words_inside(figure)
     renderer = figure.canvas.get_renderer()
@@ -120,7 +120,7 @@ def test_no_words_run_out_of_the_picture_and_no_legend_covers_a_panel(name, vari
 
 
 @pytest.mark.parametrize("variant", ["six", "lost", "two"])
-def test_all_figures_are_drawn_whatever_is_flown(variant):
+def test_all_figures_are_offered_for_every_mission(variant):
     record = flown(variant)
     mission = record.mission
     frames = list(simulate(mission, np.random.default_rng(0)))[:1]
@@ -128,7 +128,7 @@ def test_all_figures_are_drawn_whatever_is_flown(variant):
     assert SYSTEM.figures(data_of(mission, frames), mission).keys() == FIGURES.keys()
 
 
-def test_spans_follow_one_another_and_say_what_was_the_case():
+def test_intervals_are_adjacent_and_have_the_values():
     time = np.array([0.0, 1.0, 2.5, 3.0, 4.0])
     found = find_intervals(time, np.array([2, 2, 0, 0, 1]))
     assert [tuple(s) for s in found] == [(2, 0.0, 2.5), (0, 2.5, 4.0), (1, 4.0, 4.0)]
@@ -138,14 +138,14 @@ def test_spans_follow_one_another_and_say_what_was_the_case():
 
 
 @pytest.mark.parametrize("name", ["connectivity", "edges", "distances"])
-def test_the_ground_is_shaded_while_the_stick_is_held_and_not_else(name):
+def test_background_is_shaded_exactly_while_the_stick_is_held(name):
     for ax in shown(name, "recorded").axes:
         assert np.array(shades(ax, STICK_COLOR)) == pytest.approx(
             np.array([[0.5, 1.5], [2.0, 3.0]])
         )
 
 
-def test_the_stick_is_held_where_something_is_asked():
+def test_stick_is_held_where_it_commands_a_velocity():
     record = flown("six")
     inside = np.zeros(len(record.frames.time), dtype=bool)
     for span in find_stick_intervals(record):
@@ -155,7 +155,7 @@ def test_the_stick_is_held_where_something_is_asked():
 
 
 @pytest.mark.parametrize("variant", ["six", "thirty", "lost"])
-def test_eigenvalues_are_those_of_the_run_and_of_every_robot(variant):
+def test_eigenvalue_figure_shows_recorded_and_estimated_values(variant):
     record = flown(variant)
     ax, error = shown("connectivity", variant).axes
     np.testing.assert_array_equal(
@@ -186,7 +186,7 @@ def test_two_robots_have_no_third_eigenvalue():
     assert "λ$_3$, true" not in [one.get_label() for one in ax.lines]
 
 
-def test_a_split_and_losses_are_marked_in_every_panel():
+def test_splits_and_losses_are_marked_in_every_panel():
     record = flown("lost")
     lost = [e["time"] for _, e in record.events.of_kind("loss")]
     (_, split), *_ = record.events.of_kind("split")
@@ -197,7 +197,7 @@ def test_a_split_and_losses_are_marked_in_every_panel():
 
 
 @pytest.mark.parametrize("variant", ["six", "lost", "thirty"])
-def test_the_number_of_edges_is_that_of_the_graph(variant):
+def test_edge_counts_are_those_of_the_graph(variant):
     record = flown(variant)
     [ax] = shown("edges", variant).axes
     edges, mutual, pairs = count_edges(record).T
@@ -217,7 +217,7 @@ def test_the_number_of_edges_is_that_of_the_graph(variant):
 
 
 @pytest.mark.parametrize("variant", ["six", "lost", "thirty", "two"])
-def test_errors_of_yaw_stand_on_who_sees_whom(variant):
+def test_yaw_errors_are_drawn_on_the_visibility_of_their_pair(variant):
     record = flown(variant)
     axes = [ax for ax in shown("yaw", variant).axes if ax.get_title(loc="left")]
     pairs = select_pairs(record)
@@ -239,7 +239,7 @@ def test_errors_of_yaw_stand_on_who_sees_whom(variant):
             np.testing.assert_array_equal(inside[:-1], case[:-1])
 
 
-def test_the_pairs_shown_see_each_other_in_most_ways():
+def test_selected_pairs_have_most_kinds_of_visibility():
     record = flown("thirty")
     ways = {
         pair: len(set(classify_visibility(record, *pair).tolist()) - {LOST})
@@ -265,7 +265,7 @@ def test_distances_are_the_least_by_brute_force():
         said = {t.get_text(): t.xy[1] for t in ax.texts}
         assert said == {
             "least,\n1 m": between.min_distance,
-            "push begins,\n3.5 m": between.max_distance,
+            "repulsion begins,\n3.5 m": between.max_distance,
         }
 
 
@@ -274,7 +274,7 @@ def test_without_obstacles_no_distance_to_them_is_drawn():
     assert ax.get_ylabel() == "to another robot [m]"
 
 
-def test_who_is_lost_is_nobodys_nearest():
+def test_lost_robots_are_not_nearest_neighbors():
     there = np.zeros((1, 3, 3))
     there[0, :, 0] = [0, 1, 3]
     there[0, 1] = np.nan
@@ -282,7 +282,7 @@ def test_who_is_lost_is_nobodys_nearest():
 
 
 @pytest.mark.parametrize("variant", ["six", "lost", "recorded", "thirty"])
-def test_paths_end_where_robots_are_or_are_lost(variant):
+def test_trajectories_end_where_robots_are_or_are_lost(variant):
     record = flown(variant)
     deep, above = shown("paths", variant).axes
     last = len(record.frames.time) - 1
@@ -306,7 +306,7 @@ def coordinates(one):
     return one.get_data_3d() if hasattr(one, "get_data_3d") else one.get_data()
 
 
-def test_the_graph_at_the_end_is_drawn_wider_where_it_weighs_more():
+def test_edges_are_drawn_wider_with_weight():
     record = flown("six")
     mission = record.mission
     weight = interaction_graph(
@@ -332,7 +332,7 @@ def test_fields_of_view_open_about_the_optical_axis():
     assert len(wedges) == 6
 
 
-def test_a_camera_that_looks_down_has_no_field_of_view_beside_it():
+def test_camera_that_looks_down_has_no_sector():
     record = flown("blind")
     down = record.mission.camera._replace(optical_axis=(0.0, 0.0, -1.0), a_min=-0.5)
     above = drawn("paths", replace(record, mission=replace(record.mission, camera=down))).axes[1]
@@ -352,7 +352,7 @@ class Recorder:
 SPACE = AxisBounds(np.array([0.0, 0.0, 0.0]), np.array([4.0, 4.0, 4.0]), ("x", "y", "z"))
 
 
-def test_obstacles_are_cut_off_where_the_picture_ends():
+def test_obstacles_are_clipped_to_the_axes():
     spheres = np.array([[0.0, 2.0, 2.0, 1.0], [9.0, 9.0, 9.0, 1.0]])
     boxes = np.array([[3.0, -2.0, 1.0, 9.0, 3.0, 2.0], [5.0, 0.0, 0.0, 6.0, 1.0, 1.0]])
     planes = np.array([[0.0, 0.0, 1.0, 1.0], [0.6, 0.8, 0.0, 2.0], [0.0, 0.0, 1.0, -7.0]])
@@ -370,7 +370,7 @@ def test_obstacles_are_cut_off_where_the_picture_ends():
     assert (np.abs(turns).sum(axis=1) == 4).all()  # along the sides, in order
 
 
-def test_from_above_a_wall_hides_what_is_behind_it_and_a_floor_nothing():
+def test_from_above_a_wall_is_filled_and_a_floor_is_not():
     figure = matplotlib.figure.Figure()
     ax = figure.add_subplot()
     planes = np.array([[1.0, 0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 1.0]])
@@ -386,7 +386,7 @@ def test_from_above_a_wall_hides_what_is_behind_it_and_a_floor_nothing():
     assert (*circle.center, circle.radius) == (2, 3, 0.5)
 
 
-def test_weights_are_those_of_the_graph():
+def test_weight_figure_agrees_with_the_graph():
     record = flown("six")
     reach, view, either, plane = shown("weights", "six").axes[:4]
     sight, alone = record.mission.camera, np.zeros(3)
@@ -417,12 +417,12 @@ def test_weights_are_those_of_the_graph():
     assert weight.max() == 1 and weight.min() == 0
 
 
-def test_who_is_blind_to_the_field_of_view_weighs_by_distance_alone():
+def test_weights_by_range_alone_are_constant_over_the_angle():
     view = shown("weights", "blind").axes[1]
     assert (view.lines[0].get_ydata() == 1).all() and not view.texts
 
 
-def test_laws_are_drawn_as_the_mission_has_them():
+def test_potential_and_repulsion_are_drawn_with_the_mission_values():
     record = flown("six")
     mission = record.mission
     v, slope, away = shown("potential", "six").axes

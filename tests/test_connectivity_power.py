@@ -64,7 +64,7 @@ def slowest(links, power):
 
 
 @pytest.mark.parametrize("links", [PATH, ALL, some(0), some(1)])
-def test_exchanges_are_those_of_the_matrix(links, rng):
+def test_exchanges_agree_with_their_matrix(links, rng):
     power, iterate = averaging(complete_gains(PowerIterationGains(0.002), 6)), begun(6, rng)
     x = np.vstack([iterate.average, iterate.integral])
     drawn = power.exchange_period * power.filter_gain * np.column_stack([iterate.v, iterate.v**2])
@@ -76,7 +76,7 @@ def test_exchanges_are_those_of_the_matrix(links, rng):
 
 @pytest.mark.parametrize("period", [0.001, 0.002, 0.005])
 @pytest.mark.parametrize("links", [PATH, ALL, some(2), some(3)])
-def test_what_fits_brings_everybody_to_the_averages(links, period, rng):
+def test_suited_gains_converge_to_the_averages(links, period, rng):
     power, iterate = averaging(complete_gains(PowerIterationGains(period), 6)), begun(6, rng)
     target = np.tile([iterate.v.mean(), (iterate.v**2).mean()], (6, 1))
     at_first = np.abs(iterate.average - target).max()
@@ -86,7 +86,7 @@ def test_what_fits_brings_everybody_to_the_averages(links, period, rng):
 
 
 @given(st.integers(2, 12), st.integers(0, 2**32 - 1))
-def test_no_graph_is_slower_or_wilder_than_the_radius_says(agents, seed):
+def test_no_graph_exceeds_the_spectral_radius(agents, seed):
     rng, links = np.random.default_rng(seed), some(seed, agents)
     period, scale = rng.choice([0.001, 0.002, 0.005]), rng.uniform(0.2, 3, 3)
     power = complete_gains(PowerIterationGains(period), agents)
@@ -99,7 +99,7 @@ def test_no_graph_is_slower_or_wilder_than_the_radius_says(agents, seed):
     assert slowest(links, power) <= spectral_radius(power, agents) + 0.02
 
 
-def test_the_radius_of_the_complete_graph_is_met(rng):
+def test_complete_graph_attains_the_spectral_radius(rng):
     # Its eigenvalues are 0 and N, and with these gains N is the worst.
     assert slowest(ALL, TEXTBOOK) == pytest.approx(spectral_radius(TEXTBOOK, 6), rel=1e-12)
     # [[1 − 0.4 − 0.6, 2.4], [−2.4, 1]]: λ² − λ + 2.4² = 0.
@@ -107,7 +107,7 @@ def test_the_radius_of_the_complete_graph_is_met(rng):
 
 
 @pytest.mark.parametrize("links", [PATH, ALL, some(4)])
-def test_gains_that_are_often_quoted_diverge_as_fast_as_the_radius_says(links, rng):
+def test_often_quoted_gains_diverge_at_the_spectral_radius(links, rng):
     power, iterate = averaging(TEXTBOOK), begun(6, rng)
     assert spectral_radius(TEXTBOOK, 6) > 1 and slowest(links, power) > 1
     iterate_power(iterate, links, links > 0, power, 100)
@@ -131,7 +131,7 @@ def weights(seed):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_on_a_graph_that_rests_everybody_finds_lambda2_and_its_vector(seed):
+def test_iteration_on_a_fixed_graph_finds_lambda2_and_its_vector(seed):
     weight, found = weights(seed)
     power, rng = complete_gains(PowerIterationGains(), 6), np.random.default_rng(seed)
     iterate = PowerIterationState(rng.standard_normal(6), np.zeros((6, 2)), np.zeros((6, 2)))
@@ -148,7 +148,7 @@ def test_on_a_graph_that_rests_everybody_finds_lambda2_and_its_vector(seed):
     assert felt == pytest.approx(found.weight_gradient, abs=1e-6)
 
 
-def test_who_is_alone_reports_more_than_there_can_be(rng):
+def test_isolated_robot_reports_an_impossible_lambda2(rng):
     # Means are its own: v̇ = −e₃ v³ as e₁ = e₃, so that v² = 1/(2 e₃ t) dies and e₃/e₂ is left.
     power, nobody, time = complete_gains(PowerIterationGains(), 6), np.zeros((6, 6)), 20.0
     assert power.deflation_gain == power.normalization_gain

@@ -53,7 +53,7 @@ def refused(*settings):
     return str(refusal.value).removeprefix("scenario: ")
 
 
-def test_defaults_are_the_case_of_the_paper_as_the_built_in_scenario_has_it():
+def test_defaults_are_those_of_the_built_in_scenario():
     built_in, plain = read("connectivity"), Connectivity()
     assert built_in.agents == plain.agents == 6 and built_in.random_obstacles.count == 6
     names = ("camera", "potential", "repulsion", "limits", "tracking", "link", "plant")
@@ -96,7 +96,7 @@ def test_random_starts_are_separated_and_connected_in_a_box_that_grows(agents, s
     assert 0.2 < np.abs(error).max() <= 0.5 or agents == 2
 
 
-def test_drawn_waypoints_are_spaced_and_drawn_obstacles_clear_of_them_and_of_starts():
+def test_drawn_obstacles_are_clear_of_starts_and_spaced_waypoints():
     mission = drawn("obstacles.count=25", "stick.spacing_m=4")
     ways = np.vstack([mission.initial_position[:1], mission.stick.waypoints])
     assert np.linalg.norm(np.diff(ways, axis=0), axis=1) == pytest.approx([4, 4, 4])
@@ -282,7 +282,7 @@ def test_drawn_mission_stays_as_it_is_when_written_and_when_drawn_again(changes)
         (("death=[{}, {}, {}, {}, {}]",), r"death: 5 of 6 robots are lost; two must be left"),
     ],
 )  # fmt: skip
-def test_missions_that_cannot_be_flown_are_refused_with_a_value_that_would_do(changes, message):
+def test_infeasible_missions_are_refused_with_a_value_that_would_do(changes, message):
     text = refused(*changes)
     assert re.search(message, text), text
 

@@ -39,7 +39,7 @@ def one_sided_error(mission):
     return abs(np.sin(last.yaw_estimate_error[0, 1] / 2))
 
 
-def test_a_third_that_both_see_tells_how_another_is_turned():
+def test_triangle_closure_corrects_a_one_sided_relative_yaw():
     # Nobody moves, so that nothing else could.
     assert one_sided_error(three()) < 1e-3
     off = [
@@ -58,7 +58,7 @@ def test_a_third_that_both_see_tells_how_another_is_turned():
         (Box((2.0, 1, 2), (3, 2, 4)), False),
     ],
 )
-def test_who_stands_behind_an_obstacle_is_not_seen(what, hides):
+def test_robot_behind_an_obstacle_is_not_seen(what, hides):
     mission = three(obstacles=(what,), duration=0.1)
     open_sight, hidden = fly(mission)[-1], fly(replace(mission, occlusion=True))[-1]
     assert open_sight.visibility[0, 1] and open_sight.edge_weight[0, 1] == pytest.approx(1)
@@ -67,7 +67,7 @@ def test_who_stands_behind_an_obstacle_is_not_seen(what, hides):
     assert hidden.visibility[0, 2] and hidden.visibility[1, 2]
 
 
-def test_a_robot_hides_who_is_behind_it():
+def test_robot_behind_another_is_not_seen():
     start = np.array([[0.0, 0, 3], [3, 0, 3], [6, 0, 3]])
     yaw = np.zeros(3)
     mission = posed(start, yaw, camera=AHEAD, duration=0.1, **STILL)
@@ -79,7 +79,7 @@ def test_a_robot_hides_who_is_behind_it():
     ]
 
 
-def test_cameras_tilt_with_those_who_accelerate_and_not_with_those_who_rest():
+def test_cameras_tilt_with_accelerating_quadrotors():
     start = np.array([[0.0, 0, 3], [4.5, 0, 6.0]])
     yaw = np.array([0.0, 0.0])
     away = WaypointStick(np.array([[-40.0, 0, 3]]))
@@ -111,7 +111,7 @@ def six(**settings):
         CommunicationLink(delay_messages=9),
     ],
 )
-def test_messages_that_are_rare_or_late_are_used_for_what_they_are_worth(link):
+def test_rare_or_late_messages_keep_estimates_within_bounds(link):
     prompt, frames = fly(six()), fly(six(link=link))
     assert min(f.lambda2 for f in frames) > 0.01
 

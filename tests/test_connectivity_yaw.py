@@ -67,7 +67,7 @@ def on(position, yaw, velocity, rate, dt):
 
 
 @given(SEEDS)
-def test_how_the_other_is_seen_to_move(seed):
+def test_relative_position_has_the_derivative_of_the_paper(seed):
     # ṗ_ij = −v_i − S p_ij w_i + ⁱR_j v_j [Bernard2023, eq. 14]
     position, yaw, v, w = pose(np.random.default_rng(seed))
     h = 1e-5
@@ -92,7 +92,7 @@ def watched(position, yaw, velocity, rate, dt, time, track=TRACK):
 
 @pytest.mark.parametrize("printed", [True, False])
 @pytest.mark.parametrize("seed", range(5))
-def test_the_observer_tends_to_the_low_passed_velocity_of_the_other(seed, printed):
+def test_observer_tends_to_the_filtered_velocity_of_the_other(seed, printed):
     # As printed, through a filter that turns with the robot; ours rests in space.
     rng, time, track = np.random.default_rng(seed), 0.64, TRACK._replace(as_printed=printed)
     position, yaw, v, w = pose(rng)
@@ -111,7 +111,7 @@ def test_the_observer_tends_to_the_low_passed_velocity_of_the_other(seed, printe
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_what_is_said_goes_through_the_filter_that_what_is_seen_goes_through(seed):
+def test_received_velocity_passes_the_filter_of_the_observed_one(seed):
     rng = np.random.default_rng(seed)
     position, yaw, v, w = pose(rng)
     coarse, fine = (watched(position, yaw, v, w, h, 0.4) for h in (0.02, 0.005))
@@ -124,7 +124,7 @@ def test_what_is_said_goes_through_the_filter_that_what_is_seen_goes_through(see
 
 
 @given(SEEDS)
-def test_who_hovers_knows_at_once_how_another_one_that_moves_is_turned(seed):
+def test_hovering_robot_finds_the_yaw_of_a_moving_one_at_once(seed):
     rng = np.random.default_rng(seed)
     position, yaw, v, _ = pose(rng)
     v[0], dt, watch = 0.0, 0.02, np.zeros(7)
@@ -143,7 +143,7 @@ def test_who_hovers_knows_at_once_how_another_one_that_moves_is_turned(seed):
         assert trust == 0 or (number + 1) * dt >= 3 / TRACK.k1 - 1e-9
 
 
-def test_a_new_sighting_begins_anew(rng):
+def test_new_sighting_resets_the_observer(rng):
     watch, p, v = rng.normal(size=7), rng.normal(size=3), rng.normal(size=3)
     update_velocity_observer(
         p, np.full(3, np.nan), True, v, 0.3, np.append(v, 0.1), watch, TRACK, 0.02
@@ -152,13 +152,13 @@ def test_a_new_sighting_begins_anew(rng):
 
 
 @given(SEEDS)
-def test_two_bearings_tell_how_two_robots_are_turned(seed):
+def test_two_bearings_give_the_relative_yaw(seed):
     position, yaw, _, _ = pose(np.random.default_rng(seed))
     assert apart(yaw_from_bearings(*seen(position, yaw)), yaw[1] - yaw[0]) < 1e-9
 
 
 @given(ANGLES, ANGLES)
-def test_the_middle_is_as_far_from_one_as_from_the_other(mine, theirs):
+def test_circular_mean_is_equally_far_from_both_angles(mine, theirs):
     mean = circular_mean(mine, -theirs)
     assert apart(mean, mine) == pytest.approx(apart(mean, -theirs), abs=1e-6)
     assert apart(mean, mine) <= np.pi / 2 + 1e-6  # and not opposite
@@ -166,13 +166,13 @@ def test_the_middle_is_as_far_from_one_as_from_the_other(mine, theirs):
 
 
 @given(st.floats(-30, 30))
-def test_a_wrapped_angle_is_the_same_angle(angle):
+def test_wrapped_angle_is_the_same_angle(angle):
     assert -np.pi <= wrap_angle(angle) <= np.pi
     assert apart(wrap_angle(angle), angle) < 1e-12
 
 
 @given(ANGLES, st.floats(-3.0, 3.0), st.floats(0.1, 1), st.booleans())
-def test_corrections_lead_to_what_is_measured_while_both_turn(yaw, off, share, mutual):
+def test_corrections_converge_to_the_measured_yaw(yaw, off, share, mutual):
     # e⁺ = e − dt k sin e, at k ≥ 1/s for 12 s: tan e/2 falls from at most 14 to less than 1e-4.
     true, believed, turn, dt = yaw, wrap_angle(yaw + off), 0.4, 0.02
     for _ in range(600):
@@ -187,7 +187,7 @@ def test_corrections_lead_to_what_is_measured_while_both_turn(yaw, off, share, m
 
 
 @given(ANGLES, st.floats(0, 0.099), ANGLES, st.floats(0.5, 5))
-def test_without_motion_an_error_stays_as_it_is(off, speed, way, climb):
+def test_without_motion_the_error_of_yaw_stays(off, speed, way, climb):
     # Motion up and down tells nothing of yaw, however fast.
     psi = 0.4
     v = np.array([speed * np.cos(way), speed * np.sin(way), climb])
@@ -201,7 +201,7 @@ def test_without_motion_an_error_stays_as_it_is(off, speed, way, climb):
     assert yaw_from_motion(watch, v, TRACK._replace(as_printed=True))[1] == 1
 
 
-def test_the_other_bearing_is_turned_back_and_not_on():
+def test_received_bearing_is_rotated_back():
     # β_ji = −(ⁱR_j)ᵀ β_ij; [Bernard2023, Sec. III-C] prints −ⁱR_j β_ij.
     rng, printed = np.random.default_rng(0), []
     for _ in range(2000):
@@ -214,7 +214,7 @@ def test_the_other_bearing_is_turned_back_and_not_on():
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_what_robots_do_at_first_is_along_the_true_gradient(seed):
+def test_first_commands_follow_the_true_gradient(seed):
     rng = np.random.default_rng(seed)
     position, yaw = connected_poses(rng)
     gentle = Potential(strength=1e-6)  # so that nothing is cut off

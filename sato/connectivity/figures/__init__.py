@@ -1,4 +1,4 @@
-"""The figures of this system, the first five in the manner of [Bernard2023, Fig. 4–7]."""
+"""Figures of a connectivity run, the first five after [Bernard2023, Fig. 4–7]."""
 
 from collections.abc import Callable
 from functools import partial
@@ -32,6 +32,6 @@ FIGURES: dict[str, Callable[[ConnectivityRecord], Figure]] = {
 
 
 def make_figures(data: "xarray.Dataset", mission: Connectivity) -> FigureFactories:
-    """The figures of a run."""
+    """Return functions that draw the figures of a run, by name."""
     record = ConnectivityRecord.from_dataset(data, mission)
     return {name: partial(draw, record) for name, draw in FIGURES.items()}

@@ -1,4 +1,4 @@
-"""Obstacles, in space and from above; what is beyond the picture is cut off."""
+"""Obstacles in space and from above, clipped to the bounds of the axes."""
 
 from itertools import product
 from typing import Any
@@ -13,16 +13,16 @@ from sato.figures.axes import AxisBounds
 from sato.figures.style import GRAY, LIGHT_GRAY
 
 BOX_STYLE: dict[str, Any] = {"color": LIGHT_GRAY, "edgecolor": GRAY, "lw": 0.5}
-HORIZONTAL_TOLERANCE = 1e-9  # a normal that leans no more belongs to a floor
+HORIZONTAL_TOLERANCE = 1e-9  # of a normal: its horizontal part, below which the plane is a floor
 
 
 def draw_obstacles_3d(ax: Any, obstacles: Obstacles, space: AxisBounds) -> None:
-    """Draw obstacles into a view of space."""
+    """Draw obstacles in three dimensions."""
     low, high = space.low, space.high
     turn, rise = np.meshgrid(np.linspace(0, 2 * np.pi, 25), np.linspace(0, np.pi, 13))
     ball = np.stack([np.cos(turn) * np.sin(rise), np.sin(turn) * np.sin(rise), np.cos(rise)], -1)
-    for *centre, radius in obstacles.spheres:
-        shown = np.clip(np.array(centre) + radius * ball, low, high)
+    for *center, radius in obstacles.spheres:
+        shown = np.clip(np.array(center) + radius * ball, low, high)
         if _has_volume(shown):
             x, y, z = np.moveaxis(shown, -1, 0)
             ax.plot_surface(x, y, z, shade=False, color=LIGHT_GRAY, ec=GRAY, lw=0.15)
@@ -40,7 +40,7 @@ def draw_obstacles_3d(ax: Any, obstacles: Obstacles, space: AxisBounds) -> None:
 def draw_obstacles_from_above(
     ax: Any, obstacles: Obstacles, space: AxisBounds, height: float
 ) -> None:
-    """Draw obstacles as they are seen from above, and planes where they are cut at a height."""
+    """Draw obstacles from above, and the sections of planes at a height."""
     for x, y, _, radius in obstacles.spheres:
         ax.add_patch(Circle((x, y), radius, zorder=1, fc=LIGHT_GRAY, ec=GRAY, lw=0.5))
     for box in obstacles.boxes:
@@ -63,7 +63,7 @@ def _has_volume(points: Float[Array, "*k 3"]) -> bool:
 def _plane_section(
     normal: Float[Array, " 3"], level: float, space: AxisBounds
 ) -> Float[Array, "corners 3"]:
-    """Where a plane cuts the edges of the picture, in order about the middle."""
+    """Compute the corners of a plane's section with the bounds, in order about the middle."""
     found = []
     for axis, ends in product(range(3), product((0, 1), repeat=3)):
         if ends[axis] == 0 and abs(normal[axis]) > HORIZONTAL_TOLERANCE:

@@ -1,4 +1,4 @@
-"""How hard connectivity is defended, and distance kept [Bernard2023, Fig. 2, Sec. III-D]."""
+"""Potential of λ₂, its slope, and repulsion [Bernard2023, Fig. 2, Sec. III-D]."""
 
 from collections.abc import Callable
 from functools import partial
@@ -14,12 +14,10 @@ from sato.connectivity.potential import evaluate_potential, negative_slope, repu
 from sato.figures.axes import panel_letter
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, RED, SKY
 
-CURVE_POINTS = 400  # points of a curve
-ASYMPTOTE_GAP = (
-    0.04  # of the way from one limit to the other, from where on curves leave the picture
-)
+CURVE_POINTS = 400  # per curve
+ASYMPTOTE_GAP = 0.04  # share of the interval next to an asymptote that is not drawn
 
-SLOPE_RANGE = 0.97  # of λ₂^max, down to where −V′ is shown on its scale
+SLOPE_RANGE = 0.97  # of λ₂^max, at which the scale of −V′ ends
 RUN_RANGE_STYLE: dict[str, Any] = {
     "fc": SKY,
     "alpha": 0.25,
@@ -30,9 +28,9 @@ RUN_RANGE_STYLE: dict[str, Any] = {
 
 
 def plot_potential(record: ConnectivityRecord) -> Figure:
-    """V and −V′ over λ₂, and the push over distance, and to where the run came."""
+    """Plot V and −V′ over λ₂ and repulsion over distance, with the ranges of the run."""
     mission = record.mission
-    defence, repulsion = mission.potential, mission.repulsion
+    potential, repulsion = mission.potential, mission.repulsion
     figure = Figure(figsize=(9.6, 3.7), layout="constrained")
     v, slope, away = figure.subplots(1, 3)
     names = "λ$_2^{min}$", "λ$_2^{max}$"
@@ -41,15 +39,19 @@ def plot_potential(record: ConnectivityRecord) -> Figure:
         (slope, negative_slope, "−V′(λ$_2$)"),
     ):
         _draw_curve(
-            ax, partial(law, potential=defence), (defence.lambda2_min, defence.lambda2_max), names
+            ax,
+            partial(law, potential=potential),
+            (potential.lambda2_min, potential.lambda2_max),
+            names,
         )
         ax.axvspan(
             np.nanmin(record.frames.lambda2), np.nanmax(record.frames.lambda2), **RUN_RANGE_STYLE
         )
         ax.set(xlabel="λ$_2$", ylabel=name)
-    if defence.strength > 0:
+    if potential.strength > 0:
         slope.set(
-            yscale="log", ylim=(negative_slope(SLOPE_RANGE * defence.lambda2_max, defence), None)
+            yscale="log",
+            ylim=(negative_slope(SLOPE_RANGE * potential.lambda2_max, potential), None),
         )
     limits = repulsion.min_distance, repulsion.max_distance
     _draw_curve(
@@ -60,9 +62,9 @@ def plot_potential(record: ConnectivityRecord) -> Figure:
         away.get_xlim()[1],
         **RUN_RANGE_STYLE,
     )
-    away.axhline(mission.limits.speed, color=RED, ls="--", lw=0.9, label="most that is asked for")
+    away.axhline(mission.limits.speed, color=RED, ls="--", lw=0.9, label="limit of the command")
     away.set(xlabel="distance [m]", ylabel="speed away [m/s]")
-    titles = ("potential of connectivity", "how hard it is defended", "push of what is near")
+    titles = ("potential of connectivity", "action on λ$_2$", "repulsion")
     for number, (ax, title) in enumerate(zip((v, slope, away), titles, strict=True)):
         ax.set_title(f"{panel_letter(number)} {title}", loc="left", pad=28)
     figure.legend(*away.get_legend_handles_labels(), loc="outside lower center", ncols=3)
@@ -79,7 +81,7 @@ def _draw_curve(
     low, high = limits
     x = np.linspace(low + ASYMPTOTE_GAP * (high - low), high + 0.15 * (high - low), CURVE_POINTS)
     y: Float[Array, " k"] = np.array([law(each) for each in x])
-    ax.plot(x, y, color=BLUE, lw=1.5, label="as the mission has it")
+    ax.plot(x, y, color=BLUE, lw=1.5, label="of this mission")
     for level, name in zip(limits, names, strict=True):
         ax.axvline(level, color=GRAY, ls=":", lw=0.9)
         ax.annotate(f"{name}\n{level:g}{unit}", (level, 1.01), ha="center", va="bottom",

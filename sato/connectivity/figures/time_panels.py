@@ -1,4 +1,4 @@
-"""Panels over time: when the stick is held, who is lost when, and levels that mean something."""
+"""Panels over time, with intervals of a held stick, losses and splits."""
 
 from math import ceil
 from typing import Any, NamedTuple
@@ -13,12 +13,12 @@ from numpy import ndarray as Array
 from sato.connectivity.check import ConnectivityRecord
 from sato.figures.style import DARK_GRAY, RED
 
-STICK_COLOR = "#d9f0e6"  # the ground while the stick is held
-LEGEND_COLUMNS = 4  # names beside one another below the panels
+STICK_COLOR = "#d9f0e6"  # background while the stick is held
+LEGEND_COLUMNS = 4  # of the legend below the panels
 
 
 class Interval(NamedTuple):
-    """What is the case for a while."""
+    """Interval of time in which a value does not change."""
 
     value: int
     start: float  # [s]
@@ -26,24 +26,24 @@ class Interval(NamedTuple):
 
 
 def find_intervals(
-    time: Float[Array, " k"], what: Int[Array, " k"] | Bool[Array, " k"]
+    time: Float[Array, " k"], values: Int[Array, " k"] | Bool[Array, " k"]
 ) -> list[Interval]:
-    """What is the case from the start to the end; what holds at an instant holds until the next.
+    """Find intervals of constant value; the value of an instant holds until the next.
 
     Args:
-        time: The instants [s].
-        what: What is the case at each.
+        time: Instants [s].
+        values: Value at each instant.
     """
-    first = np.append(0, 1 + np.flatnonzero(np.diff(what.astype(int))))
+    first = np.append(0, 1 + np.flatnonzero(np.diff(values.astype(int))))
     ends = np.append(time[first[1:]], time[-1])
     return [
-        Interval(int(what[k]), float(time[k]), float(end))
+        Interval(int(values[k]), float(time[k]), float(end))
         for k, end in zip(first, ends, strict=True)
     ]
 
 
 def find_stick_intervals(record: ConnectivityRecord) -> list[Interval]:
-    """The spans for which something is asked of the leader."""
+    """Find the intervals in which the stick commands a velocity."""
     return [
         s
         for s in find_intervals(record.frames.time, np.asarray(record.frames.stick.any(axis=1)))
@@ -54,7 +54,7 @@ def find_stick_intervals(record: ConnectivityRecord) -> list[Interval]:
 def stack_panels(
     record: ConnectivityRecord, heights: tuple[float, ...]
 ) -> tuple[Figure, list[Any]]:
-    """Panels over time, one above the other, shaded while the stick is held."""
+    """Make panels over time, one above the other, shaded while the stick is held."""
     figure = Figure(figsize=(7.2, 1.35 * sum(heights) + 1.1), layout="constrained")
     axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)
     for ax in axes[:, 0]:
@@ -73,22 +73,22 @@ def stack_panels(
 
 
 def set_time_axis(ax: Any, record: ConnectivityRecord) -> None:
-    """From the start of a run to its end."""
+    """Set the time axis to the duration of the run."""
     start, end = float(record.frames.time[0]), float(record.frames.time[-1])
     ax.set(xlabel="time [s]", xlim=(start, max(end, start + 1e-9)))
 
 
 def add_legend(figure: Figure, record: ConnectivityRecord) -> None:
-    """Say below the panels what all of it is."""
+    """Add one legend for all panels below them."""
     handles: dict[str, Any] = {}
     for ax in figure.axes:
-        drawn, said = ax.get_legend_handles_labels()
-        handles |= dict(zip(said, drawn, strict=True))
+        drawn, labels = ax.get_legend_handles_labels()
+        handles |= dict(zip(labels, drawn, strict=True))
     if find_stick_intervals(record):
         handles["stick held"] = Patch(fc=STICK_COLOR, lw=0)
     if record.events.of_kind("loss"):
-        handles["a robot is lost"] = Line2D([], [], color=DARK_GRAY, ls=":", lw=0.9)
+        handles["loss of a robot"] = Line2D([], [], color=DARK_GRAY, ls=":", lw=0.9)
     if (record.frames.component > 0).any():
-        handles["the swarm has split"] = Patch(fc=RED, lw=0)
+        handles["disconnected"] = Patch(fc=RED, lw=0)
     columns = ceil(len(handles) / ceil(len(handles) / LEGEND_COLUMNS))
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=columns)

@@ -1,4 +1,4 @@
-"""Numbers over time: connectivity [Bernard2023, Fig. 6], edges, distances."""
+"""Connectivity [Bernard2023, Fig. 6], edges and distances over time."""
 
 from typing import Any
 
@@ -13,12 +13,12 @@ from sato.connectivity.figures.time_panels import add_legend, stack_panels
 from sato.figures.axes import draw_limit
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, GREEN, ORANGE, SKY
 
-LOG_SCALE_BELOW = 0.1  # of λ₂^max: a λ₂ below it is seen on a logarithmic scale only
-LINEAR_BELOW = 1e-3  # error of λ₂, down from which the scale is linear
+LOG_SCALE_BELOW = 0.1  # of λ₂^max: a smaller λ₂ needs a logarithmic scale
+LINEAR_BELOW = 1e-3  # error of λ₂ below which the scale is linear
 
 
 def plot_connectivity(record: ConnectivityRecord) -> Figure:
-    """λ₂ as it is and as every robot has it, between its limits, and how far these are off."""
+    """Plot λ₂ with its estimates and limits, and the errors of the estimates."""
     figure, (value, error) = stack_panels(record, (2.2, 1.0))
     time, limits = record.frames.time, record.mission.potential
     true = np.where(record.frames.alive.sum(axis=1) > 1, record.frames.lambda2, np.nan)
@@ -28,7 +28,7 @@ def plot_connectivity(record: ConnectivityRecord) -> Figure:
         value.plot(time, third, color=GRAY, lw=0.6, label="λ$_3$, true")
     value.plot(time, true, color=BLUE, lw=2.2, label="λ$_2$, true")
     value.plot(time, estimate, color=ORANGE, lw=0.7)
-    value.lines[-1].set_label("λ$_2$ as robots have it")
+    value.lines[-1].set_label("estimates of λ$_2$")
     highest = max(
         limits.lambda2_max, *(float(np.nanmax(v, initial=0)) for v in (true, third, estimate))
     )
@@ -41,18 +41,18 @@ def plot_connectivity(record: ConnectivityRecord) -> Figure:
     draw_limit(
         value,
         limits.lambda2_max,
-        f"λ$_2^{{max}}$ = {limits.lambda2_max:g},\nno pull beyond",
+        f"λ$_2^{{max}}$ = {limits.lambda2_max:g},\nno action beyond",
         colour=DARK_GRAY,
     )
     _plot_spread(error, time, np.abs(estimate - true[:, None]))
     error.set_yscale("symlog", linthresh=LINEAR_BELOW)
-    error.set(ylabel="error of what\nrobots have", ylim=(0, None))
+    error.set(ylabel="error of the\nestimates", ylim=(0, None))
     add_legend(figure, record)
     return figure
 
 
 def count_edges(record: ConnectivityRecord) -> Int[Array, "instants 3"]:
-    """At every instant: edges, those of robots that see each other, and pairs of live robots."""
+    """Count edges, edges of robots that see each other, and pairs of live robots."""
     edge = np.triu(record.frames.edge_weight > 0)
     mutual = edge & record.frames.visibility & record.frames.visibility.transpose(0, 2, 1)
     live = record.frames.alive.sum(axis=1)
@@ -60,15 +60,13 @@ def count_edges(record: ConnectivityRecord) -> Int[Array, "instants 3"]:
 
 
 def plot_edges(record: ConnectivityRecord) -> Figure:
-    """How many edges the graph has, and of how many both ends see each other."""
+    """Plot the number of edges, and of those whose ends see each other."""
     figure, [ax] = stack_panels(record, (2.0,))
     looks = ((BLUE, "-", "edges"), (GREEN, "-", "where both see each other"),
              (GRAY, "--", "pairs of robots"))  # fmt: skip
     numbers = count_edges(record)
-    for number, (colour, style, name) in zip(numbers.T, looks, strict=True):
-        ax.step(
-            record.frames.time, number, where="post", color=colour, ls=style, lw=1.1, label=name
-        )
+    for number, (color, style, name) in zip(numbers.T, looks, strict=True):
+        ax.step(record.frames.time, number, where="post", color=color, ls=style, lw=1.1, label=name)
     ax.set(ylabel="number", ylim=(0, 1.06 * float(numbers.max(initial=1))))
     ax.yaxis.get_major_locator().set_params(integer=True)
     add_legend(figure, record)
@@ -76,7 +74,7 @@ def plot_edges(record: ConnectivityRecord) -> Figure:
 
 
 def plot_distances(record: ConnectivityRecord) -> Figure:
-    """How near every robot is to another one, and to an obstacle."""
+    """Plot the distances of robots to each other and to obstacles."""
     there = np.where(record.frames.alive[..., None], record.frames.position, np.nan)
     obstacles, between = record.mission.obstacle_arrays, record.mission.repulsion
     found = {"another robot": nearest_agent_distance(there)}
@@ -93,7 +91,9 @@ def plot_distances(record: ConnectivityRecord) -> Figure:
         ax.set(ylabel=f"to {name} [m]", ylim=(0, shown))
         draw_limit(ax, between.min_distance, f"least,\n{between.min_distance:g} m")
         draw_limit(
-            ax, between.max_distance, f"push begins,\n{between.max_distance:g} m", colour=DARK_GRAY
+            ax,
+            between.max_distance,
+            f"repulsion begins,\n{between.max_distance:g} m", colour=DARK_GRAY,
         )
     add_legend(figure, record)
     return figure

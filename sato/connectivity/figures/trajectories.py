@@ -1,4 +1,4 @@
-"""Where everybody flew, in space and from above [Bernard2023, Fig. 4 and 5]."""
+"""Trajectories in space and from above [Bernard2023, Fig. 4 and 5]."""
 
 from typing import Any
 
@@ -13,12 +13,12 @@ from sato.connectivity.figures.obstacles import draw_obstacles_3d, draw_obstacle
 from sato.figures.axes import AxisBounds, Projection, panel_letter, set_axis_bounds
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, GREEN, LIGHT_GRAY, ORANGE, PURPLE, RED, SKY
 
-MAX_POINTS = 800  # of a path, at most
-DOT_INTERVAL = 5.0  # a dot on the path, as in the paper [s]
-MAX_LABELED_AGENTS = 12  # robots, up to which they are numbered
-FULL_WIDTH_EDGES = 60  # edges, up to which they are as wide as they can be
-BODY_AXIS_LENGTH = 0.9  # a drawn axis [m]
-FIELD_OF_VIEW_RADIUS = 1.6  # radius of a drawn field of view [m]
+MAX_POINTS = 800  # per trajectory, at most
+DOT_INTERVAL = 5.0  # between dots on a trajectory, as in the paper [s]
+MAX_LABELED_AGENTS = 12  # largest number of robots that are labeled
+FULL_WIDTH_EDGES = 60  # largest number of edges drawn at full width
+BODY_AXIS_LENGTH = 0.9  # [m]
+FIELD_OF_VIEW_RADIUS = 1.6  # [m]
 START_STYLE: dict[str, Any] = {"ls": "", "marker": "o", "ms": 4.5, "mew": 0.9, "mfc": "white"}
 END_STYLE: dict[str, Any] = {"ls": "", "marker": "o", "ms": 6.5, "mew": 0}
 LOST_STYLE: dict[str, Any] = {"ls": "", "marker": "X", "ms": 7, "mew": 0, "color": RED}
@@ -27,13 +27,13 @@ VIEW = Projection((0, 1, 2), ("x", "y", "z"))
 
 
 def plot_trajectories(record: ConnectivityRecord) -> Figure:
-    """Paths in space and from above, and the graph and the cameras at the end.
+    """Plot trajectories in space and from above, with the graph and the cameras at the end.
 
-    Of obstacles those are seen that can have pushed somebody, and what else lies that near.
+    The bounds show all obstacles that were close enough to repel a robot.
     """
     space = _picture_bounds(record)
     flat = AxisBounds(space.low[:2], space.high[:2], space.labels[:2])
-    figure = Figure(figsize=(10.4, 5.4))  # what a layout takes a view of space for is not its size
+    figure = Figure(figsize=(10.4, 5.4))  # automatic layouts misjudge the size of 3D axes
     deep: Any = figure.add_axes((0.0, 0.13, 0.54, 0.85), projection="3d", computed_zorder=False)
     above = figure.add_axes((0.61, 0.2, 0.37, 0.73))
     obstacles = record.mission.obstacle_arrays
@@ -68,19 +68,19 @@ def _draw_trajectories(ax: Any, record: ConnectivityRecord, axes: list[int]) -> 
     there = np.where(alive[..., None], record.frames.position, np.nan)[..., axes]
     dots = np.flatnonzero(np.diff(record.frames.time // DOT_INTERVAL, prepend=0))
     for i in reversed(range(record.mission.agents)):
-        colour, width, z = (ORANGE, 2.0, 4) if i == 0 else (BLUE, 0.9, 3)
+        color, width, z = (ORANGE, 2.0, 4) if i == 0 else (BLUE, 0.9, 3)
         end = int(np.flatnonzero(alive[:, i]).max(initial=0))
-        ax.plot(*there[kept, i].T, color=colour, lw=width, zorder=z)
-        ax.plot(*there[dots, i].T, ".", ms=4 + 2 * width, mew=0, color=colour, zorder=z)
-        ax.plot(*there[:1, i].T, **START_STYLE, mec=colour, zorder=z + 2)
-        look = {**END_STYLE, "color": colour} if alive[last, i] else LOST_STYLE
+        ax.plot(*there[kept, i].T, color=color, lw=width, zorder=z)
+        ax.plot(*there[dots, i].T, ".", ms=4 + 2 * width, mew=0, color=color, zorder=z)
+        ax.plot(*there[:1, i].T, **START_STYLE, mec=color, zorder=z + 2)
+        look = {**END_STYLE, "color": color} if alive[last, i] else LOST_STYLE
         ax.plot(*record.frames.position[[end], i][:, axes].T, **look, zorder=z + 3)
     ways = record.mission.stick.waypoints[:, axes]
     ax.plot(*ways.T, **WAYPOINT_STYLE, zorder=5)
 
 
 def _draw_edges(ax: Any, record: ConnectivityRecord, axes: list[int]) -> None:
-    """The edges and the axes at the end."""
+    """Draw the edges, body axes and optical axes at the end."""
     alive, weight = record.frames.alive[-1], record.frames.edge_weight[-1]
     end = record.frames.position[-1][:, axes]
     pairs = np.argwhere(np.triu(weight) > 0)
@@ -91,23 +91,23 @@ def _draw_edges(ax: Any, record: ConnectivityRecord, axes: list[int]) -> None:
     body = record.frames.yaw[-1]
     x, y, _ = record.mission.camera.optical_axis
     camera = body + np.arctan2(y, x)
-    for turn, colour in ((body, DARK_GRAY), (camera, RED)):
+    for turn, color in ((body, DARK_GRAY), (camera, RED)):
         ways = np.stack([np.cos(turn), np.sin(turn), np.zeros(len(turn))], axis=1)[:, axes]
         for i in np.flatnonzero(alive):
             ax.plot(
                 *np.array([end[i], end[i] + BODY_AXIS_LENGTH * ways[i]]).T,
-                color=colour,
+                color=color,
                 lw=1.2,
                 zorder=6,
             )
 
 
 def _draw_fields_of_view(ax: Any, record: ConnectivityRecord) -> None:
-    """What each camera sees at its own height: the slice of a cone."""
+    """Draw the section of each field of view at the height of its camera."""
     x, y, _ = record.mission.camera.optical_axis
     level = np.hypot(x, y)
     if level <= abs(record.mission.camera.a_min):
-        return  # it looks up or down, and sees all about or nothing
+        return  # the cone around a vertical axis has no sector
     half = np.degrees(np.arccos(record.mission.camera.a_min / level))
     for i in np.flatnonzero(record.frames.alive[-1]):
         middle = np.degrees(record.frames.yaw[-1, i] + np.arctan2(y, x))

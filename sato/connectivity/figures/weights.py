@@ -1,4 +1,4 @@
-"""What an edge weighs, by distance and by who has whom in the field of view [Bernard2023]."""
+"""Weight of an edge over distance and view angle [Bernard2023]."""
 
 from typing import Any
 
@@ -13,15 +13,15 @@ from sato.connectivity.check import ConnectivityRecord
 from sato.figures.axes import panel_letter
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, RED
 
-# From pale to what words can still be read upon.
+# Light enough for labels.
 COLORMAP = ListedColormap(colormaps["YlGnBu"](np.linspace(0, 0.68, 256)))
 CONTOUR_LEVELS = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
-Y_MAX = 1.3  # of the picture, with room for names above 1
-GRID_POINTS = 201  # points along an axis
+Y_MAX = 1.3  # with room for labels above 1
+GRID_POINTS = 201  # per axis
 
 
 def plot_weights(record: ConnectivityRecord) -> Figure:
-    """γ over distance, f* over angle, f over both f*, and what one camera makes of the plane."""
+    """Plot γ over distance, f* over angle, f over both f*, and the weight of one camera."""
     sight = record.mission.parameters.assumed_camera
     figure = Figure(figsize=(7.6, 6.4), layout="constrained")
     axes = figure.subplots(2, 2)
@@ -90,10 +90,10 @@ def _plot_one_sided_weight(ax: Any, sight: Camera) -> Any:
     )
     for radius in (sight.d_min, sight.d_max):
         ax.add_patch(Circle((0, 0), radius, fc="none", ec=GRAY, ls=":", lw=0.9))
-    for way, colour, name in (((1.0, 0.0), DARK_GRAY, "x"), (sight.optical_axis[:2], RED, "o$_C$")):
+    for way, color, name in (((1.0, 0.0), DARK_GRAY, "x"), (sight.optical_axis[:2], RED, "o$_C$")):
         tip = 1.08 * sight.d_max * np.array(way)
-        ax.annotate("", tip, (0, 0), arrowprops={"arrowstyle": "->", "color": colour, "lw": 1.2})
-        ax.annotate(name, tip, xytext=(2, 3), textcoords="offset points", color=colour, fontsize=8)
+        ax.annotate("", tip, (0, 0), arrowprops={"arrowstyle": "->", "color": color, "lw": 1.2})
+        ax.annotate(name, tip, xytext=(2, 3), textcoords="offset points", color=color, fontsize=8)
     ax.set(xlim=(-reach, reach), ylim=(-reach, reach))
     ax.locator_params(nbins=6)
     ax.set(xlabel="j ahead of i [m]", ylabel="j to the left of i [m]")
