@@ -3,7 +3,7 @@
 import numpy as np
 
 from problems.assignment import solve_assignment
-from sato.auctions import run_vsdaa
+from sato.auctions import VsdaaAuction, run_vsdaa
 from sato.network.graph import CommunicationGraph
 
 
@@ -15,7 +15,9 @@ def main() -> None:
     cost = np.linalg.norm(start[:, None] - goal, axis=2)
 
     network = CommunicationGraph.from_positions(start, radius=0.2, alive=np.full(agents, True))
-    auction = run_vsdaa(cost, network, target_count=np.full(agents, agents), epsilon=epsilon)
+    auction = run_vsdaa(
+        VsdaaAuction(cost, network, target_count=np.full(agents, agents), epsilon=epsilon)
+    )
 
     paid = cost[np.arange(agents), auction.target_index].sum()
     best = cost[np.arange(agents), solve_assignment(cost[:, :agents])].sum()

@@ -19,7 +19,7 @@ from rich.table import Table
 from scipy.spatial import cKDTree
 
 from problems.assignment import solve_assignment
-from sato.auctions import run_vsdaa
+from sato.auctions import VsdaaAuction, run_vsdaa
 from sato.network.graph import CommunicationGraph
 
 SIZES = (5, 10, 20, 40, 60, 90, 123)
@@ -102,7 +102,7 @@ def run_trial(seed: int, number: int, kind: AuctionCase) -> VsdaaTrial:
     network, everyone, used = connected_graph(start), np.arange(agents), max(agents, m)
 
     begin = time.perf_counter()
-    auction = run_vsdaa(cost, network, np.full(agents, m), float(epsilon))
+    auction = run_vsdaa(VsdaaAuction(cost, network, np.full(agents, m), float(epsilon)))
     seconds = time.perf_counter() - begin
 
     best = cost[everyone, solve_assignment(cost[:, :used])].sum()

@@ -18,7 +18,7 @@ from rich.progress import track
 from rich.table import Table
 from scipy.optimize import linear_sum_assignment
 
-from sato.auctions import run_cbaa
+from sato.auctions import CbaaAuction, run_cbaa
 from sato.network.graph import CommunicationGraph
 
 EDGE_SHARES = (0.0, 0.05, 0.2, 0.5, 1.0)
@@ -65,7 +65,7 @@ def run_trial(seed: int, number: int) -> CbaaTrial:
     score = by_distance if scores == SCORE_KINDS[0] else rng.random((agents, agents)) + 1e-12
 
     begin = time.perf_counter()
-    auction = run_cbaa(score, network)
+    auction = run_cbaa(CbaaAuction(score, network))
     seconds = time.perf_counter() - begin
 
     best = score[linear_sum_assignment(score, maximize=True)].sum()
@@ -75,7 +75,7 @@ def run_trial(seed: int, number: int) -> CbaaTrial:
     listened, bound = auction.round_count - 1, agents * int(network.diameter[0])
     good = auction.is_conflict_free and auction.has_consensus and ratio >= 0.5 and listened <= bound
     if number % 4 == 0:
-        rough = run_cbaa(score, network, rounds=20 * bound, loss=0.2, delay=1, rng=rng)
+        rough = run_cbaa(CbaaAuction(score, network, rounds=20 * bound, loss=0.2, delay=1, rng=rng))
         good &= rough.has_consensus and np.array_equal(rough.point, auction.point)
     return CbaaTrial(
         agents,

@@ -10,6 +10,7 @@ from scipy.optimize import linear_sum_assignment
 
 from sato.auctions.bids import WinningBids
 from sato.auctions.cbaa import (
+    CbaaAuction,
     CbaaBidder,
     is_finished,
     run_by_messages,
@@ -35,9 +36,11 @@ class Case(NamedTuple):
     def live(self) -> np.ndarray:
         return np.flatnonzero(self.graph.alive)
 
-    def keywords(self) -> dict[str, Any]:
-        """Keyword arguments, with a generator that draws the same losses each time."""
-        return {**self.link, "rng": np.random.default_rng(self.seed)}
+    @property
+    def auction(self) -> CbaaAuction:
+        """Auction with a generator that draws the same losses each time."""
+        rng = np.random.default_rng(self.seed)
+        return CbaaAuction(self.score, self.graph, **self.link, rng=rng)
 
 
 def complete(agents: int) -> CommunicationGraph:
@@ -107,14 +110,14 @@ def greedy(score: np.ndarray, live: np.ndarray) -> np.ndarray:
 def test_kernel_equals_the_definition_bit_for_bit(case):
     swarm = init_state(case.score, case.graph, case.link["delay"])
     rng, played = np.random.default_rng(case.seed), 0
-    for now in run_by_messages(case.score, case.graph, **case.keywords()):
+    for now in run_by_messages(case.auction):
         run_kernel(swarm, 1, case.link.get("loss", 0.0), rng)
         played += 1
         for i in case.live:
             assert now[i].bids.price.tobytes() == swarm.price[i].tobytes()
             assert now[i].bids.winner.tobytes() == swarm.winner[i].tobytes()
             assert (now[i].point, is_finished(now[i])) == (swarm.point[i], not swarm.is_running[i])
-    assert run_cbaa(case.score, case.graph, **case.keywords()).round_count == played
+    assert run_cbaa(case.auction).round_count == played
 
 
 @LAW
@@ -123,7 +126,9 @@ def test_without_loss_and_delay_rounds_are_those_of_run_rounds(case):
     empty = WinningBids.empty(case.score.shape[1])
     first = {i: CbaaBidder(i, case.score[i], len(case.live), empty) for i in case.live.tolist()}
     expected = run_rounds(case.graph, first, update_bidder, lambda agent: agent.bids, is_finished)
-    for ours, theirs in zip(run_by_messages(case.score, case.graph), expected, strict=True):
+    for ours, theirs in zip(
+        run_by_messages(CbaaAuction(case.score, case.graph)), expected, strict=True
+    ):
         for i in case.live:
             one, other = ours[i], theirs[i]
             assert one.point == other.point
@@ -134,7 +139,7 @@ def test_without_loss_and_delay_rounds_are_those_of_run_rounds(case):
 @settings(LAW, max_examples=150)
 @given(case=cases(most=16, lossy=False))
 def test_result_is_the_greedy_choice_within_the_round_bound(case):
-    result = run_cbaa(case.score, case.graph, **case.link)
+    result = run_cbaa(CbaaAuction(case.score, case.graph, **case.link))
     assert result.point.tolist() == greedy(case.score, case.live).tolist()
     assert result.is_conflict_free
     assert result.has_consensus
@@ -149,7 +154,7 @@ def test_result_is_the_greedy_choice_within_the_round_bound(case):
 def test_no_agent_bids_once_one_has_finished(case):
     final = greedy(case.score, case.live)
     known, tables = False, set()
-    for now in run_by_messages(case.score, case.graph, **case.keywords()):
+    for now in run_by_messages(case.auction):
         if known := known or any(is_finished(now[i]) for i in case.live):
             assert [now[i].point for i in case.live] == final[case.live].tolist()
         tables |= {now[i].bids.winner.tobytes() for i in case.live if is_finished(now[i])}
@@ -159,8 +164,8 @@ def test_no_agent_bids_once_one_has_finished(case):
 @LAW
 @given(case=cases())
 def test_result_reports_the_last_round_of_the_definition(case):
-    result = run_cbaa(case.score, case.graph, **case.keywords())
-    *_, last = run_by_messages(case.score, case.graph, **case.keywords())
+    result = run_cbaa(case.auction)
+    *_, last = run_by_messages(case.auction)
     claimed = [last[i].point for i in case.live]
     tables = {last[i].bids.price.tobytes() + last[i].bids.winner.tobytes() for i in case.live}
     held = all(last[i].bids.winner[last[i].point] == i for i in case.live)
@@ -176,8 +181,8 @@ def test_result_reports_the_last_round_of_the_definition(case):
 @pytest.mark.parametrize("delay", [0, 2])
 def test_lost_messages_delay_the_same_result(rng, loss, delay):
     graph, score = connected(rng, 20, 0.1), scores(rng, "distance", 20, 20)
-    calm = run_cbaa(score, graph)
-    rough = run_cbaa(score, graph, rounds=2000, loss=loss, delay=delay, rng=rng)
+    calm = run_cbaa(CbaaAuction(score, graph))
+    rough = run_cbaa(CbaaAuction(score, graph, rounds=2000, loss=loss, delay=delay, rng=rng))
     assert rough.has_consensus
     assert rough.point.tolist() == calm.point.tolist()
     assert rough.round_count > calm.round_count
@@ -186,8 +191,8 @@ def test_lost_messages_delay_the_same_result(rng, loss, delay):
 @LAW
 @given(case=cases(lossy=False))
 def test_monotone_map_of_scores_keeps_the_result(case):
-    one = run_cbaa(case.score, case.graph)
-    other = run_cbaa(np.log1p(case.score) ** 3, case.graph)
+    one = run_cbaa(CbaaAuction(case.score, case.graph))
+    other = run_cbaa(CbaaAuction(np.log1p(case.score) ** 3, case.graph))
     assert one.point.tolist() == other.point.tolist()
     assert (one.round_count, one.message_count) == (other.round_count, other.message_count)
 
@@ -198,7 +203,9 @@ def test_scores_have_no_effect_h_hops_away_before_round_h_plus_1(rng):
     changed[0, np.argmax(score[0])] *= 2
     for delay in (0, 1):
         for after in range(1, 22):
-            one, other = (run_cbaa(s, graph, rounds=after, delay=delay) for s in (score, changed))
+            one, other = (
+                run_cbaa(CbaaAuction(s, graph, rounds=after, delay=delay)) for s in (score, changed)
+            )
             differ = np.any(one.price != other.price, axis=1)
             assert not differ[(after - 1) // (delay + 1) + 1 :].any()
             assert differ[0]
@@ -207,9 +214,9 @@ def test_scores_have_no_effect_h_hops_away_before_round_h_plus_1(rng):
 @LAW
 @given(case=cases())
 def test_message_count_counts_every_message(case):
-    result = run_cbaa(case.score, case.graph, **case.keywords())
+    result = run_cbaa(case.auction)
     told, before = 0, dict.fromkeys(case.live.tolist(), False)
-    for now in run_by_messages(case.score, case.graph, **case.keywords()):
+    for now in run_by_messages(case.auction):
         told += sum(
             len(case.graph.neighbors[i])
             for i in case.live
@@ -227,7 +234,7 @@ def test_message_count_counts_every_message(case):
 @settings(LAW, max_examples=120)
 @given(case=cases(most=20, lossy=False))
 def test_total_score_is_at_least_half_of_the_optimum(case):
-    result, live = run_cbaa(case.score, case.graph), case.live
+    result, live = run_cbaa(CbaaAuction(case.score, case.graph)), case.live
     best = case.score[live][linear_sum_assignment(case.score[live], maximize=True)].sum()
     total = case.score[live, result.point[live]].sum()
     assert 0.5 * best <= total * (1 + 1e-12)
@@ -236,7 +243,7 @@ def test_total_score_is_at_least_half_of_the_optimum(case):
 
 def test_half_of_the_optimum_is_a_tight_bound():
     score = np.array([[1.001, 1.0], [1.0, 0.001]])
-    result = run_cbaa(score, complete(2))
+    result = run_cbaa(CbaaAuction(score, complete(2)))
     assert result.point.tolist() == [0, 1]
     assert score[[0, 1], result.point].sum() / 2.0 == pytest.approx(0.501)
 
@@ -247,7 +254,7 @@ def test_half_of_the_optimum_is_a_tight_bound():
 @pytest.mark.parametrize("agents", [2, 5, 30])
 def test_equal_preferences_take_as_many_rounds_as_the_bound(rng, agents):
     # n d iterations [Lusk2020, sec. IV-B]; the first round has nothing to listen to.
-    result = run_cbaa(scores(rng, "equal order", agents, agents), complete(agents))
+    result = run_cbaa(CbaaAuction(scores(rng, "equal order", agents, agents), complete(agents)))
     assert result.round_count == agents * 1 + 1
     assert result.point.tolist() == list(range(agents))
 
@@ -257,48 +264,34 @@ def test_two_rounds_an_agent_are_too_few_on_a_line(rng):
     # All prefer the same points, and agents of successive scores are at opposite ends.
     score, graph = scores(rng, "equal order", 12, 12), line(12)
     score[[0, 11, 1, 10, 2, 9, 3, 8, 4, 7, 5, 6]] += np.linspace(0.9, 0, 12)[:, None]
-    early = run_cbaa(score, graph, rounds=24)
+    early = run_cbaa(CbaaAuction(score, graph, rounds=24))
     assert not early.is_conflict_free
     assert not early.has_consensus
     assert not early.finished_round.any()
-    assert 24 < run_cbaa(score, graph).round_count <= 12 * 11 + 1
+    assert 24 < run_cbaa(CbaaAuction(score, graph)).round_count <= 12 * 11 + 1
 
 
 # Small cases and refusals
 
 
 def test_lone_agent_finishes_in_one_round():
-    result = run_cbaa(np.array([[1.0, 3.0, 2.0]]), complete(1))
+    result = run_cbaa(CbaaAuction(np.array([[1.0, 3.0, 2.0]]), complete(1)))
     assert (result.point.tolist(), result.round_count, result.message_count) == ([1], 1, 0)
     assert result.has_consensus
 
 
 def test_first_bid_is_on_the_point_of_the_largest_score(rng):
-    result = run_cbaa(scores(rng, "equal order", 4, 4), complete(4), rounds=1)
+    result = run_cbaa(CbaaAuction(scores(rng, "equal order", 4, 4), complete(4), rounds=1))
     assert result.point.tolist() == [0, 0, 0, 0]
     assert not result.is_conflict_free
     assert not result.has_consensus
 
 
 def test_consensus_on_distinct_points_takes_a_second_round():
-    result = run_cbaa(np.eye(3) + 1, complete(3), rounds=1)
+    result = run_cbaa(CbaaAuction(np.eye(3) + 1, complete(3), rounds=1))
     assert result.is_conflict_free
     assert not result.has_consensus
-    assert run_cbaa(np.eye(3) + 1, complete(3)).round_count == 2
-
-
-def test_disconnected_graph_is_refused():
-    graph = CommunicationGraph(np.kron(np.eye(2), 1 - np.eye(2)).astype(bool), np.full(4, True))
-    with pytest.raises(ValueError, match="no message gets from agent 0 to agent 2"):
-        run_cbaa(np.ones((4, 4)), graph)
-
-
-@pytest.mark.parametrize("bad", [0.0, -1.0, np.inf, np.nan])
-def test_scores_must_be_positive_and_finite(bad):
-    score = np.ones((3, 3))
-    score[1, 2] = bad
-    with pytest.raises(ValueError, match="the score of point 2 for agent 1 is"):
-        run_cbaa(score, complete(3))
+    assert run_cbaa(CbaaAuction(np.eye(3) + 1, complete(3))).round_count == 2
 
 
 def test_dead_agents_do_not_bid():
@@ -306,24 +299,31 @@ def test_dead_agents_do_not_bid():
         np.array([[0, 0, 1], [0, 0, 0], [1, 0, 0]], dtype=bool), np.arange(3) != 1
     )
     score = np.array([[3.0, 2.0], [np.nan, np.nan], [2.0, 1.0]])
-    assert run_cbaa(score, graph).point.tolist() == [0, -1, 1]
+    assert run_cbaa(CbaaAuction(score, graph)).point.tolist() == [0, -1, 1]
 
 
-@pytest.mark.parametrize("shape", [(3, 2), (4, 4)])
-def test_score_of_wrong_shape_is_refused(shape):
-    with pytest.raises(ValueError, match="there must be a row for every agent"):
-        run_cbaa(np.ones(shape), complete(3))
+TWO_PAIRS = CommunicationGraph(np.kron(np.eye(2), 1 - np.eye(2)).astype(bool), np.full(4, True))
+LOSSY = {"loss": 0.1, "rounds": 9, "rng": np.random.default_rng(0)}
 
 
-@pytest.mark.parametrize("link", [{"loss": 1.0}, {"loss": -0.1}, {"delay": -1}, {"rounds": 0}])
-def test_impossible_link_is_refused(rng, link):
-    with pytest.raises(ValueError, match="the loss must be in"):
-        run_cbaa(np.ones((3, 3)), complete(3), **{"rounds": 9, "rng": rng} | link)
-
-
-@pytest.mark.parametrize("without", ["rounds", "rng"])
-def test_loss_needs_a_number_of_rounds_and_a_generator(rng, without):
-    link = {"loss": 0.1, "rounds": 9, "rng": rng}
-    del link[without]
-    with pytest.raises(ValueError, match="give the number of rounds after which all stop"):
-        run_cbaa(np.ones((3, 3)), complete(3), **link)
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"score": np.ones((4, 4)), "graph": TWO_PAIRS}, "no message gets from agent 0 to agent 2"),
+        ({"score": np.diag([0.0, 1, 1]) + 0}, "the score of point 0 for agent 0 is 0.0"),
+        ({"score": -np.ones((3, 3))}, "the score of point 0 for agent 0 is -1.0"),
+        ({"score": np.full((3, 3), np.inf)}, "the score of point 0 for agent 0 is inf"),
+        ({"score": np.full((3, 3), np.nan)}, "the score of point 0 for agent 0 is nan"),
+        ({"score": np.ones((3, 2))}, "there must be a row for every agent"),
+        ({"score": np.ones((4, 4))}, "there must be a row for every agent"),
+        ({"loss": 1.0}, "the loss must be in"),
+        ({"loss": -0.1}, "the loss must be in"),
+        ({"delay": -1}, "the loss must be in"),
+        ({"rounds": 0}, "the loss must be in"),
+        ({"rounds": None}, "give the number of rounds after which all stop"),
+        ({"rng": None}, "give the number of rounds after which all stop"),
+    ],
+)
+def test_invalid_auction_is_refused_with_a_reason(change, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        CbaaAuction(**{"score": np.ones((3, 3)), "graph": complete(3)} | LOSSY | change)

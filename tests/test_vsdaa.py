@@ -1,6 +1,6 @@
 """VSDAA: the kernel against the definition, laws, and the optimal assignment."""
 
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,20 +10,11 @@ from hypothesis import strategies as st
 from problems.assignment import solve_assignment
 from sato.auctions import OutOfTargets
 from sato.auctions.bids import NO_WINNER
-from sato.auctions.vsdaa import run_by_messages, run_vsdaa
+from sato.auctions.vsdaa import VsdaaAuction, run_by_messages, run_vsdaa
 from sato.auctions.vsdaa_kernel import VsdaaState, init_state, run_kernel
 from sato.network.graph import CommunicationGraph
 
 LAW = settings(deadline=None, derandomize=True, max_examples=60)
-
-
-class Case(NamedTuple):
-    """Arguments of an auction."""
-
-    cost: np.ndarray
-    graph: CommunicationGraph
-    target_count: np.ndarray
-    epsilon: float
 
 
 def line(agents: int) -> CommunicationGraph:
@@ -60,7 +51,7 @@ def costs(rng: np.random.Generator, kind: str, agents: int, targets: int) -> np.
 
 
 @st.composite
-def cases(draw: st.DrawFn, most: int = 9) -> Case:
+def cases(draw: st.DrawFn, most: int = 9) -> VsdaaAuction:
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     agents, spare = draw(st.integers(1, most)), draw(st.integers(0, 4))
     shape = draw(st.sampled_from(["line", "ring", "dense", "sparse", "losses"]))
@@ -75,10 +66,10 @@ def cases(draw: st.DrawFn, most: int = 9) -> Case:
     m = draw(st.integers(1, targets))
     target_count = rng.integers(1, m + 1, agents) if draw(st.booleans()) else np.full(agents, m)
     epsilon = draw(st.sampled_from([0.01, 0.03, 0.25, 1.0]))
-    return Case(costs(rng, kind, agents, targets), graph, target_count, epsilon)
+    return VsdaaAuction(costs(rng, kind, agents, targets), graph, target_count, epsilon)
 
 
-def kernel(case: Case, ids: bool, rounds: int) -> list[VsdaaState]:
+def kernel(case: VsdaaAuction, ids: bool, rounds: int) -> list[VsdaaState]:
     """State after each round; the last is repeated up to this number of rounds."""
     swarm, history = init_state(case.cost, case.graph, case.target_count), []
     for _ in run_kernel(swarm, case.epsilon, ids, stride=1):
@@ -86,8 +77,8 @@ def kernel(case: Case, ids: bool, rounds: int) -> list[VsdaaState]:
     return history + [history[-1]] * (rounds - len(history))
 
 
-def definition(case: Case, ids: bool, rounds: int = 0) -> list:
-    history = list(run_by_messages(*case, bidder_ids=ids))
+def definition(case: VsdaaAuction, ids: bool, rounds: int = 0) -> list:
+    history = list(run_by_messages(replace(case, bidder_ids=ids)))
     return history + [history[-1]] * (rounds - len(history))
 
 
@@ -101,7 +92,7 @@ def test_kernel_equals_the_definition_bit_for_bit(ids, case):
         agents = definition(case, ids)
     except OutOfTargets as expected:
         with pytest.raises(OutOfTargets) as found:
-            run_vsdaa(*case, bidder_ids=ids)
+            run_vsdaa(replace(case, bidder_ids=ids))
         assert (found.value.agent, found.value.round) == (expected.agent, expected.round)
         return
     swarms = kernel(case, ids, len(agents))
@@ -129,7 +120,7 @@ def test_kernel_and_definition_have_the_same_result(ids, case):
         history = definition(case, ids)
     except OutOfTargets:
         return
-    auction = run_vsdaa(*case, bidder_ids=ids)
+    auction = run_vsdaa(replace(case, bidder_ids=ids))
     live = np.flatnonzero(case.graph.alive)
     last = [history[-1][i] for i in live]
     assert auction.round_count == len(history)
@@ -139,10 +130,10 @@ def test_kernel_and_definition_have_the_same_result(ids, case):
     assert np.all(auction.target_index[~case.graph.alive] == -1)
 
 
-def check_result(case: Case) -> None:
+def check_result(case: VsdaaAuction) -> None:
     """Check the result of the auction in each component."""
-    cost, graph, target_count, epsilon = case
-    auction = run_vsdaa(*case)
+    cost, graph, target_count, epsilon = case.cost, case.graph, case.target_count, case.epsilon
+    auction = run_vsdaa(case)
     for c in range(graph.component.max(initial=-1) + 1):
         members = np.flatnonzero(graph.component == c)
         n, target = len(members), auction.target_index[members]
@@ -166,29 +157,29 @@ def test_components_agree_on_unique_targets_within_n_epsilon(case):
 def test_every_initial_target_count_converges(rng, kind):
     cost = costs(rng, kind, 9, 12)
     for m in range(1, 13):
-        check_result(Case(cost, ring(9), np.full(9, m), 1e-2))
+        check_result(VsdaaAuction(cost, ring(9), np.full(9, m), 1e-2))
 
 
 @pytest.mark.parametrize("share", [0.05, 0.1])
 def test_sixty_agents_in_several_components_converge(rng, share):
     graph = random_graph(rng, 60, share, 0.9)
-    check_result(Case(rng.random((60, 70)), graph, rng.integers(20, 71, 60), 1e-3))
+    check_result(VsdaaAuction(rng.random((60, 70)), graph, rng.integers(20, 71, 60), 1e-3))
 
 
 def test_agents_agree_on_the_largest_m_first(rng):
     target_count = np.array([3, 7, 2, 5])
-    auction = run_vsdaa(rng.random((4, 8)), line(4), target_count, 1e-2)
+    auction = run_vsdaa(VsdaaAuction(rng.random((4, 8)), line(4), target_count, 1e-2))
     assert auction.target_count.tolist() == [7, 7, 7, 7]
 
 
 def test_lone_agent_takes_its_cheapest_target_in_one_round():
-    auction = run_vsdaa(np.array([[3.0, 1.0, 2.0]]), line(1), np.array([3]), 0.1)
+    auction = run_vsdaa(VsdaaAuction(np.array([[3.0, 1.0, 2.0]]), line(1), np.array([3]), 0.1))
     assert auction.target_index.tolist() == [1]
     assert (auction.round_count, auction.bid_count, auction.bidder_count.tolist()) == (1, 1, [1])
 
 
 def test_lone_agent_with_m_of_one_takes_the_first_target():
-    auction = run_vsdaa(np.array([[3.0, 1.0, 2.0]]), line(1), np.array([1]), 0.1)
+    auction = run_vsdaa(VsdaaAuction(np.array([[3.0, 1.0, 2.0]]), line(1), np.array([1]), 0.1))
     assert auction.target_index.tolist() == [0]
 
 
@@ -200,7 +191,7 @@ def tables_differ(before: tuple, after: tuple, r: int, i: int) -> bool:
     )
 
 
-def tables_by_messages(case: Case, rounds: int) -> tuple:
+def tables_by_messages(case: VsdaaAuction, rounds: int) -> tuple:
     history = definition(case, True, rounds)
     return (
         [{i: agent.bids.price for i, agent in now.items()} for now in history],
@@ -208,7 +199,7 @@ def tables_by_messages(case: Case, rounds: int) -> tuple:
     )
 
 
-def tables_by_kernel(case: Case, rounds: int) -> tuple:
+def tables_by_kernel(case: VsdaaAuction, rounds: int) -> tuple:
     history = kernel(case, True, rounds)
     return [swarm.price for swarm in history], [swarm.winner for swarm in history]
 
@@ -221,7 +212,7 @@ def test_costs_have_no_effect_h_hops_away_before_round_h(rng, tables, target_cou
     changed[0] = rng.random(12)
     changed[0, np.argmin(cost[0, :target_count])] = 2.0  # so that it bids elsewhere at once
     graph, m = line(10), np.full(10, target_count)
-    before, after = (tables(Case(c, graph, m, 1e-2), 40) for c in (cost, changed))
+    before, after = (tables(VsdaaAuction(c, graph, m, 1e-2), 40) for c in (cost, changed))
     for hops in range(10):
         # Index r is the state after r + 1 rounds; the first bid arrives a hop away in the second.
         for r in range(hops):
@@ -237,7 +228,9 @@ def test_effects_travel_one_hop_a_round_on_random_graphs(rng, tables):
         cost = rng.random((14, 16))
         changed = cost.copy()
         changed[3] = rng.random(16)
-        before, after = (tables(Case(c, graph, np.full(14, 9), 1e-2), 30) for c in (cost, changed))
+        before, after = (
+            tables(VsdaaAuction(c, graph, np.full(14, 9), 1e-2), 30) for c in (cost, changed)
+        )
         for i, hops in enumerate(graph.hops[3]):
             for r in range(int(min(hops, 30))):
                 assert not tables_differ(before, after, r, i)
@@ -245,14 +238,14 @@ def test_effects_travel_one_hop_a_round_on_random_graphs(rng, tables):
 
 def test_tied_bids_without_ids_assign_one_target_to_several():
     # All bid the same on target 0 and, without ids, each believes to hold it.
-    case = Case(np.ones((4, 6)), line(4), np.full(4, 1), 0.1)
-    assert run_vsdaa(*case, bidder_ids=False).target_index.tolist() == [0, 0, 0, 0]
-    assert sorted(run_vsdaa(*case, bidder_ids=True).target_index.tolist()) == [0, 1, 2, 3]
+    case = VsdaaAuction(np.ones((4, 6)), line(4), np.full(4, 1), 0.1)
+    assert run_vsdaa(replace(case, bidder_ids=False)).target_index.tolist() == [0, 0, 0, 0]
+    assert sorted(run_vsdaa(replace(case, bidder_ids=True)).target_index.tolist()) == [0, 1, 2, 3]
 
 
 def test_printed_method_is_near_optimal_without_ties(rng):
     cost = rng.random((12, 15))
-    auction = run_vsdaa(cost, ring(12), np.full(12, 15), 1e-2, bidder_ids=False)
+    auction = run_vsdaa(VsdaaAuction(cost, ring(12), np.full(12, 15), 1e-2, bidder_ids=False))
     paid, best = (
         cost[range(12), auction.target_index].sum(),
         cost[range(12), solve_assignment(cost)].sum(),
@@ -265,7 +258,7 @@ def test_last_bid_round_is_within_the_bound_of_proposition_1(rng):
     # [Morgan2016, eq. 20]; the proof ignores growing m, so m starts at N.
     for agents in (3, 8, 20):
         cost, graph = rng.random((agents, agents)), ring(agents)
-        auction = run_vsdaa(cost, graph, np.full(agents, agents), 1e-2)
+        auction = run_vsdaa(VsdaaAuction(cost, graph, np.full(agents, agents), 1e-2))
         steps = np.ceil((cost.max(axis=1) - cost.min(axis=1)) / 1e-2).max()
         assert auction.last_bid_round <= graph.diameter[0] * (agents - 1) * steps
 
@@ -274,20 +267,20 @@ def test_auction_ends_where_many_targets_are_out_of_reach(rng):
     # Out of reach is a large finite cost; here four agents compete for three that are in reach.
     cost = rng.random((6, 8))
     cost[:4, 3:] += 1e3
-    check_result(Case(cost, line(6), np.full(6, 8), 1e-2))
+    check_result(VsdaaAuction(cost, line(6), np.full(6, 8), 1e-2))
 
 
-@pytest.mark.parametrize("run", [run_vsdaa, lambda *case: list(run_by_messages(*case))])
+@pytest.mark.parametrize("run", [run_vsdaa, lambda case: list(run_by_messages(case))])
 def test_more_agents_than_targets_raise_out_of_targets(rng, run):
     with pytest.raises(OutOfTargets, match="found all 3 targets taken") as found:
-        run(rng.random((5, 3)), line(5), np.full(5, 2), 0.1)
+        run(VsdaaAuction(rng.random((5, 3)), line(5), np.full(5, 2), 0.1))
     assert found.value.targets == 3
     assert found.value.round > 1
 
 
 def test_auction_without_live_agents_ends_at_once():
     graph = CommunicationGraph(np.zeros((2, 2), dtype=bool), np.full(2, False))
-    auction = run_vsdaa(np.full((2, 3), np.nan), graph, np.zeros(2, dtype=int), 0.1)
+    auction = run_vsdaa(VsdaaAuction(np.full((2, 3), np.nan), graph, np.zeros(2, dtype=int), 0.1))
     assert auction.target_index.tolist() == [-1, -1]
     assert (auction.round_count, auction.bid_count) == (0, 0)
 
@@ -297,7 +290,7 @@ def test_dead_agents_need_no_costs(rng):
     graph = CommunicationGraph.from_positions(np.array([[0.0], [1.0], [2.0]]), 3.0, alive)
     cost = rng.random((3, 3))
     cost[1] = np.nan
-    auction = run_vsdaa(cost, graph, np.array([2, 0, 2]), 1e-2)
+    auction = run_vsdaa(VsdaaAuction(cost, graph, np.array([2, 0, 2]), 1e-2))
     assert auction.target_index[1] == NO_WINNER
     assert len({*auction.target_index[alive].tolist()}) == 2
 
@@ -318,7 +311,6 @@ def test_dead_agents_need_no_costs(rng):
     ],
 )
 def test_invalid_input_is_refused_with_a_cure(change, sentence):
-    case = Case(np.zeros((2, 2)), line(2), np.array([1, 1]), 0.1)._replace(**change)
-    for run in (run_vsdaa, run_by_messages):
-        with pytest.raises(ValueError, match=sentence):
-            run(*case)
+    valid = VsdaaAuction(np.zeros((2, 2)), line(2), np.array([1, 1]), 0.1)
+    with pytest.raises(ValueError, match=sentence):
+        replace(valid, **change)

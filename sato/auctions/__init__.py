@@ -5,7 +5,10 @@
 """
 
 from sato.auctions.bids import OutOfTargets
-from sato.auctions.cbaa import CbaaResult, run_cbaa
-from sato.auctions.vsdaa import VsdaaResult, run_vsdaa
+from sato.auctions.cbaa import CbaaAuction, CbaaResult, run_cbaa
+from sato.auctions.vsdaa import VsdaaAuction, VsdaaResult, run_vsdaa
 
-__all__ = ["CbaaResult", "OutOfTargets", "VsdaaResult", "run_cbaa", "run_vsdaa"]
+__all__ = [
+    "CbaaAuction", "CbaaResult", "OutOfTargets", "VsdaaAuction", "VsdaaResult", "run_cbaa",
+    "run_vsdaa",
+]  # fmt: skip

@@ -8,7 +8,6 @@ rounds of `cbaa_kernel`.
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import count
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +30,65 @@ class CbaaBidder(NamedTuple):
     agent_count: int  # number of live agents
     bids: WinningBids  # its last message
     point: int = -1  # the point of its last bid
+
+
+@dataclass(frozen=True, eq=False)
+class CbaaAuction:
+    """Assignment of a point to every agent by messages between neighbors [Lusk2020, sec. IV-B].
+
+    The result equals the greedy choice: the largest of all scores, then the largest that shares
+    neither agent nor point with it, and so on; of equal ones the smaller agent, then the smaller
+    point. Hence at least half of the best total score [Choi2009], and only the order of the
+    scores matters. With D the diameter of the graph, all agents know it by round
+    (delay + 1) n D + 1, which listens (delay + 1) n D times; each stops by itself.
+
+    Messages that are lost or late only cost time: every round sends all that an agent knows.
+    But an agent that knows the end must go on sending it, since others may not have heard, and
+    no message can tell it when to stop: then all go on for `rounds`. Agents that know the end
+    by then never claim each other's points. Claims of others may still be wrong;
+    `CbaaResult.is_conflict_free` and `CbaaResult.has_consensus` tell.
+
+    Raises:
+        ValueError: The shapes do not match, a score is not positive and finite, the graph is not
+            connected, or messages can be lost and `rounds` or `rng` is missing.
+    """
+
+    score: Float[Array, "agents points"]  # value of each point to each agent
+    graph: CommunicationGraph  # while the auction lasts
+    rounds: int | None = None  # largest number of rounds; None: until all agents know the end
+    loss: float = 0.0  # probability that a message is lost
+    delay: int = 0  # rounds by which each message comes later than in the next round
+    rng: np.random.Generator | None = None  # draws the lost messages
+
+    def __post_init__(self) -> None:
+        """Refuse an auction that cannot end."""
+        (agents, points), alive = self.score.shape, self.graph.alive
+        if agents != len(alive) or not 0 < np.count_nonzero(alive) <= points:
+            raise ValueError(
+                f"scores of {points} points for {agents} agents, a graph of {len(alive)} of which "
+                f"{np.count_nonzero(alive)} are alive: there must be a row for every agent of the "
+                "graph, and a point for each that is alive"
+            )
+        wrong = np.argwhere(alive[:, None] & ~((self.score > 0) & np.isfinite(self.score)))
+        if len(wrong):
+            i, j = wrong[0]
+            raise ValueError(
+                f"the score of point {j} for agent {i} is {self.score[i, j]}: scores must be "
+                "positive and finite; with 1 / d², add a small number to d²"
+            )
+        _validate_connected(self.graph)
+        loss, rounds = self.loss, self.rounds
+        if not (0 <= loss < 1 and self.delay >= 0 and (rounds is None or rounds > 0)):
+            raise ValueError(
+                f"a loss of {loss}, a delay of {self.delay} rounds, at most {rounds} rounds: the "
+                "loss must be in [0, 1), the delay no less than 0, and the number of rounds positive"
+            )
+        if loss > 0 and (self.rng is None or rounds is None):
+            raise ValueError(
+                "where messages can be lost, an agent that knows the end cannot know whether the "
+                "others do: give the number of rounds after which all stop, and the generator rng "
+                "that draws the losses"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,23 +167,15 @@ def _place_bid(agent: CbaaBidder, known: WinningBids) -> CbaaBidder:
     return agent._replace(bids=WinningBids(price, winner), point=point)
 
 
-def run_by_messages(
-    score: Float[Array, "agents points"],
-    graph: CommunicationGraph,
-    *,
-    rounds: int | None = None,
-    loss: float = 0.0,
-    delay: int = 0,
-    rng: np.random.Generator | None = None,
-) -> Iterator[dict[int, CbaaBidder]]:
-    """Run the definition: yield every live agent after every round. Arguments as in `run_cbaa`."""
-    _validate(score, graph, rounds, loss, delay, rng)
+def run_by_messages(auction: CbaaAuction) -> Iterator[dict[int, CbaaBidder]]:
+    """Run the definition: yield every live agent after every round."""
+    score, graph, rng, loss = auction.score, auction.graph, auction.rng, auction.loss
     agents, points = score.shape
     live = np.flatnonzero(graph.alive).tolist()
     now = {i: CbaaBidder(i, score[i], len(live), WinningBids.empty(points)) for i in live}
     messages = {i: agent.bids for i, agent in now.items()}
-    on_their_way = deque([messages] * (delay + 1), maxlen=delay + 1)
-    for _ in count() if rounds is None else range(rounds):
+    on_their_way = deque([messages] * (auction.delay + 1), maxlen=auction.delay + 1)
+    for _ in range(auction.rounds or UNLIMITED_ROUNDS):
         updated: dict[int, CbaaBidder] = {}
         for i in live:
             if not is_finished(now[i]):
@@ -141,93 +191,24 @@ def run_by_messages(
         yield now
 
 
-def run_cbaa(
-    score: Float[Array, "agents points"],
-    graph: CommunicationGraph,
-    *,
-    rounds: int | None = None,
-    loss: float = 0.0,
-    delay: int = 0,
-    rng: np.random.Generator | None = None,
-) -> CbaaResult:
-    """Assign a point to every agent by messages between neighbors [Lusk2020, sec. IV-B].
-
-    Equal to the greedy choice: the largest of all scores, then the largest that shares neither
-    agent nor point with it, and so on; of equal ones the smaller agent, then the smaller
-    point. Hence at least half of the best total score [Choi2009], and only the order of the
-    scores matters. With D the diameter of the graph, all agents know it by round
-    (delay + 1) n D + 1, which listens (delay + 1) n D times; each stops by itself.
-
-    Messages that are lost or late only cost time: every round sends all that an agent knows.
-    But an agent that knows the end must go on sending it, since others may not have heard, and
-    no message can tell it when to stop: then all go on for `rounds`. Agents that know the end
-    by then never claim each other's points. Claims of others may still be wrong;
-    `is_conflict_free` and `has_consensus` tell.
-
-    Args:
-        score: Value of each point to each agent; positive and finite.
-        graph: Communication graph while the auction lasts; connected.
-        rounds: Largest number of rounds; None: until all agents know the end.
-        loss: Probability that a message is lost.
-        delay: Rounds by which each message comes later than in the next round.
-        rng: Generator that draws the lost messages.
-
-    Raises:
-        ValueError: The shapes do not match, a score is not positive and finite, the graph is not
-            connected, or messages can be lost and `rounds` or `rng` is missing.
-    """
-    _validate(score, graph, rounds, loss, delay, rng)
-    state = init_state(score, graph, delay)
+def run_cbaa(auction: CbaaAuction) -> CbaaResult:
+    """Run the auction with the compiled rounds."""
+    state = init_state(auction.score, auction.graph, auction.delay)
     # Without losses nothing is drawn from the generator, whichever it is.
-    run_kernel(state, rounds or UNLIMITED_ROUNDS, loss, rng or np.random.default_rng(0))
+    rng = auction.rng or np.random.default_rng(0)
+    run_kernel(state, auction.rounds or UNLIMITED_ROUNDS, auction.loss, rng)
     played = int(state.round[0])
     sending = np.where(state.finished_round > 0, state.finished_round, played)
-    if loss > 0:
-        sending = np.full(len(score), rounds)
+    if auction.loss > 0:
+        sending = np.full(len(auction.score), auction.rounds)
     return CbaaResult(
         point=state.point,
         finished_round=state.finished_round,
         price=state.price,
         winner=state.winner,
         round_count=played,
-        message_count=int(sending @ graph.adjacency.sum(axis=1)),
+        message_count=int(sending @ auction.graph.adjacency.sum(axis=1)),
     )
-
-
-def _validate(
-    score: Array,
-    graph: CommunicationGraph,
-    rounds: int | None,
-    loss: float,
-    delay: int,
-    rng: np.random.Generator | None,
-) -> None:
-    (agents, points), alive = score.shape, graph.alive
-    if agents != len(alive) or not 0 < np.count_nonzero(alive) <= points:
-        raise ValueError(
-            f"scores of {points} points for {agents} agents, a graph of {len(alive)} of which "
-            f"{np.count_nonzero(alive)} are alive: there must be a row for every agent of the "
-            "graph, and a point for each that is alive"
-        )
-    wrong = np.argwhere(alive[:, None] & ~((score > 0) & np.isfinite(score)))
-    if len(wrong):
-        i, j = wrong[0]
-        raise ValueError(
-            f"the score of point {j} for agent {i} is {score[i, j]}: scores must be positive and "
-            "finite; with 1 / d², add a small number to d²"
-        )
-    _validate_connected(graph)
-    if not (0 <= loss < 1 and delay >= 0 and (rounds is None or rounds > 0)):
-        raise ValueError(
-            f"a loss of {loss}, a delay of {delay} rounds, at most {rounds} rounds: the loss must "
-            "be in [0, 1), the delay no less than 0, and the number of rounds positive"
-        )
-    if loss > 0 and (rng is None or rounds is None):
-        raise ValueError(
-            "where messages can be lost, an agent that knows the end cannot know whether the "
-            "others do: give the number of rounds after which all stop, and the generator rng "
-            "that draws the losses"
-        )
 
 
 def _validate_connected(graph: CommunicationGraph) -> None:

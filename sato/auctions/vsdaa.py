@@ -5,6 +5,7 @@ agents; `run_vsdaa` computes the same with the compiled rounds of `vsdaa_kernel`
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +32,56 @@ class VsdaaBidder(NamedTuple):
     quiet_rounds: int = 0  # rounds without news: the count of the printed method
     round: int = 0
     bid_count: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class VsdaaAuction:
+    """Assignment of a target to every agent by messages between neighbors [Morgan2016, Method 1].
+
+    In a component of N agents the total cost is within N ε of the optimum over the first
+    max(N, m) targets, where m is the largest `target_count` of its agents. Components know
+    nothing of each other, so two of them may choose the same target. Without `bidder_ids` it is
+    the printed method, which may assign one target to two agents.
+
+    Raises:
+        ValueError: The shapes do not match, a cost is not finite, m is not in 1 … M, or ε is
+            too small to show in prices of this size.
+    """
+
+    cost: Float[Array, "agents targets"]  # finite, also where a target is out of reach
+    graph: CommunicationGraph  # while the auction lasts
+    target_count: Int[Array, " agents"]  # m of each agent, the number of targets it would bid on
+    epsilon: float  # bid increment ε, in the unit of the cost
+    bidder_ids: bool = True  # True where bids carry the bidder's number, which breaks ties
+
+    def __post_init__(self) -> None:
+        """Refuse an auction that cannot end."""
+        cost, alive, target_count = self.cost, self.graph.alive, self.target_count
+        agents, targets = cost.shape
+        if agents != len(alive) or agents != len(target_count):
+            raise ValueError(
+                f"costs for {agents} agents, a graph of {len(alive)}, m of {len(target_count)}: "
+                "there must be a row and an m for every agent of the graph"
+            )
+        if not np.all(np.isfinite(cost[alive])):
+            i, j = next((i, j) for i, j in np.argwhere(~np.isfinite(cost)) if alive[i])
+            raise ValueError(
+                f"the cost of target {j} for agent {i} is {cost[i, j]}: "
+                "give an unreachable target a large finite cost"
+            )
+        wrong = np.flatnonzero(alive & ((target_count < 1) | (target_count > targets)))
+        if len(wrong):
+            raise ValueError(
+                f"agent {wrong[0]} bids on {target_count[wrong[0]]} targets: "
+                f"must be from 1 to the {targets} that are defined"
+            )
+        # Prices may climb to agents × the largest cost, and each bid must still be seen there.
+        least = 4 * float(np.spacing(agents * np.abs(cost[alive]).max(initial=1e-300)))
+        if not least < self.epsilon < np.inf:
+            raise ValueError(
+                f"the bid increment is {self.epsilon}: it must be finite and above {least:.1e}, "
+                "below which prices of this size cannot show it"
+            )
 
 
 class VsdaaResult(NamedTuple):
@@ -115,62 +166,32 @@ def _place_bid(agent: VsdaaBidder, known: WinningBids) -> VsdaaBidder:
     )
 
 
-def run_by_messages(
-    cost: Float[Array, "agents targets"],
-    graph: CommunicationGraph,
-    target_count: Int[Array, " agents"],
-    epsilon: float,
-    *,
-    bidder_ids: bool = True,
-) -> Iterator[dict[int, VsdaaBidder]]:
-    """Run the definition: yield every live agent after every round. Arguments as in `run_vsdaa`.
+def run_by_messages(auction: VsdaaAuction) -> Iterator[dict[int, VsdaaBidder]]:
+    """Run the definition: yield every live agent after every round.
 
     Agents first learn the diameter of their component, then agree on the largest m, then bid.
     """
-    _validate(cost, graph, target_count, epsilon)
+    cost, graph, target_count = auction.cost, auction.graph, auction.target_count
     diameter = learn_diameter(graph)
     live = np.flatnonzero(graph.alive).tolist()
     agreed = flood(graph, {i: int(target_count[i]) for i in live}, max)
-    empty = WinningBids.empty(cost.shape[1])
+    empty, rules = WinningBids.empty(cost.shape[1]), (auction.epsilon, auction.bidder_ids)
     bidders = {
-        i: VsdaaBidder(i, cost[i], epsilon, bidder_ids, 2 * int(diameter[i]), agreed[i], empty)
-        for i in live
+        i: VsdaaBidder(i, cost[i], *rules, 2 * int(diameter[i]), agreed[i], empty) for i in live
     }
     return run_rounds(graph, bidders, update_bidder, lambda agent: agent.bids, is_finished)
 
 
-def run_vsdaa(
-    cost: Float[Array, "agents targets"],
-    graph: CommunicationGraph,
-    target_count: Int[Array, " agents"],
-    epsilon: float,
-    *,
-    bidder_ids: bool = True,
-) -> VsdaaResult:
-    """Assign a target to every agent by messages between neighbors [Morgan2016, Method 1].
-
-    In a component of N agents the total cost is within N ε of the optimum over the first
-    max(N, m) targets, where m is the largest `target_count` of its agents. Components know
-    nothing of each other, so two of them may choose the same target.
-
-    Args:
-        cost: Cost of each target for each agent; finite, also where it is out of reach.
-        graph: Communication graph while the auction lasts.
-        target_count: m of each agent, the number of targets it would bid on.
-        epsilon: Bid increment ε, in the unit of the cost.
-        bidder_ids: True where bids carry the bidder's number, which decides between equal bids.
-            False runs the printed method, which may assign one target to two agents.
+def run_vsdaa(auction: VsdaaAuction) -> VsdaaResult:
+    """Run the auction with the compiled rounds.
 
     Raises:
-        ValueError: The shapes do not match, a cost is not finite, m is not in 1 … M, or ε is
-            too small to show in prices of this size.
         OutOfTargets: A component has more agents than there are targets.
     """
-    _validate(cost, graph, target_count, epsilon)
-    state = init_state(cost, graph, target_count)
-    for _ in run_kernel(state, epsilon, bidder_ids):
+    state = init_state(auction.cost, auction.graph, auction.target_count)
+    for _ in run_kernel(state, auction.epsilon, auction.bidder_ids):
         pass
-    stopped = np.where(graph.alive, state.last_news_round + state.patience, 0)
+    stopped = np.where(auction.graph.alive, state.last_news_round + state.patience, 0)
     return VsdaaResult(
         target_index=state.target_index,
         target_count=state.target_count,
@@ -180,32 +201,3 @@ def run_vsdaa(
         last_bid_round=int(state.last_bid_round.max(initial=0)),
         price=state.price,
     )
-
-
-def _validate(cost: Array, graph: CommunicationGraph, target_count: Array, epsilon: float) -> None:
-    agents, targets = cost.shape
-    alive = graph.alive
-    if agents != len(alive) or agents != len(target_count):
-        raise ValueError(
-            f"costs for {agents} agents, a graph of {len(alive)}, m of {len(target_count)}: "
-            "there must be a row and an m for every agent of the graph"
-        )
-    if not np.all(np.isfinite(cost[alive])):
-        i, j = next((i, j) for i, j in np.argwhere(~np.isfinite(cost)) if alive[i])
-        raise ValueError(
-            f"the cost of target {j} for agent {i} is {cost[i, j]}: "
-            "give an unreachable target a large finite cost"
-        )
-    wrong = np.flatnonzero(alive & ((target_count < 1) | (target_count > targets)))
-    if len(wrong):
-        raise ValueError(
-            f"agent {wrong[0]} bids on {target_count[wrong[0]]} targets: "
-            f"must be from 1 to the {targets} that are defined"
-        )
-    # Prices may climb to agents × the largest cost, and each bid must still be seen there.
-    least = 4 * float(np.spacing(agents * np.abs(cost[alive]).max(initial=1e-300)))
-    if not least < epsilon < np.inf:
-        raise ValueError(
-            f"the bid increment is {epsilon}: it must be finite and above {least:.1e}, "
-            "below which prices of this size cannot show it"
-        )

@@ -12,7 +12,7 @@ from numpy import ndarray as Array
 
 from problems.alignment import align
 from problems.assignment import solve_assignment
-from sato.auctions import run_cbaa, run_vsdaa
+from sato.auctions import CbaaAuction, VsdaaAuction, run_cbaa, run_vsdaa
 from sato.formation.kernel import FormationState, Roles
 from sato.formation.mission import Formation
 from sato.formation.settings import CoordinateFrames
@@ -116,16 +116,18 @@ def assign_points(
         if auction_index > 0:
             distance[np.arange(agents), roles.assignment] -= SWITCHING_INCREMENTS * epsilon
         # The formation tells the diameter of the graph and the number of bidders.
-        won = run_vsdaa(distance, network, np.full(agents, agents), epsilon)
+        won = run_vsdaa(VsdaaAuction(distance, network, np.full(agents, agents), epsilon))
         return _unanimous_result(won.target_index, won.round_count * (1 + radio.delay_rounds))
     rounds = radio.rounds_within(settings.period) if radio.loss_probability > 0 else None
     found = run_cbaa(
-        1 / (cost + SCORE_REGULARIZATION),
-        network,
-        rounds=rounds,
-        loss=radio.loss_probability,
-        delay=radio.delay_rounds,
-        rng=rng,
+        CbaaAuction(
+            1 / (cost + SCORE_REGULARIZATION),
+            network,
+            rounds=rounds,
+            loss=radio.loss_probability,
+            delay=radio.delay_rounds,
+            rng=rng,
+        )
     )
     # An agent that has not learned the outcome by now keeps its point until the next auction.
     knows = found.finished_round > 0

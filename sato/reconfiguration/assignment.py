@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from dynamics.trajectory_geometry import min_distance
-from sato.auctions import VsdaaResult, run_vsdaa
+from sato.auctions import VsdaaAuction, VsdaaResult, run_vsdaa
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.auction_costs import (
     CostTable,
@@ -112,7 +112,9 @@ def run_auction(
     live, ids = np.flatnonzero(context.graph.alive), context.mission.bidder_ids
     while True:
         cost = compute_bid_costs(table, memory, context.graph, is_firm)
-        auction = run_vsdaa(cost, context.graph, memory.target_count, epsilon, bidder_ids=ids)
+        auction = run_vsdaa(
+            VsdaaAuction(cost, context.graph, memory.target_count, epsilon, bidder_ids=ids)
+        )
         won = auction.target_index[live]
         inexact = np.flatnonzero(~table.is_exact[live, won])
         if not len(inexact):

@@ -7,13 +7,12 @@ import argparse
 import json
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from judge import judge
 
 import sato
-from sato.auctions.vsdaa import VsdaaResult
+from sato.auctions import VsdaaAuction, VsdaaResult
 from sato.reconfiguration import assignment
 
 RADIUS, SPEED = 0.5, 0.5
@@ -24,14 +23,13 @@ PLANS: dict[str, dict[str, int]] = {
 }
 
 
-def given_targets(
-    cost: np.ndarray, graph: Any, target_count: np.ndarray, epsilon: float, **_: Any
-) -> VsdaaResult:
+def given_targets(auction: VsdaaAuction) -> VsdaaResult:
     """Return the assignment of agent i to target i as the result of an auction."""
-    agents, alive = np.arange(len(cost)), graph.alive
+    cost, alive = auction.cost, auction.graph.alive
+    agents = np.arange(len(cost))
     return VsdaaResult(
         target_index=np.where(alive, agents, -1),
-        target_count=np.where(alive, cost.shape[1], target_count),
+        target_count=np.where(alive, cost.shape[1], auction.target_count),
         bidder_count=np.where(alive, alive.sum(), 0),
         round_count=1,
         bid_count=len(cost),
