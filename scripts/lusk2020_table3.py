@@ -186,7 +186,7 @@ def make_table(found: dict[int, list[TransitionResult]], seeds: int) -> Table:
 
 
 def draw_gridlock(flight: Formation, seen: list[FormationFrame], path: Path) -> None:
-    """Traces from above, who is stuck, where each wants to go, and where its point lies."""
+    """Plot paths from above, agents in gridlock, commands and points."""
     last, points = seen[-1], flight.gains[0].formation.points
     flown = np.array([frame.position[:, :2] for frame in seen])
     goal = align(points[last.point_index], last.position).transform(points)[last.point_index, :2]

@@ -30,7 +30,7 @@ MAX_TIME = 600.0  # [s]
 
 
 class RobustnessResult(NamedTuple):
-    """What came of a case."""
+    """Outcome of a case."""
 
     time: float  # until the shape was formed [s]
     error: float  # of the shape in the end [m]
@@ -40,7 +40,7 @@ class RobustnessResult(NamedTuple):
 def commands(
     position: Float[Array, "n 3"], gains: GainMatrix, law: ControlLaw, legacy: bool = False
 ) -> Float[Array, "n 3"]:
-    """What the law asks of everybody [m/s]."""
+    """Compute the velocity command of every agent [m/s]."""
     graph, points = gains.formation.graph, gains.formation.points
     weight = size_control_weights(graph)
     asked = np.zeros_like(position)
@@ -72,7 +72,7 @@ def draw_case(rng: np.random.Generator) -> tuple[GainMatrix, Float[Array, "n 3"]
 
 
 def draw_distortions(count: int, worst: float, rng: np.random.Generator) -> Float[Array, "n 3 3"]:
-    """A factor and a turn about any axis by up to `worst` [rad] for everybody."""
+    """Draw a factor and a rotation about any axis by up to `worst` [rad] for every agent."""
     axis = rng.standard_normal((count, 3))
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     turn = Rotation.from_rotvec(axis * rng.uniform(0, worst, (count, 1))).as_matrix()

@@ -29,14 +29,14 @@ graph = { kind = "thinned", removals = 1 }
 
 
 def fly(*settings, seed=2, text=FIVE):
-    """A drawn mission and its frames."""
+    """Draw and fly a mission; return it with its frames."""
     rng = np.random.default_rng(seed)
     mission = parse(text, settings).draw(rng)
     return mission, list(simulate(mission, rng))
 
 
 def dataset(mission, frames, stopped=""):
-    """The dataset of a run."""
+    """Return the dataset of a run."""
     return build_dataset(
         SYSTEM, frames, mission, scenario="", name="test", seed=3, version="0", wall_s=1.0,
         peak_memory_mib=1.0, stopped=stopped,

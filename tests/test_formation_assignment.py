@@ -22,7 +22,7 @@ RANDOM = FrameSettings("random", 20.0, 0.0, 0.0)
 
 
 def mission(seed, method="vsdaa", share=0.7, frames=ALIGNED, epsilon=1e-4, **radio):
-    """A mission with a random start and formation; frames do not change the rest."""
+    """Draw a mission with a random start and formation; frames do not change the rest."""
     rng = np.random.default_rng(seed)
     points = sample_formation(N, (9.0, 9.0, 3.0), 1.5, rng)
     start = np.column_stack([sample_positions(N, (9.0, 9.0), 1.5, rng), np.ones(N)])
@@ -66,7 +66,7 @@ def costs(mission, roles, state):
 
 
 def costs_in_one_frame(mission, roles):
-    """The same costs from true positions in one frame, agent by agent."""
+    """Compute the same costs from true positions in one frame, agent by agent."""
     formation, start, cost = mission.gains[0].formation, mission.initial_positions, []
     for i, point in enumerate(roles.assignment):
         near = np.append(np.flatnonzero(formation.graph[point]), point)

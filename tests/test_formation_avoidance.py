@@ -18,7 +18,7 @@ MANY = settings(max_examples=200)
 
 
 def avoided(u, others, rules):
-    """The velocity afterwards, and whether anything was changed."""
+    """Return the velocity after avoidance, and whether it was changed."""
     v, others = np.array([*u, 0.1]), np.asarray(others, dtype=float)
     changed = avoid_collisions(v, others, len(others), KEEP_OUT, rules, np.zeros(20), np.zeros(20))
     return v[:2], bool(changed)
@@ -35,7 +35,7 @@ def limited(u, others, rules=OURS):
 
 
 def random_others(seed, most=8, nearest=0.9):
-    """A velocity, and relative positions of other agents that are apart from each other."""
+    """Draw a velocity, and relative positions of agents that are apart from each other."""
     rng = np.random.default_rng(seed)
     others = []
     for _ in range(rng.integers(1, 40)):
@@ -73,7 +73,7 @@ def bounds(others, least=-np.inf):
 
 
 def nearest_of_all(u, normals, most):
-    """The nearest point of an intersection of half-planes: it is u, on an edge, or a corner."""
+    """Find the closest point of an intersection of half-planes: u, on an edge, or a corner."""
     found = [u] + [u - (n @ u - b) * n for n, b in zip(normals, most, strict=True)]
     for i in range(len(most)):
         for j in range(i):

@@ -21,7 +21,7 @@ from sato.scenario.file import parse
 
 @pytest.fixture(scope="module")
 def honest():
-    """Data, mission and frames of a run."""
+    """Return data, mission and frames of a run."""
     mission, frames = fly()
     return dataset(mission, frames), mission, frames
 
@@ -159,7 +159,7 @@ def test_interrupted_run_keeps_all_other_promises(honest, share):
 
 
 def accumulate(mission, frames):
-    """The summary by a second method, added up frame by frame from velocities and phases."""
+    """Add up the summary frame by frame, from velocities and phases."""
     total = dict.fromkeys(("time_s", "path_m", "gridlocked_s", "reassignments"), 0.0)
     for last, now in pairwise(frames):
         total["reassignments"] += sum(e["kind"] == "assignment" for e in now.events)

@@ -77,12 +77,12 @@ def crowded(seed, agents=8, separation=1.5):
     return np.column_stack([flat, rng.uniform(0, 3, agents)])
 
 
-def simulate(parameters, start, count, who=None, seed=0):
-    """Copies of the state after every step."""
+def simulate(parameters, start, count, own_roles=None, seed=0):
+    """Yield a copy of the state after every step."""
     delay, rng = parameters.timing.message_delay, np.random.default_rng(seed)
     state = FormationState.at_rest(start, delay)
     for number in range(count):
-        simulate_steps(state, who or roles(len(start)), parameters, number, 1, rng)
+        simulate_steps(state, own_roles or roles(len(start)), parameters, number, 1, rng)
         yield FormationState(*(array.copy() for array in state))
 
 
@@ -241,7 +241,7 @@ def test_legacy_acceleration_is_limited_on_each_axis():
 
 
 def towards(anchors):
-    """Formation data and roles of agents that fly to anchors, which are hovering agents."""
+    """Return formation data and roles of agents that fly to anchors, which hover."""
     n = len(anchors)
     xy, z = np.zeros((2 * n, 2 * n), dtype=complex), np.zeros((2 * n, 2 * n))
     xy[np.arange(n), np.arange(n, 2 * n)] = 1.0
@@ -254,9 +254,9 @@ def towards(anchors):
 def test_two_agents_that_meet_pass_on_the_right():
     ends = np.array([[0.0, 0, 1], [10, 0, 1]])
     anchors = np.array([[60.0, 0, 1], [-50, 0, 1]])
-    data, who = towards(anchors)
+    data, own_roles = towards(anchors)
     met, length = False, np.zeros(2)
-    for state in simulate(swarm(frames(4), data), np.concatenate([ends, anchors]), 2000, who):
+    for state in simulate(swarm(frames(4), data), np.concatenate([ends, anchors]), 2000, own_roles):
         one, other = state.position[:2, :2]
         length += STEP * np.linalg.norm(state.velocity[:2, :2], axis=1)
         if not met and one[0] >= other[0]:
@@ -274,10 +274,10 @@ def test_agents_that_cross_from_all_sides_keep_out_to_5_cm(seed, noise):
     turn = np.linspace(0, 2 * np.pi, n, endpoint=False) + rng.uniform(-0.1, 0.1, n)
     start = np.column_stack([6 * np.cos(turn), 6 * np.sin(turn), np.full(n, 1.0)])
     anchors = -start * [5, 5, -1]
-    data, who = towards(anchors)
+    data, own_roles = towards(anchors)
     own = swarm(frames(2 * n, drift=0.0, seed=seed), data, numbers=NUMBERS._replace(noise=noise))
     least = np.full(2 * n, np.inf)
-    for state in simulate(own, np.concatenate([start, anchors]), 2500, who, seed):
+    for state in simulate(own, np.concatenate([start, anchors]), 2500, own_roles, seed):
         least = np.minimum(least, separations(state.position).min(axis=1))
     assert least[:n].max() < NUMBERS.keep_out + 0.1  # each of them met another
     assert least.min() >= NUMBERS.keep_out - (0.05 if noise else 0.0)
@@ -288,10 +288,10 @@ def blocked_flight(blocked_time):
     """States of an agent that flies at a wall of three hovering ones."""
     start = np.array([[0.0, 0, 1], [3, 0, 1], [2.6, 1.6, 1], [2.6, -1.6, 1]])
     data, _ = towards(np.zeros((4, 3)))
-    who = roles(active=np.arange(8) == 0)
+    own_roles = roles(active=np.arange(8) == 0)
     rules = RULES._replace(blocked_time=blocked_time)
     places = np.concatenate([start, start + np.array([60.0, 0, 0])])
-    return list(simulate(swarm(frames(), data, rules), places, 1500, who))
+    return list(simulate(swarm(frames(), data, rules), places, 1500, own_roles))
 
 
 def test_blocked_agent_wanders_for_a_while_in_one_direction():
@@ -318,8 +318,8 @@ def test_agent_that_never_wanders_stays_blocked():
 
 def test_operator_commands_one_agent_in_its_own_frame_and_others_hover():
     own = frames(drift=0.0, seed=5)
-    who = roles(active=np.zeros(8, dtype=bool), commanded=2, velocity=(0.3, 0.1, 0.2))
-    (*_, state) = simulate(swarm(own), crowded(5) * [10, 10, 1], 100, who)
+    own_roles = roles(active=np.zeros(8, dtype=bool), commanded=2, velocity=(0.3, 0.1, 0.2))
+    (*_, state) = simulate(swarm(own), crowded(5) * [10, 10, 1], 100, own_roles)
     expected = own.rotation[2] * (0.3 + 0.1j)
     assert state.velocity[2] == pytest.approx([expected.real, expected.imag, 0.2])
     assert not np.delete(state.velocity, 2, axis=0).any()

@@ -27,14 +27,14 @@ BRIEF = SupervisorSettings(hover_time=1.0)
 
 @cache
 def leg(seed):
-    """A random formation, drawn once with its gains."""
+    """Draw a random formation, once with its gains."""
     rng = np.random.default_rng(seed)
     points = sample_formation(N, (8.0, 8.0, 2.0), 2.0, rng)
     return FormationLeg(points, SparseGraph(0.7)).draw(N, 1.2, rng)
 
 
 def mission(*legs, seed=0, **changed):
-    """A flight from a random start, in random frames that drift, with noise."""
+    """Draw a flight from a random start, in random frames that drift, with noise."""
     rng = np.random.default_rng(seed)
     if not legs or isinstance(legs[0], int):
         legs = [leg(number) for number in legs]

@@ -19,7 +19,7 @@ FREE, AVOIDING = np.array([False, False]), np.array([False, True])
 
 
 def assigned_supervisor():
-    """A supervisor whose swarm has just been assigned."""
+    """Return a supervisor whose swarm has just been assigned."""
     supervisor = Supervisor(SETTINGS, PERIOD, 2)
     supervisor.mark_assigned()
     return supervisor
