@@ -188,21 +188,21 @@ def gains(
     list_library: Annotated[bool, typer.Option("--list", help="List the library.")] = False,
 ) -> None:
     """Design the gains of a formation; write them with their certificate."""
-    from sato import design_gains
+    from sato import gains_report
     from sato.scenario.errors import InputError, errors_in
 
     if list_library:
-        design_gains.print_formations()
+        gains_report.print_formations()
         raise typer.Exit(EXIT_OK)
     with errors_in(""):
         if formation is None:
             raise InputError("", "gains takes a formation, NAME or FILE.csv; --list has the names")
-        shape = design_gains.resolve_formation(formation, graph)
-        file = out or design_gains.default_path(shape)
+        shape = gains_report.resolve_formation(formation, graph)
+        file = out or gains_report.default_path(shape)
         if file.suffix != ".npz" or file.is_dir():
             raise InputError("", f"{file}: --out takes a file that ends in .npz")
         ensure_writable(file.parent)
-    design_gains.design_and_save(shape, method, file)
+    gains_report.design_and_save(shape, method, file)
 
 
 @app.command()

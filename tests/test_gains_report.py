@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from problems.gain_design import GainMatrix, design_gains
-from sato import design_gains as command
+from sato import gains_report as command
 from sato.cli import app
 from sato.shapes.formation_library import formation_names, load_formation
 
