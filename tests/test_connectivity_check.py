@@ -1,4 +1,4 @@
-"""The judge of connectivity flights: an honest run passes, and one altered anywhere does not."""
+"""Check of connectivity runs: an unaltered run passes, and alterations are detected."""
 
 import json
 from dataclasses import replace
@@ -19,7 +19,7 @@ SHAKEN = 'plant={kind="kinematic", lag_s=0.3, noise=0.02}'
 
 
 def flown(*settings, seed=1, **changed):
-    """A run of three seconds, and its mission."""
+    """Fly three seconds; return the run and its drawn mission."""
     rng = np.random.default_rng(seed)
     mission = replace(read("connectivity", ["duration_s=3", *settings]).draw(rng), **changed)
     return run_of(mission, simulate(mission, rng)), mission
@@ -34,14 +34,14 @@ def broken(run, mission):
 
 
 def altered(run, name, change):
-    """The run with one variable changed at the hundredth instant."""
+    """Change one variable of a run at the hundredth instant."""
     was, values = run.data[name], run.data[name].values.copy()
     values[100] = change(values[100])
     return replace(run, data=run.data.assign({name: (was.dims, values, was.attrs)}))
 
 
 def retold(run, events):
-    """The run with other events."""
+    """Replace the events of a run."""
     text = np.array([json.dumps(event) for event in events], dtype=object)
     return replace(run, data=run.data.drop_vars("event").assign(event=("event", text)))
 

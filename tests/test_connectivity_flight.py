@@ -1,4 +1,4 @@
-"""Six robots that follow a leader and must not lose each other."""
+"""Simulations of connectivity maintenance: connectivity, distances and losses."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""No common frame: whatever a robot reads is its own, and in its own body's axes."""
+"""Independence of coordinate frames: controllers use only their own body frame."""
 
 import inspect
 from dataclasses import replace
@@ -49,7 +49,7 @@ def mission(seed, camera, **settings):
 
 
 def smooth(frames):
-    """Whether λ₂ stays simple, and its potential mild: elsewhere rounding itself is amplified."""
+    """Tell whether λ₂ stays simple and large; elsewhere rounding is amplified."""
     return all(f.lambda3 - f.lambda2 > 0.02 and f.lambda2 > 0.3 for f in frames)
 
 
@@ -125,7 +125,7 @@ def test_controllers_have_no_access_to_the_truth():
 
 
 def in_flight(seed, link):
-    """A state some steps on, with much in everybody's mail."""
+    """Simulate some steps, so that messages are under way."""
     whole, rng = mission(seed, Camera(), camera_noise=0.02, link=link), np.random.default_rng(0)
     state = initial_state(
         whole.initial_position, whole.yaw, whole.initial_relative_yaw, link.delay_messages, 2, rng
@@ -137,14 +137,14 @@ def in_flight(seed, link):
 
 
 def copied(part):
-    """The same with arrays of its own."""
+    """Copy a state with its arrays."""
     if isinstance(part, np.ndarray):
         return part.copy()
     return type(part)(*(copied(field) for field in part))
 
 
 def spoil(part, robot):
-    """Make nonsense of what is not the robot's."""
+    """Overwrite the rows of all other robots."""
     for field in part:
         if not isinstance(field, np.ndarray):
             spoil(field, robot)

@@ -1,4 +1,4 @@
-"""What robots tell each other: rows of the adjacency that travel, and messages on their way."""
+"""Messages: flooded rows of the adjacency matrix, period, delay and loss."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ GENTLE = Potential(strength=1e-15)  # nobody gets anywhere
 
 
 def chain(rng, agents=8):
-    """Robots that hang together by a long way round."""
+    """Draw a connected graph of large diameter."""
     while True:
         position = np.cumsum(rng.uniform([3, -2, -1], [6, 2, 1], (agents, 3)), axis=0)
         yaw = rng.uniform(-np.pi, np.pi, agents)
@@ -37,7 +37,7 @@ def chain(rng, agents=8):
 
 
 def rested(position, yaw, believed, duration, **settings):
-    """Frames of robots that do next to nothing, but reckon what they would do."""
+    """Fly robots whose commands are negligible but computed."""
     weak = {"potential": GENTLE, "repulsion": Repulsion(strength=0.0)}
     return fly(posed(position, yaw, believed, duration=duration, **weak, **settings))
 
@@ -124,7 +124,7 @@ def test_gradient_of_a_multiple_eigenvalue_is_independent_of_the_basis(agents, s
 
 
 def listening(agents, link):
-    """A state in which everybody has everybody in sight."""
+    """Build a state in which all agents see each other."""
     zero = np.zeros((agents, agents))
     state = initial_state(
         np.zeros((agents, 3)),

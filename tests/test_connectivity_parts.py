@@ -1,4 +1,4 @@
-"""Potential, repulsion and obstacles: each by itself."""
+"""Potential, repulsion and obstacles."""
 
 import numpy as np
 import pytest
@@ -119,7 +119,7 @@ PLANES = st.tuples(UNITS, st.floats(-3, 3)).map(lambda p: np.append(*p))
 
 
 def surfaces(sphere, box, plane, rng):
-    """Points of the three surfaces, many of each."""
+    """Sample the surfaces of three obstacles."""
     ways = rng.normal(size=(2000, 3))
     of_sphere = sphere[:3] + sphere[3] * ways / np.linalg.norm(ways, axis=1)[:, None]
     of_box = rng.uniform(box[:3], box[3:], (2000, 3))

@@ -1,4 +1,4 @@
-"""Consensus and power iteration: against matrices, eigenvalues, and what they should settle at."""
+"""Power iteration and consensus, against matrices, eigenvalues and limits."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ TEXTBOOK = complete_gains(PowerIterationGains(0.002), 6)._replace(
 
 
 def some(seed, agents=6):
-    """A random graph without weights that hangs together."""
+    """Draw a connected graph with unit weights."""
     rng = np.random.default_rng(seed)
     while True:
         links = np.triu(rng.random((agents, agents)) < 0.4, 1).astype(float)
@@ -33,7 +33,7 @@ def some(seed, agents=6):
 
 
 def averaging(power):
-    """The consensus by itself: what is averaged rests."""
+    """Turn off the iteration, so that the averaged values are constant."""
     return power._replace(deflation_gain=0.0, iteration_gain=0.0, normalization_gain=0.0)
 
 
@@ -120,7 +120,7 @@ def test_often_quoted_gains_diverge_at_the_spectral_radius(links, rng):
 
 
 def weights(seed):
-    """Weights of edges whose λ₂ and λ₃ are well apart."""
+    """Draw weights with λ₂ and λ₃ well apart."""
     rng = np.random.default_rng(seed)
     while True:
         weight = some(rng.integers(1 << 30)) * np.triu(rng.uniform(0.2, 1, (6, 6)), 1)

@@ -1,4 +1,4 @@
-"""What stands in the way, what tilts, what three know of each other, and what comes late."""
+"""Occlusion, tilted cameras, triangle closure, and late messages."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ LOOKS = np.radians([0.0, 90, 247])
 
 
 def three(**settings):
-    """Robots that know well how they are turned, but for 0 of 1."""
+    """Build a mission with exact relative yaws, but for robot 0 of 1."""
     believed = LOOKS - LOOKS[:, None]
     believed[0, 1] += 0.5
     given = {"duration": 2.0, "camera": AHEAD} | STILL | settings
@@ -94,7 +94,7 @@ def test_cameras_tilt_with_accelerating_quadrotors():
 
 
 def six(**settings):
-    """A ring of six that look inwards, and whose leader goes off."""
+    """Build a ring of six that look inwards, whose leader flies away."""
     turn = np.radians(60 * np.arange(6))
     start = np.column_stack([4 * np.cos(turn), 4 * np.sin(turn), 3 + 0.3 * np.arange(6)])
     yaw = turn + np.pi + 0.2 * np.cos(np.arange(6))

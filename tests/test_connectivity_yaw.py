@@ -1,4 +1,4 @@
-"""How robots know how others are turned: kinematics, observer, bearings and corrections."""
+"""Estimator of relative yaw: kinematics, observer, bearings and corrections."""
 
 from itertools import pairwise
 
@@ -36,12 +36,12 @@ def turned(v, yaw):
 
 
 def apart(a, b):
-    """The angle from one to the other, the short way."""
+    """Compute the angle between two directions."""
     return abs(np.angle(np.exp(1j * (a - b))))
 
 
 def pose(rng):
-    """Two robots: places, yaws, and velocities and yaw rates in their own frames."""
+    """Draw positions, yaws, and body-frame velocities and yaw rates of two robots."""
     return (
         rng.uniform(-4, 4, (2, 3)), rng.uniform(-np.pi, np.pi, 2),
         rng.uniform(-2, 2, (2, 3)), rng.uniform(-1, 1, 2),
@@ -56,7 +56,7 @@ def seen(position, yaw):
 
 
 def on(position, yaw, velocity, rate, dt):
-    """Both a step on."""
+    """Advance both robots by a step."""
     position, yaw = position.copy(), yaw.copy()
     for k in range(2):
         yaw[k], _ = step_kinematic(
@@ -78,7 +78,7 @@ def test_relative_position_has_the_derivative_of_the_paper(seed):
 
 
 def watched(position, yaw, velocity, rate, dt, time, track=TRACK):
-    """The observer after a while of motion as commanded, and how the two are turned then."""
+    """Run the observer for a time; return it with the final yaws."""
     watch, (before, _) = np.zeros(7), seen(position, yaw)
     told = np.append(velocity[1], rate[1])
     update_velocity_observer(before, before, True, velocity[0], rate[0], told, watch, track, dt)

@@ -1,7 +1,4 @@
-"""The judge flies and looks once more: what hangs together by itself, and was not flown, is found.
-
-Each run here is altered throughout, and what follows from it on file is made to fit.
-"""
+"""Check of consistently altered runs, by replay of flights and of camera views."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -29,20 +26,20 @@ def hiding():
 
 
 def told(run, **values):
-    """The run with other values of some variables."""
+    """Replace some variables of a run."""
     data = {name: (run.data[name].dims, new) for name, new in values.items()}
     return replace(run, data=run.data.assign(data))
 
 
 def weighing(run, weight):
-    """The run with other weights, and the eigenvalues that they have; nobody is lost in it."""
+    """Replace the weights of a run without losses, and their eigenvalues."""
     found = algebraic_connectivity(weight)
     assert (run.data["component"].values == 0).all() and found.lambda2.min() > 0.01
     return told(run, edge_weight=weight, lambda2=found.lambda2, lambda3=found.lambda3)
 
 
 def poses(run, mission):
-    """Weights as they are for upright cameras in empty space."""
+    """Compute the graph of level cameras in empty space."""
     return interaction_graph(run.data["position"].values, run.data["yaw"].values, mission.camera)
 
 

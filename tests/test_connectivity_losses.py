@@ -1,4 +1,4 @@
-"""What is done when the swarm has split, or somebody is gone."""
+"""Behavior after a split or a loss."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ SPHERE = np.array([22.5, 2.0, 5.0, 0.5])  # near the last of four
 
 
 def cut(dies, agents=4, **settings):
-    """Frames of a row of robots; one of them dies, and who is beyond it is out of sight."""
+    """Fly a row of robots that loses one, which splits the row."""
     start = np.array([[7.5, 0, 0]]) * np.arange(agents)[:, None] + [0, 0, 5]
     yaw = np.full(agents, AHEAD)
     return fly(
@@ -29,12 +29,12 @@ def cut(dies, agents=4, **settings):
             losses=(AgentLoss(dies, DEATH),),
             obstacles=spheres([SPHERE]),
             **settings,
-        )  # fmt: skip
+        )
     )
 
 
 def away(position):
-    """What repulsion by the sphere asks for."""
+    """Compute the repulsion of the sphere."""
     o = SPHERE[:3] - position
     o *= 1 - SPHERE[3] / np.linalg.norm(o)
     return -repulsion_gain(np.linalg.norm(o), Repulsion()) * o

@@ -1,4 +1,4 @@
-"""Figures of keeping together: they show what the data hold, and all of it can be read."""
+"""Figures of connectivity runs: agreement with the data, and legibility."""
 
 from dataclasses import replace
 from functools import cache
@@ -87,13 +87,13 @@ def shown(name, variant):
 
 
 def line(ax, label):
-    """The line of a label."""
+    """Find the line with a label."""
     [found] = [one for one in ax.lines if one.get_label() == label]
     return found.get_xydata().T
 
 
 def shades(ax, colour):
-    """From when to when a panel has a ground of a colour."""
+    """Find the intervals in which a panel has a background of a color."""
     grounds = [p for p in ax.patches if to_hex(p.get_facecolor()) == colour]
     ends = [p.get_extents().transformed(ax.transData.inverted()) for p in grounds]
     return [(end.x0, end.x1) for end in ends]
@@ -302,7 +302,7 @@ def test_trajectories_end_where_robots_are_or_are_lost(variant):
 
 
 def coordinates(one):
-    """Of a line in space or from above."""
+    """Return the coordinates of a line in space or from above."""
     return one.get_data_3d() if hasattr(one, "get_data_3d") else one.get_data()
 
 
@@ -340,7 +340,7 @@ def test_camera_that_looks_down_has_no_sector():
 
 
 class Recorder:
-    """Axes that only note what is drawn into them."""
+    """Axes that record the calls of their methods."""
 
     def __init__(self):
         self.drawn = []
