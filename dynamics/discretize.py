@@ -6,10 +6,9 @@ from functools import lru_cache
 from math import inf
 
 import numpy as np
+import scipy
 from jaxtyping import Float
 from numpy import ndarray as Array
-from scipy.integrate import solve_ivp
-from scipy.linalg import expm
 
 from dynamics.model import ControlSamples, LinearModel, NonlinearModel, StateSamples
 
@@ -152,7 +151,7 @@ def _discretize_time_invariant(model: LinearModel, dt: float, count: int) -> Dis
 
 @lru_cache(maxsize=64)  # by its entries: a model may change, or not be hashable
 def _exponential(entries: bytes, size: int) -> Array:
-    return np.asarray(expm(np.frombuffer(entries).reshape(size, size)))
+    return np.asarray(scipy.linalg.expm(np.frombuffer(entries).reshape(size, size)))
 
 
 def _is_immutable(model: LinearModel) -> bool:
@@ -194,7 +193,9 @@ def _integrate(rate: Callable[[float, Array], Array], start: Array, dt: float) -
     # One step of an eighth-order method is enough for most control steps.
     if not start.size:
         return start
-    found = solve_ivp(rate, (0.0, dt), start, "DOP853", first_step=dt, rtol=RTOL, atol=ATOL)
+    found = scipy.integrate.solve_ivp(
+        rate, (0.0, dt), start, "DOP853", first_step=dt, rtol=RTOL, atol=ATOL
+    )
     return np.asarray(found.y[:, -1])
 
 

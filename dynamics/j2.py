@@ -7,9 +7,9 @@ are relative to these axes, which rotate with ω = (ω_x, 0, ω_z).
 from dataclasses import dataclass, field
 
 import numpy as np
+import scipy
 from jaxtyping import Float
 from numpy import ndarray as Array
-from scipy.integrate import solve_ivp
 
 from dynamics.model import Controls, Jacobian, NonlinearModel, States, Times
 from dynamics.orbit import Orbit, Vectors, lvlh_rates, polar_nodal_rates, polar_nodal_scales
@@ -74,7 +74,9 @@ class J2(NonlinearModel):
         for k, (before, after) in enumerate(zip([t0, *times[:-1]], times, strict=True)):
             if after > before:
                 span = (float(before), float(after))
-                y = solve_ivp(rate, span, y, method="DOP853", rtol=RTOL, atol=atol).y[:, -1]
+                y = scipy.integrate.solve_ivp(
+                    rate, span, y, method="DOP853", rtol=RTOL, atol=atol
+                ).y[:, -1]
             states[k] = y[6:]
         return states.reshape(len(times), *lead, 6)
 

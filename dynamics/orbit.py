@@ -12,9 +12,9 @@ from math import cos, hypot, inf, isfinite, pi, sin, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float
 from numpy import ndarray as Array
-from scipy.integrate import solve_ivp
 
 # The constants of the Earth are those of [IERS2010, table 1.1].
 EARTH_MU = 3.986004418e14  # gravitational parameter [m³/s²]
@@ -259,4 +259,6 @@ def _integrate_segment(orbit: Orbit, j: int) -> Any:
     def rate(t: float, y: Array) -> Array:
         return polar_nodal_rates(y, orbit.mu, orbit.k_J2)
 
-    return solve_ivp(rate, span, y, "DOP853", dense_output=True, rtol=RTOL, atol=atol)
+    return scipy.integrate.solve_ivp(
+        rate, span, y, "DOP853", dense_output=True, rtol=RTOL, atol=atol
+    )

@@ -4,9 +4,9 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 
 import numpy as np
+import scipy
 from jaxtyping import Float
 from numpy import ndarray as Array
-from scipy.integrate import solve_ivp
 
 from dynamics.discretize import discretize_zoh
 from dynamics.model import Controls, LinearModel, NonlinearModel, States
@@ -105,7 +105,7 @@ class NonlinearPlant(Plant):
         y = x[present].ravel()
         for k in range(substeps):
             span = (float(instants[k]), float(instants[k + 1]))
-            solution = solve_ivp(rate, span, y, "DOP853", rtol=RTOL, atol=atol)
+            solution = scipy.integrate.solve_ivp(rate, span, y, "DOP853", rtol=RTOL, atol=atol)
             if not solution.success:
                 name = type(self.model).__name__
                 when = f"from t = {span[0]:.6g} to {span[1]:.6g} s"

@@ -6,9 +6,9 @@ from math import pi
 from typing import ClassVar
 
 import numpy as np
+import scipy
 from jaxtyping import Float
 from numpy import ndarray as Array
-from scipy.integrate import solve_ivp
 
 from dynamics.coordinate_frames import radius_and_momentum
 from dynamics.forces import Forces
@@ -115,7 +115,7 @@ def integrate_orbits(
     """
     settings = {"rtol": rtol, "atol": atol, "first_step": first_step}
     span, event = (0.0, float(times[-1])), _ImpactEvent(radii)
-    solution = solve_ivp(rate, span, y0, "DOP853", times, events=event, **settings)
+    solution = scipy.integrate.solve_ivp(rate, span, y0, "DOP853", times, events=event, **settings)
     if solution.status == 1:
         lowest = np.argmin(radii(solution.y_events[0][0]))
         raise Impact(int(agents[lowest]), t0 + float(solution.t_events[0][0]))

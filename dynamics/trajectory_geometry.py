@@ -13,11 +13,10 @@ bounds it for time-invariant models, `sampled_interpolation_error` estimates it 
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
-from scipy.spatial import cKDTree
 
-from dynamics.bezier_kernels import closest_pair, min_norm_points
 from dynamics.discretize import discretize_zoh
 from dynamics.model import ControlSamples, LinearModel, StateSamples
 from dynamics.orbit import Scalars
@@ -93,6 +92,8 @@ def hull_distance(points: Float[Array, "*k 4 d"]) -> tuple[Float[Array, "*k"], A
     d = points.shape[-1]
     if d not in (2, 3):
         raise ValueError(f"points have 2 or 3 axes, got {d}")
+    from dynamics.bezier_kernels import min_norm_points  # compiles, so it is imported late
+
     flat = np.ascontiguousarray(points, dtype=float).reshape(-1, 4, d)
     distance, nearest = min_norm_points(flat)
     return distance.reshape(points.shape[:-2]), nearest.reshape(*points.shape[:-2], d)
@@ -133,7 +134,7 @@ def min_distance(points: Float[Array, "k d"]) -> float:
     """Return the minimum distance of any two points, infinite for fewer than two."""
     if len(points) < 2:
         return np.inf
-    return float(cKDTree(points).query(points, k=2)[0][:, 1].min())
+    return float(scipy.spatial.cKDTree(points).query(points, k=2)[0][:, 1].min())
 
 
 def interpolation_error(
@@ -235,6 +236,8 @@ def _closest_approach(b: Float[Array, "agents 4 d"]) -> tuple[float, float, Int[
     middle = (b[:, 0] + b[:, 3]) / 2
     reach = float(np.linalg.norm(b - middle[:, None], axis=2).max())
     radius = (bound + 2 * reach) * (1 + 1e-12)
-    pairs = cKDTree(middle).query_pairs(radius, output_type="ndarray")
+    pairs = scipy.spatial.cKDTree(middle).query_pairs(radius, output_type="ndarray")
+    from dynamics.bezier_kernels import closest_pair
+
     distance, fraction, best = closest_pair(b, pairs)
     return float(distance), float(fraction), pairs[best]

@@ -6,11 +6,11 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
+import scipy
 from annotated_types import Gt, Le
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 from pydantic import BeforeValidator
-from scipy.spatial.distance import pdist
 
 from dynamics.units import Length, Unit
 from problems.desired_formation import DesiredFormation
@@ -272,7 +272,7 @@ def _check_points(points: Float[Array, "n 3"], agents: int, keep_out: float) -> 
         raise InputError(
             "", f"{agents} vehicles cannot take up a formation of {len(points)} points"
         )
-    closest = pdist(points[:, :2]).min()
+    closest = scipy.spatial.distance.pdist(points[:, :2]).min()
     if closest < keep_out:
         raise InputError(
             "",

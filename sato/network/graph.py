@@ -4,10 +4,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components, shortest_path
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +73,11 @@ class CommunicationGraph:
     @cached_property
     def hops(self) -> Float[Array, "agents agents"]:
         """Length of a shortest path between two agents; infinite between components."""
-        return np.asarray(shortest_path(csr_array(self.adjacency), directed=False, unweighted=True))
+        return np.asarray(
+            scipy.sparse.csgraph.shortest_path(
+                scipy.sparse.csr_array(self.adjacency), directed=False, unweighted=True
+            )
+        )
 
     @cached_property
     def diameter(self) -> Int[Array, " agents"]:
@@ -99,7 +102,9 @@ class CommunicationGraph:
 
 def label_components(adjacency: Bool[Array, "n n"], alive: Bool[Array, " n"]) -> Int[Array, " n"]:
     """Number the connected components in order of their lowest member; −1 where not alive."""
-    labels = connected_components(csr_array(adjacency), directed=False)[1]
+    labels = scipy.sparse.csgraph.connected_components(
+        scipy.sparse.csr_array(adjacency), directed=False
+    )[1]
     return canonicalize_labels(np.where(alive, labels, -1))
 
 

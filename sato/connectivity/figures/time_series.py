@@ -93,7 +93,8 @@ def plot_distances(record: ConnectivityRecord) -> Figure:
         draw_limit(
             ax,
             between.max_distance,
-            f"repulsion begins,\n{between.max_distance:g} m", colour=DARK_GRAY,
+            f"repulsion begins,\n{between.max_distance:g} m",
+            colour=DARK_GRAY,
         )
     add_legend(figure, record)
     return figure
