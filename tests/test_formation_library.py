@@ -16,12 +16,7 @@ from sato.shapes.formation_library import (
     make_formation,
     read_formation,
 )
-from sato.shapes.graphs import (
-    graph_from_edges,
-    random_dense_graph,
-    random_sparse_graph,
-    read_graph,
-)
+from sato.shapes.graphs import graph_from_edges, random_dense_graph, random_sparse_graph, read_graph
 from sato.shapes.random_points import sample_formation, sample_positions
 
 RESIDUAL = 1e-10  # largest residual of a gain matrix, whatever the method

@@ -135,10 +135,7 @@ def test_swarm_without_conflicts_solves_nothing():
     }
     once, exchanges = run_scp(planners, complete_graph(planners))
     found = try_priority_orders(planners, complete_graph(planners), 9)
-    assert (found.round_count, found.solve_count) == (
-        exchanges + 1,
-        0,
-    )  # one flood of the costs
+    assert (found.round_count, found.solve_count) == (exchanges + 1, 0)  # one flood of the costs
     assert all(found.planners[i].nominal is once[i].nominal for i in once)
 
 

@@ -84,9 +84,7 @@ def run_rounds(
 
 
 def flood(
-    graph: CommunicationGraph,
-    values: Mapping[int, Value],
-    merge: Callable[[Value, Value], Value],
+    graph: CommunicationGraph, values: Mapping[int, Value], merge: Callable[[Value, Value], Value]
 ) -> dict[int, Value]:
     """Agree on the merged value of a component, in as many rounds as its diameter.
 

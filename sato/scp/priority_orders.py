@@ -131,9 +131,7 @@ def _mark_clear(agent: Planner, inbox: list[TrajectoryMessage]) -> Planner:
 
 
 def select_components(
-    planners: Mapping[int, Planner],
-    graph: CommunicationGraph,
-    predicate: Callable[[Planner], bool],
+    planners: Mapping[int, Planner], graph: CommunicationGraph, predicate: Callable[[Planner], bool]
 ) -> dict[int, Planner]:
     """Keep the components in which a predicate is true of all agents.
 

@@ -13,12 +13,7 @@ from dynamics.units import Unit
 from sato.scenario.definition import Matrix
 from sato.scenario.errors import InputError
 from sato.shapes.ordering import golden_ratio_order
-from sato.shapes.region import (
-    CANDIDATES_PER_TARGET,
-    MIN_CANDIDATES,
-    fill_outlines,
-    spread_targets,
-)
+from sato.shapes.region import CANDIDATES_PER_TARGET, MIN_CANDIDATES, fill_outlines, spread_targets
 from sato.shapes.shape import Drawing, Shape, Size
 
 
