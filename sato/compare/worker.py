@@ -9,13 +9,14 @@ import signal
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
 from importlib import import_module
 from multiprocessing import get_all_start_methods, get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
 from pkgutil import iter_modules
 from time import process_time
-from typing import Any, Literal, NamedTuple, TextIO
+from typing import Any, Literal, NamedTuple
 
 import problems.solvers
 from problems.conic import SolverResult, Verified, verify
@@ -102,9 +103,8 @@ class Worker:
         self._lookup, self._name = lookup, name
         self._warm_up: SolveRequest | None = warm_up
         self._warm_up_timeout = timeout
-        self._process: Any = None
+        self._open = ExitStack()  # the process and its files
         self._connection: Connection | None = None
-        self._stderr: TextIO | None = None
         self.memory_growth = float("nan")  # with the first solve of the last warm-up [MiB]
 
     def start(self) -> Connection:
@@ -139,21 +139,12 @@ class Worker:
 
     def close(self) -> None:
         """End the process."""
-        if self._process is not None:
-            self._process.kill()
-            self._process.join()
-            self._process.close()
-            self._process = None
-        if self._connection is not None:
-            self._connection.close()
-            self._connection = None
-        if self._stderr is not None:
-            self._stderr.close()
-            self._stderr = None
+        self._open.close()
+        self._connection = None
 
     def _start_process(self) -> Connection:
         handle, path = tempfile.mkstemp(prefix="sato-compare-")
-        self._stderr = open(handle, errors="replace")
+        self._stderr = self._open.enter_context(open(handle, errors="replace"))
         context = _process_context()
         connection: Connection
         connection, remote = context.Pipe()
@@ -167,8 +158,9 @@ class Worker:
         finally:
             for name, value in before.items():
                 os.environ.pop(name) if value is None else os.environ.update({name: value})
+        self._open.callback(_end, self._process)
         remote.close()
-        self._connection = connection
+        self._connection = self._open.enter_context(connection)
         try:
             self._receive(connection, STARTUP_TIMEOUT)
         finally:
@@ -205,13 +197,17 @@ class Worker:
 
     def _exit_reason(self) -> str:
         self._process.join()
-        code, last_line = self._process.exitcode, ""
-        if self._stderr is not None:
-            lines = self._stderr.read().split("\n")
-            last_line = next((line.strip() for line in reversed(lines) if line.strip()), "")
+        code, lines = self._process.exitcode, self._stderr.read().split("\n")
+        last_line = next((line.strip() for line in reversed(lines) if line.strip()), "")
         if code is not None and code < 0:
             last_line = f"{signal.strsignal(-code) or -code}{last_line and ': '}{last_line}"
         return last_line or f"the process ended with exit code {code}"
+
+
+def _end(process: Any) -> None:
+    process.kill()
+    process.join()
+    process.close()
 
 
 def _process_context() -> Any:
