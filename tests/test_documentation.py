@@ -29,3 +29,8 @@ def test_public_classes_have_names_of_their_own():
 
 def test_names_of_tests_have_at_most_70_characters():
     assert MEASURES["long_test_names"]() == []
+
+
+def test_the_page_of_keys_is_current():
+    page = runpy.run_path(str(ROOT / "scripts/write_scenario_keys.py"))["page"]()
+    assert page == (ROOT / "docs/scenarios.md").read_text(encoding="utf-8")
