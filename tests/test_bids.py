@@ -24,23 +24,13 @@ def same(a: WinningBids, b: WinningBids) -> bool:
 
 
 @LAW
-@given(tables(), tables())
-def test_merge_is_commutative(a, b):
-    assert same(merge_bids(a, b), merge_bids(b, a))
-
-
-@LAW
 @given(tables(), tables(), tables())
-def test_merge_is_associative(a, b, c):
-    assert same(merge_bids(merge_bids(a, b), c), merge_bids(a, merge_bids(b, c)))
-
-
-@LAW
-@given(tables(), tables())
-def test_merge_is_idempotent(a, b):
-    once = merge_bids(a, b)
-    assert same(merge_bids(once, b), once)
-    assert same(merge_bids(a, a), a)
+def test_merge_is_commutative_associative_and_idempotent(a, b, c):
+    both = merge_bids(a, b)
+    assert same(both, merge_bids(b, a))
+    assert same(merge_bids(both, c), merge_bids(a, merge_bids(b, c)))
+    assert same(merge_bids(both, b), both)
+    assert same(merge_bids(a, WinningBids.empty(4)), a)
 
 
 @LAW
@@ -51,12 +41,6 @@ def test_merged_bids_are_no_older_than_either(a, b):
     assert not find_newer_bids(both, a).any()
     assert not find_newer_bids(both, b).any()
     assert np.all(np.abs(both.price) >= np.maximum(np.abs(a.price), np.abs(b.price)))
-
-
-@LAW
-@given(tables())
-def test_merge_with_no_bids_changes_nothing(a):
-    assert same(merge_bids(a, WinningBids.empty(4)), a)
 
 
 def test_larger_magnitude_wins_then_for_sale_then_smaller_agent():
