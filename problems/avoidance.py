@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray as Array
 from scipy.sparse import csc_array
 
+from dynamics.model import ControlSamples, StateSamples
 from problems.conic import ConicProgram, solve
 from problems.solvers import solve_clarabel
 from problems.transfer import Trajectory, TransferProblem, solve_cvxpy
@@ -31,14 +32,11 @@ class HalfSpaces(NamedTuple):
     control_coeffs: Float[Array, "rows m"]
     rhs: Float[Array, " rows"]
 
-    def violation(
-        self, x: Float[Array, "instants n"], u: Float[Array, "T m"]
-    ) -> Float[Array, " rows"]:
+    def violation(self, x: StateSamples, u: ControlSamples) -> Float[Array, " rows"]:
         """Compute rhs minus the left-hand side of each row; positive where it is violated."""
-        kept = (self.state_coeffs * x[self.step_index]).sum(1) + (
-            self.control_coeffs * u[self.step_index]
-        ).sum(1)
-        return np.asarray(self.rhs - kept)
+        on_x = (self.state_coeffs * x[self.step_index]).sum(1)
+        on_u = (self.control_coeffs * u[self.step_index]).sum(1)
+        return np.asarray(self.rhs - (on_x + on_u))
 
     def to_cvxpy(self, x: Any, u: Any) -> Any:
         """Express the left-hand sides in CVXPY variables."""
@@ -107,10 +105,8 @@ class AvoidanceProblem:
         kept = half_spaces.to_cvxpy(x, u)
         separation = [kept + slack >= half_spaces.rhs] if len(half_spaces.rhs) else []
         penalty = self._penalty
-        violation_cost = cp.norm1(
-            cp.multiply(self._terminal_error_weights, terminal_error)
-        ) + 10 * cp.sum(slack)
-        cost = effort + penalty * violation_cost
+        error_cost = cp.norm1(cp.multiply(self._terminal_error_weights, terminal_error))
+        cost = effort + penalty * (error_cost + 10 * cp.sum(slack))
         fixed = []
         if relaxation == "none":
             fixed.append(terminal_error == 0)
@@ -124,10 +120,9 @@ class AvoidanceProblem:
         self, start: Array, goal: Array, u: Array, half_spaces: HalfSpaces, relaxation: Relaxation
     ) -> AvoidanceResult:
         trajectory = self.transfer.simulate(start, u)
-        terminal_error = (
-            0.0 if relaxation == "none" else float(np.abs(trajectory.x[-1] - goal).max())
-        )
-        slack = 0.0
+        terminal_error, slack = 0.0, 0.0
+        if relaxation != "none":
+            terminal_error = float(np.abs(trajectory.x[-1] - goal).max())
         if relaxation == "separation":
             slack = float(half_spaces.violation(trajectory.x, trajectory.u).max(initial=0.0))
         return AvoidanceResult(trajectory, terminal_error, slack)
@@ -197,11 +192,9 @@ class AvoidanceProblem:
         columns = 2 * N + 2 * errors + slacks
         slacks_at = 2 * N + 2 * errors
 
-        fuel = U * transfer.model.dt * np.repeat(transfer.weights, m)
-        penalty = self._penalty
-        q = np.concatenate(
-            [fuel, fuel, np.full(2 * errors, penalty), np.full(slacks, 10 * penalty)]
-        )
+        fuel = np.tile(U * transfer.model.dt * np.repeat(transfer.weights, m), 2)
+        penalty = np.repeat([self._penalty, 10 * self._penalty], [2 * errors, slacks])
+        q = np.concatenate([fuel, penalty])
 
         whitening = np.linalg.inv(factor)
         terminal = np.zeros((n, columns))
@@ -221,9 +214,7 @@ class AvoidanceProblem:
         cone_rows, cone_rhs = self._assemble_speed_cones(R, free, limited, columns)
         A = _stack_with_bounds(np.vstack([terminal, separation]), 2 * N, cone_rows)
         b = np.concatenate([terminal_rhs, rhs, bound_rhs, cone_rhs])
-        return ConicProgram(
-            q, A, b, n, rows + len(bound_rhs), (transfer.model.axes + 1,) * len(limited)
-        )
+        return ConicProgram(q, A, b, n, rows + len(bound_rhs), (m + 1,) * len(limited))
 
     def _assemble_speed_cones(
         self, R: Array, free: Array, limited: list[int], columns: int

@@ -18,8 +18,16 @@ from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from dynamics.bezier_kernels import closest_pair
+from dynamics.model import ControlSamples, StateSamples
 from dynamics.trajectory_geometry import hull_distance, min_distance
-from problems.centralized_nlp import InitialGuess, SeparationConstraints, solve_nlp, state_units
+from problems.centralized_nlp import (
+    AgentStates,
+    Ends,
+    InitialGuess,
+    SeparationConstraints,
+    solve_nlp,
+    state_units,
+)
 from problems.conic import Unsolved
 from problems.convexify import SEPARATION_TOLERANCE, AvoidanceHorizon, are_balls_separated
 from problems.transfer import TransferProblem, compute_fuel
@@ -27,7 +35,7 @@ from problems.transfer import TransferProblem, compute_fuel
 FEASIBILITY_TOLERANCE = 1e-6  # of simulated violations, in `state_units`
 PROXIMITY_FACTOR = 2.0  # times R: pairs that come closer in the guess get constraints at once,
 CONSTRAINTS_PER_STEP = 4  # at so many instants a step, or at the ends of its pieces
-MAX_ITERATIONS = 12  # solutions with additional instants of too is_small a separation
+MAX_ITERATIONS = 12  # solutions with additional instants of too small a separation
 ITERATIONS_BEFORE_PADDING = 3  # after which the required distance is padded for any violation
 MIN_DISTANCE = 1 + SEPARATION_TOLERANCE  # of R, without padding
 MAX_PADDING = 1e-4  # of R, largest increase per iteration; smaller violations are padded at once
@@ -132,10 +140,7 @@ class CentralizedProblem:
         return state_units(self.transfer, self.horizon)
 
     def solve(
-        self,
-        start: Float[Array, "agents n"],
-        goal: Float[Array, "agents n"],
-        guesses: Sequence[InitialGuess],
+        self, start: AgentStates, goal: AgentStates, guesses: Sequence[InitialGuess]
     ) -> CentralizedResult:
         """Solve from each guess and return the best feasible solution, guesses included.
 
@@ -152,18 +157,14 @@ class CentralizedProblem:
         self._validate(start, goal, guesses)
         tried = [self.simulate(start, goal, u, "initial guess") for _, u in guesses]
         for guess in guesses:
-            tried.append(self._solve_from(start, goal, guess, _least_fuel(tried)))
+            tried.append(self._solve_from((start, goal), guess, _least_fuel(tried)))
         feasible = [t for t in tried if t.is_feasible]
         if not feasible:
             raise NoFeasibleSolution(self, tuple(tried))
         return CentralizedResult(min(feasible, key=lambda t: t.fuel), tuple(tried))
 
     def simulate(
-        self,
-        start: Float[Array, "agents n"],
-        goal: Float[Array, "agents n"],
-        u: Float[Array, "agents T m"],
-        solver_message: str,
+        self, start: AgentStates, goal: AgentStates, u: ControlSamples, solver_message: str
     ) -> SimulatedSolution:
         """Simulate the controls and compute all violations."""
         transfer, d = self.transfer, self.transfer.model.axes
@@ -172,24 +173,15 @@ class CentralizedProblem:
         thrust = np.linalg.norm(u, order, axis=-1).max(initial=0.0) / transfer.max_control
         speed = np.linalg.norm(x[:, 1:-1, d:], axis=-1).max(initial=0.0) / transfer.max_speed
         least = self._closest_approaches(x, u)[0].min(initial=np.inf)
-        return SimulatedSolution(
-            x,
-            u,
-            float(np.sum(compute_fuel(u, transfer.model.dt, transfer.fuel_norm))),
-            float(np.abs((x[:, -1] - goal) / self.state_units).max()),
-            float(thrust - 1),
-            float(speed - 1),
-            float(least / self.horizon.clearance),
-            solver_message,
-        )
+        fuel = float(np.sum(compute_fuel(u, transfer.model.dt, transfer.fuel_norm)))
+        error = float(np.abs((x[:, -1] - goal) / self.state_units).max())
+        above, apart = (float(thrust - 1), float(speed - 1)), least / self.horizon.clearance
+        return SimulatedSolution(x, u, fuel, error, *above, float(apart), solver_message)
 
-    def count_conflicts(
-        self, x: Float[Array, "agents instants n"], u: Float[Array, "agents T m"]
-    ) -> int:
+    def count_conflicts(self, x: StateSamples, u: ControlSamples) -> int:
         """Count the pairs that come too close on given trajectories."""
-        return int(
-            (self._closest_approaches(x, u)[0] < self.horizon.clearance).any(axis=1).sum()
-        )
+        distance, _ = self._closest_approaches(x, u)
+        return int((distance < self.horizon.clearance).any(axis=1).sum())
 
     def _validate(self, start: Array, goal: Array, guesses: Sequence[InitialGuess]) -> None:
         if not guesses:
@@ -200,30 +192,23 @@ class CentralizedProblem:
         for name, states in (("starts", start), ("goals", goal)):
             least = min_distance(states[:, : self.transfer.model.axes])
             if not least >= self.horizon.clearance:
-                raise ValueError(
-                    f"two {name} are {least:.6g} m apart, at least "
-                    f"{self.horizon.clearance:.6g} m are needed"
-                )
+                needed = f"at least {self.horizon.clearance:.6g} m are needed"
+                raise ValueError(f"two {name} are {least:.6g} m apart, {needed}")
 
-    def _solve_from(
-        self, start: Array, goal: Array, guess: InitialGuess, cheapest: float
-    ) -> SimulatedSolution:
-        found, instants = self._refine_constraints(
-            (start, goal), guess, self._initial_constraints(*guess), cheapest
-        )
+    def _solve_from(self, ends: Ends, guess: InitialGuess, cheapest: float) -> SimulatedSolution:
+        first = self._initial_constraints(*guess)
+        found, instants = self._refine_constraints(ends, guess, first, cheapest)
         if not found.is_feasible or found.padding <= MAX_PADDING:
             return found
         # This is an optimum of the padded program: solve once more from there without padding.
         unpadded = np.full(len(instants.min_distance), MIN_DISTANCE)
         bare = instants._replace(min_distance=unpadded)
-        again, _ = self._refine_constraints(
-            (start, goal), (found.x, found.u), bare, cheapest, nearby=True
-        )
+        again, _ = self._refine_constraints(ends, (found.x, found.u), bare, cheapest, nearby=True)
         return again if again.is_feasible and again.fuel < found.fuel else found
 
     def _refine_constraints(
         self,
-        ends: tuple[Array, Array],
+        ends: Ends,
         guess: InitialGuess,
         instants: SeparationConstraints,
         cheapest: float,
@@ -241,7 +226,7 @@ class CentralizedProblem:
             x, u, message = solve_nlp(self.transfer, self.horizon, ends, guess, instants, nearby)
             padding = instants.min_distance.max(initial=MIN_DISTANCE) - MIN_DISTANCE
             found = self.simulate(*ends, u, message)._replace(padding=float(padding))
-            more, violation = self._violated_constraints(found)
+            more, violation = self._violations(found)
             if (
                 not len(more.piece)
                 or not found.terminal_error <= FEASIBILITY_TOLERANCE
@@ -251,9 +236,7 @@ class CentralizedProblem:
             # Equal optima differ in the time of closest approach, so that new instants alone
             # might never suffice.
             is_small = (violation <= MAX_PADDING) | (attempt >= ITERATIONS_BEFORE_PADDING)
-            padding_added = np.where(
-                is_small, np.minimum(violation + MAX_PADDING / 10, MAX_PADDING), 0.0
-            )
+            padding_added = np.minimum(violation + MAX_PADDING / 10, MAX_PADDING) * is_small
             instants = instants.enlarge_distance(more, padding_added, pieces).concatenate(more)
             for part in (1.0, 2.0 ** -(attempt + 1)):
                 for side in (-1, 1):
@@ -285,10 +268,8 @@ class CentralizedProblem:
         fraction = np.repeat(np.arange(1, count + 1) / count, len(piece))
         return _require_distance(len(x), np.tile(pair, count), np.tile(piece, count), fraction)
 
-    def _violated_constraints(
-        self, found: SimulatedSolution
-    ) -> tuple[SeparationConstraints, Array]:
-        """Find the instants of too is_small a separation and the violations in units of R."""
+    def _violations(self, found: SimulatedSolution) -> tuple[SeparationConstraints, Array]:
+        """Find the instants of too small a separation and the violations in units of R."""
         distance, fraction = self._closest_approaches(found.x, found.u)
         pair, piece = np.nonzero(distance < self.horizon.clearance)
         violation = 1 - distance[pair, piece] / self.horizon.clearance
@@ -324,11 +305,9 @@ def _least_fuel(tried: Sequence[SimulatedSolution]) -> float:
 
 def _format_separation(separation: float) -> str:
     # Distances beyond the proximity factor are not computed.
-    return (
-        f"separation {separation:.6f} R"
-        if isfinite(separation)
-        else f"over {PROXIMITY_FACTOR:g} R apart"
-    )
+    if isfinite(separation):
+        return f"separation {separation:.6f} R"
+    return f"over {PROXIMITY_FACTOR:g} R apart"
 
 
 def _agent_pairs(count: int) -> Int[Array, "pairs 2"]:

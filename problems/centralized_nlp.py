@@ -36,6 +36,8 @@ WARM_START_OPTIONS = IPOPT_OPTIONS | {
 }
 PROXIMAL_WEIGHT = 1e-3  # of ‖(u − u₀)/U‖² to the last solution u₀; an optimum u₀ stays optimal
 
+AgentStates = Float[Array, "agents n"]
+Ends = tuple[AgentStates, AgentStates]
 InitialGuess = tuple[Float[Array, "agents instants n"], Float[Array, "agents T m"]]
 
 
@@ -49,9 +51,7 @@ class SeparationConstraints(NamedTuple):
 
     def concatenate(self, more: "SeparationConstraints") -> "SeparationConstraints":
         """Append other constraints."""
-        return SeparationConstraints(
-            *(np.concatenate(both) for both in zip(self, more, strict=True))
-        )
+        return SeparationConstraints(*map(np.concatenate, zip(self, more, strict=True)))
 
     @property
     def time(self) -> Float[Array, " rows"]:
@@ -70,9 +70,8 @@ class SeparationConstraints(NamedTuple):
         """Enlarge the distance of the same pairs within a span of pieces of other constraints."""
         same = (self.pair[:, None] == where.pair).all(axis=-1)
         near = same & (np.abs(self.time[:, None] - where.time) <= span)
-        return self._replace(
-            min_distance=self.min_distance + np.where(near, by, 0.0).max(axis=1, initial=0.0)
-        )
+        added = np.where(near, by, 0.0).max(axis=1, initial=0.0)
+        return self._replace(min_distance=self.min_distance + added)
 
 
 class NonlinearProgram(NamedTuple):
@@ -99,7 +98,7 @@ def state_units(transfer: TransferProblem, horizon: AvoidanceHorizon) -> Float[A
 def solve_nlp(
     transfer: TransferProblem,
     horizon: AvoidanceHorizon,
-    ends: tuple[Float[Array, "agents n"], Float[Array, "agents n"]],
+    ends: Ends,
     guess: InitialGuess,
     constraints: SeparationConstraints,
     is_warm_start: bool = False,
@@ -128,20 +127,15 @@ def solve_nlp(
         side[:, 0], side[:, -1] = ends[0] / unit, ends[1] / unit
     Dx, Du = relative_position_maps(horizon, unit, U, len(x), constraints)
     relative = Dx @ x.ravel() + Du @ u.ravel()
-    size = (
-        np.linalg.norm(u, axis=-1).ravel() + NORM_INITIAL_SLACK
-        if transfer.fuel_norm == 2
-        else np.zeros(0)
-    )
+    size = np.linalg.norm(u, axis=-1).ravel() + NORM_INITIAL_SLACK
+    size = size if transfer.fuel_norm == 2 else np.zeros(0)
     signs = (1, -1)[: _variables_per_control(transfer)]
     controls = np.stack([np.maximum(sign * u, 0) for sign in signs] if len(signs) == 2 else [u])
     least = 0.0 if len(signs) == 2 else -1.0
     free = np.full(len(size) + len(relative), np.inf)
     below = np.concatenate([np.zeros(len(size)), -free[len(size) :]])
-    settings: dict[str, Any] = {
-        "ipopt": WARM_START_OPTIONS if is_warm_start else IPOPT_OPTIONS,
-        "print_time": False,
-    }
+    options = WARM_START_OPTIONS if is_warm_start else IPOPT_OPTIONS
+    settings: dict[str, Any] = {"ipopt": options, "print_time": False}
     solver = casadi.nlpsol("central", "ipopt", program.to_casadi, settings)
     found = solver(
         x0=np.concatenate([x.ravel(), controls.ravel(), size, relative]),
@@ -174,10 +168,8 @@ def build_nlp(
     steps, unit, U = transfer.model, state_units(transfer, horizon), transfer.max_control
     T, n, m = steps.B.shape
     x = casadi.MX.sym("x", (T + 1) * n, agents)
-    parts = [
-        casadi.MX.sym(sign, T * m, agents)
-        for sign in ("plus", "minus")[: _variables_per_control(transfer)]
-    ]
+    names = ("plus", "minus")[: _variables_per_control(transfer)]
+    parts = [casadi.MX.sym(name, T * m, agents) for name in names]
     u = parts[0] - parts[1] if len(parts) == 2 else parts[0]
     on_x, on_u, drift = dynamics_equations(steps, unit, U)
     rows = [casadi.vec(_to_dm(on_x) @ x + _to_dm(on_u) @ u)]
@@ -225,9 +217,8 @@ def dynamics_equations(
     """Build E, F and e of E x + F u = e, the scaled dynamics of one agent over all steps."""
     T, n = len(steps), len(unit)
     A = steps.A * unit / unit[:, None]
-    on_x = eye_array(T * n, (T + 1) * n, k=n) - hstack(
-        [block_diag(list(A)), csc_matrix((T * n, n))]
-    )
+    before = hstack([block_diag(list(A)), csc_matrix((T * n, n))])
+    on_x = eye_array(T * n, (T + 1) * n, k=n) - before
     on_u = -block_diag(list(steps.B * U / unit[:, None]))
     return csc_matrix(on_x), csc_matrix(on_u), (steps.z / unit).ravel()
 
@@ -258,23 +249,16 @@ def relative_position_maps(
     )
 
 
-def _subtract_blocks(
-    blocks: Float[Array, "k d w"], first: Int[Array, "k 2"], columns: int
-) -> csc_matrix:
+def _subtract_blocks(blocks: Float[Array, "k d w"], first: Array, columns: int) -> csc_matrix:
     """Place each block at its first column and its negative at the second."""
     k, d, w = blocks.shape
     row = np.broadcast_to(np.arange(k * d).reshape(k, d, 1), blocks.shape).ravel()
-    own, other = (
-        csc_matrix(
-            (
-                blocks.ravel(),
-                (row, np.broadcast_to(at[:, None, None] + np.arange(w), blocks.shape).ravel()),
-            ),
-            (k * d, columns),
-        )
-        for at in first.T
-    )
-    return csc_matrix(own - other)
+
+    def place(at: Array) -> csc_matrix:
+        column = np.broadcast_to(at[:, None, None] + np.arange(w), blocks.shape).ravel()
+        return csc_matrix((blocks.ravel(), (row, column)), (k * d, columns))
+
+    return csc_matrix(place(first[:, 0]) - place(first[:, 1]))
 
 
 def _to_dm(sparse: csc_matrix) -> Any:

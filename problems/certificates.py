@@ -59,9 +59,8 @@ def certify_optimality(shared, rhs, x, λ, p):
         and abs(cost - bound) <= CERTIFICATE_TOLERANCE + gap * cost
     )
     if certified and len(p) > 0:
-        certified = (
-            compute_velocities(shared, rhs, x, np.empty(p.shape)) <= 1 + CERTIFICATE_TOLERANCE
-        )
+        speed = compute_velocities(shared, rhs, x, np.empty(p.shape))
+        certified = speed <= 1 + CERTIFICATE_TOLERANCE
     return (OPTIMAL if certified else UNCERTIFIED), bound
 
 
@@ -82,9 +81,8 @@ def compute_velocities(shared, rhs, x, velocity):
     for k in range(K):
         square = 0.0
         for c in range(d):
-            velocity[k, c] = rhs.free_velocity[k, c] + dot_prefix(
-                shared.velocity_response[k, c], x, n
-            )
+            added = dot_prefix(shared.velocity_response[k, c], x, n)
+            velocity[k, c] = rhs.free_velocity[k, c] + added
             square += velocity[k, c] ** 2
         largest = max(largest, square)
     return np.sqrt(largest)

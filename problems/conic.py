@@ -162,17 +162,14 @@ class ConicSolution(NamedTuple):
     gap: float  # |qᵀx + bᵀy|, relative
 
     @classmethod
-    def evaluate(
-        cls, problem: ConicProgram, x: Float[Array, " n"], y: Float[Array, " m"]
-    ) -> "ConicSolution":
+    def evaluate(cls, problem: ConicProgram, x: Array, y: Array) -> "ConicSolution":
         """Compute residuals and duality gap of a primal and dual point."""
         q, A, b = problem.q, problem.A, problem.b
         value = float(q @ x)
         primal = problem.cone_violation(b - A @ x) / (1 + np.abs(b).max(initial=0.0))
         stationary = float(np.abs(q + A.T @ y).max(initial=0.0))
-        dual = _max_or_nan([stationary, problem.cone_violation(y, dual=True)]) / (
-            1 + np.abs(q).max(initial=0.0)
-        )
+        dual = _max_or_nan([stationary, problem.cone_violation(y, dual=True)])
+        dual = dual / (1 + np.abs(q).max(initial=0.0))
         gap = abs(value + float(b @ y)) / (1 + abs(value))
         return cls(x, y, float(primal), float(dual), float(gap))
 

@@ -16,9 +16,11 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from dynamics import DiscreteModel
+from dynamics.model import ControlSamples, StateSamples
 from dynamics.trajectory_geometry import hull_distance
 from problems.avoidance import HalfSpaces
 
+ControlPoints = Float[Array, "*pairs 4 d"]  # of relative trajectories
 PassingSide = Literal["same", "opposite", "above", "below"]
 
 SEPARATION_TOLERANCE = 1e-6  # part of R that planned trajectories keep in addition
@@ -59,9 +61,8 @@ class AvoidanceHorizon:
         for k in range(T):
             x, u, z = np.eye(n), np.zeros((n, d)), np.zeros(n)
             for s in range(S):
-                A, B, c = (
-                    m[k * S + s] for m in (self.fine_model.A, self.fine_model.B, self.fine_model.z)
-                )
+                piece, fine = k * S + s, self.fine_model
+                A, B, c = fine.A[piece], fine.B[piece], fine.z[piece]
                 after = A @ x, A @ u + B, A @ z + c
                 for i in range(4):
                     x_i, u_i, z_i = (x, u, z) if i < 2 else after
@@ -70,7 +71,7 @@ class AvoidanceHorizon:
         return P, Q, r
 
     def control_points(
-        self, x: Float[Array, "*agents instants n"], u: Float[Array, "*agents T m"]
+        self, x: StateSamples, u: ControlSamples
     ) -> Float[Array, "*agents pieces 4 d"]:
         """Compute the control points over the horizon; after its last control an agent coasts."""
         P, Q, r = self.control_point_maps
@@ -80,15 +81,15 @@ class AvoidanceHorizon:
         after = self.discrete_model[T:].simulate(x[..., T, :], still)
         X = np.concatenate([x[..., :T, :], after[..., :-1, :]], axis=-2)
         U = np.concatenate([u[..., :T, :], still], axis=-2)
-        points = (
-            np.einsum("ksidn,...kn->...ksid", P, X) + np.einsum("ksidm,...km->...ksid", Q, U) + r
+        on_x, on_u = (
+            np.einsum("ksidn,...kn->...ksid", P, X),
+            np.einsum("ksidm,...km->...ksid", Q, U),
         )
+        points = on_x + on_u + r
         return np.asarray(points).reshape(*points.shape[:-4], -1, 4, self.discrete_model.axes)
 
 
-def are_hulls_separated(
-    relative: Float[Array, "*pairs 4 d"], radius: float
-) -> Bool[Array, "*pairs"]:
+def are_hulls_separated(relative: ControlPoints, radius: float) -> Bool[Array, "*pairs"]:
     """Return True where the hull of the control points lies outside the circle."""
     separated = are_balls_separated(relative, radius)
     near = ~separated
@@ -97,9 +98,7 @@ def are_hulls_separated(
     return separated
 
 
-def are_balls_separated(
-    relative: Float[Array, "*pairs 4 d"], radius: float
-) -> Bool[Array, "*pairs"]:
+def are_balls_separated(relative: ControlPoints, radius: float) -> Bool[Array, "*pairs"]:
     """Return True where a ball about the control points lies outside the circle.
 
     Sufficient for `are_hulls_separated`, and much faster.
@@ -117,9 +116,8 @@ def _are_balls_separated(relative, radius):
     for q in range(count):
         center_distance = 0.0
         for a in range(d):
-            middle[a] = (
-                relative[q, 0, a] + relative[q, 1, a] + relative[q, 2, a] + relative[q, 3, a]
-            ) / 4
+            p = relative[q]
+            middle[a] = (p[0, a] + p[1, a] + p[2, a] + p[3, a]) / 4
             center_distance += middle[a] ** 2
         radius_squared = 0.0
         for i in range(4):
@@ -186,9 +184,8 @@ def choose_normals(
     if len(conflicts):
         displaced = relative.copy()
         for a in conflicts:
-            displaced[a] += _passing_displacement(
-                relative[a], distance[a], nearest[a], separation, side
-            )
+            hulls = relative[a], distance[a], nearest[a]
+            displaced[a] += _passing_displacement(*hulls, separation, side)
         distance, nearest = hull_distance(displaced)
     inside = distance <= 0
     # Here even the displacement does not suffice.
@@ -209,11 +206,8 @@ def _passing_displacement(
     elif side != "same":
         up = np.cross(across, relative[p, -1] - relative[p, 0])
         size = float(np.linalg.norm(up))
-        up = (
-            up / size
-            if size > 0
-            else _perpendicular(np.tile(across, (4, 1)) * np.arange(4)[:, None])
-        )
+        beside = _perpendicular(np.tile(across, (4, 1)) * np.arange(4)[:, None])
+        up = up / size if size > 0 else beside
         displacement = (separation**2 - closest**2) ** 0.5 * (up if side == "above" else -up)
     # Control points stand at thirds of a piece; a constant control displaces quadratically.
     time = np.arange(len(relative))[:, None] + np.arange(4) / 3

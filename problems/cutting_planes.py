@@ -40,9 +40,8 @@ MAX_ROUNDS = 100
 MAX_REPAIRS = 10  # refactorizations of an inaccurate basis
 CUT_CAPACITY = 100  # cuts, and three more for each step
 NEWTON_THRESHOLD = 1e-2  # largest excess of speed at which Newton's method is tried
-BOUND_TOLERANCE_RATIO = (
-    1e-4  # violation of control bounds allowed until then, relative to that excess
-)
+# Violation of control bounds that is allowed until then, relative to that excess.
+BOUND_TOLERANCE_RATIO = 1e-4
 MIN_ROW_NORM = 1e-100  # a row of smaller norm is independent of the controls
 
 

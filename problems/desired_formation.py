@@ -119,15 +119,12 @@ def _validate_graph(graph: Array, n: int) -> None:
     parts, part = connected_components(graph, directed=False)
     if parts > 1:
         small = np.flatnonzero(part == np.bincount(part).argmin())
-        raise ValueError(
-            f"no edge joins {_format_vertices(small)} to the rest of the graph: add at least one"
-        )
+        rest = f"{_format_vertices(small)} to the rest of the graph"
+        raise ValueError(f"no edge joins {rest}: add at least one")
     sparse = np.flatnonzero(graph.sum(axis=1) < 2)
     if len(sparse):
-        raise ValueError(
-            f"the graph is too sparse at {_format_vertices(sparse)}: "
-            "every vertex needs at least two neighbors"
-        )
+        where = _format_vertices(sparse)
+        raise ValueError(f"too sparse at {where}: every vertex needs at least two neighbors")
 
 
 def _format_vertices(vertices: Array) -> str:

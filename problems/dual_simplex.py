@@ -78,14 +78,8 @@ def maximize_dual(d, equations, pivots, exact):
 @no_type_check
 def _select_leaving(d, tolerance):
     # Steepest ascent: violation of a bound over the norm of its direction.
-    M, n, r, inverse, y, norm = (
-        d.row_count[0],
-        len(d.w),
-        d.residual,
-        d.basis_inverse,
-        d.basic_value,
-        d.row_norm,
-    )
+    M, n, r, inverse = d.row_count[0], len(d.w), d.residual, d.basis_inverse
+    y, norm = d.basic_value, d.row_norm
     for i in range(M):
         y[i], norm[i] = 0.0, 0.0
     for a in range(M):

@@ -4,13 +4,13 @@ from contextlib import suppress
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Inexact
 from numpy import ndarray as Array
 from threadpoolctl import threadpool_limits
 
 from problems import gain_admm
 from problems.conic import Unsolved
 from problems.desired_formation import DesiredFormation
+from problems.gain_admm import RATE_TOLERANCE
 from problems.gain_matrix import GainMatrix
 from problems.gain_problem import MIN_RATE, Axes, GainProblem, GainSolution, NoGainMatrix
 
@@ -31,9 +31,7 @@ class NoStabilizingGain(RuntimeError):
         bound: The rate that it allows, at most `MIN_RATE`.
     """
 
-    def __init__(
-        self, formation: DesiredFormation, axes: Axes, dual: Inexact[Array, "n n"]
-    ) -> None:
+    def __init__(self, formation: DesiredFormation, axes: Axes, dual: Array) -> None:
         i, j = sorted(np.unravel_index(np.abs(dual).argmax(), dual.shape))
         self.formation, self.axes, self.dual = formation, axes, dual
         self.bound = GainProblem.from_formation(formation, axes).rate_bound(dual)
@@ -72,9 +70,7 @@ class GainDesignUndecided(RuntimeError):
 
 
 def design_gains(
-    formation: DesiredFormation,
-    method: GainMethod = "auto",
-    tolerance: float = gain_admm.RATE_TOLERANCE,
+    formation: DesiredFormation, method: GainMethod = "auto", tolerance: float = RATE_TOLERANCE
 ) -> GainMatrix:
     """Design the gains of the largest convergence rate for a mean eigenvalue of −1.
 
@@ -163,9 +159,7 @@ def _solve(problem: GainProblem, method: str, tolerance: float) -> GainSolution:
         from problems import gain_paper
 
         return gain_paper.solve(problem)
-    raise ValueError(
-        f'method must be "auto", "projection", "admm", "sdp" or "paper", got "{method}"'
-    )
+    raise ValueError(f'method: "auto", "projection", "admm", "sdp" or "paper", got "{method}"')
 
 
 def _format_formation(formation: DesiredFormation) -> str:

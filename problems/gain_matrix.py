@@ -50,12 +50,16 @@ class GainMatrix:
 
     def __post_init__(self) -> None:
         """Refuse gains that are unstable or of another formation, and wrong bounds."""
-        _validate_gains(self.formation, "xy", self.xy)
-        _validate_gains(self.formation, "z", self.z)
+        for axes, gains in self._gains.items():
+            _validate_gains(self.formation, axes, gains)
         if not self.convergence_rate > 0:
             raise ValueError(f"the gains are not stable: their rate is {self.convergence_rate:.1e}")
         _validate_bound("xy", self.bound_xy, self.rate_xy)
         _validate_bound("z", self.bound_z, self.rate_z)
+
+    @property
+    def _gains(self) -> dict[Axes, Array]:
+        return {"xy": self.xy, "z": self.z}
 
     @property
     def convergence_rate(self) -> float:
@@ -85,10 +89,7 @@ class GainMatrix:
     @property
     def residual_kernel(self) -> float:
         """Largest speed of an agent in the desired formation [m/s]."""
-        return max(
-            _kernel_residual(self.formation, "xy", self.xy),
-            _kernel_residual(self.formation, "z", self.z),
-        )
+        return max(_kernel_residual(self.formation, axes, A) for axes, A in self._gains.items())
 
     @property
     def residual_structure(self) -> float:
@@ -102,10 +103,8 @@ class GainMatrix:
 
     def matches_formation(self, formation: DesiredFormation) -> bool:
         """Return True where the gains were designed for these points and this graph."""
-        own = self.formation
-        return np.array_equal(own.points, formation.points) and np.array_equal(
-            own.graph, formation.graph
-        )
+        own, equal = self.formation, np.array_equal
+        return equal(own.points, formation.points) and equal(own.graph, formation.graph)
 
     def save(self, path: str | Path) -> None:
         """Write an .npz file that includes the formation and the graph."""
@@ -159,10 +158,7 @@ def _validate_fields(fields: dict[str, Array]) -> None:
 
 def _validate_bound(axes: Axes, bound: float, rate: float) -> None:
     if not bound >= rate * (1 - RESIDUAL_TOLERANCE):
-        raise ValueError(
-            f"the bound for {axes} must be at least the rate {rate:.6g} of these gains, "
-            f"got {bound:.6g}"
-        )
+        raise ValueError(f"bound_{axes}: must be at least the rate {rate:.6g}, got {bound:.6g}")
 
 
 def _kernel_residual(formation: DesiredFormation, axes: Axes, A: Array) -> float:

@@ -67,9 +67,8 @@ def solve(
     duals_from = sum(len(b) for _, b in rows)
     rows.append(_non_edge_constraints(problem, Q))
     A, b = vstack([row for row, _ in rows], format="csr"), np.concatenate([b for _, b in rows])
-    factor = splu(
-        (A @ A.T + REGULARIZATION * eye_array(len(b))).tocsc(), permc_spec="MMD_AT_PLUS_A"
-    )
+    normal = (A @ A.T + REGULARIZATION * eye_array(len(b))).tocsc()
+    factor = splu(normal, permc_spec="MMD_AT_PLUS_A")
 
     C = block_diag(np.eye(p), np.zeros((p, p)))
     X, S, μ = np.tile(np.eye(p), (2, 2)), np.zeros((2 * p, 2 * p)), ADMM_PENALTY

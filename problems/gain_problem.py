@@ -156,9 +156,8 @@ class GainProblem:
     def _trace_direction(self) -> tuple[Array, Array]:
         # The projection of I has the largest trace of all matrices of its size, and its
         # squared norm is its trace: where that vanishes, every matrix has trace 0.
-        direction, rest = self._project_without_trace(
-            np.eye(len(self.graph), dtype=self.kernel.dtype)
-        )
+        identity = np.eye(len(self.graph), dtype=self.kernel.dtype)
+        direction, rest = self._project_without_trace(identity)
         if direction.trace().real <= ZERO_TOLERANCE * self.m:
             raise NoGainMatrix(rest)
         return direction, rest
@@ -190,10 +189,9 @@ class GainProblem:
         # maps K times any anti-Hermitian matrix to zero; the regularization makes it definite.
         K, (n, r) = self.kernel, self.kernel.shape
         G = np.zeros((n, r, n, r), dtype=K.dtype)
-        G[np.arange(n), :, np.arange(n)] = np.einsum(
-            "ij,ja,jb->iab", self._allowed_entries, K, K.conj()
-        )
-        H = np.einsum("ij,ja,ib->iajb", self._allowed_entries, K, K)
+        E, i = self._allowed_entries, np.arange(n)
+        G[i, :, i] = np.einsum("ij,ja,jb->iab", E, K, K.conj())
+        H = np.einsum("ij,ja,ib->iajb", E, K, K)
         G, H = G.reshape(n * r, n * r), H.reshape(n * r, n * r)
         if np.iscomplexobj(K):
             T = np.block([[G.real + H.real, H.imag - G.imag], [G.imag + H.imag, G.real - H.real]])

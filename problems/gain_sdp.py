@@ -54,9 +54,7 @@ def solve(problem: GainProblem) -> GainSolution:
     Y = (Y + Y.conj().T) / 2
     rate, bound = problem.convergence_rate(L), problem.rate_bound(Y)
     if not bound - rate <= RATE_TOLERANCE * max(1, abs(rate)):
-        raise Unsolved(
-            problem,
-            f"Clarabel reported {program.status}, but the rate is {rate:.6f} and its bound "
-            f"is higher by {bound - rate:.1e}, above the tolerance of {RATE_TOLERANCE:.0e}",
-        )
+        gap = f"higher by {bound - rate:.1e}, above the tolerance of {RATE_TOLERANCE:.0e}"
+        found = f"the rate is {rate:.6f} and its bound is {gap}"
+        raise Unsolved(problem, f"Clarabel reported {program.status}, but {found}")
     return GainSolution(L, Y)

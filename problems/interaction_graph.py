@@ -16,6 +16,8 @@ from numpy import ndarray as Array
 from dynamics.units import Key, Length
 
 MULTIPLICITY_TOLERANCE = 1e-7  # eigenvalues within this distance count as one
+Positions = Float[Array, "*k n 3"]
+Yaws = Float[Array, "*k n"]
 DEFAULT_OPTICAL_AXIS = (1 / sqrt(2), 1 / sqrt(2), 0.0)
 
 
@@ -52,36 +54,31 @@ class AlgebraicConnectivity(NamedTuple):
 class Lambda2Gradient(NamedTuple):
     """Gradient of λ₂ with respect to positions and yaws."""
 
-    position: Float[Array, "*k n 3"]  # in the world frame [1/m]
-    yaw: Float[Array, "*k n"]  # [1/rad]
+    position: Positions  # in the world frame [1/m]
+    yaw: Yaws  # [1/rad]
 
 
 @no_type_check
 @numba.njit(cache=True)
 def cosine_ramp(x, low, high):
-    """Rise from 0 at `low` to 1 at `high` along half a cosine [Bernard2023, eq. 7]."""
-    if x <= low:
-        return 0.0
-    return 1.0 if x >= high else (1 - cos(pi * (x - low) / (high - low))) / 2
+    """Rise from 0 at `low` to 1 at `high` along half a cosine [Bernard2023, eq. 7].
 
-
-@no_type_check
-@numba.njit(cache=True)
-def cosine_ramp_derivative(x, low, high):
-    """Differentiate `cosine_ramp` with respect to x."""
+    Returns:
+        The value and its derivative.
+    """
     if x <= low or x >= high:
-        return 0.0
-    return pi / (2 * (high - low)) * sin(pi * (x - low) / (high - low))
+        return (0.0 if x <= low else 1.0), 0.0
+    phase = pi * (x - low) / (high - low)
+    return (1 - cos(phase)) / 2, pi / (2 * (high - low)) * sin(phase)
 
 
 @no_type_check
 @numba.njit(cache=True)
 def range_weight(d, camera):
     """Compute γ and its derivative at a distance [Bernard2023, eq. 9]."""
-    near = cosine_ramp(d, camera.d_min, camera.d_near)
-    far = 1 - cosine_ramp(d, camera.d_far, camera.d_max)
-    rise = cosine_ramp_derivative(d, camera.d_min, camera.d_near) * far
-    return near * far, rise - near * cosine_ramp_derivative(d, camera.d_far, camera.d_max)
+    near, rise = cosine_ramp(d, camera.d_min, camera.d_near)
+    beyond, fall = cosine_ramp(d, camera.d_far, camera.d_max)
+    return near * (1 - beyond), rise * (1 - beyond) - near * fall
 
 
 @no_type_check
@@ -108,27 +105,14 @@ def edge_weight(d, own, other, yaw, sees_other, seen_by_other, camera, gradient)
         return 0.0, 0.0, 0.0
     a = o_x * own[0] + o_y * own[1] + o_z * own[2]
     b = o_x * other[0] + o_y * other[1] + o_z * other[2]
-    f = cosine_ramp(a, camera.a_min, camera.a_max) if sees_other else 0.0
-    g = cosine_ramp(b, camera.a_min, camera.a_max) if seen_by_other else 0.0
+    f, f_slope = cosine_ramp(a, camera.a_min, camera.a_max) if sees_other else (0.0, 0.0)
+    g, g_slope = cosine_ramp(b, camera.a_min, camera.a_max) if seen_by_other else (0.0, 0.0)
     gamma, range_slope = range_weight(d, camera)
     view = f + g - f * g
-    rate_f = (
-        gamma * (1 - g) * cosine_ramp_derivative(a, camera.a_min, camera.a_max)
-        if sees_other
-        else 0.0
-    )
-    rate_g = (
-        gamma * (1 - f) * cosine_ramp_derivative(b, camera.a_min, camera.a_max)
-        if seen_by_other
-        else 0.0
-    )
+    rate_f, rate_g = gamma * (1 - g) * f_slope, gamma * (1 - f) * g_slope
     # ⁱR_j P_ji o_C, with P = I − β βᵀ
     c, s = cos(yaw), sin(yaw)
-    q_x, q_y, q_z = (
-        o_x - b * other[0],
-        o_y - b * other[1],
-        o_z - b * other[2],
-    )
+    q_x, q_y, q_z = o_x - b * other[0], o_y - b * other[1], o_z - b * other[2]
     gradient[0] = (rate_g * (c * q_x - s * q_y) - rate_f * (o_x - a * own[0])) / d
     gradient[1] = (rate_g * (s * q_x + c * q_y) - rate_f * (o_y - a * own[1])) / d
     gradient[2] = (rate_g * q_z - rate_f * (o_z - a * own[2])) / d
@@ -138,9 +122,7 @@ def edge_weight(d, own, other, yaw, sees_other, seen_by_other, camera, gradient)
     return gamma * view, f, g
 
 
-def interaction_graph(
-    position: Float[Array, "*k n 3"], yaw: Float[Array, "*k n"], camera: Camera
-) -> InteractionGraph:
+def interaction_graph(position: Positions, yaw: Yaws, camera: Camera) -> InteractionGraph:
     """Compute the weights of all edges [Bernard2023, eq. 6–11].
 
     Args:
@@ -163,10 +145,8 @@ def _fill_weights(position, yaw, camera, weights):
         for i in range(position.shape[1]):
             for j in range(i):
                 d = bearings(position[k], yaw[k], i, j, own, other)
-                relative_yaw = yaw[k, j] - yaw[k, i]
-                weight, f, g = edge_weight(
-                    d, own, other, relative_yaw, True, True, camera, gradient
-                )
+                turn = yaw[k, j] - yaw[k, i]
+                weight, f, g = edge_weight(d, own, other, turn, True, True, camera, gradient)
                 weights[0, k, i, j] = weights[0, k, j, i] = weight
                 weights[1, k, i, j], weights[1, k, j, i] = f, g
                 weights[2, k, i, j] = weights[2, k, j, i] = range_weight(d, camera)[0]
@@ -213,9 +193,8 @@ def algebraic_connectivity(weight: Float[Array, "*k n n"]) -> AlgebraicConnectiv
         weight: Edge weights of at least two agents.
     """
     value, vector = np.linalg.eigh(laplacian(weight))
-    equal = np.abs(value[..., 1:] - value[..., 1:2]) <= MULTIPLICITY_TOLERANCE * np.maximum(
-        1, value[..., 1:2]
-    )
+    second = value[..., 1:2]
+    equal = np.abs(value[..., 1:] - second) <= MULTIPLICITY_TOLERANCE * np.maximum(1, second)
     diff = vector[..., :, None, 1:] - vector[..., None, :, 1:]
     shares = equal / equal.sum(axis=-1, keepdims=True)
     weight_gradient = np.einsum("...ijm,...m->...ij", diff**2, shares)
@@ -223,9 +202,7 @@ def algebraic_connectivity(weight: Float[Array, "*k n n"]) -> AlgebraicConnectiv
     return AlgebraicConnectivity(value[..., 1], third, weight_gradient)
 
 
-def lambda2_gradient(
-    position: Float[Array, "*k n 3"], yaw: Float[Array, "*k n"], camera: Camera
-) -> Lambda2Gradient:
+def lambda2_gradient(position: Positions, yaw: Yaws, camera: Camera) -> Lambda2Gradient:
     """Compute the gradient of λ₂ [Bernard2023, eq. 4].
 
     Args:
@@ -236,10 +213,9 @@ def lambda2_gradient(
     *k, n, _ = position.shape
     weights = interaction_graph(position, yaw, camera).weights
     by_weight = algebraic_connectivity(weights).weight_gradient.reshape(-1, n, n)
+    flat = position.reshape(-1, n, 3), yaw.reshape(-1, n)
     by_position, by_yaw = np.zeros((len(by_weight), n, 3)), np.zeros((len(by_weight), n))
-    _accumulate_gradient(
-        position.reshape(-1, n, 3), yaw.reshape(-1, n), camera, by_weight, by_position, by_yaw
-    )
+    _accumulate_gradient(*flat, camera, by_weight, by_position, by_yaw)
     return Lambda2Gradient(by_position.reshape(*k, n, 3), by_yaw.reshape(*k, n))
 
 
@@ -254,8 +230,8 @@ def _accumulate_gradient(position, yaw, camera, by_weight, by_position, by_yaw):
                 if j == i:
                     continue
                 d = bearings(position[k], yaw[k], i, j, own, other)
-                relative_yaw = yaw[k, j] - yaw[k, i]
-                edge_weight(d, own, other, relative_yaw, True, True, camera, gradient)
+                turn = yaw[k, j] - yaw[k, i]
+                edge_weight(d, own, other, turn, True, True, camera, gradient)
                 by_position[k, i, 0] += by_weight[k, i, j] * (c * gradient[0] - s * gradient[1])
                 by_position[k, i, 1] += by_weight[k, i, j] * (s * gradient[0] + c * gradient[1])
                 by_position[k, i, 2] += by_weight[k, i, j] * gradient[2]

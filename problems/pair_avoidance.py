@@ -86,9 +86,8 @@ class PairProblem:
         """
         for member in self._members:
             member.transfer.require_steps()
-        norms = {
-            (member.transfer.fuel_norm, member.transfer.control_norm) for member in self._members
-        }
+        transfers = [member.transfer for member in self._members]
+        norms = {(transfer.fuel_norm, transfer.control_norm) for transfer in transfers}
         return self._solve_condensed() if norms == {(1, "inf")} else self.solve_cvxpy()
 
     @property
@@ -132,9 +131,8 @@ class PairProblem:
                 own.assemble_conic(member.start, member.goal, member.half_spaces, "none", known)
                 for own, member, known in zip(problems, self._members, limited, strict=True)
             ]
-            unknowns = np.split(
-                solve(self._assemble_joint(parts), solve_clarabel).x, [len(parts[0].q)]
-            )
+            found = solve(self._assemble_joint(parts), solve_clarabel)
+            unknowns = np.split(found.x, [len(parts[0].q)])
             trajectories = self._simulate(
                 [own.extract_controls(x) for own, x in zip(problems, unknowns, strict=True)]
             )
@@ -156,23 +154,18 @@ class PairProblem:
             rhs += own_rhs
         shared = np.hstack(blocks)
         breakable = np.abs(shared).sum(axis=1) / 2 > rhs  # most rows hold for any control
-        equations, constraints, cones = (
-            (
-                block_diag([p.A.tocsr()[rows] for p, rows in zip(parts, kinds, strict=True)]),
-                np.concatenate([p.b[rows] for p, rows in zip(parts, kinds, strict=True)]),
-            )
-            for kinds in zip(*map(_row_slices, parts), strict=True)
-        )
-        return ConicProgram(
-            np.concatenate([p.q for p in parts]),
-            csc_array(
-                vstack([equations[0], constraints[0], csc_array(shared[breakable]), cones[0]])
-            ),
-            np.concatenate([equations[1], constraints[1], rhs[breakable], cones[1]]),
-            sum(p.zero for p in parts),
-            sum(p.nonnegative for p in parts) + int(breakable.sum()),
-            parts[0].soc_sizes + parts[1].soc_sizes,
-        )
+        blocks_A, blocks_b = [], []
+        for kind in zip(*map(_row_slices, parts), strict=True):
+            of_kind = list(zip(parts, kind, strict=True))
+            blocks_A.append(block_diag([part.A.tocsr()[rows] for part, rows in of_kind]))
+            blocks_b.append(np.concatenate([part.b[rows] for part, rows in of_kind]))
+        blocks_A.insert(2, csc_array(shared[breakable]))
+        blocks_b.insert(2, rhs[breakable])
+        first, second = parts
+        nonnegative = first.nonnegative + second.nonnegative + int(breakable.sum())
+        sizes = first.zero + second.zero, nonnegative, first.soc_sizes + second.soc_sizes
+        q, A = np.concatenate([first.q, second.q]), csc_array(vstack(blocks_A))
+        return ConicProgram(q, A, np.concatenate(blocks_b), *sizes)
 
 
 def _row_slices(part: ConicProgram) -> tuple[slice, slice, slice]:

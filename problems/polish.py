@@ -48,9 +48,8 @@ def allocate_newton(n, m, K, d):
     counts, free, active = np.zeros(2, np.int64), np.zeros(n, np.int64), np.zeros(K, np.int64)
     sign, x, λ, μ, velocity = np.zeros(n), np.zeros(n), np.zeros(m), np.zeros(K), np.zeros((K, d))
     matrix, rhs, velocity_response = np.empty((size, size)), np.empty(size), np.empty((K, d, n))
-    return NewtonState(
-        counts, free, sign, active, x, λ, μ, velocity, matrix, rhs, velocity_response
-    )
+    unknowns = x, λ, μ, velocity
+    return NewtonState(counts, free, sign, active, *unknowns, matrix, rhs, velocity_response)
 
 
 @numba.njit(error_model="numpy")
@@ -88,9 +87,8 @@ def _restrict_to_active(g, shared, rhs):
     for i in range(K):
         k = g.active_steps[i]
         for c in range(g.velocity.shape[1]):
-            g.velocity[i, c] = rhs.free_velocity[k, c] + dot_prefix(
-                shared.velocity_response[k, c], g.x, len(g.x)
-            )
+            added = dot_prefix(shared.velocity_response[k, c], g.x, len(g.x))
+            g.velocity[i, c] = rhs.free_velocity[k, c] + added
             for f in range(F):
                 g.velocity_response[i, c, f] = shared.velocity_response[k, c, g.free_controls[f]]
 

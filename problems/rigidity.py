@@ -20,11 +20,10 @@ from scipy.linalg import null_space
 
 RANK_TOLERANCE = 1e-9  # relative: smaller singular values are zeros with rounding errors
 Dimension = Literal[2, 3]
+Graph = Bool[Array, "n n"]
 
 
-def rigidity_matrix(
-    points: Float[Array, "n d"], graph: Bool[Array, "n n"]
-) -> Float[Array, "edges n*d"]:
+def rigidity_matrix(points: Float[Array, "n d"], graph: Graph) -> Float[Array, "edges n*d"]:
     """Differentiate half the squared length of each edge with respect to the points.
 
     The row of edge i–j holds p_i − p_j in the columns of i and p_j − p_i in those of j; rows
@@ -45,9 +44,7 @@ def edges(graph: Bool[Array, "n n"]) -> tuple[Array, Array]:
     return i, j
 
 
-def infinitesimal_flexes(
-    points: Float[Array, "n d"], graph: Bool[Array, "n n"]
-) -> Float[Array, "flexes n d"]:
+def infinitesimal_flexes(points: Float[Array, "n d"], graph: Graph) -> Float[Array, "flexes n d"]:
     """Find an orthonormal basis of the infinitesimal motions that keep all lengths.
 
     Motions of the shape as a whole are excluded. A flat shape of n points has at least n − 3
@@ -59,9 +56,8 @@ def infinitesimal_flexes(
     rotations = np.zeros((d * (d - 1) // 2, n, d))
     for k, (a, b) in enumerate(zip(*np.triu_indices(d, 1), strict=True)):
         rotations[k, :, a], rotations[k, :, b] = -shape[:, b], shape[:, a]
-    constraints = np.vstack(
-        [rigidity_matrix(shape, graph), translations, rotations.reshape(len(rotations), -1)]
-    )
+    motions = translations, rotations.reshape(len(rotations), -1)
+    constraints = np.vstack([rigidity_matrix(shape, graph), *motions])
     return np.ascontiguousarray(null_space(constraints, rcond=RANK_TOLERANCE).T).reshape(-1, n, d)
 
 
@@ -75,9 +71,7 @@ def is_rigid(graph: Bool[Array, "n n"], dimension: Dimension, rng: np.random.Gen
     return is_infinitesimally_rigid(_generic_points(graph, dimension, rng), graph)
 
 
-def is_redundantly_rigid(
-    graph: Bool[Array, "n n"], dimension: Dimension, rng: np.random.Generator
-) -> bool:
+def is_redundantly_rigid(graph: Graph, dimension: Dimension, rng: np.random.Generator) -> bool:
     """Return True where the graph stays rigid, in general position, without any one edge.
 
     An edge is redundant if and only if some equilibrium stress loads it: then its row of the
@@ -88,9 +82,7 @@ def is_redundantly_rigid(
     return is_infinitesimally_rigid(points, graph) and bool((loads > RANK_TOLERANCE).all())
 
 
-def is_globally_rigid(
-    graph: Bool[Array, "n n"], dimension: Dimension, rng: np.random.Generator
-) -> bool:
+def is_globally_rigid(graph: Graph, dimension: Dimension, rng: np.random.Generator) -> bool:
     """Return True where the lengths fix the shape, in general position, up to congruence.
 
     That holds if and only if the matrix of a random equilibrium stress has rank n − d − 1

@@ -86,14 +86,12 @@ class SparseTransferSolver:
         for k in range(1, T):
             motion[k, :, k - 1] = steps.A[k] * scale / scale[:, None]
             motion[k - 1, :, k - 1] = -np.eye(n)
+        motion = motion.reshape(T * n, states)
         speed = np.zeros((m + 1, n))
         speed[1:, m:] = -np.eye(m)
         A = block_array(
             [
-                [
-                    csc_array(np.hstack([response, -response])),
-                    csc_array(motion.reshape(T * n, states)),
-                ],
+                [csc_array(np.hstack([response, -response])), csc_array(motion)],
                 [eye_array(controls), None],
                 [-eye_array(controls), None],
                 [None, kron(eye_array(T - 1), csc_array(speed))],

@@ -70,29 +70,13 @@ def allocate_tableau(first, w, room):
     for a in range(m):
         copy_prefix(rows[a], first[a], n)
     copy_prefix(basis, initial_basis(first), m)
-    return Tableau(
-        rows,
-        np.full(size, n),
-        lines[0],
-        np.full(1, m),
-        np.ones(1, np.bool_),
-        w,
-        basis,
-        np.ones(size),
-        np.zeros(size, np.bool_),
-        inverse,
-        lines[1],
-        np.zeros(n),
-        np.zeros(n),
-        lines[2],
-        lines[3],
-        np.zeros(n),
-        lines[4],
-        lines[5],
-        lines[6],
-        np.empty(kinks),
-        np.empty(kinks, np.int64),
-    )
+    λ, residual, basic_value, ρ, pivot_column, row_norm = lines[1:7]
+    row_end, b, count, stale = np.full(size, n), lines[0], np.full(1, m), np.ones(1, np.bool_)
+    program = rows, row_end, b, count, stale, w
+    factor = basis, np.ones(size), np.zeros(size, np.bool_), inverse
+    point = λ, np.zeros(n), np.zeros(n), residual, basic_value
+    scratch = np.zeros(n), ρ, pivot_column, row_norm, np.empty(kinks), np.empty(kinks, np.int64)
+    return Tableau(*program, *factor, *point, *scratch)
 
 
 @numba.njit(error_model="numpy")
@@ -125,14 +109,8 @@ def initial_basis(rows):
 @no_type_check
 def refactorize(d):
     """Recompute the tableau from rows, basis and signs; False where the basis is singular."""
-    M, n, rows, inverse, basis, sign = (
-        d.row_count[0],
-        len(d.w),
-        d.rows,
-        d.basis_inverse,
-        d.basis,
-        d.basic_sign,
-    )
+    M, n, rows, inverse = d.row_count[0], len(d.w), d.rows, d.basis_inverse
+    basis, sign = d.basis, d.basic_sign
     for a in range(M):
         for i in range(M):
             inverse[a, i] = 1.0 if a == i else 0.0
@@ -208,12 +186,8 @@ def drop_row(d, row):
     copy_prefix(d.basis_inverse[row], d.basis_inverse[end], end)
     copy_prefix(d.rows[row], d.rows[end], n)
     d.row_end[row] = d.row_end[end]
-    d.b[row], d.λ[row], d.residual[row], d.is_slack_basic[row] = (
-        d.b[end],
-        d.λ[end],
-        d.residual[end],
-        d.is_slack_basic[end],
-    )
+    d.b[row], d.λ[row], d.residual[row] = d.b[end], d.λ[end], d.residual[end]
+    d.is_slack_basic[row] = d.is_slack_basic[end]
     for i in range(end):
         if d.basis[i] == n + end:
             d.basis[i] = n + row

@@ -12,6 +12,7 @@ from numpy import ndarray as Array
 from scipy.sparse import csc_array
 
 from dynamics import DiscreteModel
+from dynamics.model import ControlSamples
 from problems.conic import ConicProgram, Infeasible, Unsolved, solve
 from problems.solvers import solve_clarabel
 
@@ -142,9 +143,7 @@ class TransferProblem:
         return x, u, fuel, limits
 
 
-def compute_fuel(
-    u: Float[Array, "*agents T m"], dt: float, norm: Norm
-) -> Float[Array, "*agents"] | float:
+def compute_fuel(u: ControlSamples, dt: float, norm: Norm) -> Float[Array, "*agents"] | float:
     """Compute Δt Σ ‖u[k]‖, without the weights [m/s]."""
     order = np.inf if norm == "inf" else norm
     fuel: Array = dt * np.linalg.norm(u, order, axis=-1).sum(axis=-1)
@@ -177,9 +176,8 @@ def solve_cvxpy(owner: object, problem: Any) -> None:
 
     data, chain, inverse = problem.get_problem_data(cp.CLARABEL, solver_opts={})
     dims = data["dims"]
-    conic = ConicProgram(
-        data["c"], csc_array(data["A"]), data["b"], dims.zero, dims.nonneg, tuple(dims.soc)
-    )
+    q, A, b = data["c"], csc_array(data["A"]), data["b"]
+    conic = ConicProgram(q, A, b, dims.zero, dims.nonneg, tuple(dims.soc))
     name = type(owner).__name__
     try:
         found = solve(conic, solve_clarabel)
@@ -188,8 +186,6 @@ def solve_cvxpy(owner: object, problem: Any) -> None:
     except Unsolved as error:
         raise Unsolved(owner, f"{name} is not solved: {error}") from error
     # CVXPY reads these fields of a Clarabel solution.
-    value = float(conic.q @ found.x)
-    solution = SimpleNamespace(
-        status="Solved", x=found.x, z=found.y, obj_val=value, solve_time=0.0, iterations=0
-    )
+    value = {"obj_val": float(q @ found.x), "solve_time": 0.0, "iterations": 0}
+    solution = SimpleNamespace(status="Solved", x=found.x, z=found.y, **value)
     problem.unpack_results(solution, chain, inverse)

@@ -20,7 +20,6 @@ from problems.interaction_graph import (
     algebraic_connectivity,
     bearings,
     cosine_ramp,
-    cosine_ramp_derivative,
     interaction_graph,
     lambda2_gradient,
     range_weight,
@@ -135,7 +134,7 @@ def weight_errors(pairs: Pairs) -> dict[str, float]:
     view = f + g - f * g
     steep = np.array([range_weight(d, SIGHT)[1] for d in pairs.d])[:, None]
     df, dg = (
-        np.array([cosine_ramp_derivative(x, SIGHT.a_min, SIGHT.a_max) for x in facing])[:, None]
+        np.array([cosine_ramp(x, SIGHT.a_min, SIGHT.a_max)[1] for x in facing])[:, None]
         for facing in (a, b)
     )
     across = (AXIS - a[:, None] * pairs.bearing_ij) / pairs.d[:, None]  # P_ij o_C / d
@@ -187,7 +186,7 @@ def ramp_error() -> float:
     falling = np.where(x <= SIGHT.d_far, 1, np.where(x <= SIGHT.d_max, falling, 0))
     product = paper_ramp(x, SIGHT.d_min, SIGHT.d_near) * falling
     ours = np.array([range_weight(d, SIGHT)[0] for d in x])
-    rising = np.array([cosine_ramp(d, SIGHT.d_far, SIGHT.d_max) for d in x])
+    rising = np.array([cosine_ramp(d, SIGHT.d_far, SIGHT.d_max)[0] for d in x])
     return max_abs(product - ours, 1 - falling - rising)
 
 

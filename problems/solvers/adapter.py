@@ -70,9 +70,8 @@ class SolverAdapter:
             ValueError: The solver is not installed, or does not support the program.
         """
         if not self.is_installed:
-            raise ValueError(
-                f"{self.name} is not installed; pip install {self.pip_packages} would do"
-            )
+            cure = f"pip install {self.pip_packages} would do"
+            raise ValueError(f"{self.name} is not installed; {cure}")
         if missing := ", ".join(sorted(problem.cone_types - self.cone_types)):
             raise ValueError(f"{self.name} cannot take {missing} cones")
         if reason := self.unsupported_reason(problem):

@@ -23,9 +23,7 @@ from problems.orthonormal_rows import OrthonormalRows
 from problems.solvers.adapter import LP, SolverAdapter
 from problems.tableau import allocate_tableau, copy_prefix, extract_controls
 
-SUPPORTED_FORM = (
-    "takes only [C −C] z = b, 0 ≤ z ≤ 1, with independent rows, the two halves at one price > 0"
-)
+SUPPORTED_FORM = "takes only [C −C] z = b, 0 ≤ z ≤ 1, independent rows, equal costs > 0 of halves"
 
 
 def unsupported_reason(problem: ConicProgram) -> str:
@@ -55,9 +53,8 @@ class DualSimplexSession:
         n = len(problem.q)
         self._zero, self._w = problem.zero, problem.q[: n // 2].copy()
         self._bounds = problem.b[self._zero :]
-        self._orthonormal = OrthonormalRows.from_matrix(
-            problem.A[: problem.zero].toarray()[:, : n // 2]
-        )
+        C = problem.A[: self._zero].toarray()[:, : n // 2]
+        self._orthonormal = OrthonormalRows.from_matrix(C)
 
     def solve(self, b: Float[Array, " m"]) -> SolverResult:
         """Solve with another right-hand side of the equations.
@@ -106,11 +103,9 @@ def _compile_kernel(stamp: int) -> Any:
 
 
 KERNEL_FILES = ("certificates", "dual_simplex", "tableau")
-_KERNEL_SOURCES = (
-    Path(__file__).parents[1].joinpath(f"{name}.py").read_bytes() for name in KERNEL_FILES
-)
-_solve = _compile_kernel(crc32(b"".join(_KERNEL_SOURCES)))
+_PACKAGE = Path(__file__).parents[1]
+_SOURCES = ((_PACKAGE / f"{name}.py").read_bytes() for name in KERNEL_FILES)
+_solve = _compile_kernel(crc32(b"".join(_SOURCES)))
 
-ADAPTERS = (
-    SolverAdapter("batched", LP, True, DualSimplexSession, "problems", "sato", unsupported_reason),
-)
+_MODULES = "problems", "sato"
+ADAPTERS = (SolverAdapter("batched", LP, True, DualSimplexSession, *_MODULES, unsupported_reason),)

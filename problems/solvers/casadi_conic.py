@@ -30,18 +30,14 @@ OPTIONS: dict[str, Callable[[float], dict[str, Any]]] = {
     "daqp": lambda tolerance: {"daqp": {"eps_prox": 1e-3, "iter_limit": MAX_ITERATIONS}},
     # Its own factorization stops at zeros on the diagonal, with NaN.
     "ipqp": lambda tolerance: {
-        "constr_viol_tol": tolerance,
-        "dual_inf_tol": tolerance,
+        **dict.fromkeys(("constr_viol_tol", "dual_inf_tol"), tolerance),
         "linear_solver": "qr",
         **QUIET,
     },
     "osqp": lambda tolerance: {
         "osqp": {
-            "eps_abs": tolerance,
-            "eps_rel": tolerance,
-            "max_iter": MAX_ITERATIONS,
-            "polish": True,
-            "verbose": False,
+            **dict.fromkeys(("eps_abs", "eps_rel"), tolerance),
+            **{"max_iter": MAX_ITERATIONS, "polish": True, "verbose": False},
         }
     },
     "piqp": lambda tolerance: {"piqp": {"eps_abs": tolerance, "eps_rel": tolerance}},
@@ -71,14 +67,9 @@ class CasadiConicSession:
         )
         self._zero, self._lower, self._upper = problem.zero, np.empty(m), np.empty(m)
         self._x, self._y = np.empty(n), np.empty(m)
-        self._given = {
-            "g": np.array(problem.q),
-            "a": np.array(A.nonzeros()),
-            "lba": self._lower,
-            "uba": self._upper,
-            "lbx": np.full(n, -np.inf),
-            "ubx": np.full(n, np.inf),
-        }
+        self._given = {"g": np.array(problem.q), "a": np.array(A.nonzeros())}
+        self._given |= {"lba": self._lower, "uba": self._upper}
+        self._given |= {"lbx": np.full(n, -np.inf), "ubx": np.full(n, np.inf)}
         # CasADi's type annotations ask for a size with each view; at run time it takes none.
         memory: tuple[Any, Any] = self._solver.buffer()
         self._buffer, self._run = memory

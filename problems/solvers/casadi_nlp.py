@@ -48,9 +48,8 @@ class CasadiNlpSession:
             norm = casadi.sqrt(casadi.sumsqr(s[rows][1:]) + (tolerance / 10) ** 2)
             constraints.append(s[rows.start] - norm)
         g = casadi.vertcat(*constraints)
-        self._upper = casadi.DM(np.concatenate([
-            np.zeros(problem.zero), np.full(g.shape[0] - problem.zero, np.inf)
-        ]))  # fmt: skip
+        above = np.full(g.shape[0] - problem.zero, np.inf)
+        self._upper = casadi.DM(np.concatenate([np.zeros(problem.zero), above]))
         self._solver: Any = casadi.nlpsol(
             "solver",
             plugin,

@@ -23,33 +23,21 @@ class CvxpySolver(NamedTuple):
     cone_types: frozenset[ConeType]
     certifies_infeasibility: bool  # True where CVXPY passes the ray on
     tolerance_options: tuple[str, ...]  # set to the tolerance
-    fixed_options: dict[str, object]
+    fixed_options: dict[str, Any]
 
 
+CLARABEL_TOLERANCES = "tol_gap_abs", "tol_gap_rel", "tol_feas"
+HIGHS_TOLERANCES = "primal_feasibility_tolerance", "dual_feasibility_tolerance"
+EPS = "eps_abs", "eps_rel"
+OSQP_OPTIONS = {"max_iter": 100_000, "polishing": True}
 CVXPY_SOLVERS = {
-    "CLARABEL": CvxpySolver(
-        "clarabel", SDP, True, ("tol_gap_abs", "tol_gap_rel", "tol_feas"), {"max_threads": 1}
-    ),
+    "CLARABEL": CvxpySolver("clarabel", SDP, True, CLARABEL_TOLERANCES, {"max_threads": 1}),
     "ECOS": CvxpySolver("ecos", SOCP, False, ("abstol", "reltol", "feastol"), {}),
-    "HIGHS": CvxpySolver(
-        "highspy",
-        LP,
-        True,
-        ("primal_feasibility_tolerance", "dual_feasibility_tolerance"),
-        {"threads": 1},
-    ),
-    "OSQP": CvxpySolver(
-        "osqp",
-        LP,
-        True,
-        ("eps_abs", "eps_rel", "eps_prim_inf", "eps_dual_inf"),
-        {"max_iter": 100_000, "polishing": True},
-    ),
-    "PIQP": CvxpySolver("piqp", LP, False, ("eps_abs", "eps_rel"), {}),
+    "HIGHS": CvxpySolver("highspy", LP, True, HIGHS_TOLERANCES, {"threads": 1}),
+    "OSQP": CvxpySolver("osqp", LP, True, (*EPS, "eps_prim_inf", "eps_dual_inf"), OSQP_OPTIONS),
+    "PIQP": CvxpySolver("piqp", LP, False, EPS, {}),
     "QOCO": CvxpySolver("qoco", SOCP, False, ("abstol", "reltol"), {}),
-    "SCS": CvxpySolver(
-        "scs", SDP, True, ("eps_abs", "eps_rel", "eps_infeas"), {"max_iters": 100_000}
-    ),
+    "SCS": CvxpySolver("scs", SDP, True, (*EPS, "eps_infeas"), {"max_iters": 100_000}),
 }
 
 
@@ -121,14 +109,10 @@ def _stack_duals(duals: list[Any]) -> Float[Array, " m"]:
     return np.concatenate(parts, axis=None)
 
 
-ADAPTERS = tuple(
-    SolverAdapter(
-        f"cvxpy-{solver.lower()}",
-        known.cone_types,
-        known.certifies_infeasibility,
-        partial(CvxpySession, solver),
-        known.module,
-        f"cvxpy {known.module}",
-    )
-    for solver, known in CVXPY_SOLVERS.items()
-)
+def _adapter(solver: str, known: CvxpySolver) -> SolverAdapter:
+    name, module, factory = f"cvxpy-{solver.lower()}", known.module, partial(CvxpySession, solver)
+    abilities = known.cone_types, known.certifies_infeasibility
+    return SolverAdapter(name, *abilities, factory, module, f"cvxpy {module}")
+
+
+ADAPTERS = tuple(_adapter(solver, known) for solver, known in CVXPY_SOLVERS.items())

@@ -29,13 +29,10 @@ class DaqpSession:
         sense[: self._zero] = EQUALITY
         lower = lower_bounds(problem.b, self._zero, INFINITY)
         self._solver: Any = daqp.Model()
-        self._solver.settings = {
-            "primal_tol": tolerance / 10,
-            "dual_tol": tolerance / 10,
-            "iter_limit": MAX_ITERATIONS,
-        }
-        A = problem.A.toarray()
-        self._solver.setup(np.zeros((n, n)), problem.q, A, problem.b, lower, sense)
+        tolerances = dict.fromkeys(("primal_tol", "dual_tol"), tolerance / 10)
+        self._solver.settings = {**tolerances, "iter_limit": MAX_ITERATIONS}
+        H, A = np.zeros((n, n)), problem.A.toarray()
+        self._solver.setup(H, problem.q, A, problem.b, lower, sense)
 
     def solve(self, b: Float[Array, " m"]) -> SolverResult:
         """Solve with another right-hand side."""

@@ -1,7 +1,6 @@
 """ECOS: interior point, second-order cones [Domahidi2013]."""
 
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -23,18 +22,15 @@ class EcosSession:
         self._solve, self._q, self._zero = ecos.solve, problem.q, problem.zero
         self._equalities, self._inequalities = split_equalities(problem)
         self._cones = {"l": problem.nonnegative, "q": list(problem.soc_sizes)}
-        self._tolerances = dict.fromkeys(("feastol", "abstol", "reltol"), tolerance / 10)
+        tolerances = dict.fromkeys(("feastol", "abstol", "reltol"), tolerance / 10)
+        self._options = {"verbose": False, **tolerances}
 
     def solve(self, b: Float[Array, " m"]) -> SolverResult:
         """Solve with another right-hand side."""
-        equations: dict[str, Any] = {}
-        if self._zero:
-            equations = {"A": self._equalities, "b": b[: self._zero]}
+        equations = {"A": self._equalities, "b": b[: self._zero]} if self._zero else {}
         began = perf_counter()
-        result = self._solve(
-            self._q, self._inequalities, b[self._zero :], self._cones,
-            verbose=False, **equations, **self._tolerances,
-        )  # fmt: skip
+        inequalities = self._inequalities, b[self._zero :], self._cones
+        result = self._solve(self._q, *inequalities, **equations, **self._options)
         seconds = perf_counter() - began
         info = result["info"]
         message, flag, iterations = info["infostring"], info["exitFlag"], info["iter"]

@@ -29,13 +29,10 @@ class HighsSession:
     def __init__(self, problem: ConicProgram, tolerance: float) -> None:
         """Set up the program."""
         self._zero, self._solver = problem.zero, highspy.Highs()
-        for option, value in (
-            ("output_flag", False),
-            ("threads", 1),
-            ("primal_feasibility_tolerance", max(tolerance / 10, MIN_TOLERANCE)),
-            ("dual_feasibility_tolerance", max(tolerance / 10, MIN_TOLERANCE)),
-        ):
-            self._solver.setOptionValue(option, value)
+        self._solver.setOptionValue("output_flag", False)
+        self._solver.setOptionValue("threads", 1)
+        for option in ("primal_feasibility_tolerance", "dual_feasibility_tolerance"):
+            self._solver.setOptionValue(option, max(tolerance / 10, MIN_TOLERANCE))
         self._solver.passModel(_model(problem))
         self._rows = np.arange(len(problem.b), dtype=np.int32)
 

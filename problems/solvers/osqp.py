@@ -27,20 +27,15 @@ class OsqpSession:
 
         self._zero, self._status = problem.zero, osqp.SolverStatus
         self._solver: Any = osqp.OSQP()
-        self._solver.setup(
-            P=zero_hessian(problem),
-            q=problem.q,
-            A=csc_matrix(problem.A),
-            l=lower_bounds(problem.b, problem.zero),
-            u=problem.b,
-            eps_abs=tolerance / 10,
-            eps_rel=tolerance / 10,
-            eps_prim_inf=tolerance / 10,
-            eps_dual_inf=tolerance / 10,
-            max_iter=MAX_ITERATIONS,
-            polishing=True,
-            verbose=False,
+        P, A, lower = (
+            zero_hessian(problem),
+            csc_matrix(problem.A),
+            lower_bounds(problem.b, self._zero),
         )
+        names = "eps_abs", "eps_rel", "eps_prim_inf", "eps_dual_inf"
+        options: dict[str, Any] = {"max_iter": MAX_ITERATIONS, "polishing": True, "verbose": False}
+        options |= dict.fromkeys(names, tolerance / 10)
+        self._solver.setup(P, problem.q, A, lower, problem.b, **options)
 
     def solve(self, b: Float[Array, " m"]) -> SolverResult:
         """Solve with another right-hand side, from the last solution."""

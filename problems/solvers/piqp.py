@@ -23,15 +23,8 @@ class PiqpSession:
         settings = self._solver.settings
         settings.eps_abs = settings.eps_rel = tolerance / 10
         settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = tolerance / 10
-        A, G = split_equalities(problem)
-        self._solver.setup(
-            zero_hessian(problem),
-            problem.q,
-            A=A,
-            b=problem.b[: self._zero],
-            G=G,
-            h_u=problem.b[self._zero :],
-        )
+        (A, G), b, h = split_equalities(problem), problem.b[: self._zero], problem.b[self._zero :]
+        self._solver.setup(zero_hessian(problem), problem.q, A=A, b=b, G=G, h_u=h)
 
     def solve(self, b: Float[Array, " m"]) -> SolverResult:
         """Solve with another right-hand side."""

@@ -20,24 +20,13 @@ class QocoSession:
 
         self._zero = problem.zero
         self._solver: Any = qoco.QOCO()
-        A, G = split_equalities(problem)
-        self._solver.setup(
-            n=len(problem.q),
-            m=G.shape[0],
-            p=problem.zero,
-            P=None,
-            c=problem.q,
-            A=A if problem.zero else None,
-            b=problem.b[: self._zero],
-            G=G if G.shape[0] else None,
-            h=problem.b[self._zero :],
-            l=problem.nonnegative,
-            nsoc=len(problem.soc_sizes),
-            q=np.array(problem.soc_sizes, dtype=np.int32),
-            abstol=tolerance / 10,
-            reltol=tolerance / 10,
-            verbose=0,
-        )
+        (A, G), h = split_equalities(problem), problem.b[self._zero :]
+        equalities = A if self._zero else None, problem.b[: self._zero]
+        inequalities = G if len(h) else None, h
+        soc = np.array(problem.soc_sizes, dtype=np.int32)
+        sizes, cones = (len(problem.q), len(h), self._zero), (problem.nonnegative, len(soc), soc)
+        limits = {"abstol": tolerance / 10, "reltol": tolerance / 10, "verbose": 0}
+        self._solver.setup(*sizes, None, problem.q, *equalities, *inequalities, *cones, **limits)
 
     def solve(self, b: Float[Array, " m"]) -> SolverResult:
         """Solve with another right-hand side."""

@@ -22,21 +22,13 @@ class ScsSession:
         import scs
 
         self._order, self._status = _row_order(problem), scs
-        self._solver: Any = scs.SCS(
-            {"A": csc_array(problem.A[self._order]), "b": problem.b[self._order], "c": problem.q},
-            {
-                "z": problem.zero,
-                "l": problem.nonnegative,
-                "q": list(problem.soc_sizes),
-                "s": list(problem.psd_orders),
-            },
-            eps_abs=tolerance / 10,
-            eps_rel=tolerance / 10,
-            eps_infeas=tolerance / 10,
-            max_iters=MAX_ITERATIONS,
-            verbose=False,
-            linear_solver="qdldl",  # single-threaded, with the same result on every machine
-        )
+        A, b = csc_array(problem.A[self._order]), problem.b[self._order]
+        cones: dict[str, Any] = {"z": problem.zero, "l": problem.nonnegative}
+        cones |= {"q": list(problem.soc_sizes), "s": list(problem.psd_orders)}
+        options: dict[str, Any] = {"max_iters": MAX_ITERATIONS, "verbose": False}
+        options |= dict.fromkeys(("eps_abs", "eps_rel", "eps_infeas"), tolerance / 10)
+        options["linear_solver"] = "qdldl"  # single-threaded: the same result on every machine
+        self._solver: Any = scs.SCS({"A": A, "b": b, "c": problem.q}, cones, **options)
 
     def solve(self, b: Float[Array, " m"]) -> SolverResult:
         """Solve with another right-hand side, from the last solution."""

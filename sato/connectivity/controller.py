@@ -133,7 +133,7 @@ def _yaw_from_message(i, j, measurements, messages, parameters, time):
 def _view_weight(p, camera):
     d = sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2])
     o_x, o_y, o_z = camera.optical_axis
-    return cosine_ramp((o_x * p[0] + o_y * p[1] + o_z * p[2]) / d, camera.a_min, camera.a_max)
+    return cosine_ramp((o_x * p[0] + o_y * p[1] + o_z * p[2]) / d, camera.a_min, camera.a_max)[0]
 
 
 @no_type_check

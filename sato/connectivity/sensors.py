@@ -59,7 +59,7 @@ def _simulate_camera(i, j, d, bearing, axis, measurements, parameters, rng):
             if parameters.camera_noise > 0:
                 noise = parameters.camera_noise * rng.standard_normal()
                 measurements.relative_position[i, j, k] += noise
-    return cosine_ramp(cosine, parameters.camera.a_min, parameters.camera.a_max)
+    return cosine_ramp(cosine, parameters.camera.a_min, parameters.camera.a_max)[0]
 
 
 @no_type_check

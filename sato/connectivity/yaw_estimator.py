@@ -99,7 +99,7 @@ def yaw_from_motion(observer, twist, tracking):
     speed = sqrt(twist[0] ** 2 + twist[1] ** 2 + twist[2] ** 2)
     if not tracking.as_printed:
         speed = min(received, observed) if observer[6] >= 3 / tracking.k1 else 0.0
-    trust = cosine_ramp(speed, tracking.min_speed, tracking.max_speed)
+    trust = cosine_ramp(speed, tracking.min_speed, tracking.max_speed)[0]
     return wrap_angle(atan2(observer[1], observer[0]) - atan2(v_y, v_x)), trust
 
 

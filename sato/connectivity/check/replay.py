@@ -115,8 +115,8 @@ def _compile_kernels(stamp: int) -> tuple[Any, Any]:
                         continue
                     a, b = (axis[i] * bearing).sum(), (axis[j] * bearing_back).sum()
                     found.view_cosine[k, i, j], found.view_cosine[k, j, i] = a, b
-                    f = cosine_ramp(a, camera.a_min, camera.a_max)
-                    g = cosine_ramp(b, camera.a_min, camera.a_max)
+                    f = cosine_ramp(a, camera.a_min, camera.a_max)[0]
+                    g = cosine_ramp(b, camera.a_min, camera.a_max)[0]
                     weight = range_weight(d, camera)[0] * (f + g - f * g)
                     found.weight[k, i, j] = found.weight[k, j, i] = weight
 

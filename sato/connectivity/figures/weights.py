@@ -49,7 +49,7 @@ def _plot_range_weight(ax: Any, sight: Camera) -> None:
 
 def _plot_view_weight(ax: Any, sight: Camera) -> None:
     degrees = np.linspace(0, 180, GRID_POINTS)
-    f = [cosine_ramp(a, sight.a_min, sight.a_max) for a in np.cos(np.radians(degrees))]
+    f = [cosine_ramp(a, sight.a_min, sight.a_max)[0] for a in np.cos(np.radians(degrees))]
     ax.plot(degrees, f, color=BLUE, lw=1.5)
     for level, name in ((sight.a_max, "a$_{max}$"), (sight.a_min, "a$_{min}$")):
         if abs(level) < 1:
@@ -83,7 +83,7 @@ def _plot_one_sided_weight(ax: Any, sight: Camera) -> Any:
     d = np.maximum(np.hypot(x, y), 1e-9)
     cosine = (sight.optical_axis[0] * x + sight.optical_axis[1] * y) / d
     weight = np.vectorize(
-        lambda far, a: range_weight(far, sight)[0] * cosine_ramp(a, sight.a_min, sight.a_max)
+        lambda far, a: range_weight(far, sight)[0] * cosine_ramp(a, sight.a_min, sight.a_max)[0]
     )(d, cosine)
     image = ax.imshow(
         weight, origin="lower", extent=(-reach, reach) * 2, cmap=COLORMAP, vmin=0, vmax=1
