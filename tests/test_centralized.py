@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from planner_examples import RADIUS, STEP, T, complete_graph, make_planner
 
 from dynamics import ClohessyWiltshire, DoubleIntegrator, discretize_zoh
@@ -60,8 +61,8 @@ def keeps_everything(central, found, start, goal):
         for k in range(T):
             steps = transfer.model
             state = steps.A[k] @ state + steps.B[k] @ u[k] + steps.z[k]
-            np.testing.assert_allclose(state, x[k + 1], atol=1e-12)
-        np.testing.assert_allclose(state, end, atol=1e-6)
+            assert_allclose(state, x[k + 1], atol=1e-12)
+        assert_allclose(state, end, atol=1e-6)
         order = {"inf": np.inf}.get(transfer.control_norm, transfer.control_norm)
         assert np.linalg.norm(u, order, axis=1).max() <= transfer.max_control * (1 + 1e-9)
         assert np.linalg.norm(x[1:-1, d:], axis=1).max() <= transfer.max_speed * (1 + 1e-9)
@@ -244,8 +245,8 @@ def test_a_displaced_guess_keeps_its_ends_and_is_consistent():
     by = np.array([[1.0, 0.0], [0.0, -2.0]])
     bent, same = displace_guess((x, u), STEP, by)
     np.testing.assert_array_equal(same, u)
-    np.testing.assert_allclose(bent[:, T // 2, :2], by)
-    np.testing.assert_allclose(bent[:, [0, -1], :2], 0, atol=1e-12)
+    assert_allclose(bent[:, T // 2, :2], by)
+    assert_allclose(bent[:, [0, -1], :2], 0, atol=1e-12)
     fine, _ = displace_guess((np.zeros((2, 1001, 4)), np.zeros((2, 1000, 2))), 0.012, by)
     slope = np.gradient(fine[..., :2], 0.012, axis=1)
-    np.testing.assert_allclose(slope[:, 1:-1], fine[:, 1:-1, 2:], atol=1e-4)
+    assert_allclose(slope[:, 1:-1], fine[:, 1:-1, 2:], atol=1e-4)

@@ -3,6 +3,7 @@
 import casadi
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from planner_examples import RADIUS, STEP, T
 from test_centralized import CROSSING, by_themselves, question
 
@@ -26,8 +27,8 @@ def drawn(rng, axes=2, **norms):
 def test_shifted_instants_stay_within_the_pieces(rng):
     instants = drawn(rng)[-1]
     later, earlier = instants.shift(0.9, 23), instants.shift(-6.0, 23)
-    np.testing.assert_allclose(later.time, [1.2, 5.9, 24.0, 12.61])
-    np.testing.assert_allclose(earlier.time, [0.0, 0.0, 18.0, 5.71])
+    assert_allclose(later.time, [1.2, 5.9, 24.0, 12.61])
+    assert_allclose(earlier.time, [0.0, 0.0, 18.0, 5.71])
     for moved in (later, earlier):
         assert (moved.piece >= 0).all() and (moved.piece <= 23).all()
         assert (moved.fraction >= 0).all() and (moved.fraction <= 1).all()
@@ -38,7 +39,7 @@ def test_only_the_same_pair_near_the_same_time_gets_a_larger_distance(rng):
     pair = np.array([[0, 1], [0, 1]])
     others = SeparationConstraints(pair, np.array([0, 1]), np.array([0.9, 0.1]), np.ones(2))
     raised = instants.enlarge_distance(others, np.array([0.01, 0.02]), 2.0)
-    np.testing.assert_allclose(raised.min_distance - instants.min_distance, [0.02, 0.0, 0.0, 0.0])
+    assert_allclose(raised.min_distance - instants.min_distance, [0.02, 0.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize("axes", [2, 3])
@@ -49,7 +50,7 @@ def test_relative_positions_are_those_of_the_trajectories(rng, axes):
     expected = evaluate_bezier(own - other, instants.fraction) / RADIUS
     Dx, Du = relative_position_maps(central.horizon, central.state_units, 0.2, 3, instants)
     found = Dx @ (x / central.state_units).ravel() + Du @ (u / 0.2).ravel()
-    np.testing.assert_allclose(found.reshape(expected.shape), expected, atol=1e-12)
+    assert_allclose(found.reshape(expected.shape), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize(("fuel_norm", "control_norm"), [(1, "inf"), (2, 2), (1, 1)])
@@ -72,10 +73,8 @@ def test_derivatives_agree_with_finite_differences_and_are_sparse(rng, fuel_norm
         return np.asarray(ahead - behind).ravel() / (2 * h)
 
     J, H = first(at_z), second(at_z, w)
-    np.testing.assert_allclose(
-        np.asarray(J @ along).ravel(), central_difference(values), rtol=1e-6, atol=1e-6
-    )
-    np.testing.assert_allclose(
+    assert_allclose(np.asarray(J @ along).ravel(), central_difference(values), rtol=1e-6, atol=1e-6)
+    assert_allclose(
         np.asarray(H @ along).ravel(), central_difference(slopes, w), rtol=1e-5, atol=1e-5
     )
     assert J.nnz() < 20 * J.shape[0] + z.numel()
@@ -96,17 +95,17 @@ def test_simulated_states_satisfy_dynamics_and_bounds(rng):
     kept = np.asarray(casadi.Function("g", [program.variables], [program.constraints])(z)).ravel()
     equations = program.lower == program.upper
     assert equations.sum() == 3 * T * 4 + len(apart)
-    np.testing.assert_allclose(kept[equations], program.lower[equations], atol=1e-12)
-    np.testing.assert_allclose(kept[-4:], (apart.reshape(4, 2) ** 2).sum(axis=1))
+    assert_allclose(kept[equations], program.lower[equations], atol=1e-12)
+    assert_allclose(kept[-4:], (apart.reshape(4, 2) ** 2).sum(axis=1))
     assert (program.lower[-4:] == instants.min_distance**2).all() and np.isinf(
         program.upper[-4:]
     ).all()
     speeds = (np.linalg.norm(x[:, 1:-1, 2:], axis=-1) * STEP / RADIUS).ravel() ** 2
-    np.testing.assert_allclose(kept[3 * T * 4 :][: len(speeds)], speeds, atol=1e-12)
+    assert_allclose(kept[3 * T * 4 :][: len(speeds)], speeds, atol=1e-12)
     assert (program.upper[3 * T * 4 :][: len(speeds)] == (0.6 / RADIUS) ** 2).all()
     thrusts = (us**2).sum(axis=-1).ravel()
     after = 3 * T * 4 + len(speeds)
-    np.testing.assert_allclose(kept[after : after + len(thrusts)], thrusts, atol=1e-12)
+    assert_allclose(kept[after : after + len(thrusts)], thrusts, atol=1e-12)
 
 
 def test_the_reported_status_does_not_decide_feasibility():

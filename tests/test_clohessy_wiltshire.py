@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
 from dynamics import ClohessyWiltshire, discretize_zoh
@@ -16,14 +17,6 @@ def propagate_free(x, duration, count):
     return discretize_zoh(model, duration / count, count).simulate(
         x, np.zeros((*x.shape[:-1], count, 3))
     )
-
-
-def test_free_motion_conserves_the_jacobi_integral(rng):
-    start = np.hstack([rng.uniform(-1000, 1000, (10, 3)), rng.uniform(-1, 1, (10, 3))])
-    x = propagate_free(start, 3 * period, 200)
-    kinetic = (x[..., 3:] ** 2).sum(-1) / 2
-    energy = kinetic - 1.5 * n**2 * x[..., 0] ** 2 + n**2 * x[..., 2] ** 2 / 2
-    np.testing.assert_allclose(energy, energy[:, :1] * np.ones(201), rtol=1e-9)
 
 
 def test_equations_are_two_body_motion_to_first_order():
@@ -46,7 +39,7 @@ def test_equations_are_two_body_motion_to_first_order():
     truth = turn @ (ends[1] - ends[0])[:3]
     linear = propagate_free(np.concatenate([offset, velocity]), time, 10)[-1, :3]
     assert np.linalg.norm(truth) > 100
-    np.testing.assert_allclose(linear, truth, atol=0.01)  # separation² over radius: 6 mm
+    assert_allclose(linear, truth, atol=0.01)  # separation² over radius: 6 mm
 
 
 def test_transition_and_control_matrices_are_the_published_ones():
@@ -69,8 +62,8 @@ def test_transition_and_control_matrices_are_the_published_ones():
         [-2 * (1 - c) / n, 4 * s / n - 3 * t, 0],
         [0, 0, s / n],
     ]
-    np.testing.assert_allclose(model.transition_matrix(t), Phi, rtol=1e-13, atol=0)
-    np.testing.assert_allclose(discretize_zoh(model, t, 1).B[0], Gamma, rtol=1e-11, atol=0)
+    assert_allclose(model.transition_matrix(t), Phi, rtol=1e-13, atol=0)
+    assert_allclose(discretize_zoh(model, t, 1).B[0], Gamma, rtol=1e-11, atol=0)
 
 
 def test_mean_motion_is_that_of_the_orbit():

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from random_programs import infeasible_program, random_program
 from scipy.sparse import csc_array
 
@@ -31,7 +32,7 @@ def reporting(status, x, y):
 def test_the_known_optimum_has_no_residuals(rng):
     problem, x, y = random_program(rng, "second-order")
     assert ConicSolution.evaluate(problem, x, y).max_residual < 1e-13
-    np.testing.assert_array_equal(solve(problem, reporting("solved", x, y)).x, x)
+    assert_array_equal(solve(problem, reporting("solved", x, y)).x, x)
 
 
 def test_residuals_and_gap_follow_their_definition(rng):
@@ -68,7 +69,7 @@ def test_packing_a_matrix_keeps_its_norm(rng):
         M = rng.normal(size=(order, order))
         M = M + M.T
         assert np.linalg.norm(svec(M)) == pytest.approx(np.linalg.norm(M))
-        np.testing.assert_allclose(smat(svec(M)), M, atol=1e-14)
+        assert_allclose(smat(svec(M)), M, atol=1e-14)
 
 
 def test_verdicts_follow_the_numbers_and_not_the_status(rng):
@@ -165,8 +166,8 @@ def test_moving_into_the_dual_cone_leaves_its_points_in_place(rng, kind):
     for point in rng.normal(size=(20, len(y))):
         moved = problem.move_into_dual_cone(point)
         assert problem.cone_violation(moved, dual=True) < 1e-14
-        np.testing.assert_allclose(problem.move_into_dual_cone(moved), moved, atol=1e-14)
-        np.testing.assert_array_equal(moved[:3], point[:3])
+        assert_allclose(problem.move_into_dual_cone(moved), moved, atol=1e-14)
+        assert_array_equal(moved[:3], point[:3])
 
 
 def test_clarabel_session_results_do_not_depend_on_order(rng):
@@ -175,9 +176,9 @@ def test_clarabel_session_results_do_not_depend_on_order(rng):
     asked = [replace(first, b=first.b + 0.1 * rng.random(len(first.b))) for _ in range(6)]
     forwards = [solve(problem, session).x for problem in asked]
     backwards = [solve(problem, session).x for problem in asked[::-1]][::-1]
-    np.testing.assert_array_equal(forwards, backwards)
+    assert_array_equal(forwards, backwards)
     for problem, x in zip(asked, forwards, strict=True):
-        np.testing.assert_allclose(x, solve(problem, solve_clarabel).x, atol=1e-5)
+        assert_allclose(x, solve(problem, solve_clarabel).x, atol=1e-5)
 
 
 def test_clarabel_session_refuses_another_matrix(rng):

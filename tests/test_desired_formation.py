@@ -27,11 +27,6 @@ def test_kernels_are_orthonormal_and_span_the_shape_at_any_offset(n, seed, away)
         assert spans(kernel, column) < 1e-14 * n * (away + 100)
 
 
-def test_planar_points_are_complex_numbers():
-    formation = DesiredFormation.with_complete_graph(np.array([[1.0, 2, 3], [4, 5, 6], [7, 8, 10]]))
-    assert formation.planar_points.tolist() == [1 + 2j, 4 + 5j, 7 + 8j]
-
-
 @pytest.mark.parametrize(("spread", "flat"), [(0.0, True), (0.009, True), (0.011, False)])
 def test_heights_within_one_centimeter_of_their_middle_count_as_equal(spread, flat):
     square = np.array([[0.0, 0, 1], [9, 0, 1], [9, 9, 1], [0, 9, 1]])
@@ -62,11 +57,6 @@ def test_collinear_points_have_two_horizontal_columns():
     assert row.kernel_xy.shape == (5, 2) and row.is_flat
 
 
-def test_the_complete_graph_has_every_edge_and_no_loop(rng):
-    formation = DesiredFormation.with_complete_graph(rng.normal(size=(6, 3)), "six")
-    assert np.array_equal(formation.graph, ~np.eye(6, dtype=bool)) and formation.name == "six"
-
-
 def changed(graph, pairs, value):
     graph = graph.copy()
     for i, j in pairs:
@@ -88,11 +78,7 @@ LEAF = changed(FULL, [(5, k) for k in range(1, 6)] + [(k, 5) for k in range(1, 6
         (POINTS * [1, 1, np.nan], FULL, "point 0 is .* must be finite"),
         (changed(POINTS, [(4, 2)], 1e200), FULL, r"point 4 is .* at most 1e\+09 m"),
         (POINTS, changed(FULL, [(3, 3)], True), "vertex 3 is its own neighbor"),
-        (
-            POINTS,
-            changed(FULL, [(4, 2)], False),
-            "edge 2–4 is missing in the other direction: set 4–2",
-        ),
+        (POINTS, changed(FULL, [(4, 2)], False), "edge 2–4 is missing .*: set 4–2"),
         (POINTS, PARTS, "no edge joins vertices 0, 1, 2 to the rest"),
         (POINTS, LEAF, "too sparse at vertex 5"),
     ],

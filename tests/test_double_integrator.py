@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from dynamics import DoubleIntegrator, discretize_zoh
 
@@ -12,8 +13,8 @@ def test_constant_acceleration_gives_a_parabola(rng, axes):
     path = discretize_zoh(DoubleIntegrator(axes), 0.7, 20).simulate(x, np.tile(u, (20, 1)))
     time = 0.7 * np.arange(21)[:, None]
     expected = x[:axes] + time * x[axes:] + time**2 / 2 * u
-    np.testing.assert_allclose(path[:, :axes], expected, atol=1e-12)
-    np.testing.assert_allclose(path[:, axes:], x[axes:] + time * u, atol=1e-12)
+    assert_allclose(path[:, :axes], expected, atol=1e-12)
+    assert_allclose(path[:, axes:], x[axes:] + time * u, atol=1e-12)
 
 
 @pytest.mark.parametrize("axes", [0, 1, 4])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import brentq
 
 from dynamics.elements import ClassicalElements, mean_anomaly, true_anomaly
@@ -31,7 +32,7 @@ def test_states_survive_the_round_trip_through_elements(elements):
     state = elements.to_state()
     back = ClassicalElements.from_state(state).to_state()
     size = np.linalg.norm(state.reshape(2, 3), axis=1).repeat(3)
-    np.testing.assert_allclose(back / size, state / size, rtol=0, atol=3e-15)
+    assert_allclose(back / size, state / size, rtol=0, atol=3e-15)
 
 
 @given(ellipses(0.01, 0.01))
@@ -47,9 +48,7 @@ def test_elements_survive_the_round_trip_through_states(elements):
 @given(ellipses())
 def test_an_orbit_from_elements_has_their_polar_nodal_elements(elements):
     orbit = Orbit.from_elements(*(float(part) for part in parts(elements)))
-    np.testing.assert_allclose(
-        elements.to_polar_nodal(), orbit.initial_elements, rtol=1e-14, atol=1e-9
-    )
+    assert_allclose(elements.to_polar_nodal(), orbit.initial_elements, rtol=1e-14, atol=1e-9)
 
 
 @given(st.floats(-30, 30), st.floats(0, 0.999))
@@ -72,8 +71,8 @@ def test_conversions_of_many_orbits_are_each_its_own(rng):
     back = ClassicalElements.from_state(many.to_state())
     for k in range(6):
         alone = ClassicalElements(*(part[k] for part in parts(many)))
-        np.testing.assert_array_equal(many.to_state()[k], alone.to_state())
-        np.testing.assert_array_equal(
+        assert_array_equal(many.to_state()[k], alone.to_state())
+        assert_array_equal(
             [part[k] for part in parts(back)], parts(ClassicalElements.from_state(alone.to_state()))
         )
 
@@ -85,7 +84,7 @@ def test_vallados_example_2_5():
     assert found.semi_major_axis == pytest.approx(36127.343e3, rel=3e-7)
     assert found.eccentricity == pytest.approx(0.832853, abs=1e-6)
     angles = np.degrees(parts(found)[2:]) % 360
-    np.testing.assert_allclose(angles, [87.870, 227.898, 53.38, 92.335], atol=6e-3)
+    assert_allclose(angles, [87.870, 227.898, 53.38, 92.335], atol=6e-3)
 
 
 def test_vallados_example_2_6():
@@ -93,8 +92,8 @@ def test_vallados_example_2_6():
     e, p = 0.83285, 11067.790e3
     angles = np.radians([87.87, 227.89, 53.38, 92.335])
     state = ClassicalElements(p / (1 - e**2), e, *angles).to_state(398600.4418e9)
-    np.testing.assert_allclose(state[:3], [6525.344e3, 6861.535e3, 6449.125e3], atol=0.5e3)
-    np.testing.assert_allclose(state[3:], [4902.276, 5533.124, -1975.709], atol=0.5)
+    assert_allclose(state[:3], [6525.344e3, 6861.535e3, 6449.125e3], atol=0.5e3)
+    assert_allclose(state[3:], [4902.276, 5533.124, -1975.709], atol=0.5)
 
 
 def test_a_circular_orbit_has_its_perigee_at_the_node():

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from dynamics import DoubleIntegrator, discretize_zoh
 from problems import gain_sdp
@@ -54,7 +55,7 @@ def test_solutions_are_optima_or_certificates_of_infeasibility(name, size):
         else:
             y, doubt = verify_ray(instance.problem, instance.y)
             assert not doubt
-            np.testing.assert_allclose(y, instance.y, rtol=1e-9, atol=1e-12)
+            assert_allclose(y, instance.y, rtol=1e-9, atol=1e-12)
             assert np.isnan(instance.reference_cost)
 
 
@@ -112,7 +113,7 @@ def test_infeasible_targets_are_just_beyond_the_near_infeasible(size):
     for here, there in zip(near[:5], beyond, strict=True):
         assert abs(here.A - there.A).max() == 0
         goal, farther = here.b[: here.zero], there.b[: there.zero]
-        np.testing.assert_allclose(farther, 1.001**2 * goal, rtol=1e-9, atol=1e-12)
+        assert_allclose(farther, 1.001**2 * goal, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize(("name", "size"), ALL)
@@ -168,7 +169,7 @@ def test_targets_are_moved_to_the_edge_of_reach(maker):
         )
     (problem,) = asked
     # At full thrust for five steps and against it for five: U T² / 4 = 2.5 m on the first axis.
-    np.testing.assert_allclose(
+    assert_allclose(
         maker["move_target"](problem, 1.0).b[:4], 2.5 * problem.b[:4], rtol=1e-9, atol=1e-12
     )
     assert solve(maker["move_target"](problem, 0.999), solve_clarabel).max_residual < 1e-6

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 
 from problems import fiedler_tracking as module
 from problems.fiedler_tracking import DENSE_MAX_AGENTS, fiedler_vectors
@@ -31,8 +32,8 @@ def drifting(agents, seed, steps=30, speed=0.3, density=0.05):
 def agrees(L, lambda2, vectors):
     value = np.linalg.eigvalsh(L)
     assert lambda2 == pytest.approx(value[1], abs=1e-11)
-    np.testing.assert_allclose(vectors @ vectors.T, np.eye(len(vectors)), atol=1e-12)
-    np.testing.assert_allclose(vectors.sum(axis=1), 0, atol=1e-10)
+    assert_allclose(vectors @ vectors.T, np.eye(len(vectors)), atol=1e-12)
+    assert_allclose(vectors.sum(axis=1), 0, atol=1e-10)
     assert np.linalg.norm(L @ vectors.T - lambda2 * vectors.T, axis=0).max() < 2e-7
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 
 from dynamics.atmosphere import DENSITY_TABLE, Atmosphere
 from dynamics.elements import ClassicalElements
@@ -40,7 +41,7 @@ def test_gravity_is_the_gradient_of_its_potential(seed):
         / (12 * h)
         for axis in np.eye(3)
     ]
-    np.testing.assert_allclose(Forces().acceleration(state), -np.array(slope), atol=1e-11)
+    assert_allclose(Forces().acceleration(state), -np.array(slope), atol=1e-11)
 
 
 @given(seeds, st.floats(1, 1e6))
@@ -51,7 +52,7 @@ def test_differential_acceleration_is_that_of_two_spacecraft(seed, far):
     drag = rng.uniform(0, 0.1, 4)
     direct = air.acceleration(chief + offset, drag) - air.acceleration(chief, 0.03)
     found = air.differential_acceleration(chief, offset, drag, 0.03)
-    np.testing.assert_allclose(found, direct, rtol=0, atol=1e-14)
+    assert_allclose(found, direct, rtol=0, atol=1e-14)
 
 
 def test_differential_acceleration_loses_no_digits_to_cancellation():
@@ -68,7 +69,7 @@ def test_drag_opposes_velocity_relative_to_the_rotating_air():
     corotating = np.array([*at, 0, EARTH_ROTATION * at[0], 0])
     np.testing.assert_array_equal(air.drag_acceleration(corotating, B), np.zeros(3))
     found = air.drag_acceleration(corotating + np.array([0, 0, 0, 0, 7e3, 0]), B)
-    np.testing.assert_allclose(found, [0, -0.5 * 6.967e-13 * B * 7e3**2, 0])
+    assert_allclose(found, [0, -0.5 * 6.967e-13 * B * 7e3**2, 0])
 
 
 def test_density_falls_by_e_in_a_scale_height():
@@ -88,7 +89,7 @@ def test_two_body_gravity_is_left_without_oblateness():
     state = np.array([7e6, 1e6, 2e6, 0, 7.5e3, 0])
     round_earth = Forces(k_J2=0.0).acceleration(state)
     r = np.linalg.norm(state[:3])
-    np.testing.assert_allclose(round_earth, -EARTH_MU / r**3 * state[:3], rtol=1e-15)
+    assert_allclose(round_earth, -EARTH_MU / r**3 * state[:3], rtol=1e-15)
     flat = Forces().acceleration(state) - round_earth
     assert np.linalg.norm(flat) == pytest.approx(K_J2 / r**4, rel=1.0)
 

@@ -73,13 +73,7 @@ JOINED_BY_TWO = joined_parts([0, 1, 2, 3], [4, 5, 6, 7], [0, 4], [1, 5])
 
 @pytest.mark.parametrize(
     ("graph", "axes"),
-    [
-        (HINGED, "xy"),
-        (HINGED, "z"),
-        (CHAIN, "xy"),
-        (CHAIN, "z"),
-        (JOINED_BY_TWO, "xy"),
-    ],
+    [(HINGED, "xy"), (HINGED, "z"), (CHAIN, "xy"), (CHAIN, "z"), (JOINED_BY_TWO, "xy")],
 )
 def test_parts_that_rotate_or_stretch_alone_have_no_gains_by_proof(graph, axes, rng):
     for _ in range(3):

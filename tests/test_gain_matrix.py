@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from problems.desired_formation import DesiredFormation
 from problems.gain_design import GainMatrix, design_gains
@@ -53,8 +54,8 @@ def test_complex_gains_give_the_velocities_of_the_real_matrix(rng):
     q = rng.normal(size=(6, 3))
     speeds = (full_matrix(gains) @ q.ravel()).reshape(6, 3)
     planar = gains.xy @ (q[:, 0] + 1j * q[:, 1])
-    np.testing.assert_allclose(speeds[:, 0] + 1j * speeds[:, 1], planar, atol=1e-12)
-    np.testing.assert_allclose(speeds[:, 2], gains.z @ q[:, 2], atol=1e-12)
+    assert_allclose(speeds[:, 0] + 1j * speeds[:, 1], planar, atol=1e-12)
+    assert_allclose(speeds[:, 2], gains.z @ q[:, 2], atol=1e-12)
 
 
 def test_a_saved_file_restores_gains_and_formation(tmp_path):
@@ -63,9 +64,8 @@ def test_a_saved_file_restores_gains_and_formation(tmp_path):
     again = GainMatrix.load(tmp_path / "gains.npz")
     assert np.array_equal(again.xy, gains.xy) and np.array_equal(again.z, gains.z)
     assert (again.method, again.bound_xy, again.bound_z) == ("admm", gains.bound_xy, gains.bound_z)
-    assert again.formation.name == "swarm6_3d/Pentagonal Pyramid" and again.matches_formation(
-        pyramid()
-    )
+    assert again.formation.name == "swarm6_3d/Pentagonal Pyramid"
+    assert again.matches_formation(pyramid())
     assert not again.matches_formation(DesiredFormation.with_complete_graph(pyramid().points))
     assert not again.matches_formation(DesiredFormation(pyramid().points * 2, pyramid().graph))
     assert not again.matches_formation(DesiredFormation.with_complete_graph(pyramid().points[:5]))
@@ -85,16 +85,10 @@ def test_gains_of_another_formation_are_refused(tmp_path):
     loose = gains.formation.graph.copy()
     loose[0, 3] = loose[3, 0] = False
     for changes, words in (
-        (
-            {"points": points * [1.1, 1, 1]},
-            "changed.npz: the gains for xy .* they move the desired formation",
-        ),
+        ({"points": points * [1.1, 1, 1]}, "changed.npz: .* xy .* move the desired formation"),
         ({"points": points + np.eye(6, 3, -1)}, "for xy do not belong"),
         ({"graph": loose}, "are not zero at the non-edges"),
-        (
-            {"xy": -gains.xy},
-            "xy do not belong to this formation: they do not have eigenvalues of −1",
-        ),
+        ({"xy": -gains.xy}, "xy do not belong .*: they do not have eigenvalues of −1"),
         ({"xy": 2 * gains.xy}, "−1 in the mean"),
         ({"xy": gains.xy + np.triu(gains.xy)}, "they "),
         ({"z": gains.z * np.nan}, "for z must be finite numbers"),
@@ -128,16 +122,14 @@ def test_unstable_gains_are_refused(rng):
         ({"graph": np.ones(3, dtype=bool)}, r"graph should be bool .* not bool of \(3,\)"),
         ({"points": np.array([["a", "b", "c"]] * 6)}, r"points should be float .* not <U1"),
         ({"points": np.arange(6.0)}, r"points should be float of shape \(6, 3\), not .* \(6,\)"),
-        ({"points": np.ones((6, 2))}, r"points should be float of shape \(6, 3\)"),
         ({"points": np.float64(3)}, r"points should be float of shape \(0, 3\)"),
         ({"xy": np.full((6, 6), "1")}, "xy should be complex"),
         ({"z": np.ones((3, 6))}, r"z should be float of shape \(6, 6\), not float64 of \(3, 6\)"),
         ({"z": np.ones((6, 6), dtype=complex)}, "z should be float .* not complex128"),
         ({"name": np.array([1, 2])}, "name should be str"),
         ({"bounds": np.ones(3)}, r"bounds should be float of shape \(2,\), not float64 of \(3,\)"),
-        ({"bounds": np.array([np.nan, 1])}, "bound for xy must be at least .* got nan"),
-        ({"bounds": np.array([1, np.nan])}, "bound for z must be at least .* got nan"),
-        ({"bounds": np.array([1, 0.1])}, r"for z must be at least the rate 0.55.* got 0.1"),
+        ({"bounds": np.array([np.nan, 1])}, "bound_xy: must be at least .* got nan"),
+        ({"bounds": np.array([1, 0.1])}, r"bound_z: must be at least the rate 0.55.* got 0.1"),
     ],
 )
 def test_wrong_fields_of_a_file_are_named_in_one_sentence(tmp_path, changes, words):

@@ -105,14 +105,6 @@ def test_a_batch_of_swarms_equals_each_swarm_alone(rng):
         )
 
 
-def test_one_of_two_agents_must_see_the_other():
-    position = np.array([[0.0, 0, 0], [5, 0, 0]])
-    ahead = np.arctan2(SIGHT.optical_axis[1], SIGHT.optical_axis[0])
-    for yaw, weight in (((-ahead, -ahead), 1.0), ((np.pi - ahead, -ahead), 0.0)):
-        found = interaction_graph(position, np.array(yaw), SIGHT)
-        assert found.weights[0, 1] == found.weights[1, 0] == pytest.approx(weight, abs=1e-12)
-
-
 def test_coinciding_agents_have_zero_weights_and_gradient():
     position, yaw = np.zeros((3, 3)), np.zeros(3)
     assert not interaction_graph(position, yaw, SIGHT).weights.any()

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import csc_array
 
 from dynamics import ClohessyWiltshire, DiscreteModel, DoubleIntegrator, discretize_zoh
@@ -59,11 +60,11 @@ def test_solutions_arrive_within_limits_at_their_dual_bound(rng, steps):
     u = result.u[found]
     assert np.abs(u).max() <= U
     size = np.abs(reachability_matrix(steps)).max(axis=(1, 2)) * U
-    np.testing.assert_allclose(terminal_states(steps, u) / size, b[found] / size, atol=1e-8)
-    np.testing.assert_allclose(result.fuel[found], steps.dt * np.abs(u).sum(axis=(1, 2)))
+    assert_allclose(terminal_states(steps, u) / size, b[found] / size, atol=1e-8)
+    assert_allclose(result.fuel[found], steps.dt * np.abs(u).sum(axis=(1, 2)))
     weighted = steps.dt * np.einsum("k,qkm->q", weight, np.abs(u))
     assert (result.dual_bound[found] <= weighted * (1 + 1e-9) + 1e-12).all()
-    np.testing.assert_allclose(result.dual_bound[found], weighted, rtol=1e-8, atol=1e-12)
+    assert_allclose(result.dual_bound[found], weighted, rtol=1e-8, atol=1e-12)
     assert np.isnan(result.u[~found]).all()
     assert np.isposinf(result.fuel[~found]).all() and np.isposinf(result.dual_bound[~found]).all()
 
@@ -77,7 +78,7 @@ def test_fuel_is_even_homogeneous_convex_and_falls_with_the_limit(seed, steps):
     for scale in (-1.0, 1e-9, 1e6):
         size = abs(scale)
         scaled = solve_minimum_fuel(steps, scale * a, size * U, w).fuel
-        np.testing.assert_allclose(scaled, size * both[0], rtol=1e-9, atol=size * tiny)
+        assert_allclose(scaled, size * both[0], rtol=1e-9, atol=size * tiny)
     middle = solve_minimum_fuel(steps, (a + b) / 2, U, w).fuel
     assert (middle <= np.mean(both, axis=0) + tiny).all()
     assert (solve_minimum_fuel(steps, a, 2 * U, w).fuel <= both[0] + tiny).all()
@@ -98,8 +99,8 @@ def test_many_displacements_are_solved_as_each_alone(rng):
     together = solve_minimum_fuel(orbit, b, 0.01, tie_break_weights(24, 1e-6))
     for q in range(60):
         alone = solve_minimum_fuel(orbit, b[q : q + 1], 0.01, tie_break_weights(24, 1e-6))
-        np.testing.assert_allclose(alone.u[0], together.u[q], atol=1e-10)
-        np.testing.assert_allclose(alone.fuel[0], together.fuel[q], rtol=1e-12)
+        assert_allclose(alone.u[0], together.u[q], atol=1e-10)
+        assert_allclose(alone.fuel[0], together.fuel[q], rtol=1e-12)
 
 
 def test_other_batches_do_not_change_the_last_bit(rng):
@@ -107,8 +108,8 @@ def test_other_batches_do_not_change_the_last_bit(rng):
     before = solve_minimum_fuel(plane, b, 0.1, np.ones(20), batches=6)
     b[:40] = displacements(plane, rng, 40, 0.1)
     after = solve_minimum_fuel(plane, b, 0.1, np.ones(20), batches=6)
-    np.testing.assert_array_equal(before.u[40:], after.u[40:])
-    np.testing.assert_array_equal(before.dual_bound[40:], after.dual_bound[40:])
+    assert_array_equal(before.u[40:], after.u[40:])
+    assert_array_equal(before.dual_bound[40:], after.dual_bound[40:])
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 24])
@@ -125,7 +126,7 @@ def test_highs_and_clarabel_find_the_same_fuel(rng, model, count, solver):
     weighted[np.isnan(weighted)] = np.inf
     other = np.array([fuel_by_conic_solver(steps, row, U, weight, solver) for row in b])
     assert np.isfinite(other).any() and np.isinf(other).any()
-    np.testing.assert_allclose(weighted, other, rtol=1e-6, atol=1e-7)
+    assert_allclose(weighted, other, rtol=1e-6, atol=1e-7)
 
 
 def test_highs_finds_the_same_fuel_for_time_varying_dynamics(rng):
@@ -135,7 +136,7 @@ def test_highs_finds_the_same_fuel_for_time_varying_dynamics(rng):
     assert len(decouple_axes(steps)) == 1
     b = displacements(steps, rng, 20, 0.2)
     expected = [fuel_by_conic_solver(steps, row, 0.2, w) for row in b]
-    np.testing.assert_allclose(solve_minimum_fuel(steps, b, 0.2, w).fuel, expected, rtol=1e-6)
+    assert_allclose(solve_minimum_fuel(steps, b, 0.2, w).fuel, expected, rtol=1e-6)
 
 
 def test_axes_that_do_not_act_on_one_another_are_separated():
@@ -153,7 +154,7 @@ def test_displacements_of_an_uncontrolled_state_are_unreachable():
     b = np.array([[1.0, 0, 0.2, 0], [1.0, 0.1, 0.2, 0]])
     result = solve_minimum_fuel(steps, b, 0.5, np.ones(5))
     assert result.fuel[0] > 0 and result.fuel[1] == np.inf
-    np.testing.assert_allclose(terminal_states(steps, result.u[:1]), b[:1], atol=1e-12)
+    assert_allclose(terminal_states(steps, result.u[:1]), b[:1], atol=1e-12)
 
 
 def test_redundant_thrusters_share_the_cheapest_control():
@@ -167,7 +168,7 @@ def test_redundant_thrusters_share_the_cheapest_control():
     u[0, :2, 1] = 0.4, -0.1
     b = terminal_states(steps, u)
     result = solve_minimum_fuel(steps, b, 0.5, np.ones(5))
-    np.testing.assert_allclose(terminal_states(steps, result.u), b, atol=1e-12)
+    assert_allclose(terminal_states(steps, result.u), b, atol=1e-12)
     assert result.fuel[0] <= 0.5 + 1e-12
     assert solve_minimum_fuel(steps, b + np.eye(4)[1] / 10, 0.5, np.ones(5)).fuel[0] == np.inf
 
@@ -196,8 +197,8 @@ def test_highs_solves_what_runs_out_of_pivots(rng, monkeypatch, pivots, least):
     monkeypatch.setattr(minimum_fuel, "MAX_PIVOTS", pivots)
     result = solve_minimum_fuel(plane, b, 0.1, weight)
     assert len(by_highs) >= least and np.isinf(expected.fuel).any()
-    np.testing.assert_allclose(result.fuel, expected.fuel, rtol=1e-6)
-    np.testing.assert_allclose(result.dual_bound, expected.dual_bound, rtol=1e-6)
+    assert_allclose(result.fuel, expected.fuel, rtol=1e-6)
+    assert_allclose(result.dual_bound, expected.dual_bound, rtol=1e-6)
 
 
 @pytest.mark.parametrize(

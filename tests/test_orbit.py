@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 
 from dynamics.orbit import (
     EARTH_MU,
@@ -20,13 +21,9 @@ from dynamics.orbit import (
 )
 
 TRUTH = json.loads(Path(__file__).with_name("j2_truth.json").read_text())
+angle = st.floats(0.0, 2 * pi)
 elements = st.tuples(
-    st.floats(9.5e6, 4.2e7),
-    st.floats(0.0, 0.3),
-    st.floats(0.0, pi),
-    st.floats(0.0, 2 * pi),
-    st.floats(0.0, 2 * pi),
-    st.floats(0.0, 2 * pi),
+    st.floats(9.5e6, 4.2e7), st.floats(0.0, 0.3), st.floats(0.0, pi), angle, angle, angle
 )
 
 
@@ -40,7 +37,7 @@ def test_reference_table_is_met_to_its_printed_digits():
     times = {"8min": 480.0, "16min": 960.0, "24min": 1440.0, "1orbit": TRUTH["orbit_s"]}
     for name, t in times.items():
         expected = np.array(TRUTH["reference_states"][name]) * [1e3, 1e3, 1e6, 1, 1, 1]
-        np.testing.assert_allclose(orbit.elements_at(t), expected, rtol=1e-11, atol=1e-9)
+        assert_allclose(orbit.elements_at(t), expected, rtol=1e-11, atol=1e-9)
 
 
 @given(elements)
@@ -57,7 +54,7 @@ def test_osculating_elements_satisfy_keplers_laws(values):
 def test_an_orbit_without_oblateness_closes():
     orbit = low(eccentricity=0.05, arg_perigee=0.4, true_anomaly=2.0, k_J2=0.0)
     after = orbit.elements_at(3 * orbit.period)
-    np.testing.assert_allclose(after[:5], orbit.initial_elements[:5], rtol=1e-9, atol=1e-5)
+    assert_allclose(after[:5], orbit.initial_elements[:5], rtol=1e-9, atol=1e-5)
     assert after[5] - orbit.arg_latitude == pytest.approx(6 * pi, rel=1e-10)
 
 
@@ -71,7 +68,7 @@ def test_energy_and_polar_angular_momentum_are_conserved(values, t):
         energy = (v_x**2 + (h / r) ** 2) / 2 - EARTH_MU / r - K_J2 / r**3 * (1 / 3 - high)
         return np.array([energy, h * np.cos(i) / orbit.h])
 
-    np.testing.assert_allclose(
+    assert_allclose(
         invariants(orbit.elements_at(t)),
         invariants(np.array(orbit.initial_elements)),
         rtol=1e-10,
@@ -88,7 +85,7 @@ def test_interpolated_elements_satisfy_their_rates(values):
     slope = (chief[2] - chief[0]) / (2 * h)
     rate = polar_nodal_rates(chief[1], orbit.mu, orbit.k_J2)
     size = polar_nodal_scales(chief[1])
-    np.testing.assert_allclose(slope / size, rate / size, rtol=1e-6, atol=1e-12)
+    assert_allclose(slope / size, rate / size, rtol=1e-6, atol=1e-12)
 
 
 @given(elements, st.floats(10, 2e4))
@@ -110,10 +107,7 @@ def test_elements_at_many_times_are_those_at_each():
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        (
-            {"semi_major_axis": 7e6, "eccentricity": 1.0},
-            "eccentricity: an ellipse needs 0 ≤ e < 1, got 1",
-        ),
+        ({"semi_major_axis": 7e6, "eccentricity": 1.0}, "ellipse needs 0 ≤ e < 1, got 1"),
         ({"semi_major_axis": 7e6, "eccentricity": 0.2}, "above 7973 km would do"),
         ({"semi_major_axis": -7e6}, "semi_major_axis: must be positive"),
         ({"semi_major_axis": 7e6, "inclination": 4.0}, "between 0 and π, got 4 rad"),

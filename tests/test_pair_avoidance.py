@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from planner_examples import RADIUS, T, make_planner, make_problem
 
 from problems.avoidance import AvoidanceProblem, HalfSpaces, empty_half_spaces
@@ -39,7 +40,7 @@ def crossing(rng, axes=2, **limits):
 
 def stands(pair, flights):
     for side, flight in zip((pair.first, pair.second), flights, strict=True):
-        np.testing.assert_allclose(flight.x[-1], side.goal, atol=1e-6)
+        assert_allclose(flight.x[-1], side.goal, atol=1e-6)
         assert side.half_spaces.violation(flight.x, flight.u).max(initial=-1.0) <= 1e-7
         assert np.abs(flight.u).max() <= side.transfer.max_control * (1 + 1e-9)
         assert fastest([flight]) <= side.transfer.max_speed * (1 + 1e-8)
@@ -79,7 +80,7 @@ def test_relative_rows_are_those_of_the_relative_control_points(rng):
         - horizon.required_separation
     )
     missing = between.violation(first, second)
-    np.testing.assert_allclose(np.sort(-missing), np.sort(room.ravel()[-len(missing) :]), atol=1e-9)
+    assert_allclose(np.sort(-missing), np.sort(room.ravel()[-len(missing) :]), atol=1e-9)
 
 
 def test_without_relative_half_spaces_both_fly_their_own_transfers(rng):

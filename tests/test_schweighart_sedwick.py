@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 
 from dynamics.clohessy_wiltshire import ClohessyWiltshire
 from dynamics.coordinate_frames import LVLH, inertial_state, to_polar_nodal
@@ -21,12 +22,10 @@ model = SchweighartSedwick(6878e3, np.radians(45))
 def test_without_oblateness_it_is_clohessy_wiltshire(radius, inclination):
     round_earth = SchweighartSedwick(radius, inclination, k_J2=0.0)
     plain = ClohessyWiltshire(round_earth.n)
-    np.testing.assert_allclose(round_earth.A(0.0), plain.A(0.0), rtol=1e-15, atol=0)
+    assert_allclose(round_earth.A(0.0), plain.A(0.0), rtol=1e-15, atol=0)
     t, position = np.linspace(-1e4, 1e4, 7), np.array([300.0, -200.0, 100.0])
-    np.testing.assert_allclose(
-        round_earth.transition_matrix(t), plain.transition_matrix(t), rtol=1e-11
-    )
-    np.testing.assert_allclose(
+    assert_allclose(round_earth.transition_matrix(t), plain.transition_matrix(t), rtol=1e-11)
+    assert_allclose(
         round_earth.bounded_velocity(position), plain.bounded_velocity(position), rtol=1e-15
     )
 
@@ -37,14 +36,14 @@ def test_the_centered_orbit_is_the_published_one(rng):
     place = np.stack([x0, y0, np.zeros(8)], axis=-1)
     velocity = model.centered_velocity(place)
     s, n = model.s, model.n
-    np.testing.assert_allclose(velocity[:, 0], n * y0 * (1 - s) / (2 * np.sqrt(1 + s)), rtol=1e-13)
-    np.testing.assert_allclose(velocity[:, 1], -2 * n * x0 * np.sqrt(1 + s), rtol=1e-13)
+    assert_allclose(velocity[:, 0], n * y0 * (1 - s) / (2 * np.sqrt(1 + s)), rtol=1e-13)
+    assert_allclose(velocity[:, 1], -2 * n * x0 * np.sqrt(1 + s), rtol=1e-13)
     t = np.linspace(0, 2e4, 50)
     path = np.einsum("tij,kj->ikt", model.transition_matrix(t), np.hstack([place, velocity]))
     C, S = np.cos(n * np.sqrt(1 - s) * t), np.sin(n * np.sqrt(1 - s) * t)
     axes = np.sqrt(1 - s) / (2 * np.sqrt(1 + s))
-    np.testing.assert_allclose(path[0], np.outer(x0, C) + axes * np.outer(y0, S), atol=1e-9)
-    np.testing.assert_allclose(path[1], np.outer(y0, C) - np.outer(x0, S) / axes, atol=1e-9)
+    assert_allclose(path[0], np.outer(x0, C) + axes * np.outer(y0, S), atol=1e-9)
+    assert_allclose(path[1], np.outer(y0, C) - np.outer(x0, S) / axes, atol=1e-9)
 
 
 def test_constants_follow_their_definitions():
@@ -84,8 +83,8 @@ def test_rates_are_the_mean_rates_of_the_orbit():
     r, _, h, _, _, theta = np.moveaxis(path, -1, 0)
     rate = np.diff(np.unwrap(theta[[*range(0, 2001, 50)]], axis=0), axis=0).mean(axis=0) / t[50]
     # Periodic terms leave less than 1e-4 after ten orbits, which are not quite complete.
-    np.testing.assert_allclose(rate, [mean.cross_track_rate for mean in means], rtol=1e-4)
-    np.testing.assert_allclose((h / r**2).mean(axis=0), [m.rotation_rate for m in means], rtol=1e-4)
+    assert_allclose(rate, [mean.cross_track_rate for mean in means], rtol=1e-4)
+    assert_allclose((h / r**2).mean(axis=0), [m.rotation_rate for m in means], rtol=1e-4)
     # The osculating semi-major axis gives worse rates.
     naive = [SchweighartSedwick(7000e3, orbit.inclination).cross_track_rate for orbit in orbits]
     assert (np.abs(naive / rate - 1) > 4e-4).all()
@@ -111,7 +110,7 @@ def test_equal_inclinations_keep_the_cross_track_amplitude():
     mean = SchweighartSedwick.from_orbit(orbit)
     t = np.linspace(0, 10 * 2 * np.pi / mean.cross_track_rate, 401)
     truth = exact_cross_track(orbit, 1000.0, 0.0, t)
-    np.testing.assert_allclose(mean.transition_matrix(t)[:, 2, 2] * 1000, truth, atol=3)
+    assert_allclose(mean.transition_matrix(t)[:, 2, 2] * 1000, truth, atol=3)
 
 
 @pytest.mark.parametrize("latitude", [0.0, 1.2])
@@ -128,7 +127,7 @@ def test_unequal_inclinations_add_the_stated_cross_track_growth(latitude):
     q, i = mean.cross_track_rate, mean.inclination
     inclined = z * np.sin(latitude) + velocity / q * np.cos(latitude)  # r Δi
     parted = mean.n * mean.k_J2 / (mean.mu * mean.radius**2) * np.sin(i) ** 2 * inclined * t
-    np.testing.assert_allclose(modeled - parted * np.cos(latitude + q * t), truth, atol=5)
+    assert_allclose(modeled - parted * np.cos(latitude + q * t), truth, atol=5)
 
 
 @pytest.mark.parametrize(

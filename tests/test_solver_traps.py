@@ -62,10 +62,8 @@ def test_reachable_targets_are_never_reported_infeasible(name):
 def test_an_unreachable_target_is_never_solved_and_leaves_no_trace(name):
     problem = transfers()[0]
     factor = np.where(np.arange(len(problem.b)) < problem.zero, 100.0, 1.0)
-    far, session = (
-        replace(problem, b=factor * problem.b),
-        ADAPTERS[name].open_session(problem, 1e-6),
-    )
+    far = replace(problem, b=factor * problem.b)
+    session = ADAPTERS[name].open_session(problem, 1e-6)
     first = verify(problem, session.solve(problem.b), 1e-6).solution
     result = session.solve(far.b)
     certifies = ADAPTERS[name].certifies_infeasibility

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from dynamics import ClohessyWiltshire, DiscreteModel, DoubleIntegrator, discretize_zoh
 from problems import speed_limited
@@ -57,18 +58,16 @@ def changing(rng, T=12, d=2):
 @all_models
 def test_solutions_arrive_within_both_limits_at_their_dual_bound(rng, steps, U, V):
     start, target, lower = bound_pairs(steps, rng, U, V, 60)
-    result, d = (
-        SpeedLimitedSolver(TransferProblem(steps, U, V)).solve_many(start, target),
-        steps.axes,
-    )
+    result = SpeedLimitedSolver(TransferProblem(steps, U, V)).solve_many(start, target)
+    d = steps.axes
     found = np.isfinite(result.fuel)
     assert 20 < found.sum()
     x = steps.simulate(start[found], result.u[found])
-    np.testing.assert_allclose(x[:, -1], target[found], atol=1e-8 * np.abs(target).max())
+    assert_allclose(x[:, -1], target[found], atol=1e-8 * np.abs(target).max())
     assert np.abs(result.u[found]).max() <= U
     assert np.linalg.norm(x[:, 1:-1, d:], axis=2).max() <= V * (1 + 2e-9)
-    np.testing.assert_allclose(result.fuel[found], steps.dt * np.abs(result.u[found]).sum((1, 2)))
-    np.testing.assert_allclose(result.dual_bound[found], result.fuel[found], rtol=1e-7)
+    assert_allclose(result.fuel[found], steps.dt * np.abs(result.u[found]).sum((1, 2)))
+    assert_allclose(result.dual_bound[found], result.fuel[found], rtol=1e-7)
     assert (result.fuel >= lower * (1 - 1e-7)).all()
     assert np.isnan(result.u[~found]).all()
     assert np.isposinf(result.fuel[~found]).all() and np.isposinf(result.dual_bound[~found]).all()
@@ -90,16 +89,9 @@ def test_both_solvers_agree_with_the_cvxpy_statement(rng, solver, steps, U, V):
         x, u, fuel = fast.solve(start, target)
         assert fuel == pytest.approx(expected.fuel, rel=1e-5)  # in SI units Clarabel does no better
         assert fuel >= lower * (1 - 1e-7)
-        np.testing.assert_allclose(steps.simulate(start, u), x)
-        np.testing.assert_allclose(x[-1], target, atol=1e-7 * np.abs(target).max())
+        assert_allclose(steps.simulate(start, u), x)
+        assert_allclose(x[-1], target, atol=1e-7 * np.abs(target).max())
     assert found >= 3
-
-
-@all_models
-def test_clarabel_finds_the_same_fuel_and_the_same_infeasible_pairs(rng, steps, U, V):
-    start, target, _ = bound_pairs(steps, rng, U, 0.8 * V, 60)
-    transfer = TransferProblem(steps, U, 0.8 * V)
-    assert_same_as_clarabel(transfer, start, target)
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -113,11 +105,9 @@ def test_clarabel_agrees_for_dynamics_that_change_and_drift(rng, d):
 
 
 def assert_same_as_clarabel(transfer, start, target):
-    result, clarabel, infeasible = (
-        SpeedLimitedSolver(transfer).solve_many(start, target),
-        SparseTransferSolver(transfer),
-        0,
-    )
+    result = SpeedLimitedSolver(transfer).solve_many(start, target)
+    clarabel = SparseTransferSolver(transfer)
+    infeasible = 0
     for fuel, u, x, g in zip(result.fuel, result.u, start, target, strict=True):
         if np.isinf(fuel):
             infeasible += 1
@@ -135,10 +125,8 @@ def test_linprog_agrees_in_one_dimension(rng):
     U, V, T = 0.1, 0.4, len(line)
     start, target, _ = bound_pairs(line, rng, U, V, 30)
     result = SpeedLimitedSolver(TransferProblem(line, U, V)).solve_many(start, target)
-    R, free = (
-        TransferProblem(line, U).response_matrices[0],
-        line.simulate(start, np.zeros((len(start), T, 1))),
-    )
+    R = TransferProblem(line, U).response_matrices[0]
+    free = line.simulate(start, np.zeros((len(start), T, 1)))
     rows = np.vstack([R[1:T, 1], -R[1:T, 1]])
     for fuel, x, g in zip(result.fuel, free, target, strict=True):
         room = np.concatenate([V - x[1:T, 1], V + x[1:T, 1]])
@@ -168,7 +156,7 @@ def test_fuel_falls_with_a_looser_speed_limit(seed, model):
         assert (cheaper <= dearer * (1 + 1e-7) + tiny).all()
     free = target - steps.simulate(start, np.zeros((12, len(steps), steps.axes)))[:, -1]
     unlimited = solve_minimum_fuel(steps, free, U, np.ones(len(steps))).fuel
-    np.testing.assert_allclose(fuels[-1], unlimited, rtol=1e-7, atol=tiny)
+    assert_allclose(fuels[-1], unlimited, rtol=1e-7, atol=tiny)
 
 
 @settings(max_examples=15)
@@ -183,14 +171,14 @@ def test_fuel_scales_with_lengths_and_ignores_along_track_position(seed, model, 
         .solve_many(s * start, s * target)
         .fuel
     )
-    np.testing.assert_allclose(there / s, here, rtol=1e-7, atol=tiny)
+    assert_allclose(there / s, here, rtol=1e-7, atol=tiny)
     away = np.eye(2 * steps.axes)[1] * 7 * V
     there = (
         SpeedLimitedSolver(TransferProblem(steps, U, V))
         .solve_many(start + away, target + away)
         .fuel
     )
-    np.testing.assert_allclose(there, here, rtol=1e-7, atol=tiny)
+    assert_allclose(there, here, rtol=1e-7, atol=tiny)
 
 
 @settings(max_examples=15)
@@ -211,10 +199,10 @@ def test_other_batches_do_not_change_the_last_bit(rng):
     first = np.array([0, 10, 10, 30])
     whole = solver.solve_many(start, target, first)
     changed = solver.solve_many(*(np.vstack([e[29:19:-1], e[10:]]) for e in (start, target)), first)
-    np.testing.assert_array_equal(whole.u[10:], changed.u[10:])
-    np.testing.assert_array_equal(whole.dual_bound[10:], changed.dual_bound[10:])
+    assert_array_equal(whole.u[10:], changed.u[10:])
+    assert_array_equal(whole.dual_bound[10:], changed.dual_bound[10:])
     together = solver.solve_many(start, target)
-    np.testing.assert_allclose(together.fuel, whole.fuel, rtol=1e-7)
+    assert_allclose(together.fuel, whole.fuel, rtol=1e-7)
 
 
 def test_cutting_planes_solve_all_of_many_pairs(rng, monkeypatch):
@@ -232,8 +220,8 @@ def test_clarabel_solves_what_runs_out_of_pivots(rng, monkeypatch):
     monkeypatch.setattr(speed_limited, "MAX_PIVOTS", 0)
     cones = SpeedLimitedSolver(transfer).solve_many(start, target)
     assert np.isinf(cuts.fuel).any() and np.isfinite(cuts.fuel).any()
-    np.testing.assert_allclose(cones.fuel, cuts.fuel, rtol=1e-6)
-    np.testing.assert_allclose(cones.dual_bound, cuts.dual_bound, rtol=1e-6)
+    assert_allclose(cones.fuel, cuts.fuel, rtol=1e-6)
+    assert_allclose(cones.dual_bound, cuts.dual_bound, rtol=1e-6)
 
 
 @both_solvers
@@ -243,7 +231,7 @@ def test_few_steps_reach_what_their_controls_reach(rng, solver, count):
     start, u = np.array([0, 0, 0.1, 0.1]), rng.uniform(-0.1, 0.1, (count, 2))
     target = steps.simulate(start, u)[-1]
     fast = solver(TransferProblem(steps, 0.1, 0.5))
-    np.testing.assert_allclose(fast.solve(start, target).x[-1], target, atol=1e-8)
+    assert_allclose(fast.solve(start, target).x[-1], target, atol=1e-8)
     with pytest.raises(Infeasible):
         fast.solve(start, target + 1.0)
 

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from numpy.testing import assert_array_equal
 from scipy.optimize import minimize_scalar, nnls
 
 from dynamics import ClohessyWiltshire, DoubleIntegrator, LinearizedModel, discretize_zoh
@@ -233,11 +234,11 @@ def test_lost_agents_count_until_they_are_lost(rng):
     whole = separations(position, velocity, np.ones_like(alive), 0.7)
     found = separations(position, velocity, alive, 0.7)
     pair = separations(position[:, :2], velocity[:, :2], alive[:, :2], 0.7)
-    np.testing.assert_array_equal(found.distance[:4], whole.distance[:4])
-    np.testing.assert_array_equal(found.distance[4:], pair.distance[4:])
+    assert_array_equal(found.distance[:4], whole.distance[:4])
+    assert_array_equal(found.distance[4:], pair.distance[4:])
     position[5:, 2] = np.nan
     gone = separations(position, velocity, alive, 0.7)
-    np.testing.assert_array_equal(gone.distance, found.distance)
+    assert_array_equal(gone.distance, found.distance)
     alive[:, 1:] = False
     alone = separations(position, velocity, alive, 0.7)
     assert np.isinf(alone.distance).all() and alone.minimum.pair == (-1, -1)
@@ -248,4 +249,4 @@ def test_each_piece_may_have_its_own_duration(rng):
     position, velocity, alive = parts(x, 2)
     one = separations(position, velocity, alive, 0.7)
     each = separations(position, velocity, alive, np.full(4, 0.7))
-    np.testing.assert_array_equal(one.distance, each.distance)
+    assert_array_equal(one.distance, each.distance)

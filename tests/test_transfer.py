@@ -6,6 +6,7 @@ from math import inf
 import cvxpy as cp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from dynamics import ClohessyWiltshire, DiscreteModel, DoubleIntegrator, discretize_zoh
 from problems.conic import Infeasible, Unsolved
@@ -44,11 +45,11 @@ def test_solutions_keep_every_constraint(rng, steps, q, r):
     transfer = TransferProblem(steps, U, V, q, r)
     start, target = reachable(steps, rng, U / 3)
     x, u, fuel = transfer.solve(start, target)
-    np.testing.assert_array_equal(x[0], start)
-    np.testing.assert_allclose(x[-1], target, atol=1e-5 if steps is orbit else 1e-7)
+    assert_array_equal(x[0], start)
+    assert_allclose(x[-1], target, atol=1e-5 if steps is orbit else 1e-7)
     for k in range(len(steps)):
         expected = steps.A[k] @ x[k] + steps.B[k] @ u[k] + steps.z[k]
-        np.testing.assert_allclose(x[k + 1], expected, atol=1e-9)
+        assert_allclose(x[k + 1], expected, atol=1e-9)
     assert size(u, r).max() <= U * (1 + 1e-7)
     assert size(x[1:-1, d:], 2).max() <= V * (1 + 1e-6)
     assert fuel == pytest.approx(steps.dt * size(u, q).sum(), rel=1e-12)
@@ -57,11 +58,9 @@ def test_solutions_keep_every_constraint(rng, steps, q, r):
 @pytest.mark.parametrize(("q", "r"), norms)
 def test_scs_finds_the_same_fuel_without_states(q, r):
     """Check the program too: here the states are eliminated."""
-    start, target, U = (
-        np.array([0.3, 0.8, 0.3, -0.4, 0.3, 0.1]),
-        np.array([-0.5, 0.6, 0.4, 0.1, 0, 0.2]),
-        2.0,
-    )
+    start = np.array([0.3, 0.8, 0.3, -0.4, 0.3, 0.1])
+    target = np.array([-0.5, 0.6, 0.4, 0.1, 0, 0.2])
+    U = 2.0
     free = TransferProblem(half_period, U, fuel_norm=q, control_norm=r).solve(start, target)
     V = 0.95 * size(free.x[1:-1, 3:], 2).max()
     found = TransferProblem(half_period, U, V, q, r).solve(start, target)
@@ -129,9 +128,9 @@ def test_weights_are_one_at_the_ends_and_largest_in_the_middle():
     w = tie_break_weights(9, 0.01)
     assert w[0] == w[-1] == 1
     assert w[4] == w.max() == 1.01
-    np.testing.assert_allclose(w, w[::-1])
+    assert_allclose(w, w[::-1])
     assert (np.diff(w, 2) < 0).all()  # concave, so that controls at the ends are cheaper
-    np.testing.assert_array_equal(tie_break_weights(5, 0.0), np.ones(5))
+    assert_array_equal(tie_break_weights(5, 0.0), np.ones(5))
     assert tie_break_weights(1, 0.1) == pytest.approx(1.1)
     assert len(tie_break_weights(0, 0.1)) == 0
 
@@ -141,14 +140,14 @@ def test_rising_weights_make_the_path_straight_at_no_fuel():
     plain = TransferProblem(plane, 1.0).solve(start, target)
     x, u, fuel = TransferProblem(plane, 1.0, tie_break_rise=1e-3).solve(start, target)
     assert fuel == pytest.approx(plain.fuel, rel=1e-6)
-    np.testing.assert_allclose(u[1:-1], 0, atol=1e-6)
-    np.testing.assert_allclose(x[:, 1], x[:, 0] / 2, atol=1e-6)
+    assert_allclose(u[1:-1], 0, atol=1e-6)
+    assert_allclose(x[:, 1], x[:, 0] / 2, atol=1e-6)
 
 
 def test_fuel_is_computed_for_one_trajectory_or_many(rng):
     u = rng.normal(size=(3, 5, 2))
     assert compute_fuel(u[0], 2.0, 1) == pytest.approx(2 * np.abs(u[0]).sum())
-    np.testing.assert_allclose(compute_fuel(u, 2.0, "inf"), 2 * np.abs(u).max(axis=2).sum(axis=1))
+    assert_allclose(compute_fuel(u, 2.0, "inf"), 2 * np.abs(u).max(axis=2).sum(axis=1))
 
 
 @pytest.mark.parametrize(("q", "r"), norms)
@@ -177,9 +176,7 @@ def test_a_single_step_reaches_what_its_control_reaches(rng):
     one = plane[:1]
     start, u = rng.normal(size=4), np.array([0.1, -0.2])
     target = one.simulate(start, u[None])[-1]
-    np.testing.assert_allclose(
-        TransferProblem(one, 0.3, 0.1).solve(start, target).u, [u], atol=1e-8
-    )
+    assert_allclose(TransferProblem(one, 0.3, 0.1).solve(start, target).u, [u], atol=1e-8)
     with pytest.raises(Infeasible):
         TransferProblem(one, 0.3).solve(start, target + 0.1)
 
@@ -217,5 +214,5 @@ def test_time_varying_dynamics_and_drift_are_solved(rng):
     found = TransferProblem(steps, 0.3, fuel_norm=2, control_norm=2).solve(
         start, steps.simulate(start, u)[-1]
     )
-    np.testing.assert_allclose(found.x[-1], steps.simulate(start, u)[-1], atol=1e-7)
+    assert_allclose(found.x[-1], steps.simulate(start, u)[-1], atol=1e-7)
     assert found.fuel <= 0.5 * size(u, 2).sum() + 1e-7
