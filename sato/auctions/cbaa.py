@@ -81,7 +81,7 @@ class CbaaAuction:
         if not (0 <= loss < 1 and self.delay >= 0 and (rounds is None or rounds > 0)):
             raise ValueError(
                 f"a loss of {loss}, a delay of {self.delay} rounds, at most {rounds} rounds: "
-                "the loss must be in [0, 1), the delay no less than 0, the number of rounds positive"
+                "the loss must be in [0, 1), the delay no less than 0, the rounds positive"
             )
         if loss > 0 and (self.rng is None or rounds is None):
             raise ValueError(
