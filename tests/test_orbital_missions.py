@@ -467,8 +467,8 @@ REFUSED = {
     ),
     "a state that escapes": (
         [f"chief={{position_km=[6878,0,0],velocity_m_s={FAST}}}"],
-        "chief.velocity_m_s: an orbit with eccentricity 1.485 never comes back; relative motion "
-        "here is about an ellipse, with 0 ≤ e < 1; perpendicular to position_m, 7612.",
+        "chief.velocity_m_s: eccentricity: an ellipse needs 0 ≤ e < 1, got 1.48477; perpendicular "
+        "to position_m, 7612.68 m/s is a circular orbit",
     ),
     "a state inside the Earth": (
         ["chief={position_km=[6000,0,0],velocity_m_s=[0,7612,0]}"],

@@ -188,7 +188,7 @@ class Chief(Definition):
                 ) from error
             raise InputError(
                 "velocity_m_s",
-                f"{error}; perpendicular to position_m, {(EARTH_MU / r) ** 0.5:.6g} m/s is a "
+                f"{str(error).split(';')[0]}; perpendicular to position_m, {(EARTH_MU / r) ** 0.5:.6g} m/s is a "
                 "circular orbit",
             ) from error
 

@@ -132,6 +132,8 @@ class Field(NamedTuple):
     @property
     def address(self) -> str:
         """Key with its table."""
+        if self.is_inline:
+            return str(self.table)
         return f"{self.table}.{self.full_key}" if self.table else self.full_key
 
     @property
