@@ -102,16 +102,19 @@ class SymbolicModel(NonlinearModel):
         return A, B
 
     def _map_batch(self, function: Any, t: Times, x: Array, u: Array) -> list[Array]:
+        # CasADi maps a function over the columns of its arguments, and stacks results sidewise.
         lead = np.broadcast_shapes(np.shape(t), x.shape[:-1], u.shape[:-1])
-        rows = zip(
-            np.broadcast_to(t, lead).ravel(),
-            np.broadcast_to(x, (*lead, x.shape[-1])).reshape(-1, x.shape[-1]),
-            np.broadcast_to(u, (*lead, u.shape[-1])).reshape(-1, u.shape[-1]),
-            strict=True,
-        )
-        found = [function.call([float(s), *row]) for s, *row in rows]
-        stacked = [np.array(list(map(np.asarray, part))) for part in zip(*found, strict=True)]
-        return [part.reshape(*lead, *part.shape[1:]) for part in stacked]
+        count = int(np.prod(lead))
+        columns = [np.broadcast_to(t, lead).reshape(1, count)]
+        for values in (x, u):
+            n = values.shape[-1]
+            columns.append(np.broadcast_to(values, (*lead, n)).reshape(count, n).T)
+        found = []
+        for result in function.map(count).call(columns):
+            matrix = np.asarray(result, dtype=float)
+            stacked = matrix.reshape(len(matrix), count, -1).swapaxes(0, 1)
+            found.append(stacked.reshape(*lead, *stacked.shape[1:]))
+        return found
 
     @cached_property
     def _casadi_functions(self) -> tuple[Any, Any]:

@@ -203,7 +203,10 @@ class Reconfiguration(Mission):
         int, In("plan"), NotNegative, "steps before the deadline in which plans are kept"
     ] = 0
     margin: Annotated[
-        Automatic, Unit("m"), In("plan"), "beyond R_col; auto about a chief, else 0, if absent"
+        Automatic,
+        Unit("m"),
+        In("plan"),
+        "beyond R_col; auto about a chief or with a nonlinear model, else 0, if absent",
     ] = None  # type: ignore[assignment]
     allow_undetectable: Annotated[
         bool, In("plan"), "fly although agents could meet unseen (Proposition 9)"

@@ -121,10 +121,15 @@ class Chief(Definition):
     def check(self) -> None:
         """Refuse no orbit, two, or one that meets the Earth."""
         ways: dict[str, list[Any]] = {
-            "semi_major_axis_m": [self.semi_major_axis, self.eccentricity, self.perigee, self.anomaly],
+            "semi_major_axis_m": [
+                self.semi_major_axis,
+                self.eccentricity,
+                self.perigee,
+                self.anomaly,
+            ],
             "position_m": [self.position, self.velocity],
             "radius_m": [self.radius, self.radial_speed, self.angular_momentum, self.latitude],
-        }  # fmt: skip
+        }
         given = [key for key, values in ways.items() if any(v is not None for v in values)]
         if len(given) > 1 or (given == ["position_m"] and (self.inclination or self.node)):
             raise InputError(
@@ -334,6 +339,8 @@ class World(NamedTuple):
         """True where the vehicles do exactly what the shared model says."""
         if isinstance(self.plant, Plant):
             return isinstance(self.plant, LinearPlant)
+        if isinstance(self.model, NonlinearModel):
+            return False
         return self.plant.kind == "model" or self.chief is None
 
     def linear_model(self) -> LinearModel:

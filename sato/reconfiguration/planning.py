@@ -61,7 +61,7 @@ class Plans(NamedTuple):
     def remaining_fuel(
         self, context: DecisionContext, memory: AgentMemory
     ) -> Float[Array, " agents"]:
-        """Return the fuel in the rest of each plan; infinite where none reaches the target [m/s]."""
+        """Return the fuel left in each plan [m/s]; infinite where none reaches the target."""
         mission, fuel = context.mission, np.full(len(memory.target_index), np.inf)
         for i in self.target_indices:
             left = context.leg.steps - int(memory.clock[i])

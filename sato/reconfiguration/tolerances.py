@@ -62,8 +62,9 @@ def compute_margin(mission: "Reconfiguration") -> float:
 
 
 def _checked_margin(mission: "Reconfiguration") -> float:
-    # Without a word on it, a margin is computed about a chief, where models have errors.
-    is_computed = is_auto(mission.margin) if mission.margin is not None else bool(mission.chief)
+    # Where it is not given, a margin is computed wherever the shared model may have errors.
+    has_errors = mission.chief is not None or mission.nonlinear_model is not None
+    is_computed = is_auto(mission.margin) if mission.margin is not None else has_errors
     margin = compute_margin(mission) if is_computed else mission.margin or 0.0
     room = mission.target_spacing - mission.collision_radius
     if margin > room * (1 + 1e-9):
