@@ -238,7 +238,7 @@ def test_a_single_agent_with_a_single_target_has_a_tolerance():
     assert mission.epsilon == pytest.approx(0.2 * 0.5**2 / 2)
 
 
-def test_flat_shapes_lie_in_the_plane_and_lattices_fill_space_unless_they_are_told_to():
+def test_shapes_lie_in_the_plane_and_lattices_fill_space_by_default():
     space = "model.dimension=3"
     start = "positions_m=[[0,0,1],[2,0,-1],[4,0,0]]"
     mission = drawn(space, start, "leg.0.shape.center_m=[1,2,3]")
@@ -305,7 +305,7 @@ def test_the_targets_that_are_needed_follow_those_who_are_there(overrides, expec
 # Files beside a scenario.
 
 
-def test_files_are_found_beside_the_scenario_and_carried_in_what_is_written_out(
+def test_files_are_found_beside_the_scenario_and_written_out_in_full(
     tmp_path, monkeypatch
 ):
     from PIL import Image

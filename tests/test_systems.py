@@ -152,7 +152,7 @@ def home(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_every_variable_is_declared_once_and_none_has_the_name_of_a_dimension(name):
+def test_every_variable_is_declared_once_and_none_is_named_as_a_dimension(name):
     system = load_system(name)
     assert system.name == name
     dims = {n: ("time", *f.dims) for n, f in recorded_fields(system.frame).items()}

@@ -68,9 +68,10 @@ def _checked_margin(mission: "Reconfiguration") -> float:
     margin = compute_margin(mission) if is_computed else mission.margin or 0.0
     room = mission.target_spacing - mission.collision_radius
     if margin > room * (1 + 1e-9):
+        verb = "auto gives" if is_computed else "takes"
         raise InputError(
             "plan.margin_m",
-            f"{'auto gives' if is_computed else 'takes'} {margin:.4g} m beyond the collision radius of "
+            f"{verb} {margin:.4g} m beyond the collision radius of "
             f"{mission.collision_radius:g} m, and targets are {mission.target_spacing:.4g} m "
             f"apart; a shape with {mission.collision_radius + margin:.4g} m, less noise, or "
             f"margin_m = {room:.3g} would do",
