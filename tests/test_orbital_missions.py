@@ -88,13 +88,13 @@ def cure(said: str, key: str) -> str:
 
 @pytest.mark.parametrize("name", ORBITS)
 @pytest.mark.parametrize("kind", MODELS)
-def test_every_model_flies_every_orbit_by_changing_one_line(name, kind):
+def test_every_model_serves_every_orbit_scenario(name, kind):
     mission = read(name, [f"model.kind={kind}", "agents=6"]).draw(np.random.default_rng(0))
     assert mission.linear_model.axes == 3
     assert (mission.nonlinear_model is not None) == (kind == "j2" and name != "random_cw")
 
 
-def test_every_kind_of_model_is_about_the_orbit_of_the_chief():
+def test_every_model_is_about_the_orbit_of_the_chief():
     orbit = few("chief.eccentricity=0.05").chief.orbit
     kinds = {
         "clohessy_wiltshire": ClohessyWiltshire,
@@ -110,7 +110,7 @@ def test_every_kind_of_model_is_about_the_orbit_of_the_chief():
 
 
 @pytest.mark.parametrize("name", ORBITS)
-def test_starts_and_targets_have_velocities_that_do_not_drift_under_j2(name):
+def test_starts_and_targets_do_not_drift_under_j2(name):
     mission, orbit = builtin(name), read(name).chief.orbit
     arrival = mission.legs[0].steps * mission.step
     for states, t in ((mission.initial_states, 0.0), (mission.legs[0].targets, arrival)):
@@ -118,14 +118,14 @@ def test_starts_and_targets_have_velocities_that_do_not_drift_under_j2(name):
         np.testing.assert_array_equal(states[:, 3:], expected)
 
 
-def test_velocities_are_the_same_for_every_model_so_that_models_can_be_compared():
+def test_velocities_are_the_same_for_every_model():
     missions = [drawn(f"model.kind={kind}", "agents=6") for kind in MODELS]
     for other in missions[1:]:
         np.testing.assert_array_equal(other.initial_states, missions[0].initial_states)
         np.testing.assert_array_equal(other.legs[0].targets, missions[0].legs[0].targets)
 
 
-def test_who_joins_and_later_legs_have_the_velocities_of_their_own_time():
+def test_velocities_are_those_of_the_time_of_join_or_arrival():
     join = "{agents=2,at_step=5,start={kind='points',positions_m=[[1500,0,0],[0,1900,0]]}}"
     ring = "{kind='ring',radius_km=1}"
     tilted = "{kind='ring',radius_km=1,normal=[-0.5,0,1]}"
@@ -144,13 +144,13 @@ def test_who_joins_and_later_legs_have_the_velocities_of_their_own_time():
 
 
 @pytest.mark.parametrize("name", ["orbit", "eccentric", "orbit200"])
-def test_planar_scenarios_start_and_end_in_the_plane_of_the_chief(name):
+def test_planar_scenarios_stay_in_the_orbital_plane(name):
     mission = builtin(name)
     assert not mission.initial_states[:, 2].any()
     assert not mission.legs[0].targets[:, 2].any()
 
 
-def test_a_depth_bounds_the_third_axis_alone():
+def test_depth_bounds_the_third_axis_alone():
     mission = builtin("orbit3d")
     assert np.abs(mission.initial_states[:, :2]).max() > 1000
     assert 400 < np.abs(mission.initial_states[:, 2]).max() <= 500
@@ -160,7 +160,7 @@ def test_a_depth_bounds_the_third_axis_alone():
     assert np.ptp(cube[:, 2]) == pytest.approx(np.ptp(cube[:, 0]), rel=0.5)
 
 
-def test_two_hundred_spacecraft_have_room_all_the_way_round():
+def test_orbit200_targets_stay_separated_over_an_orbit():
     mission = builtin("orbit200")
     assert len(mission.initial_states) == len(mission.legs[0].targets) == 200
     assert pdist(mission.initial_states[:, :3]).min() >= 150
@@ -169,7 +169,7 @@ def test_two_hundred_spacecraft_have_room_all_the_way_round():
     assert pdist(np.stack([y / 2, -2 * x], axis=1)).min() > mission.collision_radius
 
 
-def test_what_plans_and_what_flies_are_as_the_tables_say():
+def test_model_and_plant_are_as_the_tables_say():
     mission = drawn()
     assert isinstance(mission.nonlinear_model, J2)
     assert isinstance(mission.flown_plant, InertialPlant)
@@ -185,7 +185,7 @@ def test_what_plans_and_what_flies_are_as_the_tables_say():
     assert isinstance(read("uiuc").draw(np.random.default_rng(0)).flown_plant, LinearPlant)
 
 
-def test_what_the_plan_and_the_noise_say_reaches_the_mission():
+def test_plan_and_noise_keys_reach_the_mission():
     mission = drawn(
         "reset=need",
         "freeze_steps=3",
@@ -202,7 +202,7 @@ def test_what_the_plan_and_the_noise_say_reaches_the_mission():
     assert (calm.reset, calm.freeze_steps, calm.foresight_steps) == ("change", 0, 0)
 
 
-def test_what_flies_off_its_plan_is_replanned_every_step_unless_it_is_said_otherwise():
+def test_disturbed_motion_is_replanned_every_step_by_default():
     assert drawn().replan_steps == 1
     assert drawn("plant.kind=model").replan_steps == 4
     assert drawn("replan_steps=2").replan_steps == 2
@@ -211,7 +211,7 @@ def test_what_flies_off_its_plan_is_replanned_every_step_unless_it_is_said_other
 # Chiefs.
 
 
-def test_the_chief_is_what_its_elements_say():
+def test_chief_has_its_classical_elements():
     orbit = few(
         "chief.eccentricity=0.02",
         "chief.node_deg=10",
@@ -227,7 +227,7 @@ def test_the_chief_is_what_its_elements_say():
     assert few().chief.orbit.period / 60 == pytest.approx(94.6, abs=0.05)
 
 
-def test_the_chief_may_be_given_by_its_state():
+def test_chief_may_be_given_by_its_state():
     elements = few("chief.eccentricity=0.02", "chief.anomaly_deg=30").chief.orbit
     state = inertial_state(np.array(elements.initial_elements))
     position, velocity = state[:3].tolist(), state[3:].tolist()
@@ -239,7 +239,7 @@ def test_the_chief_may_be_given_by_its_state():
     assert again.chief.orbit == given.chief.orbit
 
 
-def test_the_oblateness_is_the_earths_unless_it_is_said_otherwise():
+def test_oblateness_is_that_of_the_earth_by_default():
     assert few().chief.orbit == Orbit.from_elements(6878e3, inclination=np.radians(45))
     assert few("chief.j2=0").chief.orbit.k_J2 == 0
     assert few().chief.j2 == EARTH_J2
@@ -255,7 +255,7 @@ def test_the_oblateness_is_the_earths_unless_it_is_said_otherwise():
         ("2027-03-01T12:00:00+02:00", "2027-03-01T10:00:00"),
     ],
 )
-def test_the_epoch_is_in_utc_however_it_is_written(written, meant):
+def test_epoch_is_read_as_utc(written, meant):
     assert few(f"chief.epoch={written}").chief.epoch == meant
 
 
@@ -264,7 +264,7 @@ def test_the_epoch_is_in_utc_however_it_is_written(written, meant):
 DRAG = ("plant.drag=true", "plant.ballistic_m2_kg=0.01")
 
 
-def test_drag_takes_the_air_at_the_perigee_unless_another_is_given():
+def test_drag_uses_the_air_at_the_perigee_by_default():
     plant = drawn(*DRAG).flown_plant
     assert plant.atmosphere == Atmosphere.from_altitude(6878e3 - EARTH_RADIUS)
     np.testing.assert_array_equal(plant.ballistic_coefficient, 0.01)
@@ -280,7 +280,7 @@ def test_drag_takes_the_air_at_the_perigee_unless_another_is_given():
     assert thin.chief_ballistic_coefficient == 0.02
 
 
-def test_ballistic_coefficients_are_drawn_after_the_starts_from_the_same_seed():
+def test_ballistic_coefficients_are_drawn_after_the_starts():
     spread = (*DRAG, "plant.ballistic_spread=0.2")
     first, again, other = (drawn(*spread, seed=seed) for seed in (3, 3, 4))
     np.testing.assert_array_equal(
@@ -299,14 +299,14 @@ def test_ballistic_coefficients_are_drawn_after_the_starts_from_the_same_seed():
 AUTO = "margin_m=auto"
 
 
-def test_the_margin_is_nothing_where_plans_are_what_is_flown():
+def test_margin_is_zero_where_the_plant_is_the_model():
     assert drawn(AUTO, "plant.kind=model").margin == 0.0
     # Between the samples paths are those of the shared model, also where agents re-linearise.
     assert 0 < drawn(AUTO).margin == drawn(AUTO, "model.relinearize=false").margin < 5e-3
     assert read("uiuc").draw(np.random.default_rng(0)).margin == 0.0
 
 
-def test_the_margin_is_twice_what_the_model_misses_until_the_next_plan():
+def test_margin_is_twice_the_model_error_until_the_next_plan():
     wrong = (AUTO, "model.kind=clohessy_wiltshire", "chief.eccentricity=0.05")
     coarse = drawn(*wrong)
     shared = discretize_zoh(coarse.linear_model, 60.0, 1, 0.0)
@@ -334,18 +334,18 @@ def test_the_margin_is_twice_what_the_model_misses_until_the_next_plan():
         ({"disturbance": 1e-4}, 1e-4 * 120**2 / 2),
     ],
 )
-def test_the_margin_has_five_sigmas_of_what_chance_adds_to_two(noise, each):
+def test_margin_has_five_sigmas_of_random_errors(noise, each):
     calm = drawn("plant.kind=model", "replan_steps=2")
     assert compute_margin(replace(calm, **noise)) == pytest.approx(5 * 2**0.5 * each)
 
 
-def test_noise_of_every_kind_adds_up_as_squares():
+def test_variances_of_independent_noise_add_up():
     mission = drawn("plant.kind=model", "replan_steps=1")
     both = compute_margin(replace(mission, position_noise=1.0, velocity_noise=0.05))
     assert both == pytest.approx(5 * np.sqrt(2 * (1 + 9)))
 
 
-def test_a_margin_that_targets_leave_no_room_for_is_refused_with_one_that_does():
+def test_margin_beyond_the_target_spacing_is_refused_with_a_cure():
     near = "leg.0.shape={kind='ring',spacing_m=60}"
     said = refusal(AUTO, near, "disturbance.position_m=2")
     assert "plan.margin_m: auto gives 14." in said
@@ -353,7 +353,7 @@ def test_a_margin_that_targets_leave_no_room_for_is_refused_with_one_that_does()
     assert "takes 30 m beyond the collision radius" in refusal(near, "margin_m=30")
 
 
-def test_a_planar_swarm_keeps_its_margin_for_itself_unless_it_asks():
+def test_margin_without_a_chief_is_zero_unless_auto():
     shaken = ["disturbance.position_m=0.02"]
     assert read("random", shaken).draw(np.random.default_rng(0)).margin == 0.0
     asked = read("random", [*shaken, "margin_m=auto"]).draw(np.random.default_rng(0))
@@ -363,7 +363,7 @@ def test_a_planar_swarm_keeps_its_margin_for_itself_unless_it_asks():
 # What counts as reached.
 
 
-def test_what_counts_as_reached_grows_with_thrust_errors_and_the_steps_they_are_left_for():
+def test_tolerance_grows_with_thrust_errors_and_frozen_steps():
     given = "disturbance.thrust=0.05"
     calm, shaken = drawn(), drawn(given)
     assert shaken.position_tolerance > 100 * calm.position_tolerance
@@ -376,7 +376,7 @@ def test_what_counts_as_reached_grows_with_thrust_errors_and_the_steps_they_are_
 # Models beyond what they are good for.
 
 
-def test_a_model_that_is_wrong_where_the_swarm_flies_is_warned_of_with_its_error():
+def test_warning_states_the_error_of_a_wrong_model():
     scenario = read("orbit", ["model.kind=clohessy_wiltshire", "box_km=3.5"])
     mission = scenario.draw(np.random.default_rng(0))
     (said,) = mission.warnings()
@@ -407,7 +407,7 @@ def test_a_model_that_is_wrong_where_the_swarm_flies_is_warned_of_with_its_error
         (["collision_radius_m=0.1"], None),
     ],
 )
-def test_only_what_misses_more_than_a_tenth_of_the_radius_is_warned_of(overrides, cure):
+def test_warning_only_beyond_a_tenth_of_the_radius(overrides, cure):
     found = drawn(*overrides).warnings()
     assert len(found) == (cure is not None)
     assert all(sentence.endswith(f"{cure} would do") for sentence in found)
@@ -427,7 +427,7 @@ def test_only_what_misses_more_than_a_tenth_of_the_radius_is_warned_of(overrides
         (["chief.semi_major_axis_km=6000", "chief.eccentricity=0.1"], "semi_major_axis_km"),
     ],
 )
-def test_an_orbit_that_is_none_is_refused_with_one_that_is(overrides, key):
+def test_impossible_orbit_is_refused_with_a_cure(overrides, key):
     said = refusal(*overrides)
     assert said.startswith("scenario: chief.")
     found = few(*overrides, f"chief.{key}={cure(said, key)}").chief.orbit
@@ -571,12 +571,12 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("overrides", "words"), REFUSED.values(), ids=REFUSED.keys())
-def test_bad_input_is_refused_by_its_key_in_a_sentence(overrides, words):
+def test_bad_input_is_refused_by_its_key(overrides, words):
     assert words in refusal(*overrides)
 
 
 @pytest.mark.parametrize("kind", MODELS)
-def test_a_planar_scenario_asked_for_an_orbital_model_is_told_what_that_takes(kind):
+def test_orbital_model_without_a_chief_is_refused_with_a_cure(kind):
     said = refusal(f"model.kind={kind}", name="uiuc")
     assert said == (
         f'uiuc: model.kind: "{kind}" is motion about an orbit, and this mission has '
@@ -589,23 +589,23 @@ def test_a_planar_scenario_asked_for_an_orbital_model_is_told_what_that_takes(ki
     ("overrides", "key"),
     [(["plant.kind=inertial"], "plant.kind"), (list(DRAG), "plant.drag")],
 )
-def test_a_plant_about_the_earth_without_a_chief_is_refused(overrides, key):
+def test_inertial_plant_without_a_chief_is_refused(overrides, key):
     said = refusal(*overrides, name="random")
     assert f"random: {key}: takes place about the Earth, and this mission has no [chief]" in said
 
 
-def test_a_planar_model_has_no_depth():
+def test_planar_model_has_no_depth():
     assert "swarm.start.depth_m: needs a model in space" in refusal("depth_m=1", name="random")
 
 
 @pytest.mark.parametrize("depth", ["depth_m=0", "depth_m=100", "depth_m=900"])
-def test_the_flat_box_that_is_said_to_do_does(depth):
+def test_proposed_flat_box_suffices(depth):
     crowd = ("agents=40", depth)
     enough = cure(refusal(*crowd, "box_km=0.3"), "box_m")
     drawn(*crowd, f"box_m={enough}")
 
 
-def test_points_out_of_the_plane_at_the_wrong_latitude_are_refused_with_an_anomaly_that_does():
+def test_proposed_anomaly_allows_points_out_of_the_plane():
     high = ("start={kind='points',positions_m=[[0,0,500],[0,500,0],[0,-500,0],[500,0,0]]}",)
     said = refusal(*high, "chief.anomaly_deg=90")
     assert "swarm.start: lies out of the plane of the chief's orbit, and 0 s after" in said
@@ -625,7 +625,7 @@ def test_points_out_of_the_plane_at_the_wrong_latitude_are_refused_with_an_anoma
 
 
 @pytest.mark.parametrize("weak", ["max_control_mm_s2=0.5", "max_control_mm_s2=0.1"])
-def test_the_thrust_and_the_time_that_are_said_to_do_do(weak):
+def test_proposed_thrust_and_time_suffice(weak):
     said = refusal(weak)
     thrust = cure(said, r"model\.max_control_m_s2")
     drawn(f"max_control_m_s2={thrust}")
@@ -636,7 +636,7 @@ def test_the_thrust_and_the_time_that_are_said_to_do_do(weak):
         drawn(weak, f"leg.0.steps={cure(said, ' steps')}")
 
 
-def test_overrides_reach_tables_that_the_file_leaves_out():
+def test_overrides_reach_missing_tables():
     assert few("chief.eccentricity=0.02").chief.eccentricity == 0.02
     assert few(*DRAG).plant.drag is True
     assert few("ballistic_spread=0.1", *DRAG).plant.ballistic_spread == 0.1
@@ -652,7 +652,7 @@ def test_overrides_reach_tables_that_the_file_leaves_out():
         ["plant.kind=model", "model.kind=eccentric", "disturbance.thrust=0.01"],
     ],
 )
-def test_a_scenario_written_out_builds_the_same_mission(overrides):
+def test_orbital_scenario_equals_itself_read_from_its_file(overrides):
     scenario = few(*overrides)
     again = parse(scenario.to_toml())
     assert again == scenario

@@ -186,7 +186,7 @@ def altered(run: Run) -> Run:
     return replace(run, data=run.data.copy(deep=True), summary=dict(run.summary))
 
 
-def test_an_honest_run_keeps_its_promises(flown):
+def test_honest_run_keeps_all_promises(flown):
     report = check_run(flown.data, mission())
     assert report.kept, report.broken
     assert report.broken == ()
@@ -198,14 +198,14 @@ STATES = ["position", "velocity"]
 
 @pytest.mark.parametrize("name", STATES)
 @pytest.mark.parametrize("instant", [0, 1, 11, 12, 13, 21, 22])
-def test_a_state_altered_by_a_millionth_is_caught(flown, name, instant):
+def test_altered_state_breaks_the_propagation_promise(flown, name, instant):
     run = altered(flown)
     run.data[name][instant, 4, 1] += 1e-6
     assert "flight" in broken(run)
 
 
 @pytest.mark.parametrize("name", STATES)
-def test_a_state_of_the_absent_is_not_free_either(flown, name):
+def test_altered_state_of_an_absent_agent_is_found(flown, name):
     run = altered(flown)
     run.data[name][18, 2, 0] += 1e-6
     assert "flight" in broken(run)
@@ -215,7 +215,7 @@ def test_a_state_of_the_absent_is_not_free_either(flown, name):
 
 
 @pytest.mark.parametrize("instant", [0, 7, 12, 21])
-def test_a_control_altered_by_a_millionth_is_caught(flown, instant):
+def test_altered_control_is_found(flown, instant):
     for name, expected in [("applied_control", {"flight", "applied"}), ("control", {"applied"})]:
         run = altered(flown)
         run.data[name][instant, 1, 0] += 1e-6
@@ -227,7 +227,7 @@ def test_a_control_altered_by_a_millionth_is_caught(flown, instant):
 
 
 @pytest.mark.parametrize("instant", range(23))
-def test_a_target_altered_is_caught_at_any_instant(flown, instant):
+def test_altered_target_index_is_found_at_any_instant(flown, instant):
     for agent, value in [(0, 8), (3, -1), (2, 5)]:
         run = altered(flown)
         if int(run.data["target_index"][instant, agent]) == value:
@@ -237,7 +237,7 @@ def test_a_target_altered_is_caught_at_any_instant(flown, instant):
 
 
 @pytest.mark.parametrize("instant", range(23))
-def test_a_time_altered_by_a_millionth_is_caught(flown, instant):
+def test_altered_time_is_found_at_any_instant(flown, instant):
     run = altered(flown)
     time = run.data["time"].values.copy()
     time[instant] += 1e-6
@@ -245,7 +245,7 @@ def test_a_time_altered_by_a_millionth_is_caught(flown, instant):
     assert not check_times(time, mission().step).kept
 
 
-def test_times_that_do_not_increase_are_caught(flown):
+def test_times_that_do_not_increase_are_found(flown):
     run = altered(flown)
     time = run.data["time"].values.copy()
     time[5] = time[4]
@@ -270,7 +270,7 @@ def test_times_that_do_not_increase_are_caught(flown):
         ("control", (4, 4, 0), np.nan, "numbers"),
     ],
 )
-def test_anything_else_altered_is_caught(flown, name, where, value, promise):
+def test_alteration_breaks_the_promise_about_it(flown, name, where, value, promise):
     run = altered(flown)
     run.data[name][where] = value
     assert promise in broken(run)
@@ -283,7 +283,7 @@ def tell(run: Run, change) -> Run:
     return replace(run, data=run.data.drop_vars("event").assign(event=("event", told)))
 
 
-def test_an_assignment_without_its_event_is_caught(flown):
+def test_assignment_without_its_event_is_found(flown):
     seen = tell(flown, lambda events: [e for e in events if e["kind"] != "assignment"])
     assert "assignment" in broken(seen)
 
@@ -291,23 +291,23 @@ def test_an_assignment_without_its_event_is_caught(flown):
 @pytest.mark.parametrize(
     ("key", "value"), [("target", [0] * 7), ("component", [0, 1, 2, 3, 4, 5, 6]), ("agents", [0])]
 )
-def test_the_end_of_a_leg_must_be_what_the_instants_before_it_say(flown, key, value):
+def test_leg_end_agrees_with_the_instants_before_it(flown, key, value):
     def change(events):
         return [e | {key: value} if e["kind"] == "leg_end" else e for e in events]
 
     assert "legs" in broken(tell(flown, change))
 
 
-def test_a_loss_without_its_event_is_caught(flown):
+def test_loss_without_its_event_is_found(flown):
     assert "alive" in broken(tell(flown, lambda all: [e for e in all if e["kind"] != "loss"]))
 
 
-def test_an_infeasible_programme_is_not_passed_over(flown):
+def test_infeasible_program_breaks_a_promise(flown):
     event = {"time": 3.0, "kind": "infeasible", "agents": [1], "what": "avoidance"}
     assert broken(tell(flown, lambda events: [*events, event])) == {"feasible"}
 
 
-def test_a_run_cut_short_is_not_complete():
+def test_interrupted_run_is_not_complete():
     frames = fly_straight(mission())[:15]
     report = check_run(recorded(mission(), frames).data, mission())
     assert {p.name for p in report.broken} == {"complete", "reached"}
@@ -316,14 +316,14 @@ def test_a_run_cut_short_is_not_complete():
     assert "fuel_lower_bound_m_s" not in report.summary
 
 
-def test_limits_are_judged_by_the_scenario(flown):
+def test_limits_are_those_of_the_mission(flown):
     assert broken(flown, mission(max_control=0.05)) >= {"control"}
     assert broken(flown, mission(max_speed=0.3)) >= {"speed"}
     assert "control" in broken(flown, mission(max_control=0.12, control_norm=1))
     assert broken(flown, mission(comm_radius=1.1, allow_undetectable=True)) >= {"component"}
 
 
-def test_a_target_missed_is_a_leg_not_reached():
+def test_missed_target_is_a_leg_not_reached():
     about = mission()
     moved = about.legs[0].targets + np.array([0, 2e-6, 0, 0])
     elsewhere = replace(about, legs=(replace(about.legs[0], shape=in_order(moved)), about.legs[1]))
@@ -335,7 +335,7 @@ def test_a_target_missed_is_a_leg_not_reached():
     assert summary["legs"][0]["worst_position_error_m"] == pytest.approx(2e-6, rel=1e-6)
 
 
-def test_the_words_of_the_summary(flown):
+def test_summary_describes_each_leg(flown):
     said = check_run(flown.data, mission()).summary
     first, second = said["legs"]
     assert said["reached"] and said["agents"] == 7 and said["seed"] == 3
@@ -376,7 +376,7 @@ def test_fuel_is_the_norm_of_the_commanded_control_over_time(flown):
 
 
 @pytest.mark.parametrize("speed", [1.0, 0.45])
-def test_the_lower_bound_is_the_central_optimum_of_problem_6(flown, speed):
+def test_fuel_bound_is_the_optimal_assignment_of_problem_6(flown, speed):
     about = mission(max_speed=speed)
     report = check_run(flown.data, about)
     step, expected, own = about.step, 0.0, np.zeros(7)
@@ -407,7 +407,7 @@ def test_the_lower_bound_is_the_central_optimum_of_problem_6(flown, speed):
     assert (compute_step_fuel(evidence).sum(axis=0) >= bound * (1 - 1e-6))[there].all()
 
 
-def test_a_few_agents_are_bounded_in_other_norms_too(flown):
+def test_fuel_bound_holds_in_other_norms(flown):
     one = check_run(flown.data, mission()).summary["fuel_lower_bound_m_s"]
     two = check_run(flown.data, mission(fuel_norm=2)).summary["fuel_lower_bound_m_s"]
     assert one / 2**0.5 <= two <= one
@@ -425,7 +425,7 @@ def crossing(gap: float) -> Reconfiguration:
     )
 
 
-def test_a_collision_between_the_samples_is_caught():
+def test_collision_between_the_samples_is_found():
     for gap, expected in [(0.15, {"separation"}), (0.25, set())]:
         about = crossing(gap)
         frames = fly_crossed(about)
@@ -470,7 +470,7 @@ def fly_crossed(about: Reconfiguration) -> list[ReconfigurationFrame]:
     return frames
 
 
-def test_an_orbit_is_judged_a_second_at_a_time_and_says_what_it_may_miss(rng):
+def test_separation_in_orbit_has_a_bounded_error(rng):
     model = ClohessyWiltshire(1.1e-3)
     place = np.array([[0.0, 0, 0], [0, 300, 0], [100, 600, 50], [0, 900, 0]])
     start = np.hstack([place, model.bounded_velocity(place)])
@@ -508,7 +508,7 @@ def test_an_orbit_is_judged_a_second_at_a_time_and_says_what_it_may_miss(rng):
     assert report.summary["min_separation_m"] == pytest.approx(least, rel=1e-3)
 
 
-def test_a_disturbed_run_may_differ_from_its_commands_by_the_disturbance_alone(rng):
+def test_applied_control_differs_by_the_disturbance_alone(rng):
     about = mission(disturbance=1e-3, position_tolerance=1.0, velocity_tolerance=1.0)
     run = recorded(about)
     assert broken(run, about) == set()
@@ -516,7 +516,7 @@ def test_a_disturbed_run_may_differ_from_its_commands_by_the_disturbance_alone(r
     assert broken(run, about) >= {"applied", "flight"}
 
 
-def test_out_of_earshot_is_said_where_proposition_9_does_not_hold(flown):
+def test_summary_tells_where_proposition_9_does_not_hold(flown):
     assert (
         check_run(flown.data, mission(horizon_steps=2, allow_undetectable=True)).summary[
             "undetectable"
@@ -565,7 +565,7 @@ def verdict(folder) -> int:
     return CliRunner().invoke(app, ["check", str(folder), "--json"]).exit_code
 
 
-def test_a_run_that_was_flown_passes_from_its_file_alone(saved):
+def test_saved_run_passes_from_its_file_alone(saved):
     report = sato.load(saved).check()
     assert report.kept, report.broken
     said = CliRunner().invoke(app, ["check", str(saved), "--json"])
@@ -586,7 +586,7 @@ def test_a_run_that_was_flown_passes_from_its_file_alone(saved):
         ("target_position", 1e-6),
     ],
 )
-def test_a_run_file_altered_in_one_place_fails(saved, tmp_path, rng, name, by):
+def test_run_file_altered_in_one_place_fails(saved, tmp_path, rng, name, by):
     run = sato.load(saved)
     values = run.data[name].values.copy()
     known = np.argwhere(np.isfinite(values))
@@ -597,7 +597,7 @@ def test_a_run_file_altered_in_one_place_fails(saved, tmp_path, rng, name, by):
     assert verdict(tmp_path) == 1, where
 
 
-def test_a_file_cut_short_is_refused_and_not_judged(saved, tmp_path):
+def test_truncated_file_is_refused(saved, tmp_path):
     whole = (saved / "run.nc").read_bytes()
     (tmp_path / "run.nc").write_bytes(whole[: len(whole) // 2])
     assert verdict(tmp_path) == 2
@@ -616,7 +616,7 @@ def shaken():
     return sato.run(sato.parse(TINY, SHAKEN), seed=4)
 
 
-def test_a_shaken_run_is_reached_within_what_chance_allows(shaken):
+def test_disturbed_run_is_reached_within_its_tolerances(shaken):
     assert shaken.check().kept, shaken.check().broken
 
 
@@ -630,7 +630,7 @@ def test_a_shaken_run_is_reached_within_what_chance_allows(shaken):
         ("position", "flight"),
     ],
 )
-def test_what_chance_did_is_drawn_again_and_not_taken_on_trust(shaken, rng, name, promise):
+def test_disturbances_are_those_of_the_seed(shaken, rng, name, promise):
     for _ in range(5):
         run = altered(shaken)
         values = run.data[name].values
@@ -639,7 +639,7 @@ def test_what_chance_did_is_drawn_again_and_not_taken_on_trust(shaken, rng, name
 
 
 @pytest.mark.parametrize("name", ["target_count", "control_instant", "event", "component"])
-def test_whatever_is_altered_the_file_is_not_what_was_written(shaken, name):
+def test_digest_finds_any_alteration(shaken, name):
     run = altered(shaken)
     values = run.data[name].values.copy()
     values.flat[0] = "{}" if name == "event" else 1 - int(values.flat[0])
@@ -651,7 +651,7 @@ def test_whatever_is_altered_the_file_is_not_what_was_written(shaken, name):
         assert "unaltered" in {p.name for p in run.check().broken}
 
 
-def test_an_altered_run_that_can_no_longer_be_flown_is_refused(shaken, monkeypatch):
+def test_altered_run_that_cannot_be_propagated_is_refused(shaken, monkeypatch):
     def crash(*_: object) -> None:
         raise Impact(3, 60.0)
 
@@ -665,13 +665,13 @@ def test_an_altered_run_that_can_no_longer_be_flown_is_refused(shaken, monkeypat
         run.check()
 
 
-def test_radii_in_the_attributes_are_the_scenarios(flown):
+def test_attributes_are_those_of_the_mission(flown):
     run = altered(flown)
     run.data.attrs["comm_radius_m"] *= 1 + 1e-9
     assert broken(run) == {"attributes"}
 
 
-def test_a_summary_that_says_something_else_is_caught(saved, tmp_path):
+def test_altered_summary_is_found(saved, tmp_path):
     run = sato.load(saved)
     for name, value in [("reached", False), ("fuel_m_s", 0.1), ("slack_used", 1), ("braked", "no")]:
         [promise] = replace(run, summary=run.summary | {name: value}).check().broken

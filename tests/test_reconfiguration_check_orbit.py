@@ -147,20 +147,20 @@ def shaken():
     return run_of(SHAKEN, list(simulate(SHAKEN, np.random.default_rng(8))))
 
 
-def test_an_honest_run_on_a_plant_that_is_not_the_model_keeps_its_promises(flown):
+def test_honest_run_on_another_plant_keeps_all_promises(flown):
     report = check_run(flown.data, mission())
     assert report.kept, report.broken
 
 
 @pytest.mark.parametrize("model", [EXACT, CIRCLE], ids=["J2", "circle"])
-def test_a_run_that_was_planned_and_flown_in_a_closed_loop_keeps_its_promises(model):
+def test_closed_loop_run_keeps_all_promises(model):
     about = mission(model=model, position_tolerance=5.0, velocity_tolerance=0.1)
     run = run_of(about, list(simulate(about, np.random.default_rng(1))))
     report = check_run(run.data, about, np.random.default_rng(1))
     assert report.kept, report.broken
 
 
-def test_what_chance_did_to_thrusters_is_drawn_again(shaken):
+def test_thruster_errors_are_those_of_the_seed(shaken):
     report = check_run(shaken.data, SHAKEN, np.random.default_rng(8))
     assert report.kept, report.broken
     evidence = ReconfigurationRecord.from_dataset(shaken.data, SHAKEN)
@@ -176,7 +176,7 @@ def test_what_chance_did_to_thrusters_is_drawn_again(shaken):
         ).kept
 
 
-def test_without_the_seed_thrusters_are_judged_by_the_size_of_their_errors(shaken):
+def test_thruster_errors_are_bounded_without_the_seed(shaken):
     assert check_run(shaken.data, SHAKEN).kept
     run = altered(shaken)
     thrust = np.nan_to_num(np.linalg.norm(run.data["control"].values, axis=2))
@@ -189,7 +189,7 @@ KINDS = ["position", "velocity", "control", "applied_control"]
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_a_millionth_anywhere_is_caught(flown, name):
+def test_altered_state_or_control_is_found(flown, name):
     size = float(np.nanmax(np.abs(flown.data[name].values)))
     last = STEPS if name in ("position", "velocity") else STEPS - 1
     for k in (0, 1, 3, last):
@@ -205,20 +205,20 @@ def test_a_millionth_anywhere_is_caught(flown, name):
             assert not promise.kept, (k, axis)
 
 
-def test_controls_altered_together_are_caught_too(flown):
+def test_both_controls_altered_together_are_found(flown):
     run = altered(flown)
     for name in ("control", "applied_control"):
         run.data[name][2, 0, 1] *= 1 + 1e-6
     assert broken(run, mission()) == {"flight"}
 
 
-def test_the_plant_is_what_flies_again_and_not_the_model(flown):
+def test_run_is_propagated_by_the_plant_and_not_the_model(flown):
     assert "flight" in broken(flown, mission(plant=LinearPlant(EXACT)))
     assert "flight" in broken(flown, mission(plant=AIR))
 
 
 @pytest.mark.parametrize("element", range(6))
-def test_a_wrong_chief_is_caught(flown, element):
+def test_altered_chief_is_found(flown, element):
     run = altered(flown)
     value = float(run.data["chief"][4, element])
     run.data["chief"][4, element] = value * (1 + 1e-6) if abs(value) > 1e-3 else value + 1e-6
@@ -227,7 +227,7 @@ def test_a_wrong_chief_is_caught(flown, element):
     assert {p.name for p in check_run(run.data, mission()).broken} == {"chief"}
 
 
-def test_a_chief_is_on_file_where_the_plant_has_one_and_only_there(flown):
+def test_chief_is_recorded_where_the_plant_has_one(flown):
     lacking = replace(flown, data=flown.data.drop_vars(["chief", "element"]))
     assert broken(lacking, mission()) == {"chief"}
     about = mission(plant=LinearPlant(EXACT))
@@ -237,7 +237,7 @@ def test_a_chief_is_on_file_where_the_plant_has_one_and_only_there(flown):
     assert broken(replace(free, data=said), about) == {"chief"}
 
 
-def test_the_gravity_in_the_attributes_is_that_of_the_plant(flown):
+def test_gravity_in_the_attributes_is_that_of_the_plant(flown):
     run = altered(flown)
     run.data.attrs["mu_m3_s2"] *= 1 + 1e-9
     assert broken(run, mission()) == {"attributes"}
@@ -248,7 +248,7 @@ def test_the_gravity_in_the_attributes_is_that_of_the_plant(flown):
     [TRUTH, LinearPlant(EXACT, ORBIT), LinearPlant(CIRCLE)],
     ids=["truth", "J2", "circle"],
 )
-def test_the_least_separation_is_known_as_well_as_is_said(plant):
+def test_least_separation_is_within_its_error_bound(plant):
     about = mission(plant=plant)
     data = recorded(about, least_norm(about)).data
     evidence = ReconfigurationRecord.from_dataset(data, about)
@@ -277,7 +277,7 @@ def densely(evidence: ReconfigurationRecord) -> float:
     return float(apart(plant.propagate(before, u[k], k * STEP + (j - 1) / 2, 1.0, 500)).min())
 
 
-def test_pieces_are_a_second_long_at_most_and_an_even_number(flown):
+def test_pieces_last_a_second_at_most_and_are_even_in_number(flown):
     for step, pieces in [(60.0, 60), (59.5, 60), (61.0, 62), (0.7, 2)]:
         assert (
             ReconfigurationRecord.from_dataset(flown.data, mission(step=step)).pieces_per_step
@@ -286,7 +286,7 @@ def test_pieces_are_a_second_long_at_most_and_an_even_number(flown):
 
 
 @pytest.mark.parametrize(("replan", "commit"), [(1, 0), (2, 0), (2, 3), (1, 2)])
-def test_agents_may_be_faster_by_what_the_plant_did_otherwise_since_they_planned(replan, commit):
+def test_speed_may_exceed_the_limit_by_the_prediction_error(replan, commit):
     about = mission(
         model=CIRCLE, replan_steps=replan, auction_steps=2, horizon_steps=3, freeze_steps=commit
     )
@@ -305,7 +305,7 @@ def test_agents_may_be_faster_by_what_the_plant_did_otherwise_since_they_planned
     assert (found[1:] > 1e-6).all() and found.max() < 1e-2
 
 
-def test_where_the_plant_is_the_model_nobody_may_be_faster_at_all():
+def test_speed_limit_is_exact_where_the_plant_is_the_model():
     about = mission(plant=LinearPlant(EXACT, ORBIT))
     evidence = ReconfigurationRecord.from_dataset(recorded(about, least_norm(about)).data, about)
     assert bound_speed_excess(evidence).max() < 1e-10
@@ -317,7 +317,7 @@ def test_where_the_plant_is_the_model_nobody_may_be_faster_at_all():
         )
 
 
-def test_noise_in_what_is_measured_may_make_a_plan_faster_than_it_knew(flown):
+def test_measurement_noise_adds_to_the_speed_allowance(flown):
     evidence = ReconfigurationRecord.from_dataset(flown.data, mission(velocity_noise=1e-3))
     quiet = bound_speed_excess(ReconfigurationRecord.from_dataset(flown.data, mission()))
     added = bound_speed_excess(evidence) - quiet
@@ -334,7 +334,7 @@ def drifting() -> Reconfiguration:
     return replace(about, legs=(Leg(x, STEPS),), position_tolerance=1e-6)
 
 
-def test_a_leg_may_burn_less_than_the_models_bound_by_what_the_plant_saved_it():
+def test_fuel_may_fall_below_the_bound_by_the_model_correction():
     about = drifting()
     run = recorded(about, np.zeros((4, STEPS, 3)))
     report = check_run(run.data, about)
@@ -342,7 +342,7 @@ def test_a_leg_may_burn_less_than_the_models_bound_by_what_the_plant_saved_it():
     assert report.summary["fuel_m_s"] == 0 < 0.1 < report.summary["fuel_lower_bound_m_s"]
 
 
-def test_a_leg_may_not_burn_less_by_more_than_that():
+def test_fuel_may_not_fall_below_the_bound_by_more():
     about = drifting()
     evidence = ReconfigurationRecord.from_dataset(
         recorded(about, np.zeros((4, STEPS, 3))).data, about
@@ -355,7 +355,7 @@ def test_a_leg_may_not_burn_less_by_more_than_that():
     assert not check_fuel(evidence, [bound._replace(total=bound.per_agent.sum() * (1 + 1e-5))]).kept
 
 
-def test_where_the_plant_is_the_model_nothing_can_be_saved():
+def test_fuel_bound_is_strict_where_the_plant_is_the_model():
     about = mission(plant=LinearPlant(EXACT, ORBIT))
     evidence = ReconfigurationRecord.from_dataset(recorded(about, least_norm(about)).data, about)
     bound = compute_fuel_bound(evidence, evidence.leg_records[0])
@@ -365,7 +365,7 @@ def test_where_the_plant_is_the_model_nothing_can_be_saved():
     assert not check_fuel(evidence, [bound._replace(total=burnt * (1 + 1e-5))]).kept
 
 
-def test_the_summary_says_how_far_off_the_model_was_and_who_burnt_what(flown):
+def test_summary_has_model_error_and_fuel_per_agent(flown):
     said = check_run(flown.data, mission()).summary
     u, x = np.moveaxis(flown.data["control"].values[:-1], 0, 1), mission().initial_states
     by_model = discretize_zoh(EXACT, STEP, STEPS).simulate(x, u)[:, -1, :3]

@@ -28,7 +28,7 @@ from sato.reconfiguration.figures import FIGURES, ORBIT_FIGURES
 from sato.reconfiguration.figures.animation import SwarmAnimation
 from sato.reconfiguration.figures.measures import compute_fuel_use
 from sato.reconfiguration.figures.orbital import POINTS_PER_STEP, interpolate_positions
-from sato.reconfiguration.figures.perspective import has_chief
+from sato.reconfiguration.figures.snapshots import has_chief
 from sato.reconfiguration.mission import Leg, Loss
 
 LETTERS = """
@@ -149,7 +149,7 @@ def drawn(name, evidence):
 
 
 @pytest.mark.parametrize("name", FIGURES | ORBIT_FIGURES)
-def test_no_words_run_out_of_the_picture_or_over_one_another(evidence, name):
+def test_texts_stay_inside_the_figure_and_do_not_overlap(evidence, name):
     if name in ORBIT_FIGURES and not has_chief(evidence):
         pytest.skip("drawn of runs about a chief only")
     figure = drawn(name, evidence)
@@ -161,7 +161,7 @@ def test_no_words_run_out_of_the_picture_or_over_one_another(evidence, name):
 
 
 @pytest.mark.parametrize("name", ["stages", "first-leg", "trajectories"])
-def test_panels_share_their_limits_and_their_scale(evidence, name):
+def test_panels_share_limits_and_scale(evidence, name):
     axes = drawn(name, evidence).axes
     assert len({(ax.get_xlim(), ax.get_ylim()) for ax in axes}) == 1
     if has_chief(evidence):
@@ -175,7 +175,7 @@ def test_panels_share_their_limits_and_their_scale(evidence, name):
         assert all(ax.get_aspect() == 1 for ax in axes)
 
 
-def test_stages_are_the_start_every_end_of_a_leg_and_every_loss(plane):
+def test_stages_are_the_start_each_leg_end_and_each_loss(plane):
     _, evidence = plane
     axes = drawn("stages", evidence).axes
     titles = [ax.get_title().split("\n")[0] for ax in axes]
@@ -193,7 +193,7 @@ def points(ax):
     return np.vstack([c.get_offsets() for c in ax.collections if c.get_zorder() == 3])
 
 
-def test_agents_stand_where_they_are_and_the_lost_are_gone(plane):
+def test_markers_are_at_positions_and_lost_agents_have_none(plane):
     _, evidence = plane
     axes = drawn("stages", evidence).axes
     for ax, k, lost in zip(axes, [0, 12, 12, 22], [[6], [6], [2, 6], [2]], strict=True):
@@ -202,7 +202,7 @@ def test_agents_stand_where_they_are_and_the_lost_are_gone(plane):
         assert sorted(map(tuple, found)) == sorted(map(tuple, there))
 
 
-def test_components_differ_by_colour_and_shape_and_those_alone_are_grey():
+def test_components_differ_in_color_and_marker():
     component = np.array([4, 1, 4, 2, 1, 4, -1, 7])
     found = [(members.tolist(), look) for members, look in style_components(component)]
     assert found == [([0, 2, 5], marker_style(0)), ([1, 4], marker_style(1)), ([3, 7], ISOLATED)]
@@ -212,7 +212,7 @@ def test_components_differ_by_colour_and_shape_and_those_alone_are_grey():
         assert marker_style(rank).marker != marker_style(rank + 1).marker
 
 
-def test_separation_is_drawn_between_the_samples_too():
+def test_separation_is_drawn_between_samples():
     run, about = pair_run()
     evidence = ReconfigurationRecord.from_dataset(run.data, about)
     ax = drawn("separation", evidence).axes[0]
@@ -222,14 +222,14 @@ def test_separation_is_drawn_between_the_samples_too():
     assert "least: 0.3 m" in labels and "collision radius, 0.2 m" in labels
 
 
-def test_no_agent_burns_less_than_its_bound(plane):
+def test_fuel_of_every_agent_is_above_its_bound(plane):
     ax = drawn("fuel", plane[1]).axes[0]
     dots = np.vstack([line.get_xydata() for line in ax.lines[1:]])
     assert len(dots) == 7
     assert (dots[:, 1] >= dots[:, 0] * (1 - 1e-6)).all()
 
 
-def test_the_half_plane_keeps_a_real_pair_apart():
+def test_half_plane_is_tangent_and_clears_the_control_points():
     run, about = pair_run()
     axes = drawn("half-space", ReconfigurationRecord.from_dataset(run.data, about)).axes
     assert len(axes) == 3
@@ -249,7 +249,7 @@ def ring():
     return run, ReconfigurationRecord.from_dataset(run.data, about)
 
 
-def test_in_orbit_where_the_swarm_goes_is_to_the_right_and_the_zenith_is_up(ring):
+def test_orbits_are_shown_along_track_to_the_right_and_radial_up(ring):
     _, evidence = ring
     [*_, last] = drawn("instants", evidence).axes
     there = evidence.position[-1, evidence.alive[-1]][:, [1, 0]] / 1000
@@ -263,13 +263,13 @@ def test_instants_are_the_thirds_of_every_leg_in_minutes(ring):
     assert titles == [f"({c}) {t} min, points" for c, t in zip("abcdefgh", minutes, strict=True)]
 
 
-def test_who_is_lost_between_two_legs_is_seen_at_the_end_of_the_first(ring):
+def test_agent_lost_between_legs_is_shown_at_the_end_of_the_first(ring):
     _, evidence = ring
     ends = drawn("instants", evidence).axes[3:5]
     assert [len(points(ax)) for ax in ends] == [12, 11]
 
 
-def test_paths_are_drawn_along_the_cubics_and_end_where_an_agent_is_lost(ring):
+def test_trajectories_are_cubic_and_end_where_an_agent_is_lost(ring):
     _, evidence = ring
     path = interpolate_positions(evidence)
     there = np.where(evidence.alive[..., None], evidence.position, np.nan)
@@ -280,7 +280,7 @@ def test_paths_are_drawn_along_the_cubics_and_end_where_an_agent_is_lost(ring):
     np.testing.assert_allclose(half, np.where(flies[..., None], cubic, np.nan), atol=1e-9)
 
 
-def test_a_swarm_in_its_plane_is_not_squashed_by_the_view_of_space():
+def test_flat_swarm_has_depth_in_the_view_of_space():
     run, about = flat_orbit_run()
     [ax] = drawn("space", ReconfigurationRecord.from_dataset(run.data, about)).axes
     assert (ax.get_xlabel(), ax.get_ylabel(), ax.get_zlabel()) == (
@@ -291,7 +291,7 @@ def test_a_swarm_in_its_plane_is_not_squashed_by_the_view_of_space():
     assert sum(ax.get_zlim()) == pytest.approx(0, abs=1e-9)
 
 
-def test_delta_v_is_what_was_burnt_and_its_balance_is_the_lorenz_curve(ring):
+def test_delta_v_figure_shows_fuel_and_its_lorenz_curve(ring):
     _, evidence = ring
     bars, shares = drawn("delta-v", evidence).axes
     found = compute_fuel_use(evidence)
@@ -306,7 +306,7 @@ def test_delta_v_is_what_was_burnt_and_its_balance_is_the_lorenz_curve(ring):
     assert f"standard deviation {found.fuel[found.is_survivor].std():.3g} m/s" in words
 
 
-def test_the_least_for_the_target_held_is_below_each_bar():
+def test_fuel_bound_is_below_the_fuel_of_each_agent():
     run, about = flat_orbit_run()
     found = compute_fuel_use(ReconfigurationRecord.from_dataset(run.data, about))
     assert (
@@ -315,12 +315,12 @@ def test_the_least_for_the_target_held_is_below_each_bar():
     )
 
 
-def test_figures_of_orbits_are_written_beside_the_others(ring, tmp_path):
+def test_orbit_figures_are_written_too(ring, tmp_path):
     paths = ring[0].plot(tmp_path)
     assert [p.stem for p in paths] == [*FIGURES, *ORBIT_FIGURES]
 
 
-def test_all_figures_are_written_as_png_or_as_pdf(plane, tmp_path):
+def test_all_figures_are_written_as_png_or_pdf(plane, tmp_path):
     run, _ = plane
     paths = run.plot(tmp_path / "new" / "folder")
     assert [p.name for p in paths] == [f"{name}.png" for name in FIGURES]
@@ -331,14 +331,14 @@ def test_all_figures_are_written_as_png_or_as_pdf(plane, tmp_path):
         assert path.read_bytes().startswith(b"%PDF")
 
 
-def test_drawing_leaves_the_settings_of_matplotlib_alone(plane, tmp_path):
+def test_plotting_leaves_the_settings_of_matplotlib(plane, tmp_path):
     before = dict(matplotlib.rcParams)
     plane[0].plot(tmp_path)
     assert dict(matplotlib.rcParams) == before
 
 
 @pytest.mark.parametrize("kind", ["plane", "box", "orbit"])
-def test_without_ffmpeg_the_film_is_a_gif(kind, tmp_path, monkeypatch):
+def test_animation_is_a_gif_without_ffmpeg(kind, tmp_path, monkeypatch):
     run, about = RUNS[kind]()
     monkeypatch.setenv("PATH", str(tmp_path))
     told = []
@@ -352,7 +352,7 @@ def test_without_ffmpeg_the_film_is_a_gif(kind, tmp_path, monkeypatch):
     assert told == [(i + 1, 7) for i in range(7)]
 
 
-def test_with_ffmpeg_the_film_is_an_mp4(plane, tmp_path, monkeypatch):
+def test_animation_is_an_mp4_with_ffmpeg(plane, tmp_path, monkeypatch):
     # A stand-in that keeps what it is sent: raw frames of four bytes a pixel.
     tool = tmp_path / "ffmpeg"
     tool.write_text(
@@ -368,7 +368,7 @@ def test_with_ffmpeg_the_film_is_an_mp4(plane, tmp_path, monkeypatch):
     assert said[said.index("-framerate") + 1] == "25" and "yuv420p" in said
 
 
-def test_a_film_moves_on_the_cubic_pieces_between_the_instants(plane):
+def test_animation_moves_agents_on_cubic_pieces(plane):
     _, evidence = plane
     scene = SwarmAnimation(evidence)
     scene.draw_frame(3.25)
@@ -379,6 +379,6 @@ def test_a_film_moves_on_the_cubic_pieces_between_the_instants(plane):
     np.testing.assert_allclose(sorted(map(tuple, moved)), sorted(map(tuple, there)), atol=1e-12)
 
 
-def test_a_film_of_nothing_is_refused(plane, tmp_path):
+def test_animation_without_frames_is_refused(plane, tmp_path):
     with pytest.raises(ValueError, match="got 0 frames at 20 fps"):
         plane[0].animate(tmp_path, frames=0)

@@ -95,14 +95,14 @@ KNOWN = [name for name, suffix in SUFFIXES.items() if suffix.quantity in FIELDS]
 
 
 @given(st.sampled_from(KNOWN), st.floats(-1e6, 1e6))
-def test_a_number_in_any_unit_of_its_quantity_becomes_si(name, value):
+def test_number_in_any_unit_of_its_quantity_becomes_si(name, value):
     field = FIELDS[SUFFIXES[name].quantity]
     measured = read_table(Measured, {f"{field}_{name}": value})
     assert getattr(measured, field) == value * SUFFIXES[name].factor
 
 
 @given(st.sampled_from(KNOWN), st.sampled_from(list(FIELDS)))
-def test_a_unit_of_another_quantity_is_refused_with_the_right_key(name, quantity):
+def test_unit_of_another_quantity_is_refused_with_the_right_key(name, quantity):
     if SUFFIXES[name].quantity != quantity:
         with pytest.raises(InputError, match=f"write {FIELDS[quantity]}_{SI[quantity]}$"):
             read_table(Measured, {f"{FIELDS[quantity]}_{name}": 1.0})
@@ -116,12 +116,12 @@ def test_units_have_their_sizes(name, one):
     assert SUFFIXES[name].factor == pytest.approx(one, rel=1e-15)
 
 
-def test_lists_and_lists_of_lists_have_units_too():
+def test_lists_of_numbers_have_units():
     start = tiny("start.positions_km=[[0,0],[1,0],[2,-3]]").start
     np.testing.assert_array_equal(start.positions, [[0, 0], [1000, 0], [2000, -3000]])
 
 
-def test_a_quantity_given_twice_is_refused():
+def test_quantity_given_twice_is_refused():
     text = TINY.replace("comm_radius_m = 5.0", "comm_radius_m = 5.0\ncomm_radius_km = 0.005")
     with pytest.raises(ScenarioError, match=r"swarm\.comm_radius_km: is given twice"):
         parse(text)
@@ -130,7 +130,7 @@ def test_a_quantity_given_twice_is_refused():
 @pytest.mark.parametrize(
     ("key", "now"), [("plan.commit_steps", "freeze_steps"), ("leg.0.shape.centre_m", "center_m")]
 )
-def test_a_former_key_is_refused_with_its_new_name(key, now):
+def test_former_key_is_refused_with_its_new_name(key, now):
     assert f"is now called {now}" in refusal(f"{key}=1")
 
 
@@ -144,18 +144,18 @@ def test_every_built_in_scenario_can_be_drawn_and_has_a_description(name):
 
 
 @pytest.mark.parametrize("name", sorted(RECONFIGURATIONS))
-def test_a_scenario_written_out_is_the_same_scenario(name):
+def test_built_in_scenario_equals_itself_read_from_its_file(name):
     mission = read(name)
     again = parse(mission.to_toml())
     assert again == mission
     assert again.to_toml() == mission.to_toml()
 
 
-def test_the_file_on_disk_and_the_builtin_name_are_one():
+def test_name_and_file_give_the_same_built_in_scenario():
     assert read(BUILT_IN / "uiuc.toml").to_toml() == read("uiuc").to_toml()
 
 
-def test_the_same_seed_draws_the_same_starts_and_another_seed_others():
+def test_seed_determines_the_starts():
     scenario = read("uiuc")
     first, again, other = (
         scenario.draw(np.random.default_rng(s)).initial_states for s in (4, 4, 5)
@@ -165,7 +165,7 @@ def test_the_same_seed_draws_the_same_starts_and_another_seed_others():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_uiuc_starts_apart_at_rest_and_in_several_networks(seed):
+def test_uiuc_starts_separated_at_rest_in_several_components(seed):
     mission = read("uiuc").draw(np.random.default_rng(seed))
     assert mission.initial_states.shape == (123, 4)
     assert pdist(mission.initial_states[:, :2]).min() >= 0.8
@@ -179,7 +179,7 @@ def test_uiuc_starts_apart_at_rest_and_in_several_networks(seed):
 
 @pytest.mark.parametrize("dimension", [2, 3])
 @pytest.mark.parametrize("agents", [1, 10, 100])
-def test_the_box_of_random_grows_so_that_the_network_holds(dimension, agents):
+def test_default_box_gives_a_connected_graph(dimension, agents):
     scenario = read("random", [f"dimension={dimension}", f"agents={agents}"])
     mission = scenario.draw(np.random.default_rng(1))
     assert mission.initial_states.shape == (agents, 2 * dimension)
@@ -188,7 +188,7 @@ def test_the_box_of_random_grows_so_that_the_network_holds(dimension, agents):
     assert network.component.max() == 0
 
 
-def test_what_the_file_leaves_out_follows_from_what_it_says():
+def test_defaults_follow_from_the_other_keys():
     mission = drawn()
     assert (mission.horizon_steps, mission.replan_steps, mission.auction_steps) == (4, 4, 4)
     assert mission.target_spacing == pytest.approx(1.5)
@@ -198,7 +198,7 @@ def test_what_the_file_leaves_out_follows_from_what_it_says():
     assert mission.epsilon == "auto"
 
 
-def test_what_the_file_says_reaches_the_mission():
+def test_keys_reach_the_mission():
     mission = drawn(
         "replan_steps=2",
         "auction_steps=4",
@@ -232,13 +232,13 @@ def test_what_the_file_says_reaches_the_mission():
     assert (mission.legs[1].losses[0].kind, mission.legs[1].recount) == ("middle", True)
 
 
-def test_a_single_agent_with_a_single_target_has_a_tolerance():
+def test_single_target_has_a_tolerance():
     mission = drawn("agents=1", "positions_m=[[0,0]]", "shape.spacing_m=1")
     assert mission.position_tolerance == pytest.approx(0.5e-6)
     assert mission.epsilon == pytest.approx(0.2 * 0.5**2 / 2)
 
 
-def test_shapes_lie_in_the_plane_and_lattices_fill_space_by_default():
+def test_rings_are_flat_in_space_and_lattices_fill_it():
     space = "model.dimension=3"
     start = "positions_m=[[0,0,1],[2,0,-1],[4,0,0]]"
     mission = drawn(space, start, "leg.0.shape.center_m=[1,2,3]")
@@ -251,7 +251,7 @@ def test_shapes_lie_in_the_plane_and_lattices_fill_space_by_default():
     assert ball.shape == (3, 3)
 
 
-def test_polygons_and_points_stay_where_they_are_unless_a_center_is_given():
+def test_points_stay_where_they_are_unless_centered():
     points = "leg.0.shape={kind='points',positions_m=[[1,1],[3,1],[5,1]]}"
     np.testing.assert_array_equal(np.sort(drawn(points).legs[0].targets[:, 0]), [1.0, 3.0, 5.0])
     moved = drawn(points, "leg.0.shape.center_m=[0,0]").legs[0].targets
@@ -261,7 +261,7 @@ def test_polygons_and_points_stay_where_they_are_unless_a_center_is_given():
 # Who comes and goes.
 
 
-def test_those_who_join_wait_outside_and_keep_clear_of_those_who_are_there():
+def test_joining_agents_start_clear_of_the_others():
     join = "{agents=5,start={kind='random',box_m=8,separation_m=0.6}}"
     mission = drawn(f"leg.1.join={join}", "leg.1.steps=60")
     assert mission.alive.tolist() == [True] * 3 + [False] * 5
@@ -271,7 +271,7 @@ def test_those_who_join_wait_outside_and_keep_clear_of_those_who_are_there():
     assert len(mission.legs[1].targets) == 8
 
 
-def test_who_joins_on_top_of_another_is_refused():
+def test_joining_on_top_of_another_agent_is_refused():
     join = "leg.0.join={agents=1,start={kind='points',positions_m=[[2.1,0]]}}"
     assert "leg.0.join.0.start: agent 0 starts 0.1 m from an agent that is there" in refusal(join)
 
@@ -298,14 +298,14 @@ def test_who_joins_on_top_of_another_is_refused():
         (["leg.1.join={agents=2,start={kind='lattice',spacing_m=9}}"], [3, 5]),
     ],
 )
-def test_the_targets_that_are_needed_follow_those_who_are_there(overrides, expected):
+def test_target_demand_follows_losses_and_joins(overrides, expected):
     assert target_demand(tiny(*overrides)) == expected
 
 
 # Files beside a scenario.
 
 
-def test_files_are_found_beside_the_scenario_and_written_out_in_full(
+def test_files_beside_a_scenario_are_written_into_it(
     tmp_path, monkeypatch
 ):
     from PIL import Image
@@ -330,7 +330,7 @@ def test_files_are_found_beside_the_scenario_and_written_out_in_full(
         np.testing.assert_array_equal(one.targets, other.targets)
 
 
-def test_starts_may_be_listed_in_a_file_too(tmp_path):
+def test_starts_are_read_from_a_file(tmp_path):
     (tmp_path / "starts.csv").write_text("0,0\n2,0\n4,1\n")
     text = TINY.replace("positions_m = [[0.0, 0.0], [2.0, 0.0], [4.0, 0.0]]", 'file = "starts.csv"')
     scenario = parse(text, folder=tmp_path)
@@ -340,7 +340,7 @@ def test_starts_may_be_listed_in_a_file_too(tmp_path):
     np.testing.assert_array_equal(again.initial_states, mission.initial_states)
 
 
-def test_a_font_that_need_not_be_installed_elsewhere_is_carried_as_points():
+def test_text_in_a_font_is_written_as_points():
     shape = "leg.0.shape={kind='text',text='I',spacing_m=1,font='DejaVu Serif'}"
     carried = tomllib.loads(tiny(shape).to_toml())["leg"][0]["shape"]
     assert carried["kind"] == "points"
@@ -352,41 +352,41 @@ def test_a_font_that_need_not_be_installed_elsewhere_is_carried_as_points():
 # Overrides.
 
 
-def test_a_key_alone_changes_the_only_table_that_has_it():
+def test_override_by_key_alone_changes_its_only_table():
     assert tiny("comm_radius_km=0.007").comm_radius == 7.0
     assert read("letters", ["text=SWARM"]).legs[0].shape.text == "SWARM"
     assert [leg.steps for leg in tiny("steps=33").legs] == [33, 33]
 
 
-def test_a_number_picks_one_leg_and_without_it_all_are_meant():
+def test_override_is_of_one_leg_by_number_or_of_all():
     assert [leg.steps for leg in tiny("leg.1.steps=33").legs] == [20, 33]
     assert [leg.steps for leg in tiny("leg.steps=33").legs] == [33, 33]
     shapes = tiny("leg.shape.spacing_m=3").legs
     assert [leg.shape.spacing for leg in shapes] == [3.0, 3.0]
 
 
-def test_a_key_of_some_legs_changes_those_only():
+def test_override_changes_only_the_legs_that_have_the_key():
     assert tiny("leg.shape.radius_m=3", "leg.0.shape.radius_m=4").legs[0].shape.radius == 4.0
     changed = read("uiuc", ["share=0.1"])
     assert [[loss.share for loss in leg.losses] for leg in changed.legs] == [[], [], [0.1], []]
 
 
-def test_tables_that_the_file_does_not_have_can_be_set():
+def test_override_adds_a_missing_table():
     assert tiny("disturbance.position_m=0.1").position_noise == 0.1
 
 
-def test_a_table_can_be_set_as_a_whole_and_then_in_part():
+def test_override_sets_a_table_then_a_part_of_it():
     start = "start={kind='random',box_m=9,separation_m=0.6}"
     assert tiny(start, "box_m=12").start.box == 12.0
 
 
 @pytest.mark.parametrize("written", ['"A = B"', "A = B", "A\nb = 1"])
-def test_bare_text_needs_no_quotes(written):
+def test_text_in_an_override_needs_no_quotes(written):
     shape = "leg.0.shape={kind='text',text='I',spacing_m=1}"
     assert tiny(shape, f"text={written}").legs[0].shape.text == written.strip('"')
 
 
-def test_a_missing_unit_in_an_override_is_named():
+def test_missing_unit_in_an_override_is_named():
     assert "comm_radius: has no unit; write comm_radius_m" in refusal("comm_radius=5")
 
 
@@ -407,7 +407,7 @@ def cures(sentence: str) -> list[str]:
         ["collision_radius_m=0.9", "comm_radius_m=1.3"],
     ],
 )
-def test_every_cure_for_proposition_9_does(broken):
+def test_every_proposed_cure_for_proposition_9_works(broken):
     said = refusal(*broken)
     found = cures(said)
     assert len(found) >= 3, said
@@ -423,21 +423,21 @@ def test_proposition_9_holds_with_equality():
     assert "Proposition 9" in refusal("comm_radius_m=4.4999")
 
 
-def test_an_unlimited_speed_cannot_be_detected_in_time():
+def test_unlimited_speed_is_undetectable():
     text = TINY.replace("max_speed_m_s = 0.5\n", "")
     with pytest.raises(ScenarioError, match=r"no model\.max_speed_m_s.*max_speed_m_s = 0\.5625"):
         parse(text)
     assert not is_detectable(parse(text, ["allow_undetectable=true"]))
 
 
-def test_the_time_that_is_said_to_do_does_and_a_step_less_does_not():
+def test_proposed_steps_are_the_fewest_that_suffice():
     said = refusal("leg.0.steps=2")
     enough = int(re.search(r"steps = (\d+) would do", said)[1])
     drawn(f"leg.0.steps={enough}")
     assert f"in {enough - 1} steps" in refusal(f"leg.0.steps={enough - 1}")
 
 
-def test_reach_counts_targets_and_not_only_agents():
+def test_reach_needs_a_target_for_every_agent():
     # Both can reach the first target in time, and neither the second.
     mission = drawn(
         "agents=2",
@@ -450,7 +450,7 @@ def test_reach_counts_targets_and_not_only_agents():
         check_reach(hurried)
 
 
-def test_who_is_lost_before_the_start_needs_no_target():
+def test_agent_lost_before_the_start_needs_no_target():
     near = "positions_m=[[0,0],[2,0],[400,0]]"
     assert "agent 2 can reach none" in refusal(near)
     drawn(near, "leg.0.lose={kind='agents',agents=[2]}")
@@ -458,41 +458,41 @@ def test_who_is_lost_before_the_start_needs_no_target():
     assert "agent 2 can reach none" in refusal(near, "leg.0.lose={kind='random',share=0.3}")
 
 
-def test_a_speed_limit_can_put_targets_out_of_reach():
+def test_speed_limit_puts_targets_out_of_reach():
     far = "leg.0.shape.center_m=[30,0]"
     drawn(far, "leg.0.steps=80")
     assert "steps = " in refusal(far, "leg.0.steps=50")
 
 
 @pytest.mark.parametrize("kind", ["ring", "lattice"])
-def test_the_size_that_is_said_to_do_does(kind):
+def test_proposed_radius_suffices(kind):
     shape = f"leg.0.shape={{kind='{kind}',radius_m=0.1}}"
     said = refusal("agents=3", shape)
     enough = re.search(r"radius of ([\d.]+) m,? ", said.split("apart")[1])[1]
     drawn(shape, f"leg.0.shape.radius_m={enough}")
 
 
-def test_the_box_that_is_said_to_do_does():
+def test_proposed_box_suffices():
     start = "start={kind='random',box_m=3,separation_m=0.8}"
     more = ("agents=40", "leg.steps=60")
     enough = re.search(r"box_m = ([\d.]+) would do", refusal(start, *more))[1]
     drawn(start, *more, f"box_m={enough}")
 
 
-def test_more_networks_than_agents_can_make_are_refused():
+def test_more_components_than_possible_are_refused():
     start = "start={kind='random',box_m=3,separation_m=0.8,min_components=3}"
     assert "none of 200 draws in a box of 3 m has 3 components" in refusal(start)
     assert "asks for 1" in refusal(f"{start[:-1]},connected=true}}")
 
 
 @given(st.floats(1e-6, 1e6))
-def test_what_is_rounded_upward_is_never_less_and_downward_never_more(value):
+def test_rounding_up_is_never_less_and_down_never_more(value):
     slack = 1e-9 * value  # for the last digits of binary numbers
     assert value - slack <= float(round_up(value)) <= value * 1.0011
     assert value * 0.9989 <= float(round_down(value)) <= value + slack
 
 
-def test_messages_name_the_file_and_the_place(tmp_path):
+def test_errors_name_the_file_and_the_key(tmp_path):
     (tmp_path / "mine.toml").write_text(TINY.replace("steps = 20", "steps = 20.5"))
     with pytest.raises(ScenarioError) as caught:
         read(tmp_path / "mine.toml")
@@ -500,12 +500,12 @@ def test_messages_name_the_file_and_the_place(tmp_path):
     assert str(caught.value) == place
 
 
-def test_a_text_without_a_name_takes_that_of_its_file(tmp_path):
+def test_scenario_without_a_name_takes_that_of_its_file(tmp_path):
     (tmp_path / "mine.toml").write_text(TINY.replace('name = "tiny"\n', ""))
     assert read(tmp_path / "mine.toml").name == "mine"
 
 
-def test_what_counts_as_reached_grows_with_what_goes_wrong():
+def test_tolerance_grows_with_the_disturbance():
     calm, shaken = drawn(), drawn("disturbance.acceleration_m_s2=1e-4")
     assert (shaken.replan_steps, shaken.auction_steps) == (1, 1)
     assert shaken.position_tolerance > 100 * calm.position_tolerance
@@ -517,7 +517,7 @@ def test_what_counts_as_reached_grows_with_what_goes_wrong():
     assert drawn("disturbance.acceleration_m_s2=1e-4", "replan_steps=2").replan_steps == 2
 
 
-def test_an_auction_must_come_before_two_who_claim_one_target_can_meet():
+def test_auction_period_beyond_the_horizon_is_refused():
     text = read("random").to_toml()
     with pytest.raises(ScenarioError, match=r"plan.auction_steps: 8 is more .* 4 would do"):
         parse(text, ["plan.auction_steps=8"])

@@ -1,4 +1,4 @@
-"""The figures of this system, in the manner of the paper's [Morgan2016, Figs. 2, 4, 5 and 6]."""
+"""Figures of a reconfiguration, after those of the paper [Morgan2016, Figs. 2, 4, 5 and 6]."""
 
 from collections.abc import Callable
 from functools import partial
@@ -12,8 +12,12 @@ from sato.reconfiguration.figures.animation import SwarmAnimation
 from sato.reconfiguration.figures.half_space import plot_half_space
 from sato.reconfiguration.figures.measures import plot_delta_v, plot_fuel, plot_separation
 from sato.reconfiguration.figures.orbital import plot_instants, plot_space
-from sato.reconfiguration.figures.perspective import has_chief
-from sato.reconfiguration.figures.snapshots import plot_first_leg, plot_stages, plot_trajectories
+from sato.reconfiguration.figures.snapshots import (
+    has_chief,
+    plot_first_leg,
+    plot_stages,
+    plot_trajectories,
+)
 from sato.reconfiguration.mission import Reconfiguration
 
 if TYPE_CHECKING:
@@ -37,10 +41,10 @@ ORBIT_FIGURES: dict[str, Callable[[ReconfigurationRecord], Figure]] = {
 
 
 def make_figures(data: "xarray.Dataset", mission: Reconfiguration) -> FigureFactories:
-    """The figures of a run; those of `IN_ORBIT` only of a run about a chief."""
-    evidence = ReconfigurationRecord.from_dataset(data, mission)
-    drawn = FIGURES | ORBIT_FIGURES if has_chief(evidence) else FIGURES
-    return {name: partial(draw, evidence) for name, draw in drawn.items()}
+    """Prepare the figures of a run; those of `ORBIT_FIGURES` only where it has a chief."""
+    record = ReconfigurationRecord.from_dataset(data, mission)
+    drawn = FIGURES | ORBIT_FIGURES if has_chief(record) else FIGURES
+    return {name: partial(draw, record) for name, draw in drawn.items()}
 
 
 def make_animation(data: "xarray.Dataset", mission: Reconfiguration) -> Animation:
