@@ -22,10 +22,12 @@ def main() -> None:
     paid = cost[np.arange(agents), auction.target_index].sum()
     best = cost[np.arange(agents), solve_assignment(cost[:, :agents])].sum()
     print(
-        f"{agents} agents, {len(set(auction.target_index))} targets, {auction.target_count.max()} believed"
+        f"{agents} agents, {len(set(auction.target_index))} targets, "
+        f"{auction.target_count.max()} believed"
     )
     print(
-        f"{auction.bid_count} bids in {auction.round_count} rounds, D = {network.diameter.max()} hops"
+        f"{auction.bid_count} bids in {auction.round_count} rounds, "
+        f"D = {network.diameter.max()} hops"
     )
     print(
         f"cost {paid:.4f}, optimum {best:.4f}: {paid - best:.4f} more, Nε = {agents * epsilon:.2f}"

@@ -1,4 +1,4 @@
-"""How fast and how exact are the auction's costs? Against HiGHS and Clarabel, in one run.
+"""Speed and accuracy of the auction's costs, compared with HiGHS and Clarabel in one run.
 
 HiGHS judges the prices, and Clarabel those that a speed limit binds. Clarabel is given
 every advantage: the states eliminated (kept, where there is a speed limit, for that is
@@ -48,7 +48,7 @@ MEAN_MOTION = np.sqrt(3.986004418e14 / 6878e3**3)  # circular orbit of 6878 km [
 
 
 class CostCase(NamedTuple):
-    """One row of the table."""
+    """Row of the table."""
 
     name: str
     steps: DiscreteModel
@@ -60,7 +60,7 @@ class CostCase(NamedTuple):
     turns: int
 
     def compute_costs(self) -> TransferCosts:
-        """All pairs."""
+        """Compute the costs of all pairs."""
         transfer = TransferProblem(self.steps, self.max_control, self.max_speed)
         costs = compute_transfer_costs(transfer, self.start, self.targets)
         for i, j in np.argwhere(~costs.is_exact):
@@ -86,7 +86,7 @@ class CondensedForm:
         self.b = compute_displacements(case.steps, case.start, case.targets)
 
     def problem(self, i: int, j: int) -> ConicProgram:
-        """One pair."""
+        """Return the conic program of a pair."""
         b = np.concatenate([self.b[i, j] / self.cost_scale, self.limits])
         return ConicProgram(self.q, self.A, b, self.zero, len(self.limits), self.cones)
 
@@ -124,7 +124,7 @@ class StackedForm:
         self.limits = np.concatenate([np.ones(N), np.zeros(N), tops])
 
     def problem(self, i: int, j: int) -> ConicProgram:
-        """One pair."""
+        """Return the conic program of a pair."""
         steps = self.case.steps
         first = steps.z.copy()
         first[0] += steps.A[0] @ self.case.start[i]
@@ -133,7 +133,7 @@ class StackedForm:
 
 
 class ClarabelSolver:
-    """One object, built once."""
+    """Clarabel session, built once and updated in its right-hand side only."""
 
     def __init__(self, first: ConicProgram) -> None:
         settings = clarabel.DefaultSettings()
@@ -144,7 +144,7 @@ class ClarabelSolver:
         self.solver = clarabel.DefaultSolver(P, first.q, first.A, first.b, cones, settings)
 
     def solve_fuel(self, problem: ConicProgram) -> float:
-        """Its price; infinite where out of reach, NaN where there is none."""
+        """Return the optimal fuel; infinite if out of reach, NaN without an answer."""
         self.solver.update(b=problem.b)
         solution = self.solver.solve()
         if "Infeasible" in str(solution.status):
@@ -155,7 +155,7 @@ class ClarabelSolver:
 def draw_plane(
     agents: int, speed: float, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """From a box to a disc; speeds up to a bound at both ends."""
+    """Draw states in a box and goals in a disc, with speeds up to a bound at both ends."""
     start, goals = rng.uniform(0, 29, (agents, 2)), rng.uniform(9, 20, (agents, 2))
     turn, size = rng.uniform(0, 2 * np.pi, (2, agents)), rng.uniform(0, speed, (2, agents))
     v = size[..., None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
@@ -163,7 +163,7 @@ def draw_plane(
 
 
 def draw_orbit(agents: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """From a cloud to a circle that closes, 1 km about the chief."""
+    """Draw states in a cloud and goals on a closed relative orbit, 1 km about the chief."""
     model, turn = ClohessyWiltshire(MEAN_MOTION), 2 * np.pi * np.arange(agents) / agents
     cloud = rng.uniform(-1500, 1500, (agents, 3))
     circle = [np.sin(turn) / 2, np.cos(turn), np.sqrt(3) / 2 * np.sin(turn)]
@@ -173,7 +173,7 @@ def draw_orbit(agents: int, rng: np.random.Generator) -> tuple[np.ndarray, np.nd
 
 
 def make_cases(rng: np.random.Generator) -> list[CostCase]:
-    """The rows; speed limits are set so that they bind on a given share of the pairs."""
+    """Build the rows, with speed limits that bind on a given share of the pairs."""
     long = discretize_zoh(DoubleIntegrator(2), 1.0, 80)
     sky = discretize_zoh(ClohessyWiltshire(MEAN_MOTION), 60.0, 24)
     chief = Orbit.from_elements(6878e3, inclination=np.pi / 4)
@@ -199,7 +199,7 @@ def make_cases(rng: np.random.Generator) -> list[CostCase]:
 def binding_speed_limit(
     steps: DiscreteModel, start: np.ndarray, goals: np.ndarray, max_control: float, share: float
 ) -> float:
-    """A speed that the cheapest paths of a share of the pairs exceed."""
+    """Return the speed that the cheapest trajectories of a share of the pairs exceed."""
     b = compute_displacements(steps, start, goals)
     u = solve_minimum_fuel(
         steps, b.reshape(-1, b.shape[2]), max_control, tie_break_weights(len(steps), 1e-7)
@@ -210,7 +210,7 @@ def binding_speed_limit(
 
 
 class CostBenchmark(NamedTuple):
-    """What was measured."""
+    """Times and errors of one case."""
 
     seconds: float
     clarabel: float
@@ -221,7 +221,7 @@ class CostBenchmark(NamedTuple):
 
 
 def measure(case: CostCase, pairs: int, rng: np.random.Generator) -> CostBenchmark:
-    """Take turns, then judge."""
+    """Time all solvers in turns, then compare their costs with the reference."""
     limited = case.max_speed < inf
     form = StackedForm(case) if limited else CondensedForm(case)
     solver, prices = ClarabelSolver(form.problem(0, 0)), case.compute_costs()
@@ -261,7 +261,7 @@ def measure(case: CostCase, pairs: int, rng: np.random.Generator) -> CostBenchma
 
 
 def solve_with_highs(problem: ConicProgram) -> float:
-    """The judge's price."""
+    """Return the reference cost, by HiGHS; infinite if infeasible."""
     try:
         return float(problem.q @ solve(problem, solve_highs).x)
     except Infeasible:
@@ -269,7 +269,7 @@ def solve_with_highs(problem: ConicProgram) -> float:
 
 
 def largest_error(prices: TransferCosts, pairs: np.ndarray, truth: np.ndarray) -> float:
-    """Relative; infinite where one says out of reach and the other not."""
+    """Return the largest relative error; infinite where only one finds a pair reachable."""
     i, j = pairs.T
     fuel = np.where(prices.is_reachable[i, j], prices.fuel[i, j], inf)
     if (np.isfinite(fuel) != np.isfinite(truth)).any():
@@ -291,7 +291,7 @@ print(time.perf_counter() - begin)
 
 
 def time_first_call() -> tuple[float, float]:
-    """Seconds for the first prices of a process: with nothing compiled, and with the cache."""
+    """Time the first costs of a process, without and with compiled code in the cache [s]."""
     with tempfile.TemporaryDirectory() as cache:
         env = os.environ | {"NUMBA_CACHE_DIR": cache}
         run = [sys.executable, "-c", COLD_START_CODE]

@@ -1,4 +1,4 @@
-"""How fast are gains designed, and how near are they to what is proven to be the best?
+"""Time of gain designs, and their gap to the proven optimum.
 
 Every row has formations of its own; rows take turns, so that whatever else the machine does
 slows all of them, and times are medians over the formations, of both directions together.
@@ -27,7 +27,7 @@ LARGE_SIZE = 500  # vehicles, from which a row has one formation
 
 
 class GainCase(NamedTuple):
-    """One row of the table: what is designed, and what is to be reached."""
+    """Row of the table: the formations to design for, and the targets to meet."""
 
     kind: str
     n: int
@@ -40,24 +40,24 @@ class GainCase(NamedTuple):
 
 
 class TimedDesign(NamedTuple):
-    """One design."""
+    """Design with its time."""
 
     gains: GainMatrix
     seconds: float
 
 
 def draw_complete(n: int, rng: np.random.Generator) -> DesiredFormation:
-    """Everybody measures everybody."""
+    """Draw a formation on the complete graph."""
     return DesiredFormation.with_complete_graph(rng.uniform(0, 5, (n, 3)))
 
 
 def draw_published(n: int, rng: np.random.Generator) -> DesiredFormation:
-    """The published benchmark: the complete graph less n − 3 pairs drawn at random."""
+    """Draw the published benchmark: the complete graph less n − 3 random pairs."""
     return DesiredFormation(rng.uniform(0, 5, (n, 3)), random_dense_graph(n, n - 3, rng))
 
 
 def draw_with_edge_share(share: float) -> Callable[[int, np.random.Generator], DesiredFormation]:
-    """A share of the edges, each kept or not at random."""
+    """Return a function that draws formations and keeps each edge with this probability."""
 
     def draw(n: int, rng: np.random.Generator) -> DesiredFormation:
         upper = np.triu(rng.random((n, n)) < share, 1)
@@ -67,7 +67,7 @@ def draw_with_edge_share(share: float) -> Callable[[int, np.random.Generator], D
 
 
 def make_cases() -> list[GainCase]:
-    """What is measured, with the times to keep [s]."""
+    """Build the rows, with their time limits [s]."""
     table = [
         GainCase(
             "complete",
@@ -99,7 +99,7 @@ def make_cases() -> list[GainCase]:
 
 
 def time_design(row: GainCase, formation: DesiredFormation) -> TimedDesign:
-    """Design once, with nothing kept from before."""
+    """Time one design without cached results."""
     begin = time.process_time()
     gains = design_gains(formation, row.method)
     return TimedDesign(gains, time.process_time() - begin)
@@ -128,7 +128,7 @@ def main(
 
 
 def add_row(table: Table, row: GainCase, designs: list[TimedDesign]) -> bool:
-    """Add a row to the table; whether it misses a target."""
+    """Add a row to the table; return True if it misses a target."""
     every = [design.gains for design in designs]
     rates = np.array([gains.convergence_rate for gains in every])
     gap = max(max(gains.gap_xy, gains.gap_z) for gains in every)

@@ -27,7 +27,7 @@ RTOL_DIVISOR = 3.0  # of the loop's rtol, until it is accurate enough
 
 
 def draw_states(count: int, eccentricity: float, seed: int) -> np.ndarray:
-    """States in orbits with perigees 400 to 1000 km up, of any inclination."""
+    """Draw states in orbits of any inclination with perigees at 400 to 1000 km."""
     rng = np.random.default_rng(seed)
     e = rng.uniform(0, eccentricity, count)
     perigee = EARTH_RADIUS + rng.uniform(400e3, 1000e3, count)
@@ -35,7 +35,7 @@ def draw_states(count: int, eccentricity: float, seed: int) -> np.ndarray:
 
 
 def state_derivative(t: float, y: np.ndarray) -> list[float]:
-    """Two bodies and J2 in plain floats, faster for one vehicle than arrays of three."""
+    """Compute the J2 derivative in plain floats, faster for one vehicle than arrays."""
     X, Y, Z, v_x, v_y, v_z = y.tolist()
     r2 = X * X + Y * Y + Z * Z
     r = sqrt(r2)
@@ -45,7 +45,7 @@ def state_derivative(t: float, y: np.ndarray) -> list[float]:
 
 
 def propagate_one_by_one(states: np.ndarray, end: float, rtol: float) -> np.ndarray:
-    """Each by itself."""
+    """Propagate each spacecraft separately."""
     ends = []
     for y in states:
         size = np.linalg.norm(y.reshape(2, 3), axis=1).repeat(3)
@@ -57,7 +57,7 @@ def propagate_one_by_one(states: np.ndarray, end: float, rtol: float) -> np.ndar
 
 
 def max_position_error(found: np.ndarray, truth: np.ndarray) -> float:
-    """Largest error of a position, as a fraction of the radius."""
+    """Return the largest position error, as a fraction of the radius."""
     error = np.linalg.norm((found - truth)[:, :3], axis=1)
     return float((error / np.linalg.norm(truth[:, :3], axis=1)).max())
 

@@ -1,4 +1,4 @@
-"""What is gained by assembling programmes ourselves, and what an adapter costs.
+"""Speedup of directly assembled programs over CVXPY, and overhead of the adapters.
 
 Transfers and avoidance by the toolkit's own paths, against the statement in CVXPY, which is
 compiled once with start, goal and half-spaces as parameters; both by Clarabel, at the same
@@ -42,7 +42,7 @@ FAMILY_OF_CONE = {
 
 
 class TransferInstance(NamedTuple):
-    """One flight that is asked for."""
+    """Initial state, target and half-spaces of a transfer."""
 
     start: np.ndarray
     target: np.ndarray
@@ -50,7 +50,7 @@ class TransferInstance(NamedTuple):
 
 
 class TransferCase(NamedTuple):
-    """One row of the table."""
+    """Row of the table."""
 
     name: str
     transfer: TransferProblem
@@ -60,10 +60,10 @@ class TransferCase(NamedTuple):
 
 
 class CvxpyStatement:
-    """A transfer among half-spaces, compiled once."""
+    """Transfer among half-spaces in CVXPY, compiled once."""
 
     def __init__(self, transfer: TransferProblem, step: np.ndarray) -> None:
-        """State it, for half-spaces at these steps."""
+        """Build the problem for half-spaces at these steps."""
         n, m = transfer.model.B.shape[1:]
         rows = len(step)
         self.start, self.goal = cp.Parameter(n), cp.Parameter(n)
@@ -79,7 +79,7 @@ class CvxpyStatement:
         self.problem = cp.Problem(cp.Minimize(effort), limits)
 
     def __call__(self, question: TransferInstance) -> np.ndarray:
-        """The controls."""
+        """Return the optimal controls."""
         self.start.value, self.goal.value = question.start, question.target
         for parameter, value in zip(self.half_spaces, question.half_spaces[1:], strict=False):
             parameter.value = value
@@ -89,7 +89,7 @@ class CvxpyStatement:
 
 
 def unconstrained_case(count: int) -> TransferCase:
-    """Without a speed limit."""
+    """Build the case without a speed limit."""
     start = LegStart.from_scenario("random", "leg.steps=50").max_distance(count)
     transfer = start.make_transfer()
     programme, none = AvoidanceProblem(transfer), empty_half_spaces(transfer)
@@ -106,7 +106,7 @@ def unconstrained_case(count: int) -> TransferCase:
 
 
 def speed_limited_case(count: int) -> TransferCase:
-    """With a speed limit that would be broken without it."""
+    """Build the case with a speed limit that binds."""
     start = LegStart.from_scenario("random_cw", "agents=48", "leg.steps=48", "plan.step_min=0.5")
     transfer, free = start.make_transfer(SPEED_LIMIT), start.make_transfer()
     programme, none = SparseTransferSolver(transfer), empty_half_spaces(transfer)
@@ -127,7 +127,7 @@ def speed_limited_case(count: int) -> TransferCase:
 
 
 def is_feasible(programme: SparseTransferSolver, start: np.ndarray, goal: np.ndarray) -> bool:
-    """Whether the limit leaves a way."""
+    """Check that the transfer is feasible within the speed limit."""
     try:
         programme.solve(start, goal)
     except Infeasible:
@@ -136,7 +136,7 @@ def is_feasible(programme: SparseTransferSolver, start: np.ndarray, goal: np.nda
 
 
 def avoidance_case(neighbours: int, count: int) -> TransferCase:
-    """Past neighbours who are in the way."""
+    """Build the case of avoidance among blocking neighbors."""
     questions: list[TransferInstance] = []
     seed = 0
     while len(questions) < count:
@@ -168,7 +168,7 @@ def avoidance_case(neighbours: int, count: int) -> TransferCase:
 def is_passable(
     programme: AvoidanceProblem, ends: tuple[np.ndarray, np.ndarray], spaces: HalfSpaces
 ) -> bool:
-    """Whether the half-spaces leave a way."""
+    """Check that the transfer is feasible within the half-spaces."""
     try:
         programme.solve(*ends, spaces)
     except Infeasible:
@@ -177,12 +177,12 @@ def is_passable(
 
 
 def weighted_fuel(transfer: TransferProblem, u: np.ndarray) -> float:
-    """What both minimise."""
+    """Return the weighted fuel, which both implementations minimize."""
     return float(transfer.model.dt * transfer.weights @ np.abs(u).sum(axis=1))
 
 
 def time_case(table: Table, case: TransferCase, turns: int) -> bool:
-    """Time a case and add it to the table; whether it misses a target."""
+    """Time a case and add it to the table; return True if it misses a target."""
     stated = CvxpyStatement(case.transfer, case.instances[0].half_spaces.step_index)
     ways = (case.solve, stated)
     for way in ways:  # what is done once is not what is timed
@@ -214,7 +214,7 @@ def time_case(table: Table, case: TransferCase, turns: int) -> bool:
 
 
 def measure_overheads(turns: int) -> dict[tuple[str, str], tuple[float, float]]:
-    """Median time of a solve, and of that what the adapter takes [s]; of each solver and family."""
+    """Return the median times of a solve and of its adapter [s], by solver and family."""
     installed = [solver for solver in load_adapters().values() if solver.is_installed]
     found = {}
     for name in FAMILY_OF_CONE.values():

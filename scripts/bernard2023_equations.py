@@ -1,4 +1,4 @@
-"""The equations of [Bernard2023] as printed, against central differences.
+"""Equations of [Bernard2023] as printed, checked against central differences.
 
 Six robots stand and look at random, many times over. Weights are the product's; derivatives are
 written down here as the paper has them, with ⁱR_j in (12) and (29), as the text below them says.
@@ -34,7 +34,7 @@ H = 1e-6  # of central differences [m, rad, s]
 
 
 class Pairs(NamedTuple):
-    """Every ordered pair i, j of every state, and what moving and turning i does to it."""
+    """Ordered pairs i, j of every state, with their derivatives by the pose of i."""
 
     state: Int[Array, " m"]
     d: Float[Array, " m"]  # [m]
@@ -48,50 +48,50 @@ class Pairs(NamedTuple):
 
     @property
     def relative_yaw(self) -> Float[Array, " m"]:
-        """ψ_ij [rad]."""
+        """Return ψ_ij [rad]."""
         return np.asarray(self.yaw[:, 1] - self.yaw[:, 0])
 
     @property
     def rotation_i(self) -> Float[Array, "m 3 3"]:
-        """R_i."""
+        """Return R_i."""
         return rotation(self.yaw[:, 0])
 
     @property
     def rotation_ij(self) -> Float[Array, "m 3 3"]:
-        """ⁱR_j."""
+        """Return ⁱR_j."""
         return rotation(self.relative_yaw)
 
     @property
     def weight_gradient(self) -> Float[Array, "m 3"]:
-        """R_iᵀ ∂A_ij/∂p_i by differences [1/m]."""
+        """Return R_iᵀ ∂A_ij/∂p_i by differences [1/m]."""
         return matvec(self.rotation_i.swapaxes(1, 2), self.weight_derivatives[:, 3, :3])
 
 
 def rotation(yaw: Float[Array, " m"]) -> Float[Array, "m 3 3"]:
-    """R_z."""
+    """Return R_z."""
     c, s, o = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)
     return np.stack([c, -s, o, s, c, o, o, o, o + 1], axis=-1).reshape(-1, 3, 3)
 
 
 def matvec(matrix: Float[Array, "m 3 3"], vector: Float[Array, "m 3"]) -> Float[Array, "m 3"]:
-    """Each matrix times its vector."""
+    """Multiply each matrix by its vector."""
     return np.asarray(np.einsum("mab,mb->ma", matrix, vector))
 
 
 def draw_poses(states: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Positions and yaws at random."""
+    """Draw random positions and yaws."""
     return rng.uniform(0, 1, (states, N, 3)) * BOX_SIZE, rng.uniform(-pi, pi, (states, N))
 
 
 def perturbation(i: int, axis: int, way: float) -> tuple[Array, Array]:
-    """Robot i a little elsewhere along one of its four coordinates."""
+    """Perturb one of the four coordinates of robot i."""
     move = np.zeros((N, 4))
     move[i, axis] = way
     return move[:, :3], move[:, 3]
 
 
 def central_differences(position: Array, yaw: Array, i: int) -> Float[Array, "states n 4 4"]:
-    """Of γ, f*_ij, f*_ji and A_ij for every j, by the four coordinates of robot i."""
+    """Differentiate γ, f*_ij, f*_ji and A_ij for every j by the coordinates of robot i."""
 
     def values(axis: int, way: float) -> Array:
         move, spin = perturbation(i, axis, way)
@@ -102,7 +102,7 @@ def central_differences(position: Array, yaw: Array, i: int) -> Float[Array, "st
 
 
 def weights_of(known: InteractionGraph, i: int) -> Float[Array, "states n 4"]:
-    """γ, f*_ij, f*_ji and A_ij of robot i with every other."""
+    """Return γ, f*_ij, f*_ji and A_ij of robot i with every other."""
     return np.stack(
         [
             known.range_weights[:, i],
@@ -115,7 +115,7 @@ def weights_of(known: InteractionGraph, i: int) -> Float[Array, "states n 4"]:
 
 
 def make_pairs(position: Array, yaw: Array) -> Pairs:
-    """All pairs of all states."""
+    """Build all pairs of all states."""
     known = interaction_graph(position, yaw, SIGHT)
     value = np.stack([weights_of(known, i) for i in range(N)], axis=1)
     by = np.stack([central_differences(position, yaw, i) for i in range(N)], axis=1)
@@ -128,7 +128,7 @@ def make_pairs(position: Array, yaw: Array) -> Pairs:
 
 
 def weight_errors(pairs: Pairs) -> dict[str, float]:
-    """(6)–(13) and (22)–(30): the largest error of each."""
+    """Return the largest error of each of (6)–(13) and (22)–(30)."""
     gamma, f, g, weight = pairs.weights.T
     a, b = pairs.bearing_ij @ AXIS, pairs.bearing_ji @ AXIS
     view = f + g - f * g
@@ -167,19 +167,19 @@ def weight_errors(pairs: Pairs) -> dict[str, float]:
 
 
 def paper_ramp(x: Float[Array, " m"], low: float, high: float) -> Float[Array, " m"]:
-    """(7), with a and b as printed."""
+    """Evaluate (7), with a and b as printed."""
     a = pi / (high - low)
     b = -a * low
     return np.where(x <= low, 0, np.where(x <= high, (1 - np.cos(a * x + b)) / 2, 1))
 
 
 def max_abs(*errors: Array) -> float:
-    """The largest of all."""
+    """Return the largest absolute value."""
     return max(float(np.abs(e).max()) for e in errors)
 
 
 def ramp_error() -> float:
-    """(7)–(9): the ramps fit together, and (8) is what (7) lacks of 1."""
+    """Check (7)–(9): the ramps are continuous, and (8) is 1 minus (7)."""
     x = np.linspace(0, 12, 10_001)
     a = pi / (SIGHT.d_max - SIGHT.d_far)
     falling = (1 + np.cos(a * x - a * SIGHT.d_far)) / 2  # (8)
@@ -191,7 +191,7 @@ def ramp_error() -> float:
 
 
 def lambda2_error(position: Array, yaw: Array) -> float:
-    """(3)–(5): ∂λ₂ = Σⱼ ∂A_ij (v₂ᵢ − v₂ⱼ)², by every coordinate of every robot."""
+    """Check (3)–(5): ∂λ₂ = Σⱼ ∂A_ij (v₂ᵢ − v₂ⱼ)², by every coordinate of every robot."""
 
     def lambda2(i: int, axis: int, way: float) -> Array:
         move, spin = perturbation(i, axis, way)
@@ -209,7 +209,7 @@ def lambda2_error(position: Array, yaw: Array) -> float:
 
 
 def motion_error(pairs: Pairs, rng: np.random.Generator) -> float:
-    """(14): ṗ_ij = −v_i − S p_ij w_i + ⁱR_j v_j, of robots that fly as (1) says."""
+    """Check (14): ṗ_ij = −v_i − S p_ij w_i + ⁱR_j v_j, for robots that move by (1)."""
     m = len(pairs.d)
     (v, w), (u, q) = ((rng.normal(0, 1, (m, 3)), rng.normal(0, 1, m)) for _ in range(2))
     p = pairs.d[:, None] * pairs.bearing_ij
@@ -229,7 +229,7 @@ def motion_error(pairs: Pairs, rng: np.random.Generator) -> float:
 
 
 def observer_error(rng: np.random.Generator) -> float:
-    """(15)–(18): e is ⁱR_j v_j through a filter of first order."""
+    """Check (15)–(18): e is ⁱR_j v_j through a first-order filter."""
     k, step, off = 10.0, 1e-4, 0.0
     for _ in range(3):
         p, v, u = rng.normal(0, 3, 3), rng.normal(0, 1, 3), rng.normal(0, 1, 3)
@@ -244,7 +244,7 @@ def observer_error(rng: np.random.Generator) -> float:
 
 
 def yaw_errors(pairs: Pairs) -> tuple[float, float]:
-    """ψ_ij from two bearings; and (19)–(21): what is left after 2 s of an error below 3 rad."""
+    """Return the errors of ψ_ij from two bearings, and by (19)–(21) after 2 s from 3 rad."""
     p, q = pairs.bearing_ij, pairs.bearing_ji
     found = np.array([yaw_from_bearings(p[m], q[m]) for m in range(len(p))])
     track, step, left = YawTracking(), 1e-3, 0.0
@@ -258,7 +258,7 @@ def yaw_errors(pairs: Pairs) -> tuple[float, float]:
 
 
 def equation_table(position: Array, yaw: Array, pairs: Pairs, rng: np.random.Generator) -> Table:
-    """Each with its largest error."""
+    """Tabulate the equations with their largest errors."""
     table = Table("equation", "largest error", title=f"{len(yaw)} states, {len(pairs.d)} pairs")
     bearings_off, left = yaw_errors(pairs)
     rows = {
@@ -279,7 +279,7 @@ def main(
     states: Annotated[int, typer.Option(help="how many times they stand anew")] = 200,
     seed: int = 2023,
 ) -> None:
-    """Print how far each equation is off."""
+    """Print the largest error of each equation."""
     rng = np.random.default_rng(seed)
     position, yaw = draw_poses(states, rng)
     Console(markup=False).print(equation_table(position, yaw, make_pairs(position, yaw), rng))

@@ -1,4 +1,4 @@
-"""What is printed in [Bernard2023], what is right, and how much it matters.
+"""Errata of [Bernard2023]: printed form, correct form, and size of the difference.
 
 Printed forms and ours are held against central differences, of six robots that stand and look
 at random, many times over; what can only be seen in flight is flown. Which equations are right
@@ -52,7 +52,7 @@ STICK_SPEED = 2.0  # [m/s]
 
 
 class Erratum(NamedTuple):
-    """One row."""
+    """Row of the table."""
 
     paper: str
     correction: str
@@ -60,12 +60,12 @@ class Erratum(NamedTuple):
 
 
 def norms(vectors: Float[Array, "m d"]) -> Float[Array, " m"]:
-    """Length of each."""
+    """Return the length of each vector."""
     return np.asarray(np.linalg.norm(vectors, axis=-1))
 
 
 def mutual_visibility(pairs: Pairs) -> tuple[Bool[Array, " m"], Bool[Array, " m"]]:
-    """Whether i sees j, and j sees i."""
+    """Return the masks of pairs in which i sees j, and j sees i."""
     near = (pairs.d > SIGHT.d_min) & (pairs.d < SIGHT.d_max)
     sees, seen = (facing @ AXIS > SIGHT.a_min for facing in (pairs.bearing_ij, pairs.bearing_ji))
     return near & sees, near & seen
@@ -74,7 +74,7 @@ def mutual_visibility(pairs: Pairs) -> tuple[Bool[Array, " m"], Bool[Array, " m"
 def edge_weights(
     pairs: Pairs, mine: Array, theirs: Array, turn: Array, sees: bool = True
 ) -> tuple[Float[Array, " m"], Float[Array, "m 3"]]:
-    """A_ij and R_iᵀ ∂A_ij/∂p_i, as i has them from what it takes for bearings and yaw."""
+    """Return A_ij and R_iᵀ ∂A_ij/∂p_i, from the bearings and the yaw that i assumes."""
     weight, motion = np.zeros(len(pairs.d)), np.zeros((len(pairs.d), 4))
     for m, d in enumerate(pairs.d):
         weight[m], _, _ = edge_weight(d, mine[m], theirs[m], turn[m], sees, True, SIGHT, motion[m])
@@ -84,14 +84,14 @@ def edge_weights(
 def describe_gradient_error(
     found: Float[Array, "m 3"], pairs: Pairs, which: Bool[Array, " m"]
 ) -> str:
-    """How far a gradient is off at most, and in the median state."""
+    """Describe the largest and the median error of a gradient."""
     error, state = norms(found - pairs.weight_gradient)[which], pairs.state[which]
     each = [error[state == k].max() for k in np.unique(state)]
     return f"up to {max(each):.2f}/m, {np.median(each):.2f}/m in the median state"
 
 
 def bearing_erratum(pairs: Pairs) -> Erratum:
-    """β_ji of who has to work it out."""
+    """Compare the forms of β_ji, which robot i computes from β_ij."""
     sees, seen = mutual_visibility(pairs)
     printed = -matvec(pairs.rotation_ij, pairs.bearing_ij)
     weight, first = edge_weights(pairs, pairs.bearing_ij, printed, pairs.relative_yaw)
@@ -101,14 +101,14 @@ def bearing_erratum(pairs: Pairs) -> Erratum:
     return Erratum(
         "Sec. III-C: β_ji = −ⁱR_j β_ij",
         "β_ji = −(ⁱR_j)ᵀ β_ij",
-        f"β_ji off by up to {norms(printed - pairs.bearing_ji).max():.2f}. Case 1, who sees: ∂A_ij/∂p_i "
-        f"off by {describe_gradient_error(first, pairs, sees)}, A_ij by {wrong:.2f}. Case 2, who is only seen: "
-        f"{describe_gradient_error(second, pairs, seen & ~sees)}",
+        f"β_ji off by up to {norms(printed - pairs.bearing_ji).max():.2f}. Case 1, who sees: "
+        f"∂A_ij/∂p_i off by {describe_gradient_error(first, pairs, sees)}, A_ij by {wrong:.2f}. "
+        f"Case 2, who is only seen: {describe_gradient_error(second, pairs, seen & ~sees)}",
     )
 
 
 def frame_erratum(pairs: Pairs) -> Erratum:
-    """R_j where ⁱR_j belongs: `edge` turns nothing else by the yaw that it is given."""
+    """Compare R_j, as printed, with ⁱR_j: the yaw enters nowhere else."""
     everybody = np.ones(len(pairs.d), dtype=bool)
     _, printed = edge_weights(pairs, pairs.bearing_ij, pairs.bearing_ji, pairs.yaw[:, 1])
     _, ours = edge_weights(pairs, pairs.bearing_ij, pairs.bearing_ji, pairs.relative_yaw)
@@ -121,7 +121,7 @@ def frame_erratum(pairs: Pairs) -> Erratum:
 
 
 def symmetry_erratum(pairs: Pairs, rng: np.random.Generator) -> Erratum:
-    """f*_ji worked out from an estimated yaw."""
+    """Measure the asymmetry of f*_ji computed from an estimated yaw."""
     turn = pairs.relative_yaw + rng.uniform(-YAW_ERROR, YAW_ERROR, len(pairs.d))
     guessed = -matvec(rotation(turn).swapaxes(1, 2), pairs.bearing_ij)
     weight, _ = edge_weights(pairs, pairs.bearing_ij, guessed, turn)
@@ -135,7 +135,7 @@ def symmetry_erratum(pairs: Pairs, rng: np.random.Generator) -> Erratum:
 
 
 def field_of_view_erratum(states: int, pairs: Pairs) -> Erratum:
-    """a_max as the limit, rather than a_min."""
+    """Compare a_max with a_min as the limit of the field of view."""
     weight = pairs.weights[:, 3]
     facing = np.maximum(pairs.bearing_ij @ AXIS, pairs.bearing_ji @ AXIS)
     kept = (weight > 0) & (facing > SIGHT.a_max)
@@ -156,18 +156,20 @@ def field_of_view_erratum(states: int, pairs: Pairs) -> Erratum:
 
 
 def potential_erratum(lambda2: Float[Array, " states"]) -> Erratum:
-    """What the potential does at λ₂^max."""
+    """Evaluate the potential at λ₂^max."""
     most = POTENTIAL.lambda2_max
     return Erratum(
         "Sec. III, Fig. 2: V^λ decreases towards 0; λ₂^max stands in the caption alone",
         "V^λ is 0 from λ₂^max on; ours is 0 there in value and slope",
-        f"V({most:g}) = {evaluate_potential(most, POTENTIAL):g}, V′ = {abs(negative_slope(most, POTENTIAL)):g}; "
-        f"V(0.05) = {evaluate_potential(0.05, POTENTIAL):.0f}; states above: {(lambda2 > most).mean():.1%}",
+        f"V({most:g}) = {evaluate_potential(most, POTENTIAL):g}, "
+        f"V′ = {abs(negative_slope(most, POTENTIAL)):g}; "
+        f"V(0.05) = {evaluate_potential(0.05, POTENTIAL):.0f}; "
+        f"states above: {(lambda2 > most).mean():.1%}",
     )
 
 
 def repeated_eigenvalue_erratum(rings: int, rng: np.random.Generator) -> Erratum:
-    """λ₂ = λ₃, where an eigenvector is whichever was found."""
+    """Compare gradients where λ₂ = λ₃, and the eigenvector is not unique."""
     seen = measure_rings(rings, rng)
     return Erratum(
         "(3)–(5): the gradient of λ₂, always",
@@ -181,7 +183,7 @@ def repeated_eigenvalue_erratum(rings: int, rng: np.random.Generator) -> Erratum
 
 
 def simulate_run(seed: int, *settings: str) -> list[ConnectivityFrame]:
-    """A flight without obstacles."""
+    """Simulate a flight without obstacles."""
     rng = np.random.default_rng(seed)
     return list(simulate(read("connectivity", ["obstacles.count=0", *settings]).draw(rng), rng))
 
@@ -194,7 +196,7 @@ def least_distance(frames: list[ConnectivityFrame]) -> float:
 
 
 def leader_erratum(pull: Float[Array, "states 6 3"]) -> Erratum:
-    """What holds the robots together moves nobody on the whole."""
+    """Show that the connectivity forces add up to zero and do not move the centroid."""
     speeds = []
     for frames in map(simulate_run, range(RUN_COUNT)):
         asked = np.array([f.stick for f in frames[:-1]])
@@ -206,12 +208,13 @@ def leader_erratum(pull: Float[Array, "states 6 3"]) -> Erratum:
         "Sec. V: the team follows the leader",
         "Σᵢ ∂λ₂/∂pᵢ = 0: short of saturation and obstacles its centre goes at v/N",
         f"|Σ| ≤ {norms(pull.sum(axis=1)).max():.0e}/m; a stick of {STICK_SPEED:g} m/s should make "
-        f"{STICK_SPEED / N:.2f} m/s, and made {np.concatenate(speeds).mean():.2f} in {RUN_COUNT} flights",
+        f"{STICK_SPEED / N:.2f} m/s, and made {np.concatenate(speeds).mean():.2f} "
+        f"in {RUN_COUNT} flights",
     )
 
 
 def repulsion_erratum(pairs: Pairs) -> Erratum:
-    """Whom the weights push away."""
+    """Show which pairs the weights repel."""
     sees, seen = mutual_visibility(pairs)
     blind = (pairs.d < SIGHT.d_near) & ~sees & ~seen
 
@@ -222,14 +225,15 @@ def repulsion_erratum(pairs: Pairs) -> Erratum:
     return Erratum(
         "Sec. III-A: γ_ij falls to 0 towards d_min, so that robots keep their distance",
         "those that are out of each other's view do not; only Sec. III-D keeps them apart",
-        f"{blind.sum() // 2} such pairs within D₁, gradient {np.abs(pairs.weight_derivatives[blind, 3]).max():g}; "
+        f"{blind.sum() // 2} such pairs within D₁, "
+        f"gradient {np.abs(pairs.weight_derivatives[blind, 3]).max():g}; "
         f"{RUN_COUNT} flights from a dense start come to {least(0.0):.2f} m without the range "
         f"sensor's push, {least(0.5):.2f} m with it",
     )
 
 
 def observer_yaw_error(spin: float, swing: float, printed: bool) -> float:
-    """How far ψ̂_ij is off after 1 s, by the printed observer or ours [rad].
+    """Return the error of ψ̂_ij after 1 s, by the printed observer or ours [rad].
 
     Robot i turns on the spot at `spin` [rad/s]; j goes at 1 m/s, and its velocity turns in its
     frame, which rests, at `swing` [rad/s].
@@ -247,7 +251,7 @@ def observer_yaw_error(spin: float, swing: float, printed: bool) -> float:
 
 
 def observer_lag_erratum() -> Erratum:
-    """What the observer lags behind."""
+    """Compare the lags of the printed observer and ours."""
     swings, ours = observer_yaw_error(0, 1, True), observer_yaw_error(0, 1, False)
     spins, both = observer_yaw_error(1.5, 0, True), observer_yaw_error(1.5, 0, False)
     return Erratum(
@@ -259,7 +263,7 @@ def observer_lag_erratum() -> Erratum:
 
 
 def vertical_motion_erratum() -> Erratum:
-    """What motion along the vertical tells of yaw."""
+    """Compare the gains of the yaw estimate in vertical motion, which does not reveal yaw."""
     watch, up = np.array([*[0.0] * 6, 1]), np.array([0.0, 0, 1, 0])
     printed, ours = (
         yaw_from_motion(watch, up, YawTracking(as_printed=p))[1] for p in (True, False)
@@ -272,7 +276,7 @@ def vertical_motion_erratum() -> Erratum:
 
 
 def main(states: int = 200, seed: int = 2023) -> None:
-    """Print what is wrong or unsaid, then how far each equation is off."""
+    """Print the errata, then the largest error of each equation."""
     out, rng = Console(markup=False), np.random.default_rng(seed)
     position, yaw = draw_poses(states, rng)
     pairs = make_pairs(position, yaw)

@@ -1,7 +1,7 @@
-"""Gains against those of a general solver, on random sparse graphs that are rigid in the plane.
+"""Gains compared with those of a general solver, on random sparse graphs, rigid in the plane.
 
 A rate is the least of −A's eigenvalues outside the kernel. Where a formation can have no
-stabilising gains, both must say so; nothing unstable may come out. A method may also leave it
+stabilizing gains, both must say so; nothing unstable may come out. A method may also leave it
 undecided: then the rate of the general solver must not be above what it says is proven.
 """
 
@@ -26,7 +26,7 @@ BOX_SIZE = 5.0  # [m]
 
 
 def draw_sparse_formation(least: int, most: int, rng: np.random.Generator) -> DesiredFormation:
-    """A formation with a random graph, drawn anew until it is rigid: often just so."""
+    """Draw a formation with a random graph, until it is rigid, often minimally."""
     while True:
         n = int(rng.integers(least, most + 1))
         enough = (2 * n - 3) / (n * (n - 1) / 2)
@@ -37,7 +37,7 @@ def draw_sparse_formation(least: int, most: int, rng: np.random.Generator) -> De
 
 
 def sdp_rate(kernel: np.ndarray, graph: np.ndarray) -> float:
-    """The best rate by the general solver; −∞ where no matrix fits."""
+    """Return the best rate by the general solver; −∞ if no gain matrix exists."""
     question = GainProblem(kernel, graph)
     try:
         return question.convergence_rate(sdp.solve(question)[0])
@@ -48,7 +48,7 @@ def sdp_rate(kernel: np.ndarray, graph: np.ndarray) -> float:
 def design_rates(
     formation: DesiredFormation, method: GainMethod
 ) -> dict[str, float] | NoStabilizingGain | GainDesignUndecided:
-    """The rates in the plane and upwards, or the verdict."""
+    """Return the rates in the plane and along the vertical, or the verdict."""
     try:
         gains = design_gains(formation, method=method)
     except (NoStabilizingGain, GainDesignUndecided) as verdict:

@@ -1,4 +1,4 @@
-"""How start velocities drift along the orbit under J2: python scripts/invariant_drift.py.
+"""Along-track drift of initial velocities under J2: python scripts/invariant_drift.py.
 
 Eight points on a circle of a kilometre in the chief's plane, for fifteen orbits, from every
 argument of latitude.
@@ -20,7 +20,7 @@ from dynamics.propagation import propagate
 
 
 def along_track_drift(orbit: Orbit, place: np.ndarray, velocity: np.ndarray, orbits: int) -> float:
-    """Of the mean along the last orbit from that along the first, the worst [m an orbit]."""
+    """Return the largest drift of the mean along-track position [m per orbit]."""
     phase = np.arange(16) / 16
     times = orbit.period * np.concatenate([phase, orbits - 1 + phase])
     start = np.array(orbit.initial_elements)

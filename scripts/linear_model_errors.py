@@ -1,8 +1,9 @@
-"""How wrong do the linear models become? python scripts/linear_model_errors.py [--help].
+"""Errors of the linear models: python scripts/linear_model_errors.py [--help].
 
 Twenty deputies, at random in the chief's plane within 1 km each way, start at the ascending
-node with J2-invariant velocities and fly free. Each model foretells where they are, and the
-exact motion under J2 judges. Printed is the largest error of any coordinate of any deputy.
+node with J2-invariant velocities and move without control. The positions that each model
+predicts are compared with the exact motion under J2. The table shows the largest error of any
+coordinate of any deputy.
 """
 
 from typing import Annotated
@@ -30,7 +31,7 @@ LINEARIZATION_STEPS = 30  # into which each span is cut for the linearised equat
 
 
 def transition_matrices(orbit: Orbit, times: np.ndarray) -> dict[str, np.ndarray]:
-    """Φ(t, 0) of each model at the times."""
+    """Return Φ(t, 0) of each model at the times."""
     return {
         "Clohessy–Wiltshire": ClohessyWiltshire.from_orbit(orbit).transition_matrix(times),
         "Schweighart–Sedwick": SchweighartSedwick.from_orbit(orbit).transition_matrix(times),
@@ -40,7 +41,7 @@ def transition_matrices(orbit: Orbit, times: np.ndarray) -> dict[str, np.ndarray
 
 
 def linearized_transition_matrices(orbit: Orbit, times: np.ndarray) -> np.ndarray:
-    """Φ(t, 0) of the exact equations, linearised about the chief."""
+    """Return Φ(t, 0) of the exact equations, linearized about the chief."""
     model, found, begin = LinearizedModel.at_origin(J2(orbit)), [np.eye(6)], 0.0
     for end in times:
         steps = discretize_zoh(
@@ -52,7 +53,7 @@ def linearized_transition_matrices(orbit: Orbit, times: np.ndarray) -> np.ndarra
 
 
 def format_three_digits(error: float) -> str:
-    """Three of them."""
+    """Format an error with three significant digits."""
     return np.format_float_positional(error, precision=3, fractional=False, trim="-")
 
 
@@ -64,7 +65,7 @@ def main(
         bool, typer.Option("--distance", help="Errors as distances, not the largest coordinate.")
     ] = False,
 ) -> None:
-    """Print a table for each orbit: how far each linear model is off at most, in metres."""
+    """Print the largest error of each linear model for each orbit, in meters."""
     for title, orbit in ORBITS.items():
         place = np.zeros((count, 3))
         place[:, :2] = np.random.default_rng(seed).uniform(-reach, reach, (count, 2))

@@ -1,10 +1,11 @@
-"""Table I of [Lusk2020]: how long gains take to design, and how good they are.
+"""Table I of [Lusk2020]: time of gain designs and quality of the gains.
 
 The paper does not say on which graph; its code has a benchmark with the complete graph less
-n − 3 random pairs, points uniform in a box of 5 m. Both are answered here. Rates are the
-least of −A's eigenvalues outside the kernel, in the plane and upwards, their mean being 1; the
-gap is the share that is missing of the least rate proven to be out of reach. The paper's rows
-are as printed there; all others run here, on one thread, "paper's ADMM" being ours of its method.
+n − 3 random pairs, points uniform in a box of 5 m. Both are covered here. Rates are the
+least of −A's eigenvalues outside the kernel, in the plane and along the vertical, with mean 1.
+The gap is the relative distance to the least rate that is proven to be unattainable. The paper's
+rows are as printed there; all others run here, on one thread. "paper's ADMM" is our
+implementation of its method.
 """
 
 import time
@@ -39,7 +40,7 @@ BOX_SIZE = 5.0  # [m]
 def time_method(
     formations: list[DesiredFormation], method: GainMethod, minutes: float, progress: Console
 ) -> list[str]:
-    """A method on ever larger formations, as long as the next is expected to fit."""
+    """Time a method on ever larger formations, while the next is expected to meet the limit."""
     cells: list[str] = []
     took, n = 0.0, 1
     for formation in formations:

@@ -30,7 +30,7 @@ SHAPE_TOLERANCE = 0.1  # error of a shape that has been taken up [m]
 
 
 class Table2Row(NamedTuple):
-    """A configuration, and what the paper has for it."""
+    """Configuration with the paper's results."""
 
     name: str
     assignment_method: str
@@ -81,7 +81,7 @@ def run_trial(job: tuple[int, int]) -> tuple[int, dict[str, Any]]:
 
 
 def run_trials(rows: list[int], trials: int, cores: int) -> Iterator[tuple[int, dict[str, Any]]]:
-    """All trials, the longest first."""
+    """Run all trials, the longest first."""
     jobs = [(row, seed) for row in rows for seed in range(trials)]
     with ProcessPoolExecutor(cores, mp_context=get_context("spawn")) as pool:
         yield from track(
@@ -90,7 +90,7 @@ def run_trials(rows: list[int], trials: int, cores: int) -> Iterator[tuple[int, 
 
 
 def format_mean_interval(values: list[float]) -> str:
-    """Mean, standard deviation, and 95 % interval of the mean."""
+    """Format the mean, the standard deviation, and the 95 % interval of the mean."""
     x = np.array(values)
     if len(x) < 2:
         return "–"
@@ -99,7 +99,7 @@ def format_mean_interval(values: list[float]) -> str:
 
 
 def format_share(good: int, trials: int) -> str:
-    """Share, with Wilson's 95 % interval."""
+    """Format a share with Wilson's 95 % interval."""
     low, high = binomtest(good, trials).proportion_ci(method="wilson")
     return f"{100 * good / trials:.0f} % [{100 * low:.0f}, {100 * high:.0f}]"
 
@@ -112,7 +112,7 @@ def is_shape_reached(row: Table2Row, trial: dict[str, Any]) -> bool:
 
 
 def make_table(found: dict[int, list[dict[str, Any]]]) -> Table:
-    """All rows, the paper's beside ours."""
+    """Tabulate all rows, the paper's beside ours."""
     shown = Table(title="Two formations a trial, 30 vehicles; mean ± deviation [95 % interval]")
     for name in (
         "",
@@ -142,7 +142,7 @@ def make_table(found: dict[int, list[dict[str, Any]]]) -> Table:
 
 
 def main() -> None:
-    """Entry point."""
+    """Run the trials and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--trials", type=int, default=100)
     parser.add_argument("--cores", type=int, default=os.cpu_count() or 1)

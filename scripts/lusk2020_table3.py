@@ -52,7 +52,7 @@ AREA, APART = (6.0, 6.0), 1.5  # where they start when scattered, and how far fr
 
 
 class Table3Row(NamedTuple):
-    """A configuration, and what the paper has for it."""
+    """Configuration with the paper's results."""
 
     name: str
     assignment_method: str
@@ -104,7 +104,7 @@ def build_mission(row: Table3Row, shape: str, start: Array, frames: FrameSetting
 def run_transitions(
     row: Table3Row, seed: int, scattered: bool = False
 ) -> Iterator[tuple[Formation, list[FormationFrame]]]:
-    """All of one flight, one after the other; the start is the same in every row."""
+    """Simulate all transitions of a flight; the start is the same in every row."""
     rng = np.random.default_rng(seed)
     off = rng.normal(0, START_NOISE, (6, 2))
     flat = sample_positions(6, AREA, APART, rng) if scattered else ROWS_OF_THREE + off
@@ -129,7 +129,7 @@ def evaluate_transition(flight: Formation, seen: list[FormationFrame]) -> Transi
 
 
 def run_seed(job: tuple[int, int, bool]) -> tuple[int, list[TransitionResult]]:
-    """All transitions of a row and a seed."""
+    """Run all transitions of a row and a seed."""
     row, seed, scattered = job
     with threadpool_limits(1, user_api="blas"):
         return row, [
@@ -138,25 +138,25 @@ def run_seed(job: tuple[int, int, bool]) -> tuple[int, list[TransitionResult]]:
 
 
 def format_mean_deviation(values: list[float], digits: int = 1) -> str:
-    """Mean and standard deviation."""
+    """Format the mean and the standard deviation."""
     if len(values) < 2:
         return "–"
     return f"{np.mean(values):.{digits}f} ± {np.std(values, ddof=1):.{digits}f}"
 
 
 def format_share(good: int, trials: int) -> str:
-    """Of all, in percent."""
+    """Format a share in percent."""
     return f"{100 * good / trials:.0f} %"
 
 
 def success_by_shape(outcomes: list[TransitionResult]) -> str:
-    """How often each shape was settled in, in percent."""
+    """Format the success rate of each shape, in percent."""
     settled = np.array([o.converged for o in outcomes]).reshape(-1, len(SHAPES))
     return " ".join(f"{100 * x:.0f}" for x in settled.mean(axis=0))
 
 
 def make_table(found: dict[int, list[TransitionResult]], seeds: int) -> Table:
-    """All rows, the paper's beside ours."""
+    """Tabulate all rows, the paper's beside ours."""
     shown = Table(
         title=f"{seeds * REPETITIONS * len(SHAPES)} transitions of 6 vehicles a row; "
         "path, time and shape of those that settled, mean ± deviation"
@@ -194,15 +194,15 @@ def draw_gridlock(flight: Formation, seen: list[FormationFrame], path: Path) -> 
         figure = Figure(figsize=(4.4, 4.4), layout="constrained")
         ax = figure.subplots()
         for i, here in enumerate(last.position[:, :2]):
-            colour = RED if last.avoiding[i] else BLUE
-            ax.plot(*flown[:, i].T, color=colour, lw=0.9, alpha=0.6)
-            ax.plot(*flown[0, i], "o", ms=3, mfc="white", mec=colour, mew=0.8)
+            color = RED if last.avoiding[i] else BLUE
+            ax.plot(*flown[:, i].T, color=color, lw=0.9, alpha=0.6)
+            ax.plot(*flown[0, i], "o", ms=3, mfc="white", mec=color, mew=0.8)
             ax.plot(*np.array([here, goal[i]]).T, color=LIGHT_GRAY, lw=0.8, ls=":", zorder=0)
             ax.plot(*goal[i], "+", color=GRAY, ms=8, mew=1.0)
             ax.annotate(str(i), goal[i], (5, -10), textcoords="offset points", color=GRAY)
             keep_out = flight.keep_out / 2
-            ax.add_patch(Circle(here, keep_out, fill=False, ec=colour, lw=0.6, ls="--"))
-            ax.add_patch(Circle(here, BODY_RADIUS, fc=colour, ec="none", alpha=0.85))
+            ax.add_patch(Circle(here, keep_out, fill=False, ec=color, lw=0.6, ls="--"))
+            ax.add_patch(Circle(here, BODY_RADIUS, fc=color, ec="none", alpha=0.85))
             ax.annotate(str(i), here, ha="center", va="center", color="white", weight="bold")
             wish = last.velocity_command[i, :2]  # these frames are aligned with the world's
             ax.annotate("", here + wish, here, arrowprops={"arrowstyle": "->", "color": DARK_GRAY})
@@ -225,7 +225,7 @@ def _legend_handles() -> list[Line2D]:
 
 
 def main() -> None:
-    """Entry point."""
+    """Run the transitions, and print the table or draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--cores", type=int, default=os.cpu_count() or 1)

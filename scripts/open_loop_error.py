@@ -1,6 +1,6 @@
-"""One plan of `orbit`, flown on the truth without looking: python scripts/open_loop_error.py.
+"""Open-loop error of a plan of `orbit` on the exact dynamics: python scripts/open_loop_error.py.
 
-Planned on the equations linearised about the chief, and about each spacecraft's own path.
+Planned on the equations linearized about the chief, and about each spacecraft's own path.
 How far they end from their targets is what a single plan costs, and why plans are made
 again on the way.
 """
@@ -27,7 +27,7 @@ def main() -> int:
     options.add_argument("--seeds", type=int, default=5)
     given = options.parse_args()
     console = Console()
-    table = Table("linearised", "error at the end, mean [m]", "worst [m]", "worst [mm/s]", "seeds")
+    table = Table("linearized", "error at the end, mean [m]", "worst [m]", "worst [mm/s]", "seeds")
     for name, own in LINEARIZATIONS.items():
         errors = []
         for seed in track(range(given.seeds), name, console=console):
@@ -41,7 +41,7 @@ def main() -> int:
 
 
 def terminal_errors(run: sato.Run) -> np.ndarray:
-    """How far every spacecraft ends from its target, and how fast it passes [m, m/s]."""
+    """Return the final position and velocity errors of every spacecraft [m, m/s]."""
     held = run.data["target_index"].values[-1]
     off = [
         run.data[name].values[-1] - run.data[f"target_{name}"].values[0, held]

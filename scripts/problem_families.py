@@ -1,4 +1,4 @@
-"""What the families are drawn from: runs of scenarios, and what their vehicles ask a solver."""
+"""Sources of the problem families: the problems that vehicles solve in runs of scenarios."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -60,7 +60,7 @@ REACH_FACTOR = (
 
 
 class UnsolvedFamily(NamedTuple):
-    """Questions before they are answered."""
+    """Problems of a family before they are solved."""
 
     source: str
     problems: list[ConicProgram]
@@ -68,7 +68,7 @@ class UnsolvedFamily(NamedTuple):
 
 
 class LegStart(NamedTuple):
-    """A leg as it begins, after its first auction."""
+    """States and targets at the start of a leg, after its first auction."""
 
     mission: Reconfiguration
     states: np.ndarray
@@ -76,7 +76,7 @@ class LegStart(NamedTuple):
 
     @classmethod
     def from_scenario(cls, scenario: str, *overrides: str, seed: int = SEED) -> "LegStart":
-        """That of the first leg of a scenario."""
+        """Return the start of the first leg of a scenario."""
         rng = np.random.default_rng(seed)
         mission = sato.read(scenario, overrides).build(rng)
         frame = next(simulate(mission, rng))
@@ -84,7 +84,7 @@ class LegStart(NamedTuple):
         return cls(mission, states, mission.legs[0].targets[frame.target_index])
 
     def farthest(self, count: int) -> "LegStart":
-        """The agents with the longest ways to go."""
+        """Select the agents that are farthest from their targets."""
         way = np.linalg.norm(
             (self.targets - self.states)[:, : self.mission.linear_model.axes], axis=1
         )
@@ -92,7 +92,7 @@ class LegStart(NamedTuple):
         return LegStart(self.mission, self.states[chosen], self.targets[chosen])
 
     def make_transfer(self, speed: float = np.inf) -> TransferProblem:
-        """What all of them plan with."""
+        """Return the transfer problem that all agents share."""
         mission = self.mission
         steps = discretize_zoh(mission.linear_model, mission.step, mission.legs[0].steps)
         return TransferProblem(steps, mission.max_control, speed, tie_break_rise=TIE_BREAK_RISE)
@@ -100,7 +100,7 @@ class LegStart(NamedTuple):
 
 @contextmanager
 def record_problems(module: str) -> Iterator[list[ConicProgram]]:
-    """What a module of `problems` asks its solver."""
+    """Record the problems that a module of `problems` passes to its solver."""
     asked: list[ConicProgram] = []
 
     def note(problem: ConicProgram, solver: Solver) -> ConicSolution:
@@ -112,12 +112,12 @@ def record_problems(module: str) -> Iterator[list[ConicProgram]]:
 
 
 def instance_count(family: str, size: str) -> int:
-    """How many instances are asked for."""
+    """Return the number of instances of a family."""
     return REDUCED_COUNTS.get((family, size), INSTANCE_COUNT)
 
 
 def make_transfer_lp(size: str) -> UnsolvedFamily:
-    """Problem 6 with the states eliminated."""
+    """Make Problem 6 with the states eliminated."""
     T = STEPS[size]
     problems = condensed_transfers(
         LegStart.from_scenario("random", f"leg.steps={T}").farthest(INSTANCE_COUNT)
@@ -127,7 +127,7 @@ def make_transfer_lp(size: str) -> UnsolvedFamily:
 
 
 def condensed_transfers(start: LegStart) -> list[ConicProgram]:
-    """The programmes of agents that are alone, in the controls alone."""
+    """Return the programs of agents without neighbors, in the controls alone."""
     transfer = start.make_transfer()
     with record_problems("avoidance") as asked:
         for state, goal in zip(start.states, start.targets, strict=True):
@@ -136,7 +136,7 @@ def condensed_transfers(start: LegStart) -> list[ConicProgram]:
 
 
 def make_transfer_socp(size: str) -> UnsolvedFamily:
-    """Problem 6 with the states kept, for those who would be too fast without a limit."""
+    """Make Problem 6 with the states kept, for agents on which the speed limit binds."""
     T, step = ORBIT_STEPS[size]
     start = LegStart.from_scenario(
         "random_cw", "agents=48", f"leg.steps={T}", f"plan.step_min={step}"
@@ -160,7 +160,7 @@ def make_transfer_socp(size: str) -> UnsolvedFamily:
 
 
 def make_j2(size: str) -> UnsolvedFamily:
-    """Problem 6 about a chief in orbit, with the states eliminated."""
+    """Make Problem 6 about a chief in orbit, with the states eliminated."""
     T, step = ORBIT_STEPS[size]
     start = LegStart.from_scenario("orbit", f"leg.steps={T}", f"plan.step_min={step}").farthest(
         INSTANCE_COUNT
@@ -171,7 +171,7 @@ def make_j2(size: str) -> UnsolvedFamily:
 
 
 def make_near_infeasible(size: str) -> UnsolvedFamily:
-    """Goals that are all but out of reach."""
+    """Make transfers to goals that are barely reachable."""
     problems = [
         move_target(problem, 1 / REACH_FACTOR) for problem in make_transfer_lp(size).problems
     ]
@@ -182,23 +182,23 @@ def make_near_infeasible(size: str) -> UnsolvedFamily:
 
 
 def make_infeasible(size: str) -> UnsolvedFamily:
-    """Goals that are just out of reach, and agents that should pass on both sides at once."""
+    """Make transfers to unreachable goals, and contradictory avoidance on both sides."""
     far = [
         move_target(problem, REACH_FACTOR)
         for problem in make_transfer_lp(size).problems[: INSTANCE_COUNT // 2]
     ]
     both = avoidance_problems(size, 5, ("same", "opposite"), INSTANCE_COUNT // 2)
-    source = f"transfer-lp with its goals {REACH_FACTOR} times as far as can be reached, and avoidance-5 "
-    source += "with the half-spaces of both sides of each neighbour"
+    source = f"transfer-lp with its goals {REACH_FACTOR} times as far as can be reached, "
+    source += "and avoidance-5 with the half-spaces of both sides of each neighbour"
     return UnsolvedFamily(source, far + both, is_feasible=False)
 
 
 def move_target(problem: ConicProgram, share: float) -> ConicProgram:
-    """The same with the goal moved away from where the agent drifts to.
+    """Return the problem with the goal moved away from the end of the uncontrolled drift.
 
     Args:
         problem: A transfer without its states.
-        share: Of the farthest goal on that line that can be reached.
+        share: Distance of the new goal, as a fraction of the farthest reachable one.
     """
     reach = np.concatenate([problem.b[: problem.zero], np.zeros(problem.nonnegative)])
     limits = problem.b - reach
@@ -210,16 +210,16 @@ def move_target(problem: ConicProgram, share: float) -> ConicProgram:
 
 
 def make_avoidance(neighbours: int) -> Callable[[str], UnsolvedFamily]:
-    """Problem 7 of agents whose flights would meet one of their neighbours."""
+    """Return a function that makes Problem 7 for agents in conflict with a neighbor."""
 
     def draw(size: str) -> UnsolvedFamily:
         problems = avoidance_problems(
             size, neighbours, ("same",), instance_count(f"avoidance-{neighbours}", size)
         )
         source = (
-            f"a crowd of random with {CROWD_STEPS[size]} steps to go, seeds from {SEED} on: who would "
-            f"meet one of the {neighbours} nearest, in the first exchange; half-spaces that no "
-            "control could break are left out, and A is rounded to single precision"
+            f"a crowd of random with {CROWD_STEPS[size]} steps to go, seeds from {SEED} on: "
+            f"who would meet one of the {neighbours} nearest, in the first exchange; half-spaces "
+            "that no control could break are left out, and A is rounded to single precision"
         )
         return UnsolvedFamily(source, problems)
 
@@ -229,9 +229,9 @@ def make_avoidance(neighbours: int) -> Callable[[str], UnsolvedFamily]:
 def avoidance_problems(
     size: str, neighbours: int, ways: tuple[PassingSide, ...], wanted: int
 ) -> list[ConicProgram]:
-    """Programmes among the half-spaces past the nearest neighbours, on all the ways given.
+    """Return programs among the half-spaces of the nearest neighbors, on all given sides.
 
-    Past them on one way there must be a flight, and on two at once there must be none.
+    With one side the programs are feasible, with two sides at once infeasible.
     """
     found: list[ConicProgram] = []
     for seed in range(SEED, SEED + 50):
@@ -270,7 +270,7 @@ def avoidance_problems(
 
 
 def drop_idle_half_spaces(problem: ConicProgram, spaces: int) -> ConicProgram:
-    """The same without the half-spaces that no controls within their limits could break."""
+    """Remove the half-spaces that no controls within their limits can violate."""
     A, rows = problem.A.toarray(), np.arange(len(problem.b)) - problem.zero
     idle = np.maximum(A, 0).sum(axis=1) <= problem.b
     kept = ~(idle & (rows >= 0) & (rows < spaces))
@@ -282,12 +282,12 @@ def drop_idle_half_spaces(problem: ConicProgram, spaces: int) -> ConicProgram:
 
 
 def to_single_precision(problem: ConicProgram) -> ConicProgram:
-    """The same with the entries of A in single precision: another programme, in half the room."""
+    """Round the entries of A to single precision, which halves the size of the file."""
     return replace(problem, A=csc_array(problem.A.astype(np.float32).astype(float)))
 
 
 def make_gain_sdp(size: str) -> UnsolvedFamily:
-    """The fastest gains in the plane, with the matrix Z as the unknown."""
+    """Make the design of the fastest gains in the plane, with the matrix Z as the unknown."""
     rng, n, problems = np.random.default_rng(SEED), AGENT_COUNTS[size], []
     for _ in range(instance_count("gain-sdp", size)):
         points = sample_formation(n, (15.0, 15.0, 2.0), 2.0, rng)
@@ -303,7 +303,7 @@ def make_gain_sdp(size: str) -> UnsolvedFamily:
 
 
 def gain_sdp_problem(question: GainProblem) -> ConicProgram:
-    """Maximise t subject to Z − t I ⪰ 0, tr Z = m and zeros of Q Z Qᴴ at the non-edges.
+    """Maximize t subject to Z − t I ⪰ 0, tr Z = m and zeros of Q Z Qᴴ at the non-edges.
 
     A Hermitian matrix is as definite as [[Re, −Im], [Im, Re]]; Z is in units of its entries.
     """
@@ -324,7 +324,7 @@ def gain_sdp_problem(question: GainProblem) -> ConicProgram:
 
 
 def hermitian_basis(m: int) -> Iterator[np.ndarray]:
-    """A basis of the Hermitian matrices of order m."""
+    """Yield a basis of the Hermitian matrices of order m."""
     for row, column in zip(*np.tril_indices(m), strict=True):
         for unit in (1.0,) if row == column else (1.0, 1j):
             E = np.zeros((m, m), complex)

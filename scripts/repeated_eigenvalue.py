@@ -1,4 +1,4 @@
-"""λ₂ = λ₃: what the printed gradient makes of it, and what the mean over the eigenvectors does.
+"""Gradients where λ₂ = λ₃: as printed, and as the mean over the eigenvectors.
 
 Robots stand evenly on circles, all turned alike, where symmetry makes λ₂ double. The printed
 gradient takes an eigenvector, and any is as good as another.
@@ -26,7 +26,7 @@ STEP_LENGTH = 1e-6  # along a gradient
 
 
 class RingStatistics(NamedTuple):
-    """What was seen. Rates are shares of what λ₂ should rise by along the direction."""
+    """Statistics of the rings. Rates are shares of the expected increase of λ₂."""
 
     rings: int  # where λ₂ is double
     spread: float  # printed less mean over the mean: the largest over bases, median over rings
@@ -36,7 +36,7 @@ class RingStatistics(NamedTuple):
 
 
 def draw_ring(rng: np.random.Generator) -> tuple[Array, Array]:
-    """Positions and yaws."""
+    """Draw the positions and yaws of a ring."""
     at = 2 * pi / N * np.arange(N)
     spot = np.stack([np.cos(at), np.sin(at), np.zeros(N)], axis=-1)
     inwards = at + pi - np.arctan2(AXIS[1], AXIS[0])
@@ -46,7 +46,7 @@ def draw_ring(rng: np.random.Generator) -> tuple[Array, Array]:
 def ascend_gradient(
     position: Array, yaw: Array, lambda2_gradient: Array
 ) -> tuple[Float[Array, "n 4"], float]:
-    """What [Bernard2023, eq. 5] makes of ∂λ₂/∂A, in the world, and the rate along it."""
+    """Return the gradient by [Bernard2023, eq. 5] in the world frame, and the rate along it."""
     way, mine, theirs, motion = np.zeros((N, 4)), np.zeros(3), np.zeros(3), np.zeros(4)
     for i in range(N):
         for j in range(N):
@@ -65,7 +65,7 @@ def ascend_gradient(
 
 
 def measure_rings(count: int, rng: np.random.Generator) -> RingStatistics:
-    """Try them."""
+    """Measure the rates on random rings."""
     spread, printed, ours, altered = [], [], [], 0.0
     for _ in range(count):
         position, yaw = draw_ring(rng)

@@ -30,7 +30,7 @@ TIE_BREAK = 0.2  # w [1/m]
 
 
 class AuctionCase(NamedTuple):
-    """What an instance is like."""
+    """Parameters of an instance."""
 
     agents: int
     layout: str
@@ -39,7 +39,7 @@ class AuctionCase(NamedTuple):
 
 
 class VsdaaTrial(NamedTuple):
-    """How one auction went."""
+    """Outcome of an auction."""
 
     passed: bool
     rounds: int
@@ -51,7 +51,7 @@ class VsdaaTrial(NamedTuple):
 def draw_spaced_points(
     rng: np.random.Generator, count: int, apart: float, side: float
 ) -> np.ndarray:
-    """Points in a square, drawn one by one and kept where they are far enough from others."""
+    """Draw points in a square, and keep those that are far enough from all others."""
     points = np.empty((0, 2))
     while len(points) < count:
         point = rng.uniform(0, side, 2)
@@ -63,7 +63,7 @@ def draw_spaced_points(
 def draw_positions(
     rng: np.random.Generator, kind: str, agents: int, targets: int
 ) -> list[np.ndarray]:
-    """Starts and targets."""
+    """Draw starts and targets."""
     if kind == "random":
         side = 1.6 * np.sqrt(targets)
         return [
@@ -76,7 +76,7 @@ def draw_positions(
 
 
 def connected_graph(position: np.ndarray) -> CommunicationGraph:
-    """The network of the shortest reach, from about 7 neighbours each, that is connected."""
+    """Return the connected graph of least radius, from about 7 neighbors per agent on."""
     side = np.ptp(position, axis=0).max() + 1.0
     radius, alive = side * np.sqrt(7 / np.pi / len(position)), np.full(len(position), True)
     while (
@@ -87,7 +87,7 @@ def connected_graph(position: np.ndarray) -> CommunicationGraph:
 
 
 def run_trial(seed: int, number: int, kind: AuctionCase) -> VsdaaTrial:
-    """One auction, held to its promises."""
+    """Run one auction and verify its guarantees."""
     rng = np.random.default_rng((seed, number))
     agents, m = kind.agents, max(1, round(kind.target_count_factor * kind.agents))
     start, goal = draw_positions(rng, kind.layout, agents, max(agents, m) + max(10, agents // 4))
@@ -120,7 +120,7 @@ def run_trial(seed: int, number: int, kind: AuctionCase) -> VsdaaTrial:
 
 
 def summary_cells(rows: list[VsdaaTrial]) -> list[str]:
-    """The numbers of some auctions, as cells."""
+    """Format statistics of some auctions as table cells."""
     good, rounds, of_bound, gap, seconds = (np.array(column) for column in zip(*rows, strict=True))
     return [
         f"{good.sum()}/{len(rows)}",
@@ -132,7 +132,7 @@ def summary_cells(rows: list[VsdaaTrial]) -> list[str]:
 
 
 def make_table(kinds: list[AuctionCase], outcomes: list[VsdaaTrial]) -> Table:
-    """Rows by size, by first belief and bid, by places, and all; each median / worst."""
+    """Tabulate by size, by belief and bid, by geometry, and overall: median / worst."""
     result = Table(title=f"VSDAA, {len(kinds)} connected instances: median / worst")
     for column in ("", "good", "rounds", "last bid / Prop. 1", "gap / Nε", "ms"):
         result.add_column(column, justify="right")
@@ -153,7 +153,7 @@ def make_table(kinds: list[AuctionCase], outcomes: list[VsdaaTrial]) -> Table:
 
 
 def main() -> int:
-    """Run the study; 1 if any auction broke a promise."""
+    """Run the study; return 1 if any auction violated a guarantee."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--instances", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)

@@ -27,7 +27,7 @@ SIZES = ((2, 10), (11, 20), (21, 35), (36, 50))
 
 
 class CbaaTrial(NamedTuple):
-    """How one auction went."""
+    """Outcome of an auction."""
 
     agents: int
     edge_share: float
@@ -42,7 +42,7 @@ class CbaaTrial(NamedTuple):
 
 
 def draw_graph(rng: np.random.Generator, agents: int, share: float) -> CommunicationGraph:
-    """A random tree and a share of all other edges."""
+    """Draw a random tree and a share of all other edges."""
     order = rng.permutation(agents)
     hears = np.triu(rng.random((agents, agents)) < share, 1)
     for k in range(1, agents):
@@ -51,7 +51,7 @@ def draw_graph(rng: np.random.Generator, agents: int, share: float) -> Communica
 
 
 def run_trial(seed: int, number: int) -> CbaaTrial:
-    """One auction, held to its promises."""
+    """Run one auction and verify its guarantees."""
     rng = np.random.default_rng((seed, number))
     agents = int(rng.integers(2, 51))
     share, scores = (
@@ -92,7 +92,7 @@ def run_trial(seed: int, number: int) -> CbaaTrial:
 
 
 def make_table(outcomes: list[CbaaTrial]) -> Table:
-    """Rows by number of agents, by graph, by scores, and all."""
+    """Tabulate by number of agents, by graph, by scores, and overall."""
     result = Table(title=f"CBAA, {len(outcomes)} connected graphs")
     heads = ("good", "score / optimum", "way / least", "rounds", "of n D", "of 2 n", "ms")
     hints = (
@@ -123,7 +123,7 @@ def make_table(outcomes: list[CbaaTrial]) -> Table:
 
 
 def summary_cells(rows: list[CbaaTrial]) -> list[str]:
-    """The numbers of some auctions, as cells."""
+    """Format statistics of some auctions as table cells."""
     _, _, _, good, ratio, detour, rounds, of_bound, of_fixed, seconds = map(
         np.array, zip(*rows, strict=True)
     )
@@ -140,7 +140,7 @@ def summary_cells(rows: list[CbaaTrial]) -> list[str]:
 
 
 def main() -> int:
-    """Run the study; 1 if any auction broke a promise."""
+    """Run the study; return 1 if any auction violated a guarantee."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--instances", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)

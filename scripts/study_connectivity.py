@@ -26,7 +26,7 @@ from sato.scenario.file import read
 
 
 class CampaignRow(NamedTuple):
-    """A way of flying."""
+    """Configuration of a row."""
 
     seeds: int
     overrides: tuple[str, ...]
@@ -64,7 +64,7 @@ ROWS = {
 
 
 class TrialJob(NamedTuple):
-    """One flight."""
+    """Parameters of a flight."""
 
     row: str
     seed: int
@@ -72,21 +72,21 @@ class TrialJob(NamedTuple):
 
 
 class TimedTrial(NamedTuple):
-    """What came of it."""
+    """Result of a flight, with its wall time."""
 
     trial: ConnectivityTrial
     wall_seconds: float  # of flying [s]
 
 
 def build_mission(job: TrialJob) -> tuple[Connectivity, np.random.Generator]:
-    """What is flown, and who draws on."""
+    """Build the mission, and return it with its random generator."""
     rng = np.random.default_rng(job.seed)
     settings = (*ROWS[job.row].overrides, f"run.duration_s={job.duration}")
     return read("connectivity", settings).draw(rng), rng
 
 
 def run_job(job: TrialJob) -> TimedTrial:
-    """Fly one."""
+    """Simulate one flight."""
     with threadpool_limits(1, user_api="blas"):
         flown, rng = build_mission(job)
         began = perf_counter()
@@ -95,7 +95,7 @@ def run_job(job: TrialJob) -> TimedTrial:
 
 
 def make_table(found: dict[str, list[TimedTrial]], duration: float) -> Table:
-    """A row for each way of flying."""
+    """Tabulate the results, with a row for each configuration."""
     names = ("", "kept", "least λ₂, median", "robots [m]", "obstacles [m]", "waypoints")
     names += ("|λ̂₂ − λ₂|", "yaw: mutual", "one-sided", "s of wall / s")
     shown = Table(*names)
@@ -124,23 +124,23 @@ def summary_column(trials: Sequence[ConnectivityTrial], name: str) -> list[float
 
 
 def finite_mean(values: Sequence[float]) -> float:
-    """Of those that are known; NaN without any."""
+    """Return the mean of the finite values; NaN if there are none."""
     known = [v for v in values if np.isfinite(v)]
     return float(np.mean(known)) if known else np.nan
 
 
 def describe_disconnections(done: Sequence[TimedTrial]) -> list[str]:
-    """A line for each flight that did not hang together throughout."""
+    """Describe each flight that lost connectivity, in a line each."""
     return [
-        f"  seed {seed}: λ₂ ≤ λ₂^min at {d.trial.disconnection_time:.2f} s, least λ₃ − λ₂ in the second before "
-        f"{d.trial.min_eigenvalue_gap:.3f}"
+        f"  seed {seed}: λ₂ ≤ λ₂^min at {d.trial.disconnection_time:.2f} s, "
+        f"least λ₃ − λ₂ in the second before {d.trial.min_eigenvalue_gap:.3f}"
         for seed, d in enumerate(done)
         if not d.trial.stayed_connected
     ]
 
 
 def describe_lost_robots(done: Sequence[TimedTrial]) -> str:
-    """What became of the rest where a robot was lost."""
+    """Describe the behavior of the remaining robots after losses."""
     longest = max(d.trial.max_forget_time for d in done)
     restless = max(d.trial.max_idle_command for d in done)
     return (
@@ -150,7 +150,7 @@ def describe_lost_robots(done: Sequence[TimedTrial]) -> str:
 
 
 def main() -> int:
-    """Fly the rows that are asked for."""
+    """Simulate the requested rows and print the table."""
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     options.add_argument("rows", nargs="*", metavar="row", help=f"of {', '.join(ROWS)}")
     options.add_argument("--seeds", type=int, help="as many of each")

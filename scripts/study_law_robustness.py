@@ -1,4 +1,6 @@
-"""The law when commands come out wrong: python scripts/study_law_robustness.py --cases 100.
+"""Robustness of the control law to distorted commands.
+
+    python scripts/study_law_robustness.py --cases 100
 
 What a vehicle does may be what the law asks of it scaled by any positive factor and turned by
 less than 90°, other ones for each vehicle and every second: the formation still forms
@@ -62,7 +64,7 @@ def commands(
 
 
 def draw_case(rng: np.random.Generator) -> tuple[GainMatrix, Float[Array, "n 3"]]:
-    """Gains and a start."""
+    """Draw gains and initial positions."""
     n = int(rng.integers(6, 13))
     points = sample_formation(n, (8.0, 8.0, 3.0), 1.5, rng)
     least = 4 / (n - 1)  # of the ring that every sparse graph has
@@ -105,7 +107,7 @@ def simulate_distorted(
 
 
 def main() -> None:
-    """Entry point."""
+    """Run the cases and print the statistics."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cases", type=int, default=100)
     cases = parser.parse_args().cases
@@ -117,8 +119,8 @@ def main() -> None:
         plain.append(simulate_distorted(gains, start, rng, worst=0.0))
     good = [o for o in done if o.error <= SHAPE_TOLERANCE and not o.is_inverted]
     print(
-        f"{len(good)} of {cases} formed to {1000 * SHAPE_TOLERANCE:g} mm with factors from {SCALE_RANGE[0]:g} "
-        f"to {SCALE_RANGE[1]:g} and turns up to 90°"
+        f"{len(good)} of {cases} formed to {1000 * SHAPE_TOLERANCE:g} mm with factors "
+        f"from {SCALE_RANGE[0]:g} to {SCALE_RANGE[1]:g} and turns up to 90°"
     )
     for name, outcomes in (("turned", done), ("only scaled", plain)):
         time = [o.time for o in outcomes if o.error <= SHAPE_TOLERANCE]

@@ -1,4 +1,4 @@
-"""The code on board against Python on random questions: cost, residuals and time per solve.
+"""Onboard code compared with Python on random problems: cost, residuals and time per solve.
 
     python scripts/study_onboard.py [scenario ...]
 
@@ -23,7 +23,7 @@ SIZES = {"uiuc": (5, 40), "random3d": (3, 20), "crossing": (1, 36)}  # neighbour
 
 
 def study_scenario(scenario: str, neighbours: int, steps: int) -> None:
-    """Export, compile, ask both, and print a row of the table."""
+    """Export and compile the code, solve with both, and print a row of the table."""
     with tempfile.TemporaryDirectory() as workshop:
         asked = export_c(scenario, Path(workshop, "c"), neighbours, steps)
         code = compile_solver(Path(workshop, "c"))

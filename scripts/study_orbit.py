@@ -1,8 +1,8 @@
 """Spacecraft in orbit for many seeds: python scripts/study_orbit.py --seeds 20 --rough.
 
 With --rough also with 1 m and 1 mm/s of navigation noise, 5 % and 1° of thrust error and
-drag whose coefficients differ by 20 %: there nobody arrives to the decimetre, and what
-counts is that the truth keeps the distance.
+drag whose coefficients differ by 20 %: no spacecraft then arrives within a
+decimeter, and the requirement is the separation of the true positions.
 """
 
 import argparse
@@ -32,7 +32,7 @@ MAX_FUEL_RATIO = 1.05  # fuel over its lower bound, without noise
 
 
 def find_failures(summary: dict[str, Any], rough: bool) -> Iterator[str]:
-    """What is not as it should be."""
+    """Yield the requirements that a flight violates."""
     yield from summary["broken"]
     if not summary["min_separation_m"] >= summary["collision_radius_m"]:
         yield f"separation {summary['min_separation_m']}"
@@ -45,7 +45,7 @@ def find_failures(summary: dict[str, Any], rough: bool) -> Iterator[str]:
 
 
 def main() -> int:
-    """Fly them all; 1 if any is not as it should be."""
+    """Simulate all flights; return 1 if any violates a requirement."""
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--scenario", default="orbit")
     options.add_argument("--seeds", type=int, default=20)

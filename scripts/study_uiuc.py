@@ -1,4 +1,4 @@
-"""The letters for many seeds and losses: python scripts/study_uiuc.py --seeds 20.
+"""Scenario uiuc for many seeds and losses: python scripts/study_uiuc.py --seeds 20.
 
 The share lost after the I is a quarter, as in the paper; with --shares also a tenth, and a
 third with a longer reach, a larger box, and the speed and steps that belong to them.
@@ -25,13 +25,13 @@ LOSS_SHARES: dict[float, tuple[str, ...]] = {0.25: (), 0.1: (), 1 / 3: LARGE_LOS
 
 
 def list_cases(seeds: int, shares: bool) -> list[tuple[float, int]]:
-    """Shares and seeds to fly: five seeds for each other share."""
+    """List the shares and seeds to simulate: five seeds for each other share."""
     first = [(0.25, seed) for seed in range(seeds)]
     return first + [(s, seed) for s in (0.1, 1 / 3) for seed in range(5)] * shares
 
 
 def find_failures(summary: dict[str, Any], broken: list[str], share: float) -> Iterator[str]:
-    """What is not as it should be."""
+    """Yield the requirements that a flight violates."""
     legs = summary["legs"]
     if legs[0]["components_at_start"] < 5:
         yield f"only {legs[0]['components_at_start']} networks at the start"
@@ -53,7 +53,7 @@ def find_failures(summary: dict[str, Any], broken: list[str], share: float) -> I
 
 
 def main() -> int:
-    """Fly them all; 1 if any is not as it should be."""
+    """Simulate all flights; return 1 if any violates a requirement."""
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--seeds", type=int, default=20)
     options.add_argument("--shares", action="store_true", help="other shares too, five seeds each")

@@ -1,4 +1,7 @@
-"""Fly every built-in scenario with an installed command: python scripts/try_wheel.py PATH/TO/sato."""
+"""Run every built-in scenario with an installed command.
+
+python scripts/try_wheel.py PATH/TO/sato
+"""
 
 import subprocess
 import sys
@@ -6,7 +9,7 @@ import tempfile
 
 
 def main(command: str) -> None:
-    """List the scenarios, fly each in a folder of its own, and check the run from its file."""
+    """List the scenarios, run each in its own folder, and verify the run from its file."""
     listed = subprocess.run([command, "scenarios"], check=True, capture_output=True, text=True)
     names = [line.split()[0] for line in listed.stdout.splitlines() if line.strip()]
     for name in names:

@@ -1,4 +1,6 @@
-"""Make the families of questions anew: python scripts/write_problem_families.py [FAMILY …] --out DIR.
+"""Regenerate the problem families.
+
+    python scripts/write_problem_families.py [FAMILY …] --out DIR
 
 Each is drawn from runs of a scenario, answered by two solvers, and written with its answers
 and the seed to problems/families. The same versions of the libraries give the same files.
@@ -22,7 +24,7 @@ AGREEMENT_TOLERANCE = 1e-6  # by which the optima of two solvers may differ, rel
 
 
 class ReferenceSolution(NamedTuple):
-    """An answer that two solvers agree on."""
+    """Solution on which two solvers agree."""
 
     reference: float
     difference: float
@@ -31,14 +33,14 @@ class ReferenceSolution(NamedTuple):
 
 
 def reference_solvers(problem: ConicProgram) -> tuple[str, str]:
-    """Two solvers that answer a problem to many digits."""
+    """Return two solvers that are accurate to many digits on a problem."""
     if "semidefinite" in problem.cone_types:
         return "clarabel", "scs"
     return ("clarabel", "ecos") if "second-order" in problem.cone_types else ("highs", "clarabel")
 
 
 def solve_reference(problem: ConicProgram, feasible: bool) -> ReferenceSolution:
-    """The better of two answers, or of two proofs that there is none.
+    """Return the better of two solutions, or of two certificates of infeasibility.
 
     Raises:
         Unsolved: The solvers disagree, or neither is fine enough.
@@ -69,7 +71,7 @@ def solve_reference(problem: ConicProgram, feasible: bool) -> ReferenceSolution:
 
 
 def pack_family(drawn: UnsolvedFamily) -> dict[str, Any]:
-    """What is stored of the questions and their answers."""
+    """Return the stored form of the problems and their solutions."""
     shared: list[ConicProgram] = []
     programme = []
     for problem in drawn.problems:
@@ -102,7 +104,7 @@ def pack_family(drawn: UnsolvedFamily) -> dict[str, Any]:
 
 
 def differ_in_b_only(one: ConicProgram, other: ConicProgram) -> bool:
-    """Whether two problems differ in b alone."""
+    """Return True if two problems differ in b alone."""
     shape = (one.A.shape, one.zero, one.nonnegative, one.soc_sizes, one.psd_orders)
     if shape != (other.A.shape, other.zero, other.nonnegative, other.soc_sizes, other.psd_orders):
         return False
@@ -114,7 +116,7 @@ def main(
     out: Annotated[Path, typer.Option(help="folder")] = Path(problems.families.__file__).parent,
     size: Annotated[list[str] | None, typer.Option(help="small, medium, large; all")] = None,
 ) -> None:
-    """Draw, answer and write."""
+    """Draw, solve and write the families."""
     if unknown := [s for s in size or () if s not in SIZES]:
         raise typer.BadParameter(f"there is no size {unknown[0]}; there are {', '.join(SIZES)}")
     for name in family or FAMILIES:
