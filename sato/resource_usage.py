@@ -1,10 +1,10 @@
-"""What a process has held in memory; light, so that anybody can ask."""
+"""Peak memory of a process, in a module that imports little."""
 
 import sys
 
 
 def peak_memory_mib() -> float:
-    """The most memory that this process has held [MiB]; NaN where the system does not say."""
+    """Return the peak memory of this process [MiB]; NaN if the system does not report it."""
     try:
         import resource
     except ImportError:

@@ -1,4 +1,4 @@
-"""From where a swarm is looked at, and the panels that show it."""
+"""Projections of a swarm, and panels that show them."""
 
 from math import ceil
 from typing import Any, NamedTuple
@@ -12,13 +12,13 @@ from numpy import ndarray as Array
 from sato.figures.style import DARK_GRAY, LIGHT_GRAY, RED
 
 PADDING = 0.04  # around what is shown, in the size of it
-KILOMETER_THRESHOLD = 1000.0  # size of what is shown, from which axes are in kilometres [m]
+KILOMETER_THRESHOLD = 1000.0  # size of what is shown, from which axes are in kilometers [m]
 
 
 class Projection(NamedTuple):
-    """Which axes are shown, how they are called, and in what time is told.
+    """Axes that are shown, with their labels and the unit of time.
 
-    A swarm in orbit is seen in its orbital plane: where it goes to the right, the zenith up.
+    A swarm in orbit is seen in its orbital plane: along-track to the right, radial up.
     In space without an orbit there is no such plane, and all three axes are shown.
     """
 
@@ -28,11 +28,11 @@ class Projection(NamedTuple):
     time_unit: str = "s"
 
     def project(self, points: Float[Array, "*k d"]) -> Float[Array, "*k shown"]:
-        """The coordinates that are shown of points."""
+        """Return the shown coordinates of points."""
         return np.asarray(points[..., self.axes])
 
     def format_time(self, seconds: float) -> str:
-        """An instant in words."""
+        """Format an instant with its unit."""
         return f"{round(seconds * self.time_scale, 2):g} {self.time_unit}"
 
 
@@ -41,7 +41,7 @@ THREE_AXES = Projection((0, 1, 2), ("x, radial", "y, along-track", "z, normal"),
 
 
 class AxisBounds(NamedTuple):
-    """The part of space that the panels of a figure share."""
+    """Bounds of the axes that the panels of a figure share."""
 
     low: Float[Array, " d"]  # [m]
     high: Float[Array, " d"]  # [m]
@@ -51,7 +51,7 @@ class AxisBounds(NamedTuple):
     def enclosing(
         cls, view: Projection, *points: Float[Array, "... d"], margin: float
     ) -> "AxisBounds":
-        """All of the points as they are shown, and at least a margin [m]."""
+        """Return bounds that enclose all projected points with at least a margin [m]."""
         flat = np.concatenate([p.reshape(-1, p.shape[-1]) for p in points])
         flat = flat[np.isfinite(flat).all(axis=1)]
         margin = max(margin, PADDING * float(np.ptp(flat, axis=0).max()))
@@ -59,12 +59,12 @@ class AxisBounds(NamedTuple):
 
     @property
     def axes(self) -> int:
-        """Axes of space."""
+        """Number of axes."""
         return len(self.low)
 
     @property
     def unit(self) -> tuple[float, str]:
-        """Metres in the unit of the axes, and its name."""
+        """Unit of the axes in meters, and its name."""
         far = (self.high - self.low).max() > KILOMETER_THRESHOLD
         return (1000.0, "km") if far else (1.0, "m")
 
@@ -78,7 +78,7 @@ class AxisBounds(NamedTuple):
 def make_panels(
     count: int, space: AxisBounds, columns: int = 3, width: float = 3.0
 ) -> tuple[Figure, list[Any]]:
-    """A figure of equal panels that share their limits, labelled only at its edges."""
+    """Return a figure of equal panels that share their limits, labeled only at its edges."""
     columns = min(columns, count) if count != 4 else 2
     rows = ceil(count / columns)
     figure = Figure(
@@ -105,7 +105,7 @@ def make_panels(
 
 
 def set_axis_bounds(ax: Any, space: AxisBounds) -> None:
-    """Give axes their limits, labels and equal scales."""
+    """Set limits, labels and equal scales of axes."""
     scale, unit = space.unit
     low, high = space.low / scale, space.high / scale
     for axis, name, a, b in zip("xyz", space.labels, low, high, strict=False):
@@ -130,17 +130,17 @@ def _tick_locator() -> Any:
 
 
 def set_panel_title(ax: Any, title: str) -> None:
-    """Give a panel its title; above a view of space there is room to spare."""
+    """Set the title of a panel, closer to the axes if they are three-dimensional."""
     ax.set_title(title, y=0.96 if hasattr(ax, "get_zlim") else None)
 
 
 def panel_letter(i: int) -> str:
-    """Name of a panel: (a), (b) and so on."""
+    """Return the letter of a panel: (a), (b) and so on."""
     return f"({chr(ord('a') + i % 26)})"
 
 
 def shade_legs(ax: Axes, edges: list[tuple[float, float, str]]) -> None:
-    """Every other leg on a pale ground, each with its name above."""
+    """Shade every other leg, and write the name of each above it."""
     for i, (start, end, name) in enumerate(edges):
         if i % 2:
             ax.axvspan(start, end, color="#f3f3f3", lw=0, zorder=0)
@@ -156,8 +156,8 @@ def shade_legs(ax: Axes, edges: list[tuple[float, float, str]]) -> None:
         )
 
 
-def draw_limit(ax: Any, level: float, name: str, colour: str = RED) -> None:
-    """A level that means something, named on the right."""
-    ax.axhline(level, color=colour, ls="--" if colour == RED else ":", lw=0.9, zorder=1)
+def draw_limit(ax: Any, level: float, name: str, color: str = RED) -> None:
+    """Draw a horizontal line at a limit, with its name on the right."""
+    ax.axhline(level, color=color, ls="--" if color == RED else ":", lw=0.9, zorder=1)
     ax.annotate(name, (1.008, level), xycoords=("axes fraction", "data"), va="center",
-                color=colour, fontsize=7.5, annotation_clip=False)  # fmt: skip
+                color=color, fontsize=7.5, annotation_clip=False)  # fmt: skip

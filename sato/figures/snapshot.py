@@ -1,4 +1,4 @@
-"""A swarm at an instant: agents marked by the component that they are in."""
+"""Snapshots of a swarm, with agents marked by their component."""
 
 from typing import Any, NamedTuple
 
@@ -13,7 +13,7 @@ from sato.figures.style import ISOLATED, LIGHT_GRAY, component_legend, style_com
 
 
 class Snapshot(NamedTuple):
-    """The swarm at an instant, in the coordinates that are shown."""
+    """Swarm at an instant, in projected coordinates."""
 
     title: str
     position: Float[Array, "agents d"]  # [m]
@@ -29,15 +29,15 @@ def draw_swarm(
     size: float = 14.0,
     target_rings: bool = False,
 ) -> None:
-    """Agents marked by component, and targets as light crosses.
+    """Draw agents marked by component, and targets as light crosses.
 
     Args:
-        ax: Where to draw.
-        shot: What is drawn.
-        space: What of space the axes show.
-        radius: Of circles about the agents, if there are any [m].
-        size: Of the marks.
-        rings: Light rings for targets, which an agent fills when it is there.
+        ax: Axes to draw on.
+        shot: Swarm to draw.
+        space: Bounds of the axes.
+        radius: Radius of circles about the agents [m], or None for no circles.
+        size: Size of the marks [points²].
+        target_rings: Draw targets as light rings, which an agent fills on arrival.
     """
     scale, _ = space.unit
     goals = shot.targets / scale
@@ -71,7 +71,7 @@ def draw_swarm(
 
 
 def snapshots_legend(shots: list[Snapshot]) -> list[Line2D]:
-    """Legend entries of the components that are seen in any of the snapshots."""
+    """Return legend entries of the components in any of the snapshots."""
     groups = [style_components(s.component) for s in shots]
     ranks = max(sum(look is not ISOLATED for _, look in g) for g in groups)
     return component_legend(ranks, any(look is ISOLATED for g in groups for _, look in g))

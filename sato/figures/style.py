@@ -1,4 +1,4 @@
-"""What all figures share: colours and marks, and what they stand for."""
+"""Colors and marks that all figures share, and their legends."""
 
 from typing import Any, NamedTuple
 
@@ -22,7 +22,7 @@ STYLE: Any = {
     "figure.facecolor": "white",
 }
 
-# Okabe and Ito's colours, told apart by the colour-blind; never alone, always with a mark.
+# Okabe and Ito's colors, distinct for color-blind readers; always combined with a mark.
 BLUE, RED, GREEN, ORANGE, SKY, PURPLE, DARK_GRAY = (
     "#0072B2",
     "#D55E00",
@@ -39,7 +39,7 @@ _ORDINALS = ("largest component", "second largest", "third largest", "fourth lar
 
 
 class MarkerStyle(NamedTuple):
-    """How the members of a component are drawn."""
+    """Color and mark of the members of a component."""
 
     color: str
     marker: str
@@ -49,14 +49,14 @@ ISOLATED = MarkerStyle(GRAY, "o")
 
 
 def marker_style(rank: int) -> MarkerStyle:
-    """The mark of the component of a rank by size; distinct for the first 56."""
+    """Return the mark of a component by its rank in size; distinct for the first 56."""
     return MarkerStyle(_COLORS[rank % len(_COLORS)], _MARKERS[rank % len(_MARKERS)])
 
 
 def style_components(
     component: Int[Array, " agents"],
 ) -> list[tuple[Int[Array, " members"], MarkerStyle]]:
-    """The components, largest first, each with its mark; those alone come last, together."""
+    """Return the components with their marks, largest first; isolated agents last, together."""
     labels, counts = np.unique(component[component >= 0], return_counts=True)
     together = labels[np.argsort(-counts, kind="stable")][: int((counts > 1).sum())]
     found = [
@@ -67,7 +67,7 @@ def style_components(
 
 
 def component_legend(ranks: int, alone: bool) -> list[Line2D]:
-    """Legend entries of so many components."""
+    """Return legend entries of this number of components."""
     said = [
         _legend_marker(marker_style(rank), name)
         for rank, name in zip(range(ranks), _ORDINALS, strict=False)

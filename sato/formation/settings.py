@@ -79,7 +79,7 @@ class AssignmentSettings(NamedTuple):
 
 
 class SupervisorSettings(NamedTuple):
-    """When a formation is converged, and when a swarm is gridlocked [Lusk2020's trials]."""
+    """Criteria of convergence and gridlock, as in the trials of [Lusk2020]."""
 
     convergence_speed: Annotated[
         Speed, Key("settled"), Positive, "commanded speed below which a vehicle has arrived"

@@ -42,7 +42,7 @@ def plot_connectivity(record: ConnectivityRecord) -> Figure:
         value,
         limits.lambda2_max,
         f"λ$_2^{{max}}$ = {limits.lambda2_max:g},\nno action beyond",
-        colour=DARK_GRAY,
+        color=DARK_GRAY,
     )
     _plot_spread(error, time, np.abs(estimate - true[:, None]))
     error.set_yscale("symlog", linthresh=LINEAR_BELOW)
@@ -94,7 +94,7 @@ def plot_distances(record: ConnectivityRecord) -> Figure:
             ax,
             between.max_distance,
             f"repulsion begins,\n{between.max_distance:g} m",
-            colour=DARK_GRAY,
+            color=DARK_GRAY,
         )
     add_legend(figure, record)
     return figure

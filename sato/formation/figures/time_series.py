@@ -85,7 +85,7 @@ def plot_separation(record: FormationRecord) -> Figure:
     keep_out = record.mission.keep_out
     ax.set(ylabel="distance [m]", ylim=(0, 1.05 * max(float(least.max()), keep_out)))
     draw_limit(ax, keep_out, f"keep-out,\n{keep_out:g} m")
-    draw_limit(ax, VEHICLE_DIAMETER, f"contact,\n{VEHICLE_DIAMETER:g} m", colour=GRAY)
+    draw_limit(ax, VEHICLE_DIAMETER, f"contact,\n{VEHICLE_DIAMETER:g} m", color=GRAY)
     _add_leg_names_and_legend(figure, record)
     return figure
 
