@@ -232,8 +232,8 @@ def compare(
 ) -> None:
     """Solve one set of problems with every solver; exit 1 if the default solver is wrong."""
     from problems.solvers import load_adapters
-    from sato.compare.report import run_comparison
     from sato.compare.plan import make_plan
+    from sato.compare.report import run_comparison
     from sato.scenario.errors import errors_in
 
     with errors_in(""):

@@ -207,9 +207,7 @@ def test_a_file_that_is_no_scenario_is_refused_by_name(home, name, content, word
 
 
 @pytest.mark.parametrize("out", ["tiny.toml", "tiny.toml/deeper", "/proc/sato-cannot-write"])
-def test_a_folder_that_cannot_be_written_is_refused_before_the_flight(
-    home, monkeypatch, out
-):
+def test_a_folder_that_cannot_be_written_is_refused_before_the_flight(home, monkeypatch, out):
     replace_loop(monkeypatch, _never)
     result = call("run", "tiny.toml", "--out", out)
     said = sentence(result)

@@ -215,7 +215,7 @@ def test_problem_of_fixed_size_has_the_optimum_of_avoidance(rng):
 
 def test_problem_without_constant_matrices_is_refused():
     steps = discretize_zoh(DoubleIntegrator(2), 1.0, 6)
-    with pytest.raises(ValueError, match="fuel_norm must be 1 .* got 2 and inf"):
+    with pytest.raises(ValueError, match=r"fuel_norm must be 1 .* got 2 and inf"):
         FixedSizeAvoidanceProblem(TransferProblem(steps, 0.1, fuel_norm=2), 3, 4)
     with pytest.raises(ValueError, match="at least 2 steps"):
         FixedSizeAvoidanceProblem(TransferProblem(steps, 0.1), 7, 4)

@@ -339,7 +339,7 @@ def test_plotting_leaves_the_settings_of_matplotlib(plane, tmp_path):
 
 @pytest.mark.parametrize("kind", ["plane", "box", "orbit"])
 def test_animation_is_a_gif_without_ffmpeg(kind, tmp_path, monkeypatch):
-    run, about = RUNS[kind]()
+    run, _ = RUNS[kind]()
     monkeypatch.setenv("PATH", str(tmp_path))
     told = []
     path = run.animate(tmp_path, fps=10, frames=7, progress=lambda i, n: told.append((i, n)))

@@ -305,9 +305,7 @@ def test_target_demand_follows_losses_and_joins(overrides, expected):
 # Files beside a scenario.
 
 
-def test_files_beside_a_scenario_are_written_into_it(
-    tmp_path, monkeypatch
-):
+def test_files_beside_a_scenario_are_written_into_it(tmp_path, monkeypatch):
     from PIL import Image
 
     (tmp_path / "beside").mkdir()

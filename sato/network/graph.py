@@ -101,7 +101,7 @@ class CommunicationGraph:
 
 
 def label_components(adjacency: Bool[Array, "n n"], alive: Bool[Array, " n"]) -> Int[Array, " n"]:
-    """Number the connected components in order of their lowest member; −1 where not alive."""
+    """Label the connected components in order of their lowest member; −1 where not alive."""
     labels = scipy.sparse.csgraph.connected_components(
         scipy.sparse.csr_array(adjacency), directed=False
     )[1]

@@ -191,10 +191,10 @@ class Chief(Definition):
                     f"is {r / 1e3:.6g} km from the Earth's center, inside the Earth, whose radius "
                     f"is {EARTH_RADIUS / 1e3:.0f} km",
                 ) from error
+            reason, circular = str(error).split(";")[0], (EARTH_MU / r) ** 0.5
             raise InputError(
                 "velocity_m_s",
-                f"{str(error).split(';')[0]}; perpendicular to position_m, {(EARTH_MU / r) ** 0.5:.6g} m/s is a "
-                "circular orbit",
+                f"{reason}; perpendicular to position_m, {circular:.6g} m/s is a circular orbit",
             ) from error
 
 

@@ -66,8 +66,15 @@ def plot_separation(record: ReconfigurationRecord) -> Figure:
                 label=f"least: {between[k]:.6g} m")  # fmt: skip
     for k, event in record.events.of_kind("loss"):
         ax.axvline(t[k], color=GRAY, ls=":", lw=0.8)
-        ax.annotate(f"{len(event['agents'])} lost", (t[k], 0.03), xycoords=("data", "axes fraction"),
-                    xytext=(3, 0), textcoords="offset points", color=DARK_GRAY, fontsize=7.5)  # fmt: skip
+        ax.annotate(
+            f"{len(event['agents'])} lost",
+            (t[k], 0.03),
+            xycoords=("data", "axes fraction"),
+            xytext=(3, 0),
+            textcoords="offset points",
+            color=DARK_GRAY,
+            fontsize=7.5,
+        )
     ax.set(xlabel=f"time [{view.time_unit}]", ylabel="least separation [m]")
     ax.set_xlim(t[0], max(t[-1], 1e-9))
     ax.set_ylim(0, None)

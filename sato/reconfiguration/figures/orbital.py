@@ -106,7 +106,7 @@ def plot_space(record: ReconfigurationRecord) -> Figure:
 
 
 def interpolate_positions(record: ReconfigurationRecord) -> Float[Array, "instants agents d"]:
-    """Interpolate positions by `POINTS_PER_STEP` instants a step; NaN where an agent is not alive."""
+    """Interpolate positions at `POINTS_PER_STEP` instants a step; NaN where not alive."""
     x = np.moveaxis(record.position, 0, 1), np.moveaxis(record.velocity, 0, 1)
     pieces = np.moveaxis(control_points(*x, record.mission.step), 0, 1)
     pieces = np.where(record.alive[:-1, :, None, None], pieces, np.nan)
