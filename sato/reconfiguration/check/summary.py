@@ -21,8 +21,10 @@ def summarize(record: ReconfigurationRecord, bounds: list[FuelBound | None]) -> 
     legs = [summarize_leg(record, leg) for leg in record.leg_records]
     found, _ = record.separations
     samples = sampled_separations(record.position, record.alive)
+    reached = len(legs) == len(mission.legs) and all(leg["reached"] for leg in legs)
     summary = common_summary(record.attributes, record.alive) | {
-        "reached": len(legs) == len(mission.legs) and all(leg["reached"] for leg in legs),
+        "reached": reached,
+        "success": reached,
         "min_separation_m": min(found.minimum.distance, float(samples.min())),
         "min_separation_at_samples_m": float(samples.min()),
         "collision_radius_m": mission.collision_radius,
