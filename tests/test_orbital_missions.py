@@ -83,7 +83,7 @@ def cure(said: str, key: str) -> str:
     return found[1].rstrip(".")
 
 
-# What is built.
+# Models, plants and velocities.
 
 
 @pytest.mark.parametrize("name", ORBITS)
@@ -360,7 +360,7 @@ def test_margin_without_a_chief_is_zero_unless_auto():
     assert asked.margin == pytest.approx(5 * 2**0.5 * 0.02)
 
 
-# What counts as reached.
+# Tolerances.
 
 
 def test_tolerance_grows_with_thrust_errors_and_frozen_steps():
@@ -373,7 +373,7 @@ def test_tolerance_grows_with_thrust_errors_and_frozen_steps():
     assert pointing.position_tolerance == pytest.approx(shaken.position_tolerance)
 
 
-# Models beyond what they are good for.
+# Warnings.
 
 
 def test_warning_states_the_error_of_a_wrong_model():
@@ -413,7 +413,7 @@ def test_warning_only_beyond_a_tenth_of_the_radius(overrides, cure):
     assert all(sentence.endswith(f"{cure} would do") for sentence in found)
 
 
-# What is refused, and whether that which is said to do does.
+# Refusals, and their proposed cures.
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The judge, judged: an honest run passes, and one that is altered anywhere does not."""
+"""Check of a reconfiguration: an unaltered run passes, and every alteration is found."""
 
 import json
 from contextlib import suppress
@@ -35,7 +35,7 @@ from sato.shapes import Points
 
 
 def square(corner: tuple[float, float], spacing: float) -> np.ndarray:
-    """Nine targets at rest on a lattice."""
+    """Return nine targets at rest on a lattice."""
     grid = np.stack(np.meshgrid(np.arange(3), np.arange(3), indexing="ij"), -1)
     return np.hstack([grid.reshape(-1, 2) * spacing + np.array(corner), np.zeros((9, 2))])
 
@@ -46,7 +46,7 @@ def in_order(states: np.ndarray) -> Points:
 
 
 def mission(agents: int = 6, **changed: object) -> Reconfiguration:
-    """A row that becomes a square and, one lost and one come in, moves on."""
+    """Draw a row that becomes a square, loses one agent, gains one, and moves on."""
     x = np.arange(6) * 1.2
     start = np.stack([x, 0.1 * x], axis=1)
     join = Join(None, [[6.5, 5.0]], at_step=3)
@@ -79,12 +79,33 @@ def mission(agents: int = 6, **changed: object) -> Reconfiguration:
 
 
 def fly_straight(mission: Reconfiguration) -> list[ReconfigurationFrame]:
-    """Each leg: the optimal assignment by squared distance, and least-norm controls."""
+    """Fly each leg by least-norm controls to the targets of least squared distance."""
     d = mission.linear_model.axes
     x, alive = mission.initial_states.copy(), mission.alive.copy()
     target = np.full(len(x), -1)
     believed = np.full(len(x), mission.target_count)
     frames, k, ending = [], 0, ()
+
+    def labels():
+        return CommunicationGraph.from_positions(x[:, :d], mission.comm_radius, alive).component
+
+    def frame(control, events):
+        return ReconfigurationFrame(
+            time=k * mission.step,
+            position=x[:, :d].copy(),
+            velocity=x[:, d:].copy(),
+            alive=alive.copy(),
+            component=labels(),
+            control=control,
+            applied_control=control,
+            leg_index=number,
+            target_index=target.copy(),
+            target_count=believed.copy(),
+            measured_position=None,
+            measured_velocity=None,
+            events=tuple(events),
+        )
+
     for number, leg in enumerate(mission.legs):
         steps = discretize_zoh(mission.linear_model, mission.step, leg.steps)
         events = list(ending)
@@ -109,57 +130,20 @@ def fly_straight(mission: Reconfiguration) -> list[ReconfigurationFrame]:
                 rest = steps[slice(step, None)]
                 u[who, step:] = least_norm(rest, x[who], leg.targets[target[who]])
             events.append({"kind": "replan", "agents": np.flatnonzero(alive), "solves": 2})
-            labels = CommunicationGraph.from_positions(
-                x[:, :d], mission.comm_radius, alive
-            ).component
-            frames.append(
-                ReconfigurationFrame(
-                    k * mission.step,
-                    x[:, :d].copy(),
-                    x[:, d:].copy(),
-                    alive.copy(),
-                    labels,
-                    u[:, step].copy(),
-                    u[:, step].copy(),
-                    number,
-                    target.copy(),
-                    believed.copy(),
-                    None,
-                    None,
-                    tuple(events),
-                )
-            )
+            frames.append(frame(u[:, step].copy(), events))
             x[alive] = steps[slice(step, step + 1)].simulate(x[alive], u[alive, step : step + 1])[
                 :, -1
             ]
             events, k = [], k + 1
-        labels = CommunicationGraph.from_positions(x[:, :d], mission.comm_radius, alive).component
         end = {"kind": "leg_end", "leg": number, "agents": np.flatnonzero(alive)}
-        end |= {"target": target.copy(), "believed": believed.copy(), "component": labels}
+        end |= {"target": target.copy(), "believed": believed.copy(), "component": labels()}
         ending = (end,)
-    nothing = np.full((len(x), d), np.nan)
-    frames.append(
-        ReconfigurationFrame(
-            k * mission.step,
-            x[:, :d].copy(),
-            x[:, d:].copy(),
-            alive.copy(),
-            labels,
-            nothing,
-            nothing,
-            number,
-            target.copy(),
-            believed.copy(),
-            None,
-            None,
-            ending,
-        )
-    )
+    frames.append(frame(np.full((len(x), d), np.nan), ending))
     return frames
 
 
 def least_norm(steps, start, goal):
-    """Controls of least sum of squares that fly from start to goal."""
+    """Return the controls of least sum of squares from start to goal."""
     T, d = len(steps), steps.axes
     response = np.stack(
         [steps.simulate(0 * start[0], e)[-1] for e in np.eye(T * d).reshape(-1, T, d)], axis=1
@@ -169,7 +153,7 @@ def least_norm(steps, start, goal):
 
 
 def recorded(mission: Reconfiguration, frames: list[ReconfigurationFrame] | None = None) -> Run:
-    """The run in its file's form."""
+    """Record a flight."""
     return record_run(SYSTEM, frames or fly_straight(mission), mission, mission)
 
 
@@ -186,7 +170,7 @@ def altered(run: Run) -> Run:
     return replace(run, data=run.data.copy(deep=True), summary=dict(run.summary))
 
 
-def test_honest_run_keeps_all_promises(flown):
+def test_unaltered_run_keeps_all_promises(flown):
     report = check_run(flown.data, mission())
     assert report.kept, report.broken
     assert report.broken == ()
@@ -276,15 +260,15 @@ def test_alteration_breaks_the_promise_about_it(flown, name, where, value, promi
     assert promise in broken(run)
 
 
-def tell(run: Run, change) -> Run:
-    """The run with its events rewritten."""
+def with_events(run: Run, change) -> Run:
+    """Return the run with changed events."""
     events = [json.loads(str(e)) for e in run.data["event"].values]
     told = np.array([json.dumps(e) for e in change(events)], dtype=object)
     return replace(run, data=run.data.drop_vars("event").assign(event=("event", told)))
 
 
 def test_assignment_without_its_event_is_found(flown):
-    seen = tell(flown, lambda events: [e for e in events if e["kind"] != "assignment"])
+    seen = with_events(flown, lambda events: [e for e in events if e["kind"] != "assignment"])
     assert "assignment" in broken(seen)
 
 
@@ -295,16 +279,18 @@ def test_leg_end_agrees_with_the_instants_before_it(flown, key, value):
     def change(events):
         return [e | {key: value} if e["kind"] == "leg_end" else e for e in events]
 
-    assert "legs" in broken(tell(flown, change))
+    assert "legs" in broken(with_events(flown, change))
 
 
 def test_loss_without_its_event_is_found(flown):
-    assert "alive" in broken(tell(flown, lambda all: [e for e in all if e["kind"] != "loss"]))
+    assert "alive" in broken(
+        with_events(flown, lambda all: [e for e in all if e["kind"] != "loss"])
+    )
 
 
 def test_infeasible_program_breaks_a_promise(flown):
     event = {"time": 3.0, "kind": "infeasible", "agents": [1], "what": "avoidance"}
-    assert broken(tell(flown, lambda events: [*events, event])) == {"feasible"}
+    assert broken(with_events(flown, lambda events: [*events, event])) == {"feasible"}
 
 
 def test_interrupted_run_is_not_complete():
@@ -355,7 +341,9 @@ def test_holes_and_duplicates_are_counted(flown):
         ends[0]["target"][0] = ends[0]["target"][1]
         return events
 
-    assert check_run(tell(flown, doubled).data, mission()).summary["legs"][1]["duplicates"] == 1
+    assert (
+        check_run(with_events(flown, doubled).data, mission()).summary["legs"][1]["duplicates"] == 1
+    )
 
     def hopeful(events):
         for e in events:
@@ -363,7 +351,7 @@ def test_holes_and_duplicates_are_counted(flown):
                 e["believed"] = [8] * 7
         return events
 
-    said = check_run(tell(flown, hopeful).data, mission()).summary
+    said = check_run(with_events(flown, hopeful).data, mission()).summary
     assert said["legs"][0]["holes"] == 2
 
 
@@ -603,7 +591,7 @@ def test_truncated_file_is_refused(saved, tmp_path):
     assert verdict(tmp_path) == 2
 
 
-SHAKEN = [
+DISTURBED = [
     "disturbance.acceleration_m_s2=1e-4",
     "disturbance.position_m=1e-3",
     "disturbance.velocity_m_s=1e-4",
@@ -612,12 +600,12 @@ SHAKEN = [
 
 
 @pytest.fixture(scope="module")
-def shaken():
-    return sato.run(sato.parse(TINY, SHAKEN), seed=4)
+def disturbed():
+    return sato.run(sato.parse(TINY, DISTURBED), seed=4)
 
 
-def test_disturbed_run_is_reached_within_its_tolerances(shaken):
-    assert shaken.check().kept, shaken.check().broken
+def test_disturbed_run_is_reached_within_its_tolerances(disturbed):
+    assert disturbed.check().kept, disturbed.check().broken
 
 
 @pytest.mark.parametrize(
@@ -630,17 +618,17 @@ def test_disturbed_run_is_reached_within_its_tolerances(shaken):
         ("position", "flight"),
     ],
 )
-def test_disturbances_are_those_of_the_seed(shaken, rng, name, promise):
+def test_disturbances_are_those_of_the_seed(disturbed, rng, name, promise):
     for _ in range(5):
-        run = altered(shaken)
+        run = altered(disturbed)
         values = run.data[name].values
         values[tuple(rng.choice(np.argwhere(np.isfinite(values))))] += 1e-7
         assert promise in {p.name for p in run.check().broken}
 
 
 @pytest.mark.parametrize("name", ["target_count", "control_instant", "event", "component"])
-def test_digest_finds_any_alteration(shaken, name):
-    run = altered(shaken)
+def test_digest_finds_any_alteration(disturbed, name):
+    run = altered(disturbed)
     values = run.data[name].values.copy()
     values.flat[0] = "{}" if name == "event" else 1 - int(values.flat[0])
     run.data[name] = (run.data[name].dims, values)
@@ -651,15 +639,15 @@ def test_digest_finds_any_alteration(shaken, name):
         assert "unaltered" in {p.name for p in run.check().broken}
 
 
-def test_altered_run_that_cannot_be_propagated_is_refused(shaken, monkeypatch):
+def test_altered_run_that_cannot_be_propagated_is_refused(disturbed, monkeypatch):
     def crash(*_: object) -> None:
         raise Impact(3, 60.0)
 
     crashing = replace(SYSTEM, check=crash)
     monkeypatch.setattr(sato.reconfiguration.system, "SYSTEM", crashing)
     with pytest.raises(Impact):
-        shaken.check()
-    run = altered(shaken)
+        disturbed.check()
+    run = altered(disturbed)
     run.data["position"][2, 1, 0] -= 7e6
     with pytest.raises(sato.RunFileError, match=r"altered .* agent 3 hits the Earth"):
         run.check()

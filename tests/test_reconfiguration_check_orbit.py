@@ -1,4 +1,4 @@
-"""The judge in orbit, where what flies is not the model that the plans are made by."""
+"""Check of a reconfiguration in orbit, where the plant differs from the model."""
 
 from dataclasses import replace
 
@@ -37,7 +37,7 @@ TRUTH = InertialPlant(ORBIT)
 
 
 def mission(**changed: object) -> Reconfiguration:
-    """Four in a row change places, so that two pairs meet half-way."""
+    """Draw four agents in a row that change places, so that two pairs meet halfway."""
     place = np.array([[0.0, -400, 0], [30, -200, 0], [0, 200, 0], [30, 400, 0]])
     goal = place[[1, 0, 3, 2]]
     goals = Points(goal, invariant_velocity(ORBIT, goal, STEP * STEPS), keep_order=True)
@@ -61,7 +61,7 @@ def mission(**changed: object) -> Reconfiguration:
 
 
 def recorded(about: Reconfiguration, u: np.ndarray) -> Run:
-    """Controls flown by the plant, to the target with the agent's own number."""
+    """Record the flight of these controls by the plant, each agent to its own target."""
     agents, T = u.shape[:2]
     everyone, x = np.arange(agents), [about.initial_states]
     for k in range(T):
@@ -101,7 +101,7 @@ def run_of(about: Reconfiguration, frames: list[ReconfigurationFrame]) -> Run:
 
 
 def least_norm(about: Reconfiguration) -> np.ndarray:
-    """Controls of least sum of squares by the shared model."""
+    """Return the controls of least sum of squares by the shared model."""
     steps, (agents, n) = (
         discretize_zoh(about.linear_model, about.step, STEPS),
         about.initial_states.shape,
@@ -128,7 +128,7 @@ def flown():
 
 
 AIR = InertialPlant(ORBIT, np.array([0.01, 0.012, 0.008, 0.01]), 0.01, Atmosphere())
-SHAKEN = mission(
+DISTURBED = mission(
     model=J2(ORBIT),
     plant=AIR,
     disturbance=1e-6,
@@ -143,11 +143,11 @@ SHAKEN = mission(
 
 
 @pytest.fixture(scope="module")
-def shaken():
-    return run_of(SHAKEN, list(simulate(SHAKEN, np.random.default_rng(8))))
+def disturbed():
+    return run_of(DISTURBED, list(simulate(DISTURBED, np.random.default_rng(8))))
 
 
-def test_honest_run_on_another_plant_keeps_all_promises(flown):
+def test_unaltered_run_on_another_plant_keeps_all_promises(flown):
     report = check_run(flown.data, mission())
     assert report.kept, report.broken
 
@@ -160,29 +160,29 @@ def test_closed_loop_run_keeps_all_promises(model):
     assert report.kept, report.broken
 
 
-def test_thruster_errors_are_those_of_the_seed(shaken):
-    report = check_run(shaken.data, SHAKEN, np.random.default_rng(8))
+def test_thruster_errors_are_those_of_the_seed(disturbed):
+    report = check_run(disturbed.data, DISTURBED, np.random.default_rng(8))
     assert report.kept, report.broken
-    evidence = ReconfigurationRecord.from_dataset(shaken.data, SHAKEN)
+    evidence = ReconfigurationRecord.from_dataset(disturbed.data, DISTURBED)
     assert not check_applied_control(
         evidence, redraw_disturbances(evidence, np.random.default_rng(9))
     ).kept
     for name in ("control", "applied_control"):
-        run = altered(shaken)
+        run = altered(disturbed)
         run.data[name][3, 2, 1] += 1e-10
-        evidence = ReconfigurationRecord.from_dataset(run.data, SHAKEN)
+        evidence = ReconfigurationRecord.from_dataset(run.data, DISTURBED)
         assert not check_applied_control(
             evidence, redraw_disturbances(evidence, np.random.default_rng(8))
         ).kept
 
 
-def test_thruster_errors_are_bounded_without_the_seed(shaken):
-    assert check_run(shaken.data, SHAKEN).kept
-    run = altered(shaken)
+def test_thruster_errors_are_bounded_without_the_seed(disturbed):
+    assert check_run(disturbed.data, DISTURBED).kept
+    run = altered(disturbed)
     thrust = np.nan_to_num(np.linalg.norm(run.data["control"].values, axis=2))
     where = np.unravel_index(np.argmax(thrust), thrust.shape)
     run.data["applied_control"][where] *= 3
-    assert broken(run, SHAKEN) >= {"applied", "flight"}
+    assert broken(run, DISTURBED) >= {"applied", "flight"}
 
 
 KINDS = ["position", "velocity", "control", "applied_control"]
@@ -326,7 +326,7 @@ def test_measurement_noise_adds_to_the_speed_allowance(flown):
 
 
 def drifting() -> Reconfiguration:
-    """The plant takes everybody to their targets, and the model does not know."""
+    """Draw a mission whose targets are reached by free motion of the plant, not of the model."""
     about = mission(model=DoubleIntegrator(3), plant=TRUTH, velocity_tolerance=1e-6)
     x = about.initial_states
     for k in range(STEPS):

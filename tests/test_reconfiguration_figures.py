@@ -1,4 +1,4 @@
-"""Figures and films: they show what the data hold, and nothing runs out of the picture."""
+"""Figures and animations of a reconfiguration: they show the data, inside the figure."""
 
 import os
 from itertools import combinations

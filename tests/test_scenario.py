@@ -258,7 +258,7 @@ def test_points_stay_where_they_are_unless_centered():
     np.testing.assert_allclose(np.sort(moved[:, 0]), [-2.0, 0.0, 2.0], atol=1e-12)
 
 
-# Who comes and goes.
+# Losses and joins.
 
 
 def test_joining_agents_start_clear_of_the_others():
@@ -388,7 +388,7 @@ def test_missing_unit_in_an_override_is_named():
     assert "comm_radius: has no unit; write comm_radius_m" in refusal("comm_radius=5")
 
 
-# What is refused, and whether that which is said to do does.
+# Refusals, and their proposed cures.
 
 
 def cures(sentence: str) -> list[str]:
