@@ -64,7 +64,7 @@ class Run:
                 "this run has a model of your own, which no file can hold; give its mission: "
                 "sato.load(path, mission=...)"
             )
-        return self.mission.build(np.random.default_rng(int(self.data.attrs["seed"])))
+        return self.mission.draw(np.random.default_rng(int(self.data.attrs["seed"])))
 
     def events(self, *kinds: str) -> list[dict[str, Any]]:
         """Return the events in the order of time; of the given kinds only, if any."""
@@ -152,7 +152,8 @@ def run(
     with threadpool_limits(1, user_api="blas"):
         rng = np.random.default_rng(seed)
         drawn = _draw(mission, rng, scenario)
-        mission.warn(drawn)
+        for sentence in drawn.warnings():
+            warnings.warn(sentence, stacklevel=2)
         with _progress_callback(system, progress) as callback:
             frames, stopped = _collect_frames(system, drawn, rng, callback)
         data = record.build_dataset(
@@ -247,7 +248,7 @@ def _as_mission(scenario: Scenario, overrides: Iterable[str]) -> Any:
 
 def _draw(mission: Any, rng: np.random.Generator, scenario: Scenario) -> Any:
     try:
-        return mission.build(rng)
+        return mission.draw(rng)
     except InputError as error:
         if isinstance(scenario, str | Path):
             raise ScenarioError(f"{scenario}: {error}") from error

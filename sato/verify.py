@@ -54,7 +54,7 @@ def verify_run(
 
 def _check_mission(data: "xarray.Dataset", mission: Any) -> Report:
     rng = np.random.default_rng(int(data.attrs["seed"]))
-    drawn = mission.build(rng)
+    drawn = mission.draw(rng)
     return load_system(data.attrs["system"]).check(data, drawn, rng)
 
 

@@ -78,7 +78,7 @@ class LegStart(NamedTuple):
     def from_scenario(cls, scenario: str, *overrides: str, seed: int = SEED) -> "LegStart":
         """Return the start of the first leg of a scenario."""
         rng = np.random.default_rng(seed)
-        mission = sato.read(scenario, overrides).build(rng)
+        mission = sato.read(scenario, overrides).draw(rng)
         frame = next(simulate(mission, rng))
         states = np.concatenate([frame.position, frame.velocity], axis=1)
         return cls(mission, states, mission.legs[0].targets[frame.target_index])

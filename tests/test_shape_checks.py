@@ -1,4 +1,4 @@
-"""Whether shapes are checked at all, and anew in every test."""
+"""Array shapes are checked, and again in every test."""
 
 import numpy as np
 import pytest

@@ -51,14 +51,3 @@ class Mission(Definition):
     def to_toml(self) -> str:
         """Write the mission as a scenario file that needs no other file."""
         return tomli_w.dumps({"system": self.system} | write_table(self.without_files()))
-
-    def build(self, rng: np.random.Generator) -> "Mission":
-        """Draw the mission."""
-        return self.draw(rng)
-
-    def warn(self, mission: "Mission") -> None:
-        """Warn of doubts about a drawn mission."""
-        import warnings
-
-        for sentence in mission.warnings():
-            warnings.warn(sentence, stacklevel=2)
