@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from problems.desired_formation import DesiredFormation
 from problems.gain_design import GainMatrix, design_gains
-from sato.formation.control_law import compute_velocity_command, size_control_weights
+from sato.formation.control_law import FormationData, compute_velocity_command
 from sato.formation.settings import ControlLaw
 from sato.formation.shape_error import compute_shape_error
 from sato.shapes.graphs import random_sparse_graph
@@ -43,23 +43,10 @@ def commands(
     position: Float[Array, "n 3"], gains: GainMatrix, law: ControlLaw, legacy: bool = False
 ) -> Float[Array, "n 3"]:
     """Compute the velocity command of every agent [m/s]."""
-    graph, points = gains.formation.graph, gains.formation.points
-    weight = size_control_weights(graph)
-    asked = np.zeros_like(position)
+    formation, asked = FormationData.from_gains(gains), np.zeros_like(position)
     for i, u in enumerate(asked):
-        near = np.flatnonzero(graph[i])
-        compute_velocity_command(
-            i,
-            position - position[i],
-            near,
-            gains.xy[i],
-            gains.z[i],
-            points,
-            weight[i],
-            law,
-            legacy,
-            u,
-        )
+        near = np.flatnonzero(gains.formation.graph[i])
+        compute_velocity_command(i, position - position[i], near, formation, law, legacy, u)
     return asked
 
 

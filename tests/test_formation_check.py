@@ -11,7 +11,7 @@ from scipy.spatial.distance import pdist
 
 import sato
 from sato.formation.check import FormationRecord, check_run
-from sato.formation.check.closest import find_closest_approach
+from sato.formation.check.recorded import find_closest_approach
 from sato.formation.check.summary import summarize_flight
 from sato.formation.settings import OperatorCommand
 from sato.formation.shape_error import compute_shape_error

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from problems.desired_formation import DesiredFormation
 from problems.gain_design import design_gains
 from sato.formation import control_law
-from sato.formation.control_law import compute_velocity_command
+from sato.formation.control_law import FormationData, compute_velocity_command
 from sato.formation.settings import ControlLaw
 from sato.formation.shape_error import compute_shape_error
 from sato.shapes.formation_library import load_formation
@@ -170,15 +170,14 @@ def test_potential_decreases_with_scaled_and_turned_commands(law, rng):
 
 def test_command_depends_on_neighbors_alone():
     gains = random_gains(2)
-    graph, points = gains.formation.graph, gains.formation.points
+    graph = gains.formation.graph
     relative = np.random.default_rng(2).uniform(-5, 5, (7, 3))
+    data = FormationData.from_gains(gains)
     i = int(np.argmin(graph.sum(axis=1)))
     near, found = np.flatnonzero(graph[i]), []
     for _ in range(2):
         command = np.zeros(3)
-        compute_velocity_command(
-            i, relative, near, gains.xy[i], gains.z[i], points, np.ones(7), *OURS, command
-        )
+        compute_velocity_command(i, relative, near, data, *OURS, command)
         found.append(command)
         relative[~graph[i]] = np.nan
     assert np.array_equal(*found) and np.isfinite(found).all()

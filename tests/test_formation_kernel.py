@@ -9,16 +9,8 @@ from scipy.spatial.distance import pdist, squareform
 
 from problems.desired_formation import DesiredFormation
 from problems.gain_design import design_gains
-from sato.formation.control_law import size_control_weights
-from sato.formation.kernel import (
-    FormationData,
-    FormationState,
-    KernelParameters,
-    MissionNumbers,
-    Roles,
-    Timing,
-    simulate_steps,
-)
+from sato.formation.control_law import FormationData
+from sato.formation.kernel import FormationState, KernelParameters, Roles, simulate_steps
 from sato.formation.settings import (
     CollisionAvoidance,
     ControlLaw,
@@ -28,9 +20,8 @@ from sato.formation.settings import (
 from sato.shapes.graphs import random_sparse_graph
 from sato.shapes.random_points import sample_formation, sample_positions
 
-STEP = 0.02
+STEP, KEEP_OUT, MAX_SPEED = 0.02, 1.2, 0.5
 RULES = CollisionAvoidance()
-NUMBERS = MissionNumbers(1.2, 0.5, 0.3, 0.5, 0.8, noise=0.0)
 
 
 @cache
@@ -38,16 +29,6 @@ def gains(agents=8, share=0.7):
     rng = np.random.default_rng(agents)
     points = sample_formation(agents, (9.0, 9.0, 3.0), 2.0, rng)
     return design_gains(DesiredFormation(points, random_sparse_graph(points, share, rng)))
-
-
-def formation_data(gains):
-    graph = gains.formation.graph
-    n, degree = len(graph), graph.sum(axis=1)
-    neighbors = np.full((n, degree.max()), -1)
-    for i, row in enumerate(graph):
-        neighbors[i, : degree[i]] = np.flatnonzero(row)
-    weights = size_control_weights(graph)
-    return FormationData(gains.xy, gains.z, gains.formation.points, neighbors, weights)
 
 
 def frames(agents=8, offset=10.0, drift=0.01, seed=None):
@@ -59,10 +40,24 @@ def frames(agents=8, offset=10.0, drift=0.01, seed=None):
     return CoordinateFrames(np.exp(1j * drawn.yaw), np.array(drawn.offset), np.array(drawn.drift))
 
 
-def swarm(frames, data=None, rules=RULES, numbers=NUMBERS, every=1, delay=0, loss=0.0):
-    data = formation_data(gains()) if data is None else data
-    timing = Timing(STEP, every, delay, loss)
-    return KernelParameters(data, frames, ControlLaw(), rules, numbers, timing)
+def swarm(frames, data=None, **changes):
+    """Constants of a swarm of eight without noise, loss and delay, but for the changes."""
+    return KernelParameters(
+        FormationData.from_gains(gains()) if data is None else data,
+        frames,
+        ControlLaw(),
+        RULES,
+        keep_out=KEEP_OUT,
+        max_speed=MAX_SPEED,
+        max_climb=0.3,
+        max_acceleration=0.5,
+        max_climb_acceleration=0.8,
+        step=STEP,
+        noise=0.0,
+        steps_per_message=1,
+        message_delay=0,
+        message_loss=0.0,
+    )._replace(**changes)
 
 
 def roles(agents=8, active=None, commanded=-1, velocity=(0.0, 0.0, 0.0)):
@@ -79,7 +74,7 @@ def crowded(seed, agents=8, separation=1.5):
 
 def simulate(parameters, start, count, own_roles=None, seed=0):
     """Yield a copy of the state after every step."""
-    delay, rng = parameters.timing.message_delay, np.random.default_rng(seed)
+    delay, rng = parameters.message_delay, np.random.default_rng(seed)
     state = FormationState.at_rest(start, delay)
     for number in range(count):
         simulate_steps(state, own_roles or roles(len(start)), parameters, number, 1, rng)
@@ -134,7 +129,7 @@ def test_measured_position_is_the_true_one_in_the_own_frame_plus_drift():
 def test_measured_coordinates_have_the_standard_deviation_of_the_noise():
     hovering = roles(active=np.zeros(8, dtype=bool))
     start = crowded(0) * [10, 10, 1]  # too far apart to avoid each other
-    noisy = swarm(frames(), numbers=NUMBERS._replace(noise=0.02))
+    noisy = swarm(frames(), noise=0.02)
     errors = [state.measured_position - start for state in simulate(noisy, start, 500, hovering)]
     assert np.std(errors) == pytest.approx(0.02, rel=0.03)
     assert np.abs(np.mean(errors, axis=0)).max() <= 5 * 0.02 / 500**0.5
@@ -143,7 +138,7 @@ def test_measured_coordinates_have_the_standard_deviation_of_the_noise():
 @pytest.mark.parametrize(("delay", "every"), [(0, 1), (3, 1), (2, 5)])
 def test_messages_arrive_late_and_at_neighbors_alone(delay, every):
     graph, sent = gains().formation.graph, []
-    delayed = swarm(frames(), every=every, delay=delay)
+    delayed = swarm(frames(), steps_per_message=every, message_delay=delay)
     for number, state in enumerate(simulate(delayed, crowded(1), 40)):
         if number % every == 0:
             sent.append(state.measured_position)
@@ -158,7 +153,7 @@ def test_messages_arrive_late_and_at_neighbors_alone(delay, every):
 def test_lost_message_leaves_the_last_one_received():
     i, j = np.nonzero(gains().formation.graph)
     sent, ages = [], []
-    lossy = swarm(frames(), numbers=NUMBERS._replace(noise=0.01), loss=0.3)
+    lossy = swarm(frames(), noise=0.01, message_loss=0.3)
     for state in simulate(lossy, crowded(1), 500):
         sent.append(state.measured_position)
         if len(sent) >= 12:  # no two of them are equal
@@ -171,7 +166,7 @@ def test_lost_message_leaves_the_last_one_received():
 
 
 def test_agents_hover_until_the_first_message_arrives():
-    *before, after = simulate(swarm(frames(), delay=5), crowded(1) * [10, 10, 1], 6)
+    *before, after = simulate(swarm(frames(), message_delay=5), crowded(1) * [10, 10, 1], 6)
     assert not any(state.velocity.any() for state in before)
     assert np.linalg.norm(after.velocity, axis=1).min() > 0
 
@@ -182,7 +177,7 @@ def test_disturbance_spreads_one_hop_a_message():
     ring = np.column_stack([20 * np.cos(turn), 20 * np.sin(turn), np.arange(n) % 3])
     gap = np.abs(np.arange(n) - np.arange(n)[:, None])
     graph = np.isin(np.minimum(gap, n - gap), (1, 2))
-    data = formation_data(design_gains(DesiredFormation(ring, graph)))
+    data = FormationData.from_gains(design_gains(DesiredFormation(ring, graph)))
     start = ring + np.random.default_rng(7).normal(0, 0.5, (n, 3))
     moved = start.copy()
     moved[0] += [0.3, -0.2, 0.1]  # still out of range of all others
@@ -215,24 +210,23 @@ def test_agents_that_are_no_neighbors_matter_within_range_alone():
 
 @pytest.mark.parametrize("separation", [1.5, 0.4])
 def test_limits_of_speed_and_acceleration_hold_even_in_a_crowd(separation):
-    limits = NUMBERS._replace(
-        max_speed=0.4, max_climb=0.2, max_acceleration=0.6, max_climb_acceleration=0.7, noise=0.02
-    )
+    limits = {"max_speed": 0.4, "max_climb": 0.2, "max_acceleration": 0.6, "noise": 0.02}
+    crowd = swarm(frames(seed=2), **limits, max_climb_acceleration=0.7)
     start = crowded(2, separation=separation) * ([1, 1, 1] if separation > 1 else [0.5, 0.5, 1])
     before, fastest = np.zeros((8, 3)), 0.0
-    for state in simulate(swarm(frames(seed=2), numbers=limits), start, 500):
+    for state in simulate(crowd, start, 500):
         change = (state.velocity - before) / STEP
         before = state.velocity
         fastest = max(fastest, np.linalg.norm(before[:, :2], axis=1).max())
-        assert np.linalg.norm(change[:, :2], axis=1).max() <= limits.max_acceleration + 1e-9
-        assert np.abs(change[:, 2]).max() <= limits.max_climb_acceleration + 1e-9
-        assert np.abs(before[:, 2]).max() <= limits.max_climb + 1e-12
-    assert fastest == pytest.approx(limits.max_speed)
+        assert np.linalg.norm(change[:, :2], axis=1).max() <= crowd.max_acceleration + 1e-9
+        assert np.abs(change[:, 2]).max() <= crowd.max_climb_acceleration + 1e-9
+        assert np.abs(before[:, 2]).max() <= crowd.max_climb + 1e-12
+    assert fastest == pytest.approx(crowd.max_speed)
 
 
 def test_legacy_acceleration_is_limited_on_each_axis():
-    before, most, limit = np.zeros((8, 3)), 0.0, NUMBERS.max_acceleration
-    legacy = swarm(frames(), rules=CollisionAvoidance(legacy=True))
+    before, most, limit = np.zeros((8, 3)), 0.0, 0.5
+    legacy = swarm(frames(), avoidance=CollisionAvoidance(legacy=True))
     for state in simulate(legacy, crowded(2), 200):
         change = (state.velocity - before)[:, :2] / STEP
         before, most = state.velocity, max(most, np.linalg.norm(change, axis=1).max())
@@ -262,7 +256,7 @@ def test_two_agents_that_meet_pass_on_the_right():
         if not met and one[0] >= other[0]:
             met = True
             assert one[1] < other[1]
-        assert np.linalg.norm(one - other) >= NUMBERS.keep_out
+        assert np.linalg.norm(one - other) >= KEEP_OUT
     assert met and np.linalg.norm(one - other) > 5
     assert length[0] == pytest.approx(length[1])  # both give way alike
 
@@ -275,12 +269,12 @@ def test_agents_that_cross_from_all_sides_keep_out_to_5_cm(seed, noise):
     start = np.column_stack([6 * np.cos(turn), 6 * np.sin(turn), np.full(n, 1.0)])
     anchors = -start * [5, 5, -1]
     data, own_roles = towards(anchors)
-    own = swarm(frames(2 * n, drift=0.0, seed=seed), data, numbers=NUMBERS._replace(noise=noise))
+    own = swarm(frames(2 * n, drift=0.0, seed=seed), data, noise=noise)
     least = np.full(2 * n, np.inf)
     for state in simulate(own, np.concatenate([start, anchors]), 2500, own_roles, seed):
         least = np.minimum(least, separations(state.position).min(axis=1))
-    assert least[:n].max() < NUMBERS.keep_out + 0.1  # each of them met another
-    assert least.min() >= NUMBERS.keep_out - (0.05 if noise else 0.0)
+    assert least[:n].max() < KEEP_OUT + 0.1  # each of them met another
+    assert least.min() >= KEEP_OUT - (0.05 if noise else 0.0)
     assert np.linalg.norm(state.position[:n] - start, axis=1).min() > 4
 
 
@@ -291,11 +285,11 @@ def blocked_flight(blocked_time):
     own_roles = roles(active=np.arange(8) == 0)
     rules = RULES._replace(blocked_time=blocked_time)
     places = np.concatenate([start, start + np.array([60.0, 0, 0])])
-    return list(simulate(swarm(frames(), data, rules), places, 1500, own_roles))
+    return list(simulate(swarm(frames(), data, avoidance=rules), places, 1500, own_roles))
 
 
 def test_blocked_agent_wanders_for_a_while_in_one_direction():
-    states, slow = blocked_flight(RULES.blocked_time), 0.2 * NUMBERS.max_speed
+    states, slow = blocked_flight(RULES.blocked_time), 0.2 * MAX_SPEED
     blocked = np.array([state.blocked_time[0] for state in states])
     speed = np.array([np.linalg.norm(state.velocity[0, :2]) for state in states])
     begins = int(np.argmax(blocked < 0))
@@ -307,7 +301,7 @@ def test_blocked_agent_wanders_for_a_while_in_one_direction():
     # It flies in one direction, as far as the others allow, and keeps out of them.
     assert len({state.wander_direction[0] for state in states[begins : begins + wanders]}) == 1
     least = min(separations(state.position[:4]).min() for state in states)
-    assert least >= NUMBERS.keep_out
+    assert least >= KEEP_OUT
 
 
 def test_agent_that_never_wanders_stays_blocked():

@@ -20,7 +20,7 @@ FREE, AVOIDING = np.array([False, False]), np.array([False, True])
 
 def assigned_supervisor():
     """Return a supervisor whose swarm has just been assigned."""
-    supervisor = Supervisor(SETTINGS, PERIOD, 2)
+    supervisor = Supervisor(SETTINGS, PERIOD)
     supervisor.mark_assigned()
     return supervisor
 
@@ -42,7 +42,7 @@ def changes(phases):
 
 
 def test_swarm_waits_until_it_is_assigned():
-    supervisor = Supervisor(SETTINGS, PERIOD, 2)
+    supervisor = Supervisor(SETTINGS, PERIOD)
     phases = observe(supervisor, 5) + observe(supervisor, 5, FAST, AVOIDING)
     assert set(phases) == {Phase.WAITING}
 
@@ -126,7 +126,7 @@ def test_avoiding_by_turns_is_no_gridlock():
 
 @pytest.mark.parametrize("period", [0.02, 0.1, 0.5])
 def test_times_do_not_depend_on_the_period_of_observation(period):
-    supervisor = Supervisor(SETTINGS, period, 2)
+    supervisor = Supervisor(SETTINGS, period)
     supervisor.mark_assigned()
     phases = [supervisor.observe(SLOW, FREE) for _ in range(round(4 / period))]
     assert phases.index(Phase.CONVERGED) + 1 == round(1 / period)

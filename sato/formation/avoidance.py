@@ -6,13 +6,11 @@ command [Lusk2020, eq. 11].
 """
 
 from math import acos, asin, atan2, cos, pi, sin, sqrt
-from typing import no_type_check
 
 import numba
 import numpy as np
 
 
-@no_type_check
 @numba.njit(cache=True)
 def avoid_collisions(u, others, count, keep_out, rules, center, half):
     """Turn a velocity, or stop it, so that it approaches no other agent too fast.
@@ -30,10 +28,7 @@ def avoid_collisions(u, others, count, keep_out, rules, center, half):
         True where the velocity was changed.
     """
     speed = sqrt(u[0] ** 2 + u[1] ** 2)
-    if rules.legacy:
-        sectors = _sectors_by_distance(others, count, keep_out, rules, center, half)
-    else:
-        sectors = _sectors_by_braking(others, count, speed, keep_out, rules, center, half)
+    sectors = _forbidden_sectors(others, count, speed, keep_out, rules, center, half)
     heading = atan2(u[1], u[0])
     if not _is_forbidden(heading, center, half, sectors):
         return False
@@ -48,7 +43,6 @@ def avoid_collisions(u, others, count, keep_out, rules, center, half):
     return True
 
 
-@no_type_check
 @numba.njit(cache=True)
 def max_approach_speed(distance, keep_out, rules):
     """Return the largest speed of one of two agents towards the other [m/s].
@@ -61,43 +55,31 @@ def max_approach_speed(distance, keep_out, rules):
     return sqrt(rules.braking * gap) if gap > 0 else 2 * gap
 
 
-@no_type_check
 @numba.njit(cache=True)
-def _sectors_by_distance(others, count, keep_out, rules, center, half):
+def _forbidden_sectors(others, count, speed, keep_out, rules, center, half):
+    # Directions in which this speed approaches another agent faster than it can brake. In
     # [Lusk2020]'s code: directions that pass within the keep-out distance of a body at rest.
     sectors = 0
     for k in range(count):
         d = sqrt(others[k, 0] ** 2 + others[k, 1] ** 2)
-        if d < rules.avoidance_range:
-            center[sectors] = atan2(others[k, 1], others[k, 0])
-            half[sectors] = asin(min(1.0, keep_out / d)) if d > 0 else pi / 2
-            sectors += 1
-    return sectors
-
-
-@no_type_check
-@numba.njit(cache=True)
-def _sectors_by_braking(others, count, speed, keep_out, rules, center, half):
-    # Directions in which this speed approaches another agent faster than it can brake.
-    sectors = 0
-    for k in range(count):
-        d = sqrt(others[k, 0] ** 2 + others[k, 1] ** 2)
         allowed = max_approach_speed(d, keep_out, rules)
-        if d < rules.avoidance_range and allowed < speed:
-            center[sectors] = atan2(others[k, 1], others[k, 0])
+        if d >= rules.avoidance_range or (allowed >= speed and not rules.legacy):
+            continue
+        center[sectors] = atan2(others[k, 1], others[k, 0])
+        if rules.legacy:
+            half[sectors] = asin(min(1.0, keep_out / d)) if d > 0 else pi / 2
+        else:
             # A speed too small to separate as fast as required is forbidden in all directions.
             half[sectors] = acos(allowed / speed) if allowed > -speed else 2 * pi
-            sectors += 1
+        sectors += 1
     return sectors
 
 
-@no_type_check
 @numba.njit(cache=True)
 def _wrap_angle(angle):
     return (angle + pi) % (2 * pi) - pi
 
 
-@no_type_check
 @numba.njit(cache=True)
 def _is_forbidden(heading, center, half, sectors):
     for k in range(sectors):
@@ -106,7 +88,6 @@ def _is_forbidden(heading, center, half, sectors):
     return False
 
 
-@no_type_check
 @numba.njit(cache=True)
 def _smallest_turn(heading, center, half, sectors, rules):
     # Candidates are the edges of sectors that lie in no other sector; 2π where there is none.
@@ -126,7 +107,6 @@ def _smallest_turn(heading, center, half, sectors, rules):
     return best
 
 
-@no_type_check
 @numba.njit(cache=True)
 def limit_approach(u, others, count, keep_out, rules):
     """Project a velocity onto those that approach no other agent too fast.
@@ -154,7 +134,6 @@ def limit_approach(u, others, count, keep_out, rules):
     return changed
 
 
-@no_type_check
 @numba.njit(cache=True)
 def _project_velocity(u_x, u_y, others, count, keep_out, rules, least):
     # Returns the closest velocity in the half-planes, and whether there is one. Half-planes
@@ -183,7 +162,6 @@ def _project_velocity(u_x, u_y, others, count, keep_out, rules, least):
     return x, y, True
 
 
-@no_type_check
 @numba.njit(cache=True)
 def _approach_half_plane(other, keep_out, rules, least):
     # Direction towards another agent, and the largest speed in it.

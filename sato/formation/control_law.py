@@ -6,12 +6,14 @@ vertical, so the result does not depend on the frame [Lusk2020, Sec. III-A].
 """
 
 from math import atan, sqrt
-from typing import no_type_check
+from typing import NamedTuple
 
 import numba
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Complex, Float, Int
 from numpy import ndarray as Array
+
+from problems.gain_matrix import GainMatrix
 
 # Size control of [Lusk2020]'s code, in the plane and vertical: K1 [1/s], K2 [1/m], and the
 # error up to which it does nothing [m].
@@ -19,17 +21,29 @@ LEGACY_GAIN_XY, LEGACY_SLOPE_XY, LEGACY_DEADBAND_XY = 0.1, 0.1, 0.3
 LEGACY_GAIN_Z, LEGACY_SLOPE_Z, LEGACY_DEADBAND_Z = 0.5, 0.3, 0.1
 
 
-def size_control_weights(graph: Bool[Array, "n n"]) -> Float[Array, "n n"]:
-    """Weight each edge of a graph by the larger degree of its ends, w_ij = 1 / max(d_i, d_j)."""
-    degree = graph.sum(axis=1)
-    return np.asarray(graph / np.maximum(degree, degree[:, None]))
+class FormationData(NamedTuple):
+    """Desired formation as all agents know it; each uses its own row."""
+
+    gains_xy: Complex[Array, "points points"]  # [1/s]
+    gains_z: Float[Array, "points points"]  # [1/s]
+    points: Float[Array, "points 3"]  # [m]
+    neighbors: Int[Array, "points most"]  # of each point, padded with −1
+    size_weights: Float[Array, "points points"]  # w_ij = 1 / max(d_i, d_j), d the degree
+
+    @classmethod
+    def from_gains(cls, gains: GainMatrix) -> "FormationData":
+        """Collect what the control law needs of a formation with its gains."""
+        graph = gains.formation.graph
+        degree = graph.sum(axis=1)
+        # Row by row the neighbors first, in order; the rest is −1.
+        order = np.argsort(~graph, axis=1, kind="stable")[:, : degree.max()]
+        neighbors = np.where(np.arange(degree.max()) < degree[:, None], order, -1)
+        weights = graph / np.maximum(degree, degree[:, None])
+        return cls(gains.xy, gains.z, gains.formation.points, neighbors, weights)
 
 
-@no_type_check
 @numba.njit(cache=True)
-def compute_velocity_command(
-    me, relative, neighbors, gain_xy, gain_z, points, weight, law, legacy, command
-):
+def compute_velocity_command(me, relative, neighbors, formation, law, legacy, command):
     """Compute the velocity command of an agent, in the frame of the relative positions.
 
     In the plane it is Σ_j (A_ij + f_ij) q_ij with the size control f_ij. The vertical part is
@@ -42,14 +56,13 @@ def compute_velocity_command(
         me: Index of the point that the agent holds.
         relative: Relative position of the holder of each point, (points, 3) [m].
         neighbors: Indices of the neighboring points.
-        gain_xy: The agent's row of the gains in the plane, (points,) complex [1/s].
-        gain_z: The agent's row of the vertical gains, (points,) [1/s].
-        points: Points of the formation, (points, 3) [m].
-        weight: Weights of the size control, (points,), see `size_control_weights`.
+        formation: Formation with its gains, a `FormationData`.
         law: Numbers of the law, a `ControlLaw`.
         legacy: True for the size control of the paper's code.
         command: Buffer for the velocity command, (3,) [m/s].
     """
+    gain_xy, gain_z = formation.gains_xy[me], formation.gains_z[me]
+    points, weight = formation.points, formation.size_weights[me]
     x, y, z = 0.0, 0.0, 0.0
     for j in neighbors:
         q_x, q_y, q_z = relative[j, 0], relative[j, 1], relative[j, 2]
@@ -71,7 +84,6 @@ def compute_velocity_command(
     command[0], command[1], command[2] = law.gain * x, law.gain * y, law.gain * z
 
 
-@no_type_check
 @numba.njit(cache=True)
 def _relative_error(actual, desired):
     # From −1, where the length is zero, to 1, where it is far too large.
@@ -79,7 +91,6 @@ def _relative_error(actual, desired):
     return (actual - desired) / most if most > 0 else 0.0
 
 
-@no_type_check
 @numba.njit(cache=True)
 def _legacy_size_gain(error, gain, slope, deadband):
     return gain * atan(slope * error) if abs(error) > deadband else 0.0

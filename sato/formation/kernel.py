@@ -5,9 +5,8 @@ The loop over agents calls the functions of one agent (`compute_velocity_command
 sensors and the equations of motion use the true state.
 """
 
-from collections import namedtuple
 from pathlib import Path
-from typing import Any, NamedTuple, no_type_check
+from typing import Any, NamedTuple
 from zlib import crc32
 
 import numba
@@ -16,7 +15,8 @@ from jaxtyping import Bool, Complex, Float, Int
 from numpy import ndarray as Array
 
 from sato.formation.avoidance import avoid_collisions, limit_approach
-from sato.formation.control_law import compute_velocity_command
+from sato.formation.control_law import FormationData, compute_velocity_command
+from sato.formation.mission import Formation
 from sato.formation.sensors import (
     exchange_positions,
     locate_neighbors,
@@ -27,39 +27,40 @@ from sato.formation.settings import CollisionAvoidance, ControlLaw, CoordinateFr
 
 BLOCKED_SPEED_SHARE = 0.2  # of the largest speed: slower than this an agent counts as stopped
 
-# Numbers of the mission that compiled code takes, by the names that they have there.
-LIMITS = ("keep_out", "max_speed", "max_climb", "max_acceleration", "max_climb_acceleration")
-MissionNumbers = namedtuple("MissionNumbers", (*LIMITS, "noise"))  # type: ignore[misc]
-
-
-class FormationData(NamedTuple):
-    """Desired formation as all agents know it; each uses its own row."""
-
-    gains_xy: Complex[Array, "points points"]  # [1/s]
-    gains_z: Float[Array, "points points"]  # [1/s]
-    points: Float[Array, "points 3"]  # [m]
-    neighbors: Int[Array, "points most"]  # of each point, padded with −1
-    size_weights: Float[Array, "points points"]  # of the size control
-
-
-class Timing(NamedTuple):
-    """Periods of control and messages."""
-
-    step: float  # of control [s]
-    steps_per_message: int  # control steps between two position messages
-    message_delay: int  # messages by which a message arrives late
-    message_loss: float  # probability that a message is lost
-
 
 class KernelParameters(NamedTuple):
     """Constants of the flight to one formation."""
 
     formation: FormationData
+    # By the names that they have in the mission:
     coordinate_frames: CoordinateFrames
     control_law: ControlLaw
     avoidance: CollisionAvoidance
-    numbers: Any  # `MissionNumbers`
-    timing: Timing
+    keep_out: float  # [m]
+    max_speed: float  # [m/s]
+    max_climb: float  # [m/s]
+    max_acceleration: float  # [m/s²]
+    max_climb_acceleration: float  # [m/s²]
+    step: float  # of control [s]
+
+    noise: float  # standard deviation of a measured coordinate [m]
+    steps_per_message: int  # control steps between two position messages
+    message_delay: int  # messages by which a message arrives late
+    message_loss: float  # probability that a message is lost
+
+    @classmethod
+    def for_leg(cls, mission: Formation, leg: int) -> "KernelParameters":
+        """Collect the constants of a leg of a drawn mission."""
+        radio = mission.radio
+        same = {name: getattr(mission, name) for name in cls._fields[1:10]}
+        return cls(
+            FormationData.from_gains(mission.gains[leg]),
+            **same,
+            noise=mission.frames.noise,
+            steps_per_message=max(1, round(1 / (radio.message_rate * mission.step))),
+            message_delay=radio.delay_rounds,
+            message_loss=radio.loss_probability,
+        )
 
 
 class Roles(NamedTuple):
@@ -90,37 +91,37 @@ class FormationState(NamedTuple):
     def at_rest(cls, position: Float[Array, "agents 3"], message_delay: int) -> "FormationState":
         """Return all agents at rest, before any message."""
         n = len(position)
+        velocity, drift, measured, command = np.zeros((4, n, 3))
         return cls(
             position=position.copy(),
-            velocity=np.zeros((n, 3)),
-            drift=np.zeros((n, 3)),
-            measured_position=np.zeros((n, 3)),
+            velocity=velocity,
+            drift=drift,
+            measured_position=measured,
             sent=np.full((message_delay + 1, n, 3), np.nan),
             received=np.full((n, n, 3), np.nan),
-            velocity_command=np.zeros((n, 3)),
+            velocity_command=command,
             avoiding=np.zeros(n, dtype=bool),
             blocked_time=np.zeros(n),
             wander_direction=np.ones(n, dtype=complex),
         )
 
 
-@no_type_check
 @numba.njit
 def _update_velocity(i, state, swarm, others, buffer, rng):
     # Limits of speed, then avoidance, then limits of acceleration.
-    numbers, rules = swarm.numbers, swarm.avoidance
+    rules, keep_out = swarm.avoidance, swarm.keep_out
     heading = swarm.coordinate_frames.rotation[i]
     u = state.velocity_command[i].copy()
-    _clip_speed(u, numbers.max_speed)
-    u[2] = min(max(u[2], -numbers.max_climb), numbers.max_climb)
+    _clip_speed(u, swarm.max_speed)
+    u[2] = min(max(u[2], -swarm.max_climb), swarm.max_climb)
     wanders = not rules.legacy and _wander(i, u, state, swarm, rng)
     count = sense_nearby(i, state, swarm, others, rng)
-    avoids = avoid_collisions(u, others, count, numbers.keep_out, rules, buffer[0], buffer[1])
+    avoids = avoid_collisions(u, others, count, keep_out, rules, buffer[0], buffer[1])
     state.avoiding[i] = avoids or wanders
     true = state.velocity[i]
     flat = np.conj(heading) * complex(true[0], true[1])
     v = np.array([flat.real, flat.imag])
-    most = numbers.max_acceleration * swarm.timing.step
+    most = swarm.max_acceleration * swarm.step
     if rules.legacy:
         for a in range(2):
             v[a] += min(max(u[a] - v[a], -most), most)
@@ -128,22 +129,21 @@ def _update_velocity(i, state, swarm, others, buffer, rng):
         w = v.copy()
         _step_towards(w, u, most)
         # While the velocity turns, others must not be approached too fast either.
-        if limit_approach(w, others, count, numbers.keep_out, rules):
+        if limit_approach(w, others, count, keep_out, rules):
             u[0], u[1] = w[0], w[1]
-        _clip_speed(u, numbers.max_speed)  # also where an agent has to separate from others
+        _clip_speed(u, swarm.max_speed)  # also where an agent has to separate from others
         _step_towards(v, u, most)
     flat = heading * complex(v[0], v[1])
     true[0], true[1] = flat.real, flat.imag
-    most = numbers.max_climb_acceleration * swarm.timing.step
+    most = swarm.max_climb_acceleration * swarm.step
     true[2] += min(max(u[2] - true[2], -most), most)
 
 
-@no_type_check
 @numba.njit
 def _wander(i, u, state, swarm, rng):
     # Rules that are the same for all agents can stop all of them for good, each because of
     # another. An agent that has been stopped for a while flies anywhere for a moment.
-    v, max_speed, step = state.velocity[i], swarm.numbers.max_speed, swarm.timing.step
+    v, max_speed, step = state.velocity[i], swarm.max_speed, swarm.step
     commanded, flown = np.sqrt(u[0] ** 2 + u[1] ** 2), np.sqrt(v[0] ** 2 + v[1] ** 2)
     if state.blocked_time[i] < 0:
         state.blocked_time[i] = min(0.0, state.blocked_time[i] + step)
@@ -159,7 +159,6 @@ def _wander(i, u, state, swarm, rng):
     return False
 
 
-@no_type_check
 @numba.njit
 def _clip_speed(u, most):
     speed = np.sqrt(u[0] * u[0] + u[1] * u[1])
@@ -167,7 +166,6 @@ def _clip_speed(u, most):
         u[0], u[1] = u[0] * most / speed, u[1] * most / speed
 
 
-@no_type_check
 @numba.njit
 def _step_towards(v, u, most):
     change = np.sqrt((u[0] - v[0]) ** 2 + (u[1] - v[1]) ** 2)
@@ -176,10 +174,9 @@ def _step_towards(v, u, most):
     v[1] += share * (u[1] - v[1])
 
 
-@no_type_check
 @numba.njit
 def _integrate(i, state, swarm):
-    v, step = state.velocity[i], swarm.timing.step
+    v, step = state.velocity[i], swarm.step
     flat = v[0] * v[0] + v[1] * v[1]
     length = np.sqrt(flat + v[2] * v[2]) * step
     for a in range(3):
@@ -191,7 +188,6 @@ def _compile_kernel(stamp: int) -> Any:
     # Numba compiles anew when the file of a function changes, or what it closes over. The
     # stamp covers all files that are compiled into this one function.
     @numba.njit(cache=True)
-    @no_type_check
     def simulate_steps(state, roles, swarm, first, steps, rng):
         """Simulate some control steps.
 
@@ -208,8 +204,8 @@ def _compile_kernel(stamp: int) -> Any:
         near = np.zeros(n, dtype=np.int64)
         formation, law, legacy = swarm.formation, swarm.control_law, swarm.avoidance.legacy
         for number in range(first, first + steps):
-            measure_own_position(state, swarm.coordinate_frames, swarm.numbers.noise, rng)
-            message, rest = divmod(number, swarm.timing.steps_per_message)
+            measure_own_position(state, swarm, rng)
+            message, rest = divmod(number, swarm.steps_per_message)
             if rest == 0:
                 exchange_positions(state, roles, swarm, message, rng)
             for i in range(n):
@@ -220,18 +216,7 @@ def _compile_kernel(stamp: int) -> Any:
                 elif roles.is_active[i]:
                     me = roles.assignment[i]
                     k = locate_neighbors(i, state, roles, swarm, relative, near)
-                    compute_velocity_command(
-                        me,
-                        relative,
-                        near[:k],
-                        formation.gains_xy[me],
-                        formation.gains_z[me],
-                        formation.points,
-                        formation.size_weights[me],
-                        law,
-                        legacy,
-                        u,
-                    )
+                    compute_velocity_command(me, relative, near[:k], formation, law, legacy, u)
             for i in range(n):
                 _update_velocity(i, state, swarm, others, buffer, rng)
             for i in range(n):

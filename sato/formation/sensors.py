@@ -1,15 +1,13 @@
 """Measurements and messages of the agents: the only functions that read the true state."""
 
-from typing import no_type_check
-
 import numba
 import numpy as np
 
 
-@no_type_check
 @numba.njit
-def measure_own_position(state, frames, noise, rng):
+def measure_own_position(state, swarm, rng):
     """Measure each agent's position in its own frame, with odometry drift and noise."""
+    frames, noise = swarm.coordinate_frames, swarm.noise
     for i in range(len(state.position)):
         e = state.measured_position[i]
         p = complex(
@@ -23,24 +21,22 @@ def measure_own_position(state, frames, noise, rng):
                 e[a] += noise * rng.standard_normal()
 
 
-@no_type_check
 @numba.njit
 def exchange_positions(state, roles, swarm, message, rng):
     """Send each agent's position to the agents that hold the neighboring points."""
-    ring, timing = len(state.sent), swarm.timing
+    ring = len(state.sent)
     state.sent[message % ring] = state.measured_position
-    arriving = state.sent[(message - timing.message_delay) % ring]
+    arriving = state.sent[(message - swarm.message_delay) % ring]
     for i in range(len(state.position)):
         for point in swarm.formation.neighbors[roles.assignment[i]]:
             if point < 0:
                 break
-            if timing.message_loss == 0 or rng.random() >= timing.message_loss:
+            if swarm.message_loss == 0 or rng.random() >= swarm.message_loss:
                 j = roles.holder[i, point]
                 for a in range(3):
                     state.received[i, j, a] = arriving[j, a]
 
 
-@no_type_check
 @numba.njit
 def locate_neighbors(i, state, roles, swarm, relative, near):
     """Locate the holders of neighboring points relative to agent i, in its own frame.
@@ -70,7 +66,6 @@ def locate_neighbors(i, state, roles, swarm, relative, near):
     return k
 
 
-@no_type_check
 @numba.njit
 def sense_nearby(i, state, swarm, others, rng):
     """Sense the agents within range of agent i, in its own frame; odometry does not matter here.
@@ -78,7 +73,7 @@ def sense_nearby(i, state, swarm, others, rng):
     Returns:
         Number of agents sensed; the first so many rows of `others` are their positions.
     """
-    frames, noise, count = swarm.coordinate_frames, swarm.numbers.noise, 0
+    frames, noise, count = swarm.coordinate_frames, swarm.noise, 0
     reach, own = swarm.avoidance.avoidance_range, np.conj(frames.rotation[i])
     for j in range(len(state.position)):
         x = state.position[j, 0] - state.position[i, 0]

@@ -1,16 +1,23 @@
-"""Supervisor of a flight: has the swarm converged, or is it gridlocked?
+"""Course of a flight: hover, assign, take up one formation after another.
 
-The predicates are those of [Lusk2020]'s trials, as its base station applies them. No agent
-receives anything from it.
+When the swarm has converged and when it is gridlocked is decided as by the base station of
+[Lusk2020]'s trials. No agent receives anything from it.
 """
 
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Iterator
 from enum import Enum
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
+from sato.formation.mission import Formation
 from sato.formation.settings import SupervisorSettings
+
+TIME_TOLERANCE = 1e-9  # [s]
 
 
 class Phase(Enum):
@@ -27,22 +34,18 @@ class Phase(Enum):
 class Supervisor:
     """Observer of a swarm that takes up one formation."""
 
-    def __init__(self, settings: SupervisorSettings, period: float, agents: int) -> None:
+    def __init__(self, settings: SupervisorSettings, period: float) -> None:
         """Begin in the phase of waiting.
 
         Args:
             settings: When a formation is converged, and a swarm gridlocked.
             period: Time between two observations [s].
-            agents: Number of agents.
         """
-        self.phase = Phase.WAITING
-        self.time_in_phase = 0.0  # [s]
+        self.phase, self.time_in_phase = Phase.WAITING, 0.0  # [s]
         self._settings, self._period = settings, period
-        self._window_length = max(1, round(settings.averaging_window / period))
-        self._speed_window = np.zeros((self._window_length, agents))
-        self._avoiding_window = np.zeros((self._window_length, agents))
-        self._speed_sum, self._avoiding_sum = np.zeros(agents), np.zeros(agents)
-        self._observation_count = 0
+        window = max(1, round(settings.averaging_window / period))
+        self._speeds: deque[Array] = deque(maxlen=window)
+        self._avoiding: deque[Array] = deque(maxlen=window)
 
     def mark_assigned(self) -> None:
         """Note that every agent knows its point."""
@@ -56,48 +59,129 @@ class Supervisor:
             speed: Speed that the control law commands each agent, before limits [m/s].
             avoiding: True for agents that change their command to avoid others.
         """
-        row = self._observation_count % self._window_length
-        self._speed_sum += speed - self._speed_window[row]
-        self._avoiding_sum += avoiding - self._avoiding_window[row]
-        self._speed_window[row], self._avoiding_window[row] = speed, avoiding
-        self._observation_count += 1
+        settings = self._settings
+        self._speeds.append(speed)
+        self._avoiding.append(avoiding)
         self.time_in_phase += self._period
-        if self.phase is Phase.CONVERGED and not self._is_slow:
-            self._enter(Phase.FLYING)
-        elif self.phase is Phase.CONVERGED and self._has_lasted(self._settings.convergence_time):
-            self._enter(Phase.COMPLETED)
-        elif self._observation_count >= self._window_length and self._has_lasted(
-            self._settings.averaging_window
-        ):
-            self._update_phase()
+        is_slow = bool((np.mean(self._speeds, axis=0) < settings.convergence_speed).all())
+        if self.phase is Phase.CONVERGED:
+            if not is_slow:
+                self._enter(Phase.FLYING)
+            elif self._has_lasted(settings.convergence_time):
+                self._enter(Phase.COMPLETED)
+        elif self._has_lasted(settings.averaging_window):
+            share = np.mean(self._avoiding, axis=0)
+            self._update_phase(is_slow, bool((share > settings.gridlock_share).any()))
         return self.phase
 
-    def _update_phase(self) -> None:
-        if self.phase is Phase.FLYING and self._is_slow:
-            self._enter(Phase.CONVERGED)
-        elif self.phase is Phase.FLYING and self._is_gridlocked:
-            self._enter(Phase.GRIDLOCKED)
-        elif self.phase is Phase.GRIDLOCKED and not self._is_gridlocked:
+    def _update_phase(self, is_slow: bool, is_stuck: bool) -> None:
+        if self.phase is Phase.FLYING and (is_slow or is_stuck):
+            self._enter(Phase.CONVERGED if is_slow else Phase.GRIDLOCKED)
+        elif self.phase is Phase.GRIDLOCKED and not is_stuck:
             self._enter(Phase.FLYING)
         elif self.phase is Phase.GRIDLOCKED and self._has_lasted(self._settings.gridlock_timeout):
             self._enter(Phase.ABORTED)
 
-    @property
-    def _is_slow(self) -> bool:
-        return bool(
-            (self._speed_sum < self._settings.convergence_speed * self._window_length).all()
-        )
-
-    @property
-    def _is_gridlocked(self) -> bool:
-        return bool(
-            (self._avoiding_sum > self._settings.gridlock_share * self._window_length).any()
-        )
-
     def _has_lasted(self, time: float) -> bool:
-        return self.time_in_phase >= time - 1e-9
+        return self.time_in_phase >= time - TIME_TOLERANCE
 
     def _enter(self, phase: Phase) -> None:
         self.phase, self.time_in_phase = phase, 0.0
-        if phase is not Phase.CONVERGED:
-            self._observation_count = 0
+
+
+class FlightCourse(ABC):
+    """Course of a flight through all formations, in simulation or again from a record."""
+
+    def __init__(self, mission: Formation) -> None:
+        """Begin before the first leg, all agents hovering."""
+        self.mission, self.phase = mission, Phase.WAITING
+        self.leg = self.instant = 0
+        self._events: list[dict[str, Any]] = []
+
+    @abstractmethod
+    def start_leg(self) -> None:
+        """Prepare for the next formation."""
+
+    @abstractmethod
+    def hold_auction(self) -> int:
+        """Hold an auction, and return its rounds of messages."""
+
+    @abstractmethod
+    def assign(self) -> None:
+        """Let all agents take the points of the last auction."""
+
+    @abstractmethod
+    def advance(self) -> tuple[Float[Array, "agents 3"], Bool[Array, " agents"]]:
+        """Fly to the next instant; return velocity commands, and who avoids others there."""
+
+    @property
+    def time(self) -> float:
+        """Time of this instant [s]."""
+        return self.instant * self.mission.steps_per_frame * self.mission.step
+
+    def instants(self) -> Iterator[tuple[dict[str, Any], ...]]:
+        """Fly from instant to instant, and yield the events of each.
+
+        Ends early where the swarm has been gridlocked for too long, or the time is over.
+        """
+        yield ()
+        yield from self._hover()
+        for leg in range(len(self.mission.legs)):
+            self.leg = leg
+            self.start_leg()
+            self.note("leg_start", range(self.mission.agents), leg=leg)
+            yield from self._fly_leg()
+            if self.phase is not Phase.COMPLETED:
+                return
+            yield from self._hover()
+
+    def note(self, kind: str, agents: Any, **details: Any) -> None:
+        """Note an event of the next instant."""
+        self._events.append({"kind": kind, **details, "agents": list(agents)})
+
+    def _take_events(self) -> tuple[dict[str, Any], ...]:
+        events, self._events = tuple(self._events), []
+        return events
+
+    def _hover(self) -> Iterator[tuple[dict[str, Any], ...]]:
+        # Agents that have taken up a formation go on holding it.
+        for _ in range(round(self.mission.supervision.hover_time / self.mission.frame_period)):
+            self.advance()
+            self.instant += 1
+            yield ()
+
+    def _fly_leg(self) -> Iterator[tuple[dict[str, Any], ...]]:
+        mission, settings = self.mission, self.mission.assignment
+        supervisor = Supervisor(mission.supervision, mission.frame_period)
+        # Time of the next auction, and when all will know the outcome of the last. Messages take
+        # time: until then agents go on as before.
+        due, known = self.time + settings.first_delay, np.inf
+        if settings.method == "none":
+            due, known = np.inf, self.time
+        is_over = False
+        while not is_over:
+            if known == np.inf and self.time >= due - TIME_TOLERANCE:
+                rounds = self.hold_auction()
+                self.note("auction", [], leg=self.leg, rounds=rounds)
+                due, known = (
+                    self.time + settings.period,
+                    self.time + rounds / mission.radio.message_rate,
+                )
+            if self.time >= known - TIME_TOLERANCE:
+                self.assign()
+                supervisor.mark_assigned()
+                known = np.inf
+            command, avoiding = self.advance()
+            self.instant += 1
+            before = supervisor.phase
+            speed = np.sqrt(np.einsum("ij,ij->i", command, command))
+            self.phase = supervisor.observe(speed, avoiding)
+            if self.phase is not before and Phase.GRIDLOCKED in (before, self.phase):
+                kind = "gridlock" if self.phase is Phase.GRIDLOCKED else "gridlock_end"
+                self.note(kind, np.flatnonzero(avoiding).tolist(), leg=self.leg)
+            is_over = self.phase in (Phase.COMPLETED, Phase.ABORTED)
+            is_over |= self.time >= mission.supervision.time_limit - TIME_TOLERANCE
+            if is_over:
+                kind = "leg_end" if self.phase is Phase.COMPLETED else "given_up"
+                self.note(kind, [], leg=self.leg)
+            yield self._take_events()

@@ -1,9 +1,10 @@
-"""Record of a flight: the arrays of a run, and the mission that its scenario describes."""
+"""Record of a flight: the arrays of a run, and the course that it must have taken."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from itertools import combinations, islice
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -11,15 +12,42 @@ from numpy import ndarray as Array
 
 from problems.gain_matrix import GainMatrix
 from sato.check.event_log import EventLog
-from sato.formation.check.closest import ClosestPair, find_closest_approach
-from sato.formation.check.replay import Replay, replay
 from sato.formation.loop import FormationFrame
 from sato.formation.mission import Formation
 from sato.formation.record import GAIN_PARTS, FormationVariables, collect_variables
+from sato.formation.supervisor import FlightCourse, Phase
 from sato.record import read_frames, read_variables
 
 if TYPE_CHECKING:
     import xarray
+
+
+class ClosestPair(NamedTuple):
+    """Closest approach of two vehicles that fly straight from each instant to the next."""
+
+    distance: float  # in the plane [m]; infinite for fewer than two vehicles
+    piece: int  # instant before it
+    pair: tuple[int, int]
+
+
+class FormationLegRecord(NamedTuple):
+    """Instants of one leg."""
+
+    leg: int
+    first_instant: int  # the one after the start of the leg
+    end_instant: int  # the formation is taken up or given up; the last where it never is
+    last_instant: int  # the one before the next leg, or the last
+    completed: bool  # the formation is taken up, by the supervisor
+
+
+class Replay(NamedTuple):
+    """Course that a flight must have taken by the recorded commands and avoidance."""
+
+    leg: Int[Array, " instants"]  # −1 after the flight had to be over
+    phase: tuple[Phase, ...]  # at each instant until then
+    events: tuple[tuple[int, str, int], ...]  # instant, kind and leg
+    legs: tuple[FormationLegRecord, ...]
+    is_complete: bool  # True where the flight had to be over at the last instant
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,11 +62,9 @@ class FormationRecord:
     @classmethod
     def from_dataset(cls, data: "xarray.Dataset", mission: Formation) -> "FormationRecord":
         """Read the data of a run."""
-        frames, variables = (
-            read_frames(FormationFrame, data),
-            read_variables(FormationVariables, data),
-        )
-        return cls(mission, frames, variables, {str(k): v for k, v in data.attrs.items()})
+        frames = read_frames(FormationFrame, data)
+        attributes = {str(name): value for name, value in data.attrs.items()}
+        return cls(mission, frames, read_variables(FormationVariables, data), attributes)
 
     @classmethod
     def from_frames(cls, frames: Sequence[FormationFrame], mission: Formation) -> "FormationRecord":
@@ -65,10 +91,33 @@ class FormationRecord:
         return EventLog(self.time, self.frames.events)
 
     @cached_property
+    def auction_rounds(self) -> tuple[int, ...]:
+        """Rounds of messages of each auction, before its outcome is known."""
+        return tuple(int(event["rounds"]) for _, event in self.events.of_kind("auction"))
+
+    @cached_property
     def replay(self) -> Replay:
         """Course that the flight had to take by the recorded commands and avoidance."""
-        rounds = [int(e["rounds"]) for _, e in self.events.of_kind("auction")]
-        return replay(self.mission, self.frames.velocity_command, self.frames.avoiding, rounds)
+        course = _RecordedCourse(self)
+        instants, leg = course.instants(), np.full(len(self.time), -1)
+        phase: list[Phase] = []
+        noted: list[tuple[int, str, int]] = []
+        for k, events in enumerate(islice(instants, len(self.time))):
+            leg[k] = course.leg
+            phase.append(course.phase)
+            noted += [(k, event["kind"], event["leg"]) for event in events]
+        is_complete = len(phase) == len(self.time) and next(instants, None) is None
+        last = len(phase) - 1  # the last instant that there had to be
+        starts = [k for k, kind, _ in noted if kind == "leg_start"]
+        ends = [(k, kind == "leg_end") for k, kind, _ in noted if kind in ("leg_end", "given_up")]
+        if len(ends) < len(starts):
+            ends.append((last, False))
+        until = [*(k - 1 for k in starts[1:]), last]
+        legs = tuple(
+            FormationLegRecord(number, starts[number], end, until[number], completed)
+            for number, (end, completed) in enumerate(ends)
+        )
+        return Replay(leg, tuple(phase), tuple(noted), legs, is_complete)
 
     @cached_property
     def closest_approach(self) -> ClosestPair:
@@ -85,3 +134,40 @@ class FormationRecord:
         real, imaginary, z = (parts[name] for name in GAIN_PARTS)
         formation = self.mission.gains[leg].formation
         return GainMatrix(formation, real + 1j * imaginary, z, "recorded", np.inf, np.inf)
+
+
+class _RecordedCourse(FlightCourse):
+    # Reads what the loop computes, as far as it was recorded.
+    def __init__(self, record: FormationRecord) -> None:
+        super().__init__(record.mission)
+        self.frames, self.rounds = record.frames, iter(record.auction_rounds)
+
+    def start_leg(self) -> None:
+        pass
+
+    def hold_auction(self) -> int:
+        return next(self.rounds, 0)
+
+    def assign(self) -> None:
+        pass
+
+    def advance(self) -> tuple[Array, Array]:
+        k = min(self.instant + 1, len(self.frames.avoiding) - 1)
+        return self.frames.velocity_command[k], self.frames.avoiding[k]
+
+
+def find_closest_approach(position: Float[Array, "instants agents 2"]) -> ClosestPair:
+    """Find the closest approach of all pairs, from positions in the plane [m]."""
+    best = ClosestPair(np.inf, -1, (-1, -1))
+    # The last instant is repeated, so that it counts where there is no other.
+    way = np.concatenate([position, position[-1:]])
+    for i, j in combinations(range(position.shape[1]), 2):
+        x, y = (way[:-1, j] - way[:-1, i]).T
+        d_x, d_y = (way[1:, j] - way[1:, i]).T - (x, y)
+        far = d_x * d_x + d_y * d_y
+        s = np.clip(-(x * d_x + y * d_y) / np.where(far > 0, far, 1.0), 0.0, 1.0)
+        distance = np.sqrt((x + s * d_x) ** 2 + (y + s * d_y) ** 2)
+        k = int(distance.argmin())
+        if distance[k] < best.distance:
+            best = ClosestPair(float(distance[k]), k, (i, j))
+    return best

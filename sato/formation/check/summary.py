@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 
 from sato.check.common import common_summary, incomplete_reason
-from sato.formation.check.recorded import FormationRecord
-from sato.formation.check.replay import FormationLegRecord
+from sato.formation.check.recorded import FormationLegRecord, FormationRecord
 from sato.formation.shape_error import ShapeError, compute_shape_error
 from sato.formation.supervisor import Phase
 
@@ -22,7 +21,6 @@ def summarize_flight(record: FormationRecord) -> dict[str, Any]:
     legs = [summarize_leg(record, leg) for leg in record.replay.legs]
     is_over = len(legs) == len(mission.legs) and not incomplete_reason(record.attributes)
     gridlocked = sum(phase is Phase.GRIDLOCKED for phase in record.replay.phase[:-1])
-    rounds = [int(e["rounds"]) for _, e in record.events.of_kind("auction")]
     errors = [leg["shape_error_m"] for leg in legs if "shape_error_m" in leg]
     summary = {
         "success": is_over and all(leg["success"] for leg in legs),
@@ -32,7 +30,7 @@ def summarize_flight(record: FormationRecord) -> dict[str, Any]:
         "reassignments": sum(leg["reassignments"] for leg in legs),
         "gridlocked_s": gridlocked * mission.frame_period,
         "bytes_per_vehicle_s": received_bit_rate(record) / 8,
-        "longest_auction_s": max(rounds, default=0) / mission.radio.message_rate,
+        "longest_auction_s": max(record.auction_rounds, default=0) / mission.radio.message_rate,
         "min_separation_m": record.closest_approach.distance,
         "keep_out_m": mission.keep_out,
         "gains_rate": min_convergence_rate(record),

@@ -16,7 +16,7 @@ from problems.desired_formation import DesiredFormation
 from sato.figures.axes import panel_letter
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, LIGHT_GRAY, ORANGE, RED
 from sato.formation.check import FormationRecord
-from sato.formation.check.replay import FormationLegRecord
+from sato.formation.check.recorded import FormationLegRecord
 from sato.formation.figures.phases import formation_name, is_leg_active, subsample
 from sato.formation.shape_error import compute_shape_error
 
