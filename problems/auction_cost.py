@@ -2,10 +2,8 @@
 
 from contextlib import suppress
 from math import isfinite
-from threading import local
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
@@ -14,7 +12,6 @@ from dynamics import DiscreteModel
 from problems.avoidance import AvoidanceProblem, empty_half_spaces
 from problems.conic import Unsolved
 from problems.minimum_fuel import reachability_matrix, solve_minimum_fuel
-from problems.speed_limited import SpeedLimitedSolver
 from problems.transfer import Trajectory, TransferProblem, tie_break_weights
 
 TIE_BREAK_RISE = 1e-7  # makes optima unique, at the cost of at most this part of the fuel
@@ -61,13 +58,14 @@ def compute_transfer_costs(
     weight = tie_break_weights(len(steps), TIE_BREAK_RISE)
     # One batch an agent: its costs must not depend on the states of others in the last bit.
     found = solve_minimum_fuel(steps, b, transfer.max_control, weight, batches=len(start))
-    reachable = np.isfinite(found.fuel)
-    exact = np.ones_like(reachable)
-    if isfinite(transfer.max_speed) and len(steps) > 1:
-        x0, limit = np.repeat(start, len(targets), axis=0), transfer.max_speed * (1 + 1e-9)
-        exact = _is_within_speed_limit(steps.A, steps.B, steps.z, x0, found.u, limit) | ~reachable
-    fuel = np.where(reachable, found.fuel, unreachable)
-    return TransferCosts(fuel.reshape(shape), reachable.reshape(shape), exact.reshape(shape))
+    fuel, u = found.fuel.reshape(shape), found.u.reshape(*shape, len(steps), steps.axes)
+    reachable, exact = np.isfinite(fuel), np.ones(shape, dtype=bool)
+    if isfinite(transfer.max_speed):
+        exact = ~reachable
+        for i, x0 in enumerate(start):
+            x = steps.simulate(np.broadcast_to(x0, targets.shape), u[i])
+            exact[i] |= ~transfer.is_too_fast(x).any(axis=1)
+    return TransferCosts(np.where(reachable, fuel, unreachable), reachable, exact)
 
 
 def solve_transfer(
@@ -79,24 +77,11 @@ def solve_transfer(
         The trajectory; None where the target is unreachable, or where neither a trajectory nor
         its infeasibility can be certified, which has been seen at the very edge of reach only.
     """
-    norms = (transfer.fuel_norm, transfer.control_norm)
     try:
-        if norms == (1, "inf") and isfinite(transfer.max_speed):
-            return _cached_solver(transfer).solve(start, target)
         free = empty_half_spaces(transfer)
         return AvoidanceProblem(transfer).solve(start, target, free).trajectory
     except Unsolved:
         return None
-
-
-_thread_cache = local()  # a solver belongs to one thread, and to the last transfer solved in it
-
-
-def _cached_solver(transfer: TransferProblem) -> SpeedLimitedSolver:
-    last: SpeedLimitedSolver | None = getattr(_thread_cache, "last", None)
-    if last is None or last.transfer is not transfer:
-        last = _thread_cache.last = SpeedLimitedSolver(transfer)
-    return last
 
 
 def unreachable_cost(steps: DiscreteModel, max_control: float) -> float:
@@ -137,28 +122,3 @@ def compute_energies(
     else:
         u = np.linalg.pinv(C) @ rows
     return np.asarray(steps.dt * (u**2).sum(axis=0).reshape(b.shape[:2]))
-
-
-@numba.njit(cache=True, parallel=True)
-@no_type_check
-def _is_within_speed_limit(A, B, z, start, u, limit):
-    pairs, T, m = u.shape
-    n = start.shape[1]
-    within = np.ones(pairs, np.bool_)
-    for p in numba.prange(pairs):
-        x, following = start[p].copy(), np.empty(n)
-        for k in range(T - 1):
-            speed = 0.0
-            for a in range(n):
-                following[a] = z[k, a]
-                for c in range(n):
-                    following[a] += A[k, a, c] * x[c]
-                for c in range(m):
-                    following[a] += B[k, a, c] * u[p, k, c]
-                if a >= m:
-                    speed += following[a] ** 2
-            x[:] = following
-            if speed > limit**2:
-                within[p] = False
-                break
-    return within

@@ -154,9 +154,7 @@ class AvoidanceProblem:
 
     def find_speed_violations(self, x: Float[Array, "instants n"], known: list[int]) -> list[int]:
         """Find the instants of violated speed limits, other than those known."""
-        d = self.transfer.model.axes
-        speed = np.linalg.norm(x[1:-1, d:], axis=1)
-        over = np.flatnonzero(speed > self.transfer.max_speed * (1 + 1e-9)) + 1
+        over = np.flatnonzero(self.transfer.is_too_fast(x)) + 1
         return [int(k) for k in over if int(k) not in known]
 
     def extract_controls(self, unknowns: Float[Array, " unknowns"]) -> Float[Array, "T m"]:

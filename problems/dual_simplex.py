@@ -1,99 +1,145 @@
-"""Dual simplex method with the long-step rule, compiled [Maros2003].
+"""Dual simplex method with the long-step rule for many programs, compiled [Maros2003].
 
-`minimum_fuel` explains the choice of method, and `tableau` states the program. Every basis is a
-point of the dual, also after a row is added: the ascent continues from the optimum before.
+    minimize  Σ_j w_j |x_j|   subject to  Q x = b,  |x_j| ≤ 1,  Q of orthonormal rows
+
+`minimum_fuel` explains the choice of method. Every basis is a point of the dual, and the optimal
+basis of one program is the start of the next in its batch. All that is compiled together stands
+in this file: numba compiles it again where the file changes, and only then.
 """
 
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numba
 import numpy as np
+from numpy import ndarray as Array
 
-from problems.certificates import INFEASIBLE, OPTIMAL, UNCERTIFIED
-from problems.tableau import pivot, refactorize, set_nonbasic
+OPTIMAL, INFEASIBLE, STOPPED = 0, 1, 2
 
-PRIMAL_TOLERANCE = 1e-11  # largest violation of a bound
+PRIMAL_TOLERANCE = 1e-11  # largest violation of a bound, relative
 ZERO_SLOPE = 1e-11  # a slope of the dual that counts as zero, for rows of norm 1
+SINGULAR_PIVOT = 1e-14  # largest pivot, for rows of norm 1, of a singular basis
 # Smallest pivot relative to its column; after a smaller one the tableau is refactorized.
 MIN_RELATIVE_PIVOT = 1e-7
-# Smallest component of the direction, relative to its norm, with which a slack may enter.
-MIN_SLACK_PIVOT = 1e-8
+
+
+class Tableau(NamedTuple):
+    """Working data of one program; all fields are changed in entries."""
+
+    rows: Array  # Q
+    w: Array
+    b: Array
+    basis: Array  # column at each position
+    basic_sign: Array  # of the basic controls
+    basis_inverse: Array  # transposed: positions are along the second axis
+    λ: Array
+    v: Array  # Σ_i λ_i a_i
+    nonbasic_value: Array  # of the other controls: −1, 0 or 1
+    residual: Array  # b minus the contribution of the nonbasic controls
+    basic_value: Array  # at each position
+    α: Array  # the other fields are scratch
+    ρ: Array
+    pivot_column: Array
+    row_norm: Array
+    kink_step: Array
+    kink_index: Array
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def solve_batches(rows, w, b, starts, max_pivots, x, λ, status):
+    """Solve every program; those of other batches do not change a bit of its solution.
+
+    Args:
+        rows: Q.
+        w: Weights of the controls.
+        b: Right-hand sides, one row a program.
+        starts: First program of each batch, and at the end the number of programs.
+        max_pivots: Pivots after which a program is given up.
+        x: Written: controls, clipped to their bounds.
+        λ: Written: duals, or the direction along which the dual grows without bound.
+        status: Written: OPTIMAL, INFEASIBLE or STOPPED.
+    """
+    m, n = rows.shape
+    first_basis = _choose_basis(rows)
+    for batch in range(len(starts) - 1):
+        basis, sign, inverse = first_basis.copy(), np.ones(m), np.empty((m, m))
+        v, value, α = np.zeros(n), np.zeros(n), np.zeros(n)
+        lines, kinks = np.zeros((5, m)), np.zeros(2 * n)
+        residual, basic_value, ρ, column, norm = lines
+        index = np.zeros(2 * n, np.int64)
+        for q in range(starts[batch], starts[batch + 1]):
+            factor, point = (basis, sign, inverse), (λ[q], v, value, residual, basic_value)
+            scratch = α, ρ, column, norm, kinks, index
+            d = Tableau(rows, w, b[q], *factor, *point, *scratch)
+            status[q] = _maximize_dual(d, max_pivots)
+            if status[q] == INFEASIBLE:
+                _copy(λ[q], ρ)
+            elif status[q] == STOPPED:
+                _copy(basis, first_basis)
+            _copy(x[q], value)
+            for i in range(m):
+                x[q, basis[i]] = min(max(basic_value[i], -1.0), 1.0)
 
 
 @numba.njit(error_model="numpy")
 @no_type_check
-def maximize_dual(d, equations, pivots, exact):
-    """Maximize the dual from the basis of the tableau d.
-
-    Returns OPTIMAL, or INFEASIBLE with the direction of unbounded ascent in `ρ`, or UNCERTIFIED
-    after too many pivots.
-    """
-    M, n, most = d.row_count[0], len(d.w), 0.0
-    for a in range(M):
-        most = max(most, abs(d.b[a]))
-    basis, sign, inverse, rows, α, ρ = d.basis, d.basic_sign, d.basis_inverse, d.rows, d.α, d.ρ
-    for _ in range(pivots):
-        if d.needs_refactorization[0] and not refactorize(d):
+def _maximize_dual(d, max_pivots):
+    # Ascends from the basis of the tableau; where unbounded, the direction is in ρ.
+    (m, n), largest, is_stale = d.rows.shape, 0.0, True
+    for a in range(m):
+        largest = max(largest, abs(d.b[a]))
+    basis, sign, rows, α, ρ = d.basis, d.basic_sign, d.rows, d.α, d.ρ
+    for _ in range(max_pivots):
+        if is_stale and not _refactorize(d):
             break
-        leaving, worst, up = _select_leaving(d, exact * (1 + most))
+        leaving, worst, up = _select_leaving(d, PRIMAL_TOLERANCE * (1 + largest))
         if leaving < 0:
             return OPTIMAL
         left = basis[leaving]
-        direction = -1.0 if left >= n else sign[leaving] if up else -sign[leaving]
+        direction = sign[leaving] if up else -sign[leaving]
         α[:] = 0.0
-        for a in range(M):
-            ρ[a] = direction * inverse[a, leaving]
-            for j in range(d.row_end[a]):
+        for a in range(m):
+            ρ[a] = direction * d.basis_inverse[a, leaving]
+            for j in range(n):
                 α[j] += rows[a, j] * ρ[a]
-        for i in range(M):
-            if basis[i] < n:
-                α[basis[i]] = 0.0
-        if left < n:
-            # The leaving control is a kink too, where it may go to zero and on to the other bound.
-            α[left] = direction
-            d.v[left] = sign[leaving] * d.w[left]
-            if up:
-                set_nonbasic(d, left, sign[leaving])
-        enter, t = _select_entering(d, equations, worst, np.sqrt(d.row_norm[leaving]))
+        for i in range(m):
+            α[basis[i]] = 0.0
+        # The leaving control is a kink too, where it may go to zero and on to the other bound.
+        α[left] = direction
+        d.v[left] = sign[leaving] * d.w[left]
+        if up:
+            _set_nonbasic(d, left, sign[leaving])
+        enter, t = _select_entering(d, worst, np.sqrt(d.row_norm[leaving]))
         if enter < 0:
             return INFEASIBLE
-        for k in range(n):
-            d.v[k] += t * α[k]
-        for a in range(M):
+        for j in range(n):
+            d.v[j] += t * α[j]
+        for a in range(m):
             d.λ[a] += t * ρ[a]
-        if left >= n:
-            d.is_slack_basic[left - n] = False
-        if enter < n:
-            sense = 1.0 if α[enter] > 0 else -1.0
-            sign[leaving] = d.nonbasic_value[enter] if d.nonbasic_value[enter] != 0.0 else sense
-            set_nonbasic(d, enter, 0.0)
-        else:
-            sign[leaving], d.is_slack_basic[enter - n], d.λ[enter - n] = 1.0, True, 0.0
+        sense = 1.0 if α[enter] > 0 else -1.0
+        sign[leaving] = d.nonbasic_value[enter] if d.nonbasic_value[enter] != 0.0 else sense
+        _set_nonbasic(d, enter, 0.0)
         basis[leaving] = enter
-        d.needs_refactorization[0] = pivot(d, enter, leaving) < MIN_RELATIVE_PIVOT
-    return UNCERTIFIED
+        is_stale = _pivot(d, enter, leaving) < MIN_RELATIVE_PIVOT
+    return STOPPED
 
 
 @numba.njit(error_model="numpy")
 @no_type_check
 def _select_leaving(d, tolerance):
     # Steepest ascent: violation of a bound over the norm of its direction.
-    M, n, r, inverse = d.row_count[0], len(d.w), d.residual, d.basis_inverse
-    y, norm = d.basic_value, d.row_norm
-    for i in range(M):
+    m, y, norm = len(d.b), d.basic_value, d.row_norm
+    for i in range(m):
         y[i], norm[i] = 0.0, 0.0
-    for a in range(M):
-        for i in range(M):
-            y[i] += inverse[a, i] * r[a]
-            norm[i] += inverse[a, i] ** 2
-    basis, sign = d.basis, d.basic_sign
+    for a in range(m):
+        for i in range(m):
+            y[i] += d.basis_inverse[a, i] * d.residual[a]
+            norm[i] += d.basis_inverse[a, i] ** 2
     leaving, worst, up, steepest = -1, 0.0, False, 0.0
-    for i in range(M):
-        violation, over = -y[i], False
-        if basis[i] < n:
-            violation *= sign[i]
-            over = -violation - 1.0 > violation
-            violation = -violation - 1.0 if over else violation
+    for i in range(m):
+        violation = -y[i] * d.basic_sign[i]
+        over = -violation - 1.0 > violation
+        violation = -violation - 1.0 if over else violation
         if violation > tolerance and violation**2 > steepest * norm[i]:
             leaving, worst, up, steepest = i, violation, over, violation**2 / norm[i]
     return leaving, worst, up
@@ -101,10 +147,11 @@ def _select_leaving(d, tolerance):
 
 @numba.njit(error_model="numpy")
 @no_type_check
-def _select_entering(d, equations, slope, length):
-    M, n, kinks = d.row_count[0], len(d.w), 0
+def _select_entering(d, slope, length):
+    # Passes kinks of the dual, the nearest first, for as long as the slope stays positive.
     w, v, α, state, step, kink = d.w, d.v, d.α, d.nonbasic_value, d.kink_step, d.kink_index
-    for j in range(n):
+    kinks = 0
+    for j in range(len(w)):
         if abs(α[j]) < ZERO_SLOPE * length:
             continue
         sense = 1.0 if α[j] > 0 else -1.0
@@ -115,17 +162,10 @@ def _select_entering(d, equations, slope, length):
             step[kinks], kink[kinks] = max(0.0, (-sense * w[j] - v[j]) / α[j]), j
             step[kinks + 1], kink[kinks + 1] = max(0.0, (sense * w[j] - v[j]) / α[j]), j
             kinks += 2
-    ρ, λ, is_slack_basic = d.ρ, d.λ, d.is_slack_basic
-    for a in range(equations, M):
-        if not is_slack_basic[a] and ρ[a] > MIN_SLACK_PIVOT * length:
-            step[kinks], kink[kinks] = max(0.0, -λ[a] / ρ[a]), n + a
-            kinks += 1
     for i in range(kinks // 2 - 1, -1, -1):
         _sift_down(step, kink, i, kinks)
     while kinks > 0:
         j = kink[0]
-        if j >= n:
-            return j, step[0]  # no slack may be negative: the dual falls beyond this kink
         slope -= abs(α[j])
         if slope <= 0.0:
             return j, step[0]
@@ -134,7 +174,7 @@ def _select_entering(d, equations, slope, length):
         _sift_down(step, kink, 0, kinks)
         # Passing the kink moves the control from a bound to zero, or from zero to a bound.
         sense = 1.0 if α[j] > 0 else -1.0
-        set_nonbasic(d, j, sense if state[j] == 0.0 else 0.0)
+        _set_nonbasic(d, j, sense if state[j] == 0.0 else 0.0)
     return -1, 0.0
 
 
@@ -151,3 +191,121 @@ def _sift_down(step, kink, i, count):
         step[i], kink[i] = step[child], kink[child]
         i = child
     step[i], kink[i] = t, j
+
+
+@numba.njit(error_model="numpy")
+@no_type_check
+def _choose_basis(rows):
+    # Greedily: each column the farthest from the span of those before.
+    m, n = rows.shape
+    rest, basis = rows.T.copy(), np.empty(m, np.int64)
+    for i in range(m):
+        best, size = 0, -1.0
+        for j in range(n):
+            norm = 0.0
+            for a in range(m):
+                norm += rest[j, a] ** 2
+            if norm > size:
+                best, size = j, norm
+        basis[i] = best
+        axis = rest[best] / np.sqrt(size)
+        for j in range(n):
+            along = 0.0
+            for a in range(m):
+                along += rest[j, a] * axis[a]
+            for a in range(m):
+                rest[j, a] -= along * axis[a]
+    return basis
+
+
+@numba.njit(error_model="numpy")
+@no_type_check
+def _refactorize(d):
+    # Recomputes all from rows, basis and signs; False where the basis is singular.
+    (m, n), rows, inverse, basis, sign = (
+        d.rows.shape,
+        d.rows,
+        d.basis_inverse,
+        d.basis,
+        d.basic_sign,
+    )
+    for a in range(m):
+        for i in range(m):
+            inverse[a, i] = 1.0 if a == i else 0.0
+    for i in range(m):
+        # Gauss–Jordan inversion, with the column of largest pivot next.
+        best, size = i, -1.0
+        for k in range(i, m):
+            along = 0.0
+            for a in range(m):
+                along += inverse[a, i] * rows[a, basis[k]]
+            if abs(along) > size:
+                best, size = k, abs(along)
+        if not size > SINGULAR_PIVOT:
+            return False
+        basis[i], basis[best] = basis[best], basis[i]
+        sign[i], sign[best] = sign[best], sign[i]
+        _pivot(d, basis[i], i)
+    w, v, λ, state = d.w, d.v, d.λ, d.nonbasic_value
+    v[:] = 0.0
+    for a in range(m):
+        λ[a] = 0.0
+        for i in range(m):
+            λ[a] += sign[i] * w[basis[i]] * inverse[a, i]
+        for j in range(n):
+            v[j] += rows[a, j] * λ[a]
+    for j in range(n):
+        state[j] = 1.0 if v[j] > w[j] else -1.0 if v[j] < -w[j] else 0.0
+    for i in range(m):
+        state[basis[i]] = 0.0
+    for a in range(m):
+        d.residual[a] = d.b[a] - _dot(rows[a], state)
+    return True
+
+
+@numba.njit(error_model="numpy")
+@no_type_check
+def _pivot(d, column, out):
+    # Exchanges a basic column; returns the pivot relative to the largest entry of its column.
+    m, inverse, entries = len(d.b), d.basis_inverse, d.pivot_column
+    for i in range(m):
+        entries[i] = 0.0
+    for a in range(m):
+        for i in range(m):
+            entries[i] += inverse[a, i] * d.rows[a, column]
+    pivot, largest = entries[out], 0.0
+    for i in range(m):
+        largest = max(largest, abs(entries[i]))
+    entries[out] = 0.0
+    for a in range(m):
+        part = inverse[a, out] / pivot
+        for i in range(m):
+            inverse[a, i] -= entries[i] * part
+        inverse[a, out] = part
+    return abs(pivot) / largest
+
+
+@numba.njit(error_model="numpy")
+@no_type_check
+def _set_nonbasic(d, j, new):
+    step = new - d.nonbasic_value[j]
+    for a in range(len(d.b)):
+        d.residual[a] -= step * d.rows[a, j]
+    d.nonbasic_value[j] = new
+
+
+@numba.njit(error_model="numpy")
+@no_type_check
+def _copy(into, source):
+    # Assigning a slice takes a hundred times as long to compile.
+    for i in range(len(source)):
+        into[i] = source[i]
+
+
+@numba.njit(error_model="numpy", fastmath={"reassoc"})  # lets the compiler vectorize the sum
+@no_type_check
+def _dot(a, b):
+    total = 0.0
+    for j in range(len(a)):
+        total += a[j] * b[j]
+    return total

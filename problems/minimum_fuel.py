@@ -15,23 +15,27 @@ after a few pivots at the exact optimum, or with a direction along which the dua
 bound, which certifies that b is unreachable.
 """
 
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from scipy.sparse import csc_array
 from scipy.sparse.csgraph import connected_components
 
 from dynamics import DiscreteModel
-from problems.batches import solve_batches
-from problems.certificates import UNCERTIFIED, TransferProgram
 from problems.conic import ConicProgram, Infeasible, solve
-from problems.orthonormal_rows import OrthonormalRows
+from problems.dual_simplex import INFEASIBLE, OPTIMAL, solve_batches
 
 MAX_PIVOTS = 10_000  # far above any number seen; HiGHS solves a program that needs more
 DEFAULT_BATCHES = 64
+MIN_PARALLEL = 500  # programs that are worth starting threads for
+TASKS_PER_CORE = 8  # some batches take far longer than others: small tasks balance the cores
+CERTIFICATE_TOLERANCE = 1e-9  # relative, of residuals and gap
 
 
 class MinimumFuelSolutions(NamedTuple):
@@ -128,16 +132,97 @@ def _solve_decoupled(
     Q, (transformed, unreachable) = orthonormal.rows, orthonormal.transform(b, U)
     u, dual, w = np.zeros((len(b), T * i)), np.zeros(len(b)), np.repeat(weight, i)
     if len(Q) > 0:
-        batches = max(1, min(len(b), batches))
-        starts = np.arange(batches + 1) * len(b) // batches
-        shared = TransferProgram(Q, w, np.zeros((0, 1, T * i)))
-        no_speeds = np.zeros((len(b), 0, 1))
-        found = solve_batches(shared, transformed / U, no_speeds, starts, MAX_PIVOTS)
-        u, dual = U * found.x, U * found.dual_bound
-        for q in np.flatnonzero(found.status == UNCERTIFIED):
+        x, λ, status = _solve_parallel(Q, w, transformed / U, batches)
+        is_certified, bound = _certify(Q, w, transformed / U, x, λ, status)
+        u, dual = U * x, U * bound
+        for q in np.flatnonzero(~is_certified):
             u[q], dual[q] = _solve_with_highs(Q, transformed[q], U, w)
     u[unreachable], dual[unreachable] = np.nan, np.inf
     return u.reshape(len(b), T, i), dual
+
+
+def _solve_parallel(
+    Q: Float[Array, "m N"], w: Float[Array, " N"], b: Float[Array, "programs m"], batches: int
+) -> tuple[Array, Array, Array]:
+    x, λ, status = np.empty((len(b), len(w))), np.empty(b.shape), np.empty(len(b), np.int64)
+    batches = max(1, min(len(b), batches))
+    starts = np.arange(batches + 1) * len(b) // batches
+    threads = os.cpu_count() or 1
+    tasks = min(batches, TASKS_PER_CORE * threads) if len(b) >= MIN_PARALLEL else 1
+
+    def solve_some(task: int) -> None:
+        own = starts[task * batches // tasks : (task + 1) * batches // tasks + 1]
+        solve_batches(Q, w, b, own, MAX_PIVOTS, x, λ, status)
+
+    if tasks == 1:
+        solve_some(0)
+    else:
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(solve_some, range(tasks)))
+    return x, λ, status
+
+
+def _certify(
+    Q: Float[Array, "m N"],
+    w: Float[Array, " N"],
+    b: Float[Array, "programs m"],
+    x: Float[Array, "programs N"],
+    λ: Float[Array, "programs m"],
+    status: Int[Array, " programs"],
+) -> tuple[Bool[Array, " programs"], Float[Array, " programs"]]:
+    # For any λ the bound is at most the optimum; where it is positive with w = 0, no x exists.
+    along, value, v = λ * b, (λ * b).sum(axis=1), np.abs(λ @ Q)
+    bound = value - np.maximum(0, v - w).sum(axis=1)
+    cost, residual = np.abs(x) @ w, np.abs(x @ Q.T - b).max(axis=1)
+    is_optimal = (residual <= CERTIFICATE_TOLERANCE * (1 + np.abs(b).max(axis=1))) & (
+        np.abs(cost - bound) <= CERTIFICATE_TOLERANCE * (1 + cost)
+    )
+    size = np.abs(along).sum(axis=1) + v.sum(axis=1)
+    is_infeasible = (value - v.sum(axis=1) > 1e-13 * size) & (status == INFEASIBLE)
+    bound[is_infeasible] = np.inf
+    return is_infeasible | (is_optimal & (status == OPTIMAL)), bound
+
+
+@dataclass(frozen=True, eq=False)
+class OrthonormalRows:
+    """Equations Q u = b' in place of C u = b, which makes them well conditioned.
+
+    With too few steps to reach every state, Q has fewer rows than C, and `transform` lists the
+    right-hand sides that no control reaches.
+    """
+
+    rows: Float[Array, "r N"]  # Q
+    factor: Float[Array, "s r"]  # L of C = L Q, in the units below
+    row_scale: Float[Array, " s"]  # of the rows of C
+    has_full_rank: bool  # True where Q has as many rows as C
+
+    @classmethod
+    def from_matrix(cls, C: Float[Array, "s N"]) -> "OrthonormalRows":
+        """Orthonormalize the rows of C."""
+        s, N = C.shape
+        if N == 0:
+            return cls(np.zeros((0, 0)), np.zeros((s, 0)), np.ones(s), False)
+        if np.linalg.matrix_rank(C) == s:
+            Q, R = np.linalg.qr(C.T)
+            return cls(np.ascontiguousarray(Q.T), R.T, np.ones(s), True)
+        # Positions and velocities are made comparable before the rank is determined.
+        unit = np.maximum(np.abs(C).max(axis=1, initial=0.0), 1e-300)
+        left, size, right = np.linalg.svd(C / unit[:, None], full_matrices=False)
+        keep = size > 1e-12 * size.max(initial=0.0)
+        return cls(right[keep], left[:, keep] * size[keep], unit, False)
+
+    def transform(
+        self, b: Float[Array, "programs s"], U: float
+    ) -> tuple[Float[Array, "programs r"], Int[Array, " unreachable"]]:
+        """Compute b', and the indices of those that no control reaches, at the scale U."""
+        b = b / self.row_scale
+        if self.has_full_rank:
+            transformed = np.linalg.solve(self.factor, b.T).T
+            return np.ascontiguousarray(transformed), np.zeros(0, np.int64)
+        transformed = b @ np.linalg.pinv(self.factor).T
+        residual = np.abs(b - transformed @ self.factor.T).max(axis=1, initial=0.0)
+        unreachable = residual > CERTIFICATE_TOLERANCE * (U + np.abs(b).max(axis=1, initial=0.0))
+        return np.ascontiguousarray(transformed), np.flatnonzero(unreachable)
 
 
 def _solve_with_highs(

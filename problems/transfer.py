@@ -7,12 +7,12 @@ from types import SimpleNamespace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 from scipy.sparse import csc_array
 
 from dynamics import DiscreteModel
-from dynamics.model import ControlSamples
+from dynamics.model import ControlSamples, StateSamples
 from problems.conic import ConicProgram, Infeasible, Unsolved, solve
 from problems.solvers import solve_clarabel
 
@@ -88,6 +88,11 @@ class TransferProblem:
         T, n, m = self.model.B.shape
         ζ = self.model.simulate(np.zeros(n), np.zeros((T, m)))
         return ζ, self.model.simulate(np.eye(n), np.zeros((n, T, m))) - ζ
+
+    def is_too_fast(self, x: StateSamples) -> Bool[Array, "*agents inner"]:
+        """Find the instants between the ends at which the speed exceeds its limit."""
+        speed = np.linalg.norm(x[..., 1:-1, self.model.axes :], axis=-1)
+        return np.asarray(speed > self.max_speed * (1 + 1e-9))
 
     def require_steps(self) -> None:
         """Check that there is a step.

@@ -26,7 +26,6 @@ from problems.conic import Infeasible
 from problems.convexify import choose_normals, convexify
 from problems.families import load_family
 from problems.solvers import load_adapters
-from problems.sparse_transfer import SparseTransferSolver
 from problems.transfer import TransferProblem
 from sato.reconfiguration.planning import make_horizon
 
@@ -90,7 +89,7 @@ class CvxpyStatement:
 
 def unconstrained_case(count: int) -> TransferCase:
     """Build the case without a speed limit."""
-    start = LegStart.from_scenario("random", "leg.steps=50").max_distance(count)
+    start = LegStart.from_scenario("random", "leg.steps=50").farthest(count)
     transfer = start.make_transfer()
     programme, none = AvoidanceProblem(transfer), empty_half_spaces(transfer)
     questions = [
@@ -109,30 +108,19 @@ def speed_limited_case(count: int) -> TransferCase:
     """Build the case with a speed limit that binds."""
     start = LegStart.from_scenario("random_cw", "agents=48", "leg.steps=48", "plan.step_min=0.5")
     transfer, free = start.make_transfer(SPEED_LIMIT), start.make_transfer()
-    programme, none = SparseTransferSolver(transfer), empty_half_spaces(transfer)
+    programme, none = AvoidanceProblem(transfer), empty_half_spaces(transfer)
     questions = []
     for ends in zip(start.states, start.targets, strict=True):
         x = AvoidanceProblem(free).solve(*ends, none).trajectory.x
-        if np.linalg.norm(x[1:-1, 3:], axis=1).max() > SPEED_LIMIT and is_feasible(
-            programme, *ends
-        ):
+        if transfer.is_too_fast(x).any() and is_feasible(programme, ends, none):
             questions.append(TransferInstance(*ends, none))
     return TransferCase(
         "transfer, orbit, 48 steps, speed limit",
         transfer,
-        lambda q: programme.solve(q.start, q.target).u,
+        lambda q: programme.solve(q.start, q.target, q.half_spaces).trajectory.u,
         questions[:count],
-        0.7,
+        0.9,
     )
-
-
-def is_feasible(programme: SparseTransferSolver, start: np.ndarray, goal: np.ndarray) -> bool:
-    """Check that the transfer is feasible within the speed limit."""
-    try:
-        programme.solve(start, goal)
-    except Infeasible:
-        return False
-    return True
 
 
 def avoidance_case(neighbours: int, count: int) -> TransferCase:
@@ -152,7 +140,7 @@ def avoidance_case(neighbours: int, count: int) -> TransferCase:
             others = paths[np.argsort(away, kind="stable")[1 : neighbours + 1]]
             normal = choose_normals(paths[i] - others, horizon.required_separation)
             spaces = convexify(horizon, len(flight.u), others, normal)
-            if spaces.violation(flight.x, flight.u).max() > 0 and is_passable(
+            if spaces.violation(flight.x, flight.u).max() > 0 and is_feasible(
                 programme, ends[i], spaces
             ):
                 questions.append(TransferInstance(*ends[i], spaces))
@@ -165,7 +153,7 @@ def avoidance_case(neighbours: int, count: int) -> TransferCase:
     )
 
 
-def is_passable(
+def is_feasible(
     programme: AvoidanceProblem, ends: tuple[np.ndarray, np.ndarray], spaces: HalfSpaces
 ) -> bool:
     """Check that the transfer is feasible within the half-spaces."""

@@ -2,13 +2,14 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 from unittest.mock import patch
 
 import numpy as np
-from scipy.linalg import null_space
-from scipy.sparse import csc_array, hstack
+from scipy.linalg import block_diag, null_space
+from scipy.sparse import block_array, csc_array, eye_array, hstack, kron
 
 import sato
 from dynamics import discretize_zoh
@@ -18,8 +19,7 @@ from problems.conic import solve as solve_conic
 from problems.convexify import PassingSide, choose_normals, convexify
 from problems.desired_formation import DesiredFormation
 from problems.gain_problem import GainProblem
-from problems.solvers import solve_highs
-from problems.sparse_transfer import SparseTransferSolver
+from problems.solvers import solve_clarabel, solve_highs
 from problems.transfer import TransferProblem
 from sato.reconfiguration.loop import simulate
 from sato.reconfiguration.mission import Reconfiguration
@@ -135,24 +135,76 @@ def condensed_transfers(start: LegStart) -> list[ConicProgram]:
     return asked
 
 
+@dataclass(frozen=True, eq=False)
+class SparseTransfer:
+    """`TransferProblem` with q = 1, r = ∞ and a speed limit, as programs that keep the states.
+
+    Unknowns are u⁺ and u⁻ in units of U, and y[1] … y[T−1], the deviation of the states from
+    the free motion, in units of V and of the distance covered at V: all are of the order of 1,
+    and only the right-hand side depends on start and target.
+    """
+
+    transfer: TransferProblem
+
+    def assemble(self, start: np.ndarray, target: np.ndarray) -> ConicProgram:
+        """Assemble the program of one transfer; all share q and A."""
+        transfer, first = self.transfer, self._program
+        T, n, m = transfer.model.B.shape
+        free, b = transfer.coast(start), first.b.copy()
+        b[(T - 1) * n : T * n] = (target - free[T]) / self._state_scale
+        b[first.linear :].reshape(T - 1, m + 1)[:, 1:] = free[1:T, m:] / transfer.max_speed
+        return replace(first, b=b)
+
+    @cached_property
+    def _state_scale(self) -> np.ndarray:
+        steps, V = self.transfer.model, self.transfer.max_speed
+        return np.repeat([V * len(steps) * steps.dt, V], steps.axes)
+
+    @cached_property
+    def _program(self) -> ConicProgram:
+        steps, U, scale = self.transfer.model, self.transfer.max_control, self._state_scale
+        T, n, m = steps.B.shape
+        controls, states = 2 * T * m, (T - 1) * n
+        # A[k] y[k] + B[k] u[k] − y[k+1] = 0; y[0] = 0, and y[T] is on the right-hand side.
+        response = block_diag(*(U * steps.B / scale[:, None]))
+        motion = np.zeros((T, n, T - 1, n))
+        for k in range(1, T):
+            motion[k, :, k - 1] = steps.A[k] * scale / scale[:, None]
+            motion[k - 1, :, k - 1] = -np.eye(n)
+        motion = motion.reshape(T * n, states)
+        speed = np.zeros((m + 1, n))
+        speed[1:, m:] = -np.eye(m)
+        A = block_array(
+            [
+                [csc_array(np.hstack([response, -response])), csc_array(motion)],
+                [eye_array(controls), None],
+                [-eye_array(controls), None],
+                [None, kron(eye_array(T - 1), csc_array(speed))],
+            ]
+        )
+        q = np.zeros(controls + states)
+        q[:controls] = np.tile(U * steps.dt * np.repeat(self.transfer.weights, m), 2)
+        tops = np.zeros((T - 1, m + 1))
+        tops[:, 0] = 1
+        b = np.concatenate([np.zeros(T * n), np.ones(controls), np.zeros(controls), tops.ravel()])
+        return ConicProgram(q, csc_array(A), b, T * n, 2 * controls, (m + 1,) * (T - 1))
+
+
 def make_transfer_socp(size: str) -> UnsolvedFamily:
     """Make Problem 6 with the states kept, for agents on which the speed limit binds."""
     T, step = ORBIT_STEPS[size]
     start = LegStart.from_scenario(
         "random_cw", "agents=48", f"leg.steps={T}", f"plan.step_min={step}"
     )
-    alone, limited = (
-        AvoidanceProblem(start.make_transfer()),
-        SparseTransferSolver(start.make_transfer(SPEED_LIMIT)),
-    )
-    problems: list[ConicProgram] = []
+    alone, limited = AvoidanceProblem(start.make_transfer()), start.make_transfer(SPEED_LIMIT)
+    sparse, problems = SparseTransfer(limited), list[ConicProgram]()
     for state, goal in zip(start.states, start.targets, strict=True):
         free = alone.solve(state, goal, empty_half_spaces(alone.transfer)).trajectory
-        if np.linalg.norm(free.x[1:-1, 3:], axis=1).max() <= SPEED_LIMIT:
-            continue
-        with record_problems("sparse_transfer") as asked, suppress(Infeasible):
-            limited.solve(state, goal)
-            problems += asked
+        if limited.is_too_fast(free.x).any():
+            with suppress(Infeasible):
+                program = sparse.assemble(state, goal)
+                solve_conic(program, solve_clarabel)
+                problems.append(program)
     source = (
         f"flights of random_cw with 48 vehicles, {T} steps of {step} min, at most {SPEED_LIMIT} m/s"
     )

@@ -142,6 +142,26 @@ def test_single_transfers_are_solved_in_all_norms():
         assert solve_transfer(transfer, start, target + 100.0) is None
 
 
+@settings(deadline=None, max_examples=20)
+@given(st.integers(0, 2**32 - 1))
+def test_fuel_falls_with_a_looser_speed_limit(seed):
+    rng = np.random.default_rng(seed)
+    start = np.concatenate([rng.normal(size=2), rng.uniform(-0.15, 0.15, 2)])
+    target = plane.simulate(start, np.clip(rng.normal(0, 0.05, (20, 2)), -0.05, 0.05))[-1]
+    found = [solve_transfer(TransferProblem(plane, 0.05, V), start, target) for V in (0.3, 0.4, 9)]
+    fuel = [inf if each is None else each.fuel for each in found]
+    assert fuel[0] >= fuel[1] * (1 - 1e-6) - 1e-9 and fuel[1] >= fuel[2] * (1 - 1e-6) - 1e-9
+
+
+def test_speeds_that_no_control_keeps_within_the_limit_are_infeasible():
+    """One step removes 0.1: enough from 0.4 to the limit of 0.35, not from 0.5."""
+    transfer, start = TransferProblem(plane, 0.1, 0.35), np.array([0, 0, 0.4, 0.0])
+    flight = solve_transfer(transfer, start, plane.simulate(start, np.full((20, 2), -1e-2))[-1])
+    assert np.linalg.norm(flight.x[1, 2:]) <= 0.35 * (1 + 2e-9)
+    start[2] = 0.5
+    assert solve_transfer(transfer, start, np.zeros(4)) is None
+
+
 def test_bisection_to_the_edge_of_reach_raises_nothing(rng):
     transfer = TransferProblem(plane, 0.3, 0.3)
     for _ in range(4):

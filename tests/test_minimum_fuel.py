@@ -10,6 +10,7 @@ from scipy.sparse import csc_array
 from dynamics import ClohessyWiltshire, DiscreteModel, DoubleIntegrator, discretize_zoh
 from problems import minimum_fuel
 from problems.conic import ConicProgram, Infeasible, solve
+from problems.dual_simplex import INFEASIBLE
 from problems.minimum_fuel import decouple_axes, reachability_matrix, solve_minimum_fuel
 from problems.solvers import solve_clarabel, solve_highs
 from problems.transfer import tie_break_weights
@@ -199,6 +200,26 @@ def test_highs_solves_what_runs_out_of_pivots(rng, monkeypatch, pivots, least):
     assert len(by_highs) >= least and np.isinf(expected.fuel).any()
     assert_allclose(result.fuel, expected.fuel, rtol=1e-6)
     assert_allclose(result.dual_bound, expected.dual_bound, rtol=1e-6)
+
+
+@pytest.mark.parametrize("wrong", ["controls", "duals", "certificate"])
+def test_highs_solves_what_is_wrongly_solved(rng, monkeypatch, wrong):
+    b, weight = displacements(plane, rng, 20, 0.1), tie_break_weights(20, 1e-2)
+    right, original = solve_minimum_fuel(plane, b, 0.1, weight), minimum_fuel.solve_batches
+
+    def solve_wrongly(Q, w, b, starts, pivots, x, λ, status):
+        original(Q, w, b, starts, pivots, x, λ, status)
+        if wrong == "controls":
+            x *= 1 - 1e-7
+        elif wrong == "duals":
+            λ *= 0.9
+        else:
+            status[:], λ[:] = INFEASIBLE, 0.1 * b
+
+    monkeypatch.setattr(minimum_fuel, "solve_batches", solve_wrongly)
+    result = solve_minimum_fuel(plane, b, 0.1, weight)
+    assert_allclose(result.fuel, right.fuel, rtol=1e-10, atol=1e-12)
+    assert_allclose(result.dual_bound, right.dual_bound, rtol=1e-10, atol=1e-12)
 
 
 @pytest.mark.parametrize(

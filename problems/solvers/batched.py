@@ -4,24 +4,17 @@
 have after the states are eliminated.
 """
 
-from pathlib import Path
 from time import perf_counter
-from typing import Any, no_type_check
-from zlib import crc32
 
-import numba
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse import eye_array, vstack
 
-from problems.certificates import INFEASIBLE, OPTIMAL, UNCERTIFIED
 from problems.conic import ConicProgram, SolverResult
-from problems.dual_simplex import PRIMAL_TOLERANCE, maximize_dual
-from problems.minimum_fuel import MAX_PIVOTS
-from problems.orthonormal_rows import OrthonormalRows
+from problems.dual_simplex import INFEASIBLE, OPTIMAL, solve_batches
+from problems.minimum_fuel import MAX_PIVOTS, OrthonormalRows
 from problems.solvers.adapter import LP, SolverAdapter
-from problems.tableau import allocate_tableau, copy_prefix, extract_controls
 
 SUPPORTED_FORM = "takes only [C −C] z = b, 0 ≤ z ≤ 1, independent rows, equal costs > 0 of halves"
 
@@ -64,16 +57,18 @@ class DualSimplexSession:
         """
         if not np.array_equal(b[self._zero :], self._bounds):
             raise ValueError("only the right-hand side of the equations may change")
-        x, λ = np.empty(len(self._w)), np.empty(self._zero)
+        x, λ = np.empty((1, len(self._w))), np.empty((1, self._zero))
+        status = np.empty(1, np.int64)
         began = perf_counter()
         transformed, _ = self._orthonormal.transform(b[None, : self._zero], 1.0)
-        status = _solve(self._orthonormal.rows, self._w, transformed[0], MAX_PIVOTS, x, λ)
+        rows, only = self._orthonormal.rows, np.array([0, 1])
+        solve_batches(rows, self._w, transformed, only, MAX_PIVOTS, x, λ, status)
         seconds = perf_counter() - began
         if status == OPTIMAL:
-            z = np.concatenate([np.maximum(x, 0), np.maximum(-x, 0)])
-            return SolverResult("solved", "optimal", z, self._duals(λ, self._w), None, seconds)
+            z = np.maximum(np.concatenate([x[0], -x[0]]), 0)
+            return SolverResult("solved", "optimal", z, self._duals(λ[0], self._w), None, seconds)
         if status == INFEASIBLE:
-            ray = self._duals(λ, np.zeros_like(self._w))
+            ray = self._duals(λ[0], np.zeros_like(self._w))
             return SolverResult("infeasible", "unreachable", None, ray, None, seconds)
         return SolverResult("stopped", "too many pivots", seconds=seconds)
 
@@ -83,29 +78,6 @@ class DualSimplexSession:
         equations = -np.linalg.solve(self._orthonormal.factor.T, λ)
         return np.concatenate([equations, np.maximum(over, 0), np.maximum(-over, 0)])
 
-
-def _compile_kernel(stamp: int) -> Any:
-    # Numba caches by this function's file alone. The stamp, a checksum of all files that are
-    # compiled into it, makes it compile again when any of them changes.
-    @numba.njit(cache=True, nogil=True, error_model="numpy")
-    @no_type_check
-    def solve(rows, w, b, pivots, x, λ):
-        if stamp < 0:
-            return UNCERTIFIED
-        d = allocate_tableau(rows, w, 0)
-        copy_prefix(d.b, b, len(b))
-        ended = maximize_dual(d, len(b), pivots, PRIMAL_TOLERANCE)
-        extract_controls(d, x)
-        copy_prefix(λ, d.ρ if ended == INFEASIBLE else d.λ, len(λ))
-        return ended
-
-    return solve
-
-
-KERNEL_FILES = ("certificates", "dual_simplex", "tableau")
-_PACKAGE = Path(__file__).parents[1]
-_SOURCES = ((_PACKAGE / f"{name}.py").read_bytes() for name in KERNEL_FILES)
-_solve = _compile_kernel(crc32(b"".join(_SOURCES)))
 
 _MODULES = "problems", "sato"
 ADAPTERS = (SolverAdapter("batched", LP, True, DualSimplexSession, *_MODULES, unsupported_reason),)

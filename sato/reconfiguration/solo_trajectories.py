@@ -89,12 +89,11 @@ def solve_solo_transfers(
     u = solve_minimum_fuel(model, b, transfer.max_control, transfer.weights).u
     x = model.simulate(start, u)
     fuel = model.dt * np.abs(u).sum(axis=(1, 2))
-    speed = np.linalg.norm(x[:, 1:-1, model.axes :], axis=2).max(axis=1, initial=0.0)
     found = [
         None if np.isnan(fuel[i]) else Trajectory(x[i], u[i], float(fuel[i]))
         for i in range(len(start))
     ]
-    too_fast = np.flatnonzero(speed > transfer.max_speed * (1 + 1e-9))
+    too_fast = np.flatnonzero(transfer.is_too_fast(x).any(axis=1))
     for i in too_fast.tolist():
         found[i] = solve_transfer(transfer, start[i], targets[i])
     return found, len(too_fast)
