@@ -209,7 +209,7 @@ def measure_overheads(turns: int) -> dict[tuple[str, str], tuple[float, float]]:
         instances = load_family(name, "medium").instances
         first = instances[0].problem
         bs = [each.problem.b for each in instances if each.problem.A is first.A]
-        sessions = {s.name: s.open_session(first, 1e-6) for s in installed if s.supports(first)}
+        sessions = {s.name: s.open_session(first, 1e-6) for s in installed if not s.refusal(first)}
         taken: dict[str, list[tuple[float, float]]] = {solver: [] for solver in sessions}
         for turn in range(turns + 1):
             for solver, session in sessions.items():

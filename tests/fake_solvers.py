@@ -36,25 +36,11 @@ class Pessimist(Honest):
         return SolverResult("infeasible", "there is none")
 
 
-class Crashing(Honest):
-    """Aborts its process."""
-
-    def solve(self, b):
-        os.abort()
-
-
 class Raising(Honest):
     """Raises an exception."""
 
     def solve(self, b):
         raise ValueError("no idea")
-
-
-class Hanging(Honest):
-    """Never returns."""
-
-    def solve(self, b):
-        threading.Event().wait()
 
 
 class Printing(Honest):
@@ -63,14 +49,6 @@ class Printing(Honest):
     def solve(self, b):
         os.write(1, b"hello\n")
         os.write(2, b"hello\n")
-        return super().solve(b)
-
-
-class Hoarding(Honest):
-    """Keeps 64 MiB."""
-
-    def solve(self, b):
-        self.kept = np.ones(2**23)
         return super().solve(b)
 
 
@@ -102,23 +80,14 @@ class HangingAt10(Honest):
         return super().solve(b)
 
 
-class Selective(Honest):
-    """Supports a problem in the main process only."""
-
-
 def unsupported_in_worker(problem: ConicProgram) -> str:
     """Refuse every problem in a worker process."""
     return "looks twice" if multiprocessing.parent_process() else ""
 
 
-def fake_solvers() -> dict[str, SolverAdapter]:
-    """Return the adapters of all fake solvers."""
-    kinds = (Honest, Wrong, Pessimist, Crashing, Raising, Hanging, Printing, Hoarding, Constant)
-    adapters = {
-        kind.__name__.lower(): SolverAdapter(
-            kind.__name__.lower(), frozenset({"linear"}), True, kind, "numpy"
-        )
-        for kind in (*kinds, CrashingAt10, HangingAt10, Selective)
-    }
-    selective = replace(adapters["selective"], unsupported_reason=unsupported_in_worker)
-    return adapters | {"selective": selective}
+def fake_solver(name: str) -> SolverAdapter:
+    """Return the adapter of a fake solver, which looks only once whether it is supported."""
+    kinds = Honest, Wrong, Pessimist, Raising, Printing, Constant, CrashingAt10, HangingAt10
+    [factory] = [kind for kind in kinds if kind.__name__.lower() == name]
+    adapter = SolverAdapter(name, frozenset({"linear"}), True, factory, "numpy")
+    return replace(adapter, unsupported_reason=unsupported_in_worker)

@@ -55,9 +55,14 @@ class SolverAdapter:
         except ModuleNotFoundError:  # a parent package is missing
             return False
 
-    def supports(self, problem: ConicProgram) -> bool:
-        """Tell whether the solver can take the cones and the form of a program."""
-        return problem.cone_types <= self.cone_types and not self.unsupported_reason(problem)
+    def refusal(self, problem: ConicProgram) -> str:
+        """Return why the solver cannot take a program; empty where it can."""
+        if not self.is_installed:
+            return f"{self.name} is not installed; pip install {self.pip_packages} would do"
+        if missing := ", ".join(sorted(problem.cone_types - self.cone_types)):
+            return f"{self.name} cannot take {missing} cones"
+        reason = self.unsupported_reason(problem)
+        return f"{self.name} {reason}" if reason else ""
 
     def open_session(self, problem: ConicProgram, tolerance: float) -> SolverSession:
         """Set the solver up for a program.
@@ -69,13 +74,8 @@ class SolverAdapter:
         Raises:
             ValueError: The solver is not installed, or does not support the program.
         """
-        if not self.is_installed:
-            cure = f"pip install {self.pip_packages} would do"
-            raise ValueError(f"{self.name} is not installed; {cure}")
-        if missing := ", ".join(sorted(problem.cone_types - self.cone_types)):
-            raise ValueError(f"{self.name} cannot take {missing} cones")
-        if reason := self.unsupported_reason(problem):
-            raise ValueError(f"{self.name} {reason}")
+        if reason := self.refusal(problem):
+            raise ValueError(reason)
         return self.session_factory(problem, tolerance)
 
 

@@ -1,39 +1,33 @@
 """Figures of a comparison: performance profile and work-precision diagram."""
 
-from collections.abc import Iterable, Sequence
+from collections import defaultdict
+from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from problems.conic import ConeType
 from sato.compare.measure import Measurement
 from sato.compare.plan import format_tolerance
-from sato.compare.summary import tolerances_present
-from sato.figures.style import STYLE, MarkerStyle, marker_style
+from sato.figures.style import STYLE, marker_style
 
-CONE_LABELS: dict[ConeType, str] = {
-    "linear": "linear",
-    "second-order": "second-order cones",
-    "semidefinite": "semidefinite",
-}
+CONES = ("linear", "second-order", "semidefinite")  # the hardest last
 ERROR_FLOOR = 1e-16  # least error that is drawn: rounding of a double
 MAX_RATIO = 1e3  # largest multiple of the fastest time in a profile
+LEGEND_ENTRY = (1.3, 0.2)  # width and height [in]
 LINE_STYLES = ("-", "--", ":", "-.")
 
 
-def draw_comparison(measurements: Sequence[Measurement], folder: Path) -> None:
-    """Draw both figures into a folder."""
-    for name, figure_of in (("profile", performance_profile), ("accuracy", work_precision_diagram)):
-        with matplotlib.rc_context(STYLE):
-            figure = figure_of(measurements)
-            FigureCanvasAgg(figure)
-            figure.savefig(folder / f"{name}.png")
+def draw_comparison(measurements: Sequence[Measurement], profile: Path, accuracy: Path) -> None:
+    """Draw both figures into files."""
+    with matplotlib.rc_context(STYLE):
+        performance_profile(measurements).savefig(profile)
+        work_precision_diagram(measurements).savefig(accuracy)
 
 
 def performance_profile(measurements: Sequence[Measurement]) -> Figure:
@@ -42,37 +36,33 @@ def performance_profile(measurements: Sequence[Measurement]) -> Figure:
     Feasible problems with the same hardest cone share a panel, one row for each tolerance; an
     unsolved problem has an infinite time [Dolan2002]. Times are those of the second solve.
     """
-    styles = _solver_styles(measurements)
-    cones, tolerances = _hardest_cones(measurements), tolerances_present(measurements)
-    figure, axes = _make_panels(len(tolerances), len(cones), len(styles))
-    for row, tolerance in enumerate(tolerances):
-        for column, cone in enumerate(cones):
-            ax = axes[row][column]
-            some = [m for m in _feasible_with_cone(measurements, cone) if m.tolerance == tolerance]
-            for solver, ratios in performance_ratios(some).items():
-                _draw_profile(ax, ratios, *styles[solver])
-            ax.set(xscale="log", xlim=(1, MAX_RATIO), ylim=(-2, 102))
-            ax.set_title(f"{CONE_LABELS[cone]}, {format_tolerance(tolerance)}", loc="left")
-            if column == 0:
-                ax.set_ylabel("solved [%]")
-            if row == len(tolerances) - 1:
-                ax.set_xlabel("time over that of the fastest, at most")
-    _add_legend(figure, styles)
+    by_cone = _group_by_cone(measurements)
+    tolerances = sorted({m.tolerance for m in measurements}, reverse=True)
+    figure, axes, styles = _make_panels(measurements, len(tolerances), len(by_cone), 1.9)
+    for row, tolerance in zip(axes, tolerances, strict=True):
+        for ax, (cone, group) in zip(row, by_cone.items(), strict=True):
+            ratios = performance_ratios([m for m in group if m.tolerance == tolerance])
+            for solver, its in ratios.items():
+                # What is beyond the axis is drawn just there, so that a line ends at the axis.
+                ax.ecdf(np.minimum(its, 2 * MAX_RATIO), markevery=0.15, **styles[solver])
+            ax.set(xscale="log", xlim=(1, MAX_RATIO), ylim=(-0.02, 1.02), ylabel="share solved")
+            ax.set(xlabel="time over that of the fastest, at most")
+            ax.set_title(f"{cone}, {format_tolerance(tolerance)}", loc="left")
+            ax.label_outer()
     return figure
 
 
 def performance_ratios(measurements: Sequence[Measurement]) -> dict[str, list[float]]:
     """Return each solver's times over the fastest on each problem; ∞ where not correct."""
-    fastest: dict[tuple[str, float], float] = {}
+    times: dict[str, dict[str, float]] = defaultdict(dict)  # by problem and solver
     for m in measurements:
-        if m.is_correct:
-            key = m.instance.name, m.tolerance
-            fastest[key] = min(m.last.seconds, fastest.get(key, np.inf))
-    ratios: dict[str, list[float]] = {}
-    for m in measurements:
-        ratio = m.last.seconds / fastest[m.instance.name, m.tolerance] if m.is_correct else np.inf
-        ratios.setdefault(m.solver, []).append(ratio)
-    return ratios
+        times[m.instance.name][m.solver] = m.outcomes[-1].seconds if m.is_correct else np.inf
+    ratios: dict[str, list[float]] = defaultdict(list)
+    for by_solver in times.values():
+        fastest = min(by_solver.values())
+        for solver, time in by_solver.items():
+            ratios[solver].append(time / fastest if np.isfinite(time) else np.inf)
+    return dict(ratios)
 
 
 def work_precision_diagram(measurements: Sequence[Measurement]) -> Figure:
@@ -80,82 +70,51 @@ def work_precision_diagram(measurements: Sequence[Measurement]) -> Figure:
 
     Both are medians over correct answers; a marker is hollow where some were not correct.
     """
-    styles, cones = _solver_styles(measurements), _hardest_cones(measurements)
-    figure, [axes] = _make_panels(1, len(cones), len(styles), height=3.2)
-    for ax, cone in zip(axes, cones, strict=True):
-        for solver, (marker, _) in styles.items():
-            some = [m for m in _feasible_with_cone(measurements, cone) if m.solver == solver]
-            _draw_work_precision(ax, some, marker)
+    by_cone = _group_by_cone(measurements)
+    figure, [axes], styles = _make_panels(measurements, 1, len(by_cone), 3.2)
+    for ax, (cone, group) in zip(axes, by_cone.items(), strict=True):
+        for solver, style in styles.items():
+            points = []
+            for tolerance in sorted({m.tolerance for m in group}, reverse=True):
+                some = [m for m in group if (m.solver, m.tolerance) == (solver, tolerance)]
+                correct = [m.outcomes[-1] for m in some if m.is_correct]
+                if correct:
+                    time = 1e3 * median(outcome.seconds for outcome in correct)
+                    error = median(max(outcome.cost_error, ERROR_FLOOR) for outcome in correct)
+                    points.append((time, error))
+                    face = style["color"] if len(correct) == len(some) else "white"
+                    ax.plot(time, error, **style | {"mfc": face, "ms": 4.5, "mew": 0.9})
+            if points:
+                ax.plot(*zip(*points, strict=True), color=style["color"], lw=0.6, zorder=1)
         ax.set(xscale="log", yscale="log", xlabel="time of a solve [ms]")
-        ax.set_title(CONE_LABELS[cone], loc="left")
+        ax.set_title(cone, loc="left")
     axes[0].set_ylabel("relative error of the cost")
-    _add_legend(figure, styles)
     return figure
 
 
-def _draw_work_precision(
-    ax: Axes, measurements: Sequence[Measurement], marker: MarkerStyle
-) -> None:
-    points = []
-    for tolerance in tolerances_present(measurements):
-        here = [m for m in measurements if m.tolerance == tolerance]
-        correct = [m for m in here if m.is_correct]
-        if correct:
-            time = 1e3 * median(m.last.seconds for m in correct)
-            error = median(max(m.last.cost_error, ERROR_FLOOR) for m in correct)
-            points.append((time, error))
-            face = marker.color if len(correct) == len(here) else "white"
-            ax.plot(time, error, marker.marker, color=marker.color, mfc=face, ms=4.5, mew=0.9)
-    if points:
-        ax.plot(*zip(*points, strict=True), color=marker.color, lw=0.6, zorder=1)
-
-
-def _draw_profile(ax: Axes, ratios: Sequence[float], marker: MarkerStyle, line: str) -> None:
-    reached = np.sort([ratio for ratio in ratios if np.isfinite(ratio)])
-    x = np.array([1.0, *reached, MAX_RATIO])
-    y = 100 * np.array([*range(len(reached) + 1), len(reached)]) / len(ratios)
-    ax.step(x, y, where="post", color=marker.color, lw=1.0, ls=line,
-            marker=marker.marker, ms=3.0, mew=0, markevery=(1, max(len(x) // 4, 1)))  # fmt: skip
-
-
-def _feasible_with_cone(measurements: Iterable[Measurement], cone: ConeType) -> list[Measurement]:
-    return [m for m in measurements if m.instance.is_feasible and _hardest_cone(m) == cone]
-
-
-def _hardest_cone(m: Measurement) -> ConeType:
-    return max(m.instance.problem.cone_types, key=list(CONE_LABELS).index)
-
-
-def _hardest_cones(measurements: Iterable[Measurement]) -> list[ConeType]:
-    present = {_hardest_cone(m) for m in measurements}
-    return [cone for cone in CONE_LABELS if cone in present]
-
-
-def _solver_styles(measurements: Iterable[Measurement]) -> dict[str, tuple[MarkerStyle, str]]:
-    return {
-        name: (marker_style(rank), LINE_STYLES[rank // 7 % 4])
-        for rank, name in enumerate(dict.fromkeys(m.solver for m in measurements))
-    }
+def _group_by_cone(measurements: Sequence[Measurement]) -> dict[str, list[Measurement]]:
+    """Group the feasible problems by their hardest cone."""
+    groups: dict[str, list[Measurement]] = {cone: [] for cone in CONES}
+    for m in measurements:
+        if m.instance.is_feasible:
+            groups[max(m.instance.problem.cone_types, key=CONES.index)].append(m)
+    return {cone: group for cone, group in groups.items() if group} or {CONES[0]: []}
 
 
 def _make_panels(
-    rows: int, columns: int, solvers: int, height: float = 1.9
-) -> tuple[Figure, list[list[Axes]]]:
+    measurements: Sequence[Measurement], rows: int, columns: int, height: float
+) -> tuple[Figure, list[list[Axes]], dict[str, dict[str, Any]]]:
+    """Make a figure with equal axes, and the styles of the solvers with a legend below."""
+    styles: dict[str, dict[str, Any]] = {}
+    for rank, name in enumerate(dict.fromkeys(m.solver for m in measurements)):
+        color, marker = marker_style(rank)
+        line = LINE_STYLES[rank // 7 % len(LINE_STYLES)]
+        styles[name] = {"color": color, "marker": marker, "ls": line, "lw": 1.0, "ms": 3.0}
     width = 2.0 + 2.5 * columns
-    legend = 0.3 + 0.2 * -(-solvers // _legend_columns(width))
+    ncols = min(int(width / LEGEND_ENTRY[0]), len(styles))
+    legend = LEGEND_ENTRY[1] * (1 + -(-len(styles) // ncols))
     figure = Figure(figsize=(width, height * rows + legend), layout="constrained")
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    return figure, [list(row) for row in axes]
-
-
-def _add_legend(figure: Figure, styles: dict[str, tuple[MarkerStyle, str]]) -> None:
-    entries = [
-        Line2D([], [], color=marker.color, marker=marker.marker, ms=4, lw=1.0, label=name, ls=line)
-        for name, (marker, line) in styles.items()
-    ]
-    ncols = min(_legend_columns(figure.get_figwidth()), len(entries))
-    figure.legend(handles=entries, loc="outside lower center", ncols=ncols)
-
-
-def _legend_columns(width: float) -> int:
-    return int(width / 1.3)  # entries in a row of the legend
+    handles = [Line2D([], [], label=name, **style) for name, style in styles.items()]
+    figure.legend(handles=handles, loc="outside lower center", ncols=ncols)
+    return figure, axes.tolist(), styles

@@ -1,54 +1,59 @@
-"""Measurement of solvers in turn, so that disturbances on the machine affect all alike."""
+"""Measurement of solvers in turn, each in its own process: crashes and hangs are outcomes."""
 
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
-from dataclasses import dataclass, field
+import os
+import signal
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from importlib import import_module
+from multiprocessing import get_all_start_methods, get_context
+from multiprocessing.connection import Connection
 from statistics import median
-from typing import Literal, NamedTuple
+from time import process_time
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
-from problems.families import SIZES, Family, Instance
-from problems.solvers import load_adapters
-from sato.compare.plan import (
-    ComparisonPlan,
-    capable_solvers,
-    format_tolerance,
-    next_with_same_matrix,
-)
-from sato.compare.worker import (
-    SolveOutcome,
-    SolveReply,
-    SolveRequest,
-    SolverLookup,
-    Worker,
-    WorkerError,
-)
+from problems.conic import SolverResult, Verified, verify
+from problems.families import Family, Instance
+from problems.solvers.adapter import SolverAdapter
+from sato.compare.plan import ComparisonPlan, format_tolerance, refusal
 
+NAN = float("nan")
 SEVERITY = ("solved", "infeasible", "unproven", "failed", "wrong claim", "crashed")
 # Limit in wall-clock time, relative to the patience: other processes may keep the processor busy.
 HANG_FACTOR = 10.0
-WARM_UP_TIMEOUT = 60.0  # for each solve of a warm-up, in which some libraries compile [s]
+WARM_UP_TIMEOUT = 60.0  # for what a library does only once, such as compiling [s]
 
-ProgressCallback = Callable[[int, int], None]  # number of requests made, and of all
+# Where the system can, all processes are forked from one that has imported what they share.
+CONTEXT: Any = get_context("forkserver" if "forkserver" in get_all_start_methods() else "spawn")
+CONTEXT.set_forkserver_preload([__name__, "problems.solvers"])
+
+
+class SolveOutcome(NamedTuple):
+    """Outcome of one solve."""
+
+    verdict: Verified | Literal["crashed", "skipped"]
+    reason: str
+    seconds: float = NAN  # processor time, with the set-up where it is the first solve
+    iterations: int | None = None
+    cost_error: float = NAN  # |cost − reference| / |reference|
+    primal_residual: float = NAN  # as in `problems.conic.ConicSolution`
+    dual_residual: float = NAN
+    gap: float = NAN
 
 
 class Measurement(NamedTuple):
     """Result of a solver on an instance at a tolerance."""
 
     solver: str
-    family: str
-    size: str
+    family: Family
     instance: Instance
     tolerance: float
-    first: SolveOutcome  # set-up and solve; median time and otherwise worst of the repeats
-    second: SolveOutcome | None  # re-solve after another instance; None where no other has this A
-    memory_growth: float  # of the process with one instance of the family and size [MiB]
-
-    @property
-    def outcomes(self) -> tuple[SolveOutcome, ...]:
-        """Outcomes of the first solve, and of the second where there is one."""
-        return (self.first,) if self.second is None else (self.first, self.second)
+    # First solve, with its set-up, and the re-solve after another instance with the same A, if
+    # there is one; median time and otherwise worst of the repeats.
+    outcomes: tuple[SolveOutcome, ...]
 
     @property
     def expected(self) -> Literal["solved", "infeasible"]:
@@ -60,17 +65,11 @@ class Measurement(NamedTuple):
         """True where every outcome is the correct one, and proven."""
         return all(outcome.verdict == self.expected for outcome in self.outcomes)
 
-    @property
-    def last(self) -> SolveOutcome:
-        """Outcome of the second solve, or of the first where there is no second."""
-        return self.second or self.first
-
 
 def measure_solvers(
     plan: ComparisonPlan,
     rng: np.random.Generator,
-    progress: ProgressCallback = lambda done, total: None,
-    lookup: SolverLookup = load_adapters,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Measurement]:
     """Measure every solver on every problem that it supports.
 
@@ -82,120 +81,159 @@ def measure_solvers(
     Args:
         plan: Problems, solvers and settings.
         rng: Generator for the order of the solvers, drawn anew for each repeat.
-        progress: Function called after each instance.
-        lookup: Function that returns the adapters; another process must be able to import it.
+        progress: Function called after each family and tolerance, with the number of these that
+            are done, and of all.
     """
-    run = _MeasurementRun(plan, rng, progress, lookup)
-    return [measurement for family in plan.families for measurement in run.measure_family(family)]
+    workers = [SolverProcess(solver, plan.patience) for solver in plan.solvers]
+    measurements: list[Measurement] = []
+    rounds = [(family, tolerance) for family in plan.families for tolerance in plan.tolerances]
+    try:
+        for done, (family, tolerance) in enumerate(rounds, start=1):
+            able = [worker for worker in workers if not refusal(worker.solver, family)]
+            measurements += _measure_in_turn(able, family, tolerance, plan.repeats, rng)
+            progress(done, len(rounds))
+    finally:
+        for worker in workers:
+            worker.close()
+    return measurements
 
 
-@dataclass(eq=False)
-class _MeasurementRun:
-    """Solvers in their processes, and the problems one after another."""
-
-    plan: ComparisonPlan
-    rng: np.random.Generator
-    progress: ProgressCallback
-    lookup: SolverLookup
-    workers: dict[str, Worker] = field(default_factory=dict)
-    done: int = 0
-    # Sizes and tolerances at which a solver exceeded the patience, by its name and the family's.
-    exceeded: dict[tuple[str, str], list[tuple[int, float]]] = field(default_factory=dict)
-
-    def record_time(self, name: str, family: Family, tolerance: float, reply: SolveReply) -> None:
-        """Record a solver that exceeded the patience."""
-        second = reply.second.seconds if reply.second else 0.0
-        if reply.first.seconds > self.plan.patience or second > self.plan.patience:
-            problem = SIZES.index(family.size), tolerance
-            self.exceeded.setdefault((name, family.name), []).append(problem)
-
-    def skip_reason(self, name: str, family: Family, tolerance: float) -> str:
-        """Return why a solver is skipped, or an empty text."""
-        for size, known in self.exceeded.get((name, family.name), ()):
-            if size <= SIZES.index(family.size) and known >= tolerance:
-                at = f"{SIZES[size]}, {format_tolerance(known)}"
-                return f"it took more than {self.plan.patience:g} s at {at}"
-        return ""
-
-    def measure_family(self, family: Family) -> Iterator[Measurement]:
-        """Measure all solvers on a family of a size."""
-        following = next_with_same_matrix(family)[0]
-        warm_up = SolveRequest(family.instances[0], following, self.plan.tolerances[0])
-        timeout = max(WARM_UP_TIMEOUT, HANG_FACTOR * self.plan.patience)
-        names = [solver.name for solver in capable_solvers(self.plan.solvers, family)]
-        with ExitStack() as stack:
-            for name in names:
-                self.workers[name] = Worker(self.lookup, name, warm_up, timeout)
-                stack.callback(self.workers[name].close)
-            memory = self.measure_memory(family, names)
-            for tolerance in self.plan.tolerances:
-                yield from self.measure_at_tolerance(family, names, tolerance, memory)
-
-    def measure_memory(self, family: Family, names: list[str]) -> dict[str, float]:
-        """Return the memory that the first instance takes in a new process [MiB].
-
-        A solver that does not finish it counts as too slow.
-        """
-        loosest, growth = self.plan.tolerances[0], dict[str, float]()
-        for name in names:
-            if not self.skip_reason(name, family, loosest):
-                worker = self.workers[name]
-                try:
-                    worker.start()
-                except WorkerError as end:
-                    self.record_time(name, family, loosest, SolveReply(end.outcome))
-                growth[name] = worker.memory_growth
-        return growth
-
-    def measure_at_tolerance(
-        self, family: Family, names: list[str], tolerance: float, memory: dict[str, float]
-    ) -> Iterator[Measurement]:
-        """Measure all solvers on a family of a size at a tolerance."""
-        firsts: dict[tuple[str, str], list[SolveOutcome]] = {}
-        seconds: dict[tuple[str, str], list[SolveOutcome]] = {}
-        followers = next_with_same_matrix(family)
-        for instance, following in zip(family.instances, followers, strict=True):
-            request, crashed = SolveRequest(instance, following, tolerance), set[str]()
-            for _ in range(self.plan.repeats):
-                for name in self.rng.permutation(names):
-                    self.done += 1
-                    if name in crashed or self.skip_reason(name, family, tolerance):
-                        continue
-                    reply = self.solve(name, family, request)
-                    firsts.setdefault((name, instance.name), []).append(reply.first)
-                    if following is not None and reply.second is not None:
-                        seconds.setdefault((name, following.name), []).append(reply.second)
-                    if reply.crashed:
-                        crashed.add(name)
-                self.progress(self.done, self.plan.solve_count)
-        for name in names:
-            skipped = SolveOutcome("skipped", self.skip_reason(name, family, tolerance))
-            for instance in family.instances:
-                key = name, instance.name
-                yield Measurement(
-                    name,
-                    family.name,
-                    family.size,
-                    instance,
-                    tolerance,
-                    _combine_repeats(firsts[key]) if key in firsts else skipped,
-                    _combine_repeats(seconds[key]) if key in seconds else None,
-                    memory.get(name, float("nan")),
-                )
-
-    def solve(self, name: str, family: Family, request: SolveRequest) -> SolveReply:
-        """Make a request; the end of the process is an outcome too."""
-        try:
-            reply = self.workers[name].solve(request, HANG_FACTOR * self.plan.patience)
-        except WorkerError as end:
-            # A solver that did not reach the second solve is not correct there either.
-            second = SolveOutcome("crashed", str(end)) if request.next_instance else None
-            reply = SolveReply(end.outcome, second)
-        self.record_time(name, family, request.tolerance, reply)
-        return reply
+def _measure_in_turn(
+    workers: Sequence["SolverProcess"],
+    family: Family,
+    tolerance: float,
+    repeats: int,
+    rng: np.random.Generator,
+) -> Iterator[Measurement]:
+    # Outcomes by solver, instance, and order of the solve: first or second.
+    found: defaultdict[tuple[str, str, int], list[SolveOutcome]] = defaultdict(list)
+    for i, instance in enumerate(family.instances):
+        others = family.instances[i + 1 :] + family.instances[:i]
+        same = [other for other in others if other.problem.A is instance.problem.A]
+        for k in np.concatenate([rng.permutation(len(workers)) for _ in range(repeats)]):
+            name = workers[k].solver.name
+            if not workers[k].skip_reason(family, tolerance):
+                pair = [instance, *same[:1]]
+                outcomes = workers[k].solve(family, tolerance, pair)
+                for order, solved in enumerate(pair):
+                    found[name, solved.name, order].append(outcomes[order])
+    for worker in workers:
+        name = worker.solver.name
+        skipped = [SolveOutcome("skipped", worker.skip_reason(family, tolerance))]
+        for instance in family.instances:
+            first, second = (found[name, instance.name, order] for order in (0, 1))
+            outcomes = [_combine_repeats(some) for some in (first or skipped, second) if some]
+            yield Measurement(name, family, instance, tolerance, tuple(outcomes))
 
 
 def _combine_repeats(outcomes: list[SolveOutcome]) -> SolveOutcome:
-    worst = max(outcomes, key=lambda outcome: SEVERITY.index(outcome.verdict))
+    worst = max(outcomes, key=lambda outcome: (*SEVERITY, "skipped").index(outcome.verdict))
     times = [outcome.seconds for outcome in outcomes if outcome.seconds == outcome.seconds]
     return worst._replace(seconds=median(times)) if times else worst
+
+
+class SolverProcess:
+    """Solver in a process, which starts with the first request and again after every end."""
+
+    def __init__(self, solver: SolverAdapter, patience: float) -> None:
+        """Choose a solver; no process starts yet."""
+        self.solver, self.patience = solver, patience
+        self._process: Any = None
+        self._connection: Any = None  # to the process
+        self._exceeded: dict[tuple[str, float], str] = {}  # where: family and tolerance
+
+    def skip_reason(self, family: Family, tolerance: float) -> str:
+        """Return why the solver is skipped, or an empty text."""
+        for (name, known), reason in self._exceeded.items():
+            if name == family.name and known >= tolerance:  # sizes are in ascending order
+                return reason
+        return ""
+
+    def solve(self, family: Family, tolerance: float, pair: list[Instance]) -> list[SolveOutcome]:
+        """Solve instances that differ in b alone; the end of the process is an outcome too.
+
+        A new process solves them twice, so that no time includes what a library does only once.
+        """
+        limit = HANG_FACTOR * self.patience
+        if self._process is None:
+            self._connection, remote = CONTEXT.Pipe()
+            self._process = CONTEXT.Process(target=_serve, args=(remote, self.solver), daemon=True)
+            self._process.start()
+            remote.close()
+            outcomes = self._request(pair, tolerance, max(WARM_UP_TIMEOUT, limit))
+        if self._process is not None:
+            outcomes = self._request(pair, tolerance, limit)
+        if any(outcome.seconds > self.patience for outcome in outcomes):
+            at = f"{family.size}, {format_tolerance(tolerance)}"
+            reason = f"it took more than {self.patience:g} s at {at}"
+            self._exceeded.setdefault((family.name, tolerance), reason)
+        return outcomes
+
+    def close(self) -> None:
+        """End the process."""
+        if self._process is not None:
+            self._connection.close()
+            self._process.kill()
+            self._process.join()
+            self._process = None
+
+    def _request(self, pair: list[Instance], tolerance: float, limit: float) -> list[SolveOutcome]:
+        with suppress(ConnectionError):  # the process has ended, as the answer will show
+            self._connection.send((pair, tolerance))
+        outcomes = [self._receive(limit)]
+        while len(outcomes) < len(pair) and outcomes[-1].verdict != "crashed":
+            outcomes.append(self._receive(limit))
+        if outcomes[-1].verdict == "crashed":
+            self.close()
+        # A solver that did not reach the second solve is not correct there either.
+        return outcomes + outcomes[-1:] * (len(pair) - len(outcomes))
+
+    def _receive(self, limit: float) -> SolveOutcome:
+        try:
+            if self._connection.poll(limit):
+                outcome: SolveOutcome = self._connection.recv()
+                return outcome
+        except (EOFError, ConnectionError):
+            self._process.join()
+            code = self._process.exitcode
+            reason = f"exit code {code}" if code >= 0 else signal.strsignal(-code)
+            return SolveOutcome("crashed", str(reason))
+        return SolveOutcome("crashed", f"no answer within {limit:g} s", limit)
+
+
+def _serve(connection: Connection, solver: SolverAdapter) -> None:
+    """Solve requests one by one, and send back verdicts and times."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process ends this one
+    discarded = os.open(os.devnull, os.O_WRONLY)
+    for descriptor in (1, 2):  # libraries in C write to these, not to sys.stdout
+        os.dup2(discarded, descriptor)
+    import_module(solver.module)
+    threadpool_limits(1)
+    while True:
+        instances, tolerance = connection.recv()
+        try:
+            began = process_time()
+            # Not `open_session`: the plan has checked that the solver supports the problem.
+            session = solver.session_factory(instances[0].problem, tolerance)
+            for instance in instances:
+                result = session.solve(instance.problem.b)
+                outcome = _evaluate(instance, result, tolerance, process_time() - began)
+                connection.send(outcome)  # before the next solve, which may crash
+                began = process_time()
+        except Exception as error:
+            connection.send(SolveOutcome("crashed", f"{type(error).__name__}: {error}"))
+
+
+def _evaluate(
+    instance: Instance, result: SolverResult, tolerance: float, seconds: float
+) -> SolveOutcome:
+    verdict, solution, reason, _ = verify(instance.problem, result, tolerance)
+    if result.status == "infeasible" and verdict != "infeasible":
+        # Without a proof, it depends on what is known whether the claim is wrong.
+        verdict = "wrong claim" if instance.is_feasible else "unproven"
+    outcome = SolveOutcome(verdict, reason, seconds, result.iterations)
+    if solution is None:
+        return outcome
+    error = abs(float(instance.problem.q @ solution.x) - instance.reference_cost)
+    _, _, *residuals = solution
+    return SolveOutcome(*outcome[:4], error / instance.cost_scale, *residuals)

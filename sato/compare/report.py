@@ -1,45 +1,32 @@
-"""Report of a comparison: tables for the terminal, and files."""
+"""Report of a comparison: tables for the terminal, files, and guarantees that it must keep."""
 
 import csv
 import json
 import os
-import tempfile
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+import platform
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, suppress
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from sato.compare.machine import describe_machine
-from sato.compare.measure import Measurement, measure_solvers
+from problems.conic import TOLERANCE
+from problems.solvers.adapter import SolverAdapter
+from sato.atomic import replace_atomically
+from sato.compare.measure import Measurement, SolveOutcome, measure_solvers
 from sato.compare.plan import ComparisonPlan, format_tolerance
-from sato.compare.summary import (
-    find_violations,
-    reference_tolerance,
-    sizes_present,
-    tolerances_present,
-)
-from sato.compare.worker import SolveOutcome
 from sato.console import progress_bar
 
+DEFAULT_SOLVER = "clarabel"  # the toolkit's own default for conic programs
 MISSING = "–"
 PIPE_WIDTH = 140
-MEASUREMENTS_FILE, MACHINE_FILE = "measurements.csv", "machine.json"
-HEADERS = (
-    "wrong\nclaims", "not\nsolved", "first\nms", "re-solve\nms", "iterations\n", "cost\nerror",
-    "memory\nMiB",
-)  # fmt: skip
-OUTCOME_COLUMNS = ("verdict", "why", "s", *SolveOutcome._fields[3:])
-COLUMNS = (
-    *("solver", "family", "size", "instance", "tolerance", "feasible", "right"),
-    *(f"{solve}_{name}" for solve in ("first", "again") for name in OUTCOME_COLUMNS),
-    "memory_mib",
-)
+FILES = ("accuracy.png", "machine.json", "measurements.csv", "profile.png")
 
 
 def run_comparison(plan: ComparisonPlan, folder: Path, seed: int) -> list[str]:
@@ -48,168 +35,174 @@ def run_comparison(plan: ComparisonPlan, folder: Path, seed: int) -> list[str]:
     Returns:
         Guarantees of the toolkit that the comparison violates.
     """
-    machine = describe_machine(plan.solvers)
-    print_plan(plan, machine)
-    with progress_bar("solving") as progress:
-        measurements = measure_solvers(plan, np.random.default_rng(seed), progress)
-    files = write_comparison(measurements, machine, folder)
-    print_comparison(plan, measurements)
-    for path in files:
-        print(path)
-    return find_violations(measurements)
-
-
-def print_plan(plan: ComparisonPlan, machine: Mapping[str, Any]) -> None:
-    """Print the machine, and the solvers that are left out."""
-    console = _make_console()
+    machine, console = describe_machine(plan.solvers), Console(highlight=False, markup=False)
+    if not console.is_terminal:
+        console.width = PIPE_WIDTH  # a file or a pipe has no width to which tables must be fitted
     console.print(
         f"{machine['processor']}, {machine['cores']} cores, one thread for each solver, "
-        f"Python {machine['python']}",
-        markup=False,
+        f"Python {machine['python']}"
     )
     console.print(", ".join(f"{name} {number}" for name, number in machine["versions"].items()))
     for reason in plan.exclusions:
-        console.print(f"left out: {reason}", markup=False)
+        console.print(f"left out: {reason}")
+    with progress_bar("solving") as progress:
+        measurements = measure_solvers(plan, np.random.default_rng(seed), progress)
+    paths = write_comparison(measurements, machine, folder)
+    print_comparison(plan, measurements, console)
+    console.print(*paths, sep="\n", soft_wrap=True)
+    return find_violations(measurements)
 
 
-def print_comparison(plan: ComparisonPlan, measurements: Sequence[Measurement]) -> None:
+def describe_machine(solvers: Iterable[SolverAdapter]) -> dict[str, Any]:
+    """Return processor, cores, and versions; nothing that identifies the owner."""
+    versions = {}
+    required = {name for solver in solvers for name in solver.pip_packages.split()}
+    for name in sorted({"sato-swarm", "numpy", "scipy"} | required):
+        with suppress(PackageNotFoundError):  # run from a folder without being installed
+            versions[name] = version(name)
+    processor = platform.processor() or platform.machine()
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(errors="replace").splitlines():
+            if line.startswith("model name"):
+                processor = line.partition(":")[2].strip()
+    python = platform.python_version()
+    return {"processor": processor, "cores": os.cpu_count(), "python": python, "versions": versions}
+
+
+def write_comparison(
+    measurements: Sequence[Measurement], machine: dict[str, Any], folder: Path
+) -> list[Path]:
+    """Write all files of a comparison, or none; those of an earlier comparison are replaced."""
+    from sato.compare.figures import draw_comparison
+
+    rows = [
+        {"solver": m.solver, "family": m.family.name, "size": m.family.size}
+        | {"instance": m.instance.name, "feasible": m.instance.is_feasible}
+        | {"tolerance": m.tolerance, "solve": solve, **outcome._asdict()}
+        for m in measurements
+        for solve, outcome in zip(("first", "second"), m.outcomes, strict=False)
+    ]
+    paths = [folder / name for name in FILES]
+    with ExitStack() as stack:
+        new = [stack.enter_context(replace_atomically(path)) for path in paths]
+        accuracy, description, table, profile = new
+        description.write_text(json.dumps(machine, indent=2) + "\n", "utf-8")
+        with open(table, "w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, rows[0])
+            writer.writeheader()
+            writer.writerows(rows)
+        draw_comparison(measurements, profile, accuracy)
+    return paths
+
+
+def print_comparison(
+    plan: ComparisonPlan, measurements: Sequence[Measurement], console: Console
+) -> None:
     """Print a table for each family."""
-    console, at = _make_console(), reference_tolerance(plan.tolerances)
-    for name in dict.fromkeys(m.family for m in measurements):
-        some = [m for m in measurements if m.family == name]
-        solvers = list(dict.fromkeys(m.solver for m in some))
-        title = f"{name} ({' / '.join(sizes_present(some))})"
-        table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    at = min((t for t in plan.tolerances if t >= TOLERANCE), default=plan.tolerances[0])
+    for family in dict.fromkeys(family.name for family in plan.families):
+        some = [m for m in measurements if m.family.name == family]
+        sizes = " / ".join(dict.fromkeys(m.family.size for m in some))
+        table = Table(title=f"{family} ({sizes})", title_justify="left")
+        rows = {}
+        for solver in dict.fromkeys(m.solver for m in some):
+            rows[solver] = summarize([m for m in some if m.solver == solver], at)
         table.add_column("solver", no_wrap=True)
-        shares = [f"right\n{format_tolerance(t)}" for t in tolerances_present(some)]
-        for header in (*shares, *HEADERS):
-            table.add_column(header, justify="right", overflow="fold")
-        for solver in solvers:
-            table.add_row(solver, *summarize([m for m in some if m.solver == solver], at))
+        for header in next(iter(rows.values()), ()):
+            table.add_column(header, justify="right")
+        for solver, cells in rows.items():
+            table.add_row(solver, *cells.values())
         console.print(table)
-        if absent := [s.name for s in plan.solvers if s.name not in solvers]:
+        if absent := [solver.name for solver in plan.solvers if solver.name not in rows]:
             console.print(f"  cannot take it: {', '.join(absent)}")
         for line in list_failures(some):
-            console.print(f"  {line}", markup=False)
+            console.print(f"  {line}")
     console.print(
         f"Times, iterations and the largest error of the cost are those of correct answers at "
-        f"{format_tolerance(at)}, from small to large. Times are processor times; memory is that "
-        "of the largest size. Not solved: failed, crashed, skipped, or infeasible without a proof."
+        f"{format_tolerance(at)}, from small to large. Times are processor times. Not solved: "
+        "failed, crashed, skipped, or infeasible without a proof."
     )
 
 
-def summarize(measurements: Sequence[Measurement], tolerance: float) -> list[str]:
-    """Summarize the measurements of a solver in the cells of a table.
+def summarize(measurements: Sequence[Measurement], tolerance: float) -> dict[str, str]:
+    """Summarize the measurements of a solver in the cells of a table, by their headers.
 
     They are its correct answers at each tolerance, the loosest first; the numbers of wrong claims
     and of unsolved problems; medians over correct answers of each size of times and iterations;
-    the largest error of the cost; and the memory at the largest size.
+    and the largest error of the cost.
 
     Args:
         measurements: Measurements of the solver in a family.
         tolerance: Tolerance at which times, iterations and the error are taken.
     """
-    shares = []
-    for each in tolerances_present(measurements):
+    cells = {}
+    for each in dict.fromkeys(m.tolerance for m in measurements):
         given = [m.is_correct for m in measurements if m.tolerance == each]
-        shares.append(f"{sum(given)}/{len(given)}")
-    sizes = sizes_present(measurements)
+        cells[f"right\n{format_tolerance(each)}"] = f"{sum(given)}/{len(given)}"
+    sizes = dict.fromkeys(m.family.size for m in measurements)
     correct = [m for m in measurements if m.tolerance == tolerance and m.is_correct]
-    by_size = [[m for m in correct if m.size == size] for size in sizes]
-    first = [_median(m.first.seconds for m in group) for group in by_size]
-    second = [_median(m.second.seconds for m in group if m.second) for group in by_size]
-    iterations = [_median(m.first.iterations for m in group) for group in by_size]
-    errors = [m.first.cost_error for m in correct if m.instance.is_feasible]
-    growth = [m.memory_growth for m in measurements if m.size == sizes[-1]]
-    memory = max((mebibytes for mebibytes in growth if mebibytes == mebibytes), default=None)
-    verdicts = Counter(outcome.verdict for m in measurements for outcome in m.outcomes)
-    wrong = verdicts["wrong claim"]
-    unsolved = [verdicts[verdict] for verdict in ("failed", "unproven", "crashed", "skipped")]
-    return [
-        *shares,
-        f"[bold red]{wrong}[/]" if wrong else "0",
-        str(sum(unsolved)),
-        _format_milliseconds(first),
-        _format_milliseconds(second),
-        "/".join(MISSING if n is None else f"{n:.0f}" for n in iterations),
-        f"{max(errors):.0e}" if errors else MISSING,
-        MISSING if memory is None else f"{memory:.1f}",
-    ]
+    by_size = [[m.outcomes for m in correct if m.family.size == size] for size in sizes]
+    errors = [m.outcomes[0].cost_error for m in correct if m.instance.is_feasible]
+    verdicts = [outcome.verdict for m in measurements for outcome in m.outcomes]
+    right = verdicts.count("solved") + verdicts.count("infeasible")
+    wrong = verdicts.count("wrong claim")
+    return cells | {
+        "wrong\nclaims": str(wrong),
+        "not\nsolved": str(len(verdicts) - right - wrong),
+        "first\nms": _medians([1e3 * first.seconds for first, *_ in some] for some in by_size),
+        "re-solve\nms": _medians(
+            [1e3 * o.seconds for _, *s in some for o in s] for some in by_size
+        ),
+        "iterations\n": _medians([first.iterations for first, *_ in some] for some in by_size),
+        "cost\nerror": f"{max(errors):.0e}" if errors else MISSING,
+    }
 
 
-def list_failures(measurements: Sequence[Measurement]) -> list[str]:
-    """List each verdict of a solver in a family once, with the first example."""
-    failures: dict[tuple[str, str, str], list[str]] = {}
+def _medians(groups: Iterable[Iterable[float | None]]) -> str:
+    known = [[number for number in group if number is not None] for group in groups]
+    # Three digits, without an exponent.
+    return "/".join(f"{float(f'{median(g):.3g}'):.12g}" if g else MISSING for g in known)
+
+
+def list_failures(measurements: Iterable[Measurement]) -> list[str]:
+    """List each verdict of a solver once, with the first example."""
+    failures: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
     for m in measurements:
         for outcome in m.outcomes:
             if outcome.verdict not in ("solved", "infeasible"):
                 example = f"{m.instance.name} at {format_tolerance(m.tolerance)}: {outcome.reason}"
-                failures.setdefault((m.solver, m.family, outcome.verdict), []).append(example)
+                failures[m.solver, outcome.verdict].append(example)
     return [
-        f"{solver}: {verdict}{f' {len(examples)} times' if len(examples) > 1 else ''}, "
-        f"{examples[0]}"
-        for (solver, _, verdict), examples in failures.items()
+        f"{solver}: {verdict} ({len(examples)}), {examples[0]}"
+        for (solver, verdict), examples in failures.items()
     ]
 
 
-def write_comparison(
-    measurements: Sequence[Measurement], machine: Mapping[str, Any], folder: Path
-) -> list[Path]:
-    """Write all files of a comparison, or none.
+def find_violations(measurements: Iterable[Measurement]) -> list[str]:
+    """List violations of what the toolkit guarantees of every comparison.
 
-    Args:
-        measurements: All measurements.
-        machine: The machine that they were taken on.
-        folder: Folder, which is created if missing; files of an earlier comparison are replaced.
-
-    Returns:
-        The files.
+    Its default solver is correct on every instance at 1e-6 and looser; no accepted answer
+    violates the requested tolerance, nor in its cost what duality allows; and no answer is
+    accepted that contradicts what is known of an instance.
     """
-    from sato.compare.figures import draw_comparison
-
-    folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=".saving-", dir=folder) as name:
-        tmp_dir = Path(name)
-        with open(tmp_dir / MEASUREMENTS_FILE, "w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(COLUMNS)
-            writer.writerows(map(_row, measurements))
-        machine_text = json.dumps(machine, indent=2, ensure_ascii=False) + "\n"
-        (tmp_dir / MACHINE_FILE).write_text(machine_text, encoding="utf-8")
-        draw_comparison(measurements, tmp_dir)
-        paths = [folder / path.name for path in sorted(tmp_dir.iterdir())]
-        for path in paths:
-            os.replace(tmp_dir / path.name, path)
-    return paths
+    violations = []
+    for m in measurements:
+        is_guaranteed = m.solver == DEFAULT_SOLVER and m.tolerance >= TOLERANCE
+        for outcome in m.outcomes:
+            if is_guaranteed or outcome.verdict in ("solved", "infeasible"):
+                where = f"{m.solver} on {m.instance.name} at {format_tolerance(m.tolerance)}"
+                violations += [f"{where}: {text}" for text in _doubts(m, outcome)]
+    return violations
 
 
-def _row(m: Measurement) -> list[object]:
-    what = m.solver, m.family, m.size, m.instance.name, m.tolerance
-    cells: list[object] = [*what, m.instance.is_feasible, m.is_correct]
-    for outcome in (m.first, m.second):
-        if outcome is None:
-            cells += [""] * len(OUTCOME_COLUMNS)
-        else:
-            reason = " ".join(outcome.reason.split())
-            cells += [outcome.verdict, reason, *map(_blank_if_nan, outcome[2:])]
-    return [*cells, _blank_if_nan(m.memory_growth)]
-
-
-def _blank_if_nan(number: float | int | None) -> object:
-    return "" if number is None or number != number else number
-
-
-def _format_milliseconds(seconds: Sequence[float | None]) -> str:
-    # Three digits, without an exponent.
-    return "/".join(MISSING if s is None else f"{float(f'{1e3 * s:.3g}'):.12g}" for s in seconds)
-
-
-def _median(numbers: Iterable[float | None]) -> float | None:
-    known = [number for number in numbers if number is not None]
-    return median(known) if known else None
-
-
-def _make_console() -> Console:
-    # A file or a pipe has no width to which tables must be fitted.
-    console = Console(highlight=False)
-    return console if console.is_terminal else Console(highlight=False, width=PIPE_WIDTH)
+def _doubts(m: Measurement, outcome: SolveOutcome) -> Iterator[str]:
+    if outcome.verdict != m.expected:
+        yield f"{outcome.verdict} ({outcome.reason}), but known to be {m.expected}"
+    elif m.instance.is_feasible:
+        residual = np.max([outcome.primal_residual, outcome.dual_residual, outcome.gap])
+        if not residual <= m.tolerance:
+            yield f"accepted, but off by {residual:.1e}"
+        error = outcome.cost_error * m.instance.cost_scale
+        allowed = m.instance.cost_tolerance(m.tolerance)
+        if not error <= allowed:
+            yield f"accepted, but its cost is off by {error:.1e}, above {allowed:.1e}"
