@@ -25,14 +25,13 @@ from problems.centralized_nlp import (
     Ends,
     InitialGuess,
     SeparationConstraints,
-    solve_nlp,
-    state_units,
+    SwarmProgram,
 )
 from problems.conic import Unsolved
 from problems.convexify import SEPARATION_TOLERANCE, AvoidanceHorizon, are_balls_separated
 from problems.transfer import TransferProblem, compute_fuel
 
-FEASIBILITY_TOLERANCE = 1e-6  # of simulated violations, in `state_units`
+FEASIBILITY_TOLERANCE = 1e-6  # of simulated violations, in units of R, R/Δt, U and V
 PROXIMITY_FACTOR = 2.0  # times R: pairs that come closer in the guess get constraints at once,
 CONSTRAINTS_PER_STEP = 4  # at so many instants a step, or at the ends of its pieces
 MAX_ITERATIONS = 12  # solutions with additional instants of too small a separation
@@ -50,7 +49,7 @@ class SimulatedSolution(NamedTuple):
     terminal_error: float  # largest over agents, in units of R and R/Δt
     control_violation: float  # relative to U
     speed_violation: float  # relative to V
-    min_separation: float  # over continuous time, relative to R
+    min_separation: float  # over continuous time, relative to R; at most `PROXIMITY_FACTOR`
     solver_message: str  # status that the solver reported
     padding: float = 0.0  # largest required distance beyond R (1 + tolerance), in units of R
 
@@ -71,7 +70,7 @@ class SimulatedSolution(NamedTuple):
         return (
             f"{self.solver_message}: fuel {self.fuel:.6g} m/s, terminal error "
             f"{self.terminal_error:.1e}, control above its limit by {self.control_violation:.1e}, "
-            f"speed by {self.speed_violation:.1e}, " + _format_separation(self.min_separation)
+            f"speed by {self.speed_violation:.1e}, separation {self.min_separation:.6f} R"
         )
 
 
@@ -85,8 +84,7 @@ class NoFeasibleSolution(Unsolved):
     def __init__(self, problem: object, tried: tuple[SimulatedSolution, ...]) -> None:
         """Keep all solutions."""
         least = min(tried, key=lambda t: t.max_violation if isfinite(t.max_violation) else inf)
-        nearest = f"the nearest is {least}" if isfinite(least.max_violation) else "none is finite"
-        super().__init__(problem, f"none of {len(tried)} solutions is feasible; {nearest}")
+        super().__init__(problem, f"none of {len(tried)} solutions is feasible; nearest: {least}")
         self.solutions = tried
 
 
@@ -101,9 +99,9 @@ class CentralizedResult(NamedTuple):
 class CentralizedProblem:
     """Joint transfers of all agents without collisions.
 
-        minimize    Δt Σᵢ Σₖ ‖uᵢ[k]‖_q
+        minimize    Δt Σᵢ Σₖ ‖uᵢ[k]‖₁
         subject to  xᵢ[k+1] = A[k] xᵢ[k] + B[k] uᵢ[k] + z[k]     (10)
-                    ‖uᵢ[k]‖_r ≤ U                                (12)
+                    ‖uᵢ[k]‖_∞ ≤ U                                (12)
                     xᵢ[0] = startᵢ,  xᵢ[T] = goalᵢ               (14), (18)
                     ‖H xᵢ[k]‖₂ ≤ V,  k = 1 … T−1                 (66)
                     ‖pᵢ(t) − pⱼ(t)‖₂ ≥ R  for all t              (13)
@@ -116,18 +114,18 @@ class CentralizedProblem:
     The tie-break weights of the transfer are ignored.
 
     Raises:
-        ValueError: The transfer has no steps or another length than the horizon, or fuel_norm
-            is "inf".
+        ValueError: The transfer has no steps, another length than the horizon, or other norms.
     """
 
     transfer: TransferProblem
     horizon: AvoidanceHorizon  # of the same length
 
     def __post_init__(self) -> None:
-        """Refuse unsupported norms and inconsistent lengths."""
+        """Refuse other norms and inconsistent lengths."""
         self.transfer.require_steps()
-        if self.transfer.fuel_norm == "inf":
-            raise ValueError('fuel_norm "inf" is not supported: use fuel_norm = 1 or 2')
+        norms = self.transfer.fuel_norm, self.transfer.control_norm
+        if norms != (1, "inf"):
+            raise ValueError(f'the norms of fuel and control must be 1 and "inf", got {norms}')
         if self.horizon.steps != len(self.transfer.model):
             raise ValueError(
                 f"the horizon must be as long as the transfer: got {self.horizon.steps} steps "
@@ -135,9 +133,8 @@ class CentralizedProblem:
             )
 
     @cached_property
-    def state_units(self) -> Float[Array, " n"]:
-        """Scale of each state: R for positions, R/Δt for velocities."""
-        return state_units(self.transfer, self.horizon)
+    def _program(self) -> SwarmProgram:
+        return SwarmProgram(self.transfer, self.horizon)
 
     def solve(
         self, start: AgentStates, goal: AgentStates, guesses: Sequence[InitialGuess]
@@ -147,17 +144,21 @@ class CentralizedProblem:
         Args:
             start: Initial states without collisions.
             goal: Terminal states without collisions.
-            guesses: Initial guesses; states and controls need not be consistent.
+            guesses: At least one; states and controls need not be consistent.
 
         Raises:
             NoFeasibleSolution: No simulated solution satisfies all constraints.
-            ValueError: Two starts or two goals are too close, there is no guess, or a guess is
-                not finite.
+            ValueError: Two starts or two goals are too close.
         """
-        self._validate(start, goal, guesses)
+        for name, states in (("starts", start), ("goals", goal)):
+            least = min_distance(states[:, : self.transfer.model.axes])
+            if not least >= self.horizon.clearance:
+                needed = f"at least {self.horizon.clearance:.6g} m are needed"
+                raise ValueError(f"two {name} are {least:.6g} m apart, {needed}")
         tried = [self.simulate(start, goal, u, "initial guess") for _, u in guesses]
         for guess in guesses:
-            tried.append(self._solve_from((start, goal), guess, _least_fuel(tried)))
+            cheapest = min((t.fuel for t in tried if t.is_feasible), default=inf)
+            tried.append(self._solve_from((start, goal), guess, cheapest))
         feasible = [t for t in tried if t.is_feasible]
         if not feasible:
             raise NoFeasibleSolution(self, tuple(tried))
@@ -169,31 +170,19 @@ class CentralizedProblem:
         """Simulate the controls and compute all violations."""
         transfer, d = self.transfer, self.transfer.model.axes
         x = transfer.model.simulate(start, u)
-        order = np.inf if transfer.control_norm == "inf" else transfer.control_norm
-        thrust = np.linalg.norm(u, order, axis=-1).max(initial=0.0) / transfer.max_control
-        speed = np.linalg.norm(x[:, 1:-1, d:], axis=-1).max(initial=0.0) / transfer.max_speed
-        least = self._closest_approaches(x, u)[0].min(initial=np.inf)
-        fuel = float(np.sum(compute_fuel(u, transfer.model.dt, transfer.fuel_norm)))
-        error = float(np.abs((x[:, -1] - goal) / self.state_units).max())
-        above, apart = (float(thrust - 1), float(speed - 1)), least / self.horizon.clearance
-        return SimulatedSolution(x, u, fuel, error, *above, float(apart), solver_message)
+        thrust = float(np.abs(u).max(initial=0.0)) / transfer.max_control
+        top_speed = np.linalg.norm(x[:, 1:-1, d:], axis=-1).max(initial=0.0)
+        speed = float(top_speed) / transfer.max_speed
+        distance, _ = self._closest_approaches(x, u)
+        apart = float((distance / self.horizon.clearance).min(initial=PROXIMITY_FACTOR))
+        fuel = float(np.sum(compute_fuel(u, transfer.model.dt, 1)))
+        error = float(np.abs((x[:, -1] - goal) / self._program.state_units).max())
+        return SimulatedSolution(x, u, fuel, error, thrust - 1, speed - 1, apart, solver_message)
 
     def count_conflicts(self, x: StateSamples, u: ControlSamples) -> int:
         """Count the pairs that come too close on given trajectories."""
         distance, _ = self._closest_approaches(x, u)
         return int((distance < self.horizon.clearance).any(axis=1).sum())
-
-    def _validate(self, start: Array, goal: Array, guesses: Sequence[InitialGuess]) -> None:
-        if not guesses:
-            raise ValueError("guesses must hold at least one guess")
-        for number, guess in enumerate(guesses):
-            if not all(np.isfinite(part).all() for part in guess):
-                raise ValueError(f"guess {number} must be finite")
-        for name, states in (("starts", start), ("goals", goal)):
-            least = min_distance(states[:, : self.transfer.model.axes])
-            if not least >= self.horizon.clearance:
-                needed = f"at least {self.horizon.clearance:.6g} m are needed"
-                raise ValueError(f"two {name} are {least:.6g} m apart, {needed}")
 
     def _solve_from(self, ends: Ends, guess: InitialGuess, cheapest: float) -> SimulatedSolution:
         first = self._initial_constraints(*guess)
@@ -201,7 +190,7 @@ class CentralizedProblem:
         if not found.is_feasible or found.padding <= MAX_PADDING:
             return found
         # This is an optimum of the padded program: solve once more from there without padding.
-        unpadded = np.full(len(instants.min_distance), MIN_DISTANCE)
+        unpadded = np.full(len(instants.time), MIN_DISTANCE)
         bare = instants._replace(min_distance=unpadded)
         again, _ = self._refine_constraints(ends, (found.x, found.u), bare, cheapest, nearby=True)
         return again if again.is_feasible and again.fuel < found.fuel else found
@@ -221,17 +210,13 @@ class CentralizedProblem:
         best fuel.
         """
         pieces = self.horizon.pieces_per_step
-        last = self.horizon.steps * pieces - 1
         for attempt in range(MAX_ITERATIONS):
-            x, u, message = solve_nlp(self.transfer, self.horizon, ends, guess, instants, nearby)
+            x, u, message = self._program.solve(ends, guess, instants, nearby)
             padding = instants.min_distance.max(initial=MIN_DISTANCE) - MIN_DISTANCE
             found = self.simulate(*ends, u, message)._replace(padding=float(padding))
             more, violation = self._violations(found)
-            if (
-                not len(more.piece)
-                or not found.terminal_error <= FEASIBILITY_TOLERANCE
-                or found.fuel > cheapest
-            ):
+            is_astray = not found.terminal_error <= FEASIBILITY_TOLERANCE
+            if not len(more.time) or is_astray or found.fuel > cheapest:
                 break
             # Equal optima differ in the time of closest approach, so that new instants alone
             # might never suffice.
@@ -240,14 +225,11 @@ class CentralizedProblem:
             instants = instants.enlarge_distance(more, padding_added, pieces).concatenate(more)
             for part in (1.0, 2.0 ** -(attempt + 1)):
                 for side in (-1, 1):
-                    beside = side * part * pieces / CONSTRAINTS_PER_STEP
-                    instants = instants.concatenate(more.shift(beside, last))
+                    beside = more.time + side * part * pieces / CONSTRAINTS_PER_STEP
+                    beside = np.clip(beside, 0, self.horizon.steps * pieces)
+                    instants = instants.concatenate(more._replace(time=beside))
             guess, nearby = (x, u), True
         return found, instants
-
-    def _relative_control_points(self, x: Array, u: Array) -> Array:
-        points, pairs = self.horizon.control_points(x, u), _agent_pairs(len(x))
-        return np.asarray(points[pairs[:, 0]] - points[pairs[:, 1]])
 
     def _closest_approaches(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Find the least distance of every pair over every piece, where near, and its instant."""
@@ -259,28 +241,27 @@ class CentralizedProblem:
             distance[a, p], fraction[a, p], _ = closest_pair(both, np.array([[0, 1]]))
         return distance, fraction
 
+    def _relative_control_points(self, x: Array, u: Array) -> Array:
+        points, pairs = self.horizon.control_points(x, u), _agent_pairs(len(x))
+        return np.asarray(points[pairs[:, 0]] - points[pairs[:, 1]])
+
     def _initial_constraints(self, x: Array, u: Array) -> SeparationConstraints:
         """Place constraints at a few instants a step on the pieces of nearby agents."""
         relative = self._relative_control_points(x, u)
         distance = hull_distance(relative)[0] if len(relative) else np.zeros((0, 0))
         pair, piece = np.nonzero(distance < PROXIMITY_FACTOR * self.horizon.clearance)
         count = ceil(CONSTRAINTS_PER_STEP / self.horizon.pieces_per_step)
-        fraction = np.repeat(np.arange(1, count + 1) / count, len(piece))
-        return _require_distance(len(x), np.tile(pair, count), np.tile(piece, count), fraction)
+        time = (piece + np.arange(1, count + 1)[:, None] / count).ravel()
+        pairs = np.tile(_agent_pairs(len(x))[pair], (count, 1))
+        return SeparationConstraints(pairs, time, np.full(len(time), MIN_DISTANCE))
 
     def _violations(self, found: SimulatedSolution) -> tuple[SeparationConstraints, Array]:
         """Find the instants of too small a separation and the violations in units of R."""
         distance, fraction = self._closest_approaches(found.x, found.u)
         pair, piece = np.nonzero(distance < self.horizon.clearance)
         violation = 1 - distance[pair, piece] / self.horizon.clearance
-        return _require_distance(len(found.x), pair, piece, fraction[pair, piece]), violation
-
-
-def _require_distance(
-    agents: int, pair: Array, piece: Array, fraction: Array
-) -> SeparationConstraints:
-    distance = np.full(len(piece), MIN_DISTANCE)
-    return SeparationConstraints(_agent_pairs(agents)[pair], piece, fraction, distance)
+        pairs, time = _agent_pairs(len(found.x))[pair], piece + fraction[pair, piece]
+        return SeparationConstraints(pairs, time, np.full(len(time), MIN_DISTANCE)), violation
 
 
 def displace_guess(guess: InitialGuess, dt: float, by: Float[Array, "agents d"]) -> InitialGuess:
@@ -297,17 +278,6 @@ def displace_guess(guess: InitialGuess, dt: float, by: Float[Array, "agents d"])
     position = np.sin(phase) * by[:, None]
     speed = np.pi / (T * dt) * np.cos(phase) * by[:, None]
     return x + np.concatenate([position, speed], axis=-1), u
-
-
-def _least_fuel(tried: Sequence[SimulatedSolution]) -> float:
-    return min((t.fuel for t in tried if t.is_feasible), default=inf)
-
-
-def _format_separation(separation: float) -> str:
-    # Distances beyond the proximity factor are not computed.
-    if isfinite(separation):
-        return f"separation {separation:.6f} R"
-    return f"over {PROXIMITY_FACTOR:g} R apart"
 
 
 def _agent_pairs(count: int) -> Int[Array, "pairs 2"]:
