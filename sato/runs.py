@@ -24,8 +24,7 @@ from sato.interfaces import Frame, System
 from sato.record import RunFileError
 from sato.resource_usage import peak_memory_mib
 from sato.scenario.errors import InputError, ScenarioError, format_value
-from sato.scenario.file import from_dict, parse, read
-from sato.scenario.mission import Mission
+from sato.scenario.file import Mission, from_dict, parse, read
 from sato.summary import summary_rows
 from sato.systems import load_system
 

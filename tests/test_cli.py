@@ -90,15 +90,18 @@ REFUSED = {
         "start={kind='points', positions=[[0,0]]}",
         ["swarm.start.positions", "write positions_m"],
     ),
-    "no agents": ("agents=0", ["swarm.agents", "positive", "got 0"]),
-    "a negative radius": ("comm_radius_m=-3", ["swarm.comm_radius_m", "positive", "-3"]),
+    "no agents": ("agents=0", ["swarm.agents", "greater than 0", "got 0"]),
+    "a negative radius": ("comm_radius_m=-3", ["swarm.comm_radius_m", "greater than 0", "-3"]),
     "not a number": ("plan.step_s=nan", ["plan.step_s", "finite", "nan"]),
     "an infinite number": ("max_control_m_s2=inf", ["model.max_control_m_s2", "finite"]),
     "not a number in a list": (
         "positions_m=[[0,0],[2,nan],[4,0]]",
         ["swarm.start.positions_m", "finite", "[1, 1]"],
     ),
-    "a negative disturbance": ("disturbance.position_m=-1", ["disturbance.position_m", "negative"]),
+    "a negative disturbance": (
+        "disturbance.position_m=-1",
+        ["disturbance.position_m", "at least 0"],
+    ),
     "a shape too small": ("shape.spacing_m=0.3", ["leg.0.shape", "0.3", "0.5 m"]),
     "a ring too small": ("shape={kind='ring',radius_m=0.2}", ["leg.0.shape", "radius", "would do"]),
     "a lattice too small": ("shape={kind='lattice',spacing_m=0.2}", ["leg.0.shape", "would do"]),
@@ -187,12 +190,12 @@ def test_an_unknown_scenario_is_refused_with_those_there_are(home):
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
-        ("absent.toml", None, "there is no such file"),
+        ("absent.toml", None, "no such file"),
         ("broken.toml", b"swarm = ", "is not TOML"),
         ("binary.toml", b"\xff\xfe\x00", "not UTF-8"),
-        ("empty.toml", b"", "system: is missing"),
+        ("empty.toml", b"", 'system: there is no system ""'),
         ("other.toml", b'system = "reconfigurtion"', 'there is no system "reconfigurtion"'),
-        ("short.toml", b'system = "reconfiguration"', "model: is missing"),
+        ("short.toml", b'system = "reconfiguration"', "model.kind: is missing"),
     ],
 )
 def test_a_file_that_is_no_scenario_is_refused_by_name(home, name, content, words):

@@ -533,7 +533,7 @@ REFUSED = {
     ),
     "a negative thrust error": (
         ["disturbance.thrust=-0.1"],
-        "disturbance.thrust: must not be negative, got -0.1",
+        "disturbance.thrust: must be at least 0, got -0.1",
     ),
     "thrust that points anywhere": (
         ["disturbance.pointing_rad=1"],

@@ -127,13 +127,6 @@ def test_quantity_given_twice_is_refused():
         parse(text)
 
 
-@pytest.mark.parametrize(
-    ("key", "now"), [("plan.commit_steps", "freeze_steps"), ("leg.0.shape.centre_m", "center_m")]
-)
-def test_former_key_is_refused_with_its_new_name(key, now):
-    assert f"is now called {now}" in refusal(f"{key}=1")
-
-
 # Missions.
 
 

@@ -31,7 +31,7 @@ from sato.network.graph import CommunicationGraph
 from sato.record import read_frames, recorded_fields
 from sato.scenario.definition import Convert, In, Positive, as_array
 from sato.scenario.errors import InputError
-from sato.scenario.mission import Mission
+from sato.scenario.file import Mission
 from sato.systems import SYSTEMS, load_system
 
 SCENARIO = """

@@ -34,7 +34,7 @@ from sato.scenario.definition import (
     Vector,
 )
 from sato.scenario.errors import InputError, errors_in
-from sato.scenario.mission import Mission
+from sato.scenario.file import Mission
 
 ESTIMATORS = {"exact": EXACT, "flood": FLOOD, "power_pi": POWER}
 OMNIDIRECTIONAL = (-3.0, -2.0)  # a_min, a_max of a robot that ignores its field of view

@@ -25,9 +25,9 @@ from sato.formation.settings import (
 from sato.formation.start import AnyStart, draw_start, place_level
 from sato.network.radio import Radio
 from sato.scenario.definition import Convert, In, Key, Positive
-from sato.scenario.errors import InputError, errors_in
-from sato.scenario.mission import Mission
-from sato.scenario.table import resolve_key, write_table
+from sato.scenario.errors import errors_in
+from sato.scenario.file import Mission
+from sato.scenario.table import find_key, write_table
 from sato.shapes import Points, Shape
 from sato.shapes.points import as_points
 
@@ -93,7 +93,7 @@ class Formation(Mission):
         for table in ("control", "avoidance", "assignment", "frames", "protocol"):
             given = data.get(table, {})
             if isinstance(given, dict):
-                keys = {_resolved(key, legacy[table]) for key in given}
+                keys = {find_key(key, legacy[table]) for key in given}
                 filled[table] = given | {k: v for k, v in legacy[table].items() if k not in keys}
         return filled
 
@@ -193,10 +193,3 @@ def legacy_formation(start: Any, legs: Sequence[FormationLeg], **changed: Any) -
         "supervision": SupervisorSettings(convergence_speed=1.0),
     }
     return Formation(start=start, legs=tuple(legs), **(paper | changed))
-
-
-def _resolved(key: str, table: dict[str, Any]) -> str:
-    try:
-        return resolve_key(key, table)[0]
-    except InputError:
-        return key  # which is refused when the table is read

@@ -40,7 +40,7 @@ from sato.scenario.definition import (
     number_or_auto,
 )
 from sato.scenario.errors import InputError
-from sato.scenario.mission import Mission
+from sato.scenario.file import Mission
 from sato.shapes import Lattice, Picture, Points, Polygon, Ring, Text
 from sato.shapes.points import as_points
 
@@ -241,9 +241,10 @@ class Reconfiguration(Mission):
     legs: Annotated[tuple[Leg, ...], In(""), Key("leg"), "legs in turn"]
 
     @classmethod
-    def check_table(cls, data: dict[str, Any]) -> None:
+    def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
         """Refuse an orbital model without a chief."""
         check_kind(data)
+        return data
 
     def completed(self) -> dict[str, Any]:
         """Return what follows from the other fields where it is not given."""

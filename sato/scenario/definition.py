@@ -9,20 +9,11 @@ From the annotations come the check at construction, the keys with their units, 
 of keys in the documentation, the messages of errors, and equality by value.
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import MISSING, fields, is_dataclass
+import re
+from collections.abc import Callable
+from dataclasses import MISSING, fields
 from functools import cache, cached_property
-from types import UnionType
-from typing import (
-    Annotated,
-    Any,
-    Literal,
-    NamedTuple,
-    Union,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 import numpy as np
 from annotated_types import Ge, Gt
@@ -32,9 +23,16 @@ from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError
 from dynamics.units import Key as Key
 from dynamics.units import Unit
 from sato.scenario.errors import InputError, errors_in, format_value, join_names
-from sato.scenario.messages import explain
 
 Positive, NotNegative = Gt(0), Ge(0)
+PLAIN_WORDS = {
+    "a valid integer": "an integer",
+    "a valid ": "a ",
+    "greater than or equal to": "at least",
+    "less than or equal to": "at most",
+    "tuple": "list",
+    "'": '"',
+}
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False, arbitrary_types_allowed=True)
 
 
@@ -64,7 +62,7 @@ class Definition:
     def __post_init__(self) -> None:
         """Convert and check every field, then all of them together."""
         for field in fields_of(type(self)):
-            object.__setattr__(self, field.name, field.checked(getattr(self, field.name)))
+            object.__setattr__(self, field.name, field.check(getattr(self, field.name)))
         for name, value in self.completed().items():
             object.__setattr__(self, name, value)
         self.check()
@@ -78,14 +76,6 @@ class Definition:
 
         Raises:
             InputError: They do.
-        """
-
-    @classmethod
-    def check_table(cls, data: dict[str, Any]) -> None:
-        """Refuse a table of a file before its keys are read.
-
-        Raises:
-            InputError: Its keys cannot be those of this definition.
         """
 
     def __eq__(self, other: object) -> bool:
@@ -110,48 +100,52 @@ class Definition:
         return f"{type(self).__name__}({', '.join(shown)})"
 
 
-class Field(NamedTuple):
-    """Field of a definition, with all that its annotation says."""
+class Field:
+    """Field of a definition, with all that its annotation says.
 
-    name: str
-    hint: Any  # type, without the annotations below
-    table: str | None
-    key: str  # without its unit
-    unit: Unit | None
-    default: Any  # MISSING where a value is required
-    meaning: str
-    convert: Callable[[Any], Any] | None
-    is_inline: bool
-    adapter: "_Adapter"
+    Args:
+        name: Name of the attribute.
+        hint: Annotated type.
+        default: Default; MISSING where a value is required.
+    """
 
-    @property
-    def full_key(self) -> str:
-        """Key with its SI unit, as it stands in the file."""
-        return self.key if self.unit is None else f"{self.key}_{self.unit.suffix}"
+    def __init__(self, name: str, hint: Any, default: Any) -> None:
+        self.name, self.default, self.annotation = name, default, hint
+        self.hint, *self.marks = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+        marks: dict[type, Any] = {type(mark): mark for mark in self.marks}
+        self.meaning: str = marks.get(str, "")
+        self.table: str = marks[In].table if In in marks else ""
+        self.convert: Callable[[Any], Any] | None = (
+            marks[Convert].function if Convert in marks else None
+        )
+        self.key: str = marks[Key].name if Key in marks else name
+        if Unit in marks:
+            self.key += f"_{marks[Unit].suffix}"  # an SI unit
+        classes = _classes(self.hint)
+        self.variants = tuple(kind for kind in classes if is_definition(kind))
+        self.others = tuple(kind for kind in classes if not is_definition(kind))
+        self.is_inline = Inline in marks
+        self.is_list = get_origin(self.hint) is tuple and bool(self.variants)
+        # A table of its own: one definition without a choice.
+        self.is_nested = len(self.variants) == 1 and not (self.is_list or self.is_inline)
 
     @property
     def address(self) -> str:
         """Key with its table."""
         if self.is_inline:
-            return str(self.table)
-        return f"{self.table}.{self.full_key}" if self.table else self.full_key
+            return self.table
+        return f"{self.table}.{self.key}" if self.table else self.key
 
-    @property
-    def variants(self) -> tuple[type, ...]:
-        """Definitions that the field may hold; empty for numbers, text and arrays."""
-        return _records(self.hint)
+    @cached_property
+    def kinds(self) -> dict[str, type]:
+        """Definitions that the field may hold, by the name that chooses one in a file."""
+        return {kind: variant for variant in self.variants for kind in kinds_of(variant)}
 
-    @property
-    def is_list(self) -> bool:
-        """True where the field holds any number of definitions."""
-        return get_origin(self.hint) is tuple and bool(self.variants)
+    @cached_property
+    def _adapter(self) -> Any:
+        return TypeAdapter(self.annotation, config=_STRICT)  # slow, so made where it is needed
 
-    @property
-    def is_nested(self) -> bool:
-        """True where the field is a table of its own: one definition without a choice."""
-        return len(self.variants) == 1 and not self.is_list and not self.is_inline
-
-    def checked(self, value: Any) -> Any:
+    def check(self, value: Any) -> Any:
         """Convert and check a value.
 
         Raises:
@@ -159,52 +153,38 @@ class Field(NamedTuple):
         """
         if value is self.default and (value is None or self.variants):
             return value
-        try:
-            return self._checked(value if self.convert is None else self.convert(value))
-        except InputError as error:
-            found = error.inside(self.address)
-            raise InputError(found.key, found.reason, self.table is not None) from error
+        with errors_in(self.address):
+            if self.convert is not None:
+                value = self.convert(value)
+            if not self.variants:
+                return self._check_plain(value)
+            if not self.is_list:
+                return self._check_definition(value)
+            is_one = not isinstance(value, list | tuple) or is_named_tuple(type(value))
+            found = []
+            for number, one in enumerate([value] if is_one else value):
+                with errors_in(str(number)):
+                    found.append(self._check_definition(one))
+            return tuple(found)
 
-    def _checked(self, value: Any) -> Any:
-        if not self.variants:
-            return self.adapter.check(value)
-        if not self.is_list:
-            return self._record(value, "")
-        is_one = not isinstance(value, list | tuple) or is_named_tuple(type(value))
-        given = [value] if is_one else value
-        return tuple(self._record(one, str(i)) for i, one in enumerate(given))
-
-    def _record(self, value: Any, address: str) -> Any:
-        allowed = self.variants + _others(self.hint)
-        if not isinstance(value, allowed):
-            names = join_names(kind.__name__ for kind in allowed)
-            raise InputError(address, f"must be {names}, got {type(value).__name__}")
-        if not is_named_tuple(type(value)):
-            return value
-        with errors_in(address):
-            values = [own.checked(getattr(value, own.name)) for own in fields_of(type(value))]
-        return type(value)(*values)
-
-
-class _Adapter:
-    """Check of a value that is no definition, by pydantic; built when it is first needed."""
-
-    def __init__(self, hint: Any) -> None:
-        self.hint = hint
-
-    @cached_property
-    def _adapter(self) -> Any:
-        return TypeAdapter(self.hint, config=_STRICT)
-
-    def check(self, value: Any) -> Any:
+    def _check_plain(self, value: Any) -> Any:
         if isinstance(value, np.generic):
             value = value.item()
-        if isinstance(value, list | Array) and get_origin(self.hint) is tuple:
-            value = tuple(value.tolist() if isinstance(value, Array) else value)
+        if type(value) in (list, Array) and get_origin(self.hint) is tuple:
+            value = tuple(value if isinstance(value, list) else value.tolist())
         try:
             return self._adapter.validate_python(value)
         except ValidationError as error:
-            raise explain(error) from error
+            raise _explain(error) from error
+
+    def _check_definition(self, value: Any) -> Any:
+        allowed = self.variants + self.others
+        if not isinstance(value, allowed):
+            names = join_names(kind.__name__ for kind in allowed)
+            raise InputError("", f"must be {names}, got {type(value).__name__}")
+        if not is_named_tuple(type(value)):
+            return value
+        return type(value)(*[f.check(getattr(value, f.name)) for f in fields_of(type(value))])
 
 
 def fields_of(definition: Any) -> tuple[Field, ...]:
@@ -216,13 +196,11 @@ def fields_of(definition: Any) -> tuple[Field, ...]:
 def _fields_of(definition: Any) -> tuple[Field, ...]:
     hints = get_type_hints(definition, include_extras=True)
     if is_named_tuple(definition):
-        defaults = definition._field_defaults
-        names = [(name, defaults.get(name, MISSING)) for name in definition._fields]
-    elif is_dataclass(definition):
-        names = [(f.name, _default(f)) for f in fields(definition) if f.init]
+        named = definition._field_defaults
+        defaults = {name: named.get(name, MISSING) for name in definition._fields}
     else:
-        raise TypeError(f"{definition.__name__} is neither a dataclass nor a named tuple")
-    return tuple(_field(name, hints[name], default) for name, default in names)
+        defaults = {field.name: field.default for field in fields(definition) if field.init}
+    return tuple(Field(name, hints[name], default) for name, default in defaults.items())
 
 
 def is_named_tuple(kind: Any) -> bool:
@@ -230,14 +208,19 @@ def is_named_tuple(kind: Any) -> bool:
     return isinstance(kind, type) and issubclass(kind, tuple) and hasattr(kind, "_fields")
 
 
+def is_definition(kind: Any) -> bool:
+    """Tell whether a table of a scenario file can stand for values of a class."""
+    return is_named_tuple(kind) or issubclass(kind, Definition)
+
+
+@cache
 def kinds_of(definition: Any) -> tuple[str, ...]:
     """List the names by which a scenario file chooses a definition."""
     hint = get_type_hints(definition).get("kind")
     if get_origin(hint) is Literal:
         return get_args(hint)
-    if hasattr(definition, "kinds"):
-        return tuple(definition.kinds)
-    return (definition.kind,) if hasattr(definition, "kind") else ()
+    kind = getattr(definition, "kind", None)
+    return getattr(definition, "kinds", (kind,) if isinstance(kind, str) else ())
 
 
 def number_or_auto(value: Any) -> Any:
@@ -273,8 +256,8 @@ def as_array(value: Any, ndim: int) -> Array:
         raise InputError("", f"must be an array with {ndim} axes, got shape {array.shape}")
     array = array.astype(float)
     if not np.isfinite(array).all():
-        where = ", ".join(map(str, np.argwhere(~np.isfinite(array))[0]))
-        raise InputError("", f"must be finite, got {array[~np.isfinite(array)][0]} at [{where}]")
+        where = np.argwhere(~np.isfinite(array))[0].tolist()
+        raise InputError("", f"must be finite, got {array[tuple(where)]} at {where}")
     array.flags.writeable = False
     return array
 
@@ -286,54 +269,24 @@ Vector = Annotated[Array, BeforeValidator(lambda value: as_array(value, 1))]
 Matrix = Annotated[Array, BeforeValidator(lambda value: as_array(value, 2))]
 
 
-def _field(name: str, hint: Any, default: Any) -> Field:
-    base, *said = get_args(hint) if get_origin(hint) is Annotated else (hint,)
-    marks: dict[Any, Any] = {
-        type(mark): mark for mark in said if isinstance(mark, In | Key | Convert | Inline)
-    }
-    unit = next((mark for mark in said if isinstance(mark, Unit)), None)
-    meaning = next((mark for mark in said if isinstance(mark, str)), "")
-    ours = (In, Key, Convert, Inline, Unit, str)
-    checks = tuple(mark for mark in said if not isinstance(mark, ours))
-    return Field(
-        name=name,
-        hint=base,
-        table=marks[In].table if In in marks else None,
-        key=marks[Key].name if Key in marks else name,
-        unit=unit,
-        default=default,
-        meaning=meaning,
-        convert=marks[Convert].function if Convert in marks else None,
-        is_inline=Inline in marks,
-        adapter=_Adapter(Annotated[base, *checks] if checks else base),
-    )
+def _explain(error: ValidationError) -> InputError:
+    # The first of pydantic's errors, in its own words but for a few.
+    first: Any = error.errors(include_url=False)[0]
+    cause = first.get("ctx", {}).get("error")
+    if isinstance(cause, InputError):
+        return cause
+    where = ".".join(str(part) for part in first["loc"] if isinstance(part, int))
+    wanted = re.sub(r"^\w+ should", "must", first["msg"])
+    for theirs, ours in PLAIN_WORDS.items():
+        wanted = wanted.replace(theirs, ours)
+    return InputError(where, f"{wanted}, got {format_value(first['input'])}")
 
 
-def _default(field: Any) -> Any:
-    return field.default if field.default_factory is MISSING else field.default_factory()
-
-
-def _parts(hint: Any) -> Iterator[Any]:
-    if get_origin(hint) in (Union, UnionType, tuple, Annotated):
-        for part in get_args(hint):
-            yield from _parts(part)
-    else:
-        yield hint
-
-
-def _records(hint: Any) -> tuple[type, ...]:
-    # Other classes in a union are accepted from Python, but no scenario file can name them.
-    return tuple(
-        part
-        for part in _parts(hint)
-        if isinstance(part, type)
-        and (issubclass(part, Definition) or is_named_tuple(part) or hasattr(part, "kind"))
-    )
-
-
-def _others(hint: Any) -> tuple[type, ...]:
-    found = (part for part in _parts(hint) if isinstance(part, type))
-    return tuple(part for part in found if part not in _records(hint))
+def _classes(hint: Any) -> list[type]:
+    parts = get_args(hint)
+    if not parts:
+        return [hint] if isinstance(hint, type) else []
+    return [found for part in parts for found in _classes(part)]
 
 
 def _equal(one: Any, other: Any) -> bool:

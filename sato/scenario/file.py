@@ -1,25 +1,75 @@
-"""Scenario files: TOML, data only."""
+"""Missions, and the scenario files that they are read from: TOML, data only."""
 
 import tomllib
+from abc import abstractmethod
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
+import numpy as np
+import tomli_w
+from pydantic import Field
+
+from sato.scenario.definition import Definition, In
 from sato.scenario.errors import InputError, ScenarioError, closest_name, format_value, join_names
-from sato.scenario.mission import Mission
 from sato.scenario.overrides import override
-from sato.scenario.table import read_table
-from sato.systems import SYSTEMS, definition_of
+from sato.scenario.table import read_table, write_table
+from sato.systems import definition_of
 
 BUILT_IN = Path(__file__).parent.parent / "scenarios"
+FONT_FILES = (".ttf", ".otf", ".ttc")
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Mission(Definition):
+    """Mission of a system: a scenario, from Python or from a file."""
+
+    system: ClassVar[str]
+
+    name: Annotated[Name, In(""), "name of the scenario"] = "mission"
+
+    @classmethod
+    def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
+        """Return the tables of a file, with defaults that depend on other keys filled in.
+
+        Raises:
+            InputError: The tables cannot be those of a mission, whatever is in their keys.
+        """
+        return data
+
+    @abstractmethod
+    def draw(self, rng: np.random.Generator) -> "Mission":
+        """Return the mission with every random draw made and every "auto" replaced by a number.
+
+        The same state of the generator gives the same mission; a drawn mission stays as it is.
+
+        Args:
+            rng: Draws starts, formations, obstacles and parameters.
+
+        Raises:
+            InputError: The mission cannot be flown.
+        """
+
+    @abstractmethod
+    def warnings(self) -> list[str]:
+        """List doubts about a drawn mission, a sentence each."""
+
+    @abstractmethod
+    def without_files(self) -> "Mission":
+        """Return the same mission with the contents of files and fonts in place of their names."""
+
+    def to_toml(self) -> str:
+        """Write the mission as a scenario file that needs no other file."""
+        return tomli_w.dumps({"system": self.system} | write_table(self.without_files()))
 
 
 def scenarios() -> dict[str, str]:
     """Return the built-in scenarios: a line of description by name."""
-    files = sorted(BUILT_IN.glob("*.toml"))
-    return {
-        file.stem: file.read_text(encoding="utf-8").split("\n")[0].lstrip("# ") for file in files
-    }
+    texts = {file.stem: file.read_text("utf-8") for file in sorted(BUILT_IN.glob("*.toml"))}
+    return {name: text.split("\n")[0].lstrip("# ") for name, text in texts.items()}
 
 
 def read(name: str | Path, overrides: Iterable[str] = ()) -> Mission:
@@ -32,13 +82,19 @@ def read(name: str | Path, overrides: Iterable[str] = ()) -> Mission:
     Raises:
         ScenarioError: There is no such scenario, or it cannot be flown as it stands.
     """
-    file, source = _find(name)
+    known = scenarios()
+    file = BUILT_IN / f"{name}.toml" if str(name) in known else Path(name)
+    if not file.is_file():
+        close = closest_name(str(name), known)
+        hint = f"did you mean {close}? Built in" if close else "built in"
+        names = join_names(known, "and")
+        raise ScenarioError(f'there is no scenario "{name}", and no such file; {hint} are {names}')
     try:
         text = file.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise ScenarioError(f"{source}: cannot be read: {reason}") from error
-    return parse(text, overrides, source=source, folder=file.parent)
+        raise ScenarioError(f"{name}: cannot be read: {reason}") from error
+    return parse(text, overrides, source=str(name), folder=file.parent)
 
 
 def parse(
@@ -61,11 +117,10 @@ def parse(
     """
     try:
         data = tomllib.loads(text.removeprefix("\ufeff"))
+        data.setdefault("name", Path(source).stem)
+        return from_dict(data, overrides, folder=folder)
     except tomllib.TOMLDecodeError as error:
         raise ScenarioError(f"{source}: is not TOML: {error}") from error
-    data.setdefault("name", Path(source).stem)
-    try:
-        return from_dict(data, overrides, folder=folder)
     except InputError as error:
         raise ScenarioError(f"{source}: {error}") from error
 
@@ -84,36 +139,14 @@ def from_dict(
         InputError: The keys or values are not those of a mission.
     """
     if isinstance(overrides, str):
-        raise InputError(
-            "overrides",
-            f'must be a list of texts, got {format_value(overrides)}; ["{overrides}"] would do',
-        )
+        reason = f'must be a list of texts, got {format_value(overrides)}; ["{overrides}"] would do'
+        raise InputError("overrides", reason)
     data = _copied(data, folder)
-    system = data.pop("system", None)
-    if system is None:
-        names = join_names(f'"{name}"' for name in SYSTEMS)
-        raise InputError("system", f"is missing; write system = {names}")
-    definition = definition_of(system)
+    definition = definition_of(data.pop("system", ""))
     for setting in overrides:
         override(data, setting, definition)
     mission: Mission = read_table(definition, definition.with_defaults(data))
     return mission
-
-
-def _find(name: str | Path) -> tuple[Path, str]:
-    known = scenarios()
-    if str(name) in known:
-        return BUILT_IN / f"{name}.toml", str(name)
-    file = Path(name)
-    if file.is_file():
-        return file, str(file)
-    if file.suffix == ".toml" or len(file.parts) > 1:
-        fault = "is a folder" if file.is_dir() else "there is no such file"
-        names = join_names(known)
-        raise ScenarioError(f"{file}: {fault}; a scenario is a TOML file, or one of {names}")
-    close = closest_name(str(name), known)
-    hint = f"did you mean {close}? There" if close else "there"
-    raise ScenarioError(f'there is no scenario "{name}"; {hint} are {join_names(known, "and")}')
 
 
 def _copied(value: Any, folder: Path | None, key: str = "") -> Any:
@@ -122,7 +155,7 @@ def _copied(value: Any, folder: Path | None, key: str = "") -> Any:
         return {name: _copied(part, folder, name) for name, part in value.items()}
     if isinstance(value, list):
         return [_copied(part, folder) for part in value]
-    is_font_file = key == "font" and str(value).lower().endswith((".ttf", ".otf", ".ttc"))
-    if folder is not None and isinstance(value, str) and (key == "file" or is_font_file):
-        return str(folder / value)
+    if folder is not None and isinstance(value, str):
+        if key == "file" or (key == "font" and value.lower().endswith(FONT_FILES)):
+            return str(folder / value)
     return value

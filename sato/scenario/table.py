@@ -1,64 +1,57 @@
 """Between definitions and the tables of a scenario file."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator
 from dataclasses import MISSING
+from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy import ndarray as Array
 
-from dynamics.units import SUFFIXES, Unit
-from sato.scenario.definition import Definition, Field, fields_of, is_named_tuple, kinds_of
+from dynamics.units import SUFFIXES
+from sato.scenario.definition import Field, fields_of, is_definition, kinds_of
 from sato.scenario.errors import InputError, closest_name, errors_in, format_value, join_names
 
-RENAMED = {  # former keys
-    "centre_m": "center_m",
-    "commit_steps": "freeze_steps",
-    "normalise": "normalize",
-    "relinearise": "relinearize",
-}
-
-
 OWN = "own"  # kind of a value of the user's own
+_SI = {unit.quantity: suffix for suffix, unit in SUFFIXES.items() if unit.factor == 1.0}
 
 
 class Entry(NamedTuple):
-    """Key of a table: the field that it fills, and the definitions on the way to the field."""
+    """Field that a key fills, and the names of the attributes that lead to it."""
 
-    owners: tuple[Field, ...]  # nested definitions, outermost first
+    path: tuple[str, ...]
     field: Field
 
-    @property
-    def path(self) -> tuple[str, ...]:
-        """Names of the attributes from the outermost definition to the field."""
-        return (*(owner.name for owner in self.owners), self.field.name)
+
+# By table, "" being the definition's own, and key; None for names of tables, and for the kind
+# that only chooses a definition.
+Layout = dict[str, dict[str, Entry | None]]
 
 
-class TableLayout(NamedTuple):
-    """Keys of a definition in a file: by table, "" being the definition's own."""
-
-    tables: Mapping[str, Mapping[str, Entry]]
-
-
-def layout(definition: Any, kind: str | None = None) -> TableLayout:
+def layout(definition: Any, inline: type | None = None) -> Layout:
     """List the tables and keys of a definition.
 
     Args:
         definition: A class of definitions.
-        kind: Kind of the definition whose keys stand in the same table, where one does.
+        inline: Definition whose keys stand in the same table, where that is known.
     """
-    tables: dict[str, dict[str, Entry]] = {"": {}}
-    for entry in _entries(definition, (), ""):
-        table, found = entry
-        tables.setdefault(table, {})[found.field.full_key] = found
-        if found.field.is_inline and kind is not None:
-            variant = choose(found.field, kind)
-            for _, inner in _entries(variant, (found.field,), table):
-                tables[table][inner.field.full_key] = inner
-    return TableLayout(tables)
+    tables: Layout = {"": {"kind": None} if kinds_of(definition) else {}}
+    for table, entry in _entries(definition, (), ""):
+        keys = tables.setdefault(table, {})
+        if not entry.field.is_inline:
+            keys[entry.field.key] = entry
+        elif inline is None:
+            keys["kind"] = entry
+        else:
+            keys["kind"] = None
+            keys |= {inner.field.key: inner for _, inner in _entries(inline, entry.path, table)}
+    for table in tables:
+        if table:
+            tables[""].setdefault(table, None)
+    return tables
 
 
-def read_table(definition: Any, data: Any) -> Any:
+def read_table(definition: Any, data: dict[str, Any]) -> Any:
     """Build a definition from the table of a file.
 
     Args:
@@ -68,19 +61,15 @@ def read_table(definition: Any, data: Any) -> Any:
     Raises:
         InputError: A key is unknown, missing, in the wrong unit, or has a wrong value.
     """
-    if not isinstance(data, dict):
-        raise InputError("", f"must be a table, got {format_value(data)}")
-    if issubclass(definition, Definition):
-        definition.check_table(data)
-    found = layout(definition, _inline_kind(definition, data))
     values: dict[tuple[str, ...], Any] = {}
-    for table, entries in found.tables.items():
-        given = data.get(table, {}) if table else data
-        if not isinstance(given, dict):
-            raise InputError(table, f"must be a table, got {format_value(given)}")
-        other = [name for name in found.tables if name] if not table else []
+    inline = None
+    for field in fields_of(definition):
+        if field.is_inline:
+            with errors_in(field.table):
+                inline = values[(field.name,)] = choose(field, data.get(field.table, {}))
+    for table, entries in layout(definition, inline).items():
         with errors_in(table):
-            values |= _read_keys(entries, given, other, bool(kinds_of(definition)))
+            values |= _read_keys(entries, data.get(table, {}) if table else data)
     return _build(definition, values)
 
 
@@ -89,72 +78,65 @@ def write_table(value: Any) -> dict[str, Any]:
 
     A value that no file can hold, as a model of the user's own, is written as kind "own".
     """
-    inline = (getattr(value, f.name) for f in fields_of(type(value)) if f.is_inline)
-    kind = next(map(_kind_of, inline), None)
+    held: Any = next((getattr(value, f.name) for f in fields_of(type(value)) if f.is_inline), None)
     written: dict[str, Any] = {}
-    for table, entries in layout(type(value), None if kind == OWN else kind).tables.items():
-        rows = written if not table else {}
+    tables = layout(type(value), type(held) if is_definition(type(held)) else None)
+    for table, entries in tables.items():
+        rows = {}
         for key, entry in entries.items():
-            held = value
-            for name in entry.path:
-                held = getattr(held, name, None)
-            if entry.field.is_inline:
-                rows["kind"] = _kind_of(held)
-                continue
-            plain = _plain(held)
+            if entry is not None:
+                part = reduce(lambda at, name: getattr(at, name, None), entry.path, value)
+                plain = OWN if entry.field.is_inline else _plain(part)
+            else:
+                plain = (held if table else value).kind if key == "kind" else None
             if plain is not None:
                 rows[key] = plain
         if table and rows:
             written[table] = rows
-    if kinds_of(type(value)) and "kind" not in written:
-        written = {"kind": _kind_of(value)} | written
+        elif not table:
+            written = rows
     return written
 
 
-def choose(field: Field, kind: Any) -> type:
-    """Choose among the definitions that a field may hold.
+def choose(field: Field, data: Any) -> type:
+    """Choose among the definitions that a field may hold, by the kind in a table.
 
     Raises:
-        InputError: None has this kind.
+        InputError: It is no table, or none has this kind.
     """
-    known = {name: variant for variant in field.variants for name in kinds_of(variant)}
-    if kind == OWN and OWN not in known:
+    if not isinstance(data, dict):
+        raise InputError("", f"must be a table, got {format_value(data)}")
+    if not field.kinds:
+        return field.variants[0]
+    kind, names = data.get("kind"), join_names(map(format_value, field.kinds), "and")
+    if kind is None:
+        raise InputError("kind", f"is missing; there are {names}")
+    if isinstance(kind, str) and kind in field.kinds:
+        return field.kinds[kind]
+    if kind == OWN:
         raise InputError("kind", '"own" is of a mission in Python, which no file can hold')
-    if not isinstance(kind, str) or kind not in known:
-        close = closest_name(str(kind), known)
-        hint = f'; did you mean "{close}"?' if close else ""
-        names = join_names((f'"{name}"' for name in known), "and")
-        raise InputError("kind", f"there is no kind {format_value(kind)}, only {names}{hint}")
-    return known[kind]
+    close = closest_name(str(kind), field.kinds)
+    hint = f'; did you mean "{close}"?' if close else ""
+    raise InputError("kind", f"there is no kind {format_value(kind)}, only {names}{hint}")
 
 
-def resolve_key(key: str, entries: Mapping[str, object]) -> tuple[str, float]:
-    """Find the key that is meant, and the factor that turns its value into SI units.
+def find_key(key: str, known: Collection[str]) -> str | None:
+    """Find the known key that is meant, perhaps with another unit of the same kind."""
+    base, unit = split_unit(key)
+    si = f"{base}_{_SI[SUFFIXES[unit].quantity]}" if unit else key
+    return next((name for name in (key, si) if name in known), None)
 
-    Raises:
-        InputError: There is no such key, or its unit is missing, superfluous or of another kind.
-    """
-    if key in entries:
-        return key, 1.0
-    base, suffix = split_unit(key)
-    for si in (name for name, of in SUFFIXES.items() if of.factor == 1.0):
-        if suffix and SUFFIXES[si].quantity == SUFFIXES[suffix].quantity:
-            if f"{base}_{si}" in entries:
-                return f"{base}_{si}", SUFFIXES[suffix].factor
-    measured = {split_unit(name)[0]: name for name in entries if split_unit(name)[1]}
-    if suffix is None and base in measured:
-        raise InputError(key, f"has no unit; write {measured[base]}")
-    if suffix and base in measured:
-        right = Unit(str(split_unit(measured[base])[1])).quantity
-        wrong = Unit(suffix).quantity
-        raise InputError(key, f"is in a unit of {wrong}, not of {right}; write {measured[base]}")
-    if suffix and base in entries:
-        raise InputError(key, f"is a number without a unit; write {base}")
-    if RENAMED.get(key) in entries:
-        raise InputError(key, f"is now called {RENAMED[key]}")
-    close = closest_name(key, entries)
-    hint = f"did you mean {close}?" if close else f"the keys here are {', '.join(entries)}"
-    raise InputError(key, f"there is no such key; {hint}")
+
+def unknown_key(address: str, known: Collection[str]) -> InputError:
+    """Return the error of a key that is not known, with the one that was likely meant."""
+    base, unit = split_unit(address)
+    similar = {split_unit(name)[0]: name for name in known}
+    if base in similar:
+        fault = "has no unit" if unit is None else "has the wrong unit"
+        return InputError(address, f"{fault}; write {similar[base].rsplit('.', 1)[-1]}")
+    close = closest_name(address, known)
+    hint = f"did you mean {close}?" if close else "`sato keys SYSTEM` lists the keys"
+    return InputError(address, f"there is no such key; {hint}")
 
 
 def split_unit(key: str) -> tuple[str, str | None]:
@@ -165,77 +147,54 @@ def split_unit(key: str) -> tuple[str, str | None]:
     return key, None
 
 
-def _entries(definition: Any, owners: tuple[Field, ...], table: str) -> Iterator[tuple[str, Entry]]:
+def _entries(definition: Any, path: tuple[str, ...], table: str) -> Iterator[tuple[str, Entry]]:
     for field in fields_of(definition):
-        home = field.table if field.table is not None else table
+        inner = (*path, field.name)
         if field.is_nested:
-            inner = field.key if not home else f"{home}.{field.key}"
-            yield from _entries(field.variants[0], (*owners, field), inner)
+            yield from _entries(field.variants[0], inner, field.key)
         else:
-            yield home, Entry(owners, field)
+            yield field.table or table, Entry(inner, field)
 
 
-def _inline_kind(definition: type, data: dict[str, Any]) -> str | None:
-    for table, entry in _entries(definition, (), ""):
-        if entry.field.is_inline:
-            held = data.get(table)
-            if not isinstance(held, dict) or "kind" not in held:
-                raise InputError(table, "needs a kind" if held is not None else "is missing")
-            with errors_in(table):
-                choose(entry.field, held["kind"])
-            return str(held["kind"])
-    return None
-
-
-def _read_keys(
-    entries: Mapping[str, Entry], given: dict[str, Any], tables: list[str], is_tagged: bool
-) -> dict[tuple[str, ...], Any]:
+def _read_keys(entries: dict[str, Entry | None], given: Any) -> dict[tuple[str, ...], Any]:
+    if not isinstance(given, dict):
+        raise InputError("", f"must be a table, got {format_value(given)}")
     values: dict[tuple[str, ...], Any] = {}
-    keys = {key: entry for key, entry in entries.items() if not entry.field.is_inline}
-    inline = [entry for entry in entries.values() if entry.field.is_inline]
-    is_tagged = is_tagged or bool(inline)
     for key, value in given.items():
-        if key in tables or (key == "kind" and key not in keys and is_tagged):
+        name = find_key(key, entries)
+        if name is None:
+            raise unknown_key(key, entries)
+        entry = entries[name]
+        if entry is None:
             continue
-        name, factor = resolve_key(key, keys)
-        entry = keys[name]
         if entry.path in values:
             raise InputError(key, f"is given twice; one of it and {name} is enough")
+        unit = split_unit(key)[1]
         with errors_in(key):
-            values[entry.path] = _read_value(entry.field, _scaled(value, factor))
-    for entry in inline:
-        values[entry.path] = choose(entry.field, given["kind"])
+            scaled = value if key == name or unit is None else _scaled(value, SUFFIXES[unit].factor)
+            values[entry.path] = _read_value(entry.field, scaled)
     return values
 
 
 def _read_value(field: Field, value: Any) -> Any:
     if not field.variants:
         return value
-    if field.is_list:
-        given = [value] if isinstance(value, dict) else value
-        if not isinstance(given, list):
-            raise InputError("", f"must be a list of tables, got {format_value(value)}")
-        found = []
-        for number, one in enumerate(given):
-            with errors_in(str(number) if isinstance(value, list) else ""):
-                found.append(_read_record(field, one))
-        return tuple(found)
-    return _read_record(field, value)
+    if not field.is_list or not isinstance(value, list):
+        found = _read_definition(field, value)
+        return (found,) if field.is_list else found
+    parts = []
+    for number, part in enumerate(value):
+        with errors_in(str(number)):
+            parts.append(_read_definition(field, part))
+    return tuple(parts)
 
 
-def _read_record(field: Field, value: Any) -> Any:
-    kinds = [kind for variant in field.variants for kind in kinds_of(variant)]
-    if isinstance(value, str) and kinds:
+def _read_definition(field: Field, value: Any) -> Any:
+    if isinstance(value, str) and field.kinds:
         value = {"kind": value}
-    if not isinstance(value, dict):
-        raise InputError("", f"must be a table, got {format_value(value)}")
-    if not kinds:
-        return read_table(field.variants[0], value)
-    if "kind" not in value and "file" in value and "file" in kinds:
+    if isinstance(value, dict) and "file" in value and "file" in field.kinds:
         value = {"kind": "file"} | value
-    if "kind" not in value:
-        raise InputError("", "needs a kind")
-    return read_table(choose(field, value["kind"]), value)
+    return read_table(choose(field, value), value)
 
 
 def _build(definition: type, values: dict[tuple[str, ...], Any]) -> Any:
@@ -245,25 +204,17 @@ def _build(definition: type, values: dict[tuple[str, ...], Any]) -> Any:
         inner = {path[1:]: value for path, value in values.items() if path[0] == field.name}
         own = inner.pop((), MISSING)
         if field.is_inline or (field.is_nested and (inner or field.default is MISSING)):
-            with errors_in(str(field.table) if field.is_inline else field.key):
+            with errors_in(field.address):
                 arguments[field.name] = _build(own if field.is_inline else field.variants[0], inner)
         elif own is not MISSING:
             arguments[field.name] = own
         elif field.default is MISSING:
-            reason = "is missing, and has no default"
-            raise InputError(field.address, reason, is_complete=field.table is not None)
+            raise InputError(field.address, "is missing, and has no default")
     return definition(**arguments)
 
 
-def _kind_of(value: Any) -> Any:
-    if not (isinstance(value, Definition) or is_named_tuple(type(value))):
-        return OWN
-    kinds = kinds_of(type(value))
-    return value.kind if hasattr(value, "kind") else kinds[0]
-
-
 def _plain(value: Any) -> Any:
-    if isinstance(value, Definition) or is_named_tuple(type(value)):
+    if is_definition(type(value)):
         return write_table(value)
     if isinstance(value, Array):
         return value.tolist()
@@ -276,10 +227,9 @@ def _plain(value: Any) -> Any:
 
 def _scaled(value: Any, factor: float) -> Any:
     # Text and tables are left as they are: the check of the field refuses them.
-    if factor == 1.0:
-        return value
+    if isinstance(value, Array):
+        value = value.tolist()
     if isinstance(value, list):
         return [_scaled(part, factor) for part in value]
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return value
-    return value * factor
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return value * factor if is_number else value
