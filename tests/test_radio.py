@@ -78,11 +78,11 @@ def test_eight_hundred_vehicles_saturate_54_mbit_s_each():
 @pytest.mark.parametrize(
     ("bad", "message"),
     [
-        ({"message_rate": 0.0}, "rate_hz: must be positive"),
+        ({"message_rate": 0.0}, "rate_hz: must be greater than 0"),
         ({"loss_probability": 1.0}, "loss: must be less than 1"),
-        ({"loss_probability": -0.1}, "loss: must not be negative"),
-        ({"delay": -1.0}, "delay_s: must not be negative"),
-        ({"id_bits": 0}, "id_bits: must be positive"),
+        ({"loss_probability": -0.1}, "loss: must be at least 0"),
+        ({"delay": -1.0}, "delay_s: must be at least 0"),
+        ({"id_bits": 0}, "id_bits: must be greater than 0"),
     ],
 )
 def test_impossible_radio_is_refused(bad, message):
