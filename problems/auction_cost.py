@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from dynamics import DiscreteModel
-from problems.avoidance import AvoidanceProblem, empty_half_spaces
+from problems.avoidance import AvoidanceProblem
 from problems.conic import Unsolved
 from problems.minimum_fuel import reachability_matrix, solve_minimum_fuel
 from problems.transfer import Trajectory, TransferProblem, tie_break_weights
@@ -78,8 +78,7 @@ def solve_transfer(
         its infeasibility can be certified, which has been seen at the very edge of reach only.
     """
     try:
-        free = empty_half_spaces(transfer)
-        return AvoidanceProblem(transfer).solve(start, target, free).trajectory
+        return AvoidanceProblem.alone(transfer, start, target).solve().trajectory
     except Unsolved:
         return None
 

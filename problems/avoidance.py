@@ -5,8 +5,8 @@ samples. A trajectory lies in the convex hull of its control points, so it keeps
 in continuous time.
 """
 
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -45,6 +45,16 @@ class HalfSpaces(NamedTuple):
         on_x = cp.sum(cp.multiply(self.state_coeffs, x[self.step_index]), axis=1)
         return on_x + cp.sum(cp.multiply(self.control_coeffs, u[self.step_index]), axis=1)
 
+    def condense(
+        self, transfer: TransferProblem, free: Float[Array, "instants n"]
+    ) -> tuple[Float[Array, "rows controls"], Float[Array, " rows"]]:
+        """Eliminate the states: coeffs and rhs of −coeffs · u ≤ rhs, given the free motion."""
+        R, (T, _, m) = transfer.response_matrices[0], transfer.model.B.shape
+        rows, step = np.arange(len(self.rhs)), self.step_index
+        coeffs = np.einsum("rn,rnj->rj", self.state_coeffs, R[step])
+        coeffs.reshape(-1, T, m)[rows, step] += self.control_coeffs
+        return coeffs, (self.state_coeffs * free[step]).sum(1) - self.rhs
+
     def select(self, rows: Array) -> "HalfSpaces":
         """Select rows by a mask or by index."""
         return HalfSpaces(*(field[rows] for field in self))
@@ -72,14 +82,22 @@ class AvoidanceProblem:
     """
 
     transfer: TransferProblem
+    start: Float[Array, " n"]
+    goal: Float[Array, " n"]
+    half_spaces: HalfSpaces
 
-    def solve(
-        self,
-        start: Float[Array, " n"],
-        goal: Float[Array, " n"],
-        half_spaces: HalfSpaces,
-        relaxation: Relaxation = "none",
-    ) -> AvoidanceResult:
+    @classmethod
+    def alone(
+        cls, transfer: TransferProblem, start: Float[Array, " n"], goal: Float[Array, " n"]
+    ) -> "AvoidanceProblem":
+        """Make the problem of an agent without half-spaces."""
+        return cls(transfer, start, goal, empty_half_spaces(transfer))
+
+    def select(self, rows: Array) -> "AvoidanceProblem":
+        """Keep some half-spaces, by a mask or by index."""
+        return replace(self, half_spaces=self.half_spaces.select(rows))
+
+    def solve(self, relaxation: Relaxation = "none") -> AvoidanceResult:
         """Solve the transfer from start to goal inside the half-spaces.
 
         Raises:
@@ -88,89 +106,68 @@ class AvoidanceProblem:
             ValueError: The transfer has no steps.
         """
         self.transfer.require_steps()
-        if (self.transfer.fuel_norm, self.transfer.control_norm) == (1, "inf"):
-            return self._solve_condensed(start, goal, half_spaces, relaxation)
-        return self.solve_cvxpy(start, goal, half_spaces, relaxation)
+        if (self.transfer.fuel_norm, self.transfer.control_norm) != (1, "inf"):
+            return self.solve_cvxpy(relaxation)
+        (found,) = solve_condensed(
+            [self], lambda limited: self.assemble_conic(relaxation, limited[0])
+        )
+        return self._make_result(found, relaxation)
 
-    def solve_cvxpy(
-        self, start: Array, goal: Array, half_spaces: HalfSpaces, relaxation: Relaxation = "none"
-    ) -> AvoidanceResult:
+    def solve_cvxpy(self, relaxation: Relaxation = "none") -> AvoidanceResult:
         """Solve the same problem in CVXPY, for any norms and as a second opinion."""
         import cvxpy as cp
 
-        T, n = len(self.transfer.model), len(start)
-        x, u, effort, limits = self.transfer.build_cvxpy(start)
-        terminal_error, slack = cp.Variable(n), cp.Variable(len(half_spaces.rhs), nonneg=True)
-        terminal = x[T] + terminal_error == goal
-        kept = half_spaces.to_cvxpy(x, u)
-        separation = [kept + slack >= half_spaces.rhs] if len(half_spaces.rhs) else []
-        penalty = self._penalty
-        error_cost = cp.norm1(cp.multiply(self._terminal_error_weights, terminal_error))
-        cost = effort + penalty * (error_cost + 10 * cp.sum(slack))
-        fixed = []
-        if relaxation == "none":
-            fixed.append(terminal_error == 0)
-        if relaxation != "separation":
-            fixed.append(slack == 0)
-        problem = cp.Problem(cp.Minimize(cost), [*limits, terminal, *separation, *fixed])
-        solve_cvxpy(self, problem)
-        return self._make_result(start, goal, np.asarray(u.value), half_spaces, relaxation)
+        _, u, cost, constraints = self.state_cvxpy(relaxation)
+        solve_cvxpy(self, cp.Problem(cp.Minimize(cost), constraints))
+        return self._make_result(
+            self.transfer.simulate(self.start, np.asarray(u.value)), relaxation
+        )
 
-    def _make_result(
-        self, start: Array, goal: Array, u: Array, half_spaces: HalfSpaces, relaxation: Relaxation
-    ) -> AvoidanceResult:
-        trajectory = self.transfer.simulate(start, u)
+    def state_cvxpy(self, relaxation: Relaxation = "none") -> tuple[Any, Any, Any, list[Any]]:
+        """State the problem in CVXPY: variables x and u, cost and constraints."""
+        import cvxpy as cp
+
+        x, u, effort, limits = self.transfer.build_cvxpy(self.start)
+        rows = len(self.half_spaces.rhs)
+        terminal_error, slack = cp.Variable(len(self.start)), cp.Variable(rows, nonneg=True)
+        limits.append(x[len(self.transfer.model)] + terminal_error == self.goal)
+        if rows:
+            limits.append(self.half_spaces.to_cvxpy(x, u) + slack >= self.half_spaces.rhs)
+        if relaxation == "none":
+            limits.append(terminal_error == 0)
+        if relaxation != "separation":
+            limits.append(slack == 0)
+        error_cost = cp.norm1(cp.multiply(self._terminal_error_weights, terminal_error))
+        return x, u, effort + self._penalty * (error_cost + 10 * cp.sum(slack)), limits
+
+    def _make_result(self, found: Trajectory, relaxation: Relaxation) -> AvoidanceResult:
         terminal_error, slack = 0.0, 0.0
         if relaxation != "none":
-            terminal_error = float(np.abs(trajectory.x[-1] - goal).max())
+            terminal_error = float(np.abs(found.x[-1] - self.goal).max())
         if relaxation == "separation":
-            slack = float(half_spaces.violation(trajectory.x, trajectory.u).max(initial=0.0))
-        return AvoidanceResult(trajectory, terminal_error, slack)
+            slack = float(self.half_spaces.violation(found.x, found.u).max(initial=0.0))
+        return AvoidanceResult(found, terminal_error, slack)
 
-    @cached_property
+    @property
     def _penalty(self) -> float:
         duration = len(self.transfer.model) * self.transfer.model.dt
         return RELAXATION_PENALTY / duration
 
-    @cached_property
+    @property
     def _terminal_error_weights(self) -> Array:
         # An error in velocity weighs as the distance that it covers in a step.
-        d = self.transfer.model.axes
-        return np.repeat([1.0, self.transfer.model.dt], d)
+        return np.repeat([1.0, self.transfer.model.dt], self.transfer.model.axes)
 
-    def _solve_condensed(
-        self, start: Array, goal: Array, half_spaces: HalfSpaces, relaxation: Relaxation
-    ) -> AvoidanceResult:
-        """Eliminate the states and add speed limits only where a solution violates them."""
-        limited: list[int] = []
-        while True:
-            problem = self.assemble_conic(start, goal, half_spaces, relaxation, limited)
-            u = self.extract_controls(solve(problem, solve_clarabel).x)
-            result = self._make_result(start, goal, u, half_spaces, relaxation)
-            violated = self.find_speed_violations(result.trajectory.x, limited)
-            if not len(violated):
-                return result
-            limited = [*limited, *violated]
-
-    def find_speed_violations(self, x: Float[Array, "instants n"], known: list[int]) -> list[int]:
-        """Find the instants of violated speed limits, other than those known."""
-        over = np.flatnonzero(self.transfer.is_too_fast(x)) + 1
-        return [int(k) for k in over if int(k) not in known]
-
-    def extract_controls(self, unknowns: Float[Array, " unknowns"]) -> Float[Array, "T m"]:
-        """Extract the controls from a solution of the program of `assemble_conic`."""
-        T, m = len(self.transfer.model), self.transfer.model.axes
+    def extract_trajectory(self, unknowns: Float[Array, " unknowns"]) -> Trajectory:
+        """Simulate the controls of a solution of the program of `assemble_conic`."""
+        T, _, m = self.transfer.model.B.shape
         plus, minus = unknowns[: T * m], unknowns[T * m : 2 * T * m]
         U = self.transfer.max_control
-        return np.asarray(np.clip(U * (plus - minus), -U, U)).reshape(T, m)
+        u = np.asarray(np.clip(U * (plus - minus), -U, U)).reshape(T, m)
+        return self.transfer.simulate(self.start, u)
 
     def assemble_conic(
-        self,
-        start: Float[Array, " n"],
-        goal: Float[Array, " n"],
-        half_spaces: HalfSpaces,
-        relaxation: Relaxation,
-        limited: list[int],
+        self, relaxation: Relaxation, limited: Int[Array, " instants"]
     ) -> ConicProgram:
         """Assemble the program with the states eliminated and speed limits at some instants.
 
@@ -180,63 +177,59 @@ class AvoidanceProblem:
         transfer, (R, factor) = self.transfer, self.transfer.response_matrices
         T, n, m = transfer.model.B.shape
         U, N = transfer.max_control, T * m
-        free = transfer.coast(start)
-        coeffs, rhs = condense_half_spaces(transfer, half_spaces, free)
+        free = transfer.coast(self.start)
+        coeffs, rhs = self.half_spaces.condense(transfer, free)
         breakable = U * np.abs(coeffs).sum(axis=1) > rhs  # most rows hold for any control
         coeffs, rhs = coeffs[breakable], rhs[breakable]
         rows = len(rhs)
         errors = 0 if relaxation == "none" else n
         slacks = rows if relaxation == "separation" else 0
-        columns = 2 * N + 2 * errors + slacks
-        slacks_at = 2 * N + 2 * errors
 
         fuel = np.tile(U * transfer.model.dt * np.repeat(transfer.weights, m), 2)
         penalty = np.repeat([self._penalty, 10 * self._penalty], [2 * errors, slacks])
-        q = np.concatenate([fuel, penalty])
+        whitening, scale = np.linalg.inv(factor), 1 / U
+        reach = U * whitening @ R[T]
+        unit = (whitening / self._terminal_error_weights)[:, :errors]
+        terminal = np.hstack([reach, -reach, unit, -unit, np.zeros((n, slacks))])
+        separation = np.hstack(
+            [-U * coeffs, U * coeffs, np.zeros((rows, 2 * errors)), -np.eye(rows)[:, :slacks]]
+        )
+        speed = np.zeros((len(limited), m + 1, N))
+        speed[:, 1:] = U * R[limited, m:]
+        speed = speed.reshape(-1, N)
+        cones = np.hstack([-speed, speed, np.zeros((len(speed), 2 * errors + slacks))])
+        cone_rhs = np.insert(free[limited, m:], 0, transfer.max_speed, axis=1).ravel()
 
-        whitening = np.linalg.inv(factor)
-        terminal = np.zeros((n, columns))
-        terminal[:, :N] = U * whitening @ R[T]
-        terminal[:, N : 2 * N] = -terminal[:, :N]
-        if errors:
-            unit = whitening / self._terminal_error_weights
-            terminal[:, 2 * N : 2 * N + n], terminal[:, 2 * N + n : slacks_at] = unit, -unit
-        scale = 1 / U
-        terminal, terminal_rhs = scale * terminal, scale * whitening @ (goal - free[T])
-
-        separation = np.zeros((rows, columns))
-        separation[:, :N], separation[:, N : 2 * N] = -U * coeffs, U * coeffs
-        separation[np.arange(slacks), slacks_at + np.arange(slacks)] = -1
-
-        bound_rhs = np.concatenate([np.ones(2 * N), np.zeros(columns)])
-        cone_rows, cone_rhs = self._assemble_speed_cones(R, free, limited, columns)
-        A = _stack_with_bounds(np.vstack([terminal, separation]), 2 * N, cone_rows)
-        b = np.concatenate([terminal_rhs, rhs, bound_rhs, cone_rhs])
-        return ConicProgram(q, A, b, n, rows + len(bound_rhs), (m + 1,) * len(limited))
-
-    def _assemble_speed_cones(
-        self, R: Array, free: Array, limited: list[int], columns: int
-    ) -> tuple[Array, Array]:
-        d, U = self.transfer.model.axes, self.transfer.max_control
-        N = R.shape[2]
-        cone_rows = np.zeros((len(limited), d + 1, columns))
-        cone_rhs = np.zeros((len(limited), d + 1))
-        for row, k in enumerate(limited):
-            cone_rows[row, 1:, :N], cone_rows[row, 1:, N : 2 * N] = -U * R[k, d:], U * R[k, d:]
-            cone_rhs[row, 0], cone_rhs[row, 1:] = self.transfer.max_speed, free[k, d:]
-        return cone_rows.reshape(-1, columns), cone_rhs.ravel()
+        A = _stack_with_bounds(np.vstack([scale * terminal, separation]), 2 * N, cones)
+        bounds = np.concatenate([np.ones(2 * N), np.zeros(A.shape[1])])
+        terminal_rhs = scale * whitening @ (self.goal - free[T])
+        b = np.concatenate([terminal_rhs, rhs, bounds, cone_rhs])
+        soc_sizes = (m + 1,) * len(limited)
+        return ConicProgram(np.concatenate([fuel, penalty]), A, b, n, rows + len(bounds), soc_sizes)
 
 
-def condense_half_spaces(
-    transfer: TransferProblem, half_spaces: HalfSpaces, free: Float[Array, "instants n"]
-) -> tuple[Float[Array, "rows controls"], Float[Array, " rows"]]:
-    """Eliminate the states: coeffs and rhs of −coeffs · u ≤ rhs, given the free motion."""
-    R, m = transfer.response_matrices[0], transfer.model.axes
-    coeffs = np.einsum("rn,rnj->rj", half_spaces.state_coeffs, R[half_spaces.step_index])
-    for r, k in enumerate(half_spaces.step_index):
-        coeffs[r, k * m : (k + 1) * m] += half_spaces.control_coeffs[r]
-    rhs = (half_spaces.state_coeffs * free[half_spaces.step_index]).sum(1) - half_spaces.rhs
-    return coeffs, rhs
+def solve_condensed(
+    problems: Sequence[AvoidanceProblem], assemble: Callable[[list[Array]], ConicProgram]
+) -> list[Trajectory]:
+    """Solve for one or several agents, with speed limits only where a solution violates them.
+
+    Args:
+        problems: Problem of each agent.
+        assemble: Assembles the program, given the instants of each agent with speed limits; its
+            first unknowns are those of the first problem.
+    """
+    limited = [np.zeros(0, dtype=int) for _ in problems]
+    sizes = [2 * len(own.transfer.model) * own.transfer.model.axes for own in problems]
+    while True:
+        unknowns = np.split(solve(assemble(limited), solve_clarabel).x, np.cumsum(sizes))
+        found = [own.extract_trajectory(x) for own, x in zip(problems, unknowns, strict=False)]
+        violated = [
+            np.setdiff1d(np.flatnonzero(own.transfer.is_too_fast(trajectory.x)) + 1, known)
+            for own, trajectory, known in zip(problems, found, limited, strict=True)
+        ]
+        if not any(map(len, violated)):
+            return found
+        limited = [np.concatenate(both) for both in zip(limited, violated, strict=True)]
 
 
 def _stack_with_bounds(above: Array, count: int, below: Array) -> csc_array:

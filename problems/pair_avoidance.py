@@ -5,27 +5,17 @@ free to move, and a half-space constrains their relative trajectory.
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse import block_diag, csc_array, vstack
 
-from problems.avoidance import AvoidanceProblem, HalfSpaces, condense_half_spaces
-from problems.conic import ConicProgram, solve
+from problems.avoidance import AvoidanceProblem, HalfSpaces, solve_condensed
+from problems.conic import ConicProgram
 from problems.convexify import AvoidanceHorizon, convexify
-from problems.solvers import solve_clarabel
-from problems.transfer import Trajectory, TransferProblem, solve_cvxpy
-
-
-class PairMember(NamedTuple):
-    """Transfer, ends and own half-spaces of one of the two agents."""
-
-    transfer: TransferProblem
-    start: Float[Array, " n"]
-    goal: Float[Array, " n"]
-    half_spaces: HalfSpaces  # against all other agents
+from problems.transfer import Trajectory, solve_cvxpy
 
 
 class RelativeHalfSpaces(NamedTuple):
@@ -72,8 +62,8 @@ class PairProblem:
     Both agents may move, so that the sum of their fuel is least.
     """
 
-    first: PairMember
-    second: PairMember
+    first: AvoidanceProblem
+    second: AvoidanceProblem
     relative_half_spaces: RelativeHalfSpaces
 
     def solve(self) -> tuple[Trajectory, Trajectory]:
@@ -84,72 +74,48 @@ class PairProblem:
             Unsolved: The solver stopped for any other reason.
             ValueError: A transfer has no steps.
         """
+        norms = set()
         for member in self._members:
             member.transfer.require_steps()
-        transfers = [member.transfer for member in self._members]
-        norms = {(transfer.fuel_norm, transfer.control_norm) for transfer in transfers}
-        return self._solve_condensed() if norms == {(1, "inf")} else self.solve_cvxpy()
+            norms.add((member.transfer.fuel_norm, member.transfer.control_norm))
+        if norms != {(1, "inf")}:
+            return self.solve_cvxpy()
+        first, second = solve_condensed(self._members, self._assemble_joint)
+        return first, second
 
     @property
-    def _members(self) -> tuple[PairMember, PairMember]:
+    def _members(self) -> tuple[AvoidanceProblem, AvoidanceProblem]:
         return self.first, self.second
 
     def solve_cvxpy(self) -> tuple[Trajectory, Trajectory]:
         """Solve the same problem in CVXPY, for any norms and as a second opinion."""
         import cvxpy as cp
 
-        cost: Any = 0
-        shared: Any = 0
-        constraints, controls = [], []
-        for member, rows in zip(self._members, self.relative_half_spaces, strict=True):
-            x, u, effort, own = member.transfer.build_cvxpy(member.start)
-            cost += effort
-            constraints += [*own, x[len(member.transfer.model)] == member.goal]
-            if len(member.half_spaces.rhs):
-                constraints.append(member.half_spaces.to_cvxpy(x, u) >= member.half_spaces.rhs)
-            if len(rows.rhs):
-                shared += rows.to_cvxpy(x, u) - rows.rhs
-            controls.append(u)
-        if len(self.relative_half_spaces.first.rhs):
-            constraints.append(shared >= 0)
-        solve_cvxpy(self, cp.Problem(cp.Minimize(cost), constraints))
-        return self._simulate([np.asarray(u.value) for u in controls])
-
-    def _simulate(self, controls: list[Array]) -> tuple[Trajectory, Trajectory]:
+        (x, u, cost, constraints), (y, v, other_cost, others) = (
+            member.state_cvxpy() for member in self._members
+        )
+        rows = self.relative_half_spaces
+        constraints += others
+        if len(rows.first.rhs):
+            total = rows.first.to_cvxpy(x, u) + rows.second.to_cvxpy(y, v)
+            constraints.append(total >= rows.first.rhs + rows.second.rhs)
+        solve_cvxpy(self, cp.Problem(cp.Minimize(cost + other_cost), constraints))
         first, second = (
-            member.transfer.simulate(member.start, u)
-            for member, u in zip(self._members, controls, strict=True)
+            member.transfer.simulate(member.start, np.asarray(controls.value))
+            for member, controls in zip(self._members, (u, v), strict=True)
         )
         return first, second
 
-    def _solve_condensed(self) -> tuple[Trajectory, Trajectory]:
-        """Eliminate the states and add speed limits only where a solution violates them."""
-        problems = [AvoidanceProblem(member.transfer) for member in self._members]
-        limited: list[list[int]] = [[], []]
-        while True:
-            parts = [
-                own.assemble_conic(member.start, member.goal, member.half_spaces, "none", known)
-                for own, member, known in zip(problems, self._members, limited, strict=True)
-            ]
-            found = solve(self._assemble_joint(parts), solve_clarabel)
-            unknowns = np.split(found.x, [len(parts[0].q)])
-            trajectories = self._simulate(
-                [own.extract_controls(x) for own, x in zip(problems, unknowns, strict=True)]
-            )
-            violated = [
-                own.find_speed_violations(flown.x, known)
-                for own, flown, known in zip(problems, trajectories, limited, strict=True)
-            ]
-            if not any(violated):
-                return trajectories
-            limited = [known + more for known, more in zip(limited, violated, strict=True)]
-
-    def _assemble_joint(self, parts: list[ConicProgram]) -> ConicProgram:
+    def _assemble_joint(self, limited: list[Array]) -> ConicProgram:
         """Assemble both programs side by side with the shared rows."""
+        parts = [
+            member.assemble_conic("none", instants)
+            for member, instants in zip(self._members, limited, strict=True)
+        ]
         blocks, rhs = [], np.zeros(len(self.relative_half_spaces.first.rhs))
         for member, rows in zip(self._members, self.relative_half_spaces, strict=True):
             transfer = member.transfer
-            coeffs, own_rhs = condense_half_spaces(transfer, rows, transfer.coast(member.start))
+            coeffs, own_rhs = rows.condense(transfer, transfer.coast(member.start))
             blocks.append(transfer.max_control * np.hstack([-coeffs, coeffs]))
             rhs += own_rhs
         shared = np.hstack(blocks)

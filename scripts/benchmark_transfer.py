@@ -9,7 +9,6 @@ whoever uses the library alone would have to make: handing over the right-hand s
 reading out the point and its duals.
 """
 
-from collections.abc import Callable
 from time import perf_counter, process_time
 from typing import Annotated, NamedTuple
 
@@ -21,7 +20,7 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from problems.avoidance import AvoidanceProblem, HalfSpaces, empty_half_spaces
+from problems.avoidance import AvoidanceProblem
 from problems.conic import Infeasible
 from problems.convexify import choose_normals, convexify
 from problems.families import load_family
@@ -40,21 +39,12 @@ FAMILY_OF_CONE = {
 }
 
 
-class TransferInstance(NamedTuple):
-    """Initial state, target and half-spaces of a transfer."""
-
-    start: np.ndarray
-    target: np.ndarray
-    half_spaces: HalfSpaces
-
-
 class TransferCase(NamedTuple):
     """Row of the table."""
 
     name: str
     transfer: TransferProblem
-    solve: Callable[[TransferInstance], np.ndarray]  # the controls
-    instances: list[TransferInstance]
+    instances: list[AvoidanceProblem]
     max_time_ratio: float  # to reach
 
 
@@ -77,9 +67,9 @@ class CvxpyStatement:
             limits.append(kept >= least)
         self.problem = cp.Problem(cp.Minimize(effort), limits)
 
-    def __call__(self, question: TransferInstance) -> np.ndarray:
+    def __call__(self, question: AvoidanceProblem) -> np.ndarray:
         """Return the optimal controls."""
-        self.start.value, self.goal.value = question.start, question.target
+        self.start.value, self.goal.value = question.start, question.goal
         for parameter, value in zip(self.half_spaces, question.half_spaces[1:], strict=False):
             parameter.value = value
         within = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), TOLERANCE)
@@ -91,14 +81,11 @@ def unconstrained_case(count: int) -> TransferCase:
     """Build the case without a speed limit."""
     start = LegStart.from_scenario("random", "leg.steps=50").farthest(count)
     transfer = start.make_transfer()
-    programme, none = AvoidanceProblem(transfer), empty_half_spaces(transfer)
-    questions = [
-        TransferInstance(*ends, none) for ends in zip(start.states, start.targets, strict=True)
-    ]
+    ends = zip(start.states, start.targets, strict=True)
+    questions = [AvoidanceProblem.alone(transfer, *pair) for pair in ends]
     return TransferCase(
         "transfer, 2-D, 50 steps",
         transfer,
-        lambda q: programme.solve(q.start, q.target, q.half_spaces).trajectory.u,
         questions,
         0.7,
     )
@@ -108,16 +95,15 @@ def speed_limited_case(count: int) -> TransferCase:
     """Build the case with a speed limit that binds."""
     start = LegStart.from_scenario("random_cw", "agents=48", "leg.steps=48", "plan.step_min=0.5")
     transfer, free = start.make_transfer(SPEED_LIMIT), start.make_transfer()
-    programme, none = AvoidanceProblem(transfer), empty_half_spaces(transfer)
     questions = []
     for ends in zip(start.states, start.targets, strict=True):
-        x = AvoidanceProblem(free).solve(*ends, none).trajectory.x
-        if transfer.is_too_fast(x).any() and is_feasible(programme, ends, none):
-            questions.append(TransferInstance(*ends, none))
+        x = AvoidanceProblem.alone(free, *ends).solve().trajectory.x
+        limited = AvoidanceProblem.alone(transfer, *ends)
+        if transfer.is_too_fast(x).any() and is_feasible(limited):
+            questions.append(limited)
     return TransferCase(
         "transfer, orbit, 48 steps, speed limit",
         transfer,
-        lambda q: programme.solve(q.start, q.target, q.half_spaces).trajectory.u,
         questions[:count],
         0.9,
     )
@@ -125,43 +111,44 @@ def speed_limited_case(count: int) -> TransferCase:
 
 def avoidance_case(neighbours: int, count: int) -> TransferCase:
     """Build the case of avoidance among blocking neighbors."""
-    questions: list[TransferInstance] = []
+    questions: list[AvoidanceProblem] = []
     seed = 0
     while len(questions) < count:
         seed += 1
         start = LegStart.from_scenario("random", "leg.steps=40", *DENSE_OVERRIDES, seed=seed)
         transfer = start.make_transfer(start.mission.max_speed)
-        programme, horizon = AvoidanceProblem(transfer), make_horizon(start.mission, 0.0, 40)
+        horizon = make_horizon(start.mission, 0.0, 40)
         ends = list(zip(start.states, start.targets, strict=True))
-        free = [programme.solve(*pair, empty_half_spaces(transfer)).trajectory for pair in ends]
+        free = [AvoidanceProblem.alone(transfer, *pair).solve().trajectory for pair in ends]
         paths = np.stack([horizon.control_points(flight.x, flight.u) for flight in free])
         for i, flight in enumerate(free):
             away = np.linalg.norm(start.states - start.states[i], axis=1)
             others = paths[np.argsort(away, kind="stable")[1 : neighbours + 1]]
             normal = choose_normals(paths[i] - others, horizon.required_separation)
             spaces = convexify(horizon, len(flight.u), others, normal)
-            if spaces.violation(flight.x, flight.u).max() > 0 and is_feasible(
-                programme, ends[i], spaces
-            ):
-                questions.append(TransferInstance(*ends[i], spaces))
+            question = AvoidanceProblem(transfer, *ends[i], spaces)
+            if spaces.violation(flight.x, flight.u).max() > 0 and is_feasible(question):
+                questions.append(question)
     return TransferCase(
         f"avoidance, 2-D, 40 steps, {neighbours} neighbours",
         transfer,
-        lambda q: programme.solve(q.start, q.target, q.half_spaces).trajectory.u,
         questions[:count],
         0.9,
     )
 
 
-def is_feasible(
-    programme: AvoidanceProblem, ends: tuple[np.ndarray, np.ndarray], spaces: HalfSpaces
-) -> bool:
+def is_feasible(question: AvoidanceProblem) -> bool:
     """Check that the transfer is feasible within the half-spaces."""
     try:
-        programme.solve(*ends, spaces)
+        question.solve()
     except Infeasible:
         return False
     return True
+
+
+def solve_directly(question: AvoidanceProblem) -> np.ndarray:
+    """Return the optimal controls by the toolkit's own path."""
+    return question.solve().trajectory.u
 
 
 def weighted_fuel(transfer: TransferProblem, u: np.ndarray) -> float:
@@ -172,7 +159,7 @@ def weighted_fuel(transfer: TransferProblem, u: np.ndarray) -> float:
 def time_case(table: Table, case: TransferCase, turns: int) -> bool:
     """Time a case and add it to the table; return True if it misses a target."""
     stated = CvxpyStatement(case.transfer, case.instances[0].half_spaces.step_index)
-    ways = (case.solve, stated)
+    ways = (solve_directly, stated)
     for way in ways:  # what is done once is not what is timed
         way(case.instances[0])
     times: list[list[float]] = [[], []]

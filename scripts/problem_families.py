@@ -13,7 +13,7 @@ from scipy.sparse import block_array, csc_array, eye_array, hstack, kron
 
 import sato
 from dynamics import discretize_zoh
-from problems.avoidance import AvoidanceProblem, empty_half_spaces
+from problems.avoidance import AvoidanceProblem
 from problems.conic import ConicProgram, ConicSolution, Infeasible, Solver, svec
 from problems.conic import solve as solve_conic
 from problems.convexify import PassingSide, choose_normals, convexify
@@ -131,7 +131,7 @@ def condensed_transfers(start: LegStart) -> list[ConicProgram]:
     transfer = start.make_transfer()
     with record_problems("avoidance") as asked:
         for state, goal in zip(start.states, start.targets, strict=True):
-            AvoidanceProblem(transfer).solve(state, goal, empty_half_spaces(transfer))
+            AvoidanceProblem.alone(transfer, state, goal).solve()
     return asked
 
 
@@ -196,10 +196,10 @@ def make_transfer_socp(size: str) -> UnsolvedFamily:
     start = LegStart.from_scenario(
         "random_cw", "agents=48", f"leg.steps={T}", f"plan.step_min={step}"
     )
-    alone, limited = AvoidanceProblem(start.make_transfer()), start.make_transfer(SPEED_LIMIT)
+    alone, limited = start.make_transfer(), start.make_transfer(SPEED_LIMIT)
     sparse, problems = SparseTransfer(limited), list[ConicProgram]()
     for state, goal in zip(start.states, start.targets, strict=True):
-        free = alone.solve(state, goal, empty_half_spaces(alone.transfer)).trajectory
+        free = AvoidanceProblem.alone(alone, state, goal).solve().trajectory
         if limited.is_too_fast(free.x).any():
             with suppress(Infeasible):
                 program = sparse.assemble(state, goal)
@@ -291,12 +291,9 @@ def avoidance_problems(
             "random", f"leg.steps={CROWD_STEPS[size]}", *DENSE_OVERRIDES, seed=seed
         )
         mission, transfer = start.mission, start.make_transfer(start.mission.max_speed)
-        programme, horizon = (
-            AvoidanceProblem(transfer),
-            make_horizon(mission, 0.0, CROWD_STEPS[size]),
-        )
+        horizon = make_horizon(mission, 0.0, CROWD_STEPS[size])
         ends = list(zip(start.states, start.targets, strict=True))
-        free = [programme.solve(*end, empty_half_spaces(transfer)).trajectory for end in ends]
+        free = [AvoidanceProblem.alone(transfer, *end).solve().trajectory for end in ends]
         paths = np.stack([horizon.control_points(flight.x, flight.u) for flight in free])
         for i, flight in enumerate(free):
             away = np.linalg.norm(start.states - start.states[i], axis=1)
@@ -310,7 +307,7 @@ def avoidance_problems(
                 continue
             with record_problems("avoidance") as asked:
                 try:
-                    programme.solve(*ends[i], spaces)
+                    AvoidanceProblem(transfer, *ends[i], spaces).solve()
                     possible = True
                 except Infeasible:
                     possible = False

@@ -28,12 +28,12 @@ def study_scenario(scenario: str, neighbours: int, steps: int) -> None:
         asked = export_c(scenario, Path(workshop, "c"), neighbours, steps)
         code = compile_solver(Path(workshop, "c"))
     transfer = asked.program.transfer
-    avoidance, dt = AvoidanceProblem(transfer), transfer.model.dt
+    dt = transfer.model.dt
     codes, cost, residual, times, bound = [], [], [], [], 0
     ask = random_instances(asked, np.random.default_rng(2016))
     for question, _ in zip(ask, range(INSTANCE_COUNT), strict=False):
         began = thread_time()
-        flight = avoidance.solve(*question).trajectory
+        flight = AvoidanceProblem(transfer, *question).solve().trajectory
         python = thread_time() - began
         flown = code.solve(*question)
         least = dt * float(transfer.weights @ np.abs(flight.u).sum(axis=1))

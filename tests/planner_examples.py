@@ -4,7 +4,7 @@ import numpy as np
 
 from dynamics import DoubleIntegrator, discretize_zoh
 from dynamics.trajectory_geometry import separations
-from problems.avoidance import AvoidanceProblem, empty_half_spaces
+from problems.avoidance import AvoidanceProblem
 from problems.convexify import AvoidanceHorizon
 from problems.transfer import Trajectory, TransferProblem
 from sato.network.graph import CommunicationGraph
@@ -26,7 +26,7 @@ def make_problem(axes=2, horizon_steps=T, speed=0.6):
 def make_planner(number, start, goal, transfer, horizon, spent=0.0, velocity=0.0):
     start = np.concatenate([start, np.full(len(start), velocity) * (np.arange(len(start)) == 0)])
     goal = np.concatenate([goal, np.zeros(len(goal))])
-    free = AvoidanceProblem(transfer).solve(start, goal, empty_half_spaces(transfer)).trajectory
+    free = AvoidanceProblem.alone(transfer, start, goal).solve().trajectory
     path = horizon.control_points(free.x, free.u)
     return Planner((True, -spent, number), goal, transfer, horizon, free, free, path)
 

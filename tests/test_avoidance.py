@@ -48,7 +48,7 @@ def test_without_half_spaces_the_solution_is_the_plain_transfer(rng):
             x0 = np.concatenate([rng.normal(0, 1, d), rng.normal(0, 0.1, d)])
             xf = steps.simulate(x0, rng.uniform(-U / 4, U / 4, (len(steps), d)))[-1]
             stated = transfer.solve(x0, xf)
-            passage = AvoidanceProblem(transfer).solve(x0, xf, empty_half_spaces(transfer))
+            passage = AvoidanceProblem.alone(transfer, x0, xf).solve()
             assert passage.trajectory.fuel == pytest.approx(stated.fuel, rel=1e-6)
             assert_allclose(passage.trajectory.x[-1], xf, atol=1e-6)
             assert passage.terminal_error == passage.slack == 0
@@ -59,8 +59,9 @@ def test_without_half_spaces_the_solution_is_the_plain_transfer(rng):
 @pytest.mark.parametrize("steps", [plane, space], ids=["2-D", "3-D"])
 def test_the_condensed_program_agrees_with_cvxpy(steps, gives, V):
     spaces, (x0, xf) = detour(steps), ends(steps)
-    avoid = AvoidanceProblem(TransferProblem(steps, 0.25, V, tie_break_rise=1e-2))
-    fast, stated = (solve(x0, xf, spaces, gives) for solve in (avoid.solve, avoid.solve_cvxpy))
+    transfer = TransferProblem(steps, 0.25, V, tie_break_rise=1e-2)
+    avoid = AvoidanceProblem(transfer, x0, xf, spaces)
+    fast, stated = avoid.solve(gives), avoid.solve_cvxpy(gives)
     w = avoid.transfer.weights
     priced = [w @ np.abs(p.trajectory.u).sum(axis=1) for p in (fast, stated)]
     assert priced[0] == pytest.approx(priced[1], rel=1e-6)
@@ -80,49 +81,44 @@ def test_the_condensed_program_agrees_with_cvxpy(steps, gives, V):
 def test_relaxations_agree_with_cvxpy(V):
     """The goal is out of reach, or the half-spaces are, by much."""
     far = np.array([9.0, 0, 0, 0])
-    avoid = AvoidanceProblem(TransferProblem(plane, 0.1, V, tie_break_rise=1e-2))
-    for target, spaces in ((far, empty_half_spaces(avoid.transfer)), (far, detour())):
-        passages = [
-            solve(start, target, spaces, "terminal") for solve in (avoid.solve, avoid.solve_cvxpy)
-        ]
-        assert passages[0].terminal_error == pytest.approx(passages[1].terminal_error, rel=1e-5)
-        assert passages[0].terminal_error > 1
-        assert spaces.violation(*passages[0].trajectory[:2]).max(initial=0) < 1e-7
-    passages = [
-        solve(start, goal, detour(least=4.0), "separation")
-        for solve in (avoid.solve, avoid.solve_cvxpy)
-    ]
-    assert passages[0].slack == pytest.approx(passages[1].slack, rel=1e-4)
-    assert passages[0].slack > 0.5
+    transfer = TransferProblem(plane, 0.1, V, tie_break_rise=1e-2)
+    for spaces in (empty_half_spaces(transfer), detour()):
+        avoid = AvoidanceProblem(transfer, start, far, spaces)
+        fast, stated = avoid.solve("terminal"), avoid.solve_cvxpy("terminal")
+        assert fast.terminal_error == pytest.approx(stated.terminal_error, rel=1e-5)
+        assert fast.terminal_error > 1
+        assert spaces.violation(*fast.trajectory[:2]).max(initial=0) < 1e-7
+    avoid = AvoidanceProblem(transfer, start, goal, detour(least=4.0))
+    fast, stated = avoid.solve("separation"), avoid.solve_cvxpy("separation")
+    assert fast.slack == pytest.approx(stated.slack, rel=1e-4)
+    assert fast.slack > 0.5
 
 
 def test_a_relaxation_changes_nothing_where_the_problem_is_feasible():
-    avoid = AvoidanceProblem(TransferProblem(plane, 0.25))
-    strict = avoid.solve(start, goal, detour()).trajectory.fuel
+    avoid = AvoidanceProblem(TransferProblem(plane, 0.25), start, goal, detour())
+    strict = avoid.solve().trajectory.fuel
     for gives in ("terminal", "separation"):
-        passage = avoid.solve(start, goal, detour(), gives)
+        passage = avoid.solve(gives)
         assert passage.trajectory.fuel == pytest.approx(strict, rel=1e-6)
         assert max(passage.terminal_error, passage.slack) < 1e-8
 
 
 def test_the_terminal_state_is_relaxed_before_the_separation():
     # Half-spaces until the last step make the goal on the other side unreachable.
-    spaces = detour(last=12)
-    avoid = AvoidanceProblem(TransferProblem(plane, 0.1))
+    avoid = AvoidanceProblem(TransferProblem(plane, 0.1), start, -goal, detour(last=12))
     with pytest.raises(Infeasible):
-        avoid.solve(start, -goal, spaces)
-    passage = avoid.solve(start, -goal, spaces, "separation")
+        avoid.solve()
+    passage, error = avoid.solve("separation"), avoid.solve("terminal").terminal_error
     assert passage.slack < 1e-7
     assert passage.terminal_error > 0.1
-    assert avoid.solve(start, -goal, spaces, "terminal").terminal_error == pytest.approx(
-        passage.terminal_error, rel=1e-5
-    )
+    assert error == pytest.approx(passage.terminal_error, rel=1e-5)
 
 
 def test_fuel_does_not_fall_as_half_spaces_tighten():
-    avoid = AvoidanceProblem(TransferProblem(plane, 0.25))
+    transfer = TransferProblem(plane, 0.25)
     fuel = [
-        avoid.solve(start, goal, detour(least=h)).trajectory.fuel for h in (-1, 0.2, 0.4, 0.6, 0.8)
+        AvoidanceProblem(transfer, start, goal, detour(least=h)).solve().trajectory.fuel
+        for h in (-1, 0.2, 0.4, 0.6, 0.8)
     ]
     assert (np.diff(fuel) > -1e-8).all()
     assert fuel[-1] > 1.2 * fuel[0]
@@ -130,46 +126,42 @@ def test_fuel_does_not_fall_as_half_spaces_tighten():
 
 def test_other_norms_are_solved_in_cvxpy():
     for q, r in ((2, 2), ("inf", 1)):
-        avoid = AvoidanceProblem(TransferProblem(plane, 0.4, 0.6, q, r))
-        passage = avoid.solve(start, goal, detour())
-        x, u, fuel = passage.trajectory
+        transfer = TransferProblem(plane, 0.4, 0.6, q, r)
+        x, u, fuel = AvoidanceProblem(transfer, start, goal, detour()).solve().trajectory
         assert detour().violation(x, u).max() < 1e-7
         assert_allclose(x[-1], goal, atol=1e-7)
         size = {1: np.abs(u).sum(1), 2: np.linalg.norm(u, axis=1), "inf": np.abs(u).max(1)}
         assert size[r].max() <= 0.4 * (1 + 1e-7)
         assert fuel == pytest.approx(size[q].sum())
-        assert fuel > TransferProblem(plane, 0.4, 0.6, q, r).solve(start, goal).fuel * (1 + 1e-6)
+        assert fuel > transfer.solve(start, goal).fuel * (1 + 1e-6)
 
 
 @pytest.mark.parametrize("solve", ["solve", "solve_cvxpy"])
 def test_unreachable_goals_and_half_spaces_are_infeasible(solve):
-    avoid = AvoidanceProblem(TransferProblem(plane, 0.1))
-    with pytest.raises(Infeasible):
-        getattr(avoid, solve)(start, 20 * goal, empty_half_spaces(avoid.transfer))
-    with pytest.raises(Infeasible):
-        getattr(avoid, solve)(start, goal, detour(least=9.0))
+    transfer = TransferProblem(plane, 0.1)
+    far = AvoidanceProblem.alone(transfer, start, 20 * goal)
+    for avoid in (far, AvoidanceProblem(transfer, start, goal, detour(least=9.0))):
+        with pytest.raises(Infeasible):
+            getattr(avoid, solve)()
 
 
 @pytest.mark.parametrize("gives", ["none", "terminal", "separation"])
 @pytest.mark.parametrize("count", [1, 2])
 def test_one_or_two_steps_reach_what_they_can(rng, gives, count):
-    steps = plane[:count]
-    avoid = AvoidanceProblem(TransferProblem(steps, 0.1, 5.0))
-    u = rng.uniform(-0.1, 0.1, (count, 2))
-    x = steps.simulate(start, u)
-    passage = avoid.solve(start, x[-1], empty_half_spaces(avoid.transfer), gives)
+    transfer, u = TransferProblem(plane[:count], 0.1, 5.0), rng.uniform(-0.1, 0.1, (count, 2))
+    x = transfer.model.simulate(start, u)
+    passage = AvoidanceProblem.alone(transfer, start, x[-1]).solve(gives)
     assert_allclose(passage.trajectory.u, u, atol=1e-6)
+    far = AvoidanceProblem.alone(transfer, start, goal)
     if gives == "none":
         with pytest.raises(Infeasible):
-            avoid.solve(start, goal, empty_half_spaces(avoid.transfer), gives)
+            far.solve(gives)
     else:
-        passage = avoid.solve(start, goal, empty_half_spaces(avoid.transfer), gives)
-        stated = avoid.solve_cvxpy(start, goal, empty_half_spaces(avoid.transfer), gives)
+        passage, stated = far.solve(gives), far.solve_cvxpy(gives)
         assert passage.terminal_error == pytest.approx(stated.terminal_error, rel=1e-5)
         assert_allclose(passage.trajectory.u, stated.trajectory.u, atol=1e-5)
 
 
 def test_no_steps_are_refused():
-    avoid = AvoidanceProblem(TransferProblem(plane[:0], 0.1))
     with pytest.raises(ValueError, match="at least one step"):
-        avoid.solve(start, goal, empty_half_spaces(avoid.transfer))
+        AvoidanceProblem.alone(TransferProblem(plane[:0], 0.1), start, goal).solve()

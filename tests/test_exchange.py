@@ -143,10 +143,8 @@ def test_fixed_point_satisfies_the_kkt_conditions(rng, monkeypatch):
                 above,
                 choose_normals(me.control_points - above, me.horizon.required_separation),
             )
-            x0, fast = me.nominal.x[0], list(range(1, T))
-            conic = AvoidanceProblem(me.transfer).assemble_conic(
-                x0, me.target_state, spaces, "none", fast
-            )
+            program = AvoidanceProblem(me.transfer, me.nominal.x[0], me.target_state, spaces)
+            conic = program.assemble_conic("none", np.arange(1, T))
             y = solve(conic, solve_clarabel).y
             u = me.nominal.u.ravel() / me.transfer.max_control
             end = np.concatenate([np.maximum(u, 0), np.maximum(-u, 0)])

@@ -61,7 +61,7 @@ def made(tmp_path_factory):
 
 def solve_in_python(problem, instance):
     transfer = problem.program.transfer
-    flight = AvoidanceProblem(transfer).solve(*instance).trajectory
+    flight = AvoidanceProblem(transfer, *instance).solve().trajectory
     return flight, transfer.model.dt * transfer.weights @ np.abs(flight.u).sum(axis=1)
 
 
@@ -146,7 +146,7 @@ def test_infeasible_transfer_is_unsolved(made):
     near = np.array([0.5, 0.2, 0, 0])
     before = code.solve(np.zeros(4), near, empty)
     with pytest.raises(Infeasible):
-        AvoidanceProblem(problem.program.transfer).solve(np.zeros(4), far, empty)
+        AvoidanceProblem.alone(problem.program.transfer, np.zeros(4), far).solve()
     flown = code.solve(np.zeros(4), far, empty)
     assert flown.code == UNSOLVED
     assert not flown.residual <= 1e-6

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from dynamics import DoubleIntegrator, discretize_zoh
 from problems import gain_sdp
-from problems.avoidance import AvoidanceProblem, empty_half_spaces
+from problems.avoidance import AvoidanceProblem
 from problems.conic import ConicSolution, Infeasible, solve, verify_ray
 from problems.desired_formation import DesiredFormation
 from problems.families import SIZES, Family, list_families, load_family
@@ -164,9 +164,7 @@ def test_a_family_drawn_again_is_the_same(maker):
 def test_targets_are_moved_to_the_edge_of_reach(maker):
     transfer = TransferProblem(discretize_zoh(DoubleIntegrator(2), 1.0, 10), max_control=0.1)
     with maker["record_problems"]("avoidance") as asked:
-        AvoidanceProblem(transfer).solve(
-            np.zeros(4), np.array([1.0, 0.5, 0, 0]), empty_half_spaces(transfer)
-        )
+        AvoidanceProblem.alone(transfer, np.zeros(4), np.array([1.0, 0.5, 0, 0])).solve()
     (problem,) = asked
     # At full thrust for five steps and against it for five: U T² / 4 = 2.5 m on the first axis.
     assert_allclose(

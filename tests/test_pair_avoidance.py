@@ -10,7 +10,7 @@ from planner_examples import RADIUS, T, make_planner, make_problem
 from problems.avoidance import AvoidanceProblem, HalfSpaces, empty_half_spaces
 from problems.conic import Infeasible
 from problems.convexify import choose_normals, convexify
-from problems.pair_avoidance import PairMember, PairProblem, RelativeHalfSpaces
+from problems.pair_avoidance import PairProblem, RelativeHalfSpaces
 from problems.transfer import TransferProblem
 
 
@@ -32,7 +32,7 @@ def crossing(rng, axes=2, **limits):
     normal = choose_normals((both[1].control_points - third)[None], horizon.required_separation)
     own = [empty_half_spaces(transfer), convexify(horizon, T, third[None], normal)]
     sides = [
-        PairMember(transfer, p.nominal.x[0], p.target_state, spaces)
+        AvoidanceProblem(transfer, p.nominal.x[0], p.target_state, spaces)
         for p, spaces in zip(both, own, strict=True)
     ]
     return both, PairProblem(*sides, between), horizon
@@ -52,17 +52,17 @@ def test_the_condensed_program_agrees_with_cvxpy(rng, axes):
     for _ in range(2):
         _, pair, _ = crossing(rng, axes)
         unhurried = pair.solve()
-        limit = 0.999 * fastest(unhurried)  # which that flight breaks
-        slower = replace(
-            pair,
-            first=pair.first._replace(transfer=replace(pair.first.transfer, max_speed=limit)),
-            second=pair.second._replace(transfer=replace(pair.second.transfer, max_speed=limit)),
-        )
+        slower = with_limits(pair, max_speed=0.999 * fastest(unhurried))  # which that flight breaks
         for question in (pair, slower):
             found, stated = question.solve(), question.solve_cvxpy()
             stands(question, found)
             fuel = [sum(flight.fuel for flight in both) for both in (found, stated)]
             assert fuel[0] == pytest.approx(fuel[1], rel=1e-6)
+
+
+def with_limits(pair, **limits):
+    sides = (replace(p, transfer=replace(p.transfer, **limits)) for p in (pair.first, pair.second))
+    return PairProblem(*sides, pair.relative_half_spaces)
 
 
 def fastest(flights):
@@ -87,7 +87,7 @@ def test_without_relative_half_spaces_both_fly_their_own_transfers(rng):
     _, pair, _ = crossing(rng)
     nothing = replace(
         pair,
-        second=pair.second._replace(half_spaces=empty_half_spaces(pair.second.transfer)),
+        second=pair.second.select(np.zeros(0, dtype=int)),
         relative_half_spaces=pair.relative_half_spaces.select(np.zeros(0, dtype=int)),
     )
     for flight, side in zip(nothing.solve(), (nothing.first, nothing.second), strict=True):
@@ -106,8 +106,8 @@ def test_a_joint_solution_costs_no_more_than_one_by_priority(rng):
         least = common.rhs + pair.relative_half_spaces.first.violation(alone.x, alone.u)
         both = zip(common._replace(rhs=least), second.half_spaces, strict=True)
         spaces = HalfSpaces(*map(np.concatenate, both))
-        around = AvoidanceProblem(second.transfer).solve(second.start, second.goal, spaces)
-        saved.append(alone.fuel + around.trajectory.fuel - together)
+        around = replace(second, half_spaces=spaces).solve().trajectory
+        saved.append(alone.fuel + around.fuel - together)
     assert min(saved) >= -1e-7 and max(saved) > 1e-3
 
 
@@ -132,4 +132,4 @@ def test_no_steps_are_refused(rng):
     _, pair, _ = crossing(rng)
     over = TransferProblem(pair.first.transfer.model[:0], 0.2)
     with pytest.raises(ValueError, match="at least one step"):
-        replace(pair, first=pair.first._replace(transfer=over)).solve()
+        replace(pair, first=replace(pair.first, transfer=over)).solve()

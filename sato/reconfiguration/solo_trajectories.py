@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 
 from dynamics.discretize import DiscreteModel, linearize_along
 from problems.auction_cost import solve_transfer
-from problems.avoidance import AvoidanceProblem, empty_half_spaces
+from problems.avoidance import AvoidanceProblem
 from problems.conic import Unsolved
 from problems.minimum_fuel import solve_minimum_fuel
 from problems.transfer import Trajectory, TransferProblem
@@ -104,8 +104,7 @@ def minimize_terminal_error(
 ) -> Trajectory:
     """Return the trajectory that ends nearest the target; free motion if none is found."""
     try:
-        problem, none = AvoidanceProblem(transfer), empty_half_spaces(transfer)
-        return problem.solve(start, target, none, "terminal").trajectory
+        return AvoidanceProblem.alone(transfer, start, target).solve("terminal").trajectory
     except Unsolved:
         return transfer.simulate(start, np.zeros(transfer.model.B.shape[::2]))
 

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from problems.avoidance import AvoidanceProblem
 from problems.conic import Unsolved
 from problems.convexify import (
     AvoidanceHorizon,
@@ -23,7 +24,7 @@ from problems.convexify import (
     choose_normals,
     convexify,
 )
-from problems.pair_avoidance import PairMember, PairProblem, RelativeHalfSpaces
+from problems.pair_avoidance import PairProblem, RelativeHalfSpaces
 from problems.transfer import Trajectory
 from sato.network.graph import CommunicationGraph
 from sato.network.rounds import run_round, schedule_turns
@@ -51,7 +52,7 @@ class Offer(NamedTuple):
     """Message of an agent to the one that it negotiates with."""
 
     agent_id: int
-    member: PairMember  # with the half-spaces that keep it clear of all others
+    member: AvoidanceProblem  # with the half-spaces that keep it clear of all others
     trajectory: Trajectory
     nominal_points: Float[Array, "pieces 4 d"]  # about which both convexify
     reaches_target: bool
@@ -181,7 +182,7 @@ def _make_offer(negotiator: Negotiator, inbox: list[TrajectoryMessage]) -> Negot
     half_spaces = convexify(agent.horizon, T, neighbor_points, normals)
     # Among trajectories of equal fuel a tie-break keeps to one that may leave others less room.
     transfer = agent.without_tie_break.transfer
-    member = PairMember(transfer, agent.nominal.x[0], agent.target_state, half_spaces)
+    member = AvoidanceProblem(transfer, agent.nominal.x[0], agent.target_state, half_spaces)
     offer = Offer(
         negotiator.agent_id,
         member,
@@ -241,8 +242,7 @@ def solve_pair(
     active = [np.abs(rows) < ACTIVE_TOLERANCE * R for rows in violations]
     solves = 0
     while True:
-        first = own.member._replace(half_spaces=own.member.half_spaces.select(active[0]))
-        second = other.member._replace(half_spaces=other.member.half_spaces.select(active[1]))
+        first, second = own.member.select(active[0]), other.member.select(active[1])
         solves += 1
         try:
             both = PairProblem(first, second, between.select(active[2])).solve()
@@ -277,8 +277,8 @@ def _are_clear(
 
 
 def _compute_violations(
-    own: PairMember,
-    other: PairMember,
+    own: AvoidanceProblem,
+    other: AvoidanceProblem,
     between: RelativeHalfSpaces,
     both: tuple[Trajectory, Trajectory],
 ) -> tuple[Array, Array, Array]:

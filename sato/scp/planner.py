@@ -13,7 +13,6 @@ from problems.avoidance import (
     AvoidanceResult,
     HalfSpaces,
     Relaxation,
-    empty_half_spaces,
 )
 from problems.conic import Unsolved
 from problems.convexify import (
@@ -258,9 +257,7 @@ def _compute_stopping_path(agent: Planner) -> Float[Array, "pieces 4 d"] | None:
     start = agent.nominal.x[0]
     rest = np.concatenate([start[: len(start) // 2], np.zeros(len(start) // 2)])
     try:
-        result = AvoidanceProblem(agent.transfer).solve(
-            start, rest, empty_half_spaces(agent.transfer), "terminal"
-        )
+        result = AvoidanceProblem.alone(agent.transfer, start, rest).solve("terminal")
     except Unsolved:
         return None
     return agent.horizon.control_points(result.trajectory.x, result.trajectory.u)
@@ -271,7 +268,7 @@ def _solve_active_set(
 ) -> AvoidanceResult:
     # Few half-spaces are active: begin with those active at the nominal, and add at each step
     # the one that is violated most, until none is.
-    problem, nominal = AvoidanceProblem(agent.transfer), agent.nominal
+    transfer, nominal, target = agent.transfer, agent.nominal, agent.target_state
     R = agent.horizon.clearance
     active = np.abs(half_spaces.violation(nominal.x, nominal.u)) < ACTIVE_TOLERANCE * R
     violation = half_spaces.violation(agent.solo.x, agent.solo.u)
@@ -279,9 +276,8 @@ def _solve_active_set(
         active |= _select_worst_per_step(
             half_spaces.step_index, np.where(active, 0.0, violation), VIOLATION_TOLERANCE * R
         )
-        result = problem.solve(
-            nominal.x[0], agent.target_state, half_spaces.select(active), relaxation
-        )
+        problem = AvoidanceProblem(transfer, nominal.x[0], target, half_spaces.select(active))
+        result = problem.solve(relaxation)
         trajectory = result.trajectory
         violation = half_spaces.violation(trajectory.x, trajectory.u) - result.slack
         if not ((violation > VIOLATION_TOLERANCE * R) & ~active).any():
