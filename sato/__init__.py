@@ -35,7 +35,8 @@ if TYPE_CHECKING:
     from sato.formation.leg import FormationLeg
     from sato.formation.mission import Formation
     from sato.reconfiguration.mission import Join, Leg, Loss, Reconfiguration
-    from sato.reconfiguration.orbit import Chief, PlantSettings
+    from sato.reconfiguration.models import PlantSettings
+    from sato.reconfiguration.orbit import Chief
     from sato.reconfiguration.start import Random
     from sato.record import RunFileError
     from sato.runs import Run, load, run, simulate
@@ -71,7 +72,8 @@ _PUBLIC = {
     "sato.formation.leg": ["FormationLeg"],
     "sato.formation.mission": ["Formation"],
     "sato.reconfiguration.mission": ["Join", "Leg", "Loss", "Reconfiguration"],
-    "sato.reconfiguration.orbit": ["Chief", "PlantSettings"],
+    "sato.reconfiguration.models": ["PlantSettings"],
+    "sato.reconfiguration.orbit": ["Chief"],
     "sato.reconfiguration.start": ["Random"],
     "sato.record": ["RunFileError"],
     "sato.runs": ["Run", "load", "run", "simulate"],

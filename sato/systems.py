@@ -8,11 +8,14 @@ from sato.scenario.errors import InputError, format_value, join_names
 if TYPE_CHECKING:
     from sato.interfaces import System
 
-# Each module offers MISSION, its definition, and SYSTEM, the rest, which is slow to import.
+# Definition of the missions of each system, and the rest, which is slow to import.
 SYSTEMS = {
-    "reconfiguration": "sato.reconfiguration",
-    "formation": "sato.formation",
-    "connectivity": "sato.connectivity",
+    "reconfiguration": (
+        "sato.reconfiguration.mission:Reconfiguration",
+        "sato.reconfiguration.system:SYSTEM",
+    ),
+    "formation": ("sato.formation.mission:Formation", "sato.formation.system:SYSTEM"),
+    "connectivity": ("sato.connectivity.mission:Connectivity", "sato.connectivity.system:SYSTEM"),
 }
 
 
@@ -22,7 +25,7 @@ def load_system(name: object) -> "System[Any, Any]":
     Raises:
         InputError: There is no such system.
     """
-    found: System[Any, Any] = _module(name).SYSTEM
+    found: System[Any, Any] = _load(name, 1)
     return found
 
 
@@ -32,11 +35,12 @@ def definition_of(name: object) -> Any:
     Raises:
         InputError: There is no such system.
     """
-    return _module(name).MISSION
+    return _load(name, 0)
 
 
-def _module(name: object) -> Any:
+def _load(name: object, part: int) -> Any:
     if not isinstance(name, str) or name not in SYSTEMS:
         known = join_names((f'"{known}"' for known in SYSTEMS), "and")
         raise InputError("system", f"there is no system {format_value(name)}, only {known}")
-    return import_module(SYSTEMS[name])
+    module, _, found = SYSTEMS[name][part].partition(":")
+    return getattr(import_module(module), found)

@@ -18,7 +18,7 @@ from dynamics.plant import LinearPlant
 from dynamics.schweighart_sedwick import SchweighartSedwick
 from dynamics.tschauner_hempel import TschaunerHempel
 from sato.reconfiguration.mission import Reconfiguration
-from sato.reconfiguration.orbit import MODELS
+from sato.reconfiguration.models import MODELS
 from sato.reconfiguration.tolerances import compute_margin
 from sato.scenario.errors import InputError, ScenarioError
 from sato.scenario.file import parse, read
@@ -528,8 +528,7 @@ REFUSED = {
     ),
     "thrust errors in percent": (
         ["disturbance.thrust=5"],
-        "disturbance.thrust: 5 is a standard deviation of 500 % of the thrust, of which it is a "
-        "part; 0.05 would be 5 %",
+        "disturbance.thrust: 5 is 500 % of the thrust; 0.05 would be 5 %",
     ),
     "a negative thrust error": (
         ["disturbance.thrust=-0.1"],
@@ -537,13 +536,11 @@ REFUSED = {
     ),
     "thrust that points anywhere": (
         ["disturbance.pointing_rad=1"],
-        "disturbance.pointing_rad: 1 is 57.3 degrees, with which a thruster points anywhere; at "
-        "most pointing_deg = 30 would do",
+        "disturbance.pointing_rad: 1 is 57.3 degrees; at most pointing_deg = 30 would do",
     ),
     "places worse than the radius": (
         ["disturbance.position_m=60"],
-        "disturbance.position_m: 60 is not less than swarm.collision_radius_m = 50, so agents "
-        "could not know whether they collide; 1 would do",
+        "disturbance.position_m: 60 is not less than swarm.collision_radius_m = 50; 1 would do",
     ),
     "a margin that is none": (
         ["margin_m=-1"],
@@ -557,7 +554,7 @@ REFUSED = {
     "a margin in words": (["margin_m=large"], 'or "auto", got "large"'),
     "keeping to a plan beyond the leg": (
         ["freeze_steps=25"],
-        "plan.freeze_steps: 25 is more than the 24 steps of leg 0; at most 24 would do, with which",
+        "plan.freeze_steps: 25 is more than the 24 steps of leg 0; at most 24 would do",
     ),
     "a depth without a box": (
         ["start={kind='random',separation_m=150,depth_m=0}"],

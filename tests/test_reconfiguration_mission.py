@@ -9,7 +9,8 @@ from numpy.ma import masked_array
 import sato
 from dynamics import J2, ClohessyWiltshire, DoubleIntegrator, Orbit
 from sato.reconfiguration.mission import Join, Leg, Loss, Reconfiguration
-from sato.reconfiguration.orbit import Chief, OrbitalModel, PlantSettings, PointMass
+from sato.reconfiguration.models import OrbitalModel, PlantSettings, PointMass
+from sato.reconfiguration.orbit import Chief
 from sato.reconfiguration.start import Random
 from sato.scenario.errors import InputError
 from sato.scenario.file import parse

@@ -140,12 +140,11 @@ SYSTEM = System(
     ),
     figures=figures,
 )
-MISSION = Drift
 
 
 @pytest.fixture
 def home(tmp_path, monkeypatch):
-    monkeypatch.setitem(SYSTEMS, "drift", __name__)
+    monkeypatch.setitem(SYSTEMS, "drift", (f"{__name__}:Drift", f"{__name__}:SYSTEM"))
     monkeypatch.chdir(tmp_path)
     (tmp_path / "drift.toml").write_text(SCENARIO)
     return tmp_path

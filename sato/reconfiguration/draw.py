@@ -1,17 +1,23 @@
 """Drawing of a mission: starts and targets as states, margins and tolerances as numbers."""
 
 from dataclasses import replace
+from math import isfinite
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from sato.reconfiguration import feasibility, tolerances
-from sato.reconfiguration.mission import Join, Leg, Reconfiguration, join_size
-from sato.reconfiguration.orbit import better_start
-from sato.reconfiguration.start import Start, Surroundings, draw_positions
+from dynamics.clohessy_wiltshire import ClohessyWiltshire
+from dynamics.trajectory_geometry import min_distance
+from sato.reconfiguration import feasibility
+from sato.reconfiguration.mission import Leg, Reconfiguration
+from sato.reconfiguration.models import OrbitalModel
+from sato.reconfiguration.start import Random, Start
+from sato.scenario.definition import is_auto
 from sato.scenario.errors import InputError, errors_in, round_up
 from sato.shapes import Points
+
+ARRIVAL_TOLERANCE = 1e-6  # of the least spacing of the targets
 
 
 def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
@@ -31,34 +37,30 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
         mission, "swarm.start", mission.start, mission.agent_count, nobody, 0.0, rng
     )
     states, legs = start, []
-    for number, leg in enumerate(mission.legs):
-        before = targets[number - 1][: demand[number - 1]] if number else None
-        joins = _draw_joins(mission, number, leg, states, before, times[number], rng)
-        states = np.concatenate([states, *(_as_states(join.start) for join in joins)])
-        shape = _as_points(targets[number])
-        legs.append(replace(leg, shape=shape, count=None, joins=tuple(joins)))
+    for k, leg in enumerate(mission.legs):
+        # States of agents that are known to those that join when the leg begins.
+        known = targets[k - 1][: demand[k - 1]] if k else states
+        leg = _draw_joins(mission, k, leg, known, times[k], rng)
+        states = np.concatenate([states, *(_as_states(join.start) for join in leg.joins)])
+        legs.append(replace(leg, shape=_as_points(targets[k]), count=None))
     drawn = replace(mission, start=_as_points(start), legs=tuple(legs))
-    plant = mission.world.draw_plant(drawn.linear_model, len(states), rng)
-    drawn = tolerances.resolve(replace(drawn, plant=plant))
+    drawn = _resolve(replace(drawn, plant=mission.draw_plant(len(states), rng)))
     feasibility.check_reach(drawn)
     return drawn
 
 
-def _leg_times(mission: Reconfiguration) -> tuple[float, ...]:
+def _leg_times(mission: Reconfiguration) -> list[float]:
     """Return the times at which each leg begins, and the last one ends, as planned [s]."""
     steps = [leg.steps for leg in mission.legs]
-    return tuple(mission.step * sum(steps[:k]) for k in range(len(steps) + 1))
+    return [mission.step * sum(steps[:k]) for k in range(len(steps) + 1)]
 
 
-def _velocity_times(mission: Reconfiguration) -> tuple[float, ...]:
+def _velocity_times(mission: Reconfiguration) -> list[float]:
     """Return all times at which agents start, join or arrive, as planned [s]."""
     begins = _leg_times(mission)
-    joins = [
-        begin + join.at_step * mission.step
-        for begin, leg in zip(begins, mission.legs, strict=False)
-        for join in leg.joins
-    ]
-    return (*begins, *joins)
+    each = zip(begins, mission.legs, strict=False)
+    joins = [begin + join.at_step * mission.step for begin, leg in each for join in leg.joins]
+    return begins + joins
 
 
 def _draw_targets(
@@ -68,40 +70,30 @@ def _draw_targets(
     with errors_in(where):
         placed = leg.shape.place(count, mission.axes, mission.collision_radius)
         velocity = leg.shape.place_velocities(count, mission.axes)
-    if velocity is None:
-        velocity = _drift_free(mission, placed, arrival, where)
-    states = np.hstack([placed, velocity])
-    _check_speed(mission, where, "target", states)
-    return states
+    return _with_velocities(mission, placed, velocity, arrival, where, "target")
 
 
 def _draw_joins(
     mission: Reconfiguration,
     number: int,
     leg: Leg,
-    states: Float[Array, "k n"],
-    before: Float[Array, "m n"] | None,
+    known: Float[Array, "k n"],
     begin: float,
     rng: np.random.Generator,
-) -> list[Join]:
-    joins: list[Join] = []
+) -> Leg:
+    drawn: list[tuple[int, Float[Array, "k n"]]] = []  # steps and states
     for i, join in enumerate(leg.joins):
-        there = _known_states(number, join.at_step, states, before)
-        beside = [_as_states(other.start) for other in joins if other.at_step == join.at_step]
-        occupied = np.concatenate([there, *beside])[:, : mission.axes]
+        beside = [states for at_step, states in drawn if at_step == join.at_step]
+        there = [known if join.at_step == 0 else known[:0], *beside]
+        occupied = np.concatenate(there)[:, : mission.axes]
         where, t = f"leg.{number}.join.{i}.start", begin + join.at_step * mission.step
-        drawn = _draw_start(mission, where, join.start, join_size(join), occupied, t, rng)
-        joins.append(replace(join, agents=len(drawn), start=_as_points(drawn)))
-    return joins
-
-
-def _known_states(
-    number: int, at_step: int, states: Float[Array, "k d"], before: Float[Array, "m d"] | None
-) -> Float[Array, "n d"]:
-    """Return states of agents known when others join: at the start, or where the last leg ended."""
-    if at_step > 0:
-        return np.empty((0, states.shape[1]))
-    return states if number == 0 or before is None else before
+        states = _draw_start(mission, where, join.start, join.size, occupied, t, rng)
+        drawn.append((join.at_step, states))
+    joins = [
+        replace(join, agents=len(states), start=_as_points(states))
+        for join, (_, states) in zip(leg.joins, drawn, strict=True)
+    ]
+    return replace(leg, joins=tuple(joins))
 
 
 def _draw_start(
@@ -113,43 +105,118 @@ def _draw_start(
     t: float,
     rng: np.random.Generator,
 ) -> Float[Array, "count n"]:
-    around = Surroundings(mission.axes, mission.comm_radius, mission.collision_radius, occupied)
+    axes, velocity = mission.axes, None
     with errors_in(where):
-        placed = draw_positions(start, count, around, rng)
-        velocity = None
-        if isinstance(start, Points):
-            kept = replace(start, keep_order=True)
-            velocity = kept.place_velocities(count, mission.axes)
+        if isinstance(start, Random):
+            placed = start.draw(mission, count, occupied, rng)
+        elif isinstance(start, Points):
+            if start.positions is not None and len(start.positions) != count:
+                reason = f"lists {len(start.positions)} positions for {count} agents"
+                raise InputError("positions_m", reason)
+            start = replace(start, keep_order=True)
+            placed, velocity = start.place(count, axes), start.place_velocities(count, axes)
+        else:
+            placed = start.place(count, axes, mission.collision_radius)
+        _check_separation(placed, occupied, mission.collision_radius)
+    return _with_velocities(mission, placed, velocity, t, where, "agent")
+
+
+def _check_separation(
+    placed: Float[Array, "count d"], occupied: Float[Array, "k d"], radius: float
+) -> None:
+    together, least = np.concatenate([placed, occupied]), radius * (1 - 1e-9)
+    if min_distance(together) >= least:
+        return
+    distance = np.linalg.norm(placed[:, None] - together, axis=2)
+    distance[:, : len(placed)] += np.diag(np.full(len(placed), np.inf))
+    i, j = np.unravel_index(np.argmin(distance), distance.shape)
+    if distance[i, j] < least:  # else two agents that were there before
+        other = f"agent {j}" if j < len(placed) else "an agent that is there already"
+        reason = f"agent {i} starts {distance[i, j]:.4g} m from {other}"
+        raise InputError("", f"{reason}, closer than the collision radius of {radius:g} m")
+
+
+def _with_velocities(
+    mission: Reconfiguration,
+    placed: Float[Array, "k d"],
+    velocity: Float[Array, "k d"] | None,
+    t: float,
+    where: str,
+    noun: str,
+) -> Float[Array, "k n"]:
+    """Return states, with velocities that stay about these positions where none are given."""
     if velocity is None:
-        velocity = _drift_free(mission, placed, t, where)
-    states = np.hstack([placed, velocity])
-    _check_speed(mission, where, "agent", states)
-    return states
+        velocity = _drift_free_velocities(mission, placed, t, where)
+    speed = np.linalg.norm(velocity, axis=1)
+    i = int(np.argmax(speed))
+    if speed[i] > mission.max_speed * (1 + 1e-12):
+        verb = "starts at" if noun == "agent" else "has to be reached at"
+        cure = f"{round_up(speed[i])} or more would do, or slower ones"
+        if mission.chief is not None and abs(velocity[i, -1]) > mission.max_speed / 2:
+            # Out of the plane speeds grow as tan θ, and another latitude does more than a limit.
+            cure += f"; {mission.chief.suggest_start(_velocity_times(mission))}"
+        fast = f"{noun} {i} {verb} {speed[i]:.4g} m/s"
+        limit = f"model.max_speed_m_s = {mission.max_speed:g}"
+        raise InputError(where, f"{fast}, faster than {limit}; {cure}")
+    return np.hstack([placed, velocity])
 
 
-def _drift_free(
+def _drift_free_velocities(
     mission: Reconfiguration, placed: Float[Array, "k d"], t: float, where: str
 ) -> Float[Array, "k d"]:
-    return mission.world.drift_free_velocities(placed, t, where, _velocity_times(mission))
+    model = mission.model
+    if isinstance(model, OrbitalModel) and model.mean_motion is not None:
+        return ClohessyWiltshire(model.mean_motion).bounded_velocity(placed)
+    if mission.chief is None:
+        return np.zeros_like(placed)
+    return mission.chief.drift_free_velocities(placed, t, where, _velocity_times(mission))
 
 
-def _check_speed(
-    mission: Reconfiguration, where: str, noun: str, states: Float[Array, "k n"]
-) -> None:
-    speed = np.linalg.norm(states[:, mission.axes :], axis=1)
-    i = int(np.argmax(speed))
-    if speed[i] <= mission.max_speed * (1 + 1e-12):
-        return
-    verb = "starts at" if noun == "agent" else "has to be reached at"
-    cure = f"{round_up(speed[i])} or more would do, or slower ones"
-    if mission.chief is not None and abs(states[i, -1]) > mission.max_speed / 2:
-        # Out of the plane speeds grow as tan θ, and another latitude does more than a limit.
-        cure += f"; {better_start(mission.chief, _velocity_times(mission))}"
-    raise InputError(
-        where,
-        f"{noun} {i} {verb} {speed[i]:.4g} m/s, faster than model.max_speed_m_s = "
-        f"{mission.max_speed:g}; {cure}",
+def _resolve(mission: Reconfiguration) -> Reconfiguration:
+    """Return the mission with its margin, tolerances and bid increment as numbers.
+
+    Raises:
+        InputError: The margin leaves no room between the targets.
+    """
+    # A single target has no spacing; the least distance that there may be stands for it.
+    spacing = mission.target_spacing
+    least = ARRIVAL_TOLERANCE * (spacing if isfinite(spacing) else mission.collision_radius)
+    given, margin = mission.position_tolerance, mission.margin
+    is_computed = is_auto(margin)
+    if margin is None:  # wherever the shared model may have errors
+        is_computed = mission.chief is not None or mission.nonlinear_model is not None
+    if margin is None or is_computed:
+        margin = 0.0
+    noise = wrong = (0.0, 0.0)
+    if mission.has_noise or not mission.flies_model:
+        from sato.reconfiguration import tolerances
+
+        noise = tolerances.noise_on_arrival(mission)
+        wrong = wrong if given else tolerances.model_error_on_arrival(mission)
+        margin = tolerances.compute_margin(mission) if is_computed else margin
+    _check_margin(mission, margin, "auto gives" if is_computed else "takes")
+    increment = mission.epsilon
+    if is_auto(increment) and not isfinite(spacing):
+        increment = mission.tie_break * mission.collision_radius**2 / 2 or increment
+    velocity = mission.velocity_tolerance
+    return replace(
+        mission,
+        position_tolerance=given or least + noise[0] + wrong[0],
+        velocity_tolerance=velocity or (given or least) / mission.step + noise[1] + wrong[1],
+        epsilon=increment,
+        margin=margin,
     )
+
+
+def _check_margin(mission: Reconfiguration, margin: float, verb: str) -> None:
+    R, spacing = mission.collision_radius, mission.target_spacing
+    if margin > (spacing - R) * (1 + 1e-9):
+        raise InputError(
+            "plan.margin_m",
+            f"{verb} {margin:.4g} m beyond the collision radius of {R:g} m, and targets are "
+            f"{spacing:.4g} m apart; a shape with {R + margin:.4g} m, less noise, or "
+            f"margin_m = {spacing - R:.3g} would do",
+        )
 
 
 def _as_points(states: Float[Array, "k n"]) -> Points:

@@ -12,22 +12,21 @@ from numpy import ndarray as Array
 from pydantic import BeforeValidator
 from pydantic import Field as Constraint
 
-from dynamics.model import LinearModel, NonlinearModel
 from dynamics.plant import Plant
 from dynamics.trajectory_geometry import min_distance
 from dynamics.units import Acceleration, Angle, Length, Speed, Time, Unit
 from sato.reconfiguration import feasibility
-from sato.reconfiguration.orbit import (
+from sato.reconfiguration.models import (
     AnyModel,
-    Chief,
-    OrbitalModel,
+    Motion,
     PlantSettings,
-    PointMass,
-    World,
     as_chief,
     as_definition,
-    check_kind,
+    check_motion,
+    check_orbital_model,
+    flies_model,
 )
+from sato.reconfiguration.orbit import Chief
 from sato.reconfiguration.start import Start, start_without_files
 from sato.scenario.definition import (
     Convert,
@@ -50,11 +49,13 @@ else:
     Automatic = Annotated[float | Literal["auto"], BeforeValidator(number_or_auto)]
 
 Steps = Annotated[int, Positive]
+Count = Annotated[int, NotNegative]
 Indices = Annotated[
-    tuple[Annotated[int, NotNegative], ...],
+    tuple[Count, ...],
     BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value),
 ]
 Targets = Points | Text | Ring | Lattice | Polygon | Picture
+LATER: Any = None  # of a field that follows from the others where it is not given
 
 
 def _norm(value: Any) -> Any:
@@ -76,14 +77,13 @@ class Loss(Definition):
     ]
     share: Annotated[float | None, Positive, Lt(1), "of the live agents"] = None
     agents: Annotated[Indices, "indices, for kind agents"] = ()
-    at_step: Annotated[int, NotNegative, "control steps after the start of the leg"] = 0
+    at_step: Annotated[Count, "control steps after the start of the leg"] = 0
 
     def check(self) -> None:
         """Refuse a loss of no agents."""
-        if self.kind == "agents" and not self.agents:
-            raise InputError("agents", "is missing, and has no default")
-        if self.kind != "agents" and self.share is None:
-            raise InputError("share", "is missing, and has no default")
+        needed = "agents" if self.kind == "agents" else "share"
+        if not getattr(self, needed):
+            raise InputError(needed, "is missing, and has no default")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -92,7 +92,12 @@ class Join(Definition):
 
     agents: Annotated[int | None, Positive, "how many; as many as the start has, if absent"]
     start: Annotated[Start, Convert(as_points), "positions, or states, at which they join"]
-    at_step: Annotated[int, NotNegative, "control steps after the start of the leg"] = 0
+    at_step: Annotated[Count, "control steps after the start of the leg"] = 0
+
+    @property
+    def size(self) -> int:
+        """Number of agents that join."""
+        return self.agents or len(_states(self.start))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -119,13 +124,10 @@ class Leg(Definition):
     def check(self) -> None:
         """Refuse losses and joins after the deadline."""
         for name, events in (("lose", self.losses), ("join", self.joins)):
-            for event in events:
-                if event.at_step >= self.steps:
-                    raise InputError(
-                        f"{name}.at_step",
-                        f"{event.at_step} is after the leg's {self.steps} steps; "
-                        f"at most {self.steps - 1} would do",
-                    )
+            late = max((event.at_step for event in events), default=0)
+            if late >= self.steps:
+                most = f"the leg's {self.steps} steps; at most {self.steps - 1} would do"
+                raise InputError(f"{name}.at_step", f"{late} is after {most}")
 
     @property
     def targets(self) -> Float[Array, "targets n"]:
@@ -134,7 +136,7 @@ class Leg(Definition):
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class Reconfiguration(Mission):
+class Reconfiguration(Motion, Mission):
     """A swarm that takes up one shape after another [Morgan2016, Method 3].
 
     Args:
@@ -174,18 +176,18 @@ class Reconfiguration(Mission):
     step: Annotated[Time, In("plan"), Positive, "control step Δt"]
     horizon_steps: Annotated[Steps, In("plan"), "steps that avoidance looks ahead, T_H"] = 4
     foresight_steps: Annotated[
-        int, In("plan"), NotNegative, "steps that it looks ahead among agents within hearing"
+        Count, In("plan"), "steps that it looks ahead among agents within hearing"
     ] = 0
     orders: Annotated[Steps, In("plan"), "orders of priority that each plan tries"] = 1
     bargains: Annotated[
-        int, In("plan"), NotNegative, "sweeps of negotiation in pairs; with orders above 1"
+        Count, In("plan"), "sweeps of negotiation in pairs; with orders above 1"
     ] = 0
     replan_steps: Annotated[
         Steps, In("plan"), "replanning period; 1 where motion is disturbed, else the horizon"
-    ] = None  # type: ignore[assignment]
+    ] = LATER
     auction_steps: Annotated[
         Steps, In("plan"), "period of auctions, a multiple of replan_steps; replan_steps if absent"
-    ] = None  # type: ignore[assignment]
+    ] = LATER
     epsilon: Annotated[
         Automatic, In("plan"), "bid increment ε; auto is w s²/2 with the least spacing s"
     ] = "auto"  # type: ignore[assignment]
@@ -200,23 +202,23 @@ class Reconfiguration(Mission):
         "a leg's clock starts again where the number of bids changed, or only where needed",
     ] = "change"
     freeze_steps: Annotated[
-        int, In("plan"), NotNegative, "steps before the deadline in which plans are kept"
+        Count, In("plan"), "steps before the deadline in which plans are kept"
     ] = 0
     margin: Annotated[
         Automatic,
         Unit("m"),
         In("plan"),
         "beyond R_col; auto about a chief or with a nonlinear model, else 0, if absent",
-    ] = None  # type: ignore[assignment]
+    ] = LATER
     allow_undetectable: Annotated[
         bool, In("plan"), "fly although agents could meet unseen (Proposition 9)"
     ] = False
     position_tolerance: Annotated[
         Length, In("plan"), Positive, "distance within which a target counts as reached"
-    ] = None  # type: ignore[assignment]
+    ] = LATER
     velocity_tolerance: Annotated[
         Speed, In("plan"), Positive, "speed within which a target counts as reached"
-    ] = None  # type: ignore[assignment]
+    ] = LATER
 
     disturbance: Annotated[
         Acceleration,
@@ -242,20 +244,20 @@ class Reconfiguration(Mission):
 
     @classmethod
     def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
-        """Refuse an orbital model without a chief."""
-        check_kind(data)
+        """Refuse an orbital model without a chief, before the keys of the model are read."""
+        model = data.get("model")
+        if isinstance(model, dict):
+            check_orbital_model(model.get("kind"), "chief" in data or "mean_motion_rad_s" in model)
         return data
 
     def completed(self) -> dict[str, Any]:
         """Return what follows from the other fields where it is not given."""
         model, chief = as_definition(self.model, self.chief)
-        listed = self.start.positions if isinstance(self.start, Points) else None
         values: dict[str, Any] = {"model": model, "chief": chief}
-        if self.agents is None and listed is not None:
-            values["agents"] = len(listed)
+        if self.agents is None and isinstance(self.start, Points):
+            values["agents"] = None if self.start.positions is None else len(self.start.positions)
         if self.replan_steps is None:
-            flies_model = World(model, chief, self.plant).flies_model
-            is_disturbed = self.has_noise or not flies_model
+            is_disturbed = self.has_noise or not flies_model(model, chief, self.plant)
             values["replan_steps"] = 1 if is_disturbed else self.horizon_steps
         if self.auction_steps is None:
             values["auction_steps"] = values.get("replan_steps", self.replan_steps)
@@ -263,11 +265,8 @@ class Reconfiguration(Mission):
 
     def check(self) -> None:
         """Refuse fields that contradict each other, and legs without targets enough."""
-        self.world.check()
-        feasibility.check_periods(self)
-        feasibility.check_noise(self)
-        feasibility.check_detectable(self)
-        feasibility.check_legs(self)
+        check_motion(self.model, self.chief, self.plant)
+        feasibility.check(self)
 
     def draw(self, rng: np.random.Generator) -> "Reconfiguration":
         """Return the mission with drawn starts, resolved margins, tolerances and plant."""
@@ -277,14 +276,18 @@ class Reconfiguration(Mission):
 
     def warnings(self) -> list[str]:
         """List doubts about a drawn mission, a sentence each."""
-        return feasibility.model_doubts(self)
+        if self.chief is None or self.nonlinear_model is not None or self.flies_model:
+            return []
+        from sato.reconfiguration.tolerances import model_doubts
+
+        return model_doubts(self, self.chief)
 
     def without_files(self) -> "Reconfiguration":
         """Return the same mission with the contents of files and fonts."""
         legs = []
         for leg, most in zip(self.legs, feasibility.target_demand(self), strict=True):
             joins = tuple(
-                replace(join, start=start_without_files(join.start, join_size(join), self.axes))
+                replace(join, start=start_without_files(join.start, join.size, self.axes))
                 for join in leg.joins
             )
             shape = leg.shape.without_files(leg.count or most, self.axes)
@@ -293,54 +296,22 @@ class Reconfiguration(Mission):
         return replace(self, start=start, legs=tuple(legs))
 
     @property
-    def world(self) -> World:
-        """Model, chief and plant."""
-        return World(self.model, self.chief, self.plant)
-
-    @property
     def agent_count(self) -> int:
         """Number of agents at the start."""
         assert self.agents is not None
         return self.agents
 
     @property
-    def axes(self) -> int:
-        """Axes of space."""
-        if isinstance(self.model, PointMass):
-            return self.model.dimension
-        return 3 if isinstance(self.model, OrbitalModel) else self.model.axes
-
-    @property
     def has_noise(self) -> bool:
         """True where motion or measurements are disturbed at random."""
-        return any(
-            (
-                self.disturbance,
-                self.position_noise,
-                self.velocity_noise,
-                self.thrust_error,
-                self.pointing_error,
-            )
-        )
+        noise = self.position_noise, self.velocity_noise, self.disturbance
+        return any((*noise, self.thrust_error, self.pointing_error))
 
-    @cached_property
-    def linear_model(self) -> LinearModel:
-        """Model that all agents share, and auctions price by."""
-        return self.world.linear_model()
-
-    @cached_property
-    def nonlinear_model(self) -> NonlinearModel | None:
-        """Model that each agent linearizes about its own trajectory, if there is one."""
-        return self.world.nonlinear_model()
-
-    @cached_property
+    @property
     def flown_plant(self) -> Plant:
         """Motion of the vehicles, once the mission is drawn."""
-        if isinstance(self.plant, Plant):
-            return self.plant
-        return self.world.draw_plant(
-            self.linear_model, len(self.initial_states), np.random.default_rng(0)
-        )
+        assert isinstance(self.plant, Plant)
+        return self.plant
 
     @cached_property
     def initial_states(self) -> Float[Array, "agents n"]:
@@ -355,36 +326,24 @@ class Reconfiguration(Mission):
 
     def joining(self, number: int) -> list[tuple[list[int], int]]:
         """List the joins of a leg: indices of the agents, and the step at which they join."""
-        first = self.agent_count + sum(
-            join_size(join) for leg in self.legs[:number] for join in leg.joins
-        )
-        found = []
-        for join in self.legs[number].joins:
-            found.append((list(range(first, first + join_size(join))), join.at_step))
-            first += join_size(join)
+        first = self.agent_count
+        found: list[tuple[list[int], int]] = []
+        for leg in self.legs[: number + 1]:
+            found = []
+            for join in leg.joins:
+                found.append((list(range(first, first + join.size)), join.at_step))
+                first += join.size
         return found
 
-    @property
+    @cached_property
     def target_spacing(self) -> float:
         """Least distance between two targets of a leg [m]; once drawn."""
         return min(min_distance(leg.targets[:, : self.axes]) for leg in self.legs)
 
 
-def join_size(join: Join) -> int:
-    """Return the number of agents that join."""
-    if join.agents is not None:
-        return join.agents
-    assert isinstance(join.start, Points) and join.start.positions is not None
-    return len(join.start.positions)
-
-
 def _states(points: Any) -> Float[Array, "k n"]:
-    if isinstance(points, Points) and points.positions is not None:
-        still = np.zeros_like(points.positions)
-        return np.hstack(
-            [points.positions, still if points.velocities is None else points.velocities]
-        )
-    kind = type(points).__name__
-    raise ValueError(
-        f"the positions of {kind} are known once the mission is drawn: mission.draw(rng)"
-    )
+    if not isinstance(points, Points) or points.positions is None:
+        kind = type(points).__name__
+        raise ValueError(f"{kind} has positions once the mission is drawn: mission.draw(rng)")
+    still = np.zeros_like(points.positions)
+    return np.hstack([points.positions, still if points.velocities is None else points.velocities])

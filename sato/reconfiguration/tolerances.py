@@ -1,7 +1,6 @@
-"""Margins, tolerances and the bid increment of a mission, where they follow from the rest."""
+"""Errors of a wrong model and of noise, and the margins and tolerances that follow from them."""
 
-from dataclasses import replace
-from math import ceil, isfinite
+from math import ceil
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,37 +8,15 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.discretize import discretize_zoh
-from dynamics.double_integrator import DoubleIntegrator
-from dynamics.plant import LinearPlant
-from sato.scenario.definition import is_auto
-from sato.scenario.errors import InputError
+from dynamics.j2 import J2
 
 if TYPE_CHECKING:
     from sato.reconfiguration.mission import Reconfiguration
+    from sato.reconfiguration.orbit import Chief
 
 MARGIN_SIGMAS = 5.0  # of random errors of the distance of two: exceeded once in 10⁶
 TOLERANCE_SIGMAS = 6.0  # of random errors on arrival: exceeded once in 10⁷ arrivals
-ARRIVAL_TOLERANCE = 1e-6  # of the least spacing of the targets
-
-
-def resolve(mission: "Reconfiguration") -> "Reconfiguration":
-    """Return a drawn mission with its margin, tolerances and bid increment as numbers.
-
-    Raises:
-        InputError: The margin leaves no room between the targets.
-    """
-    position, velocity = _tolerances(mission)
-    increment = mission.epsilon
-    if is_auto(increment) and not isfinite(mission.target_spacing):
-        # Single targets have no spacing; the collision radius stands for it.
-        increment = mission.tie_break * mission.collision_radius**2 / 2 or increment
-    return replace(
-        mission,
-        position_tolerance=position,
-        velocity_tolerance=velocity,
-        epsilon=increment,
-        margin=_checked_margin(mission),
-    )
+MAX_MODEL_ERROR = 0.1  # of the collision radius: beyond it a model is doubtful
 
 
 def compute_margin(mission: "Reconfiguration") -> float:
@@ -58,28 +35,6 @@ def compute_margin(mission: "Reconfiguration") -> float:
     with U the largest control and σ_p and σ_v of measured positions and velocities, σ_u and
     σ_a of the size and the direction of thrusts, σ_w of accelerations that disturb.
     """
-    return 2 * _model_error(mission, mission.replan_steps) + MARGIN_SIGMAS * _spread(mission)
-
-
-def _checked_margin(mission: "Reconfiguration") -> float:
-    # Where it is not given, a margin is computed wherever the shared model may have errors.
-    has_errors = mission.chief is not None or mission.nonlinear_model is not None
-    is_computed = is_auto(mission.margin) if mission.margin is not None else has_errors
-    margin = compute_margin(mission) if is_computed else mission.margin or 0.0
-    room = mission.target_spacing - mission.collision_radius
-    if margin > room * (1 + 1e-9):
-        verb = "auto gives" if is_computed else "takes"
-        raise InputError(
-            "plan.margin_m",
-            f"{verb} {margin:.4g} m beyond the collision radius of "
-            f"{mission.collision_radius:g} m, and targets are {mission.target_spacing:.4g} m "
-            f"apart; a shape with {mission.collision_radius + margin:.4g} m, less noise, or "
-            f"margin_m = {room:.3g} would do",
-        )
-    return margin
-
-
-def _spread(mission: "Reconfiguration") -> float:
     tau = mission.replan_steps * mission.step
     thrust = mission.max_control * (mission.thrust_error + mission.pointing_error)
     each = [
@@ -88,7 +43,8 @@ def _spread(mission: "Reconfiguration") -> float:
         thrust * tau**2 / 2,
         mission.disturbance * tau**2 / 2,
     ]
-    return float(np.linalg.norm(each) * 2**0.5)
+    spread = float(np.linalg.norm(each) * 2**0.5)
+    return 2 * _model_error(mission, mission.replan_steps) + MARGIN_SIGMAS * spread
 
 
 def _model_error(mission: "Reconfiguration", steps: int) -> float:
@@ -96,7 +52,7 @@ def _model_error(mission: "Reconfiguration", steps: int) -> float:
 
     It is taken from all starts and targets, at nine instants of the mission.
     """
-    if isinstance(mission.flown_plant, LinearPlant):
+    if mission.flies_model:
         return 0.0
     whole = sum(leg.steps for leg in mission.legs) * mission.step
     states = np.concatenate([mission.initial_states, *(leg.targets for leg in mission.legs)])
@@ -109,7 +65,11 @@ def _largest_error(
 ) -> float:
     largest, d = 0.0, mission.axes
     model = discretize_zoh(mission.linear_model, mission.step, steps, t)
-    for x in _batches(states, len(mission.initial_states)):
+    # A plant flies as many vehicles as there are; rows of NaN are none.
+    agents, n = mission.initial_states.shape
+    batches = np.full((-(-len(states) // agents), agents, n), np.nan)
+    batches.reshape(-1, n)[: len(states)] = states
+    for x in batches:
         for u in (mission.max_control, -mission.max_control):
             control = np.full((len(x), d), u)
             flown = mission.flown_plant.propagate(x, control, t, steps * mission.step)[-1]
@@ -119,30 +79,7 @@ def _largest_error(
     return largest
 
 
-def _batches(states: Float[Array, "k n"], agents: int) -> list[Float[Array, "agents n"]]:
-    # A plant flies as many vehicles as there are; rows of NaN are none.
-    count = -(-len(states) // agents)
-    padded = np.full((count * agents, states.shape[1]), np.nan)
-    padded[: len(states)] = states
-    return list(padded.reshape(count, agents, -1))
-
-
-def _tolerances(mission: "Reconfiguration") -> tuple[float, float]:
-    """Return the position [m] and velocity [m/s] within which a target counts as reached."""
-    # A single target has no spacing; the least distance that there may be will do.
-    spacing = mission.target_spacing
-    s = spacing if isfinite(spacing) else mission.collision_radius
-    random_position, random_velocity = _random_error(mission)
-    given_position, given_velocity = mission.position_tolerance, mission.velocity_tolerance
-    wrong, drifting = _model_error_on_arrival(mission) if given_position is None else (0.0, 0.0)
-    position = given_position or ARRIVAL_TOLERANCE * s + random_position + wrong
-    velocity = given_velocity or (
-        (given_position or ARRIVAL_TOLERANCE * s) / mission.step + random_velocity + drifting
-    )
-    return position, velocity
-
-
-def _model_error_on_arrival(mission: "Reconfiguration") -> tuple[float, float]:
+def model_error_on_arrival(mission: "Reconfiguration") -> tuple[float, float]:
     """Return how far, and how fast, a wrong model leaves an agent from its target [m, m/s].
 
     Its error is corrected until the last plan, and no further; an acceleration that it leaves
@@ -153,7 +90,7 @@ def _model_error_on_arrival(mission: "Reconfiguration") -> tuple[float, float]:
     return wrong, 2 * wrong / (blind * mission.step)
 
 
-def _random_error(mission: "Reconfiguration") -> tuple[float, float]:
+def noise_on_arrival(mission: "Reconfiguration") -> tuple[float, float]:
     """Return how far, and how fast, noise leaves an agent from its target [m, m/s].
 
     An agent that brakes with all its control corrects nothing, and two steps before that are
@@ -161,11 +98,11 @@ def _random_error(mission: "Reconfiguration") -> tuple[float, float]:
     keeps its plan at the end correct anything. The error of its last measurement and later
     disturbances remain, and the thrust errors while it brakes.
     """
+    if not mission.has_noise:
+        return 0.0, 0.0
     d = mission.axes
     noise = np.repeat([mission.position_noise, mission.velocity_noise], d)
     wrong = mission.max_control * np.hypot(mission.thrust_error, mission.pointing_error)
-    if not noise.any() and not mission.disturbance and not wrong:
-        return 0.0, 0.0
     steps = min(leg.steps for leg in mission.legs)
     braking = ceil(
         min(_speed_to_lose(mission, steps) / (mission.max_control * mission.step), steps)
@@ -191,7 +128,7 @@ def _speed_to_lose(mission: "Reconfiguration", steps: int) -> float:
     from problems.transfer import TransferProblem
 
     d = mission.axes
-    if isinstance(mission.linear_model, DoubleIntegrator):
+    if mission.is_point_mass:
         states = np.concatenate([mission.initial_states, *(leg.targets for leg in mission.legs)])
         fast = 2 * float(np.ptp(states[:, :d], axis=0).max()) / (steps * mission.step)
         return min(mission.max_speed, fast)
@@ -204,3 +141,30 @@ def _speed_to_lose(mission: "Reconfiguration", steps: int) -> float:
         burned = max(burned, float(fuel[linear_sum_assignment(fuel)].max()))
         start, t = leg.targets, t + leg.steps * mission.step
     return min(mission.max_speed, burned / 2)
+
+
+def model_doubts(mission: "Reconfiguration", chief: "Chief") -> list[str]:
+    """List doubts about a linear model of relative motion where the swarm flies.
+
+    Compares it with the exact motion under J2: the free flight of all agents that are there
+    at the start, until the end of the first leg. A model that is linearized again about each
+    agent's own trajectory is exact to first order everywhere, and a model that flies itself
+    has no error.
+    """
+    kind = getattr(mission.model, "kind", "")
+    start, steps = mission.initial_states[mission.alive], mission.legs[0].steps
+    T = steps * mission.step
+    free = np.zeros((len(start), steps, mission.axes))
+    modeled = discretize_zoh(mission.linear_model, mission.step, steps).simulate(start, free)[:, -1]
+    exact = J2(chief.orbit).propagate(start, np.array([T]))[-1]
+    error = np.linalg.norm((modeled - exact)[:, :3], axis=1)
+    i = int(np.argmax(error))
+    if error[i] <= MAX_MODEL_ERROR * mission.collision_radius:
+        return []
+    away = float(np.linalg.norm(start[i, :3]))
+    cure = "model.relinearize = true" if kind == "j2" else 'model.kind = "j2"'
+    return [
+        f"{kind} is wrong by {error[i]:.3g} m after {T:g} s of free flight for agent {i}, "
+        f"which starts {away:.4g} m from the chief: more than a tenth of the collision radius of "
+        f"{mission.collision_radius:g} m; {cure} would do"
+    ]

@@ -1,0 +1,251 @@
+"""Models by which vehicles plan, and the plant that is flown: as definitions, and as motion."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from annotated_types import Lt
+
+from dynamics.atmosphere import Atmosphere
+from dynamics.clohessy_wiltshire import ClohessyWiltshire
+from dynamics.double_integrator import DoubleIntegrator
+from dynamics.inertial import InertialPlant
+from dynamics.j2 import J2
+from dynamics.model import LinearizedModel, LinearModel, NonlinearModel
+from dynamics.orbit import Orbit
+from dynamics.plant import LinearPlant, NonlinearPlant, Plant
+from dynamics.schweighart_sedwick import SchweighartSedwick
+from dynamics.tschauner_hempel import TschaunerHempel
+from dynamics.units import Unit
+from sato.reconfiguration.orbit import Chief
+from sato.scenario.definition import Definition, NotNegative, Positive
+from sato.scenario.errors import InputError, join_names
+
+MODELS: dict[str, Callable[[Orbit], LinearModel]] = {
+    "clohessy_wiltshire": ClohessyWiltshire.from_orbit,
+    "schweighart_sedwick": SchweighartSedwick.from_orbit,
+    "eccentric": TschaunerHempel.from_orbit,
+    "j2": lambda orbit: LinearizedModel.at_origin(J2(orbit)),
+}
+AIR = {"density_kg_m3": "density", "altitude_m": "altitude", "scale_height_m": "scale_height"}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PointMass(Definition):
+    """Double integrator, r̈ = u."""
+
+    kind: ClassVar[str] = "double_integrator"
+    dimension: Annotated[Literal[2, 3], "axes of space"] = 2
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class OrbitalModel(Definition):
+    """Motion relative to a chief."""
+
+    kind: Annotated[
+        Literal["clohessy_wiltshire", "schweighart_sedwick", "eccentric", "j2"], "equations"
+    ]
+    relinearize: Annotated[bool, "for j2: linearize about each agent's own trajectory"] = True
+    mean_motion: Annotated[
+        float | None, Unit("rad_s"), Positive, "for clohessy_wiltshire without a chief"
+    ] = None
+
+    def check(self) -> None:
+        """Refuse a mean motion for a model that has none."""
+        if self.mean_motion is not None and self.kind != "clohessy_wiltshire":
+            raise InputError("mean_motion_rad_s", 'is for kind = "clohessy_wiltshire" only')
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class PlantSettings(Definition):
+    """Motion that is flown, where it differs from the model."""
+
+    kind: Annotated[
+        Literal["inertial", "model"] | None, "what is integrated; inertial about a chief if absent"
+    ] = None
+    drag: Annotated[bool, "drag in the Earth's atmosphere"] = False
+    ballistic: Annotated[float | None, Unit("m2_kg"), Positive, "C_D A/m of the vehicles"] = None
+    ballistic_spread: Annotated[float, NotNegative, Lt(1), "it is drawn within ± this part"] = 0.0
+    chief_ballistic: Annotated[
+        float | None, Unit("m2_kg"), NotNegative, "C_D A/m of the chief; as the others if absent"
+    ] = None
+    density: Annotated[float | None, Unit("kg_m3"), Positive, "air density at the altitude"] = None
+    altitude: Annotated[
+        float | None, Unit("m"), NotNegative, "altitude; the chief's perigee if absent"
+    ] = None
+    scale_height: Annotated[float | None, Unit("m"), Positive, "scale height of the air"] = None
+
+    def check(self) -> None:
+        """Refuse half a drag."""
+        if not self.drag:
+            unused = {
+                "ballistic_m2_kg": self.ballistic,
+                "ballistic_spread": self.ballistic_spread or None,
+                "chief_ballistic_m2_kg": self.chief_ballistic,
+            }
+            unused |= {key: getattr(self, name) for key, name in AIR.items()}
+            for key, value in unused.items():
+                if value is not None:
+                    raise InputError(key, "has no effect without drag; drag = true would use it")
+            return
+        if self.ballistic is None:
+            example = "ballistic_m2_kg = 0.01 (say 2.2 × 0.5 m² / 110 kg)"
+            needed = f"drag needs the coefficient C_D A/m; {example} would do"
+            raise InputError("ballistic_m2_kg", f"is missing, and {needed}")
+        if self.kind == "model":
+            raise InputError("drag", 'this model has no drag; kind = "inertial" would do')
+        missing = [key for key, name in AIR.items() if getattr(self, name) is None]
+        if 0 < len(missing) < len(AIR):
+            names = join_names(AIR, "and")
+            raise InputError(missing[0], f"is missing; {names} are given together, or none of them")
+
+    def atmosphere(self, chief: Chief) -> Atmosphere:
+        """Return the air that is given, or that at the chief's perigee.
+
+        Raises:
+            InputError: There is no air at the chief's perigee.
+        """
+        if self.density is not None and self.altitude is not None and self.scale_height is not None:
+            return Atmosphere(self.density, self.altitude, self.scale_height)
+        try:
+            return Atmosphere.from_altitude(chief.perigee_altitude)
+        except ValueError as error:
+            message = f"there is no air at the chief's perigee: {error}"
+            raise InputError("plant.drag", message) from error
+
+
+AnyModel = PointMass | OrbitalModel | LinearModel | NonlinearModel
+
+
+def as_definition(model: AnyModel, chief: Chief | None) -> tuple[AnyModel, Chief | None]:
+    """Return a model of the library as the definition, and the chief, that a file has for it."""
+    if type(model) is DoubleIntegrator:
+        return PointMass(model.axes), chief  # type: ignore[arg-type]
+    if type(model) is J2 and chief in (None, Chief.from_orbit(model.orbit)):
+        return OrbitalModel("j2"), chief or Chief.from_orbit(model.orbit)
+    if type(model) is ClohessyWiltshire and chief is None:
+        return OrbitalModel("clohessy_wiltshire", mean_motion=model.n), None
+    if isinstance(model, ClohessyWiltshire) and chief is not None:
+        if model == ClohessyWiltshire.from_orbit(chief.orbit):
+            return OrbitalModel("clohessy_wiltshire"), chief
+    return model, chief
+
+
+def as_chief(value: Any) -> Any:
+    """Convert an orbit of the library to the definition of a chief."""
+    return Chief.from_orbit(value) if isinstance(value, Orbit) else value
+
+
+def check_orbital_model(kind: object, has_orbit: bool) -> None:
+    """Refuse an orbital model without an orbit.
+
+    Raises:
+        InputError: There is none, so the keys of the model are likely those of another.
+    """
+    if kind in MODELS and not has_orbit:
+        raise InputError(
+            "model.kind",
+            f'"{kind}" is motion about an orbit, and this mission has none; a [chief] with '
+            "semi_major_axis_km = 6878, say, and a swarm in space would do, as the scenario orbit "
+            'has them, or here kind = "double_integrator"',
+        )
+
+
+def flies_model(model: AnyModel, chief: Chief | None, plant: PlantSettings | Plant) -> bool:
+    """Tell whether the vehicles do exactly what the shared model says."""
+    if isinstance(plant, Plant):
+        return isinstance(plant, LinearPlant)
+    if isinstance(model, NonlinearModel):
+        return False
+    return plant.kind == "model" or chief is None
+
+
+def check_motion(model: AnyModel, chief: Chief | None, plant: PlantSettings | Plant) -> None:
+    """Refuse a model, a chief and a plant that do not belong together.
+
+    Raises:
+        InputError: They do not.
+    """
+    if isinstance(model, OrbitalModel):
+        check_orbital_model(model.kind, chief is not None or model.mean_motion is not None)
+    if chief is not None and isinstance(model, PointMass):
+        others = join_names(f'"{name}"' for name in MODELS)
+        none = '"double_integrator" has no orbit, and this mission has a [chief]'
+        raise InputError("model.kind", f"{none}; {others} would do")
+    if isinstance(plant, Plant):
+        return
+    if chief is None and (plant.kind == "inertial" or plant.drag):
+        raise InputError(
+            "plant.kind" if plant.kind == "inertial" else "plant.drag",
+            "takes place about the Earth, and this mission has no [chief]; one with "
+            'semi_major_axis_km = 6878, say, would do, or plant.kind = "model" without drag',
+        )
+    if chief is not None and plant.drag:
+        plant.atmosphere(chief)
+
+
+class Motion:
+    """What follows from the model, the chief and the plant of a mission."""
+
+    model: AnyModel
+    chief: Chief | None
+    plant: PlantSettings | Plant
+
+    @property
+    def axes(self) -> int:
+        """Axes of space."""
+        if isinstance(self.model, PointMass):
+            return self.model.dimension
+        return 3 if isinstance(self.model, OrbitalModel) else self.model.axes
+
+    @property
+    def is_point_mass(self) -> bool:
+        """True for a double integrator."""
+        return isinstance(self.model, PointMass)
+
+    @property
+    def flies_model(self) -> bool:
+        """True where the vehicles do exactly what the shared model says."""
+        return flies_model(self.model, self.chief, self.plant)
+
+    @cached_property
+    def linear_model(self) -> LinearModel:
+        """Model that all agents share, and auctions price by."""
+        if isinstance(self.model, PointMass):
+            return DoubleIntegrator(self.model.dimension)
+        if isinstance(self.model, LinearModel):
+            return self.model
+        if isinstance(self.model, NonlinearModel):
+            return LinearizedModel.at_origin(self.model)
+        if self.model.mean_motion is not None:
+            return ClohessyWiltshire(self.model.mean_motion)
+        assert self.chief is not None
+        return MODELS[self.model.kind](self.chief.orbit)
+
+    @cached_property
+    def nonlinear_model(self) -> NonlinearModel | None:
+        """Model that each agent linearizes about its own trajectory, if there is one."""
+        if isinstance(self.model, NonlinearModel):
+            return self.model
+        if self.chief is None or not isinstance(self.model, OrbitalModel) or self.flies_model:
+            return None
+        is_own = self.model.kind == "j2" and self.model.relinearize
+        return J2(self.chief.orbit) if is_own else None
+
+    def draw_plant(self, agents: int, rng: np.random.Generator) -> Plant:
+        """Return what is flown, with ballistic coefficients drawn where they differ."""
+        if isinstance(self.plant, Plant):
+            return self.plant
+        if self.chief is None or self.flies_model:
+            if isinstance(self.model, NonlinearModel):
+                return NonlinearPlant(self.model)
+            orbit = None if self.chief is None else self.chief.orbit
+            return LinearPlant(self.linear_model, orbit)
+        usual, own = self.plant.ballistic, self.plant.chief_ballistic
+        if usual is None:
+            return InertialPlant(self.chief.orbit)
+        each = usual * (1 + self.plant.ballistic_spread * rng.uniform(-1, 1, agents))
+        air = self.plant.atmosphere(self.chief)
+        return InertialPlant(self.chief.orbit, each, usual if own is None else own, air)
