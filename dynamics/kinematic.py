@@ -1,12 +1,15 @@
 """Kinematic vehicle, commanded by velocity in the body frame and yaw rate."""
 
-from math import cos, exp, sin
-from typing import Annotated, NamedTuple, no_type_check
+from math import exp
+from typing import Annotated, NamedTuple
 
-import numba
+import numpy as np
 from annotated_types import Ge
+from jaxtyping import Float
+from numpy import ndarray as Array
 
 from dynamics.units import Key, Time
+from dynamics.vehicle import VehicleState, rotate_by_yaw
 
 
 class KinematicVehicle(NamedTuple):
@@ -22,48 +25,39 @@ class KinematicVehicle(NamedTuple):
         float, Key("noise"), Ge(0), "standard deviation of each velocity in each step [m/s, rad/s]"
     ] = 0.0
 
+    def lag_factors(self, dt: float) -> tuple[float, float]:
+        """Compute the share of an error of velocity after a step, and its mean in the step."""
+        if self.time_constant <= 0:
+            return 0.0, 0.0
+        left = exp(-dt / self.time_constant)
+        return left, self.time_constant / dt * (1 - left)
+
 
 KinematicVehicle.kind = "kinematic"  # type: ignore[attr-defined]  # name in scenario files
 
 
-@no_type_check
-@numba.njit
-def step_kinematic(position, yaw, velocity, yaw_rate, command, yaw_command, plant, dt, rng):
-    """Advance a vehicle by a step.
+def step_kinematic(
+    state: VehicleState,
+    command: Float[Array, "*k 4"],
+    plant: KinematicVehicle,
+    dt: float,
+    rng: np.random.Generator,
+) -> VehicleState:
+    """Advance vehicles by a step.
 
     Args:
-        position: In the world frame, (3,), changed in place [m].
-        yaw: Of the body frame [rad].
-        velocity: In the body frame, (3,), changed in place [m/s].
-        yaw_rate: [rad/s].
-        command: Commanded velocity in the body frame, (3,) [m/s].
-        yaw_command: Commanded yaw rate [rad/s].
-        plant: A `KinematicVehicle`.
+        state: State of the vehicles.
+        command: Commanded velocity in the body frame [m/s] and yaw rate [rad/s].
+        plant: Lag and noise.
         dt: Step [s].
-        rng: Random generator of the noise.
-
-    Returns:
-        Yaw and yaw rate at the end of the step.
+        rng: Draws the noise.
     """
-    decay = exp(-dt / plant.time_constant) if plant.time_constant > 0 else 0.0
-    mean = plant.time_constant / dt * (1 - decay) if plant.time_constant > 0 else 0.0
-    mean_yaw_rate = yaw_command + (yaw_rate - yaw_command) * mean
-    yaw_rate = yaw_command + (yaw_rate - yaw_command) * decay
-    mean_velocity = [0.0, 0.0, 0.0]
-    for a in range(3):
-        mean_velocity[a] = command[a] + (velocity[a] - command[a]) * mean
-        velocity[a] = command[a] + (velocity[a] - command[a]) * decay
-        if plant.noise_std > 0:
-            noise = plant.noise_std * rng.standard_normal()
-            mean_velocity[a] += noise
-            velocity[a] += noise
+    left, share = plant.lag_factors(dt)
+    error = np.concatenate([state.velocity, state.yaw_rate[..., None]], axis=-1) - command
+    mean, end = command + error * share, command + error * left
     if plant.noise_std > 0:
-        noise = plant.noise_std * rng.standard_normal()
-        mean_yaw_rate += noise
-        yaw_rate += noise
-    middle = yaw + mean_yaw_rate * dt / 2
-    c, s = cos(middle), sin(middle)
-    position[0] += dt * (c * mean_velocity[0] - s * mean_velocity[1])
-    position[1] += dt * (s * mean_velocity[0] + c * mean_velocity[1])
-    position[2] += dt * mean_velocity[2]
-    return yaw + mean_yaw_rate * dt, yaw_rate
+        noise = plant.noise_std * rng.standard_normal(command.shape)
+        mean, end = mean + noise, end + noise
+    turn = mean[..., 3] * dt
+    position = state.position + dt * rotate_by_yaw(mean[..., :3], state.yaw + turn / 2)
+    return VehicleState(position, state.yaw + turn, end[..., :3], end[..., 3], state.acceleration)

@@ -1,12 +1,15 @@
 """Quadrotor, commanded by velocity in the heading frame and yaw rate."""
 
-from math import cos, exp, sin, sqrt, tan
-from typing import Annotated, NamedTuple, no_type_check
+from math import exp, tan
+from typing import Annotated, NamedTuple
 
-import numba
+import numpy as np
 from annotated_types import Gt, Lt
+from jaxtyping import Float
+from numpy import ndarray as Array
 
 from dynamics.units import Acceleration, Angle, Key, Time
+from dynamics.vehicle import VehicleState, rotate_by_yaw
 
 STANDARD_GRAVITY = 9.80665  # [m/s²]
 
@@ -36,71 +39,51 @@ class Quadrotor(NamedTuple):
 Quadrotor.kind = "quadrotor"  # type: ignore[attr-defined]  # name in scenario files
 
 
-@no_type_check
-@numba.njit
 def step_quadrotor(
-    position, yaw, velocity, yaw_rate, acceleration, command, yaw_command, plant, dt
-):
-    """Advance a quadrotor by a step.
+    state: VehicleState, command: Float[Array, "*k 4"], plant: Quadrotor, dt: float
+) -> VehicleState:
+    """Advance quadrotors by a step.
 
     Args:
-        position: In the world frame, (3,), changed in place [m].
-        yaw: Of the heading frame [rad].
-        velocity: In the world frame, (3,), changed in place [m/s].
-        yaw_rate: [rad/s].
-        acceleration: Of thrust and gravity together, in the world frame, (3,), changed in
-            place [m/s²].
-        command: Commanded velocity in the heading frame, (3,) [m/s].
-        yaw_command: Commanded yaw rate [rad/s].
-        plant: A `Quadrotor`.
+        state: State of the quadrotors.
+        command: Commanded velocity in the heading frame [m/s] and yaw rate [rad/s].
+        plant: Time constants and limits.
         dt: Step [s].
-
-    Returns:
-        Yaw and yaw rate at the end of the step.
     """
-    decay = exp(-dt / plant.attitude_time_constant)
-    c, s = cos(yaw), sin(yaw)
-    wanted = (c * command[0] - s * command[1], s * command[0] + c * command[1], command[2])
-    demand = [(wanted[a] - velocity[a]) / plant.velocity_time_constant for a in range(3)]
+    left = exp(-dt / plant.attitude_time_constant)
+    velocity = rotate_by_yaw(state.velocity, state.yaw)
+    wanted = rotate_by_yaw(command[..., :3], state.yaw)
+    demand = (wanted - velocity) / plant.velocity_time_constant
     limit = plant.max_vertical_acceleration
-    demand[2] = min(max(demand[2], -limit), limit)
-    horizontal = sqrt(demand[0] ** 2 + demand[1] ** 2)
-    most = (STANDARD_GRAVITY + demand[2]) * tan(plant.max_tilt)
-    if horizontal > most:
-        demand[0], demand[1] = demand[0] * most / horizontal, demand[1] * most / horizontal
-    for a in range(3):
-        before = acceleration[a]
-        acceleration[a] = demand[a] + (acceleration[a] - demand[a]) * decay
-        mean = (before + acceleration[a]) / 2
-        position[a] += dt * (velocity[a] + dt * mean / 2)
-        velocity[a] += dt * mean
-    before = yaw_rate
-    yaw_rate = yaw_command + (yaw_rate - yaw_command) * decay
-    return yaw + dt * (before + yaw_rate) / 2, yaw_rate
+    demand[..., 2] = np.clip(demand[..., 2], -limit, limit)
+    horizontal = np.linalg.norm(demand[..., :2], axis=-1)
+    most = (STANDARD_GRAVITY + demand[..., 2]) * tan(plant.max_tilt)
+    demand[..., :2] *= (most / np.maximum(horizontal, most))[..., None]
+    acceleration = demand + (state.acceleration - demand) * left
+    mean = (state.acceleration + acceleration) / 2
+    position = state.position + dt * (velocity + dt * mean / 2)
+    yaw_rate = command[..., 3] + (state.yaw_rate - command[..., 3]) * left
+    yaw = state.yaw + dt * (state.yaw_rate + yaw_rate) / 2
+    velocity = rotate_by_yaw(velocity + dt * mean, -yaw)
+    return VehicleState(position, yaw, velocity, yaw_rate, acceleration)
 
 
-@no_type_check
-@numba.njit
-def rotate_to_heading_frame(direction, acceleration, yaw, rotated):
-    """Rotate a direction from the body frame of a quadrotor to its heading frame.
+def rotate_to_heading_frame(
+    direction: Float[Array, " 3"], acceleration: Float[Array, "*k 3"], yaw: Float[Array, "*k"]
+) -> Float[Array, "*k 3"]:
+    """Rotate a direction from the body frames of quadrotors to their heading frames.
 
     The body frame is the heading frame after the smallest rotation that takes the vertical
     to the thrust.
 
     Args:
-        direction: In the body frame, (3,).
-        acceleration: Of thrust and gravity together, in the world frame, (3,) [m/s²].
+        direction: In the body frame.
+        acceleration: Of thrust and gravity together, in the world frame [m/s²].
         yaw: Of the heading frame [rad].
-        rotated: Result, in the heading frame, (3,), changed in place.
     """
-    c, s = cos(yaw), sin(yaw)
-    x, y = c * acceleration[0] + s * acceleration[1], c * acceleration[1] - s * acceleration[0]
-    z = acceleration[2] + STANDARD_GRAVITY
-    size = sqrt(x * x + y * y + z * z)
-    x, y, z = x / size, y / size, z / size
+    thrust = rotate_by_yaw(acceleration + np.array([0, 0, STANDARD_GRAVITY]), -yaw)
+    x, y, z = np.moveaxis(thrust / np.linalg.norm(thrust, axis=-1, keepdims=True), -1, 0)
     # Rodrigues' formula about e_z × t = (−y, x, 0), whose cosine is z.
-    k_x, k_y = -y, x
-    a = (k_y * direction[2], -k_x * direction[2], k_x * direction[1] - k_y * direction[0])
-    b = (k_y * a[2], -k_x * a[2], k_x * a[1] - k_y * a[0])
-    for i in range(3):
-        rotated[i] = direction[i] + a[i] + b[i] / (1 + z)
+    axis = np.stack([-y, x, np.zeros_like(x)], axis=-1)
+    once = np.cross(axis, direction)
+    return np.asarray(direction + once + np.cross(axis, once) / (1 + z)[..., None])

@@ -4,18 +4,22 @@ The weights of [Bernard2023, eq. 6–11] and their gradients, eq. 12–13, with 
 corrected: the bearing in the other agent's body frame is β_ji = −(ⁱR_j)ᵀ β_ij.
 """
 
-from math import cos, pi, sin, sqrt
-from typing import Annotated, NamedTuple, no_type_check
+from math import pi, sqrt
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-import numba
 import numpy as np
 from annotated_types import Ge, Gt
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from dynamics.units import Key, Length
+from dynamics.vehicle import rotate_by_yaw
 
 MULTIPLICITY_TOLERANCE = 1e-7  # eigenvalues within this distance count as one
+if TYPE_CHECKING:
+    Numbers = Any  # of the same kind as what is given
+else:
+    Numbers = Float[Array, "..."] | float
 Positions = Float[Array, "*k n 3"]
 Yaws = Float[Array, "*k n"]
 DEFAULT_OPTICAL_AXIS = (1 / sqrt(2), 1 / sqrt(2), 0.0)
@@ -35,12 +39,13 @@ class Camera(NamedTuple):
     )
 
 
-class InteractionGraph(NamedTuple):
-    """Edge weights of one swarm or of several."""
+class EdgeWeights(NamedTuple):
+    """Weights of edges i–j, as agent i computes them."""
 
-    weights: Float[Array, "*k n n"]  # A_ij, symmetric
-    fov_weights: Float[Array, "*k n n"]  # f*_ij, of j in the field of view of i
-    range_weights: Float[Array, "*k n n"]  # γ_ij, of the distance
+    weights: Float[Array, "*k"]  # A_ij
+    fov_weights: Float[Array, "*k"]  # f*_ij, of j in the field of view of i
+    range_weights: Float[Array, "*k"]  # γ_ij, of the distance
+    gradients: Float[Array, "*k 4"]  # ∂A_ij/∂p_i in the body frame of i [1/m], ∂A_ij/∂ψ_i [1/rad]
 
 
 class AlgebraicConnectivity(NamedTuple):
@@ -58,122 +63,85 @@ class Lambda2Gradient(NamedTuple):
     yaw: Yaws  # [1/rad]
 
 
-@no_type_check
-@numba.njit(cache=True)
-def cosine_ramp(x, low, high):
+def cosine_ramp(x: Numbers, low: float, high: float) -> tuple[Numbers, Numbers]:
     """Rise from 0 at `low` to 1 at `high` along half a cosine [Bernard2023, eq. 7].
 
     Returns:
         The value and its derivative.
     """
-    if x <= low or x >= high:
-        return (0.0 if x <= low else 1.0), 0.0
-    phase = pi * (x - low) / (high - low)
-    return (1 - cos(phase)) / 2, pi / (2 * (high - low)) * sin(phase)
+    phase = pi * (np.minimum(np.maximum(x, low), high) - low) / (high - low)
+    slope = pi / (2 * (high - low)) * np.sin(phase)
+    return (1 - np.cos(phase)) / 2, np.where((low < x) & (x < high), slope, 0.0)
 
 
-@no_type_check
-@numba.njit(cache=True)
-def range_weight(d, camera):
+def range_weight(d: Numbers, camera: Camera) -> tuple[Numbers, Numbers]:
     """Compute γ and its derivative at a distance [Bernard2023, eq. 9]."""
     near, rise = cosine_ramp(d, camera.d_min, camera.d_near)
     beyond, fall = cosine_ramp(d, camera.d_far, camera.d_max)
     return near * (1 - beyond), rise * (1 - beyond) - near * fall
 
 
-@no_type_check
-@numba.njit(cache=True)
-def edge_weight(d, own, other, yaw, sees_other, seen_by_other, camera, gradient):
-    """Compute the weight of edge i–j and its gradient, from quantities known to agent i.
+def edge_weights(
+    d: Float[Array, "*k"],
+    own: Float[Array, "*k 3"],
+    other: Float[Array, "*k 3"],
+    yaw: Float[Array, "*k"],
+    camera: Camera,
+    sees: Bool[Array, "*k"] | bool = True,
+    is_seen: Bool[Array, "*k"] | bool = True,
+) -> EdgeWeights:
+    """Compute weights of edges i–j from quantities known to agent i [Bernard2023, eq. 6, 10–13].
 
     Args:
         d: Distance of the two agents [m].
-        own: β_ij, bearing of j in the body frame of i, (3,).
-        other: β_ji, bearing of i in the body frame of j, (3,).
+        own: β_ij, bearing of j in the body frame of i.
+        other: β_ji, bearing of i in the body frame of j.
         yaw: ψ_ij = ψ_j − ψ_i, yaw of j relative to i [rad].
-        sees_other: True where i sees j; otherwise f*_ij = 0.
-        seen_by_other: True where j sees i; otherwise f*_ji = 0.
         camera: Camera of every agent.
-        gradient: Output, (4,): ∂A_ij/∂p_i in the body frame of i [1/m] and ∂A_ij/∂ψ_i [1/rad].
-
-    Returns:
-        A_ij, f*_ij and f*_ji [Bernard2023, eq. 6, 10–13].
+        sees: True where i sees j; otherwise f*_ij = 0.
+        is_seen: True where j sees i; otherwise f*_ji = 0.
     """
-    o_x, o_y, o_z = camera.optical_axis
-    gradient[:] = 0.0
-    if not (sees_other or seen_by_other) or d <= camera.d_min or d >= camera.d_max:
-        return 0.0, 0.0, 0.0
-    a = o_x * own[0] + o_y * own[1] + o_z * own[2]
-    b = o_x * other[0] + o_y * other[1] + o_z * other[2]
-    f, f_slope = cosine_ramp(a, camera.a_min, camera.a_max) if sees_other else (0.0, 0.0)
-    g, g_slope = cosine_ramp(b, camera.a_min, camera.a_max) if seen_by_other else (0.0, 0.0)
+    axis = np.array(camera.optical_axis)
+    is_near = (camera.d_min < d) & (d < camera.d_max)
+    a, b = (own * axis).sum(axis=-1), (other * axis).sum(axis=-1)
+    f, f_slope = np.where(is_near & sees, cosine_ramp(a, camera.a_min, camera.a_max), 0.0)
+    g, g_slope = np.where(is_near & is_seen, cosine_ramp(b, camera.a_min, camera.a_max), 0.0)
     gamma, range_slope = range_weight(d, camera)
     view = f + g - f * g
     rate_f, rate_g = gamma * (1 - g) * f_slope, gamma * (1 - f) * g_slope
-    # ⁱR_j P_ji o_C, with P = I − β βᵀ
-    c, s = cos(yaw), sin(yaw)
-    q_x, q_y, q_z = o_x - b * other[0], o_y - b * other[1], o_z - b * other[2]
-    gradient[0] = (rate_g * (c * q_x - s * q_y) - rate_f * (o_x - a * own[0])) / d
-    gradient[1] = (rate_g * (s * q_x + c * q_y) - rate_f * (o_y - a * own[1])) / d
-    gradient[2] = (rate_g * q_z - rate_f * (o_z - a * own[2])) / d
-    for k in range(3):
-        gradient[k] -= view * range_slope * own[k]
-    gradient[3] = -rate_f * (o_y * own[0] - o_x * own[1])
-    return gamma * view, f, g
+    # P o_C of both bearings, with P = I − β βᵀ; that of the other in the frame of i
+    across_own = axis - a[..., None] * own
+    across_other = rotate_by_yaw(axis - b[..., None] * other, yaw)
+    turn = rate_g[..., None] * across_other - rate_f[..., None] * across_own
+    by_position = (
+        turn / np.where(is_near, d, 1.0)[..., None] - (view * range_slope)[..., None] * own
+    )
+    by_yaw = -rate_f * (axis[1] * own[..., 0] - axis[0] * own[..., 1])
+    gradients = np.concatenate([by_position, by_yaw[..., None]], axis=-1)
+    return EdgeWeights(gamma * view, f, gamma, gradients)
 
 
-def interaction_graph(position: Positions, yaw: Yaws, camera: Camera) -> InteractionGraph:
-    """Compute the weights of all edges [Bernard2023, eq. 6–11].
+def interaction_graph(position: Positions, yaw: Yaws, camera: Camera) -> EdgeWeights:
+    """Compute the weights of all edges of one swarm or of several [Bernard2023, eq. 6–13].
 
     Args:
         position: Positions in the world frame [m].
         yaw: Yaws of the body frames [rad].
         camera: Camera of every agent.
     """
-    *k, n, _ = position.shape
-    weights = np.zeros((3, *k, n, n))
-    flat = weights.reshape(3, -1, n, n)
-    _fill_weights(position.reshape(-1, n, 3), yaw.reshape(-1, n), camera, flat)
-    return InteractionGraph(*weights)
+    distance, bearing = bearings(position, yaw)
+    turn = yaw[..., None, :] - yaw[..., None]
+    return edge_weights(distance, bearing, bearing.swapaxes(-3, -2), turn, camera)
 
 
-@no_type_check
-@numba.njit(cache=True)
-def _fill_weights(position, yaw, camera, weights):
-    gradient, own, other = np.zeros(4), np.zeros(3), np.zeros(3)
-    for k in range(len(position)):
-        for i in range(position.shape[1]):
-            for j in range(i):
-                d = bearings(position[k], yaw[k], i, j, own, other)
-                turn = yaw[k, j] - yaw[k, i]
-                weight, f, g = edge_weight(d, own, other, turn, True, True, camera, gradient)
-                weights[0, k, i, j] = weights[0, k, j, i] = weight
-                weights[1, k, i, j], weights[1, k, j, i] = f, g
-                weights[2, k, i, j] = weights[2, k, j, i] = range_weight(d, camera)[0]
-
-
-@no_type_check
-@numba.njit(cache=True)
-def bearings(position, yaw, i, j, own, other):
-    """Compute both bearings of agents i and j, and return their distance [m].
-
-    Args:
-        position: Positions in the world frame, (n, 3) [m].
-        yaw: Yaws of the body frames, (n,) [rad].
-        i: Index of one agent.
-        j: Index of the other agent.
-        own: Output β_ij, bearing of j in the body frame of i, (3,).
-        other: Output β_ji, bearing of i in the body frame of j, (3,).
-    """
-    x, y = position[j, 0] - position[i, 0], position[j, 1] - position[i, 1]
-    z = position[j, 2] - position[i, 2]
-    d = sqrt(x * x + y * y + z * z)
-    scale = 1 / d if d > 0 else 0.0
-    c, s = cos(yaw[i]), sin(yaw[i])
-    own[0], own[1], own[2] = (c * x + s * y) * scale, (c * y - s * x) * scale, z * scale
-    c, s = cos(yaw[j]), sin(yaw[j])
-    other[0], other[1], other[2] = -(c * x + s * y) * scale, (s * x - c * y) * scale, -z * scale
-    return d
+def bearings(
+    position: Positions, yaw: Yaws
+) -> tuple[Float[Array, "*k n n"], Float[Array, "*k n n 3"]]:
+    """Compute the distance of agents i and j [m], and β_ij in the body frame of i."""
+    gap = position[..., None, :, :] - position[..., None, :]
+    distance = np.linalg.norm(gap, axis=-1)
+    scale = 1 / np.where(distance > 0, distance, np.inf)
+    return distance, rotate_by_yaw(gap, -yaw[..., None]) * scale[..., None]
 
 
 def laplacian(weight: Float[Array, "*k n n"]) -> Float[Array, "*k n n"]:
@@ -182,7 +150,9 @@ def laplacian(weight: Float[Array, "*k n n"]) -> Float[Array, "*k n n"]:
     return np.asarray(weight.sum(axis=-1)[..., None] * np.eye(n) - weight)
 
 
-def algebraic_connectivity(weight: Float[Array, "*k n n"]) -> AlgebraicConnectivity:
+def algebraic_connectivity(
+    weight: Float[Array, "*k n n"], members: Bool[Array, "*k n"] | None = None
+) -> AlgebraicConnectivity:
     """Compute λ₂ of the Laplacian and its derivatives with respect to the weights.
 
     A multiple λ₂ has no gradient, and the result would depend on the basis of its
@@ -190,16 +160,26 @@ def algebraic_connectivity(weight: Float[Array, "*k n n"]) -> AlgebraicConnectiv
     of the mean of the coinciding eigenvalues, which is smooth and independent of the basis.
 
     Args:
-        weight: Edge weights of at least two agents.
+        weight: Edge weights, at most 1, of at least two agents.
+        members: True for agents of the graph; all if absent. λ₂ of one agent is infinite.
     """
-    value, vector = np.linalg.eigh(laplacian(weight))
+    n = weight.shape[-1]
+    is_member = np.ones(weight.shape[:-1], dtype=bool) if members is None else members
+    pairs = is_member[..., None] & is_member[..., None, :]
+    L = laplacian(np.where(pairs, weight, 0.0))
+    # Eigenvalues of a graph of n agents are at most n; those of others are put beyond them.
+    value, vector = np.linalg.eigh(L + 2 * n * (~is_member)[..., None] * np.eye(n))
+    value = np.where(np.arange(n) < is_member.sum(axis=-1)[..., None], value, np.inf)
     second = value[..., 1:2]
-    equal = np.abs(value[..., 1:] - second) <= MULTIPLICITY_TOLERANCE * np.maximum(1, second)
-    diff = vector[..., :, None, 1:] - vector[..., None, :, 1:]
-    shares = equal / equal.sum(axis=-1, keepdims=True)
-    weight_gradient = np.einsum("...ijm,...m->...ij", diff**2, shares)
-    third = value[..., 2] if value.shape[-1] > 2 else np.full_like(value[..., 1], np.inf)
-    return AlgebraicConnectivity(value[..., 1], third, weight_gradient)
+    third = value[..., 2] if n > 2 else np.full_like(value[..., 1], np.inf)
+    limit = second + MULTIPLICITY_TOLERANCE * np.maximum(1, second)
+    equal = np.where(np.isfinite(second), value[..., 1:] <= limit, False)
+    shares = equal / np.maximum(equal.sum(axis=-1, keepdims=True), 1)
+    # Mean of (v_i − v_j)² over the eigenvectors of λ₂
+    product = (vector[..., 1:] * shares[..., None, :]) @ vector[..., 1:].swapaxes(-1, -2)
+    square = np.diagonal(product, axis1=-2, axis2=-1)
+    gradient = square[..., None] + square[..., None, :] - 2 * product
+    return AlgebraicConnectivity(value[..., 1], third, np.where(pairs, gradient, 0.0))
 
 
 def lambda2_gradient(position: Positions, yaw: Yaws, camera: Camera) -> Lambda2Gradient:
@@ -210,29 +190,7 @@ def lambda2_gradient(position: Positions, yaw: Yaws, camera: Camera) -> Lambda2G
         yaw: Yaws of the body frames [rad].
         camera: Camera of every agent.
     """
-    *k, n, _ = position.shape
-    weights = interaction_graph(position, yaw, camera).weights
-    by_weight = algebraic_connectivity(weights).weight_gradient.reshape(-1, n, n)
-    flat = position.reshape(-1, n, 3), yaw.reshape(-1, n)
-    by_position, by_yaw = np.zeros((len(by_weight), n, 3)), np.zeros((len(by_weight), n))
-    _accumulate_gradient(*flat, camera, by_weight, by_position, by_yaw)
-    return Lambda2Gradient(by_position.reshape(*k, n, 3), by_yaw.reshape(*k, n))
-
-
-@no_type_check
-@numba.njit(cache=True)
-def _accumulate_gradient(position, yaw, camera, by_weight, by_position, by_yaw):
-    gradient, own, other = np.zeros(4), np.zeros(3), np.zeros(3)
-    for k in range(len(position)):
-        for i in range(position.shape[1]):
-            c, s = cos(yaw[k, i]), sin(yaw[k, i])
-            for j in range(position.shape[1]):
-                if j == i:
-                    continue
-                d = bearings(position[k], yaw[k], i, j, own, other)
-                turn = yaw[k, j] - yaw[k, i]
-                edge_weight(d, own, other, turn, True, True, camera, gradient)
-                by_position[k, i, 0] += by_weight[k, i, j] * (c * gradient[0] - s * gradient[1])
-                by_position[k, i, 1] += by_weight[k, i, j] * (s * gradient[0] + c * gradient[1])
-                by_position[k, i, 2] += by_weight[k, i, j] * gradient[2]
-                by_yaw[k, i] += by_weight[k, i, j] * gradient[3]
+    edges = interaction_graph(position, yaw, camera)
+    by_weight = algebraic_connectivity(edges.weights).weight_gradient
+    gradient = (by_weight[..., None] * edges.gradients).sum(axis=-2)
+    return Lambda2Gradient(rotate_by_yaw(gradient[..., :3], yaw), gradient[..., 3])

@@ -16,7 +16,7 @@ from rich.table import Table
 
 from problems.interaction_graph import (
     Camera,
-    InteractionGraph,
+    EdgeWeights,
     algebraic_connectivity,
     bearings,
     cosine_ramp,
@@ -101,7 +101,7 @@ def central_differences(position: Array, yaw: Array, i: int) -> Float[Array, "st
     return np.stack(each, axis=-1)
 
 
-def weights_of(known: InteractionGraph, i: int) -> Float[Array, "states n 4"]:
+def weights_of(known: EdgeWeights, i: int) -> Float[Array, "states n 4"]:
     """Return γ, f*_ij, f*_ji and A_ij of robot i with every other."""
     return np.stack(
         [
@@ -120,9 +120,8 @@ def make_pairs(position: Array, yaw: Array) -> Pairs:
     value = np.stack([weights_of(known, i) for i in range(N)], axis=1)
     by = np.stack([central_differences(position, yaw, i) for i in range(N)], axis=1)
     k, i, j = np.nonzero(np.broadcast_to(~np.eye(N, dtype=bool), (len(yaw), N, N)))
-    mine, theirs, d = np.zeros((len(k), 3)), np.zeros((len(k), 3)), np.zeros(len(k))
-    for m in range(len(k)):
-        d[m] = bearings(position[k[m]], yaw[k[m]], i[m], j[m], mine[m], theirs[m])
+    distance, bearing = bearings(position, yaw)
+    d, mine, theirs = distance[k, i, j], bearing[k, i, j], bearing[k, j, i]
     both = np.stack([yaw[k, i], yaw[k, j]], axis=-1)
     return Pairs(k, d, mine, theirs, both, value[k, i, j], by[k, i, j])
 
@@ -132,11 +131,8 @@ def weight_errors(pairs: Pairs) -> dict[str, float]:
     gamma, f, g, weight = pairs.weights.T
     a, b = pairs.bearing_ij @ AXIS, pairs.bearing_ji @ AXIS
     view = f + g - f * g
-    steep = np.array([range_weight(d, SIGHT)[1] for d in pairs.d])[:, None]
-    df, dg = (
-        np.array([cosine_ramp(x, SIGHT.a_min, SIGHT.a_max)[1] for x in facing])[:, None]
-        for facing in (a, b)
-    )
+    steep = range_weight(pairs.d, SIGHT)[1][:, None]
+    df, dg = (cosine_ramp(facing, SIGHT.a_min, SIGHT.a_max)[1][:, None] for facing in (a, b))
     across = (AXIS - a[:, None] * pairs.bearing_ij) / pairs.d[:, None]  # P_ij o_C / d
     theirs = (AXIS - b[:, None] * pairs.bearing_ji) / pairs.d[:, None]  # P_ji o_C / d
     spun = AXIS[1] * pairs.bearing_ij[:, 0] - AXIS[0] * pairs.bearing_ij[:, 1]  # o_Cᵀ S β_ij
@@ -185,8 +181,8 @@ def ramp_error() -> float:
     falling = (1 + np.cos(a * x - a * SIGHT.d_far)) / 2  # (8)
     falling = np.where(x <= SIGHT.d_far, 1, np.where(x <= SIGHT.d_max, falling, 0))
     product = paper_ramp(x, SIGHT.d_min, SIGHT.d_near) * falling
-    ours = np.array([range_weight(d, SIGHT)[0] for d in x])
-    rising = np.array([cosine_ramp(d, SIGHT.d_far, SIGHT.d_max)[0] for d in x])
+    ours = range_weight(x, SIGHT)[0]
+    rising = cosine_ramp(x, SIGHT.d_far, SIGHT.d_max)[0]
     return max_abs(product - ours, 1 - falling - rising)
 
 
@@ -246,7 +242,7 @@ def observer_error(rng: np.random.Generator) -> float:
 def yaw_errors(pairs: Pairs) -> tuple[float, float]:
     """Return the errors of ψ_ij from two bearings, and by (19)–(21) after 2 s from 3 rad."""
     p, q = pairs.bearing_ij, pairs.bearing_ji
-    found = np.array([yaw_from_bearings(p[m], q[m]) for m in range(len(p))])
+    found = yaw_from_bearings(p, q)
     track, step, left = YawTracking(), 1e-3, 0.0
     for mutual in (0.0, 0.5, 1.0):
         truth, guess = 1.0, -1.99

@@ -29,7 +29,7 @@ from rich.table import Table
 
 from problems.interaction_graph import (
     algebraic_connectivity,
-    edge_weight,
+    edge_weights,
     interaction_graph,
     lambda2_gradient,
 )
@@ -71,14 +71,12 @@ def mutual_visibility(pairs: Pairs) -> tuple[Bool[Array, " m"], Bool[Array, " m"
     return near & sees, near & seen
 
 
-def edge_weights(
+def estimate_weights(
     pairs: Pairs, mine: Array, theirs: Array, turn: Array, sees: bool = True
 ) -> tuple[Float[Array, " m"], Float[Array, "m 3"]]:
     """Return A_ij and R_iᵀ ∂A_ij/∂p_i, from the bearings and the yaw that i assumes."""
-    weight, motion = np.zeros(len(pairs.d)), np.zeros((len(pairs.d), 4))
-    for m, d in enumerate(pairs.d):
-        weight[m], _, _ = edge_weight(d, mine[m], theirs[m], turn[m], sees, True, SIGHT, motion[m])
-    return weight, motion[:, :3]
+    found = edge_weights(pairs.d, mine, theirs, turn, SIGHT, sees)
+    return found.weights, found.gradients[:, :3]
 
 
 def describe_gradient_error(
@@ -94,10 +92,10 @@ def bearing_erratum(pairs: Pairs) -> Erratum:
     """Compare the forms of β_ji, which robot i computes from β_ij."""
     sees, seen = mutual_visibility(pairs)
     printed = -matvec(pairs.rotation_ij, pairs.bearing_ij)
-    weight, first = edge_weights(pairs, pairs.bearing_ij, printed, pairs.relative_yaw)
+    weight, first = estimate_weights(pairs, pairs.bearing_ij, printed, pairs.relative_yaw)
     wrong = np.abs(weight - pairs.weights[:, 3])[sees].max()
     back = -matvec(pairs.rotation_ij.swapaxes(1, 2), pairs.bearing_ji)  # β_ij from β_ji, likewise
-    _, second = edge_weights(pairs, back, pairs.bearing_ji, pairs.relative_yaw, sees=False)
+    _, second = estimate_weights(pairs, back, pairs.bearing_ji, pairs.relative_yaw, sees=False)
     return Erratum(
         "Sec. III-C: β_ji = −ⁱR_j β_ij",
         "β_ji = −(ⁱR_j)ᵀ β_ij",
@@ -110,8 +108,8 @@ def bearing_erratum(pairs: Pairs) -> Erratum:
 def frame_erratum(pairs: Pairs) -> Erratum:
     """Compare R_j, as printed, with ⁱR_j: the yaw enters nowhere else."""
     everybody = np.ones(len(pairs.d), dtype=bool)
-    _, printed = edge_weights(pairs, pairs.bearing_ij, pairs.bearing_ji, pairs.yaw[:, 1])
-    _, ours = edge_weights(pairs, pairs.bearing_ij, pairs.bearing_ji, pairs.relative_yaw)
+    _, printed = estimate_weights(pairs, pairs.bearing_ij, pairs.bearing_ji, pairs.yaw[:, 1])
+    _, ours = estimate_weights(pairs, pairs.bearing_ij, pairs.bearing_ji, pairs.relative_yaw)
     return Erratum(
         "(12), (29): R_j P_ji o_C",
         "ⁱR_j P_ji o_C, as the line below says",
@@ -124,7 +122,7 @@ def symmetry_erratum(pairs: Pairs, rng: np.random.Generator) -> Erratum:
     """Measure the asymmetry of f*_ji computed from an estimated yaw."""
     turn = pairs.relative_yaw + rng.uniform(-YAW_ERROR, YAW_ERROR, len(pairs.d))
     guessed = -matvec(rotation(turn).swapaxes(1, 2), pairs.bearing_ij)
-    weight, _ = edge_weights(pairs, pairs.bearing_ij, guessed, turn)
+    weight, _ = estimate_weights(pairs, pairs.bearing_ij, guessed, turn)
     sees, _ = mutual_visibility(pairs)
     return Erratum(
         "Sec. III-C, case 1: p_ij and ψ̃_ij are all that i needs; f_ij = f_ji by construction",
@@ -238,14 +236,14 @@ def observer_yaw_error(spin: float, swing: float, printed: bool) -> float:
     Robot i turns on the spot at `spin` [rad/s]; j goes at 1 m/s, and its velocity turns in its
     frame, which rests, at `swing` [rad/s].
     """
-    track, dt, watch, still = YawTracking(as_printed=printed), 1e-3, np.zeros(7), np.zeros(4)
+    track, dt, watch, still = YawTracking(as_printed=printed), 1e-3, np.zeros(7), np.zeros(3)
     place = before = np.array([1.0, 0, 0])
-    update_velocity_observer(before, before, True, still[:3], spin, still, watch, track, dt)
+    rate = np.array(spin)
     for k in range(1000):
         v = np.array([np.cos(swing * k * dt), np.sin(swing * k * dt), 0, 0])
         place = place + dt * v[:3]
         now = rotation(np.array([-spin * (k + 1) * dt]))[0] @ place
-        update_velocity_observer(now, before, False, still[:3], spin, v, watch, track, dt)
+        watch = update_velocity_observer(now, before, still, rate, v, watch, track, dt)
         before = now
     return float(abs(wrap_angle(yaw_from_motion(watch, v, track)[0] + spin)))
 

@@ -15,8 +15,6 @@ from numpy import ndarray as Array
 
 from problems.interaction_graph import (
     algebraic_connectivity,
-    bearings,
-    edge_weight,
     interaction_graph,
     laplacian,
 )
@@ -47,17 +45,12 @@ def ascend_gradient(
     position: Array, yaw: Array, lambda2_gradient: Array
 ) -> tuple[Float[Array, "n 4"], float]:
     """Return the gradient by [Bernard2023, eq. 5] in the world frame, and the rate along it."""
-    way, mine, theirs, motion = np.zeros((N, 4)), np.zeros(3), np.zeros(3), np.zeros(4)
-    for i in range(N):
-        for j in range(N):
-            if i != j:
-                d = bearings(position, yaw, i, j, mine, theirs)
-                edge_weight(d, mine, theirs, yaw[j] - yaw[i], True, True, SIGHT, motion)
-                way[i] += lambda2_gradient[i, j] * motion
+    edges = interaction_graph(position, yaw, SIGHT)
+    way = (lambda2_gradient[..., None] * edges.gradients).sum(axis=1)
     way[:, :3] = matvec(rotation(yaw), way[:, :3])
     size = float(np.linalg.norm(way))
     step = STEP_LENGTH / size * way
-    here = algebraic_connectivity(interaction_graph(position, yaw, SIGHT).weights).lambda2
+    here = algebraic_connectivity(edges.weights).lambda2
     there = algebraic_connectivity(
         interaction_graph(position + step[:, :3], yaw + step[:, 3], SIGHT).weights
     ).lambda2

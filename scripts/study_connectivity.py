@@ -168,8 +168,6 @@ def main() -> int:
     ]
     console = Console(width=max(150, Console().width))
     found: dict[str, list[TimedTrial]] = {name: [] for name in names}
-    for name in names:
-        run_job(TrialJob(name, 0, 0.1))  # compiles
     began = perf_counter()
     with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as pool:
         results = pool.map(run_job, jobs)

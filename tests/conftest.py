@@ -50,28 +50,10 @@ jaxtyping.install_import_hook(
 import numpy as np  # noqa: E402
 import pytest  # noqa: E402
 from hypothesis import settings  # noqa: E402
-from xdist.remote import Producer  # noqa: E402
-from xdist.scheduler import LoadScopeScheduling  # noqa: E402
 
 # The same examples every time, and no clock: a test that passed here passes elsewhere.
 settings.register_profile("steady", deadline=None, derandomize=True)
 settings.load_profile("steady")
-
-
-class Together(LoadScopeScheduling):
-    """Keeps a file in one process, and all files that need the kernels of connectivity.
-
-    They take a minute to compile, and two processes would both compile them.
-    """
-
-    def _split_scope(self, nodeid: str) -> str:
-        file = nodeid.partition("::")[0]
-        return "connectivity" if "connectivity" in file or "fiedler" in file else file
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Together:
-    return Together(config, log)
 
 
 def pytest_runtest_setup() -> None:

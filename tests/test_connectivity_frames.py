@@ -1,6 +1,5 @@
 """Independence of coordinate frames: controllers use only their own body frame."""
 
-import inspect
 from dataclasses import replace
 
 import numpy as np
@@ -9,13 +8,16 @@ from connectivity_cast import connected_poses, fly, spheres
 from hypothesis import Phase, assume, given, settings
 from hypothesis import strategies as st
 
+from dynamics.vehicle import rotate_by_yaw
 from problems.interaction_graph import Camera
-from sato.connectivity.controller import compute_command, estimate_edges
-from sato.connectivity.kernel import advance
+from sato.connectivity.controller import (
+    compute_commands,
+    estimate_edges,
+    estimate_lambda2_from_rows,
+)
+from sato.connectivity.loop import Swarm
 from sato.connectivity.messages import CommunicationLink
 from sato.connectivity.mission import Connectivity
-from sato.connectivity.record import rotate_by_yaw
-from sato.connectivity.state import initial_state
 from sato.connectivity.stick import WaypointStick
 
 TURNS = st.floats(-np.pi, np.pi)
@@ -118,39 +120,23 @@ def test_robots_move_in_the_tests_of_frames():
     assert any(one.any() for one in one_sided)
 
 
-def test_controllers_have_no_access_to_the_truth():
-    for decides in (estimate_edges, compute_command):
-        assert "world" not in inspect.signature(decides.py_func).parameters
-        assert "position" not in inspect.signature(decides.py_func).parameters
+def spoiled(part, robot):
+    """Copy a part of the state, with the rows of all other robots overwritten."""
+    if not isinstance(part, np.ndarray):
+        return type(part)(*(spoiled(field, robot) for field in part))
+    others, copy = np.arange(len(part)) != robot, part.copy()
+    copy[others] = ~copy[others] if copy.dtype == bool else 77
+    return copy
 
 
-def in_flight(seed, link):
-    """Simulate some steps, so that messages are under way."""
-    whole, rng = mission(seed, Camera(), camera_noise=0.02, link=link), np.random.default_rng(0)
-    state = initial_state(
-        whole.initial_position, whole.yaw, whole.initial_relative_yaw, link.delay_messages, 2, rng
-    )
-    for number in range(30):
-        asked, alive = np.array([1.0, 0, 0]), np.ones(6, dtype=bool)
-        advance(state, whole.parameters, asked, alive, number, number > 0, rng)
-    return whole.parameters, state
-
-
-def copied(part):
-    """Copy a state with its arrays."""
-    if isinstance(part, np.ndarray):
-        return part.copy()
-    return type(part)(*(copied(field) for field in part))
-
-
-def spoil(part, robot):
-    """Overwrite the rows of all other robots."""
-    for field in part:
-        if not isinstance(field, np.ndarray):
-            spoil(field, robot)
-            continue
-        others = np.arange(len(field)) != robot
-        field[others] = ~field[others] if field.dtype == bool else 77
+def decided(robot, measurements, before, inbox, estimates, mission):
+    """Return all that a robot estimates and commands."""
+    found = estimate_edges(measurements, before, inbox, estimates, mission, 0.6)
+    lambda2, slope = estimate_lambda2_from_rows(found.adjacency, -0.4)
+    found = found._replace(lambda2=lambda2, lambda2_gradient=slope)
+    command = compute_commands(measurements, found, mission)
+    fields = [*found, *found.adjacency, command]
+    return [field[robot] for field in fields if isinstance(field, np.ndarray)]
 
 
 @pytest.mark.parametrize("robot", range(6))
@@ -158,21 +144,17 @@ def spoil(part, robot):
     "link", [CommunicationLink(), CommunicationLink(delay_messages=2, loss_probability=0.2)]
 )
 def test_controller_reads_only_rows_of_its_own_agent(robot, link):
-    team, state = in_flight(3, link)
-
-    def thought(senses, mail, mind):
-        estimate_edges(robot, senses, mail, mind, team, 0.6)
-        compute_command(robot, senses, mind, team)
-        return [field[robot] for field in mind if isinstance(field, np.ndarray)]
-
-    own = [copied(part) for part in state[1:]]
-    spoilt = [copied(part) for part in state[1:]]
-    on_their_way = spoilt[1][:7]  # messages that nobody has yet
-    for ring in on_their_way:
-        ring[:] = True if ring.dtype == bool else 77
-    spoil(spoilt[0], robot)
-    spoil(spoilt[1][7:], robot)
-    spoil(spoilt[2], robot)
-    for one, other in zip(thought(*own), thought(*spoilt), strict=True):
+    whole, rng = mission(3, Camera(), camera_noise=0.02, link=link), np.random.default_rng(0)
+    swarm = Swarm.at_rest(whole, rng)
+    for _ in range(30):
+        before = swarm.measurements
+        swarm.move(np.array([1.0, 0, 0]), whole, rng)
+        swarm.decide(whole, rng)
+    known = swarm.measurements, before, swarm.inbox, swarm.estimates
+    own = decided(robot, *known, whole)
+    for one, other in zip(
+        own, decided(robot, *(spoiled(part, robot) for part in known), whole), strict=True
+    ):
         assert np.array_equal(one, other, equal_nan=True)
-    assert own[2].command[robot].any() and own[2].lambda2[robot] > 0
+    command, lambda2 = own[-1], own[5]
+    assert command.any() and lambda2 > 0

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 from connectivity_cast import fly, posed, spheres
 
+from dynamics.vehicle import rotate_by_yaw
 from problems.interaction_graph import Camera, algebraic_connectivity, interaction_graph
-from sato.connectivity.controller import MAX_MESSAGE_AGE
-from sato.connectivity.kernel import MAX_ROW_AGE
+from sato.connectivity.controller import MAX_MESSAGE_AGE, MAX_ROW_AGE
 from sato.connectivity.messages import CommunicationLink
 from sato.connectivity.mission import AgentLoss
 from sato.connectivity.potential import Potential, Repulsion, repulsion_gain
-from sato.connectivity.record import rotate_by_yaw
 
 DEATH = 0.2  # [s]
 AHEAD = -np.pi / 4  # yaw with which the camera looks along x

@@ -1,5 +1,7 @@
 """Messages: flooded rows of the adjacency matrix, period, delay and loss."""
 
+from collections import deque
+
 import numpy as np
 import pytest
 from connectivity_cast import fly, posed
@@ -8,6 +10,7 @@ from hypothesis import strategies as st
 from scipy.sparse.csgraph import shortest_path
 from scipy.stats import binom
 
+from dynamics.vehicle import rotate_by_yaw
 from problems.interaction_graph import (
     Camera,
     algebraic_connectivity,
@@ -15,12 +18,16 @@ from problems.interaction_graph import (
     lambda2_gradient,
     laplacian,
 )
-from sato.connectivity.flooding import compute_lambda2_gradient, merge_rows
-from sato.connectivity.messages import CommunicationLink, exchange_messages
+from sato.connectivity.controller import estimate_lambda2_from_rows
+from sato.connectivity.messages import CommunicationLink, exchange_messages, merge_rows
 from sato.connectivity.mission import AgentLoss
 from sato.connectivity.potential import Potential, Repulsion, negative_slope
-from sato.connectivity.record import rotate_by_yaw
-from sato.connectivity.state import initial_state
+from sato.connectivity.state import (
+    AdjacencyRows,
+    empty_inbox,
+    empty_measurements,
+    first_estimates,
+)
 
 GENTLE = Potential(strength=1e-15)  # nobody gets anywhere
 
@@ -81,17 +88,19 @@ TALES = st.lists(
 @given(TALES)
 def test_relayed_rows_never_become_older(tales):
     # Rows say who computed them and when, so that any mixture would show.
-    rows, stamp = np.zeros((5, 5, 5)), np.full((5, 5), -np.inf)
+    known = AdjacencyRows(np.zeros((5, 5, 5)), np.full((5, 5), -np.inf))
     for time, (a, b, computes) in enumerate(tales):
         if computes:
-            rows[a, a], stamp[a, a] = 10 * time + a, time
+            known.weight[a, a], known.time[a, a] = 10 * time + a, time
             continue
-        before, heard = stamp[a].copy(), stamp[b].copy()
-        merge_rows(rows[a], stamp[a], rows[b], stamp[b])
-        assert np.array_equal(stamp[a], np.maximum(before, heard))
-    held = stamp > -np.inf
-    told = np.broadcast_to(np.where(held, 10 * stamp + np.arange(5), 0)[..., None], rows.shape)
-    assert np.array_equal(rows, told)
+        hears = np.zeros((5, 5), dtype=bool)
+        hears[a, b] = True
+        merged = merge_rows(known, known, hears)
+        assert np.array_equal(merged.time[a], np.maximum(known.time[a], known.time[b]))
+        known = merged
+    held = known.time > -np.inf
+    told = np.broadcast_to(np.where(held, 10 * known.time + np.arange(5), 0)[..., None], (5, 5, 5))
+    assert np.array_equal(known.weight, told)
 
 
 @given(st.integers(3, 9), st.integers(0, 2**32 - 1))
@@ -99,72 +108,64 @@ def test_local_lambda2_gradient_agrees_with_the_central_one(agents, seed):
     rng = np.random.default_rng(seed)
     weight = np.triu(rng.uniform(0.05, 1, (agents, agents)), 1)
     weight += weight.T
-    whole, vectors = (
-        algebraic_connectivity(weight),
-        np.linalg.eigh(laplacian(weight))[1].T[1:2].copy(),
-    )
+    whole = algebraic_connectivity(weight)
     assume(whole.lambda3 - whole.lambda2 > 1e-4)
-    # Two robots do not count, and nobody feels them.
-    known, felt = np.delete(np.arange(agents + 2), [1, 3]), np.zeros(agents + 2)
-    for at, me in enumerate(known):
-        compute_lambda2_gradient(vectors, known, me, felt)
-        assert felt[known] == pytest.approx(whole.weight_gradient[at], abs=1e-12)
-        assert not felt[[1, 3]].any()
+    # Two robots do not count, and nobody feels them, whatever their rows say.
+    known, rows = np.delete(np.arange(agents + 2), [1, 3]), rng.uniform(size=[agents + 2] * 3)
+    rows[np.ix_(np.arange(agents + 2), known, known)] = weight
+    time = np.ones((agents + 2, agents + 2))
+    time[:, [1, 3]] = 0.0
+    lambda2, felt = estimate_lambda2_from_rows(AdjacencyRows(rows, time), 0.5)
+    assert lambda2 == pytest.approx(np.full(agents + 2, whole.lambda2), abs=1e-12)
+    assert felt[np.ix_(known, known)] == pytest.approx(whole.weight_gradient, abs=1e-12)
+    assert not felt[:, [1, 3]].any()
 
 
-@given(st.integers(3, 20), st.integers(0, 2**32 - 1))
-def test_gradient_of_a_multiple_eigenvalue_is_independent_of_the_basis(agents, seed):
-    # v₂ … v_n are any orthonormal basis of what is orthogonal to 1: Σ (v_i − v_j)² = 2.
-    rng = np.random.default_rng(seed)
-    beside = np.column_stack([np.ones(agents), rng.standard_normal((agents, agents - 1))])
-    basis = np.linalg.qr(beside)[0].T[1:].copy()
-    known, felt = np.arange(agents), np.zeros(agents)
-    compute_lambda2_gradient(basis, known, 0, felt)
-    assert felt == pytest.approx(np.append(0, np.full(agents - 1, 2 / (agents - 1))), abs=1e-12)
+class Listening:
+    """Agents that all see each other, but for some pairs."""
 
+    def __init__(self, agents, link, hidden=()):
+        away = np.where(np.eye(agents)[..., None] == 1, np.nan, np.ones((agents, agents, 3)))
+        for pair in hidden:
+            away[pair] = np.nan
+        self.measurements = empty_measurements(agents)._replace(relative_position=away)
+        self.estimates = first_estimates(np.zeros((agents, agents)), np.random.default_rng(0))
+        self.inbox, self.messages, self.link = empty_inbox(agents), deque(), link
 
-def listening(agents, link):
-    """Build a state in which all agents see each other."""
-    zero = np.zeros((agents, agents))
-    state = initial_state(
-        np.zeros((agents, 3)),
-        np.zeros(agents),
-        zero,
-        link.delay_messages,
-        0,
-        np.random.default_rng(0),
-    )
-    state.measurements.visibility[:] = ~np.eye(agents, dtype=bool)
-    return state
+    def exchange(self, number, step, rng, said=0.0):
+        """Exchange messages, with a velocity in which they all say so."""
+        twist = np.full_like(self.measurements.velocity, said)
+        told = self.measurements._replace(velocity=twist, yaw_rate=-twist[:, 0])
+        exchange_messages(
+            told, self.estimates, self.messages, self.inbox, self.link, number, step, rng
+        )
 
 
 @given(st.integers(1, 5), st.integers(0, 6))
 def test_messages_arrive_with_the_given_period_and_delay(every, late):
-    link, step, rng = CommunicationLink(every, late), 0.02, np.random.default_rng(0)
-    _, senses, mail, mind = listening(3, link)
+    step, rng = 0.02, np.random.default_rng(0)
+    team = Listening(3, CommunicationLink(every, late))
     for number in range(40):
-        senses.velocity[:], senses.yaw_rate[:] = number, -number
-        exchange_messages(senses, mail, mind, link, True, number, step, rng)
+        team.exchange(number, step, rng, said=float(number))
         told = (number // every - late) * every
         for i, j in ((0, 1), (2, 0)):
             if told < 0:
-                assert mail.received_time[i, j] == -np.inf
+                assert team.inbox.time[i, j] == -np.inf
             else:
-                assert mail.received_time[i, j] == pytest.approx(told * step, abs=1e-12)
-                assert mail.received_twist[i, j] == pytest.approx([told, told, told, -told])
+                assert team.inbox.time[i, j] == pytest.approx(told * step, abs=1e-12)
+                assert team.inbox.twist[i, j] == pytest.approx([told, told, told, -told])
 
 
 def test_message_loss_has_the_given_rate_and_needs_visibility(rng):
     link, rounds = CommunicationLink(loss_probability=0.1), 400
-    _, senses, mail, mind = listening(6, link)
-    senses.visibility[0, 1] = senses.visibility[1, 0] = False
-    senses.visibility[2, 3] = False  # who is seen hears too
+    team = Listening(6, link, hidden=[(0, 1), (1, 0), (2, 3)])  # who is seen hears too
     heard = np.zeros((6, 6))
     for number in range(rounds):
-        exchange_messages(senses, mail, mind, link, False, number, 1.0, rng)
-        heard += mail.received_time == number
+        team.exchange(number, 1.0, rng)
+        heard += team.inbox.time == number
     assert not heard[0, 1] and not heard[1, 0] and not np.diag(heard).any()
-    pairs = heard[(senses.visibility | senses.visibility.T)]
+    sees = team.measurements.visibility
+    pairs = heard[sees | sees.T]
     low, high = binom.ppf([1e-6, 1 - 1e-6], rounds, 0.9)
     assert ((low <= pairs) & (pairs <= high)).all()
     low, high = binom.ppf([1e-3, 1 - 1e-3], rounds * len(pairs), 0.9)

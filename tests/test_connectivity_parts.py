@@ -5,8 +5,11 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from sato.connectivity.distance import obstacle_distances
-from sato.connectivity.obstacle_geometry import blocks_line_of_sight, nearest_point
+from sato.connectivity.distance import (
+    blocks_line_of_sight,
+    nearest_points,
+    obstacle_distances,
+)
 from sato.connectivity.obstacles import Obstacles
 from sato.connectivity.potential import (
     ASYMPTOTE_OFFSET,
@@ -134,10 +137,8 @@ def surfaces(sphere, box, plane, rng):
 def test_nearest_point_is_nearer_than_any_sample_of_the_surface(p, sphere, box, plane):
     obstacles = Obstacles(sphere[None], box[None], plane[None])
     drawn = surfaces(sphere, box, plane, np.random.default_rng(0))
-    for number, surface in enumerate(drawn):
-        point = np.zeros(3)
-        d = nearest_point(number, p, obstacles, point)
-        assert d == pytest.approx(obstacle_distances(p, obstacles)[number], abs=1e-12)
+    points, distances = nearest_points(p, obstacles), obstacle_distances(p, obstacles)
+    for number, (surface, point, d) in enumerate(zip(drawn, points, distances, strict=True)):
         assert obstacle_distances(point, obstacles)[number] == pytest.approx(0, abs=1e-12)
         assert np.linalg.norm(point - p) == pytest.approx(abs(d), abs=1e-12)
         assert np.linalg.norm(surface - p, axis=1).min() >= abs(d) - 1e-12

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from dynamics.kinematic import KinematicVehicle, step_kinematic
+from dynamics.vehicle import VehicleState, rotate_by_yaw
 from problems.interaction_graph import Camera, bearings, lambda2_gradient
 from sato.connectivity.potential import Potential, Repulsion, negative_slope
-from sato.connectivity.record import rotate_by_yaw
 from sato.connectivity.yaw_estimator import (
     YawTracking,
     circular_mean,
@@ -27,12 +27,6 @@ TRACK = YawTracking()
 UNUSED = np.random.default_rng(0)  # no noise is drawn
 ANGLES = st.floats(-np.pi, np.pi)
 SEEDS = st.integers(0, 2**32 - 1)
-
-
-def turned(v, yaw):
-    """R_z(ψ) v."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    return np.array([c * v[0] - s * v[1], s * v[0] + c * v[1], v[2]])
 
 
 def apart(a, b):
@@ -50,20 +44,15 @@ def pose(rng):
 
 def seen(position, yaw):
     """p_ij and p_ji."""
-    mine, theirs = np.zeros(3), np.zeros(3)
-    d = bearings(position, yaw, 0, 1, mine, theirs)
-    return d * mine, d * theirs
+    distance, bearing = bearings(position, yaw)
+    return distance[0, 1] * bearing[0, 1], distance[0, 1] * bearing[1, 0]
 
 
 def on(position, yaw, velocity, rate, dt):
     """Advance both robots by a step."""
-    position, yaw = position.copy(), yaw.copy()
-    for k in range(2):
-        yaw[k], _ = step_kinematic(
-            position[k], yaw[k], velocity[k].copy(), rate[k], velocity[k], rate[k],
-            KinematicVehicle(), dt, UNUSED,
-        )  # fmt: skip
-    return position, yaw
+    state = VehicleState(position, yaw, velocity, rate, np.zeros((2, 3)))
+    command = np.column_stack([velocity, rate])
+    return step_kinematic(state, command, KinematicVehicle(), dt, UNUSED)[:2]
 
 
 @given(SEEDS)
@@ -73,7 +62,7 @@ def test_relative_position_has_the_derivative_of_the_paper(seed):
     h = 1e-5
     ahead, behind = (seen(*on(position, yaw, v, w, dt))[0] for dt in (h, -h))
     p, _ = seen(position, yaw)
-    rate = -v[0] - w[0] * np.array([-p[1], p[0], 0]) + turned(v[1], yaw[1] - yaw[0])
+    rate = -v[0] - w[0] * np.array([-p[1], p[0], 0]) + rotate_by_yaw(v[1], yaw[1] - yaw[0])
     assert (ahead - behind) / (2 * h) == pytest.approx(rate, abs=1e-7)
 
 
@@ -81,11 +70,10 @@ def watched(position, yaw, velocity, rate, dt, time, track=TRACK):
     """Run the observer for a time; return it with the final yaws."""
     watch, (before, _) = np.zeros(7), seen(position, yaw)
     told = np.append(velocity[1], rate[1])
-    update_velocity_observer(before, before, True, velocity[0], rate[0], told, watch, track, dt)
     for _ in range(round(time / dt)):
         position, yaw = on(position, yaw, velocity, rate, dt)
         p, _ = seen(position, yaw)
-        update_velocity_observer(p, before, False, velocity[0], rate[0], told, watch, track, dt)
+        watch = update_velocity_observer(p, before, velocity[0], rate[0], told, watch, track, dt)
         before = p
     return watch, yaw
 
@@ -99,10 +87,10 @@ def test_observer_tends_to_the_filtered_velocity_of_the_other(seed, printed):
 
     def lag(t, e):
         frame = yaw[0] + w[0] * t if printed else 0.0
-        return TRACK.k1 * (turned(v[1], yaw[1] + w[1] * t - frame) - e)
+        return TRACK.k1 * (rotate_by_yaw(v[1], yaw[1] + w[1] * t - frame) - e)
 
     e = solve_ivp(lag, (0, time), np.zeros(3), rtol=1e-10, atol=1e-12).y[:, -1]
-    true = e if printed else turned(e, -(yaw[0] + w[0] * time))
+    true = e if printed else rotate_by_yaw(e, -(yaw[0] + w[0] * time))
     steps = (0.02, 0.01, 0.005, 0.0025)
     errors = [abs(watched(position, yaw, v, w, h, time, track)[0][:3] - true).max() for h in steps]
     # Of first order at least: half the step, half the error.
@@ -127,16 +115,16 @@ def test_received_velocity_passes_the_filter_of_the_observed_one(seed):
 def test_hovering_robot_finds_the_yaw_of_a_moving_one_at_once(seed):
     rng = np.random.default_rng(seed)
     position, yaw, v, _ = pose(rng)
-    v[0], dt, watch = 0.0, 0.02, np.zeros(7)
+    v[0], dt, watch, still = 0.0, 0.02, np.zeros(7), np.array(0.0)
     before, _ = seen(position, yaw)
-    update_velocity_observer(before, before, True, v[0], 0.0, np.append(v[1], 0), watch, TRACK, dt)
     for number in range(40):
         v[1] = rng.uniform(-2, 2, 3) if number % 7 == 0 else v[1]
         position, yaw = on(position, yaw, v, np.zeros(2), dt)
         p, _ = seen(position, yaw)
-        update_velocity_observer(p, before, False, v[0], 0.0, np.append(v[1], 0), watch, TRACK, dt)
+        told = np.append(v[1], 0)
+        watch = update_velocity_observer(p, before, v[0], still, told, watch, TRACK, dt)
         before = p
-        guessed, trust = yaw_from_motion(watch, v[1], TRACK)
+        guessed, trust = yaw_from_motion(watch, told, TRACK)
         if np.hypot(*watch[3:5]) > 1e-3:
             assert apart(guessed, yaw[1] - yaw[0]) < 1e-9
         # It is trusted only when the filter has forgotten that it began at zero.
@@ -145,10 +133,8 @@ def test_hovering_robot_finds_the_yaw_of_a_moving_one_at_once(seed):
 
 def test_new_sighting_resets_the_observer(rng):
     watch, p, v = rng.normal(size=7), rng.normal(size=3), rng.normal(size=3)
-    update_velocity_observer(
-        p, np.full(3, np.nan), True, v, 0.3, np.append(v, 0.1), watch, TRACK, 0.02
-    )
-    assert not watch.any()
+    rate, told, unseen = np.array(0.3), np.append(v, 0.1), np.full(3, np.nan)
+    assert not update_velocity_observer(p, unseen, v, rate, told, watch, TRACK, 0.02).any()
 
 
 @given(SEEDS)
@@ -193,12 +179,13 @@ def test_without_motion_the_error_of_yaw_stays(off, speed, way, climb):
     v = np.array([speed * np.cos(way), speed * np.sin(way), climb])
     position, yaw = np.array([[0.0, 0, 0], [3, 1, 0]]), np.array([0.0, psi])
     watch, _ = watched(position, yaw, np.array([np.zeros(3), v]), np.zeros(2), 0.02, 0.4)
-    guessed, trust = yaw_from_motion(watch, v, TRACK)
+    told = np.append(v, 0.0)
+    guessed, trust = yaw_from_motion(watch, told, TRACK)
     assert trust == 0
     believed = wrap_angle(psi + off)
     assert update_yaw_estimate(believed, 0.0, 0.0, 0.0, guessed, trust, TRACK, 0.02) == believed
     # The printed estimator counts the climb as motion.
-    assert yaw_from_motion(watch, v, TRACK._replace(as_printed=True))[1] == 1
+    assert yaw_from_motion(watch, told, TRACK._replace(as_printed=True))[1] == 1
 
 
 def test_received_bearing_is_rotated_back():
@@ -208,8 +195,8 @@ def test_received_bearing_is_rotated_back():
         position, yaw, _, _ = pose(rng)
         mine, theirs = (p / np.linalg.norm(p) for p in seen(position, yaw))
         turn = yaw[1] - yaw[0]
-        assert -turned(mine, -turn) == pytest.approx(theirs, abs=1e-12)
-        printed.append(np.linalg.norm(-turned(mine, turn) - theirs))
+        assert -rotate_by_yaw(mine, -turn) == pytest.approx(theirs, abs=1e-12)
+        printed.append(np.linalg.norm(-rotate_by_yaw(mine, turn) - theirs))
     assert 1.9 < max(printed) <= 2 + 1e-12
 
 

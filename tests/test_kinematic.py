@@ -5,16 +5,17 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dynamics.kinematic import KinematicVehicle, step_kinematic
+from dynamics.vehicle import VehicleState
+
+UNUSED = np.random.default_rng(0)  # no noise is drawn
 
 
-def simulate(plant, command, turn, time, step, rng=None):
-    position, velocity, yaw, rate = np.zeros(3), np.array([0.5, 0.2, 0.0]), 0.3, 0.4
+def simulate(plant, command, turn, time, step):
+    velocity, still = np.array([0.5, 0.2, 0.0]), np.zeros(3)
+    state = VehicleState(still, np.array(0.3), velocity, np.array(0.4), still)
     for _ in range(round(time / step)):
-        yaw, rate = step_kinematic(
-            position, yaw, velocity, rate, command, turn, plant, step,
-            rng or np.random.default_rng(0),
-        )  # fmt: skip
-    return np.array([*position, yaw, *velocity, rate])
+        state = step_kinematic(state, np.append(command, turn), plant, step, UNUSED)
+    return np.array([*state.position, state.yaw, *state.velocity, state.yaw_rate])
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.3])
@@ -46,11 +47,8 @@ def test_all_but_the_horizontal_path_is_independent_of_the_step(lag):
 
 def test_actuator_noise_has_the_stated_standard_deviation():
     rng, plant = np.random.default_rng(5), KinematicVehicle(0.0, 0.05)
-    found = []
-    for _ in range(2000):
-        velocity = np.zeros(3)
-        _, rate = step_kinematic(
-            np.zeros(3), 0.0, velocity, 0.0, np.zeros(3), 0.0, plant, 0.02, rng
-        )
-        found.append([*velocity, rate])
+    zero, still = np.zeros((2000, 3)), np.zeros(2000)
+    rest = VehicleState(zero, still, zero, still, zero)
+    moved = step_kinematic(rest, np.zeros((2000, 4)), plant, 0.02, rng)
+    found = np.column_stack([moved.velocity, moved.yaw_rate])
     assert np.std(found, axis=0) == pytest.approx(np.full(4, 0.05), rel=0.07)

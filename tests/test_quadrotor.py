@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from dynamics.quadrotor import STANDARD_GRAVITY, Quadrotor, rotate_to_heading_frame, step_quadrotor
+from dynamics.vehicle import VehicleState, rotate_by_yaw
 
 PLANT = Quadrotor()
 VELOCITIES = st.tuples(*[st.floats(-8, 8)] * 3).map(np.array)
@@ -17,14 +18,13 @@ ANGLES = st.floats(-np.pi, np.pi)
 
 def simulate(velocity, yaw, command, turn, time, step, rate=0.0, begin=(0.0, 0.0, 0.0)):
     """Return the position, yaw, velocity, yaw rate and acceleration at every step."""
-    position, velocity, acceleration = np.zeros(3), velocity.astype(float), np.array(begin)
-    states = [np.array([*position, yaw, *velocity, rate, *acceleration])]
+    ahead, yaw = rotate_by_yaw(velocity.astype(float), -yaw), np.array(yaw)
+    states = [VehicleState(np.zeros(3), yaw, ahead, np.array(rate), np.array(begin))]
     for _ in range(round(time / step)):
-        yaw, rate = step_quadrotor(
-            position, yaw, velocity, rate, acceleration, command, turn, PLANT, step
-        )
-        states.append(np.array([*position, yaw, *velocity, rate, *acceleration]))
-    return np.array(states)
+        states.append(step_quadrotor(states[-1], np.append(command, turn), PLANT, step))
+    position, yaw, ahead, rate, acceleration = map(np.array, zip(*states, strict=True))
+    velocity = rotate_by_yaw(ahead, yaw)
+    return np.column_stack([position, yaw, velocity, rate, acceleration])
 
 
 def test_hover_is_an_equilibrium():
@@ -110,21 +110,17 @@ def test_commands_are_reached_in_steady_state():
 
 
 def test_the_body_frame_tilts_with_the_thrust(rng):
-    axis, rotated = np.array([1.0, 0, 0]), np.zeros(3)
-    rotate_to_heading_frame(axis, np.zeros(3), 0.4, rotated)
+    axis, turn = np.array([1.0, 0, 0]), np.array(0.4)
+    rotated = rotate_to_heading_frame(axis, np.zeros(3), turn)
     assert rotated == pytest.approx(axis, abs=1e-15)
     # Forward acceleration pitches down: the forward body axis then points down.
-    rotate_to_heading_frame(
-        axis, STANDARD_GRAVITY * np.array([np.cos(0.4), np.sin(0.4), 0]), 0.4, rotated
-    )
+    forward = STANDARD_GRAVITY * np.array([np.cos(0.4), np.sin(0.4), 0])
+    rotated = rotate_to_heading_frame(axis, forward, turn)
     assert rotated == pytest.approx([np.sqrt(0.5), 0, -np.sqrt(0.5)], abs=1e-12)
     for _ in range(20):
-        acceleration, yaw = rng.normal(0, 3, 3), rng.uniform(-np.pi, np.pi)
-        body = []
-        for unit in np.eye(3):
-            rotate_to_heading_frame(unit, acceleration, yaw, rotated)
-            body.append(rotated.copy())
-        assert np.array(body) @ np.array(body).T == pytest.approx(np.eye(3), abs=1e-12)
+        acceleration, yaw = rng.normal(0, 3, 3), np.array(rng.uniform(-np.pi, np.pi))
+        body = np.array([rotate_to_heading_frame(e, acceleration, yaw) for e in np.eye(3)])
+        assert body @ body.T == pytest.approx(np.eye(3), abs=1e-12)
         thrust = acceleration + np.array([0, 0, STANDARD_GRAVITY])
         c, s = np.cos(yaw), np.sin(yaw)
         ahead = np.array([c * thrust[0] + s * thrust[1], c * thrust[1] - s * thrust[0], thrust[2]])

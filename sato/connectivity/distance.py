@@ -1,4 +1,4 @@
-"""Distances of agents to obstacles and to each other, at many instants at a time."""
+"""Distances, nearest points and lines of sight, at any number of instants at a time."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -18,6 +18,58 @@ def obstacle_distances(
     boxes = outside + np.minimum(beyond.max(axis=-1), 0)
     planes = position @ obstacles.planes[:, :3].T - obstacles.planes[:, 3]
     return np.concatenate([spheres, boxes, planes], axis=-1)
+
+
+def nearest_points(
+    position: Float[Array, "*k 3"], obstacles: Obstacles
+) -> Float[Array, "*k obstacles 3"]:
+    """Find the nearest point of the surface of each sphere, box and plane [m]."""
+    at, (centers, radius) = position[..., None, :], np.split(obstacles.spheres, [3], axis=1)
+    far = np.linalg.norm(at - centers, axis=-1, keepdims=True)
+    outwards = np.where(far > 0, at - centers, np.eye(3)[0]) / np.where(far > 0, far, 1)
+    spheres = centers + radius * outwards
+    low, high = obstacles.boxes[:, :3], obstacles.boxes[:, 3:]
+    clipped = np.clip(at, low, high)
+    # Inside of a box the nearest of its six faces counts.
+    faces = np.stack([low, high], axis=-1)
+    depth = np.abs(at[..., None] - faces).reshape(*clipped.shape[:-1], 6)
+    nearest = np.arange(6) == depth.argmin(axis=-1)[..., None]
+    nearest = nearest.reshape(*clipped.shape, 2)
+    on_face = np.where(nearest.any(axis=-1), (faces * nearest).sum(axis=-1), at)
+    boxes = np.where((clipped == at).all(axis=-1, keepdims=True), on_face, clipped)
+    normals = obstacles.planes[:, :3]
+    above = (at * normals).sum(axis=-1) - obstacles.planes[:, 3]
+    planes = at - above[..., None] * normals
+    return np.concatenate([spheres, boxes, planes], axis=-2)
+
+
+def segments_hit_balls(
+    p: Float[Array, "*#k 3"],
+    q: Float[Array, "*#k 3"],
+    center: Float[Array, "*#k 3"],
+    radius: Float[Array, "*#k"] | float,
+) -> Bool[Array, "*#k"]:
+    """Tell whether the segments between two positions meet balls."""
+    way = q - p
+    length = (way**2).sum(axis=-1)
+    along = ((center - p) * way).sum(axis=-1) / np.where(length > 0, length, 1)
+    nearest = p + np.clip(along, 0, 1)[..., None] * way
+    return np.asarray(((nearest - center) ** 2).sum(axis=-1) < np.square(radius))
+
+
+def blocks_line_of_sight(
+    p: Float[Array, "*#k 3"], q: Float[Array, "*#k 3"], obstacles: Obstacles
+) -> Bool[Array, "*#k"]:
+    """Tell whether an obstacle is between two positions."""
+    p, q = p[..., None, :], q[..., None, :]
+    spheres = segments_hit_balls(p, q, obstacles.spheres[:, :3], obstacles.spheres[:, 3])
+    with np.errstate(divide="ignore", invalid="ignore"):  # along an axis: ±∞, NaN on a face
+        ends = (obstacles.boxes.reshape(-1, 2, 3) - p[..., None, :]) / (q - p)[..., None, :]
+    enters, leaves = ends.min(axis=-2).max(axis=-1), ends.max(axis=-2).min(axis=-1)
+    boxes = np.maximum(enters, 0) < np.minimum(leaves, 1)
+    normals, offset = obstacles.planes[:, :3], obstacles.planes[:, 3]
+    planes = np.minimum((p * normals).sum(axis=-1), (q * normals).sum(axis=-1)) < offset
+    return np.asarray(np.concatenate([spheres, boxes, planes], axis=-1).any(axis=-1))
 
 
 def nearest_agent_distance(

@@ -7,8 +7,8 @@ import numpy as np
 from scipy.spatial.distance import pdist, squareform
 
 from problems.interaction_graph import algebraic_connectivity, interaction_graph
+from sato.connectivity.controller import MAX_ROW_AGE
 from sato.connectivity.distance import obstacle_distances
-from sato.connectivity.kernel import MAX_ROW_AGE
 from sato.connectivity.obstacles import Obstacles
 from sato.connectivity.power_iteration import (
     PowerIterationGains,

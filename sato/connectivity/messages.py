@@ -1,13 +1,15 @@
 """Messages between agents of which one sees the other."""
 
-from typing import Annotated, NamedTuple, no_type_check
+from collections import deque
+from typing import Annotated, NamedTuple
 
-import numba
 import numpy as np
 from annotated_types import Lt
+from jaxtyping import Bool
+from numpy import ndarray as Array
 
 from dynamics.units import Key
-from sato.connectivity.flooding import merge_rows
+from sato.connectivity.state import AdjacencyRows, AgentEstimates, Inbox, Measurements, Message
 from sato.scenario.definition import NotNegative, Positive
 
 
@@ -23,63 +25,71 @@ class CommunicationLink(NamedTuple):
     ] = 0.0
 
 
-@no_type_check
-@numba.njit
-def exchange_messages(measurements, messages, estimates, link, is_flooding, number, step, rng):
+def exchange_messages(
+    measurements: Measurements,
+    estimates: AgentEstimates,
+    on_their_way: deque[Message],
+    inbox: Inbox,
+    link: CommunicationLink,
+    number: int,
+    step: float,
+    rng: np.random.Generator,
+) -> AdjacencyRows:
     """Send what every agent measures and estimates; some messages are lost or delayed.
 
     Args:
         measurements: Content of messages, and visibility.
-        messages: Buffers, changed in place.
-        estimates: Content of messages; receives rows of the adjacency matrix.
+        estimates: Content of messages.
+        on_their_way: Messages that have not arrived, changed in place.
+        inbox: Last messages of each agent, changed in place.
         link: Period, delay and loss.
-        is_flooding: True where rows of the adjacency matrix are relayed.
         number: Number of the control step.
         step: Control step [s].
         rng: Draws losses.
+
+    Returns:
+        Rows of the adjacency matrix, the newest of those known and received.
     """
-    messages.is_new[:] = False
+    inbox.is_new[:] = False
     if number % link.period_steps != 0:
-        return
-    n, ring = len(messages.received_time), len(messages.sent_visibility)
-    message = number // link.period_steps
-    sent, arriving = message % ring, (message - link.delay_messages) % ring
-    messages.sent_relative_position[sent] = measurements.relative_position
-    messages.sent_visibility[sent] = measurements.visibility
-    messages.sent_relative_yaw[sent] = estimates.relative_yaw
-    messages.sent_is_mutual[sent] = estimates.is_mutual
-    messages.sent_twist[sent, :, :3] = measurements.velocity
-    messages.sent_twist[sent, :, 3] = measurements.yaw_rate
-    if is_flooding:
-        messages.sent_rows[sent] = estimates.adjacency_rows
-        messages.sent_row_time[sent] = estimates.row_time
-    if message < link.delay_messages:
-        return
-    time = (number - link.delay_messages * link.period_steps) * step
-    for i in range(n):
-        for j in range(n):
-            if not (measurements.visibility[i, j] or measurements.visibility[j, i]):
-                continue
-            if link.loss_probability > 0 and rng.random() < link.loss_probability:
-                continue
-            messages.received_time[i, j] = time
-            messages.is_new[i, j] = True
-            messages.received_visibility[i, j] = messages.sent_visibility[arriving, j, i]
-            own = messages.sent_relative_position[arriving, i, j]
-            for a in range(3):
-                messages.received_relative_position[i, j, a] = messages.sent_relative_position[
-                    arriving, j, i, a
-                ]
-                messages.relative_position_when_sent[i, j, a] = (
-                    own[a] if messages.sent_visibility[arriving, i, j] else np.nan
-                )
-            messages.received_twist[i, j] = messages.sent_twist[arriving, j]
-            messages.received_relative_yaw[i, j] = messages.sent_relative_yaw[arriving, j]
-            messages.received_is_mutual[i, j] = messages.sent_is_mutual[arriving, j]
-            if is_flooding:
-                merge_rows(
-                    estimates.adjacency_rows[i],
-                    estimates.row_time[i],
-                    messages.sent_rows[arriving, j],
-                    messages.sent_row_time[arriving, j],
-                )
+        return estimates.adjacency
+    twist = np.column_stack([measurements.velocity, measurements.yaw_rate])
+    on_their_way.append(
+        Message(
+            twist, measurements.relative_position, estimates.relative_yaw, estimates.is_mutual,
+            estimates.adjacency,
+        )
+    )  # fmt: skip
+    if len(on_their_way) <= link.delay_messages:
+        return estimates.adjacency
+    message = on_their_way.popleft()
+    hears = measurements.visibility | measurements.visibility.T
+    if link.loss_probability > 0:
+        hears[hears] = rng.random(hears.sum()) >= link.loss_probability
+    i, j = np.nonzero(hears)
+    inbox.time[i, j] = (number - link.delay_messages * link.period_steps) * step
+    inbox.is_new[i, j] = True
+    inbox.twist[i, j] = message.twist[j]
+    inbox.relative_position[i, j] = message.relative_position[j, i]
+    inbox.own_relative_position[i, j] = message.relative_position[i, j]
+    inbox.relative_yaw[i, j] = message.relative_yaw[j]
+    inbox.is_mutual[i, j] = message.is_mutual[j]
+    return merge_rows(estimates.adjacency, message.adjacency, hears)
+
+
+def merge_rows(
+    known: AdjacencyRows, sent: AdjacencyRows, hears: Bool[Array, "n n"]
+) -> AdjacencyRows:
+    """Take over the rows that others have newer.
+
+    Args:
+        known: Rows known to agent i.
+        sent: Rows that agent j sent.
+        hears: True where agent i hears agent j.
+    """
+    offered = np.where(hears[..., None], sent.time, -np.inf)  # [i, j, k]: row k, by agent j
+    sender, k = offered.argmax(axis=1), np.arange(len(hears))
+    newest = offered.max(axis=1)
+    is_newer = newest > known.time
+    weight = np.where(is_newer[..., None], sent.weight[sender, k], known.weight)
+    return AdjacencyRows(weight, np.where(is_newer, newest, known.time))

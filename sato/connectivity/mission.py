@@ -16,7 +16,6 @@ from dynamics.units import Key, Length, Time, Unit
 from problems.interaction_graph import Camera
 from sato.connectivity import feasibility
 from sato.connectivity.controller import CommandLimits
-from sato.connectivity.kernel import EXACT, FLOOD, POWER, SwarmParameters
 from sato.connectivity.messages import CommunicationLink
 from sato.connectivity.obstacles import Box, Obstacles, Plane, RandomSpheres, Sphere
 from sato.connectivity.potential import Potential, Repulsion
@@ -36,7 +35,6 @@ from sato.scenario.definition import (
 from sato.scenario.errors import InputError, errors_in
 from sato.scenario.file import Mission
 
-ESTIMATORS = {"exact": EXACT, "flood": FLOOD, "power_pi": POWER}
 OMNIDIRECTIONAL = (-3.0, -2.0)  # a_min, a_max of a robot that ignores its field of view
 DEFAULT_AGENTS = 6
 
@@ -199,22 +197,10 @@ class Connectivity(Mission):
         return Obstacles.of(self.obstacles)
 
     @cached_property
-    def parameters(self) -> SwarmParameters:
-        """Parameters of the compiled kernels."""
-        assumed, flies = self.camera, isinstance(self.plant, Quadrotor)
-        if self.range_only:
-            assumed = assumed._replace(a_min=OMNIDIRECTIONAL[0], a_max=OMNIDIRECTIONAL[1])
-        own = {name: getattr(self, name) for name in SwarmParameters._fields if hasattr(self, name)}
-        other = {
-            "assumed_camera": assumed,
-            "power_iteration": self.gains,
-            "plant": KinematicVehicle() if flies else self.plant,
-            "quadrotor": self.plant if flies else Quadrotor(),
-            "is_quadrotor": flies,
-            "obstacles": self.obstacle_arrays,
-            "estimator": ESTIMATORS[self.estimator],
-        }
-        return SwarmParameters(**(own | other))
+    def assumed_camera(self) -> Camera:
+        """Camera that robots assume; it sees all around where they ignore the field of view."""
+        a_min, a_max = OMNIDIRECTIONAL
+        return self.camera._replace(a_min=a_min, a_max=a_max) if self.range_only else self.camera
 
     def _draw_losses(self, rng: np.random.Generator) -> tuple[AgentLoss, ...]:
         named = [loss.agent for loss in self.losses]

@@ -3,11 +3,12 @@
 [Bernard2023] shows both in figures and states their limits; the formulas are ours.
 """
 
-from typing import Annotated, NamedTuple, no_type_check
+from typing import Annotated, NamedTuple
 
-import numba
+import numpy as np
 
 from dynamics.units import Key, Length
+from problems.interaction_graph import Numbers
 from sato.scenario.definition import NotNegative, Positive
 
 ASYMPTOTE_OFFSET = 1e-3  # least distance to an asymptote at which to evaluate
@@ -33,28 +34,22 @@ class Repulsion(NamedTuple):
     strength: Annotated[float, NotNegative, "gain of repulsion [1/s]"] = 0.5
 
 
-@no_type_check
-@numba.njit
-def evaluate_potential(lambda2, potential):
+def evaluate_potential(lambda2: Numbers, potential: Potential) -> Numbers:
     """Compute V = k (m − x)² / x with x = λ₂ − λ₂^min and m = λ₂^max − λ₂^min; 0 beyond."""
     m = potential.lambda2_max - potential.lambda2_min
-    x = max(lambda2 - potential.lambda2_min, ASYMPTOTE_OFFSET)
-    return potential.strength * (m - x) ** 2 / x if x < m else 0.0
+    x = np.maximum(lambda2 - potential.lambda2_min, ASYMPTOTE_OFFSET)
+    return np.where(x < m, potential.strength * (m - x) ** 2 / x, 0.0)[()]
 
 
-@no_type_check
-@numba.njit
-def negative_slope(lambda2, potential):
-    """Compute −V′(λ₂) = k (m²/x² − 1), which is 0 at λ₂^max, as V is."""
+def negative_slope(lambda2: Numbers, potential: Potential) -> Numbers:
+    """Compute −V′(λ₂) = k (m²/x² − 1), which is 0 at λ₂^max, as V is, and for NaN."""
     m = potential.lambda2_max - potential.lambda2_min
-    x = max(lambda2 - potential.lambda2_min, ASYMPTOTE_OFFSET)
-    return potential.strength * (m * m / (x * x) - 1) if x < m else 0.0
+    x = np.maximum(lambda2 - potential.lambda2_min, ASYMPTOTE_OFFSET)
+    return np.where(x < m, potential.strength * (m * m / (x * x) - 1), 0.0)[()]
 
 
-@no_type_check
-@numba.njit
-def repulsion_gain(distance, repulsion):
+def repulsion_gain(distance: Numbers, repulsion: Repulsion) -> Numbers:
     """Compute k_obs, the speed away from a point over its distance [1/s]."""
     m = repulsion.max_distance - repulsion.min_distance
-    x = max(distance - repulsion.min_distance, ASYMPTOTE_OFFSET)
-    return repulsion.strength * (m - x) ** 2 / (m * x) if x < m else 0.0
+    x = np.maximum(distance - repulsion.min_distance, ASYMPTOTE_OFFSET)
+    return np.where(x < m, repulsion.strength * (m - x) ** 2 / (m * x), 0.0)[()]

@@ -4,14 +4,15 @@
 proportional-integral consensus tracks [Freeman2006]. It is too slow where λ₃ is close to λ₂.
 """
 
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, no_type_check
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-import numba
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from dynamics.units import Key, Time
+from problems.interaction_graph import laplacian
+from sato.connectivity.state import PowerIterates
 from sato.scenario.definition import Positive
 
 if TYPE_CHECKING:
@@ -75,56 +76,44 @@ def spectral_radius(gains: PowerIterationGains, agents: int) -> float:
     return max(float(np.abs(np.linalg.eigvals(loop)).max()) for loop in loops)
 
 
-class PowerIterationState(NamedTuple):
-    """Iterates of each agent."""
-
-    v: Float[Array, " n"]  # v̂, of the eigenvector
-    average: Float[Array, "n 2"]  # z₁, z₂: averages of v and of v²
-    integral: Float[Array, "n 2"]  # w₁, w₂
-
-
-@no_type_check
-@numba.njit
-def iterate_power(iterates, weight, hears, gains, exchanges):
+def iterate_power(
+    iterates: PowerIterates,
+    weight: Float[Array, "n n"],
+    hears: Bool[Array, "n n"],
+    gains: PowerIterationGains,
+    exchanges: int,
+) -> PowerIterates:
     """Exchange iterates with all neighbors, synchronously.
 
     Args:
-        iterates: Iterates of each agent, changed in place.
-        weight: A_ij as estimated by agent i, (n, n).
-        hears: True where agent i hears agent j, (n, n).
+        iterates: Iterates of each agent.
+        weight: A_ij as estimated by agent i.
+        hears: True where agent i hears agent j.
         gains: Complete gains.
         exchanges: Number of exchanges.
     """
-    n, h = len(iterates.v), gains.exchange_period
-    v, mean, held = iterates.v, iterates.average, iterates.integral
+    v, mean, held = iterates
+    h, L, neighbors = gains.exchange_period, laplacian(weight * hears), laplacian(1.0 * hears)
     for _ in range(exchanges):
-        old_v, old_mean, old_held = v.copy(), mean.copy(), held.copy()
-        for i in range(n):
-            pull, near = 0.0, np.zeros(2)
-            across = np.zeros(2)
-            for j in range(n):
-                if hears[i, j]:
-                    pull += weight[i, j] * (old_v[i] - old_v[j])
-                    for a in range(2):
-                        near[a] += old_mean[i, a] - old_mean[j, a]
-                        across[a] += old_held[i, a] - old_held[j, a]
-            v[i] += h * (
-                -gains.deflation_gain * old_mean[i, 0]
-                - gains.iteration_gain * pull
-                - gains.normalization_gain * (old_mean[i, 1] - 1) * old_v[i]
-            )
-            for a in range(2):
-                aim = old_v[i] if a == 0 else old_v[i] ** 2
-                mean[i, a] += h * (
-                    gains.filter_gain * (aim - old_mean[i, a])
-                    - gains.proportional_gain * near[a]
-                    + gains.integral_gain * across[a]
-                )
-                held[i, a] -= h * gains.integral_gain * near[a]
+        away = neighbors @ mean
+        aim = np.stack([v, v**2], axis=1)
+        v = v - h * (
+            gains.deflation_gain * mean[:, 0]
+            + gains.iteration_gain * (L @ v)
+            + gains.normalization_gain * (mean[:, 1] - 1) * v
+        )
+        mean = mean + h * (
+            gains.filter_gain * (aim - mean)
+            - gains.proportional_gain * away
+            + gains.integral_gain * (neighbors @ held)
+        )
+        held = held - h * gains.integral_gain * away
+    return PowerIterates(v, mean, held)
 
 
-@no_type_check
-@numba.njit
-def estimate_lambda2_from_power(iterates, i, gains):
-    """Estimate λ₂ of agent i from the mean size of the iterates."""
-    return gains.normalization_gain / gains.iteration_gain * (1 - iterates.average[i, 1])
+def estimate_lambda2_from_power(
+    iterates: PowerIterates, gains: PowerIterationGains
+) -> Float[Array, " n"]:
+    """Estimate λ₂ from the mean size of the iterates."""
+    share = gains.normalization_gain / gains.iteration_gain
+    return np.asarray(share * (1 - iterates.average[:, 1]))

@@ -2,7 +2,6 @@
 
 from typing import Annotated, NamedTuple
 
-import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
@@ -71,9 +70,3 @@ def run_attributes(mission: Connectivity) -> dict[str, float]:
         "max_speed_m_s": mission.limits.speed,
         "max_turn_rad_s": mission.limits.yaw_rate,
     }
-
-
-def rotate_by_yaw(vectors: Float[Array, "*k 3"], yaw: Float[Array, "*k"]) -> Float[Array, "*k 3"]:
-    """Rotate from body frames to the world frame: R_z(ψ) v."""
-    c, s, (x, y, z) = np.cos(yaw), np.sin(yaw), np.moveaxis(vectors, -1, 0)
-    return np.stack([c * x - s * y, s * x + c * y, z], axis=-1)

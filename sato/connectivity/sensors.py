@@ -1,99 +1,112 @@
 """Cameras and range sensors: the only readers of the truth."""
 
-from math import cos, sin, sqrt
-from typing import no_type_check
+from typing import TYPE_CHECKING, NamedTuple
 
-import numba
 import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray as Array
 
-from dynamics.quadrotor import rotate_to_heading_frame
+from dynamics.quadrotor import Quadrotor, rotate_to_heading_frame
+from dynamics.vehicle import VehicleState, rotate_by_yaw
 from problems.interaction_graph import bearings, cosine_ramp, range_weight
-from sato.connectivity.obstacle_geometry import (
+from sato.connectivity.distance import (
     blocks_line_of_sight,
-    nearest_point,
-    segment_hits_sphere,
+    nearest_points,
+    obstacle_distances,
+    segments_hit_balls,
 )
+from sato.connectivity.state import Measurements
+
+if TYPE_CHECKING:
+    from sato.connectivity.mission import Connectivity
 
 
-@no_type_check
-@numba.njit
-def simulate_cameras(truth, measurements, parameters, rng):
-    """Measure with every camera, and compute the true weights."""
-    n, camera = len(truth.position), parameters.camera
-    bearing, bearing_back = np.zeros(3), np.zeros(3)
-    level_axis, axis = np.array(camera.optical_axis), np.zeros((n, 3))
-    for i in range(n):
-        axis[i] = level_axis
-        if parameters.is_quadrotor:
-            rotate_to_heading_frame(level_axis, truth.acceleration[i], truth.yaw[i], axis[i])
-    measurements.previous_visibility[:] = measurements.visibility
-    measurements.previous_relative_position[:] = measurements.relative_position
-    measurements.visibility[:] = False
-    truth.weight[:] = 0.0
-    for i in range(n):
-        for j in range(i):
-            if not (truth.alive[i] and truth.alive[j]):
-                continue
-            d = bearings(truth.position, truth.yaw, i, j, bearing, bearing_back)
-            if not camera.d_min < d < camera.d_max:
-                continue
-            if parameters.occlusion and is_occluded(
-                i, j, truth.position, truth.alive, parameters.body_radius, parameters.obstacles
-            ):
-                continue
-            f = _simulate_camera(i, j, d, bearing, axis[i], measurements, parameters, rng)
-            g = _simulate_camera(j, i, d, bearing_back, axis[j], measurements, parameters, rng)
-            gamma, _ = range_weight(d, camera)
-            truth.weight[i, j] = truth.weight[j, i] = gamma * (f + g - f * g)
+class CameraViews(NamedTuple):
+    """Views of all cameras, at one instant or at many."""
+
+    weight: Float[Array, "*k n n"]  # true A_ij
+    view_cosine: Float[Array, "*k n n"]  # of j to the axis of i; −∞ out of range or hidden
+    relative_position: Float[Array, "*k n n 3"]  # p_ij in the body frame of i [m]
 
 
-@no_type_check
-@numba.njit
-def _simulate_camera(i, j, d, bearing, axis, measurements, parameters, rng):
-    # Returns the true f*.
-    cosine = axis[0] * bearing[0] + axis[1] * bearing[1] + axis[2] * bearing[2]
-    if cosine > parameters.assumed_camera.a_min:
-        measurements.visibility[i, j] = True
-        for k in range(3):
-            measurements.relative_position[i, j, k] = d * bearing[k]
-            if parameters.camera_noise > 0:
-                noise = parameters.camera_noise * rng.standard_normal()
-                measurements.relative_position[i, j, k] += noise
-    return cosine_ramp(cosine, parameters.camera.a_min, parameters.camera.a_max)[0]
+def compute_views(
+    vehicles: VehicleState, alive: Bool[Array, "*k n"], mission: "Connectivity"
+) -> CameraViews:
+    """Compute the view of every camera.
+
+    Args:
+        vehicles: True state of all agents.
+        alive: True for agents that see, are seen and block the line of sight.
+        mission: Drawn mission.
+    """
+    position, yaw, camera = vehicles.position, vehicles.yaw, mission.camera
+    distance, bearing = bearings(position, yaw)
+    axis = np.array(camera.optical_axis)
+    if isinstance(mission.plant, Quadrotor):
+        tilted = rotate_to_heading_frame(axis, vehicles.acceleration, yaw)
+        axis = tilted[..., None, :]
+    is_clear = (camera.d_min < distance) & (distance < camera.d_max)
+    is_clear &= alive[..., None] & alive[..., None, :]
+    if mission.occlusion:
+        is_clear &= ~_is_occluded(position, alive, mission)
+    cosine = np.where(is_clear, (axis * bearing).sum(axis=-1), -np.inf)
+    f, _ = cosine_ramp(cosine, camera.a_min, camera.a_max)
+    g = f.swapaxes(-1, -2)
+    weight = range_weight(distance, camera)[0] * (f + g - f * g)
+    return CameraViews(weight, cosine, distance[..., None] * bearing)
 
 
-@no_type_check
-@numba.njit
-def is_occluded(i, j, position, alive, body_radius, obstacles):
-    """Tell whether a live agent or an obstacle blocks the line of sight of two agents."""
-    for k in range(len(position)):
-        if k not in (i, j) and alive[k]:
-            if segment_hits_sphere(position[i], position[j], position[k], body_radius):
-                return True
-    return blocks_line_of_sight(position[i], position[j], obstacles)
+def measure(
+    vehicles: VehicleState,
+    views: CameraViews,
+    alive: Bool[Array, " n"],
+    mission: "Connectivity",
+    rng: np.random.Generator,
+) -> Measurements:
+    """Measure with the sensors of all agents.
+
+    Args:
+        vehicles: True state of all agents.
+        views: Views of their cameras.
+        alive: True for agents that measure.
+        mission: Drawn mission.
+        rng: Draws the noise of the cameras.
+    """
+    sees = views.view_cosine > mission.assumed_camera.a_min
+    relative_position = np.where(sees[..., None], views.relative_position, np.nan)
+    if mission.camera_noise > 0:
+        # Drawn pair by pair: for i what j < i sees of it comes after what it sees of j.
+        low, high = np.tril_indices(len(alive), -1)
+        i, j = np.stack([low, high], axis=1).ravel(), np.stack([high, low], axis=1).ravel()
+        i, j = i[sees[i, j]], j[sees[i, j]]
+        relative_position[i, j] += mission.camera_noise * rng.standard_normal((len(i), 3))
+    points = _measure_ranges(vehicles, alive, mission)
+    return Measurements(vehicles.velocity, vehicles.yaw_rate, relative_position, points)
 
 
-@no_type_check
-@numba.njit
-def simulate_range_sensors(truth, measurements, parameters):
-    """Measure the nearest points of all agents and obstacles in range, without telling which."""
-    n, obstacles, point = len(truth.position), parameters.obstacles, np.zeros(3)
-    total = len(obstacles.spheres) + len(obstacles.boxes) + len(obstacles.planes)
-    for i in range(n):
-        measurements.range_point_count[i] = 0
-        if not truth.alive[i]:
-            continue
-        p, c, s = truth.position[i], cos(truth.yaw[i]), sin(truth.yaw[i])
-        for k in range(n + total):
-            if k < n:
-                if k == i or not truth.alive[k]:
-                    continue
-                point[:] = truth.position[k]
-                d = sqrt((point[0] - p[0]) ** 2 + (point[1] - p[1]) ** 2 + (point[2] - p[2]) ** 2)
-            else:
-                d = nearest_point(k - n, p, obstacles, point)
-            if d < parameters.repulsion.max_distance:
-                x, y = point[0] - p[0], point[1] - p[1]
-                found = measurements.range_points[i, measurements.range_point_count[i]]
-                found[0], found[1], found[2] = c * x + s * y, c * y - s * x, point[2] - p[2]
-                measurements.range_point_count[i] += 1
+def _measure_ranges(
+    vehicles: VehicleState, alive: Bool[Array, " n"], mission: "Connectivity"
+) -> Float[Array, "n points 3"]:
+    # Nearest points of agents and obstacles in range, without telling which is which.
+    position, n, obstacles = vehicles.position, len(alive), mission.obstacle_arrays
+    others = np.broadcast_to(position, (n, n, 3))
+    away = np.linalg.norm(others - position[:, None], axis=2)
+    away = np.where(alive & ~np.eye(n, dtype=bool), away, np.inf)
+    points = np.concatenate([others, nearest_points(position, obstacles)], axis=1)
+    distance = np.concatenate([away, obstacle_distances(position, obstacles)], axis=1)
+    is_near = (distance < mission.repulsion.max_distance) & alive[:, None]
+    local = rotate_by_yaw(points - position[:, None], -vehicles.yaw[:, None])
+    return np.where(is_near[..., None], local, np.nan)
+
+
+def _is_occluded(
+    position: Float[Array, "*k n 3"], alive: Bool[Array, "*k n"], mission: "Connectivity"
+) -> Bool[Array, "*k n n"]:
+    # True where another live agent or an obstacle is between two agents.
+    p, q = position[..., :, None, :], position[..., None, :, :]
+    others = position[..., None, None, :, :]
+    hits = segments_hit_balls(p[..., None, :], q[..., None, :], others, mission.body_radius)
+    own = np.eye(alive.shape[-1], dtype=bool)
+    hits &= alive[..., None, None, :] & ~own[:, None] & ~own
+    hidden = np.tril(hits.any(axis=-1) | blocks_line_of_sight(p, q, mission.obstacle_arrays))
+    return np.asarray(hidden | hidden.swapaxes(-1, -2))

@@ -1,27 +1,14 @@
-"""State of a simulation: truth, measurements, messages and estimates.
+"""What each agent measures, receives and estimates: row i of every array is of agent i.
 
-The four parts keep the information structure visible in signatures: the controller of an
-agent is given its measurements, messages and estimates, and never the truth.
+An agent decides by functions of these three, row by row, in its own body frame. They are never
+given the truth, which is a `VehicleState`.
 """
 
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from numpy import ndarray as Array
-
-from sato.connectivity.power_iteration import PowerIterationState
-
-
-class TrueState(NamedTuple):
-    """Truth, for sensors and for the record."""
-
-    position: Float[Array, "n 3"]  # [m]
-    yaw: Float[Array, " n"]  # [rad]
-    acceleration: Float[Array, "n 3"]  # in the world frame, of quadrotors [m/s²]
-    alive: Bool[Array, " n"]
-    weight: Float[Array, "n n"]  # A_ij
-    eigenvalues: Float[Array, " 2"]  # λ₂ and λ₃ of live agents
 
 
 class Measurements(NamedTuple):
@@ -29,32 +16,50 @@ class Measurements(NamedTuple):
 
     velocity: Float[Array, "n 3"]  # [m/s]
     yaw_rate: Float[Array, " n"]  # [rad/s]
-    visibility: Bool[Array, "n n"]  # true where i sees j
-    relative_position: Float[Array, "n n 3"]  # p_ij as measured [m]
-    previous_visibility: Bool[Array, "n n"]  # a step ago
-    previous_relative_position: Float[Array, "n n 3"]  # a step ago [m]
-    range_points: Float[Array, "n points 3"]  # nearest points of what is near [m]
-    range_point_count: Int[Array, " n"]  # number of these points
+    relative_position: Float[Array, "n n 3"]  # p_ij as measured; NaN out of view [m]
+    range_points: Float[Array, "n points 3"]  # nearest points of what is near; NaN otherwise [m]
+
+    @property
+    def visibility(self) -> Bool[Array, "n n"]:
+        """True where i sees j."""
+        return np.asarray(~np.isnan(self.relative_position[..., 0]))
 
 
-class MessageBuffers(NamedTuple):
-    """Messages on their way, in a ring, and the last that each agent received from each other."""
+class AdjacencyRows(NamedTuple):
+    """Adjacency matrix as known to agent i, and the age of its rows."""
 
-    sent_relative_position: Float[Array, "ring n n 3"]  # [·, j, i]: p_ji
-    sent_visibility: Bool[Array, "ring n n"]
-    sent_relative_yaw: Float[Array, "ring n n"]
-    sent_is_mutual: Bool[Array, "ring n n"]
-    sent_twist: Float[Array, "ring n 4"]
-    sent_rows: Float[Array, "ring n n n"]
-    sent_row_time: Float[Array, "ring n n"]
-    received_time: Float[Array, "n n"]  # [i, j]: time at which j sent what i received last [s]
-    received_relative_position: Float[Array, "n n 3"]  # [i, j]: p_ji
-    received_visibility: Bool[Array, "n n"]  # [i, j]: true where j saw i
-    received_relative_yaw: Float[Array, "n n n"]  # [i, j, k]: ψ̃_jk
-    received_is_mutual: Bool[Array, "n n n"]  # [i, j, k]
-    is_new: Bool[Array, "n n"]  # [i, j]: true where it arrived in this step
-    relative_position_when_sent: Float[Array, "n n 3"]  # [i, j]: p_ij of i at that time [m]
-    received_twist: Float[Array, "n n 4"]  # [i, j]: v_j, w_j
+    weight: Float[Array, "n n n"]  # [i, k]: row of agent k
+    time: Float[Array, "n n"]  # [i, k]: time at which agent k computed it [s]
+
+
+class Message(NamedTuple):
+    """Messages on their way: what agent j sent to all others is in row j."""
+
+    twist: Float[Array, "n 4"]  # v_j, w_j
+    relative_position: Float[Array, "n n 3"]  # p_ji [m]
+    relative_yaw: Float[Array, "n n"]  # ψ̃_jk [rad]
+    is_mutual: Bool[Array, "n n"]  # true where ψ̃_jk rests on two bearings
+    adjacency: AdjacencyRows
+
+
+class Inbox(NamedTuple):
+    """Last messages that agent i received from agent j, at [i, j]; changed in place."""
+
+    time: Float[Array, "n n"]  # time at which j sent it [s]
+    is_new: Bool[Array, "n n"]  # true where it arrived in this step
+    twist: Float[Array, "n n 4"]  # v_j, w_j
+    relative_position: Float[Array, "n n 3"]  # p_ji; NaN where j did not see i [m]
+    own_relative_position: Float[Array, "n n 3"]  # p_ij that i measured at that time [m]
+    relative_yaw: Float[Array, "n n n"]  # [i, j, k]: ψ̃_jk [rad]
+    is_mutual: Bool[Array, "n n n"]  # [i, j, k]
+
+
+class PowerIterates(NamedTuple):
+    """Iterates of agent i of the power iteration, in row i."""
+
+    v: Float[Array, " n"]  # v̂, of the eigenvector
+    average: Float[Array, "n 2"]  # z₁, z₂: averages of v and of v²
+    integral: Float[Array, "n 2"]  # w₁, w₂
 
 
 class AgentEstimates(NamedTuple):
@@ -65,66 +70,40 @@ class AgentEstimates(NamedTuple):
     is_mutual: Bool[Array, "n n"]  # true where ψ̃_ij rests on two bearings
     weight: Float[Array, "n n"]  # A_ij
     weight_gradient: Float[Array, "n n 4"]  # ∂A_ij/∂p_i in the body frame, ∂A_ij/∂ψ_i
-    adjacency_rows: Float[Array, "n n n"]  # adjacency matrix as known to i
-    row_time: Float[Array, "n n"]  # [i, k]: time at which row k of it was computed [s]
-    eigenvector_guess: Float[Array, "n 3 n"]  # start of the search for eigenvectors
-    power_iteration: PowerIterationState
+    adjacency: AdjacencyRows
+    iterates: PowerIterates
     lambda2: Float[Array, " n"]  # NaN unknown
     lambda2_gradient: Float[Array, "n n"]  # ∂λ₂/∂A_ij
-    command: Float[Array, "n 4"]  # velocity in the body frame [m/s], yaw rate [rad/s]
 
 
-class ConnectivityState(NamedTuple):
-    """State of all agents, changed in place from step to step."""
-
-    truth: TrueState
-    measurements: Measurements
-    messages: MessageBuffers
-    estimates: AgentEstimates
+def empty_measurements(n: int) -> Measurements:
+    """Return the measurements of agents that have not looked yet."""
+    return Measurements(
+        np.zeros((n, 3)), np.zeros(n), np.full((n, n, 3), np.nan), np.zeros((n, 0, 3))
+    )
 
 
-def initial_state(
-    position: Float[Array, "n 3"],
-    yaw: Float[Array, " n"],
-    relative_yaw: Float[Array, "n n"],
-    delay_messages: int,
-    obstacles: int,
-    rng: np.random.Generator,
-) -> ConnectivityState:
-    """Build the state at rest, before anything is measured or sent.
+def empty_inbox(n: int) -> Inbox:
+    """Return the inbox of agents that have not heard yet."""
+    no, nobody, unknown = np.zeros((n, n)), np.zeros((n, n, n)), np.full((n, n, 3), np.nan)
+    return Inbox(
+        np.full((n, n), -np.inf), no > 0, np.zeros((n, n, 4)), unknown, unknown.copy(),
+        nobody, nobody > 0,
+    )  # fmt: skip
+
+
+def first_estimates(relative_yaw: Float[Array, "n n"], rng: np.random.Generator) -> AgentEstimates:
+    """Return the estimates of agents that know nothing else.
 
     Args:
-        position: Positions [m].
-        yaw: Yaw of each agent [rad].
         relative_yaw: First estimates ψ̃_ij [rad].
-        delay_messages: Messages that are sent before one arrives.
-        obstacles: Number of obstacles.
         rng: Draws the first iterates of the power iteration.
     """
-    n, ring = len(position), delay_messages + 1
-    zero, full = np.zeros, np.full
-
-    def false(*shape: int) -> Array:
-        return np.zeros(shape, dtype=bool)
-
-    truth = TrueState(
-        position.copy(), yaw.copy(), zero((n, 3)), np.ones(n, dtype=bool), zero((n, n)), zero(2)
-    )
-    measurements = Measurements(
-        zero((n, 3)), zero(n), false(n, n), full((n, n, 3), np.nan), false(n, n),
-        full((n, n, 3), np.nan), zero((n, n + obstacles, 3)), zero(n, dtype=np.int64),
+    n = len(relative_yaw)
+    pairs, unknown = np.zeros((n, n)), np.full(n, np.nan)
+    return AgentEstimates(
+        np.zeros((n, n, 7)), relative_yaw, pairs > 0, pairs, np.zeros((n, n, 4)),
+        AdjacencyRows(np.zeros((n, n, n)), np.full((n, n), -np.inf)),
+        PowerIterates(rng.standard_normal(n), np.zeros((n, 2)), np.zeros((n, 2))),
+        unknown, pairs,
     )  # fmt: skip
-    messages = MessageBuffers(
-        full((ring, n, n, 3), np.nan), false(ring, n, n), zero((ring, n, n)),
-        false(ring, n, n), zero((ring, n, 4)), zero((ring, n, n, n)),
-        full((ring, n, n), -np.inf), full((n, n), -np.inf), full((n, n, 3), np.nan),
-        false(n, n), zero((n, n, n)), false(n, n, n), false(n, n), full((n, n, 3), np.nan),
-        zero((n, n, 4)),
-    )  # fmt: skip
-    iterates = PowerIterationState(rng.standard_normal(n), zero((n, 2)), zero((n, 2)))
-    estimates = AgentEstimates(
-        zero((n, n, 7)), relative_yaw.copy(), false(n, n), zero((n, n)), zero((n, n, 4)),
-        zero((n, n, n)), full((n, n), -np.inf), zero((n, 3, n)), iterates,
-        full(n, np.nan), zero((n, n)), zero((n, 4)),
-    )  # fmt: skip
-    return ConnectivityState(truth, measurements, messages, estimates)

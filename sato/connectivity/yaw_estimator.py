@@ -5,14 +5,23 @@ other, their two bearings give it. Where only one sees, it compares the motion t
 with the velocity that the other sends.
 """
 
-from math import atan2, cos, exp, pi, sin, sqrt
-from typing import Annotated, NamedTuple, no_type_check
+from math import exp, pi
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
-import numba
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray as Array
 
 from dynamics.units import Key, Speed
-from problems.interaction_graph import cosine_ramp
+from dynamics.vehicle import rotate_by_yaw
+from problems.interaction_graph import Camera, Numbers, cosine_ramp
+from sato.connectivity.state import AgentEstimates, Inbox, Measurements
 from sato.scenario.definition import NotNegative, Positive
+
+if TYPE_CHECKING:
+    from sato.connectivity.mission import Connectivity
+
+Vectors = Float[Array, "... 3"]
 
 
 class YawTracking(NamedTuple):
@@ -35,84 +44,155 @@ class YawTracking(NamedTuple):
     ] = False
 
 
-@no_type_check
-@numba.njit
-def wrap_angle(angle):
+def estimate_relative_yaw(
+    measurements: Measurements,
+    before: Measurements,
+    inbox: Inbox,
+    has_message: Bool[Array, "n n"],
+    estimates: AgentEstimates,
+    mission: "Connectivity",
+    time: float,
+) -> tuple[Float[Array, "n n"], Float[Array, "n n 7"]]:
+    """Advance ψ̃_ij of every agent for every other, and the observers.
+
+    Args:
+        measurements: Measurements of now.
+        before: Measurements of a step ago.
+        inbox: Last messages.
+        has_message: True where they are recent.
+        estimates: Estimates of a step ago.
+        mission: Drawn mission.
+        time: Time [s].
+    """
+    tracking, camera, dt = mission.tracking, mission.assumed_camera, mission.step
+    p, p_back, psi = measurements.relative_position, inbox.relative_position, estimates.relative_yaw
+    sees, is_seen = measurements.visibility, has_message & ~np.isnan(p_back[..., 0])
+    own_rate = measurements.yaw_rate[:, None]
+    rate = inbox.twist[..., 3] - own_rate
+    age = np.where(has_message, time - inbox.time, 0.0)
+    # ψ̃_ij by the estimate of j, a step older than its message, and the turns of both since.
+    told = np.diagonal(inbox.relative_yaw, axis1=0, axis2=2).T
+    from_message = wrap_angle((age + dt) * rate - told)
+    observer = update_velocity_observer(
+        p, before.relative_position, measurements.velocity[:, None], own_rate, inbox.twist,
+        estimates.velocity_observer, tracking, dt,
+    )  # fmt: skip
+    observer = np.where((sees & has_message)[..., None], observer, estimates.velocity_observer)
+    from_motion, trust = yaw_from_motion(observer, inbox.twist, tracking)
+    mutual = np.where(is_seen, _view_weight(p, camera) * _view_weight(p_back, camera), 0.0)
+    # Two bearings belong together only if they are of one time, so a message must be new.
+    has_both = is_seen & inbox.is_new & ~np.isnan(inbox.own_relative_position[..., 0])
+    from_bearings = yaw_from_bearings(inbox.own_relative_position, p_back) + age * rate
+    from_bearings = np.where(has_both, from_bearings, psi)
+    found = update_yaw_estimate(psi, rate, mutual, from_bearings, from_motion, trust, tracking, dt)
+    found = np.where(has_both, circular_mean(found, from_message), found)
+    found = np.where(sees & has_message, found, np.where(is_seen, from_message, psi))
+    if tracking.closure_gain > 0 and not tracking.as_printed:
+        found = _close_triangles(found, sees, sees & is_seen, inbox, dt * tracking.closure_gain)
+    return found, observer
+
+
+def _close_triangles(
+    psi: Float[Array, "n n"],
+    sees: Bool[Array, "n n"],
+    is_mutual: Bool[Array, "n n"],
+    inbox: Inbox,
+    gain: float,
+) -> Float[Array, "n n"]:
+    # Where only i sees j, a third agent k in mutual view of both knows the angle better.
+    knows = is_mutual[:, :, None] & inbox.is_mutual  # [i, k, j]
+    errors = np.sin(psi[:, :, None] + inbox.relative_yaw - psi[:, None])
+    error, count = np.where(knows, errors, 0.0).sum(axis=1), knows.sum(axis=1)
+    closed = wrap_angle(psi + gain * error / np.maximum(count, 1))
+    return np.where(sees & ~is_mutual & (count > 0), closed, psi)
+
+
+def _view_weight(p: Vectors, camera: Camera) -> Numbers:
+    cosine = (p * np.array(camera.optical_axis)).sum(axis=-1) / np.linalg.norm(p, axis=-1)
+    return cosine_ramp(cosine, camera.a_min, camera.a_max)[0]
+
+
+def wrap_angle(angle: Numbers) -> Numbers:
     """Wrap an angle to [−π, π)."""
     return (angle + pi) % (2 * pi) - pi
 
 
-@no_type_check
-@numba.njit
-def update_velocity_observer(p, previous_p, is_new, v, w, twist, observer, tracking, dt):
+def update_velocity_observer(
+    p: Vectors,
+    previous_p: Vectors,
+    v: Vectors,
+    w: Numbers,
+    twist: Float[Array, "... 4"],
+    observer: Float[Array, "... 7"],
+    tracking: YawTracking,
+    dt: float,
+) -> Float[Array, "... 7"]:
     """Advance the observer of another agent's velocity [Bernard2023, eq. 15–17].
 
     e is ⁱR_j v_j through a filter of first order; exact where p_ij moves on a straight line.
 
     Args:
-        p: p_ij as measured now, (3,) [m].
-        previous_p: p_ij as measured a step ago, (3,) [m].
-        is_new: True where it was not visible then, so that the observer starts again.
-        v: Own velocity in the step, body frame, (3,) [m/s].
+        p: p_ij as measured now [m].
+        previous_p: p_ij as measured a step ago; NaN where the observer starts again [m].
+        v: Own velocity in the step, body frame [m/s].
         w: Own yaw rate in the step [rad/s].
-        twist: Velocity of the other in its body frame, and its yaw rate, as received, (4,).
-        observer: e, v_j through the same filter, and the time since the start [s], (7,);
-            changed in place.
+        twist: Velocity of the other in its body frame, and its yaw rate, as received.
+        observer: e, v_j through the same filter, and the time since the start [s].
         tracking: Gains.
         dt: Step [s].
     """
-    if is_new:
-        observer[:] = 0.0
-        return
-    x, y = (p[0] + previous_p[0]) / 2, (p[1] + previous_p[1]) / 2
-    transport = (-w * y, w * x, 0.0)
+    observed, received, age = observer[..., :3], observer[..., 3:6], observer[..., 6:]
+    middle = (p + previous_p) / 2
+    transport = w[..., None] * middle[..., [1, 0, 2]] * np.array([-1.0, 1.0, 0.0])
+    measured = (p - previous_p) / dt + v + transport
     if not tracking.as_printed:
         # Both body frames turn in the step, and the filtered vectors are fixed in space.
-        rotate_about_z(observer, -w * dt, observer)
-        rotate_about_z(observer[3:], -twist[3] * dt, observer[3:])
+        observed = rotate_by_yaw(observed, -w * dt)
+        received = rotate_by_yaw(received, -twist[..., 3] * dt)
     keep = exp(-tracking.k1 * dt)
-    for a in range(3):
-        measured = (p[a] - previous_p[a]) / dt + v[a] + transport[a]
-        observer[a] = keep * observer[a] + (1 - keep) * measured
-        observer[3 + a] = keep * observer[3 + a] + (1 - keep) * twist[a]
-    observer[6] += dt
+    observed = keep * observed + (1 - keep) * measured
+    received = keep * received + (1 - keep) * twist[..., :3]
+    updated = np.concatenate([observed, received, age + dt], axis=-1)
+    return np.where(np.isnan(previous_p[..., :1]), 0.0, updated)
 
 
-@no_type_check
-@numba.njit
-def rotate_about_z(v, angle, rotated):
-    """Rotate a vector about the vertical; input and output may be the same array."""
-    c, s = cos(angle), sin(angle)
-    rotated[0], rotated[1], rotated[2] = c * v[0] - s * v[1], s * v[0] + c * v[1], v[2]
-
-
-@no_type_check
-@numba.njit
-def yaw_from_motion(observer, twist, tracking):
+def yaw_from_motion(
+    observer: Float[Array, "... 7"], twist: Float[Array, "... 4"], tracking: YawTracking
+) -> tuple[Numbers, Numbers]:
     """Compute ψ̂_ij from observed and received velocity, and its weight from 0 to 1.
 
     Only horizontal motion tells yaw, and the observer settles for the first 3/k₁.
     """
-    v_x, v_y = (twist[0], twist[1]) if tracking.as_printed else (observer[3], observer[4])
-    observed = sqrt(observer[0] ** 2 + observer[1] ** 2)
-    received = sqrt(v_x * v_x + v_y * v_y)
-    speed = sqrt(twist[0] ** 2 + twist[1] ** 2 + twist[2] ** 2)
-    if not tracking.as_printed:
-        speed = min(received, observed) if observer[6] >= 3 / tracking.k1 else 0.0
+    observed = observer[..., :2]
+    received = twist[..., :2] if tracking.as_printed else observer[..., 3:5]
+    if tracking.as_printed:
+        speed = np.linalg.norm(twist[..., :3], axis=-1)
+    else:
+        slower = np.minimum(*(np.linalg.norm(v, axis=-1) for v in (observed, received)))
+        speed = np.where(observer[..., 6] >= 3 / tracking.k1, slower, 0.0)
     trust = cosine_ramp(speed, tracking.min_speed, tracking.max_speed)[0]
-    return wrap_angle(atan2(observer[1], observer[0]) - atan2(v_y, v_x)), trust
+    return wrap_angle(_direction(observed) - _direction(received)), trust
 
 
-@no_type_check
-@numba.njit
-def yaw_from_bearings(p, p_back):
+def yaw_from_bearings(p: Vectors, p_back: Vectors) -> Numbers:
     """Compute ψ_ij of two agents that see each other: R_z(ψ_ij) p_ji = −p_ij."""
-    return wrap_angle(atan2(-p[1], -p[0]) - atan2(p_back[1], p_back[0]))
+    return wrap_angle(_direction(-p) - _direction(p_back))
 
 
-@no_type_check
-@numba.njit
-def update_yaw_estimate(psi, rate, mutual, psi_bearings, psi_motion, trust, tracking, dt):
+def _direction(v: Float[Array, "... d"]) -> Numbers:
+    return np.asarray(np.arctan2(v[..., 1], v[..., 0]))
+
+
+def update_yaw_estimate(
+    psi: Numbers,
+    rate: Numbers,
+    mutual: Numbers,
+    psi_bearings: Numbers,
+    psi_motion: Numbers,
+    trust: Numbers,
+    tracking: YawTracking,
+    dt: float,
+) -> Numbers:
     """Advance ψ̃_ij by a step [Bernard2023, eq. 19].
 
     Args:
@@ -125,14 +205,11 @@ def update_yaw_estimate(psi, rate, mutual, psi_bearings, psi_motion, trust, trac
         tracking: Gains.
         dt: Step [s].
     """
-    rate = rate + tracking.k2 * trust * (1 - mutual) * sin(psi_motion - psi)
-    if mutual > 0:
-        rate += tracking.k3 * mutual * sin(psi_bearings - psi)
+    rate = rate + tracking.k2 * trust * (1 - mutual) * np.sin(psi_motion - psi)
+    rate = rate + tracking.k3 * mutual * np.sin(psi_bearings - psi)
     return wrap_angle(psi + dt * rate)
 
 
-@no_type_check
-@numba.njit
-def circular_mean(one, other):
+def circular_mean(one: Numbers, other: Numbers) -> Numbers:
     """Compute the mean of two angles on the circle [rad]."""
-    return atan2(sin(one) + sin(other), cos(one) + cos(other))
+    return np.arctan2(np.sin(one) + np.sin(other), np.cos(one) + np.cos(other))

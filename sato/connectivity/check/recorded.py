@@ -9,20 +9,19 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.quadrotor import Quadrotor
+from dynamics.vehicle import VehicleState, rotate_by_yaw
 from sato.check.event_log import EventLog
-from sato.connectivity.check.replay import (
-    CameraViews,
-    QuadrotorReplay,
-    compute_views,
-    replay_quadrotors,
-)
 from sato.connectivity.distance import min_obstacle_distance, min_separation
+from sato.connectivity.loop import advance_vehicles, vehicles_at_rest
 from sato.connectivity.mission import Connectivity
-from sato.connectivity.record import ConnectivityFrame, rotate_by_yaw
+from sato.connectivity.record import ConnectivityFrame
+from sato.connectivity.sensors import CameraViews, compute_views
 from sato.record import read_frames
 
 if TYPE_CHECKING:
     import xarray
+
+MAX_BATCH = 1_000_000  # pairs, with what may hide one from the other, of one computation
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,29 +52,37 @@ class ConnectivityRecord:
         return min_obstacle_distance(self.frames.position, self.frames.alive, obstacles)
 
     @cached_property
-    def total_command(self) -> Float[Array, "instants agents 3"]:
-        """Commanded velocity in the body frame, of the leader with the stick [m/s]."""
-        command = np.array(self.frames.velocity_command)
-        command[:, 0] += rotate_by_yaw(self.frames.stick, -self.frames.yaw[:, 0])
+    def total_command(self) -> Float[Array, "instants agents 4"]:
+        """Commanded velocity in the body frame, of the leader with the stick, and yaw rate."""
+        frames = self.frames
+        command = np.concatenate([frames.velocity_command, frames.yaw_rate[..., None]], axis=2)
+        command[:, 0, :3] += rotate_by_yaw(frames.stick, -frames.yaw[:, 0])
         return command
 
     @cached_property
-    def replay(self) -> QuadrotorReplay | None:
-        """Flight of the recorded commands from the recorded start; None but for quadrotors."""
-        plant, frames = self.mission.plant, self.frames
-        if not isinstance(plant, Quadrotor):
+    def replay(self) -> VehicleState | None:
+        """Flight of the recorded commands from the start, at every instant; of quadrotors alone."""
+        if not isinstance(self.mission.plant, Quadrotor):
             return None
-        return replay_quadrotors(
-            frames.position[0], frames.yaw[0], self.total_command, frames.yaw_rate, frames.alive,
-            plant, self.mission.step,
-        )  # fmt: skip
+        states, rng = [vehicles_at_rest(self.mission)], np.random.default_rng()
+        for alive, command in zip(self.frames.alive[:-1], self.total_command, strict=False):
+            states.append(advance_vehicles(states[-1], alive, command, self.mission, rng))
+        return VehicleState(*(np.array(part) for part in zip(*states, strict=True)))
 
     @cached_property
     def views(self) -> CameraViews:
         """Views of all cameras at the recorded poses, tilted as replayed."""
         frames, replay = self.frames, self.replay
-        acceleration = np.zeros_like(frames.position) if replay is None else replay.acceleration
-        return compute_views(frames.position, frames.yaw, acceleration, frames.alive, self.mission)
+        still = np.zeros_like(frames.position)
+        tilt = still if replay is None else replay.acceleration
+        vehicles = VehicleState(frames.position, frames.yaw, still, frames.yaw_rate, tilt)
+        found = []
+        count = max(1, MAX_BATCH // frames.alive.shape[1] ** 3)
+        for first in range(0, len(frames.time), count):
+            part = slice(first, first + count)
+            now = VehicleState(*(values[part] for values in vehicles))
+            found.append(compute_views(now, frames.alive[part], self.mission))
+        return CameraViews(*(np.concatenate(part) for part in zip(*found, strict=True)))
 
     @property
     def waypoints_reached(self) -> int:

@@ -22,7 +22,7 @@ GRID_POINTS = 201  # per axis
 
 def plot_weights(record: ConnectivityRecord) -> Figure:
     """Plot γ over distance, f* over angle, f over both f*, and the weight of one camera."""
-    sight = record.mission.parameters.assumed_camera
+    sight = record.mission.assumed_camera
     figure = Figure(figsize=(7.6, 6.4), layout="constrained")
     axes = figure.subplots(2, 2)
     _plot_range_weight(axes[0, 0], sight)
@@ -38,7 +38,7 @@ def plot_weights(record: ConnectivityRecord) -> Figure:
 
 def _plot_range_weight(ax: Any, sight: Camera) -> None:
     d = np.linspace(0, 1.1 * sight.d_max, GRID_POINTS)
-    ax.plot(d, [range_weight(x, sight)[0] for x in d], color=BLUE, lw=1.5)
+    ax.plot(d, range_weight(d, sight)[0], color=BLUE, lw=1.5)
     names = ("d$_{min}$", "D$_1$", "D$_2$", "d$_{max}$")
     for level, name in zip(
         (sight.d_min, sight.d_near, sight.d_far, sight.d_max), names, strict=True
@@ -49,7 +49,7 @@ def _plot_range_weight(ax: Any, sight: Camera) -> None:
 
 def _plot_view_weight(ax: Any, sight: Camera) -> None:
     degrees = np.linspace(0, 180, GRID_POINTS)
-    f = [cosine_ramp(a, sight.a_min, sight.a_max)[0] for a in np.cos(np.radians(degrees))]
+    f, _ = cosine_ramp(np.cos(np.radians(degrees)), sight.a_min, sight.a_max)
     ax.plot(degrees, f, color=BLUE, lw=1.5)
     for level, name in ((sight.a_max, "a$_{max}$"), (sight.a_min, "a$_{min}$")):
         if abs(level) < 1:
@@ -82,9 +82,7 @@ def _plot_one_sided_weight(ax: Any, sight: Camera) -> Any:
     )
     d = np.maximum(np.hypot(x, y), 1e-9)
     cosine = (sight.optical_axis[0] * x + sight.optical_axis[1] * y) / d
-    weight = np.vectorize(
-        lambda far, a: range_weight(far, sight)[0] * cosine_ramp(a, sight.a_min, sight.a_max)[0]
-    )(d, cosine)
+    weight = range_weight(d, sight)[0] * cosine_ramp(cosine, sight.a_min, sight.a_max)[0]
     image = ax.imshow(
         weight, origin="lower", extent=(-reach, reach) * 2, cmap=COLORMAP, vmin=0, vmax=1
     )

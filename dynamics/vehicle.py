@@ -1,0 +1,26 @@
+"""State of vehicles that are commanded by velocity and yaw rate."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+
+class VehicleState(NamedTuple):
+    """State of one vehicle or of many, with any leading axes."""
+
+    position: Float[Array, "*k 3"]  # in the world frame [m]
+    yaw: Float[Array, "*k"]  # [rad]
+    velocity: Float[Array, "*k 3"]  # in the heading frame [m/s]
+    yaw_rate: Float[Array, "*k"]  # [rad/s]
+    acceleration: Float[Array, "*k 3"]  # of quadrotors, in the world frame [m/s²]
+
+
+def rotate_by_yaw(
+    vectors: Float[Array, "*#k 3"], yaw: Float[Array, "*#k"] | float
+) -> Float[Array, "*#k 3"]:
+    """Rotate vectors from heading frames to the world frame: R_z(ψ) v."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    return np.stack(np.broadcast_arrays(c * x - s * y, s * x + c * y, z), axis=-1)
