@@ -147,9 +147,6 @@ class SolverResult(NamedTuple):
     x: Float[Array, " n"] | None = None  # a point; also where it stopped with one
     y: Float[Array, " m"] | None = None  # its duals, or the ray that certifies infeasibility
     iterations: int | None = None
-    # Time in the library's own calls: handing over b, solving, and reading the point and its
-    # duals. The adapter's work on arrays before and after is not included [s].
-    seconds: float = 0.0
 
 
 class ConicSolution(NamedTuple):

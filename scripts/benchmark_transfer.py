@@ -1,15 +1,13 @@
-"""Speedup of directly assembled programs over CVXPY, and overhead of the adapters.
+"""Speedup of directly assembled programs over CVXPY.
 
 Transfers and avoidance by the toolkit's own paths, against the statement in CVXPY, which is
 compiled once with start, goal and half-spaces as parameters; both by Clarabel, at the same
 tolerance, on one thread. Whole calls are timed, from the data to the controls. All take turns, so
 that whatever else the machine does slows all of them; times are the processor's, and ratios are of
-medians. An adapter's overhead is the time of its solve less that of the library's own calls, which
-whoever uses the library alone would have to make: handing over the right-hand side, solving, and
-reading out the point and its duals.
+medians.
 """
 
-from time import perf_counter, process_time
+from time import process_time
 from typing import Annotated, NamedTuple
 
 import cvxpy as cp
@@ -23,20 +21,11 @@ from threadpoolctl import threadpool_limits
 from problems.avoidance import AvoidanceProblem
 from problems.conic import Infeasible
 from problems.convexify import choose_normals, convexify
-from problems.families import load_family
-from problems.solvers import load_adapters
 from problems.transfer import TransferProblem
 from sato.reconfiguration.planning import make_horizon
 
 TOLERANCE = 1e-9  # what the toolkit asks of Clarabel
 COST_TOLERANCE = 1e-7  # optima, relative
-MAX_OVERHEAD = 2e-4  # of an adapter, at most [s]
-MAX_SOLVER_TIME = 2.0  # of a slow solver, whose overhead then shows [s]
-FAMILY_OF_CONE = {
-    "linear": "transfer-lp",
-    "second-order": "transfer-socp",
-    "semidefinite": "gain-sdp",
-}
 
 
 class TransferCase(NamedTuple):
@@ -109,7 +98,7 @@ def speed_limited_case(count: int) -> TransferCase:
     )
 
 
-def avoidance_case(neighbours: int, count: int) -> TransferCase:
+def avoidance_case(neighbors: int, count: int) -> TransferCase:
     """Build the case of avoidance among blocking neighbors."""
     questions: list[AvoidanceProblem] = []
     seed = 0
@@ -123,14 +112,14 @@ def avoidance_case(neighbours: int, count: int) -> TransferCase:
         paths = np.stack([horizon.control_points(flight.x, flight.u) for flight in free])
         for i, flight in enumerate(free):
             away = np.linalg.norm(start.states - start.states[i], axis=1)
-            others = paths[np.argsort(away, kind="stable")[1 : neighbours + 1]]
+            others = paths[np.argsort(away, kind="stable")[1 : neighbors + 1]]
             normal = choose_normals(paths[i] - others, horizon.required_separation)
             spaces = convexify(horizon, len(flight.u), others, normal)
             question = AvoidanceProblem(transfer, *ends[i], spaces)
             if spaces.violation(flight.x, flight.u).max() > 0 and is_feasible(question):
                 questions.append(question)
     return TransferCase(
-        f"avoidance, 2-D, 40 steps, {neighbours} neighbours",
+        f"avoidance, 2-D, 40 steps, {neighbors} neighbors",
         transfer,
         questions[:count],
         0.9,
@@ -188,40 +177,12 @@ def time_case(table: Table, case: TransferCase, turns: int) -> bool:
     return missed
 
 
-def measure_overheads(turns: int) -> dict[tuple[str, str], tuple[float, float]]:
-    """Return the median times of a solve and of its adapter [s], by solver and family."""
-    installed = [solver for solver in load_adapters().values() if solver.is_installed]
-    found = {}
-    for name in FAMILY_OF_CONE.values():
-        instances = load_family(name, "medium").instances
-        first = instances[0].problem
-        bs = [each.problem.b for each in instances if each.problem.A is first.A]
-        sessions = {s.name: s.open_session(first, 1e-6) for s in installed if not s.refusal(first)}
-        taken: dict[str, list[tuple[float, float]]] = {solver: [] for solver in sessions}
-        for turn in range(turns + 1):
-            for solver, session in sessions.items():
-                if sum(seconds for seconds, _ in taken[solver]) > MAX_SOLVER_TIME:
-                    continue
-                began = perf_counter()
-                claim = session.solve(bs[turn % len(bs)].copy())
-                seconds = perf_counter() - began
-                if turn:  # what a library does once is not what is timed
-                    taken[solver].append((seconds, seconds - claim.seconds))
-        for solver, some in taken.items():
-            whole, over = np.median(np.array(some), axis=0)
-            found[solver, name] = float(whole), float(over)
-    return found
-
-
 def main(
     instances: Annotated[int, typer.Option(help="flights of each case")] = 10,
-    turns: Annotated[
-        int, typer.Option(help="of each flight; adapters take five times as many")
-    ] = 9,
+    turns: Annotated[int, typer.Option(help="of each flight")] = 9,
 ) -> None:
     """Compare; exit 1 where a target is missed."""
     paths = Table("path", "flights", "half-spaces", "ours, ms", "CVXPY, ms", "ratio ≤", "cost ≤")
-    adapted = Table("solver", "family", "a solve, ms", f"adapter, ms ≤ {1e3 * MAX_OVERHEAD:g}")
     with threadpool_limits(1):
         cases = [
             unconstrained_case(instances),
@@ -230,13 +191,7 @@ def main(
         ]
         cases.append(avoidance_case(20, instances))
         missed = [time_case(paths, case, turns) for case in cases]
-        for (solver, name), (whole, over) in sorted(measure_overheads(5 * turns).items()):
-            missed.append(over > MAX_OVERHEAD)
-            row = solver, name, f"{1e3 * whole:.2f}", f"{1e3 * over:.3f}"
-            adapted.add_row(*row, style="red" if missed[-1] else None)
-    console = Console(width=120)
-    console.print(paths)
-    console.print(adapted)
+    Console(width=120).print(paths)
     raise typer.Exit(int(any(missed)))
 
 

@@ -71,13 +71,6 @@ class Family:
     solvers: tuple[str, ...]  # that agree on the solutions
     instances: tuple[Instance, ...]
 
-    def __post_init__(self) -> None:
-        """Check that there is an instance."""
-        if not self.instances:
-            raise ValueError(
-                f"the family {self.name}, {self.size}, is empty: it needs at least one instance"
-            )
-
 
 def list_families() -> dict[str, tuple[str, ...]]:
     """List the sizes of each family, by its name."""
@@ -101,29 +94,26 @@ def load_family(name: str, size: str) -> Family:
     if size not in known[name]:
         raise ValueError(f'{name} has no size "{size}"; it has {", ".join(known[name])}')
     with (files(__name__) / f"{name}-{size}.npz").open("rb") as file, np.load(file) as data:
-        return _parse_family(name, size, data)
-
-
-def _parse_family(name: str, size: str, data: Any) -> Family:
-    # A and q are stored once for all the instances that share them.
-    shared = [_parse_program(data, k) for k in range(int(data["programmes"]))]
-    instances = []
-    for i, k in enumerate(data["programme"]):
-        problem = replace(shared[k], b=data[f"b{i}"])
-        known = bool(data["feasible"][i]), float(data["reference"][i]), float(data["agreed"][i])
-        label = f"{name}/{size}/{i}"
-        instances.append(Instance(label, problem, *known, data[f"x{i}"], data[f"y{i}"]))
-    solvers = tuple(str(solver) for solver in data["solvers"])
-    source = str(data["source"])
-    return Family(name, size, int(data["seed"]), source, solvers, tuple(instances))
+        # A and q are stored once for all the instances that share them.
+        shared = [_parse_program(data, k) for k in range(int(data["programmes"]))]
+        instances = []
+        for i, k in enumerate(data["programme"]):
+            problem = replace(shared[k], b=data[f"b{i}"])
+            answer = (
+                bool(data["feasible"][i]),
+                float(data["reference"][i]),
+                float(data["agreed"][i]),
+            )
+            label = f"{name}/{size}/{i}"
+            instances.append(Instance(label, problem, *answer, data[f"x{i}"], data[f"y{i}"]))
+        solvers, source = tuple(map(str, data["solvers"])), str(data["source"])
+        return Family(name, size, int(data["seed"]), source, solvers, tuple(instances))
 
 
 def _parse_program(data: Any, k: int) -> ConicProgram:
-    q, values = data[f"q{k}"], data[f"values{k}"]
-    rows, starts = data[f"rows{k}"], data[f"starts{k}"]
-    zero, nonnegative = (int(count) for count in data[f"linear{k}"])
-    cones = tuple(int(size) for size in data[f"cones{k}"])
-    matrices = tuple(int(order) for order in data[f"matrices{k}"])
-    height = zero + nonnegative + sum(cones) + sum(n * (n + 1) // 2 for n in matrices)
-    A = csc_array((values, rows, starts), shape=(height, len(q)))
-    return ConicProgram(q, A, np.zeros(height), zero, nonnegative, cones, matrices)
+    zero, nonnegative = map(int, data[f"linear{k}"])
+    cones, orders = tuple(map(int, data[f"cones{k}"])), tuple(map(int, data[f"matrices{k}"]))
+    height = zero + nonnegative + sum(cones) + sum(n * (n + 1) // 2 for n in orders)
+    columns = data[f"values{k}"], data[f"rows{k}"], data[f"starts{k}"]
+    A = csc_array(columns, shape=(height, len(data[f"q{k}"])))
+    return ConicProgram(data[f"q{k}"], A, np.zeros(height), zero, nonnegative, cones, orders)

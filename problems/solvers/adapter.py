@@ -10,7 +10,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse import csc_matrix
 
-from problems.conic import ConeType, ConicProgram, SolverResult
+from problems.conic import ConeType, ConicProgram, SolverResult, Status
 
 LP: frozenset[ConeType] = frozenset({"linear"})
 SOCP: frozenset[ConeType] = LP | {"second-order"}
@@ -79,6 +79,26 @@ class SolverAdapter:
         return self.session_factory(problem, tolerance)
 
 
+def make_result(
+    status: Status,
+    message: str,
+    iterations: int | None,
+    x: Float[Array, " n"] | None,
+    y: Float[Array, " m"] | None,
+) -> SolverResult:
+    """Make the result of a solve: a point and its duals, or the ray of an infeasible program.
+
+    Arrays are copied, because libraries write to theirs again. A point that is not finite is
+    left out.
+    """
+    duals = None if y is None else np.array(y)
+    if status == "infeasible":
+        return SolverResult(status, message, None, duals, iterations)
+    if x is None or not np.isfinite(x).all():
+        return SolverResult(status, message, None, None, iterations)
+    return SolverResult(status, message, np.array(x), duals, iterations)
+
+
 def lower_bounds(b: Float[Array, " m"], zero: int, infinity: float = np.inf) -> Float[Array, " m"]:
     """Compute l of l ≤ A x ≤ b: equal to b for equations, −∞ for inequalities.
 
@@ -90,10 +110,10 @@ def lower_bounds(b: Float[Array, " m"], zero: int, infinity: float = np.inf) -> 
     return np.concatenate([b[:zero], np.full(len(b) - zero, -infinity)])
 
 
-def split_equalities(problem: ConicProgram) -> tuple[csc_matrix, csc_matrix]:
-    """Split A into equations and inequalities, as matrices that older libraries accept."""
-    A = problem.A
-    return csc_matrix(A[: problem.zero]), csc_matrix(A[problem.zero :])
+def split_rows(problem: ConicProgram) -> tuple[csc_matrix, csc_matrix, Array, Array]:
+    """Split A and b into equations and the others, as matrices that older libraries accept."""
+    A, b, zero = problem.A, problem.b, problem.zero
+    return csc_matrix(A[:zero]), csc_matrix(A[zero:]), b[:zero], b[zero:]
 
 
 def zero_hessian(problem: ConicProgram) -> csc_matrix:

@@ -4,8 +4,6 @@
 have after the states are eliminated.
 """
 
-from time import perf_counter
-
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
@@ -59,18 +57,16 @@ class DualSimplexSession:
             raise ValueError("only the right-hand side of the equations may change")
         x, λ = np.empty((1, len(self._w))), np.empty((1, self._zero))
         status = np.empty(1, np.int64)
-        began = perf_counter()
         transformed, _ = self._orthonormal.transform(b[None, : self._zero], 1.0)
         rows, only = self._orthonormal.rows, np.array([0, 1])
         solve_batches(rows, self._w, transformed, only, MAX_PIVOTS, x, λ, status)
-        seconds = perf_counter() - began
         if status == OPTIMAL:
             z = np.maximum(np.concatenate([x[0], -x[0]]), 0)
-            return SolverResult("solved", "optimal", z, self._duals(λ[0], self._w), None, seconds)
+            return SolverResult("solved", "optimal", z, self._duals(λ[0], self._w))
         if status == INFEASIBLE:
             ray = self._duals(λ[0], np.zeros_like(self._w))
-            return SolverResult("infeasible", "unreachable", None, ray, None, seconds)
-        return SolverResult("stopped", "too many pivots", seconds=seconds)
+            return SolverResult("infeasible", "unreachable", None, ray)
+        return SolverResult("stopped", "too many pivots")
 
     def _duals(self, λ: Float[Array, " r"], w: Float[Array, " N"]) -> Float[Array, " m"]:
         along = self._orthonormal.rows.T @ λ
@@ -79,5 +75,5 @@ class DualSimplexSession:
         return np.concatenate([equations, np.maximum(over, 0), np.maximum(-over, 0)])
 
 
-_MODULES = "problems", "sato"
+_MODULES = "problems", "sato-swarm"
 ADAPTERS = (SolverAdapter("batched", LP, True, DualSimplexSession, *_MODULES, unsupported_reason),)

@@ -7,96 +7,65 @@ linear programs with it); and *highs*, which crashes a process that has loaded H
 this one has.
 """
 
-from collections.abc import Callable
 from functools import partial
-from time import perf_counter
 from typing import Any
 
 import casadi
-import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
 from problems.conic import ConicProgram, SolverResult, Status
-from problems.solvers.adapter import LP, SolverAdapter, lower_bounds
+from problems.solvers.adapter import LP, SolverAdapter, lower_bounds, make_result
 
 MAX_ITERATIONS = 100_000
-QUIET = {"print_header": False, "print_info": False, "print_iter": False}
+IPQP_MESSAGES = ("print_header", "print_info", "print_iter")
+# Its own factorization stops at zeros on the diagonal, with NaN.
+IPQP_OPTIONS = {"linear_solver": "qr", **dict.fromkeys(IPQP_MESSAGES, False)}
+QPOASES_OPTIONS = {"hessian_type": "zero", "sparse": True, "printLevel": "none"}
+PLUGINS = ("cbc", "daqp", "ipqp", "osqp", "piqp", "qpoases", "superscs")
 
-# Options of each solver for a tolerance.
-OPTIONS: dict[str, Callable[[float], dict[str, Any]]] = {
-    "cbc": lambda tolerance: {"cbc": {"logLevel": 0}},
-    # Without a proximal term it does not start where the cost is linear.
-    "daqp": lambda tolerance: {"daqp": {"eps_prox": 1e-3, "iter_limit": MAX_ITERATIONS}},
-    # Its own factorization stops at zeros on the diagonal, with NaN.
-    "ipqp": lambda tolerance: {
-        **dict.fromkeys(("constr_viol_tol", "dual_inf_tol"), tolerance),
-        "linear_solver": "qr",
-        **QUIET,
-    },
-    "osqp": lambda tolerance: {
-        "osqp": {
-            **dict.fromkeys(("eps_abs", "eps_rel"), tolerance),
-            **{"max_iter": MAX_ITERATIONS, "polish": True, "verbose": False},
-        }
-    },
-    "piqp": lambda tolerance: {"piqp": {"eps_abs": tolerance, "eps_rel": tolerance}},
-    "qpoases": lambda tolerance: {
-        "printLevel": "none",
-        "hessian_type": "zero",
-        "sparse": True,
-        "terminationTolerance": tolerance,
-    },
-    "superscs": lambda tolerance: {
-        "superscs": {"eps": tolerance, "max_iters": MAX_ITERATIONS, "verbose": 0}
-    },
-}
+
+def _options(plugin: str, tolerance: float) -> dict[str, Any]:
+    eps = {"eps_abs": tolerance, "eps_rel": tolerance}
+    options: dict[str, dict[str, Any]] = {
+        "cbc": {"cbc": {"logLevel": 0}},
+        # Without a proximal term it does not start where the cost is linear.
+        "daqp": {"daqp": {"eps_prox": 1e-3, "iter_limit": MAX_ITERATIONS}},
+        "ipqp": {"constr_viol_tol": tolerance, "dual_inf_tol": tolerance, **IPQP_OPTIONS},
+        "osqp": {"osqp": eps | {"max_iter": MAX_ITERATIONS, "polish": True, "verbose": False}},
+        "piqp": {"piqp": eps},
+        "qpoases": {"terminationTolerance": tolerance, **QPOASES_OPTIONS},
+        "superscs": {"superscs": {"eps": tolerance, "max_iters": MAX_ITERATIONS, "verbose": 0}},
+    }
+    return options[plugin]
 
 
 class CasadiConicSession:
-    """CasADi function, built once, that reads and writes the same memory at every call."""
+    """CasADi function that is built once."""
 
     def __init__(self, plugin: str, problem: ConicProgram, tolerance: float) -> None:
         """Build the function."""
-        n, m, A = len(problem.q), len(problem.b), casadi.DM(problem.A)
-        self._solver: Any = casadi.conic(
-            "solver",
-            plugin,
-            {"h": casadi.Sparsity(n, n), "a": A.sparsity()},
-            {"error_on_fail": False, "print_time": False, **OPTIONS[plugin](tolerance / 10)},
-        )
-        self._zero, self._lower, self._upper = problem.zero, np.empty(m), np.empty(m)
-        self._x, self._y = np.empty(n), np.empty(m)
-        self._given = {"g": np.array(problem.q), "a": np.array(A.nonzeros())}
-        self._given |= {"lba": self._lower, "uba": self._upper}
-        self._given |= {"lbx": np.full(n, -np.inf), "ubx": np.full(n, np.inf)}
-        # CasADi's type annotations ask for a size with each view; at run time it takes none.
-        memory: tuple[Any, Any] = self._solver.buffer()
-        self._buffer, self._run = memory
-        for name, values in self._given.items():
-            self._buffer.set_arg(self._solver.index_in(name), values.data)
-        for name, values in (("x", self._x), ("lam_a", self._y)):
-            self._buffer.set_res(self._solver.index_out(name), values.data)
+        self._zero, n, A = problem.zero, len(problem.q), casadi.DM(problem.A)
+        self._data = {"g": casadi.DM(problem.q), "a": A}
+        shape = {"h": casadi.Sparsity(n, n), "a": A.sparsity()}
+        options = {"error_on_fail": False, "print_time": False, **_options(plugin, tolerance / 10)}
+        self._solver: Any = casadi.conic("solver", plugin, shape, options)
 
     def solve(self, b: Float[Array, " m"]) -> SolverResult:
         """Solve with another right-hand side."""
-        self._lower[:], self._upper[:] = lower_bounds(b, self._zero), b
-        began = perf_counter()
-        self._run()
-        stats = self._buffer.stats()
-        seconds = perf_counter() - began
+        found = self._solver(**self._data, lba=lower_bounds(b, self._zero), uba=b)
+        stats = self._solver.stats()
         message = str(stats.get("return_status", stats["unified_return_status"]))
-        count = stats.get("iter_count", -1)
-        iterations = count if count > 0 else None
+        iterations = max(stats.get("iter_count", 0), 0) or None
         if "infeasib" in message.lower() and "dual" not in message.lower():
-            return SolverResult("infeasible", message, None, None, iterations, seconds)
+            return SolverResult("infeasible", message, iterations=iterations)
         status: Status = "solved" if stats["success"] else "stopped"
-        x, y = self._x.copy(), self._y.copy()
-        return SolverResult(status, message, x, y, iterations, seconds)
+        x, y = found["x"].full().ravel(), found["lam_a"].full().ravel()
+        return make_result(status, message, iterations, x, y)
 
 
 ADAPTERS = tuple(
     SolverAdapter(f"casadi-{plugin}", LP, False, partial(CasadiConicSession, plugin), "casadi")
-    for plugin in OPTIONS
+    for plugin in PLUGINS
     if casadi.has_conic(plugin)
 )

@@ -1,6 +1,5 @@
 """DAQP: dual active set, dense quadratic programs over linear cones [Arnstrom2022]."""
 
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -8,13 +7,12 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from problems.conic import ConicProgram, SolverResult, Status
-from problems.solvers.adapter import LP, SolverAdapter, lower_bounds
+from problems.solvers.adapter import LP, SolverAdapter, lower_bounds, make_result
 
 INFINITY = 1e30  # number that the library takes for infinite
 EQUALITY, INEQUALITY = 5, 0  # sense of a row
 MAX_ITERATIONS = 100_000
-EXIT_FLAGS = {1: "optimal", 2: "soft optimal", -1: "infeasible", -2: "cycling", -3: "unbounded",
-        -4: "iteration limit", -5: "nonconvex", -6: "overdetermined initial set"}  # fmt: skip
+STATUSES: dict[int, Status] = {1: "solved", -1: "infeasible"}  # by exit flag
 
 
 class DaqpSession:
@@ -36,17 +34,11 @@ class DaqpSession:
 
     def solve(self, b: Float[Array, " m"]) -> SolverResult:
         """Solve with another right-hand side."""
-        lower = lower_bounds(b, self._zero, INFINITY)
-        began = perf_counter()
-        self._solver.update(bupper=b, blower=lower)
+        self._solver.update(bupper=b, blower=lower_bounds(b, self._zero, INFINITY))
         x, _, flag, info = self._solver.solve()
-        seconds = perf_counter() - began
-        message, iterations = EXIT_FLAGS.get(flag, f"exit flag {flag}"), info["iterations"]
-        if flag == -1:
-            return SolverResult("infeasible", message, None, None, iterations, seconds)
-        status: Status = "solved" if flag == 1 else "stopped"
-        y = np.array(info["lam"])
-        return SolverResult(status, message, np.array(x), y, iterations, seconds)
+        status = STATUSES.get(flag, "stopped")
+        y = None if status == "infeasible" else info["lam"]
+        return make_result(status, f"exit flag {flag}", info["iterations"], x, y)
 
 
 ADAPTERS = (SolverAdapter("daqp", LP, False, DaqpSession),)

@@ -1,17 +1,19 @@
 """HiGHS: dual simplex, linear programs only [Huangfu2018]."""
 
-from time import perf_counter
-
 import highspy
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from problems.conic import ConicProgram, SolverResult
-from problems.solvers.adapter import LP, SolverAdapter, lower_bounds
+from problems.conic import ConicProgram, SolverResult, Status
+from problems.solvers.adapter import LP, SolverAdapter, lower_bounds, make_result
 
 MIN_TOLERANCE = 1e-10  # smallest that HiGHS accepts
 DEFAULT_TOLERANCE = 1e-6
+STATUSES: dict[highspy.HighsModelStatus, Status] = {
+    highspy.HighsModelStatus.kOptimal: "solved",
+    highspy.HighsModelStatus.kInfeasible: "infeasible",
+}
 
 
 def solve_highs(problem: ConicProgram) -> SolverResult:
@@ -39,23 +41,19 @@ class HighsSession:
     def solve(self, b: Float[Array, " m"]) -> SolverResult:
         """Solve with another right-hand side, from the last basis."""
         lower = lower_bounds(b, self._zero, highspy.kHighsInf)
-        began = perf_counter()
         self._solver.changeRowsBounds(len(b), self._rows, lower, b)
         self._solver.run()
         if self._solver.getModelStatus() == highspy.HighsModelStatus.kUnboundedOrInfeasible:
             self._rerun_without_presolve()  # presolve does not tell which
-        status = self._solver.getModelStatus()
-        ray = self._ray() if status == highspy.HighsModelStatus.kInfeasible else None
-        message = self._solver.modelStatusToString(status)
+        code = self._solver.getModelStatus()
+        status = STATUSES.get(code, "stopped")
+        message = self._solver.modelStatusToString(code)
         iterations = self._solver.getInfo().simplex_iteration_count
+        if status == "infeasible":
+            return make_result(status, message, iterations, None, self._ray())
         point = self._solver.getSolution()
-        x, y = point.col_value, point.row_dual  # lists, made at every access
-        seconds = perf_counter() - began
-        if status == highspy.HighsModelStatus.kInfeasible:
-            return SolverResult("infeasible", message, None, ray, iterations, seconds)
-        if status != highspy.HighsModelStatus.kOptimal:
-            return SolverResult("stopped", message, iterations=iterations, seconds=seconds)
-        return SolverResult("solved", message, np.array(x), -np.array(y), iterations, seconds)
+        x = np.array(point.col_value) if status == "solved" else None
+        return make_result(status, message, iterations, x, -np.array(point.row_dual))
 
     def _ray(self) -> Array | None:
         _, found, ray = self._solver.getDualRay()

@@ -1,17 +1,17 @@
 """OSQP: operator splitting, quadratic programs over linear cones [Stellato2020]."""
 
-from time import perf_counter
 from typing import Any
 
-import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse import csc_matrix
 
 from problems.conic import ConicProgram, SolverResult, Status
-from problems.solvers.adapter import LP, SolverAdapter, lower_bounds, zero_hessian
+from problems.solvers.adapter import LP, SolverAdapter, lower_bounds, make_result, zero_hessian
 
 MAX_ITERATIONS = 100_000  # linear programs take thousands
+TOLERANCES = ("eps_abs", "eps_rel", "eps_prim_inf", "eps_dual_inf")
+STATUSES: dict[str, Status] = {"solved": "solved", "primal infeasible": "infeasible"}
 
 
 class OsqpSession:
@@ -25,34 +25,25 @@ class OsqpSession:
         """Set up the program."""
         import osqp
 
-        self._zero, self._status = problem.zero, osqp.SolverStatus
+        self._zero = problem.zero
         self._solver: Any = osqp.OSQP()
         P, A, lower = (
             zero_hessian(problem),
             csc_matrix(problem.A),
             lower_bounds(problem.b, self._zero),
         )
-        names = "eps_abs", "eps_rel", "eps_prim_inf", "eps_dual_inf"
         options: dict[str, Any] = {"max_iter": MAX_ITERATIONS, "polishing": True, "verbose": False}
-        options |= dict.fromkeys(names, tolerance / 10)
+        options |= dict.fromkeys(TOLERANCES, tolerance / 10)
         self._solver.setup(P, problem.q, A, lower, problem.b, **options)
 
     def solve(self, b: Float[Array, " m"]) -> SolverResult:
         """Solve with another right-hand side, from the last solution."""
-        lower = lower_bounds(b, self._zero)
-        began = perf_counter()
-        self._solver.update(l=lower, u=b)
-        result = self._solver.solve(raise_error=False)
-        message, code, iterations = result.info.status, result.info.status_val, result.info.iter
-        seconds = perf_counter() - began
-        if code == self._status.OSQP_PRIMAL_INFEASIBLE:
-            ray = np.array(result.prim_inf_cert)
-            return SolverResult("infeasible", message, None, ray, iterations, seconds)
-        if result.x is None or not np.isfinite(result.x).all():
-            return SolverResult("stopped", message, iterations=iterations, seconds=seconds)
-        status: Status = "solved" if code == self._status.OSQP_SOLVED else "stopped"
-        x, y = np.array(result.x), np.array(result.y)
-        return SolverResult(status, message, x, y, iterations, seconds)
+        self._solver.update(l=lower_bounds(b, self._zero), u=b)
+        found = self._solver.solve(raise_error=False)
+        message = found.info.status
+        status = STATUSES.get(message, "stopped")
+        y = found.prim_inf_cert if status == "infeasible" else found.y
+        return make_result(status, message, found.info.iter, found.x, y)
 
 
 ADAPTERS = (SolverAdapter("osqp", LP, True, OsqpSession),)

@@ -1,20 +1,19 @@
 """QPALM: augmented Lagrangian, quadratic programs over linear cones [Hermans2022]."""
 
-from time import perf_counter
 from typing import Any
 
-import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse import csc_matrix
 
 from problems.conic import ConicProgram, SolverResult, Status
-from problems.solvers.adapter import LP, SolverAdapter, lower_bounds, zero_hessian
+from problems.solvers.adapter import LP, SolverAdapter, lower_bounds, make_result, zero_hessian
 
 # With bounds that it takes for infinite, it accepts rays outside the dual cone as certificates
 # and reports feasible programs as infeasible; this number it takes for finite.
 INFINITY = 1e15
 MAX_ITERATIONS = 100_000
+STATUSES: dict[str, Status] = {"solved": "solved", "primal infeasible": "infeasible"}
 
 
 class QpalmSession:
@@ -30,26 +29,19 @@ class QpalmSession:
         data.A, data.bmin = csc_matrix(problem.A), lower_bounds(problem.b, problem.zero, INFINITY)
         data.bmax = problem.b
         settings = qpalm.Settings()
-        settings.eps_abs = settings.eps_rel = tolerance / 10
-        settings.eps_prim_inf = tolerance / 10
+        settings.eps_abs = settings.eps_rel = settings.eps_prim_inf = tolerance / 10
         settings.max_iter = MAX_ITERATIONS
         settings.verbose = 0
         self._solver: Any = qpalm.Solver(data, settings)
 
     def solve(self, b: Float[Array, " m"]) -> SolverResult:
         """Solve with another right-hand side."""
-        lower = lower_bounds(b, self._zero, INFINITY)
-        began = perf_counter()
-        self._solver.update_bounds(lower, b)
+        self._solver.update_bounds(lower_bounds(b, self._zero, INFINITY), b)
         self._solver.solve()
-        info, solution = self._solver.info, self._solver.solution
-        seconds = perf_counter() - began
-        if info.status_val == info.PRIMAL_INFEASIBLE:
-            ray = np.array(self._solver.prim_inf_certificate)
-            return SolverResult("infeasible", info.status, None, ray, info.iter, seconds)
-        status: Status = "solved" if info.status_val == info.SOLVED else "stopped"
-        x, y = np.array(solution.x), np.array(solution.y)
-        return SolverResult(status, info.status, x, y, info.iter, seconds)
+        info, point = self._solver.info, self._solver.solution
+        status = STATUSES.get(info.status, "stopped")
+        y = self._solver.prim_inf_certificate if status == "infeasible" else point.y
+        return make_result(status, info.status, info.iter, point.x, y)
 
 
 ADAPTERS = (SolverAdapter("qpalm", LP, True, QpalmSession),)

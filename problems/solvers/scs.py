@@ -1,6 +1,5 @@
 """SCS: operator splitting, all cones [ODonoghue2016]."""
 
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -9,9 +8,10 @@ from numpy import ndarray as Array
 from scipy.sparse import csc_array
 
 from problems.conic import ConicProgram, SolverResult, Status
-from problems.solvers.adapter import SDP, SolverAdapter
+from problems.solvers.adapter import SDP, SolverAdapter, make_result
 
 MAX_ITERATIONS = 100_000
+STATUSES: dict[str, Status] = {"solved": "solved", "infeasible": "infeasible"}
 
 
 class ScsSession:
@@ -21,7 +21,7 @@ class ScsSession:
         """Set up the program."""
         import scs
 
-        self._order, self._status = _row_order(problem), scs
+        self._order = _row_order(problem)
         A, b = csc_array(problem.A[self._order]), problem.b[self._order]
         cones: dict[str, Any] = {"z": problem.zero, "l": problem.nonnegative}
         cones |= {"q": list(problem.soc_sizes), "s": list(problem.psd_orders)}
@@ -32,21 +32,13 @@ class ScsSession:
 
     def solve(self, b: Float[Array, " m"]) -> SolverResult:
         """Solve with another right-hand side, from the last solution."""
-        ordered = b[self._order]
-        began = perf_counter()
-        self._solver.update(b=ordered)
-        result = self._solver.solve()
-        seconds = perf_counter() - began
-        info = result["info"]
-        message, code, iterations = info["status"], info["status_val"], info["iter"]
+        self._solver.update(b=b[self._order])
+        found = self._solver.solve()
+        message, iterations = found["info"]["status"], found["info"]["iter"]
         y = np.empty(len(b))
-        y[self._order] = result["y"]
-        if code == self._status.INFEASIBLE:
-            return SolverResult("infeasible", message, None, y, iterations, seconds)
-        if not np.isfinite(result["x"]).all():
-            return SolverResult("stopped", message, iterations=iterations, seconds=seconds)
-        status: Status = "solved" if code == self._status.SOLVED else "stopped"
-        return SolverResult(status, message, np.array(result["x"]), y, iterations, seconds)
+        y[self._order] = found["y"]
+        status = STATUSES.get(message, "stopped")
+        return make_result(status, message, iterations, found["x"], y)
 
 
 def _row_order(problem: ConicProgram) -> Int[Array, " m"]:
