@@ -38,10 +38,7 @@ class AssignmentResult(NamedTuple):
 
 
 def observe_neighbors(
-    state: FormationState,
-    roles: Roles,
-    frames: CoordinateFrames,
-    graph: Bool[Array, "points points"],
+    state: FormationState, roles: Roles, frames: CoordinateFrames, graph: Bool[Array, "n n"]
 ) -> NeighborPositions:
     """Collect the positions that each agent knows of the holders of neighboring points.
 
@@ -96,7 +93,7 @@ def assign_points(
         roles: Assignment until now.
         rng: Generator for lost bids.
     """
-    formation, agents = mission.gains[leg].formation, mission.agents
+    formation, agents = mission.gains[leg].formation, np.arange(mission.agents)
     settings, radio, points = mission.assignment, mission.radio, formation.points
     if settings.method == "hungarian":
         pose = align(points[roles.assignment], state.position)
@@ -105,30 +102,23 @@ def assign_points(
     seen = observe_neighbors(state, roles, mission.coordinate_frames, formation.graph)
     cost = compute_cost_matrix(seen, roles.assignment, points)
     graph = formation.graph[np.ix_(roles.assignment, roles.assignment)]
-    network = CommunicationGraph(graph, np.ones(agents, dtype=bool))
+    network = CommunicationGraph(graph, np.full(len(agents), True))
     if network.component.any():
         # After losses the network may be disconnected, and no agent would learn the outcome.
         return AssignmentResult(roles.assignment, roles.holder, 0)
     if settings.method == "vsdaa":
-        extent = float(np.linalg.norm(np.ptp(points, axis=0)))
-        epsilon = settings.relative_epsilon * extent
+        epsilon = settings.relative_epsilon * float(np.linalg.norm(np.ptp(points, axis=0)))
         distance = np.sqrt(cost)
         if auction_index > 0:
-            distance[np.arange(agents), roles.assignment] -= SWITCHING_INCREMENTS * epsilon
+            distance[agents, roles.assignment] -= SWITCHING_INCREMENTS * epsilon
         # The formation tells the diameter of the graph and the number of bidders.
-        won = run_vsdaa(VsdaaAuction(distance, network, np.full(agents, agents), epsilon))
+        bidders = np.full(len(agents), len(agents))
+        won = run_vsdaa(VsdaaAuction(distance, network, bidders, epsilon))
         return _unanimous_result(won.target_index, won.round_count * (1 + radio.delay_rounds))
-    rounds = radio.rounds_within(settings.period) if radio.loss_probability > 0 else None
-    found = run_cbaa(
-        CbaaAuction(
-            1 / (cost + SCORE_REGULARIZATION),
-            network,
-            rounds=rounds,
-            loss=radio.loss_probability,
-            delay=radio.delay_rounds,
-            rng=rng,
-        )
-    )
+    loss, delay = radio.loss_probability, radio.delay_rounds
+    rounds = radio.rounds_within(settings.period) if loss > 0 else None
+    score = 1 / (cost + SCORE_REGULARIZATION)
+    found = run_cbaa(CbaaAuction(score, network, rounds, loss, delay, rng))
     # An agent that has not learned the outcome by now keeps its point until the next auction.
     knows = found.finished_round > 0
     return AssignmentResult(
@@ -139,8 +129,7 @@ def assign_points(
 
 
 def _unanimous_result(assignment: Int[Array, " agents"], rounds: int) -> AssignmentResult:
-    n = len(assignment)
-    holder = np.broadcast_to(np.argsort(assignment), (n, n)).copy()
+    holder = np.tile(np.argsort(assignment), (len(assignment), 1))
     return AssignmentResult(np.asarray(assignment), holder, rounds)
 
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def check_swarm(mission: "Formation") -> None:
-    """Refuse a swarm that is too small, starts in motion or has no legs.
+    """Refuse a swarm that starts in motion, has no legs or another number of agents.
 
     Raises:
         InputError: It is one of these.
@@ -20,17 +20,14 @@ def check_swarm(mission: "Formation") -> None:
         raise InputError("leg", "needs at least 1 entry, got 0")
     if mission.agents is None:
         raise InputError("swarm.agents", "is missing, and has no default")
-    if mission.agents < 3:
-        raise InputError("swarm.agents", f"must be at least 3, got {mission.agents}")
-    start = mission.start
-    if isinstance(start, Points) and start.velocities is not None:
+    if not isinstance(mission.start, Points):
+        return
+    if mission.start.velocities is not None:
         raise InputError("swarm.start.velocities_m_s", "vehicles start at rest; drop it")
-    if isinstance(start, Points) and start.positions is not None:
-        if len(start.positions) != mission.agents:
-            raise InputError(
-                "swarm.start.positions_m",
-                f"lists {len(start.positions)} positions for {mission.agents} agents",
-            )
+    given = mission.start.positions
+    if given is not None and len(given) != mission.agents:
+        text = f"lists {len(given)} positions for {mission.agents} agents"
+        raise InputError("swarm.start.positions_m", text)
 
 
 def check_clearance(mission: "Formation") -> None:
@@ -39,29 +36,21 @@ def check_clearance(mission: "Formation") -> None:
     Raises:
         InputError: It does; says which range or deceleration would do.
     """
-    avoidance, keep_out = mission.avoidance, mission.keep_out
+    avoidance, keep_out, speed = mission.avoidance, mission.keep_out, mission.max_speed
     if avoidance.legacy:
         if mission.control_law.upright:
-            raise InputError(
-                "control.upright",
-                "the paper's control law cannot tell a formation from its mirror image; "
-                "upright = false, or legacy_avoidance = false, would do",
-            )
+            text = "the paper's law cannot tell a mirror image; upright = false would do"
+            raise InputError("control.upright", text)
         return
-    if avoidance.braking > mission.max_acceleration:
-        raise InputError(
-            "avoidance.brake_m_s2",
-            f"{avoidance.braking:g} is more than max_acceleration_m_s2 = "
-            f"{mission.max_acceleration:g}, so no vehicle could brake as it counts on; half of "
-            "that would do",
-        )
-    least = keep_out + avoidance.margin + mission.max_speed**2 / avoidance.braking
+    brake, most = avoidance.braking, mission.max_acceleration
+    if brake > most:
+        text = f"{brake:g} is more than max_acceleration_m_s2 = {most:g}; half of that would do"
+        raise InputError("avoidance.brake_m_s2", text)
+    least = keep_out + avoidance.margin + speed**2 / brake
     if avoidance.avoidance_range < least * (1 - 1e-12):
-        raise InputError(
-            "avoidance.notice_m",
-            f"{avoidance.avoidance_range:g} is too near to stop before keep_out_m = "
-            f"{keep_out:g} from {mission.max_speed:g} m/s; {round_up(least)} would do",
-        )
+        text = f"{avoidance.avoidance_range:g} is too near to stop before keep_out_m = {keep_out:g}"
+        text += f" from {speed:g} m/s; {round_up(least)} would do"
+        raise InputError("avoidance.notice_m", text)
 
 
 def check_messages(mission: "Formation") -> None:
@@ -74,17 +63,11 @@ def check_messages(mission: "Formation") -> None:
     steps = 1 / (rate * step)
     whole = max(1, round(steps))
     if abs(steps - whole) > 1e-6 * whole:
-        raise InputError(
-            "radio.rate_hz",
-            f"{rate:g} messages a second do not fall on control steps of {step:g} s; "
-            f"{1 / (whole * step):.6g} would do",
-        )
+        text = f"{rate:g} messages a second do not fall on control steps of {step:g} s"
+        raise InputError("radio.rate_hz", f"{text}; {1 / (whole * step):.6g} would do")
     if mission.assignment.method == "vsdaa" and loss > 0:
-        raise InputError(
-            "assignment.kind",
-            '"vsdaa" ends when nothing new is heard, which needs every message, and a share of '
-            f'{loss:g} is lost; "cbaa" repeats its messages and would do',
-        )
+        text = f'"vsdaa" needs every message, and a share of {loss:g} is lost; "cbaa" would do'
+        raise InputError("assignment.kind", text)
 
 
 def check_operator_commands(mission: "Formation") -> None:
@@ -96,44 +79,30 @@ def check_operator_commands(mission: "Formation") -> None:
     commands = mission.operator_commands
     for number, command in enumerate(commands):
         if command.agent >= mission.agents:
-            raise InputError(
-                f"push.{number}.vehicle",
-                f"there is no vehicle {command.agent}; they are 0 to {mission.agents - 1}",
-            )
+            text = f"there is no vehicle {command.agent}; they are 0 to {mission.agents - 1}"
+            raise InputError(f"push.{number}.vehicle", text)
     order = sorted(range(len(commands)), key=lambda k: commands[k].start)
     for before, after in pairwise(order):
-        if commands[after].start < commands[before].end:
-            raise InputError(
-                f"push.{after}.start_s",
-                f"{commands[after].start:g} is before push {before} ends, and the operator "
-                f"steers one vehicle at a time; {commands[before].end:g} would do",
-            )
+        start, end = commands[after].start, commands[before].end
+        if start < end:
+            text = f"{start:g} is before push {before} ends; {end:g} would do"
+            raise InputError(f"push.{after}.start_s", f"one vehicle at a time: {text}")
 
 
 def separation_doubts(mission: "Formation") -> list[str]:
     """List doubts about whether avoidance keeps vehicles apart, the first that applies."""
     avoidance, noise, step = mission.avoidance, mission.frames.noise, mission.step
+    brake, margin, most = avoidance.braking, avoidance.margin, mission.max_acceleration
     if avoidance.legacy:
-        return [
-            "legacy_avoidance does not keep vehicles apart: it reproduces the paper's code, and "
-            "`sato check` tells how close they came"
-        ]
-    if avoidance.margin < 2 * noise:
-        return [
-            f"avoidance.margin_m = {avoidance.margin:g} is less than twice frames.noise_m = "
-            f"{noise:g}, so two vehicles may come closer than keep_out_m by as much; "
-            f"{2.5 * noise:g} would do"
-        ]
-    if avoidance.braking > mission.max_acceleration / 2:
-        return [
-            f"avoidance.brake_m_s2 = {avoidance.braking:g} is more than half of "
-            f"max_acceleration_m_s2 = {mission.max_acceleration:g}, which leaves too little for "
-            "turning: vehicles may come some centimeters too close"
-        ]
-    if mission.max_speed * step > avoidance.margin:
-        return [
-            f"in a control step of {step:g} s a vehicle flies {mission.max_speed * step:g} m, "
-            f"farther than avoidance.margin_m = {avoidance.margin:g}: two may come closer than "
-            "keep_out_m by as much"
-        ]
+        return ["legacy_avoidance does not keep vehicles apart; `sato check` tells how close"]
+    too_near = "so two vehicles may come closer than keep_out_m"
+    if margin < 2 * noise:
+        noisy = f"less than twice frames.noise_m = {noise:g}, {too_near}"
+        return [f"avoidance.margin_m = {margin:g} is {noisy}; {2.5 * noise:g} would do"]
+    if brake > most / 2:
+        share = f"more than half of max_acceleration_m_s2 = {most:g}, {too_near}"
+        return [f"avoidance.brake_m_s2 = {brake:g} is {share}"]
+    if mission.max_speed * step > margin:
+        far = f"{mission.max_speed * step:g} m, farther than avoidance.margin_m = {margin:g}"
+        return [f"a control step of {step:g} s is {far}, {too_near}"]
     return []

@@ -31,10 +31,9 @@ class DesignedGains(Definition):
         """
         try:
             return design_gains(formation, self.kind)
-        except NoStabilizingGain as error:
-            raise InputError("graph", str(error)) from error
-        except GainDesignUndecided as error:
-            raise InputError("gains", str(error)) from error
+        except (NoStabilizingGain, GainDesignUndecided) as error:
+            key = "graph" if isinstance(error, NoStabilizingGain) else "gains"
+            raise InputError(key, str(error)) from error
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -97,12 +96,8 @@ class GainsFile(Definition):
         except ValueError as error:
             raise InputError("gains.file", str(error)) from error
         if formation is not None and not gains.matches_formation(formation):
-            is_graph = np.array_equal(gains.formation.points, formation.points)
-            raise InputError(
-                "gains.file",
-                f"{self.file} holds gains of other {'graph' if is_graph else 'points'} than this "
-                'formation\'s; `sato gains` designs its own, and so does gains = "auto"',
-            )
+            text = f'{self.file} holds gains of other points or another graph; "auto" would do'
+            raise InputError("gains.file", text)
         return list_gains(gains)
 
     def build(self, formation: DesiredFormation) -> GainMatrix:

@@ -1,12 +1,10 @@
 """Legs of a formation flight: desired points, the graph of neighbors, and gains."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-import scipy
 from annotated_types import Gt, Le
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
@@ -16,8 +14,15 @@ from dynamics.units import Length, Unit
 from problems.desired_formation import DesiredFormation
 from problems.gain_matrix import GainMatrix
 from sato.formation.gains import AnyGains, DesignedGains, GainsFile, as_gains
-from sato.formation.start import check_drawn_separation, place_level
-from sato.scenario.definition import Convert, Coordinates, Definition, NotNegative, Positive
+from sato.formation.start import check_drawn_separation, check_separation, place_level
+from sato.scenario.definition import (
+    Convert,
+    Coordinates,
+    Definition,
+    NotNegative,
+    Positive,
+    as_array,
+)
 from sato.scenario.errors import InputError, errors_in
 from sato.shapes import AnyShape, Points, Shape
 from sato.shapes.formation_library import load_formation, read_formation
@@ -87,20 +92,11 @@ class GraphFile(Definition):
     file: Annotated[str, "CSV file with one edge a line"]
 
 
-def _as_edges(value: Any) -> Any:
-    if isinstance(value, Array):
-        value = value.tolist()
-    if not isinstance(value, list | tuple):
-        return value
-    return tuple(tuple(pair) if isinstance(pair, list) else pair for pair in value)
-
-
-if TYPE_CHECKING:
-    Edges = Sequence[Sequence[int]] | Array
-else:
-    Edges = Annotated[
-        tuple[tuple[Annotated[int, NotNegative], ...], ...], BeforeValidator(_as_edges)
-    ]
+def _as_pairs(value: Any) -> Any:
+    pairs = as_array(value, 2)
+    if pairs.shape[1] != 2 or (pairs < 0).any() or (pairs % 1).any():
+        raise InputError("", "must be pairs of points, counted from 0")
+    return pairs.astype(int)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -108,7 +104,14 @@ class EdgeList(Definition):
     """Graph with these edges."""
 
     kind: ClassVar[str] = "pairs"
-    pairs: Annotated[Edges, "pairs of points that measure each other, counted from 0"]
+    pairs: Annotated[
+        Array, BeforeValidator(_as_pairs), "pairs of points that measure each other, from 0"
+    ]
+
+    @classmethod
+    def from_graph(cls, graph: Bool[Array, "n n"]) -> "EdgeList":
+        """List the edges of a graph."""
+        return cls(np.argwhere(np.triu(graph)))
 
     def adjacency(self, count: int) -> Bool[Array, "n n"]:
         """Return the adjacency matrix for this number of points.
@@ -116,15 +119,11 @@ class EdgeList(Definition):
         Raises:
             InputError: An edge does not join two different points.
         """
-        for pair in self.pairs:
-            if len(pair) != 2 or pair[0] == pair[1] or max(pair) >= count:
-                raise InputError(
-                    "pairs",
-                    f"{list(pair)} is no pair of two of the points, which are 0 to {count - 1}",
-                )
-        if not self.pairs:
-            raise InputError("pairs", "lists no pairs")
-        return graph_from_edges(count, list(self.pairs))
+        for i, j in self.pairs.tolist():
+            if i == j or max(i, j) >= count:
+                text = f"[{i}, {j}] is no pair of two of the points, which are 0 to {count - 1}"
+                raise InputError("pairs", text)
+        return graph_from_edges(count, self.pairs.tolist())
 
 
 AnyFormation = RandomFormation | LibraryFormation | FormationFile | AnyShape
@@ -146,7 +145,7 @@ def _as_graph(value: Any) -> Any:
     n = len(value)
     if value.dtype != bool or value.shape != (n, n) or (value != value.T).any() or value.trace():
         raise InputError("", "must be a symmetric matrix of True and False, without loops")
-    return EdgeList(np.argwhere(np.triu(value)))
+    return EdgeList.from_graph(value)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -200,31 +199,29 @@ class FormationLeg(Definition):
         """
         with errors_in("formation"):
             points, name = self._draw_points(agents, keep_out, rng)
-            _check_points(points, agents, keep_out)
+            if len(points) != agents:
+                text = f"{agents} vehicles cannot take up a formation of {len(points)} points"
+                raise InputError("", text)
+            check_separation(points, keep_out)
         with errors_in("graph"):
             desired = DesiredFormation(points, self._draw_graph(points, rng))
-        gains = self.gains
-        if isinstance(gains, GainsFile):
-            gains = gains.read(desired)
-        edges = np.argwhere(np.triu(desired.graph))
-        drawn = FormationLeg(
-            Points(points, keep_order=True), EdgeList(edges), gains, self.name or name
-        )
+        gains = self.gains.read(desired) if isinstance(self.gains, GainsFile) else self.gains
+        edges = EdgeList.from_graph(desired.graph)
+        drawn = FormationLeg(Points(points, keep_order=True), edges, gains, self.name or name)
         drawn = self if drawn == self else drawn  # which keeps gains that were designed before
         _ = drawn.gain_matrix  # designed here, so that a formation without gains is refused
         return drawn
 
     def without_files(self, agents: int) -> "FormationLeg":
         """Return the same leg with the contents of files and fonts."""
-        formation, name = self.formation, self.name
+        formation, graph, gains, name = self.formation, self.graph, self.gains, self.name
         if isinstance(formation, FormationFile):
             found = read_formation(formation.file)
             formation, name = Points(found.points, keep_order=True), name or found.name
         elif isinstance(formation, Shape) and formation.uses_files:
             formation = Points(place_level(formation, agents, 0.0), keep_order=True)
-        graph, gains = self.graph, self.gains
         if isinstance(graph, GraphFile):
-            graph = EdgeList(np.argwhere(np.triu(read_graph(graph.file, agents))))
+            graph = EdgeList.from_graph(read_graph(graph.file, agents))
         if isinstance(gains, GainsFile):
             gains = gains.read()
         return FormationLeg(formation, graph, gains, name)
@@ -233,18 +230,17 @@ class FormationLeg(Definition):
         self, agents: int, keep_out: float, rng: np.random.Generator
     ) -> tuple[Float[Array, "n 3"], str | None]:
         chosen = self.formation
-        if isinstance(chosen, RandomFormation):
-            check_drawn_separation(chosen.separation, keep_out)
-            return sample_formation(agents, chosen.box, chosen.separation, rng), "random"
         if isinstance(chosen, LibraryFormation):
             found = load_formation(chosen.name)
             return found.points, found.name
         if isinstance(chosen, FormationFile):
             found = read_formation(chosen.file)
             return found.points, found.name
-        if isinstance(chosen, Points):
-            return place_level(chosen, agents, keep_out), None
-        return place_level(chosen, agents, keep_out), chosen.kind
+        if isinstance(chosen, RandomFormation):
+            check_drawn_separation(chosen.separation, keep_out)
+            return sample_formation(agents, chosen.box, chosen.separation, rng), "random"
+        name = None if isinstance(chosen, Points) else chosen.kind
+        return place_level(chosen, agents, keep_out), name
 
     def _draw_graph(
         self, points: Float[Array, "n 3"], rng: np.random.Generator
@@ -261,21 +257,5 @@ class FormationLeg(Definition):
         if chosen.kind == "complete":
             return ~np.eye(n, dtype=bool)
         if not isinstance(self.formation, LibraryFormation):
-            raise InputError(
-                "", 'only formations of the library have their own; "complete" would do'
-            )
+            raise InputError("", 'only the library\'s formations have one; "complete" would do')
         return load_formation(self.formation.name).graph
-
-
-def _check_points(points: Float[Array, "n 3"], agents: int, keep_out: float) -> None:
-    if len(points) != agents:
-        raise InputError(
-            "", f"{agents} vehicles cannot take up a formation of {len(points)} points"
-        )
-    closest = scipy.spatial.distance.pdist(points[:, :2]).min()
-    if closest < keep_out:
-        raise InputError(
-            "",
-            f"two points are {closest:.3g} m apart in the plane, closer than keep_out_m = "
-            f"{keep_out:g}: no swarm could hold it",
-        )

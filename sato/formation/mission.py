@@ -50,18 +50,12 @@ class Formation(Mission):
 
     system: ClassVar[str] = "formation"
 
-    agents: Annotated[
-        int, In("swarm"), Ge(3), "number of agents; as the start lists, if absent"
-    ] = None  # type: ignore[assignment]
+    agents: Annotated[int, In("swarm"), Ge(3), "number; as the start lists, if absent"] = None  # type: ignore[assignment]
     start: Annotated[AnyStart, In("swarm"), Convert(as_points), "initial positions, at rest"]
-    keep_out: Annotated[
-        Length, In("swarm"), Positive, "least distance of two vehicles in the plane"
-    ] = 1.2
+    keep_out: Annotated[Length, In("swarm"), Positive, "least distance in the plane"] = 1.2
     max_speed: Annotated[Speed, In("swarm"), Positive, "largest speed in the plane"] = 0.5
     max_climb: Annotated[Speed, In("swarm"), Positive, "largest vertical speed"] = 0.3
-    max_acceleration: Annotated[
-        Acceleration, In("swarm"), Positive, "largest acceleration in the plane"
-    ] = 0.5
+    max_acceleration: Annotated[Acceleration, In("swarm"), Positive, "largest in the plane"] = 0.5
     max_climb_acceleration: Annotated[
         Acceleration, In("swarm"), Positive, "largest vertical acceleration"
     ] = 0.8
@@ -99,15 +93,12 @@ class Formation(Mission):
 
     def completed(self) -> dict[str, Any]:
         """Return the number of agents, and identifiers that tell all of them apart."""
-        values: dict[str, Any] = {}
-        agents = self.agents
+        agents, radio = self.agents, self.radio
         for points in (self.start, *(leg.formation for leg in self.legs)):
             if agents is None and isinstance(points, Points) and points.positions is not None:
-                agents = values["agents"] = len(points.positions)
-        bits = (agents - 1).bit_length() if agents else 0
-        if bits > self.radio.id_bits:
-            values["radio"] = replace(self.radio, id_bits=bits)
-        return values
+                agents = len(points.positions)
+        bits = max(radio.id_bits, (agents - 1).bit_length() if agents else 0)
+        return {"agents": agents, "radio": replace(radio, id_bits=bits)}
 
     def check(self) -> None:
         """Refuse fields that contradict each other."""
@@ -134,11 +125,12 @@ class Formation(Mission):
 
     def without_files(self) -> "Formation":
         """Return the same mission with the contents of files and fonts."""
-        start, legs = self.start, []
+        start = self.start
         if isinstance(start, Points) and start.uses_files:
             start = replace(start, keep_order=True)
         if isinstance(start, Shape) and start.uses_files:
             start = Points(place_level(start, self.agents, 0.0), keep_order=True)
+        legs = []
         for number, leg in enumerate(self.legs):
             with errors_in(f"leg.{number}"):
                 legs.append(leg.without_files(self.agents))

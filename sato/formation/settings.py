@@ -25,42 +25,25 @@ class ControlLaw(NamedTuple):
     """Numbers of the control law [Lusk2020, eq. 2, and Sec. III-C for the size]."""
 
     gain: Annotated[float, Positive, "gain of the velocity command"] = 1.5
-    size_rate: Annotated[
-        float, Key("size"), Positive, "rate at which errors of size decay [1/s]"
-    ] = 0.6
-    upright: Annotated[
-        bool, "heights as in the formation; else its mirror image, upside down, will do"
-    ] = True
+    size_rate: Annotated[float, Key("size"), Positive, "decay of errors of size [1/s]"] = 0.6
+    upright: Annotated[bool, "heights as in the formation; else its mirror image will do"] = True
 
 
 class CollisionAvoidance(NamedTuple):
     """Numbers of the collision avoidance; the legacy one uses its range alone."""
 
-    avoidance_range: Annotated[
-        Length, Key("notice"), Positive, "distance within which others are avoided"
-    ] = 3.0
-    margin: Annotated[
-        Length, NotNegative, "distance kept beyond keep_out_m, for errors of measurement"
-    ] = 0.05
-    braking: Annotated[
-        Acceleration, Key("brake"), Positive, "deceleration that a vehicle counts on to stop"
-    ] = 0.25
+    avoidance_range: Annotated[Length, Key("notice"), Positive, "range of the avoidance"] = 3.0
+    margin: Annotated[Length, NotNegative, "distance kept beyond keep_out_m, for noise"] = 0.05
+    braking: Annotated[Acceleration, Key("brake"), Positive, "braking counted on"] = 0.25
     right_turn_bias: Annotated[
-        Angle,
-        Key("aside"),
-        NotNegative,
-        "preference for turning right: extra angle that it accepts",
+        Angle, Key("aside"), NotNegative, "extra angle accepted to turn right"
     ] = 0.35
     blocked_time: Annotated[Time, Positive, "time for which a vehicle lets others stop it"] = 3.0
-    wander_time: Annotated[Time, Positive, "time for which it then flies in a random direction"] = (
-        2.0
-    )
+    wander_time: Annotated[Time, Positive, "time of flight in a random direction then"] = 2.0
     legacy: Annotated[
         bool, Key("legacy_avoidance"), "avoidance, limits and size control of the paper's code"
     ] = False
-    unwrapped_angles: Annotated[
-        bool, "with legacy_avoidance: angles that do not wrap around, as in the paper's code"
-    ] = False
+    unwrapped_angles: Annotated[bool, "with legacy_avoidance: its fault of angles"] = False
 
 
 class AssignmentSettings(NamedTuple):
@@ -69,9 +52,7 @@ class AssignmentSettings(NamedTuple):
     method: Annotated[
         Literal["vsdaa", "cbaa", "hungarian", "none"], Key("kind"), "method of assignment"
     ] = "vsdaa"
-    first_delay: Annotated[
-        Time, Key("first"), NotNegative, "time from the start of a leg to its first auction"
-    ] = 1.5
+    first_delay: Annotated[Time, Key("first"), NotNegative, "time until the first auction"] = 1.5
     period: Annotated[Time, Positive, "time between two auctions"] = 2.0
     relative_epsilon: Annotated[
         float, Key("fineness"), Positive, "bid increment of vsdaa, of the extent of the formation"
@@ -81,28 +62,14 @@ class AssignmentSettings(NamedTuple):
 class SupervisorSettings(NamedTuple):
     """Criteria of convergence and gridlock, as in the trials of [Lusk2020]."""
 
-    convergence_speed: Annotated[
-        Speed, Key("settled"), Positive, "commanded speed below which a vehicle has arrived"
-    ] = 0.15
-    averaging_window: Annotated[
-        Time, Positive, "time over which speeds and avoidance are averaged"
-    ] = 1.0
+    convergence_speed: Annotated[Speed, Key("settled"), Positive, "top speed on arrival"] = 0.15
+    averaging_window: Annotated[Time, Positive, "time of averages of speed and avoidance"] = 1.0
     convergence_time: Annotated[Time, NotNegative, "time for which all must have arrived"] = 1.0
-    gridlock_share: Annotated[
-        float, Positive, Le(1), "share of the window in which a gridlocked vehicle avoids others"
-    ] = 0.95
-    gridlock_timeout: Annotated[
-        Time, Key("patience"), Positive, "longest gridlock before the flight is given up"
-    ] = 90.0
-    hover_time: Annotated[
-        Time, Key("hover"), NotNegative, "time of hovering before the first formation, and in each"
-    ] = 5.0
-    time_limit: Annotated[
-        Time, Key("limit"), Positive, "longest flight, which then is given up"
-    ] = 600.0
-    shape_tolerance: Annotated[
-        Length, Key("shape"), Positive, "shape error within which a formation is taken up"
-    ] = 0.1
+    gridlock_share: Annotated[float, Positive, Le(1), "share of avoidance in a gridlock"] = 0.95
+    gridlock_timeout: Annotated[Time, Key("patience"), Positive, "longest gridlock"] = 90.0
+    hover_time: Annotated[Time, Key("hover"), NotNegative, "hovering before and after legs"] = 5.0
+    time_limit: Annotated[Time, Key("limit"), Positive, "longest flight, then given up"] = 600.0
+    shape_tolerance: Annotated[Length, Key("shape"), Positive, "error of a formed shape"] = 0.1
 
 
 class CoordinateFrames(NamedTuple):
@@ -113,16 +80,15 @@ class CoordinateFrames(NamedTuple):
     drift_rate: Float[Array, "agents 3"]  # odometry error per meter flown, in its own axes
 
 
-def _angles(value: Any) -> Any:
-    return as_array(value, 1) if isinstance(value, Array | list | tuple) else value
+def _size_or_array(axes: int) -> BeforeValidator:
+    def convert(value: Any) -> Any:
+        if isinstance(value, Array | list | tuple):
+            return as_array(value, axes)
+        if isinstance(value, int | float) and value < 0:
+            raise InputError("", f"must not be negative, got {value:g}")
+        return value
 
-
-def _size_or_rows(value: Any) -> Any:
-    if isinstance(value, Array | list | tuple):
-        return as_array(value, 2)
-    if isinstance(value, int | float) and value < 0:
-        raise InputError("", f"must not be negative, got {value:g}")
-    return value
+    return BeforeValidator(convert)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -134,39 +100,38 @@ class FrameSettings(Definition):
 
     yaw: Annotated[
         Literal["random", "aligned"] | Array,
-        BeforeValidator(_angles),
+        _size_or_array(1),
         "heading of each frame [rad], random, or the same for all",
     ] = "random"
     offset: Annotated[
         float | Array,
-        BeforeValidator(_size_or_rows),
+        _size_or_array(2),
         Unit("m"),
         "origin of each frame, or the largest coordinate of a random one",
     ] = 10.0
     drift: Annotated[
         float | Array,
-        BeforeValidator(_size_or_rows),
+        _size_or_array(2),
         "odometry error per meter flown, of each frame, or the size of a random one",
     ] = 0.01
     noise: Annotated[Length, NotNegative, "standard deviation of a measured coordinate"] = 0.02
 
     def draw(self, agents: int, rng: np.random.Generator) -> "FrameSettings":
         """Return the settings with an array, a row an agent, for whatever was to be drawn."""
-        rows = {"yaw": (agents,), "offset": (agents, 3), "drift": (agents, 3)}
-        for name, shape in rows.items():
+        given = []
+        for name, shape in (("yaw", (agents,)), ("offset", (agents, 3)), ("drift", (agents, 3))):
             value = getattr(self, name)
-            if isinstance(value, Array) and value.shape != shape:
+            given.append(isinstance(value, Array))
+            if given[-1] and value.shape != shape:
                 raise InputError(name, f"needs the shape {shape}, got {value.shape}")
-        if all(isinstance(getattr(self, name), Array) for name in rows):
+        if all(given):
             return self
         direction = rng.standard_normal((agents, 3))
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         yaw: Any = rng.uniform(-np.pi, np.pi, agents)
+        if not isinstance(self.yaw, str) or self.yaw == "aligned":
+            yaw = np.zeros(agents) if isinstance(self.yaw, str) else self.yaw
         offset, drift = self.offset, self.drift
-        if isinstance(self.yaw, Array):
-            yaw = self.yaw
-        elif self.yaw == "aligned":
-            yaw = np.zeros(agents)
         if not isinstance(offset, Array):
             offset = rng.uniform(-offset, offset, (agents, 3))
         if not isinstance(drift, Array):
@@ -188,6 +153,4 @@ class OperatorCommand(Definition):
         if len(self.velocity) != 3:
             raise InputError("velocity_m_s", f"needs 3 coordinates, got {len(self.velocity)}")
         if not self.start < self.end:
-            raise InputError(
-                "end_s", f"a command from {self.start:g} s to {self.end:g} s never begins"
-            )
+            raise InputError("end_s", f"from {self.start:g} s to {self.end:g} s it never begins")

@@ -53,15 +53,7 @@ def draw_start(
         placed = place_level(replace(start, keep_order=True), agents, 0.0)
     else:
         placed = place_level(start, agents, keep_out)
-    distance = squareform(pdist(placed[:, :2]))
-    np.fill_diagonal(distance, np.inf)
-    if distance.min() < keep_out * (1 - 1e-9):  # rounding is not too close
-        i, j = sorted(int(k) for k in np.unravel_index(distance.argmin(), distance.shape))
-        raise InputError(
-            "",
-            f"vehicles {i} and {j} start {distance.min():.4g} m apart in the plane, closer than "
-            f"keep_out_m = {keep_out:g}; move one of them",
-        )
+    check_separation(placed, keep_out)
     return placed
 
 
@@ -77,6 +69,20 @@ def place_level(shape: Shape, count: int, min_distance: float) -> Float[Array, "
     return level
 
 
+def check_separation(placed: Float[Array, "n 3"], keep_out: float) -> None:
+    """Refuse points that are closer in the plane than agents are allowed to come.
+
+    Raises:
+        InputError: They are.
+    """
+    distance = squareform(pdist(placed[:, :2]))
+    np.fill_diagonal(distance, np.inf)
+    if distance.min() < keep_out * (1 - 1e-9):  # rounding is not too close
+        i, j = sorted(int(k) for k in np.unravel_index(distance.argmin(), distance.shape))
+        text = f"{i} and {j} are {distance.min():.3g} m apart in the plane, closer than"
+        raise InputError("", f"{text} keep_out_m = {keep_out:g}; move one of them")
+
+
 def check_drawn_separation(separation: float, keep_out: float) -> None:
     """Refuse random points that may be closer than the agents are allowed to come.
 
@@ -84,7 +90,5 @@ def check_drawn_separation(separation: float, keep_out: float) -> None:
         InputError: They may.
     """
     if separation < keep_out:
-        raise InputError(
-            "separation_m",
-            f"{separation:g} is less than keep_out_m = {keep_out:g}; {keep_out:g} or more would do",
-        )
+        text = f"{separation:g} is less than keep_out_m = {keep_out:g}"
+        raise InputError("separation_m", f"{text}; {keep_out:g} or more would do")

@@ -3,7 +3,6 @@
 from collections import Counter
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray as Array
 
 from sato.check import common
@@ -24,18 +23,13 @@ ROUNDING_TOLERANCE = 1e-9  # relative, of speeds and accelerations
 
 def check_promises(record: FormationRecord) -> tuple[Promise, ...]:
     """Check all promises."""
-    mission, frames = record.mission, record.frames
+    mission, frames, attributes = record.mission, record.frames, record.attributes
+    command, drift = frames.velocity_command, frames.frame_drift
     return (
         check_complete(record),
-        common.check_attributes(record.attributes, collect_attributes(mission)),
+        common.check_attributes(attributes, collect_attributes(mission)),
         common.check_times(record.time, mission.frame_period),
-        common.check_finite(
-            frames.alive,
-            frames.position,
-            frames.velocity,
-            frames.velocity_command,
-            frames.frame_drift,
-        ),
+        common.check_finite(frames.alive, frames.position, frames.velocity, command, drift),
         common.check_alive(frames.alive, record.events),
         check_connected(record),
         check_start(record),
@@ -56,9 +50,8 @@ def check_complete(record: FormationRecord) -> Promise:
     """Check that the flight was not interrupted, and ends where the supervisor would end it."""
     reason, is_over = common.incomplete_reason(record.attributes), record.replay.is_complete
     text = f"every instant is there{'' if is_over else ', or should be'}"
-    return expect_none(
-        "complete", int(not is_over or bool(reason)), f"{text}; {reason}" if reason else text
-    )
+    text = f"{text}; {reason}" if reason else text
+    return expect_none("complete", int(not is_over or bool(reason)), text)
 
 
 def check_connected(record: FormationRecord) -> Promise:
@@ -70,55 +63,42 @@ def check_connected(record: FormationRecord) -> Promise:
 def check_start(record: FormationRecord) -> Promise:
     """Check that vehicles start where the scenario says, at rest."""
     start, frames = record.mission.initial_positions, record.frames
-    if frames.position.shape[1:] != start.shape:
-        return expect_none("start", 1, "another number of agents than the scenario's")
-    offset = np.abs(frames.position[0] - start)
-    tolerance = ROUNDING_TOLERANCE * float(np.abs(start).max())
-    worst = max(max_or_zero(offset), max_or_zero(np.abs(frames.velocity[0])))
-    return expect_small_error(
-        "start", worst, tolerance, "off from the scenario's own start, at most"
-    )
+    worst = _largest(frames.position[0] - start, frames.velocity[0])
+    tolerance = ROUNDING_TOLERANCE * _largest(start)
+    return expect_small_error("start", worst, tolerance, "off from the scenario's start, at most")
 
 
 def check_coordinate_frames(record: FormationRecord) -> Promise:
     """Check that coordinate frames are those that the seed gives."""
     drawn, found = record.mission.coordinate_frames, record.variables
-    turned = np.abs(np.exp(1j * found.frame_yaw) - drawn.rotation)
-    scale = max(1.0, max_or_zero(np.abs(drawn.origin)))
-    shifted = np.abs(found.frame_offset - drawn.origin) / scale
-    worst = max(max_or_zero(turned), max_or_zero(shifted))
-    return expect_small_error(
-        "frames", worst, ROUNDING_TOLERANCE, "off from the frames that the seed gives, relative"
-    )
+    scale = max(1.0, _largest(drawn.origin))
+    turned = np.exp(1j * found.frame_yaw) - drawn.rotation
+    worst = _largest(turned, (found.frame_offset - drawn.origin) / scale)
+    text = "off from the frames that the seed gives, relative"
+    return expect_small_error("frames", worst, ROUNDING_TOLERANCE, text)
 
 
 def check_drift(record: FormationRecord) -> Promise:
     """Check that odometry drifts with the distance flown, as the seed gives."""
     mission, drift = record.mission, record.frames.frame_drift
-    drift_rate = mission.coordinate_frames.drift_rate
+    rate = mission.coordinate_frames.drift_rate
     speed = np.linalg.norm(record.frames.velocity[1:], axis=2, keepdims=True)
-    error = np.diff(drift, axis=0) - speed * mission.frame_period * drift_rate
-    rounding = ROUNDING_TOLERANCE * max_or_zero(np.abs(drift))
-    tolerance = rounding + max_or_zero(np.abs(drift_rate)) * _position_uncertainty(record)
-    worst = max(max_or_zero(np.abs(error)), max_or_zero(np.abs(drift[0])))
-    return expect_small_error(
-        "drift", worst, tolerance, "m off from the drift of the distance flown in a step"
-    )
+    error = np.diff(drift, axis=0) - speed * mission.frame_period * rate
+    tolerance = ROUNDING_TOLERANCE * _largest(drift)
+    tolerance += _largest(rate) * _position_uncertainty(record)
+    text = "m off from the drift of the distance flown in a step"
+    return expect_small_error("drift", _largest(error, drift[0]), tolerance, text)
 
 
 def check_formations(record: FormationRecord) -> Promise:
     """Check that formations and graphs are those that the scenario gives."""
     formations = [gains.formation for gains in record.mission.gains]
-    points, graphs = record.variables.formation, record.variables.graph
-    if len(formations) != len(points):
-        return expect_none("formation", 1, "another number of formations than the scenario's")
-    tolerance = ROUNDING_TOLERANCE
-    odd = sum(
-        not np.allclose(p, wanted.points, rtol=tolerance, atol=tolerance)
-        or not np.array_equal(graph, wanted.graph)
-        for p, graph, wanted in zip(points, graphs, formations, strict=True)
-    )
-    return expect_none("formation", odd, "formations or graphs that are not the scenario's")
+    points, graph = record.variables.formation, record.variables.graph
+    wanted, tolerance = np.array([f.points for f in formations]), ROUNDING_TOLERANCE
+    is_same = wanted.shape == points.shape
+    is_same = is_same and np.allclose(points, wanted, rtol=tolerance, atol=tolerance)
+    is_same = is_same and np.array_equal(graph, [f.graph for f in formations])
+    return expect_none("formation", int(not is_same), "formations that are not the scenario's")
 
 
 def check_gains(record: FormationRecord) -> Promise:
@@ -138,28 +118,25 @@ def check_gains(record: FormationRecord) -> Promise:
 def check_positions(record: FormationRecord) -> Promise:
     """Check that positions follow from velocities."""
     p, v = record.frames.position, record.frames.velocity
-    error = np.abs(np.diff(p, axis=0) - v[1:] * record.mission.frame_period)
-    tolerance = ROUNDING_TOLERANCE * max_or_zero(np.abs(p)) + _position_uncertainty(record)
-    return expect_small_error(
-        "flight", max_or_zero(error), tolerance, "m off from a step flown by its velocity"
-    )
+    error = _largest(np.diff(p, axis=0) - v[1:] * record.mission.frame_period)
+    tolerance = ROUNDING_TOLERANCE * _largest(p) + _position_uncertainty(record)
+    return expect_small_error("flight", error, tolerance, "m off from a step by its velocity")
 
 
 def check_limits(record: FormationRecord) -> list[Promise]:
     """Check the limits of speed and acceleration, in the plane and vertical."""
     mission, velocity = record.mission, record.frames.velocity
     acceleration = np.diff(velocity, axis=0) / mission.frame_period
-    speed, climb = _planar_and_vertical_norms(record, velocity)
-    planar, vertical = _planar_and_vertical_norms(record, acceleration)
+    planar, climb = _planar(record, acceleration), mission.max_climb_acceleration
     limits = [
-        ("speed", speed, mission.max_speed, "m/s flown in the plane"),
-        ("climb", climb, mission.max_climb, "m/s flown up or down"),
+        ("speed", _planar(record, velocity), mission.max_speed, "m/s in the plane"),
+        ("climb", velocity[..., 2], mission.max_climb, "m/s up or down"),
         ("acceleration", planar, mission.max_acceleration, "m/s² in the plane"),
-        ("climb_acceleration", vertical, mission.max_climb_acceleration, "m/s² up or down"),
+        ("climb_acceleration", acceleration[..., 2], climb, "m/s² up or down"),
     ]
     return [
-        expect_below(name, value, limit, ROUNDING_TOLERANCE, text)
-        for name, value, limit, text in limits
+        expect_below(name, _largest(values), limit, ROUNDING_TOLERANCE, text)
+        for name, values, limit, text in limits
     ]
 
 
@@ -210,20 +187,20 @@ def check_separation(record: FormationRecord) -> Promise:
     keep_out, found = record.mission.keep_out, record.closest_approach
     allowed = keep_out - NOISE_ALLOWANCE
     i, j = found.pair
-    text = (
-        f"{found.distance:.6g} m between agents {i} and {j} after {found.piece} steps, with "
-        f"keep_out_m = {keep_out:g} m less {NOISE_ALLOWANCE:g} m for noise"
-    )
+    text = f"{found.distance:.6g} m between agents {i} and {j} after {found.piece} steps"
+    text += f", with keep_out_m = {keep_out:g} m less {NOISE_ALLOWANCE:g} m for noise"
     return Promise("separation", bool(found.distance >= allowed), found.distance, allowed, text)
 
 
-def _planar_and_vertical_norms(
-    record: FormationRecord, vectors: Float[Array, "instants agents 3"]
-) -> tuple[float, float]:
+def _planar(record: FormationRecord, vectors: Array) -> Array:
     # The paper's code limits each axis of the plane by itself.
-    planar = np.abs(vectors[..., :2])
-    size = planar if record.mission.avoidance.legacy else np.linalg.norm(planar, axis=2)
-    return max_or_zero(size), max_or_zero(np.abs(vectors[..., 2]))
+    flat = vectors[..., :2]
+    return flat if record.mission.avoidance.legacy else np.linalg.norm(flat, axis=2)
+
+
+def _largest(*values: Array) -> float:
+    # NaN where there is one, which breaks every promise.
+    return float(np.max([max_or_zero(np.abs(each)) for each in values]))
 
 
 def _position_uncertainty(record: FormationRecord) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 
 from sato.check.common import common_summary, incomplete_reason
 from sato.formation.check.recorded import FormationLegRecord, FormationRecord
-from sato.formation.shape_error import ShapeError, compute_shape_error
+from sato.formation.shape_error import compute_shape_error
 from sato.formation.supervisor import Phase
 
 
@@ -20,23 +20,22 @@ def summarize_flight(record: FormationRecord) -> dict[str, Any]:
     mission = record.mission
     legs = [summarize_leg(record, leg) for leg in record.replay.legs]
     is_over = len(legs) == len(mission.legs) and not incomplete_reason(record.attributes)
-    gridlocked = sum(phase is Phase.GRIDLOCKED for phase in record.replay.phase[:-1])
+    gridlocked = record.replay.phase[:-1].count(Phase.GRIDLOCKED)
     errors = [leg["shape_error_m"] for leg in legs if "shape_error_m" in leg]
-    summary = {
-        "success": is_over and all(leg["success"] for leg in legs),
-        "shape_error_m": max(errors, default=np.nan),
-        "path_m": sum(leg["path_m"] for leg in legs),
-        "time_s": sum(leg["time_s"] for leg in legs),
-        "reassignments": sum(leg["reassignments"] for leg in legs),
-        "gridlocked_s": gridlocked * mission.frame_period,
-        "bytes_per_vehicle_s": received_bit_rate(record) / 8,
-        "longest_auction_s": max(record.auction_rounds, default=0) / mission.radio.message_rate,
-        "min_separation_m": record.closest_approach.distance,
-        "keep_out_m": mission.keep_out,
-        "gains_rate": min_convergence_rate(record),
-        "legs": legs,
-    }
-    return _drop_nonfinite(summary)
+    return _drop_nonfinite(
+        {
+            "success": is_over and all(leg["success"] for leg in legs),
+            "shape_error_m": max(errors, default=np.nan),
+            **{key: sum(leg[key] for leg in legs) for key in ("path_m", "time_s", "reassignments")},
+            "gridlocked_s": gridlocked * mission.frame_period,
+            "bytes_per_vehicle_s": received_bit_rate(record) / 8,
+            "longest_auction_s": max(record.auction_rounds, default=0) / mission.radio.message_rate,
+            "min_separation_m": record.closest_approach.distance,
+            "keep_out_m": mission.keep_out,
+            "gains_rate": min_convergence_rate(record),
+            "legs": legs,
+        }
+    )
 
 
 def summarize_leg(record: FormationRecord, leg: FormationLegRecord) -> dict[str, Any]:
@@ -58,30 +57,20 @@ def summarize_leg(record: FormationRecord, leg: FormationLegRecord) -> dict[str,
         "path_m": float(flown.mean(axis=1).sum()),
         "reassignments": sum(leg.first_instant <= i <= leg.end_instant for i in assigned),
     }
-    shape_error = leg_shape_error(record, leg)
-    if shape_error is None:
-        return summary
-    error = shape_error.upright if mission.control_law.upright else min(shape_error)
-    is_close = error <= mission.supervision.shape_tolerance
-    summary["success"] = leg.completed and is_close
-    return _drop_nonfinite(
-        summary | {"shape_error_m": shape_error.error, "inverted": shape_error.inverted}
-    )
-
-
-def leg_shape_error(record: FormationRecord, leg: FormationLegRecord) -> ShapeError | None:
-    """Return the shape error after a leg; None where two vehicles hold one point."""
     held = record.frames.point_index[leg.last_instant]
-    if not np.array_equal(np.sort(held), np.arange(len(held))):
-        return None
-    points = record.mission.gains[leg.leg].formation.points
-    position = record.frames.position[leg.last_instant, np.argsort(held)]
-    return compute_shape_error(position, points)
+    if np.array_equal(np.sort(held), np.arange(len(held))):  # no two vehicles hold one point
+        points = mission.gains[leg.leg].formation.points
+        position = record.frames.position[leg.last_instant, np.argsort(held)]
+        shape = compute_shape_error(position, points)
+        error = shape.upright if mission.control_law.upright else min(shape)
+        summary["success"] = leg.completed and error <= mission.supervision.shape_tolerance
+        summary |= {"shape_error_m": shape.error, "inverted": shape.inverted}
+    return _drop_nonfinite(summary)
 
 
 def received_bit_rate(record: FormationRecord) -> float:
     """Return the bits a second that a vehicle receives, mean of all over the whole flight."""
-    mission, radio, frames = record.mission, record.mission.radio, record.frames
+    mission, radio = record.mission, record.mission.radio
     degree = [float(gains.formation.graph.sum(axis=1).mean()) for gains in mission.gains]
     bits = 0.0
     for leg in record.leg_index[1:]:
@@ -89,16 +78,15 @@ def received_bit_rate(record: FormationRecord) -> float:
     for _, event in record.events.of_kind("auction"):
         rounds = int(event["rounds"])
         bits += degree[event["leg"]] * radio.count_auction_bits(mission.agents, rounds)
-    time = (len(frames.position) - 1) * mission.frame_period
+    time = (len(record.time) - 1) * mission.frame_period
     return bits / time if time > 0 else np.nan
 
 
 def min_convergence_rate(record: FormationRecord) -> float:
     """Return the least rate of the recorded gains [1/s]; NaN where they are not stable."""
     try:
-        return min(
-            record.load_gains(leg).convergence_rate for leg in range(len(record.mission.legs))
-        )
+        legs = range(len(record.mission.legs))
+        return min(record.load_gains(leg).convergence_rate for leg in legs)
     except ValueError:
         return np.nan
 
