@@ -1,7 +1,7 @@
 """Distributed auctions: each agent gets a target of its own from messages of its neighbors.
 
-`vsdaa` and `cbaa` define what one agent does in a round, and run all agents by messages.
-`vsdaa_kernel` and `cbaa_kernel` compute the same rounds for all agents at once, compiled.
+`vsdaa` defines what one agent does in a round, and runs all agents by messages; `vsdaa_kernel` and
+`cbaa` compute the rounds of all agents at once, compiled.
 """
 
 from sato.auctions.bids import OutOfTargets

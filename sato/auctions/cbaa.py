@@ -1,35 +1,48 @@
 """Consensus-based auction algorithm, CBAA: one point for every agent [Choi2009].
 
-`update_bidder` defines what one agent does in a round. `run_by_messages` plays it for all
-agents, with messages that may be late or lost; `run_cbaa` computes the same with the compiled
-rounds of `cbaa_kernel`.
+What one agent does in a round [Lusk2020, sec. IV-B]: it merges the bids that it hears, and where
+it holds no point, bids its own score on the point of the largest score among those where it beats
+the standing bid; of two equal scores the smaller agent wins. There is always such a point: no
+agent holds two (see 2 below), so an agent that holds none knows one without a winner. The printed
+loop listens at the end of a round, here the agent does so at the start of the next: the same
+sequence. It has finished once it knows a winner for as many points as there are agents.
+
+That alone proves that the auction is over. No quiet rounds are needed and no diameter, and
+it holds as well where messages are lost, late or out of order. Call the bids that an agent
+knows its table:
+
+1. Only c places bids of c, and tables are sent whole. So a table with a bid of c contains,
+   entry by entry, no less than the table of c right after that bid.
+2. No table has two points of one agent c. It bid on the second only when another's bid
+   on the first was in its table, and by 1 that came along.
+3. Let B be a table in which every agent holds a point, and suppose that some agent bids
+   after its bid in B. Let b be the first to do so, and j its point in B: it was outbid
+   there by some c. That was not the bid of c in B, which is on another point. Nor a
+   later one, for b is the first. Nor an earlier one: by 1, B would have it in place of
+   b's. So no agent ever bids again, and by 1 all bids ever placed are in B or outbid in it.
+
+Hence all such tables are the same, and final. On a graph of diameter D every agent has
+it in round n D + 1 at the latest, which listens n D times [Choi2009]: the largest score
+of all is bid at once and known to all D rounds later, then the largest of the rest.
+
+The rounds of all agents are compiled: agent i reads and writes its own row of `CbaaState`, and
+reads what its neighbors have sent. A message is merged only if it has changed since the receiver
+last heard it: merging the same again changes nothing. `tests/test_cbaa.py` plays the same rounds
+with one function of an agent's memory and inbox.
 """
 
-from collections import deque
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, no_type_check
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
+from numba import njit
 from numpy import ndarray as Array
 
-from sato.auctions.bids import WinningBids, find_newer_bids, merge_bids
-from sato.auctions.cbaa_kernel import init_state, run_kernel
+from sato.auctions.bids import NO_WINNER
 from sato.network.graph import CommunicationGraph
-from sato.network.rounds import run_round
 
 UNLIMITED_ROUNDS = 2**62  # rounds
-
-
-class CbaaBidder(NamedTuple):
-    """Memory of one agent in an auction."""
-
-    agent_id: int
-    score: Float[Array, " points"]  # value of each point to the agent
-    agent_count: int  # number of live agents
-    bids: WinningBids  # its last message
-    point: int = -1  # the point of its last bid
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,32 +76,23 @@ class CbaaAuction:
     def __post_init__(self) -> None:
         """Refuse an auction that cannot end."""
         (agents, points), alive = self.score.shape, self.graph.alive
-        if agents != len(alive) or not 0 < np.count_nonzero(alive) <= points:
-            raise ValueError(
-                f"scores of {points} points for {agents} agents, a graph of {len(alive)} of which "
-                f"{np.count_nonzero(alive)} are alive: there must be a row for every agent of the "
-                "graph, and a point for each that is alive"
-            )
+        bidders = np.count_nonzero(alive)
+        if agents != len(alive) or not 0 < bidders <= points:
+            text = f"{points} points for {agents} agents, {bidders} of {len(alive)} in the graph"
+            raise ValueError(f"{text} alive: each agent needs a row, and each live one a point")
         wrong = np.argwhere(alive[:, None] & ~((self.score > 0) & np.isfinite(self.score)))
         if len(wrong):
             i, j = wrong[0]
-            raise ValueError(
-                f"the score of point {j} for agent {i} is {self.score[i, j]}: scores must be "
-                "positive and finite; with 1 / d², add a small number to d²"
-            )
+            text = f"the score of point {j} for agent {i} is {self.score[i, j]}"
+            raise ValueError(f"{text}: must be positive and finite; with 1 / d², add to d²")
         _validate_connected(self.graph)
         loss, rounds = self.loss, self.rounds
         if not (0 <= loss < 1 and self.delay >= 0 and (rounds is None or rounds > 0)):
-            raise ValueError(
-                f"a loss of {loss}, a delay of {self.delay} rounds, at most {rounds} rounds: "
-                "the loss must be in [0, 1), the delay no less than 0, the rounds positive"
-            )
+            text = "the loss must be in [0, 1), the delay no less than 0, the rounds positive"
+            raise ValueError(f"{text}, got {loss}, {self.delay} and {rounds}")
         if loss > 0 and (self.rng is None or rounds is None):
-            raise ValueError(
-                "where messages can be lost, an agent that knows the end cannot know whether the "
-                "others do: give the number of rounds after which all stop, and the generator rng "
-                "that draws the losses"
-            )
+            text = "give the number of rounds after which all stop, and the generator rng"
+            raise ValueError(f"with losses no agent knows whether the others have ended: {text}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,86 +121,12 @@ class CbaaResult:
         return bool(same and np.all(winner[np.arange(len(live)), self.point[live]] == live))
 
 
-def update_bidder(agent: CbaaBidder, inbox: list[WinningBids]) -> CbaaBidder:
-    """Merge the messages and bid where the agent holds no point [Lusk2020, sec. IV-B].
-
-    It bids its own score on the point of the largest score among those where it beats the
-    standing bid; of two equal scores the smaller agent wins. There is always such a point: no
-    agent holds two (see `is_finished`), so an agent that holds none knows one without a winner.
-    The printed loop listens at the end of a round, here the agent does so at the start of the
-    next: the same sequence.
-    """
-    bids = agent.bids
-    for received in inbox:
-        bids = merge_bids(bids, received)
-    if agent.point >= 0 and bids.winner[agent.point] == agent.agent_id:
-        return agent._replace(bids=bids)
-    return _place_bid(agent, bids)
-
-
-def is_finished(agent: CbaaBidder) -> bool:
-    """Return True once the agent knows a winner for as many points as there are agents.
-
-    That alone proves that the auction is over. No quiet rounds are needed and no diameter, and
-    it holds as well where messages are lost, late or out of order. Call the bids that an agent
-    knows its table:
-
-    1. Only c places bids of c, and tables are sent whole. So a table with a bid of c contains,
-       entry by entry, no less than the table of c right after that bid.
-    2. No table has two points of one agent c. It bid on the second only when another's bid
-       on the first was in its table, and by 1 that came along.
-    3. Let B be a table in which every agent holds a point, and suppose that some agent bids
-       after its bid in B. Let b be the first to do so, and j its point in B: it was outbid
-       there by some c. That was not the bid of c in B, which is on another point. Nor a
-       later one, for b is the first. Nor an earlier one: by 1, B would have it in place of
-       b's. So no agent ever bids again, and by 1 all bids ever placed are in B or outbid in it.
-
-    Hence all such tables are the same, and final. On a graph of diameter D every agent has
-    it in round n D + 1 at the latest, which listens n D times [Choi2009]: the largest score
-    of all is bid at once and known to all D rounds later, then the largest of the rest.
-    """
-    return agent.bids.winner_count == agent.agent_count
-
-
-def _place_bid(agent: CbaaBidder, known: WinningBids) -> CbaaBidder:
-    own = WinningBids(agent.score, np.full_like(known.winner, agent.agent_id))
-    wins = find_newer_bids(known, own)
-    point = int(np.argmax(np.where(wins, agent.score, 0.0)))
-    price, winner = known.price.copy(), known.winner.copy()
-    price[point], winner[point] = agent.score[point], agent.agent_id
-    return agent._replace(bids=WinningBids(price, winner), point=point)
-
-
-def run_by_messages(auction: CbaaAuction) -> Iterator[dict[int, CbaaBidder]]:
-    """Run the definition: yield every live agent after every round."""
-    score, graph, rng, loss = auction.score, auction.graph, auction.rng, auction.loss
-    agents, points = score.shape
-    live = np.flatnonzero(graph.alive).tolist()
-    now = {i: CbaaBidder(i, score[i], len(live), WinningBids.empty(points)) for i in live}
-    messages = {i: agent.bids for i, agent in now.items()}
-    on_their_way = deque([messages] * (auction.delay + 1), maxlen=auction.delay + 1)
-    for _ in range(auction.rounds or UNLIMITED_ROUNDS):
-        updated: dict[int, CbaaBidder] = {}
-        for i in live:
-            if not is_finished(now[i]):
-                messages = on_their_way[0]
-                if rng is not None and loss > 0:
-                    lost = np.asarray(rng.random(agents) < loss)
-                    messages = {j: bids for j, bids in messages.items() if not lost[j]}
-                updated |= run_round(graph, {i: now[i]}, update_bidder, messages)
-        if not updated:
-            return
-        now = now | updated
-        on_their_way.append({i: agent.bids for i, agent in now.items()})
-        yield now
-
-
 def run_cbaa(auction: CbaaAuction) -> CbaaResult:
-    """Run the auction with the compiled rounds."""
+    """Run the auction."""
     state = init_state(auction.score, auction.graph, auction.delay)
     # Without losses nothing is drawn from the generator, whichever it is.
     rng = auction.rng or np.random.default_rng(0)
-    run_kernel(state, auction.rounds or UNLIMITED_ROUNDS, auction.loss, rng)
+    run_rounds(state, auction.rounds or UNLIMITED_ROUNDS, auction.loss, rng)
     played = int(state.round[0])
     sending = np.where(state.finished_round > 0, state.finished_round, played)
     if auction.loss > 0:
@@ -213,12 +143,120 @@ def run_cbaa(auction: CbaaAuction) -> CbaaResult:
 
 def _validate_connected(graph: CommunicationGraph) -> None:
     # Cheaper than `graph.component`, which takes as long as the auction itself.
-    reached = np.arange(len(graph.alive)) == np.argmax(graph.alive)
+    first = np.argmax(graph.alive)
+    reached = np.arange(len(graph.alive)) == first
     while np.any(news := graph.adjacency[reached].any(axis=0) & ~reached):
         reached |= news
     if np.any(apart := graph.alive & ~reached):
-        lost, *_ = np.flatnonzero(apart)
-        raise ValueError(
-            f"no message gets from agent {np.argmax(graph.alive)} to agent {lost}: the components "
-            "of a graph that is not connected would assign the same points; connect it"
-        )
+        text = f"no message gets from agent {first} to agent {np.argmax(apart)}"
+        raise ValueError(f"{text}: two components would assign the same points; connect the graph")
+
+
+class CbaaState(NamedTuple):
+    """Memory of all agents in an auction, changed in place from round to round."""
+
+    score: Float[Array, "agents points"]
+    adjacency: Bool[Array, "agents agents"]
+    price: Float[Array, "agents points"]
+    winner: Int[Array, "agents points"]
+    point: Int[Array, " agents"]
+    winner_count: Int[Array, " agents"]  # standing bids that each agent knows
+    version: Int[Array, " agents"]  # number of changes to what each agent knows
+    seen_version: Int[Array, "agents agents"]  # version that [i] last heard from [j]
+    sent_price: Float[Array, "slots agents points"]  # of round r in slot r mod (delay + 1)
+    sent_winner: Int[Array, "slots agents points"]
+    sent_version: Int[Array, "slots agents"]
+    is_running: Bool[Array, " agents"]  # True while an agent does not know the end
+    finished_round: Int[Array, " agents"]  # round in which it knew the end; 0 for not yet
+    round: Int[Array, " 1"]
+
+
+def init_state(
+    score: Float[Array, "agents points"], graph: CommunicationGraph, delay: int
+) -> CbaaState:
+    """Initialize all agents, for messages that are `delay` rounds late."""
+    agents, points = score.shape
+    count, version, finished_round = np.zeros((3, agents), dtype=np.int64)
+    return CbaaState(
+        score=np.ascontiguousarray(score, dtype=np.float64),
+        adjacency=np.ascontiguousarray(graph.adjacency),
+        price=np.zeros((agents, points)),
+        winner=np.full((agents, points), NO_WINNER),
+        point=np.full(agents, -1),
+        winner_count=count,
+        version=version,
+        seen_version=np.zeros((agents, agents), dtype=np.int64),
+        sent_price=np.zeros((delay + 1, agents, points)),
+        sent_winner=np.full((delay + 1, agents, points), NO_WINNER),
+        sent_version=np.zeros((delay + 1, agents), dtype=np.int64),
+        is_running=graph.alive.copy(),
+        finished_round=finished_round,
+        round=np.zeros(1, dtype=np.int64),
+    )
+
+
+@njit(cache=True)
+@no_type_check
+def run_rounds(s, rounds, loss, rng):
+    """Run at most so many rounds more, until all agents know the end.
+
+    Args:
+        s: Memory of all agents, a `CbaaState`, changed in place.
+        rounds: Largest number of rounds.
+        loss: Probability that a message is lost.
+        rng: Generator of the losses, drawn from only where messages can be lost: once for each
+            agent that does not know the end and each agent of the swarm, in order.
+    """
+    agents = len(s.is_running)
+    bidders = np.count_nonzero(s.is_running) + np.count_nonzero(s.finished_round)
+    for _ in range(rounds):
+        if not s.is_running.any():
+            return
+        s.round[0] += 1
+        slot = s.round[0] % len(s.sent_version)  # holds the oldest messages on their way
+        for i in range(agents):
+            if s.is_running[i]:
+                changed = _merge_inbox(i, slot, loss, rng, s)
+                if s.point[i] < 0 or s.winner[i, s.point[i]] != i:
+                    _place_bid(i, s)
+                    changed = True
+                s.version[i] += changed
+                if s.winner_count[i] == bidders:
+                    s.is_running[i], s.finished_round[i] = False, s.round[0]
+        for i in range(agents):
+            if s.sent_version[slot, i] < s.version[i]:
+                s.sent_price[slot, i], s.sent_winner[slot, i] = s.price[i], s.winner[i]
+                s.sent_version[slot, i] = s.version[i]
+
+
+@njit(cache=True)
+@no_type_check
+def _merge_inbox(i, slot, loss, rng, s):
+    # Merge the messages that arrive at agent i; True where that changed what it knows.
+    price, winner, changed = s.price[i], s.winner[i], False
+    for a in range(len(s.is_running)):
+        lost = loss > 0 and rng.random() < loss
+        if lost or not s.adjacency[i, a] or s.sent_version[slot, a] <= s.seen_version[i, a]:
+            continue
+        s.seen_version[i, a] = s.sent_version[slot, a]
+        sent_price, sent_winner = s.sent_price[slot, a], s.sent_winner[slot, a]
+        for j in range(len(price)):
+            if sent_price[j] > price[j] or (
+                sent_price[j] == price[j] and sent_winner[j] < winner[j]
+            ):
+                s.winner_count[i] += price[j] == 0
+                price[j], winner[j], changed = sent_price[j], sent_winner[j], True
+    return changed
+
+
+@njit(cache=True)
+@no_type_check
+def _place_bid(i, s):
+    price, winner, score = s.price[i], s.winner[i], s.score[i]
+    best, most = -1, 0.0
+    for j in range(len(price)):
+        wins = score[j] > price[j] or (score[j] == price[j] and i < winner[j])
+        if wins and score[j] > most:
+            best, most = j, score[j]
+    s.winner_count[i] += price[best] == 0
+    price[best], winner[best], s.point[i] = most, i, best

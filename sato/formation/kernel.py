@@ -17,12 +17,6 @@ from numpy import ndarray as Array
 from sato.formation.avoidance import avoid_collisions, limit_approach
 from sato.formation.control_law import FormationData, compute_velocity_command
 from sato.formation.mission import Formation
-from sato.formation.sensors import (
-    exchange_positions,
-    locate_neighbors,
-    measure_own_position,
-    sense_nearby,
-)
 from sato.formation.settings import CollisionAvoidance, ControlLaw, CoordinateFrames
 
 BLOCKED_SPEED_SHARE = 0.2  # of the largest speed: slower than this an agent counts as stopped
@@ -107,6 +101,90 @@ class FormationState(NamedTuple):
 
 
 @numba.njit
+def _measure_own_position(state, swarm, rng):
+    """Measure each agent's position in its own frame, with odometry drift and noise."""
+    frames, noise = swarm.coordinate_frames, swarm.noise
+    for i in range(len(state.position)):
+        e = state.measured_position[i]
+        p = complex(
+            state.position[i, 0] - frames.origin[i, 0], state.position[i, 1] - frames.origin[i, 1]
+        )
+        p *= np.conj(frames.rotation[i])
+        e[0], e[1], e[2] = p.real, p.imag, state.position[i, 2] - frames.origin[i, 2]
+        for a in range(3):
+            e[a] += state.drift[i, a]
+            if noise > 0:
+                e[a] += noise * rng.standard_normal()
+
+
+@numba.njit
+def _exchange_positions(state, roles, swarm, message, rng):
+    """Send each agent's position to the agents that hold the neighboring points."""
+    ring = len(state.sent)
+    state.sent[message % ring] = state.measured_position
+    arriving = state.sent[(message - swarm.message_delay) % ring]
+    for i in range(len(state.position)):
+        for point in swarm.formation.neighbors[roles.assignment[i]]:
+            if point < 0:
+                break
+            if swarm.message_loss == 0 or rng.random() >= swarm.message_loss:
+                j = roles.holder[i, point]
+                for a in range(3):
+                    state.received[i, j, a] = arriving[j, a]
+
+
+@numba.njit
+def _locate_neighbors(i, state, roles, swarm, relative, near):
+    """Locate the holders of neighboring points relative to agent i, in its own frame.
+
+    Their own estimates are used, and the poses of their frames in its own, which it knows.
+
+    Returns:
+        Number of neighbors heard; the first so many of `near` are their points.
+    """
+    frames, own_position, k = swarm.coordinate_frames, state.measured_position[i], 0
+    own = np.conj(frames.rotation[i])
+    for point in swarm.formation.neighbors[roles.assignment[i]]:
+        if point < 0:
+            break
+        j = roles.holder[i, point]
+        heard = state.received[i, j]
+        if j == i or np.isnan(heard[0]):
+            continue
+        o_x = frames.origin[j, 0] - frames.origin[i, 0]
+        o_y = frames.origin[j, 1] - frames.origin[i, 1]
+        flat = own * (frames.rotation[j] * complex(heard[0], heard[1]) + complex(o_x, o_y))
+        relative[point, 0] = flat.real - own_position[0]
+        relative[point, 1] = flat.imag - own_position[1]
+        relative[point, 2] = heard[2] + frames.origin[j, 2] - frames.origin[i, 2] - own_position[2]
+        near[k] = point
+        k += 1
+    return k
+
+
+@numba.njit
+def _sense_nearby(i, state, swarm, others, rng):
+    """Sense the agents within range of agent i, in its own frame; odometry does not matter here.
+
+    Returns:
+        Number of agents sensed; the first so many rows of `others` are their positions.
+    """
+    frames, noise, count = swarm.coordinate_frames, swarm.noise, 0
+    reach, own = swarm.avoidance.avoidance_range, np.conj(frames.rotation[i])
+    for j in range(len(state.position)):
+        x = state.position[j, 0] - state.position[i, 0]
+        y = state.position[j, 1] - state.position[i, 1]
+        if j != i and x * x + y * y < reach * reach:
+            flat = own * complex(x, y)
+            others[count, 0], others[count, 1] = flat.real, flat.imag
+            if noise > 0:
+                others[count, 0] += noise * rng.standard_normal()
+                others[count, 1] += noise * rng.standard_normal()
+            count += 1
+    return count
+
+
+@numba.njit
 def _update_velocity(i, state, swarm, others, buffer, rng):
     # Limits of speed, then avoidance, then limits of acceleration.
     rules, keep_out = swarm.avoidance, swarm.keep_out
@@ -115,7 +193,7 @@ def _update_velocity(i, state, swarm, others, buffer, rng):
     _clip_speed(u, swarm.max_speed)
     u[2] = min(max(u[2], -swarm.max_climb), swarm.max_climb)
     wanders = not rules.legacy and _wander(i, u, state, swarm, rng)
-    count = sense_nearby(i, state, swarm, others, rng)
+    count = _sense_nearby(i, state, swarm, others, rng)
     avoids = avoid_collisions(u, others, count, keep_out, rules, buffer[0], buffer[1])
     state.avoiding[i] = avoids or wanders
     true = state.velocity[i]
@@ -204,10 +282,10 @@ def _compile_kernel(stamp: int) -> Any:
         near = np.zeros(n, dtype=np.int64)
         formation, law, legacy = swarm.formation, swarm.control_law, swarm.avoidance.legacy
         for number in range(first, first + steps):
-            measure_own_position(state, swarm, rng)
+            _measure_own_position(state, swarm, rng)
             message, rest = divmod(number, swarm.steps_per_message)
             if rest == 0:
-                exchange_positions(state, roles, swarm, message, rng)
+                _exchange_positions(state, roles, swarm, message, rng)
             for i in range(n):
                 u = state.velocity_command[i]
                 u[:] = 0.0
@@ -215,7 +293,7 @@ def _compile_kernel(stamp: int) -> Any:
                     u[:] = roles.operator_velocity
                 elif roles.is_active[i]:
                     me = roles.assignment[i]
-                    k = locate_neighbors(i, state, roles, swarm, relative, near)
+                    k = _locate_neighbors(i, state, roles, swarm, relative, near)
                     compute_velocity_command(me, relative, near[:k], formation, law, legacy, u)
             for i in range(n):
                 _update_velocity(i, state, swarm, others, buffer, rng)
@@ -225,6 +303,6 @@ def _compile_kernel(stamp: int) -> Any:
     return simulate_steps
 
 
-KERNEL_FILES = ("avoidance", "control_law", "kernel", "sensors", "settings")
+KERNEL_FILES = ("avoidance", "control_law", "kernel", "settings")
 _SOURCES = (Path(__file__).with_name(f"{name}.py").read_bytes() for name in KERNEL_FILES)
 simulate_steps = _compile_kernel(crc32(b"".join(_SOURCES)))

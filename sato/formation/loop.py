@@ -21,37 +21,24 @@ from sato.interfaces import (
     Recorded,
 )
 
+Vectors = Float[Array, "agents 3"]
+EACH, AXES = ("agent",), ("agent", "axis")
+
 
 class FormationFrame(NamedTuple):
-    """Frame of a formation flight."""
+    """Frame of a formation flight; a command is in the agent's own frame, and before limits."""
 
     time: FrameTime
     position: FramePosition
     velocity: FrameVelocity
     alive: FrameAlive
     component: FrameComponent  # of the graph, which is connected: 0
-    velocity_command: Annotated[
-        Float[Array, "agents 3"],
-        Recorded(
-            ("agent", "axis"),
-            "m/s",
-            "velocity that the control law commands, in the agent's own frame, before limits",
-        ),
-    ]
-    avoiding: Annotated[
-        Bool[Array, " agents"],
-        Recorded(("agent",), "1", "true where the agent departs from its command to avoid others"),
-    ]
-    point_index: Annotated[
-        Int[Array, " agents"],
-        Recorded(("agent",), "1", "index of the formation point that the agent holds"),
-    ]
+    velocity_command: Annotated[Vectors, Recorded(AXES, "m/s", "commanded velocity, own frame")]
+    avoiding: Annotated[Bool[Array, " agents"], Recorded(EACH, "1", "true while avoiding others")]
+    point_index: Annotated[Int[Array, " agents"], Recorded(EACH, "1", "formation point held")]
     leg_index: Annotated[int, Recorded((), "1", "leg under way")]
     phase: Phase
-    frame_drift: Annotated[
-        Float[Array, "agents 3"],
-        Recorded(("agent", "axis"), "m", "error of the agent's odometry, in its own frame"),
-    ]
+    frame_drift: Annotated[Vectors, Recorded(AXES, "m", "odometry error, own frame")]
     events: FrameEvents
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Shaped
 from numpy import ndarray as Array
 
-from sato.formation.loop import FormationFrame
+from sato.formation.loop import AXES, EACH, FormationFrame, Vectors
 from sato.formation.mission import Formation
 from sato.interfaces import Recorded
 
@@ -15,35 +15,23 @@ GAIN_PARTS = ("xy_real", "xy_imaginary", "z")
 
 _POINTS = ("leg", "point", "axis")
 _EDGES = ("leg", "point", "neighbor")
+_PARTS = ("leg", "part", "point", "neighbor")
 
 
 class FormationVariables(NamedTuple):
-    """Variables of a run that are not those of its frames."""
+    """Variables of a run that are not those of its frames.
 
-    frame_yaw: Annotated[
-        Float[Array, " agents"], Recorded(("agent",), "rad", "heading of the agent's frame")
-    ]
-    frame_offset: Annotated[
-        Float[Array, "agents 3"], Recorded(("agent", "axis"), "m", "origin of the agent's frame")
-    ]
-    formation: Annotated[
-        Float[Array, "legs points 3"], Recorded(_POINTS, "m", "points of the formation")
-    ]
+    Gains are a + jb on the relative position in the plane, and z on the relative height.
+    """
+
+    frame_yaw: Annotated[Float[Array, " agents"], Recorded(EACH, "rad", "heading of the own frame")]
+    frame_offset: Annotated[Vectors, Recorded(AXES, "m", "origin of the own frame")]
+    formation: Annotated[Float[Array, "l n 3"], Recorded(_POINTS, "m", "points of the formation")]
     graph: Annotated[
-        Bool[Array, "legs points points"],
-        Recorded(_EDGES, "1", "true where two points measure each other"),
+        Bool[Array, "l n n"], Recorded(_EDGES, "1", "true where two measure each other")
     ]
-    part: Annotated[
-        Shaped[Array, " parts"], Recorded(("part",), "1", "name of a part of the gains")
-    ]
-    gains: Annotated[
-        Float[Array, "legs parts points points"],
-        Recorded(
-            ("leg", "part", "point", "neighbor"),
-            "1/s",
-            "gain a + jb on the relative position in the plane; z on the relative height",
-        ),
-    ]
+    part: Annotated[Shaped[Array, " parts"], Recorded(("part",), "1", "part of the gains")]
+    gains: Annotated[Float[Array, "l parts n n"], Recorded(_PARTS, "1/s", "gains: a, b and z")]
 
 
 def collect_attributes(mission: Formation) -> dict[str, float]:
@@ -63,8 +51,8 @@ def collect_variables(frames: Sequence[FormationFrame], mission: Formation) -> F
     return FormationVariables(
         frame_yaw=np.angle(mission.coordinate_frames.rotation),
         frame_offset=mission.coordinate_frames.origin,
-        formation=np.array([gains.formation.points for gains in mission.gains]),
-        graph=np.array([gains.formation.graph for gains in mission.gains]),
+        formation=np.array([leg.formation.points for leg in mission.gains]),
+        graph=np.array([leg.formation.graph for leg in mission.gains]),
         part=np.array(GAIN_PARTS),
-        gains=np.array([[gains.xy.real, gains.xy.imag, gains.z] for gains in mission.gains]),
+        gains=np.array([[leg.xy.real, leg.xy.imag, leg.z] for leg in mission.gains]),
     )

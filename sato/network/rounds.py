@@ -14,7 +14,7 @@ tested to be equal to its definition by messages:
                                         scp.priority_orders.sum_by_component, select_components
     flood, then sort                    schedule_turns
     auctions.vsdaa.run_by_messages      auctions.vsdaa_kernel
-    auctions.cbaa.run_by_messages       auctions.cbaa_kernel
+    tests.test_cbaa.run_by_messages     auctions.cbaa
     scp.exchange.run_by_messages        scp.exchange.run_batched
 """
 
