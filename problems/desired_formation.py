@@ -90,16 +90,13 @@ def _kernel_basis(column: Array, extent: float) -> Array:
 
 
 def _validate_points(points: Array) -> None:
-    n = len(points)
-    if n < 3:
-        raise ValueError(f"a formation needs at least 3 points, got {n}")
+    if len(points) < 3:
+        raise ValueError(f"a formation needs at least 3 points, got {len(points)}")
     near = np.abs(points) <= MAX_COORDINATE
     if not near.all():
         i = int(np.argwhere(~near)[0, 0])
-        raise ValueError(
-            f"point {i} is {points[i]}: coordinates must be finite numbers, "
-            f"at most {MAX_COORDINATE:.0e} m"
-        )
+        text = f"coordinates must be finite numbers, at most {MAX_COORDINATE:.0e} m"
+        raise ValueError(f"point {i} is {points[i]}: {text}")
     apart = squareform(pdist(points))
     np.fill_diagonal(apart, np.inf)
     if apart.min() <= COINCIDENCE_TOLERANCE * apart[np.isfinite(apart)].max():
@@ -118,15 +115,15 @@ def _validate_graph(graph: Array, n: int) -> None:
         raise ValueError(f"edge {i}–{j} is missing in the other direction: set {j}–{i} too")
     parts, part = connected_components(graph, directed=False)
     if parts > 1:
-        small = np.flatnonzero(part == np.bincount(part).argmin())
-        rest = f"{_format_vertices(small)} to the rest of the graph"
-        raise ValueError(f"no edge joins {rest}: add at least one")
-    sparse = np.flatnonzero(graph.sum(axis=1) < 2)
-    if len(sparse):
-        where = _format_vertices(sparse)
+        apart = _format_vertices(part == np.bincount(part).argmin())
+        raise ValueError(f"no edge joins {apart} to the rest of the graph: add at least one")
+    is_sparse = graph.sum(axis=1) < 2
+    if is_sparse.any():
+        where = _format_vertices(is_sparse)
         raise ValueError(f"too sparse at {where}: every vertex needs at least two neighbors")
 
 
-def _format_vertices(vertices: Array) -> str:
+def _format_vertices(chosen: Array) -> str:
+    vertices = np.flatnonzero(chosen)
     shown = ", ".join(map(str, vertices[:10])) + (", …" if len(vertices) > 10 else "")
     return f"{'vertex' if len(vertices) == 1 else 'vertices'} {shown}"

@@ -35,14 +35,13 @@ class NoStabilizingGain(RuntimeError):
         i, j = sorted(np.unravel_index(np.abs(dual).argmax(), dual.shape))
         self.formation, self.axes, self.dual = formation, axes, dual
         self.bound = GainProblem.from_formation(formation, axes).rate_bound(dual)
-        subject = f"no gains stabilize {_format_formation(formation)} {AXES_TEXT[axes]}"
-        allowed = "no rate above 0"
+        faster, allowed = "", "no rate above 0"
         if self.bound > 0:
-            subject += f" faster than {MIN_RATE:.0e} of their mean"
+            faster = f" faster than {MIN_RATE:.0e} of their mean"
             allowed = f"a rate of at most {self.bound:.1e}"
-        super().__init__(
-            f"{subject}: its graph allows {allowed}, by proof; add edges, first between {i} and {j}"
-        )
+        subject = f"no gains stabilize {_format_formation(formation)} {AXES_TEXT[axes]}{faster}"
+        cure = f"add edges, first between {i} and {j}"
+        super().__init__(f"{subject}: its graph allows {allowed}, by proof; {cure}")
 
 
 class GainDesignUndecided(RuntimeError):
@@ -59,13 +58,10 @@ class GainDesignUndecided(RuntimeError):
         self, formation: DesiredFormation, axes: Axes, method: str, rate: float, bound: float
     ) -> None:
         self.formation, self.axes, self.rate, self.bound = formation, axes, rate, bound
-        others = [] if method.startswith("admm") else ['method "auto" may find more']
-        if method != "sdp":
-            others.append('method "sdp" may find more for few agents')
+        where = f"{_format_formation(formation)} {AXES_TEXT[axes]}"
         super().__init__(
-            f"the method {method} found no stable gains for {_format_formation(formation)} "
-            f"{AXES_TEXT[axes]}: their rate is {rate:.1e}, and rates up to {bound:.1e} are not "
-            f"excluded; {'; '.join([*others, 'add edges'])}"
+            f"the method {method} found no stable gains for {where}: their rate is {rate:.1e}, "
+            f"and rates up to {bound:.1e} are not excluded; add edges"
         )
 
 
@@ -123,7 +119,7 @@ def _design_axes(
         L, Y = _solve(problem, used, tolerance)
         if method == "auto" and len(L) <= SDP_MAX_AGENTS:
             (L, Y), used = _improve_with_sdp(problem, GainSolution(L, Y), tolerance)
-        L = problem.project((L + L.conj().T) / 2).projected
+        L = problem.project((L + L.conj().T) / 2).L
     except NoGainMatrix as none:
         raise NoStabilizingGain(formation, axes, none.dual) from none
     rate, bound = problem.convergence_rate(L), problem.rate_bound(Y)
@@ -148,7 +144,7 @@ def _improve_with_sdp(
 def _solve(problem: GainProblem, method: str, tolerance: float) -> GainSolution:
     # The slow methods are imported on demand: loading their solvers takes seconds.
     if method == "projection":
-        return GainSolution(*problem.project(np.eye(len(problem.graph))))
+        return problem.project(np.eye(len(problem.graph)))
     if method == "admm":
         return gain_admm.solve(problem, tolerance)
     if method == "sdp":

@@ -13,17 +13,8 @@ from problems.desired_formation import DesiredFormation
 from problems.gain_problem import Axes, GainProblem
 
 RESIDUAL_TOLERANCE = 1e-8  # relative; gains with larger residuals are of another formation
-FILE_FIELDS = {  # name in the file: type and shape
-    "points": (float, ("n", 3)),
-    "graph": (bool, ("n", "n")),
-    "name": (str, ()),
-    "xy": (complex, ("n", "n")),
-    "z": (float, ("n", "n")),
-    "method": (str, ()),
-    "bounds": (float, (2,)),
-}
 # Errors of numpy and zipfile for other files, and for damaged ones.
-READ_ERRORS = (ValueError, TypeError, EOFError, OSError, RuntimeError, BadZipFile)
+READ_ERRORS = (ValueError, TypeError, KeyError, EOFError, OSError, RuntimeError, BadZipFile)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,16 +41,15 @@ class GainMatrix:
 
     def __post_init__(self) -> None:
         """Refuse gains that are unstable or of another formation, and wrong bounds."""
-        for axes, gains in self._gains.items():
-            _validate_gains(self.formation, axes, gains)
+        _validate_gains(self.formation, "xy", self.xy)
+        _validate_gains(self.formation, "z", self.z)
         if not self.convergence_rate > 0:
             raise ValueError(f"the gains are not stable: their rate is {self.convergence_rate:.1e}")
-        _validate_bound("xy", self.bound_xy, self.rate_xy)
-        _validate_bound("z", self.bound_z, self.rate_z)
-
-    @property
-    def _gains(self) -> dict[Axes, Array]:
-        return {"xy": self.xy, "z": self.z}
+        rates = ("xy", self.rate_xy, self.bound_xy), ("z", self.rate_z, self.bound_z)
+        for axes, rate, bound in rates:
+            if not bound >= rate * (1 - RESIDUAL_TOLERANCE):
+                text = f"must be at least the rate {rate:.6g}, got {bound:.6g}"
+                raise ValueError(f"bound_{axes}: {text}")
 
     @property
     def convergence_rate(self) -> float:
@@ -89,17 +79,19 @@ class GainMatrix:
     @property
     def residual_kernel(self) -> float:
         """Largest speed of an agent in the desired formation [m/s]."""
-        return max(_kernel_residual(self.formation, axes, A) for axes, A in self._gains.items())
+        xy = _kernel_residual(self.formation, "xy", self.xy)
+        return max(xy, _kernel_residual(self.formation, "z", self.z))
 
     @property
     def residual_structure(self) -> float:
         """Largest entry of A − Aᴴ and of the row sums [1/s]."""
-        return max(_structure_residual(A) for A in (self.xy, self.z))
+        return max(_structure_residual(self.xy), _structure_residual(self.z))
 
     @property
     def residual_graph(self) -> float:
         """Largest entry at a non-edge [1/s]."""
-        return max(_graph_residual(self.formation, A) for A in (self.xy, self.z))
+        formation = self.formation
+        return max(_graph_residual(formation, self.xy), _graph_residual(formation, self.z))
 
     def matches_formation(self, formation: DesiredFormation) -> bool:
         """Return True where the gains were designed for these points and this graph."""
@@ -108,10 +100,17 @@ class GainMatrix:
 
     def save(self, path: str | Path) -> None:
         """Write an .npz file that includes the formation and the graph."""
-        formation, bounds = self.formation, (self.bound_xy, self.bound_z)
-        values = (formation.points, formation.graph, formation.name, self.xy, self.z, self.method)
-        fields = dict(zip(FILE_FIELDS, map(np.asarray, (*values, bounds)), strict=True))
-        np.savez(path, allow_pickle=False, **fields)
+        formation = self.formation
+        np.savez(
+            path,
+            points=formation.points,
+            graph=formation.graph,
+            name=formation.name,
+            xy=self.xy,
+            z=self.z,
+            method=self.method,
+            bounds=(self.bound_xy, self.bound_z),
+        )
 
     @classmethod
     def load(cls, path: str | Path) -> "GainMatrix":
@@ -121,44 +120,19 @@ class GainMatrix:
             ValueError: It is another file or damaged, or its gains do not belong to its
                 formation.
         """
-        fields = _read_fields(path)
-        try:
-            _validate_fields(fields)
-            fields = {name: fields[name].astype(kind) for name, (kind, _) in FILE_FIELDS.items()}
-            formation = DesiredFormation(fields["points"], fields["graph"], str(fields["name"]))
-            bounds = fields["bounds"].tolist()
-            return cls(formation, fields["xy"], fields["z"], str(fields["method"]), *bounds)
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from error
-
-
-def _read_fields(path: str | Path) -> dict[str, Array]:
-    with open(path, "rb") as opened:
-        try:
-            with np.load(opened, allow_pickle=False) as file:
-                fields = {name: file[name] for name in file}
-        except READ_ERRORS as error:
-            raise ValueError(f"{path} is not a file of gains, or is damaged") from error
-    if absent := [name for name in FILE_FIELDS if name not in fields]:
-        raise ValueError(f"{path} is not a file of gains: it lacks {', '.join(absent)}")
-    return fields
-
-
-def _validate_fields(fields: dict[str, Array]) -> None:
-    # First of all, because a foreign file may hold anything under these names.
-    n = max(fields["points"].shape, default=0)
-    for name, (kind, sides) in FILE_FIELDS.items():
-        array, shape = fields[name], tuple(n if side == "n" else side for side in sides)
-        if array.shape != shape or not np.can_cast(array.dtype, kind, "same_kind"):
-            raise ValueError(
-                f"{name} should be {kind.__name__} of shape {shape}, "
-                f"not {array.dtype} of {array.shape}"
-            )
-
-
-def _validate_bound(axes: Axes, bound: float, rate: float) -> None:
-    if not bound >= rate * (1 - RESIDUAL_TOLERANCE):
-        raise ValueError(f"bound_{axes}: must be at least the rate {rate:.6g}, got {bound:.6g}")
+        kinds = (("points", float), ("graph", bool), ("xy", complex), ("z", float))
+        with open(path, "rb") as opened:
+            try:
+                with np.load(opened, allow_pickle=False) as file:
+                    fields = {
+                        key: file[key].astype(kind, casting="same_kind") for key, kind in kinds
+                    }
+                    name, method = str(file["name"]), str(file["method"])
+                    bound_xy, bound_z = file["bounds"].tolist()
+                formation = DesiredFormation(fields["points"], fields["graph"], name)
+                return cls(formation, fields["xy"], fields["z"], method, bound_xy, bound_z)
+            except READ_ERRORS as error:
+                raise ValueError(f"{path} cannot be read as gains: {error}") from error
 
 
 def _kernel_residual(formation: DesiredFormation, axes: Axes, A: Array) -> float:

@@ -60,7 +60,7 @@ def solve(
     """
     if max_iterations < 1:
         raise ValueError(f"max_iterations must be at least 1, got {max_iterations}")
-    problem.require_positive_trace()
+    _ = problem.trace_direction  # raises where only matrices of trace 0 are left
     Q = _to_real_blocks(problem.complement)
     p = Q.shape[1]
     rows = _graph_free_constraints(p, np.iscomplexobj(problem.kernel))
@@ -81,7 +81,7 @@ def solve(
         change = np.abs(X - previous).sum()
         if trace_error <= trace_tolerance * p or change < change_tolerance:
             break
-    L = problem.project(_from_real_blocks(Q @ X[p:, p:] @ Q.T, problem)).projected
+    L = problem.project(_from_real_blocks(Q @ X[p:, p:] @ Q.T, problem)).L
     return GainSolution(L, _dual_matrix(y[duals_from:], problem))
 
 

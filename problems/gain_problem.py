@@ -34,17 +34,13 @@ class NoGainMatrix(RuntimeError):
 
 
 class GainSolution(NamedTuple):
-    """Primal and dual matrices that a method returns; `GainProblem` computes their values."""
+    """Primal and dual matrices of a method; `GainProblem` computes their values.
+
+    Of a projection, L is the nearest feasible matrix but for positivity, and Y what is removed.
+    """
 
     L: Inexact[Array, "n n"]  # the gain is −L
     Y: Inexact[Array, "n n"]  # dual matrix on the non-edges
-
-
-class GainProjection(NamedTuple):
-    """Projection of a matrix and the part that it removes at the non-edges."""
-
-    projected: Inexact[Array, "n n"]  # L, the nearest feasible matrix but for positivity
-    removed: Inexact[Array, "n n"]  # Y
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,24 +90,16 @@ class GainProblem:
         """Q, orthonormal columns that span the orthogonal complement of the kernel."""
         return np.asarray(null_space(self.kernel.conj().T))
 
-    def require_positive_trace(self) -> None:
-        """Check that some matrix satisfies all equations.
-
-        Raises:
-            NoGainMatrix: The graph and the kernel admit matrices of trace 0 only.
-        """
-        _ = self._trace_direction
-
-    def project(self, W: Inexact[Array, "n n"]) -> GainProjection:
+    def project(self, W: Inexact[Array, "n n"]) -> GainSolution:
         """Find the nearest Hermitian L with L K = 0, tr L = m and zeros at the non-edges.
 
         Raises:
             NoGainMatrix: No matrix satisfies these equations.
         """
         kept, dropped = self._project_without_trace(W)
-        direction, rest = self._trace_direction
+        direction, rest = self.trace_direction
         deficit = (self.m - kept.trace().real) / direction.trace().real
-        return GainProjection(kept + deficit * direction, dropped + deficit * rest)
+        return GainSolution(kept + deficit * direction, dropped + deficit * rest)
 
     def convergence_rate(self, L: Inexact[Array, "n n"]) -> float:
         """Compute the least eigenvalue of L on the complement of the kernel."""
@@ -153,9 +141,15 @@ class GainProblem:
         return np.asarray(self.graph | np.eye(len(self.graph), dtype=bool))
 
     @cached_property
-    def _trace_direction(self) -> tuple[Array, Array]:
-        # The projection of I has the largest trace of all matrices of its size, and its
-        # squared norm is its trace: where that vanishes, every matrix has trace 0.
+    def trace_direction(self) -> tuple[Array, Array]:
+        """Projection of I without the equation of the trace, and what it removes.
+
+        It has the largest trace of all matrices of its size, and its squared norm is its trace:
+        where that vanishes, every matrix has trace 0.
+
+        Raises:
+            NoGainMatrix: The graph and the kernel admit matrices of trace 0 only.
+        """
         identity = np.eye(len(self.graph), dtype=self.kernel.dtype)
         direction, rest = self._project_without_trace(identity)
         if direction.trace().real <= ZERO_TOLERANCE * self.m:
@@ -176,12 +170,10 @@ class GainProblem:
 
     def _multiplier(self, residual: Array) -> Array:
         # X with E∘(X Kᴴ + K Xᴴ) K = residual, linear in the real and imaginary parts of X.
-        parts = residual[None]
-        if np.iscomplexobj(residual):
-            parts = np.stack([residual.real, residual.imag])
-        solved = cho_solve(self._normal_factor, parts.ravel(), check_finite=False)
-        X = solved.reshape(parts.shape)
-        return np.asarray(X[0] + 1j * X[1] if len(X) == 2 else X[0])
+        planar = np.iscomplexobj(residual)
+        parts = np.stack([residual.real, residual.imag]) if planar else residual[None]
+        X = cho_solve(self._normal_factor, parts.ravel(), check_finite=False).reshape(parts.shape)
+        return np.asarray(X[0] + 1j * X[1] if planar else X[0])
 
     @cached_property
     def _normal_factor(self) -> tuple[Array, bool]:

@@ -32,7 +32,7 @@ def solve(problem: GainProblem) -> GainSolution:
     """
     import cvxpy as cp
 
-    problem.require_positive_trace()
+    _ = problem.trace_direction  # raises where only matrices of trace 0 are left
     Q, m = problem.complement, problem.m
     kind = "hermitian" if np.iscomplexobj(Q) else "symmetric"
     Z, t = cp.Variable((m, m), **{kind: True}), cp.Variable()
@@ -47,7 +47,7 @@ def solve(problem: GainProblem) -> GainSolution:
     if Z.value is None:
         raise Unsolved(problem, f"Clarabel stopped without a point: {program.status}")
 
-    L = problem.project(Q @ Z.value @ Q.conj().T).projected
+    L = problem.project(Q @ Z.value @ Q.conj().T).L
     Y = np.zeros_like(L)
     if len(i):
         Y[i, j] = constraints[-1].dual_value

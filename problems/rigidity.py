@@ -26,11 +26,10 @@ Graph = Bool[Array, "n n"]
 def rigidity_matrix(points: Float[Array, "n d"], graph: Graph) -> Float[Array, "edges n*d"]:
     """Differentiate half the squared length of each edge with respect to the points.
 
-    The row of edge i–j holds p_i − p_j in the columns of i and p_j − p_i in those of j; rows
-    are in the order of `edges`.
+    The row of edge i–j, i < j, holds p_i − p_j in the columns of i and p_j − p_i in those of j.
     """
     n, d = points.shape
-    i, j = edges(graph)
+    i, j = np.nonzero(np.triu(graph, 1))
     rows = np.arange(len(i))
     R = np.zeros((len(i), n, d))
     R[rows, i] = points[i] - points[j]
@@ -38,37 +37,9 @@ def rigidity_matrix(points: Float[Array, "n d"], graph: Graph) -> Float[Array, "
     return R.reshape(len(i), n * d)
 
 
-def edges(graph: Bool[Array, "n n"]) -> tuple[Array, Array]:
-    """Return both vertices of every edge, the lower number first."""
-    i, j = np.nonzero(np.triu(graph, 1))
-    return i, j
-
-
-def infinitesimal_flexes(points: Float[Array, "n d"], graph: Graph) -> Float[Array, "flexes n d"]:
-    """Find an orthonormal basis of the infinitesimal motions that keep all lengths.
-
-    Motions of the shape as a whole are excluded. A flat shape of n points has at least n − 3
-    flexes in space with any graph, since nothing holds its points in the plane to first order.
-    """
-    n, d = points.shape
-    shape = (points - points.mean(axis=0)) / max(float(np.ptp(points, axis=0).max()), 1e-300)
-    translations = np.tile(np.eye(d), n)
-    rotations = np.zeros((d * (d - 1) // 2, n, d))
-    for k, (a, b) in enumerate(zip(*np.triu_indices(d, 1), strict=True)):
-        rotations[k, :, a], rotations[k, :, b] = -shape[:, b], shape[:, a]
-    motions = translations, rotations.reshape(len(rotations), -1)
-    constraints = np.vstack([rigidity_matrix(shape, graph), *motions])
-    return np.ascontiguousarray(null_space(constraints, rcond=RANK_TOLERANCE).T).reshape(-1, n, d)
-
-
-def is_infinitesimally_rigid(points: Float[Array, "n d"], graph: Bool[Array, "n n"]) -> bool:
-    """Return True where no infinitesimal motion of these points keeps all lengths."""
-    return len(infinitesimal_flexes(points, graph)) == 0
-
-
-def is_rigid(graph: Bool[Array, "n n"], dimension: Dimension, rng: np.random.Generator) -> bool:
+def is_rigid(graph: Graph, dimension: Dimension, rng: np.random.Generator) -> bool:
     """Return True where the graph is rigid at points in general position."""
-    return is_infinitesimally_rigid(_generic_points(graph, dimension, rng), graph)
+    return _is_rigid(graph, dimension, _self_stresses(graph, dimension, rng))
 
 
 def is_redundantly_rigid(graph: Graph, dimension: Dimension, rng: np.random.Generator) -> bool:
@@ -77,9 +48,9 @@ def is_redundantly_rigid(graph: Graph, dimension: Dimension, rng: np.random.Gene
     An edge is redundant if and only if some equilibrium stress loads it: then its row of the
     rigidity matrix is a combination of the others.
     """
-    points = _generic_points(graph, dimension, rng)
-    loads = np.abs(_self_stresses(points, graph)).max(axis=1, initial=0.0)
-    return is_infinitesimally_rigid(points, graph) and bool((loads > RANK_TOLERANCE).all())
+    stresses = _self_stresses(graph, dimension, rng)
+    loads = np.abs(stresses).max(axis=1, initial=0.0)
+    return _is_rigid(graph, dimension, stresses) and bool((loads > RANK_TOLERANCE).all())
 
 
 def is_globally_rigid(graph: Graph, dimension: Dimension, rng: np.random.Generator) -> bool:
@@ -91,20 +62,24 @@ def is_globally_rigid(graph: Graph, dimension: Dimension, rng: np.random.Generat
     n = len(graph)
     if n <= dimension + 1:
         return bool((graph | np.eye(n, dtype=bool)).all())
-    stresses = _self_stresses(_generic_points(graph, dimension, rng), graph)
+    stresses = _self_stresses(graph, dimension, rng)
     stress = stresses @ rng.normal(size=stresses.shape[1])
-    i, j = edges(graph)
+    i, j = np.nonzero(np.triu(graph, 1))
     Ω = np.zeros((n, n))
     Ω[i, j] = Ω[j, i] = -stress
     Ω[np.diag_indices(n)] = -Ω.sum(axis=1)
     return int(np.linalg.matrix_rank(Ω, rtol=RANK_TOLERANCE)) == n - dimension - 1
 
 
-def _generic_points(graph: Array, dimension: int, rng: np.random.Generator) -> Array:
-    return rng.normal(size=(len(graph), dimension))
+def _is_rigid(graph: Array, dimension: int, stresses: Array) -> bool:
+    # All motions that keep the lengths are of the shape as a whole.
+    n = len(graph)
+    rank, motions = len(stresses) - stresses.shape[1], dimension * (dimension + 1) // 2
+    return bool(rank == (dimension * n - motions if n > dimension else n * (n - 1) // 2))
 
 
-def _self_stresses(points: Array, graph: Array) -> Array:
-    # Columns span the stresses that are in equilibrium at every point.
+def _self_stresses(graph: Array, dimension: int, rng: np.random.Generator) -> Array:
+    # Columns span the stresses that are in equilibrium at points in general position.
+    points = rng.normal(size=(len(graph), dimension))
     stresses: Array = null_space(rigidity_matrix(points, graph).T, rcond=RANK_TOLERANCE)
     return stresses

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from gain_examples import graph_of
 from numpy.testing import assert_allclose
 
 from problems.desired_formation import DesiredFormation
@@ -71,32 +72,39 @@ def test_a_saved_file_restores_gains_and_formation(tmp_path):
     assert not again.matches_formation(DesiredFormation.with_complete_graph(pyramid().points[:5]))
 
 
-def changed_file(path, **changes):
-    with np.load(path) as file:
-        np.savez(path.with_name("changed.npz"), **{**file, **changes})
-    return path.with_name("changed.npz")
+LOOSE = pyramid().graph & ~graph_of(6, [(0, 3)])
+POINTS = pyramid().points
 
 
-def test_gains_of_another_formation_are_refused(tmp_path):
-    gains = design_gains(pyramid())
-    path = tmp_path / "gains.npz"
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (lambda g: {"points": POINTS * [1.1, 1, 1]}, "xy .* move the desired formation"),
+        (lambda g: {"points": POINTS + np.eye(6, 3, -1)}, "for xy do not belong"),
+        (lambda g: {"graph": LOOSE}, "are not zero at the non-edges"),
+        (lambda g: {"xy": -g.xy}, "xy do not belong .*: they do not have eigenvalues of −1"),
+        (lambda g: {"xy": 2 * g.xy}, "−1 in the mean"),
+        (lambda g: {"xy": g.xy + np.triu(g.xy)}, "they "),
+        (lambda g: {"z": g.z * np.nan}, "for z must be finite numbers"),
+        (lambda g: {"z": 0 * g.z}, "for z must not all be 0"),
+        (lambda g: {"points": POINTS[[0, 1, 2, 3, 4, 4]]}, "points 4 and 5 coincide"),
+        (lambda g: {"graph": np.ones((6, 6))}, "float64"),
+        (lambda g: {"points": np.array([["a", "b", "c"]] * 6)}, "<U1"),
+        (lambda g: {"points": np.arange(6.0)}, ""),
+        (lambda g: {"z": np.ones((3, 6))}, ""),
+        (lambda g: {"z": np.ones((6, 6), dtype=complex)}, "complex128"),
+        (lambda g: {"bounds": np.ones(3)}, "too many values"),
+        (lambda g: {"bounds": np.array([np.nan, 1])}, "bound_xy: must be at least .* got nan"),
+        (lambda g: {"bounds": np.array([1, 0.1])}, "bound_z: must be at least the rate 0.55"),
+    ],
+)
+def test_file_with_a_wrong_field_is_refused_with_the_reason(tmp_path, changes, words):
+    gains, path = design_gains(pyramid()), tmp_path / "gains.npz"
     gains.save(path)
-    points = gains.formation.points
-    loose = gains.formation.graph.copy()
-    loose[0, 3] = loose[3, 0] = False
-    for changes, words in (
-        ({"points": points * [1.1, 1, 1]}, "changed.npz: .* xy .* move the desired formation"),
-        ({"points": points + np.eye(6, 3, -1)}, "for xy do not belong"),
-        ({"graph": loose}, "are not zero at the non-edges"),
-        ({"xy": -gains.xy}, "xy do not belong .*: they do not have eigenvalues of −1"),
-        ({"xy": 2 * gains.xy}, "−1 in the mean"),
-        ({"xy": gains.xy + np.triu(gains.xy)}, "they "),
-        ({"z": gains.z * np.nan}, "for z must be finite numbers"),
-        ({"z": 0 * gains.z}, "for z must not all be 0"),
-        ({"points": points[[0, 1, 2, 3, 4, 4]]}, "points 4 and 5 coincide"),
-    ):
-        with pytest.raises(ValueError, match=words):
-            GainMatrix.load(changed_file(path, **changes))
+    with np.load(path) as file:
+        np.savez(path, **{**file, **changes(gains)})
+    with pytest.raises(ValueError, match=rf"gains\.npz cannot be read as gains: .*{words}"):
+        GainMatrix.load(path)
 
 
 def test_gains_of_another_size_are_refused():
@@ -113,30 +121,6 @@ def test_unstable_gains_are_refused(rng):
     turned *= -4 / turned.trace()
     with pytest.raises(ValueError, match="not stable: their rate is -"):
         replace(gains, z=turned)
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"graph": np.ones((6, 6))}, r"graph should be bool of shape \(6, 6\), not float64"),
-        ({"graph": np.ones(3, dtype=bool)}, r"graph should be bool .* not bool of \(3,\)"),
-        ({"points": np.array([["a", "b", "c"]] * 6)}, r"points should be float .* not <U1"),
-        ({"points": np.arange(6.0)}, r"points should be float of shape \(6, 3\), not .* \(6,\)"),
-        ({"points": np.float64(3)}, r"points should be float of shape \(0, 3\)"),
-        ({"xy": np.full((6, 6), "1")}, "xy should be complex"),
-        ({"z": np.ones((3, 6))}, r"z should be float of shape \(6, 6\), not float64 of \(3, 6\)"),
-        ({"z": np.ones((6, 6), dtype=complex)}, "z should be float .* not complex128"),
-        ({"name": np.array([1, 2])}, "name should be str"),
-        ({"bounds": np.ones(3)}, r"bounds should be float of shape \(2,\), not float64 of \(3,\)"),
-        ({"bounds": np.array([np.nan, 1])}, "bound_xy: must be at least .* got nan"),
-        ({"bounds": np.array([1, 0.1])}, r"bound_z: must be at least the rate 0.55.* got 0.1"),
-    ],
-)
-def test_wrong_fields_of_a_file_are_named_in_one_sentence(tmp_path, changes, words):
-    path = tmp_path / "gains.npz"
-    design_gains(pyramid()).save(path)
-    with pytest.raises(ValueError, match=rf"^[^\n]*changed\.npz: [^\n]*{words}[^\n]*$"):
-        GainMatrix.load(changed_file(path, **changes))
 
 
 def test_any_bound_from_the_rate_upwards_is_accepted(tmp_path):
@@ -167,15 +151,13 @@ def test_damaged_files_are_refused(tmp_path, rng):
 def test_other_files_are_refused(tmp_path, content):
     path = tmp_path / "other.npz"
     path.write_bytes(content)
-    with pytest.raises(ValueError, match=r"other\.npz is not a file of gains"):
+    with pytest.raises(ValueError, match=r"other\.npz cannot be read as gains"):
         GainMatrix.load(path)
 
 
-def test_missing_fields_are_refused_by_name(tmp_path):
-    path = tmp_path / "some.npz"
-    np.savez(path, points=np.zeros((3, 3)), xy=np.zeros((3, 3)))
-    with pytest.raises(ValueError, match="it lacks graph, name, z, method, bounds"):
-        GainMatrix.load(path)
+def test_files_without_a_field_are_refused(tmp_path):
+    np.savez(tmp_path / "some.npz", points=np.zeros((3, 3)))
     np.save(tmp_path / "array.npy", np.zeros(3))
-    with pytest.raises(ValueError, match=r"array\.npy is not a file of gains"):
-        GainMatrix.load(tmp_path / "array.npy")
+    for name, words in (("some.npz", "graph"), ("array.npy", "")):
+        with pytest.raises(ValueError, match=rf"{name} cannot be read as gains.*{words}"):
+            GainMatrix.load(tmp_path / name)

@@ -5,21 +5,10 @@ from itertools import combinations
 import numpy as np
 import pytest
 from gain_examples import complete, graph_of, joined_parts, random_graph, ring
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.sparse.csgraph import connected_components
 
-from problems.rigidity import (
-    infinitesimal_flexes,
-    is_globally_rigid,
-    is_infinitesimally_rigid,
-    is_redundantly_rigid,
-    is_rigid,
-    rigidity_matrix,
-)
-
-seeds = st.integers(0, 10**6)
+from problems.rigidity import is_globally_rigid, is_redundantly_rigid, is_rigid, rigidity_matrix
 
 
 def without(graph, i, j):
@@ -28,29 +17,6 @@ def without(graph, i, j):
 
 def bipartite(a, b):
     return graph_of(a + b, [(i, a + j) for i in range(a) for j in range(b)])
-
-
-@given(seeds)
-def test_a_flex_keeps_all_lengths_and_is_no_rigid_motion(seed):
-    rng = np.random.default_rng(seed)
-    d = int(rng.integers(2, 4))
-    points, graph = rng.normal(size=(7, d)) + 50, random_graph(rng, 7, 0.4)
-    R = rigidity_matrix(points, graph)
-    moves = infinitesimal_flexes(points, graph)
-    assert len(moves) >= d * 7 - d * (d + 1) // 2 - len(R)
-    for v in moves:
-        assert_allclose(R @ v.ravel(), 0, atol=1e-10)
-        assert_allclose(v.sum(axis=0), 0, atol=1e-10)
-        spin = points.T @ v
-        assert_allclose(spin, spin.T, atol=1e-8)
-
-
-@given(seeds)
-def test_the_number_of_flexes_is_invariant_to_similarities(seed):
-    rng = np.random.default_rng(seed)
-    points, graph = rng.normal(size=(6, 3)), random_graph(rng, 6, 0.7)
-    moved = 1e3 * points @ np.linalg.qr(rng.normal(size=(3, 3)))[0] + [1e4, -1e4, 3]
-    assert len(infinitesimal_flexes(points, graph)) == len(infinitesimal_flexes(moved, graph))
 
 
 def test_the_rigidity_matrix_is_the_derivative_of_squared_lengths(rng):
@@ -142,7 +108,7 @@ def test_named_graphs_are_as_in_the_literature(
 def test_the_double_banana_has_enough_edges_and_is_flexible(rng):
     graph = without(joined_parts([0, 1, 2, 3, 4], [0, 1, 5, 6, 7]), 0, 1)
     assert graph.sum() == 2 * (3 * 8 - 6)
-    assert len(infinitesimal_flexes(rng.normal(size=(8, 3)), graph)) == 1
+    assert np.linalg.matrix_rank(rigidity_matrix(rng.normal(size=(8, 3)), graph)) == 3 * 8 - 6 - 1
     assert not is_rigid(graph, 3, rng)
 
 
@@ -151,21 +117,11 @@ def test_points_on_a_conic_are_flexible_where_generic_points_are_not(rng):
     angle = rng.uniform(0, 2 * np.pi, 6)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     assert is_rigid(bipartite(3, 3), 2, rng)
-    assert len(infinitesimal_flexes(circle, bipartite(3, 3))) == 1
+    assert np.linalg.matrix_rank(rigidity_matrix(circle, bipartite(3, 3))) == 2 * 6 - 3 - 1
 
 
-def test_a_flat_shape_is_never_rigid_in_space(rng):
-    flat = np.c_[rng.normal(size=(6, 2)), np.full(6, 1.5)]
-    assert len(infinitesimal_flexes(flat, complete(6))) == 3
-    assert is_infinitesimally_rigid(flat[:, :2], complete(6))
-
-
-def test_points_on_a_line_are_rigid_along_the_line_only(rng):
-    line = np.outer(rng.normal(size=5), [1.0, 2.0, 0.5])
-    assert len(infinitesimal_flexes(line, complete(5))) == 2 * 3  # across, but for shifts and turns
-
-
-def test_a_single_edge_is_rigid(rng):
-    assert is_rigid(complete(2), 2, rng)
+def test_few_points_are_rigid_on_the_complete_graph_alone(rng):
+    assert is_rigid(complete(2), 2, rng) and is_rigid(complete(3), 3, rng)
     assert is_globally_rigid(complete(2), 3, rng)
+    assert not is_rigid(graph_of(3, [(0, 1), (1, 2)]), 3, rng)
     assert not is_globally_rigid(without(complete(4), 0, 1), 3, rng)
