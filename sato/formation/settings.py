@@ -43,7 +43,7 @@ class CollisionAvoidance(NamedTuple):
     legacy: Annotated[
         bool, Key("legacy_avoidance"), "avoidance, limits and size control of the paper's code"
     ] = False
-    unwrapped_angles: Annotated[bool, "with legacy_avoidance: its fault of angles"] = False
+    unwrapped_angles: Annotated[bool, "with legacy_avoidance: angles do not wrap"] = False
 
 
 class AssignmentSettings(NamedTuple):
@@ -62,7 +62,7 @@ class AssignmentSettings(NamedTuple):
 class SupervisorSettings(NamedTuple):
     """Criteria of convergence and gridlock, as in the trials of [Lusk2020]."""
 
-    convergence_speed: Annotated[Speed, Key("settled"), Positive, "top speed on arrival"] = 0.15
+    convergence_speed: Annotated[Speed, Key("settled"), Positive, "largest speed on arrival"] = 0.15
     averaging_window: Annotated[Time, Positive, "time of averages of speed and avoidance"] = 1.0
     convergence_time: Annotated[Time, NotNegative, "time for which all must have arrived"] = 1.0
     gridlock_share: Annotated[float, Positive, Le(1), "share of avoidance in a gridlock"] = 0.95
