@@ -45,43 +45,25 @@ if TYPE_CHECKING:
     from sato.shapes import Lattice, Picture, Points, Polygon, Ring, Text
 
 _PUBLIC = {
-    "dynamics": [
-        "ClohessyWiltshire",
-        "DoubleIntegrator",
-        "InertialPlant",
-        "J2",
-        "LinearModel",
-        "LinearPlant",
-        "NonlinearModel",
-        "NonlinearPlant",
-        "Orbit",
-        "Plant",
-        "SchweighartSedwick",
-        "SymbolicModel",
-        "TschaunerHempel",
-    ],
-    "problems": [
-        "GainMatrix",
-        "Infeasible",
-        "Trajectory",
-        "TransferProblem",
-        "Unsolved",
-        "design_gains",
-    ],
-    "sato.connectivity.mission": ["AgentLoss", "Connectivity"],
-    "sato.formation.leg": ["FormationLeg"],
-    "sato.formation.mission": ["Formation"],
-    "sato.reconfiguration.mission": ["Join", "Leg", "Loss", "Reconfiguration"],
-    "sato.reconfiguration.models": ["PlantSettings"],
-    "sato.reconfiguration.orbit": ["Chief"],
-    "sato.reconfiguration.start": ["Random"],
-    "sato.record": ["RunFileError"],
-    "sato.runs": ["Run", "load", "run", "simulate"],
-    "sato.scenario.errors": ["InputError", "ScenarioError"],
-    "sato.scenario.file": ["from_dict", "parse", "read", "scenarios"],
-    "sato.shapes": ["Lattice", "Picture", "Points", "Polygon", "Ring", "Text"],
+    "dynamics": (
+        "ClohessyWiltshire DoubleIntegrator InertialPlant J2 LinearModel LinearPlant "
+        "NonlinearModel NonlinearPlant Orbit Plant SchweighartSedwick SymbolicModel TschaunerHempel"
+    ),
+    "problems": "GainMatrix Infeasible Trajectory TransferProblem Unsolved design_gains",
+    "sato.connectivity.mission": "AgentLoss Connectivity",
+    "sato.formation.leg": "FormationLeg",
+    "sato.formation.mission": "Formation",
+    "sato.reconfiguration.mission": "Join Leg Loss Reconfiguration",
+    "sato.reconfiguration.models": "PlantSettings",
+    "sato.reconfiguration.orbit": "Chief",
+    "sato.reconfiguration.start": "Random",
+    "sato.record": "RunFileError",
+    "sato.runs": "Run load run simulate",
+    "sato.scenario.errors": "InputError ScenarioError",
+    "sato.scenario.file": "from_dict parse read scenarios",
+    "sato.shapes": "Lattice Picture Points Polygon Ring Text",
 }
-_MODULES = {name: module for module, names in _PUBLIC.items() for name in names}
+_MODULES = {name: module for module, names in _PUBLIC.items() for name in names.split()}
 
 __all__ = sorted(_MODULES)
 

@@ -2,13 +2,14 @@
 
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Column, Table
 
 from dynamics.trajectory_geometry import sampled_separations
 from sato.check.report import Report
@@ -29,82 +30,51 @@ def show_mission_progress(
         A function to be called with the mission and each frame.
     """
     console = Console(stderr=True)
-    if not (sys.stderr.isatty() or console.is_jupyter):
-        yield _LineReporter(progress_of)
-        return
+    has_bar = sys.stderr.isatty() or console.is_jupyter
     text = "{task.fields[stage]}, step {task.completed} of {task.total}, {task.fields[details]}"
     columns = (BarColumn(), TextColumn(text), TimeElapsedColumn())
-    with Progress(*columns, console=console) as bar:
-        yield _BarReporter(progress_of, bar)
+    shown, least = "", inf
+    with Progress(*columns, console=console, disable=not has_bar) as bar:
+        task = bar.add_task("", total=None, visible=False, stage="", details="")
+
+        def show(mission: MissionT, frame: FrameT) -> None:
+            nonlocal shown, least
+            stage, done, total, details = progress_of(mission, frame)
+            least = min(
+                least, float(sampled_separations(frame.position[None], frame.alive[None])[0])
+            )
+            details = _describe(frame, least, details)
+            if has_bar:
+                fields: dict[str, Any] = {"stage": stage, "details": details}
+                bar.update(task, completed=done, total=total, visible=True, **fields)
+            elif stage != shown:
+                print(f"{stage} at {frame.time:g} s: {details}", file=sys.stderr)
+            shown = stage
+
+        yield show
 
 
 @contextmanager
 def progress_bar(label: str) -> Iterator[Callable[[int, int], None]]:
-    """Show a bar of counted work on a terminal; nothing elsewhere."""
-    if not sys.stderr.isatty():
-        yield lambda done, total: None
-        return
-    columns = (TextColumn(label), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(label)
+    """Show a bar of counted work on a terminal, a moving one until it is counted; else nothing."""
+    console, is_hidden = Console(stderr=True), not sys.stderr.isatty()
+    columns = (TextColumn(label), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, disable=is_hidden) as bar:
+        task = bar.add_task(label, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
-
-
-def spinner(label: str) -> AbstractContextManager[object]:
-    """Show a spinner on a terminal; nothing elsewhere."""
-    return Console(stderr=True).status(label) if sys.stderr.isatty() else nullcontext()
-
-
-class _Reporter:
-    """Base of reporters: components of the network, and least separation so far."""
-
-    def __init__(self, progress_of: Callable[[Any, Any], MissionProgress]) -> None:
-        self.progress_of = progress_of
-        self.min_separation = float("inf")
-
-    def describe(self, frame: Frame, details: str) -> str:
-        now = sampled_separations(frame.position[None], frame.alive[None])
-        self.min_separation = min(self.min_separation, float(now[0]))
-        count = int(frame.component.max()) + 1
-        parts = [f"{count} component{'s' * (count != 1)}"]
-        if self.min_separation < float("inf"):
-            parts.append(f"least separation {self.min_separation:.3g} m")
-        return ", ".join([*parts, details] if details else parts)
-
-
-class _LineReporter(_Reporter):
-    """A line at the start of each stage."""
-
-    stage = ""
-
-    def __call__(self, mission: object, frame: Frame) -> None:
-        stage, _, _, details = self.progress_of(mission, frame)
-        text = self.describe(frame, details)
-        if stage != self.stage:
-            self.stage = stage
-            print(f"{stage} at {frame.time:g} s: {text}", file=sys.stderr)
-
-
-class _BarReporter(_Reporter):
-    """A bar over the steps of all stages; their number may change on the way."""
-
-    def __init__(self, progress_of: Callable[[Any, Any], MissionProgress], bar: Progress) -> None:
-        super().__init__(progress_of)
-        self.bar = bar
-        self.task = bar.add_task("", total=None, visible=False, stage="", details="")
-
-    def __call__(self, mission: object, frame: Frame) -> None:
-        stage, done, total, details = self.progress_of(mission, frame)
-        fields: dict[str, Any] = {"stage": stage, "details": self.describe(frame, details)}
-        self.bar.update(self.task, completed=done, total=total, visible=True, **fields)
 
 
 def print_summary(summary: dict[str, Any], folder: Path) -> None:
     """Print a summary as a table, and parts such as legs side by side."""
     console = Console()
-    for name, value in summary.items():
-        if is_parts(value):
-            console.print(_parts_table(name.removesuffix("s"), value))
+    for name, parts in summary.items():
+        if is_parts(parts):
+            numbers = range(1, len(parts) + 1)
+            heads = [Column(f"{name.removesuffix('s')} {n}", justify="right") for n in numbers]
+            table = Table("", *heads)
+            for key in dict.fromkeys(key for part in parts for key in part):
+                table.add_row(format_label(key), *[format_value(part.get(key)) for part in parts])
+            console.print(table)
     table = Table(show_header=False)
     for label, text in summary_rows(summary):
         table.add_row(label, text)
@@ -114,25 +84,19 @@ def print_summary(summary: dict[str, Any], folder: Path) -> None:
 
 def print_report(report: Report) -> None:
     """Print each promise, and whether it was kept."""
-    table = Table()
-    for name in ("promise", "kept", "value", "limit", "meaning"):
-        table.add_column(name)
+    table = Table("promise", "kept", "value", "limit", "meaning")
     for promise in report.promises:
         value, limit = promise.value, promise.tolerance
         shown = (format_value(value, limit), format_value(limit), promise.message)
         table.add_row(promise.name, "yes" if promise.kept else "NO", *shown)
     for name in report.skipped:
-        table.add_row(
-            name, "?", "", "", "skipped: it needs the mission, sato.load(path, mission=…)"
-        )
+        reason = "skipped: it needs the mission, sato.load(path, mission=…)"
+        table.add_row(name, "?", "", "", reason)
     Console().print(table)
 
 
-def _parts_table(name: str, parts: list[dict[str, Any]]) -> Table:
-    table = Table()
-    table.add_column("")
-    for number in range(1, len(parts) + 1):
-        table.add_column(f"{name} {number}", justify="right")
-    for key in dict.fromkeys(key for part in parts for key in part):
-        table.add_row(format_label(key), *[format_value(part.get(key)) for part in parts])
-    return table
+def _describe(frame: Frame, least: float, details: str) -> str:
+    count = int(frame.component.max()) + 1
+    separation = f"least separation {least:.3g} m" if isfinite(least) else ""
+    network = f"{count} component{'s' * (count != 1)}"
+    return ", ".join(filter(None, (network, separation, details)))

@@ -14,7 +14,7 @@ from problems.desired_formation import DesiredFormation
 from problems.gain_design import GainMatrix, GainMethod, design_gains
 from problems.rigidity import Dimension, is_globally_rigid, is_redundantly_rigid, is_rigid
 from sato.atomic import replace_atomically
-from sato.console import spinner
+from sato.console import progress_bar
 from sato.scenario.errors import InputError
 from sato.shapes.formation_library import formation_names, load_formation, read_formation
 from sato.shapes.graphs import read_graph
@@ -72,12 +72,12 @@ def design_and_save(formation: DesiredFormation, method: str, out: Path) -> None
     if method not in METHODS:
         raise InputError("", f'--method takes one of {", ".join(METHODS)}, not "{method}"')
     began = perf_counter()
-    with spinner("designing the gains"):
+    with progress_bar("designing the gains"):
         gains = design_gains(formation, method)  # type: ignore[arg-type]
     time = perf_counter() - began
     with replace_atomically(out) as file:
         gains.save(file)
-    with spinner("testing for rigidity"):
+    with progress_bar("testing for rigidity"):
         rigidity = [_rigidity_label(formation, dimension) for dimension in (2, 3)]
     _print_report(gains, time, rigidity)
     print(out)

@@ -2,10 +2,9 @@
 
 import signal
 import threading
-import tomllib
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 from html import escape
@@ -45,11 +44,6 @@ class Run:
     data: "xarray.Dataset"
     summary: dict[str, Any]
     mission: Any | None = None  # not drawn; None where a file holds a model of the user's own
-
-    @property
-    def system(self) -> System[Any, Any]:
-        """System of the mission."""
-        return load_system(self.data.attrs["system"])
 
     @cached_property
     def drawn_mission(self) -> Any:
@@ -143,17 +137,21 @@ def run(
     Raises:
         ValueError: The scenario cannot be flown; nothing was.
     """
-    _validate_seed(seed)
-    mission = _as_mission(scenario, overrides)
-    system = load_system(mission.system)
     began = perf_counter()
     # With matrices as small as these, the threads of BLAS only wait for each other.
     with threadpool_limits(1, user_api="blas"):
-        rng = np.random.default_rng(seed)
-        drawn = _draw(mission, rng, scenario)
+        mission, drawn, rng = _draw(scenario, seed, overrides)
+        system = load_system(mission.system)
         for sentence in drawn.warnings():
             warnings.warn(sentence, stacklevel=2)
-        with _progress_callback(system, progress) as callback:
+        watched: AbstractContextManager[FrameCallback]
+        if progress is True:
+            from sato.console import show_mission_progress
+
+            watched = show_mission_progress(system.progress)
+        else:
+            watched = nullcontext(progress or (lambda mission, frame: None))
+        with watched as callback:
             frames, stopped = _collect_frames(system, drawn, rng, callback)
         data = record.build_dataset(
             system,
@@ -182,11 +180,10 @@ def simulate(scenario: Scenario, seed: int = 0, overrides: Iterable[str] = ()) -
     Raises:
         ValueError: The scenario cannot be flown.
     """
-    _validate_seed(seed)
-    mission = _as_mission(scenario, overrides)
-    rng = np.random.default_rng(seed)
-    drawn = _draw(mission, rng, scenario)
-    return _one_by_one(load_system(mission.system).simulate(drawn, rng))
+    mission, drawn, rng = _draw(scenario, seed, overrides)
+    frames = load_system(mission.system).simulate(drawn, rng)
+    limited = ThreadpoolController().wrap(limits=1, user_api="blas")
+    return iter(limited(lambda: next(frames, None)), None)
 
 
 def load(path: str | Path, mission: Mission | None = None) -> Run:
@@ -202,52 +199,40 @@ def load(path: str | Path, mission: Mission | None = None) -> Run:
     """
     data, summary = record.load(Path(path))
     text = str(data.attrs["scenario"])
-    if mission is None:
-        return Run(data, summary, None if _has_own_model(text) else _parse_mission(path, text))
-    if mission.to_toml() != text:
-        raise RunFileError(f"{path}: is a run of another mission than the one that is given")
-    return Run(data, summary, mission)
-
-
-def _parse_mission(path: str | Path, text: str) -> Any:
+    if mission is not None:
+        if mission.to_toml() != text:
+            raise RunFileError(f"{path}: is a run of another mission than the one that is given")
+        return Run(data, summary, mission)
     try:
-        return parse(text)
+        return Run(data, summary, parse(text))
     except ScenarioError as error:
-        raise RunFileError(f"{path}: the scenario in the file cannot be read: {error}") from error
+        if '[model]\nkind = "own"\n' in text:
+            return Run(data, summary)
+        reason = f"the scenario in the file cannot be read: {error}"
+        raise RunFileError(f"{path}: {reason}") from error
 
 
-def _has_own_model(text: str) -> bool:
-    with suppress(tomllib.TOMLDecodeError):
-        tables = tomllib.loads(text).values()
-        return any(isinstance(table, dict) and table.get("kind") == "own" for table in tables)
-    return False
-
-
-def _validate_seed(seed: object) -> None:
+def _draw(
+    scenario: Scenario, seed: int, overrides: Iterable[str]
+) -> tuple[Any, Any, np.random.Generator]:
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer):
         raise InputError("seed", f"must be an integer, got {format_value(seed)}")
     if not 0 <= seed <= MAX_SEED:
         raise InputError("seed", f"must be from 0 to 2**64 - 1, got {seed}")
-
-
-def _as_mission(scenario: Scenario, overrides: Iterable[str]) -> Any:
     if isinstance(scenario, str | Path):
-        return read(scenario, overrides)
-    if isinstance(scenario, Mapping):
-        return from_dict(dict(scenario), overrides)
-    if not isinstance(scenario, Mission):
-        kind = type(scenario).__name__
-        raise InputError(
-            "scenario", f"must be a name, a path, a mission or a dict, got an object of type {kind}"
-        )
-    if tuple(overrides):
+        mission = read(scenario, overrides)
+    elif isinstance(scenario, Mapping):
+        mission = from_dict(dict(scenario), overrides)
+    elif not isinstance(scenario, Mission):
+        got = f"an object of type {type(scenario).__name__}"
+        raise InputError("scenario", f"must be a name, a path, a mission or a dict, got {got}")
+    elif tuple(overrides):
         raise InputError("overrides", "cannot change a mission; dataclasses.replace can")
-    return scenario
-
-
-def _draw(mission: Any, rng: np.random.Generator, scenario: Scenario) -> Any:
+    else:
+        mission = scenario
+    rng = np.random.default_rng(seed)
     try:
-        return mission.draw(rng)
+        return mission, mission.draw(rng), rng
     except InputError as error:
         if isinstance(scenario, str | Path):
             raise ScenarioError(f"{scenario}: {error}") from error
@@ -270,68 +255,35 @@ def _add_check_results(run: Run) -> Run:
     return replace(run, summary=summary)
 
 
-@contextmanager
-def _progress_callback(
-    system: System[Any, Any], progress: bool | FrameCallback | None
-) -> Iterator[FrameCallback]:
-    if progress is True:
-        from sato.console import show_mission_progress
-
-        with show_mission_progress(system.progress) as callback:
-            yield callback
-    else:
-        yield progress or (lambda mission, frame: None)
-
-
-def _one_by_one(frames: Iterator[Frame]) -> Iterator[Frame]:
-    controller = ThreadpoolController()
-    while True:
-        with controller.limit(limits=1, user_api="blas"):
-            frame = next(frames, None)
-        if frame is None:
-            return
-        yield frame
-
-
 def _collect_frames(
     system: System[Any, Any], mission: Any, rng: np.random.Generator, callback: FrameCallback
 ) -> tuple[list[Any], str]:
-    frames: list[Any] = []
-    try:
-        with _defer_interrupt() as interrupted:
-            for frame in system.simulate(mission, rng):
-                frames.append(frame)
-                callback(mission, frame)
-                if interrupted.is_set():
-                    return frames, "interrupted"
-    except KeyboardInterrupt:
-        if not frames:
-            raise
-        return frames, "interrupted"
-    except system.stop_errors as error:
-        if not frames:
-            raise
-        return frames, str(error)
-    return frames, ""
-
-
-@contextmanager
-def _defer_interrupt() -> Iterator[threading.Event]:
     # Compiled code loses an exception that is raised in it by a signal, so the first Ctrl-C
     # waits for the next frame; a second one does not.
     interrupted = threading.Event()
     former = signal.getsignal(signal.SIGINT)
     is_main = threading.current_thread() is threading.main_thread()
-    if not is_main or former is not signal.default_int_handler:
-        yield interrupted
-        return
+    is_deferred = is_main and former is signal.default_int_handler
 
     def note(number: int, frame: object) -> None:
         interrupted.set()
         signal.signal(signal.SIGINT, former)
 
-    signal.signal(signal.SIGINT, note)
+    frames: list[Any] = []
+    endings: tuple[type[BaseException], ...] = (KeyboardInterrupt, *system.stop_errors)
     try:
-        yield interrupted
+        if is_deferred:
+            signal.signal(signal.SIGINT, note)
+        for frame in system.simulate(mission, rng):
+            frames.append(frame)
+            callback(mission, frame)
+            if interrupted.is_set():
+                raise KeyboardInterrupt
+    except endings as error:
+        if not frames:
+            raise
+        return frames, "interrupted" if isinstance(error, KeyboardInterrupt) else str(error)
     finally:
-        signal.signal(signal.SIGINT, former)
+        if is_deferred:
+            signal.signal(signal.SIGINT, former)
+    return frames, ""
