@@ -17,22 +17,27 @@ from problems.interaction_graph import interaction_graph
 from sato.connectivity.check import ConnectivityRecord
 from sato.connectivity.distance import nearest_agent_distance
 from sato.connectivity.figures import FIGURES, make_figures
-from sato.connectivity.figures.obstacles import draw_obstacles_3d, draw_obstacles_from_above
-from sato.connectivity.figures.time_panels import STICK_COLOR, find_intervals, find_stick_intervals
-from sato.connectivity.figures.time_series import count_edges
-from sato.connectivity.figures.trajectories import MAX_POINTS
-from sato.connectivity.figures.yaw_error import (
+from sato.connectivity.figures.time_series import (
     LOST,
     MAX_PAIRS,
+    STICK_COLOR,
     VISIBILITY_COLORS,
     classify_visibility,
+    count_edges,
+    find_stick_intervals,
     select_pairs,
+)
+from sato.connectivity.figures.trajectories import (
+    MAX_POINTS,
+    draw_obstacles_3d,
+    draw_obstacles_from_above,
 )
 from sato.connectivity.loop import simulate
 from sato.connectivity.obstacles import Obstacles
 from sato.connectivity.potential import evaluate_potential, negative_slope, repulsion_gain
 from sato.connectivity.system import SYSTEM
 from sato.figures.axes import AxisBounds
+from sato.figures.panels import find_intervals
 from sato.figures.style import BLUE, GREEN, ORANGE, RED, STYLE
 from sato.scenario.file import read
 
@@ -169,7 +174,7 @@ def test_eigenvalue_figure_shows_recorded_and_estimated_values(variant):
     )
     off = np.abs(own - record.frames.lambda2[:, None])
     known = np.isfinite(off).any(axis=1)  # before anything is told, nobody knows
-    median = line(error, "their median")[1]
+    median = line(error, "median")[1]
     np.testing.assert_array_equal(median[known], np.nanmedian(off[known], axis=1))
     assert known[1:].all() and np.isnan(median[~known]).all()
     limits = record.mission.potential

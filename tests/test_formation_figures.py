@@ -17,8 +17,13 @@ from problems.alignment import Pose
 from sato.figures.style import STYLE
 from sato.formation.check import FormationRecord
 from sato.formation.figures import AUCTION_FIGURES, FIGURES, make_figures
-from sato.formation.figures.phases import is_leg_active, phase_spans, subsample
-from sato.formation.figures.trajectories import SHOWN_TIME, VEHICLE_DIAMETER
+from sato.formation.figures.time_series import (
+    VEHICLE_DIAMETER,
+    is_leg_active,
+    phase_spans,
+    subsample,
+)
+from sato.formation.figures.trajectories import SHOWN_TIME
 from sato.formation.leg import FormationLeg
 from sato.formation.loop import simulate
 from sato.formation.mission import Formation
@@ -130,7 +135,7 @@ def test_moved_formation_is_drawn_in_its_own_axes():
 
 def test_vehicles_are_drawn_to_scale_at_their_relative_positions(legs):
     figure = drawn("traces", legs)
-    tops = figure.axes[0::2]
+    tops = [ax for ax in figure.axes if ax.get_title()]
     assert len(figure.axes) == 6 and len(tops) == 3
     for ax, leg in zip(tops, legs.replay.legs, strict=True):
         position = legs.frames.position[leg.last_instant, :, :2]
@@ -185,17 +190,17 @@ def test_drawn_shape_error_is_that_of_the_held_points(legs):
     marks, _ = line(error, "points are assigned")
     assert marks.tolist() == [e["time"] for _, e in legs.events.of_kind("assignment")]
     share = 100 * legs.frames.avoiding.mean(axis=1)
-    np.testing.assert_allclose(avoid.lines[-1].get_ydata(), share)
+    np.testing.assert_allclose(avoid.lines[0].get_ydata(), share)
 
 
 def test_phase_spans_cover_the_flight_without_gaps(legs):
     found = phase_spans(legs)
     assert found[0].start == 0 and found[-1].end == legs.time[-1]
     for before, after in pairwise(found):
-        assert before.end == after.start and before.label != after.label
-    labels = [span.label for span in found]
-    assert labels[0] == "waiting" and labels[-1] == "converged"
-    assert labels.count("converged") == 3
+        assert before.end == after.start and before.value != after.value
+    phases = [span.value for span in found]
+    assert phases[0] is Phase.WAITING and phases[-1] is Phase.COMPLETED
+    assert phases.count(Phase.COMPLETED) == 3
     waits = [phase is Phase.WAITING for phase in legs.replay.phase]
     np.testing.assert_array_equal(~is_leg_active(legs), waits)
 
@@ -212,7 +217,8 @@ def test_drawn_speeds_are_medians_with_their_limits(legs):
     for ax, speed in ((plane, planar), (climb, np.abs(frames.velocity[..., 2]))):
         _, median = line(ax, "median")
         np.testing.assert_allclose(median, np.median(speed, axis=1))
-    levels = [ax.lines[-1].get_ydata()[0] for ax in (wanted, plane, climb)]
+    dashed = [[line for line in ax.lines if line.get_ls() == "--"] for ax in (wanted, plane, climb)]
+    levels = [limit.get_ydata()[0] for [limit] in dashed]
     arrived = mission.supervision.convergence_speed
     assert levels == [arrived, mission.max_speed, mission.max_climb]
 
@@ -257,8 +263,8 @@ def test_frames_and_drift_of_every_agent_are_drawn(legs):
 def test_every_auction_is_drawn_with_its_rounds_and_bits(legs):
     took, rounds = drawn("assignments", legs).axes
     auctions = [e for _, e in legs.events.of_kind("auction")]
-    assert rounds.lines[-1].get_xydata().tolist() == [[e["time"], e["rounds"]] for e in auctions]
-    assert len(took.lines[-1].get_xydata()) == len(legs.events.of_kind("assignment"))
+    assert rounds.lines[0].get_xydata().tolist() == [[e["time"], e["rounds"]] for e in auctions]
+    assert len(took.lines[0].get_xydata()) == len(legs.events.of_kind("assignment"))
     [bits] = rounds.child_axes
     top = bits.get_ylim()[1] / rounds.get_ylim()[1]
     assert top == pytest.approx(legs.mission.radio.count_auction_bits(6, 1) / 1000)

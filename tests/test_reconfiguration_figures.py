@@ -27,8 +27,7 @@ from sato.reconfiguration.check import ReconfigurationRecord
 from sato.reconfiguration.figures import FIGURES, ORBIT_FIGURES
 from sato.reconfiguration.figures.animation import SwarmAnimation
 from sato.reconfiguration.figures.measures import compute_fuel_use
-from sato.reconfiguration.figures.orbital import POINTS_PER_STEP, interpolate_positions
-from sato.reconfiguration.figures.snapshots import has_chief
+from sato.reconfiguration.figures.scene import has_chief, interpolate_positions
 from sato.reconfiguration.mission import Leg, Loss
 
 LETTERS = """
@@ -190,7 +189,7 @@ def test_stages_are_the_start_each_leg_end_and_each_loss(plane):
 
 def points(ax):
     """Where agents stand in a panel."""
-    return np.vstack([c.get_offsets() for c in ax.collections if c.get_zorder() == 3])
+    return np.vstack([line.get_xydata() for line in ax.lines if line.get_zorder() == 3])
 
 
 def test_markers_are_at_positions_and_lost_agents_have_none(plane):
@@ -204,7 +203,7 @@ def test_markers_are_at_positions_and_lost_agents_have_none(plane):
 
 def test_components_differ_in_color_and_marker():
     component = np.array([4, 1, 4, 2, 1, 4, -1, 7])
-    found = [(members.tolist(), look) for members, look in style_components(component)]
+    found = [(members.tolist(), look) for members, look, _ in style_components(component)]
     assert found == [([0, 2, 5], marker_style(0)), ([1, 4], marker_style(1)), ([3, 7], ISOLATED)]
     assert len({marker_style(rank) for rank in range(56)}) == 56
     for rank in range(55):
@@ -219,7 +218,9 @@ def test_separation_is_drawn_between_samples():
     [steps] = [p for p in ax.patches if hasattr(p, "get_data")]
     assert steps.get_data().values.min() == pytest.approx(0.3, rel=1e-9)
     labels = [t.get_text() for t in ax.figure.legends[0].get_texts()]
-    assert "least: 0.3 m" in labels and "collision radius, 0.2 m" in labels
+    assert "least: 0.3 m" in labels
+    [limit] = [text for text in ax.texts if text.get_text() == "collision\nradius, 0.2 m"]
+    assert limit.xy[1] == 0.2
 
 
 def test_fuel_of_every_agent_is_above_its_bound(plane):
@@ -271,10 +272,10 @@ def test_agent_lost_between_legs_is_shown_at_the_end_of_the_first(ring):
 
 def test_trajectories_are_cubic_and_end_where_an_agent_is_lost(ring):
     _, evidence = ring
-    path = interpolate_positions(evidence)
+    steps, h = np.arange(float(len(evidence.time))), evidence.mission.step
     there = np.where(evidence.alive[..., None], evidence.position, np.nan)
-    np.testing.assert_allclose(path[::POINTS_PER_STEP], there, atol=1e-9)
-    half, h = path[POINTS_PER_STEP // 2 :: POINTS_PER_STEP], evidence.mission.step
+    np.testing.assert_array_equal(interpolate_positions(evidence, steps), there)
+    half = interpolate_positions(evidence, steps[:-1] + 0.5)
     (x, v), flies = (evidence.position, evidence.velocity), evidence.alive[:-1]
     cubic = (x[:-1] + x[1:]) / 2 + h * (v[:-1] - v[1:]) / 8
     np.testing.assert_allclose(half, np.where(flies[..., None], cubic, np.nan), atol=1e-9)

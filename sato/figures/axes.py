@@ -1,15 +1,19 @@
-"""Projections of a swarm, and panels that show them."""
+"""Panels of figures: projections of a swarm, trajectories, titles and legends."""
 
+from collections.abc import Iterable, Sequence
+from itertools import cycle
 from math import ceil
+from string import ascii_lowercase
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.art3d import Line3DCollection  # type: ignore[import-untyped]
 from numpy import ndarray as Array
 
-from sato.figures.style import DARK_GRAY, LIGHT_GRAY, RED
+from sato.figures.style import GRAY
 
 PADDING = 0.04  # around what is shown, in the size of it
 KILOMETER_THRESHOLD = 1000.0  # size of what is shown, from which axes are in kilometers [m]
@@ -37,7 +41,7 @@ class Projection(NamedTuple):
 
 
 ORBITAL_PLANE = Projection((1, 0), ("y, along-track", "x, radial"), 1 / 60, "min")
-THREE_AXES = Projection((0, 1, 2), ("x, radial", "y, along-track", "z, normal"), 1 / 60, "min")
+ORBITAL_SPACE = Projection((0, 1, 2), ("x, radial", "y, along-track", "z, normal"), 1 / 60, "min")
 
 
 class AxisBounds(NamedTuple):
@@ -49,115 +53,111 @@ class AxisBounds(NamedTuple):
 
     @classmethod
     def enclosing(
-        cls, view: Projection, *points: Float[Array, "... d"], margin: float
+        cls, labels: tuple[str, ...], *points: Float[Array, "... d"], margin: float
     ) -> "AxisBounds":
         """Return bounds that enclose all projected points with at least a margin [m]."""
-        flat = np.concatenate([p.reshape(-1, p.shape[-1]) for p in points])
+        flat = np.concatenate([p.reshape(-1, len(labels)) for p in points])
         flat = flat[np.isfinite(flat).all(axis=1)]
         margin = max(margin, PADDING * float(np.ptp(flat, axis=0).max()))
-        return cls(flat.min(axis=0) - margin, flat.max(axis=0) + margin, view.labels)
+        return cls(flat.min(axis=0) - margin, flat.max(axis=0) + margin, labels)
 
     @property
-    def axes(self) -> int:
-        """Number of axes."""
-        return len(self.low)
+    def is_flat(self) -> bool:
+        """True for two axes."""
+        return len(self.low) == 2
+
+    @property
+    def size(self) -> Float[Array, " d"]:
+        """Length of each axis [m]."""
+        return np.asarray(self.high - self.low)
 
     @property
     def unit(self) -> tuple[float, str]:
         """Unit of the axes in meters, and its name."""
-        far = (self.high - self.low).max() > KILOMETER_THRESHOLD
-        return (1000.0, "km") if far else (1.0, "m")
+        return (1000.0, "km") if self.size.max() > KILOMETER_THRESHOLD else (1.0, "m")
 
     @property
     def aspect(self) -> float:
         """Height over width of a panel."""
-        size = self.high - self.low
-        return float(np.clip(size[1] / size[0], 0.3, 2.5)) if self.axes == 2 else 0.95
+        return float(np.clip(self.size[1] / self.size[0], 0.3, 2.5)) if self.is_flat else 0.95
 
 
 def make_panels(
-    count: int, space: AxisBounds, columns: int = 3, width: float = 3.0
+    titles: list[str], space: AxisBounds, columns: int = 3, width: float = 3.0
 ) -> tuple[Figure, list[Any]]:
     """Return a figure of equal panels that share their limits, labeled only at its edges."""
+    count = len(titles)
     columns = min(columns, count) if count != 4 else 2
     rows = ceil(count / columns)
-    figure = Figure(
-        figsize=(width * columns + 0.5, rows * (width * space.aspect + 0.4) + 0.85),
-    )
-    flat = space.axes == 2
-    if flat:
+    size = width * columns + 0.5, rows * (width * space.aspect + 0.4) + 0.85
+    figure = Figure(figsize=size)
+    if space.is_flat:
         figure.set_layout_engine("compressed", h_pad=0.09)
     else:  # the room that the labels of a view of space take is not all seen by the layout
-        figure.set_layout_engine("constrained", rect=(0, 0, 0.96, 1))
-    axes = [
-        figure.add_subplot(rows, columns, i + 1, **({} if flat else {"projection": "3d"}))
-        for i in range(count)
-    ]
-    for i, ax in enumerate(axes):
-        set_axis_bounds(ax, space)
-        if flat:
-            ax.tick_params(labelbottom=i + columns >= count, labelleft=i % columns == 0)
-            if i + columns < count:
-                ax.set_xlabel("")
-            if i % columns:
-                ax.set_ylabel("")
+        figure.set_layout_engine("constrained", rect=(0, 0, 0.92, 1))
+    axes = [add_axes(figure, space, (rows, columns, i + 1)) for i in range(count)]
+    for i, ax in enumerate(axes if space.is_flat else []):
+        is_lowest, is_first = i + columns >= count, i % columns == 0
+        ax.tick_params(labelbottom=is_lowest, labelleft=is_first)
+        ax.xaxis.label.set_visible(is_lowest)
+        ax.yaxis.label.set_visible(is_first)
+    add_titles(axes, titles)
     return figure, axes
+
+
+def add_axes(figure: Figure, space: AxisBounds, cell: tuple[int, int, int] = (1, 1, 1)) -> Any:
+    """Add axes with these bounds at a row, column and number of a grid."""
+    ax = figure.add_subplot(*cell, projection=None if space.is_flat else "3d")
+    set_axis_bounds(ax, space)
+    return ax
 
 
 def set_axis_bounds(ax: Any, space: AxisBounds) -> None:
     """Set limits, labels and equal scales of axes."""
     scale, unit = space.unit
-    low, high = space.low / scale, space.high / scale
-    for axis, name, a, b in zip("xyz", space.labels, low, high, strict=False):
-        ax.set(**{f"{axis}lim": (a, b), f"{axis}label": f"{name} [{unit}]"})
-        getattr(ax, f"{axis}axis").set_major_locator(_tick_locator())
-    if space.axes == 2:
+    for axis, name, low, high in zip("xyz", space.labels, space.low, space.high, strict=False):
+        ax.set(**{f"{axis}lim": (low / scale, high / scale), f"{axis}label": f"{name} [{unit}]"})
+    ax.locator_params(nbins=5, steps=[1, 2, 5, 10])
+    if space.is_flat:
         ax.set_aspect("equal")
-        return
-    ax.set_box_aspect(high - low, zoom=0.88)
-    ax.tick_params(labelsize=7, pad=0)
-    for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
-        axis.labelpad = 0
-        axis.pane.set_facecolor("white")
-        axis.pane.set_edgecolor(LIGHT_GRAY)
-        axis._axinfo["grid"].update(color="#e6e6e6", linewidth=0.4)
+    else:
+        ax.set_box_aspect(space.size)
+        ax.tick_params(labelsize=7, pad=0)
 
 
-def _tick_locator() -> Any:
-    from matplotlib.ticker import MaxNLocator
-
-    return MaxNLocator(5, steps=[1, 2, 5, 10])
-
-
-def set_panel_title(ax: Any, title: str) -> None:
-    """Set the title of a panel, closer to the axes if they are three-dimensional."""
-    ax.set_title(title, y=0.96 if hasattr(ax, "get_zlim") else None)
+def draw_paths(
+    ax: Any, space: AxisBounds, path: Float[Array, "instants agents d"], color: str, **style: Any
+) -> None:
+    """Draw trajectories; an agent is not shown where its position is NaN."""
+    kind = LineCollection if space.is_flat else Line3DCollection
+    lines = list(np.moveaxis(path, 1, 0) / space.unit[0])
+    ax.add_collection(kind(lines, colors=color, **{"lw": 0.8, **style}))
 
 
-def panel_letter(i: int) -> str:
-    """Return the letter of a panel: (a), (b) and so on."""
-    return f"({chr(ord('a') + i % 26)})"
+def draw_ends(
+    ax: Any, space: AxisBounds, path: Float[Array, "instants agents d"], color: str
+) -> None:
+    """Draw where agents start, and where those that are not lost end."""
+    known = np.isfinite(path[..., 0])
+    first = path[np.argmax(known, axis=0), np.arange(path.shape[1])] / space.unit[0]
+    mark: dict[str, Any] = {"ls": "", "marker": "o", "ms": 3, "zorder": 4}
+    ax.plot(*first.T, **mark, mfc="white", mec=GRAY, mew=0.7, label="start")
+    ax.plot(*path[-1].T / space.unit[0], **mark, color=color, mew=0, label="end")
 
 
-def shade_legs(ax: Axes, edges: list[tuple[float, float, str]]) -> None:
-    """Shade every other leg, and write the name of each above it."""
-    for i, (start, end, name) in enumerate(edges):
-        if i % 2:
-            ax.axvspan(start, end, color="#f3f3f3", lw=0, zorder=0)
-        ax.text(
-            (start + end) / 2,
-            1.01,
-            name,
-            transform=ax.get_xaxis_transform(),
-            ha="center",
-            va="bottom",
-            color=DARK_GRAY,
-            fontsize=8,
-        )
+def add_titles(axes: Iterable[Any], titles: Sequence[str], **options: Any) -> None:
+    """Set the titles of panels, after the letters (a), (b) and so on."""
+    for ax, title, letter in zip(axes, titles, cycle(ascii_lowercase), strict=False):
+        ax.set_title(f"({letter}) {title}", **options)
 
 
-def draw_limit(ax: Any, level: float, name: str, color: str = RED) -> None:
-    """Draw a horizontal line at a limit, with its name on the right."""
-    ax.axhline(level, color=color, ls="--" if color == RED else ":", lw=0.9, zorder=1)
-    ax.annotate(name, (1.008, level), xycoords=("axes fraction", "data"), va="center",
-                color=color, fontsize=7.5, annotation_clip=False)  # fmt: skip
+def add_legend(figure: Figure, *handles: Any) -> None:
+    """Add a legend below all panels: each label in them once, then those of the handles."""
+    entries: dict[str, Any] = {}
+    for ax in figure.axes:
+        drawn, labels = ax.get_legend_handles_labels()
+        entries |= dict(zip(labels, drawn, strict=True))
+    entries |= {handle.get_label(): handle for handle in handles}
+    rows = ceil(len(entries) / int(figure.get_figwidth() / 1.8))
+    columns = ceil(len(entries) / rows)
+    figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=columns)

@@ -1,16 +1,18 @@
-"""Trajectories in space and from above [Bernard2023, Fig. 4 and 5]."""
+"""Trajectories in space and from above, among obstacles [Bernard2023, Fig. 4 and 5]."""
 
+from itertools import product
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Wedge
+from matplotlib.patches import Circle, Patch, Rectangle, Wedge
 from matplotlib.patheffects import withStroke
+from numpy import ndarray as Array
 
 from sato.connectivity.check import ConnectivityRecord
-from sato.connectivity.figures.obstacles import draw_obstacles_3d, draw_obstacles_from_above
-from sato.figures.axes import AxisBounds, Projection, panel_letter, set_axis_bounds
+from sato.connectivity.obstacles import Obstacles
+from sato.figures.axes import AxisBounds, add_legend, add_titles, set_axis_bounds
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, GREEN, LIGHT_GRAY, ORANGE, PURPLE, RED, SKY
 
 MAX_POINTS = 800  # per trajectory, at most
@@ -19,11 +21,8 @@ MAX_LABELED_AGENTS = 12  # largest number of robots that are labeled
 FULL_WIDTH_EDGES = 60  # largest number of edges drawn at full width
 BODY_AXIS_LENGTH = 0.9  # [m]
 FIELD_OF_VIEW_RADIUS = 1.6  # [m]
-START_STYLE: dict[str, Any] = {"ls": "", "marker": "o", "ms": 4.5, "mew": 0.9, "mfc": "white"}
-END_STYLE: dict[str, Any] = {"ls": "", "marker": "o", "ms": 6.5, "mew": 0}
-LOST_STYLE: dict[str, Any] = {"ls": "", "marker": "X", "ms": 7, "mew": 0, "color": RED}
-WAYPOINT_STYLE: dict[str, Any] = {"ls": "", "marker": "*", "ms": 10, "mfc": "none", "mec": PURPLE}
-VIEW = Projection((0, 1, 2), ("x", "y", "z"))
+HORIZONTAL_TOLERANCE = 1e-9  # of a normal: its horizontal part, below which the plane is a floor
+OBSTACLE_STYLE: dict[str, Any] = {"fc": LIGHT_GRAY, "ec": GRAY, "lw": 0.5}
 
 
 def plot_trajectories(record: ConnectivityRecord) -> Figure:
@@ -31,75 +30,71 @@ def plot_trajectories(record: ConnectivityRecord) -> Figure:
 
     The bounds show all obstacles that were close enough to repel a robot.
     """
-    space = _picture_bounds(record)
+    frames, mission, obstacles = record.frames, record.mission, record.mission.obstacle_arrays
+    margin = mission.repulsion.max_distance if obstacles.total else FIELD_OF_VIEW_RADIUS
+    points = frames.position, mission.stick.waypoints
+    space = AxisBounds.enclosing(("x", "y", "z"), *points, margin=margin)
     flat = AxisBounds(space.low[:2], space.high[:2], space.labels[:2])
     figure = Figure(figsize=(10.4, 5.4))  # automatic layouts misjudge the size of 3D axes
-    deep: Any = figure.add_axes((0.0, 0.13, 0.54, 0.85), projection="3d", computed_zorder=False)
-    above = figure.add_axes((0.61, 0.2, 0.37, 0.73))
-    obstacles = record.mission.obstacle_arrays
+    deep: Any = figure.add_axes((0.0, 0.12, 0.54, 0.82), projection="3d", computed_zorder=False)
+    above: Any = figure.add_axes((0.61, 0.22, 0.37, 0.7))
     set_axis_bounds(deep, space)
-    deep.set_box_aspect(space.high - space.low, zoom=1.0)
     draw_obstacles_3d(deep, obstacles, space)
     set_axis_bounds(above, flat)
-    draw_obstacles_from_above(
-        above, obstacles, space, float(record.frames.position[-1, :, 2].mean())
-    )
+    height = float(frames.position[-1, :, 2].mean())
+    draw_obstacles_from_above(above, obstacles, space, height)
     _draw_fields_of_view(above, record)
     for ax, axes in ((deep, [0, 1, 2]), (above, [0, 1])):
         _draw_trajectories(ax, record, axes)
-        _draw_edges(ax, record, axes)
-    _label_agents(above, record)
-    deep.set_title(f"{panel_letter(0)} {record.frames.time[-1]:g} s of flight", y=0.98)
-    above.set_title(f"{panel_letter(1)} from above")
-    figure.legend(handles=_legend_handles(record), loc="lower center", ncols=6)
+        _draw_graph(ax, record, axes)
+    for i in range(mission.agents if mission.agents <= MAX_LABELED_AGENTS else 0):
+        halo = [withStroke(linewidth=2, foreground="white")]
+        above.annotate(str(i), frames.position[-1, i, :2], xytext=(5, -10), zorder=8,
+                       textcoords="offset points", path_effects=halo)  # fmt: skip
+    add_titles((deep, above), [f"{frames.time[-1]:g} s of flight", "from above"])
+    add_legend(figure, *([Patch(**OBSTACLE_STYLE, label="obstacle")] if obstacles.total else []))
     return figure
 
 
-def _picture_bounds(record: ConnectivityRecord) -> AxisBounds:
-    obstacles, between = record.mission.obstacle_arrays, record.mission.repulsion
-    points = [record.frames.position, record.mission.stick.waypoints]
-    margin = between.max_distance if obstacles.total else FIELD_OF_VIEW_RADIUS
-    return AxisBounds.enclosing(VIEW, *points, margin=margin)
-
-
 def _draw_trajectories(ax: Any, record: ConnectivityRecord, axes: list[int]) -> None:
-    alive, last = record.frames.alive, len(record.frames.time) - 1
+    frames, last = record.frames, len(record.frames.time) - 1
     kept = np.unique(np.linspace(0, last, min(last + 1, MAX_POINTS)).astype(int))
-    there = np.where(alive[..., None], record.frames.position, np.nan)[..., axes]
-    dots = np.flatnonzero(np.diff(record.frames.time // DOT_INTERVAL, prepend=0))
+    there = np.where(frames.alive[..., None], frames.position, np.nan)[..., axes]
+    dots = np.flatnonzero(np.diff(frames.time // DOT_INTERVAL, prepend=0))
     for i in reversed(range(record.mission.agents)):
-        color, width, z = (ORANGE, 2.0, 4) if i == 0 else (BLUE, 0.9, 3)
-        end = int(np.flatnonzero(alive[:, i]).max(initial=0))
-        ax.plot(*there[kept, i].T, color=color, lw=width, zorder=z)
-        ax.plot(*there[dots, i].T, ".", ms=4 + 2 * width, mew=0, color=color, zorder=z)
-        ax.plot(*there[:1, i].T, **START_STYLE, mec=color, zorder=z + 2)
-        look = {**END_STYLE, "color": color} if alive[last, i] else LOST_STYLE
-        ax.plot(*record.frames.position[[end], i][:, axes].T, **look, zorder=z + 3)
+        color, width, z, name = (BLUE, 0.9, 3, "another robot") if i else (ORANGE, 2.0, 4, "leader")
+        ax.plot(*there[kept, i].T, color=color, lw=width, zorder=z, label=name)
+        mark: dict[str, Any] = {"ls": "", "marker": ".", "color": color, "mew": 0}
+        ax.plot(*there[dots, i].T, **mark, ms=8, zorder=z, label=f"every {DOT_INTERVAL:g} s")
+        start = {"marker": "o", "ms": 4.5, "mfc": "white", "mec": color, "ls": "", "zorder": z + 2}
+        ax.plot(*there[:1, i].T, **start, label="start")
+        end = frames.position[[int(np.flatnonzero(frames.alive[:, i]).max(initial=0))], i][:, axes]
+        if frames.alive[last, i]:
+            ax.plot(*end.T, "o", ms=6.5, mew=0, color=color, zorder=z + 3, label="end")
+        else:
+            ax.plot(*end.T, "X", ms=7, mew=0, color=RED, zorder=z + 3, label="lost here")
     ways = record.mission.stick.waypoints[:, axes]
-    ax.plot(*ways.T, **WAYPOINT_STYLE, zorder=5)
+    if len(ways):
+        ax.plot(*ways.T, "*", ms=10, mfc="none", mec=PURPLE, zorder=5, label="waypoint")
 
 
-def _draw_edges(ax: Any, record: ConnectivityRecord, axes: list[int]) -> None:
+def _draw_graph(ax: Any, record: ConnectivityRecord, axes: list[int]) -> None:
     """Draw the edges, body axes and optical axes at the end."""
     alive, weight = record.frames.alive[-1], record.frames.edge_weight[-1]
     end = record.frames.position[-1][:, axes]
     pairs = np.argwhere(np.triu(weight) > 0)
     finer = np.clip(FULL_WIDTH_EDGES / max(len(pairs), 1), 0.3, 1.0)
     for i, j in pairs:
-        width = finer * (0.3 + 1.1 * weight[i, j])
-        ax.plot(*end[[i, j]].T, color=GREEN, lw=width, zorder=2)
+        style = {"color": GREEN, "lw": finer * (0.3 + 1.1 * weight[i, j]), "zorder": 2}
+        ax.plot(*end[[i, j]].T, **style, label="edge at the end, wider weighs more")
     body = record.frames.yaw[-1]
     x, y, _ = record.mission.camera.optical_axis
     camera = body + np.arctan2(y, x)
-    for turn, color in ((body, DARK_GRAY), (camera, RED)):
+    for turn, color, name in ((body, DARK_GRAY, "x of the body"), (camera, RED, "optical axis")):
         ways = np.stack([np.cos(turn), np.sin(turn), np.zeros(len(turn))], axis=1)[:, axes]
+        tips = end + BODY_AXIS_LENGTH * ways
         for i in np.flatnonzero(alive):
-            ax.plot(
-                *np.array([end[i], end[i] + BODY_AXIS_LENGTH * ways[i]]).T,
-                color=color,
-                lw=1.2,
-                zorder=6,
-            )
+            ax.plot(*np.array([end[i], tips[i]]).T, color=color, lw=1.2, zorder=6, label=name)
 
 
 def _draw_fields_of_view(ax: Any, record: ConnectivityRecord) -> None:
@@ -109,53 +104,62 @@ def _draw_fields_of_view(ax: Any, record: ConnectivityRecord) -> None:
     if level <= abs(record.mission.camera.a_min):
         return  # the cone around a vertical axis has no sector
     half = np.degrees(np.arccos(record.mission.camera.a_min / level))
+    style: dict[str, Any] = {"fc": SKY, "alpha": 0.25, "lw": 0, "label": "field of view"}
     for i in np.flatnonzero(record.frames.alive[-1]):
         middle = np.degrees(record.frames.yaw[-1, i] + np.arctan2(y, x))
         at = tuple(record.frames.position[-1, i, :2])
-        ax.add_patch(
-            Wedge(at, FIELD_OF_VIEW_RADIUS, middle - half, middle + half, fc=SKY, alpha=0.25, lw=0)
-        )
+        ax.add_patch(Wedge(at, FIELD_OF_VIEW_RADIUS, middle - half, middle + half, **style))
 
 
-def _label_agents(ax: Any, record: ConnectivityRecord) -> None:
-    if record.mission.agents > MAX_LABELED_AGENTS:
-        return
-    for i, at in enumerate(record.frames.position[-1, :, :2]):
-        ax.annotate(
-            str(i),
-            at,
-            xytext=(5, -10),
-            textcoords="offset points",
-            fontsize=8,
-            color=DARK_GRAY,
-            zorder=8,
-            path_effects=[withStroke(linewidth=2, foreground="white")],
-        )
+def draw_obstacles_3d(ax: Any, obstacles: Obstacles, space: AxisBounds) -> None:
+    """Draw obstacles in three dimensions, clipped to the bounds of the axes."""
+    turn, rise = np.meshgrid(np.linspace(0, 2 * np.pi, 25), np.linspace(0, np.pi, 13))
+    ball = np.stack([np.cos(turn) * np.sin(rise), np.sin(turn) * np.sin(rise), np.cos(rise)], -1)
+    for *center, radius in obstacles.spheres:
+        shown = np.clip(np.array(center) + radius * ball, space.low, space.high)
+        if np.ptp(shown, axis=(0, 1)).all():
+            x, y, z = np.moveaxis(shown, -1, 0)
+            ax.plot_surface(x, y, z, shade=False, color=LIGHT_GRAY, ec=GRAY, lw=0.15)
+    for box in obstacles.boxes:
+        shown = np.clip(box.reshape(2, 3), space.low, space.high)
+        if np.ptp(shown, axis=0).all():
+            style = {"color": LIGHT_GRAY, "edgecolor": GRAY, "lw": 0.5, "alpha": 0.35}
+            ax.bar3d(*shown[0], *np.ptp(shown, axis=0), shade=False, **style)
+    for *normal, level in obstacles.planes:
+        section = _plane_section(np.array(normal), level, space)
+        fan = [(0, k, k + 1) for k in range(1, len(section) - 1)]
+        if fan:
+            ax.plot_trisurf(*section.T, triangles=fan, shade=False, color=LIGHT_GRAY, alpha=0.35)
 
 
-def _legend_handles(record: ConnectivityRecord) -> list[Any]:
-    key: list[Any] = [
-        Line2D([], [], color=ORANGE, lw=2.0, label="leader"),
-        Line2D(
-            [],
-            [],
-            color=BLUE,
-            lw=0.9,
-            marker=".",
-            ms=5.8,
-            label=f"another, dots every {DOT_INTERVAL:g} s",
-        ),
-        Line2D([], [], **START_STYLE, mec=DARK_GRAY, label="start"),
-        Line2D([], [], **END_STYLE, color=DARK_GRAY, label="end"),
-        Line2D([], [], color=GREEN, lw=1.2, label="edge at the end, wider weighs more"),
-        Line2D([], [], color=DARK_GRAY, lw=1.2, label="x of the body"),
-        Line2D([], [], color=RED, lw=1.2, label="optical axis"),
-        Patch(fc=SKY, alpha=0.25, lw=0, label="field of view"),
-    ]
-    if len(record.mission.stick.waypoints):
-        key.append(Line2D([], [], **WAYPOINT_STYLE, label="waypoint"))
-    if not record.frames.alive[-1].all():
-        key.append(Line2D([], [], **LOST_STYLE, label="lost here"))
-    if record.mission.obstacle_arrays.total:
-        key.append(Patch(fc=LIGHT_GRAY, ec=GRAY, lw=0.5, label="obstacle"))
-    return key
+def draw_obstacles_from_above(
+    ax: Any, obstacles: Obstacles, space: AxisBounds, height: float
+) -> None:
+    """Draw obstacles from above, and the sections of planes at a height."""
+    for x, y, _, radius in obstacles.spheres:
+        ax.add_patch(Circle((x, y), radius, zorder=1, **OBSTACLE_STYLE))
+    for box in obstacles.boxes:
+        size = box[3:5] - box[:2]
+        ax.add_patch(Rectangle(tuple(box[:2]), *size, zorder=0.9, **OBSTACLE_STYLE))
+    (x, y), (X, Y) = space.low[:2], space.high[:2]
+    u, v = np.meshgrid([x, X], [y, Y])
+    for a, b, c, level in obstacles.planes:
+        if np.hypot(a, b) > HORIZONTAL_TOLERANCE:
+            ax.contourf(u, v, a * u + b * v + c * height - level, [-np.inf, 0], colors=[LIGHT_GRAY])
+
+
+def _plane_section(
+    normal: Float[Array, " 3"], level: float, space: AxisBounds
+) -> Float[Array, "corners 3"]:
+    """Compute the corners of a plane's section with the bounds, in order about the middle."""
+    found = []
+    for axis, ends in product(range(3), product((0, 1), repeat=3)):
+        if ends[axis] == 0 and abs(normal[axis]) > HORIZONTAL_TOLERANCE:
+            at = np.where(ends, space.high, space.low)
+            at[axis] += (level - normal @ at) / normal[axis]
+            if space.low[axis] <= at[axis] <= space.high[axis]:
+                found.append(at)
+    corners = np.array(found).reshape(-1, 3)
+    across, along = np.linalg.svd(np.eye(3) - np.outer(normal, normal))[0][:, :2].T
+    away = corners - corners.mean(axis=0) if found else corners
+    return corners[np.argsort(np.arctan2(away @ across, away @ along))]

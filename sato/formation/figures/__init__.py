@@ -1,38 +1,25 @@
 """Figures of a formation flight; the first follows [Lusk2020, Fig. 5]."""
 
-from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
-from matplotlib.figure import Figure
-
 from sato.formation.check import FormationRecord
-from sato.formation.figures.coordinate_frames import plot_coordinate_frames
-from sato.formation.figures.gains import plot_gains
-from sato.formation.figures.time_series import (
-    plot_assignments,
-    plot_convergence,
-    plot_separation,
-    plot_speeds,
-)
-from sato.formation.figures.trajectories import plot_paths
+from sato.formation.figures import gains, time_series, trajectories
 from sato.formation.mission import Formation
 from sato.interfaces import FigureFactories
 
 if TYPE_CHECKING:
     import xarray
 
-__all__ = ["AUCTION_FIGURES", "FIGURES", "make_figures"]
-
-FIGURES: dict[str, Callable[[FormationRecord], Figure]] = {
-    "traces": plot_paths,
-    "gains": plot_gains,
-    "convergence": plot_convergence,
-    "speeds": plot_speeds,
-    "separation": plot_separation,
-    "frames": plot_coordinate_frames,
+FIGURES = {
+    "traces": trajectories.plot_paths,
+    "gains": gains.plot_gains,
+    "convergence": time_series.plot_convergence,
+    "speeds": time_series.plot_speeds,
+    "separation": time_series.plot_separation,
+    "frames": trajectories.plot_coordinate_frames,
 }
-AUCTION_FIGURES: dict[str, Callable[[FormationRecord], Figure]] = {"assignments": plot_assignments}
+AUCTION_FIGURES = {"assignments": time_series.plot_assignments}
 
 
 def make_figures(data: "xarray.Dataset", mission: Formation) -> FigureFactories:

@@ -1,42 +1,30 @@
 """Figures of a reconfiguration, after those of the paper [Morgan2016, Figs. 2, 4, 5 and 6]."""
 
-from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
-from matplotlib.figure import Figure
-
 from sato.interfaces import Animation, FigureFactories
 from sato.reconfiguration.check import ReconfigurationRecord
+from sato.reconfiguration.figures import half_space, measures, snapshots
 from sato.reconfiguration.figures.animation import SwarmAnimation
-from sato.reconfiguration.figures.half_space import plot_half_space
-from sato.reconfiguration.figures.measures import plot_delta_v, plot_fuel, plot_separation
-from sato.reconfiguration.figures.orbital import plot_instants, plot_space
-from sato.reconfiguration.figures.snapshots import (
-    has_chief,
-    plot_first_leg,
-    plot_stages,
-    plot_trajectories,
-)
+from sato.reconfiguration.figures.scene import has_chief
 from sato.reconfiguration.mission import Reconfiguration
 
 if TYPE_CHECKING:
     import xarray
 
-__all__ = ["FIGURES", "ORBIT_FIGURES", "make_animation", "make_figures"]
-
-FIGURES: dict[str, Callable[[ReconfigurationRecord], Figure]] = {
-    "stages": plot_stages,
-    "first-leg": plot_first_leg,
-    "trajectories": plot_trajectories,
-    "half-space": plot_half_space,
-    "separation": plot_separation,
-    "fuel": plot_fuel,
+FIGURES = {
+    "stages": snapshots.plot_stages,
+    "first-leg": snapshots.plot_first_leg,
+    "trajectories": snapshots.plot_trajectories,
+    "half-space": half_space.plot_half_space,
+    "separation": measures.plot_separation,
+    "fuel": measures.plot_fuel,
 }
-ORBIT_FIGURES: dict[str, Callable[[ReconfigurationRecord], Figure]] = {
-    "instants": plot_instants,
-    "space": plot_space,
-    "delta-v": plot_delta_v,
+ORBIT_FIGURES = {
+    "instants": snapshots.plot_instants,
+    "space": snapshots.plot_space,
+    "delta-v": measures.plot_delta_v,
 }
 
 

@@ -1,0 +1,137 @@
+"""Swarm as figures and animations show it: projected, between control instants too."""
+
+import tomllib
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from matplotlib.collections import EllipseCollection
+from numpy import ndarray as Array
+
+from dynamics.trajectory_geometry import control_points, evaluate_bezier
+from sato.figures.axes import ORBITAL_PLANE, AxisBounds, Projection
+from sato.figures.style import GRAY, ISOLATED, LIGHT_GRAY, style_components
+from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
+
+POINTS_PER_STEP = 6  # of a trajectory
+TRAIL_COLOR = "#9fb4c2"
+
+
+class Snapshot(NamedTuple):
+    """Swarm at an instant, in projected coordinates."""
+
+    title: str
+    position: Float[Array, "agents d"]  # [m]
+    component: Int[Array, " agents"]  # −1 while not alive
+    targets: Float[Array, "targets d"]  # [m]
+
+
+class Scene:
+    """A run in the projection of its figures, with the targets and names of its legs.
+
+    Without an orbit all axes are shown, else the orbital plane unless another view is given.
+    """
+
+    def __init__(self, record: ReconfigurationRecord, view: Projection | None = None) -> None:
+        d = record.axes
+        everything = Projection(tuple(range(d)), ("x", "y", "z")[:d])
+        self.record = record
+        self.view = view or (ORBITAL_PLANE if has_chief(record) else everything)
+        self.leg_names = read_leg_names(record)
+        # The whole run is one leg where none began.
+        self.legs = record.leg_records or (LegRecord(0, 0, len(record.time) - 1, None),)
+        parts = np.arange(POINTS_PER_STEP * (len(record.time) - 1) + 1) / POINTS_PER_STEP
+        self.path = self.positions_at(parts)
+        self.targets = [self._used_targets(leg) for leg in range(len(record.targets))]
+        spacing = record.mission.target_spacing
+        self.margin = 0.6 * spacing if np.isfinite(spacing) else 1.0
+
+    def positions_at(self, instants: Float[Array, " k"]) -> Float[Array, "k agents d"]:
+        """Return projected positions at instants, counted in control steps."""
+        return self.view.project(interpolate_positions(self.record, instants))
+
+    def path_between(self, first: int, last: int) -> Float[Array, "k agents d"]:
+        """Return the trajectories between two control instants."""
+        return self.path[first * POINTS_PER_STEP : last * POINTS_PER_STEP + 1]
+
+    def enclose(self, *points: Float[Array, "... d"]) -> AxisBounds:
+        """Return bounds of axes about some points, with a margin."""
+        return AxisBounds.enclosing(self.view.labels, *points, margin=self.margin)
+
+    def snapshot(self, leg: LegRecord, k: int, title: str) -> Snapshot:
+        """Return the swarm at an instant of a leg; at its end, before losses of the next leg."""
+        component = self.record.component[k]
+        if k == leg.end_index and leg.end_event is not None:
+            end = self.record.leg_end(leg)
+            component = np.where(end.alive, end.component, -1)
+        position = self.view.project(self.record.position[k])
+        return Snapshot(title, position, component, self.targets[leg.leg_index])
+
+    def _used_targets(self, leg: int) -> Float[Array, "targets d"]:
+        # Those that agents bid on; all if the leg did not end.
+        targets = self.record.targets[leg]
+        targets = targets[np.isfinite(targets).all(axis=1)]
+        count = int(self.record.final_target_count[leg].max(initial=0))
+        return self.view.project(targets[: count or len(targets)])
+
+
+def has_chief(record: ReconfigurationRecord) -> bool:
+    """Tell whether the swarm moves about a chief."""
+    return record.mission.flown_plant.chief_elements(0.0) is not None
+
+
+def read_leg_names(record: ReconfigurationRecord) -> list[str]:
+    """Return the name of each leg: its text, or the kind of its shape."""
+    try:
+        tables = tomllib.loads(str(record.attributes["scenario"])).get("leg", [])
+    except tomllib.TOMLDecodeError:
+        tables = []
+    shapes = [table.get("shape", {}) for table in tables]
+    names = [f"‘{s['text']}’" if "text" in s else str(s.get("kind", "shape")) for s in shapes]
+    return names + ["shape"] * (len(record.mission.legs) - len(names))
+
+
+def interpolate_positions(
+    record: ReconfigurationRecord, instants: Float[Array, " k"]
+) -> Float[Array, "k agents d"]:
+    """Interpolate positions at instants, counted in control steps; NaN where not alive."""
+    x, v = np.moveaxis(record.position, 0, 1), np.moveaxis(record.velocity, 0, 1)
+    pieces = np.moveaxis(control_points(x, v, record.mission.step), 0, 1)
+    pieces = np.concatenate([pieces, np.repeat(record.position[-1:, :, None], 4, axis=2)])
+    k = instants.astype(int)
+    fraction = np.repeat((instants - k)[:, None], record.position.shape[1], axis=1)
+    found = evaluate_bezier(pieces[k], fraction)
+    return np.where(record.alive[k][..., None], found, np.nan)
+
+
+def draw_swarm(
+    ax: Any, shot: Snapshot, space: AxisBounds, size: float = 3.7, radius: float | None = None
+) -> None:
+    """Draw agents marked by component, and targets as light crosses.
+
+    Args:
+        ax: Axes to draw on.
+        shot: Swarm to draw.
+        space: Bounds of the axes.
+        size: Size of the marks [points].
+        radius: Radius of circles about the agents [m]; none without it.
+    """
+    scale, _ = space.unit
+    mark = {"ls": "", "marker": "x", "color": LIGHT_GRAY, "mew": 0.6, "zorder": 1}
+    ax.plot(*shot.targets.T / scale, ms=0.9 * size, **mark, label="target")
+    for members, look, name in style_components(shot.component):
+        at, color = shot.position[members] / scale, look.color
+        ms = 0.75 * size if look is ISOLATED else size
+        ax.plot(*at.T, look.marker, ms=ms, color=color, mew=0, zorder=3, label=name)
+    if radius is not None:
+        at = shot.position[shot.component >= 0] / scale
+        wide = np.full(len(at), 2 * radius / scale)
+        circles = EllipseCollection(wide, wide, 0 * wide, units="xy", offsets=at,
+                                    offset_transform=ax.transData, facecolors="none",
+                                    edgecolors=GRAY, linestyles=":", linewidths=0.5)  # fmt: skip
+        ax.add_collection(circles)
+
+
+def pluralize(count: int, noun: str) -> str:
+    """Return a number with its noun."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
