@@ -63,8 +63,8 @@ def plot_weights(record: ConnectivityRecord) -> Figure:
     reach = 1.25 * sight.d_max
     x, y = np.meshgrid(*[np.linspace(-reach, reach, GRID_POINTS)] * 2)
     d = np.maximum(np.hypot(x, y), 1e-9)
-    cosine = (sight.optical_axis[0] * x + sight.optical_axis[1] * y) / d
-    weight = range_weight(d, sight)[0] * cosine_ramp(cosine, sight.a_min, sight.a_max)[0]
+    toward = (sight.optical_axis[0] * x + sight.optical_axis[1] * y) / d
+    weight = range_weight(d, sight)[0] * cosine_ramp(toward, sight.a_min, sight.a_max)[0]
     style: dict[str, Any] = {"cmap": COLORMAP, "vmin": 0, "vmax": 1, "origin": "lower"}
     image = one_sided.imshow(weight, extent=(-reach, reach) * 2, **style)
     for radius in (sight.d_min, sight.d_max):
