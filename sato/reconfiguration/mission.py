@@ -310,8 +310,9 @@ class Reconfiguration(Motion, Mission):
     @property
     def flown_plant(self) -> Plant:
         """Motion of the vehicles, once the mission is drawn."""
-        assert isinstance(self.plant, Plant)
-        return self.plant
+        if isinstance(self.plant, Plant):
+            return self.plant
+        raise ValueError("the plant is known once the mission is drawn: mission.draw(rng)")
 
     @cached_property
     def initial_states(self) -> Float[Array, "agents n"]:
