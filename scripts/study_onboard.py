@@ -15,18 +15,18 @@ import typer
 
 from problems.avoidance import AvoidanceProblem
 from sato.onboard import export_c
-from sato.onboard.library import SOLVED, compile_solver
-from sato.onboard.random_instances import random_instances
+from sato.onboard.library import SOLVED, CompiledSolver
+from sato.onboard.problem import random_instances
 
 INSTANCE_COUNT = 1000
-SIZES = {"uiuc": (5, 40), "random3d": (3, 20), "crossing": (1, 36)}  # neighbours, steps
+SIZES = {"uiuc": (5, 40), "random3d": (3, 20), "crossing": (1, 36)}  # neighbors, steps
 
 
-def study_scenario(scenario: str, neighbours: int, steps: int) -> None:
+def study_scenario(scenario: str, neighbors: int, steps: int) -> None:
     """Export and compile the code, solve with both, and print a row of the table."""
     with tempfile.TemporaryDirectory() as workshop:
-        asked = export_c(scenario, Path(workshop, "c"), neighbours, steps)
-        code = compile_solver(Path(workshop, "c"))
+        asked = export_c(scenario, Path(workshop, "c"), neighbors, steps)
+        code = CompiledSolver(Path(workshop, "c"))
     transfer = asked.program.transfer
     dt = transfer.model.dt
     codes, cost, residual, times, bound = [], [], [], [], 0
@@ -35,17 +35,18 @@ def study_scenario(scenario: str, neighbours: int, steps: int) -> None:
         began = thread_time()
         flight = AvoidanceProblem(transfer, *question).solve().trajectory
         python = thread_time() - began
+        began = thread_time()
         flown = code.solve(*question)
+        times.append((thread_time() - began, python))
         least = dt * float(transfer.weights @ np.abs(flight.u).sum(axis=1))
         codes.append(flown.code)
         cost.append(abs(flown.cost - least) / max(least, transfer.max_control * dt))
         residual.append(flown.residual)
-        times.append((flown.seconds, python))
-        bound += bool((question.half_spaces.violation(flight.x, flight.u) > -1e-6).any())
+        bound += bool((question[2].violation(flight.x, flight.u) > -1e-6).any())
     mine, python = 1e3 * np.median(times, axis=0)
     slowest = 1e3 * np.max(times, axis=0)[0]
     print(
-        f"{scenario}, {neighbours} neighbours, {steps} steps: "
+        f"{scenario}, {neighbors} neighbors, {steps} steps: "
         f"{codes.count(SOLVED)} of {INSTANCE_COUNT} solved, {bound} with a half-space that binds; "
         f"cost differs by {np.median(cost):.1e} (median), {max(cost):.1e} (most); "
         f"residual at most {max(residual):.1e}; "
