@@ -25,12 +25,11 @@ class KinematicVehicle(NamedTuple):
         float, Key("noise"), Ge(0), "standard deviation of each velocity in each step [m/s, rad/s]"
     ] = 0.0
 
-    def lag_factors(self, dt: float) -> tuple[float, float]:
-        """Compute the share of an error of velocity after a step, and its mean in the step."""
-        if self.time_constant <= 0:
-            return 0.0, 0.0
-        left = exp(-dt / self.time_constant)
-        return left, self.time_constant / dt * (1 - left)
+    def draw_noise(self, vehicles: int, rng: np.random.Generator) -> Float[Array, "vehicles 4"]:
+        """Draw the noise of velocities and yaw rates in a step."""
+        if self.noise_std == 0:
+            return np.zeros((vehicles, 4))
+        return self.noise_std * rng.standard_normal((vehicles, 4))
 
 
 KinematicVehicle.kind = "kinematic"  # type: ignore[attr-defined]  # name in scenario files
@@ -41,23 +40,21 @@ def step_kinematic(
     command: Float[Array, "*k 4"],
     plant: KinematicVehicle,
     dt: float,
-    rng: np.random.Generator,
+    noise: Float[Array, "*k 4"],
 ) -> VehicleState:
     """Advance vehicles by a step.
 
     Args:
         state: State of the vehicles.
         command: Commanded velocity in the body frame [m/s] and yaw rate [rad/s].
-        plant: Lag and noise.
+        plant: Plant, for its lag.
         dt: Step [s].
-        rng: Draws the noise.
+        noise: Noise of velocity and yaw rate [m/s, rad/s].
     """
-    left, share = plant.lag_factors(dt)
+    lag = plant.time_constant
+    left = exp(-dt / lag) if lag > 0 else 0.0
     error = np.concatenate([state.velocity, state.yaw_rate[..., None]], axis=-1) - command
-    mean, end = command + error * share, command + error * left
-    if plant.noise_std > 0:
-        noise = plant.noise_std * rng.standard_normal(command.shape)
-        mean, end = mean + noise, end + noise
+    mean, end = command + error * (lag / dt * (1 - left)) + noise, command + error * left + noise
     turn = mean[..., 3] * dt
     position = state.position + dt * rotate_by_yaw(mean[..., :3], state.yaw + turn / 2)
     return VehicleState(position, state.yaw + turn, end[..., :3], end[..., 3], state.acceleration)

@@ -16,6 +16,12 @@ class VehicleState(NamedTuple):
     yaw_rate: Float[Array, "*k"]  # [rad/s]
     acceleration: Float[Array, "*k 3"]  # of quadrotors, in the world frame [m/s²]
 
+    @classmethod
+    def at_rest(cls, position: Float[Array, "*k 3"], yaw: Float[Array, "*k"]) -> "VehicleState":
+        """Return the state of vehicles that hover."""
+        zero, still = np.zeros_like(yaw), np.zeros_like(position)
+        return cls(position, yaw, still, zero, still.copy())
+
 
 def rotate_by_yaw(
     vectors: Float[Array, "*#k 3"], yaw: Float[Array, "*#k"] | float

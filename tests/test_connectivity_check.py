@@ -91,7 +91,7 @@ def bent(values, by=1e-6):
         ("time", lambda t: t + 1e-6, {"times"}),
         ("position", bent, {"flight", "weights"}),
         ("position", lambda p: p * np.nan, {"numbers", "flight"}),
-        ("velocity", bent, {"flight", "obedience"}),
+        ("velocity", bent, {"obedience"}),
         ("velocity_command", bent, {"obedience"}),
         ("velocity_command", lambda u: bent(u, 4.0), {"speed"}),
         ("yaw_rate", bent, {"heading"}),

@@ -145,11 +145,11 @@ def decided(robot, measurements, before, inbox, estimates, mission):
 )
 def test_controller_reads_only_rows_of_its_own_agent(robot, link):
     whole, rng = mission(3, Camera(), camera_noise=0.02, link=link), np.random.default_rng(0)
-    swarm = Swarm.at_rest(whole, rng)
+    swarm = Swarm(whole, rng)
     for _ in range(30):
         before = swarm.measurements
-        swarm.move(np.array([1.0, 0, 0]), whole, rng)
-        swarm.decide(whole, rng)
+        swarm.move(np.array([1.0, 0, 0]))
+        swarm.decide()
     known = swarm.measurements, before, swarm.inbox, swarm.estimates
     own = decided(robot, *known, whole)
     for one, other in zip(

@@ -20,7 +20,7 @@ from problems.interaction_graph import (
 )
 from sato.connectivity.controller import estimate_lambda2_from_rows
 from sato.connectivity.messages import CommunicationLink, exchange_messages, merge_rows
-from sato.connectivity.mission import AgentLoss
+from sato.connectivity.mission import AgentLoss, Connectivity
 from sato.connectivity.potential import Potential, Repulsion, negative_slope
 from sato.connectivity.state import (
     AdjacencyRows,
@@ -29,6 +29,7 @@ from sato.connectivity.state import (
     first_estimates,
 )
 
+STEP = 0.005  # [s]
 GENTLE = Potential(strength=1e-15)  # nobody gets anywhere
 
 
@@ -128,31 +129,31 @@ class Listening:
         away = np.where(np.eye(agents)[..., None] == 1, np.nan, np.ones((agents, agents, 3)))
         for pair in hidden:
             away[pair] = np.nan
+        self.mission = Connectivity(agents=agents, link=link, step=STEP)
         self.measurements = empty_measurements(agents)._replace(relative_position=away)
         self.estimates = first_estimates(np.zeros((agents, agents)), np.random.default_rng(0))
-        self.inbox, self.messages, self.link = empty_inbox(agents), deque(), link
+        self.inbox, self.messages = empty_inbox(agents), deque()
 
-    def exchange(self, number, step, rng, said=0.0):
-        """Exchange messages, with a velocity in which they all say so."""
-        twist = np.full_like(self.measurements.velocity, said)
-        told = self.measurements._replace(velocity=twist, yaw_rate=-twist[:, 0])
+    def exchange(self, number, rng):
+        """Exchange messages, with a velocity that says their number."""
+        said = np.full_like(self.measurements.velocity, number)
+        told = self.measurements._replace(velocity=said, yaw_rate=-said[:, 0])
         exchange_messages(
-            told, self.estimates, self.messages, self.inbox, self.link, number, step, rng
+            told, self.estimates, self.messages, self.inbox, self.mission, number, rng
         )
 
 
 @given(st.integers(1, 5), st.integers(0, 6))
 def test_messages_arrive_with_the_given_period_and_delay(every, late):
-    step, rng = 0.02, np.random.default_rng(0)
-    team = Listening(3, CommunicationLink(every, late))
+    rng, team = np.random.default_rng(0), Listening(3, CommunicationLink(every, late))
     for number in range(40):
-        team.exchange(number, step, rng, said=float(number))
+        team.exchange(number, rng)
         told = (number // every - late) * every
         for i, j in ((0, 1), (2, 0)):
             if told < 0:
                 assert team.inbox.time[i, j] == -np.inf
             else:
-                assert team.inbox.time[i, j] == pytest.approx(told * step, abs=1e-12)
+                assert team.inbox.time[i, j] == pytest.approx(told * STEP, abs=1e-12)
                 assert team.inbox.twist[i, j] == pytest.approx([told, told, told, -told])
 
 
@@ -161,8 +162,8 @@ def test_message_loss_has_the_given_rate_and_needs_visibility(rng):
     team = Listening(6, link, hidden=[(0, 1), (1, 0), (2, 3)])  # who is seen hears too
     heard = np.zeros((6, 6))
     for number in range(rounds):
-        team.exchange(number, 1.0, rng)
-        heard += team.inbox.time == number
+        team.exchange(number, rng)
+        heard += team.inbox.is_new & (team.inbox.time == number * STEP)
     assert not heard[0, 1] and not heard[1, 0] and not np.diag(heard).any()
     sees = team.measurements.visibility
     pairs = heard[sees | sees.T]

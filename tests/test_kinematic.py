@@ -7,14 +7,14 @@ from scipy.integrate import solve_ivp
 from dynamics.kinematic import KinematicVehicle, step_kinematic
 from dynamics.vehicle import VehicleState
 
-UNUSED = np.random.default_rng(0)  # no noise is drawn
+CALM = np.zeros(4)  # no noise
 
 
 def simulate(plant, command, turn, time, step):
     velocity, still = np.array([0.5, 0.2, 0.0]), np.zeros(3)
     state = VehicleState(still, np.array(0.3), velocity, np.array(0.4), still)
     for _ in range(round(time / step)):
-        state = step_kinematic(state, np.append(command, turn), plant, step, UNUSED)
+        state = step_kinematic(state, np.append(command, turn), plant, step, CALM)
     return np.array([*state.position, state.yaw, *state.velocity, state.yaw_rate])
 
 
@@ -49,6 +49,7 @@ def test_actuator_noise_has_the_stated_standard_deviation():
     rng, plant = np.random.default_rng(5), KinematicVehicle(0.0, 0.05)
     zero, still = np.zeros((2000, 3)), np.zeros(2000)
     rest = VehicleState(zero, still, zero, still, zero)
-    moved = step_kinematic(rest, np.zeros((2000, 4)), plant, 0.02, rng)
+    noise = plant.draw_noise(2000, rng)
+    moved = step_kinematic(rest, np.zeros((2000, 4)), plant, 0.02, noise)
     found = np.column_stack([moved.velocity, moved.yaw_rate])
     assert np.std(found, axis=0) == pytest.approx(np.full(4, 0.05), rel=0.07)

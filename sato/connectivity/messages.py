@@ -1,7 +1,7 @@
 """Messages between agents of which one sees the other."""
 
 from collections import deque
-from typing import Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
 from annotated_types import Lt
@@ -11,6 +11,9 @@ from numpy import ndarray as Array
 from dynamics.units import Key
 from sato.connectivity.state import AdjacencyRows, AgentEstimates, Inbox, Measurements, Message
 from sato.scenario.definition import NotNegative, Positive
+
+if TYPE_CHECKING:
+    from sato.connectivity.mission import Connectivity
 
 
 class CommunicationLink(NamedTuple):
@@ -30,11 +33,10 @@ def exchange_messages(
     estimates: AgentEstimates,
     on_their_way: deque[Message],
     inbox: Inbox,
-    link: CommunicationLink,
+    mission: "Connectivity",
     number: int,
-    step: float,
     rng: np.random.Generator,
-) -> AdjacencyRows:
+) -> AgentEstimates:
     """Send what every agent measures and estimates; some messages are lost or delayed.
 
     Args:
@@ -42,17 +44,17 @@ def exchange_messages(
         estimates: Content of messages.
         on_their_way: Messages that have not arrived, changed in place.
         inbox: Last messages of each agent, changed in place.
-        link: Period, delay and loss.
+        mission: Drawn mission.
         number: Number of the control step.
-        step: Control step [s].
         rng: Draws losses.
 
     Returns:
-        Rows of the adjacency matrix, the newest of those known and received.
+        Estimates, with the newest rows of the adjacency matrix of those known and received.
     """
+    link = mission.link
     inbox.is_new[:] = False
     if number % link.period_steps != 0:
-        return estimates.adjacency
+        return estimates
     twist = np.column_stack([measurements.velocity, measurements.yaw_rate])
     on_their_way.append(
         Message(
@@ -61,20 +63,21 @@ def exchange_messages(
         )
     )  # fmt: skip
     if len(on_their_way) <= link.delay_messages:
-        return estimates.adjacency
+        return estimates
     message = on_their_way.popleft()
     hears = measurements.visibility | measurements.visibility.T
     if link.loss_probability > 0:
         hears[hears] = rng.random(hears.sum()) >= link.loss_probability
     i, j = np.nonzero(hears)
-    inbox.time[i, j] = (number - link.delay_messages * link.period_steps) * step
+    inbox.time[i, j] = (number - link.delay_messages * link.period_steps) * mission.step
     inbox.is_new[i, j] = True
     inbox.twist[i, j] = message.twist[j]
     inbox.relative_position[i, j] = message.relative_position[j, i]
     inbox.own_relative_position[i, j] = message.relative_position[i, j]
     inbox.relative_yaw[i, j] = message.relative_yaw[j]
     inbox.is_mutual[i, j] = message.is_mutual[j]
-    return merge_rows(estimates.adjacency, message.adjacency, hears)
+    merged = merge_rows(estimates.adjacency, message.adjacency, hears)
+    return estimates._replace(adjacency=merged)
 
 
 def merge_rows(

@@ -9,7 +9,6 @@ from numpy import ndarray as Array
 
 from sato.check.event_log import EventLog
 from sato.connectivity.check.recorded import ConnectivityRecord
-from sato.connectivity.check.summary import summarize_flight
 from sato.connectivity.distance import nearest_agent_distance, obstacle_distances
 from sato.connectivity.loop import simulate
 from sato.connectivity.mission import Connectivity
@@ -23,7 +22,7 @@ DISTANCE_TOLERANCE = 1e-9  # beyond the distance at which repulsion begins [m]
 class ConnectivityTrial(NamedTuple):
     """Outcome of a simulation."""
 
-    summary: dict[str, Any]  # see `summarize_flight`
+    summary: dict[str, Any]  # see `ConnectivityRecord.summarize_flight`
     disconnection_time: float  # first time at which λ₂ ≤ λ₂^min [s]; NaN never
     min_eigenvalue_gap: float  # least λ₃ − λ₂ in the second before; NaN if never
     max_forget_time: float  # longest time for which a lost agent was counted on [s]
@@ -55,7 +54,7 @@ def evaluate_trial(mission: Connectivity, frames: Iterable[ConnectivityFrame]) -
         lost = first * mission.step
         gap = float((whole.lambda3 - whole.lambda2)[since : first + 1].min())
     return ConnectivityTrial(
-        summarize_flight(record), lost, gap, _max_forget_time(record), _max_idle_command(record)
+        record.summarize_flight(), lost, gap, _max_forget_time(record), _max_idle_command(record)
     )
 
 

@@ -7,7 +7,6 @@ import numpy as np
 from sato.check.report import Report
 from sato.connectivity.check.promises import check_promises
 from sato.connectivity.check.recorded import ConnectivityRecord
-from sato.connectivity.check.summary import summarize
 from sato.connectivity.mission import Connectivity
 
 if TYPE_CHECKING:
@@ -27,4 +26,4 @@ def check_run(
         rng: Not used: noise and losses are checked by their effects.
     """
     record = ConnectivityRecord.from_dataset(data, mission)
-    return Report(check_promises(record), summarize(record))
+    return Report(check_promises(record), record.summarize())

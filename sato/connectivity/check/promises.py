@@ -1,10 +1,9 @@
 """Promises of a connectivity run, each checked by recomputing it."""
 
-import numpy as np
-from jaxtyping import Float
-from numpy import ndarray as Array
+from collections.abc import Iterator
 
-from dynamics.kinematic import KinematicVehicle
+import numpy as np
+
 from dynamics.vehicle import rotate_by_yaw
 from problems.interaction_graph import algebraic_connectivity
 from sato.check import common
@@ -27,27 +26,27 @@ NOISE_SIGMAS = 8  # standard deviations of noise that are allowed; 1 in 10¹⁵ 
 def check_promises(record: ConnectivityRecord) -> tuple[Promise, ...]:
     """Check all promises."""
     mission, frames = record.mission, record.frames
+    states = [
+        frames.position, frames.velocity, frames.yaw[..., None], frames.velocity_command,
+        frames.yaw_rate[..., None], frames.edge_weight, frames.yaw_estimate_error,
+    ]  # fmt: skip
     return (
         check_complete(record),
         common.check_attributes(record.attributes, run_attributes(mission)),
         common.check_times(frames.time, mission.step),
-        common.check_finite(frames.alive, _states(record)),
+        common.check_finite(frames.alive, np.concatenate(states, axis=2)),
         common.check_alive(frames.alive, record.events),
         check_losses(record),
         check_start(record),
-        check_positions(record),
-        check_velocities(record),
-        check_yaw(record),
-        check_commanded_speed(record),
-        check_commanded_yaw_rate(record),
+        *check_motion(record),
+        *check_commands(record),
         check_stick(record),
         check_edge_weights(record),
         check_visibility(record),
         check_eigenvalues(record),
         check_components(record),
         check_connectivity(record),
-        check_separation(record),
-        check_obstacle_clearance(record),
+        *check_distances(record),
     )
 
 
@@ -85,64 +84,29 @@ def check_start(record: ConnectivityRecord) -> Promise:
     return expect_small_error("start", worst, tolerance, "off from the scenario's start at most")
 
 
-def check_positions(record: ConnectivityRecord) -> Promise:
+def check_motion(record: ConnectivityRecord) -> Iterator[Promise]:
     """Check that agents move as commanded, and that lost ones stay where they are."""
-    p, replay, alive = record.frames.position, record.replay, record.frames.alive
-    if replay is None:
-        error = np.abs(np.diff(p, axis=0) - _expected_displacement(record))
-        lost = alive[:-1] & ~alive[1:]  # the noise of this step is not recorded
-        error[lost] = np.maximum(error[lost] - record.mission.step * _noise_bound(record), 0)
-    else:
-        error = np.abs(p - replay.position)
-    tolerance = TOLERANCE * max_or_zero(np.abs(p))
-    return expect_small_error("flight", max_or_zero(error), tolerance, "m off from the commands")
+    frames, replay, step = record.frames, record.replay, record.mission.step
+    noise = NOISE_SIGMAS * record.noise_std  # largest change of a velocity in a step
+    off = np.abs(frames.position - replay.position)
+    # The noise of the step in which an agent is lost is not recorded.
+    off[1:][frames.alive[:-1] & ~frames.alive[1:]] -= step * noise
+    tolerance = TOLERANCE * max_or_zero(np.abs(frames.position))
+    yield expect_small_error("flight", max_or_zero(off), tolerance, "m off from the commands")
+    off = np.abs(frames.velocity - rotate_by_yaw(replay.velocity, frames.yaw))[frames.alive]
+    text = "m/s off from the commands"
+    yield expect_small_error("obedience", max_or_zero(off), TOLERANCE + noise, text)
+    turned, tolerance = max_or_zero(np.abs(frames.yaw - replay.yaw)), TOLERANCE + step * noise
+    yield expect_small_error("heading", turned, tolerance, "rad off from the commands")
 
 
-def check_velocities(record: ConnectivityRecord) -> Promise:
-    """Check that velocities follow the commands, as far as the plant does."""
-    replay, frames = record.replay, record.frames
-    if replay is None:
-        error = np.abs(_velocity_residual(record))
-    else:
-        flown = rotate_by_yaw(replay.velocity, replay.yaw)
-        error = np.abs(frames.velocity - flown)[frames.alive]
-    tolerance = TOLERANCE + _noise_bound(record)
-    return expect_small_error(
-        "obedience", max_or_zero(error), tolerance, "m/s off from the commands"
-    )
-
-
-def check_yaw(record: ConnectivityRecord) -> Promise:
-    """Check that yaw follows the commands, and that lost agents stay as they are."""
-    h, replay, frames = record.mission.step, record.replay, record.frames
-    text = "rad off from the commands"
-    if replay is not None:
-        error = max_or_zero(np.abs(frames.yaw - replay.yaw))
-        return expect_small_error("heading", error, TOLERANCE, text)
-    (keep, mean), noise = _lag_factors(record), _noise_bound(record)
-    rate, worst = np.zeros(frames.yaw.shape[1]), 0.0
-    steps = zip(frames.yaw_rate, frames.alive, np.diff(frames.yaw, axis=0), strict=False)
-    for command, alive, turned in steps:
-        off = turned - np.where(alive, h * (command + (rate - command) * mean), 0)
-        rate = command + (rate - command) * keep
-        if noise > 0:
-            rate += off / h
-        worst = max(worst, max_or_zero(np.abs(off)))
-    return expect_small_error("heading", worst, TOLERANCE + h * noise, text)
-
-
-def check_commanded_speed(record: ConnectivityRecord) -> Promise:
-    """Check that commanded speeds are within their limit."""
-    speed = np.linalg.norm(record.frames.velocity_command, axis=2)[record.frames.alive]
-    limit = record.mission.limits.speed
-    return expect_below("speed", max_or_zero(speed), limit, TOLERANCE, "m/s commanded at most")
-
-
-def check_commanded_yaw_rate(record: ConnectivityRecord) -> Promise:
-    """Check that commanded yaw rates are within their limit."""
-    rate, limit = record.frames.yaw_rate[record.frames.alive], record.mission.limits.yaw_rate
-    largest = max_or_zero(np.abs(rate))
-    return expect_below("turn", largest, limit, TOLERANCE, "rad/s commanded at most")
+def check_commands(record: ConnectivityRecord) -> Iterator[Promise]:
+    """Check that commanded speeds and yaw rates are within their limits."""
+    frames, limits = record.frames, record.mission.limits
+    speed = max_or_zero(np.linalg.norm(frames.velocity_command, axis=2)[frames.alive])
+    yield expect_below("speed", speed, limits.speed, TOLERANCE, "m/s commanded at most")
+    rate = max_or_zero(np.abs(frames.yaw_rate[frames.alive]))
+    yield expect_below("turn", rate, limits.yaw_rate, TOLERANCE, "rad/s commanded at most")
 
 
 def check_stick(record: ConnectivityRecord) -> Promise:
@@ -192,13 +156,11 @@ def check_eigenvalues(record: ConnectivityRecord) -> Promise:
 
 def check_components(record: ConnectivityRecord) -> Promise:
     """Check components against the recorded weights."""
-    # Edges seldom change and components take long to find, so each graph is labeled once.
-    alive, agents = record.frames.alive, record.frames.alive.shape[1]
-    edges = (record.frames.edge_weight > 0).reshape(len(alive), -1)
-    graphs, graph = np.unique(np.hstack([edges, alive]), axis=0, return_inverse=True)
-    found = [label_components(g[:-agents].reshape(agents, agents), g[-agents:]) for g in graphs]
-    recorded = [canonicalize_labels(labels) for labels in record.frames.component]
-    odd = int((np.array(found)[graph] != np.array(recorded)).sum())
+    frames, odd = record.frames, 0
+    for weight, alive, labels in zip(
+        frames.edge_weight, frames.alive, frames.component, strict=True
+    ):
+        odd += int((label_components(weight > 0, alive) != canonicalize_labels(labels)).sum())
     return expect_none("component", odd, "labels that the weights do not give")
 
 
@@ -212,55 +174,12 @@ def check_connectivity(record: ConnectivityRecord) -> Promise:
     return Promise("connectivity", not is_lost.any(), least, limit, text)
 
 
-def check_separation(record: ConnectivityRecord) -> Promise:
+def check_distances(record: ConnectivityRecord) -> Iterator[Promise]:
     """Check that agents keep the distance at which repulsion is infinite."""
-    return _check_distance("separation", record.min_separation, record, "between agents")
-
-
-def check_obstacle_clearance(record: ConnectivityRecord) -> Promise:
-    """Check that agents keep that distance from obstacles."""
-    return _check_distance("obstacles", record.min_obstacle_distance, record, "to obstacles")
-
-
-def _check_distance(name: str, found: float, record: ConnectivityRecord, where: str) -> Promise:
     limit = record.mission.repulsion.min_distance
-    text = f"{found:.6g} m {where} at least, {limit:g} m asked"
-    return Promise(name, bool(found >= limit), found, limit, text)
-
-
-def _states(record: ConnectivityRecord) -> Float[Array, "instants agents k"]:
-    # All that is finite for a live agent; λ₂ may be unknown.
-    names = "position velocity yaw velocity_command yaw_rate edge_weight yaw_estimate_error"
-    stacked = (getattr(record.frames, name) for name in names.split())
-    return np.concatenate([v if v.ndim == 3 else v[..., None] for v in stacked], axis=2)
-
-
-def _lag_factors(record: ConnectivityRecord) -> tuple[float, float]:
-    # Share of a velocity error that is left at the end of a step, and its mean in the step.
-    plant = record.mission.plant
-    return plant.lag_factors(record.mission.step) if isinstance(plant, KinematicVehicle) else (0, 0)
-
-
-def _noise_bound(record: ConnectivityRecord) -> float:
-    # Largest change of a velocity by noise in a step.
-    plant = record.mission.plant
-    return NOISE_SIGMAS * plant.noise_std if isinstance(plant, KinematicVehicle) else 0.0
-
-
-def _velocity_residual(record: ConnectivityRecord) -> Float[Array, "steps agents 3"]:
-    # The velocity at which an agent was lost is not recorded.
-    frames, command = record.frames, record.total_command[:-1, :, :3]
-    body = rotate_by_yaw(frames.velocity, -frames.yaw)
-    error = body[1:] - command - (body[:-1] - command) * _lag_factors(record)[0]
-    error[~(frames.alive[1:] & frames.alive[:-1])] = 0
-    return np.asarray(error)
-
-
-def _expected_displacement(record: ConnectivityRecord) -> Float[Array, "steps agents 3"]:
-    # In the world frame: the mean velocity in the step, with its noise, at the middle yaw.
-    frames, command = record.frames, record.total_command[:-1, :, :3]
-    body = rotate_by_yaw(frames.velocity[:-1], -frames.yaw[:-1])
-    mean = command + (body - command) * _lag_factors(record)[1] + _velocity_residual(record)
-    mean[~frames.alive[:-1]] = 0
-    middle = (frames.yaw[1:] + frames.yaw[:-1]) / 2
-    return np.asarray(record.mission.step * rotate_by_yaw(mean, middle))
+    for name, found, where in (
+        ("separation", record.min_separation, "between agents"),
+        ("obstacles", record.min_obstacle_distance, "to obstacles"),
+    ):
+        text = f"{found:.6g} m {where} at least, {limit:g} m asked"
+        yield Promise(name, bool(found >= limit), found, limit, text)
