@@ -1,7 +1,7 @@
-"""Alignment of a shape with measured points, in closed form."""
+"""Alignment of a shape with measured points, in closed form, and the distance that remains."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -53,10 +53,7 @@ def align(
     if mask is None:
         mask = np.full(np.broadcast_shapes(shape.shape, measured.shape)[:-1], True)
     if not np.all(mask.any(axis=-1)):
-        raise ValueError(
-            "mask: at least one measured point is needed for an alignment, got none; "
-            "include at least the agent's own point"
-        )
+        raise ValueError("mask: at least one measured point is needed, got none")
     p, s, about_p = _center(shape, mask)
     q, w, about_q = _center(measured, mask)
     inner = (s.conj() * w).sum(axis=-1)
@@ -64,6 +61,42 @@ def align(
     rounding = 8 * np.finfo(float).eps * (_norm(p) * _norm(w) + _norm(s) * _norm(q))
     yaw = np.where(np.abs(inner) > rounding, np.angle(inner), 0.0)
     return Pose(yaw, (about_q - _rotate(about_p, yaw))[..., 0, :])
+
+
+class ShapeError(NamedTuple):
+    """Root mean square distance of a swarm from its aligned formation [m]."""
+
+    upright: float
+    mirrored: float  # from the mirror image, upside down
+
+    @property
+    def inverted(self) -> bool:
+        """True where the mirror image fits twice as well, so never where it is almost flat."""
+        return 2 * self.mirrored < self.upright
+
+    @property
+    def error(self) -> float:
+        """Distance from the formation or its mirror image, see `inverted` [m]."""
+        return self.mirrored if self.inverted else self.upright
+
+
+def compute_shape_error(
+    position: Float[Array, "points 3"], points: Float[Array, "points 3"]
+) -> ShapeError:
+    """Align a formation, and its mirror image, with a swarm, and measure the distance.
+
+    They may be translated, and rotated about the vertical, but not scaled.
+
+    Args:
+        position: Position of the holder of each point [m].
+        points: Points of the formation [m].
+    """
+    return ShapeError(_rms_error(position, points), _rms_error(position, points * [1.0, 1.0, -1.0]))
+
+
+def _rms_error(position: Array, points: Array) -> float:
+    offset = position - align(points, position).transform(points)
+    return float(np.sqrt(np.mean(np.sum(offset**2, axis=1))))
 
 
 def _rotate(points: Array, yaw: Array) -> Array:

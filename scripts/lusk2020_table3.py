@@ -28,7 +28,7 @@ from rich.progress import track
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from problems.alignment import align
+from problems.alignment import align, compute_shape_error
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, LIGHT_GRAY, RED, STYLE
 from sato.formation.check.recorded import FormationRecord
 from sato.formation.check.summary import summarize_flight
@@ -36,7 +36,6 @@ from sato.formation.leg import FormationLeg
 from sato.formation.loop import FormationFrame, simulate
 from sato.formation.mission import Formation, legacy_formation
 from sato.formation.settings import AssignmentSettings, FrameSettings
-from sato.formation.shape_error import compute_shape_error
 from sato.shapes.random_points import sample_positions
 
 HEIGHT = 1.0  # initial height [m]

@@ -17,11 +17,11 @@ from rich.progress import track
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+from problems.alignment import compute_shape_error
 from problems.desired_formation import DesiredFormation
 from problems.gain_design import GainMatrix, design_gains
 from sato.formation.control_law import FormationData, compute_velocity_command
 from sato.formation.settings import ControlLaw
-from sato.formation.shape_error import compute_shape_error
 from sato.shapes.graphs import random_sparse_graph
 from sato.shapes.random_points import sample_formation
 

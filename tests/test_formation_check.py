@@ -10,11 +10,11 @@ from formation_runs import FIVE, dataset, fly
 from scipy.spatial.distance import pdist
 
 import sato
+from problems.alignment import compute_shape_error
 from sato.formation.check import FormationRecord, check_run
 from sato.formation.check.recorded import find_closest_approach
 from sato.formation.check.summary import summarize_flight
 from sato.formation.settings import OperatorCommand
-from sato.formation.shape_error import compute_shape_error
 from sato.formation.supervisor import Phase
 from sato.scenario.file import parse
 

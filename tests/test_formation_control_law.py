@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from problems.alignment import compute_shape_error
 from problems.desired_formation import DesiredFormation
 from problems.gain_design import design_gains
 from sato.formation import control_law
 from sato.formation.control_law import FormationData, compute_velocity_command
 from sato.formation.settings import ControlLaw
-from sato.formation.shape_error import compute_shape_error
 from sato.shapes.formation_library import load_formation
 from sato.shapes.graphs import random_sparse_graph
 from sato.shapes.random_points import sample_formation

@@ -13,7 +13,7 @@ from matplotlib.collections import EllipseCollection, LineCollection
 from pictures import words_inside
 from scipy.spatial.distance import pdist
 
-from problems.alignment import Pose
+from problems.alignment import Pose, compute_shape_error
 from sato.figures.style import STYLE
 from sato.formation.check import FormationRecord
 from sato.formation.figures import AUCTION_FIGURES, FIGURES, make_figures
@@ -28,7 +28,6 @@ from sato.formation.leg import FormationLeg
 from sato.formation.loop import simulate
 from sato.formation.mission import Formation
 from sato.formation.settings import AssignmentSettings, FrameSettings, SupervisorSettings
-from sato.formation.shape_error import compute_shape_error
 from sato.formation.supervisor import Phase
 
 LINE = np.array([[3.0 * i, 0.0, 1.0] for i in range(6)])

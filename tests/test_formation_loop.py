@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from problems.alignment import compute_shape_error
 from sato.formation.leg import FormationLeg, SparseGraph
 from sato.formation.loop import simulate
 from sato.formation.mission import Formation, legacy_formation
@@ -15,7 +16,6 @@ from sato.formation.settings import (
     OperatorCommand,
     SupervisorSettings,
 )
-from sato.formation.shape_error import compute_shape_error
 from sato.formation.supervisor import Phase
 from sato.network.radio import Radio
 from sato.shapes.formation_library import load_formation

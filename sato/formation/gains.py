@@ -32,8 +32,7 @@ class DesignedGains(Definition):
         try:
             return design_gains(formation, self.kind)
         except (NoStabilizingGain, GainDesignUndecided) as error:
-            key = "graph" if isinstance(error, NoStabilizingGain) else "gains"
-            raise InputError(key, str(error)) from error
+            raise InputError("graph", str(error)) from error
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -90,10 +89,7 @@ class GainsFile(Definition):
         """
         try:
             gains = GainMatrix.load(self.file)
-        except OSError as error:
-            reason = error.strerror or "not a file of gains"
-            raise InputError("gains.file", f"{self.file}: cannot be read: {reason}") from error
-        except ValueError as error:
+        except (OSError, ValueError) as error:
             raise InputError("gains.file", str(error)) from error
         if formation is not None and not gains.matches_formation(formation):
             text = f'{self.file} holds gains of other points or another graph; "auto" would do'

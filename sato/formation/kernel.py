@@ -103,18 +103,13 @@ class FormationState(NamedTuple):
 @numba.njit
 def _measure_own_position(state, swarm, rng):
     """Measure each agent's position in its own frame, with odometry drift and noise."""
-    frames, noise = swarm.coordinate_frames, swarm.noise
-    for i in range(len(state.position)):
-        e = state.measured_position[i]
-        p = complex(
-            state.position[i, 0] - frames.origin[i, 0], state.position[i, 1] - frames.origin[i, 1]
-        )
-        p *= np.conj(frames.rotation[i])
-        e[0], e[1], e[2] = p.real, p.imag, state.position[i, 2] - frames.origin[i, 2]
-        for a in range(3):
-            e[a] += state.drift[i, a]
-            if noise > 0:
-                e[a] += noise * rng.standard_normal()
+    frames, measured = swarm.coordinate_frames, state.measured_position
+    offset = state.position - frames.origin
+    flat = (offset[:, 0] + 1j * offset[:, 1]) * np.conj(frames.rotation)
+    measured[:, 0], measured[:, 1], measured[:, 2] = flat.real, flat.imag, offset[:, 2]
+    measured += state.drift
+    if swarm.noise > 0:
+        measured += swarm.noise * rng.standard_normal(measured.shape)
 
 
 @numba.njit
@@ -252,16 +247,6 @@ def _step_towards(v, u, most):
     v[1] += share * (u[1] - v[1])
 
 
-@numba.njit
-def _integrate(i, state, swarm):
-    v, step = state.velocity[i], swarm.step
-    flat = v[0] * v[0] + v[1] * v[1]
-    length = np.sqrt(flat + v[2] * v[2]) * step
-    for a in range(3):
-        state.position[i, a] += v[a] * step
-        state.drift[i, a] += length * swarm.coordinate_frames.drift_rate[i, a]
-
-
 def _compile_kernel(stamp: int) -> Any:
     # Numba compiles anew when the file of a function changes, or what it closes over. The
     # stamp covers all files that are compiled into this one function.
@@ -297,8 +282,11 @@ def _compile_kernel(stamp: int) -> Any:
                     compute_velocity_command(me, relative, near[:k], formation, law, legacy, u)
             for i in range(n):
                 _update_velocity(i, state, swarm, others, buffer, rng)
-            for i in range(n):
-                _integrate(i, state, swarm)
+            v = state.velocity
+            length = np.sqrt(v[:, 0] * v[:, 0] + v[:, 1] * v[:, 1] + v[:, 2] * v[:, 2])
+            state.position[:] += v * swarm.step
+            drift_rate = swarm.coordinate_frames.drift_rate
+            state.drift[:] += np.expand_dims(length * swarm.step, 1) * drift_rate
 
     return simulate_steps
 

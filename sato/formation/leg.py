@@ -172,8 +172,8 @@ class FormationLeg(Definition):
     @cached_property
     def desired(self) -> DesiredFormation:
         """Points and graph, once drawn."""
-        if not isinstance(self.formation, Points) or not isinstance(self.graph, EdgeList):
-            raise ValueError("the formation is known once the mission is drawn: mission.draw(rng)")
+        assert isinstance(self.formation, Points), "known once drawn: mission.draw(rng)"
+        assert isinstance(self.graph, EdgeList)
         points = np.array(self.formation.positions)
         return DesiredFormation(points, self.graph.adjacency(len(points)), self.name or "")
 

@@ -80,15 +80,19 @@ class CoordinateFrames(NamedTuple):
     drift_rate: Float[Array, "agents 3"]  # odometry error per meter flown, in its own axes
 
 
-def _size_or_array(axes: int) -> BeforeValidator:
-    def convert(value: Any) -> Any:
-        if isinstance(value, Array | list | tuple):
-            return as_array(value, axes)
-        if isinstance(value, int | float) and value < 0:
-            raise InputError("", f"must not be negative, got {value:g}")
-        return value
+def _as_rows(value: Any) -> Any:
+    if isinstance(value, Array | list | tuple):
+        return as_array(value, 2)
+    if isinstance(value, int | float) and value < 0:
+        raise InputError("", f"must not be negative, got {value:g}")
+    return value
 
-    return BeforeValidator(convert)
+
+Angles = Annotated[
+    Literal["random", "aligned"] | Array,
+    BeforeValidator(lambda value: value if isinstance(value, str) else as_array(value, 1)),
+]
+SizeOrRows = Annotated[float | Array, BeforeValidator(_as_rows)]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -98,22 +102,9 @@ class FrameSettings(Definition):
     Arrays, one row an agent, stand in place of what is drawn.
     """
 
-    yaw: Annotated[
-        Literal["random", "aligned"] | Array,
-        _size_or_array(1),
-        "heading of each frame [rad], random, or the same for all",
-    ] = "random"
-    offset: Annotated[
-        float | Array,
-        _size_or_array(2),
-        Unit("m"),
-        "origin of each frame, or the largest coordinate of a random one",
-    ] = 10.0
-    drift: Annotated[
-        float | Array,
-        _size_or_array(2),
-        "odometry error per meter flown, of each frame, or the size of a random one",
-    ] = 0.01
+    yaw: Annotated[Angles, "headings [rad], random, or the same for all"] = "random"
+    offset: Annotated[SizeOrRows, Unit("m"), "origins, or a random one's largest"] = 10.0
+    drift: Annotated[SizeOrRows, "odometry error per meter, each or its size"] = 0.01
     noise: Annotated[Length, NotNegative, "standard deviation of a measured coordinate"] = 0.02
 
     def draw(self, agents: int, rng: np.random.Generator) -> "FrameSettings":

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
+from problems.alignment import compute_shape_error
 from sato.check.common import common_summary, incomplete_reason
 from sato.formation.check.recorded import FormationLegRecord, FormationRecord
-from sato.formation.shape_error import compute_shape_error
 from sato.formation.supervisor import Phase
 
 

@@ -8,11 +8,11 @@ from matplotlib.figure import Figure
 from numpy import ndarray as Array
 from scipy.spatial.distance import pdist
 
+from problems.alignment import compute_shape_error
 from sato.figures import panels
 from sato.figures.axes import add_legend
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, PURPLE
 from sato.formation.check import FormationRecord
-from sato.formation.shape_error import compute_shape_error
 from sato.formation.supervisor import Phase
 
 VEHICLE_DIAMETER = 0.5  # of a vehicle [Lusk2020, sec. V] [m]

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy import ndarray as Array
 
-from problems.alignment import align
+from problems.alignment import align, compute_shape_error
 from problems.desired_formation import DesiredFormation
 from sato.figures import panels
 from sato.figures.axes import add_legend, add_titles
@@ -24,7 +24,6 @@ from sato.formation.figures.time_series import (
     is_leg_active,
     subsample,
 )
-from sato.formation.shape_error import compute_shape_error
 
 SHOWN_TIME = 40.0  # at the end of a leg [s]
 MAX_PIECES = 300  # of a trace
