@@ -187,11 +187,14 @@ def test_no_agent_bids_once_one_has_finished(case):
             assert [now[i].point for i in case.live] == final[case.live].tolist()
         tables |= {now[i].bids.winner.tobytes() for i in case.live if now[i].is_finished}
     assert len(tables) <= 1
+    result = run_cbaa(case.auction)
+    sure = np.flatnonzero(result.finished_round)
+    assert result.point[sure].tolist() == final[sure].tolist()
 
 
 @LAW
 @given(case=cases())
-def test_result_reports_the_last_round_of_the_definition(case):
+def test_result_tells_conflicts_and_consensus_of_the_last_round(case):
     result = run_cbaa(case.auction)
     *_, last = run_by_messages(case.auction)
     claimed = [last[i].point for i in case.live]
@@ -201,8 +204,6 @@ def test_result_reports_the_last_round_of_the_definition(case):
     assert result.is_conflict_free == (len(set(claimed)) == len(claimed))
     assert result.has_consensus == (len(tables) == 1 and held)
     assert result.is_conflict_free or not result.has_consensus
-    sure = np.flatnonzero(result.finished_round)
-    assert result.point[sure].tolist() == greedy(case.score, case.live)[sure].tolist()
 
 
 @pytest.mark.parametrize("loss", [0.2, 0.6, 0.9])
@@ -222,7 +223,7 @@ def test_monotone_map_of_scores_keeps_the_result(case):
     one = run_cbaa(CbaaAuction(case.score, case.graph))
     other = run_cbaa(CbaaAuction(np.log1p(case.score) ** 3, case.graph))
     assert one.point.tolist() == other.point.tolist()
-    assert (one.round_count, one.message_count) == (other.round_count, other.message_count)
+    assert one.round_count == other.round_count
 
 
 def test_scores_have_no_effect_h_hops_away_before_round_h_plus_1(rng):
@@ -237,23 +238,6 @@ def test_scores_have_no_effect_h_hops_away_before_round_h_plus_1(rng):
             differ = np.any(one.price != other.price, axis=1)
             assert not differ[(after - 1) // (delay + 1) + 1 :].any()
             assert differ[0]
-
-
-@LAW
-@given(case=cases())
-def test_message_count_counts_every_message(case):
-    result = run_cbaa(case.auction)
-    told, before = 0, dict.fromkeys(case.live.tolist(), False)
-    for now in run_by_messages(case.auction):
-        told += sum(
-            len(case.graph.neighbors[i])
-            for i in case.live
-            if not before[i] or case.link.get("loss")
-        )
-        before = {i: agent.is_finished for i, agent in now.items()}
-    if case.link.get("loss"):  # finished agents send until the last round
-        told = case.link["rounds"] * int(case.graph.adjacency.sum())
-    assert result.message_count == told
 
 
 # Second opinions
@@ -304,7 +288,7 @@ def test_two_rounds_an_agent_are_too_few_on_a_line(rng):
 
 def test_lone_agent_finishes_in_one_round():
     result = run_cbaa(CbaaAuction(np.array([[1.0, 3.0, 2.0]]), complete(1)))
-    assert (result.point.tolist(), result.round_count, result.message_count) == ([1], 1, 0)
+    assert (result.point.tolist(), result.round_count) == ([1], 1)
     assert result.has_consensus
 
 
@@ -318,14 +302,6 @@ def test_first_round_bids_on_the_largest_scores_without_consensus(score, points)
     assert result.point.tolist() == points and not result.has_consensus
     assert result.is_conflict_free == (len(set(points)) == agents)
     assert run_cbaa(CbaaAuction(score, complete(agents))).has_consensus
-
-
-def test_dead_agents_do_not_bid():
-    graph = CommunicationGraph(
-        np.array([[0, 0, 1], [0, 0, 0], [1, 0, 0]], dtype=bool), np.arange(3) != 1
-    )
-    score = np.array([[3.0, 2.0], [np.nan, np.nan], [2.0, 1.0]])
-    assert run_cbaa(CbaaAuction(score, graph)).point.tolist() == [0, -1, 1]
 
 
 TWO_PAIRS = CommunicationGraph(np.kron(np.eye(2), 1 - np.eye(2)).astype(bool), np.full(4, True))

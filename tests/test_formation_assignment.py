@@ -108,11 +108,10 @@ def test_agents_not_heard_are_left_out_of_the_alignment():
 
 def test_agent_that_heard_nothing_places_the_formation_at_itself():
     flight, roles = mission(2), holding(np.arange(N))
-    state = informed(flight, roles)
-    state.received[:] = np.nan
+    state = FormationState.at_rest(flight.initial_positions, 0)
     cost, points = costs(flight, roles, state), flight.gains[0].formation.points
-    assert np.diag(cost) == pytest.approx(np.zeros(N), abs=1e-12)
-    assert cost[0] == pytest.approx(((points - points[0]) ** 2).sum(axis=1))
+    expected = ((points - points[:, None]) ** 2).sum(axis=2)
+    assert cost == pytest.approx(expected, abs=1e-12)
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -14,7 +14,6 @@ from problems.alignment import compute_shape_error
 from sato.formation.check import FormationRecord, check_run
 from sato.formation.check.recorded import find_closest_approach
 from sato.formation.check.summary import summarize_flight
-from sato.formation.settings import OperatorCommand
 from sato.formation.supervisor import Phase
 from sato.scenario.file import parse
 
@@ -252,13 +251,6 @@ def test_success_needs_a_shape_error_within_the_tolerance(honest):
     assert not check_run(data, replace(mission, supervision=strict)).summary["success"]
 
 
-def test_agent_commanded_into_others_keeps_out_of_them():
-    mission, _ = fly()
-    command = OperatorCommand(0, 1.0, 30.0, (0.4, 0.0, 0.0))
-    run = sato.run(replace(mission, operator_commands=(command,)), seed=2)
-    assert run.check().kept, run.check().broken
-
-
 def test_legacy_agents_that_meet_break_separation_alone():
     # The paper's avoidance, for agents without an assignment that must cross each other.
     mission, frames = fly("legacy_avoidance=true", "assignment.kind=none", seed=1)
@@ -293,10 +285,6 @@ def test_saved_run_is_checked_from_its_own_scenario(tmp_path):
     again = sato.load(tmp_path)
     assert again.check().kept
     assert again.summary == run.summary
-    wrong = replace(again, summary=again.summary | {"path_m": again.summary["path_m"] + 1})
-    assert {p.name for p in wrong.check().broken} == {"summary"}
-    moved = replace(again, data=altered(again.data, "position", at((70, 2, 1), 1e-6)))
-    assert {"unaltered", "flight"} <= {p.name for p in moved.check().broken}
 
 
 def test_replay_gives_the_phases_and_legs_of_the_flight(honest):

@@ -229,14 +229,3 @@ def test_almost_flat_formation_is_never_inverted(rng):
         points = rng.uniform(0, 10, (9, 3)) * [1, 1, 0] + [0, 0, 1.3]
         points[0, 2] += 0.05 * (k % 2)
         assert not compute_shape_error(points + rng.normal(0, 0.04, points.shape), points).inverted
-
-
-def test_shape_error_is_the_least_over_many_poses(rng):
-    points = load_formation("Triangular Prism").points
-    seen = points + rng.normal(0, 0.3, points.shape)
-    mean = seen.mean(axis=0) - points.mean(axis=0)
-    about = points - points.mean(axis=0)
-    turns = (about @ yaw_rotation(yaw).T for yaw in np.linspace(-np.pi, np.pi, 20001))
-    away = (seen - points.mean(axis=0) - mean - turned for turned in turns)
-    least = min(np.sqrt((d**2).sum(axis=1).mean()) for d in away)
-    assert compute_shape_error(seen, points).error == pytest.approx(least, abs=1e-6)

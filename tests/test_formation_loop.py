@@ -1,7 +1,6 @@
 """Whole flights of small swarms: convergence in own frames, poor radio, events, gridlock."""
 
 from functools import cache
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -88,17 +87,6 @@ def test_same_seed_gives_the_same_flight():
     assert not np.array_equal(one[-1].position, other[-1].position)
 
 
-@pytest.mark.parametrize("step", [0.02, 0.004])
-def test_frames_are_a_period_apart_and_positions_integrate_velocities(step):
-    flight = mission(3, step=step)
-    frames, period = fly(flight), 0.02
-    time = np.array([f.time for f in frames])
-    assert time == pytest.approx(np.arange(len(frames)) * period)
-    for last, now in pairwise(frames):
-        tolerance = 1e-12 if step == period else period**2
-        assert now.position - last.position == pytest.approx(period * now.velocity, abs=tolerance)
-
-
 def test_formation_follows_a_commanded_agent_and_keeps_its_shape():
     command = OperatorCommand(2, 42.0, 52.0, (0.2, 0.1, 0.0))
     hover = SupervisorSettings(hover_time=25.0)  # the command comes while they hold the formation
@@ -130,22 +118,6 @@ def test_agents_hover_until_the_first_assignment_is_known():
     for frame in frames[:first]:
         assert not frame.velocity_command.any() and frame.phase is Phase.WAITING
     assert frames[first].phase is Phase.FLYING
-
-
-def test_events_name_the_legs_and_the_agents_with_new_points():
-    frames = fly(mission(6, 7))
-    kinds = [e["kind"] for e in events(frames, "leg_start", "leg_end", "given_up")]
-    assert kinds == ["leg_start", "leg_end"] * 2
-    held = np.arange(N)
-    for frame in frames:
-        for event in events([frame], "leg_start", "assignment"):
-            if event["kind"] == "leg_start":
-                held = np.arange(N)
-                continue
-            changed = np.flatnonzero(held != event["point"])
-            assert changed.tolist() == event["agents"]
-            held = np.array(event["point"])
-            assert np.array_equal(frame.point_index, held)
 
 
 def legacy_pyramid(method):

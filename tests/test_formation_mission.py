@@ -7,31 +7,18 @@ import pytest
 from test_cli import call
 
 from problems.gain_design import design_gains
-from sato.formation.gains import DesignedGains, ListedGains
 from sato.formation.leg import (
-    EdgeList,
     FormationLeg,
-    LibraryFormation,
-    NamedGraph,
-    RandomFormation,
-    SparseGraph,
-    ThinnedGraph,
 )
 from sato.formation.mission import Formation, legacy_formation
 from sato.formation.settings import (
     AssignmentSettings,
-    CollisionAvoidance,
-    ControlLaw,
     FrameSettings,
-    OperatorCommand,
     SupervisorSettings,
 )
-from sato.formation.start import RandomStart
-from sato.network.radio import Radio
 from sato.scenario.errors import InputError, ScenarioError
 from sato.scenario.file import parse, read, scenarios
-from sato.shapes import Lattice, Ring, Text
-from sato.shapes.formation_library import formation_names, load_formation
+from sato.shapes.formation_library import load_formation
 from sato.shapes.graphs import random_dense_graph
 from sato.shapes.random_points import sample_formation, sample_positions
 
@@ -336,73 +323,33 @@ def test_doubtful_avoidance_is_warned_of(override, words):
     assert all(word in found[0] for word in words)
 
 
-N = 6
+WRITTEN = [
+    RANDOM + "\nleg.graph={kind='thinned', removals=3}\nleg.name='two words'",
+    "leg.formation={kind='ring', spacing_m=2.5}\nleg.graph={kind='sparse', share=0.6}",
+    "leg.formation={kind='lattice', radius_m=9}\nleg.gains=projection",
+    "leg.formation={kind='text', text='A b', height_m=9, center_m=[3, 0]}\nleg.gains=sdp",
+    "leg.graph={kind='pairs', pairs=[[0, 1], [5, 2]]}\nleg.gains=admm\nassignment.kind=none",
+    "leg.gains={kind='listed', edges=[[0, 1, 0.1, 0.2, 0.3]], bounds=[1, 0.5], method='mine'}",
+    "start={kind='ring', radius_m=7}\nlegacy_avoidance=true\nlimit_s=7.25\nhover_s=0",
+    "start={kind='points', positions_m=[[0,0],[3,0],[6,0],[0,3],[3,3],[6,3]]}\nyaw=aligned",
+    "push=[{vehicle=1, start_s=0, end_s=1.5, velocity_m_s=[1, 0, 0.5]}]\noffset_m=3.5",
+    "assignment.kind=cbaa\nradio.loss=0.125\nradio.delay_s=0.04\nkeep_out_m=1.25\nid_bits=12",
+]
 
 
-def random_leg(rng):
-    def size():
-        return rng.uniform(2.0, 20.0)
+@pytest.mark.parametrize("overrides", WRITTEN)
+def test_every_kind_of_mission_survives_its_own_text(overrides):
+    mission = parse(SIX, overrides.split("\n"))
+    assert parse(mission.to_toml()) == mission != parse(SIX)
 
-    def choose(*values):
-        return values[rng.integers(len(values))]
 
-    points = rng.uniform(-9, 9, (N, 3))
-    formation = choose(
-        points,
-        points[:, :2],
-        RandomFormation((size(), 9.0, 0.5), size()),
-        LibraryFormation(choose(*formation_names())),
-        Ring(spacing=size()),
-        Lattice(radius=size()),
-        Text("A b", height=size(), center=(size(), 0.0)),
+def test_given_frames_survive_the_text_of_their_mission(rng):
+    frames = FrameSettings().draw(6, rng)
+    mission = Formation(
+        start=rng.uniform(-9, 9, (6, 2)), legs=[FormationLeg("Star")], frames=frames
     )
-    own = [NamedGraph("own")] * isinstance(formation, LibraryFormation)
-    edges = np.argwhere(rng.random((N, N)) < 0.5)
-    graph = choose(NamedGraph(), ThinnedGraph(3), SparseGraph(rng.random()), EdgeList(edges), *own)
-    listed = ListedGains(rng.random((4, 5)), (size(), size()), "test")
-    gains = choose(*map(DesignedGains, ("auto", "projection", "admm", "sdp", "paper")), listed)
-    return FormationLeg(formation, graph, gains, choose(None, "two words"))
-
-
-def random_mission(seed):
-    rng = np.random.default_rng(seed)
-    frames = FrameSettings(("random", "aligned")[seed % 2], *rng.uniform(0, 9, 3))
-    starts = (
-        RandomStart((3.0, 9.0), *rng.random(2)),
-        Ring(radius=rng.uniform(2, 9)),
-        rng.uniform(-9, 9, (N, rng.integers(2, 4))),
-    )
-    method = ("vsdaa", "cbaa", "hungarian", "none")[rng.integers(4)]
-    legacy = bool(rng.integers(2))
-    commands = [
-        OperatorCommand(rng.integers(N), 9.0 * k, 9.0 * k + rng.random(), rng.normal(0, 1, 3))
-        for k in range(rng.integers(3))
-    ]
-    return Formation(
-        name=f"random-{seed}",
-        agents=N,
-        start=starts[rng.integers(3)],
-        keep_out=rng.random(),
-        max_speed=rng.random(),
-        max_climb=rng.random(),
-        max_acceleration=rng.uniform(0.4, 2.0),
-        max_climb_acceleration=rng.random(),
-        step=0.02 / rng.integers(1, 9),
-        control_law=ControlLaw(*rng.random(2), upright=not legacy),
-        avoidance=CollisionAvoidance(9.0, rng.random(), 0.3, rng.random(), legacy=legacy),
-        assignment=AssignmentSettings(method, *rng.random(3)),
-        frames=frames.draw(N, rng) if rng.random() < 0.5 else frames,
-        radio=Radio(1e-6, 0.0 if method == "vsdaa" else rng.random(), rng.random(), 12),
-        supervision=SupervisorSettings(*rng.random(8)),
-        operator_commands=commands,
-        legs=[random_leg(rng) for _ in range(rng.integers(1, 4))],
-    )
-
-
-def test_random_missions_survive_their_own_text():
-    for seed in range(200):
-        mission = random_mission(seed)
-        assert parse(mission.to_toml()) == mission, seed
+    again = parse(mission.to_toml())
+    assert again == mission and again.draw(rng).frames == frames
 
 
 def test_command_line_flies_checks_and_reports_failure(files, monkeypatch):

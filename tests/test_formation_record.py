@@ -11,7 +11,7 @@ from problems.desired_formation import DesiredFormation
 from problems.gain_matrix import GainMatrix
 from sato.formation.record import GAIN_PARTS
 from sato.formation.supervisor import Phase
-from sato.formation.system import SYSTEM, make_progress
+from sato.formation.system import make_progress
 from sato.scenario.file import parse
 
 SQUARES = """
@@ -63,31 +63,10 @@ def test_recorded_gains_are_those_of_the_recorded_formation(flown, tmp_path):
         assert found.matches_formation(gains.formation)
 
 
-def test_recorded_drift_is_a_share_of_the_distance_flown(flown):
-    run, *_ = flown
-    length = np.linalg.norm(np.diff(run.data["position"], axis=0), axis=2).sum(axis=0)
-    drift = np.linalg.norm(run.data["frame_drift"].values[-1], axis=1)
-    np.testing.assert_allclose(drift, 0.01 * length, rtol=1e-9)
-
-
 def test_radii_and_limits_are_attributes(flown):
     run, *_ = flown
     expected = {"keep_out_m": 1.2, "max_climb_m_s": 0.2, "shape_m": 0.1, "max_speed_m_s": 0.5}
     assert {name: run.data.attrs[name] for name in expected} == expected
-
-
-def test_events_name_legs_auctions_and_assignments(flown):
-    run, mission, _ = flown
-    kinds = [e["kind"] for e in run.events("leg_start", "leg_end", "given_up")]
-    assert kinds == ["leg_start", "leg_end"] * 2
-    auctions, assignments = run.events("auction"), run.events("assignment")
-    assert len(auctions) >= len(assignments) >= 2
-    # The outcome of an auction is known when its messages have been exchanged.
-    known = [e["time"] + e["rounds"] / mission.radio.message_rate for e in auctions]
-    for event in assignments:
-        assert min(abs(event["time"] - time) for time in known) < 1.5 * mission.frame_period
-        assert sorted(event["point"]) == [0, 1, 2, 3]
-    assert all(e["rounds"] > 0 for e in auctions)
 
 
 def test_summary_has_all_entries_and_is_plain_json(flown):
@@ -101,8 +80,9 @@ def test_summary_has_all_entries_and_is_plain_json(flown):
     }  # fmt: skip
     leg = {"success", "shape_error_m", "inverted", "time_s", "path_m", "reassignments"}
     assert [each.keys() for each in summary["legs"]] == [leg, leg]
+    assert summary["success"]
     errors = [each["shape_error_m"] for each in summary["legs"]]
-    assert summary["success"] and summary["shape_error_m"] == max(errors)
+    assert summary["shape_error_m"] == max(errors)
     for name in ("time_s", "path_m", "reassignments"):
         assert summary[name] == pytest.approx(sum(each[name] for each in summary["legs"]))
 
@@ -114,9 +94,3 @@ def test_progress_names_the_leg_the_steps_and_the_phase(flown):
     assert (first.done, last.done) == (0, len(frames) - 1)
     assert first.total == last.total == 30000
     assert (first.details, last.details) == (Phase.WAITING.value, Phase.COMPLETED.value)
-
-
-def test_system_has_figures_but_no_animation(flown):
-    run, mission, _ = flown
-    assert SYSTEM.animation is None and SYSTEM.stop_errors == ()
-    assert all(map(callable, SYSTEM.figures(run.data, mission).values()))

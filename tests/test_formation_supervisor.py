@@ -1,5 +1,7 @@
 """Supervisor: convergence and gridlock, from given speeds and avoidance."""
 
+from itertools import groupby
+
 import numpy as np
 import pytest
 
@@ -30,33 +32,44 @@ def observe(supervisor, time, speed=SLOW, avoiding=FREE):
     return [supervisor.observe(speed, avoiding) for _ in range(round(time / PERIOD))]
 
 
-def changes(phases):
-    """Phases in order, each with its number of observations in a row."""
-    found = []
-    for phase in phases:
-        if found and found[-1][0] is phase:
-            found[-1][1] += 1
-        else:
-            found.append([phase, 1])
-    return [(phase, count) for phase, count in found]
-
-
 def test_swarm_waits_until_it_is_assigned():
     supervisor = Supervisor(SETTINGS, PERIOD)
     phases = observe(supervisor, 5) + observe(supervisor, 5, FAST, AVOIDING)
     assert set(phases) == {Phase.WAITING}
 
 
-def test_slow_swarm_converges_after_a_window_and_completes_after_another():
-    assert changes(observe(assigned_supervisor(), 4)) == [
-        (Phase.FLYING, 9),
-        (Phase.CONVERGED, 10),
-        (Phase.COMPLETED, 21),
-    ]
+CASES = {  # time [s], speeds and avoidance one after another; phases and their observations
+    "slow from a window on": ([(4, SLOW, FREE)], "flying 9, converged 10, completed 21"),
+    "one is fast": ([(5, FAST, FREE)], "flying 50"),
+    "one avoids": ([(6, FAST, AVOIDING)], "flying 9, gridlocked 30, given up 21"),
+    "slow before gridlocked": ([(3, SLOW, AVOIDING)], "flying 9, converged 10, completed 11"),
+    "slow in a gridlock": ([(1, FAST, AVOIDING), (2, SLOW, AVOIDING)], "flying 9, gridlocked 21"),
+    # One of 1.5 among 0.9 is 0.96 in the mean, two would be 1.02; the window slides on.
+    "converged for a while": (
+        [(1, FAST, FREE), (0.9, SLOW, FREE), (0.2, FAST, FREE)],
+        "flying 18, converged 2, flying 1",
+    ),
+    # The window is full again after 5 more, and without what was fast after 9.
+    "fast again": (
+        [(1.5, SLOW, FREE), (0.5, 5 * FAST, FREE), (3, SLOW, FREE)],
+        "flying 9, converged 6, flying 14, converged 10, completed 11",
+    ),
+    # One free observation in ten is 90 % of the window, and less than stuck.
+    "two gridlocks": (
+        [(3, FAST, AVOIDING), (0.1, FAST, FREE), (5, FAST, AVOIDING)],
+        "flying 9, gridlocked 21, flying 10, gridlocked 30, given up 11",
+    ),
+}
 
 
-def test_one_fast_agent_prevents_convergence():
-    assert set(observe(assigned_supervisor(), 5, FAST)) == {Phase.FLYING}
+@pytest.mark.parametrize("case", CASES)
+def test_phases_follow_from_speeds_and_avoidance(case):
+    flown, expected = CASES[case]
+    supervisor, phases = assigned_supervisor(), []
+    for part in flown:
+        phases += observe(supervisor, *part)
+    found = [(phase.value, len(list(each))) for phase, each in groupby(phases)]
+    assert ", ".join(f"{name} {count}" for name, count in found) == expected
 
 
 def test_convergence_is_of_the_mean_over_the_window():
@@ -67,55 +80,6 @@ def test_convergence_is_of_the_mean_over_the_window():
     supervisor = assigned_supervisor()
     observe(supervisor, 0.9)
     assert supervisor.observe(np.array([0.2, 2.0]), FREE) is Phase.FLYING
-
-
-def test_window_keeps_sliding_while_converged():
-    supervisor = assigned_supervisor()
-    observe(supervisor, 1, FAST)
-    # One of 1.5 among 0.9 is 0.96 in the mean, two would be 1.02.
-    assert observe(supervisor, 0.9)[-2:] == [Phase.FLYING, Phase.CONVERGED]
-    assert supervisor.observe(FAST, FREE) is Phase.CONVERGED  # the other one has left the window
-    assert supervisor.observe(FAST, FREE) is Phase.FLYING
-
-
-def test_swarm_that_speeds_up_again_starts_a_new_window():
-    supervisor = assigned_supervisor()
-    assert observe(supervisor, 1.5)[-1] is Phase.CONVERGED
-    assert observe(supervisor, 0.5, 5 * FAST)[0] is Phase.FLYING  # the mean is 1.5 by then
-    # The window is full again after 5 more, and without what was fast after 9.
-    assert changes(observe(supervisor, 3)) == [
-        (Phase.FLYING, 9),
-        (Phase.CONVERGED, 10),
-        (Phase.COMPLETED, 11),
-    ]
-
-
-def test_gridlock_that_lasts_is_given_up():
-    assert changes(observe(assigned_supervisor(), 6, FAST, AVOIDING)) == [
-        (Phase.FLYING, 9),
-        (Phase.GRIDLOCKED, 30),
-        (Phase.ABORTED, 21),
-    ]
-
-
-def test_convergence_precedes_gridlock_and_does_not_end_it():
-    assert changes(observe(assigned_supervisor(), 3, SLOW, AVOIDING))[1][0] is Phase.CONVERGED
-    supervisor = assigned_supervisor()
-    observe(supervisor, 1, FAST, AVOIDING)
-    assert set(observe(supervisor, 2, SLOW, AVOIDING)) == {Phase.GRIDLOCKED}
-
-
-def test_timeout_starts_again_with_each_gridlock():
-    supervisor = assigned_supervisor()
-    observe(supervisor, 1, FAST, AVOIDING)
-    assert set(observe(supervisor, 2, FAST, AVOIDING)) == {Phase.GRIDLOCKED}
-    # One free observation in ten is 90 % of the window, and less than stuck.
-    assert observe(supervisor, 0.1, FAST, FREE) == [Phase.FLYING]
-    assert changes(observe(supervisor, 5, FAST, AVOIDING)) == [
-        (Phase.FLYING, 9),
-        (Phase.GRIDLOCKED, 30),
-        (Phase.ABORTED, 11),
-    ]
 
 
 def test_avoiding_by_turns_is_no_gridlock():

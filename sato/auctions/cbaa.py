@@ -104,7 +104,6 @@ class CbaaResult:
     price: Float[Array, "agents points"]  # as each agent knows it
     winner: Int[Array, "agents points"]
     round_count: int
-    message_count: int  # messages sent, each to one neighbor
 
     @property
     def is_conflict_free(self) -> bool:
@@ -127,17 +126,8 @@ def run_cbaa(auction: CbaaAuction) -> CbaaResult:
     # Without losses nothing is drawn from the generator, whichever it is.
     rng = auction.rng or np.random.default_rng(0)
     run_rounds(state, auction.rounds or UNLIMITED_ROUNDS, auction.loss, rng)
-    played = int(state.round[0])
-    sending = np.where(state.finished_round > 0, state.finished_round, played)
-    if auction.loss > 0:
-        sending = np.full(len(auction.score), auction.rounds)
     return CbaaResult(
-        point=state.point,
-        finished_round=state.finished_round,
-        price=state.price,
-        winner=state.winner,
-        round_count=played,
-        message_count=int(sending @ auction.graph.adjacency.sum(axis=1)),
+        state.point, state.finished_round, state.price, state.winner, int(state.round[0])
     )
 
 
