@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from dynamics.coordinate_frames import LVLH, inertial_state, to_polar_nodal
     from dynamics.discretize import DiscreteModel, discretize_zoh, linearize_along
     from dynamics.double_integrator import DoubleIntegrator
-    from dynamics.elements import ClassicalElements
     from dynamics.inertial import InertialPlant
     from dynamics.j2 import J2, invariant_velocity
     from dynamics.model import LinearizedModel, LinearModel, Model, NonlinearModel, SymbolicModel
@@ -31,7 +30,6 @@ _PUBLIC = {
     "coordinate_frames": ["LVLH", "inertial_state", "to_polar_nodal"],
     "discretize": ["DiscreteModel", "discretize_zoh", "linearize_along"],
     "double_integrator": ["DoubleIntegrator"],
-    "elements": ["ClassicalElements"],
     "inertial": ["InertialPlant"],
     "j2": ["J2", "invariant_velocity"],
     "model": ["LinearModel", "LinearizedModel", "Model", "NonlinearModel", "SymbolicModel"],

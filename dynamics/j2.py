@@ -7,15 +7,12 @@ are relative to these axes, which rotate with ω = (ω_x, 0, ω_z).
 from dataclasses import dataclass, field
 
 import numpy as np
-import scipy
 from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.model import Controls, Jacobian, NonlinearModel, States, Times
-from dynamics.orbit import Orbit, Vectors, lvlh_rates, polar_nodal_rates, polar_nodal_scales
+from dynamics.orbit import Orbit, Vectors, lvlh_rates
 
-RTOL = 1e-13  # of `J2.propagate`: an error below a micrometer after an orbit
-ATOL = np.repeat([1e-9, 1e-12], 3)  # in a step, of each deputy [m, m/s]
 MIN_COS_LATITUDE = 0.02  # of the argument of latitude, for positions with z ≠ 0
 
 
@@ -34,7 +31,14 @@ class J2(NonlinearModel):
 
     def rate(self, t: Times, x: States, u: Controls) -> Float[Array, "... 6"]:
         """Return the rate of change of one state or of many."""
-        return self._rate(self.orbit.elements_at(t), x, u)
+        chief = self.orbit.elements_at(t)
+        omega, centrifugal = _rotation_matrices(chief, self.orbit)
+        pole = _earth_axis(chief)
+        l, v = x[..., :3], x[..., 3:]  # noqa: E741
+        g = gravity_acceleration(_from_earth_center(chief, l), pole, self.orbit)
+        g = g - gravity_acceleration(_from_earth_center(chief, np.zeros(3)), pole, self.orbit)
+        a = g + u - _matvec(centrifugal, l) - 2 * _matvec(omega, v)
+        return np.concatenate([np.broadcast_to(v, a.shape), a], axis=-1)
 
     def jacobian(self, t: Times, x: States, u: Controls) -> Jacobian:
         """Return ∂f/∂x and ∂f/∂u."""
@@ -48,46 +52,6 @@ class J2(NonlinearModel):
         A[..., 3:, :3] = gradient - centrifugal
         A[..., 3:, 3:] = -2 * omega
         return A, B
-
-    def propagate(
-        self, x: Float[Array, "*k 6"], times: Float[Array, " instants"], t0: float = 0.0
-    ) -> Float[Array, "instants *k 6"]:
-        """Integrate free motion together with the chief.
-
-        Args:
-            x: States at the initial time.
-            times: Times of the states to return, increasing, none before the initial time [s].
-            t0: Initial time [s].
-        """
-        lead = x.shape[:-1]
-
-        def rate(t: float, y: Array) -> Array:
-            chief, deputies = y[:6], y[6:].reshape(*lead, 6)
-            chief_rate = polar_nodal_rates(chief, self.orbit.mu, self.orbit.k_J2)
-            return np.concatenate([chief_rate, self._rate(chief, deputies, np.zeros(3)).ravel()])
-
-        y, count = np.concatenate([self.orbit.elements_at(t0), x.ravel()]), x.size // 6
-        own_atol = np.tile(ATOL, count) / count**0.5
-        atol = np.concatenate([RTOL * polar_nodal_scales(y[:6]), own_atol])
-        states = np.empty((len(times), x.size))
-        # One integration per interval: dense output between steps is of lower order.
-        for k, (before, after) in enumerate(zip([t0, *times[:-1]], times, strict=True)):
-            if after > before:
-                span = (float(before), float(after))
-                y = scipy.integrate.solve_ivp(
-                    rate, span, y, method="DOP853", rtol=RTOL, atol=atol
-                ).y[:, -1]
-            states[k] = y[6:]
-        return states.reshape(len(times), *lead, 6)
-
-    def _rate(self, chief: Array, x: Array, u: Array) -> Array:
-        omega, centrifugal = _rotation_matrices(chief, self.orbit)
-        pole = _earth_axis(chief)
-        l, v = x[..., :3], x[..., 3:]  # noqa: E741
-        g = gravity_acceleration(_from_earth_center(chief, l), pole, self.orbit)
-        g = g - gravity_acceleration(_from_earth_center(chief, np.zeros(3)), pole, self.orbit)
-        a = g + u - _matvec(centrifugal, l) - 2 * _matvec(omega, v)
-        return np.concatenate([np.broadcast_to(v, a.shape), a], axis=-1)
 
 
 def gravity_acceleration(R: Vectors, pole: Vectors, orbit: Orbit) -> Float[Array, "... 3"]:

@@ -130,43 +130,33 @@ class SymbolicModel(NonlinearModel):
 
 @dataclass(frozen=True)
 class LinearizedModel(LinearModel):
-    """A nonlinear model linearized about a nominal trajectory [Morgan2016, eqs. 7 and 8].
+    """A nonlinear model linearized about rest at the origin, which in orbit is the chief.
 
-        A(t) = ∂f/∂x,  B(t) = ∂f/∂u,  z(t) = f − A x̄ − B ū,  all at the nominal (x̄, ū)
+        A(t) = ∂f/∂x,  B(t) = ∂f/∂u,  z(t) = f    at x = 0 and u = 0
 
-    The error is of second order in the distance from the nominal.
+    The error is of second order in the distance from the origin [Morgan2016, eqs. 7 and 8].
     """
 
     model: NonlinearModel
-    nominal: Callable[[float], tuple[Array, Array]] | None  # t ↦ (x̄, ū); None: the origin
-
-    @classmethod
-    def at_origin(cls, model: NonlinearModel) -> "LinearizedModel":
-        """Linearize about rest at the origin, which in orbit is the chief."""
-        return cls(model, None)
 
     def __post_init__(self) -> None:
         """Take the dimension of space from the nonlinear model."""
         object.__setattr__(self, "axes", self.model.axes)
 
     def A(self, t: float) -> Float[Array, "n n"]:
-        """State matrix at the nominal."""
+        """State matrix at the origin."""
         return np.asarray(self.matrices(np.array([t]))[0][0])
 
     def B(self, t: float) -> Float[Array, "n m"]:
-        """Control matrix at the nominal."""
+        """Control matrix at the origin."""
         return np.asarray(self.matrices(np.array([t]))[1][0])
 
     def z(self, t: float) -> Float[Array, " n"]:
-        """Part of the rate at the nominal that the linear terms leave."""
+        """Rate of change at the origin."""
         return np.asarray(self.matrices(np.array([t]))[2][0])
 
     def matrices(self, times: Float[Array, " k"]) -> Matrices:
         """Stack A, B and z at many times."""
-        if self.nominal is None:
-            x, u = np.zeros((len(times), 2 * self.axes)), np.zeros((len(times), self.axes))
-        else:
-            x, u = (np.array(part) for part in zip(*map(self.nominal, times.tolist()), strict=True))
+        x, u = np.zeros((len(times), 2 * self.axes)), np.zeros((len(times), self.axes))
         A, B = self.model.jacobian(times, x, u)
-        rest = np.einsum("kab,kb->ka", A, x) + np.einsum("kab,kb->ka", B, u)
-        return A, B, self.model.rate(times, x, u) - rest
+        return A, B, self.model.rate(times, x, u)

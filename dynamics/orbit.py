@@ -78,7 +78,7 @@ class Orbit:
             )
         validate_inclination(self.inclination)
         validate_eccentricity(self.eccentricity)
-        validate_perigee(self.semi_major_axis, self.eccentricity)
+        validate_semi_major_axis(self.semi_major_axis, self.eccentricity)
 
     @classmethod
     def from_elements(
@@ -107,7 +107,8 @@ class Orbit:
         Raises:
             ValueError: This is not an ellipse, or the perigee is inside the Earth.
         """
-        validate_ellipse(semi_major_axis, eccentricity)
+        validate_eccentricity(eccentricity)
+        validate_semi_major_axis(semi_major_axis, eccentricity)
         p = semi_major_axis * (1 - eccentricity**2)
         r, h = p / (1 + eccentricity * cos(true_anomaly)), sqrt(mu * p)
         v_x = mu / h * eccentricity * sin(true_anomaly)
@@ -160,57 +161,44 @@ class Orbit:
         return elements
 
 
-def validate_eccentricity(eccentricity: Scalars) -> None:
-    """Check that orbits are closed.
+def validate_eccentricity(eccentricity: float) -> None:
+    """Check that an orbit is closed.
 
     Raises:
-        ValueError: An eccentricity is not in [0, 1).
+        ValueError: The eccentricity is not in [0, 1).
     """
-    e = np.ravel(eccentricity)
-    if len(wrong := e[~((e >= 0) & (e < 1))]):
+    if not 0 <= eccentricity < 1:
         raise ValueError(
-            f"eccentricity: an ellipse needs 0 ≤ e < 1, got {wrong[0]:.6g}; a circle has e = 0, "
-            "and an orbit that escapes can only be given by its inertial position and velocity"
+            f"eccentricity: an ellipse needs 0 ≤ e < 1, got {eccentricity:.6g}; a circle has e = 0"
         )
 
 
-def validate_ellipse(semi_major_axis: Scalars, eccentricity: Scalars) -> None:
-    """Check the shape of ellipses.
+def validate_semi_major_axis(semi_major_axis: float, eccentricity: float) -> None:
+    """Check that an ellipse stays above the surface of the Earth.
 
     Raises:
-        ValueError: An eccentricity is not in [0, 1), or a semi-major axis is not positive.
+        ValueError: The semi-major axis is not positive, or the perigee is inside the Earth.
     """
-    validate_eccentricity(eccentricity)
-    a = np.ravel(semi_major_axis)
-    if len(wrong := a[~((a > 0) & (a < inf))]):
-        raise ValueError(f"semi_major_axis: must be positive and finite, got {wrong[0]} m")
-
-
-def validate_inclination(inclination: Scalars) -> None:
-    """Check inclinations.
-
-    Raises:
-        ValueError: An inclination is not between 0 and π.
-    """
-    i = np.ravel(inclination)
-    if len(wrong := i[~((i >= 0) & (i <= pi))]):
-        raise ValueError(
-            f"inclination: must lie between 0 and π, got {wrong[0]:.6g} rad; angles are in "
-            f"radians, and {wrong[0]:.6g}° would be {np.radians(wrong[0]):.6g}"
-        )
-
-
-def validate_perigee(semi_major_axis: float, eccentricity: float) -> None:
-    """Check that a perigee is above the surface of the Earth.
-
-    Raises:
-        ValueError: It is not.
-    """
+    if not 0 < semi_major_axis < inf:
+        raise ValueError(f"semi_major_axis: must be positive and finite, got {semi_major_axis} m")
     if (perigee := semi_major_axis * (1 - eccentricity)) <= EARTH_RADIUS:
         raise ValueError(
             f"the perigee, {perigee / 1e3:.0f} km from the center, is inside the Earth, whose "
             f"radius is {EARTH_RADIUS / 1e3:.0f} km; with an eccentricity of {eccentricity:g} a "
             f"semi-major axis above {EARTH_RADIUS / (1 - eccentricity) / 1e3:.0f} km would do"
+        )
+
+
+def validate_inclination(inclination: float) -> None:
+    """Check that an inclination is in radians between 0 and π.
+
+    Raises:
+        ValueError: It is not.
+    """
+    if not 0 <= inclination <= pi:
+        raise ValueError(
+            f"inclination: must lie between 0 and π, got {inclination:.6g} rad; angles are in "
+            f"radians, and {inclination:.6g}° would be {np.radians(inclination):.6g}"
         )
 
 

@@ -42,9 +42,9 @@ class Plant(ABC):
             ValueError: Shapes, controls or times do not fit this plant.
         """
 
-    @abstractmethod
     def chief_elements(self, t: float) -> Float[Array, " 6"] | None:
         """Return the polar-nodal elements of the chief, or None where there is no orbit."""
+        return None if self.chief_orbit is None else self.chief_orbit.elements_at(t)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,10 +60,6 @@ class LinearPlant(Plant):
         steps = discretize_zoh(self.model, dt / substeps, substeps, t)
         held = np.repeat(u[:, None], substeps, axis=1)
         return np.moveaxis(steps.simulate(x, held), 1, 0)
-
-    def chief_elements(self, t: float) -> Float[Array, " 6"] | None:
-        """Return the polar-nodal elements of the chief, or None where there is no orbit."""
-        return None if self.chief_orbit is None else self.chief_orbit.elements_at(t)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,10 +109,6 @@ class NonlinearPlant(Plant):
             y = solution.y[:, -1]
             states[k + 1, present] = y.reshape(len(present), -1)
         return states
-
-    def chief_elements(self, t: float) -> Float[Array, " 6"] | None:
-        """Return the polar-nodal elements of the chief, or None where there is no orbit."""
-        return None if self.chief_orbit is None else self.chief_orbit.elements_at(t)
 
 
 def validate_propagation(x: Array, u: Array, dt: float, substeps: int, axes: int) -> None:

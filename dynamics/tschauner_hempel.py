@@ -5,18 +5,24 @@ Axes (LVLH): x radial, outward; y transverse, in the plane and perpendicular to 
 """
 
 from dataclasses import dataclass, field
-from math import atan2, inf, isfinite, sqrt
+from math import atan2, inf, isfinite, pi, sqrt
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics.elements import mean_anomaly, true_anomaly
 from dynamics.model import LinearModel, Matrices
-from dynamics.orbit import EARTH_MU, Orbit, Scalars, Vectors, validate_ellipse, validate_perigee
+from dynamics.orbit import (
+    EARTH_MU,
+    Orbit,
+    Scalars,
+    Vectors,
+    validate_eccentricity,
+    validate_semi_major_axis,
+)
 
-IN_PLANE = np.array([0, 1, 3, 4])  # entries of the state
+MAX_NEWTON_ITERATIONS = 50  # 6 are enough for e = 0.9
 
 
 class AnomalyTerms(NamedTuple):
@@ -56,13 +62,13 @@ class TschaunerHempel(LinearModel):
 
     def __post_init__(self) -> None:
         """Check the ellipse."""
-        validate_ellipse(self.semi_major_axis, self.eccentricity)
+        validate_eccentricity(self.eccentricity)
         if not 0 < self.mu < inf or not isfinite(self.true_anomaly):
             raise ValueError(
                 "mu: must be positive and finite, and true_anomaly finite, got "
                 f"{self.mu} m³/s² and {self.true_anomaly} rad"
             )
-        validate_perigee(self.semi_major_axis, self.eccentricity)
+        validate_semi_major_axis(self.semi_major_axis, self.eccentricity)
 
     @classmethod
     def from_orbit(cls, orbit: Orbit) -> "TschaunerHempel":
@@ -77,11 +83,6 @@ class TschaunerHempel(LinearModel):
         """Mean motion [rad/s]."""
         return sqrt(self.mu / self.semi_major_axis**3)
 
-    @property
-    def p(self) -> float:
-        """Semi-latus rectum [m]."""
-        return self.semi_major_axis * (1 - self.eccentricity**2)
-
     def true_anomaly_at(self, t: Scalars) -> Float[Array, "*k"]:
         """Return the chief's true anomaly, not reduced to one revolution [rad].
 
@@ -93,7 +94,7 @@ class TschaunerHempel(LinearModel):
 
     def A(self, t: Scalars) -> Float[Array, "*k 6 6"]:
         """State matrix at one time or at many."""
-        at = self._anomaly_terms(self.true_anomaly_at(t))
+        at = self._anomaly_terms(t)
         w = at.omega
         pull = w**2 / at.rho  # μ/r³
         alpha = -2 * w**2 * at.e_sin / at.rho
@@ -109,24 +110,6 @@ class TschaunerHempel(LinearModel):
         k = len(times)
         return self.A(times), np.repeat(self.B(0.0)[None], k, axis=0), np.zeros((k, 6))
 
-    def transition_matrix(self, start: Scalars, end: Scalars) -> Float[Array, "*#k 6 6"]:
-        """Return Φ(end, start), free motion in closed form [Yamanaka2002].
-
-        Args:
-            start: Initial time [s].
-            end: Final time, which may be before the initial one [s].
-        """
-        f0, f1 = np.broadcast_arrays(self.true_anomaly_at(start), self.true_anomaly_at(end))
-        J = np.asarray(self._k * np.subtract(end, start))
-        initial = self._fundamental_matrix(f0, np.zeros_like(J))
-        plane = self._fundamental_matrix(f1, J) @ np.linalg.inv(initial)
-        scaled = np.zeros((*f0.shape, 6, 6))
-        scaled[..., IN_PLANE[:, None], IN_PLANE] = plane
-        scaled[..., 2, 2] = scaled[..., 5, 5] = np.cos(f1 - f0)
-        scaled[..., 2, 5] = np.sin(f1 - f0)
-        scaled[..., 5, 2] = -scaled[..., 2, 5]
-        return np.asarray(self._inverse_scaling_matrix(f1) @ scaled @ self._scaling_matrix(f0))
-
     def bounded_velocity(self, position: Vectors, t: float = 0.0) -> Vectors:
         """Return the velocity of a closed orbit through a position [m/s].
 
@@ -139,52 +122,40 @@ class TschaunerHempel(LinearModel):
             position: Relative to the chief [m].
             t: Time at that position [s].
         """
-        at = self._anomaly_terms(self.true_anomaly_at(t))
+        at = self._anomaly_terms(t)
         x, y = position[..., 0], position[..., 1]
         velocity = np.zeros(position.shape)
         # μ/rh = ω/ρ and v_x/r = ω e sin f/ρ.
         velocity[..., 1] = at.omega * ((at.e_sin * y - x) / at.rho - x)
         return velocity
 
-    @property
-    def _k(self) -> float:
-        """Constant k = h/p² of ḟ = k ρ² [rad/s]."""
-        return sqrt(self.mu / self.p**3)
-
-    def _anomaly_terms(self, f: Array) -> AnomalyTerms:
+    def _anomaly_terms(self, t: Scalars) -> AnomalyTerms:
+        f, p = self.true_anomaly_at(t), self.semi_major_axis * (1 - self.eccentricity**2)
         rho = 1 + self.eccentricity * np.cos(f)
-        return AnomalyTerms(self.eccentricity * np.sin(f), rho, self._k * rho**2)
-
-    def _fundamental_matrix(self, f: Array, J: Array) -> Array:
-        """Return four in-plane solutions as columns of ρx, ρy and their derivatives by f.
-
-        Only the last of them drifts. J is k times the time since the initial instant.
-        """
-        e, C, S = self.eccentricity, np.cos(f), np.sin(f)
-        rho = 1 + e * C
-        s, c = rho * S, rho * C
-        ds, dc = C + e * np.cos(2 * f), -(S + e * np.sin(2 * f))
-        zero, one = np.zeros_like(f), np.ones_like(f)
-        rows = [
-            [zero, s, c, 2 - 3 * e * s * J],
-            [one, c + C, -s - S, -3 * rho**2 * J],
-            [zero, ds, dc, -3 * e * (ds * J + S / rho)],
-            [zero, -2 * s, e - 2 * c, 6 * e * s * J - 3],
-        ]
-        return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-    def _scaling_matrix(self, f: Array) -> Array:
-        """Map the state to ρ times the position and its derivative by f."""
-        at = self._anomaly_terms(f)
-        return _block_matrix(at.rho, np.zeros_like(f), -at.e_sin, at.rho / at.omega)
-
-    def _inverse_scaling_matrix(self, f: Array) -> Array:
-        """Invert `_scaling_matrix`."""
-        at = self._anomaly_terms(f)
-        return _block_matrix(1 / at.rho, np.zeros_like(f), self._k * at.e_sin, self._k * at.rho)
+        return AnomalyTerms(self.eccentricity * np.sin(f), rho, sqrt(self.mu / p**3) * rho**2)
 
 
-def _block_matrix(a: Array | float, b: Array, c: Array | float, d: Array | float) -> Array:
-    """Return [[a I, b I], [c I, d I]]."""
-    both = np.stack([np.stack([a, b], axis=-1), np.stack([c, d], axis=-1)], axis=-2)
-    return np.asarray(np.kron(both, np.eye(3)))
+def mean_anomaly(true_anomaly: Scalars, eccentricity: Scalars) -> Float[Array, "*k"]:
+    """Convert a true anomaly, not reduced to one revolution."""
+    f, e = np.asarray(true_anomaly), np.asarray(eccentricity)
+    beta = e / (1 + np.sqrt(1 - e**2))  # tan((f − E)/2) = β sin f/(1 + β cos f)
+    E = f - 2 * np.arctan2(beta * np.sin(f), 1 + beta * np.cos(f))
+    return np.asarray(E - e * np.sin(E))
+
+
+def true_anomaly(mean_anomaly: Scalars, eccentricity: Scalars) -> Float[Array, "*k"]:
+    """Solve Kepler's equation for a mean anomaly, not reduced to one revolution."""
+    M, e = np.asarray(mean_anomaly, dtype=float), np.asarray(eccentricity, dtype=float)
+    turns = 2 * pi * np.round(M / (2 * pi))
+    sign, M = np.sign(M - turns), np.abs(M - turns)
+    # On [0, π] the function E − e sin E − M is convex, and it is not negative at M + e or at
+    # π. From there Newton's method decreases monotonically to the root.
+    E = np.minimum(M + e, pi)
+    for _ in range(MAX_NEWTON_ITERATIONS):
+        step = (E - e * np.sin(E) - M) / (1 - e * np.cos(E))
+        E = E - step
+        if (np.abs(step) <= 1e-15).all():
+            break
+    beta = e / (1 + np.sqrt(1 - e**2))
+    f = E + 2 * np.arctan2(beta * np.sin(E), 1 - beta * np.cos(E))
+    return np.asarray(turns + sign * f)

@@ -14,8 +14,9 @@ import typer
 from dynamics.clohessy_wiltshire import ClohessyWiltshire
 from dynamics.discretize import discretize_zoh
 from dynamics.j2 import J2, invariant_velocity
-from dynamics.model import LinearizedModel
+from dynamics.model import LinearizedModel, LinearModel
 from dynamics.orbit import Orbit
+from dynamics.plant import NonlinearPlant
 from dynamics.schweighart_sedwick import SchweighartSedwick
 from dynamics.tschauner_hempel import TschaunerHempel
 
@@ -32,24 +33,34 @@ LINEARIZATION_STEPS = 30  # into which each span is cut for the linearised equat
 
 def transition_matrices(orbit: Orbit, times: np.ndarray) -> dict[str, np.ndarray]:
     """Return Φ(t, 0) of each model at the times."""
-    return {
-        "Clohessy–Wiltshire": ClohessyWiltshire.from_orbit(orbit).transition_matrix(times),
-        "Schweighart–Sedwick": SchweighartSedwick.from_orbit(orbit).transition_matrix(times),
-        "Yamanaka–Ankersen": TschaunerHempel.from_orbit(orbit).transition_matrix(0.0, times),
-        "linearised J2": linearized_transition_matrices(orbit, times),
+    models = {
+        "Clohessy–Wiltshire": ClohessyWiltshire.from_orbit(orbit),
+        "Schweighart–Sedwick": SchweighartSedwick.from_orbit(orbit),
+        "Tschauner–Hempel": TschaunerHempel.from_orbit(orbit),
+        "linearised J2": LinearizedModel(J2(orbit)),
     }
+    return {name: integrate_transitions(model, times) for name, model in models.items()}
 
 
-def linearized_transition_matrices(orbit: Orbit, times: np.ndarray) -> np.ndarray:
-    """Return Φ(t, 0) of the exact equations, linearized about the chief."""
-    model, found, begin = LinearizedModel.at_origin(J2(orbit)), [np.eye(6)], 0.0
+def integrate_transitions(model: LinearModel, times: np.ndarray) -> np.ndarray:
+    """Return Φ(t, 0) of a linear model."""
+    found, begin = [np.eye(6)], 0.0
     for end in times:
-        steps = discretize_zoh(
-            model, (end - begin) / LINEARIZATION_STEPS, LINEARIZATION_STEPS, begin
-        )
+        dt = (end - begin) / LINEARIZATION_STEPS
+        steps = discretize_zoh(model, dt, LINEARIZATION_STEPS, begin)
         found.append(np.linalg.multi_dot([*steps.A[::-1], found[-1]]))
         begin = end
     return np.array(found[1:])
+
+
+def integrate_exactly(orbit: Orbit, x: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Return the positions of free motion under J2."""
+    path, begin = [], 0.0
+    for end in times:
+        x = NonlinearPlant(J2(orbit)).propagate(x, np.zeros((len(x), 3)), begin, end - begin)[-1]
+        path.append(x[:, :3])
+        begin = end
+    return np.array(path)
 
 
 def format_three_digits(error: float) -> str:
@@ -71,7 +82,7 @@ def main(
         place[:, :2] = np.random.default_rng(seed).uniform(-reach, reach, (count, 2))
         start = np.hstack([place, invariant_velocity(orbit, place)])
         times = np.array([*(60 * m for m in MINUTES), orbit.period])
-        truth = J2(orbit).propagate(start, times)[..., :3]
+        truth = integrate_exactly(orbit, start, times)
 
         heads = [*(f"{m:.0f} min" for m in MINUTES), f"one orbit, {orbit.period / 60:.1f} min"]
         print(f"\n{title}: position error [m]\n")

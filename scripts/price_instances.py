@@ -80,7 +80,7 @@ def draw_missions(case: PriceCase) -> Iterator[Reconfiguration]:
             )
             arrival = invariant_velocity(ORBIT, target, 24 * 60.0)
             mission = Reconfiguration(
-                model=LinearizedModel.at_origin(J2(ORBIT)),
+                model=LinearizedModel(J2(ORBIT)),
                 start=Points(start, invariant_velocity(ORBIT, start), keep_order=True),
                 legs=(Leg(Points(target, arrival, keep_order=True), 24),),
                 step=60.0,

@@ -62,8 +62,9 @@ def test_transition_and_control_matrices_are_the_published_ones():
         [-2 * (1 - c) / n, 4 * s / n - 3 * t, 0],
         [0, 0, s / n],
     ]
-    assert_allclose(model.transition_matrix(t), Phi, rtol=1e-13, atol=0)
-    assert_allclose(discretize_zoh(model, t, 1).B[0], Gamma, rtol=1e-11, atol=0)
+    step = discretize_zoh(model, t, 1)
+    assert_allclose(step.A[0], Phi, rtol=1e-11, atol=0)
+    assert_allclose(step.B[0], Gamma, rtol=1e-11, atol=0)
 
 
 def test_mean_motion_is_that_of_the_orbit():

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from orbit_examples import inertial_states
 
 from dynamics.atmosphere import Atmosphere
 from dynamics.coordinate_frames import LVLH, inertial_state, to_polar_nodal
-from dynamics.elements import ClassicalElements
 from dynamics.forces import Forces
 from dynamics.orbit import K_J2
 from dynamics.propagation import propagate
@@ -22,9 +22,7 @@ def states(draw):
     """Inertial states on any ellipse with 0 ≤ e ≤ 0.9, of any inclination."""
     e, perigee = draw(st.floats(0, 0.9)), draw(st.floats(6.6e6, 2e7))
     tilt = draw(st.one_of(st.floats(0, np.pi), st.sampled_from([0.0, np.pi, np.pi / 2])))
-    return ClassicalElements(
-        perigee / (1 - e), e, tilt, draw(angle), draw(angle), draw(angle)
-    ).to_state()
+    return inertial_states(perigee / (1 - e), e, tilt, draw(angle), draw(angle), draw(angle))
 
 
 def relative_states(rng, shape):
@@ -86,7 +84,7 @@ def test_the_axes_are_radial_transverse_and_normal():
 
 
 def test_conversions_of_many_instants_and_agents_are_each_its_own(rng):
-    chief = ClassicalElements(8e6, 0.1, *rng.uniform(0, 2, (4, 5))).to_state()
+    chief = inertial_states(8e6, 0.1, *rng.uniform(0, 2, (4, 5)))
     acceleration, x = rng.normal(size=(5, 3)), relative_states(rng, (5, 4))
     together = LVLH.from_state(chief, acceleration)
     for k in range(5):
@@ -109,7 +107,7 @@ def slopes(states, forces, ballistic, dt):
 @pytest.mark.parametrize(("e", "i"), [(0.0, 0.8), (0.3, 1.2), (0.01, 2.4)])
 def test_relative_velocity_is_the_derivative_of_relative_position(e, i, air, rng):
     forces = Forces(atmosphere=None if air is None else Atmosphere(reference_density=air))
-    chief = ClassicalElements(6.9e6 / (1 - e), e, i, 0.3, 0.4, 0.9).to_state()
+    chief = inertial_states(6.9e6 / (1 - e), e, i, 0.3, 0.4, 0.9)
     deputy = LVLH.from_state(chief).to_inertial(relative_states(rng, (1,)))
     start, dt = np.vstack([chief, deputy]), 2.0
     drag = None if air is None else np.array([0.01, 0.02])
@@ -127,6 +125,14 @@ def test_an_equatorial_orbit_has_its_node_on_the_x_axis(turn):
     _, _, _, node, i, latitude = to_polar_nodal(state)
     assert (node, i) == (0, 0 if turn > 0 else np.pi)
     assert latitude == pytest.approx(turn * np.pi / 2)
+
+
+def test_a_published_example_has_its_inertial_state():
+    # [Vallado2013, example 2-6]: p = 11 067.790 km, e = 0.83285.
+    e, angles = 0.83285, np.radians([87.87, 227.89, 53.38, 92.335])
+    state = inertial_states(11067.790e3 / (1 - e**2), e, *angles)
+    assert_allclose(state[:3], [6525.344e3, 6861.535e3, 6449.125e3], atol=0.5e3)
+    assert_allclose(state[3:], [4902.276, 5533.124, -1975.709], atol=0.5)
 
 
 @pytest.mark.parametrize("state", [[7e6, 0, 0, 100, 0, 0], [0] * 6, [np.nan, 0, 0, 0, 1, 0]])

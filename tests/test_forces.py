@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from orbit_examples import inertial_states
 
 from dynamics.atmosphere import DENSITY_TABLE, Atmosphere
-from dynamics.elements import ClassicalElements
 from dynamics.forces import Forces
 from dynamics.orbit import EARTH_J2, EARTH_MU, EARTH_RADIUS, EARTH_ROTATION, K_J2
 
@@ -19,7 +19,7 @@ seeds = st.integers(0, 2**32 - 1)
 def states(rng, count):
     e = rng.uniform(0, 0.5, count)
     angles = rng.uniform(0, np.pi, (4, count))
-    return ClassicalElements(rng.uniform(7e6, 9e6, count) / (1 - e), e, *angles).to_state()
+    return inertial_states(rng.uniform(7e6, 9e6, count) / (1 - e), e, *angles)
 
 
 def potential(position):

