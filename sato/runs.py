@@ -213,7 +213,7 @@ def load(path: str | Path, mission: Mission | None = None) -> Run:
 
 
 def _draw(
-    scenario: Scenario, seed: int, overrides: Iterable[str]
+    scenario: object, seed: Any, overrides: Iterable[str]
 ) -> tuple[Any, Any, np.random.Generator]:
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer):
         raise InputError("seed", f"must be an integer, got {format_value(seed)}")
