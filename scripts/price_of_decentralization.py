@@ -35,7 +35,7 @@ from problems.centralized import (
 from problems.centralized_nlp import InitialGuess
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.mission import Reconfiguration
-from sato.reconfiguration.planning import NO_PLANS, plan_trajectories
+from sato.reconfiguration.planning import plan_trajectories
 from sato.reconfiguration.state import AgentMemory, DecisionContext
 
 MAX_MEDIAN_RATIO = 1.05  # largest median of SATO's fuel over that of the best optimum
@@ -77,10 +77,11 @@ def plan_swarm(mission: Reconfiguration) -> tuple[InitialGuess, str]:
     network = CommunicationGraph.from_positions(
         mission.initial_states[:, :d], mission.comm_radius, mission.alive
     )
-    context = DecisionContext(mission, mission.legs[0], network, mission.initial_states, 0, 0.0)
     memory = replace(AgentMemory.initial(np.full(N, N)), target_index=np.arange(N))
-    plans, events = plan_trajectories(context, memory, np.zeros(N), NO_PLANS)
-    flights = [plans.trajectories[i] for i in range(N)]
+    leg, x = mission.legs[0], mission.initial_states
+    context = DecisionContext(mission, leg, network, x, memory, 0, 0.0)
+    plans, events = plan_trajectories(context, np.zeros(N), {})
+    flights = [plans[i].trajectory for i in range(N)]
     gave_up = ", ".join(sorted({event["kind"] for event in events} - {"replan"}))
     return (np.stack([f.x for f in flights]), np.stack([f.u for f in flights])), gave_up
 

@@ -26,7 +26,7 @@ from dynamics.trajectory_geometry import separations
 from sato.network.graph import CommunicationGraph
 from sato.network.rounds import flood
 from sato.reconfiguration.mission import Leg, Reconfiguration
-from sato.reconfiguration.planning import NO_PLANS, plan_trajectories
+from sato.reconfiguration.planning import controls_at, plan_trajectories
 from sato.reconfiguration.state import AgentMemory, DecisionContext
 from sato.scp.exchange import run_batched, run_by_messages, run_scp
 from sato.scp.priority_orders import (
@@ -261,7 +261,7 @@ def test_replanning_never_raises_the_fuel_of_the_first_plan(bargains):
         bargains=bargains,
     ).draw(np.random.default_rng(0))
     leg = mission.legs[0]
-    plans, spent, planned, flown = NO_PLANS, np.zeros(4), [], []
+    plans, spent, planned, flown = {}, np.zeros(4), [], []
     for k in range(24):
         if k % 4 == 0:
             graph = CommunicationGraph.from_positions(x[:, :2], mission.comm_radius, everyone)
@@ -269,11 +269,11 @@ def test_replanning_never_raises_the_fuel_of_the_first_plan(bargains):
             minds = replace(
                 AgentMemory.initial(np.full(4, 4)), target_index=np.arange(4), clock=clock
             )
-            moment = DecisionContext(mission, leg, graph, x, k, float(k))
-            plans, events = plan_trajectories(moment, minds, spent, plans)
+            moment = DecisionContext(mission, leg, graph, x, minds, k, float(k))
+            plans, events = plan_trajectories(moment, spent, plans)
             assert [event["kind"] for event in events] == ["replan"]
-            planned.append(spent.sum() + sum(flight.fuel for flight in plans.trajectories.values()))
-        u = plans.controls_at(k, everyone, 2)
+            planned.append(spent.sum() + sum(plan.trajectory.fuel for plan in plans.values()))
+        u = controls_at(plans, k, everyone, 2)
         flown.append(u)
         spent = spent + np.abs(u).sum(axis=1)
         x = steps[k : k + 1].simulate(x, u[:, None])[:, -1]

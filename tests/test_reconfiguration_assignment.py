@@ -21,8 +21,13 @@ from problems.auction_cost import (
 from problems.transfer import TransferProblem
 from sato.network.graph import CommunicationGraph
 from sato.network.rounds import flood
-from sato.reconfiguration.assignment import assign_targets, compute_epsilon, share_claims
-from sato.reconfiguration.auction_costs import CostTable, compute_bid_costs
+from sato.reconfiguration.assignment import (
+    CostTable,
+    assign_targets,
+    compute_bid_costs,
+    compute_epsilon,
+    share_claims,
+)
 from sato.reconfiguration.state import AgentMemory, DecisionContext
 
 LIMITS = {
@@ -43,11 +48,11 @@ def cloud(rng, count, d=2):
     return rng.uniform(-5, 5, (count, d))
 
 
-def context_of(mission, step=0, alive=None):
+def context_of(mission, step=0, alive=None, memory=None):
     alive = mission.alive if alive is None else alive
     x = mission.initial_states
     graph = CommunicationGraph.from_positions(x[:, : mission.axes], mission.comm_radius, alive)
-    return DecisionContext(mission, mission.legs[0], graph, x, step, step * mission.step)
+    return DecisionContext(mission, mission.legs[0], graph, x, memory, step, step * mission.step)
 
 
 def no_plans(mission):
@@ -57,7 +62,7 @@ def no_plans(mission):
 def first_decision(mission, target_count=None):
     N = len(mission.initial_states)
     memory = AgentMemory.initial(np.full(N, target_count or N))
-    return assign_targets(context_of(mission), memory, no_plans(mission))
+    return assign_targets(context_of(mission, memory=memory), no_plans(mission))
 
 
 def cost_table(cost, reachable=None):
@@ -179,11 +184,11 @@ def test_change_of_bidders_resets_the_clocks_of_its_component(rng):
     first = first_decision(mission)
     assert not first.was_reset.any()
     later = replace(first.memory, clock=np.full(6, 5))
-    again = assign_targets(context_of(mission, 5), later, no_plans(mission))
+    again = assign_targets(context_of(mission, 5, memory=later), no_plans(mission))
     assert not again.was_reset.any() and (again.memory.clock == 5).all()
     assert again.memory.target_index.tolist() == first.memory.target_index.tolist()
     fewer = np.arange(6) != 2
-    after = assign_targets(context_of(mission, 5, fewer), later, no_plans(mission))
+    after = assign_targets(context_of(mission, 5, fewer, memory=later), no_plans(mission))
     assert after.was_reset.tolist() == fewer.tolist()
     assert (after.memory.clock[fewer] == 0).all()
     assert after.memory.bidder_count[0] == 5
@@ -194,7 +199,9 @@ def test_reset_stays_in_its_component(rng):
     mission = plan_from(far, np.concatenate([cloud(rng, 4), cloud(rng, 4) + 500.0]))
     first = first_decision(mission)
     later = replace(first.memory, clock=np.full(8, 5))
-    after = assign_targets(context_of(mission, 5, np.arange(8) != 1), later, no_plans(mission))
+    after = assign_targets(
+        context_of(mission, 5, np.arange(8) != 1, memory=later), no_plans(mission)
+    )
     assert np.flatnonzero(after.was_reset).tolist() == [0, 2, 3]
     assert after.memory.clock[4:].tolist() == [5] * 4
 
@@ -203,7 +210,7 @@ def test_component_takes_over_the_clock_with_most_time_left(rng):
     mission = plan_from(cloud(rng, 4), cloud(rng, 4))
     first = first_decision(mission)
     later = replace(first.memory, clock=np.array([5, 5, 5, 2]))
-    after = assign_targets(context_of(mission, 5), later, no_plans(mission))
+    after = assign_targets(context_of(mission, 5, memory=later), no_plans(mission))
     assert np.flatnonzero(after.was_reset).tolist() == [0, 1, 2]
     assert (after.memory.clock == 2).all()
 
@@ -212,10 +219,10 @@ def test_target_unreachable_in_the_time_left_resets_the_clock():
     mission = plan_from(np.array([[0.0, 0.0]]), np.array([[4.0, 0.0]]))
     first = first_decision(mission)
     late = replace(first.memory, clock=np.array([17]))
-    decision = assign_targets(context_of(mission, 17), late, no_plans(mission))
+    decision = assign_targets(context_of(mission, 17, memory=late), no_plans(mission))
     assert decision.was_reset.tolist() == [True] and decision.memory.clock.tolist() == [0]
     # A plan that leads there is proof that it is in reach.
-    assert not assign_targets(context_of(mission, 17), late, np.array([0.3])).was_reset.any()
+    assert not assign_targets(context_of(mission, 17, memory=late), np.array([0.3])).was_reset.any()
 
 
 def test_no_agent_gets_an_unreachable_target_if_it_can_be_avoided(rng):

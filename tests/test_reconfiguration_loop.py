@@ -13,7 +13,7 @@ from problems.transfer import TransferProblem
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.loop import simulate
 from sato.reconfiguration.mission import Join, Loss
-from sato.reconfiguration.planning import NO_PLANS, plan_trajectories
+from sato.reconfiguration.planning import plan_trajectories
 from sato.reconfiguration.solo_trajectories import TIE_BREAK_RISE, solve_solo_transfers
 from sato.reconfiguration.state import AgentMemory, DecisionContext
 
@@ -304,10 +304,11 @@ def test_agent_that_burned_more_has_priority(fuel_used):
         start, leg_to(at_rest(start[::-1]), 20), horizon_steps=20, comm_radius=20.0
     )
     graph = CommunicationGraph.from_positions(start, 10.0, np.ones(2, dtype=bool))
-    context = DecisionContext(mission, mission.legs[0], graph, mission.initial_states, 0, 0.0)
     memory = replace(AgentMemory.initial(np.full(2, 2)), target_index=np.array([0, 1]))
-    plans, _ = plan_trajectories(context, memory, np.array(fuel_used), NO_PLANS)
-    sideways = [np.abs(plans.trajectories[i].x[:, 1]).max() for i in range(2)]
+    leg, x = mission.legs[0], mission.initial_states
+    context = DecisionContext(mission, leg, graph, x, memory, 0, 0.0)
+    plans, _ = plan_trajectories(context, np.array(fuel_used), {})
+    sideways = [np.abs(plans[i].trajectory.x[:, 1]).max() for i in range(2)]
     first = int(np.argmax(fuel_used))
     assert sideways[first] < 1e-9 < 0.4 < sideways[1 - first]
 

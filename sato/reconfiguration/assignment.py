@@ -1,4 +1,4 @@
-"""Assignment of targets: claims, the auction and the clock [Morgan2016, Method 3, lines 3-13]."""
+"""Assignment of targets: costs, claims, the auction, the clock [Morgan2016, Method 3, l. 3-13]."""
 
 from dataclasses import replace
 from math import isfinite
@@ -8,20 +8,24 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
+from dynamics.discretize import DiscreteModel
 from dynamics.trajectory_geometry import min_distance
+from problems.auction_cost import (
+    compute_distances,
+    compute_energies,
+    compute_transfer_costs,
+    solve_transfer,
+)
+from problems.transfer import TransferProblem
 from sato.auctions import VsdaaAuction, VsdaaResult, run_vsdaa
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration.auction_costs import (
-    CostTable,
-    compute_bid_costs,
-    compute_costs,
-    refine_costs,
-)
 from sato.reconfiguration.mission import Leg, Reconfiguration
 from sato.reconfiguration.state import AgentMemory, DecisionContext
 from sato.scenario.definition import is_auto
 
 RELATIVE_EPSILON = 0.01  # ε over the extent of the shape, where no tie-break gives a scale
+HELD_TARGET_DISCOUNT = 0.02  # on the target that an agent holds, of its range of costs
+MIN_PENALTY = 1.0  # least penalty on a target to be left alone [m]
 
 
 class AssignmentDecision(NamedTuple):
@@ -32,8 +36,24 @@ class AssignmentDecision(NamedTuple):
     solve_count: int
 
 
+class AuctionResult(NamedTuple):
+    """Result of an auction in which every winner's cost is exact."""
+
+    outcome: VsdaaResult
+    won_unreachable: Bool[Array, " agents"]  # the agent won a target out of its reach
+    solve_count: int
+
+
+class CostTable(NamedTuple):
+    """Costs of all targets for all agents, before the rules of bidding."""
+
+    cost: Float[Array, "agents targets"]  # [m]; where out of reach, the tie-break alone
+    is_reachable: Bool[Array, "agents targets"]
+    is_exact: Bool[Array, "agents targets"]  # else a lower bound, and perhaps out of reach
+
+
 def assign_targets(
-    context: DecisionContext, memory: AgentMemory, planned_fuel: Float[Array, " agents"]
+    context: DecisionContext, planned_fuel: Float[Array, " agents"]
 ) -> AssignmentDecision:
     """Run an auction in every component; reset its clock where the number of bids changed.
 
@@ -42,14 +62,13 @@ def assign_targets(
     that it now has.
 
     Args:
-        context: States and graph of the agents that decide.
-        memory: Memory of the agents.
+        context: States, memory and graph of the agents that decide.
         planned_fuel: Fuel left in the plan to the target that each holds; infinite without one.
     """
-    graph, before = context.graph, memory.clock
-    memory = share_claims(memory, graph)
-    was_reset = np.asarray(graph.alive & (memory.clock != before))
-    auction = run_auction(context, memory, np.where(was_reset, np.inf, planned_fuel))
+    graph, memory = context.graph, share_claims(context.memory, context.graph)
+    was_reset = np.asarray(graph.alive & (memory.clock != context.memory.clock))
+    fuel = np.where(was_reset, np.inf, planned_fuel)
+    auction = run_auction(context._replace(memory=memory), fuel)
     solves = auction.solve_count
     is_called = auction.won_unreachable
     if context.mission.reset == "change":
@@ -58,16 +77,16 @@ def assign_targets(
     is_due = graph.alive & (memory.clock > 0) & is_called
     is_due = graph.component_max(is_due.astype(int)).astype(bool) & graph.alive
     if is_due.any():
-        was_reset = was_reset | is_due
+        was_reset, fuel = was_reset | is_due, np.where(is_due, np.inf, fuel)
         memory = replace(memory, clock=np.where(is_due, 0, memory.clock))
-        auction = run_auction(context, memory, np.where(was_reset, np.inf, planned_fuel))
+        auction = run_auction(context._replace(memory=memory), fuel)
         solves += auction.solve_count
     if auction.won_unreachable.any():
         is_firm = graph.component_max(auction.won_unreachable.astype(int)).astype(bool)
-        costs = np.where(was_reset, np.inf, planned_fuel)
-        auction = run_auction(context, memory, costs, is_firm)
+        auction = run_auction(context._replace(memory=memory), fuel, is_firm)
         solves += auction.solve_count
-    return AssignmentDecision(_remember(memory, auction.outcome, context), was_reset, solves)
+    memory = _remember(context._replace(memory=memory), auction.outcome)
+    return AssignmentDecision(memory, was_reset, solves)
 
 
 def share_claims(memory: AgentMemory, graph: CommunicationGraph) -> AgentMemory:
@@ -86,17 +105,21 @@ def share_claims(memory: AgentMemory, graph: CommunicationGraph) -> AgentMemory:
     return replace(memory, claimed_target=target, claim_step=step, clock=clock)
 
 
-class AuctionResult(NamedTuple):
-    """Result of an auction in which every winner's cost is exact."""
-
-    outcome: VsdaaResult
-    won_unreachable: Bool[Array, " agents"]  # the agent won a target out of its reach
-    solve_count: int
+def _remember(context: DecisionContext, auction: VsdaaResult) -> AgentMemory:
+    graph, memory, alive = context.graph, context.memory, context.graph.alive
+    together = (graph.component[:, None] == graph.component) & alive[:, None] & alive
+    return replace(
+        memory,
+        target_index=np.where(alive, auction.target_index, memory.target_index),
+        target_count=np.where(alive, auction.target_count, memory.target_count),
+        bidder_count=np.where(alive, auction.bidder_count, memory.bidder_count),
+        claimed_target=np.where(together, auction.target_index, memory.claimed_target),
+        claim_step=np.where(together, context.step_index, memory.claim_step),
+    )
 
 
 def run_auction(
     context: DecisionContext,
-    memory: AgentMemory,
     planned_fuel: Float[Array, " agents"],
     is_firm: Bool[Array, " agents"] | None = None,
 ) -> AuctionResult:
@@ -107,20 +130,23 @@ def run_auction(
     the bound N ε holds for the exact costs. In a real network, agents would flood that a cost
     was refined, like everything else that a component agrees on.
     """
-    table, solves = compute_costs(context, memory, planned_fuel), 0
-    epsilon = compute_epsilon(context.mission, context.leg)
-    live, ids = np.flatnonzero(context.graph.alive), context.mission.bidder_ids
+    mission, graph, memory = context.mission, context.graph, context.memory
+    epsilon, live = compute_epsilon(mission, context.leg), np.flatnonzero(graph.alive)
+    table, solves = _compute_costs(context, planned_fuel), 0
     while True:
-        cost = compute_bid_costs(table, memory, context.graph, is_firm)
+        cost = compute_bid_costs(table, memory, graph, is_firm)
         auction = run_vsdaa(
-            VsdaaAuction(cost, context.graph, memory.target_count, epsilon, bidder_ids=ids)
+            VsdaaAuction(cost, graph, memory.target_count, epsilon, mission.bidder_ids)
         )
         won = auction.target_index[live]
-        inexact = np.flatnonzero(~table.is_exact[live, won])
-        if not len(inexact):
-            return AuctionResult(auction, _won_unreachable(table, auction, live), solves)
-        pairs = [(int(live[k]), int(won[k])) for k in inexact]
-        table, solves = refine_costs(context, memory, table, pairs), solves + len(pairs)
+        inexact = ~table.is_exact[live, won]
+        if not inexact.any():
+            lost = np.zeros(len(graph.alive), dtype=bool)
+            lost[live] = ~table.is_reachable[live, won]
+            return AuctionResult(auction, lost, solves)
+        solves += int(inexact.sum())
+        for i, j in zip(live[inexact].tolist(), won[inexact].tolist(), strict=True):
+            _refine_cost(context, table, i, j)
 
 
 def compute_epsilon(mission: Reconfiguration, leg: Leg) -> float:
@@ -135,20 +161,122 @@ def compute_epsilon(mission: Reconfiguration, leg: Leg) -> float:
     return 0.5 * mission.tie_break * (spacing if isfinite(spacing) else 1.0) ** 2
 
 
-def _won_unreachable(table: CostTable, auction: VsdaaResult, live: Array) -> Bool[Array, " agents"]:
-    found = np.zeros(len(auction.target_index), dtype=bool)
-    found[live] = ~table.is_reachable[live, auction.target_index[live]]
-    return found
+def compute_bid_costs(
+    table: CostTable,
+    memory: AgentMemory,
+    graph: CommunicationGraph,
+    is_firm: Bool[Array, " agents"] | None = None,
+) -> Float[Array, "agents targets"]:
+    """Compute the costs by which each agent bids: its costs, and three rules of its own.
+
+    1. A target out of reach costs more than every other that is not. Rounds grow as prices
+       over ε, so this penalty is only as large as the agent's range of costs; where an agent
+       won a target out of reach all the same, its component bids again with a firm penalty,
+       which no exchange of targets can be worth.
+    2. A target claimed by an agent out of hearing is left alone while others are free, if
+       that claim is newer than all claims within hearing. Otherwise an agent that loses
+       sight of the holder returns, loses the next auction, and oscillates between two targets.
+    3. A target that the agent holds already is a little cheaper.
+
+    An agent knows the others in its component from learning the diameter, and the largest
+    range of costs among them, and whether one won a target out of reach, from flooding.
+    """
+    bid = table.cost.copy()
+    top = np.max(bid, axis=1, where=table.is_reachable, initial=-np.inf)
+    span = top - np.min(bid, axis=1, where=table.is_reachable, initial=np.inf)
+    none = ~table.is_reachable.any(axis=1)
+    top[none], span[none] = 0.0, 0.0
+    for i in np.flatnonzero(graph.alive):
+        is_near = graph.component == graph.component[i]
+        penalty = extra = max(float(span[i]), MIN_PENALTY)
+        if is_firm is not None and is_firm[i]:
+            extra = 2 * is_near.sum() * max(float(span[is_near].max()), MIN_PENALTY)
+        bid[i][~table.is_reachable[i]] += top[i] + extra
+        bid[i, _claimed_by_absent(memory, int(i), is_near, bid.shape[1])] += penalty
+        if memory.target_index[i] >= 0:
+            bid[i, memory.target_index[i]] -= HELD_TARGET_DISCOUNT * span[i]
+    return bid
 
 
-def _remember(memory: AgentMemory, auction: VsdaaResult, context: DecisionContext) -> AgentMemory:
-    graph, alive = context.graph, context.graph.alive
-    together = (graph.component[:, None] == graph.component) & alive[:, None] & alive
-    return replace(
-        memory,
-        target_index=np.where(alive, auction.target_index, memory.target_index),
-        target_count=np.where(alive, auction.target_count, memory.target_count),
-        bidder_count=np.where(alive, auction.bidder_count, memory.bidder_count),
-        claimed_target=np.where(together, auction.target_index, memory.claimed_target),
-        claim_step=np.where(together, context.step_index, memory.claim_step),
-    )
+def _claimed_by_absent(
+    memory: AgentMemory, i: int, is_near: Array, targets: int
+) -> Bool[Array, " targets"]:
+    """Find targets whose newest claim, as agent i has heard, is of an agent out of hearing."""
+    here, away = np.full(targets, -1), np.full(targets, -1)
+    target, step = memory.claimed_target[i], memory.claim_step[i]
+    known = target >= 0
+    np.maximum.at(here, target[known & is_near], step[known & is_near])
+    np.maximum.at(away, target[known & ~is_near], step[known & ~is_near])
+    return away > here
+
+
+def _compute_costs(context: DecisionContext, planned_fuel: Float[Array, " agents"]) -> CostTable:
+    mission, leg, memory = context.mission, context.leg, context.memory
+    shape, alive = (len(context.state), len(leg.targets)), context.graph.alive
+    table = CostTable(np.zeros(shape), np.ones(shape, dtype=bool), np.ones(shape, dtype=bool))
+    for clock in np.unique(memory.clock[alive]):
+        agents = np.flatnonzero(alive & (memory.clock == clock))
+        model, x = context.remaining_model(int(clock)), context.state[agents]
+        for whole, part in zip(table, _costs_of(mission, leg, model, x), strict=True):
+            whole[agents] = part
+    # A plan that was found stays feasible: where it is tight, rounding must not say otherwise.
+    for i in np.flatnonzero(np.isfinite(planned_fuel)):
+        j = memory.target_index[i]
+        if not table.is_reachable[i, j]:
+            model, x = context.remaining_model(0), context.state[[i]]
+            distance = compute_distances(model, x, leg.targets[[j]])[0, 0]
+            by_fuel = _fuel_to_distance(mission, leg) * planned_fuel[i]
+            table.cost[i, j] += by_fuel if mission.cost == "fuel" else distance
+            table.is_reachable[i, j] = table.is_exact[i, j] = True
+    return table
+
+
+def _costs_of(
+    mission: Reconfiguration, leg: Leg, model: DiscreteModel, state: Float[Array, "k n"]
+) -> CostTable:
+    """Compute the costs for agents on one clock."""
+    d, tie = mission.axes, mission.tie_break * _tie_break(mission, leg, model, state)
+    if len(model) == 0:
+        error = np.abs(state[:, None] - leg.targets)
+        is_there = error[..., :d].max(axis=2) <= mission.position_tolerance
+        is_there &= error[..., d:].max(axis=2) <= mission.velocity_tolerance
+        return CostTable(tie, is_there, np.ones_like(is_there))
+    limits = mission.max_control, mission.max_speed, mission.fuel_norm, mission.control_norm
+    found = compute_transfer_costs(TransferProblem(model, *limits), state, leg.targets)
+    cost = _fuel_to_distance(mission, leg) * found.fuel
+    if mission.cost == "distance":
+        cost = compute_distances(model, state, leg.targets)
+    cost = np.where(found.is_reachable, cost, 0.0) + tie
+    return CostTable(cost, found.is_reachable, found.is_exact)
+
+
+def _refine_cost(context: DecisionContext, table: CostTable, i: int, j: int) -> None:
+    """Make the cost of target j for agent i exact."""
+    mission, leg, x = context.mission, context.leg, context.state[i]
+    model = context.remaining_model(int(context.memory.clock[i]))
+    problem = TransferProblem(model, mission.max_control, mission.max_speed)
+    transfer = solve_transfer(problem, x, leg.targets[j])
+    tie = mission.tie_break * _tie_break(mission, leg, model, x[None])[0, j]
+    table.is_exact[i, j], table.is_reachable[i, j] = True, transfer is not None
+    if transfer is None:
+        table.cost[i, j] = tie
+    elif mission.cost == "fuel":
+        table.cost[i, j] = _fuel_to_distance(mission, leg) * transfer.fuel + tie
+
+
+def _fuel_to_distance(mission: Reconfiguration, leg: Leg) -> float:
+    # From rest to rest a meter on one axis takes 2/τ of fuel: with this factor it costs 1.
+    return leg.steps * mission.step / 2
+
+
+def _tie_break(
+    mission: Reconfiguration, leg: Leg, model: DiscreteModel, state: Float[Array, "k n"]
+) -> Float[Array, "k targets"]:
+    """Compute the squared distance, or in orbit the least control energy on its scale [m²]."""
+    if mission.is_point_mass:
+        return compute_distances(model, state, leg.targets) ** 2
+    if len(model) == 0:
+        return np.zeros((len(state), len(leg.targets)))
+    # From rest to rest over d a double integrator spends 12 d²/τ³.
+    duration = len(model) * mission.step
+    return duration**3 / 12 * compute_energies(model, state, leg.targets)

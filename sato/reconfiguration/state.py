@@ -46,12 +46,13 @@ class AgentMemory:
 
 
 class DecisionContext(NamedTuple):
-    """Mission, graph and states at an instant of a leg, for the components that decide."""
+    """Graph, states and memory of the agents that decide, at an instant of a leg."""
 
     mission: Reconfiguration
     leg: Leg
     graph: CommunicationGraph  # only agents that decide are alive in it
     state: Float[Array, "agents n"]  # state that each agent measures of itself
+    memory: AgentMemory
     step_index: int  # since the start of the leg
     time: float  # since the start of the mission [s]
 
