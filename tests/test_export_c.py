@@ -18,7 +18,7 @@ from problems.transfer import TransferProblem
 from sato.cli import app
 from sato.onboard import export, export_c
 from sato.onboard.library import INVALID_INPUT, SOLVED, UNSOLVED, CompiledSolver
-from sato.onboard.problem import build_onboard_problem, random_instances
+from sato.onboard.problem import random_instances
 
 ORBIT = """
 system = "reconfiguration"
@@ -40,6 +40,15 @@ allow_undetectable = true  # no speed limit
 shape = { kind = "ring", radius_m = 100.0 }
 steps = 12
 """
+
+
+REST = np.zeros(4)
+
+
+def wall(step, least):
+    """Return a half-space of the first coordinate in the plane."""
+    normal, none = np.array([[1.0, 0, 0, 0]]), np.zeros((1, 2))
+    return HalfSpaces(np.array([step]), normal, none, np.array([least]))
 
 
 def call(*args: str) -> Result:
@@ -64,8 +73,8 @@ def solve_in_python(problem, instance):
     return flight, transfer.model.dt * transfer.weights @ np.abs(flight.u).sum(axis=1)
 
 
-@pytest.mark.parametrize("name", ["plane", "orbit"])
-def test_c_finds_the_cost_of_python_and_keeps_all_constraints(made, name, rng):
+@pytest.mark.parametrize(("name", "rounding"), [("plane", 1e-13), ("orbit", 1e-12)])
+def test_c_finds_the_cost_of_python_and_keeps_all_constraints(made, name, rounding, rng):
     problem, code, _ = made[name]
     program = problem.program
     steps, V = program.transfer.model, program.transfer.max_speed
@@ -75,13 +84,19 @@ def test_c_finds_the_cost_of_python_and_keeps_all_constraints(made, name, rng):
         start, target, spaces = instance
         flight, cost = solve_in_python(problem, instance)
         flown = code.solve(*instance)
-        assert flown.code == SOLVED
+        assert flown.code == SOLVED and flown.residual <= 1e-6
         assert abs(flown.cost - cost) <= 1e-6 * max(cost, least_cost)
         # Recomputed independently of the code.
         x = steps.simulate(start, flown.u)
-        assert np.abs((x[-1] - target) / program.state_units).max() <= 1e-6
+        missed, violation = np.abs(x[-1] - target), max(0, spaces.violation(x, flown.u).max())
+        assert (missed / program.state_units).max() <= 1e-6
         assert np.abs(flown.u).max() <= program.transfer.max_control
-        assert spaces.violation(x, flown.u).max() <= 1e-6 * problem.horizon.clearance
+        assert violation <= 1e-6 * problem.horizon.clearance
+        assert flown.fuel == pytest.approx(steps.dt * np.abs(flown.u).sum(), rel=1e-12)
+        position, velocity = np.split(missed, 2)
+        reported = flown.position_error, flown.velocity_error, flown.half_space_violation
+        recomputed = position.max(), velocity.max(), violation
+        np.testing.assert_allclose(reported, recomputed, rtol=0, atol=rounding)
         if program.has_speed_limit:
             assert np.linalg.norm(x[1:-1, steps.axes :], axis=1).max() <= V * (1 + 1e-6)
         bound += spaces.violation(flight.x, flight.u).max() > -1e-6 * problem.horizon.clearance
@@ -102,24 +117,8 @@ def test_speed_limit_is_kept_where_it_binds(made):
 def test_start_on_the_boundary_of_a_half_space_is_feasible(made):
     # No control changes the first state, so a violation by rounding must not matter.
     _, code, _ = made["plane"]
-    axis, still = np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 2))
     for beyond, found in ((1e-13, SOLVED), (1e-3, UNSOLVED)):
-        wall = HalfSpaces(np.array([0]), axis, still, np.array([beyond]))
-        assert code.solve(np.zeros(4), np.array([0.5, 0.4, 0, 0]), wall).code == found
-
-
-def test_reported_errors_equal_recomputed_ones(made, rng):
-    problem, code, _ = made["plane"]
-    steps = problem.program.transfer.model
-    for start, target, spaces in islice(random_instances(problem, rng), 5):
-        flown = code.solve(start, target, spaces)
-        x = steps.simulate(start, flown.u)
-        assert flown.fuel == pytest.approx(steps.dt * np.abs(flown.u).sum(), rel=1e-12)
-        assert flown.position_error == pytest.approx(np.abs(x[-1] - target)[:2].max(), abs=1e-13)
-        assert flown.velocity_error == pytest.approx(np.abs(x[-1] - target)[2:].max(), abs=1e-13)
-        violation = max(0, spaces.violation(x, flown.u).max())
-        assert flown.half_space_violation == pytest.approx(violation, abs=1e-13)
-        assert flown.residual <= 1e-6
+        assert code.solve(REST, np.array([0.5, 0.4, 0, 0]), wall(0, beyond)).code == found
 
 
 def test_solution_does_not_depend_on_earlier_calls(made, rng):
@@ -139,40 +138,37 @@ def test_order_of_half_spaces_does_not_matter(made, rng):
     assert costs[0] == pytest.approx(costs[1], rel=1e-7)
 
 
-def test_infeasible_transfer_is_unsolved(made):
+def test_infeasible_transfer_is_unsolved_and_leaves_no_trace(made):
     problem, code, _ = made["plane"]
     empty, far = empty_half_spaces(problem.program.transfer), np.array([50.0, 0, 0, 0])
     near = np.array([0.5, 0.2, 0, 0])
-    before = code.solve(np.zeros(4), near, empty)
+    before = code.solve(REST, near, empty)
     with pytest.raises(Infeasible):
-        AvoidanceProblem.alone(problem.program.transfer, np.zeros(4), far).solve()
-    flown = code.solve(np.zeros(4), far, empty)
+        AvoidanceProblem.alone(problem.program.transfer, REST, far).solve()
+    flown = code.solve(REST, far, empty)
     assert flown.code == UNSOLVED
     assert not flown.residual <= 1e-6
-    # No control changes the first state, so it cannot be moved into a half-space.
-    wall = HalfSpaces(np.array([0]), np.array([[1.0, 0, 0, 0]]), np.zeros((1, 2)), np.array([1.0]))
-    assert code.solve(np.zeros(4), near, wall).code == UNSOLVED
-    after = code.solve(np.zeros(4), near, empty)
+    after = code.solve(REST, near, empty)
     assert after.code == SOLVED
     np.testing.assert_array_equal(after.u, before.u)
 
 
 def test_invalid_input_is_refused_before_solving(made):
     problem, code, _ = made["plane"]
-    rest, target = np.zeros(4), np.array([0.1, 0, 0, 0])
-    empty = empty_half_spaces(problem.program.transfer)
-    wall = HalfSpaces(np.array([1]), np.array([[1.0, 0, 0, 0]]), np.zeros((1, 2)), np.array([-9.0]))
-    assert code.solve(rest, target, wall).code == SOLVED
+    target, empty = np.array([0.1, 0, 0, 0]), empty_half_spaces(problem.program.transfer)
     most = problem.program.rows_per_step
-    full = HalfSpaces(*(np.repeat(column, most, axis=0) for column in wall))
-    assert code.solve(rest, target, full).code == SOLVED
+    full, overfull = (
+        HalfSpaces(*(np.repeat(column, count, axis=0) for column in wall(1, -9.0)))
+        for count in (most, most + 1)
+    )
+    assert code.solve(REST, target, full).code == SOLVED
     for start, end, spaces in (
         (np.array([np.nan, 0, 0, 0]), target, empty),
-        (rest, np.array([0, inf, 0, 0]), empty),
-        (rest, target, wall._replace(rhs=np.array([np.nan]))),
-        (rest, target, wall._replace(step_index=np.array([problem.program.horizon_steps]))),
-        (rest, target, wall._replace(step_index=np.array([-1]))),
-        (rest, target, HalfSpaces(*(np.repeat(column, most + 1, axis=0) for column in wall))),
+        (REST, np.array([0, inf, 0, 0]), empty),
+        (REST, target, wall(1, np.nan)),
+        (REST, target, wall(problem.program.horizon_steps, -9.0)),
+        (REST, target, wall(-1, -9.0)),
+        (REST, target, overfull),
     ):
         flown = code.solve(start, end, spaces)
         assert (flown.code, flown.residual, flown.fuel) == (INVALID_INPUT, inf, 0.0)
@@ -184,32 +180,6 @@ def test_library_exports_a_single_function(made):
     for internal in ("cpg_solve", "qoco_solve", "plus"):
         with pytest.raises(AttributeError):
             getattr(library, internal)
-
-
-def test_problem_of_fixed_size_has_the_optimum_of_avoidance(rng):
-    import cvxpy as cp
-
-    problem = build_onboard_problem("uiuc", 2, 8)
-    program = problem.program
-    transfer, units = program.transfer, program.state_units
-    start, target, spaces = next(random_instances(problem, rng))
-    statement = program.to_cvxpy()
-    data = {parameter.name(): np.zeros(parameter.shape) for parameter in statement.parameters()}
-    data["room"] += 1
-    coast = transfer.model.simulate(start, np.zeros((len(transfer.model), 2)))
-    data["reach"] = (target - coast[-1]) / units
-    data["coasting"] = (coast[1:-1, 2:] / transfer.max_speed).T
-    free = {k: list(np.flatnonzero(program.row_steps == k)) for k in range(program.horizon_steps)}
-    for k, on_state, on_control, least in zip(*spaces, strict=True):
-        row = free[int(k)].pop()
-        data["on_state"][:, row] = -on_state * units * (k > 0)
-        data["on_control"][:, row] = -on_control * transfer.max_control
-        data["room"][row] = on_state @ coast[k] - least
-    for parameter in statement.parameters():
-        parameter.value = data[parameter.name()]
-    scale = transfer.max_control * transfer.model.dt
-    found = scale * statement.solve(solver=cp.CLARABEL)
-    assert found == pytest.approx(solve_in_python(problem, (start, target, spaces))[1], rel=1e-6)
 
 
 def test_problem_without_constant_matrices_is_refused():

@@ -113,7 +113,7 @@ def _pass_closely(
     meet = int(rng.integers(len(other)))
     direction = rng.standard_normal(other.shape[-1])
     direction /= np.linalg.norm(direction)
-    distance = problem.horizon.clearance * rng.uniform(1, 1.5)
+    distance = float(problem.horizon.clearance * rng.uniform(1, 1.5))
     while True:
         shifted = other - other[meet, 0] + nominal[meet, 0] + distance * direction
         if are_hulls_separated(nominal - shifted, problem.horizon.required_separation).all():
