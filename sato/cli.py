@@ -173,7 +173,7 @@ def gains(
                 "", "gains takes a formation, NAME or FILE.csv; --list has the names"
             )
         shape = gains_report.resolve_formation(formation, graph)
-        file = out or gains_report.default_path(shape)
+        file = out or Path("gains", shape.name.replace("/", "-").replace(" ", "-") + ".npz")
         if file.suffix != ".npz" or file.is_dir():
             raise sato.InputError("", f"{file}: --out takes a file that ends in .npz")
         ensure_writable(file.parent)

@@ -1,6 +1,5 @@
 """Command `sato gains`: design, certify and write the gains of a formation."""
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -11,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from problems.desired_formation import DesiredFormation
-from problems.gain_design import GainMatrix, GainMethod, design_gains
+from problems.gain_design import GainMethod, design_gains
 from problems.rigidity import Dimension, is_globally_rigid, is_redundantly_rigid, is_rigid
 from sato.atomic import replace_atomically
 from sato.console import progress_bar
@@ -57,11 +56,6 @@ def resolve_formation(name: str, graph: str) -> DesiredFormation:
         raise ValueError(f"{graph}: {error}") from error
 
 
-def default_path(formation: DesiredFormation) -> Path:
-    """Return the path at which gains are written unless another is given."""
-    return Path("gains", formation.name.replace("/", "-").replace(" ", "-") + ".npz")
-
-
 def design_and_save(formation: DesiredFormation, method: str, out: Path) -> None:
     """Design gains, print their certificate, and write them, whole or not at all.
 
@@ -78,35 +72,20 @@ def design_and_save(formation: DesiredFormation, method: str, out: Path) -> None
     with replace_atomically(out) as file:
         gains.save(file)
     with progress_bar("testing for rigidity"):
-        rigidity = [_rigidity_label(formation, dimension) for dimension in (2, 3)]
-    _print_report(gains, time, rigidity)
-    print(out)
-
-
-def _print_report(gains: GainMatrix, time: float, rigidity: list[str]) -> None:
-    console = Console(file=sys.stdout)
-    rates = Table(title=gains.formation.name or None, title_justify="left")
-    for head in ("", "in the plane", "vertical"):
-        rates.add_column(head, justify="right" if head else "left")
-    for label, planar, vertical in (
-        ("rate, 1/s", gains.rate_xy, gains.rate_z),
-        ("no rate exceeds, 1/s", gains.bound_xy, gains.bound_z),
-        ("short of it by, %", 100 * gains.gap_xy, 100 * gains.gap_z),
-    ):
-        rates.add_row(label, f"{planar:.4f}", f"{vertical:.4f}")
-    table = Table(show_header=False)
-    for label, text in (
-        ("graph", _format_size(gains.formation)),
-        ("method", gains.method),
-        ("time, s", f"{time:.3g}"),
-        ("largest entry of A N", f"{gains.residual_kernel:.1e}"),
-        ("structure, off by", f"{gains.residual_structure:.1e}"),
-        ("largest entry off the graph", f"{gains.residual_graph:.1e}"),
-        ("graph in the plane, in space", ", ".join(rigidity)),
-    ):
-        table.add_row(label, text)
-    console.print(rates)
+        plane, space = (_rigidity_label(formation, dimension) for dimension in (2, 3))
+    table = Table("", "in the plane", "vertical", title=formation.name or None)
+    table.add_row("rate, 1/s", f"{gains.rate_xy:.4f}", f"{gains.rate_z:.4f}")
+    table.add_row("no rate exceeds, 1/s", f"{gains.bound_xy:.4f}", f"{gains.bound_z:.4f}")
+    table.add_row("short of it by, %", f"{100 * gains.gap_xy:.4f}", f"{100 * gains.gap_z:.4f}")
+    console = Console(highlight=False, markup=False, soft_wrap=True)
     console.print(table)
+    console.print(f"graph: {_format_size(formation)}, {plane} in the plane, {space} in space")
+    console.print(f"method: {gains.method}, {time:.3g} s")
+    console.print(
+        f"largest entry of A N: {gains.residual_kernel:.1e}, off the structure: "
+        f"{gains.residual_structure:.1e}, off the graph: {gains.residual_graph:.1e}"
+    )
+    console.print(out)
 
 
 def _format_size(formation: DesiredFormation) -> str:
@@ -119,12 +98,11 @@ def _rigidity_label(formation: DesiredFormation, dimension: Dimension) -> str:
         return "globally rigid"
     if formation.edge_count > MAX_RIGIDITY_EDGES:
         return f"not tested with more than {MAX_RIGIDITY_EDGES} edges"
-    tests = {
-        "globally rigid": is_globally_rigid,
-        "redundantly rigid": is_redundantly_rigid,
-        "rigid": is_rigid,
-    }
     # The answer holds for points in general position, whichever they are.
     rng = np.random.default_rng(0)
-    found = (label for label, test in tests.items() if test(formation.graph, dimension, rng))
-    return next(found, "flexible")
+    graph = formation.graph
+    if is_globally_rigid(graph, dimension, rng):
+        return "globally rigid"
+    if is_redundantly_rigid(graph, dimension, rng):
+        return "redundantly rigid"
+    return "rigid" if is_rigid(graph, dimension, rng) else "flexible"
