@@ -142,7 +142,6 @@ class System(Generic[MissionT, FrameT]):
     animation: "Callable[[xarray.Dataset, MissionT], Animation] | None" = None
     run_variables: type | None = None  # named tuple with `Recorded` fields: variables of a run
     collect: Callable[[Sequence[FrameT], MissionT], Any] | None = None  # their values
-    promises: tuple[str, ...] = ()  # names of what `check` recomputes, for runs without a mission
     stop_errors: tuple[type[Exception], ...] = ()  # may end a flight early without being a fault
 
 

@@ -3,13 +3,17 @@
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_type_hints
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, get_args, get_type_hints
 
 import numpy as np
+from jaxtyping import Float
 from numpy import ndarray as Array
 
 from sato.atomic import replace_atomically
+from sato.check.common import EventLog
 from sato.check.report import finite_or_none
 from sato.interfaces import Frame, FrameT, MissionT, Recorded, System
 from sato.scenario.errors import InputError
@@ -29,6 +33,8 @@ _AXIS = Recorded(("axis",), "1", "axis of the coordinate frame")
 # A variable as xarray takes it: dimensions, values and attributes.
 Variable = tuple[tuple[str, ...], Array, dict[str, str]]
 FieldsT = TypeVar("FieldsT")
+VariablesT = TypeVar("VariablesT")
+RecordT = TypeVar("RecordT", bound="RunRecord[Any, Any, Any]")
 
 
 class RunFileError(ValueError):
@@ -162,6 +168,34 @@ def initial_summary(attributes: Mapping[Any, Any]) -> dict[str, Any]:
     return summary
 
 
+@dataclass(frozen=True, eq=False)
+class RunRecord(Generic[MissionT, FrameT, VariablesT]):
+    """A run as recorded, and the mission as drawn again from its scenario."""
+
+    mission: MissionT
+    frames: FrameT  # with time as the leading axis of each field
+    variables: VariablesT
+    attributes: dict[str, Any]
+
+    @classmethod
+    def from_dataset(cls: type[RecordT], data: "xarray.Dataset", mission: Any) -> RecordT:
+        """Read the data of a run."""
+        system = load_system(data.attrs["system"])
+        frames: Any = read_frames(system.frame, data)
+        variables: Any = system.run_variables and read_variables(system.run_variables, data)
+        return cls(mission, frames, variables, {str(k): v for k, v in data.attrs.items()})
+
+    @property
+    def time(self) -> Float[Array, " instants"]:
+        """Time of each instant [s]."""
+        return np.asarray(self.frames.time)
+
+    @cached_property
+    def events(self) -> EventLog:
+        """Events of the run, by instant."""
+        return EventLog(self.time, self.frames.events)
+
+
 def json_default(value: object) -> object:
     """Convert NumPy arrays and scalars for JSON."""
     if isinstance(value, np.ndarray | np.generic):
@@ -203,7 +237,7 @@ def read_frames(kind: type[FieldsT], data: "xarray.Dataset") -> FieldsT:
         data: Dataset of a run.
     """
     found = read_variables(kind, data)
-    events = tuple(json.loads(str(text)) for text in np.asarray(data["event"]))
+    events = EventLog.from_dataset(data).events
     return found._replace(events=events)  # type: ignore[attr-defined, no-any-return]
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from threadpoolctl import ThreadpoolController, threadpool_limits
 
 from sato import record
-from sato.check.event_log import EventLog
+from sato.check.common import EventLog
 from sato.check.report import Report
 from sato.interfaces import Frame, System
 from sato.record import RunFileError

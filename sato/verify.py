@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sato.check import common
-from sato.check.event_log import EventLog
-from sato.check.promise import Promise, expect_none
-from sato.check.report import Report
-from sato.record import RunFileError, compute_digest, initial_summary
+from sato.check.report import Promise, Report, expect_none
+from sato.record import RunFileError, RunRecord, compute_digest, initial_summary
 from sato.systems import load_system
 
 if TYPE_CHECKING:
@@ -59,19 +57,16 @@ def _check_mission(data: "xarray.Dataset", mission: Any) -> Report:
 
 
 def _check_common(data: "xarray.Dataset") -> Report:
-    names = load_system(data.attrs["system"]).promises
-    alive = np.asarray(data["alive"], dtype=bool)
-    position, velocity = (np.asarray(data[n], dtype=float) for n in ("position", "velocity"))
+    record: RunRecord[None, Any, Any] = RunRecord.from_dataset(data, None)
+    frames = record.frames
     promises = [
-        common.check_finite(alive, position, velocity),
-        common.check_alive(alive, EventLog.from_dataset(data)),
+        common.check_finite(frames.alive, frames.position, frames.velocity),
+        common.check_alive(frames.alive, record.events),
     ]
     if "comm_radius_m" in data.attrs:
-        labels, radius = np.asarray(data["component"]), float(data.attrs["comm_radius_m"])
-        promises.append(common.check_components(position, alive, labels, radius))
-    done = {promise.name for promise in promises}
-    skipped = tuple(name for name in (*names, "summary") if name not in done)
-    return Report(tuple(promises), common.common_summary(data.attrs, alive), skipped)
+        promises.append(common.check_components(frames, float(data.attrs["comm_radius_m"])))
+    summary = common.common_summary(data.attrs, frames.alive)
+    return Report(tuple(promises), summary, skipped=("all others",))
 
 
 def _check_summary(

@@ -5,7 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
-from test_reconfiguration_check import fly_straight, mission, recorded
+from recorded_run import fly_straight, make_mission, recorded
 from test_reconfiguration_figures import orbit
 
 import sato.export
@@ -99,7 +99,7 @@ def test_times_are_said_to_the_nanosecond_only_where_they_need_it(run):
     ]  # fmt: skip
     third = np.array([1 / 3])
     assert format_utc(run, third) == ["2027-02-03T04:05:06.833333333"]
-    assert format_utc(recorded(mission()).data, np.zeros(1)) == ["2026-01-01T00:00:00.000"]
+    assert format_utc(recorded(make_mission()).data, np.zeros(1)) == ["2026-01-01T00:00:00.000"]
 
 
 def test_an_agent_seen_once_is_written_without_an_interpolation(about, tmp_path):
@@ -135,14 +135,14 @@ def test_the_table_holds_every_state_in_both_frames_to_the_last_bit(run, tmp_pat
 
 
 def test_a_run_without_a_chief_has_a_table_of_its_own_axes_alone(tmp_path):
-    table = rows(export(recorded(mission()).data, tmp_path / "new" / "plane.csv", "csv"))
+    table = rows(export(recorded(make_mission()).data, tmp_path / "new" / "plane.csv", "csv"))
     assert list(table[0]) == ["object", "time_s", "x_m", "y_m", "vx_m_s", "vy_m_s"]
     assert {row["object"] for row in table} == {f"agent-{j}" for j in range(7)}
 
 
 def test_a_run_without_a_chief_has_no_inertial_states(tmp_path):
     with pytest.raises(ValueError, match=r"no chief.* \[chief\].* csv"):
-        export(recorded(mission()).data, tmp_path / "oem")
+        export(recorded(make_mission()).data, tmp_path / "oem")
     assert not list(tmp_path.iterdir())
 
 

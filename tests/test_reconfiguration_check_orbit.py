@@ -1,10 +1,11 @@
 """Check of a reconfiguration in orbit, where the plant differs from the model."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
-from recorded_run import record_run
+from recorded_run import altered, broken, check, recorded
 
 from dynamics import ClohessyWiltshire, DoubleIntegrator, LinearizedModel, discretize_zoh
 from dynamics.atmosphere import Atmosphere
@@ -12,21 +13,16 @@ from dynamics.inertial import InertialPlant
 from dynamics.j2 import J2, invariant_velocity
 from dynamics.orbit import Orbit
 from dynamics.plant import LinearPlant
-from sato.network.graph import CommunicationGraph
-from sato.reconfiguration.check import ReconfigurationRecord, check_fuel, check_run
-from sato.reconfiguration.check.consistency import check_chief
-from sato.reconfiguration.check.fuel import compute_fuel_bound
-from sato.reconfiguration.check.motion import (
+from sato.reconfiguration.check import ReconfigurationRecord
+from sato.reconfiguration.check.prediction import bound_speed_excess, redraw_disturbances
+from sato.reconfiguration.check.promises import (
     check_applied_control,
+    check_fuel,
     check_propagation,
     check_speed_limit,
 )
-from sato.reconfiguration.check.prediction import bound_speed_excess
-from sato.reconfiguration.check.redraw import redraw_disturbances
 from sato.reconfiguration.loop import simulate
 from sato.reconfiguration.mission import Leg, Reconfiguration
-from sato.reconfiguration.state import ReconfigurationFrame
-from sato.reconfiguration.system import SYSTEM
 from sato.runs import Run
 from sato.shapes import Points
 
@@ -60,71 +56,18 @@ def mission(**changed: object) -> Reconfiguration:
     return replace(plain.draw(np.random.default_rng(0)), **changed)
 
 
-def recorded(about: Reconfiguration, u: np.ndarray) -> Run:
-    """Record the flight of these controls by the plant, each agent to its own target."""
-    agents, T = u.shape[:2]
-    everyone, x = np.arange(agents), [about.initial_states]
-    for k in range(T):
-        x.append(about.flown_plant.propagate(x[-1], u[:, k], k * about.step, about.step)[1])
-    frames = []
-    for k in range(T + 1):
-        labels = CommunicationGraph.from_positions(
-            x[k][:, :3], about.comm_radius, about.alive
-        ).component
-        begin = {"kind": "leg_start", "leg": 0, "agents": everyone}
-        chosen = {"kind": "assignment", "agents": everyone, "target": everyone}
-        end = {"kind": "leg_end", "leg": 0, "agents": everyone, "target": everyone}
-        end |= {"component": labels, "believed": np.full(agents, agents)}
-        control = u[:, k] if k < T else np.full((agents, 3), np.nan)
-        frames.append(
-            ReconfigurationFrame(
-                k * about.step,
-                x[k][:, :3],
-                x[k][:, 3:],
-                about.alive,
-                labels,
-                control,
-                control,
-                0,
-                everyone,
-                np.full(agents, agents),
-                None,
-                None,
-                (begin, chosen) if k == 0 else (end,) if k == T else (),
-            )
-        )
-    return run_of(about, frames)
+def straight(about: Reconfiguration) -> Run:
+    """Record the flight of least-norm controls by the model, each agent to its own target."""
+    return recorded(about, own_targets=True)
 
 
-def run_of(about: Reconfiguration, frames: list[ReconfigurationFrame]) -> Run:
-    return record_run(SYSTEM, frames, about, about)
-
-
-def least_norm(about: Reconfiguration) -> np.ndarray:
-    """Return the controls of least sum of squares by the shared model."""
-    steps, (agents, n) = (
-        discretize_zoh(about.linear_model, about.step, STEPS),
-        about.initial_states.shape,
-    )
-    unit = np.eye(STEPS * 3).reshape(-1, STEPS, 3)
-    free = steps.simulate(np.zeros(n), np.zeros((STEPS, 3)))[-1]
-    response = steps.simulate(np.zeros((len(unit), n)), unit)[:, -1] - free
-    rest = steps.simulate(about.initial_states, np.zeros((agents, STEPS, 3)))[:, -1]
-    goals = about.legs[0].targets
-    return ((goals - rest) @ np.linalg.pinv(response.T).T).reshape(agents, STEPS, 3)
-
-
-def altered(run: Run) -> Run:
-    return replace(run, data=run.data.copy(deep=True), summary=dict(run.summary))
-
-
-def broken(run: Run, about: Reconfiguration) -> set[str]:
-    return {p.name for p in check_run(run.data, about).broken}
+def record_of(run: Run, about: Reconfiguration | None = None) -> ReconfigurationRecord:
+    return ReconfigurationRecord.from_dataset(run.data, about or run.mission)
 
 
 @pytest.fixture(scope="module")
 def flown():
-    return recorded(mission(), least_norm(mission()))
+    return straight(mission())
 
 
 AIR = InertialPlant(ORBIT, np.array([0.01, 0.012, 0.008, 0.01]), 0.01, Atmosphere())
@@ -144,72 +87,48 @@ DISTURBED = mission(
 
 @pytest.fixture(scope="module")
 def disturbed():
-    return run_of(DISTURBED, list(simulate(DISTURBED, np.random.default_rng(8))))
+    return recorded(DISTURBED, list(simulate(DISTURBED, np.random.default_rng(8))))
 
 
 def test_unaltered_run_on_another_plant_keeps_all_promises(flown):
-    report = check_run(flown.data, mission())
+    report = check(flown)
     assert report.kept, report.broken
 
 
 @pytest.mark.parametrize("model", [EXACT, CIRCLE], ids=["J2", "circle"])
 def test_closed_loop_run_keeps_all_promises(model):
     about = mission(model=model, position_tolerance=5.0, velocity_tolerance=0.1)
-    run = run_of(about, list(simulate(about, np.random.default_rng(1))))
-    report = check_run(run.data, about, np.random.default_rng(1))
+    report = check(recorded(about, list(simulate(about, np.random.default_rng(1)))), seed=1)
     assert report.kept, report.broken
 
 
 def test_thruster_errors_are_those_of_the_seed(disturbed):
-    report = check_run(disturbed.data, DISTURBED, np.random.default_rng(8))
+    report = check(disturbed, seed=8)
     assert report.kept, report.broken
-    evidence = ReconfigurationRecord.from_dataset(disturbed.data, DISTURBED)
-    assert not check_applied_control(
-        evidence, redraw_disturbances(evidence, np.random.default_rng(9))
-    ).kept
+    assert "applied" in {promise.name for promise in check(disturbed, seed=9).broken}
     for name in ("control", "applied_control"):
-        run = altered(disturbed)
-        run.data[name][3, 2, 1] += 1e-10
-        evidence = ReconfigurationRecord.from_dataset(run.data, DISTURBED)
-        assert not check_applied_control(
-            evidence, redraw_disturbances(evidence, np.random.default_rng(8))
-        ).kept
+        record = record_of(altered(disturbed, name, (3, 2, 1), by=1e-10))
+        redrawn = redraw_disturbances(record, np.random.default_rng(8))
+        assert not check_applied_control(record, redrawn).kept
 
 
-def test_thruster_errors_are_bounded_without_the_seed(disturbed):
-    assert check_run(disturbed.data, DISTURBED).kept
-    run = altered(disturbed)
-    thrust = np.nan_to_num(np.linalg.norm(run.data["control"].values, axis=2))
-    where = np.unravel_index(np.argmax(thrust), thrust.shape)
-    run.data["applied_control"][where] *= 3
-    assert broken(run, DISTURBED) >= {"applied", "flight"}
-
-
-KINDS = ["position", "velocity", "control", "applied_control"]
-
-
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("name", ["position", "velocity", "control", "applied_control"])
 def test_altered_state_or_control_is_found(flown, name):
-    size = float(np.nanmax(np.abs(flown.data[name].values)))
+    by = 1e-6 * float(np.nanmax(np.abs(flown.data[name].values)))
     last = STEPS if name in ("position", "velocity") else STEPS - 1
-    for k in (0, 1, 3, last):
-        for axis in range(3):
-            run = altered(flown)
-            run.data[name][k, 1, axis] += 1e-6 * size
-            evidence = ReconfigurationRecord.from_dataset(run.data, mission())
-            promise = (
-                check_applied_control(evidence, None)
-                if name == "control"
-                else check_propagation(evidence)
-            )
-            assert not promise.kept, (k, axis)
+    for k, axis in product((0, 1, 3, last), range(3)):
+        record = record_of(altered(flown, name, (k, 1, axis), by=by))
+        redrawn = redraw_disturbances(record, np.random.default_rng(0))
+        is_command = name == "control"
+        promise = (
+            check_applied_control(record, redrawn) if is_command else check_propagation(record)
+        )
+        assert not promise.kept, (k, axis)
 
 
 def test_both_controls_altered_together_are_found(flown):
-    run = altered(flown)
-    for name in ("control", "applied_control"):
-        run.data[name][2, 0, 1] *= 1 + 1e-6
-    assert broken(run, mission()) == {"flight"}
+    by = 1e-6 * float(flown.data["control"][2, 0, 1])
+    assert broken(altered(flown, "control applied_control", (2, 0, 1), by=by)) == {"flight"}
 
 
 def test_run_is_propagated_by_the_plant_and_not_the_model(flown):
@@ -219,28 +138,23 @@ def test_run_is_propagated_by_the_plant_and_not_the_model(flown):
 
 @pytest.mark.parametrize("element", range(6))
 def test_altered_chief_is_found(flown, element):
-    run = altered(flown)
-    value = float(run.data["chief"][4, element])
-    run.data["chief"][4, element] = value * (1 + 1e-6) if abs(value) > 1e-3 else value + 1e-6
-    evidence = ReconfigurationRecord.from_dataset(run.data, mission())
-    assert not check_chief(evidence).kept
-    assert {p.name for p in check_run(run.data, mission()).broken} == {"chief"}
+    value = abs(float(flown.data["chief"][4, element]))
+    run = altered(flown, "chief", (4, element), by=1e-6 * (value if value > 1e-3 else 1.0))
+    assert broken(run) == {"chief"}
 
 
 def test_chief_is_recorded_where_the_plant_has_one(flown):
     lacking = replace(flown, data=flown.data.drop_vars(["chief", "element"]))
-    assert broken(lacking, mission()) == {"chief"}
-    about = mission(plant=LinearPlant(EXACT))
-    free = recorded(about, least_norm(about))
-    assert broken(free, about) == set()
-    said = free.data.assign(element=flown.data["element"], chief=flown.data["chief"])
-    assert broken(replace(free, data=said), about) == {"chief"}
+    assert broken(lacking) == {"chief"}
+    free = straight(mission(plant=LinearPlant(EXACT)))
+    assert broken(free) == set()
+    orbiting = free.data.assign(element=flown.data["element"], chief=flown.data["chief"])
+    assert broken(replace(free, data=orbiting)) == {"chief"}
 
 
 def test_gravity_in_the_attributes_is_that_of_the_plant(flown):
-    run = altered(flown)
-    run.data.attrs["mu_m3_s2"] *= 1 + 1e-9
-    assert broken(run, mission()) == {"attributes"}
+    heavier = flown.data.assign_attrs(mu_m3_s2=flown.data.attrs["mu_m3_s2"] * (1 + 1e-9))
+    assert broken(replace(flown, data=heavier)) == {"attributes"}
 
 
 @pytest.mark.parametrize(
@@ -249,15 +163,14 @@ def test_gravity_in_the_attributes_is_that_of_the_plant(flown):
     ids=["truth", "J2", "circle"],
 )
 def test_least_separation_is_within_its_error_bound(plant):
-    about = mission(plant=plant)
-    data = recorded(about, least_norm(about)).data
-    evidence = ReconfigurationRecord.from_dataset(data, about)
+    run = straight(mission(plant=plant))
+    evidence = record_of(run)
     found, missed = evidence.separations
     dense = densely(evidence)
     assert 0 < missed < 1e-6
     assert found.minimum.distance - missed <= dense + 1e-9
     assert found.minimum.distance == pytest.approx(dense, abs=1e-6)
-    assert dense < 0.9 * check_run(data, about).summary["min_separation_at_samples_m"]
+    assert dense < 0.9 * check(run).summary["min_separation_at_samples_m"]
 
 
 def densely(evidence: ReconfigurationRecord) -> float:
@@ -266,7 +179,7 @@ def densely(evidence: ReconfigurationRecord) -> float:
     def apart(x):
         return np.linalg.norm(x[:, [0, 2], :3] - x[:, [1, 3], :3], axis=2).min(axis=1)
 
-    plant, u = evidence.mission.flown_plant, evidence.applied_control
+    plant, u = evidence.mission.flown_plant, evidence.frames.applied_control
     coarse = [
         plant.propagate(x, u[k], k * STEP, STEP, 120) for k, x in enumerate(evidence.state[:-1])
     ]
@@ -279,10 +192,7 @@ def densely(evidence: ReconfigurationRecord) -> float:
 
 def test_pieces_last_a_second_at_most_and_are_even_in_number(flown):
     for step, pieces in [(60.0, 60), (59.5, 60), (61.0, 62), (0.7, 2)]:
-        assert (
-            ReconfigurationRecord.from_dataset(flown.data, mission(step=step)).pieces_per_step
-            == pieces
-        )
+        assert record_of(flown, mission(step=step)).pieces_per_step == pieces
 
 
 @pytest.mark.parametrize(("replan", "commit"), [(1, 0), (2, 0), (2, 3), (1, 2)])
@@ -290,14 +200,14 @@ def test_speed_may_exceed_the_limit_by_the_prediction_error(replan, commit):
     about = mission(
         model=CIRCLE, replan_steps=replan, auction_steps=2, horizon_steps=3, freeze_steps=commit
     )
-    evidence = ReconfigurationRecord.from_dataset(recorded(about, least_norm(about)).data, about)
+    evidence = record_of(straight(about))
     found = bound_speed_excess(evidence)
     steps, expected = discretize_zoh(CIRCLE, STEP, STEPS), np.zeros((STEPS + 1, 4))
     kept = {(1, 0): 0, (2, 0): 0, (2, 3): 2, (1, 2): 1}[replan, commit]
     for j in range(1, STEPS + 1):
         oldest = max((j - 1) // replan * replan - kept, 0)
         for k in range(oldest, j):
-            u = np.moveaxis(evidence.control[k:j], 0, 1)
+            u = np.moveaxis(evidence.frames.control[k:j], 0, 1)
             end = steps.simulate(evidence.state[k], u)[:, -1]
             off = np.linalg.norm((evidence.state[j] - end)[:, 3:], axis=1)
             expected[j] = np.maximum(expected[j], off)
@@ -307,9 +217,9 @@ def test_speed_may_exceed_the_limit_by_the_prediction_error(replan, commit):
 
 def test_speed_limit_is_exact_where_the_plant_is_the_model():
     about = mission(plant=LinearPlant(EXACT, ORBIT))
-    evidence = ReconfigurationRecord.from_dataset(recorded(about, least_norm(about)).data, about)
+    evidence = record_of(straight(about))
     assert bound_speed_excess(evidence).max() < 1e-10
-    fastest = float(np.linalg.norm(evidence.velocity, axis=2).max())
+    fastest = float(np.linalg.norm(evidence.frames.velocity, axis=2).max())
     for limit, kept in [(fastest * (1 + 1e-6), True), (fastest * (1 - 1e-6), False)]:
         assert (
             check_speed_limit(replace(evidence, mission=replace(about, max_speed=limit))).kept
@@ -318,8 +228,8 @@ def test_speed_limit_is_exact_where_the_plant_is_the_model():
 
 
 def test_measurement_noise_adds_to_the_speed_allowance(flown):
-    evidence = ReconfigurationRecord.from_dataset(flown.data, mission(velocity_noise=1e-3))
-    quiet = bound_speed_excess(ReconfigurationRecord.from_dataset(flown.data, mission()))
+    evidence = record_of(flown, mission(velocity_noise=1e-3))
+    quiet = bound_speed_excess(record_of(flown))
     added = bound_speed_excess(evidence) - quiet
     np.testing.assert_allclose(added[1:], 8e-3 * 3**0.5, rtol=1e-2)
     assert (added[0] == 0).all()
@@ -336,37 +246,39 @@ def drifting() -> Reconfiguration:
 
 def test_fuel_may_fall_below_the_bound_by_the_model_correction():
     about = drifting()
-    run = recorded(about, np.zeros((4, STEPS, 3)))
-    report = check_run(run.data, about)
+    report = check(recorded(about, own_targets=True, controls=np.zeros((4, STEPS, 3))))
     assert report.kept, report.broken
     assert report.summary["fuel_m_s"] == 0 < 0.1 < report.summary["fuel_lower_bound_m_s"]
 
 
+def with_fuel_bound(record: ReconfigurationRecord, total: float) -> ReconfigurationRecord:
+    """Return the record as if the lower bound on the fuel of its leg were another."""
+    other = replace(record)
+    vars(other)["fuel_bounds"] = [record.fuel_bounds[0]._replace(total=total)]
+    return other
+
+
 def test_fuel_may_not_fall_below_the_bound_by_more():
     about = drifting()
-    evidence = ReconfigurationRecord.from_dataset(
-        recorded(about, np.zeros((4, STEPS, 3))).data, about
-    )
-    bound = compute_fuel_bound(evidence, evidence.leg_records[0])
-    assert bound.correction_fuel.sum() == pytest.approx(
-        bound.per_agent.sum(), rel=1e-9
-    )  # all of it was given
-    assert check_fuel(evidence, [bound]).kept
-    assert not check_fuel(evidence, [bound._replace(total=bound.per_agent.sum() * (1 + 1e-5))]).kept
+    record = record_of(recorded(about, own_targets=True, controls=np.zeros((4, STEPS, 3))))
+    [bound] = record.fuel_bounds
+    own = bound.per_agent.sum()
+    assert bound.correction_fuel.sum() == pytest.approx(own, rel=1e-9)  # all of it was given
+    assert check_fuel(record).kept
+    assert not check_fuel(with_fuel_bound(record, own * (1 + 1e-5))).kept
 
 
 def test_fuel_bound_is_strict_where_the_plant_is_the_model():
-    about = mission(plant=LinearPlant(EXACT, ORBIT))
-    evidence = ReconfigurationRecord.from_dataset(recorded(about, least_norm(about)).data, about)
-    bound = compute_fuel_bound(evidence, evidence.leg_records[0])
+    run = straight(mission(plant=LinearPlant(EXACT, ORBIT)))
+    record, burnt = record_of(run), check(run).summary["fuel_m_s"]
+    [bound] = record.fuel_bounds
     assert bound.correction_fuel.max() < 1e-10
-    burnt = check_run(recorded(about, least_norm(about)).data, about).summary["fuel_m_s"]
     assert bound.total <= burnt
-    assert not check_fuel(evidence, [bound._replace(total=burnt * (1 + 1e-5))]).kept
+    assert not check_fuel(with_fuel_bound(record, burnt * (1 + 1e-5))).kept
 
 
 def test_summary_has_model_error_and_fuel_per_agent(flown):
-    said = check_run(flown.data, mission()).summary
+    said = check(flown).summary
     u, x = np.moveaxis(flown.data["control"].values[:-1], 0, 1), mission().initial_states
     by_model = discretize_zoh(EXACT, STEP, STEPS).simulate(x, u)[:, -1, :3]
     off = np.linalg.norm(flown.data["position"].values[-1] - by_model, axis=1)
@@ -375,6 +287,5 @@ def test_summary_has_model_error_and_fuel_per_agent(flown):
     each = STEP * np.abs(u).sum(axis=(1, 2))
     expected = {"mean": each.mean(), "least": each.min(), "most": each.max()}
     assert said["fuel_per_agent_m_s"] == pytest.approx(expected, rel=1e-12)
-    about = mission(plant=LinearPlant(EXACT))
-    nowhere = check_run(recorded(about, least_norm(about)).data, about).summary
+    nowhere = check(straight(mission(plant=LinearPlant(EXACT)))).summary
     assert not {"model_error_m", "fuel_per_agent_m_s"} & nowhere.keys()

@@ -1,6 +1,7 @@
 """Figures and animations of a reconfiguration: they show the data, inside the figure."""
 
 import os
+from dataclasses import replace
 from itertools import combinations
 
 import matplotlib
@@ -9,15 +10,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from pictures import words_inside
 from PIL import Image
-from test_reconfiguration_check import (
-    crossing,
-    fly_crossed,
-    fly_straight,
-    in_order,
-    mission,
-    recorded,
-    replace,
-)
+from recorded_run import fly_straight, in_order, make_crossing, make_mission, recorded
 
 from dynamics import ClohessyWiltshire
 from dynamics.orbit import Orbit
@@ -45,7 +38,7 @@ def box():
     turn = np.linspace(0, 2 * np.pi, 12, endpoint=False)
     ring = np.stack([500 * np.cos(turn), 1000 * np.sin(turn), 800 * np.cos(turn)], axis=1)
     start, goals = (np.hstack([p, model.bounded_velocity(p)]) for p in (place, ring))
-    return mission(
+    return make_mission(
         12, model=model, plant=LinearPlant(model), start=start,
         legs=(Leg(in_order(goals), 20),), step=60.0,
         comm_radius=1200.0, collision_radius=50.0, max_control=0.01, max_speed=6.0,
@@ -53,10 +46,10 @@ def box():
 
 
 def plane_run():
-    start = mission().initial_states[:6].copy()
+    start = make_mission().initial_states[:6].copy()
     start[2:, 0] += 0.5  # the row falls apart: two, three and one
     start[5, 0] += 0.5
-    about = mission(comm_radius=1.21, start=start, allow_undetectable=True)
+    about = make_mission(comm_radius=1.21, start=start, allow_undetectable=True)
     run = recorded(about)
     run.data.attrs["scenario"] = LETTERS
     return run, about
@@ -101,17 +94,17 @@ def only_start_orbit_run():
 
 
 def pair_run():
-    about = crossing(0.3)
-    return recorded(about, fly_crossed(about)), about
+    about = make_crossing(0.3)
+    return recorded(about, own_targets=True), about
 
 
 def stopped_run():
-    about = mission()
+    about = make_mission()
     return recorded(about, fly_straight(about)[:15]), about
 
 
 def only_start_run():
-    about = mission()
+    about = make_mission()
     return recorded(about, fly_straight(about)[:1]), about
 
 
@@ -196,7 +189,7 @@ def test_markers_are_at_positions_and_lost_agents_have_none(plane):
     _, evidence = plane
     axes = drawn("stages", evidence).axes
     for ax, k, lost in zip(axes, [0, 12, 12, 22], [[6], [6], [2, 6], [2]], strict=True):
-        there = np.delete(evidence.position[k], lost, axis=0)
+        there = np.delete(evidence.frames.position[k], lost, axis=0)
         found = points(ax)
         assert sorted(map(tuple, found)) == sorted(map(tuple, there))
 
@@ -253,7 +246,7 @@ def ring():
 def test_orbits_are_shown_along_track_to_the_right_and_radial_up(ring):
     _, evidence = ring
     [*_, last] = drawn("instants", evidence).axes
-    there = evidence.position[-1, evidence.alive[-1]][:, [1, 0]] / 1000
+    there = evidence.frames.position[-1, evidence.frames.alive[-1]][:, [1, 0]] / 1000
     assert sorted(map(tuple, points(last))) == sorted(map(tuple, there))
 
 
@@ -273,10 +266,10 @@ def test_agent_lost_between_legs_is_shown_at_the_end_of_the_first(ring):
 def test_trajectories_are_cubic_and_end_where_an_agent_is_lost(ring):
     _, evidence = ring
     steps, h = np.arange(float(len(evidence.time))), evidence.mission.step
-    there = np.where(evidence.alive[..., None], evidence.position, np.nan)
+    there = np.where(evidence.frames.alive[..., None], evidence.frames.position, np.nan)
     np.testing.assert_array_equal(interpolate_positions(evidence, steps), there)
     half = interpolate_positions(evidence, steps[:-1] + 0.5)
-    (x, v), flies = (evidence.position, evidence.velocity), evidence.alive[:-1]
+    (x, v), flies = (evidence.frames.position, evidence.frames.velocity), evidence.frames.alive[:-1]
     cubic = (x[:-1] + x[1:]) / 2 + h * (v[:-1] - v[1:]) / 8
     np.testing.assert_allclose(half, np.where(flies[..., None], cubic, np.nan), atol=1e-9)
 
@@ -374,8 +367,8 @@ def test_animation_moves_agents_on_cubic_pieces(plane):
     scene = SwarmAnimation(evidence)
     scene.draw_frame(3.25)
     moved = points(scene.axes)
-    h, u = evidence.mission.step, evidence.applied_control[3, :6]
-    x, v = evidence.position[3, :6], evidence.velocity[3, :6]
+    h, u = evidence.mission.step, evidence.frames.applied_control[3, :6]
+    x, v = evidence.frames.position[3, :6], evidence.frames.velocity[3, :6]
     there = x + v * h / 4 + u * (h / 4) ** 2 / 2
     np.testing.assert_allclose(sorted(map(tuple, moved)), sorted(map(tuple, there)), atol=1e-12)
 

@@ -13,8 +13,7 @@ from test_cli import call, sentence
 import sato
 from dynamics.units import Length
 from sato.check import Report, common
-from sato.check.event_log import EventLog
-from sato.check.promise import expect_below
+from sato.check.report import expect_below
 from sato.interfaces import (
     Frame,
     FrameAlive,
@@ -28,7 +27,7 @@ from sato.interfaces import (
     System,
 )
 from sato.network.graph import CommunicationGraph
-from sato.record import read_frames, recorded_fields
+from sato.record import RunRecord, read_frames, recorded_fields
 from sato.scenario.definition import Convert, In, Positive, as_array
 from sato.scenario.errors import InputError
 from sato.scenario.file import Mission
@@ -103,20 +102,19 @@ def attributes(mission):
 
 
 def check(data, mission, rng):
-    time, position = (np.asarray(data[name], dtype=float) for name in ("time", "position"))
-    alive, labels = np.asarray(data["alive"], dtype=bool), np.asarray(data["component"])
-    error = np.abs(np.diff(position, axis=0) - mission.velocity).max()
+    record = RunRecord.from_dataset(data, mission)
+    frames, errors = record.frames, np.diff(record.frames.position, axis=0) - mission.velocity
     promises = (
+        common.check_complete(data.attrs),
         common.check_attributes(data.attrs, attributes(mission)),
-        common.check_times(time, 1.0),
-        common.check_finite(alive, position),
-        common.check_alive(alive, EventLog.from_dataset(data)),
-        common.check_components(position, alive, labels, mission.comm_radius),
-        expect_below("drift", float(error), 1e-12, 0.0, "m off in a step"),
+        common.check_times(record.time, 1.0),
+        common.check_finite(frames.alive, frames.position),
+        common.check_alive(frames.alive, record.events),
+        common.check_components(frames, mission.comm_radius),
+        expect_below("drift", np.abs(errors), 1e-12, 0.0, "m off in a step"),
     )
-    success = not common.incomplete_reason(data.attrs)
-    summary = {"success": success, "path_m": 1.0}
-    return Report(promises, common.common_summary(data.attrs, alive) | summary)
+    summary = {"success": promises[0].kept, "path_m": 1.0}
+    return Report(promises, common.common_summary(data.attrs, frames.alive) | summary)
 
 
 def figures(data, mission):
@@ -218,7 +216,8 @@ def test_new_system_is_flown_recorded_and_checked(home):
     assert run.events("half") == [{"time": 3.0, "kind": "half", "agents": [0]}]
     assert run.summary["seed"] == 5 and run.summary["broken"] == []
     assert [promise.name for promise in run.check().promises] == [
-        "unaltered", "attributes", "times", "numbers", "alive", "component", "drift", "summary",
+        "unaltered", "complete", "attributes", "times", "numbers", "alive", "component", "drift",
+        "summary",
     ]  # fmt: skip
     assert call("check", "here").exit_code == 0
     again = sato.run(Drift(name="still", agents=4, steps=6, comm_radius=2.5), seed=5)

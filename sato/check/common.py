@@ -1,20 +1,52 @@
-"""Promises of the runs of every system."""
+"""Events and promises that the runs of every system have."""
 
+import json
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from sato.check.event_log import EventLog
-from sato.check.promise import Promise, expect_none, expect_small_error, max_or_zero
+from sato.check.report import Promise, expect_none, expect_small_error
+from sato.interfaces import Frame
 from sato.network.graph import CommunicationGraph, canonicalize_labels
 
+if TYPE_CHECKING:
+    import xarray
 
-def common_summary(
-    attributes: Mapping[str, Any], alive: Bool[Array, "instants agents"]
-) -> dict[str, Any]:
+Alive = Bool[Array, "instants agents"]
+
+
+@dataclass(frozen=True, eq=False)
+class EventLog:
+    """Events of a run, with the instants of the record at which they happened."""
+
+    time: Float[Array, " instants"]  # of the record [s]
+    events: tuple[dict[str, Any], ...]  # in the order of time
+
+    @classmethod
+    def from_dataset(cls, data: "xarray.Dataset") -> "EventLog":
+        """Read the events of a run."""
+        events = tuple(json.loads(str(text)) for text in np.asarray(data["event"]))
+        return cls(np.asarray(data["time"], dtype=float), events)
+
+    @cached_property
+    def instants(self) -> list[int]:
+        """Index of the instant nearest to each event."""
+        times = [float(event["time"]) for event in self.events]
+        middles = np.sort((self.time[1:] + self.time[:-1]) / 2)
+        return [int(k) for k in np.searchsorted(middles, times)]
+
+    def of_kind(self, *kinds: str) -> list[tuple[int, dict[str, Any]]]:
+        """Return the events of some kinds, each with the index of its instant."""
+        timed = zip(self.instants, self.events, strict=True)
+        return [(k, event) for k, event in timed if event["kind"] in kinds]
+
+
+def common_summary(attributes: Mapping[str, Any], alive: Alive) -> dict[str, Any]:
     """Return the entries that begin every summary.
 
     Args:
@@ -30,6 +62,11 @@ def common_summary(
     }
 
 
+def drop_non_finite(summary: dict[str, Any]) -> dict[str, Any]:
+    """Leave out the numbers of a summary that are infinite or not known."""
+    return {k: v for k, v in summary.items() if not isinstance(v, float) or np.isfinite(v)}
+
+
 def incomplete_reason(attributes: Mapping[str, Any]) -> str:
     """Describe why a flight was not completed; empty if it was.
 
@@ -41,60 +78,63 @@ def incomplete_reason(attributes: Mapping[str, Any]) -> str:
     return f"the flight was not completed ({attributes.get('stopped', 'for an unknown reason')})"
 
 
+def check_complete(attributes: Mapping[str, Any], lacking: str = "") -> Promise:
+    """Check that a flight was completed, and that its record lacks nothing.
+
+    Args:
+        attributes: Attributes of the run.
+        lacking: Description of what the record lacks; empty if nothing.
+    """
+    reasons = [text for text in (lacking, incomplete_reason(attributes)) if text]
+    text = "; ".join(reasons) or "everything was flown and recorded"
+    return Promise("complete", not reasons, float(len(reasons)), 0.0, text)
+
+
 def check_attributes(attributes: Mapping[str, Any], expected: Mapping[str, float | str]) -> Promise:
     """Check that the radii and limits in the attributes are those of the scenario."""
-    wrong = sum(name not in attributes or attributes[name] != expected[name] for name in expected)
+    wrong = [attributes.get(name) != value for name, value in expected.items()]
     return expect_none("attributes", wrong, "radii or limits that are not the scenario's")
 
 
 def check_times(time: Float[Array, " instants"], step: float) -> Promise:
     """Check that instants are a step [s] apart, from zero on."""
-    error = max_or_zero(np.abs(time - step * np.arange(len(time))))
-    if not (np.diff(time) > 0).all():
-        k = int(np.argmin(np.diff(time) > 0))
-        return Promise(
-            "times", False, error, 0.0, f"time does not increase from instant {k} to {k + 1}"
-        )
-    return expect_small_error(
-        "times", error, 1e-9 * step, "s off from one control step to the next"
-    )
+    errors = time - step * np.arange(len(time))
+    promise = expect_small_error("times", errors, 1e-9 * step, "s off from one step to the next")
+    is_later = np.diff(time) > 0
+    if is_later.all():
+        return promise
+    k = int(np.argmin(is_later))
+    text = f"time does not increase from instant {k} to {k + 1}"
+    return promise._replace(kept=False, tolerance=0.0, message=text)
 
 
-def count_non_finite(
-    alive: Bool[Array, "instants agents"], values: Float[Array, "instants agents *k"]
-) -> int:
-    """Count the instants at which a live agent has a value that is not finite."""
-    return int((alive & ~np.isfinite(values).reshape(*alive.shape, -1).all(axis=2)).sum())
-
-
-def check_finite(
-    alive: Bool[Array, "instants agents"], *states: Float[Array, "instants agents *k"]
-) -> Promise:
+def check_finite(alive: Alive, *states: Float[Array, "instants agents *k"]) -> Promise:
     """Check that live agents have finite states at all instants."""
-    count = sum(count_non_finite(alive, values) for values in states)
-    return expect_none("numbers", count, "states of live agents that are not finite")
+    rows = [np.isfinite(values).reshape(*alive.shape, -1).all(axis=2) for values in states]
+    wrong = [alive & ~row for row in rows]
+    return expect_none("numbers", wrong, "states of live agents that are not finite")
 
 
-def check_alive(alive: Bool[Array, "instants agents"], log: EventLog) -> Promise:
+def check_alive(alive: Alive, log: EventLog) -> Promise:
     """Check that agents join and are lost with an event, and only so."""
     expected = alive[:1].repeat(len(alive), axis=0)
     for k, event in log.of_kind("loss", "join"):
         expected[k:, np.asarray(event["agents"], dtype=np.int64)] = event["kind"] == "join"
-    wrong = int((expected != alive).sum())
-    return expect_none("alive", wrong, "instants of an agent alive or not against the events")
+    text = "instants of an agent alive or not against the events"
+    return expect_none("alive", expected != alive, text)
 
 
-def check_components(
-    position: Float[Array, "instants agents d"],
-    alive: Bool[Array, "instants agents"],
-    component: Int[Array, "instants agents"],
-    radius: float,
-) -> Promise:
-    """Check that components are those of the positions and the communication radius [m]."""
-    wrong = 0
-    for p, is_alive, labels in zip(position, alive, component, strict=True):
-        found = CommunicationGraph.from_positions(p, radius, is_alive).component
-        wrong += int((canonicalize_labels(found) != canonicalize_labels(labels)).sum())
-    return expect_none(
-        "component", wrong, "labels that positions and communication radius do not give"
-    )
+def check_components(frames: Frame, radius: float) -> Promise:
+    """Check that components are those of the positions and the communication radius [m].
+
+    Args:
+        frames: Frames of a run, with time as the leading axis.
+        radius: Communication radius [m].
+    """
+    wrong = []
+    instants = zip(frames.position, frames.alive, frames.component, strict=True)
+    for position, alive, labels in instants:
+        found = CommunicationGraph.from_positions(position, radius, alive).component
+        wrong.append(canonicalize_labels(found) != canonicalize_labels(labels))
+    text = "labels that positions and communication radius do not give"
+    return expect_none("component", wrong, text)

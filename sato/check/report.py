@@ -1,10 +1,51 @@
-"""Result of checking a run: promises, each kept or broken."""
+"""Report of a check: the promises of a run, each kept or broken."""
 
 from dataclasses import dataclass
 from math import isfinite
-from typing import Any
+from typing import Any, NamedTuple
 
-from sato.check.promise import Promise
+import numpy as np
+from numpy.typing import ArrayLike
+
+
+class Promise(NamedTuple):
+    """Property that a run must have, and the value that was found."""
+
+    name: str
+    kept: bool
+    value: float  # worst violation, or the quantity itself
+    tolerance: float  # largest value that keeps the promise
+    message: str
+
+
+def expect_none(name: str, violations: ArrayLike, text: str) -> Promise:
+    """Promise that there are no violations, described in the plural.
+
+    Args:
+        name: Name of the promise.
+        violations: Their number, or an array that is true at each.
+        text: Description.
+    """
+    count = int(np.sum(violations))
+    return Promise(name, not count, float(count), 0.0, f"{count or 'no'} {text}")
+
+
+def expect_small_error(name: str, errors: ArrayLike, tolerance: float, text: str) -> Promise:
+    """Promise that the largest of all errors is within its tolerance."""
+    worst = max_or_zero(np.abs(errors))
+    return Promise(name, bool(worst <= tolerance), worst, tolerance, f"{worst:.3g} {text}")
+
+
+def expect_below(name: str, values: ArrayLike, limit: float, relative: float, text: str) -> Promise:
+    """Promise that a quantity does not exceed its limit, but for a relative tolerance."""
+    most = max_or_zero(values)
+    text = f"{most:.6g} {text}, {limit:.6g} allowed"
+    return Promise(name, bool(most <= limit * (1 + relative)), most, limit, text)
+
+
+def max_or_zero(values: ArrayLike) -> float:
+    """Return the largest value; NaN where there is one, which breaks every promise."""
+    return float(np.max(values, initial=0.0))
 
 
 @dataclass(frozen=True)
@@ -13,26 +54,23 @@ class Report:
 
     promises: tuple[Promise, ...]
     summary: dict[str, Any]  # as in summary.json, without time and memory
-    skipped: tuple[str, ...] = ()  # names of promises that could not be recomputed
-
-    @property
-    def kept(self) -> bool:
-        """True where every promise was kept."""
-        return all(promise.kept for promise in self.promises)
+    skipped: tuple[str, ...] = ()  # promises that could not be recomputed
 
     @property
     def broken(self) -> tuple[Promise, ...]:
         """Promises that were not kept."""
         return tuple(promise for promise in self.promises if not promise.kept)
 
+    @property
+    def kept(self) -> bool:
+        """True where every promise was kept."""
+        return not self.broken
+
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain values, fit for JSON."""
         return {
             "kept": self.kept,
-            "promises": [
-                {key: finite_or_none(value) for key, value in promise._asdict().items()}
-                for promise in self.promises
-            ],
+            "promises": [finite_or_none(promise._asdict()) for promise in self.promises],
             "skipped": list(self.skipped),
             "summary": self.summary,
         }

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from sato.check.event_log import EventLog
+from sato.check.common import EventLog
 from sato.connectivity.check.recorded import ConnectivityRecord
 from sato.connectivity.distance import nearest_agent_distance, obstacle_distances
 from sato.connectivity.loop import simulate

@@ -67,24 +67,31 @@ def collect_variables(
     frames: Sequence[ReconfigurationFrame], mission: Reconfiguration
 ) -> ReconfigurationVariables:
     """Collect targets, final target counts and the chief's orbit."""
-    d, legs = mission.linear_model.axes, mission.legs
-    most = max(len(leg.targets) for leg in legs)
-    targets = np.full((len(legs), most, 2 * d), np.nan)
-    for states, leg in zip(targets, legs, strict=True):
-        states[: len(leg.targets)] = leg.targets
-    counts = np.full((len(legs), len(mission.initial_states)), -1)
+    position, velocity = stack_targets(mission)
+    counts = np.full((len(mission.legs), len(mission.initial_states)), -1)
     for event in (e for f in frames for e in f.events if e["kind"] == "leg_end"):
         live = np.asarray(event["agents"], dtype=int)
         counts[event["leg"], live] = np.asarray(event["believed"])[live]
     elements = [mission.flown_plant.chief_elements(frame.time) for frame in frames]
     known = [chief for chief in elements if chief is not None]
     return ReconfigurationVariables(
-        target_position=targets[..., :d],
-        target_velocity=targets[..., d:],
+        target_position=position,
+        target_velocity=velocity,
         targets_believed=counts,
         element=np.array(CHIEF_ELEMENTS) if known else None,
         chief=np.array(known) if known else None,
     )
+
+
+def stack_targets(
+    mission: Reconfiguration,
+) -> tuple[Float[Array, "legs targets d"], Float[Array, "legs targets d"]]:
+    """Stack positions and velocities of the targets of all legs; NaN where a leg has fewer."""
+    most = max(len(leg.targets) for leg in mission.legs)
+    targets = np.full((len(mission.legs), most, 2 * mission.axes), np.nan)
+    for states, leg in zip(targets, mission.legs, strict=True):
+        states[: len(leg.targets)] = leg.targets
+    return targets[..., : mission.axes], targets[..., mission.axes :]
 
 
 def _gravity_constants(plant: Plant) -> dict[str, float]:

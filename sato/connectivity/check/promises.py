@@ -7,7 +7,7 @@ import numpy as np
 from dynamics.vehicle import rotate_by_yaw
 from problems.interaction_graph import algebraic_connectivity
 from sato.check import common
-from sato.check.promise import (
+from sato.check.report import (
     Promise,
     expect_below,
     expect_none,

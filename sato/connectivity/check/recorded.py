@@ -10,8 +10,7 @@ from numpy import ndarray as Array
 
 from dynamics.kinematic import KinematicVehicle
 from dynamics.vehicle import VehicleState, rotate_by_yaw
-from sato.check.common import common_summary, incomplete_reason
-from sato.check.event_log import EventLog
+from sato.check.common import EventLog, common_summary, incomplete_reason
 from sato.connectivity.distance import min_obstacle_distance, min_separation
 from sato.connectivity.loop import advance_vehicles
 from sato.connectivity.mission import Connectivity

@@ -6,7 +6,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from sato.check import common
-from sato.check.promise import (
+from sato.check.report import (
     Promise,
     expect_below,
     expect_none,

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from problems.gain_matrix import GainMatrix
-from sato.check.event_log import EventLog
+from sato.check.common import EventLog
 from sato.formation.loop import FormationFrame
 from sato.formation.mission import Formation
 from sato.formation.record import GAIN_PARTS, FormationVariables, collect_variables

@@ -1,47 +1,26 @@
 """Fuel of a run, and lower bounds on it."""
 
-from collections.abc import Callable
-from typing import NamedTuple
-
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from problems.assignment import solve_assignment
-from sato.reconfiguration.check.prediction import find_entry_indices, predict_end_states
-from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
+from sato.reconfiguration.check.prediction import predict_end_states
+from sato.reconfiguration.check.recorded import FuelBound, LegRecord, ReconfigurationRecord
 from sato.reconfiguration.mission import Norm
 
 MAX_PAIRS = 600  # pairs that are solved one by one, where no method for all at once exists
 
 
-class LegCosts(NamedTuple):
-    """Fuel of all pairs of survivors and targets, lower bounds until they are refined."""
-
-    fuel: Float[Array, "survivors targets"]  # [m/s]; infinite where out of reach
-    is_exact: Bool[Array, "survivors targets"]
-    solve_pair: Callable[[int, int], float]
-
-
-class FuelBound(NamedTuple):
-    """Least fuel of a leg, from its initial states, in the time that it took."""
-
-    total: float  # of the central optimum [m/s]
-    agents: Int[Array, " survivors"]
-    per_agent: Float[Array, " survivors"]  # to the target that each held at the end [m/s]
-    correction_fuel: Float[Array, " survivors"]  # to correct the shared model's end state [m/s]
-
-
 def compute_step_fuel(record: ReconfigurationRecord) -> Float[Array, "steps agents"]:
     """Compute the fuel of every agent in every step [m/s]."""
-    u = np.where(record.is_flying[..., None], record.control[:-1], 0.0)
+    u = np.where(record.is_flying[..., None], record.frames.control[:-1], 0.0)
     return vector_norm(u, record.mission.fuel_norm) * record.mission.step
 
 
 def vector_norm(u: Float[Array, "*k d"], norm: Norm) -> Float[Array, "*k"]:
     """Compute the norm of vectors: 1, 2 or "inf"."""
-    order = np.inf if norm == "inf" else float(norm)
-    return np.asarray(np.linalg.norm(u, ord=order, axis=-1))
+    return np.asarray(np.linalg.norm(u, ord=float(norm), axis=-1))
 
 
 def compute_fuel_bound(record: ReconfigurationRecord, leg: LegRecord) -> FuelBound | None:
@@ -58,59 +37,54 @@ def compute_fuel_bound(record: ReconfigurationRecord, leg: LegRecord) -> FuelBou
         The bound; None where the leg did not end, an agent could not have arrived, or the
         instance is too large for norms without a method for all pairs at once.
     """
-    if leg.end_event is None or not leg.step_count:
-        return None
-    agents = np.asarray(leg.end_event["agents"], dtype=np.int64)
-    held = np.asarray(leg.end_event["target"], dtype=np.int64)[agents]
-    counts = np.asarray(leg.end_event["believed"], dtype=np.int64)[agents]
-    targets = record.targets[leg.leg_index]
-    targets = targets[np.isfinite(targets).all(axis=1)]
-    m = max(int(counts.max(initial=0)), len(agents))
-    if len(targets) < m:
-        return None
+    mission, agents = record.mission, np.flatnonzero(leg.alive)
+    targets, first = record.leg_targets(leg), leg.entry_index[agents]
+    held = leg.target_index[agents]
     held[held >= len(targets)] = -1
+    m = max(leg.largest_target_count, len(agents))
     # Every target that an agent holds is counted too, for that agent's own bound.
-    most = max(m, int(held.max(initial=-1)) + 1)
-    costs = _compute_leg_costs(record, leg, agents, targets[:most])
-    if costs is None:
+    targets = targets[: max(m, int(held.max(initial=-1)) + 1)]
+    is_too_large = len(agents) * len(targets) > MAX_PAIRS
+    if (
+        leg.end_event is None
+        or len(targets) < m
+        or (first >= leg.end_index).any()
+        or not np.isfinite(record.state[first, agents]).all()
+        or ((mission.fuel_norm, mission.control_norm) != (1, "inf") and is_too_large)
+    ):
         return None
-    chosen, rows = _solve_assignment(costs, m), np.arange(len(agents))
-    for i in np.flatnonzero(held >= 0):
-        _refine_cost(costs, int(i), int(held[i]))
-    own = np.where(held >= 0, costs.fuel[rows, held], np.nan)
-    total = float(costs.fuel[rows, chosen].sum())
+    costs = _LegCosts(record, leg, targets)
+    chosen = costs.assign(m)
+    total = float(costs.fuel[np.arange(len(agents)), chosen].sum())
     if not np.isfinite(total):
         return None
-    return FuelBound(total, agents, own, _correction_fuel(record, leg, agents, held))
+    own = [costs.solve(i, j) if j >= 0 else np.nan for i, j in enumerate(held.tolist())]
+    return FuelBound(total, agents, np.array(own), _correction_fuel(record, leg, held))
 
 
-def compute_agent_bounds(
-    record: ReconfigurationRecord, bounds: list[FuelBound | None]
-) -> Float[Array, " agents"]:
+def compute_agent_bounds(record: ReconfigurationRecord) -> Float[Array, " agents"]:
     """Compute the least fuel of each agent to its targets; NaN unless all its legs have one."""
-    total = np.zeros(record.alive.shape[1])
-    for leg, bound in zip(record.leg_records, bounds, strict=True):
+    alive = record.frames.alive
+    total = np.zeros(alive.shape[1])
+    for leg, bound in zip(record.leg_records, record.fuel_bounds, strict=True):
         fuel = np.full(len(total), np.nan)
         if bound is not None:
             fuel[bound.agents] = np.where(np.isfinite(bound.per_agent), bound.per_agent, np.nan)
-        is_absent = ~record.alive[leg.start_index : leg.end_index].any(axis=0)
+        is_absent = ~alive[leg.start_index : leg.end_index].any(axis=0)
         total += np.where(is_absent, 0.0, fuel)
     return total
 
 
 def _correction_fuel(
-    record: ReconfigurationRecord,
-    leg: LegRecord,
-    agents: Int[Array, " survivors"],
-    held: Int[Array, " survivors"],
+    record: ReconfigurationRecord, leg: LegRecord, held: Int[Array, " survivors"]
 ) -> Float[Array, " survivors"]:
     # With fuel counted as |u|₁, which is at least as much as in the other norms.
     from problems.minimum_fuel import solve_minimum_fuel
 
-    end = predict_end_states(record, leg, agents, record.control)
-    error = record.targets[leg.leg_index][held] - end
-    first, fuel = find_entry_indices(record, leg, agents), np.full(len(agents), np.inf)
-    is_known = (first < leg.end_index) & (held >= 0) & np.isfinite(error).all(axis=1)
+    end = predict_end_states(record, leg, record.frames.control)
+    error = record.targets[leg.leg_index, held] - end
+    first, fuel = leg.entry_index[leg.alive], np.full(len(held), np.inf)
+    is_known = (held >= 0) & np.isfinite(error).all(axis=1)
     for k in np.unique(first[is_known]):
         rows = np.flatnonzero((first == k) & is_known)
         model = record.model[slice(k, leg.end_index)]
@@ -119,59 +93,48 @@ def _correction_fuel(
     return fuel
 
 
-def _solve_assignment(costs: LegCosts, m: int) -> Int[Array, " survivors"]:
-    # Lower bounds are made exact where the optimum uses them, until it uses no other.
-    rows = np.arange(len(costs.fuel))
-    while True:
-        first = costs.fuel[:, :m]
-        is_finite = np.isfinite(first)
-        large = 1 + np.max(first, initial=0.0, where=is_finite) * (len(first) + 1)
-        chosen = solve_assignment(np.where(is_finite, first, large))
-        inexact = np.flatnonzero(~costs.is_exact[rows, chosen])
-        if not len(inexact):
-            return chosen
-        for i in inexact:
-            _refine_cost(costs, int(i), int(chosen[i]))
+class _LegCosts:
+    """Fuel of all pairs of survivors and targets, lower bounds until they are solved."""
 
+    def __init__(
+        self, record: ReconfigurationRecord, leg: LegRecord, targets: Float[Array, "targets n"]
+    ) -> None:
+        from problems.auction_cost import compute_transfer_costs
+        from problems.transfer import TransferProblem
 
-def _refine_cost(costs: LegCosts, i: int, j: int) -> None:
-    if not costs.is_exact[i, j]:
-        costs.fuel[i, j] = costs.solve_pair(i, j)
-        costs.is_exact[i, j] = True
+        mission, first = record.mission, leg.entry_index[leg.alive]
+        limits = mission.max_control, mission.max_speed, mission.fuel_norm, mission.control_norm
+        self.first, self.start, self.targets = first, record.state[first, leg.alive], targets
+        self.fuel = np.zeros((len(first), len(targets)))
+        self.is_exact = np.zeros(self.fuel.shape, dtype=bool)
+        self.problems = {}
+        for k in np.unique(first):
+            problem = TransferProblem(record.model[slice(k, leg.end_index)], *limits)
+            found = compute_transfer_costs(problem, self.start[first == k], targets)
+            self.fuel[first == k] = np.where(found.is_reachable, found.fuel, np.inf)
+            self.is_exact[first == k] = found.is_exact
+            self.problems[k] = problem
 
+    def solve(self, i: int, j: int) -> float:
+        """Return the fuel of a pair [m/s]; infinite where the target is out of reach."""
+        from problems.auction_cost import solve_transfer
 
-def _compute_leg_costs(
-    record: ReconfigurationRecord,
-    leg: LegRecord,
-    agents: Int[Array, " survivors"],
-    targets: Float[Array, "targets n"],
-) -> LegCosts | None:
-    from problems.auction_cost import compute_transfer_costs, solve_transfer
-    from problems.transfer import TransferProblem
+        if not self.is_exact[i, j]:
+            problem = self.problems[self.first[i]]
+            transfer = solve_transfer(problem, self.start[i], self.targets[j])
+            self.fuel[i, j] = np.inf if transfer is None else transfer.fuel
+            self.is_exact[i, j] = True
+        return float(self.fuel[i, j])
 
-    mission = record.mission
-    limits = (mission.max_control, mission.max_speed)
-    norms = (mission.fuel_norm, mission.control_norm)
-    if norms != (1, "inf") and len(agents) * len(targets) > MAX_PAIRS:
-        return None
-    first = find_entry_indices(record, leg, agents)
-    start = record.state[first, agents]
-    if (first >= leg.end_index).any() or not np.isfinite(start).all():
-        return None
-    problems = {
-        int(k): TransferProblem(record.model[slice(k, leg.end_index)], *limits, *norms)
-        for k in np.unique(first)
-    }
-
-    def solve_pair(i: int, j: int) -> float:
-        transfer = solve_transfer(problems[int(first[i])], start[i], targets[j])
-        return np.inf if transfer is None else transfer.fuel
-
-    fuel = np.zeros((len(agents), len(targets)))
-    is_exact = np.zeros(fuel.shape, dtype=bool)
-    for k, problem in problems.items():
-        rows = np.flatnonzero(first == k)
-        found = compute_transfer_costs(problem, start[rows], targets)
-        fuel[rows] = np.where(found.is_reachable, found.fuel, np.inf)
-        is_exact[rows] = found.is_exact
-    return LegCosts(fuel, is_exact, solve_pair)
+    def assign(self, m: int) -> Int[Array, " survivors"]:
+        """Assign the first m targets; solve what the optimum uses, until it uses no bounds."""
+        rows, fuel = np.arange(len(self.fuel)), self.fuel[:, :m]
+        while True:
+            is_finite = np.isfinite(fuel)
+            large = 1 + np.max(fuel, initial=0.0, where=is_finite) * (len(fuel) + 1)
+            chosen = solve_assignment(np.where(is_finite, fuel, large))
+            inexact = np.flatnonzero(~self.is_exact[rows, chosen])
+            if not len(inexact):
+                return chosen
+            for i in inexact:
+                self.solve(int(i), int(chosen[i]))

@@ -1,47 +1,41 @@
-"""Prediction of a run's controls by the shared model, and the distance of the plant from it.
+"""Prediction of a run: by the model that its agents share, and by the random draws of its seed.
 
 Agents may know better than the model that they share, where each linearizes about its own
 trajectory; the error of the shared model bounds theirs.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
+from sato.reconfiguration.disturbances import disturb_control, draw_losses, measure
 
 SIGMA_BOUND = 8.0  # a normal draw exceeds it once in 10¹⁵
 
 
-def find_entry_indices(
-    record: ReconfigurationRecord, leg: LegRecord, agents: Int[Array, " k"]
-) -> Int[Array, " k"]:
-    """Find the instant from which on each agent takes part in a leg."""
-    alive = record.alive[leg.start_index :, agents]
-    return np.asarray(leg.start_index + np.argmax(alive, axis=0))
-
-
 def predict_end_states(
-    record: ReconfigurationRecord,
-    leg: LegRecord,
-    agents: Int[Array, " k"],
-    control: Float[Array, "instants agents d"],
-) -> Float[Array, "k n"]:
-    """Predict the states of agents at the end of a leg, by the shared model.
+    record: ReconfigurationRecord, leg: LegRecord, control: Float[Array, "instants agents d"]
+) -> Float[Array, "survivors n"]:
+    """Predict the states at the end of a leg, by the shared model.
 
     Args:
         record: Run.
         leg: Leg.
-        agents: Indices; each starts with its state at the start of the leg, or where it joined.
         control: Controls of all agents in the whole run [m/s²].
+
+    Returns:
+        States of the agents that are there at its end, each from its state at the start of the
+        leg, or where it joined.
     """
-    first = find_entry_indices(record, leg, agents)
+    agents, first = np.flatnonzero(leg.alive), leg.entry_index[leg.alive]
     end: Array = record.state[first, agents]
     for k in np.unique(first[first < leg.end_index]):
-        chosen = np.flatnonzero(first == k)
-        u = np.moveaxis(control[k : leg.end_index, agents[chosen]], 0, 1)
-        model = record.model[slice(k, leg.end_index)]
-        end[chosen] = model.simulate(end[chosen], u)[:, -1]
+        rows = np.flatnonzero(first == k)
+        u = np.moveaxis(control[k : leg.end_index, agents[rows]], 0, 1)
+        end[rows] = record.model[slice(k, leg.end_index)].simulate(end[rows], u)[:, -1]
     return end
 
 
@@ -55,18 +49,19 @@ def bound_speed_excess(record: ReconfigurationRecord) -> Float[Array, "instants 
     before the deadline, the last plan may be `freeze_steps` older.
     """
     mission, model, d = record.mission, record.model, record.axes
+    velocity, control = record.frames.velocity, record.frames.control
     sigma = np.repeat([mission.position_noise, mission.velocity_noise], d)
     age, T = _max_plan_age(record), len(model)
-    found = np.zeros(record.alive.shape)
+    found = np.zeros(record.frames.alive.shape)
     x, Phi = record.state, np.broadcast_to(np.eye(2 * d), (T, 2 * d, 2 * d))
     for lag in range(1, int(age.max(initial=0)) + 1):
         # x[k] is predicted from the state at k for the instant k + lag.
         x, Phi = x[: T - lag + 1], Phi[: T - lag + 1]
         A, B, z = (part[lag - 1 :] for part in (model.A, model.B, model.z))
-        Bu = np.einsum("kab,kib->kia", B, record.control[lag - 1 : -1])
+        Bu = np.einsum("kab,kib->kia", B, control[lag - 1 : -1])
         x = np.einsum("kab,kib->kia", A, x) + Bu + z[:, None]
         Phi = A @ Phi
-        error = np.linalg.norm(record.velocity[lag:] - x[..., d:], axis=2)
+        error = np.linalg.norm(velocity[lag:] - x[..., d:], axis=2)
         noise = SIGMA_BOUND * np.linalg.norm(Phi[:, d:] * sigma, axis=(1, 2))
         allowed = np.where(np.isfinite(error), error, 0.0) + noise[:, None]
         is_recent = (age[lag:] >= lag)[:, None]
@@ -83,3 +78,39 @@ def _max_plan_age(record: ReconfigurationRecord) -> Int[Array, " instants"]:
         k = np.arange(1, leg.step_count + 1)
         age[leg.start_index + k] = np.minimum(k, (k - 1) % p + 1 + kept)
     return age
+
+
+class Redrawn(NamedTuple):
+    """Measured states and applied controls that the seed gives, for every control step."""
+
+    measured_state: Float[Array, "steps agents n"]
+    applied_control: Float[Array, "steps agents d"]  # [m/s²]
+
+
+def redraw_disturbances(record: ReconfigurationRecord, rng: np.random.Generator) -> Redrawn:
+    """Draw again, in the order of the loop: losses, measurements, disturbances, thruster errors.
+
+    Args:
+        record: Run; the agents that are lost are taken from its events.
+        rng: Generator as the drawing of the mission left it.
+    """
+    measured, applied = record.state[:-1].copy(), record.frames.control[:-1].copy()
+    for leg in record.leg_records:
+        for k in range(leg.start_index, leg.end_index):
+            _redraw_losses(record, leg, k, rng)
+            measured[k] = measure(record.mission, measured[k], rng)
+            applied[k] = disturb_control(record.mission, applied[k], rng)
+    return Redrawn(measured, applied)
+
+
+def _redraw_losses(
+    record: ReconfigurationRecord, leg: LegRecord, k: int, rng: np.random.Generator
+) -> None:
+    losses = record.mission.legs[leg.leg_index].losses
+    due = [loss for loss in losses if loss.at_step == k - leg.start_index]
+    lost = [event["agents"] for at, event in record.events.of_kind("loss") if at == k]
+    alive = record.frames.alive[k].copy()
+    alive[[i for agents in lost for i in agents]] = True
+    for loss, agents in zip(due, lost, strict=False):
+        draw_losses(loss, record.frames.position[k], alive, rng)
+        alive[agents] = False

@@ -41,7 +41,7 @@ class SwarmAnimation:
         """Draw the swarm at an instant, counted in control steps."""
         record, scene, ax = self._record, self._scene, self.axes
         k = int(instant)
-        leg, component = int(record.leg[k]), record.component[k]
+        leg, component = int(record.leg_index[k]), record.frames.component[k]
         trail = scene.positions_at(
             np.linspace(max(0, instant - TRAIL_STEPS), instant, TRAIL_POINTS)
         )
@@ -53,5 +53,5 @@ class SwarmAnimation:
         count = len(np.unique(component[component >= 0]))
         ax.set_title(
             f"leg {leg + 1}, {scene.leg_names[leg]}     t = {time}     "
-            f"{int(record.alive[k].sum())} agents in {pluralize(count, 'component')}"
+            f"{int(record.frames.alive[k].sum())} agents in {pluralize(count, 'component')}"
         )

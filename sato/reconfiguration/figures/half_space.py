@@ -72,7 +72,7 @@ def _find_closest_encounter(
     i, j = found.minimum.pair
     near = found.minimum.piece // record.pieces_per_step
     x = record.state[:, j] - record.state[:, i]
-    alive = record.alive[:, i] & record.alive[:, j]
+    alive = record.frames.alive[:, i] & record.frames.alive[:, j]
     first = int(np.flatnonzero(~alive[: near + 1]).max(initial=-1)) + 1
     distance = np.linalg.norm(x[first : near + 1, :d], axis=1)
     low, high = AVOIDED_RANGE

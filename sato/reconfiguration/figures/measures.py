@@ -1,6 +1,5 @@
 """Least separation over time, and fuel of the agents against their lower bounds."""
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +13,6 @@ from sato.figures.axes import add_legend, add_titles
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, RED, SKY
 from sato.reconfiguration.check.fuel import (
     compute_agent_bounds,
-    compute_fuel_bound,
     compute_step_fuel,
 )
 from sato.reconfiguration.check.recorded import ReconfigurationRecord
@@ -30,15 +28,13 @@ class FuelUse(NamedTuple):
     total_lower_bound: float | None  # with the optimal assignment [m/s]
 
 
-@lru_cache(maxsize=1)
 def compute_fuel_use(record: ReconfigurationRecord) -> FuelUse:
     """Compute the fuel of every agent and its lower bound."""
-    bounds = [compute_fuel_bound(record, s) for s in record.leg_records]
-    known = [b.total for b in bounds if b is not None]
+    known = [bound.total for bound in record.fuel_bounds if bound is not None]
     return FuelUse(
         compute_step_fuel(record).sum(axis=0),
-        compute_agent_bounds(record, bounds),
-        record.alive[-1],
+        compute_agent_bounds(record),
+        record.frames.alive[-1],
         sum(known) if len(known) == len(record.mission.legs) else None,
     )
 
@@ -51,7 +47,7 @@ def plot_separation(record: ReconfigurationRecord) -> Figure:
     # One value a control step: the least of its pieces.
     between = record.separations[0].distance.reshape(-1, record.pieces_per_step).min(axis=1)
     between = np.where(np.isfinite(between), between, np.nan)
-    samples = sampled_separations(record.position, record.alive)
+    samples = sampled_separations(record.frames.position, record.frames.alive)
     samples = np.where(np.isfinite(samples), samples, np.nan)
     ax.stairs(between, t, baseline=None, color=BLUE, lw=1.1, label="least within each step")
     ax.plot(t, samples, color=GRAY, lw=0.7, label="at control instants")

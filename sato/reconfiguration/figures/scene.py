@@ -38,8 +38,7 @@ class Scene:
         self.record = record
         self.view = view or (ORBITAL_PLANE if has_chief(record) else everything)
         self.leg_names = read_leg_names(record)
-        # The whole run is one leg where none began.
-        self.legs = record.leg_records or (LegRecord(0, 0, len(record.time) - 1, None),)
+        self.legs = record.leg_records
         parts = np.arange(POINTS_PER_STEP * (len(record.time) - 1) + 1) / POINTS_PER_STEP
         self.path = self.positions_at(parts)
         self.targets = [self._used_targets(leg) for leg in range(len(record.targets))]
@@ -60,18 +59,17 @@ class Scene:
 
     def snapshot(self, leg: LegRecord, k: int, title: str) -> Snapshot:
         """Return the swarm at an instant of a leg; at its end, before losses of the next leg."""
-        component = self.record.component[k]
+        component = self.record.frames.component[k]
         if k == leg.end_index and leg.end_event is not None:
-            end = self.record.leg_end(leg)
-            component = np.where(end.alive, end.component, -1)
-        position = self.view.project(self.record.position[k])
+            component = np.where(leg.alive, leg.component, -1)
+        position = self.view.project(self.record.frames.position[k])
         return Snapshot(title, position, component, self.targets[leg.leg_index])
 
     def _used_targets(self, leg: int) -> Float[Array, "targets d"]:
         # Those that agents bid on; all if the leg did not end.
         targets = self.record.targets[leg]
         targets = targets[np.isfinite(targets).all(axis=1)]
-        count = int(self.record.final_target_count[leg].max(initial=0))
+        count = int(self.record.variables.targets_believed[leg].max(initial=0))
         return self.view.project(targets[: count or len(targets)])
 
 
@@ -95,13 +93,13 @@ def interpolate_positions(
     record: ReconfigurationRecord, instants: Float[Array, " k"]
 ) -> Float[Array, "k agents d"]:
     """Interpolate positions at instants, counted in control steps; NaN where not alive."""
-    x, v = np.moveaxis(record.position, 0, 1), np.moveaxis(record.velocity, 0, 1)
+    x, v = np.moveaxis(record.frames.position, 0, 1), np.moveaxis(record.frames.velocity, 0, 1)
     pieces = np.moveaxis(control_points(x, v, record.mission.step), 0, 1)
-    pieces = np.concatenate([pieces, np.repeat(record.position[-1:, :, None], 4, axis=2)])
+    pieces = np.concatenate([pieces, np.repeat(record.frames.position[-1:, :, None], 4, axis=2)])
     k = instants.astype(int)
-    fraction = np.repeat((instants - k)[:, None], record.position.shape[1], axis=1)
+    fraction = np.repeat((instants - k)[:, None], record.frames.position.shape[1], axis=1)
     found = evaluate_bezier(pieces[k], fraction)
-    return np.where(record.alive[k][..., None], found, np.nan)
+    return np.where(record.frames.alive[k][..., None], found, np.nan)
 
 
 def draw_swarm(

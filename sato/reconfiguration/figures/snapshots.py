@@ -80,7 +80,7 @@ def plot_trajectories(record: ReconfigurationRecord) -> Figure:
     for ax, leg in zip(axes, scene.legs, strict=True):
         path = scene.path_between(leg.start_index, leg.end_index)
         steps = slice(leg.start_index, leg.end_index)
-        target = np.where(record.alive[steps], record.target_index[steps], -1)
+        target = np.where(record.frames.alive[steps], record.frames.target_index[steps], -1)
         changes = np.array([len(np.unique(t[t >= 0])) > 1 for t in target.T])
         draw_paths(ax, space, path[:, ~changes], BLUE, label="kept its target")
         if changes.any():
@@ -104,7 +104,9 @@ def plot_instants(record: ReconfigurationRecord) -> Figure:
             trails.append(scene.path_between(since, k))
     width = 2.6 if len(scene.legs) > 1 else 3.4
     figure, axes = make_panels([s.title for s in shots], space, len(SNAPSHOT_FRACTIONS), width)
-    size = float(np.clip(30 / len(record.alive[0]) ** 0.5, 2.2, 3.9))  # smaller for many agents
+    size = float(
+        np.clip(30 / len(record.frames.alive[0]) ** 0.5, 2.2, 3.9)
+    )  # smaller for many agents
     for ax, shot, trail in zip(axes, shots, trails, strict=True):
         draw_paths(ax, space, trail, TRAIL_COLOR, label="recent trajectory")
         ax.plot(0, 0, **CHIEF_STYLE, ls="", zorder=1)

@@ -1,0 +1,268 @@
+"""Promises of a reconfiguration: the file agrees with its mission, its seed and itself."""
+
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Bool
+from numpy import ndarray as Array
+
+from dynamics.orbit import polar_nodal_scales
+from dynamics.trajectory_geometry import sampled_separations
+from sato.check import common
+from sato.check.report import Promise, expect_below, expect_none, expect_small_error, max_or_zero
+from sato.network.graph import CommunicationGraph, canonicalize_labels
+from sato.reconfiguration.check.fuel import compute_step_fuel, vector_norm
+from sato.reconfiguration.check.prediction import Redrawn, bound_speed_excess
+from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
+from sato.reconfiguration.check.summary import is_reached
+from sato.reconfiguration.record import collect_attributes, stack_targets
+
+# Rounding in one step, relative to the largest position, speed or control.
+ROUNDING_TOLERANCE = 1e-10
+
+
+def check_promises(record: ReconfigurationRecord, redrawn: Redrawn) -> tuple[Promise, ...]:
+    """Check all promises."""
+    mission, frames, log = record.mission, record.frames, record.events
+    ended = {leg.leg_index for leg in record.leg_records if leg.end_event is not None}
+    unended = _list_legs("that did not end", set(range(len(mission.legs))) - ended)
+    return (
+        common.check_complete(record.attributes, unended),
+        common.check_attributes(record.attributes, collect_attributes(mission)),
+        common.check_times(record.time, mission.step),
+        check_chief(record),
+        check_finite(record),
+        check_start(record),
+        common.check_alive(frames.alive, log),
+        common.check_components(frames, mission.comm_radius),
+        check_propagation(record),
+        check_applied_control(record, redrawn),
+        check_measurements(record, redrawn),
+        check_control_limit(record),
+        check_speed_limit(record),
+        check_targets(record),
+        check_legs(record),
+        check_assignment(record),
+        check_target_counts(record),
+        check_separation(record),
+        expect_none("feasible", len(log.of_kind("infeasible")), "programs that were infeasible"),
+        check_arrival(record),
+        check_fuel(record),
+    )
+
+
+def check_chief(record: ReconfigurationRecord) -> Promise:
+    """Check that the recorded orbit of the chief is that of the plant, at every instant."""
+    plant, times = record.mission.flown_plant, range(len(record.time))
+    elements = [plant.chief_elements(k * record.mission.step) for k in times]
+    known = np.array([each for each in elements if each is not None])
+    found = np.zeros(0) if record.variables.chief is None else record.variables.chief
+    if found.shape != known.shape:
+        return expect_none("chief", 1, "missing orbit of a chief, or one without a chief")
+    scale = polar_nodal_scales(known[0]) if len(known) else 1.0
+    text = "relative error of the orbit of the chief"
+    return expect_small_error("chief", (found - known) / scale, ROUNDING_TOLERANCE, text)
+
+
+def check_finite(record: ReconfigurationRecord) -> Promise:
+    """Check that live agents have states at all instants and controls at all but the last."""
+    frames, alive = record.frames, record.frames.alive
+    is_lacking = alive & ~np.isfinite(record.state).all(axis=2)
+    controls = np.isfinite(np.concatenate([frames.control, frames.applied_control], axis=2))
+    has_control = np.vstack([record.is_flying, np.zeros_like(alive[:1])])
+    is_odd = (controls != has_control[..., None]).any(axis=2)
+    text = "states or controls that are not finite, or of agents that are not alive"
+    return expect_none("numbers", is_lacking | is_odd, text)
+
+
+def check_start(record: ReconfigurationRecord) -> Promise:
+    """Check that agents start, and join, with the states of the mission."""
+    start, alive = record.mission.initial_states, record.frames.alive
+    if record.state.shape[1:] != start.shape:
+        return expect_none("start", 1, "another number of agents than in the mission")
+    is_wrong = alive[0] != record.mission.alive
+    if is_wrong.any():
+        text = "agents that are alive at the start and should not be, or the reverse"
+        return expect_none("start", is_wrong, text)
+    k, i = np.nonzero(np.vstack([alive[:1], alive[1:] & ~alive[:-1]]))
+    tolerance = ROUNDING_TOLERANCE * float(np.abs(start).max())
+    text = "error of an initial state, at most"
+    return expect_small_error("start", record.state[k, i] - start[i], tolerance, text)
+
+
+def check_propagation(record: ReconfigurationRecord) -> Promise:
+    """Check that the plant takes every state to the next under the applied control."""
+    x, frames, step = record.state, record.frames, record.mission.step
+    p, v, u = (
+        np.max(np.abs(a), initial=0.0, where=np.isfinite(a))
+        for a in (frames.position, frames.velocity, frames.applied_control)
+    )
+    scale = np.repeat([p + v * step, v + u * step], record.axes) + 1e-300
+    errors = (record.repropagate()[:, 1] - x[1:]) / scale
+    # Lost agents stay where they are, so that every number of the file is checked.
+    is_absent = ~frames.alive[:-1] & ~frames.alive[1:]
+    moved = np.nan_to_num((x[1:] - x[:-1]) / scale)
+    errors = np.concatenate([errors[record.is_flying], moved[is_absent]])
+    text = "relative error of a step propagated again under its applied control"
+    return expect_small_error("flight", errors, ROUNDING_TOLERANCE, text)
+
+
+def check_applied_control(record: ReconfigurationRecord, redrawn: Redrawn) -> Promise:
+    """Check that the applied control is the commanded one with the errors of the seed."""
+    applied = record.frames.applied_control
+    errors = (applied[:-1] - redrawn.applied_control)[record.is_flying]
+    tolerance = ROUNDING_TOLERANCE * float(np.nanmax(np.abs(applied), initial=0.0))
+    text = "m/s² between the applied control and the draws of the seed"
+    return expect_small_error("applied", errors, tolerance, text)
+
+
+def check_measurements(record: ReconfigurationRecord, redrawn: Redrawn) -> Promise:
+    """Check that measurements are the states with the noise of the seed."""
+    mission, frames = record.mission, record.frames
+    parts = [a for a in (frames.measured_position, frames.measured_velocity) if a is not None]
+    has_noise = bool(mission.position_noise or mission.velocity_noise)
+    if len(parts) != 2 * has_noise:
+        return expect_none("measured", 1, "missing measurements, or measurements without noise")
+    if not parts:
+        return expect_none("measured", 0, "measurements, for there is no noise")
+    measured = np.concatenate(parts, axis=-1)
+    if np.isfinite(measured[-1]).any():
+        return expect_none("measured", 1, "measurements after the last control")
+    tolerance = ROUNDING_TOLERANCE * float(np.abs(record.state).max())
+    text = "m or m/s between measurements and the draws of the seed"
+    return expect_small_error("measured", measured[:-1] - redrawn.measured_state, tolerance, text)
+
+
+def check_control_limit(record: ReconfigurationRecord) -> Promise:
+    """Check that no commanded control exceeds its limit."""
+    mission = record.mission
+    u = vector_norm(record.frames.control[:-1][record.is_flying], mission.control_norm)
+    return expect_below("control", u, mission.max_control, 1e-9, "m/s² commanded")
+
+
+def check_speed_limit(record: ReconfigurationRecord) -> Promise:
+    """Check that no agent exceeds the speed limit by more than it could not know when it planned.
+
+    That is the difference of the plant, the thrusters and the disturbance from the shared
+    model since the last plan, recomputed to the last digit, and the possible effect of noise
+    in the measured state, see `bound_speed_excess`.
+    """
+    limit, alive = record.mission.max_speed, record.frames.alive
+    speed = np.linalg.norm(record.frames.velocity[alive], axis=-1)
+    if not len(speed) or not np.isfinite(limit):
+        return expect_below("speed", speed, limit, 1e-9, "m/s flown")
+    allowed = limit + bound_speed_excess(record)[alive]
+    worst = int(np.argmax(speed - allowed))
+    return expect_below("speed", speed[worst], float(allowed[worst]), 1e-9, "m/s flown")
+
+
+def check_targets(record: ReconfigurationRecord) -> Promise:
+    """Check that the recorded targets are those of the mission."""
+    found, expected = record.targets, np.concatenate(stack_targets(record.mission), axis=-1)
+    if found.shape != expected.shape or (np.isfinite(found) != np.isfinite(expected)).any():
+        return expect_none("targets", 1, "another number of targets than in the mission")
+    is_target = np.isfinite(expected)
+    tolerance = ROUNDING_TOLERANCE * float(np.abs(expected[is_target]).max())
+    errors = (found - expected)[is_target]
+    return expect_small_error("targets", errors, tolerance, "error of a target, at most")
+
+
+def check_legs(record: ReconfigurationRecord) -> Promise:
+    """Check that legs follow one another, and that each ends as its last instants show."""
+    legs, expected = record.leg_records, np.zeros(len(record.time), dtype=np.int64)
+    for leg in legs:
+        expected[leg.start_index :] = leg.leg_index
+    wrong = int((expected != record.leg_index).sum())
+    wrong += [leg.leg_index for leg in legs] != list(range(len(legs)))
+    for leg, following in pairwise(legs):
+        wrong += leg.end_event is None or leg.end_index != following.start_index
+    wrong += sum(_count_contradictions(record, leg) for leg in legs if leg.end_event is not None)
+    return expect_none("legs", wrong, "entries of legs and their ends that the instants contradict")
+
+
+def check_assignment(record: ReconfigurationRecord) -> Promise:
+    """Check that targets change by events only, and that lost agents hold none."""
+    expected = np.full_like(record.frames.target_index, -1)
+    for k, event in record.events.of_kind("assignment", "loss"):
+        agents = np.asarray(event["agents"], dtype=np.int64)
+        is_loss = event["kind"] == "loss"
+        expected[k:, agents] = -1 if is_loss else np.asarray(event["target"], dtype=np.int64)
+    is_wrong = expected != record.frames.target_index
+    return expect_none("assignment", is_wrong, "targets held against the events")
+
+
+def check_target_counts(record: ReconfigurationRecord) -> Promise:
+    """Check that the final target counts are those of the events at the end of each leg."""
+    expected = np.full_like(record.variables.targets_believed, -1)
+    for leg in record.leg_records:
+        if leg.end_event is not None:
+            expected[leg.leg_index, leg.alive] = leg.target_count[leg.alive]
+    is_wrong = expected != record.variables.targets_believed
+    return expect_none("believed", is_wrong, "target counts against the events")
+
+
+def check_separation(record: ReconfigurationRecord) -> Promise:
+    """Check that no two agents come closer than R_col, at samples or between them."""
+    found, error = record.separations
+    radius = record.mission.collision_radius
+    samples = sampled_separations(record.frames.position, record.frames.alive)
+    least = min(found.minimum.distance, float(samples.min()))
+    i, j = found.minimum.pair
+    k = max(found.minimum.piece, 0) // record.pieces_per_step
+    allowed = radius * (1 - 1e-9)
+    text = f"{least:.9g} m between agents {i} and {j} in step {k}, {radius:g} m allowed"
+    if error:
+        text += f" (the trajectory between samples is known to {error:.1g} m)"
+    return Promise("separation", bool(least - error >= allowed), least, allowed, text)
+
+
+def check_arrival(record: ReconfigurationRecord) -> Promise:
+    """Check that every leg was reached."""
+    reached = {leg.leg_index for leg in record.leg_records if is_reached(record, leg)}
+    missed = set(range(len(record.mission.legs))) - reached
+    text = _list_legs("that were not reached", missed) or "every leg was reached"
+    return Promise("reached", not missed, float(len(missed)), 0.0, text)
+
+
+def check_fuel(record: ReconfigurationRecord) -> Promise:
+    """Check that no leg that was reached burned less than its lower bound.
+
+    The bound is that of the shared model. A plant that differs from it may have saved as much
+    as it would cost the model to correct that (`FuelBound.correction_fuel`).
+    """
+    burned, shortfalls = compute_step_fuel(record), []
+    for leg, bound in zip(record.leg_records, record.fuel_bounds, strict=True):
+        if bound is not None and is_reached(record, leg):
+            used = float(burned[leg.start_index : leg.end_index, bound.agents].sum())
+            saved = float(bound.correction_fuel.sum())
+            shortfalls.append((bound.total - used - saved) / max(bound.total, 1e-12))
+    text = "a leg's fuel below its lower bound, relative"
+    return expect_small_error("fuel", max_or_zero(shortfalls), 1e-6, text)
+
+
+def _list_legs(what: str, legs: set[int]) -> str:
+    return f"legs {what}: {', '.join(str(leg + 1) for leg in sorted(legs))}" if legs else ""
+
+
+def _count_contradictions(record: ReconfigurationRecord, leg: LegRecord) -> int:
+    frames = record.frames
+    position = np.where(leg.alive[:, None], frames.position[leg.end_index], np.nan)
+    graph = CommunicationGraph.from_positions(position, record.mission.comm_radius, leg.alive)
+    wrong = int((leg.alive != _find_alive_at_end(record, leg)).sum())
+    labels = canonicalize_labels(leg.component), canonicalize_labels(graph.component)
+    wrong += int((labels[0] != labels[1]).sum())
+    if leg.step_count:
+        is_changed = leg.target_index != frames.target_index[leg.end_index - 1]
+        wrong += int(is_changed[leg.alive].sum())
+    return wrong
+
+
+def _find_alive_at_end(record: ReconfigurationRecord, leg: LegRecord) -> Bool[Array, " agents"]:
+    # The instant before, and the events of the last one until the leg ended.
+    alive: Array = record.frames.alive[max(leg.end_index - 1, 0)].copy()
+    for k, event in record.events.of_kind("loss", "join", "leg_end"):
+        if event is leg.end_event:
+            break
+        if k == leg.end_index:
+            alive[np.asarray(event["agents"], dtype=np.int64)] = event["kind"] == "join"
+    return alive
