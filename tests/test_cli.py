@@ -20,7 +20,7 @@ from problems.conic import Infeasible
 from sato.cli import app
 from sato.console import print_summary, show_mission_progress
 from sato.reconfiguration.system import SYSTEM
-from sato.summary import format_label, format_value
+from sato.summary import format_value
 
 TINY = """
 system = "reconfiguration"
@@ -298,12 +298,6 @@ def test_on_a_terminal_a_bar_tells_leg_step_and_separation(home, monkeypatch, ca
         sato.run("tiny.toml", progress=watch)
     said = capsys.readouterr().err
     assert "leg 1 of 1, step 20 of 20, 1 component, least separation 1.41 m" in said
-
-
-def test_what_a_name_does_not_say_is_spelt_out():
-    assert format_label("bytes_per_vehicle_s") == "sent by each vehicle, bytes/s"
-    assert format_label("min_separation_m") == "min separation, m"
-    assert format_label("slack_used") == "slack used"
 
 
 def test_numbers_that_differ_do_not_read_the_same():
