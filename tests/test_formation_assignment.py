@@ -106,14 +106,6 @@ def test_agents_not_heard_are_left_out_of_the_alignment():
     assert compute_cost_matrix(seen, roles.assignment, formation.points)[i] == pytest.approx(cost)
 
 
-def test_agent_that_heard_nothing_places_the_formation_at_itself():
-    flight, roles = mission(2), holding(np.arange(N))
-    state = FormationState.at_rest(flight.initial_positions, 0)
-    cost, points = costs(flight, roles, state), flight.gains[0].formation.points
-    expected = ((points - points[:, None]) ** 2).sum(axis=2)
-    assert cost == pytest.approx(expected, abs=1e-12)
-
-
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("seed", range(4))
 def test_auction_gives_each_agent_its_own_point_in_any_frames(method, seed):

@@ -54,14 +54,13 @@ def wrapped(turn):
     return (turn + np.pi) % (2 * np.pi) - np.pi
 
 
-def towards(other, half, far=1.3):
-    """Who is seen in that direction [°], so far that its sector has that half-angle [°]."""
-    distance = KEEP_OUT / np.sin(np.deg2rad(half)) if half else far
-    return distance * np.array([np.cos(np.deg2rad(other)), np.sin(np.deg2rad(other))])
-
-
 def headed(degrees, speed=0.4):
     return speed * np.array([np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))])
+
+
+def towards(other, half):
+    """Position in that direction [°], so far that its sector has that half-angle [°]."""
+    return headed(other, KEEP_OUT / np.sin(np.deg2rad(half)))
 
 
 def bounds(others, least=-np.inf):
@@ -106,17 +105,12 @@ def test_legacy_takes_the_closest_allowed_direction_or_stops(seed):
         assert abs(wrapped(angle(v) - angle(u))) == pytest.approx(least, abs=1e-3)
 
 
-def test_unwrapped_angles_turn_to_the_wrong_side():
-    u, others = headed(170), [towards(160, half=70)]
-    right, faulty = avoided(u, others, LEGACY)[0], avoided(u, others, FAULTY)[0]
-    assert right == pytest.approx(headed(230))
-    assert faulty == pytest.approx(headed(90))
-
-
-def test_unwrapped_angles_stop_agents_that_could_turn():
-    u, others = headed(170), [towards(150, half=75)]
-    assert avoided(u, others, LEGACY)[0] == pytest.approx(headed(225))
-    assert not avoided(u, others, FAULTY)[0].any()
+def test_unwrapped_angles_turn_to_the_wrong_side_or_stop_an_agent():
+    u = headed(170)
+    for other, half, right, faulty in ((160, 70, 230, headed(90)), (150, 75, 225, [0, 0])):
+        others = [towards(other, half)]
+        assert avoided(u, others, LEGACY)[0] == pytest.approx(headed(right))
+        assert avoided(u, others, FAULTY)[0] == pytest.approx(faulty)
     # Turned by a half turn it is no fault any more.
     assert avoided(-u, -np.array(others), FAULTY)[0] == pytest.approx(-headed(225))
 

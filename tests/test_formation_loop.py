@@ -149,13 +149,6 @@ def test_legacy_swarm_with_assignment_completes(method):
     assert len(events(frames, "leg_end")) == 1
 
 
-def test_flight_is_given_up_at_the_time_limit():
-    frames = fly(mission(8, supervision=SupervisorSettings(hover_time=1.0, time_limit=4.0)))
-    assert frames[-1].time == pytest.approx(4.0)
-    assert frames[-1].events[-1]["kind"] == "given_up"
-    assert frames[-1].phase is not Phase.COMPLETED
-
-
 def test_resolved_gridlock_has_a_start_and_an_end():
     legs = [FormationLeg(name, "own") for name in ("Pentagonal Pyramid", "Triangular Prism")]
     legs = [one.draw(6, 1.2, np.random.default_rng(0)) for one in legs]
