@@ -111,7 +111,7 @@ def _pass_closely(
     """Draw the control points of a neighbor that comes near a trajectory."""
     other = problem.horizon.control_points(*_random_transfer(problem, rng))
     meet = int(rng.integers(len(other)))
-    direction = rng.standard_normal(other.shape[-1])
+    direction = rng.standard_normal(other.shape[-1:])
     direction /= np.linalg.norm(direction)
     distance = float(problem.horizon.clearance * rng.uniform(1, 1.5))
     while True:
