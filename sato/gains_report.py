@@ -15,8 +15,12 @@ from problems.rigidity import Dimension, is_globally_rigid, is_redundantly_rigid
 from sato.atomic import replace_atomically
 from sato.console import progress_bar
 from sato.scenario.errors import InputError
-from sato.shapes.formation_library import formation_names, load_formation, read_formation
-from sato.shapes.graphs import read_graph
+from sato.shapes.formation_library import (
+    formation_names,
+    load_formation,
+    read_formation,
+    read_graph,
+)
 
 METHODS: tuple[Any, ...] = get_args(GainMethod)
 MAX_RIGIDITY_EDGES = 3000  # beyond which tests of rigidity take minutes

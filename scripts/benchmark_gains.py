@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from problems.desired_formation import DesiredFormation
 from problems.gain_design import GainMatrix, GainMethod, design_gains
-from sato.shapes.graphs import random_dense_graph
+from sato.shapes.formation_library import random_dense_graph
 
 MAX_RESIDUAL = 1e-10
 RATE_TOLERANCE = 1e-9

@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from problems.desired_formation import DesiredFormation
 from problems.gain_design import GainDesignUndecided, GainMethod, design_gains
-from sato.shapes.graphs import random_dense_graph
+from sato.shapes.formation_library import random_dense_graph
 
 SIZES = (5, 20, 50, 100, 200)
 PAPER_TIMES = {  # on an i7-7700K, in MATLAB [s]

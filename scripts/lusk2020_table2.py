@@ -22,7 +22,7 @@ from sato.formation.leg import FormationLeg
 from sato.formation.loop import simulate
 from sato.formation.mission import Formation, legacy_formation
 from sato.formation.settings import AssignmentSettings
-from sato.shapes.graphs import random_dense_graph
+from sato.shapes.formation_library import random_dense_graph
 from sato.shapes.random_points import sample_formation, sample_positions
 
 AGENTS, HEIGHT = 30, 1.0  # number, and initial height [m]

@@ -25,7 +25,7 @@ from sato.reconfiguration.loop import simulate
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.planning import make_horizon
 from sato.reconfiguration.solo_trajectories import TIE_BREAK_RISE
-from sato.shapes.graphs import random_dense_graph
+from sato.shapes.formation_library import random_dense_graph
 from sato.shapes.random_points import sample_formation
 
 INSTANCE_COUNT = 10  # instances of a family and size

@@ -22,7 +22,7 @@ from problems.desired_formation import DesiredFormation
 from problems.gain_design import GainMatrix, design_gains
 from sato.formation.control_law import FormationData, compute_velocity_command
 from sato.formation.settings import ControlLaw
-from sato.shapes.graphs import random_sparse_graph
+from sato.shapes.formation_library import random_sparse_graph
 from sato.shapes.random_points import sample_formation
 
 SCALE_RANGE = (0.1, 10.0)  # by which commands are scaled

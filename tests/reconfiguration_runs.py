@@ -5,7 +5,7 @@ import numpy as np
 from dynamics import DoubleIntegrator
 from sato.reconfiguration.loop import simulate
 from sato.reconfiguration.mission import Leg, Reconfiguration
-from sato.shapes.points import Points
+from sato.shapes.shape import Points
 
 
 def at_rest(positions):

@@ -17,8 +17,7 @@ from problems.gain_design import design_gains
 from sato.formation import control_law
 from sato.formation.control_law import FormationData, compute_velocity_command
 from sato.formation.settings import ControlLaw
-from sato.shapes.formation_library import load_formation
-from sato.shapes.graphs import random_sparse_graph
+from sato.shapes.formation_library import load_formation, random_sparse_graph
 from sato.shapes.random_points import sample_formation
 
 STUDY = runpy.run_path(str(Path(__file__).parents[1] / "scripts" / "study_law_robustness.py"))

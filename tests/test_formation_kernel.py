@@ -17,7 +17,7 @@ from sato.formation.settings import (
     CoordinateFrames,
     FrameSettings,
 )
-from sato.shapes.graphs import random_sparse_graph
+from sato.shapes.formation_library import random_sparse_graph
 from sato.shapes.random_points import sample_formation, sample_positions
 
 STEP, KEEP_OUT, MAX_SPEED = 0.02, 1.2, 0.5

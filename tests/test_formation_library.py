@@ -12,11 +12,14 @@ from problems.gain_design import design_gains
 from sato.shapes import Lattice, Text
 from sato.shapes.formation_library import (
     formation_names,
+    graph_from_edges,
     load_formation,
     make_formation,
+    random_dense_graph,
+    random_sparse_graph,
     read_formation,
+    read_graph,
 )
-from sato.shapes.graphs import graph_from_edges, random_dense_graph, random_sparse_graph, read_graph
 from sato.shapes.random_points import sample_formation, sample_positions
 
 RESIDUAL = 1e-10  # largest residual of a gain matrix, whatever the method

@@ -18,8 +18,7 @@ from sato.formation.settings import (
 )
 from sato.scenario.errors import InputError, ScenarioError
 from sato.scenario.file import parse, read, scenarios
-from sato.shapes.formation_library import load_formation
-from sato.shapes.graphs import random_dense_graph
+from sato.shapes.formation_library import load_formation, random_dense_graph
 from sato.shapes.random_points import sample_formation, sample_positions
 
 SIX = """

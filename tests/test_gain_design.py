@@ -19,7 +19,7 @@ from problems.gain_design import (
 )
 from problems.gain_problem import MIN_RATE, GainProblem
 from problems.rigidity import is_rigid
-from sato.shapes.graphs import random_dense_graph
+from sato.shapes.formation_library import random_dense_graph
 
 DRAWS = st.integers(0, 2**32 - 1)
 

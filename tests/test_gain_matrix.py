@@ -10,8 +10,7 @@ from numpy.testing import assert_allclose
 from problems.desired_formation import DesiredFormation
 from problems.gain_design import GainMatrix, design_gains
 from problems.gain_matrix import _validate_gains
-from sato.shapes.formation_library import load_formation
-from sato.shapes.graphs import random_sparse_graph
+from sato.shapes.formation_library import load_formation, random_sparse_graph
 
 
 def pyramid():

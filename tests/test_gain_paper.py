@@ -7,7 +7,7 @@ from problems import gain_sdp
 from problems.desired_formation import DesiredFormation
 from problems.gain_paper import solve
 from problems.gain_problem import NoGainMatrix
-from sato.shapes.graphs import random_sparse_graph
+from sato.shapes.formation_library import random_sparse_graph
 
 
 def sparse(rng, n, share):

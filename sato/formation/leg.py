@@ -25,15 +25,16 @@ from sato.scenario.definition import (
 )
 from sato.scenario.errors import InputError, errors_in
 from sato.shapes import AnyShape, Points, Shape
-from sato.shapes.formation_library import load_formation, read_formation
-from sato.shapes.graphs import (
+from sato.shapes.formation_library import (
     graph_from_edges,
+    load_formation,
     random_dense_graph,
     random_sparse_graph,
+    read_formation,
     read_graph,
 )
-from sato.shapes.points import as_points
 from sato.shapes.random_points import sample_formation
+from sato.shapes.shape import as_points
 
 
 @dataclass(frozen=True, eq=False, repr=False)

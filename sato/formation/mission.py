@@ -29,7 +29,7 @@ from sato.scenario.errors import errors_in
 from sato.scenario.file import Mission
 from sato.scenario.table import find_key, write_table
 from sato.shapes import Points, Shape
-from sato.shapes.points import as_points
+from sato.shapes.shape import as_points
 
 if TYPE_CHECKING:
     from problems.gain_matrix import GainMatrix

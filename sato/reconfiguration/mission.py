@@ -41,7 +41,7 @@ from sato.scenario.definition import (
 from sato.scenario.errors import InputError
 from sato.scenario.file import Mission
 from sato.shapes import Lattice, Picture, Points, Polygon, Ring, Text
-from sato.shapes.points import as_points
+from sato.shapes.shape import as_points
 
 if TYPE_CHECKING:
     Automatic = float  # once the mission is drawn

@@ -5,23 +5,10 @@ the paper): any first m targets are spread over the whole shape, and no target o
 farther from the nearest of them than they are from each other.
 """
 
-from sato.shapes.areas import Picture, Polygon
-from sato.shapes.ordering import farthest_point_order
-from sato.shapes.points import Points
+from sato.shapes.areas import Picture, Polygon, Text
 from sato.shapes.regular import Lattice, Ring
-from sato.shapes.shape import Shape
-from sato.shapes.text import Text
+from sato.shapes.shape import Points, Shape
 
 AnyShape = Points | Text | Ring | Lattice | Polygon | Picture
 
-__all__ = [
-    "AnyShape",
-    "Lattice",
-    "Picture",
-    "Points",
-    "Polygon",
-    "Ring",
-    "Shape",
-    "Text",
-    "farthest_point_order",
-]
+__all__ = ["AnyShape", "Lattice", "Picture", "Points", "Polygon", "Ring", "Shape", "Text"]

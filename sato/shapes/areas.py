@@ -1,20 +1,64 @@
-"""Filled areas: polygons and pictures."""
+"""Filled areas: text, polygons and pictures."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from math import ceil, sqrt
 from pathlib import Path
 from typing import Annotated, ClassVar
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from dynamics.units import Unit
 from sato.scenario.definition import Matrix
 from sato.scenario.errors import InputError
-from sato.shapes.ordering import golden_ratio_order
-from sato.shapes.region import CANDIDATES_PER_TARGET, MIN_CANDIDATES, fill_outlines, spread_targets
+from sato.shapes.ordering import farthest_point_sampling, golden_ratio_order
 from sato.shapes.shape import Drawing, Shape, Size
+
+# Both come with matplotlib, so every machine has them. The broad strokes of a single bold letter
+# keep a swarm connected where some targets stay empty; in a word they would fill the letters.
+LETTER_FONT, WORD_FONT = "DejaVu Sans:bold", "DejaVu Sans"
+CURVE_RESOLUTION = 10.0  # curves become chords this many times finer than matplotlib's own
+Points2 = Float[Array, "_ 2"]
+MIN_CANDIDATES = 30_000  # positions from which the targets of a region are chosen, about
+CANDIDATES_PER_TARGET = 40  # and at least this many per target
+COARSE_CELLS = 200  # rows and columns of the grid that estimates the area
+MAX_GRID_CELLS = 4_000_000  # cells of the bounding box, a limit for a sliver across it
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Text(Shape):
+    """A line of text.
+
+    The font is a family and style ("DejaVu Serif:bold") or a font file; without it DejaVu Sans,
+    bold for a single letter. The height is that from the lowest to the highest point.
+    """
+
+    kind: ClassVar[str] = "text"
+    text: Annotated[str, "text, in one line"]
+    font: Annotated[str | None, "name or file of a font"] = None
+    height: Annotated[Size | None, Unit("m"), "height of the text"] = None
+
+    def draw(self, count: int, axes: int) -> Drawing:
+        """Spread targets over the strokes of all letters."""
+        text = self.text
+        if not text.strip():
+            raise ValueError(f"the text {text!r} is blank: there is nothing to draw")
+        font = self.font or (LETTER_FONT if len(text.strip()) == 1 else WORD_FONT)
+        # Importing matplotlib is slow, and no other shape needs it.
+        from matplotlib.font_manager import FontProperties
+        from matplotlib.path import Path as Curves
+        from matplotlib.textpath import TextToPath
+        from matplotlib.transforms import Affine2D
+
+        style = FontProperties(fname=_find_font_file(font, text))
+        vertices, codes = TextToPath().get_text_path(style, text)
+        if len(vertices) == 0:
+            raise ValueError(f"the text {text!r} has nothing to draw in the font {font!r}")
+        chords = Curves(vertices, codes).to_polygons(Affine2D().scale(CURVE_RESOLUTION))
+        return _fill_outlines([np.asarray(chord, dtype=float)[:-1] for chord in chords], count)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -26,6 +70,7 @@ class Polygon(Shape):
     """
 
     kind: ClassVar[str] = "polygon"
+    is_absolute: ClassVar[bool] = True
     vertices: Annotated[Matrix, Unit("m"), "corners, in order"]
     height: Annotated[Size | None, Unit("m"), "height of the polygon"] = None
 
@@ -33,15 +78,12 @@ class Polygon(Shape):
         """Refuse vertices that enclose nothing."""
         rows, columns = self.vertices.shape
         if columns != 2 or rows < 3:
-            raise InputError(
-                "vertices_m",
-                "a polygon needs at least three vertices of two coordinates, got "
-                f"{self.vertices.shape}",
-            )
+            needed = "a polygon needs at least three vertices of two coordinates"
+            raise InputError("vertices_m", f"{needed}, got {self.vertices.shape}")
 
     def draw(self, count: int, axes: int) -> Drawing:
         """Fill the polygon."""
-        return fill_outlines("the polygon", [self.vertices], count)._replace(is_absolute=True)
+        return _fill_outlines([self.vertices], count)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -63,12 +105,27 @@ class Picture(Shape):
         """Fill the pixels inside."""
         inside = _read_mask(Path(self.file)) ^ self.invert
         if not inside.any():
-            rule = "light or transparent" if not self.invert else "dark or opaque"
-            raise ValueError(
-                f"no pixel of {self.file} is inside: all are {rule}; "
-                f"invert = {'false' if self.invert else 'true'} takes those instead"
-            )
-        return _fill_mask(f"the picture {self.file}", inside, count)
+            rule = "dark or opaque" if self.invert else "light or transparent"
+            cure = f"invert = {str(not self.invert).lower()} takes those instead"
+            raise ValueError(f"no pixel of {self.file} is inside: all are {rule}; {cure}")
+        needed = max(MIN_CANDIDATES, CANDIDATES_PER_TARGET * count)
+        row, column = np.nonzero(inside)
+        if len(row) > needed:
+            # One pixel of each block that has any, so that a thin line is not lost.
+            block = ceil(sqrt(len(row) / needed))
+            block_index = (row // block) * inside.shape[1] + column // block
+            _, first = np.unique(block_index, return_index=True)
+            candidates = np.column_stack([column[first] + 0.5, -row[first] - 0.5])
+        else:
+            parts = ceil(sqrt(needed / len(row)))
+            offsets = (np.arange(parts) + 0.5) / parts
+            dx, dy = (offset.ravel() for offset in np.meshgrid(offsets, offsets))
+            x, y = column[:, None] + dx, -row[:, None] - dy
+            candidates = np.column_stack([x.ravel(), y.ravel()])
+        lower = np.array([column.min(), -row.max() - 1.0], dtype=float)
+        upper = np.array([column.max() + 1.0, -row.min()], dtype=float)
+        candidates = candidates[golden_ratio_order(len(candidates))]
+        return _spread_targets(candidates, lower, upper, count)
 
 
 def _read_mask(path: Path) -> Bool[Array, "rows columns"]:
@@ -89,22 +146,108 @@ def _read_mask(path: Path) -> Bool[Array, "rows columns"]:
         raise ValueError(f"{path} cannot be read as a picture: {error}") from error
 
 
-def _fill_mask(label: str, inside: Bool[Array, "rows columns"], count: int) -> Drawing:
+def _find_font_file(font: str, text: str) -> str:
+    from matplotlib import font_manager
+    from matplotlib.ft2font import FT2Font
+
+    path = font
+    if Path(font).suffix.lower() not in (".ttf", ".otf", ".ttc"):
+        try:
+            # An unescaped dash begins a size.
+            style = font_manager.FontProperties(font.replace("-", r"\-"))
+            path = font_manager.findfont(style, fallback_to_default=False)
+        except ValueError as error:
+            installed = sorted({entry.name for entry in font_manager.fontManager.ttflist})
+            close = get_close_matches(font.split(":")[0], installed, n=3, cutoff=0.5)
+            names = ", ".join(dict.fromkeys((close + installed)[:8]))
+            reason = f"no font {font!r} is installed; among those that are: {names}"
+            hint = 'a style goes after a colon, as in "DejaVu Serif:bold"'
+            raise ValueError(f"{reason} ({hint})") from error
+    elif not Path(font).is_file():
+        raise ValueError(f"there is no font file {font}")
+    try:
+        known = FT2Font(path).get_charmap()
+    except (RuntimeError, OSError) as error:
+        raise ValueError(f"the font file {path} cannot be read: {error}") from error
+    if missing := sorted({character for character in text if ord(character) not in known}):
+        found = f"the font {font!r} has no character {', '.join(map(repr, missing))}"
+        raise ValueError(f"{found}: leave it out or choose another font")
+    return path
+
+
+def _spread_targets(candidates: Points2, lower: Array, upper: Array, count: int) -> Drawing:
+    # Each target is as far as possible from those before it; the corners are of the bounding box.
+    chosen = farthest_point_sampling(candidates, count)
+    return Drawing(candidates[chosen], (lower + upper) / 2, float(upper[1] - lower[1]))
+
+
+def _fill_outlines(outlines: Sequence[Array], count: int) -> Drawing:
+    """Spread targets over the region that closed outlines enclose.
+
+    A position is inside where the outlines have a winding number other than 0 (a hole runs the
+    other way round, as in fonts). Candidates are the nodes of a grid and, so that edges and
+    corners are kept, points on the outlines.
+
+    Raises:
+        ValueError: The outlines enclose nothing.
+    """
+    start = np.concatenate(outlines)
+    end = np.concatenate([np.roll(outline, -1, axis=0) for outline in outlines])
+    lower, upper = start.min(axis=0), start.max(axis=0)
+    box = upper - lower
+    area = max(_signed_area(start, end), _coarse_area(start, end))
+    if not area > 1e-9 * float(box.max()) ** 2:
+        raise ValueError("encloses no area")
+    length = float(np.linalg.norm(end - start, axis=1).sum())
     needed = max(MIN_CANDIDATES, CANDIDATES_PER_TARGET * count)
-    row, column = np.nonzero(inside)
-    if len(row) > needed:
-        # One pixel of each block that has any, so that a thin line is not lost.
-        block = ceil(sqrt(len(row) / needed))
-        block_index = (row // block) * inside.shape[1] + column // block
-        _, first = np.unique(block_index, return_index=True)
-        candidates = np.column_stack([column[first] + 0.5, -row[first] - 0.5])
-    else:
-        parts = ceil(sqrt(needed / len(row)))
-        offsets = (np.arange(parts) + 0.5) / parts
-        dx, dy = (offset.ravel() for offset in np.meshgrid(offsets, offsets))
-        x, y = column[:, None] + dx, -row[:, None] - dy
-        candidates = np.column_stack([x.ravel(), y.ravel()])
-    lower = np.array([column.min(), -row.max() - 1.0], dtype=float)
-    upper = np.array([column.max() + 1.0, -row.min()], dtype=float)
-    candidates = candidates[golden_ratio_order(len(candidates))]
-    return spread_targets(label, candidates, lower, upper, count)
+    finest = max(length / needed, float(np.sqrt(box.prod() / MAX_GRID_CELLS)))
+    step = max(float(np.sqrt(area / needed)), finest)
+    x, y = (_cell_centers(lower[axis], upper[axis], step) for axis in (0, 1))
+    row, column = np.nonzero(_is_enclosed(start, end, x, y))
+    edge, grid = _sample_edges(start, end, step), np.column_stack([x[column], y[row]])
+    # The outlines come first, so that ties go to the edge.
+    orders = golden_ratio_order(len(edge)), golden_ratio_order(len(grid))
+    return _spread_targets(np.concatenate([edge[orders[0]], grid[orders[1]]]), lower, upper, count)
+
+
+def _signed_area(start: Points2, end: Points2) -> float:
+    # Exact, except where outlines cross and parts of the area cancel.
+    a, b = start - start.min(axis=0), end - start.min(axis=0)
+    return abs(float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))) / 2
+
+
+def _coarse_area(start: Points2, end: Points2) -> float:
+    lower, box = start.min(axis=0), np.ptp(start, axis=0)
+    x, y = (lower + (np.arange(COARSE_CELLS)[:, None] + 0.5) / COARSE_CELLS * box).T
+    inside = _is_enclosed(start, end, x, y)
+    # Only pairs of cells count: where an outline only retraces itself, rounding may put a single
+    # cell inside.
+    return float((inside[:, 1:] & inside[:, :-1]).mean() * box.prod())
+
+
+def _cell_centers(lower: float, upper: float, step: float) -> Float[Array, " cells"]:
+    # Symmetric about the middle, so that a symmetric outline has symmetric candidates.
+    cells = max(1, round((upper - lower) / step))
+    return lower + (np.arange(cells) + 0.5) * ((upper - lower) / cells)
+
+
+def _is_enclosed(start: Points2, end: Points2, x: Array, y: Array) -> Bool[Array, "rows columns"]:
+    # Each edge changes the winding number of every cell to the right of it in the rows it crosses.
+    # The edge is half-open in y, so that a vertex in a row counts once.
+    up = (start[:, 1] <= y[:, None]) & (y[:, None] < end[:, 1])
+    down = (end[:, 1] <= y[:, None]) & (y[:, None] < start[:, 1])
+    row, edge = np.nonzero(up | down)
+    (x0, y0), (dx, dy) = start[edge].T, (end - start)[edge].T
+    column = np.searchsorted(x, x0 + (y[row] - y0) * dx / dy)
+    winding = np.zeros((len(y), len(x) + 1), dtype=np.int64)
+    np.add.at(winding, (row, column), np.where(up[row, edge], 1, -1))
+    inside: Array = winding.cumsum(axis=1)[:, :-1] != 0
+    return inside
+
+
+def _sample_edges(start: Points2, end: Points2, step: float) -> Points2:
+    pieces = np.ceil(np.linalg.norm(end - start, axis=1) / step).astype(int)
+    edge = np.repeat(np.arange(len(start)), pieces)
+    piece = np.arange(len(edge)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    samples: Array = start[edge] + (piece / pieces[edge])[:, None] * (end - start)[edge]
+    return samples

@@ -1,8 +1,10 @@
-"""Formations by name, of any points, and from files."""
+"""Formations by name, of any points and from files, and their graphs."""
 
 import tomllib
+from collections.abc import Sequence
 from difflib import get_close_matches
 from functools import cache
+from math import ceil
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +13,8 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from problems.desired_formation import DesiredFormation
-from sato.shapes.graphs import graph_from_edges, random_sparse_graph
-from sato.shapes.point_files import read_points
+from sato.scenario.errors import join_names
+from sato.shapes.shape import read_points, read_rows
 
 LIBRARY_FILE = Path(__file__).with_name("formations.toml")
 
@@ -37,7 +39,14 @@ def load_formation(name: str, graph: str = "own") -> DesiredFormation:
         raise ValueError(f'a formation has its "own" graph or the "complete" one, not "{graph}"')
     full_name = _match_name(name)
     entry = _load_library()[full_name]
-    points = _parse_drawing(**entry["sheet"]) if "sheet" in entry else np.array(entry["points_m"])
+    if sheet := entry.get("sheet"):
+        # The last line of the drawing is the nearest and the lowest.
+        lines = enumerate(sheet["drawing"].splitlines()[::-1])
+        cells = [(x, y) for y, line in lines for x, mark in enumerate(line) if mark == "#"]
+        x, y = np.array(cells).T * np.array([[sheet["column_m"]], [sheet["row_m"]]])
+        points = np.stack([x, y, sheet["slope"] * y], axis=1)
+    else:
+        points = np.array(entry["points_m"])
     adjacency = None
     if graph == "own" and "share" in entry:
         rng = np.random.default_rng(entry["seed"])
@@ -101,17 +110,105 @@ def _match_name(name: str) -> str:
     parts = {part: known for known in full_names for part in (*known.split("/"), known)}
     close = [full_names[parts[part]] for part in get_close_matches(given, parts, n=3, cutoff=0.5)]
     options = matches or list(dict.fromkeys(close)) or list(_load_library())
-    raise ValueError(
-        f'the library has no formation "{name}"; did you mean '
-        f"{', '.join(options[:-1])}{' or ' * (len(options) > 1)}{options[-1]}?"
-    )
+    raise ValueError(f'the library has no formation "{name}"; did you mean {join_names(options)}?')
 
 
-def _parse_drawing(
-    *, drawing: str, column_m: float, row_m: float, slope: float
-) -> Float[Array, "count 3"]:
-    # The last line of the drawing is the nearest and the lowest.
-    lines = drawing.splitlines()[::-1]
-    cells = [(x, y) for y, line in enumerate(lines) for x, mark in enumerate(line) if mark == "#"]
-    x, y = np.array(cells).T * np.array([[column_m], [row_m]])
-    return np.stack([x, y, slope * y], axis=1)
+def graph_from_edges(count: int, edges: Sequence[Sequence[int]]) -> Bool[Array, "n n"]:
+    """Return the adjacency matrix of a graph with these edges."""
+    graph = np.zeros((count, count), dtype=bool)
+    i, j = np.array(edges).T
+    graph[i, j] = graph[j, i] = True
+    return graph
+
+
+def read_graph(path: str | Path, count: int) -> Bool[Array, "count count"]:
+    """Read the edges of a graph from a CSV file: two vertices a line, numbered from 0.
+
+    Neither the order of the two matters nor an edge that is repeated. A first line may name the
+    columns; empty lines and lines that begin with # are skipped.
+
+    Args:
+        path: The file.
+        count: Number of vertices.
+
+    Raises:
+        ValueError: The file cannot be read, or a line is not an edge between two of the vertices.
+    """
+    edges = []
+    for number, cells in read_rows(Path(path), "pairs of vertices", "[a-z]+"):
+        where = f"{path}, line {number}"
+        try:
+            i, j = (int(cell) for cell in cells)
+        except ValueError as error:
+            needed = "a pair of whole numbers is needed"
+            hint = "a first line may name the columns, vertex,neighbor"
+            raise ValueError(f"{where}: {needed}, got {', '.join(cells)} ({hint})") from error
+        if outside := [vertex for vertex in (i, j) if not 0 <= vertex < count]:
+            numbered = f"the {count} points are numbered from 0 to {count - 1}"
+            raise ValueError(f"{where}: there is no vertex {outside[0]}: {numbered}")
+        if i == j:
+            raise ValueError(f"{where}: vertex {i} cannot be its own neighbor; drop the line")
+        edges.append((i, j))
+    return graph_from_edges(count, edges)
+
+
+def random_dense_graph(
+    count: int, removals: int, rng: np.random.Generator
+) -> Bool[Array, "count count"]:
+    """Return the complete graph without some random edges.
+
+    As in the trials of [Lusk2020], a removal may repeat another or join a vertex to itself, and
+    then removes nothing; there, the number of removals is drawn from 1 to count − 4.
+    """
+    graph = ~np.eye(count, dtype=bool)
+    i, j = rng.integers(count, size=(2, removals))
+    graph[i, j] = graph[j, i] = False
+    return graph
+
+
+def random_sparse_graph(
+    points: Float[Array, "n d"], share: float, rng: np.random.Generator
+) -> Bool[Array, "n n"]:
+    """Return a random graph with a share of all edges that has stabilizing gains.
+
+    The graph contains a ring in which the two vertices before and the two after each are its
+    neighbors; the other edges are drawn. For the triangle of each vertex and the two before it,
+    take w with w·p = 0 and w·1 = 0. Then L = Σ w wᴴ is positive semidefinite, and its kernel is
+    spanned by p and 1 alone if the two before never have the same p, because their values
+    determine all that follow. In the plane this requires that no point is above another; for the
+    heights, the ring alternates between low and high points, and fewer than half of the points
+    may have the same height, or all of them.
+
+    Args:
+        points: Points of the formation, at least four [m].
+        share: Share of the n (n − 1) / 2 edges of the complete graph.
+        rng: Generator for the ring and the other edges.
+
+    Raises:
+        ValueError: The share is more than all edges or less than the ring.
+    """
+    n = len(points)
+    if n < 4:
+        raise ValueError(f"a sparse graph needs at least 4 points, got {n}")
+    complete = n * (n - 1) // 2
+    height = points[:, 2] if points.shape[1] == 3 else np.zeros(n)
+    shuffled = rng.permutation(n)
+    upward = shuffled[np.argsort(height[shuffled], kind="stable")]
+    ring = np.empty(n, dtype=int)
+    ring[::2], ring[1::2] = upward[: (n + 1) // 2], upward[(n + 1) // 2 :]
+    graph = np.zeros((n, n), dtype=bool)
+    for step in (1, 2):
+        after = np.roll(ring, step)
+        graph[ring, after] = graph[after, ring] = True
+    np.fill_diagonal(graph, False)
+    least, edges = int(graph.sum()) // 2, round(share * complete)
+    if not least <= edges <= complete:
+        raise ValueError(
+            f"a share of {share:g} of the {complete} edges between {n} points makes {edges}, and "
+            f"the graph needs {least} to have stabilizing gains and has {complete} at most: "
+            f"{ceil(1e4 * least / complete) / 1e4:g} to 1 would do"
+        )
+    i, j = np.nonzero(np.triu(~graph, 1))
+    added = rng.choice(len(i), size=edges - least, replace=False)
+    graph[i[added], j[added]] = graph[j[added], i[added]] = True
+    return graph

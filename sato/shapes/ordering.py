@@ -1,7 +1,5 @@
 """Orders of points in which every prefix keeps the shape [Gonzalez1985]."""
 
-from typing import NamedTuple
-
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
@@ -10,19 +8,7 @@ from numpy import ndarray as Array
 TIE_TOLERANCE = 1e-9
 
 
-class FarthestPoints(NamedTuple):
-    """Points chosen one by one, each the farthest from all before it."""
-
-    indices: Int[Array, " count"]
-    distances: Float[Array, " count"]  # from the nearest point before; infinite for the first
-
-    @property
-    def spacings(self) -> Float[Array, " count"]:
-        """Least distance between two points of each prefix; infinite for a single point."""
-        return np.asarray(np.minimum.accumulate(self.distances))
-
-
-def farthest_point_sampling(points: Float[Array, "k d"], count: int) -> FarthestPoints:
+def farthest_point_sampling(points: Float[Array, "k d"], count: int) -> Int[Array, " count"]:
     """Choose points one by one, each as far as possible from those already chosen.
 
     The first is the point farthest from the middle of the bounding box. Ties go to the smallest
@@ -33,13 +19,13 @@ def farthest_point_sampling(points: Float[Array, "k d"], count: int) -> Farthest
     middle = (axes.min(axis=1) + axes.max(axis=1)) / 2
     chosen = _argmax_with_ties(_squared_distances(axes, middle))
     squared = np.full(len(points), np.inf)  # distance of each point to the nearest chosen one
-    indices, reached = np.empty(count, dtype=np.int64), np.empty(count)
+    indices = np.empty(count, dtype=np.int64)
     for i in range(count):
-        indices[i], reached[i] = chosen, squared[chosen]
+        indices[i] = chosen
         np.minimum(squared, _squared_distances(axes, axes[:, chosen]), out=squared)
         squared[chosen] = -1.0  # never chosen again, even where another point coincides with it
         chosen = _argmax_with_ties(squared)
-    return FarthestPoints(indices, np.sqrt(reached))
+    return indices
 
 
 def farthest_point_order(points: Float[Array, "k d"]) -> Int[Array, " k"]:
@@ -51,12 +37,10 @@ def farthest_point_order(points: Float[Array, "k d"]) -> Int[Array, " k"]:
     Raises:
         ValueError: A point is not finite.
     """
-    if len(points) == 0:
-        return np.empty(0, dtype=np.int64)
     finite = np.isfinite(points).all(axis=1)
     if not finite.all():
         raise ValueError(f"point {int(np.argmin(finite))} is not finite, so it has no place")
-    return farthest_point_sampling(points, len(points)).indices
+    return farthest_point_sampling(points, len(points))
 
 
 def golden_ratio_order(count: int) -> Int[Array, " count"]:

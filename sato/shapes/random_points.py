@@ -24,11 +24,7 @@ class NoRoomError(ValueError):
 
 
 def sample_separated_points(
-    draw: Callable[[], Float[Array, " d"]],
-    count: int,
-    separation: float,
-    occupied: Float[Array, "k d"],
-    axes: int,
+    draw: Callable[[], Array], count: int, separation: float, occupied: Array, axes: int
 ) -> Float[Array, "count d"]:
     """Draw points one by one, each again until it is far enough from the others.
 
@@ -56,16 +52,45 @@ def sample_separated_points(
 
 
 def sample_positions(
-    count: int, box: Sequence[float], separation: float, rng: np.random.Generator
+    count: int, box: Sequence[float], separation: float, rng: np.random.Generator, axes: int = 0
 ) -> Float[Array, "count d"]:
     """Draw positions with a least distance in a box of two or three sides from the origin on [m].
 
     The trials of [Lusk2020, sec. V-A] start 30 vehicles in 20 m × 20 m, 1.5 m apart.
 
+    Args:
+        count: Number of positions.
+        box: Sides of the box [m].
+        separation: Least distance [m].
+        rng: Random generator.
+        axes: Number of axes, from the first on, in which distance is measured; all without it.
+
     Raises:
         ValueError: There is no room.
     """
-    return _sample_in_box(count, box, separation, rng, len(box))
+    if count < 1:
+        raise ValueError(f"at least one point is needed, got count = {count}")
+    if len(box) not in (2, 3) or not min(box) >= 0 or not min(box[:2]) > 0:
+        raise ValueError(f"a box has two or three positive sides, got {list(box)} m")
+    if not separation >= 0:
+        raise ValueError(f"the separation must not be negative, got {separation} m")
+    sides, d = np.array(box, dtype=float), axes or len(box)
+    occupied = np.empty((0, len(box)))
+    try:
+        return sample_separated_points(
+            lambda: rng.uniform(0, sides), count, separation, occupied, d
+        )
+    except NoRoomError as full:
+        # A box that is lower than the separation holds no more than a plane.
+        d = 2 if d == 3 and sides[2] < separation else d
+        needed = count * (pi / 4 if d == 2 else pi / 6) * separation**d / PACKING_FRACTION[d]
+        grow = max(1.1, (needed / sides[:d].prod()) ** (1 / d))
+        larger = [ceil(side * 10) / 10 for side in [*(grow * sides[:d]), *sides[d:]]]
+        shown, cure = (" × ".join(f"{side:g}" for side in each) for each in (sides, larger))
+        raise ValueError(
+            f"a box of {shown} m is full after {full.placed_count} of {count} points "
+            f"{separation:g} m apart; {cure} m would do, or fewer points, or a smaller separation"
+        ) from full
 
 
 def sample_formation(
@@ -81,43 +106,4 @@ def sample_formation(
     """
     if len(box) != 3:
         raise ValueError(f"a formation is drawn in a box of three sides, got {len(box)}")
-    return _sample_in_box(count, box, separation, rng, 2)
-
-
-def _sample_in_box(
-    count: int, box: Sequence[float], separation: float, rng: np.random.Generator, axes: int
-) -> Float[Array, "count d"]:
-    if count < 1:
-        raise ValueError(f"at least one point is needed, got count = {count}")
-    if len(box) not in (2, 3) or not min(box) >= 0 or not min(box[:2]) > 0:
-        raise ValueError(f"a box has two or three positive sides, got {list(box)} m")
-    if not separation >= 0:
-        raise ValueError(f"the separation must not be negative, got {separation} m")
-    sides = np.array(box, dtype=float)
-    try:
-        return sample_separated_points(
-            lambda: rng.uniform(0, sides), count, separation, np.empty((0, len(box))), axes
-        )
-    except NoRoomError as full:
-        raise ValueError(
-            _no_room_message(count, sides, separation, full.placed_count, axes)
-        ) from full
-
-
-def _no_room_message(
-    count: int, sides: Float[Array, " d"], separation: float, placed_count: int, axes: int
-) -> str:
-    # A box that is lower than the separation holds no more than a plane.
-    axes = 2 if axes == 3 and sides[2] < separation else axes
-    each = {2: pi / 4, 3: pi / 6}[axes] * separation**axes
-    grow = max(1.1, (count * each / PACKING_FRACTION[axes] / sides[:axes].prod()) ** (1 / axes))
-    larger = [*(grow * sides[:axes]), *sides[axes:]]
-    return (
-        f"a box of {_format_sides(sides)} m is full after {placed_count} of {count} points "
-        f"{separation:g} m apart; {_format_sides([ceil(side * 10) / 10 for side in larger])} m "
-        "would do, or fewer points, or a smaller separation"
-    )
-
-
-def _format_sides(sides: Sequence[float] | Float[Array, " d"]) -> str:
-    return " × ".join(f"{side:g}" for side in sides)
+    return sample_positions(count, box, separation, rng, axes=2)

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import asin, floor, isfinite, pi, sin
+from math import pi
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -27,10 +27,9 @@ class Ring(Shape):
         """Space targets equally on a circle."""
         angle = 2 * pi / count * golden_ratio_order(count)
         circle = np.column_stack([np.cos(angle), np.sin(angle)])
-        circle = circle[farthest_point_sampling(circle, count).indices]
+        circle = circle[farthest_point_sampling(circle, count)]
         nodes = circle if self.normal is None else embed_in_plane(circle, self.normal)
-        middle = np.zeros(nodes.shape[1])
-        return Drawing("the ring", nodes, middle, "radius", 1.0, _max_count_on_circle)
+        return Drawing(nodes, np.zeros(nodes.shape[1]))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -45,10 +44,10 @@ class Lattice(Shape):
     def draw(self, count: int, axes: int) -> Drawing:
         """Take the innermost nodes of a lattice."""
         nodes = _lattice_nodes(count, 2 if self.flat else axes)
-        nodes = nodes[farthest_point_sampling(nodes, count).indices]
+        nodes = nodes[farthest_point_sampling(nodes, count)]
         middle = (nodes.min(axis=0) + nodes.max(axis=0)) / 2
         radius = float(np.linalg.norm(nodes - middle, axis=1).max())
-        return Drawing("the lattice", nodes, middle, "radius", radius)
+        return Drawing(nodes, middle, radius)
 
 
 def embed_in_plane(points: Float[Array, "k 2"], normal: Sequence[float]) -> Float[Array, "k 3"]:
@@ -68,14 +67,6 @@ def embed_in_plane(points: Float[Array, "k 2"], normal: Sequence[float]) -> Floa
     first -= (first @ n) * n
     first /= np.linalg.norm(first)
     return np.asarray(points @ np.stack([first, np.cross(n, first)]))
-
-
-def _max_count_on_circle(spacing: float) -> int:
-    # Neighbors on a circle of radius 1 are a chord of 2 sin(π / count) apart.
-    if not isfinite(spacing) or spacing > 2:
-        return 1
-    count = floor(pi / asin(spacing / 2) + 1)
-    return count if 2 * sin(pi / count) >= spacing else count - 1
 
 
 def _lattice_nodes(count: int, dimension: int) -> Float[Array, "count d"]:

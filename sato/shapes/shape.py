@@ -1,46 +1,46 @@
-"""Shapes as values: targets or starts for any number of agents."""
+"""Shapes as values, and points one by one: targets or starts for any number of agents."""
 
+import csv
+import re
 from abc import abstractmethod
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import isinf
-from typing import Annotated, Any, Literal, NamedTuple
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from dynamics.trajectory_geometry import min_distance as least_distance
 from dynamics.units import Length, Unit
-from sato.scenario.definition import Coordinates, Definition, Positive
+from sato.scenario.definition import Coordinates, Definition, Matrix, Positive, as_array
 from sato.scenario.errors import InputError, errors_in, round_up
+from sato.shapes.ordering import farthest_point_order
 
 Size = Annotated[Length, Positive]
+MAX_COORDINATE = 1e9  # largest coordinate whose square is sure not to overflow [m]
 ROUNDING = 1e-12  # relative: rounding never leaves targets closer than the requested spacing
 
 
 class Drawing(NamedTuple):
     """Targets of a shape, at any scale."""
 
-    label: str  # name of the shape in messages
     points: Float[Array, "count d"]  # in order
     middle: Float[Array, " d"]  # the point that is moved to the center
-    size_name: Literal["height", "radius"] | None = None  # None where no size can be requested
-    size: float = 1.0  # height or radius at this scale
-    max_count: Callable[[float], int] | None = None  # targets that fit at a spacing, at this scale
-    is_absolute: bool = False  # True where size and position are kept unless others are requested
+    size: float = 1.0  # height or radius, where the shape has one
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Shape(Definition):
     """Positions for any number of agents; a flat shape lies in the x-y plane of space."""
 
+    is_absolute: ClassVar[bool] = False  # keeps size and position unless others are requested
+
     center: Annotated[
         Coordinates | None, Unit("m"), "middle of the shape; the origin if absent"
-    ] = field(default=None, kw_only=True)
-    spacing: Annotated[Size | None, Unit("m"), "least distance of two targets"] = field(
-        default=None, kw_only=True
-    )
+    ] = None
+    spacing: Annotated[Size | None, Unit("m"), "least distance of two targets"] = None
 
     @abstractmethod
     def draw(self, count: int, axes: int) -> Drawing:
@@ -59,11 +59,10 @@ class Shape(Definition):
         if count < 1:
             raise InputError("", f"a shape needs at least one target, got count = {count}")
         with errors_in(""):
-            drawn = self._scale(self.draw(count, axes), min_distance)
+            drawn = self._draw_to_scale(count, axes, min_distance)
         if drawn.shape[1] > axes:
-            raise InputError(
-                "", f"has {drawn.shape[1]} coordinates per point, and the model has {axes} axes"
-            )
+            found = f"has {drawn.shape[1]} coordinates per point"
+            raise InputError("", f"{found}, and the model has {axes} axes")
         placed = np.tile(center_in(self.center, axes), (count, 1))
         placed[:, : drawn.shape[1]] += drawn
         return placed
@@ -79,24 +78,23 @@ class Shape(Definition):
 
     def without_files(self, count: int, axes: int) -> Any:
         """Return the same shape with the contents of its files."""
-        from sato.shapes.points import Points
-
         if not self.uses_files:
             return self
         velocities = self.place_velocities(count, axes)
         return Points(self.place(count, axes), velocities, keep_order=True)
 
-    def _scale(self, drawing: Drawing, needed: float) -> Float[Array, "count d"]:
-        # Positions about the origin, or where the drawing is absolute and there is no center.
-        label, points, middle, size_name, drawn_size, _, is_absolute = drawing
-        spacing, size = self.spacing, getattr(self, size_name) if size_name else None
+    def _draw_to_scale(self, count: int, axes: int, needed: float) -> Float[Array, "count d"]:
+        # Positions about the origin, or where an absolute shape is drawn if there is no center.
+        points, middle, drawn_size = self.draw(count, axes)
+        name = next((name for name in ("height", "radius") if hasattr(self, name)), "")
+        spacing, size = self.spacing, getattr(self, name, None)
         if spacing is not None and size is not None:
-            raise ValueError(f"give spacing or {size_name}, not both: one determines the other")
-        if spacing is None and size is None and not is_absolute:
-            raise ValueError(f"give the spacing of the targets or the {size_name} of the shape")
+            raise ValueError(f"give spacing or {name}, not both: one determines the other")
+        if spacing is None and size is None and not self.is_absolute:
+            raise ValueError(f"give the spacing of the targets or the {name} of the shape")
         drawn, scale = least_distance(points), 1.0
         if drawn == 0:
-            raise ValueError(f"{label} has no room for {len(points)} separate targets")
+            raise ValueError(f"has no room for {len(points)} separate targets")
         if spacing is not None and isinf(drawn):
             # No spacing determines the size of a shape with one target: it stands in the middle.
             points = middle[None]
@@ -104,11 +102,15 @@ class Shape(Definition):
             scale = spacing / drawn * (1 + ROUNDING)
         elif size is not None and drawn_size > 0:
             scale = size / drawn_size
-        if drawn * scale < needed * (1 - 1e-9):
-            raise ValueError(_too_close_message(drawing, drawn, scale, spacing, needed))
-        stays = is_absolute and self.center is None
-        position = middle * scale if stays else np.zeros_like(middle)
-        return np.asarray((points - middle) * scale + position)
+        reached = drawn * scale
+        if reached < needed * (1 - 1e-9):
+            cure = f"a spacing of {needed:.4g} m"
+            if name and spacing is None:
+                cure = f"a {name} of {round_up(drawn_size * scale * needed / reached)} m"
+            found = f"{len(points)} targets are {reached:.5g} m apart"
+            raise ValueError(f"{found}, and they need {needed:.5g} m: {cure} would do")
+        stays = self.is_absolute and self.center is None
+        return np.asarray((points - middle) * scale + (middle * scale if stays else 0.0))
 
 
 def center_in(given: tuple[float, ...] | None, axes: int) -> Float[Array, " axes"]:
@@ -124,20 +126,142 @@ def center_in(given: tuple[float, ...] | None, axes: int) -> Float[Array, " axes
     return np.array([*given, 0.0, 0.0][:axes])
 
 
-def _too_close_message(
-    drawing: Drawing, drawn: float, scale: float, spacing: float | None, needed: float
-) -> str:
-    count, name = len(drawing.points), drawing.size_name
-    if spacing is not None or name is None:
-        at, cure = "", f"a spacing of {needed:.4g} m"
-    else:
-        size = drawing.size * scale
-        at = f" at a {name} of {size:.4g} m"
-        cure = f"a {name} of {round_up(size * needed / (drawn * scale))} m"
-        if drawing.max_count is not None:
-            fewer = drawing.max_count(needed / scale)
-            cure += f", or at most {fewer} target{'s' * (fewer != 1)},"
-    return (
-        f"{drawing.label}{at} puts {count} targets {drawn * scale:.5g} m apart, "
-        f"and they need {needed:.5g} m: {cure} would do"
+@dataclass(frozen=True, eq=False, repr=False)
+class Points(Shape):
+    """Positions one by one, with velocities or without, as an array or in a file.
+
+    They stay where they are unless a center is given, and as far apart unless a spacing is.
+    """
+
+    kind: ClassVar[str] = "points"
+    is_absolute: ClassVar[bool] = True
+    positions: Annotated[Matrix | None, Unit("m"), "one row a point"] = None
+    velocities: Annotated[Matrix | None, Unit("m_s"), "one row a point; at rest if absent"] = None
+    keep_order: Annotated[bool, "keep the order; else every prefix is made to keep the shape"] = (
+        False
     )
+    file: Annotated[str | None, "CSV file with one point a line"] = None
+
+    def check(self) -> None:
+        """Refuse other than one source of positions, and velocities of another shape."""
+        p, v = self.positions, self.velocities
+        if (self.file is None) == (p is None):
+            raise InputError("positions_m", "or a file is needed, and not both")
+        if p is not None and p.shape[1] not in (2, 3):
+            raise InputError("positions_m", f"needs rows of 2 or 3 coordinates, got {p.shape[1]}")
+        if p is not None and v is not None and v.shape != p.shape:
+            needed = f"needs the shape of the positions, {p.shape}"
+            raise InputError("velocities_m_s", f"{needed}, got {v.shape}")
+
+    def draw(self, count: int, axes: int) -> Drawing:
+        """Take the first points of the order."""
+        listed = self.positions if self.file is None else read_points(Path(self.file))
+        listed = np.asarray(listed)
+        middle = (listed.min(axis=0) + listed.max(axis=0)) / 2
+        if self.file is None and not self.spacing and not self.center:
+            middle = np.zeros_like(middle)  # the points stay what they are to the last bit
+        return Drawing(listed[self._order(listed, count)], middle)
+
+    def place_velocities(self, count: int, axes: int) -> Float[Array, "count axes"] | None:
+        """Return the velocity at each position, where they are given."""
+        if self.velocities is None:
+            return None
+        if self.positions is None and (len(self.velocities) < count or not self.keep_order):
+            raise InputError("velocities_m_s", f"needs {count} rows in the order of the file")
+        order = self._order(self.velocities if self.positions is None else self.positions, count)
+        placed = np.zeros((count, axes))
+        placed[:, : self.velocities.shape[1]] = self.velocities[order]
+        return placed
+
+    def _order(self, listed: Float[Array, "k d"], count: int) -> Int[Array, " count"]:
+        if len(listed) < count:
+            key, path = ("positions_m", "") if self.file is None else ("file", f"{self.file} ")
+            found = f"{path}lists {len(listed)} points"
+            raise InputError(key, f"{found}, fewer than the {count} asked for")
+        return np.arange(count) if self.keep_order else farthest_point_order(listed)[:count]
+
+
+def as_points(value: Any) -> Any:
+    """Convert an array of positions or states to `Points`; leave anything else as it is.
+
+    Args:
+        value: Rows of 2 or 3 coordinates, or of 4 or 6: positions, then velocities.
+
+    Raises:
+        InputError: It is an array of another shape.
+    """
+    if not isinstance(value, Array | list | tuple):
+        return value
+    array = as_array(value, 2)
+    columns = array.shape[1]
+    if columns not in (2, 3, 4, 6):
+        needed = "must have rows of 2 or 3 coordinates, or of 4 or 6 with velocities"
+        raise InputError("", f"{needed}, got shape {array.shape}")
+    d = columns if columns < 4 else columns // 2
+    return Points(array[:, :d], array[:, d:] if columns > 3 else None)
+
+
+def read_points(path: Path) -> Float[Array, "k d"]:
+    """Read every point of a CSV file with two or three columns of meters, in its order.
+
+    A first line may name the columns, `x,y`, `x,y,z`, `x_m,y_m` or `x_m,y_m,z_m`; empty lines and
+    lines that begin with # are skipped.
+
+    Raises:
+        ValueError: The file cannot be read, a line is not a point, or two points coincide.
+    """
+    rows = read_rows(path, "points", "[xyz](_m)?")
+    columns = len(rows[0][1])
+    points = np.empty((len(rows), columns))
+    for k, (number, cells) in enumerate(rows):
+        where, found = f"{path}, line {number}", ", ".join(cells)
+        if columns not in (2, 3) or len(cells) != columns:
+            needed = columns if columns in (2, 3) else "2 or 3"
+            raise ValueError(f"{where}: {needed} columns of meters are needed, got {len(cells)}")
+        try:
+            points[k] = [float(cell) for cell in cells]
+        except ValueError as error:
+            hint = "a first line may name the columns, x_m,y_m or x_m,y_m,z_m"
+            raise ValueError(f"{where}: not numbers: {found} ({hint})") from error
+        if not np.abs(points[k]).max() <= MAX_COORDINATE:
+            limit = f"{MAX_COORDINATE:.0e} m"
+            raise ValueError(f"{where}: a coordinate is not finite, or beyond {limit}: {found}")
+        # Points closer than rounding can resolve coincide.
+        away = np.abs(points[:k] - points[k]).max(axis=1, initial=0)
+        same = np.flatnonzero(away <= 1e-12 * np.abs(points[: k + 1]).max())
+        if len(same):
+            both = f"lines {rows[same[0]][0]} and {number}"
+            raise ValueError(f"{path}: {both} are the same point; two agents cannot share it")
+    return points
+
+
+def read_rows(path: Path, content: str, header: str) -> list[tuple[int, list[str]]]:
+    """Read a CSV file without its header, empty lines and comments.
+
+    Args:
+        path: The file.
+        content: Name of the rows in messages.
+        header: Pattern of the cells in a first line that names the columns.
+
+    Returns:
+        The number of each line in the file, and its cells.
+
+    Raises:
+        ValueError: There is no such file, it is not text, or it has no rows.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except FileNotFoundError as error:
+        raise ValueError(f"there is no file {path}") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} cannot be read as a list of {content}: {error}") from error
+    rows = [
+        (number, [cell.strip() for cell in next(csv.reader([line]))])
+        for number, line in enumerate(lines, start=1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if rows and all(re.fullmatch(header, cell, re.IGNORECASE) for cell in rows[0][1]):
+        del rows[0]
+    if not rows:
+        raise ValueError(f"{path} lists no {content}")
+    return rows
