@@ -142,7 +142,8 @@ def read_graph(path: str | Path, count: int) -> Bool[Array, "count count"]:
         except ValueError as error:
             needed = "a pair of whole numbers is needed"
             hint = "a first line may name the columns, vertex,neighbor"
-            raise ValueError(f"{where}: {needed}, got {', '.join(cells)} ({hint})") from error
+            found = f"got {len(cells)}: {', '.join(cells)}"
+            raise ValueError(f"{where}: {needed}, {found} ({hint})") from error
         if outside := [vertex for vertex in (i, j) if not 0 <= vertex < count]:
             numbered = f"the {count} points are numbered from 0 to {count - 1}"
             raise ValueError(f"{where}: there is no vertex {outside[0]}: {numbered}")
