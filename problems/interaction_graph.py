@@ -8,7 +8,7 @@ from math import pi, sqrt
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
-from annotated_types import Ge, Gt
+from annotated_types import Ge, Gt, Le
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
@@ -33,7 +33,9 @@ class Camera(NamedTuple):
     d_far: Annotated[Length, Gt(0), "distance D2 up to which the weight is full"] = 7.0
     d_max: Annotated[Length, Gt(0), "distance beyond which nothing is visible"] = 9.0
     a_min: Annotated[float, Ge(-1), "cosine to the axis below which nothing is visible"] = 0.4
-    a_max: Annotated[float, Gt(-1), "cosine to the axis above which the weight is full"] = 0.95
+    a_max: Annotated[float, Gt(-1), Le(1), "cosine to the axis above which the weight is full"] = (
+        0.95
+    )
     optical_axis: Annotated[tuple[float, ...], Key("axis"), "optical axis in the body frame"] = (
         DEFAULT_OPTICAL_AXIS
     )

@@ -137,7 +137,6 @@ class Connectivity(Mission):
             )
         if isinstance(self.start, Poses):
             feasibility.check_start(self)
-            feasibility.check_obstacles(self)
 
     def draw(self, rng: np.random.Generator) -> "Connectivity":
         """Return the mission with drawn poses, yaw errors, waypoints, obstacles and losses."""
@@ -171,6 +170,8 @@ class Connectivity(Mission):
 
     def without_files(self) -> "Connectivity":
         """Return the same mission with the contents of a recorded stick's file."""
+        if isinstance(self.stick, WaypointStick):
+            return self
         with errors_in("stick"):
             return replace(self, stick=self.stick.without_file())
 

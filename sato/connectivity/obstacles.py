@@ -3,10 +3,10 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 from math import hypot
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
 import numpy as np
-from annotated_types import Le
+from annotated_types import Le, Len
 from jaxtyping import Float
 from numpy import ndarray as Array
 
@@ -18,6 +18,7 @@ DRAW_HALF_BOX = np.array([15.0, 15.0, 3.0])  # about the middle of the swarm [m]
 START_CLEARANCE, WAYPOINT_CLEARANCE = 1.5, 1.8  # of a drawn sphere, at least [m]
 REPULSION_CLEARANCE = 0.5  # beyond the distance at which repulsion is infinite, at least [m]
 MAX_DRAWS = 10_000  # of one sphere, before it is given up
+Point = Annotated[Coordinates, Len(3, 3)]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -25,12 +26,8 @@ class Sphere(Definition):
     """Sphere."""
 
     kind: ClassVar[str] = "sphere"
-    center: Annotated[Coordinates, Unit("m"), "center"]
+    center: Annotated[Point, Unit("m"), "center"]
     radius: Annotated[Length, Positive, "radius"]
-
-    def check(self) -> None:
-        """Refuse a center that is not in space."""
-        _check_point(self.center, "center_m")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -38,13 +35,11 @@ class Box(Definition):
     """Box with sides along the axes."""
 
     kind: ClassVar[str] = "box"
-    low: Annotated[Coordinates, Unit("m"), "lowest corner"]
-    high: Annotated[Coordinates, Unit("m"), "highest corner"]
+    low: Annotated[Point, Unit("m"), "lowest corner"]
+    high: Annotated[Point, Unit("m"), "highest corner"]
 
     def check(self) -> None:
-        """Refuse corners that are not in space or not in order."""
-        _check_point(self.low, "low_m")
-        _check_point(self.high, "high_m")
+        """Refuse corners that are not in order."""
         if not (np.array(self.low) < self.high).all():
             raise InputError("low_m", "must be less than high_m along every axis")
 
@@ -54,16 +49,20 @@ class Plane(Definition):
     """Half-space."""
 
     kind: ClassVar[str] = "plane"
-    normal: Annotated[Coordinates, "normal of its surface, out of the obstacle"]
-    through: Annotated[Coordinates, Unit("m"), "point of its surface"]
+    normal: Annotated[Point, "normal of its surface, out of the obstacle"]
+    through: Annotated[Point, Unit("m"), "point of its surface"]
 
     def check(self) -> None:
         """Refuse a normal without a direction."""
-        _check_point(self.normal, "normal")
-        _check_point(self.through, "through_m")
         size = hypot(*self.normal)
         if not 1e-6 < size < 1e6:
             raise InputError("normal", f"has length {size:g}; [0, 0, 1] would do for a floor")
+
+    @property
+    def unit_normal_and_offset(self) -> tuple[float, ...]:
+        """Unit normal n, and n·x at the surface [m]."""
+        normal = np.array(self.normal) / hypot(*self.normal)
+        return (*normal, float(normal @ np.array(self.through)))
 
 
 Obstacle = Sphere | Box | Plane
@@ -79,17 +78,12 @@ class Obstacles(NamedTuple):
     @classmethod
     def of(cls, obstacles: Iterable[Obstacle]) -> "Obstacles":
         """Collect definitions."""
-        rows: dict[type, list[Any]] = {Sphere: [], Box: [], Plane: []}
-        for one in obstacles:
-            if isinstance(one, Sphere):
-                rows[Sphere].append([*one.center, one.radius])
-            elif isinstance(one, Box):
-                rows[Box].append([*one.low, *one.high])
-            else:
-                normal = np.array(one.normal) / hypot(*one.normal)
-                rows[Plane].append([*normal, normal @ np.array(one.through)])
-        found = (np.array(part, dtype=float) for part in rows.values())
-        return cls(*(part.reshape(-1, k) for part, k in zip(found, (4, 6, 4), strict=True)))
+        listed = tuple(obstacles)
+        spheres = [(*one.center, one.radius) for one in listed if isinstance(one, Sphere)]
+        boxes = [(*one.low, *one.high) for one in listed if isinstance(one, Box)]
+        planes = [one.unit_normal_and_offset for one in listed if isinstance(one, Plane)]
+        parts = ((spheres, 4), (boxes, 6), (planes, 4))
+        return cls(*(np.array(rows, dtype=float).reshape(-1, k) for rows, k in parts))
 
     @property
     def total(self) -> int:
@@ -129,29 +123,22 @@ class RandomSpheres(Definition):
         Raises:
             InputError: There is no room.
         """
-        drawn: list[Sphere] = []
         of_start = max(START_CLEARANCE, min_distance + REPULSION_CLEARANCE)
         of_waypoint = max(WAYPOINT_CLEARANCE, min_distance + REPULSION_CLEARANCE)
-        misses = 0
-        while len(drawn) < self.count:
-            center = start.mean(axis=0) + rng.uniform(-1, 1, 3) * DRAW_HALF_BOX
-            radius = rng.uniform(self.radius[0], self.radius[1])
-            is_clear = np.linalg.norm(start - center, axis=1).min() > radius + of_start
-            if (
-                is_clear
-                and (np.linalg.norm(waypoints - center, axis=1) > radius + of_waypoint).all()
-            ):
-                drawn.append(Sphere(tuple(center.tolist()), radius))
-                misses = 0
-            elif (misses := misses + 1) == MAX_DRAWS:
+        points = np.concatenate([start, waypoints])
+        clearance = np.repeat([of_start, of_waypoint], [len(start), len(waypoints)])
+        drawn = []
+        for _ in range(self.count):
+            for _ in range(MAX_DRAWS):
+                center = start.mean(axis=0) + rng.uniform(-1, 1, 3) * DRAW_HALF_BOX
+                radius = rng.uniform(*self.radius)
+                if (np.linalg.norm(points - center, axis=1) > radius + clearance).all():
+                    break
+            else:
                 raise InputError(
                     "radius_m",
                     f"no room for a sphere {of_start:g} m clear of starts and {of_waypoint:g} m "
                     "of waypoints; smaller ones would do",
                 )
+            drawn.append(Sphere(tuple(center.tolist()), radius))
         return tuple(drawn)
-
-
-def _check_point(point: tuple[float, ...], key: str) -> None:
-    if len(point) != 3:
-        raise InputError(key, f"needs 3 coordinates, got {len(point)}")

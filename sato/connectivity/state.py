@@ -1,4 +1,4 @@
-"""What each agent measures, receives and estimates: row i of every array is of agent i.
+"""Measurements, messages and estimates: row i of every array is of agent i.
 
 An agent decides by functions of these three, row by row, in its own body frame. They are never
 given the truth, which is a `VehicleState`.

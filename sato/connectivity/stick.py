@@ -1,7 +1,6 @@
 """Operator's stick: velocity commands to the leader over time."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -10,7 +9,7 @@ from numpy import ndarray as Array
 
 from dynamics.units import Key, Length, Speed, Time, Unit
 from sato.scenario.definition import Definition, Matrix, NotNegative, Positive, Vector
-from sato.scenario.errors import InputError
+from sato.scenario.errors import InputError, errors_in
 
 MAX_TURN = 1.0  # between two drawn legs [rad]
 
@@ -46,10 +45,6 @@ class WaypointStick(Definition):
         angle = np.cumsum(np.append(*turns))
         legs = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(self.count)])
         return replace(self, waypoints=leader + self.spacing * np.cumsum(legs, axis=0))
-
-    def without_file(self) -> "WaypointStick":
-        """Return the same stick: it has no file."""
-        return self
 
     def command_velocity(
         self, time: float, position: Float[Array, " 3"], waypoints_reached: int
@@ -96,10 +91,10 @@ class RecordedStick(Definition):
             raise InputError("", "needs a file, or times_s and velocities_m_s")
         _check_rows(self.velocities, "velocities_m_s")
         if len(self.times) != len(self.velocities):
-            raise InputError(
-                "times_s", f"has {len(self.times)} times for {len(self.velocities)} velocities"
-            )
-        _check_increasing(self.times, "times_s")
+            text = f"has {len(self.times)} times for {len(self.velocities)} velocities"
+            raise InputError("times_s", text)
+        if not (np.diff(self.times) > 0).all():
+            raise InputError("times_s", "must increase from one to the next")
 
     def draw(self, leader: Float[Array, " 3"], rng: np.random.Generator) -> "RecordedStick":
         """Return the stick with the contents of its file."""
@@ -113,9 +108,15 @@ class RecordedStick(Definition):
         """
         if self.file is None:
             return self
-        table = _read_table(self.file)
-        _check_increasing(table[:, 0], "file")
-        return RecordedStick(table[:, 0], table[:, 1:])
+        try:
+            table = np.loadtxt(self.file, delimiter=",", ndmin=2, encoding="utf-8")
+        except (OSError, ValueError) as error:
+            raise InputError("file", f'"{self.file}" cannot be read: {error}') from error
+        if table.shape[1] != 4:
+            text = f'"{self.file}" needs rows of time, v_x, v_y, v_z; in s and m/s'
+            raise InputError("file", text)
+        with errors_in("file"):
+            return RecordedStick(table[:, 0], table[:, 1:])
 
     @property
     def waypoints(self) -> Float[Array, "0 3"]:
@@ -145,26 +146,3 @@ Stick = WaypointStick | RecordedStick
 def _check_rows(rows: Float[Array, "k d"], key: str) -> None:
     if rows.shape[1] != 3:
         raise InputError(key, f"needs rows of 3 coordinates, got {rows.shape[1]}")
-
-
-def _check_increasing(times: Float[Array, " k"], key: str) -> None:
-    if not (np.diff(times) > 0).all():
-        raise InputError(key, "times must increase from row to row")
-
-
-def _read_table(file: str) -> Float[Array, "k 4"]:
-    try:
-        lines = Path(file).read_text(encoding="utf-8").splitlines()
-        rows = [line for line in lines if line.partition("#")[0].strip()]
-        if not rows:
-            raise InputError("file", f'"{file}" has no rows')
-        table = np.loadtxt(rows, delimiter=",", ndmin=2, comments="#")
-    except OSError as error:
-        raise InputError("file", f'"{file}" cannot be read: {error.strerror or error}') from error
-    except InputError:
-        raise
-    except ValueError as error:
-        raise InputError("file", f'"{file}" is no table of numbers: {error}') from error
-    if table.shape[1] != 4 or not np.isfinite(table).all():
-        raise InputError("file", f'"{file}" needs rows of time, v_x, v_y, v_z; in s and m/s')
-    return table

@@ -31,6 +31,7 @@ PLAIN_WORDS = {
     "greater than or equal to": "at least",
     "less than or equal to": "at most",
     "tuple": "list",
+    " after validation": "",
     "'": '"',
 }
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False, arbitrary_types_allowed=True)
