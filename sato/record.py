@@ -46,13 +46,8 @@ def build_dataset(
     frames: Sequence[FrameT],
     mission: MissionT,
     *,
-    scenario: str,
-    name: str,
-    seed: int,
-    version: str,
-    wall_s: float,
-    peak_memory_mib: float,
     stopped: str = "",
+    **about: str | float,
 ) -> "xarray.Dataset":
     """Collect the dataset of a run from its frames.
 
@@ -60,13 +55,10 @@ def build_dataset(
         system: System of the frames.
         frames: One an instant, in the order of time; at least one.
         mission: Mission that was flown, drawn.
-        scenario: Scenario file of the mission, from which the run can be repeated.
-        name: Name of the scenario.
-        seed: Random seed.
-        version: Version of this library.
-        wall_s: Time that the simulation took [s].
-        peak_memory_mib: Most memory that it took [MiB].
         stopped: Reason why the flight ended early; empty where it did not.
+        about: Other attributes: `name` and `scenario`, the file from which the run can be
+            repeated; `seed`; `version` of this library; `wall_s` and `peak_memory_mib`, the time
+            and memory that the simulation took.
     """
     import xarray
 
@@ -75,12 +67,7 @@ def build_dataset(
     attributes = {
         "format": FORMAT,
         "system": system.name,
-        "name": name,
-        "seed": seed,
-        "version": version,
-        "wall_s": float(wall_s),
-        "peak_memory_mib": float(peak_memory_mib),
-        "scenario": scenario,
+        **about,
         "complete": int(not stopped),
         **({"stopped": stopped} if stopped else {}),
         **system.attributes(mission),

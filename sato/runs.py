@@ -157,12 +157,12 @@ def run(
             system,
             frames,
             drawn,
-            scenario=mission.to_toml(),
             name=mission.name,
             seed=int(seed),
             version=version("sato-swarm"),
             wall_s=perf_counter() - began,
             peak_memory_mib=peak_memory_mib(),
+            scenario=mission.to_toml(),
             stopped=stopped,
         )
         return _add_check_results(Run(data, record.initial_summary(data.attrs), mission))

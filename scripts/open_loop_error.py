@@ -31,7 +31,7 @@ def main() -> int:
     for name, own in LINEARIZATIONS.items():
         errors = []
         for seed in track(range(given.seeds), name, console=console):
-            overrides = (*SINGLE_PLAN_OVERRIDES, f"model.relinearise={own}")
+            overrides = (*SINGLE_PLAN_OVERRIDES, f"model.relinearize={own}")
             errors.append(terminal_errors(sato.run("orbit", seed=seed, overrides=overrides)))
         place, speed = np.concatenate(errors, axis=1)
         row = f"{place.mean():.4f}", f"{place.max():.4f}", f"{1e3 * speed.max():.3f}"
