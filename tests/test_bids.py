@@ -3,8 +3,9 @@
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from messages import WinningBids, find_newer_bids, merge_bids
 
-from sato.auctions.bids import NO_WINNER, WinningBids, find_newer_bids, merge_bids
+from sato.auctions.vsdaa import NO_WINNER
 
 LAW = settings(deadline=None, derandomize=True)
 PRICES = st.sampled_from([0.0, 0.5, 1.0, 1.5])  # few, so that ties are common

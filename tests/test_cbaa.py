@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from messages import WinningBids, find_newer_bids, merge_bids
 from scipy.optimize import linear_sum_assignment
 
-from sato.auctions.bids import WinningBids, find_newer_bids, merge_bids
 from sato.auctions.cbaa import UNLIMITED_ROUNDS, CbaaAuction, init_state, run_cbaa, run_rounds
 from sato.network.graph import CommunicationGraph
 from sato.network.rounds import run_round

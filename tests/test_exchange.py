@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from messages import plan_by_messages
 from planner_examples import (
     RADIUS,
     STEP,
@@ -26,7 +27,7 @@ from problems.convexify import are_hulls_separated, choose_normals, convexify
 from problems.solvers import solve_clarabel
 from problems.transfer import Trajectory
 from sato.network.graph import CommunicationGraph
-from sato.scp.exchange import run_batched, run_by_messages, run_scp
+from sato.scp.exchange import run_batched, run_scp
 from sato.scp.planner import TrajectoryMessage, update_planner
 
 
@@ -49,7 +50,7 @@ def test_batched_exchanges_equal_the_definition(rng, count, axes, again):
             after, _ = run_scp(planners, graph)
             some = {i: p for i, p in planners.items() if 0 < i < count // 2 + 1}
             planners |= with_previous_plans(some, after)
-        slow, fast = list(run_by_messages(planners, graph)), list(run_batched(planners, graph))
+        slow, fast = list(plan_by_messages(planners, graph)), list(run_batched(planners, graph))
         assert len(slow) == len(fast)
         longest = max(longest, len(slow))
         for a, b in zip(slow, fast, strict=True):
@@ -159,7 +160,7 @@ def test_trajectories_become_final_in_order_of_priority(rng):
     # Theorem 8.
     planners = random_swarm(rng, 6)
     when = {}
-    for exchange, now in enumerate(run_by_messages(planners, complete_graph(planners))):
+    for exchange, now in enumerate(plan_by_messages(planners, complete_graph(planners))):
         for i, p in now.items():
             if p.is_final:
                 when.setdefault(i, exchange)
@@ -241,7 +242,7 @@ def test_effects_travel_one_hop_an_exchange(rng):
     other = dict(row)
     other[0] = make_planner(0, [0.0, 0.0], [0.0, 0.9], transfer, horizon, velocity=0.2)
     graph = graph_of(np.abs(np.subtract.outer(np.arange(7), np.arange(7))) == 1)
-    for run in (run_by_messages, run_batched):
+    for run in (plan_by_messages, run_batched):
         one, two = list(run(row, graph)), list(run(other, graph))
         reached = 0
         for w, (a, b) in enumerate(zip(one, two, strict=False)):

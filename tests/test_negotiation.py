@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from messages import flood
 from planner_examples import (
     RADIUS,
     antipodal_swarm,
@@ -21,7 +22,7 @@ from planner_examples import (
 from dynamics.trajectory_geometry import hull_distance
 from problems.centralized import CentralizedProblem
 from problems.pair_avoidance import PairProblem
-from sato.network.rounds import flood, run_round
+from sato.network.rounds import run_round
 from sato.scp.negotiation import find_nearby, negotiate, negotiate_pairs, schedule_pairs, solve_pair
 from sato.scp.planner import FEASIBILITY_TOLERANCE
 from sato.scp.priority_orders import try_priority_orders

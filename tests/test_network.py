@@ -4,18 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from messages import flood, learn_diameter, run_rounds
 
 from sato.network.graph import CommunicationGraph
-from sato.network.rounds import (
-    DiameterEstimator,
-    WaveMessage,
-    flood,
-    knows_diameter,
-    learn_diameter,
-    run_rounds,
-    schedule_turns,
-    update_diameter,
-)
+from sato.network.rounds import schedule_turns
 
 LAW = settings(deadline=None, derandomize=True)
 
@@ -48,26 +40,17 @@ def all_hops(graph: CommunicationGraph) -> np.ndarray:
 
 @LAW
 @given(networks())
-def test_learned_and_batched_diameter_agree_with_all_paths(graph):
+def test_diameter_is_learned_after_three_eccentricities(graph):
     hops = all_hops(graph)
-    members = [np.flatnonzero(np.isfinite(row)) for row in hops]
-    expected = [int(hops[np.ix_(reached, reached)].max()) for reached in members]
-    assert learn_diameter(graph).tolist() == expected
-    assert graph.diameter.tolist() == expected
+    farthest = np.max(hops, axis=1, where=np.isfinite(hops), initial=0)
+    diameter = [int(farthest[np.isfinite(row)].max()) for row in hops]
     assert np.array_equal(graph.hops, hops)
-
-
-@LAW
-@given(networks())
-def test_diameter_is_known_after_three_eccentricities(graph):
-    live = np.flatnonzero(graph.alive).tolist()
-    states = {i: DiameterEstimator(WaveMessage(frozenset([i]))) for i in live}
-    history = list(run_rounds(graph, states, update_diameter, lambda s: s.message, knows_diameter))
-    for i in live:
-        e = int(np.max(all_hops(graph)[i], where=graph.component == graph.component[i], initial=0))
-        assert history[-1][i].eccentricity == e
-        assert history[-1][i].round == 3 * e + 1
-        assert 3 * e + 1 <= 3 * graph.diameter[i] + 1
+    assert graph.diameter.tolist() == diameter
+    history = list(learn_diameter(graph))
+    for i in np.flatnonzero(graph.alive).tolist():
+        agent, e = history[-1][i], int(farthest[i])
+        assert (agent.eccentricity, agent.message.max_eccentricity) == (e, diameter[i])
+        assert agent.round == 3 * e + 1 <= 3 * diameter[i] + 1
 
 
 @LAW
@@ -146,7 +129,7 @@ def test_position_of_a_dead_agent_is_ignored():
 def test_swarm_without_live_agents_has_no_components():
     graph = CommunicationGraph.from_positions(np.zeros((2, 3)), 1.0, np.full(2, False))
     assert graph.component.tolist() == [-1, -1]
-    assert learn_diameter(graph).tolist() == [0, 0]
+    assert list(learn_diameter(graph)) == []
 
 
 def test_invalid_graph_is_refused():

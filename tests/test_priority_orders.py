@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from messages import flood, plan_by_messages
 from planner_examples import (
     RADIUS,
     antipodal_swarm,
@@ -24,11 +25,10 @@ from planner_examples import (
 from dynamics import DoubleIntegrator, discretize_zoh
 from dynamics.trajectory_geometry import separations
 from sato.network.graph import CommunicationGraph
-from sato.network.rounds import flood
 from sato.reconfiguration.mission import Leg, Reconfiguration
 from sato.reconfiguration.planning import controls_at, plan_trajectories
 from sato.reconfiguration.state import AgentMemory, DecisionContext
-from sato.scp.exchange import run_batched, run_by_messages, run_scp
+from sato.scp.exchange import run_batched, run_scp
 from sato.scp.priority_orders import (
     PriorityCost,
     keep_cheaper,
@@ -177,7 +177,7 @@ def test_infeasible_agent_sends_the_path_that_it_flies():
 def test_batched_exchanges_of_offset_nominals_equal_the_definition(rng, axes):
     planners = {i: offset_right(p, 1.0) for i, p in random_swarm(rng, 5, axes).items()}
     graph = complete_graph(planners)
-    slow, fast = list(run_by_messages(planners, graph)), list(run_batched(planners, graph))
+    slow, fast = list(plan_by_messages(planners, graph)), list(run_batched(planners, graph))
     assert len(slow) == len(fast)
     for a, b in zip(slow, fast, strict=True):
         for i in planners:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from messages import flood
 from reconfiguration_runs import at_rest, leg_to, make_mission
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
@@ -20,7 +21,6 @@ from problems.auction_cost import (
 )
 from problems.transfer import TransferProblem
 from sato.network.graph import CommunicationGraph
-from sato.network.rounds import flood
 from sato.reconfiguration.assignment import (
     CostTable,
     assign_targets,

@@ -6,12 +6,18 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from messages import bid_by_messages
 
 from problems.assignment import solve_assignment
-from sato.auctions import OutOfTargets
-from sato.auctions.bids import NO_WINNER
-from sato.auctions.vsdaa import VsdaaAuction, run_by_messages, run_vsdaa
-from sato.auctions.vsdaa_kernel import VsdaaState, init_state, run_kernel
+from sato.auctions.vsdaa import (
+    NO_WINNER,
+    OutOfTargets,
+    VsdaaAuction,
+    VsdaaState,
+    init_state,
+    run_kernel,
+    run_vsdaa,
+)
 from sato.network.graph import CommunicationGraph
 
 LAW = settings(deadline=None, derandomize=True, max_examples=60)
@@ -78,7 +84,7 @@ def kernel(case: VsdaaAuction, ids: bool, rounds: int) -> list[VsdaaState]:
 
 
 def definition(case: VsdaaAuction, ids: bool, rounds: int = 0) -> list:
-    history = list(run_by_messages(replace(case, bidder_ids=ids)))
+    history = list(bid_by_messages(replace(case, bidder_ids=ids)))
     return history + [history[-1]] * (rounds - len(history))
 
 
@@ -237,7 +243,7 @@ def test_auction_ends_where_many_targets_are_out_of_reach(rng):
     check_result(VsdaaAuction(cost, line(6), np.full(6, 8), 1e-2))
 
 
-@pytest.mark.parametrize("run", [run_vsdaa, lambda case: list(run_by_messages(case))])
+@pytest.mark.parametrize("run", [run_vsdaa, lambda case: list(bid_by_messages(case))])
 def test_more_agents_than_targets_raise_out_of_targets(rng, run):
     with pytest.raises(OutOfTargets, match="found all 3 targets taken") as found:
         run(VsdaaAuction(rng.random((5, 3)), line(5), np.full(5, 2), 0.1))

@@ -39,7 +39,7 @@ from jaxtyping import Bool, Float, Int
 from numba import njit
 from numpy import ndarray as Array
 
-from sato.auctions.bids import NO_WINNER
+from sato.auctions.vsdaa import NO_WINNER
 from sato.network.graph import CommunicationGraph
 
 UNLIMITED_ROUNDS = 2**62  # rounds

@@ -1,37 +1,47 @@
 """Variable-swarm distributed auction algorithm, VSDAA [Morgan2016, Method 1].
 
-`update_bidder` defines what one agent does in a round. `run_by_messages` plays it for all
-agents; `run_vsdaa` computes the same with the compiled rounds of `vsdaa_kernel`.
+In a round an agent merges the bids that it hears (lines 27-29), and bids where it holds no target
+(8-25). Of two bids on a target the larger |price| is the newer; a negative price was a bid on a
+target that is for sale again, and wins over an equal one; of two equal bids that of the smaller
+agent stands. An agent stops once it has bid and then heard nothing new for 2 D rounds (line 7), D
+the diameter of its component. No agent bids after that. Proof: let the agent's bids be B since
+round s. All agents know B from round s + D on. Every bid made before is in B, or the agent would
+have heard it by round s + 2 D. So at s + D all know B and nothing else. An agent that is outbid in
+B would bid in the next round, and the first agent would hear that too, in time.
+
+The rounds of all agents are compiled. What an agent knows only grows, in the order of bids, and
+news travels one hop a round. So the bids known to agent i after round r are the merge of all bids
+that an agent a placed in a round t with t + hops(a, i) ≤ r. No tables are passed around: a bid is
+delivered to each agent once, in the round in which it arrives there. `tests/test_vsdaa.py` plays
+the same rounds with one function of an agent's memory and inbox.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, no_type_check
 
 import numpy as np
 from jaxtyping import Float, Int
+from numba import njit
 from numpy import ndarray as Array
 
-from sato.auctions.bids import ANONYMOUS, NO_WINNER, OutOfTargets, WinningBids, merge_bids
-from sato.auctions.vsdaa_kernel import init_state, run_kernel
 from sato.network.graph import CommunicationGraph
-from sato.network.rounds import flood, learn_diameter, run_rounds
+
+NO_WINNER = -1  # winner of a target without a standing bid
+ANONYMOUS = 0  # winner of every standing bid where bids carry no number
+DONE, RUNNING, LOG_FULL = 0, 1, 2  # outcomes of `_advance`; −1 − i: agent i found no target
 
 
-class VsdaaBidder(NamedTuple):
-    """Memory of one agent in an auction."""
+class OutOfTargets(RuntimeError):
+    """Failure of an auction: all targets are taken, and an agent has none."""
 
-    agent_id: int
-    cost: Float[Array, " targets"]
-    epsilon: float  # bid increment
-    bidder_ids: bool  # True where bids carry the bidder's number
-    patience: int  # quiet rounds after which it stops: 2 D
-    target_count: int  # m
-    bids: WinningBids  # its last message
-    target_index: int = -1  # j, the target of its last bid
-    quiet_rounds: int = 0  # rounds without news: the count of the printed method
-    round: int = 0
-    bid_count: int = 0
+    def __init__(self, agent: int, round: int, targets: int) -> None:
+        """Keep the agent, the round in which it found out, and the number of targets."""
+        super().__init__(
+            f"agent {agent} found all {targets} targets taken in round {round}: its component "
+            "has more agents than there are targets; define more targets"
+        )
+        self.agent, self.round, self.targets = agent, round, targets
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,92 +106,6 @@ class VsdaaResult(NamedTuple):
     price: Float[Array, "agents targets"]  # signed, as each agent knows it
 
 
-def update_bidder(agent: VsdaaBidder, inbox: list[WinningBids]) -> VsdaaBidder:
-    """Merge the messages (lines 27-29) and bid where the agent holds no target (8-25).
-
-    The printed loop listens at the end of a round, here the agent does so at the start of the
-    next: the same sequence. Prices have the length M throughout, padded with zeros.
-
-    With `bidder_ids` a bid stands as long as the agent knows itself as the winner. Without, it
-    trusts the price alone (line 8), and of two equal bids both bidders believe to hold the target.
-
-    Raises:
-        OutOfTargets: The agent would add a target (line 11), and all M are in use.
-    """
-    bids = agent.bids
-    for received in inbox:
-        bids = merge_bids(bids, received)
-    agent = agent._replace(round=agent.round + 1)
-    if _is_outbid(agent, bids):
-        return _place_bid(agent, bids)
-    if np.array_equal(bids.price, agent.bids.price) and np.array_equal(
-        bids.winner, agent.bids.winner
-    ):
-        return agent._replace(quiet_rounds=agent.quiet_rounds + 1)
-    target_count = max(agent.target_count, int(np.count_nonzero(bids.price)))
-    return agent._replace(bids=bids, target_count=target_count, quiet_rounds=0)
-
-
-def is_finished(agent: VsdaaBidder) -> bool:
-    """Return True once an agent has bid and then heard nothing new for 2 D rounds (line 7).
-
-    No agent bids after that. Proof: let the agent's bids be B since round s. All agents know B
-    from round s + D on. Every bid made before is in B, or the agent would have heard it by round
-    s + 2 D. So at s + D all know B and nothing else. An agent that is outbid in B would bid in
-    the next round, and the first agent would hear that too, in time.
-    """
-    return agent.target_index >= 0 and agent.quiet_rounds >= agent.patience
-
-
-def _is_outbid(agent: VsdaaBidder, bids: WinningBids) -> bool:
-    if agent.target_index < 0:
-        return True
-    if agent.bidder_ids:
-        return bool(bids.winner[agent.target_index] != agent.agent_id)
-    # Signed on purpose: a price negated at equal magnitude makes it bid a round later.
-    return bool(abs(bids.price[agent.target_index]) > agent.bids.price[agent.target_index])
-
-
-def _place_bid(agent: VsdaaBidder, known: WinningBids) -> VsdaaBidder:
-    price, winner, epsilon = known.price.copy(), known.winner.copy(), agent.epsilon
-    m = max(agent.target_count, int(np.count_nonzero(price)))
-    if known.winner_count >= m:  # lines 10-12: one target more, and all are for sale again
-        m = known.winner_count + 1
-        if m > len(price):
-            raise OutOfTargets(agent.agent_id, agent.round, len(price))
-        price[:m] = -(np.abs(price[:m]) + epsilon)
-        winner[:m] = NO_WINNER
-    total = agent.cost[:m] + np.abs(price[:m])
-    j = int(np.argmin(total))
-    v = total[j]
-    w = np.min(np.delete(total, j)) if m > 1 else v  # line 16 has no minimum for m = 1
-    price[j] = abs(price[j]) + (w - v + epsilon)
-    winner[j] = agent.agent_id if agent.bidder_ids else ANONYMOUS
-    return agent._replace(
-        bids=WinningBids(price, winner),
-        target_count=m,
-        target_index=j,
-        quiet_rounds=0,
-        bid_count=agent.bid_count + 1,
-    )
-
-
-def run_by_messages(auction: VsdaaAuction) -> Iterator[dict[int, VsdaaBidder]]:
-    """Run the definition: yield every live agent after every round.
-
-    Agents first learn the diameter of their component, then agree on the largest m, then bid.
-    """
-    cost, graph, target_count = auction.cost, auction.graph, auction.target_count
-    diameter = learn_diameter(graph)
-    live = np.flatnonzero(graph.alive).tolist()
-    agreed = flood(graph, {i: int(target_count[i]) for i in live}, max)
-    empty, rules = WinningBids.empty(cost.shape[1]), (auction.epsilon, auction.bidder_ids)
-    bidders = {
-        i: VsdaaBidder(i, cost[i], *rules, 2 * int(diameter[i]), agreed[i], empty) for i in live
-    }
-    return run_rounds(graph, bidders, update_bidder, lambda agent: agent.bids, is_finished)
-
-
 def run_vsdaa(auction: VsdaaAuction) -> VsdaaResult:
     """Run the auction with the compiled rounds.
 
@@ -201,3 +125,203 @@ def run_vsdaa(auction: VsdaaAuction) -> VsdaaResult:
         last_bid_round=int(state.last_bid_round.max(initial=0)),
         price=state.price,
     )
+
+
+class VsdaaState(NamedTuple):
+    """Memory of all agents in an auction, changed in place from round to round."""
+
+    cost: Float[Array, "agents targets"]
+    alive: Array
+    by_hops: Int[Array, "agents agents"]  # all agents, in order of their hops from each agent
+    hop_start: Int[Array, "agents reach"]  # index in `by_hops` of the first agent d hops away
+    patience: Int[Array, " agents"]
+    price: Float[Array, "agents targets"]
+    winner: Int[Array, "agents targets"]
+    price_count: Int[Array, " agents"]  # nonzero prices that each agent knows
+    winner_count: Int[Array, " agents"]  # standing bids that each agent knows
+    target_count: Int[Array, " agents"]
+    target_index: Int[Array, " agents"]
+    sent_price: Float[Array, " agents"]  # price of the agent's target in its last message
+    last_news_round: Int[Array, " agents"]  # round of the last bid or news
+    last_bid_round: Int[Array, " agents"]
+    bid_count: Int[Array, " agents"]
+    round: Int[Array, " 1"]
+
+
+class BidLog(NamedTuple):
+    """Bids that have not yet reached all agents: one event an agent and round."""
+
+    agent: Int[Array, " events"]
+    round: Int[Array, " events"]
+    start: Int[Array, " events"]  # first entry of the event; it ends where the next begins
+    target: Int[Array, " entries"]
+    price: Float[Array, " entries"]
+    winner: Int[Array, " entries"]
+    size: Int[Array, " 2"]  # first event on its way, number of events
+
+    @classmethod
+    def empty(cls, events: int, entries: int) -> "BidLog":
+        """Allocate a log of this size."""
+        sizes = (events, events, events + 1, entries, entries, 2)
+        agent, round, start, target, winner, size = (np.zeros(n, dtype=np.int64) for n in sizes)
+        return cls(agent, round, start, target, np.zeros(entries), winner, size)
+
+
+def init_state(cost: Array, graph: CommunicationGraph, target_count: Array) -> VsdaaState:
+    """Initialize all agents, with the largest m of their component."""
+    agents, targets = cost.shape
+    ints = [np.zeros(agents, dtype=np.int64) for _ in range(5)]
+    # Agents in other components are infinitely many hops away, and come last in `by_hops`.
+    distances = range(int(graph.diameter.max(initial=0)) + 2)
+    hop_start = np.stack([np.count_nonzero(graph.hops < d, axis=1) for d in distances], axis=1)
+    return VsdaaState(
+        cost=np.ascontiguousarray(cost, dtype=np.float64),
+        alive=graph.alive,
+        by_hops=np.argsort(graph.hops, axis=1, kind="stable"),
+        hop_start=np.ascontiguousarray(hop_start),
+        patience=2 * graph.diameter,
+        price=np.zeros((agents, targets)),
+        winner=np.full((agents, targets), NO_WINNER),
+        price_count=ints[0],
+        winner_count=ints[1],
+        target_count=graph.component_max(np.asarray(target_count, dtype=np.int64)),
+        target_index=np.full(agents, -1),
+        sent_price=np.zeros(agents),
+        last_news_round=ints[2],
+        last_bid_round=ints[3],
+        bid_count=ints[4],
+        round=np.zeros(1, dtype=np.int64),
+    )
+
+
+def run_kernel(
+    state: VsdaaState, epsilon: float, bidder_ids: bool, stride: int = 2**62
+) -> Iterator[None]:
+    """Run all rounds in which something happens, pausing after every `stride` of them.
+
+    Raises:
+        OutOfTargets: An agent found all targets taken.
+    """
+    agents, targets = state.cost.shape
+    most = agents * (targets + 1)  # entries in a round in which every agent adds a target
+    log = BidLog.empty(2 * agents, 2 * most)
+    while True:
+        before = int(state.round[0])
+        outcome = _advance(stride, float(epsilon), bidder_ids, state, log)
+        if outcome < 0:
+            raise OutOfTargets(-1 - outcome, int(state.round[0]), targets)
+        if state.round[0] > before:
+            yield
+        if outcome == DONE:
+            return
+        if outcome == LOG_FULL:
+            log = _grow_log(log, agents, most)
+
+
+def _grow_log(log: BidLog, agents: int, most: int) -> BidLog:
+    # Drop the events that have reached all agents, and double the log where that is not enough.
+    first, end = log.size
+    begin, stop = log.start[first], log.start[end]
+    events = max(len(log.agent), 2 * (end - first + agents))
+    entries = max(len(log.target), 2 * (stop - begin + most))
+    grown = BidLog.empty(int(events), int(entries))
+    grown.agent[: end - first] = log.agent[first:end]
+    grown.round[: end - first] = log.round[first:end]
+    grown.start[: end - first + 1] = log.start[first : end + 1] - begin
+    for new, old in zip(grown[3:6], log[3:6], strict=True):
+        new[: stop - begin] = old[begin:stop]
+    grown.size[1] = end - first
+    return grown
+
+
+@njit(cache=True)
+@no_type_check
+def _advance(stride, epsilon, bidder_ids, s, log):
+    agents, targets = s.cost.shape
+    # Local names, since numba counts references to every array of a tuple that is passed on.
+    alive, target, sent, last = s.alive, s.target_index, s.sent_price, s.last_news_round
+    for _ in range(stride):
+        end = log.size[1]
+        if end + agents > len(log.agent) or log.start[end] + agents * (targets + 1) > len(
+            log.target
+        ):
+            return LOG_FULL
+        s.round[0] += 1
+        _deliver(s, log)
+        is_active = False
+        for i in range(agents):
+            # Skip an agent without news: its quiet rounds are this round less its last news.
+            j = target[i]
+            if not alive[i] or (j >= 0 and last[i] != s.round[0] and sent[i] >= 0):
+                continue
+            if j < 0 or (s.winner[i, j] != i if bidder_ids else abs(s.price[i, j]) > sent[i]):
+                if not _place_bid(i, epsilon, bidder_ids, s, log):
+                    return -1 - i
+            else:
+                s.target_count[i] = max(s.target_count[i], s.price_count[i])
+            sent[i] = s.price[i, target[i]]
+            is_active = is_active or sent[i] < 0
+        if log.size[0] == log.size[1] and not is_active:
+            return DONE
+    return RUNNING
+
+
+@njit(cache=True)
+@no_type_check
+def _deliver(s, log):
+    # A bid placed d rounds ago arrives d hops away from its bidder.
+    round, far = s.round[0], s.hop_start.shape[1] - 2
+    price, winner, last = s.price, s.winner, s.last_news_round
+    price_count, winner_count = s.price_count, s.winner_count
+    while log.size[0] < log.size[1] and round - log.round[log.size[0]] > far:
+        log.size[0] += 1
+    for e in range(log.size[0], log.size[1]):
+        a, d = log.agent[e], round - log.round[e]
+        for q in range(s.hop_start[a, d], s.hop_start[a, d + 1]):
+            i = s.by_hops[a, q]
+            for k in range(log.start[e], log.start[e + 1]):
+                j, p, w = log.target[k], log.price[k], log.winner[k]
+                size, own = abs(p), abs(price[i, j])
+                if size > own or (size == own and w < winner[i, j]):
+                    price_count[i] += price[i, j] == 0
+                    winner_count[i] += (w >= 0) - (winner[i, j] >= 0)
+                    price[i, j], winner[i, j], last[i] = p, w, round
+
+
+@njit(cache=True)
+@no_type_check
+def _place_bid(i, epsilon, bidder_ids, s, log):
+    # Lines 10-25; False if there are not enough targets.
+    price, winner, cost = s.price[i], s.winner[i], s.cost[i]
+    e, m = log.size[1], max(s.target_count[i], s.price_count[i])
+    k = log.start[e]
+    if s.winner_count[i] >= m:
+        m = s.winner_count[i] + 1
+        if m > len(price):
+            return False
+        for j in range(m):
+            s.price_count[i] += price[j] == 0
+            s.winner_count[i] -= winner[j] >= 0
+            price[j], winner[j] = -(abs(price[j]) + epsilon), NO_WINNER
+            log.target[k], log.price[k], log.winner[k] = j, price[j], NO_WINNER
+            k += 1
+    best, v, w = 0, np.inf, np.inf
+    for j in range(m):
+        total = cost[j] + abs(price[j])
+        if total < v:
+            best, v, w = j, total, v
+        elif total < w:
+            w = total
+    if m == 1:
+        w = v
+    s.price_count[i] += price[best] == 0
+    s.winner_count[i] += winner[best] < 0
+    price[best] = abs(price[best]) + (w - v + epsilon)
+    winner[best] = i if bidder_ids else ANONYMOUS
+    log.target[k], log.price[k], log.winner[k] = best, price[best], winner[best]
+    log.agent[e], log.round[e], log.start[e + 1] = i, s.round[0], k + 1
+    log.size[1] += 1
+    s.target_count[i], s.target_index[i] = m, best
+    s.last_news_round[i] = s.last_bid_round[i] = s.round[0]
+    s.bid_count[i] += 1
+    return True

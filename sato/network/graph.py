@@ -83,7 +83,7 @@ class CommunicationGraph:
     def diameter(self) -> Int[Array, " agents"]:
         """Diameter of each agent's component; 0 for an agent alone.
 
-        The batched equivalent of `rounds.learn_diameter`.
+        The batched equivalent of `learn_diameter` in `tests/messages.py`.
         """
         reached = np.where(np.isfinite(self.hops), self.hops, 0)
         return self.component_max(reached.max(axis=1, initial=0).astype(np.int64))
@@ -91,7 +91,7 @@ class CommunicationGraph:
     def component_max(self, values: Int[Array, " agents"]) -> Int[Array, " agents"]:
         """Take the largest value in each agent's component; agents not alive keep their own.
 
-        The batched equivalent of `rounds.flood` with `max`.
+        The batched equivalent of a flood with `max`.
         """
         result = values.copy()
         largest = np.full(len(values), np.iinfo(np.int64).min)

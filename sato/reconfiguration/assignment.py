@@ -92,8 +92,7 @@ def assign_targets(
 def share_claims(memory: AgentMemory, graph: CommunicationGraph) -> AgentMemory:
     """Agree in every component on the latest claims and on the clock with the most time left.
 
-    The batched equivalent of flooding (`sato.network.rounds.flood`): of two claims of one
-    agent the newer counts.
+    The batched equivalent of flooding: of two claims of one agent the newer counts.
     """
     target, step = memory.claimed_target.copy(), memory.claim_step.copy()
     for c in range(graph.component.max(initial=-1) + 1):

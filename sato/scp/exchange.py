@@ -6,7 +6,7 @@ import numpy as np
 
 from problems.convexify import are_hulls_separated
 from sato.network.graph import CommunicationGraph
-from sato.network.rounds import run_round, run_rounds
+from sato.network.rounds import run_round
 from sato.scp.planner import Planner, follows_solo, update_planner
 
 
@@ -26,19 +26,10 @@ def run_scp(
     return history[-1], len(history) - 1
 
 
-def run_by_messages(
-    planners: Mapping[int, Planner], graph: CommunicationGraph
-) -> Iterator[dict[int, Planner]]:
-    """Run the definition: yield every planner after every exchange."""
-    return run_rounds(
-        graph, planners, update_planner, lambda agent: agent.message, lambda agent: agent.is_final
-    )
-
-
 def run_batched(
     planners: Mapping[int, Planner], graph: CommunicationGraph
 ) -> Iterator[dict[int, Planner]]:
-    """Compute the same as `run_by_messages`, with the geometry of all agents at once.
+    """Let all agents update their planners in rounds, with the geometry of all at once.
 
     Separations are computed only where trajectories changed. Exchanges in which an agent has
     nothing to solve only carry whether its trajectory is final.
