@@ -12,6 +12,7 @@ from scipy.sparse import csc_matrix
 
 from problems.conic import ConeType, ConicProgram, SolverResult, Status
 
+Vector = Float[Array, " m"]
 LP: frozenset[ConeType] = frozenset({"linear"})
 SOCP: frozenset[ConeType] = LP | {"second-order"}
 SDP: frozenset[ConeType] = SOCP | {"semidefinite"}
@@ -21,7 +22,7 @@ SDP: frozenset[ConeType] = SOCP | {"semidefinite"}
 class SolverSession(Protocol):
     """Solver that is set up for one program."""
 
-    def solve(self, b: Float[Array, " m"]) -> SolverResult:
+    def solve(self, b: Vector) -> SolverResult:
         """Solve with another right-hand side; q, A and the cones stay."""
 
 
@@ -99,7 +100,7 @@ def make_result(
     return SolverResult(status, message, np.array(x), duals, iterations)
 
 
-def lower_bounds(b: Float[Array, " m"], zero: int, infinity: float = np.inf) -> Float[Array, " m"]:
+def lower_bounds(b: Vector, zero: int, infinity: float = np.inf) -> Float[Array, " m"]:
     """Compute l of l ≤ A x ≤ b: equal to b for equations, −∞ for inequalities.
 
     Args:
@@ -114,9 +115,3 @@ def split_rows(problem: ConicProgram) -> tuple[csc_matrix, csc_matrix, Array, Ar
     """Split A and b into equations and the others, as matrices that older libraries accept."""
     A, b, zero = problem.A, problem.b, problem.zero
     return csc_matrix(A[:zero]), csc_matrix(A[zero:]), b[:zero], b[zero:]
-
-
-def zero_hessian(problem: ConicProgram) -> csc_matrix:
-    """Make the zero quadratic cost that libraries for quadratic programs ask for."""
-    n = len(problem.q)
-    return csc_matrix((n, n))

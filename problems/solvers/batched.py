@@ -12,7 +12,7 @@ from scipy.sparse import eye_array, vstack
 from problems.conic import ConicProgram, SolverResult
 from problems.dual_simplex import INFEASIBLE, OPTIMAL, solve_batches
 from problems.minimum_fuel import MAX_PIVOTS, OrthonormalRows
-from problems.solvers.adapter import LP, SolverAdapter
+from problems.solvers.adapter import LP, SolverAdapter, Vector
 
 SUPPORTED_FORM = "takes only [C −C] z = b, 0 ≤ z ≤ 1, independent rows, equal costs > 0 of halves"
 
@@ -47,7 +47,7 @@ class DualSimplexSession:
         C = problem.A[: self._zero].toarray()[:, : n // 2]
         self._orthonormal = OrthonormalRows.from_matrix(C)
 
-    def solve(self, b: Float[Array, " m"]) -> SolverResult:
+    def solve(self, b: Vector) -> SolverResult:
         """Solve with another right-hand side of the equations.
 
         Raises:

@@ -11,11 +11,9 @@ from functools import partial
 from typing import Any
 
 import casadi
-from jaxtyping import Float
-from numpy import ndarray as Array
 
 from problems.conic import ConicProgram, SolverResult, Status
-from problems.solvers.adapter import LP, SolverAdapter, lower_bounds, make_result
+from problems.solvers.adapter import LP, SolverAdapter, Vector, lower_bounds, make_result
 
 MAX_ITERATIONS = 100_000
 IPQP_MESSAGES = ("print_header", "print_info", "print_iter")
@@ -51,7 +49,7 @@ class CasadiConicSession:
         options = {"error_on_fail": False, "print_time": False, **_options(plugin, tolerance / 10)}
         self._solver: Any = casadi.conic("solver", plugin, shape, options)
 
-    def solve(self, b: Float[Array, " m"]) -> SolverResult:
+    def solve(self, b: Vector) -> SolverResult:
         """Solve with another right-hand side."""
         found = self._solver(**self._data, lba=lower_bounds(b, self._zero), uba=b)
         stats = self._solver.stats()

@@ -4,11 +4,9 @@ from typing import Any
 
 import casadi
 import numpy as np
-from jaxtyping import Float
-from numpy import ndarray as Array
 
 from problems.conic import ConicProgram, SolverResult, Status
-from problems.solvers.adapter import SOCP, SolverAdapter, make_result
+from problems.solvers.adapter import SOCP, SolverAdapter, Vector, make_result
 
 IPOPT_OPTIONS: dict[str, Any] = {
     "acceptable_iter": 0,
@@ -52,7 +50,7 @@ class CasadiNlpSession:
         nlp: dict[str, Any] = {"x": x, "p": b, "f": casadi.dot(casadi.DM(problem.q), x), "g": g}
         self._solver: Any = casadi.nlpsol("solver", "ipopt", nlp, options)
 
-    def solve(self, b: Float[Array, " m"]) -> SolverResult:
+    def solve(self, b: Vector) -> SolverResult:
         """Solve with another right-hand side, from zero."""
         found = self._solver(p=b, lbg=0, ubg=self._upper)
         stats = self._solver.stats()

@@ -2,12 +2,10 @@
 
 import clarabel
 import numpy as np
-from jaxtyping import Float
-from numpy import ndarray as Array
 from scipy.sparse import csc_array
 
 from problems.conic import ConicProgram, SolverResult, Status
-from problems.solvers.adapter import SDP, SolverAdapter, make_result
+from problems.solvers.adapter import SDP, SolverAdapter, Vector, make_result
 
 DEFAULT_TOLERANCE = 1e-8  # well below the tolerance of verification
 STATUSES: dict[str, Status] = {
@@ -33,7 +31,7 @@ class ClarabelSession:
         settings.presolve_enable = False  # it would drop rows, and b could not be updated
         self._solver = _setup(problem, settings)
 
-    def solve(self, b: Float[Array, " m"]) -> SolverResult:
+    def solve(self, b: Vector) -> SolverResult:
         """Solve with another right-hand side."""
         self._solver.update(b=b)
         return _solve(self._solver)

@@ -12,8 +12,9 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from problems.conic import ConeType, ConicProgram, SolverResult, Status, smat, svec
-from problems.solvers.adapter import LP, SDP, SOCP, SolverAdapter, make_result
+from problems.solvers.adapter import LP, SDP, SOCP, SolverAdapter, Vector, make_result
 
+MODULES = {"highs": "highspy"}  # where the name is another
 STATUSES: dict[str, Status] = {
     "optimal": "solved",
     "infeasible": "infeasible",
@@ -27,21 +28,21 @@ class CvxpySession:
     def __init__(
         self,
         solver: str,
-        tolerance_options: tuple[str, ...],
-        fixed_options: dict[str, Any],
+        tolerances: tuple[str, ...],
+        fixed: dict[str, Any],
         problem: ConicProgram,
         tolerance: float,
     ) -> None:
         """Write the program in CVXPY."""
         import cvxpy as cp
 
-        self._options = dict.fromkeys(tolerance_options, tolerance / 10) | fixed_options
+        self._options = dict.fromkeys(tolerances, tolerance / 10) | fixed
         self._solver, self._failed = solver.upper(), cp.SolverError
         self._x, self._b = cp.Variable(len(problem.q)), cp.Parameter(len(problem.b))
         self._constraints = _constraints(cp, problem, self._b, self._x)
         self._problem = cp.Problem(cp.Minimize(problem.q @ self._x), self._constraints)
 
-    def solve(self, b: Float[Array, " m"]) -> SolverResult:
+    def solve(self, b: Vector) -> SolverResult:
         """Solve with another right-hand side."""
         self._b.value = b
         with warnings.catch_warnings():
@@ -86,16 +87,14 @@ def _stack_duals(duals: list[Any]) -> Float[Array, " m"]:
 
 
 def _adapter(
-    solver: str,
-    cone_types: frozenset[ConeType],
+    name: str,
+    cones: frozenset[ConeType],
     passes_ray: bool,
-    tolerance_options: tuple[str, ...],
-    module: str = "",
-    **fixed_options: Any,
+    tolerances: tuple[str, ...],
+    **fixed: Any,
 ) -> SolverAdapter:
-    factory = partial(CvxpySession, solver, tolerance_options, fixed_options)
-    name, module = f"cvxpy-{solver}", module or solver
-    return SolverAdapter(name, cone_types, passes_ray, factory, module, f"cvxpy {module}")
+    factory, module = partial(CvxpySession, name, tolerances, fixed), MODULES.get(name, name)
+    return SolverAdapter(f"cvxpy-{name}", cones, passes_ray, factory, module, f"cvxpy {module}")
 
 
 HIGHS_TOLERANCES = ("primal_feasibility_tolerance", "dual_feasibility_tolerance")
@@ -103,7 +102,7 @@ OSQP_TOLERANCES = ("eps_abs", "eps_rel", "eps_prim_inf", "eps_dual_inf")
 ADAPTERS = (
     _adapter("clarabel", SDP, True, ("tol_gap_abs", "tol_gap_rel", "tol_feas"), max_threads=1),
     _adapter("ecos", SOCP, False, ("abstol", "reltol", "feastol")),
-    _adapter("highs", LP, True, HIGHS_TOLERANCES, "highspy", threads=1),
+    _adapter("highs", LP, True, HIGHS_TOLERANCES, threads=1),
     _adapter("osqp", LP, True, OSQP_TOLERANCES, max_iter=100_000, polishing=True),
     _adapter("piqp", LP, False, ("eps_abs", "eps_rel")),
     _adapter("qoco", SOCP, False, ("abstol", "reltol")),

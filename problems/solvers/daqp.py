@@ -3,11 +3,9 @@
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
-from numpy import ndarray as Array
 
 from problems.conic import ConicProgram, SolverResult, Status
-from problems.solvers.adapter import LP, SolverAdapter, lower_bounds, make_result
+from problems.solvers.adapter import LP, SolverAdapter, Vector, lower_bounds, make_result
 
 INFINITY = 1e30  # number that the library takes for infinite
 EQUALITY, INEQUALITY = 5, 0  # sense of a row
@@ -32,7 +30,7 @@ class DaqpSession:
         H, A = np.zeros((n, n)), problem.A.toarray()
         self._solver.setup(H, problem.q, A, problem.b, lower, sense)
 
-    def solve(self, b: Float[Array, " m"]) -> SolverResult:
+    def solve(self, b: Vector) -> SolverResult:
         """Solve with another right-hand side."""
         self._solver.update(bupper=b, blower=lower_bounds(b, self._zero, INFINITY))
         x, _, flag, info = self._solver.solve()

@@ -1,11 +1,9 @@
 """ECOS: interior point, second-order cones [Domahidi2013]."""
 
 import numpy as np
-from jaxtyping import Float
-from numpy import ndarray as Array
 
 from problems.conic import ConicProgram, SolverResult, Status
-from problems.solvers.adapter import SOCP, SolverAdapter, make_result, split_rows
+from problems.solvers.adapter import SOCP, SolverAdapter, Vector, make_result, split_rows
 
 STATUSES: dict[str, Status] = {
     "Optimal solution found": "solved",
@@ -27,7 +25,7 @@ class EcosSession:
         tolerances = dict.fromkeys(("feastol", "abstol", "reltol"), tolerance / 10)
         self._options = {"verbose": False, **tolerances}
 
-    def solve(self, b: Float[Array, " m"]) -> SolverResult:
+    def solve(self, b: Vector) -> SolverResult:
         """Solve with another right-hand side."""
         equations = {"A": self._A, "b": b[: self._zero]} if self._zero else {}
         inequalities = self._G, b[self._zero :], self._cones

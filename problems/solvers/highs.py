@@ -2,11 +2,10 @@
 
 import highspy
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray as Array
 
 from problems.conic import ConicProgram, SolverResult, Status
-from problems.solvers.adapter import LP, SolverAdapter, lower_bounds, make_result
+from problems.solvers.adapter import LP, SolverAdapter, Vector, lower_bounds, make_result
 
 MIN_TOLERANCE = 1e-10  # smallest that HiGHS accepts
 DEFAULT_TOLERANCE = 1e-6
@@ -38,7 +37,7 @@ class HighsSession:
         self._solver.passModel(_model(problem))
         self._rows = np.arange(len(problem.b), dtype=np.int32)
 
-    def solve(self, b: Float[Array, " m"]) -> SolverResult:
+    def solve(self, b: Vector) -> SolverResult:
         """Solve with another right-hand side, from the last basis."""
         lower = lower_bounds(b, self._zero, highspy.kHighsInf)
         self._solver.changeRowsBounds(len(b), self._rows, lower, b)

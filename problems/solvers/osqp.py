@@ -2,12 +2,10 @@
 
 from typing import Any
 
-from jaxtyping import Float
-from numpy import ndarray as Array
 from scipy.sparse import csc_matrix
 
 from problems.conic import ConicProgram, SolverResult, Status
-from problems.solvers.adapter import LP, SolverAdapter, lower_bounds, make_result, zero_hessian
+from problems.solvers.adapter import LP, SolverAdapter, Vector, lower_bounds, make_result
 
 MAX_ITERATIONS = 100_000  # linear programs take thousands
 TOLERANCES = ("eps_abs", "eps_rel", "eps_prim_inf", "eps_dual_inf")
@@ -27,16 +25,12 @@ class OsqpSession:
 
         self._zero = problem.zero
         self._solver: Any = osqp.OSQP()
-        P, A, lower = (
-            zero_hessian(problem),
-            csc_matrix(problem.A),
-            lower_bounds(problem.b, self._zero),
-        )
+        n, A, lower = len(problem.q), csc_matrix(problem.A), lower_bounds(problem.b, self._zero)
         options: dict[str, Any] = {"max_iter": MAX_ITERATIONS, "polishing": True, "verbose": False}
         options |= dict.fromkeys(TOLERANCES, tolerance / 10)
-        self._solver.setup(P, problem.q, A, lower, problem.b, **options)
+        self._solver.setup(csc_matrix((n, n)), problem.q, A, lower, problem.b, **options)
 
-    def solve(self, b: Float[Array, " m"]) -> SolverResult:
+    def solve(self, b: Vector) -> SolverResult:
         """Solve with another right-hand side, from the last solution."""
         self._solver.update(l=lower_bounds(b, self._zero), u=b)
         found = self._solver.solve(raise_error=False)

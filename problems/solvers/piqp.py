@@ -3,11 +3,10 @@
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
-from numpy import ndarray as Array
+from scipy.sparse import csc_matrix
 
 from problems.conic import ConicProgram, SolverResult, Status
-from problems.solvers.adapter import LP, SolverAdapter, make_result, split_rows, zero_hessian
+from problems.solvers.adapter import LP, SolverAdapter, Vector, make_result, split_rows
 
 STATUSES: dict[str, Status] = {"PIQP_SOLVED": "solved", "PIQP_PRIMAL_INFEASIBLE": "infeasible"}
 
@@ -23,10 +22,10 @@ class PiqpSession:
         settings: Any = self._solver.settings
         settings.eps_abs = settings.eps_rel = tolerance / 10
         settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = tolerance / 10
-        A, G, b, h = split_rows(problem)
-        self._solver.setup(zero_hessian(problem), problem.q, A=A, b=b, G=G, h_u=h)
+        (A, G, b, h), n = split_rows(problem), len(problem.q)
+        self._solver.setup(csc_matrix((n, n)), problem.q, A=A, b=b, G=G, h_u=h)
 
-    def solve(self, b: Float[Array, " m"]) -> SolverResult:
+    def solve(self, b: Vector) -> SolverResult:
         """Solve with another right-hand side."""
         self._solver.update(b=b[: self._zero], h_u=b[self._zero :])
         message, found = self._solver.solve().name, self._solver.result

@@ -3,11 +3,10 @@
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
-from numpy import ndarray as Array
+from scipy.sparse import csc_matrix
 
 from problems.conic import ConicProgram, SolverResult, Status
-from problems.solvers.adapter import LP, SolverAdapter, make_result, split_rows, zero_hessian
+from problems.solvers.adapter import LP, SolverAdapter, Vector, make_result, split_rows
 
 # At its default of 1e-4, and even at 1e-9, it reports feasible programs as infeasible.
 INFEASIBILITY_TOLERANCE = 1e-12
@@ -23,8 +22,8 @@ class ProxqpSession:
         from proxsuite import proxqp
 
         A, C, b, upper = split_rows(problem)
-        self._zero = problem.zero
-        self._solver: Any = proxqp.sparse.QP(len(problem.q), len(b), len(upper))
+        self._zero, n = problem.zero, len(problem.q)
+        self._solver: Any = proxqp.sparse.QP(n, len(b), len(upper))
         settings = self._solver.settings
         settings.eps_abs = settings.eps_rel = tolerance / 10
         settings.check_duality_gap = True
@@ -33,9 +32,9 @@ class ProxqpSession:
         settings.max_iter = MAX_ITERATIONS
         settings.initial_guess = proxqp.InitialGuess.NO_INITIAL_GUESS
         lower = np.full(len(upper), -np.inf)
-        self._solver.init(zero_hessian(problem), problem.q, A, b, C, lower, upper)
+        self._solver.init(csc_matrix((n, n)), problem.q, A, b, C, lower, upper)
 
-    def solve(self, b: Float[Array, " m"]) -> SolverResult:
+    def solve(self, b: Vector) -> SolverResult:
         """Solve with another right-hand side."""
         self._solver.update(b=b[: self._zero], u=b[self._zero :])
         self._solver.solve()

@@ -3,11 +3,9 @@
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
-from numpy import ndarray as Array
 
 from problems.conic import ConicProgram, SolverResult, Status
-from problems.solvers.adapter import SOCP, SolverAdapter, make_result, split_rows
+from problems.solvers.adapter import SOCP, SolverAdapter, Vector, make_result, split_rows
 
 
 class QocoSession:
@@ -26,7 +24,7 @@ class QocoSession:
         limits = {"abstol": tolerance / 10, "reltol": tolerance / 10, "verbose": 0}
         self._solver.setup(*sizes, None, problem.q, *equalities, *inequalities, *cones, **limits)
 
-    def solve(self, b: Float[Array, " m"]) -> SolverResult:
+    def solve(self, b: Vector) -> SolverResult:
         """Solve with another right-hand side."""
         self._solver.update_vector_data(b=b[: self._zero], h=b[self._zero :])
         found = self._solver.solve()

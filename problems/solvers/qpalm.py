@@ -2,12 +2,10 @@
 
 from typing import Any
 
-from jaxtyping import Float
-from numpy import ndarray as Array
 from scipy.sparse import csc_matrix
 
 from problems.conic import ConicProgram, SolverResult, Status
-from problems.solvers.adapter import LP, SolverAdapter, lower_bounds, make_result, zero_hessian
+from problems.solvers.adapter import LP, SolverAdapter, Vector, lower_bounds, make_result
 
 # With bounds that it takes for infinite, it accepts rays outside the dual cone as certificates
 # and reports feasible programs as infeasible; this number it takes for finite.
@@ -23,9 +21,9 @@ class QpalmSession:
         """Set up the program."""
         import qpalm
 
-        self._zero = problem.zero
-        data = qpalm.Data(len(problem.q), len(problem.b))
-        data.Q, data.q = zero_hessian(problem), problem.q
+        self._zero, n = problem.zero, len(problem.q)
+        data = qpalm.Data(n, len(problem.b))
+        data.Q, data.q = csc_matrix((n, n)), problem.q
         data.A, data.bmin = csc_matrix(problem.A), lower_bounds(problem.b, problem.zero, INFINITY)
         data.bmax = problem.b
         settings = qpalm.Settings()
@@ -34,7 +32,7 @@ class QpalmSession:
         settings.verbose = 0
         self._solver: Any = qpalm.Solver(data, settings)
 
-    def solve(self, b: Float[Array, " m"]) -> SolverResult:
+    def solve(self, b: Vector) -> SolverResult:
         """Solve with another right-hand side."""
         self._solver.update_bounds(lower_bounds(b, self._zero, INFINITY), b)
         self._solver.solve()

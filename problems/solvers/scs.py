@@ -3,12 +3,12 @@
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from numpy import ndarray as Array
 from scipy.sparse import csc_array
 
 from problems.conic import ConicProgram, SolverResult, Status
-from problems.solvers.adapter import SDP, SolverAdapter, make_result
+from problems.solvers.adapter import SDP, SolverAdapter, Vector, make_result
 
 MAX_ITERATIONS = 100_000
 STATUSES: dict[str, Status] = {"solved": "solved", "infeasible": "infeasible"}
@@ -30,7 +30,7 @@ class ScsSession:
         options["linear_solver"] = "qdldl"  # single-threaded: the same result on every machine
         self._solver: Any = scs.SCS({"A": A, "b": b, "c": problem.q}, cones, **options)
 
-    def solve(self, b: Float[Array, " m"]) -> SolverResult:
+    def solve(self, b: Vector) -> SolverResult:
         """Solve with another right-hand side, from the last solution."""
         self._solver.update(b=b[self._order])
         found = self._solver.solve()
