@@ -1,6 +1,7 @@
 """Design of formation gains: the fastest gains, or a proof that none stabilize."""
 
 from contextlib import suppress
+from importlib import import_module
 from typing import Literal
 
 import numpy as np
@@ -98,7 +99,6 @@ def design_gains(
     Raises:
         NoStabilizingGain: There are none, with the proof.
         GainDesignUndecided: The method found neither stable gains nor that proof.
-        ValueError: The method is unknown.
     """
     with threadpool_limits(1, user_api="blas"):  # on busy cores a second thread only waits
         xy, bound_xy, method_xy = _design_axes(formation, "xy", method, tolerance)
@@ -142,20 +142,13 @@ def _improve_with_sdp(
 
 
 def _solve(problem: GainProblem, method: str, tolerance: float) -> GainSolution:
-    # The slow methods are imported on demand: loading their solvers takes seconds.
     if method == "projection":
         return problem.project(np.eye(len(problem.graph)))
     if method == "admm":
         return gain_admm.solve(problem, tolerance)
-    if method == "sdp":
-        from problems import gain_sdp
-
-        return gain_sdp.solve(problem)
-    if method == "paper":
-        from problems import gain_paper
-
-        return gain_paper.solve(problem)
-    raise ValueError(f'method: "auto", "projection", "admm", "sdp" or "paper", got "{method}"')
+    # The slow methods are imported on demand: loading their solvers takes seconds.
+    solution: GainSolution = import_module(f"problems.gain_{method}").solve(problem)
+    return solution
 
 
 def _format_formation(formation: DesiredFormation) -> str:

@@ -117,22 +117,19 @@ class GainMatrix:
         """Read a file written by `save`.
 
         Raises:
-            ValueError: It is another file or damaged, or its gains do not belong to its
-                formation.
+            ValueError: There is no such file, it is another or damaged, or its gains do not
+                belong to its formation.
         """
         kinds = (("points", float), ("graph", bool), ("xy", complex), ("z", float))
-        with open(path, "rb") as opened:
-            try:
-                with np.load(opened, allow_pickle=False) as file:
-                    fields = {
-                        key: file[key].astype(kind, casting="same_kind") for key, kind in kinds
-                    }
-                    name, method = str(file["name"]), str(file["method"])
-                    bound_xy, bound_z = file["bounds"].tolist()
-                formation = DesiredFormation(fields["points"], fields["graph"], name)
-                return cls(formation, fields["xy"], fields["z"], method, bound_xy, bound_z)
-            except READ_ERRORS as error:
-                raise ValueError(f"{path} cannot be read as gains: {error}") from error
+        try:
+            with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
+                fields = {key: file[key].astype(kind, casting="same_kind") for key, kind in kinds}
+                name, method = str(file["name"]), str(file["method"])
+                bound_xy, bound_z = file["bounds"].tolist()
+            formation = DesiredFormation(fields["points"], fields["graph"], name)
+            return cls(formation, fields["xy"], fields["z"], method, bound_xy, bound_z)
+        except READ_ERRORS as error:
+            raise ValueError(f"{path} cannot be read as gains: {error}") from error
 
 
 def _kernel_residual(formation: DesiredFormation, axes: Axes, A: Array) -> float:

@@ -14,7 +14,7 @@ from problems.gain_design import (
 )
 from problems.gain_matrix import GainMatrix
 from sato.scenario.definition import Coordinates, Definition, Matrix
-from sato.scenario.errors import InputError
+from sato.scenario.errors import InputError, errors_in
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -65,10 +65,8 @@ class ListedGains(Definition):
         xy, vertical = xy + xy.conj().T, vertical + vertical.T
         for A in (xy, vertical):
             np.fill_diagonal(A, A.diagonal() - A.sum(axis=1))
-        try:
+        with errors_in("gains"):
             return GainMatrix(formation, xy, vertical, self.method, *self.bounds)
-        except ValueError as error:
-            raise InputError("gains", str(error)) from error
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -87,10 +85,8 @@ class GainsFile(Definition):
         Raises:
             InputError: The file cannot be read, or holds gains of another formation.
         """
-        try:
+        with errors_in("gains.file"):
             gains = GainMatrix.load(self.file)
-        except (OSError, ValueError) as error:
-            raise InputError("gains.file", str(error)) from error
         if formation is not None and not gains.matches_formation(formation):
             text = f'{self.file} holds gains of other points or another graph; "auto" would do'
             raise InputError("gains.file", text)
