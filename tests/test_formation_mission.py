@@ -1,10 +1,7 @@
 """Formation missions: keys, refusals, defaults, order of draws and round trips."""
 
-import json
-
 import numpy as np
 import pytest
-from test_cli import call
 
 from problems.gain_design import design_gains
 from sato.formation.leg import (
@@ -38,6 +35,7 @@ formation = { kind = "library", name = "swarm6/Star" }
 graph = "own"
 """
 RANDOM = 'leg.formation={kind="random", box_m=[8, 8, 2], separation_m=2}'
+START_FILE = "start = { kind = 'points', file = 'start.csv' }"
 BUILT_IN = [name for name in scenarios() if name.startswith("formation")]
 
 
@@ -182,32 +180,22 @@ graph = { kind = "thinned", removals = 2 }
     assert mission.frames == FrameSettings().draw(6, rng)
 
 
-def test_files_beside_the_scenario_give_points_graph_and_gains(files, monkeypatch):
+def test_files_beside_the_scenario_become_part_of_its_text(files, monkeypatch):
     leg = "formation={file='points.csv'}\ngraph={file='edges.csv'}\ngains={file='star.npz'}\n"
-    (files / "files.toml").write_text(SIX.replace(SIX[SIX.index("formation = {") :], leg))
+    text = SIX.replace(SIX[SIX.index("formation = {") :], leg)
+    text = text.replace(SIX[SIX.index("start =") : SIX.index("\n\n[protocol")], START_FILE)
+    (files / "files.toml").write_text(text)
     monkeypatch.chdir("/")
-    [found] = read(files / "files.toml").draw(np.random.default_rng(1)).gains
-    [library] = drawn().gains
-    assert found.matches_formation(library.formation)
-    np.testing.assert_allclose(found.xy, library.xy, atol=1e-12)
-    np.testing.assert_allclose(found.z, library.z, atol=1e-12)
-    assert (found.method, found.bound_xy) == (library.method, library.bound_xy)
-
-
-def test_text_of_a_mission_holds_the_contents_of_its_files(files, monkeypatch):
-    monkeypatch.chdir(files)
-    overrides = [
-        "start={kind='points', file='start.csv'}",
-        "leg.formation={file='points.csv'}",
-        "leg.graph={file='edges.csv'}",
-        "leg.gains={file='star.npz'}",
-    ]
-    mission = parse(SIX, overrides)
+    mission = read(files / "files.toml")
     text = mission.to_toml()
     assert "csv" not in text and "npz" not in text
     one, again = (m.draw(np.random.default_rng(3)) for m in (mission, parse(text)))
     assert one == again
-    assert np.array_equal(one.gains[0].xy, again.gains[0].xy)
+    [found], [library] = one.gains, drawn().gains
+    assert found.matches_formation(library.formation)
+    np.testing.assert_allclose(found.xy, library.xy, atol=1e-12)
+    np.testing.assert_allclose(found.z, library.z, atol=1e-12)
+    assert (found.method, found.bound_xy) == (library.method, library.bound_xy)
 
 
 @pytest.mark.parametrize(
@@ -280,18 +268,3 @@ def test_given_frames_survive_the_text_of_their_mission(rng):
     )
     again = parse(mission.to_toml())
     assert again == mission and again.draw(rng).frames == frames
-
-
-def test_command_line_flies_checks_and_reports_failure(files, monkeypatch):
-    monkeypatch.chdir(files)
-    flown = call("run", "six.toml", "--out", "there", "--seed", "4")
-    assert flown.exit_code == 0, flown.output
-    assert json.loads((files / "there" / "summary.json").read_text())["success"] is True
-    assert call("check", "there").exit_code == 0
-    short = call("run", "six.toml", "--out", "short", "--set", "limit_s=4", "--quiet")
-    assert short.exit_code == 1
-    assert json.loads((files / "short" / "summary.json").read_text())["success"] is False
-    assert call("check", "short").exit_code == 0  # its summary says so itself
-    refused = call("run", "six.toml", "--out", "none", "--set", "start.separation_m=1")
-    assert refused.exit_code == 2 and "six.toml: swarm.start.separation_m" in refused.stderr
-    assert not (files / "none").exists()

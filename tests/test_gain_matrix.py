@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from gain_examples import graph_of
-from numpy.testing import assert_allclose
 
 from problems.desired_formation import DesiredFormation
 from problems.gain_design import GainMatrix, design_gains
@@ -47,15 +46,6 @@ def test_kernel_and_spectrum_are_those_of_the_paper(rng):
     block = A[:3, 3:6]
     assert block[0, 0] == block[1, 1] and block[0, 1] == -block[1, 0]
     assert not block[2, :2].any() and not block[:2, 2].any()
-
-
-def test_complex_gains_give_the_velocities_of_the_real_matrix(rng):
-    gains = design_gains(random_formation(rng, 6, 0.9))
-    q = rng.normal(size=(6, 3))
-    speeds = (full_matrix(gains) @ q.ravel()).reshape(6, 3)
-    planar = gains.xy @ (q[:, 0] + 1j * q[:, 1])
-    assert_allclose(speeds[:, 0] + 1j * speeds[:, 1], planar, atol=1e-12)
-    assert_allclose(speeds[:, 2], gains.z @ q[:, 2], atol=1e-12)
 
 
 def test_a_saved_file_restores_gains_and_formation(tmp_path):
