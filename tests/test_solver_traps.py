@@ -4,14 +4,12 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-import osqp
 import pytest
-from scipy.sparse import csc_array, csc_matrix
+from scipy.sparse import csc_array
 
-from problems.conic import ConicProgram, SolverResult, svec, verify
+from problems.conic import ConicProgram, svec, verify
 from problems.families import load_family
 from problems.solvers import load_adapters
-from problems.solvers.adapter import lower_bounds
 
 ADAPTERS = load_adapters()
 
@@ -30,25 +28,6 @@ def solve_and_verify(name, problem, tolerance=1e-6):
 INSTALLED = sorted(name for name, adapter in ADAPTERS.items() if adapter.is_installed)
 FOR_TRANSFERS = [name for name in INSTALLED if not ADAPTERS[name].refusal(transfers()[0])]
 SEMIDEFINITE = [name for name in INSTALLED if "semidefinite" in ADAPTERS[name].cone_types]
-
-
-def test_osqp_stops_too_early_at_its_default_tolerance():
-    for problem in transfers("medium")[:5]:
-        solver, n = osqp.OSQP(), len(problem.q)
-        solver.setup(
-            P=csc_matrix((n, n)),
-            q=problem.q,
-            A=csc_matrix(problem.A),
-            l=lower_bounds(problem.b, problem.zero),
-            u=problem.b,
-            verbose=False,
-        )
-        result = solver.solve(raise_error=False)
-        assert result.info.status_val == osqp.SolverStatus.OSQP_SOLVED
-        verdict = verify(problem, SolverResult("solved", "default", result.x, result.y), 1e-6)
-        assert verdict.kind == "wrong claim"
-        assert verdict.solution.max_residual > 1e-4
-        assert solve_and_verify("osqp", problem).kind == "solved"
 
 
 @pytest.mark.parametrize("name", FOR_TRANSFERS)
@@ -111,9 +90,6 @@ def test_the_own_dual_simplex_method_refuses_every_other_form():
         assert ADAPTERS["batched"].refusal(other), what
         with pytest.raises(ValueError, match=r"batched takes only \[C −C\] z = b, 0 ≤ z ≤ 1"):
             ADAPTERS["batched"].open_session(other, 1e-6)
-
-
-def test_the_own_dual_simplex_method_refuses_other_bounds():
-    problem = transfers()[0]
-    with pytest.raises(ValueError, match=r"only the right-hand side of the equations may change"):
-        ADAPTERS["batched"].open_session(problem, 1e-6).solve(2 * problem.b)
+    session = ADAPTERS["batched"].open_session(problem, 1e-6)
+    with pytest.raises(ValueError, match="only the right-hand side of the equations may change"):
+        session.solve(2 * problem.b)

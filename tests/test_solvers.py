@@ -20,7 +20,6 @@ INSTALLED = sorted(
 )
 KINDS = ("linear", "second-order", "semidefinite")
 UNBOUNDED = ConicProgram(np.ones(1), csc_array([[1.0]]), np.zeros(1), 0, 1)
-all_solvers = pytest.mark.parametrize("name", INSTALLED)
 
 
 def most_general_program(rng, name):
@@ -44,25 +43,15 @@ def test_every_solver_finds_the_known_optimum(rng, kind, name):
         assert problem.q @ verdict.solution.x == pytest.approx(problem.q @ x, rel=1e-4, abs=1e-4)
 
 
-@all_solvers
+@pytest.mark.parametrize("name", INSTALLED)
 def test_sessions_solve_later_right_hand_sides_alike(rng, name):
     problem, x, y = most_general_program(rng, name)
-    session = open_session(name, problem)
+    session, b = open_session(name, problem), problem.b.copy()
     for _ in range(4):
-        b = problem.b + problem.A @ rng.normal(size=len(x))  # the same program, translated
         verdict = verify(replace(problem, b=b), session.solve(b), 1e-6)
         assert verdict.kind == "solved", verdict.reason
         assert -b @ y == pytest.approx(problem.q @ verdict.solution.x, rel=1e-4, abs=1e-4)
-
-
-@all_solvers
-def test_a_right_hand_side_changed_in_place_is_noticed(rng, name):
-    problem, x, _ = most_general_program(rng, name)
-    session, b = open_session(name, problem), problem.b.copy()
-    session.solve(b)
-    b += problem.A @ rng.normal(size=len(x))
-    verdict = verify(replace(problem, b=b), session.solve(b), 1e-6)
-    assert verdict.kind == "solved", verdict.reason
+        b += problem.A @ rng.normal(size=len(x))  # the same program, translated; the same array
 
 
 @pytest.mark.parametrize("name", [n for n in INSTALLED if ADAPTERS[n].certifies_infeasibility])
@@ -83,9 +72,3 @@ def test_a_missing_solver_is_refused_with_its_pip_package(rng):
     absent = SolverAdapter("absent", LP, False, lambda problem, tolerance: problem, "absent_")
     with pytest.raises(ValueError, match=r"absent is not installed; pip install absent_ would do"):
         absent.open_session(UNBOUNDED, 1e-6)
-
-
-def test_unsupported_cones_are_refused(rng):
-    problem, _, _ = random_program(rng, "second-order")
-    with pytest.raises(ValueError, match=r"highs cannot take second-order cones"):
-        open_session("highs", problem)
