@@ -545,14 +545,14 @@ REFUSED = {
     ),
     "a margin that is none": (
         ["margin_m=-1"],
-        'plan.margin_m: must be a number that is not negative, or "auto", got -1',
+        'plan.margin_m: must be at least 0 or must be "auto", got -1',
     ),
     "an increment in words": (
         ["epsilon=aut"],
-        "plan.epsilon: must be a number that is not negative",
+        'plan.epsilon: must be a number or must be "auto"',
     ),
     "no increment": (["epsilon=0"], 'plan.epsilon: must be positive, or "auto", got 0'),
-    "a margin in words": (["margin_m=large"], 'or "auto", got "large"'),
+    "a margin in words": (["margin_m=large"], 'or must be "auto", got "large"'),
     "keeping to a plan beyond the leg": (
         ["freeze_steps=25"],
         "plan.freeze_steps: 25 is more than the 24 steps of leg 0; at most 24 would do",

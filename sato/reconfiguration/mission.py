@@ -36,7 +36,6 @@ from sato.scenario.definition import (
     Key,
     NotNegative,
     Positive,
-    number_or_auto,
 )
 from sato.scenario.errors import InputError
 from sato.scenario.file import Mission
@@ -46,14 +45,11 @@ from sato.shapes.shape import as_points
 if TYPE_CHECKING:
     Automatic = float  # once the mission is drawn
 else:
-    Automatic = Annotated[float | Literal["auto"], BeforeValidator(number_or_auto)]
+    Automatic = Annotated[float, NotNegative] | Literal["auto"]
 
 Steps = Annotated[int, Positive]
 Count = Annotated[int, NotNegative]
-Indices = Annotated[
-    tuple[Count, ...],
-    BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value),
-]
+Indices = tuple[Count, ...]
 Targets = Points | Text | Ring | Lattice | Polygon | Picture
 LATER: Any = None  # of a field that follows from the others where it is not given
 

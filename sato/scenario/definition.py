@@ -224,16 +224,6 @@ def kinds_of(definition: Any) -> tuple[str, ...]:
     return getattr(definition, "kinds", (kind,) if isinstance(kind, str) else ())
 
 
-def number_or_auto(value: Any) -> Any:
-    """Accept a number that is not negative, or "auto"."""
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    if value == "auto" or (number and 0 <= value < np.inf):
-        return value if value == "auto" else float(value)
-    raise InputError(
-        "", f'must be a number that is not negative, or "auto", got {format_value(value)}'
-    )
-
-
 def is_auto(value: Any) -> bool:
     """Tell whether a value is still to be computed."""
     return bool(value == "auto")
@@ -271,13 +261,15 @@ Matrix = Annotated[Array, BeforeValidator(lambda value: as_array(value, 2))]
 
 
 def _explain(error: ValidationError) -> InputError:
-    # The first of pydantic's errors, in its own words but for a few.
-    first: Any = error.errors(include_url=False)[0]
+    # The first of pydantic's errors, and the words that would do instead, if there are any.
+    errors: list[Any] = error.errors(include_url=False)
+    first, *others = errors
     cause = first.get("ctx", {}).get("error")
     if isinstance(cause, InputError):
         return cause
     where = ".".join(str(part) for part in first["loc"] if isinstance(part, int))
-    wanted = re.sub(r"^\w+ should", "must", first["msg"])
+    words = [other["msg"] for other in others if other["type"] == "literal_error"]
+    wanted = re.sub(r"\b\w+ should", "must", " or ".join([first["msg"], *words[:1]]))
     for theirs, ours in PLAIN_WORDS.items():
         wanted = wanted.replace(theirs, ours)
     return InputError(where, f"{wanted}, got {format_value(first['input'])}")
