@@ -2,7 +2,6 @@
 
 import os
 import signal
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from importlib import import_module
@@ -21,7 +20,7 @@ from problems.solvers.adapter import SolverAdapter
 from sato.compare.plan import ComparisonPlan, format_tolerance, refusal
 
 NAN = float("nan")
-SEVERITY = ("solved", "infeasible", "unproven", "failed", "wrong claim", "crashed")
+SEVERITY = ("skipped", "solved", "infeasible", "unproven", "failed", "wrong claim", "crashed")
 # Limit in wall-clock time, relative to the patience: other processes may keep the processor busy.
 HANG_FACTOR = 10.0
 WARM_UP_TIMEOUT = 60.0  # for what a library does only once, such as compiling [s]
@@ -105,29 +104,24 @@ def _measure_in_turn(
     repeats: int,
     rng: np.random.Generator,
 ) -> Iterator[Measurement]:
-    # Outcomes by solver, instance, and order of the solve: first or second.
-    found: defaultdict[tuple[str, str, int], list[SolveOutcome]] = defaultdict(list)
+    Solves = tuple[list[SolveOutcome], list[SolveOutcome]]  # first and second ones
+    found: dict[tuple[SolverProcess, Instance], Solves]
+    found = {(worker, instance): ([], []) for worker in workers for instance in family.instances}
     for i, instance in enumerate(family.instances):
         others = family.instances[i + 1 :] + family.instances[:i]
         same = [other for other in others if other.problem.A is instance.problem.A]
+        pair = [instance, *same[:1]]
         for k in np.concatenate([rng.permutation(len(workers)) for _ in range(repeats)]):
-            name = workers[k].solver.name
-            if not workers[k].skip_reason(family, tolerance):
-                pair = [instance, *same[:1]]
-                outcomes = workers[k].solve(family, tolerance, pair)
-                for order, solved in enumerate(pair):
-                    found[name, solved.name, order].append(outcomes[order])
-    for worker in workers:
-        name = worker.solver.name
-        skipped = [SolveOutcome("skipped", worker.skip_reason(family, tolerance))]
-        for instance in family.instances:
-            first, second = (found[name, instance.name, order] for order in (0, 1))
-            outcomes = [_combine_repeats(some) for some in (first or skipped, second) if some]
-            yield Measurement(name, family, instance, tolerance, tuple(outcomes))
+            outcomes = workers[k].solve(family, tolerance, pair)
+            for order, solved in enumerate(pair):
+                found[workers[k], solved][order].append(outcomes[order])
+    for (worker, instance), solves in found.items():
+        combined = tuple(_combine_repeats(some) for some in solves if some)
+        yield Measurement(worker.solver.name, family, instance, tolerance, combined)
 
 
 def _combine_repeats(outcomes: list[SolveOutcome]) -> SolveOutcome:
-    worst = max(outcomes, key=lambda outcome: (*SEVERITY, "skipped").index(outcome.verdict))
+    worst = max(outcomes, key=lambda outcome: SEVERITY.index(outcome.verdict))
     times = [outcome.seconds for outcome in outcomes if outcome.seconds == outcome.seconds]
     return worst._replace(seconds=median(times)) if times else worst
 
@@ -142,18 +136,14 @@ class SolverProcess:
         self._connection: Any = None  # to the process
         self._exceeded: dict[tuple[str, float], str] = {}  # where: family and tolerance
 
-    def skip_reason(self, family: Family, tolerance: float) -> str:
-        """Return why the solver is skipped, or an empty text."""
-        for (name, known), reason in self._exceeded.items():
-            if name == family.name and known >= tolerance:  # sizes are in ascending order
-                return reason
-        return ""
-
     def solve(self, family: Family, tolerance: float, pair: list[Instance]) -> list[SolveOutcome]:
         """Solve instances that differ in b alone; the end of the process is an outcome too.
 
         A new process solves them twice, so that no time includes what a library does only once.
         """
+        for (name, known), reason in self._exceeded.items():
+            if name == family.name and known >= tolerance:  # sizes are in ascending order
+                return [SolveOutcome("skipped", reason) for _ in pair]
         limit = HANG_FACTOR * self.patience
         if self._process is None:
             self._connection, remote = CONTEXT.Pipe()

@@ -118,9 +118,8 @@ def print_comparison(
         for line in list_failures(some):
             console.print(f"  {line}")
     console.print(
-        f"Times, iterations and the largest error of the cost are those of correct answers at "
-        f"{format_tolerance(at)}, from small to large. Times are processor times. Not solved: "
-        "failed, crashed, skipped, or infeasible without a proof."
+        "Times (of the processor), iterations and the largest error of the cost are of correct "
+        f"answers at {format_tolerance(at)}, from small to large."
     )
 
 
