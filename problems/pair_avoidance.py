@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 from scipy.sparse import block_diag, csc_array, vstack
 
@@ -65,6 +65,22 @@ class PairProblem:
     first: AvoidanceProblem
     second: AvoidanceProblem
     relative_half_spaces: RelativeHalfSpaces
+
+    def violation(self, both: tuple[Trajectory, Trajectory]) -> Float[Array, " rows"]:
+        """Compute by how much all half-spaces are violated: those of each agent, then of both."""
+        each = zip(self._members, both, strict=True)
+        own = [member.half_spaces.violation(flight.x, flight.u) for member, flight in each]
+        return np.concatenate([*own, self.relative_half_spaces.violation(*both)])
+
+    def select(self, rows: Bool[Array, " rows"]) -> "PairProblem":
+        """Keep some half-spaces, by a mask in the order of `violation`."""
+        sizes = [len(member.half_spaces.rhs) for member in self._members]
+        first, second, relative = np.split(rows, np.cumsum(sizes))
+        return PairProblem(
+            self.first.select(first),
+            self.second.select(second),
+            self.relative_half_spaces.select(relative),
+        )
 
     def solve(self) -> tuple[Trajectory, Trajectory]:
         """Find the trajectories of the least total fuel, weighted as in their transfers.

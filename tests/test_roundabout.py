@@ -21,8 +21,13 @@ from planner_examples import (
 from problems.convexify import are_hulls_separated
 from sato.scp.negotiation import negotiate
 from sato.scp.priority_orders import ConflictResolution, offset_right, try_priority_orders
-from sato.scp.resolve import OFFSETS, resolve_conflicts
-from sato.scp.roundabout import can_use_roundabout, solve_roundabout, update_in_turn
+from sato.scp.resolve import (
+    OFFSETS,
+    can_use_roundabout,
+    resolve_conflicts,
+    solve_roundabout,
+    update_in_turn,
+)
 
 
 def spin(planners):
@@ -227,7 +232,7 @@ def test_turn_relaxes_only_where_infeasible():
 def test_agent_alone_or_infeasible_sends_the_path_that_it_flies(monkeypatch):
     planners = {i: offset_right(p, 1.0) for i, p in antipodal_swarm(2, 1.5).items()}
     alone = update_in_turn(planners[0], ())
-    monkeypatch.setattr("sato.scp.roundabout.solve_around", lambda *_: None)
+    monkeypatch.setattr("sato.scp.resolve.solve_around", lambda *_: None)
     without = update_in_turn(planners[0], (planners[1].message,))
     for p in (alone, without):
         np.testing.assert_array_equal(

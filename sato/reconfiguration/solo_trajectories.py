@@ -10,11 +10,10 @@ from numpy import ndarray as Array
 
 from dynamics.discretize import DiscreteModel, linearize_along
 from problems.auction_cost import solve_transfer
-from problems.avoidance import AvoidanceProblem
-from problems.conic import Unsolved
 from problems.minimum_fuel import solve_minimum_fuel
 from problems.transfer import Trajectory, TransferProblem
 from sato.reconfiguration.state import DecisionContext
+from sato.scp.planner import minimize_terminal_error
 
 TIE_BREAK_RISE = 1e-3  # of the fuel's weights: burns at the ends, straight trajectories between
 
@@ -97,16 +96,6 @@ def solve_solo_transfers(
     for i in too_fast.tolist():
         found[i] = solve_transfer(transfer, start[i], targets[i])
     return found, len(too_fast)
-
-
-def minimize_terminal_error(
-    transfer: TransferProblem, start: Float[Array, " n"], target: Float[Array, " n"]
-) -> Trajectory:
-    """Return the trajectory that ends nearest the target; free motion if none is found."""
-    try:
-        return AvoidanceProblem.alone(transfer, start, target).solve("terminal").trajectory
-    except Unsolved:
-        return transfer.simulate(start, np.zeros(transfer.model.B.shape[::2]))
 
 
 def make_relinearizer(

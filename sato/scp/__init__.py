@@ -3,8 +3,8 @@
 `planner.update_planner` defines what one agent does in an exchange: it hears the trajectories of
 its neighbors, keeps clear of those of higher priority, and sends its own. `exchange` repeats that
 for all agents until their trajectories are final. `priority_orders` tries several orders of
-priority, in `negotiation` two agents in conflict plan together, and `roundabout` lets all pass on
-the same side; `resolve` combines the three.
+priority, in `negotiation` two agents in conflict plan together, and `resolve` combines the two with
+roundabouts, in which all pass on the same side.
 
 `problems.convexify` states what separation means, and makes it convex.
 """

@@ -8,14 +8,13 @@ never rises, except to take an agent to its target that would have ended elsewhe
 """
 
 from collections.abc import Container, Mapping
-from math import inf
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from problems.avoidance import AvoidanceProblem
+from problems.avoidance import AvoidanceProblem, AvoidanceResult
 from problems.conic import Unsolved
 from problems.convexify import (
     AvoidanceHorizon,
@@ -52,7 +51,7 @@ class Offer(NamedTuple):
     """Message of an agent to the one that it negotiates with."""
 
     agent_id: int
-    member: AvoidanceProblem  # with the half-spaces that keep it clear of all others
+    problem: AvoidanceProblem  # with the half-spaces that keep it clear of all others
     trajectory: Trajectory
     nominal_points: Float[Array, "pieces 4 d"]  # about which both convexify
     reaches_target: bool
@@ -93,11 +92,9 @@ def negotiate(
     """
     now, rounds, solves = dict(planners), 0, 0
     flooding = int(graph.diameter[list(now)].max(initial=0))
-    before = {i: PriorityCost(inf, inf, inf) for i in now}
+    continuing, costs = set(now), sum_by_component(compute_priority_costs(now), graph)
     for _ in range(sweeps):
-        costs = sum_by_component(compute_priority_costs(now), graph)
-        continuing = {i for i in now if _should_continue(before[i], costs[i])}
-        turns = schedule_pairs(now, graph, continuing)
+        turns = schedule_pairs(now, graph, {i for i in continuing if any(costs[i])})
         rounds += 1 + flooding
         if not turns:
             break
@@ -106,14 +103,14 @@ def negotiate(
             now |= {i: negotiator.planner for i, negotiator in negotiators.items()}
             rounds += 3
             solves += sum(negotiator.solve_count for negotiator in negotiators.values())
-        before = costs
+        before, costs = costs, sum_by_component(compute_priority_costs(now), graph)
+        continuing = {i for i in now if _has_improved(before[i], costs[i])}
     return ConflictResolution(now, rounds, solves)
 
 
-def _should_continue(before: PriorityCost, cost: PriorityCost) -> bool:
+def _has_improved(before: PriorityCost, cost: PriorityCost) -> bool:
     saved = before.extra_fuel - cost.extra_fuel
-    has_improved = cost[:2] < before[:2] or saved > MIN_IMPROVEMENT * abs(cost.extra_fuel)
-    return any(cost) and has_improved
+    return cost[:2] < before[:2] or saved > MIN_IMPROVEMENT * abs(cost.extra_fuel)
 
 
 def schedule_pairs(
@@ -171,56 +168,45 @@ def negotiate_pairs(
 
 
 def _make_offer(negotiator: Negotiator, inbox: list[TrajectoryMessage]) -> Negotiator:
-    agent, T = negotiator.planner, len(negotiator.planner.nominal.u)
-    if T == 0 or compute_priority_cost(agent).is_too_close:
+    agent = negotiator.planner
+    if len(agent.nominal.u) == 0 or compute_priority_cost(agent).is_too_close:
         return negotiator  # it has no room to give
     agent = agent.relinearized
+    points, horizon, (x, u, _) = _nominal_points(agent), agent.horizon, agent.nominal
     others = [m.control_points for m in inbox if m.priority[2] != negotiator.partner]
-    neighbor_points = np.array(others).reshape(-1, *agent.control_points.shape)
-    nominal_points = _nominal_points(agent)
-    normals = choose_normals(nominal_points - neighbor_points, agent.horizon.required_separation)
-    half_spaces = convexify(agent.horizon, T, neighbor_points, normals)
+    neighbor_points = np.array(others).reshape(-1, *points.shape)
+    normals = choose_normals(points - neighbor_points, horizon.required_separation)
+    half_spaces = convexify(horizon, len(u), neighbor_points, normals)
     # Among trajectories of equal fuel a tie-break keeps to one that may leave others less room.
     transfer = agent.without_tie_break.transfer
-    member = AvoidanceProblem(transfer, agent.nominal.x[0], agent.target_state, half_spaces)
-    offer = Offer(
-        negotiator.agent_id,
-        member,
-        agent.nominal,
-        nominal_points,
-        agent.reaches_target(agent.nominal),
-        neighbor_points,
-    )
+    problem = AvoidanceProblem(transfer, x[0], agent.target_state, half_spaces)
+    is_there = agent.reaches_target(agent.nominal)
+    offer = Offer(negotiator.agent_id, problem, agent.nominal, points, is_there, neighbor_points)
     return negotiator._replace(planner=agent, offer=offer)
 
 
 def _solve_agreement(negotiator: Negotiator, inbox: list[Offer]) -> Negotiator:
     # Of two that offer, the one with the lower number solves for both.
     own, agent = negotiator.offer, negotiator.planner
-    if own is None or negotiator.agent_id > negotiator.partner:
-        return negotiator
     other = next((offer for offer in inbox if offer.agent_id == negotiator.partner), None)
-    if other is None or len(other.trajectory.u) != len(own.trajectory.u):
+    if own is None or other is None or own.agent_id > other.agent_id:
         return negotiator
-    trajectories, solves = solve_pair(own, other, agent.horizon)
-    if trajectories is None:
-        return negotiator._replace(solve_count=solves)
-    return negotiator._replace(
-        planner=_with_agreed(agent, trajectories[0]),
-        agreement=Agreement(negotiator.partner, trajectories[1]),
-        solve_count=solves,
-    )
+    if len(other.trajectory.u) != len(own.trajectory.u):
+        return negotiator
+    both, solves = solve_pair(own, other, agent.horizon)
+    negotiator = negotiator._replace(solve_count=solves)
+    if both is None:
+        return negotiator
+    agreed = agent.with_result(AvoidanceResult(both[0], 0.0, 0.0))
+    return negotiator._replace(planner=agreed, agreement=Agreement(other.agent_id, both[1]))
 
 
 def _accept_agreement(negotiator: Negotiator, inbox: list[Agreement]) -> Negotiator:
-    agreed = next((a.trajectory for a in inbox if a.recipient == negotiator.agent_id), None)
-    if agreed is None:
-        return negotiator
-    return negotiator._replace(planner=_with_agreed(negotiator.planner, agreed))
-
-
-def _with_agreed(agent: Planner, trajectory: Trajectory) -> Planner:
-    return agent.with_nominal(trajectory)._replace(terminal_error=0.0)  # it ends at the target
+    for agreement in inbox:
+        if agreement.recipient == negotiator.agent_id:
+            result = AvoidanceResult(agreement.trajectory, 0.0, 0.0)
+            return negotiator._replace(planner=negotiator.planner.with_result(result))
+    return negotiator
 
 
 def solve_pair(
@@ -237,53 +223,29 @@ def solve_pair(
     relative = (own.nominal_points - other.nominal_points)[None]
     normals = choose_normals(relative, horizon.required_separation)[0]
     between = RelativeHalfSpaces.from_normals(horizon, T, normals)
-    before = own.trajectory, other.trajectory
-    violations = _compute_violations(own.member, other.member, between, before)
-    active = [np.abs(rows) < ACTIVE_TOLERANCE * R for rows in violations]
+    problem = PairProblem(own.problem, other.problem, between)
+    violation = problem.violation((own.trajectory, other.trajectory))
+    active = np.abs(violation) < ACTIVE_TOLERANCE * R
     solves = 0
     while True:
-        first, second = own.member.select(active[0]), other.member.select(active[1])
         solves += 1
         try:
-            both = PairProblem(first, second, between.select(active[2])).solve()
+            both = problem.select(active).solve()
         except Unsolved:
             return None, solves
-        violations = _compute_violations(own.member, other.member, between, both)
-        violated = [
-            (rows > VIOLATION_TOLERANCE * R) & ~known
-            for rows, known in zip(violations, active, strict=True)
-        ]
-        if not any(rows.any() for rows in violated):
+        violated = (problem.violation(both) > VIOLATION_TOLERANCE * R) & ~active
+        if not violated.any():
             break
-        active = [known | rows for known, rows in zip(active, violated, strict=True)]
+        active |= violated
     fuel_before = own.trajectory.fuel + other.trajectory.fuel
     is_cheaper = both[0].fuel + both[1].fuel <= fuel_before * (1 + COST_TOLERANCE)
+    first, second = (horizon.control_points(trajectory.x, trajectory.u) for trajectory in both)
+    gaps = first - own.neighbor_points, second - other.neighbor_points, first - second
     is_accepted = (
         (is_cheaper or not (own.reaches_target and other.reaches_target))
         # A solution within the solver's tolerance may miss a target by more than counts as none.
-        and reaches_target(both[0], own.member.goal, R)
-        and reaches_target(both[1], other.member.goal, R)
-        and _are_clear(own, other, both, horizon)
+        and reaches_target(both[0], own.problem.goal, R)
+        and reaches_target(both[1], other.problem.goal, R)
+        and all(are_hulls_separated(gap, R).all() for gap in gaps)
     )
     return (both if is_accepted else None), solves
-
-
-def _are_clear(
-    own: Offer, other: Offer, both: tuple[Trajectory, Trajectory], horizon: AvoidanceHorizon
-) -> bool:
-    first, second = (horizon.control_points(trajectory.x, trajectory.u) for trajectory in both)
-    gaps = (first - own.neighbor_points, second - other.neighbor_points, first - second)
-    return all(bool(are_hulls_separated(gap, horizon.clearance).all()) for gap in gaps)
-
-
-def _compute_violations(
-    own: AvoidanceProblem,
-    other: AvoidanceProblem,
-    between: RelativeHalfSpaces,
-    both: tuple[Trajectory, Trajectory],
-) -> tuple[Array, Array, Array]:
-    return (
-        own.half_spaces.violation(both[0].x, both[0].u),
-        other.half_spaces.violation(both[1].x, both[1].u),
-        between.violation(*both),
-    )

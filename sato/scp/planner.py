@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -34,13 +34,13 @@ PASSING_SIDES: dict[int, tuple[PassingSide, ...]] = {
     2: ("same", "opposite"),
     3: ("same", "opposite", "above", "below"),
 }
-# Where all are infeasible: what is relaxed, and about what to convexify, past the neighbors on
-# the same side, on the opposite side, or about stopping at once. Tried in this order.
-RELAXATION_ORDER: tuple[tuple[Relaxation, Literal["same", "opposite", "stop"]], ...] = (
-    ("terminal", "same"),
-    ("terminal", "opposite"),
-    ("terminal", "stop"),
-    ("separation", "same"),
+# Where all are infeasible: what is relaxed, the side on which to pass the neighbors, and whether
+# to convexify about stopping at once. Tried in this order.
+RELAXATION_ORDER: tuple[tuple[Relaxation, PassingSide, bool], ...] = (
+    ("terminal", "same", False),
+    ("terminal", "opposite", False),
+    ("terminal", "same", True),
+    ("separation", "same", False),
 )
 FEASIBILITY_TOLERANCE = 1e-6  # of R: smaller violations and terminal errors count as none
 MAX_SOLVES = 20  # programs, after which an agent stops improving (Proposition 4 keeps it safe)
@@ -101,6 +101,12 @@ class Planner(NamedTuple):
             control_points=self.horizon.control_points(trajectory.x, trajectory.u),
         )
 
+    def with_result(self, result: AvoidanceResult) -> "Planner":
+        """Replace the nominal by the solution of a program."""
+        return self.with_nominal(result.trajectory)._replace(
+            terminal_error=result.terminal_error, slack=result.slack, has_failed=False
+        )
+
     def reaches_target(self, trajectory: Trajectory) -> bool:
         """Return True where a trajectory ends at the target."""
         return reaches_target(trajectory, self.target_state, self.horizon.clearance)
@@ -109,28 +115,6 @@ class Planner(NamedTuple):
 def reaches_target(trajectory: Trajectory, target: Float[Array, " n"], radius: float) -> bool:
     """Return True where a trajectory ends at a target state, within a part of the radius."""
     return bool(np.abs(trajectory.x[-1] - target).max() <= FEASIBILITY_TOLERANCE * radius)
-
-
-class AvoidedAgents(NamedTuple):
-    """Trajectories that an agent keeps clear of."""
-
-    control_points: Float[Array, "above pieces 4 d"]
-    is_nearby: Bool[Array, " above"]  # True where it comes near the nominal
-
-    @classmethod
-    def from_messages(cls, agent: Planner, above: Sequence[TrajectoryMessage]) -> "AvoidedAgents":
-        """Mark the agents that come near the nominal; others need no half-spaces yet."""
-        paths = np.stack([message.control_points for message in above])
-        far = are_balls_separated(
-            agent.control_points - paths, NEARBY_FACTOR * agent.horizon.clearance
-        )
-        return cls(paths, np.asarray(~far.all(axis=1)))
-
-    def find_conflicts(
-        self, path: Float[Array, "pieces 4 d"], radius: float
-    ) -> Bool[Array, " above"]:
-        """Mark the agents that a path comes too close to."""
-        return np.asarray(~are_hulls_separated(path - self.control_points, radius).all(axis=1))
 
 
 def update_planner(agent: Planner, inbox: Sequence[TrajectoryMessage]) -> Planner:
@@ -166,101 +150,89 @@ def follows_solo(agent: Planner) -> bool:
     return agent.solve_count == 0 and agent.nominal is agent.solo and agent.has_converged
 
 
+def paths_of(messages: Sequence[TrajectoryMessage]) -> Float[Array, "others pieces 4 d"]:
+    """Stack the control points of messages; at least one."""
+    return np.stack([message.control_points for message in messages])
+
+
 def is_clear(
     path: Float[Array, "pieces 4 d"], others: Sequence[TrajectoryMessage], radius: float
 ) -> bool:
     """Return True where a path keeps the collision radius from all others."""
-    return not others or bool(
-        are_hulls_separated(path - np.stack([m.control_points for m in others]), radius).all()
-    )
+    return not others or bool(are_hulls_separated(path - paths_of(others), radius).all())
 
 
 def _solve_iteration(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Planner:
     R = agent.horizon.clearance
-    solo_points = agent.horizon.control_points(agent.solo.x, agent.solo.u)
-    if is_clear(solo_points, above, R):
-        after = agent._replace(
-            nominal=agent.solo,
-            control_points=solo_points,
-            terminal_error=0.0,
-            slack=0.0,
-            has_failed=False,
-        )
-    else:
-        after = _solve_avoidance(agent, above)
+    after = agent.with_result(AvoidanceResult(agent.solo, 0.0, 0.0))
+    if not is_clear(after.control_points, above, R):
+        after = _solve_avoidance(agent.relinearized, above)
     moved = float(np.abs(after.nominal.x - agent.nominal.x).max())
     has_converged = moved <= CONVERGENCE_TOLERANCE * R or after.solve_count >= MAX_SOLVES
     return after._replace(has_converged=has_converged, last_inbox=above)
 
 
 def _solve_avoidance(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Planner:
-    agent = agent.relinearized
-    others = AvoidedAgents.from_messages(agent, above)
-    collides = not is_clear(agent.control_points, above, agent.horizon.clearance)
-    sides = PASSING_SIDES[agent.control_points.shape[-1]] if collides else ("same",)
-    tried = [solve_around(agent, others, agent.control_points, side) for side in sides]
-    solves = agent.solve_count + len(sides)
+    others, nominal = paths_of(above), agent.control_points
+    collides = not is_clear(nominal, above, agent.horizon.clearance)
+    sides = PASSING_SIDES[nominal.shape[-1]] if collides else ("same",)
+    tried = [solve_around(agent, others, nominal, side) for side in sides]
     feasible = [result for result in tried if result is not None]
-    result = min(feasible, key=lambda r: r.trajectory.fuel, default=None)
-    if result is None:
-        result, count = _solve_relaxed(agent, others)
-        solves += count
-    if result is None:  # the message must be of what is flown, whatever the agent began with
-        return agent.with_nominal(agent.nominal)._replace(solve_count=solves, has_failed=True)
-    return agent.with_nominal(result.trajectory)._replace(
-        solve_count=solves,
-        terminal_error=result.terminal_error,
-        slack=result.slack,
-        has_failed=False,
-    )
+    agent = agent._replace(solve_count=agent.solve_count + len(sides))
+    if feasible:
+        return agent.with_result(min(feasible, key=lambda result: result.trajectory.fuel))
+    for relaxation, side, stops in RELAXATION_ORDER:
+        agent = agent._replace(solve_count=agent.solve_count + 1)
+        if stops:  # come to rest where it is, as nearly as it can
+            start, d = agent.nominal.x[0], nominal.shape[-1]
+            rest = np.concatenate([start[:d], np.zeros(d)])
+            stopping = minimize_terminal_error(agent.transfer, start, rest)
+            about = agent.horizon.control_points(stopping.x, stopping.u)
+        else:
+            about = nominal
+        result = solve_around(agent, others, about, side, relaxation)
+        if result is not None:
+            return agent.with_result(result)
+    # The message must be of what is flown, whatever the agent began with.
+    return agent.with_nominal(agent.nominal)._replace(has_failed=True)
 
 
-def _solve_relaxed(agent: Planner, others: AvoidedAgents) -> tuple[AvoidanceResult | None, int]:
-    # The first feasible program in the order of relaxations, and the number of programs tried.
-    for count, (relaxation, side) in enumerate(RELAXATION_ORDER, 1):
-        nominal: Array | None = agent.control_points
-        if side == "stop":
-            nominal, side = _compute_stopping_path(agent), "same"
-        if nominal is not None:
-            result = solve_around(agent, others, nominal, side, relaxation)
-            if result is not None:
-                return result, count
-    return None, len(RELAXATION_ORDER)
+def minimize_terminal_error(
+    transfer: TransferProblem, start: Float[Array, " n"], target: Float[Array, " n"]
+) -> Trajectory:
+    """Return the trajectory that ends nearest the target; free motion if none is found."""
+    try:
+        return AvoidanceProblem.alone(transfer, start, target).solve("terminal").trajectory
+    except Unsolved:
+        return transfer.simulate(start, np.zeros(transfer.model.B.shape[::2]))
 
 
 def solve_around(
     agent: Planner,
-    others: AvoidedAgents,
+    others: Float[Array, "others pieces 4 d"],
     nominal: Float[Array, "pieces 4 d"],
     side: PassingSide,
     relaxation: Relaxation = "none",
 ) -> AvoidanceResult | None:
-    """Solve Problem 7 about a nominal path, clear of all others; None where it is infeasible."""
-    constrained = others.is_nearby
+    """Solve Problem 7 about a nominal path, clear of all others; None where it is infeasible.
+
+    Agents that do not come near the agent's own path need no half-spaces at first.
+    """
+    horizon, T = agent.horizon, len(agent.nominal.u)
+    near = NEARBY_FACTOR * horizon.clearance
+    constrained = ~are_balls_separated(agent.control_points - others, near).all(axis=1)
     while True:
-        paths = others.control_points[constrained]
-        normal = choose_normals(nominal - paths, agent.horizon.required_separation, side)
-        half_spaces = convexify(agent.horizon, len(agent.nominal.u), paths, normal)
+        paths = others[constrained]
+        normal = choose_normals(nominal - paths, horizon.required_separation, side)
         try:
-            result = _solve_active_set(agent, half_spaces, relaxation)
+            result = _solve_active_set(agent, convexify(horizon, T, paths, normal), relaxation)
         except Unsolved:
             return None
-        path = agent.horizon.control_points(result.trajectory.x, result.trajectory.u)
-        met = others.find_conflicts(path, agent.horizon.clearance) & ~constrained
-        if not met.any():
+        path = horizon.control_points(result.trajectory.x, result.trajectory.u)
+        is_met = ~are_hulls_separated(path - others, horizon.clearance).all(axis=1)
+        if not (is_met & ~constrained).any():
             return result
-        constrained = constrained | met
-
-
-def _compute_stopping_path(agent: Planner) -> Float[Array, "pieces 4 d"] | None:
-    # The path of an agent that comes to rest where it is, as nearly as it can.
-    start = agent.nominal.x[0]
-    rest = np.concatenate([start[: len(start) // 2], np.zeros(len(start) // 2)])
-    try:
-        result = AvoidanceProblem.alone(agent.transfer, start, rest).solve("terminal")
-    except Unsolved:
-        return None
-    return agent.horizon.control_points(result.trajectory.x, result.trajectory.u)
+        constrained = constrained | is_met
 
 
 def _solve_active_set(

@@ -1,21 +1,33 @@
-"""Conflict resolution: orders of priority, negotiation, and roundabouts."""
+"""Conflict resolution: orders of priority, negotiation, and roundabouts.
 
-from collections.abc import Mapping
+Where many pass through one point, the agent of highest priority flies straight and the others go
+around it: under no order of priority do all go around together, which often costs least. In a
+roundabout none flies straight. All begin offset to one side, and each in its turn keeps clear of
+all neighbors as they last told, also of those whose turn is still to come, until all are clear.
+"""
 
+from collections.abc import Mapping, Sequence
+
+from problems.avoidance import Relaxation
 from sato.network.graph import CommunicationGraph
+from sato.network.rounds import run_round, schedule_turns
 from sato.scp.negotiation import negotiate
-from sato.scp.planner import Planner
+from sato.scp.planner import Planner, TrajectoryMessage, paths_of, solve_around
 from sato.scp.priority_orders import (
     ConflictResolution,
     compute_priority_costs,
+    count_solves,
     keep_cheaper,
+    offset_right,
+    select_clear_components,
     select_components,
     sum_by_component,
     try_priority_orders,
 )
-from sato.scp.roundabout import can_use_roundabout, solve_roundabout
 
 OFFSETS = (1.0, -1.0, 2.0, -2.0)  # of the nominals in a roundabout, over R: right and left
+MAX_ROUNDS = 8  # in which each agent has a turn; ten through one point take one or two
+RELAXATIONS: tuple[Relaxation, ...] = ("none", "separation")
 
 
 def resolve_conflicts(
@@ -55,3 +67,58 @@ def resolve_conflicts(
         sum(trial.round_count for trial in trials) + floods * flooding,
         sum(trial.solve_count for trial in trials),
     )
+
+
+def can_use_roundabout(agent: Planner) -> bool:
+    """Return True in the plane, without a previous plan, where `solo` reaches the target."""
+    return (
+        agent.control_points.shape[-1] == 2
+        and agent.nominal is agent.solo
+        and agent.reaches_target(agent.solo)
+    )
+
+
+def solve_roundabout(
+    planners: Mapping[int, Planner], graph: CommunicationGraph, offset: float
+) -> ConflictResolution:
+    """Solve in turns, all offset to one side, until all are clear and reach their targets.
+
+    Components in which that is not so after `MAX_ROUNDS` are left out of the result.
+
+    Args:
+        planners: Agents of whole components, by number, that can use a roundabout.
+        graph: Communication graph.
+        offset: Offset of the nominals over R: to the right, or to the left where negative.
+    """
+    now = {i: offset_right(agent, offset) for i, agent in planners.items()}
+    done: dict[int, Planner] = {}
+    rounds = 0
+    for _ in range(MAX_ROUNDS):
+        if not now:
+            break
+        for turn in schedule_turns(graph, [(i,) for i in now]):
+            messages = {i: agent.message for i, agent in now.items()}
+            now |= run_round(graph, {i: now[i] for (i,) in turn}, update_in_turn, messages)
+            rounds += 1
+        rounds += 1 + int(graph.diameter[list(now)].max())
+        clear = select_clear_components(now, graph)
+        done |= select_components(clear, graph, lambda agent: agent.reaches_target(agent.nominal))
+        now = {i: agent for i, agent in now.items() if i not in done}
+    return ConflictResolution(done, rounds, count_solves(now | done))
+
+
+def update_in_turn(agent: Planner, inbox: Sequence[TrajectoryMessage]) -> Planner:
+    """Plan around all neighbors, on the side on which the nominal passes.
+
+    Where that is infeasible, the terminal state is relaxed and then the separation.
+    """
+    if len(agent.nominal.u) == 0 or not inbox:
+        return agent.with_nominal(agent.nominal)
+    agent = agent.relinearized
+    free, others = agent.without_tie_break, paths_of(inbox)
+    for relaxation in RELAXATIONS:
+        agent = agent._replace(solve_count=agent.solve_count + 1)
+        result = solve_around(free, others, agent.control_points, "same", relaxation)
+        if result is not None:
+            return agent.with_nominal(result.trajectory)
+    return agent.with_nominal(agent.nominal)
