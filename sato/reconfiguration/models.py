@@ -187,7 +187,7 @@ def check_motion(model: AnyModel, chief: Chief | None, plant: PlantSettings | Pl
 
 
 class Motion:
-    """What follows from the model, the chief and the plant of a mission."""
+    """Properties that follow from the model, the chief and the plant of a mission."""
 
     model: AnyModel
     chief: Chief | None
