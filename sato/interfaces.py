@@ -27,44 +27,44 @@ if TYPE_CHECKING:  # slow to import, and not needed to simulate
 
 
 class Recorded(NamedTuple):
-    """Declaration of a variable of the run file, as the annotation of a field of its name.
+    """Variable of the run file, as a field of its name declares it by type, unit and meaning.
 
-        position: Annotated[Float[Array, "agents d"], Recorded(("agent", "axis"), "m", "position")]
+        control: Annotated[Vectors, "m/s2", "commanded control", HELD]
 
-    On a field of a frame, the dimensions are those beside time.
+    The axes of the array are its dimensions, on a field of a frame those beside time. A field
+    that may be None is absent in some runs.
     """
 
     dims: tuple[str, ...]
     unit: str
     meaning: str
-    optional: bool = False  # not every run has it; None where it is absent
-    until_next: bool = False  # holds until the next instant, so that the last one has none
+    is_optional: bool
+    is_held: bool  # until the next instant, so that the last one has none
+    dtype: type | None  # float or bool; None for numbers and names as they are
 
 
-FrameTime = Annotated[float, Recorded((), "s", "time since the start")]
-FramePosition = Annotated[
-    Float[Array, "agents d"], Recorded(("agent", "axis"), "m", "true position")
-]
-FrameVelocity = Annotated[
-    Float[Array, "agents d"], Recorded(("agent", "axis"), "m/s", "true velocity")
-]
-FrameAlive = Annotated[
-    Bool[Array, " agents"], Recorded(("agent",), "1", "true where the agent takes part")
-]
-FrameComponent = Annotated[
-    Int[Array, " agents"],
-    Recorded(("agent",), "1", "connected component of the network, -1 where not alive"),
-]
-FrameEvents = tuple[dict[str, Any], ...]  # {"kind": …, "agents": […], …}; without the time
+HELD = "until the next instant"
+
+Reals = Float[Array, " agent"]
+Vectors = Float[Array, "agent axis"]
+Indices = Int[Array, " agent"]
+Pairs = Float[Array, "agent other"]
+
+Time = Annotated[float, "s", "time since the start"]
+Position = Annotated[Vectors, "m", "true position"]
+Velocity = Annotated[Vectors, "m/s", "true velocity"]
+Alive = Annotated[Bool[Array, " agent"], "1", "true where the agent takes part"]
+Component = Annotated[Indices, "1", "connected component of the network, -1 where not alive"]
+Events = tuple[dict[str, Any], ...]  # {"kind": …, "agents": […], …}; without the time
 
 
 @runtime_checkable
 class Frame(Protocol):
     """One recorded instant; every system adds fields of its own.
 
-    A frame is a named tuple; fields annotated with `Recorded` become variables of the run
-    file, and `sato.record.read_frames` reads them back as the same type, with time as the
-    leading axis.
+    A frame is a named tuple; annotated fields become variables of the run file (`Recorded`),
+    and `sato.record.read_frames` reads them back as the same type, with time as the leading
+    axis.
     """
 
     @property
@@ -88,7 +88,7 @@ class Frame(Protocol):
         """Connected component of the network; −1 while not alive."""
 
     @property
-    def events(self) -> FrameEvents:
+    def events(self) -> Events:
         """Events of this instant, {"kind": …, "agents": […], …}; the record adds the time."""
 
 
@@ -127,7 +127,7 @@ class System(Generic[MissionT, FrameT]):
     """Parts of a system, from which all else follows; missions are drawn ones."""
 
     name: str
-    frame: type  # a named tuple with `Recorded` fields
+    frame: type  # a named tuple with annotated fields
     simulate: Callable[
         [MissionT, np.random.Generator], Iterator[FrameT]
     ]  # a frame an instant; all random numbers from the generator
@@ -140,7 +140,7 @@ class System(Generic[MissionT, FrameT]):
     progress: Callable[[MissionT, FrameT], MissionProgress]
     figures: Callable[["xarray.Dataset", MissionT], FigureFactories]  # by file name, in order
     animation: "Callable[[xarray.Dataset, MissionT], Animation] | None" = None
-    run_variables: type | None = None  # named tuple with `Recorded` fields: variables of a run
+    run_variables: type | None = None  # named tuple with annotated fields: variables of a run
     collect: Callable[[Sequence[FrameT], MissionT], Any] | None = None  # their values
     stop_errors: tuple[type[Exception], ...] = ()  # may end a flight early without being a fault
 

@@ -6,16 +6,26 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, get_args, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Generic,
+    NamedTuple,
+    TypeVar,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Shaped
 from numpy import ndarray as Array
 
 from sato.atomic import replace_atomically
 from sato.check.common import EventLog
 from sato.check.report import finite_or_none
-from sato.interfaces import Frame, FrameT, MissionT, Recorded, System
+from sato.interfaces import HELD, Frame, FrameT, MissionT, Recorded, System
 from sato.scenario.errors import InputError
 from sato.systems import load_system
 
@@ -25,16 +35,23 @@ if TYPE_CHECKING:  # slow to import
 RUN_FILE, SUMMARY_FILE = "run.nc", "summary.json"
 AXIS_NAMES = ("x", "y", "z")
 
+_REQUIRED_ATTRIBUTES = ("system", "scenario", "name", "seed", "version")
+_NOT_IN_DIGEST = ("digest", "wall_s", "peak_memory_mib")
 FORMAT = 2  # of the run file; files of sato 0.1 have no such attribute
-_EVENT = Recorded(("event",), "1", "event as JSON, with its time and agents")
-_CONTROL_INSTANT = Recorded(("time",), "1", "true where a control is commanded")
-_AXIS = Recorded(("axis",), "1", "axis of the coordinate frame")
 
 # A variable as xarray takes it: dimensions, values and attributes.
 Variable = tuple[tuple[str, ...], Array, dict[str, str]]
 FieldsT = TypeVar("FieldsT")
 VariablesT = TypeVar("VariablesT")
 RecordT = TypeVar("RecordT", bound="RunRecord[Any, Any, Any]")
+
+
+class CommonVariables(NamedTuple):
+    """Variables of every run beside those of its frames."""
+
+    control_instant: Annotated[Bool[Array, " time"], "1", "true where a control is commanded"]
+    event: Annotated[Shaped[Array, " event"], "1", "event as JSON, with its time and agents"]
+    axis: Annotated[Shaped[Array, " axis"], "1", "axis of the coordinate frame"]
 
 
 class RunFileError(ValueError):
@@ -45,9 +62,8 @@ def build_dataset(
     system: System[MissionT, FrameT],
     frames: Sequence[FrameT],
     mission: MissionT,
-    *,
     stopped: str = "",
-    **about: str | float,
+    **attributes: str | float,
 ) -> "xarray.Dataset":
     """Collect the dataset of a run from its frames.
 
@@ -56,37 +72,30 @@ def build_dataset(
         frames: One an instant, in the order of time; at least one.
         mission: Mission that was flown, drawn.
         stopped: Reason why the flight ended early; empty where it did not.
-        about: Other attributes: `name` and `scenario`, the file from which the run can be
-            repeated; `seed`; `version` of this library; `wall_s` and `peak_memory_mib`, the time
-            and memory that the simulation took.
+        attributes: Name of the scenario, its file as `scenario`, from which the run can be
+            repeated, seed and version; and wall_s and peak_memory_mib, the time [s] and memory
+            [MiB] that the simulation took.
     """
     import xarray
 
     if not frames:
         raise ValueError("a run needs at least one frame")
-    attributes = {
-        "format": FORMAT,
-        "system": system.name,
-        **about,
-        "complete": int(not stopped),
-        **({"stopped": stopped} if stopped else {}),
-        **system.attributes(mission),
-    }
-    variables = stack(frames)
-    if system.collect is not None:
-        variables |= write_variables(system.collect(frames, mission))
+    attributes |= {"format": FORMAT, "system": system.name, "complete": int(not stopped)}
+    attributes |= {"stopped": stopped} if stopped else {}
     events = [
         json.dumps({"time": float(frame.time), **event}, default=json_default)
         for frame in frames
         for event in frame.events
     ]
-    axes = np.array(AXIS_NAMES[: frames[0].position.shape[1]])
-    variables |= {
-        "control_instant": _variable(("time",), np.ones(len(frames), dtype=bool), _CONTROL_INSTANT),
-        "event": _variable(("event",), np.array(events, dtype=object), _EVENT),
-        "axis": _variable(("axis",), axes, _AXIS),
-    }
-    data = xarray.Dataset(variables, attrs=attributes)
+    common = CommonVariables(
+        control_instant=np.ones(len(frames), dtype=bool),
+        event=np.array(events, dtype=object),
+        axis=np.array(AXIS_NAMES[: frames[0].position.shape[1]]),
+    )
+    variables = stack(frames) | write_variables(common)
+    if system.collect is not None:
+        variables |= write_variables(system.collect(frames, mission))
+    data = xarray.Dataset(variables, attrs=attributes | dict(system.attributes(mission)))
     data.attrs["digest"] = compute_digest(data)
     return data
 
@@ -120,10 +129,8 @@ def load(path: Path) -> tuple["xarray.Dataset", dict[str, Any]]:
     try:
         data = xarray.load_dataset(file, engine="h5netcdf")
     except Exception as error:  # a damaged file makes h5py raise errors of many kinds
-        raise RunFileError(
-            f"{file}: cannot be read as netCDF-4, so it is damaged, cut short or something else; "
-            "fly the scenario again"
-        ) from error
+        text = f"{file}: cannot be read as netCDF-4: it is damaged or another kind of file"
+        raise RunFileError(text) from error
     _check_format(file, data)
     beside = file.with_name(SUMMARY_FILE)
     found = _read_summary(beside) if file.name == RUN_FILE and beside.is_file() else {}
@@ -190,10 +197,6 @@ def json_default(value: object) -> object:
     raise TypeError(f"cannot write {type(value).__name__} as JSON")
 
 
-_NOT_IN_DIGEST = ("digest", "wall_s", "peak_memory_mib")
-_REQUIRED_ATTRIBUTES = ("system", "scenario", "name", "seed", "version")
-
-
 def stack(frames: Sequence[Frame]) -> dict[str, Variable]:
     """Stack the recorded fields of frames over time.
 
@@ -204,12 +207,11 @@ def stack(frames: Sequence[Frame]) -> dict[str, Variable]:
     for name, field in recorded_fields(type(frames[0])).items():
         values = [getattr(frame, name) for frame in frames]
         known = next((value for value in values if value is not None), None)
-        if known is None:
-            continue
-        stacked = np.array([np.full_like(known, np.nan) if v is None else v for v in values])
-        if field.until_next:
-            stacked[-1] = np.nan
-        found[name] = _variable(("time", *field.dims), stacked, field)
+        if known is not None:
+            stacked = np.array([known * np.nan if v is None else v for v in values])
+            if field.is_held:
+                stacked[-1] = np.nan
+            found[name] = _variable(stacked, field, "time")
     return found
 
 
@@ -230,20 +232,22 @@ def read_frames(kind: type[FieldsT], data: "xarray.Dataset") -> FieldsT:
 
 def write_variables(values: object) -> dict[str, Variable]:
     """Describe the recorded fields of a named tuple; those that are None are left out."""
+    fields = recorded_fields(type(values))
+    found = {name: getattr(values, name) for name in fields}
     return {
-        name: _variable(field.dims, np.asarray(value), field)
-        for name, field in recorded_fields(type(values)).items()
-        if (value := getattr(values, name)) is not None
+        name: _variable(np.asarray(value), fields[name])
+        for name, value in found.items()
+        if value is not None
     }
 
 
 def read_variables(kind: type[FieldsT], data: "xarray.Dataset") -> FieldsT:
     """Read a named tuple of recorded fields; None where the run does not have a field."""
-    fields = recorded_fields(kind)
-    values = {
-        name: _cast(data[name].values, hint) if name in fields and name in data.variables else None
-        for name, hint in get_type_hints(kind).items()
-    }
+    # The file keeps the kind of a number, but a user's own tool may have written doubles.
+    values: dict[str, Any] = dict.fromkeys(get_type_hints(kind))
+    for name, field in recorded_fields(kind).items():
+        if name in data.variables:
+            values[name] = np.asarray(data[name].values, dtype=field.dtype)
     return kind(**values)
 
 
@@ -251,26 +255,19 @@ def recorded_fields(kind: type) -> dict[str, Recorded]:
     """Return the declarations of the recorded fields of a named tuple."""
     found = {}
     for name, hint in get_type_hints(kind, include_extras=True).items():
-        marks = [mark for mark in getattr(hint, "__metadata__", ()) if isinstance(mark, Recorded)]
-        if marks:
-            found[name] = marks[0]
+        if get_origin(hint) is Annotated:
+            declared, unit, meaning, *marks = get_args(hint)
+            options = get_args(declared) or (declared,)
+            dims = tuple(getattr(options[0], "dim_str", "").split())
+            scalar = getattr(options[0], "dtype", options[0])
+            dtype = {float: float, Float: float, bool: bool, Bool: bool}.get(scalar)
+            is_optional, is_held = type(None) in options, HELD in marks
+            found[name] = Recorded(dims, unit, meaning, is_optional, is_held, dtype)
     return found
 
 
-def _variable(dims: tuple[str, ...], values: Array, field: Recorded) -> Variable:
-    return dims, values, {"units": field.unit, "long_name": field.meaning}
-
-
-def _cast(values: Array, hint: Any) -> Array:
-    # The file keeps the kind of a number, but a user's own tool may have written doubles.
-    for option in get_args(hint) or (hint,):
-        dtypes = getattr(option, "dtypes", ())
-        if not isinstance(dtypes, list | tuple):
-            continue  # of any kind
-        for kind in ("bool", "float64", "complex128"):
-            if kind in dtypes or option is {"bool": bool, "float64": float}.get(kind):
-                return np.asarray(values, dtype=kind)
-    return np.asarray(values)
+def _variable(values: Array, field: Recorded, *leading: str) -> Variable:
+    return (*leading, *field.dims), values, {"units": field.unit, "long_name": field.meaning}
 
 
 def _check_format(file: Path, data: "xarray.Dataset") -> None:
@@ -278,26 +275,19 @@ def _check_format(file: Path, data: "xarray.Dataset") -> None:
     lacking += [name for name in _REQUIRED_ATTRIBUTES if name not in data.attrs]
     _raise_if_missing(file, lacking)
     version = int(data.attrs.get("format", 1))
-    if version < FORMAT:
-        raise RunFileError(
-            f"{file}: was written by sato {data.attrs['version']}, which reads it; for this "
-            "version, fly the scenario again"
-        )
-    if version > FORMAT:
-        raise RunFileError(
-            f"{file}: was written by sato {data.attrs['version']}; this version is too old for it"
-        )
+    if version != FORMAT:
+        reads = "which reads it; for this version, fly the scenario again"
+        reads = reads if version < FORMAT else "and this version is too old for it"
+        raise RunFileError(f"{file}: was written by sato {data.attrs['version']}, {reads}")
     try:
         system = load_system(str(data.attrs["system"]))
     except InputError as error:
-        raise RunFileError(
-            f"{file}: {error.reason}; a newer version of sato may know it"
-        ) from error
-    fields = dict(recorded_fields(system.frame))
-    if system.run_variables is not None:
-        fields |= recorded_fields(system.run_variables)
-    needed = {name for name, field in fields.items() if not field.optional} | {"control_instant"}
-    _raise_if_missing(file, [name for name in sorted(needed) if name not in data.variables])
+        text = f"{file}: {error.reason}; a newer version of sato may know it"
+        raise RunFileError(text) from error
+    kinds = [system.frame, CommonVariables, *filter(None, [system.run_variables])]
+    fields = {name: field for kind in kinds for name, field in recorded_fields(kind).items()}
+    needed = sorted(name for name, field in fields.items() if not field.is_optional)
+    _raise_if_missing(file, [name for name in needed if name not in data.variables])
 
 
 def _raise_if_missing(file: Path, lacking: list[str]) -> None:
@@ -316,6 +306,5 @@ def _read_summary(file: Path) -> dict[str, Any]:
             raise ValueError("not a table")
         return summary
     except (ValueError, OSError) as error:
-        raise RunFileError(
-            f"{file}: is not readable JSON; delete it, the run file beside it is enough"
-        ) from error
+        text = f"{file}: is not readable JSON; delete it, the run file beside it is enough"
+        raise RunFileError(text) from error

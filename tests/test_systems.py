@@ -15,16 +15,16 @@ from dynamics.units import Length
 from sato.check import Report, common
 from sato.check.report import expect_below
 from sato.interfaces import (
+    Alive,
+    Component,
+    Events,
     Frame,
-    FrameAlive,
-    FrameComponent,
-    FrameEvents,
-    FramePosition,
-    FrameTime,
-    FrameVelocity,
     MissionProgress,
-    Recorded,
+    Position,
+    Reals,
     System,
+    Time,
+    Velocity,
 )
 from sato.network.graph import CommunicationGraph
 from sato.record import RunRecord, read_frames, recorded_fields
@@ -75,14 +75,14 @@ class Drift(Mission):
 class DriftFrame(NamedTuple):
     """One instant."""
 
-    time: FrameTime
-    position: FramePosition
-    velocity: FrameVelocity
-    alive: FrameAlive
-    component: FrameComponent
-    heading: Annotated[np.ndarray, Recorded(("agent",), "rad", "from the x axis")]
+    time: Time
+    position: Position
+    velocity: Velocity
+    alive: Alive
+    component: Component
+    heading: Annotated[Reals, "rad", "from the x axis"]
     mood: str
-    events: FrameEvents
+    events: Events
 
 
 def simulate(mission, rng):

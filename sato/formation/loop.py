@@ -4,42 +4,31 @@ from collections.abc import Iterator
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool
 from numpy import ndarray as Array
 
 from sato.formation.assignment import AssignmentResult, assign_points
 from sato.formation.kernel import FormationState, KernelParameters, Roles, simulate_steps
 from sato.formation.mission import Formation
 from sato.formation.supervisor import FlightCourse, Phase
-from sato.interfaces import (
-    FrameAlive,
-    FrameComponent,
-    FrameEvents,
-    FramePosition,
-    FrameTime,
-    FrameVelocity,
-    Recorded,
-)
-
-Vectors = Float[Array, "agents 3"]
-EACH, AXES = ("agent",), ("agent", "axis")
+from sato.interfaces import Alive, Component, Events, Indices, Position, Time, Vectors, Velocity
 
 
 class FormationFrame(NamedTuple):
     """Frame of a formation flight; a command is in the agent's own frame, and before limits."""
 
-    time: FrameTime
-    position: FramePosition
-    velocity: FrameVelocity
-    alive: FrameAlive
-    component: FrameComponent  # of the graph, which is connected: 0
-    velocity_command: Annotated[Vectors, Recorded(AXES, "m/s", "commanded velocity, own frame")]
-    avoiding: Annotated[Bool[Array, " agents"], Recorded(EACH, "1", "true while avoiding others")]
-    point_index: Annotated[Int[Array, " agents"], Recorded(EACH, "1", "formation point held")]
-    leg_index: Annotated[int, Recorded((), "1", "leg under way")]
+    time: Time
+    position: Position
+    velocity: Velocity
+    alive: Alive
+    component: Component  # of the graph, which is connected: 0
+    velocity_command: Annotated[Vectors, "m/s", "commanded velocity, own frame"]
+    avoiding: Annotated[Bool[Array, " agent"], "1", "true while avoiding others"]
+    point_index: Annotated[Indices, "1", "formation point held"]
+    leg_index: Annotated[int, "1", "leg under way"]
     phase: Phase
-    frame_drift: Annotated[Vectors, Recorded(AXES, "m", "odometry error, own frame")]
-    events: FrameEvents
+    frame_drift: Annotated[Vectors, "m", "odometry error, own frame"]
+    events: Events
 
 
 def simulate(mission: Formation, rng: np.random.Generator) -> Iterator[FormationFrame]:

@@ -7,15 +7,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Shaped
 from numpy import ndarray as Array
 
-from sato.formation.loop import AXES, EACH, FormationFrame, Vectors
+from sato.formation.loop import FormationFrame
 from sato.formation.mission import Formation
-from sato.interfaces import Recorded
+from sato.interfaces import Reals, Vectors
 
 GAIN_PARTS = ("xy_real", "xy_imaginary", "z")
-
-_POINTS = ("leg", "point", "axis")
-_EDGES = ("leg", "point", "neighbor")
-_PARTS = ("leg", "part", "point", "neighbor")
 
 
 class FormationVariables(NamedTuple):
@@ -24,14 +20,12 @@ class FormationVariables(NamedTuple):
     Gains are a + jb on the relative position in the plane, and z on the relative height.
     """
 
-    frame_yaw: Annotated[Float[Array, " agents"], Recorded(EACH, "rad", "heading of the own frame")]
-    frame_offset: Annotated[Vectors, Recorded(AXES, "m", "origin of the own frame")]
-    formation: Annotated[Float[Array, "l n 3"], Recorded(_POINTS, "m", "points of the formation")]
-    graph: Annotated[
-        Bool[Array, "l n n"], Recorded(_EDGES, "1", "true where two measure each other")
-    ]
-    part: Annotated[Shaped[Array, " parts"], Recorded(("part",), "1", "part of the gains")]
-    gains: Annotated[Float[Array, "l parts n n"], Recorded(_PARTS, "1/s", "gains: a, b and z")]
+    frame_yaw: Annotated[Reals, "rad", "heading of the own frame"]
+    frame_offset: Annotated[Vectors, "m", "origin of the own frame"]
+    formation: Annotated[Float[Array, "leg point axis"], "m", "points of the formation"]
+    graph: Annotated[Bool[Array, "leg point neighbor"], "1", "true where two measure each other"]
+    part: Annotated[Shaped[Array, " part"], "1", "part of the gains"]
+    gains: Annotated[Float[Array, "leg part point neighbor"], "1/s", "gains: a, b and z"]
 
 
 def collect_attributes(mission: Formation) -> dict[str, float]:

@@ -8,7 +8,6 @@ from jaxtyping import Float, Int, Shaped
 from numpy import ndarray as Array
 
 from dynamics.plant import Plant
-from sato.interfaces import Recorded
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.state import ReconfigurationFrame
 
@@ -16,38 +15,27 @@ from sato.reconfiguration.state import ReconfigurationFrame
 CHIEF_ELEMENTS = ("r", "v_x", "h", "node", "inclination", "latitude")
 
 
-class ReconfigurationVariables(NamedTuple):
-    """Variables of a run that are not those of its frames."""
+Targets = Float[Array, "leg target axis"]
 
-    target_position: Annotated[
-        Float[Array, "legs targets d"],
-        Recorded(("leg", "target", "axis"), "m", "position of each target, NaN where none"),
-    ]
-    target_velocity: Annotated[
-        Float[Array, "legs targets d"],
-        Recorded(("leg", "target", "axis"), "m/s", "velocity of each target, NaN where none"),
-    ]
+
+class ReconfigurationVariables(NamedTuple):
+    """Variables of a run that are not those of its frames.
+
+    Targets are NaN where a leg has fewer. The osculating orbit of the chief is its radius, radial
+    speed, angular momentum, right ascension of the ascending node, inclination and argument of
+    latitude.
+    """
+
+    target_position: Annotated[Targets, "m", "position of each target, NaN where none"]
+    target_velocity: Annotated[Targets, "m/s", "velocity of each target, NaN where none"]
     targets_believed: Annotated[
-        Int[Array, "legs agents"],
-        Recorded(
-            ("leg", "agent"),
-            "1",
-            "number of targets that the agent bids on at the end of the leg, -1 none",
-        ),
+        Int[Array, "leg agent"],
+        "1",
+        "targets that the agent bids on at the end, -1 none",
     ]
-    element: Annotated[
-        Shaped[Array, " elements"] | None,
-        Recorded(("element",), "1", "name of the chief's orbital element", optional=True),
-    ]
+    element: Annotated[Shaped[Array, " element"] | None, "1", "orbital element of the chief"]
     chief: Annotated[
-        Float[Array, "instants elements"] | None,
-        Recorded(
-            ("time", "element"),
-            "m, m/s, m2/s, rad, rad, rad",
-            "osculating orbit of the chief: radius, radial speed, angular momentum, right "
-            "ascension of the ascending node, inclination, argument of latitude",
-            optional=True,
-        ),
+        Float[Array, "time element"] | None, "m, m/s, m2/s, rad, rad, rad", "orbit of the chief"
     ]
 
 
@@ -83,9 +71,7 @@ def collect_variables(
     )
 
 
-def stack_targets(
-    mission: Reconfiguration,
-) -> tuple[Float[Array, "legs targets d"], Float[Array, "legs targets d"]]:
+def stack_targets(mission: Reconfiguration) -> tuple[Targets, Targets]:
     """Stack positions and velocities of the targets of all legs; NaN where a leg has fewer."""
     most = max(len(leg.targets) for leg in mission.legs)
     targets = np.full((len(mission.legs), most, 2 * mission.axes), np.nan)

@@ -9,20 +9,20 @@ from numpy import ndarray as Array
 
 from dynamics.discretize import DiscreteModel, discretize_zoh
 from sato.interfaces import (
-    FrameAlive,
-    FrameComponent,
-    FrameEvents,
-    FramePosition,
-    FrameTime,
-    FrameVelocity,
-    Recorded,
+    HELD,
+    Alive,
+    Component,
+    Events,
+    Indices,
+    Position,
+    Time,
+    Vectors,
+    Velocity,
 )
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.mission import Leg, Reconfiguration
 
 Event = dict[str, Any]  # {"kind": …, "agents": […], …}
-
-_PER_AXIS = ("agent", "axis")
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,37 +65,19 @@ class DecisionContext(NamedTuple):
 class ReconfigurationFrame(NamedTuple):
     """One control instant; controls are NaN where there is none."""
 
-    time: FrameTime
-    position: FramePosition
-    velocity: FrameVelocity
-    alive: FrameAlive
-    component: FrameComponent
-    control: Annotated[
-        Float[Array, "agents d"],
-        Recorded(_PER_AXIS, "m/s2", "commanded control, held to the next instant", until_next=True),
-    ]
-    applied_control: Annotated[
-        Float[Array, "agents d"],
-        Recorded(_PER_AXIS, "m/s2", "control with thrust errors", until_next=True),
-    ]
-    leg_index: Annotated[int, Recorded((), "1", "leg under way; at the end, the last one")]
-    target_index: Annotated[
-        Int[Array, " agents"],
-        Recorded(("agent",), "1", "index of the target that the agent holds, -1 none"),
-    ]
-    target_count: Annotated[
-        Int[Array, " agents"],
-        Recorded(("agent",), "1", "number of targets that the agent bids on"),
-    ]
-    measured_position: Annotated[
-        Float[Array, "agents d"] | None,
-        Recorded(_PER_AXIS, "m", "position as the agent measures it", optional=True),
-    ]
-    measured_velocity: Annotated[
-        Float[Array, "agents d"] | None,
-        Recorded(_PER_AXIS, "m/s", "velocity as the agent measures it", optional=True),
-    ]
-    events: FrameEvents
+    time: Time
+    position: Position
+    velocity: Velocity
+    alive: Alive
+    component: Component
+    control: Annotated[Vectors, "m/s2", "commanded control, held to the next instant", HELD]
+    applied_control: Annotated[Vectors, "m/s2", "control with thrust errors", HELD]
+    leg_index: Annotated[int, "1", "leg under way; at the end, the last one"]
+    target_index: Annotated[Indices, "1", "index of the target that the agent holds, -1 none"]
+    target_count: Annotated[Indices, "1", "number of targets that the agent bids on"]
+    measured_position: Annotated[Vectors | None, "m", "position as the agent measures it"]
+    measured_velocity: Annotated[Vectors | None, "m/s", "velocity as the agent measures it"]
+    events: Events
 
 
 def to_indices(mask: Bool[Array, " agents"]) -> list[int]:
