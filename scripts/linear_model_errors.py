@@ -36,7 +36,7 @@ def transition_matrices(orbit: Orbit, times: np.ndarray) -> dict[str, np.ndarray
     models = {
         "Clohessy–Wiltshire": ClohessyWiltshire.from_orbit(orbit),
         "Schweighart–Sedwick": SchweighartSedwick.from_orbit(orbit),
-        "Tschauner–Hempel": TschaunerHempel.from_orbit(orbit),
+        "Tschauner–Hempel": TschaunerHempel(orbit),
         "linearised J2": LinearizedModel(J2(orbit)),
     }
     return {name: integrate_transitions(model, times) for name, model in models.items()}

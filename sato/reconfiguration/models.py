@@ -26,7 +26,7 @@ from sato.scenario.errors import InputError, join_names
 MODELS: dict[str, Callable[[Orbit], LinearModel]] = {
     "clohessy_wiltshire": ClohessyWiltshire.from_orbit,
     "schweighart_sedwick": SchweighartSedwick.from_orbit,
-    "eccentric": TschaunerHempel.from_orbit,
+    "eccentric": TschaunerHempel,
     "j2": lambda orbit: LinearizedModel(J2(orbit)),
 }
 AIR = {"density_kg_m3": "density", "altitude_m": "altitude", "scale_height_m": "scale_height"}
