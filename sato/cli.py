@@ -20,7 +20,9 @@ app = Typer(
 
 RunFolder = Annotated[Path, Argument(metavar="DIR", help="Folder of a run.")]
 Scenario = Annotated[str, Argument(metavar="NAME|FILE.toml", help="Built-in scenario, or a file.")]
+Word = str | None
 Words = list[str] | None
+Numbers = list[float] | None
 Overrides = Annotated[
     Words, Option("--set", metavar="TABLE.KEY=VALUE", help="Change the scenario; repeatable.")
 ]
@@ -132,12 +134,8 @@ def animate(folder: RunFolder) -> None:
 @app.command()
 def export(
     folder: RunFolder,
-    format: Annotated[
-        str, Option(metavar="oem|csv", help="CCSDS OEM, a file an object; or one table.")
-    ] = "oem",
-    out: Annotated[
-        Path | None, Option(metavar="PATH", help="DIR/oem/ or DIR/trajectories.csv.")
-    ] = None,
+    format: Annotated[str, Option(metavar="oem|csv", help="CCSDS OEM, or one table.")] = "oem",
+    out: Annotated[Path | None, Option(metavar="PATH", help="In DIR, if absent.")] = None,
 ) -> None:
     """Write the trajectories of a run for other tools."""
     from sato.export import DEFAULT_PATHS
@@ -149,14 +147,10 @@ def export(
 @app.command()
 def gains(
     formation: Annotated[
-        str | None, Argument(metavar="NAME|FILE.csv", help="Of the library, or points [m].")
+        Word, Argument(metavar="NAME|FILE.csv", help="Name, or points [m].")
     ] = None,
-    graph: Annotated[
-        str, Option(metavar="own|complete|FILE", help="A file lists pairs of vertices.")
-    ] = "own",
-    method: Annotated[
-        str, Option(metavar="auto|projection|sdp|admm|paper", help="Method of the design.")
-    ] = "auto",
+    graph: Annotated[str, Option(metavar="own|complete|FILE", help="FILE lists pairs.")] = "own",
+    method: Annotated[str, Option(metavar="auto|projection|sdp|admm|paper")] = "auto",
     out: Annotated[Path | None, Option(metavar="FILE.npz", help="gains/NAME.npz.")] = None,
     list_library: Annotated[bool, Option("--list", help="List the library.")] = False,
 ) -> None:
@@ -182,13 +176,9 @@ def gains(
 
 @app.command()
 def compare(
-    family: Annotated[
-        Words, Option(metavar="NAME", help="Problem family; repeatable; all.")
-    ] = None,
+    family: Annotated[Words, Option(metavar="NAME", help="Of problems; repeatable; all.")] = None,
     solver: Annotated[Words, Option(metavar="NAME", help="Repeatable; all installed.")] = None,
-    tolerance: Annotated[
-        list[float] | None, Option(metavar="T", help="Repeatable; 1e-4, 1e-6 and 1e-8.")
-    ] = None,
+    tolerance: Annotated[Numbers, Option(metavar="T", help="Repeatable; 1e-4, 1e-6, 1e-8.")] = None,
     size: Annotated[Words, Option(metavar="small|medium|large", help="Repeatable; all.")] = None,
     repeats: Annotated[int, Option(min=1, help="Times are medians of so many.")] = 3,
     patience: Annotated[

@@ -4,7 +4,7 @@ import tomllib
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from sato.scenario.definition import fields_of
+from sato.scenario.definition import Field, fields_of
 from sato.scenario.errors import InputError, join_names
 from sato.scenario.table import Entry, choose, find_key, layout, unknown_key
 
@@ -67,12 +67,8 @@ def override(data: dict[str, Any], setting: str, definition: Any) -> None:
 
 
 def _spots(definition: Any, data: dict[str, Any], path: Path = ()) -> Iterator[Spot]:
-    inline = None
-    for field in fields_of(definition):
-        held = data.get(field.table)
-        if field.is_inline and isinstance(held, dict):
-            inline = field.kinds.get(held.get("kind", ""))
-    for table, entries in layout(definition, inline).items():
+    inline = [_chosen(f, data.get(f.table)) for f in fields_of(definition) if f.is_inline]
+    for table, entries in layout(definition, *inline).items():
         here = data.get(table, {}) if table else data
         if not isinstance(here, dict):
             continue
@@ -84,12 +80,17 @@ def _spots(definition: Any, data: dict[str, Any], path: Path = ()) -> Iterator[S
             value: Any = here.get(key)
             parts = enumerate(value) if isinstance(value, list) else [(None, value)]
             for number, part in parts:
-                try:
-                    variant = choose(entry.field, part)
-                except InputError:
-                    continue  # which is refused when the table is read
-                inner = (*where, key) if number is None else (*where, key, number)
-                yield from _spots(variant, part, inner)
+                variant = _chosen(entry.field, part)
+                if variant is not None:
+                    inner = (*where, key) if number is None else (*where, key, number)
+                    yield from _spots(variant, part, inner)
+
+
+def _chosen(field: Field, data: Any) -> type | None:
+    try:
+        return choose(field, data)
+    except InputError:
+        return None  # which is refused when the table is read
 
 
 def _ends_with(path: Path, wanted: list[str]) -> bool:
