@@ -204,7 +204,7 @@ def leader_erratum(pull: Float[Array, "states 6 3"]) -> Erratum:
         speeds.append(((gone * asked).sum(axis=1) / (STICK_SPEED * took))[held])
     return Erratum(
         "Sec. V: the team follows the leader",
-        "Σᵢ ∂λ₂/∂pᵢ = 0: short of saturation and obstacles its centre goes at v/N",
+        "Σᵢ ∂λ₂/∂pᵢ = 0: short of saturation and obstacles its center goes at v/N",
         f"|Σ| ≤ {norms(pull.sum(axis=1)).max():.0e}/m; a stick of {STICK_SPEED:g} m/s should make "
         f"{STICK_SPEED / N:.2f} m/s, and made {np.concatenate(speeds).mean():.2f} "
         f"in {RUN_COUNT} flights",

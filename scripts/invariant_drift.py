@@ -1,6 +1,6 @@
 """Along-track drift of initial velocities under J2: python scripts/invariant_drift.py.
 
-Eight points on a circle of a kilometre in the chief's plane, for fifteen orbits, from every
+Eight points on a circle of a kilometer in the chief's plane, for fifteen orbits, from every
 argument of latitude.
 """
 

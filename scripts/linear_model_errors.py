@@ -28,7 +28,7 @@ ORBITS = {
     ),
 }
 MINUTES = 8.0, 16.0, 24.0
-LINEARIZATION_STEPS = 30  # into which each span is cut for the linearised equations
+LINEARIZATION_STEPS = 30  # into which each span is cut for the linearized equations
 
 
 def transition_matrices(orbit: Orbit, times: np.ndarray) -> dict[str, np.ndarray]:
@@ -37,7 +37,7 @@ def transition_matrices(orbit: Orbit, times: np.ndarray) -> dict[str, np.ndarray
         "Clohessy–Wiltshire": ClohessyWiltshire.from_orbit(orbit),
         "Schweighart–Sedwick": SchweighartSedwick.from_orbit(orbit),
         "Tschauner–Hempel": TschaunerHempel(orbit),
-        "linearised J2": LinearizedModel(J2(orbit)),
+        "linearized J2": LinearizedModel(J2(orbit)),
     }
     return {name: integrate_transitions(model, times) for name, model in models.items()}
 
@@ -71,7 +71,7 @@ def format_three_digits(error: float) -> str:
 def main(
     seed: Annotated[int, typer.Option(help="Of the deputies' positions.")] = 1,
     count: Annotated[int, typer.Option(help="Deputies.")] = 20,
-    reach: Annotated[float, typer.Option(help="How far off they start, in metres.")] = 1000.0,
+    reach: Annotated[float, typer.Option(help="How far off they start, in meters.")] = 1000.0,
     distance: Annotated[
         bool, typer.Option("--distance", help="Errors as distances, not the largest coordinate.")
     ] = False,

@@ -16,7 +16,7 @@ from rich.table import Table
 import sato
 
 SINGLE_PLAN_OVERRIDES = (
-    "plan.commit_steps=24",
+    "plan.freeze_steps=24",
 )  # nothing is planned anew with fewer steps left than these
 LINEARIZATIONS = {"about the chief": "false", "about each path": "true"}
 

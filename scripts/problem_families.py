@@ -241,7 +241,7 @@ def make_infeasible(size: str) -> UnsolvedFamily:
     ]
     both = avoidance_problems(size, 5, ("same", "opposite"), INSTANCE_COUNT // 2)
     source = f"transfer-lp with its goals {REACH_FACTOR} times as far as can be reached, "
-    source += "and avoidance-5 with the half-spaces of both sides of each neighbour"
+    source += "and avoidance-5 with the half-spaces of both sides of each neighbor"
     return UnsolvedFamily(source, far + both, is_feasible=False)
 
 
@@ -261,16 +261,16 @@ def move_target(problem: ConicProgram, share: float) -> ConicProgram:
     return replace(problem, b=b)
 
 
-def make_avoidance(neighbours: int) -> Callable[[str], UnsolvedFamily]:
+def make_avoidance(neighbors: int) -> Callable[[str], UnsolvedFamily]:
     """Return a function that makes Problem 7 for agents in conflict with a neighbor."""
 
     def draw(size: str) -> UnsolvedFamily:
         problems = avoidance_problems(
-            size, neighbours, ("same",), instance_count(f"avoidance-{neighbours}", size)
+            size, neighbors, ("same",), instance_count(f"avoidance-{neighbors}", size)
         )
         source = (
             f"a crowd of random with {CROWD_STEPS[size]} steps to go, seeds from {SEED} on: "
-            f"who would meet one of the {neighbours} nearest, in the first exchange; half-spaces "
+            f"who would meet one of the {neighbors} nearest, in the first exchange; half-spaces "
             "that no control could break are left out, and A is rounded to single precision"
         )
         return UnsolvedFamily(source, problems)
@@ -279,7 +279,7 @@ def make_avoidance(neighbours: int) -> Callable[[str], UnsolvedFamily]:
 
 
 def avoidance_problems(
-    size: str, neighbours: int, ways: tuple[PassingSide, ...], wanted: int
+    size: str, neighbors: int, ways: tuple[PassingSide, ...], wanted: int
 ) -> list[ConicProgram]:
     """Return programs among the half-spaces of the nearest neighbors, on all given sides.
 
@@ -297,7 +297,7 @@ def avoidance_problems(
         paths = np.stack([horizon.control_points(flight.x, flight.u) for flight in free])
         for i, flight in enumerate(free):
             away = np.linalg.norm(start.states - start.states[i], axis=1)
-            others = paths[np.argsort(away, kind="stable")[1 : neighbours + 1]]
+            others = paths[np.argsort(away, kind="stable")[1 : neighbors + 1]]
             normal = [
                 choose_normals(paths[i] - others, horizon.required_separation, way) for way in ways
             ]
@@ -315,7 +315,7 @@ def avoidance_problems(
                 found.append(to_single_precision(drop_idle_half_spaces(asked[-1], len(spaces.rhs))))
             if len(found) == wanted:
                 return found
-    raise ValueError(f"fifty crowds have only {len(found)} such programmes, and not {wanted}")
+    raise ValueError(f"fifty crowds have only {len(found)} such programs, and not {wanted}")
 
 
 def drop_idle_half_spaces(problem: ConicProgram, spaces: int) -> ConicProgram:

@@ -73,19 +73,19 @@ def solve_reference(problem: ConicProgram, feasible: bool) -> ReferenceSolution:
 def pack_family(drawn: UnsolvedFamily) -> dict[str, Any]:
     """Return the stored form of the problems and their solutions."""
     shared: list[ConicProgram] = []
-    programme = []
+    program = []
     for problem in drawn.problems:
         same = (k for k, other in enumerate(shared) if differ_in_b_only(problem, other))
-        programme.append(next(same, len(shared)))
-        if programme[-1] == len(shared):
+        program.append(next(same, len(shared)))
+        if program[-1] == len(shared):
             shared.append(problem)
     settled = [solve_reference(problem, drawn.is_feasible) for problem in drawn.problems]
     stored: dict[str, Any] = {
         "source": drawn.source,
         "seed": SEED,
         "solvers": reference_solvers(drawn.problems[0]),
-        "programmes": len(shared),
-        "programme": programme,
+        "programs": len(shared),
+        "program": program,
         "feasible": [drawn.is_feasible] * len(settled),
         "reference": [answer.reference for answer in settled],
         "agreed": [answer.difference for answer in settled],

@@ -115,8 +115,8 @@ def test_alteration_by_a_millionth_is_detected(honest, name, change, promises):
 
 def test_collision_with_an_obstacle_or_an_agent_is_detected(honest):
     run, mission = honest
-    centre = mission.obstacle_arrays.spheres[0, :3]
-    at_obstacle = altered(run, "position", lambda p: np.vstack([centre, p[1:]]))
+    center = mission.obstacle_arrays.spheres[0, :3]
+    at_obstacle = altered(run, "position", lambda p: np.vstack([center, p[1:]]))
     assert {"obstacles", "flight"} <= broken(at_obstacle, mission)
     at_another = altered(run, "position", lambda p: np.vstack([p[1] + [0.9, 0, 0], p[1:]]))
     assert {"separation", "flight"} <= broken(at_another, mission)

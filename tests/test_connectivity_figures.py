@@ -97,9 +97,9 @@ def line(ax, label):
     return found.get_xydata().T
 
 
-def shades(ax, colour):
+def shades(ax, color):
     """Find the intervals in which a panel has a background of a color."""
-    grounds = [p for p in ax.patches if to_hex(p.get_facecolor()) == colour]
+    grounds = [p for p in ax.patches if to_hex(p.get_facecolor()) == color]
     ends = [p.get_extents().transformed(ax.transData.inverted()) for p in grounds]
     return [(end.x0, end.x1) for end in ends]
 

@@ -302,7 +302,7 @@ AUTO = "margin_m=auto"
 
 def test_margin_is_zero_where_the_plant_is_the_model():
     assert drawn(AUTO, "plant.kind=model").margin == 0.0
-    # Between the samples paths are those of the shared model, also where agents re-linearise.
+    # Between the samples paths are those of the shared model, also where agents re-linearize.
     assert 0 < drawn(AUTO).margin == drawn(AUTO, "model.relinearize=false").margin < 5e-3
     assert read("uiuc").draw(np.random.default_rng(0)).margin == 0.0
 

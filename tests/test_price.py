@@ -117,7 +117,7 @@ def test_table_of_the_docs_is_made_from_the_file(price, tmp_path):
 def test_better_optimum_of_another_run_counts(price, tmp_path):
     rows = [row(price, fuel, 1.1, number=number) for number, fuel in enumerate([1.0, np.nan, 1.0])]
     better = [row(price, 0.9), row(price, 1.1, number=1)]
-    other = row(price, 0.5, number=2)._replace(alone=0.8)  # of another programme
+    other = row(price, 0.5, number=2)._replace(alone=0.8)  # of another program
     price["write_csv"](tmp_path / "all.csv", rows)
     price["write_csv"](tmp_path / "more.csv", [*better, other])
     args = str(tmp_path / "all.csv"), "--best", str(tmp_path / "more.csv")

@@ -95,9 +95,9 @@ def load_family(name: str, size: str) -> Family:
         raise ValueError(f'{name} has no size "{size}"; it has {", ".join(known[name])}')
     with (files(__name__) / f"{name}-{size}.npz").open("rb") as file, np.load(file) as data:
         # A and q are stored once for all the instances that share them.
-        shared = [_parse_program(data, k) for k in range(int(data["programmes"]))]
+        shared = [_parse_program(data, k) for k in range(int(data["programs"]))]
         instances = []
-        for i, k in enumerate(data["programme"]):
+        for i, k in enumerate(data["program"]):
             problem = replace(shared[k], b=data[f"b{i}"])
             answer = (
                 bool(data["feasible"][i]),
