@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dynamics.atmosphere import Atmosphere
-    from dynamics.clohessy_wiltshire import ClohessyWiltshire
+    from dynamics.circular_orbit import ClohessyWiltshire, SchweighartSedwick
     from dynamics.coordinate_frames import LVLH, inertial_state, to_polar_nodal
     from dynamics.discretize import DiscreteModel, discretize_zoh, linearize_along
     from dynamics.double_integrator import DoubleIntegrator
@@ -21,12 +21,11 @@ if TYPE_CHECKING:
     from dynamics.orbit import Orbit
     from dynamics.plant import LinearPlant, NonlinearPlant, Plant
     from dynamics.propagation import Impact, propagate
-    from dynamics.schweighart_sedwick import SchweighartSedwick
     from dynamics.tschauner_hempel import TschaunerHempel
 
 _PUBLIC = {
     "atmosphere": ["Atmosphere"],
-    "clohessy_wiltshire": ["ClohessyWiltshire"],
+    "circular_orbit": ["ClohessyWiltshire", "SchweighartSedwick"],
     "coordinate_frames": ["LVLH", "inertial_state", "to_polar_nodal"],
     "discretize": ["DiscreteModel", "discretize_zoh", "linearize_along"],
     "double_integrator": ["DoubleIntegrator"],
@@ -36,7 +35,6 @@ _PUBLIC = {
     "orbit": ["Orbit"],
     "plant": ["LinearPlant", "NonlinearPlant", "Plant"],
     "propagation": ["Impact", "propagate"],
-    "schweighart_sedwick": ["SchweighartSedwick"],
     "tschauner_hempel": ["TschaunerHempel"],
 }
 _MODULES = {name: module for module, names in _PUBLIC.items() for name in names}

@@ -11,13 +11,12 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from dynamics.clohessy_wiltshire import ClohessyWiltshire
+from dynamics.circular_orbit import ClohessyWiltshire, SchweighartSedwick
 from dynamics.discretize import discretize_zoh
 from dynamics.j2 import J2, invariant_velocity
 from dynamics.model import LinearizedModel, LinearModel
 from dynamics.orbit import Orbit
 from dynamics.plant import NonlinearPlant
-from dynamics.schweighart_sedwick import SchweighartSedwick
 from dynamics.tschauner_hempel import TschaunerHempel
 
 INCLINATION = np.radians(45)

@@ -11,8 +11,7 @@ from orbit_examples import transition_matrix
 from scipy.integrate import solve_ivp
 
 from dynamics import discretize_zoh
-from dynamics.clohessy_wiltshire import ClohessyWiltshire
-from dynamics.schweighart_sedwick import SchweighartSedwick
+from dynamics.circular_orbit import ClohessyWiltshire, SchweighartSedwick
 
 MODELS = [
     ClohessyWiltshire(1.1e-3),

@@ -11,12 +11,12 @@ from scipy.spatial.distance import pdist
 
 from dynamics import ClohessyWiltshire, LinearizedModel, discretize_zoh
 from dynamics.atmosphere import Atmosphere
+from dynamics.circular_orbit import SchweighartSedwick
 from dynamics.coordinate_frames import inertial_state
 from dynamics.inertial import InertialPlant
 from dynamics.j2 import J2, invariant_velocity
 from dynamics.orbit import EARTH_J2, EARTH_MU, EARTH_RADIUS, Orbit
 from dynamics.plant import LinearPlant
-from dynamics.schweighart_sedwick import SchweighartSedwick
 from dynamics.tschauner_hempel import TschaunerHempel
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.models import MODELS

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from orbit_examples import transition_matrix
 
-from dynamics.clohessy_wiltshire import ClohessyWiltshire
+from dynamics.circular_orbit import ClohessyWiltshire
 from dynamics.coordinate_frames import LVLH
 from dynamics.forces import Forces
 from dynamics.j2 import J2

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics.clohessy_wiltshire import ClohessyWiltshire
+from dynamics.circular_orbit import ClohessyWiltshire
 from dynamics.trajectory_geometry import min_distance
 from sato.reconfiguration import feasibility
 from sato.reconfiguration.mission import Leg, Reconfiguration

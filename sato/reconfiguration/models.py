@@ -9,14 +9,13 @@ import numpy as np
 from annotated_types import Lt
 
 from dynamics.atmosphere import Atmosphere
-from dynamics.clohessy_wiltshire import ClohessyWiltshire
+from dynamics.circular_orbit import ClohessyWiltshire, SchweighartSedwick
 from dynamics.double_integrator import DoubleIntegrator
 from dynamics.inertial import InertialPlant
 from dynamics.j2 import J2
 from dynamics.model import LinearizedModel, LinearModel, NonlinearModel
 from dynamics.orbit import Orbit
 from dynamics.plant import LinearPlant, NonlinearPlant, Plant
-from dynamics.schweighart_sedwick import SchweighartSedwick
 from dynamics.tschauner_hempel import TschaunerHempel
 from dynamics.units import Unit
 from sato.reconfiguration.orbit import Chief
