@@ -183,7 +183,9 @@ def accumulate(mission, frames):
 )
 def test_summary_equals_totals_added_up_in_flight(settings):
     mission, frames = fly(*settings)
-    record = FormationRecord.from_dataset(dataset(mission, frames), mission)
+    data = dataset(mission, frames)
+    assert broken(data, mission) <= {"separation"}  # which the paper's avoidance may break
+    record = FormationRecord.from_dataset(data, mission)
     summary, total = summarize_flight(record), accumulate(mission, frames)
     assert summary == summarize_flight(FormationRecord.from_frames(frames, mission))
     for name in ("time_s", "reassignments", "gridlocked_s"):

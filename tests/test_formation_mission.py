@@ -15,6 +15,7 @@ from sato.formation.settings import (
 )
 from sato.scenario.errors import InputError, ScenarioError
 from sato.scenario.file import parse, read, scenarios
+from sato.shapes import Ring
 from sato.shapes.formation_library import load_formation, random_dense_graph
 from sato.shapes.random_points import sample_formation, sample_positions
 
@@ -68,6 +69,7 @@ def listed(edges):
 
 
 STACKED = "[[0,0,1],[0,1,4],[9,0,1],[0,9,1],[9,9,1],[5,5,1]]"
+STILL = "{kind='points', positions_m=[[0,0]], velocities_m_s=[[1,0]]}"
 REFUSED = {  # what is wrong: the key, and a value that would do
     "agents=2": "swarm.agents.* at least 3",
     "agents=7": "leg.0.formation.* 7 vehicles .* 6 points",
@@ -76,7 +78,10 @@ REFUSED = {  # what is wrong: the key, and a value that would do
     "start.separation_m=1": "start.separation_m.* keep_out_m = 1.2; 1.2 or more would do",
     f"start={{kind='points', positions_m={STACKED}}}": "start: 0 and 1 are 1 m apart in the plane",
     "start={kind='points', positions_m=[[0,0]]}": "start.positions_m: lists 1 .* 6 agents",
-    "start={kind='points', positions_m=[[0,0]], velocities_m_s=[[1,0]]}": "start.velocities_m_s",
+    f"start={STILL}": "start.velocities_m_s: vehicles start at rest",
+    "start={kind='ring', radius_m=1}": "swarm.start.* would do",
+    "drift=-1": "frames.drift: must not be negative, got -1",
+    "yaw=[0.5]": r"frames.yaw: needs the shape \(6,\), got \(1,\)",
     "brake_m_s2=0.6": "avoidance.brake_m_s2.* 0.5",
     "notice_m=2": "avoidance.notice_m.* 2.25 would do",
     "avoidance={legacy_avoidance=true}\ncontrol={upright=true}": "control.upright.* mirror image",
@@ -92,6 +97,7 @@ REFUSED = {  # what is wrong: the key, and a value that would do
     "leg.formation={kind='random', box_m=[9, 9, 1], separation_m=1}": "0.formation.separation_m",
     "leg.formation={kind='random', box_m=[9, 9], separation_m=2}": "leg.0.formation.*three sides",
     "leg.formation={kind='ring', radius_m=9, normal=[1, 0, 0]}": "leg.0.formation.*in the plane",
+    f"leg.formation={STILL}": "leg.0.formation.velocities_m_s: a formation is at rest",
     "leg.formation={kind='file', file='none.csv'}": "leg.0.formation.* none.csv",
     RANDOM: 'leg.0.graph.* library.* "complete" would do',
     "leg.graph={file='lonely.csv'}": "leg.0.graph.* 0, 1, 2",
@@ -139,6 +145,13 @@ def test_arrays_alone_make_a_mission():
     own = FormationLeg(points, graph, gains).draw(6, 1.2, np.random.default_rng(0))
     np.testing.assert_allclose(own.gain_matrix.xy, gains.xy, atol=1e-12)
     assert np.array_equal(own.desired.graph, graph)
+
+
+def test_missing_number_of_agents_and_one_sided_graph_are_refused():
+    with pytest.raises(InputError, match="swarm.agents: is missing"):
+        Formation(start=Ring(radius=9.0), legs=[FormationLeg("Star")])
+    with pytest.raises(InputError, match="graph: must be a symmetric matrix"):
+        FormationLeg("Star", np.triu(np.full((6, 6), True), 1))
 
 
 @pytest.mark.parametrize("method", ["cbaa", "hungarian", "none"])

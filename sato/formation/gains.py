@@ -92,14 +92,6 @@ class GainsFile(Definition):
             raise InputError("gains.file", text)
         return list_gains(gains)
 
-    def build(self, formation: DesiredFormation) -> GainMatrix:
-        """Read the gains of a formation.
-
-        Raises:
-            InputError: The file cannot be read, or holds gains of another formation.
-        """
-        return self.read(formation).build(formation)
-
 
 AnyGains = DesignedGains | ListedGains | GainsFile
 

@@ -185,6 +185,7 @@ class FormationLeg(Definition):
         Raises:
             InputError: The formation has none, or these belong to another.
         """
+        assert not isinstance(self.gains, GainsFile), "known once drawn: mission.draw(rng)"
         return self.gains.build(self.desired)
 
     def draw(self, agents: int, keep_out: float, rng: np.random.Generator) -> "FormationLeg":
