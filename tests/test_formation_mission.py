@@ -148,7 +148,7 @@ def test_arrays_alone_make_a_mission():
 
 
 def test_missing_number_of_agents_and_one_sided_graph_are_refused():
-    with pytest.raises(InputError, match="swarm.agents: is missing"):
+    with pytest.raises(InputError, match=r"swarm\.agents: is missing"):
         Formation(start=Ring(radius=9.0), legs=[FormationLeg("Star")])
     with pytest.raises(InputError, match="graph: must be a symmetric matrix"):
         FormationLeg("Star", np.triu(np.full((6, 6), True), 1))
