@@ -7,9 +7,6 @@ import pytest
 from formation_runs import fly
 
 import sato
-from problems.desired_formation import DesiredFormation
-from problems.gain_matrix import GainMatrix
-from sato.formation.record import GAIN_PARTS
 from sato.formation.supervisor import Phase
 from sato.formation.system import make_progress
 from sato.scenario.file import parse
@@ -48,19 +45,6 @@ def test_recorded_frames_and_coordinate_frames_are_those_flown(flown):
     np.testing.assert_allclose(np.exp(1j * data["frame_yaw"].values), own.rotation)
     assert np.array_equal(data["frame_offset"], own.origin)
     assert not data["component"].values.any()
-
-
-def test_recorded_gains_are_those_of_the_recorded_formation(flown, tmp_path):
-    run, mission, _ = flown
-    data = sato.load(run.save(tmp_path)).data
-    assert tuple(data["part"].values) == GAIN_PARTS
-    for leg, gains in enumerate(mission.gains):
-        real, imaginary, z = data["gains"].values[leg]
-        points, graph = data["formation"].values[leg], data["graph"].values[leg].astype(bool)
-        desired = DesiredFormation(points, graph)
-        found = GainMatrix(desired, real + 1j * imaginary, z, "read", 1.0, 1.0)
-        assert np.array_equal(found.xy, gains.xy) and np.array_equal(found.z, gains.z)
-        assert found.matches_formation(gains.formation)
 
 
 def test_radii_and_limits_are_attributes(flown):

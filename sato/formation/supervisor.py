@@ -4,7 +4,6 @@ When the swarm has converged and when it is gridlocked is decided as by the base
 [Lusk2020]'s trials. No agent receives anything from it.
 """
 
-from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterator
 from enum import Enum
@@ -59,28 +58,26 @@ class Supervisor:
             speed: Speed that the control law commands each agent, before limits [m/s].
             avoiding: True for agents that change their command to avoid others.
         """
-        settings = self._settings
+        settings, phase = self._settings, self.phase
         self._speeds.append(speed)
         self._avoiding.append(avoiding)
         self.time_in_phase += self._period
         is_slow = bool((np.mean(self._speeds, axis=0) < settings.convergence_speed).all())
-        if self.phase is Phase.CONVERGED:
+        is_stuck = bool((np.mean(self._avoiding, axis=0) > settings.gridlock_share).any())
+        if phase is Phase.CONVERGED:
             if not is_slow:
                 self._enter(Phase.FLYING)
             elif self._has_lasted(settings.convergence_time):
                 self._enter(Phase.COMPLETED)
-        elif self._has_lasted(settings.averaging_window):
-            share = np.mean(self._avoiding, axis=0)
-            self._update_phase(is_slow, bool((share > settings.gridlock_share).any()))
-        return self.phase
-
-    def _update_phase(self, is_slow: bool, is_stuck: bool) -> None:
-        if self.phase is Phase.FLYING and (is_slow or is_stuck):
+        elif not self._has_lasted(settings.averaging_window):
+            return phase
+        elif phase is Phase.FLYING and (is_slow or is_stuck):
             self._enter(Phase.CONVERGED if is_slow else Phase.GRIDLOCKED)
-        elif self.phase is Phase.GRIDLOCKED and not is_stuck:
+        elif phase is Phase.GRIDLOCKED and not is_stuck:
             self._enter(Phase.FLYING)
-        elif self.phase is Phase.GRIDLOCKED and self._has_lasted(self._settings.gridlock_timeout):
+        elif phase is Phase.GRIDLOCKED and self._has_lasted(settings.gridlock_timeout):
             self._enter(Phase.ABORTED)
+        return self.phase
 
     def _has_lasted(self, time: float) -> bool:
         return self.time_in_phase >= time - TIME_TOLERANCE
@@ -89,7 +86,7 @@ class Supervisor:
         self.phase, self.time_in_phase = phase, 0.0
 
 
-class FlightCourse(ABC):
+class FlightCourse:
     """Course of a flight through all formations, in simulation or again from a record."""
 
     def __init__(self, mission: Formation) -> None:
@@ -98,21 +95,19 @@ class FlightCourse(ABC):
         self.leg = self.instant = 0
         self._events: list[dict[str, Any]] = []
 
-    @abstractmethod
     def start_leg(self) -> None:
         """Prepare for the next formation."""
 
-    @abstractmethod
     def hold_auction(self) -> int:
         """Hold an auction, and return its rounds of messages."""
+        raise NotImplementedError
 
-    @abstractmethod
     def assign(self) -> None:
         """Let all agents take the points of the last auction."""
 
-    @abstractmethod
     def advance(self) -> tuple[Float[Array, "agents 3"], Bool[Array, " agents"]]:
         """Fly to the next instant; return velocity commands, and who avoids others there."""
+        raise NotImplementedError
 
     @property
     def time(self) -> float:

@@ -142,14 +142,8 @@ class _RecordedCourse(FlightCourse):
         super().__init__(record.mission)
         self.frames, self.rounds = record.frames, iter(record.auction_rounds)
 
-    def start_leg(self) -> None:
-        pass
-
     def hold_auction(self) -> int:
         return next(self.rounds, 0)
-
-    def assign(self) -> None:
-        pass
 
     def advance(self) -> tuple[Array, Array]:
         k = min(self.instant + 1, len(self.frames.avoiding) - 1)
