@@ -1,8 +1,8 @@
 """Errata of [Bernard2023]: printed form, correct form, and size of the difference.
 
-Printed forms and ours are held against central differences, of six robots that stand and look
-at random, many times over; what can only be seen in flight is flown. Which equations are right
-is in the second table, of `printed_equations`.
+Printed and corrected forms are compared with central differences, for six robots at random
+positions and yaws; properties of flights are simulated. The second table, of
+`bernard2023_equations`, lists the equations that are printed correctly.
 """
 
 from math import acos, degrees
@@ -72,18 +72,18 @@ def mutual_visibility(pairs: Pairs) -> tuple[Bool[Array, " m"], Bool[Array, " m"
 
 
 def estimate_weights(
-    pairs: Pairs, mine: Array, theirs: Array, turn: Array, sees: bool = True
+    pairs: Pairs, own: Array, other: Array, yaw: Array, sees: bool = True
 ) -> tuple[Float[Array, " m"], Float[Array, "m 3"]]:
     """Return A_ij and R_iᵀ ∂A_ij/∂p_i, from the bearings and the yaw that i assumes."""
-    found = edge_weights(pairs.d, mine, theirs, turn, SIGHT, sees)
+    found = edge_weights(pairs.d, own, other, yaw, SIGHT, sees)
     return found.weights, found.gradients[:, :3]
 
 
 def describe_gradient_error(
-    found: Float[Array, "m 3"], pairs: Pairs, which: Bool[Array, " m"]
+    found: Float[Array, "m 3"], pairs: Pairs, mask: Bool[Array, " m"]
 ) -> str:
     """Describe the largest and the median error of a gradient."""
-    error, state = norms(found - pairs.weight_gradient)[which], pairs.state[which]
+    error, state = norms(found - pairs.weight_gradient)[mask], pairs.state[mask]
     each = [error[state == k].max() for k in np.unique(state)]
     return f"up to {max(each):.2f}/m, {np.median(each):.2f}/m in the median state"
 
@@ -107,22 +107,22 @@ def bearing_erratum(pairs: Pairs) -> Erratum:
 
 def frame_erratum(pairs: Pairs) -> Erratum:
     """Compare R_j, as printed, with ⁱR_j: the yaw enters nowhere else."""
-    everybody = np.ones(len(pairs.d), dtype=bool)
+    everyone = np.ones(len(pairs.d), dtype=bool)
     _, printed = estimate_weights(pairs, pairs.bearing_ij, pairs.bearing_ji, pairs.yaw[:, 1])
     _, ours = estimate_weights(pairs, pairs.bearing_ij, pairs.bearing_ji, pairs.relative_yaw)
     return Erratum(
         "(12), (29): R_j P_ji o_C",
         "ⁱR_j P_ji o_C, as the line below says",
-        f"∂A_ij/∂p_i off by {describe_gradient_error(printed, pairs, everybody)}; ours by "
+        f"∂A_ij/∂p_i off by {describe_gradient_error(printed, pairs, everyone)}; ours by "
         f"{norms(ours - pairs.weight_gradient).max():.0e}/m",
     )
 
 
 def symmetry_erratum(pairs: Pairs, rng: np.random.Generator) -> Erratum:
     """Measure the asymmetry of f*_ji computed from an estimated yaw."""
-    turn = pairs.relative_yaw + rng.uniform(-YAW_ERROR, YAW_ERROR, len(pairs.d))
-    guessed = -matvec(rotation(turn).swapaxes(1, 2), pairs.bearing_ij)
-    weight, _ = estimate_weights(pairs, pairs.bearing_ij, guessed, turn)
+    yaw = pairs.relative_yaw + rng.uniform(-YAW_ERROR, YAW_ERROR, len(pairs.d))
+    estimated = -matvec(rotation(yaw).swapaxes(1, 2), pairs.bearing_ij)
+    weight, _ = estimate_weights(pairs, pairs.bearing_ij, estimated, yaw)
     sees, _ = mutual_visibility(pairs)
     return Erratum(
         "Sec. III-C, case 1: p_ij and ψ̃_ij are all that i needs; f_ij = f_ji by construction",
@@ -155,14 +155,14 @@ def field_of_view_erratum(states: int, pairs: Pairs) -> Erratum:
 
 def potential_erratum(lambda2: Float[Array, " states"]) -> Erratum:
     """Evaluate the potential at λ₂^max."""
-    most = POTENTIAL.lambda2_max
+    largest = POTENTIAL.lambda2_max
     return Erratum(
         "Sec. III, Fig. 2: V^λ decreases towards 0; λ₂^max stands in the caption alone",
         "V^λ is 0 from λ₂^max on; ours is 0 there in value and slope",
-        f"V({most:g}) = {evaluate_potential(most, POTENTIAL):g}, "
-        f"V′ = {abs(negative_slope(most, POTENTIAL)):g}; "
+        f"V({largest:g}) = {evaluate_potential(largest, POTENTIAL):g}, "
+        f"V′ = {abs(negative_slope(largest, POTENTIAL)):g}; "
         f"V(0.05) = {evaluate_potential(0.05, POTENTIAL):.0f}; "
-        f"states above: {(lambda2 > most).mean():.1%}",
+        f"states above: {(lambda2 > largest).mean():.1%}",
     )
 
 
@@ -197,11 +197,11 @@ def leader_erratum(pull: Float[Array, "states 6 3"]) -> Erratum:
     """Show that the connectivity forces add up to zero and do not move the centroid."""
     speeds = []
     for frames in map(simulate_run, range(RUN_COUNT)):
-        asked = np.array([f.stick for f in frames[:-1]])
-        gone = np.diff([f.position.mean(axis=0) for f in frames], axis=0)
-        held = norms(asked) > 0.999 * STICK_SPEED
-        took = np.diff([f.time for f in frames])
-        speeds.append(((gone * asked).sum(axis=1) / (STICK_SPEED * took))[held])
+        stick = np.array([f.stick for f in frames[:-1]])
+        displacement = np.diff([f.position.mean(axis=0) for f in frames], axis=0)
+        is_full = norms(stick) > 0.999 * STICK_SPEED
+        duration = np.diff([f.time for f in frames])
+        speeds.append(((displacement * stick).sum(axis=1) / (STICK_SPEED * duration))[is_full])
     return Erratum(
         "Sec. V: the team follows the leader",
         "Σᵢ ∂λ₂/∂pᵢ = 0: short of saturation and obstacles its center goes at v/N",
@@ -236,16 +236,16 @@ def observer_yaw_error(spin: float, swing: float, printed: bool) -> float:
     Robot i turns on the spot at `spin` [rad/s]; j goes at 1 m/s, and its velocity turns in its
     frame, which rests, at `swing` [rad/s].
     """
-    track, dt, watch, still = YawTracking(as_printed=printed), 1e-3, np.zeros(7), np.zeros(3)
-    place = before = np.array([1.0, 0, 0])
+    track, dt, observer, zero = YawTracking(as_printed=printed), 1e-3, np.zeros(7), np.zeros(3)
+    position = previous = np.array([1.0, 0, 0])
     rate = np.array(spin)
     for k in range(1000):
         v = np.array([np.cos(swing * k * dt), np.sin(swing * k * dt), 0, 0])
-        place = place + dt * v[:3]
-        now = rotation(np.array([-spin * (k + 1) * dt]))[0] @ place
-        watch = update_velocity_observer(now, before, still, rate, v, watch, track, dt)
-        before = now
-    return float(abs(wrap_angle(yaw_from_motion(watch, v, track)[0] + spin)))
+        position = position + dt * v[:3]
+        current = rotation(np.array([-spin * (k + 1) * dt]))[0] @ position
+        observer = update_velocity_observer(current, previous, zero, rate, v, observer, track, dt)
+        previous = current
+    return float(abs(wrap_angle(yaw_from_motion(observer, v, track)[0] + spin)))
 
 
 def observer_lag_erratum() -> Erratum:
@@ -262,9 +262,9 @@ def observer_lag_erratum() -> Erratum:
 
 def vertical_motion_erratum() -> Erratum:
     """Compare the gains of the yaw estimate in vertical motion, which does not reveal yaw."""
-    watch, up = np.array([*[0.0] * 6, 1]), np.array([0.0, 0, 1, 0])
+    observer, up = np.array([*[0.0] * 6, 1]), np.array([0.0, 0, 1, 0])
     printed, ours = (
-        yaw_from_motion(watch, up, YawTracking(as_printed=p))[1] for p in (True, False)
+        yaw_from_motion(observer, up, YawTracking(as_printed=p))[1] for p in (True, False)
     )
     return Erratum(
         "(19): k₂ by |v_j|",
@@ -275,7 +275,7 @@ def vertical_motion_erratum() -> Erratum:
 
 def main(states: int = 200, seed: int = 2023) -> None:
     """Print the errata, then the largest error of each equation."""
-    out, rng = Console(markup=False), np.random.default_rng(seed)
+    console, rng = Console(markup=False), np.random.default_rng(seed)
     position, yaw = draw_poses(states, rng)
     pairs = make_pairs(position, yaw)
     lambda2 = algebraic_connectivity(interaction_graph(position, yaw, SIGHT).weights).lambda2
@@ -294,8 +294,8 @@ def main(states: int = 200, seed: int = 2023) -> None:
         repulsion_erratum(pairs),
     ):
         table.add_row(*finding)
-    out.print(table)
-    out.print(equation_table(position, yaw, pairs, rng))
+    console.print(table)
+    console.print(equation_table(position, yaw, pairs, rng))
 
 
 if __name__ == "__main__":

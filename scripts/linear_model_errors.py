@@ -27,7 +27,7 @@ ORBITS = {
     ),
 }
 MINUTES = 8.0, 16.0, 24.0
-LINEARIZATION_STEPS = 30  # into which each span is cut for the linearized equations
+LINEARIZATION_STEPS = 30  # into which each span is divided for the linearized equations
 
 
 def transition_matrices(orbit: Orbit, times: np.ndarray) -> dict[str, np.ndarray]:
@@ -43,23 +43,23 @@ def transition_matrices(orbit: Orbit, times: np.ndarray) -> dict[str, np.ndarray
 
 def integrate_transitions(model: LinearModel, times: np.ndarray) -> np.ndarray:
     """Return Φ(t, 0) of a linear model."""
-    found, begin = [np.eye(6)], 0.0
+    transitions, time = [np.eye(6)], 0.0
     for end in times:
-        dt = (end - begin) / LINEARIZATION_STEPS
-        steps = discretize_zoh(model, dt, LINEARIZATION_STEPS, begin)
-        found.append(np.linalg.multi_dot([*steps.A[::-1], found[-1]]))
-        begin = end
-    return np.array(found[1:])
+        dt = (end - time) / LINEARIZATION_STEPS
+        steps = discretize_zoh(model, dt, LINEARIZATION_STEPS, time)
+        transitions.append(np.linalg.multi_dot([*steps.A[::-1], transitions[-1]]))
+        time = end
+    return np.array(transitions[1:])
 
 
 def integrate_exactly(orbit: Orbit, x: np.ndarray, times: np.ndarray) -> np.ndarray:
     """Return the positions of free motion under J2."""
-    path, begin = [], 0.0
+    positions, time = [], 0.0
     for end in times:
-        x = NonlinearPlant(J2(orbit)).propagate(x, np.zeros((len(x), 3)), begin, end - begin)[-1]
-        path.append(x[:, :3])
-        begin = end
-    return np.array(path)
+        x = NonlinearPlant(J2(orbit)).propagate(x, np.zeros((len(x), 3)), time, end - time)[-1]
+        positions.append(x[:, :3])
+        time = end
+    return np.array(positions)
 
 
 def format_three_digits(error: float) -> str:
@@ -77,18 +77,18 @@ def main(
 ) -> None:
     """Print the largest error of each linear model for each orbit, in meters."""
     for title, orbit in ORBITS.items():
-        place = np.zeros((count, 3))
-        place[:, :2] = np.random.default_rng(seed).uniform(-reach, reach, (count, 2))
-        start = np.hstack([place, invariant_velocity(orbit, place)])
+        position = np.zeros((count, 3))
+        position[:, :2] = np.random.default_rng(seed).uniform(-reach, reach, (count, 2))
+        start = np.hstack([position, invariant_velocity(orbit, position)])
         times = np.array([*(60 * m for m in MINUTES), orbit.period])
-        truth = integrate_exactly(orbit, start, times)
+        exact = integrate_exactly(orbit, start, times)
 
-        heads = [*(f"{m:.0f} min" for m in MINUTES), f"one orbit, {orbit.period / 60:.1f} min"]
+        columns = [*(f"{m:.0f} min" for m in MINUTES), f"one orbit, {orbit.period / 60:.1f} min"]
         print(f"\n{title}: position error [m]\n")
-        print("| model |", " | ".join(heads), "|")
-        print("|---" * (1 + len(heads)) + "|")
+        print("| model |", " | ".join(columns), "|")
+        print("|---" * (1 + len(columns)) + "|")
         for name, Phi in transition_matrices(orbit, times).items():
-            error = np.einsum("tij,kj->tki", Phi, start)[..., :3] - truth
+            error = np.einsum("tij,kj->tki", Phi, start)[..., :3] - exact
             size = np.linalg.norm(error, axis=-1) if distance else np.abs(error).max(axis=-1)
             print(f"| {name} |", " | ".join(map(format_three_digits, size.max(axis=1))), "|")
 

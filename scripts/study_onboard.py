@@ -24,33 +24,33 @@ SIZES = {"uiuc": (5, 40), "random3d": (3, 20), "crossing": (1, 36)}  # neighbors
 
 def study_scenario(scenario: str, neighbors: int, steps: int) -> None:
     """Export and compile the code, solve with both, and print a row of the table."""
-    with tempfile.TemporaryDirectory() as workshop:
-        asked = export_c(scenario, Path(workshop, "c"), neighbors, steps)
-        code = CompiledSolver(Path(workshop, "c"))
-    transfer = asked.program.transfer
+    with tempfile.TemporaryDirectory() as folder:
+        problem = export_c(scenario, Path(folder, "c"), neighbors, steps)
+        code = CompiledSolver(Path(folder, "c"))
+    transfer = problem.program.transfer
     dt = transfer.model.dt
-    codes, cost, residual, times, bound = [], [], [], [], 0
-    ask = random_instances(asked, np.random.default_rng(2016))
-    for question, _ in zip(ask, range(INSTANCE_COUNT), strict=False):
+    codes, cost, residual, times, active = [], [], [], [], 0
+    instances = random_instances(problem, np.random.default_rng(2016))
+    for instance, _ in zip(instances, range(INSTANCE_COUNT), strict=False):
         began = thread_time()
-        flight = AvoidanceProblem(transfer, *question).solve().trajectory
+        trajectory = AvoidanceProblem(transfer, *instance).solve().trajectory
         python = thread_time() - began
         began = thread_time()
-        flown = code.solve(*question)
+        flown = code.solve(*instance)
         times.append((thread_time() - began, python))
-        least = dt * float(transfer.weights @ np.abs(flight.u).sum(axis=1))
+        least = dt * float(transfer.weights @ np.abs(trajectory.u).sum(axis=1))
         codes.append(flown.code)
         cost.append(abs(flown.cost - least) / max(least, transfer.max_control * dt))
         residual.append(flown.residual)
-        bound += bool((question[2].violation(flight.x, flight.u) > -1e-6).any())
-    mine, python = 1e3 * np.median(times, axis=0)
+        active += bool((instance[2].violation(trajectory.x, trajectory.u) > -1e-6).any())
+    in_c, python = 1e3 * np.median(times, axis=0)
     slowest = 1e3 * np.max(times, axis=0)[0]
     print(
         f"{scenario}, {neighbors} neighbors, {steps} steps: "
-        f"{codes.count(SOLVED)} of {INSTANCE_COUNT} solved, {bound} with a half-space that binds; "
+        f"{codes.count(SOLVED)} of {INSTANCE_COUNT} solved, {active} with a half-space that binds; "
         f"cost differs by {np.median(cost):.1e} (median), {max(cost):.1e} (most); "
         f"residual at most {max(residual):.1e}; "
-        f"C {mine:.2f} ms (most {slowest:.1f}), Python {python:.1f} ms, of the processor"
+        f"C {in_c:.2f} ms (most {slowest:.1f}), Python {python:.1f} ms, of the processor"
     )
 
 
