@@ -56,20 +56,6 @@ def test_costs_in_other_norms_are_those_of_the_statement(rng):
     assert (costs.fuel[:, 1] == unreachable_cost(plane, 0.05)).all()
 
 
-@settings(deadline=None, max_examples=30)
-@given(st.integers(0, 2**32 - 1), st.sampled_from(list(models)))
-def test_a_cost_depends_on_its_pair_alone(seed, which):
-    steps, size, U = models[which]
-    rng = np.random.default_rng(seed)
-    start, targets = random_states(rng, steps, size)
-    transfer = TransferProblem(steps, U, 2 * size)
-    whole = compute_transfer_costs(transfer, start, targets)
-    some = rng.permutation(5)[:3], rng.permutation(7)[:4]
-    part = compute_transfer_costs(transfer, start[some[0]], targets[some[1]])
-    assert_allclose(part.fuel, whole.fuel[np.ix_(*some)], rtol=1e-9)
-    assert_array_equal(part.is_reachable, whole.is_reachable[np.ix_(*some)])
-
-
 @all_models
 def test_other_agents_do_not_change_the_last_bit_of_a_cost(rng, steps, size, U):
     start, targets = random_states(rng, steps, size, 9, 30)
@@ -220,10 +206,3 @@ def test_energy_with_too_few_steps_is_that_of_coming_nearest(rng):
     miss = lambda v: ((targets[1] - free - one.B[0] @ v) ** 2).sum()  # noqa: E731
     best = minimize(miss, np.zeros(2), tol=1e-12).x
     assert away == pytest.approx(best @ best, rel=1e-5)
-
-
-def test_states_that_are_not_finite_are_refused():
-    with pytest.raises(ValueError, match="not finite"):
-        compute_transfer_costs(
-            TransferProblem(plane, 0.1), np.full((1, 4), np.nan), np.ones((1, 4))
-        )

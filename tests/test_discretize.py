@@ -81,12 +81,6 @@ def test_steps_of_each_agent_are_sliced_in_time_and_simulated_apart(rng):
         own.simulate(x, u)
 
 
-def test_simulation_ends_with_the_last_control(rng):
-    steps = random_steps(rng, 7)
-    x, u = rng.normal(size=4), rng.normal(size=(7, 2))
-    assert_array_equal(steps.simulate(x, u[:4]), steps.simulate(x, u)[:5])
-
-
 def test_a_time_invariant_model_has_the_same_steps_at_all_times():
     early, late = (
         discretize_zoh(ClohessyWiltshire(1.1e-3), 60.0, 3, start) for start in (0.0, 1e4)

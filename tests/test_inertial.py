@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from orbit_examples import random_orbit, semi_major_axis
+from orbit_examples import random_orbit
 
 from dynamics.atmosphere import Atmosphere
 from dynamics.coordinate_frames import LVLH, inertial_state
@@ -83,16 +83,6 @@ def test_higher_drag_moves_an_agent_ahead():
     assert end[0, 0] == pytest.approx(2 * f * t / n, rel=2e-3)
 
 
-def test_drag_lowers_the_chief_at_the_known_rate():
-    # Δa = −2π B ρ a² a revolution in air that does not rotate [Wertz1999, Sec. 6.2].
-    orbit = Orbit.from_elements(6878e3, k_J2=0.0)
-    sinking = InertialPlant(orbit, np.array([0.02]), 0.02, Atmosphere(rotation_rate=0.0))
-    end = inertial_state(sinking.chief_elements(orbit.period))
-    density = Atmosphere().density_at(np.array([6878e3, 0, 0]))
-    known = -2 * np.pi * 0.02 * density * 6878e3**2
-    assert semi_major_axis(end) - 6878e3 == pytest.approx(known, rel=1e-3)
-
-
 @pytest.mark.parametrize("dt", [60.0, 480.0])
 def test_reference_table_is_met_within_a_hundredth_of_a_micrometer(dt):
     six = 6878e3, 0.0, np.sqrt(TRUTH["mu"] * 6878) * 1e6, 0.0, np.pi / 4, 0.0
@@ -151,12 +141,6 @@ def test_one_ballistic_coefficient_is_that_of_all_agents(rng):
     all_alike = InertialPlant(CIRCLE, 0.01, 0.02, air).propagate(x, u, 0.0, 60.0)
     each = InertialPlant(CIRCLE, np.full(3, 0.01), 0.02, air).propagate(x, u, 0.0, 60.0)
     assert_array_equal(all_alike, each)
-
-
-def test_more_coefficients_than_agents_are_refused():
-    plant = InertialPlant(CIRCLE, np.full(3, 0.01), 0.01, Atmosphere())
-    with pytest.raises(ValueError, match=r"one for each; there are 2 agents and 3 coefficients"):
-        plant.propagate(np.zeros((2, 6)), np.zeros((2, 3)), 0.0, 60.0)
 
 
 def test_times_before_0_are_refused():

@@ -11,12 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from orbit_examples import propagate_relative, random_orbit
-from scipy.integrate import solve_ivp
 
 from dynamics.coordinate_frames import LVLH, inertial_state, to_polar_nodal
-from dynamics.discretize import discretize_zoh, linearize_along
 from dynamics.j2 import J2, invariant_velocity
-from dynamics.model import LinearizedModel
 from dynamics.orbit import Orbit, lvlh_rates
 from dynamics.propagation import propagate
 
@@ -100,24 +97,6 @@ def test_rate_and_jacobian_agree_with_the_published_equations():
             assert_allclose(ours, theirs, rtol=1e-9, atol=1e-13)
 
 
-def test_without_oblateness_it_is_keplerian_relative_motion():
-    orbit = Orbit.from_elements(9e6, 0.1, 0.7, 0.3, 0.4, 0.5, k_J2=0.0)
-    x = np.array([3e3, -8e3, 5e3, 1.0, -2.0, 3.0])
-
-    def two_bodies(t, y):
-        return np.concatenate([y[3:], -orbit.mu * y[:3] / np.linalg.norm(y[:3]) ** 3])
-
-    def kepler(state):
-        return solve_ivp(two_bodies, (0, 4e3), state, "DOP853", rtol=1e-13, atol=1e-7).y[:, -1]
-
-    frame = LVLH.from_polar_nodal(np.array(orbit.initial_elements), 0.0)
-    chief = kepler(inertial_state(np.array(orbit.initial_elements)))
-    deputy = kepler(frame.to_inertial(x))
-    there = LVLH.from_polar_nodal(to_polar_nodal(chief), 0.0).from_inertial(deputy)
-    found = propagate_relative(orbit, x[None], [4e3])[0, 0]
-    assert_allclose(found, there, rtol=0, atol=2e-5)
-
-
 def test_the_chief_stays_at_the_origin():
     still = np.zeros(6)
     np.testing.assert_array_equal(J2(LOW).rate(123.0, still, np.zeros(3)), still)
@@ -165,22 +144,3 @@ def test_out_of_plane_positions_at_latitude_90_are_refused():
     top = Orbit.from_elements(6878e3, inclination=pi / 4, true_anomaly=pi / 2)
     with pytest.raises(ValueError, match=r"latitude 90°.*in the plane \(z = 0\)"):
         invariant_velocity(top, np.array([0.0, 500.0, 300.0]))
-
-
-def test_linearization_along_a_trajectory_is_exact_on_it(rng):
-    model = J2(LOW)
-    x = np.hstack([rng.normal(scale=2e3, size=(4, 3)), rng.normal(scale=2, size=(4, 3))])
-    u = rng.normal(scale=2e-3, size=(4, 5, 3))
-    path = discretize_zoh(LinearizedModel(model), 60.0, 5).simulate(x, u)
-    for _ in range(3):
-        own = linearize_along(model, path, u, 60.0)
-        path = np.stack([own.for_agent(i).simulate(x[i], u[i]) for i in range(4)])
-
-    def rate(t, y):
-        return model.rate(t, y.reshape(4, 6), u[:, min(int(t // 60), 4)]).ravel()
-
-    truth = x.ravel()
-    for k in range(5):
-        span = (60.0 * k, 60.0 * (k + 1) - 1e-9)
-        truth = solve_ivp(rate, span, truth, "DOP853", rtol=1e-12, atol=1e-9).y[:, -1]
-    assert_allclose(path[:, -1], truth.reshape(4, 6), atol=1e-6)
