@@ -4,24 +4,20 @@ from dataclasses import replace
 from functools import cache
 from itertools import combinations, pairwise
 
-import matplotlib
 import numpy as np
 import pytest
 from formation_runs import dataset
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import EllipseCollection, LineCollection
-from pictures import words_inside
+from pictures import check_layout, draw, line
 from scipy.spatial.distance import pdist
 
 from problems.alignment import Pose, compute_shape_error
-from sato.figures.style import STYLE
 from sato.formation.check import FormationRecord
 from sato.formation.figures import AUCTION_FIGURES, FIGURES, make_figures
 from sato.formation.figures.time_series import (
     VEHICLE_DIAMETER,
     is_leg_active,
     phase_spans,
-    subsample,
 )
 from sato.formation.figures.trajectories import SHOWN_TIME
 from sato.formation.leg import FormationLeg
@@ -62,59 +58,42 @@ def fly(mission):
 
 
 @cache
-def flown(make, count=None):
+def flown(name):
+    make, count = RUNS[name]
     mission = make()
     return FormationRecord.from_frames(fly(mission)[:count], mission)
 
 
+# Mission, and the number of instants that are recorded; all without one.
 RUNS = {
-    "three legs": (three_legs,),
-    "flat": (flat,),
+    "three legs": (three_legs, None),
+    "flat": (flat, None),
     "interrupted": (three_legs, 300),
     "only the start": (flat, 1),
 }
 ALL = FIGURES | AUCTION_FIGURES
 
 
-@pytest.fixture(scope="module", params=RUNS)
-def record(request):
-    return flown(*RUNS[request.param])
+@cache
+def drawn(name, run="three legs"):
+    return draw(ALL[name], flown(run))
 
 
 @pytest.fixture(scope="module")
 def legs():
-    return flown(three_legs)
+    return flown("three legs")
 
 
-def drawn(name, record):
-    with matplotlib.rc_context(STYLE):
-        figure = ALL[name](record)
-        FigureCanvasAgg(figure).draw()
-    return figure
-
-
-def line(ax, label):
-    [found] = [line for line in ax.lines if line.get_label() == label]
-    return found.get_xydata().T
-
-
+@pytest.mark.parametrize("run", RUNS)
 @pytest.mark.parametrize("name", ALL)
-def test_text_stays_in_the_figure_and_does_not_overlap(record, name):
-    figure = drawn(name, record)
-    boxes = words_inside(figure)
-    renderer = figure.canvas.get_renderer()
-    titles = [ax.title.get_window_extent(renderer) for ax in figure.axes if ax.get_title()]
-    legs = [box for text, box in boxes if text.startswith("leg ")]
-    for one, other in [*combinations(titles, 2), *combinations(legs, 2)]:
-        assert not one.overlaps(other)
+def test_text_stays_in_the_figure_and_does_not_overlap(name, run):
+    check_layout(drawn(name, run))
 
 
-@pytest.mark.parametrize("make", [three_legs, flat])
-def test_auctions_are_drawn_only_where_there_are_any(make):
-    record, mission = flown(make), flown(make).mission
-    data = dataset(mission, fly(mission)[:3])
-    auctions = record.mission.assignment.method != "none"
-    assert set(make_figures(data, mission)) == set(ALL if auctions else FIGURES)
+@pytest.mark.parametrize(("run", "names"), [("three legs", ALL), ("flat", FIGURES)])
+def test_auctions_are_drawn_only_where_there_are_any(run, names):
+    mission = flown(run).mission
+    assert list(make_figures(dataset(mission, fly(mission)[:3]), mission)) == list(names)
 
 
 def discs(ax):
@@ -127,13 +106,13 @@ def test_moved_formation_is_drawn_in_its_own_axes():
     points = mission.gains[0].formation.points
     there = Pose(1.1, np.array([5.0, -7.0, 3.0])).transform(points)
     frames = [frame._replace(position=there) for frame in fly(mission)[:100]]
-    [ax] = drawn("traces", FormationRecord.from_frames(frames, mission)).axes
+    [ax] = draw(ALL["traces"], FormationRecord.from_frames(frames, mission)).axes
     np.testing.assert_allclose(discs(ax).get_offsets(), points[:, :2], atol=1e-9)
     assert ax.get_title() == "(a) leg 1\nnot converged, 0.000 m off, turned by 63°"
 
 
 def test_vehicles_are_drawn_to_scale_at_their_relative_positions(legs):
-    figure = drawn("traces", legs)
+    figure = drawn("traces")
     tops = [ax for ax in figure.axes if ax.get_title()]
     assert len(figure.axes) == 6 and len(tops) == 3
     for ax, leg in zip(tops, legs.replay.legs, strict=True):
@@ -148,7 +127,7 @@ def test_traces_cover_the_last_forty_seconds():
     mission = flat(supervision=SupervisorSettings(hover_time=60.0))
     record = FormationRecord.from_frames(fly(mission), mission)
     [leg] = record.replay.legs
-    [ax] = drawn("traces", record).axes
+    [ax] = draw(ALL["traces"], record).axes
     [paths] = [c for c in ax.collections if isinstance(c, LineCollection) and c.get_zorder() == 2]
     pieces = np.array(paths.get_segments())
     np.testing.assert_allclose(pieces[-4:, 1], discs(ax).get_offsets(), atol=1e-9)
@@ -163,7 +142,7 @@ def test_changed_assignments_under_way_are_marked_with_rings():
     k = len(frames) // 2
     swapped = [f._replace(point_index=f.point_index[[1, 0, 2, 3]]) for f in frames[k:]]
     record = FormationRecord.from_frames(frames[:k] + swapped, mission)
-    [ax] = drawn("traces", record).axes
+    [ax] = draw(ALL["traces"], record).axes
     [rings] = [line for line in ax.lines if line.get_marker() == "o"]
     distance = np.hypot(*np.diff(rings.get_xydata(), axis=0)[0])
     assert len(rings.get_xydata()) == 2
@@ -173,12 +152,13 @@ def test_changed_assignments_under_way_are_marked_with_rings():
 def test_many_legs_are_named_by_their_numbers():
     mission = flat()
     mission = replace(mission, legs=mission.legs * 8)
-    [ax] = drawn("separation", FormationRecord.from_frames(fly(mission), mission)).axes
+    record = FormationRecord.from_frames(fly(mission), mission)
+    [ax] = draw(ALL["separation"], record).axes
     assert [t.get_text() for t in ax.texts[-8:]] == list("12345678")
 
 
 def test_drawn_shape_error_is_that_of_the_held_points(legs):
-    error, avoid = drawn("convergence", legs).axes
+    error, avoid = drawn("convergence").axes
     time, found = line(error, "shape error")
     for k in np.linspace(0, len(time) - 1, 7).astype(int):
         i = int(np.argmin(np.abs(legs.time - time[k])))
@@ -205,7 +185,7 @@ def test_phase_spans_cover_the_flight_without_gaps(legs):
 
 
 def test_drawn_speeds_are_medians_with_their_limits(legs):
-    wanted, plane, climb = drawn("speeds", legs).axes
+    wanted, plane, climb = drawn("speeds").axes
     frames, mission = legs.frames, legs.mission
     command = np.linalg.norm(frames.velocity_command, axis=2)
     moves = command.min(axis=1) > 0
@@ -223,7 +203,7 @@ def test_drawn_speeds_are_medians_with_their_limits(legs):
 
 
 def test_drawn_separation_is_the_least_distance_in_the_plane(legs):
-    [ax] = drawn("separation", legs).axes
+    [ax] = drawn("separation").axes
     _, least = line(ax, "least distance in the plane")
     brute = [
         min(np.hypot(*(p[i] - p[j])[:2]) for i, j in combinations(range(6), 2))
@@ -235,7 +215,7 @@ def test_drawn_separation_is_the_least_distance_in_the_plane(legs):
 
 
 def test_gains_are_drawn_once_a_formation_on_its_edges_alone(legs):
-    figure = drawn("gains", legs)
+    figure = drawn("gains")
     images = [ax.images[0].get_array() for ax in figure.axes if ax.images]
     different = legs.mission.gains[:2]
     assert len(images) == 2 * len(different)
@@ -250,7 +230,7 @@ def test_gains_are_drawn_once_a_formation_on_its_edges_alone(legs):
 
 
 def test_frames_and_drift_of_every_agent_are_drawn(legs):
-    poses, drift = drawn("frames", legs).axes
+    poses, drift = drawn("frames").axes
     far = np.array([line.get_ydata() for line in drift.lines[:6]]).T
     np.testing.assert_allclose(far, 100 * np.linalg.norm(legs.frames.frame_drift, axis=2))
     x_axes = [line.get_xydata() for line in poses.lines[1:7]]
@@ -260,17 +240,10 @@ def test_frames_and_drift_of_every_agent_are_drawn(legs):
 
 
 def test_every_auction_is_drawn_with_its_rounds_and_bits(legs):
-    took, rounds = drawn("assignments", legs).axes
+    took, rounds = drawn("assignments").axes
     auctions = [e for _, e in legs.events.of_kind("auction")]
     assert rounds.lines[0].get_xydata().tolist() == [[e["time"], e["rounds"]] for e in auctions]
     assert len(took.lines[0].get_xydata()) == len(legs.events.of_kind("assignment"))
     [bits] = rounds.child_axes
     top = bits.get_ylim()[1] / rounds.get_ylim()[1]
     assert top == pytest.approx(legs.mission.radio.count_auction_bits(6, 1) / 1000)
-
-
-def test_subsample_keeps_both_ends():
-    assert subsample(1, 5).tolist() == [0]
-    assert subsample(4, 9).tolist() == [0, 1, 2, 3]
-    found = subsample(6000, 300)
-    assert (found[0], found[-1], len(found)) == (0, 5999, 300)

@@ -2,25 +2,25 @@
 
 import os
 from dataclasses import replace
-from itertools import combinations
+from functools import cache
+from itertools import product
 
 import matplotlib
 import numpy as np
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from pictures import words_inside
+from pictures import check_layout, draw, line
 from PIL import Image
 from recorded_run import fly_straight, in_order, make_crossing, make_mission, recorded
 
 from dynamics import ClohessyWiltshire
 from dynamics.orbit import Orbit
 from dynamics.plant import LinearPlant
-from sato.figures.style import ISOLATED, STYLE, marker_style, style_components
+from sato.figures.style import ISOLATED, marker_style, style_components
 from sato.reconfiguration.check import ReconfigurationRecord
 from sato.reconfiguration.figures import FIGURES, ORBIT_FIGURES
 from sato.reconfiguration.figures.animation import SwarmAnimation
 from sato.reconfiguration.figures.measures import compute_fuel_use
-from sato.reconfiguration.figures.scene import has_chief, interpolate_positions
+from sato.reconfiguration.figures.scene import interpolate_positions
 from sato.reconfiguration.mission import Leg, Loss
 
 LETTERS = """
@@ -45,14 +45,11 @@ def box():
     )  # fmt: skip
 
 
-def plane_run():
+def plane():
     start = make_mission().initial_states[:6].copy()
     start[2:, 0] += 0.5  # the row falls apart: two, three and one
     start[5, 0] += 0.5
-    about = make_mission(comm_radius=1.21, start=start, allow_undetectable=True)
-    run = recorded(about)
-    run.data.attrs["scenario"] = LETTERS
-    return run, about
+    return make_mission(comm_radius=1.21, start=start, allow_undetectable=True)
 
 
 def orbit():
@@ -64,119 +61,70 @@ def orbit():
     return replace(about, legs=(leg, again), plant=LinearPlant(about.linear_model, orbit))
 
 
-def box_run():
-    about = box()
-    return recorded(about), about
-
-
-def orbit_run():
-    about = orbit()
-    return recorded(about), about
-
-
-def flat_orbit_run():
+def flat_orbit():
     about = orbit()
     start = about.initial_states.copy()
     start[:, 2::3] = 0
     leg = Leg(in_order(about.legs[0].targets * [1, 1, 0, 1, 1, 0]), 18)
-    about = replace(about, start=start, legs=(leg,))
-    return recorded(about), about
+    return replace(about, start=start, legs=(leg,))
 
 
-def stopped_orbit_run():
-    about = orbit()
-    return recorded(about, fly_straight(about)[:24]), about
-
-
-def only_start_orbit_run():
-    about = orbit()
-    return recorded(about, fly_straight(about)[:1]), about
-
-
-def pair_run():
-    about = make_crossing(0.3)
-    return recorded(about, own_targets=True), about
-
-
-def stopped_run():
-    about = make_mission()
-    return recorded(about, fly_straight(about)[:15]), about
-
-
-def only_start_run():
-    about = make_mission()
-    return recorded(about, fly_straight(about)[:1]), about
-
-
+# Mission, and the number of instants that are recorded; all without one.
 RUNS = {
-    "plane": plane_run,
-    "box": box_run,
-    "orbit": orbit_run,
-    "flat orbit": flat_orbit_run,
-    "stopped orbit": stopped_orbit_run,
-    "only start, in orbit": only_start_orbit_run,
-    "pair": pair_run,
-    "stopped": stopped_run,
-    "only start": only_start_run,
+    "plane": (plane, None),
+    "box": (box, None),
+    "orbit": (orbit, None),
+    "flat orbit": (flat_orbit, None),
+    "stopped orbit": (orbit, 24),
+    "only start, in orbit": (orbit, 1),
+    "pair": (lambda: make_crossing(0.3), None),
+    "stopped": (make_mission, 15),
+    "only start": (make_mission, 1),
 }
+IN_ORBIT = [name for name in RUNS if "orbit" in name]
+EVERY = [*product(FIGURES, RUNS), *product(ORBIT_FIGURES, IN_ORBIT)]
 
 
-@pytest.fixture(scope="module", params=RUNS)
-def evidence(request):
-    run, about = RUNS[request.param]()
-    return ReconfigurationRecord.from_dataset(run.data, about)
-
-
-@pytest.fixture
-def plane():
-    run, about = plane_run()
+@cache
+def flown(name):
+    """Record a run once; return it with its record."""
+    make, count = RUNS[name]
+    about = make()
+    run = recorded(about, fly_straight(about, own_targets=name == "pair")[:count])
+    if name == "plane":
+        run.data.attrs["scenario"] = LETTERS
     return run, ReconfigurationRecord.from_dataset(run.data, about)
 
 
-def drawn(name, evidence):
-    with matplotlib.rc_context(STYLE):
-        figure = (FIGURES | ORBIT_FIGURES)[name](evidence)
-        FigureCanvasAgg(figure).draw()
-    return figure
+@cache
+def drawn(name, run):
+    return draw((FIGURES | ORBIT_FIGURES)[name], flown(run)[1])
 
 
-@pytest.mark.parametrize("name", FIGURES | ORBIT_FIGURES)
-def test_texts_stay_inside_the_figure_and_do_not_overlap(evidence, name):
-    if name in ORBIT_FIGURES and not has_chief(evidence):
-        pytest.skip("drawn of runs about a chief only")
-    figure = drawn(name, evidence)
-    words_inside(figure, powers=False)
-    renderer = figure.canvas.get_renderer()
-    titles = [ax.title.get_window_extent(renderer) for ax in figure.axes if ax.get_title()]
-    for one, other in combinations(titles, 2):
-        assert not one.overlaps(other)
+@pytest.mark.parametrize(("name", "run"), EVERY)
+def test_texts_stay_inside_the_figure_and_do_not_overlap(name, run):
+    check_layout(drawn(name, run))
 
 
+@pytest.mark.parametrize("run", RUNS)
 @pytest.mark.parametrize("name", ["stages", "first-leg", "trajectories"])
-def test_panels_share_limits_and_scale(evidence, name):
-    axes = drawn(name, evidence).axes
+def test_panels_share_limits_and_scale(name, run):
+    axes = drawn(name, run).axes
     assert len({(ax.get_xlim(), ax.get_ylim()) for ax in axes}) == 1
-    if has_chief(evidence):
-        assert axes[0].get_ylabel() == "x, radial [km]"
-        assert axes[-1].get_xlabel() == "y, along-track [km]"
-    elif evidence.axes == 2:
-        assert axes[0].get_ylabel() == "y [m]" and axes[-1].get_xlabel() == "x [m]"
-    else:
+    names = axes[-1].get_xlabel(), axes[0].get_ylabel()
+    if run == "box":
         assert {ax.get_zlabel() for ax in axes} == {"z [km]"}
-    if not hasattr(axes[0], "get_zlabel"):
+    else:
+        orbital = "y, along-track [km]", "x, radial [km]"
+        assert names == (orbital if run in IN_ORBIT else ("x [m]", "y [m]"))
         assert all(ax.get_aspect() == 1 for ax in axes)
 
 
-def test_stages_are_the_start_each_leg_end_and_each_loss(plane):
-    _, evidence = plane
-    axes = drawn("stages", evidence).axes
+def test_stages_are_the_start_each_leg_end_and_each_loss():
+    axes = drawn("stages", "plane").axes
     titles = [ax.get_title().split("\n")[0] for ax in axes]
-    assert titles == [
-        "(a) start",
-        "(b) after leg 1, ‘U’",
-        "(c) 1 agent lost",
-        "(d) after leg 2, ring",
-    ]
+    after = ["(b) after leg 1, ‘U’", "(c) 1 agent lost", "(d) after leg 2, ring"]
+    assert titles == ["(a) start", *after]
     assert [ax.get_title().split("\n")[1] for ax in axes[:2]] == ["3 components", "1 component"]
 
 
@@ -185,13 +133,11 @@ def points(ax):
     return np.vstack([line.get_xydata() for line in ax.lines if line.get_zorder() == 3])
 
 
-def test_markers_are_at_positions_and_lost_agents_have_none(plane):
-    _, evidence = plane
-    axes = drawn("stages", evidence).axes
+def test_markers_are_at_positions_and_lost_agents_have_none():
+    axes = drawn("stages", "plane").axes
     for ax, k, lost in zip(axes, [0, 12, 12, 22], [[6], [6], [2, 6], [2]], strict=True):
-        there = np.delete(evidence.frames.position[k], lost, axis=0)
-        found = points(ax)
-        assert sorted(map(tuple, found)) == sorted(map(tuple, there))
+        there = np.delete(flown("plane")[1].frames.position[k], lost, axis=0)
+        assert sorted(map(tuple, points(ax))) == sorted(map(tuple, there))
 
 
 def test_components_differ_in_color_and_marker():
@@ -205,9 +151,7 @@ def test_components_differ_in_color_and_marker():
 
 
 def test_separation_is_drawn_between_samples():
-    run, about = pair_run()
-    evidence = ReconfigurationRecord.from_dataset(run.data, about)
-    ax = drawn("separation", evidence).axes[0]
+    [ax] = drawn("separation", "pair").axes
     [steps] = [p for p in ax.patches if hasattr(p, "get_data")]
     assert steps.get_data().values.min() == pytest.approx(0.3, rel=1e-9)
     labels = [t.get_text() for t in ax.figure.legends[0].get_texts()]
@@ -216,55 +160,46 @@ def test_separation_is_drawn_between_samples():
     assert limit.xy[1] == 0.2
 
 
-def test_fuel_of_every_agent_is_above_its_bound(plane):
-    ax = drawn("fuel", plane[1]).axes[0]
+def test_fuel_of_every_agent_is_above_its_bound():
+    [ax] = drawn("fuel", "plane").axes
     dots = np.vstack([line.get_xydata() for line in ax.lines[1:]])
     assert len(dots) == 7
     assert (dots[:, 1] >= dots[:, 0] * (1 - 1e-6)).all()
 
 
 def test_half_plane_is_tangent_and_clears_the_control_points():
-    run, about = pair_run()
-    axes = drawn("half-space", ReconfigurationRecord.from_dataset(run.data, about)).axes
+    axes = drawn("half-space", "pair").axes
     assert len(axes) == 3
     [edge] = [line for line in axes[2].lines if line.get_color() == "#D55E00"]
     a, b = edge.get_xydata()
     [control] = [line for line in axes[2].lines if line.get_marker() == "D"]
     normal = np.array([a[1] - b[1], b[0] - a[0]]) / np.linalg.norm(b - a)
     # Tangent to the circle, and the step's four points beyond it.
-    assert abs(normal @ a) == pytest.approx(about.collision_radius, rel=1e-9)
+    assert abs(normal @ a) == pytest.approx(0.2, rel=1e-9)
     side = np.sign(normal @ a)
-    assert (side * (control.get_xydata() @ normal) >= about.collision_radius).all()
+    assert (side * (control.get_xydata() @ normal) >= 0.2).all()
 
 
-@pytest.fixture
-def ring():
-    run, about = orbit_run()
-    return run, ReconfigurationRecord.from_dataset(run.data, about)
-
-
-def test_orbits_are_shown_along_track_to_the_right_and_radial_up(ring):
-    _, evidence = ring
-    [*_, last] = drawn("instants", evidence).axes
+def test_orbits_are_shown_along_track_to_the_right_and_radial_up():
+    [*_, last] = drawn("instants", "orbit").axes
+    evidence = flown("orbit")[1]
     there = evidence.frames.position[-1, evidence.frames.alive[-1]][:, [1, 0]] / 1000
     assert sorted(map(tuple, points(last))) == sorted(map(tuple, there))
 
 
-def test_instants_are_the_thirds_of_every_leg_in_minutes(ring):
-    _, evidence = ring
-    titles = [ax.get_title() for ax in drawn("instants", evidence).axes]
+def test_instants_are_the_thirds_of_every_leg_in_minutes():
+    titles = [ax.get_title() for ax in drawn("instants", "orbit").axes]
     minutes = [0, 7, 13, 20, 20, 24, 28, 32]  # legs of 20 and of 12 steps of a minute
     assert titles == [f"({c}) {t} min, points" for c, t in zip("abcdefgh", minutes, strict=True)]
 
 
-def test_agent_lost_between_legs_is_shown_at_the_end_of_the_first(ring):
-    _, evidence = ring
-    ends = drawn("instants", evidence).axes[3:5]
+def test_agent_lost_between_legs_is_shown_at_the_end_of_the_first():
+    ends = drawn("instants", "orbit").axes[3:5]
     assert [len(points(ax)) for ax in ends] == [12, 11]
 
 
-def test_trajectories_are_cubic_and_end_where_an_agent_is_lost(ring):
-    _, evidence = ring
+def test_trajectories_are_cubic_and_end_where_an_agent_is_lost():
+    _, evidence = flown("orbit")
     steps, h = np.arange(float(len(evidence.time))), evidence.mission.step
     there = np.where(evidence.frames.alive[..., None], evidence.frames.position, np.nan)
     np.testing.assert_array_equal(interpolate_positions(evidence, steps), there)
@@ -275,24 +210,20 @@ def test_trajectories_are_cubic_and_end_where_an_agent_is_lost(ring):
 
 
 def test_flat_swarm_has_depth_in_the_view_of_space():
-    run, about = flat_orbit_run()
-    [ax] = drawn("space", ReconfigurationRecord.from_dataset(run.data, about)).axes
-    assert (ax.get_xlabel(), ax.get_ylabel(), ax.get_zlabel()) == (
-        "x, radial [km]", "y, along-track [km]", "z, normal [km]",
-    )  # fmt: skip
+    [ax] = drawn("space", "flat orbit").axes
+    names = ax.get_xlabel(), ax.get_ylabel(), ax.get_zlabel()
+    assert names == ("x, radial [km]", "y, along-track [km]", "z, normal [km]")
     size = np.ptp([ax.get_xlim(), ax.get_ylim(), ax.get_zlim()], axis=1)
     assert size[2] == pytest.approx(0.4 * size.max())
     assert sum(ax.get_zlim()) == pytest.approx(0, abs=1e-9)
 
 
-def test_delta_v_figure_shows_fuel_and_its_lorenz_curve(ring):
-    _, evidence = ring
-    bars, shares = drawn("delta-v", evidence).axes
-    found = compute_fuel_use(evidence)
+def test_delta_v_figure_shows_fuel_and_its_lorenz_curve():
+    bars, shares = drawn("delta-v", "orbit").axes
+    found = compute_fuel_use(flown("orbit")[1])
     heights = [bar.get_height() for bar in bars.patches]
     np.testing.assert_allclose(sorted(heights), sorted(found.fuel))
-    [curve] = [line for line in shares.lines if line.get_label() == "this swarm"]
-    x, y = curve.get_xydata().T
+    x, y = line(shares, "this swarm")
     assert (x[0], y[0], x[-1], y[-1]) == pytest.approx((0, 0, 100, 100))
     assert (np.diff(y, 2) > -1e-9).all() and (y <= x + 1e-9).all()
     [words] = [t.get_text() for t in shares.texts]
@@ -301,42 +232,27 @@ def test_delta_v_figure_shows_fuel_and_its_lorenz_curve(ring):
 
 
 def test_fuel_bound_is_below_the_fuel_of_each_agent():
-    run, about = flat_orbit_run()
-    found = compute_fuel_use(ReconfigurationRecord.from_dataset(run.data, about))
-    assert (
-        np.isfinite(found.lower_bound).all()
-        and (found.lower_bound <= found.fuel * (1 + 1e-6)).all()
-    )
+    found = compute_fuel_use(flown("flat orbit")[1])
+    assert (found.lower_bound <= found.fuel * (1 + 1e-6)).all()
 
 
-def test_orbit_figures_are_written_too(ring, tmp_path):
-    paths = ring[0].plot(tmp_path)
-    assert [p.stem for p in paths] == [*FIGURES, *ORBIT_FIGURES]
-
-
-def test_all_figures_are_written_as_png_or_pdf(plane, tmp_path):
-    run, _ = plane
-    paths = run.plot(tmp_path / "new" / "folder")
-    assert [p.name for p in paths] == [f"{name}.png" for name in FIGURES]
+def test_all_figures_are_written_as_png_or_pdf(tmp_path):
+    paths = flown("orbit")[0].plot(tmp_path / "new" / "folder")
+    assert [path.name for path in paths] == [f"{name}.png" for name in FIGURES | ORBIT_FIGURES]
     for path in paths:
         with Image.open(path) as image:
             assert image.width > 600 and len(image.convert("RGB").getcolors(1 << 20)) > 20
-    for path in run.plot(tmp_path, pdf=True):
-        assert path.read_bytes().startswith(b"%PDF")
-
-
-def test_plotting_leaves_the_settings_of_matplotlib(plane, tmp_path):
     before = dict(matplotlib.rcParams)
-    plane[0].plot(tmp_path)
+    for path in flown("plane")[0].plot(tmp_path, pdf=True):
+        assert path.stem in FIGURES and path.read_bytes().startswith(b"%PDF")
     assert dict(matplotlib.rcParams) == before
 
 
 @pytest.mark.parametrize("kind", ["plane", "box", "orbit"])
 def test_animation_is_a_gif_without_ffmpeg(kind, tmp_path, monkeypatch):
-    run, _ = RUNS[kind]()
     monkeypatch.setenv("PATH", str(tmp_path))
-    told = []
-    path = run.animate(tmp_path, fps=10, frames=7, progress=lambda i, n: told.append((i, n)))
+    told, options = [], {"fps": 10, "frames": 7}
+    path = flown(kind)[0].animate(tmp_path, **options, progress=lambda i, n: told.append((i, n)))
     assert path == tmp_path / "run.gif"
     with Image.open(path) as film:
         assert film.n_frames == 7 and film.info["duration"] == 100
@@ -346,33 +262,31 @@ def test_animation_is_a_gif_without_ffmpeg(kind, tmp_path, monkeypatch):
     assert told == [(i + 1, 7) for i in range(7)]
 
 
-def test_animation_is_an_mp4_with_ffmpeg(plane, tmp_path, monkeypatch):
+def test_animation_is_an_mp4_with_ffmpeg(tmp_path, monkeypatch):
     # A stand-in that keeps what it is sent: raw frames of four bytes a pixel.
-    tool = tmp_path / "ffmpeg"
-    tool.write_text(
-        f'#!/bin/sh\nfor last; do :; done\necho "$@" > {tmp_path}/said\nexec cat > "$last"\n'
-    )
+    tool, said = tmp_path / "ffmpeg", tmp_path / "said"
+    tool.write_text(f'#!/bin/sh\nfor last; do :; done\necho "$@" > {said}\nexec cat > "$last"\n')
     tool.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
-    path = plane[0].animate(tmp_path, fps=25, frames=3)
+    path = flown("plane")[0].animate(tmp_path, fps=25, frames=3)
     assert path == tmp_path / "run.mp4"
-    said = (tmp_path / "said").read_text().split()
-    width, height = map(int, said[said.index("-s") + 1].split("x"))
+    options = said.read_text().split()
+    width, height = map(int, options[options.index("-s") + 1].split("x"))
     assert path.stat().st_size == 3 * 4 * width * height
-    assert said[said.index("-framerate") + 1] == "25" and "yuv420p" in said
+    assert options[options.index("-framerate") + 1] == "25" and "yuv420p" in options
 
 
-def test_animation_moves_agents_on_cubic_pieces(plane):
-    _, evidence = plane
+def test_animation_moves_agents_on_cubic_pieces():
+    _, evidence = flown("plane")
     scene = SwarmAnimation(evidence)
     scene.draw_frame(3.25)
-    moved = points(scene.axes)
     h, u = evidence.mission.step, evidence.frames.applied_control[3, :6]
     x, v = evidence.frames.position[3, :6], evidence.frames.velocity[3, :6]
     there = x + v * h / 4 + u * (h / 4) ** 2 / 2
-    np.testing.assert_allclose(sorted(map(tuple, moved)), sorted(map(tuple, there)), atol=1e-12)
+    moved = sorted(map(tuple, points(scene.axes)))
+    np.testing.assert_allclose(moved, sorted(map(tuple, there)), atol=1e-12)
 
 
-def test_animation_without_frames_is_refused(plane, tmp_path):
+def test_animation_without_frames_is_refused(tmp_path):
     with pytest.raises(ValueError, match="got 0 frames at 20 fps"):
-        plane[0].animate(tmp_path, frames=0)
+        flown("plane")[0].animate(tmp_path, frames=0)
