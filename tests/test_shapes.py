@@ -9,6 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from matplotlib import get_data_path
+from matplotlib.font_manager import FontProperties
+from matplotlib.path import Path as Curves
+from matplotlib.textpath import TextPath
 from PIL import Image, ImageDraw
 from scipy.spatial.distance import cdist, pdist
 
@@ -24,13 +28,9 @@ ROUNDING = 1e-6  # relative; the law itself leaves no margin
 
 def prefix_gaps(points):
     """Return the gap of each prefix: largest distance to it, over its least distance."""
-    distance = cdist(points, points)
-    return np.array(
-        [
-            distance[:m].min(axis=0).max() / pdist(points[:m]).min()
-            for m in range(2, len(points) + 1)
-        ]
-    )
+    distance, counts = cdist(points, points), range(2, len(points) + 1)
+    gaps = [distance[:m].min(axis=0).max() / pdist(points[:m]).min() for m in counts]
+    return np.array(gaps)
 
 
 def picture_file(folder, size, draw, mode="L", paper=255, name="mask.png"):
@@ -76,46 +76,35 @@ def test_order_is_a_permutation_even_where_points_coincide(points):
     assert sorted(order) == list(range(len(points)))
 
 
-@settings(max_examples=25, deadline=None)
-@given(
-    st.text(alphabet="UICHELO ao8&", min_size=1, max_size=4).filter(str.strip), st.integers(2, 90)
+TEXTS = st.text(alphabet="UICHELO ao8&", min_size=1, max_size=4).filter(str.strip)
+CORNERS = st.tuples(st.integers(-9, 9), st.integers(-9, 9))
+POLYGONS = st.lists(CORNERS, min_size=3, max_size=8, unique=True)
+SHAPES = st.one_of(
+    TEXTS.map(lambda text: (Text, {"text": text, "spacing": 1.0}, 2)),
+    POLYGONS.map(lambda vertices: (Polygon, {"vertices": vertices, "spacing": 1.0}, 2)),
+    st.sampled_from([2, 3]).map(lambda axes: (Lattice, {"spacing": 0.7}, axes)),
+    st.just((Ring, {"radius": 3.0}, 2)),
+    st.just((Ring, {"radius": 3.0, "normal": (1.0, -2.0, 0.5)}, 3)),
 )
-def test_every_prefix_of_a_text_keeps_the_shape(text, count):
-    targets = Text(text, spacing=1.0).place(count, 2)
-    assert targets.shape == (count, 2)
-    assert prefix_gaps(targets).max() <= 1 + ROUNDING
 
 
-@settings(max_examples=30, deadline=None)
-@given(st.integers(2, 130), st.sampled_from([2, 3]))
-def test_every_prefix_of_a_lattice_or_a_ring_keeps_the_shape(count, dimension):
-    normal = None if dimension == 2 else (1.0, -2.0, 0.5)
-    for shape in (Lattice(spacing=0.7), Ring(radius=3.0, normal=normal)):
-        targets = shape.place(count, dimension)
-        assert targets.shape == (count, dimension)
-        assert prefix_gaps(targets).max() <= 1 + ROUNDING
-
-
-@settings(max_examples=25, deadline=None)
-@given(
-    st.lists(st.tuples(st.integers(-9, 9), st.integers(-9, 9)), min_size=3, max_size=8, unique=True)
-)
-def test_every_prefix_of_a_polygon_keeps_the_shape(vertices):
+@settings(max_examples=80, deadline=None)
+@given(SHAPES, st.integers(2, 120))
+def test_every_prefix_of_the_targets_keeps_the_shape(shape, count):
+    kind, given, axes = shape
     try:
-        targets = Polygon(vertices, spacing=1.0).place(50, 2)
+        targets = kind(**given).place(count, axes)
     except ValueError as error:  # all on a line, or going back over itself
-        assert "encloses no area" in str(error)
+        assert kind is Polygon and "encloses no area" in str(error)
     else:
+        assert targets.shape == (count, axes)
         assert prefix_gaps(targets).max() <= 1 + ROUNDING
 
 
 def test_every_prefix_of_a_picture_or_a_list_keeps_the_shape(tmp_path, rng):
     lines = "\n".join(f"{x},{y}" for x, y in rng.normal(size=(70, 2)))
-    for targets in (
-        Picture(disc(tmp_path), spacing=1.0).place(120, 2),
-        Points(file=listing(tmp_path, lines)).place(70, 2),
-    ):
-        assert prefix_gaps(targets).max() <= 1 + ROUNDING
+    for shape in (Picture(disc(tmp_path), spacing=1.0), Points(file=listing(tmp_path, lines))):
+        assert prefix_gaps(shape.place(70, 2)).max() <= 1 + ROUNDING
 
 
 # Size and position.
@@ -130,14 +119,9 @@ def test_every_prefix_of_a_picture_or_a_list_keeps_the_shape(tmp_path, rng):
         (Lattice, {}, 97, 2),
         (Lattice, {}, 60, 3),
         (Polygon, {"vertices": CORNER}, 80, 2),
-        (Picture, {"file": "disc.png"}, 80, 2),
     ],
 )
-def test_requested_spacing_is_reached_and_never_undercut(
-    tmp_path, monkeypatch, kind, given, count, axes
-):
-    monkeypatch.chdir(tmp_path)
-    disc(tmp_path)
+def test_requested_spacing_is_reached_and_never_undercut(kind, given, count, axes):
     for spacing in (0.37, 1.0, 50.0):
         # A caller may check the targets against the very spacing that it requested.
         reached = min_distance(kind(**given, spacing=spacing).place(count, axes, spacing))
@@ -215,31 +199,22 @@ def test_ties_go_to_the_smaller_index():
 
 
 def test_letters_contain_their_targets_and_leave_holes_empty():
-    from matplotlib.font_manager import FontProperties
-    from matplotlib.path import Path as Curves
-    from matplotlib.textpath import TextPath
-
     drawn = TextPath((0, 0), "O", size=1000, prop=FontProperties("DejaVu Sans:bold"))
     box = drawn.get_extents()
-    outer, hole = (
-        (ring - (box.p0 + box.p1) / 2) * 10 / box.height
-        for ring in sorted(drawn.to_polygons(), key=lambda ring: -np.ptp(ring[:, 0]))
-    )
+    rings = sorted(drawn.to_polygons(), key=lambda ring: -np.ptp(ring[:, 0]))
+    outer, hole = ((ring - (box.p0 + box.p1) / 2) * 10 / box.height for ring in rings)
     targets = Text("O", height=10.0).place(300, 2)
     # A thousandth larger and smaller, since targets stand on the outlines too.
     assert Curves(outer * 1.001).contains_points(targets).all()
     assert not Curves(hole * 0.999).contains_points(targets).any()
-    assert Curves(hole).contains_point((0.0, 0.0))  # there is a hole to leave empty
+    # L has its foot to the right of its stem and nothing above it.
+    x, y = Text("L", height=10.0, center=(0, 0)).place(60, 2).T
+    assert not ((x > 0.5) & (y > -2.5)).any() and ((x > 0.5) & (y < -2.5)).sum() >= 8
 
 
 def test_text_has_targets_in_each_letter():
-    targets = Text("HELLO", height=10.0).place(100, 2)
-    columns = np.histogram(targets[:, 0], bins=5)[0]
+    columns = np.histogram(Text("HELLO", height=10.0).place(100, 2)[:, 0], bins=5)[0]
     assert columns.min() >= 12
-    # L has its foot to the right of its stem and nothing above it.
-    foot = Text("L", height=10.0, center=(0, 0)).place(60, 2)
-    assert not ((foot[:, 0] > 0.5) & (foot[:, 1] > -2.5)).any()
-    assert ((foot[:, 0] > 0.5) & (foot[:, 1] < -2.5)).sum() >= 8
 
 
 def test_letter_i_without_its_middle_quarter_is_in_two_parts():
@@ -290,9 +265,8 @@ def test_first_half_of_a_ring_is_a_ring_for_powers_of_two():
 
 
 def test_dark_pixels_of_an_opaque_picture_are_inside(tmp_path):
-    path = picture_file(
-        tmp_path, (10, 10), lambda d: d.rectangle((1, 2, 3, 8), fill=127), paper=128
-    )
+    draw = lambda d: d.rectangle((1, 2, 3, 8), fill=127)  # noqa: E731
+    path = picture_file(tmp_path, (10, 10), draw, paper=128)
     targets = Picture(path, height=7.0, center=(2.5, -5.5)).place(60, 2)
     # Pixels 1 to 3 across and 2 to 8 down, with the top of the picture up.
     assert ((targets > (1, -9)) & (targets < (4, -2))).all()
@@ -302,9 +276,8 @@ def test_dark_pixels_of_an_opaque_picture_are_inside(tmp_path):
 
 
 def test_only_opacity_counts_in_a_picture_with_transparency(tmp_path):
-    white, nothing = (255, 255, 255, 255), (0, 0, 0, 0)
-    draw = lambda d: d.rectangle((0, 0, 9, 19), fill=white)  # noqa: E731
-    path = picture_file(tmp_path, (20, 20), draw, "RGBA", nothing)
+    draw = lambda d: d.rectangle((0, 0, 9, 19), fill=(255, 255, 255, 255))  # noqa: E731
+    path = picture_file(tmp_path, (20, 20), draw, "RGBA", paper=(0, 0, 0, 0))
     assert np.ptp(Picture(path, height=20.0).place(50, 2)[:, 0]) < 10
 
 
@@ -434,25 +407,25 @@ def test_unusable_picture_is_refused_with_a_reason(tmp_path):
         ("0,0\n\n1,nan\n", "line 3: a coordinate is not finite"),
         ("0,0\n1,inf\n", "line 2: a coordinate is not finite"),
         ("5,5\n0,0\n# again\n5,5.0\n", "lines 1 and 4 are the same point"),
+        ("0,0\n", "lists 1 points, fewer than the 2 asked for"),
     ],
 )
 def test_invalid_list_is_refused_with_the_line(tmp_path, content, message):
     with pytest.raises(ValueError, match=message):
-        Points(file=listing(tmp_path, content)).place(1, 2)
+        Points(file=listing(tmp_path, content)).place(2, 2)
 
 
-def test_short_or_missing_list_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="lists 2 points, fewer than the 3 asked for"):
-        Points(file=listing(tmp_path, "0,0\n1,0\n")).place(3, 2)
-    with pytest.raises(ValueError, match="there is no file"):
-        Points(file=str(tmp_path / "none.csv")).place(1, 2)
-    with pytest.raises(ValueError, match="cannot be read as a list of points"):
-        Points(file=disc(tmp_path)).place(1, 2)
+@pytest.mark.parametrize(
+    ("file", "message"),
+    [("none.csv", "there is no file"), ("disc.png", "cannot be read as a list of points")],
+)
+def test_missing_or_unreadable_list_is_refused(tmp_path, file, message):
+    disc(tmp_path)
+    with pytest.raises(ValueError, match=message):
+        Points(file=str(tmp_path / file)).place(1, 2)
 
 
 def test_font_may_be_a_file(tmp_path):
-    from matplotlib import get_data_path
-
     bold = Path(get_data_path()) / "fonts" / "ttf" / "DejaVuSans-Bold.ttf"
     file, named = (
         Text("U", spacing=1.0, font=font).place(30, 2) for font in (str(bold), "DejaVu Sans:bold")
