@@ -186,23 +186,6 @@ def test_model_and_plant_are_as_the_tables_say():
     assert isinstance(read("uiuc").draw(np.random.default_rng(0)).flown_plant, LinearPlant)
 
 
-def test_plan_and_noise_keys_reach_the_mission():
-    mission = drawn(
-        "reset=need",
-        "freeze_steps=3",
-        "foresight_steps=24",
-        "margin_m=7",
-        "disturbance.thrust=0.05",
-        "disturbance.pointing_deg=1",
-    )
-    assert (mission.reset, mission.freeze_steps, mission.margin) == ("need", 3, 7.0)
-    assert (mission.horizon_steps, mission.foresight_steps) == (4, 24)
-    assert mission.thrust_error == 0.05
-    assert mission.pointing_error == pytest.approx(np.radians(1))
-    calm = drawn()
-    assert (calm.reset, calm.freeze_steps, calm.foresight_steps) == ("change", 0, 0)
-
-
 def test_disturbed_motion_is_replanned_every_step_by_default():
     assert drawn().replan_steps == 1
     assert drawn("plant.kind=model").replan_steps == 4
@@ -435,142 +418,57 @@ def test_impossible_orbit_is_refused_with_a_cure(overrides, key):
     assert found.semi_major_axis * (1 - found.eccentricity) > EARTH_RADIUS
 
 
-FAST = [0.0, 12e3, 0.0]
-REFUSED = {
-    "an orbit that is no ellipse": (
-        ["chief.eccentricity=1.2"],
-        "chief.eccentricity: 1.2 is no ellipse",
+REFUSED = [
+    ("chief.eccentricity=1.2", "chief.eccentricity: 1.2 is no ellipse"),
+    ("chief.eccentricity=0.1", "eccentricity: puts the perigee 6190.2 km from the Earth's center"),
+    ("semi_major_axis_km=500", "semi_major_axis_m: puts the perigee 500 km from the Earth's"),
+    ("chief.position_km=[6878,0,0]", "chief.semi_major_axis_m: gives the orbit, and so does pos"),
+    ("chief={eccentricity=0.1}", "chief.semi_major_axis_m: is missing; an orbit is given by"),
+    ("chief={position_km=[6878,0,0]}", "chief.velocity_m_s: is missing; an orbit is given by"),
+    ("chief={position_km=[6878,0],velocity_m_s=[0,7612]}", "chief.position_m: needs 3 coordinat"),
+    ("chief={position_km=[6878,0,0],velocity_m_s=[0,12e3,0]}", "; perpendicular to position_m,"),
+    ("chief={position_km=[6000,0,0],velocity_m_s=[0,7612,0]}", "is 6000 km from the Earth's cen"),
+    ("chief={position_km=[6878,0,0],velocity_m_s=[100,0,0]}", "chief.velocity_m_s: "),
+    ("chief.inclination_deg=200", "chief.inclination_rad: must be between 0 and 180 degrees, got"),
+    ("chief.j2=0.3", "chief.j2: must be less than 0.05, got 0.3"),
+    ("chief.epoch=tomorrow", 'chief.epoch: must be a date and time in UTC; "2026-01-01T00:00:00"'),
+    ("model.kind=double_integrator", 'model.kind: "double_integrator" has no orbit, and this'),
+    ("model={kind='j2',semi_major_axis_km=6878}", "model.semi_major_axis_km: there is no such key"),
+    (
+        "plant.drag=true",
+        "plant.ballistic_m2_kg: is missing, and drag needs the coefficient C_D A/m",
     ),
-    "a perigee inside the Earth": (
-        ["chief.eccentricity=0.1"],
-        "chief.eccentricity: puts the perigee 6190.2 km from the Earth's center, inside the Earth, "
-        "whose radius is 6378 km",
-    ),
-    "an altitude for an axis": (
-        ["chief.semi_major_axis_km=500"],
-        "chief.semi_major_axis_m: puts the perigee 500 km from the Earth's center",
-    ),
-    "elements and a state": (
-        ["chief.position_km=[6878,0,0]", "chief.velocity_m_s=[0,7612,0]"],
-        "chief.semi_major_axis_m: gives the orbit, and so does position_m; give classical elements",
-    ),
-    "neither elements nor a state": (
-        ["chief={eccentricity=0.1}"],
-        "chief.semi_major_axis_m: is missing; an orbit is given by semi_major_axis_km = 6878, say",
-    ),
-    "half a state": (
-        ["chief={position_km=[6878,0,0]}"],
-        "chief.velocity_m_s: is missing; an orbit is given by",
-    ),
-    "a state in the plane": (
-        ["chief={position_km=[6878,0],velocity_m_s=[0,7612,0]}"],
-        "chief.position_m: needs 3 coordinates, got 2",
-    ),
-    "a state that escapes": (
-        [f"chief={{position_km=[6878,0,0],velocity_m_s={FAST}}}"],
-        "chief.velocity_m_s: eccentricity: an ellipse needs 0 ≤ e < 1, got 1.48477; perpendicular "
-        "to position_m, 7612.68 m/s is a circular orbit",
-    ),
-    "a state inside the Earth": (
-        ["chief={position_km=[6000,0,0],velocity_m_s=[0,7612,0]}"],
-        "chief.position_m: is 6000 km from the Earth's center, inside the Earth",
-    ),
-    "a state that falls": (
-        ["chief={position_km=[6878,0,0],velocity_m_s=[100,0,0]}"],
-        "chief.velocity_m_s: ",
-    ),
-    "an inclination beyond the poles": (
-        ["chief.inclination_deg=200"],
-        "chief.inclination_rad: must be between 0 and 180 degrees, got 200",
-    ),
-    "another planet": (["chief.j2=0.3"], "chief.j2: must be less than 0.05, got 0.3"),
-    "an epoch that is none": (
-        ["chief.epoch=tomorrow"],
-        'chief.epoch: must be a date and time in UTC; "2026-01-01T00:00:00" would do',
-    ),
-    "an orbit for point masses": (
-        ["model.kind=double_integrator"],
-        'model.kind: "double_integrator" has no orbit, and this mission has a [chief]; '
-        '"clohessy_wiltshire", "schweighart_sedwick", "eccentric" or "j2" would do',
-    ),
-    "the old place of the orbit": (
-        ["model={kind='j2',semi_major_axis_km=6878,max_control_mm_s2=10}"],
-        "model.semi_major_axis_km: there is no such key",
-    ),
-    "drag without coefficients": (
-        ["plant.drag=true"],
-        "plant.ballistic_m2_kg: is missing, and drag needs the coefficient C_D A/m; "
-        "ballistic_m2_kg = 0.01 (say 2.2 × 0.5 m² / 110 kg) would do",
-    ),
-    "coefficients without drag": (
-        ["plant.ballistic_m2_kg=0.01"],
-        "plant.ballistic_m2_kg: has no effect without drag; drag = true would use it",
-    ),
-    "differences without drag": (
-        ["plant.ballistic_spread=0.2"],
-        "plant.ballistic_spread: has no effect",
-    ),
-    "air without drag": (["plant.altitude_km=500"], "plant.altitude_m: has no effect without drag"),
-    "drag in a model": (
-        [*DRAG, "plant.kind=model"],
+    ("plant.ballistic_m2_kg=0.01", "plant.ballistic_m2_kg: has no effect without drag; drag = tru"),
+    ("plant.ballistic_spread=0.2", "plant.ballistic_spread: has no effect"),
+    ("plant.altitude_km=500", "plant.altitude_m: has no effect without drag"),
+    (
+        f"{' '.join(DRAG)} plant.kind=model",
         'plant.drag: this model has no drag; kind = "inertial" would do',
     ),
-    "half an atmosphere": (
-        [*DRAG, "plant.altitude_km=500"],
-        "plant.density_kg_m3: is missing; density_kg_m3, altitude_m and scale_height_m are given",
+    (
+        f"{' '.join(DRAG)} plant.altitude_km=500",
+        "plant.density_kg_m3: is missing; density_kg_m3, altitude_m",
     ),
-    "air below the table": (
-        [*DRAG, "chief.semi_major_axis_km=6500"],
+    (
+        f"{' '.join(DRAG)} semi_major_axis_km=6500",
         "plant.drag: there is no air at the chief's perigee: ",
     ),
-    "a coefficient without its unit": (
-        ["plant.drag=true", "plant.ballistic=0.01"],
-        "plant.ballistic: has no unit; write ballistic_m2_kg",
-    ),
-    "thrust errors in percent": (
-        ["disturbance.thrust=5"],
-        "disturbance.thrust: 5 is 500 % of the thrust; 0.05 would be 5 %",
-    ),
-    "a negative thrust error": (
-        ["disturbance.thrust=-0.1"],
-        "disturbance.thrust: must be at least 0, got -0.1",
-    ),
-    "thrust that points anywhere": (
-        ["disturbance.pointing_rad=1"],
-        "disturbance.pointing_rad: 1 is 57.3 degrees; at most pointing_deg = 30 would do",
-    ),
-    "places worse than the radius": (
-        ["disturbance.position_m=60"],
-        "disturbance.position_m: 60 is not less than swarm.collision_radius_m = 50; 1 would do",
-    ),
-    "a margin that is none": (
-        ["margin_m=-1"],
-        'plan.margin_m: must be at least 0 or must be "auto", got -1',
-    ),
-    "an increment in words": (
-        ["epsilon=aut"],
-        'plan.epsilon: must be a number or must be "auto"',
-    ),
-    "no increment": (["epsilon=0"], 'plan.epsilon: must be positive, or "auto", got 0'),
-    "a margin in words": (["margin_m=large"], 'or must be "auto", got "large"'),
-    "keeping to a plan beyond the leg": (
-        ["freeze_steps=25"],
-        "plan.freeze_steps: 25 is more than the 24 steps of leg 0; at most 24 would do",
-    ),
-    "a depth without a box": (
-        ["start={kind='random',separation_m=150,depth_m=0}"],
-        "swarm.start.depth_m: needs a box_m for its other sides",
-    ),
-    "a box that is full": (
-        ["box_km=0.1"],
-        "swarm.start.box_m: a box of 100 m is full after 1 of 4 agents",
-    ),
-}
+    ("plant.drag=true plant.ballistic=0.01", "ballistic: has no unit; write ballistic_m2_kg"),
+    ("disturbance.thrust=5", "disturbance.thrust: 5 is 500 % of the thrust; 0.05 would be 5 %"),
+    ("disturbance.pointing_rad=1", "1 is 57.3 degrees; at most pointing_deg = 30 would do"),
+    ("disturbance.position_m=60", "60 is not less than swarm.collision_radius_m = 50; 1 would do"),
+    ("margin_m=-1", "plan.margin_m: must be at least 0"),
+    ("margin_m=large", 'must be "auto", got "large"'),
+    ("epsilon=0", 'plan.epsilon: must be positive, or "auto", got 0'),
+    ("freeze_steps=25", "plan.freeze_steps: 25 is more than the 24 steps of leg 0; at most 24"),
+    ("start={kind='random',separation_m=150,depth_m=0}", "swarm.start.depth_m: needs a box_m"),
+    ("box_km=0.1", "swarm.start.box_m: a box of 100 m is full after 1 of 4 agents"),
+]
 
 
-@pytest.mark.parametrize(("overrides", "words"), REFUSED.values(), ids=REFUSED.keys())
+@pytest.mark.parametrize(("overrides", "words"), REFUSED)
 def test_bad_input_is_refused_by_its_key(overrides, words):
-    assert words in refusal(*overrides)
+    assert words in refusal(*overrides.split())
 
 
 @pytest.mark.parametrize("kind", MODELS)
@@ -584,16 +482,18 @@ def test_orbital_model_without_a_chief_is_refused_with_a_cure(kind):
 
 
 @pytest.mark.parametrize(
-    ("overrides", "key"),
-    [(["plant.kind=inertial"], "plant.kind"), (list(DRAG), "plant.drag")],
+    ("overrides", "words"),
+    [
+        (
+            ["plant.kind=inertial"],
+            "plant.kind: takes place about the Earth, and this mission has no",
+        ),
+        (DRAG, "plant.drag: takes place about the Earth, and this mission has no [chief]"),
+        (["depth_m=1"], "swarm.start.depth_m: needs a model in space"),
+    ],
 )
-def test_inertial_plant_without_a_chief_is_refused(overrides, key):
-    said = refusal(*overrides, name="random")
-    assert f"random: {key}: takes place about the Earth, and this mission has no [chief]" in said
-
-
-def test_planar_model_has_no_depth():
-    assert "swarm.start.depth_m: needs a model in space" in refusal("depth_m=1", name="random")
+def test_orbital_plant_or_depth_is_refused_in_the_plane(overrides, words):
+    assert words in refusal(*overrides, name="random")
 
 
 @pytest.mark.parametrize("depth", ["depth_m=0", "depth_m=100", "depth_m=900"])
@@ -632,13 +532,6 @@ def test_proposed_thrust_and_time_suffice(weak):
     )
     if "leg.0.steps: agent" in said and " steps = " in said:
         drawn(weak, f"leg.0.steps={cure(said, ' steps')}")
-
-
-def test_overrides_reach_missing_tables():
-    assert few("chief.eccentricity=0.02").chief.eccentricity == 0.02
-    assert few(*DRAG).plant.drag is True
-    assert few("ballistic_spread=0.1", *DRAG).plant.ballistic_spread == 0.1
-    assert read("uiuc", ["agents=40"]).chief is None
 
 
 @pytest.mark.parametrize(
