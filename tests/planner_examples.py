@@ -1,5 +1,7 @@
 """Example planners and graphs for tests of conflict resolution."""
 
+from functools import cache
+
 import numpy as np
 
 from dynamics import DoubleIntegrator, discretize_zoh
@@ -14,6 +16,7 @@ from sato.scp.priority_orders import compute_priority_cost
 T, STEP, RADIUS = 12, 1.0, 0.5
 
 
+@cache
 def make_problem(axes=2, horizon_steps=T, speed=0.6):
     model = DoubleIntegrator(axes)
     transfer = TransferProblem(discretize_zoh(model, STEP, T), 0.2, speed, tie_break_rise=1e-3)
@@ -23,7 +26,10 @@ def make_problem(axes=2, horizon_steps=T, speed=0.6):
     )
 
 
-def make_planner(number, start, goal, transfer, horizon, spent=0.0, velocity=0.0):
+def make_planner(number, start, goal, spent=0.0, velocity=0.0, transfer=None, horizon=None):
+    """Planner of an agent from rest, or with a velocity along x, to rest."""
+    usual = make_problem(len(start))
+    transfer, horizon = transfer or usual[0], horizon or usual[1]
     start = np.concatenate([start, np.full(len(start), velocity) * (np.arange(len(start)) == 0)])
     goal = np.concatenate([goal, np.zeros(len(goal))])
     free = AvoidanceProblem.alone(transfer, start, goal).solve().trajectory
@@ -33,7 +39,6 @@ def make_planner(number, start, goal, transfer, horizon, spent=0.0, velocity=0.0
 
 def random_swarm(rng, count, axes=2, box=3.0):
     """Agents with random, separated starts and random, separated targets."""
-    transfer, horizon = make_problem(axes)
     ends = []
     for _ in range(2):
         points = []
@@ -42,16 +47,15 @@ def random_swarm(rng, count, axes=2, box=3.0):
             if all(np.linalg.norm(p - q) > 1.5 * RADIUS for q in points):
                 points.append(p)
         ends.append(np.array(points))
-    return {i: make_planner(i, ends[0][i], ends[1][i], transfer, horizon) for i in range(count)}
+    return {i: make_planner(i, ends[0][i], ends[1][i]) for i in range(count)}
 
 
 def antipodal_swarm(count, radius, turn=0.03):
     """Agents that move to the opposite side of a circle: every pair meets in the middle."""
-    transfer, horizon = make_problem(2, horizon_steps=12)
     angle = 2 * np.pi * np.arange(count) / count
     start = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     goal = -radius * np.stack([np.cos(angle + turn), np.sin(angle + turn)], axis=1)
-    return {i: make_planner(i, start[i], goal[i], transfer, horizon) for i in range(count)}
+    return {i: make_planner(i, start[i], goal[i]) for i in range(count)}
 
 
 def total_cost(planners):
@@ -86,20 +90,32 @@ def weighted_fuel(flight, transfer):
     return STEP * float(transfer.weights @ np.abs(flight.u).sum(axis=1))
 
 
-def immobile(number, place, transfer, horizon):
+def immobile(number, place):
     """Agent without steps left: it stays in place and cannot give way."""
     x = np.concatenate([place, np.zeros(len(place))])
+    transfer, horizon = make_problem(len(place))
     flight = Trajectory(x[None], np.zeros((0, len(place))), 0.0)
     over = TransferProblem(transfer.model[:0], transfer.max_control)
     path = horizon.control_points(flight.x, flight.u)
     return Planner((False, 0.0, number), x, over, horizon, flight, flight, path)
 
 
+def renumbered(planners, first):
+    """The same agents, numbered from another number on."""
+    return {
+        first + i: p._replace(priority=(*p.priority[:2], first + i)) for i, p in planners.items()
+    }
+
+
+def left_astray(planner, **changes):
+    """An agent whose nominal is to stay where it starts."""
+    still = planner.transfer.simulate(planner.nominal.x[0], np.zeros_like(planner.nominal.u))
+    return planner.with_nominal(still)._replace(terminal_error=3.0, **changes)
+
+
 def with_previous_plans(planners, former):
     """The same agents, with the nominals of others of the same number."""
-    begun = {}
-    for i, p in planners.items():
-        flight = former[i].nominal
-        path = p.horizon.control_points(flight.x, flight.u)
-        begun[i] = p._replace(nominal=flight, control_points=path, has_converged=False)
-    return begun
+    return {
+        i: p.with_nominal(former[i].nominal)._replace(has_converged=False)
+        for i, p in planners.items()
+    }

@@ -42,8 +42,7 @@ def test_batched_exchanges_equal_the_definition(rng, count, axes, again):
         planners = {
             i: p._replace(priority=(True, -float(spent[i]), i)) for i, p in planners.items()
         }
-        still = planners[0]
-        planners[0] = immobile(0, still.nominal.x[0, :axes], still.transfer, still.horizon)
+        planners[0] = immobile(0, planners[0].nominal.x[0, :axes])
         adjacency = np.triu(rng.random((count, count)) < 0.7, 1)
         graph = graph_of(adjacency | adjacency.T)
         if again:
@@ -57,15 +56,10 @@ def test_batched_exchanges_equal_the_definition(rng, count, axes, again):
             for i in planners:
                 np.testing.assert_array_equal(a[i].nominal.x, b[i].nominal.x)
                 np.testing.assert_array_equal(a[i].control_points, b[i].control_points)
-                for name in (
-                    "is_final",
-                    "has_converged",
-                    "solve_count",
-                    "terminal_error",
-                    "slack",
-                    "has_failed",
-                ):
-                    assert getattr(a[i], name) == getattr(b[i], name)
+                assert a[i].is_final == b[i].is_final and a[i].solve_count == b[i].solve_count
+                assert a[i].has_converged == b[i].has_converged
+                assert a[i].terminal_error == b[i].terminal_error
+                assert a[i].slack == b[i].slack and a[i].has_failed == b[i].has_failed
     assert longest > 3
 
 
@@ -91,10 +85,7 @@ def test_dense_samples_keep_the_collision_radius(rng):
 
 
 def test_distant_agents_fly_their_solo_trajectories(rng):
-    transfer, horizon = make_problem()
-    far = {
-        i: make_planner(i, [10.0 * i, 0.0], [10.0 * i, 1.0], transfer, horizon) for i in range(4)
-    }
+    far = {i: make_planner(i, [10.0 * i, 0.0], [10.0 * i, 1.0]) for i in range(4)}
     after, exchanges = run_scp(far, complete_graph(far))
     assert exchanges == 4  # each waits until all of higher priority are final
     assert all(after[i].nominal is far[i].solo and after[i].solve_count == 0 for i in far)
@@ -168,12 +159,11 @@ def test_trajectories_become_final_in_order_of_priority(rng):
 
 
 def test_agent_with_more_fuel_left_gives_way_also_head_on():
-    transfer, horizon = make_problem()
     ends = ([-1.5, 0.0], [1.5, 0.0])
     for spent in ((0.0, 1.0), (1.0, 0.0)):
         pair = {
-            0: make_planner(0, *ends, transfer, horizon, spent[0]),
-            1: make_planner(1, *ends[::-1], transfer, horizon, spent[1]),
+            0: make_planner(0, *ends, spent[0]),
+            1: make_planner(1, *ends[::-1], spent[1]),
         }
         after, _ = run_scp(pair, complete_graph(pair))
         gives_way = int(np.argmin(spent))
@@ -185,18 +175,13 @@ def test_agent_with_more_fuel_left_gives_way_also_head_on():
 
 @pytest.mark.parametrize("side", [-0.7, 0.7])
 def test_agent_keeps_to_the_side_of_its_previous_plan(side):
-    transfer, horizon = make_problem()
     pair = {
-        0: make_planner(0, [-1.5, 0.0], [1.5, 0.0], transfer, horizon),
-        1: make_planner(1, [1.5, 0.01], [-1.5, 0.01], transfer, horizon),
+        0: make_planner(0, [-1.5, 0.0], [1.5, 0.0]),
+        1: make_planner(1, [1.5, 0.01], [-1.5, 0.01]),
     }
     x, u = pair[1].solo.x.copy(), pair[1].solo.u
     x[1:-1, 1] += side  # a plan that passes on that side
-    begun = pair[1]._replace(
-        nominal=Trajectory(x, u, 0.0),
-        control_points=horizon.control_points(x, u),
-        has_converged=False,
-    )
+    begun = pair[1].with_nominal(Trajectory(x, u, 0.0))._replace(has_converged=False)
     after, _ = run_scp(pair | {1: begun}, complete_graph(pair))
     assert after[1].terminal_error == after[1].slack == 0
     assert np.sign(after[1].nominal.x[T // 2, 1]) == np.sign(side)
@@ -214,19 +199,16 @@ def test_agent_returns_to_its_solo_trajectory_when_clear(rng):
 
 
 def test_terminal_state_is_relaxed_before_separation():
-    transfer, horizon = make_problem()
     # An immobile agent is at the target: the other stops short of it.
-    parked = TrajectoryMessage(
-        (False, 0.0, 0), np.full((horizon.steps * 2, 4, 2), [1.0, 0.0]), True
-    )
-    me = update_planner(make_planner(1, [-1.0, 0.0], [1.0, 0.0], transfer, horizon), [parked])
+    parked = immobile(0, [1.0, 0.0]).message._replace(is_final=True)
+    me = update_planner(make_planner(1, [-1.0, 0.0], [1.0, 0.0]), [parked])
     assert me.terminal_error > 0.4 and me.slack == 0
     assert are_hulls_separated(me.control_points - parked.control_points, RADIUS).all()
     # Another agent flies through it faster than it can move away.
-    time = np.arange(horizon.steps * 2)[:, None] / 2 + np.arange(4) / 6
+    time = np.arange(2 * T)[:, None] / 2 + np.arange(4) / 6
     through = np.stack([5 - 4 * time, np.zeros_like(time)], axis=-1)
     rammed = update_planner(
-        make_planner(1, [0.0, 0.1], [0.0, 1.0], transfer, horizon),
+        make_planner(1, [0.0, 0.1], [0.0, 1.0]),
         [parked._replace(control_points=through)],
     )
     assert rammed.slack > 0.01
@@ -235,12 +217,9 @@ def test_terminal_state_is_relaxed_before_separation():
 def test_effects_travel_one_hop_an_exchange(rng):
     # In a row of agents, each in conflict with the next, a change at one end
     # has no effect h hops away before exchange h, to the last bit.
-    transfer, horizon = make_problem()
-    row = {
-        i: make_planner(i, [0.51 * i, 0.0], [0.51 * i, 0.9], transfer, horizon) for i in range(7)
-    }
+    row = {i: make_planner(i, [0.51 * i, 0.0], [0.51 * i, 0.9]) for i in range(7)}
     other = dict(row)
-    other[0] = make_planner(0, [0.0, 0.0], [0.0, 0.9], transfer, horizon, velocity=0.2)
+    other[0] = make_planner(0, [0.0, 0.0], [0.0, 0.9], velocity=0.2)
     graph = graph_of(np.abs(np.subtract.outer(np.arange(7), np.arange(7))) == 1)
     for run in (plan_by_messages, run_batched):
         one, two = list(run(row, graph)), list(run(other, graph))
@@ -265,8 +244,7 @@ def test_scp_without_agents_takes_no_exchange():
 
 
 def test_paths_pass_through_states_and_drift_after_the_last_step():
-    transfer, horizon = make_problem(horizon_steps=T + 4)
-    me = make_planner(0, [0.0, 0.0], [2.0, 1.0], transfer, horizon)
+    me = make_planner(0, [0.0, 0.0], [2.0, 1.0], horizon=make_problem(horizon_steps=T + 4)[1])
     start, end = me.control_points[::2, 0], me.control_points[1::2, 3]
     np.testing.assert_allclose(start[: T + 1], me.nominal.x[:, :2], atol=1e-12)
     np.testing.assert_allclose(end[:T], me.nominal.x[1:, :2], atol=1e-12)
@@ -301,19 +279,15 @@ def test_normals_in_space_point_above_and_below():
 
 def test_cheapest_passing_side_is_chosen():
     # An immobile agent is on the path, a little to one side and below it.
-    transfer, horizon = make_problem(axes=3)
     start, goal = [-1.5, 0.0, 0.0], [1.5, 0.0, 0.0]
-    mover = make_planner(1, start, goal, transfer, horizon)
-    stands = immobile(0, np.array([0.0, 0.05, -0.3]), transfer, horizon)
-    stands = stands._replace(priority=(False, 0.0, 0))
+    mover = make_planner(1, start, goal)
+    stands = immobile(0, [0.0, 0.05, -0.3])
     after, _ = run_scp({0: stands, 1: mover}, complete_graph({0: stands, 1: mover}))
     fuel = after[1].nominal.fuel
     for axis, side in ((1, 1), (1, -1), (2, 1), (2, -1)):
         x = mover.solo.x.copy()
         x[1:-1, axis] += 0.8 * side
-        path = horizon.control_points(x, mover.solo.u)
-        other = mover._replace(
-            nominal=Trajectory(x, mover.solo.u, 0.0), control_points=path, has_converged=False
-        )
+        aside = Trajectory(x, mover.solo.u, 0.0)
+        other = mover.with_nominal(aside)._replace(has_converged=False)
         round_there, _ = run_scp({0: stands, 1: other}, complete_graph({0: stands, 1: other}))
         assert fuel <= round_there[1].nominal.fuel * (1 + 1e-3)

@@ -12,9 +12,11 @@ from planner_examples import (
     continuous_separation,
     graph_of,
     immobile,
+    left_astray,
     make_planner,
     make_problem,
     random_swarm,
+    renumbered,
     total_cost,
     two_components,
 )
@@ -80,16 +82,11 @@ def test_negotiation_saves_a_tenth_of_the_extra_fuel_of_five():
 
 
 def test_agents_without_cost_have_no_turn():
-    transfer, horizon = make_problem()
-    planners = {
-        i: make_planner(i, [0.0, 0.7 * i], [2.0, 0.7 * i], transfer, horizon) for i in range(3)
-    }
+    planners = {i: make_planner(i, [0.0, 0.7 * i], [2.0, 0.7 * i]) for i in range(3)}
     now = solved(planners)
     negotiated = negotiate(now, complete_graph(now), 5)
-    assert (negotiated.round_count, negotiated.solve_count) == (
-        2,
-        0,
-    )  # trajectories of the neighbors, and a flood of the costs
+    # Trajectories of the neighbors, and a flood of the costs.
+    assert (negotiated.round_count, negotiated.solve_count) == (2, 0)
     assert all(negotiated.planners[i] is now[i] for i in now)
 
 
@@ -100,8 +97,7 @@ def test_zero_sweeps_change_nothing(rng):
 
 def test_components_negotiate_independently(rng):
     left, right = solved(random_swarm(rng, 4)), solved(random_swarm(rng, 3))
-    moved = {4 + i: p._replace(priority=(*p.priority[:2], 4 + i)) for i, p in right.items()}
-    together = negotiate(left | moved, two_components(4, 3), 2).planners
+    together = negotiate(left | renumbered(right, 4), two_components(4, 3), 2).planners
     for some, first in ((left, 0), (right, 4)):
         for i, p in negotiate(some, complete_graph(some), 2).planners.items():
             np.testing.assert_array_equal(p.nominal.u, together[first + i].nominal.u)
@@ -126,20 +122,17 @@ def test_both_partners_fly_the_agreed_trajectories():
     now = solved(antipodal_swarm(5, 1.5), orders=4)
     turns = schedule_pairs(now, complete_graph(now), now)
     negotiated = [negotiate_pairs(now, complete_graph(now), turn) for turn in turns]
-    assert all(
-        negotiators.keys() == turn.keys()
-        for negotiators, turn in zip(negotiated, turns, strict=True)
-    )
-    made = [(turn, negotiators) for turn, negotiators in zip(turns, negotiated, strict=True)
-            if any(negotiator.agreement for negotiator in negotiators.values())]  # fmt: skip
+    assert [pair.keys() for pair in negotiated] == [turn.keys() for turn in turns]
+    made = 0
+    for pair in negotiated:
+        host, guest = (pair[i] for i in sorted(pair))
+        if host.agreement:
+            assert host.agreement.recipient == guest.agent_id
+            assert guest.planner.nominal is host.agreement.trajectory
+            assert host.planner.nominal is not now[host.agent_id].nominal
+            made += 1
+        assert guest.agreement is None
     assert made
-    for turn, negotiators in made:
-        host, guest = sorted(turn)
-        assert (
-            negotiators[host].agreement.recipient == guest and negotiators[guest].agreement is None
-        )
-        assert negotiators[guest].planner.nominal is negotiators[host].agreement.trajectory
-        assert negotiators[host].planner.nominal is not now[host].nominal
 
 
 def offers(now, i, j):
@@ -197,7 +190,7 @@ def test_partners_with_different_steps_left_do_not_agree():
     now = solved(antipodal_swarm(2, 1.5))
     transfer = replace(now[1].transfer, model=now[1].transfer.model[:8])
     goal = now[1].nominal.x[8]
-    short = make_planner(1, now[1].nominal.x[0, :2], goal[:2], transfer, now[1].horizon)
+    short = make_planner(1, now[1].nominal.x[0, :2], goal[:2], transfer=transfer)
     negotiators = negotiate_pairs({0: now[0], 1: short}, complete_graph(now), {0: 1, 1: 0})
     assert negotiators[0].offer and negotiators[1].offer
     assert (negotiators[0].solve_count, negotiators[0].agreement) == (0, None)
@@ -205,18 +198,12 @@ def test_partners_with_different_steps_left_do_not_agree():
 
 def test_separation_is_kept_while_an_agent_drifts_at_its_target():
     # The third passes the target of the first while the first drifts there after its last step.
-    slow, horizon = make_problem()
-    fast = replace(slow, model=slow.model[:6])
-    first = make_planner(0, [-1.0, 0.0], [0.0, 0.0], fast, horizon)
-    second = make_planner(1, [-1.0, 0.9], [0.0, 0.9], fast, horizon)
-    third = make_planner(2, [0.1, -3.0], [0.1, 1.0], replace(slow, max_control=0.3), horizon)
-    waiting = fast.simulate(first.nominal.x[0], np.zeros((6, 2)))
-    path = horizon.control_points(waiting.x, waiting.u)
-    now = {
-        0: first._replace(nominal=waiting, control_points=path, terminal_error=1.0),
-        1: second,
-        2: third,
-    }
+    slow, _ = make_problem()
+    fast, strong = replace(slow, model=slow.model[:6]), replace(slow, max_control=0.3)
+    first = make_planner(0, [-1.0, 0.0], [0.0, 0.0], transfer=fast)
+    second = make_planner(1, [-1.0, 0.9], [0.0, 0.9], transfer=fast)
+    third = make_planner(2, [0.1, -3.0], [0.1, 1.0], transfer=strong)
+    now = {0: left_astray(first), 1: second, 2: third}
     assert continuous_gap(now, 0, 2) >= RADIUS > continuous_gap(now | {0: first}, 0, 2)
     after = negotiate(now, complete_graph(now), 3).planners
     assert continuous_gap(after, 0, 2) >= RADIUS
@@ -227,22 +214,11 @@ def continuous_gap(planners, i, j):
 
 
 def test_sweeps_end_without_progress_also_off_target():
-    transfer, horizon = make_problem()
-    now = solved({
-        i: make_planner(i, [-1.5, 0.3 * i], [1.5, -0.3 * i], transfer, horizon) for i in (0, 2, 4)
-    } | {
-        i: immobile(i, np.array([9.0, float(i)]), transfer, horizon) for i in (1, 3)
-    })  # fmt: skip
-    still = transfer.simulate(now[4].nominal.x[0], np.zeros((len(transfer.model), 2)))
-    lost = now[4]._replace(
-        nominal=still,
-        control_points=horizon.control_points(still.x, still.u),
-        terminal_error=3.0,
-        target_state=np.full(4, 99.0),
-    )
-    now[4] = lost
+    movers = {i: make_planner(i, [-1.5, 0.3 * i], [1.5, -0.3 * i]) for i in (0, 2, 4)}
+    now = solved(movers | {i: immobile(i, [9.0, float(i)]) for i in (1, 3)})
+    now[4] = lost = left_astray(now[4], target_state=np.full(4, 99.0))
     few, many = (negotiate(now, complete_graph(now), sweeps) for sweeps in (4, 30))
-    assert many.planners[4].nominal is still
+    assert many.planners[4].nominal is lost.nominal
     assert total_cost(many.planners)[2] < 0
     assert many.solve_count < 30 and few.solve_count > 0
     assert many.round_count < 200
@@ -251,7 +227,7 @@ def test_sweeps_end_without_progress_also_off_target():
 def test_immobile_or_infeasible_agent_makes_no_offer(rng):
     now = solved(random_swarm(rng, 3))
     spoilt = (
-        immobile(0, now[0].nominal.x[0, :2], now[0].transfer, now[0].horizon),
+        immobile(0, now[0].nominal.x[0, :2]),
         now[0]._replace(has_failed=True),
         now[0]._replace(slack=0.1),
     )
@@ -262,13 +238,9 @@ def test_immobile_or_infeasible_agent_makes_no_offer(rng):
 
 
 def test_agent_off_its_target_is_taken_there_at_extra_fuel():
-    transfer, horizon = make_problem()
     ends = [([-1.5, 0.0], [1.5, 0.0]), ([0.1, -1.6], [0.1, 1.5])]
-    now = solved({i: make_planner(i, *ends[i], transfer, horizon) for i in range(2)})
-    still = transfer.simulate(now[1].nominal.x[0], np.zeros((len(transfer.model), 2)))
-    now[1] = now[1]._replace(
-        nominal=still, control_points=horizon.control_points(still.x, still.u), terminal_error=3.0
-    )
+    now = solved({i: make_planner(i, *ends[i]) for i in range(2)})
+    now[1] = left_astray(now[1])
     assert total_cost(now)[:2] == (0, 1)
     after = negotiate(now, complete_graph(now), 1).planners
     assert total_cost(after)[:2] == (0, 0)

@@ -17,6 +17,7 @@ from planner_examples import (
     make_planner,
     make_problem,
     random_swarm,
+    renumbered,
     total_cost,
     two_components,
     with_previous_plans,
@@ -42,7 +43,7 @@ from sato.scp.priority_orders import (
 
 @cache
 def any_planner():
-    return make_planner(0, np.zeros(2), np.ones(2), *make_problem())
+    return make_planner(0, np.zeros(2), np.ones(2))
 
 
 @given(
@@ -110,7 +111,7 @@ def test_more_orders_never_cost_more_and_stay_separated(rng, axes):
 
 def test_components_choose_their_orders_independently(rng):
     left, right = random_swarm(rng, 4), random_swarm(rng, 3)
-    both = left | {4 + i: p._replace(priority=(True, 0.0, 4 + i)) for i, p in right.items()}
+    both = left | renumbered(right, 4)
     together = try_priority_orders(both, two_components(4, 3), 4).planners
     for some, first in ((left, 0), (right, 4)):
         for i, p in try_priority_orders(some, complete_graph(some), 4).planners.items():
@@ -119,20 +120,13 @@ def test_components_choose_their_orders_independently(rng):
 
 def test_component_without_cost_tries_no_further_order(rng):
     dear = random_swarm(rng, 4)
-    transfer, horizon = make_problem()
-    cheap = {
-        4 + i: make_planner(4 + i, [0.0, 40.0 + 4 * i], [2.0, 40.0 + 4 * i], transfer, horizon)
-        for i in range(3)
-    }
+    cheap = {4 + i: make_planner(4 + i, [0.0, 40.0 + 4 * i], [2.0, 40.0 + 4 * i]) for i in range(3)}
     both = try_priority_orders(dear | cheap, two_components(4, 3), 4)
     assert both.solve_count == try_priority_orders(dear, complete_graph(dear), 4).solve_count > 0
 
 
 def test_swarm_without_conflicts_solves_nothing():
-    transfer, horizon = make_problem()
-    planners = {
-        i: make_planner(i, [0.0, 4.0 * i], [2.0, 4.0 * i], transfer, horizon) for i in range(3)
-    }
+    planners = {i: make_planner(i, [0.0, 4.0 * i], [2.0, 4.0 * i]) for i in range(3)}
     once, exchanges = run_scp(planners, complete_graph(planners))
     found = try_priority_orders(planners, complete_graph(planners), 9)
     assert (found.round_count, found.solve_count) == (exchanges + 1, 0)  # one flood of the costs
@@ -162,15 +156,13 @@ def test_component_in_conflict_is_not_clear(rng):
 
 def test_infeasible_agent_sends_the_path_that_it_flies():
     # Two immobile agents overlap it, and its nominal is offset: no program is feasible.
-    transfer, horizon = make_problem()
-    me = make_planner(2, [0.0, 0.0], [0.0, 0.0], transfer, horizon)
-    walls = {i: immobile(i, np.array([0.1 * i, 0.0]), transfer, horizon) for i in range(2)}
+    me = make_planner(2, [0.0, 0.0], [0.0, 0.0])
+    walls = {i: immobile(i, [0.1 * i, 0.0]) for i in range(2)}
     swarm = walls | {2: me._replace(control_points=me.control_points + 0.3, has_converged=False)}
     after, _ = run_scp(swarm, complete_graph(swarm))
     assert after[2].has_failed or after[2].slack > 0
-    np.testing.assert_array_equal(
-        after[2].control_points, horizon.control_points(after[2].nominal.x, after[2].nominal.u)
-    )
+    flown = after[2].with_nominal(after[2].nominal)
+    np.testing.assert_array_equal(after[2].control_points, flown.control_points)
 
 
 @pytest.mark.parametrize("axes", [2, 3])
@@ -187,8 +179,7 @@ def test_batched_exchanges_of_offset_nominals_equal_the_definition(rng, axes):
 
 def test_immobile_agent_stays_and_others_avoid_it(rng):
     planners = random_swarm(rng, 4)
-    still = planners[0]
-    planners[0] = immobile(0, still.nominal.x[0, :2], still.transfer, still.horizon)
+    planners[0] = immobile(0, planners[0].nominal.x[0, :2])
     after = try_priority_orders(planners, complete_graph(planners), 4).planners
     assert after[0].nominal is planners[0].nominal
     assert all(p.is_final for p in after.values())
@@ -206,9 +197,8 @@ def test_several_orders_solve_a_crossing_that_one_cannot():
 @settings(max_examples=20, deadline=None)
 @given(angle=st.floats(0, 2 * np.pi), length=st.floats(1.0, 3.0), hand=st.sampled_from([1.0, -2.0]))
 def test_offset_is_zero_at_the_ends_and_as_asked_halfway(angle, length, hand):
-    transfer, horizon = make_problem()
     way = length * np.array([np.cos(angle), np.sin(angle)])
-    straight = make_planner(0, np.zeros(2), way, transfer, horizon)
+    straight = make_planner(0, np.zeros(2), way)
     curved = offset_right(straight, hand)
     right = np.array([way[1], -way[0]]) / length
     aside = (curved.control_points - straight.control_points) @ right / (hand * RADIUS)

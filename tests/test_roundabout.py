@@ -11,15 +11,15 @@ from planner_examples import (
     continuous_separation,
     immobile,
     make_planner,
-    make_problem,
     random_swarm,
+    renumbered,
     total_cost,
     two_components,
     with_previous_plans,
 )
 
-from problems.convexify import are_hulls_separated
 from sato.scp.negotiation import negotiate
+from sato.scp.planner import is_clear
 from sato.scp.priority_orders import ConflictResolution, offset_right, try_priority_orders
 from sato.scp.resolve import (
     OFFSETS,
@@ -53,9 +53,8 @@ def test_all_go_around_on_one_side_separated_and_reach_targets(bend, hand):
         )
         assert np.abs(p.nominal.u).max() <= p.transfer.max_control * (1 + 1e-9)
     assert found.solve_count == sum(p.solve_count for p in found.planners.values()) == 5
-    assert (
-        found.round_count == 5 + 1 + 1
-    )  # a turn each, one round of trajectories, and a flood of the outcome
+    # A turn each, one round of trajectories, and a flood of the outcome.
+    assert found.round_count == 5 + 1 + 1
 
 
 def test_later_turns_use_the_plans_of_earlier_ones():
@@ -90,9 +89,8 @@ def test_resolution_is_the_cheaper_of_orders_and_roundabout(monkeypatch):
     assert total_cost(resolved.planners)[2] < 0.95 * total_cost(ordered.planners)[2]
     parts = settled, ordered, begun, negotiated
     assert resolved.solve_count == sum(part.solve_count for part in parts)
-    assert (
-        resolved.round_count == sum(part.round_count for part in parts) + 2
-    )  # floods of the costs
+    # And floods of the costs.
+    assert resolved.round_count == sum(part.round_count for part in parts) + 2
 
 
 def test_both_sides_are_tried_with_two_offsets_each(monkeypatch):
@@ -111,11 +109,7 @@ def test_both_sides_are_tried_with_two_offsets_each(monkeypatch):
 def test_component_without_cost_has_no_roundabout(monkeypatch):
     monkeypatch.setattr("sato.scp.resolve.OFFSETS", OFFSETS[:1])
     dear = antipodal_swarm(3, 1.5)
-    transfer, horizon = make_problem()
-    cheap = {
-        3 + i: make_planner(3 + i, [9.0, 2.0 * i], [11.0, 2.0 * i], transfer, horizon)
-        for i in (0, 1)
-    }
+    cheap = {3 + i: make_planner(3 + i, [9.0, 2.0 * i], [11.0, 2.0 * i]) for i in (0, 1)}
     both = resolve_conflicts(dear | cheap, two_components(3, 2), 1, 1)
     assert both.solve_count == resolve_conflicts(dear, complete_graph(dear), 1, 1).solve_count
     assert all(both.planners[i].nominal is p.nominal for i, p in cheap.items())
@@ -139,9 +133,8 @@ def test_no_roundabout_without_sweeps_or_in_space(rng, axes):
     ordered = negotiate(settled.planners, graph, sweeps)
     resolved = resolve_conflicts(planners, graph, 2, sweeps)
     assert resolved.solve_count == settled.solve_count + ordered.solve_count
-    assert (
-        resolved.round_count == settled.round_count + ordered.round_count + sweeps
-    )  # floods of the costs
+    # And floods of the costs.
+    assert resolved.round_count == settled.round_count + ordered.round_count + sweeps
     for i, p in ordered.planners.items():
         np.testing.assert_array_equal(p.nominal.u, resolved.planners[i].nominal.u)
 
@@ -150,27 +143,22 @@ def test_previous_plan_or_missed_target_excludes_a_roundabout():
     planners = antipodal_swarm(4, 1.5)
     graph = complete_graph(planners)
     before = solve_roundabout(planners, graph, 1.0).planners
-    transfer, horizon = make_problem()
-    stuck = immobile(0, planners[0].nominal.x[0, :2], transfer, horizon)
-    kept, lost = (
-        with_previous_plans(planners, before)[0],
-        stuck._replace(target_state=stuck.target_state + 1e-5),
-    )
+    stuck = immobile(0, planners[0].nominal.x[0, :2])
+    kept = with_previous_plans(planners, before)[0]
+    lost = stuck._replace(target_state=stuck.target_state + 1e-5)
     assert all(map(can_use_roundabout, planners.values())) and can_use_roundabout(stuck)
     for one in (kept, lost):
         assert not can_use_roundabout(one)
         some = planners | {0: one}
         settled = try_priority_orders(some, graph, 1)
         ordered = negotiate(settled.planners, graph, 1)
-        assert (
-            resolve_conflicts(some, graph, 1, 1).solve_count
-            == settled.solve_count + ordered.solve_count
-        )
+        resolved = resolve_conflicts(some, graph, 1, 1)
+        assert resolved.solve_count == settled.solve_count + ordered.solve_count
 
 
 def test_components_go_around_independently():
     left, right = antipodal_swarm(4, 1.5), antipodal_swarm(3, 1.5)
-    both = left | {4 + i: p._replace(priority=(*p.priority[:2], 4 + i)) for i, p in right.items()}
+    both = left | renumbered(right, 4)
     together = solve_roundabout(both, two_components(4, 3), 1.0).planners
     for some, first in ((left, 0), (right, 4)):
         for i, p in solve_roundabout(some, complete_graph(some), 1.0).planners.items():
@@ -183,14 +171,8 @@ def test_turn_keeps_clear_of_all_neighbors_of_any_priority():
     first = planners[0]._replace(priority=(True, -99.0, 0))
     after, same = update_in_turn(planners[0], told), update_in_turn(first, told)
     np.testing.assert_array_equal(after.control_points, same.control_points)
-    assert all(
-        are_hulls_separated(after.control_points - plan.control_points, RADIUS).all()
-        for plan in told
-    )
-    assert not all(
-        are_hulls_separated(planners[0].control_points - plan.control_points, RADIUS).all()
-        for plan in told
-    )
+    assert is_clear(after.control_points, told, RADIUS)
+    assert not is_clear(planners[0].control_points, told, RADIUS)
 
 
 def test_turn_relinearizes_and_drops_the_tie_break():
@@ -212,20 +194,17 @@ def test_turn_relinearizes_and_drops_the_tie_break():
 
 
 def test_turn_relaxes_only_where_infeasible():
-    transfer, horizon = make_problem()
-    me = offset_right(make_planner(2, [-1.0, 0.0], [1.0, 0.0], transfer, horizon), 1.0)
+    me = offset_right(make_planner(2, [-1.0, 0.0], [1.0, 0.0]), 1.0)
     places = {"on the way": [0.0, 0.0], "at the goal": [1.0, 0.2], "at the start": [-0.6, 0.1]}
     after, keeps = {}, {}
     for name, place in places.items():
-        other = immobile(0, np.array(place), transfer, horizon).message
-        after[name] = update_in_turn(me, (other,))
-        keeps[name] = bool(
-            are_hulls_separated(after[name].control_points - other.control_points, RADIUS).all()
-        )
+        others = (immobile(0, place).message,)
+        after[name] = update_in_turn(me, others)
+        keeps[name] = is_clear(after[name].control_points, others, RADIUS)
     assert [p.solve_count for p in after.values()] == [1, 2, 2]
     assert [p.reaches_target(p.nominal) for p in after.values()] == [True, False, True]
     assert list(keeps.values()) == [True, True, False]
-    straight = horizon.control_points(me.solo.x, me.solo.u)
+    straight = me.with_nominal(me.solo).control_points
     assert np.abs(after["at the start"].control_points - straight).max() > 0.1
 
 
@@ -243,12 +222,9 @@ def test_agent_alone_or_infeasible_sends_the_path_that_it_flies(monkeypatch):
 
 
 def test_one_infeasible_agent_excludes_its_component():
-    transfer, horizon = make_problem()
-    me = make_planner(2, [-1.0, 0.0], [0.0, 0.0], transfer, horizon)
-    walls = {i: immobile(i, np.array([0.1 * i, 0.0]), transfer, horizon) for i in range(2)}
-    far = {
-        3 + i: p._replace(priority=(True, 0.0, 3 + i)) for i, p in antipodal_swarm(3, 1.5).items()
-    }
+    me = make_planner(2, [-1.0, 0.0], [0.0, 0.0])
+    walls = {i: immobile(i, [0.1 * i, 0.0]) for i in range(2)}
+    far = renumbered(antipodal_swarm(3, 1.5), 3)
     found = solve_roundabout(walls | {2: me} | far, two_components(3, 3), 1.0)
     assert found.planners.keys() == far.keys()
     assert found.solve_count > sum(p.solve_count for p in found.planners.values())
@@ -256,12 +232,10 @@ def test_one_infeasible_agent_excludes_its_component():
 
 def test_immobile_agent_stays_and_all_go_around_it():
     planners = antipodal_swarm(4, 1.5)
-    place = np.array([0.0, 0.0])
-    still = immobile(4, place, planners[0].transfer, planners[0].horizon)
-    found = solve_roundabout(
-        planners | {4: still}, complete_graph(planners | {4: still}), 1.0
-    ).planners
+    still = immobile(4, [0.0, 0.0])
+    crowd = planners | {4: still}
+    found = solve_roundabout(crowd, complete_graph(crowd), 1.0).planners
     assert found.keys() == {0, 1, 2, 3, 4}
     np.testing.assert_array_equal(found[4].control_points, still.control_points)
     for i in range(4):
-        assert are_hulls_separated(found[i].control_points - still.control_points, RADIUS).all()
+        assert is_clear(found[i].control_points, [still.message], RADIUS)
