@@ -43,7 +43,9 @@ def by_themselves(central, start, goal):
 def by_priority(central, start, goal):
     transfer, axes = replace(central.transfer, tie_break_rise=1e-3), start.shape[1] // 2
     planners = {
-        i: make_planner(i, start[i, :axes], goal[i, :axes], transfer, central.horizon)
+        i: make_planner(
+            i, start[i, :axes], goal[i, :axes], transfer=transfer, horizon=central.horizon
+        )
         for i in range(len(start))
     }
     after, _ = run_scp(planners, complete_graph(planners))

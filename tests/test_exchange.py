@@ -7,7 +7,6 @@ import pytest
 from messages import plan_by_messages
 from planner_examples import (
     RADIUS,
-    STEP,
     T,
     complete_graph,
     continuous_separation,
@@ -20,7 +19,6 @@ from planner_examples import (
     with_previous_plans,
 )
 
-from dynamics import DoubleIntegrator, discretize_zoh
 from problems.avoidance import AvoidanceProblem
 from problems.conic import ConicSolution, solve
 from problems.convexify import are_hulls_separated, choose_normals, convexify
@@ -70,25 +68,6 @@ def test_continuous_paths_keep_the_collision_radius(rng, axes):
         after, _ = run_scp(planners, complete_graph(planners))
         assert all(p.slack == 0 and not p.has_failed for p in after.values())
         assert continuous_separation(after) >= RADIUS
-
-
-def test_dense_samples_keep_the_collision_radius(rng):
-    planners = random_swarm(rng, 6)
-    after, _ = run_scp(planners, complete_graph(planners))
-    model = DoubleIntegrator(2)
-    fine = discretize_zoh(model, STEP / 50, T * 50)
-    paths = np.stack(
-        [fine.simulate(p.nominal.x[0], np.repeat(p.nominal.u, 50, axis=0)) for p in after.values()]
-    )[..., :2]
-    apart_by = np.linalg.norm(paths[:, None] - paths[None], axis=-1)
-    assert apart_by[~np.eye(6, dtype=bool)].min() >= RADIUS
-
-
-def test_distant_agents_fly_their_solo_trajectories(rng):
-    far = {i: make_planner(i, [10.0 * i, 0.0], [10.0 * i, 1.0]) for i in range(4)}
-    after, exchanges = run_scp(far, complete_graph(far))
-    assert exchanges == 4  # each waits until all of higher priority are final
-    assert all(after[i].nominal is far[i].solo and after[i].solve_count == 0 for i in far)
 
 
 def test_iterates_stay_feasible_and_costs_do_not_rise(rng):

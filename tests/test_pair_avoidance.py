@@ -23,7 +23,7 @@ def crossing(rng, axes=2, **limits):
     ends[:, 0] += [[-1.5 * (k == 0) for k in range(axes)], [1.5 * (k == 0) for k in range(axes)]]
     ends[:, 1] += [[1.5 * (k == 0) for k in range(axes)], [-1.5 * (k == 0) for k in range(axes)]]
     ends[:, 1] += 0.2 * aside
-    both = [make_planner(i, *(side[i] for side in ends), transfer, horizon) for i in range(2)]
+    both = [make_planner(i, *(side[i] for side in ends)) for i in range(2)]
     nominal = both[0].control_points + 0.3 * aside - both[1].control_points
     between = RelativeHalfSpaces.from_normals(
         horizon, T, choose_normals(nominal[None], horizon.required_separation)[0]
