@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from problems.conic import TOLERANCE
 from problems.solvers.adapter import SolverAdapter
@@ -103,13 +103,10 @@ def print_comparison(
     for family in dict.fromkeys(family.name for family in plan.families):
         some = [m for m in measurements if m.family.name == family]
         sizes = " / ".join(dict.fromkeys(m.family.size for m in some))
-        table = Table(title=f"{family} ({sizes})", title_justify="left")
-        rows = {}
-        for solver in dict.fromkeys(m.solver for m in some):
-            rows[solver] = summarize([m for m in some if m.solver == solver], at)
-        table.add_column("solver", no_wrap=True)
-        for header in next(iter(rows.values()), ()):
-            table.add_column(header, justify="right")
+        solvers = dict.fromkeys(m.solver for m in some)
+        rows = {name: summarize([m for m in some if m.solver == name], at) for name in solvers}
+        columns = [Column(header, justify="right") for header in next(iter(rows.values()), ())]
+        table = Table("solver", *columns, title=f"{family} ({sizes})", title_justify="left")
         for solver, cells in rows.items():
             table.add_row(solver, *cells.values())
         console.print(table)
@@ -141,6 +138,8 @@ def summarize(measurements: Sequence[Measurement], tolerance: float) -> dict[str
     sizes = dict.fromkeys(m.family.size for m in measurements)
     correct = [m for m in measurements if m.tolerance == tolerance and m.is_correct]
     by_size = [[m.outcomes for m in correct if m.family.size == size] for size in sizes]
+    first = [[outcomes[0] for outcomes in group] for group in by_size]
+    second = [[outcomes[1] for outcomes in group if len(outcomes) > 1] for group in by_size]
     errors = [m.outcomes[0].cost_error for m in correct if m.instance.is_feasible]
     verdicts = [outcome.verdict for m in measurements for outcome in m.outcomes]
     right = verdicts.count("solved") + verdicts.count("infeasible")
@@ -148,11 +147,9 @@ def summarize(measurements: Sequence[Measurement], tolerance: float) -> dict[str
     return cells | {
         "wrong\nclaims": str(wrong),
         "not\nsolved": str(len(verdicts) - right - wrong),
-        "first\nms": _medians([1e3 * first.seconds for first, *_ in some] for some in by_size),
-        "re-solve\nms": _medians(
-            [1e3 * o.seconds for _, *s in some for o in s] for some in by_size
-        ),
-        "iterations\n": _medians([first.iterations for first, *_ in some] for some in by_size),
+        "first\nms": _medians([1e3 * solve.seconds for solve in group] for group in first),
+        "re-solve\nms": _medians([1e3 * solve.seconds for solve in group] for group in second),
+        "iterations\n": _medians([solve.iterations for solve in group] for group in first),
         "cost\nerror": f"{max(errors):.0e}" if errors else MISSING,
     }
 
