@@ -108,7 +108,7 @@ def check_times(time: Float[Array, " instants"], step: float) -> Promise:
     return promise._replace(kept=False, tolerance=0.0, message=text)
 
 
-def check_finite(alive: Alive, *states: Float[Array, "instants agents *k"]) -> Promise:
+def check_finite(alive: Alive, *states: Float[Array, "instants agents ..."]) -> Promise:
     """Check that live agents have finite states at all instants."""
     rows = [np.isfinite(values).reshape(*alive.shape, -1).all(axis=2) for values in states]
     wrong = [alive & ~row for row in rows]

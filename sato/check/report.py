@@ -32,20 +32,20 @@ def expect_none(name: str, violations: ArrayLike, text: str) -> Promise:
 
 def expect_small_error(name: str, errors: ArrayLike, tolerance: float, text: str) -> Promise:
     """Promise that the largest of all errors is within its tolerance."""
-    worst = max_or_zero(np.abs(errors))
+    worst = largest(errors)
     return Promise(name, bool(worst <= tolerance), worst, tolerance, f"{worst:.3g} {text}")
 
 
 def expect_below(name: str, values: ArrayLike, limit: float, relative: float, text: str) -> Promise:
     """Promise that a quantity does not exceed its limit, but for a relative tolerance."""
-    most = max_or_zero(values)
+    most = largest(values)
     text = f"{most:.6g} {text}, {limit:.6g} allowed"
     return Promise(name, bool(most <= limit * (1 + relative)), most, limit, text)
 
 
-def max_or_zero(values: ArrayLike) -> float:
-    """Return the largest value; NaN where there is one, which breaks every promise."""
-    return float(np.max(values, initial=0.0))
+def largest(*errors: ArrayLike) -> float:
+    """Return the largest size in some arrays; NaN where there is one, which breaks a promise."""
+    return float(np.max([np.max(np.abs(each), initial=0.0) for each in errors]))
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from sato.check.common import EventLog
 from sato.connectivity.check.recorded import ConnectivityRecord
 from sato.connectivity.distance import nearest_agent_distance, obstacle_distances
 from sato.connectivity.loop import simulate
@@ -41,11 +40,8 @@ def run_trial(mission: Connectivity, rng: np.random.Generator) -> ConnectivityTr
 
 def evaluate_trial(mission: Connectivity, frames: Iterable[ConnectivityFrame]) -> ConnectivityTrial:
     """Evaluate all frames of a simulation."""
-    listed = list(frames)
-    events = tuple({"time": frame.time, **event} for frame in listed for event in frame.events)
-    *columns, _ = zip(*listed, strict=True)
-    whole: Any = ConnectivityFrame._make([*map(np.array, columns), events])
-    record = ConnectivityRecord(mission, {}, whole, EventLog(whole.time, events))
+    record = ConnectivityRecord.from_frames(list(frames), mission)
+    whole = record.frames
     lost, gap = np.nan, np.nan
     below = whole.lambda2 <= mission.potential.lambda2_min
     if below.any():

@@ -1,6 +1,7 @@
 """Promises of a connectivity run, each checked by recomputing it."""
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -9,32 +10,47 @@ from problems.interaction_graph import algebraic_connectivity
 from sato.check import common
 from sato.check.report import (
     Promise,
+    Report,
     expect_below,
     expect_none,
     expect_small_error,
-    max_or_zero,
+    largest,
 )
 from sato.connectivity.check.recorded import ConnectivityRecord
-from sato.connectivity.mission import OMNIDIRECTIONAL
+from sato.connectivity.mission import OMNIDIRECTIONAL, Connectivity
 from sato.connectivity.record import run_attributes
 from sato.network.graph import canonicalize_labels, label_components
+
+if TYPE_CHECKING:
+    import xarray
 
 TOLERANCE = 1e-9  # rounding of weights, eigenvalues, cosines and speeds
 NOISE_SIGMAS = 8  # standard deviations of noise that are allowed; 1 in 10¹⁵ is beyond
 
 
-def check_promises(record: ConnectivityRecord) -> tuple[Promise, ...]:
-    """Check all promises."""
-    mission, frames = record.mission, record.frames
-    states = [
-        frames.position, frames.velocity, frames.yaw[..., None], frames.velocity_command,
-        frames.yaw_rate[..., None], frames.edge_weight, frames.yaw_estimate_error,
-    ]  # fmt: skip
-    return (
-        check_complete(record),
+def check_run(
+    data: "xarray.Dataset", mission: Connectivity, rng: np.random.Generator | None = None
+) -> Report:
+    """Check the data of a run against a drawn mission.
+
+    Args:
+        data: Data of the run.
+        mission: Mission that was to be flown, drawn.
+        rng: Not used: noise and losses are checked by their effects.
+    """
+    record = ConnectivityRecord.from_dataset(data, mission)
+    frames = record.frames
+    states = (
+        frames.position, frames.velocity, frames.yaw, frames.velocity_command, frames.yaw_rate,
+        frames.edge_weight, frames.yaw_estimate_error,
+    )  # fmt: skip
+    is_short = len(frames.time) != round(mission.duration / mission.step) + 1
+    lacking = "another number of instants than the duration gives" if is_short else ""
+    promises = (
+        common.check_complete(record.attributes, lacking),
         common.check_attributes(record.attributes, run_attributes(mission)),
         common.check_times(frames.time, mission.step),
-        common.check_finite(frames.alive, np.concatenate(states, axis=2)),
+        common.check_finite(frames.alive, *states),
         common.check_alive(frames.alive, record.events),
         check_losses(record),
         check_start(record),
@@ -48,15 +64,7 @@ def check_promises(record: ConnectivityRecord) -> tuple[Promise, ...]:
         check_connectivity(record),
         *check_distances(record),
     )
-
-
-def check_complete(record: ConnectivityRecord) -> Promise:
-    """Check that the flight lasts as long as the scenario says."""
-    reason = common.incomplete_reason(record.attributes)
-    steps = round(record.mission.duration / record.mission.step)
-    is_short = len(record.frames.time) != steps + 1
-    text = "every instant is recorded" + (f"; {reason}" if reason else "")
-    return expect_none("complete", int(is_short or bool(reason)), text)
+    return Report(promises, record.summarize())
 
 
 def check_losses(record: ConnectivityRecord) -> Promise:
@@ -65,8 +73,8 @@ def check_losses(record: ConnectivityRecord) -> Promise:
     expected = np.ones_like(alive)
     for loss in record.mission.losses:
         expected[step * np.arange(len(alive)) >= loss.time - TOLERANCE, loss.agent] = False
-    odd = int((expected != alive).sum())
-    return expect_none("losses", odd, "times an agent was alive or not against the scenario")
+    text = "times an agent was alive or not against the scenario"
+    return expect_none("losses", expected != alive, text)
 
 
 def check_start(record: ConnectivityRecord) -> Promise:
@@ -75,11 +83,7 @@ def check_start(record: ConnectivityRecord) -> Promise:
     start = mission.initial_position
     if frames.position.shape[1:] != start.shape:
         return expect_none("start", 1, "another number of agents than the scenario's")
-    worst = max(
-        max_or_zero(np.abs(frames.position[0] - start)),
-        max_or_zero(np.abs(frames.yaw[0] - mission.yaw)),
-        max_or_zero(np.abs(frames.velocity[0])),
-    )
+    worst = largest(frames.position[0] - start, frames.yaw[0] - mission.yaw, frames.velocity[0])
     tolerance = TOLERANCE * float(np.abs(start).max())
     return expect_small_error("start", worst, tolerance, "off from the scenario's start at most")
 
@@ -91,21 +95,20 @@ def check_motion(record: ConnectivityRecord) -> Iterator[Promise]:
     off = np.abs(frames.position - replay.position)
     # The noise of the step in which an agent is lost is not recorded.
     off[1:][frames.alive[:-1] & ~frames.alive[1:]] -= step * noise
-    tolerance = TOLERANCE * max_or_zero(np.abs(frames.position))
-    yield expect_small_error("flight", max_or_zero(off), tolerance, "m off from the commands")
-    off = np.abs(frames.velocity - rotate_by_yaw(replay.velocity, frames.yaw))[frames.alive]
-    text = "m/s off from the commands"
-    yield expect_small_error("obedience", max_or_zero(off), TOLERANCE + noise, text)
-    turned, tolerance = max_or_zero(np.abs(frames.yaw - replay.yaw)), TOLERANCE + step * noise
+    off, tolerance = np.maximum(off, 0), TOLERANCE * largest(frames.position)
+    yield expect_small_error("flight", off, tolerance, "m off from the commands")
+    off = (frames.velocity - rotate_by_yaw(replay.velocity, frames.yaw))[frames.alive]
+    yield expect_small_error("obedience", off, TOLERANCE + noise, "m/s off from the commands")
+    turned, tolerance = frames.yaw - replay.yaw, TOLERANCE + step * noise
     yield expect_small_error("heading", turned, tolerance, "rad off from the commands")
 
 
 def check_commands(record: ConnectivityRecord) -> Iterator[Promise]:
     """Check that commanded speeds and yaw rates are within their limits."""
     frames, limits = record.frames, record.mission.limits
-    speed = max_or_zero(np.linalg.norm(frames.velocity_command, axis=2)[frames.alive])
+    speed = np.linalg.norm(frames.velocity_command, axis=2)[frames.alive]
     yield expect_below("speed", speed, limits.speed, TOLERANCE, "m/s commanded at most")
-    rate = max_or_zero(np.abs(frames.yaw_rate[frames.alive]))
+    rate = frames.yaw_rate[frames.alive]
     yield expect_below("turn", rate, limits.yaw_rate, TOLERANCE, "rad/s commanded at most")
 
 
@@ -123,7 +126,7 @@ def check_stick(record: ConnectivityRecord) -> Promise:
                     return expect_none("stick", 1, text)
                 reached += 1
             expected = stick.command_velocity(k * record.mission.step, position, reached)
-        worst = max(worst, max_or_zero(np.abs(expected - command)))
+        worst = largest(worst, expected - command)
     if reached < len(instants):
         return expect_none("stick", len(instants) - reached, "events of waypoints not reached")
     return expect_small_error("stick", worst, TOLERANCE, "m/s off from the operator's commands")
@@ -131,7 +134,7 @@ def check_stick(record: ConnectivityRecord) -> Promise:
 
 def check_edge_weights(record: ConnectivityRecord) -> Promise:
     """Check weights against poses, tilted cameras and occlusion."""
-    error = max_or_zero(np.abs(record.frames.edge_weight - record.views.weight))
+    error = record.frames.edge_weight - record.views.weight
     return expect_small_error("weights", error, TOLERANCE, "off from those of the poses")
 
 
@@ -140,7 +143,7 @@ def check_visibility(record: ConnectivityRecord) -> Promise:
     mission, cosine = record.mission, record.views.view_cosine
     least = OMNIDIRECTIONAL[0] if mission.range_only else mission.camera.a_min
     odd = (record.frames.visibility != (cosine > least)) & ~(np.abs(cosine - least) < TOLERANCE)
-    return expect_none("visibility", int(odd.sum()), "visibilities that the poses do not give")
+    return expect_none("visibility", odd, "visibilities that the poses do not give")
 
 
 def check_eigenvalues(record: ConnectivityRecord) -> Promise:
@@ -149,9 +152,9 @@ def check_eigenvalues(record: ConnectivityRecord) -> Promise:
     found = algebraic_connectivity(frames.edge_weight, frames.alive)
     with np.errstate(invalid="ignore"):  # infinite where there is no such eigenvalue
         off = np.abs([found.lambda2 - frames.lambda2, found.lambda3 - frames.lambda3])
-    worst = max_or_zero(off[~(np.isinf([found.lambda2, found.lambda3]) & np.isnan(off))])
+    off = off[~(np.isinf([found.lambda2, found.lambda3]) & np.isnan(off))]
     tolerance = TOLERANCE * frames.edge_weight.shape[1]
-    return expect_small_error("eigenvalues", worst, tolerance, "off from those of the weights")
+    return expect_small_error("eigenvalues", off, tolerance, "off from those of the weights")
 
 
 def check_components(record: ConnectivityRecord) -> Promise:

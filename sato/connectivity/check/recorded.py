@@ -1,8 +1,7 @@
 """Run of a connectivity mission as recorded, and quantities that follow from it."""
 
-from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -10,35 +9,18 @@ from numpy import ndarray as Array
 
 from dynamics.kinematic import KinematicVehicle
 from dynamics.vehicle import VehicleState, rotate_by_yaw
-from sato.check.common import EventLog, common_summary, incomplete_reason
+from sato.check.common import common_summary, incomplete_reason
 from sato.connectivity.distance import min_obstacle_distance, min_separation
 from sato.connectivity.loop import advance_vehicles
 from sato.connectivity.mission import Connectivity
-from sato.connectivity.record import ConnectivityFrame
 from sato.connectivity.sensors import CameraViews, compute_views
-from sato.record import read_frames
-
-if TYPE_CHECKING:
-    import xarray
+from sato.record import RunRecord
 
 MAX_BATCH = 1_000_000  # pairs, with what may hide one from the other, of one computation
 
 
-@dataclass(frozen=True, eq=False)
-class ConnectivityRecord:
+class ConnectivityRecord(RunRecord[Connectivity, Any, None]):
     """Frames of a run, with time as their leading axis, and its drawn mission."""
-
-    mission: Connectivity
-    attributes: dict[str, Any]
-    frames: Any  # ConnectivityFrame with time as the leading axis of each field
-    events: EventLog
-
-    @classmethod
-    def from_dataset(cls, data: "xarray.Dataset", mission: Connectivity) -> "ConnectivityRecord":
-        """Read the data of a run."""
-        attributes = {str(name): value for name, value in data.attrs.items()}
-        frames = read_frames(ConnectivityFrame, data)
-        return cls(mission, attributes, frames, EventLog.from_dataset(data))
 
     @cached_property
     def min_separation(self) -> float:

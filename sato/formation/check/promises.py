@@ -1,6 +1,7 @@
 """Promises of a formation flight, each checked by recomputing it."""
 
 from collections import Counter
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray as Array
@@ -8,25 +9,41 @@ from numpy import ndarray as Array
 from sato.check import common
 from sato.check.report import (
     Promise,
+    Report,
     expect_below,
     expect_none,
     expect_small_error,
-    max_or_zero,
+    largest,
 )
 from sato.formation.check.recorded import FormationRecord
+from sato.formation.check.summary import summarize
+from sato.formation.mission import Formation
 from sato.formation.record import collect_attributes
+
+if TYPE_CHECKING:
+    import xarray
 
 RESIDUAL = 1e-10  # of gains, from rounding
 NOISE_ALLOWANCE = 0.05  # by which two may come closer than keep_out, because of noise [m]
 ROUNDING_TOLERANCE = 1e-9  # relative, of speeds and accelerations
 
 
-def check_promises(record: FormationRecord) -> tuple[Promise, ...]:
-    """Check all promises."""
-    mission, frames, attributes = record.mission, record.frames, record.attributes
+def check_run(
+    data: "xarray.Dataset", mission: Formation, rng: np.random.Generator | None = None
+) -> Report:
+    """Check the data of a run against a drawn mission.
+
+    Args:
+        data: Data of the run.
+        mission: Mission that was to be flown, drawn.
+        rng: Not used: noise and losses are checked by their effects.
+    """
+    record = FormationRecord.from_dataset(data, mission)
+    frames, attributes = record.frames, record.attributes
     command, drift = frames.velocity_command, frames.frame_drift
-    return (
-        check_complete(record),
+    end = "" if record.replay.is_complete else "the flight ends where it should not"
+    promises = (
+        common.check_complete(attributes, end),
         common.check_attributes(attributes, collect_attributes(mission)),
         common.check_times(record.time, mission.frame_period),
         common.check_finite(frames.alive, frames.position, frames.velocity, command, drift),
@@ -44,36 +61,29 @@ def check_promises(record: FormationRecord) -> tuple[Promise, ...]:
         check_assignment_is_unique(record),
         check_separation(record),
     )
-
-
-def check_complete(record: FormationRecord) -> Promise:
-    """Check that the flight was not interrupted, and ends where the supervisor would end it."""
-    reason, is_over = common.incomplete_reason(record.attributes), record.replay.is_complete
-    text = f"every instant is there{'' if is_over else ', or should be'}"
-    text = f"{text}; {reason}" if reason else text
-    return expect_none("complete", int(not is_over or bool(reason)), text)
+    return Report(promises, summarize(record))
 
 
 def check_connected(record: FormationRecord) -> Promise:
     """Check that all agents take part in one network."""
-    odd = int((~record.frames.alive).sum() + (record.frames.component != 0).sum())
+    odd = [~record.frames.alive, record.frames.component != 0]
     return expect_none("component", odd, "times an agent was missing, or in another network")
 
 
 def check_start(record: FormationRecord) -> Promise:
     """Check that vehicles start where the scenario says, at rest."""
     start, frames = record.mission.initial_positions, record.frames
-    worst = _largest(frames.position[0] - start, frames.velocity[0])
-    tolerance = ROUNDING_TOLERANCE * _largest(start)
+    worst = largest(frames.position[0] - start, frames.velocity[0])
+    tolerance = ROUNDING_TOLERANCE * largest(start)
     return expect_small_error("start", worst, tolerance, "off from the scenario's start, at most")
 
 
 def check_coordinate_frames(record: FormationRecord) -> Promise:
     """Check that coordinate frames are those that the seed gives."""
     drawn, found = record.mission.coordinate_frames, record.variables
-    scale = max(1.0, _largest(drawn.origin))
+    scale = max(1.0, largest(drawn.origin))
     turned = np.exp(1j * found.frame_yaw) - drawn.rotation
-    worst = _largest(turned, (found.frame_offset - drawn.origin) / scale)
+    worst = largest(turned, (found.frame_offset - drawn.origin) / scale)
     text = "off from the frames that the seed gives, relative"
     return expect_small_error("frames", worst, ROUNDING_TOLERANCE, text)
 
@@ -84,10 +94,10 @@ def check_drift(record: FormationRecord) -> Promise:
     rate = mission.coordinate_frames.drift_rate
     speed = np.linalg.norm(record.frames.velocity[1:], axis=2, keepdims=True)
     error = np.diff(drift, axis=0) - speed * mission.frame_period * rate
-    tolerance = ROUNDING_TOLERANCE * _largest(drift)
-    tolerance += _largest(rate) * _position_uncertainty(record)
+    tolerance = ROUNDING_TOLERANCE * largest(drift)
+    tolerance += largest(rate) * _position_uncertainty(record)
     text = "m off from the drift of the distance flown in a step"
-    return expect_small_error("drift", _largest(error, drift[0]), tolerance, text)
+    return expect_small_error("drift", largest(error, drift[0]), tolerance, text)
 
 
 def check_formations(record: FormationRecord) -> Promise:
@@ -98,7 +108,7 @@ def check_formations(record: FormationRecord) -> Promise:
     is_same = wanted.shape == points.shape
     is_same = is_same and np.allclose(points, wanted, rtol=tolerance, atol=tolerance)
     is_same = is_same and np.array_equal(graph, [f.graph for f in formations])
-    return expect_none("formation", int(not is_same), "formations that are not the scenario's")
+    return expect_none("formation", not is_same, "formations that are not the scenario's")
 
 
 def check_gains(record: FormationRecord) -> Promise:
@@ -118,8 +128,8 @@ def check_gains(record: FormationRecord) -> Promise:
 def check_positions(record: FormationRecord) -> Promise:
     """Check that positions follow from velocities."""
     p, v = record.frames.position, record.frames.velocity
-    error = _largest(np.diff(p, axis=0) - v[1:] * record.mission.frame_period)
-    tolerance = ROUNDING_TOLERANCE * _largest(p) + _position_uncertainty(record)
+    error = np.diff(p, axis=0) - v[1:] * record.mission.frame_period
+    tolerance = ROUNDING_TOLERANCE * largest(p) + _position_uncertainty(record)
     return expect_small_error("flight", error, tolerance, "m off from a step by its velocity")
 
 
@@ -135,7 +145,7 @@ def check_limits(record: FormationRecord) -> list[Promise]:
         ("climb_acceleration", acceleration[..., 2], climb, "m/s² up or down"),
     ]
     return [
-        expect_below(name, _largest(values), limit, ROUNDING_TOLERANCE, text)
+        expect_below(name, values, limit, ROUNDING_TOLERANCE, text)
         for name, values, limit, text in limits
     ]
 
@@ -178,7 +188,7 @@ def check_assignment_is_unique(record: FormationRecord) -> Promise:
     held = record.frames.point_index
     if record.mission.radio.loss_probability > 0:
         held = held[[leg.end_instant for leg in record.replay.legs if leg.completed]]
-    odd = int((np.sort(held, axis=1) != np.arange(held.shape[1])).any(axis=1).sum())
+    odd = (np.sort(held, axis=1) != np.arange(held.shape[1])).any(axis=1)
     return expect_none("points", odd, "instants at which two hold one point")
 
 
@@ -196,11 +206,6 @@ def _planar(record: FormationRecord, vectors: Array) -> Array:
     # The paper's code limits each axis of the plane by itself.
     flat = vectors[..., :2]
     return flat if record.mission.avoidance.legacy else np.linalg.norm(flat, axis=2)
-
-
-def _largest(*values: Array) -> float:
-    # NaN where there is one, which breaks every promise.
-    return float(np.max([max_or_zero(np.abs(each)) for each in values]))
 
 
 def _position_uncertainty(record: FormationRecord) -> float:

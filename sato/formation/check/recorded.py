@@ -1,25 +1,19 @@
 """Record of a flight: the arrays of a run, and the course that it must have taken."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations, islice
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from problems.gain_matrix import GainMatrix
-from sato.check.common import EventLog
 from sato.formation.loop import FormationFrame
 from sato.formation.mission import Formation
-from sato.formation.record import GAIN_PARTS, FormationVariables, collect_variables
+from sato.formation.record import GAIN_PARTS, FormationVariables
 from sato.formation.supervisor import FlightCourse, Phase
-from sato.record import read_frames, read_variables
-
-if TYPE_CHECKING:
-    import xarray
+from sato.record import RunRecord
 
 
 class ClosestPair(NamedTuple):
@@ -50,45 +44,13 @@ class Replay(NamedTuple):
     is_complete: bool  # True where the flight had to be over at the last instant
 
 
-@dataclass(frozen=True, eq=False)
-class FormationRecord:
+class FormationRecord(RunRecord[Formation, FormationFrame, FormationVariables]):
     """A flight as recorded, and the mission as drawn again from its scenario."""
-
-    mission: Formation
-    frames: FormationFrame  # with time as leading axis
-    variables: FormationVariables
-    attributes: Mapping[str, Any] = field(default_factory=dict)
-
-    @classmethod
-    def from_dataset(cls, data: "xarray.Dataset", mission: Formation) -> "FormationRecord":
-        """Read the data of a run."""
-        frames = read_frames(FormationFrame, data)
-        attributes = {str(name): value for name, value in data.attrs.items()}
-        return cls(mission, frames, read_variables(FormationVariables, data), attributes)
-
-    @classmethod
-    def from_frames(cls, frames: Sequence[FormationFrame], mission: Formation) -> "FormationRecord":
-        """Stack the frames of a flight."""
-        columns = zip(*(frame[:-1] for frame in frames), strict=True)
-        stacked = [np.array(values) for values in columns]
-        events = tuple({"time": f.time, **event} for f in frames for event in f.events)
-        variables = collect_variables(frames, mission)
-        return cls(mission, FormationFrame._make([*stacked, events]), variables)
-
-    @property
-    def time(self) -> Float[Array, " instants"]:
-        """Time of each instant [s]."""
-        return np.asarray(self.frames.time)
 
     @property
     def leg_index(self) -> Int[Array, " instants"]:
         """Leg under way at each instant."""
         return np.asarray(self.frames.leg_index)
-
-    @cached_property
-    def events(self) -> EventLog:
-        """Events of the flight, by instant."""
-        return EventLog(self.time, self.frames.events)
 
     @cached_property
     def auction_rounds(self) -> tuple[int, ...]:

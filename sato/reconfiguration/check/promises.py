@@ -1,6 +1,7 @@
 """Promises of a reconfiguration: the file agrees with its mission, its seed and itself."""
 
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool
@@ -9,24 +10,35 @@ from numpy import ndarray as Array
 from dynamics.orbit import polar_nodal_scales
 from dynamics.trajectory_geometry import sampled_separations
 from sato.check import common
-from sato.check.report import Promise, expect_below, expect_none, expect_small_error, max_or_zero
+from sato.check.report import Promise, Report, expect_below, expect_none, expect_small_error
 from sato.network.graph import CommunicationGraph, canonicalize_labels
 from sato.reconfiguration.check.fuel import compute_step_fuel, vector_norm
-from sato.reconfiguration.check.prediction import Redrawn, bound_speed_excess
+from sato.reconfiguration.check.prediction import Redrawn, bound_speed_excess, redraw_disturbances
 from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
-from sato.reconfiguration.check.summary import is_reached
+from sato.reconfiguration.check.summary import is_reached, summarize
+from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.record import collect_attributes, stack_targets
+
+if TYPE_CHECKING:
+    import xarray
 
 # Rounding in one step, relative to the largest position, speed or control.
 ROUNDING_TOLERANCE = 1e-10
 
 
-def check_promises(record: ReconfigurationRecord, redrawn: Redrawn) -> tuple[Promise, ...]:
-    """Check all promises."""
-    mission, frames, log = record.mission, record.frames, record.events
+def check_run(data: "xarray.Dataset", mission: Reconfiguration, rng: np.random.Generator) -> Report:
+    """Check a run's data against its drawn mission.
+
+    Args:
+        data: Data of the run.
+        mission: Drawn mission.
+        rng: Generator as the drawing of the mission left it.
+    """
+    record = ReconfigurationRecord.from_dataset(data, mission)
+    frames, log, redrawn = record.frames, record.events, redraw_disturbances(record, rng)
     ended = {leg.leg_index for leg in record.leg_records if leg.end_event is not None}
     unended = _list_legs("that did not end", set(range(len(mission.legs))) - ended)
-    return (
+    promises = (
         common.check_complete(record.attributes, unended),
         common.check_attributes(record.attributes, collect_attributes(mission)),
         common.check_times(record.time, mission.step),
@@ -49,6 +61,7 @@ def check_promises(record: ReconfigurationRecord, redrawn: Redrawn) -> tuple[Pro
         check_arrival(record),
         check_fuel(record),
     )
+    return Report(promises, summarize(record))
 
 
 def check_chief(record: ReconfigurationRecord) -> Promise:
@@ -230,14 +243,14 @@ def check_fuel(record: ReconfigurationRecord) -> Promise:
     The bound is that of the shared model. A plant that differs from it may have saved as much
     as it would cost the model to correct that (`FuelBound.correction_fuel`).
     """
-    burned, shortfalls = compute_step_fuel(record), []
+    burned, shortfalls = compute_step_fuel(record), [0.0]
     for leg, bound in zip(record.leg_records, record.fuel_bounds, strict=True):
         if bound is not None and is_reached(record, leg):
             used = float(burned[leg.start_index : leg.end_index, bound.agents].sum())
             saved = float(bound.correction_fuel.sum())
             shortfalls.append((bound.total - used - saved) / max(bound.total, 1e-12))
     text = "a leg's fuel below its lower bound, relative"
-    return expect_small_error("fuel", max_or_zero(shortfalls), 1e-6, text)
+    return expect_small_error("fuel", np.maximum(shortfalls, 0), 1e-6, text)
 
 
 def _list_legs(what: str, legs: set[int]) -> str:
