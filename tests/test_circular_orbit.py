@@ -1,17 +1,13 @@
-"""Models about a circular orbit, against laws and integration.
-
-Errors of Φ are relative to its largest entry, with velocities in units of the rotation
-rate times a meter.
-"""
+"""Models about a circular orbit, against laws and published solutions."""
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from orbit_examples import transition_matrix
-from scipy.integrate import solve_ivp
 
 from dynamics import discretize_zoh
 from dynamics.circular_orbit import ClohessyWiltshire, SchweighartSedwick
+from dynamics.orbit import Orbit
 
 MODELS = [
     ClohessyWiltshire(1.1e-3),
@@ -54,21 +50,40 @@ def test_other_orbits_drift_by_the_stated_amount(model, rng):
     assert_allclose(moved, [0, drift, 0, 0], atol=1e-7)
 
 
-@models
-def test_a_discrete_step_solves_the_equations_of_motion(model):
-    """Compare Φ and the control matrix of a step with DOP853 over three periods."""
-    unit, end = units(model), 6 * np.pi / model.rotation_rate
-    A = model.A(0.0) * unit / unit[:, None]
-    B = model.B(0.0) / unit[:, None]
+def test_steps_are_the_published_solution_of_clohessy_and_wiltshire():
+    """Compare every entry [Clohessy1960]."""
+    n, t = 1.1e-3, 1440.0
+    c, s, a = np.cos(n * t), np.sin(n * t), n * t
+    Phi = [
+        [4 - 3 * c, 0, 0, s / n, 2 * (1 - c) / n, 0],
+        [6 * (s - a), 1, 0, -2 * (1 - c) / n, (4 * s - 3 * a) / n, 0],
+        [0, 0, c, 0, 0, s / n],
+        [3 * n * s, 0, 0, c, 2 * s, 0],
+        [-6 * n * (1 - c), 0, 0, -2 * s, 4 * c - 3, 0],
+        [0, 0, -n * s, 0, 0, c],
+    ]
+    Gamma = [
+        [(1 - c) / n**2, 2 * (a - s) / n**2, 0],
+        [-2 * (a - s) / n**2, 4 * (1 - c) / n**2 - 1.5 * t**2, 0],
+        [0, 0, (1 - c) / n**2],
+        [s / n, 2 * (1 - c) / n, 0],
+        [-2 * (1 - c) / n, 4 * s / n - 3 * t, 0],
+        [0, 0, s / n],
+    ]
+    step = discretize_zoh(ClohessyWiltshire(n), t, 1)
+    assert_allclose(step.A[0], Phi, rtol=1e-11, atol=0)
+    assert_allclose(step.B[0], Gamma, rtol=1e-11, atol=0)
 
-    def rate(t, y):
-        y = y.reshape(6, 9)
-        return (A @ y + np.hstack([np.zeros((6, 6)), B])).ravel()
 
-    start = np.eye(6, 9).ravel()
-    y = solve_ivp(rate, (0, end), start, method="DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
-    Phi, Gamma = np.split(y.reshape(6, 9), [6], axis=1)
-    found = transition_matrix(model, end) * unit / unit[:, None]
-    assert_allclose(found, Phi, rtol=0, atol=1e-11 * np.abs(Phi).max())
-    error = np.abs(discretize_zoh(model, end, 1).B[0] / unit[:, None] - Gamma).max()
-    assert error <= 1e-9 * np.abs(Gamma).max()
+def test_mean_motion_is_that_of_the_orbit():
+    orbit = Orbit.from_elements(6878e3, inclination=0.8, true_anomaly=1.0)
+    n = np.sqrt(3.986004418e14 / 6878e3**3)
+    assert ClohessyWiltshire.from_orbit(orbit).n == pytest.approx(n, rel=1e-13)
+    eccentric = Orbit.from_elements(8600e3, 0.2, true_anomaly=2.0)
+    assert eccentric.period * ClohessyWiltshire.from_orbit(eccentric).n == pytest.approx(2 * np.pi)
+
+
+@pytest.mark.parametrize("bad", [0.0, -1e-3, np.nan, np.inf])
+def test_a_mean_motion_that_is_not_positive_is_refused(bad):
+    with pytest.raises(ValueError, match="n: the mean motion must be positive"):
+        ClohessyWiltshire(bad)

@@ -95,14 +95,6 @@ def test_half_as_many_pairs_as_vehicles_conflict_if_all_fly_alone(price):
         assert meetings == np.sum(np.array(flown) < mission.collision_radius) >= 3
 
 
-def test_every_instance_is_a_row_of_the_file(price, tmp_path):
-    price["write_csv"](tmp_path / "all.csv", [row(price, 1.0), row(price, np.nan)])
-    assert [file.name for file in tmp_path.iterdir()] == ["all.csv"]
-    first, second = lines(tmp_path / "all.csv")
-    assert first["model"] == "plane" and first["agents"] == "3" and float(first["central"]) == 1
-    assert np.isnan(float(second["central"])) and float(second["padding"]) == 1e-5
-
-
 def test_table_of_the_docs_is_made_from_the_file(price, tmp_path):
     found = [(1.0, 1.02), (1.0, np.inf), (np.nan, 1.0), (1.0, 1.0)]
     rows = [row(price, *fuel, number=number) for number, fuel in enumerate(found)]
