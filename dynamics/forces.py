@@ -93,19 +93,16 @@ class Forces:
                 return
             raise ValueError(
                 "drag needs the ballistic coefficient C_D A/m of every agent and of the chief, in "
-                "m²/kg: for instance 0.01 for 2.2 × 0.5 m² / 110 kg; without an atmosphere there "
-                "is no drag"
+                "m²/kg: for instance 0.01 for 2.2 × 0.5 m² / 110 kg"
             )
         given = np.asarray(ballistic_coefficient)
         if self.atmosphere is None and given.any():
             raise ValueError(
-                "ballistic coefficients have no effect without an atmosphere: give one, such as "
-                "Atmosphere() for 500 to 600 km or Atmosphere.from_altitude(altitude)"
+                "ballistic coefficients have no effect without an atmosphere: give one"
             )
         if not (np.isfinite(given) & (given >= 0)).all():
-            raise ValueError(
-                f"ballistic coefficients are finite and not negative, got {given.min()} m²/kg"
-            )
+            least = f"got {given.min()} m²/kg"
+            raise ValueError(f"ballistic coefficients are finite and not negative, {least}")
 
     def _gravity(self, position: Array, mu: float) -> Array:
         # −∇ of −μ/r − k/r³ (1/3 − (Z/r)²), with Z along the Earth's axis. Component by

@@ -184,12 +184,10 @@ def test_library_exports_a_single_function(made):
 
 def test_problem_without_constant_matrices_is_refused():
     steps = discretize_zoh(DoubleIntegrator(2), 1.0, 6)
-    with pytest.raises(ValueError, match=r"fuel_norm must be 1 .* got 2 and inf"):
+    with pytest.raises(ValueError, match=r"has fuel_norm 1 .* got \(2, 'inf'\)"):
         FixedSizeAvoidanceProblem(TransferProblem(steps, 0.1, fuel_norm=2), 3, 4)
-    with pytest.raises(ValueError, match="at least 2 steps"):
-        FixedSizeAvoidanceProblem(TransferProblem(steps, 0.1), 7, 4)
     changing = replace(steps, A=steps.A * np.linspace(1, 1.1, 6)[:, None, None])
-    with pytest.raises(ValueError, match="A must be the same at every step"):
+    with pytest.raises(ValueError, match="the same at every step"):
         FixedSizeAvoidanceProblem(TransferProblem(changing, 0.1), 3, 4)
     constant = discretize_zoh(ClohessyWiltshire(1e-3), 60.0, 6)
     assert not FixedSizeAvoidanceProblem(TransferProblem(constant, 0.01), 3, 4).has_speed_limit

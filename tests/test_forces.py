@@ -11,7 +11,7 @@ from orbit_examples import inertial_states
 
 from dynamics.atmosphere import DENSITY_TABLE, Atmosphere
 from dynamics.forces import Forces
-from dynamics.orbit import EARTH_J2, EARTH_MU, EARTH_RADIUS, EARTH_ROTATION, K_J2
+from dynamics.orbit import EARTH_J2, EARTH_MU, EARTH_RADIUS, EARTH_ROTATION
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -83,26 +83,6 @@ def test_rows_of_the_density_table_join_within_3_percent():
     # The table itself is continuous to 3 % only.
     for (h, density, scale), (above, next_density, _) in pairwise(DENSITY_TABLE):
         assert density * np.exp(-(above - h) / scale) == pytest.approx(next_density, rel=0.03)
-
-
-def test_two_body_gravity_is_left_without_oblateness():
-    state = np.array([7e6, 1e6, 2e6, 0, 7.5e3, 0])
-    round_earth = Forces(k_J2=0.0).acceleration(state)
-    r = np.linalg.norm(state[:3])
-    assert_allclose(round_earth, -EARTH_MU / r**3 * state[:3], rtol=1e-15)
-    flat = Forces().acceleration(state) - round_earth
-    assert np.linalg.norm(flat) == pytest.approx(K_J2 / r**4, rel=1.0)
-
-
-def test_an_atmosphere_without_ballistic_coefficients_is_refused():
-    with pytest.raises(ValueError, match=r"ballistic coefficient C_D A/m of every agent"):
-        Forces(atmosphere=Atmosphere()).validate_ballistic_coefficients(None)
-
-
-def test_ballistic_coefficients_without_atmosphere_are_refused():
-    with pytest.raises(ValueError, match=r"have no effect without an atmosphere: give one"):
-        Forces().validate_ballistic_coefficients(np.array([0.01]))
-    Forces().validate_ballistic_coefficients(np.zeros(2))
 
 
 @pytest.mark.parametrize("wrong", [-0.01, np.nan])

@@ -13,7 +13,6 @@ from dynamics import (
     DoubleIntegrator,
     LinearModel,
     SymbolicModel,
-    discretize_zoh,
 )
 from dynamics.atmosphere import Atmosphere
 from dynamics.inertial import InertialPlant
@@ -94,14 +93,6 @@ def test_absent_agents_stay_absent_and_have_no_effect(plant, swarm):
 def test_a_swarm_of_absent_agents_can_be_propagated(plant):
     away = np.full((5, 6), np.nan)
     assert np.isnan(plant.propagate(away, np.zeros((5, 3)), 0.0, 60.0, 2)).all()
-
-
-def test_a_linear_plant_is_the_simulation_of_its_model(swarm):
-    for model in (ClohessyWiltshire(1.1e-3), Swinging()):
-        steps = discretize_zoh(model, 20.0, 3, t0=40.0)
-        path = LinearPlant(model).propagate(*swarm, 40.0, 60.0, 3)
-        held = np.repeat(swarm[1][:, None], 3, axis=1)
-        assert_array_equal(path.swapaxes(0, 1), steps.simulate(swarm[0], held))
 
 
 def test_the_chief_is_that_of_the_orbit_or_of_the_model():
