@@ -31,12 +31,12 @@ from sato.reconfiguration.planning import controls_at, plan_trajectories
 from sato.reconfiguration.state import AgentMemory, DecisionContext
 from sato.scp.exchange import run_batched, run_scp
 from sato.scp.priority_orders import (
-    PriorityCost,
+    component_costs,
+    compute_priority_cost,
     keep_cheaper,
     offset_right,
     select_clear_components,
     select_components,
-    sum_by_component,
     try_priority_orders,
 )
 
@@ -44,6 +44,16 @@ from sato.scp.priority_orders import (
 @cache
 def any_planner():
     return make_planner(0, np.zeros(2), np.ones(2))
+
+
+def random_outcome(rng):
+    """Planner of an agent that may have failed or missed its target, at some cost."""
+    p = any_planner()
+    return p._replace(
+        nominal=p.nominal._replace(fuel=rng.random()),
+        target_state=p.target_state + rng.integers(2),
+        has_failed=bool(rng.integers(2)),
+    )
 
 
 @given(
@@ -58,22 +68,15 @@ def test_component_sums_and_choices_follow_from_a_flood(links, dead, seed):
     adjacency = (adjacency | adjacency.T) & alive & alive[:, None]
     graph = CommunicationGraph(adjacency, alive)
     draw = np.random.default_rng(seed)
-    costs = {
-        i: PriorityCost(*draw.integers(0, 2, 2).astype(float), draw.random())
-        for i in np.flatnonzero(alive).tolist()
-    }
-    other = {i: cost._replace(extra_fuel=draw.random()) for i, cost in costs.items()}
-    some = {
-        i: any_planner()._replace(has_failed=bool(cost.misses_target)) for i, cost in costs.items()
-    }
-    again = {i: p._replace(has_converged=True) for i, p in some.items()}
+    live = np.flatnonzero(alive).tolist()
+    some, again = ({i: random_outcome(draw) for i in live} for _ in range(2))
     clear = select_components(some, graph, lambda p: not p.has_failed)
-    kept, _ = keep_cheaper(some, costs, again, other, graph)
-    told = {i: {i: (costs[i], other[i])} for i in costs}
+    kept, total = keep_cheaper(some, again, graph), component_costs(some, graph)
+    told = {i: {i: tuple(map(compute_priority_cost, (some[i], again[i])))} for i in live}
     for i, known in flood(graph, told, dict.__or__).items():
         mine, theirs = ([known[j][k] for j in sorted(known)] for k in (0, 1))
         added = np.sum(mine, axis=0)
-        np.testing.assert_allclose(sum_by_component(costs, graph)[i], added, rtol=1e-12)
+        np.testing.assert_allclose(total[i], added, rtol=1e-12)
         assert (i in clear) == all(not some[j].has_failed for j in known)
         better = tuple(np.sum(theirs, axis=0)) < tuple(added)
         assert kept[i] is (again[i] if better else some[i])

@@ -11,7 +11,7 @@ its definition by messages, which stands in `tests/messages.py`, or `tests/test_
     definition                  batched
     learn_diameter              CommunicationGraph.diameter
     flood                       CommunicationGraph.component_max,
-                                scp.priority_orders.sum_by_component, select_components
+                                scp.priority_orders.component_costs, select_components
     flood, then sort            schedule_turns
     update_bidder               auctions.vsdaa, auctions.cbaa
     plan_by_messages            scp.exchange.run_batched

@@ -38,9 +38,8 @@ from sato.scp.planner import (
 from sato.scp.priority_orders import (
     ConflictResolution,
     PriorityCost,
+    component_costs,
     compute_priority_cost,
-    compute_priority_costs,
-    sum_by_component,
 )
 
 COST_TOLERANCE = 1e-9  # part of the fuel of two: a smaller difference counts as none
@@ -92,7 +91,7 @@ def negotiate(
     """
     now, rounds, solves = dict(planners), 0, 0
     flooding = int(graph.diameter[list(now)].max(initial=0))
-    continuing, costs = set(now), sum_by_component(compute_priority_costs(now), graph)
+    continuing, costs = set(now), component_costs(now, graph)
     for _ in range(sweeps):
         turns = schedule_pairs(now, graph, {i for i in continuing if any(costs[i])})
         rounds += 1 + flooding
@@ -103,7 +102,7 @@ def negotiate(
             now |= {i: negotiator.planner for i, negotiator in negotiators.items()}
             rounds += 3
             solves += sum(negotiator.solve_count for negotiator in negotiators.values())
-        before, costs = costs, sum_by_component(compute_priority_costs(now), graph)
+        before, costs = costs, component_costs(now, graph)
         continuing = {i for i in now if _has_improved(before[i], costs[i])}
     return ConflictResolution(now, rounds, solves)
 

@@ -45,27 +45,23 @@ def try_priority_orders(
         orders: Largest number of orders; fewer where no agent of a component has a cost.
     """
     kept, rounds = run_scp(planners, graph)
-    solves = count_solves(kept)
+    tried, solves = kept, count_solves(kept)
     if orders == 1 or not kept:
         return ConflictResolution(kept, rounds, solves)
-    kept_costs = costs = compute_priority_costs(kept)
     flooding = int(graph.diameter[list(kept)].max())
     rounds += flooding
+    costs = component_costs(kept, graph)
     if any(map(any, costs.values())):
-        unchanged = select_clear_components(planners, graph)
-        kept, kept_costs = keep_cheaper(
-            kept, kept_costs, unchanged, compute_priority_costs(unchanged), graph
-        )
+        kept = keep_cheaper(kept, select_clear_components(planners, graph), graph)
         rounds += 1 + flooding
     for _ in range(orders - 1):
-        costly = [i for i, total in sum_by_component(kept_costs, graph).items() if any(total)]
+        costly = [i for i, total in component_costs(kept, graph).items() if any(total)]
         if not costly:
             break
-        planners = {i: offset_right(raise_priority(planners[i], costs[i]), 1.0) for i in costly}
+        planners = {i: offset_right(raise_priority(planners[i], tried[i]), 1.0) for i in costly}
         tried, exchanges = run_scp(planners, graph)
         rounds, solves = rounds + exchanges + flooding, solves + count_solves(tried)
-        costs = compute_priority_costs(tried)
-        kept, kept_costs = keep_cheaper(kept, kept_costs, tried, costs, graph)
+        kept = keep_cheaper(kept, tried, graph)
     return ConflictResolution(kept, rounds, solves)
 
 
@@ -79,19 +75,14 @@ def compute_priority_cost(agent: Planner) -> PriorityCost:
     )
 
 
-def compute_priority_costs(planners: Mapping[int, Planner]) -> dict[int, PriorityCost]:
-    """Compute the cost of the others to each agent, by its number."""
-    return {i: compute_priority_cost(agent) for i, agent in planners.items()}
-
-
 def count_solves(planners: Mapping[int, Planner]) -> int:
     """Count the programs that all agents solved."""
     return sum(agent.solve_count for agent in planners.values())
 
 
-def raise_priority(agent: Planner, cost: PriorityCost) -> Planner:
+def raise_priority(agent: Planner, tried: Planner) -> Planner:
     """Count the extra fuel as spent, and where a constraint was relaxed that of `solo` as well."""
-    can_move, rank, agent_id = agent.priority
+    (can_move, rank, agent_id), cost = agent.priority, compute_priority_cost(tried)
     relaxed = agent.solo.fuel if cost.is_too_close or cost.misses_target else 0.0
     return agent._replace(priority=(can_move, rank - max(cost.extra_fuel, 0.0) - relaxed, agent_id))
 
@@ -141,27 +132,22 @@ def select_components(
     return {i: agent for i, agent in planners.items() if graph.component[i] not in dropped}
 
 
-def sum_by_component(
-    costs: Mapping[int, PriorityCost], graph: CommunicationGraph
+def component_costs(
+    planners: Mapping[int, Planner], graph: CommunicationGraph
 ) -> dict[int, PriorityCost]:
     """Add up the costs of all agents in each agent's component.
 
     The batched equivalent of a flood of `{number: cost}`, added in order of the numbers.
     """
     sums = np.zeros((len(graph.alive), len(PriorityCost._fields)))
-    for i in sorted(costs):
-        sums[graph.component[i]] += costs[i]
-    return {i: PriorityCost(*sums[graph.component[i]].tolist()) for i in costs}
+    for i in sorted(planners):
+        sums[graph.component[i]] += compute_priority_cost(planners[i])
+    return {i: PriorityCost(*sums[graph.component[i]].tolist()) for i in planners}
 
 
 def keep_cheaper(
-    kept: dict[int, Planner],
-    kept_costs: dict[int, PriorityCost],
-    tried: dict[int, Planner],
-    tried_costs: dict[int, PriorityCost],
-    graph: CommunicationGraph,
-) -> tuple[dict[int, Planner], dict[int, PriorityCost]]:
-    """Keep the cheaper of two solutions in each component, with the costs of its agents."""
-    new, old = sum_by_component(tried_costs, graph), sum_by_component(kept_costs, graph)
-    better = [i for i in tried if new[i] < old[i]]
-    return kept | {i: tried[i] for i in better}, kept_costs | {i: tried_costs[i] for i in better}
+    kept: dict[int, Planner], tried: dict[int, Planner], graph: CommunicationGraph
+) -> dict[int, Planner]:
+    """Keep the cheaper of two solutions in each component."""
+    new, old = component_costs(tried, graph), component_costs(kept, graph)
+    return kept | {i: agent for i, agent in tried.items() if new[i] < old[i]}

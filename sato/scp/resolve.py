@@ -15,13 +15,12 @@ from sato.scp.negotiation import negotiate
 from sato.scp.planner import Planner, TrajectoryMessage, paths_of, solve_around
 from sato.scp.priority_orders import (
     ConflictResolution,
-    compute_priority_costs,
+    component_costs,
     count_solves,
     keep_cheaper,
     offset_right,
     select_clear_components,
     select_components,
-    sum_by_component,
     try_priority_orders,
 )
 
@@ -47,20 +46,17 @@ def resolve_conflicts(
     if sweeps == 0:
         return ordered
     negotiated = negotiate(ordered.planners, graph, sweeps)
-    kept, costs = negotiated.planners, compute_priority_costs(negotiated.planners)
+    kept = negotiated.planners
     flooding = int(graph.diameter[list(kept)].max(initial=0))
     trials, floods = [ordered, negotiated], 1
     able = select_components(planners, graph, can_use_roundabout)
     for offset in OFFSETS:
-        totals = sum_by_component(costs, graph)
-        costly = {i: able[i] for i, total in totals.items() if i in able and any(total)}
-        roundabout = solve_roundabout(costly, graph, offset)
-        trials.append(roundabout)
-        if roundabout.planners:
-            negotiated = negotiate(roundabout.planners, graph, sweeps)
-            tried_costs = compute_priority_costs(negotiated.planners)
-            kept, costs = keep_cheaper(kept, costs, negotiated.planners, tried_costs, graph)
-            trials.append(negotiated)
+        totals = component_costs(kept, graph)
+        costly = {i: agent for i, agent in able.items() if any(totals[i])}
+        trials.append(solve_roundabout(costly, graph, offset))
+        if trials[-1].planners:
+            trials.append(negotiate(trials[-1].planners, graph, sweeps))
+            kept = keep_cheaper(kept, trials[-1].planners, graph)
             floods += 1
     return ConflictResolution(
         kept,
