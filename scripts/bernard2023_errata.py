@@ -33,7 +33,7 @@ from problems.interaction_graph import (
     interaction_graph,
     lambda2_gradient,
 )
-from sato.connectivity.distance import min_separation
+from sato.check.common import find_closest_approach
 from sato.connectivity.loop import simulate
 from sato.connectivity.potential import Potential, evaluate_potential, negative_slope
 from sato.connectivity.record import ConnectivityFrame
@@ -188,9 +188,9 @@ def simulate_run(seed: int, *settings: str) -> list[ConnectivityFrame]:
 
 def least_distance(frames: list[ConnectivityFrame]) -> float:
     """Return the least distance of two robots in a flight [m]."""
-    return min_separation(
-        np.array([f.position for f in frames]), np.array([f.alive for f in frames])
-    )
+    position = np.array([frame.position for frame in frames])
+    alive = np.array([frame.alive for frame in frames])
+    return find_closest_approach(position, alive).distance
 
 
 def leader_erratum(pull: Float[Array, "states 6 3"]) -> Erratum:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from recorded_run import record_run
 
+from sato.check.common import find_closest_approach
 from sato.connectivity.check import ConnectivityRecord, check_run
-from sato.connectivity.distance import min_separation
 from sato.connectivity.loop import simulate
 from sato.connectivity.system import SYSTEM, describe_progress
 from sato.scenario.file import read
@@ -196,13 +196,21 @@ def test_quantities_without_a_value_are_absent_from_the_summary():
 
 def test_separation_includes_passages_between_instants(rng):
     position = np.array([[[0, 0, 0], [1, 0.1, 0]], [[1, 0, 0], [0, 0.1, 0]]], dtype=float)
-    assert min_separation(position, np.ones((2, 2), dtype=bool)) == pytest.approx(0.1)
-    assert min_separation(position, np.array([[True, True], [True, False]])) > 1
-    assert min_separation(position, np.array([[True, False], [True, False]])) == np.inf
+    every = np.ones((2, 2), dtype=bool)
+    found = find_closest_approach(position, every)
+    assert found.distance == pytest.approx(0.1) and found[1:] == (0, (0, 1))
+    lost, never = np.array([[True, True], [True, False]]), np.array([[True, False]] * 2)
+    for alive in (lost, every[:1]):
+        alone = find_closest_approach(position[: len(alive)], alive)
+        assert alone.distance == pytest.approx(np.hypot(1, 0.1))
+    assert find_closest_approach(position, never).distance == np.inf
     walk, s = rng.standard_normal((9, 4, 3)), np.linspace(0, 1, 400)[:, None, None]
     fine = np.concatenate([a + s * (b - a) for a, b in pairwise(walk)])
     away = np.linalg.norm(fine[:, :, None] - fine[:, None], axis=3) + 9 * np.eye(4)
-    assert min_separation(walk, np.ones((9, 4), dtype=bool)) == pytest.approx(away.min(), abs=0.02)
+    found = find_closest_approach(walk, np.ones((9, 4), dtype=bool))
+    assert found.distance == pytest.approx(away.min(), abs=0.02)
+    _, i, j = np.unravel_index(away.argmin(), away.shape)
+    assert found.pair == tuple(sorted((i, j)))
 
 
 def test_recorded_velocity_is_in_the_world_frame(honest):

@@ -7,7 +7,7 @@ import pytest
 from connectivity_cast import connected_poses, fly
 
 from dynamics.kinematic import KinematicVehicle
-from sato.connectivity.distance import min_separation
+from sato.check.common import find_closest_approach
 from sato.connectivity.messages import CommunicationLink
 from sato.connectivity.mission import AgentLoss, Connectivity
 from sato.connectivity.potential import Potential
@@ -38,7 +38,7 @@ def test_swarm_stays_connected_and_separated_and_follows_the_leader(seed, estima
     position, alive = (
         np.array([getattr(f, name) for f in frames]) for name in ("position", "alive")
     )
-    assert min_separation(position, alive) >= 1.0
+    assert find_closest_approach(position, alive).distance >= 1.0
     assert all((f.component == 0).all() for f in frames)
     waypoints = [e for f in frames for e in f.events if e["kind"] == "waypoint"]
     assert waypoints  # the leader gets somewhere

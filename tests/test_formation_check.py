@@ -11,7 +11,6 @@ from formation_runs import FIVE, dataset, fly
 import sato
 from problems.alignment import compute_shape_error
 from sato.formation.check import FormationRecord, check_run
-from sato.formation.check.recorded import find_closest_approach
 from sato.formation.check.summary import summarize_flight
 from sato.formation.supervisor import Phase
 from sato.scenario.file import parse
@@ -257,23 +256,6 @@ def test_legacy_agents_that_meet_break_separation_alone():
     assert near.value == report.summary["min_separation_m"] < 1.15
     assert {p.name for p in report.broken} == {"separation"}
     assert "1.2 m" in near.message
-
-
-def test_closest_approach_is_found_between_instants(rng):
-    path = np.array([[[0.0, 0.0], [1.0, 0.1]], [[1.0, 0.0], [0.0, 0.1]]])
-    assert find_closest_approach(path).distance == pytest.approx(0.1)
-    assert find_closest_approach(path)[1:] == (0, (0, 1))
-    assert find_closest_approach(path[:1]).distance == pytest.approx(np.hypot(1, 0.1))
-    many = rng.uniform(0, 9, (6, 7, 2))
-    s = np.linspace(0, 1, 2001)[:, None, None]
-    fine = np.concatenate([a + s * (b - a) for a, b in pairwise(many)])
-    distance = np.linalg.norm(fine[:, :, None] - fine[:, None], axis=3)
-    distance[:, range(7), range(7)] = np.inf
-    found = find_closest_approach(many)
-    assert found.distance <= distance.min() <= found.distance + 0.01
-    _, i, j = np.unravel_index(distance.argmin(), distance.shape)
-    assert found.pair == tuple(sorted((i, j)))
-    assert find_closest_approach(many[:, :1]).distance == np.inf
 
 
 def test_saved_run_is_checked_from_its_own_scenario(tmp_path):

@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -44,6 +44,38 @@ class EventLog:
         """Return the events of some kinds, each with the index of its instant."""
         timed = zip(self.instants, self.events, strict=True)
         return [(k, event) for k, event in timed if event["kind"] in kinds]
+
+
+class ClosestPair(NamedTuple):
+    """Closest approach of two agents that fly straight from each instant to the next."""
+
+    distance: float  # [m]; infinite where no two are alive at a time
+    instant: int  # before it
+    pair: tuple[int, int]
+
+
+def find_closest_approach(position: Float[Array, "instants agents d"], alive: Alive) -> ClosestPair:
+    """Find the closest approach of all pairs of live agents, between instants too.
+
+    Args:
+        position: Positions at each instant [m].
+        alive: True for agents that take part.
+    """
+    best = ClosestPair(np.inf, -1, (-1, -1))
+    # The last instant is repeated, so that it counts where there is no other.
+    way, alive = np.concatenate([position, position[-1:]]), np.concatenate([alive, alive[-1:]])
+    for i in range(1, position.shape[1]):
+        gap, both = way[:, i : i + 1] - way[:, :i], alive[:, i : i + 1] & alive[:, :i]
+        start, change = gap[:-1], np.where(both[1:, :, None], np.diff(gap, axis=0), 0.0)
+        far = (change**2).sum(axis=2)
+        share = -(start * change).sum(axis=2) / np.where(far > 0, far, 1.0)
+        nearest = start + np.clip(share, 0.0, 1.0)[..., None] * change
+        square = np.where(both[:-1], (nearest**2).sum(axis=2), np.inf)
+        k, j = (int(n) for n in np.unravel_index(square.argmin(), square.shape))
+        distance = float(np.sqrt(square[k, j]))
+        if distance < best.distance:
+            best = ClosestPair(distance, k, (j, i))
+    return best
 
 
 def common_summary(attributes: Mapping[str, Any], alive: Alive) -> dict[str, Any]:

@@ -84,30 +84,6 @@ def nearest_agent_distance(
     return np.where(np.isfinite(there[..., 0]) & np.isfinite(found), found, np.nan)
 
 
-def min_separation(
-    position: Float[Array, "instants agents 3"], alive: Bool[Array, "instants agents"]
-) -> float:
-    """Compute the least distance of two live agents on straight lines between instants [m].
-
-    Args:
-        position: Positions at each instant [m].
-        alive: True for agents that take part.
-    """
-    least = np.inf
-    for i in range(position.shape[1]):
-        both = alive[:, :i] & alive[:, i : i + 1]
-        gap = position[:, :i] - position[:, i : i + 1]
-        square = (gap**2).sum(axis=2)
-        least = min(least, float(square[both].min(initial=np.inf)))
-        way, start = np.diff(gap, axis=0), gap[:-1]
-        length = (way**2).sum(axis=2)
-        along = -(start * way).sum(axis=2) / np.where(length > 0, length, 1)
-        nearest = start + np.clip(along, 0, 1)[..., None] * way
-        between = (nearest**2).sum(axis=2)[both[1:] & both[:-1]]
-        least = min(least, float(between.min(initial=np.inf)))
-    return float(np.sqrt(least))
-
-
 def min_obstacle_distance(
     position: Float[Array, "instants agents 3"],
     alive: Bool[Array, "instants agents"],

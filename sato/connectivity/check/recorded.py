@@ -9,8 +9,8 @@ from numpy import ndarray as Array
 
 from dynamics.kinematic import KinematicVehicle
 from dynamics.vehicle import VehicleState, rotate_by_yaw
-from sato.check.common import common_summary, incomplete_reason
-from sato.connectivity.distance import min_obstacle_distance, min_separation
+from sato.check.common import common_summary, find_closest_approach, incomplete_reason
+from sato.connectivity.distance import min_obstacle_distance
 from sato.connectivity.loop import advance_vehicles
 from sato.connectivity.mission import Connectivity
 from sato.connectivity.sensors import CameraViews, compute_views
@@ -25,7 +25,7 @@ class ConnectivityRecord(RunRecord[Connectivity, Any, None]):
     @cached_property
     def min_separation(self) -> float:
         """Least distance of two agents, between instants too; infinite for one [m]."""
-        return min_separation(self.frames.position, self.frames.alive)
+        return find_closest_approach(self.frames.position, self.frames.alive).distance
 
     @cached_property
     def min_obstacle_distance(self) -> float:

@@ -197,7 +197,7 @@ def check_separation(record: FormationRecord) -> Promise:
     keep_out, found = record.mission.keep_out, record.closest_approach
     allowed = keep_out - NOISE_ALLOWANCE
     i, j = found.pair
-    text = f"{found.distance:.6g} m between agents {i} and {j} after {found.piece} steps"
+    text = f"{found.distance:.6g} m between agents {i} and {j} after {found.instant} steps"
     text += f", with keep_out_m = {keep_out:g} m less {NOISE_ALLOWANCE:g} m for noise"
     return Promise("separation", bool(found.distance >= allowed), found.distance, allowed, text)
 

@@ -1,27 +1,20 @@
 """Record of a flight: the arrays of a run, and the course that it must have taken."""
 
 from functools import cached_property
-from itertools import combinations, islice
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from numpy import ndarray as Array
 
 from problems.gain_matrix import GainMatrix
+from sato.check.common import ClosestPair, find_closest_approach
 from sato.formation.loop import FormationFrame
 from sato.formation.mission import Formation
 from sato.formation.record import GAIN_PARTS, FormationVariables
 from sato.formation.supervisor import FlightCourse, Phase
 from sato.record import RunRecord
-
-
-class ClosestPair(NamedTuple):
-    """Closest approach of two vehicles that fly straight from each instant to the next."""
-
-    distance: float  # in the plane [m]; infinite for fewer than two vehicles
-    piece: int  # instant before it
-    pair: tuple[int, int]
 
 
 class FormationLegRecord(NamedTuple):
@@ -84,7 +77,7 @@ class FormationRecord(RunRecord[Formation, FormationFrame, FormationVariables]):
     @cached_property
     def closest_approach(self) -> ClosestPair:
         """Closest two vehicles in the plane, on straight lines between the instants."""
-        return find_closest_approach(self.frames.position[..., :2])
+        return find_closest_approach(self.frames.position[..., :2], self.frames.alive)
 
     def load_gains(self, leg: int) -> GainMatrix:
         """Return the recorded gains, for the scenario's own formation.
@@ -110,20 +103,3 @@ class _RecordedCourse(FlightCourse):
     def advance(self) -> tuple[Array, Array]:
         k = min(self.instant + 1, len(self.frames.avoiding) - 1)
         return self.frames.velocity_command[k], self.frames.avoiding[k]
-
-
-def find_closest_approach(position: Float[Array, "instants agents 2"]) -> ClosestPair:
-    """Find the closest approach of all pairs, from positions in the plane [m]."""
-    best = ClosestPair(np.inf, -1, (-1, -1))
-    # The last instant is repeated, so that it counts where there is no other.
-    way = np.concatenate([position, position[-1:]])
-    for i, j in combinations(range(position.shape[1]), 2):
-        x, y = (way[:-1, j] - way[:-1, i]).T
-        d_x, d_y = (way[1:, j] - way[1:, i]).T - (x, y)
-        far = d_x * d_x + d_y * d_y
-        s = np.clip(-(x * d_x + y * d_y) / np.where(far > 0, far, 1.0), 0.0, 1.0)
-        distance = np.sqrt((x + s * d_x) ** 2 + (y + s * d_y) ** 2)
-        k = int(distance.argmin())
-        if distance[k] < best.distance:
-            best = ClosestPair(float(distance[k]), k, (i, j))
-    return best

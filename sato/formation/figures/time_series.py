@@ -100,7 +100,7 @@ def plot_separation(record: FormationRecord) -> Figure:
     ax.plot(record.time, least, color=BLUE, lw=1.0, label="least distance in the plane")
     found = record.closest_approach
     mark = {"ms": 5, "color": DARK_GRAY, "mew": 0, "label": f"least of all: {found.distance:.3f} m"}
-    ax.plot(record.time[found.piece], found.distance, "v", **mark)
+    ax.plot(record.time[found.instant], found.distance, "v", **mark)
     keep_out = record.mission.keep_out
     ax.set(ylabel="distance [m]", ylim=(0, 1.05 * max(float(least.max()), keep_out)))
     panels.draw_limit(ax, keep_out, f"keep-out,\n{keep_out:g} m")
