@@ -65,13 +65,9 @@ def export(data: "xarray.Dataset", path: str | Path, format: str = "oem") -> Pat
         OSError: The path cannot be written to.
     """
     path = Path(path)
-    if format not in DEFAULT_PATHS:
-        names = " and ".join(DEFAULT_PATHS)
-        raise InputError("", f'there is no format "{format}", only {names}')
-    if format == "oem":
-        _validate_oem_target(data, path)
-    elif path.is_dir():
-        raise InputError("", f"{path}: is a folder, and a table goes into a file")
+    reason = _find_obstacle(data, path, format)
+    if reason:
+        raise InputError("", reason)
     with replace_atomically(path) as new:
         (_write_oem if format == "oem" else _write_csv)(data, new)
     return path
@@ -174,23 +170,17 @@ def _csv_header(track: Ephemeris) -> list[str]:
     return ["object", "time_s", *frames[:6], "utc", *frames[6:]]
 
 
-def _validate_oem_target(data: "xarray.Dataset", path: Path) -> None:
+def _find_obstacle(data: "xarray.Dataset", path: Path, format: str) -> str:
+    if format not in DEFAULT_PATHS:
+        return f'there is no format "{format}", only {" and ".join(DEFAULT_PATHS)}'
+    if format == "csv":
+        return f"{path}: is a folder, and a table goes into a file" if path.is_dir() else ""
     if "chief" not in data:
-        raise InputError(
-            "",
-            "this run has no chief, and so no inertial states to put into an OEM; only scenarios "
-            "with a [chief] fly in orbit, and the format csv takes the others",
-        )
+        return "this run has no chief, as a [chief] gives it, so no OEM, but the format csv"
     if path.exists() and not path.is_dir():
-        raise InputError("", f"{path}: is a file, and OEMs, one an object, go into a folder")
-    if path.is_dir():
-        others = sorted(p.name for p in path.iterdir() if p.suffix != ".oem")
-        if others:
-            raise InputError(
-                "",
-                f"{path}: would be replaced as a whole, but holds {others[0]} and not OEMs alone; "
-                "another folder would do",
-            )
+        return f"{path}: is a file, and OEMs, one an object, go into a folder"
+    others = sorted(found.name for found in path.glob("*") if found.suffix != ".oem")
+    return f"{path}: holds {others[0]}, not OEMs alone; another folder would do" if others else ""
 
 
 def _to_ascii(text: object) -> str:

@@ -14,14 +14,13 @@ from typing import (
     runtime_checkable,
 )
 
-import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
+from numpy.random import Generator
 
 from sato.check.report import Report
 
 if TYPE_CHECKING:  # slow to import, and not needed to simulate
-    import matplotlib.backends.backend_agg
     import matplotlib.figure
     import xarray
 
@@ -101,21 +100,6 @@ class MissionProgress(NamedTuple):
     details: str = ""
 
 
-@runtime_checkable
-class Animation(Protocol):
-    """Animation of a run; its positions are numbers that only the animation interprets."""
-
-    @property
-    def canvas(self) -> "matplotlib.backends.backend_agg.FigureCanvasAgg":
-        """Canvas that frames are drawn on."""
-
-    def frame_positions(self, most: int) -> Float[Array, " frames"]:
-        """Return positions of at most so many frames, evenly spaced in time."""
-
-    def draw_frame(self, moment: float) -> None:
-        """Draw the swarm at a position."""
-
-
 FigureFactories = Mapping[str, "Callable[[], matplotlib.figure.Figure]"]
 
 MissionT = TypeVar("MissionT")
@@ -128,18 +112,16 @@ class System(Generic[MissionT, FrameT]):
 
     name: str
     frame: type  # a named tuple with annotated fields
-    simulate: Callable[
-        [MissionT, np.random.Generator], Iterator[FrameT]
-    ]  # a frame an instant; all random numbers from the generator
-    attributes: Callable[
-        [MissionT], Mapping[str, float | str]
-    ]  # radii, limits and constants of a run
-    check: Callable[
-        ["xarray.Dataset", MissionT, np.random.Generator], Report
-    ]  # generator as `draw` left it
+    # Yields a frame an instant; all random numbers are of the generator.
+    simulate: Callable[[MissionT, Generator], Iterator[FrameT]]
+    # Radii, limits and constants of a run.
+    attributes: Callable[[MissionT], Mapping[str, float | str]]
+    # Promises and summary, recomputed; the generator is as the drawing of the mission left it.
+    check: Callable[["xarray.Dataset", MissionT, Generator], Report]
     progress: Callable[[MissionT, FrameT], MissionProgress]
     figures: Callable[["xarray.Dataset", MissionT], FigureFactories]  # by file name, in order
-    animation: "Callable[[xarray.Dataset, MissionT], Animation] | None" = None
+    # Has `canvas`, `frame_positions` and `draw_frame`, as `SwarmAnimation`.
+    animation: "Callable[[xarray.Dataset, MissionT], Any] | None" = None
     run_variables: type | None = None  # named tuple with annotated fields: variables of a run
     collect: Callable[[Sequence[FrameT], MissionT], Any] | None = None  # their values
     stop_errors: tuple[type[Exception], ...] = ()  # may end a flight early without being a fault

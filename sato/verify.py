@@ -32,17 +32,14 @@ def verify_run(
     """
     is_unaltered = data.attrs.get("digest") == compute_digest(data)
     try:
-        found = _check_common(data) if mission is None else _check_mission(data, mission)
+        found = _check_without_mission(data) if mission is None else _check(data, mission)
     except (LookupError, TypeError, ValueError, RuntimeError) as error:
         if is_unaltered:
             raise
-        raise RunFileError(
-            "the run file was altered since it was written, and no longer makes sense "
-            f"({type(error).__name__}: {error}); fly the scenario again"
-        ) from error
-    first = expect_none(
-        "unaltered", not is_unaltered, "alteration of the file since it was written"
-    )
+        text = "the run file was altered since it was written; fly the scenario again"
+        raise RunFileError(f"{text} ({type(error).__name__}: {error})") from error
+    text = "alteration of the file since it was written"
+    first = expect_none("unaltered", not is_unaltered, text)
     report = replace(found, promises=(first, *found.promises))
     if summary is None or mission is None:
         return report
@@ -50,13 +47,13 @@ def verify_run(
     return replace(report, promises=(*report.promises, last))
 
 
-def _check_mission(data: "xarray.Dataset", mission: Any) -> Report:
+def _check(data: "xarray.Dataset", mission: Any) -> Report:
     rng = np.random.default_rng(int(data.attrs["seed"]))
     drawn = mission.draw(rng)
     return load_system(data.attrs["system"]).check(data, drawn, rng)
 
 
-def _check_common(data: "xarray.Dataset") -> Report:
+def _check_without_mission(data: "xarray.Dataset") -> Report:
     record: RunRecord[None, Any, Any] = RunRecord.from_dataset(data, None)
     frames = record.frames
     promises = [
@@ -75,12 +72,8 @@ def _check_summary(
     # The summary of a run that is not checked yet has few entries.
     expected = initial_summary(data.attrs) | report.summary
     expected["broken"] = [promise.name for promise in report.broken]
-    compared = set(summary) if is_unaltered else set(summary) - {"broken"}
-    wrong = [
-        name
-        for name in summary
-        if name in compared and (name not in expected or _differs(summary[name], expected[name]))
-    ]
+    names = [name for name in summary if is_unaltered or name != "broken"]
+    wrong = [n for n in names if n not in expected or _differs(summary[n], expected[n])]
     text = "entries of summary.json that differ from the data"
     if wrong:
         text += f": {', '.join(wrong)}"
@@ -88,18 +81,10 @@ def _check_summary(
 
 
 def _differs(value: Any, expected: Any) -> bool:
-    if isinstance(expected, dict):
-        return (
-            not isinstance(value, dict)
-            or value.keys() != expected.keys()
-            or any(_differs(value[name], part) for name, part in expected.items())
-        )
-    if isinstance(expected, list):
-        return (
-            not isinstance(value, list)
-            or len(value) != len(expected)
-            or any(map(_differs, value, expected))
-        )
+    if isinstance(expected, dict) and isinstance(value, dict) and value.keys() == expected.keys():
+        return any(_differs(value[name], part) for name, part in expected.items())
+    if isinstance(expected, list) and isinstance(value, list) and len(value) == len(expected):
+        return any(map(_differs, value, expected))
     if isinstance(expected, float) and isinstance(value, int | float):
         return not isclose(value, expected, rel_tol=1e-6, abs_tol=1e-9)
     return bool(value != expected)

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from recorded_run import record_run
 
 import sato
 from dynamics import ClohessyWiltshire, DoubleIntegrator
@@ -13,7 +14,7 @@ from dynamics.plant import LinearPlant
 from sato.reconfiguration.mission import Leg, Reconfiguration
 from sato.reconfiguration.state import ReconfigurationFrame
 from sato.reconfiguration.system import SYSTEM
-from sato.record import RunFileError, build_dataset, initial_summary, json_default
+from sato.record import RunFileError, json_default
 from sato.runs import Run, load
 
 
@@ -65,13 +66,16 @@ def frames(rng: np.random.Generator, measured: bool = False) -> list[Reconfigura
 
 
 def run_of(
-    collected: list[ReconfigurationFrame], flown: Reconfiguration | None = None, **said: object
+    collected: list[ReconfigurationFrame], flown: Reconfiguration | None = None, **about: object
 ) -> Run:
-    about = {"name": "tiny", "seed": 7, "version": "0", "wall_s": 0.5, "peak_memory_mib": 9.0}
     flown = flown or mission()
     drawn = flown.draw(np.random.default_rng(7))
-    data = build_dataset(SYSTEM, collected, drawn, scenario=flown.to_toml(), **(about | said))
-    return Run(data, initial_summary(data.attrs), flown)
+    return record_run(SYSTEM, collected, drawn, flown, **({"name": "tiny", "seed": 7} | about))
+
+
+@pytest.fixture
+def run(rng: np.random.Generator) -> Run:
+    return run_of(frames(rng))
 
 
 def test_loaded_run_equals_the_saved_one(rng, tmp_path):
@@ -80,10 +84,8 @@ def test_loaded_run_equals_the_saved_one(rng, tmp_path):
     again = load(tmp_path / "deep" / "down")
     assert again.data.identical(run.data)
     assert again.summary == run.summary
-    assert sorted(p.name for p in (tmp_path / "deep" / "down").iterdir()) == [
-        "run.nc",
-        "summary.json",
-    ]
+    names = sorted(p.name for p in (tmp_path / "deep" / "down").iterdir())
+    assert names == ["run.nc", "summary.json"]
 
 
 def test_every_variable_has_a_unit_and_a_long_name(rng, tmp_path):
@@ -98,8 +100,8 @@ def test_every_variable_has_a_unit_and_a_long_name(rng, tmp_path):
     assert data["targets_believed"].dims == ("leg", "agent")
 
 
-def test_attributes_hold_scenario_seed_and_limits(rng, tmp_path):
-    run_of(frames(rng)).save(tmp_path)
+def test_attributes_hold_scenario_seed_and_limits(run, tmp_path):
+    run.save(tmp_path)
     said = load(tmp_path).data.attrs
     assert sato.parse(said["scenario"]) == mission()
     assert (said["system"], said["name"], said["seed"]) == ("reconfiguration", "tiny", 7)
@@ -107,18 +109,12 @@ def test_attributes_hold_scenario_seed_and_limits(rng, tmp_path):
     assert (said["max_control_m_s2"], said["max_speed_m_s"]) == (5.0, 3.0)
 
 
-def test_controls_of_the_last_instant_are_nan(rng):
-    data = run_of(frames(rng)).data
-    assert np.isnan(data["control"][-1]).all()
-    assert np.isnan(data["applied_control"][-1]).all()
-    assert np.isfinite(data["control"][:-1]).all()
-
-
-def test_short_legs_are_padded_and_counts_are_of_live_agents(rng):
-    data = run_of(frames(rng)).data
-    assert np.isnan(data["target_position"][0, 2]).all()
-    assert np.isfinite(data["target_position"][1, 2]).all()
-    np.testing.assert_array_equal(data["targets_believed"], [[2, 3], [3, -1]])
+def test_last_controls_and_missing_targets_are_nan(run):
+    controls = np.isfinite([run.data[name] for name in ("control", "applied_control")])
+    assert controls[:, :-1].all() and not controls[:, -1].any()
+    targets = np.isfinite(run.data["target_position"])
+    assert not targets[0, 2].any() and targets[1, 2].all()
+    np.testing.assert_array_equal(run.data["targets_believed"], [[2, 3], [3, -1]])
 
 
 ORBIT = Orbit.from_elements(7000e3, 0.01, 0.9, raan=0.3, arg_perigee=0.2, k_J2=2.633e25)
@@ -155,29 +151,21 @@ def test_orbit_of_the_plants_chief_is_recorded(rng, tmp_path, plant):
     names = ["r", "v_x", "h", "node", "inclination", "latitude"]
     assert chief["element"].values.tolist() == names
     np.testing.assert_allclose(chief, ORBIT.elements_at(np.arange(4.0)), rtol=1e-12, atol=1e-12)
-    units = chief.attrs["units"].split(", ")
-    assert (
-        units == ["m", "m/s", "m2/s", "rad", "rad", "rad"] and chief["element"].attrs["long_name"]
-    )
+    assert chief.attrs["units"].split(", ") == ["m", "m/s", "m2/s", "rad", "rad", "rad"]
+    assert chief["element"].attrs["long_name"]
     assert (data.attrs["mu_m3_s2"], data.attrs["k_j2_m5_s2"]) == (ORBIT.mu, 2.633e25)
 
 
-def test_no_chief_is_recorded_without_an_orbit(rng):
-    for data in (run_in_orbit(rng, "nowhere").data, run_of(frames(rng)).data):
+def test_no_chief_is_recorded_without_an_orbit(run, rng):
+    for data in (run_in_orbit(rng, "nowhere").data, run.data):
         assert "chief" not in data and "element" not in data
         assert "mu_m3_s2" not in data.attrs
 
 
-def test_events_carry_their_time(rng):
-    run = run_of(frames(rng))
-    assert [(e["time"], e["kind"]) for e in run.events()] == [
-        (0.0, "leg_start"),
-        (2.0, "leg_end"),
-        (3.0, "leg_end"),
-    ]
-    assert run.events("leg_start") == [
-        {"time": 0.0, "kind": "leg_start", "agents": [0, 1], "leg": 0}
-    ]
+def test_events_carry_their_time(run):
+    [start] = run.events("leg_start")
+    assert start == {"time": 0.0, "kind": "leg_start", "agents": [0, 1], "leg": 0}
+    assert [event["time"] for event in run.events("leg_end")] == [2.0, 3.0]
 
 
 def test_a_run_without_events_is_readable(rng, tmp_path):
@@ -198,8 +186,8 @@ def test_a_run_needs_a_frame():
         run_of([])
 
 
-def test_failed_save_leaves_the_old_run(rng, tmp_path):
-    run_of(frames(rng)).save(tmp_path)
+def test_failed_save_leaves_the_old_run(run, rng, tmp_path):
+    run.save(tmp_path)
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
     broken = run_of(frames(rng))
     broken.summary["oops"] = object()
@@ -208,8 +196,7 @@ def test_failed_save_leaves_the_old_run(rng, tmp_path):
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
 
 
-def test_full_disk_leaves_no_partial_file(rng, tmp_path, monkeypatch):
-    run = run_of(frames(rng))
+def test_full_disk_leaves_no_partial_file(run, tmp_path, monkeypatch):
 
     def fall(_: object, path: object, **__: object) -> None:
         with open(path, "wb") as file:  # type: ignore[call-overload]
@@ -223,8 +210,8 @@ def test_full_disk_leaves_no_partial_file(rng, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("share", [0.02, 0.3, 0.6, 0.99])
-def test_truncated_file_is_refused_by_name(rng, tmp_path, share):
-    run_of(frames(rng)).save(tmp_path)
+def test_truncated_file_is_refused_by_name(run, tmp_path, share):
+    run.save(tmp_path)
     file = tmp_path / "run.nc"
     whole = file.read_bytes()
     file.write_bytes(whole[: int(len(whole) * share)])
@@ -245,8 +232,8 @@ def test_other_files_are_refused_by_name(tmp_path):
         load(tmp_path)
 
 
-def test_damaged_summary_is_refused_and_missing_one_is_not(rng, tmp_path):
-    run_of(frames(rng)).save(tmp_path)
+def test_damaged_summary_is_refused_and_missing_one_is_not(run, tmp_path):
+    run.save(tmp_path)
     (tmp_path / "summary.json").write_text("{")
     with pytest.raises(RunFileError, match=r"summary\.json: is not readable JSON"):
         load(tmp_path)
@@ -254,23 +241,18 @@ def test_damaged_summary_is_refused_and_missing_one_is_not(rng, tmp_path):
     assert load(tmp_path / "copy.nc").summary["seed"] == 7
 
 
-def test_numbers_that_json_cannot_hold_are_null(rng, tmp_path):
-    run = run_of(frames(rng))
+def test_numbers_that_json_cannot_hold_are_null(run, tmp_path):
     run.summary["gap"] = [float("nan"), np.float64("inf")]
     assert load(run.save(tmp_path)).summary["gap"] == [None, None]
 
 
-def test_run_of_another_mission_is_refused(rng, tmp_path):
-    run_of(frames(rng)).save(tmp_path)
+def test_run_of_another_mission_is_refused(run, tmp_path):
+    run.save(tmp_path)
     assert load(tmp_path, mission()).mission == mission()
     with pytest.raises(RunFileError, match="of another mission"):
         load(tmp_path, mission(max_speed=2.0))
 
 
 def test_numpy_values_are_written_as_plain_json():
-    said = {"a": np.arange(2), "b": np.float64(0.5), "c": np.bool_(True)}
-    assert json.loads(json.dumps(said, default=json_default)) == {
-        "a": [0, 1],
-        "b": 0.5,
-        "c": True,
-    }
+    values = [np.arange(2), np.float64(0.5), np.bool_(True)]
+    assert json.loads(json.dumps(values, default=json_default)) == [[0, 1], 0.5, True]

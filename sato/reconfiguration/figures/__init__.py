@@ -3,7 +3,7 @@
 from functools import partial
 from typing import TYPE_CHECKING
 
-from sato.interfaces import Animation, FigureFactories
+from sato.interfaces import FigureFactories
 from sato.reconfiguration.check import ReconfigurationRecord
 from sato.reconfiguration.figures import half_space, measures, snapshots
 from sato.reconfiguration.figures.animation import SwarmAnimation
@@ -35,6 +35,6 @@ def make_figures(data: "xarray.Dataset", mission: Reconfiguration) -> FigureFact
     return {name: partial(draw, record) for name, draw in drawn.items()}
 
 
-def make_animation(data: "xarray.Dataset", mission: Reconfiguration) -> Animation:
+def make_animation(data: "xarray.Dataset", mission: Reconfiguration) -> SwarmAnimation:
     """Prepare the animation of a run."""
     return SwarmAnimation(ReconfigurationRecord.from_dataset(data, mission))
