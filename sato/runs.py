@@ -4,7 +4,7 @@ import signal
 import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 from html import escape
@@ -19,8 +19,8 @@ from threadpoolctl import ThreadpoolController, threadpool_limits
 from sato import record
 from sato.check.common import EventLog
 from sato.check.report import Report
+from sato.console import show_mission_progress
 from sato.interfaces import Frame, System
-from sato.record import RunFileError
 from sato.resource_usage import peak_memory_mib
 from sato.scenario.errors import InputError, ScenarioError, format_value
 from sato.scenario.file import Mission, from_dict, parse, read
@@ -53,7 +53,7 @@ class Run:
             RunFileError: The run was loaded without its mission, which has its own model.
         """
         if self.mission is None:
-            raise RunFileError(
+            raise record.RunFileError(
                 "this run has a model of your own, which no file can hold; give its mission: "
                 "sato.load(path, mission=...)"
             )
@@ -144,14 +144,9 @@ def run(
         system = load_system(mission.system)
         for sentence in drawn.warnings():
             warnings.warn(sentence, stacklevel=2)
-        watched: AbstractContextManager[FrameCallback]
-        if progress is True:
-            from sato.console import show_mission_progress
-
-            watched = show_mission_progress(system.progress)
-        else:
-            watched = nullcontext(progress or (lambda mission, frame: None))
-        with watched as callback:
+        callback = progress if callable(progress) else (lambda mission, frame: None)
+        bar = show_mission_progress(system.progress) if progress is True else nullcontext(callback)
+        with bar as callback:
             frames, stopped = _collect_frames(system, drawn, rng, callback)
         data = record.build_dataset(
             system,
@@ -201,7 +196,9 @@ def load(path: str | Path, mission: Mission | None = None) -> Run:
     text = str(data.attrs["scenario"])
     if mission is not None:
         if mission.to_toml() != text:
-            raise RunFileError(f"{path}: is a run of another mission than the one that is given")
+            raise record.RunFileError(
+                f"{path}: is a run of another mission than the one that is given"
+            )
         return Run(data, summary, mission)
     try:
         return Run(data, summary, parse(text))
@@ -209,7 +206,7 @@ def load(path: str | Path, mission: Mission | None = None) -> Run:
         if '[model]\nkind = "own"\n' in text:
             return Run(data, summary)
         reason = f"the scenario in the file cannot be read: {error}"
-        raise RunFileError(f"{path}: {reason}") from error
+        raise record.RunFileError(f"{path}: {reason}") from error
 
 
 def _draw(

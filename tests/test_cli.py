@@ -116,11 +116,7 @@ REFUSED = [
     ("agents=4", "swarm.start.positions_m", "3 positions for 4"),
     ("start={kind='random',box_m=0.9,separation_m=0.8}", "swarm.start.box_m", "is full"),
     ("start={kind='random',box_m=9,separation_m=0.4}", "swarm.start.separation_m", "0.5 or more"),
-    (
-        "start={kind='random',box_m=900,separation_m=0.8,connected=true}",
-        "swarm.start.connected",
-        "smaller box_m",
-    ),
+    ("start={kind='random',box_m=900,separation_m=0.8,connected=true}", "swarm.start.connected"),
     ("max_speed_m_s=0.6", "Proposition 9", "swarm.comm_radius_m = 5.3"),
     ("replan_steps=5", "plan.replan_steps", "at most 4 would do"),
     ("auction_steps=6", "plan.auction_steps", "4 would do"),

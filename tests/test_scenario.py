@@ -67,7 +67,6 @@ class Measured(Definition):
     angular_rate: Annotated[float, Unit("rad_s")] = 0.0
     frequency: Annotated[float, Unit("hz")] = 0.0
     density: Annotated[float, Unit("kg_m3")] = 0.0
-    count: int = 0
 
 
 FIELDS = {

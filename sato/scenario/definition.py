@@ -10,7 +10,7 @@ of keys in the documentation, the messages of errors, and equality by value.
 """
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import MISSING, fields
 from functools import cache, cached_property
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
@@ -162,11 +162,7 @@ class Field:
             if not self.is_list:
                 return self._check_definition(value)
             is_one = not isinstance(value, list | tuple) or is_named_tuple(type(value))
-            found = []
-            for number, one in enumerate([value] if is_one else value):
-                with errors_in(str(number)):
-                    found.append(self._check_definition(one))
-            return tuple(found)
+            return map_numbered(self._check_definition, [value] if is_one else value)
 
     def _check_plain(self, value: Any) -> Any:
         if isinstance(value, np.generic):
@@ -222,6 +218,15 @@ def kinds_of(definition: Any) -> tuple[str, ...]:
         return get_args(hint)
     kind = getattr(definition, "kind", None)
     return getattr(definition, "kinds", (kind,) if isinstance(kind, str) else ())
+
+
+def map_numbered(function: Callable[[Any], Any], values: Iterable[Any]) -> tuple[Any, ...]:
+    """Apply a function to each value of a list; its errors name the number of the value."""
+    found = []
+    for number, value in enumerate(values):
+        with errors_in(str(number)):
+            found.append(function(value))
+    return tuple(found)
 
 
 def is_auto(value: Any) -> bool:

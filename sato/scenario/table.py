@@ -9,7 +9,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from dynamics.units import SUFFIXES
-from sato.scenario.definition import Field, fields_of, is_definition, kinds_of
+from sato.scenario.definition import Field, fields_of, is_definition, kinds_of, map_numbered
 from sato.scenario.errors import InputError, closest_name, errors_in, format_value, join_names
 
 OWN = "own"  # kind of a value of the user's own
@@ -179,14 +179,10 @@ def _read_keys(entries: dict[str, Entry | None], given: Any) -> dict[tuple[str, 
 def _read_value(field: Field, value: Any) -> Any:
     if not field.variants:
         return value
-    if not field.is_list or not isinstance(value, list):
-        found = _read_definition(field, value)
-        return (found,) if field.is_list else found
-    parts = []
-    for number, part in enumerate(value):
-        with errors_in(str(number)):
-            parts.append(_read_definition(field, part))
-    return tuple(parts)
+    if field.is_list and isinstance(value, list):
+        return map_numbered(lambda part: _read_definition(field, part), value)
+    found = _read_definition(field, value)
+    return (found,) if field.is_list else found
 
 
 def _read_definition(field: Field, value: Any) -> Any:
