@@ -51,6 +51,8 @@ Steps = Annotated[int, Positive]
 Count = Annotated[int, NotNegative]
 Indices = tuple[Count, ...]
 Targets = Points | Text | Ring | Lattice | Polygon | Picture
+SWARM, MODEL, PLAN, NOISE = In("swarm"), In("model"), In("plan"), In("disturbance")
+AUTO: Any = "auto"
 LATER: Any = None  # of a field that follows from the others where it is not given
 
 
@@ -145,96 +147,73 @@ class Reconfiguration(Motion, Mission):
 
     system: ClassVar[str] = "reconfiguration"
 
-    agents: Annotated[int | None, In("swarm"), Positive, "number of agents at the start"] = None
-    start: Annotated[Start, In("swarm"), Convert(as_points), "initial positions or states"]
-    comm_radius: Annotated[Length, In("swarm"), Positive, "communication radius R_comm"]
-    collision_radius: Annotated[Length, In("swarm"), Positive, "least distance of two, R_col"]
+    agents: Annotated[int | None, SWARM, Positive, "number of agents at the start"] = None
+    start: Annotated[Start, SWARM, Convert(as_points), "initial positions or states"]
+    comm_radius: Annotated[Length, SWARM, Positive, "communication radius R_comm"]
+    collision_radius: Annotated[Length, SWARM, Positive, "least distance of two, R_col"]
     target_count: Annotated[
         int | None,
-        In("swarm"),
+        SWARM,
         Key("believed"),
         Positive,
-        "number of targets m that every agent believes in at the start; all agents if absent",
+        "targets m believed in at first; all if absent",
     ] = None
 
     chief: Annotated[Chief | None, In(""), Convert(as_chief), "orbit of the chief"] = None
 
-    model: Annotated[AnyModel, In("model"), Inline(), "equations of motion"]
-    max_control: Annotated[Acceleration, In("model"), Positive, "largest acceleration"]
+    model: Annotated[AnyModel, MODEL, Inline(), "equations of motion"]
+    max_control: Annotated[Acceleration, MODEL, Positive, "largest acceleration"]
     max_speed: Annotated[
-        float, Unit("m_s"), In("model"), Positive, Constraint(allow_inf_nan=True), "largest speed"
+        float, Unit("m_s"), MODEL, Positive, Constraint(allow_inf_nan=True), "largest speed"
     ] = inf
-    control_norm: Annotated[Norm, In("model"), "norm of the acceleration's limit"] = "inf"
-    fuel_norm: Annotated[Norm, In("model"), "norm of the acceleration in the fuel"] = 1
+    control_norm: Annotated[Norm, MODEL, "norm of the acceleration's limit"] = "inf"
+    fuel_norm: Annotated[Norm, MODEL, "norm of the acceleration in the fuel"] = 1
 
     plant: Annotated[PlantSettings | Plant, In(""), "motion that is flown"] = PlantSettings()
 
-    step: Annotated[Time, In("plan"), Positive, "control step Δt"]
-    horizon_steps: Annotated[Steps, In("plan"), "steps that avoidance looks ahead, T_H"] = 4
-    foresight_steps: Annotated[
-        Count, In("plan"), "steps that it looks ahead among agents within hearing"
-    ] = 0
-    orders: Annotated[Steps, In("plan"), "orders of priority that each plan tries"] = 1
-    bargains: Annotated[
-        Count, In("plan"), "sweeps of negotiation in pairs; with orders above 1"
-    ] = 0
+    step: Annotated[Time, PLAN, Positive, "control step Δt"]
+    horizon_steps: Annotated[Steps, PLAN, "steps that avoidance looks ahead, T_H"] = 4
+    foresight_steps: Annotated[Count, PLAN, "steps it looks ahead among agents in hearing"] = 0
+    orders: Annotated[Steps, PLAN, "orders of priority that each plan tries"] = 1
+    bargains: Annotated[Count, PLAN, "sweeps of negotiation in pairs; with orders above 1"] = 0
     replan_steps: Annotated[
-        Steps, In("plan"), "replanning period; 1 where motion is disturbed, else the horizon"
+        Steps, PLAN, "replanning period; 1 where motion is disturbed, else the horizon"
     ] = LATER
     auction_steps: Annotated[
-        Steps, In("plan"), "period of auctions, a multiple of replan_steps; replan_steps if absent"
+        Steps, PLAN, "period of auctions, a multiple of replan_steps; replan_steps if absent"
     ] = LATER
     epsilon: Annotated[
-        Automatic, In("plan"), "bid increment ε; auto is w s²/2 with the least spacing s"
-    ] = "auto"  # type: ignore[assignment]
-    tie_break: Annotated[float, In("plan"), NotNegative, "weight w [1/m] of the tie-break"] = 0.2
-    cost: Annotated[Literal["fuel", "distance"], In("plan"), "cost of a target"] = "fuel"
-    bidder_ids: Annotated[
-        bool, In("plan"), Key("ids"), "bids carry the bidder; false is the printed method"
-    ] = True
+        Automatic, PLAN, "bid increment ε; auto is w s²/2 with the least spacing s"
+    ] = AUTO
+    tie_break: Annotated[float, PLAN, NotNegative, "weight w [1/m] of the tie-break"] = 0.2
+    cost: Annotated[Literal["fuel", "distance"], PLAN, "cost of a target"] = "fuel"
+    bidder_ids: Annotated[bool, PLAN, Key("ids"), "bids carry the bidder; false as printed"] = True
     reset: Annotated[
-        Literal["change", "need"],
-        In("plan"),
-        "a leg's clock starts again where the number of bids changed, or only where needed",
+        Literal["change", "need"], PLAN, "clock starts again with new bidders, or where needed"
     ] = "change"
-    freeze_steps: Annotated[
-        Count, In("plan"), "steps before the deadline in which plans are kept"
-    ] = 0
+    freeze_steps: Annotated[Count, PLAN, "steps before the deadline in which plans are kept"] = 0
     margin: Annotated[
-        Automatic,
-        Unit("m"),
-        In("plan"),
-        "beyond R_col; auto about a chief or with a nonlinear model, else 0, if absent",
+        Automatic, Unit("m"), PLAN, "beyond R_col; auto where the model may err, else 0, if absent"
     ] = LATER
-    allow_undetectable: Annotated[
-        bool, In("plan"), "fly although agents could meet unseen (Proposition 9)"
-    ] = False
+    allow_undetectable: Annotated[bool, PLAN, "fly where agents could meet unseen (Prop. 9)"] = (
+        False
+    )
     position_tolerance: Annotated[
-        Length, In("plan"), Positive, "distance within which a target counts as reached"
+        Length, PLAN, Positive, "distance within which a target counts as reached"
     ] = LATER
     velocity_tolerance: Annotated[
-        Speed, In("plan"), Positive, "speed within which a target counts as reached"
+        Speed, PLAN, Positive, "speed within which a target counts as reached"
     ] = LATER
 
     disturbance: Annotated[
-        Acceleration,
-        In("disturbance"),
-        Key("acceleration"),
-        NotNegative,
-        "standard deviation of an acceleration held over a step",
+        Acceleration, NOISE, Key("acceleration"), NotNegative, "standard deviation, held for a step"
     ] = 0.0
-    position_noise: Annotated[
-        Length, In("disturbance"), Key("position"), NotNegative, "of a measured position"
-    ] = 0.0
-    velocity_noise: Annotated[
-        Speed, In("disturbance"), Key("velocity"), NotNegative, "of a measured velocity"
-    ] = 0.0
-    thrust_error: Annotated[
-        float, In("disturbance"), Key("thrust"), NotNegative, "of a thrust's size, relative"
-    ] = 0.0
-    pointing_error: Annotated[
-        Angle, In("disturbance"), Key("pointing"), NotNegative, "of a thrust's direction"
-    ] = 0.0
+    position_noise: Annotated[Length, NOISE, Key("position"), NotNegative, "of a measured one"] = (
+        0.0
+    )
+    velocity_noise: Annotated[Speed, NOISE, Key("velocity"), NotNegative, "of a measured one"] = 0.0
+    thrust_error: Annotated[float, NOISE, Key("thrust"), NotNegative, "of a thrust, relative"] = 0.0
+    pointing_error: Annotated[Angle, NOISE, Key("pointing"), NotNegative, "of its direction"] = 0.0
 
     legs: Annotated[tuple[Leg, ...], In(""), Key("leg"), "legs in turn"]
 
