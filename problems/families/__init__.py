@@ -72,13 +72,11 @@ class Family:
     instances: tuple[Instance, ...]
 
 
-def list_families() -> dict[str, tuple[str, ...]]:
-    """List the sizes of each family, by its name."""
-    stems = {file.name.removesuffix(".npz") for file in files(__name__).iterdir()}
-    found: dict[str, tuple[str, ...]] = {}
-    for name in sorted({stem.rpartition("-")[0] for stem in stems} - {""}):
-        found[name] = tuple(size for size in SIZES if f"{name}-{size}" in stems)
-    return found
+def list_families() -> list[str]:
+    """List the names of the families, each of which has all sizes."""
+    smallest = f"-{SIZES[0]}.npz"
+    names = (file.name for file in files(__name__).iterdir())
+    return sorted(name.removesuffix(smallest) for name in names if name.endswith(smallest))
 
 
 @cache
@@ -88,24 +86,20 @@ def load_family(name: str, size: str) -> Family:
     Raises:
         ValueError: There is no family of this name, or not of this size.
     """
-    known = list_families()
-    if name not in known:
-        raise ValueError(f'there is no family "{name}"; there are {", ".join(known)}')
-    if size not in known[name]:
-        raise ValueError(f'{name} has no size "{size}"; it has {", ".join(known[name])}')
+    if name not in list_families():
+        known = ", ".join(list_families())
+        raise ValueError(f'there is no family "{name}"; there are {known}')
+    if size not in SIZES:
+        raise ValueError(f'{name} has no size "{size}"; it has {", ".join(SIZES)}')
     with (files(__name__) / f"{name}-{size}.npz").open("rb") as file, np.load(file) as data:
         # A and q are stored once for all the instances that share them.
         shared = [_parse_program(data, k) for k in range(int(data["programs"]))]
+        columns = (data[key].tolist() for key in ("program", "feasible", "reference", "agreed"))
         instances = []
-        for i, k in enumerate(data["program"]):
-            problem = replace(shared[k], b=data[f"b{i}"])
-            answer = (
-                bool(data["feasible"][i]),
-                float(data["reference"][i]),
-                float(data["agreed"][i]),
-            )
-            label = f"{name}/{size}/{i}"
-            instances.append(Instance(label, problem, *answer, data[f"x{i}"], data[f"y{i}"]))
+        for i, (k, is_feasible, cost, gap) in enumerate(zip(*columns, strict=True)):
+            problem, label = replace(shared[k], b=data[f"b{i}"]), f"{name}/{size}/{i}"
+            x, y = data[f"x{i}"], data[f"y{i}"]
+            instances.append(Instance(label, problem, is_feasible, cost, gap, x, y))
         solvers, source = tuple(map(str, data["solvers"])), str(data["source"])
         return Family(name, size, int(data["seed"]), source, solvers, tuple(instances))
 

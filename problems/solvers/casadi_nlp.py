@@ -42,11 +42,8 @@ class CasadiNlpSession:
         self._upper = casadi.DM(np.concatenate([np.zeros(problem.zero), above]))
         limits = dict.fromkeys(("tol", "constr_viol_tol", "dual_inf_tol"), tolerance / 10)
         limits["compl_inf_tol"] = tolerance / 100  # of one row; the gap sums over all rows
-        options: dict[str, Any] = {
-            "error_on_fail": False,
-            "print_time": False,
-            "ipopt": IPOPT_OPTIONS | limits,
-        }
+        ipopt = IPOPT_OPTIONS | limits
+        options: dict[str, Any] = {"error_on_fail": False, "print_time": False, "ipopt": ipopt}
         nlp: dict[str, Any] = {"x": x, "p": b, "f": casadi.dot(casadi.DM(problem.q), x), "g": g}
         self._solver: Any = casadi.nlpsol("solver", "ipopt", nlp, options)
 

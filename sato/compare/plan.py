@@ -63,7 +63,7 @@ def make_plan(
     chosen = [
         load_family(name, size)
         for name in dict.fromkeys(families) or available
-        for size in available[name]
+        for size in SIZES
         if size in (sizes or SIZES)
     ]
     able, exclusions = [], []
