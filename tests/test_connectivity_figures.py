@@ -26,7 +26,6 @@ from sato.connectivity.figures.time_series import (
     select_pairs,
 )
 from sato.connectivity.figures.trajectories import (
-    MAX_POINTS,
     draw_obstacles_3d,
     draw_obstacles_from_above,
 )
@@ -36,7 +35,7 @@ from sato.connectivity.potential import evaluate_potential, negative_slope, repu
 from sato.connectivity.system import SYSTEM
 from sato.figures.axes import AxisBounds
 from sato.figures.panels import find_intervals
-from sato.figures.style import GREEN, ORANGE, RED, SKY
+from sato.figures.style import ORANGE, RED, SKY
 from sato.scenario.file import read
 
 STICK = (
@@ -229,27 +228,26 @@ def test_trajectories_end_where_robots_are_or_are_lost(variant):
     frames = flown(variant).frames
     deep, above = shown("paths", variant).axes
     for i, live in enumerate(frames.alive.T):
-        place = frames.position[np.flatnonzero(live).max(initial=0), i]
+        place = frames.position[-1, i]
         mark = "o" if live[-1] else "X"
-        ends = [np.ravel(one.get_data_3d()) for one in deep.lines if one.get_marker() == mark]
-        assert any(np.allclose(end, place) for end in ends if len(end) == 3)
-        ends = [np.ravel(one.get_data()) for one in above.lines if one.get_marker() == mark]
-        assert any(np.allclose(end, place[:2]) for end in ends if len(end) == 2)
+        ends = [np.array(one.get_data_3d()).T for one in deep.lines if one.get_marker() == mark]
+        assert np.isclose(np.vstack(ends), place).all(axis=1).any()
+        ends = [one.get_xydata() for one in above.lines if one.get_marker() == mark]
+        assert np.isclose(np.vstack(ends), place[:2]).all(axis=1).any()
     live = frames.alive[:, 0]
-    leader = line(above, "leader").T
-    assert len(frames.time) <= MAX_POINTS
-    np.testing.assert_array_equal(leader[live], frames.position[live, 0, :2])
-    assert np.isnan(leader[~live]).all()
+    [leader] = [c for c in above.collections if c.get_label() == "leader"]
+    [path] = leader.get_segments()
+    np.testing.assert_array_equal(path, frames.position[live, 0, :2])
 
 
 def test_edges_are_drawn_wider_with_weight():
     frames, camera = flown("six").frames, flown("six").mission.camera
     weight = interaction_graph(frames.position[-1], frames.yaw[-1], camera).weights
+    weights = weight[np.triu(weight) > 0]
     for ax in shown("paths", "six").axes:
-        edges = [one for one in ax.lines if one.get_color() == GREEN]
-        assert len(edges) == np.triu(weight > 0).sum()
-        order = np.argsort([one.get_linewidth() for one in edges], kind="stable")
-        weights = weight[tuple(np.argwhere(np.triu(weight) > 0).T)]
+        [edges] = [c for c in ax.collections if c.get_label().startswith("edge at the end")]
+        assert len(edges.get_linewidth()) == len(weights)
+        order = np.argsort(edges.get_linewidth(), kind="stable")
         assert (np.diff(weights[order]) >= -1e-9).all()
 
 

@@ -17,9 +17,9 @@ from dynamics.orbit import Orbit
 from dynamics.plant import LinearPlant
 from sato.figures.style import ISOLATED, marker_style, style_components
 from sato.reconfiguration.check import ReconfigurationRecord
+from sato.reconfiguration.check.fuel import compute_agent_bounds, compute_step_fuel
 from sato.reconfiguration.figures import FIGURES, ORBIT_FIGURES
 from sato.reconfiguration.figures.animation import SwarmAnimation
-from sato.reconfiguration.figures.measures import compute_fuel_use
 from sato.reconfiguration.figures.scene import interpolate_positions
 from sato.reconfiguration.mission import Leg, Loss
 
@@ -220,20 +220,22 @@ def test_flat_swarm_has_depth_in_the_view_of_space():
 
 def test_delta_v_figure_shows_fuel_and_its_lorenz_curve():
     bars, shares = drawn("delta-v", "orbit").axes
-    found = compute_fuel_use(flown("orbit")[1])
+    evidence = flown("orbit")[1]
+    fuel, survivors = compute_step_fuel(evidence).sum(axis=0), evidence.frames.alive[-1]
     heights = [bar.get_height() for bar in bars.patches]
-    np.testing.assert_allclose(sorted(heights), sorted(found.fuel))
+    np.testing.assert_allclose(sorted(heights), sorted(fuel))
     x, y = line(shares, "this swarm")
     assert (x[0], y[0], x[-1], y[-1]) == pytest.approx((0, 0, 100, 100))
     assert (np.diff(y, 2) > -1e-9).all() and (y <= x + 1e-9).all()
     [words] = [t.get_text() for t in shares.texts]
-    assert f"mean {found.fuel[found.is_survivor].mean():.3g} m/s" in words
-    assert f"standard deviation {found.fuel[found.is_survivor].std():.3g} m/s" in words
+    assert f"mean {fuel[survivors].mean():.3g} m/s" in words
+    assert f"standard deviation {fuel[survivors].std():.3g} m/s" in words
 
 
 def test_fuel_bound_is_below_the_fuel_of_each_agent():
-    found = compute_fuel_use(flown("flat orbit")[1])
-    assert (found.lower_bound <= found.fuel * (1 + 1e-6)).all()
+    evidence = flown("flat orbit")[1]
+    fuel = compute_step_fuel(evidence).sum(axis=0)
+    assert (compute_agent_bounds(evidence) <= fuel * (1 + 1e-6)).all()
 
 
 def test_all_figures_are_written_as_png_or_pdf(tmp_path):

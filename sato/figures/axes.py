@@ -135,12 +135,12 @@ def draw_paths(
 
 
 def draw_ends(
-    ax: Any, space: AxisBounds, path: Float[Array, "instants agents d"], color: str
+    ax: Any, space: AxisBounds, path: Float[Array, "instants agents d"], color: str, ms: float = 3.0
 ) -> None:
     """Draw where agents start, and where those that are not lost end."""
     known = np.isfinite(path[..., 0])
     first = path[np.argmax(known, axis=0), np.arange(path.shape[1])] / space.unit[0]
-    mark: dict[str, Any] = {"ls": "", "marker": "o", "ms": 3, "zorder": 4}
+    mark: dict[str, Any] = {"ls": "", "marker": "o", "ms": ms, "zorder": 4}
     ax.plot(*first.T, **mark, mfc="white", mec=GRAY, mew=0.7, label="start")
     ax.plot(*path[-1].T / space.unit[0], **mark, color=color, mew=0, label="end")
 

@@ -7,15 +7,20 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Patch, Rectangle, Wedge
-from matplotlib.patheffects import withStroke
 from numpy import ndarray as Array
 
 from sato.connectivity.check import ConnectivityRecord
 from sato.connectivity.obstacles import Obstacles
-from sato.figures.axes import AxisBounds, add_legend, add_titles, set_axis_bounds
+from sato.figures.axes import (
+    AxisBounds,
+    add_legend,
+    add_titles,
+    draw_ends,
+    draw_paths,
+    set_axis_bounds,
+)
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, GREEN, LIGHT_GRAY, ORANGE, PURPLE, RED, SKY
 
-MAX_POINTS = 800  # per trajectory, at most
 DOT_INTERVAL = 5.0  # between dots on a trajectory, as in the paper [s]
 MAX_LABELED_AGENTS = 12  # largest number of robots that are labeled
 FULL_WIDTH_EDGES = 60  # largest number of edges drawn at full width
@@ -44,57 +49,52 @@ def plot_trajectories(record: ConnectivityRecord) -> Figure:
     height = float(frames.position[-1, :, 2].mean())
     draw_obstacles_from_above(above, obstacles, space, height)
     _draw_fields_of_view(above, record)
-    for ax, axes in ((deep, [0, 1, 2]), (above, [0, 1])):
-        _draw_trajectories(ax, record, axes)
-        _draw_graph(ax, record, axes)
+    for ax, bounds in ((deep, space), (above, flat)):
+        _draw_trajectories(ax, record, bounds)
+        _draw_graph(ax, record, bounds)
     for i in range(mission.agents if mission.agents <= MAX_LABELED_AGENTS else 0):
-        halo = [withStroke(linewidth=2, foreground="white")]
-        above.annotate(str(i), frames.position[-1, i, :2], xytext=(5, -10), zorder=8,
-                       textcoords="offset points", path_effects=halo)  # fmt: skip
+        at = frames.position[-1, i, :2]
+        above.annotate(str(i), at, xytext=(5, -10), textcoords="offset points", zorder=8)
     add_titles((deep, above), [f"{frames.time[-1]:g} s of flight", "from above"])
     add_legend(figure, *([Patch(**OBSTACLE_STYLE, label="obstacle")] if obstacles.total else []))
     return figure
 
 
-def _draw_trajectories(ax: Any, record: ConnectivityRecord, axes: list[int]) -> None:
-    frames, last = record.frames, len(record.frames.time) - 1
-    kept = np.unique(np.linspace(0, last, min(last + 1, MAX_POINTS)).astype(int))
-    there = np.where(frames.alive[..., None], frames.position, np.nan)[..., axes]
+def _draw_trajectories(ax: Any, record: ConnectivityRecord, space: AxisBounds) -> None:
+    frames, axes = record.frames, len(space.low)
+    place = frames.position[..., :axes]
+    path = np.where(frames.alive[..., None], place, np.nan)
     dots = np.flatnonzero(np.diff(frames.time // DOT_INTERVAL, prepend=0))
-    for i in reversed(range(record.mission.agents)):
-        color, width, z, name = (BLUE, 0.9, 3, "another robot") if i else (ORANGE, 2.0, 4, "leader")
-        ax.plot(*there[kept, i].T, color=color, lw=width, zorder=z, label=name)
-        mark: dict[str, Any] = {"ls": "", "marker": ".", "color": color, "mew": 0}
-        ax.plot(*there[dots, i].T, **mark, ms=8, zorder=z, label=f"every {DOT_INTERVAL:g} s")
-        start = {"marker": "o", "ms": 4.5, "mfc": "white", "mec": color, "ls": "", "zorder": z + 2}
-        ax.plot(*there[:1, i].T, **start, label="start")
-        end = frames.position[[int(np.flatnonzero(frames.alive[:, i]).max(initial=0))], i][:, axes]
-        if frames.alive[last, i]:
-            ax.plot(*end.T, "o", ms=6.5, mew=0, color=color, zorder=z + 3, label="end")
-        else:
-            ax.plot(*end.T, "X", ms=7, mew=0, color=RED, zorder=z + 3, label="lost here")
-    ways = record.mission.stick.waypoints[:, axes]
-    if len(ways):
-        ax.plot(*ways.T, "*", ms=10, mfc="none", mec=PURPLE, zorder=5, label="waypoint")
+    draw_paths(ax, space, path[:, 1:], BLUE, zorder=3, label="another robot")
+    draw_paths(ax, space, path[:, :1], ORANGE, lw=2.0, zorder=3, label="leader")
+    name = f"every {DOT_INTERVAL:g} s"
+    ax.plot(*path[dots].reshape(-1, axes).T, ".", color=DARK_GRAY, ms=3, zorder=4, label=name)
+    draw_ends(ax, space, path[:, 1:], BLUE, ms=5.5)
+    draw_ends(ax, space, path[:, :1], ORANGE, ms=5.5)
+    lost = place[-1, ~frames.alive[-1]].T
+    if lost.size:
+        ax.plot(*lost, "X", ms=7, mew=0, color=RED, zorder=7, label="lost here")
+    ways = record.mission.stick.waypoints[:, :axes].T
+    if ways.size:
+        ax.plot(*ways, "*", ms=10, mfc="none", mec=PURPLE, zorder=5, label="waypoint")
 
 
-def _draw_graph(ax: Any, record: ConnectivityRecord, axes: list[int]) -> None:
+def _draw_graph(ax: Any, record: ConnectivityRecord, space: AxisBounds) -> None:
     """Draw the edges, body axes and optical axes at the end."""
     alive, weight = record.frames.alive[-1], record.frames.edge_weight[-1]
-    end = record.frames.position[-1][:, axes]
-    pairs = np.argwhere(np.triu(weight) > 0)
-    finer = np.clip(FULL_WIDTH_EDGES / max(len(pairs), 1), 0.3, 1.0)
-    for i, j in pairs:
-        style = {"color": GREEN, "lw": finer * (0.3 + 1.1 * weight[i, j]), "zorder": 2}
-        ax.plot(*end[[i, j]].T, **style, label="edge at the end, wider weighs more")
+    end = record.frames.position[-1, :, : len(space.low)]
+    pairs = np.argwhere(np.triu(weight) > 0).T
+    finer = np.clip(FULL_WIDTH_EDGES / max(pairs.shape[1], 1), 0.3, 1.0)
+    if pairs.size:
+        widths, name = finer * (0.3 + 1.1 * weight[*pairs]), "edge at the end, wider weighs more"
+        draw_paths(ax, space, end[pairs], GREEN, lw=widths, zorder=2, label=name)
     body = record.frames.yaw[-1]
     x, y, _ = record.mission.camera.optical_axis
     camera = body + np.arctan2(y, x)
     for turn, color, name in ((body, DARK_GRAY, "x of the body"), (camera, RED, "optical axis")):
-        ways = np.stack([np.cos(turn), np.sin(turn), np.zeros(len(turn))], axis=1)[:, axes]
-        tips = end + BODY_AXIS_LENGTH * ways
-        for i in np.flatnonzero(alive):
-            ax.plot(*np.array([end[i], tips[i]]).T, color=color, lw=1.2, zorder=6, label=name)
+        ways = np.stack([np.cos(turn), np.sin(turn), np.zeros(len(turn))], axis=1)
+        tips = end + BODY_AXIS_LENGTH * ways[:, : len(space.low)]
+        draw_paths(ax, space, np.stack([end, tips])[:, alive], color, lw=1.2, zorder=6, label=name)
 
 
 def _draw_fields_of_view(ax: Any, record: ConnectivityRecord) -> None:

@@ -14,7 +14,7 @@ from numpy import ndarray as Array
 from problems.alignment import align, compute_shape_error
 from problems.desired_formation import DesiredFormation
 from sato.figures import panels
-from sato.figures.axes import add_legend, add_titles
+from sato.figures.axes import AxisBounds, add_legend, add_titles
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, LIGHT_GRAY, ORANGE, RED, SKY
 from sato.formation.check import FormationRecord
 from sato.formation.check.recorded import FormationLegRecord
@@ -44,18 +44,7 @@ class LegScene(NamedTuple):
     path: Float[Array, "instants agents 3"]  # [m]
     reassignment_positions: Float[Array, "changes 3"]  # at new assignments under way [m]
     is_avoiding: Bool[Array, " agents"]  # at the end
-
-    @property
-    def middle(self) -> Float[Array, " 3"]:
-        """Middle of all that is shown [m]."""
-        points = np.concatenate([self.path.reshape(-1, 3), self.formation.points])
-        return np.asarray((points.min(axis=0) + points.max(axis=0)) / 2)
-
-    @property
-    def size(self) -> Float[Array, " 3"]:
-        """Size of all that is shown, with a margin [m]."""
-        points = np.concatenate([self.path.reshape(-1, 3), self.formation.points])
-        return np.asarray(np.ptp(points, axis=0) + 2 * MARGIN)
+    bounds: AxisBounds
 
 
 def plot_paths(record: FormationRecord) -> Figure:
@@ -68,7 +57,7 @@ def plot_paths(record: FormationRecord) -> Figure:
     legs = record.replay.legs or (FormationLegRecord(0, 0, last, last, completed=False),)
     scenes = [_make_scene(record, leg) for leg in legs]
     views = [TOP] if all(s.formation.is_flat for s in scenes) else [TOP, SIDE]
-    size = np.max([s.size for s in scenes], axis=0)
+    size = np.max([s.bounds.size for s in scenes], axis=0)
     size[0] = max(size[0], 0.75 * size[1])
     columns = min(len(scenes), MAX_COLUMNS) if len(scenes) != 4 else 2
     rows, shares = ceil(len(scenes) / columns), [size[b] / size[0] for _, b in views]
@@ -115,7 +104,8 @@ def _make_scene(record: FormationRecord, leg: FormationLegRecord) -> LegScene:
     title = f"{name}\n{state}{fit.error:.3f} m off, {turned}"
     is_avoiding = record.frames.avoiding[leg.last_instant]
     kept = path[subsample(len(path), MAX_PIECES)]
-    return LegScene(title, formation, kept, path[changed], is_avoiding)
+    bounds = AxisBounds.enclosing(("x", "y", "z"), kept, formation.points, margin=MARGIN)
+    return LegScene(title, formation, kept, path[changed], is_avoiding, bounds)
 
 
 def _draw_scene(ax: Any, scene: LegScene, view: tuple[int, int], size: Float[Array, " 3"]) -> None:
@@ -140,7 +130,8 @@ def _draw_scene(ax: Any, scene: LegScene, view: tuple[int, int], size: Float[Arr
         discs = EllipseCollection(wide, wide, 0 * wide, units="xy", offsets=path[-1],
                                   offset_transform=ax.transData, facecolors=colors)  # fmt: skip
         ax.add_collection(discs)
-    low, high = scene.middle - size / 2, scene.middle + size / 2
+    middle = (scene.bounds.low + scene.bounds.high) / 2
+    low, high = middle - size / 2, middle + size / 2
     a, b = view
     ax.set(xlim=(low[a], high[a]), ylim=(low[b], high[b]), aspect="equal")
     ax.set(xlabel=f"{'xyz'[a]} [m]", ylabel=f"{'xyz'[b]} [m]")

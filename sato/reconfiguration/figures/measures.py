@@ -1,42 +1,15 @@
 """Least separation over time, and fuel of the agents against their lower bounds."""
 
-from typing import NamedTuple
-
 import numpy as np
-from jaxtyping import Bool, Float
 from matplotlib.figure import Figure
-from numpy import ndarray as Array
 
 from dynamics.trajectory_geometry import sampled_separations
 from sato.figures import panels
 from sato.figures.axes import add_legend, add_titles
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, RED, SKY
-from sato.reconfiguration.check.fuel import (
-    compute_agent_bounds,
-    compute_step_fuel,
-)
+from sato.reconfiguration.check.fuel import compute_agent_bounds, compute_step_fuel
 from sato.reconfiguration.check.recorded import ReconfigurationRecord
 from sato.reconfiguration.figures.scene import Scene
-
-
-class FuelUse(NamedTuple):
-    """Fuel of every agent, and its lower bound to the targets that it reached."""
-
-    fuel: Float[Array, " agents"]  # [m/s]
-    lower_bound: Float[Array, " agents"]  # alone, in the same time; NaN where unknown [m/s]
-    is_survivor: Bool[Array, " agents"]  # alive at the end
-    total_lower_bound: float | None  # with the optimal assignment [m/s]
-
-
-def compute_fuel_use(record: ReconfigurationRecord) -> FuelUse:
-    """Compute the fuel of every agent and its lower bound."""
-    known = [bound.total for bound in record.fuel_bounds if bound is not None]
-    return FuelUse(
-        compute_step_fuel(record).sum(axis=0),
-        compute_agent_bounds(record),
-        record.frames.alive[-1],
-        sum(known) if len(known) == len(record.mission.legs) else None,
-    )
 
 
 def plot_separation(record: ReconfigurationRecord) -> Figure:
@@ -58,11 +31,10 @@ def plot_separation(record: ReconfigurationRecord) -> Figure:
     ax.set(ylabel="least separation [m]", ylim=(0, None))
     panels.draw_limit(ax, radius, f"collision\nradius, {radius:g} m")
     panels.mark_instants([ax], [t[k] for k, _ in record.events.of_kind("loss")], "loss of agents")
-    names = scene.leg_names
-    legs = [
-        panels.Interval(names[leg.leg_index], t[leg.start_index], t[leg.end_index])
-        for leg in record.leg_records
-    ]
+    legs = []
+    for leg in record.leg_records:
+        name = scene.leg_names[leg.leg_index]
+        legs.append(panels.Interval(name, t[leg.start_index], t[leg.end_index]))
     panels.mark_legs([ax], legs)
     add_legend(figure)
     return figure
@@ -70,23 +42,20 @@ def plot_separation(record: ReconfigurationRecord) -> Figure:
 
 def plot_fuel(record: ReconfigurationRecord) -> Figure:
     """Plot the fuel of every agent against its lower bound."""
-    use = compute_fuel_use(record)
-    known = np.isfinite(use.lower_bound)
-    most = max(use.fuel.max(initial=0.0), use.lower_bound[known].max(initial=0.0))
-    top = 1.05 * float(most) or 1.0
+    fuel, bound = compute_step_fuel(record).sum(axis=0), compute_agent_bounds(record)
+    stays = record.frames.alive[-1]
+    top = 1.05 * float(np.nanmax([fuel, bound], initial=0.0)) or 1.0
     figure = Figure(figsize=(4.6, 4.4), layout="constrained")
     ax = figure.add_subplot()
     ax.plot([0, top], [0, top], color=RED, ls="--", lw=1, label="lower bound")
-    for is_shown, color, label in (
-        (use.is_survivor, BLUE, "alive at the end"),
-        (~use.is_survivor, GRAY, "lost"),
-    ):
-        if is_shown.any():
-            x, y = use.lower_bound[is_shown], use.fuel[is_shown]
-            ax.plot(x, y, "o", ms=4, mew=0, alpha=0.75, color=color, label=label)
-    title = f"swarm: {float(use.fuel.sum()):.4g} m/s"
-    if use.total_lower_bound is not None:
-        title += f"\nlower bound: {use.total_lower_bound:.4g} m/s"
+    mark = {"ls": "", "marker": "o", "ms": 4, "mew": 0, "alpha": 0.75}
+    ax.plot(bound[stays], fuel[stays], color=BLUE, **mark, label="alive at the end")
+    if not stays.all():
+        ax.plot(bound[~stays], fuel[~stays], color=GRAY, **mark, label="lost")
+    title = f"swarm: {float(fuel.sum()):.4g} m/s"
+    known = [each.total for each in record.fuel_bounds if each is not None]
+    if len(known) == len(record.mission.legs):
+        title += f"\nlower bound: {sum(known):.4g} m/s"
     ax.set_title(title, loc="left", fontsize=8.5)
     ax.set(xlim=(0, top), ylim=(0, top), aspect="equal", ylabel="fuel of each agent [m/s]")
     ax.set_xlabel("lower bound: least fuel without other agents [m/s]")
@@ -96,19 +65,19 @@ def plot_fuel(record: ReconfigurationRecord) -> Figure:
 
 def plot_delta_v(record: ReconfigurationRecord) -> Figure:
     """Plot the Δv of every spacecraft, and its Lorenz curve."""
-    use = compute_fuel_use(record)
+    fuel, bound = compute_step_fuel(record).sum(axis=0), compute_agent_bounds(record)
     figure = Figure(figsize=(8.2, 3.6), layout="constrained")
     bars, shares = figure.subplots(1, 2, width_ratios=(1.7, 1))
-    order = np.argsort(-use.fuel, kind="stable")
-    place, stays = np.arange(len(order)), use.is_survivor[order]
-    bars.bar(place[stays], use.fuel[order][stays], color=SKY, label="Δv")
+    order = np.argsort(-fuel, kind="stable")
+    place, stays = np.arange(len(order)), record.frames.alive[-1, order]
+    bars.bar(place[stays], fuel[order][stays], color=SKY, label="Δv")
     if not stays.all():
-        bars.bar(place[~stays], use.fuel[order][~stays], color="#dddddd", label="Δv until lost")
-    bound = {"color": DARK_GRAY, "lw": 1.0, "label": "lower bound"}
-    bars.hlines(use.lower_bound[order], place - 0.45, place + 0.45, **bound)
+        bars.bar(place[~stays], fuel[order][~stays], color="#dddddd", label="Δv until lost")
+    style = {"color": DARK_GRAY, "lw": 1.0, "label": "lower bound"}
+    bars.hlines(bound[order], place - 0.45, place + 0.45, **style)
     bars.set(xlim=(-1, len(order)), xlabel="spacecraft, by Δv", ylabel="Δv [m/s]", xticks=[])
     # Share of the total Δv over the share of the swarm that burns it, lowest Δv first.
-    fuel = np.sort(use.fuel[use.is_survivor])
+    fuel = np.sort(fuel[record.frames.alive[-1]])
     share = 100 * np.append(0, np.cumsum(fuel) / (fuel.sum() or 1.0))
     swarm = np.linspace(0, 100, len(share))
     shares.plot([0, 100], [0, 100], color=RED, ls="--", lw=1, label="equal Δv")

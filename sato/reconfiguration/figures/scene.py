@@ -80,10 +80,7 @@ def has_chief(record: ReconfigurationRecord) -> bool:
 
 def read_leg_names(record: ReconfigurationRecord) -> list[str]:
     """Return the name of each leg: its text, or the kind of its shape."""
-    try:
-        tables = tomllib.loads(str(record.attributes["scenario"])).get("leg", [])
-    except tomllib.TOMLDecodeError:
-        tables = []
+    tables = tomllib.loads(str(record.attributes["scenario"])).get("leg", [])
     shapes = [table.get("shape", {}) for table in tables]
     names = [f"‘{s['text']}’" if "text" in s else str(s.get("kind", "shape")) for s in shapes]
     return names + ["shape"] * (len(record.mission.legs) - len(names))
