@@ -3,7 +3,6 @@
 import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from importlib import import_module
 from multiprocessing import get_all_start_methods, get_context
 from multiprocessing.connection import Connection
@@ -168,27 +167,22 @@ class SolverProcess:
             self._process = None
 
     def _request(self, pair: list[Instance], tolerance: float, limit: float) -> list[SolveOutcome]:
-        with suppress(ConnectionError):  # the process has ended, as the answer will show
-            self._connection.send((pair, tolerance))
-        outcomes = [self._receive(limit)]
-        while len(outcomes) < len(pair) and outcomes[-1].verdict != "crashed":
-            outcomes.append(self._receive(limit))
-        if outcomes[-1].verdict == "crashed":
-            self.close()
-        # A solver that did not reach the second solve is not correct there either.
-        return outcomes + outcomes[-1:] * (len(pair) - len(outcomes))
-
-    def _receive(self, limit: float) -> SolveOutcome:
+        outcomes: list[SolveOutcome] = []
+        end = SolveOutcome("crashed", f"no answer within {limit:g} s", limit)
         try:
-            if self._connection.poll(limit):
-                outcome: SolveOutcome = self._connection.recv()
-                return outcome
+            self._connection.send((pair, tolerance))
+            while len(outcomes) < len(pair) and self._connection.poll(limit):
+                outcomes.append(self._connection.recv())
         except (EOFError, ConnectionError):
             self._process.join()
             code = self._process.exitcode
             reason = f"exit code {code}" if code >= 0 else signal.strsignal(-code)
-            return SolveOutcome("crashed", str(reason))
-        return SolveOutcome("crashed", f"no answer within {limit:g} s", limit)
+            end = SolveOutcome("crashed", str(reason))
+        missing = len(pair) - len(outcomes)
+        if missing:
+            self.close()
+        # A solver that did not reach the second solve is not correct there either.
+        return outcomes + missing * [end]
 
 
 def _serve(connection: Connection, solver: SolverAdapter) -> None:
@@ -200,18 +194,18 @@ def _serve(connection: Connection, solver: SolverAdapter) -> None:
     import_module(solver.module)
     threadpool_limits(1)
     while True:
-        instances, tolerance = connection.recv()
-        try:
+        pair, tolerance = connection.recv()
+        session = None
+        for instance in pair:
             began = process_time()
-            # Not `open_session`: the plan has checked that the solver supports the problem.
-            session = solver.session_factory(instances[0].problem, tolerance)
-            for instance in instances:
+            try:
+                # Not `open_session`: the plan has checked that the solver supports the problem.
+                session = session or solver.session_factory(instance.problem, tolerance)
                 result = session.solve(instance.problem.b)
                 outcome = _evaluate(instance, result, tolerance, process_time() - began)
-                connection.send(outcome)  # before the next solve, which may crash
-                began = process_time()
-        except Exception as error:
-            connection.send(SolveOutcome("crashed", f"{type(error).__name__}: {error}"))
+            except Exception as error:
+                outcome = SolveOutcome("crashed", f"{type(error).__name__}: {error}")
+            connection.send(outcome)  # before the next solve, which may crash
 
 
 def _evaluate(
