@@ -24,7 +24,8 @@ from problems.interaction_graph import (
     lambda2_gradient,
     range_weight,
 )
-from sato.connectivity.yaw_estimator import YawTracking, update_yaw_estimate, yaw_from_bearings
+from sato.connectivity.settings import YawTracking
+from sato.connectivity.yaw_estimator import update_yaw_estimate, yaw_from_bearings
 
 N = 6
 SIGHT = Camera()

@@ -34,15 +34,11 @@ from problems.interaction_graph import (
     lambda2_gradient,
 )
 from sato.check.common import find_closest_approach
+from sato.connectivity.controller import evaluate_potential, negative_slope
 from sato.connectivity.loop import simulate
-from sato.connectivity.potential import Potential, evaluate_potential, negative_slope
 from sato.connectivity.record import ConnectivityFrame
-from sato.connectivity.yaw_estimator import (
-    YawTracking,
-    update_velocity_observer,
-    wrap_angle,
-    yaw_from_motion,
-)
+from sato.connectivity.settings import Potential, YawTracking
+from sato.connectivity.yaw_estimator import update_velocity_observer, wrap_angle, yaw_from_motion
 from sato.scenario.file import read
 
 POTENTIAL = Potential()

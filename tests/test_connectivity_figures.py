@@ -14,7 +14,8 @@ from recorded_run import record_run
 
 from problems.interaction_graph import interaction_graph
 from sato.connectivity.check import ConnectivityRecord
-from sato.connectivity.distance import nearest_agent_distance
+from sato.connectivity.check.recorded import nearest_agent_distance
+from sato.connectivity.controller import evaluate_potential, negative_slope, repulsion_gain
 from sato.connectivity.figures import FIGURES
 from sato.connectivity.figures.time_series import (
     LOST,
@@ -31,7 +32,6 @@ from sato.connectivity.figures.trajectories import (
 )
 from sato.connectivity.loop import simulate
 from sato.connectivity.obstacles import Obstacles
-from sato.connectivity.potential import evaluate_potential, negative_slope, repulsion_gain
 from sato.connectivity.system import SYSTEM
 from sato.figures.axes import AxisBounds
 from sato.figures.panels import find_intervals

@@ -16,8 +16,8 @@ from sato.connectivity.controller import (
     estimate_lambda2_from_rows,
 )
 from sato.connectivity.loop import Swarm
-from sato.connectivity.messages import CommunicationLink
 from sato.connectivity.mission import Connectivity
+from sato.connectivity.settings import CommunicationLink
 from sato.connectivity.stick import WaypointStick
 
 TURNS = st.floats(-np.pi, np.pi)
@@ -129,12 +129,12 @@ def spoiled(part, robot):
     return copy
 
 
-def decided(robot, measurements, before, inbox, estimates, mission):
+def decided(robot, known, mission):
     """Return all that a robot estimates and commands."""
-    found = estimate_edges(measurements, before, inbox, estimates, mission, 0.6)
+    found = estimate_edges(known, mission, 0.6)
     lambda2, slope = estimate_lambda2_from_rows(found.adjacency, -0.4)
     found = found._replace(lambda2=lambda2, lambda2_gradient=slope)
-    command = compute_commands(measurements, found, mission)
+    command = compute_commands(known._replace(estimates=found), mission)
     fields = [*found, *found.adjacency, command]
     return [field[robot] for field in fields if isinstance(field, np.ndarray)]
 
@@ -147,14 +147,10 @@ def test_controller_reads_only_rows_of_its_own_agent(robot, link):
     whole, rng = mission(3, Camera(), camera_noise=0.02, link=link), np.random.default_rng(0)
     swarm = Swarm(whole, rng)
     for _ in range(30):
-        before = swarm.measurements
         swarm.move(np.array([1.0, 0, 0]))
         swarm.decide()
-    known = swarm.measurements, before, swarm.inbox, swarm.estimates
-    own = decided(robot, *known, whole)
-    for one, other in zip(
-        own, decided(robot, *(spoiled(part, robot) for part in known), whole), strict=True
-    ):
+    own = decided(robot, swarm.known, whole)
+    for one, other in zip(own, decided(robot, spoiled(swarm.known, robot), whole), strict=True):
         assert np.array_equal(one, other, equal_nan=True)
     command, lambda2 = own[-1], own[5]
     assert command.any() and lambda2 > 0

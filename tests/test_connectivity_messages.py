@@ -18,12 +18,13 @@ from problems.interaction_graph import (
     lambda2_gradient,
     laplacian,
 )
-from sato.connectivity.controller import estimate_lambda2_from_rows
-from sato.connectivity.messages import CommunicationLink, exchange_messages, merge_rows
+from sato.connectivity.controller import estimate_lambda2_from_rows, negative_slope
+from sato.connectivity.messages import exchange_messages, merge_rows
 from sato.connectivity.mission import AgentLoss, Connectivity
-from sato.connectivity.potential import Potential, Repulsion, negative_slope
+from sato.connectivity.settings import CommunicationLink, Potential, Repulsion
 from sato.connectivity.state import (
     AdjacencyRows,
+    Knowledge,
     empty_inbox,
     empty_measurements,
     first_estimates,
@@ -138,9 +139,8 @@ class Listening:
         """Exchange messages, with a velocity that says their number."""
         said = np.full_like(self.measurements.velocity, number)
         told = self.measurements._replace(velocity=said, yaw_rate=-said[:, 0])
-        exchange_messages(
-            told, self.estimates, self.messages, self.inbox, self.mission, number, rng
-        )
+        known = Knowledge(told, self.inbox, self.estimates)
+        exchange_messages(known, self.messages, self.mission, number, rng)
 
 
 @given(st.integers(1, 5), st.integers(0, 6))

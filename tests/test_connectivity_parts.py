@@ -5,20 +5,19 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from sato.connectivity.distance import (
-    blocks_line_of_sight,
-    nearest_points,
-    obstacle_distances,
-)
-from sato.connectivity.obstacles import Obstacles
-from sato.connectivity.potential import (
+from sato.connectivity.controller import (
     ASYMPTOTE_OFFSET,
-    Potential,
-    Repulsion,
     evaluate_potential,
     negative_slope,
     repulsion_gain,
 )
+from sato.connectivity.obstacles import (
+    Obstacles,
+    blocks_line_of_sight,
+    nearest_points,
+    obstacle_distances,
+)
+from sato.connectivity.settings import Potential, Repulsion
 
 POTENTIALS = st.builds(
     lambda least, span, strength: Potential(least, least + span, strength),
@@ -44,18 +43,12 @@ def test_action_is_minus_the_slope_of_the_potential(potential, share):
 
 @given(POTENTIALS)
 def test_potential_ends_smoothly_at_lambda2_max(potential):
-    for beyond in (0.0, 1.0, 100.0):
-        assert evaluate_potential(potential.lambda2_max + beyond, potential) == pytest.approx(
-            0, abs=1e-25
-        )
-        assert negative_slope(potential.lambda2_max + beyond, potential) == pytest.approx(
-            0, abs=1e-13
-        )
-    h = 1e-6
-    assert (
-        evaluate_potential(potential.lambda2_max - h, potential) <= 3 * potential.strength * h * h
-    )
-    assert 0 < negative_slope(potential.lambda2_max - h, potential) <= 10 * potential.strength * h
+    most, strength, h = potential.lambda2_max, potential.strength, 1e-6
+    beyond = most + np.array([0.0, 1.0, 100.0])
+    assert evaluate_potential(beyond, potential) == pytest.approx(np.zeros(3), abs=1e-25)
+    assert negative_slope(beyond, potential) == pytest.approx(np.zeros(3), abs=1e-13)
+    assert evaluate_potential(most - h, potential) <= 3 * strength * h * h
+    assert 0 < negative_slope(most - h, potential) <= 10 * strength * h
 
 
 @given(POTENTIALS, SHARES, SHARES)
@@ -64,52 +57,35 @@ def test_potential_and_action_decrease_with_lambda2(potential, share, other):
     assume(high - low > 1e-6)
     m = potential.lambda2_max - potential.lambda2_min
     low, high = potential.lambda2_min + low * m, potential.lambda2_min + high * m
-    assert evaluate_potential(low, potential) >= evaluate_potential(high, potential) > 0
-    assert negative_slope(low, potential) >= negative_slope(high, potential) > 0
+    for law in (evaluate_potential, negative_slope):
+        assert law(low, potential) >= law(high, potential) > 0
 
 
 @given(POTENTIALS)
 def test_potential_grows_as_one_over_the_distance_to_lambda2_min(potential):
-    m = potential.lambda2_max - potential.lambda2_min
-    at = potential.lambda2_min + ASYMPTOTE_OFFSET
-    assert evaluate_potential(at, potential) * ASYMPTOTE_OFFSET == pytest.approx(
-        potential.strength * (m - ASYMPTOTE_OFFSET) ** 2
-    )
+    least, m = potential.lambda2_min, potential.lambda2_max - potential.lambda2_min
+    at = least + ASYMPTOTE_OFFSET
+    grown = potential.strength * (m - ASYMPTOTE_OFFSET) ** 2 / ASYMPTOTE_OFFSET
+    assert evaluate_potential(at, potential) == pytest.approx(grown)
     # Nearer than that, and below the limit, all is finite and stays as it is.
-    for beyond in (potential.lambda2_min + ASYMPTOTE_OFFSET / 2, potential.lambda2_min, -1.0):
-        assert evaluate_potential(beyond, potential) == pytest.approx(
-            evaluate_potential(at, potential)
-        )
-        assert negative_slope(beyond, potential) == pytest.approx(negative_slope(at, potential))
-
-
-def test_action_has_known_values_at_a_few_eigenvalues():
-    found = [round(negative_slope(at, Potential()), 2) for at in (0.05, 0.1, 0.3, 0.5, 1.0, 2.0)]
-    assert found == [562.4, 111.01, 10.6, 3.65, 0.82, 0.13]
+    beyond = np.array([least + ASYMPTOTE_OFFSET / 2, least, -1.0])
+    for law in (evaluate_potential, negative_slope):
+        assert law(beyond, potential) == pytest.approx(np.full(3, law(at, potential)))
 
 
 @given(REPULSIONS, SHARES, SHARES)
 def test_repulsion_decreases_with_distance_to_zero(repulsion, share, other):
     low, high = sorted((share, other))
     assume(high - low > 1e-6)
-    m = repulsion.max_distance - repulsion.min_distance
-    low, high = repulsion.min_distance + low * m, repulsion.min_distance + high * m
-    assert repulsion_gain(low, repulsion) >= repulsion_gain(high, repulsion) > 0
-    h = 1e-6
-    assert (
-        repulsion_gain(repulsion.max_distance - h, repulsion)
-        <= 2 * repulsion.strength * (h / m) ** 2
-    )
-    for beyond in (0.0, 1e-9, 5.0):
-        assert repulsion_gain(repulsion.max_distance + beyond, repulsion) == pytest.approx(
-            0, abs=1e-25
-        )
-    assert repulsion_gain(0.0, repulsion) == repulsion_gain(
-        repulsion.min_distance + ASYMPTOTE_OFFSET / 2, repulsion
-    )
-    assert repulsion_gain(
-        repulsion.min_distance + ASYMPTOTE_OFFSET, repulsion
-    ) * ASYMPTOTE_OFFSET == pytest.approx(repulsion.strength * m * (1 - ASYMPTOTE_OFFSET / m) ** 2)
+    least, most, strength = repulsion
+    m, h = most - least, 1e-6
+    assert repulsion_gain(least + low * m, repulsion) >= repulsion_gain(least + high * m, repulsion)
+    assert 0 < repulsion_gain(most - h, repulsion) <= 2 * strength * (h / m) ** 2
+    beyond = most + np.array([0.0, 1e-9, 5.0])
+    assert repulsion_gain(beyond, repulsion) == pytest.approx(np.zeros(3), abs=1e-25)
+    near = least + ASYMPTOTE_OFFSET * np.array([1, 1 / 2, -9])
+    steep = strength * m * (1 - ASYMPTOTE_OFFSET / m) ** 2 / ASYMPTOTE_OFFSET
+    assert repulsion_gain(near, repulsion) == pytest.approx(np.full(3, steep))
 
 
 PLACES = st.tuples(*[st.floats(-6, 6)] * 3).map(np.array)

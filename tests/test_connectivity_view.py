@@ -8,11 +8,9 @@ from connectivity_cast import IDLE, fly, posed
 
 from dynamics.quadrotor import Quadrotor
 from problems.interaction_graph import Camera, interaction_graph
-from sato.connectivity.messages import CommunicationLink
 from sato.connectivity.obstacles import Box, Sphere
-from sato.connectivity.potential import Potential, Repulsion
+from sato.connectivity.settings import CommunicationLink, Potential, Repulsion, YawTracking
 from sato.connectivity.stick import WaypointStick
-from sato.connectivity.yaw_estimator import YawTracking
 
 AHEAD = Camera(optical_axis=(1.0, 0.0, 0.0))
 STILL = {"potential": Potential(strength=0.0), "repulsion": Repulsion(strength=0.0)}

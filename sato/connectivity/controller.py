@@ -5,65 +5,33 @@ row i of measurements, messages and estimates alone. The estimators `exact` and 
 exceptions, for comparison.
 """
 
-from typing import TYPE_CHECKING, Annotated, NamedTuple
-
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from dynamics.units import AngularRate, Key, Speed
 from dynamics.vehicle import rotate_by_yaw
-from problems.interaction_graph import algebraic_connectivity, edge_weights
-from sato.connectivity.potential import negative_slope, repulsion_gain
+from problems.interaction_graph import Numbers, algebraic_connectivity, edge_weights
+from sato.connectivity.mission import Connectivity
 from sato.connectivity.power_iteration import estimate_lambda2_from_power, iterate_power
-from sato.connectivity.state import AdjacencyRows, AgentEstimates, Inbox, Measurements
+from sato.connectivity.settings import MAX_ROW_AGE, Potential, Repulsion
+from sato.connectivity.state import AdjacencyRows, AgentEstimates, Knowledge
 from sato.connectivity.yaw_estimator import estimate_relative_yaw
-from sato.scenario.definition import Positive
 
-if TYPE_CHECKING:
-    from sato.connectivity.mission import Connectivity
-
-MAX_MESSAGE_AGE = 0.2  # time for which a neighbor's last message is used [s]
-MAX_ROW_AGE = 1.0  # age at which a row of the adjacency matrix is forgotten [s]
+ASYMPTOTE_OFFSET = 1e-3  # least distance to an asymptote at which to evaluate
 
 
-class CommandLimits(NamedTuple):
-    """Limits of what a robot commands, beside the operator's command to the leader."""
-
-    speed: Annotated[Speed, Positive, "largest speed"] = 3.0
-    yaw_rate: Annotated[AngularRate, Key("turn"), Positive, "largest yaw rate"] = 1.5
-
-
-def estimate_edges(
-    measurements: Measurements,
-    before: Measurements,
-    inbox: Inbox,
-    estimates: AgentEstimates,
-    mission: "Connectivity",
-    time: float,
-) -> AgentEstimates:
+def estimate_edges(known: Knowledge, mission: Connectivity, time: float) -> AgentEstimates:
     """Estimate relative yaws, weights of own edges and their gradients.
 
     Args:
-        measurements: Measurements of now.
-        before: Measurements of a step ago.
-        inbox: Last messages.
-        estimates: Estimates of a step ago.
+        known: Measurements and messages of now, estimates of a step ago.
         mission: Drawn mission.
         time: Time [s].
     """
-    link, n = mission.link, len(estimates.weight)
-    delay_steps = (link.delay_messages + 1) * link.period_steps - 1
-    has_message = inbox.time >= time - MAX_MESSAGE_AGE - delay_steps * mission.step
-    psi, observer = estimate_relative_yaw(
-        measurements, before, inbox, has_message, estimates, mission, time
-    )
-    sees, p, p_back = (
-        measurements.visibility,
-        measurements.relative_position,
-        inbox.relative_position,
-    )
-    is_seen = has_message & ~np.isnan(p_back[..., 0])
+    measurements, inbox, estimates = known
+    psi, observer = estimate_relative_yaw(known, mission, time)
+    sees, p = measurements.visibility, measurements.relative_position
+    is_seen, p_back = inbox.is_seen, inbox.relative_position
     # An agent that does not see rotates the other's measurement [Bernard2023, Sec. III-C,
     # where the rotation is printed in the wrong sense].
     p = np.where(sees[..., None], p, -rotate_by_yaw(p_back, psi))
@@ -74,7 +42,7 @@ def estimate_edges(
     )
     has_edge = sees | is_seen
     weight = np.where(has_edge, edges.weights, 0.0)
-    own, rows, row_time = np.arange(n), *(part.copy() for part in estimates.adjacency)
+    own, rows, row_time = np.arange(len(psi)), *(part.copy() for part in estimates.adjacency)
     rows[own, own], row_time[own, own] = weight, time
     return estimates._replace(
         velocity_observer=observer,
@@ -87,31 +55,27 @@ def estimate_edges(
 
 
 def estimate_lambda2(
-    measurements: Measurements,
-    estimates: AgentEstimates,
-    alive: Bool[Array, " n"],
-    mission: "Connectivity",
-    time: float,
+    known: Knowledge, alive: Bool[Array, " n"], mission: Connectivity, time: float
 ) -> AgentEstimates:
     """Estimate λ₂ and its gradient in the weights of own edges.
 
     Args:
-        measurements: Measurements, whose visibility tells who hears whom.
-        estimates: Estimates, with edges of now.
+        known: What agents know, with the edges of now.
         alive: True for agents that take part.
         mission: Drawn mission.
         time: Time [s].
     """
+    estimates = known.estimates
     if mission.estimator == "power_pi":
-        return _estimate_by_power_iteration(measurements, estimates, alive, mission)
+        return _estimate_by_power_iteration(known, alive, mission)
     if mission.estimator == "flood":
         lambda2, gradient = estimate_lambda2_from_rows(estimates.adjacency, time - MAX_ROW_AGE)
     else:
         # From outside: λ₂ of the weights that the agents estimate.
         found = algebraic_connectivity(_mean_of_both_ends(estimates.weight), alive)
         lambda2, gradient = found.lambda2, found.weight_gradient
-    known = np.where(alive & np.isfinite(lambda2), lambda2, np.nan)
-    return estimates._replace(lambda2=known, lambda2_gradient=gradient)
+    lambda2 = np.where(alive & np.isfinite(lambda2), lambda2, np.nan)
+    return estimates._replace(lambda2=lambda2, lambda2_gradient=gradient)
 
 
 def estimate_lambda2_from_rows(
@@ -137,17 +101,13 @@ def _mean_of_both_ends(weight: Float[Array, "*k n n"]) -> Float[Array, "*k n n"]
 
 
 def _estimate_by_power_iteration(
-    measurements: Measurements,
-    estimates: AgentEstimates,
-    alive: Bool[Array, " n"],
-    mission: "Connectivity",
+    known: Knowledge, alive: Bool[Array, " n"], mission: Connectivity
 ) -> AgentEstimates:
     # Exchanged between control steps, without loss or delay. |v̂|² tends to N (1 − (e₂/e₃) λ₂),
     # and z₂ is its mean. The estimate of an isolated agent is out of range; the last one is kept.
-    hears = measurements.visibility | measurements.visibility.T
-    gains = mission.gains
+    estimates, sees, gains = known.estimates, known.measurements.visibility, mission.gains
     exchanges = round(mission.step / gains.exchange_period)
-    iterates = iterate_power(estimates.iterates, estimates.weight, hears, gains, exchanges)
+    iterates = iterate_power(estimates.iterates, estimates.weight, sees | sees.T, gains, exchanges)
     lambda2, size = estimate_lambda2_from_power(iterates, gains), iterates.average[:, 1]
     is_good = (lambda2 >= 0) & (lambda2 <= 1.1 * mission.potential.lambda2_max) & (size >= 0.05)
     difference = iterates.v[:, None] - iterates.v
@@ -159,20 +119,39 @@ def _estimate_by_power_iteration(
     )
 
 
-def compute_commands(
-    measurements: Measurements, estimates: AgentEstimates, mission: "Connectivity"
-) -> Float[Array, "n 4"]:
+def compute_commands(known: Knowledge, mission: Connectivity) -> Float[Array, "n 4"]:
     """Compute velocities and yaw rates, without the stick [Bernard2023, eq. 5].
 
     An agent without an edge, or without an estimate of λ₂, only keeps its distance.
     """
+    estimates, points, limits = known.estimates, known.measurements.range_points, mission.limits
     slope = negative_slope(estimates.lambda2, mission.potential)
     by_weight = slope[:, None] * estimates.lambda2_gradient
     command = (by_weight[..., None] * estimates.weight_gradient).sum(axis=1)
-    points, limits = measurements.range_points, mission.limits
     gain = repulsion_gain(np.linalg.norm(points, axis=2), mission.repulsion)
     velocity = command[:, :3] - np.nansum(gain[..., None] * points, axis=1)
     speed = np.linalg.norm(velocity, axis=1)
     velocity *= (limits.speed / np.maximum(speed, limits.speed))[:, None]
     yaw_rate = np.clip(command[:, 3:], -limits.yaw_rate, limits.yaw_rate)
     return np.concatenate([velocity, yaw_rate], axis=1)
+
+
+def evaluate_potential(lambda2: Numbers, potential: Potential) -> Numbers:
+    """Compute V = k (m − x)² / x with x = λ₂ − λ₂^min and m = λ₂^max − λ₂^min; 0 beyond."""
+    m = potential.lambda2_max - potential.lambda2_min
+    x = np.maximum(lambda2 - potential.lambda2_min, ASYMPTOTE_OFFSET)
+    return np.where(x < m, potential.strength * (m - x) ** 2 / x, 0.0)[()]
+
+
+def negative_slope(lambda2: Numbers, potential: Potential) -> Numbers:
+    """Compute −V′(λ₂) = k (m²/x² − 1), which is 0 at λ₂^max, as V is, and for NaN."""
+    m = potential.lambda2_max - potential.lambda2_min
+    x = np.maximum(lambda2 - potential.lambda2_min, ASYMPTOTE_OFFSET)
+    return np.where(x < m, potential.strength * (m * m / (x * x) - 1), 0.0)[()]
+
+
+def repulsion_gain(distance: Numbers, repulsion: Repulsion) -> Numbers:
+    """Compute k_obs, the speed away from a point over its distance [1/s]."""
+    m = repulsion.max_distance - repulsion.min_distance
+    x = np.maximum(distance - repulsion.min_distance, ASYMPTOTE_OFFSET)
+    return np.where(x < m, repulsion.strength * (m - x) ** 2 / (m * x), 0.0)[()]

@@ -7,14 +7,9 @@ import numpy as np
 from scipy.spatial.distance import pdist, squareform
 
 from problems.interaction_graph import algebraic_connectivity, interaction_graph
-from sato.connectivity.controller import MAX_ROW_AGE
-from sato.connectivity.distance import obstacle_distances
-from sato.connectivity.obstacles import Obstacles
-from sato.connectivity.power_iteration import (
-    PowerIterationGains,
-    complete_gains,
-    spectral_radius,
-)
+from sato.connectivity.obstacles import Obstacles, obstacle_distances
+from sato.connectivity.power_iteration import spectral_radius
+from sato.connectivity.settings import MAX_ROW_AGE, PowerIterationGains, complete_gains
 from sato.network.graph import label_components
 from sato.scenario.definition import fields_of
 from sato.scenario.errors import InputError, join_names
@@ -60,14 +55,15 @@ def check_sampling(mission: "Connectivity") -> None:
     """
     tracking, link, step = mission.tracking, mission.link, mission.step
     # In discrete time a factor 1 − gain × step of an error is left after each step.
-    for key, gain in (("k2", tracking.k2 + tracking.closure_gain), ("k3", tracking.k3)):
+    for key, terms, gain in (
+        ("k2", "k2 + closure", tracking.k2 + tracking.closure_gain),
+        ("k3", "k3", tracking.k3),
+    ):
         if gain * step >= 2:
-            also = f", with closure = {tracking.closure_gain:g}," if key == "k2" else ""
             raise InputError(
                 f"tracking.{key}",
-                f"{getattr(tracking, key):g}{also} is unstable at a control step of {step:g} s: "
-                f"an error becomes {1 - gain * step:.3g} times as large in each; gains of "
-                f"{0.2 / step:.3g} would do",
+                f"{terms} = {gain:g} /s is unstable at a control step of {step:g} s: an error "
+                f"becomes {1 - gain * step:.3g} times as large in each; {0.2 / step:.3g} would do",
             )
     oldest = (link.delay_messages + 1) * link.period_steps * step
     if oldest > MAX_MESSAGE_AGE * (1 + 1e-9):
@@ -138,18 +134,15 @@ def _check_connected(mission: "Connectivity") -> None:
     camera, least = mission.camera, mission.potential.lambda2_min
     weights = interaction_graph(mission.initial_position, mission.yaw, camera).weights
     lambda2 = float(algebraic_connectivity(weights).lambda2)
-    cure = f"robots {camera.d_near:g} to {camera.d_far:g} m apart that look at each other would do"
     label = label_components(weights > 0, np.ones(len(weights), dtype=bool))
-    if label.max() > 0:
-        members = [np.flatnonzero(label == k).tolist() for k in range(label.max() + 1)]
-        groups = join_names((f"{{{', '.join(map(str, group))}}}" for group in members), "and")
-        text = f"the graph is not connected, λ₂ is 0: robots {groups} do not see each other; {cure}"
-        raise InputError("swarm.start", text)
-    if lambda2 <= least:
+    if label.max() > 0 or lambda2 <= least:
+        parts = [np.flatnonzero(label == k).tolist() for k in range(label.max() + 1)]
+        robots = join_names((f"{{{', '.join(map(str, part))}}}" for part in parts), "and")
         raise InputError(
             "swarm.start",
-            f"the graph is hardly connected, λ₂ is {lambda2:.3g}, and must be above "
-            f"potential.lambda2_min = {least:g}; {cure}",
+            f"λ₂ is {abs(lambda2):.3g} with robots {robots} connected, and must be above "
+            f"potential.lambda2_min = {least:g}; robots {camera.d_near:g} to {camera.d_far:g} m "
+            "apart that look at each other would do",
         )
 
 

@@ -12,17 +12,19 @@ from dynamics.kinematic import KinematicVehicle, step_kinematic
 from dynamics.quadrotor import Quadrotor, step_quadrotor
 from dynamics.vehicle import VehicleState, rotate_by_yaw
 from problems.interaction_graph import algebraic_connectivity
-from sato.connectivity.controller import (
-    MAX_ROW_AGE,
-    compute_commands,
-    estimate_edges,
-    estimate_lambda2,
-)
+from sato.connectivity.controller import compute_commands, estimate_edges, estimate_lambda2
 from sato.connectivity.messages import exchange_messages
 from sato.connectivity.mission import Connectivity
 from sato.connectivity.record import ConnectivityFrame
 from sato.connectivity.sensors import compute_views, measure
-from sato.connectivity.state import Message, empty_inbox, empty_measurements, first_estimates
+from sato.connectivity.settings import MAX_ROW_AGE
+from sato.connectivity.state import (
+    Knowledge,
+    Message,
+    empty_inbox,
+    empty_measurements,
+    first_estimates,
+)
 from sato.connectivity.yaw_estimator import wrap_angle
 from sato.network.graph import label_components
 
@@ -39,9 +41,9 @@ class Swarm:
         self.vehicles = VehicleState.at_rest(mission.initial_position, mission.yaw)
         self.alive, self.command = np.ones(n, dtype=bool), np.zeros((n, 4))
         self.views = compute_views(self.vehicles, self.alive, mission)
-        self.measurements = empty_measurements(n)
-        self.inbox, self.messages = empty_inbox(n), deque[Message]()
-        self.estimates = first_estimates(mission.initial_relative_yaw, rng)
+        estimates = first_estimates(mission.initial_relative_yaw, rng)
+        self.known = Knowledge(empty_measurements(n), empty_inbox(n), estimates)
+        self.messages = deque[Message]()
 
     def move(self, stick: Float[Array, " 3"]) -> None:
         """Move as commanded a step ago, and by the stick, a velocity in the world frame [m/s]."""
@@ -56,29 +58,32 @@ class Swarm:
         """Let an agent stop; from now on it hears nothing."""
         self.alive = self.alive & (np.arange(len(self.alive)) != agent)
         self.vehicles.velocity[agent], self.vehicles.yaw_rate[agent] = 0.0, 0.0
-        self.inbox.time[agent] = -np.inf
+        self.known.inbox.time[agent] = -np.inf
+        self.known.inbox.relative_position[agent] = np.nan
 
     def decide(self) -> None:
         """Measure, exchange messages, estimate and command."""
-        mission, before, alive = self.mission, self.measurements, self.alive
-        time = self.steps_taken * mission.step
+        mission, alive, rng, number = self.mission, self.alive, self.rng, self.steps_taken
+        time, before = number * mission.step, self.known.measurements
         self.views = compute_views(self.vehicles, alive, mission)
-        now = self.measurements = measure(self.vehicles, self.views, alive, mission, self.rng)
-        estimates = exchange_messages(
-            now, self.estimates, self.messages, self.inbox, mission, self.steps_taken, self.rng
+        measured = measure(self.vehicles, self.views, alive, before, mission, rng)
+        known = self.known._replace(measurements=measured)
+        known = known._replace(
+            estimates=exchange_messages(known, self.messages, mission, number, rng)
         )
-        estimates = estimate_edges(now, before, self.inbox, estimates, mission, time)
-        self.estimates = estimate_lambda2(now, estimates, alive, mission, time)
-        self.command = compute_commands(now, self.estimates, mission)
+        known = known._replace(estimates=estimate_edges(known, mission, time))
+        self.known = known._replace(estimates=estimate_lambda2(known, alive, mission, time))
+        self.command = compute_commands(self.known, mission)
         self.steps_taken += 1
 
     @property
     def known_agents(self) -> Bool[Array, "agents agents"]:
         """True where agent i counts on agent j."""
-        known = self.estimates.weight > 0
+        estimates = self.known.estimates
+        known = estimates.weight > 0
         if self.mission.estimator == "flood":
             now = (self.steps_taken - 1) * self.mission.step
-            known |= self.estimates.adjacency.time >= now - MAX_ROW_AGE
+            known |= estimates.adjacency.time >= now - MAX_ROW_AGE
         return np.asarray(known)
 
 
@@ -139,35 +144,25 @@ def simulate(mission: Connectivity, rng: np.random.Generator) -> Iterator[Connec
         if (component.max() > 0) != was_split:
             kind, was_split = "whole" if was_split else "split", not was_split
             events.append({"kind": kind, "agents": np.flatnonzero(component > 0).tolist()})
-        yield _make_frame(swarm, time, component, stick, tuple(events))
-
-
-def _make_frame(
-    swarm: Swarm,
-    time: float,
-    component: Array,
-    stick: Float[Array, " 3"],
-    events: tuple[dict[str, Any], ...],
-) -> ConnectivityFrame:
-    vehicles, estimates = swarm.vehicles, swarm.estimates
-    true = algebraic_connectivity(swarm.views.weight, swarm.alive)
-    error = estimates.relative_yaw - (vehicles.yaw - vehicles.yaw[:, None])
-    return ConnectivityFrame(
-        time=time,
-        position=vehicles.position,
-        velocity=rotate_by_yaw(vehicles.velocity, vehicles.yaw),
-        alive=swarm.alive,
-        component=component,
-        velocity_command=swarm.command[:, :3],
-        yaw_rate=swarm.command[:, 3],
-        yaw=vehicles.yaw,
-        lambda2=float(true.lambda2),
-        lambda3=float(true.lambda3),
-        lambda2_estimate=estimates.lambda2,
-        edge_weight=swarm.views.weight,
-        yaw_estimate_error=wrap_angle(error),
-        visibility=swarm.measurements.visibility,
-        stick=stick,
-        known_agents=swarm.known_agents,
-        events=events,
-    )
+        vehicles, (measured, _, estimates) = swarm.vehicles, swarm.known
+        true = algebraic_connectivity(swarm.views.weight, swarm.alive)
+        true_yaw = vehicles.yaw - vehicles.yaw[:, None]
+        yield ConnectivityFrame(
+            time=time,
+            position=vehicles.position,
+            velocity=rotate_by_yaw(vehicles.velocity, vehicles.yaw),
+            alive=swarm.alive,
+            component=component,
+            velocity_command=swarm.command[:, :3],
+            yaw_rate=swarm.command[:, 3],
+            yaw=vehicles.yaw,
+            lambda2=float(true.lambda2),
+            lambda3=float(true.lambda3),
+            lambda2_estimate=estimates.lambda2,
+            edge_weight=swarm.views.weight,
+            yaw_estimate_error=wrap_angle(estimates.relative_yaw - true_yaw),
+            visibility=measured.visibility,
+            stick=stick,
+            known_agents=swarm.known_agents,
+            events=tuple(events),
+        )

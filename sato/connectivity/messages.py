@@ -1,49 +1,28 @@
 """Messages between agents of which one sees the other."""
 
 from collections import deque
-from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
-from annotated_types import Lt
 from jaxtyping import Bool
 from numpy import ndarray as Array
 
-from dynamics.units import Key
-from sato.connectivity.state import AdjacencyRows, AgentEstimates, Inbox, Measurements, Message
-from sato.scenario.definition import NotNegative, Positive
-
-if TYPE_CHECKING:
-    from sato.connectivity.mission import Connectivity
-
-
-class CommunicationLink(NamedTuple):
-    """Period, delay and loss of messages."""
-
-    period_steps: Annotated[int, Key("every"), Positive, "control steps between two messages"] = 1
-    delay_messages: Annotated[
-        int, Key("late"), NotNegative, "messages that are sent before one arrives"
-    ] = 0
-    loss_probability: Annotated[
-        float, Key("loss"), NotNegative, Lt(1), "probability that a message is lost"
-    ] = 0.0
+from sato.connectivity.mission import Connectivity
+from sato.connectivity.settings import MAX_MESSAGE_AGE
+from sato.connectivity.state import AdjacencyRows, AgentEstimates, Knowledge, Message
 
 
 def exchange_messages(
-    measurements: Measurements,
-    estimates: AgentEstimates,
+    known: Knowledge,
     on_their_way: deque[Message],
-    inbox: Inbox,
-    mission: "Connectivity",
+    mission: Connectivity,
     number: int,
     rng: np.random.Generator,
 ) -> AgentEstimates:
     """Send what every agent measures and estimates; some messages are lost or delayed.
 
     Args:
-        measurements: Content of messages, and visibility.
-        estimates: Content of messages.
+        known: Content of messages; the inbox is changed in place.
         on_their_way: Messages that have not arrived, changed in place.
-        inbox: Last messages of each agent, changed in place.
         mission: Drawn mission.
         number: Number of the control step.
         rng: Draws losses.
@@ -51,7 +30,11 @@ def exchange_messages(
     Returns:
         Estimates, with the newest rows of the adjacency matrix of those known and received.
     """
-    link = mission.link
+    measurements, inbox, estimates = known
+    link, now = mission.link, number * mission.step
+    delay_steps = (link.delay_messages + 1) * link.period_steps - 1
+    is_old = inbox.time < now - MAX_MESSAGE_AGE - delay_steps * mission.step
+    inbox.time[is_old], inbox.relative_position[is_old] = -np.inf, np.nan
     inbox.is_new[:] = False
     if number % link.period_steps != 0:
         return estimates

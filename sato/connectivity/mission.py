@@ -15,14 +15,18 @@ from dynamics.quadrotor import Quadrotor
 from dynamics.units import Key, Length, Time, Unit
 from problems.interaction_graph import Camera
 from sato.connectivity import feasibility
-from sato.connectivity.controller import CommandLimits
-from sato.connectivity.messages import CommunicationLink
 from sato.connectivity.obstacles import Box, Obstacles, Plane, RandomSpheres, Sphere
-from sato.connectivity.potential import Potential, Repulsion
-from sato.connectivity.power_iteration import PowerIterationGains, complete_gains
+from sato.connectivity.settings import (
+    CommandLimits,
+    CommunicationLink,
+    Potential,
+    PowerIterationGains,
+    Repulsion,
+    YawTracking,
+    complete_gains,
+)
 from sato.connectivity.start import Poses, RandomPoses, as_poses
 from sato.connectivity.stick import RecordedStick, WaypointStick
-from sato.connectivity.yaw_estimator import YawTracking
 from sato.scenario.definition import (
     Convert,
     Definition,

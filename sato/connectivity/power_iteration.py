@@ -4,49 +4,13 @@
 proportional-integral consensus tracks [Freeman2006]. It is too slow where λ₃ is close to λ₂.
 """
 
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
-
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from dynamics.units import Key, Time
 from problems.interaction_graph import laplacian
+from sato.connectivity.settings import PowerIterationGains
 from sato.connectivity.state import PowerIterates
-from sato.scenario.definition import Positive
-
-if TYPE_CHECKING:
-    Gain = Any  # a number once the mission is complete
-else:
-    Gain = Annotated[float | None, Positive]
-
-
-class PowerIterationGains(NamedTuple):
-    """Gains of the iteration and its consensus; those that are None fit the other numbers."""
-
-    exchange_period: Annotated[
-        Time, Key("exchange"), Positive, "time h between two exchanges with all neighbors"
-    ] = 0.002
-    deflation_gain: Annotated[Gain, Key("deflate"), "e₁, removes the mean [1/s]"] = None
-    iteration_gain: Annotated[Gain, Key("iterate"), "e₂, draws towards the eigenvector [1/s]"] = (
-        None
-    )
-    normalization_gain: Annotated[Gain, Key("normalize"), "e₃, keeps the size [1/s]"] = None
-    filter_gain: Annotated[Gain, Key("follow"), "g, input filter of the consensus [1/s]"] = None
-    proportional_gain: Annotated[Gain, Key("agree"), "K_P of the consensus [1/s]"] = None
-    integral_gain: Annotated[Gain, Key("settle"), "K_I of the consensus [1/s]"] = None
-
-
-def complete_gains(given: PowerIterationGains, agents: int) -> PowerIterationGains:
-    """Replace gains that are None by ones that suit the period and the number of agents."""
-    h = given.exchange_period
-    suited = PowerIterationGains(
-        h, 0.05 / h, 0.006 * 6 / (agents * h), 0.05 / h, 0.2 / h, 1.7 / (agents * h),
-        1.2 / (agents * h),
-    )  # fmt: skip
-    return PowerIterationGains(
-        *(new if old is None else old for old, new in zip(given, suited, strict=True))
-    )
 
 
 def spectral_radius(gains: PowerIterationGains, agents: int) -> float:

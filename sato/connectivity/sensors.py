@@ -1,6 +1,6 @@
 """Cameras and range sensors: the only readers of the truth."""
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -9,16 +9,14 @@ from numpy import ndarray as Array
 from dynamics.quadrotor import Quadrotor, rotate_to_heading_frame
 from dynamics.vehicle import VehicleState, rotate_by_yaw
 from problems.interaction_graph import bearings, cosine_ramp, range_weight
-from sato.connectivity.distance import (
+from sato.connectivity.mission import Connectivity
+from sato.connectivity.obstacles import (
     blocks_line_of_sight,
     nearest_points,
     obstacle_distances,
     segments_hit_balls,
 )
 from sato.connectivity.state import Measurements
-
-if TYPE_CHECKING:
-    from sato.connectivity.mission import Connectivity
 
 
 class CameraViews(NamedTuple):
@@ -30,7 +28,7 @@ class CameraViews(NamedTuple):
 
 
 def compute_views(
-    vehicles: VehicleState, alive: Bool[Array, "*k n"], mission: "Connectivity"
+    vehicles: VehicleState, alive: Bool[Array, "*k n"], mission: Connectivity
 ) -> CameraViews:
     """Compute the view of every camera.
 
@@ -60,7 +58,8 @@ def measure(
     vehicles: VehicleState,
     views: CameraViews,
     alive: Bool[Array, " n"],
-    mission: "Connectivity",
+    before: Measurements,
+    mission: Connectivity,
     rng: np.random.Generator,
 ) -> Measurements:
     """Measure with the sensors of all agents.
@@ -69,6 +68,7 @@ def measure(
         vehicles: True state of all agents.
         views: Views of their cameras.
         alive: True for agents that measure.
+        before: Measurements of a step ago.
         mission: Drawn mission.
         rng: Draws the noise of the cameras.
     """
@@ -80,12 +80,14 @@ def measure(
         i, j = np.stack([low, high], axis=1).ravel(), np.stack([high, low], axis=1).ravel()
         i, j = i[sees[i, j]], j[sees[i, j]]
         relative_position[i, j] += mission.camera_noise * rng.standard_normal((len(i), 3))
-    points = _measure_ranges(vehicles, alive, mission)
-    return Measurements(vehicles.velocity, vehicles.yaw_rate, relative_position, points)
+    return Measurements(
+        vehicles.velocity, vehicles.yaw_rate, relative_position, before.relative_position,
+        _measure_ranges(vehicles, alive, mission),
+    )  # fmt: skip
 
 
 def _measure_ranges(
-    vehicles: VehicleState, alive: Bool[Array, " n"], mission: "Connectivity"
+    vehicles: VehicleState, alive: Bool[Array, " n"], mission: Connectivity
 ) -> Float[Array, "n points 3"]:
     # Nearest points of agents and obstacles in range, without telling which is which.
     position, n, obstacles = vehicles.position, len(alive), mission.obstacle_arrays
@@ -100,7 +102,7 @@ def _measure_ranges(
 
 
 def _is_occluded(
-    position: Float[Array, "*k n 3"], alive: Bool[Array, "*k n"], mission: "Connectivity"
+    position: Float[Array, "*k n 3"], alive: Bool[Array, "*k n"], mission: Connectivity
 ) -> Bool[Array, "*k n n"]:
     # True where another live agent or an obstacle is between two agents.
     p, q = position[..., :, None, :], position[..., None, :, :]

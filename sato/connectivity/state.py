@@ -17,6 +17,7 @@ class Measurements(NamedTuple):
     velocity: Float[Array, "n 3"]  # [m/s]
     yaw_rate: Float[Array, " n"]  # [rad/s]
     relative_position: Float[Array, "n n 3"]  # p_ij as measured; NaN out of view [m]
+    previous_relative_position: Float[Array, "n n 3"]  # a step ago [m]
     range_points: Float[Array, "n points 3"]  # nearest points of what is near; NaN otherwise [m]
 
     @property
@@ -43,15 +44,23 @@ class Message(NamedTuple):
 
 
 class Inbox(NamedTuple):
-    """Last messages that agent i received from agent j, at [i, j]; changed in place."""
+    """Last messages that agent i received from agent j, at [i, j]; changed in place.
 
-    time: Float[Array, "n n"]  # time at which j sent it [s]
+    Old ones are forgotten.
+    """
+
+    time: Float[Array, "n n"]  # time at which j sent it; −∞ where there is none [s]
     is_new: Bool[Array, "n n"]  # true where it arrived in this step
     twist: Float[Array, "n n 4"]  # v_j, w_j
     relative_position: Float[Array, "n n 3"]  # p_ji; NaN where j did not see i [m]
     own_relative_position: Float[Array, "n n 3"]  # p_ij that i measured at that time [m]
     relative_yaw: Float[Array, "n n n"]  # [i, j, k]: ψ̃_jk [rad]
     is_mutual: Bool[Array, "n n n"]  # [i, j, k]
+
+    @property
+    def is_seen(self) -> Bool[Array, "n n"]:
+        """True where j says that it saw i."""
+        return np.asarray(~np.isnan(self.relative_position[..., 0]))
 
 
 class PowerIterates(NamedTuple):
@@ -76,11 +85,18 @@ class AgentEstimates(NamedTuple):
     lambda2_gradient: Float[Array, "n n"]  # ∂λ₂/∂A_ij
 
 
+class Knowledge(NamedTuple):
+    """All that agents know, and nothing of the truth."""
+
+    measurements: Measurements
+    inbox: Inbox
+    estimates: AgentEstimates
+
+
 def empty_measurements(n: int) -> Measurements:
     """Return the measurements of agents that have not looked yet."""
-    return Measurements(
-        np.zeros((n, 3)), np.zeros(n), np.full((n, n, 3), np.nan), np.zeros((n, 0, 3))
-    )
+    unseen = np.full((n, n, 3), np.nan)
+    return Measurements(np.zeros((n, 3)), np.zeros(n), unseen, unseen, np.zeros((n, 0, 3)))
 
 
 def empty_inbox(n: int) -> Inbox:

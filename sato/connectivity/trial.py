@@ -1,17 +1,15 @@
 """Trial: a simulation reduced to the numbers that studies of many seeds count."""
 
-from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from sato.connectivity.check.recorded import ConnectivityRecord
-from sato.connectivity.distance import nearest_agent_distance, obstacle_distances
+from sato.connectivity.check.recorded import ConnectivityRecord, nearest_agent_distance
 from sato.connectivity.loop import simulate
 from sato.connectivity.mission import Connectivity
-from sato.connectivity.record import ConnectivityFrame
+from sato.connectivity.obstacles import obstacle_distances
 
 GAP_WINDOW = 1.0  # time before a loss of connectivity in which λ₃ − λ₂ is looked at [s]
 IDLE_TIME = 1.0  # time after which an isolated agent must hold [s]
@@ -35,23 +33,16 @@ class ConnectivityTrial(NamedTuple):
 
 def run_trial(mission: Connectivity, rng: np.random.Generator) -> ConnectivityTrial:
     """Simulate a drawn mission and evaluate its frames."""
-    return evaluate_trial(mission, simulate(mission, rng))
-
-
-def evaluate_trial(mission: Connectivity, frames: Iterable[ConnectivityFrame]) -> ConnectivityTrial:
-    """Evaluate all frames of a simulation."""
-    record = ConnectivityRecord.from_frames(list(frames), mission)
-    whole = record.frames
-    lost, gap = np.nan, np.nan
-    below = whole.lambda2 <= mission.potential.lambda2_min
+    record = ConnectivityRecord.from_frames(list(simulate(mission, rng)), mission)
+    frames, lost, gap = record.frames, np.nan, np.nan
+    below = frames.lambda2 <= mission.potential.lambda2_min
     if below.any():
         first = int(np.argmax(below))
         since = max(0, first - round(GAP_WINDOW / mission.step))
         lost = first * mission.step
-        gap = float((whole.lambda3 - whole.lambda2)[since : first + 1].min())
-    return ConnectivityTrial(
-        record.summarize_flight(), lost, gap, _max_forget_time(record), _max_idle_command(record)
-    )
+        gap = float((frames.lambda3 - frames.lambda2)[since : first + 1].min())
+    forget, idle = _max_forget_time(record), _max_idle_command(record)
+    return ConnectivityTrial(record.summarize_flight(), lost, gap, forget, idle)
 
 
 def _max_forget_time(record: ConnectivityRecord) -> float:

@@ -6,67 +6,34 @@ with the velocity that the other sends.
 """
 
 from math import exp, pi
-from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from dynamics.units import Key, Speed
 from dynamics.vehicle import rotate_by_yaw
 from problems.interaction_graph import Camera, Numbers, cosine_ramp
-from sato.connectivity.state import AgentEstimates, Inbox, Measurements
-from sato.scenario.definition import NotNegative, Positive
-
-if TYPE_CHECKING:
-    from sato.connectivity.mission import Connectivity
+from sato.connectivity.mission import Connectivity
+from sato.connectivity.settings import YawTracking
+from sato.connectivity.state import Inbox, Knowledge
 
 Vectors = Float[Array, "... 3"]
 
 
-class YawTracking(NamedTuple):
-    """Gains and speeds of the estimator."""
-
-    k1: Annotated[float, Positive, "gain of the velocity observer [1/s]"] = 10.0
-    k2: Annotated[float, NotNegative, "gain of the correction by motion [1/s]"] = 10.0
-    k3: Annotated[float, NotNegative, "gain of the correction by mutual bearings [1/s]"] = 10.0
-    min_speed: Annotated[
-        Speed, Key("slow"), NotNegative, "horizontal speed v_min below which motion is not used"
-    ] = 0.1
-    max_speed: Annotated[
-        Speed, Key("fast"), Positive, "horizontal speed v_max above which motion counts fully"
-    ] = 0.3
-    closure_gain: Annotated[
-        float, Key("closure"), NotNegative, "gain of the correction around triangles [1/s]"
-    ] = 5.0
-    as_printed: Annotated[
-        bool, Key("printed"), "estimator as printed, without compensation of the observer's lag"
-    ] = False
-
-
 def estimate_relative_yaw(
-    measurements: Measurements,
-    before: Measurements,
-    inbox: Inbox,
-    has_message: Bool[Array, "n n"],
-    estimates: AgentEstimates,
-    mission: "Connectivity",
-    time: float,
+    known: Knowledge, mission: Connectivity, time: float
 ) -> tuple[Float[Array, "n n"], Float[Array, "n n 7"]]:
     """Advance ψ̃_ij of every agent for every other, and the observers.
 
     Args:
-        measurements: Measurements of now.
-        before: Measurements of a step ago.
-        inbox: Last messages.
-        has_message: True where they are recent.
-        estimates: Estimates of a step ago.
+        known: Measurements and messages of now, estimates of a step ago.
         mission: Drawn mission.
         time: Time [s].
     """
+    measurements, inbox, estimates = known
     tracking, camera, dt = mission.tracking, mission.assumed_camera, mission.step
     p, p_back, psi = measurements.relative_position, inbox.relative_position, estimates.relative_yaw
-    sees, is_seen = measurements.visibility, has_message & ~np.isnan(p_back[..., 0])
+    sees, is_seen, has_message = measurements.visibility, inbox.is_seen, np.isfinite(inbox.time)
     own_rate = measurements.yaw_rate[:, None]
     rate = inbox.twist[..., 3] - own_rate
     age = np.where(has_message, time - inbox.time, 0.0)
@@ -74,8 +41,8 @@ def estimate_relative_yaw(
     told = np.diagonal(inbox.relative_yaw, axis1=0, axis2=2).T
     from_message = wrap_angle((age + dt) * rate - told)
     observer = update_velocity_observer(
-        p, before.relative_position, measurements.velocity[:, None], own_rate, inbox.twist,
-        estimates.velocity_observer, tracking, dt,
+        p, measurements.previous_relative_position, measurements.velocity[:, None], own_rate,
+        inbox.twist, estimates.velocity_observer, tracking, dt,
     )  # fmt: skip
     observer = np.where((sees & has_message)[..., None], observer, estimates.velocity_observer)
     from_motion, trust = yaw_from_motion(observer, inbox.twist, tracking)

@@ -17,7 +17,7 @@ from sato.check.report import (
     largest,
 )
 from sato.connectivity.check.recorded import ConnectivityRecord
-from sato.connectivity.mission import OMNIDIRECTIONAL, Connectivity
+from sato.connectivity.mission import Connectivity
 from sato.connectivity.record import run_attributes
 from sato.network.graph import canonicalize_labels, label_components
 
@@ -52,40 +52,32 @@ def check_run(
         common.check_times(frames.time, mission.step),
         common.check_finite(frames.alive, *states),
         common.check_alive(frames.alive, record.events),
-        check_losses(record),
-        check_start(record),
+        *check_start(record),
         *check_motion(record),
         *check_commands(record),
         check_stick(record),
-        check_edge_weights(record),
-        check_visibility(record),
-        check_eigenvalues(record),
-        check_components(record),
-        check_connectivity(record),
+        *check_views(record),
+        *check_graph(record),
         *check_distances(record),
     )
     return Report(promises, record.summarize())
 
 
-def check_losses(record: ConnectivityRecord) -> Promise:
-    """Check that agents are lost when the scenario says."""
-    alive, step = record.frames.alive, record.mission.step
-    expected = np.ones_like(alive)
-    for loss in record.mission.losses:
-        expected[step * np.arange(len(alive)) >= loss.time - TOLERANCE, loss.agent] = False
-    text = "times an agent was alive or not against the scenario"
-    return expect_none("losses", expected != alive, text)
-
-
-def check_start(record: ConnectivityRecord) -> Promise:
-    """Check that agents start at rest, at the poses of the scenario."""
+def check_start(record: ConnectivityRecord) -> Iterator[Promise]:
+    """Check that agents start at rest as the scenario says, and are lost when it says."""
     mission, frames = record.mission, record.frames
-    start = mission.initial_position
+    expected, start = np.ones_like(frames.alive), mission.initial_position
+    for loss in mission.losses:
+        is_late = mission.step * np.arange(len(expected)) >= loss.time - TOLERANCE
+        expected[is_late, loss.agent] = False
+    text = "times an agent was alive or not against the scenario"
+    yield expect_none("losses", expected != frames.alive, text)
     if frames.position.shape[1:] != start.shape:
-        return expect_none("start", 1, "another number of agents than the scenario's")
+        yield expect_none("start", 1, "another number of agents than the scenario's")
+        return
     worst = largest(frames.position[0] - start, frames.yaw[0] - mission.yaw, frames.velocity[0])
-    tolerance = TOLERANCE * float(np.abs(start).max())
-    return expect_small_error("start", worst, tolerance, "off from the scenario's start at most")
+    tolerance = TOLERANCE * largest(start)
+    yield expect_small_error("start", worst, tolerance, "off from the scenario's start at most")
 
 
 def check_motion(record: ConnectivityRecord) -> Iterator[Promise]:
@@ -132,49 +124,33 @@ def check_stick(record: ConnectivityRecord) -> Promise:
     return expect_small_error("stick", worst, TOLERANCE, "m/s off from the operator's commands")
 
 
-def check_edge_weights(record: ConnectivityRecord) -> Promise:
-    """Check weights against poses, tilted cameras and occlusion."""
-    error = record.frames.edge_weight - record.views.weight
-    return expect_small_error("weights", error, TOLERANCE, "off from those of the poses")
+def check_views(record: ConnectivityRecord) -> Iterator[Promise]:
+    """Check weights and visibility against poses, tilted cameras and occlusion."""
+    frames, views = record.frames, record.views
+    off = frames.edge_weight - views.weight
+    yield expect_small_error("weights", off, TOLERANCE, "off from those of the poses")
+    beyond = views.view_cosine - record.mission.assumed_camera.a_min
+    odd = (frames.visibility != (beyond > 0)) & (np.abs(beyond) >= TOLERANCE)
+    yield expect_none("visibility", odd, "visibilities that the poses do not give")
 
 
-def check_visibility(record: ConnectivityRecord) -> Promise:
-    """Check which agents see which."""
-    mission, cosine = record.mission, record.views.view_cosine
-    least = OMNIDIRECTIONAL[0] if mission.range_only else mission.camera.a_min
-    odd = (record.frames.visibility != (cosine > least)) & ~(np.abs(cosine - least) < TOLERANCE)
-    return expect_none("visibility", odd, "visibilities that the poses do not give")
-
-
-def check_eigenvalues(record: ConnectivityRecord) -> Promise:
-    """Check λ₂ and λ₃ against the recorded weights of live agents."""
-    frames = record.frames
-    found = algebraic_connectivity(frames.edge_weight, frames.alive)
+def check_graph(record: ConnectivityRecord) -> Iterator[Promise]:
+    """Check λ₂, λ₃ and components against recorded weights, and that λ₂ stays above λ₂^min."""
+    frames, limit = record.frames, record.mission.potential.lambda2_min
+    weight, alive, lambda2 = frames.edge_weight, frames.alive, frames.lambda2
+    found = algebraic_connectivity(weight, alive)[:2]
     with np.errstate(invalid="ignore"):  # infinite where there is no such eigenvalue
-        off = np.abs([found.lambda2 - frames.lambda2, found.lambda3 - frames.lambda3])
-    off = off[~(np.isinf([found.lambda2, found.lambda3]) & np.isnan(off))]
-    tolerance = TOLERANCE * frames.edge_weight.shape[1]
-    return expect_small_error("eigenvalues", off, tolerance, "off from those of the weights")
-
-
-def check_components(record: ConnectivityRecord) -> Promise:
-    """Check components against the recorded weights."""
-    frames, odd = record.frames, 0
-    for weight, alive, labels in zip(
-        frames.edge_weight, frames.alive, frames.component, strict=True
-    ):
-        odd += int((label_components(weight > 0, alive) != canonicalize_labels(labels)).sum())
-    return expect_none("component", odd, "labels that the weights do not give")
-
-
-def check_connectivity(record: ConnectivityRecord) -> Promise:
-    """Check that λ₂ stays above λ₂^min."""
-    lambda2, limit = record.frames.lambda2, record.mission.potential.lambda2_min
+        off = np.subtract(found, [lambda2, frames.lambda3])
+    off, tolerance = off[~(np.isinf(found) & np.isnan(off))], TOLERANCE * weight.shape[1]
+    yield expect_small_error("eigenvalues", off, tolerance, "off from those of the weights")
+    labels = [label_components(w > 0, a) for w, a in zip(weight, alive, strict=True)]
+    odd = np.array(labels) != np.array([canonicalize_labels(row) for row in frames.component])
+    yield expect_none("component", odd, "labels that the weights do not give")
     is_lost, least = lambda2 <= limit, float(lambda2.min())
     text = f"λ₂ is {least:.6g} at least, more than {limit:g} is asked"
     if is_lost.any():
-        text += f"; from {record.frames.time[int(np.argmax(is_lost))]:g} s on it was not always"
-    return Promise("connectivity", not is_lost.any(), least, limit, text)
+        text += f"; from {frames.time[int(np.argmax(is_lost))]:g} s on it was not always"
+    yield Promise("connectivity", not is_lost.any(), least, limit, text)
 
 
 def check_distances(record: ConnectivityRecord) -> Iterator[Promise]:

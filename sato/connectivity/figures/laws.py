@@ -12,7 +12,7 @@ from matplotlib.patches import Circle
 
 from problems.interaction_graph import cosine_ramp, range_weight
 from sato.connectivity.check import ConnectivityRecord
-from sato.connectivity.potential import evaluate_potential, negative_slope, repulsion_gain
+from sato.connectivity.controller import evaluate_potential, negative_slope, repulsion_gain
 from sato.figures.axes import add_legend, add_titles
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, RED, SKY
 

@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 from numpy import ndarray as Array
 
 from sato.connectivity.check import ConnectivityRecord
-from sato.connectivity.distance import nearest_agent_distance, obstacle_distances
+from sato.connectivity.check.recorded import nearest_agent_distance
+from sato.connectivity.obstacles import obstacle_distances
 from sato.figures import panels
 from sato.figures.axes import add_legend, add_titles
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, GREEN, ORANGE, RED

@@ -1,0 +1,104 @@
+"""Settings of a connectivity mission: action, repulsion, tracking, limits, messages, gains."""
+
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+
+from annotated_types import Lt
+
+from dynamics.units import AngularRate, Key, Length, Speed, Time
+from sato.scenario.definition import NotNegative, Positive
+
+MAX_MESSAGE_AGE = 0.2  # time for which a neighbor's last message is used [s]
+MAX_ROW_AGE = 1.0  # age at which a row of the adjacency matrix is forgotten [s]
+
+
+class Potential(NamedTuple):
+    """Potential V(λ₂) [Bernard2023, Fig. 2]."""
+
+    lambda2_min: Annotated[float, NotNegative, "λ₂^min, at which the potential is infinite"] = 0.01
+    lambda2_max: Annotated[float, Positive, "λ₂^max, from which on the potential is zero"] = 3.01
+    strength: Annotated[float, NotNegative, "gain of the action that keeps λ₂ large"] = 0.1
+
+
+class Repulsion(NamedTuple):
+    """Repulsion of a point that the range sensor measures [Bernard2023, Sec. III-D]."""
+
+    min_distance: Annotated[
+        Length, Key("nearest"), Positive, "distance d_min^obs, at which repulsion is infinite"
+    ] = 1.0
+    max_distance: Annotated[
+        Length, Key("farthest"), Positive, "distance d_max^obs, from which on repulsion is zero"
+    ] = 3.5
+    strength: Annotated[float, NotNegative, "gain of repulsion [1/s]"] = 0.5
+
+
+class YawTracking(NamedTuple):
+    """Gains and speeds of the estimator."""
+
+    k1: Annotated[float, Positive, "gain of the velocity observer [1/s]"] = 10.0
+    k2: Annotated[float, NotNegative, "gain of the correction by motion [1/s]"] = 10.0
+    k3: Annotated[float, NotNegative, "gain of the correction by mutual bearings [1/s]"] = 10.0
+    min_speed: Annotated[
+        Speed, Key("slow"), NotNegative, "horizontal speed v_min below which motion is not used"
+    ] = 0.1
+    max_speed: Annotated[
+        Speed, Key("fast"), Positive, "horizontal speed v_max above which motion counts fully"
+    ] = 0.3
+    closure_gain: Annotated[
+        float, Key("closure"), NotNegative, "gain of the correction around triangles [1/s]"
+    ] = 5.0
+    as_printed: Annotated[
+        bool, Key("printed"), "estimator as printed, without compensation of the observer's lag"
+    ] = False
+
+
+class CommandLimits(NamedTuple):
+    """Limits of what a robot commands, beside the operator's command to the leader."""
+
+    speed: Annotated[Speed, Positive, "largest speed"] = 3.0
+    yaw_rate: Annotated[AngularRate, Key("turn"), Positive, "largest yaw rate"] = 1.5
+
+
+class CommunicationLink(NamedTuple):
+    """Period, delay and loss of messages."""
+
+    period_steps: Annotated[int, Key("every"), Positive, "control steps between two messages"] = 1
+    delay_messages: Annotated[
+        int, Key("late"), NotNegative, "messages that are sent before one arrives"
+    ] = 0
+    loss_probability: Annotated[
+        float, Key("loss"), NotNegative, Lt(1), "probability that a message is lost"
+    ] = 0.0
+
+
+if TYPE_CHECKING:
+    Gain = Any  # a number once the mission is complete
+else:
+    Gain = Annotated[float | None, Positive]
+
+
+class PowerIterationGains(NamedTuple):
+    """Gains of the iteration and its consensus; those that are None fit the other numbers."""
+
+    exchange_period: Annotated[
+        Time, Key("exchange"), Positive, "time h between two exchanges with all neighbors"
+    ] = 0.002
+    deflation_gain: Annotated[Gain, Key("deflate"), "e₁, removes the mean [1/s]"] = None
+    iteration_gain: Annotated[Gain, Key("iterate"), "e₂, draws towards the eigenvector [1/s]"] = (
+        None
+    )
+    normalization_gain: Annotated[Gain, Key("normalize"), "e₃, keeps the size [1/s]"] = None
+    filter_gain: Annotated[Gain, Key("follow"), "g, input filter of the consensus [1/s]"] = None
+    proportional_gain: Annotated[Gain, Key("agree"), "K_P of the consensus [1/s]"] = None
+    integral_gain: Annotated[Gain, Key("settle"), "K_I of the consensus [1/s]"] = None
+
+
+def complete_gains(given: PowerIterationGains, agents: int) -> PowerIterationGains:
+    """Replace gains that are None by ones that suit the period and the number of agents."""
+    h = given.exchange_period
+    suited = PowerIterationGains(
+        h, 0.05 / h, 0.006 * 6 / (agents * h), 0.05 / h, 0.2 / h, 1.7 / (agents * h),
+        1.2 / (agents * h),
+    )  # fmt: skip
+    return PowerIterationGains(
+        *(new if old is None else old for old, new in zip(given, suited, strict=True))
+    )
