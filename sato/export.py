@@ -10,7 +10,7 @@ import csv
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -83,9 +83,7 @@ def iterate_ephemerides(data: "xarray.Dataset") -> Iterator[Ephemeris]:
         six = np.asarray(data["chief"], dtype=float)
         frame = LVLH.from_polar_nodal(six, float(data.attrs["k_j2_m5_s2"]))
         inertial = frame.to_inertial(relative)
-        yield Ephemeris(
-            CHIEF_NAME, time, np.zeros((len(time), relative.shape[-1])), frame.chief_state
-        )
+        yield Ephemeris(CHIEF_NAME, time, np.zeros_like(relative[:, 0]), frame.chief_state)
     digits = len(str(alive.shape[1] - 1))
     for j, there in enumerate(alive.T):
         if there.any():
@@ -100,11 +98,9 @@ def format_utc(data: "xarray.Dataset", time: Float[Array, " k"]) -> list[str]:
     """
     text = str(data.attrs.get("epoch", DEFAULT_EPOCH))
     epoch = np.datetime64(datetime.fromisoformat(text), "ns")
-    elapsed = np.round(time * 1e9).astype(np.int64)
-    unit: Literal["ms", "ns"] = "ms"
-    if (elapsed % 1_000_000).any() or int(epoch.astype(np.int64)) % 1_000_000:
-        unit = "ns"
-    return [str(np.datetime_as_string(epoch + np.timedelta64(int(t), "ns"), unit)) for t in elapsed]
+    times = epoch + np.round(time * 1e9).astype("timedelta64[ns]")
+    is_whole = not (times.astype(np.int64) % 1_000_000).any()
+    return [str(each) for each in np.datetime_as_string(times, "ms" if is_whole else "ns")]
 
 
 def format_oem(data: "xarray.Dataset", track: Ephemeris) -> str:

@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar, NamedTuple
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from recorded_run import altered
 from test_cli import call, sentence
 
 import sato
@@ -18,7 +19,6 @@ from sato.interfaces import (
     Alive,
     Component,
     Events,
-    Frame,
     MissionProgress,
     Position,
     Reals,
@@ -238,11 +238,8 @@ def test_new_system_is_flown_recorded_and_checked(home):
 )
 def test_common_promises_are_checked_for_every_system(home, name, change, promise):
     run = sato.run("drift.toml", seed=5)
-    values = run.data[name].values.copy()
-    values[2] = change(values[2])
-    run.data[name] = (run.data[name].dims, values, run.data[name].attrs)
-    broken = {p.name for p in run.check().broken}
-    assert {"unaltered", promise} <= broken
+    run = altered(run, name, 2, change(run.data[name].values[2]))
+    assert {"unaltered", promise} <= {p.name for p in run.check().broken}
 
 
 def test_a_stop_error_of_the_system_ends_a_run_early(home, monkeypatch):
@@ -311,9 +308,3 @@ def test_runs_of_unknown_systems_or_without_variables_are_refused(home, monkeypa
     monkeypatch.delitem(SYSTEMS, "drift")
     with pytest.raises(sato.RunFileError, match=r'no system "drift".* newer version of sato'):
         sato.load("here")
-
-
-def test_a_frame_is_whatever_has_the_common_fields(rng):
-    mission = Drift(agents=2, steps=1, comm_radius=1.0).draw(rng)
-    assert all(isinstance(frame, Frame) for frame in simulate(mission, rng))
-    assert not isinstance(mission, Frame)
