@@ -124,8 +124,7 @@ def _exchange_positions(state, roles, swarm, message, rng):
                 break
             if swarm.message_loss == 0 or rng.random() >= swarm.message_loss:
                 j = roles.holder[i, point]
-                for a in range(3):
-                    state.received[i, j, a] = arriving[j, a]
+                state.received[i, j] = arriving[j]
 
 
 @numba.njit

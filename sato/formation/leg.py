@@ -173,8 +173,8 @@ class FormationLeg(Definition):
     @cached_property
     def desired(self) -> DesiredFormation:
         """Points and graph, once drawn."""
-        assert isinstance(self.formation, Points), "known once drawn: mission.draw(rng)"
-        assert isinstance(self.graph, EdgeList)
+        if not isinstance(self.formation, Points) or not isinstance(self.graph, EdgeList):
+            raise ValueError("the formation is known once the mission is drawn: mission.draw(rng)")
         points = np.array(self.formation.positions)
         return DesiredFormation(points, self.graph.adjacency(len(points)), self.name or "")
 
@@ -185,8 +185,8 @@ class FormationLeg(Definition):
         Raises:
             InputError: The formation has none, or these belong to another.
         """
-        assert not isinstance(self.gains, GainsFile), "known once drawn: mission.draw(rng)"
-        return self.gains.build(self.desired)
+        gains = self.gains.read(self.desired) if isinstance(self.gains, GainsFile) else self.gains
+        return gains.build(self.desired)
 
     def draw(self, agents: int, keep_out: float, rng: np.random.Generator) -> "FormationLeg":
         """Return the leg with points, edges and gains; points are drawn first, then edges.

@@ -139,7 +139,8 @@ class Formation(Mission):
     @cached_property
     def initial_positions(self) -> Float[Array, "agents 3"]:
         """Initial position of every agent [m], once drawn."""
-        assert isinstance(self.start, Points), "known once drawn: mission.draw(rng)"
+        if not isinstance(self.start, Points):
+            raise ValueError("the start is known once the mission is drawn: mission.draw(rng)")
         return place_level(replace(self.start, keep_order=True), self.agents, 0.0)
 
     @cached_property
@@ -151,7 +152,8 @@ class Formation(Mission):
     def coordinate_frames(self) -> CoordinateFrames:
         """Coordinate frame of each agent, once drawn."""
         frames = self.frames
-        assert not isinstance(frames.yaw, str), "known once drawn: mission.draw(rng)"
+        if isinstance(frames.yaw, str):
+            raise ValueError("the frames are known once the mission is drawn: mission.draw(rng)")
         rotation = np.exp(1j * frames.yaw)
         return CoordinateFrames(rotation, np.array(frames.offset), np.array(frames.drift))
 

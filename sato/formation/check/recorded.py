@@ -12,7 +12,7 @@ from problems.gain_matrix import GainMatrix
 from sato.check.common import ClosestPair, find_closest_approach
 from sato.formation.loop import FormationFrame
 from sato.formation.mission import Formation
-from sato.formation.record import GAIN_PARTS, FormationVariables
+from sato.formation.record import FormationVariables
 from sato.formation.supervisor import FlightCourse, Phase
 from sato.record import RunRecord
 
@@ -85,8 +85,7 @@ class FormationRecord(RunRecord[Formation, FormationFrame, FormationVariables]):
         Raises:
             ValueError: They are not stable gains of it.
         """
-        parts = dict(zip(self.variables.part.tolist(), self.variables.gains[leg], strict=True))
-        real, imaginary, z = (parts[name] for name in GAIN_PARTS)
+        real, imaginary, z = self.variables.gains[leg]
         formation = self.mission.gains[leg].formation
         return GainMatrix(formation, real + 1j * imaginary, z, "recorded", np.inf, np.inf)
 
