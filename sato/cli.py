@@ -8,6 +8,7 @@ from typer import Argument, Exit, Option, Typer, echo
 
 import sato
 from sato.cli_errors import EXIT_FAILED, EXIT_OK, CommandGroup, ensure_writable
+from sato.scenario.errors import InputError, errors_in
 
 app = Typer(
     cls=CommandGroup,
@@ -156,20 +157,17 @@ def gains(
 ) -> None:
     """Design the gains of a formation; write them with their certificate."""
     from sato import gains_report
-    from sato.scenario.errors import errors_in
 
     if list_library:
         gains_report.print_formations()
         raise Exit(EXIT_OK)
     with errors_in(""):
         if formation is None:
-            raise sato.InputError(
-                "", "gains takes a formation, NAME or FILE.csv; --list has the names"
-            )
+            raise InputError("", "gains takes NAME or FILE.csv; --list has the names")
         shape = gains_report.resolve_formation(formation, graph)
         file = out or Path("gains", shape.name.replace("/", "-").replace(" ", "-") + ".npz")
         if file.suffix != ".npz" or file.is_dir():
-            raise sato.InputError("", f"{file}: --out takes a file that ends in .npz")
+            raise InputError("", f"{file}: --out takes a file that ends in .npz")
         ensure_writable(file.parent)
     gains_report.design_and_save(shape, method, file)
 
@@ -191,7 +189,6 @@ def compare(
     from problems.solvers import load_adapters
     from sato.compare.plan import make_plan
     from sato.compare.report import run_comparison
-    from sato.scenario.errors import errors_in
 
     chosen = (solver or (), family or (), size or (), tolerance or ())
     with errors_in(""):
@@ -214,7 +211,6 @@ def export_c(
     from sato.console import progress_bar
     from sato.onboard import export_c as write
     from sato.onboard.export import describe
-    from sato.scenario.errors import errors_in
 
     ensure_writable(out)
     with progress_bar("writing the code"), errors_in(""):

@@ -10,6 +10,8 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
+from sato.scenario.errors import InputError, ScenarioError
+
 # Did what was asked; ran, but did not reach it; refused before anything was done.
 EXIT_OK, EXIT_FAILED, EXIT_USAGE = 0, 1, 2
 
@@ -42,8 +44,6 @@ def ensure_writable(folder: Path) -> None:
     Raises:
         InputError: Nothing can be written there.
     """
-    from sato.scenario.errors import InputError
-
     try:
         existing = next(path for path in (folder, *folder.parents) if path.exists())
         TemporaryDirectory(dir=existing).cleanup()
@@ -54,7 +54,6 @@ def ensure_writable(folder: Path) -> None:
 
 def _describe(error: BaseException) -> tuple[str, int]:
     from sato.record import RunFileError
-    from sato.scenario.errors import InputError, ScenarioError
 
     if isinstance(error, KeyboardInterrupt):
         return "interrupted before there was anything to keep", EXIT_FAILED

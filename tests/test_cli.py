@@ -267,7 +267,7 @@ def test_trajectories_are_exported_beside_the_run_or_where_it_is_asked(home):
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        ([], 2, "only scenarios with a [chief] fly in orbit, and the format csv"),
+        ([], 2, "has no chief, as a [chief] gives it, so no OEM, but the format csv"),
         (["--format", "stk"], 2, 'there is no format "stk", only oem and csv'),
         (["--format", "csv", "--out", "here"], 2, "here: is a folder"),
         (["--format", "csv", "--out", "tiny.toml/x"], 1, "tiny.toml/x: "),
