@@ -2,9 +2,8 @@
 
     minimize  Σ_j w_j |x_j|   subject to  Q x = b,  |x_j| ≤ 1,  Q of orthonormal rows
 
-`minimum_fuel` explains the choice of method. Every basis is a point of the dual, and the optimal
-basis of one program is the start of the next in its batch. All that is compiled together stands
-in this file: numba compiles it again where the file changes, and only then.
+`minimum_fuel` explains the choice of method. The optimal basis of a program is the start of the
+next in its batch. All that is compiled together stands in this file, which numba's cache watches.
 """
 
 from typing import NamedTuple, no_type_check
@@ -54,19 +53,18 @@ def solve_batches(rows, w, b, starts, max_pivots, x, λ, status):
         w: Weights of the controls.
         b: Right-hand sides, one row a program.
         starts: First program of each batch, and at the end the number of programs.
-        max_pivots: Pivots after which a program is given up.
-        x: Written: controls, clipped to their bounds.
+        max_pivots: Pivots after which a program is stopped.
+        x: Written: controls.
         λ: Written: duals, or the direction along which the dual grows without bound.
-        status: Written: OPTIMAL, INFEASIBLE or STOPPED.
+        status: Written.
     """
     m, n = rows.shape
     first_basis = _choose_basis(rows)
     for batch in range(len(starts) - 1):
         basis, sign, inverse = first_basis.copy(), np.ones(m), np.empty((m, m))
         v, value, α = np.zeros(n), np.zeros(n), np.zeros(n)
-        lines, kinks = np.zeros((5, m)), np.zeros(2 * n)
-        residual, basic_value, ρ, column, norm = lines
-        index = np.zeros(2 * n, np.int64)
+        residual, basic_value, ρ, column, norm = np.zeros((5, m))
+        kinks, index = np.zeros(2 * n), np.zeros(2 * n, np.int64)
         for q in range(starts[batch], starts[batch + 1]):
             factor, point = (basis, sign, inverse), (λ[q], v, value, residual, basic_value)
             scratch = α, ρ, column, norm, kinks, index

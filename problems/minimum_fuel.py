@@ -144,7 +144,7 @@ def _solve_decoupled(
 def _solve_parallel(
     Q: Float[Array, "m N"], w: Float[Array, " N"], b: Float[Array, "programs m"], batches: int
 ) -> tuple[Array, Array, Array]:
-    x, λ, status = np.empty((len(b), len(w))), np.empty(b.shape), np.empty(len(b), np.int64)
+    x, λ, status = np.zeros((len(b), len(w))), np.zeros(b.shape), np.zeros(len(b), np.int64)
     batches = max(1, min(len(b), batches))
     starts = np.arange(batches + 1) * len(b) // batches
     threads = os.cpu_count() or 1
