@@ -1,5 +1,7 @@
 """Least separation over time, and fuel of the agents against their lower bounds."""
 
+from typing import Any
+
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -48,7 +50,7 @@ def plot_fuel(record: ReconfigurationRecord) -> Figure:
     figure = Figure(figsize=(4.6, 4.4), layout="constrained")
     ax = figure.add_subplot()
     ax.plot([0, top], [0, top], color=RED, ls="--", lw=1, label="lower bound")
-    mark = {"ls": "", "marker": "o", "ms": 4, "mew": 0, "alpha": 0.75}
+    mark: dict[str, Any] = {"ls": "", "marker": "o", "ms": 4, "mew": 0, "alpha": 0.75}
     ax.plot(bound[stays], fuel[stays], color=BLUE, **mark, label="alive at the end")
     if not stays.all():
         ax.plot(bound[~stays], fuel[~stays], color=GRAY, **mark, label="lost")
