@@ -23,3 +23,105 @@ class ConnectivityRecord(RunRecord[Connectivity, Any, None]):
     """Frames of a run, with time as their leading axis, and its drawn mission."""
 
     @cached_property
+    def min_separation(self) -> float:
+        """Least distance of two agents, between instants too; infinite for one [m]."""
+        return find_closest_approach(self.frames.position, self.frames.alive).distance
+
+    @cached_property
+    def min_obstacle_distance(self) -> float:
+        """Least distance of an agent to an obstacle, between instants too [m]."""
+        obstacles = self.mission.obstacle_arrays
+        return min_obstacle_distance(self.frames.position, self.frames.alive, obstacles)
+
+    @property
+    def noise_std(self) -> float:
+        """Standard deviation of the noise of velocities in a step [m/s, rad/s]."""
+        plant = self.mission.plant
+        return plant.noise_std if isinstance(plant, KinematicVehicle) else 0.0
+
+    @cached_property
+    def replay(self) -> VehicleState:
+        """Flight of the recorded commands from the start, at every instant.
+
+        A plant with noise is replayed step by step. The noise of a step is then what the
+        recorded velocity and yaw differ by from those replayed, and the position is replayed
+        with it, but for agents that were lost: what they had of velocity is not recorded.
+        """
+        frames, mission = self.frames, self.mission
+        command = np.concatenate([frames.velocity_command, frames.yaw_rate[..., None]], axis=2)
+        command[:, 0, :3] += rotate_by_yaw(frames.stick, -frames.yaw[:, 0])
+        velocity = rotate_by_yaw(frames.velocity, -frames.yaw)
+        state = VehicleState.at_rest(frames.position[0], frames.yaw[0])
+        found, no_noise = [state], np.zeros_like(command[0])
+        for k in range(1, len(frames.time)):
+            given = frames.alive[k - 1], command[k - 1]
+            flown = state
+            state = advance_vehicles(flown, *given, no_noise, mission)
+            if self.noise_std > 0:
+                turned = (frames.yaw[k] - state.yaw) / mission.step
+                noise = np.column_stack([velocity[k] - state.velocity, turned])
+                noise[~frames.alive[k], :3] = 0.0
+                noisy = advance_vehicles(flown, *given, noise, mission)
+                found.append(state._replace(position=noisy.position))
+                state = noisy._replace(position=frames.position[k])
+            else:
+                found.append(state)
+        return VehicleState(*(np.array(part) for part in zip(*found, strict=True)))
+
+    @cached_property
+    def views(self) -> CameraViews:
+        """Views of all cameras at the recorded poses, tilted as replayed."""
+        vehicles = self.replay._replace(position=self.frames.position, yaw=self.frames.yaw)
+        found, count = [], max(1, MAX_BATCH // self.frames.alive.shape[1] ** 3)
+        for first in range(0, len(self.frames.time), count):
+            part = slice(first, first + count)
+            now = VehicleState(*(values[part] for values in vehicles))
+            found.append(compute_views(now, self.frames.alive[part], self.mission))
+        return CameraViews(*(np.concatenate(part) for part in zip(*found, strict=True)))
+
+    @property
+    def waypoints_reached(self) -> int:
+        """Number of waypoints that the leader has reached."""
+        return len(self.events.of_kind("waypoint"))
+
+    def summarize(self) -> dict[str, Any]:
+        """Summarize a run; a success has λ₂ above λ₂^min throughout."""
+        flight = self.summarize_flight()
+        is_connected = flight["lambda2_min"] > self.mission.potential.lambda2_min
+        success = is_connected and not incomplete_reason(self.attributes)
+        return common_summary(self.attributes, self.frames.alive) | {"success": success} | flight
+
+    def summarize_flight(self) -> dict[str, Any]:
+        """Summarize the frames of a run; quantities without a value are absent."""
+        frames = self.frames
+        sees, is_seen = frames.visibility, frames.visibility.transpose(0, 2, 1)
+        lambda2_error = np.abs(frames.lambda2_estimate - frames.lambda2[:, None])
+        yaw_error = np.abs(np.sin(frames.yaw_estimate_error / 2))  # as in [Bernard2023, Fig. 7]
+        summary = {
+            "lambda2_min": float(frames.lambda2.min()),
+            "lambda2_error_mean": _mean(lambda2_error, frames.alive & np.isfinite(lambda2_error)),
+            "yaw_error_mutual": _mean(yaw_error, sees & is_seen),
+            "yaw_error_one_sided": _mean(yaw_error, sees & ~is_seen),
+            "min_separation_m": self.min_separation,
+            "min_obstacle_distance_m": self.min_obstacle_distance,
+            "edges_mean": float(np.triu(frames.edge_weight > 0).sum(axis=(1, 2)).mean()),
+            "waypoints_reached": self.waypoints_reached,
+            "waypoints": len(self.mission.stick.waypoints),
+        }
+        return {k: v for k, v in summary.items() if np.isfinite(v)}
+
+
+def _mean(values: Float[Array, "*k"], which: Bool[Array, "*k"]) -> float:
+    return float(values[which].mean()) if which.any() else np.nan
+
+
+def nearest_agent_distance(
+    there: Float[Array, "instants agents 3"],
+) -> Float[Array, "instants agents"]:
+    """Compute the distance of each agent to the nearest other [m]; NaN where its position is."""
+    found = np.full(there.shape[:2], np.inf)
+    for j in range(there.shape[1]):
+        away = np.linalg.norm(there - there[:, j : j + 1], axis=2)
+        away[:, j] = np.inf
+        found = np.fmin(found, away)
+    return np.where(np.isfinite(there[..., 0]) & np.isfinite(found), found, np.nan)
