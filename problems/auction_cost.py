@@ -26,9 +26,7 @@ class TransferCosts(NamedTuple):
 
 
 def compute_transfer_costs(
-    transfer: TransferProblem,
-    start: Float[Array, "agents n"],
-    targets: Float[Array, "targets n"],
+    transfer: TransferProblem, start: Float[Array, "agents n"], targets: Float[Array, "targets n"]
 ) -> TransferCosts:
     """Compute the least fuel of every pair of agent and target.
 

@@ -76,11 +76,7 @@ class SwarmProgram:
         return np.repeat([R, R / self.transfer.model.dt], self.transfer.model.axes)
 
     def solve(
-        self,
-        ends: Ends,
-        guess: InitialGuess,
-        instants: SeparationConstraints,
-        nearby: bool = False,
+        self, ends: Ends, guess: InitialGuess, instants: SeparationConstraints, nearby: bool = False
     ) -> tuple[Array, Array, str]:
         """Solve the program from an initial guess.
 

@@ -110,8 +110,7 @@ def check(
 
 @app.command()
 def plot(
-    folder: RunFolder,
-    pdf: Annotated[bool, Option("--pdf", help="PDF instead of PNG.")] = False,
+    folder: RunFolder, pdf: Annotated[bool, Option("--pdf", help="PDF instead of PNG.")] = False
 ) -> None:
     """Draw the figures of a run into its folder."""
     from sato.console import progress_bar

@@ -26,10 +26,7 @@ from sato.connectivity.figures.time_series import (
     count_edges,
     select_pairs,
 )
-from sato.connectivity.figures.trajectories import (
-    draw_obstacles_3d,
-    draw_obstacles_from_above,
-)
+from sato.connectivity.figures.trajectories import draw_obstacles_3d, draw_obstacles_from_above
 from sato.connectivity.loop import simulate
 from sato.connectivity.obstacles import Obstacles
 from sato.connectivity.system import SYSTEM

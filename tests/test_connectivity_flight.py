@@ -9,10 +9,7 @@ from connectivity_cast import connected_poses, fly
 from dynamics.kinematic import KinematicVehicle
 from sato.check.common import find_closest_approach
 from sato.connectivity.mission import AgentLoss, Connectivity
-from sato.connectivity.settings import (
-    CommunicationLink,
-    Potential,
-)
+from sato.connectivity.settings import CommunicationLink, Potential
 from sato.connectivity.stick import WaypointStick
 
 

@@ -70,11 +70,7 @@ def test_robot_behind_another_is_not_seen():
     yaw = np.zeros(3)
     mission = posed(start, yaw, camera=AHEAD, duration=0.1, **STILL)
     assert fly(mission)[-1].visibility[0].tolist() == [False, True, True]
-    assert fly(replace(mission, occlusion=True))[-1].visibility[0].tolist() == [
-        False,
-        True,
-        False,
-    ]
+    assert fly(replace(mission, occlusion=True))[-1].visibility[0].tolist() == [False, True, False]
 
 
 def test_cameras_tilt_with_accelerating_quadrotors():

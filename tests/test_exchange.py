@@ -140,10 +140,7 @@ def test_trajectories_become_final_in_order_of_priority(rng):
 def test_agent_with_more_fuel_left_gives_way_also_head_on():
     ends = ([-1.5, 0.0], [1.5, 0.0])
     for spent in ((0.0, 1.0), (1.0, 0.0)):
-        pair = {
-            0: make_planner(0, *ends, spent[0]),
-            1: make_planner(1, *ends[::-1], spent[1]),
-        }
+        pair = {0: make_planner(0, *ends, spent[0]), 1: make_planner(1, *ends[::-1], spent[1])}
         after, _ = run_scp(pair, complete_graph(pair))
         gives_way = int(np.argmin(spent))
         assert after[1 - gives_way].nominal is pair[1 - gives_way].solo
@@ -187,8 +184,7 @@ def test_terminal_state_is_relaxed_before_separation():
     time = np.arange(2 * T)[:, None] / 2 + np.arange(4) / 6
     through = np.stack([5 - 4 * time, np.zeros_like(time)], axis=-1)
     rammed = update_planner(
-        make_planner(1, [0.0, 0.1], [0.0, 1.0]),
-        [parked._replace(control_points=through)],
+        make_planner(1, [0.0, 0.1], [0.0, 1.0]), [parked._replace(control_points=through)]
     )
     assert rammed.slack > 0.01
 

@@ -14,11 +14,7 @@ from scipy.spatial.distance import pdist
 from problems.alignment import Pose, compute_shape_error
 from sato.formation.check import FormationRecord
 from sato.formation.figures import AUCTION_FIGURES, FIGURES, make_figures
-from sato.formation.figures.time_series import (
-    VEHICLE_DIAMETER,
-    is_leg_active,
-    phase_spans,
-)
+from sato.formation.figures.time_series import VEHICLE_DIAMETER, is_leg_active, phase_spans
 from sato.formation.figures.trajectories import SHOWN_TIME
 from sato.formation.leg import FormationLeg
 from sato.formation.loop import simulate

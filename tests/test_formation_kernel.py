@@ -11,12 +11,7 @@ from problems.desired_formation import DesiredFormation
 from problems.gain_design import design_gains
 from sato.formation.control_law import FormationData
 from sato.formation.kernel import FormationState, KernelParameters, Roles, simulate_steps
-from sato.formation.settings import (
-    CollisionAvoidance,
-    ControlLaw,
-    CoordinateFrames,
-    FrameSettings,
-)
+from sato.formation.settings import CollisionAvoidance, ControlLaw, CoordinateFrames, FrameSettings
 from sato.shapes.formation_library import random_sparse_graph
 from sato.shapes.random_points import sample_formation, sample_positions
 

@@ -4,15 +4,9 @@ import numpy as np
 import pytest
 
 from problems.gain_design import design_gains
-from sato.formation.leg import (
-    FormationLeg,
-)
+from sato.formation.leg import FormationLeg
 from sato.formation.mission import Formation, legacy_formation
-from sato.formation.settings import (
-    AssignmentSettings,
-    FrameSettings,
-    SupervisorSettings,
-)
+from sato.formation.settings import AssignmentSettings, FrameSettings, SupervisorSettings
 from sato.scenario.errors import InputError, ScenarioError
 from sato.scenario.file import parse, read, scenarios
 from sato.shapes import Ring

@@ -7,13 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from dynamics import (
-    J2,
-    ClohessyWiltshire,
-    DoubleIntegrator,
-    LinearModel,
-    SymbolicModel,
-)
+from dynamics import J2, ClohessyWiltshire, DoubleIntegrator, LinearModel, SymbolicModel
 from dynamics.atmosphere import Atmosphere
 from dynamics.inertial import InertialPlant
 from dynamics.orbit import Orbit

@@ -158,9 +158,7 @@ def test_gravity_in_the_attributes_is_that_of_the_plant(flown):
 
 
 @pytest.mark.parametrize(
-    "plant",
-    [TRUTH, LinearPlant(EXACT, ORBIT), LinearPlant(CIRCLE)],
-    ids=["truth", "J2", "circle"],
+    "plant", [TRUTH, LinearPlant(EXACT, ORBIT), LinearPlant(CIRCLE)], ids=["truth", "J2", "circle"]
 )
 def test_least_separation_is_within_its_error_bound(plant):
     run = straight(mission(plant=plant))

@@ -14,14 +14,7 @@ from sato.reconfiguration.planning import make_horizon
 STEP, STEPS, RADIUS = 60.0, 12, 50.0
 ORBIT = Orbit.from_elements(6878e3, inclination=np.pi / 4)
 START = np.array(
-    [
-        [600.0, 0, 0],
-        [-600, 30, 0],
-        [0, 700, 0],
-        [20, -700, 0],
-        [450, 450, 0],
-        [-450, -400, 0],
-    ]
+    [[600.0, 0, 0], [-600, 30, 0], [0, 700, 0], [20, -700, 0], [450, 450, 0], [-450, -400, 0]]
 )
 
 

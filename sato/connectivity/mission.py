@@ -27,15 +27,7 @@ from sato.connectivity.settings import (
 )
 from sato.connectivity.start import Poses, RandomPoses, as_poses
 from sato.connectivity.stick import RecordedStick, WaypointStick
-from sato.scenario.definition import (
-    Convert,
-    Definition,
-    In,
-    Matrix,
-    NotNegative,
-    Positive,
-    Vector,
-)
+from sato.scenario.definition import Convert, Definition, In, Matrix, NotNegative, Positive, Vector
 from sato.scenario.errors import InputError, errors_in
 from sato.scenario.file import Mission
 

@@ -10,14 +10,7 @@ from numpy import ndarray as Array
 from pydantic import BeforeValidator
 
 from dynamics.units import Acceleration, Angle, Length, Speed, Time, Unit
-from sato.scenario.definition import (
-    Coordinates,
-    Definition,
-    Key,
-    NotNegative,
-    Positive,
-    as_array,
-)
+from sato.scenario.definition import Coordinates, Definition, Key, NotNegative, Positive, as_array
 from sato.scenario.errors import InputError
 
 

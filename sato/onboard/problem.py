@@ -9,12 +9,7 @@ from numpy import ndarray as Array
 
 from dynamics.discretize import discretize_zoh
 from problems.avoidance import HalfSpaces
-from problems.convexify import (
-    AvoidanceHorizon,
-    are_hulls_separated,
-    choose_normals,
-    convexify,
-)
+from problems.convexify import AvoidanceHorizon, are_hulls_separated, choose_normals, convexify
 from problems.fixed_size_avoidance import FixedSizeAvoidanceProblem
 from problems.transfer import TransferProblem
 from sato.reconfiguration.mission import Reconfiguration

@@ -28,15 +28,7 @@ from sato.reconfiguration.models import (
 )
 from sato.reconfiguration.orbit import Chief
 from sato.reconfiguration.start import Start, start_without_files
-from sato.scenario.definition import (
-    Convert,
-    Definition,
-    In,
-    Inline,
-    Key,
-    NotNegative,
-    Positive,
-)
+from sato.scenario.definition import Convert, Definition, In, Inline, Key, NotNegative, Positive
 from sato.scenario.errors import InputError
 from sato.scenario.file import Mission
 from sato.shapes import Lattice, Picture, Points, Polygon, Ring, Text

@@ -29,9 +29,7 @@ class ReconfigurationVariables(NamedTuple):
     target_position: Annotated[Targets, "m", "position of each target, NaN where none"]
     target_velocity: Annotated[Targets, "m/s", "velocity of each target, NaN where none"]
     targets_believed: Annotated[
-        Int[Array, "leg agent"],
-        "1",
-        "targets that the agent bids on at the end, -1 none",
+        Int[Array, "leg agent"], "1", "targets that the agent bids on at the end, -1 none"
     ]
     element: Annotated[Shaped[Array, " element"] | None, "1", "orbital element of the chief"]
     chief: Annotated[

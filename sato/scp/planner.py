@@ -8,12 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from problems.avoidance import (
-    AvoidanceProblem,
-    AvoidanceResult,
-    HalfSpaces,
-    Relaxation,
-)
+from problems.avoidance import AvoidanceProblem, AvoidanceResult, HalfSpaces, Relaxation
 from problems.conic import Unsolved
 from problems.convexify import (
     AvoidanceHorizon,
