@@ -311,12 +311,6 @@ def test_list_is_read_with_or_without_header_in_its_order_on_request(tmp_path):
     assert centered.max(axis=0) == pytest.approx((5, 2))
 
 
-def test_points_in_space_are_three_columns(tmp_path):
-    path = listing(tmp_path, "x_m,y_m,z_m\n0,0,0\n1,2,3\n")
-    placed = Points(file=path, center=(0.0, 0.0, 1.0)).place(2, 3)
-    assert placed.tolist() == [[-0.5, -1, -0.5], [0.5, 1, 2.5]]
-
-
 # Refusals, and the cures that they offer.
 
 

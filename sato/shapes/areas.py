@@ -195,34 +195,35 @@ def _fill_outlines(outlines: Sequence[Array], count: int) -> Drawing:
     end = np.concatenate([np.roll(outline, -1, axis=0) for outline in outlines])
     lower, upper = start.min(axis=0), start.max(axis=0)
     box = upper - lower
-    area = max(_signed_area(start, end), _coarse_area(start, end))
+    area = _estimate_area(start, end)
     if not area > 1e-9 * float(box.max()) ** 2:
         raise ValueError("encloses no area")
-    length = float(np.linalg.norm(end - start, axis=1).sum())
+    lengths = np.linalg.norm(end - start, axis=1)
     needed = max(MIN_CANDIDATES, CANDIDATES_PER_TARGET * count)
-    finest = max(length / needed, float(np.sqrt(box.prod() / MAX_GRID_CELLS)))
+    finest = max(float(lengths.sum()) / needed, float(np.sqrt(box.prod() / MAX_GRID_CELLS)))
     step = max(float(np.sqrt(area / needed)), finest)
     x, y = (_cell_centers(lower[axis], upper[axis], step) for axis in (0, 1))
     row, column = np.nonzero(_is_enclosed(start, end, x, y))
-    edge, grid = _sample_edges(start, end, step), np.column_stack([x[column], y[row]])
+    grid = np.column_stack([x[column], y[row]])
+    pieces = np.ceil(lengths / step).astype(int)
+    edge = np.repeat(np.arange(len(start)), pieces)
+    piece = np.arange(len(edge)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    outline = start[edge] + (piece / pieces[edge])[:, None] * (end - start)[edge]
     # The outlines come first, so that ties go to the edge.
-    orders = golden_ratio_order(len(edge)), golden_ratio_order(len(grid))
-    return _spread_targets(np.concatenate([edge[orders[0]], grid[orders[1]]]), lower, upper, count)
+    ordered = [points[golden_ratio_order(len(points))] for points in (outline, grid)]
+    return _spread_targets(np.concatenate(ordered), lower, upper, count)
 
 
-def _signed_area(start: Points2, end: Points2) -> float:
-    # Exact, except where outlines cross and parts of the area cancel.
-    a, b = start - start.min(axis=0), end - start.min(axis=0)
-    return abs(float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))) / 2
-
-
-def _coarse_area(start: Points2, end: Points2) -> float:
+def _estimate_area(start: Points2, end: Points2) -> float:
     lower, box = start.min(axis=0), np.ptp(start, axis=0)
+    a, b = start - lower, end - lower
+    # Exact, except where outlines cross and parts of the area cancel.
+    signed = abs(float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))) / 2
     x, y = (lower + (np.arange(COARSE_CELLS)[:, None] + 0.5) / COARSE_CELLS * box).T
     inside = _is_enclosed(start, end, x, y)
     # Only pairs of cells count: where an outline only retraces itself, rounding may put a single
     # cell inside.
-    return float((inside[:, 1:] & inside[:, :-1]).mean() * box.prod())
+    return max(signed, float((inside[:, 1:] & inside[:, :-1]).mean() * box.prod()))
 
 
 def _cell_centers(lower: float, upper: float, step: float) -> Float[Array, " cells"]:
@@ -243,11 +244,3 @@ def _is_enclosed(start: Points2, end: Points2, x: Array, y: Array) -> Bool[Array
     np.add.at(winding, (row, column), np.where(up[row, edge], 1, -1))
     inside: Array = winding.cumsum(axis=1)[:, :-1] != 0
     return inside
-
-
-def _sample_edges(start: Points2, end: Points2, step: float) -> Points2:
-    pieces = np.ceil(np.linalg.norm(end - start, axis=1) / step).astype(int)
-    edge = np.repeat(np.arange(len(start)), pieces)
-    piece = np.arange(len(edge)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
-    samples: Array = start[edge] + (piece / pieces[edge])[:, None] * (end - start)[edge]
-    return samples

@@ -6,7 +6,7 @@ from difflib import get_close_matches
 from functools import cache
 from math import ceil
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -24,7 +24,7 @@ def formation_names() -> tuple[str, ...]:
     return tuple(_load_library())
 
 
-def load_formation(name: str, graph: str = "own") -> DesiredFormation:
+def load_formation(name: str, graph: Literal["own", "complete"] = "own") -> DesiredFormation:
     """Load a formation of the library, with its own graph or the complete one.
 
     Args:
@@ -35,8 +35,6 @@ def load_formation(name: str, graph: str = "own") -> DesiredFormation:
     Raises:
         ValueError: The library has no such name; the message lists similar ones.
     """
-    if graph not in ("own", "complete"):
-        raise ValueError(f'a formation has its "own" graph or the "complete" one, not "{graph}"')
     full_name = _match_name(name)
     entry = _load_library()[full_name]
     if sheet := entry.get("sheet"):
