@@ -64,7 +64,7 @@ def test_library_has_the_documented_sizes_and_distances():
         assert load_formation(name, "complete").graph.sum() == vertices * (vertices - 1)
 
 
-def test_mit_acl_is_an_inclined_plane_of_letters_with_24_percent_of_the_edges():
+def test_mit_acl_is_an_inclined_plane_of_six_letters():
     shape = load_formation("mitacl100")
     assert np.ptp(shape.points, axis=0).tolist() == [63.0, 10.0, 10.0]
     assert np.array_equal(shape.points[:, 1], shape.points[:, 2])
