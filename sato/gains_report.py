@@ -15,12 +15,7 @@ from problems.rigidity import Dimension, is_globally_rigid, is_redundantly_rigid
 from sato.atomic import replace_atomically
 from sato.console import progress_bar
 from sato.scenario.errors import InputError
-from sato.shapes.formation_library import (
-    formation_names,
-    load_formation,
-    read_formation,
-    read_graph,
-)
+from sato.shapes import formation_library as library
 
 METHODS: tuple[Any, ...] = get_args(GainMethod)
 MAX_RIGIDITY_EDGES = 3000  # beyond which tests of rigidity take minutes
@@ -28,11 +23,11 @@ MAX_RIGIDITY_EDGES = 3000  # beyond which tests of rigidity take minutes
 
 def print_formations() -> None:
     """Print the names of the library, a line each."""
-    width = max(map(len, formation_names()))
-    for name in formation_names():
-        formation = load_formation(name)
+    names = library.formation_names()
+    for name in names:
+        formation = library.load_formation(name)
         flat = ", flat" if formation.is_flat else ""
-        print(f"{name:{width}}  {_format_size(formation)}{flat}")
+        print(f"{name:{max(map(len, names))}}  {_format_size(formation)}{flat}")
 
 
 def resolve_formation(name: str, graph: str) -> DesiredFormation:
@@ -46,14 +41,14 @@ def resolve_formation(name: str, graph: str) -> DesiredFormation:
         ValueError: There is no such formation or graph.
     """
     if Path(name).suffix.lower() == ".csv" or Path(name).is_file():
-        formation = read_formation(name)
+        formation = library.read_formation(name)
     else:
-        formation = load_formation(name, "complete" if graph == "complete" else "own")
+        formation = library.load_formation(name, "complete" if graph == "complete" else "own")
     if graph in ("own", "complete"):
         return formation
     if not Path(graph).is_file():
         raise ValueError(f'--graph takes complete, own or a file, and there is no file "{graph}"')
-    adjacency = read_graph(graph, len(formation.points))
+    adjacency = library.read_graph(graph, len(formation.points))
     try:
         return replace(formation, graph=adjacency)
     except ValueError as error:
