@@ -34,8 +34,6 @@ if TYPE_CHECKING:  # slow to import
 Scenario = str | Path | Mission | Mapping[str, Any]
 FrameCallback = Callable[[Any, Any], object]  # of the drawn mission and a frame
 
-MAX_SEED = 2**64 - 1
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run:
@@ -106,11 +104,7 @@ class Run:
         return "\n".join(["Run", *(f"  {label:{width}}  {text}" for label, text in rows)])
 
     def _repr_html_(self) -> str:
-        rows = (
-            f"<tr><th>{escape(label)}</th><td>{escape(text)}</td></tr>"
-            for label, text in summary_rows(self.summary)
-        )
-        return f"<table>{''.join(rows)}</table>"
+        return f"<pre>{escape(repr(self))}</pre>"
 
 
 def run(
@@ -212,10 +206,9 @@ def load(path: str | Path, mission: Mission | None = None) -> Run:
 def _draw(
     scenario: object, seed: Any, overrides: Iterable[str]
 ) -> tuple[Any, Any, np.random.Generator]:
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer):
-        raise InputError("seed", f"must be an integer, got {format_value(seed)}")
-    if not 0 <= seed <= MAX_SEED:
-        raise InputError("seed", f"must be from 0 to 2**64 - 1, got {seed}")
+    is_integer = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
+    if not is_integer or not 0 <= seed < 2**64:
+        raise InputError("seed", f"must be an integer from 0 to 2⁶⁴ − 1, got {format_value(seed)}")
     if isinstance(scenario, str | Path):
         mission = read(scenario, overrides)
     elif isinstance(scenario, Mapping):
