@@ -1,6 +1,6 @@
 """Planning of trajectories: each agent alone, then conflict resolution among neighbors."""
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from math import ceil, isfinite
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ from dynamics.trajectory_geometry import interpolation_error
 from problems.convexify import AvoidanceHorizon
 from problems.transfer import Trajectory, compute_fuel
 from sato.reconfiguration.mission import Reconfiguration
-from sato.reconfiguration.solo_trajectories import make_relinearizer, solve_solo_trajectories
+from sato.reconfiguration.solo_trajectories import relinearize, solve_solo_trajectories
 from sato.reconfiguration.state import AgentMemory, DecisionContext, Event
 from sato.scp import CONVERGENCE_TOLERANCE, FEASIBILITY_TOLERANCE, Planner, resolve_conflicts
 
@@ -131,6 +131,7 @@ def _plan_alone(
     """Return a planner for every agent, those whose targets are unreachable, and the solves."""
     mission, leg, k = context.mission, context.leg, context.step_index
     memory, alive = context.memory, context.graph.alive
+    is_nonlinear = mission.nonlinear_model is not None
     horizon = make_horizon(mission, context.time, leg.steps - k)
     planners: dict[int, Planner] = {}
     unreachable: list[int] = []
@@ -140,35 +141,30 @@ def _plan_alone(
     for clock in np.unique(memory.clock[alive]):
         agents = np.flatnonzero(alive & (memory.clock == clock)).tolist()
         model = context.remaining_model(int(clock))
-        targets = leg.targets[memory.target_index[agents]]
         rests = [remaining_controls(previous, i, memory, k, leg.steps) for i in agents]
-        solutions, count = solve_solo_trajectories(
-            context, model, context.state[agents], targets, rests
-        )
+        transfers, solos, stranded, count = solve_solo_trajectories(context, model, agents, rests)
+        unreachable += stranded
         solve_count += count
-        each = zip(*(solution.trajectory[:2] for solution in solutions), strict=True)
-        paths = horizon.control_points(*(np.stack(part) for part in each))
-        for i, target, solution, path, rest in zip(
-            agents, targets, solutions, paths, rests, strict=True
-        ):
-            solo = solution.trajectory
+        x, u = (np.stack(part) for part in zip(*(solo[:2] for solo in solos), strict=True))
+        paths = horizon.control_points(x, u)
+        each = zip(agents, transfers, solos, paths, rests, strict=True)
+        for i, transfer, solo, path, rest in each:
             planner = Planner(
                 priority=(len(model) > 0, -float(fuel_used[i]), i),
-                target_state=target,
-                transfer=solution.transfer,
+                target_state=leg.targets[memory.target_index[i]],
+                transfer=transfer,
                 horizon=horizon,
                 solo=solo,
                 nominal=solo,
                 control_points=path,
-                relinearize=make_relinearizer(context, solution.transfer),
+                relinearize=partial(relinearize, context, transfer) if is_nonlinear else None,
             )
             if rest is not None:
                 # Begin with the previous plan, where it kept clear of an agent by another way.
-                prior = planner.transfer.simulate(solo.x[0], rest)
+                prior = transfer.simulate(solo.x[0], rest)
                 if np.abs(prior.x - solo.x).max() > relative * horizon.clearance:
                     planner = planner.with_nominal(prior)._replace(has_converged=False)
             planners[i] = planner
-            unreachable += [i] if solution.is_unreachable else []
     return planners, unreachable, solve_count
 
 
@@ -188,20 +184,20 @@ def _relaxation_events(
     tolerance = FEASIBILITY_TOLERANCE * mission.collision_radius
     slack = {i: p.slack for i, p in planners.items() if p.slack > tolerance}
     failed = [i for i, p in planners.items() if p.has_failed]
-    astray = {i for i, p in planners.items() if p.has_failed or _misses_target(mission, p)}
-    braked = [i for i in planners if i in unreachable or i in astray]
-    events: list[Event] = []
-    if slack:
-        events.append({"kind": "slack", "agents": list(slack), "amount_m": list(slack.values())})
-    if braked:
-        events.append({"kind": "braked", "agents": braked})
-    if unreachable:
-        what = "the target is out of reach in the time that is left"
-        events.append({"kind": "infeasible", "agents": unreachable, "what": what})
-    if failed:
-        what = "no trajectory keeps clear of agents with priority"
-        events.append({"kind": "infeasible", "agents": failed, "what": what})
-    return events
+    astray = {
+        *unreachable,
+        *failed,
+        *(i for i, p in planners.items() if _misses_target(mission, p)),
+    }
+    beyond = "the target is out of reach in the time that is left"
+    blocked = "no trajectory keeps clear of agents with priority"
+    events: list[Event] = [
+        {"kind": "slack", "agents": list(slack), "amount_m": list(slack.values())},
+        {"kind": "braked", "agents": [i for i in planners if i in astray]},
+        {"kind": "infeasible", "agents": unreachable, "what": beyond},
+        {"kind": "infeasible", "agents": failed, "what": blocked},
+    ]
+    return [event for event in events if event["agents"]]
 
 
 def _misses_target(mission: Reconfiguration, planner: Planner) -> bool:

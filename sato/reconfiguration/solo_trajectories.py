@@ -1,8 +1,6 @@
 """Trajectories of the agents without regard to each other: iterate 0 of conflict resolution."""
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -18,56 +16,46 @@ from sato.scp.planner import minimize_terminal_error
 TIE_BREAK_RISE = 1e-3  # of the fuel's weights: burns at the ends, straight trajectories between
 
 
-class SoloSolution(NamedTuple):
-    """Trajectory of one agent without the others."""
-
-    transfer: TransferProblem  # with the agent's own dynamics
-    trajectory: Trajectory
-    is_unreachable: bool  # the target is, and no previous plan leads there either
-
-
 def solve_solo_trajectories(
     context: DecisionContext,
     model: DiscreteModel,
-    state: Float[Array, "k n"],
-    targets: Float[Array, "k n"],
-    previous: list[Array | None],
-) -> tuple[list[SoloSolution], int]:
-    """Solve the transfers of some agents, and count the programs that took.
+    agents: list[int],
+    previous: list[Float[Array, "T m"] | None],
+) -> tuple[list[TransferProblem], list[Trajectory], list[int], int]:
+    """Solve the transfers of some agents to their targets.
 
     The shared linear model comes first; where the dynamics are nonlinear, the trajectories are
     linearized about that solution once more, after which the remaining error is negligible.
 
     Args:
-        context: Mission and time.
+        context: States, memory and time.
         model: Shared model over the steps that remain.
-        state: Initial state of each agent.
-        targets: Target state of each agent.
+        agents: Numbers of the agents.
         previous: Remaining controls of each agent's previous plan, if they still reach its target.
+
+    Returns:
+        Each agent's own dynamics, and its trajectory; the numbers of those that neither a
+        trajectory nor the previous plan takes to their targets; the number of programs solved.
     """
-    mission = context.mission
-    limits = mission.max_control, mission.max_speed
-    shared = TransferProblem(
-        model, *limits, mission.fuel_norm, mission.control_norm, TIE_BREAK_RISE
-    )
+    mission, state = context.mission, context.state[agents]
+    targets = context.leg.targets[context.memory.target_index[agents]]
+    limits = mission.max_control, mission.max_speed, mission.fuel_norm, mission.control_norm
+    shared = TransferProblem(model, *limits, TIE_BREAK_RISE)
     found, solves = solve_solo_transfers(shared, state, targets)
-    problems = [shared] * len(state)
+    problems = [shared] * len(agents)
+    each = list(zip(state, targets, previous, strict=True))
     if mission.nonlinear_model is not None and len(model):
-        each = zip(found, state, targets, previous, strict=True)
-        nominal = [f or _fallback(shared, x, target, rest) for f, x, target, rest in each]
+        nominal = [f or _fallback(shared, *own) for f, own in zip(found, each, strict=True)]
         x, u = (np.stack(part) for part in zip(*(f[:2] for f in nominal), strict=True))
-        own = linearize_along(mission.nonlinear_model, x, u, mission.step, context.time)
-        problems = [replace(shared, model=own.for_agent(i)) for i in range(len(state))]
-        arguments = zip(problems, state[:, None], targets[:, None], strict=True)
-        again = [solve_solo_transfers(*each) for each in arguments]
-        found, solves = [f for (f,), _ in again], solves + sum(count for _, count in again)
-    solutions = []
-    for problem, solution, x, target, rest in zip(
-        problems, found, state, targets, previous, strict=True
-    ):
-        trajectory = solution or _fallback(problem, x, target, rest)
-        solutions.append(SoloSolution(problem, trajectory, solution is None and rest is None))
-    return solutions, solves + sum(solution.is_unreachable for solution in solutions)
+        steps = linearize_along(mission.nonlinear_model, x, u, mission.step, context.time)
+        problems = [replace(shared, model=steps.for_agent(i)) for i in range(len(agents))]
+        for i, problem in enumerate(problems):
+            (found[i],), count = solve_solo_transfers(problem, state[[i]], targets[[i]])
+            solves += count
+    each_found = list(zip(agents, problems, found, each, strict=True))
+    trajectories = [f or _fallback(problem, *own) for _, problem, f, own in each_found]
+    unreachable = [i for i, _, f, (_, _, rest) in each_found if f is None and rest is None]
+    return problems, trajectories, unreachable, solves + len(unreachable)
 
 
 def solve_solo_transfers(
@@ -98,18 +86,14 @@ def solve_solo_transfers(
     return found, len(too_fast)
 
 
-def make_relinearizer(
-    context: DecisionContext, transfer: TransferProblem
-) -> Callable[[Trajectory], TransferProblem] | None:
-    """Return a function that linearizes an agent's dynamics; None where they are linear."""
-    model, step, time = context.mission.nonlinear_model, context.mission.step, context.time
-    if model is None:
-        return None
-
-    def about(nominal: Trajectory) -> TransferProblem:
-        return replace(transfer, model=linearize_along(model, nominal.x, nominal.u, step, time))
-
-    return about
+def relinearize(
+    context: DecisionContext, transfer: TransferProblem, nominal: Trajectory
+) -> TransferProblem:
+    """Linearize an agent's nonlinear dynamics about a trajectory."""
+    model, step = context.mission.nonlinear_model, context.mission.step
+    assert model is not None
+    own = linearize_along(model, nominal.x, nominal.u, step, context.time)
+    return replace(transfer, model=own)
 
 
 def _fallback(
