@@ -15,24 +15,10 @@ from problems.desired_formation import DesiredFormation
 from problems.gain_matrix import GainMatrix
 from sato.formation.gains import AnyGains, DesignedGains, GainsFile, as_gains
 from sato.formation.start import check_drawn_separation, check_separation, place_level
-from sato.scenario.definition import (
-    Convert,
-    Coordinates,
-    Definition,
-    NotNegative,
-    Positive,
-    as_array,
-)
+from sato.scenario.definition import Convert, Coordinates, Definition, NotNegative, Positive
 from sato.scenario.errors import InputError, errors_in
 from sato.shapes import AnyShape, Points, Shape
-from sato.shapes.formation_library import (
-    graph_from_edges,
-    load_formation,
-    random_dense_graph,
-    random_sparse_graph,
-    read_formation,
-    read_graph,
-)
+from sato.shapes import formation_library as library
 from sato.shapes.random_points import sample_formation
 from sato.shapes.shape import as_points
 
@@ -93,10 +79,10 @@ class GraphFile(Definition):
     file: Annotated[str, "CSV file with one edge a line"]
 
 
-def _as_pairs(value: Any) -> Any:
-    pairs = as_array(value, 2)
-    if pairs.shape[1] != 2 or (pairs < 0).any() or (pairs % 1).any():
-        raise InputError("", "must be pairs of points, counted from 0")
+def _as_pairs(value: Any) -> Array:
+    pairs = np.asarray(value)
+    if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind not in "iu" or pairs.min() < 0:
+        raise InputError("", "must be a list of pairs of points, counted from 0")
     return pairs.astype(int)
 
 
@@ -124,7 +110,7 @@ class EdgeList(Definition):
             if i == j or max(i, j) >= count:
                 text = f"[{i}, {j}] is no pair of two of the points, which are 0 to {count - 1}"
                 raise InputError("pairs", text)
-        return graph_from_edges(count, self.pairs.tolist())
+        return library.graph_from_edges(count, self.pairs.tolist())
 
 
 AnyFormation = RandomFormation | LibraryFormation | FormationFile | AnyShape
@@ -218,12 +204,12 @@ class FormationLeg(Definition):
         """Return the same leg with the contents of files and fonts."""
         formation, graph, gains, name = self.formation, self.graph, self.gains, self.name
         if isinstance(formation, FormationFile):
-            found = read_formation(formation.file)
+            found = library.read_formation(formation.file)
             formation, name = Points(found.points, keep_order=True), name or found.name
         elif isinstance(formation, Shape) and formation.uses_files:
             formation = Points(place_level(formation, agents, 0.0), keep_order=True)
         if isinstance(graph, GraphFile):
-            graph = EdgeList.from_graph(read_graph(graph.file, agents))
+            graph = EdgeList.from_graph(library.read_graph(graph.file, agents))
         if isinstance(gains, GainsFile):
             gains = gains.read()
         return FormationLeg(formation, graph, gains, name)
@@ -233,10 +219,10 @@ class FormationLeg(Definition):
     ) -> tuple[Float[Array, "n 3"], str | None]:
         chosen = self.formation
         if isinstance(chosen, LibraryFormation):
-            found = load_formation(chosen.name)
+            found = library.load_formation(chosen.name)
             return found.points, found.name
         if isinstance(chosen, FormationFile):
-            found = read_formation(chosen.file)
+            found = library.read_formation(chosen.file)
             return found.points, found.name
         if isinstance(chosen, RandomFormation):
             check_drawn_separation(chosen.separation, keep_out)
@@ -249,15 +235,15 @@ class FormationLeg(Definition):
     ) -> Bool[Array, "n n"]:
         chosen, n = self.graph, len(points)
         if isinstance(chosen, ThinnedGraph):
-            return random_dense_graph(n, chosen.removals, rng)
+            return library.random_dense_graph(n, chosen.removals, rng)
         if isinstance(chosen, SparseGraph):
-            return random_sparse_graph(points, chosen.share, rng)
+            return library.random_sparse_graph(points, chosen.share, rng)
         if isinstance(chosen, GraphFile):
-            return read_graph(chosen.file, n)
+            return library.read_graph(chosen.file, n)
         if isinstance(chosen, EdgeList):
             return chosen.adjacency(n)
         if chosen.kind == "complete":
             return ~np.eye(n, dtype=bool)
         if not isinstance(self.formation, LibraryFormation):
             raise InputError("", 'only the library\'s formations have one; "complete" would do')
-        return load_formation(self.formation.name).graph
+        return library.load_formation(self.formation.name).graph

@@ -102,25 +102,21 @@ class FrameSettings(Definition):
 
     def draw(self, agents: int, rng: np.random.Generator) -> "FrameSettings":
         """Return the settings with an array, a row an agent, for whatever was to be drawn."""
-        given = []
-        for name, shape in (("yaw", (agents,)), ("offset", (agents, 3)), ("drift", (agents, 3))):
-            value = getattr(self, name)
-            given.append(isinstance(value, Array))
-            if given[-1] and value.shape != shape:
-                raise InputError(name, f"needs the shape {shape}, got {value.shape}")
-        if all(given):
+        rows = {"yaw": (agents,), "offset": (agents, 3), "drift": (agents, 3)}
+        given = {name: value for name in rows if isinstance(value := getattr(self, name), Array)}
+        for name, value in given.items():
+            if value.shape != rows[name]:
+                raise InputError(name, f"needs the shape {rows[name]}, got {value.shape}")
+        if len(given) == len(rows):
             return self
         direction = rng.standard_normal((agents, 3))
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-        yaw: Any = rng.uniform(-np.pi, np.pi, agents)
-        if not isinstance(self.yaw, str) or self.yaw == "aligned":
-            yaw = np.zeros(agents) if isinstance(self.yaw, str) else self.yaw
-        offset, drift = self.offset, self.drift
-        if not isinstance(offset, Array):
-            offset = rng.uniform(-offset, offset, (agents, 3))
-        if not isinstance(drift, Array):
-            drift = drift * direction
-        return replace(self, yaw=yaw, offset=offset, drift=drift)
+        drawn: dict[str, Any] = {"yaw": rng.uniform(-np.pi, np.pi, agents)}
+        if isinstance(self.yaw, str) and self.yaw == "aligned":
+            drawn["yaw"] = np.zeros(agents)
+        if "offset" not in given:
+            drawn["offset"] = rng.uniform(-self.offset, self.offset, (agents, 3))
+        return replace(self, **({"drift": self.drift * direction} | drawn | given))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
