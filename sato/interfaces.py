@@ -62,8 +62,7 @@ class Frame(Protocol):
     """One recorded instant; every system adds fields of its own.
 
     A frame is a named tuple; annotated fields become variables of the run file (`Recorded`),
-    and `sato.record.read_frames` reads them back as the same type, with time as the leading
-    axis.
+    and `sato.record.RunRecord` reads them back as the same type, with time as the leading axis.
     """
 
     @property

@@ -173,9 +173,10 @@ class RunRecord(Generic[MissionT, FrameT, VariablesT]):
 
     @classmethod
     def from_dataset(cls: type[RecordT], data: "xarray.Dataset", mission: Any) -> RecordT:
-        """Read the data of a run."""
+        """Read the data of a run; fields of its frames that are not recorded are None."""
         system = load_system(data.attrs["system"])
-        frames: Any = read_frames(system.frame, data)
+        frames: Any = read_variables(system.frame, data)
+        frames = frames._replace(events=EventLog.from_dataset(data).events)
         variables: Any = system.run_variables and read_variables(system.run_variables, data)
         return cls(mission, frames, variables, {str(k): v for k, v in data.attrs.items()})
 
@@ -222,21 +223,6 @@ def stack(frames: Sequence[Frame]) -> dict[str, Variable]:
                 stacked[-1] = np.nan
             found[name] = _variable(stacked, field, "time")
     return found
-
-
-def read_frames(kind: type[FieldsT], data: "xarray.Dataset") -> FieldsT:
-    """Read the recorded fields of frames, with time as their leading axis.
-
-    Fields that are not recorded, and optional ones that the run does not have, are None;
-    `events` are those of the whole run, each with its time.
-
-    Args:
-        kind: Named tuple, the frame of a system.
-        data: Dataset of a run.
-    """
-    found = read_variables(kind, data)
-    events = EventLog.from_dataset(data).events
-    return found._replace(events=events)  # type: ignore[attr-defined, no-any-return]
 
 
 def write_variables(values: object) -> dict[str, Variable]:

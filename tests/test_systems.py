@@ -27,7 +27,7 @@ from sato.interfaces import (
     Velocity,
 )
 from sato.network.graph import CommunicationGraph
-from sato.record import RunRecord, read_frames, recorded_fields
+from sato.record import RunRecord, recorded_fields
 from sato.scenario.definition import Convert, In, Positive, as_array
 from sato.scenario.errors import InputError
 from sato.scenario.file import Mission
@@ -166,7 +166,7 @@ def test_frames_are_read_back_as_the_type_that_was_recorded(home):
     run = sato.run("drift.toml", seed=5)
     run.save("here")
     data = sato.load("here").data
-    frames = read_frames(DriftFrame, data)
+    frames = RunRecord.from_dataset(data, None).frames
     assert type(frames) is DriftFrame and frames.mood is None
     flown = list(sato.simulate("drift.toml", seed=5))
     for name in recorded_fields(DriftFrame):

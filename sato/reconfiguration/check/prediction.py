@@ -4,8 +4,6 @@ Agents may know better than the model that they share, where each linearizes abo
 trajectory; the error of the shared model bounds theirs.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
@@ -80,19 +78,17 @@ def _max_plan_age(record: ReconfigurationRecord) -> Int[Array, " instants"]:
     return age
 
 
-class Redrawn(NamedTuple):
-    """Measured states and applied controls that the seed gives, for every control step."""
-
-    measured_state: Float[Array, "steps agents n"]
-    applied_control: Float[Array, "steps agents d"]  # [m/s²]
-
-
-def redraw_disturbances(record: ReconfigurationRecord, rng: np.random.Generator) -> Redrawn:
+def redraw_disturbances(
+    record: ReconfigurationRecord, rng: np.random.Generator
+) -> tuple[Float[Array, "steps agents n"], Float[Array, "steps agents d"]]:
     """Draw again, in the order of the loop: losses, measurements, disturbances, thruster errors.
 
     Args:
         record: Run; the agents that are lost are taken from its events.
         rng: Generator as the drawing of the mission left it.
+
+    Returns:
+        Measured states and applied controls that the seed gives, for every control step.
     """
     measured, applied = record.state[:-1].copy(), record.frames.control[:-1].copy()
     for leg in record.leg_records:
@@ -100,7 +96,7 @@ def redraw_disturbances(record: ReconfigurationRecord, rng: np.random.Generator)
             _redraw_losses(record, leg, k, rng)
             measured[k] = measure(record.mission, measured[k], rng)
             applied[k] = disturb_control(record.mission, applied[k], rng)
-    return Redrawn(measured, applied)
+    return measured, applied
 
 
 def _redraw_losses(

@@ -4,7 +4,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from dynamics.orbit import polar_nodal_scales
@@ -13,7 +13,7 @@ from sato.check import common
 from sato.check.report import Promise, Report, expect_below, expect_none, expect_small_error
 from sato.network.graph import CommunicationGraph, canonicalize_labels
 from sato.reconfiguration.check.fuel import compute_step_fuel, vector_norm
-from sato.reconfiguration.check.prediction import Redrawn, bound_speed_excess, redraw_disturbances
+from sato.reconfiguration.check.prediction import bound_speed_excess, redraw_disturbances
 from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
 from sato.reconfiguration.check.summary import is_reached, summarize
 from sato.reconfiguration.mission import Reconfiguration
@@ -35,7 +35,8 @@ def check_run(data: "xarray.Dataset", mission: Reconfiguration, rng: np.random.G
         rng: Generator as the drawing of the mission left it.
     """
     record = ReconfigurationRecord.from_dataset(data, mission)
-    frames, log, redrawn = record.frames, record.events, redraw_disturbances(record, rng)
+    frames, log = record.frames, record.events
+    measured, applied = redraw_disturbances(record, rng)
     ended = {leg.leg_index for leg in record.leg_records if leg.end_event is not None}
     unended = _list_legs("that did not end", set(range(len(mission.legs))) - ended)
     promises = (
@@ -48,8 +49,8 @@ def check_run(data: "xarray.Dataset", mission: Reconfiguration, rng: np.random.G
         common.check_alive(frames.alive, log),
         common.check_components(frames, mission.comm_radius),
         check_propagation(record),
-        check_applied_control(record, redrawn),
-        check_measurements(record, redrawn),
+        check_applied_control(record, applied),
+        check_measurements(record, measured),
         check_control_limit(record),
         check_speed_limit(record),
         check_targets(record),
@@ -120,16 +121,20 @@ def check_propagation(record: ReconfigurationRecord) -> Promise:
     return expect_small_error("flight", errors, ROUNDING_TOLERANCE, text)
 
 
-def check_applied_control(record: ReconfigurationRecord, redrawn: Redrawn) -> Promise:
+def check_applied_control(
+    record: ReconfigurationRecord, drawn: Float[Array, "steps agents d"]
+) -> Promise:
     """Check that the applied control is the commanded one with the errors of the seed."""
     applied = record.frames.applied_control
-    errors = (applied[:-1] - redrawn.applied_control)[record.is_flying]
+    errors = (applied[:-1] - drawn)[record.is_flying]
     tolerance = ROUNDING_TOLERANCE * float(np.nanmax(np.abs(applied), initial=0.0))
     text = "m/s² between the applied control and the draws of the seed"
     return expect_small_error("applied", errors, tolerance, text)
 
 
-def check_measurements(record: ReconfigurationRecord, redrawn: Redrawn) -> Promise:
+def check_measurements(
+    record: ReconfigurationRecord, drawn: Float[Array, "steps agents n"]
+) -> Promise:
     """Check that measurements are the states with the noise of the seed."""
     mission, frames = record.mission, record.frames
     parts = [a for a in (frames.measured_position, frames.measured_velocity) if a is not None]
@@ -143,7 +148,7 @@ def check_measurements(record: ReconfigurationRecord, redrawn: Redrawn) -> Promi
         return expect_none("measured", 1, "measurements after the last control")
     tolerance = ROUNDING_TOLERANCE * float(np.abs(record.state).max())
     text = "m or m/s between measurements and the draws of the seed"
-    return expect_small_error("measured", measured[:-1] - redrawn.measured_state, tolerance, text)
+    return expect_small_error("measured", measured[:-1] - drawn, tolerance, text)
 
 
 def check_control_limit(record: ReconfigurationRecord) -> Promise:

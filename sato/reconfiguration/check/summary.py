@@ -66,8 +66,8 @@ def summarize_leg(record: ReconfigurationRecord, leg: LegRecord) -> dict[str, An
             "holes": int(is_hole.sum()),
             "gap": gap,
             "targets_believed": m,
-            "worst_position_error_m": _max_known(position_error),
-            "worst_velocity_error_m_s": _max_known(velocity_error),
+            "worst_position_error_m": float(np.fmax.reduce(position_error, initial=np.nan)),
+            "worst_velocity_error_m_s": float(np.fmax.reduce(velocity_error, initial=np.nan)),
             "components_at_start": len(np.unique(start[start >= 0])),
             "components_at_end": len(np.unique(leg.component[leg.component >= 0])),
             "steps": leg.step_count,
@@ -122,7 +122,3 @@ def _distances_to_agents(record: ReconfigurationRecord, leg: LegRecord) -> Float
     if not len(agents):
         return np.full(len(targets), np.inf)
     return np.asarray(cKDTree(agents).query(targets)[0])
-
-
-def _max_known(values: Float[Array, " k"]) -> float:
-    return float(np.fmax.reduce(values, initial=np.nan))
