@@ -9,7 +9,6 @@ from dynamics.trajectory_geometry import separations
 from problems.avoidance import AvoidanceProblem
 from problems.convexify import AvoidanceHorizon
 from problems.transfer import Trajectory, TransferProblem
-from sato.network.graph import CommunicationGraph
 from sato.scp import Planner
 from sato.scp.priority_orders import compute_priority_cost
 
@@ -60,23 +59,6 @@ def antipodal_swarm(count, radius, turn=0.03):
 
 def total_cost(planners):
     return tuple(np.sum([compute_priority_cost(agent) for agent in planners.values()], axis=0))
-
-
-def complete_graph(planners):
-    count = len(planners)
-    return graph_of(~np.eye(count, dtype=bool))
-
-
-def two_components(first, second):
-    """Graph of two complete components."""
-    adjacency = np.zeros((first + second, first + second), dtype=bool)
-    adjacency[:first, :first] = adjacency[first:, first:] = True
-    np.fill_diagonal(adjacency, False)
-    return graph_of(adjacency)
-
-
-def graph_of(adjacency):
-    return CommunicationGraph(adjacency, np.ones(len(adjacency), dtype=bool))
 
 
 def continuous_separation(planners, states=None):

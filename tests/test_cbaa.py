@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from graphs import complete, line
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from messages import WinningBids, find_newer_bids, merge_bids
@@ -85,15 +86,6 @@ class Case(NamedTuple):
         """Auction with a generator that draws the same losses each time."""
         rng = np.random.default_rng(self.seed)
         return CbaaAuction(self.score, self.graph, **self.link, rng=rng)
-
-
-def complete(agents: int) -> CommunicationGraph:
-    return CommunicationGraph(~np.eye(agents, dtype=bool), np.full(agents, True))
-
-
-def line(agents: int) -> CommunicationGraph:
-    place = np.arange(agents)
-    return CommunicationGraph(np.abs(place - place[:, None]) == 1, np.full(agents, True))
 
 
 def connected(

@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from graphs import complete
 from numpy.testing import assert_allclose
-from planner_examples import RADIUS, STEP, T, complete_graph, make_planner
+from planner_examples import RADIUS, STEP, T, make_planner
 
 from dynamics import ClohessyWiltshire, DoubleIntegrator, discretize_zoh
 from dynamics.trajectory_geometry import evaluate_bezier, separations
@@ -48,7 +49,7 @@ def by_priority(central, start, goal):
         )
         for i in range(len(start))
     }
-    after, _ = run_scp(planners, complete_graph(planners))
+    after, _ = run_scp(planners, complete(len(planners)))
     assert all(p.terminal_error == p.slack == 0 and not p.has_failed for p in after.values())
     return np.stack([p.nominal.x for p in after.values()]), np.stack(
         [p.nominal.u for p in after.values()]

@@ -4,13 +4,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from graphs import complete, graph_of
 from messages import plan_by_messages
 from planner_examples import (
     RADIUS,
     T,
-    complete_graph,
     continuous_separation,
-    graph_of,
     immobile,
     make_planner,
     make_problem,
@@ -42,7 +41,7 @@ def test_batched_exchanges_equal_the_definition(rng, count, axes, again):
         }
         planners[0] = immobile(0, planners[0].nominal.x[0, :axes])
         adjacency = np.triu(rng.random((count, count)) < 0.7, 1)
-        graph = graph_of(adjacency | adjacency.T)
+        graph = graph_of(adjacency)
         if again:
             after, _ = run_scp(planners, graph)
             some = {i: p for i, p in planners.items() if 0 < i < count // 2 + 1}
@@ -65,7 +64,7 @@ def test_batched_exchanges_equal_the_definition(rng, count, axes, again):
 def test_continuous_paths_keep_the_collision_radius(rng, axes):
     for _ in range(5):
         planners = random_swarm(rng, 6, axes, box=4.0)
-        after, _ = run_scp(planners, complete_graph(planners))
+        after, _ = run_scp(planners, complete(len(planners)))
         assert all(p.slack == 0 and not p.has_failed for p in after.values())
         assert continuous_separation(after) >= RADIUS
 
@@ -103,7 +102,7 @@ def test_fixed_point_satisfies_the_kkt_conditions(rng, monkeypatch):
     tested = 0
     for _ in range(6):
         planners = random_swarm(rng, 5)
-        after, _ = run_scp(planners, complete_graph(planners))
+        after, _ = run_scp(planners, complete(len(planners)))
         for i, me in after.items():
             if me.solve_count == 0 or me.solve_count >= 100 or me.terminal_error > 0:
                 continue
@@ -130,7 +129,7 @@ def test_trajectories_become_final_in_order_of_priority(rng):
     # Theorem 8.
     planners = random_swarm(rng, 6)
     when = {}
-    for exchange, now in enumerate(plan_by_messages(planners, complete_graph(planners))):
+    for exchange, now in enumerate(plan_by_messages(planners, complete(len(planners)))):
         for i, p in now.items():
             if p.is_final:
                 when.setdefault(i, exchange)
@@ -141,7 +140,7 @@ def test_agent_with_more_fuel_left_gives_way_also_head_on():
     ends = ([-1.5, 0.0], [1.5, 0.0])
     for spent in ((0.0, 1.0), (1.0, 0.0)):
         pair = {0: make_planner(0, *ends, spent[0]), 1: make_planner(1, *ends[::-1], spent[1])}
-        after, _ = run_scp(pair, complete_graph(pair))
+        after, _ = run_scp(pair, complete(2))
         gives_way = int(np.argmin(spent))
         assert after[1 - gives_way].nominal is pair[1 - gives_way].solo
         assert after[gives_way].solve_count > 0
@@ -158,7 +157,7 @@ def test_agent_keeps_to_the_side_of_its_previous_plan(side):
     x, u = pair[1].solo.x.copy(), pair[1].solo.u
     x[1:-1, 1] += side  # a plan that passes on that side
     begun = pair[1].with_nominal(Trajectory(x, u, 0.0))._replace(has_converged=False)
-    after, _ = run_scp(pair | {1: begun}, complete_graph(pair))
+    after, _ = run_scp(pair | {1: begun}, complete(len(pair)))
     assert after[1].terminal_error == after[1].slack == 0
     assert np.sign(after[1].nominal.x[T // 2, 1]) == np.sign(side)
     assert continuous_separation(after) >= RADIUS
@@ -166,7 +165,7 @@ def test_agent_keeps_to_the_side_of_its_previous_plan(side):
 
 def test_agent_returns_to_its_solo_trajectory_when_clear(rng):
     planners = random_swarm(rng, 5)
-    after, _ = run_scp(planners, complete_graph(planners))
+    after, _ = run_scp(planners, complete(len(planners)))
     last = max((p for p in after.values() if p.solve_count), key=lambda p: p.priority).priority[2]
     begun = with_previous_plans({last: planners[last]}, after)
     alone, _ = run_scp(begun, graph_of(np.zeros((5, 5), dtype=bool)))
@@ -257,12 +256,12 @@ def test_cheapest_passing_side_is_chosen():
     start, goal = [-1.5, 0.0, 0.0], [1.5, 0.0, 0.0]
     mover = make_planner(1, start, goal)
     stands = immobile(0, [0.0, 0.05, -0.3])
-    after, _ = run_scp({0: stands, 1: mover}, complete_graph({0: stands, 1: mover}))
+    after, _ = run_scp({0: stands, 1: mover}, complete(2))
     fuel = after[1].nominal.fuel
     for axis, side in ((1, 1), (1, -1), (2, 1), (2, -1)):
         x = mover.solo.x.copy()
         x[1:-1, axis] += 0.8 * side
         aside = Trajectory(x, mover.solo.u, 0.0)
         other = mover.with_nominal(aside)._replace(has_converged=False)
-        round_there, _ = run_scp({0: stands, 1: other}, complete_graph({0: stands, 1: other}))
+        round_there, _ = run_scp({0: stands, 1: other}, complete(2))
         assert fuel <= round_there[1].nominal.fuel * (1 + 1e-3)

@@ -4,13 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from graphs import complete, graph_of, two_components
 from messages import flood
 from planner_examples import (
     RADIUS,
     antipodal_swarm,
-    complete_graph,
     continuous_separation,
-    graph_of,
     immobile,
     left_astray,
     make_planner,
@@ -18,7 +17,6 @@ from planner_examples import (
     random_swarm,
     renumbered,
     total_cost,
-    two_components,
 )
 
 from dynamics.trajectory_geometry import hull_distance
@@ -31,7 +29,7 @@ from sato.scp.priority_orders import try_priority_orders
 
 
 def solved(planners, orders=1):
-    return try_priority_orders(planners, complete_graph(planners), orders).planners
+    return try_priority_orders(planners, complete(len(planners)), orders).planners
 
 
 @pytest.mark.parametrize("axes", [2, 3])
@@ -40,7 +38,7 @@ def test_no_sweep_raises_the_cost_and_all_constraints_hold(rng, axes):
     for _ in range(3):
         now = solved(random_swarm(rng, 5, axes, box=3.5))
         for _ in range(3):
-            after = negotiate(now, complete_graph(now), 1).planners
+            after = negotiate(now, complete(len(now)), 1).planners
             assert total_cost(after)[:2] <= total_cost(now)[:2]
             assert total_cost(after)[2] <= total_cost(now)[2] + 1e-8
             assert continuous_separation(after) >= RADIUS
@@ -68,14 +66,14 @@ def test_two_agents_reach_the_centralized_optimum():
     guess = tuple(np.stack([getattr(p.nominal, part) for p in now.values()]) for part in "xu")
     best = central.solve(start, goal, [guess]).best.fuel
     before = sum(p.nominal.fuel for p in now.values())
-    after = sum(p.nominal.fuel for p in negotiate(now, complete_graph(now), 20).planners.values())
+    after = sum(p.nominal.fuel for p in negotiate(now, complete(len(now)), 20).planners.values())
     assert before > 1.005 * best
     assert best * (1 - 1e-6) <= after <= 1.001 * best
 
 
 def test_negotiation_saves_a_tenth_of_the_extra_fuel_of_five():
     now = solved(antipodal_swarm(5, 1.5), orders=4)
-    negotiated = negotiate(now, complete_graph(now), 6)
+    negotiated = negotiate(now, complete(len(now)), 6)
     assert total_cost(now)[:2] == total_cost(negotiated.planners)[:2] == (0, 0)
     assert total_cost(negotiated.planners)[2] < 0.9 * total_cost(now)[2]
     assert continuous_separation(negotiated.planners) >= RADIUS
@@ -84,7 +82,7 @@ def test_negotiation_saves_a_tenth_of_the_extra_fuel_of_five():
 def test_agents_without_cost_have_no_turn():
     planners = {i: make_planner(i, [0.0, 0.7 * i], [2.0, 0.7 * i]) for i in range(3)}
     now = solved(planners)
-    negotiated = negotiate(now, complete_graph(now), 5)
+    negotiated = negotiate(now, complete(len(now)), 5)
     # Trajectories of the neighbors, and a flood of the costs.
     assert (negotiated.round_count, negotiated.solve_count) == (2, 0)
     assert all(negotiated.planners[i] is now[i] for i in now)
@@ -92,21 +90,21 @@ def test_agents_without_cost_have_no_turn():
 
 def test_zero_sweeps_change_nothing(rng):
     now = solved(random_swarm(rng, 4))
-    assert negotiate(now, complete_graph(now), 0) == (now, 0, 0)
+    assert negotiate(now, complete(len(now)), 0) == (now, 0, 0)
 
 
 def test_components_negotiate_independently(rng):
     left, right = solved(random_swarm(rng, 4)), solved(random_swarm(rng, 3))
     together = negotiate(left | renumbered(right, 4), two_components(4, 3), 2).planners
     for some, first in ((left, 0), (right, 4)):
-        for i, p in negotiate(some, complete_graph(some), 2).planners.items():
+        for i, p in negotiate(some, complete(len(some)), 2).planners.items():
             np.testing.assert_array_equal(p.nominal.u, together[first + i].nominal.u)
 
 
 def test_scheduled_pairs_follow_from_a_flood(rng):
     now = solved(random_swarm(rng, 6, box=3.5))
     adjacency = rng.random((6, 6)) < 0.4
-    graph = graph_of(np.triu(adjacency, 1) | np.triu(adjacency, 1).T)
+    graph = graph_of(np.triu(adjacency, 1))
     nearby = run_round(graph, now, find_nearby, {i: p.message for i, p in now.items()})
     turns = schedule_pairs(now, graph, now)
     for known in flood(graph, {i: {i: nearby[i]} for i in now}, dict.__or__).values():
@@ -120,8 +118,8 @@ def test_scheduled_pairs_follow_from_a_flood(rng):
 
 def test_both_partners_fly_the_agreed_trajectories():
     now = solved(antipodal_swarm(5, 1.5), orders=4)
-    turns = schedule_pairs(now, complete_graph(now), now)
-    negotiated = [negotiate_pairs(now, complete_graph(now), turn) for turn in turns]
+    turns = schedule_pairs(now, complete(len(now)), now)
+    negotiated = [negotiate_pairs(now, complete(len(now)), turn) for turn in turns]
     assert [pair.keys() for pair in negotiated] == [turn.keys() for turn in turns]
     made = 0
     for pair in negotiated:
@@ -136,7 +134,7 @@ def test_both_partners_fly_the_agreed_trajectories():
 
 
 def offers(now, i, j):
-    negotiators = negotiate_pairs(now, complete_graph(now), {i: j, j: i})
+    negotiators = negotiate_pairs(now, complete(len(now)), {i: j, j: i})
     return [negotiators[k].offer for k in (i, j)]
 
 
@@ -181,7 +179,7 @@ def test_each_partner_linearizes_about_its_own_trajectory():
         return about[id(flight)]
 
     curved = {i: p._replace(relinearize=relinearize) for i, p in now.items()}
-    negotiators = negotiate_pairs(curved, complete_graph(curved), {0: 1, 1: 0})
+    negotiators = negotiate_pairs(curved, complete(len(curved)), {0: 1, 1: 0})
     assert about.keys() == {id(now[0].nominal), id(now[1].nominal)}
     assert all(negotiators[i].planner.transfer is about[id(now[i].nominal)] for i in range(2))
 
@@ -191,7 +189,7 @@ def test_partners_with_different_steps_left_do_not_agree():
     transfer = replace(now[1].transfer, model=now[1].transfer.model[:8])
     goal = now[1].nominal.x[8]
     short = make_planner(1, now[1].nominal.x[0, :2], goal[:2], transfer=transfer)
-    negotiators = negotiate_pairs({0: now[0], 1: short}, complete_graph(now), {0: 1, 1: 0})
+    negotiators = negotiate_pairs({0: now[0], 1: short}, complete(len(now)), {0: 1, 1: 0})
     assert negotiators[0].offer and negotiators[1].offer
     assert (negotiators[0].solve_count, negotiators[0].agreement) == (0, None)
 
@@ -205,7 +203,7 @@ def test_separation_is_kept_while_an_agent_drifts_at_its_target():
     third = make_planner(2, [0.1, -3.0], [0.1, 1.0], transfer=strong)
     now = {0: left_astray(first), 1: second, 2: third}
     assert continuous_gap(now, 0, 2) >= RADIUS > continuous_gap(now | {0: first}, 0, 2)
-    after = negotiate(now, complete_graph(now), 3).planners
+    after = negotiate(now, complete(len(now)), 3).planners
     assert continuous_gap(after, 0, 2) >= RADIUS
 
 
@@ -217,7 +215,7 @@ def test_sweeps_end_without_progress_also_off_target():
     movers = {i: make_planner(i, [-1.5, 0.3 * i], [1.5, -0.3 * i]) for i in (0, 2, 4)}
     now = solved(movers | {i: immobile(i, [9.0, float(i)]) for i in (1, 3)})
     now[4] = lost = left_astray(now[4], target_state=np.full(4, 99.0))
-    few, many = (negotiate(now, complete_graph(now), sweeps) for sweeps in (4, 30))
+    few, many = (negotiate(now, complete(len(now)), sweeps) for sweeps in (4, 30))
     assert many.planners[4].nominal is lost.nominal
     assert total_cost(many.planners)[2] < 0
     assert many.solve_count < 30 and few.solve_count > 0
@@ -232,7 +230,7 @@ def test_immobile_or_infeasible_agent_makes_no_offer(rng):
         now[0]._replace(slack=0.1),
     )
     for other in spoilt:
-        negotiators = negotiate_pairs(now | {0: other}, complete_graph(now), {0: 1, 1: 0})
+        negotiators = negotiate_pairs(now | {0: other}, complete(len(now)), {0: 1, 1: 0})
         assert negotiators[0].offer is None
         assert negotiators[0].planner is other and negotiators[1].planner.nominal is now[1].nominal
 
@@ -242,7 +240,7 @@ def test_agent_off_its_target_is_taken_there_at_extra_fuel():
     now = solved({i: make_planner(i, *ends[i]) for i in range(2)})
     now[1] = left_astray(now[1])
     assert total_cost(now)[:2] == (0, 1)
-    after = negotiate(now, complete_graph(now), 1).planners
+    after = negotiate(now, complete(len(now)), 1).planners
     assert total_cost(after)[:2] == (0, 0)
     assert total_cost(after)[2] > total_cost(now)[2]
     assert after[1].terminal_error == 0 and continuous_separation(after) >= RADIUS

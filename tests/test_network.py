@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from graphs import line, random_graph
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from messages import flood, learn_diameter, run_rounds
@@ -16,15 +17,8 @@ LAW = settings(deadline=None, derandomize=True)
 def networks(draw: st.DrawFn, most: int = 12) -> CommunicationGraph:
     agents = draw(st.integers(1, most))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    alive = rng.random(agents) < draw(st.sampled_from([1.0, 0.8]))
-    adjacency = np.triu(rng.random((agents, agents)) < draw(st.sampled_from([0.1, 0.2, 0.5])), 1)
-    return CommunicationGraph((adjacency | adjacency.T) & alive & alive[:, None], alive)
-
-
-def line(agents: int) -> CommunicationGraph:
-    place = np.arange(agents)
-    adjacency = np.abs(place - place[:, None]) == 1
-    return CommunicationGraph(adjacency, np.ones(agents, dtype=bool))
+    alive, share = draw(st.sampled_from([1.0, 0.8])), draw(st.sampled_from([0.1, 0.2, 0.5]))
+    return random_graph(rng, agents, share, alive)
 
 
 def all_hops(graph: CommunicationGraph) -> np.ndarray:

@@ -5,13 +5,13 @@ from functools import cache
 
 import numpy as np
 import pytest
+from graphs import complete, two_components
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from messages import flood, plan_by_messages
 from planner_examples import (
     RADIUS,
     antipodal_swarm,
-    complete_graph,
     continuous_separation,
     immobile,
     make_planner,
@@ -19,7 +19,6 @@ from planner_examples import (
     random_swarm,
     renumbered,
     total_cost,
-    two_components,
     with_previous_plans,
 )
 
@@ -84,8 +83,8 @@ def test_component_sums_and_choices_follow_from_a_flood(links, dead, seed):
 
 def test_one_order_is_method_2_itself(rng):
     planners = random_swarm(rng, 5)
-    once, exchanges = run_scp(planners, complete_graph(planners))
-    found = try_priority_orders(planners, complete_graph(planners), 1)
+    once, exchanges = run_scp(planners, complete(len(planners)))
+    found = try_priority_orders(planners, complete(len(planners)), 1)
     assert found.round_count == exchanges
     assert found.solve_count == sum(p.solve_count for p in once.values())
     for i, p in once.items():
@@ -98,7 +97,7 @@ def test_more_orders_never_cost_more_and_stay_separated(rng, axes):
     for _ in range(3):
         planners = random_swarm(rng, 5, axes, box=3.5)
         once, after = (
-            try_priority_orders(planners, complete_graph(planners), orders).planners
+            try_priority_orders(planners, complete(len(planners)), orders).planners
             for orders in (1, 4)
         )
         assert total_cost(after) <= total_cost(once)
@@ -117,7 +116,7 @@ def test_components_choose_their_orders_independently(rng):
     both = left | renumbered(right, 4)
     together = try_priority_orders(both, two_components(4, 3), 4).planners
     for some, first in ((left, 0), (right, 4)):
-        for i, p in try_priority_orders(some, complete_graph(some), 4).planners.items():
+        for i, p in try_priority_orders(some, complete(len(some)), 4).planners.items():
             np.testing.assert_array_equal(p.nominal.u, together[first + i].nominal.u)
 
 
@@ -125,13 +124,13 @@ def test_component_without_cost_tries_no_further_order(rng):
     dear = random_swarm(rng, 4)
     cheap = {4 + i: make_planner(4 + i, [0.0, 40.0 + 4 * i], [2.0, 40.0 + 4 * i]) for i in range(3)}
     both = try_priority_orders(dear | cheap, two_components(4, 3), 4)
-    assert both.solve_count == try_priority_orders(dear, complete_graph(dear), 4).solve_count > 0
+    assert both.solve_count == try_priority_orders(dear, complete(len(dear)), 4).solve_count > 0
 
 
 def test_swarm_without_conflicts_solves_nothing():
     planners = {i: make_planner(i, [0.0, 4.0 * i], [2.0, 4.0 * i]) for i in range(3)}
-    once, exchanges = run_scp(planners, complete_graph(planners))
-    found = try_priority_orders(planners, complete_graph(planners), 9)
+    once, exchanges = run_scp(planners, complete(len(planners)))
+    found = try_priority_orders(planners, complete(len(planners)), 9)
     assert (found.round_count, found.solve_count) == (exchanges + 1, 0)  # one flood of the costs
     assert all(found.planners[i].nominal is once[i].nominal for i in once)
 
@@ -139,10 +138,10 @@ def test_swarm_without_conflicts_solves_nothing():
 def test_clear_and_cheaper_previous_plans_are_kept(rng):
     # Begin with the result of several orders; the first order alone costs more.
     planners = random_swarm(rng, 5, box=3.5)
-    found = try_priority_orders(planners, complete_graph(planners), 5).planners
+    found = try_priority_orders(planners, complete(len(planners)), 5).planners
     begun = with_previous_plans(planners, found)
-    again = try_priority_orders(begun, complete_graph(begun), 2).planners
-    assert total_cost(run_scp(planners, complete_graph(planners))[0]) > total_cost(found)
+    again = try_priority_orders(begun, complete(len(begun)), 2).planners
+    assert total_cost(run_scp(planners, complete(len(planners)))[0]) > total_cost(found)
     assert total_cost(again) <= total_cost(found)
     assert continuous_separation(again) >= RADIUS
 
@@ -150,11 +149,11 @@ def test_clear_and_cheaper_previous_plans_are_kept(rng):
 def test_component_in_conflict_is_not_clear(rng):
     planners = random_swarm(rng, 4)
     meeting = antipodal_swarm(2, 1.5)
-    assert not select_clear_components(meeting, complete_graph(meeting))
+    assert not select_clear_components(meeting, complete(len(meeting)))
     far = {0: meeting[0]}
-    assert select_clear_components(far, complete_graph(far)).keys() == {0}
-    settled = with_previous_plans(planners, run_scp(planners, complete_graph(planners))[0])
-    assert select_clear_components(settled, complete_graph(settled)).keys() == settled.keys()
+    assert select_clear_components(far, complete(len(far))).keys() == {0}
+    settled = with_previous_plans(planners, run_scp(planners, complete(len(planners)))[0])
+    assert select_clear_components(settled, complete(len(settled))).keys() == settled.keys()
 
 
 def test_infeasible_agent_sends_the_path_that_it_flies():
@@ -162,7 +161,7 @@ def test_infeasible_agent_sends_the_path_that_it_flies():
     me = make_planner(2, [0.0, 0.0], [0.0, 0.0])
     walls = {i: immobile(i, [0.1 * i, 0.0]) for i in range(2)}
     swarm = walls | {2: me._replace(control_points=me.control_points + 0.3, has_converged=False)}
-    after, _ = run_scp(swarm, complete_graph(swarm))
+    after, _ = run_scp(swarm, complete(len(swarm)))
     assert after[2].has_failed or after[2].slack > 0
     flown = after[2].with_nominal(after[2].nominal)
     np.testing.assert_array_equal(after[2].control_points, flown.control_points)
@@ -171,7 +170,7 @@ def test_infeasible_agent_sends_the_path_that_it_flies():
 @pytest.mark.parametrize("axes", [2, 3])
 def test_batched_exchanges_of_offset_nominals_equal_the_definition(rng, axes):
     planners = {i: offset_right(p, 1.0) for i, p in random_swarm(rng, 5, axes).items()}
-    graph = complete_graph(planners)
+    graph = complete(len(planners))
     slow, fast = list(plan_by_messages(planners, graph)), list(run_batched(planners, graph))
     assert len(slow) == len(fast)
     for a, b in zip(slow, fast, strict=True):
@@ -183,15 +182,15 @@ def test_batched_exchanges_of_offset_nominals_equal_the_definition(rng, axes):
 def test_immobile_agent_stays_and_others_avoid_it(rng):
     planners = random_swarm(rng, 4)
     planners[0] = immobile(0, planners[0].nominal.x[0, :2])
-    after = try_priority_orders(planners, complete_graph(planners), 4).planners
+    after = try_priority_orders(planners, complete(len(planners)), 4).planners
     assert after[0].nominal is planners[0].nominal
     assert all(p.is_final for p in after.values())
 
 
 def test_several_orders_solve_a_crossing_that_one_cannot():
     planners = antipodal_swarm(6, 1.5)
-    once = try_priority_orders(planners, complete_graph(planners), 1).planners
-    after = try_priority_orders(planners, complete_graph(planners), 6).planners
+    once = try_priority_orders(planners, complete(len(planners)), 1).planners
+    after = try_priority_orders(planners, complete(len(planners)), 6).planners
     assert total_cost(once)[1] > 0
     assert total_cost(after)[:2] == (0, 0)
     assert continuous_separation(after) >= RADIUS
@@ -225,7 +224,7 @@ def test_separation_is_kept_within_a_short_horizon():
         i: p._replace(horizon=short, control_points=short.control_points(p.nominal.x, p.nominal.u))
         for i, p in planners.items()
     }
-    after = try_priority_orders(seen, complete_graph(seen), 3).planners
+    after = try_priority_orders(seen, complete(len(seen)), 3).planners
     assert all(p.is_final for p in after.values())
     assert continuous_separation(seen, states=9) < RADIUS
     assert continuous_separation(after, states=9) >= RADIUS

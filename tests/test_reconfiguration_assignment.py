@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from graphs import complete, empty
 from messages import flood
 from reconfiguration_runs import at_rest, leg_to, make_mission
 from scipy.sparse import csr_array
@@ -55,19 +56,10 @@ def context_of(mission, step=0, alive=None, memory=None):
     return DecisionContext(mission, mission.legs[0], graph, x, memory, step, step * mission.step)
 
 
-def no_plans(mission):
-    return np.full(len(mission.initial_states), np.inf)
-
-
 def first_decision(mission, target_count=None):
     N = len(mission.initial_states)
     memory = AgentMemory.initial(np.full(N, target_count or N))
-    return assign_targets(context_of(mission, memory=memory), no_plans(mission))
-
-
-def cost_table(cost, reachable=None):
-    reachable = np.ones(cost.shape, dtype=bool) if reachable is None else reachable
-    return CostTable(cost, reachable, np.ones(cost.shape, dtype=bool))
+    return assign_targets(context_of(mission, memory=memory), np.full(N, np.inf))
 
 
 @pytest.mark.parametrize("speed", [np.inf, 0.32])
@@ -144,51 +136,60 @@ def test_claims_and_clocks_are_shared_as_by_flooding(rng):
     assert shared.clock[alive].tolist() == [clocks[i] for i in live]
 
 
+def bid_of_the_first(cost, graph, **known):
+    """Costs by which the first of two agents bids, by what it knows of both."""
+    memory = AgentMemory.initial(np.full(2, len(cost)))
+    rows = {name: np.array([values, [-1, -1]]) for name, values in known.items()}
+    table = CostTable(*(np.tile(part, (2, 1)) for part in (cost, np.isfinite(cost), True)))
+    return compute_bid_costs(table, replace(memory, **rows), graph)[0]
+
+
 def test_claim_of_an_absent_agent_makes_its_target_dearer():
-    graph = CommunicationGraph(np.zeros((2, 2), dtype=bool), np.ones(2, dtype=bool))
-    memory = AgentMemory.initial(np.full(2, 3))
-    memory = replace(
-        memory,
-        claimed_target=np.array([[-1, 1], [-1, -1]]),
-        claim_step=np.array([[-1, 5], [-1, -1]]),
-        target_index=np.array([0, -1]),
+    claims = {"claimed_target": [-1, 1], "claim_step": [-1, 5]}
+    cost = np.array([3.0, 1.0, 2.0])
+    np.testing.assert_allclose(bid_of_the_first(cost, empty(2), **claims), [3.0, 3.0, 2.0])
+    np.testing.assert_array_equal(bid_of_the_first(cost, complete(2), **claims), cost)
+
+
+@pytest.mark.parametrize(("step", "extra"), [(4, 0.0), (12, 2.0)])
+def test_newer_claim_counts_and_an_older_one_does_not(step, extra):
+    bid = bid_of_the_first(
+        np.array([1.0, 3.0]), empty(2), claimed_target=[0, 0], claim_step=[8, step]
     )
-    cost = np.array([[3.0, 1.0, 2.0], [3.0, 1.0, 2.0]])
-    bid = compute_bid_costs(cost_table(cost), memory, graph)
-    np.testing.assert_allclose(bid[0], [3.0 - 0.02 * 2, 1.0 + 2.0, 2.0])
-    np.testing.assert_allclose(bid[1], cost[1])
+    np.testing.assert_allclose(bid, [1.0 + extra, 3.0])
+
+
+def test_held_target_is_cheaper_by_a_part_of_the_range():
+    memory = replace(AgentMemory.initial(np.full(1, 3)), target_index=np.array([0]))
+    every = np.ones((1, 3), dtype=bool)
+    table = CostTable(np.array([[3.0, 1.0, 2.0]]), every, every)
+    np.testing.assert_allclose(compute_bid_costs(table, memory, empty(1)), [[2.96, 1.0, 2.0]])
 
 
 def test_unreachable_target_costs_more_than_all_reachable_ones():
-    graph = CommunicationGraph(np.zeros((2, 2), dtype=bool), np.ones(2, dtype=bool))
-    memory = AgentMemory.initial(np.full(2, 3))
     cost = np.array([[3.0, 0.5, 0.2], [0.0, 0.0, 0.0]])
     reachable = np.array([[True, True, False], [True, False, False]])
-    bid = compute_bid_costs(cost_table(cost, reachable), memory, graph)
+    table = CostTable(cost, reachable, np.ones_like(reachable))
+    bid = compute_bid_costs(table, AgentMemory.initial(np.full(2, 3)), empty(2))
     np.testing.assert_allclose(bid, [[3.0, 0.5, 0.2 + 3.0 + 2.5], [0.0, 1.0, 1.0]])
 
 
-def test_claim_of_a_connected_agent_changes_no_cost():
-    graph = CommunicationGraph(~np.eye(2, dtype=bool), np.ones(2, dtype=bool))
-    memory = replace(
-        AgentMemory.initial(np.full(2, 2)),
-        claimed_target=np.array([[-1, 1], [0, -1]]),
-        claim_step=np.array([[-1, 5], [5, -1]]),
-    )
-    cost = np.array([[3.0, 1.0], [3.0, 1.0]])
-    np.testing.assert_array_equal(compute_bid_costs(cost_table(cost), memory, graph), cost)
+def decide_again(mission, clock, step, alive=None, planned_fuel=np.inf):
+    """A first decision, and a later one."""
+    N, first = len(mission.initial_states), first_decision(mission)
+    memory = replace(first.memory, clock=np.broadcast_to(clock, N))
+    context = context_of(mission, step, alive, memory)
+    return first, assign_targets(context, np.full(N, planned_fuel))
 
 
 def test_change_of_bidders_resets_the_clocks_of_its_component(rng):
     mission = plan_from(cloud(rng, 6), cloud(rng, 6))
-    first = first_decision(mission)
+    first, again = decide_again(mission, 5, 5)
     assert not first.was_reset.any()
-    later = replace(first.memory, clock=np.full(6, 5))
-    again = assign_targets(context_of(mission, 5, memory=later), no_plans(mission))
     assert not again.was_reset.any() and (again.memory.clock == 5).all()
     assert again.memory.target_index.tolist() == first.memory.target_index.tolist()
     fewer = np.arange(6) != 2
-    after = assign_targets(context_of(mission, 5, fewer, memory=later), no_plans(mission))
+    _, after = decide_again(mission, 5, 5, fewer)
     assert after.was_reset.tolist() == fewer.tolist()
     assert (after.memory.clock[fewer] == 0).all()
     assert after.memory.bidder_count[0] == 5
@@ -197,32 +198,23 @@ def test_change_of_bidders_resets_the_clocks_of_its_component(rng):
 def test_reset_stays_in_its_component(rng):
     far = np.concatenate([cloud(rng, 4), cloud(rng, 4) + 500.0])
     mission = plan_from(far, np.concatenate([cloud(rng, 4), cloud(rng, 4) + 500.0]))
-    first = first_decision(mission)
-    later = replace(first.memory, clock=np.full(8, 5))
-    after = assign_targets(
-        context_of(mission, 5, np.arange(8) != 1, memory=later), no_plans(mission)
-    )
+    _, after = decide_again(mission, 5, 5, np.arange(8) != 1)
     assert np.flatnonzero(after.was_reset).tolist() == [0, 2, 3]
     assert after.memory.clock[4:].tolist() == [5] * 4
 
 
 def test_component_takes_over_the_clock_with_most_time_left(rng):
-    mission = plan_from(cloud(rng, 4), cloud(rng, 4))
-    first = first_decision(mission)
-    later = replace(first.memory, clock=np.array([5, 5, 5, 2]))
-    after = assign_targets(context_of(mission, 5, memory=later), no_plans(mission))
+    _, after = decide_again(plan_from(cloud(rng, 4), cloud(rng, 4)), [5, 5, 5, 2], 5)
     assert np.flatnonzero(after.was_reset).tolist() == [0, 1, 2]
     assert (after.memory.clock == 2).all()
 
 
 def test_target_unreachable_in_the_time_left_resets_the_clock():
     mission = plan_from(np.array([[0.0, 0.0]]), np.array([[4.0, 0.0]]))
-    first = first_decision(mission)
-    late = replace(first.memory, clock=np.array([17]))
-    decision = assign_targets(context_of(mission, 17, memory=late), no_plans(mission))
+    _, decision = decide_again(mission, 17, 17)
     assert decision.was_reset.tolist() == [True] and decision.memory.clock.tolist() == [0]
     # A plan that leads there is proof that it is in reach.
-    assert not assign_targets(context_of(mission, 17, memory=late), np.array([0.3])).was_reset.any()
+    assert not decide_again(mission, 17, 17, planned_fuel=0.3)[1].was_reset.any()
 
 
 def test_no_agent_gets_an_unreachable_target_if_it_can_be_avoided(rng):
@@ -239,20 +231,6 @@ def test_no_agent_gets_an_unreachable_target_if_it_can_be_avoided(rng):
         hard += 1
         assert reachable[np.arange(4), first_decision(mission).memory.target_index].all()
     assert hard > 10
-
-
-def test_newer_claim_counts_and_an_older_one_does_not():
-    graph = CommunicationGraph(np.zeros((2, 2), dtype=bool), np.ones(2, dtype=bool))
-    memory = AgentMemory.initial(np.full(2, 2))
-    cost = np.array([[1.0, 3.0], [1.0, 3.0]])
-    for step, extra in ((4, 0.0), (12, 2.0)):
-        known = replace(
-            memory,
-            claimed_target=np.array([[0, 0], [-1, -1]]),
-            claim_step=np.array([[8, step], [-1, -1]]),
-        )
-        bid = compute_bid_costs(cost_table(cost), known, graph)
-        np.testing.assert_allclose(bid[0], [1.0 + extra, 3.0])
 
 
 def test_bid_increment_follows_from_the_mission(rng):

@@ -4,17 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from graphs import complete, two_components
 from planner_examples import (
     RADIUS,
     antipodal_swarm,
-    complete_graph,
     continuous_separation,
     immobile,
     make_planner,
     random_swarm,
     renumbered,
     total_cost,
-    two_components,
     with_previous_plans,
 )
 
@@ -42,7 +41,7 @@ def spin(planners):
 @pytest.mark.parametrize(("bend", "hand"), [(1.0, 1), (2.0, 1), (-1.0, -1), (-2.0, -1)])
 def test_all_go_around_on_one_side_separated_and_reach_targets(bend, hand):
     planners = antipodal_swarm(5, 1.5)
-    found = solve_roundabout(planners, complete_graph(planners), bend)
+    found = solve_roundabout(planners, complete(len(planners)), bend)
     assert found.planners.keys() == planners.keys()
     assert np.all(hand * spin(found.planners) > 0)
     assert continuous_separation(found.planners) >= RADIUS
@@ -60,14 +59,14 @@ def test_all_go_around_on_one_side_separated_and_reach_targets(bend, hand):
 def test_later_turns_use_the_plans_of_earlier_ones():
     # If all planned around the first messages, these six would never be clear.
     planners = antipodal_swarm(6, 1.5)
-    found = solve_roundabout(planners, complete_graph(planners), -1.0)
+    found = solve_roundabout(planners, complete(len(planners)), -1.0)
     assert (found.planners.keys(), found.solve_count) == (planners.keys(), 6)
 
 
 def test_agents_in_conflict_after_a_round_have_another_turn():
     # With so small an offset, the first agents conflict in round one and not in a later one.
     planners = antipodal_swarm(6, 1.5)
-    found = solve_roundabout(planners, complete_graph(planners), 0.1)
+    found = solve_roundabout(planners, complete(len(planners)), 0.1)
     assert found.planners.keys() == planners.keys()
     assert found.round_count % (6 + 2) == 0 and found.round_count > 6 + 2
     assert found.solve_count == sum(p.solve_count for p in found.planners.values()) > 6
@@ -76,7 +75,7 @@ def test_agents_in_conflict_after_a_round_have_another_turn():
 
 def test_resolution_is_the_cheaper_of_orders_and_roundabout(monkeypatch):
     planners = antipodal_swarm(5, 1.5)
-    graph = complete_graph(planners)
+    graph = complete(len(planners))
     settled = try_priority_orders(planners, graph, 2)
     ordered = negotiate(settled.planners, graph, 2)
     begun = solve_roundabout(planners, graph, -1.0)
@@ -102,7 +101,7 @@ def test_both_sides_are_tried_with_two_offsets_each(monkeypatch):
 
     monkeypatch.setattr("sato.scp.resolve.solve_roundabout", nowhere)
     planners = antipodal_swarm(5, 1.5)
-    resolve_conflicts(planners, complete_graph(planners), 1, 1)
+    resolve_conflicts(planners, complete(len(planners)), 1, 1)
     assert sorted(tried) == [-2.0, -1.0, 1.0, 2.0]
 
 
@@ -111,14 +110,14 @@ def test_component_without_cost_has_no_roundabout(monkeypatch):
     dear = antipodal_swarm(3, 1.5)
     cheap = {3 + i: make_planner(3 + i, [9.0, 2.0 * i], [11.0, 2.0 * i]) for i in (0, 1)}
     both = resolve_conflicts(dear | cheap, two_components(3, 2), 1, 1)
-    assert both.solve_count == resolve_conflicts(dear, complete_graph(dear), 1, 1).solve_count
+    assert both.solve_count == resolve_conflicts(dear, complete(len(dear)), 1, 1).solve_count
     assert all(both.planners[i].nominal is p.nominal for i, p in cheap.items())
 
 
 def test_resolution_never_costs_more_than_negotiated_orders(rng):
     for _ in range(2):
         planners = random_swarm(rng, 4, box=3.0)
-        graph = complete_graph(planners)
+        graph = complete(len(planners))
         ordered = negotiate(try_priority_orders(planners, graph, 2).planners, graph, 2)
         resolved = resolve_conflicts(planners, graph, 2, 2)
         assert total_cost(resolved.planners) <= total_cost(ordered.planners)
@@ -128,7 +127,7 @@ def test_resolution_never_costs_more_than_negotiated_orders(rng):
 @pytest.mark.parametrize("axes", [2, 3])
 def test_no_roundabout_without_sweeps_or_in_space(rng, axes):
     planners = random_swarm(rng, 4, axes)
-    graph, sweeps = complete_graph(planners), axes - 2
+    graph, sweeps = complete(len(planners)), axes - 2
     settled = try_priority_orders(planners, graph, 2)
     ordered = negotiate(settled.planners, graph, sweeps)
     resolved = resolve_conflicts(planners, graph, 2, sweeps)
@@ -141,7 +140,7 @@ def test_no_roundabout_without_sweeps_or_in_space(rng, axes):
 
 def test_previous_plan_or_missed_target_excludes_a_roundabout():
     planners = antipodal_swarm(4, 1.5)
-    graph = complete_graph(planners)
+    graph = complete(len(planners))
     before = solve_roundabout(planners, graph, 1.0).planners
     stuck = immobile(0, planners[0].nominal.x[0, :2])
     kept = with_previous_plans(planners, before)[0]
@@ -161,7 +160,7 @@ def test_components_go_around_independently():
     both = left | renumbered(right, 4)
     together = solve_roundabout(both, two_components(4, 3), 1.0).planners
     for some, first in ((left, 0), (right, 4)):
-        for i, p in solve_roundabout(some, complete_graph(some), 1.0).planners.items():
+        for i, p in solve_roundabout(some, complete(len(some)), 1.0).planners.items():
             np.testing.assert_array_equal(p.nominal.u, together[first + i].nominal.u)
 
 
@@ -218,7 +217,7 @@ def test_agent_alone_or_infeasible_sends_the_path_that_it_flies(monkeypatch):
             p.control_points, p.horizon.control_points(p.nominal.x, p.nominal.u)
         )
     assert without.solve_count == 2
-    assert solve_roundabout(antipodal_swarm(2, 1.5), complete_graph(planners), 1.0).planners == {}
+    assert solve_roundabout(antipodal_swarm(2, 1.5), complete(len(planners)), 1.0).planners == {}
 
 
 def test_one_infeasible_agent_excludes_its_component():
@@ -234,7 +233,7 @@ def test_immobile_agent_stays_and_all_go_around_it():
     planners = antipodal_swarm(4, 1.5)
     still = immobile(4, [0.0, 0.0])
     crowd = planners | {4: still}
-    found = solve_roundabout(crowd, complete_graph(crowd), 1.0).planners
+    found = solve_roundabout(crowd, complete(len(crowd)), 1.0).planners
     assert found.keys() == {0, 1, 2, 3, 4}
     np.testing.assert_array_equal(found[4].control_points, still.control_points)
     for i in range(4):

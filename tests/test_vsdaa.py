@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from graphs import line, random_graph, ring
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from messages import bid_by_messages
@@ -21,24 +22,6 @@ from sato.auctions.vsdaa import (
 from sato.network.graph import CommunicationGraph
 
 LAW = settings(deadline=None, derandomize=True, max_examples=60)
-
-
-def line(agents: int) -> CommunicationGraph:
-    place = np.arange(agents)
-    return CommunicationGraph(np.abs(place - place[:, None]) == 1, np.full(agents, True))
-
-
-def ring(agents: int) -> CommunicationGraph:
-    apart = np.abs(np.arange(agents) - np.arange(agents)[:, None])
-    return CommunicationGraph((apart == 1) | (apart == agents - 1), np.full(agents, True))
-
-
-def random_graph(
-    rng: np.random.Generator, agents: int, share: float, alive: float
-) -> CommunicationGraph:
-    live = rng.random(agents) < alive
-    adjacency = np.triu(rng.random((agents, agents)) < share, 1)
-    return CommunicationGraph((adjacency | adjacency.T) & live & live[:, None], live)
 
 
 def costs(rng: np.random.Generator, kind: str, agents: int, targets: int) -> np.ndarray:
@@ -62,7 +45,7 @@ def cases(draw: st.DrawFn, most: int = 9) -> VsdaaAuction:
     agents, spare = draw(st.integers(1, most)), draw(st.integers(0, 4))
     shape = draw(st.sampled_from(["line", "ring", "dense", "sparse", "losses"]))
     if shape in ("line", "ring"):
-        graph = {"line": line, "ring": ring if agents > 2 else line}[shape](agents)
+        graph = {"line": line, "ring": ring}[shape](agents)
     else:
         graph = random_graph(
             rng, agents, 0.6 if shape == "dense" else 0.25, 0.7 if shape == "losses" else 1.0
