@@ -16,8 +16,7 @@ from scipy.stats import binomtest
 from scipy.stats import t as student
 from threadpoolctl import threadpool_limits
 
-from sato.formation.check.recorded import FormationRecord
-from sato.formation.check.summary import summarize_flight
+from sato.formation.check.recorded import FormationRecord, summarize_flight
 from sato.formation.leg import FormationLeg
 from sato.formation.loop import simulate
 from sato.formation.mission import Formation, legacy_formation

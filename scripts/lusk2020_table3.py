@@ -30,8 +30,7 @@ from threadpoolctl import threadpool_limits
 
 from problems.alignment import align, compute_shape_error
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, LIGHT_GRAY, RED, STYLE
-from sato.formation.check.recorded import FormationRecord
-from sato.formation.check.summary import summarize_flight
+from sato.formation.check.recorded import FormationRecord, summarize_flight
 from sato.formation.leg import FormationLeg
 from sato.formation.loop import FormationFrame, simulate
 from sato.formation.mission import Formation, legacy_formation

@@ -15,8 +15,7 @@ from sato.check.report import (
     expect_small_error,
     largest,
 )
-from sato.formation.check.recorded import FormationRecord
-from sato.formation.check.summary import summarize
+from sato.formation.check.recorded import FormationRecord, summarize
 from sato.formation.mission import Formation
 from sato.formation.record import collect_attributes
 
