@@ -8,9 +8,8 @@ normals along the directions to the hulls, Propositions 4 to 6 hold unchanged.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, no_type_check
+from typing import Literal
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
@@ -103,30 +102,9 @@ def are_balls_separated(relative: ControlPoints, radius: float) -> Bool[Array, "
 
     Sufficient for `are_hulls_separated`, and much faster.
     """
-    flat = np.ascontiguousarray(relative).reshape(-1, *relative.shape[-2:])
-    return np.asarray(_are_balls_separated(flat, radius)).reshape(relative.shape[:-2])
-
-
-@numba.njit(cache=True)
-@no_type_check
-def _are_balls_separated(relative, radius):
-    count, _, d = relative.shape
-    separated = np.empty(count, np.bool_)
-    middle = np.empty(d)
-    for q in range(count):
-        center_distance = 0.0
-        for a in range(d):
-            p = relative[q]
-            middle[a] = (p[0, a] + p[1, a] + p[2, a] + p[3, a]) / 4
-            center_distance += middle[a] ** 2
-        radius_squared = 0.0
-        for i in range(4):
-            size = 0.0
-            for a in range(d):
-                size += (relative[q, i, a] - middle[a]) ** 2
-            radius_squared = max(radius_squared, size)
-        separated[q] = np.sqrt(center_distance) - np.sqrt(radius_squared) >= radius
-    return separated
+    middle = relative.sum(axis=-2, keepdims=True) / 4
+    reach = ((relative - middle) ** 2).sum(axis=-1).max(axis=-1) ** 0.5
+    return np.asarray(np.linalg.norm(middle[..., 0, :], axis=-1) - reach >= radius)
 
 
 def convexify(
