@@ -380,6 +380,11 @@ def test_the_version_is_that_of_the_package():
     assert call("--version").stdout.strip() == sato.__version__
 
 
+def test_the_package_offers_its_public_names_only():
+    assert dir(sato) == sorted([*sato.__all__, "__version__"])
+    assert all(getattr(sato, name) is not None for name in sato.__all__)
+
+
 def test_two_who_look_further_than_they_hear_collide_and_it_is_said(home):
     said = call("run", "undetectable", "--out", "unseen")
     summary = json.loads((home / "unseen" / "summary.json").read_text())

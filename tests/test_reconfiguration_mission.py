@@ -268,3 +268,8 @@ def test_mission_that_cannot_be_flown_is_refused_by_its_field(changes, message):
 def test_velocities_need_the_shape_of_the_positions():
     with pytest.raises(InputError, match=r"the positions, \(3, 2\), got \(2, 2\)"):
         Points(START, START[:2])
+
+
+def test_plant_is_known_once_the_mission_is_drawn():
+    with pytest.raises(ValueError, match="known once the mission is drawn"):
+        tiny().flown_plant  # noqa: B018
