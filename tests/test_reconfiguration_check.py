@@ -235,40 +235,10 @@ def test_collision_between_the_samples_is_found():
         assert report.summary["min_separation_at_samples_m"] > 0.3
 
 
-TINY = """
-system = "reconfiguration"
-name = "tiny"
-[swarm]
-agents = 8
-start = { kind = "random", box_m = 7.0, separation_m = 0.8 }
-comm_radius_m = 4.0
-collision_radius_m = 0.5
-[model]
-kind = "double_integrator"
-dimension = 2
-max_control_m_s2 = 0.1
-max_speed_m_s = 0.3
-[plan]
-step_s = 1.0
-horizon_steps = 4
-replan_steps = 4
-auction_steps = 4
-[[leg]]
-shape = { kind = "ring", spacing_m = 1.0 }
-targets = 10
-steps = 30
-[[leg]]
-shape = { kind = "lattice", spacing_m = 1.0 }
-targets = 10
-steps = 30
-lose = { kind = "middle", share = 0.25 }
-"""
-
-
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("tiny")
-    return sato.run(sato.parse(TINY), seed=0).save(folder)
+    folder = tmp_path_factory.mktemp("random")
+    return sato.run("random", overrides=["agents=8"]).save(folder)
 
 
 def verdict(folder) -> int:
@@ -311,16 +281,17 @@ def test_truncated_file_is_refused(saved, tmp_path):
 
 
 DISTURBED = [
+    "agents=8",
     "disturbance.acceleration_m_s2=1e-4",
     "disturbance.position_m=1e-3",
     "disturbance.velocity_m_s=1e-4",
-    "leg.1.lose={kind='random',share=0.25,at_step=3}",
+    "leg.0.lose={kind='random',share=0.25,at_step=3}",
 ]
 
 
 @pytest.fixture(scope="module")
 def disturbed():
-    return sato.run(sato.parse(TINY, DISTURBED), seed=4)
+    return sato.run("random", seed=4, overrides=DISTURBED)
 
 
 def test_disturbed_run_is_reached_within_its_tolerances(disturbed):

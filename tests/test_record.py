@@ -1,6 +1,7 @@
 """Run files: written whole or not at all, and read back as they were."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,58 +18,49 @@ from sato.reconfiguration.system import SYSTEM
 from sato.record import RunFileError, json_default
 from sato.runs import Run, load
 
-
-def mission(**changes: object) -> Reconfiguration:
-    values = {
-        "model": DoubleIntegrator(2),
-        "start": np.array([[0.0, 0.0], [1.0, 0.0]]),
-        "legs": (
-            Leg(np.array([[0.0, 1.0], [1.0, 1.0]]), steps=2),
-            Leg(np.array([[0.0, 2.0], [1.0, 2.0], [2.0, 2.0]]), steps=1, count=3),
-        ),
-        "name": "tiny",
-        "step": 1.0,
-        "comm_radius": 4.0,
-        "collision_radius": 0.5,
-        "max_control": 5.0,
-        "max_speed": 3.0,
-        "horizon_steps": 1,
-        "allow_undetectable": True,
-    }
-    return Reconfiguration(**(values | changes))
+FLOWN = Reconfiguration(
+    model=DoubleIntegrator(2),
+    start=np.array([[0.0, 0.0], [1.0, 0.0]]),
+    legs=(
+        Leg(np.array([[0.0, 1.0], [1.0, 1.0]]), steps=2),
+        Leg(np.array([[0.0, 2.0], [1.0, 2.0], [2.0, 2.0]]), steps=1, count=3),
+    ),
+    name="tiny",
+    step=1.0,
+    comm_radius=4.0,
+    collision_radius=0.5,
+    max_control=5.0,
+    max_speed=3.0,
+    horizon_steps=1,
+    allow_undetectable=True,
+)
 
 
-def frames(rng: np.random.Generator, measured: bool = False) -> list[ReconfigurationFrame]:
-    def at(k: int, *events: dict[str, object]) -> ReconfigurationFrame:
-        return ReconfigurationFrame(
-            time=float(k),
-            position=rng.normal(size=(2, 2)),
-            velocity=rng.normal(size=(2, 2)),
-            alive=np.array([True, k < 2]),
-            component=np.array([0, 0 if k < 2 else -1]),
-            control=rng.normal(size=(2, 2)),
-            applied_control=rng.normal(size=(2, 2)),
-            leg_index=int(k >= 2),
-            target_index=np.array([1, 0 if k < 2 else -1]),
-            target_count=np.array([2, 2]),
-            measured_position=rng.normal(size=(2, 2)) if measured and k < 3 else None,
-            measured_velocity=rng.normal(size=(2, 2)) if measured and k < 3 else None,
-            events=events,
-        )
-
+def frames(
+    rng: np.random.Generator, axes: int = 2, measured: bool = False
+) -> list[ReconfigurationFrame]:
     end = {"kind": "leg_end", "target": [1, 0], "component": [0, 0]}
-    return [
-        at(0, {"kind": "leg_start", "agents": np.array([0, 1]), "leg": 0}),
-        at(1),
-        at(2, end | {"leg": 0, "agents": [0, 1], "believed": [2, 3]}),
-        at(3, end | {"leg": 1, "agents": [0], "believed": [3, 3]}),
+    events: list[tuple[dict[str, object], ...]] = [
+        ({"kind": "leg_start", "agents": np.array([0, 1]), "leg": 0},),
+        (),
+        (end | {"leg": 0, "agents": [0, 1], "believed": [2, 3]},),
+        (end | {"leg": 1, "agents": [0], "believed": [3, 3]},),
     ]
+    found = []
+    for k in range(4):
+        position, velocity, control, applied, *seen = rng.normal(size=(6, 2, axes))
+        seen = seen if measured and k < 3 else [None, None]
+        alive, component = np.array([True, k < 2]), np.array([0, 0 if k < 2 else -1])
+        leg, target, count = int(k >= 2), np.array([1, 0 if k < 2 else -1]), np.array([2, 2])
+        flown = float(k), position, velocity, alive, component, control, applied
+        found.append(ReconfigurationFrame(*flown, leg, target, count, *seen, events[k]))
+    return found
 
 
 def run_of(
     collected: list[ReconfigurationFrame], flown: Reconfiguration | None = None, **about: object
 ) -> Run:
-    flown = flown or mission()
+    flown = flown or FLOWN
     drawn = flown.draw(np.random.default_rng(7))
     return record_run(SYSTEM, collected, drawn, flown, **({"name": "tiny", "seed": 7} | about))
 
@@ -103,7 +95,7 @@ def test_every_variable_has_a_unit_and_a_long_name(rng, tmp_path):
 def test_attributes_hold_scenario_seed_and_limits(run, tmp_path):
     run.save(tmp_path)
     said = load(tmp_path).data.attrs
-    assert sato.parse(said["scenario"]) == mission()
+    assert sato.parse(said["scenario"]) == FLOWN
     assert (said["system"], said["name"], said["seed"]) == ("reconfiguration", "tiny", 7)
     assert (said["comm_radius_m"], said["collision_radius_m"]) == (4.0, 0.5)
     assert (said["max_control_m_s2"], said["max_speed_m_s"]) == (5.0, 3.0)
@@ -128,18 +120,15 @@ PLANTS = {
 def run_in_orbit(rng: np.random.Generator, plant: str) -> Run:
     states = np.zeros((3, 6))
     states[:, 0] = [0.0, 1.0, 2.0]
-    orbit = mission(
+    orbit = replace(
+        FLOWN,
         model=ClohessyWiltshire.from_orbit(ORBIT),
         plant=PLANTS[plant],
         start=states[:2],
         legs=(Leg(states[:2], steps=2), Leg(states, steps=1)),
         margin=0.0,
     )
-    in_space = [
-        f._replace(**{n: rng.normal(size=(2, 3)) for n in ("position", "velocity", "control")})
-        for f in frames(rng)
-    ]
-    return run_of([f._replace(applied_control=f.control) for f in in_space], orbit)
+    return run_of(frames(rng, axes=3), orbit)
 
 
 @pytest.mark.parametrize("plant", ["inertial", "model"])
@@ -248,9 +237,9 @@ def test_numbers_that_json_cannot_hold_are_null(run, tmp_path):
 
 def test_run_of_another_mission_is_refused(run, tmp_path):
     run.save(tmp_path)
-    assert load(tmp_path, mission()).mission == mission()
+    assert load(tmp_path, FLOWN).mission == FLOWN
     with pytest.raises(RunFileError, match="of another mission"):
-        load(tmp_path, mission(max_speed=2.0))
+        load(tmp_path, replace(FLOWN, max_speed=2.0))
 
 
 def test_numpy_values_are_written_as_plain_json():
