@@ -11,14 +11,7 @@ from numpy import ndarray as Array
 
 from sato.connectivity.check import ConnectivityRecord
 from sato.connectivity.obstacles import Obstacles
-from sato.figures.axes import (
-    AxisBounds,
-    add_legend,
-    add_titles,
-    draw_ends,
-    draw_paths,
-    set_axis_bounds,
-)
+from sato.figures.axes import AxisBounds, add_axes, add_legend, add_titles, draw_ends, draw_paths
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, GREEN, LIGHT_GRAY, ORANGE, PURPLE, RED, SKY
 
 DOT_INTERVAL = 5.0  # between dots on a trajectory, as in the paper [s]
@@ -40,12 +33,11 @@ def plot_trajectories(record: ConnectivityRecord) -> Figure:
     points = frames.position, mission.stick.waypoints
     space = AxisBounds.enclosing(("x", "y", "z"), *points, margin=margin)
     flat = AxisBounds(space.low[:2], space.high[:2], space.labels[:2])
-    figure = Figure(figsize=(10.4, 5.4))  # automatic layouts misjudge the size of 3D axes
-    deep: Any = figure.add_axes((0.0, 0.12, 0.54, 0.82), projection="3d", computed_zorder=False)
-    above: Any = figure.add_axes((0.61, 0.22, 0.37, 0.7))
-    set_axis_bounds(deep, space)
+    figure = Figure(figsize=(10.4, 5.4))
+    figure.set_layout_engine("constrained", wspace=0.15, h_pad=0.3)  # for the labels in space
+    deep, above = add_axes(figure, space, (1, 2, 1)), add_axes(figure, flat, (1, 2, 2))
+    deep.computed_zorder = False
     draw_obstacles_3d(deep, obstacles, space)
-    set_axis_bounds(above, flat)
     height = float(frames.position[-1, :, 2].mean())
     draw_obstacles_from_above(above, obstacles, space, height)
     _draw_fields_of_view(above, record)
