@@ -128,9 +128,11 @@ def test_eigenvalue_figure_shows_recorded_and_estimated_values(variant):
     assert low == 0 and high >= max(frames.lambda2.max(), limits.lambda2_max)
 
 
-def test_two_robots_have_no_third_eigenvalue():
-    ax = shown("connectivity", "two").axes[0]
-    assert "λ$_3$, true" not in [one.get_label() for one in ax.lines]
+def test_two_robots_alone_have_neither_third_eigenvalue_nor_obstacles():
+    labels = [one.get_label() for one in shown("connectivity", "two").axes[0].lines]
+    assert "λ$_2$, true" in labels and "λ$_3$, true" not in labels
+    [ax] = shown("distances", "two").axes
+    assert ax.get_ylabel() == "to another robot [m]"
 
 
 def test_splits_and_losses_are_marked_in_every_panel():
@@ -206,11 +208,6 @@ def test_distances_are_the_least_by_brute_force():
     limits = {"least,\n1 m": between.min_distance, "repulsion begins,\n3.5 m": between.max_distance}
     for ax in axes:
         assert {t.get_text(): t.xy[1] for t in ax.texts} == limits
-
-
-def test_without_obstacles_no_distance_to_them_is_drawn():
-    [ax] = shown("distances", "two").axes
-    assert ax.get_ylabel() == "to another robot [m]"
 
 
 def test_lost_robots_are_not_nearest_neighbors():

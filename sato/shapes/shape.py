@@ -60,11 +60,11 @@ class Shape(Definition):
             raise InputError("", f"a shape needs at least one target, got count = {count}")
         with errors_in(""):
             drawn = self._draw_to_scale(count, axes, min_distance)
-        if drawn.shape[1] > axes:
-            found = f"has {drawn.shape[1]} coordinates per point"
-            raise InputError("", f"{found}, and the model has {axes} axes")
+        d = drawn.shape[1]
+        if d > axes:
+            raise InputError("", f"has {d} coordinates per point, and the model has {axes} axes")
         placed = np.tile(center_in(self.center, axes), (count, 1))
-        placed[:, : drawn.shape[1]] += drawn
+        placed[:, :d] += drawn
         return placed
 
     def place_velocities(self, count: int, axes: int) -> Float[Array, "count axes"] | None:
