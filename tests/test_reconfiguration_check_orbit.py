@@ -90,11 +90,6 @@ def disturbed():
     return recorded(DISTURBED, list(simulate(DISTURBED, np.random.default_rng(8))))
 
 
-def test_unaltered_run_on_another_plant_keeps_all_promises(flown):
-    report = check(flown)
-    assert report.kept, report.broken
-
-
 @pytest.mark.parametrize("model", [EXACT, CIRCLE], ids=["J2", "circle"])
 def test_closed_loop_run_keeps_all_promises(model):
     about = mission(model=model, position_tolerance=5.0, velocity_tolerance=0.1)
@@ -119,14 +114,12 @@ def test_altered_state_or_control_is_found(flown, name):
     for k, axis in product((0, 1, 3, last), range(3)):
         record = record_of(altered(flown, name, (k, 1, axis), by=by))
         _, applied = redraw_disturbances(record, np.random.default_rng(0))
-        is_command = name == "control"
-        promise = (
-            check_applied_control(record, applied) if is_command else check_propagation(record)
-        )
-        assert not promise.kept, (k, axis)
+        promises = check_applied_control(record, applied), check_propagation(record)
+        assert not all(promise.kept for promise in promises), (k, axis)
 
 
 def test_both_controls_altered_together_are_found(flown):
+    assert broken(flown) == set()
     by = 1e-6 * float(flown.data["control"][2, 0, 1])
     assert broken(altered(flown, "control applied_control", (2, 0, 1), by=by)) == {"flight"}
 
