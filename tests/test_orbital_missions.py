@@ -130,11 +130,8 @@ def test_velocities_are_those_of_the_time_of_join_or_arrival():
     join = "{agents=2,at_step=5,start={kind='points',positions_m=[[1500,0,0],[0,1900,0]]}}"
     ring = "{kind='ring',radius_km=1}"
     tilted = "{kind='ring',radius_km=1,normal=[-0.5,0,1]}"
-    scenario = few(
-        "chief.eccentricity=0.05",
-        "chief.anomaly_deg=-100",
-        f"leg=[{{shape={ring},steps=24}},{{shape={tilted},steps=30,join={join}}}]",
-    )
+    legs = f"leg=[{{shape={ring},steps=24}},{{shape={tilted},steps=30,join={join}}}]"
+    scenario = few("chief.eccentricity=0.05", "chief.anomaly_deg=-100", legs)
     mission, orbit = scenario.draw(np.random.default_rng(0)), scenario.chief.orbit
     at = [(mission.initial_states[:4], 0), (mission.initial_states[4:], 29)]
     at += [(mission.legs[0].targets, 24), (mission.legs[1].targets, 54)]
@@ -144,15 +141,9 @@ def test_velocities_are_those_of_the_time_of_join_or_arrival():
     assert np.ptp(mission.legs[1].targets[:, 2]) > 500
 
 
-@pytest.mark.parametrize("name", ["orbit", "eccentric", "orbit200"])
-def test_planar_scenarios_stay_in_the_orbital_plane(name):
-    mission = builtin(name)
-    assert not mission.initial_states[:, 2].any()
-    assert not mission.legs[0].targets[:, 2].any()
-
-
 def test_depth_bounds_the_third_axis_alone():
-    mission = builtin("orbit3d")
+    mission, flat = builtin("orbit3d"), builtin("orbit")
+    assert not flat.initial_states[:, 2].any() and not flat.legs[0].targets[:, 2].any()
     assert np.abs(mission.initial_states[:, :2]).max() > 1000
     assert 400 < np.abs(mission.initial_states[:, 2]).max() <= 500
     assert np.ptp(mission.legs[0].targets[:, 2]) > 500
@@ -180,9 +171,8 @@ def test_model_and_plant_are_as_the_tables_say():
     planned = drawn("plant.kind=model")
     assert isinstance(planned.flown_plant, LinearPlant)
     assert planned.nonlinear_model is None
-    np.testing.assert_array_equal(
-        planned.flown_plant.chief_elements(60.0), planned.flown_plant.chief_orbit.elements_at(60.0)
-    )
+    plant = planned.flown_plant
+    np.testing.assert_array_equal(plant.chief_elements(60.0), plant.chief_orbit.elements_at(60.0))
     assert isinstance(read("uiuc").draw(np.random.default_rng(0)).flown_plant, LinearPlant)
 
 
@@ -196,17 +186,11 @@ def test_disturbed_motion_is_replanned_every_step_by_default():
 
 
 def test_chief_has_its_classical_elements():
-    orbit = few(
-        "chief.eccentricity=0.02",
-        "chief.node_deg=10",
-        "chief.perigee_deg=20",
-        "chief.anomaly_deg=30",
-    ).chief.orbit
-    assert orbit.semi_major_axis == pytest.approx(6878e3)
-    assert orbit.eccentricity == pytest.approx(0.02)
-    assert np.degrees([orbit.inclination, orbit.raan, orbit.arg_latitude]) == pytest.approx(
-        [45, 10, 50]
-    )
+    angles = "chief.node_deg=10", "chief.perigee_deg=20", "chief.anomaly_deg=30"
+    orbit = few("chief.eccentricity=0.02", *angles).chief.orbit
+    assert (orbit.semi_major_axis, orbit.eccentricity) == pytest.approx((6878e3, 0.02))
+    found = np.degrees([orbit.inclination, orbit.raan, orbit.arg_latitude])
+    assert found == pytest.approx([45, 10, 50])
     # Period of a circular orbit at 6878 km: 94.6 min [Vallado2013, sec. 1.3].
     assert few().chief.orbit.period / 60 == pytest.approx(94.6, abs=0.05)
 
@@ -253,29 +237,20 @@ def test_drag_uses_the_air_at_the_perigee_by_default():
     assert plant.atmosphere == Atmosphere.from_altitude(6878e3 - EARTH_RADIUS)
     np.testing.assert_array_equal(plant.ballistic_coefficient, 0.01)
     assert plant.chief_ballistic_coefficient == 0.01
-    thin = drawn(
-        *DRAG,
-        "plant.density_kg_m3=1e-13",
-        "plant.altitude_km=600",
-        "plant.scale_height_km=70",
-        "plant.chief_ballistic_m2_kg=0.02",
-    ).flown_plant
+    air = "plant.density_kg_m3=1e-13", "plant.altitude_km=600", "plant.scale_height_km=70"
+    thin = drawn(*DRAG, *air, "plant.chief_ballistic_m2_kg=0.02").flown_plant
     assert thin.atmosphere == Atmosphere(1e-13, 600e3, 70e3)
     assert thin.chief_ballistic_coefficient == 0.02
 
 
 def test_ballistic_coefficients_are_drawn_after_the_starts():
     spread = (*DRAG, "plant.ballistic_spread=0.2")
-    first, again, other = (drawn(*spread, seed=seed) for seed in (3, 3, 4))
-    np.testing.assert_array_equal(
-        first.flown_plant.ballistic_coefficient, again.flown_plant.ballistic_coefficient
-    )
-    assert not np.array_equal(
-        first.flown_plant.ballistic_coefficient, other.flown_plant.ballistic_coefficient
-    )
-    assert np.abs(first.flown_plant.ballistic_coefficient / 0.01 - 1).max() <= 0.2
-    assert np.ptp(first.flown_plant.ballistic_coefficient) > 0
-    np.testing.assert_array_equal(first.initial_states, drawn(seed=3).initial_states)
+    missions = [drawn(*spread, seed=seed) for seed in (3, 3, 4)]
+    first, again, other = (mission.flown_plant.ballistic_coefficient for mission in missions)
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+    assert np.abs(first / 0.01 - 1).max() <= 0.2 and np.ptp(first) > 0
+    np.testing.assert_array_equal(missions[0].initial_states, drawn(seed=3).initial_states)
 
 
 # The margin.
@@ -316,17 +291,12 @@ def test_margin_is_twice_the_model_error_until_the_next_plan():
         ({"velocity_noise": 0.01}, 0.01 * 120),
         ({"thrust_error": 0.05, "pointing_error": 0.02}, 0.01 * 0.07 * 120**2 / 2),
         ({"disturbance": 1e-4}, 1e-4 * 120**2 / 2),
+        ({"position_noise": 1.0, "velocity_noise": 0.05}, np.hypot(1.0, 6.0)),
     ],
 )
 def test_margin_has_five_sigmas_of_random_errors(noise, each):
     calm = drawn("plant.kind=model", "replan_steps=2")
     assert compute_margin(replace(calm, **noise)) == pytest.approx(5 * 2**0.5 * each)
-
-
-def test_variances_of_independent_noise_add_up():
-    mission = drawn("plant.kind=model", "replan_steps=1")
-    both = compute_margin(replace(mission, position_noise=1.0, velocity_noise=0.05))
-    assert both == pytest.approx(5 * np.sqrt(2 * (1 + 9)))
 
 
 def test_margin_beyond_the_target_spacing_is_refused_with_a_cure():
@@ -471,28 +441,19 @@ def test_bad_input_is_refused_by_its_key(overrides, words):
     assert words in refusal(*overrides.split())
 
 
-@pytest.mark.parametrize("kind", MODELS)
-def test_orbital_model_without_a_chief_is_refused_with_a_cure(kind):
-    said = refusal(f"model.kind={kind}", name="uiuc")
-    assert said == (
-        f'uiuc: model.kind: "{kind}" is motion about an orbit, and this mission has '
-        "none; a [chief] with semi_major_axis_km = 6878, say, and a swarm in space would do, as "
-        'the scenario orbit has them, or here kind = "double_integrator"'
-    )
-
-
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
-        (
-            ["plant.kind=inertial"],
-            "plant.kind: takes place about the Earth, and this mission has no",
-        ),
+        (["plant.kind=inertial"], "plant.kind: takes place about the Earth, and this mission has"),
         (DRAG, "plant.drag: takes place about the Earth, and this mission has no [chief]"),
         (["depth_m=1"], "swarm.start.depth_m: needs a model in space"),
+        *(
+            (f"model.kind={k}".split(), f'model.kind: "{k}" is motion about an orbit')
+            for k in MODELS
+        ),
     ],
 )
-def test_orbital_plant_or_depth_is_refused_in_the_plane(overrides, words):
+def test_orbital_motion_or_depth_is_refused_in_the_plane(overrides, words):
     assert words in refusal(*overrides, name="random")
 
 
@@ -517,9 +478,7 @@ def test_proposed_anomaly_allows_points_out_of_the_plane():
     assert re.search(r"leg.0.shape: target \d+ has to be reached at [\d.]+ m/s, faster", said)
     drawn(tilted, f"chief.anomaly_deg={cure(said, 'chief.anomaly_deg')}")
     by_state = f"chief={{position_km=[0,0,6878],velocity_m_s=[{(EARTH_MU / 6878e3) ** 0.5},0,0]}}"
-    assert "another start along the orbit would do, or positions in the plane" in refusal(
-        *high, by_state
-    )
+    assert "another start along the orbit would do" in refusal(*high, by_state)
 
 
 @pytest.mark.parametrize("weak", ["max_control_mm_s2=0.5", "max_control_mm_s2=0.1"])
@@ -527,28 +486,7 @@ def test_proposed_thrust_and_time_suffice(weak):
     said = refusal(weak)
     thrust = cure(said, r"model\.max_control_m_s2")
     drawn(f"max_control_m_s2={thrust}")
-    assert "can reach none" in refusal(f"max_control_m_s2={0.98 * float(thrust)}") or (
-        "is left without" in refusal(f"max_control_m_s2={0.98 * float(thrust)}")
-    )
+    weaker = refusal(f"max_control_m_s2={0.98 * float(thrust)}")
+    assert "can reach none" in weaker or "is left without" in weaker
     if "leg.0.steps: agent" in said and " steps = " in said:
         drawn(weak, f"leg.0.steps={cure(said, ' steps')}")
-
-
-@pytest.mark.parametrize(
-    "overrides",
-    [
-        [],
-        [*DRAG, "plant.ballistic_spread=0.2"],
-        ["chief.eccentricity=0.02", "chief.anomaly_deg=30", "margin_m=3", "freeze_steps=2"],
-        ["plant.kind=model", "model.kind=eccentric", "disturbance.thrust=0.01"],
-    ],
-)
-def test_orbital_scenario_equals_itself_read_from_its_file(overrides):
-    scenario = few(*overrides)
-    again = parse(scenario.to_toml())
-    assert again == scenario
-    one, other = (s.draw(np.random.default_rng(5)) for s in (scenario, again))
-    np.testing.assert_array_equal(one.initial_states, other.initial_states)
-    np.testing.assert_array_equal(one.legs[0].targets, other.legs[0].targets)
-    assert (one.margin, one.position_tolerance) == (other.margin, other.position_tolerance)
-    assert type(one.flown_plant) is type(other.flown_plant)
