@@ -28,14 +28,10 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
     """
     demand = feasibility.target_demand(mission)
     times = _leg_times(mission)
-    targets = [
-        _draw_targets(mission, k, leg, demand[k], times[k + 1])
-        for k, leg in enumerate(mission.legs)
-    ]
-    nobody = np.empty((0, mission.axes))
-    start = _draw_start(
-        mission, "swarm.start", mission.start, mission.agent_count, nobody, 0.0, rng
-    )
+    each = zip(mission.legs, demand, times[1:], strict=True)
+    targets = [_draw_targets(mission, k, *leg) for k, leg in enumerate(each)]
+    nobody, count = np.empty((0, mission.axes)), mission.agent_count
+    start = _draw_start(mission, "swarm.start", mission.start, count, nobody, 0.0, rng)
     states, legs = start, []
     for k, leg in enumerate(mission.legs):
         # States of agents that are known to those that join when the leg begins.

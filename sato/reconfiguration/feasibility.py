@@ -5,7 +5,7 @@ from math import degrees, floor, inf, pi
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 from numpy import ndarray as Array
 
 from sato.scenario.errors import InputError, join_names, round_down, round_up
@@ -175,14 +175,14 @@ def check_reach(mission: "Reconfiguration") -> None:
         return
     pairs = len(mission.initial_states) * len(mission.legs[0].targets)
     longest = min(MAX_TIME_FACTOR * steps, MAX_PAIRS_TIMES_STEPS // pairs)
-    time = _find_least(
-        lambda value: _find_stranded(mission, int(value), control) is None, steps, longest
-    )
+
+    def is_enough(steps: float, control: float) -> bool:
+        return _find_stranded(mission, int(steps), control) is None
+
+    time = _find_least(lambda value: is_enough(value, control), steps, longest)
+    strongest = MAX_CONTROL_FACTOR * control
     strength = _find_least(
-        lambda value: _find_stranded(mission, steps, value) is None,
-        control,
-        MAX_CONTROL_FACTOR * control,
-        CONTROL_PRECISION,
+        lambda value: is_enough(steps, value), control, strongest, CONTROL_PRECISION
     )
     cures = [f"steps = {time}"] if time else []
     cures += [f"model.max_control_m_s2 = {round_up(strength)}"] if strength else []
@@ -213,8 +213,7 @@ def _find_stranded(mission: "Reconfiguration", steps: int, max_control: float) -
 
     live, spare = _starting(mission)
     wanted = max(mission.target_count or 0, len(live) - spare)
-    targets = mission.legs[0].targets[:wanted]
-    reachable = _reachable(mission, mission.initial_states[live], targets, steps, max_control)
+    reachable = _reachable(mission, live, wanted, steps, max_control)
     none = live[~reachable.any(axis=1)]
     if len(none) > spare:
         return f"agent {none[0]} can reach none of its targets"
@@ -236,45 +235,31 @@ def _starting(mission: "Reconfiguration") -> tuple[Int[Array, " live"], int]:
 
 
 def _reachable(
-    mission: "Reconfiguration",
-    start: Float[Array, "k n"],
-    targets: Float[Array, "m n"],
-    steps: int,
-    max_control: float,
-) -> Bool[Array, "k m"]:
+    mission: "Reconfiguration", agents: Int[Array, " k"], wanted: int, steps: int, control: float
+) -> Bool[Array, "k wanted"]:
     # The box of r = ∞ contains the balls of the other norms: out of its reach is out of theirs.
-    d, h, is_point_mass = mission.axes, mission.step, mission.is_point_mass
-    if not is_point_mass or start[:, d:].any() or targets[:, d:].any():
+    start, targets = mission.initial_states[agents], mission.legs[0].targets[:wanted]
+    d, h, V = mission.axes, mission.step, mission.max_speed
+    at_rest = ~start[:, d:].any(axis=1, keepdims=True)
+    way = np.abs(targets[None, :, :d] - start[:, None, :d])
+    if mission.is_point_mass and at_rest.all() and not targets[:, d:].any():
+        # On each axis forwards for half of the time, then backwards.
+        farthest = control * h**2 * (steps**2 // 4)
+        reachable = way.max(axis=2) <= farthest * (1 + 1e-9)
+    else:
         from dynamics.discretize import discretize_zoh
         from problems.auction_cost import compute_transfer_costs
         from problems.transfer import TransferProblem
 
-        transfer = TransferProblem(discretize_zoh(mission.linear_model, h, steps), max_control)
+        transfer = TransferProblem(discretize_zoh(mission.linear_model, h, steps), control)
         reachable = compute_transfer_costs(transfer, start, targets).is_reachable
-    else:  # from rest to rest: on each axis half of the time forwards, then backwards
-        way = np.abs(targets[None, :, :d] - start[:, None, :d]).max(axis=2)
-        reachable = way <= max_control * h**2 * (steps**2 // 4) * (1 + 1e-9)
-    if is_point_mass and mission.max_speed < inf:
-        reachable = reachable & (
-            _least_time(mission, start, targets, max_control) <= steps * h * (1 + 1e-9)
-        )
+    if mission.is_point_mass and V < inf:
+        # Along the straight line to the target, a point that is no faster than V and, where it
+        # starts at rest, no stronger than the box is in that direction: a bound from below.
+        far = np.linalg.norm(way, axis=2)
+        strength = np.where(far > 0, control * way.sum(axis=2) / np.where(far > 0, far, 1.0), 1.0)
+        at_full_speed = far / V + V / strength
+        trapezium = np.where(far * strength >= V**2, at_full_speed, 2 * np.sqrt(far / strength))
+        least_time = np.where(at_rest, trapezium, far / V)
+        reachable = reachable & (least_time <= steps * h * (1 + 1e-9))
     return np.asarray(reachable)
-
-
-def _least_time(
-    mission: "Reconfiguration",
-    start: Float[Array, "k n"],
-    targets: Float[Array, "m n"],
-    max_control: float,
-) -> Float[Array, "k m"]:
-    # Along the straight line to the target, a point that is no faster than V and, where it
-    # starts at rest, no stronger than the box is in that direction: a bound from below.
-    d, V = mission.axes, mission.max_speed
-    way = targets[None, :, :d] - start[:, None, :d]
-    far = np.linalg.norm(way, axis=2)
-    strength = max_control * np.abs(way).sum(axis=2) / np.where(far > 0, far, 1.0)
-    strength = np.where(far > 0, strength, 1.0)
-    at_full_speed = far / V + V / strength
-    trapezium = np.where(far * strength >= V**2, at_full_speed, 2 * np.sqrt(far / strength))
-    at_rest = ~start[:, None, d:].any(axis=2)
-    return np.asarray(np.where(at_rest, trapezium, far / V))
