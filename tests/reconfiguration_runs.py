@@ -3,6 +3,7 @@
 import numpy as np
 
 from dynamics import DoubleIntegrator
+from dynamics.trajectory_geometry import separations
 from sato.reconfiguration.loop import simulate
 from sato.reconfiguration.mission import Leg, Reconfiguration
 from sato.shapes.shape import Points
@@ -50,3 +51,15 @@ def make_mission(start, *legs, **changes):
 def fly(mission, seed=0):
     """All frames of a flight."""
     return list(simulate(mission, np.random.default_rng(seed)))
+
+
+def min_separation(mission, frames, pieces=1):
+    """Least separation along the trajectories, each step divided into pieces."""
+    x = np.array([np.concatenate([f.position, f.velocity], axis=1) for f in frames])
+    u = np.nan_to_num([f.applied_control for f in frames[:-1]])
+    alive = np.array([f.alive for f in frames])
+    plant, h, d = mission.flown_plant, mission.step, mission.axes
+    fine = [plant.propagate(x[k], u[k], k * h, h, pieces)[:-1] for k in range(len(u))]
+    x = np.concatenate([*fine, x[-1:]])
+    alive = np.concatenate([np.repeat(alive[:-1], pieces, axis=0), alive[-1:]])
+    return separations(x[..., :d], x[..., d:], alive, h / pieces).minimum.distance

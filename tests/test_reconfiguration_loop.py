@@ -5,10 +5,9 @@ from itertools import islice, pairwise
 
 import numpy as np
 import pytest
-from reconfiguration_runs import at_rest, fly, leg_to, make_mission, row
+from reconfiguration_runs import at_rest, fly, leg_to, make_mission, min_separation, row
 
 from dynamics import ClohessyWiltshire, DoubleIntegrator, LinearModel, discretize_zoh
-from dynamics.trajectory_geometry import separations
 from problems.transfer import TransferProblem
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.loop import simulate
@@ -34,18 +33,6 @@ def assert_reached(mission, frames, tolerance=1e-9):
         states = np.concatenate([frame.position, frame.velocity], axis=1)[live]
         targets = mission.legs[end["leg"]].targets[held]
         np.testing.assert_allclose(states, targets, atol=tolerance)
-
-
-def min_separation(mission, frames, pieces=1):
-    """Least separation along the trajectories, each step divided into pieces."""
-    x = np.array([np.concatenate([f.position, f.velocity], axis=1) for f in frames])
-    u = np.nan_to_num([f.applied_control for f in frames[:-1]])
-    alive = np.array([f.alive for f in frames])
-    plant, h, d = mission.flown_plant, mission.step, mission.axes
-    fine = [plant.propagate(x[k], u[k], k * h, h, pieces)[:-1] for k in range(len(u))]
-    x = np.concatenate([*fine, x[-1:]])
-    alive = np.concatenate([np.repeat(alive[:-1], pieces, axis=0), alive[-1:]])
-    return separations(x[..., :d], x[..., d:], alive, h / pieces).minimum.distance
 
 
 def gathering(count, **changes):

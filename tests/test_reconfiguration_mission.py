@@ -1,13 +1,16 @@
 """Reconfigurations as definitions: arrays, dicts and TOML mean the same, and errors name fields."""
 
 import tomllib
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
 from numpy.ma import masked_array
 
 import sato
-from dynamics import J2, ClohessyWiltshire, DoubleIntegrator, Orbit
+from dynamics import J2, ClohessyWiltshire, DoubleIntegrator, Orbit, discretize_zoh
+from problems.auction_cost import compute_transfer_costs
+from problems.transfer import TransferProblem
 from sato.reconfiguration.mission import Join, Leg, Loss, Reconfiguration
 from sato.reconfiguration.models import OrbitalModel, PlantSettings, PointMass
 from sato.reconfiguration.orbit import Chief
@@ -273,3 +276,17 @@ def test_velocities_need_the_shape_of_the_positions():
 def test_plant_is_known_once_the_mission_is_drawn():
     with pytest.raises(ValueError, match="known once the mission is drawn"):
         tiny().flown_plant  # noqa: B018
+
+
+@pytest.mark.parametrize("steps", [2, 7, 8])
+def test_reach_from_rest_to_rest_is_that_of_the_transfer_problem(steps, rng):
+    start, target = np.zeros((1, 4)), np.array([[1.0, 0.6, 0.0, 0.0]])
+    model = discretize_zoh(DoubleIntegrator(2), 1.0, steps)
+    free = {"max_speed": np.inf, "allow_undetectable": True, "legs": Leg(target, steps)}
+    for factor, is_enough in ((1.001, True), (0.999, False)):
+        control = factor / (steps**2 // 4)
+        transfer = TransferProblem(model, control)
+        assert compute_transfer_costs(transfer, start, target).is_reachable.all() == is_enough
+        mission = tiny(start=start, max_control=control, **free)
+        with nullcontext() if is_enough else pytest.raises(InputError, match="can reach none"):
+            mission.draw(rng)

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from reconfiguration_runs import fly, leg_to, make_mission
+from reconfiguration_runs import fly, leg_to, make_mission, min_separation
 
 from dynamics import J2, Atmosphere, InertialPlant, LinearizedModel, Orbit, invariant_velocity
-from dynamics.trajectory_geometry import separations
 from sato.reconfiguration.disturbances import apply_thruster_errors
 from sato.reconfiguration.planning import make_horizon
 
@@ -58,23 +57,12 @@ def arrival_error(mission, frames):
     return np.linalg.norm(error[:, :3], axis=1), np.linalg.norm(error[:, 3:], axis=1)
 
 
-def min_separation(mission, frames):
-    """Least separation on the plant, every second."""
-    least = np.inf
-    for frame in frames[:-1]:
-        x = np.hstack([frame.position, frame.velocity])
-        y = mission.flown_plant.propagate(x, frame.applied_control, frame.time, STEP, 60)
-        alive = np.ones(y.shape[:2], dtype=bool)
-        least = min(least, separations(y[..., :3], y[..., 3:], alive, 1.0).minimum.distance)
-    return least
-
-
 def test_closed_loop_arrives_and_keeps_the_separation():
     mission = orbit_mission(START, ring(6))
     frames = fly(mission)
     distance, speed = arrival_error(mission, frames)
     assert distance.max() <= 1e-3 and speed.max() <= 1e-5
-    assert min_separation(mission, frames) >= RADIUS
+    assert min_separation(mission, frames, pieces=60) >= RADIUS
     assert len(set(frames[-1].target_index)) == 6
 
 
