@@ -119,7 +119,7 @@ def _design_axes(
         L, Y = _solve(problem, used, tolerance)
         if method == "auto" and len(L) <= SDP_MAX_AGENTS:
             (L, Y), used = _improve_with_sdp(problem, GainSolution(L, Y), tolerance)
-        L = problem.project((L + L.conj().T) / 2).L
+        L = problem.project(L).L
     except NoGainMatrix as none:
         raise NoStabilizingGain(formation, axes, none.dual) from none
     rate, bound = problem.convergence_rate(L), problem.rate_bound(Y)

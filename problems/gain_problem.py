@@ -91,12 +91,12 @@ class GainProblem:
         return np.asarray(null_space(self.kernel.conj().T))
 
     def project(self, W: Inexact[Array, "n n"]) -> GainSolution:
-        """Find the nearest Hermitian L with L K = 0, tr L = m and zeros at the non-edges.
+        """Find the Hermitian L nearest to W with L K = 0, tr L = m and zeros at the non-edges.
 
         Raises:
             NoGainMatrix: No matrix satisfies these equations.
         """
-        kept, dropped = self._project_without_trace(W)
+        kept, dropped = self._project_without_trace((W + W.conj().T) / 2)
         direction, rest = self.trace_direction
         deficit = (self.m - kept.trace().real) / direction.trace().real
         return GainSolution(kept + deficit * direction, dropped + deficit * rest)
@@ -165,7 +165,7 @@ class GainProblem:
             if np.linalg.norm(residual) <= ROUNDOFF * size:
                 break
             half = self._multiplier(residual) @ K.conj().T
-            W = W - half - half.conj().T
+            W = W - (half + half.conj().T)
         return np.where(self._allowed_entries, W, 0), np.where(self._allowed_entries, 0, W)
 
     def _multiplier(self, residual: Array) -> Array:

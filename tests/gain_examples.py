@@ -63,6 +63,6 @@ def problems_of(formation):
 
 def assert_satisfies_equations(problem, L):
     assert np.abs(L - L.conj().T).max() <= 1e-12
-    assert np.abs(L @ problem.kernel).max() <= 1e-10
+    assert np.abs(L @ problem.kernel).max() <= 1e-12
     assert np.abs(L[~problem.graph & complete(len(L))]).max(initial=0) <= 1e-12
     assert abs(np.trace(L).real - problem.m) <= 1e-9 * problem.m
