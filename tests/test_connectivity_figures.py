@@ -14,7 +14,6 @@ from recorded_run import record_run
 
 from problems.interaction_graph import interaction_graph
 from sato.connectivity.check import ConnectivityRecord
-from sato.connectivity.check.recorded import nearest_agent_distance
 from sato.connectivity.controller import evaluate_potential, negative_slope, repulsion_gain
 from sato.connectivity.figures import FIGURES
 from sato.connectivity.figures.time_series import (
@@ -208,13 +207,6 @@ def test_distances_are_the_least_by_brute_force():
     limits = {"least,\n1 m": between.min_distance, "repulsion begins,\n3.5 m": between.max_distance}
     for ax in axes:
         assert {t.get_text(): t.xy[1] for t in ax.texts} == limits
-
-
-def test_lost_robots_are_not_nearest_neighbors():
-    there = np.zeros((1, 3, 3))
-    there[0, :, 0] = [0, 1, 3]
-    there[0, 1] = np.nan
-    np.testing.assert_array_equal(nearest_agent_distance(there), [[3, np.nan, 3]])
 
 
 @pytest.mark.parametrize("variant", ["six", "lost", "recorded", "thirty"])

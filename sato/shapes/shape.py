@@ -80,8 +80,7 @@ class Shape(Definition):
         """Return the same shape with the contents of its files."""
         if not self.uses_files:
             return self
-        velocities = self.place_velocities(count, axes)
-        return Points(self.place(count, axes), velocities, keep_order=True)
+        return Points(self.place(count, axes), self.place_velocities(count, axes), keep_order=True)
 
     def _draw_to_scale(self, count: int, axes: int, needed: float) -> Float[Array, "count d"]:
         # Positions about the origin, or where an absolute shape is drawn if there is no center.
@@ -119,8 +118,7 @@ def center_in(given: tuple[float, ...] | None, axes: int) -> Float[Array, " axes
     Raises:
         InputError: It has the wrong number of coordinates.
     """
-    if given is None:
-        return np.zeros(axes)
+    given = given or (0.0, 0.0)
     if len(given) not in (2, axes):
         raise InputError("center_m", f"needs {axes} coordinates, got {len(given)}")
     return np.array([*given, 0.0, 0.0][:axes])
@@ -155,8 +153,7 @@ class Points(Shape):
 
     def draw(self, count: int, axes: int) -> Drawing:
         """Take the first points of the order."""
-        listed = self.positions if self.file is None else read_points(Path(self.file))
-        listed = np.asarray(listed)
+        listed = np.asarray(read_points(Path(self.file)) if self.file else self.positions)
         middle = (listed.min(axis=0) + listed.max(axis=0)) / 2
         if self.file is None and not self.spacing and not self.center:
             middle = np.zeros_like(middle)  # the points stay what they are to the last bit
@@ -169,9 +166,8 @@ class Points(Shape):
         if self.positions is None and (len(self.velocities) < count or not self.keep_order):
             raise InputError("velocities_m_s", f"needs {count} rows in the order of the file")
         order = self._order(self.velocities if self.positions is None else self.positions, count)
-        placed = np.zeros((count, axes))
-        placed[:, : self.velocities.shape[1]] = self.velocities[order]
-        return placed
+        moving = self.velocities[order]
+        return np.pad(moving, ((0, 0), (0, axes - moving.shape[1])))
 
     def _order(self, listed: Float[Array, "k d"], count: int) -> Int[Array, " count"]:
         if len(listed) < count:
