@@ -1,13 +1,10 @@
 """Connectivity missions as definitions: defaults, random draws, refusals and round trips."""
 
-import json
 import re
 
 import numpy as np
 import pytest
-from test_cli import call, sentence
 
-import sato
 from dynamics.kinematic import KinematicVehicle
 from dynamics.quadrotor import Quadrotor
 from problems.interaction_graph import Camera, algebraic_connectivity, interaction_graph
@@ -106,19 +103,6 @@ def test_drawn_obstacles_are_clear_of_starts_and_spaced_waypoints():
     assert obstacles.total == 25
     assert obstacle_distances(mission.initial_position, obstacles).min() > 1.5
     assert obstacle_distances(ways[1:], obstacles).min() > 1.8
-
-
-def test_obstacles_are_spheres_boxes_and_planes():
-    obstacles = drawn(
-        "agents=2", PAIR,
-        'obstacle=[{kind="plane", normal=[0, 0, 2], through_m=[7, 7, 0.5]}, '
-        '{kind="sphere", center_m=[0, 9, 2], radius_m=1}, '
-        '{kind="box", low_m=[8, -1, 0], high_m=[9, 1, 4]}]',
-    ).obstacle_arrays  # fmt: skip
-    places = np.array([[0, 0, 2], [0, 9, 2.5], [8.5, 0, 2], [0, -4, 5], [7, 2, 2]])
-    expected = [[8, 8, 1.5], [-0.5, np.hypot(8, 8), 2], [np.hypot(8.5, 9) - 1, -0.5, 1.5]]
-    assert obstacle_distances(places, obstacles)[:3] == pytest.approx(np.array(expected))
-    assert obstacle_distances(places, obstacles)[4, 1] == pytest.approx(np.sqrt(2))
 
 
 def test_losses_are_drawn_where_robot_or_time_is_absent():
@@ -272,19 +256,3 @@ def test_fast_leader_and_slow_power_iteration_are_doubted():
     (slow,) = drawn("estimator.kind=power_pi").warnings()
     assert re.search(r"fly 6 mm from one .* limits.speed_m_s = 1.25 would do", slow)
     assert not drawn().warnings()
-
-
-def test_command_line_flies_checks_plots_and_repeats_a_scenario(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    done = call("run", "connectivity", "--set", "duration_s=3", "--out", "here", "--seed", "4")
-    assert done.exit_code == 0, done.output
-    assert done.stderr.startswith("connected at 0 s: 1 component, least separation")
-    said = json.loads((tmp_path / "here" / "summary.json").read_text())
-    assert said["success"] is True and said["broken"] == [] and said["lambda2_min"] > 0.01
-    assert call("check", "here").exit_code == 0
-    assert call("plot", "here").exit_code == 0
-    again = sato.run("connectivity", overrides=["duration_s=3"], seed=4)
-    assert again.data.attrs["digest"] == sato.load("here").data.attrs["digest"]
-    refusal = call("run", "connectivity", "--set", "d_near_m=8")
-    assert refusal.exit_code == 2
-    assert sentence(refusal).startswith("sato: connectivity: camera.d_near_m: 8 is not less than")

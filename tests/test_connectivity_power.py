@@ -134,18 +134,3 @@ def test_iteration_on_a_fixed_graph_finds_lambda2_and_its_vector(seed):
     assert (iterate.v**2).sum() == pytest.approx(size, rel=1e-6)
     felt = (iterate.v[:, None] - iterate.v) ** 2 / (6 * iterate.average[:, 1:])
     assert felt == pytest.approx(found.weight_gradient, abs=1e-6)
-
-
-def test_isolated_robot_reports_an_impossible_lambda2(rng):
-    # Means are its own: v̇ = −e₃ v³ as e₁ = e₃, so that v² = 1/(2 e₃ t) dies and e₃/e₂ is left.
-    power, nobody, time = complete_gains(PowerIterationGains(), 6), np.zeros((6, 6)), 20.0
-    assert power.deflation_gain == power.normalization_gain
-    iterate = begun(6, rng)
-    iterate = iterate_power(iterate, nobody, nobody > 0, power, round(time / power.exchange_period))
-    left = (
-        power.normalization_gain
-        / power.iteration_gain
-        * (1 - 1 / (2 * power.normalization_gain * time))
-    )
-    assert left > 6
-    assert estimate_lambda2_from_power(iterate, power) == pytest.approx(np.full(6, left), rel=1e-3)

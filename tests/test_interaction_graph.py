@@ -83,28 +83,6 @@ def test_weights_and_gradient_agree_with_the_printed_formulas():
             assert [*whole.position[i], whole.yaw[i]] == pytest.approx(slope, abs=1e-10)
 
 
-def test_lambda2_is_invariant_to_a_common_rotation_and_translation(rng):
-    position, yaw = draw_swarm(rng)
-    turn = 1.234
-    c, s = np.cos(turn), np.sin(turn)
-    elsewhere = position @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + [5, -7, 2]
-    assert lambda2(elsewhere, yaw + turn) == pytest.approx(lambda2(position, yaw), abs=1e-12)
-
-
-def test_a_batch_of_swarms_equals_each_swarm_alone(rng):
-    many = [draw_swarm(rng) for _ in range(12)]
-    position, yaw = (
-        np.array(part).reshape(3, 4, *part[0].shape) for part in zip(*many, strict=True)
-    )
-    whole, slope = interaction_graph(position, yaw, SIGHT), lambda2_gradient(position, yaw, SIGHT)
-    for k, (p, y) in enumerate(many):
-        at = np.unravel_index(k, (3, 4))
-        assert np.array_equal(whole.weights[at], interaction_graph(p, y, SIGHT).weights)
-        assert slope.position[at] == pytest.approx(
-            lambda2_gradient(p, y, SIGHT).position, abs=1e-12
-        )
-
-
 def test_coinciding_agents_have_zero_weights_and_gradient():
     position, yaw = np.zeros((3, 3)), np.zeros(3)
     assert not interaction_graph(position, yaw, SIGHT).weights.any()
