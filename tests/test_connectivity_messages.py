@@ -22,13 +22,7 @@ from sato.connectivity.controller import estimate_lambda2_from_rows, negative_sl
 from sato.connectivity.messages import exchange_messages, merge_rows
 from sato.connectivity.mission import AgentLoss, Connectivity
 from sato.connectivity.settings import CommunicationLink, Potential, Repulsion
-from sato.connectivity.state import (
-    AdjacencyRows,
-    Knowledge,
-    empty_inbox,
-    empty_measurements,
-    first_estimates,
-)
+from sato.connectivity.state import AdjacencyRows, Knowledge
 
 STEP = 0.005  # [s]
 GENTLE = Potential(strength=1e-15)  # nobody gets anywhere
@@ -131,15 +125,15 @@ class Listening:
         for pair in hidden:
             away[pair] = np.nan
         self.mission = Connectivity(agents=agents, link=link, step=STEP)
-        self.measurements = empty_measurements(agents)._replace(relative_position=away)
-        self.estimates = first_estimates(np.zeros((agents, agents)), np.random.default_rng(0))
-        self.inbox, self.messages = empty_inbox(agents), deque()
+        start = Knowledge.at_start(np.zeros((agents, agents)), np.random.default_rng(0))
+        measured = start.measurements._replace(relative_position=away)
+        self.known, self.messages = start._replace(measurements=measured), deque()
 
     def exchange(self, number, rng):
         """Exchange messages, with a velocity that says their number."""
-        said = np.full_like(self.measurements.velocity, number)
-        told = self.measurements._replace(velocity=said, yaw_rate=-said[:, 0])
-        known = Knowledge(told, self.inbox, self.estimates)
+        said = np.full((len(self.known.inbox.time), 3), float(number))
+        told = self.known.measurements._replace(velocity=said, yaw_rate=-said[:, 0])
+        known = self.known._replace(measurements=told)
         exchange_messages(known, self.messages, self.mission, number, rng)
 
 
@@ -151,10 +145,10 @@ def test_messages_arrive_with_the_given_period_and_delay(every, late):
         told = (number // every - late) * every
         for i, j in ((0, 1), (2, 0)):
             if told < 0:
-                assert team.inbox.time[i, j] == -np.inf
+                assert team.known.inbox.time[i, j] == -np.inf
             else:
-                assert team.inbox.time[i, j] == pytest.approx(told * STEP, abs=1e-12)
-                assert team.inbox.twist[i, j] == pytest.approx([told, told, told, -told])
+                assert team.known.inbox.time[i, j] == pytest.approx(told * STEP, abs=1e-12)
+                assert team.known.inbox.twist[i, j] == pytest.approx([told, told, told, -told])
 
 
 def test_message_loss_has_the_given_rate_and_needs_visibility(rng):
@@ -163,9 +157,9 @@ def test_message_loss_has_the_given_rate_and_needs_visibility(rng):
     heard = np.zeros((6, 6))
     for number in range(rounds):
         team.exchange(number, rng)
-        heard += team.inbox.is_new & (team.inbox.time == number * STEP)
+        heard += team.known.inbox.is_new & (team.known.inbox.time == number * STEP)
     assert not heard[0, 1] and not heard[1, 0] and not np.diag(heard).any()
-    sees = team.measurements.visibility
+    sees = team.known.measurements.visibility
     pairs = heard[sees | sees.T]
     low, high = binom.ppf([1e-6, 1 - 1e-6], rounds, 0.9)
     assert ((low <= pairs) & (pairs <= high)).all()

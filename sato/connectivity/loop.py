@@ -18,13 +18,7 @@ from sato.connectivity.mission import Connectivity
 from sato.connectivity.record import ConnectivityFrame
 from sato.connectivity.sensors import compute_views, measure
 from sato.connectivity.settings import MAX_ROW_AGE
-from sato.connectivity.state import (
-    Knowledge,
-    Message,
-    empty_inbox,
-    empty_measurements,
-    first_estimates,
-)
+from sato.connectivity.state import Knowledge, Message
 from sato.connectivity.yaw_estimator import wrap_angle
 from sato.network.graph import label_components
 
@@ -41,8 +35,7 @@ class Swarm:
         self.vehicles = VehicleState.at_rest(mission.initial_position, mission.yaw)
         self.alive, self.command = np.ones(n, dtype=bool), np.zeros((n, 4))
         self.views = compute_views(self.vehicles, self.alive, mission)
-        estimates = first_estimates(mission.initial_relative_yaw, rng)
-        self.known = Knowledge(empty_measurements(n), empty_inbox(n), estimates)
+        self.known = Knowledge.at_start(mission.initial_relative_yaw, rng)
         self.messages = deque[Message]()
 
     def move(self, stick: Float[Array, " 3"]) -> None:

@@ -136,20 +136,18 @@ class Connectivity(Mission):
 
     def draw(self, rng: np.random.Generator) -> "Connectivity":
         """Return the mission with drawn poses, yaw errors, waypoints, obstacles and losses."""
-        n, start, yaw, error = self.agents, self.start, self.yaw, self.yaw_error
-        if isinstance(start, RandomPoses):
+        n, error, posed = self.agents, self.yaw_error, self
+        if isinstance(self.start, RandomPoses):
             with errors_in("swarm.start"):
-                drawn = start.draw(n, self.camera, rng)
-            start, yaw = Poses(drawn.positions), drawn.yaw
-        posed = replace(self, start=start, yaw=yaw)
+                posed = replace(self, start=self.start.draw(n, self.camera, rng))
+        start = posed.initial_position
         if not np.ndim(error):
             error = rng.uniform(-error, error, (n, n))
         with errors_in("stick"):
-            stick = self.stick.draw(start.positions[0], rng)
+            stick = self.stick.draw(start[0], rng)
         with errors_in("obstacles"):
-            spheres = self.random_obstacles.draw(
-                start.positions, stick.waypoints, self.repulsion.min_distance, rng
-            )
+            nearest = self.repulsion.min_distance
+            spheres = self.random_obstacles.draw(start, stick.waypoints, nearest, rng)
         return replace(
             posed,
             yaw_error=error,

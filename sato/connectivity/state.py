@@ -92,34 +92,25 @@ class Knowledge(NamedTuple):
     inbox: Inbox
     estimates: AgentEstimates
 
+    @classmethod
+    def at_start(cls, relative_yaw: Float[Array, "n n"], rng: np.random.Generator) -> "Knowledge":
+        """Return what agents know that have neither looked nor heard.
 
-def empty_measurements(n: int) -> Measurements:
-    """Return the measurements of agents that have not looked yet."""
-    unseen = np.full((n, n, 3), np.nan)
-    return Measurements(np.zeros((n, 3)), np.zeros(n), unseen, unseen, np.zeros((n, 0, 3)))
-
-
-def empty_inbox(n: int) -> Inbox:
-    """Return the inbox of agents that have not heard yet."""
-    no, nobody, unknown = np.zeros((n, n)), np.zeros((n, n, n)), np.full((n, n, 3), np.nan)
-    return Inbox(
-        np.full((n, n), -np.inf), no > 0, np.zeros((n, n, 4)), unknown, unknown.copy(),
-        nobody, nobody > 0,
-    )  # fmt: skip
-
-
-def first_estimates(relative_yaw: Float[Array, "n n"], rng: np.random.Generator) -> AgentEstimates:
-    """Return the estimates of agents that know nothing else.
-
-    Args:
-        relative_yaw: First estimates ψ̃_ij [rad].
-        rng: Draws the first iterates of the power iteration.
-    """
-    n = len(relative_yaw)
-    pairs, unknown = np.zeros((n, n)), np.full(n, np.nan)
-    return AgentEstimates(
-        np.zeros((n, n, 7)), relative_yaw, pairs > 0, pairs, np.zeros((n, n, 4)),
-        AdjacencyRows(np.zeros((n, n, n)), np.full((n, n), -np.inf)),
-        PowerIterates(rng.standard_normal(n), np.zeros((n, 2)), np.zeros((n, 2))),
-        unknown, pairs,
-    )  # fmt: skip
+        Args:
+            relative_yaw: First estimates ψ̃_ij [rad].
+            rng: Draws the first iterates of the power iteration.
+        """
+        n = len(relative_yaw)
+        pairs, rows, unseen = np.zeros((n, n)), np.zeros((n, n, n)), np.full((n, n, 3), np.nan)
+        never, still = np.full((n, n), -np.inf), np.zeros((n, 3))
+        measurements = Measurements(still, still[:, 0], unseen, unseen, np.zeros((n, 0, 3)))
+        inbox = Inbox(
+            never.copy(), pairs > 0, np.zeros((n, n, 4)), unseen.copy(), unseen.copy(),
+            rows.copy(), rows > 0,
+        )  # fmt: skip
+        iterates = PowerIterates(rng.standard_normal(n), np.zeros((n, 2)), np.zeros((n, 2)))
+        estimates = AgentEstimates(
+            np.zeros((n, n, 7)), relative_yaw, pairs > 0, pairs, np.zeros((n, n, 4)),
+            AdjacencyRows(rows, never), iterates, np.full(n, np.nan), pairs,
+        )  # fmt: skip
+        return cls(measurements, inbox, estimates)
