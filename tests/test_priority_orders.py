@@ -21,11 +21,11 @@ from planner_examples import (
     total_cost,
     with_previous_plans,
 )
+from reconfiguration_runs import at_rest, make_mission
 
-from dynamics import DoubleIntegrator, discretize_zoh
 from dynamics.trajectory_geometry import separations
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration.mission import Leg, Reconfiguration
+from sato.reconfiguration.mission import Leg
 from sato.reconfiguration.planning import controls_at, plan_trajectories
 from sato.reconfiguration.state import AgentMemory, DecisionContext
 from sato.scp.exchange import run_batched, run_scp
@@ -236,41 +236,25 @@ def test_replanning_never_raises_the_fuel_of_the_first_plan(bargains):
     angle = 2 * np.pi * np.arange(4) / 4
     start = 2.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     goal = -start @ np.array([[1.0, 0.03], [-0.03, 1.0]])
-    still, everyone = np.zeros_like(start), np.ones(4, dtype=bool)
-    leg, steps = Leg(np.hstack([goal, still]), 24), discretize_zoh(DoubleIntegrator(2), 1.0, 24)
-    x = np.hstack([start, still])
-    mission = Reconfiguration(
-        model=DoubleIntegrator(2),
-        start=x,
-        legs=(leg,),
-        step=1.0,
-        comm_radius=100.0,
-        collision_radius=1.0,
-        max_control=0.1,
-        max_speed=0.5,
-        foresight_steps=24,
-        orders=4,
-        bargains=bargains,
-    ).draw(np.random.default_rng(0))
-    leg = mission.legs[0]
-    plans, spent, planned, flown = {}, np.zeros(4), [], []
+    limits = {"comm_radius": 100.0, "collision_radius": 1.0, "max_speed": 0.5}
+    tries = {"foresight_steps": 24, "orders": 4, "bargains": bargains}
+    mission = make_mission(at_rest(start), Leg(at_rest(goal), 24), **limits, **tries)
+    leg, x, everyone = mission.legs[0], mission.initial_states, np.ones(4, dtype=bool)
+    plans, spent, planned, path = {}, np.zeros(4), [], [x]
     for k in range(24):
         if k % 4 == 0:
-            graph = CommunicationGraph.from_positions(x[:, :2], mission.comm_radius, everyone)
-            clock = np.full(4, k)
-            minds = replace(
-                AgentMemory.initial(np.full(4, 4)), target_index=np.arange(4), clock=clock
-            )
-            moment = DecisionContext(mission, leg, graph, x, minds, k, float(k))
-            plans, events = plan_trajectories(moment, spent, plans)
+            memory = AgentMemory.initial(np.full(4, 4))
+            memory = replace(memory, target_index=np.arange(4), clock=np.full(4, k))
+            context = DecisionContext(mission, leg, complete(4), x, memory, k, float(k))
+            plans, events = plan_trajectories(context, spent, plans)
             assert [event["kind"] for event in events] == ["replan"]
             planned.append(spent.sum() + sum(plan.trajectory.fuel for plan in plans.values()))
         u = controls_at(plans, k, everyone, 2)
-        flown.append(u)
         spent = spent + np.abs(u).sum(axis=1)
-        x = steps[k : k + 1].simulate(x, u[:, None])[:, -1]
+        x = mission.flown_plant.propagate(x, u, float(k), 1.0)[1]
+        path.append(x)
     np.testing.assert_allclose(x, leg.targets, atol=1e-6)
     assert np.diff(planned).max() < 1e-6
-    path = steps.simulate(np.hstack([start, still]), np.stack(flown, axis=1)).swapaxes(0, 1)
+    path = np.array(path)
     alive = np.ones(path.shape[:2], dtype=bool)
     assert separations(path[..., :2], path[..., 2:], alive, 1.0).minimum.distance >= 1.0
