@@ -39,15 +39,10 @@ def disturb_control(
 ) -> Float[Array, "agents d"]:
     """Return the accelerations that act on the agents for commanded ones [m/s²]."""
     disturbance = mission.disturbance * rng.standard_normal(control.shape)
-    if has_thruster_errors(mission):
+    if mission.thrust_error or mission.pointing_error:
         agents, d = control.shape
         control = apply_thruster_errors(mission, control, rng.standard_normal((agents, 1 + d)))
     return control + disturbance if mission.disturbance else control
-
-
-def has_thruster_errors(mission: Reconfiguration) -> bool:
-    """Tell whether thrusts differ from commands."""
-    return mission.thrust_error > 0 or mission.pointing_error > 0
 
 
 def apply_thruster_errors(
