@@ -73,7 +73,7 @@ def plot_paths(record: FormationRecord) -> Figure:
             _draw_scene(ax, scene, view, size)
     add_titles(cells[:, 0], [scene.title for scene in scenes])
     disc: dict[str, Any] = {"ls": "", "marker": "o", "ms": 5, "mew": 0}
-    path = f"path of the last {SHOWN_TIME:g} s, paler is earlier"
+    path = f"last {SHOWN_TIME:g} s, paler is earlier"
     key = [
         Line2D([], [], color=BLUE, lw=1.2, label=path),
         Line2D([], [], **disc, color=DARK_GRAY, label=f"vehicle, {VEHICLE_DIAMETER:g} m wide"),
@@ -128,7 +128,7 @@ def _draw_scene(ax: Any, scene: LegScene, view: tuple[int, int], size: Float[Arr
             ax.plot(*rings, "o", **ring, label="assigned another point here")
         wide = np.full(len(colors), VEHICLE_DIAMETER)
         discs = EllipseCollection(wide, wide, 0 * wide, units="xy", offsets=path[-1],
-                                  offset_transform=ax.transData, facecolors=colors)  # fmt: skip
+                                  offset_transform=ax.transData, facecolors=colors, zorder=4)  # fmt: skip
         ax.add_collection(discs)
     middle = (scene.bounds.low + scene.bounds.high) / 2
     low, high = middle - size / 2, middle + size / 2
