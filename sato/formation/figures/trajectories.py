@@ -127,8 +127,8 @@ def _draw_scene(ax: Any, scene: LegScene, view: tuple[int, int], size: Float[Arr
             rings = scene.reassignment_positions[:, view].T
             ax.plot(*rings, "o", **ring, label="assigned another point here")
         wide = np.full(len(colors), VEHICLE_DIAMETER)
-        discs = EllipseCollection(wide, wide, 0 * wide, units="xy", offsets=path[-1],
-                                  offset_transform=ax.transData, facecolors=colors, zorder=4)  # fmt: skip
+        discs = EllipseCollection(wide, wide, 0 * wide, units="xy", offsets=path[-1], zorder=4,
+                                  offset_transform=ax.transData, facecolors=colors)  # fmt: skip
         ax.add_collection(discs)
     middle = (scene.bounds.low + scene.bounds.high) / 2
     low, high = middle - size / 2, middle + size / 2
