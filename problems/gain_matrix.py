@@ -128,6 +128,8 @@ class GainMatrix:
                 bound_xy, bound_z = file["bounds"].tolist()
             formation = DesiredFormation(fields["points"], fields["graph"], name)
             return cls(formation, fields["xy"], fields["z"], method, bound_xy, bound_z)
+        except FileNotFoundError as error:
+            raise ValueError(f"there is no file {path}") from error
         except READ_ERRORS as error:
             raise ValueError(f"{path} cannot be read as gains: {error}") from error
 

@@ -1,4 +1,4 @@
-"""Definitions by messages: what one agent does in a round, for tests of batched code.
+"""Rounds of messages between agents, for tests of batched code.
 
 Distributed means: what an agent does is a pure function of its own memory and its inbox.
 """
@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sato.auctions.vsdaa import ANONYMOUS, NO_WINNER, OutOfTargets
+from sato.auctions.bidder import VsdaaBidder, WinningBids
 from sato.network.rounds import run_round
 from sato.scp.planner import update_planner
 
@@ -99,117 +99,6 @@ def plan_by_messages(planners, graph):
     )
 
 
-class WinningBids(NamedTuple):
-    """Price and winner of each target, as far as one agent knows.
-
-    A positive price is a standing bid and has a winner. A negative one was a bid on a target
-    that is for sale again: its magnitude still counts, and it has no winner. Zero: no bid yet.
-    """
-
-    price: np.ndarray
-    winner: np.ndarray
-
-    @classmethod
-    def empty(cls, targets):
-        return cls(np.zeros(targets), np.full(targets, NO_WINNER))
-
-    @property
-    def winner_count(self):
-        """Number of standing bids, which is the number of bidders heard of."""
-        return int(np.count_nonzero(self.winner != NO_WINNER))
-
-
-def find_newer_bids(own, received):
-    """Mark the targets of which `received` knows more.
-
-    That is a larger |price|, or an equal one with a smaller winner. `NO_WINNER` is smaller than
-    every agent, so of two equal magnitudes the negative price wins, and of two equal bids that
-    of the smaller agent.
-    """
-    own_size, received_size = np.abs(own.price), np.abs(received.price)
-    is_tie = (received_size == own_size) & (received.winner < own.winner)
-    return (received_size > own_size) | is_tie
-
-
-def merge_bids(own, received):
-    """Keep the newer entry for each target.
-
-    The larger of a total order, hence commutative, associative and idempotent: the order and
-    the number of times in which messages arrive do not matter.
-    """
-    newer = find_newer_bids(own, received)
-    return WinningBids(*(np.where(newer, *pair) for pair in zip(received, own, strict=True)))
-
-
-class VsdaaBidder(NamedTuple):
-    """Memory of one agent in an auction."""
-
-    agent_id: int
-    cost: np.ndarray
-    epsilon: float
-    bidder_ids: bool  # True where bids carry the bidder's number
-    patience: int  # quiet rounds after which it stops: 2 D
-    target_count: int  # m
-    bids: WinningBids  # its last message
-    target_index: int = -1  # j, the target of its last bid
-    quiet_rounds: int = 0  # rounds without news: the count of the printed method
-    round: int = 0
-    bid_count: int = 0
-
-    @property
-    def is_finished(self):
-        return self.target_index >= 0 and self.quiet_rounds >= self.patience
-
-
-def update_bidder(agent, inbox):
-    """Merge the messages (lines 27-29) and bid where the agent holds no target (8-25).
-
-    The printed loop listens at the end of a round, here the agent does so at the start of the
-    next: the same sequence. Prices have the length M throughout, padded with zeros.
-
-    With `bidder_ids` a bid stands as long as the agent knows itself as the winner. Without, it
-    trusts the price alone (line 8), and of two equal bids both bidders believe to hold the target.
-    """
-    bids = agent.bids
-    for received in inbox:
-        bids = merge_bids(bids, received)
-    agent, j = agent._replace(round=agent.round + 1), agent.target_index
-    if agent.bidder_ids:
-        is_outbid = bids.winner[j] != agent.agent_id
-    else:  # signed on purpose: a price negated at equal magnitude makes it bid a round later
-        is_outbid = abs(bids.price[j]) > agent.bids.price[j]
-    if j < 0 or is_outbid:
-        return _place_bid(agent, bids)
-    if all(map(np.array_equal, bids, agent.bids)):
-        return agent._replace(quiet_rounds=agent.quiet_rounds + 1)
-    m = max(agent.target_count, int(np.count_nonzero(bids.price)))
-    return agent._replace(bids=bids, target_count=m, quiet_rounds=0)
-
-
-def _place_bid(agent, known):
-    price, winner, epsilon = known.price.copy(), known.winner.copy(), agent.epsilon
-    m = max(agent.target_count, int(np.count_nonzero(price)))
-    if known.winner_count >= m:  # lines 10-12: one target more, and all are for sale again
-        m = known.winner_count + 1
-        if m > len(price):
-            raise OutOfTargets(agent.agent_id, agent.round, len(price))
-        price[:m] = -(np.abs(price[:m]) + epsilon)
-        winner[:m] = NO_WINNER
-    total = agent.cost[:m] + np.abs(price[:m])
-    j = int(np.argmin(total))
-    v = total[j]
-    w = np.min(np.delete(total, j)) if m > 1 else v  # line 16 has no minimum for m = 1
-    price[j] = abs(price[j]) + (w - v + epsilon)
-    winner[j] = agent.agent_id if agent.bidder_ids else ANONYMOUS
-    return agent._replace(
-        bids=WinningBids(price, winner),
-        target_count=m,
-        target_index=j,
-        quiet_rounds=0,
-        bid_count=agent.bid_count + 1,
-    )
-
-
 def bid_by_messages(auction):
     """Run VSDAA: yield every live agent after every round.
 
@@ -224,5 +113,9 @@ def bid_by_messages(auction):
         for i in live
     }
     return run_rounds(
-        graph, bidders, update_bidder, lambda agent: agent.bids, lambda agent: agent.is_finished
+        graph,
+        bidders,
+        VsdaaBidder.update,
+        lambda agent: agent.bids,
+        lambda agent: agent.is_finished,
     )

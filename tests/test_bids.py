@@ -3,8 +3,8 @@
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from messages import WinningBids, find_newer_bids, merge_bids
 
+from sato.auctions.bidder import WinningBids, find_newer_bids, merge_bids
 from sato.auctions.vsdaa import NO_WINNER
 
 LAW = settings(deadline=None, derandomize=True)

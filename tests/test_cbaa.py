@@ -8,9 +8,9 @@ import pytest
 from graphs import complete, line
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from messages import WinningBids, find_newer_bids, merge_bids
 from scipy.optimize import linear_sum_assignment
 
+from sato.auctions.bidder import CbaaBidder, WinningBids
 from sato.auctions.cbaa import UNLIMITED_ROUNDS, CbaaAuction, init_state, run_cbaa, run_rounds
 from sato.network.graph import CommunicationGraph
 from sato.network.rounds import run_round
@@ -18,40 +18,12 @@ from sato.network.rounds import run_round
 LAW = settings(deadline=None, derandomize=True, max_examples=80)
 
 
-class Bidder(NamedTuple):
-    """Memory of one agent in an auction."""
-
-    agent_id: int
-    score: np.ndarray
-    agent_count: int
-    bids: WinningBids  # its last message
-    point: int = -1  # of its last bid
-
-    @property
-    def is_finished(self) -> bool:
-        return self.bids.winner_count == self.agent_count
-
-
-def update_bidder(agent: Bidder, inbox: list[WinningBids]) -> Bidder:
-    """Merge the messages and bid where the agent holds no point [Lusk2020, sec. IV-B]."""
-    bids = agent.bids
-    for received in inbox:
-        bids = merge_bids(bids, received)
-    if agent.point < 0 or bids.winner[agent.point] != agent.agent_id:
-        own = WinningBids(agent.score, np.full_like(bids.winner, agent.agent_id))
-        point = int(np.argmax(np.where(find_newer_bids(bids, own), agent.score, 0.0)))
-        price, winner = bids.price.copy(), bids.winner.copy()
-        price[point], winner[point] = agent.score[point], agent.agent_id
-        agent, bids = agent._replace(point=point), WinningBids(price, winner)
-    return agent._replace(bids=bids)
-
-
 def run_by_messages(auction: CbaaAuction):
     """Run the definition: yield every live agent after every round."""
     score, graph, rng, loss = auction.score, auction.graph, auction.rng, auction.loss
     agents, points = score.shape
     live = np.flatnonzero(graph.alive).tolist()
-    now = {i: Bidder(i, score[i], len(live), WinningBids.empty(points)) for i in live}
+    now = {i: CbaaBidder(i, score[i], len(live), WinningBids.empty(points)) for i in live}
     sent = {i: agent.bids for i, agent in now.items()}
     on_their_way = deque([sent] * (auction.delay + 1), maxlen=auction.delay + 1)
     for _ in range(auction.rounds or UNLIMITED_ROUNDS):
@@ -61,7 +33,7 @@ def run_by_messages(auction: CbaaAuction):
             if loss > 0:
                 lost = rng.random(agents) < loss
                 messages = {j: bids for j, bids in messages.items() if not lost[j]}
-            updated |= run_round(graph, {i: now[i]}, update_bidder, messages)
+            updated |= run_round(graph, {i: now[i]}, CbaaBidder.update, messages)
         if not updated:
             return
         now = now | updated

@@ -1,6 +1,6 @@
 """Distributed auctions: each agent gets a target of its own from messages of its neighbors.
 
-`vsdaa` and `cbaa` compute the rounds of all agents at once, compiled.
+`bidder` defines what one agent does. `vsdaa` and `cbaa` compute the rounds of all agents at once.
 """
 
 from sato.auctions.cbaa import CbaaAuction, CbaaResult, run_cbaa

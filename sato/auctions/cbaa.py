@@ -27,8 +27,8 @@ of all is bid at once and known to all D rounds later, then the largest of the r
 
 The rounds of all agents are compiled: agent i reads and writes its own row of `CbaaState`, and
 reads what its neighbors have sent. A message is merged only if it has changed since the receiver
-last heard it: merging the same again changes nothing. `tests/test_cbaa.py` plays the same rounds
-with one function of an agent's memory and inbox.
+last heard it: merging the same again changes nothing. Tests compare the rounds
+with those of `CbaaBidder`, one agent with its memory and inbox.
 """
 
 from dataclasses import dataclass

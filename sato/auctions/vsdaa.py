@@ -12,8 +12,8 @@ B would bid in the next round, and the first agent would hear that too, in time.
 The rounds of all agents are compiled. What an agent knows only grows, in the order of bids, and
 news travels one hop a round. So the bids known to agent i after round r are the merge of all bids
 that an agent a placed in a round t with t + hops(a, i) ≤ r. No tables are passed around: a bid is
-delivered to each agent once, in the round in which it arrives there. `tests/test_vsdaa.py` plays
-the same rounds with one function of an agent's memory and inbox.
+delivered to each agent once, in the round in which it arrives there. Tests compare the
+rounds with those of `VsdaaBidder`, one agent with its memory and inbox.
 """
 
 from collections.abc import Iterator
