@@ -88,6 +88,7 @@ def sentence(result: Result, code: int = 2) -> str:
 REFUSED = [
     ("swarm.agentz=3", "swarm.agentz", "did you mean swarm.agents?"),
     ("swurm.agents=3", "swurm.agents", "did you mean swarm.agents?"),
+    ("plan.commit_steps=2", "plan.commit_steps", "is now called freeze_steps"),
     ("agents", "--set takes table.key=value"),
     ("position_m=1", "chief.position_m", "disturbance.position_m"),
     ("start={kind='rondom'}", "swarm.start", 'did you mean "random"?'),

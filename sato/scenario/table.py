@@ -14,6 +14,12 @@ from sato.scenario.errors import InputError, closest_name, errors_in, format_val
 
 OWN = "own"  # kind of a value of the user's own
 _SI = {unit.quantity: suffix for suffix, unit in SUFFIXES.items() if unit.factor == 1.0}
+RENAMED = {  # keys of version 0.1
+    "centre_m": "center_m",
+    "commit_steps": "freeze_steps",
+    "normalise": "normalize",
+    "relinearise": "relinearize",
+}
 
 
 class Entry(NamedTuple):
@@ -129,6 +135,9 @@ def find_key(key: str, known: Collection[str]) -> str | None:
 
 def unknown_key(address: str, known: Collection[str]) -> InputError:
     """Return the error of a key that is not known, with the one that was likely meant."""
+    renamed = RENAMED.get(address.rsplit(".", 1)[-1])
+    if renamed in {name.rsplit(".", 1)[-1] for name in known}:
+        return InputError(address, f"is now called {renamed}")
     base, unit = split_unit(address)
     similar = {split_unit(name)[0]: name for name in known}
     if base in similar:
