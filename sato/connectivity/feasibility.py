@@ -55,13 +55,11 @@ def check_sampling(mission: "Connectivity") -> None:
     """
     tracking, link, step = mission.tracking, mission.link, mission.step
     # In discrete time a factor 1 − gain × step of an error is left after each step.
-    for key, terms, gain in (
-        ("k2", "k2 + closure", tracking.k2 + tracking.closure_gain),
-        ("k3", "k3", tracking.k3),
-    ):
+    gains = {"k2 + closure": tracking.k2 + tracking.closure_gain, "k3": tracking.k3}
+    for terms, gain in gains.items():
         if gain * step >= 2:
             raise InputError(
-                f"tracking.{key}",
+                f"tracking.{terms[:2]}",
                 f"{terms} = {gain:g} /s is unstable at a control step of {step:g} s: an error "
                 f"becomes {1 - gain * step:.3g} times as large in each; {0.2 / step:.3g} would do",
             )
@@ -120,21 +118,10 @@ def check_start(mission: "Connectivity") -> None:
         i, j = np.argwhere(gap == gap.min())[0]
         text = f"robots {i} and {j} start {gap.min():.4g} m apart, {cure}"
         raise InputError("swarm.start", text)
-    _check_connected(mission)
-    for number, obstacle in enumerate(mission.obstacles):
-        distance = obstacle_distances(positions, Obstacles.of([obstacle]))[:, 0]
-        agent, least = int(distance.argmin()), float(distance.min())
-        if least <= nearest:
-            where = f"{least:.3g} m from" if least >= 0 else "inside of"
-            text = f"robot {agent} starts {where} this {obstacle.kind}, {cure}"
-            raise InputError(f"obstacle.{number}", text)
-
-
-def _check_connected(mission: "Connectivity") -> None:
     camera, least = mission.camera, mission.potential.lambda2_min
-    weights = interaction_graph(mission.initial_position, mission.yaw, camera).weights
+    weights = interaction_graph(positions, mission.yaw, camera).weights
     lambda2 = float(algebraic_connectivity(weights).lambda2)
-    label = label_components(weights > 0, np.ones(len(weights), dtype=bool))
+    label = label_components(weights > 0, np.ones(agents, dtype=bool))
     if label.max() > 0 or lambda2 <= least:
         parts = [np.flatnonzero(label == k).tolist() for k in range(label.max() + 1)]
         robots = join_names((f"{{{', '.join(map(str, part))}}}" for part in parts), "and")
@@ -144,6 +131,13 @@ def _check_connected(mission: "Connectivity") -> None:
             f"potential.lambda2_min = {least:g}; robots {camera.d_near:g} to {camera.d_far:g} m "
             "apart that look at each other would do",
         )
+    for number, obstacle in enumerate(mission.obstacles):
+        distance = obstacle_distances(positions, Obstacles.of([obstacle]))[:, 0]
+        agent, least = int(distance.argmin()), float(distance.min())
+        if least <= nearest:
+            where = f"{least:.3g} m from" if least >= 0 else "inside of"
+            text = f"robot {agent} starts {where} this {obstacle.kind}, {cure}"
+            raise InputError(f"obstacle.{number}", text)
 
 
 def check_losses(mission: "Connectivity") -> None:
@@ -157,12 +151,11 @@ def check_losses(mission: "Connectivity") -> None:
         raise InputError("death", f"{len(losses)} of {agents} robots are lost; two must be left")
     left = list(range(agents))
     for number, loss in enumerate(losses):
-        if loss.agent is None:
-            continue
-        if loss.agent not in left:
+        if loss.agent in left:
+            left.remove(loss.agent)
+        elif loss.agent is not None:
             names = ", ".join(map(str, left))
             raise InputError(f"death.{number}.robot", f"must be one of {names}, got {loss.agent}")
-        left.remove(loss.agent)
 
 
 def doubts(mission: "Connectivity") -> list[str]:

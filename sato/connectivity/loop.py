@@ -34,7 +34,6 @@ class Swarm:
         self.mission, self.rng, self.steps_taken = mission, rng, 0
         self.vehicles = VehicleState.at_rest(mission.initial_position, mission.yaw)
         self.alive, self.command = np.ones(n, dtype=bool), np.zeros((n, 4))
-        self.views = compute_views(self.vehicles, self.alive, mission)
         self.known = Knowledge.at_start(mission.initial_relative_yaw, rng)
         self.messages = deque[Message]()
 
@@ -61,23 +60,11 @@ class Swarm:
         self.views = compute_views(self.vehicles, alive, mission)
         measured = measure(self.vehicles, self.views, alive, before, mission, rng)
         known = self.known._replace(measurements=measured)
-        known = known._replace(
-            estimates=exchange_messages(known, self.messages, mission, number, rng)
-        )
+        known = exchange_messages(known, self.messages, mission, number, rng)
         known = known._replace(estimates=estimate_edges(known, mission, time))
         self.known = known._replace(estimates=estimate_lambda2(known, alive, mission, time))
         self.command = compute_commands(self.known, mission)
         self.steps_taken += 1
-
-    @property
-    def known_agents(self) -> Bool[Array, "agents agents"]:
-        """True where agent i counts on agent j."""
-        estimates = self.known.estimates
-        known = estimates.weight > 0
-        if self.mission.estimator == "flood":
-            now = (self.steps_taken - 1) * self.mission.step
-            known |= estimates.adjacency.time >= now - MAX_ROW_AGE
-        return np.asarray(known)
 
 
 def advance_vehicles(
@@ -139,6 +126,10 @@ def simulate(mission: Connectivity, rng: np.random.Generator) -> Iterator[Connec
             events.append({"kind": kind, "agents": np.flatnonzero(component > 0).tolist()})
         vehicles, (measured, _, estimates) = swarm.vehicles, swarm.known
         true = algebraic_connectivity(swarm.views.weight, swarm.alive)
+        known_agents = estimates.weight > 0
+        if mission.estimator == "flood":
+            now = (swarm.steps_taken - 1) * mission.step
+            known_agents |= estimates.adjacency.time >= now - MAX_ROW_AGE
         true_yaw = vehicles.yaw - vehicles.yaw[:, None]
         yield ConnectivityFrame(
             time=time,
@@ -156,6 +147,6 @@ def simulate(mission: Connectivity, rng: np.random.Generator) -> Iterator[Connec
             yaw_estimate_error=wrap_angle(estimates.relative_yaw - true_yaw),
             visibility=measured.visibility,
             stick=stick,
-            known_agents=swarm.known_agents,
+            known_agents=known_agents,
             events=tuple(events),
         )

@@ -8,7 +8,7 @@ from numpy import ndarray as Array
 
 from sato.connectivity.mission import Connectivity
 from sato.connectivity.settings import MAX_MESSAGE_AGE
-from sato.connectivity.state import AdjacencyRows, AgentEstimates, Knowledge, Message
+from sato.connectivity.state import AdjacencyRows, Knowledge, Message
 
 
 def exchange_messages(
@@ -17,7 +17,7 @@ def exchange_messages(
     mission: Connectivity,
     number: int,
     rng: np.random.Generator,
-) -> AgentEstimates:
+) -> Knowledge:
     """Send what every agent measures and estimates; some messages are lost or delayed.
 
     Args:
@@ -28,7 +28,7 @@ def exchange_messages(
         rng: Draws losses.
 
     Returns:
-        Estimates, with the newest rows of the adjacency matrix of those known and received.
+        What is known, with the newest rows of the adjacency matrix of those known and received.
     """
     measurements, inbox, estimates = known
     link, now = mission.link, number * mission.step
@@ -37,7 +37,7 @@ def exchange_messages(
     inbox.time[is_old], inbox.relative_position[is_old] = -np.inf, np.nan
     inbox.is_new[:] = False
     if number % link.period_steps != 0:
-        return estimates
+        return known
     twist = np.column_stack([measurements.velocity, measurements.yaw_rate])
     on_their_way.append(
         Message(
@@ -46,7 +46,7 @@ def exchange_messages(
         )
     )  # fmt: skip
     if len(on_their_way) <= link.delay_messages:
-        return estimates
+        return known
     message = on_their_way.popleft()
     hears = measurements.visibility | measurements.visibility.T
     if link.loss_probability > 0:
@@ -60,7 +60,7 @@ def exchange_messages(
     inbox.relative_yaw[i, j] = message.relative_yaw[j]
     inbox.is_mutual[i, j] = message.is_mutual[j]
     merged = merge_rows(estimates.adjacency, message.adjacency, hears)
-    return estimates._replace(adjacency=merged)
+    return known._replace(estimates=estimates._replace(adjacency=merged))
 
 
 def merge_rows(

@@ -4,24 +4,17 @@ from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from annotated_types import Len
 from numpy import ndarray as Array
-from pydantic import BeforeValidator
 
 from dynamics.units import Length, Unit
 from problems.interaction_graph import Camera, algebraic_connectivity, interaction_graph
+from sato.connectivity.obstacles import Point
 from sato.scenario.definition import Definition, Matrix, NotNegative, Positive, Vector, as_array
 from sato.scenario.errors import InputError, errors_in
 from sato.shapes.random_points import sample_positions
 
 MAX_DRAWS = 500  # of a whole swarm, before its connectivity is given up
 BOX_OF_SIX = (8.0, 8.0, 3.0)  # sides for six agents; the volume grows with their number [m]
-
-Sides = Annotated[
-    tuple[Annotated[float, Positive], ...],
-    Len(3, 3),
-    BeforeValidator(lambda value: tuple(as_array(value, 1).tolist())),
-]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -39,7 +32,7 @@ class RandomPoses(Definition):
 
     kind: ClassVar[str] = "random"
     box: Annotated[
-        Sides | None, Unit("m"), "sides of the box; 8 x 8 x 3 for each six agents if absent"
+        Point | None, Unit("m"), "sides of the box; 8 x 8 x 3 for each six agents if absent"
     ] = None
     height: Annotated[Length, "height of its floor"] = 3.0
     separation: Annotated[Length, Positive, "least distance of two agents"] = 1.8

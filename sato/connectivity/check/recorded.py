@@ -79,11 +79,6 @@ class ConnectivityRecord(RunRecord[Connectivity, Any, None]):
             found.append(compute_views(now, self.frames.alive[part], self.mission))
         return CameraViews(*(np.concatenate(part) for part in zip(*found, strict=True)))
 
-    @property
-    def waypoints_reached(self) -> int:
-        """Number of waypoints that the leader has reached."""
-        return len(self.events.of_kind("waypoint"))
-
     def summarize(self) -> dict[str, Any]:
         """Summarize a run; a success has λ₂ above λ₂^min throughout."""
         flight = self.summarize_flight()
@@ -105,7 +100,7 @@ class ConnectivityRecord(RunRecord[Connectivity, Any, None]):
             "min_separation_m": self.min_separation,
             "min_obstacle_distance_m": self.min_obstacle_distance,
             "edges_mean": float(np.triu(frames.edge_weight > 0).sum(axis=(1, 2)).mean()),
-            "waypoints_reached": self.waypoints_reached,
+            "waypoints_reached": len(self.events.of_kind("waypoint")),
             "waypoints": len(self.mission.stick.waypoints),
         }
         return {k: v for k, v in summary.items() if np.isfinite(v)}
