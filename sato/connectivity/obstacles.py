@@ -19,6 +19,7 @@ START_CLEARANCE, WAYPOINT_CLEARANCE = 1.5, 1.8  # of a drawn sphere, at least [m
 REPULSION_CLEARANCE = 0.5  # beyond the distance at which repulsion is infinite, at least [m]
 MAX_DRAWS = 10_000  # of one sphere, before it is given up
 Point = Annotated[Coordinates, Len(3, 3)]
+Points = Float[Array, "*#k 3"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -181,10 +182,7 @@ def nearest_points(
 
 
 def segments_hit_balls(
-    p: Float[Array, "*#k 3"],
-    q: Float[Array, "*#k 3"],
-    center: Float[Array, "*#k 3"],
-    radius: Float[Array, "*#k"] | float,
+    p: Points, q: Points, center: Points, radius: Float[Array, "*#k"] | float
 ) -> Bool[Array, "*#k"]:
     """Tell whether the segments between two positions meet balls."""
     way = q - p
@@ -194,9 +192,7 @@ def segments_hit_balls(
     return np.asarray(((nearest - center) ** 2).sum(axis=-1) < np.square(radius))
 
 
-def blocks_line_of_sight(
-    p: Float[Array, "*#k 3"], q: Float[Array, "*#k 3"], obstacles: Obstacles
-) -> Bool[Array, "*#k"]:
+def blocks_line_of_sight(p: Points, q: Points, obstacles: Obstacles) -> Bool[Array, "*#k"]:
     """Tell whether an obstacle is between two positions."""
     p, q = p[..., None, :], q[..., None, :]
     spheres = segments_hit_balls(p, q, obstacles.spheres[:, :3], obstacles.spheres[:, 3])
