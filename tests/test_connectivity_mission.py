@@ -52,15 +52,6 @@ def refused(*settings):
     return str(refusal.value).removeprefix("scenario: ")
 
 
-def test_defaults_are_those_of_the_built_in_scenario():
-    built_in, plain = read("connectivity"), Connectivity()
-    assert built_in.agents == plain.agents == 6 and built_in.random_obstacles.count == 6
-    names = ("camera", "potential", "repulsion", "limits", "tracking", "link", "plant")
-    for name in (*names, "estimator", "duration", "step"):
-        assert getattr(built_in, name) == getattr(plain, name)
-    assert built_in.yaw_error == pytest.approx(plain.yaw_error, rel=2e-3)
-
-
 def test_arrays_of_poses_make_a_mission():
     start = np.array([[0.0, 0, 2], [5, 0, 2], [5, 4, 2]])
     mission = Connectivity(start=start, yaw=np.array([-0.8, 0, -2]), duration=20.0)
