@@ -40,12 +40,18 @@ def format_keys(system: str) -> str:
 
 
 def _format_table(head: str, fields: dict[str, Field]) -> str:
-    rows = [(key, _values(of), _default(of), of.meaning) for key, of in fields.items()]
+    rows = [(key, _values(of), _default(of), _meaning(key, of)) for key, of in fields.items()]
     widths = [max((len(row[i]) for row in rows), default=0) for i in range(3)]
     for row in rows:
         cells = [f"{text:{width}}" for text, width in zip(row, widths, strict=False)]
         head += "  ".join(["", *cells, row[3]]).rstrip() + "\n"
     return head
+
+
+def _meaning(key: str, field: Field) -> str:
+    # With the name of the attribute where that is another.
+    is_same = key.startswith(field.name)
+    return field.meaning if is_same else f"{field.meaning}; {field.name} in Python"
 
 
 def _values(field: Field) -> str:

@@ -249,7 +249,7 @@ def test_replanning_never_raises_the_fuel_of_the_first_plan(bargains):
             plans, events = plan_trajectories(context, spent, plans)
             assert [event["kind"] for event in events] == ["replan"]
             planned.append(spent.sum() + sum(plan.trajectory.fuel for plan in plans.values()))
-        u = controls_at(plans, k, everyone, 2)
+        u = controls_at(plans, k, everyone, mission)
         spent = spent + np.abs(u).sum(axis=1)
         x = mission.flown_plant.propagate(x, u, float(k), 1.0)[1]
         path.append(x)

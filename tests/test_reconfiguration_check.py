@@ -46,6 +46,24 @@ def test_unaltered_run_keeps_all_promises(flown):
     json.dumps(report.as_dict(), allow_nan=False)
 
 
+def test_losses_and_joins_at_the_first_step_keep_all_promises():
+    lose, join = sato.Loss("random", share=0.25), sato.Join(None, [[4.5, 0.0]])
+    row = np.c_[np.arange(4), np.zeros(4)]
+    mission = sato.Reconfiguration(
+        model=sato.DoubleIntegrator(2),
+        start=row,
+        legs=[sato.Leg(row + np.array([0.0, 2.0]), 12, losses=[lose], joins=[join])],
+        step=1.0,
+        comm_radius=9.0,
+        collision_radius=0.3,
+        max_control=0.2,
+        max_speed=1.0,
+    )
+    run = sato.run(mission)
+    assert run.data.alive[0].sum() == 4
+    assert run.check().kept, run.check().broken
+
+
 @pytest.mark.parametrize(
     ("names", "where", "change", "promises"),
     [

@@ -8,11 +8,11 @@ import pytest
 from reconfiguration_runs import at_rest, fly, leg_to, make_mission, min_separation, row
 
 from dynamics import ClohessyWiltshire, DoubleIntegrator, LinearModel, discretize_zoh
-from problems.transfer import TransferProblem
+from problems.transfer import Trajectory, TransferProblem
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.loop import simulate
 from sato.reconfiguration.mission import Join, Loss
-from sato.reconfiguration.planning import plan_trajectories
+from sato.reconfiguration.planning import Plan, controls_at, plan_trajectories
 from sato.reconfiguration.solo_trajectories import TIE_BREAK_RISE, solve_solo_transfers
 from sato.reconfiguration.state import AgentMemory, DecisionContext
 
@@ -325,3 +325,15 @@ def test_leg_that_outlasts_its_steps_records_the_reset():
     assert len(frames) > 31
     reset = [(f.time, e["agents"]) for f in frames for e in f.events if e["kind"] == "reset"]
     assert reset[0] == (13.0, [0, 1, 2, 3])
+
+
+@pytest.mark.parametrize("norm", [1, 2, "inf"])
+def test_flown_control_stays_within_the_limit_that_a_plan_exceeds(norm, rng):
+    mission = make_mission(row(2, 0.0), leg_to(at_rest(row(2, 1.0)), 9), control_norm=norm)
+    u = rng.uniform(-1, 1, (2, 2))
+    u *= 0.1 * (1 + np.array([[1e-8], [-1e-3]])) / np.linalg.norm(u, float(norm), 1)[:, None]
+    plans = {i: Plan(Trajectory(np.zeros((2, 4)), u[i : i + 1], 0.0), None, 0) for i in range(2)}
+    flown = controls_at(plans, 0, np.ones(2, dtype=bool), mission)
+    assert np.linalg.norm(flown, float(norm), 1).max() <= 0.1 * (1 + 1e-15)
+    np.testing.assert_allclose(flown, u, rtol=2e-8)
+    assert (flown[1] == u[1]).all()

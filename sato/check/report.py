@@ -61,6 +61,11 @@ class Report:
         """Promises that were not kept."""
         return tuple(promise for promise in self.promises if not promise.kept)
 
+    def __str__(self) -> str:
+        """Tell how many promises were kept, and which were not."""
+        kept = f"{len(self.promises) - len(self.broken)} of {len(self.promises)} promises kept"
+        return "\n".join([kept, *(f"{each.name} broken: {each.message}" for each in self.broken)])
+
     @property
     def kept(self) -> bool:
         """True where every promise was kept."""

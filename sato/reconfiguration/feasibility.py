@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from math import degrees, floor, inf, pi
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Int
@@ -30,6 +30,7 @@ def check(mission: "Reconfiguration") -> None:
     _check_noise(mission)
     _check_detectable(mission)
     _check_legs(mission)
+    _check_axes(mission)
 
 
 def _check_periods(mission: "Reconfiguration") -> None:
@@ -108,6 +109,16 @@ def _check_detectable(mission: "Reconfiguration") -> None:
         "agents could meet within the horizon unseen (Proposition 9); "
         f"{join_names(cures)} would do, and plan.allow_undetectable = true flies it all the same",
     )
+
+
+def _check_axes(mission: "Reconfiguration") -> None:
+    shapes: dict[str, Any] = {"swarm.start": mission.start}
+    shapes |= {f"leg.{number}.shape": leg.shape for number, leg in enumerate(mission.legs)}
+    for where, shape in shapes.items():
+        points = getattr(shape, "positions", None)
+        if points is not None and points.shape[1] != mission.axes:
+            found = f"has {points.shape[1]} coordinates per point"
+            raise InputError(where, f"{found}, and the model has {mission.axes} axes")
 
 
 def _check_legs(mission: "Reconfiguration") -> None:

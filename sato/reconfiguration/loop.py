@@ -8,16 +8,10 @@ from numpy import ndarray as Array
 
 from problems.transfer import compute_fuel
 from sato.network.graph import CommunicationGraph
+from sato.reconfiguration import planning
 from sato.reconfiguration.assignment import assign_targets
 from sato.reconfiguration.disturbances import disturb_control, draw_losses, measure
 from sato.reconfiguration.mission import Reconfiguration
-from sato.reconfiguration.planning import (
-    Plans,
-    controls_at,
-    plan_trajectories,
-    remaining_controls,
-    remaining_fuel,
-)
 from sato.reconfiguration.state import (
     AgentMemory,
     DecisionContext,
@@ -53,7 +47,7 @@ class _Flight:
         # An agent that joins later knows of itself alone, and learns m from those that it meets.
         m = np.where(self.alive, mission.target_count or int(self.alive.sum()), 1)
         self.memory = AgentMemory.initial(m)
-        self.plans: Plans = {}
+        self.plans: planning.Plans = {}
         self.fuel_used = np.zeros(len(m))  # [m/s]
         self.events: list[Event] = []  # since the last frame
 
@@ -80,7 +74,7 @@ class _Flight:
                     DecisionContext(mission, self.leg, deciding, measured, self.memory, k, time),
                     bids,
                 )
-            control = controls_at(self.plans, k, self.alive, mission.axes)
+            control = planning.controls_at(self.plans, k, self.alive, mission)
             applied = disturb_control(mission, control, self.rng)
             seen = measured if mission.position_noise or mission.velocity_noise else None
             yield self.make_frame(graph, control, applied, seen)
@@ -133,7 +127,7 @@ class _Flight:
         left = self.leg.steps - self.memory.clock
         is_due = [
             left[i] >= self.mission.freeze_steps
-            or remaining_controls(self.plans, i, self.memory, k, self.leg.steps) is None
+            or planning.remaining_controls(self.plans, i, self.memory, k, self.leg.steps) is None
             for i in range(len(left))
         ]
         graph = graph.subgraph(graph.component_max(np.array(is_due, dtype=int)).astype(bool))
@@ -144,7 +138,7 @@ class _Flight:
     def _decide(self, context: DecisionContext, bids: bool) -> None:
         solve_count = 0
         if bids:
-            decision = assign_targets(context, remaining_fuel(self.plans, context))
+            decision = assign_targets(context, planning.remaining_fuel(self.plans, context))
             memory, solve_count = decision.memory, decision.solve_count
             moved = self.alive & (memory.target_index != self.memory.target_index)
             self.memory = memory
@@ -153,7 +147,9 @@ class _Flight:
             if moved.any():
                 self._note("assignment", moved, target=memory.target_index[moved].tolist())
         context = context._replace(memory=self.memory)
-        planned, events = plan_trajectories(context, self.fuel_used, self.plans, solve_count)
+        planned, events = planning.plan_trajectories(
+            context, self.fuel_used, self.plans, solve_count
+        )
         self.plans = self.plans | planned
         self.events += events
 

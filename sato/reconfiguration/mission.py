@@ -148,7 +148,7 @@ class Reconfiguration(Motion, Mission):
         SWARM,
         Key("believed"),
         Positive,
-        "targets m believed in at first; all if absent",
+        "targets m that agents bid on at first; one an agent if absent",
     ] = None
 
     chief: Annotated[Chief | None, In(""), Convert(as_chief), "orbit of the chief"] = None

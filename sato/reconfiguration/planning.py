@@ -36,14 +36,19 @@ Plans = dict[int, Plan]  # by the number of the agent
 
 
 def controls_at(
-    plans: Plans, k: int, alive: Bool[Array, " agents"], axes: int
+    plans: Plans, k: int, alive: Bool[Array, " agents"], mission: Reconfiguration
 ) -> Float[Array, "agents m"]:
-    """Return the controls at a step of the leg: 0 after the end of a plan, NaN if lost."""
-    control = np.full((len(alive), axes), np.nan)
+    """Return the controls at a step of the leg: 0 after the end of a plan, NaN if lost.
+
+    Solvers exceed the limit by rounding, which is cut.
+    """
+    control = np.full((len(alive), mission.axes), np.nan)
     for i in np.flatnonzero(alive).tolist():
         u = plans[i].controls_from(k)
         control[i] = u[0] if len(u) else 0.0
-    return control
+    size = np.linalg.norm(control, ord=float(mission.control_norm), axis=1)
+    factor = np.minimum(1.0, mission.max_control / np.maximum(size, 1e-300))
+    return np.asarray(control * factor[:, None])
 
 
 def remaining_controls(

@@ -11,18 +11,9 @@ from collections.abc import Mapping, Sequence
 from problems.avoidance import Relaxation
 from sato.network.graph import CommunicationGraph
 from sato.network.rounds import run_round, schedule_turns
+from sato.scp import priority_orders
 from sato.scp.negotiation import negotiate
 from sato.scp.planner import Planner, TrajectoryMessage, paths_of, solve_around
-from sato.scp.priority_orders import (
-    ConflictResolution,
-    component_costs,
-    count_solves,
-    keep_cheaper,
-    offset_right,
-    select_clear_components,
-    select_components,
-    try_priority_orders,
-)
 
 OFFSETS = (1.0, -1.0, 2.0, -2.0)  # of the nominals in a roundabout, over R: right and left
 MAX_ROUNDS = 8  # in which each agent has a turn; ten through one point take one or two
@@ -31,7 +22,7 @@ RELAXATIONS: tuple[Relaxation, ...] = ("none", "separation")
 
 def resolve_conflicts(
     planners: Mapping[int, Planner], graph: CommunicationGraph, orders: int, sweeps: int
-) -> ConflictResolution:
+) -> priority_orders.ConflictResolution:
     """Try orders of priority and then roundabouts, each followed by negotiation.
 
     Each component keeps the cheapest.
@@ -42,23 +33,23 @@ def resolve_conflicts(
         orders: Largest number of orders of priority.
         sweeps: Largest number of sweeps of negotiation; with 0 there are no roundabouts either.
     """
-    ordered = try_priority_orders(planners, graph, orders)
+    ordered = priority_orders.try_priority_orders(planners, graph, orders)
     if sweeps == 0:
         return ordered
     negotiated = negotiate(ordered.planners, graph, sweeps)
     kept = negotiated.planners
     flooding = int(graph.diameter[list(kept)].max(initial=0))
     trials, floods = [ordered, negotiated], 1
-    able = select_components(planners, graph, can_use_roundabout)
+    able = priority_orders.select_components(planners, graph, can_use_roundabout)
     for offset in OFFSETS:
-        totals = component_costs(kept, graph)
+        totals = priority_orders.component_costs(kept, graph)
         costly = {i: agent for i, agent in able.items() if any(totals[i])}
         trials.append(solve_roundabout(costly, graph, offset))
         if trials[-1].planners:
             trials.append(negotiate(trials[-1].planners, graph, sweeps))
-            kept = keep_cheaper(kept, trials[-1].planners, graph)
+            kept = priority_orders.keep_cheaper(kept, trials[-1].planners, graph)
             floods += 1
-    return ConflictResolution(
+    return priority_orders.ConflictResolution(
         kept,
         sum(trial.round_count for trial in trials) + floods * flooding,
         sum(trial.solve_count for trial in trials),
@@ -76,7 +67,7 @@ def can_use_roundabout(agent: Planner) -> bool:
 
 def solve_roundabout(
     planners: Mapping[int, Planner], graph: CommunicationGraph, offset: float
-) -> ConflictResolution:
+) -> priority_orders.ConflictResolution:
     """Solve in turns, all offset to one side, until all are clear and reach their targets.
 
     Components in which that is not so after `MAX_ROUNDS` are left out of the result.
@@ -86,7 +77,7 @@ def solve_roundabout(
         graph: Communication graph.
         offset: Offset of the nominals over R: to the right, or to the left where negative.
     """
-    now = {i: offset_right(agent, offset) for i, agent in planners.items()}
+    now = {i: priority_orders.offset_right(agent, offset) for i, agent in planners.items()}
     done: dict[int, Planner] = {}
     rounds = 0
     for _ in range(MAX_ROUNDS):
@@ -97,10 +88,14 @@ def solve_roundabout(
             now |= run_round(graph, {i: now[i] for (i,) in turn}, update_in_turn, messages)
             rounds += 1
         rounds += 1 + int(graph.diameter[list(now)].max())
-        clear = select_clear_components(now, graph)
-        done |= select_components(clear, graph, lambda agent: agent.reaches_target(agent.nominal))
+        clear = priority_orders.select_clear_components(now, graph)
+        done |= priority_orders.select_components(
+            clear, graph, lambda agent: agent.reaches_target(agent.nominal)
+        )
         now = {i: agent for i, agent in now.items() if i not in done}
-    return ConflictResolution(done, rounds, count_solves(now | done))
+    return priority_orders.ConflictResolution(
+        done, rounds, priority_orders.count_solves(now | done)
+    )
 
 
 def update_in_turn(agent: Planner, inbox: Sequence[TrajectoryMessage]) -> Planner:

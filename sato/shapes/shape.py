@@ -93,7 +93,7 @@ class Shape(Definition):
             raise ValueError(f"give the spacing of the targets or the {name} of the shape")
         drawn, scale = least_distance(points), 1.0
         if drawn == 0:
-            raise ValueError(f"has no room for {len(points)} separate targets")
+            raise ValueError(f"two of its {len(points)} points are at the same place")
         if spacing is not None and isinf(drawn):
             # No spacing determines the size of a shape with one target: it stands in the middle.
             points = middle[None]

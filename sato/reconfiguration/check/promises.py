@@ -94,7 +94,12 @@ def check_start(record: ReconfigurationRecord) -> Promise:
     start, alive = record.mission.initial_states, record.frames.alive
     if record.state.shape[1:] != start.shape:
         return expect_none("start", 1, "another number of agents than in the mission")
-    is_wrong = alive[0] != record.mission.alive
+    expected = record.mission.alive
+    for agents, at_step in record.mission.joining(0):
+        expected[agents] |= at_step == 0
+    for instant, event in record.events.of_kind("loss"):
+        expected[event["agents"]] &= instant > 0
+    is_wrong = alive[0] != expected
     if is_wrong.any():
         text = "agents that are alive at the start and should not be, or the reverse"
         return expect_none("start", is_wrong, text)
