@@ -9,7 +9,7 @@ from numpy.ma import masked_array
 
 import sato
 from dynamics import J2, ClohessyWiltshire, DoubleIntegrator, Orbit, discretize_zoh
-from problems.auction_cost import compute_transfer_costs
+from problems.auction_cost import compute_transfer_costs, solve_transfer
 from problems.transfer import TransferProblem
 from sato.reconfiguration.mission import Join, Leg, Loss, Reconfiguration
 from sato.reconfiguration.models import OrbitalModel, PlantSettings, PointMass
@@ -290,4 +290,20 @@ def test_reach_from_rest_to_rest_is_that_of_the_transfer_problem(steps, rng):
         assert compute_transfer_costs(transfer, start, target).is_reachable.all() == is_enough
         mission = tiny(start=start, max_control=control, **free)
         with nullcontext() if is_enough else pytest.raises(InputError, match="can reach none"):
+            mission.draw(rng)
+
+
+@pytest.mark.parametrize("v_start", [0.0, 1.0])
+@pytest.mark.parametrize("v_end", [0.0, 1.0])
+def test_speed_limit_asks_for_time_at_ends_at_rest_only(v_start, v_end, rng):
+    # 10 m at 1 m/s, and half a second more for each end at rest.
+    start, target = np.array([[0.0, 0.0, v_start, 0.0]]), np.array([[10.0, 0.0, v_end, 0.0]])
+    least = round(4 * (11 - (v_start + v_end) / 2))
+    for steps in (least, least - 1):
+        model = discretize_zoh(DoubleIntegrator(2), 0.25, steps)
+        transfer = solve_transfer(TransferProblem(model, 1.0, 1.0), start[0], target[0])
+        assert (transfer is not None) == (steps == least)
+        free = {"step": 0.25, "max_control": 1.0, "legs": Leg(target, steps)}
+        mission = tiny(start=start, **free)
+        with nullcontext() if steps == least else pytest.raises(InputError, match="can reach none"):
             mission.draw(rng)

@@ -265,12 +265,12 @@ def _reachable(
         transfer = TransferProblem(discretize_zoh(mission.linear_model, h, steps), control)
         reachable = compute_transfer_costs(transfer, start, targets).is_reachable
     if mission.is_point_mass and V < inf:
-        # Along the straight line to the target, a point that is no faster than V and, where it
-        # starts at rest, no stronger than the box is in that direction: a bound from below.
-        far = np.linalg.norm(way, axis=2)
+        # Along the straight line to the target, a point that is no faster than V and, at ends at
+        # rest, no stronger than the box is in that direction: a bound from below.
+        far, ends = np.linalg.norm(way, axis=2), 1.0 * at_rest + ~targets[:, d:].any(axis=1)
         strength = np.where(far > 0, control * way.sum(axis=2) / np.where(far > 0, far, 1.0), 1.0)
-        at_full_speed = far / V + V / strength
-        trapezium = np.where(far * strength >= V**2, at_full_speed, 2 * np.sqrt(far / strength))
-        least_time = np.where(at_rest, trapezium, far / V)
+        at_full_speed = far / V + ends * V / (2 * strength)
+        below = np.sqrt(2 * ends * far / strength)
+        least_time = np.where(2 * far * strength >= ends * V**2, at_full_speed, below)
         reachable = reachable & (least_time <= steps * h * (1 + 1e-9))
     return np.asarray(reachable)
