@@ -2,7 +2,7 @@
 
 from contextlib import suppress
 from importlib import import_module
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy import ndarray as Array
@@ -99,6 +99,7 @@ def design_gains(
     Raises:
         NoStabilizingGain: There are none, with the proof.
         GainDesignUndecided: The method found neither stable gains nor that proof.
+        ValueError: The method is unknown.
     """
     with threadpool_limits(1, user_api="blas"):  # on busy cores a second thread only waits
         xy, bound_xy, method_xy = _design_axes(formation, "xy", method, tolerance)
@@ -146,6 +147,8 @@ def _solve(problem: GainProblem, method: str, tolerance: float) -> GainSolution:
         return problem.project(np.eye(len(problem.graph)))
     if method == "admm":
         return gain_admm.solve(problem, tolerance)
+    if method not in get_args(GainMethod):
+        raise ValueError(f'method must be one of {", ".join(get_args(GainMethod))}, got "{method}"')
     # The slow methods are imported on demand: loading their solvers takes seconds.
     solution: GainSolution = import_module(f"problems.gain_{method}").solve(problem)
     return solution

@@ -223,6 +223,9 @@ def test_drawn_mission_stays_as_it_is_when_written_and_when_drawn_again(changes)
         (("agents=2", PAIR, 'obstacle=[{kind="sphere", center_m=[0, 50, 2], radius_m=1}, '
           '{kind="box", low_m=[4, -1, 0], high_m=[6, 1, 4]}]'),
          r"obstacle.1: robot 1 starts inside of this box"),
+        (('obstacle=[{kind="box", low_m=[-9, -9, 0], high_m=[9, 9, 9]}]',),
+         r"^obstacle.0: robot . starts inside of this box"),
+        (("lambda2_min=2.99",), r"^swarm.start: λ₂ is .* above potential.lambda2_min = 2.99"),
         (('obstacle=[{kind="box", low_m=[1, 1, 1], high_m=[2, 1, 2]}]',), r"obstacle.0.low_m: m"),
         (('obstacle=[{kind="plane", normal=[0, 0, 0], through_m=[0, 0, 0]}]',), r"has length 0"),
         (('obstacle=[{kind="sphere", center_m=[0, 0], radius_m=1}]',), r"center_m: .* 3 items"),

@@ -14,6 +14,7 @@ from problems.gain_design import (
     GainDesignUndecided,
     NoStabilizingGain,
     _improve_with_sdp,
+    _solve,
     design_gains,
 )
 from problems.gain_problem import MIN_RATE, GainProblem
@@ -183,3 +184,8 @@ def test_a_method_without_stable_gains_raises_undecided(method):
             assert undecided.rate <= MIN_RATE < undecided.bound
             return
     pytest.fail("it never failed")
+
+
+def test_unknown_method_is_refused_with_those_that_there_are():
+    with pytest.raises(ValueError, match=r"one of auto, .*, sdp, paper, got \"matrix\""):
+        _solve(GainProblem.from_formation(pyramid(), "xy"), "matrix", 1e-3)

@@ -136,10 +136,11 @@ class Connectivity(Mission):
 
     def draw(self, rng: np.random.Generator) -> "Connectivity":
         """Return the mission with drawn poses, yaw errors, waypoints, obstacles and losses."""
-        n, error, posed = self.agents, self.yaw_error, self
-        if isinstance(self.start, RandomPoses):
+        n, error, poses = self.agents, self.yaw_error, self.start
+        if isinstance(poses, RandomPoses):
             with errors_in("swarm.start"):
-                posed = replace(self, start=self.start.draw(n, self.camera, rng))
+                poses = poses.draw(n, self.camera, rng)
+        posed = replace(self, start=poses)
         start = posed.initial_position
         if not np.ndim(error):
             error = rng.uniform(-error, error, (n, n))
