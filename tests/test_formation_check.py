@@ -92,6 +92,7 @@ ALTERED = {
     "gains": ("gains", at((0, 0, 2, 1), 1e-9), "gains"),
     "gains of another shape": ("gains", at((0, 0, 2, 1), 0.1), "gains"),
     "gains that drive apart": ("gains", lambda A: -A, "gains"),
+    "names of parts of gains": ("part", lambda names: names[::-1], "gains"),
     "gains off the graph": ("gains", lambda A: A[::-1], "gains"),
 }
 

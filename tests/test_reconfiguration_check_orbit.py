@@ -139,6 +139,8 @@ def test_altered_chief_is_found(flown, element):
 def test_chief_is_recorded_where_the_plant_has_one(flown):
     lacking = replace(flown, data=flown.data.drop_vars(["chief", "element"]))
     assert broken(lacking) == {"chief"}
+    names = flown.data["element"].values[::-1]
+    assert broken(replace(flown, data=flown.data.assign_coords(element=names))) == {"chief"}
     free = straight(mission(plant=LinearPlant(EXACT)))
     assert broken(free) == set()
     orbiting = free.data.assign(element=flown.data["element"], chief=flown.data["chief"])

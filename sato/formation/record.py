@@ -11,6 +11,8 @@ from sato.formation.loop import FormationFrame
 from sato.formation.mission import Formation
 from sato.interfaces import Reals, Vectors
 
+GAIN_PARTS = ("xy_real", "xy_imaginary", "z")
+
 
 class FormationVariables(NamedTuple):
     """Variables of a run that are not those of its frames.
@@ -45,6 +47,6 @@ def collect_variables(frames: Sequence[FormationFrame], mission: Formation) -> F
         frame_offset=mission.coordinate_frames.origin,
         formation=np.array([leg.formation.points for leg in mission.gains]),
         graph=np.array([leg.formation.graph for leg in mission.gains]),
-        part=np.array(("xy_real", "xy_imaginary", "z")),
+        part=np.array(GAIN_PARTS),
         gains=np.array([[leg.xy.real, leg.xy.imag, leg.z] for leg in mission.gains]),
     )

@@ -19,7 +19,7 @@ from sato.check.common import (
 )
 from sato.formation.loop import FormationFrame
 from sato.formation.mission import Formation
-from sato.formation.record import FormationVariables
+from sato.formation.record import GAIN_PARTS, FormationVariables
 from sato.formation.supervisor import FlightCourse, Phase
 from sato.record import RunRecord
 
@@ -92,6 +92,8 @@ class FormationRecord(RunRecord[Formation, FormationFrame, FormationVariables]):
         Raises:
             ValueError: They are not stable gains of it.
         """
+        if tuple(self.variables.part) != GAIN_PARTS:
+            raise ValueError(f"gains have the parts {', '.join(GAIN_PARTS)}, in this order")
         real, imaginary, z = self.variables.gains[leg]
         formation = self.mission.gains[leg].formation
         return GainMatrix(formation, real + 1j * imaginary, z, "recorded", np.inf, np.inf)

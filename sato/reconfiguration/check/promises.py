@@ -17,7 +17,7 @@ from sato.reconfiguration.check.prediction import bound_speed_excess, redraw_dis
 from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
 from sato.reconfiguration.check.summary import is_reached, summarize
 from sato.reconfiguration.mission import Reconfiguration
-from sato.reconfiguration.record import collect_attributes, stack_targets
+from sato.reconfiguration.record import CHIEF_ELEMENTS, collect_attributes, stack_targets
 
 if TYPE_CHECKING:
     import xarray
@@ -71,7 +71,8 @@ def check_chief(record: ReconfigurationRecord) -> Promise:
     elements = [plant.chief_elements(k * record.mission.step) for k in times]
     known = np.array([each for each in elements if each is not None])
     found = np.zeros(0) if record.variables.chief is None else record.variables.chief
-    if found.shape != known.shape:
+    names = list(CHIEF_ELEMENTS) if len(known) else None
+    if found.shape != known.shape or np.array(record.variables.element).tolist() != names:
         return expect_none("chief", 1, "missing orbit of a chief, or one without a chief")
     scale = polar_nodal_scales(known[0]) if len(known) else 1.0
     text = "relative error of the orbit of the chief"
