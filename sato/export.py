@@ -172,7 +172,7 @@ def _find_obstacle(data: "xarray.Dataset", path: Path, format: str) -> str:
     if format == "csv":
         return f"{path}: is a folder, and a table goes into a file" if path.is_dir() else ""
     if "chief" not in data:
-        return "this run has no chief, as a [chief] gives it, so no OEM, but the format csv"
+        return "an OEM needs a [chief], and this run has none; the format csv needs no chief"
     if path.exists() and not path.is_dir():
         return f"{path}: is a file, and OEMs, one an object, go into a folder"
     others = sorted(found.name for found in path.glob("*") if found.suffix != ".oem")

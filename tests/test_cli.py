@@ -90,6 +90,8 @@ REFUSED = [
     ("swurm.agents=3", "swurm.agents", "did you mean swarm.agents?"),
     ("plan.commit_steps=2", "plan.commit_steps", "is now called freeze_steps"),
     ("agents", "--set takes table.key=value"),
+    ("leg.0={}", "leg.0", "did you mean leg?"),
+    ("model.kind=[]", "model.kind", "there is no kind"),
     ("position_m=1", "chief.position_m", "disturbance.position_m"),
     ("start={kind='rondom'}", "swarm.start", 'did you mean "random"?'),
     ("agents=many", "swarm.agents", "must be an integer", '"many"'),
@@ -268,7 +270,7 @@ def test_trajectories_are_exported_beside_the_run_or_where_it_is_asked(home):
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        ([], 2, "has no chief, as a [chief] gives it, so no OEM, but the format csv"),
+        ([], 2, "an OEM needs a [chief], and this run has none; the format csv needs no chief"),
         (["--format", "stk"], 2, 'there is no format "stk", only oem and csv'),
         (["--format", "csv", "--out", "here"], 2, "here: is a folder"),
         (["--format", "csv", "--out", "tiny.toml/x"], 1, "tiny.toml/x: "),

@@ -158,7 +158,7 @@ def test_what_is_no_export_is_not_replaced(run, tmp_path):
         export(run, tmp_path / "mine", "csv")
     with pytest.raises(ValueError, match='no format "stk", only oem and csv'):
         export(run, tmp_path / "x", "stk")
-    with pytest.raises(ValueError, match=r"no chief.* \[chief\].* csv"):
+    with pytest.raises(ValueError, match=r"needs a \[chief\].* csv"):
         export(recorded(make_mission()).data, tmp_path / "oem")
     assert [p.name for p in tmp_path.iterdir()] == ["mine"]
     assert (tmp_path / "mine" / "thesis.tex").read_text() == "years of work"

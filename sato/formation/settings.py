@@ -27,7 +27,7 @@ class CollisionAvoidance(NamedTuple):
 
     avoidance_range: Annotated[Length, Key("notice"), Positive, "range of the avoidance"] = 3.0
     margin: Annotated[Length, NotNegative, "distance kept beyond keep_out_m, for noise"] = 0.05
-    braking: Annotated[Acceleration, Key("brake"), Positive, "braking counted on"] = 0.25
+    braking: Annotated[Acceleration, Key("brake"), Positive, "assumed deceleration"] = 0.25
     right_turn_bias: Annotated[
         Angle, Key("aside"), NotNegative, "extra angle accepted to turn right"
     ] = 0.35
@@ -96,7 +96,7 @@ class FrameSettings(Definition):
     """
 
     yaw: Annotated[Angles, "headings [rad], random, or the same for all"] = "random"
-    offset: Annotated[SizeOrRows, Unit("m"), "origins, or a random one's largest"] = 10.0
+    offset: Annotated[SizeOrRows, Unit("m"), "origins, or largest coordinate"] = 10.0
     drift: Annotated[SizeOrRows, "odometry error per meter, each or its size"] = 0.01
     noise: Annotated[Length, NotNegative, "standard deviation of a measured coordinate"] = 0.02
 

@@ -200,12 +200,12 @@ class Reconfiguration(Motion, Mission):
     disturbance: Annotated[
         Acceleration, NOISE, Key("acceleration"), NotNegative, "standard deviation, held for a step"
     ] = 0.0
-    position_noise: Annotated[Length, NOISE, Key("position"), NotNegative, "of a measured one"] = (
+    position_noise: Annotated[Length, NOISE, Key("position"), NotNegative, "measurement noise"] = (
         0.0
     )
-    velocity_noise: Annotated[Speed, NOISE, Key("velocity"), NotNegative, "of a measured one"] = 0.0
-    thrust_error: Annotated[float, NOISE, Key("thrust"), NotNegative, "of a thrust, relative"] = 0.0
-    pointing_error: Annotated[Angle, NOISE, Key("pointing"), NotNegative, "of its direction"] = 0.0
+    velocity_noise: Annotated[Speed, NOISE, Key("velocity"), NotNegative, "measurement noise"] = 0.0
+    thrust_error: Annotated[float, NOISE, Key("thrust"), NotNegative, "relative thrust error"] = 0.0
+    pointing_error: Annotated[Angle, NOISE, Key("pointing"), NotNegative, "pointing error"] = 0.0
 
     legs: Annotated[tuple[Leg, ...], In(""), Key("leg"), "legs in turn"]
 

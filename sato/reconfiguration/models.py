@@ -143,7 +143,7 @@ def check_orbital_model(kind: object, has_orbit: bool) -> None:
     Raises:
         InputError: There is none, so the keys of the model are likely those of another.
     """
-    if kind in MODELS and not has_orbit:
+    if isinstance(kind, str) and kind in MODELS and not has_orbit:
         raise InputError(
             "model.kind",
             f'"{kind}" is motion about an orbit, and this mission has none; a [chief] with '
