@@ -14,7 +14,7 @@ from problems.gain_problem import Axes, GainProblem
 
 RESIDUAL_TOLERANCE = 1e-8  # relative; gains with larger residuals are of another formation
 # Errors of numpy and zipfile for other files, and for damaged ones.
-READ_ERRORS = (ValueError, TypeError, KeyError, EOFError, OSError, RuntimeError, BadZipFile)
+READ_ERRORS = (ValueError, TypeError, LookupError, EOFError, OSError, RuntimeError, BadZipFile)
 
 
 @dataclass(frozen=True, eq=False)
