@@ -146,9 +146,7 @@ def export(
 
 @app.command()
 def gains(
-    formation: Annotated[
-        Word, Argument(metavar="NAME|FILE.csv", help="Name, or points [m].")
-    ] = None,
+    formation: Annotated[Word, Argument(metavar="NAME|FILE.csv", help="Name or points [m]")] = None,
     graph: Annotated[str, Option(metavar="own|complete|FILE", help="FILE lists pairs.")] = "own",
     method: Annotated[str, Option(metavar="auto|projection|sdp|admm|paper")] = "auto",
     out: Annotated[Path | None, Option(metavar="FILE.npz", help="gains/NAME.npz.")] = None,

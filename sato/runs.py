@@ -14,6 +14,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.random import Generator
 from threadpoolctl import ThreadpoolController, threadpool_limits
 
 from sato import record
@@ -190,9 +191,7 @@ def load(path: str | Path, mission: Mission | None = None) -> Run:
     text = str(data.attrs["scenario"])
     if mission is not None:
         if mission.to_toml() != text:
-            raise record.RunFileError(
-                f"{path}: is a run of another mission than the one that is given"
-            )
+            raise record.RunFileError(f"{path}: is a run of another mission than is given")
         return Run(data, summary, mission)
     try:
         return Run(data, summary, parse(text))
@@ -203,9 +202,7 @@ def load(path: str | Path, mission: Mission | None = None) -> Run:
         raise record.RunFileError(f"{path}: {reason}") from error
 
 
-def _draw(
-    scenario: object, seed: Any, overrides: Iterable[str]
-) -> tuple[Any, Any, np.random.Generator]:
+def _draw(scenario: object, seed: Any, overrides: Iterable[str]) -> tuple[Any, Any, Generator]:
     is_integer = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
     if not is_integer or not 0 <= seed < 2**64:
         raise InputError("seed", f"must be an integer from 0 to 2⁶⁴ − 1, got {format_value(seed)}")
@@ -246,7 +243,7 @@ def _add_check_results(run: Run) -> Run:
 
 
 def _collect_frames(
-    system: System[Any, Any], mission: Any, rng: np.random.Generator, callback: FrameCallback
+    system: System[Any, Any], mission: Any, rng: Generator, callback: FrameCallback
 ) -> tuple[list[Any], str]:
     # Compiled code loses an exception that is raised in it by a signal, so the first Ctrl-C
     # waits for the next frame; a second one does not.

@@ -25,7 +25,7 @@ from sato.connectivity.figures.time_series import (
     count_edges,
     select_pairs,
 )
-from sato.connectivity.figures.trajectories import draw_obstacles_3d, draw_obstacles_from_above
+from sato.connectivity.figures.trajectories import draw_obstacles_3d, draw_obstacles_above
 from sato.connectivity.loop import simulate
 from sato.connectivity.obstacles import Obstacles
 from sato.connectivity.system import SYSTEM
@@ -291,7 +291,7 @@ def test_from_above_a_wall_is_filled_and_a_floor_is_not():
     ax = Figure().add_subplot()
     planes = np.array([[1.0, 0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 1.0]])
     ball = np.array([[2.0, 3.0, 1.0, 0.5]])
-    draw_obstacles_from_above(ax, Obstacles(ball, np.zeros((0, 6)), planes), SPACE, 2.0)
+    draw_obstacles_above(ax, Obstacles(ball, np.zeros((0, 6)), planes), SPACE, 2.0)
     [wall] = ax.collections
     ground = wall.get_paths()[0].get_extents()
     assert [*ground.min, *ground.max] == pytest.approx([0, 0, 1, 4])

@@ -64,7 +64,7 @@ def test_arrays_of_poses_make_a_mission():
         Connectivity(start=start)
     with pytest.raises(InputError, match=r"swarm.yaw_rad: needs a start with positions"):
         Connectivity(yaw=mission.yaw)
-    with pytest.raises(InputError, match=r"swarm.yaw_error_rad: needs 3 rows of 3 errors"):
+    with pytest.raises(InputError, match=r"swarm.yaw_error_rad: needs 3 x 3 errors"):
         Connectivity(**given, yaw_error=np.zeros((2, 2)))
     with pytest.raises(ValueError, match=r"known once the mission is drawn"):
         Connectivity().initial_position  # noqa: B018

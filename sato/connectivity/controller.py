@@ -12,7 +12,7 @@ from numpy import ndarray as Array
 from dynamics.vehicle import rotate_by_yaw
 from problems.interaction_graph import Numbers, algebraic_connectivity, edge_weights
 from sato.connectivity.mission import Connectivity
-from sato.connectivity.power_iteration import estimate_lambda2_from_power, iterate_power
+from sato.connectivity.power_iteration import iterate_power, lambda2_from_power
 from sato.connectivity.settings import MAX_ROW_AGE, Potential, Repulsion
 from sato.connectivity.state import AdjacencyRows, AgentEstimates, Knowledge
 from sato.connectivity.yaw_estimator import estimate_relative_yaw
@@ -108,7 +108,7 @@ def _estimate_by_power_iteration(
     estimates, sees, gains = known.estimates, known.measurements.visibility, mission.gains
     exchanges = round(mission.step / gains.exchange_period)
     iterates = iterate_power(estimates.iterates, estimates.weight, sees | sees.T, gains, exchanges)
-    lambda2, size = estimate_lambda2_from_power(iterates, gains), iterates.average[:, 1]
+    lambda2, size = lambda2_from_power(iterates, gains), iterates.average[:, 1]
     is_good = (lambda2 >= 0) & (lambda2 <= 1.1 * mission.potential.lambda2_max) & (size >= 0.05)
     difference = iterates.v[:, None] - iterates.v
     gradient = difference**2 / (len(size) * np.where(is_good, size, 1.0))[:, None]

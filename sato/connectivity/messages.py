@@ -63,19 +63,17 @@ def exchange_messages(
     return known._replace(estimates=estimates._replace(adjacency=merged))
 
 
-def merge_rows(
-    known: AdjacencyRows, sent: AdjacencyRows, hears: Bool[Array, "n n"]
-) -> AdjacencyRows:
+def merge_rows(own: AdjacencyRows, sent: AdjacencyRows, hears: Bool[Array, "n n"]) -> AdjacencyRows:
     """Take over the rows that others have newer.
 
     Args:
-        known: Rows known to agent i.
+        own: Rows known to agent i.
         sent: Rows that agent j sent.
         hears: True where agent i hears agent j.
     """
     offered = np.where(hears[..., None], sent.time, -np.inf)  # [i, j, k]: row k, by agent j
     sender, k = offered.argmax(axis=1), np.arange(len(hears))
     newest = offered.max(axis=1)
-    is_newer = newest > known.time
-    weight = np.where(is_newer[..., None], sent.weight[sender, k], known.weight)
-    return AdjacencyRows(weight, np.where(is_newer, newest, known.time))
+    is_newer = newest > own.time
+    weight = np.where(is_newer[..., None], sent.weight[sender, k], own.weight)
+    return AdjacencyRows(weight, np.where(is_newer, newest, own.time))

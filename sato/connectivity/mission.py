@@ -94,9 +94,7 @@ class Connectivity(Mission):
         Length, In("noise"), Key("camera"), NotNegative, "of each coordinate that a camera measures"
     ] = 0.0
     stick: Annotated[WaypointStick | RecordedStick, "stick of the operator"] = WaypointStick()
-    random_obstacles: Annotated[RandomSpheres, Key("obstacles"), "drawn obstacles"] = (
-        RandomSpheres()
-    )
+    random_obstacles: Annotated[RandomSpheres, Key("obstacles"), "random ones"] = RandomSpheres()
     obstacles: Annotated[tuple[Sphere | Box | Plane, ...], Key("obstacle"), "obstacles"] = ()
     losses: Annotated[tuple[AgentLoss, ...], Key("death"), "robots that are lost"] = ()
     duration: Annotated[Time, In("run"), Positive, "duration"] = 60.0
@@ -128,9 +126,7 @@ class Connectivity(Mission):
         feasibility.check_sampling(self)
         feasibility.check_losses(self)
         if np.ndim(self.yaw_error) and np.shape(self.yaw_error) != (self.agents, self.agents):
-            raise InputError(
-                "swarm.yaw_error_rad", f"needs {self.agents} rows of {self.agents} errors"
-            )
+            raise InputError("swarm.yaw_error_rad", f"needs {self.agents} x {self.agents} errors")
         if isinstance(self.start, Poses):
             feasibility.check_start(self)
 

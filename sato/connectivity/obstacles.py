@@ -158,11 +158,9 @@ def obstacle_distances(
     return np.concatenate([spheres, boxes, planes], axis=-1)
 
 
-def nearest_points(
-    position: Float[Array, "*k 3"], obstacles: Obstacles
-) -> Float[Array, "*k obstacles 3"]:
+def nearest_points(p: Float[Array, "*k 3"], obstacles: Obstacles) -> Float[Array, "*k obstacles 3"]:
     """Find the nearest point of the surface of each sphere, box and plane [m]."""
-    at, (centers, radius) = position[..., None, :], np.split(obstacles.spheres, [3], axis=1)
+    at, (centers, radius) = p[..., None, :], np.split(obstacles.spheres, [3], axis=1)
     far = np.linalg.norm(at - centers, axis=-1, keepdims=True)
     outwards = np.where(far > 0, at - centers, np.eye(3)[0]) / np.where(far > 0, far, 1)
     spheres = centers + radius * outwards

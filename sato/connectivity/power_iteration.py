@@ -75,9 +75,7 @@ def iterate_power(
     return PowerIterates(v, mean, held)
 
 
-def estimate_lambda2_from_power(
-    iterates: PowerIterates, gains: PowerIterationGains
-) -> Float[Array, " n"]:
+def lambda2_from_power(iterates: PowerIterates, gains: PowerIterationGains) -> Float[Array, " n"]:
     """Estimate λ₂ from the mean size of the iterates."""
     share = gains.normalization_gain / gains.iteration_gain
     return np.asarray(share * (1 - iterates.average[:, 1]))

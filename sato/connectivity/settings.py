@@ -83,9 +83,7 @@ class PowerIterationGains(NamedTuple):
         Time, Key("exchange"), Positive, "time h between two exchanges with all neighbors"
     ] = 0.002
     deflation_gain: Annotated[Gain, Key("deflate"), "e₁, removes the mean [1/s]"] = None
-    iteration_gain: Annotated[Gain, Key("iterate"), "e₂, draws towards the eigenvector [1/s]"] = (
-        None
-    )
+    iteration_gain: Annotated[Gain, Key("iterate"), "e₂, draws to the eigenvector [1/s]"] = None
     normalization_gain: Annotated[Gain, Key("normalize"), "e₃, keeps the size [1/s]"] = None
     filter_gain: Annotated[Gain, Key("follow"), "g, input filter of the consensus [1/s]"] = None
     proportional_gain: Annotated[Gain, Key("agree"), "K_P of the consensus [1/s]"] = None

@@ -8,6 +8,7 @@ import numpy as np
 from annotated_types import Gt, Le
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
+from numpy.random import Generator
 from pydantic import BeforeValidator
 
 from dynamics.units import Length, Unit
@@ -91,9 +92,7 @@ class EdgeList(Definition):
     """Graph with these edges."""
 
     kind: ClassVar[str] = "pairs"
-    pairs: Annotated[
-        Array, BeforeValidator(_as_pairs), "pairs of points that measure each other, from 0"
-    ]
+    pairs: Annotated[Array, BeforeValidator(_as_pairs), "pairs that measure each other, from 0"]
 
     @classmethod
     def from_graph(cls, graph: Bool[Array, "n n"]) -> "EdgeList":
@@ -174,7 +173,7 @@ class FormationLeg(Definition):
         gains = self.gains.read(self.desired) if isinstance(self.gains, GainsFile) else self.gains
         return gains.build(self.desired)
 
-    def draw(self, agents: int, keep_out: float, rng: np.random.Generator) -> "FormationLeg":
+    def draw(self, agents: int, keep_out: float, rng: Generator) -> "FormationLeg":
         """Return the leg with points, edges and gains; points are drawn first, then edges.
 
         Args:
@@ -215,7 +214,7 @@ class FormationLeg(Definition):
         return FormationLeg(formation, graph, gains, name)
 
     def _draw_points(
-        self, agents: int, keep_out: float, rng: np.random.Generator
+        self, agents: int, keep_out: float, rng: Generator
     ) -> tuple[Float[Array, "n 3"], str | None]:
         chosen = self.formation
         if isinstance(chosen, LibraryFormation):
@@ -230,9 +229,7 @@ class FormationLeg(Definition):
         name = None if isinstance(chosen, Points) else chosen.kind
         return place_level(chosen, agents, keep_out), name
 
-    def _draw_graph(
-        self, points: Float[Array, "n 3"], rng: np.random.Generator
-    ) -> Bool[Array, "n n"]:
+    def _draw_graph(self, points: Float[Array, "n 3"], rng: Generator) -> Bool[Array, "n n"]:
         chosen, n = self.graph, len(points)
         if isinstance(chosen, ThinnedGraph):
             return library.random_dense_graph(n, chosen.removals, rng)

@@ -10,12 +10,7 @@ from numpy import ndarray as Array
 
 from dynamics.discretize import DiscreteModel
 from dynamics.trajectory_geometry import min_distance
-from problems.auction_cost import (
-    compute_distances,
-    compute_energies,
-    compute_transfer_costs,
-    solve_transfer,
-)
+from problems import auction_cost
 from problems.transfer import TransferProblem
 from sato.auctions import VsdaaAuction, VsdaaResult, run_vsdaa
 from sato.network.graph import CommunicationGraph
@@ -223,7 +218,7 @@ def _compute_costs(context: DecisionContext, planned_fuel: Float[Array, " agents
         j = memory.target_index[i]
         if not table.is_reachable[i, j]:
             model, x = context.remaining_model(0), context.state[[i]]
-            distance = compute_distances(model, x, leg.targets[[j]])[0, 0]
+            distance = auction_cost.compute_distances(model, x, leg.targets[[j]])[0, 0]
             by_fuel = _fuel_to_distance(mission, leg) * planned_fuel[i]
             table.cost[i, j] += by_fuel if mission.cost == "fuel" else distance
             table.is_reachable[i, j] = table.is_exact[i, j] = True
@@ -241,10 +236,10 @@ def _costs_of(
         is_there &= error[..., d:].max(axis=2) <= mission.velocity_tolerance
         return CostTable(tie, is_there, np.ones_like(is_there))
     limits = mission.max_control, mission.max_speed, mission.fuel_norm, mission.control_norm
-    found = compute_transfer_costs(TransferProblem(model, *limits), state, leg.targets)
+    found = auction_cost.compute_transfer_costs(TransferProblem(model, *limits), state, leg.targets)
     cost = _fuel_to_distance(mission, leg) * found.fuel
     if mission.cost == "distance":
-        cost = compute_distances(model, state, leg.targets)
+        cost = auction_cost.compute_distances(model, state, leg.targets)
     cost = np.where(found.is_reachable, cost, 0.0) + tie
     return CostTable(cost, found.is_reachable, found.is_exact)
 
@@ -254,7 +249,7 @@ def _refine_cost(context: DecisionContext, table: CostTable, i: int, j: int) -> 
     mission, leg, x = context.mission, context.leg, context.state[i]
     model = context.remaining_model(int(context.memory.clock[i]))
     problem = TransferProblem(model, mission.max_control, mission.max_speed)
-    transfer = solve_transfer(problem, x, leg.targets[j])
+    transfer = auction_cost.solve_transfer(problem, x, leg.targets[j])
     tie = mission.tie_break * _tie_break(mission, leg, model, x[None])[0, j]
     table.is_exact[i, j], table.is_reachable[i, j] = True, transfer is not None
     if transfer is None:
@@ -273,9 +268,9 @@ def _tie_break(
 ) -> Float[Array, "k targets"]:
     """Compute the squared distance, or in orbit the least control energy on its scale [m²]."""
     if mission.is_point_mass:
-        return compute_distances(model, state, leg.targets) ** 2
+        return auction_cost.compute_distances(model, state, leg.targets) ** 2
     if len(model) == 0:
         return np.zeros((len(state), len(leg.targets)))
     # From rest to rest over d a double integrator spends 12 d²/τ³.
     duration = len(model) * mission.step
-    return duration**3 / 12 * compute_energies(model, state, leg.targets)
+    return duration**3 / 12 * auction_cost.compute_energies(model, state, leg.targets)

@@ -190,11 +190,9 @@ def check_reach(mission: "Reconfiguration") -> None:
     def is_enough(steps: float, control: float) -> bool:
         return _find_stranded(mission, int(steps), control) is None
 
-    time = _find_least(lambda value: is_enough(value, control), steps, longest)
+    time = _find_least(lambda k: is_enough(k, control), steps, longest)
     strongest = MAX_CONTROL_FACTOR * control
-    strength = _find_least(
-        lambda value: is_enough(steps, value), control, strongest, CONTROL_PRECISION
-    )
+    strength = _find_least(lambda u: is_enough(steps, u), control, strongest, CONTROL_PRECISION)
     cures = [f"steps = {time}"] if time else []
     cures += [f"model.max_control_m_s2 = {round_up(strength)}"] if strength else []
     cures = cures or ["far more steps, a larger model.max_control_m_s2 or max_speed_m_s"]

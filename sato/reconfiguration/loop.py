@@ -8,22 +8,17 @@ from numpy import ndarray as Array
 
 from problems.transfer import compute_fuel
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration import planning
+from sato.reconfiguration import planning, state
 from sato.reconfiguration.assignment import assign_targets
 from sato.reconfiguration.disturbances import disturb_control, draw_losses, measure
 from sato.reconfiguration.mission import Reconfiguration
-from sato.reconfiguration.state import (
-    AgentMemory,
-    DecisionContext,
-    Event,
-    ReconfigurationFrame,
-    to_indices,
-)
 
 MAX_LEG_FACTOR = 20  # times its steps after which a leg is given up
 
 
-def simulate(mission: Reconfiguration, rng: np.random.Generator) -> Iterator[ReconfigurationFrame]:
+def simulate(
+    mission: Reconfiguration, rng: np.random.Generator
+) -> Iterator[state.ReconfigurationFrame]:
     """Simulate every leg of a drawn mission; yield a frame at every control instant.
 
     Args:
@@ -46,18 +41,18 @@ class _Flight:
         self.x, self.alive = mission.initial_states, mission.alive
         # An agent that joins later knows of itself alone, and learns m from those that it meets.
         m = np.where(self.alive, mission.target_count or int(self.alive.sum()), 1)
-        self.memory = AgentMemory.initial(m)
+        self.memory = state.AgentMemory.initial(m)
         self.plans: planning.Plans = {}
         self.fuel_used = np.zeros(len(m))  # [m/s]
-        self.events: list[Event] = []  # since the last frame
+        self.events: list[state.Event] = []  # since the last frame
 
-    def fly_leg(self, number: int) -> Iterator[ReconfigurationFrame]:
+    def fly_leg(self, number: int) -> Iterator[state.ReconfigurationFrame]:
         """Fly until all agents have arrived."""
         mission, self.leg, self.leg_index = self.mission, self.mission.legs[number], number
         m, counted, steps = self.memory.target_count, self.memory.bidder_count, self.leg.steps
         if self.leg.recount:
             m = np.where(counted > 0, counted, m)
-        self.memory, self.plans = AgentMemory.initial(m), {}
+        self.memory, self.plans = state.AgentMemory.initial(m), {}
         self._note("leg_start", self.alive, leg=number)
         for k in range(MAX_LEG_FACTOR * steps + 1):
             joined = self._apply_losses_and_joins(k)
@@ -71,7 +66,9 @@ class _Flight:
             for deciding, bids in self._schedule_decisions(graph, joined, k):
                 time = self.step_index * mission.step
                 self._decide(
-                    DecisionContext(mission, self.leg, deciding, measured, self.memory, k, time),
+                    state.DecisionContext(
+                        mission, self.leg, deciding, measured, self.memory, k, time
+                    ),
                     bids,
                 )
             control = planning.controls_at(self.plans, k, self.alive, mission)
@@ -85,7 +82,7 @@ class _Flight:
         self._note("leg_end", self.alive, **ended)
 
     def _note(self, kind: str, agents: Array, **more: object) -> None:
-        self.events.append({"kind": kind, "agents": to_indices(agents), **more})
+        self.events.append({"kind": kind, "agents": state.to_indices(agents), **more})
 
     def make_graph(self) -> CommunicationGraph:
         """Connect all live agents within hearing."""
@@ -135,7 +132,7 @@ class _Flight:
             decisions.append((graph, k % self.mission.auction_steps == 0))
         return decisions
 
-    def _decide(self, context: DecisionContext, bids: bool) -> None:
+    def _decide(self, context: state.DecisionContext, bids: bool) -> None:
         solve_count = 0
         if bids:
             decision = assign_targets(context, planning.remaining_fuel(self.plans, context))
@@ -168,11 +165,11 @@ class _Flight:
 
     def make_frame(
         self, graph: CommunicationGraph, control: Array, applied: Array, measured: Array | None
-    ) -> ReconfigurationFrame:
+    ) -> state.ReconfigurationFrame:
         """Record this instant, and the events since the last one."""
         d, events = self.mission.axes, tuple(self.events)
         self.events = []
-        return ReconfigurationFrame(
+        return state.ReconfigurationFrame(
             time=self.step_index * self.mission.step,
             position=self.x[:, :d],
             velocity=self.x[:, d:],

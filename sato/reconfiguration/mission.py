@@ -174,9 +174,7 @@ class Reconfiguration(Motion, Mission):
     auction_steps: Annotated[
         Steps, PLAN, "period of auctions, a multiple of replan_steps; replan_steps if absent"
     ] = LATER
-    epsilon: Annotated[
-        Automatic, PLAN, "bid increment ε; auto is w s²/2 with the least spacing s"
-    ] = AUTO
+    epsilon: Annotated[Automatic, PLAN, "bid increment ε; auto: w s²/2, s the least spacing"] = AUTO
     tie_break: Annotated[float, PLAN, NotNegative, "weight w [1/m] of the tie-break"] = 0.2
     cost: Annotated[Literal["fuel", "distance"], PLAN, "cost of a target"] = "fuel"
     bidder_ids: Annotated[bool, PLAN, Key("ids"), "bids carry the bidder; false as printed"] = True
@@ -187,9 +185,7 @@ class Reconfiguration(Motion, Mission):
     margin: Annotated[
         Automatic, Unit("m"), PLAN, "beyond R_col; auto where the model may err, else 0, if absent"
     ] = LATER
-    allow_undetectable: Annotated[bool, PLAN, "fly where agents could meet unseen (Prop. 9)"] = (
-        False
-    )
+    allow_undetectable: Annotated[bool, PLAN, "fly where agents could meet unseen"] = False
     position_tolerance: Annotated[
         Length, PLAN, Positive, "distance within which a target counts as reached"
     ] = LATER
@@ -200,10 +196,8 @@ class Reconfiguration(Motion, Mission):
     disturbance: Annotated[
         Acceleration, NOISE, Key("acceleration"), NotNegative, "standard deviation, held for a step"
     ] = 0.0
-    position_noise: Annotated[Length, NOISE, Key("position"), NotNegative, "measurement noise"] = (
-        0.0
-    )
-    velocity_noise: Annotated[Speed, NOISE, Key("velocity"), NotNegative, "measurement noise"] = 0.0
+    position_noise: Annotated[Length, NOISE, Key("position"), NotNegative, "of measurement"] = 0.0
+    velocity_noise: Annotated[Speed, NOISE, Key("velocity"), NotNegative, "of measurement"] = 0.0
     thrust_error: Annotated[float, NOISE, Key("thrust"), NotNegative, "relative thrust error"] = 0.0
     pointing_error: Annotated[Angle, NOISE, Key("pointing"), NotNegative, "pointing error"] = 0.0
 

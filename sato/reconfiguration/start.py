@@ -35,9 +35,7 @@ class Random(Definition):
     depth: Annotated[
         float | None, Unit("m"), NotNegative, "side along z; as the others if absent, 0 is flat"
     ] = None
-    center: Annotated[Coordinates | None, Unit("m"), "center of the box; the origin if absent"] = (
-        None
-    )
+    center: Annotated[Coordinates | None, Unit("m"), "its center; the origin if absent"] = None
     min_components: Annotated[int | None, Ge(1), "connected components, at least"] = None
     connected: Annotated[bool, "draw until the graph is connected"] = False
 

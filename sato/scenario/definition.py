@@ -116,9 +116,7 @@ class Field:
         marks: dict[type, Any] = {type(mark): mark for mark in self.marks}
         self.meaning: str = marks.get(str, "")
         self.table: str = marks[In].table if In in marks else ""
-        self.convert: Callable[[Any], Any] | None = (
-            marks[Convert].function if Convert in marks else None
-        )
+        self.convert: Callable[[Any], Any] | None = getattr(marks.get(Convert), "function", None)
         self.key: str = marks[Key].name if Key in marks else name
         if Unit in marks:
             self.key += f"_{marks[Unit].suffix}"  # an SI unit

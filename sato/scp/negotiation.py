@@ -14,15 +14,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from problems import convexify
 from problems.avoidance import AvoidanceProblem, AvoidanceResult
 from problems.conic import Unsolved
-from problems.convexify import (
-    AvoidanceHorizon,
-    are_balls_separated,
-    are_hulls_separated,
-    choose_normals,
-    convexify,
-)
 from problems.pair_avoidance import PairProblem, RelativeHalfSpaces
 from problems.transfer import Trajectory
 from sato.network.graph import CommunicationGraph
@@ -135,7 +129,7 @@ def find_nearby(agent: Planner, inbox: list[TrajectoryMessage]) -> list[int]:
     return [
         message.priority[2]
         for message in inbox
-        if not are_balls_separated(path - message.control_points, near).all()
+        if not convexify.are_balls_separated(path - message.control_points, near).all()
     ]
 
 
@@ -174,8 +168,8 @@ def _make_offer(negotiator: Negotiator, inbox: list[TrajectoryMessage]) -> Negot
     points, horizon, (x, u, _) = _nominal_points(agent), agent.horizon, agent.nominal
     others = [m.control_points for m in inbox if m.priority[2] != negotiator.partner]
     neighbor_points = np.array(others).reshape(-1, *points.shape)
-    normals = choose_normals(points - neighbor_points, horizon.required_separation)
-    half_spaces = convexify(horizon, len(u), neighbor_points, normals)
+    normals = convexify.choose_normals(points - neighbor_points, horizon.required_separation)
+    half_spaces = convexify.convexify(horizon, len(u), neighbor_points, normals)
     # Among trajectories of equal fuel a tie-break keeps to one that may leave others less room.
     transfer = agent.without_tie_break.transfer
     problem = AvoidanceProblem(transfer, x[0], agent.target_state, half_spaces)
@@ -209,7 +203,7 @@ def _accept_agreement(negotiator: Negotiator, inbox: list[Agreement]) -> Negotia
 
 
 def solve_pair(
-    own: Offer, other: Offer, horizon: AvoidanceHorizon
+    own: Offer, other: Offer, horizon: convexify.AvoidanceHorizon
 ) -> tuple[tuple[Trajectory, Trajectory] | None, int]:
     """Solve for the trajectories of two agents to their targets, and count the programs.
 
@@ -220,7 +214,7 @@ def solve_pair(
     """
     T, R = len(own.trajectory.u), horizon.clearance
     relative = (own.nominal_points - other.nominal_points)[None]
-    normals = choose_normals(relative, horizon.required_separation)[0]
+    normals = convexify.choose_normals(relative, horizon.required_separation)[0]
     between = RelativeHalfSpaces.from_normals(horizon, T, normals)
     problem = PairProblem(own.problem, other.problem, between)
     violation = problem.violation((own.trajectory, other.trajectory))
@@ -245,6 +239,6 @@ def solve_pair(
         # A solution within the solver's tolerance may miss a target by more than counts as none.
         and reaches_target(both[0], own.problem.goal, R)
         and reaches_target(both[1], other.problem.goal, R)
-        and all(are_hulls_separated(gap, R).all() for gap in gaps)
+        and all(convexify.are_hulls_separated(gap, R).all() for gap in gaps)
     )
     return (both if is_accepted else None), solves

@@ -8,16 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
+from problems import convexify
 from problems.avoidance import AvoidanceProblem, AvoidanceResult, HalfSpaces, Relaxation
 from problems.conic import Unsolved
-from problems.convexify import (
-    AvoidanceHorizon,
-    PassingSide,
-    are_balls_separated,
-    are_hulls_separated,
-    choose_normals,
-    convexify,
-)
 from problems.transfer import Trajectory, TransferProblem
 
 ACTIVE_TOLERANCE = 1e-3  # of R: a half-space with less room than this may be active
@@ -25,13 +18,13 @@ VIOLATION_TOLERANCE = 1e-7  # of R: a half-space violated by more joins the prog
 NEARBY_FACTOR = 2.0  # times R: agents that come closer have half-spaces from the first solve
 CONVERGENCE_TOLERANCE = 1e-3  # ε_SCP over R: a trajectory that moves less has converged
 # Sides on which to pass where nominals collide, by dimension: the cheapest is taken.
-PASSING_SIDES: dict[int, tuple[PassingSide, ...]] = {
+PASSING_SIDES: dict[int, tuple[convexify.PassingSide, ...]] = {
     2: ("same", "opposite"),
     3: ("same", "opposite", "above", "below"),
 }
 # Where all are infeasible: what is relaxed, the side on which to pass the neighbors, and whether
 # to convexify about stopping at once. Tried in this order.
-RELAXATION_ORDER: tuple[tuple[Relaxation, PassingSide, bool], ...] = (
+RELAXATION_ORDER: tuple[tuple[Relaxation, convexify.PassingSide, bool], ...] = (
     ("terminal", "same", False),
     ("terminal", "opposite", False),
     ("terminal", "same", True),
@@ -59,7 +52,7 @@ class Planner(NamedTuple):
     priority: tuple[bool, float, int]  # (can still move, −fuel spent, number) [Remark 5]
     target_state: Float[Array, " n"]
     transfer: TransferProblem
-    horizon: AvoidanceHorizon
+    horizon: convexify.AvoidanceHorizon
     solo: Trajectory  # optimal without the others: iterate 0
     nominal: Trajectory
     control_points: Float[Array, "pieces 4 d"]  # of the nominal, over the horizon
@@ -154,7 +147,7 @@ def is_clear(
     path: Float[Array, "pieces 4 d"], others: Sequence[TrajectoryMessage], radius: float
 ) -> bool:
     """Return True where a path keeps the collision radius from all others."""
-    return not others or bool(are_hulls_separated(path - paths_of(others), radius).all())
+    return not others or bool(convexify.are_hulls_separated(path - paths_of(others), radius).all())
 
 
 def _solve_iteration(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Planner:
@@ -206,7 +199,7 @@ def solve_around(
     agent: Planner,
     others: Float[Array, "others pieces 4 d"],
     nominal: Float[Array, "pieces 4 d"],
-    side: PassingSide,
+    side: convexify.PassingSide,
     relaxation: Relaxation = "none",
 ) -> AvoidanceResult | None:
     """Solve Problem 7 about a nominal path, clear of all others; None where it is infeasible.
@@ -215,16 +208,18 @@ def solve_around(
     """
     horizon, T = agent.horizon, len(agent.nominal.u)
     near = NEARBY_FACTOR * horizon.clearance
-    constrained = ~are_balls_separated(agent.control_points - others, near).all(axis=1)
+    constrained = ~convexify.are_balls_separated(agent.control_points - others, near).all(axis=1)
     while True:
         paths = others[constrained]
-        normal = choose_normals(nominal - paths, horizon.required_separation, side)
+        normal = convexify.choose_normals(nominal - paths, horizon.required_separation, side)
         try:
-            result = _solve_active_set(agent, convexify(horizon, T, paths, normal), relaxation)
+            result = _solve_active_set(
+                agent, convexify.convexify(horizon, T, paths, normal), relaxation
+            )
         except Unsolved:
             return None
         path = horizon.control_points(result.trajectory.x, result.trajectory.u)
-        is_met = ~are_hulls_separated(path - others, horizon.clearance).all(axis=1)
+        is_met = ~convexify.are_hulls_separated(path - others, horizon.clearance).all(axis=1)
         if not (is_met & ~constrained).any():
             return result
         constrained = constrained | is_met

@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
+from numpy.random import Generator
 
 from problems.desired_formation import DesiredFormation
 from sato.scenario.errors import join_names
@@ -151,9 +152,7 @@ def read_graph(path: str | Path, count: int) -> Bool[Array, "count count"]:
     return graph_from_edges(count, edges)
 
 
-def random_dense_graph(
-    count: int, removals: int, rng: np.random.Generator
-) -> Bool[Array, "count count"]:
+def random_dense_graph(count: int, removals: int, rng: Generator) -> Bool[Array, "count count"]:
     """Return the complete graph without some random edges.
 
     As in the trials of [Lusk2020], a removal may repeat another or join a vertex to itself, and
@@ -166,7 +165,7 @@ def random_dense_graph(
 
 
 def random_sparse_graph(
-    points: Float[Array, "n d"], share: float, rng: np.random.Generator
+    points: Float[Array, "n d"], share: float, rng: Generator
 ) -> Bool[Array, "n n"]:
     """Return a random graph with a share of all edges that has stabilizing gains.
 

@@ -37,9 +37,7 @@ class Shape(Definition):
 
     is_absolute: ClassVar[bool] = False  # keeps size and position unless others are requested
 
-    center: Annotated[
-        Coordinates | None, Unit("m"), "middle of the shape; the origin if absent"
-    ] = None
+    center: Annotated[Coordinates | None, Unit("m"), "its middle; the origin if absent"] = None
     spacing: Annotated[Size | None, Unit("m"), "least distance of two targets"] = None
 
     @abstractmethod
@@ -135,9 +133,7 @@ class Points(Shape):
     is_absolute: ClassVar[bool] = True
     positions: Annotated[Matrix | None, Unit("m"), "one row a point"] = None
     velocities: Annotated[Matrix | None, Unit("m_s"), "one row a point; at rest if absent"] = None
-    keep_order: Annotated[bool, "keep the order; else every prefix is made to keep the shape"] = (
-        False
-    )
+    keep_order: Annotated[bool, "keep the order; else every prefix keeps the shape"] = False
     file: Annotated[str | None, "CSV file with one point a line"] = None
 
     def check(self) -> None:

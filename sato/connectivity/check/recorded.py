@@ -110,13 +110,11 @@ def _mean(values: Float[Array, "*k"], which: Bool[Array, "*k"]) -> float:
     return float(values[which].mean()) if which.any() else np.nan
 
 
-def nearest_agent_distance(
-    there: Float[Array, "instants agents 3"],
-) -> Float[Array, "instants agents"]:
+def nearest_agent_distance(p: Float[Array, "instants agents 3"]) -> Float[Array, "instants agents"]:
     """Compute the distance of each agent to the nearest other [m]; NaN where its position is."""
-    found = np.full(there.shape[:2], np.inf)
-    for j in range(there.shape[1]):
-        away = np.linalg.norm(there - there[:, j : j + 1], axis=2)
+    found = np.full(p.shape[:2], np.inf)
+    for j in range(p.shape[1]):
+        away = np.linalg.norm(p - p[:, j : j + 1], axis=2)
         away[:, j] = np.inf
         found = np.fmin(found, away)
-    return np.where(np.isfinite(there[..., 0]) & np.isfinite(found), found, np.nan)
+    return np.where(np.isfinite(p[..., 0]) & np.isfinite(found), found, np.nan)

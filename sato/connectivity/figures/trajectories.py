@@ -39,7 +39,7 @@ def plot_trajectories(record: ConnectivityRecord) -> Figure:
     deep.computed_zorder = False
     draw_obstacles_3d(deep, obstacles, space)
     height = float(frames.position[-1, :, 2].mean())
-    draw_obstacles_from_above(above, obstacles, space, height)
+    draw_obstacles_above(above, obstacles, space, height)
     _draw_fields_of_view(above, record)
     for ax, bounds in ((deep, space), (above, flat)):
         _draw_trajectories(ax, record, bounds)
@@ -124,9 +124,7 @@ def draw_obstacles_3d(ax: Any, obstacles: Obstacles, space: AxisBounds) -> None:
             ax.plot_trisurf(*section.T, triangles=fan, shade=False, color=LIGHT_GRAY, alpha=0.35)
 
 
-def draw_obstacles_from_above(
-    ax: Any, obstacles: Obstacles, space: AxisBounds, height: float
-) -> None:
+def draw_obstacles_above(ax: Any, obstacles: Obstacles, space: AxisBounds, height: float) -> None:
     """Draw obstacles from above, and the sections of planes at a height."""
     for x, y, _, radius in obstacles.spheres:
         ax.add_patch(Circle((x, y), radius, zorder=1, **OBSTACLE_STYLE))

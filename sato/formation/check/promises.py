@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray as Array
+from numpy.random import Generator
 
 from sato.check import common
 from sato.check.report import (
@@ -27,9 +28,7 @@ NOISE_ALLOWANCE = 0.05  # by which two may come closer than keep_out, because of
 ROUNDING_TOLERANCE = 1e-9  # relative, of speeds and accelerations
 
 
-def check_run(
-    data: "xarray.Dataset", mission: Formation, rng: np.random.Generator | None = None
-) -> Report:
+def check_run(data: "xarray.Dataset", mission: Formation, rng: Generator | None = None) -> Report:
     """Check the data of a run against a drawn mission.
 
     Args:

@@ -10,13 +10,7 @@ from numpy import ndarray as Array
 
 from problems.alignment import compute_shape_error
 from problems.gain_matrix import GainMatrix
-from sato.check.common import (
-    ClosestPair,
-    common_summary,
-    drop_non_finite,
-    find_closest_approach,
-    incomplete_reason,
-)
+from sato.check import common
 from sato.formation.loop import FormationFrame
 from sato.formation.mission import Formation
 from sato.formation.record import GAIN_PARTS, FormationVariables
@@ -82,9 +76,9 @@ class FormationRecord(RunRecord[Formation, FormationFrame, FormationVariables]):
         return Replay(leg, tuple(phase), tuple(noted), legs, is_complete)
 
     @cached_property
-    def closest_approach(self) -> ClosestPair:
+    def closest_approach(self) -> common.ClosestPair:
         """Closest two vehicles in the plane, on straight lines between the instants."""
-        return find_closest_approach(self.frames.position[..., :2], self.frames.alive)
+        return common.find_closest_approach(self.frames.position[..., :2], self.frames.alive)
 
     def load_gains(self, leg: int) -> GainMatrix:
         """Return the recorded gains, for the scenario's own formation.
@@ -115,17 +109,17 @@ class _RecordedCourse(FlightCourse):
 
 def summarize(record: FormationRecord) -> dict[str, Any]:
     """Summarize a run; entries that it does not have are absent."""
-    return common_summary(record.attributes, record.frames.alive) | summarize_flight(record)
+    return common.common_summary(record.attributes, record.frames.alive) | summarize_flight(record)
 
 
 def summarize_flight(record: FormationRecord) -> dict[str, Any]:
     """Summarize a flight, without the entries that the runs of every system have."""
     mission = record.mission
     legs = [summarize_leg(record, leg) for leg in record.replay.legs]
-    is_over = len(legs) == len(mission.legs) and not incomplete_reason(record.attributes)
+    is_over = len(legs) == len(mission.legs) and not common.incomplete_reason(record.attributes)
     gridlocked = record.replay.phase[:-1].count(Phase.GRIDLOCKED)
     errors = [leg["shape_error_m"] for leg in legs if "shape_error_m" in leg]
-    return drop_non_finite(
+    return common.drop_non_finite(
         {
             "success": is_over and all(leg["success"] for leg in legs),
             "shape_error_m": max(errors, default=np.nan),
@@ -168,7 +162,7 @@ def summarize_leg(record: FormationRecord, leg: FormationLegRecord) -> dict[str,
         error = shape.upright if mission.control_law.upright else min(shape)
         summary["success"] = leg.completed and error <= mission.supervision.shape_tolerance
         summary |= {"shape_error_m": shape.error, "inverted": shape.inverted}
-    return drop_non_finite(summary)
+    return common.drop_non_finite(summary)
 
 
 def received_bit_rate(record: FormationRecord) -> float:

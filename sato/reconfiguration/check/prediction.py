@@ -7,6 +7,7 @@ trajectory; the error of the shared model bounds theirs.
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
+from numpy.random import Generator
 
 from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
 from sato.reconfiguration.disturbances import disturb_control, draw_losses, measure
@@ -79,7 +80,7 @@ def _max_plan_age(record: ReconfigurationRecord) -> Int[Array, " instants"]:
 
 
 def redraw_disturbances(
-    record: ReconfigurationRecord, rng: np.random.Generator
+    record: ReconfigurationRecord, rng: Generator
 ) -> tuple[Float[Array, "steps agents n"], Float[Array, "steps agents d"]]:
     """Draw again, in the order of the loop: losses, measurements, disturbances, thruster errors.
 
@@ -99,9 +100,7 @@ def redraw_disturbances(
     return measured, applied
 
 
-def _redraw_losses(
-    record: ReconfigurationRecord, leg: LegRecord, k: int, rng: np.random.Generator
-) -> None:
+def _redraw_losses(record: ReconfigurationRecord, leg: LegRecord, k: int, rng: Generator) -> None:
     losses = record.mission.legs[leg.leg_index].losses
     due = [loss for loss in losses if loss.at_step == k - leg.start_index]
     lost = [event["agents"] for at, event in record.events.of_kind("loss") if at == k]

@@ -8,15 +8,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
+from dynamics import trajectory_geometry
 from dynamics.discretize import DiscreteModel, discretize_zoh
 from dynamics.model import LinearModel
 from dynamics.plant import LinearPlant
-from dynamics.trajectory_geometry import (
-    Separations,
-    interpolation_error_bound,
-    sampled_interpolation_error,
-    separations,
-)
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.record import ReconfigurationVariables
 from sato.reconfiguration.state import ReconfigurationFrame
@@ -149,7 +144,7 @@ class ReconfigurationRecord(
         return found
 
     @cached_property
-    def separations(self) -> tuple[Separations, float]:
+    def separations(self) -> tuple[trajectory_geometry.Separations, float]:
         """Least separation in every piece, and an allowance for the interpolation error [m].
 
         Pieces lie between states of the plant itself. Two agents may have been closer by twice
@@ -163,7 +158,7 @@ class ReconfigurationRecord(
             within = x[:-1].reshape(-1, pieces, *x.shape[1:])
             within[:, 1:] = self.repropagate(pieces)[:, 1:-1]
         alive = np.vstack([np.repeat(self.is_flying, pieces, axis=0), self.frames.alive[-1:]])
-        found = separations(x[..., :d], x[..., d:], alive, h)
+        found = trajectory_geometry.separations(x[..., :d], x[..., d:], alive, h)
         return found, 2 * self._interpolation_error(x, pieces)
 
     @cached_property
@@ -181,9 +176,9 @@ class ReconfigurationRecord(
         x, h, d = np.moveaxis(x, 0, 1), self.mission.step / pieces, self.axes
         model = self._time_invariant_model
         if model is None:
-            return sampled_interpolation_error(x[..., :d], x[..., d:], h)
+            return trajectory_geometry.sampled_interpolation_error(x[..., :d], x[..., d:], h)
         u = np.repeat(self.frames.applied_control[:-1], pieces, axis=0)
-        return interpolation_error_bound(model, x, np.moveaxis(u, 0, 1), h)
+        return trajectory_geometry.interpolation_error_bound(model, x, np.moveaxis(u, 0, 1), h)
 
     @property
     def _time_invariant_model(self) -> LinearModel | None:

@@ -104,9 +104,7 @@ def plot_instants(record: ReconfigurationRecord) -> Figure:
             trails.append(scene.path_between(since, k))
     width = 2.6 if len(scene.legs) > 1 else 3.4
     figure, axes = make_panels([s.title for s in shots], space, len(SNAPSHOT_FRACTIONS), width)
-    size = float(
-        np.clip(30 / len(record.frames.alive[0]) ** 0.5, 2.2, 3.9)
-    )  # smaller for many agents
+    size = float(np.clip(30 / len(record.frames.alive[0]) ** 0.5, 2.2, 3.9))  # smaller for many
     for ax, shot, trail in zip(axes, shots, trails, strict=True):
         draw_paths(ax, space, trail, TRAIL_COLOR, label="recent trajectory")
         ax.plot(0, 0, **CHIEF_STYLE, ls="", zorder=1)
