@@ -124,6 +124,24 @@ def test_a_feasible_guess_is_never_lost():
     assert best.fuel <= tried[0].fuel and tried[0].solver_message == "initial guess"
 
 
+def test_solutions_dearer_than_the_best_feasible_one_are_abandoned(monkeypatch):
+    solve, solved = SwarmProgram.solve, []
+
+    def counted(*args):
+        solved.append(args)
+        return solve(*args)
+
+    monkeypatch.setattr(SwarmProgram, "solve", counted)
+    central, start, goal, (cheap, dear) = through_one_point(np.random.default_rng(3), 3)
+    best, _ = central.solve(start, goal, [cheap])
+    alone_takes = len(solved)
+    worse, _ = central.solve(start, goal, [dear])
+    assert worse.fuel > 1.1 * best.fuel and len(solved) > alone_takes + 1
+    solved.clear()
+    again, _ = central.solve(start, goal, [cheap, dear])
+    assert again.fuel == best.fuel and len(solved) == alone_takes + 1
+
+
 def test_without_a_feasible_solution_all_solutions_are_raised():
     # The time just suffices to fly straight, and for a displacement of 1.8 m on the other axis.
     central = question(radius=7.0, max_speed=np.inf)

@@ -307,3 +307,11 @@ def test_speed_limit_asks_for_time_at_ends_at_rest_only(v_start, v_end, rng):
         mission = tiny(start=start, **free)
         with nullcontext() if steps == least else pytest.raises(InputError, match="can reach none"):
             mission.draw(rng)
+
+
+@pytest.mark.parametrize("freeze", [0, 4])
+def test_plans_that_reach_their_targets_are_kept_before_the_deadline(freeze):
+    mission = tiny(replan_steps=1, auction_steps=1, freeze_steps=freeze)
+    frames = list(sato.simulate(mission, seed=1))
+    planned = [k for k, f in enumerate(frames) for e in f.events if e["kind"] == "replan"]
+    assert planned == list(range(20 - max(freeze - 1, 0)))
