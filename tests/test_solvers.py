@@ -72,3 +72,9 @@ def test_a_missing_solver_is_refused_with_its_pip_package(rng):
     absent = SolverAdapter("absent", LP, False, lambda problem, tolerance: problem, "absent_")
     with pytest.raises(ValueError, match=r"absent is not installed; pip install absent_ would do"):
         absent.open_session(UNBOUNDED, 1e-6)
+
+
+def test_unsupported_cones_are_refused(rng):
+    problem, _, _ = random_program(rng, "second-order")
+    with pytest.raises(ValueError, match="highs cannot take second-order cones"):
+        open_session("highs", problem)
