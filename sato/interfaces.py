@@ -123,6 +123,7 @@ class System(Generic[MissionT, FrameT]):
     animation: "Callable[[xarray.Dataset, MissionT], Any] | None" = None
     run_variables: type | None = None  # named tuple with annotated fields: variables of a run
     collect: Callable[[Sequence[FrameT], MissionT], Any] | None = None  # their values
+    promises: tuple[str, ...] = ()  # names of those of `check`
     stop_errors: tuple[type[Exception], ...] = ()  # may end a flight early without being a fault
 
 

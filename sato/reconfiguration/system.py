@@ -3,7 +3,7 @@
 from problems.conic import Unsolved
 from sato.auctions import OutOfTargets
 from sato.interfaces import MissionProgress, System, lazy
-from sato.reconfiguration.check import check_run
+from sato.reconfiguration.check.promises import PROMISES, check_run
 from sato.reconfiguration.loop import simulate
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.record import (
@@ -33,5 +33,6 @@ SYSTEM = System(
     progress=make_progress,
     figures=lazy("sato.reconfiguration.figures:make_figures"),
     animation=lazy("sato.reconfiguration.figures:make_animation"),
+    promises=PROMISES,
     stop_errors=(Unsolved, OutOfTargets),
 )

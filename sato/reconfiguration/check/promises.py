@@ -22,6 +22,10 @@ from sato.reconfiguration.record import CHIEF_ELEMENTS, collect_attributes, stac
 if TYPE_CHECKING:
     import xarray
 
+PROMISES = tuple(
+    "complete attributes times chief numbers start alive component flight applied measured control"
+    " speed targets legs assignment believed separation feasible reached fuel".split()
+)
 # Rounding in one step, relative to the largest position, speed or control.
 ROUNDING_TOLERANCE = 1e-10
 
