@@ -6,6 +6,7 @@ from gain_examples import assert_satisfies_equations, random_graph, rigid_graph
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from problems import gain_sdp
 from problems.desired_formation import DesiredFormation
 from problems.gain_admm import _AndersonAcceleration, _prox_least_eigenvalue, solve
 from problems.gain_problem import MIN_RATE, GainProblem, NoGainMatrix
@@ -33,6 +34,16 @@ def test_the_rate_is_within_the_tolerance_of_a_proven_bound(axes, seed, share):
     assert_satisfies_equations(problem, L)
     assert rate <= bound + 1e-12
     assert bound <= MIN_RATE or bound - rate <= 1e-2 * bound
+
+
+@pytest.mark.parametrize("axes", ["xy", "z"])
+@pytest.mark.parametrize(("n", "share"), [(5, 0.8), (7, 0.7), (9, 0.5), (11, 0.45), (13, 0.4)])
+def test_rates_on_sparse_graphs_equal_those_of_the_general_solver(axes, n, share, rng):
+    problem = rigid_problem(rng, n, share, axes)
+    best = problem.convergence_rate(gain_sdp.solve(problem)[0])
+    L, Y = solve(problem, tolerance=1e-4)
+    assert problem.convergence_rate(L) == pytest.approx(best, abs=1e-4)
+    assert problem.rate_bound(Y) == pytest.approx(best, abs=1e-4)
 
 
 @pytest.mark.parametrize("axes", ["xy", "z"])
