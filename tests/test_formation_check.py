@@ -249,6 +249,14 @@ def test_success_needs_a_shape_error_within_the_tolerance(honest):
     assert not check_run(data, replace(mission, supervision=strict)).summary["success"]
 
 
+def test_agent_commanded_into_others_keeps_out_of_them():
+    push = "push=[{vehicle=0, start_s=1, end_s=30, velocity_m_s=[0.4, 0, 0]}]"
+    mission, frames = fly(push)
+    assert any(frame.avoiding[0] for frame in frames)
+    report = check_run(dataset(mission, frames), mission)
+    assert report.kept, report.broken
+
+
 def test_legacy_agents_that_meet_break_separation_alone():
     # The paper's avoidance, for agents without an assignment that must cross each other.
     mission, frames = fly("legacy_avoidance=true", "assignment.kind=none", seed=1)
@@ -266,6 +274,10 @@ def test_saved_run_is_checked_from_its_own_scenario(tmp_path):
     again = sato.load(tmp_path)
     assert again.check().kept
     assert again.summary == run.summary
+    wrong = replace(again, summary=again.summary | {"path_m": again.summary["path_m"] + 1})
+    assert {p.name for p in wrong.check().broken} == {"summary"}
+    moved = replace(again, data=altered(again.data, "position", at((70, 2, 1), 1e-6)))
+    assert {"unaltered", "flight"} <= {p.name for p in moved.check().broken}
 
 
 def test_replay_gives_the_phases_and_legs_of_the_flight(honest):
