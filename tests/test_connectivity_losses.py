@@ -5,6 +5,7 @@ import pytest
 from connectivity_cast import fly, posed, spheres
 
 from dynamics.vehicle import rotate_by_yaw
+from problems.interaction_graph import Camera, algebraic_connectivity, interaction_graph
 from sato.connectivity.controller import repulsion_gain
 from sato.connectivity.mission import AgentLoss
 from sato.connectivity.settings import (
@@ -58,6 +59,17 @@ def test_isolated_robot_stops_and_keeps_its_distance(estimator):
     later = [f.lambda2_estimate[3] for f in frames if f.time > DEATH + MAX_ROW_AGE]
     if estimator == "flood":
         assert np.isnan(later).all()
+
+
+def test_remaining_pair_uses_the_remaining_graph():
+    late = [f for f in cut(dies=2) if f.time > DEATH + MAX_ROW_AGE + 0.02]
+    assert late
+    for f in late:
+        weights = interaction_graph(f.position[:2], f.yaw[:2], Camera()).weights
+        pair = algebraic_connectivity(weights).lambda2
+        assert pair > 0.5
+        # The other's row is one message old.
+        assert f.lambda2_estimate[:2] == pytest.approx(np.full(2, pair), abs=0.01)
 
 
 def test_estimate_out_of_range_is_rejected():

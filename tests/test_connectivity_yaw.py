@@ -14,8 +14,10 @@ from dynamics.vehicle import VehicleState, rotate_by_yaw
 from problems.interaction_graph import Camera, bearings, lambda2_gradient
 from sato.connectivity.controller import negative_slope
 from sato.connectivity.settings import Potential, Repulsion, YawTracking
+from sato.connectivity.state import Knowledge
 from sato.connectivity.yaw_estimator import (
     circular_mean,
+    estimate_relative_yaw,
     update_velocity_observer,
     update_yaw_estimate,
     wrap_angle,
@@ -24,6 +26,7 @@ from sato.connectivity.yaw_estimator import (
 )
 
 TRACK = YawTracking()
+AHEAD = -np.pi / 4  # yaw with which the camera looks along x
 ANGLES = st.floats(-np.pi, np.pi)
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -129,6 +132,29 @@ def test_new_sighting_resets_the_observer(rng):
 def test_two_bearings_give_the_relative_yaw(seed):
     position, yaw, _, _ = pose(np.random.default_rng(seed))
     assert apart(yaw_from_bearings(*seen(position, yaw)), yaw[1] - yaw[0]) < 1e-9
+
+
+@pytest.mark.parametrize("is_new", [True, False])
+def test_bearings_correct_the_yaw_only_when_their_message_arrives(is_new):
+    # Between messages an agent may turn in ways that the message does not tell.
+    position, yaw = np.array([[0.0, 0, 0], [4, 0, 0]]), np.array([AHEAD, AHEAD + np.pi])
+    mine, theirs = seen(position, yaw)
+    away = np.full((2, 2, 3), np.nan)
+    away[0, 1], away[1, 0] = mine, theirs
+    believed = np.array([[0.0, 2.5], [-2.5, 0.0]])
+    known = Knowledge.at_start(believed, np.random.default_rng(0))
+    measured = known.measurements._replace(relative_position=away)
+    inbox = known.inbox._replace(
+        time=np.zeros((2, 2)),
+        is_new=np.full((2, 2), is_new),
+        relative_position=away.swapaxes(0, 1),
+        own_relative_position=away,
+        relative_yaw=np.tile(believed, (2, 1, 1)),
+    )
+    known = known._replace(measurements=measured, inbox=inbox)
+    found, _ = estimate_relative_yaw(known, posed(position, yaw), 0.01)
+    nearer = apart(found[0, 1], np.pi) < apart(2.5, np.pi) - 1e-6
+    assert nearer if is_new else found[0, 1] == 2.5
 
 
 @given(ANGLES, ANGLES)
