@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from problems.alignment import align
+from problems.alignment import Pose, align
 
 seeds = st.integers(0, 10**6)
 
@@ -33,6 +33,21 @@ def test_the_placed_shape_does_not_depend_on_the_coordinate_frame(seed):
     here = align(shape, seen).transform(shape)
     there = align(shape, seen @ turn(yaw).T + r).transform(shape)
     assert_allclose(there, here @ turn(yaw).T + r, atol=1e-9)
+
+
+@pytest.mark.parametrize("k", [2, 3, 10])
+def test_no_other_rotation_or_translation_is_nearer(rng, k):
+    shape, seen = rng.normal(size=(2, k, 3))
+
+    def misfit(pose):
+        return np.sum((seen - pose.transform(shape)) ** 2)
+
+    pose = align(shape, seen)
+    best, middle = misfit(pose), seen.mean(axis=0)
+    for yaw in np.linspace(-np.pi, np.pi, 2001):
+        assert misfit(Pose(yaw, middle - turn(yaw) @ shape.mean(axis=0))) >= best - 1e-12
+    for step in 1e-3 * np.vstack([np.eye(3), -np.eye(3)]):
+        assert misfit(Pose(pose.yaw, pose.translation + step)) > best
 
 
 def test_the_rotation_is_that_of_the_singular_value_decomposition(rng):

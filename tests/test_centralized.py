@@ -224,6 +224,14 @@ def test_a_displaced_guess_keeps_its_ends_and_is_consistent():
     assert_allclose(slope[:, 1:-1], fine[:, 1:-1, 2:], atol=1e-4)
 
 
+def test_only_the_same_pair_near_the_same_time_gets_a_larger_distance():
+    pair, time = np.array([[0, 1], [2, 0], [1, 2], [0, 1]]), np.array([0.3, 1.0, 24.0, 11.71])
+    instants = SeparationConstraints(pair, time, np.array([1.0, 1.25, 1.0, 1.5]))
+    others = SeparationConstraints(pair[[0, 0]], np.array([0.9, 1.1]), np.ones(2))
+    raised = instants.enlarge_distance(others, np.array([0.01, 0.02]), 2.0)
+    assert_allclose(raised.min_distance - instants.min_distance, [0.02, 0.0, 0.0, 0.0])
+
+
 @pytest.mark.parametrize("axes", [2, 3])
 def test_relative_positions_are_those_of_the_trajectories(rng, axes):
     central = question(axes)

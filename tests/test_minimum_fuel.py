@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import csc_array
 
 from dynamics import ClohessyWiltshire, DiscreteModel, DoubleIntegrator, discretize_zoh
@@ -102,6 +102,15 @@ def test_many_displacements_are_solved_as_each_alone(rng):
         alone = solve_minimum_fuel(orbit, b[q : q + 1], 0.01, tie_break_weights(24, 1e-6))
         assert_allclose(alone.u[0], together.u[q], atol=1e-10)
         assert_allclose(alone.fuel[0], together.fuel[q], rtol=1e-12)
+
+
+def test_other_batches_do_not_change_the_last_bit(rng):
+    b = displacements(plane, rng, 120, 0.1)
+    before = solve_minimum_fuel(plane, b, 0.1, np.ones(20), batches=6)
+    b[:40] = displacements(plane, rng, 40, 0.1)
+    after = solve_minimum_fuel(plane, b, 0.1, np.ones(20), batches=6)
+    for one, other in zip(before, after, strict=True):
+        assert_array_equal(one[40:], other[40:])
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 24])
