@@ -47,7 +47,7 @@ def estimate_relative_yaw(
     observer = np.where((sees & has_message)[..., None], observer, estimates.velocity_observer)
     from_motion, trust = yaw_from_motion(observer, inbox.twist, tracking)
     mutual = np.where(is_seen, _view_weight(p, camera) * _view_weight(p_back, camera), 0.0)
-    # Two bearings belong together only if they are of one time, so a message must be new.
+    # Both bearings are of the time of the message, which corrects once: when it arrives.
     has_both = is_seen & inbox.is_new & ~np.isnan(inbox.own_relative_position[..., 0])
     from_bearings = yaw_from_bearings(inbox.own_relative_position, p_back) + age * rate
     from_bearings = np.where(has_both, from_bearings, psi)
