@@ -150,9 +150,13 @@ class TransferProblem:
 
 def compute_fuel(u: ControlSamples, dt: float, norm: Norm) -> Float[Array, "*agents"] | float:
     """Compute Δt Σ ‖u[k]‖, without the weights [m/s]."""
-    order = np.inf if norm == "inf" else norm
-    fuel: Array = dt * np.linalg.norm(u, order, axis=-1).sum(axis=-1)
+    fuel: Array = dt * vector_norm(u, norm).sum(axis=-1)
     return fuel
+
+
+def vector_norm(u: Float[Array, "*k m"], norm: Norm) -> Float[Array, "*k"]:
+    """Compute the norm of vectors: 1, 2 or "inf"."""
+    return np.asarray(np.linalg.norm(u, ord=float(norm), axis=-1))
 
 
 def tie_break_weights(T: int, rise: float) -> Float[Array, " T"]:

@@ -129,7 +129,7 @@ def test_stages_are_the_start_each_leg_end_and_each_loss():
 
 
 def points(ax):
-    """Where agents stand in a panel."""
+    """Return the positions of the agents drawn in a panel."""
     return np.vstack([line.get_xydata() for line in ax.lines if line.get_zorder() == 3])
 
 

@@ -203,7 +203,7 @@ def _serve(connection: Connection, solver: SolverAdapter) -> None:
                 session = session or solver.session_factory(instance.problem, tolerance)
                 result = session.solve(instance.problem.b)
                 outcome = _evaluate(instance, result, tolerance, process_time() - began)
-            except Exception as error:
+            except Exception as error:  # whatever a solver raises is its failure, and is told
                 outcome = SolveOutcome("crashed", f"{type(error).__name__}: {error}")
             connection.send(outcome)  # before the next solve, which may crash
 

@@ -27,7 +27,16 @@ from sato.connectivity.settings import (
 )
 from sato.connectivity.start import Poses, RandomPoses, as_poses
 from sato.connectivity.stick import RecordedStick, WaypointStick
-from sato.scenario.definition import Convert, Definition, In, Matrix, NotNegative, Positive, Vector
+from sato.scenario.definition import (
+    LATER,
+    Convert,
+    Definition,
+    In,
+    Matrix,
+    NotNegative,
+    Positive,
+    Vector,
+)
 from sato.scenario.errors import InputError, errors_in
 from sato.scenario.file import Mission
 
@@ -39,8 +48,8 @@ DEFAULT_AGENTS = 6
 class AgentLoss(Definition):
     """Loss of a robot; what is absent is drawn."""
 
-    agent: Annotated[int, Key("robot"), NotNegative, "index"] = None  # type: ignore[assignment]
-    time: Annotated[Time, NotNegative, "time of the loss"] = None  # type: ignore[assignment]
+    agent: Annotated[int, Key("robot"), NotNegative, "index"] = LATER
+    time: Annotated[Time, NotNegative, "time of the loss"] = LATER
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -57,11 +66,11 @@ class Connectivity(Mission):
 
     system: ClassVar[str] = "connectivity"
 
-    agents: Annotated[int, In("swarm"), Ge(2), "number of robots; 6 if absent"] = None  # type: ignore[assignment]
+    agents: Annotated[int, In("swarm"), Ge(2), "number of robots; 6 if absent"] = LATER
     start: Annotated[RandomPoses | Poses, In("swarm"), Convert(as_poses), "initial poses"] = (
         RandomPoses()
     )
-    yaw: Annotated[Vector, In("swarm"), Unit("rad"), "yaw of each robot at the start"] = None  # type: ignore[assignment]
+    yaw: Annotated[Vector, In("swarm"), Unit("rad"), "yaw of each robot at the start"] = LATER
     yaw_error: Annotated[
         Annotated[float, NotNegative] | Matrix,
         In("swarm"),

@@ -9,7 +9,15 @@ from numpy import ndarray as Array
 from dynamics.units import Length, Unit
 from problems.interaction_graph import Camera, algebraic_connectivity, interaction_graph
 from sato.connectivity.obstacles import Point
-from sato.scenario.definition import Definition, Matrix, NotNegative, Positive, Vector, as_array
+from sato.scenario.definition import (
+    LATER,
+    Definition,
+    Matrix,
+    NotNegative,
+    Positive,
+    Vector,
+    as_array,
+)
 from sato.scenario.errors import InputError, errors_in
 from sato.shapes.random_points import sample_positions
 
@@ -23,7 +31,7 @@ class Poses(Definition):
 
     kind: ClassVar[str] = "points"
     positions: Annotated[Matrix, Unit("m"), "one row an agent"]
-    yaw: Annotated[Vector, Unit("rad"), "one yaw an agent"] = None  # type: ignore[assignment]
+    yaw: Annotated[Vector, Unit("rad"), "one yaw an agent"] = LATER
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.units import Key, Length, Speed, Time, Unit
-from sato.scenario.definition import Definition, Matrix, NotNegative, Positive, Vector
+from sato.scenario.definition import LATER, Definition, Matrix, NotNegative, Positive, Vector
 from sato.scenario.errors import InputError, errors_in
 
 MAX_TURN = 1.0  # between two drawn legs [rad]
@@ -19,7 +19,7 @@ class WaypointStick(Definition):
     """An operator that steers for one waypoint after another, and lets go now and then."""
 
     kind: ClassVar[str] = "waypoints"
-    waypoints: Annotated[Matrix, Unit("m"), "waypoints in the world frame; drawn if absent"] = None  # type: ignore[assignment]
+    waypoints: Annotated[Matrix, Unit("m"), "waypoints in the world frame; drawn if absent"] = LATER
     count: Annotated[int, Positive, "number of waypoints that are drawn"] = 3
     spacing: Annotated[Length, Positive, "distance of two drawn waypoints"] = 5.0
     speed: Annotated[Speed, Positive, "commanded speed"] = 2.0
@@ -60,9 +60,8 @@ class WaypointStick(Definition):
         if waypoints_reached >= len(self.waypoints) or not is_held:
             return np.zeros(3)
         gap = self.waypoints[waypoints_reached] - position
-        return np.asarray(
-            gap * self.speed / max(np.linalg.norm(gap), self.speed * self.time_constant)
-        )
+        far = max(np.linalg.norm(gap), self.speed * self.time_constant)
+        return np.asarray(gap * self.speed / far)
 
     def has_arrived(self, position: Float[Array, " 3"], waypoints_reached: int) -> bool:
         """Tell whether the leader is at its next waypoint."""
@@ -77,9 +76,9 @@ class RecordedStick(Definition):
     """A recorded stick; each velocity holds until the next."""
 
     kind: ClassVar[str] = "recorded"
-    times: Annotated[Vector, Unit("s"), "increasing times"] = None  # type: ignore[assignment]
+    times: Annotated[Vector, Unit("s"), "increasing times"] = LATER
     velocities: Annotated[Matrix, Unit("m_s"), "velocity from each time on, in the world frame"] = (
-        None  # type: ignore[assignment]
+        LATER
     )
     file: Annotated[str | None, "CSV file with rows of time, v_x, v_y, v_z; in s and m/s"] = None
 

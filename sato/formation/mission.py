@@ -24,7 +24,7 @@ from sato.formation.settings import (
 )
 from sato.formation.start import AnyStart, draw_start, place_level
 from sato.network.radio import Radio
-from sato.scenario.definition import Convert, In, Key, Positive
+from sato.scenario.definition import LATER, Convert, In, Key, Positive
 from sato.scenario.errors import errors_in
 from sato.scenario.file import Mission
 from sato.scenario.table import find_key, write_table
@@ -50,7 +50,7 @@ class Formation(Mission):
 
     system: ClassVar[str] = "formation"
 
-    agents: Annotated[int, In("swarm"), Ge(3), "number; as the start lists, if absent"] = None  # type: ignore[assignment]
+    agents: Annotated[int, In("swarm"), Ge(3), "number; as the start lists, if absent"] = LATER
     start: Annotated[AnyStart, In("swarm"), Convert(as_points), "initial positions, at rest"]
     keep_out: Annotated[Length, In("swarm"), Positive, "least distance in the plane"] = 1.2
     max_speed: Annotated[Speed, In("swarm"), Positive, "largest speed in the plane"] = 0.5

@@ -16,7 +16,7 @@ from numpy import ndarray as Array
 
 from problems.fixed_size_avoidance import FixedSizeAvoidanceProblem
 from sato.atomic import replace_atomically
-from sato.onboard.problem import OnboardProblem, build_onboard_problem
+from sato.onboard.problem import OnboardProblem, build_problem
 
 # Generated files that are not copied: an example, build files, and timers of other systems.
 IGNORED_PATTERNS = ("build", "CMakeLists.txt", "configure", "cpg_example.c", "timer_[mw]*.c",
@@ -65,7 +65,7 @@ def export_c(
         )
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ValueError(f"{out}: exists already; --out takes a folder that is new, or empty")
-    problem = build_onboard_problem(scenario, neighbors, steps)
+    problem = build_problem(scenario, neighbors, steps)
     with replace_atomically(out) as folder, as_file(files("sato.onboard") / "c") as sources:
         shutil.copytree(sources, folder)
         sizes = generate_solver(problem.program, folder / "generated")

@@ -27,9 +27,7 @@ class OnboardProblem(NamedTuple):
     program: FixedSizeAvoidanceProblem
 
 
-def build_onboard_problem(
-    scenario: str, neighbors: int, steps: int | None = None
-) -> OnboardProblem:
+def build_problem(scenario: str, neighbors: int, steps: int | None = None) -> OnboardProblem:
     """Build the transfer problem of one agent of a scenario among its neighbors.
 
     Args:

@@ -133,10 +133,10 @@ class _Flight:
         return decisions
 
     def _decide(self, context: state.DecisionContext, bids: bool) -> None:
-        solve_count = 0
+        solves = 0
         if bids:
             decision = assign_targets(context, planning.remaining_fuel(self.plans, context))
-            memory, solve_count = decision.memory, decision.solve_count
+            memory, solves = decision.memory, decision.solve_count
             moved = self.alive & (memory.target_index != self.memory.target_index)
             self.memory = memory
             if decision.was_reset.any():
@@ -144,9 +144,7 @@ class _Flight:
             if moved.any():
                 self._note("assignment", moved, target=memory.target_index[moved].tolist())
         context = context._replace(memory=self.memory)
-        planned, events = planning.plan_trajectories(
-            context, self.fuel_used, self.plans, solve_count
-        )
+        planned, events = planning.plan_trajectories(context, self.fuel_used, self.plans, solves)
         self.plans = self.plans | planned
         self.events += events
 

@@ -14,7 +14,7 @@ from pydantic import Field as Constraint
 
 from dynamics.plant import Plant
 from dynamics.trajectory_geometry import min_distance
-from dynamics.units import Acceleration, Angle, Length, Speed, Time, Unit
+from dynamics.units import Acceleration, Angle, Key, Length, Speed, Time, Unit
 from sato.reconfiguration import feasibility
 from sato.reconfiguration.models import (
     AnyModel,
@@ -28,7 +28,7 @@ from sato.reconfiguration.models import (
 )
 from sato.reconfiguration.orbit import Chief
 from sato.reconfiguration.start import Start, start_without_files
-from sato.scenario.definition import Convert, Definition, In, Inline, Key, NotNegative, Positive
+from sato.scenario.definition import LATER, Convert, Definition, In, Inline, NotNegative, Positive
 from sato.scenario.errors import InputError
 from sato.scenario.file import Mission
 from sato.shapes import Lattice, Picture, Points, Polygon, Ring, Text
@@ -45,7 +45,6 @@ Indices = tuple[Count, ...]
 Targets = Points | Text | Ring | Lattice | Polygon | Picture
 SWARM, MODEL, PLAN, NOISE = In("swarm"), In("model"), In("plan"), In("disturbance")
 AUTO: Any = "auto"
-LATER: Any = None  # of a field that follows from the others where it is not given
 
 
 def _norm(value: Any) -> Any:

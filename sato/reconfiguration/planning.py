@@ -11,7 +11,7 @@ from numpy import ndarray as Array
 from dynamics.discretize import discretize_zoh
 from dynamics.trajectory_geometry import interpolation_error
 from problems.convexify import AvoidanceHorizon
-from problems.transfer import Trajectory, compute_fuel
+from problems.transfer import Trajectory, compute_fuel, vector_norm
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.solo_trajectories import relinearize, solve_solo_trajectories
 from sato.reconfiguration.state import AgentMemory, DecisionContext, Event
@@ -46,7 +46,7 @@ def controls_at(
     for i in np.flatnonzero(alive).tolist():
         u = plans[i].controls_from(k)
         control[i] = u[0] if len(u) else 0.0
-    size = np.linalg.norm(control, ord=float(mission.control_norm), axis=1)
+    size = vector_norm(control, mission.control_norm)
     factor = np.minimum(1.0, mission.max_control / np.maximum(size, 1e-300))
     return np.asarray(control * factor[:, None])
 

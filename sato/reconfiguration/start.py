@@ -13,7 +13,7 @@ from sato.network.graph import CommunicationGraph
 from sato.scenario.definition import Coordinates, Definition, NotNegative, Positive
 from sato.scenario.errors import InputError, round_up
 from sato.shapes import Lattice, Picture, Points, Polygon, Ring, Shape, Text
-from sato.shapes.random_points import PACKING_FRACTION, NoRoomError, sample_separated_points
+from sato.shapes.random_points import PACKING_FRACTION, NoRoomError, sample_separated
 from sato.shapes.shape import center_in
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ class Random(Definition):
         components = 0
         for _ in range(MAX_DRAWS):
             try:
-                drawn = sample_separated_points(
+                drawn = sample_separated(
                     lambda: center + rng.uniform(-half, half),
                     count,
                     self.separation,

@@ -105,9 +105,8 @@ def noise_on_arrival(mission: "Reconfiguration") -> tuple[float, float]:
     noise = np.repeat([mission.position_noise, mission.velocity_noise], d)
     wrong = mission.max_control * np.hypot(mission.thrust_error, mission.pointing_error)
     steps = min(leg.steps for leg in mission.legs)
-    braking = ceil(
-        min(_speed_to_lose(mission, steps) / (mission.max_control * mission.step), steps)
-    )
+    needed = _speed_to_lose(mission, steps) / (mission.max_control * mission.step)
+    braking = ceil(min(needed, steps))
     blind = max(braking + 2, mission.freeze_steps) + mission.replan_steps - 1
     thrusting = max(braking, mission.freeze_steps) + mission.replan_steps - 1
     left = discretize_zoh(mission.linear_model, mission.step, blind)

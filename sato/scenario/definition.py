@@ -25,6 +25,7 @@ from dynamics.units import Unit
 from sato.scenario.errors import InputError, errors_in, format_value, join_names
 
 Positive, NotNegative = Gt(0), Ge(0)
+LATER: Any = None  # default of a field that follows from others, or is drawn
 PLAIN_WORDS = {
     "a valid integer": "an integer",
     "a valid ": "a ",

@@ -93,9 +93,8 @@ def solve_roundabout(
             clear, graph, lambda agent: agent.reaches_target(agent.nominal)
         )
         now = {i: agent for i, agent in now.items() if i not in done}
-    return priority_orders.ConflictResolution(
-        done, rounds, priority_orders.count_solves(now | done)
-    )
+    solves = priority_orders.count_solves(now | done)
+    return priority_orders.ConflictResolution(done, rounds, solves)
 
 
 def update_in_turn(agent: Planner, inbox: Sequence[TrajectoryMessage]) -> Planner:

@@ -23,7 +23,7 @@ class NoRoomError(ValueError):
         self.placed_count = placed_count
 
 
-def sample_separated_points(
+def sample_separated(
     draw: Callable[[], Array], count: int, separation: float, occupied: Array, axes: int
 ) -> Float[Array, "count d"]:
     """Draw points one by one, each again until it is far enough from the others.
@@ -77,9 +77,7 @@ def sample_positions(
     sides, d = np.array(box, dtype=float), axes or len(box)
     occupied = np.empty((0, len(box)))
     try:
-        return sample_separated_points(
-            lambda: rng.uniform(0, sides), count, separation, occupied, d
-        )
+        return sample_separated(lambda: rng.uniform(0, sides), count, separation, occupied, d)
     except NoRoomError as full:
         # A box that is lower than the separation holds no more than a plane.
         d = 2 if d == 3 and sides[2] < separation else d

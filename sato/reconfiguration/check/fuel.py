@@ -5,9 +5,9 @@ from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from problems.assignment import solve_assignment
+from problems.transfer import vector_norm
 from sato.reconfiguration.check.prediction import predict_end_states
 from sato.reconfiguration.check.recorded import FuelBound, LegRecord, ReconfigurationRecord
-from sato.reconfiguration.mission import Norm
 
 MAX_PAIRS = 600  # pairs that are solved one by one, where no method for all at once exists
 
@@ -16,11 +16,6 @@ def compute_step_fuel(record: ReconfigurationRecord) -> Float[Array, "steps agen
     """Compute the fuel of every agent in every step [m/s]."""
     u = np.where(record.is_flying[..., None], record.frames.control[:-1], 0.0)
     return vector_norm(u, record.mission.fuel_norm) * record.mission.step
-
-
-def vector_norm(u: Float[Array, "*k d"], norm: Norm) -> Float[Array, "*k"]:
-    """Compute the norm of vectors: 1, 2 or "inf"."""
-    return np.asarray(np.linalg.norm(u, ord=float(norm), axis=-1))
 
 
 def compute_fuel_bound(record: ReconfigurationRecord, leg: LegRecord) -> FuelBound | None:

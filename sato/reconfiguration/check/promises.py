@@ -9,10 +9,11 @@ from numpy import ndarray as Array
 
 from dynamics.orbit import polar_nodal_scales
 from dynamics.trajectory_geometry import sampled_separations
+from problems.transfer import vector_norm
 from sato.check import common
 from sato.check.report import Promise, Report, expect_below, expect_none, expect_small_error
 from sato.network.graph import CommunicationGraph, canonicalize_labels
-from sato.reconfiguration.check.fuel import compute_step_fuel, vector_norm
+from sato.reconfiguration.check.fuel import compute_step_fuel
 from sato.reconfiguration.check.prediction import bound_speed_excess, redraw_disturbances
 from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
 from sato.reconfiguration.check.summary import is_reached, summarize

@@ -42,9 +42,8 @@ class SwarmAnimation:
         record, scene, ax = self._record, self._scene, self.axes
         k = int(instant)
         leg, component = int(record.leg_index[k]), record.frames.component[k]
-        trail = scene.positions_at(
-            np.linspace(max(0, instant - TRAIL_STEPS), instant, TRAIL_POINTS)
-        )
+        begin = max(0, instant - TRAIL_STEPS)
+        trail = scene.positions_at(np.linspace(begin, instant, TRAIL_POINTS))
         ax.clear()
         set_axis_bounds(ax, self._space)
         draw_paths(ax, self._space, trail, TRAIL_COLOR)
