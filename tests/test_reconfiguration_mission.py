@@ -249,6 +249,7 @@ def test_bad_arrays_are_refused_with_the_field_and_the_reason(array, reason):
         ({"start": np.eye(3)}, "swarm.start: has 3 coordinates per point, and the model has"),
         ({"legs": Leg(np.eye(3), 9)}, "leg.0.shape: has 3 coordinates per point, and the model"),
         ({"model": sato.DoubleIntegrator(3)}, "swarm.start: has 2 coordinates per point, and the"),
+        ({"legs": Leg(TARGETS, 9, joins=[Join(None, np.eye(3))])}, "leg.0.join.0.start: has 3"),
         ({"legs": Leg(TARGETS[:2], 9)}, "leg.0.shape.positions_m: lists 2 points, fewer than"),
         ({"legs": ()}, "leg: needs at least 1 entry, got 0"),
         ({"auction_steps": 8}, "plan.auction_steps: 8 is more than horizon_steps = 4"),

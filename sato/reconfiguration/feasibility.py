@@ -113,7 +113,9 @@ def _check_detectable(mission: "Reconfiguration") -> None:
 
 def _check_axes(mission: "Reconfiguration") -> None:
     shapes: dict[str, Any] = {"swarm.start": mission.start}
-    shapes |= {f"leg.{number}.shape": leg.shape for number, leg in enumerate(mission.legs)}
+    for number, leg in enumerate(mission.legs):
+        shapes[f"leg.{number}.shape"] = leg.shape
+        shapes |= {f"leg.{number}.join.{k}.start": join.start for k, join in enumerate(leg.joins)}
     for where, shape in shapes.items():
         points = getattr(shape, "positions", None)
         if points is not None and points.shape[1] != mission.axes:
