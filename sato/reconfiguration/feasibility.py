@@ -29,8 +29,8 @@ def check(mission: "Reconfiguration") -> None:
     _check_periods(mission)
     _check_noise(mission)
     _check_detectable(mission)
-    _check_legs(mission)
     _check_axes(mission)
+    _check_legs(mission)
 
 
 def _check_periods(mission: "Reconfiguration") -> None:
