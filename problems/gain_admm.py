@@ -3,9 +3,9 @@
 import numpy as np
 from jaxtyping import Inexact
 from numpy import ndarray as Array
-from scipy.linalg import eigh
 
 from problems.gain_problem import MIN_RATE, GainProblem, GainSolution
+from problems.hermitian_eigenvalues import eigh
 
 RATE_TOLERANCE = 5e-4  # between the rate and its bound, relative
 MAX_ITERATIONS = 3000
@@ -50,8 +50,7 @@ def solve(
     Raises:
         NoGainMatrix: The graph and the kernel admit matrices of trace 0 only.
     """
-    K = problem.kernel
-    ideal = np.eye(len(K)) - K @ K.conj().T
+    ideal = problem.complete_solution
     L, Y = problem.project(ideal)
     best = BestSolution(problem, GainSolution(L, Y))
     strength = float(np.sqrt(problem.m) * np.linalg.norm(L - ideal))
@@ -142,7 +141,7 @@ def _to_real_vector(M: Array) -> Array:
 def _prox_least_eigenvalue(problem: GainProblem, W: Array, strength: float) -> Array:
     # argmin of −λ_min(X) + ‖X − W‖² / (2 ρ): fill the spectrum from below, as water a basin.
     m = problem.m
-    λ, V = eigh(problem.shift_kernel(W), driver="evd", check_finite=False)
+    λ, V = eigh(problem.shift_kernel(W))
     levels = (np.cumsum(λ[:m]) + strength) / np.arange(1, m + 1)
     count = int(np.count_nonzero(levels > λ[:m]))
     raised = V[:, :count] * (levels[count - 1] - λ[:count])

@@ -1,12 +1,13 @@
 """Design of formation gains: the fastest gains, or a proof that none stabilize."""
 
 from contextlib import suppress
+from functools import cache
 from importlib import import_module
 from typing import Literal, get_args
 
 import numpy as np
 from numpy import ndarray as Array
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from problems import gain_admm
 from problems.conic import Unsolved
@@ -101,11 +102,18 @@ def design_gains(
         GainDesignUndecided: The method found neither stable gains nor that proof.
         ValueError: The method is unknown.
     """
-    with threadpool_limits(1, user_api="blas"):  # on busy cores a second thread only waits
+    # On busy cores a second thread only waits.
+    with _blas_libraries().limit(limits=1, user_api="blas"):
         xy, bound_xy, method_xy = _design_axes(formation, "xy", method, tolerance)
         z, bound_z, method_z = _design_axes(formation, "z", method, tolerance)
         used = method_xy if method_xy == method_z else f"{method_xy}; vertical {method_z}"
         return GainMatrix(formation, -xy, -z, used, bound_xy, bound_z)
+
+
+@cache
+def _blas_libraries() -> ThreadpoolController:
+    # To find the libraries takes longer than small gains; SciPy has loaded its own by now.
+    return ThreadpoolController()
 
 
 def _design_axes(
@@ -113,8 +121,7 @@ def _design_axes(
 ) -> tuple[Array, float, str]:
     problem = GainProblem.from_formation(formation, axes)
     if method == "auto" and problem.is_complete:
-        K = problem.kernel
-        return np.eye(len(K)) - K @ K.conj().T, 1.0, "closed form"
+        return problem.complete_solution, 1.0, "closed form"
     used: str = "admm" if method == "auto" else method
     try:
         L, Y = _solve(problem, used, tolerance)

@@ -7,9 +7,11 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Inexact
 from numpy import ndarray as Array
-from scipy.linalg import cho_factor, cho_solve, eigvalsh, null_space
+from scipy.linalg import cho_factor, null_space
+from scipy.linalg.lapack import dpotrs
 
 from problems.desired_formation import DesiredFormation
+from problems.hermitian_eigenvalues import least_eigenvalue
 
 Axes = Literal["xy", "z"]  # horizontal (complex) or vertical (real) gains
 
@@ -90,6 +92,11 @@ class GainProblem:
         """Q, orthonormal columns that span the orthogonal complement of the kernel."""
         return np.asarray(null_space(self.kernel.conj().T))
 
+    @property
+    def complete_solution(self) -> Inexact[Array, "n n"]:
+        """I − K Kᴴ, the L of the complete graph: its eigenvalues outside the kernel are 1."""
+        return np.asarray(np.eye(len(self.graph)) - self._kernel_projector)
+
     def project(self, W: Inexact[Array, "n n"]) -> GainSolution:
         """Find the Hermitian L nearest to W with L K = 0, tr L = m and zeros at the non-edges.
 
@@ -103,7 +110,7 @@ class GainProblem:
 
     def convergence_rate(self, L: Inexact[Array, "n n"]) -> float:
         """Compute the least eigenvalue of L on the complement of the kernel."""
-        return float(eigvalsh(self.shift_kernel(L), subset_by_index=[0, 0], check_finite=False)[0])
+        return least_eigenvalue(self.shift_kernel(L))
 
     def rate_bound(self, Y: Inexact[Array, "n n"]) -> float:
         """Compute a rate that no feasible L exceeds, from any Hermitian Y on the non-edges.
@@ -133,8 +140,11 @@ class GainProblem:
 
     def shift_kernel(self, L: Inexact[Array, "n n"]) -> Inexact[Array, "n n"]:
         """Raise the zero eigenvalues of the kernel above all others."""
-        K = self.kernel
-        return np.asarray(L + (1 + np.linalg.norm(L)) * (K @ K.conj().T))
+        return np.asarray(L + (1 + np.linalg.norm(L)) * self._kernel_projector)
+
+    @cached_property
+    def _kernel_projector(self) -> Array:
+        return np.asarray(self.kernel @ self.kernel.conj().T)
 
     @cached_property
     def _allowed_entries(self) -> Array:
@@ -172,7 +182,8 @@ class GainProblem:
         # X with E∘(X Kᴴ + K Xᴴ) K = residual, linear in the real and imaginary parts of X.
         planar = np.iscomplexobj(residual)
         parts = np.stack([residual.real, residual.imag]) if planar else residual[None]
-        X = cho_solve(self._normal_factor, parts.ravel(), check_finite=False).reshape(parts.shape)
+        factor, lower = self._normal_factor
+        X = dpotrs(factor, parts.ravel(), lower=lower)[0].reshape(parts.shape)
         return np.asarray(X[0] + 1j * X[1] if planar else X[0])
 
     @cached_property
