@@ -6,6 +6,7 @@ from gain_examples import complete, graph_of, joined_parts, pyramid, random_form
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from threadpoolctl import ThreadpoolController
 
 from problems import gain_admm, gain_sdp
 from problems.conic import Unsolved
@@ -184,6 +185,16 @@ def test_a_method_without_stable_gains_raises_undecided(method):
             assert undecided.rate <= MIN_RATE < undecided.bound
             return
     pytest.fail("it never failed")
+
+
+def test_libraries_are_searched_for_in_the_first_call_only(monkeypatch):
+    first = design_gains(pyramid())
+
+    def search(self):
+        pytest.fail("searched again")
+
+    monkeypatch.setattr(ThreadpoolController, "__init__", search)
+    assert_allclose(design_gains(pyramid()).xy, first.xy, rtol=0, atol=0)
 
 
 def test_unknown_method_is_refused_with_those_that_there_are():
