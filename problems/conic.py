@@ -10,11 +10,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
-from scipy.sparse import csc_array
+from scipy.sparse import csc_array, tril, triu
 
 TOLERANCE = 1e-6  # relative, of residuals and gap; a solution with larger ones is refused
 RAY_TOLERANCE = 1e-3  # of a certificate: no feasible point is smaller than 1 / RAY_TOLERANCE
 
+
+CONVEXITY_TOLERANCE = 1e-9  # of the largest entry of P: rounding of an eigenvalue
 
 ConeType = Literal["linear", "second-order", "semidefinite"]
 Status = Literal["solved", "infeasible", "stopped"]
@@ -23,9 +25,9 @@ Verified = Literal["solved", "infeasible", "wrong claim", "unproven", "failed"]
 
 @dataclass(frozen=True, eq=False)
 class ConicProgram:
-    """Linear cost over a product of cones.
+    """Linear or convex quadratic cost over a product of cones.
 
-        minimize qᵀx  subject to  b − A x ∈ {0}ᶻ × ℝ₊ˡ × Q₁ × Q₂ × … × S₁ × S₂ × …
+        minimize ½ xᵀP x + qᵀx  subject to  b − A x ∈ {0}ᶻ × ℝ₊ˡ × Q₁ × … × S₁ × …
 
     Rows stand in that order. Q are second-order cones, (t, y) with ‖y‖₂ ≤ t. S are positive
     semidefinite matrices, each as its upper triangle, column by column, with off-diagonal entries
@@ -39,9 +41,17 @@ class ConicProgram:
     nonnegative: int  # l, number of inequalities
     soc_sizes: tuple[int, ...] = ()  # rows of each second-order cone
     psd_orders: tuple[int, ...] = ()  # orders of the semidefinite matrices
+    P: csc_array | None = None  # upper triangle, n × n; None where the cost is linear
 
     def __post_init__(self) -> None:
-        """Check the shapes of the data, and that all numbers are finite."""
+        """Sort the entries of the matrices, and check the data.
+
+        Raises:
+            ValueError: Shapes do not fit, a number is not finite, or the cost is not convex.
+        """
+        object.__setattr__(self, "A", _canonical(self.A))
+        if self.P is not None:
+            object.__setattr__(self, "P", _canonical(self.P))
         if min(self.zero, self.nonnegative, 0) or min((*self.soc_sizes, *self.psd_orders, 1)) < 1:
             raise ValueError(
                 "no count may be negative, and every cone needs at least one row, got "
@@ -58,6 +68,20 @@ class ConicProgram:
         for name, numbers in (("q", self.q), ("A", self.A.data), ("b", self.b)):
             if not np.isfinite(numbers).all():
                 raise ValueError(f"{name} must be finite: leave out the row that is not wanted")
+        if self.P is not None:
+            _check_convex(self.P, len(self.q))
+
+    @cached_property
+    def hessian(self) -> csc_array:
+        """P with both triangles; without entries where the cost is linear."""
+        if self.P is None:
+            return csc_array((len(self.q), len(self.q)))
+        return csc_array(self.P + triu(self.P, 1).T)
+
+    def cost(self, x: Float[Array, " n"]) -> float:
+        """Compute ½ xᵀP x + qᵀx."""
+        linear = float(self.q @ x)
+        return linear if self.P is None else linear + 0.5 * float(x @ (self.hessian @ x))
 
     @property
     def linear(self) -> int:
@@ -113,6 +137,32 @@ class ConicProgram:
         return y
 
 
+def _canonical(matrix: csc_array) -> csc_array:
+    """Return a matrix with sorted rows in each column and no entry twice, the same if it is so."""
+    if matrix.has_canonical_format:
+        return matrix
+    matrix = matrix.copy()
+    matrix.sum_duplicates()  # sorts too
+    return matrix
+
+
+def _check_convex(P: csc_array, n: int) -> None:
+    if P.shape != (n, n) or tril(P, -1).nnz:
+        raise ValueError(
+            f"P must be an upper triangle, {n} × {n}, got {P.shape} "
+            f"with {tril(P, -1).nnz} entries below the diagonal"
+        )
+    if not np.isfinite(P.data).all():
+        raise ValueError("P must be finite")
+    diagonal = P.diagonal()
+    if np.count_nonzero(P.data) == np.count_nonzero(diagonal):
+        least = float(diagonal.min(initial=0.0))
+    else:
+        least = float(np.linalg.eigvalsh(P.toarray(), UPLO="U")[0])
+    if least < -CONVEXITY_TOLERANCE * np.abs(P.data).max(initial=0.0):
+        raise ValueError(f"P must be positive semidefinite: its least eigenvalue is {least:.3g}")
+
+
 def _consecutive_slices(start: int, sizes: Sequence[int]) -> tuple[slice, ...]:
     return tuple(slice(*ends) for ends in pairwise(accumulate(sizes, initial=start)))
 
@@ -153,21 +203,22 @@ class ConicSolution(NamedTuple):
     """Primal and dual point, with residuals recomputed from their numbers."""
 
     x: Float[Array, " n"]
-    y: Float[Array, " m"]  # duals, with q + Aᵀy = 0 and y in the dual cone
+    y: Float[Array, " m"]  # duals, with P x + q + Aᵀy = 0 and y in the dual cone
     primal_residual: float  # distance of b − A x from the cone, relative
-    dual_residual: float  # of q + Aᵀy from zero and of y from the dual cone, relative
-    gap: float  # |qᵀx + bᵀy|, relative
+    dual_residual: float  # of P x + q + Aᵀy from zero and of y from the dual cone, relative
+    gap: float  # |xᵀP x + qᵀx + bᵀy|, relative to the cost
 
     @classmethod
     def evaluate(cls, problem: ConicProgram, x: Array, y: Array) -> "ConicSolution":
         """Compute residuals and duality gap of a primal and dual point."""
         q, A, b = problem.q, problem.A, problem.b
-        value = float(q @ x)
+        curvature = problem.hessian @ x
+        value = float(q @ x) + float(curvature @ x) / 2
         primal = problem.cone_violation(b - A @ x) / (1 + np.abs(b).max(initial=0.0))
-        stationary = float(np.abs(q + A.T @ y).max(initial=0.0))
+        stationary = float(np.abs(curvature + q + A.T @ y).max(initial=0.0))
         dual = _max_or_nan([stationary, problem.cone_violation(y, dual=True)])
         dual = dual / (1 + np.abs(q).max(initial=0.0))
-        gap = abs(value + float(b @ y)) / (1 + abs(value))
+        gap = abs(value + float(curvature @ x) / 2 + float(b @ y)) / (1 + abs(value))
         return cls(x, y, float(primal), float(dual), float(gap))
 
     @property
@@ -215,9 +266,8 @@ def verify(problem: ConicProgram, result: SolverResult, tolerance: float) -> Ver
 
     The verdict is *solved* for a point with residuals and gap within the tolerance, even where
     the solver stopped early; *infeasible* with a ray that certifies it, see `verify_ray`;
-    *wrong claim* where the solver reports "solved" and the residuals are too large, or
-    "infeasible" with a ray that certifies nothing; *unproven* where it reports "infeasible"
-    without a ray; and *failed* otherwise.
+    *wrong claim* where the solver reports "solved" and the residuals are too large; *unproven*
+    where it reports "infeasible" without a ray that certifies it; and *failed* otherwise.
 
     Args:
         problem: The program that was solved.
@@ -230,7 +280,7 @@ def verify(problem: ConicProgram, result: SolverResult, tolerance: float) -> Ver
             return Verification("unproven", None, f"{said}, without a certificate")
         ray, objection = verify_ray(problem, result.y)
         if objection:
-            return Verification("wrong claim", None, f"{said}, but {objection}")
+            return Verification("unproven", None, f"{said}, but {objection}")
         return Verification("infeasible", None, result.message, ray)
     kind: Verified = "wrong claim" if result.status == "solved" else "failed"
     if result.x is None or result.y is None:

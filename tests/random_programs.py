@@ -6,8 +6,11 @@ from scipy.sparse import csc_array
 from problems.conic import ConicProgram, svec
 
 
-def random_program(rng, kind="linear", n=8, zero=3, nonnegative=20):
-    """Draw a feasible program with cones up to a kind, and its optimal x and y."""
+def random_program(rng, kind="linear", n=8, zero=3, nonnegative=20, rank=0):
+    """Draw a feasible program with cones up to a kind, and its optimal x and y.
+
+    The cost is linear, or quadratic with a matrix of some rank.
+    """
     soc = () if kind == "linear" else (3, 4)
     psd = (3,) if kind == "semidefinite" else ()
     count = zero + nonnegative + sum(soc) + sum(k * (k + 1) // 2 for k in psd)
@@ -27,7 +30,9 @@ def random_program(rng, kind="linear", n=8, zero=3, nonnegative=20):
         basis = np.linalg.qr(rng.normal(size=(order, order)))[0]
         s[rows] = svec(basis[:, :1] @ basis[:, :1].T)
         y[rows] = svec(basis[:, 1:] @ basis[:, 1:].T)
-    return ConicProgram(-A.T @ y, problem.A, A @ x + s, zero, nonnegative, soc, psd), x, y
+    M = rng.normal(size=(rank, n))
+    q, P = -A.T @ y - M.T @ (M @ x), csc_array(np.triu(M.T @ M)) if rank else None
+    return ConicProgram(q, problem.A, A @ x + s, zero, nonnegative, soc, psd, P), x, y
 
 
 def infeasible_program(rng):

@@ -48,6 +48,30 @@ def test_residuals_and_gap_follow_their_definition(rng):
     assert found.gap == pytest.approx(abs(value + problem.b @ y) / (1 + abs(value)))
 
 
+@pytest.mark.parametrize("kind", ["linear", "second-order", "semidefinite"])
+@pytest.mark.parametrize("rank", [2, 8])
+def test_quadratic_costs_are_judged_by_their_gradient_and_gap(rng, kind, rank):
+    problem, x, y = random_program(rng, kind, rank=rank)
+    assert ConicSolution.evaluate(problem, x, y).max_residual < 1e-12
+    x, y = x + rng.normal(size=8), y + rng.normal(size=len(y))
+    found, P = ConicSolution.evaluate(problem, x, y), problem.P.toarray()
+    P = P + np.triu(P, 1).T
+    assert problem.cost(x) == pytest.approx(x @ P @ x / 2 + problem.q @ x)
+    gap = x @ P @ x + problem.q @ x + problem.b @ y
+    assert found.gap == pytest.approx(abs(gap) / (1 + abs(problem.cost(x))))
+    stationary = np.abs(P @ x + problem.q + problem.A.T @ y).max()
+    dual = max(stationary, problem.cone_violation(y, dual=True))
+    assert found.dual_residual == pytest.approx(dual / (1 + np.abs(problem.q).max()))
+
+
+def test_infeasibility_does_not_depend_on_the_cost(rng):
+    problem = infeasible_program(rng)
+    problem = replace(problem, P=csc_array(np.eye(8)))
+    with pytest.raises(Infeasible) as verdict:
+        solve(problem, solve_clarabel)
+    assert problem.b @ verdict.value.ray == pytest.approx(-1)
+
+
 @pytest.mark.parametrize("row", [0, 5, 24], ids=["equation", "inequality", "cone"])
 def test_a_violated_row_is_in_the_primal_residual(rng, row):
     problem, x, y = random_program(rng, "second-order")
@@ -84,7 +108,7 @@ def test_verdicts_follow_the_numbers_and_not_the_status(rng):
     assert kind("solved", x, None) == "wrong claim"
     assert kind("stopped", x + 1e-3, y) == "failed"
     assert kind("infeasible", None, None) == "unproven"
-    assert kind("infeasible", None, rng.normal(size=len(y))) == "wrong claim"
+    assert kind("infeasible", None, rng.normal(size=len(y))) == "unproven"
 
 
 def test_wrong_points_and_wrong_duals_are_refused(rng):
@@ -192,6 +216,37 @@ def test_a_cone_without_rows_is_refused(wrong):
 def test_rows_outside_every_cone_are_refused():
     with pytest.raises(ValueError, match="the cones have 3 rows"):
         ConicProgram(np.ones(2), csc_array(np.ones((2, 2))), np.ones(2), 1, 2)
+
+
+@pytest.mark.parametrize("P", [np.diag([1.0, -0.25]), np.array([[1.0, 2.0], [0, 1.0]])])
+def test_a_cost_that_is_not_convex_is_refused(P):
+    least = np.linalg.eigvalsh(P, UPLO="U")[0]
+    with pytest.raises(ValueError, match=f"positive semidefinite.*eigenvalue is {least:.3g}"):
+        program(P=csc_array(P))
+
+
+def test_a_cost_below_the_diagonal_or_not_finite_is_refused():
+    with pytest.raises(ValueError, match=r"upper triangle, 2 × 2, got .* 1 entries below"):
+        program(P=csc_array(np.ones((2, 2))))
+    with pytest.raises(ValueError, match="P must be finite"):
+        program(P=csc_array(np.diag([1.0, np.nan])))
+
+
+def test_unsorted_and_repeated_entries_are_added_up_at_once():
+    entries = np.array([1.0, 2.0, 3.0, 4.0]), np.array([1, 0, 1, 1]), np.array([0, 3, 4])
+    A = csc_array(entries, shape=(2, 2))
+    found = program(A=A, P=csc_array((entries[0], [0, 0, 1, 1], [0, 2, 4]), shape=(2, 2)))
+    for matrix, expected in ((found.A, [[2, 0], [4, 4]]), (found.P, [[3, 0], [0, 7]])):
+        assert matrix.has_canonical_format
+        assert_array_equal(matrix.toarray(), expected)
+    assert A.nnz == 4  # the caller's matrix is left as it was
+    assert replace(found, b=np.zeros(2)).A is found.A
+
+
+def program(**parts):
+    """Make a program of two inequalities."""
+    given = {"q": np.ones(2), "A": csc_array(np.ones((2, 2))), "b": np.ones(2)}
+    return ConicProgram(**given | {"zero": 0, "nonnegative": 2} | parts)
 
 
 @pytest.mark.parametrize("name", ["q", "A", "b"])

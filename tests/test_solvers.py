@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from random_programs import infeasible_program, random_program
+from scipy.linalg import null_space
 from scipy.sparse import csc_array
 
 from problems.conic import ConicProgram, verify
@@ -22,9 +23,10 @@ KINDS = ("linear", "second-order", "semidefinite")
 UNBOUNDED = ConicProgram(np.ones(1), csc_array([[1.0]]), np.zeros(1), 0, 1)
 
 
-def most_general_program(rng, name):
+def most_general_program(rng, name, rank=0):
     """Draw a program with all the cones that a solver supports."""
-    return random_program(rng, [kind for kind in KINDS if kind in ADAPTERS[name].cone_types][-1])
+    kind = [kind for kind in KINDS if kind in ADAPTERS[name].cone_types][-1]
+    return random_program(rng, kind, rank=rank)
 
 
 def open_session(name, problem):
@@ -41,6 +43,27 @@ def test_every_solver_finds_the_known_optimum(rng, kind, name):
         verdict = verify(problem, open_session(name, problem).solve(problem.b), 1e-6)
         assert verdict.kind == "solved", verdict.reason
         assert problem.q @ verdict.solution.x == pytest.approx(problem.q @ x, rel=1e-4, abs=1e-4)
+
+
+@pytest.mark.parametrize("rank", [3, 8])
+@pytest.mark.parametrize("name", [n for n in INSTALLED if ADAPTERS[n].takes_quadratic_cost])
+def test_quadratic_costs_are_solved_for_every_right_hand_side(rng, name, rank):
+    problem, x, _ = most_general_program(rng, name, rank)
+    session, b = open_session(name, problem), problem.b.copy()
+    for _ in range(3):
+        verdict = verify(replace(problem, b=b), session.solve(b), 1e-6)
+        assert verdict.kind == "solved", verdict.reason
+        assert problem.cost(verdict.solution.x) == pytest.approx(problem.cost(x), rel=1e-4)
+        # Another right-hand side with the same duals and the same P x.
+        move = null_space(problem.hessian.toarray()) @ rng.normal(size=8 - rank)
+        x, b = x + move, b + problem.A @ move
+
+
+@pytest.mark.parametrize("name", [n for n in INSTALLED if not ADAPTERS[n].takes_quadratic_cost])
+def test_a_quadratic_cost_is_refused_by_solvers_of_linear_ones(rng, name):
+    problem, _, _ = random_program(rng, rank=3)
+    with pytest.raises(ValueError, match=f"{name} cannot take a quadratic cost; .*clarabel.* can"):
+        open_session(name, problem)
 
 
 @pytest.mark.parametrize("name", INSTALLED)
@@ -76,5 +99,5 @@ def test_a_missing_solver_is_refused_with_its_pip_package(rng):
 
 def test_unsupported_cones_are_refused(rng):
     problem, _, _ = random_program(rng, "second-order")
-    with pytest.raises(ValueError, match="highs cannot take second-order cones"):
+    with pytest.raises(ValueError, match=r"highs cannot take second-order cones; .*clarabel.* can"):
         open_session("highs", problem)

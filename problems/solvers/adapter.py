@@ -23,7 +23,7 @@ class SolverSession(Protocol):
     """Solver that is set up for one program."""
 
     def solve(self, b: Vector) -> SolverResult:
-        """Solve with another right-hand side; q, A and the cones stay."""
+        """Solve with another right-hand side; the cost, A and the cones stay."""
 
 
 def accept_all(problem: ConicProgram) -> str:
@@ -42,6 +42,7 @@ class SolverAdapter:
     module: str = ""  # that is imported; the name where empty
     pip_packages: str = ""  # that install it; the module where empty
     unsupported_reason: Callable[[ConicProgram], str] = accept_all  # empty where it is supported
+    takes_quadratic_cost: bool = True
 
     def __post_init__(self) -> None:
         """Fill in the names that were left out."""
@@ -62,6 +63,8 @@ class SolverAdapter:
             return f"{self.name} is not installed; pip install {self.pip_packages} would do"
         if missing := ", ".join(sorted(problem.cone_types - self.cone_types)):
             return f"{self.name} cannot take {missing} cones"
+        if problem.P is not None and not self.takes_quadratic_cost:
+            return f"{self.name} cannot take a quadratic cost"
         reason = self.unsupported_reason(problem)
         return f"{self.name} {reason}" if reason else ""
 
@@ -76,7 +79,9 @@ class SolverAdapter:
             ValueError: The solver is not installed, or does not support the program.
         """
         if reason := self.refusal(problem):
-            raise ValueError(reason)
+            from problems.solvers import list_able
+
+            raise ValueError(f"{reason}; {', '.join(list_able(problem))} can")
         return self.session_factory(problem, tolerance)
 
 

@@ -76,4 +76,6 @@ class DualSimplexSession:
 
 
 _MODULES = "problems", "sato-swarm"
-ADAPTERS = (SolverAdapter("batched", LP, True, DualSimplexSession, *_MODULES, unsupported_reason),)
+ADAPTERS = (
+    SolverAdapter("batched", LP, True, DualSimplexSession, *_MODULES, unsupported_reason, False),
+)

@@ -19,11 +19,12 @@ MAX_ITERATIONS = 100_000
 IPQP_MESSAGES = ("print_header", "print_info", "print_iter")
 # Its own factorization stops at zeros on the diagonal, with NaN.
 IPQP_OPTIONS = {"linear_solver": "qr", **dict.fromkeys(IPQP_MESSAGES, False)}
-QPOASES_OPTIONS = {"hessian_type": "zero", "sparse": True, "printLevel": "none"}
+QPOASES_OPTIONS = {"sparse": True, "printLevel": "none"}
+LINEAR = ("cbc", "superscs")  # superscs takes no singular P
 PLUGINS = ("cbc", "daqp", "ipqp", "osqp", "piqp", "qpoases", "superscs")
 
 
-def _options(plugin: str, tolerance: float) -> dict[str, Any]:
+def _options(plugin: str, tolerance: float, is_linear: bool) -> dict[str, Any]:
     eps = {"eps_abs": tolerance, "eps_rel": tolerance}
     options: dict[str, dict[str, Any]] = {
         "cbc": {"cbc": {"logLevel": 0}},
@@ -32,7 +33,11 @@ def _options(plugin: str, tolerance: float) -> dict[str, Any]:
         "ipqp": {"constr_viol_tol": tolerance, "dual_inf_tol": tolerance, **IPQP_OPTIONS},
         "osqp": {"osqp": eps | {"max_iter": MAX_ITERATIONS, "polish": True, "verbose": False}},
         "piqp": {"piqp": eps},
-        "qpoases": {"terminationTolerance": tolerance, **QPOASES_OPTIONS},
+        "qpoases": {
+            "terminationTolerance": tolerance,
+            "hessian_type": "zero" if is_linear else "semidef",
+            **QPOASES_OPTIONS,
+        },
         "superscs": {"superscs": {"eps": tolerance, "max_iters": MAX_ITERATIONS, "verbose": 0}},
     }
     return options[plugin]
@@ -43,10 +48,11 @@ class CasadiConicSession:
 
     def __init__(self, plugin: str, problem: ConicProgram, tolerance: float) -> None:
         """Build the function."""
-        self._zero, n, A = problem.zero, len(problem.q), casadi.DM(problem.A)
-        self._data = {"g": casadi.DM(problem.q), "a": A}
-        shape = {"h": casadi.Sparsity(n, n), "a": A.sparsity()}
-        options = {"error_on_fail": False, "print_time": False, **_options(plugin, tolerance / 10)}
+        self._zero, A, H = problem.zero, casadi.DM(problem.A), casadi.DM(problem.hessian)
+        self._data = {"g": casadi.DM(problem.q), "a": A, "h": H}
+        shape = {"h": H.sparsity(), "a": A.sparsity()}
+        options = {"error_on_fail": False, "print_time": False}
+        options |= _options(plugin, tolerance / 10, problem.P is None)
         self._solver: Any = casadi.conic("solver", plugin, shape, options)
 
     def solve(self, b: Vector) -> SolverResult:
@@ -63,7 +69,14 @@ class CasadiConicSession:
 
 
 ADAPTERS = tuple(
-    SolverAdapter(f"casadi-{plugin}", LP, False, partial(CasadiConicSession, plugin), "casadi")
+    SolverAdapter(
+        f"casadi-{plugin}",
+        LP,
+        False,
+        partial(CasadiConicSession, plugin),
+        "casadi",
+        takes_quadratic_cost=plugin not in LINEAR,
+    )
     for plugin in PLUGINS
     if casadi.has_conic(plugin)
 )

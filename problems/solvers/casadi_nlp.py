@@ -44,7 +44,10 @@ class CasadiNlpSession:
         limits["compl_inf_tol"] = tolerance / 100  # of one row; the gap sums over all rows
         ipopt = IPOPT_OPTIONS | limits
         options: dict[str, Any] = {"error_on_fail": False, "print_time": False, "ipopt": ipopt}
-        nlp: dict[str, Any] = {"x": x, "p": b, "f": casadi.dot(casadi.DM(problem.q), x), "g": g}
+        cost = casadi.dot(casadi.DM(problem.q), x)
+        if problem.P is not None:
+            cost += casadi.bilin(casadi.DM(problem.hessian), x, x) / 2
+        nlp: dict[str, Any] = {"x": x, "p": b, "f": cost, "g": g}
         self._solver: Any = casadi.nlpsol("solver", "ipopt", nlp, options)
 
     def solve(self, b: Vector) -> SolverResult:

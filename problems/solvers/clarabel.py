@@ -51,8 +51,8 @@ def _setup(problem: ConicProgram, settings: clarabel.DefaultSettings) -> clarabe
     cones = [clarabel.ZeroConeT(problem.zero), clarabel.NonnegativeConeT(problem.nonnegative)]
     cones += [clarabel.SecondOrderConeT(size) for size in problem.soc_sizes]
     cones += [clarabel.PSDTriangleConeT(order) for order in problem.psd_orders]
-    P, q, A, b = csc_array((n, n)), problem.q, problem.A, problem.b
-    return clarabel.DefaultSolver(P, q, A, b, cones, settings)
+    P = csc_array((n, n)) if problem.P is None else problem.P
+    return clarabel.DefaultSolver(P, problem.q, problem.A, problem.b, cones, settings)
 
 
 def _settings(tolerance: float) -> clarabel.DefaultSettings:

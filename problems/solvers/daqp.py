@@ -20,14 +20,14 @@ class DaqpSession:
         """Set up the program."""
         import daqp
 
-        self._zero, n = problem.zero, len(problem.q)
+        self._zero = problem.zero
         sense = np.full(len(problem.b), INEQUALITY, dtype=np.intc)
         sense[: self._zero] = EQUALITY
         lower = lower_bounds(problem.b, self._zero, INFINITY)
         self._solver: Any = daqp.Model()
         tolerances = dict.fromkeys(("primal_tol", "dual_tol"), tolerance / 10)
         self._solver.settings = {**tolerances, "iter_limit": MAX_ITERATIONS}
-        H, A = np.zeros((n, n)), problem.A.toarray()
+        H, A = problem.hessian.toarray(), problem.A.toarray()
         self._solver.setup(H, problem.q, A, problem.b, lower, sense)
 
     def solve(self, b: Vector) -> SolverResult:

@@ -36,4 +36,4 @@ class EcosSession:
         return make_result(status, message, iterations, found["x"], y)
 
 
-ADAPTERS = (SolverAdapter("ecos", SOCP, True, EcosSession),)
+ADAPTERS = (SolverAdapter("ecos", SOCP, True, EcosSession, takes_quadratic_cost=False),)

@@ -1,8 +1,9 @@
-"""HiGHS: dual simplex, linear programs only [Huangfu2018]."""
+"""HiGHS: dual simplex for linear programs, active set for quadratic ones [Huangfu2018]."""
 
 import highspy
 import numpy as np
 from numpy import ndarray as Array
+from scipy.sparse import csc_array
 
 from problems.conic import ConicProgram, SolverResult, Status
 from problems.solvers.adapter import LP, SolverAdapter, Vector, lower_bounds, make_result
@@ -35,6 +36,8 @@ class HighsSession:
         for option in ("primal_feasibility_tolerance", "dual_feasibility_tolerance"):
             self._solver.setOptionValue(option, max(tolerance / 10, MIN_TOLERANCE))
         self._solver.passModel(_model(problem))
+        if problem.P is not None:
+            self._solver.passHessian(_hessian(problem.P))
         self._rows = np.arange(len(problem.b), dtype=np.int32)
 
     def solve(self, b: Vector) -> SolverResult:
@@ -82,6 +85,13 @@ def _model(problem: ConicProgram) -> highspy.HighsLp:
     model.a_matrix_.index_ = problem.A.indices
     model.a_matrix_.value_ = problem.A.data
     return model
+
+
+def _hessian(P: csc_array) -> highspy.HighsHessian:
+    lower, hessian = csc_array(P.T), highspy.HighsHessian()
+    hessian.dim_, hessian.format_ = P.shape[0], highspy.HessianFormat.kTriangular
+    hessian.start_, hessian.index_, hessian.value_ = lower.indptr, lower.indices, lower.data
+    return hessian
 
 
 ADAPTERS = (SolverAdapter("highs", LP, True, HighsSession, module="highspy"),)

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from scipy.sparse import csc_matrix
+from scipy.sparse import csc_matrix, triu
 
 from problems.conic import ConicProgram, SolverResult, Status
 from problems.solvers.adapter import LP, SolverAdapter, Vector, lower_bounds, make_result
@@ -25,10 +25,12 @@ class OsqpSession:
 
         self._zero = problem.zero
         self._solver: Any = osqp.OSQP()
-        n, A, lower = len(problem.q), csc_matrix(problem.A), lower_bounds(problem.b, self._zero)
+        A, lower = csc_matrix(problem.A), lower_bounds(problem.b, self._zero)
         options: dict[str, Any] = {"max_iter": MAX_ITERATIONS, "polishing": True, "verbose": False}
         options |= dict.fromkeys(TOLERANCES, tolerance / 10)
-        self._solver.setup(csc_matrix((n, n)), problem.q, A, lower, problem.b, **options)
+        self._solver.setup(
+            csc_matrix(triu(problem.hessian)), problem.q, A, lower, problem.b, **options
+        )
 
     def solve(self, b: Vector) -> SolverResult:
         """Solve with another right-hand side, from the last solution."""

@@ -22,8 +22,8 @@ class PiqpSession:
         settings: Any = self._solver.settings
         settings.eps_abs = settings.eps_rel = tolerance / 10
         settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = tolerance / 10
-        (A, G, b, h), n = split_rows(problem), len(problem.q)
-        self._solver.setup(csc_matrix((n, n)), problem.q, A=A, b=b, G=G, h_u=h)
+        A, G, b, h = split_rows(problem)
+        self._solver.setup(csc_matrix(problem.hessian), problem.q, A=A, b=b, G=G, h_u=h)
 
     def solve(self, b: Vector) -> SolverResult:
         """Solve with another right-hand side."""

@@ -32,7 +32,7 @@ class ProxqpSession:
         settings.max_iter = MAX_ITERATIONS
         settings.initial_guess = proxqp.InitialGuess.NO_INITIAL_GUESS
         lower = np.full(len(upper), -np.inf)
-        self._solver.init(csc_matrix((n, n)), problem.q, A, b, C, lower, upper)
+        self._solver.init(csc_matrix(problem.hessian), problem.q, A, b, C, lower, upper)
 
     def solve(self, b: Vector) -> SolverResult:
         """Solve with another right-hand side."""

@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+from scipy.sparse import csc_matrix
 
 from problems.conic import ConicProgram, SolverResult, Status
 from problems.solvers.adapter import SOCP, SolverAdapter, Vector, make_result, split_rows
@@ -22,7 +23,8 @@ class QocoSession:
         soc = np.array(problem.soc_sizes, dtype=np.int32)
         sizes, cones = (len(problem.q), len(h), len(b)), (problem.nonnegative, len(soc), soc)
         limits = {"abstol": tolerance / 10, "reltol": tolerance / 10, "verbose": 0}
-        self._solver.setup(*sizes, None, problem.q, *equalities, *inequalities, *cones, **limits)
+        P = None if problem.P is None else csc_matrix(problem.P)
+        self._solver.setup(*sizes, P, problem.q, *equalities, *inequalities, *cones, **limits)
 
     def solve(self, b: Vector) -> SolverResult:
         """Solve with another right-hand side."""

@@ -23,7 +23,7 @@ class QpalmSession:
 
         self._zero, n = problem.zero, len(problem.q)
         data = qpalm.Data(n, len(problem.b))
-        data.Q, data.q = csc_matrix((n, n)), problem.q
+        data.Q, data.q = csc_matrix(problem.hessian), problem.q
         data.A, data.bmin = csc_matrix(problem.A), lower_bounds(problem.b, problem.zero, INFINITY)
         data.bmax = problem.b
         settings = qpalm.Settings()

@@ -28,7 +28,8 @@ class ScsSession:
         options: dict[str, Any] = {"max_iters": MAX_ITERATIONS, "verbose": False}
         options |= dict.fromkeys(("eps_abs", "eps_rel", "eps_infeas"), tolerance / 10)
         options["linear_solver"] = "qdldl"  # single-threaded: the same result on every machine
-        self._solver: Any = scs.SCS({"A": A, "b": b, "c": problem.q}, cones, **options)
+        data = {"A": A, "b": b, "c": problem.q, "P": problem.P}
+        self._solver: Any = scs.SCS(data, cones, **options)
 
     def solve(self, b: Vector) -> SolverResult:
         """Solve with another right-hand side, from the last solution."""

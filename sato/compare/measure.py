@@ -218,6 +218,6 @@ def _evaluate(
     outcome = SolveOutcome(verdict, reason, seconds, result.iterations)
     if solution is None:
         return outcome
-    error = abs(float(instance.problem.q @ solution.x) - instance.reference_cost)
+    error = abs(instance.problem.cost(solution.x) - instance.reference_cost)
     _, _, *residuals = solution
     return SolveOutcome(*outcome[:4], error / instance.cost_scale, *residuals)
