@@ -19,7 +19,7 @@ from numpy import ndarray as Array
 
 from dynamics.bezier_kernels import closest_pair
 from dynamics.model import ControlSamples, StateSamples
-from dynamics.trajectory_geometry import hull_distance, min_distance
+from dynamics.trajectory_geometry import hull_distance, sampled_separations
 from problems.centralized_nlp import (
     AgentStates,
     Ends,
@@ -150,8 +150,9 @@ class CentralizedProblem:
             NoFeasibleSolution: No simulated solution satisfies all constraints.
             ValueError: Two starts or two goals are too close.
         """
-        for name, states in (("starts", start), ("goals", goal)):
-            least = min_distance(states[:, : self.transfer.model.axes])
+        ends = np.stack([start, goal])[..., : self.transfer.model.axes]
+        each = sampled_separations(ends, np.ones(ends.shape[:2], dtype=bool)).tolist()
+        for name, least in zip(("starts", "goals"), each, strict=True):
             if not least >= self.horizon.clearance:
                 needed = f"at least {self.horizon.clearance:.6g} m are needed"
                 raise ValueError(f"two {name} are {least:.6g} m apart, {needed}")

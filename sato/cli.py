@@ -8,7 +8,7 @@ from typer import Argument, Exit, Option, Typer, echo
 
 import sato
 from sato.cli_errors import EXIT_FAILED, EXIT_OK, CommandGroup, ensure_writable
-from sato.scenario.errors import InputError, errors_in
+from sato.scenario.errors import InputError
 
 app = Typer(
     cls=CommandGroup,
@@ -154,6 +154,7 @@ def gains(
 ) -> None:
     """Design the gains of a formation; write them with their certificate."""
     from sato import gains_report
+    from sato.scenario.definition import errors_in
 
     if list_library:
         gains_report.print_formations()
@@ -186,6 +187,7 @@ def compare(
     from problems.solvers import load_adapters
     from sato.compare.plan import make_plan
     from sato.compare.report import run_comparison
+    from sato.scenario.definition import errors_in
 
     chosen = (solver or (), family or (), size or (), tolerance or ())
     with errors_in(""):
@@ -208,6 +210,7 @@ def export_c(
     from sato.console import progress_bar
     from sato.onboard import export_c as write
     from sato.onboard.export import describe
+    from sato.scenario.definition import errors_in
 
     ensure_writable(out)
     with progress_bar("writing the code"), errors_in(""):

@@ -10,6 +10,7 @@ from functools import cached_property
 from html import escape
 from importlib.metadata import version
 from pathlib import Path
+from pkgutil import resolve_name
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +27,7 @@ from sato.resource_usage import peak_memory_mib
 from sato.scenario.errors import InputError, ScenarioError, format_value
 from sato.scenario.file import Mission, from_dict, parse, read
 from sato.summary import summary_rows
-from sato.systems import load_system
+from sato.systems import SYSTEMS
 
 if TYPE_CHECKING:  # slow to import
     import matplotlib.figure
@@ -136,7 +137,7 @@ def run(
     # With matrices as small as these, the threads of BLAS only wait for each other.
     with threadpool_limits(1, user_api="blas"):
         mission, drawn, rng = _draw(scenario, seed, overrides)
-        system = load_system(mission.system)
+        system = resolve_name(SYSTEMS[mission.system][1])
         for sentence in drawn.warnings():
             warnings.warn(sentence, stacklevel=2)
         callback = progress if callable(progress) else (lambda mission, frame: None)
@@ -171,7 +172,7 @@ def simulate(scenario: Scenario, seed: int = 0, overrides: Iterable[str] = ()) -
         ValueError: The scenario cannot be flown.
     """
     mission, drawn, rng = _draw(scenario, seed, overrides)
-    frames = load_system(mission.system).simulate(drawn, rng)
+    frames = resolve_name(SYSTEMS[mission.system][1]).simulate(drawn, rng)
     limited = ThreadpoolController().wrap(limits=1, user_api="blas")
     return iter(limited(lambda: next(frames, None)), None)
 

@@ -1,6 +1,6 @@
 """Registry of the systems, a line each."""
 
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 from sato.scenario.errors import InputError, format_value, join_names
@@ -42,5 +42,4 @@ def _load(name: object, part: int) -> Any:
     if not isinstance(name, str) or name not in SYSTEMS:
         known = join_names((f'"{known}"' for known in SYSTEMS), "and")
         raise InputError("system", f"there is no system {format_value(name)}, only {known}")
-    module, _, found = SYSTEMS[name][part].partition(":")
-    return getattr(import_module(module), found)
+    return resolve_name(SYSTEMS[name][part])

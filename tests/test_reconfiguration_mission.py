@@ -277,7 +277,8 @@ def test_velocities_need_the_shape_of_the_positions():
 
 def test_plant_is_known_once_the_mission_is_drawn():
     with pytest.raises(ValueError, match="known once the mission is drawn"):
-        tiny().flown_plant  # noqa: B018
+        drag = ("plant.drag=true", "plant.ballistic_m2_kg=0.01")
+        sato.read("orbit", drag).flown_plant  # noqa: B018
 
 
 @pytest.mark.parametrize("steps", [2, 7, 8])

@@ -14,17 +14,8 @@ from dynamics.kinematic import KinematicVehicle
 from dynamics.quadrotor import Quadrotor
 from dynamics.units import Key, Length, Time, Unit
 from problems.interaction_graph import Camera
-from sato.connectivity import feasibility
+from sato.connectivity import feasibility, settings
 from sato.connectivity.obstacles import Box, Obstacles, Plane, RandomSpheres, Sphere
-from sato.connectivity.settings import (
-    CommandLimits,
-    CommunicationLink,
-    Potential,
-    PowerIterationGains,
-    Repulsion,
-    YawTracking,
-    complete_gains,
-)
 from sato.connectivity.start import Poses, RandomPoses, as_poses
 from sato.connectivity.stick import RecordedStick, WaypointStick
 from sato.scenario.definition import (
@@ -36,8 +27,9 @@ from sato.scenario.definition import (
     NotNegative,
     Positive,
     Vector,
+    errors_in,
 )
-from sato.scenario.errors import InputError, errors_in
+from sato.scenario.errors import InputError
 from sato.scenario.file import Mission
 
 OMNIDIRECTIONAL = (-3.0, -2.0)  # a_min, a_max of a robot that ignores its field of view
@@ -87,17 +79,21 @@ class Connectivity(Mission):
         Length, In("camera"), Key("body"), Positive, "radius of a robot that blocks it"
     ] = 0.3
 
-    potential: Annotated[Potential, "potential of λ₂"] = Potential()
-    repulsion: Annotated[Repulsion, "repulsion of robots and obstacles"] = Repulsion()
-    tracking: Annotated[YawTracking, "estimator of relative yaw"] = YawTracking()
-    limits: Annotated[CommandLimits, "limits of what a robot commands"] = CommandLimits()
-    link: Annotated[CommunicationLink, "messages"] = CommunicationLink()
+    potential: Annotated[settings.Potential, "potential of λ₂"] = settings.Potential()
+    repulsion: Annotated[settings.Repulsion, "repulsion of robots and obstacles"] = (
+        settings.Repulsion()
+    )
+    tracking: Annotated[settings.YawTracking, "estimator of relative yaw"] = settings.YawTracking()
+    limits: Annotated[settings.CommandLimits, "limits of what a robot commands"] = (
+        settings.CommandLimits()
+    )
+    link: Annotated[settings.CommunicationLink, "messages"] = settings.CommunicationLink()
     estimator: Annotated[
         Literal["flood", "exact", "power_pi"], In("estimator"), Key("kind"), "estimator of λ₂"
     ] = "flood"
-    power_iteration: Annotated[PowerIterationGains, Key("estimator"), "gains of power_pi"] = (
-        PowerIterationGains()
-    )
+    power_iteration: Annotated[
+        settings.PowerIterationGains, Key("estimator"), "gains of power_pi"
+    ] = settings.PowerIterationGains()
     plant: Annotated[KinematicVehicle | Quadrotor, "motion that is flown"] = KinematicVehicle()
     camera_noise: Annotated[
         Length, In("noise"), Key("camera"), NotNegative, "of each coordinate that a camera measures"
@@ -188,9 +184,9 @@ class Connectivity(Mission):
         return np.asarray(self.yaw - self.yaw[:, None] + self.yaw_error)
 
     @property
-    def gains(self) -> PowerIterationGains:
+    def gains(self) -> settings.PowerIterationGains:
         """Gains of the power iteration, with those that are not given."""
-        return complete_gains(self.power_iteration, self.agents)
+        return settings.complete_gains(self.power_iteration, self.agents)
 
     @cached_property
     def obstacle_arrays(self) -> Obstacles:

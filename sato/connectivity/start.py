@@ -17,8 +17,9 @@ from sato.scenario.definition import (
     Positive,
     Vector,
     as_array,
+    errors_in,
 )
-from sato.scenario.errors import InputError, errors_in
+from sato.scenario.errors import InputError
 from sato.shapes.random_points import sample_positions
 
 MAX_DRAWS = 500  # of a whole swarm, before its connectivity is given up

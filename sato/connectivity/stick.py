@@ -9,7 +9,7 @@ from numpy import ndarray as Array
 
 from dynamics.units import Key, Length, Speed, Time, Unit
 from sato.scenario.definition import LATER, Definition, Matrix, NotNegative, Positive, Vector
-from sato.scenario.errors import InputError, errors_in
+from sato.scenario.errors import InputError
 
 MAX_TURN = 1.0  # between two drawn legs [rad]
 
@@ -109,13 +109,11 @@ class RecordedStick(Definition):
             return self
         try:
             table = np.loadtxt(self.file, delimiter=",", ndmin=2, encoding="utf-8")
+            if table.shape[1] != 4:
+                raise ValueError("needs rows of time, v_x, v_y, v_z; in s and m/s")
+            return RecordedStick(table[:, 0], table[:, 1:])
         except (OSError, ValueError) as error:
             raise InputError("file", f'"{self.file}" cannot be read: {error}') from error
-        if table.shape[1] != 4:
-            text = f'"{self.file}" needs rows of time, v_x, v_y, v_z; in s and m/s'
-            raise InputError("file", text)
-        with errors_in("file"):
-            return RecordedStick(table[:, 0], table[:, 1:])
 
     @property
     def waypoints(self) -> Float[Array, "0 3"]:

@@ -8,8 +8,8 @@ import numpy as np
 from problems.desired_formation import DesiredFormation
 from problems.gain_design import GainDesignUndecided, GainMethod, NoStabilizingGain, design_gains
 from problems.gain_matrix import GainMatrix
-from sato.scenario.definition import Coordinates, Definition, Matrix
-from sato.scenario.errors import InputError, errors_in
+from sato.scenario.definition import Coordinates, Definition, Matrix, errors_in
+from sato.scenario.errors import InputError
 
 
 @dataclass(frozen=True, eq=False, repr=False)

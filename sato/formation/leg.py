@@ -16,8 +16,15 @@ from problems.desired_formation import DesiredFormation
 from problems.gain_matrix import GainMatrix
 from sato.formation.gains import AnyGains, DesignedGains, GainsFile, as_gains
 from sato.formation.start import check_drawn_separation, check_separation, place_level
-from sato.scenario.definition import Convert, Coordinates, Definition, NotNegative, Positive
-from sato.scenario.errors import InputError, errors_in
+from sato.scenario.definition import (
+    Convert,
+    Coordinates,
+    Definition,
+    NotNegative,
+    Positive,
+    errors_in,
+)
+from sato.scenario.errors import InputError
 from sato.shapes import AnyShape, Points, Shape
 from sato.shapes import formation_library as library
 from sato.shapes.random_points import sample_formation

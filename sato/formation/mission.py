@@ -24,8 +24,7 @@ from sato.formation.settings import (
 )
 from sato.formation.start import AnyStart, draw_start, place_level
 from sato.network.radio import Radio
-from sato.scenario.definition import LATER, Convert, In, Key, Positive
-from sato.scenario.errors import errors_in
+from sato.scenario.definition import LATER, Convert, In, Key, Positive, errors_in, map_numbered
 from sato.scenario.file import Mission
 from sato.scenario.table import find_key, write_table
 from sato.shapes import Points, Shape
@@ -111,13 +110,11 @@ class Formation(Mission):
         """Return the mission with its start, formations, gains and coordinate frames drawn."""
         with errors_in("swarm.start"):
             start = draw_start(self.start, self.agents, self.keep_out, rng)
-        legs = []
-        for number, leg in enumerate(self.legs):
-            with errors_in(f"leg.{number}"):
-                legs.append(leg.draw(self.agents, self.keep_out, rng))
+        with errors_in("leg"):
+            legs = map_numbered(lambda leg: leg.draw(self.agents, self.keep_out, rng), self.legs)
         with errors_in("frames"):
             frames = self.frames.draw(self.agents, rng)
-        return replace(self, start=Points(start, keep_order=True), legs=tuple(legs), frames=frames)
+        return replace(self, start=Points(start, keep_order=True), legs=legs, frames=frames)
 
     def warnings(self) -> list[str]:
         """List doubts about a drawn mission, a sentence each."""
@@ -130,11 +127,9 @@ class Formation(Mission):
             start = replace(start, keep_order=True)
         if isinstance(start, Shape) and start.uses_files:
             start = Points(place_level(start, self.agents, 0.0), keep_order=True)
-        legs = []
-        for number, leg in enumerate(self.legs):
-            with errors_in(f"leg.{number}"):
-                legs.append(leg.without_files(self.agents))
-        return replace(self, start=start, legs=tuple(legs))
+        with errors_in("leg"):
+            legs = map_numbered(lambda leg: leg.without_files(self.agents), self.legs)
+        return replace(self, start=start, legs=legs)
 
     @cached_property
     def initial_positions(self) -> Float[Array, "agents 3"]:

@@ -9,8 +9,8 @@ from numpy import ndarray as Array
 from scipy.spatial.distance import pdist, squareform
 
 from dynamics.units import Length, Unit
-from sato.scenario.definition import Coordinates, Definition, Positive
-from sato.scenario.errors import InputError, errors_in
+from sato.scenario.definition import Coordinates, Definition, Positive, errors_in
+from sato.scenario.errors import InputError
 from sato.shapes import AnyShape, Lattice, Points, Shape
 from sato.shapes.random_points import sample_positions
 

@@ -9,7 +9,6 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from dynamics.discretize import DiscreteModel
-from dynamics.trajectory_geometry import min_distance
 from problems import auction_cost
 from problems.transfer import TransferProblem
 from sato.auctions import VsdaaAuction, VsdaaResult, run_vsdaa
@@ -17,6 +16,7 @@ from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.mission import Leg, Reconfiguration
 from sato.reconfiguration.state import AgentMemory, DecisionContext
 from sato.scenario.definition import is_auto
+from sato.shapes.shape import least_distance
 
 RELATIVE_EPSILON = 0.01  # ε over the extent of the shape, where no tie-break gives a scale
 HELD_TARGET_DISCOUNT = 0.02  # on the target that an agent holds, of its range of costs
@@ -151,7 +151,7 @@ def compute_epsilon(mission: Reconfiguration, leg: Leg) -> float:
     if mission.tie_break == 0:
         extent = float(np.linalg.norm(np.ptp(position, axis=0)))
         return RELATIVE_EPSILON * (extent if extent > 0 else 1.0)
-    spacing = min_distance(position)
+    spacing = least_distance(position)
     return 0.5 * mission.tie_break * (spacing if isfinite(spacing) else 1.0) ** 2
 
 

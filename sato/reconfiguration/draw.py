@@ -4,17 +4,17 @@ from dataclasses import replace
 from math import isfinite
 
 import numpy as np
+import scipy
 from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.circular_orbit import ClohessyWiltshire
-from dynamics.trajectory_geometry import min_distance
 from sato.reconfiguration import feasibility
-from sato.reconfiguration.mission import Leg, Reconfiguration
+from sato.reconfiguration.mission import Leg, Reconfiguration, states_of
 from sato.reconfiguration.models import OrbitalModel
 from sato.reconfiguration.start import Random, Start
-from sato.scenario.definition import is_auto
-from sato.scenario.errors import InputError, errors_in, round_up
+from sato.scenario.definition import errors_in, is_auto
+from sato.scenario.errors import InputError, round_up
 from sato.shapes import Points
 
 ARRIVAL_TOLERANCE = 1e-6  # of the least spacing of the targets
@@ -37,7 +37,7 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
         # States of agents that are known to those that join when the leg begins.
         known = targets[k - 1][: demand[k - 1]] if k else states
         leg = _draw_joins(mission, k, leg, known, times[k], rng)
-        states = np.concatenate([states, *(_as_states(join.start) for join in leg.joins)])
+        states = np.concatenate([states, *(states_of(join.start) for join in leg.joins)])
         legs.append(replace(leg, shape=_as_points(targets[k]), count=None))
     drawn = replace(mission, start=_as_points(start), legs=tuple(legs))
     drawn = _resolve(replace(drawn, plant=mission.draw_plant(len(states), rng)))
@@ -121,14 +121,13 @@ def _check_separation(
     placed: Float[Array, "count d"], occupied: Float[Array, "k d"], radius: float
 ) -> None:
     together, least = np.concatenate([placed, occupied]), radius * (1 - 1e-9)
-    if min_distance(together) >= least:
-        return
-    distance = np.linalg.norm(placed[:, None] - together, axis=2)
-    distance[:, : len(placed)] += np.diag(np.full(len(placed), np.inf))
-    i, j = np.unravel_index(np.argmin(distance), distance.shape)
-    if distance[i, j] < least:  # else two agents that were there before
+    pairs = scipy.spatial.cKDTree(together).query_pairs(least, output_type="ndarray")
+    pairs = pairs[pairs[:, 0] < len(placed)]  # the others were there before
+    if len(pairs):
+        distance = np.linalg.norm(together[pairs[:, 0]] - together[pairs[:, 1]], axis=1)
+        i, j = pairs[np.argmin(distance)]
         other = f"agent {j}" if j < len(placed) else "an agent that is there already"
-        reason = f"agent {i} starts {distance[i, j]:.4g} m from {other}"
+        reason = f"agent {i} starts {distance.min():.4g} m from {other}"
         raise InputError("", f"{reason}, closer than the collision radius of {radius:g} m")
 
 
@@ -218,8 +217,3 @@ def _check_margin(mission: Reconfiguration, margin: float, verb: str) -> None:
 def _as_points(states: Float[Array, "k n"]) -> Points:
     d = states.shape[1] // 2
     return Points(states[:, :d], states[:, d:], keep_order=True)
-
-
-def _as_states(points: Start) -> Float[Array, "k n"]:
-    assert isinstance(points, Points)
-    return np.hstack([np.asarray(points.positions), np.asarray(points.velocities)])

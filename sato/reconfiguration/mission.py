@@ -13,26 +13,16 @@ from pydantic import BeforeValidator
 from pydantic import Field as Constraint
 
 from dynamics.plant import Plant
-from dynamics.trajectory_geometry import min_distance
 from dynamics.units import Acceleration, Angle, Key, Length, Speed, Time, Unit
-from sato.reconfiguration import feasibility
-from sato.reconfiguration.models import (
-    AnyModel,
-    Motion,
-    PlantSettings,
-    as_chief,
-    as_definition,
-    check_motion,
-    check_orbital_model,
-    flies_model,
-)
+from sato.reconfiguration import feasibility, models
+from sato.reconfiguration.models import PlantSettings
 from sato.reconfiguration.orbit import Chief
 from sato.reconfiguration.start import Start, start_without_files
 from sato.scenario.definition import LATER, Convert, Definition, In, Inline, NotNegative, Positive
 from sato.scenario.errors import InputError
 from sato.scenario.file import Mission
 from sato.shapes import Lattice, Picture, Points, Polygon, Ring, Text
-from sato.shapes.shape import as_points
+from sato.shapes.shape import as_points, least_distance
 
 if TYPE_CHECKING:
     Automatic = float  # once the mission is drawn
@@ -86,7 +76,7 @@ class Join(Definition):
     @property
     def size(self) -> int:
         """Number of agents that join."""
-        return self.agents or len(_states(self.start))
+        return self.agents or len(states_of(self.start))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -121,11 +111,11 @@ class Leg(Definition):
     @property
     def targets(self) -> Float[Array, "targets n"]:
         """States to reach, in an order in which every prefix keeps the shape; once drawn."""
-        return _states(self.shape)
+        return states_of(self.shape)
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class Reconfiguration(Motion, Mission):
+class Reconfiguration(models.Motion, Mission):
     """A swarm that takes up one shape after another [Morgan2016, Method 3].
 
     Args:
@@ -150,9 +140,9 @@ class Reconfiguration(Motion, Mission):
         "targets m that agents bid on at first; one an agent if absent",
     ] = None
 
-    chief: Annotated[Chief | None, In(""), Convert(as_chief), "orbit of the chief"] = None
+    chief: Annotated[Chief | None, In(""), Convert(models.as_chief), "orbit of the chief"] = None
 
-    model: Annotated[AnyModel, MODEL, Inline(), "equations of motion"]
+    model: Annotated[models.AnyModel, MODEL, Inline(), "equations of motion"]
     max_control: Annotated[Acceleration, MODEL, Positive, "largest acceleration"]
     max_speed: Annotated[
         float, Unit("m_s"), MODEL, Positive, Constraint(allow_inf_nan=True), "largest speed"
@@ -207,17 +197,19 @@ class Reconfiguration(Motion, Mission):
         """Refuse an orbital model without a chief, before the keys of the model are read."""
         model = data.get("model")
         if isinstance(model, dict):
-            check_orbital_model(model.get("kind"), "chief" in data or "mean_motion_rad_s" in model)
+            models.check_orbital_model(
+                model.get("kind"), "chief" in data or "mean_motion_rad_s" in model
+            )
         return data
 
     def completed(self) -> dict[str, Any]:
         """Return what follows from the other fields where it is not given."""
-        model, chief = as_definition(self.model, self.chief)
+        model, chief = models.as_definition(self.model, self.chief)
         values: dict[str, Any] = {"model": model, "chief": chief}
         if self.agents is None and isinstance(self.start, Points):
             values["agents"] = None if self.start.positions is None else len(self.start.positions)
         if self.replan_steps is None:
-            is_disturbed = self.has_noise or not flies_model(model, chief, self.plant)
+            is_disturbed = self.has_noise or not models.flies_model(model, chief, self.plant)
             values["replan_steps"] = 1 if is_disturbed else self.horizon_steps
         if self.auction_steps is None:
             values["auction_steps"] = values.get("replan_steps", self.replan_steps)
@@ -225,7 +217,7 @@ class Reconfiguration(Motion, Mission):
 
     def check(self) -> None:
         """Refuse fields that contradict each other, and legs without targets enough."""
-        check_motion(self.model, self.chief, self.plant)
+        models.check_motion(self.model, self.chief, self.plant)
         feasibility.check(self)
 
     def draw(self, rng: np.random.Generator) -> "Reconfiguration":
@@ -267,18 +259,11 @@ class Reconfiguration(Motion, Mission):
         noise = self.position_noise, self.velocity_noise, self.disturbance
         return any((*noise, self.thrust_error, self.pointing_error))
 
-    @property
-    def flown_plant(self) -> Plant:
-        """Motion of the vehicles, once the mission is drawn."""
-        if isinstance(self.plant, Plant):
-            return self.plant
-        raise ValueError("the plant is known once the mission is drawn: mission.draw(rng)")
-
     @cached_property
     def initial_states(self) -> Float[Array, "agents n"]:
         """States of all agents, those that join later last, where each starts; once drawn."""
-        joins = [_states(join.start) for leg in self.legs for join in leg.joins]
-        return np.concatenate([_states(self.start), *joins])
+        joins = [states_of(join.start) for leg in self.legs for join in leg.joins]
+        return np.concatenate([states_of(self.start), *joins])
 
     @property
     def alive(self) -> Bool[Array, " agents"]:
@@ -299,10 +284,11 @@ class Reconfiguration(Motion, Mission):
     @cached_property
     def target_spacing(self) -> float:
         """Least distance between two targets of a leg [m]; once drawn."""
-        return min(min_distance(leg.targets[:, : self.axes]) for leg in self.legs)
+        return min(least_distance(leg.targets[:, : self.axes]) for leg in self.legs)
 
 
-def _states(points: Any) -> Float[Array, "k n"]:
+def states_of(points: Any) -> Float[Array, "k n"]:
+    """Return the states of points, at rest where they have no velocities; once drawn."""
     if not isinstance(points, Points) or points.positions is None:
         kind = type(points).__name__
         raise ValueError(f"{kind} has positions once the mission is drawn: mission.draw(rng)")

@@ -233,18 +233,29 @@ class Motion:
         is_own = self.model.kind == "j2" and self.model.relinearize
         return J2(self.chief.orbit) if is_own else None
 
-    def draw_plant(self, agents: int, rng: np.random.Generator) -> Plant:
-        """Return what is flown, with ballistic coefficients drawn where they differ."""
+    def draw_plant(self, agents: int, rng: np.random.Generator) -> PlantSettings | Plant:
+        """Return the plant, with ballistic coefficients drawn where vehicles have them."""
+        plant, chief = self.plant, self.chief
+        if isinstance(plant, Plant) or plant.ballistic is None or chief is None:
+            return plant
+        each = plant.ballistic * (1 + plant.ballistic_spread * rng.uniform(-1, 1, agents))
+        own = plant.ballistic if plant.chief_ballistic is None else plant.chief_ballistic
+        return InertialPlant(chief.orbit, each, own, plant.atmosphere(chief))
+
+    @cached_property
+    def flown_plant(self) -> Plant:
+        """Motion of the vehicles.
+
+        Raises:
+            ValueError: Ballistic coefficients are still to be drawn.
+        """
         if isinstance(self.plant, Plant):
             return self.plant
-        if self.chief is None or self.flies_model:
-            if isinstance(self.model, NonlinearModel):
-                return NonlinearPlant(self.model)
-            orbit = None if self.chief is None else self.chief.orbit
-            return LinearPlant(self.linear_model, orbit)
-        usual, own = self.plant.ballistic, self.plant.chief_ballistic
-        if usual is None:
-            return InertialPlant(self.chief.orbit)
-        each = usual * (1 + self.plant.ballistic_spread * rng.uniform(-1, 1, agents))
-        air = self.plant.atmosphere(self.chief)
-        return InertialPlant(self.chief.orbit, each, usual if own is None else own, air)
+        if self.plant.ballistic is not None:
+            raise ValueError("the plant is known once the mission is drawn: mission.draw(rng)")
+        orbit = None if self.chief is None else self.chief.orbit
+        if orbit is not None and not self.flies_model:
+            return InertialPlant(orbit)
+        if isinstance(self.model, NonlinearModel):
+            return NonlinearPlant(self.model)
+        return LinearPlant(self.linear_model, orbit)

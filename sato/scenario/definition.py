@@ -9,8 +9,8 @@ From the annotations come the check at construction, the keys with their units, 
 of keys in the documentation, the messages of errors, and equality by value.
 """
 
-import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import MISSING, fields
 from functools import cache, cached_property
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
@@ -22,19 +22,10 @@ from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError
 
 from dynamics.units import Key as Key
 from dynamics.units import Unit
-from sato.scenario.errors import InputError, errors_in, format_value, join_names
+from sato.scenario.errors import InputError, explain, join_names
 
 Positive, NotNegative = Gt(0), Ge(0)
 LATER: Any = None  # default of a field that follows from others, or is drawn
-PLAIN_WORDS = {
-    "a valid integer": "an integer",
-    "a valid ": "a ",
-    "greater than or equal to": "at least",
-    "less than or equal to": "at most",
-    "tuple": "list",
-    " after validation": "",
-    "'": '"',
-}
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False, arbitrary_types_allowed=True)
 
 
@@ -171,7 +162,7 @@ class Field:
         try:
             return self._adapter.validate_python(value)
         except ValidationError as error:
-            raise _explain(error) from error
+            raise explain(error) from error
 
     def _check_definition(self, value: Any) -> Any:
         allowed = self.variants + self.others
@@ -219,6 +210,17 @@ def kinds_of(definition: Any) -> tuple[str, ...]:
     return getattr(definition, "kinds", (kind,) if isinstance(kind, str) else ())
 
 
+@contextmanager
+def errors_in(table: str) -> Iterator[None]:
+    """Prefix the key of every `InputError` with a table; make one of any other `ValueError`."""
+    try:
+        yield
+    except InputError as error:
+        raise error.inside(table) from error
+    except ValueError as error:
+        raise InputError(table, str(error)) from error
+
+
 def map_numbered(function: Callable[[Any], Any], values: Iterable[Any]) -> tuple[Any, ...]:
     """Apply a function to each value of a list; its errors name the number of the value."""
     found = []
@@ -262,21 +264,6 @@ Coordinates = Annotated[
 ]
 Vector = Annotated[Array, BeforeValidator(lambda value: as_array(value, 1))]
 Matrix = Annotated[Array, BeforeValidator(lambda value: as_array(value, 2))]
-
-
-def _explain(error: ValidationError) -> InputError:
-    # The first of pydantic's errors, and the words that would do instead, if there are any.
-    errors: list[Any] = error.errors(include_url=False)
-    first, *others = errors
-    cause = first.get("ctx", {}).get("error")
-    if isinstance(cause, InputError):
-        return cause
-    where = ".".join(str(part) for part in first["loc"] if isinstance(part, int))
-    words = [other["msg"] for other in others if other["type"] == "literal_error"]
-    wanted = re.sub(r"\b\w+ should", "must", " or ".join([first["msg"], *words[:1]]))
-    for theirs, ours in PLAIN_WORDS.items():
-        wanted = wanted.replace(theirs, ours)
-    return InputError(where, f"{wanted}, got {format_value(first['input'])}")
 
 
 def _classes(hint: Any) -> list[type]:

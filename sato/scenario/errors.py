@@ -1,10 +1,20 @@
 """Errors of missions and scenario files: the key, what is wrong, and a value that would do."""
 
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+import re
+from collections.abc import Iterable
 from difflib import get_close_matches
 from math import ceil, floor, log10
 from typing import Any
+
+PLAIN_WORDS = {
+    "a valid integer": "an integer",
+    "a valid ": "a ",
+    "greater than or equal to": "at least",
+    "less than or equal to": "at most",
+    "tuple": "list",
+    " after validation": "",
+    "'": '"',
+}
 
 
 class InputError(ValueError):
@@ -31,17 +41,6 @@ class InputError(ValueError):
 
 class ScenarioError(ValueError):
     """A scenario that cannot be flown; the message names the file and the key."""
-
-
-@contextmanager
-def errors_in(table: str) -> Iterator[None]:
-    """Prefix the key of every `InputError` with a table; make one of any other `ValueError`."""
-    try:
-        yield
-    except InputError as error:
-        raise error.inside(table) from error
-    except ValueError as error:
-        raise InputError(table, str(error)) from error
 
 
 def join_names(names: Iterable[Any], last: str = "or") -> str:
@@ -81,3 +80,18 @@ def round_down(value: float) -> str:
     """Round to four digits downwards, so that a largest value stays sufficient."""
     unit = 10.0 ** (floor(log10(value)) - 3)
     return f"{floor(value / unit * (1 + 1e-12)) * unit:.4g}"
+
+
+def explain(error: Any) -> InputError:
+    """Say in plain words the first that pydantic objects to, and what would do."""
+    errors: list[Any] = error.errors(include_url=False)
+    first, *others = errors
+    cause = first.get("ctx", {}).get("error")
+    if isinstance(cause, InputError):
+        return cause
+    where = ".".join(str(part) for part in first["loc"] if isinstance(part, int))
+    words = [other["msg"] for other in others if other["type"] == "literal_error"]
+    wanted = re.sub(r"\b\w+ should", "must", " or ".join([first["msg"], *words[:1]]))
+    for theirs, ours in PLAIN_WORDS.items():
+        wanted = wanted.replace(theirs, ours)
+    return InputError(where, f"{wanted}, got {format_value(first['input'])}")

@@ -9,8 +9,15 @@ import numpy as np
 from numpy import ndarray as Array
 
 from dynamics.units import SUFFIXES
-from sato.scenario.definition import Field, fields_of, is_definition, kinds_of, map_numbered
-from sato.scenario.errors import InputError, closest_name, errors_in, format_value, join_names
+from sato.scenario.definition import (
+    Field,
+    errors_in,
+    fields_of,
+    is_definition,
+    kinds_of,
+    map_numbered,
+)
+from sato.scenario.errors import InputError, closest_name, format_value, join_names
 
 OWN = "own"  # kind of a value of the user's own
 _SI = {unit.quantity: suffix for suffix, unit in SUFFIXES.items() if unit.factor == 1.0}
