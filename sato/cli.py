@@ -7,7 +7,7 @@ from typing import Annotated
 from typer import Argument, Exit, Option, Typer, echo
 
 import sato
-from sato.cli_errors import EXIT_FAILED, EXIT_OK, CommandGroup, ensure_writable
+from sato.cli_errors import EXIT_FAILED, EXIT_OK, CommandGroup, ensure_writable, save_somewhere
 from sato.scenario.errors import InputError
 
 app = Typer(
@@ -79,10 +79,11 @@ def run(
     name = sato.read(scenario, override or ()).name
     folder = out or Path("runs", f"{name}-{seed}")
     ensure_writable(folder)
-    if not quiet and (folder / RUN_FILE).exists():
-        echo(f"sato: {folder}: the run that is there will be overwritten", err=True)
     flown = sato.run(scenario, seed=seed, overrides=override or (), progress=not quiet)
-    flown.save(folder)
+    is_old = (folder / RUN_FILE).exists()
+    save_somewhere(flown, folder)
+    if is_old and not quiet:
+        echo(f"sato: {folder}: the run that was there is overwritten", err=True)
     summary = flown.summary
     if not quiet:
         print_summary(summary, folder)
@@ -141,6 +142,7 @@ def export(
     from sato.export import DEFAULT_PATHS
 
     path = out or _run_folder(folder) / DEFAULT_PATHS.get(format, format)
+    ensure_writable(path)
     echo(str(sato.load(folder).export(path, format)))
 
 

@@ -4,13 +4,17 @@ import os
 import sys
 import warnings
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any
+from shutil import rmtree
+from tempfile import TemporaryDirectory, mkdtemp
+from typing import TYPE_CHECKING, Any
 
 import typer
 from typer.core import TyperGroup
 
 from sato.scenario.errors import InputError, ScenarioError
+
+if TYPE_CHECKING:
+    from sato.runs import Run
 
 # Did what was asked; ran, but did not reach it; refused before anything was done.
 EXIT_OK, EXIT_FAILED, EXIT_USAGE = 0, 1, 2
@@ -39,7 +43,7 @@ class CommandGroup(TyperGroup):
 
 
 def ensure_writable(folder: Path) -> None:
-    """Try to write into a folder, or where it is to be.
+    """Try to write into a folder, or beside a file, or where it is to be.
 
     Raises:
         InputError: Nothing can be written there.
@@ -48,17 +52,36 @@ def ensure_writable(folder: Path) -> None:
         existing = next(path for path in (folder, *folder.parents) if path.exists())
         TemporaryDirectory(dir=existing).cleanup()
     except OSError as error:
-        reason = f"{folder}: cannot be written to: {error.strerror}; --out takes another folder"
+        reason = f"{folder}: cannot be written to: {error.strerror}; --out takes another place"
         raise InputError("", reason) from error
+
+
+def save_somewhere(flown: "Run", folder: Path) -> None:
+    """Save a run, if not where it is to be, in a temporary folder, so that no flight is lost.
+
+    Raises:
+        OSError: Neither can be written to.
+    """
+    try:
+        flown.save(folder)
+    except OSError as error:
+        spare = mkdtemp(prefix="sato-")
+        try:
+            flown.save(spare)
+        except OSError:
+            rmtree(spare)
+            raise error from None
+        typer.echo(f"sato: {_describe(error)[0]}; the run is in {spare}", err=True)
+        raise typer.Exit(EXIT_FAILED) from error
 
 
 def _describe(error: BaseException) -> tuple[str, int]:
     from sato.record import RunFileError
 
     if isinstance(error, KeyboardInterrupt):
-        return "interrupted before there was anything to keep", EXIT_FAILED
+        return "interrupted; nothing was written", EXIT_FAILED
     if isinstance(error, OSError):
-        return f"{error.filename or 'a file'}: {error.strerror or error}", EXIT_FAILED
+        return f"{error.filename or 'the output'}: {error.strerror or error}", EXIT_FAILED
     if isinstance(error, InputError | ScenarioError | RunFileError):
         return str(error), EXIT_USAGE
     if isinstance(error, RuntimeError):  # a mathematical outcome, such as Infeasible

@@ -101,16 +101,20 @@ def build_dataset(
 
 
 def save(data: "xarray.Dataset", summary: Mapping[str, Any], folder: Path) -> None:
-    """Write run.nc and summary.json, each whole or not at all."""
+    """Write run.nc and summary.json, each whole or not at all.
+
+    Raises:
+        OSError: There is no room, or no permission; what was there is kept.
+    """
     packed = {name: {"zlib": True} for name, v in data.variables.items() if _is_compressible(v)}
     plain = json.loads(json.dumps(summary, default=json_default))
     text = json.dumps(finite_or_none(plain), indent=2, allow_nan=False) + "\n"
-    with (
-        replace_atomically(folder / SUMMARY_FILE) as summary_file,
-        replace_atomically(folder / RUN_FILE) as run_file,
-    ):
-        data.to_netcdf(run_file, engine="h5netcdf", encoding=packed)
-        summary_file.write_text(text, encoding="utf-8")
+    with replace_atomically(folder / RUN_FILE) as file:
+        # In memory first: HDF5 ends the program where a disk is full.
+        file.write_bytes(data.to_netcdf(engine="h5netcdf", encoding=packed))
+        (folder / SUMMARY_FILE).unlink(missing_ok=True)  # no run is ever beside another's
+    with replace_atomically(folder / SUMMARY_FILE) as file:
+        file.write_text(text, encoding="utf-8")
 
 
 def load(path: Path) -> tuple["xarray.Dataset", dict[str, Any]]:
@@ -121,12 +125,15 @@ def load(path: Path) -> tuple["xarray.Dataset", dict[str, Any]]:
     Raises:
         RunFileError: The file is missing, damaged, or not a run.
     """
+    import h5py
     import xarray
 
     file = path / RUN_FILE if path.is_dir() else path
     if not file.is_file():
         raise RunFileError(f"{file}: there is no such run file; `sato run` writes one")
     try:
+        with h5py.File(file) as opened:  # where this fails, h5netcdf prints a second error
+            dict(opened.attrs)
         data = xarray.load_dataset(file, engine="h5netcdf")
     except Exception as error:  # a damaged file makes h5py raise errors of many kinds
         text = f"{file}: cannot be read as netCDF-4: it is damaged or another kind of file"

@@ -2,7 +2,10 @@
 
 import shutil
 from collections.abc import Callable
+from contextlib import ExitStack
+from errno import EIO
 from pathlib import Path
+from subprocess import CalledProcessError
 from typing import TYPE_CHECKING, Any
 
 import matplotlib
@@ -40,7 +43,9 @@ def draw_figures(data: "xarray.Dataset", mission: Any) -> dict[str, Figure]:
 
 
 def plot(data: "xarray.Dataset", mission: Any, directory: Path, pdf: bool = False) -> list[Path]:
-    """Draw every figure of a run into a directory; figures of earlier runs there are removed.
+    """Draw every figure of a run into a directory, in place of figures of earlier runs.
+
+    Where one cannot be written, those that were there are kept.
 
     Args:
         data: Dataset of the run.
@@ -53,16 +58,16 @@ def plot(data: "xarray.Dataset", mission: Any, directory: Path, pdf: bool = Fals
     """
     figures = draw_figures(data, mission)
     directory.mkdir(parents=True, exist_ok=True)
-    for old in (path for end in ("png", "pdf") for path in directory.glob(f"*.{end}")):
-        if _MARK.encode() in old.read_bytes():
-            old.unlink()
-    paths = []
-    for name, figure in figures.items():
-        path = directory / f"{name}.{'pdf' if pdf else 'png'}"
-        FigureCanvasAgg(figure)
-        with matplotlib.rc_context(STYLE):
-            figure.savefig(path, metadata={"Creator" if pdf else "Software": _MARK})
-        paths.append(path)
+    drawn = (path for end in ("png", "pdf") for path in directory.glob(f"*.{end}"))
+    old = {path for path in drawn if _MARK.encode() in path.read_bytes()}
+    paths = [directory / f"{name}.{'pdf' if pdf else 'png'}" for name in figures]
+    with ExitStack() as written, matplotlib.rc_context(STYLE):
+        for path, figure in zip(paths, figures.values(), strict=True):
+            FigureCanvasAgg(figure)
+            new = written.enter_context(replace_atomically(path))
+            figure.savefig(new, metadata={"Creator" if pdf else "Software": _MARK})
+    for path in old - set(paths):
+        path.unlink()
     return paths
 
 
@@ -89,6 +94,7 @@ def animate(
 
     Raises:
         InputError: The system has no animation, or there are no frames at that rate.
+        OSError: The file cannot be written; one that was there is kept.
     """
     if fps < 1 or frames < 1:
         raise InputError("", f"frames and fps must be positive, got {frames} frames at {fps} fps")
@@ -104,10 +110,13 @@ def animate(
     with matplotlib.rc_context(STYLE), replace_atomically(path) as file:
         animation = system.animation(data, mission)
         figure, positions = animation.canvas.figure, animation.frame_positions(frames)
-        with writer.saving(figure, str(file), dpi=figure.dpi):
-            for i, position in enumerate(positions, 1):
-                animation.draw_frame(float(position))
-                writer.grab_frame()
-                if progress is not None:
-                    progress(i, len(positions))
+        try:
+            with writer.saving(figure, str(file), dpi=figure.dpi):
+                for i, position in enumerate(positions, 1):
+                    animation.draw_frame(float(position))
+                    writer.grab_frame()
+                    if progress is not None:
+                        progress(i, len(positions))
+        except (BrokenPipeError, CalledProcessError) as error:
+            raise OSError(EIO, "ffmpeg could not write the film: is the disk full?") from error
     return path

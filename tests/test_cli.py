@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import warnings
 from dataclasses import replace
 from inspect import unwrap
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from full_disk import file_size_limit
 from typer.testing import CliRunner, Result
 
 import sato
@@ -115,6 +117,8 @@ REFUSED = [
     ("shape={kind='picture',file='a.png',height_m=9}", "leg.0.shape", "a.png"),
     ("shape={kind='text',text='U',spacing_m=1,font='Nothing'}", "Nothing"),
     ("positions_m=[[0,0],[0.4,0],[4,0]]", "swarm.start", "agent 0 starts 0.4 m from agent 1"),
+    ("positions_m=[[0,0],[4,0],[4,0]]", "swarm.start", "agent 1 starts 0 m from agent 2"),
+    ("shape={kind='points',positions_m=[[0,0],[4,1],[4,1]]}", "leg.0.shape", "place, [4, 1]"),
     ("start.velocities_m_s=[[0,0],[0.6,0],[0,0]]", "agent 1 starts at 0.6 m/s", "max_speed_m_s"),
     ("agents=4", "swarm.start.positions_m", "3 positions for 4"),
     ("start={kind='random',box_m=0.9,separation_m=0.8}", "swarm.start.box_m", "is full"),
@@ -228,7 +232,9 @@ def test_a_run_leaves_its_file_and_its_summary(home):
     judged = json.loads(call("check", str(folder), "--json").stdout)
     assert judged["kept"] is True
     again = call("run", "tiny.toml", "--seed", "3")
-    assert "runs/tiny-3: the run that is there will be overwritten" in again.stderr
+    assert "runs/tiny-3: the run that was there is overwritten" in again.stderr
+    refused = call("run", "tiny.toml", "--seed", "3", "--set", "steps=2")
+    assert "overwritten" not in refused.stderr
     assert "overwritten" not in result.stderr
 
 
@@ -273,7 +279,8 @@ def test_trajectories_are_exported_beside_the_run_or_where_it_is_asked(home):
         ([], 2, "an OEM needs a [chief], and this run has none; the format csv needs no chief"),
         (["--format", "stk"], 2, 'there is no format "stk", only oem and csv'),
         (["--format", "csv", "--out", "here"], 2, "here: is a folder"),
-        (["--format", "csv", "--out", "tiny.toml/x"], 1, "tiny.toml/x: "),
+        (["--format", "csv", "--out", "tiny.toml/x"], 2, "tiny.toml/x: cannot be written to"),
+        (["--format", "csv", "--out", "/proc/x.csv"], 2, "/proc/x.csv: cannot be written to"),
     ],
 )
 def test_an_export_that_cannot_be_is_refused_in_a_sentence(home, words, code, said):
@@ -330,6 +337,22 @@ def test_a_flight_that_ends_early_leaves_what_was_flown(home, monkeypatch, error
     assert run.data.attrs["stopped"] == run.summary["stopped"] == reason
     assert np.isnan(run.data["control"][-1]).all()
     assert call("check", "here").exit_code == 1
+
+
+def test_a_run_that_cannot_be_saved_where_it_should_is_saved_elsewhere(home, monkeypatch):
+    def obstructed(*given: object) -> object:
+        yield from SYSTEM.simulate(*given)
+        (home / "here").write_text("in the way")
+
+    monkeypatch.setattr(tempfile, "tempdir", str(home))
+    replace_loop(monkeypatch, obstructed)
+    said = sentence(call("run", "tiny.toml", "--quiet", "--out", "here"), code=1)
+    assert said.startswith("sato: here/run.nc: ")
+    assert sato.load(said.split("; the run is in ")[1]).summary["reached"]
+    with file_size_limit(1000):
+        said = sentence(call("run", "tiny.toml", "--quiet", "--out", "there"), code=1)
+    assert said == "sato: there/run.nc: File too large"
+    assert len(list(home.glob("sato-*"))) == 1 and os.listdir("there") == []
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from itertools import product
 import matplotlib
 import numpy as np
 import pytest
+from full_disk import file_size_limit
 from pictures import check_layout, draw, line
 from PIL import Image
 from recorded_run import fly_straight, in_order, make_crossing, make_mission, recorded
@@ -265,6 +266,32 @@ def test_animation_is_an_mp4_with_ffmpeg(tmp_path, monkeypatch):
     width, height = map(int, options[options.index("-s") + 1].split("x"))
     assert path.stat().st_size == 3 * 4 * width * height
     assert options[options.index("-framerate") + 1] == "25" and "yuv420p" in options
+
+
+@pytest.mark.parametrize("method", ["plot", "animate"])
+def test_a_full_disk_leaves_the_figures_and_the_film_that_were_there(method, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path / "nowhere"))
+    options = {} if method == "plot" else {"frames": 2}
+    before = {name: b"figure of a run, by sato" for name in ("run.gif", "stages.png", "old.png")}
+    for name, content in before.items():
+        (tmp_path / name).write_bytes(content)
+    with file_size_limit(1000), pytest.raises(OSError, match="File too large") as caught:
+        getattr(flown("plane")[0], method)(tmp_path, **options)
+    first = "stages.png" if method == "plot" else "run.gif"
+    assert caught.value.filename == str(tmp_path / first)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_an_ffmpeg_that_fails_is_told_and_leaves_the_film(tmp_path, monkeypatch):
+    (tmp_path / "ffmpeg").write_text("#!/bin/sh\nhead -c 1000000 > /dev/null\nexit 1\n")
+    (tmp_path / "ffmpeg").chmod(0o755)
+    (tmp_path / "run.mp4").write_text("earlier")
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    for frames in (1, 9):  # it is seen at the end, or while it is written to
+        with pytest.raises(OSError, match=r"ffmpeg could not write the film.*run\.mp4"):
+            flown("plane")[0].animate(tmp_path, frames=frames)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["ffmpeg", "run.mp4"]
+    assert (tmp_path / "run.mp4").read_text() == "earlier"
 
 
 def test_animation_moves_agents_on_cubic_pieces():

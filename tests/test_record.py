@@ -1,10 +1,12 @@
 """Run files: written whole or not at all, and read back as they were."""
 
+import gc
 import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from full_disk import file_size_limit
 from recorded_run import record_run
 
 import sato
@@ -185,17 +187,37 @@ def test_failed_save_leaves_the_old_run(run, rng, tmp_path):
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
 
 
-def test_full_disk_leaves_no_partial_file(run, tmp_path, monkeypatch):
+@pytest.mark.parametrize("room", [0, 100, 10_000])
+def test_full_disk_leaves_the_old_run_and_names_the_file(run, rng, tmp_path, room):
+    (tmp_path / "old").mkdir()
+    run.save(tmp_path / "old")
+    before = {p.name: p.read_bytes() for p in (tmp_path / "old").iterdir()}
+    for folder in ("old", "new"):
+        with file_size_limit(room), pytest.raises(OSError, match="File too large") as caught:
+            run_of(frames(rng)).save(tmp_path / folder)
+        assert caught.value.filename == str(tmp_path / folder / "run.nc")
+    assert {p.name: p.read_bytes() for p in (tmp_path / "old").iterdir()} == before
+    assert list((tmp_path / "new").iterdir()) == []
 
-    def fall(_: object, path: object, **__: object) -> None:
-        with open(path, "wb") as file:  # type: ignore[call-overload]
-            file.write(b"half")
-        raise OSError("disk full")
 
-    monkeypatch.setattr(type(run.data), "to_netcdf", fall)
-    with pytest.raises(OSError, match="disk full"):
-        run.save(tmp_path)
-    assert list(tmp_path.iterdir()) == []
+def test_a_run_is_never_beside_the_summary_of_another(run, rng, tmp_path):
+    run.save(tmp_path)
+    with file_size_limit(10**6):
+        other = run_of(frames(rng), stopped="interrupted" + 2 * 10**6 * "!")
+        other.data.attrs["stopped"] = "interrupted"
+        with pytest.raises(OSError, match=r"summary\.json"):
+            other.save(tmp_path)
+    assert load(tmp_path).summary["stopped"] == "interrupted"
+
+
+@pytest.mark.parametrize("part", [b"\x89HDF", b"OHDR", b"FRHP", b"BTHD", b"GCOL"])
+def test_damaged_file_is_refused_in_one_sentence(run, tmp_path, part):
+    run.save(tmp_path)
+    file = tmp_path / "run.nc"
+    file.write_bytes(file.read_bytes().replace(part, b"????"))
+    with pytest.raises(RunFileError, match=r"run\.nc: cannot be read as netCDF-4"):
+        load(tmp_path)
+    gc.collect()  # a file that is half open would warn here
 
 
 @pytest.mark.parametrize("share", [0.02, 0.3, 0.6, 0.99])

@@ -90,8 +90,10 @@ class Shape(Definition):
         if spacing is None and size is None and not self.is_absolute:
             raise ValueError(f"give the spacing of the targets or the {name} of the shape")
         drawn, scale = least_distance(points), 1.0
-        if drawn == 0:
-            raise ValueError(f"two of its {len(points)} points are at the same place")
+        if drawn == 0 and (needed > 0 or spacing is not None or size is not None):
+            rows, times = np.unique(points, axis=0, return_counts=True)
+            place = ", ".join(f"{x:g}" for x in rows[times.argmax()])
+            raise ValueError(f"two of its {len(points)} points are at the same place, [{place}]")
         if spacing is not None and isinf(drawn):
             # No spacing determines the size of a shape with one target: it stands in the middle.
             points = middle[None]
