@@ -15,6 +15,7 @@ from numpy import ndarray as Array
 
 from dynamics.model import LinearModel
 from dynamics.orbit import EARTH_MU, EARTH_RADIUS, K_J2, Orbit, Vectors, validate_inclination
+from dynamics.symbols import Number
 
 
 class CircularOrbitModel(LinearModel):
@@ -52,7 +53,7 @@ class CircularOrbitModel(LinearModel):
         """w: rate of the in-plane motion [rad/s]."""
         return sqrt(4 * self.rotation_rate**2 - self.radial_gradient)
 
-    def A(self, t: float) -> Float[Array, "6 6"]:
+    def A(self, t: Number) -> Float[Array, "6 6"]:
         """State matrix."""
         a = self.rotation_rate
         K = np.diag([self.radial_gradient, 0, -(self.cross_track_rate**2)])

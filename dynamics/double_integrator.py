@@ -8,6 +8,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.model import LinearModel
+from dynamics.symbols import Number
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,6 @@ class DoubleIntegrator(LinearModel):
         if self.axes not in (2, 3):
             raise ValueError(f"axes: a double integrator has 2 or 3 axes, got {self.axes}")
 
-    def A(self, t: float) -> Float[Array, "n n"]:
+    def A(self, t: Number) -> Float[Array, "n n"]:
         """State matrix."""
         return np.kron([[0.0, 1.0], [0.0, 0.0]], np.eye(self.axes))

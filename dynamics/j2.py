@@ -7,11 +7,11 @@ are relative to these axes, which rotate with ω = (ω_x, 0, ω_z).
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics.model import Controls, Jacobian, NonlinearModel, States, Times
-from dynamics.orbit import Orbit, Vectors, lvlh_rates
+from dynamics.model import Controls, Jacobian, NonlinearModel, Rates, States, Times
+from dynamics.orbit import Orbit, Scalars, Vectors, lvlh_rates
+from dynamics.symbols import Numbers
 
 MIN_COS_LATITUDE = 0.02  # of the argument of latitude, for positions with z ≠ 0
 
@@ -29,7 +29,7 @@ class J2(NonlinearModel):
     orbit: Orbit
     axes: int = field(default=3, init=False, repr=False)
 
-    def rate(self, t: Times, x: States, u: Controls) -> Float[Array, "... 6"]:
+    def rate(self, t: Times, x: States, u: Controls) -> Rates:
         """Return the rate of change of one state or of many."""
         chief = self.orbit.elements_at(t)
         omega, centrifugal = _rotation_matrices(chief, self.orbit)
@@ -47,14 +47,14 @@ class J2(NonlinearModel):
         R = _from_earth_center(chief, x[..., :3])
         gradient = gravity_gradient(R, _earth_axis(chief), self.orbit)
         B = np.zeros((*gradient.shape[:-2], 6, 3))
-        A = np.zeros((*gradient.shape[:-2], 6, 6))
+        A = np.zeros((*gradient.shape[:-2], 6, 6), gradient.dtype)
         A[..., :3, 3:] = B[..., 3:, :] = np.eye(3)
         A[..., 3:, :3] = gradient - centrifugal
         A[..., 3:, 3:] = -2 * omega
         return A, B
 
 
-def gravity_acceleration(R: Vectors, pole: Vectors, orbit: Orbit) -> Float[Array, "... 3"]:
+def gravity_acceleration(R: Vectors, pole: Vectors, orbit: Orbit) -> Vectors:
     """Return the gravity of the oblate Earth, g = −η² R − ζ s [m/s²].
 
     Args:
@@ -69,7 +69,7 @@ def gravity_acceleration(R: Vectors, pole: Vectors, orbit: Orbit) -> Float[Array
     return np.asarray(-eta2 * R - 2 * k * Z / (rho * rho2**2) * pole)
 
 
-def gravity_gradient(R: Vectors, pole: Vectors, orbit: Orbit) -> Float[Array, "... 3 3"]:
+def gravity_gradient(R: Vectors, pole: Vectors, orbit: Orbit) -> Numbers[Array, "... 3 3"]:
     """Return ∂g/∂R [1/s²] of `gravity_acceleration`."""
     mu, k = orbit.mu, orbit.k_J2
     R, pole = np.broadcast_arrays(R, pole)
@@ -151,7 +151,7 @@ def _rotation_matrices(chief: Array, orbit: Orbit) -> tuple[Array, Array]:
     return omega, _cross_matrix(rates.alpha_x, rates.alpha_z) + omega @ omega
 
 
-def _cross_matrix(a: Float[Array, "*k"] | float, c: Float[Array, "*k"] | float) -> Array:
+def _cross_matrix(a: Scalars, c: Scalars) -> Array:
     """Return the matrix of the cross product with (a, 0, c)."""
     zero = np.zeros_like(a)
     rows = [[zero, -c, zero], [c, zero, -a], [zero, a, zero]]

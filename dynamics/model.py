@@ -3,22 +3,25 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, wraps
 from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.symbols import Number, Numbers, is_symbolic, make_function, to_array, to_casadi, trace
+
 # One instant, or many: the leading axes of times, states and controls broadcast.
-Times = float | Float[Array, "*#k"]
-States = Float[Array, "*#k n"]
-Controls = Float[Array, "*#k m"]
-Jacobian = tuple[Float[Array, "... n n"], Float[Array, "... n m"]]
+Times = Number | Numbers[Array, "*#k"]
+States = Numbers[Array, "*#k n"]
+Controls = Numbers[Array, "*#k m"]
+Rates = Numbers[Array, "... n"]
+Jacobian = tuple[Numbers[Array, "... n n"], Numbers[Array, "... n m"]]
 # Samples of a trajectory of one agent or of many.
 StateSamples = Float[Array, "*agents instants n"]
 ControlSamples = Float[Array, "*agents T m"]
-Matrices = tuple[Float[Array, "k n n"], Float[Array, "k n m"], Float[Array, "k n"]]
+Matrices = tuple[Numbers[Array, "k n n"], Numbers[Array, "k n m"], Numbers[Array, "k n"]]
 
 
 class Model(ABC):
@@ -26,9 +29,41 @@ class Model(ABC):
 
     axes: int  # dimension d of space: the state has 2d entries, the control d
 
+    def __init_subclass__(cls) -> None:
+        """Let the rate of every model take CasADi symbols."""
+        if "rate" in cls.__dict__:
+            cls.rate = _take_symbols(cls.rate)  # type: ignore[method-assign]
+
     @abstractmethod
-    def rate(self, t: Times, x: States, u: Controls) -> Float[Array, "... n"]:
-        """Return the rate of change of one state or of many."""
+    def rate(self, t: Times, x: States, u: Controls) -> Rates:
+        """Return the rate of change of one state or of many.
+
+        Where t, x or u is an expression of CasADi (SX or MX; x and u columns), the rate is one.
+
+        Raises:
+            TypeError: The rate of a model of the user's own takes no symbols.
+        """
+
+    def casadi(self) -> Any:
+        """Return the rate as a `casadi.Function` of t, x and u, with the output rate.
+
+        About a chief under J2, or on an ellipse, the function integrates the orbit in Python. With
+        a number for t, `rate(t, x, u)` has the orbit as constants, and is faster.
+
+        Raises:
+            TypeError: The rate of a model of the user's own takes no symbols.
+        """
+        return make_function(self.rate, self.axes)
+
+
+def _take_symbols(rate: Callable[..., Any]) -> Callable[..., Any]:
+    @wraps(rate)
+    def take(self: Model, t: Any, x: Any, u: Any) -> Any:
+        if is_symbolic(t, x, u):
+            return trace(rate, self, t, x, u)
+        return rate(self, t, x, u)
+
+    return take
 
 
 class NonlinearModel(Model):
@@ -53,25 +88,25 @@ class LinearModel(Model):
     is_time_invariant: ClassVar[bool] = False  # True where A, B and z are the same at all times
 
     @abstractmethod
-    def A(self, t: float) -> Float[Array, "n n"]:
+    def A(self, t: Number) -> Numbers[Array, "n n"]:
         """State matrix."""
 
-    def B(self, t: float) -> Float[Array, "n m"]:
+    def B(self, t: Number) -> Numbers[Array, "n m"]:
         """Control matrix: an acceleration changes the velocity."""
         d = self.axes
         return np.vstack([np.zeros((d, d)), np.eye(d)])
 
-    def z(self, t: float) -> Float[Array, " n"]:
+    def z(self, t: Number) -> Numbers[Array, " n"]:
         """Affine term."""
         return np.zeros(2 * self.axes)
 
-    def matrices(self, times: Float[Array, " k"]) -> Matrices:
+    def matrices(self, times: Numbers[Array, " k"]) -> Matrices:
         """Stack A, B and z at many times; override it where this can be done faster."""
         each = [(self.A(t), self.B(t), self.z(t)) for t in times.tolist()]
         A, B, z = (np.array(part) for part in zip(*each, strict=True))
         return A, B, z
 
-    def rate(self, t: Times, x: States, u: Controls) -> Float[Array, "... n"]:
+    def rate(self, t: Times, x: States, u: Controls) -> Rates:
         """Return the rate of change of one state or of many."""
         stacked = self.matrices(np.ravel(t))
         A, B, z = (part.reshape(*np.shape(t), *part.shape[1:]) for part in stacked)
@@ -83,6 +118,8 @@ class LinearModel(Model):
 class SymbolicModel(NonlinearModel):
     """A model written in CasADi symbols and differentiated automatically.
 
+    `casadi()` is the expression as a function, which `rate` evaluates too.
+
     Args:
         axes: Dimension of space.
         expression: (t, x, u) ↦ ẋ, written with operations that CasADi overloads.
@@ -91,15 +128,19 @@ class SymbolicModel(NonlinearModel):
     axes: int
     expression: Callable[[Any, Any, Any], Any]
 
-    def rate(self, t: Times, x: States, u: Controls) -> Float[Array, "... n"]:
+    def rate(self, t: Times, x: States, u: Controls) -> Rates:
         """Return the rate of change of one state or of many."""
-        (found,) = self._map_batch(self._casadi_functions[0], t, x, u)
+        (found,) = self._map_batch(self.casadi(), t, x, u)
         return found[..., 0]
 
     def jacobian(self, t: Times, x: States, u: Controls) -> Jacobian:
         """Return ∂f/∂x and ∂f/∂u by automatic differentiation."""
-        A, B = self._map_batch(self._casadi_functions[1], t, x, u)
+        A, B = self._map_batch(self._functions[1], t, x, u)
         return A, B
+
+    def casadi(self) -> Any:
+        """Return the expression as a `casadi.Function` of t, x and u, with the output rate."""
+        return self._functions[0]
 
     def _map_batch(self, function: Any, t: Times, x: Array, u: Array) -> list[Array]:
         # CasADi maps a function over the columns of its arguments, and stacks results sidewise.
@@ -110,20 +151,19 @@ class SymbolicModel(NonlinearModel):
             n = values.shape[-1]
             columns.append(np.broadcast_to(values, (*lead, n)).reshape(count, n).T)
         found = []
-        for result in function.map(count).call(columns):
-            matrix = np.asarray(result, dtype=float)
+        for result in function.map(count).call(list(map(to_casadi, columns))):
+            matrix = to_array(result)
             stacked = matrix.reshape(len(matrix), count, -1).swapaxes(0, 1)
             found.append(stacked.reshape(*lead, *stacked.shape[1:]))
         return found
 
     @cached_property
-    def _casadi_functions(self) -> tuple[Any, Any]:
+    def _functions(self) -> tuple[Any, Any]:
         import casadi
 
-        n, m = 2 * self.axes, self.axes
-        t, x, u = casadi.SX.sym("t"), casadi.SX.sym("x", n), casadi.SX.sym("u", m)
-        f = self.expression(t, x, u)
-        rate = casadi.Function("rate", [t, x, u], [f])
+        rate = make_function(self.expression, self.axes)
+        t, x, u = rate.sx_in()
+        f = rate(t, x, u)
         derivatives = [casadi.jacobian(f, x), casadi.jacobian(f, u)]
         return rate, casadi.Function("jacobian", [t, x, u], derivatives)
 
@@ -155,7 +195,7 @@ class LinearizedModel(LinearModel):
         """Rate of change at the origin."""
         return np.asarray(self.matrices(np.array([t]))[2][0])
 
-    def matrices(self, times: Float[Array, " k"]) -> Matrices:
+    def matrices(self, times: Numbers[Array, " k"]) -> Matrices:
         """Stack A, B and z at many times."""
         x, u = np.zeros((len(times), 2 * self.axes)), np.zeros((len(times), self.axes))
         A, B = self.model.jacobian(times, x, u)

@@ -16,6 +16,8 @@ import scipy
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.symbols import Number, Numbers
+
 # The constants of the Earth are those of [IERS2010, table 1.1].
 EARTH_MU = 3.986004418e14  # gravitational parameter [m³/s²]
 EARTH_RADIUS = 6378136.6  # at the equator [m]
@@ -24,9 +26,9 @@ EARTH_ROTATION = 7.292115e-5  # [rad/s]
 K_J2 = 1.5 * EARTH_J2 * EARTH_MU * EARTH_RADIUS**2  # 3/2 J₂ μ R² [m⁵/s²]
 
 # One number, vector or state, or many.
-Scalars = float | Float[Array, "*#k"]
-Vectors = Float[Array, "*#k 3"]
-OrbitStates = Float[Array, "*k 6"]  # polar-nodal elements, or positions and velocities
+Scalars = Number | Numbers[Array, "*#k"]
+Vectors = Numbers[Array, "*#k 3"]
+OrbitStates = Numbers[Array, "*k 6"]  # polar-nodal elements, or positions and velocities
 
 SEGMENT_DURATION = 3600.0  # the orbit is integrated and cached in segments of this length [s]
 RTOL = 1e-13  # of the integration, near the resolution of double precision
@@ -140,15 +142,19 @@ class Orbit:
         """Keplerian period of the osculating ellipse at time 0 [s]."""
         return 2 * pi / self.mean_motion
 
-    def elements_at(self, t: float | Float[Array, "*k"]) -> Float[Array, "*k 6"]:
+    def elements_at(self, t: Scalars) -> OrbitStates:
         """Return the polar-nodal elements at one time or at many.
 
         Args:
-            t: Times, not negative [s].
+            t: Times, not negative; numbers or symbols [s].
 
         Raises:
             ValueError: A time is negative or not finite.
         """
+        if (times := np.asarray(t)).dtype == object:
+            from dynamics.symbolic_orbit import symbolic_elements
+
+            return symbolic_elements(self, times)
         times = np.asarray(t, dtype=float)
         if not (np.isfinite(times).all() and (times >= 0).all()):
             raise ValueError(f"the chief's orbit is known from time 0 on, got t = {times.min()} s")
@@ -202,7 +208,7 @@ def validate_inclination(inclination: float) -> None:
         )
 
 
-def polar_nodal_rates(chief: Float[Array, "*k 6"], mu: float, k_J2: float) -> Float[Array, "*k 6"]:
+def polar_nodal_rates(chief: OrbitStates, mu: float, k_J2: float) -> OrbitStates:
     """Return the rates of change of polar-nodal elements [Xu2008]."""
     r, v_x, h, _, i, theta = np.moveaxis(chief, -1, 0)
     sin_i, cos_i, sin_t = np.sin(i), np.cos(i), np.sin(theta)
@@ -217,7 +223,7 @@ def polar_nodal_rates(chief: Float[Array, "*k 6"], mu: float, k_J2: float) -> Fl
     return np.stack(rates, axis=-1)
 
 
-def lvlh_rates(chief: Float[Array, "*k 6"], k_J2: float) -> LVLHRates:
+def lvlh_rates(chief: OrbitStates, k_J2: float) -> LVLHRates:
     """Return the angular velocity and acceleration of the chief's LVLH axes [Xu2008]."""
     r, v_x, h, _, i, theta = np.moveaxis(chief, -1, 0)
     sin_2i, sin_t, cos_t = np.sin(2 * i), np.sin(theta), np.cos(theta)

@@ -7,11 +7,11 @@ Axes (LVLH): x radial, outward; y transverse, in the plane and perpendicular to 
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.model import LinearModel, Matrices
 from dynamics.orbit import Orbit, Scalars, Vectors
+from dynamics.symbols import Numbers
 
 
 @dataclass(frozen=True)
@@ -33,18 +33,18 @@ class TschaunerHempel(LinearModel):
         """Leave out the oblateness."""
         object.__setattr__(self, "orbit", replace(self.orbit, k_J2=0.0))
 
-    def A(self, t: Scalars) -> Float[Array, "*k 6 6"]:
+    def A(self, t: Scalars) -> Numbers[Array, "*k 6 6"]:
         """State matrix at one time or at many."""
         r, v_x, h = np.moveaxis(self.orbit.elements_at(t)[..., :3], -1, 0)
         omega, alpha, pull = h / r**2, -2 * h * v_x / r**3, self.orbit.mu / r**3
-        A = np.zeros((*np.shape(r), 6, 6))
+        A = np.zeros((*np.shape(r), 6, 6), np.asarray(r).dtype)
         A[..., :3, 3:] = np.eye(3)
         A[..., 3, 0], A[..., 3, 1], A[..., 3, 4] = omega**2 + 2 * pull, alpha, 2 * omega
         A[..., 4, 0], A[..., 4, 1], A[..., 4, 3] = -alpha, omega**2 - pull, -2 * omega
         A[..., 5, 2] = -pull
         return A
 
-    def matrices(self, times: Float[Array, " k"]) -> Matrices:
+    def matrices(self, times: Numbers[Array, " k"]) -> Matrices:
         """Stack A, B and z at many times."""
         k = len(times)
         return self.A(times), np.repeat(self.B(0.0)[None], k, axis=0), np.zeros((k, 6))
