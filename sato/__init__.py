@@ -34,7 +34,8 @@ if TYPE_CHECKING:
     from sato.connectivity.mission import AgentLoss, Connectivity
     from sato.formation.leg import FormationLeg
     from sato.formation.mission import Formation
-    from sato.reconfiguration.mission import Join, Leg, Loss, Reconfiguration
+    from sato.reconfiguration.leg import Join, Leg, Loss
+    from sato.reconfiguration.mission import Reconfiguration
     from sato.reconfiguration.models import PlantSettings
     from sato.reconfiguration.orbit import Chief
     from sato.reconfiguration.start import Random
@@ -53,7 +54,8 @@ _PUBLIC = {
     "sato.connectivity.mission": "AgentLoss Connectivity",
     "sato.formation.leg": "FormationLeg",
     "sato.formation.mission": "Formation",
-    "sato.reconfiguration.mission": "Join Leg Loss Reconfiguration",
+    "sato.reconfiguration.leg": "Join Leg Loss",
+    "sato.reconfiguration.mission": "Reconfiguration",
     "sato.reconfiguration.models": "PlantSettings",
     "sato.reconfiguration.orbit": "Chief",
     "sato.reconfiguration.start": "Random",

@@ -21,7 +21,8 @@ from problems.centralized import CentralizedProblem, displace_guess
 from problems.centralized_nlp import InitialGuess
 from problems.convexify import AvoidanceHorizon
 from problems.transfer import TransferProblem
-from sato.reconfiguration.mission import Leg, Reconfiguration
+from sato.reconfiguration.leg import Leg
+from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.planning import make_horizon
 from sato.reconfiguration.solo_trajectories import solve_solo_transfers
 from sato.shapes import Points

@@ -4,8 +4,9 @@ import numpy as np
 
 from dynamics import DoubleIntegrator
 from dynamics.trajectory_geometry import separations
+from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.loop import simulate
-from sato.reconfiguration.mission import Leg, Reconfiguration
+from sato.reconfiguration.mission import Reconfiguration
 from sato.shapes.shape import Points
 
 

@@ -8,7 +8,8 @@ from dynamics import DoubleIntegrator, discretize_zoh
 from problems.assignment import solve_assignment
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.check import check_run
-from sato.reconfiguration.mission import Join, Leg, Loss, Reconfiguration
+from sato.reconfiguration.leg import Join, Leg, Loss
+from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.state import ReconfigurationFrame
 from sato.reconfiguration.system import SYSTEM
 from sato.record import build_dataset, initial_summary

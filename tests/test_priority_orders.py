@@ -25,7 +25,7 @@ from reconfiguration_runs import at_rest, make_mission
 
 from dynamics.trajectory_geometry import separations
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration.mission import Leg
+from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.planning import controls_at, plan_trajectories
 from sato.reconfiguration.state import AgentMemory, DecisionContext
 from sato.scp.exchange import run_batched, run_scp

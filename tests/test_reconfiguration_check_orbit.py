@@ -21,8 +21,9 @@ from sato.reconfiguration.check.promises import (
     check_propagation,
     check_speed_limit,
 )
+from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.loop import simulate
-from sato.reconfiguration.mission import Leg, Reconfiguration
+from sato.reconfiguration.mission import Reconfiguration
 from sato.runs import Run
 from sato.shapes import Points
 

@@ -22,7 +22,7 @@ from sato.reconfiguration.check.fuel import compute_step_fuel
 from sato.reconfiguration.figures import FIGURES, ORBIT_FIGURES
 from sato.reconfiguration.figures.animation import SwarmAnimation
 from sato.reconfiguration.figures.scene import interpolate_positions
-from sato.reconfiguration.mission import Leg, Loss
+from sato.reconfiguration.leg import Leg, Loss
 
 LETTERS = """
 [[leg]]

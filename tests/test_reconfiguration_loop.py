@@ -10,8 +10,8 @@ from reconfiguration_runs import at_rest, fly, leg_to, make_mission, min_separat
 from dynamics import ClohessyWiltshire, DoubleIntegrator, LinearModel, discretize_zoh
 from problems.transfer import Trajectory, TransferProblem
 from sato.network.graph import CommunicationGraph
+from sato.reconfiguration.leg import Join, Loss
 from sato.reconfiguration.loop import simulate
-from sato.reconfiguration.mission import Join, Loss
 from sato.reconfiguration.planning import Plan, controls_at, plan_trajectories
 from sato.reconfiguration.solo_trajectories import TIE_BREAK_RISE, solve_solo_transfers
 from sato.reconfiguration.state import AgentMemory, DecisionContext

@@ -2,6 +2,7 @@
 
 import tomllib
 from contextlib import nullcontext
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ import sato
 from dynamics import J2, ClohessyWiltshire, DoubleIntegrator, Orbit, discretize_zoh
 from problems.auction_cost import compute_transfer_costs, solve_transfer
 from problems.transfer import TransferProblem
-from sato.reconfiguration.mission import Join, Leg, Loss, Reconfiguration
+from sato.reconfiguration.leg import Join, Leg, Loss
+from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.models import OrbitalModel, PlantSettings, PointMass
 from sato.reconfiguration.orbit import Chief
 from sato.reconfiguration.start import Random
@@ -82,8 +84,11 @@ def random_leg(rng, agents, axes, scale):
         joins.append(Join(count, start, at_step=int(rng.integers(steps))))
     enough = agents + 8 + int(rng.integers(3))
     shape = random_shape(rng, enough, axes, scale)
-    recount = bool(rng.integers(2))
-    return Leg(shape, steps, maybe(rng, enough), recount, losses, joins)
+    choose = (
+        None if isinstance(shape, Points) else maybe(rng, str(rng.choice(["prefix", "nearest"])))
+    )
+    leg = Leg(shape, steps, maybe(rng, enough), False, losses, joins, choose)
+    return leg if leg.is_free else replace(leg, recount=bool(rng.integers(2)))
 
 
 def random_plan(rng):
@@ -163,7 +168,7 @@ def random_mission(rng):
         comm_radius=rng.uniform(5, 1e3),
         collision_radius=rng.uniform(0.2, 1),
         max_control=rng.uniform(0.01, 1),
-        target_count=maybe(rng, int(rng.integers(1, agents + 1))),
+        target_count=None if all(leg.is_free for leg in legs) else maybe(rng, agents),
         **world,
         **random_plan(rng),
     )
@@ -259,6 +264,8 @@ def test_bad_arrays_are_refused_with_the_field_and_the_reason(array, reason):
         ({"orders": 0}, "plan.orders: must be greater than 0, got 0"),
         ({"orders": 2, "bargains": -1}, "plan.bargains: must be at least 0, got -1"),
         ({"bargains": 1}, "plan.bargains: 1 sweeps need orders of 2 or more"),
+        ({"target_count": 3}, 'swarm.believed: has no meaning with choose = "nearest"'),
+        ({"legs": Leg(Ring(radius=9), 9, 2, choose="nearest")}, "leg.0.targets: 2 is less than"),
         ({"comm_radius": "20"}, "swarm.comm_radius_m: must be a number"),
         ({"model": "double_integrator"}, "model: must be PointMass, OrbitalModel, LinearModel"),
         ({"legs": START}, "leg.0: must be Leg, got ndarray"),

@@ -14,7 +14,8 @@ from dynamics import ClohessyWiltshire, DoubleIntegrator
 from dynamics.inertial import InertialPlant
 from dynamics.orbit import Orbit
 from dynamics.plant import LinearPlant
-from sato.reconfiguration.mission import Leg, Reconfiguration
+from sato.reconfiguration.leg import Leg
+from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.state import ReconfigurationFrame
 from sato.reconfiguration.system import SYSTEM
 from sato.record import RunFileError, json_default

@@ -17,7 +17,8 @@ from scipy.spatial.distance import pdist
 from dynamics.units import SUFFIXES, Unit
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.feasibility import check_reach, is_detectable, target_demand
-from sato.reconfiguration.mission import Loss, Reconfiguration
+from sato.reconfiguration.leg import Loss
+from sato.reconfiguration.mission import Reconfiguration
 from sato.scenario.definition import Definition
 from sato.scenario.errors import InputError, ScenarioError, round_down, round_up
 from sato.scenario.file import BUILT_IN, parse, read, scenarios

@@ -13,7 +13,8 @@ from problems import auction_cost
 from problems.transfer import TransferProblem
 from sato.auctions import VsdaaAuction, VsdaaResult, run_vsdaa
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration.mission import Leg, Reconfiguration
+from sato.reconfiguration.leg import Leg
+from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.state import AgentMemory, DecisionContext
 from sato.scenario.definition import is_auto
 from sato.shapes.shape import least_distance

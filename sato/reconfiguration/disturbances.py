@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from sato.reconfiguration.mission import Loss, Reconfiguration
+from sato.reconfiguration.leg import Loss
+from sato.reconfiguration.mission import Reconfiguration
 
 
 def draw_losses(

@@ -10,7 +10,8 @@ from numpy import ndarray as Array
 
 from dynamics.circular_orbit import ClohessyWiltshire
 from sato.reconfiguration import feasibility
-from sato.reconfiguration.mission import Leg, Reconfiguration, states_of
+from sato.reconfiguration.leg import Leg, states_of
+from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.models import OrbitalModel
 from sato.reconfiguration.start import Random, Start
 from sato.scenario.definition import errors_in, is_auto
@@ -35,10 +36,12 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
     states, legs = start, []
     for k, leg in enumerate(mission.legs):
         # States of agents that are known to those that join when the leg begins.
-        known = targets[k - 1][: demand[k - 1]] if k else states
+        held = None if mission.legs[k - 1].is_free else demand[k - 1]
+        known = targets[k - 1][:held] if k else states
         leg = _draw_joins(mission, k, leg, known, times[k], rng)
         states = np.concatenate([states, *(states_of(join.start) for join in leg.joins)])
-        legs.append(replace(leg, shape=_as_points(targets[k]), count=None))
+        shape = replace(_as_points(targets[k]), keep_order=not leg.is_free)
+        legs.append(replace(leg, shape=shape, count=None))
     drawn = replace(mission, start=_as_points(start), legs=tuple(legs))
     drawn = _resolve(replace(drawn, plant=mission.draw_plant(len(states), rng)))
     feasibility.check_reach(drawn)
@@ -62,11 +65,11 @@ def _velocity_times(mission: Reconfiguration) -> list[float]:
 def _draw_targets(
     mission: Reconfiguration, number: int, leg: Leg, demand: int, arrival: float
 ) -> Float[Array, "k n"]:
-    where, count = f"leg.{number}.shape", leg.count or demand
+    where = f"leg.{number}.shape"
     with errors_in(where):
-        placed = leg.shape.place(count, mission.axes, mission.collision_radius)
-        velocity = leg.shape.place_velocities(count, mission.axes)
-    return _with_velocities(mission, placed, velocity, arrival, where, "target")
+        drawn = leg.place(demand, mission.axes, mission.collision_radius)
+    placed = np.asarray(drawn.positions)
+    return _with_velocities(mission, placed, drawn.velocities, arrival, where, "target")
 
 
 def _draw_joins(

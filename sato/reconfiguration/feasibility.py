@@ -128,6 +128,9 @@ def _check_legs(mission: "Reconfiguration") -> None:
         raise InputError("leg", "needs at least 1 entry, got 0")
     if mission.agents is None:
         raise InputError("swarm.agents", "is missing, and has no default")
+    if mission.target_count is not None and all(leg.is_free for leg in mission.legs):
+        reason = 'has no meaning with choose = "nearest", where agents bid on all targets'
+        raise InputError("swarm.believed", f'{reason}; leave it out, or choose = "prefix" would do')
     known, listed = mission.agents, getattr(mission.start, "positions", None)
     if listed is not None and len(listed) != known:
         reason = f"lists {len(listed)} positions for {known} agents"
@@ -139,7 +142,8 @@ def _check_legs(mission: "Reconfiguration") -> None:
             reason = f"there is no agent {lost}; they are 0 to {known - 1}"
             raise InputError(f"leg.{number}.lose.agents", reason)
         if leg.count is not None and leg.count < enough:
-            reason = f"{leg.count} is less than the {enough} agents that may be believed in"
+            which = "there may be" if leg.is_free else "may be believed in"
+            reason = f"{leg.count} is less than the {enough} agents that {which}"
             raise InputError(f"leg.{number}.targets", f"{reason}; {enough} or more would do")
         listed, asked = getattr(leg.shape, "positions", None), leg.count or enough
         if listed is not None and len(listed) < asked:
@@ -148,7 +152,10 @@ def _check_legs(mission: "Reconfiguration") -> None:
 
 
 def target_demand(mission: "Reconfiguration") -> list[int]:
-    """Return the most targets that any agent may believe in on each leg, whatever is drawn."""
+    """Return the fewest targets that each leg must have, whatever is drawn.
+
+    That is the most that any agent may believe in, or the most agents where they bid on all.
+    """
     most: list[int] = []
     live = mission.agent_count
     believed = mission.target_count or live
@@ -157,17 +164,19 @@ def target_demand(mission: "Reconfiguration") -> list[int]:
         if leg.recount:
             believed = live
         live += sum(join.size for join in leg.joins)
+        peak = 0
         for loss in sorted(leg.losses, key=lambda loss: loss.at_step):
             if loss.at_step > 0:
-                believed = max(believed, live)
+                peak = max(peak, live)
             if loss.share is not None and loss.kind != "agents":
                 live -= floor(loss.share * live)
                 known_lost = None
             elif known_lost is not None:
                 live -= len(set(loss.agents) - known_lost)
                 known_lost |= set(loss.agents)
-        believed = max(believed, live)
-        most.append(believed)
+        peak = max(peak, live)
+        believed = max(believed, peak)
+        most.append(peak if leg.is_free else believed)
     return most
 
 
@@ -223,7 +232,8 @@ def _find_stranded(mission: "Reconfiguration", steps: int, max_control: float) -
     from scipy.sparse.csgraph import maximum_bipartite_matching
 
     live, spare = _starting(mission)
-    wanted = max(mission.target_count or 0, len(live) - spare)
+    first, wanted = mission.legs[0], max(mission.target_count or 0, len(live) - spare)
+    wanted = len(first.targets) if first.is_free else wanted
     reachable = _reachable(mission, live, wanted, steps, max_control)
     none = live[~reachable.any(axis=1)]
     if len(none) > spare:

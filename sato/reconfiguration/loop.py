@@ -41,7 +41,7 @@ class _Flight:
         self.x, self.alive = mission.initial_states, mission.alive
         # An agent that joins later knows of itself alone, and learns m from those that it meets.
         m = np.where(self.alive, mission.target_count or int(self.alive.sum()), 1)
-        self.memory = state.AgentMemory.initial(m)
+        self.believed, self.memory = m, state.AgentMemory.initial(m)
         self.plans: planning.Plans = {}
         self.fuel_used = np.zeros(len(m))  # [m/s]
         self.events: list[state.Event] = []  # since the last frame
@@ -49,9 +49,11 @@ class _Flight:
     def fly_leg(self, number: int) -> Iterator[state.ReconfigurationFrame]:
         """Fly until all agents have arrived."""
         mission, self.leg, self.leg_index = self.mission, self.mission.legs[number], number
-        m, counted, steps = self.memory.target_count, self.memory.bidder_count, self.leg.steps
+        counted, steps = self.memory.bidder_count, self.leg.steps
         if self.leg.recount:
-            m = np.where(counted > 0, counted, m)
+            self.believed = np.where(counted > 0, counted, self.believed)
+        # Agents that bid on all targets learn from the bids how many they are, but not from m.
+        m = np.full_like(counted, len(self.leg.targets)) if self.leg.is_free else self.believed
         self.memory, self.plans = state.AgentMemory.initial(m), {}
         self._note("leg_start", self.alive, leg=number)
         for k in range(MAX_LEG_FACTOR * steps + 1):
@@ -77,6 +79,8 @@ class _Flight:
             yield self.make_frame(graph, control, applied, seen)
             self._propagate(control, applied)
         memory, component = self.memory, self.make_graph().component.tolist()
+        counted = np.maximum(self.believed, memory.bidder_count)
+        self.believed = counted if self.leg.is_free else memory.target_count
         held, believed = memory.target_index.tolist(), memory.target_count.tolist()
         ended = {"leg": number, "target": held, "believed": believed, "component": component}
         self._note("leg_end", self.alive, **ended)

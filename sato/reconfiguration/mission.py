@@ -6,7 +6,6 @@ from math import inf
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from annotated_types import Lt
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 from pydantic import BeforeValidator
@@ -15,13 +14,14 @@ from pydantic import Field as Constraint
 from dynamics.plant import Plant
 from dynamics.units import Acceleration, Angle, Key, Length, Speed, Time, Unit
 from sato.reconfiguration import feasibility, models
+from sato.reconfiguration.leg import Count, Leg, Steps, states_of
 from sato.reconfiguration.models import PlantSettings
 from sato.reconfiguration.orbit import Chief
 from sato.reconfiguration.start import Start, start_without_files
-from sato.scenario.definition import LATER, Convert, Definition, In, Inline, NotNegative, Positive
+from sato.scenario.definition import LATER, Convert, In, Inline, NotNegative, Positive
 from sato.scenario.errors import InputError
 from sato.scenario.file import Mission
-from sato.shapes import Lattice, Picture, Points, Polygon, Ring, Text
+from sato.shapes import Points
 from sato.shapes.shape import as_points, least_distance
 
 if TYPE_CHECKING:
@@ -29,10 +29,6 @@ if TYPE_CHECKING:
 else:
     Automatic = Annotated[float, NotNegative] | Literal["auto"]
 
-Steps = Annotated[int, Positive]
-Count = Annotated[int, NotNegative]
-Indices = tuple[Count, ...]
-Targets = Points | Text | Ring | Lattice | Polygon | Picture
 SWARM, MODEL, PLAN, NOISE = In("swarm"), In("model"), In("plan"), In("disturbance")
 AUTO: Any = "auto"
 
@@ -45,73 +41,6 @@ def _norm(value: Any) -> Any:
 
 
 Norm = Annotated[Literal[1, 2, "inf"], BeforeValidator(_norm)]
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Loss(Definition):
-    """Agents that fall silent and vanish."""
-
-    kind: Annotated[
-        Literal["middle", "random", "agents"], "nearest the center, drawn, or named one by one"
-    ]
-    share: Annotated[float | None, Positive, Lt(1), "of the live agents"] = None
-    agents: Annotated[Indices, "indices, for kind agents"] = ()
-    at_step: Annotated[Count, "control steps after the start of the leg"] = 0
-
-    def check(self) -> None:
-        """Refuse a loss of no agents."""
-        needed = "agents" if self.kind == "agents" else "share"
-        if not getattr(self, needed):
-            raise InputError(needed, "is missing, and has no default")
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Join(Definition):
-    """Agents that join the swarm."""
-
-    agents: Annotated[int | None, Positive, "how many; as many as the start has, if absent"]
-    start: Annotated[Start, Convert(as_points), "positions, or states, at which they join"]
-    at_step: Annotated[Count, "control steps after the start of the leg"] = 0
-
-    @property
-    def size(self) -> int:
-        """Number of agents that join."""
-        return self.agents or len(states_of(self.start))
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Leg(Definition):
-    """One reconfiguration: targets, and the time to reach them.
-
-    Args:
-        shape: A shape, or an array of targets: (M, d) positions or (M, 2 d) states.
-        steps: Control steps until the deadline.
-        count: Number of targets M of the shape; as many as the agents may be, if absent.
-        recount: Take the number of targets from the bids of the leg before
-            [Morgan2016, Method 1, line 31].
-        losses: Agents that are lost in this leg.
-        joins: Agents that join in this leg.
-    """
-
-    shape: Annotated[Targets, Convert(as_points), "targets"]
-    steps: Annotated[Steps, "control steps until the deadline"]
-    count: Annotated[int | None, Key("targets"), Positive, "number of targets, M"] = None
-    recount: Annotated[bool, "count the agents by the bids of the leg before"] = False
-    losses: Annotated[tuple[Loss, ...], Key("lose"), "agents that are lost"] = ()
-    joins: Annotated[tuple[Join, ...], Key("join"), "agents that join"] = ()
-
-    def check(self) -> None:
-        """Refuse losses and joins after the deadline."""
-        for name, events in (("lose", self.losses), ("join", self.joins)):
-            late = max((event.at_step for event in events), default=0)
-            if late >= self.steps:
-                most = f"the leg's {self.steps} steps; at most {self.steps - 1} would do"
-                raise InputError(f"{name}.at_step", f"{late} is after {most}")
-
-    @property
-    def targets(self) -> Float[Array, "targets n"]:
-        """States to reach, in an order in which every prefix keeps the shape; once drawn."""
-        return states_of(self.shape)
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -242,7 +171,7 @@ class Reconfiguration(models.Motion, Mission):
                 replace(join, start=start_without_files(join.start, join.size, self.axes))
                 for join in leg.joins
             )
-            shape = leg.shape.without_files(leg.count or most, self.axes)
+            shape = leg.place(most, self.axes) if leg.shape.uses_files else leg.shape
             legs.append(replace(leg, shape=shape, joins=joins))
         start = start_without_files(self.start, self.agent_count, self.axes)
         return replace(self, start=start, legs=tuple(legs))
@@ -285,12 +214,3 @@ class Reconfiguration(models.Motion, Mission):
     def target_spacing(self) -> float:
         """Least distance between two targets of a leg [m]; once drawn."""
         return min(least_distance(leg.targets[:, : self.axes]) for leg in self.legs)
-
-
-def states_of(points: Any) -> Float[Array, "k n"]:
-    """Return the states of points, at rest where they have no velocities; once drawn."""
-    if not isinstance(points, Points) or points.positions is None:
-        kind = type(points).__name__
-        raise ValueError(f"{kind} has positions once the mission is drawn: mission.draw(rng)")
-    still = np.zeros_like(points.positions)
-    return np.hstack([points.positions, still if points.velocities is None else points.velocities])

@@ -20,7 +20,8 @@ from sato.interfaces import (
     Velocity,
 )
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration.mission import Leg, Reconfiguration
+from sato.reconfiguration.leg import Leg
+from sato.reconfiguration.mission import Reconfiguration
 
 Event = dict[str, Any]  # {"kind": …, "agents": […], …}
 

@@ -156,9 +156,14 @@ class Points(Shape):
             needed = f"needs the shape of the positions, {p.shape}"
             raise InputError("velocities_m_s", f"{needed}, got {v.shape}")
 
+    @property
+    def listed(self) -> Float[Array, "k d"]:
+        """All points, of the file where there is one."""
+        return np.asarray(read_points(Path(self.file)) if self.file else self.positions)
+
     def draw(self, count: int, axes: int) -> Drawing:
         """Take the first points of the order."""
-        listed = np.asarray(read_points(Path(self.file)) if self.file else self.positions)
+        listed = self.listed
         middle = (listed.min(axis=0) + listed.max(axis=0)) / 2
         if self.file is None and not self.spacing and not self.center:
             middle = np.zeros_like(middle)  # the points stay what they are to the last bit

@@ -54,19 +54,14 @@ def summarize(record: ReconfigurationRecord) -> dict[str, Any]:
 def summarize_leg(record: ReconfigurationRecord, leg: LegRecord) -> dict[str, Any]:
     """Summarize one leg; entries that do not apply are absent."""
     position_error, velocity_error = compute_terminal_errors(record, leg)
-    m, distance = leg.largest_target_count, _distances_to_agents(record, leg)
-    is_hole = ~(distance[:m] <= record.mission.position_tolerance)
-    spacing = least_distance(record.leg_targets(leg)[:m, : record.axes])
-    gap = float(distance.max(initial=0.0)) / spacing if np.isfinite(spacing) else np.nan
     resets = (k for k, _ in record.events.of_kind("reset"))
     start = record.frames.component[leg.start_index]
     return drop_non_finite(
         {
             "reached": is_reached(record, leg),
             "duplicates": count_duplicates(leg),
-            "holes": int(is_hole.sum()),
-            "gap": gap,
-            "targets_believed": m,
+            **_measure_shape(record, leg),
+            "targets_believed": leg.largest_target_count,
             "worst_position_error_m": float(np.fmax.reduce(position_error, initial=np.nan)),
             "worst_velocity_error_m_s": float(np.fmax.reduce(velocity_error, initial=np.nan)),
             "components_at_start": len(np.unique(start[start >= 0])),
@@ -113,6 +108,17 @@ def count_duplicates(leg: LegRecord) -> int:
     held = leg.target_index[leg.alive]
     _, counts = np.unique(held[held >= 0], return_counts=True)
     return int((counts > 1).sum())
+
+
+def _measure_shape(record: ReconfigurationRecord, leg: LegRecord) -> dict[str, float]:
+    # Targets that are a free choice are no shape that could have holes.
+    if record.mission.legs[leg.leg_index].is_free:
+        return {}
+    m, distance = leg.largest_target_count, _distances_to_agents(record, leg)
+    is_hole = ~(distance[:m] <= record.mission.position_tolerance)
+    spacing = least_distance(record.leg_targets(leg)[:m, : record.axes])
+    gap = float(distance.max(initial=0.0)) / spacing if np.isfinite(spacing) else np.nan
+    return {"holes": int(is_hole.sum()), "gap": gap}
 
 
 def _distances_to_agents(record: ReconfigurationRecord, leg: LegRecord) -> Float[Array, " targets"]:

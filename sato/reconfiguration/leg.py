@@ -1,0 +1,132 @@
+"""Legs of a reconfiguration: targets, time, and agents that are lost or join on the way."""
+
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from annotated_types import Lt
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from dynamics.units import Key
+from sato.reconfiguration.start import Start
+from sato.scenario.definition import LATER, Convert, Definition, NotNegative, Positive
+from sato.scenario.errors import InputError
+from sato.shapes import Lattice, Picture, Points, Polygon, Ring, Text
+from sato.shapes.shape import as_points
+
+Steps = Annotated[int, Positive]
+Count = Annotated[int, NotNegative]
+Indices = tuple[Count, ...]
+Targets = Points | Text | Ring | Lattice | Polygon | Picture
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Loss(Definition):
+    """Agents that fall silent and vanish."""
+
+    kind: Annotated[
+        Literal["middle", "random", "agents"], "nearest the center, drawn, or named one by one"
+    ]
+    share: Annotated[float | None, Positive, Lt(1), "of the live agents"] = None
+    agents: Annotated[Indices, "indices, for kind agents"] = ()
+    at_step: Annotated[Count, "control steps after the start of the leg"] = 0
+
+    def check(self) -> None:
+        """Refuse a loss of no agents."""
+        needed = "agents" if self.kind == "agents" else "share"
+        if not getattr(self, needed):
+            raise InputError(needed, "is missing, and has no default")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Join(Definition):
+    """Agents that join the swarm."""
+
+    agents: Annotated[int | None, Positive, "how many; as many as the start has, if absent"]
+    start: Annotated[Start, Convert(as_points), "positions, or states, at which they join"]
+    at_step: Annotated[Count, "control steps after the start of the leg"] = 0
+
+    @property
+    def size(self) -> int:
+        """Number of agents that join."""
+        return self.agents or len(states_of(self.start))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Leg(Definition):
+    """One reconfiguration: targets, and the time to reach them.
+
+    Args:
+        shape: A shape, or an array of targets: (M, d) positions or (M, 2 d) states.
+        steps: Control steps until the deadline.
+        count: Number of targets M of the shape; as many as the agents may be, if absent.
+        recount: Take the number of targets from the bids of the leg before
+            [Morgan2016, Method 1, line 31].
+        losses: Agents that are lost in this leg.
+        joins: Agents that join in this leg.
+        choose: Targets that the auction assigns: the first m, or "nearest", any of all M.
+            "nearest" by default for a list of points without `keep_order`.
+    """
+
+    shape: Annotated[Targets, Convert(as_points), "targets"]
+    steps: Annotated[Steps, "control steps until the deadline"]
+    count: Annotated[int | None, Key("targets"), Positive, "number of targets, M"] = None
+    recount: Annotated[bool, "count the agents by the bids of the leg before"] = False
+    losses: Annotated[tuple[Loss, ...], Key("lose"), "agents that are lost"] = ()
+    joins: Annotated[tuple[Join, ...], Key("join"), "agents that join"] = ()
+    choose: Annotated[
+        Literal["prefix", "nearest"] | None,
+        "bid on the first m targets, or on all M; nearest for a list without keep_order, if absent",
+    ] = LATER
+
+    def completed(self) -> dict[str, Any]:
+        """Return the choice of targets where it is not given."""
+        is_list = isinstance(self.shape, Points) and not self.shape.keep_order
+        return {} if self.choose else {"choose": "nearest" if is_list else "prefix"}
+
+    def check(self) -> None:
+        """Refuse contradictions in the choice of targets; losses and joins after the deadline."""
+        if self.is_free and getattr(self.shape, "keep_order", False):
+            reason = 'has no meaning with choose = "nearest", where the order is that of the list'
+            raise InputError("shape.keep_order", f"{reason}; leave one of the two out")
+        if self.is_free and self.recount:
+            reason = 'has no meaning with choose = "nearest", where agents bid on all targets'
+            raise InputError("recount", f'{reason}; leave it out, or choose = "prefix" would do')
+        for name, events in (("lose", self.losses), ("join", self.joins)):
+            late = max((event.at_step for event in events), default=0)
+            if late >= self.steps:
+                most = f"the leg's {self.steps} steps; at most {self.steps - 1} would do"
+                raise InputError(f"{name}.at_step", f"{late} is after {most}")
+
+    @property
+    def is_free(self) -> bool:
+        """True where agents bid on all targets, and not on the first m."""
+        return self.choose == "nearest"
+
+    @property
+    def targets(self) -> Float[Array, "targets n"]:
+        """States to reach; unless the choice is free, every prefix keeps the shape; once drawn."""
+        return states_of(self.shape)
+
+    def place(self, demand: int, axes: int, min_distance: float = 0.0) -> Points:
+        """Return the targets as points in their order; `demand` of a shape without a count.
+
+        Raises:
+            InputError: The shape does not fit the count, the distance or the model.
+        """
+        shape, count = self.shape, self.count or demand
+        if self.is_free and isinstance(shape, Points):
+            shape = replace(shape, keep_order=True)
+            count = self.count or max(len(shape.listed), demand)
+        placed = shape.place(count, axes, min_distance)
+        return Points(placed, shape.place_velocities(count, axes), keep_order=not self.is_free)
+
+
+def states_of(points: Any) -> Float[Array, "k n"]:
+    """Return drawn points as states, at rest where no velocities are given."""
+    if not isinstance(points, Points) or points.positions is None:
+        kind = type(points).__name__
+        raise ValueError(f"{kind} has positions once the mission is drawn: mission.draw(rng)")
+    still = np.zeros_like(points.positions)
+    return np.hstack([points.positions, still if points.velocities is None else points.velocities])
