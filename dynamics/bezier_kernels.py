@@ -11,7 +11,7 @@ _PRODUCT_WEIGHTS = np.outer([1.0, 3.0, 3.0, 1.0], [1.0, 3.0, 3.0, 1.0]) / np.arr
 )
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 @no_type_check
 def closest_pair(b, pairs):
     """Return the minimum distance of any pair, its fraction of the piece, and its pair.
@@ -30,7 +30,7 @@ def closest_pair(b, pairs):
         for i in range(4):
             for j in range(4):
                 c[i + j] += _PRODUCT_WEIGHTS[i, j] * (r[i] * r[j]).sum()
-        if c.min() >= least * least:
+        if min(c) >= least * least:
             continue
         value, t = _min_norm_of_sextic(c, r)
         if value < least:
@@ -38,19 +38,20 @@ def closest_pair(b, pairs):
     return least, fraction, best
 
 
-@numba.njit(cache=True)
+@numba.njit(error_model="numpy")
 @no_type_check
 def _min_norm_of_sextic(c, r):
     # Subdivide where the coefficients allow a value below the least one found so far.
-    slack = 1e-15 * np.abs(c).max()
+    slack = 1e-15 * max(max(c), -min(c))
     least, t = (c[0], 0.0) if c[0] <= c[6] else (c[6], 1.0)
     stack, low, width = np.empty((64, 7)), np.empty(64), np.empty(64)
-    stack[0], low[0], width[0] = c, 0.0, 1.0
+    low[0], width[0] = 0.0, 1.0
+    _copy(stack[0], c)
     top = 1
     while top > 0:
         top -= 1
         a, start, half = stack[top].copy(), low[top], width[top] / 2
-        if a.min() >= least - slack or half < 1e-9:
+        if min(a) >= least - slack or half < 1e-9:
             continue
         left = np.empty(7)
         for m in range(7):
@@ -60,13 +61,15 @@ def _min_norm_of_sextic(c, r):
         # De Casteljau's algorithm leaves the coefficients of the right half in a, in order.
         if a[0] < least:
             least, t = a[0], start + half
-        stack[top], low[top], width[top] = left, start, half
-        stack[top + 1], low[top + 1], width[top + 1] = a, start + half, half
+        low[top], width[top] = start, half
+        low[top + 1], width[top + 1] = start + half, half
+        _copy(stack[top], left)
+        _copy(stack[top + 1], a)
         top += 2
     return _refine_by_newton(r, t)
 
 
-@numba.njit(cache=True)
+@numba.njit(error_model="numpy")
 @no_type_check
 def _refine_by_newton(r, t):
     # Newton's method on r·ṙ = 0, which is well conditioned where |r|² is flat.
@@ -87,26 +90,26 @@ def _refine_by_newton(r, t):
     return best, at
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 @no_type_check
 def min_norm_points(points):
     """Return the distance of each hull of four points from the origin, and its nearest point."""
     count, _, d = points.shape
     distance, nearest = np.zeros(count), np.zeros((count, d))
-    best, n = np.empty(d), np.empty(d)
+    best, n, zero = np.empty(d), np.empty(d), np.zeros(d)
     for q in range(count):
         b = points[q]
         least = 0.0
-        best[:] = 0.0
+        _copy(best, zero)
         for i in range(4):
-            n[:] = b[i]
+            _copy(n, b[i])
             least = _update_best_normal(b, n, least, best)
             for j in range(i):
                 if d == 2:
                     n[0], n[1] = b[j, 1] - b[i, 1], b[i, 0] - b[j, 0]
                     least = _update_best_normal(b, n, least, best)
                     continue
-                n[:] = b[i]
+                _copy(n, b[i])
                 _orthogonalize(n, b[j] - b[i])
                 least = _update_best_normal(b, n, least, best)
                 for m in range(j):
@@ -116,11 +119,12 @@ def min_norm_points(points):
                     n[2] = e[0] * f[1] - e[1] * f[0]
                     least = _update_best_normal(b, n, least, best)
         distance[q] = least
-        nearest[q] = least * best
+        for a in range(d):
+            nearest[q, a] = least * best[a]
     return distance, nearest
 
 
-@numba.njit(cache=True)
+@numba.njit(error_model="numpy")
 @no_type_check
 def _orthogonalize(n, e):
     # Subtract the projection of n on e; twice, so that n is orthogonal to rounding.
@@ -130,7 +134,7 @@ def _orthogonalize(n, e):
             n -= e * ((n * e).sum() / size)
 
 
-@numba.njit(cache=True)
+@numba.njit(error_model="numpy")
 @no_type_check
 def _update_best_normal(b, n, least, best):
     # Both sides of the line or plane with normal n.
@@ -143,10 +147,18 @@ def _update_best_normal(b, n, least, best):
         for a in range(len(n)):
             projection += n[a] / size * b[i, a]
         low, high = min(low, projection), max(high, projection)
-    if low > least:
-        best[:] = n / size
-        return low
-    if -high > least:
-        best[:] = -n / size
-        return -high
+    found = max(low, -high)
+    if found > least:
+        sense = size if low > least else -size
+        for a in range(len(n)):
+            best[a] = n[a] / sense
+        return low if low > least else -high
     return least
+
+
+@numba.njit(error_model="numpy")
+@no_type_check
+def _copy(into, source):
+    # Assigning a slice takes a hundred times as long to compile.
+    for a in range(len(source)):
+        into[a] = source[a]
