@@ -1,4 +1,4 @@
-"""Auction costs: least fuel of every agent for every target [Morgan2016, Problem 6]."""
+"""Auction costs: least fuel or energy of every agent for every target [Morgan2016, Problem 6]."""
 
 from contextlib import suppress
 from math import isfinite
@@ -12,25 +12,28 @@ from dynamics import DiscreteModel
 from problems.avoidance import AvoidanceProblem
 from problems.conic import Unsolved
 from problems.minimum_fuel import reachability_matrix, solve_minimum_fuel
-from problems.transfer import Trajectory, TransferProblem, tie_break_weights
+from problems.transfer import Trajectory, TransferProblem, compute_energy, tie_break_weights
 
 TIE_BREAK_RISE = 1e-7  # makes optima unique, at the cost of at most this part of the fuel
 
 
 class TransferCosts(NamedTuple):
-    """Least fuel for every agent and target, without collision avoidance."""
+    """Least fuel or energy for every agent and target, without collision avoidance."""
 
-    fuel: Float[Array, "agents targets"]  # [m/s]; above every feasible one where unreachable
+    cost: Float[Array, "agents targets"]  # [m/s] or [m²/s³]; above all others where unreachable
     is_reachable: Bool[Array, "agents targets"]
-    is_exact: Bool[Array, "agents targets"]  # else a lower bound: the path breaks the speed limit
+    is_exact: Bool[Array, "agents targets"]  # else a lower bound: its path breaks a limit
 
 
 def compute_transfer_costs(
     transfer: TransferProblem, start: Float[Array, "agents n"], targets: Float[Array, "targets n"]
 ) -> TransferCosts:
-    """Compute the least fuel of every pair of agent and target.
+    """Compute the least fuel or energy of every pair of agent and target.
 
-    With fuel norm 1 and control norm inf all pairs are solved together and without the speed
+    Energy has a closed form without limits. A pair that breaks one keeps it as a lower bound,
+    and is not exact; which of these are out of reach the program of the least fuel tells.
+
+    Fuel: with fuel norm 1 and control norm inf all pairs are solved together and without the speed
     limit, see `minimum_fuel`. A pair whose cheapest path breaks the limit keeps that fuel, which
     is a lower bound, and is not exact; `solve_transfer` solves it with the limit. With other
     norms every pair is solved by CVXPY, which takes about ten milliseconds.
@@ -45,6 +48,8 @@ def compute_transfer_costs(
     """
     steps, shape = transfer.model, (len(start), len(targets))
     unreachable = unreachable_cost(steps, transfer.max_control)
+    if transfer.objective == "energy":
+        return _compute_energy_costs(transfer, start, targets)
     if (transfer.fuel_norm, transfer.control_norm) != (1, "inf"):
         fuel, reachable = np.full(shape, unreachable), np.zeros(shape, dtype=bool)
         for i, j in np.ndindex(*shape):
@@ -64,6 +69,24 @@ def compute_transfer_costs(
             x = steps.simulate(np.broadcast_to(x0, targets.shape), u[i])
             exact[i] |= ~transfer.is_too_fast(x).any(axis=1)
     return TransferCosts(np.where(reachable, fuel, unreachable), reachable, exact)
+
+
+def _compute_energy_costs(
+    transfer: TransferProblem, start: Float[Array, "agents n"], targets: Float[Array, "targets n"]
+) -> TransferCosts:
+    model, U, shape = transfer.model, transfer.max_control, (len(start), len(targets))
+    energy, exact = np.zeros(shape), np.zeros(shape, dtype=bool)
+    for i, x0 in enumerate(start):
+        _, u, exact[i] = transfer.solve_without_limits(x0, targets)
+        energy[i] = compute_energy(u, model.dt)
+    reachable, b = exact.copy(), compute_displacements(model, start, targets)
+    for i in range(len(start)):
+        # The box of r = ∞ contains the balls of the other norms.
+        found = solve_minimum_fuel(model, b[i, ~exact[i]], U, np.ones(len(model)))
+        reachable[i, ~exact[i]] = np.isfinite(found.fuel)
+    # Twice the most energy.
+    energy = np.where(reachable, energy, U * unreachable_cost(model, U))
+    return TransferCosts(energy, reachable, exact | ~reachable)
 
 
 def solve_transfer(

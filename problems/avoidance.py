@@ -12,16 +12,22 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
-from scipy.sparse import csc_array
+from scipy.sparse import csc_array, diags_array
 
 from dynamics.model import ControlSamples, StateSamples
 from problems.conic import ConicProgram, solve
 from problems.solvers import solve_clarabel
-from problems.transfer import Trajectory, TransferProblem, solve_cvxpy
+from problems.transfer import (
+    Trajectory,
+    TransferProblem,
+    compute_energy,
+    solve_cvxpy,
+)
 
 Relaxation = Literal["none", "terminal", "separation"]
 
 RELAXATION_PENALTY = 1e3  # per meter of error, over the fuel that flies a meter
+MIN_ENERGY_UNIT = 1e-3  # in which energies are scaled, over that of a step at full control
 
 
 class HalfSpaces(NamedTuple):
@@ -70,9 +76,9 @@ class AvoidanceResult(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class AvoidanceProblem:
-    """Fuel-optimal transfer inside half-spaces.
+    """Transfer of least fuel or energy inside half-spaces.
 
-        minimize    Δt Σ w[k] ‖u[k]‖_q
+        minimize    Δt Σ w[k] ‖u[k]‖_q,  or  Δt Σ ‖u[k]‖₂²
         subject to  (10), (12), (14), (18), (66)      as in `TransferProblem`
                     n · (c(x[k], u[k]) − c̄) ≥ R       (38), (64), for each control point
 
@@ -106,7 +112,9 @@ class AvoidanceProblem:
             ValueError: The transfer has no steps.
         """
         self.transfer.require_steps()
-        if (self.transfer.fuel_norm, self.transfer.control_norm) != (1, "inf"):
+        if self.transfer.objective == "energy" and (free := self._solve_without_limits()):
+            return AvoidanceResult(free, 0.0, 0.0)
+        if not self.transfer.is_condensable:
             return self.solve_cvxpy(relaxation)
         (found,) = solve_condensed(
             [self], lambda limited: self.assemble_conic(relaxation, limited[0])
@@ -118,7 +126,7 @@ class AvoidanceProblem:
         import cvxpy as cp
 
         _, u, cost, constraints = self.state_cvxpy(relaxation)
-        solve_cvxpy(self, cp.Problem(cp.Minimize(cost), constraints))
+        solve_cvxpy(self, cp.Problem(cp.Minimize(cost / cost_unit([self])), constraints))
         return self._make_result(
             self.transfer.simulate(self.start, np.asarray(u.value)), relaxation
         )
@@ -148,10 +156,21 @@ class AvoidanceProblem:
             slack = float(self.half_spaces.violation(found.x, found.u).max(initial=0.0))
         return AvoidanceResult(found, terminal_error, slack)
 
+    def _solve_without_limits(self) -> Trajectory | None:
+        """Return the trajectory of least energy where it happens to satisfy all constraints."""
+        (x,), (u,), (keeps_limits,) = self.transfer.solve_without_limits(
+            self.start, self.goal[None]
+        )
+        if not keeps_limits or self.half_spaces.violation(x, u).max(initial=0.0) > 0:
+            return None
+        return self.transfer.simulate(self.start, u)
+
     @property
     def _penalty(self) -> float:
         duration = len(self.transfer.model) * self.transfer.model.dt
-        return RELAXATION_PENALTY / duration
+        # At full control another m/s of fuel takes 2 U of energy.
+        marginal = 1.0 if self.transfer.objective == "fuel" else 2 * self.transfer.max_control
+        return marginal * RELAXATION_PENALTY / duration
 
     @property
     def _terminal_error_weights(self) -> Array:
@@ -161,22 +180,28 @@ class AvoidanceProblem:
     def extract_trajectory(self, unknowns: Float[Array, " unknowns"]) -> Trajectory:
         """Simulate the controls of a solution of the program of `assemble_conic`."""
         T, _, m = self.transfer.model.B.shape
-        plus, minus = unknowns[: T * m], unknowns[T * m : 2 * T * m]
-        U = self.transfer.max_control
-        u = np.asarray(np.clip(U * (plus - minus), -U, U)).reshape(T, m)
-        return self.transfer.simulate(self.start, u)
+        U, parts = self.transfer.max_control, unknowns[: self.unknown_controls].reshape(-1, T, m)
+        size = parts[0] if len(parts) == 1 else parts[0] - parts[1]
+        return self.transfer.simulate(self.start, np.asarray(np.clip(U * size, -U, U)))
+
+    @property
+    def unknown_controls(self) -> int:
+        """Number of the first unknowns: u for least energy, u⁺ and u⁻ for least fuel."""
+        signs = 1 if self.transfer.objective == "energy" else 2
+        return signs * len(self.transfer.model) * self.transfer.model.axes
 
     def assemble_conic(
         self, relaxation: Relaxation, limited: Int[Array, " instants"]
     ) -> ConicProgram:
         """Assemble the program with the states eliminated and speed limits at some instants.
 
-        Unknowns are u⁺ and u⁻ in units of U, then both signs of the terminal error in meters,
-        then the slacks of the half-spaces.
+        Unknowns are u⁺ and u⁻, or u for least energy, in units of U, then both signs of the
+        terminal error in meters, then the slacks of the half-spaces.
         """
         transfer, (R, factor) = self.transfer, self.transfer.response_matrices
         T, n, m = transfer.model.B.shape
-        U, N = transfer.max_control, T * m
+        U, N, count = transfer.max_control, T * m, self.unknown_controls
+        signs = [1, -1][: count // N]
         free = transfer.coast(self.start)
         coeffs, rhs = self.half_spaces.condense(transfer, free)
         breakable = U * np.abs(coeffs).sum(axis=1) > rhs  # most rows hold for any control
@@ -185,27 +210,34 @@ class AvoidanceProblem:
         errors = 0 if relaxation == "none" else n
         slacks = rows if relaxation == "separation" else 0
 
-        fuel = np.tile(U * transfer.model.dt * np.repeat(transfer.weights, m), 2)
+        P, cost = None, np.tile(U * transfer.model.dt * np.repeat(transfer.weights, m), 2)
+        if transfer.objective == "energy":
+            curvature = np.repeat([2 * transfer.model.dt * U**2, 0.0], [N, 2 * errors + slacks])
+            P, cost = csc_array(diags_array(curvature)), np.zeros(N)
         penalty = np.repeat([self._penalty, 10 * self._penalty], [2 * errors, slacks])
         whitening, scale = np.linalg.inv(factor), 1 / U
         reach = U * whitening @ R[T]
         unit = (whitening / self._terminal_error_weights)[:, :errors]
-        terminal = np.hstack([reach, -reach, unit, -unit, np.zeros((n, slacks))])
+        terminal = np.hstack([*(s * reach for s in signs), unit, -unit, np.zeros((n, slacks))])
+        on_controls = [-s * U * coeffs for s in signs]
         separation = np.hstack(
-            [-U * coeffs, U * coeffs, np.zeros((rows, 2 * errors)), -np.eye(rows)[:, :slacks]]
+            [*on_controls, np.zeros((rows, 2 * errors)), -np.eye(rows)[:, :slacks]]
         )
         speed = np.zeros((len(limited), m + 1, N))
         speed[:, 1:] = U * R[limited, m:]
         speed = speed.reshape(-1, N)
-        cones = np.hstack([-speed, speed, np.zeros((len(speed), 2 * errors + slacks))])
+        others = np.zeros((len(speed), 2 * errors + slacks))
+        cones = np.hstack([*(-s * speed for s in signs), others])
         cone_rhs = np.insert(free[limited, m:], 0, transfer.max_speed, axis=1).ravel()
 
-        A = _stack_with_bounds(np.vstack([scale * terminal, separation]), 2 * N, cones)
-        bounds = np.concatenate([np.ones(2 * N), np.zeros(A.shape[1])])
+        A = _stack_with_bounds(np.vstack([scale * terminal, separation]), count, cones)
+        bounds = np.concatenate([np.ones(count), np.zeros(A.shape[1])])
+        bounds[count : 2 * count] = P is not None  # −1 ≤ u, and 0 ≤ u⁺, u⁻
         terminal_rhs = scale * whitening @ (self.goal - free[T])
         b = np.concatenate([terminal_rhs, rhs, bounds, cone_rhs])
         soc_sizes = (m + 1,) * len(limited)
-        return ConicProgram(np.concatenate([fuel, penalty]), A, b, n, rows + len(bounds), soc_sizes)
+        q, nonnegative = np.concatenate([cost, penalty]), rows + len(bounds)
+        return ConicProgram(q, A, b, n, nonnegative, soc_sizes, P=P)
 
 
 def solve_condensed(
@@ -219,9 +251,12 @@ def solve_condensed(
             first unknowns are those of the first problem.
     """
     limited = [np.zeros(0, dtype=int) for _ in problems]
-    sizes = [2 * len(own.transfer.model) * own.transfer.model.axes for own in problems]
+    sizes, unit = [own.unknown_controls for own in problems], cost_unit(problems)
     while True:
-        unknowns = np.split(solve(assemble(limited), solve_clarabel).x, np.cumsum(sizes))
+        program = assemble(limited)
+        if program.P is not None:
+            program = replace(program, q=program.q / unit, P=program.P / unit)
+        unknowns = np.split(solve(program, solve_clarabel).x, np.cumsum(sizes))
         found = [own.extract_trajectory(x) for own, x in zip(problems, unknowns, strict=False)]
         violated = [
             np.setdiff1d(np.flatnonzero(own.transfer.is_too_fast(trajectory.x)) + 1, known)
@@ -230,6 +265,24 @@ def solve_condensed(
         if not any(map(len, violated)):
             return found
         limited = [np.concatenate(both) for both in zip(limited, violated, strict=True)]
+
+
+def cost_unit(problems: Sequence[AvoidanceProblem]) -> float:
+    """Compute the unit of cost in which a program is posed: 1 m/s, or an energy [m²/s³].
+
+    That is the energy without limits, below which none is: so the scaled cost is above 1, and
+    its accuracy relative. It is bounded, for agents that would hardly move but for the others.
+    """
+    if problems[0].transfer.objective == "fuel":
+        return 1.0
+    total = 0.0
+    for own in problems:
+        transfer, N = own.transfer, len(own.transfer.model) * own.transfer.model.axes
+        _, (u,), _ = transfer.solve_without_limits(own.start, own.goal[None])
+        of_a_step = transfer.model.dt * transfer.max_control**2
+        least = float(compute_energy(u, transfer.model.dt))
+        total += min(max(least, MIN_ENERGY_UNIT * of_a_step), N * of_a_step)
+    return total
 
 
 def _stack_with_bounds(above: Array, count: int, below: Array) -> csc_array:

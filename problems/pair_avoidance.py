@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 from scipy.sparse import block_diag, csc_array, vstack
 
-from problems.avoidance import AvoidanceProblem, HalfSpaces, solve_condensed
+from problems.avoidance import AvoidanceProblem, HalfSpaces, cost_unit, solve_condensed
 from problems.conic import ConicProgram
 from problems.convexify import AvoidanceHorizon, convexify
 from problems.transfer import Trajectory, solve_cvxpy
@@ -52,14 +52,14 @@ class RelativeHalfSpaces(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PairProblem:
-    """Two fuel-optimal transfers that keep the distance from each other.
+    """Two transfers that keep the distance from each other.
 
-        minimize    Δt Σ w₁[k] ‖u₁[k]‖_q + Δt Σ w₂[k] ‖u₂[k]‖_q
+        minimize    Δt Σ w₁[k] ‖u₁[k]‖_q + Δt Σ w₂[k] ‖u₂[k]‖_q,  or  Δt Σ ‖u₁[k]‖² + ‖u₂[k]‖²
         subject to  (10), (12), (14), (18), (66)      of each, as in `TransferProblem`
                     n · (c(x[k], u[k]) − c̄) ≥ R       of each, as in `AvoidanceProblem`
                     n · (c₁(x₁, u₁) − c₂(x₂, u₂)) ≥ R
 
-    Both agents may move, so that the sum of their fuel is least.
+    Both agents may move, so that the sum of their fuel or energy is least.
     """
 
     first: AvoidanceProblem
@@ -83,18 +83,16 @@ class PairProblem:
         )
 
     def solve(self) -> tuple[Trajectory, Trajectory]:
-        """Find the trajectories of the least total fuel, weighted as in their transfers.
+        """Find the trajectories of the least total fuel or energy, weighted as in their transfers.
 
         Raises:
             Infeasible: No two trajectories satisfy all constraints.
             Unsolved: The solver stopped for any other reason.
             ValueError: A transfer has no steps.
         """
-        norms = set()
         for member in self._members:
             member.transfer.require_steps()
-            norms.add((member.transfer.fuel_norm, member.transfer.control_norm))
-        if norms != {(1, "inf")}:
+        if not all(member.transfer.is_condensable for member in self._members):
             return self.solve_cvxpy()
         first, second = solve_condensed(self._members, self._assemble_joint)
         return first, second
@@ -115,7 +113,10 @@ class PairProblem:
         if len(rows.first.rhs):
             total = rows.first.to_cvxpy(x, u) + rows.second.to_cvxpy(y, v)
             constraints.append(total >= rows.first.rhs + rows.second.rhs)
-        solve_cvxpy(self, cp.Problem(cp.Minimize(cost + other_cost), constraints))
+        solve_cvxpy(
+            self,
+            cp.Problem(cp.Minimize((cost + other_cost) / cost_unit(self._members)), constraints),
+        )
         first, second = (
             member.transfer.simulate(member.start, np.asarray(controls.value))
             for member, controls in zip(self._members, (u, v), strict=True)
@@ -132,10 +133,12 @@ class PairProblem:
         for member, rows in zip(self._members, self.relative_half_spaces, strict=True):
             transfer = member.transfer
             coeffs, own_rhs = rows.condense(transfer, transfer.coast(member.start))
-            blocks.append(transfer.max_control * np.hstack([-coeffs, coeffs]))
+            signs = (-1, 1)[: member.unknown_controls // coeffs.shape[1]]
+            blocks.append(transfer.max_control * np.hstack([s * coeffs for s in signs]))
             rhs += own_rhs
         shared = np.hstack(blocks)
-        breakable = np.abs(shared).sum(axis=1) / 2 > rhs  # most rows hold for any control
+        most = np.abs(shared).sum(axis=1) / len(signs)
+        breakable = most > rhs  # most rows hold for any control
         blocks_A, blocks_b = [], []
         for kind in zip(*map(_row_slices, parts), strict=True):
             of_kind = list(zip(parts, kind, strict=True))
@@ -147,7 +150,8 @@ class PairProblem:
         nonnegative = first.nonnegative + second.nonnegative + int(breakable.sum())
         sizes = first.zero + second.zero, nonnegative, first.soc_sizes + second.soc_sizes
         q, A = np.concatenate([first.q, second.q]), csc_array(vstack(blocks_A))
-        return ConicProgram(q, A, np.concatenate(blocks_b), *sizes)
+        P = None if first.P is None else csc_array(block_diag([first.P, second.P]))
+        return ConicProgram(q, A, np.concatenate(blocks_b), *sizes, P=P)
 
 
 def _row_slices(part: ConicProgram) -> tuple[slice, slice, slice]:

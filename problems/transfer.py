@@ -1,4 +1,4 @@
-"""Fuel-optimal transfer of one agent from a state to a state [Morgan2016, Problem 6]."""
+"""Optimal transfer of one agent from a state to a state [Morgan2016, Problem 6]."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
-from scipy.sparse import csc_array
+from scipy.sparse import csc_array, triu
 
 from dynamics import DiscreteModel
 from dynamics.model import ControlSamples, StateSamples
@@ -17,6 +17,10 @@ from problems.conic import ConicProgram, Infeasible, Unsolved, solve
 from problems.solvers import solve_clarabel
 
 Norm = Literal[1, 2, "inf"]
+Objective = Literal["fuel", "energy"]
+
+
+ARRIVAL_TOLERANCE = 1e-9  # of a closed form, relative to the largest state
 
 
 class Trajectory(NamedTuple):
@@ -29,9 +33,9 @@ class Trajectory(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TransferProblem:
-    """Fuel-optimal transfer from a state to a target.
+    """Transfer of least fuel, or of least energy, from a state to a target.
 
-        minimize    Δt Σ w[k] ‖u[k]‖_q
+        minimize    Δt Σ w[k] ‖u[k]‖_q,  or  Δt Σ ‖u[k]‖₂²
         subject to  x[k+1] = A[k] x[k] + B[k] u[k] + z[k]    (10)
                     ‖u[k]‖_r ≤ U                             (12)
                     x[0] = start,  x[T] = target             (14), (18)
@@ -48,6 +52,7 @@ class TransferProblem:
     fuel_norm: Norm = 1  # q
     control_norm: Norm = "inf"  # r
     tie_break_rise: float = 0.0  # of the weights, from the ends to the middle
+    objective: Objective = "fuel"
 
     def __post_init__(self) -> None:
         """Check the limits."""
@@ -94,6 +99,37 @@ class TransferProblem:
         speed = np.linalg.norm(x[..., 1:-1, self.model.axes :], axis=-1)
         return np.asarray(speed > self.max_speed * (1 + 1e-9))
 
+    @property
+    def is_condensable(self) -> bool:
+        """True where a program with the states eliminated serves; CVXPY states all others."""
+        return self.control_norm == "inf" and (self.objective == "energy" or self.fuel_norm == 1)
+
+    def cost(self, trajectory: Trajectory) -> float:
+        """Return the fuel [m/s] or the energy [m²/s³] of a trajectory, without the weights."""
+        if self.objective == "fuel":
+            return trajectory.fuel
+        return float(compute_energy(trajectory.u, self.model.dt))
+
+    def solve_without_limits(
+        self, start: Float[Array, " n"], targets: Float[Array, "targets n"]
+    ) -> tuple[StateSamples, ControlSamples, Bool[Array, " targets"]]:
+        """Compute the trajectories of least energy to some targets, without limits.
+
+        Returns:
+            States and controls, and True where they arrive and happen to keep all limits.
+        """
+        T, _, m = self.model.B.shape
+        u = ((targets - self.coast(start)[T]) @ self._energy_gains).reshape(-1, T, m)
+        x = self.model.simulate(np.broadcast_to(start, targets.shape), u)
+        error, scale = np.abs(x[:, -1] - targets).max(axis=1), np.abs(x).max(axis=(1, 2))
+        keeps_limits = vector_norm(u, self.control_norm).max(axis=1) <= self.max_control
+        keeps_limits &= ~self.is_too_fast(x).any(axis=1) & (error <= ARRIVAL_TOLERANCE * scale)
+        return x, u, keeps_limits
+
+    @cached_property
+    def _energy_gains(self) -> Float[Array, "n controls"]:
+        return np.asarray(np.linalg.pinv(self.response_matrices[0][-1]).T)
+
     def require_steps(self) -> None:
         """Check that there is a step.
 
@@ -129,9 +165,11 @@ class TransferProblem:
 
         n = self.model.A.shape[1]
         start, target = cp.Parameter(n, name="start"), cp.Parameter(n, name="target")
-        x, u, fuel, limits = self.build_cvxpy(start)
+        x, u, effort, limits = self.build_cvxpy(start)
         arrival = x[len(self.model)] == target
-        return cp.Problem(cp.Minimize(fuel), [*limits, arrival]), u
+        if self.objective == "energy":
+            effort = effort / (self.model.dt * self.max_control**2)  # of the order of 1
+        return cp.Problem(cp.Minimize(effort), [*limits, arrival]), u
 
     def build_cvxpy(self, start: Any) -> tuple[Any, Any, Any, list[Any]]:
         """Build variables x and u, cost and constraints in CVXPY, all but the arrival."""
@@ -140,18 +178,28 @@ class TransferProblem:
         A, B, z, dt = self.model.A, self.model.B, self.model.z, self.model.dt
         T, n, m = B.shape
         x, u = cp.Variable((T + 1, n)), cp.Variable((T, m))
-        fuel = dt * self.weights @ cp.norm(u, self.fuel_norm, axis=1)
+        if self.objective == "energy":
+            u = self.max_control * u  # unknowns of the order of 1: their squares are far apart
+            effort = dt * cp.sum_squares(u)
+        else:
+            effort = dt * self.weights @ cp.norm(u, self.fuel_norm, axis=1)
         motion = [x[k + 1] == A[k] @ x[k] + B[k] @ u[k] + z[k] for k in range(T)]
         limits = [x[0] == start, *motion, cp.norm(u, self.control_norm, axis=1) <= self.max_control]
         if isfinite(self.max_speed) and T > 1:
             limits.append(cp.norm(x[1:T, n // 2 :], 2, axis=1) <= self.max_speed)
-        return x, u, fuel, limits
+        return x, u, effort, limits
 
 
 def compute_fuel(u: ControlSamples, dt: float, norm: Norm) -> Float[Array, "*agents"] | float:
     """Compute Δt Σ ‖u[k]‖, without the weights [m/s]."""
     fuel: Array = dt * vector_norm(u, norm).sum(axis=-1)
     return fuel
+
+
+def compute_energy(u: ControlSamples, dt: float) -> Float[Array, "*agents"] | float:
+    """Compute Δt Σ ‖u[k]‖₂² [m²/s³]."""
+    energy: Array = dt * (u**2).sum(axis=(-2, -1))
+    return energy
 
 
 def vector_norm(u: Float[Array, "*k m"], norm: Norm) -> Float[Array, "*k"]:
@@ -186,7 +234,8 @@ def solve_cvxpy(owner: object, problem: Any) -> None:
     data, chain, inverse = problem.get_problem_data(cp.CLARABEL, solver_opts={})
     dims = data["dims"]
     q, A, b = data["c"], csc_array(data["A"]), data["b"]
-    conic = ConicProgram(q, A, b, dims.zero, dims.nonneg, tuple(dims.soc))
+    P = csc_array(triu(data["P"])) if "P" in data else None
+    conic = ConicProgram(q, A, b, dims.zero, dims.nonneg, tuple(dims.soc), P=P)
     name = type(owner).__name__
     try:
         found = solve(conic, solve_clarabel)
@@ -195,6 +244,6 @@ def solve_cvxpy(owner: object, problem: Any) -> None:
     except Unsolved as error:
         raise Unsolved(owner, f"{name} is not solved: {error}") from error
     # CVXPY reads these fields of a Clarabel solution.
-    value = {"obj_val": float(q @ found.x), "solve_time": 0.0, "iterations": 0}
+    value = {"obj_val": conic.cost(found.x), "solve_time": 0.0, "iterations": 0}
     solution = SimpleNamespace(status="Solved", x=found.x, z=found.y, **value)
     problem.unpack_results(solution, chain, inverse)

@@ -113,7 +113,7 @@ def measure(case: CostCase, pairs: int, rng: np.random.Generator) -> CostBenchma
     """Time all solvers in turns, then compare their costs with the reference."""
     form = CondensedForm(case)
     session, costs = ClarabelSession(form.problem(0, 0), TOLERANCE), case.compute_costs()
-    shape = costs.fuel.shape
+    shape = costs.cost.shape
     ours, theirs = [], []
     each = max(1, pairs // case.turns)
     for _ in range(case.turns):
@@ -124,7 +124,7 @@ def measure(case: CostCase, pairs: int, rng: np.random.Generator) -> CostBenchma
         began = time.perf_counter()
         for problem in problems:
             session.solve(problem.b)
-        theirs.append((time.perf_counter() - began) / each * costs.fuel.size)
+        theirs.append((time.perf_counter() - began) / each * costs.cost.size)
     checked = rng.integers(shape, size=(5 * pairs, 2))
     reference = [solve_with_highs(form.problem(*pair)) for pair in checked]
     error = largest_error(costs, checked, np.array(reference))
@@ -147,7 +147,7 @@ def solve_with_highs(problem: ConicProgram) -> float:
 def largest_error(costs: TransferCosts, pairs: np.ndarray, reference: np.ndarray) -> float:
     """Return the largest relative error; infinite where only one finds a pair reachable."""
     i, j = pairs.T
-    fuel = np.where(costs.is_reachable[i, j], costs.fuel[i, j], inf)
+    fuel = np.where(costs.is_reachable[i, j], costs.cost[i, j], inf)
     if (np.isfinite(fuel) != np.isfinite(reference)).any():
         return inf
     fuel, reference = fuel[np.isfinite(reference)], reference[np.isfinite(reference)]

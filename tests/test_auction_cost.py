@@ -43,7 +43,7 @@ def test_costs_are_those_of_the_cvxpy_statement(rng, steps, size, U):
     costs = compute_transfer_costs(transfer, start, targets)
     for i, j in np.ndindex(4, 4):
         fuel = transfer.solve(start[i], targets[j]).fuel
-        assert costs.fuel[i, j] == pytest.approx(fuel, rel=1e-6)
+        assert costs.cost[i, j] == pytest.approx(fuel, rel=1e-6)
 
 
 def test_costs_in_other_norms_are_those_of_the_statement(rng):
@@ -52,8 +52,8 @@ def test_costs_in_other_norms_are_those_of_the_statement(rng):
     transfer = TransferProblem(plane, 0.05, 0.5, 2, 2)
     costs = compute_transfer_costs(transfer, start, targets)
     assert costs.is_exact.all() and costs.is_reachable.tolist() == [[True, False]] * 2
-    assert costs.fuel[1, 0] == transfer.solve(start[1], targets[0]).fuel
-    assert (costs.fuel[:, 1] == unreachable_cost(plane, 0.05)).all()
+    assert costs.cost[1, 0] == transfer.solve(start[1], targets[0]).fuel
+    assert (costs.cost[:, 1] == unreachable_cost(plane, 0.05)).all()
 
 
 @all_models
@@ -64,8 +64,8 @@ def test_other_agents_do_not_change_the_last_bit_of_a_cost(rng, steps, size, U):
     start[4] += size
     after = compute_transfer_costs(transfer, start, targets)
     others = np.arange(9) != 4
-    assert_array_equal(before.fuel[others], after.fuel[others])
-    assert (before.fuel[4] != after.fuel[4]).any()
+    assert_array_equal(before.cost[others], after.cost[others])
+    assert (before.cost[4] != after.cost[4]).any()
 
 
 def test_unreachable_targets_cost_more_than_any_trajectory(rng):
@@ -73,8 +73,8 @@ def test_unreachable_targets_cost_more_than_any_trajectory(rng):
     transfer = TransferProblem(plane, 0.2)
     costs = compute_transfer_costs(transfer, start, targets)
     assert 0 < costs.is_reachable.sum() < 144
-    assert (costs.fuel[~costs.is_reachable] == unreachable_cost(plane, 0.2)).all()
-    assert costs.fuel[costs.is_reachable].max() <= unreachable_cost(plane, 0.2) / 2
+    assert (costs.cost[~costs.is_reachable] == unreachable_cost(plane, 0.2)).all()
+    assert costs.cost[costs.is_reachable].max() <= unreachable_cost(plane, 0.2) / 2
     assert costs.is_exact.all()
     for i, j in np.argwhere(~costs.is_reachable)[:5]:
         with pytest.raises(Infeasible):
@@ -100,7 +100,7 @@ def test_costs_with_a_speed_limit_are_exact_or_lower_bounds(rng, steps, U, V, fe
     transfer = TransferProblem(steps, U, V)
     costs = compute_transfer_costs(transfer, start, targets)
     free = compute_transfer_costs(TransferProblem(steps, U), start, targets)
-    assert_array_equal(costs.fuel, free.fuel)
+    assert_array_equal(costs.cost, free.cost)
     binds = ~costs.is_exact
     assert 0.03 < binds.mean() < 0.7
     dearer = 0
@@ -113,9 +113,9 @@ def test_costs_with_a_speed_limit_are_exact_or_lower_bounds(rng, steps, U, V, fe
             continue
         fuel = transfer.solve(start[i], targets[j]).fuel
         assert found.fuel == pytest.approx(fuel, rel=1e-6)
-        assert costs.fuel[i, j] <= fuel * (1 + 1e-6)
-        assert binds[i, j] or costs.fuel[i, j] == pytest.approx(fuel, rel=1e-6)
-        dearer += fuel > costs.fuel[i, j] * (1 + 1e-5)
+        assert costs.cost[i, j] <= fuel * (1 + 1e-6)
+        assert binds[i, j] or costs.cost[i, j] == pytest.approx(fuel, rel=1e-6)
+        dearer += fuel > costs.cost[i, j] * (1 + 1e-5)
     assert dearer >= few
 
 

@@ -47,17 +47,19 @@ def stands(pair, flights):
     assert pair.relative_half_spaces.violation(*flights).max(initial=-1.0) <= 1e-7
 
 
+@pytest.mark.parametrize("objective", ["fuel", "energy"])
 @pytest.mark.parametrize("axes", [2, 3])
-def test_the_condensed_program_agrees_with_cvxpy(rng, axes):
+def test_the_condensed_program_agrees_with_cvxpy(rng, axes, objective):
     for _ in range(2):
-        _, pair, _ = crossing(rng, axes)
+        _, pair, _ = crossing(rng, axes, objective=objective)
+        cost = pair.first.transfer.cost
         unhurried = pair.solve()
         slower = with_limits(pair, max_speed=0.999 * fastest(unhurried))  # which that flight breaks
         for question in (pair, slower):
             found, stated = question.solve(), question.solve_cvxpy()
             stands(question, found)
-            fuel = [sum(flight.fuel for flight in both) for both in (found, stated)]
-            assert fuel[0] == pytest.approx(fuel[1], rel=1e-6)
+            costs = [sum(map(cost, both)) for both in (found, stated)]
+            assert costs[0] == pytest.approx(costs[1], rel=1e-6)
 
 
 def with_limits(pair, **limits):

@@ -38,6 +38,8 @@ class HighsSession:
         self._solver.passModel(_model(problem))
         if problem.P is not None:
             self._solver.passHessian(_hessian(problem.P))
+            # At its default of 1e-7, which is added to P, a gap of many unknowns is too large.
+            self._solver.setOptionValue("qp_regularization_value", tolerance / 1e4)
         self._rows = np.arange(len(problem.b), dtype=np.int32)
 
     def solve(self, b: Vector) -> SolverResult:

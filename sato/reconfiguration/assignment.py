@@ -238,7 +238,7 @@ def _costs_of(
         return CostTable(tie, is_there, np.ones_like(is_there))
     limits = mission.max_control, mission.max_speed, mission.fuel_norm, mission.control_norm
     found = auction_cost.compute_transfer_costs(TransferProblem(model, *limits), state, leg.targets)
-    cost = _fuel_to_distance(mission, leg) * found.fuel
+    cost = _fuel_to_distance(mission, leg) * found.cost
     if mission.cost == "distance":
         cost = auction_cost.compute_distances(model, state, leg.targets)
     cost = np.where(found.is_reachable, cost, 0.0) + tie

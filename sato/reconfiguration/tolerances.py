@@ -137,7 +137,7 @@ def _speed_to_lose(mission: "Reconfiguration", steps: int) -> float:
     for leg in mission.legs:
         model = discretize_zoh(mission.linear_model, mission.step, leg.steps, t)
         transfer = TransferProblem(model, mission.max_control)
-        fuel = compute_transfer_costs(transfer, start, leg.targets).fuel
+        fuel = compute_transfer_costs(transfer, start, leg.targets).cost
         burned = max(burned, float(fuel[linear_sum_assignment(fuel)].max()))
         start, t = leg.targets, t + leg.steps * mission.step
     return min(mission.max_speed, burned / 2)

@@ -36,7 +36,7 @@ from sato.scp.priority_orders import (
     compute_priority_cost,
 )
 
-COST_TOLERANCE = 1e-9  # part of the fuel of two: a smaller difference counts as none
+COST_TOLERANCE = 1e-9  # part of the cost of two: a smaller difference counts as none
 MIN_IMPROVEMENT = 1e-3  # part of a component's cost: a sweep that saves less is its last
 
 
@@ -102,8 +102,8 @@ def negotiate(
 
 
 def _has_improved(before: PriorityCost, cost: PriorityCost) -> bool:
-    saved = before.extra_fuel - cost.extra_fuel
-    return cost[:2] < before[:2] or saved > MIN_IMPROVEMENT * abs(cost.extra_fuel)
+    saved = before.extra_cost - cost.extra_cost
+    return cost[:2] < before[:2] or saved > MIN_IMPROVEMENT * abs(cost.extra_cost)
 
 
 def schedule_pairs(
@@ -230,8 +230,9 @@ def solve_pair(
         if not violated.any():
             break
         active |= violated
-    fuel_before = own.trajectory.fuel + other.trajectory.fuel
-    is_cheaper = both[0].fuel + both[1].fuel <= fuel_before * (1 + COST_TOLERANCE)
+    cost, cost_of_other = own.problem.transfer.cost, other.problem.transfer.cost
+    before = cost(own.trajectory) + cost_of_other(other.trajectory)
+    is_cheaper = cost(both[0]) + cost_of_other(both[1]) <= before * (1 + COST_TOLERANCE)
     first, second = (horizon.control_points(trajectory.x, trajectory.u) for trajectory in both)
     gaps = first - own.neighbor_points, second - other.neighbor_points, first - second
     is_accepted = (

@@ -49,7 +49,7 @@ class Planner(NamedTuple):
     differs: so the agent keeps to the side on which it passes.
     """
 
-    priority: tuple[bool, float, int]  # (can still move, −fuel spent, number) [Remark 5]
+    priority: tuple[bool, float, int]  # (can still move, −cost spent, number) [Remark 5]
     target_state: Float[Array, " n"]
     transfer: TransferProblem
     horizon: convexify.AvoidanceHorizon
@@ -168,7 +168,9 @@ def _solve_avoidance(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Pl
     feasible = [result for result in tried if result is not None]
     agent = agent._replace(solve_count=agent.solve_count + len(sides))
     if feasible:
-        return agent.with_result(min(feasible, key=lambda result: result.trajectory.fuel))
+        return agent.with_result(
+            min(feasible, key=lambda result: agent.transfer.cost(result.trajectory))
+        )
     for relaxation, side, stops in RELAXATION_ORDER:
         agent = agent._replace(solve_count=agent.solve_count + 1)
         if stops:  # come to rest where it is, as nearly as it can

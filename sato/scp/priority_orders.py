@@ -23,7 +23,7 @@ class PriorityCost(NamedTuple):
 
     is_too_close: float  # 1 where it comes too close to another
     misses_target: float  # 1 where it does not end at its target
-    extra_fuel: float  # beyond that of its solo trajectory [m/s]
+    extra_cost: float  # fuel [m/s] or energy [m²/s³] beyond that of its solo trajectory
 
 
 class ConflictResolution(NamedTuple):
@@ -71,7 +71,7 @@ def compute_priority_cost(agent: Planner) -> PriorityCost:
     return PriorityCost(
         float(agent.has_failed or agent.slack > slack_limit),
         float(not agent.reaches_target(agent.nominal)),
-        agent.nominal.fuel - agent.solo.fuel,
+        agent.transfer.cost(agent.nominal) - agent.transfer.cost(agent.solo),
     )
 
 
@@ -81,10 +81,11 @@ def count_solves(planners: Mapping[int, Planner]) -> int:
 
 
 def raise_priority(agent: Planner, tried: Planner) -> Planner:
-    """Count the extra fuel as spent, and where a constraint was relaxed that of `solo` as well."""
+    """Count the extra cost as spent, and where a constraint was relaxed that of `solo` as well."""
     (can_move, rank, agent_id), cost = agent.priority, compute_priority_cost(tried)
-    relaxed = agent.solo.fuel if cost.is_too_close or cost.misses_target else 0.0
-    return agent._replace(priority=(can_move, rank - max(cost.extra_fuel, 0.0) - relaxed, agent_id))
+    is_relaxed = cost.is_too_close or cost.misses_target
+    relaxed = agent.transfer.cost(agent.solo) if is_relaxed else 0.0
+    return agent._replace(priority=(can_move, rank - max(cost.extra_cost, 0.0) - relaxed, agent_id))
 
 
 def offset_right(agent: Planner, offset: float) -> Planner:

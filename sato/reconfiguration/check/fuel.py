@@ -106,7 +106,7 @@ class _LegCosts:
         for k in np.unique(first):
             problem = TransferProblem(record.model[slice(k, leg.end_index)], *limits)
             found = compute_transfer_costs(problem, self.start[first == k], targets)
-            self.fuel[first == k] = np.where(found.is_reachable, found.fuel, np.inf)
+            self.fuel[first == k] = np.where(found.is_reachable, found.cost, np.inf)
             self.is_exact[first == k] = found.is_exact
             self.problems[k] = problem
 
