@@ -1,7 +1,7 @@
 """Orbit of the chief at symbolic times: a CasADi function that integrates, with derivatives."""
 
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 import casadi
@@ -27,7 +27,7 @@ class ElementsFunction(casadi.Callback):
 
     def eval(self, arguments: Sequence[Any]) -> list[Any]:
         """Return the elements at a time."""
-        return [self.orbit.elements_at(float(arguments[0]))]
+        return [_elements_at(self.orbit, float(arguments[0]))]
 
     def has_jacobian(self) -> bool:
         """Return True: the derivative is known."""
@@ -41,6 +41,11 @@ class ElementsFunction(casadi.Callback):
         chief = to_array(elements)[:, 0]
         rates = to_casadi(polar_nodal_rates(chief, self.orbit.mu, self.orbit.k_J2))
         return casadi.Function(name, [t, elements], [rates], inputs, outputs, options)
+
+
+@lru_cache(maxsize=4096)  # solvers ask for the same times again and again
+def _elements_at(orbit: Orbit, t: float) -> Any:
+    return casadi.DM(orbit.elements_at(t))
 
 
 @cache  # without limit: CasADi does not keep the object alive that its function belongs to
