@@ -11,7 +11,13 @@ from numpy import ndarray as Array
 from dynamics.discretize import DiscreteModel
 from problems import auction_cost
 from problems.transfer import TransferProblem
-from sato.auctions import VsdaaAuction, VsdaaResult, run_vsdaa
+from sato.auctions import (
+    VsdaaAuction,
+    VsdaaResult,
+    assign_centrally,
+    assign_given,
+    run_vsdaa,
+)
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
@@ -22,6 +28,7 @@ from sato.shapes.shape import least_distance
 RELATIVE_EPSILON = 0.01  # ε over the extent of the shape, where no tie-break gives a scale
 HELD_TARGET_DISCOUNT = 0.02  # on the target that an agent holds, of its range of costs
 MIN_PENALTY = 1.0  # least penalty on a target to be left alone [m]
+METHODS = {"auction": run_vsdaa, "given": assign_given, "central": assign_centrally}
 
 
 class AssignmentDecision(NamedTuple):
@@ -61,6 +68,7 @@ def assign_targets(
         context: States, memory and graph of the agents that decide.
         planned_fuel: Fuel left in the plan to the target that each holds; infinite without one.
     """
+    context = context._replace(graph=agreement_graph(context.mission, context.graph))
     graph, memory = context.graph, share_claims(context.memory, context.graph)
     was_reset = np.asarray(graph.alive & (memory.clock != context.memory.clock))
     fuel = np.where(was_reset, np.inf, planned_fuel)
@@ -83,6 +91,14 @@ def assign_targets(
         solves += auction.solve_count
     memory = _remember(context._replace(memory=memory), auction.outcome)
     return AssignmentDecision(memory, was_reset, solves)
+
+
+def agreement_graph(mission: Reconfiguration, graph: CommunicationGraph) -> CommunicationGraph:
+    """Return the graph of those that agree on targets: none where they are given, or all."""
+    if mission.assignment == "auction":
+        return graph
+    together = np.outer(graph.alive, graph.alive) & (mission.assignment == "central")
+    return CommunicationGraph(together & ~np.eye(len(together), dtype=bool), graph.alive)
 
 
 def share_claims(memory: AgentMemory, graph: CommunicationGraph) -> AgentMemory:
@@ -130,7 +146,7 @@ def run_auction(
     table, solves = _compute_costs(context, planned_fuel), 0
     while True:
         cost = compute_bid_costs(table, memory, graph, is_firm)
-        auction = run_vsdaa(
+        auction = METHODS[mission.assignment](
             VsdaaAuction(cost, graph, memory.target_count, epsilon, mission.bidder_ids)
         )
         won = auction.target_index[live]

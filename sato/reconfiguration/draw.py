@@ -36,7 +36,7 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
     states, legs = start, []
     for k, leg in enumerate(mission.legs):
         # States of agents that are known to those that join when the leg begins.
-        held = None if mission.legs[k - 1].is_free else demand[k - 1]
+        held = None if mission.uses_all_targets(mission.legs[k - 1]) else demand[k - 1]
         known = targets[k - 1][:held] if k else states
         leg = _draw_joins(mission, k, leg, known, times[k], rng)
         states = np.concatenate([states, *(states_of(join.start) for join in leg.joins)])

@@ -11,6 +11,7 @@ from numpy import ndarray as Array
 from sato.scenario.errors import InputError, join_names, round_down, round_up
 
 if TYPE_CHECKING:
+    from sato.reconfiguration.leg import Leg
     from sato.reconfiguration.mission import Reconfiguration
 
 MAX_POINTING_ERROR = pi / 6  # standard deviation beyond which directions mean nothing [rad]
@@ -128,9 +129,9 @@ def _check_legs(mission: "Reconfiguration") -> None:
         raise InputError("leg", "needs at least 1 entry, got 0")
     if mission.agents is None:
         raise InputError("swarm.agents", "is missing, and has no default")
-    if mission.target_count is not None and all(leg.is_free for leg in mission.legs):
-        reason = 'has no meaning with choose = "nearest", where agents bid on all targets'
-        raise InputError("swarm.believed", f'{reason}; leave it out, or choose = "prefix" would do')
+    if mission.target_count is not None and all(map(mission.uses_all_targets, mission.legs)):
+        reason = "has no meaning where agents choose among all targets, or have them given"
+        raise InputError("swarm.believed", f"{reason}; leave it out")
     known, listed = mission.agents, getattr(mission.start, "positions", None)
     if listed is not None and len(listed) != known:
         reason = f"lists {len(listed)} positions for {known} agents"
@@ -141,6 +142,8 @@ def _check_legs(mission: "Reconfiguration") -> None:
         if lost >= known:
             reason = f"there is no agent {lost}; they are 0 to {known - 1}"
             raise InputError(f"leg.{number}.lose.agents", reason)
+        if mission.assignment == "given":
+            _check_given(f"leg.{number}", leg, enough)
         if leg.count is not None and leg.count < enough:
             which = "there may be" if leg.is_free else "may be believed in"
             reason = f"{leg.count} is less than the {enough} agents that {which}"
@@ -151,13 +154,30 @@ def _check_legs(mission: "Reconfiguration") -> None:
             raise InputError(f"leg.{number}.shape.positions_m", reason)
 
 
+def _check_given(where: str, leg: "Leg", agents: int) -> None:
+    listed = getattr(leg.shape, "positions", None)
+    if leg.recount:
+        raise InputError(f"{where}.recount", "has no meaning where targets are given")
+    if listed is not None and not (leg.is_free or getattr(leg.shape, "keep_order", True)):
+        reason = '"prefix" reorders a list, and its targets are given in order'
+        raise InputError(f"{where}.choose", f"{reason}; shape.keep_order = true would do")
+    for key, count in (
+        ("targets", leg.count),
+        ("shape.positions_m", None if listed is None else len(listed)),
+    ):
+        if count not in (None, agents):
+            reason = f"{count} targets are given to {agents} agents, those that join included"
+            raise InputError(f"{where}.{key}", f"{reason}; one each would do")
+
+
 def target_demand(mission: "Reconfiguration") -> list[int]:
     """Return the fewest targets that each leg must have, whatever is drawn.
 
-    That is the most that any agent may believe in, or the most agents where they bid on all.
+    That is the most that any agent may believe in, or the most agents where they choose among
+    all; and the number of all agents that there have been where targets are given.
     """
     most: list[int] = []
-    live = mission.agent_count
+    live = ever = mission.agent_count
     believed = mission.target_count or live
     known_lost: set[int] | None = set()  # indices; nothing is known after a loss by share
     for leg in mission.legs:
@@ -176,7 +196,8 @@ def target_demand(mission: "Reconfiguration") -> list[int]:
                 known_lost |= set(loss.agents)
         peak = max(peak, live)
         believed = max(believed, peak)
-        most.append(peak if leg.is_free else believed)
+        ever += sum(join.size for join in leg.joins)
+        most.append(ever if mission.assignment == "given" else peak if leg.is_free else believed)
     return most
 
 
@@ -233,8 +254,10 @@ def _find_stranded(mission: "Reconfiguration", steps: int, max_control: float) -
 
     live, spare = _starting(mission)
     first, wanted = mission.legs[0], max(mission.target_count or 0, len(live) - spare)
-    wanted = len(first.targets) if first.is_free else wanted
+    wanted = len(first.targets) if mission.uses_all_targets(first) else wanted
     reachable = _reachable(mission, live, wanted, steps, max_control)
+    if mission.assignment == "given":
+        reachable &= live[:, None] == np.arange(wanted)
     none = live[~reachable.any(axis=1)]
     if len(none) > spare:
         return f"agent {none[0]} can reach none of its targets"

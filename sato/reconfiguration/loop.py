@@ -53,7 +53,8 @@ class _Flight:
         if self.leg.recount:
             self.believed = np.where(counted > 0, counted, self.believed)
         # Agents that bid on all targets learn from the bids how many they are, but not from m.
-        m = np.full_like(counted, len(self.leg.targets)) if self.leg.is_free else self.believed
+        all_targets = np.full_like(counted, len(self.leg.targets))
+        m = all_targets if mission.uses_all_targets(self.leg) else self.believed
         self.memory, self.plans = state.AgentMemory.initial(m), {}
         self._note("leg_start", self.alive, leg=number)
         for k in range(MAX_LEG_FACTOR * steps + 1):
@@ -80,7 +81,7 @@ class _Flight:
             self._propagate(control, applied)
         memory, component = self.memory, self.make_graph().component.tolist()
         counted = np.maximum(self.believed, memory.bidder_count)
-        self.believed = counted if self.leg.is_free else memory.target_count
+        self.believed = counted if mission.uses_all_targets(self.leg) else memory.target_count
         held, believed = memory.target_index.tolist(), memory.target_count.tolist()
         ended = {"leg": number, "target": held, "believed": believed, "component": component}
         self._note("leg_end", self.alive, **ended)
@@ -122,16 +123,18 @@ class _Flight:
         plans: with so few steps left, a small correction takes much control.
         """
         decisions: list[tuple[CommunicationGraph, bool]] = []
+        is_central = self.mission.assignment == "central"
         if joined:
-            beside = np.isin(graph.component, graph.component[joined])
+            beside = np.isin(graph.component, graph.component[joined]) | is_central
             decisions, graph = [(graph.subgraph(beside), True)], graph.subgraph(~beside)
         left = self.leg.steps - self.memory.clock
-        is_due = [
+        due = [
             left[i] >= self.mission.freeze_steps
             or planning.remaining_controls(self.plans, i, self.memory, k, self.leg.steps) is None
             for i in range(len(left))
         ]
-        graph = graph.subgraph(graph.component_max(np.array(is_due, dtype=int)).astype(bool))
+        is_due = graph.component_max(np.array(due, dtype=int)).astype(bool)
+        graph = graph.subgraph(is_due | (is_central and bool(is_due[graph.alive].any())))
         if k % self.mission.replan_steps == 0 and graph.alive.any():
             decisions.append((graph, k % self.mission.auction_steps == 0))
         return decisions

@@ -92,6 +92,11 @@ class Reconfiguration(models.Motion, Mission):
     auction_steps: Annotated[
         Steps, PLAN, "period of auctions, a multiple of replan_steps; replan_steps if absent"
     ] = LATER
+    assignment: Annotated[
+        Literal["auction", "given", "central"],
+        PLAN,
+        "targets by auction, agent i to target i, or the optimum with all data in one place",
+    ] = "auction"
     epsilon: Annotated[Automatic, PLAN, "bid increment ε; auto: w s²/2, s the least spacing"] = AUTO
     tie_break: Annotated[float, PLAN, NotNegative, "weight w [1/m] of the tie-break"] = 0.2
     cost: Annotated[Literal["fuel", "distance"], PLAN, "cost of a target"] = "fuel"
@@ -193,6 +198,10 @@ class Reconfiguration(models.Motion, Mission):
         """States of all agents, those that join later last, where each starts; once drawn."""
         joins = [states_of(join.start) for leg in self.legs for join in leg.joins]
         return np.concatenate([states_of(self.start), *joins])
+
+    def uses_all_targets(self, leg: Leg) -> bool:
+        """Tell whether agents look at all targets of a leg, and not only at the first m."""
+        return leg.is_free or self.assignment == "given"
 
     @property
     def alive(self) -> Bool[Array, " agents"]:

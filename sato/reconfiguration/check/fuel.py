@@ -49,8 +49,8 @@ def compute_fuel_bound(record: ReconfigurationRecord, leg: LegRecord) -> FuelBou
     ):
         return None
     costs = _LegCosts(record, leg, targets)
-    chosen = costs.assign(m)
-    total = float(costs.fuel[np.arange(len(agents)), chosen].sum())
+    chosen = agents if mission.assignment == "given" else costs.assign(m)
+    total = float(np.sum([costs.solve(i, j) for i, j in enumerate(chosen.tolist())]))
     if not np.isfinite(total):
         return None
     own = [costs.solve(i, j) if j >= 0 else np.nan for i, j in enumerate(held.tolist())]

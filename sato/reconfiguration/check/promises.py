@@ -217,7 +217,9 @@ def check_assignment(record: ReconfigurationRecord) -> Promise:
         is_loss = event["kind"] == "loss"
         expected[k:, agents] = -1 if is_loss else np.asarray(event["target"], dtype=np.int64)
     is_wrong = expected != record.frames.target_index
-    return expect_none("assignment", is_wrong, "targets held against the events")
+    if record.mission.assignment == "given":
+        is_wrong |= (expected >= 0) & (expected != np.arange(expected.shape[1]))
+    return expect_none("assignment", is_wrong, "targets held against the events or the mission")
 
 
 def check_target_counts(record: ReconfigurationRecord) -> Promise:

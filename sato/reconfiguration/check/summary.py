@@ -112,7 +112,8 @@ def count_duplicates(leg: LegRecord) -> int:
 
 def _measure_shape(record: ReconfigurationRecord, leg: LegRecord) -> dict[str, float]:
     # Targets that are a free choice are no shape that could have holes.
-    if record.mission.legs[leg.leg_index].is_free:
+    is_given = record.mission.assignment == "given"
+    if record.mission.legs[leg.leg_index].is_free and not is_given:
         return {}
     m, distance = leg.largest_target_count, _distances_to_agents(record, leg)
     is_hole = ~(distance[:m] <= record.mission.position_tolerance)
