@@ -54,7 +54,7 @@ def test_given_targets_are_flown_to_by_their_own_agents():
     assert run.summary["legs"][0]["holes"] == 0
 
 
-def test_given_targets_of_lost_agents_stay_empty_and_those_of_new_ones_are_their_own():
+def test_lost_agents_leave_given_targets_empty_and_new_ones_have_their_own():
     targets = np.vstack([TARGETS, [[0.0, 9.0]]])
     mission = make_mission(
         START, Leg(targets, 40, losses=[LOSS], joins=[JOIN]), assignment="given", **NEAR
