@@ -264,7 +264,7 @@ def test_bad_arrays_are_refused_with_the_field_and_the_reason(array, reason):
         ({"orders": 0}, "plan.orders: must be greater than 0, got 0"),
         ({"orders": 2, "bargains": -1}, "plan.bargains: must be at least 0, got -1"),
         ({"bargains": 1}, "plan.bargains: 1 sweeps need orders of 2 or more"),
-        ({"target_count": 3}, "swarm.believed: has no meaning where agents choose among all targets"),
+        ({"target_count": 3}, "swarm.believed: has no meaning where agents choose among"),
         ({"legs": Leg(Ring(radius=9), 9, 2, choose="nearest")}, "leg.0.targets: 2 is less than"),
         ({"comm_radius": "20"}, "swarm.comm_radius_m: must be a number"),
         ({"model": "double_integrator"}, "model: must be PointMass, OrbitalModel, LinearModel"),
