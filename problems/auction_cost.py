@@ -47,7 +47,7 @@ def compute_transfer_costs(
         ValueError: A state is not finite, or no step is left.
     """
     steps, shape = transfer.model, (len(start), len(targets))
-    unreachable = unreachable_cost(steps, transfer.max_control)
+    unreachable = unreachable_cost(steps, transfer.control_limit.most)
     if transfer.objective == "energy":
         return _compute_energy_costs(transfer, start, targets)
     if (transfer.fuel_norm, transfer.control_norm) != (1, "inf"):
@@ -63,7 +63,7 @@ def compute_transfer_costs(
     found = solve_minimum_fuel(steps, b, transfer.max_control, weight, batches=len(start))
     fuel, u = found.fuel.reshape(shape), found.u.reshape(*shape, len(steps), steps.axes)
     reachable, exact = np.isfinite(fuel), np.ones(shape, dtype=bool)
-    if isfinite(transfer.max_speed):
+    if isfinite(transfer.speed_limit.most):
         exact = ~reachable
         for i, x0 in enumerate(start):
             x = steps.simulate(np.broadcast_to(x0, targets.shape), u[i])
@@ -74,7 +74,8 @@ def compute_transfer_costs(
 def _compute_energy_costs(
     transfer: TransferProblem, start: Float[Array, "agents n"], targets: Float[Array, "targets n"]
 ) -> TransferCosts:
-    model, U, shape = transfer.model, transfer.max_control, (len(start), len(targets))
+    model, U = transfer.model, transfer.control_limit.most
+    shape = len(start), len(targets)
     energy, exact = np.zeros(shape), np.zeros(shape, dtype=bool)
     for i, x0 in enumerate(start):
         _, u, exact[i] = transfer.solve_without_limits(x0, targets)
@@ -82,7 +83,9 @@ def _compute_energy_costs(
     reachable, b = exact.copy(), compute_displacements(model, start, targets)
     for i in range(len(start)):
         # The box of r = ∞ contains the balls of the other norms.
-        found = solve_minimum_fuel(model, b[i, ~exact[i]], U, np.ones(len(model)))
+        found = solve_minimum_fuel(
+            model, b[i, ~exact[i]], transfer.max_control, np.ones(len(model))
+        )
         reachable[i, ~exact[i]] = np.isfinite(found.fuel)
     # Twice the most energy.
     energy = np.where(reachable, energy, U * unreachable_cost(model, U))

@@ -54,11 +54,14 @@ class HalfSpaces(NamedTuple):
     def condense(
         self, transfer: TransferProblem, free: Float[Array, "instants n"]
     ) -> tuple[Float[Array, "rows controls"], Float[Array, " rows"]]:
-        """Eliminate the states: coeffs and rhs of −coeffs · u ≤ rhs, given the free motion."""
+        """Eliminate the states: coeffs and rhs of −coeffs · u ≤ rhs, given the free motion.
+
+        As in `TransferProblem.response_matrices`, u is in units of each axis's share.
+        """
         R, (T, _, m) = transfer.response_matrices[0], transfer.model.B.shape
         rows, step = np.arange(len(self.rhs)), self.step_index
         coeffs = np.einsum("rn,rnj->rj", self.state_coeffs, R[step])
-        coeffs.reshape(-1, T, m)[rows, step] += self.control_coeffs
+        coeffs.reshape(-1, T, m)[rows, step] += self.control_coeffs * transfer.control_limit.shares
         return coeffs, (self.state_coeffs * free[step]).sum(1) - self.rhs
 
     def select(self, rows: Array) -> "HalfSpaces":
@@ -169,7 +172,8 @@ class AvoidanceProblem:
     def _penalty(self) -> float:
         duration = len(self.transfer.model) * self.transfer.model.dt
         # At full control another m/s of fuel takes 2 U of energy.
-        marginal = 1.0 if self.transfer.objective == "fuel" else 2 * self.transfer.max_control
+        is_fuel = self.transfer.objective == "fuel"
+        marginal = 1.0 if is_fuel else 2 * self.transfer.control_limit.most
         return marginal * RELAXATION_PENALTY / duration
 
     @property
@@ -180,9 +184,11 @@ class AvoidanceProblem:
     def extract_trajectory(self, unknowns: Float[Array, " unknowns"]) -> Trajectory:
         """Simulate the controls of a solution of the program of `assemble_conic`."""
         T, _, m = self.transfer.model.B.shape
-        U, parts = self.transfer.max_control, unknowns[: self.unknown_controls].reshape(-1, T, m)
+        U, parts = self.transfer.control_limit.most, unknowns[: self.unknown_controls]
+        parts = parts.reshape(-1, T, m)
         size = parts[0] if len(parts) == 1 else parts[0] - parts[1]
-        return self.transfer.simulate(self.start, np.asarray(np.clip(U * size, -U, U)))
+        u = np.asarray(np.clip(U * size, -U, U)) * self.transfer.control_limit.shares
+        return self.transfer.simulate(self.start, u)
 
     @property
     def unknown_controls(self) -> int:
@@ -195,13 +201,13 @@ class AvoidanceProblem:
     ) -> ConicProgram:
         """Assemble the program with the states eliminated and speed limits at some instants.
 
-        Unknowns are u⁺ and u⁻, or u for least energy, in units of U, then both signs of the
-        terminal error in meters, then the slacks of the half-spaces.
+        Unknowns are u⁺ and u⁻, or u for least energy, in units of each axis's limit, then both
+        signs of the terminal error in meters, then the slacks of the half-spaces.
         """
         transfer, (R, factor) = self.transfer, self.transfer.response_matrices
         T, n, m = transfer.model.B.shape
-        U, N, count = transfer.max_control, T * m, self.unknown_controls
-        signs = [1, -1][: count // N]
+        U, N, count = transfer.control_limit.most, T * m, self.unknown_controls
+        signs, shares = [1, -1][: count // N], np.tile(transfer.control_limit.shares, T)
         free = transfer.coast(self.start)
         coeffs, rhs = self.half_spaces.condense(transfer, free)
         breakable = U * np.abs(coeffs).sum(axis=1) > rhs  # most rows hold for any control
@@ -210,9 +216,11 @@ class AvoidanceProblem:
         errors = 0 if relaxation == "none" else n
         slacks = rows if relaxation == "separation" else 0
 
-        P, cost = None, np.tile(U * transfer.model.dt * np.repeat(transfer.weights, m), 2)
+        weights = np.repeat(transfer.weights, m) * shares
+        P, cost = None, np.tile(U * transfer.model.dt * weights, 2)
         if transfer.objective == "energy":
-            curvature = np.repeat([2 * transfer.model.dt * U**2, 0.0], [N, 2 * errors + slacks])
+            curvature = np.zeros(N + 2 * errors + slacks)
+            curvature[:N] = 2 * transfer.model.dt * U**2 * shares**2
             P, cost = csc_array(diags_array(curvature)), np.zeros(N)
         penalty = np.repeat([self._penalty, 10 * self._penalty], [2 * errors, slacks])
         whitening, scale = np.linalg.inv(factor), 1 / U
@@ -223,21 +231,33 @@ class AvoidanceProblem:
         separation = np.hstack(
             [*on_controls, np.zeros((rows, 2 * errors)), -np.eye(rows)[:, :slacks]]
         )
-        speed = np.zeros((len(limited), m + 1, N))
-        speed[:, 1:] = U * R[limited, m:]
-        speed = speed.reshape(-1, N)
+        speed, speed_rhs = self._limit_speed(U * R[limited, m:], free[limited, m:])
         others = np.zeros((len(speed), 2 * errors + slacks))
-        cones = np.hstack([*(-s * speed for s in signs), others])
-        cone_rhs = np.insert(free[limited, m:], 0, transfer.max_speed, axis=1).ravel()
+        speed = np.hstack([*(-s * speed for s in signs), others])
+        cones = len(speed) if transfer.speed_limit.faces is None else 0
+        linear = len(speed) - cones  # rows are cones at the end, or the last inequalities
 
-        A = _stack_with_bounds(np.vstack([scale * terminal, separation]), count, cones)
+        above = np.vstack([scale * terminal, separation, speed[:linear]])
+        A = _stack_with_bounds(above, count, speed[linear:])
         bounds = np.concatenate([np.ones(count), np.zeros(A.shape[1])])
         bounds[count : 2 * count] = P is not None  # −1 ≤ u, and 0 ≤ u⁺, u⁻
         terminal_rhs = scale * whitening @ (self.goal - free[T])
-        b = np.concatenate([terminal_rhs, rhs, bounds, cone_rhs])
-        soc_sizes = (m + 1,) * len(limited)
-        q, nonnegative = np.concatenate([cost, penalty]), rows + len(bounds)
-        return ConicProgram(q, A, b, n, nonnegative, soc_sizes, P=P)
+        b = np.concatenate([terminal_rhs, rhs, speed_rhs[:linear], bounds, speed_rhs[linear:]])
+        q, nonnegative = np.concatenate([cost, penalty]), rows + linear + len(bounds)
+        return ConicProgram(q, A, b, n, nonnegative, (m + 1,) * (cones // (m + 1)), P=P)
+
+    def _limit_speed(
+        self, response: Float[Array, "instants m controls"], drift: Float[Array, "instants m"]
+    ) -> tuple[Float[Array, "rows controls"], Float[Array, " rows"]]:
+        """Return rows and rhs: −rows · u ≤ rhs, or cones (t, y) where the norm is Euclidean."""
+        limit = self.transfer.speed_limit
+        if limit.faces is None:
+            scaled = response / limit.shares[:, None]
+            rows = np.concatenate([np.zeros_like(scaled[:, :1]), scaled], axis=1)
+            rhs = np.insert(drift / limit.shares, 0, limit.most, axis=1)
+        else:
+            rows, rhs = -limit.faces @ response, limit.most - drift @ limit.faces.T
+        return rows.reshape(-1, response.shape[-1]), rhs.ravel()
 
 
 def solve_condensed(
@@ -279,7 +299,7 @@ def cost_unit(problems: Sequence[AvoidanceProblem]) -> float:
     for own in problems:
         transfer, N = own.transfer, len(own.transfer.model) * own.transfer.model.axes
         _, (u,), _ = transfer.solve_without_limits(own.start, own.goal[None])
-        of_a_step = transfer.model.dt * transfer.max_control**2
+        of_a_step = transfer.model.dt * transfer.control_limit.most**2
         least = float(compute_energy(u, transfer.model.dt))
         total += min(max(least, MIN_ENERGY_UNIT * of_a_step), N * of_a_step)
     return total

@@ -123,9 +123,7 @@ class CentralizedProblem:
     def __post_init__(self) -> None:
         """Refuse other norms and inconsistent lengths."""
         self.transfer.require_steps()
-        norms = self.transfer.fuel_norm, self.transfer.control_norm
-        if norms != (1, "inf"):
-            raise ValueError(f'the norms of fuel and control must be 1 and "inf", got {norms}')
+        self.transfer.require_uniform_limits("the joint program")
         if self.horizon.steps != len(self.transfer.model):
             raise ValueError(
                 f"the horizon must be as long as the transfer: got {self.horizon.steps} steps "
@@ -171,9 +169,9 @@ class CentralizedProblem:
         """Simulate the controls and compute all violations."""
         transfer, d = self.transfer, self.transfer.model.axes
         x = transfer.model.simulate(start, u)
-        thrust = float(np.abs(u).max(initial=0.0)) / transfer.max_control
+        thrust = float(np.abs(u).max(initial=0.0)) / transfer.control_limit.most
         top_speed = np.linalg.norm(x[:, 1:-1, d:], axis=-1).max(initial=0.0)
-        speed = float(top_speed) / transfer.max_speed
+        speed = float(top_speed) / transfer.speed_limit.most
         distance, _ = self._closest_approaches(x, u)
         apart = float((distance / self.horizon.clearance).min(initial=PROXIMITY_FACTOR))
         fuel = float(np.sum(compute_fuel(u, transfer.model.dt, 1)))

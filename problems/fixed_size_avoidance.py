@@ -37,9 +37,8 @@ class FixedSizeAvoidanceProblem:
 
     def __post_init__(self) -> None:
         """Refuse other norms and time-varying matrices."""
-        norms, model = (self.transfer.fuel_norm, self.transfer.control_norm), self.transfer.model
-        if norms != (1, "inf"):
-            raise ValueError(f'compiled code has fuel_norm 1 and control_norm "inf", got {norms}')
+        self.transfer.require_uniform_limits("compiled code")
+        model = self.transfer.model
         if any(np.ptp(matrices, axis=0).any() for matrices in (model.A, model.B, model.z)):
             raise ValueError("compiled code has matrices that are the same at every step")
 

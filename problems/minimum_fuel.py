@@ -18,7 +18,6 @@ bound, which certifies that b is unreachable.
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +29,7 @@ from scipy.sparse.csgraph import connected_components
 from dynamics import DiscreteModel
 from problems.conic import ConicProgram, Infeasible, solve
 from problems.dual_simplex import INFEASIBLE, OPTIMAL, solve_batches
+from problems.limit import Bound, Limit
 
 MAX_PIVOTS = 10_000  # far above any number seen; HiGHS solves a program that needs more
 DEFAULT_BATCHES = 64
@@ -49,7 +49,7 @@ class MinimumFuelSolutions(NamedTuple):
 def solve_minimum_fuel(
     steps: DiscreteModel,
     displacement: Float[Array, "programs n"],
-    max_control: float,
+    max_control: Bound,
     weight: Float[Array, " T"],
     batches: int = DEFAULT_BATCHES,
 ) -> MinimumFuelSolutions:
@@ -62,7 +62,7 @@ def solve_minimum_fuel(
     Args:
         steps: Dynamics, the same for all.
         displacement: x_f − Φ x₀ − (drift), a row for each program.
-        max_control: U, the largest |u| on each axis [m/s²].
+        max_control: U, the largest |u| on each axis, or one entry an axis [m/s²].
         weight: Weights of |u[k]|, near 1; see `tie_break_weights`.
         batches: Equal parts into which the programs are split, in their order. Solutions do
             not depend on the programs of other batches, not even in the last bit.
@@ -77,7 +77,9 @@ def solve_minimum_fuel(
     u, fuel, bound = np.zeros((count, T, m)), np.zeros(count), np.zeros(count)
     for states, inputs in decouple_axes(steps):
         C = reachability_matrix(steps)[states][:, :, inputs]
-        found, dual = _solve_decoupled(C, displacement[:, states], max_control, weight, batches)
+        each = np.broadcast_to(max_control, m)[inputs]
+        limit = Limit(each if len(each) else np.max(max_control), "inf", len(inputs))
+        found, dual = _solve_decoupled(C, displacement[:, states], limit, weight, batches)
         u[:, :, inputs] = found
         fuel += steps.dt * np.abs(found).sum(axis=(1, 2))
         bound += steps.dt * dual
@@ -86,10 +88,10 @@ def solve_minimum_fuel(
     return MinimumFuelSolutions(u, fuel, bound)
 
 
-def _validate(T: int, displacement: Array, max_control: float, weight: Array) -> None:
+def _validate(T: int, displacement: Array, max_control: Bound, weight: Array) -> None:
     if T == 0:
         raise ValueError("a transfer needs at least one step")
-    if not (0 < max_control and isfinite(max_control)):
+    if not (np.greater(max_control, 0) & np.isfinite(max_control)).all():
         raise ValueError(f"max_control must be positive and finite, got {max_control}")
     if weight.shape != (T,) or not (weight > 0).all():
         raise ValueError(f"weight needs a positive weight for each of {T} steps, got {weight}")
@@ -123,14 +125,16 @@ def decouple_axes(steps: DiscreteModel) -> list[tuple[Int[Array, " s"], Int[Arra
 def _solve_decoupled(
     C: Float[Array, "s T i"],
     b: Float[Array, "programs s"],
-    U: float,
+    limit: Limit,
     weight: Float[Array, " T"],
     batches: int,
 ) -> tuple[Float[Array, "programs T i"], Float[Array, " programs"]]:
-    s, T, i = C.shape
-    orthonormal = OrthonormalRows.from_matrix(C.reshape(s, T * i))
+    # In units of its axis's limit every control is at most 1, and weighs as much as it is.
+    (s, T, i), U = C.shape, limit.most
+    orthonormal = OrthonormalRows.from_matrix((C * limit.shares).reshape(s, T * i))
     Q, (transformed, unreachable) = orthonormal.rows, orthonormal.transform(b, U)
-    u, dual, w = np.zeros((len(b), T * i)), np.zeros(len(b)), np.repeat(weight, i)
+    u, dual = np.zeros((len(b), T * i)), np.zeros(len(b))
+    w = np.outer(weight, limit.shares).ravel()
     if len(Q) > 0:
         x, λ, status = _solve_parallel(Q, w, transformed / U, batches)
         is_certified, bound = _certify(Q, w, transformed / U, x, λ, status)
@@ -138,7 +142,7 @@ def _solve_decoupled(
         for q in np.flatnonzero(~is_certified):
             u[q], dual[q] = _solve_with_highs(Q, transformed[q], U, w)
     u[unreachable], dual[unreachable] = np.nan, np.inf
-    return u.reshape(len(b), T, i), dual
+    return u.reshape(len(b), T, i) * limit.shares, dual
 
 
 def _solve_parallel(

@@ -134,7 +134,8 @@ class PairProblem:
             transfer = member.transfer
             coeffs, own_rhs = rows.condense(transfer, transfer.coast(member.start))
             signs = (-1, 1)[: member.unknown_controls // coeffs.shape[1]]
-            blocks.append(transfer.max_control * np.hstack([s * coeffs for s in signs]))
+            U = transfer.control_limit.most
+            blocks.append(U * np.hstack([s * coeffs for s in signs]))
             rhs += own_rhs
         shared = np.hstack(blocks)
         most = np.abs(shared).sum(axis=1) / len(signs)

@@ -14,9 +14,9 @@ from scipy.sparse import csc_array, triu
 from dynamics import DiscreteModel
 from dynamics.model import ControlSamples, StateSamples
 from problems.conic import ConicProgram, Infeasible, Unsolved, solve
+from problems.limit import Bound, Limit, Norm, vector_norm
 from problems.solvers import solve_clarabel
 
-Norm = Literal[1, 2, "inf"]
 Objective = Literal["fuel", "energy"]
 
 
@@ -37,30 +37,46 @@ class TransferProblem:
 
         minimize    Δt Σ w[k] ‖u[k]‖_q,  or  Δt Σ ‖u[k]‖₂²
         subject to  x[k+1] = A[k] x[k] + B[k] u[k] + z[k]    (10)
-                    ‖u[k]‖_r ≤ U                             (12)
+                    ‖u[k] / U‖_r ≤ 1                         (12)
                     x[0] = start,  x[T] = target             (14), (18)
-                    ‖H x[k]‖₂ ≤ V,  k = 1 … T−1              (66)
+                    ‖H x[k] / V‖_s ≤ 1,  k = 1 … T−1         (66)
 
-    H selects the velocity. The speeds at both ends are data and need not keep the limit. The
-    weights are 1 in the paper; with q = 1 the optimum is often not unique, and weights that rise
-    slightly select one, see `tie_break_weights`.
+    H selects the velocity. U and V may have an entry for each axis (`Limit`). The speeds at both
+    ends are data and need not keep the limit. The weights are 1 in the paper; with q = 1 the
+    optimum is often not unique, and weights that rise slightly select one, see
+    `tie_break_weights`.
     """
 
     model: DiscreteModel
-    max_control: float  # U [m/s²]
-    max_speed: float = inf  # V [m/s]
+    max_control: Bound  # U [m/s²]
+    max_speed: Bound = inf  # V [m/s]
     fuel_norm: Norm = 1  # q
     control_norm: Norm = "inf"  # r
     tie_break_rise: float = 0.0  # of the weights, from the ends to the middle
     objective: Objective = "fuel"
+    speed_norm: Norm = 2  # s
 
     def __post_init__(self) -> None:
         """Check the limits."""
-        if not 0 < self.max_control < inf or not self.max_speed > 0:
+        control, speed = np.asarray(self.max_control), np.asarray(self.max_speed)
+        is_valid = {control.shape, speed.shape} <= {(), (self.model.axes,)}
+        is_valid = is_valid and bool(((control > 0) & (control < inf)).all())
+        if not (is_valid and (speed > 0).all() and (speed.ndim == 0 or (speed < inf).all())):
             raise ValueError(
-                "max_control must be positive and finite and max_speed positive, got "
+                "max_control must be positive and finite and max_speed positive, each a number or "
+                f"one entry for each of {self.model.axes} axes, got "
                 f"max_control = {self.max_control} and max_speed = {self.max_speed}"
             )
+
+    @cached_property
+    def control_limit(self) -> Limit:
+        """Limit of every control."""
+        return Limit(self.max_control, self.control_norm, self.model.axes)
+
+    @cached_property
+    def speed_limit(self) -> Limit:
+        """Limit of the velocity at every inner instant."""
+        return Limit(self.max_speed, self.speed_norm, self.model.axes)
 
     @cached_property
     def weights(self) -> Float[Array, " T"]:
@@ -71,14 +87,15 @@ class TransferProblem:
     def response_matrices(self) -> tuple[Array, Array]:
         """R and L, for programs in which the states are eliminated.
 
-        x[k] = Φ[k] x₀ + ζ[k] + R[k] u with u flattened, and L⁻¹ R[T] has orthonormal rows;
-        L is the identity where the steps are too few to reach every state.
+        x[k] = Φ[k] x₀ + ζ[k] + R[k] u with u flattened and in units of each axis's share in
+        the limit, and L⁻¹ R[T] has orthonormal rows; L is the identity where the steps are too
+        few to reach every state.
         """
         T, n, m = self.model.B.shape
         R = np.zeros((T + 1, n, T * m))
         for k in range(T):
             R[k + 1] = self.model.A[k] @ R[k]
-            R[k + 1, :, k * m : (k + 1) * m] += self.model.B[k]
+            R[k + 1, :, k * m : (k + 1) * m] += self.model.B[k] * self.control_limit.shares
         if np.linalg.matrix_rank(R[T]) < n:
             return R, np.eye(n)
         return R, np.linalg.qr(R[T].T)[1].T
@@ -96,8 +113,8 @@ class TransferProblem:
 
     def is_too_fast(self, x: StateSamples) -> Bool[Array, "*agents inner"]:
         """Find the instants between the ends at which the speed exceeds its limit."""
-        speed = np.linalg.norm(x[..., 1:-1, self.model.axes :], axis=-1)
-        return np.asarray(speed > self.max_speed * (1 + 1e-9))
+        speed = self.speed_limit.measure(x[..., 1:-1, self.model.axes :])
+        return np.asarray(speed > self.speed_limit.most * (1 + 1e-9))
 
     @property
     def is_condensable(self) -> bool:
@@ -122,13 +139,14 @@ class TransferProblem:
         u = ((targets - self.coast(start)[T]) @ self._energy_gains).reshape(-1, T, m)
         x = self.model.simulate(np.broadcast_to(start, targets.shape), u)
         error, scale = np.abs(x[:, -1] - targets).max(axis=1), np.abs(x).max(axis=(1, 2))
-        keeps_limits = vector_norm(u, self.control_norm).max(axis=1) <= self.max_control
+        keeps_limits = self.control_limit.measure(u).max(axis=1) <= self.control_limit.most
         keeps_limits &= ~self.is_too_fast(x).any(axis=1) & (error <= ARRIVAL_TOLERANCE * scale)
         return x, u, keeps_limits
 
     @cached_property
     def _energy_gains(self) -> Float[Array, "n controls"]:
-        return np.asarray(np.linalg.pinv(self.response_matrices[0][-1]).T)
+        reach = self.response_matrices[0][-1] / np.tile(self.control_limit.shares, len(self.model))
+        return np.asarray(np.linalg.pinv(reach).T)
 
     def require_steps(self) -> None:
         """Check that there is a step.
@@ -138,6 +156,22 @@ class TransferProblem:
         """
         if len(self.model) == 0:
             raise ValueError("a transfer needs at least one step")
+
+    def require_uniform_limits(self, what: str) -> None:
+        """Check that norms are the usual ones, and limits the same on all axes.
+
+        Args:
+            what: Name of the program that has no others.
+
+        Raises:
+            ValueError: They are not.
+        """
+        norms = self.fuel_norm, self.control_norm, self.speed_norm
+        if norms != (1, "inf", 2) or np.ndim(self.max_control) or np.ndim(self.max_speed):
+            raise ValueError(
+                f'{what} has fuel_norm 1, control_norm "inf", speed_norm 2 and limits that are '
+                f"numbers, got {norms} with {self.max_control} and {self.max_speed}"
+            )
 
     def solve(self, start: Float[Array, " n"], target: Float[Array, " n"]) -> Trajectory:
         """Solve with CVXPY, which is compiled once.
@@ -168,7 +202,7 @@ class TransferProblem:
         x, u, effort, limits = self.build_cvxpy(start)
         arrival = x[len(self.model)] == target
         if self.objective == "energy":
-            effort = effort / (self.model.dt * self.max_control**2)  # of the order of 1
+            effort = effort / (self.model.dt * self.control_limit.most**2)  # of the order of 1
         return cp.Problem(cp.Minimize(effort), [*limits, arrival]), u
 
     def build_cvxpy(self, start: Any) -> tuple[Any, Any, Any, list[Any]]:
@@ -179,14 +213,14 @@ class TransferProblem:
         T, n, m = B.shape
         x, u = cp.Variable((T + 1, n)), cp.Variable((T, m))
         if self.objective == "energy":
-            u = self.max_control * u  # unknowns of the order of 1: their squares are far apart
+            u = self.control_limit.most * u  # of the order of 1: their squares are far apart
             effort = dt * cp.sum_squares(u)
         else:
             effort = dt * self.weights @ cp.norm(u, self.fuel_norm, axis=1)
         motion = [x[k + 1] == A[k] @ x[k] + B[k] @ u[k] + z[k] for k in range(T)]
-        limits = [x[0] == start, *motion, cp.norm(u, self.control_norm, axis=1) <= self.max_control]
-        if isfinite(self.max_speed) and T > 1:
-            limits.append(cp.norm(x[1:T, n // 2 :], 2, axis=1) <= self.max_speed)
+        limits = [x[0] == start, *motion, self.control_limit.to_cvxpy(u)]
+        if isfinite(self.speed_limit.most) and T > 1:
+            limits.append(self.speed_limit.to_cvxpy(x[1:T, n // 2 :]))
         return x, u, effort, limits
 
 
@@ -200,11 +234,6 @@ def compute_energy(u: ControlSamples, dt: float) -> Float[Array, "*agents"] | fl
     """Compute Δt Σ ‖u[k]‖₂² [m²/s³]."""
     energy: Array = dt * (u**2).sum(axis=(-2, -1))
     return energy
-
-
-def vector_norm(u: Float[Array, "*k m"], norm: Norm) -> Float[Array, "*k"]:
-    """Compute the norm of vectors: 1, 2 or "inf"."""
-    return np.asarray(np.linalg.norm(u, ord=float(norm), axis=-1))
 
 
 def tie_break_weights(T: int, rise: float) -> Float[Array, " T"]:

@@ -11,7 +11,8 @@ from numpy import ndarray as Array
 from dynamics.discretize import discretize_zoh
 from dynamics.trajectory_geometry import interpolation_error
 from problems.convexify import AvoidanceHorizon
-from problems.transfer import Trajectory, compute_fuel, vector_norm
+from problems.limit import vector_norm
+from problems.transfer import Trajectory, compute_fuel
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.solo_trajectories import relinearize, solve_solo_trajectories
 from sato.reconfiguration.state import AgentMemory, DecisionContext, Event

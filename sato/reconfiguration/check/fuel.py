@@ -5,7 +5,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from problems.assignment import solve_assignment
-from problems.transfer import vector_norm
+from problems.limit import vector_norm
 from sato.reconfiguration.check.prediction import predict_end_states
 from sato.reconfiguration.check.recorded import FuelBound, LegRecord, ReconfigurationRecord
 

@@ -9,7 +9,7 @@ from numpy import ndarray as Array
 
 from dynamics.orbit import polar_nodal_scales
 from dynamics.trajectory_geometry import sampled_separations
-from problems.transfer import vector_norm
+from problems.limit import vector_norm
 from sato.check import common
 from sato.check.report import Promise, Report, expect_below, expect_none, expect_small_error
 from sato.network.graph import CommunicationGraph, canonicalize_labels

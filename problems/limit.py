@@ -1,0 +1,69 @@
+"""Limits of a vector: balls of the norms 1, 2 and ∞, and boxes with sides of their own."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+Norm = Literal[1, 2, "inf"]
+Bound = float | Float[Array, " m"]  # the same on all axes, or one an axis
+
+
+@dataclass(frozen=True, eq=False)
+class Limit:
+    """Set of vectors ‖v / s‖_r ≤ L, with 0 < s ≤ 1 the share of each axis in L.
+
+    All shares are 1 unless the bound has an entry an axis; with r = ∞ it is then a box.
+    """
+
+    bound: Bound
+    norm: Norm
+    axes: int
+
+    @cached_property
+    def most(self) -> float:
+        """L, the largest entry of the bound."""
+        return float(np.max(self.bound))
+
+    @cached_property
+    def shares(self) -> Float[Array, " m"]:
+        """Share s of each axis, 1 where its bound is the largest."""
+        if np.ndim(self.bound) == 0:
+            return np.ones(self.axes)
+        return np.asarray(self.bound) / self.most
+
+    def measure(self, v: Float[Array, "*k m"]) -> Float[Array, "*k"]:
+        """Compute ‖v / s‖_r, which may be at most L."""
+        return vector_norm(v / self.shares, self.norm)
+
+    @cached_property
+    def largest_length(self) -> float:
+        """Largest Euclidean length of a vector in the set."""
+        if self.norm != "inf":
+            return self.most
+        return self.most * float(np.linalg.norm(self.shares))
+
+    @cached_property
+    def faces(self) -> Float[Array, "k m"] | None:
+        """Rows F with F v ≤ L everywhere in the set, and only there; None for r = 2."""
+        if self.norm == 2:
+            return None
+        corners = np.array(list(product((1.0, -1.0), repeat=self.axes)))
+        rows = corners if self.norm == 1 else np.vstack([np.eye(self.axes), -np.eye(self.axes)])
+        return np.asarray(rows / self.shares)
+
+    def to_cvxpy(self, rows: Any) -> Any:
+        """Constrain every row of an expression in CVXPY."""
+        import cvxpy as cp
+
+        scaled = rows if np.ndim(self.bound) == 0 else rows @ np.diag(1 / self.shares)
+        return cp.norm(scaled, self.norm, axis=1) <= self.most
+
+
+def vector_norm(u: Float[Array, "*k m"], norm: Norm) -> Float[Array, "*k"]:
+    """Compute the norm of vectors: 1, 2 or "inf"."""
+    return np.asarray(np.linalg.norm(u, ord=float(norm), axis=-1))
