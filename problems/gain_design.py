@@ -68,11 +68,15 @@ class GainDesignUndecided(RuntimeError):
 
 
 def design_gains(
-    formation: DesiredFormation, method: GainMethod = "auto", tolerance: float = RATE_TOLERANCE
+    formation: DesiredFormation,
+    method: GainMethod = "auto",
+    tolerance: float = RATE_TOLERANCE,
+    joint: bool = False,
 ) -> GainMatrix:
     """Design the gains of the largest convergence rate for a mean eigenvalue of −1.
 
-    Every method solves the same program, horizontally and vertically (`GainProblem`):
+    Every method solves the same program, horizontally and vertically (`GainProblem`), for a
+    mean of −1 in each direction, as the paper does from (7) on:
 
     - "auto": on the complete graph A = −(I − K Kᴴ), of which all eigenvalues outside the
       kernel K are −1; since that is their mean, nothing is faster. Otherwise as "admm", and
@@ -92,6 +96,8 @@ def design_gains(
         method: See above.
         tolerance: Largest gap between rate and bound relative to the bound, for "auto" and
             "admm".
+        joint: Share one trace by the two directions so that they are equally fast
+            [Lusk2020, eq. 5]; `GainMatrix.joint_bound` is then the proof.
 
     Returns:
         Stable gains. On graphs that hardly hold the shape, `gap_xy` and `gap_z` may exceed
@@ -107,7 +113,8 @@ def design_gains(
         xy, bound_xy, method_xy = _design_axes(formation, "xy", method, tolerance)
         z, bound_z, method_z = _design_axes(formation, "z", method, tolerance)
         used = method_xy if method_xy == method_z else f"{method_xy}; vertical {method_z}"
-        return GainMatrix(formation, -xy, -z, used, bound_xy, bound_z)
+        gains = GainMatrix(formation, -xy, -z, used, bound_xy, bound_z)
+        return gains.scaled_jointly() if joint else gains
 
 
 @cache

@@ -1,8 +1,9 @@
 """Formation gains: the matrix, its certificate and its file."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import get_args
 from zipfile import BadZipFile
 
 import numpy as np
@@ -23,9 +24,9 @@ class GainMatrix:
 
     An entry a + jb of `xy` stands for the block [a −b; b a] that rotates and scales the
     horizontal relative position of a neighbor; an entry of `z` scales its relative height.
-    Both are negative semidefinite, vanish at non-edges, have rows of sum 0, and are scaled
-    to a mean of −1 of the eigenvalues outside the kernel. All properties except for the
-    bounds are computed from the matrices.
+    Both are negative semidefinite, vanish at non-edges and have rows of sum 0. The
+    eigenvalues of A outside the kernel, of which those of `xy` are double, have a mean of
+    −1. All properties except for the bounds are computed from the matrices.
 
     Raises:
         ValueError: The gains are unstable or belong to another formation, or a bound is
@@ -36,13 +37,14 @@ class GainMatrix:
     xy: Complex[Array, "n n"]  # [1/s]
     z: Float[Array, "n n"]  # [1/s]
     method: str
-    bound_xy: float  # proven: no gains of this formation are faster [1/s]
+    bound_xy: float  # proven: no gains of this formation and of this trace are faster [1/s]
     bound_z: float  # [1/s]
 
     def __post_init__(self) -> None:
         """Refuse gains that are unstable or of another formation, and wrong bounds."""
         _validate_gains(self.formation, "xy", self.xy)
         _validate_gains(self.formation, "z", self.z)
+        _validate_mean(self)
         if not self.convergence_rate > 0:
             raise ValueError(f"the gains are not stable: their rate is {self.convergence_rate:.1e}")
         rates = ("xy", self.rate_xy, self.bound_xy), ("z", self.rate_z, self.bound_z)
@@ -75,6 +77,47 @@ class GainMatrix:
     def gap_z(self) -> float:
         """Relative gap between the vertical rate and its bound."""
         return max(0.0, 1 - self.rate_z / self.bound_z)
+
+    @property
+    def joint_bound(self) -> float:
+        """Rate that no gains exceed, however the trace is shared by the two directions [1/s].
+
+        Problem (5) of the paper fixes tr A = 2 tr A_xy + tr A_z only. Let w_xy = −2 tr A_xy and
+        w_z = −tr A_z be the shares of these gains, and β their bounds. Those of other gains
+        with shares v are proportional, t ≤ β_xy v_xy / w_xy and t ≤ β_z v_z / w_z. Since
+        v_xy + v_z = w_xy + w_z, any t > 0 is at most
+
+            (w_xy + w_z) / (w_xy / β_xy + w_z / β_z)
+        """
+        return self._equalized_rate(self.bound_xy, self.bound_z)
+
+    @property
+    def joint_gap(self) -> float:
+        """Relative gap between the rate of both directions and `joint_bound`."""
+        return max(0.0, 1 - self.convergence_rate / self.joint_bound)
+
+    def scaled_jointly(self) -> "GainMatrix":
+        """Scale both directions to one rate without a change of tr A [Lusk2020, eq. 5].
+
+        The rate is at most `joint_bound`, and equal to it where both rates are their bounds:
+        fastest gains of equal means become the optimum of the paper's problem (5).
+        """
+        rate = self._equalized_rate(self.rate_xy, self.rate_z)
+        xy, z = rate / self.rate_xy, rate / self.rate_z
+        return replace(
+            self,
+            xy=xy * self.xy,
+            z=z * self.z,
+            method=f"{self.method}, scaled jointly",
+            bound_xy=xy * self.bound_xy,
+            bound_z=z * self.bound_z,
+        )
+
+    def _equalized_rate(self, xy: float, z: float) -> float:
+        # Harmonic mean, weighted by the shares of the trace.
+        weights = -2 * float(self.xy.trace().real), -float(self.z.trace())
+        inverse = weights[0] / xy + weights[1] / z
+        return sum(weights) / inverse if inverse > 0 else np.inf
 
     @property
     def residual_kernel(self) -> float:
@@ -163,12 +206,19 @@ def _validate_gains(formation: DesiredFormation, axes: Axes, A: Array) -> None:
         raise ValueError(f"the gains for {axes} must not all be 0")
     drift, size = _kernel_residual(formation, axes, A), float(np.abs(A).max())
     extent = max(1.0, float(np.ptp(formation.points, axis=0).max()))
-    mean_error = abs(A.trace().real / GainProblem.from_formation(formation, axes).m + 1)
     for residual, fault in (
         (drift / extent, f"move the desired formation by {drift:.1e} m/s"),
         (_graph_residual(formation, A), "are not zero at the non-edges of its graph"),
         (_structure_residual(A), "are not symmetric, or have rows that do not sum to 0"),
-        (mean_error, "do not have eigenvalues of −1 in the mean"),
     ):
         if residual > RESIDUAL_TOLERANCE * max(1.0, size):
             raise ValueError(f"the gains for {axes} do not belong to this formation: they {fault}")
+
+
+def _validate_mean(gains: GainMatrix) -> None:
+    xy, z = (GainProblem.from_formation(gains.formation, axes).m for axes in get_args(Axes))
+    mean = (2 * gains.xy.trace().real + gains.z.trace()) / (2 * xy + z)
+    size = max(float(np.abs(A).max()) for A in (gains.xy, gains.z))
+    if not abs(mean + 1) <= RESIDUAL_TOLERANCE * max(1.0, size):
+        fault = f"do not have eigenvalues of −1 in the mean, but of {mean:.6g}"
+        raise ValueError(f"the gains for z and xy do not belong to this formation: they {fault}")

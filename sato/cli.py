@@ -151,6 +151,7 @@ def gains(
     formation: Annotated[Word, Argument(metavar="NAME|FILE.csv", help="Name or points [m]")] = None,
     graph: Annotated[str, Option(metavar="own|complete|FILE", help="FILE lists pairs.")] = "own",
     method: Annotated[str, Option(metavar="auto|projection|sdp|admm|paper")] = "auto",
+    joint: Annotated[bool, Option("--joint", help="One rate in the plane and vertical.")] = False,
     out: Annotated[Path | None, Option(metavar="FILE.npz", help="gains/NAME.npz.")] = None,
     list_library: Annotated[bool, Option("--list", help="List the library.")] = False,
 ) -> None:
@@ -169,7 +170,7 @@ def gains(
         if file.suffix != ".npz" or file.is_dir():
             raise InputError("", f"{file}: --out takes a file that ends in .npz")
         ensure_writable(file.parent)
-    gains_report.design_and_save(shape, method, file)
+    gains_report.design_and_save(shape, method, file, joint)
 
 
 @app.command()

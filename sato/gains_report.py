@@ -55,8 +55,16 @@ def resolve_formation(name: str, graph: str) -> DesiredFormation:
         raise ValueError(f"{graph}: {error}") from error
 
 
-def design_and_save(formation: DesiredFormation, method: str, out: Path) -> None:
+def design_and_save(
+    formation: DesiredFormation, method: str, out: Path, joint: bool = False
+) -> None:
     """Design gains, print their certificate, and write them, whole or not at all.
+
+    Args:
+        formation: Shape and graph.
+        method: One of `METHODS`.
+        out: File to write.
+        joint: Scale both directions to one rate, see `design_gains`.
 
     Raises:
         ValueError: There is no such method.
@@ -66,18 +74,23 @@ def design_and_save(formation: DesiredFormation, method: str, out: Path) -> None
         raise InputError("", f'--method takes one of {", ".join(METHODS)}, not "{method}"')
     began = perf_counter()
     with progress_bar("designing the gains"):
-        gains = design_gains(formation, method)  # type: ignore[arg-type]
+        gains = design_gains(formation, method, joint=joint)  # type: ignore[arg-type]
     time = perf_counter() - began
     with replace_atomically(out) as file:
         gains.save(file)
     with progress_bar("testing for rigidity"):
         plane, space = (_rigidity_label(formation, dimension) for dimension in (2, 3))
-    table = Table("", "in the plane", "vertical", title=formation.name or None)
-    table.add_row("rate, 1/s", f"{gains.rate_xy:.4f}", f"{gains.rate_z:.4f}")
-    table.add_row("no rate exceeds, 1/s", f"{gains.bound_xy:.4f}", f"{gains.bound_z:.4f}")
-    table.add_row("short of it by, %", f"{100 * gains.gap_xy:.4f}", f"{100 * gains.gap_z:.4f}")
+    table = Table("", "in the plane", "vertical", "both", title=formation.name or None)
+    for label, values in (
+        ("rate, 1/s", (gains.rate_xy, gains.rate_z, gains.convergence_rate)),
+        ("no rate exceeds, 1/s", (gains.bound_xy, gains.bound_z, gains.joint_bound)),
+        ("short of it by, %", (100 * gains.gap_xy, 100 * gains.gap_z, 100 * gains.joint_gap)),
+    ):
+        table.add_row(label, *(f"{value:.4f}" for value in values))
     console = Console(highlight=False, markup=False, soft_wrap=True)
     console.print(table)
+    cure = "" if joint else "; --joint has the best"
+    console.print(f"both: for any shares of the two directions in one trace{cure}")
     console.print(f"graph: {_format_size(formation)}, {plane} in the plane, {space} in space")
     console.print(f"method: {gains.method}, {time:.3g} s")
     console.print(

@@ -49,11 +49,20 @@ def test_gains_of_the_library_are_verified_and_written(home):
     assert kept.rate_xy == pytest.approx(0.2957, rel=0.01)
 
 
+def test_joint_gains_have_one_rate_and_one_bound(home):
+    result = call("pentagonal pyramid", "--joint", "--out", "joint.npz")
+    assert result.exit_code == 0, result.output
+    assert result.stdout.count("0.3499") + result.stdout.count("0.3500") == 6
+    assert "--joint" not in result.stdout and "--joint" in call("pentagonal pyramid").stdout
+    kept = GainMatrix.load(home / "joint.npz")
+    assert kept.rate_xy == pytest.approx(kept.rate_z, rel=1e-9)
+
+
 def test_gap_below_rounding_is_printed_as_zero(home, monkeypatch):
     # A rate that exceeds its bound by a rounding is not −0.0000 % below it.
     exact = design_gains(load_formation("hex"))
     found = replace(exact, bound_xy=exact.rate_xy - 1e-15, bound_z=exact.rate_z - 1e-15)
-    monkeypatch.setattr(command, "design_gains", lambda *_: found)
+    monkeypatch.setattr(command, "design_gains", lambda *_, **__: found)
     printed = call("hex").stdout
     assert "short of it by" in printed and "-0.0" not in printed
 

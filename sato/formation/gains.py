@@ -36,7 +36,9 @@ class ListedGains(Definition):
 
     kind: ClassVar[str] = "listed"
     edges: Annotated[Matrix, "rows: point, neighbor, real and imaginary part, vertical part [1/s]"]
-    bounds: Annotated[Coordinates, "largest rates possible, in the plane and vertical [1/s]"]
+    bounds: Annotated[
+        Coordinates, "largest rates of gains with these traces, in the plane and vertical [1/s]"
+    ]
     method: Annotated[str, "method that designed them"]
 
     def check(self) -> None:
