@@ -275,3 +275,9 @@ def test_given_frames_survive_the_text_of_their_mission(rng):
     )
     again = parse(mission.to_toml())
     assert again == mission and again.draw(rng).frames == frames
+
+
+def test_a_list_of_pairs_is_the_graph_of_the_matrix():
+    points, pairs = 3.0 * np.eye(3), [(0, 1), (1, 2)]
+    matrix = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=bool)
+    assert sato.FormationLeg(points, pairs) == sato.FormationLeg(points, matrix)

@@ -133,6 +133,8 @@ def _as_formation(value: Any) -> Any:
 def _as_graph(value: Any) -> Any:
     if isinstance(value, str):
         return NamedGraph(value)  # type: ignore[arg-type]
+    if isinstance(value, list):
+        return EdgeList(value)  # type: ignore[arg-type]
     if not isinstance(value, Array):
         return value
     n = len(value)
@@ -147,7 +149,7 @@ class FormationLeg(Definition):
 
     Args:
         formation: Array of (N, 2) or (N, 3) points [m], a shape, or a name in the library.
-        graph: "complete", "own", a matrix of True and False, or a graph.
+        graph: "complete", "own", a list of pairs, a matrix of True and False, or a graph.
         gains: Method of design, a `GainMatrix`, or gains.
         name: Name in figures; that in the library or of the file, if absent.
     """
