@@ -280,4 +280,4 @@ def test_given_frames_survive_the_text_of_their_mission(rng):
 def test_a_list_of_pairs_is_the_graph_of_the_matrix():
     points, pairs = 3.0 * np.eye(3), [(0, 1), (1, 2)]
     matrix = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=bool)
-    assert sato.FormationLeg(points, pairs) == sato.FormationLeg(points, matrix)
+    assert FormationLeg(points, pairs) == FormationLeg(points, matrix)
