@@ -15,8 +15,7 @@ from numpy import ndarray as Array
 from scipy.sparse import csc_array, diags_array
 
 from dynamics.model import ControlSamples, StateSamples
-from problems.conic import ConicProgram, solve
-from problems.solvers import solve_clarabel
+from problems.conic import ConicProgram
 from problems.transfer import (
     Trajectory,
     TransferProblem,
@@ -129,7 +128,8 @@ class AvoidanceProblem:
         import cvxpy as cp
 
         _, u, cost, constraints = self.state_cvxpy(relaxation)
-        solve_cvxpy(self, cp.Problem(cp.Minimize(cost / cost_unit([self])), constraints))
+        problem = cp.Problem(cp.Minimize(cost / cost_unit([self])), constraints)
+        solve_cvxpy(self, problem, self.transfer.solver)
         return self._make_result(
             self.transfer.simulate(self.start, np.asarray(u.value)), relaxation
         )
@@ -276,7 +276,7 @@ def solve_condensed(
         program = assemble(limited)
         if program.P is not None:
             program = replace(program, q=program.q / unit, P=program.P / unit)
-        unknowns = np.split(solve(program, solve_clarabel).x, np.cumsum(sizes))
+        unknowns = np.split(problems[0].transfer.solver(program).x, np.cumsum(sizes))
         found = [own.extract_trajectory(x) for own, x in zip(problems, unknowns, strict=False)]
         violated = [
             np.setdiff1d(np.flatnonzero(own.transfer.is_too_fast(trajectory.x)) + 1, known)

@@ -99,6 +99,16 @@ class ConicProgram:
         sizes = [n * (n + 1) // 2 for n in self.psd_orders]
         return _consecutive_slices(self.linear + sum(self.soc_sizes), sizes)
 
+    def differs_in_b_only(self, other: "ConicProgram") -> bool:
+        """Tell whether another program has the same cost, the same A and the same cones."""
+        cones = [(p.zero, p.nonnegative, p.soc_sizes, p.psd_orders) for p in (self, other)]
+        return (
+            cones[0] == cones[1]
+            and np.array_equal(self.q, other.q)
+            and _are_equal(self.A, other.A)
+            and _are_equal(self.P, other.P)
+        )
+
     @property
     def cone_types(self) -> frozenset[ConeType]:
         """Types of cones that a solver of this program must support."""
@@ -144,6 +154,13 @@ def _canonical(matrix: csc_array) -> csc_array:
     matrix = matrix.copy()
     matrix.sum_duplicates()  # sorts too
     return matrix
+
+
+def _are_equal(one: csc_array | None, two: csc_array | None) -> bool:
+    if one is None or two is None or one is two:
+        return one is two
+    parts = ("shape", "indptr", "indices", "data")
+    return all(np.array_equal(getattr(one, part), getattr(two, part)) for part in parts)
 
 
 def _check_convex(P: csc_array, n: int) -> None:

@@ -113,10 +113,10 @@ class PairProblem:
         if len(rows.first.rhs):
             total = rows.first.to_cvxpy(x, u) + rows.second.to_cvxpy(y, v)
             constraints.append(total >= rows.first.rhs + rows.second.rhs)
-        solve_cvxpy(
-            self,
-            cp.Problem(cp.Minimize((cost + other_cost) / cost_unit(self._members)), constraints),
+        problem = cp.Problem(
+            cp.Minimize((cost + other_cost) / cost_unit(self._members)), constraints
         )
+        solve_cvxpy(self, problem, self.first.transfer.solver)
         first, second = (
             member.transfer.simulate(member.start, np.asarray(controls.value))
             for member, controls in zip(self._members, (u, v), strict=True)

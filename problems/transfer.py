@@ -1,5 +1,6 @@
 """Optimal transfer of one agent from a state to a state [Morgan2016, Problem 6]."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from math import inf, isfinite
@@ -13,11 +14,12 @@ from scipy.sparse import csc_array, triu
 
 from dynamics import DiscreteModel
 from dynamics.model import ControlSamples, StateSamples
-from problems.conic import ConicProgram, Infeasible, Unsolved, solve
+from problems.conic import ConicProgram, ConicSolution, Infeasible, Unsolved
 from problems.limit import Bound, Limit, Norm, vector_norm
-from problems.solvers import solve_clarabel
+from problems.solvers.verified import solve_program
 
 Objective = Literal["fuel", "energy"]
+Solver = Callable[[ConicProgram], ConicSolution]  # raises Infeasible, Unsolved
 
 
 ARRIVAL_TOLERANCE = 1e-9  # of a closed form, relative to the largest state
@@ -55,6 +57,7 @@ class TransferProblem:
     tie_break_rise: float = 0.0  # of the weights, from the ends to the middle
     objective: Objective = "fuel"
     speed_norm: Norm = 2  # s
+    solver: Solver = solve_program  # of the programs
 
     def __post_init__(self) -> None:
         """Check the limits."""
@@ -185,7 +188,7 @@ class TransferProblem:
         problem, u = self._cvxpy_problem
         parameters = problem.param_dict
         parameters["start"].value, parameters["target"].value = start, target
-        solve_cvxpy(self, problem)
+        solve_cvxpy(self, problem, self.solver)
         return self.simulate(start, np.asarray(u.value))
 
     def simulate(self, start: Float[Array, " n"], u: Float[Array, "T m"]) -> Trajectory:
@@ -247,12 +250,13 @@ def tie_break_weights(T: int, rise: float) -> Float[Array, " T"]:
     return 1 + rise * bump
 
 
-def solve_cvxpy(owner: object, problem: Any) -> None:
+def solve_cvxpy(owner: object, problem: Any, solver: Solver = solve_program) -> None:
     """Solve a CVXPY problem in place, and verify its solution as that of any other.
 
     Args:
         owner: The object that the problem belongs to; errors keep it and name its class.
         problem: A `cvxpy.Problem`.
+        solver: Solver of the program that CVXPY makes of it.
 
     Raises:
         Infeasible: No point satisfies every constraint.
@@ -267,7 +271,7 @@ def solve_cvxpy(owner: object, problem: Any) -> None:
     conic = ConicProgram(q, A, b, dims.zero, dims.nonneg, tuple(dims.soc), P=P)
     name = type(owner).__name__
     try:
-        found = solve(conic, solve_clarabel)
+        found = solver(conic)
     except Infeasible as error:
         raise Infeasible(owner, f"{name} is infeasible: {error}", error.ray) from error
     except Unsolved as error:

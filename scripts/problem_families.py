@@ -99,15 +99,15 @@ class LegStart(NamedTuple):
 
 
 @contextmanager
-def record_problems(module: str) -> Iterator[list[ConicProgram]]:
-    """Record the problems that a module of `problems` passes to its solver."""
+def record_problems() -> Iterator[list[ConicProgram]]:
+    """Record the programs of transfers and avoidance that are given to the default solver."""
     asked: list[ConicProgram] = []
 
     def note(problem: ConicProgram, solver: Solver) -> ConicSolution:
         asked.append(problem)
         return solve_conic(problem, solver)
 
-    with patch(f"problems.{module}.solve", note):
+    with patch("problems.solvers.verified.solve", note):
         yield asked
 
 
@@ -129,7 +129,7 @@ def make_transfer_lp(size: str) -> UnsolvedFamily:
 def condensed_transfers(start: LegStart) -> list[ConicProgram]:
     """Return the programs of agents without neighbors, in the controls alone."""
     transfer = start.make_transfer()
-    with record_problems("avoidance") as asked:
+    with record_problems() as asked:
         for state, goal in zip(start.states, start.targets, strict=True):
             AvoidanceProblem.alone(transfer, state, goal).solve()
     return asked
@@ -305,7 +305,7 @@ def avoidance_problems(
             spaces = convexify(horizon, len(flight.u), theirs, np.concatenate(normal))
             if spaces.violation(flight.x, flight.u).max() <= 0:
                 continue
-            with record_problems("avoidance") as asked:
+            with record_problems() as asked:
                 try:
                     AvoidanceProblem(transfer, *ends[i], spaces).solve()
                     possible = True

@@ -80,9 +80,9 @@ def draw_problem(rng: np.random.Generator, has_half_spaces: bool) -> AvoidancePr
 
 def answer(problem: AvoidanceProblem) -> Answer:
     """Solve a problem by the toolkit's own path, and its statement in CVXPY by two solvers."""
-    with record_problems("avoidance") as asked:
+    with record_problems() as asked:
         own = problem.transfer.cost(problem.solve().trajectory)
-    with record_problems("transfer") as stated:
+    with record_problems() as stated:
         problem.solve_cvxpy()
     references = []
     for name in ("clarabel", "highs"):

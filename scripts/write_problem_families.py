@@ -75,7 +75,7 @@ def pack_family(drawn: UnsolvedFamily) -> dict[str, Any]:
     shared: list[ConicProgram] = []
     program = []
     for problem in drawn.problems:
-        same = (k for k, other in enumerate(shared) if differ_in_b_only(problem, other))
+        same = (k for k, other in enumerate(shared) if problem.differs_in_b_only(other))
         program.append(next(same, len(shared)))
         if program[-1] == len(shared):
             shared.append(problem)
@@ -101,14 +101,6 @@ def pack_family(drawn: UnsolvedFamily) -> dict[str, Any]:
     for i, (problem, answer) in enumerate(zip(drawn.problems, settled, strict=True)):
         stored |= {f"b{i}": problem.b, f"x{i}": answer.x, f"y{i}": answer.y}
     return stored
-
-
-def differ_in_b_only(one: ConicProgram, other: ConicProgram) -> bool:
-    """Return True if two problems differ in b alone."""
-    shape = (one.A.shape, one.zero, one.nonnegative, one.soc_sizes, one.psd_orders)
-    if shape != (other.A.shape, other.zero, other.nonnegative, other.soc_sizes, other.psd_orders):
-        return False
-    return np.array_equal(one.q, other.q) and (one.A != other.A).nnz == 0
 
 
 def main(

@@ -12,7 +12,16 @@ from problems.solvers.adapter import SolverAdapter
 from problems.solvers.clarabel import solve_clarabel
 from problems.solvers.highs import solve_highs
 
-__all__ = ["SolverAdapter", "list_able", "load_adapters", "solve_clarabel", "solve_highs"]
+__all__ = [
+    "DEFAULT_SOLVER",
+    "SolverAdapter",
+    "list_able",
+    "load_adapters",
+    "solve_clarabel",
+    "solve_highs",
+]
+
+DEFAULT_SOLVER = "clarabel"  # of conic programs
 
 
 @cache

@@ -17,13 +17,13 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from problems.conic import TOLERANCE
+from problems.solvers import DEFAULT_SOLVER
 from problems.solvers.adapter import SolverAdapter
 from sato.atomic import replace_atomically
 from sato.compare.measure import Measurement, SolveOutcome, measure_solvers
 from sato.compare.plan import ComparisonPlan, format_tolerance
 from sato.console import progress_bar
 
-DEFAULT_SOLVER = "clarabel"  # the toolkit's own default for conic programs
 MISSING = "–"
 PIPE_WIDTH = 140
 FILES = ("accuracy.png", "machine.json", "measurements.csv", "profile.png")
