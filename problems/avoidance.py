@@ -7,6 +7,7 @@ in continuous time.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from math import floor, log
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -302,7 +303,7 @@ def cost_unit(problems: Sequence[AvoidanceProblem]) -> float:
         of_a_step = transfer.model.dt * transfer.control_limit.most**2
         least = float(compute_energy(u, transfer.model.dt))
         total += min(max(least, MIN_ENERGY_UNIT * of_a_step), N * of_a_step)
-    return total
+    return 4.0 ** floor(log(total, 4))  # the same for agents that move about as far
 
 
 def _stack_with_bounds(above: Array, count: int, below: Array) -> csc_array:

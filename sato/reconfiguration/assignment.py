@@ -10,7 +10,6 @@ from numpy import ndarray as Array
 
 from dynamics.discretize import DiscreteModel
 from problems import auction_cost
-from problems.transfer import TransferProblem
 from sato.auctions import (
     VsdaaAuction,
     VsdaaResult,
@@ -56,7 +55,7 @@ class CostTable(NamedTuple):
 
 
 def assign_targets(
-    context: DecisionContext, planned_fuel: Float[Array, " agents"]
+    context: DecisionContext, planned_cost: Float[Array, " agents"]
 ) -> AssignmentDecision:
     """Run an auction in every component; reset its clock where the number of bids changed.
 
@@ -66,13 +65,14 @@ def assign_targets(
 
     Args:
         context: States, memory and graph of the agents that decide.
-        planned_fuel: Fuel left in the plan to the target that each holds; infinite without one.
+        planned_cost: Fuel or energy left in the plan to the target that each holds; infinite
+            without a plan.
     """
     context = context._replace(graph=agreement_graph(context.mission, context.graph))
     graph, memory = context.graph, share_claims(context.memory, context.graph)
     was_reset = np.asarray(graph.alive & (memory.clock != context.memory.clock))
-    fuel = np.where(was_reset, np.inf, planned_fuel)
-    auction = run_auction(context._replace(memory=memory), fuel)
+    cost = np.where(was_reset, np.inf, planned_cost)
+    auction = run_auction(context._replace(memory=memory), cost)
     solves = auction.solve_count
     is_called = auction.won_unreachable
     if context.mission.reset == "change":
@@ -81,13 +81,13 @@ def assign_targets(
     is_due = graph.alive & (memory.clock > 0) & is_called
     is_due = graph.component_max(is_due.astype(int)).astype(bool) & graph.alive
     if is_due.any():
-        was_reset, fuel = was_reset | is_due, np.where(is_due, np.inf, fuel)
+        was_reset, cost = was_reset | is_due, np.where(is_due, np.inf, cost)
         memory = replace(memory, clock=np.where(is_due, 0, memory.clock))
-        auction = run_auction(context._replace(memory=memory), fuel)
+        auction = run_auction(context._replace(memory=memory), cost)
         solves += auction.solve_count
     if auction.won_unreachable.any():
         is_firm = graph.component_max(auction.won_unreachable.astype(int)).astype(bool)
-        auction = run_auction(context._replace(memory=memory), fuel, is_firm)
+        auction = run_auction(context._replace(memory=memory), cost, is_firm)
         solves += auction.solve_count
     memory = _remember(context._replace(memory=memory), auction.outcome)
     return AssignmentDecision(memory, was_reset, solves)
@@ -131,7 +131,7 @@ def _remember(context: DecisionContext, auction: VsdaaResult) -> AgentMemory:
 
 def run_auction(
     context: DecisionContext,
-    planned_fuel: Float[Array, " agents"],
+    planned_cost: Float[Array, " agents"],
     is_firm: Bool[Array, " agents"] | None = None,
 ) -> AuctionResult:
     """Run an auction in every component, refining costs until all winners' costs are exact.
@@ -143,7 +143,7 @@ def run_auction(
     """
     mission, graph, memory = context.mission, context.graph, context.memory
     epsilon, live = compute_epsilon(mission, context.leg), np.flatnonzero(graph.alive)
-    table, solves = _compute_costs(context, planned_fuel), 0
+    table, solves = _compute_costs(context, planned_cost), 0
     while True:
         cost = compute_bid_costs(table, memory, graph, is_firm)
         auction = METHODS[mission.assignment](
@@ -165,11 +165,12 @@ def compute_epsilon(mission: Reconfiguration, leg: Leg) -> float:
     if not is_auto(mission.epsilon):
         return mission.epsilon
     position = leg.targets[:, : mission.axes]
-    if mission.tie_break == 0:
+    weight = 1.0 if _bids_energy(mission) else mission.tie_break
+    if weight == 0:
         extent = float(np.linalg.norm(np.ptp(position, axis=0)))
         return RELATIVE_EPSILON * (extent if extent > 0 else 1.0)
     spacing = least_distance(position)
-    return 0.5 * mission.tie_break * (spacing if isfinite(spacing) else 1.0) ** 2
+    return 0.5 * weight * (spacing if isfinite(spacing) else 1.0) ** 2
 
 
 def compute_bid_costs(
@@ -221,40 +222,41 @@ def _claimed_by_absent(
     return away > here
 
 
-def _compute_costs(context: DecisionContext, planned_fuel: Float[Array, " agents"]) -> CostTable:
+def _compute_costs(context: DecisionContext, planned_cost: Float[Array, " agents"]) -> CostTable:
     mission, leg, memory = context.mission, context.leg, context.memory
     shape, alive = (len(context.state), len(leg.targets)), context.graph.alive
     table = CostTable(np.zeros(shape), np.ones(shape, dtype=bool), np.ones(shape, dtype=bool))
     for clock in np.unique(memory.clock[alive]):
         agents = np.flatnonzero(alive & (memory.clock == clock))
         model, x = context.remaining_model(int(clock)), context.state[agents]
-        for whole, part in zip(table, _costs_of(mission, leg, model, x), strict=True):
+        for whole, part in zip(table, _costs_of(context, model, x), strict=True):
             whole[agents] = part
     # A plan that was found stays feasible: where it is tight, rounding must not say otherwise.
-    for i in np.flatnonzero(np.isfinite(planned_fuel)):
+    for i in np.flatnonzero(np.isfinite(planned_cost)):
         j = memory.target_index[i]
         if not table.is_reachable[i, j]:
-            model, x = context.remaining_model(0), context.state[[i]]
+            model, x = context.remaining_model(int(memory.clock[i])), context.state[[i]]
             distance = auction_cost.compute_distances(model, x, leg.targets[[j]])[0, 0]
-            by_fuel = _fuel_to_distance(mission, leg) * planned_fuel[i]
-            table.cost[i, j] += by_fuel if mission.cost == "fuel" else distance
+            by_plan = _cost_scale(mission, leg, model) * planned_cost[i]
+            table.cost[i, j] += by_plan if mission.cost == "fuel" else distance
             table.is_reachable[i, j] = table.is_exact[i, j] = True
     return table
 
 
 def _costs_of(
-    mission: Reconfiguration, leg: Leg, model: DiscreteModel, state: Float[Array, "k n"]
+    context: DecisionContext, model: DiscreteModel, state: Float[Array, "k n"]
 ) -> CostTable:
     """Compute the costs for agents on one clock."""
-    d, tie = mission.axes, mission.tie_break * _tie_break(mission, leg, model, state)
+    mission, leg = context.mission, context.leg
+    d, tie = mission.axes, _tie_break(mission, leg, model, state)
     if len(model) == 0:
         error = np.abs(state[:, None] - leg.targets)
         is_there = error[..., :d].max(axis=2) <= mission.position_tolerance
         is_there &= error[..., d:].max(axis=2) <= mission.velocity_tolerance
         return CostTable(tie, is_there, np.ones_like(is_there))
-    limits = mission.max_control, mission.max_speed, mission.fuel_norm, mission.control_norm
-    found = auction_cost.compute_transfer_costs(TransferProblem(model, *limits), state, leg.targets)
-    cost = _fuel_to_distance(mission, leg) * found.cost
+    transfer = context.make_transfer(model)
+    found = auction_cost.compute_transfer_costs(transfer, state, leg.targets)
+    cost = _cost_scale(mission, leg, model) * found.cost
     if mission.cost == "distance":
         cost = auction_cost.compute_distances(model, state, leg.targets)
     cost = np.where(found.is_reachable, cost, 0.0) + tie
@@ -265,29 +267,40 @@ def _refine_cost(context: DecisionContext, table: CostTable, i: int, j: int) -> 
     """Make the cost of target j for agent i exact."""
     mission, leg, x = context.mission, context.leg, context.state[i]
     model = context.remaining_model(int(context.memory.clock[i]))
-    problem = TransferProblem(model, mission.max_control, mission.max_speed)
+    problem = context.make_transfer(model)
     transfer = auction_cost.solve_transfer(problem, x, leg.targets[j])
-    tie = mission.tie_break * _tie_break(mission, leg, model, x[None])[0, j]
+    tie = _tie_break(mission, leg, model, x[None])[0, j]
     table.is_exact[i, j], table.is_reachable[i, j] = True, transfer is not None
     if transfer is None:
         table.cost[i, j] = tie
     elif mission.cost == "fuel":
-        table.cost[i, j] = _fuel_to_distance(mission, leg) * transfer.fuel + tie
+        table.cost[i, j] = _cost_scale(mission, leg, model) * problem.cost(transfer) + tie
 
 
-def _fuel_to_distance(mission: Reconfiguration, leg: Leg) -> float:
+def _cost_scale(mission: Reconfiguration, leg: Leg, model: DiscreteModel) -> float:
     # From rest to rest a meter on one axis takes 2/τ of fuel: with this factor it costs 1.
+    # A double integrator spends 12 d²/τ³ of energy over d, which costs d².
+    if mission.objective == "energy":
+        return (len(model) * mission.step) ** 3 / 12
     return leg.steps * mission.step / 2
 
 
 def _tie_break(
     mission: Reconfiguration, leg: Leg, model: DiscreteModel, state: Float[Array, "k n"]
 ) -> Float[Array, "k targets"]:
-    """Compute the squared distance, or in orbit the least control energy on its scale [m²]."""
-    if mission.is_point_mass:
-        return auction_cost.compute_distances(model, state, leg.targets) ** 2
-    if len(model) == 0:
+    """Compute w times the squared distance, or in orbit the least control energy on its scale.
+
+    An energy, which is strictly convex, needs none [m].
+    """
+    if _bids_energy(mission) or (len(model) == 0 and not mission.is_point_mass):
         return np.zeros((len(state), len(leg.targets)))
+    if mission.is_point_mass:
+        return mission.tie_break * auction_cost.compute_distances(model, state, leg.targets) ** 2
     # From rest to rest over d a double integrator spends 12 d²/τ³.
     duration = len(model) * mission.step
-    return duration**3 / 12 * auction_cost.compute_energies(model, state, leg.targets)
+    energy = auction_cost.compute_energies(model, state, leg.targets)
+    return mission.tie_break * (duration**3 / 12 * energy)
+
+
+def _bids_energy(mission: Reconfiguration) -> bool:
+    return mission.objective == "energy" and mission.cost != "distance"

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 from numpy import ndarray as Array
 
-from sato.scenario.errors import InputError, join_names, round_down, round_up
+from sato.scenario.errors import InputError, closest_name, join_names, round_down, round_up
 
 if TYPE_CHECKING:
     from sato.reconfiguration.leg import Leg
@@ -28,6 +28,7 @@ def check(mission: "Reconfiguration") -> None:
         InputError: They do; says what would do.
     """
     _check_periods(mission)
+    _check_solver(mission)
     _check_noise(mission)
     _check_detectable(mission)
     _check_axes(mission)
@@ -55,6 +56,29 @@ def _check_periods(mission: "Reconfiguration") -> None:
         if mission.freeze_steps > leg.steps:
             reason = f"{mission.freeze_steps} is more than the {leg.steps} steps of leg {number}"
             raise InputError("plan.freeze_steps", f"{reason}; at most {leg.steps} would do")
+
+
+def _check_solver(mission: "Reconfiguration") -> None:
+    if mission.solver == "clarabel":  # the default, which takes all
+        return
+    from scipy.sparse import csc_array
+
+    from problems.conic import ConicProgram
+    from problems.solvers import list_able, load_adapters
+
+    name, known = mission.solver, load_adapters()
+    if name not in known:
+        close = closest_name(name, known)
+        hint = f"; did you mean {close}?" if close else f"; there are {join_names(known, 'and')}"
+        raise InputError("plan.solver", f'there is no solver "{name}"{hint}')
+    # A program with the cones and the cost that the mission's may have.
+    is_energy, norms = mission.objective == "energy", {mission.control_norm, mission.fuel_norm}
+    cones = (2,) if mission.max_speed < inf or 2 in norms else ()
+    A, P = csc_array((sum(cones), 1)), csc_array(np.eye(1)) if is_energy else None
+    program = ConicProgram(np.zeros(1), A, np.zeros(sum(cones)), 0, 0, cones, P=P)
+    if reason := known[name].refusal(program):
+        able = join_names(list_able(program))
+        raise InputError("plan.solver", f"{reason}; {able} would do")
 
 
 def _check_noise(mission: "Reconfiguration") -> None:

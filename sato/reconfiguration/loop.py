@@ -6,7 +6,9 @@ from dataclasses import replace
 import numpy as np
 from numpy import ndarray as Array
 
-from problems.transfer import compute_fuel
+from problems.conic import TOLERANCE
+from problems.solvers.verified import VerifiedSolver
+from problems.transfer import compute_energy, compute_fuel
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration import planning, state
 from sato.reconfiguration.assignment import assign_targets
@@ -43,7 +45,8 @@ class _Flight:
         m = np.where(self.alive, mission.target_count or int(self.alive.sum()), 1)
         self.believed, self.memory = m, state.AgentMemory.initial(m)
         self.plans: planning.Plans = {}
-        self.fuel_used = np.zeros(len(m))  # [m/s]
+        self.solver = VerifiedSolver(mission.solver, mission.tolerance or TOLERANCE)
+        self.spent = np.zeros(len(m))  # fuel [m/s], or energy [m²/s³]
         self.events: list[state.Event] = []  # since the last frame
 
     def fly_leg(self, number: int) -> Iterator[state.ReconfigurationFrame]:
@@ -70,7 +73,7 @@ class _Flight:
                 time = self.step_index * mission.step
                 self._decide(
                     state.DecisionContext(
-                        mission, self.leg, deciding, measured, self.memory, k, time
+                        mission, self.leg, deciding, measured, self.memory, k, time, self.solver
                     ),
                     bids,
                 )
@@ -140,9 +143,9 @@ class _Flight:
         return decisions
 
     def _decide(self, context: state.DecisionContext, bids: bool) -> None:
-        solves = 0
+        solves, fallbacks = 0, self.solver.fallback_count
         if bids:
-            decision = assign_targets(context, planning.remaining_fuel(self.plans, context))
+            decision = assign_targets(context, planning.remaining_cost(self.plans, context))
             memory, solves = decision.memory, decision.solve_count
             moved = self.alive & (memory.target_index != self.memory.target_index)
             self.memory = memory
@@ -151,16 +154,21 @@ class _Flight:
             if moved.any():
                 self._note("assignment", moved, target=memory.target_index[moved].tolist())
         context = context._replace(memory=self.memory)
-        planned, events = planning.plan_trajectories(context, self.fuel_used, self.plans, solves)
+        planned, events = planning.plan_trajectories(context, self.spent, self.plans, solves)
         self.plans = self.plans | planned
         self.events += events
+        if rejected := self.solver.fallback_count - fallbacks:
+            self.events.append({"kind": "fallback", "agents": [], "programs": rejected})
 
     def _propagate(self, control: Array, applied: Array) -> None:
         mission, steps, clock = self.mission, self.leg.steps, self.memory.clock
         commanded, time = np.nan_to_num(control)[:, None], self.step_index * mission.step
         flown = mission.flown_plant.propagate(self.x, np.nan_to_num(applied), time, mission.step)
         self.x = np.where(self.alive[:, None], flown[1], self.x)
-        self.fuel_used = self.fuel_used + compute_fuel(commanded, mission.step, mission.fuel_norm)
+        if mission.objective == "energy":
+            self.spent = self.spent + compute_energy(commanded, mission.step)
+        else:
+            self.spent = self.spent + compute_fuel(commanded, mission.step, mission.fuel_norm)
         later = np.where(self.alive, np.minimum(clock + 1, steps), 0)
         arrived = self.alive & (later == steps) & (clock < steps)
         if arrived.any():

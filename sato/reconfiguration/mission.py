@@ -6,6 +6,7 @@ from math import inf
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
+from annotated_types import Lt
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 from pydantic import BeforeValidator
@@ -100,6 +101,15 @@ class Reconfiguration(models.Motion, Mission):
     epsilon: Annotated[Automatic, PLAN, "bid increment ε; auto: w s²/2, s the least spacing"] = AUTO
     tie_break: Annotated[float, PLAN, NotNegative, "weight w [1/m] of the tie-break"] = 0.2
     cost: Annotated[Literal["fuel", "distance"], PLAN, "cost of a target"] = "fuel"
+    objective: Annotated[
+        Literal["fuel", "energy"], PLAN, "fuel, or energy Δt Σ ‖u‖², that paths and targets cost"
+    ] = "fuel"
+    solver: Annotated[str, PLAN, "solver of transfers and avoidance, see `sato compare`"] = (
+        "clarabel"
+    )
+    tolerance: Annotated[
+        float | None, PLAN, Positive, Lt(1), "relative, of its answers; 1e-6 if absent"
+    ] = None
     bidder_ids: Annotated[bool, PLAN, Key("ids"), "bids carry the bidder; false as printed"] = True
     reset: Annotated[
         Literal["change", "need"], PLAN, "clock starts again with new bidders, or where needed"

@@ -12,7 +12,7 @@ from dynamics.discretize import discretize_zoh
 from dynamics.trajectory_geometry import interpolation_error
 from problems.convexify import AvoidanceHorizon
 from problems.limit import vector_norm
-from problems.transfer import Trajectory, compute_fuel
+from problems.transfer import Trajectory, compute_energy, compute_fuel
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.solo_trajectories import relinearize, solve_solo_trajectories
 from sato.reconfiguration.state import AgentMemory, DecisionContext, Event
@@ -71,20 +71,24 @@ def remaining_controls(
     return u if len(u) == steps - memory.clock[i] else None
 
 
-def remaining_fuel(plans: Plans, context: DecisionContext) -> Float[Array, " agents"]:
-    """Return the fuel left in each plan [m/s]; infinite where none reaches the target."""
+def remaining_cost(plans: Plans, context: DecisionContext) -> Float[Array, " agents"]:
+    """Return the fuel or energy left in each plan; infinite where none reaches the target."""
     mission, steps, k = context.mission, context.leg.steps, context.step_index
-    fuel = np.full(len(context.state), np.inf)
+    cost = np.full(len(context.state), np.inf)
     for i in plans:
         u = remaining_controls(plans, i, context.memory, k, steps)
         if u is not None:
-            fuel[i] = compute_fuel(u, mission.step, mission.fuel_norm)
-    return fuel
+            cost[i] = (
+                compute_energy(u, mission.step)
+                if mission.objective == "energy"
+                else compute_fuel(u, mission.step, mission.fuel_norm)
+            )
+    return cost
 
 
 def plan_trajectories(
     context: DecisionContext,
-    fuel_used: Float[Array, " agents"],
+    spent: Float[Array, " agents"],
     previous: Plans,
     solve_count: int = 0,
 ) -> tuple[Plans, list[Event]]:
@@ -92,12 +96,12 @@ def plan_trajectories(
 
     Args:
         context: States, memory and graph of the agents that decide.
-        fuel_used: Fuel burned so far [m/s]; the agent that has burned less gives way.
+        spent: Fuel or energy spent so far; the agent that has spent less gives way.
         previous: Plans that were flown so far.
         solve_count: Programs solved for this replanning already.
     """
     mission, target, k = context.mission, context.memory.target_index, context.step_index
-    planners, unreachable, solo_count = _plan_alone(context, fuel_used, previous)
+    planners, unreachable, solo_count = _plan_alone(context, spent, previous)
     resolved = resolve_conflicts(planners, context.graph, mission.orders, mission.bargains)
     replan = {"solves": solve_count + solo_count + resolved.solve_count}
     events: list[Event] = [
@@ -132,7 +136,7 @@ def make_horizon(mission: Reconfiguration, time: float, steps_left: int) -> Avoi
 
 
 def _plan_alone(
-    context: DecisionContext, fuel_used: Float[Array, " agents"], previous: Plans
+    context: DecisionContext, spent: Float[Array, " agents"], previous: Plans
 ) -> tuple[dict[int, Planner], list[int], int]:
     """Return a planner for every agent, those whose targets are unreachable, and the solves."""
     mission, leg, k = context.mission, context.leg, context.step_index
@@ -156,7 +160,7 @@ def _plan_alone(
         each = zip(agents, transfers, solos, paths, rests, strict=True)
         for i, transfer, solo, path, rest in each:
             planner = Planner(
-                priority=(len(model) > 0, -float(fuel_used[i]), i),
+                priority=(len(model) > 0, -float(spent[i]), i),
                 target_state=leg.targets[memory.target_index[i]],
                 transfer=transfer,
                 horizon=horizon,

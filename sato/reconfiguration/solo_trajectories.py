@@ -39,8 +39,7 @@ def solve_solo_trajectories(
     """
     mission, state = context.mission, context.state[agents]
     targets = context.leg.targets[context.memory.target_index[agents]]
-    limits = mission.max_control, mission.max_speed, mission.fuel_norm, mission.control_norm
-    shared = TransferProblem(model, *limits, TIE_BREAK_RISE)
+    shared = context.make_transfer(model, TIE_BREAK_RISE)
     found, solves = solve_solo_transfers(shared, state, targets)
     problems = [shared] * len(agents)
     each = list(zip(state, targets, previous, strict=True))
@@ -69,7 +68,7 @@ def solve_solo_transfers(
     model = transfer.model
     if len(model) == 0:
         return [transfer.simulate(x, np.zeros((0, model.axes))) for x in start], 0
-    if (transfer.fuel_norm, transfer.control_norm) != (1, "inf"):
+    if transfer.objective == "energy" or not transfer.is_condensable:
         each = zip(start, targets, strict=True)
         return [solve_transfer(transfer, x, target) for x, target in each], len(start)
     b = targets - model.simulate(start, np.zeros((len(start), len(model), model.axes)))[:, -1]

@@ -8,6 +8,8 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from dynamics.discretize import DiscreteModel, discretize_zoh
+from problems.solvers.verified import VerifiedSolver, solve_program
+from problems.transfer import TransferProblem
 from sato.interfaces import (
     HELD,
     Alive,
@@ -56,11 +58,20 @@ class DecisionContext(NamedTuple):
     memory: AgentMemory
     step_index: int  # since the start of the leg
     time: float  # since the start of the mission [s]
+    solver: VerifiedSolver = solve_program
 
     def remaining_model(self, clock: int) -> DiscreteModel:
         """Discretize the steps that remain on a clock."""
         steps = self.leg.steps - clock
         return discretize_zoh(self.mission.linear_model, self.mission.step, steps, self.time)
+
+    def make_transfer(self, model: DiscreteModel, tie_break_rise: float = 0.0) -> TransferProblem:
+        """Make the transfer problem over some steps, with the limits of the mission."""
+        mission = self.mission
+        limits = mission.max_control, mission.max_speed, mission.fuel_norm, mission.control_norm
+        return TransferProblem(
+            model, *limits, tie_break_rise, mission.objective, solver=self.solver
+        )
 
 
 class ReconfigurationFrame(NamedTuple):

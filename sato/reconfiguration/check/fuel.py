@@ -1,4 +1,6 @@
-"""Fuel of a run, and lower bounds on it."""
+"""Fuel and energy of a run, and lower bounds on them."""
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -8,6 +10,9 @@ from problems.assignment import solve_assignment
 from problems.limit import vector_norm
 from sato.reconfiguration.check.prediction import predict_end_states
 from sato.reconfiguration.check.recorded import FuelBound, LegRecord, ReconfigurationRecord
+
+if TYPE_CHECKING:
+    from problems.transfer import Objective
 
 MAX_PAIRS = 600  # pairs that are solved one by one, where no method for all at once exists
 
@@ -32,6 +37,26 @@ def compute_fuel_bound(record: ReconfigurationRecord, leg: LegRecord) -> FuelBou
         The bound; None where the leg did not end, an agent could not have arrived, or the
         instance is too large for norms without a method for all pairs at once.
     """
+    costs = _make_leg_costs(record, leg, "fuel")
+    if costs is None:
+        return None
+    total, held = costs.compute_optimum(), costs.held
+    if np.isnan(total):
+        return None
+    own = [costs.solve(i, j) if j >= 0 else np.nan for i, j in enumerate(held.tolist())]
+    agents = np.flatnonzero(leg.alive)
+    return FuelBound(total, agents, np.array(own), _correction_fuel(record, leg, held))
+
+
+def compute_energy_bound(record: ReconfigurationRecord, leg: LegRecord) -> float:
+    """Compute the same for energy [m²/s³]; NaN where there is no bound."""
+    costs = _make_leg_costs(record, leg, "energy")
+    return np.nan if costs is None else costs.compute_optimum()
+
+
+def _make_leg_costs(
+    record: ReconfigurationRecord, leg: LegRecord, objective: "Objective"
+) -> "_LegCosts | None":
     mission, agents = record.mission, np.flatnonzero(leg.alive)
     targets, first = record.leg_targets(leg), leg.entry_index[agents]
     held = leg.target_index[agents]
@@ -48,13 +73,7 @@ def compute_fuel_bound(record: ReconfigurationRecord, leg: LegRecord) -> FuelBou
         or ((mission.fuel_norm, mission.control_norm) != (1, "inf") and is_too_large)
     ):
         return None
-    costs = _LegCosts(record, leg, targets)
-    chosen = agents if mission.assignment == "given" else costs.assign(m)
-    total = float(np.sum([costs.solve(i, j) for i, j in enumerate(chosen.tolist())]))
-    if not np.isfinite(total):
-        return None
-    own = [costs.solve(i, j) if j >= 0 else np.nan for i, j in enumerate(held.tolist())]
-    return FuelBound(total, agents, np.array(own), _correction_fuel(record, leg, held))
+    return _LegCosts(record, leg, targets, m, held, objective)
 
 
 def compute_agent_bounds(record: ReconfigurationRecord) -> Float[Array, " agents"]:
@@ -89,10 +108,16 @@ def _correction_fuel(
 
 
 class _LegCosts:
-    """Fuel of all pairs of survivors and targets, lower bounds until they are solved."""
+    """Fuel or energy of all pairs of survivors and targets, lower bounds until solved."""
 
     def __init__(
-        self, record: ReconfigurationRecord, leg: LegRecord, targets: Float[Array, "targets n"]
+        self,
+        record: ReconfigurationRecord,
+        leg: LegRecord,
+        targets: Float[Array, "targets n"],
+        target_count: int,
+        held: Int[Array, " survivors"],
+        objective: "Objective",
     ) -> None:
         from problems.auction_cost import compute_transfer_costs
         from problems.transfer import TransferProblem
@@ -100,34 +125,44 @@ class _LegCosts:
         mission, first = record.mission, leg.entry_index[leg.alive]
         limits = mission.max_control, mission.max_speed, mission.fuel_norm, mission.control_norm
         self.first, self.start, self.targets = first, record.state[first, leg.alive], targets
-        self.fuel = np.zeros((len(first), len(targets)))
-        self.is_exact = np.zeros(self.fuel.shape, dtype=bool)
+        self.target_count, self.held, self.agents = target_count, held, np.flatnonzero(leg.alive)
+        self.is_given = mission.assignment == "given"
+        self.cost = np.zeros((len(first), len(targets)))
+        self.is_exact = np.zeros(self.cost.shape, dtype=bool)
         self.problems = {}
         for k in np.unique(first):
-            problem = TransferProblem(record.model[slice(k, leg.end_index)], *limits)
+            problem = TransferProblem(
+                record.model[slice(k, leg.end_index)], *limits, objective=objective
+            )
             found = compute_transfer_costs(problem, self.start[first == k], targets)
-            self.fuel[first == k] = np.where(found.is_reachable, found.cost, np.inf)
+            self.cost[first == k] = np.where(found.is_reachable, found.cost, np.inf)
             self.is_exact[first == k] = found.is_exact
             self.problems[k] = problem
 
     def solve(self, i: int, j: int) -> float:
-        """Return the fuel of a pair [m/s]; infinite where the target is out of reach."""
+        """Return the cost of a pair; infinite where the target is out of reach."""
         from problems.auction_cost import solve_transfer
 
         if not self.is_exact[i, j]:
             problem = self.problems[self.first[i]]
             transfer = solve_transfer(problem, self.start[i], self.targets[j])
-            self.fuel[i, j] = np.inf if transfer is None else transfer.fuel
+            self.cost[i, j] = np.inf if transfer is None else problem.cost(transfer)
             self.is_exact[i, j] = True
-        return float(self.fuel[i, j])
+        return float(self.cost[i, j])
 
-    def assign(self, m: int) -> Int[Array, " survivors"]:
-        """Assign the first m targets; solve what the optimum uses, until it uses no bounds."""
-        rows, fuel = np.arange(len(self.fuel)), self.fuel[:, :m]
+    def compute_optimum(self) -> float:
+        """Sum the costs of given targets, or of the best assignment of the first m; NaN if none."""
+        chosen = self.agents if self.is_given else self._assign()
+        total = float(np.sum([self.solve(i, j) for i, j in enumerate(chosen.tolist())]))
+        return total if np.isfinite(total) else np.nan
+
+    def _assign(self) -> Int[Array, " survivors"]:
+        # Solve what the optimum uses, until it uses no bounds.
+        rows, cost = np.arange(len(self.cost)), self.cost[:, : self.target_count]
         while True:
-            is_finite = np.isfinite(fuel)
-            large = 1 + np.max(fuel, initial=0.0, where=is_finite) * (len(fuel) + 1)
-            chosen = solve_assignment(np.where(is_finite, fuel, large))
+            is_finite = np.isfinite(cost)
+            large = 1 + np.max(cost, initial=0.0, where=is_finite) * (len(cost) + 1)
+            chosen = solve_assignment(np.where(is_finite, cost, large))
             inexact = np.flatnonzero(~self.is_exact[rows, chosen])
             if not len(inexact):
                 return chosen

@@ -8,8 +8,9 @@ from numpy import ndarray as Array
 from scipy.spatial import cKDTree
 
 from dynamics.trajectory_geometry import sampled_separations
+from problems.transfer import compute_energy
 from sato.check.common import common_summary, drop_non_finite
-from sato.reconfiguration.check.fuel import compute_step_fuel
+from sato.reconfiguration.check.fuel import compute_energy_bound, compute_step_fuel
 from sato.reconfiguration.check.prediction import predict_end_states
 from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
 from sato.reconfiguration.feasibility import is_detectable
@@ -32,6 +33,15 @@ def summarize(record: ReconfigurationRecord) -> dict[str, Any]:
         "solves": sum(int(event["solves"]) for _, event in record.events.of_kind("replan")),
         "fuel_m_s": float(compute_step_fuel(record).sum()),
     }
+    if mission.objective == "energy":
+        u = np.where(record.is_flying[..., None], frames.control[:-1], 0.0)
+        bounds = [compute_energy_bound(record, leg) for leg in record.leg_records]
+        summary["energy_m2_s3"] = float(np.sum(compute_energy(u, mission.step)))
+        if len(legs) == len(mission.legs):
+            summary["energy_lower_bound_m2_s3"] = sum(bounds)
+    if mission.solver != "clarabel":
+        rejected = (e["programs"] for _, e in record.events.of_kind("fallback"))
+        summary["solver_fallbacks"] = sum(map(int, rejected))
     for name, kind in [("slack_used", "slack"), ("braked", "braked"), ("infeasible", "infeasible")]:
         summary[name] = sum(max(len(e["agents"]), 1) for _, e in record.events.of_kind(kind))
     summary["legs"] = legs
