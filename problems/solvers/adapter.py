@@ -81,7 +81,8 @@ class SolverAdapter:
         if reason := self.refusal(problem):
             from problems.solvers import list_able
 
-            raise ValueError(f"{reason}; {', '.join(list_able(problem))} can")
+            able = list_able(problem) if self.is_installed else ()
+            raise ValueError(f"{reason}; {', '.join(able)} can" if able else reason)
         return self.session_factory(problem, tolerance)
 
 

@@ -77,8 +77,9 @@ def _check_solver(mission: "Reconfiguration") -> None:
     A, P = csc_array((sum(cones), 1)), csc_array(np.eye(1)) if is_energy else None
     program = ConicProgram(np.zeros(1), A, np.zeros(sum(cones)), 0, 0, cones, P=P)
     if reason := known[name].refusal(program):
-        able = join_names(list_able(program))
-        raise InputError("plan.solver", f"{reason}; {able} would do")
+        able = list_able(program) if known[name].is_installed else ()
+        cure = f"; {join_names(able)} would do" if able else ""
+        raise InputError("plan.solver", reason + cure)
 
 
 def _check_noise(mission: "Reconfiguration") -> None:
