@@ -16,9 +16,10 @@ from scipy.spatial.distance import pdist
 
 from dynamics.units import SUFFIXES, Unit
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration.feasibility import check_reach, is_detectable, target_demand
+from sato.reconfiguration.feasibility import is_detectable, target_demand
 from sato.reconfiguration.leg import Loss
 from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.reach import check_reach
 from sato.scenario.definition import Definition
 from sato.scenario.errors import InputError, ScenarioError, round_down, round_up
 from sato.scenario.file import BUILT_IN, parse, read, scenarios
@@ -422,7 +423,7 @@ def test_a_file_gives_errors_and_missions_its_name(tmp_path):
     file.write_text(TINY.replace("steps = 20", "steps = 20.5"))
     with pytest.raises(ScenarioError) as caught:
         read(file)
-    assert str(caught.value) == f"{file}: leg.0.steps: must be an integer, got 20.5"
+    assert str(caught.value) == f'{file}: leg.0.steps: must be an integer or "auto", got 20.5'
 
 
 def test_tolerance_grows_with_the_disturbance():

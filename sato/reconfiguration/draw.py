@@ -1,7 +1,7 @@
 """Drawing of a mission: starts and targets as states, margins and tolerances as numbers."""
 
 from dataclasses import replace
-from math import isfinite
+from math import ceil, isfinite
 
 import numpy as np
 import scipy
@@ -9,7 +9,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.circular_orbit import ClohessyWiltshire
-from sato.reconfiguration import feasibility
+from sato.reconfiguration import feasibility, reach
 from sato.reconfiguration.leg import Leg, states_of
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.models import OrbitalModel
@@ -27,25 +27,79 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
     Raises:
         InputError: The starts, targets, margins or times cannot be as they are asked for.
     """
-    demand = feasibility.target_demand(mission)
-    times = _leg_times(mission)
-    each = zip(mission.legs, demand, times[1:], strict=True)
-    targets = [_draw_targets(mission, k, *leg) for k, leg in enumerate(each)]
+    demand, asked = feasibility.target_demand(mission), mission.legs
+    mission = _with_placeholders(mission)
     nobody, count = np.empty((0, mission.axes)), mission.agent_count
     start = _draw_start(mission, "swarm.start", mission.start, count, nobody, 0.0, rng)
-    states, legs = start, []
+    states, known, legs, steps = start, start, [], 0
     for k, leg in enumerate(mission.legs):
-        # States of agents that are known to those that join when the leg begins.
-        held = None if mission.uses_all_targets(mission.legs[k - 1]) else demand[k - 1]
-        known = targets[k - 1][:held] if k else states
-        leg = _draw_joins(mission, k, leg, known, times[k], rng)
-        states = np.concatenate([states, *(states_of(join.start) for join in leg.joins)])
-        shape = replace(_as_points(targets[k]), keep_order=not leg.is_free)
+        leg = _draw_joins(mission, k, leg, known, mission.step * steps, rng)
+        joined = [states_of(join.start) for join in leg.joins]
+        states = np.concatenate([states, *joined])
+        if is_auto(asked[k].steps):
+            begin = _depart(mission, k, known, states, demand, mission.step * steps)
+            leg = replace(leg, steps=_choose_steps(mission, k, leg, begin, demand[k]))
+        steps += leg.steps
+        targets = _draw_targets(mission, k, leg, demand[k], mission.step * steps)
+        # States of agents that are known to those that join when the next leg begins.
+        known = targets if mission.uses_all_targets(leg) else targets[: demand[k]]
+        shape = replace(_as_points(targets), keep_order=not leg.is_free)
         legs.append(replace(leg, shape=shape, count=None))
     drawn = replace(mission, start=_as_points(start), legs=tuple(legs))
     drawn = _resolve(replace(drawn, plant=mission.draw_plant(len(states), rng)))
-    feasibility.check_reach(drawn)
+    reach.check_reach(drawn)
     return drawn
+
+
+def _with_placeholders(mission: Reconfiguration) -> Reconfiguration:
+    """Return the mission with the fewest steps that it allows, where they are automatic."""
+    legs = [
+        replace(leg, steps=_fewest_steps(mission, leg)) if is_auto(leg.steps) else leg
+        for leg in mission.legs
+    ]
+    return replace(mission, legs=tuple(legs))
+
+
+def _fewest_steps(mission: Reconfiguration, leg: Leg) -> int:
+    # The last event comes before the deadline.
+    events = [loss.at_step for loss in leg.losses] + [join.at_step for join in leg.joins]
+    return max(*events, mission.freeze_steps - 1, 0) + 1
+
+
+def _depart(
+    mission: Reconfiguration,
+    number: int,
+    known: Float[Array, "k n"],
+    states: Float[Array, "agents n"],
+    demand: list[int],
+    begin: float,
+) -> reach.Departure:
+    """Return those that begin a leg: agents at first, then any that targets may have."""
+    new = sum(join.size for join in mission.legs[number].joins)
+    first = reach.depart(mission, states)
+    if number > 0:
+        spare = max(0, len(known) - demand[number - 1], len(known) + new - demand[number])
+        first = reach.Departure(np.arange(len(known)), known, spare, 0, begin)
+    agents = np.append(first.agents, np.arange(len(states) - new, len(states)))
+    state = np.concatenate([first.state, states[len(states) - new :]])
+    return first._replace(agents=agents, state=state)
+
+
+def _choose_steps(
+    mission: Reconfiguration, number: int, leg: Leg, departure: reach.Departure, demand: int
+) -> int:
+    wanted = None if mission.uses_all_targets(leg) else demand
+    if number == 0 and not leg.joins:
+        wanted = reach.count_wanted(mission, departure)
+
+    def targets_after(steps: int) -> Float[Array, "k n"]:
+        arrival = departure.time + steps * mission.step
+        return _draw_targets(mission, number, leg, demand, arrival)[:wanted]
+
+    fixed = targets_after(1)  # but drift-free velocities depend on the time
+    after = targets_after if mission.chief is not None else lambda _: fixed
+    least = reach.find_least_steps(mission, f"leg.{number}.steps", departure, after)
+    return max(ceil(leg.time_factor * least - 1e-9), _fewest_steps(mission, leg))
 
 
 def _leg_times(mission: Reconfiguration) -> list[float]:

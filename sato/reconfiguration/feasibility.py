@@ -1,13 +1,11 @@
 """Feasibility of a mission: what can be refused before anything is flown."""
 
-from collections.abc import Callable
 from math import degrees, floor, inf, pi
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Int
-from numpy import ndarray as Array
 
+from sato.scenario.definition import is_auto
 from sato.scenario.errors import InputError, closest_name, join_names, round_down, round_up
 
 if TYPE_CHECKING:
@@ -15,10 +13,6 @@ if TYPE_CHECKING:
     from sato.reconfiguration.mission import Reconfiguration
 
 MAX_POINTING_ERROR = pi / 6  # standard deviation beyond which directions mean nothing [rad]
-MAX_TIME_FACTOR = 64  # times the steps that were asked for; beyond, time is not what is missing
-MAX_CONTROL_FACTOR = 64  # times the control that there is
-CONTROL_PRECISION = 1.01  # relative, of the control that would do
-MAX_PAIRS_TIMES_STEPS = 20_000_000  # above which no longer time is tried
 
 
 def check(mission: "Reconfiguration") -> None:
@@ -53,7 +47,7 @@ def _check_periods(mission: "Reconfiguration") -> None:
         reason = f"{mission.bargains} sweeps need orders of 2 or more"
         raise InputError("plan.bargains", reason)
     for number, leg in enumerate(mission.legs):
-        if mission.freeze_steps > leg.steps:
+        if not is_auto(leg.steps) and mission.freeze_steps > leg.steps:
             reason = f"{mission.freeze_steps} is more than the {leg.steps} steps of leg {number}"
             raise InputError("plan.freeze_steps", f"{reason}; at most {leg.steps} would do")
 
@@ -224,111 +218,3 @@ def target_demand(mission: "Reconfiguration") -> list[int]:
         ever += sum(join.size for join in leg.joins)
         most.append(ever if mission.assignment == "given" else peak if leg.is_free else believed)
     return most
-
-
-def check_reach(mission: "Reconfiguration") -> None:
-    """Refuse a drawn mission in whose first leg an agent cannot reach a target.
-
-    Looks at the limits on control, and on speed where a necessary condition has a closed
-    form: a mission that passes can still turn out to be out of reach on the way.
-
-    Raises:
-        InputError: An agent can reach none of the targets that it bids on, or too few of them
-            can be reached for every agent to have one; says for which agent, and what time or
-            control would do.
-    """
-    steps, control = mission.legs[0].steps, mission.max_control
-    fault = _find_stranded(mission, steps, control)
-    if fault is None:
-        return
-    pairs = len(mission.initial_states) * len(mission.legs[0].targets)
-    longest = min(MAX_TIME_FACTOR * steps, MAX_PAIRS_TIMES_STEPS // pairs)
-
-    def is_enough(steps: float, control: float) -> bool:
-        return _find_stranded(mission, int(steps), control) is None
-
-    time = _find_least(lambda k: is_enough(k, control), steps, longest)
-    strongest = MAX_CONTROL_FACTOR * control
-    strength = _find_least(lambda u: is_enough(steps, u), control, strongest, CONTROL_PRECISION)
-    cures = [f"steps = {time}"] if time else []
-    cures += [f"model.max_control_m_s2 = {round_up(strength)}"] if strength else []
-    cures = cures or ["far more steps, a larger model.max_control_m_s2 or max_speed_m_s"]
-    within = f"in {steps} steps of {mission.step:g} s"
-    raise InputError("leg.0.steps", f"{fault} {within}; {join_names(cures)} would do")
-
-
-def _find_least(
-    does: Callable[[float], bool], low: float, most: float, precision: float | None = None
-) -> float | None:
-    # The least value above one that does not do: a whole number, or with a relative precision.
-    high = 2 * low
-    while not does(high):
-        low, high = high, 2 * high
-        if high > most:
-            return None
-    while high - low > 1 if precision is None else high > low * precision:
-        middle = (low + high) // 2 if precision is None else (low * high) ** 0.5
-        low, high = (low, middle) if does(middle) else (middle, high)
-    return high
-
-
-def _find_stranded(mission: "Reconfiguration", steps: int, max_control: float) -> str | None:
-    # Which agent has no target that it can reach, and why; None where each has one.
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import maximum_bipartite_matching
-
-    live, spare = _starting(mission)
-    first, wanted = mission.legs[0], max(mission.target_count or 0, len(live) - spare)
-    wanted = len(first.targets) if mission.uses_all_targets(first) else wanted
-    reachable = _reachable(mission, live, wanted, steps, max_control)
-    if mission.assignment == "given":
-        reachable &= live[:, None] == np.arange(wanted)
-    none = live[~reachable.any(axis=1)]
-    if len(none) > spare:
-        return f"agent {none[0]} can reach none of its targets"
-    matched = maximum_bipartite_matching(csr_array(reachable), perm_type="column")
-    left = live[matched < 0]
-    if len(left) > spare:
-        why = "for the others need all that it can reach,"
-        return f"agent {left[0]} is left without a target, {why}"
-    return None
-
-
-def _starting(mission: "Reconfiguration") -> tuple[Int[Array, " live"], int]:
-    # Agents that begin the first leg, and how many of them, not yet known, are lost before it.
-    alive, spare = mission.alive.copy(), 0
-    for loss in (loss for loss in mission.legs[0].losses if loss.at_step == 0):
-        alive[list(loss.agents)] = False
-        spare += floor((loss.share or 0.0) * (alive.sum() - spare))
-    return np.flatnonzero(alive), spare
-
-
-def _reachable(
-    mission: "Reconfiguration", agents: Int[Array, " k"], wanted: int, steps: int, control: float
-) -> Bool[Array, "k wanted"]:
-    # The box of r = ∞ contains the balls of the other norms: out of its reach is out of theirs.
-    start, targets = mission.initial_states[agents], mission.legs[0].targets[:wanted]
-    d, h, V = mission.axes, mission.step, mission.max_speed
-    at_rest = ~start[:, d:].any(axis=1, keepdims=True)
-    way = np.abs(targets[None, :, :d] - start[:, None, :d])
-    if mission.is_point_mass and at_rest.all() and not targets[:, d:].any():
-        # On each axis forwards for half of the time, then backwards.
-        farthest = control * h**2 * (steps**2 // 4)
-        reachable = way.max(axis=2) <= farthest * (1 + 1e-9)
-    else:
-        from dynamics.discretize import discretize_zoh
-        from problems.auction_cost import compute_transfer_costs
-        from problems.transfer import TransferProblem
-
-        transfer = TransferProblem(discretize_zoh(mission.linear_model, h, steps), control)
-        reachable = compute_transfer_costs(transfer, start, targets).is_reachable
-    if mission.is_point_mass and V < inf:
-        # Along the straight line to the target, a point that is no faster than V and, at ends at
-        # rest, no stronger than the box is in that direction: a bound from below.
-        far, ends = np.linalg.norm(way, axis=2), 1.0 * at_rest + ~targets[:, d:].any(axis=1)
-        strength = np.where(far > 0, control * way.sum(axis=2) / np.where(far > 0, far, 1.0), 1.0)
-        at_full_speed = far / V + ends * V / (2 * strength)
-        below = np.sqrt(2 * ends * far / strength)
-        least_time = np.where(2 * far * strength >= ends * V**2, at_full_speed, below)
-        reachable = reachable & (least_time <= steps * h * (1 + 1e-9))
-    return np.asarray(reachable)

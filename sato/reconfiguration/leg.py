@@ -1,21 +1,25 @@
 """Legs of a reconfiguration: targets, time, and agents that are lost or join on the way."""
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from annotated_types import Lt
+from annotated_types import Ge, Lt
 from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.units import Key
 from sato.reconfiguration.start import Start
-from sato.scenario.definition import LATER, Convert, Definition, NotNegative, Positive
+from sato.scenario.definition import LATER, Convert, Definition, NotNegative, Positive, is_auto
 from sato.scenario.errors import InputError
 from sato.shapes import Lattice, Picture, Points, Polygon, Ring, Text
 from sato.shapes.shape import as_points
 
 Steps = Annotated[int, Positive]
+if TYPE_CHECKING:
+    Duration = int  # once the mission is drawn
+else:
+    Duration = Steps | Literal["auto"]
 Count = Annotated[int, NotNegative]
 Indices = tuple[Count, ...]
 Targets = Points | Text | Ring | Lattice | Polygon | Picture
@@ -59,7 +63,8 @@ class Leg(Definition):
 
     Args:
         shape: A shape, or an array of targets: (M, d) positions or (M, 2 d) states.
-        steps: Control steps until the deadline.
+        steps: Control steps until the deadline, or "auto": `time_factor` times the least in which
+            each agent can arrive without regard to others.
         count: Number of targets M of the shape; as many as the agents may be, if absent.
         recount: Take the number of targets from the bids of the leg before
             [Morgan2016, Method 1, line 31].
@@ -67,10 +72,13 @@ class Leg(Definition):
         joins: Agents that join in this leg.
         choose: Targets that the auction assigns: the first m, or "nearest", any of all M.
             "nearest" by default for a list of points without `keep_order`.
+        time_factor: Steps over the least, where they are automatic.
     """
 
     shape: Annotated[Targets, Convert(as_points), "targets"]
-    steps: Annotated[Steps, "control steps until the deadline"]
+    steps: Annotated[
+        Duration, "control steps until the deadline; auto: time_factor times the least"
+    ]
     count: Annotated[int | None, Key("targets"), Positive, "number of targets, M"] = None
     recount: Annotated[bool, "count the agents by the bids of the leg before"] = False
     losses: Annotated[tuple[Loss, ...], Key("lose"), "agents that are lost"] = ()
@@ -79,6 +87,7 @@ class Leg(Definition):
         Literal["prefix", "nearest"] | None,
         "bid on the first m targets, or on all M; nearest for a list without keep_order, if absent",
     ] = LATER
+    time_factor: Annotated[float, Ge(1), "with steps auto: steps over the least"] = 1.5
 
     def completed(self) -> dict[str, Any]:
         """Return the choice of targets where it is not given."""
@@ -95,7 +104,7 @@ class Leg(Definition):
             raise InputError("recount", f'{reason}; leave it out, or choose = "prefix" would do')
         for name, events in (("lose", self.losses), ("join", self.joins)):
             late = max((event.at_step for event in events), default=0)
-            if late >= self.steps:
+            if not is_auto(self.steps) and late >= self.steps:
                 most = f"the leg's {self.steps} steps; at most {self.steps - 1} would do"
                 raise InputError(f"{name}.at_step", f"{late} is after {most}")
 

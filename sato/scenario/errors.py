@@ -90,7 +90,8 @@ def explain(error: Any) -> InputError:
     if isinstance(cause, InputError):
         return cause
     where = ".".join(str(part) for part in first["loc"] if isinstance(part, int))
-    words = [other["msg"] for other in others if other["type"] == "literal_error"]
+    literals = [other["msg"] for other in others if other["type"] == "literal_error"]
+    words = [message.removeprefix("Input should be ") for message in literals]
     wanted = re.sub(r"\b\w+ should", "must", " or ".join([first["msg"], *words[:1]]))
     for theirs, ours in PLAIN_WORDS.items():
         wanted = wanted.replace(theirs, ours)

@@ -1,0 +1,242 @@
+"""Reach of targets in a number of steps: what is refused, and how many steps are enough."""
+
+from collections.abc import Callable
+from math import floor, inf
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
+
+from sato.scenario.errors import InputError, join_names, round_up
+
+if TYPE_CHECKING:
+    from sato.reconfiguration.mission import Reconfiguration
+
+MAX_TIME_FACTOR = 64  # times the steps that were asked for; beyond, time is not what is missing
+MAX_CONTROL_FACTOR = 64  # times the control that there is
+CONTROL_PRECISION = 1.01  # relative, of the control that would do
+MAX_PAIRS_TIMES_STEPS = 20_000_000  # above which no longer time is tried
+MAX_SOLVES = 300  # transfers solved one by one, where no bound decides
+
+
+class Departure(NamedTuple):
+    """Vehicles that begin a leg."""
+
+    agents: Int[Array, " k"]
+    state: Float[Array, "k n"]
+    spare: int = 0  # how many of them need no target of their own
+    lost: int = 0  # how many of those need not reach any target
+    time: float = 0.0  # [s]
+
+
+def check_reach(mission: "Reconfiguration") -> None:
+    """Refuse a drawn mission in whose first leg an agent cannot reach a target.
+
+    Raises:
+        InputError: An agent can reach none of the targets that it bids on, or too few of them
+            can be reached for every agent to have one; says for which agent, and what time or
+            control would do.
+    """
+    steps, control = mission.legs[0].steps, mission.max_control
+    departure = depart(mission, mission.initial_states)
+    targets = mission.legs[0].targets[: count_wanted(mission, departure)]
+    fault = find_stranded(mission, departure, targets, steps, control)
+    if fault is None:
+        return
+    longest = min(MAX_TIME_FACTOR * steps, _longest(departure, targets))
+
+    def is_enough(steps: float, control: float) -> bool:
+        return find_stranded(mission, departure, targets, int(steps), control) is None
+
+    time = _find_least(lambda k: is_enough(k, control), steps, longest)
+    strongest = MAX_CONTROL_FACTOR * control
+    strength = _find_least(lambda u: is_enough(steps, u), control, strongest, CONTROL_PRECISION)
+    cures = [f"steps = {time}"] if time else []
+    cures += [f"model.max_control_m_s2 = {round_up(strength)}"] if strength else []
+    cures = cures or ["far more steps, a larger model.max_control_m_s2 or max_speed_m_s"]
+    within = f"in {steps} steps of {mission.step:g} s"
+    raise InputError("leg.0.steps", f"{fault} {within}; {join_names(cures)} would do")
+
+
+def depart(mission: "Reconfiguration", state: Float[Array, "k n"]) -> Departure:
+    """Return the agents that begin the first leg; some, not yet known, may be lost before it."""
+    alive, spare = np.ones(mission.agent_count, dtype=bool), 0
+    for loss in (loss for loss in mission.legs[0].losses if loss.at_step == 0):
+        alive[[i for i in loss.agents if i < len(alive)]] = False
+        spare += floor((loss.share or 0.0) * (alive.sum() - spare))
+    live = np.flatnonzero(alive)
+    return Departure(live, state[live], spare, spare)
+
+
+def count_wanted(mission: "Reconfiguration", departure: Departure) -> int | None:
+    """Return how many targets the first auction is about; None for all."""
+    if mission.uses_all_targets(mission.legs[0]):
+        return None
+    return max(mission.target_count or 0, len(departure.agents) - departure.spare)
+
+
+def find_least_steps(
+    mission: "Reconfiguration",
+    where: str,
+    departure: Departure,
+    targets_after: Callable[[int], Float[Array, "targets n"]],
+) -> int:
+    """Find the least number of steps in which each vehicle can arrive, without the others.
+
+    A search by bisection: with one step less some vehicle cannot.
+
+    Args:
+        mission: Model and limits.
+        where: Key of the steps, for the error.
+        departure: Vehicles at the start of the leg.
+        targets_after: States to reach after a number of steps.
+
+    Raises:
+        InputError: No number of steps is enough.
+    """
+
+    def is_enough(steps: float) -> bool:
+        targets = targets_after(int(steps))
+        fault = find_stranded(mission, departure, targets, int(steps), mission.max_control)
+        return fault is None
+
+    longest = _longest(departure, targets_after(1))
+    least = 1 if is_enough(1) else _find_least(is_enough, 1, longest)
+    if least is None:
+        reason = f"no time of up to {longest} steps is enough for all to reach targets"
+        raise InputError(where, f"{reason}; a larger model.max_control_m_s2 would do")
+    return int(least)
+
+
+def _longest(departure: Departure, targets: Float[Array, "targets n"]) -> int:
+    return MAX_PAIRS_TIMES_STEPS // (len(departure.agents) * len(targets))
+
+
+def _find_least(
+    does: Callable[[float], bool], low: float, most: float, precision: float | None = None
+) -> float | None:
+    # The least value above one that does not do: a whole number, or with a relative precision.
+    high = 2 * low
+    while not does(high):
+        low, high = high, 2 * high
+        if high > most:
+            return None
+    while high - low > 1 if precision is None else high > low * precision:
+        middle = (low + high) // 2 if precision is None else (low * high) ** 0.5
+        low, high = (low, middle) if does(middle) else (middle, high)
+    return high
+
+
+def find_stranded(
+    mission: "Reconfiguration",
+    departure: Departure,
+    targets: Float[Array, "targets n"],
+    steps: int,
+    max_control: float,
+) -> str | None:
+    """Say which agent has no target that it can reach, and why; None where each has one.
+
+    Bounds decide most pairs. Of the others, transfers are solved one by one, as far as an
+    assignment depends on them, up to `MAX_SOLVES`; beyond, they are taken as possible.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    agents, spare = departure.agents, departure.spare
+    possible, sure = _bound_reach(mission, departure, targets, steps, max_control)
+    if mission.assignment == "given":
+        is_own = agents[:, None] == np.arange(len(targets))
+        possible, sure = possible & is_own, sure & is_own
+    solves = 0
+    while True:
+        none = agents[~possible.any(axis=1)]
+        if len(none) > departure.lost:
+            return f"agent {none[0]} can reach none of its targets"
+        if (left := _find_unmatched(sure)).sum() <= spare and len(none) <= departure.lost:
+            return None
+        if (left := _find_unmatched(possible)).sum() > spare:
+            why = "for the others need all that it can reach,"
+            return f"agent {agents[left][0]} is left without a target, {why}"
+        doubt = np.where(sure, 0, np.where(possible, 1, 1 + len(agents)))
+        rows, columns = linear_sum_assignment(doubt)
+        for i, j in zip(rows.tolist(), columns.tolist(), strict=True):
+            if possible[i, j] and not sure[i, j]:
+                if solves == MAX_SOLVES:
+                    return None
+                possible[i, j] = sure[i, j] = _can_transfer(
+                    mission, departure.state[i], targets[j], steps, max_control, departure.time
+                )
+                solves += 1
+
+
+def _find_unmatched(reachable: Bool[Array, "k targets"]) -> Bool[Array, " k"]:
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import maximum_bipartite_matching
+
+    return np.asarray(maximum_bipartite_matching(csr_array(reachable), perm_type="column") < 0)
+
+
+def _bound_reach(
+    mission: "Reconfiguration",
+    departure: Departure,
+    targets: Float[Array, "targets n"],
+    steps: int,
+    control: float,
+) -> tuple[Bool[Array, "k targets"], Bool[Array, "k targets"]]:
+    """Return the pairs that may be within reach, and those that certainly are."""
+    start, d, h, V = departure.state, mission.axes, mission.step, mission.max_speed
+    starts_at_rest = ~start[:, d:].any(axis=1, keepdims=True)
+    ends = 1.0 * starts_at_rest + ~targets[:, d:].any(axis=1)
+    way = np.abs(targets[None, :, :d] - start[:, None, :d])
+    far = np.linalg.norm(way, axis=2)
+    # Norms of the direction: most and least strength along it are those of the dual norm, and
+    # of the straight line.
+    unit = way / np.where(far > 0, far, 1.0)[..., None] + (far == 0)[..., None] * np.eye(d)[0]
+    norms = {1: unit.sum(axis=2), 2: np.ones_like(far), "inf": unit.max(axis=2)}
+    most = control * norms[{1: "inf", 2: 2, "inf": 1}[mission.control_norm]]
+    if mission.is_point_mass and (ends == 2).all():
+        line = _farthest(control / norms[mission.control_norm], steps, h, V)
+        box = _farthest(control / norms["inf"], steps, h, inf)
+        limit = far / (1 + 1e-9)
+        return (limit <= box) & (limit <= _farthest(most, steps, h, V)), limit <= line
+    from dynamics.discretize import discretize_zoh
+    from problems.auction_cost import compute_transfer_costs
+    from problems.transfer import TransferProblem
+
+    # The box of r = ∞ contains the balls of the other norms: out of its reach is out of theirs.
+    model = discretize_zoh(mission.linear_model, h, steps, departure.time)
+    found = compute_transfer_costs(TransferProblem(model, control, V), start, targets)
+    possible, sure = found.is_reachable.copy(), found.is_reachable & found.is_exact
+    if mission.is_point_mass and V < inf:
+        # In continuous time, from rest or to rest at one end, or at speed at both.
+        at_full_speed, below = far / V + ends * V / (2 * most), np.sqrt(2 * ends * far / most)
+        least_time = np.where(2 * far * most >= ends * V**2, at_full_speed, below)
+        possible &= least_time <= steps * h * (1 + 1e-9)
+    return possible, sure & possible & (mission.control_norm == "inf")
+
+
+def _farthest(a: Float[Array, "*k"], steps: int, h: float, V: float) -> Float[Array, "*k"]:
+    """Compute the longest way on a line from rest to rest, a held for each step [m].
+
+    The speed after k steps is at most min(k a h, (steps − k) a h, V).
+    """
+    ramp = np.minimum(np.floor(V / (a * h)), steps)  # steps until V
+    with_coast = a * h * ramp * (ramp + 1) + V * (steps - 1 - 2 * ramp)
+    return np.asarray(h * np.where(ramp >= steps // 2, a * h * (steps**2 // 4), with_coast))
+
+
+def _can_transfer(
+    mission: "Reconfiguration",
+    start: Float[Array, " n"],
+    target: Float[Array, " n"],
+    steps: int,
+    control: float,
+    time: float,
+) -> bool:
+    from dynamics.discretize import discretize_zoh
+    from problems.auction_cost import solve_transfer
+    from problems.transfer import TransferProblem
+
+    model = discretize_zoh(mission.linear_model, mission.step, steps, time)
+    limits = control, mission.max_speed, mission.fuel_norm, mission.control_norm
+    return solve_transfer(TransferProblem(model, *limits), start, target) is not None
