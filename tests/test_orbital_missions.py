@@ -428,7 +428,7 @@ REFUSED = [
     ("disturbance.pointing_rad=1", "1 is 57.3 degrees; at most pointing_deg = 30 would do"),
     ("disturbance.position_m=60", "60 is not less than swarm.collision_radius_m = 50; 1 would do"),
     ("margin_m=-1", "plan.margin_m: must be at least 0"),
-    ("margin_m=large", 'must be "auto", got "large"'),
+    ("margin_m=large", 'or "auto", got "large"'),
     ("epsilon=0", 'plan.epsilon: must be positive, or "auto", got 0'),
     ("freeze_steps=25", "plan.freeze_steps: 25 is more than the 24 steps of leg 0; at most 24"),
     ("start={kind='random',separation_m=150,depth_m=0}", "swarm.start.depth_m: needs a box_m"),
