@@ -10,96 +10,46 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
-from math import ceil, inf, isfinite
-from typing import NamedTuple
+from math import ceil, inf
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from numpy import ndarray as Array
 
 from dynamics.bezier_kernels import closest_pair
-from dynamics.model import ControlSamples, StateSamples
+from dynamics.discretize import discretize_zoh
+from dynamics.model import ControlSamples, LinearModel, StateSamples
 from dynamics.trajectory_geometry import hull_distance, sampled_separations
 from problems.centralized_nlp import (
+    MIN_DISTANCE,
     AgentStates,
     Ends,
     InitialGuess,
+    NonlinearProgram,
     SeparationConstraints,
     SwarmProgram,
 )
-from problems.conic import Unsolved
-from problems.convexify import SEPARATION_TOLERANCE, AvoidanceHorizon, are_balls_separated
-from problems.transfer import TransferProblem, compute_fuel
+from problems.centralized_solution import (
+    FEASIBILITY_TOLERANCE,
+    CentralizedResult,
+    NoFeasibleSolution,
+    SimulatedSolution,
+)
+from problems.convexify import AvoidanceHorizon, are_balls_separated
+from problems.transfer import Objective, TransferProblem, compute_energy, compute_fuel
 
-FEASIBILITY_TOLERANCE = 1e-6  # of simulated violations, in units of R, R/Δt, U and V
 PROXIMITY_FACTOR = 2.0  # times R: pairs that come closer in the guess get constraints at once,
 CONSTRAINTS_PER_STEP = 4  # at so many instants a step, or at the ends of its pieces
 MAX_ITERATIONS = 12  # solutions with additional instants of too small a separation
 ITERATIONS_BEFORE_PADDING = 3  # after which the required distance is padded for any violation
-MIN_DISTANCE = 1 + SEPARATION_TOLERANCE  # of R, without padding
 MAX_PADDING = 1e-4  # of R, largest increase per iteration; smaller violations are padded at once
-
-
-class SimulatedSolution(NamedTuple):
-    """Controls of all agents, their simulation, and its violations."""
-
-    x: Float[Array, "agents instants n"]
-    u: Float[Array, "agents T m"]
-    fuel: float  # Δt Σ Σ ‖u‖ [m/s]
-    terminal_error: float  # largest over agents, in units of R and R/Δt
-    control_violation: float  # relative to U
-    speed_violation: float  # relative to V
-    min_separation: float  # over continuous time, relative to R; at most `PROXIMITY_FACTOR`
-    solver_message: str  # status that the solver reported
-    padding: float = 0.0  # largest required distance beyond R (1 + tolerance), in units of R
-
-    @property
-    def max_violation(self) -> float:
-        """Largest violation; NaN where one of them is NaN."""
-        separation = 1 - self.min_separation
-        limits = self.control_violation, self.speed_violation
-        return float(np.max(np.array([self.terminal_error, *limits, separation, 0.0])))
-
-    @property
-    def is_feasible(self) -> bool:
-        """True where all constraints hold within the tolerance."""
-        return self.max_violation <= FEASIBILITY_TOLERANCE
-
-    def __str__(self) -> str:
-        """Summarize fuel and violations."""
-        return (
-            f"{self.solver_message}: fuel {self.fuel:.6g} m/s, terminal error "
-            f"{self.terminal_error:.1e}, control above its limit by {self.control_violation:.1e}, "
-            f"speed by {self.speed_violation:.1e}, separation {self.min_separation:.6f} R"
-        )
-
-
-class NoFeasibleSolution(Unsolved):
-    """No initial guess led to a feasible solution, which does not prove infeasibility.
-
-    Attributes:
-        solutions: The guesses and their solutions, with their violations.
-    """
-
-    def __init__(self, problem: object, tried: tuple[SimulatedSolution, ...]) -> None:
-        """Keep all solutions."""
-        least = min(tried, key=lambda t: t.max_violation if isfinite(t.max_violation) else inf)
-        super().__init__(problem, f"none of {len(tried)} solutions is feasible; nearest: {least}")
-        self.solutions = tried
-
-
-class CentralizedResult(NamedTuple):
-    """Best feasible solution, and all solutions."""
-
-    best: SimulatedSolution
-    solutions: tuple[SimulatedSolution, ...]  # the guesses themselves, then their solutions
 
 
 @dataclass(frozen=True, eq=False)
 class CentralizedProblem:
     """Joint transfers of all agents without collisions.
 
-        minimize    Δt Σᵢ Σₖ ‖uᵢ[k]‖₁
+        minimize    Δt Σᵢ Σₖ ‖uᵢ[k]‖₁,  or  Δt Σᵢ Σₖ ‖uᵢ[k]‖₂²
         subject to  xᵢ[k+1] = A[k] xᵢ[k] + B[k] uᵢ[k] + z[k]     (10)
                     ‖uᵢ[k]‖_∞ ≤ U                                (12)
                     xᵢ[0] = startᵢ,  xᵢ[T] = goalᵢ               (14), (18)
@@ -130,6 +80,35 @@ class CentralizedProblem:
                 f"and {len(self.transfer.model)}"
             )
 
+    @classmethod
+    def from_model(
+        cls,
+        model: LinearModel,
+        step: float,
+        steps: int,
+        collision_radius: float,
+        max_control: float,
+        max_speed: float = inf,
+        objective: Objective = "fuel",
+        pieces: int = 4,
+    ) -> "CentralizedProblem":
+        """Discretize a model from time 0 on.
+
+        Args:
+            model: Equations of motion of every agent.
+            step: Δt [s].
+            steps: T.
+            collision_radius: R [m].
+            max_control: U, on each axis [m/s²].
+            max_speed: V [m/s].
+            objective: Fuel or energy.
+            pieces: Cubic pieces of the trajectories between samples.
+        """
+        coarse = discretize_zoh(model, step, steps)
+        fine = discretize_zoh(model, step / pieces, pieces * steps)
+        transfer = TransferProblem(coarse, max_control, max_speed, objective=objective)
+        return cls(transfer, AvoidanceHorizon(coarse, fine, collision_radius))
+
     @cached_property
     def _program(self) -> SwarmProgram:
         return SwarmProgram(self.transfer, self.horizon)
@@ -148,20 +127,41 @@ class CentralizedProblem:
             NoFeasibleSolution: No simulated solution satisfies all constraints.
             ValueError: Two starts or two goals are too close.
         """
-        ends = np.stack([start, goal])[..., : self.transfer.model.axes]
-        each = sampled_separations(ends, np.ones(ends.shape[:2], dtype=bool)).tolist()
-        for name, least in zip(("starts", "goals"), each, strict=True):
-            if not least >= self.horizon.clearance:
-                needed = f"at least {self.horizon.clearance:.6g} m are needed"
-                raise ValueError(f"two {name} are {least:.6g} m apart, {needed}")
+        self._check_ends(start, goal)
         tried = [self.simulate(start, goal, u, "initial guess") for _, u in guesses]
         for guess in guesses:
-            cheapest = min((t.fuel for t in tried if t.is_feasible), default=inf)
+            cheapest = min((t.cost for t in tried if t.is_feasible), default=inf)
             tried.append(self._solve_from((start, goal), guess, cheapest))
         feasible = [t for t in tried if t.is_feasible]
         if not feasible:
             raise NoFeasibleSolution(self, tuple(tried))
-        return CentralizedResult(min(feasible, key=lambda t: t.fuel), tuple(tried))
+        return CentralizedResult(min(feasible, key=lambda t: t.cost), tuple(tried))
+
+    def nonlinear_program(
+        self, start: AgentStates, goal: AgentStates, guess: InitialGuess | None = None
+    ) -> NonlinearProgram:
+        """Build the program with the distance of all pairs at a few instants of every step.
+
+        Between these instants a solution may be closer by little, which `simulate` tells.
+
+        Args:
+            start: Initial states without collisions.
+            goal: Terminal states without collisions.
+            guess: States and controls; least energy of each agent alone if absent.
+
+        Raises:
+            ValueError: Two starts or two goals are too close.
+        """
+        self._check_ends(start, goal)
+        if guess is None:
+            each = zip(start, goal[:, None], strict=True)
+            alone = [self.transfer.solve_without_limits(*ends)[:2] for ends in each]
+            x, u = map(np.concatenate, zip(*alone, strict=True))
+            guess = x, u
+        pairs, pieces = _agent_pairs(len(start)), len(self.horizon.fine_model)
+        everywhere = np.ones((len(pairs), pieces), dtype=bool)
+        instants = SeparationConstraints.place(pairs, everywhere, self._instants_per_piece)
+        return self._program.build((start, goal), guess, instants)
 
     def simulate(
         self, start: AgentStates, goal: AgentStates, u: ControlSamples, solver_message: str
@@ -174,9 +174,10 @@ class CentralizedProblem:
         speed = float(top_speed) / transfer.speed_limit.most
         distance, _ = self._closest_approaches(x, u)
         apart = float((distance / self.horizon.clearance).min(initial=PROXIMITY_FACTOR))
-        fuel = float(np.sum(compute_fuel(u, transfer.model.dt, 1)))
+        is_fuel, dt = transfer.objective == "fuel", transfer.model.dt
+        cost = float(np.sum(compute_fuel(u, dt, 1) if is_fuel else compute_energy(u, dt)))
         error = float(np.abs((x[:, -1] - goal) / self._program.state_units).max())
-        return SimulatedSolution(x, u, fuel, error, thrust - 1, speed - 1, apart, solver_message)
+        return SimulatedSolution(x, u, cost, error, thrust - 1, speed - 1, apart, solver_message)
 
     def count_conflicts(self, x: StateSamples, u: ControlSamples) -> int:
         """Count the pairs that come too close on given trajectories."""
@@ -192,7 +193,7 @@ class CentralizedProblem:
         unpadded = np.full(len(instants.time), MIN_DISTANCE)
         bare = instants._replace(min_distance=unpadded)
         again, _ = self._refine_constraints(ends, (found.x, found.u), bare, cheapest, nearby=True)
-        return again if again.is_feasible and again.fuel < found.fuel else found
+        return again if again.is_feasible and again.cost < found.cost else found
 
     def _refine_constraints(
         self,
@@ -215,7 +216,7 @@ class CentralizedProblem:
             found = self.simulate(*ends, u, message)._replace(padding=float(padding))
             more, violation = self._violations(found)
             is_astray = not found.terminal_error <= FEASIBILITY_TOLERANCE
-            if not len(more.time) or is_astray or found.fuel > cheapest:
+            if not len(more.time) or is_astray or found.cost > cheapest:
                 break
             # Equal optima differ in the time of closest approach, so that new instants alone
             # might never suffice.
@@ -248,11 +249,20 @@ class CentralizedProblem:
         """Place constraints at a few instants a step on the pieces of nearby agents."""
         relative = self._relative_control_points(x, u)
         distance = hull_distance(relative)[0] if len(relative) else np.zeros((0, 0))
-        pair, piece = np.nonzero(distance < PROXIMITY_FACTOR * self.horizon.clearance)
-        count = ceil(CONSTRAINTS_PER_STEP / self.horizon.pieces_per_step)
-        time = (piece + np.arange(1, count + 1)[:, None] / count).ravel()
-        pairs = np.tile(_agent_pairs(len(x))[pair], (count, 1))
-        return SeparationConstraints(pairs, time, np.full(len(time), MIN_DISTANCE))
+        near = distance < PROXIMITY_FACTOR * self.horizon.clearance
+        return SeparationConstraints.place(_agent_pairs(len(x)), near, self._instants_per_piece)
+
+    @property
+    def _instants_per_piece(self) -> int:
+        return ceil(CONSTRAINTS_PER_STEP / self.horizon.pieces_per_step)
+
+    def _check_ends(self, start: AgentStates, goal: AgentStates) -> None:
+        ends = np.stack([start, goal])[..., : self.transfer.model.axes]
+        each = sampled_separations(ends, np.ones(ends.shape[:2], dtype=bool)).tolist()
+        for name, least in zip(("starts", "goals"), each, strict=True):
+            if not least >= self.horizon.clearance:
+                needed = f"at least {self.horizon.clearance:.6g} m are needed"
+                raise ValueError(f"two {name} are {least:.6g} m apart, {needed}")
 
     def _violations(self, found: SimulatedSolution) -> tuple[SeparationConstraints, Array]:
         """Find the instants of too small a separation and the violations in units of R."""
@@ -261,22 +271,6 @@ class CentralizedProblem:
         violation = 1 - distance[pair, piece] / self.horizon.clearance
         pairs, time = _agent_pairs(len(found.x))[pair], piece + fraction[pair, piece]
         return SeparationConstraints(pairs, time, np.full(len(time), MIN_DISTANCE)), violation
-
-
-def displace_guess(guess: InitialGuess, dt: float, by: Float[Array, "agents d"]) -> InitialGuess:
-    """Displace every trajectory of a guess sideways: most half-way, and not at the ends.
-
-    Args:
-        guess: States and controls.
-        dt: Step [s].
-        by: Largest displacement of each agent [m].
-    """
-    x, u = guess
-    T = u.shape[1]
-    phase = np.pi * np.arange(T + 1)[:, None] / T
-    position = np.sin(phase) * by[:, None]
-    speed = np.pi / (T * dt) * np.cos(phase) * by[:, None]
-    return x + np.concatenate([position, speed], axis=-1), u
 
 
 def _agent_pairs(count: int) -> Int[Array, "pairs 2"]:

@@ -1,4 +1,4 @@
-"""Nonlinear program of `CentralizedProblem` for CasADi and IPOPT, sparse with exact derivatives."""
+"""Nonlinear program of `CentralizedProblem` for CasADi, sparse with exact derivatives."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -6,13 +6,14 @@ from math import inf, isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from scipy.sparse import block_diag, bsr_array, csc_matrix, eye_array, hstack
 
-from problems.convexify import AvoidanceHorizon
+from problems.convexify import SEPARATION_TOLERANCE, AvoidanceHorizon
 from problems.transfer import TransferProblem
 
+MIN_DISTANCE = 1 + SEPARATION_TOLERANCE  # of R, without padding
 PROXIMAL_WEIGHT = 1e-3  # of ‖(u − u₀)/U‖² to the last solution u₀; an optimum u₀ stays optimal
 
 IPOPT_OPTIONS: dict[str, Any] = {
@@ -44,6 +45,17 @@ class SeparationConstraints(NamedTuple):
     time: Float[Array, " rows"]  # since the start, in units of a piece
     min_distance: Float[Array, " rows"]  # in units of R
 
+    @classmethod
+    def place(
+        cls, pairs: Int[Array, "pairs 2"], near: Bool[Array, "pairs pieces"], per_piece: int
+    ) -> "SeparationConstraints":
+        """Place so many instants in the pieces in which pairs are near; the ends are data."""
+        pair, piece = np.nonzero(near)
+        time = (piece + np.arange(1, per_piece + 1)[:, None] / per_piece).ravel()
+        inside = time < near.shape[1]
+        kept = np.tile(pairs[pair], (per_piece, 1))[inside]
+        return cls(kept, time[inside], np.full(len(kept), MIN_DISTANCE))
+
     def concatenate(self, *more: "SeparationConstraints") -> "SeparationConstraints":
         """Append other constraints."""
         return SeparationConstraints(*map(np.concatenate, zip(self, *more, strict=True)))
@@ -56,6 +68,32 @@ class SeparationConstraints(NamedTuple):
         near = same & (np.abs(self.time[:, None] - where.time) <= span)
         added = np.where(near, by, 0.0).max(axis=1, initial=0.0)
         return self._replace(min_distance=self.min_distance + added)
+
+
+@dataclass(frozen=True, eq=False)
+class NonlinearProgram:
+    """Nonlinear program of all agents, for any solver of `casadi.nlpsol`.
+
+        solver = casadi.nlpsol("central", "ipopt", program.problem)
+        x, u = program.trajectories(solver(**program.arguments)["x"])
+
+    The cost f is the fuel in units of U Δt, or the energy in units of U² Δt.
+    """
+
+    problem: dict[str, Any]  # expressions "x", "f" and "g"
+    arguments: dict[str, Array]  # initial guess and bounds: "x0", "lbx", "ubx", "lbg", "ubg"
+    shape: tuple[int, int, int]  # agents, steps and axes
+    state_units: Float[Array, " n"]
+    max_control: float
+
+    def trajectories(self, x: Any) -> InitialGuess:
+        """Return states and controls of all agents, from a value of "x"."""
+        N, T, m = self.shape
+        states = N * (T + 1) * 2 * m
+        z = np.asarray(x, dtype=float).ravel()
+        plus, minus = z[states : states + 2 * N * T * m].reshape(2, N, T, m)
+        x = z[:states].reshape(N, T + 1, 2 * m) * self.state_units
+        return x, self.max_control * (plus - minus)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,16 +116,31 @@ class SwarmProgram:
     def solve(
         self, ends: Ends, guess: InitialGuess, instants: SeparationConstraints, nearby: bool = False
     ) -> tuple[Array, Array, str]:
-        """Solve the program from an initial guess.
+        """Solve the program with IPOPT from an initial guess; the arguments are those of `build`.
+
+        Returns:
+            States, controls and the status that IPOPT reports, which is not verified.
+        """
+        import casadi
+
+        program = self.build(ends, guess, instants, nearby)
+        options = WARM_START_OPTIONS if nearby else IPOPT_OPTIONS
+        settings: dict[str, Any] = {"ipopt": options, "print_time": False}
+        solver = casadi.nlpsol("central", "ipopt", program.problem, settings)
+        found, stats = solver(**program.arguments), solver.stats()
+        message = f"IPOPT reports {stats['return_status']} after {stats['iter_count']} iterations"
+        return *program.trajectories(found["x"]), message
+
+    def build(
+        self, ends: Ends, guess: InitialGuess, instants: SeparationConstraints, nearby: bool = False
+    ) -> NonlinearProgram:
+        """Build the program for `casadi.nlpsol`.
 
         Args:
             ends: Initial and terminal states.
             guess: States and controls, not necessarily consistent.
             instants: Pairs that keep a distance, and when.
             nearby: True for a nearly feasible guess, to stay near.
-
-        Returns:
-            States, controls and the status that IPOPT reports, which is not verified.
         """
         import casadi
 
@@ -96,7 +149,8 @@ class SwarmProgram:
         N, T, m = u0.shape
         x = casadi.MX.sym("x", (T + 1) * 2 * m, N)
         plus, minus = (casadi.MX.sym(sign, T * m, N) for sign in ("plus", "minus"))
-        u, fuel = plus - minus, casadi.sum1(casadi.vec(plus + minus))
+        u, parts = plus - minus, casadi.vertcat(casadi.vec(plus), casadi.vec(minus))
+        cost = casadi.sum1(parts) if transfer.objective == "fuel" else casadi.sumsqr(parts)
         on_x, on_u, drift = self._motion_equations()
         rows = [(casadi.DM(on_x) @ x + casadi.DM(on_u) @ u, np.tile(drift, N), np.tile(drift, N))]
         if isfinite(transfer.max_speed) and T > 1:
@@ -115,26 +169,21 @@ class SwarmProgram:
             rows.append((casadi.sum1(relative**2), squares, inf * squares))
         bounds = np.stack([np.full(x0.shape, -inf), np.full(x0.shape, inf)])
         bounds[:, :, 0], bounds[:, :, -1] = ends[0] / unit, ends[1] / unit
-        parts = np.concatenate([np.maximum(u0, 0).ravel(), np.maximum(-u0, 0).ravel()])
+        parts0 = np.concatenate([np.maximum(u0, 0).ravel(), np.maximum(-u0, 0).ravel()])
         proximal = casadi.sumsqr(u - u0.reshape(N, T * m).T) if nearby else 0
-        program = {
-            "x": casadi.vertcat(*map(casadi.vec, (x, plus, minus, relative))),
-            "f": fuel + PROXIMAL_WEIGHT * proximal,
+        problem = {
+            "x": casadi.vertcat(casadi.vec(x), parts, casadi.vec(relative)),
+            "f": cost + PROXIMAL_WEIGHT * proximal,
             "g": casadi.vertcat(*(casadi.vec(row) for row, _, _ in rows)),
         }
-        options = WARM_START_OPTIONS if nearby else IPOPT_OPTIONS
-        solver = casadi.nlpsol("central", "ipopt", program, {"ipopt": options, "print_time": False})
-        found = solver(
-            x0=np.concatenate([x0.ravel(), parts, relative0]),
-            lbx=np.concatenate([bounds[0].ravel(), 0 * parts, -free]),
-            ubx=np.concatenate([bounds[1].ravel(), 0 * parts + 1, free]),
-            lbg=np.concatenate([lower for _, lower, _ in rows]),
-            ubg=np.concatenate([upper for _, _, upper in rows]),
-        )
-        z, stats = np.asarray(found["x"]).ravel(), solver.stats()
-        forward, back = z[x0.size : x0.size + 2 * u0.size].reshape(2, *u0.shape)
-        message = f"IPOPT reports {stats['return_status']} after {stats['iter_count']} iterations"
-        return z[: x0.size].reshape(x0.shape) * unit, U * (forward - back), message
+        arguments = {
+            "x0": np.concatenate([x0.ravel(), parts0, relative0]),
+            "lbx": np.concatenate([bounds[0].ravel(), 0 * parts0, -free]),
+            "ubx": np.concatenate([bounds[1].ravel(), 0 * parts0 + 1, free]),
+            "lbg": np.concatenate([lower for _, lower, _ in rows]),
+            "ubg": np.concatenate([upper for _, _, upper in rows]),
+        }
+        return NonlinearProgram(problem, arguments, (N, T, m), unit, U)
 
     def _motion_equations(self) -> tuple[csc_matrix, csc_matrix, Float[Array, " rows"]]:
         """Build E, F and e of E x + F u = e, the scaled dynamics of one agent over all steps."""
@@ -171,3 +220,19 @@ class SwarmProgram:
             shape = K * d, agents * instants_each * width
             found.append(csc_matrix(bsr_array((both, column, 2 * np.arange(K + 1)), shape)))
         return found[0], found[1]
+
+
+def displace_guess(guess: InitialGuess, dt: float, by: Float[Array, "agents d"]) -> InitialGuess:
+    """Displace every trajectory of a guess sideways: most half-way, and not at the ends.
+
+    Args:
+        guess: States and controls.
+        dt: Step [s].
+        by: Largest displacement of each agent [m].
+    """
+    x, u = guess
+    T = u.shape[1]
+    phase = np.pi * np.arange(T + 1)[:, None] / T
+    position = np.sin(phase) * by[:, None]
+    speed = np.pi / (T * dt) * np.cos(phase) * by[:, None]
+    return x + np.concatenate([position, speed], axis=-1), u

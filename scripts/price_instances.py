@@ -17,8 +17,8 @@ from dynamics import (
     discretize_zoh,
     invariant_velocity,
 )
-from problems.centralized import CentralizedProblem, displace_guess
-from problems.centralized_nlp import InitialGuess
+from problems.centralized import CentralizedProblem
+from problems.centralized_nlp import InitialGuess, displace_guess
 from problems.convexify import AvoidanceHorizon
 from problems.transfer import TransferProblem
 from sato.reconfiguration.leg import Leg

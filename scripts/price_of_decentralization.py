@@ -94,12 +94,12 @@ def compare_case(case: PriceCase) -> PriceResult:
     planned, own, gave_up, planning = plan_and_verify(central, with_orders)
     _, once, gave_up_once, _ = plan_and_verify(central, mission)
     begin = {"SATO": planned} | initial_guesses(case, free, mission.collision_radius, mission.step)
-    lower = central.simulate(start, target, free[1], "alone").fuel
+    lower = central.simulate(start, target, free[1], "alone").cost
     fuel, origin, padding = np.nan, "none", np.nan
     begun = process_time()
     try:
         best, tried = central.solve(start, target, list(begin.values()))
-        fuel, origin, padding = best.fuel, _guess_name(best, tried, list(begin)), best.padding
+        fuel, origin, padding = best.cost, _guess_name(best, tried, list(begin)), best.padding
     except NoFeasibleSolution:
         pass
     descending = process_time() - begun
@@ -110,8 +110,8 @@ def compare_case(case: PriceCase) -> PriceResult:
         fuel,
         origin,
         padding,
-        np.inf if gave_up_once else once.fuel,
-        np.inf if gave_up else own.fuel,
+        np.inf if gave_up_once else once.cost,
+        np.inf if gave_up else own.cost,
         gave_up,
         planning,
         descending,

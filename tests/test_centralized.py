@@ -10,8 +10,8 @@ from planner_examples import RADIUS, STEP, T, make_planner
 
 from dynamics import ClohessyWiltshire, DoubleIntegrator, discretize_zoh
 from dynamics.trajectory_geometry import evaluate_bezier, separations
-from problems.centralized import CentralizedProblem, NoFeasibleSolution, displace_guess
-from problems.centralized_nlp import SeparationConstraints, SwarmProgram
+from problems.centralized import CentralizedProblem, NoFeasibleSolution
+from problems.centralized_nlp import SeparationConstraints, SwarmProgram, displace_guess
 from problems.convexify import AvoidanceHorizon
 from problems.transfer import TransferProblem
 from sato.reconfiguration.solo_trajectories import solve_solo_transfers
@@ -87,8 +87,8 @@ def test_two_crossing_agents_need_no_more_fuel_than_by_priority(axes):
     assert not central.simulate(start, goal, free[1], "alone").is_feasible
     best, tried = central.solve(start, goal, [planned, free])
     keeps_everything(central, best, start, goal)
-    assert best.fuel <= tried[0].fuel
-    assert best.fuel >= tried[1].fuel - 1e-9  # no agent needs less fuel than alone
+    assert best.cost <= tried[0].cost
+    assert best.cost >= tried[1].cost - 1e-9  # no agent needs less fuel than alone
     x = np.moveaxis(best.x, 0, 1)
     closest = separations(x[..., :axes], x[..., axes:], np.ones(x.shape[:2], dtype=bool), STEP)
     assert closest.minimum.distance == pytest.approx(RADIUS * best.min_separation, rel=1e-9)
@@ -111,7 +111,7 @@ def test_distant_agents_fly_their_own_transfers(is_in_orbit):
         start, goal, [(central.transfer.model.simulate(start, still), still)]
     )
     assert not tried[0].is_feasible  # the optimum is not among the guesses
-    assert best.fuel == pytest.approx(sum(f.fuel for f in free), rel=1e-6)
+    assert best.cost == pytest.approx(sum(f.fuel for f in free), rel=1e-6)
     keeps_everything(central, best, start, goal)
 
 
@@ -121,7 +121,7 @@ def test_a_feasible_guess_is_never_lost():
     planned = by_priority(central, start, goal)
     astray = np.full_like(planned[0], 1e3), planned[1]
     best, tried = central.solve(start, goal, [astray])
-    assert best.fuel <= tried[0].fuel and tried[0].solver_message == "initial guess"
+    assert best.cost <= tried[0].cost and tried[0].solver_message == "initial guess"
 
 
 def test_solutions_dearer_than_the_best_feasible_one_are_abandoned(monkeypatch):
@@ -136,10 +136,10 @@ def test_solutions_dearer_than_the_best_feasible_one_are_abandoned(monkeypatch):
     best, _ = central.solve(start, goal, [cheap])
     alone_takes = len(solved)
     worse, _ = central.solve(start, goal, [dear])
-    assert worse.fuel > 1.1 * best.fuel and len(solved) > alone_takes + 1
+    assert worse.cost > 1.1 * best.cost and len(solved) > alone_takes + 1
     solved.clear()
     again, _ = central.solve(start, goal, [cheap, dear])
-    assert again.fuel == best.fuel and len(solved) == alone_takes + 1
+    assert again.cost == best.cost and len(solved) == alone_takes + 1
 
 
 def test_without_a_feasible_solution_all_solutions_are_raised():

@@ -64,7 +64,7 @@ def test_two_agents_reach_the_centralized_optimum():
     )
     central = CentralizedProblem(planners[0].transfer, planners[0].horizon)
     guess = tuple(np.stack([getattr(p.nominal, part) for p in now.values()]) for part in "xu")
-    best = central.solve(start, goal, [guess]).best.fuel
+    best = central.solve(start, goal, [guess]).best.cost
     before = sum(p.nominal.fuel for p in now.values())
     after = sum(p.nominal.fuel for p in negotiate(now, complete(len(now)), 20).planners.values())
     assert before > 1.005 * best
