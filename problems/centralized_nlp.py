@@ -144,7 +144,8 @@ class SwarmProgram:
         """
         import casadi
 
-        transfer, unit, U = self.transfer, self.state_units, self.transfer.max_control
+        transfer, unit = self.transfer, self.state_units
+        U, V = transfer.control_limit.most, transfer.speed_limit.most
         x0, u0 = guess[0] / unit, guess[1] / U
         N, T, m = u0.shape
         x = casadi.MX.sym("x", (T + 1) * 2 * m, N)
@@ -153,10 +154,10 @@ class SwarmProgram:
         cost = casadi.sum1(parts) if transfer.objective == "fuel" else casadi.sumsqr(parts)
         on_x, on_u, drift = self._motion_equations()
         rows = [(casadi.DM(on_x) @ x + casadi.DM(on_u) @ u, np.tile(drift, N), np.tile(drift, N))]
-        if isfinite(transfer.max_speed) and T > 1:
+        if isfinite(V) and T > 1:
             v = casadi.reshape(x, 2 * m, (T + 1) * N)[m:, :]
             inside = [i * (T + 1) + k for i in range(N) for k in range(1, T)]
-            limit = np.full(len(inside), (transfer.max_speed / unit[-1]) ** 2)
+            limit = np.full(len(inside), (V / unit[-1]) ** 2)
             rows.append((casadi.sum1(v[:, inside] ** 2), -inf * limit, limit))
         # Relative positions as variables make second derivatives diagonal.
         Dx, Du = self._relative_position_maps(N, instants)

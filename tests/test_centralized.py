@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import casadi
 import numpy as np
 import pytest
 from graphs import complete
@@ -258,3 +259,51 @@ def test_the_reported_status_does_not_decide_feasibility():
     _, u, said = program.solve(CROSSING, free, nowhere)
     assert "Solve_Succeeded" in said  # of a program without separation constraints
     assert not central.simulate(start, goal, u, said).is_feasible
+
+
+QUIET = {"ipopt": {"print_level": 0, "sb": "yes"}, "print_time": False}
+
+
+def solve_program(program, method="ipopt", options=QUIET):
+    solver = casadi.nlpsol("central", method, program.problem, options)
+    return program.trajectories(solver(**program.arguments)["x"]), solver.stats()["success"]
+
+
+@pytest.mark.parametrize("objective", ["fuel", "energy"])
+def test_programs_of_distant_agents_are_solved_as_their_transfers(objective, rng):
+    limits = {"max_control": 0.2, "max_speed": 0.6, "objective": objective}
+    central = CentralizedProblem.from_model(DoubleIntegrator(3), 1.0, 12, RADIUS, **limits)
+    start = at_rest(9 * np.eye(3) + rng.normal(size=(3, 3)))
+    goal = start + at_rest(rng.uniform(-1.5, 1.5, (3, 3)))
+    (x, u), is_solved = solve_program(central.nonlinear_program(start, goal))
+    found = central.simulate(start, goal, u, "IPOPT")
+    alone = [central.transfer.solve(*ends) for ends in zip(start, goal, strict=True)]
+    assert is_solved and found.is_feasible
+    assert_allclose(x, found.x, atol=1e-6)
+    assert found.cost == pytest.approx(sum(map(central.transfer.cost, alone)), rel=1e-5)
+
+
+@pytest.mark.parametrize("objective", ["fuel", "energy"])
+def test_programs_keep_agents_apart_at_nearly_all_times(objective, rng):
+    for count in (2, 3, 4):
+        limits = {"max_control": 0.2, "max_speed": 0.6, "objective": objective}
+        central = CentralizedProblem.from_model(DoubleIntegrator(2), 1.0, 14, RADIUS, **limits)
+        turn = np.linspace(0, 2 * np.pi, count, endpoint=False) + rng.uniform(-0.2, 0.2, count)
+        start = at_rest(1.6 * np.column_stack([np.cos(turn), np.sin(turn)]))
+        (x, u), is_solved = solve_program(central.nonlinear_program(start, -start))
+        found = central.simulate(start, -start, u, "IPOPT")
+        assert is_solved and found.terminal_error <= 1e-9 and found.control_violation <= 1e-6
+        assert found.speed_violation <= 1e-6 and 0.98 <= found.min_separation <= 1.001
+        best, _ = central.solve(start, -start, [(x, u)])
+        assert best.cost >= found.cost * (1 - 1e-6)  # more instants, not less cost
+
+
+@pytest.mark.parametrize("method", ["sleqp", "uno"])
+def test_other_solvers_find_the_same_optimum(method):
+    limits = {"max_control": 0.3, "objective": "energy"}
+    central = CentralizedProblem.from_model(DoubleIntegrator(2), 1.0, 8, RADIUS, **limits)
+    program = central.nonlinear_program(*CROSSING)
+    (_, first), _ = solve_program(program)
+    (_, second), is_solved = solve_program(program, method, {"print_time": False})
+    costs = [central.simulate(*CROSSING, u, "").cost for u in (first, second)]
+    assert is_solved and costs[1] == pytest.approx(costs[0], rel=1e-6)

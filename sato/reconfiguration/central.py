@@ -1,0 +1,58 @@
+"""Centralized problem of a mission: the data of its first leg, for solvers of the user's own."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from dynamics.discretize import discretize_zoh
+from problems.assignment import solve_assignment
+from problems.auction_cost import compute_transfer_costs
+from problems.centralized import CentralizedProblem
+from problems.convexify import AvoidanceHorizon
+from problems.transfer import TransferProblem
+from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.planning import make_horizon
+
+
+class CentralMission(NamedTuple):
+    """Centralized problem of a mission's first leg, with the states of its agents.
+
+    central = sato.central_problem(sato.read("crossing"))
+    program = central.problem.nonlinear_program(central.start, central.goal)
+    """
+
+    problem: CentralizedProblem
+    start: Float[Array, "agents n"]
+    goal: Float[Array, "agents n"]  # target of each agent
+
+
+def central_problem(mission: Reconfiguration, seed: int = 0) -> CentralMission:
+    """Return the joint transfers of all agents from their starts to the targets of the first leg.
+
+    They move by the shared linear model, keep the collision radius and the margin, and begin
+    together: losses and joins are left out. Targets that are not given are assigned at the least
+    total cost.
+
+    Args:
+        mission: With the norms of the defaults.
+        seed: Random seed, as that of `run`.
+
+    Raises:
+        ValueError: The mission has other norms, or limits that differ between axes.
+    """
+    drawn = mission.draw(np.random.default_rng(seed))
+    leg, start = drawn.legs[0], drawn.initial_states[drawn.alive]
+    model = discretize_zoh(drawn.linear_model, drawn.step, leg.steps)
+    limits = drawn.max_control, drawn.max_speed, drawn.fuel_norm, drawn.control_norm
+    transfer = TransferProblem(model, *limits)
+    whole = make_horizon(replace(drawn, foresight_steps=leg.steps), 0.0, leg.steps)
+    fine = whole.fine_model[: leg.steps * whole.pieces_per_step]
+    problem = CentralizedProblem(transfer, AvoidanceHorizon(model, fine, whole.clearance))
+    if drawn.assignment == "given":
+        return CentralMission(problem, start, leg.targets[: len(start)])
+    targets = leg.targets if leg.is_free else leg.targets[: len(start)]
+    cost = compute_transfer_costs(transfer, start, targets).cost
+    return CentralMission(problem, start, targets[solve_assignment(cost)])
