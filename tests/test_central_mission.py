@@ -63,9 +63,11 @@ def test_targets_are_assigned_at_the_least_total_cost(choose, rng):
     assert sum(alone) == pytest.approx(least, rel=1e-6)
 
 
-def test_given_targets_are_kept(rng):
-    given = mission(MODELS[0], rng, assignment="given")
-    assert_array_equal(sato.central_problem(given).goal[:, :2], given.legs[0].shape.positions)
+def test_given_targets_and_the_objective_are_kept(rng):
+    given = mission(MODELS[0], rng, assignment="given", objective="energy")
+    central = sato.central_problem(given)
+    assert_array_equal(central.goal[:, :2], given.legs[0].shape.positions)
+    assert central.problem.transfer.objective == "energy"
 
 
 def test_other_norms_are_refused(rng):

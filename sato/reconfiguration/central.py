@@ -32,9 +32,9 @@ class CentralMission(NamedTuple):
 def central_problem(mission: Reconfiguration, seed: int = 0) -> CentralMission:
     """Return the joint transfers of all agents from their starts to the targets of the first leg.
 
-    They move by the shared linear model, keep the collision radius and the margin, and begin
-    together: losses and joins are left out. Targets that are not given are assigned at the least
-    total cost.
+    They have the mission's objective, move by its shared linear model, keep its collision radius
+    and margin, and begin together: losses and joins are left out. Targets that are not given are
+    assigned at the least total cost.
 
     Args:
         mission: With the norms of the defaults.
@@ -47,7 +47,7 @@ def central_problem(mission: Reconfiguration, seed: int = 0) -> CentralMission:
     leg, start = drawn.legs[0], drawn.initial_states[drawn.alive]
     model = discretize_zoh(drawn.linear_model, drawn.step, leg.steps)
     limits = drawn.max_control, drawn.max_speed, drawn.fuel_norm, drawn.control_norm
-    transfer = TransferProblem(model, *limits)
+    transfer = TransferProblem(model, *limits, objective=drawn.objective)
     whole = make_horizon(replace(drawn, foresight_steps=leg.steps), 0.0, leg.steps)
     fine = whole.fine_model[: leg.steps * whole.pieces_per_step]
     problem = CentralizedProblem(transfer, AvoidanceHorizon(model, fine, whole.clearance))
