@@ -1,6 +1,7 @@
 """Reach of targets in a number of steps: what is refused, and how many steps are enough."""
 
 from collections.abc import Callable
+from functools import cache
 from math import floor, inf
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -17,6 +18,7 @@ MAX_TIME_FACTOR = 64  # times the steps that were asked for; beyond, time is not
 MAX_CONTROL_FACTOR = 64  # times the control that there is
 CONTROL_PRECISION = 1.01  # relative, of the control that would do
 MAX_PAIRS_TIMES_STEPS = 20_000_000  # above which no longer time is tried
+MAX_SOLVED_PAIRS_TIMES_STEPS = 2_000_000  # above which bounds alone decide
 MAX_SOLVES = 300  # transfers solved one by one, where no bound decides
 
 
@@ -45,9 +47,10 @@ def check_reach(mission: "Reconfiguration") -> None:
     if fault is None:
         return
     longest = min(MAX_TIME_FACTOR * steps, _longest(departure, targets))
+    bounds = cache(lambda steps: _bound_controls(mission, departure, targets, steps))
 
     def is_enough(steps: float, control: float) -> bool:
-        return find_stranded(mission, departure, targets, int(steps), control) is None
+        return find_stranded(mission, departure, targets, int(steps), control, bounds) is None
 
     time = _find_least(lambda k: is_enough(k, control), steps, longest)
     strongest = MAX_CONTROL_FACTOR * control
@@ -134,6 +137,7 @@ def find_stranded(
     targets: Float[Array, "targets n"],
     steps: int,
     max_control: float,
+    bounds: Callable[[int], Array] | None = None,
 ) -> str | None:
     """Say which agent has no target that it can reach, and why; None where each has one.
 
@@ -143,7 +147,7 @@ def find_stranded(
     from scipy.optimize import linear_sum_assignment
 
     agents, spare = departure.agents, departure.spare
-    possible, sure = _bound_reach(mission, departure, targets, steps, max_control)
+    possible, sure = _bound_reach(mission, departure, targets, steps, max_control, bounds)
     if mission.assignment == "given":
         is_own = agents[:, None] == np.arange(len(targets))
         possible, sure = possible & is_own, sure & is_own
@@ -182,8 +186,13 @@ def _bound_reach(
     targets: Float[Array, "targets n"],
     steps: int,
     control: float,
+    bounds: Callable[[int], Array] | None,
 ) -> tuple[Bool[Array, "k targets"], Bool[Array, "k targets"]]:
-    """Return the pairs that may be within reach, and those that certainly are."""
+    """Return the pairs that may be within reach, and those that certainly are.
+
+    Where there are more than `MAX_SOLVED_PAIRS_TIMES_STEPS`, bounds alone decide, and pairs that
+    are possible count as certain.
+    """
     start, d, h, V = departure.state, mission.axes, mission.step, mission.max_speed
     starts_at_rest = ~start[:, d:].any(axis=1, keepdims=True)
     ends = 1.0 * starts_at_rest + ~targets[:, d:].any(axis=1)
@@ -204,6 +213,12 @@ def _bound_reach(
     from problems.transfer import TransferProblem
 
     # The box of r = ∞ contains the balls of the other norms: out of its reach is out of theirs.
+    lower = bounds(steps) if bounds else _bound_controls(mission, departure, targets, steps)
+    possible = lower <= control * (1 + 1e-9)
+    if _find_unmatched(possible).sum() > departure.spare:
+        return possible, np.zeros_like(possible)
+    if possible.size * steps > MAX_SOLVED_PAIRS_TIMES_STEPS:
+        return possible, possible
     model = discretize_zoh(mission.linear_model, h, steps, departure.time)
     found = compute_transfer_costs(TransferProblem(model, control, V), start, targets)
     possible, sure = found.is_reachable.copy(), found.is_reachable & found.is_exact
@@ -213,6 +228,20 @@ def _bound_reach(
         least_time = np.where(2 * far * most >= ends * V**2, at_full_speed, below)
         possible &= least_time <= steps * h * (1 + 1e-9)
     return possible, sure & possible & (mission.control_norm == "inf")
+
+
+def _bound_controls(
+    mission: "Reconfiguration", departure: Departure, targets: Float[Array, "targets n"], steps: int
+) -> Float[Array, "k targets"]:
+    """Compute lower bounds of the control that each pair takes, without the speed limit."""
+    from dynamics.discretize import discretize_zoh
+    from problems.auction_cost import compute_displacements
+    from problems.reach import bound_least_controls
+
+    model = discretize_zoh(mission.linear_model, mission.step, steps, departure.time)
+    b = compute_displacements(model, departure.state, targets)
+    lower = bound_least_controls(model, b.reshape(-1, b.shape[2]))
+    return np.asarray(lower.reshape(b.shape[:2]))
 
 
 def _farthest(a: Float[Array, "*k"], steps: int, h: float, V: float) -> Float[Array, "*k"]:
