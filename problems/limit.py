@@ -40,6 +40,12 @@ class Limit:
         """Compute ‖v / s‖_r, which may be at most L."""
         return vector_norm(v / self.shares, self.norm)
 
+    def most_along(self, direction: Float[Array, "*k m"]) -> Float[Array, "*k"]:
+        """Compute the largest product of a vector in the set with a direction."""
+        duals: dict[Norm, Norm] = {1: "inf", 2: 2, "inf": 1}
+        dual = vector_norm(direction * self.shares, duals[self.norm])
+        return np.asarray(self.most * dual)
+
     @cached_property
     def largest_length(self) -> float:
         """Largest Euclidean length of a vector in the set."""

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 
 from numpy import ndarray as Array
 
-from sato.scenario.definition import Field, kinds_of
+from sato.scenario.definition import EACH, Field, kinds_of
 from sato.scenario.errors import format_value, join_names
 from sato.scenario.table import layout
 from sato.systems import definition_of
@@ -64,7 +64,8 @@ def _values(field: Field) -> str:
         for bound, sign in BOUNDS.items()
         if getattr(mark, bound, None) is not None
     ]
-    return " ".join([_type_name(field.hint), *bounds])
+    either = ["or list"] if EACH in field.marks else []
+    return " ".join([_type_name(field.hint), *bounds, *either])
 
 
 def _type_name(hint: Any) -> str:

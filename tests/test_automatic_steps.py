@@ -40,17 +40,17 @@ def test_one_step_less_than_the_least_is_refused(seed):
 
 
 @pytest.mark.parametrize("norm", [1, 2, "inf"])
-@pytest.mark.parametrize("speed", [0.3, np.inf])
-def test_reach_with_a_speed_limit_is_that_of_the_transfer_problem(norm, speed, rng):
-    changes = {"control_norm": norm, "max_speed": speed}
+@pytest.mark.parametrize(("speed", "of_speed"), [(0.3, 2), (0.3, 1), (0.3, "inf"), (np.inf, 2)])
+def test_reach_with_a_speed_limit_is_that_of_the_transfer_problem(norm, speed, of_speed, rng):
+    changes = {"control_norm": norm, "max_speed": speed, "speed_norm": of_speed, "max_control": 0.1}
     mission = make_mission(row(1, 0.0), Leg([[3.0, 9.0]], 99), **(LIMITS | changes))
     both = set()
     for _ in range(25):
         way, steps = rng.uniform(-2, 2, 2), int(rng.integers(4, 16))
         start, target = np.zeros((1, 4)), np.array([[*way, 0.0, 0.0]])
-        fault = find_stranded(mission, Departure(np.arange(1), start), target, steps, 0.1)
+        fault = find_stranded(mission, Departure(np.arange(1), start), target, steps)
         model = discretize_zoh(mission.linear_model, 1.0, steps)
-        transfer = TransferProblem(model, 0.1, speed, control_norm=norm)
+        transfer = TransferProblem(model, 0.1, speed, control_norm=norm, speed_norm=of_speed)
         found = solve_transfer(transfer, start[0], target[0])
         assert (fault is None) == (found is not None)
         both.add(fault is None)

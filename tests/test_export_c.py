@@ -184,7 +184,7 @@ def test_library_exports_a_single_function(made):
 
 def test_problem_without_constant_matrices_is_refused():
     steps = discretize_zoh(DoubleIntegrator(2), 1.0, 6)
-    with pytest.raises(ValueError, match=r"has fuel_norm 1 .* got \(2, 'inf', 2\)"):
+    with pytest.raises(ValueError, match=r"has fuel_norm 1, .* got \(2, 'inf', 2\)"):
         FixedSizeAvoidanceProblem(TransferProblem(steps, 0.1, fuel_norm=2), 3, 4)
     changing = replace(steps, A=steps.A * np.linspace(1, 1.1, 6)[:, None, None])
     with pytest.raises(ValueError, match="the same at every step"):

@@ -122,9 +122,12 @@ def check_complete(attributes: Mapping[str, Any], lacking: str = "") -> Promise:
     return Promise("complete", not reasons, float(len(reasons)), 0.0, text)
 
 
-def check_attributes(attributes: Mapping[str, Any], expected: Mapping[str, float | str]) -> Promise:
+def check_attributes(attributes: Mapping[str, Any], expected: Mapping[str, Any]) -> Promise:
     """Check that the radii and limits in the attributes are those of the scenario."""
-    wrong = [attributes.get(name) != value for name, value in expected.items()]
+    wrong = [
+        name not in attributes or not np.array_equal(attributes[name], value)
+        for name, value in expected.items()
+    ]
     return expect_none("attributes", wrong, "radii or limits that are not the scenario's")
 
 

@@ -11,7 +11,6 @@ from dynamics.discretize import discretize_zoh
 from problems.avoidance import HalfSpaces
 from problems.convexify import AvoidanceHorizon, are_hulls_separated, choose_normals, convexify
 from problems.fixed_size_avoidance import FixedSizeAvoidanceProblem
-from problems.transfer import TransferProblem
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.planning import make_horizon
 from sato.reconfiguration.solo_trajectories import TIE_BREAK_RISE
@@ -52,13 +51,10 @@ def build_problem(scenario: str, neighbors: int, steps: int | None = None) -> On
             "has constant matrices; of models in orbit, clohessy_wiltshire and "
             "schweighart_sedwick would do"
         )
+    mission.require_equal_limits("exported code")
     T = mission.legs[0].steps if steps is None else steps
     model = discretize_zoh(mission.linear_model, mission.step, T)
-    limits, norms = (
-        (mission.max_control, mission.max_speed),
-        (mission.fuel_norm, mission.control_norm),
-    )
-    transfer = TransferProblem(model, *limits, *norms, TIE_BREAK_RISE)
+    transfer = mission.make_transfer(model, 0, tie_break_rise=TIE_BREAK_RISE)
     horizon = make_horizon(mission, 0.0, T)
     # One half-space for each neighbor and control point of a step.
     _, pieces, points, *_ = horizon.control_point_maps[0].shape

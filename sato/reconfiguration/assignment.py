@@ -5,7 +5,7 @@ from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from dynamics.discretize import DiscreteModel
@@ -224,12 +224,11 @@ def _claimed_by_absent(
 
 def _compute_costs(context: DecisionContext, planned_cost: Float[Array, " agents"]) -> CostTable:
     mission, leg, memory = context.mission, context.leg, context.memory
-    shape, alive = (len(context.state), len(leg.targets)), context.graph.alive
+    shape = (len(context.state), len(leg.targets))
     table = CostTable(np.zeros(shape), np.ones(shape, dtype=bool), np.ones(shape, dtype=bool))
-    for clock in np.unique(memory.clock[alive]):
-        agents = np.flatnonzero(alive & (memory.clock == clock))
-        model, x = context.remaining_model(int(clock)), context.state[agents]
-        for whole, part in zip(table, _costs_of(context, model, x), strict=True):
+    for clock, agents in context.group_agents():
+        model, x = context.remaining_model(clock), context.state[agents]
+        for whole, part in zip(table, _costs_of(context, model, agents, x), strict=True):
             whole[agents] = part
     # A plan that was found stays feasible: where it is tight, rounding must not say otherwise.
     for i in np.flatnonzero(np.isfinite(planned_cost)):
@@ -244,9 +243,12 @@ def _compute_costs(context: DecisionContext, planned_cost: Float[Array, " agents
 
 
 def _costs_of(
-    context: DecisionContext, model: DiscreteModel, state: Float[Array, "k n"]
+    context: DecisionContext,
+    model: DiscreteModel,
+    agents: Int[Array, " k"],
+    state: Float[Array, "k n"],
 ) -> CostTable:
-    """Compute the costs for agents on one clock."""
+    """Compute the costs for agents on one clock and with equal limits."""
     mission, leg = context.mission, context.leg
     d, tie = mission.axes, _tie_break(mission, leg, model, state)
     if len(model) == 0:
@@ -254,7 +256,7 @@ def _costs_of(
         is_there = error[..., :d].max(axis=2) <= mission.position_tolerance
         is_there &= error[..., d:].max(axis=2) <= mission.velocity_tolerance
         return CostTable(tie, is_there, np.ones_like(is_there))
-    transfer = context.make_transfer(model)
+    transfer = context.make_transfer(model, int(agents[0]))
     found = auction_cost.compute_transfer_costs(transfer, state, leg.targets)
     cost = _cost_scale(mission, leg, model) * found.cost
     if mission.cost == "distance":
@@ -267,7 +269,7 @@ def _refine_cost(context: DecisionContext, table: CostTable, i: int, j: int) -> 
     """Make the cost of target j for agent i exact."""
     mission, leg, x = context.mission, context.leg, context.state[i]
     model = context.remaining_model(int(context.memory.clock[i]))
-    problem = context.make_transfer(model)
+    problem = context.make_transfer(model, i)
     transfer = auction_cost.solve_transfer(problem, x, leg.targets[j])
     tie = _tie_break(mission, leg, model, x[None])[0, j]
     table.is_exact[i, j], table.is_reachable[i, j] = True, transfer is not None

@@ -12,7 +12,6 @@ from problems.assignment import solve_assignment
 from problems.auction_cost import compute_transfer_costs
 from problems.centralized import CentralizedProblem
 from problems.convexify import AvoidanceHorizon
-from problems.transfer import TransferProblem
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.planning import make_horizon
 
@@ -46,8 +45,8 @@ def central_problem(mission: Reconfiguration, seed: int = 0) -> CentralMission:
     drawn = mission.draw(np.random.default_rng(seed))
     leg, start = drawn.legs[0], drawn.initial_states[drawn.alive]
     model = discretize_zoh(drawn.linear_model, drawn.step, leg.steps)
-    limits = drawn.max_control, drawn.max_speed, drawn.fuel_norm, drawn.control_norm
-    transfer = TransferProblem(model, *limits, objective=drawn.objective)
+    drawn.require_equal_limits("the centralized problem")
+    transfer = drawn.make_transfer(model, 0, objective=drawn.objective)
     whole = make_horizon(replace(drawn, foresight_steps=leg.steps), 0.0, leg.steps)
     fine = whole.fine_model[: leg.steps * whole.pieces_per_step]
     problem = CentralizedProblem(transfer, AvoidanceHorizon(model, fine, whole.clearance))

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.circular_orbit import ClohessyWiltshire
+from problems.limit import Limit
 from sato.reconfiguration import feasibility, reach
 from sato.reconfiguration.leg import Leg, states_of
 from sato.reconfiguration.mission import Reconfiguration
@@ -29,11 +30,11 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
     """
     demand, asked = feasibility.target_demand(mission), mission.legs
     mission = _with_placeholders(mission)
-    nobody, count = np.empty((0, mission.axes)), mission.agent_count
-    start = _draw_start(mission, "swarm.start", mission.start, count, nobody, 0.0, rng)
+    nobody, agents = np.empty((0, mission.axes)), range(mission.agent_count)
+    start = _draw_start(mission, "swarm.start", mission.start, agents, nobody, 0.0, rng)
     states, known, legs, steps = start, start, [], 0
     for k, leg in enumerate(mission.legs):
-        leg = _draw_joins(mission, k, leg, known, mission.step * steps, rng)
+        leg = _draw_joins(mission, k, leg, known, len(states), mission.step * steps, rng)
         joined = [states_of(join.start) for join in leg.joins]
         states = np.concatenate([states, *joined])
         if is_auto(asked[k].steps):
@@ -123,7 +124,10 @@ def _draw_targets(
     with errors_in(where):
         drawn = leg.place(demand, mission.axes, mission.collision_radius)
     placed = np.asarray(drawn.positions)
-    return _with_velocities(mission, placed, drawn.velocities, arrival, where, "target")
+    # Any vehicle may have to arrive there.
+    slowest = min(mission.speed_limits, key=lambda limit: float(limit.most * limit.shares.min()))
+    limits = [slowest] * len(placed)
+    return _with_velocities(mission, placed, drawn.velocities, arrival, where, limits, "target")
 
 
 def _draw_joins(
@@ -131,6 +135,7 @@ def _draw_joins(
     number: int,
     leg: Leg,
     known: Float[Array, "k n"],
+    first: int,
     begin: float,
     rng: np.random.Generator,
 ) -> Leg:
@@ -140,8 +145,10 @@ def _draw_joins(
         there = [known if join.at_step == 0 else known[:0], *beside]
         occupied = np.concatenate(there)[:, : mission.axes]
         where, t = f"leg.{number}.join.{i}.start", begin + join.at_step * mission.step
-        states = _draw_start(mission, where, join.start, join.size, occupied, t, rng)
+        agents = range(first, first + join.size)
+        states = _draw_start(mission, where, join.start, agents, occupied, t, rng)
         drawn.append((join.at_step, states))
+        first += join.size
     joins = [
         replace(join, agents=len(states), start=_as_points(states))
         for join, (_, states) in zip(leg.joins, drawn, strict=True)
@@ -153,12 +160,12 @@ def _draw_start(
     mission: Reconfiguration,
     where: str,
     start: Start,
-    count: int,
+    agents: range,
     occupied: Float[Array, "k d"],
     t: float,
     rng: np.random.Generator,
 ) -> Float[Array, "count n"]:
-    axes, velocity = mission.axes, None
+    axes, count, velocity = mission.axes, len(agents), None
     with errors_in(where):
         if isinstance(start, Random):
             placed = start.draw(mission, count, occupied, rng)
@@ -171,7 +178,8 @@ def _draw_start(
         else:
             placed = start.place(count, axes, mission.collision_radius)
         _check_separation(placed, occupied, mission.collision_radius)
-    return _with_velocities(mission, placed, velocity, t, where, "agent")
+    limits = [mission.speed_limit(i) for i in agents]
+    return _with_velocities(mission, placed, velocity, t, where, limits)
 
 
 def _check_separation(
@@ -194,21 +202,23 @@ def _with_velocities(
     velocity: Float[Array, "k d"] | None,
     t: float,
     where: str,
-    noun: str,
+    limits: list[Limit],
+    noun: str = "agent",
 ) -> Float[Array, "k n"]:
     """Return states, with velocities that stay about these positions where none are given."""
     if velocity is None:
         velocity = _drift_free_velocities(mission, placed, t, where)
-    speed = np.linalg.norm(velocity, axis=1)
-    i = int(np.argmax(speed))
-    if speed[i] > mission.max_speed * (1 + 1e-12):
+    speed = np.array([one.measure(v) for one, v in zip(limits, velocity, strict=True)])
+    most = np.array([one.most for one in limits])
+    i = int(np.argmax(speed / most))
+    if speed[i] > most[i] * (1 + 1e-12):
         verb = "starts at" if noun == "agent" else "has to be reached at"
         cure = f"{round_up(speed[i])} or more would do, or slower ones"
-        if mission.chief is not None and abs(velocity[i, -1]) > mission.max_speed / 2:
+        if mission.chief is not None and abs(velocity[i, -1]) > most[i] / 2:
             # Out of the plane speeds grow as tan θ, and another latitude does more than a limit.
             cure += f"; {mission.chief.suggest_start(_velocity_times(mission))}"
         fast = f"{noun} {i} {verb} {speed[i]:.4g} m/s"
-        limit = f"model.max_speed_m_s = {mission.max_speed:g}"
+        limit = f"model.max_speed_m_s = {most[i]:g}"
         raise InputError(where, f"{fast}, faster than {limit}; {cure}")
     return np.hstack([placed, velocity])
 

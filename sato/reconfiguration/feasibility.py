@@ -67,13 +67,23 @@ def _check_solver(mission: "Reconfiguration") -> None:
         raise InputError("plan.solver", f'there is no solver "{name}"{hint}')
     # A program with the cones and the cost that the mission's may have.
     is_energy, norms = mission.objective == "energy", {mission.control_norm, mission.fuel_norm}
-    cones = (2,) if mission.max_speed < inf or 2 in norms else ()
-    A, P = csc_array((sum(cones), 1)), csc_array(np.eye(1)) if is_energy else None
-    program = ConicProgram(np.zeros(1), A, np.zeros(sum(cones)), 0, 0, cones, P=P)
-    if reason := known[name].refusal(program):
-        able = list_able(program) if known[name].is_installed else ()
-        cure = f"; {join_names(able)} would do" if able else ""
-        raise InputError("plan.solver", reason + cure)
+    if np.isfinite(mission.top_speeds).any():
+        norms |= {mission.speed_norm}
+    P = csc_array(np.eye(1)) if is_energy else None
+
+    def program(cones: tuple[int, ...]) -> ConicProgram:
+        A = csc_array((sum(cones), 1))
+        return ConicProgram(np.zeros(1), A, np.zeros(sum(cones)), 0, 0, cones, P=P)
+
+    asked = program((2,) if 2 in norms else ())
+    if reason := known[name].refusal(asked):
+        cures = list(list_able(asked)) if known[name].is_installed else []
+        is_speed = mission.control_norm != 2 and (is_energy or mission.fuel_norm != 2)
+        if 2 in norms and is_speed and not known[name].refusal(program(())):
+            cures.append('model.speed_norm = "inf"')
+        raise InputError(
+            "plan.solver", reason + (f"; {join_names(cures)} would do" if cures else "")
+        )
 
 
 def _check_noise(mission: "Reconfiguration") -> None:
@@ -104,25 +114,30 @@ def is_detectable(mission: "Reconfiguration") -> bool:
 
 
 def _least_comm_radius(mission: "Reconfiguration") -> float:
-    closing = 2 * mission.max_speed * mission.horizon_steps * mission.step
-    return closing + mission.collision_radius
+    return _closing_speed(mission) * mission.horizon_steps * mission.step + mission.collision_radius
+
+
+def _closing_speed(mission: "Reconfiguration") -> float:
+    # Of the two fastest.
+    fastest = np.sort(mission.top_speeds)[-2:]
+    return float(2 * fastest.mean())
 
 
 def _check_detectable(mission: "Reconfiguration") -> None:
     if mission.allow_undetectable or is_detectable(mission):
         return
-    needed, speed = _least_comm_radius(mission), mission.max_speed
+    needed, closing = _least_comm_radius(mission), _closing_speed(mission)
     room = mission.comm_radius - mission.collision_radius
     cures = []
-    if speed < inf:
+    if closing < inf:
         cures.append(f"swarm.comm_radius_m = {round_up(needed)}")
-    if room > 0:
+    if room > 0 and mission.has_single_speed:
         slower = room / (2 * mission.horizon_steps * mission.step)
         cures.append(f"model.max_speed_m_s = {round_down(slower)}")
-    if speed < inf and (shorter := floor(room / (2 * speed * mission.step) + 1e-9)) > 0:
+    if closing < inf and (shorter := floor(room / (closing * mission.step) + 1e-9)) > 0:
         cures.append(f"plan.horizon_steps = {shorter}")
     cures = cures or ["a larger comm_radius_m with a model.max_speed_m_s"]
-    limit = f"{needed:.4g} m" if speed < inf else "infinite, for there is no model.max_speed_m_s"
+    limit = f"{needed:.4g} m" if closing < inf else "infinite, for there is no model.max_speed_m_s"
     raise InputError(
         "swarm.comm_radius_m",
         f"{mission.comm_radius:g} is less than 2 V_max T_H Δt + R_col, which is {limit}, so two "

@@ -14,12 +14,21 @@ from pydantic import Field as Constraint
 
 from dynamics.plant import Plant
 from dynamics.units import Acceleration, Angle, Key, Length, Speed, Time, Unit
-from sato.reconfiguration import feasibility, models
+from sato.reconfiguration import feasibility, models, vehicles
 from sato.reconfiguration.leg import Count, Leg, Steps, states_of
 from sato.reconfiguration.models import PlantSettings
 from sato.reconfiguration.orbit import Chief
 from sato.reconfiguration.start import Start, start_without_files
-from sato.scenario.definition import LATER, Convert, In, Inline, NotNegative, Positive
+from sato.scenario.definition import (
+    EACH,
+    LATER,
+    Convert,
+    Coordinates,
+    In,
+    Inline,
+    NotNegative,
+    Positive,
+)
 from sato.scenario.errors import InputError
 from sato.scenario.file import Mission
 from sato.shapes import Points
@@ -27,8 +36,10 @@ from sato.shapes.shape import as_points, least_distance
 
 if TYPE_CHECKING:
     Automatic = float  # once the mission is drawn
+    PerVehicle = vehicles.PerVehicle
 else:
     Automatic = Annotated[float, NotNegative] | Literal["auto"]
+    PerVehicle = float
 
 SWARM, MODEL, PLAN, NOISE = In("swarm"), In("model"), In("plan"), In("disturbance")
 AUTO: Any = "auto"
@@ -45,7 +56,7 @@ Norm = Annotated[Literal[1, 2, "inf"], BeforeValidator(_norm)]
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class Reconfiguration(models.Motion, Mission):
+class Reconfiguration(vehicles.Vehicles, Mission):
     """A swarm that takes up one shape after another [Morgan2016, Method 3].
 
     Args:
@@ -73,11 +84,26 @@ class Reconfiguration(models.Motion, Mission):
     chief: Annotated[Chief | None, In(""), Convert(models.as_chief), "orbit of the chief"] = None
 
     model: Annotated[models.AnyModel, MODEL, Inline(), "equations of motion"]
-    max_control: Annotated[Acceleration, MODEL, Positive, "largest acceleration"]
+    max_control: Annotated[
+        PerVehicle | None, Unit("m_s2"), MODEL, Positive, "largest acceleration", EACH
+    ] = None
+    max_control_axes: Annotated[
+        Coordinates | None, Unit("m_s2"), MODEL, "largest acceleration along each axis, instead"
+    ] = None
     max_speed: Annotated[
-        float, Unit("m_s"), MODEL, Positive, Constraint(allow_inf_nan=True), "largest speed"
+        PerVehicle,
+        Unit("m_s"),
+        MODEL,
+        Positive,
+        Constraint(allow_inf_nan=True),
+        "largest speed",
+        EACH,
     ] = inf
+    max_speed_axes: Annotated[
+        Coordinates | None, Unit("m_s"), MODEL, "largest speed along each axis, instead"
+    ] = None
     control_norm: Annotated[Norm, MODEL, "norm of the acceleration's limit"] = "inf"
+    speed_norm: Annotated[Norm, MODEL, "norm of the velocity's limit"] = 2
     fuel_norm: Annotated[Norm, MODEL, "norm of the acceleration in the fuel"] = 1
 
     plant: Annotated[PlantSettings | Plant, In(""), "motion that is flown"] = PlantSettings()
@@ -162,6 +188,8 @@ class Reconfiguration(models.Motion, Mission):
     def check(self) -> None:
         """Refuse fields that contradict each other, and legs without targets enough."""
         models.check_motion(self.model, self.chief, self.plant)
+        vehicles.check_limits(self)
+        vehicles.check_automatic_steps(self)
         feasibility.check(self)
 
     def draw(self, rng: np.random.Generator) -> "Reconfiguration":

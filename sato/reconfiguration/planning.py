@@ -11,7 +11,6 @@ from numpy import ndarray as Array
 from dynamics.discretize import discretize_zoh
 from dynamics.trajectory_geometry import interpolation_error
 from problems.convexify import AvoidanceHorizon
-from problems.limit import vector_norm
 from problems.transfer import Trajectory, compute_energy, compute_fuel
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.solo_trajectories import relinearize, solve_solo_trajectories
@@ -47,9 +46,9 @@ def controls_at(
     for i in np.flatnonzero(alive).tolist():
         u = plans[i].controls_from(k)
         control[i] = u[0] if len(u) else 0.0
-    size = vector_norm(control, mission.control_norm)
-    factor = np.minimum(1.0, mission.max_control / np.maximum(size, 1e-300))
-    return np.asarray(control * factor[:, None])
+        limit = mission.control_limit(i)
+        control[i] *= min(1.0, limit.most / max(float(limit.measure(control[i])), 1e-300))
+    return control
 
 
 def remaining_controls(
@@ -124,7 +123,8 @@ def make_horizon(mission: Reconfiguration, time: float, steps_left: int) -> Avoi
     the planned end of the leg, which all agents know. A step is divided so finely that two
     agents at full speed move by about R_col in a piece.
     """
-    speed = mission.max_speed if isfinite(mission.max_speed) else 0.0
+    fastest = float(mission.top_speeds.max())
+    speed = fastest if isfinite(fastest) else 0.0
     S = min(MAX_PIECES, max(1, ceil(2 * speed * mission.step / mission.collision_radius)))
     T = max(mission.horizon_steps, min(mission.foresight_steps, steps_left))
     margin = mission.margin + _interpolation_margin(mission, mission.step / S)
@@ -140,7 +140,7 @@ def _plan_alone(
 ) -> tuple[dict[int, Planner], list[int], int]:
     """Return a planner for every agent, those whose targets are unreachable, and the solves."""
     mission, leg, k = context.mission, context.leg, context.step_index
-    memory, alive = context.memory, context.graph.alive
+    memory = context.memory
     is_nonlinear = mission.nonlinear_model is not None
     horizon = make_horizon(mission, context.time, leg.steps - k)
     planners: dict[int, Planner] = {}
@@ -148,9 +148,8 @@ def _plan_alone(
     solve_count = 0
     # The first agent may have given way by little in a negotiation, and others count on it.
     relative = FEASIBILITY_TOLERANCE if mission.bargains else CONVERGENCE_TOLERANCE
-    for clock in np.unique(memory.clock[alive]):
-        agents = np.flatnonzero(alive & (memory.clock == clock)).tolist()
-        model = context.remaining_model(int(clock))
+    for clock, group in context.group_agents():
+        agents, model = group.tolist(), context.remaining_model(clock)
         rests = [remaining_controls(previous, i, memory, k, leg.steps) for i in agents]
         transfers, solos, stranded, count = solve_solo_trajectories(context, model, agents, rests)
         unreachable += stranded
@@ -184,7 +183,7 @@ def _interpolation_margin(mission: Reconfiguration, h: float) -> float:
     # ends and under full control; doubled for the states in between.
     ends = np.concatenate([mission.initial_states, *(leg.targets for leg in mission.legs)])
     x = np.stack([ends, ends], axis=1)
-    u = np.full((len(ends), 1, mission.axes), mission.max_control)
+    u = np.broadcast_to(mission.largest_control, (len(ends), 1, mission.axes))
     return 4 * interpolation_error(mission.linear_model, x, u, h)
 
 

@@ -1,7 +1,8 @@
 """Reach of targets in a number of steps: what is refused, and how many steps are enough."""
 
 from collections.abc import Callable
-from functools import cache
+from dataclasses import replace
+from functools import cache, partial
 from math import floor, inf
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -40,23 +41,25 @@ def check_reach(mission: "Reconfiguration") -> None:
             can be reached for every agent to have one; says for which agent, and what time or
             control would do.
     """
-    steps, control = mission.legs[0].steps, mission.max_control
+    steps, control = mission.legs[0].steps, float(mission.largest_control.max())
     departure = depart(mission, mission.initial_states)
     targets = mission.legs[0].targets[: count_wanted(mission, departure)]
-    fault = find_stranded(mission, departure, targets, steps, control)
+    fault = find_stranded(mission, departure, targets, steps)
     if fault is None:
         return
     longest = min(MAX_TIME_FACTOR * steps, _longest(departure, targets))
     bounds = cache(lambda steps: _bound_controls(mission, departure, targets, steps))
 
-    def is_enough(steps: float, control: float) -> bool:
-        return find_stranded(mission, departure, targets, int(steps), control, bounds) is None
+    def is_enough(steps: float, factor: float = 1.0) -> bool:
+        return find_stranded(mission, departure, targets, int(steps), factor, bounds) is None
 
-    time = _find_least(lambda k: is_enough(k, control), steps, longest)
-    strongest = MAX_CONTROL_FACTOR * control
-    strength = _find_least(lambda u: is_enough(steps, u), control, strongest, CONTROL_PRECISION)
+    time = _find_least(is_enough, steps, longest)
+    factor = _find_least(lambda f: is_enough(steps, f), 1.0, MAX_CONTROL_FACTOR, CONTROL_PRECISION)
     cures = [f"steps = {time}"] if time else []
-    cures += [f"model.max_control_m_s2 = {round_up(strength)}"] if strength else []
+    if factor and isinstance(mission.max_control, float | int):
+        cures.append(f"model.max_control_m_s2 = {round_up(factor * control)}")
+    elif factor:
+        cures.append(f"{round_up(factor)} times the limits of the control")
     cures = cures or ["far more steps, a larger model.max_control_m_s2 or max_speed_m_s"]
     within = f"in {steps} steps of {mission.step:g} s"
     raise InputError("leg.0.steps", f"{fault} {within}; {join_names(cures)} would do")
@@ -101,8 +104,7 @@ def find_least_steps(
 
     def is_enough(steps: float) -> bool:
         targets = targets_after(int(steps))
-        fault = find_stranded(mission, departure, targets, int(steps), mission.max_control)
-        return fault is None
+        return find_stranded(mission, departure, targets, int(steps)) is None
 
     longest = _longest(departure, targets_after(1))
     least = 1 if is_enough(1) else _find_least(is_enough, 1, longest)
@@ -136,10 +138,12 @@ def find_stranded(
     departure: Departure,
     targets: Float[Array, "targets n"],
     steps: int,
-    max_control: float,
+    factor: float = 1.0,
     bounds: Callable[[int], Array] | None = None,
 ) -> str | None:
     """Say which agent has no target that it can reach, and why; None where each has one.
+
+    The factor is of all limits of the control.
 
     Bounds decide most pairs. Of the others, transfers are solved one by one, as far as an
     assignment depends on them, up to `MAX_SOLVES`; beyond, they are taken as possible.
@@ -147,7 +151,12 @@ def find_stranded(
     from scipy.optimize import linear_sum_assignment
 
     agents, spare = departure.agents, departure.spare
-    possible, sure = _bound_reach(mission, departure, targets, steps, max_control, bounds)
+    bounds = bounds or cache(lambda steps: _bound_controls(mission, departure, targets, steps))
+    possible, sure = np.zeros((2, len(agents), len(targets)), dtype=bool)
+    for rows in mission.group_by_limits(agents):
+        part, least = _select(departure, rows), partial(_take, bounds, rows)
+        found = _bound_reach(mission, part, targets, steps, factor, least)
+        possible[rows], sure[rows] = found
     if mission.assignment == "given":
         is_own = agents[:, None] == np.arange(len(targets))
         possible, sure = possible & is_own, sure & is_own
@@ -167,10 +176,17 @@ def find_stranded(
             if possible[i, j] and not sure[i, j]:
                 if solves == MAX_SOLVES:
                     return None
-                possible[i, j] = sure[i, j] = _can_transfer(
-                    mission, departure.state[i], targets[j], steps, max_control, departure.time
-                )
+                one = _select(departure, np.array([i]))
+                possible[i, j] = sure[i, j] = _can_transfer(mission, one, targets[j], steps, factor)
                 solves += 1
+
+
+def _take(bounds: Callable[[int], Array], rows: Int[Array, " k"], steps: int) -> Array:
+    return np.asarray(bounds(steps)[rows])
+
+
+def _select(departure: Departure, rows: Int[Array, " k"]) -> Departure:
+    return departure._replace(agents=departure.agents[rows], state=departure.state[rows])
 
 
 def _find_unmatched(reachable: Bool[Array, "k targets"]) -> Bool[Array, " k"]:
@@ -185,27 +201,28 @@ def _bound_reach(
     departure: Departure,
     targets: Float[Array, "targets n"],
     steps: int,
-    control: float,
-    bounds: Callable[[int], Array] | None,
+    factor: float,
+    bounds: Callable[[int], Array],
 ) -> tuple[Bool[Array, "k targets"], Bool[Array, "k targets"]]:
     """Return the pairs that may be within reach, and those that certainly are.
 
-    Where there are more than `MAX_SOLVED_PAIRS_TIMES_STEPS`, bounds alone decide, and pairs that
-    are possible count as certain.
+    The vehicles have equal limits. Where there are more than `MAX_SOLVED_PAIRS_TIMES_STEPS`,
+    bounds alone decide, and pairs that are possible count as certain.
     """
-    start, d, h, V = departure.state, mission.axes, mission.step, mission.max_speed
+    start, d, h, agent = departure.state, mission.axes, mission.step, int(departure.agents[0])
+    control, speed = mission.control_limit(agent), mission.speed_limit(agent)
     starts_at_rest = ~start[:, d:].any(axis=1, keepdims=True)
     ends = 1.0 * starts_at_rest + ~targets[:, d:].any(axis=1)
     way = np.abs(targets[None, :, :d] - start[:, None, :d])
     far = np.linalg.norm(way, axis=2)
-    # Norms of the direction: most and least strength along it are those of the dual norm, and
-    # of the straight line.
+    # The most of a vector along a direction is that of the dual norm; less on a straight line.
     unit = way / np.where(far > 0, far, 1.0)[..., None] + (far == 0)[..., None] * np.eye(d)[0]
-    norms = {1: unit.sum(axis=2), 2: np.ones_like(far), "inf": unit.max(axis=2)}
-    most = control * norms[{1: "inf", 2: 2, "inf": 1}[mission.control_norm]]
+    most, V = factor * control.most_along(unit), speed.most_along(unit)
     if mission.is_point_mass and (ends == 2).all():
-        line = _farthest(control / norms[mission.control_norm], steps, h, V)
-        box = _farthest(control / norms["inf"], steps, h, inf)
+        strength = factor * control.most / control.measure(unit)
+        line = _farthest(strength, steps, h, speed.most / speed.measure(unit))
+        widest = factor * control.most / (unit / control.shares).max(axis=2)
+        box = _farthest(widest, steps, h, np.full_like(far, inf))
         limit = far / (1 + 1e-9)
         return (limit <= box) & (limit <= _farthest(most, steps, h, V)), limit <= line
     from dynamics.discretize import discretize_zoh
@@ -213,16 +230,16 @@ def _bound_reach(
     from problems.transfer import TransferProblem
 
     # The box of r = ∞ contains the balls of the other norms: out of its reach is out of theirs.
-    lower = bounds(steps) if bounds else _bound_controls(mission, departure, targets, steps)
-    possible = lower <= control * (1 + 1e-9)
+    possible = bounds(steps) <= factor * control.most * (1 + 1e-9)
     if _find_unmatched(possible).sum() > departure.spare:
         return possible, np.zeros_like(possible)
     if possible.size * steps > MAX_SOLVED_PAIRS_TIMES_STEPS:
         return possible, possible
     model = discretize_zoh(mission.linear_model, h, steps, departure.time)
-    found = compute_transfer_costs(TransferProblem(model, control, V), start, targets)
+    transfer = TransferProblem(model, factor * control.bound, speed.bound, speed_norm=speed.norm)
+    found = compute_transfer_costs(transfer, start, targets)
     possible, sure = found.is_reachable.copy(), found.is_reachable & found.is_exact
-    if mission.is_point_mass and V < inf:
+    if mission.is_point_mass and speed.most < inf:
         # In continuous time, from rest or to rest at one end, or at speed at both.
         at_full_speed, below = far / V + ends * V / (2 * most), np.sqrt(2 * ends * far / most)
         least_time = np.where(2 * far * most >= ends * V**2, at_full_speed, below)
@@ -244,7 +261,9 @@ def _bound_controls(
     return np.asarray(lower.reshape(b.shape[:2]))
 
 
-def _farthest(a: Float[Array, "*k"], steps: int, h: float, V: float) -> Float[Array, "*k"]:
+def _farthest(
+    a: Float[Array, "*k"], steps: int, h: float, V: Float[Array, "*k"]
+) -> Float[Array, "*k"]:
     """Compute the longest way on a line from rest to rest, a held for each step [m].
 
     The speed after k steps is at most min(k a h, (steps − k) a h, V).
@@ -256,16 +275,15 @@ def _farthest(a: Float[Array, "*k"], steps: int, h: float, V: float) -> Float[Ar
 
 def _can_transfer(
     mission: "Reconfiguration",
-    start: Float[Array, " n"],
+    departure: Departure,
     target: Float[Array, " n"],
     steps: int,
-    control: float,
-    time: float,
+    factor: float,
 ) -> bool:
     from dynamics.discretize import discretize_zoh
     from problems.auction_cost import solve_transfer
-    from problems.transfer import TransferProblem
 
-    model = discretize_zoh(mission.linear_model, mission.step, steps, time)
-    limits = control, mission.max_speed, mission.fuel_norm, mission.control_norm
-    return solve_transfer(TransferProblem(model, *limits), start, target) is not None
+    model = discretize_zoh(mission.linear_model, mission.step, steps, departure.time)
+    transfer = mission.make_transfer(model, int(departure.agents[0]))
+    transfer = replace(transfer, max_control=factor * transfer.max_control)
+    return solve_transfer(transfer, departure.state[0], target) is not None

@@ -1,7 +1,7 @@
 """Variables and attributes of a reconfiguration's run file, beside those of its frames."""
 
 from collections.abc import Sequence
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped
@@ -37,13 +37,18 @@ class ReconfigurationVariables(NamedTuple):
     ]
 
 
-def collect_attributes(mission: Reconfiguration) -> dict[str, float | str]:
+def collect_attributes(mission: Reconfiguration) -> dict[str, Any]:
     """Collect radii, limits and constants for the attributes of the run file."""
+    axes = {
+        "max_control_axes_m_s2": mission.max_control_axes,
+        "max_speed_axes_m_s": mission.max_speed_axes,
+    }
     return {
         "comm_radius_m": mission.comm_radius,
         "collision_radius_m": mission.collision_radius,
-        "max_control_m_s2": mission.max_control,
+        **({} if mission.max_control is None else {"max_control_m_s2": mission.max_control}),
         "max_speed_m_s": mission.max_speed,
+        **{name: each for name, each in axes.items() if each is not None},
         **({} if mission.chief is None else {"epoch": mission.chief.epoch}),
         **_gravity_constants(mission.flown_plant),
     }

@@ -22,7 +22,7 @@ def solve_solo_trajectories(
     agents: list[int],
     previous: list[Float[Array, "T m"] | None],
 ) -> tuple[list[TransferProblem], list[Trajectory], list[int], int]:
-    """Solve the transfers of some agents to their targets.
+    """Solve the transfers of some agents with equal limits to their targets.
 
     The shared linear model comes first; where the dynamics are nonlinear, the trajectories are
     linearized about that solution once more, after which the remaining error is negligible.
@@ -39,7 +39,7 @@ def solve_solo_trajectories(
     """
     mission, state = context.mission, context.state[agents]
     targets = context.leg.targets[context.memory.target_index[agents]]
-    shared = context.make_transfer(model, TIE_BREAK_RISE)
+    shared = context.make_transfer(model, agents[0], TIE_BREAK_RISE)
     found, solves = solve_solo_transfers(shared, state, targets)
     problems = [shared] * len(agents)
     each = list(zip(state, targets, previous, strict=True))

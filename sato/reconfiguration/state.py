@@ -60,18 +60,28 @@ class DecisionContext(NamedTuple):
     time: float  # since the start of the mission [s]
     solver: VerifiedSolver = solve_program
 
+    def group_agents(self) -> list[tuple[int, Int[Array, "..."]]]:
+        """Group the agents that decide by their clocks and limits."""
+        alive, clocks = self.graph.alive, self.memory.clock
+        together = [(c, np.flatnonzero(alive & (clocks == c))) for c in np.unique(clocks[alive])]
+        return [
+            (int(clock), agents[rows])
+            for clock, agents in together
+            for rows in self.mission.group_by_limits(agents)
+        ]
+
     def remaining_model(self, clock: int) -> DiscreteModel:
         """Discretize the steps that remain on a clock."""
         steps = self.leg.steps - clock
         return discretize_zoh(self.mission.linear_model, self.mission.step, steps, self.time)
 
-    def make_transfer(self, model: DiscreteModel, tie_break_rise: float = 0.0) -> TransferProblem:
-        """Make the transfer problem over some steps, with the limits of the mission."""
-        mission = self.mission
-        limits = mission.max_control, mission.max_speed, mission.fuel_norm, mission.control_norm
-        return TransferProblem(
-            model, *limits, tie_break_rise, mission.objective, solver=self.solver
-        )
+    def make_transfer(
+        self, model: DiscreteModel, agent: int, tie_break_rise: float = 0.0
+    ) -> TransferProblem:
+        """Make the transfer problem of an agent over some steps."""
+        objective, solver = self.mission.objective, self.solver
+        options = {"objective": objective, "solver": solver, "tie_break_rise": tie_break_rise}
+        return self.mission.make_transfer(model, agent, **options)
 
 
 class ReconfigurationFrame(NamedTuple):

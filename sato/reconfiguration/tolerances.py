@@ -37,7 +37,7 @@ def compute_margin(mission: "Reconfiguration") -> float:
     σ_a of the size and the direction of thrusts, σ_w of accelerations that disturb.
     """
     tau = mission.replan_steps * mission.step
-    thrust = mission.max_control * (mission.thrust_error + mission.pointing_error)
+    thrust = mission.largest_control.max() * (mission.thrust_error + mission.pointing_error)
     each = [
         mission.position_noise,
         mission.velocity_noise * tau,
@@ -71,7 +71,7 @@ def _largest_error(
     batches = np.full((-(-len(states) // agents), agents, n), np.nan)
     batches.reshape(-1, n)[: len(states)] = states
     for x in batches:
-        for u in (mission.max_control, -mission.max_control):
+        for u in (mission.largest_control, -mission.largest_control):
             control = np.full((len(x), d), u)
             flown = mission.flown_plant.propagate(x, control, t, steps * mission.step)[-1]
             planned = model.simulate(x, np.repeat(control[:, None], steps, axis=1))[:, -1]
@@ -103,9 +103,10 @@ def noise_on_arrival(mission: "Reconfiguration") -> tuple[float, float]:
         return 0.0, 0.0
     d = mission.axes
     noise = np.repeat([mission.position_noise, mission.velocity_noise], d)
-    wrong = mission.max_control * np.hypot(mission.thrust_error, mission.pointing_error)
+    strongest, weakest = mission.largest_control.max(), mission.least_control
+    wrong = strongest * np.hypot(mission.thrust_error, mission.pointing_error)
     steps = min(leg.steps for leg in mission.legs)
-    needed = _speed_to_lose(mission, steps) / (mission.max_control * mission.step)
+    needed = _speed_to_lose(mission, steps) / (weakest * mission.step)
     braking = ceil(min(needed, steps))
     blind = max(braking + 2, mission.freeze_steps) + mission.replan_steps - 1
     thrusting = max(braking, mission.freeze_steps) + mission.replan_steps - 1
@@ -127,20 +128,20 @@ def _speed_to_lose(mission: "Reconfiguration", steps: int) -> float:
     from problems.auction_cost import compute_transfer_costs
     from problems.transfer import TransferProblem
 
-    d = mission.axes
+    d, fastest = mission.axes, float(mission.top_speeds.max())
     if mission.is_point_mass:
         states = np.concatenate([mission.initial_states, *(leg.targets for leg in mission.legs)])
         fast = 2 * float(np.ptp(states[:, :d], axis=0).max()) / (steps * mission.step)
-        return min(mission.max_speed, fast)
+        return min(fastest, fast)
     # In orbit most of a speed belongs to the trajectory; about half of the fuel brakes.
     burned, start, t = 0.0, mission.initial_states[mission.alive], 0.0
     for leg in mission.legs:
         model = discretize_zoh(mission.linear_model, mission.step, leg.steps, t)
-        transfer = TransferProblem(model, mission.max_control)
+        transfer = TransferProblem(model, mission.largest_control)
         fuel = compute_transfer_costs(transfer, start, leg.targets).cost
         burned = max(burned, float(fuel[linear_sum_assignment(fuel)].max()))
         start, t = leg.targets, t + leg.steps * mission.step
-    return min(mission.max_speed, burned / 2)
+    return min(fastest, burned / 2)
 
 
 def model_doubts(mission: "Reconfiguration", chief: "Chief") -> list[str]:

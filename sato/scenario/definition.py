@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, ge
 import numpy as np
 from annotated_types import Ge, Gt
 from numpy import ndarray as Array
-from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError
+from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError, WrapValidator
 
 from dynamics.units import Key as Key
 from dynamics.units import Unit
@@ -228,6 +228,26 @@ def map_numbered(function: Callable[[Any], Any], values: Iterable[Any]) -> tuple
         with errors_in(str(number)):
             found.append(function(value))
     return tuple(found)
+
+
+def _check_each(value: Any, check: Callable[[Any], Any]) -> Any:
+    # pydantic takes an error of its own only where it has made it itself.
+    if not isinstance(value, list | tuple | Array):
+        return check(value)
+
+    def check_one(one: Any) -> Any:
+        try:
+            return check(one.item() if isinstance(one, np.generic) else one)
+        except ValidationError as error:
+            raise explain(error) from error
+
+    entries = value.tolist() if isinstance(value, Array) else value
+    if not isinstance(entries, list | tuple) or not entries:
+        raise InputError("", "must be a number, or a list with an entry for each vehicle")
+    return map_numbered(check_one, entries)
+
+
+EACH = WrapValidator(_check_each)  # last mark of a field that takes a list of values as well
 
 
 def is_auto(value: Any) -> bool:

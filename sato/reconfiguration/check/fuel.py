@@ -12,7 +12,7 @@ from sato.reconfiguration.check.prediction import predict_end_states
 from sato.reconfiguration.check.recorded import FuelBound, LegRecord, ReconfigurationRecord
 
 if TYPE_CHECKING:
-    from problems.transfer import Objective
+    from problems.transfer import Objective, TransferProblem
 
 MAX_PAIRS = 600  # pairs that are solved one by one, where no method for all at once exists
 
@@ -97,13 +97,17 @@ def _correction_fuel(
 
     end = predict_end_states(record, leg, record.frames.control)
     error = record.targets[leg.leg_index, held] - end
-    first, fuel = leg.entry_index[leg.alive], np.full(len(held), np.inf)
+    agents, first = np.flatnonzero(leg.alive), leg.entry_index[leg.alive]
+    fuel = np.full(len(held), np.inf)
     is_known = (held >= 0) & np.isfinite(error).all(axis=1)
     for k in np.unique(first[is_known]):
         rows = np.flatnonzero((first == k) & is_known)
         model = record.model[slice(k, leg.end_index)]
-        limit, weight = record.mission.max_control, np.ones(len(model))
-        fuel[rows] = solve_minimum_fuel(model, error[rows], limit, weight).fuel
+        for group in record.mission.group_by_limits(agents[rows]):
+            own = rows[group]
+            limit = record.mission.control_limit(int(agents[own[0]])).bound
+            found = solve_minimum_fuel(model, error[own], limit, np.ones(len(model)))
+            fuel[own] = found.fuel
     return fuel
 
 
@@ -120,31 +124,32 @@ class _LegCosts:
         objective: "Objective",
     ) -> None:
         from problems.auction_cost import compute_transfer_costs
-        from problems.transfer import TransferProblem
 
         mission, first = record.mission, leg.entry_index[leg.alive]
-        limits = mission.max_control, mission.max_speed, mission.fuel_norm, mission.control_norm
-        self.first, self.start, self.targets = first, record.state[first, leg.alive], targets
-        self.target_count, self.held, self.agents = target_count, held, np.flatnonzero(leg.alive)
+        agents = np.flatnonzero(leg.alive)
+        self.start, self.targets = record.state[first, agents], targets
+        self.target_count, self.held, self.agents = target_count, held, agents
         self.is_given = mission.assignment == "given"
         self.cost = np.zeros((len(first), len(targets)))
         self.is_exact = np.zeros(self.cost.shape, dtype=bool)
-        self.problems = {}
+        self.problems: dict[int, TransferProblem] = {}
         for k in np.unique(first):
-            problem = TransferProblem(
-                record.model[slice(k, leg.end_index)], *limits, objective=objective
-            )
-            found = compute_transfer_costs(problem, self.start[first == k], targets)
-            self.cost[first == k] = np.where(found.is_reachable, found.cost, np.inf)
-            self.is_exact[first == k] = found.is_exact
-            self.problems[k] = problem
+            together = np.flatnonzero(first == k)
+            for own in mission.group_by_limits(agents[together]):
+                rows = together[own]
+                model, one = record.model[slice(k, leg.end_index)], int(agents[rows[0]])
+                problem = mission.make_transfer(model, one, objective=objective)
+                found = compute_transfer_costs(problem, self.start[rows], targets)
+                self.cost[rows] = np.where(found.is_reachable, found.cost, np.inf)
+                self.is_exact[rows] = found.is_exact
+                self.problems |= dict.fromkeys(rows.tolist(), problem)
 
     def solve(self, i: int, j: int) -> float:
         """Return the cost of a pair; infinite where the target is out of reach."""
         from problems.auction_cost import solve_transfer
 
         if not self.is_exact[i, j]:
-            problem = self.problems[self.first[i]]
+            problem = self.problems[i]
             transfer = solve_transfer(problem, self.start[i], self.targets[j])
             self.cost[i, j] = np.inf if transfer is None else problem.cost(transfer)
             self.is_exact[i, j] = True

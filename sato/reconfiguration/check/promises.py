@@ -1,5 +1,6 @@
 """Promises of a reconfiguration: the file agrees with its mission, its seed and itself."""
 
+from collections.abc import Callable
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -9,7 +10,7 @@ from numpy import ndarray as Array
 
 from dynamics.orbit import polar_nodal_scales
 from dynamics.trajectory_geometry import sampled_separations
-from problems.limit import vector_norm
+from problems.limit import Limit
 from sato.check import common
 from sato.check.report import Promise, Report, expect_below, expect_none, expect_small_error
 from sato.network.graph import CommunicationGraph, canonicalize_labels
@@ -164,9 +165,13 @@ def check_measurements(
 
 def check_control_limit(record: ReconfigurationRecord) -> Promise:
     """Check that no commanded control exceeds its limit."""
-    mission = record.mission
-    u = vector_norm(record.frames.control[:-1][record.is_flying], mission.control_norm)
-    return expect_below("control", u, mission.max_control, 1e-9, "m/s² commanded")
+    limits = _each_agent(record, record.mission.control_limit)
+    control, is_flying = record.frames.control[:-1], record.is_flying
+    size = _measure(limits, control)[is_flying]
+    most = np.broadcast_to([limit.most for limit in limits], is_flying.shape)[is_flying]
+    worst = np.argmax(size / most) if len(size) else slice(0)
+    allowed = float(np.max(most[worst], initial=0.0))
+    return expect_below("control", size[worst], allowed, 1e-9, "m/s² commanded")
 
 
 def check_speed_limit(record: ReconfigurationRecord) -> Promise:
@@ -176,13 +181,27 @@ def check_speed_limit(record: ReconfigurationRecord) -> Promise:
     model since the last plan, recomputed to the last digit, and the possible effect of noise
     in the measured state, see `bound_speed_excess`.
     """
-    limit, alive = record.mission.max_speed, record.frames.alive
-    speed = np.linalg.norm(record.frames.velocity[alive], axis=-1)
-    if not len(speed) or not np.isfinite(limit):
-        return expect_below("speed", speed, limit, 1e-9, "m/s flown")
-    allowed = limit + bound_speed_excess(record)[alive]
+    limits, alive = _each_agent(record, record.mission.speed_limit), record.frames.alive
+    speed = _measure(limits, record.frames.velocity)[alive]
+    most = np.array([limit.most for limit in limits])
+    if not len(speed) or np.isinf(most).any():
+        return expect_below("speed", speed, most.max(), 1e-9, "m/s flown")
+    # A vector of length 1 is at most so large in the norm of the limit.
+    stretch = np.array([1 / limit.shares.min() for limit in limits])
+    stretch *= np.sqrt(record.axes) if record.mission.speed_norm == 1 else 1.0
+    allowed = (most + bound_speed_excess(record) * stretch)[alive]
     worst = int(np.argmax(speed - allowed))
     return expect_below("speed", speed[worst], float(allowed[worst]), 1e-9, "m/s flown")
+
+
+def _each_agent(record: ReconfigurationRecord, limit_of: Callable[[int], Limit]) -> list[Limit]:
+    return [limit_of(i) for i in range(record.frames.alive.shape[1])]
+
+
+def _measure(
+    limits: list[Limit], vectors: Float[Array, "instants agents d"]
+) -> Float[Array, "instants agents"]:
+    return np.stack([one.measure(vectors[:, i]) for i, one in enumerate(limits)], axis=1)
 
 
 def check_targets(record: ReconfigurationRecord) -> Promise:

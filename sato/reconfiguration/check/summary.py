@@ -56,7 +56,7 @@ def summarize(record: ReconfigurationRecord) -> dict[str, Any]:
     known = [bound.total for bound in record.fuel_bounds if bound is not None]
     if len(known) == len(mission.legs):
         summary["fuel_lower_bound_m_s"] = sum(known)
-    if np.isfinite(mission.max_speed) and not is_detectable(mission):
+    if np.isfinite(mission.top_speeds).all() and not is_detectable(mission):
         summary["undetectable"] = True
     return drop_non_finite(summary)
 

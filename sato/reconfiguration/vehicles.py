@@ -1,0 +1,169 @@
+"""Limits of the vehicles of a mission: the same for all, one a vehicle, or one an axis."""
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray as Array
+
+from dynamics.discretize import DiscreteModel
+from problems.limit import Bound, Limit, Norm
+from sato.reconfiguration.leg import Leg
+from sato.reconfiguration.models import Motion
+from sato.scenario.errors import InputError
+
+if TYPE_CHECKING:
+    from problems.transfer import TransferProblem
+
+PerVehicle = float | tuple[float, ...]  # the same for all, or an entry for each
+
+
+class Vehicles(Motion):
+    """Properties that follow from the limits of a mission.
+
+    Agents that join later come after those of the start, in the order of legs and joins.
+    """
+
+    agents: int | None
+    legs: tuple[Leg, ...]
+    max_control: PerVehicle | None
+    max_control_axes: tuple[float, ...] | None
+    max_speed: PerVehicle
+    max_speed_axes: tuple[float, ...] | None
+    control_norm: Norm
+    speed_norm: Norm
+
+    @property
+    def vehicle_count(self) -> int:
+        """Number of agents, those that join later included."""
+        return (self.agents or 1) + sum(join.size for leg in self.legs for join in leg.joins)
+
+    @cached_property
+    def control_limits(self) -> tuple[Limit, ...]:
+        """Limit of each vehicle's acceleration [m/s²]; a single one where all are equal."""
+        bounds = _bounds(self.max_control, self.max_control_axes)
+        return tuple(Limit(bound, self.control_norm, self.axes) for bound in bounds)
+
+    @cached_property
+    def speed_limits(self) -> tuple[Limit, ...]:
+        """Limit of each vehicle's velocity [m/s]; a single one where all are equal."""
+        bounds = _bounds(self.max_speed, self.max_speed_axes)
+        return tuple(Limit(bound, self.speed_norm, self.axes) for bound in bounds)
+
+    def control_limit(self, agent: int) -> Limit:
+        """Return the limit of an agent's acceleration [m/s²]."""
+        return self.control_limits[agent % len(self.control_limits)]
+
+    def speed_limit(self, agent: int) -> Limit:
+        """Return the limit of an agent's velocity [m/s]."""
+        return self.speed_limits[agent % len(self.speed_limits)]
+
+    @cached_property
+    def largest_control(self) -> Float[Array, " axes"]:
+        """Largest acceleration of any vehicle along each axis [m/s²]."""
+        return np.asarray(
+            np.max([limit.most * limit.shares for limit in self.control_limits], axis=0)
+        )
+
+    @property
+    def least_control(self) -> float:
+        """Least limit of the acceleration of any vehicle along any axis [m/s²]."""
+        return min(float(limit.most * limit.shares.min()) for limit in self.control_limits)
+
+    @property
+    def has_single_speed(self) -> bool:
+        """True where one number limits the speed of all, in the Euclidean norm."""
+        return not isinstance(self.max_speed, tuple) and self.speed_norm == 2
+
+    @property
+    def top_speeds(self) -> Float[Array, " vehicles"]:
+        """Largest Euclidean speed of each vehicle, or a single one [m/s]."""
+        return np.array([limit.largest_length for limit in self.speed_limits])
+
+    def require_equal_limits(self, what: str) -> None:
+        """Refuse vehicles with limits of their own.
+
+        Raises:
+            InputError: They have; `what` is for equal ones.
+        """
+        for name, limits in (
+            ("control_m_s2", self.control_limits),
+            ("speed_m_s", self.speed_limits),
+        ):
+            if len(limits) > 1:
+                reason = f"is a list, and {what} is for vehicles with equal limits"
+                raise InputError(f"model.max_{name}", f"{reason}; a number would do")
+
+    def make_transfer(self, model: DiscreteModel, agent: int, **more: Any) -> "TransferProblem":
+        """Make the transfer problem of an agent over some steps."""
+        from problems.transfer import TransferProblem
+
+        control, speed = self.control_limit(agent), self.speed_limit(agent)
+        norms = {name: getattr(self, name) for name in ("fuel_norm", "control_norm", "speed_norm")}
+        return TransferProblem(model, control.bound, speed.bound, **norms, **more)
+
+    def group_by_limits(self, agents: Int[Array, " k"]) -> list[Int[Array, "..."]]:
+        """Group agents that have the same limits, as indices into the agents that are given."""
+        if len(self.control_limits) == len(self.speed_limits) == 1:
+            return [np.arange(len(agents))] if len(agents) else []
+        limits = [(self.control_limit(i).most, self.speed_limit(i).most) for i in agents.tolist()]
+        _, group = np.unique(np.array(limits), axis=0, return_inverse=True)
+        return [np.flatnonzero(group == g) for g in range(int(group.max(initial=-1)) + 1)]
+
+
+def check_limits(mission: Any) -> None:
+    """Refuse limits that are missing, given twice, or of the wrong length.
+
+    Raises:
+        InputError: They are.
+    """
+    control, speed = mission.max_control_axes, mission.max_speed_axes
+    if mission.max_control is None and control is None:
+        missing = "is missing, and has no default; it or max_control_axes_m_s2 would do"
+        raise InputError("model.max_control_m_s2", missing)
+    for name, unit, axes, norm, is_given in (
+        ("max_control", "m_s2", control, "control_norm", mission.max_control is not None),
+        ("max_speed", "m_s", speed, "speed_norm", mission.max_speed != np.inf),
+    ):
+        if axes is None:
+            continue
+        where = f"model.{name}_axes_{unit}"
+        if is_given:
+            raise InputError(where, f"is given beside {name}_{unit}; one of the two is enough")
+        if min(axes) <= 0:
+            raise InputError(where, f"must be greater than 0, got {min(axes):g}")
+        if len(axes) != mission.axes:
+            reason = f"has {len(axes)} entries, and the model has {mission.axes} axes"
+            raise InputError(where, reason)
+        if getattr(mission, norm) != "inf":
+            reason = f'{norm} = {getattr(mission, norm)}; {norm} = "inf" would do'
+            raise InputError(where, f"limits each axis by itself, and there is {reason}")
+    if mission.agents is None:
+        return
+    count = mission.vehicle_count
+    for where in ("model.max_control_m_s2", "model.max_speed_m_s"):
+        value = getattr(mission, where.removeprefix("model.").partition("_m_s")[0])
+        if isinstance(value, tuple) and len(value) != count:
+            reason = f"has {len(value)} entries for {count} vehicles, those that join included"
+            raise InputError(where, f"{reason}; {count} entries, or a single number, would do")
+
+
+def check_automatic_steps(mission: Any) -> None:
+    """Refuse automatic steps where any of unequal vehicles may stand at any target.
+
+    Raises:
+        InputError: A leg but the first has them.
+    """
+    is_equal = len(mission.control_limits) == len(mission.speed_limits) == 1
+    for number, leg in enumerate(mission.legs):
+        if number and leg.steps == "auto" and not is_equal and mission.assignment != "given":
+            reason = "is for vehicles with equal limits, or given targets, after the first leg"
+            raise InputError(f"leg.{number}.steps", f'"auto" {reason}; a number would do')
+
+
+def _bounds(each: PerVehicle | None, axes: tuple[float, ...] | None) -> list[Bound]:
+    if axes is not None:
+        return [np.array(axes)]
+    assert each is not None
+    return list(each) if isinstance(each, tuple) else [each]
