@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from sato.connectivity.mission import AgentLoss, Connectivity
     from sato.formation.leg import FormationLeg
     from sato.formation.mission import Formation
+    from sato.reconfiguration.agent import Agent
     from sato.reconfiguration.central import central_problem
     from sato.reconfiguration.leg import Join, Leg, Loss
     from sato.reconfiguration.mission import Reconfiguration
@@ -55,6 +56,7 @@ _PUBLIC = {
     "sato.connectivity.mission": "AgentLoss Connectivity",
     "sato.formation.leg": "FormationLeg",
     "sato.formation.mission": "Formation",
+    "sato.reconfiguration.agent": "Agent",
     "sato.reconfiguration.leg": "Join Leg Loss",
     "sato.reconfiguration.central": "central_problem",
     "sato.reconfiguration.mission": "Reconfiguration",

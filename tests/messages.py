@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sato.auctions.bidder import VsdaaBidder, WinningBids
+from sato.network.flooding import Census, CensusMessage
 from sato.network.rounds import run_round
 from sato.scp.planner import update_planner
 
@@ -40,56 +41,17 @@ def flood(graph, values, merge):
     return {i: value for i, (value, _) in last.items()}
 
 
-class WaveMessage(NamedTuple):
-    """Message of an agent that measures its component."""
+class Hello(NamedTuple):
+    """Report of an agent that has no more to tell than its number."""
 
-    known_agents: frozenset[int]  # agents whose wave has arrived, its own included
-    max_eccentricity: int = -1  # largest eccentricity heard of; −1 for none
-
-
-class DiameterEstimator(NamedTuple):
-    """Memory of an agent that measures its component."""
-
-    message: WaveMessage
-    round: int = 0
-    eccentricity: int = -1  # hops to the farthest agent; −1 while not known
-
-
-def update_diameter(state, inbox):
-    """Pass on the waves of all agents, and note when no new one arrives.
-
-    Every agent starts a wave that carries its number, one hop a round. After r rounds an
-    agent has heard of exactly those within r hops. A shortest path to its farthest agent,
-    e hops away, passes through every distance below e, so something new arrives in each of
-    the rounds 1 … e and nothing in round e + 1: then it knows e, its eccentricity, and
-    that the diameter D is at most 2 e.
-
-    Agents learn their e at different times, and gossip the largest they know from then on.
-    Agent i may stop after 2 e_i further rounds, at its round 3 e_i + 1, since agent j knows
-    e_j in round e_j + 1, and i, at most e_i hops away, hears it by round e_j + 1 + e_i,
-    which is at most D + 1 + e_i ≤ 3 e_i + 1. By then it has heard of all, and the largest
-    is D. An agent that stops does not cut others off: its last message stays readable and
-    holds all there is to know. Since e_i ≤ D, all are through by round 3 D + 1, which every
-    one of them can compute: the protocol that follows can begin there in step.
-    """
-    known = state.message.known_agents.union(*(message.known_agents for message in inbox))
-    eccentricity, this_round = state.eccentricity, state.round + 1
-    if eccentricity < 0 and known == state.message.known_agents:
-        eccentricity = this_round - 1
-    received = [message.max_eccentricity for message in inbox]
-    largest = max([state.message.max_eccentricity, eccentricity, *received])
-    return DiameterEstimator(WaveMessage(known, largest), this_round, eccentricity)
+    agent: int
 
 
 def learn_diameter(graph):
     """Run the measurement of each agent's component: yield every live agent after every round."""
     live = np.flatnonzero(graph.alive).tolist()
-    states = {i: DiameterEstimator(WaveMessage(frozenset([i]))) for i in live}
-
-    def knows_diameter(state):
-        return state.eccentricity >= 0 and state.round >= 3 * state.eccentricity + 1
-
-    return run_rounds(graph, states, update_diameter, lambda s: s.message, knows_diameter)
+    states = {i: Census(CensusMessage(frozenset([Hello(i)]))) for i in live}
+    return run_rounds(graph, states, Census.update, lambda s: s.message, lambda s: s.knows_diameter)
 
 
 def plan_by_messages(planners, graph):

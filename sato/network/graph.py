@@ -83,7 +83,7 @@ class CommunicationGraph:
     def diameter(self) -> Int[Array, " agents"]:
         """Diameter of each agent's component; 0 for an agent alone.
 
-        The batched equivalent of `learn_diameter` in `tests/messages.py`.
+        The batched equivalent of `Census` in `network.flooding`.
         """
         reached = np.where(np.isfinite(self.hops), self.hops, 0)
         return self.component_max(reached.max(axis=1, initial=0).astype(np.int64))

@@ -6,15 +6,17 @@ messages of its neighbors. `run_round` alone calls such functions.
 Code that computes the same for all agents at once is called batched. It pretends three things:
 all agents act in lock step, a message is heard by all neighbors one round after it was sent,
 and none is lost. (CBAA alone models delay and loss.) Each batched path is tested to be equal to
-its definition by messages, in `auctions.bidder`, `scp.planner` or `tests/messages.py`:
+its definition by messages, in `network.flooding`, `auctions.bidder`, `scp.planner` or
+`tests/messages.py`, and the whole decision of an instant to `reconfiguration.agent`:
 
     definition                  batched
-    learn_diameter              CommunicationGraph.diameter
-    flood                       CommunicationGraph.component_max,
+    Census                      CommunicationGraph.diameter
+    flood, Flood                CommunicationGraph.component_max,
                                 scp.priority_orders.component_costs, select_components
     flood, then sort            schedule_turns
     VsdaaBidder, CbaaBidder     auctions.vsdaa, auctions.cbaa
-    plan_by_messages            scp.exchange.run_batched
+    update_planner              scp.exchange.run_batched
+    Agent                       assignment.assign_targets, planning.plan_trajectories
 """
 
 from collections.abc import Callable, Iterable, Mapping

@@ -1,5 +1,6 @@
 """Assignment of targets: costs, claims, the auction, the clock [Morgan2016, Method 3, l. 3-13]."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from math import isfinite
 from typing import NamedTuple
@@ -74,11 +75,8 @@ def assign_targets(
     cost = np.where(was_reset, np.inf, planned_cost)
     auction = run_auction(context._replace(memory=memory), cost)
     solves = auction.solve_count
-    is_called = auction.won_unreachable
-    if context.mission.reset == "change":
-        counted = auction.outcome.bidder_count
-        is_called = is_called | ((memory.bidder_count > 0) & (counted != memory.bidder_count))
-    is_due = graph.alive & (memory.clock > 0) & is_called
+    counted = auction.outcome.bidder_count
+    is_due = graph.alive & needs_reset(context.mission, memory, counted, auction.won_unreachable)
     is_due = graph.component_max(is_due.astype(int)).astype(bool) & graph.alive
     if is_due.any():
         was_reset, cost = was_reset | is_due, np.where(is_due, np.inf, cost)
@@ -99,6 +97,26 @@ def agreement_graph(mission: Reconfiguration, graph: CommunicationGraph) -> Comm
         return graph
     together = np.outer(graph.alive, graph.alive) & (mission.assignment == "central")
     return CommunicationGraph(together & ~np.eye(len(together), dtype=bool), graph.alive)
+
+
+def needs_reset(
+    mission: Reconfiguration,
+    memory: AgentMemory,
+    counted: Int[Array, " agents"],
+    won_unreachable: Bool[Array, " agents"],
+) -> Bool[Array, " agents"]:
+    """Find the agents that call for a reset of their component's clock after an auction.
+
+    Args:
+        mission: Rule of the resets.
+        memory: Memory before the auction.
+        counted: Bidders in the auction.
+        won_unreachable: True where an agent won a target out of its reach.
+    """
+    is_called = won_unreachable
+    if mission.reset == "change":
+        is_called = is_called | ((memory.bidder_count > 0) & (counted != memory.bidder_count))
+    return np.asarray((memory.clock > 0) & is_called)
 
 
 def share_claims(memory: AgentMemory, graph: CommunicationGraph) -> AgentMemory:
@@ -143,7 +161,7 @@ def run_auction(
     """
     mission, graph, memory = context.mission, context.graph, context.memory
     epsilon, live = compute_epsilon(mission, context.leg), np.flatnonzero(graph.alive)
-    table, solves = _compute_costs(context, planned_cost), 0
+    table, solves = compute_costs(context, planned_cost), 0
     while True:
         cost = compute_bid_costs(table, memory, graph, is_firm)
         auction = METHODS[mission.assignment](
@@ -157,7 +175,7 @@ def run_auction(
             return AuctionResult(auction, lost, solves)
         solves += int(inexact.sum())
         for i, j in zip(live[inexact].tolist(), won[inexact].tolist(), strict=True):
-            _refine_cost(context, table, i, j)
+            refine_cost(context, table, i, j)
 
 
 def compute_epsilon(mission: Reconfiguration, leg: Leg) -> float:
@@ -179,7 +197,36 @@ def compute_bid_costs(
     graph: CommunicationGraph,
     is_firm: Bool[Array, " agents"] | None = None,
 ) -> Float[Array, "agents targets"]:
-    """Compute the costs by which each agent bids: its costs, and three rules of its own.
+    """Compute the costs by which each agent bids, see `apply_bidding_rules`."""
+    bid = table.cost.copy()
+    ranges = np.array([cost_range(table, i)[1] for i in range(len(bid))])
+    for i in np.flatnonzero(graph.alive).tolist():
+        is_near = graph.component == graph.component[i]
+        is_own_firm = is_firm is not None and is_firm[i]
+        firm = firm_penalty(ranges[is_near].tolist()) if is_own_firm else None
+        bid[i] = apply_bidding_rules(table, memory, i, is_near, firm)
+    return bid
+
+
+def cost_range(table: CostTable, i: int) -> tuple[float, float]:
+    """Compute the largest of an agent's costs within its reach, and less the smallest."""
+    cost = table.cost[i][table.is_reachable[i]]
+    return (float(cost.max()), float(cost.max() - cost.min())) if len(cost) else (0.0, 0.0)
+
+
+def firm_penalty(ranges: Sequence[float]) -> float:
+    """Compute a penalty that no exchange of targets is worth, from the ranges of a component."""
+    return 2 * len(ranges) * max(*ranges, MIN_PENALTY)
+
+
+def apply_bidding_rules(
+    table: CostTable,
+    memory: AgentMemory,
+    i: int,
+    is_near: Bool[Array, " others"],
+    firm: float | None,
+) -> Float[Array, " targets"]:
+    """Apply three rules to the costs of one agent.
 
     1. A target out of reach costs more than every other that is not. Rounds grow as prices
        over ε, so this penalty is only as large as the agent's range of costs; where an agent
@@ -192,21 +239,22 @@ def compute_bid_costs(
 
     An agent knows the others in its component from learning the diameter, and the largest
     range of costs among them, and whether one won a target out of reach, from flooding.
+
+    Args:
+        table: Costs of several agents.
+        memory: Memory of the same agents.
+        i: The row of the agent.
+        is_near: True for the numbers of the agents in its component.
+        firm: Firm penalty on targets out of reach; None where it is not called for.
     """
-    bid = table.cost.copy()
-    top = np.max(bid, axis=1, where=table.is_reachable, initial=-np.inf)
-    span = top - np.min(bid, axis=1, where=table.is_reachable, initial=np.inf)
-    none = ~table.is_reachable.any(axis=1)
-    top[none], span[none] = 0.0, 0.0
-    for i in np.flatnonzero(graph.alive):
-        is_near = graph.component == graph.component[i]
-        penalty = extra = max(float(span[i]), MIN_PENALTY)
-        if is_firm is not None and is_firm[i]:
-            extra = 2 * is_near.sum() * max(float(span[is_near].max()), MIN_PENALTY)
-        bid[i][~table.is_reachable[i]] += top[i] + extra
-        bid[i, _claimed_by_absent(memory, int(i), is_near, bid.shape[1])] += penalty
-        if memory.target_index[i] >= 0:
-            bid[i, memory.target_index[i]] -= HELD_TARGET_DISCOUNT * span[i]
+    bid: Array = table.cost[i].copy()
+    is_reachable = table.is_reachable[i]
+    top, span = cost_range(table, i)
+    penalty = max(span, MIN_PENALTY)
+    bid[~is_reachable] += top + (penalty if firm is None else firm)
+    bid[_claimed_by_absent(memory, i, is_near, len(bid))] += penalty
+    if memory.target_index[i] >= 0:
+        bid[memory.target_index[i]] -= HELD_TARGET_DISCOUNT * span
     return bid
 
 
@@ -222,7 +270,14 @@ def _claimed_by_absent(
     return away > here
 
 
-def _compute_costs(context: DecisionContext, planned_cost: Float[Array, " agents"]) -> CostTable:
+def compute_costs(context: DecisionContext, planned_cost: Float[Array, " agents"]) -> CostTable:
+    """Compute the costs of all agents that decide.
+
+    Args:
+        context: States and memory of the agents that decide.
+        planned_cost: Fuel or energy left in the plan to the target that each holds; infinite
+            without a plan.
+    """
     mission, leg, memory = context.mission, context.leg, context.memory
     shape = (len(context.state), len(leg.targets))
     table = CostTable(np.zeros(shape), np.ones(shape, dtype=bool), np.ones(shape, dtype=bool))
@@ -265,7 +320,7 @@ def _costs_of(
     return CostTable(cost, found.is_reachable, found.is_exact)
 
 
-def _refine_cost(context: DecisionContext, table: CostTable, i: int, j: int) -> None:
+def refine_cost(context: DecisionContext, table: CostTable, i: int, j: int) -> None:
     """Make the cost of target j for agent i exact."""
     mission, leg, x = context.mission, context.leg, context.state[i]
     model = context.remaining_model(int(context.memory.clock[i]))

@@ -18,6 +18,7 @@ from sato.reconfiguration.start import Random, Start
 from sato.scenario.definition import errors_in, is_auto
 from sato.scenario.errors import InputError, round_up
 from sato.shapes import Points
+from sato.shapes.shape import least_distance
 
 ARRIVAL_TOLERANCE = 1e-6  # of the least spacing of the targets
 
@@ -101,6 +102,46 @@ def _choose_steps(
     after = targets_after if mission.chief is not None else lambda _: fixed
     least = reach.find_least_steps(mission, f"leg.{number}.steps", departure, after)
     return max(ceil(leg.time_factor * least - 1e-9), _fewest_steps(mission, leg))
+
+
+def is_drawn(mission: Reconfiguration) -> bool:
+    """Return True where all chance is drawn and every automatic value is a number."""
+    numbers = mission.margin, mission.position_tolerance, mission.velocity_tolerance
+    shapes = [leg.shape for leg in mission.legs]
+    return not any(value is None or is_auto(value) for value in numbers) and all(
+        isinstance(shape, Points) and shape.velocities is not None for shape in shapes
+    )
+
+
+def draw_leg(mission: Reconfiguration, leg: Leg, demand: int, instant: int) -> Leg:
+    """Draw the targets of a leg that is no part of a drawn mission.
+
+    Args:
+        mission: A drawn mission.
+        leg: The leg, without losses and joins.
+        demand: Least number of targets.
+        instant: Control instant at which the leg begins.
+
+    Raises:
+        InputError: There are too few targets, they are too close for the margin, or the number
+            of steps is to be found.
+    """
+    if is_auto(leg.steps):
+        raise InputError("leg.steps", "must be a number for a leg that is set on the way")
+    listed = getattr(leg.shape, "positions", None)
+    count = leg.count or (demand if listed is None else len(listed))
+    if count < demand:
+        reason = f"{count} is less than the {demand} that agents bid on"
+        raise InputError("leg.targets", f"{reason}; {demand} or more would do")
+    arrival = (instant + leg.steps) * mission.step
+    states = _draw_targets(mission, 0, replace(leg, count=count), count, arrival)
+    _check_margin(mission, mission.margin, "takes", least_distance(states[:, : mission.axes]))
+    return _with_shape(leg, states)
+
+
+def _with_shape(leg: Leg, states: Float[Array, "targets n"]) -> Leg:
+    shape = replace(_as_points(states), keep_order=not leg.is_free)
+    return replace(leg, shape=shape, count=None)
 
 
 def _leg_times(mission: Reconfiguration) -> list[float]:
@@ -256,7 +297,7 @@ def _resolve(mission: Reconfiguration) -> Reconfiguration:
         noise = tolerances.noise_on_arrival(mission)
         wrong = wrong if given else tolerances.model_error_on_arrival(mission)
         margin = tolerances.compute_margin(mission) if is_computed else margin
-    _check_margin(mission, margin, "auto gives" if is_computed else "takes")
+    _check_margin(mission, margin, "auto gives" if is_computed else "takes", spacing)
     increment = mission.epsilon
     if is_auto(increment) and not isfinite(spacing):
         increment = mission.tie_break * mission.collision_radius**2 / 2 or increment
@@ -270,8 +311,8 @@ def _resolve(mission: Reconfiguration) -> Reconfiguration:
     )
 
 
-def _check_margin(mission: Reconfiguration, margin: float, verb: str) -> None:
-    R, spacing = mission.collision_radius, mission.target_spacing
+def _check_margin(mission: Reconfiguration, margin: float, verb: str, spacing: float) -> None:
+    R = mission.collision_radius
     if margin > (spacing - R) * (1 + 1e-9):
         raise InputError(
             "plan.margin_m",

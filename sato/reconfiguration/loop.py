@@ -8,7 +8,6 @@ from numpy import ndarray as Array
 
 from problems.conic import TOLERANCE
 from problems.solvers.verified import VerifiedSolver
-from problems.transfer import compute_energy, compute_fuel
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration import planning, state
 from sato.reconfiguration.assignment import assign_targets
@@ -51,14 +50,11 @@ class _Flight:
 
     def fly_leg(self, number: int) -> Iterator[state.ReconfigurationFrame]:
         """Fly until all agents have arrived."""
-        mission, self.leg, self.leg_index = self.mission, self.mission.legs[number], number
-        counted, steps = self.memory.bidder_count, self.leg.steps
-        if self.leg.recount:
-            self.believed = np.where(counted > 0, counted, self.believed)
-        # Agents that bid on all targets learn from the bids how many they are, but not from m.
-        all_targets = np.full_like(counted, len(self.leg.targets))
-        m = all_targets if mission.uses_all_targets(self.leg) else self.believed
-        self.memory, self.plans = state.AgentMemory.initial(m), {}
+        mission, flown = self.mission, self.leg
+        self.leg, self.leg_index = mission.legs[number], number
+        steps, recount = self.leg.steps, self.leg.recount
+        self.believed = state.update_believed(mission, self.believed, self.memory, flown, recount)
+        self.memory, self.plans = state.begin_memory(mission, self.leg, self.believed), {}
         self._note("leg_start", self.alive, leg=number)
         for k in range(MAX_LEG_FACTOR * steps + 1):
             joined = self._apply_losses_and_joins(k)
@@ -83,8 +79,6 @@ class _Flight:
             yield self.make_frame(graph, control, applied, seen)
             self._propagate(control, applied)
         memory, component = self.memory, self.make_graph().component.tolist()
-        counted = np.maximum(self.believed, memory.bidder_count)
-        self.believed = counted if mission.uses_all_targets(self.leg) else memory.target_count
         held, believed = memory.target_index.tolist(), memory.target_count.tolist()
         ended = {"leg": number, "target": held, "believed": believed, "component": component}
         self._note("leg_end", self.alive, **ended)
@@ -130,13 +124,8 @@ class _Flight:
         if joined:
             beside = np.isin(graph.component, graph.component[joined]) | is_central
             decisions, graph = [(graph.subgraph(beside), True)], graph.subgraph(~beside)
-        left = self.leg.steps - self.memory.clock
-        due = [
-            left[i] >= self.mission.freeze_steps
-            or planning.remaining_controls(self.plans, i, self.memory, k, self.leg.steps) is None
-            for i in range(len(left))
-        ]
-        is_due = graph.component_max(np.array(due, dtype=int)).astype(bool)
+        due = planning.is_planning_due(self.mission, self.plans, self.memory, k, self.leg.steps)
+        is_due = graph.component_max(due.astype(int)).astype(bool)
         graph = graph.subgraph(is_due | (is_central and bool(is_due[graph.alive].any())))
         if k % self.mission.replan_steps == 0 and graph.alive.any():
             decisions.append((graph, k % self.mission.auction_steps == 0))
@@ -165,10 +154,7 @@ class _Flight:
         commanded, time = np.nan_to_num(control)[:, None], self.step_index * mission.step
         flown = mission.flown_plant.propagate(self.x, np.nan_to_num(applied), time, mission.step)
         self.x = np.where(self.alive[:, None], flown[1], self.x)
-        if mission.objective == "energy":
-            self.spent = self.spent + compute_energy(commanded, mission.step)
-        else:
-            self.spent = self.spent + compute_fuel(commanded, mission.step, mission.fuel_norm)
+        self.spent = self.spent + planning.compute_spent(mission, commanded)
         later = np.where(self.alive, np.minimum(clock + 1, steps), 0)
         arrived = self.alive & (later == steps) & (clock < steps)
         if arrived.any():

@@ -9,9 +9,11 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from dynamics.discretize import discretize_zoh
+from dynamics.model import ControlSamples
 from dynamics.trajectory_geometry import interpolation_error
 from problems.convexify import AvoidanceHorizon
 from problems.transfer import Trajectory, compute_energy, compute_fuel
+from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.solo_trajectories import relinearize, solve_solo_trajectories
 from sato.reconfiguration.state import AgentMemory, DecisionContext, Event
@@ -33,6 +35,23 @@ class Plan(NamedTuple):
 
 
 Plans = dict[int, Plan]  # by the number of the agent
+
+
+def is_planning_due(
+    mission: Reconfiguration, plans: Plans, memory: AgentMemory, k: int, steps: int
+) -> Bool[Array, " agents"]:
+    """Find the agents that plan again: those without a plan, and those not about to arrive.
+
+    Args:
+        mission: Steps before the deadline in which plans are kept.
+        plans: Plans of the agents.
+        memory: Targets and clocks of the agents.
+        k: Steps since the start of the leg.
+        steps: Steps of the leg.
+    """
+    rests = [remaining_controls(plans, i, memory, k, steps) for i in range(len(memory.clock))]
+    has_no_plan = np.array([rest is None for rest in rests])
+    return np.asarray((steps - memory.clock >= mission.freeze_steps) | has_no_plan)
 
 
 def controls_at(
@@ -77,12 +96,15 @@ def remaining_cost(plans: Plans, context: DecisionContext) -> Float[Array, " age
     for i in plans:
         u = remaining_controls(plans, i, context.memory, k, steps)
         if u is not None:
-            cost[i] = (
-                compute_energy(u, mission.step)
-                if mission.objective == "energy"
-                else compute_fuel(u, mission.step, mission.fuel_norm)
-            )
+            cost[i] = compute_spent(mission, u)
     return cost
+
+
+def compute_spent(mission: Reconfiguration, u: ControlSamples) -> Float[Array, "*agents"] | float:
+    """Compute the fuel [m/s] or energy [m²/s³] of controls, after the mission's objective."""
+    if mission.objective == "energy":
+        return compute_energy(u, mission.step)
+    return compute_fuel(u, mission.step, mission.fuel_norm)
 
 
 def plan_trajectories(
@@ -99,24 +121,41 @@ def plan_trajectories(
         previous: Plans that were flown so far.
         solve_count: Programs solved for this replanning already.
     """
-    mission, target, k = context.mission, context.memory.target_index, context.step_index
-    planners, unreachable, solo_count = _plan_alone(context, spent, previous)
+    mission = context.mission
+    planners, unreachable, solo_count = plan_alone(context, spent, previous)
     resolved = resolve_conflicts(planners, context.graph, mission.orders, mission.bargains)
     replan = {"solves": solve_count + solo_count + resolved.solve_count}
     events: list[Event] = [
         {"kind": "replan", "agents": [], **replan, "exchanges": resolved.round_count}
     ]
-    events += _relaxation_events(mission, resolved.planners, unreachable)
+    plans, relaxed = make_plans(context, resolved.planners, unreachable)
+    return plans, events + relaxed
+
+
+def make_plans(
+    context: DecisionContext, planners: dict[int, Planner], unreachable: list[int]
+) -> tuple[Plans, list[Event]]:
+    """Make plans of trajectories that are final, and list the constraints that were relaxed.
+
+    Args:
+        context: Memory and time of the agents that decide.
+        planners: Planner of each agent, by its row.
+        unreachable: Agents whose targets are out of reach.
+    """
+    target = context.memory.target_index
+    events = _relaxation_events(context.mission, planners, unreachable)
     # An agent that comes too close to another may still arrive.
     astray = {i for event in events if event["kind"] != "slack" for i in event["agents"]}
     plans = {
-        i: Plan(planner.nominal, None if i in astray else int(target[i]), k)
-        for i, planner in resolved.planners.items()
+        i: Plan(planner.nominal, None if i in astray else int(target[i]), context.step_index)
+        for i, planner in planners.items()
     }
     return plans, events
 
 
-def make_horizon(mission: Reconfiguration, time: float, steps_left: int) -> AvoidanceHorizon:
+def make_horizon(
+    mission: Reconfiguration, time: float, steps_left: int, leg: Leg | None = None
+) -> AvoidanceHorizon:
     """Build the avoidance horizon at a time, with so many steps of the leg left as planned.
 
     It has T_H steps, or as many as are foreseen among agents within hearing, but does not pass
@@ -127,7 +166,9 @@ def make_horizon(mission: Reconfiguration, time: float, steps_left: int) -> Avoi
     speed = fastest if isfinite(fastest) else 0.0
     S = min(MAX_PIECES, max(1, ceil(2 * speed * mission.step / mission.collision_radius)))
     T = max(mission.horizon_steps, min(mission.foresight_steps, steps_left))
-    margin = mission.margin + _interpolation_margin(mission, mission.step / S)
+    margin = mission.margin + _interpolation_margin(
+        mission, leg or mission.legs[0], mission.step / S
+    )
     return AvoidanceHorizon(
         discretize_zoh(mission.linear_model, mission.step, T, time),
         discretize_zoh(mission.linear_model, mission.step / S, T * S, time),
@@ -135,14 +176,23 @@ def make_horizon(mission: Reconfiguration, time: float, steps_left: int) -> Avoi
     )
 
 
-def _plan_alone(
+def plan_alone(
     context: DecisionContext, spent: Float[Array, " agents"], previous: Plans
 ) -> tuple[dict[int, Planner], list[int], int]:
-    """Return a planner for every agent, those whose targets are unreachable, and the solves."""
+    """Plan for every agent that decides as if it were alone.
+
+    Args:
+        context: States, memory and graph of the agents that decide.
+        spent: Fuel or energy spent so far.
+        previous: Plans that were flown so far.
+
+    Returns:
+        Planners, agents whose targets are out of reach, and the number of programs solved.
+    """
     mission, leg, k = context.mission, context.leg, context.step_index
     memory = context.memory
     is_nonlinear = mission.nonlinear_model is not None
-    horizon = make_horizon(mission, context.time, leg.steps - k)
+    horizon = make_horizon(mission, context.time, leg.steps - k, leg)
     planners: dict[int, Planner] = {}
     unreachable: list[int] = []
     solve_count = 0
@@ -178,10 +228,11 @@ def _plan_alone(
 
 
 @lru_cache(maxsize=8)  # the same at every replanning of a mission
-def _interpolation_margin(mission: Reconfiguration, h: float) -> float:
+def _interpolation_margin(mission: Reconfiguration, own: Leg, h: float) -> float:
     # Error of the cubic pieces of two agents, at the states with which the mission begins and
     # ends and under full control; doubled for the states in between.
-    ends = np.concatenate([mission.initial_states, *(leg.targets for leg in mission.legs)])
+    targets = [leg.targets for leg in (*mission.legs, own)]
+    ends = np.concatenate([mission.initial_states, *targets])
     x = np.stack([ends, ends], axis=1)
     u = np.broadcast_to(mission.largest_control, (len(ends), 1, mission.axes))
     return 4 * interpolation_error(mission.linear_model, x, u, h)

@@ -36,8 +36,8 @@ class AgentMemory:
     target_count: Int[Array, " agents"]  # m
     bidder_count: Int[Array, " agents"]  # bidders in the last auction; 0 before the first
     clock: Int[Array, " agents"]  # steps since the start or the last reset
-    claimed_target: Int[Array, "agents agents"]  # target that another last claimed; −1 none
-    claim_step: Int[Array, "agents agents"]  # step of that claim; −1 never
+    claimed_target: Int[Array, "agents others"]  # target that another last claimed; −1 none
+    claim_step: Int[Array, "agents others"]  # step of that claim; −1 never
 
     @classmethod
     def initial(cls, target_count: Int[Array, " agents"]) -> "AgentMemory":
@@ -46,6 +46,39 @@ class AgentMemory:
         none, never = np.full(N, -1), np.full((N, N), -1)
         zero = np.zeros(N, dtype=int)
         return cls(none, target_count, zero, zero, never, never)
+
+
+def begin_memory(
+    mission: Reconfiguration, leg: Leg, believed: Int[Array, " agents"]
+) -> AgentMemory:
+    """Return the memory of agents that begin a leg and believe in so many agents.
+
+    Those that bid on all targets learn from the bids how many they are, but not from m.
+    """
+    all_targets = np.full_like(believed, len(leg.targets))
+    return AgentMemory.initial(all_targets if mission.uses_all_targets(leg) else believed)
+
+
+def update_believed(
+    mission: Reconfiguration,
+    believed: Int[Array, " agents"],
+    memory: AgentMemory,
+    flown: Leg,
+    recount: bool,
+) -> Int[Array, " agents"]:
+    """Return in how many agents each believes after a leg.
+
+    Args:
+        mission: The mission, in which agents bid on all targets or not.
+        believed: The same before the leg.
+        memory: Memory at its end.
+        flown: The leg.
+        recount: True where the next leg takes the number of bidders.
+    """
+    counted = memory.bidder_count
+    is_free = mission.uses_all_targets(flown)
+    believed = np.maximum(believed, counted) if is_free else memory.target_count
+    return np.where(counted > 0, counted, believed) if recount else believed
 
 
 class DecisionContext(NamedTuple):

@@ -1,0 +1,261 @@
+"""One vehicle of a reconfiguration, for a simulator or an onboard computer of the user's own."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import floor
+from typing import Any, NamedTuple
+from zlib import crc32
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray as Array
+
+from problems.conic import TOLERANCE
+from problems.solvers.verified import VerifiedSolver
+from sato.network.graph import CommunicationGraph
+from sato.reconfiguration import planning
+from sato.reconfiguration.agent_decision import Decision
+from sato.reconfiguration.draw import draw_leg, is_drawn
+from sato.reconfiguration.leg import Leg
+from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.state import (
+    AgentMemory,
+    DecisionContext,
+    Event,
+    begin_memory,
+    update_believed,
+)
+
+INSTANT_PRECISION = 1e-6  # of a control step, for times that are sums of steps
+ALONE = CommunicationGraph(np.zeros((1, 1), dtype=bool), np.ones(1, dtype=bool))
+
+
+class AgentMessage(NamedTuple):
+    """Message of an agent to all neighbors within hearing, a plain value."""
+
+    sender: int
+    instant: int
+    stage: int
+    content: Any
+
+
+class FlightMemory(NamedTuple):
+    """All that an agent remembers between two calls."""
+
+    leg: Leg  # under way
+    believed: Int[Array, " 1"]  # number of agents it believes in
+    memory: AgentMemory  # of the agent alone
+    plans: planning.Plans  # by row: empty, or the agent's own
+    leg_start: int | None = None  # instant at which the leg began; None before
+    instant: int | None = None  # last control instant; None before the first
+    spent: float = 0.0  # fuel [m/s], or energy [m²/s³]
+    control: Float[Array, " d"] | None = None  # held now [m/s²]
+    decision: Decision | None = None
+
+    def control_planned_by(self, mission: Reconfiguration) -> Float[Array, " d"]:
+        """Return the control of the plan at this instant; 0 without a plan [m/s²]."""
+        if not self.plans:
+            return np.zeros(mission.axes)
+        assert self.instant is not None and self.leg_start is not None
+        k = self.instant - self.leg_start
+        return np.asarray(planning.controls_at(self.plans, k, ALONE.alive, mission)[0])
+
+
+class Agent:
+    """One vehicle of a reconfiguration: it reads its own memory and its inbox alone.
+
+    At each control instant, at multiples of the mission's `step`, agents decide in rounds of
+    messages. In a round each is called once, with the messages that its neighbors returned in the
+    round before. The control is held until the next instant:
+
+        while not all(agent.is_finished …):
+            for each agent: control, message = agent.step(time, state, inbox)
+
+    Rounds are in lock step and no message is lost; all neighbors within hearing hear each message,
+    and hear each other. The number of rounds follows from the messages: agents measure the
+    diameter of their network first. An agent that is lost is called no more. One that joins calls
+    for an auction by itself.
+
+    Agents fly the same missions as `sato.run`, control for control, with `plan.orders = 1`.
+
+    Args:
+        mission: Mission, the same for all agents. Of `start`, an agent uses only what the margin
+            follows from; its first leg is flown, without losses and joins.
+        number: Number of the agent, of its own.
+        target_count: Targets m that it bids on at first; that of the mission by default, 1 for an
+            agent that joins.
+        leg_start: Time at which the leg began, for an agent that joins [s].
+        leg: The leg that it joins, if it is not the first of the mission.
+
+    Raises:
+        ValueError: The mission has no auction, tries several orders of priority, or negotiates.
+    """
+
+    def __init__(
+        self,
+        mission: Reconfiguration,
+        number: int,
+        target_count: int | None = None,
+        leg_start: float | None = None,
+        leg: Leg | None = None,
+    ) -> None:
+        if mission.orders > 1 or mission.bargains or mission.assignment != "auction":
+            raise ValueError(
+                f"plan.orders = {mission.orders}, plan.bargains = {mission.bargains} and "
+                f"plan.assignment = {mission.assignment!r}: an agent bids for its target, and "
+                "resolves conflicts under one order of priority; orders = 1, bargains = 0 and "
+                "assignment = 'auction' would do"
+            )
+        if not is_drawn(mission):
+            mission = mission.draw(np.random.default_rng(0))
+        believed, start = target_count or mission.target_count or mission.agent_count, None
+        if leg_start is not None:
+            believed, start = target_count or 1, _instant_at(mission, leg_start)
+        self.mission, self.number, m = mission, number, np.array([believed])
+        self.solver = VerifiedSolver(mission.solver, mission.tolerance or TOLERANCE)
+        leg = draw_leg(mission, leg, believed, start or 0) if leg else mission.legs[0]
+        self.memory = FlightMemory(leg, m, begin_memory(mission, leg, m), {}, start)
+
+    def step(
+        self, time: float, state: Float[Array, " n"], inbox: Sequence[AgentMessage]
+    ) -> tuple[Float[Array, " d"], AgentMessage]:
+        """Act in one round of messages.
+
+        Args:
+            time: Time since the start of the mission [s].
+            state: Position and velocity that the agent measures; those of the first call at a
+                control instant count.
+            inbox: Messages that the neighbors returned in the last round; those of earlier
+                stages are ignored.
+
+        Returns:
+            The acceleration to hold until the next instant [m/s²], and a message to all neighbors.
+
+        Raises:
+            ValueError: An instant was skipped, or begins before the decision of the last one is
+                made; the state is not one; or neighbors have the same number or another leg.
+            OutOfTargets: The network has more agents than there are targets.
+        """
+        instant = _instant_at(self.mission, time)
+        if instant != self.memory.instant:
+            self.memory = self._begin_instant(instant, np.asarray(state, dtype=float))
+        else:
+            self.memory = self._hear(inbox)
+        memory, decision = self.memory, self.memory.decision
+        assert decision is not None and memory.control is not None
+        content = decision.stage.message
+        return memory.control, AgentMessage(self.number, instant, decision.stage_index, content)
+
+    def set_targets(self, targets: Any, steps: int, **options: Any) -> None:
+        """Begin another leg at the next control instant.
+
+        All agents that hear each other must be told, between the same two instants.
+
+        Args:
+            targets: Array of (M, d) positions or (M, 2 d) states, or a shape.
+            steps: Control steps until the deadline.
+            options: Others of a `sato.Leg`: count, recount, choose.
+
+        Raises:
+            ValueError: The targets are too few or too close, or a decision is not finished.
+        """
+        self._require_finished()
+        flown, leg = self.memory, Leg(targets, steps, **options)
+        ended = flown.believed, flown.memory, flown.leg
+        believed = update_believed(self.mission, *ended, leg.recount)
+        begins = 0 if flown.instant is None else flown.instant + 1
+        leg = draw_leg(self.mission, leg, int(believed[0]), begins)
+        memory = begin_memory(self.mission, leg, believed)
+        self.memory = flown._replace(
+            leg=leg, believed=believed, memory=memory, plans={}, leg_start=None
+        )
+
+    @property
+    def is_finished(self) -> bool:
+        """True once the decision of the last instant is made."""
+        decision = self.memory.decision
+        return decision is not None and decision.is_finished
+
+    @property
+    def target_index(self) -> int:
+        """Index of the target that the agent holds; −1 before the first auction."""
+        return int(self.memory.memory.target_index[0])
+
+    @property
+    def has_arrived(self) -> bool:
+        """True from the deadline of the agent's plan on."""
+        return int(self.memory.memory.clock[0]) == self.memory.leg.steps
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """Constraints relaxed, and clocks reset, in the last decision."""
+        return self.memory.decision.events if self.memory.decision else ()
+
+    def _begin_instant(self, instant: int, state: Array) -> FlightMemory:
+        flown, mission, leg = self.memory, self.mission, self.memory.leg
+        if state.shape != (2 * mission.axes,) or not np.isfinite(state).all():
+            raise ValueError(f"state must be {2 * mission.axes} finite numbers, got {state}")
+        joins = flown.instant is None and flown.leg_start not in (None, instant)
+        if flown.instant is not None:
+            flown = self._end_step(instant)
+        if flown.leg_start is None:
+            flown = flown._replace(leg_start=instant)
+        assert flown.leg_start is not None
+        k = instant - flown.leg_start
+        checksum = crc32(np.append(leg.targets, leg.steps).tobytes())
+        context = DecisionContext(
+            mission,
+            leg,
+            ALONE,
+            state[None],
+            flown.memory,
+            k,
+            instant * mission.step,
+            self.solver,
+        )
+        decision = Decision.begin(
+            self.number, context, flown.plans, flown.spent, (flown.leg_start, checksum), joins
+        )
+        flown = flown._replace(instant=instant, decision=decision)
+        return flown._replace(control=flown.control_planned_by(mission))
+
+    def _end_step(self, instant: int) -> FlightMemory:
+        """Count the cost and the time of the step that was flown."""
+        flown, mission = self.memory, self.mission
+        assert flown.instant is not None and flown.control is not None
+        if instant != flown.instant + 1:
+            raise ValueError(
+                f"agent {self.number} is called at instant {instant} after instant "
+                f"{flown.instant}: call it at every multiple of plan.step_s = {mission.step:g}"
+            )
+        self._require_finished()
+        spent = planning.compute_spent(mission, flown.control[None])
+        memory, steps = flown.memory, flown.leg.steps
+        if flown.leg_start is not None:
+            memory = replace(memory, clock=np.minimum(memory.clock + 1, steps))
+        return flown._replace(memory=memory, spent=flown.spent + float(spent))
+
+    def _require_finished(self) -> None:
+        if self.memory.instant is not None and not self.is_finished:
+            raise ValueError(
+                f"agent {self.number} has not finished its decision of instant "
+                f"{self.memory.instant}: call it again, until all agents have finished"
+            )
+
+    def _hear(self, inbox: Sequence[AgentMessage]) -> FlightMemory:
+        flown, own = self.memory, self.memory.decision
+        assert own is not None
+        if any(message.sender == self.number for message in inbox):
+            raise ValueError(f"agent {self.number} hears an agent of its own number")
+        now = flown.instant, own.stage_index
+        heard = sorted((m for m in inbox if m[1:3] == now), key=lambda message: message.sender)
+        decision = own.update([message.content for message in heard])
+        flown = flown._replace(decision=decision)
+        if decision.is_finished and not own.is_finished:
+            flown = flown._replace(memory=decision.context.memory, plans=decision.plans)
+            flown = flown._replace(control=flown.control_planned_by(self.mission))
+        return flown
+
+
+def _instant_at(mission: Reconfiguration, time: float) -> int:
+    return floor(time / mission.step + INSTANT_PRECISION)

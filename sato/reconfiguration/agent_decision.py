@@ -1,0 +1,208 @@
+"""Decision of one agent at a control instant, by messages alone [Morgan2016, Method 3].
+
+All agents of a component go through the same stages, and enter each in the same round. D is the
+diameter; the agents know it, and each other's reports, from the first stage on.
+
+    stage      message                          ends for all                      rounds
+    census     reports `Hello`                  all know D                        3 D + 1
+    terms      reports `AuctionTerms`           all have heard all                D
+    auction    bids, reports `AuctionReport`    D rounds after the last stopped
+    exchange   trajectory                       for each when its own is final
+
+The auction begins again from its terms where a winner's cost was only a lower bound, where the
+clock is reset, and where a target out of reach was won. An instant at which none of the component
+is due to plan ends with the census.
+
+`assign_targets` and `plan_trajectories` compute the same for all agents at once. Here the same
+functions are called for a batch of one: row 0 of every array is the agent.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from sato.auctions.bidder import VsdaaBidder, WinningBids
+from sato.auctions.vsdaa import VsdaaAuction
+from sato.network.flooding import Census, CensusMessage, Flood, Reports
+from sato.reconfiguration import assignment, planning
+from sato.reconfiguration.agent_stages import (
+    AuctionTerms,
+    Bidding,
+    Exchange,
+    Hello,
+    check_census,
+)
+from sato.reconfiguration.state import DecisionContext, Event
+
+
+class Decision(NamedTuple):
+    """Memory of one agent while it decides."""
+
+    number: int
+    context: DecisionContext  # of the agent alone
+    plans: planning.Plans  # by row; empty, or the plan of the agent
+    spent: Float[Array, " 1"]  # fuel [m/s], or energy [m²/s³]
+    stage: Any  # Census, Flood, Bidding or Exchange
+    stage_index: int = 0
+    is_finished: bool = False
+    diameter: int = 0
+    members: tuple[int, ...] = ()  # numbers of the agents of its component
+    attempt: Literal["first", "reset", "firm"] = "first"  # of the auction
+    table: assignment.CostTable | None = None  # of the auction
+    planned_cost: Float[Array, " 1"] | None = None  # to the target that it holds
+    events: tuple[Event, ...] = ()
+
+    @classmethod
+    def begin(
+        cls,
+        number: int,
+        context: DecisionContext,
+        plans: planning.Plans,
+        spent: float,
+        leg: tuple[int, int],
+        joins: bool,
+    ) -> "Decision":
+        """Begin with the census.
+
+        Args:
+            number: Number of the agent.
+            context: State, memory and graph of the agent alone.
+            plans: Empty, or the plan of the agent as row 0.
+            spent: Fuel or energy spent so far.
+            leg: Instant at which the leg began, and a checksum of its targets.
+            joins: True where the agent calls for an auction at once.
+        """
+        mission, memory, k = context.mission, context.memory, context.step_index
+        due = planning.is_planning_due(mission, plans, memory, k, context.leg.steps)
+        step, target = memory.claim_step[0].tolist(), memory.claimed_target[0].tolist()
+        claims = tuple((a, step[a], target[a]) for a in range(len(step)) if step[a] >= 0)
+        hello = Hello(number, leg, bool(due[0]), joins, int(memory.clock[0]), claims)
+        stage = Census(CensusMessage(frozenset([hello])))
+        return cls(number, context, plans, np.array([spent]), stage)
+
+    def update(self, inbox: Sequence[Any]) -> "Decision":
+        """Act once, on the messages that neighbors sent in this stage."""
+        if self.is_finished:
+            return self
+        decision = self._replace(stage=self.stage.update(inbox))
+        while decision.stage.is_finished and not decision.is_finished:
+            decision = decision._enter_next_stage()
+        return decision
+
+    def _enter_next_stage(self) -> "Decision":
+        if isinstance(self.stage, Census):
+            return self._after_census(self.stage)
+        if isinstance(self.stage, Flood):
+            return self._begin_auction(self.stage)
+        if isinstance(self.stage, Bidding):
+            return self._after_auction(self.stage)
+        unreachable = [0] if self.stage.is_unreachable else []
+        plans, events = planning.make_plans(self.context, {0: self.stage.planner}, unreachable)
+        own = tuple(event | {"agents": [self.number]} for event in events)
+        return self._replace(plans=plans, events=self.events + own, is_finished=True)
+
+    def _enter(self, stage: Any, **changes: Any) -> "Decision":
+        return self._replace(stage=stage, stage_index=self.stage_index + 1, **changes)
+
+    def _after_census(self, census: Census) -> "Decision":
+        mission, k = self.context.mission, self.context.step_index
+        reports = sorted(census.message.reports)
+        check_census(reports)
+        has_joined = any(hello.joins for hello in reports)
+        is_due = k % mission.replan_steps == 0 and any(hello.is_due for hello in reports)
+        if not (is_due or has_joined):
+            return self._replace(is_finished=True)
+        members = tuple(hello.agent for hello in reports)
+        diameter = census.message.max_eccentricity
+        decision = self._replace(members=members, diameter=diameter)
+        if not has_joined and k % mission.auction_steps:
+            return decision._begin_exchange()
+        return decision._share_claims(reports)._announce_terms("first")
+
+    def _share_claims(self, reports: list[Hello]) -> "Decision":
+        """Take over the newest claims and the clock with the most time left, as `share_claims`."""
+        memory = self.context.memory
+        claims = sorted(claim for hello in reports for claim in hello.claims)
+        newest = {a: (step, j) for a, step, j in claims}
+        target, step = np.full((2, 1, max(*self.members, *newest, 0) + 1), -1)
+        for a, claim in newest.items():
+            step[0, a], target[0, a] = claim
+        cost = planning.remaining_cost(self.plans, self.context)
+        memory = replace(memory, claimed_target=target, claim_step=step)
+        shared = self._replace(context=self.context._replace(memory=memory), planned_cost=cost)
+        clock = min(hello.clock for hello in reports)
+        return shared if clock == memory.clock[0] else shared._set_clock(clock)
+
+    def _set_clock(self, clock: int) -> "Decision":
+        memory = replace(self.context.memory, clock=np.array([clock]))
+        return self._replace(
+            context=self.context._replace(memory=memory),
+            planned_cost=np.full(1, np.inf),
+            events=({"kind": "reset", "agents": [self.number]},),
+        )
+
+    def _announce_terms(self, attempt: Literal["first", "reset", "firm"]) -> "Decision":
+        assert self.planned_cost is not None
+        table = assignment.compute_costs(self.context, self.planned_cost)
+        return self._replace(attempt=attempt, table=table)._repeat_terms()
+
+    def _repeat_terms(self) -> "Decision":
+        assert self.table is not None
+        target_count = int(self.context.memory.target_count[0])
+        terms = AuctionTerms(self.number, target_count, assignment.cost_range(self.table, 0)[1])
+        return self._enter(Flood(len(self.members), self.diameter, frozenset([terms])))
+
+    def _begin_auction(self, flood: Flood) -> "Decision":
+        mission, table, memory = self.context.mission, self.table, self.context.memory
+        assert table is not None
+        firm, ranges = None, [terms.cost_range for terms in flood.message]
+        if self.attempt == "firm":
+            firm = assignment.firm_penalty(ranges)
+        is_near = np.isin(np.arange(memory.claim_step.shape[1]), self.members)
+        cost = assignment.apply_bidding_rules(table, memory, 0, is_near, firm)
+        m = max(terms.target_count for terms in flood.message)
+        epsilon = assignment.compute_epsilon(mission, self.context.leg)
+        VsdaaAuction(cost[None], self.context.graph, np.array([m]), epsilon)  # checks its data
+        empty, rules = WinningBids.empty(len(cost)), (epsilon, mission.bidder_ids)
+        bidder = VsdaaBidder(self.number, cost, *rules, 2 * self.diameter, m, empty)
+        reports = Flood(len(self.members), self.diameter)
+        return self._enter(Bidding(self.context, table, bidder, reports))
+
+    def _after_auction(self, bidding: Bidding) -> "Decision":
+        reports, won = bidding.flood.message, bidding.bidder.target_index
+        if not all(report.is_exact for report in reports):
+            table = assignment.CostTable(*(part.copy() for part in bidding.table))
+            if not table.is_exact[0, won]:
+                assignment.refine_cost(self.context, table, 0, won)
+            return self._replace(table=table)._repeat_terms()
+        if self.attempt == "first" and any(report.needs_reset for report in reports):
+            return self._set_clock(0)._announce_terms("reset")
+        if self.attempt != "firm" and any(report.won_unreachable for report in reports):
+            return self._announce_terms("firm")
+        return self._remember(bidding.bidder, reports)._begin_exchange()
+
+    def _remember(self, bidder: VsdaaBidder, reports: Reports) -> "Decision":
+        memory = self.context.memory
+        target, step = memory.claimed_target.copy(), memory.claim_step.copy()
+        for report in reports:
+            target[0, report.agent] = report.target_index
+            step[0, report.agent] = self.context.step_index
+        memory = replace(
+            memory,
+            target_index=np.array([bidder.target_index]),
+            target_count=np.array([bidder.target_count]),
+            bidder_count=np.array([bidder.bids.winner_count]),
+            claimed_target=target,
+            claim_step=step,
+        )
+        return self._replace(context=self.context._replace(memory=memory))
+
+    def _begin_exchange(self) -> "Decision":
+        planners, unreachable, _ = planning.plan_alone(self.context, self.spent, self.plans)
+        priority = (*planners[0].priority[:2], self.number)
+        planner = planners[0]._replace(priority=priority)
+        return self._enter(Exchange(planner, bool(unreachable)))

@@ -1,0 +1,233 @@
+"""One vehicle as an object: the loop, control for control and message for message; refusals."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from agents import decide, fly_by_messages
+from reconfiguration_runs import make_mission, row
+
+import sato
+from dynamics import ClohessyWiltshire
+from sato.auctions.vsdaa import init_state, run_kernel, run_vsdaa
+from sato.network.graph import CommunicationGraph
+from sato.reconfiguration import assignment, planning
+from sato.reconfiguration.agent_stages import BiddingMessage
+from sato.reconfiguration.loop import simulate
+from sato.scp import resolve_conflicts
+from sato.scp.exchange import run_batched
+from sato.scp.planner import TrajectoryMessage
+
+ROUNDING = 1e-9  # BLAS rounds a product of one row otherwise than the same row among others
+DECISIONS = {"reset", "slack", "braked", "infeasible"}
+
+
+def spread(rng, count, axes=2, box=4.0):
+    """Random positions at least 0.7 m apart."""
+    points = np.zeros((0, axes))
+    while len(points) < count:
+        p = rng.uniform(-box / 2, box / 2, axes)
+        if not len(points) or np.linalg.norm(points - p, axis=1).min() > 0.7:
+            points = np.concatenate([points, p[None]])
+    return points
+
+
+def listed(points):
+    return sato.Points(points, keep_order=True)
+
+
+def disturbed(rng):
+    noise = {"disturbance": 3e-3, "position_noise": 2e-3, "thrust_error": 0.02}
+    leg = sato.Leg(spread(rng, 7), 14)
+    return make_mission(spread(rng, 5), leg, replan_steps=1, max_control=0.3, **noise)
+
+
+def disconnected(rng):
+    changes = {"comm_radius": 1.6, "allow_undetectable": True, "reset": "need"}
+    leg = sato.Leg(listed(spread(rng, 6, 3, 3.0)), 16)
+    return make_mission(spread(rng, 6, 3, 6.0), leg, **changes)
+
+
+def varying(rng):
+    loss, join = sato.Loss("agents", agents=(1,), at_step=5), sato.Join(2, row(2, 3.0), at_step=3)
+    legs = (
+        sato.Leg(listed(spread(rng, 7)), 16, losses=(loss,), joins=(join,)),
+        sato.Leg(listed(spread(rng, 7)), 14, recount=True),
+        sato.Leg(spread(rng, 8), 14),
+    )
+    return make_mission(spread(rng, 5), *legs, max_control=0.2)
+
+
+def hurried(rng):
+    leg = sato.Leg(spread(rng, 5, box=6.0), 12)
+    changes = {"comm_radius": 2.5, "max_speed": 0.3, "allow_undetectable": True}
+    return make_mission(spread(rng, 4, box=6.0), leg, bidder_ids=False, **changes)
+
+
+def orbiting(rng):
+    leg = sato.Leg(spread(rng, 4, 3), 12)
+    model = ClohessyWiltshire(1e-3)
+    return make_mission(spread(rng, 4, 3), leg, model=model, max_control=0.3, objective="energy")
+
+
+MISSIONS = [disturbed, disconnected, varying, hurried, orbiting]
+
+
+@pytest.mark.parametrize("draw", MISSIONS)
+def test_agents_fly_as_the_loop_does(rng, draw):
+    mission = draw(rng)
+    frames = list(simulate(mission, np.random.default_rng(1)))[:60]
+    flown = 0
+    for frame, (x, control, agents, _, _) in zip(frames, fly_by_messages(mission, 1), strict=False):
+        flown += 1
+        np.testing.assert_allclose(x[:, : mission.axes], frame.position, rtol=0, atol=ROUNDING)
+        np.testing.assert_allclose(control, frame.control, rtol=0, atol=ROUNDING)
+        for i, agent in agents.items():
+            assert agent.target_index == frame.target_index[i]
+            assert agent.memory.memory.target_count[0] == frame.target_count[i]
+        told = [(e["kind"], i) for e in frame.events if "leg" not in e for i in e["agents"]]
+        if any(event["kind"] == "replan" for event in frame.events):
+            expected = sorted(event for event in told if event[0] in DECISIONS)
+            events = [(e["kind"], i) for i, agent in agents.items() for e in agent.events]
+            assert sorted(events) == expected
+    assert flown >= len(frames) - 1
+
+
+def by_stage(rounds, agent, kind):
+    """Messages of one kind that an agent sent, a list for each stage."""
+    stages = {}
+    for sent in rounds:
+        if agent in sent and isinstance(sent[agent].content, kind):
+            stages.setdefault(sent[agent].stage, []).append(sent[agent].content)
+    return list(stages.values())
+
+
+def equal_bids(message, price, winner):
+    bids = message.bids
+    return np.array_equal(bids.winner, winner) and np.allclose(bids.price, price, 0, ROUNDING)
+
+
+@pytest.mark.parametrize("draw", MISSIONS)
+def test_agents_send_the_messages_that_batched_rounds_compute(rng, draw, monkeypatch):
+    mission, auctions, exchanges = draw(rng), [], []
+
+    def record_auction(auction):
+        state, history = init_state(auction.cost, auction.graph, auction.target_count), []
+        for _ in run_kernel(state, auction.epsilon, auction.bidder_ids, stride=1):
+            history.append((state.price.copy(), state.winner.copy()))
+        auctions.append(history)
+        return run_vsdaa(auction)
+
+    def record_exchange(planners, graph, *rest):
+        exchanges.append(list(run_batched(planners, graph)))
+        return resolve_conflicts(planners, graph, *rest)
+
+    monkeypatch.setitem(assignment.METHODS, "auction", record_auction)
+    monkeypatch.setattr(planning, "resolve_conflicts", record_exchange)
+    frames = simulate(mission, np.random.default_rng(1))
+    compared = 0
+    for _, (_, _, agents, _, rounds) in zip(range(8), fly_by_messages(mission, 1), strict=False):
+        auctions.clear()
+        exchanges.clear()
+        next(frames)
+        for i in agents:
+            heard = iter(auctions)  # more than its own, where another component bids again
+            for own in by_stage(rounds, i, BiddingMessage):
+                assert any(
+                    all(
+                        equal_bids(message, price[i], winner[i])
+                        for message, (price, winner) in zip(own[1:], history, strict=False)
+                    )
+                    for history in heard
+                )
+            for own in by_stage(rounds, i, TrajectoryMessage):
+                (history,) = [exchange for exchange in exchanges if i in exchange[0]]
+                for sent, planners in zip(own[1:], history, strict=False):
+                    expected = planners[i].message
+                    assert sent.is_final == expected.is_final
+                    assert sent.priority == pytest.approx(expected.priority, abs=ROUNDING)
+                    np.testing.assert_allclose(
+                        sent.control_points, expected.control_points, rtol=0, atol=ROUNDING
+                    )
+                    compared += 1
+    assert compared > 20
+
+
+def four(**changes):
+    start, goals = row(4, 0.0), row(4, 3.0)
+    mission = make_mission(start, sato.Leg(goals, 14), **changes)
+    return mission, {i: sato.Agent(mission, i) for i in range(4)}
+
+
+def first_instant(mission, agents, time=0.0):
+    graph = CommunicationGraph.from_positions(
+        mission.initial_states[:, :2], mission.comm_radius, mission.alive
+    )
+    return list(decide(agents, time, mission.initial_states, graph))
+
+
+def test_order_of_messages_and_those_of_earlier_stages_do_not_matter():
+    mission, agents = four()
+    _, others = four()
+    x, sent, history = mission.initial_states, [], []
+    while not sent or not all(agent.is_finished for agent in agents.values()):
+        heard = {i: [m for m in sent if m.sender != i] for i in agents}
+        older = [m for m in history if m.stage < sent[0].stage]
+        for i, other in others.items():
+            other.step(0.0, x[i], [*(m for m in older if m.sender != i), *heard[i][::-1]])
+        history += sent
+        sent = [agent.step(0.0, x[i], heard[i])[1] for i, agent in agents.items()]
+    for i, agent in agents.items():
+        assert others[i].is_finished
+        np.testing.assert_array_equal(agent.memory.control, others[i].memory.control)
+
+
+def test_restored_memory_continues_the_flight():
+    mission, agents = four()
+    first_instant(mission, agents)
+    copies = {i: sato.Agent(mission, i) for i in agents}
+    for i, agent in agents.items():
+        copies[i].memory = agent.memory
+    assert len(first_instant(mission, agents, 1.0)) == len(first_instant(mission, copies, 1.0))
+    for i, agent in agents.items():
+        np.testing.assert_array_equal(agent.memory.control, copies[i].memory.control)
+
+
+def test_agent_from_a_mission_of_one_vehicle_flies_the_same():
+    mission, agents = four()
+    first_instant(mission, agents)
+    leg = sato.Leg(row(4, 3.0), 14)
+    own = {i: sato.Agent(make_mission(row(4, 0.0)[[i]], leg), i, 4) for i in range(4)}
+    first_instant(mission, own)
+    for i, agent in agents.items():
+        np.testing.assert_array_equal(agent.memory.control, own[i].memory.control)
+
+
+def test_wrong_use_is_refused_with_a_cure():
+    mission, agents = four()
+    state = mission.initial_states[0]
+    with pytest.raises(ValueError, match="orders = 1, bargains = 0 and"):
+        sato.Agent(replace(mission, orders=2), 0)
+    with pytest.raises(ValueError, match="state must be 4 finite numbers"):
+        agents[0].step(0.0, state[:2], [])
+    first_instant(mission, agents)
+    with pytest.raises(ValueError, match="call it at every multiple of plan"):
+        agents[0].step(2.0, state, [])
+    agents[0].step(1.0, state, [])
+    with pytest.raises(ValueError, match="has not finished its decision of instant 1"):
+        agents[0].step(2.0, state, [])
+    with pytest.raises(ValueError, match="has not finished its decision"):
+        agents[0].set_targets(row(4, 1.0), 14)
+    with pytest.raises(ValueError, match="3 is less than the 4 that agents bid on"):
+        agents[1].set_targets(row(3, 1.0), 14)
+    hello = agents[1].step(1.0, state, [])[1]
+    with pytest.raises(ValueError, match="agent 0 hears an agent of its own number"):
+        agents[0].step(1.0, state, [hello._replace(sender=0)])
+
+
+def test_agents_of_different_legs_refuse_to_decide_together():
+    mission, agents = four()
+    first_instant(mission, agents)
+    agents[2].set_targets(row(4, 1.0), 20)
+    with pytest.raises(ValueError, match="agents 0 and 2 hear each other and do not fly the same"):
+        first_instant(mission, agents, 1.0)
