@@ -49,6 +49,6 @@ def fly_by_messages(mission, seed=0):
                 x, np.nan_to_num(applied), n * mission.step, mission.step
             )
             x, n = np.where(alive[:, None], flown[1], x), n + 1
-            clocks = [int(agent.memory.memory.clock[0]) + 1 for agent in agents.values()]
+            clocks = [int(agent.memory.memory.clock[i]) + 1 for i, agent in agents.items()]
             if min(clocks) >= leg.steps:
                 break

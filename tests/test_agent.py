@@ -60,7 +60,8 @@ def varying(rng):
 
 def hurried(rng):
     leg = sato.Leg(spread(rng, 5, box=6.0), 12)
-    changes = {"comm_radius": 2.5, "max_speed": 0.3, "allow_undetectable": True}
+    limits = {"max_control": [0.1, 0.2, 0.15, 0.1], "max_speed": 0.3}
+    changes = {"comm_radius": 2.5, "allow_undetectable": True, **limits}
     return make_mission(spread(rng, 4, box=6.0), leg, bidder_ids=False, **changes)
 
 
@@ -84,7 +85,7 @@ def test_agents_fly_as_the_loop_does(rng, draw):
         np.testing.assert_allclose(control, frame.control, rtol=0, atol=ROUNDING)
         for i, agent in agents.items():
             assert agent.target_index == frame.target_index[i]
-            assert agent.memory.memory.target_count[0] == frame.target_count[i]
+            assert agent.memory.memory.target_count[i] == frame.target_count[i]
         told = [(e["kind"], i) for e in frame.events if "leg" not in e for i in e["agents"]]
         if any(event["kind"] == "replan" for event in frame.events):
             expected = sorted(event for event in told if event[0] in DECISIONS)

@@ -27,7 +27,6 @@ from sato.reconfiguration.state import (
 )
 
 INSTANT_PRECISION = 1e-6  # of a control step, for times that are sums of steps
-ALONE = CommunicationGraph(np.zeros((1, 1), dtype=bool), np.ones(1, dtype=bool))
 
 
 class AgentMessage(NamedTuple):
@@ -43,22 +42,14 @@ class FlightMemory(NamedTuple):
     """All that an agent remembers between two calls."""
 
     leg: Leg  # under way
-    believed: Int[Array, " 1"]  # number of agents it believes in
-    memory: AgentMemory  # of the agent alone
-    plans: planning.Plans  # by row: empty, or the agent's own
+    believed: Int[Array, " rows"]  # number of agents it believes in
+    memory: AgentMemory  # the row of its number counts
+    plans: planning.Plans  # empty, or its own
     leg_start: int | None = None  # instant at which the leg began; None before
     instant: int | None = None  # last control instant; None before the first
     spent: float = 0.0  # fuel [m/s], or energy [m²/s³]
     control: Float[Array, " d"] | None = None  # held now [m/s²]
     decision: Decision | None = None
-
-    def control_planned_by(self, mission: Reconfiguration) -> Float[Array, " d"]:
-        """Return the control of the plan at this instant; 0 without a plan [m/s²]."""
-        if not self.plans:
-            return np.zeros(mission.axes)
-        assert self.instant is not None and self.leg_start is not None
-        k = self.instant - self.leg_start
-        return np.asarray(planning.controls_at(self.plans, k, ALONE.alive, mission)[0])
 
 
 class Agent:
@@ -111,7 +102,11 @@ class Agent:
         believed, start = target_count or mission.target_count or mission.agent_count, None
         if leg_start is not None:
             believed, start = target_count or 1, _instant_at(mission, leg_start)
-        self.mission, self.number, m = mission, number, np.array([believed])
+        self.mission, self.number = mission, number
+        # Of arrays that have a row for each agent, only the row of this one counts.
+        alone = np.arange(number + 1) == number
+        self._graph = CommunicationGraph(np.zeros((len(alone), len(alone)), dtype=bool), alone)
+        m = np.full(len(alone), believed)
         self.solver = VerifiedSolver(mission.solver, mission.tolerance or TOLERANCE)
         leg = draw_leg(mission, leg, believed, start or 0) if leg else mission.legs[0]
         self.memory = FlightMemory(leg, m, begin_memory(mission, leg, m), {}, start)
@@ -164,7 +159,7 @@ class Agent:
         ended = flown.believed, flown.memory, flown.leg
         believed = update_believed(self.mission, *ended, leg.recount)
         begins = 0 if flown.instant is None else flown.instant + 1
-        leg = draw_leg(self.mission, leg, int(believed[0]), begins)
+        leg = draw_leg(self.mission, leg, int(believed[self.number]), begins)
         memory = begin_memory(self.mission, leg, believed)
         self.memory = flown._replace(
             leg=leg, believed=believed, memory=memory, plans={}, leg_start=None
@@ -179,12 +174,12 @@ class Agent:
     @property
     def target_index(self) -> int:
         """Index of the target that the agent holds; −1 before the first auction."""
-        return int(self.memory.memory.target_index[0])
+        return int(self.memory.memory.target_index[self.number])
 
     @property
     def has_arrived(self) -> bool:
         """True from the deadline of the agent's plan on."""
-        return int(self.memory.memory.clock[0]) == self.memory.leg.steps
+        return int(self.memory.memory.clock[self.number]) == self.memory.leg.steps
 
     @property
     def events(self) -> tuple[Event, ...]:
@@ -206,8 +201,8 @@ class Agent:
         context = DecisionContext(
             mission,
             leg,
-            ALONE,
-            state[None],
+            self._graph,
+            np.tile(state, (self.number + 1, 1)),
             flown.memory,
             k,
             instant * mission.step,
@@ -217,7 +212,7 @@ class Agent:
             self.number, context, flown.plans, flown.spent, (flown.leg_start, checksum), joins
         )
         flown = flown._replace(instant=instant, decision=decision)
-        return flown._replace(control=flown.control_planned_by(mission))
+        return flown._replace(control=self._planned_control(flown))
 
     def _end_step(self, instant: int) -> FlightMemory:
         """Count the cost and the time of the step that was flown."""
@@ -253,8 +248,16 @@ class Agent:
         flown = flown._replace(decision=decision)
         if decision.is_finished and not own.is_finished:
             flown = flown._replace(memory=decision.context.memory, plans=decision.plans)
-            flown = flown._replace(control=flown.control_planned_by(self.mission))
+            flown = flown._replace(control=self._planned_control(flown))
         return flown
+
+    def _planned_control(self, flown: FlightMemory) -> Float[Array, " d"]:
+        if not flown.plans:
+            return np.zeros(self.mission.axes)
+        assert flown.instant is not None and flown.leg_start is not None
+        k, alone = flown.instant - flown.leg_start, self._graph.alive
+        control = planning.controls_at(flown.plans, k, alone, self.mission)
+        return np.asarray(control[self.number])
 
 
 def _instant_at(mission: Reconfiguration, time: float) -> int:

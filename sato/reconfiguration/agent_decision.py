@@ -14,7 +14,7 @@ clock is reset, and where a target out of reach was won. An instant at which non
 is due to plan ends with the census.
 
 `assign_targets` and `plan_trajectories` compute the same for all agents at once. Here the same
-functions are called for a batch of one: row 0 of every array is the agent.
+functions are called with the agent alone alive: of every array, only the row of its number counts.
 """
 
 from collections.abc import Sequence
@@ -28,6 +28,7 @@ from numpy import ndarray as Array
 from sato.auctions.bidder import VsdaaBidder, WinningBids
 from sato.auctions.vsdaa import VsdaaAuction
 from sato.network.flooding import Census, CensusMessage, Flood, Reports
+from sato.network.graph import CommunicationGraph
 from sato.reconfiguration import assignment, planning
 from sato.reconfiguration.agent_stages import (
     AuctionTerms,
@@ -38,14 +39,16 @@ from sato.reconfiguration.agent_stages import (
 )
 from sato.reconfiguration.state import DecisionContext, Event
 
+ALONE = CommunicationGraph(np.zeros((1, 1), dtype=bool), np.ones(1, dtype=bool))
+
 
 class Decision(NamedTuple):
     """Memory of one agent while it decides."""
 
     number: int
     context: DecisionContext  # of the agent alone
-    plans: planning.Plans  # by row; empty, or the plan of the agent
-    spent: Float[Array, " 1"]  # fuel [m/s], or energy [m²/s³]
+    plans: planning.Plans  # empty, or the agent's own
+    spent: Float[Array, " rows"]  # fuel [m/s], or energy [m²/s³]
     stage: Any  # Census, Flood, Bidding or Exchange
     stage_index: int = 0
     is_finished: bool = False
@@ -53,7 +56,7 @@ class Decision(NamedTuple):
     members: tuple[int, ...] = ()  # numbers of the agents of its component
     attempt: Literal["first", "reset", "firm"] = "first"  # of the auction
     table: assignment.CostTable | None = None  # of the auction
-    planned_cost: Float[Array, " 1"] | None = None  # to the target that it holds
+    planned_cost: Float[Array, " rows"] | None = None  # to the target that it holds
     events: tuple[Event, ...] = ()
 
     @classmethod
@@ -71,18 +74,19 @@ class Decision(NamedTuple):
         Args:
             number: Number of the agent.
             context: State, memory and graph of the agent alone.
-            plans: Empty, or the plan of the agent as row 0.
+            plans: Empty, or the plan of the agent.
             spent: Fuel or energy spent so far.
             leg: Instant at which the leg began, and a checksum of its targets.
             joins: True where the agent calls for an auction at once.
         """
         mission, memory, k = context.mission, context.memory, context.step_index
         due = planning.is_planning_due(mission, plans, memory, k, context.leg.steps)
-        step, target = memory.claim_step[0].tolist(), memory.claimed_target[0].tolist()
+        step, target = (c[number].tolist() for c in (memory.claim_step, memory.claimed_target))
         claims = tuple((a, step[a], target[a]) for a in range(len(step)) if step[a] >= 0)
-        hello = Hello(number, leg, bool(due[0]), joins, int(memory.clock[0]), claims)
+        clock = int(memory.clock[number])
+        hello = Hello(number, leg, bool(due[number]), joins, clock, claims)
         stage = Census(CensusMessage(frozenset([hello])))
-        return cls(number, context, plans, np.array([spent]), stage)
+        return cls(number, context, plans, np.full(len(due), spent), stage)
 
     def update(self, inbox: Sequence[Any]) -> "Decision":
         """Act once, on the messages that neighbors sent in this stage."""
@@ -100,10 +104,9 @@ class Decision(NamedTuple):
             return self._begin_auction(self.stage)
         if isinstance(self.stage, Bidding):
             return self._after_auction(self.stage)
-        unreachable = [0] if self.stage.is_unreachable else []
-        plans, events = planning.make_plans(self.context, {0: self.stage.planner}, unreachable)
-        own = tuple(event | {"agents": [self.number]} for event in events)
-        return self._replace(plans=plans, events=self.events + own, is_finished=True)
+        planners, lost = {self.number: self.stage.planner}, self.stage.unreachable
+        plans, events = planning.make_plans(self.context, planners, lost)
+        return self._replace(plans=plans, events=(*self.events, *events), is_finished=True)
 
     def _enter(self, stage: Any, **changes: Any) -> "Decision":
         return self._replace(stage=stage, stage_index=self.stage_index + 1, **changes)
@@ -128,20 +131,22 @@ class Decision(NamedTuple):
         memory = self.context.memory
         claims = sorted(claim for hello in reports for claim in hello.claims)
         newest = {a: (step, j) for a, step, j in claims}
-        target, step = np.full((2, 1, max(*self.members, *newest, 0) + 1), -1)
+        rows, others = len(memory.clock), max([*self.members, *newest]) + 1
+        target, step = np.full((2, rows, others), -1)
         for a, claim in newest.items():
-            step[0, a], target[0, a] = claim
+            step[self.number, a], target[self.number, a] = claim
         cost = planning.remaining_cost(self.plans, self.context)
         memory = replace(memory, claimed_target=target, claim_step=step)
         shared = self._replace(context=self.context._replace(memory=memory), planned_cost=cost)
         clock = min(hello.clock for hello in reports)
-        return shared if clock == memory.clock[0] else shared._set_clock(clock)
+        return shared if clock == memory.clock[self.number] else shared._set_clock(clock)
 
     def _set_clock(self, clock: int) -> "Decision":
-        memory = replace(self.context.memory, clock=np.array([clock]))
+        clocks = np.full_like(self.context.memory.clock, clock)
+        memory = replace(self.context.memory, clock=clocks)
         return self._replace(
             context=self.context._replace(memory=memory),
-            planned_cost=np.full(1, np.inf),
+            planned_cost=np.full(len(clocks), np.inf),
             events=({"kind": "reset", "agents": [self.number]},),
         )
 
@@ -152,8 +157,8 @@ class Decision(NamedTuple):
 
     def _repeat_terms(self) -> "Decision":
         assert self.table is not None
-        target_count = int(self.context.memory.target_count[0])
-        terms = AuctionTerms(self.number, target_count, assignment.cost_range(self.table, 0)[1])
+        m, i = int(self.context.memory.target_count[self.number]), self.number
+        terms = AuctionTerms(i, m, assignment.cost_range(self.table, i)[1])
         return self._enter(Flood(len(self.members), self.diameter, frozenset([terms])))
 
     def _begin_auction(self, flood: Flood) -> "Decision":
@@ -163,10 +168,10 @@ class Decision(NamedTuple):
         if self.attempt == "firm":
             firm = assignment.firm_penalty(ranges)
         is_near = np.isin(np.arange(memory.claim_step.shape[1]), self.members)
-        cost = assignment.apply_bidding_rules(table, memory, 0, is_near, firm)
+        cost = assignment.apply_bidding_rules(table, memory, self.number, is_near, firm)
         m = max(terms.target_count for terms in flood.message)
         epsilon = assignment.compute_epsilon(mission, self.context.leg)
-        VsdaaAuction(cost[None], self.context.graph, np.array([m]), epsilon)  # checks its data
+        VsdaaAuction(cost[None], ALONE, np.array([m]), epsilon)  # checks its data
         empty, rules = WinningBids.empty(len(cost)), (epsilon, mission.bidder_ids)
         bidder = VsdaaBidder(self.number, cost, *rules, 2 * self.diameter, m, empty)
         reports = Flood(len(self.members), self.diameter)
@@ -176,8 +181,8 @@ class Decision(NamedTuple):
         reports, won = bidding.flood.message, bidding.bidder.target_index
         if not all(report.is_exact for report in reports):
             table = assignment.CostTable(*(part.copy() for part in bidding.table))
-            if not table.is_exact[0, won]:
-                assignment.refine_cost(self.context, table, 0, won)
+            if not table.is_exact[self.number, won]:
+                assignment.refine_cost(self.context, table, self.number, won)
             return self._replace(table=table)._repeat_terms()
         if self.attempt == "first" and any(report.needs_reset for report in reports):
             return self._set_clock(0)._announce_terms("reset")
@@ -189,13 +194,13 @@ class Decision(NamedTuple):
         memory = self.context.memory
         target, step = memory.claimed_target.copy(), memory.claim_step.copy()
         for report in reports:
-            target[0, report.agent] = report.target_index
-            step[0, report.agent] = self.context.step_index
+            target[self.number, report.agent] = report.target_index
+            step[self.number, report.agent] = self.context.step_index
         memory = replace(
             memory,
-            target_index=np.array([bidder.target_index]),
-            target_count=np.array([bidder.target_count]),
-            bidder_count=np.array([bidder.bids.winner_count]),
+            target_index=np.full(len(target), bidder.target_index),
+            target_count=np.full(len(target), bidder.target_count),
+            bidder_count=np.full(len(target), bidder.bids.winner_count),
             claimed_target=target,
             claim_step=step,
         )
@@ -203,6 +208,4 @@ class Decision(NamedTuple):
 
     def _begin_exchange(self) -> "Decision":
         planners, unreachable, _ = planning.plan_alone(self.context, self.spent, self.plans)
-        priority = (*planners[0].priority[:2], self.number)
-        planner = planners[0]._replace(priority=priority)
-        return self._enter(Exchange(planner, bool(unreachable)))
+        return self._enter(Exchange(planners[self.number], unreachable))

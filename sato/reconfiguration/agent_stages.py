@@ -94,22 +94,18 @@ class Bidding(NamedTuple):
 
     def _report(self, bidder: VsdaaBidder) -> AuctionReport:
         won, (mission, memory) = bidder.target_index, (self.context.mission, self.context.memory)
-        is_lost, counted = ~self.table.is_reachable[:, won], np.array([bidder.bids.winner_count])
-        return AuctionReport(
-            bidder.agent_id,
-            bidder.round,
-            won,
-            bool(self.table.is_exact[0, won]),
-            bool(is_lost[0]),
-            bool(assignment.needs_reset(mission, memory, counted, is_lost)[0]),
-        )
+        i, is_lost = bidder.agent_id, ~self.table.is_reachable[:, won]
+        counted = np.full(len(is_lost), bidder.bids.winner_count)
+        resets = assignment.needs_reset(mission, memory, counted, is_lost)
+        is_exact = bool(self.table.is_exact[i, won])
+        return AuctionReport(i, bidder.round, won, is_exact, bool(is_lost[i]), bool(resets[i]))
 
 
 class Exchange(NamedTuple):
     """Memory of an agent that exchanges trajectories."""
 
     planner: Planner
-    is_unreachable: bool  # its target is
+    unreachable: list[int]  # the agent's number, if its target is
 
     @property
     def message(self) -> TrajectoryMessage:
