@@ -47,9 +47,9 @@ def bound_least_controls(
 def _bound(Q: Float[Array, "s N"], b: Float[Array, "some s"], rounds: int) -> Float[Array, " some"]:
     squares = (Q[:, None] * Q).reshape(-1, Q.shape[1]).T
     λ, bound = b, np.zeros(len(b))
-    is_moved = np.abs(b).max(axis=1, keepdims=True) > 0
     for _ in range(rounds):
-        size = np.where(is_moved, np.abs(λ @ Q), 1.0)
+        size = np.abs(λ @ Q)
+        size[~(size.max(axis=1) > 0)] = 1.0  # where there is nothing to move
         bound = np.maximum(bound, (λ * b).sum(axis=1) / size.sum(axis=1))
         weight = 1 / (size + SMOOTHING * size.max(axis=1, keepdims=True))
         gram = (weight @ squares).reshape(len(b), len(Q), len(Q))

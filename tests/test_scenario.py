@@ -80,7 +80,7 @@ SI = {suffix.quantity: name for name, suffix in SUFFIXES.items() if suffix.facto
 KNOWN = [name for name, suffix in SUFFIXES.items() if suffix.quantity in FIELDS]
 
 
-@given(st.sampled_from(KNOWN), st.floats(-1e6, 1e6))
+@given(st.sampled_from(KNOWN), st.floats(-1e6, 1e6).filter(lambda x: not 0 < abs(x) < 1e-20))
 def test_number_in_any_unit_of_its_quantity_becomes_si(name, value):
     field = FIELDS[SUFFIXES[name].quantity]
     measured = read_table(Measured, {f"{field}_{name}": value})

@@ -31,6 +31,7 @@ from sato.scenario.definition import (
 )
 from sato.scenario.errors import InputError
 from sato.scenario.file import Mission
+from sato.scenario.ranges import check_memory
 
 OMNIDIRECTIONAL = (-3.0, -2.0)  # a_min, a_max of a robot that ignores its field of view
 DEFAULT_AGENTS = 6
@@ -138,6 +139,7 @@ class Connectivity(Mission):
     def draw(self, rng: np.random.Generator) -> "Connectivity":
         """Return the mission with drawn poses, yaw errors, waypoints, obstacles and losses."""
         n, error, poses = self.agents, self.yaw_error, self.start
+        check_memory(n, lambda agents: feasibility.memory_demand(self, agents))
         if isinstance(poses, RandomPoses):
             with errors_in("swarm.start"):
                 poses = poses.draw(n, self.camera, rng)

@@ -30,6 +30,11 @@ def check_swarm(mission: "Formation") -> None:
         raise InputError("swarm.start.positions_m", text)
 
 
+def memory_demand(agents: int) -> float:
+    """Estimate the memory that a flight of so many agents takes, measured up to 800 [byte]."""
+    return 400.0 * agents**2
+
+
 def check_clearance(mission: "Formation") -> None:
     """Refuse an avoidance that begins when it is too late to stop.
 

@@ -26,6 +26,7 @@ from sato.formation.start import AnyStart, draw_start, place_level
 from sato.network.radio import Radio
 from sato.scenario.definition import LATER, Convert, In, Key, Positive, errors_in, map_numbered
 from sato.scenario.file import Mission
+from sato.scenario.ranges import check_memory
 from sato.scenario.table import find_key, write_table
 from sato.shapes import Points, Shape
 from sato.shapes.shape import as_points
@@ -108,6 +109,7 @@ class Formation(Mission):
 
     def draw(self, rng: np.random.Generator) -> "Formation":
         """Return the mission with its start, formations, gains and coordinate frames drawn."""
+        check_memory(self.agents, feasibility.memory_demand)
         with errors_in("swarm.start"):
             start = draw_start(self.start, self.agents, self.keep_out, rng)
         with errors_in("leg"):

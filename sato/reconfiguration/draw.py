@@ -9,6 +9,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.circular_orbit import ClohessyWiltshire
+from dynamics.propagation import Impact
 from problems.limit import Limit
 from sato.reconfiguration import feasibility, reach
 from sato.reconfiguration.leg import Leg, states_of
@@ -17,6 +18,7 @@ from sato.reconfiguration.models import OrbitalModel
 from sato.reconfiguration.start import Random, Start
 from sato.scenario.definition import errors_in, is_auto
 from sato.scenario.errors import InputError, round_up
+from sato.scenario.ranges import check_memory
 from sato.shapes import Points
 from sato.shapes.shape import least_distance
 
@@ -29,6 +31,7 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
     Raises:
         InputError: The starts, targets, margins or times cannot be as they are asked for.
     """
+    check_memory(mission.agent_count, lambda n: feasibility.memory_demand(mission, n))
     demand, asked = feasibility.target_demand(mission), mission.legs
     mission = _with_placeholders(mission)
     nobody, agents = np.empty((0, mission.axes)), range(mission.agent_count)
@@ -48,7 +51,11 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
         shape = replace(_as_points(targets), keep_order=not leg.is_free)
         legs.append(replace(leg, shape=shape, count=None))
     drawn = replace(mission, start=_as_points(start), legs=tuple(legs))
-    drawn = _resolve(replace(drawn, plant=mission.draw_plant(len(states), rng)))
+    try:
+        drawn = _resolve(replace(drawn, plant=mission.draw_plant(len(states), rng)))
+    except Impact as error:
+        reason = f"{np.max(mission.max_control):g} is so large that {error}"
+        raise InputError("model.max_control_m_s2", reason) from error
     reach.check_reach(drawn)
     return drawn
 

@@ -114,8 +114,13 @@ class Chief(Definition):
             times: Times at which a mission asks for velocities, to say what would do [s].
 
         Raises:
-            InputError: They are out of the chief's plane where no velocity keeps them there.
+            InputError: They are out of the chief's plane where no velocity keeps them there, or
+                farther from the chief than the Earth.
         """
+        away, most = np.abs(position).max(initial=0.0), self.orbit.elements_at(t)[0]
+        if away > most:
+            reason = f"lies {away / 1e3:.4g} km from the chief, which is {most / 1e3:.4g} km"
+            raise InputError(where, f"{reason} from the center of the Earth")
         try:
             return invariant_velocity(self.orbit, position, t)
         except ValueError as error:

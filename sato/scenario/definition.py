@@ -23,6 +23,7 @@ from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError, 
 from dynamics.units import Key as Key
 from dynamics.units import Unit
 from sato.scenario.errors import InputError, explain, join_names
+from sato.scenario.ranges import check_range
 
 Positive, NotNegative = Gt(0), Ge(0)
 LATER: Any = None  # default of a field that follows from others, or is drawn
@@ -160,7 +161,7 @@ class Field:
         if type(value) in (list, Array) and get_origin(self.hint) is tuple:
             value = tuple(value if isinstance(value, list) else value.tolist())
         try:
-            return self._adapter.validate_python(value)
+            return check_range(self._adapter.validate_python(value))
         except ValidationError as error:
             raise explain(error) from error
 

@@ -67,6 +67,8 @@ def format_value(value: object) -> str:
         return "a list"
     if isinstance(value, float):
         return f"{value:.1f}" if value.is_integer() and abs(value) < 1e6 else f"{value:.6g}"
+    if isinstance(value, int) and abs(value) >= 10**30:
+        return "an integer of more than 30 digits"
     return str(value) if isinstance(value, int) else f"an object of type {type(value).__name__}"
 
 

@@ -117,10 +117,11 @@ def parse(
     """
     try:
         data = tomllib.loads(text.removeprefix("\ufeff"))
+    except (ValueError, RecursionError) as error:
+        raise ScenarioError(f"{source}: is not TOML: {error}") from error
+    try:
         data.setdefault("name", Path(source).stem)
         return from_dict(data, overrides, folder=folder)
-    except tomllib.TOMLDecodeError as error:
-        raise ScenarioError(f"{source}: is not TOML: {error}") from error
     except InputError as error:
         raise ScenarioError(f"{source}: {error}") from error
 

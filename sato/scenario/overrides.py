@@ -116,6 +116,6 @@ def _unknown(address: str, plain: str, spots: list[Spot]) -> InputError:
 def _parse_value(written: str) -> Any:
     try:
         parsed = tomllib.loads(f"value = {written}")
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         return written
     return parsed["value"] if list(parsed) == ["value"] else written

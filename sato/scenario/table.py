@@ -18,6 +18,7 @@ from sato.scenario.definition import (
     map_numbered,
 )
 from sato.scenario.errors import InputError, closest_name, format_value, join_names
+from sato.scenario.ranges import LARGEST
 
 OWN = "own"  # kind of a value of the user's own
 _SI = {unit.quantity: suffix for suffix, unit in SUFFIXES.items() if unit.factor == 1.0}
@@ -238,10 +239,10 @@ def _plain(value: Any) -> Any:
 
 
 def _scaled(value: Any, factor: float) -> Any:
-    # Text and tables are left as they are: the check of the field refuses them.
+    # Text, tables and huge numbers are left as they are: the check of the field refuses them.
     if isinstance(value, Array):
         value = value.tolist()
     if isinstance(value, list):
         return [_scaled(part, factor) for part in value]
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return value * factor if is_number else value
+    return value * factor if is_number and abs(value) <= LARGEST else value

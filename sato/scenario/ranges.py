@@ -1,0 +1,74 @@
+"""Ranges of numbers, and memory: what no computer of today can compute with."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy import ndarray as Array
+
+from sato.scenario.errors import InputError, format_value
+
+LARGEST = 1e30  # of a number, whose products are then far from the end of doubles
+SMALLEST = 1e-30  # other than 0
+LARGEST_COUNT = 10**9
+CONTROL_GROUP_LIMIT = Path("/sys/fs/cgroup/memory.max")
+
+
+def check_range(value: Any) -> Any:
+    """Refuse numbers that are too large or too small to compute with; return all others.
+
+    Raises:
+        InputError: A number is; entries of lists and arrays may be as small as they like.
+    """
+    if isinstance(value, int):
+        if abs(value) > LARGEST_COUNT:
+            raise InputError("", f"must be at most {LARGEST_COUNT:g}, got {format_value(value)}")
+    elif isinstance(value, float):
+        if np.isfinite(value) and value and not SMALLEST <= abs(value) <= LARGEST:
+            limits = f"0, or between {SMALLEST:g} and {LARGEST:g} in size"
+            raise InputError("", f"must be {limits}, got {format_value(value)}")
+        return value + 0.0  # no −0.0, whose sign would count
+    elif isinstance(value, tuple):
+        for part in value:
+            if not isinstance(part, float) or abs(part) > SMALLEST:
+                check_range(part)
+    elif isinstance(value, Array) and value.dtype.kind == "f" and value.size:
+        check_range(max(float(np.abs(value).max()), SMALLEST))
+    return value
+
+
+def check_memory(agents: int, demand: Callable[[int], float]) -> None:
+    """Refuse a swarm that takes more memory than the machine has.
+
+    Args:
+        agents: Number of agents.
+        demand: Memory that a mission takes by its number of agents, estimated [byte].
+
+    Raises:
+        InputError: It does; says how many agents fit.
+    """
+    limit, most = machine_memory(), agents
+    if demand(agents) <= limit:
+        return
+    fits = 0
+    while most - fits > 1:
+        middle = (fits + most) // 2
+        fits, most = (middle, most) if demand(middle) <= limit else (fits, middle)
+    reason = f"{agents} take about {demand(agents) / 1e9:,.0f} GB of memory in a mission this long"
+    cure = f"{fits} would do" if fits > 1 else "fewer steps, or a shorter flight, would do"
+    raise InputError("swarm.agents", f"{reason}, and there are {limit / 1e9:,.0f} GB; {cure}")
+
+
+def machine_memory() -> float:
+    """Return the memory that the machine, or the group of this process, has [byte]."""
+    try:
+        limits = [float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))]
+    except (AttributeError, ValueError, OSError):  # not on Windows
+        return float("inf")
+    try:
+        limits.append(float(CONTROL_GROUP_LIMIT.read_text()))
+    except (OSError, ValueError):  # no group, or "max"
+        pass
+    return min(limits)

@@ -1,0 +1,75 @@
+"""Whatever is in a scenario, it is drawn, or refused in a sentence."""
+
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sato
+import sato.scenario.ranges
+from sato.scenario.ranges import check_memory
+
+FUZZ = runpy.run_path(str(Path(__file__).parents[1] / "scripts" / "fuzz_scenarios.py"))
+BASES = FUZZ["base_scenarios"]()
+
+
+@pytest.mark.parametrize("name", sorted(BASES))
+def test_mutated_scenarios_are_drawn_or_refused(name):
+    refused = 0
+    for seed in range(6):
+        changed, _ = FUZZ["mutate"](BASES[name], np.random.default_rng(seed))
+        refused += bool(FUZZ["build"](changed))  # any other exception is raised
+    assert 0 < refused <= 6
+
+
+@pytest.mark.parametrize(
+    ("name", "setting", "message"),
+    [
+        ("crossing", "max_control_m_s2=1e300", "model.max_control_m_s2: must be 0, or between"),
+        ("crossing", "max_control_m_s2=1e-31", "between 1e-30 and 1e+30 in size, got 1e-31"),
+        ("crossing", f"steps={10**400}", "leg.0.steps: must be at most 1e+09, got an integer of"),
+        ("crossing", "comm_radius_km=1e300", "swarm.comm_radius_m: must be 0, or between"),
+        (
+            "crossing",
+            "start.positions_m=[[0,0],[1e31,0]]",
+            "start.positions_m: must be 0, or",
+        ),
+        ("orbit", "max_control_m_s2=2000", "2000 is so large that agent"),
+        ("orbit", "leg.shape.radius_m=1e9", "leg.0.shape: lies 1e+06 km from the chief"),
+    ],
+)
+def test_numbers_out_of_range_are_refused_by_key(name, setting, message):
+    with pytest.raises((sato.ScenarioError, sato.InputError)) as caught:
+        sato.read(name, [setting]).draw(np.random.default_rng(0))
+    assert message in str(caught.value)
+
+
+def test_toml_that_python_cannot_hold_is_refused():
+    for text in ("a = " + "9" * 5000, "a = " + "[" * 10_000):
+        with pytest.raises(sato.ScenarioError, match="scenario: is not TOML"):
+            sato.parse(text)
+
+
+def test_no_negative_zero_enters_a_mission(rng):
+    mission = sato.read("connectivity", ["yaw_error_rad=-0.0"])
+    assert not np.signbit(mission.yaw_error)
+    mission.draw(rng)
+
+
+@pytest.mark.parametrize("name", ["random", "formation", "connectivity"])
+def test_swarms_beyond_the_memory_are_refused_with_the_number_that_fits(name, rng, monkeypatch):
+    monkeypatch.setattr(sato.scenario.ranges, "machine_memory", lambda: 4e9)
+    with pytest.raises(sato.InputError, match=r"GB; \d+ would do") as caught:
+        sato.read(name, ["agents=100000"]).draw(rng)
+    fits = int(str(caught.value).split()[-3])
+    assert 100 < fits < 100_000
+
+
+def test_memory_is_refused_just_above_what_there_is(monkeypatch):
+    monkeypatch.setattr(sato.scenario.ranges, "machine_memory", lambda: 1e9)
+    check_memory(1000, lambda n: 1000.0 * n**2)
+    with pytest.raises(sato.InputError, match=r"1001 take about 1 GB .* 1 GB; 1000 would do"):
+        check_memory(1001, lambda n: 1000.0 * n**2)
+    with pytest.raises(sato.InputError, match="fewer steps, or a shorter flight, would do"):
+        check_memory(3, lambda n: 1e10 * n)
