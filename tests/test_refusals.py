@@ -35,7 +35,7 @@ def test_mutated_scenarios_are_drawn_or_refused(name):
             "start.positions_m=[[0,0],[1e31,0]]",
             "start.positions_m: must be 0, or",
         ),
-        ("orbit", "max_control_m_s2=2000", "2000 is so large that agent"),
+        ("orbit", "max_control_m_s2=2000", "max_control_m_s2: is so large that agent"),
         ("orbit", "leg.shape.radius_m=1e9", "leg.0.shape: lies 1e+06 km from the chief"),
     ],
 )

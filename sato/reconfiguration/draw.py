@@ -54,7 +54,7 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
     try:
         drawn = _resolve(replace(drawn, plant=mission.draw_plant(len(states), rng)))
     except Impact as error:
-        reason = f"{np.max(mission.max_control):g} is so large that {error}"
+        reason = f"is so large that {error}"
         raise InputError("model.max_control_m_s2", reason) from error
     reach.check_reach(drawn)
     return drawn
