@@ -177,14 +177,18 @@ def gains(
 def compare(
     family: Annotated[Words, Option(metavar="NAME", help="Of problems; repeatable; all.")] = None,
     solver: Annotated[Words, Option(metavar="NAME", help="Repeatable; all installed.")] = None,
-    tolerance: Annotated[Numbers, Option(metavar="T", help="Repeatable; 1e-4, 1e-6, 1e-8.")] = None,
-    size: Annotated[Words, Option(metavar="small|medium|large", help="Repeatable; all.")] = None,
+    tolerance: Annotated[Numbers, Option(metavar="T", help="Repeatable; 1e-6.")] = None,
+    size: Annotated[Words, Option(metavar="small|medium|large", help="Repeatable; small.")] = None,
     repeats: Annotated[int, Option(min=1, help="Times are medians of so many.")] = 3,
     patience: Annotated[
-        float, Option(metavar="S", help="Skip larger sizes after a solve that took longer [s].")
-    ] = 1.0,
+        float | None,
+        Option(metavar="S", help="Skip the rest after a solve that took longer [s]; 0.15, or 1."),
+    ] = None,
     seed: Annotated[int, Option(min=0, help="Random seed of the order of solves.")] = 0,
     out: Annotated[Path, Option(metavar="DIR", help="Folder to write.")] = Path("runs/compare"),
+    takes_all: Annotated[
+        bool, Option("--all", help="All sizes at 1e-4, 1e-6 and 1e-8; takes half an hour or more.")
+    ] = False,
 ) -> None:
     """Solve one set of problems with every solver; exit 1 if the default solver is wrong."""
     from problems.solvers import load_adapters
@@ -194,7 +198,7 @@ def compare(
 
     chosen = (solver or (), family or (), size or (), tolerance or ())
     with errors_in(""):
-        plan = make_plan(load_adapters(), *chosen, repeats, patience)
+        plan = make_plan(load_adapters(), *chosen, repeats, patience, takes_all)
     ensure_writable(out)
     violations = run_comparison(plan, out, seed)
     for text in violations:

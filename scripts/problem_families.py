@@ -20,7 +20,7 @@ from problems.convexify import PassingSide, choose_normals, convexify
 from problems.desired_formation import DesiredFormation
 from problems.gain_problem import GainProblem
 from problems.solvers import solve_clarabel, solve_highs
-from problems.transfer import TransferProblem
+from problems.transfer import Objective, TransferProblem
 from sato.reconfiguration.loop import simulate
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.planning import make_horizon
@@ -32,10 +32,12 @@ INSTANCE_COUNT = 10  # instances of a family and size
 REDUCED_COUNTS = {  # where so many would take much room
     ("avoidance-20", "medium"): 9,
     ("avoidance-20", "large"): 7,
+    ("avoidance-energy", "large"): 8,
     ("transfer-socp", "large"): 6,
     ("gain-sdp", "large"): 6,
 }
 SEED = 1
+ENERGY_CONTROL = 0.75  # of the largest control without a limit; two thirds would just suffice
 STEPS = {"small": 20, "medium": 50, "large": 100}
 SPEED_LIMIT = 3.0  # the limit of transfer-socp, which some can just keep [m/s]
 ORBIT_STEPS = {
@@ -211,6 +213,25 @@ def make_transfer_socp(size: str) -> UnsolvedFamily:
     return UnsolvedFamily(source, problems[: instance_count("transfer-socp", size)])
 
 
+def make_transfer_energy(size: str) -> UnsolvedFamily:
+    """Make transfers of least energy, on which the limit of the control is active."""
+    T = STEPS[size]
+    start = LegStart.from_scenario("random", f"leg.steps={T}").farthest(INSTANCE_COUNT)
+    transfer = replace(start.make_transfer(), objective="energy")
+    limited = replace(transfer, max_control=ENERGY_CONTROL * transfer.max_control)
+    with record_problems() as asked:
+        for state, goal in zip(start.states, start.targets, strict=True):
+            _, u, _ = transfer.solve_without_limits(state, goal[None])
+            drift = transfer.coast(state)[-1]
+            farther = drift + transfer.max_control / np.abs(u).max() * (goal - drift)
+            AvoidanceProblem.alone(limited, state, farther).solve()
+    source = f"the longest flights of the first leg of random, {T} steps, for the least energy, "
+    source += f"without the states, so far that the limit is {ENERGY_CONTROL} of the largest "
+    source += "control without one"
+    # Those that share their unit of energy, and with it P, follow each other.
+    return UnsolvedFamily(source, sorted(asked, key=lambda program: program.P.data[0]))
+
+
 def make_j2(size: str) -> UnsolvedFamily:
     """Make Problem 6 about a chief in orbit, with the states eliminated."""
     T, step = ORBIT_STEPS[size]
@@ -261,13 +282,15 @@ def move_target(problem: ConicProgram, share: float) -> ConicProgram:
     return replace(problem, b=b)
 
 
-def make_avoidance(neighbors: int) -> Callable[[str], UnsolvedFamily]:
+def make_avoidance(
+    neighbors: int, objective: Objective = "fuel"
+) -> Callable[[str], UnsolvedFamily]:
     """Return a function that makes Problem 7 for agents in conflict with a neighbor."""
 
     def draw(size: str) -> UnsolvedFamily:
-        problems = avoidance_problems(
-            size, neighbors, ("same",), instance_count(f"avoidance-{neighbors}", size)
-        )
+        name = "avoidance-energy" if objective == "energy" else f"avoidance-{neighbors}"
+        count = instance_count(name, size)
+        problems = avoidance_problems(size, neighbors, ("same",), count, objective)
         source = (
             f"a crowd of random with {CROWD_STEPS[size]} steps to go, seeds from {SEED} on: "
             f"who would meet one of the {neighbors} nearest, in the first exchange; half-spaces "
@@ -279,7 +302,11 @@ def make_avoidance(neighbors: int) -> Callable[[str], UnsolvedFamily]:
 
 
 def avoidance_problems(
-    size: str, neighbors: int, ways: tuple[PassingSide, ...], wanted: int
+    size: str,
+    neighbors: int,
+    ways: tuple[PassingSide, ...],
+    wanted: int,
+    objective: Objective = "fuel",
 ) -> list[ConicProgram]:
     """Return programs among the half-spaces of the nearest neighbors, on all given sides.
 
@@ -291,6 +318,8 @@ def avoidance_problems(
             "random", f"leg.steps={CROWD_STEPS[size]}", *DENSE_OVERRIDES, seed=seed
         )
         mission, transfer = start.mission, start.make_transfer(start.mission.max_speed)
+        if objective == "energy":
+            transfer = replace(transfer, objective=objective, max_speed=np.inf)
         horizon = make_horizon(mission, 0.0, CROWD_STEPS[size])
         ends = list(zip(start.states, start.targets, strict=True))
         free = [AvoidanceProblem.alone(transfer, *end).solve().trajectory for end in ends]
@@ -312,22 +341,10 @@ def avoidance_problems(
                 except Infeasible:
                     possible = False
             if possible == (len(ways) == 1):
-                found.append(to_single_precision(drop_idle_half_spaces(asked[-1], len(spaces.rhs))))
+                found.append(to_single_precision(asked[-1]))
             if len(found) == wanted:
                 return found
     raise ValueError(f"fifty crowds have only {len(found)} such programs, and not {wanted}")
-
-
-def drop_idle_half_spaces(problem: ConicProgram, spaces: int) -> ConicProgram:
-    """Remove the half-spaces that no controls within their limits can violate."""
-    A, rows = problem.A.toarray(), np.arange(len(problem.b)) - problem.zero
-    idle = np.maximum(A, 0).sum(axis=1) <= problem.b
-    kept = ~(idle & (rows >= 0) & (rows < spaces))
-    inequalities = problem.nonnegative - int((~kept).sum())
-    b = problem.b[kept]
-    return ConicProgram(
-        problem.q, csc_array(A[kept]), b, problem.zero, inequalities, problem.soc_sizes
-    )
 
 
 def to_single_precision(problem: ConicProgram) -> ConicProgram:
@@ -389,5 +406,7 @@ FAMILIES: dict[str, Callable[[str], UnsolvedFamily]] = {
     "avoidance-20": make_avoidance(20),
     "near-infeasible": make_near_infeasible,
     "infeasible": make_infeasible,
+    "transfer-energy": make_transfer_energy,
+    "avoidance-energy": make_avoidance(5, "energy"),
     "gain-sdp": make_gain_sdp,
 }

@@ -61,9 +61,9 @@ def solve_reference(problem: ConicProgram, feasible: bool) -> ReferenceSolution:
         if claim.x is None or claim.y is None:
             raise Unsolved(problem, f"a solver stopped: {claim.message}")
         answers.append(ConicSolution.evaluate(problem, claim.x, claim.y))
-    values = [float(problem.q @ answer.x) for answer in answers]
+    values = [problem.cost(answer.x) for answer in answers]
     best = min(answers, key=lambda answer: answer.max_residual)
-    reference = float(problem.q @ best.x)
+    reference = problem.cost(best.x)
     agreed = abs(values[0] - values[1]) / (1 + abs(reference))
     if not (best.max_residual <= ANSWER_TOLERANCE and agreed <= AGREEMENT_TOLERANCE):
         raise Unsolved(problem, f"off by {best.max_residual:.1e}, the optima by {agreed:.1e}")
@@ -94,6 +94,8 @@ def pack_family(drawn: UnsolvedFamily) -> dict[str, Any]:
         A = problem.A.copy()
         A.eliminate_zeros()
         stored |= {f"q{k}": problem.q, f"values{k}": A.data}
+        if problem.P is not None:  # which is diagonal
+            stored[f"curvature{k}"] = problem.P.diagonal()
         stored |= {f"rows{k}": A.indices.astype(np.int32), f"starts{k}": A.indptr.astype(np.int32)}
         stored |= {f"linear{k}": [problem.zero, problem.nonnegative]}
         stored |= {f"cones{k}": np.array(problem.soc_sizes, int)}

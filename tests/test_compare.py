@@ -278,7 +278,11 @@ def test_missing_solver_is_left_out_with_a_reason_unless_it_is_named():
     plan = make_plan({"clarabel": KNOWN["clarabel"], "absent": ABSENT}, sizes=["small"])
     assert [solver.name for solver in plan.solvers] == ["clarabel"]
     assert plan.exclusions == ("absent is not installed; pip install absent would do",)
-    assert plan.tolerances == (1e-4, 1e-6, 1e-8)
+    assert plan.tolerances == (1e-6,) and plan.patience < 1
+    assert {family.size for family in plan.families} == {"small"}
+    everything = make_plan(KNOWN, solvers=["clarabel"], takes_all=True)
+    assert everything.tolerances == (1e-4, 1e-6, 1e-8) and everything.patience == 1
+    assert {family.size for family in everything.families} == {"small", "medium", "large"}
 
 
 def call(*args):

@@ -19,7 +19,8 @@ from problems.solvers import solve_clarabel
 from problems.transfer import TransferProblem
 
 NAMES = (
-    "avoidance-20 avoidance-5 gain-sdp infeasible j2 near-infeasible transfer-lp transfer-socp"
+    "avoidance-20 avoidance-5 avoidance-energy gain-sdp infeasible j2 near-infeasible "
+    "transfer-energy transfer-lp transfer-socp"
 ).split()
 ALL = [(name, size) for name in list_families() for size in SIZES]
 FINE = 1e-9  # of residuals and gaps, relative
@@ -45,7 +46,7 @@ def test_solutions_are_optima_or_certificates_of_infeasibility(name, size):
         if instance.is_feasible:
             answer = ConicSolution.evaluate(instance.problem, instance.x, instance.y)
             assert answer.max_residual <= FINE
-            cost = instance.problem.q @ instance.x
+            cost = instance.problem.cost(instance.x)
             assert cost == pytest.approx(instance.reference_cost, rel=1e-15, abs=1e-15)
             assert 0 <= instance.reference_gap <= ALIKE
         else:
@@ -64,7 +65,7 @@ def test_cost_errors_are_within_what_duality_allows(rng, name):
             x = instance.x + 1e-3 * rng.normal(size=len(instance.x))
             y = instance.y + 1e-3 * rng.normal(size=len(instance.y))
             worst = ConicSolution.evaluate(problem, x, y).max_residual
-            error = abs(float(problem.q @ x) - instance.reference_cost)
+            error = abs(problem.cost(x) - instance.reference_cost)
             assert error <= instance.cost_tolerance(worst)
             assert instance.cost_tolerance(worst / 100) < instance.cost_tolerance(worst)
 
@@ -82,8 +83,8 @@ def test_speed_limits_are_active_but_not_everywhere(size):
 @pytest.mark.parametrize("size", SIZES)
 def test_avoidance_programs_have_an_active_half_space(size):
     # Rows are the arrival, the half-spaces, and the box: two rows for each unknown.
-    few, many = (load_family(f"avoidance-{count}", size).instances for count in (5, 20))
-    for instance in few + many:
+    names = ("5", "20", "energy")
+    for instance in sum((load_family(f"avoidance-{name}", size).instances for name in names), ()):
         problem = instance.problem
         assert np.abs(instance.y[problem.zero : -2 * len(problem.q)]).max() > 1e-6
 
@@ -109,6 +110,7 @@ def test_programs_that_differ_in_b_alone_share_their_matrix(name, size):
             assert all(problem.A is not other.A for other in met)
             met.append(problem)
         assert problem.q is met[-1].q
+        assert problem.P is met[-1].P
     asked = {(problem.A.data.tobytes(), problem.b.tobytes()) for problem in problems}
     assert len(asked) == len(problems)
 
@@ -139,7 +141,7 @@ def test_a_family_drawn_again_is_the_same(maker):
 
 def test_targets_are_moved_to_the_edge_of_reach(maker):
     transfer = TransferProblem(discretize_zoh(DoubleIntegrator(2), 1.0, 10), max_control=0.1)
-    with maker["record_problems"]("avoidance") as asked:
+    with maker["record_problems"]() as asked:
         AvoidanceProblem.alone(transfer, np.zeros(4), np.array([1.0, 0.5, 0, 0])).solve()
     (problem,) = asked
     # At full thrust for five steps and against it for five: U T² / 4 = 2.5 m on the first axis.

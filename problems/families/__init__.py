@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
-from scipy.sparse import csc_array
+from scipy.sparse import csc_array, diags_array
 
 from problems.conic import ConicProgram
 
@@ -110,4 +110,7 @@ def _parse_program(data: Any, k: int) -> ConicProgram:
     height = zero + nonnegative + sum(cones) + sum(n * (n + 1) // 2 for n in orders)
     columns = data[f"values{k}"], data[f"rows{k}"], data[f"starts{k}"]
     A = csc_array(columns, shape=(height, len(data[f"q{k}"])))
-    return ConicProgram(data[f"q{k}"], A, np.zeros(height), zero, nonnegative, cones, orders)
+    q, P = data[f"q{k}"], None
+    if f"curvature{k}" in data:
+        P = csc_array(diags_array(data[f"curvature{k}"]))
+    return ConicProgram(q, A, np.zeros(height), zero, nonnegative, cones, orders, P)

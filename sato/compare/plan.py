@@ -7,7 +7,10 @@ from problems.families import SIZES, Family, list_families, load_family
 from problems.solvers.adapter import SolverAdapter
 from sato.scenario.errors import closest_name
 
-DEFAULT_TOLERANCES = (1e-4, 1e-6, 1e-8)
+DEFAULT_TOLERANCES, ALL_TOLERANCES = (1e-6,), (1e-4, 1e-6, 1e-8)
+DEFAULT_SIZES = SIZES[:1]
+DEFAULT_PATIENCE, ALL_PATIENCE = 0.15, 1.0  # [s]
+ALL_TAKES = "--all asks all sizes at 1e-4, 1e-6 and 1e-8, in half an hour with --repeats 1"
 MAX_PATIENCE = 86400.0  # ten times as long can still be waited for in 32 bits of milliseconds [s]
 
 
@@ -39,18 +42,20 @@ def make_plan(
     sizes: Collection[str] = (),
     tolerances: Collection[float] = (),
     repeats: int = 3,
-    patience: float = 1.0,
+    patience: float | None = None,
+    takes_all: bool = False,
 ) -> ComparisonPlan:
-    """Make a plan from names; an empty list takes all that there are.
+    """Make a plan from names; an empty list takes all solvers and families.
 
     Args:
         known: Adapters of solvers, installed or not.
         solvers: Names of solvers.
         families: Names of families.
-        sizes: Sizes of the families.
-        tolerances: Relative limits on residuals and gap.
+        sizes: Sizes of the families; small if empty.
+        tolerances: Relative limits on residuals and gap; 1e-6 if empty.
         repeats: As in `ComparisonPlan`.
-        patience: As in `ComparisonPlan`.
+        patience: As in `ComparisonPlan`; 0.15 s if None, or 1 s with all.
+        takes_all: Take all sizes and tolerances where the lists are empty.
 
     Raises:
         ValueError: There is no such name, a solver that is named is not installed or supports
@@ -64,7 +69,7 @@ def make_plan(
         load_family(name, size)
         for name in dict.fromkeys(families) or available
         for size in SIZES
-        if size in (sizes or SIZES)
+        if size in (sizes or (SIZES if takes_all else DEFAULT_SIZES))
     ]
     able, exclusions = [], []
     for name in dict.fromkeys(solvers) or known:
@@ -76,8 +81,11 @@ def make_plan(
         else:
             others = [other for other in known if not refusal(known[other], chosen[0])]
             raise ValueError(f"{reasons[0]}; {', '.join(others)} can take {chosen[0].name}")
-    limits = sorted(set(tolerances) or DEFAULT_TOLERANCES, reverse=True)
+    usual = ALL_TOLERANCES if takes_all else DEFAULT_TOLERANCES
+    limits = sorted(set(tolerances) or usual, reverse=True)
     problems, left_out = tuple(chosen), tuple(exclusions)
+    if patience is None:
+        patience = ALL_PATIENCE if takes_all else DEFAULT_PATIENCE
     return ComparisonPlan(problems, tuple(able), tuple(limits), repeats, patience, left_out)
 
 

@@ -21,7 +21,7 @@ from problems.solvers import DEFAULT_SOLVER
 from problems.solvers.adapter import SolverAdapter
 from sato.atomic import replace_atomically
 from sato.compare.measure import Measurement, SolveOutcome, measure_solvers
-from sato.compare.plan import ComparisonPlan, format_tolerance
+from sato.compare.plan import ALL_TAKES, DEFAULT_SIZES, ComparisonPlan, format_tolerance
 from sato.console import progress_bar
 
 MISSING = "–"
@@ -49,6 +49,8 @@ def run_comparison(plan: ComparisonPlan, folder: Path, seed: int) -> list[str]:
         measurements = measure_solvers(plan, np.random.default_rng(seed), progress)
     paths = write_comparison(measurements, machine, folder)
     print_comparison(plan, measurements, console)
+    if not {family.size for family in plan.families} > set(DEFAULT_SIZES):
+        console.print(f"{ALL_TAKES}.")
     console.print(*paths, sep="\n", soft_wrap=True)
     return find_violations(measurements)
 
