@@ -104,11 +104,13 @@ def separations(
     velocity: Float[Array, "instants agents d"],
     alive: Bool[Array, "instants agents"],
     h: Duration,
+    radii: Float[Array, " agents"] | None = None,
 ) -> Separations:
     """Return the minimum distance of any two agents in every piece, exact for cubics.
 
     An agent counts in a piece if it is alive at the start and its states at both ends are
-    finite, also where it is lost at the end.
+    finite, also where it is lost at the end. With radii R, distances are relative to that
+    which a pair keeps, (R_i + R_j)/2.
     """
     K = len(position) - 1
     by_agent = np.moveaxis(position, 0, 1), np.moveaxis(velocity, 0, 1)
@@ -117,7 +119,11 @@ def separations(
     for k in range(K):
         agents = np.flatnonzero(alive[k] & np.isfinite(b[k]).all(axis=(1, 2)))
         if len(agents) > 1:
-            distance, fraction, pair = _closest_approach(np.ascontiguousarray(b[k, agents]))
+            points = np.ascontiguousarray(b[k, agents])
+            if radii is None:
+                distance, fraction, pair = _closest_approach(points)
+            else:
+                distance, fraction, pair = _closest_relative_approach(points, radii[agents])
             found.distance[k], found.fraction[k], found.pair[k] = distance, fraction, agents[pair]
     return found
 
@@ -239,3 +245,25 @@ def _closest_approach(b: Float[Array, "agents 4 d"]) -> tuple[float, float, Int[
 
     distance, fraction, best = closest_pair(b, pairs)
     return float(distance), float(fraction), pairs[best]
+
+
+def _closest_relative_approach(
+    b: Float[Array, "agents 4 d"], radii: Float[Array, " agents"]
+) -> tuple[float, float, Int[Array, " 2"]]:
+    # As `_closest_approach`, pair after pair, those that may be nearest first.
+    from dynamics.bezier_kernels import closest_pair
+
+    pairs = np.stack(np.triu_indices(len(b), 1), axis=1)
+    required = radii[pairs].mean(axis=1)
+    middle = (b[:, 0] + b[:, 3]) / 2
+    reach = np.linalg.norm(b - middle[:, None], axis=2).max(axis=1)
+    between = np.linalg.norm(middle[pairs[:, 0]] - middle[pairs[:, 1]], axis=1)
+    bound = (between * (1 - 1e-12) - reach[pairs].sum(axis=1)) / required
+    least, at, best = np.inf, 0.0, pairs[0]
+    for q in np.argsort(bound):
+        if bound[q] >= least:
+            break
+        distance, fraction, _ = closest_pair(b, pairs[q : q + 1])
+        if distance / required[q] < least:
+            least, at, best = float(distance / required[q]), float(fraction), pairs[q]
+    return least, at, best

@@ -6,7 +6,7 @@ outside the circle of radius R. That implies the same for the continuous traject
 normals along the directions to the hulls, Propositions 4 to 6 hold unchanged.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -20,6 +20,7 @@ from dynamics.trajectory_geometry import hull_distance
 from problems.avoidance import HalfSpaces
 
 ControlPoints = Float[Array, "*pairs 4 d"]  # of relative trajectories
+Separation = float | Float[Array, " others"]  # of all others, or of each [m]
 PassingSide = Literal["same", "opposite", "above", "below"]
 
 SEPARATION_TOLERANCE = 1e-6  # part of R that planned trajectories keep in addition
@@ -32,6 +33,14 @@ class AvoidanceHorizon:
     discrete_model: DiscreteModel  # the next T_H steps
     fine_model: DiscreteModel  # the same time span, each step divided into equal pieces
     clearance: float  # R_col, the margin and the interpolation error of the pieces [m]
+
+    def with_clearance(self, clearance: float) -> "AvoidanceHorizon":
+        """Return the horizon of a vehicle with another clearance."""
+        if clearance == self.clearance:
+            return self
+        other = replace(self, clearance=clearance)
+        other.__dict__["control_point_maps"] = self.control_point_maps  # the same for all
+        return other
 
     @cached_property
     def pieces_per_step(self) -> int:
@@ -88,23 +97,34 @@ class AvoidanceHorizon:
         return np.asarray(points).reshape(*points.shape[:-4], -1, 4, self.discrete_model.axes)
 
 
-def are_hulls_separated(relative: ControlPoints, radius: float) -> Bool[Array, "*pairs"]:
-    """Return True where the hull of the control points lies outside the circle."""
+def are_hulls_separated(relative: ControlPoints, radius: Separation) -> Bool[Array, "*pairs"]:
+    """Return True where the hull of the control points lies outside the circle.
+
+    Args:
+        relative: Control points; where there are several radii, others come first.
+        radius: Radius of all, or of each other.
+    """
     separated = are_balls_separated(relative, radius)
     near = ~separated
     if near.any():
-        separated[near] = hull_distance(relative[near])[0] >= radius
+        separated[near] = hull_distance(relative[near])[0] >= _per_piece(radius, near)[near]
     return separated
 
 
-def are_balls_separated(relative: ControlPoints, radius: float) -> Bool[Array, "*pairs"]:
+def _per_piece(radius: Separation, like: Array) -> Array:
+    spread = np.reshape(radius, np.shape(radius) + (1,) * (like.ndim - np.ndim(radius)))
+    return np.broadcast_to(spread, like.shape)
+
+
+def are_balls_separated(relative: ControlPoints, radius: Separation) -> Bool[Array, "*pairs"]:
     """Return True where a ball about the control points lies outside the circle.
 
     Sufficient for `are_hulls_separated`, and much faster.
     """
     middle = relative.sum(axis=-2, keepdims=True) / 4
     reach = ((relative - middle) ** 2).sum(axis=-1).max(axis=-1) ** 0.5
-    return np.asarray(np.linalg.norm(middle[..., 0, :], axis=-1) - reach >= radius)
+    room = np.linalg.norm(middle[..., 0, :], axis=-1) - reach
+    return np.asarray(room >= _per_piece(radius, room))
 
 
 def convexify(
@@ -112,6 +132,7 @@ def convexify(
     T: int,
     others: Float[Array, "others pieces 4 d"],
     normal: Float[Array, "others pieces d"],
+    separation: Separation | None = None,
 ) -> HalfSpaces:
     """Constrain n·(c − c̄) ≥ R for every movable control point c [Morgan2016, eq. 64].
 
@@ -120,6 +141,7 @@ def convexify(
         T: Steps that the agent has left; after them it coasts.
         others: Control points c̄ of the other agents [m].
         normal: Unit normals n of the half-spaces, see `choose_normals`.
+        separation: Required distances; that of the horizon by default.
     """
     P, Q, r = horizon.control_point_maps
     d, S = r.shape[-1], r.shape[1]
@@ -128,7 +150,9 @@ def convexify(
     other_points = others.reshape(len(others), len(P), S, 4, d)[:, :T]
     on_state = np.einsum("aksd,ksidn->aksin", n, P[:T])
     on_control = np.einsum("aksd,ksidm->aksim", n, Q[:T])
-    rhs = horizon.required_separation + np.einsum("aksd,aksid->aksi", n, other_points - r[:T])
+    products = np.einsum("aksd,aksid->aksi", n, other_points - r[:T])
+    required = horizon.required_separation if separation is None else separation
+    rhs = _per_piece(required, products) + products
     step = np.broadcast_to(np.arange(T)[:, None, None], rhs.shape[1:])
     movable = (step > 0) | np.any(Q[:T] != 0, axis=(3, 4))
     rows = np.broadcast_to(movable, rhs.shape).ravel()
@@ -141,7 +165,7 @@ def convexify(
 
 
 def choose_normals(
-    relative: Float[Array, "above pieces 4 d"], separation: float, side: PassingSide = "same"
+    relative: Float[Array, "above pieces 4 d"], separation: Separation, side: PassingSide = "same"
 ) -> Float[Array, "above pieces d"]:
     """Choose the unit normals of the half-spaces, one a piece [Morgan2016, Fig. 2].
 
@@ -152,18 +176,19 @@ def choose_normals(
 
     Args:
         relative: Control points of the nominal trajectory less those of the others [m].
-        separation: Required distance [m].
+        separation: Required distance, of all others or of each [m].
         side: Displacement in a conflict: to the side of the closest approach ("same"), to the
             opposite one, or, in space, above or below the plane of closest approach and motion.
     """
     distance, nearest = hull_distance(relative)
     displaced = relative
-    conflicts = np.flatnonzero(distance.min(axis=1) < separation)
+    required = np.broadcast_to(separation, len(relative))
+    conflicts = np.flatnonzero(distance.min(axis=1) < required)
     if len(conflicts):
         displaced = relative.copy()
         for a in conflicts:
             hulls = relative[a], distance[a], nearest[a]
-            displaced[a] += _passing_displacement(*hulls, separation, side)
+            displaced[a] += _passing_displacement(*hulls, float(required[a]), side)
         distance, nearest = hull_distance(displaced)
     inside = distance <= 0
     # Here even the displacement does not suffice.

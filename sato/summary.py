@@ -19,6 +19,7 @@ def summary_rows(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
             rows += [(format_label(name, part), format_value(one)) for part, one in value.items()]
         else:
             radius = summary.get("collision_radius_m")
+            radius = radius if isinstance(radius, float) else None
             limit = radius if name.startswith("min_separation") else None
             rows.append((format_label(name), format_value(value, limit)))
     return rows

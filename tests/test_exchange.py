@@ -75,7 +75,8 @@ def test_iterates_stay_feasible_and_costs_do_not_rise(rng):
     for _ in range(8):
         planners = random_swarm(rng, 5)
         others = [
-            TrajectoryMessage((False, 0.0, i), planners[i].control_points, True) for i in range(4)
+            TrajectoryMessage((False, 0.0, i), planners[i].control_points, True, RADIUS)
+            for i in range(4)
         ]
         me, costs = planners[4], []
         for _ in range(10):
@@ -207,7 +208,7 @@ def test_effects_travel_one_hop_an_exchange(rng):
 
 def test_final_planner_ignores_messages(rng):
     me = random_swarm(rng, 2)[1]._replace(is_final=True)
-    ram = TrajectoryMessage((False, 0.0, 0), me.control_points, True)
+    ram = TrajectoryMessage((False, 0.0, 0), me.control_points, True, RADIUS)
     assert update_planner(me, [ram]) is me
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import sato
+from dynamics.trajectory_geometry import control_points, evaluate_bezier, separations
 from problems.limit import Limit
 from sato.scenario.errors import InputError
 from sato.scenario.file import read
@@ -99,3 +100,95 @@ def test_the_largest_speed_in_a_norm_is_that_of_its_set():
     assert Limit(0.5, 2, 3).largest_length == Limit(0.5, 1, 3).largest_length == 0.5
     assert Limit(0.5, "inf", 2).largest_length == pytest.approx(0.5 * 2**0.5)
     assert mission(**BOX).top_speeds == pytest.approx([(0.3**2 + 0.5**2) ** 0.5])
+
+
+RADII = (0.3, 0.9, 0.5, 0.7)
+
+
+def dense_distances(run, parts=20):
+    """Sample the distances of all pairs, exactly for a double integrator."""
+    p, v, u = (run.data[name].values for name in ("position", "velocity", "applied_control"))
+    t = np.linspace(0, 1, parts)[:, None, None, None]
+    p = (p[:-1] + v[:-1] * t + u[:-1] * t**2 / 2).reshape(-1, *p.shape[1:])
+    return np.linalg.norm(p[:, :, None] - p[:, None], axis=3).min(axis=0)
+
+
+def test_each_pair_keeps_the_mean_of_its_radii(rng):
+    own = mission(rng, collision_radius=RADII, orders=2, **LIMITS)
+    run = sato.run(own)
+    assert run.check().kept and run.summary["reached"] and not run.summary["slack_used"]
+    required = np.add.outer(RADII, RADII) / 2
+    relative = (dense_distances(run) / required)[np.triu_indices(4, 1)]
+    assert relative.min() == pytest.approx(run.summary["min_relative_separation"], rel=1e-3)
+    assert 1 - 1e-9 <= relative.min() < 1.01
+    # The others have no more room than they need: some come nearer than the largest pair may.
+    assert dense_distances(run)[np.triu_indices(4, 1)].min() < 0.8
+    wider = replace(own, collision_radius=(0.3, 0.9, 0.5, 0.8))
+    promise = sato.Run(run.data, run.summary, wider).check().broken
+    assert "separation" in {each.name for each in promise}
+
+
+def test_relative_separation_is_that_of_the_worst_pair(rng):
+    for _ in range(5):
+        x, v, radii = rng.normal(size=(6, 7, 3)), rng.normal(size=(6, 7, 3)), rng.uniform(1, 3, 7)
+        alive = rng.random((6, 7)) < 0.9
+        found = separations(x, v, alive, 0.5, radii)
+        points = np.moveaxis(control_points(np.moveaxis(x, 0, 1), np.moveaxis(v, 0, 1), 0.5), 0, 1)
+        for k in range(5):
+            path = np.array([evaluate_bezier(points[k], t) for t in np.linspace(0, 1, 400)])
+            gap = np.linalg.norm(path[:, :, None] - path[:, None], axis=3).min(axis=0)
+            gap /= np.add.outer(radii, radii) / 2
+            i, j = np.nonzero(np.triu(np.outer(alive[k], alive[k]), 1))
+            assert found.distance[k] == pytest.approx(gap[i, j].min(), rel=1e-3, abs=1e-3)
+            assert found.distance[k] <= gap[i, j].min() + 1e-12
+
+
+def test_the_vehicle_of_highest_priority_flies_as_if_it_were_alone():
+    fuel = {}
+    for first in (1, 2):
+        order = tuple(float(i == first) for i in range(4))
+        run = sato.run(mission(priority=order, **LIMITS))
+        assert run.check().kept
+        control = run.data["control"].values[:-1]
+        fuel[first] = np.abs(control).sum(axis=(0, 2))
+    alone = 2 * 6 / 32  # about the least fuel of a way of 6 m, in 32 s
+    for first, each in fuel.items():
+        assert each[first] == pytest.approx(min(f[first] for f in fuel.values()), rel=1e-6)
+        assert alone < each[first] < 1.3 * alone and (each > 1.001 * each[first]).any()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"collision_radius": (0.5, 0.5)},
+            "collision_radius_m: has 2 entries for 4 vehicles",
+        ),
+        ({"priority": (1.0, 2.0)}, "swarm.priority: has 2 entries for 4 vehicles"),
+        ({"collision_radius": RADII, "orders": 2, "bargains": 1}, "bargains = 0 would do"),
+        ({"collision_radius": (0.5, 0.5, 0.5, -0.5)}, "collision_radius_m.3: .*greater than 0"),
+        ({"collision_radius": RADII, "comm_radius": 1.0}, "which is 4.8 m"),
+    ],
+)
+def test_radii_and_priorities_that_do_not_fit_are_refused(changes, message):
+    with pytest.raises(InputError, match=message):
+        mission(**LIMITS | changes)
+
+
+def test_entries_of_those_that_join_come_after_those_of_the_start():
+    late = [sato.Join(None, np.array([[6.0, 0.0]]), at_step=4)]
+    legs = [sato.Leg(np.vstack([-START, [[6.0, 3.0]]]), steps=32, joins=late)]
+    with pytest.raises(InputError, match="4 entries for 5 vehicles, those that join included"):
+        mission(legs=legs, collision_radius=RADII, **LIMITS)
+    near = mission(legs=legs, collision_radius=(*RADII, 0.4), **LIMITS)
+    np.testing.assert_array_equal(near.radii, (*RADII, 0.4))
+
+
+def test_starts_are_checked_pair_by_pair():
+    start = np.array([[0.0, 0.0], [0.7, 0.0], [4.0, 0.0], [5.0, 0.0]])
+    legs = [sato.Leg(start[::-1], steps=40)]
+    radii = {"legs": legs, "start": start, "comm_radius": 60.0}
+    with pytest.raises(InputError, match=r"agent 0 starts 0\.7 m from agent 1, closer .* 0\.8 m"):
+        sato.run(
+            mission(collision_radius=(0.4, 1.2, 0.4, 0.4), assignment="given", **LIMITS | radii)
+        )

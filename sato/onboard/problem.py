@@ -51,7 +51,7 @@ def build_problem(scenario: str, neighbors: int, steps: int | None = None) -> On
             "has constant matrices; of models in orbit, clohessy_wiltshire and "
             "schweighart_sedwick would do"
         )
-    mission.require_equal_limits("exported code")
+    mission.require_equal_vehicles("exported code")
     T = mission.legs[0].steps if steps is None else steps
     model = discretize_zoh(mission.linear_model, mission.step, T)
     transfer = mission.make_transfer(model, 0, tie_break_rise=TIE_BREAK_RISE)

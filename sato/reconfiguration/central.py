@@ -45,7 +45,7 @@ def central_problem(mission: Reconfiguration, seed: int = 0) -> CentralMission:
     drawn = mission.draw(np.random.default_rng(seed))
     leg, start = drawn.legs[0], drawn.initial_states[drawn.alive]
     model = discretize_zoh(drawn.linear_model, drawn.step, leg.steps)
-    drawn.require_equal_limits("the centralized problem")
+    drawn.require_equal_vehicles("the centralized problem")
     transfer = drawn.make_transfer(model, 0, objective=drawn.objective)
     whole = make_horizon(replace(drawn, foresight_steps=leg.steps), 0.0, leg.steps)
     fine = whole.fine_model[: leg.steps * whole.pieces_per_step]

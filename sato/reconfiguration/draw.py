@@ -170,7 +170,7 @@ def _draw_targets(
 ) -> Float[Array, "k n"]:
     where = f"leg.{number}.shape"
     with errors_in(where):
-        drawn = leg.place(demand, mission.axes, mission.collision_radius)
+        drawn = leg.place(demand, mission.axes, mission.largest_separation)
     placed = np.asarray(drawn.positions)
     # Any vehicle may have to arrive there.
     slowest = min(mission.speed_limits, key=lambda limit: float(limit.most * limit.shares.min()))
@@ -224,24 +224,31 @@ def _draw_start(
             start = replace(start, keep_order=True)
             placed, velocity = start.place(count, axes), start.place_velocities(count, axes)
         else:
-            placed = start.place(count, axes, mission.collision_radius)
-        _check_separation(placed, occupied, mission.collision_radius)
+            placed = start.place(count, axes, mission.largest_separation)
+        # Any may stand where others are already.
+        others = np.full(len(occupied), mission.radii.max())
+        radii = np.concatenate([mission.radii[agents.start : agents.stop], others])
+        _check_separation(placed, occupied, radii)
     limits = [mission.speed_limit(i) for i in agents]
     return _with_velocities(mission, placed, velocity, t, where, limits)
 
 
 def _check_separation(
-    placed: Float[Array, "count d"], occupied: Float[Array, "k d"], radius: float
+    placed: Float[Array, "count d"], occupied: Float[Array, "k d"], radii: Float[Array, " both"]
 ) -> None:
-    together, least = np.concatenate([placed, occupied]), radius * (1 - 1e-9)
-    pairs = scipy.spatial.cKDTree(together).query_pairs(least, output_type="ndarray")
+    together = np.concatenate([placed, occupied])
+    pairs = scipy.spatial.cKDTree(together).query_pairs(radii.max(), output_type="ndarray")
     pairs = pairs[pairs[:, 0] < len(placed)]  # the others were there before
-    if len(pairs):
-        distance = np.linalg.norm(together[pairs[:, 0]] - together[pairs[:, 1]], axis=1)
-        i, j = pairs[np.argmin(distance)]
+    distance = np.linalg.norm(together[pairs[:, 0]] - together[pairs[:, 1]], axis=1)
+    required = radii[pairs].mean(axis=1)
+    is_close = distance < required * (1 - 1e-9)
+    if is_close.any():
+        pairs, distance, required = pairs[is_close], distance[is_close], required[is_close]
+        worst = int(np.argmin(distance / required))
+        i, j = pairs[worst]
         other = f"agent {j}" if j < len(placed) else "an agent that is there already"
-        reason = f"agent {i} starts {distance.min():.4g} m from {other}"
-        raise InputError("", f"{reason}, closer than the collision radius of {radius:g} m")
+        reason = f"agent {i} starts {distance[worst]:.4g} m from {other}"
+        raise InputError("", f"{reason}, closer than the collision radius of {required[worst]:g} m")
 
 
 def _with_velocities(
@@ -290,7 +297,7 @@ def _resolve(mission: Reconfiguration) -> Reconfiguration:
     """
     # A single target has no spacing; the least distance that there may be stands for it.
     spacing = mission.target_spacing
-    least = ARRIVAL_TOLERANCE * (spacing if isfinite(spacing) else mission.collision_radius)
+    least = ARRIVAL_TOLERANCE * (spacing if isfinite(spacing) else mission.largest_separation)
     given, margin = mission.position_tolerance, mission.margin
     is_computed = is_auto(margin)
     if margin is None:  # wherever the shared model may have errors
@@ -307,7 +314,7 @@ def _resolve(mission: Reconfiguration) -> Reconfiguration:
     _check_margin(mission, margin, "auto gives" if is_computed else "takes", spacing)
     increment = mission.epsilon
     if is_auto(increment) and not isfinite(spacing):
-        increment = mission.tie_break * mission.collision_radius**2 / 2 or increment
+        increment = mission.tie_break * mission.largest_separation**2 / 2 or increment
     velocity = mission.velocity_tolerance
     return replace(
         mission,
@@ -319,7 +326,7 @@ def _resolve(mission: Reconfiguration) -> Reconfiguration:
 
 
 def _check_margin(mission: Reconfiguration, margin: float, verb: str, spacing: float) -> None:
-    R = mission.collision_radius
+    R = mission.largest_separation
     if margin > (spacing - R) * (1 + 1e-9):
         raise InputError(
             "plan.margin_m",

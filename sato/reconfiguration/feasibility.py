@@ -88,11 +88,12 @@ def _check_solver(mission: "Reconfiguration") -> None:
 
 def _check_noise(mission: "Reconfiguration") -> None:
     noise, thrust, pointing = mission.position_noise, mission.thrust_error, mission.pointing_error
-    if noise >= mission.collision_radius:
+    radius = mission.least_separation
+    if noise >= radius:
         raise InputError(
             "disturbance.position_m",
-            f"{noise:g} is not less than swarm.collision_radius_m = {mission.collision_radius:g}; "
-            f"{round_down(mission.collision_radius / 50)} would do",
+            f"{noise:g} is not less than swarm.collision_radius_m = {radius:g}; "
+            f"{round_down(radius / 50)} would do",
         )
     if thrust >= 1:
         reason = f"{thrust:g} is {100 * thrust:g} % of the thrust"
@@ -114,7 +115,8 @@ def is_detectable(mission: "Reconfiguration") -> bool:
 
 
 def _least_comm_radius(mission: "Reconfiguration") -> float:
-    return _closing_speed(mission) * mission.horizon_steps * mission.step + mission.collision_radius
+    closing = _closing_speed(mission) * mission.horizon_steps * mission.step
+    return closing + mission.largest_separation
 
 
 def _closing_speed(mission: "Reconfiguration") -> float:
@@ -127,7 +129,7 @@ def _check_detectable(mission: "Reconfiguration") -> None:
     if mission.allow_undetectable or is_detectable(mission):
         return
     needed, closing = _least_comm_radius(mission), _closing_speed(mission)
-    room = mission.comm_radius - mission.collision_radius
+    room = mission.comm_radius - mission.largest_separation
     cures = []
     if closing < inf:
         cures.append(f"swarm.comm_radius_m = {round_up(needed)}")

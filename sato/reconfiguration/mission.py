@@ -72,7 +72,17 @@ class Reconfiguration(vehicles.Vehicles, Mission):
     agents: Annotated[int | None, SWARM, Positive, "number of agents at the start"] = None
     start: Annotated[Start, SWARM, Convert(as_points), "initial positions or states"]
     comm_radius: Annotated[Length, SWARM, Positive, "communication radius R_comm"]
-    collision_radius: Annotated[Length, SWARM, Positive, "least distance of two, R_col"]
+    collision_radius: Annotated[
+        PerVehicle,
+        Unit("m"),
+        SWARM,
+        Positive,
+        "least distance of two, R_col; (R_i + R_j)/2 of a list",
+        EACH,
+    ]
+    priority: Annotated[
+        Coordinates | None, SWARM, "one a vehicle; the lower gives way, else who spent less"
+    ] = None
     target_count: Annotated[
         int | None,
         SWARM,

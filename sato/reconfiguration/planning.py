@@ -1,7 +1,7 @@
 """Planning of trajectories: each agent alone, then conflict resolution among neighbors."""
 
 from functools import lru_cache, partial
-from math import ceil, isfinite
+from math import ceil, inf, isfinite
 from typing import NamedTuple
 
 import numpy as np
@@ -164,7 +164,7 @@ def make_horizon(
     """
     fastest = float(mission.top_speeds.max())
     speed = fastest if isfinite(fastest) else 0.0
-    S = min(MAX_PIECES, max(1, ceil(2 * speed * mission.step / mission.collision_radius)))
+    S = min(MAX_PIECES, max(1, ceil(2 * speed * mission.step / mission.least_separation)))
     T = max(mission.horizon_steps, min(mission.foresight_steps, steps_left))
     margin = mission.margin + _interpolation_margin(
         mission, leg or mission.legs[0], mission.step / S
@@ -172,7 +172,7 @@ def make_horizon(
     return AvoidanceHorizon(
         discretize_zoh(mission.linear_model, mission.step, T, time),
         discretize_zoh(mission.linear_model, mission.step / S, T * S, time),
-        mission.collision_radius + margin,
+        mission.largest_separation + margin,
     )
 
 
@@ -208,11 +208,15 @@ def plan_alone(
         paths = horizon.control_points(x, u)
         each = zip(agents, transfers, solos, paths, rests, strict=True)
         for i, transfer, solo, path, rest in each:
+            own = horizon
+            if not mission.has_equal_radii:
+                wider = mission.radii[i] - mission.largest_separation
+                own = horizon.with_clearance(horizon.clearance + float(wider))
             planner = Planner(
-                priority=(len(model) > 0, -float(spent[i]), i),
+                priority=(_priority_class(mission, i, len(model)), -float(spent[i]), i),
                 target_state=leg.targets[memory.target_index[i]],
                 transfer=transfer,
-                horizon=horizon,
+                horizon=own,
                 solo=solo,
                 nominal=solo,
                 control_points=path,
@@ -225,6 +229,12 @@ def plan_alone(
                     planner = planner.with_nominal(prior)._replace(has_converged=False)
             planners[i] = planner
     return planners, unreachable, solve_count
+
+
+def _priority_class(mission: Reconfiguration, agent: int, steps: int) -> float | bool:
+    if mission.priority is None:
+        return steps > 0
+    return -mission.priority[agent] if steps else -inf
 
 
 @lru_cache(maxsize=8)  # the same at every replanning of a mission
@@ -241,7 +251,7 @@ def _interpolation_margin(mission: Reconfiguration, own: Leg, h: float) -> float
 def _relaxation_events(
     mission: Reconfiguration, planners: dict[int, Planner], unreachable: list[int]
 ) -> list[Event]:
-    tolerance = FEASIBILITY_TOLERANCE * mission.collision_radius
+    tolerance = FEASIBILITY_TOLERANCE * mission.least_separation
     slack = {i: p.slack for i, p in planners.items() if p.slack > tolerance}
     failed = [i for i, p in planners.items() if p.has_failed]
     astray = {

@@ -62,7 +62,7 @@ class Random(Definition):
         Raises:
             InputError: There is no room, or no such graph in many draws.
         """
-        axes, least = mission.axes, mission.collision_radius
+        axes, least = mission.axes, mission.largest_separation
         if self.separation < least:
             reason = f"{self.separation:g} is less than the collision radius"
             raise InputError("separation_m", f"{reason}; {least:g} or more would do")

@@ -160,12 +160,12 @@ def model_doubts(mission: "Reconfiguration", chief: "Chief") -> list[str]:
     exact = NonlinearPlant(J2(chief.orbit)).propagate(start, free[:, 0], 0.0, T)[-1]
     error = np.linalg.norm((modeled - exact)[:, :3], axis=1)
     i = int(np.argmax(error))
-    if error[i] <= MAX_MODEL_ERROR * mission.collision_radius:
+    if error[i] <= MAX_MODEL_ERROR * mission.least_separation:
         return []
     away = float(np.linalg.norm(start[i, :3]))
     cure = "model.relinearize = true" if kind == "j2" else 'model.kind = "j2"'
     return [
         f"{kind} is wrong by {error[i]:.3g} m after {T:g} s of free flight for agent {i}, "
         f"which starts {away:.4g} m from the chief: more than a tenth of the collision radius of "
-        f"{mission.collision_radius:g} m; {cure} would do"
+        f"{mission.least_separation:g} m; {cure} would do"
     ]

@@ -25,6 +25,8 @@ class Vehicles(Motion):
     Agents that join later come after those of the start, in the order of legs and joins.
     """
 
+    collision_radius: PerVehicle
+    priority: tuple[float, ...] | None
     agents: int | None
     legs: tuple[Leg, ...]
     max_control: PerVehicle | None
@@ -38,6 +40,26 @@ class Vehicles(Motion):
     def vehicle_count(self) -> int:
         """Number of agents, those that join later included."""
         return (self.agents or 1) + sum(join.size for leg in self.legs for join in leg.joins)
+
+    @cached_property
+    def radii(self) -> Float[Array, " vehicles"]:
+        """Collision radius R of each vehicle; two keep (R_i + R_j)/2 [m]."""
+        return np.array(np.broadcast_to(self.collision_radius, self.vehicle_count), dtype=float)
+
+    @property
+    def has_equal_radii(self) -> bool:
+        """True where all pairs keep the same distance."""
+        return not isinstance(self.collision_radius, tuple)
+
+    @property
+    def largest_separation(self) -> float:
+        """Largest distance that any two keep [m]."""
+        return float(np.sort(np.atleast_1d(self.collision_radius))[-2:].mean())
+
+    @property
+    def least_separation(self) -> float:
+        """Least distance that any two keep [m]."""
+        return float(np.sort(np.atleast_1d(self.collision_radius))[:2].mean())
 
     @cached_property
     def control_limits(self) -> tuple[Limit, ...]:
@@ -81,8 +103,8 @@ class Vehicles(Motion):
         """Largest Euclidean speed of each vehicle, or a single one [m/s]."""
         return np.array([limit.largest_length for limit in self.speed_limits])
 
-    def require_equal_limits(self, what: str) -> None:
-        """Refuse vehicles with limits of their own.
+    def require_equal_vehicles(self, what: str) -> None:
+        """Refuse vehicles with radii or limits of their own.
 
         Raises:
             InputError: They have; `what` is for equal ones.
@@ -94,6 +116,9 @@ class Vehicles(Motion):
             if len(limits) > 1:
                 reason = f"is a list, and {what} is for vehicles with equal limits"
                 raise InputError(f"model.max_{name}", f"{reason}; a number would do")
+        if not self.has_equal_radii:
+            reason = f"is a list, and {what} is for vehicles with equal radii"
+            raise InputError("swarm.collision_radius_m", f"{reason}; a number would do")
 
     def make_transfer(self, model: DiscreteModel, agent: int, **more: Any) -> "TransferProblem":
         """Make the transfer problem of an agent over some steps."""
@@ -142,11 +167,18 @@ def check_limits(mission: Any) -> None:
     if mission.agents is None:
         return
     count = mission.vehicle_count
-    for where in ("model.max_control_m_s2", "model.max_speed_m_s"):
-        value = getattr(mission, where.removeprefix("model.").partition("_m_s")[0])
+    for where, value in (
+        ("swarm.collision_radius_m", mission.collision_radius),
+        ("swarm.priority", mission.priority),
+        ("model.max_control_m_s2", mission.max_control),
+        ("model.max_speed_m_s", mission.max_speed),
+    ):
         if isinstance(value, tuple) and len(value) != count:
             reason = f"has {len(value)} entries for {count} vehicles, those that join included"
-            raise InputError(where, f"{reason}; {count} entries, or a single number, would do")
+            raise InputError(where, f"{reason}; {count} entries would do")
+    if mission.bargains and not (mission.has_equal_radii and mission.priority is None):
+        reason = "negotiation is between vehicles of equal radii and priorities"
+        raise InputError("plan.bargains", f"{reason}; bargains = 0 would do")
 
 
 def check_automatic_steps(mission: Any) -> None:

@@ -38,11 +38,12 @@ def run_batched(
     now = [planners[i] for i in ids]
     if not now:
         return
-    radius = now[0].horizon.clearance
+    own = np.array([agent.horizon.clearance for agent in now])
     rank = np.empty(len(now), dtype=int)
     rank[sorted(range(len(now)), key=lambda k: now[k].priority)] = np.arange(len(now))
     above = graph.adjacency[np.ix_(ids, ids)] & (rank < rank[:, None])
     lower, upper = np.nonzero(above)
+    radius = (own[lower] + own[upper]) / 2
     paths = np.stack([agent.control_points for agent in now])
     conflicts = np.asarray(~are_hulls_separated(paths[lower] - paths[upper], radius).all(axis=-1))
     final = np.zeros(len(now), dtype=bool)
@@ -65,6 +66,6 @@ def run_batched(
             has_deviated[k] = not follows_solo(after)
         changed = moved[lower] | moved[upper]
         conflicts[changed] = ~are_hulls_separated(
-            paths[lower[changed]] - paths[upper[changed]], radius
+            paths[lower[changed]] - paths[upper[changed]], radius[changed]
         ).all(axis=-1)
         yield dict(zip(ids, now, strict=True))

@@ -34,12 +34,18 @@ FEASIBILITY_TOLERANCE = 1e-6  # of R: smaller violations and terminal errors cou
 MAX_SOLVES = 20  # programs, after which an agent stops improving (Proposition 4 keeps it safe)
 
 
+# Class, −cost spent, number [Remark 5]. Who cannot move any more is of the first class; others are
+# of one, or of the negative priority that a mission gives them.
+Priority = tuple[float | bool, float, int]
+
+
 class TrajectoryMessage(NamedTuple):
     """Message of an agent to its neighbors."""
 
-    priority: tuple[bool, float, int]  # the smaller has the higher priority
+    priority: Priority  # the smaller is the higher
     control_points: Float[Array, "pieces 4 d"]
     is_final: bool
+    clearance: float  # that two of the sender's kind would keep [m]
 
 
 class Planner(NamedTuple):
@@ -49,7 +55,7 @@ class Planner(NamedTuple):
     differs: so the agent keeps to the side on which it passes.
     """
 
-    priority: tuple[bool, float, int]  # (can still move, −cost spent, number) [Remark 5]
+    priority: Priority
     target_state: Float[Array, " n"]
     transfer: TransferProblem
     horizon: convexify.AvoidanceHorizon
@@ -68,7 +74,8 @@ class Planner(NamedTuple):
     @property
     def message(self) -> TrajectoryMessage:
         """Message to the neighbors."""
-        return TrajectoryMessage(self.priority, self.control_points, self.is_final)
+        parts = self.priority, self.control_points, self.is_final
+        return TrajectoryMessage(*parts, self.horizon.clearance)
 
     @property
     def relinearized(self) -> "Planner":
@@ -143,11 +150,21 @@ def paths_of(messages: Sequence[TrajectoryMessage]) -> Float[Array, "others piec
     return np.stack([message.control_points for message in messages])
 
 
+def pair_clearances(
+    messages: Sequence[TrajectoryMessage], clearance: float
+) -> Float[Array, " others"]:
+    """Compute the clearance from each sender, the mean of both: (R_i + R_j)/2 and the margins."""
+    return (np.array([message.clearance for message in messages]) + clearance) / 2
+
+
 def is_clear(
-    path: Float[Array, "pieces 4 d"], others: Sequence[TrajectoryMessage], radius: float
+    path: Float[Array, "pieces 4 d"], others: Sequence[TrajectoryMessage], clearance: float
 ) -> bool:
-    """Return True where a path keeps the collision radius from all others."""
-    return not others or bool(convexify.are_hulls_separated(path - paths_of(others), radius).all())
+    """Return True where the path of an agent with a clearance keeps clear of all others."""
+    if not others:
+        return True
+    radii = pair_clearances(others, clearance)
+    return bool(convexify.are_hulls_separated(path - paths_of(others), radii).all())
 
 
 def _solve_iteration(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Planner:
@@ -161,10 +178,10 @@ def _solve_iteration(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Pl
 
 
 def _solve_avoidance(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Planner:
-    others, nominal = paths_of(above), agent.control_points
+    nominal = agent.control_points
     collides = not is_clear(nominal, above, agent.horizon.clearance)
     sides = PASSING_SIDES[nominal.shape[-1]] if collides else ("same",)
-    tried = [solve_around(agent, others, nominal, side) for side in sides]
+    tried = [solve_around(agent, above, nominal, side) for side in sides]
     feasible = [result for result in tried if result is not None]
     agent = agent._replace(solve_count=agent.solve_count + len(sides))
     if feasible:
@@ -180,7 +197,7 @@ def _solve_avoidance(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Pl
             about = agent.horizon.control_points(stopping.x, stopping.u)
         else:
             about = nominal
-        result = solve_around(agent, others, about, side, relaxation)
+        result = solve_around(agent, above, about, side, relaxation)
         if result is not None:
             return agent.with_result(result)
     # The message must be of what is flown, whatever the agent began with.
@@ -199,7 +216,7 @@ def minimize_terminal_error(
 
 def solve_around(
     agent: Planner,
-    others: Float[Array, "others pieces 4 d"],
+    messages: Sequence[TrajectoryMessage],
     nominal: Float[Array, "pieces 4 d"],
     side: convexify.PassingSide,
     relaxation: Relaxation = "none",
@@ -209,19 +226,19 @@ def solve_around(
     Agents that do not come near the agent's own path need no half-spaces at first.
     """
     horizon, T = agent.horizon, len(agent.nominal.u)
-    near = NEARBY_FACTOR * horizon.clearance
+    others, clear = paths_of(messages), pair_clearances(messages, horizon.clearance)
+    near, required = NEARBY_FACTOR * clear, clear * (1 + convexify.SEPARATION_TOLERANCE)
     constrained = ~convexify.are_balls_separated(agent.control_points - others, near).all(axis=1)
     while True:
-        paths = others[constrained]
-        normal = convexify.choose_normals(nominal - paths, horizon.required_separation, side)
+        paths, kept = others[constrained], required[constrained]
+        normal = convexify.choose_normals(nominal - paths, kept, side)
+        half_spaces = convexify.convexify(horizon, T, paths, normal, kept)
         try:
-            result = _solve_active_set(
-                agent, convexify.convexify(horizon, T, paths, normal), relaxation
-            )
+            result = _solve_active_set(agent, half_spaces, relaxation)
         except Unsolved:
             return None
         path = horizon.control_points(result.trajectory.x, result.trajectory.u)
-        is_met = ~convexify.are_hulls_separated(path - others, horizon.clearance).all(axis=1)
+        is_met = ~convexify.are_hulls_separated(path - others, clear).all(axis=1)
         if not (is_met & ~constrained).any():
             return result
         constrained = constrained | is_met

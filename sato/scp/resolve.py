@@ -13,7 +13,7 @@ from sato.network.graph import CommunicationGraph
 from sato.network.rounds import run_round, schedule_turns
 from sato.scp import priority_orders
 from sato.scp.negotiation import negotiate
-from sato.scp.planner import Planner, TrajectoryMessage, paths_of, solve_around
+from sato.scp.planner import Planner, TrajectoryMessage, solve_around
 
 OFFSETS = (1.0, -1.0, 2.0, -2.0)  # of the nominals in a roundabout, over R: right and left
 MAX_ROUNDS = 8  # in which each agent has a turn; ten through one point take one or two
@@ -105,10 +105,10 @@ def update_in_turn(agent: Planner, inbox: Sequence[TrajectoryMessage]) -> Planne
     if len(agent.nominal.u) == 0 or not inbox:
         return agent.with_nominal(agent.nominal)
     agent = agent.relinearized
-    free, others = agent.without_tie_break, paths_of(inbox)
+    free = agent.without_tie_break
     for relaxation in RELAXATIONS:
         agent = agent._replace(solve_count=agent.solve_count + 1)
-        result = solve_around(free, others, agent.control_points, "same", relaxation)
+        result = solve_around(free, inbox, agent.control_points, "same", relaxation)
         if result is not None:
             return agent.with_nominal(result.trajectory)
     return agent.with_nominal(agent.nominal)

@@ -253,8 +253,10 @@ def check_target_counts(record: ReconfigurationRecord) -> Promise:
 
 def check_separation(record: ReconfigurationRecord) -> Promise:
     """Check that no two agents come closer than R_col, at samples or between them."""
+    if not record.mission.has_equal_radii:
+        return _check_relative_separation(record)
     found, error = record.separations
-    radius = record.mission.collision_radius
+    radius = record.mission.largest_separation
     samples = sampled_separations(record.frames.position, record.frames.alive)
     least = min(found.minimum.distance, float(samples.min()))
     i, j = found.minimum.pair
@@ -264,6 +266,26 @@ def check_separation(record: ReconfigurationRecord) -> Promise:
     if error:
         text += f" (the trajectory between samples is known to {error:.1g} m)"
     return Promise("separation", bool(least - error >= allowed), least, allowed, text)
+
+
+def _check_relative_separation(record: ReconfigurationRecord) -> Promise:
+    found, error = record.relative_separations
+    frames, radii = record.frames, record.mission.radii
+    least = min(found.minimum.distance, _least_relative(frames.position, frames.alive, radii))
+    i, j = found.minimum.pair
+    k = max(found.minimum.piece, 0) // record.pieces_per_step
+    text = f"{least:.9g} of (R_i + R_j)/2 between agents {i} and {j} in step {k}, 1 allowed"
+    return Promise("separation", bool(least - error >= 1 - 1e-9), least, 1 - 1e-9, text)
+
+
+def _least_relative(
+    position: Float[Array, "instants agents d"],
+    alive: Bool[Array, "instants agents"],
+    radii: Float[Array, " agents"],
+) -> float:
+    i, j = np.triu_indices(len(radii), 1)
+    distance = np.linalg.norm(position[:, i] - position[:, j], axis=2) / ((radii[i] + radii[j]) / 2)
+    return float(np.min(distance, where=alive[:, i] & alive[:, j], initial=np.inf))
 
 
 def check_arrival(record: ReconfigurationRecord) -> Promise:

@@ -151,6 +151,17 @@ class ReconfigurationRecord(
         the interpolation error: it is bounded where the plant is a time-invariant linear model
         (`interpolation_error_bound`), and measured elsewhere (`sampled_interpolation_error`).
         """
+        return self._compute_separations(None)
+
+    @cached_property
+    def relative_separations(self) -> tuple[trajectory_geometry.Separations, float]:
+        """The same, relative to the distance that each pair keeps."""
+        found, error = self._compute_separations(self.mission.radii)
+        return found, error / self.mission.least_separation
+
+    def _compute_separations(
+        self, radii: Float[Array, " agents"] | None
+    ) -> tuple[trajectory_geometry.Separations, float]:
         pieces, d = self.pieces_per_step, self.axes
         h = self.mission.step / pieces
         x = np.repeat(self.state, pieces, axis=0)[: len(self.is_flying) * pieces + 1]
@@ -158,7 +169,7 @@ class ReconfigurationRecord(
             within = x[:-1].reshape(-1, pieces, *x.shape[1:])
             within[:, 1:] = self.repropagate(pieces)[:, 1:-1]
         alive = np.vstack([np.repeat(self.is_flying, pieces, axis=0), self.frames.alive[-1:]])
-        found = trajectory_geometry.separations(x[..., :d], x[..., d:], alive, h)
+        found = trajectory_geometry.separations(x[..., :d], x[..., d:], alive, h, radii)
         return found, 2 * self._interpolation_error(x, pieces)
 
     @cached_property

@@ -29,7 +29,7 @@ def summarize(record: ReconfigurationRecord) -> dict[str, Any]:
         "success": reached,
         "min_separation_m": min(found.minimum.distance, least),
         "min_separation_at_samples_m": least,
-        "collision_radius_m": mission.collision_radius,
+        **_summarize_radii(record),
         "solves": sum(int(event["solves"]) for _, event in record.events.of_kind("replan")),
         "fuel_m_s": float(compute_step_fuel(record).sum()),
     }
@@ -59,6 +59,14 @@ def summarize(record: ReconfigurationRecord) -> dict[str, Any]:
     if np.isfinite(mission.top_speeds).all() and not is_detectable(mission):
         summary["undetectable"] = True
     return drop_non_finite(summary)
+
+
+def _summarize_radii(record: ReconfigurationRecord) -> dict[str, Any]:
+    radius = record.mission.collision_radius
+    if not isinstance(radius, tuple):
+        return {"collision_radius_m": radius}
+    least = record.relative_separations[0].minimum.distance
+    return {"collision_radius_m": list(radius), "min_relative_separation": least}
 
 
 def summarize_leg(record: ReconfigurationRecord, leg: LegRecord) -> dict[str, Any]:

@@ -21,7 +21,7 @@ AVOIDED_RANGE = (1.4, 3.0)  # distances at which agents see each other coming, i
 
 def plot_half_space(record: ReconfigurationRecord) -> Figure:
     """Plot the prohibited circle, its tangent half-plane, and the half-plane of a whole step."""
-    radius = record.mission.collision_radius
+    radius = record.mission.largest_separation
     example = radius * EXAMPLE
     points, path = _find_closest_encounter(record) or (example, example)
     distance, nearest = hull_distance(points)
@@ -65,7 +65,7 @@ def _find_closest_encounter(
     # The two agents that came closest, some steps before, if they were near enough to avoid each
     # other: the control points of a step of their relative trajectory, and more of it, in the
     # plane of their encounter.
-    radius, d = record.mission.collision_radius, record.axes
+    radius, d = record.mission.largest_separation, record.axes
     found, _ = record.separations
     if not len(found.distance) or not found.minimum.distance <= 2 * radius:
         return None

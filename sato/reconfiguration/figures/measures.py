@@ -17,7 +17,7 @@ from sato.reconfiguration.figures.scene import Scene
 def plot_separation(record: ReconfigurationRecord) -> Figure:
     """Plot the least separation of any two agents along their continuous trajectories."""
     scene = Scene(record)
-    t, radius = record.time * scene.view.time_scale, record.mission.collision_radius
+    t, radius = record.time * scene.view.time_scale, record.mission.largest_separation
     figure, [ax] = panels.stack(t, 1.6, unit=scene.view.time_unit)
     # One value a control step: the least of its pieces.
     between = record.separations[0].distance.reshape(-1, record.pieces_per_step).min(axis=1)
