@@ -1,5 +1,6 @@
 """One vehicle as an object: the loop, control for control and message for message; refusals."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -188,7 +189,7 @@ def test_restored_memory_continues_the_flight():
     first_instant(mission, agents)
     copies = {i: sato.Agent(mission, i) for i in agents}
     for i, agent in agents.items():
-        copies[i].memory = agent.memory
+        copies[i].memory = pickle.loads(pickle.dumps(agent.memory))
     assert len(first_instant(mission, agents, 1.0)) == len(first_instant(mission, copies, 1.0))
     for i, agent in agents.items():
         np.testing.assert_array_equal(agent.memory.control, copies[i].memory.control)
