@@ -62,6 +62,7 @@ def varying(rng):
 def hurried(rng):
     leg = sato.Leg(spread(rng, 5, box=6.0), 12)
     limits = {"max_control": [0.1, 0.2, 0.15, 0.1], "max_speed": 0.3}
+    limits |= {"collision_radius": [0.4, 0.7, 0.5, 0.3], "priority": [1, 0, 1, 2]}
     changes = {"comm_radius": 2.5, "allow_undetectable": True, **limits}
     return make_mission(spread(rng, 4, box=6.0), leg, bidder_ids=False, **changes)
 
