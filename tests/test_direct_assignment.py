@@ -51,7 +51,17 @@ def test_given_targets_are_flown_to_by_their_own_agents():
     assert (held == np.arange(5)).all() and run.summary["reached"] and run.check().kept
     np.testing.assert_allclose(run.data.position[-1], TARGETS, atol=1e-4)
     assert run.summary["fuel_lower_bound_m_s"] <= run.summary["fuel_m_s"] * (1 + 1e-9)
-    assert run.summary["legs"][0]["holes"] == 0
+    leg = run.summary["legs"][0]
+    assert leg["holes"] == 0
+    # The first flies 4 m along the row for nothing, and the others 1 m each.
+    assert leg["assignment_m_s"] == pytest.approx(run.summary["fuel_lower_bound_m_s"])
+    free = sato.run(make_mission(START, Leg(TARGETS, 40), assignment="central", **NEAR))
+    best = free.summary["legs"][0]
+    assert best["assignment_gap_m_s"] == pytest.approx(0, abs=1e-9)
+    assert leg["assignment_gap_m_s"] == pytest.approx(
+        leg["assignment_m_s"] - best["assignment_m_s"], rel=1e-6
+    )
+    assert leg["assignment_gap_m_s"] > 0.2
 
 
 def test_lost_agents_leave_given_targets_empty_and_new_ones_have_their_own():

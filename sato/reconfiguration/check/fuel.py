@@ -9,7 +9,12 @@ from numpy import ndarray as Array
 from problems.assignment import solve_assignment
 from problems.limit import vector_norm
 from sato.reconfiguration.check.prediction import predict_end_states
-from sato.reconfiguration.check.recorded import FuelBound, LegRecord, ReconfigurationRecord
+from sato.reconfiguration.check.recorded import (
+    AssignmentCost,
+    FuelBound,
+    LegRecord,
+    ReconfigurationRecord,
+)
 
 if TYPE_CHECKING:
     from problems.transfer import Objective, TransferProblem
@@ -40,18 +45,17 @@ def compute_fuel_bound(record: ReconfigurationRecord, leg: LegRecord) -> FuelBou
     costs = _make_leg_costs(record, leg, "fuel")
     if costs is None:
         return None
-    total, held = costs.compute_optimum(), costs.held
-    if np.isnan(total):
+    assignment, held = costs.compute_assignment(), costs.held
+    if np.isnan(assignment.bound):
         return None
-    own = [costs.solve(i, j) if j >= 0 else np.nan for i, j in enumerate(held.tolist())]
-    agents = np.flatnonzero(leg.alive)
-    return FuelBound(total, agents, np.array(own), _correction_fuel(record, leg, held))
+    own, saved = costs.solve_each(held), _correction_fuel(record, leg, held)
+    return FuelBound(assignment.bound, np.flatnonzero(leg.alive), own, saved, assignment)
 
 
-def compute_energy_bound(record: ReconfigurationRecord, leg: LegRecord) -> float:
+def compute_energy_bound(record: ReconfigurationRecord, leg: LegRecord) -> AssignmentCost:
     """Compute the same for energy [m²/s³]; NaN where there is no bound."""
     costs = _make_leg_costs(record, leg, "energy")
-    return np.nan if costs is None else costs.compute_optimum()
+    return AssignmentCost(*[np.nan] * 3) if costs is None else costs.compute_assignment()
 
 
 def _make_leg_costs(
@@ -155,11 +159,17 @@ class _LegCosts:
             self.is_exact[i, j] = True
         return float(self.cost[i, j])
 
-    def compute_optimum(self) -> float:
-        """Sum the costs of given targets, or of the best assignment of the first m; NaN if none."""
-        chosen = self.agents if self.is_given else self._assign()
-        total = float(np.sum([self.solve(i, j) for i, j in enumerate(chosen.tolist())]))
-        return total if np.isfinite(total) else np.nan
+    def solve_each(self, chosen: Int[Array, " survivors"]) -> Float[Array, " survivors"]:
+        """Return the cost of each agent's target; NaN where it has none."""
+        each = enumerate(chosen.tolist())
+        return np.array([self.solve(i, j) if j >= 0 else np.nan for i, j in each])
+
+    def compute_assignment(self) -> AssignmentCost:
+        """Sum the costs of the targets held and of the best assignment of the first m targets."""
+        totals = [float(np.sum(self.solve_each(chosen))) for chosen in (self.held, self._assign())]
+        held, optimum = (total if np.isfinite(total) else np.nan for total in totals)
+        given = float(np.sum(self.solve_each(self.agents))) if self.is_given else optimum
+        return AssignmentCost(given if np.isfinite(given) else np.nan, held, optimum)
 
     def _assign(self) -> Int[Array, " survivors"]:
         # Solve what the optimum uses, until it uses no bounds.

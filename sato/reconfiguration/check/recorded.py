@@ -47,6 +47,14 @@ class LegRecord:
         return int(self.target_count[self.alive].max(initial=0))
 
 
+class AssignmentCost(NamedTuple):
+    """Fuel [m/s] or energy [m²/s³] of an assignment, without regard to collisions."""
+
+    bound: float  # least over the choice that there was; NaN if unknown, as the others
+    held: float  # of the targets held at the end
+    optimum: float  # least over all assignments of these targets
+
+
 class FuelBound(NamedTuple):
     """Least fuel of a leg, from its initial states, in the time that it took."""
 
@@ -54,6 +62,7 @@ class FuelBound(NamedTuple):
     agents: Int[Array, " survivors"]
     per_agent: Float[Array, " survivors"]  # to the target that each held at the end [m/s]
     correction_fuel: Float[Array, " survivors"]  # to correct the shared model's end state [m/s]
+    assignment: AssignmentCost
 
 
 class ReconfigurationRecord(

@@ -33,17 +33,24 @@ def summarize(record: ReconfigurationRecord) -> dict[str, Any]:
         "solves": sum(int(event["solves"]) for _, event in record.events.of_kind("replan")),
         "fuel_m_s": float(compute_step_fuel(record).sum()),
     }
+    assignments = [bound.assignment if bound else None for bound in record.fuel_bounds]
     if mission.objective == "energy":
         u = np.where(record.is_flying[..., None], frames.control[:-1], 0.0)
-        bounds = [compute_energy_bound(record, leg) for leg in record.leg_records]
+        energies = [compute_energy_bound(record, leg) for leg in record.leg_records]
+        assignments = list(energies)
         summary["energy_m2_s3"] = float(np.sum(compute_energy(u, mission.step)))
         if len(legs) == len(mission.legs):
-            summary["energy_lower_bound_m2_s3"] = sum(bounds)
+            summary["energy_lower_bound_m2_s3"] = sum(each.bound for each in energies)
     if mission.solver != "clarabel":
         rejected = (e["programs"] for _, e in record.events.of_kind("fallback"))
         summary["solver_fallbacks"] = sum(map(int, rejected))
     for name, kind in [("slack_used", "slack"), ("braked", "braked"), ("infeasible", "infeasible")]:
         summary[name] = sum(max(len(e["agents"]), 1) for _, e in record.events.of_kind(kind))
+    unit = "m2_s3" if mission.objective == "energy" else "m_s"
+    for leg, cost in zip(legs, assignments, strict=True):
+        if cost is not None:
+            gap = cost.held - cost.optimum
+            leg |= drop_non_finite({f"assignment_{unit}": cost.held, f"assignment_gap_{unit}": gap})
     summary["legs"] = legs
     if mission.flown_plant.chief_elements(0.0) is not None:
         errors = [max_model_error(record, leg) for leg in record.leg_records]
