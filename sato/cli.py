@@ -142,7 +142,7 @@ def export(
     from sato.export import DEFAULT_PATHS
 
     path = out or _run_folder(folder) / DEFAULT_PATHS.get(format, format)
-    ensure_writable(path)
+    ensure_writable(path.parent)
     echo(str(sato.load(folder).export(path, format)))
 
 

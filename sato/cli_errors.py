@@ -43,7 +43,7 @@ class CommandGroup(TyperGroup):
 
 
 def ensure_writable(folder: Path) -> None:
-    """Try to write into a folder, or beside a file, or where it is to be.
+    """Try to write into a folder, or where it is to be.
 
     Raises:
         InputError: Nothing can be written there.

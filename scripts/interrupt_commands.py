@@ -94,7 +94,9 @@ def main() -> int:
                 ended = f"{how}, exit {process.returncode}"
                 outcomes.append(process.returncode)
                 faults += find_faults(command, ended, before, home)
-                if how != "kill -9" and (process.returncode < 0 or "Traceback" in said):
+                is_early = process.returncode == -signal.SIGINT and not said  # before Python began
+                is_crash = "Traceback" in said or (process.returncode < 0 and not is_early)
+                if how != "kill -9" and is_crash:
                     faults.append(f"{command}, {ended}: {said[-300:]}")
             print(f"{command}, {how}: exit codes {outcomes}", flush=True)
     print(*(faults or ["no fault"]), sep="\n")
