@@ -79,7 +79,7 @@ MISSIONS = [disturbed, disconnected, varying, hurried, orbiting]
 @pytest.mark.parametrize("draw", MISSIONS)
 def test_agents_fly_as_the_loop_does(rng, draw):
     mission = draw(rng)
-    frames = list(simulate(mission, np.random.default_rng(1)))[:60]
+    frames = list(simulate(mission, np.random.default_rng(1)))[:40]
     flown = 0
     for frame, (x, control, agents, _, _) in zip(frames, fly_by_messages(mission, 1), strict=False):
         flown += 1
@@ -211,6 +211,9 @@ def test_wrong_use_is_refused_with_a_cure():
     state = mission.initial_states[0]
     with pytest.raises(ValueError, match="orders = 1, bargains = 0 and"):
         sato.Agent(replace(mission, orders=2), 0)
+    listed_limits = replace(mission, max_control=(0.1, 0.2, 0.1, 0.2))
+    with pytest.raises(ValueError, match="number must be from 0 to 3, got 4"):
+        sato.Agent(listed_limits, 4)
     with pytest.raises(ValueError, match="state must be 4 finite numbers"):
         agents[0].step(0.0, state[:2], [])
     first_instant(mission, agents)

@@ -39,7 +39,7 @@ class AgentMessage(NamedTuple):
 
 
 class FlightMemory(NamedTuple):
-    """All that an agent remembers between two calls."""
+    """All that an agent remembers between two calls, besides its mission and its number."""
 
     leg: Leg  # under way
     believed: Int[Array, " rows"]  # number of agents it believes in
@@ -72,14 +72,15 @@ class Agent:
     Args:
         mission: Mission, the same for all agents. Of `start`, an agent uses only what the margin
             follows from; its first leg is flown, without losses and joins.
-        number: Number of the agent, of its own.
+        number: Number of the agent, of its own, from 0: its index in lists for each vehicle.
         target_count: Targets m that it bids on at first; that of the mission by default, 1 for an
             agent that joins.
         leg_start: Time at which the leg began, for an agent that joins [s].
         leg: The leg that it joins, if it is not the first of the mission.
 
     Raises:
-        ValueError: The mission has no auction, tries several orders of priority, or negotiates.
+        ValueError: The mission has no auction, tries several orders of priority, or negotiates; or
+            the number has no entry in its lists.
     """
 
     def __init__(
@@ -90,6 +91,11 @@ class Agent:
         leg_start: float | None = None,
         leg: Leg | None = None,
     ) -> None:
+        limits = mission.max_control, mission.max_speed, mission.collision_radius, mission.priority
+        lengths = [len(each) for each in limits if isinstance(each, tuple)]
+        entries = min(lengths, default=max(number, 0) + 1)
+        if not 0 <= number < entries:
+            raise ValueError(f"number must be from 0 to {entries - 1}, got {number}")
         if mission.orders > 1 or mission.bargains or mission.assignment != "auction":
             raise ValueError(
                 f"plan.orders = {mission.orders}, plan.bargains = {mission.bargains} and "
