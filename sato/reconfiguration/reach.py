@@ -19,7 +19,7 @@ MAX_TIME_FACTOR = 64  # times the steps that were asked for; beyond, time is not
 MAX_CONTROL_FACTOR = 64  # times the control that there is
 CONTROL_PRECISION = 1.01  # relative, of the control that would do
 MAX_PAIRS_TIMES_STEPS = 20_000_000  # above which no longer time is tried
-MAX_SOLVED_PAIRS_TIMES_STEPS = 300_000  # above which bounds alone decide
+MAX_SOLVED_PAIRS_TIMES_STEPS = 100_000  # above which bounds alone decide
 MAX_SOLVES = 300  # transfers solved one by one, where no bound decides
 
 
