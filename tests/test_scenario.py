@@ -229,6 +229,7 @@ def test_joining_on_top_of_another_agent_is_refused():
     assert "leg.0.join.0.start: agent 0 starts 0.1 m from an agent that is there" in refusal(join)
 
 
+JOINS_LATE = "leg.0.join={agents=2,start={kind='lattice',spacing_m=9},at_step=1}"
 FIRST_IS_LOST = "lose={kind='agents',agents=[0]}"
 RECOUNT = "leg.1.recount=true"
 
@@ -245,7 +246,10 @@ RECOUNT = "leg.1.recount=true"
         ([f"leg.0.{FIRST_IS_LOST}", RECOUNT], [3, 2]),
         ([f"leg.0.{FIRST_IS_LOST}", f"leg.1.{FIRST_IS_LOST}", RECOUNT], [3, 2]),
         (["leg.0.lose={kind='random',share=0.4}", RECOUNT], [3, 2]),
+        (["leg.0.lose={kind='agents',agents=[0],at_step=3}", RECOUNT], [3, 3]),
         (["leg.1.join={agents=2,start={kind='lattice',spacing_m=9}}"], [3, 5]),
+        ([JOINS_LATE, "leg.0.lose={kind='middle',share=0.4}"], [4, 4]),
+        ([JOINS_LATE, "leg.0.lose={kind='agents',agents=[3]}"], [5, 5]),
     ],
 )
 def test_target_demand_follows_losses_and_joins(overrides, expected):

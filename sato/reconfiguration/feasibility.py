@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sato.reconfiguration.leg import Join, Leg, Loss
 from sato.scenario.definition import is_auto
 from sato.scenario.errors import InputError, closest_name, join_names, round_down, round_up
 
 if TYPE_CHECKING:
-    from sato.reconfiguration.leg import Leg
     from sato.reconfiguration.mission import Reconfiguration
 
 MAX_POINTING_ERROR = pi / 6  # standard deviation beyond which directions mean nothing [rad]
@@ -190,7 +190,7 @@ def _check_legs(mission: "Reconfiguration") -> None:
             raise InputError(f"leg.{number}.shape.positions_m", reason)
 
 
-def _check_given(where: str, leg: "Leg", agents: int) -> None:
+def _check_given(where: str, leg: Leg, agents: int) -> None:
     listed = getattr(leg.shape, "positions", None)
     if leg.recount:
         raise InputError(f"{where}.recount", "has no meaning where targets are given")
@@ -229,25 +229,28 @@ def target_demand(mission: "Reconfiguration") -> list[int]:
     all; and the number of all agents that there have been where targets are given.
     """
     most: list[int] = []
-    live = ever = mission.agent_count
+    live = ever = peak = mission.agent_count
     believed = mission.target_count or live
     known_lost: set[int] | None = set()  # indices; nothing is known after a loss by share
     for leg in mission.legs:
-        if leg.recount:
-            believed = live
-        live += sum(join.size for join in leg.joins)
+        if leg.recount:  # of bids before late losses
+            believed = peak
         peak = 0
-        for loss in sorted(leg.losses, key=lambda loss: loss.at_step):
-            if loss.at_step > 0:
+        # At one step agents join before others are lost, as in the flight.
+        events: list[Join | Loss] = [*leg.joins, *leg.losses]
+        for event in sorted(events, key=lambda event: event.at_step):
+            if event.at_step > 0:
                 peak = max(peak, live)
-            if loss.share is not None and loss.kind != "agents":
-                live -= floor(loss.share * live)
+            if isinstance(event, Join):
+                live, ever = live + event.size, ever + event.size
+            elif event.share is not None and event.kind != "agents":
+                live -= floor(event.share * live)
                 known_lost = None
             elif known_lost is not None:
-                live -= len(set(loss.agents) - known_lost)
-                known_lost |= set(loss.agents)
+                lost = {i for i in event.agents if i < ever} - known_lost
+                live -= len(lost)
+                known_lost |= lost
         peak = max(peak, live)
         believed = max(believed, peak)
-        ever += sum(join.size for join in leg.joins)
         most.append(ever if mission.assignment == "given" else peak if leg.is_free else believed)
     return most
