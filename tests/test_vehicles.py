@@ -91,6 +91,19 @@ def test_equal_lists_fly_as_numbers_do(rng):
     np.testing.assert_array_equal(one.data["position"], other.data["position"])
 
 
+@pytest.mark.parametrize("speeds", [(0.5,), (np.inf, 0.5), (np.inf, np.inf)])
+def test_lists_of_one_entry_and_of_no_limit_survive_a_run_file(speeds, tmp_path):
+    count = len(speeds)
+    many = {"start": START[:count], "legs": [sato.Leg(START[:count] + 3.0, steps=20)]}
+    limits = {"max_control": (0.1,) * count, "max_speed": speeds, "allow_undetectable": True}
+    run = sato.run(mission(**many, **limits))
+    run.save(tmp_path)
+    report = sato.load(tmp_path).check()
+    assert report.kept, str(report)
+    speed = next(promise for promise in report.promises if promise.name == "speed")
+    assert np.isinf(speed.tolerance) == np.isinf(speeds).all()
+
+
 def test_slow_vehicles_are_told_what_would_do():
     with pytest.raises(InputError, match=r"agent 0 can reach none .* times the limits"):
         sato.run(mission(**OWN | {"max_control": (0.01, 0.1, 0.1, 0.1)}))

@@ -43,7 +43,7 @@ def collect_attributes(mission: Reconfiguration) -> dict[str, Any]:
         "max_control_axes_m_s2": mission.max_control_axes,
         "max_speed_axes_m_s": mission.max_speed_axes,
     }
-    return {
+    found = {
         "comm_radius_m": mission.comm_radius,
         "collision_radius_m": mission.collision_radius,
         **({} if mission.max_control is None else {"max_control_m_s2": mission.max_control}),
@@ -52,6 +52,8 @@ def collect_attributes(mission: Reconfiguration) -> dict[str, Any]:
         **({} if mission.chief is None else {"epoch": mission.chief.epoch}),
         **_gravity_constants(mission.flown_plant),
     }
+    # An array of one entry is read back as a number.
+    return {k: v[0] if isinstance(v, tuple) and len(v) == 1 else v for k, v in found.items()}
 
 
 def collect_variables(

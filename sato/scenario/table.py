@@ -232,7 +232,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Array):
         return value.tolist()
     if isinstance(value, tuple):
-        return [_plain(part) for part in value] or None
+        return [part if isinstance(part, float) else _plain(part) for part in value] or None
     if isinstance(value, float) and not np.isfinite(value):
         return None
     return value
