@@ -64,6 +64,7 @@ def test_flights_keep_limits_of_each_axis_and_vehicle(rng, limits, tmp_path):
         (BOX | {"max_speed": 0.4}, "is given beside max_speed_m_s"),
         (BOX | {"max_control_axes": (0.1, 0.1, 0.1)}, "has 3 entries, and the model has 2 axes"),
         (BOX | {"max_control_axes": (0.1, 0.0)}, "must be greater than 0, got 0"),
+        (LIMITS | {"speed_norm": True}, r"speed_norm: must be 1, 2 or \"inf\", got true"),
         (BOX | {"control_norm": 2}, r"control_norm = 2; control_norm = \"inf\" would do"),
         (BOX | {"speed_norm": 2}, r"speed_norm = 2; speed_norm = \"inf\" would do"),
         (OWN | {"max_control": (0.1, 0.2)}, "has 2 entries for 4 vehicles"),

@@ -29,7 +29,7 @@ from sato.scenario.definition import (
     NotNegative,
     Positive,
 )
-from sato.scenario.errors import InputError
+from sato.scenario.errors import InputError, format_value
 from sato.scenario.file import Mission
 from sato.shapes import Points
 from sato.shapes.shape import as_points, least_distance
@@ -48,7 +48,7 @@ AUTO: Any = "auto"
 def _norm(value: Any) -> Any:
     # To Python, true is 1.
     if isinstance(value, bool):
-        raise InputError("", 'must be 1, 2 or "inf"')
+        raise InputError("", f'must be 1, 2 or "inf", got {format_value(value)}')
     return value
 
 
