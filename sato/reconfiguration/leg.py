@@ -51,10 +51,21 @@ class Join(Definition):
     start: Annotated[Start, Convert(as_points), "positions, or states, at which they join"]
     at_step: Annotated[Count, "control steps after the start of the leg"] = 0
 
+    def completed(self) -> dict[str, Any]:
+        """Return how many agents the start lists, where it is not given."""
+        listed = getattr(self.start, "positions", None)
+        return {} if self.agents or listed is None else {"agents": len(listed)}
+
+    def check(self) -> None:
+        """Refuse an unknown number of agents."""
+        if self.agents is None:
+            raise InputError("agents", "is missing, and has no default")
+
     @property
     def size(self) -> int:
         """Number of agents that join."""
-        return self.agents or len(states_of(self.start))
+        assert self.agents is not None
+        return self.agents
 
 
 @dataclass(frozen=True, eq=False, repr=False)
