@@ -332,3 +332,10 @@ def test_a_join_counts_the_agents_that_its_start_lists():
     assert mission.legs[0].joins[0].agents == 2 and parse(mission.to_toml()) == mission
     with pytest.raises(InputError, match="agents: is missing"):
         Join(None, Random(box=9.0, separation=1.0))
+
+
+def test_an_infinite_norm_is_a_number_or_a_word():
+    assert tiny(control_norm=np.inf, fuel_norm=np.float64("inf")) == tiny(
+        control_norm="inf", fuel_norm="inf"
+    )
+    assert sato.read("crossing", ["model.fuel_norm=inf"]).fuel_norm == "inf"
