@@ -133,11 +133,14 @@ def sampled_separations(
 ) -> Float[Array, " instants"]:
     """Return the minimum distance of two live agents per instant, infinite for fewer than two."""
     present = alive & np.isfinite(position).all(axis=2)
-    least = np.full(len(position), np.inf)
-    for k in np.flatnonzero(present.sum(axis=1) > 1):
-        points = position[k, present[k]]
-        least[k] = scipy.spatial.cKDTree(points).query(points, k=2)[0][:, 1].min()
-    return least
+    return np.array([min_distance(p[a]) for p, a in zip(position, present, strict=True)])
+
+
+def min_distance(points: Float[Array, "k d"]) -> float:
+    """Return the minimum distance of any two points, infinite for fewer than two."""
+    if len(points) < 2:
+        return np.inf
+    return float(scipy.spatial.cKDTree(points).query(points, k=2)[0][:, 1].min())
 
 
 def interpolation_error(
@@ -235,8 +238,7 @@ def _midpoint_error(position: Array, velocity: Array, h: float) -> float:
 def _closest_approach(b: Float[Array, "agents 4 d"]) -> tuple[float, float, Int[Array, " 2"]]:
     # A piece stays in the ball about the midpoint of its ends that contains its control
     # points. Pairs whose balls are further apart than the ends of some pair are left out.
-    ends = np.stack([b[:, 0], b[:, 3]])
-    bound = float(sampled_separations(ends, np.ones(ends.shape[:2], dtype=bool)).min())
+    bound = min(min_distance(b[:, 0]), min_distance(b[:, 3]))
     middle = (b[:, 0] + b[:, 3]) / 2
     reach = float(np.linalg.norm(b - middle[:, None], axis=2).max())
     radius = (bound + 2 * reach) * (1 + 1e-12)

@@ -19,7 +19,7 @@ from numpy import ndarray as Array
 from dynamics.bezier_kernels import closest_pair
 from dynamics.discretize import discretize_zoh
 from dynamics.model import ControlSamples, LinearModel, StateSamples
-from dynamics.trajectory_geometry import hull_distance, sampled_separations
+from dynamics.trajectory_geometry import hull_distance, min_distance
 from problems.centralized_nlp import (
     MIN_DISTANCE,
     AgentStates,
@@ -257,9 +257,8 @@ class CentralizedProblem:
         return ceil(CONSTRAINTS_PER_STEP / self.horizon.pieces_per_step)
 
     def _check_ends(self, start: AgentStates, goal: AgentStates) -> None:
-        ends = np.stack([start, goal])[..., : self.transfer.model.axes]
-        each = sampled_separations(ends, np.ones(ends.shape[:2], dtype=bool)).tolist()
-        for name, least in zip(("starts", "goals"), each, strict=True):
+        for name, states in (("starts", start), ("goals", goal)):
+            least = min_distance(states[:, : self.transfer.model.axes])
             if not least >= self.horizon.clearance:
                 needed = f"at least {self.horizon.clearance:.6g} m are needed"
                 raise ValueError(f"two {name} are {least:.6g} m apart, {needed}")

@@ -10,7 +10,6 @@ from functools import cached_property
 from html import escape
 from importlib.metadata import version
 from pathlib import Path
-from pkgutil import resolve_name
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +26,7 @@ from sato.resource_usage import peak_memory_mib
 from sato.scenario.errors import InputError, ScenarioError, format_value
 from sato.scenario.file import Mission, from_dict, parse, read
 from sato.summary import summary_rows
-from sato.systems import SYSTEMS
+from sato.systems import load_system
 
 if TYPE_CHECKING:  # slow to import
     import matplotlib.figure
@@ -137,7 +136,7 @@ def run(
     # With matrices as small as these, the threads of BLAS only wait for each other.
     with threadpool_limits(1, user_api="blas"):
         mission, drawn, rng = _draw(scenario, seed, overrides)
-        system = resolve_name(SYSTEMS[mission.system][1])
+        system = load_system(mission.system)
         for sentence in drawn.warnings():
             warnings.warn(sentence, stacklevel=2)
         callback = progress if callable(progress) else (lambda mission, frame: None)
@@ -172,7 +171,7 @@ def simulate(scenario: Scenario, seed: int = 0, overrides: Iterable[str] = ()) -
         ValueError: The scenario cannot be flown.
     """
     mission, drawn, rng = _draw(scenario, seed, overrides)
-    frames = resolve_name(SYSTEMS[mission.system][1]).simulate(drawn, rng)
+    frames = load_system(mission.system).simulate(drawn, rng)
     limited = ThreadpoolController().wrap(limits=1, user_api="blas")
     return iter(limited(lambda: next(frames, None)), None)
 

@@ -11,6 +11,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from dynamics import ClohessyWiltshire
+from dynamics.trajectory_geometry import min_distance
 from problems.assignment import solve_assignment
 from problems.auction_cost import (
     compute_distances,
@@ -29,7 +30,6 @@ from sato.reconfiguration.assignment import (
     share_claims,
 )
 from sato.reconfiguration.state import AgentMemory, DecisionContext
-from sato.shapes.shape import least_distance
 
 LIMITS = {
     "comm_radius": 100.0,
@@ -77,7 +77,7 @@ def test_assignment_is_within_n_epsilon_of_the_optimum(rng, speed):
         fuel[i, j] = found.fuel if found else unreachable_cost(model, mission.max_control)
     cost = 10.0 * fuel + 0.2 * compute_distances(model, mission.initial_states, leg.targets) ** 2
     cost = cost[:, :12]
-    epsilon = 0.1 * least_distance(leg.targets[:, :2]) ** 2
+    epsilon = 0.1 * min_distance(leg.targets[:, :2]) ** 2
     best = cost[np.arange(12), solve_assignment(cost)].sum()
     assert reachable[np.arange(12), targets].all()
     assert len(set(targets)) == 12

@@ -16,10 +16,10 @@ from matplotlib.textpath import TextPath
 from PIL import Image, ImageDraw
 from scipy.spatial.distance import cdist, pdist
 
+from dynamics.trajectory_geometry import min_distance
 from sato.shapes import Lattice, Picture, Points, Polygon, Ring, Text
 from sato.shapes.ordering import farthest_point_order
 from sato.shapes.regular import embed_in_plane
-from sato.shapes.shape import least_distance
 
 SQUARE = [(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0)]
 CORNER = [(0.0, 0.0), (20.0, 0.0), (20.0, 6.0), (6.0, 6.0), (6.0, 25.0), (0.0, 25.0)]
@@ -124,7 +124,7 @@ def test_every_prefix_of_a_picture_or_a_list_keeps_the_shape(tmp_path, rng):
 def test_requested_spacing_is_reached_and_never_undercut(kind, given, count, axes):
     for spacing in (0.37, 1.0, 50.0):
         # A caller may check the targets against the very spacing that it requested.
-        reached = least_distance(kind(**given, spacing=spacing).place(count, axes, spacing))
+        reached = min_distance(kind(**given, spacing=spacing).place(count, axes, spacing))
         assert reached == pytest.approx(spacing, rel=1e-9)
         assert reached >= spacing
 
@@ -222,7 +222,7 @@ def test_polygon_is_covered_evenly(rng):
     samples = rng.uniform((0, 0), (20, 25), size=(4000, 2))
     inside = (samples[:, 0] < 6) | (samples[:, 1] < 6)
     distance = cdist(samples[inside], targets).min(axis=1)
-    assert distance.max() <= least_distance(targets) * 1.05  # the grid of candidates is this coarse
+    assert distance.max() <= min_distance(targets) * 1.05  # the grid of candidates is this coarse
     assert ((targets[:, 0] <= 6) | (targets[:, 1] <= 6)).all()
 
 
@@ -294,7 +294,7 @@ def test_list_is_read_with_or_without_header_in_its_order_on_request(tmp_path):
         kept = Points(file=str(path), keep_order=True).place(4, 2)
         assert kept.tolist() == [[0, 0], [1, 0], [10, 0], [0, 4]]
     assert Points(file=str(path)).place(3, 2).tolist() == [[0, 0], [10, 0], [0, 4]]
-    assert least_distance(Points(file=str(path), spacing=3.0).place(4, 2)) == pytest.approx(3.0)
+    assert min_distance(Points(file=str(path), spacing=3.0).place(4, 2)) == pytest.approx(3.0)
     centered = Points(file=str(path), center=(0.0, 0.0)).place(4, 2)
     assert centered.max(axis=0) == pytest.approx((5, 2))
 
@@ -315,7 +315,7 @@ def test_too_small_a_shape_is_refused_with_a_size_that_fits(kind, given, size):
     with pytest.raises(ValueError, match=r"160 targets .* apart, and they need 1\.5 m") as refused:
         kind(**given, **{size: 9.0}).place(160, 2, 1.5)
     enough = float(re.search(rf": a {size} of ([\d.]+) m would do", str(refused.value)).group(1))
-    assert least_distance(kind(**given, **{size: enough}).place(160, 2, 1.5)) >= 1.5
+    assert min_distance(kind(**given, **{size: enough}).place(160, 2, 1.5)) >= 1.5
     with pytest.raises(ValueError, match="would do"):
         kind(**given, **{size: enough * 0.99}).place(160, 2, 1.5)
 

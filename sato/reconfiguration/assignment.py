@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from dynamics.discretize import DiscreteModel
+from dynamics.trajectory_geometry import min_distance
 from problems import auction_cost
 from sato.auctions import (
     VsdaaAuction,
@@ -23,7 +24,6 @@ from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.state import AgentMemory, DecisionContext
 from sato.scenario.definition import is_auto
-from sato.shapes.shape import least_distance
 
 RELATIVE_EPSILON = 0.01  # ε over the extent of the shape, where no tie-break gives a scale
 HELD_TARGET_DISCOUNT = 0.02  # on the target that an agent holds, of its range of costs
@@ -187,7 +187,7 @@ def compute_epsilon(mission: Reconfiguration, leg: Leg) -> float:
     if weight == 0:
         extent = float(np.linalg.norm(np.ptp(position, axis=0)))
         return RELATIVE_EPSILON * (extent if extent > 0 else 1.0)
-    spacing = least_distance(position)
+    spacing = min_distance(position)
     return 0.5 * weight * (spacing if isfinite(spacing) else 1.0) ** 2
 
 

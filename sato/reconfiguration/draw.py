@@ -10,6 +10,7 @@ from numpy import ndarray as Array
 
 from dynamics.circular_orbit import ClohessyWiltshire
 from dynamics.propagation import Impact
+from dynamics.trajectory_geometry import min_distance
 from problems.limit import Limit
 from sato.reconfiguration import feasibility, reach
 from sato.reconfiguration.leg import Leg, states_of
@@ -20,7 +21,6 @@ from sato.scenario.definition import errors_in, is_auto
 from sato.scenario.errors import InputError, round_up
 from sato.scenario.ranges import check_memory
 from sato.shapes import Points
-from sato.shapes.shape import least_distance
 
 ARRIVAL_TOLERANCE = 1e-6  # of the least spacing of the targets
 
@@ -48,8 +48,7 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
         targets = _draw_targets(mission, k, leg, demand[k], mission.step * steps)
         # States of agents that are known to those that join when the next leg begins.
         known = targets if mission.uses_all_targets(leg) else targets[: demand[k]]
-        shape = replace(_as_points(targets), keep_order=not leg.is_free)
-        legs.append(replace(leg, shape=shape, count=None))
+        legs.append(_with_shape(leg, targets))
     drawn = replace(mission, start=_as_points(start), legs=tuple(legs))
     try:
         drawn = _resolve(replace(drawn, plant=mission.draw_plant(len(states), rng)))
@@ -142,7 +141,7 @@ def draw_leg(mission: Reconfiguration, leg: Leg, demand: int, instant: int) -> L
         raise InputError("leg.targets", f"{reason}; {demand} or more would do")
     arrival = (instant + leg.steps) * mission.step
     states = _draw_targets(mission, 0, replace(leg, count=count), count, arrival)
-    _check_margin(mission, mission.margin, "takes", least_distance(states[:, : mission.axes]))
+    _check_margin(mission, mission.margin, "takes", min_distance(states[:, : mission.axes]))
     return _with_shape(leg, states)
 
 

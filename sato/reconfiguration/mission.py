@@ -13,6 +13,7 @@ from pydantic import BeforeValidator
 from pydantic import Field as Constraint
 
 from dynamics.plant import Plant
+from dynamics.trajectory_geometry import min_distance
 from dynamics.units import Acceleration, Angle, Key, Length, Speed, Time, Unit
 from sato.reconfiguration import feasibility, models, vehicles
 from sato.reconfiguration.leg import Count, Leg, Steps, states_of
@@ -32,7 +33,7 @@ from sato.scenario.definition import (
 from sato.scenario.errors import InputError, format_value
 from sato.scenario.file import Mission
 from sato.shapes import Points
-from sato.shapes.shape import as_points, least_distance
+from sato.shapes.shape import as_points
 
 if TYPE_CHECKING:
     Automatic = float  # once the mission is drawn
@@ -270,4 +271,4 @@ class Reconfiguration(vehicles.Vehicles, Mission):
     @cached_property
     def target_spacing(self) -> float:
         """Least distance between two targets of a leg [m]; once drawn."""
-        return min(least_distance(leg.targets[:, : self.axes]) for leg in self.legs)
+        return min(min_distance(leg.targets[:, : self.axes]) for leg in self.legs)

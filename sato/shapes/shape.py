@@ -4,15 +4,15 @@ import csv
 import re
 from abc import abstractmethod
 from dataclasses import dataclass
-from math import inf, isinf
+from math import isinf
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
-import scipy
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
+from dynamics.trajectory_geometry import min_distance as least_distance
 from dynamics.units import Length, Unit
 from sato.scenario.definition import Coordinates, Definition, Matrix, Positive, as_array, errors_in
 from sato.scenario.errors import InputError, round_up
@@ -110,13 +110,6 @@ class Shape(Definition):
             raise ValueError(f"{found}, and they need {needed:.5g} m: {cure} would do")
         stays = self.is_absolute and self.center is None
         return np.asarray((points - middle) * scale + (middle * scale if stays else 0.0))
-
-
-def least_distance(points: Float[Array, "k d"]) -> float:
-    """Compute the least distance of two points; infinite for fewer than two."""
-    if len(points) < 2:
-        return inf
-    return float(scipy.spatial.cKDTree(points).query(points, k=2)[0][:, 1].min())
 
 
 def center_in(given: tuple[float, ...] | None, axes: int) -> Float[Array, " axes"]:

@@ -7,14 +7,13 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.spatial import cKDTree
 
-from dynamics.trajectory_geometry import sampled_separations
+from dynamics.trajectory_geometry import min_distance, sampled_separations
 from problems.transfer import compute_energy
 from sato.check.common import common_summary, drop_non_finite
 from sato.reconfiguration.check.fuel import compute_energy_bound, compute_step_fuel
 from sato.reconfiguration.check.prediction import predict_end_states
 from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
 from sato.reconfiguration.feasibility import is_detectable
-from sato.shapes.shape import least_distance
 
 
 def summarize(record: ReconfigurationRecord) -> dict[str, Any]:
@@ -142,7 +141,7 @@ def _measure_shape(record: ReconfigurationRecord, leg: LegRecord) -> dict[str, f
         return {}
     m, distance = leg.largest_target_count, _distances_to_agents(record, leg)
     is_hole = ~(distance[:m] <= record.mission.position_tolerance)
-    spacing = least_distance(record.leg_targets(leg)[:m, : record.axes])
+    spacing = min_distance(record.leg_targets(leg)[:m, : record.axes])
     gap = float(distance.max(initial=0.0)) / spacing if np.isfinite(spacing) else np.nan
     return {"holes": int(is_hole.sum()), "gap": gap}
 
