@@ -13,6 +13,7 @@ from dynamics import ClohessyWiltshire
 from sato.auctions.vsdaa import init_state, run_kernel, run_vsdaa
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration import assignment, planning
+from sato.reconfiguration.agent_inputs import as_instant, as_state, check_agent, check_inbox
 from sato.reconfiguration.agent_stages import BiddingMessage
 from sato.reconfiguration.loop import simulate
 from sato.scp import resolve_conflicts
@@ -73,7 +74,14 @@ def orbiting(rng):
     return make_mission(spread(rng, 4, 3), leg, model=model, max_control=0.3, objective="energy")
 
 
-MISSIONS = [disturbed, disconnected, varying, hurried, orbiting]
+def given(rng):
+    legs = [sato.Leg(spread(rng, 4), steps) for steps in (16, 4)]  # the second is out of reach
+    changes = {"assignment": "given", "max_control": 0.3, "comm_radius": 2.5}
+    changes |= {"reset": "need", "objective": "energy"}
+    return make_mission(spread(rng, 4), *legs, allow_undetectable=True, **changes)
+
+
+MISSIONS = [disturbed, disconnected, varying, hurried, orbiting, given]
 
 
 @pytest.mark.parametrize("draw", MISSIONS)
@@ -206,13 +214,62 @@ def test_agent_from_a_mission_of_one_vehicle_flies_the_same():
         np.testing.assert_array_equal(agent.memory.control, own[i].memory.control)
 
 
+def test_agents_of_any_numbers_are_each_given_a_target_of_their_own():
+    goals = {17: [1.5, 3.0], 3: [-1.5, 3.0], 203: [0.0, 3.5]}
+    starts = {17: [-1.0, 0.0], 3: [1.0, 0.0], 203: [0.0, -1.0]}
+    agents = {}
+    for i in goals:
+        leg = sato.Leg(np.array([goals[i]]), 14)
+        mission = make_mission(np.array([starts[i]]), leg, assignment="given", max_control=0.4)
+        agents[i] = sato.Agent(mission, i)
+    x = np.zeros((204, 4))
+    x[list(starts), :2] = list(starts.values())
+    graph = CommunicationGraph(np.zeros((204, 204), dtype=bool), np.isin(range(204), list(goals)))
+    graph.adjacency[np.ix_(list(goals), list(goals))] = ~np.eye(3, dtype=bool)
+    for k in range(24):
+        if k == 6:
+            goals |= {3: [0.5, 5.0]}
+            for i, agent in agents.items():
+                agent.set_targets(np.array([goals[i]]), 18)
+        list(decide(agents, float(k), x, graph))
+        u = np.zeros((204, 2))
+        u[list(agents)] = [agent.memory.control for agent in agents.values()]
+        x = np.hstack([x[:, :2] + x[:, 2:] + u / 2, x[:, 2:] + u])
+    np.testing.assert_allclose(x[list(goals), :2], list(goals.values()), atol=1e-5)
+
+
+WRONG_INBOXES = {
+    lambda hello: [hello, hello]: "hears one agent twice",
+    lambda hello: [hello._replace(instant=2)]: "hears agent 1 in instant 2, stage 0: in each round",
+    lambda hello: [hello._replace(content=5)]: "hears int from agent 1 in place of CensusMessage",
+}
+
+
+@pytest.mark.parametrize("number", [-1, 1.0, "0", True, 4096])
+def test_number_that_is_none_is_refused(number):
+    with pytest.raises(ValueError, match="number must be a whole number from 0 to 4095, got"):
+        check_agent(four()[0], number)
+
+
+@pytest.mark.parametrize("time", [-1.0, np.nan, np.inf, "0", None])
+def test_time_that_is_none_is_refused(time):
+    with pytest.raises(ValueError, match="time must be the seconds since the start"):
+        as_instant(four()[0], "time", time)
+
+
+@pytest.mark.parametrize("state", [np.full(4, np.nan), [0, 1], "none", None, np.zeros((1, 4))])
+def test_state_that_is_none_is_refused(state):
+    with pytest.raises(ValueError, match=r"state must be 4 finite numbers, position \[m\] and"):
+        as_state(four()[0], state)
+
+
 def test_wrong_use_is_refused_with_a_cure():
     mission, agents = four()
     state = mission.initial_states[0]
     with pytest.raises(ValueError, match="orders = 1, bargains = 0 and"):
         sato.Agent(replace(mission, orders=2), 0)
     listed_limits = replace(mission, max_control=(0.1, 0.2, 0.1, 0.2))
-    with pytest.raises(ValueError, match="number must be from 0 to 3, got 4"):
+    with pytest.raises(ValueError, match=r"number must be a whole number from 0 to 3.* got 4"):
         sato.Agent(listed_limits, 4)
     with pytest.raises(ValueError, match="state must be 4 finite numbers"):
         agents[0].step(0.0, state[:2], [])
@@ -226,7 +283,17 @@ def test_wrong_use_is_refused_with_a_cure():
         agents[0].set_targets(row(4, 1.0), 14)
     with pytest.raises(ValueError, match="3 is less than the 4 that agents bid on"):
         agents[1].set_targets(row(3, 1.0), 14)
-    hello = agents[1].step(1.0, state, [])[1]
+    with pytest.raises(
+        ValueError, match="got a NoneType; leave out those of agents that have sent"
+    ):
+        check_inbox(0, [None])
+    hello, ahead = agents[1].step(1.0, state, [])[1], agents[2].step(1.0, state, [])[1]
+    for wrong, reason in WRONG_INBOXES.items():
+        with pytest.raises(ValueError, match=reason):
+            agents[0].step(1.0, state, wrong(hello))
+    agents[0].step(1.0, state, [hello])
+    with pytest.raises(ValueError, match=r"hears agents \[1, 2\], and in the round before \[1\]"):
+        agents[0].step(1.0, state, [hello, ahead])
     with pytest.raises(ValueError, match="agent 0 hears an agent of its own number"):
         agents[0].step(1.0, state, [hello._replace(sender=0)])
 

@@ -2,20 +2,28 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import floor
 from typing import Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
+from numpy.typing import ArrayLike
 
 from problems.conic import TOLERANCE
 from problems.solvers.verified import VerifiedSolver
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration import planning
 from sato.reconfiguration.agent_decision import Decision
-from sato.reconfiguration.draw import draw_leg, is_drawn
+from sato.reconfiguration.agent_inputs import (
+    AgentMessage,
+    as_instant,
+    as_state,
+    check_agent,
+    check_inbox,
+    select_messages,
+)
+from sato.reconfiguration.draw import draw_leg, is_drawn, with_targets
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.state import (
@@ -26,16 +34,9 @@ from sato.reconfiguration.state import (
     update_believed,
 )
 
-INSTANT_PRECISION = 1e-6  # of a control step, for times that are sums of steps
-
-
-class AgentMessage(NamedTuple):
-    """Message of an agent to all neighbors within hearing, a plain value."""
-
-    sender: int
-    instant: int
-    stage: int
-    content: Any
+# Fields of the mission that agents must have in common to decide together.
+SHARED = "axes step horizon_steps foresight_steps replan_steps auction_steps freeze_steps".split()
+SHARED += "assignment bidder_ids reset objective cost tie_break".split()
 
 
 class FlightMemory(NamedTuple):
@@ -50,6 +51,7 @@ class FlightMemory(NamedTuple):
     spent: float = 0.0  # fuel [m/s], or energy [m²/s³]
     control: Float[Array, " d"] | None = None  # held now [m/s²]
     decision: Decision | None = None
+    heard: frozenset[int] | None = None  # agents in the last round of an instant; None in the first
 
 
 class Agent:
@@ -71,7 +73,9 @@ class Agent:
 
     Args:
         mission: Mission, the same for all agents. Of `start`, an agent uses only what the margin
-            follows from; its first leg is flown, without losses and joins.
+            follows from; its first leg is flown, without losses and joins. With
+            `plan.assignment = "given"`, the only target of the leg is the agent's own; of several,
+            that of its number.
         number: Number of the agent, of its own, from 0: its index in lists for each vehicle.
         target_count: Targets m that it bids on at first; that of the mission by default, 1 for an
             agent that joins.
@@ -91,23 +95,12 @@ class Agent:
         leg_start: float | None = None,
         leg: Leg | None = None,
     ) -> None:
-        limits = mission.max_control, mission.max_speed, mission.collision_radius, mission.priority
-        lengths = [len(each) for each in limits if isinstance(each, tuple)]
-        entries = min(lengths, default=max(number, 0) + 1)
-        if not 0 <= number < entries:
-            raise ValueError(f"number must be from 0 to {entries - 1}, got {number}")
-        if mission.orders > 1 or mission.bargains or mission.assignment != "auction":
-            raise ValueError(
-                f"plan.orders = {mission.orders}, plan.bargains = {mission.bargains} and "
-                f"plan.assignment = {mission.assignment!r}: an agent bids for its target, and "
-                "resolves conflicts under one order of priority; orders = 1, bargains = 0 and "
-                "assignment = 'auction' would do"
-            )
+        check_agent(mission, number)
         if not is_drawn(mission):
             mission = mission.draw(np.random.default_rng(0))
         believed, start = target_count or mission.target_count or mission.agent_count, None
         if leg_start is not None:
-            believed, start = target_count or 1, _instant_at(mission, leg_start)
+            believed, start = target_count or 1, as_instant(mission, "leg_start", leg_start)
         self.mission, self.number = mission, number
         # Of arrays that have a row for each agent, only the row of this one counts.
         alone = np.arange(number + 1) == number
@@ -115,10 +108,11 @@ class Agent:
         m = np.full(len(alone), believed)
         self.solver = VerifiedSolver(mission.solver, mission.tolerance or TOLERANCE)
         leg = draw_leg(mission, leg, believed, start or 0) if leg else mission.legs[0]
+        leg = self._own_leg(leg)
         self.memory = FlightMemory(leg, m, begin_memory(mission, leg, m), {}, start)
 
     def step(
-        self, time: float, state: Float[Array, " n"], inbox: Sequence[AgentMessage]
+        self, time: float, state: ArrayLike, inbox: Sequence[AgentMessage]
     ) -> tuple[Float[Array, " d"], AgentMessage]:
         """Act in one round of messages.
 
@@ -137,15 +131,14 @@ class Agent:
                 made; the state is not one; or neighbors have the same number or another leg.
             OutOfTargets: The network has more agents than there are targets.
         """
-        instant = _instant_at(self.mission, time)
+        instant = as_instant(self.mission, "time", time)
+        check_inbox(self.number, inbox)
         if instant != self.memory.instant:
-            self.memory = self._begin_instant(instant, np.asarray(state, dtype=float))
+            self.memory = self._begin_instant(instant, as_state(self.mission, state))
         else:
             self.memory = self._hear(inbox)
-        memory, decision = self.memory, self.memory.decision
-        assert decision is not None and memory.control is not None
-        content = decision.stage.message
-        return memory.control, AgentMessage(self.number, instant, decision.stage_index, content)
+        assert self.memory.control is not None
+        return self.memory.control, self._message
 
     def set_targets(self, targets: Any, steps: int, **options: Any) -> None:
         """Begin another leg at the next control instant.
@@ -165,11 +158,23 @@ class Agent:
         ended = flown.believed, flown.memory, flown.leg
         believed = update_believed(self.mission, *ended, leg.recount)
         begins = 0 if flown.instant is None else flown.instant + 1
-        leg = draw_leg(self.mission, leg, int(believed[self.number]), begins)
+        leg = self._own_leg(draw_leg(self.mission, leg, int(believed[self.number]), begins))
         memory = begin_memory(self.mission, leg, believed)
         self.memory = flown._replace(
             leg=leg, believed=believed, memory=memory, plans={}, leg_start=None
         )
+
+    def _own_leg(self, leg: Leg) -> Leg:
+        """Return a leg in which the target that is given to the agent has its number."""
+        given = len(leg.targets)
+        if self.mission.assignment != "given" or self.number < given:
+            return leg
+        if given > 1:
+            raise ValueError(
+                f"agent {self.number} is given none of {given} targets: its own alone, or a list "
+                f"with an entry for each number, {self.number + 1} or more, would do"
+            )
+        return with_targets(leg, np.tile(leg.targets, (self.number + 1, 1)))
 
     @property
     def is_finished(self) -> bool:
@@ -194,8 +199,6 @@ class Agent:
 
     def _begin_instant(self, instant: int, state: Array) -> FlightMemory:
         flown, mission, leg = self.memory, self.mission, self.memory.leg
-        if state.shape != (2 * mission.axes,) or not np.isfinite(state).all():
-            raise ValueError(f"state must be {2 * mission.axes} finite numbers, got {state}")
         joins = flown.instant is None and flown.leg_start not in (None, instant)
         if flown.instant is not None:
             flown = self._end_step(instant)
@@ -203,7 +206,6 @@ class Agent:
             flown = flown._replace(leg_start=instant)
         assert flown.leg_start is not None
         k = instant - flown.leg_start
-        checksum = crc32(np.append(leg.targets, leg.steps).tobytes())
         context = DecisionContext(
             mission,
             leg,
@@ -214,11 +216,18 @@ class Agent:
             instant * mission.step,
             self.solver,
         )
-        decision = Decision.begin(
-            self.number, context, flown.plans, flown.spent, (flown.leg_start, checksum), joins
-        )
-        flown = flown._replace(instant=instant, decision=decision)
+        shared = flown.leg_start, self._checksum(leg)
+        decision = Decision.begin(self.number, context, flown.plans, flown.spent, shared, joins)
+        flown = flown._replace(instant=instant, decision=decision, heard=None)
         return flown._replace(control=self._planned_control(flown))
+
+    def _checksum(self, leg: Leg) -> int:
+        """Return a checksum of what agents must have in common to decide together."""
+        mission = self.mission
+        shared = [getattr(mission, name) for name in SHARED]
+        shared += [mission.least_separation, float(mission.top_speeds.max()), leg.steps]
+        own = b"" if mission.assignment == "given" else leg.targets.tobytes()
+        return crc32(repr(shared).encode() + own)
 
     def _end_step(self, instant: int) -> FlightMemory:
         """Count the cost and the time of the step that was flown."""
@@ -246,16 +255,22 @@ class Agent:
     def _hear(self, inbox: Sequence[AgentMessage]) -> FlightMemory:
         flown, own = self.memory, self.memory.decision
         assert own is not None
-        if any(message.sender == self.number for message in inbox):
-            raise ValueError(f"agent {self.number} hears an agent of its own number")
-        now = flown.instant, own.stage_index
-        heard = sorted((m for m in inbox if m[1:3] == now), key=lambda message: message.sender)
-        decision = own.update([message.content for message in heard])
-        flown = flown._replace(decision=decision)
-        if decision.is_finished and not own.is_finished:
+        if own.is_finished:
+            return flown
+        messages = select_messages(self.number, self._message, inbox, flown.heard)
+        decision = own.update([message.content for message in messages])
+        heard = frozenset(message.sender for message in messages)
+        flown = flown._replace(decision=decision, heard=heard)
+        if decision.is_finished:
             flown = flown._replace(memory=decision.context.memory, plans=decision.plans)
             flown = flown._replace(control=self._planned_control(flown))
         return flown
+
+    @property
+    def _message(self) -> AgentMessage:
+        decision, instant = self.memory.decision, self.memory.instant
+        assert decision is not None and instant is not None
+        return AgentMessage(self.number, instant, decision.stage_index, decision.stage.message)
 
     def _planned_control(self, flown: FlightMemory) -> Float[Array, " d"]:
         if not flown.plans:
@@ -264,7 +279,3 @@ class Agent:
         k, alone = flown.instant - flown.leg_start, self._graph.alive
         control = planning.controls_at(flown.plans, k, alone, self.mission)
         return np.asarray(control[self.number])
-
-
-def _instant_at(mission: Reconfiguration, time: float) -> int:
-    return floor(time / mission.step + INSTANT_PRECISION)

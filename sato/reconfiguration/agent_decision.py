@@ -124,7 +124,19 @@ class Decision(NamedTuple):
         decision = self._replace(members=members, diameter=diameter)
         if not has_joined and k % mission.auction_steps:
             return decision._begin_exchange()
+        if mission.assignment == "given":
+            return decision._take_given()._begin_exchange()
         return decision._share_claims(reports)._announce_terms("first")
+
+    def _take_given(self) -> "Decision":
+        """Hold the target that is given, and reset the clock where it is out of reach."""
+        cost = planning.remaining_cost(self.plans, self.context)
+        taken = assignment.assign_targets(self.context, cost)
+        decision = self._replace(context=self.context._replace(memory=taken.memory))
+        return decision._note_reset() if taken.was_reset[self.number] else decision
+
+    def _note_reset(self) -> "Decision":
+        return self._replace(events=({"kind": "reset", "agents": [self.number]},))
 
     def _share_claims(self, reports: list[Hello]) -> "Decision":
         """Take over the newest claims and the clock with the most time left, as `share_claims`."""
@@ -147,8 +159,7 @@ class Decision(NamedTuple):
         return self._replace(
             context=self.context._replace(memory=memory),
             planned_cost=np.full(len(clocks), np.inf),
-            events=({"kind": "reset", "agents": [self.number]},),
-        )
+        )._note_reset()
 
     def _announce_terms(self, attempt: Literal["first", "reset", "firm"]) -> "Decision":
         assert self.planned_cost is not None

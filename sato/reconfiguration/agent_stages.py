@@ -17,7 +17,7 @@ class Hello(NamedTuple):
     """Report of an agent at the beginning of an instant."""
 
     agent: int
-    leg: tuple[int, int]  # instant at which its leg began, and a checksum of the targets
+    leg: tuple[int, int]  # instant at which it began; checksum of targets, steps and mission
     is_due: bool  # it plans again, if this is an instant to plan
     joins: bool  # it calls for an auction at once
     clock: int
@@ -34,7 +34,8 @@ def check_census(reports: list[Hello]) -> None:
         if hello.leg != first.leg:
             raise ValueError(
                 f"agents {first.agent} and {hello.agent} hear each other and do not fly the same "
-                "leg: give all agents the same targets and steps, between the same two instants"
+                "leg of the same mission: give all agents the same targets and steps, between the "
+                "same two instants, and missions with the same plan, limits and radii"
             )
 
 

@@ -48,7 +48,7 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
         targets = _draw_targets(mission, k, leg, demand[k], mission.step * steps)
         # States of agents that are known to those that join when the next leg begins.
         known = targets if mission.uses_all_targets(leg) else targets[: demand[k]]
-        legs.append(_with_shape(leg, targets))
+        legs.append(with_targets(leg, targets))
     drawn = replace(mission, start=_as_points(start), legs=tuple(legs))
     try:
         drawn = _resolve(replace(drawn, plant=mission.draw_plant(len(states), rng)))
@@ -135,6 +135,8 @@ def draw_leg(mission: Reconfiguration, leg: Leg, demand: int, instant: int) -> L
     if is_auto(leg.steps):
         raise InputError("leg.steps", "must be a number for a leg that is set on the way")
     listed = getattr(leg.shape, "positions", None)
+    if mission.assignment == "given":
+        demand = 1 if listed is not None else mission.vehicle_count
     count = leg.count or (demand if listed is None else len(listed))
     if count < demand:
         reason = f"{count} is less than the {demand} that agents bid on"
@@ -142,10 +144,11 @@ def draw_leg(mission: Reconfiguration, leg: Leg, demand: int, instant: int) -> L
     arrival = (instant + leg.steps) * mission.step
     states = _draw_targets(mission, 0, replace(leg, count=count), count, arrival)
     _check_margin(mission, mission.margin, "takes", min_distance(states[:, : mission.axes]))
-    return _with_shape(leg, states)
+    return with_targets(leg, states)
 
 
-def _with_shape(leg: Leg, states: Float[Array, "targets n"]) -> Leg:
+def with_targets(leg: Leg, states: Float[Array, "targets n"]) -> Leg:
+    """Return a leg to these states, in this order."""
     shape = replace(_as_points(states), keep_order=not leg.is_free)
     return replace(leg, shape=shape, count=None)
 

@@ -1,0 +1,148 @@
+"""Inputs of one agent, checked: its number, its state, the time and its inbox."""
+
+from collections.abc import Sequence
+from math import floor, inf
+from numbers import Integral
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from sato.reconfiguration.mission import Reconfiguration
+
+INSTANT_PRECISION = 1e-6  # of a control step, for times that are sums of steps
+MAX_NUMBER = 4095  # of an agent: it keeps tables with a row and a column for each number
+
+
+class AgentMessage(NamedTuple):
+    """Message of an agent to all neighbors within hearing, a plain value."""
+
+    sender: int
+    instant: int
+    stage: int
+    content: Any
+
+
+def check_agent(mission: Any, number: Any) -> None:
+    """Refuse a mission that an agent cannot fly, and a number that it cannot have.
+
+    Raises:
+        ValueError: They are.
+    """
+    if not isinstance(mission, Reconfiguration):
+        raise ValueError(
+            f"mission must be a sato.Reconfiguration, got {type(mission).__name__}; "
+            'sato.read("crossing") or sato.Reconfiguration(…) would do'
+        )
+    limits = mission.max_control, mission.max_speed, mission.collision_radius, mission.priority
+    lengths = [len(each) for each in limits if isinstance(each, tuple)]
+    most = min([MAX_NUMBER, *(length - 1 for length in lengths)])
+    is_whole = isinstance(number, Integral) and not isinstance(number, bool)
+    if not is_whole or not 0 <= number <= most:
+        reason = ", the last of the mission's lists for each vehicle" if lengths else ""
+        raise ValueError(f"number must be a whole number from 0 to {most}{reason}, got {number!r}")
+    if mission.orders > 1 or mission.bargains or mission.assignment == "central":
+        raise ValueError(
+            f"plan.orders = {mission.orders}, plan.bargains = {mission.bargains} and "
+            f"plan.assignment = {mission.assignment!r}: an agent bids for its target or is "
+            "given it, and resolves conflicts under one order of priority; orders = 1, "
+            "bargains = 0 and assignment = 'auction' or 'given' would do"
+        )
+
+
+def as_instant(mission: Reconfiguration, name: str, time: Any) -> int:
+    """Return the control instant at or before a time.
+
+    Raises:
+        ValueError: The time is not one since the start of the mission.
+    """
+    if not isinstance(time, float | int | np.number) or not 0 <= time < inf:
+        raise ValueError(
+            f"{name} must be the seconds since the start of the mission, 0 or more, got {time!r}"
+        )
+    return floor(time / mission.step + INSTANT_PRECISION)
+
+
+def as_state(mission: Reconfiguration, state: Any) -> Float[Array, " n"]:
+    """Return a state as an array.
+
+    Raises:
+        ValueError: It is not as many finite numbers as the model has states.
+    """
+    n = 2 * mission.axes
+    try:
+        array = np.asarray(state, dtype=float)
+    except (TypeError, ValueError):
+        array = np.zeros(0)
+    if array.shape != (n,) or not np.isfinite(array).all():
+        raise ValueError(
+            f"state must be {n} finite numbers, position [m] and velocity [m/s], got {state!r}"
+        )
+    return array
+
+
+def check_inbox(number: int, inbox: Any) -> None:
+    """Refuse an inbox that has anything but messages of other agents.
+
+    Raises:
+        ValueError: It has.
+    """
+    if isinstance(inbox, AgentMessage) or not isinstance(inbox, Sequence):
+        raise ValueError(f"inbox must be a list of messages, got {type(inbox).__name__}")
+    for message in inbox:
+        if not isinstance(message, AgentMessage):
+            raise ValueError(
+                f"agent {number}: inbox must hold messages that other agents returned, got a "
+                f"{type(message).__name__}; leave out those of agents that have sent none"
+            )
+    if any(message.sender == number for message in inbox):
+        raise ValueError(
+            f"agent {number} hears an agent of its own number: give each its own, and leave out "
+            "its own message"
+        )
+
+
+def select_messages(
+    number: int,
+    now: AgentMessage,
+    inbox: Sequence[AgentMessage],
+    heard: frozenset[int] | None,
+) -> list[AgentMessage]:
+    """Return the messages of an agent's own instant and stage, by the number of the sender.
+
+    Args:
+        number: Number of the agent.
+        now: Its own last message.
+        inbox: All messages that it heard.
+        heard: Agents that it heard in the round before; None in the first round of an instant.
+
+    Raises:
+        ValueError: A sender is ahead of the agent, sent twice, sent something else than the agent,
+            or was not heard in the round before.
+    """
+    place = now[1:3]
+    found = sorted((m for m in inbox if m[1:3] == place), key=lambda message: message.sender)
+    senders = [message.sender for message in found]
+    where = f"agent {number}, in instant {now.instant} and stage {now.stage},"
+    cure = "in each round call each agent once, with what its neighbors returned in the last round"
+    for message in inbox:
+        if message[1:3] > place:
+            ahead = f"agent {message.sender} in instant {message.instant}, stage {message.stage}"
+            raise ValueError(f"{where} hears {ahead}: {cure}")
+    if len(set(senders)) < len(senders):
+        raise ValueError(f"{where} hears one agent twice, of agents {senders}: {cure}")
+    if heard is not None and heard != set(senders):
+        raise ValueError(
+            f"{where} hears agents {senders}, and in the round before {sorted(heard)}: who hears "
+            "whom, and who is lost, may change between two instants, not between two rounds"
+        )
+    kind = type(now.content)
+    for message in found:
+        if type(message.content) is not kind:
+            got = type(message.content).__name__
+            raise ValueError(
+                f"{where} hears {got} from agent {message.sender} in place of {kind.__name__}: "
+                "give all agents the same mission"
+            )
+    return found
