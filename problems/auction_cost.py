@@ -1,5 +1,6 @@
 """Auction costs: least fuel or energy of every agent for every target [Morgan2016, Problem 6]."""
 
+from collections.abc import Sequence
 from contextlib import suppress
 from math import isfinite
 from typing import NamedTuple
@@ -12,7 +13,8 @@ from dynamics import DiscreteModel
 from problems.avoidance import AvoidanceProblem
 from problems.conic import Unsolved
 from problems.minimum_fuel import reachability_matrix, solve_minimum_fuel
-from problems.transfer import Trajectory, TransferProblem, compute_energy, tie_break_weights
+from problems.solvers.verified import solve_program
+from problems.transfer import Solver, Trajectory, TransferProblem, compute_energy, tie_break_weights
 
 TIE_BREAK_RISE = 1e-7  # makes optima unique, at the cost of at most this part of the fuel
 
@@ -26,7 +28,10 @@ class TransferCosts(NamedTuple):
 
 
 def compute_transfer_costs(
-    transfer: TransferProblem, start: Float[Array, "agents n"], targets: Float[Array, "targets n"]
+    transfer: TransferProblem,
+    start: Float[Array, "agents n"],
+    targets: Float[Array, "targets n"],
+    solvers: Sequence[Solver] | None = None,
 ) -> TransferCosts:
     """Compute the least fuel or energy of every pair of agent and target.
 
@@ -42,6 +47,7 @@ def compute_transfer_costs(
         transfer: The remaining steps, limits and norms, the same for all agents.
         start: States of the agents.
         targets: Terminal states.
+        solvers: Solver of each agent; the default where None.
 
     Raises:
         ValueError: A state is not finite, or no step is left.
@@ -54,7 +60,8 @@ def compute_transfer_costs(
         fuel, reachable = np.full(shape, unreachable), np.zeros(shape, dtype=bool)
         for i, j in np.ndindex(*shape):
             with suppress(Unsolved):  # at the very edge of reach a solver may certify neither
-                fuel[i, j] = transfer.solve(start[i], targets[j]).fuel
+                own = solvers[i] if solvers else solve_program
+                fuel[i, j] = transfer.solve(start[i], targets[j], own).fuel
                 reachable[i, j] = True
         return TransferCosts(fuel, reachable, np.ones(shape, dtype=bool))
     b = compute_displacements(steps, start, targets).reshape(-1, start.shape[1])
@@ -93,7 +100,10 @@ def _compute_energy_costs(
 
 
 def solve_transfer(
-    transfer: TransferProblem, start: Float[Array, " n"], target: Float[Array, " n"]
+    transfer: TransferProblem,
+    start: Float[Array, " n"],
+    target: Float[Array, " n"],
+    solver: Solver = solve_program,
 ) -> Trajectory | None:
     """Solve one transfer, with the speed limit.
 
@@ -102,7 +112,7 @@ def solve_transfer(
         its infeasibility can be certified, which has been seen at the very edge of reach only.
     """
     try:
-        return AvoidanceProblem.alone(transfer, start, target).solve().trajectory
+        return AvoidanceProblem.alone(transfer, start, target, solver).solve().trajectory
     except Unsolved:
         return None
 

@@ -17,7 +17,9 @@ from scipy.sparse import csc_array, diags_array
 
 from dynamics.model import ControlSamples, StateSamples
 from problems.conic import ConicProgram
+from problems.solvers.verified import solve_program
 from problems.transfer import (
+    Solver,
     Trajectory,
     TransferProblem,
     compute_energy,
@@ -94,13 +96,18 @@ class AvoidanceProblem:
     start: Float[Array, " n"]
     goal: Float[Array, " n"]
     half_spaces: HalfSpaces
+    solver: Solver = solve_program
 
     @classmethod
     def alone(
-        cls, transfer: TransferProblem, start: Float[Array, " n"], goal: Float[Array, " n"]
+        cls,
+        transfer: TransferProblem,
+        start: Float[Array, " n"],
+        goal: Float[Array, " n"],
+        solver: Solver = solve_program,
     ) -> "AvoidanceProblem":
         """Make the problem of an agent without half-spaces."""
-        return cls(transfer, start, goal, empty_half_spaces(transfer))
+        return cls(transfer, start, goal, empty_half_spaces(transfer), solver)
 
     def select(self, rows: Array) -> "AvoidanceProblem":
         """Keep some half-spaces, by a mask or by index."""
@@ -130,7 +137,7 @@ class AvoidanceProblem:
 
         _, u, cost, constraints = self.state_cvxpy(relaxation)
         problem = cp.Problem(cp.Minimize(cost / cost_unit([self])), constraints)
-        solve_cvxpy(self, problem, self.transfer.solver)
+        solve_cvxpy(self, problem, self.solver)
         return self._make_result(
             self.transfer.simulate(self.start, np.asarray(u.value)), relaxation
         )
@@ -277,7 +284,7 @@ def solve_condensed(
         program = assemble(limited)
         if program.P is not None:
             program = replace(program, q=program.q / unit, P=program.P / unit)
-        unknowns = np.split(problems[0].transfer.solver(program).x, np.cumsum(sizes))
+        unknowns = np.split(problems[0].solver(program).x, np.cumsum(sizes))
         found = [own.extract_trajectory(x) for own, x in zip(problems, unknowns, strict=False)]
         violated = [
             np.setdiff1d(np.flatnonzero(own.transfer.is_too_fast(trajectory.x)) + 1, known)

@@ -325,6 +325,8 @@ def verify_ray(problem: ConicProgram, ray: Float[Array, " m"]) -> tuple[Float[Ar
         string where the ray shows that no feasible x has ‖x‖_∞ < 1 / RAY_TOLERANCE. Problems
         are stated in units in which their points are not that large.
     """
+    if not np.isfinite(ray).all():
+        return ray, "its ray is no certificate: it is not finite"
     y = problem.move_into_dual_cone(ray)
     against = -float(problem.b @ y)
     if not 0 < against < np.inf:

@@ -116,7 +116,7 @@ class PairProblem:
         problem = cp.Problem(
             cp.Minimize((cost + other_cost) / cost_unit(self._members)), constraints
         )
-        solve_cvxpy(self, problem, self.first.transfer.solver)
+        solve_cvxpy(self, problem, self.first.solver)
         first, second = (
             member.transfer.simulate(member.start, np.asarray(controls.value))
             for member, controls in zip(self._members, (u, v), strict=True)

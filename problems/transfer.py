@@ -57,7 +57,6 @@ class TransferProblem:
     tie_break_rise: float = 0.0  # of the weights, from the ends to the middle
     objective: Objective = "fuel"
     speed_norm: Norm = 2  # s
-    solver: Solver = solve_program  # of the programs
 
     def __post_init__(self) -> None:
         """Check the limits."""
@@ -176,7 +175,12 @@ class TransferProblem:
                 f"numbers, got {norms} with {self.max_control} and {self.max_speed}"
             )
 
-    def solve(self, start: Float[Array, " n"], target: Float[Array, " n"]) -> Trajectory:
+    def solve(
+        self,
+        start: Float[Array, " n"],
+        target: Float[Array, " n"],
+        solver: Solver = solve_program,
+    ) -> Trajectory:
         """Solve with CVXPY, which is compiled once.
 
         Raises:
@@ -188,7 +192,7 @@ class TransferProblem:
         problem, u = self._cvxpy_problem
         parameters = problem.param_dict
         parameters["start"].value, parameters["target"].value = start, target
-        solve_cvxpy(self, problem, self.solver)
+        solve_cvxpy(self, problem, solver)
         return self.simulate(start, np.asarray(u.value))
 
     def simulate(self, start: Float[Array, " n"], u: Float[Array, "T m"]) -> Trajectory:

@@ -14,7 +14,7 @@ from scipy.sparse import block_array, csc_array, eye_array, hstack, kron
 import sato
 from dynamics import discretize_zoh
 from problems.avoidance import AvoidanceProblem
-from problems.conic import ConicProgram, ConicSolution, Infeasible, Solver, svec
+from problems.conic import ConicProgram, Infeasible, SolverResult, svec
 from problems.conic import solve as solve_conic
 from problems.convexify import PassingSide, choose_normals, convexify
 from problems.desired_formation import DesiredFormation
@@ -105,11 +105,11 @@ def record_problems() -> Iterator[list[ConicProgram]]:
     """Record the programs of transfers and avoidance that are given to the default solver."""
     asked: list[ConicProgram] = []
 
-    def note(problem: ConicProgram, solver: Solver) -> ConicSolution:
+    def note(problem: ConicProgram) -> SolverResult:
         asked.append(problem)
-        return solve_conic(problem, solver)
+        return solve_clarabel(problem)
 
-    with patch("problems.solvers.verified.solve", note):
+    with patch("problems.solvers.verified.solve_clarabel", note):
         yield asked
 
 

@@ -4,8 +4,8 @@
 
 The programs are those that the default solver answers in the first runs of some scenarios, for the
 least fuel and the least energy, with speeds limited axis by axis so that their cones are linear,
-and with the Euclidean limit of the scenario. Each solver is asked as in the loop, at 1e-8, and
-its answers are verified at 1e-6; a new session a program.
+and with the Euclidean limit of the scenario. Each solver is asked by the loop's own code: at 1e-8,
+verified at 1e-6, infeasible programs with a certificate; a new session a program.
 """
 
 from collections import defaultdict
@@ -21,9 +21,9 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 import sato
-from problems.conic import TOLERANCE, ConicProgram, Unsolved, solve, verify
-from problems.solvers import SolverAdapter, load_adapters, solve_clarabel
-from problems.solvers.verified import ASKED
+from problems.conic import TOLERANCE, ConicProgram, Infeasible
+from problems.solvers import SolverAdapter, load_adapters
+from problems.solvers.verified import VerifiedSolver, solve_program
 
 PATIENCE = 0.5  # a solver that takes longer gets no further program of that kind [s]
 AGREEMENT = 1e-5  # of the objective, relative
@@ -48,9 +48,8 @@ def record_run(scenario: str, overrides: list[str]) -> list[ConicProgram]:
 def ask(adapter: SolverAdapter, program: ConicProgram, reference: float) -> Answer:
     """Give a program to a solver."""
     began = perf_counter()
-    result = adapter.open_session(program, ASKED * TOLERANCE).solve(program.b)
+    verdict = VerifiedSolver(adapter.name).answer(program)
     seconds = perf_counter() - began
-    verdict = verify(program, result, TOLERANCE)
     if verdict.kind == "infeasible":
         return Answer(bool(np.isnan(reference)), np.nan, seconds)
     if verdict.solution is None or verdict.kind != "solved":
@@ -62,8 +61,8 @@ def ask(adapter: SolverAdapter, program: ConicProgram, reference: float) -> Answ
 def reference_cost(program: ConicProgram) -> float:
     """Return the optimum by the default solver; NaN where the program is infeasible."""
     try:
-        return program.cost(solve(program, solve_clarabel).x)
-    except Unsolved:
+        return program.cost(solve_program(program).x)
+    except Infeasible:
         return np.nan
 
 

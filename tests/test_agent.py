@@ -81,7 +81,20 @@ def given(rng):
     return make_mission(spread(rng, 4), *legs, allow_undetectable=True, **changes)
 
 
-MISSIONS = [disturbed, disconnected, varying, hurried, orbiting, given]
+def warm_started(rng):
+    start = 2 * row(5, 0.0)  # programs that differ in b alone
+    leg = sato.Leg(start + np.array([0.0, 4.0]) + rng.normal(0.0, 0.1, (5, 2)), 12)
+    changes = {
+        "solver": "scs",
+        "tolerance": 1e-4,
+        "objective": "energy",
+        "max_control": 0.13,
+        "max_speed": 1.0,
+    }
+    return make_mission(start, leg, comm_radius=20.0, **changes)
+
+
+MISSIONS = [disturbed, disconnected, varying, hurried, orbiting, given, warm_started]
 
 
 @pytest.mark.parametrize("draw", MISSIONS)

@@ -78,12 +78,20 @@ class SolverAdapter:
         Raises:
             ValueError: The solver is not installed, or does not support the program.
         """
+        self.require(problem)
+        return self.session_factory(problem, tolerance)
+
+    def require(self, problem: ConicProgram) -> None:
+        """Check that the solver can take a program.
+
+        Raises:
+            ValueError: The solver is not installed, or does not support the program.
+        """
         if reason := self.refusal(problem):
             from problems.solvers import list_able
 
             able = list_able(problem) if self.is_installed else ()
             raise ValueError(f"{reason}; {', '.join(able)} can" if able else reason)
-        return self.session_factory(problem, tolerance)
 
 
 def make_result(

@@ -1,8 +1,22 @@
 """Solver of the user's choice, its answers verified, with the default solver behind it."""
 
-from problems.conic import TOLERANCE, ConicProgram, ConicSolution, Infeasible, solve, verify
-from problems.solvers import DEFAULT_SOLVER, load_adapters, solve_clarabel
+from collections.abc import Callable
+
+from problems.conic import (
+    TOLERANCE,
+    ConicProgram,
+    ConicSolution,
+    Infeasible,
+    SolverResult,
+    Unsolved,
+    Verification,
+    verify,
+    verify_ray,
+)
+from problems.phase_one import read_ray, relax_cones
+from problems.solvers import DEFAULT_SOLVER, SolverAdapter, load_adapters, solve_clarabel
 from problems.solvers.adapter import SolverSession
+from problems.solvers.clarabel import ADAPTERS
 
 ASKED = 1e-2  # of the tolerance: many solvers scale residuals by larger numbers
 
@@ -11,7 +25,8 @@ class VerifiedSolver:
     """Solver chosen by name; programs on which it fails are given to the default solver.
 
     A session stays open while programs differ in b alone, so that solvers that start from the
-    last answer do so.
+    last answer do so: their answers depend on the programs before, within the tolerance. Whoever
+    decides alone has a solver of its own.
     """
 
     def __init__(self, name: str = DEFAULT_SOLVER, tolerance: float = TOLERANCE) -> None:
@@ -19,6 +34,7 @@ class VerifiedSolver:
         self._name, self._tolerance = name, tolerance
         self._last: tuple[ConicProgram, SolverSession] | None = None
         self.fallback_count = 0  # programs that were given to the default solver
+        self.last_rejection = ""  # reason of the last of them
 
     def __call__(self, problem: ConicProgram) -> ConicSolution:
         """Solve a program.
@@ -28,22 +44,82 @@ class VerifiedSolver:
             Unsolved: The default solver stopped, or its answer fails verification.
             ValueError: The solver is not installed, or cannot take the program.
         """
-        if (self._name, self._tolerance) == (DEFAULT_SOLVER, TOLERANCE):
-            return solve(problem, solve_clarabel)
-        result = self._open_session(problem).solve(problem.b)
-        kind, solution, reason, ray = verify(problem, result, self._tolerance)
-        if kind == "infeasible":
-            raise Infeasible(problem, reason, ray)
-        if solution is not None and kind == "solved":
-            return solution
-        self.fallback_count += 1
-        return solve(problem, solve_clarabel)
+        found = self.answer(problem)
+        if found.kind not in ("solved", "infeasible") and not self._is_default:
+            self.fallback_count += 1
+            self.last_rejection = f"{self._name}: {found.reason}"
+            found = VerifiedSolver().answer(problem)
+            both = f"{self.last_rejection}; {DEFAULT_SOLVER}: {found.reason}"
+            found = found._replace(reason=both)
+        if found.kind == "infeasible":
+            raise Infeasible(problem, found.reason, found.ray)
+        if found.solution is None or found.kind != "solved":
+            raise Unsolved(problem, found.reason)
+        return found.solution
 
-    def _open_session(self, problem: ConicProgram) -> SolverSession:
-        if self._last is None or not problem.differs_in_b_only(self._last[0]):
-            session = load_adapters()[self._name].open_session(problem, ASKED * self._tolerance)
-            self._last = problem, session
-        return self._last[1]
+    def __getstate__(self) -> dict[str, object]:
+        """Leave out the session, which few libraries can copy."""
+        return self.__dict__ | {"_last": None}
+
+    @property
+    def _is_default(self) -> bool:
+        return (self._name, self._tolerance) == (DEFAULT_SOLVER, TOLERANCE)
+
+    def answer(self, problem: ConicProgram) -> Verification:
+        """Ask the chosen solver alone, and verify its answer.
+
+        Where the solver calls a program infeasible without a certificate, or never gives one, it
+        is asked for the least violation too, whose duals are one; the default solver wherever it
+        fails. An exception of a library is a failure, with the message as its reason.
+
+        Raises:
+            ValueError: The solver is not installed, or cannot take the program.
+        """
+        adapter = ADAPTERS[0] if self._name == DEFAULT_SOLVER else load_adapters()[self._name]
+        is_open = self._last is not None and problem.differs_in_b_only(self._last[0])
+        if not (is_open or self._is_default):
+            self._last = None
+            adapter.require(problem)
+        result = _ask(lambda: self._solve(adapter, problem))
+        found = verify(problem, result, self._tolerance)
+        if found.kind in ("solved", "infeasible"):
+            return found
+        self._last = None  # no start for the next
+        if found.kind == "unproven" or self._is_default or not adapter.certifies_infeasibility:
+            return _certify(adapter, problem, found)
+        return found
+
+    def _solve(self, adapter: SolverAdapter, problem: ConicProgram) -> SolverResult:
+        if self._is_default:
+            return solve_clarabel(problem)
+        if self._last is None:
+            self._last = problem, adapter.session_factory(problem, ASKED * self._tolerance)
+        return self._last[1].solve(problem.b)
+
+
+def _ask(solve: Callable[[], SolverResult]) -> SolverResult:
+    """Return the result of a solve; an exception of the library is its message."""
+    try:
+        return solve()
+    except MemoryError:
+        raise
+    except Exception as error:  # libraries raise what they like
+        return SolverResult("stopped", f"{type(error).__name__}: {error}")
+
+
+def _certify(adapter: SolverAdapter, problem: ConicProgram, found: Verification) -> Verification:
+    """Replace a verdict where the duals of the least violation certify infeasibility."""
+    relaxed = relax_cones(problem)
+    if adapter.refusal(relaxed):
+        return found
+    make = adapter.session_factory
+    result = _ask(lambda: make(relaxed, ASKED * TOLERANCE).solve(relaxed.b))
+    if result.y is None:
+        return found
+    ray, objection = verify_ray(problem, read_ray(problem, result.y))
+    if objection:
+        return found._replace(reason=f"{found.reason}; of the least violation, {objection}")
+    return Verification("infeasible", None, "by the duals of the least violation", ray)
 
 
 solve_program = VerifiedSolver()

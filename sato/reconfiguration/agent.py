@@ -214,7 +214,7 @@ class Agent:
             flown.memory,
             k,
             instant * mission.step,
-            self.solver,
+            [self.solver] * (self.number + 1),
         )
         shared = flown.leg_start, self._checksum(leg)
         decision = Decision.begin(self.number, context, flown.plans, flown.spent, shared, joins)

@@ -312,7 +312,9 @@ def _costs_of(
         is_there &= error[..., d:].max(axis=2) <= mission.velocity_tolerance
         return CostTable(tie, is_there, np.ones_like(is_there))
     transfer = context.make_transfer(model, int(agents[0]))
-    found = auction_cost.compute_transfer_costs(transfer, state, leg.targets)
+    found = auction_cost.compute_transfer_costs(
+        transfer, state, leg.targets, [context.solver_of(i) for i in agents.tolist()]
+    )
     cost = _cost_scale(mission, leg, model) * found.cost
     if mission.cost == "distance":
         cost = auction_cost.compute_distances(model, state, leg.targets)
@@ -325,7 +327,7 @@ def refine_cost(context: DecisionContext, table: CostTable, i: int, j: int) -> N
     mission, leg, x = context.mission, context.leg, context.state[i]
     model = context.remaining_model(int(context.memory.clock[i]))
     problem = context.make_transfer(model, i)
-    transfer = auction_cost.solve_transfer(problem, x, leg.targets[j])
+    transfer = auction_cost.solve_transfer(problem, x, leg.targets[j], context.solver_of(i))
     tie = _tie_break(mission, leg, model, x[None])[0, j]
     table.is_exact[i, j], table.is_reachable[i, j] = True, transfer is not None
     if transfer is None:

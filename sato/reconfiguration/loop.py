@@ -44,7 +44,8 @@ class _Flight:
         m = np.where(self.alive, mission.target_count or int(self.alive.sum()), 1)
         self.believed, self.memory = m, state.AgentMemory.initial(m)
         self.plans: planning.Plans = {}
-        self.solver = VerifiedSolver(mission.solver, mission.tolerance or TOLERANCE)
+        tolerance = mission.tolerance or TOLERANCE
+        self.solvers = [VerifiedSolver(mission.solver, tolerance) for _ in m]  # its own each
         self.spent = np.zeros(len(m))  # fuel [m/s], or energy [m²/s³]
         self.events: list[state.Event] = []  # since the last frame
 
@@ -69,7 +70,7 @@ class _Flight:
                 time = self.step_index * mission.step
                 self._decide(
                     state.DecisionContext(
-                        mission, self.leg, deciding, measured, self.memory, k, time, self.solver
+                        mission, self.leg, deciding, measured, self.memory, k, time, self.solvers
                     ),
                     bids,
                 )
@@ -132,7 +133,7 @@ class _Flight:
         return decisions
 
     def _decide(self, context: state.DecisionContext, bids: bool) -> None:
-        solves, fallbacks = 0, self.solver.fallback_count
+        solves, fallbacks = 0, np.array([own.fallback_count for own in self.solvers])
         if bids:
             decision = assign_targets(context, planning.remaining_cost(self.plans, context))
             memory, solves = decision.memory, decision.solve_count
@@ -146,8 +147,11 @@ class _Flight:
         planned, events = planning.plan_trajectories(context, self.spent, self.plans, solves)
         self.plans = self.plans | planned
         self.events += events
-        if rejected := self.solver.fallback_count - fallbacks:
-            self.events.append({"kind": "fallback", "agents": [], "programs": rejected})
+        rejected = np.array([own.fallback_count for own in self.solvers]) - fallbacks
+        if rejected.any():
+            reasons = {self.solvers[i].last_rejection for i in np.flatnonzero(rejected)}
+            more = {"programs": int(rejected.sum()), "reasons": sorted(reasons)}
+            self._note("fallback", rejected > 0, **more)
 
     def _propagate(self, control: Array, applied: Array) -> None:
         mission, steps, clock = self.mission, self.leg.steps, self.memory.clock

@@ -216,6 +216,7 @@ def plan_alone(
                 priority=(_priority_class(mission, i, len(model)), -float(spent[i]), i),
                 target_state=leg.targets[memory.target_index[i]],
                 transfer=transfer,
+                solver=context.solver_of(i),
                 horizon=own,
                 solo=solo,
                 nominal=solo,

@@ -1,5 +1,6 @@
 """Trajectories of the agents without regard to each other: iterate 0 of conflict resolution."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,8 @@ from numpy import ndarray as Array
 from dynamics.discretize import DiscreteModel, linearize_along
 from problems.auction_cost import solve_transfer
 from problems.minimum_fuel import solve_minimum_fuel
-from problems.transfer import Trajectory, TransferProblem
+from problems.solvers.verified import solve_program
+from problems.transfer import Solver, Trajectory, TransferProblem
 from sato.reconfiguration.state import DecisionContext
 from sato.scp.planner import minimize_terminal_error
 
@@ -39,38 +41,49 @@ def solve_solo_trajectories(
     """
     mission, state = context.mission, context.state[agents]
     targets = context.leg.targets[context.memory.target_index[agents]]
+    solvers = [context.solver_of(i) for i in agents]
     shared = context.make_transfer(model, agents[0], TIE_BREAK_RISE)
-    found, solves = solve_solo_transfers(shared, state, targets)
+    found, solves = solve_solo_transfers(shared, state, targets, solvers)
     problems = [shared] * len(agents)
-    each = list(zip(state, targets, previous, strict=True))
+    each = list(zip(state, targets, previous, solvers, strict=True))
     if mission.nonlinear_model is not None and len(model):
         nominal = [f or _fallback(shared, *own) for f, own in zip(found, each, strict=True)]
         x, u = (np.stack(part) for part in zip(*(f[:2] for f in nominal), strict=True))
         steps = linearize_along(mission.nonlinear_model, x, u, mission.step, context.time)
         problems = [replace(shared, model=steps.for_agent(i)) for i in range(len(agents))]
         for i, problem in enumerate(problems):
-            (found[i],), count = solve_solo_transfers(problem, state[[i]], targets[[i]])
+            own = state[[i]], targets[[i]], solvers[i : i + 1]
+            (found[i],), count = solve_solo_transfers(problem, *own)
             solves += count
     each_found = list(zip(agents, problems, found, each, strict=True))
     trajectories = [f or _fallback(problem, *own) for _, problem, f, own in each_found]
-    unreachable = [i for i, _, f, (_, _, rest) in each_found if f is None and rest is None]
+    unreachable = [i for i, _, f, (_, _, rest, _) in each_found if f is None and rest is None]
     return problems, trajectories, unreachable, solves + len(unreachable)
 
 
 def solve_solo_transfers(
-    transfer: TransferProblem, start: Float[Array, "agents n"], targets: Float[Array, "agents n"]
+    transfer: TransferProblem,
+    start: Float[Array, "agents n"],
+    targets: Float[Array, "agents n"],
+    solvers: Sequence[Solver] = (),
 ) -> tuple[list[Trajectory | None], int]:
     """Solve one transfer for many agents, and count the programs solved one by one.
+
+    Args:
+        transfer: Dynamics and limits, the same for all.
+        start: States of the agents.
+        targets: Target of each.
+        solvers: Solver of each; the default where empty.
 
     Returns:
         Trajectories; None where the target is out of reach.
     """
-    model = transfer.model
+    model, solvers = transfer.model, solvers or [solve_program] * len(start)
     if len(model) == 0:
         return [transfer.simulate(x, np.zeros((0, model.axes))) for x in start], 0
     if transfer.objective == "energy" or not transfer.is_condensable:
-        each = zip(start, targets, strict=True)
-        return [solve_transfer(transfer, x, target) for x, target in each], len(start)
+        each = zip(start, targets, solvers, strict=True)
+        return [solve_transfer(transfer, *own) for own in each], len(start)
     b = targets - model.simulate(start, np.zeros((len(start), len(model), model.axes)))[:, -1]
     u = solve_minimum_fuel(model, b, transfer.max_control, transfer.weights).u
     x = model.simulate(start, u)
@@ -81,7 +94,7 @@ def solve_solo_transfers(
     ]
     too_fast = np.flatnonzero(transfer.is_too_fast(x).any(axis=1))
     for i in too_fast.tolist():
-        found[i] = solve_transfer(transfer, start[i], targets[i])
+        found[i] = solve_transfer(transfer, start[i], targets[i], solvers[i])
     return found, len(too_fast)
 
 
@@ -96,9 +109,13 @@ def relinearize(
 
 
 def _fallback(
-    transfer: TransferProblem, start: Array, target: Array, rest: Float[Array, "T m"] | None
+    transfer: TransferProblem,
+    start: Array,
+    target: Array,
+    rest: Float[Array, "T m"] | None,
+    solver: Solver,
 ) -> Trajectory:
     # Where the target is out of reach: the rest of the previous plan, or as near as can be.
     if rest is None:
-        return minimize_terminal_error(transfer, start, target)
+        return minimize_terminal_error(transfer, start, target, solver)
     return transfer.simulate(start, rest)

@@ -1,5 +1,6 @@
 """State of a reconfiguration: memory of the agents, context of a decision, recorded frame."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
@@ -8,8 +9,8 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from dynamics.discretize import DiscreteModel, discretize_zoh
-from problems.solvers.verified import VerifiedSolver, solve_program
-from problems.transfer import TransferProblem
+from problems.solvers.verified import solve_program
+from problems.transfer import Solver, TransferProblem
 from sato.interfaces import (
     HELD,
     Alive,
@@ -91,7 +92,11 @@ class DecisionContext(NamedTuple):
     memory: AgentMemory
     step_index: int  # since the start of the leg
     time: float  # since the start of the mission [s]
-    solver: VerifiedSolver = solve_program
+    solvers: Sequence[Solver] = ()  # of each agent; the default where empty
+
+    def solver_of(self, agent: int) -> Solver:
+        """Return the agent's own solver."""
+        return self.solvers[agent] if self.solvers else solve_program
 
     def group_agents(self) -> list[tuple[int, Int[Array, "..."]]]:
         """Group the agents that decide by their clocks and limits."""
@@ -112,8 +117,7 @@ class DecisionContext(NamedTuple):
         self, model: DiscreteModel, agent: int, tie_break_rise: float = 0.0
     ) -> TransferProblem:
         """Make the transfer problem of an agent over some steps."""
-        objective, solver = self.mission.objective, self.solver
-        options = {"objective": objective, "solver": solver, "tie_break_rise": tie_break_rise}
+        options = {"objective": self.mission.objective, "tie_break_rise": tie_break_rise}
         return self.mission.make_transfer(model, agent, **options)
 
 

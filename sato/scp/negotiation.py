@@ -172,7 +172,7 @@ def _make_offer(negotiator: Negotiator, inbox: list[TrajectoryMessage]) -> Negot
     half_spaces = convexify.convexify(horizon, len(u), neighbor_points, normals)
     # Among trajectories of equal fuel a tie-break keeps to one that may leave others less room.
     transfer = agent.without_tie_break.transfer
-    problem = AvoidanceProblem(transfer, x[0], agent.target_state, half_spaces)
+    problem = AvoidanceProblem(transfer, x[0], agent.target_state, half_spaces, agent.solver)
     is_there = agent.reaches_target(agent.nominal)
     offer = Offer(negotiator.agent_id, problem, agent.nominal, points, is_there, neighbor_points)
     return negotiator._replace(planner=agent, offer=offer)

@@ -11,7 +11,8 @@ from numpy import ndarray as Array
 from problems import convexify
 from problems.avoidance import AvoidanceProblem, AvoidanceResult, HalfSpaces, Relaxation
 from problems.conic import Unsolved
-from problems.transfer import Trajectory, TransferProblem
+from problems.solvers.verified import solve_program
+from problems.transfer import Solver, Trajectory, TransferProblem
 
 ACTIVE_TOLERANCE = 1e-3  # of R: a half-space with less room than this may be active
 VIOLATION_TOLERANCE = 1e-7  # of R: a half-space violated by more joins the program
@@ -63,6 +64,7 @@ class Planner(NamedTuple):
     nominal: Trajectory
     control_points: Float[Array, "pieces 4 d"]  # of the nominal, over the horizon
     relinearize: Callable[[Trajectory], TransferProblem] | None = None  # None: model is linear
+    solver: Solver = solve_program  # its own
     is_final: bool = False
     has_converged: bool = True  # True where the nominal solves its last program, or needed none
     last_inbox: tuple[TrajectoryMessage, ...] = ()  # of higher priority, in the last program
@@ -193,7 +195,7 @@ def _solve_avoidance(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Pl
         if stops:  # come to rest where it is, as nearly as it can
             start, d = agent.nominal.x[0], nominal.shape[-1]
             rest = np.concatenate([start[:d], np.zeros(d)])
-            stopping = minimize_terminal_error(agent.transfer, start, rest)
+            stopping = minimize_terminal_error(agent.transfer, start, rest, agent.solver)
             about = agent.horizon.control_points(stopping.x, stopping.u)
         else:
             about = nominal
@@ -205,11 +207,12 @@ def _solve_avoidance(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Pl
 
 
 def minimize_terminal_error(
-    transfer: TransferProblem, start: Float[Array, " n"], target: Float[Array, " n"]
+    transfer: TransferProblem, start: Float[Array, " n"], target: Float[Array, " n"], solver: Solver
 ) -> Trajectory:
     """Return the trajectory that ends nearest the target; free motion if none is found."""
     try:
-        return AvoidanceProblem.alone(transfer, start, target).solve("terminal").trajectory
+        own = AvoidanceProblem.alone(transfer, start, target, solver)
+        return own.solve("terminal").trajectory
     except Unsolved:
         return transfer.simulate(start, np.zeros(transfer.model.B.shape[::2]))
 
@@ -257,7 +260,8 @@ def _solve_active_set(
         active |= _select_worst_per_step(
             half_spaces.step_index, np.where(active, 0.0, violation), VIOLATION_TOLERANCE * R
         )
-        problem = AvoidanceProblem(transfer, nominal.x[0], target, half_spaces.select(active))
+        rows, solver = half_spaces.select(active), agent.solver
+        problem = AvoidanceProblem(transfer, nominal.x[0], target, rows, solver)
         result = problem.solve(relaxation)
         trajectory = result.trajectory
         violation = half_spaces.violation(trajectory.x, trajectory.u) - result.slack
