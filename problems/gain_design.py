@@ -13,7 +13,7 @@ from problems import gain_admm
 from problems.conic import Unsolved
 from problems.desired_formation import DesiredFormation
 from problems.gain_admm import RATE_TOLERANCE
-from problems.gain_matrix import GainMatrix
+from problems.gain_matrix import GainMatrix, validate_gains, validate_rate
 from problems.gain_problem import MIN_RATE, Axes, GainProblem, GainSolution, NoGainMatrix
 
 __all__ = ["GainDesignUndecided", "GainMatrix", "NoStabilizingGain", "design_gains"]
@@ -106,8 +106,11 @@ def design_gains(
     Raises:
         NoStabilizingGain: There are none, with the proof.
         GainDesignUndecided: The method found neither stable gains nor that proof.
-        ValueError: The method is unknown.
+        Unsolved: The solver of "sdp" failed.
+        ValueError: The method is unknown, or the tolerance is not positive.
     """
+    if not tolerance > 0:
+        raise ValueError(f"tolerance must be positive, got {tolerance}")
     # On busy cores a second thread only waits.
     with _blas_libraries().limit(limits=1, user_api="blas"):
         xy, bound_xy, method_xy = _design_axes(formation, "xy", method, tolerance)
@@ -142,6 +145,11 @@ def _design_axes(
         raise NoStabilizingGain(formation, axes, Y)
     if rate <= MIN_RATE:
         raise GainDesignUndecided(formation, axes, used, rate, bound)
+    try:
+        validate_gains(formation, axes, -L)
+        validate_rate(axes, rate, bound)
+    except ValueError as error:  # points so close that rounding decides: no gains were found
+        raise GainDesignUndecided(formation, axes, used, 0.0, bound) from error
     return L, bound, used
 
 

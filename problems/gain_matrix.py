@@ -42,16 +42,11 @@ class GainMatrix:
 
     def __post_init__(self) -> None:
         """Refuse gains that are unstable or of another formation, and wrong bounds."""
-        _validate_gains(self.formation, "xy", self.xy)
-        _validate_gains(self.formation, "z", self.z)
+        validate_gains(self.formation, "xy", self.xy)
+        validate_gains(self.formation, "z", self.z)
         _validate_mean(self)
-        if not self.convergence_rate > 0:
-            raise ValueError(f"the gains are not stable: their rate is {self.convergence_rate:.1e}")
-        rates = ("xy", self.rate_xy, self.bound_xy), ("z", self.rate_z, self.bound_z)
-        for axes, rate, bound in rates:
-            if not bound >= rate * (1 - RESIDUAL_TOLERANCE):
-                text = f"must be at least the rate {rate:.6g}, got {bound:.6g}"
-                raise ValueError(f"bound_{axes}: {text}")
+        validate_rate("xy", self.rate_xy, self.bound_xy)
+        validate_rate("z", self.rate_z, self.bound_z)
 
     @property
     def convergence_rate(self) -> float:
@@ -196,7 +191,24 @@ def _graph_residual(formation: DesiredFormation, A: Array) -> float:
     return float(np.abs(A[absent]).max(initial=0.0))
 
 
-def _validate_gains(formation: DesiredFormation, axes: Axes, A: Array) -> None:
+def validate_rate(axes: Axes, rate: float, bound: float) -> None:
+    """Refuse unstable gains of one direction, and a bound below their rate.
+
+    Raises:
+        ValueError: They are.
+    """
+    if not rate > 0:
+        raise ValueError(f"the gains for {axes} are not stable: their rate is {rate:.1e}")
+    if not bound >= rate * (1 - RESIDUAL_TOLERANCE):
+        raise ValueError(f"bound_{axes}: must be at least the rate {rate:.6g}, got {bound:.6g}")
+
+
+def validate_gains(formation: DesiredFormation, axes: Axes, A: Array) -> None:
+    """Refuse gains of one direction that belong to another formation.
+
+    Raises:
+        ValueError: They are.
+    """
     n = len(formation.points)
     if A.shape != (n, n):
         raise ValueError(f"{n} points need {n} × {n} gains, got {A.shape} for {axes}")

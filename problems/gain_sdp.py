@@ -43,7 +43,10 @@ def solve(problem: GainProblem) -> GainSolution:
     program = cp.Problem(cp.Maximize(t), constraints)
     with catch_warnings():
         filterwarnings("ignore", "Solution may be inaccurate")  # the bound below decides
-        program.solve(solver=cp.CLARABEL, max_threads=1)
+        try:
+            program.solve(solver=cp.CLARABEL, max_threads=1)
+        except cp.error.SolverError as error:
+            raise Unsolved(problem, "Clarabel failed, at the limits of its numbers") from error
     if Z.value is None:
         raise Unsolved(problem, f"Clarabel stopped without a point: {program.status}")
 

@@ -6,7 +6,12 @@ from gain_examples import complete, ring
 from hypothesis import given
 from hypothesis import strategies as st
 
-from problems.desired_formation import DesiredFormation, _validate_graph
+from problems.desired_formation import (
+    DesiredFormation,
+    _as_graph,
+    _as_points,
+    _validate_graph,
+)
 
 
 def spans(kernel, column):
@@ -89,3 +94,27 @@ def test_a_disconnected_part_is_named_and_long_lists_are_cut(rng):
     graph[:12, :12], graph[12:, 12:] = ring(12), ring(18)
     with pytest.raises(ValueError, match="joins vertices 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, … to"):
         DesiredFormation(rng.normal(size=(n, 3)), graph)
+
+
+def test_lists_and_integers_are_the_formation_of_the_same_numbers():
+    points = np.round(5 * POINTS)
+    assert np.array_equal(_as_points(points.astype(int).tolist()), points)
+    assert _as_points(points.astype(int)).dtype == float and _as_points(points) is points
+    assert np.array_equal(_as_graph(FULL.astype(int).tolist()), FULL) and _as_graph(FULL) is FULL
+
+
+@pytest.mark.parametrize(
+    ("function", "value", "told"),
+    [
+        (_as_points, POINTS[:, :2], r"rows of three real numbers \[m\], got .* shape \(6, 2\)"),
+        (_as_points, POINTS + 1j, "real numbers .* complex128"),
+        (_as_points, np.ma.masked_array(POINTS), "points must not be a masked array"),
+        (_as_points, [[0, 0, 0], [1, 1]], "points must have rows of one length"),
+        (_as_graph, FULL * 0.5, "True and False, or of 1 and 0"),
+        (_as_graph, None, "True and False, or of 1 and 0"),
+    ],
+)
+def test_what_is_no_matrix_of_points_or_edges_is_refused(function, value, told):
+    # In tests, the annotated shapes would be refused before the formation converts them.
+    with pytest.raises(ValueError, match=told):
+        function(value)

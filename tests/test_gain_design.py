@@ -1,5 +1,6 @@
 """Design of formation gains: certificates, special shapes and proofs of nonexistence."""
 
+import cvxpy as cp
 import numpy as np
 import pytest
 from gain_examples import complete, graph_of, joined_parts, pyramid, random_formation, ring
@@ -104,11 +105,27 @@ def test_the_better_solution_survives_a_failure_of_the_general_solver(monkeypatc
     assert problem.rate_bound(helped.Y) < problem.rate_bound(first.Y)
     assert _improve_with_sdp(problem, helped, 1e-2) == (helped, "admm")
 
-    def failing(problem):
-        raise Unsolved(problem, "it stopped")
+    def failing(*_, **__):
+        raise cp.error.SolverError("it stopped")
 
-    monkeypatch.setattr(gain_sdp, "solve", failing)
+    monkeypatch.setattr(cp.Problem, "solve", failing)
     assert _improve_with_sdp(problem, first, 5e-4)[0] == first
+    with pytest.raises(Unsolved, match="Clarabel failed"):
+        gain_sdp.solve(problem)
+
+
+def test_points_too_close_for_rounding_leave_the_gains_undecided():
+    rng = np.random.default_rng(394)
+    formation = random_formation(rng, int(rng.integers(4, 9)), rng.uniform(0.2, 1))
+    spread = rng.normal(size=formation.points.shape) * 9e-5
+    on_a_grid = np.round(formation.points / 5) * [5, 5, 0] + spread
+    with pytest.raises(GainDesignUndecided, match=r"rates up to .* are not excluded"):
+        design_gains(DesiredFormation(on_a_grid, formation.graph))
+
+
+def test_a_tolerance_is_positive():
+    with pytest.raises(ValueError, match="tolerance must be positive, got nan"):
+        design_gains(pyramid(), tolerance=np.nan)
 
 
 FLAT = np.array([[0.0, 0, 1], [4, 0, 1], [5, 3, 1], [1, 4, 1], [-2, 2, 1], [2, 1, 1]])

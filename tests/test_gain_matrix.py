@@ -8,7 +8,7 @@ from gain_examples import graph_of
 
 from problems.desired_formation import DesiredFormation
 from problems.gain_design import GainMatrix, design_gains
-from problems.gain_matrix import _validate_gains
+from problems.gain_matrix import validate_gains
 from sato.shapes.formation_library import load_formation, random_sparse_graph
 
 
@@ -99,7 +99,7 @@ def test_file_with_a_wrong_field_is_refused_with_the_reason(tmp_path, changes, w
 def test_gains_of_another_size_are_refused():
     # In tests, the annotated shape would be refused before the validation runs.
     with pytest.raises(ValueError, match=r"6 points need 6 × 6 gains, got \(5, 5\) for xy"):
-        _validate_gains(pyramid(), "xy", np.eye(5))
+        validate_gains(pyramid(), "xy", np.eye(5))
 
 
 def test_unstable_gains_are_refused(rng):
