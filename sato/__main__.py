@@ -1,5 +1,17 @@
-"""Command line as `python -m sato`."""
+"""Command line: `sato`, and `python -m sato`."""
 
-from sato.cli import main
+import signal
 
-main()
+
+def main() -> None:
+    """Run the command line."""
+    # While modules load, Ctrl-C has nothing to lose, and an exception would print where it arose.
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from sato.cli import main as run
+
+    run()
+
+
+if __name__ == "__main__":
+    main()

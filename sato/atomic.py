@@ -5,6 +5,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from errno import EEXIST
 from pathlib import Path
 
 
@@ -12,7 +13,8 @@ from pathlib import Path
 def replace_atomically(path: Path) -> Iterator[Path]:
     """Yield a path to write a file or a folder to, and move it into place if all went well.
 
-    Whatever is at the final path is kept until then, and replaced as a whole.
+    Whatever is at the final path is kept until then, and replaced as a whole; where that is a
+    link, what it leads to is.
 
     Args:
         path: Final path; its folder is made if it is missing.
@@ -21,17 +23,20 @@ def replace_atomically(path: Path) -> Iterator[Path]:
         OSError: Nothing can be written there; the error names the final path.
     """
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=".saving-", dir=path.parent) as folder:
-            new, old = Path(folder, path.name), Path(folder, "old")
+        final = Path(os.path.realpath(path))
+        if final.exists() and not (final.is_file() or final.is_dir()):
+            raise FileExistsError(EEXIST, "is neither a file nor a folder, and stays as it is")
+        final.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".saving-", dir=final.parent) as folder:
+            new, old = Path(folder, path.name), Path(folder, f".{path.name}")
             yield new
-            if path.is_dir():  # the system replaces files, but no folders
-                os.rename(path, old)
             try:
-                os.replace(new, path)
+                if final.is_dir():  # the system replaces files, but no folders
+                    os.rename(final, old)
+                os.replace(new, final)
             except BaseException:
-                if old.exists():
-                    os.rename(old, path)
+                if old.exists() and not final.exists():
+                    os.rename(old, final)
                 raise
             shutil.rmtree(old, ignore_errors=True)
     except OSError as error:

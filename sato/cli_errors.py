@@ -1,11 +1,16 @@
 """End of a command: errors as one sentence, and exit codes."""
 
 import os
+import signal
 import sys
 import warnings
+from _thread import interrupt_main
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from shutil import rmtree
 from tempfile import TemporaryDirectory, mkdtemp
+from threading import Timer
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -26,7 +31,7 @@ class CommandGroup(TyperGroup):
     def invoke(self, ctx: Any) -> Any:
         """Run a command."""
         try:
-            with warnings.catch_warnings():
+            with _interrupts_raised(), warnings.catch_warnings():
                 warnings.showwarning = _print_warning
                 return super().invoke(ctx)
         except BrokenPipeError:
@@ -37,9 +42,32 @@ class CommandGroup(TyperGroup):
         except (Exception, KeyboardInterrupt) as error:
             if type(error).__module__.startswith(("click", "typer")):
                 raise
+            exec("")  # Python ends itself by the signal where one arose in code from a string
             sentence, code = _describe(error)
             typer.echo(f"sato: {' '.join(sentence.split())}", err=True)
             raise typer.Exit(code) from None
+
+
+@contextmanager
+def _interrupts_raised() -> Iterator[None]:
+    # Ctrl-C raises KeyboardInterrupt in a command, and does nothing once its work is done.
+    if signal.getsignal(signal.SIGINT) != signal.SIG_DFL:
+        yield
+        return
+    sys.unraisablehook = _raise_again
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _raise_again(unraisable: Any) -> None:
+    # Python drops what is raised in a callback, such as that of a weak reference.
+    if unraisable.exc_type is KeyboardInterrupt:
+        Timer(0.01, interrupt_main).start()
+    else:
+        sys.__unraisablehook__(unraisable)
 
 
 def ensure_writable(folder: Path) -> None:
@@ -76,10 +104,10 @@ def save_somewhere(flown: "Run", folder: Path) -> None:
 
 
 def _describe(error: BaseException) -> tuple[str, int]:
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted; every file is whole, the earlier or the new one", EXIT_FAILED
     from sato.record import RunFileError
 
-    if isinstance(error, KeyboardInterrupt):
-        return "interrupted; nothing was written", EXIT_FAILED
     if isinstance(error, OSError):
         return f"{error.filename or 'the output'}: {error.strerror or error}", EXIT_FAILED
     if isinstance(error, InputError | ScenarioError | RunFileError):

@@ -118,5 +118,7 @@ def animate(
                     if progress is not None:
                         progress(i, len(positions))
         except (BrokenPipeError, CalledProcessError) as error:
+            if isinstance(error.__context__, KeyboardInterrupt):  # ffmpeg got it too
+                raise error.__context__ from None
             raise OSError(EIO, "ffmpeg could not write the film: is the disk full?") from error
     return path

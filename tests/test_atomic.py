@@ -1,5 +1,6 @@
 """Files under final names: the earlier one or a whole new one, however a process ends."""
 
+import os
 import subprocess
 import sys
 
@@ -37,3 +38,35 @@ def test_an_interrupted_writer_leaves_nothing_but_what_was_there(tmp_path, error
         raise error
     assert [p.name for p in tmp_path.iterdir()] == ["oem"]
     assert (tmp_path / "oem" / "a.oem").read_text() == "earlier"
+
+
+def test_a_link_stays_and_what_it_leads_to_is_replaced(tmp_path):
+    (tmp_path / "run.nc").write_text("earlier")
+    (tmp_path / "link").symlink_to("run.nc")
+    with replace_atomically(tmp_path / "link") as new:
+        new.write_text("whole")
+    assert (tmp_path / "link").is_symlink() and (tmp_path / "run.nc").read_text() == "whole"
+
+
+def test_what_is_no_file_is_not_replaced(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(OSError, match="neither a file nor a folder"):
+        replace_atomically(tmp_path / "pipe").__enter__()
+    assert (tmp_path / "pipe").is_fifo()
+
+
+@pytest.mark.parametrize("name", ["old", "oem"])
+def test_a_folder_of_any_name_is_replaced_or_kept(tmp_path, name, monkeypatch):
+    (tmp_path / name).mkdir()
+    with replace_atomically(tmp_path / name) as new:
+        new.mkdir()
+        (new / "a").write_text("whole")
+    assert (tmp_path / name / "a").read_text() == "whole"
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "replace", interrupt)
+    with pytest.raises(KeyboardInterrupt), replace_atomically(tmp_path / name) as new:
+        new.mkdir()
+    assert [p.name for p in (tmp_path / name).iterdir()] == ["a"]

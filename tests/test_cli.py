@@ -371,6 +371,36 @@ def test_an_end_without_a_run_is_a_sentence(home, monkeypatch, error, said):
     assert not (home / "here").exists()
 
 
+INTERRUPTED = """
+import signal, sys, weakref
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background
+import sato
+from sato.__main__ import main
+
+def load(path):
+    {}
+
+sato.load = load
+sys.argv = ["sato", "check", "here"]
+main()
+"""
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        'exec("signal.raise_signal(signal.SIGINT)")',
+        "a = {1}; b = weakref.ref(a, lambda _: signal.raise_signal(signal.SIGINT)); a = 0\n"
+        "    for _ in range(10**9): pass",
+    ],
+)
+def test_an_interrupt_is_told_in_a_sentence_wherever_it_arises(body):
+    code = INTERRUPTED.format(body)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.startswith("sato: interrupted; every file is whole")
+
+
 def test_the_list_of_scenarios_has_a_line_each(home):
     result = call("scenarios")
     assert result.exit_code == 0
