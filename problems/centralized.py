@@ -13,13 +13,13 @@ from itertools import combinations
 from math import ceil, inf
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from dynamics.bezier_kernels import closest_pair
 from dynamics.discretize import discretize_zoh
 from dynamics.model import ControlSamples, LinearModel, StateSamples
-from dynamics.trajectory_geometry import hull_distance, min_distance
+from dynamics.trajectory_geometry import hull_distance
 from problems.centralized_nlp import (
     MIN_DISTANCE,
     AgentStates,
@@ -49,31 +49,47 @@ MAX_PADDING = 1e-4  # of R, largest increase per iteration; smaller violations a
 class CentralizedProblem:
     """Joint transfers of all agents without collisions.
 
-        minimize    Δt Σᵢ Σₖ ‖uᵢ[k]‖₁,  or  Δt Σᵢ Σₖ ‖uᵢ[k]‖₂²
+        minimize    Δt Σᵢ Σₖ ‖uᵢ[k]‖_q,  or  Δt Σᵢ Σₖ ‖uᵢ[k]‖₂²
         subject to  xᵢ[k+1] = A[k] xᵢ[k] + B[k] uᵢ[k] + z[k]     (10)
-                    ‖uᵢ[k]‖_∞ ≤ U                                (12)
+                    ‖uᵢ[k] / Uᵢ‖_r ≤ 1                           (12)
                     xᵢ[0] = startᵢ,  xᵢ[T] = goalᵢ               (14), (18)
-                    ‖H xᵢ[k]‖₂ ≤ V,  k = 1 … T−1                 (66)
-                    ‖pᵢ(t) − pⱼ(t)‖₂ ≥ R  for all t              (13)
+                    ‖H xᵢ[k] / Vᵢ‖_s ≤ 1,  k = 1 … T−1           (66)
+                    ‖pᵢ(t) − pⱼ(t)‖₂ ≥ (Rᵢ + Rⱼ)/2  for all t    (13)
 
     The distance holds along the cubic pieces of the trajectories, not only at samples: it is
     imposed at some instants, then at those where a solution still comes too close, until there
     are none. Trajectories among the half-spaces of `convexify` are feasible points of this
     program, which admits more, because hulls are larger than trajectories.
 
-    The tie-break weights of the transfer are ignored.
+    The tie-break weights of the transfer are ignored. The fuel has q = 1 or ∞: with q = 2 it has
+    no derivative where a control is 0, as most are.
 
     Raises:
-        ValueError: The transfer has no steps, another length than the horizon, or other norms.
+        ValueError: The transfer has no steps, another length than the horizon, or fuel with q = 2;
+            or transfers of the agents differ in more than limits.
     """
 
     transfer: TransferProblem
     horizon: AvoidanceHorizon  # of the same length
+    own_transfers: tuple[TransferProblem, ...] = ()  # of each agent, where limits differ
+    clearances: Float[Array, " agents"] | None = None  # R of each agent, where they differ [m]
 
     def __post_init__(self) -> None:
-        """Refuse other norms and inconsistent lengths."""
+        """Refuse fuel without derivatives, and what is inconsistent."""
         self.transfer.require_steps()
-        self.transfer.require_uniform_limits("the joint program")
+        if self.transfer.objective == "fuel" and self.transfer.fuel_norm == 2:
+            raise ValueError(
+                "fuel_norm must be 1 or inf in the joint program, got 2, of which the fuel has no "
+                'derivative where a control is 0; fuel_norm = 1, "inf" or objective = "energy" '
+                "would do"
+            )
+        shared = _shared_by_agents(self.transfer)
+        for i, own in enumerate(self.own_transfers):
+            if own.model is not self.transfer.model or _shared_by_agents(own) != shared:
+                raise ValueError(
+                    f"transfer {i} of own_transfers differs in more than limits: give all agents "
+                    "the same model, objective and fuel_norm as the transfer"
+                )
         if self.horizon.steps != len(self.transfer.model):
             raise ValueError(
                 f"the horizon must be as long as the transfer: got {self.horizon.steps} steps "
@@ -111,7 +127,8 @@ class CentralizedProblem:
 
     @cached_property
     def _program(self) -> SwarmProgram:
-        return SwarmProgram(self.transfer, self.horizon)
+        each = self.own_transfers, self.clearances
+        return SwarmProgram(self.transfer, self.horizon, *each)
 
     def solve(
         self, start: AgentStates, goal: AgentStates, guesses: Sequence[InitialGuess]
@@ -169,20 +186,25 @@ class CentralizedProblem:
         """Simulate the controls and compute all violations."""
         transfer, d = self.transfer, self.transfer.model.axes
         x = transfer.model.simulate(start, u)
-        thrust = float(np.abs(u).max(initial=0.0)) / transfer.control_limit.most
-        top_speed = np.linalg.norm(x[:, 1:-1, d:], axis=-1).max(initial=0.0)
-        speed = float(top_speed) / transfer.speed_limit.most
+        each = [self._program.transfer_of(i) for i in range(len(x))]
+        thrust, speed = (
+            max(float(limit.measure(part).max(initial=0.0)) / limit.most for limit, part in sides)
+            for sides in (
+                zip([own.control_limit for own in each], u, strict=True),
+                zip([own.speed_limit for own in each], x[:, 1:-1, d:], strict=True),
+            )
+        )
         distance, _ = self._closest_approaches(x, u)
-        apart = float((distance / self.horizon.clearance).min(initial=PROXIMITY_FACTOR))
-        is_fuel, dt = transfer.objective == "fuel", transfer.model.dt
-        cost = float(np.sum(compute_fuel(u, dt, 1) if is_fuel else compute_energy(u, dt)))
+        apart = float((distance / self._clearances_of(len(x))).min(initial=PROXIMITY_FACTOR))
+        is_fuel, dt, norm = transfer.objective == "fuel", transfer.model.dt, transfer.fuel_norm
+        cost = float(np.sum(compute_fuel(u, dt, norm) if is_fuel else compute_energy(u, dt)))
         error = float(np.abs((x[:, -1] - goal) / self._program.state_units).max())
         return SimulatedSolution(x, u, cost, error, thrust - 1, speed - 1, apart, solver_message)
 
     def count_conflicts(self, x: StateSamples, u: ControlSamples) -> int:
         """Count the pairs that come too close on given trajectories."""
         distance, _ = self._closest_approaches(x, u)
-        return int((distance < self.horizon.clearance).any(axis=1).sum())
+        return int((distance < self._clearances_of(len(x))).any(axis=1).sum())
 
     def _solve_from(self, ends: Ends, guess: InitialGuess, cheapest: float) -> SimulatedSolution:
         first = self._initial_constraints(*guess)
@@ -235,7 +257,7 @@ class CentralizedProblem:
         """Find the least distance of every pair over every piece, where near, and its instant."""
         relative = self._relative_control_points(x, u)
         distance, fraction = np.full(relative.shape[:2], np.inf), np.zeros(relative.shape[:2])
-        near = ~are_balls_separated(relative, PROXIMITY_FACTOR * self.horizon.clearance)
+        near = ~are_balls_separated(relative, PROXIMITY_FACTOR * self._clearances_of(len(x))[:, 0])
         for a, p in np.argwhere(near):
             both = np.stack([np.zeros_like(relative[a, p]), relative[a, p]])
             distance[a, p], fraction[a, p], _ = closest_pair(both, np.array([[0, 1]]))
@@ -249,7 +271,7 @@ class CentralizedProblem:
         """Place constraints at a few instants a step on the pieces of nearby agents."""
         relative = self._relative_control_points(x, u)
         distance = hull_distance(relative)[0] if len(relative) else np.zeros((0, 0))
-        near = distance < PROXIMITY_FACTOR * self.horizon.clearance
+        near = distance < PROXIMITY_FACTOR * self._clearances_of(len(x))
         return SeparationConstraints.place(_agent_pairs(len(x)), near, self._instants_per_piece)
 
     @property
@@ -257,19 +279,33 @@ class CentralizedProblem:
         return ceil(CONSTRAINTS_PER_STEP / self.horizon.pieces_per_step)
 
     def _check_ends(self, start: AgentStates, goal: AgentStates) -> None:
+        for what, given in (("own_transfers", self.own_transfers), ("clearances", self.clearances)):
+            if given is not None and len(given) not in (0, len(start)):
+                raise ValueError(f"{what} has {len(given)} entries for {len(start)} agents")
+        pairs, d = _agent_pairs(len(start)), self.transfer.model.axes
+        clear = self._program.pair_clearances(pairs)
         for name, states in (("starts", start), ("goals", goal)):
-            least = min_distance(states[:, : self.transfer.model.axes])
-            if not least >= self.horizon.clearance:
-                needed = f"at least {self.horizon.clearance:.6g} m are needed"
-                raise ValueError(f"two {name} are {least:.6g} m apart, {needed}")
+            apart = np.linalg.norm(states[pairs[:, 0], :d] - states[pairs[:, 1], :d], axis=1)
+            for a in np.argsort(apart / clear)[:1].tolist():
+                if not apart[a] >= clear[a]:
+                    needed = f"at least {clear[a]:.6g} m are needed"
+                    raise ValueError(f"two {name} are {apart[a]:.6g} m apart, {needed}")
+
+    def _clearances_of(self, agents: int) -> Float[Array, "pairs 1"]:
+        return self._program.pair_clearances(_agent_pairs(agents))[:, None]
 
     def _violations(self, found: SimulatedSolution) -> tuple[SeparationConstraints, Array]:
         """Find the instants of too small a separation and the violations in units of R."""
         distance, fraction = self._closest_approaches(found.x, found.u)
-        pair, piece = np.nonzero(distance < self.horizon.clearance)
-        violation = 1 - distance[pair, piece] / self.horizon.clearance
+        clear = self._clearances_of(len(found.x))
+        pair, piece = np.nonzero(distance < clear)
+        violation = 1 - distance[pair, piece] / clear[pair, 0]
         pairs, time = _agent_pairs(len(found.x))[pair], piece + fraction[pair, piece]
         return SeparationConstraints(pairs, time, np.full(len(time), MIN_DISTANCE)), violation
+
+
+def _shared_by_agents(transfer: TransferProblem) -> tuple[object, ...]:
+    return transfer.objective, transfer.objective == "fuel" and transfer.fuel_norm
 
 
 def _agent_pairs(count: int) -> Int[Array, "pairs 2"]:

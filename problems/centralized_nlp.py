@@ -11,9 +11,10 @@ from numpy import ndarray as Array
 from scipy.sparse import block_diag, bsr_array, csc_matrix, eye_array, hstack
 
 from problems.convexify import SEPARATION_TOLERANCE, AvoidanceHorizon
+from problems.limit import Limit
 from problems.transfer import TransferProblem
 
-MIN_DISTANCE = 1 + SEPARATION_TOLERANCE  # of R, without padding
+MIN_DISTANCE = 1 + SEPARATION_TOLERANCE  # of the pair's R, without padding
 PROXIMAL_WEIGHT = 1e-3  # of ‖(u − u₀)/U‖² to the last solution u₀; an optimum u₀ stays optimal
 
 IPOPT_OPTIONS: dict[str, Any] = {
@@ -43,7 +44,7 @@ class SeparationConstraints(NamedTuple):
 
     pair: Int[Array, "rows 2"]
     time: Float[Array, " rows"]  # since the start, in units of a piece
-    min_distance: Float[Array, " rows"]  # in units of R
+    min_distance: Float[Array, " rows"]  # in units of the pair's R
 
     @classmethod
     def place(
@@ -84,7 +85,7 @@ class NonlinearProgram:
     arguments: dict[str, Array]  # initial guess and bounds: "x0", "lbx", "ubx", "lbg", "ubg"
     shape: tuple[int, int, int]  # agents, steps and axes
     state_units: Float[Array, " n"]
-    max_control: float
+    control_unit: float
 
     def trajectories(self, x: Any) -> InitialGuess:
         """Return states and controls of all agents, from a value of "x"."""
@@ -93,7 +94,7 @@ class NonlinearProgram:
         z = np.asarray(x, dtype=float).ravel()
         plus, minus = z[states : states + 2 * N * T * m].reshape(2, N, T, m)
         x = z[:states].reshape(N, T + 1, 2 * m) * self.state_units
-        return x, self.max_control * (plus - minus)
+        return x, self.control_unit * (plus - minus)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,17 +102,35 @@ class SwarmProgram:
     """Joint transfers of all agents that keep their distance at given instants.
 
     Multiple shooting: states and controls are variables, and the dynamics are equations of each
-    step. Positions are in units of R, velocities of R/Δt, controls of U.
+    step. Positions are in units of R, velocities of R/Δt, controls of U, the largest limit.
     """
 
     transfer: TransferProblem
     horizon: AvoidanceHorizon
+    own_transfers: tuple[TransferProblem, ...] = ()  # of each agent, where limits differ
+    clearances: Float[Array, " agents"] | None = None  # of each agent, where they differ [m]
 
     @cached_property
     def state_units(self) -> Float[Array, " n"]:
         """Scale of each state: R for positions, R/Δt for velocities."""
         R = self.horizon.clearance
         return np.repeat([R, R / self.transfer.model.dt], self.transfer.model.axes)
+
+    @cached_property
+    def control_unit(self) -> float:
+        """Largest limit of a control, U."""
+        each = self.own_transfers or (self.transfer,)
+        return max(own.control_limit.most for own in each)
+
+    def transfer_of(self, agent: int) -> TransferProblem:
+        """Return the transfer of an agent."""
+        return self.own_transfers[agent] if self.own_transfers else self.transfer
+
+    def pair_clearances(self, pairs: Int[Array, "pairs 2"]) -> Float[Array, " pairs"]:
+        """Compute the distances that pairs keep: the means of both [m]."""
+        if self.clearances is None:
+            return np.full(len(pairs), self.horizon.clearance)
+        return np.asarray(self.clearances[pairs].mean(axis=1))
 
     def solve(
         self, ends: Ends, guess: InitialGuess, instants: SeparationConstraints, nearby: bool = False
@@ -145,20 +164,21 @@ class SwarmProgram:
         import casadi
 
         transfer, unit = self.transfer, self.state_units
-        U, V = transfer.control_limit.most, transfer.speed_limit.most
+        U = self.control_unit
         x0, u0 = guess[0] / unit, guess[1] / U
         N, T, m = u0.shape
         x = casadi.MX.sym("x", (T + 1) * 2 * m, N)
         plus, minus = (casadi.MX.sym(sign, T * m, N) for sign in ("plus", "minus"))
         u, parts = plus - minus, casadi.vertcat(casadi.vec(plus), casadi.vec(minus))
         cost = casadi.sum1(parts) if transfer.objective == "fuel" else casadi.sumsqr(parts)
+        largest = casadi.MX.sym("largest", N * T if self._has_largest else 0)
         on_x, on_u, drift = self._motion_equations()
         rows = [(casadi.DM(on_x) @ x + casadi.DM(on_u) @ u, np.tile(drift, N), np.tile(drift, N))]
-        if isfinite(V) and T > 1:
-            v = casadi.reshape(x, 2 * m, (T + 1) * N)[m:, :]
-            inside = [i * (T + 1) + k for i in range(N) for k in range(1, T)]
-            limit = np.full(len(inside), (V / unit[-1]) ** 2)
-            rows.append((casadi.sum1(v[:, inside] ** 2), -inf * limit, limit))
+        rows += self._limit_rows(casadi, x, u)
+        if self._has_largest:
+            cost, sizes = casadi.sum1(largest), casadi.reshape(plus + minus, m, N * T)
+            room = casadi.repmat(largest.T, m, 1) - sizes
+            rows.append((room, np.zeros(m * N * T), np.full(m * N * T, inf)))
         # Relative positions as variables make second derivatives diagonal.
         Dx, Du = self._relative_position_maps(N, instants)
         relative0, free = Dx @ x0.ravel() + Du @ u0.ravel(), np.full(Dx.shape[0], inf)
@@ -166,31 +186,59 @@ class SwarmProgram:
         if len(free):
             difference = casadi.DM(Dx) @ casadi.vec(x) + casadi.DM(Du) @ casadi.vec(u)
             rows.append((difference - casadi.vec(relative), 0 * relative0, 0 * relative0))
-            squares = instants.min_distance**2
+            scale = self.pair_clearances(instants.pair) / self.horizon.clearance
+            squares = (instants.min_distance * scale) ** 2
             rows.append((casadi.sum1(relative**2), squares, inf * squares))
         bounds = np.stack([np.full(x0.shape, -inf), np.full(x0.shape, inf)])
         bounds[:, :, 0], bounds[:, :, -1] = ends[0] / unit, ends[1] / unit
         parts0 = np.concatenate([np.maximum(u0, 0).ravel(), np.maximum(-u0, 0).ravel()])
+        limits = [self.transfer_of(i).control_limit for i in range(N)]
+        most = [np.tile(limit.most / U * limit.shares, (T, 1)) for limit in limits]
+        largest0 = np.abs(u0).max(axis=2).ravel() if self._has_largest else np.zeros(0)
         proximal = casadi.sumsqr(u - u0.reshape(N, T * m).T) if nearby else 0
         problem = {
-            "x": casadi.vertcat(casadi.vec(x), parts, casadi.vec(relative)),
+            "x": casadi.vertcat(casadi.vec(x), parts, casadi.vec(relative), largest),
             "f": cost + PROXIMAL_WEIGHT * proximal,
             "g": casadi.vertcat(*(casadi.vec(row) for row, _, _ in rows)),
         }
         arguments = {
-            "x0": np.concatenate([x0.ravel(), parts0, relative0]),
-            "lbx": np.concatenate([bounds[0].ravel(), 0 * parts0, -free]),
-            "ubx": np.concatenate([bounds[1].ravel(), 0 * parts0 + 1, free]),
+            "x0": np.concatenate([x0.ravel(), parts0, relative0, largest0]),
+            "lbx": np.concatenate([bounds[0].ravel(), 0 * parts0, -free, 0 * largest0]),
+            "ubx": np.concatenate(
+                [bounds[1].ravel(), np.tile(np.ravel(most), 2), free, 1 + 0 * largest0]
+            ),
             "lbg": np.concatenate([lower for _, lower, _ in rows]),
             "ubg": np.concatenate([upper for _, _, upper in rows]),
         }
         return NonlinearProgram(problem, arguments, (N, T, m), unit, U)
 
+    @property
+    def _has_largest(self) -> bool:
+        # The largest component of each control is a variable where it is what the fuel counts.
+        return self.transfer.objective == "fuel" and self.transfer.fuel_norm == "inf"
+
+    def _limit_rows(self, casadi: Any, x: Any, u: Any) -> list[Any]:
+        """Build rows, and their bounds, of all limits that are no bounds of single variables."""
+        N, (T, _, m) = u.shape[1], self.transfer.model.B.shape
+        v = casadi.reshape(x, 2 * m, (T + 1) * N)[m:, :]
+        u = casadi.reshape(u, m, T * N)
+        groups = [[i] for i in range(N)] if self.own_transfers else [list(range(N))]
+        rows: list[Any] = []
+        for agents in groups:
+            own = self.transfer_of(agents[0])
+            inner = [i * (T + 1) + k for i in agents for k in range(1, T)]
+            if isfinite(own.speed_limit.most) and T > 1:
+                rows.append(_limit_norm(casadi, own.speed_limit, v[:, inner], self.state_units[-1]))
+            if own.control_norm != "inf":
+                steps = [i * T + k for i in agents for k in range(T)]
+                rows.append(_limit_norm(casadi, own.control_limit, u[:, steps], self.control_unit))
+        return rows
+
     def _motion_equations(self) -> tuple[csc_matrix, csc_matrix, Float[Array, " rows"]]:
         """Build E, F and e of E x + F u = e, the scaled dynamics of one agent over all steps."""
         steps, unit = self.transfer.model, self.state_units
         T, n = len(steps), len(unit)
-        A, B = steps.A * unit, steps.B * self.transfer.max_control
+        A, B = steps.A * unit, steps.B * self.control_unit
         before = hstack([block_diag(list(A / unit[:, None])), csc_matrix((T * n, n))])
         on_x = eye_array(T * n, (T + 1) * n, k=n) - before
         on_u = -block_diag(list(B / unit[:, None]))
@@ -212,7 +260,7 @@ class SwarmProgram:
         found = []
         for maps, scale, instants_each in (
             (P, self.state_units, T + 1),
-            (Q, self.transfer.max_control, T),
+            (Q, self.control_unit, T),
         ):
             block = np.einsum("ki,kidn->kdn", bernstein, maps[step, part]) * scale / R
             both = np.stack([block, -block], axis=1).reshape(-1, *block.shape[1:])
@@ -221,6 +269,16 @@ class SwarmProgram:
             shape = K * d, agents * instants_each * width
             found.append(csc_matrix(bsr_array((both, column, 2 * np.arange(K + 1)), shape)))
         return found[0], found[1]
+
+
+def _limit_norm(casadi: Any, limit: Limit, v: Any, unit: float) -> tuple[Any, Array, Array]:
+    """Return a row of inequalities, and bounds, that keep each column of v, in units, in a set."""
+    if limit.faces is None:
+        scaled = v if np.ndim(limit.bound) == 0 else v / limit.shares
+        most = np.full(v.shape[1], (limit.most / unit) ** 2)
+        return casadi.sum1(scaled**2), -inf * most, most
+    most = np.full(len(limit.faces) * v.shape[1], limit.most / unit)
+    return casadi.DM(limit.faces) @ v, -inf * most, most
 
 
 def displace_guess(guess: InitialGuess, dt: float, by: Float[Array, "agents d"]) -> InitialGuess:

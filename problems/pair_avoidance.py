@@ -26,7 +26,11 @@ class RelativeHalfSpaces(NamedTuple):
 
     @classmethod
     def from_normals(
-        cls, horizon: AvoidanceHorizon, T: int, normal: Float[Array, "pieces d"]
+        cls,
+        horizon: AvoidanceHorizon,
+        T: int,
+        normal: Float[Array, "pieces d"],
+        separation: float | None = None,
     ) -> "RelativeHalfSpaces":
         """Constrain n·(c₁ − c₂) ≥ R for every control point that the agents can still move.
 
@@ -34,11 +38,13 @@ class RelativeHalfSpaces(NamedTuple):
             horizon: Avoidance horizon and its pieces.
             T: Steps that both have left.
             normal: Directions from the second to the first, see `choose_normals`.
+            separation: Required distance of the two; that of the horizon by default [m].
         """
         no_path = np.zeros((1, len(normal), 4, normal.shape[1]))
-        first = convexify(horizon, T, no_path, normal[None])
-        second = convexify(horizon, T, no_path, -normal[None])
-        return cls(first, second._replace(rhs=second.rhs - horizon.required_separation))
+        required = horizon.required_separation if separation is None else separation
+        first = convexify(horizon, T, no_path, normal[None], required)
+        second = convexify(horizon, T, no_path, -normal[None], required)
+        return cls(first, second._replace(rhs=second.rhs - required))
 
     def violation(self, first: Trajectory, second: Trajectory) -> Float[Array, " rows"]:
         """Compute rhs minus the left-hand side of each row; positive where it is violated."""

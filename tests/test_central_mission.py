@@ -70,6 +70,82 @@ def test_given_targets_and_the_objective_are_kept(rng):
     assert central.problem.transfer.objective == "energy"
 
 
-def test_other_norms_are_refused(rng):
-    with pytest.raises(ValueError, match="has fuel_norm 1"):
+def test_fuel_without_derivatives_is_refused(rng):
+    with pytest.raises(ValueError, match="fuel_norm must be 1 or inf in the joint program, got 2"):
         sato.central_problem(mission(MODELS[0], rng, fuel_norm=2))
+
+
+QUIET = {"ipopt": {"print_level": 0, "sb": "yes"}, "print_time": False}
+
+
+def solve(central):
+    program = central.problem.nonlinear_program(central.start, central.goal)
+    solver = casadi.nlpsol("central", "ipopt", program.problem, QUIET)
+    guess = program.trajectories(solver(**program.arguments)["x"])
+    return central.problem.solve(central.start, central.goal, [guess]).best
+
+
+def drawn_limits(rng, count, axes):
+    """Random limits of the vehicles: in any norm, each its own, or each axis its own."""
+    kind = int(rng.integers(3))
+    own = {"max_control": 0.3 * rng.uniform(1, 2, count), "max_speed": rng.uniform(0.8, 1.6, count)}
+    if kind == 1:
+        own = {"max_control_axes": 0.3 * rng.uniform(1, 2, axes), "control_norm": "inf"}
+        own |= {"max_speed_axes": rng.uniform(0.8, 1.6, axes), "speed_norm": "inf"}
+    else:
+        own |= {f"{key}_norm": [1, 2, "inf"][rng.integers(3)] for key in ("control", "speed")}
+    return {k: list(v) if isinstance(v, np.ndarray) else v for k, v in own.items()}
+
+
+def measured(limit, v):
+    """Largest vector over its limit, by NumPy alone."""
+    bound, order = np.asarray(limit.bound), {"inf": np.inf}.get(limit.norm, limit.norm)
+    if bound.ndim:
+        return float((np.abs(v) / bound).max())
+    return float(np.linalg.norm(v, order, axis=-1).max() / bound)
+
+
+@pytest.mark.parametrize("case", range(6))
+def test_unequal_vehicles_keep_their_own_limits_and_distances(case):
+    rng = np.random.default_rng(case)
+    axes, count = 2 + case % 2, 3
+    radii, start = rng.uniform(0.3, 0.9, count), 1.5 * rng.permutation(np.eye(3))[:, :axes]
+    start += rng.uniform(-0.1, 0.1, start.shape)
+    fuel = ["energy", 1, "inf"][case % 3]
+    costs = {"objective": "energy"} if fuel == "energy" else {"fuel_norm": fuel}
+    drawn = sato.Reconfiguration(
+        model=sato.DoubleIntegrator(axes), start=start, step=1.0, comm_radius=100.0,
+        legs=[sato.Leg(-start[::-1], steps=12)], assignment="given",
+        collision_radius=radii.tolist(), **drawn_limits(rng, count, axes), **costs,
+    ).draw(rng)  # fmt: skip
+    central = sato.central_problem(drawn)
+    best = solve(central)
+    assert_allclose(best.x[:, -1], central.goal, atol=1e-6)
+    time = np.linspace(0, 1, 41)[:, None]
+    for i in range(count):
+        assert measured(drawn.control_limit(i), best.u[i]) <= 1 + 1e-6
+        assert measured(drawn.speed_limit(i), best.x[i, 1:-1, axes:]) <= 1 + 1e-6
+        for j in range(i):
+            gap, u = best.x[i] - best.x[j], (best.u[i] - best.u[j])[:, None]
+            between = gap[:-1, None, :axes] + time * gap[:-1, None, axes:] + time**2 / 2 * u
+            least = np.linalg.norm(between, axis=-1).min()
+            assert least >= (radii[i] + radii[j]) / 2 * (1 - 1e-6)
+    order = {"inf": np.inf}.get(fuel, fuel)
+    cost = (best.u**2).sum() if fuel == "energy" else np.linalg.norm(best.u, order, axis=2).sum()
+    assert best.cost == pytest.approx(cost, rel=1e-9)
+    model, objective = central.problem.transfer.model, drawn.objective
+    for i, ends in enumerate(zip(central.start, central.goal, strict=True)):
+        own = drawn.make_transfer(model, i, objective=objective)
+        cost -= own.cost(own.solve(*ends))
+    assert cost >= -1e-6 * best.cost  # no less than each alone
+
+
+@pytest.mark.parametrize("objective", ["fuel", "energy"])
+def test_lists_of_equal_vehicles_state_the_program_of_one_number(objective, rng):
+    one = mission(MODELS[0], rng, 3, 3, objective=objective, assignment="given")
+    each = {"max_control": [0.3] * 3, "max_speed": [1.0] * 3, "collision_radius": [0.5] * 3}
+    (first, second) = map(sato.central_problem, (one, replace(one, **each)))
+    assert solve(second).cost == pytest.approx(solve(first).cost, rel=1e-9)
+    split = replace(first.problem, own_transfers=(first.problem.transfer,) * 3,
+                    clearances=np.full(3, first.problem.horizon.clearance))  # fmt: skip
+    assert solve(first._replace(problem=split)).cost == pytest.approx(solve(first).cost, rel=1e-6)

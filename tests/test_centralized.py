@@ -182,7 +182,7 @@ def test_close_ends_and_unsupported_problems_are_refused():
         central.solve(near, CROSSING[1], [])
     with pytest.raises(ValueError, match=r"two goals are 0\.4 m apart"):
         central.solve(CROSSING[0], near, [])
-    with pytest.raises(ValueError, match="has fuel_norm 1"):
+    with pytest.raises(ValueError, match="fuel_norm must be 1 or inf"):
         question(fuel_norm=2)
     with pytest.raises(ValueError, match="got 12 steps and 6"):
         replace(central, transfer=replace(central.transfer, model=central.transfer.model[:6]))

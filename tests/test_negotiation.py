@@ -55,6 +55,40 @@ def test_no_sweep_raises_the_cost_and_all_constraints_hold(rng, axes):
     assert saved > 0.01
 
 
+def unequal_swarm(rng, swarm):
+    """The same starts and targets, with radii and limits of each agent's own."""
+    own = {}
+    for i, p in swarm.items():
+        limits = {"max_control": rng.uniform(0.2, 0.5), "max_speed": rng.uniform(0.5, 1.0)}
+        if i % 2:
+            limits = {"max_control": rng.uniform(0.2, 0.4, 2), "speed_norm": "inf"}
+            limits |= {"max_speed": rng.uniform(0.5, 1.0, 2)}
+        options = {
+            "transfer": replace(p.transfer, **limits),
+            "horizon": p.horizon.with_clearance(rng.uniform(0.5, 1.5) * RADIUS),
+        }
+        own[i] = make_planner(i, p.nominal.x[0, :2], p.target_state[:2], **options)
+    return own
+
+
+@pytest.mark.parametrize("case", [1, 2])
+def test_unequal_agents_save_fuel_within_their_own_limits(case):
+    rng = np.random.default_rng(case)
+    now = solved(unequal_swarm(rng, antipodal_swarm(4, 1.8)), orders=3)
+    after = negotiate(now, complete(len(now)), 2).planners
+    assert total_cost(after)[:2] == total_cost(now)[:2] == (0, 0)
+    assert total_cost(after)[2] < 0.97 * total_cost(now)[2]
+    for i, p in after.items():
+        np.testing.assert_allclose(p.nominal.x[-1], p.target_state, atol=1e-6)
+        speed = p.nominal.x[1:-1, 2:]
+        measured = np.abs(speed) if i % 2 else np.linalg.norm(speed, axis=1)[:, None]
+        assert (np.abs(p.nominal.u) <= p.transfer.max_control * (1 + 1e-9)).all()
+        assert (measured <= p.transfer.max_speed * (1 + 1e-8)).all()
+        for j in range(i):
+            required = (p.horizon.clearance + after[j].horizon.clearance) / 2
+            assert continuous_gap(after, i, j) >= required
+
+
 def test_two_agents_reach_the_centralized_optimum():
     planners = antipodal_swarm(2, 1.5)
     now = solved(planners)

@@ -179,7 +179,7 @@ def test_the_vehicle_of_highest_priority_flies_as_if_it_were_alone():
             "collision_radius_m: has 2 entries for 4 vehicles",
         ),
         ({"priority": (1.0, 2.0)}, "swarm.priority: has 2 entries for 4 vehicles"),
-        ({"collision_radius": RADII, "orders": 2, "bargains": 1}, "bargains = 0 would do"),
+        ({"priority": (1, 2, 3, 4), "orders": 2, "bargains": 1}, "bargains = 0, or no priorities"),
         ({"collision_radius": (0.5, 0.5, 0.5, -0.5)}, "collision_radius_m.3: .*greater than 0"),
         ({"collision_radius": RADII, "comm_radius": 1.0}, "which is 4.8 m"),
     ],

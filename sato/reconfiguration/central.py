@@ -31,27 +31,38 @@ class CentralMission(NamedTuple):
 def central_problem(mission: Reconfiguration, seed: int = 0) -> CentralMission:
     """Return the joint transfers of all agents from their starts to the targets of the first leg.
 
-    They have the mission's objective, move by its shared linear model, keep its collision radius
-    and margin, and begin together: losses and joins are left out. Targets that are not given are
-    assigned at the least total cost.
+    They have the mission's objective, move by its shared linear model, keep its limits, collision
+    radii and margin, and begin together: losses and joins are left out. Targets that are not
+    given are assigned at the least total cost.
 
     Args:
-        mission: With the norms of the defaults.
+        mission: Of least energy, or of fuel in the norm 1 or ∞.
         seed: Random seed, as that of `run`.
 
     Raises:
-        ValueError: The mission has other norms, or limits that differ between axes.
+        ValueError: The mission has fuel in the Euclidean norm.
     """
     drawn = mission.draw(np.random.default_rng(seed))
     leg, start = drawn.legs[0], drawn.initial_states[drawn.alive]
     model = discretize_zoh(drawn.linear_model, drawn.step, leg.steps)
-    drawn.require_equal_vehicles("the centralized problem")
-    transfer = drawn.make_transfer(model, 0, objective=drawn.objective)
+    agents = np.flatnonzero(drawn.alive)
+    each = tuple(drawn.make_transfer(model, i, objective=drawn.objective) for i in agents.tolist())
     whole = make_horizon(replace(drawn, foresight_steps=leg.steps), 0.0, leg.steps)
     fine = whole.fine_model[: leg.steps * whole.pieces_per_step]
-    problem = CentralizedProblem(transfer, AvoidanceHorizon(model, fine, whole.clearance))
+    clearances = None
+    if not drawn.has_equal_radii:
+        clearances = whole.clearance + drawn.radii[agents] - drawn.largest_separation
+    problem = CentralizedProblem(
+        each[0],
+        AvoidanceHorizon(model, fine, whole.clearance),
+        own_transfers=each if len(drawn.group_by_limits(agents)) > 1 else (),
+        clearances=clearances,
+    )
     if drawn.assignment == "given":
         return CentralMission(problem, start, leg.targets[: len(start)])
     targets = leg.targets if leg.is_free else leg.targets[: len(start)]
-    cost = compute_transfer_costs(transfer, start, targets).cost
+    cost = np.empty((len(start), len(targets)))
+    for group in drawn.group_by_limits(agents):
+        found = compute_transfer_costs(each[group[0]], start[group], targets)
+        cost[group] = found.cost
     return CentralMission(problem, start, targets[solve_assignment(cost)])

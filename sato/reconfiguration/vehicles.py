@@ -176,9 +176,9 @@ def check_limits(mission: Any) -> None:
         if isinstance(value, tuple) and len(value) != count:
             reason = f"has {len(value)} entries for {count} vehicles, those that join included"
             raise InputError(where, f"{reason}; {count} entries would do")
-    if mission.bargains and not (mission.has_equal_radii and mission.priority is None):
-        reason = "negotiation is between vehicles of equal radii and priorities"
-        raise InputError("plan.bargains", f"{reason}; bargains = 0 would do")
+    if mission.bargains and mission.priority is not None:
+        reason = "in a negotiation vehicles of higher swarm.priority would give way too"
+        raise InputError("plan.bargains", f"{reason}; bargains = 0, or no priorities, would do")
 
 
 def check_automatic_steps(mission: Any) -> None:

@@ -27,7 +27,9 @@ from sato.scp.planner import (
     VIOLATION_TOLERANCE,
     Planner,
     TrajectoryMessage,
+    pair_clearances,
     reaches_target,
+    required_separations,
 )
 from sato.scp.priority_orders import (
     ConflictResolution,
@@ -49,6 +51,8 @@ class Offer(NamedTuple):
     nominal_points: Float[Array, "pieces 4 d"]  # about which both convexify
     reaches_target: bool
     neighbor_points: Float[Array, "others pieces 4 d"]  # of all neighbors but the partner
+    neighbor_clearances: Float[Array, " others"]  # from each of them [m]
+    clearance: float  # that two of the agent's kind would keep [m]
 
 
 class Agreement(NamedTuple):
@@ -125,10 +129,10 @@ def schedule_pairs(
 
 def find_nearby(agent: Planner, inbox: list[TrajectoryMessage]) -> list[int]:
     """Find the neighbors whose trajectories come near the agent's own."""
-    path, near = _nominal_points(agent), NEARBY_FACTOR * agent.horizon.clearance
+    path, clear = _nominal_points(agent), pair_clearances(inbox, agent.horizon.clearance)
     return [
         message.priority[2]
-        for message in inbox
+        for message, near in zip(inbox, NEARBY_FACTOR * clear, strict=True)
         if not convexify.are_balls_separated(path - message.control_points, near).all()
     ]
 
@@ -166,15 +170,18 @@ def _make_offer(negotiator: Negotiator, inbox: list[TrajectoryMessage]) -> Negot
         return negotiator  # it has no room to give
     agent = agent.relinearized
     points, horizon, (x, u, _) = _nominal_points(agent), agent.horizon, agent.nominal
-    others = [m.control_points for m in inbox if m.priority[2] != negotiator.partner]
-    neighbor_points = np.array(others).reshape(-1, *points.shape)
-    normals = convexify.choose_normals(points - neighbor_points, horizon.required_separation)
-    half_spaces = convexify.convexify(horizon, len(u), neighbor_points, normals)
+    others = [m for m in inbox if m.priority[2] != negotiator.partner]
+    neighbor_points = np.array([m.control_points for m in others]).reshape(-1, *points.shape)
+    clear = pair_clearances(others, horizon.clearance)
+    required = required_separations(clear)
+    normals = convexify.choose_normals(points - neighbor_points, required)
+    half_spaces = convexify.convexify(horizon, len(u), neighbor_points, normals, required)
     # Among trajectories of equal fuel a tie-break keeps to one that may leave others less room.
     transfer = agent.without_tie_break.transfer
     problem = AvoidanceProblem(transfer, x[0], agent.target_state, half_spaces, agent.solver)
     is_there = agent.reaches_target(agent.nominal)
-    offer = Offer(negotiator.agent_id, problem, agent.nominal, points, is_there, neighbor_points)
+    there = agent.nominal, points, is_there, neighbor_points, clear, horizon.clearance
+    offer = Offer(negotiator.agent_id, problem, *there)
     return negotiator._replace(planner=agent, offer=offer)
 
 
@@ -212,10 +219,11 @@ def solve_pair(
     leave others more room. Few half-spaces are active: begin with those active at the nominals,
     and add those that the solution violates, until there are none.
     """
-    T, R = len(own.trajectory.u), horizon.clearance
+    T, R = len(own.trajectory.u), (own.clearance + other.clearance) / 2
     relative = (own.nominal_points - other.nominal_points)[None]
-    normals = convexify.choose_normals(relative, horizon.required_separation)[0]
-    between = RelativeHalfSpaces.from_normals(horizon, T, normals)
+    required = required_separations(np.array([R]))
+    normals = convexify.choose_normals(relative, required)[0]
+    between = RelativeHalfSpaces.from_normals(horizon, T, normals, float(required[0]))
     problem = PairProblem(own.problem, other.problem, between)
     violation = problem.violation((own.trajectory, other.trajectory))
     active = np.abs(violation) < ACTIVE_TOLERANCE * R
@@ -234,12 +242,16 @@ def solve_pair(
     before = cost(own.trajectory) + cost_of_other(other.trajectory)
     is_cheaper = cost(both[0]) + cost_of_other(both[1]) <= before * (1 + COST_TOLERANCE)
     first, second = (horizon.control_points(trajectory.x, trajectory.u) for trajectory in both)
-    gaps = first - own.neighbor_points, second - other.neighbor_points, first - second
+    gaps = (
+        (first - own.neighbor_points, own.neighbor_clearances),
+        (second - other.neighbor_points, other.neighbor_clearances),
+        (first - second, R),
+    )
     is_accepted = (
         (is_cheaper or not (own.reaches_target and other.reaches_target))
         # A solution within the solver's tolerance may miss a target by more than counts as none.
-        and reaches_target(both[0], own.problem.goal, R)
-        and reaches_target(both[1], other.problem.goal, R)
-        and all(convexify.are_hulls_separated(gap, R).all() for gap in gaps)
+        and reaches_target(both[0], own.problem.goal, own.clearance)
+        and reaches_target(both[1], other.problem.goal, other.clearance)
+        and all(convexify.are_hulls_separated(*gap).all() for gap in gaps)
     )
     return (both if is_accepted else None), solves

@@ -156,7 +156,12 @@ def pair_clearances(
     messages: Sequence[TrajectoryMessage], clearance: float
 ) -> Float[Array, " others"]:
     """Compute the clearance from each sender, the mean of both: (R_i + R_j)/2 and the margins."""
-    return (np.array([message.clearance for message in messages]) + clearance) / 2
+    return (np.array([message.clearance for message in messages], dtype=float) + clearance) / 2
+
+
+def required_separations(clearance: Float[Array, " others"]) -> Float[Array, " others"]:
+    """Compute the distances that planned trajectories keep, from the clearances of pairs."""
+    return clearance * (1 + convexify.SEPARATION_TOLERANCE)
 
 
 def is_clear(
@@ -230,7 +235,7 @@ def solve_around(
     """
     horizon, T = agent.horizon, len(agent.nominal.u)
     others, clear = paths_of(messages), pair_clearances(messages, horizon.clearance)
-    near, required = NEARBY_FACTOR * clear, clear * (1 + convexify.SEPARATION_TOLERANCE)
+    near, required = NEARBY_FACTOR * clear, required_separations(clear)
     constrained = ~convexify.are_balls_separated(agent.control_points - others, near).all(axis=1)
     while True:
         paths, kept = others[constrained], required[constrained]
