@@ -264,13 +264,21 @@ def test_number_that_is_none_is_refused(number):
         check_agent(four()[0], number)
 
 
+@pytest.mark.parametrize("count", [0, -1, 2.5, "4"])
+def test_target_count_that_is_none_is_refused(count):
+    with pytest.raises(ValueError, match="target_count must be a whole number above 0, got"):
+        check_agent(four()[0], 0, count)
+
+
 @pytest.mark.parametrize("time", [-1.0, np.nan, np.inf, "0", None])
 def test_time_that_is_none_is_refused(time):
     with pytest.raises(ValueError, match="time must be the seconds since the start"):
         as_instant(four()[0], "time", time)
 
 
-@pytest.mark.parametrize("state", [np.full(4, np.nan), [0, 1], "none", None, np.zeros((1, 4))])
+@pytest.mark.parametrize(
+    "state", [np.full(4, np.nan), [0, 1], "none", None, [1j] * 4, np.zeros((1, 4))]
+)
 def test_state_that_is_none_is_refused(state):
     with pytest.raises(ValueError, match=r"state must be 4 finite numbers, position \[m\] and"):
         as_state(four()[0], state)

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 from zlib import crc32
 
 import numpy as np
@@ -95,7 +95,7 @@ class Agent:
         leg_start: float | None = None,
         leg: Leg | None = None,
     ) -> None:
-        check_agent(mission, number)
+        check_agent(mission, number, target_count, leg)
         if not is_drawn(mission):
             mission = mission.draw(np.random.default_rng(0))
         believed, start = target_count or mission.target_count or mission.agent_count, None
@@ -140,7 +140,15 @@ class Agent:
         assert self.memory.control is not None
         return self.memory.control, self._message
 
-    def set_targets(self, targets: Any, steps: int, **options: Any) -> None:
+    def set_targets(
+        self,
+        targets: Any,
+        steps: int,
+        *,
+        count: int | None = None,
+        recount: bool = False,
+        choose: Literal["prefix", "nearest"] | None = None,
+    ) -> None:
         """Begin another leg at the next control instant.
 
         All agents that hear each other must be told, between the same two instants.
@@ -148,13 +156,16 @@ class Agent:
         Args:
             targets: Array of (M, d) positions or (M, 2 d) states, or a shape.
             steps: Control steps until the deadline.
-            options: Others of a `sato.Leg`: count, recount, choose.
+            count: Number of targets of a shape, as of a `sato.Leg`; and so the next two.
+            recount: Take the number of agents from the bids of the leg before.
+            choose: The first targets, or any of all.
 
         Raises:
             ValueError: The targets are too few or too close, or a decision is not finished.
         """
         self._require_finished()
-        flown, leg = self.memory, Leg(targets, steps, **options)
+        flown = self.memory
+        leg = Leg(targets, steps, count=count, recount=recount, choose=choose)
         ended = flown.believed, flown.memory, flown.leg
         believed = update_believed(self.mission, *ended, leg.recount)
         begins = 0 if flown.instant is None else flown.instant + 1

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 
 INSTANT_PRECISION = 1e-6  # of a control step, for times that are sums of steps
@@ -24,8 +25,8 @@ class AgentMessage(NamedTuple):
     content: Any
 
 
-def check_agent(mission: Any, number: Any) -> None:
-    """Refuse a mission that an agent cannot fly, and a number that it cannot have.
+def check_agent(mission: Any, number: Any, target_count: Any = None, leg: Any = None) -> None:
+    """Refuse a mission that an agent cannot fly, and numbers and a leg that it cannot have.
 
     Raises:
         ValueError: They are.
@@ -38,10 +39,13 @@ def check_agent(mission: Any, number: Any) -> None:
     limits = mission.max_control, mission.max_speed, mission.collision_radius, mission.priority
     lengths = [len(each) for each in limits if isinstance(each, tuple)]
     most = min([MAX_NUMBER, *(length - 1 for length in lengths)])
-    is_whole = isinstance(number, Integral) and not isinstance(number, bool)
-    if not is_whole or not 0 <= number <= most:
+    if not _is_whole(number) or not 0 <= number <= most:
         reason = ", the last of the mission's lists for each vehicle" if lengths else ""
         raise ValueError(f"number must be a whole number from 0 to {most}{reason}, got {number!r}")
+    if target_count is not None and not (_is_whole(target_count) and target_count > 0):
+        raise ValueError(f"target_count must be a whole number above 0, got {target_count!r}")
+    if leg is not None and not isinstance(leg, Leg):
+        raise ValueError(f"leg must be a sato.Leg, got {type(leg).__name__}")
     if mission.orders > 1 or mission.bargains or mission.assignment == "central":
         raise ValueError(
             f"plan.orders = {mission.orders}, plan.bargains = {mission.bargains} and "
@@ -49,6 +53,10 @@ def check_agent(mission: Any, number: Any) -> None:
             "given it, and resolves conflicts under one order of priority; orders = 1, "
             "bargains = 0 and assignment = 'auction' or 'given' would do"
         )
+
+
+def _is_whole(number: Any) -> bool:
+    return isinstance(number, Integral) and not isinstance(number, bool)
 
 
 def as_instant(mission: Reconfiguration, name: str, time: Any) -> int:
@@ -72,7 +80,7 @@ def as_state(mission: Reconfiguration, state: Any) -> Float[Array, " n"]:
     """
     n = 2 * mission.axes
     try:
-        array = np.asarray(state, dtype=float)
+        array = np.asarray(state).astype(float, casting="safe")
     except (TypeError, ValueError):
         array = np.zeros(0)
     if array.shape != (n,) or not np.isfinite(array).all():
