@@ -7,6 +7,7 @@ from typing import Annotated
 from typer import Argument, Exit, Option, Typer, echo
 
 import sato
+from sato.cli_campaign import campaign_app
 from sato.cli_errors import EXIT_FAILED, EXIT_OK, CommandGroup, ensure_writable, save_somewhere
 from sato.scenario.errors import InputError
 
@@ -18,6 +19,8 @@ app = Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # rich takes longer to import than the help to read
 )
+
+app.add_typer(campaign_app, name="campaign")
 
 RunFolder = Annotated[Path, Argument(metavar="DIR", help="Folder of a run.")]
 Scenario = Annotated[str, Argument(metavar="NAME|FILE.toml", help="Built-in scenario, or a file.")]

@@ -13,7 +13,7 @@ from pydantic import Field
 
 from sato.scenario.definition import Definition, In
 from sato.scenario.errors import InputError, ScenarioError, closest_name, format_value, join_names
-from sato.scenario.overrides import override
+from sato.scenario.overrides import Setting, override
 from sato.scenario.table import read_table, write_table
 from sato.systems import definition_of
 
@@ -82,6 +82,25 @@ def read(name: str | Path, overrides: Iterable[str] = ()) -> Mission:
     Raises:
         ScenarioError: There is no such scenario, or it cannot be flown as it stands.
     """
+    text, folder = _read_text(name)
+    return parse(text, overrides, source=str(name), folder=folder)
+
+
+def read_data(name: str | Path) -> dict[str, Any]:
+    """Read the tables of a scenario as `from_dict` takes them, from any folder.
+
+    Args:
+        name: A name that `scenarios` lists, or the path of a TOML file.
+
+    Raises:
+        ScenarioError: There is no such scenario, or it is no TOML.
+    """
+    text, folder = _read_text(name)
+    data: dict[str, Any] = _copied(load_toml(text, str(name)), folder.resolve())
+    return data
+
+
+def _read_text(name: str | Path) -> tuple[str, Path]:
     known = scenarios()
     file = BUILT_IN / f"{name}.toml" if str(name) in known else Path(name)
     if not file.is_file():
@@ -94,7 +113,7 @@ def read(name: str | Path, overrides: Iterable[str] = ()) -> Mission:
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "not UTF-8 text"
         raise ScenarioError(f"{name}: cannot be read: {reason}") from error
-    return parse(text, overrides, source=str(name), folder=file.parent)
+    return text, file.parent
 
 
 def parse(
@@ -115,25 +134,35 @@ def parse(
     Raises:
         ScenarioError: It is no TOML, of no known system, or cannot be flown as it stands.
     """
+    data = load_toml(text, source)
     try:
-        data = tomllib.loads(text.removeprefix("\ufeff"))
-    except (ValueError, RecursionError) as error:
-        raise ScenarioError(f"{source}: is not TOML: {error}") from error
-    try:
-        data.setdefault("name", Path(source).stem)
         return from_dict(data, overrides, folder=folder)
     except InputError as error:
         raise ScenarioError(f"{source}: {error}") from error
 
 
+def load_toml(text: str, source: str) -> dict[str, Any]:
+    """Read TOML; what has no name is named after its source.
+
+    Raises:
+        ScenarioError: It is no TOML.
+    """
+    try:
+        data = tomllib.loads(text.removeprefix("\ufeff"))
+    except (ValueError, RecursionError) as error:
+        raise ScenarioError(f"{source}: is not TOML: {error}") from error
+    data.setdefault("name", Path(source).stem)
+    return data
+
+
 def from_dict(
-    data: dict[str, Any], overrides: Iterable[str] = (), *, folder: Path | None = None
+    data: dict[str, Any], overrides: Iterable[Setting] = (), *, folder: Path | None = None
 ) -> Mission:
     """Build a mission from a dict with the keys of a scenario file.
 
     Args:
         data: As TOML has it; arrays may stand in place of lists.
-        overrides: Each "table.key=value".
+        overrides: Each "table.key=value", or a pair of key and value.
         folder: Folder of files that the data name; the working folder without it.
 
     Raises:

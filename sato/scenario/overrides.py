@@ -2,6 +2,7 @@
 
 import tomllib
 from collections.abc import Iterator
+from copy import deepcopy
 from typing import Any, NamedTuple
 
 from sato.scenario.definition import Field, fields_of
@@ -28,23 +29,23 @@ class Spot(NamedTuple):
         return ".".join([*(part for part in self.path if isinstance(part, str)), key])
 
 
-def override(data: dict[str, Any], setting: str, definition: Any) -> None:
+Setting = str | tuple[str, Any]
+
+
+def override(data: dict[str, Any], setting: Setting, definition: Any) -> None:
     """Change a scenario's tables in place.
 
     Args:
         data: As read from TOML.
-        setting: "table.key=value". Where only one table has the key, the key alone; a list of
-            tables is meant as a whole unless a number picks one of them. The value is TOML,
-            or else the bare text.
+        setting: "table.key=value", or the key and the value. Where only one table has the key,
+            the key alone; a list of tables is meant as a whole unless a number picks one of
+            them. The value of a text is TOML, or else the bare text.
         definition: Mission of the system, whose keys the tables may have.
 
     Raises:
         InputError: There is no such key, or there is one in several tables.
     """
-    address, equals, written = setting.partition("=")
-    address = address.strip()
-    if not equals or not address:
-        raise InputError("", f'--set takes table.key=value, got "{setting}"')
+    address, value = _split(setting) if isinstance(setting, str) else setting
     *tables, key = address.split(".")
     plain = ".".join(part for part in (*tables, key) if not part.isdigit())
     spots = list(_spots(definition, data))
@@ -63,7 +64,14 @@ def override(data: dict[str, Any], setting: str, definition: Any) -> None:
             table = table.setdefault(part, {}) if isinstance(part, str) else table[part]
         for old in spot.same_keys(key):
             del table[old]
-        table[key] = _parse_value(written.strip())
+        table[key] = deepcopy(value)
+
+
+def _split(setting: str) -> tuple[str, Any]:
+    address, equals, written = setting.partition("=")
+    if not equals or not address.strip():
+        raise InputError("", f'--set takes table.key=value, got "{setting}"')
+    return address.strip(), _parse_value(written.strip())
 
 
 def _spots(definition: Any, data: dict[str, Any], path: Path = ()) -> Iterator[Spot]:

@@ -1,0 +1,1 @@
+"""Campaigns: many runs of scenarios, in one table, that can be interrupted and resumed."""

@@ -1,0 +1,128 @@
+"""Trials flown by the workers of a Dask scheduler, which moves them from workers that die."""
+
+import faulthandler
+import os
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from itertools import islice
+from time import sleep
+from typing import Any
+from uuid import uuid4
+
+from sato.campaigns.local import AHEAD, WorkerError
+from sato.campaigns.trial import Flights, Outcome, Trial
+from sato.scenario.errors import InputError
+
+CONNECT_TIMEOUT = 8.0  # [s]
+FAREWELL = 1.0  # time that the scheduler is given to hear of a time limit [s]
+
+
+def fly_on_cluster(
+    function: Callable[[Trial], Outcome],
+    trials: Iterable[Trial],
+    address: str,
+    time_limit: float | None,
+) -> Flights:
+    """Fly trials on a cluster, and yield them as they end.
+
+    Dask flies the trial of a worker that died on another one, up to its own limit
+    (`distributed.scheduler.allowed-failures`). A thread cannot be ended, so a worker ends itself
+    at the time limit, and its nanny starts another one.
+
+    Args:
+        function: Function of a trial, importable by name on the workers.
+        trials: Trials, taken as workers become free.
+        address: Address of the scheduler, "tcp://host:8786".
+        time_limit: Time after which a trial is ended [s]; None for no limit.
+
+    Raises:
+        InputError: Dask is not installed, or workers have several threads.
+        WorkerError: The scheduler cannot be reached, or was lost.
+    """
+    try:
+        from distributed import Client, as_completed
+    except ImportError as error:
+        reason = "a scheduler needs Dask: pip install 'sato-swarm[cluster]'"
+        raise InputError("", reason) from error
+    topic, remaining = f"sato-{uuid4().hex}", iter(trials)
+    try:
+        client = Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise WorkerError(f"{address}: no Dask scheduler can be reached: {error}") from error
+    with client:
+        if any(threads > 1 for threads in client.nthreads().values()):
+            raise InputError("", "workers must have one thread each: dask worker --nthreads 1")
+        flying: dict[Any, Trial] = {}
+        late: set[str] = set()
+        completed = as_completed(raise_errors=False)
+
+        def submit() -> None:
+            for trial in islice(remaining, max(2, AHEAD * len(client.nthreads())) - len(flying)):
+                arguments = (function, trial, time_limit, topic)
+                key = f"{topic}-{trial.row}"
+                future = client.submit(_fly_on_worker, *arguments, key=key, pure=False)
+                flying[future] = trial
+                completed.add(future)
+
+        def end(event: tuple[float, str]) -> None:
+            late.add(event[1])
+            for future in [future for future in flying if future.key == event[1]]:
+                future.cancel(force=True)
+
+        client.subscribe_topic(topic, end)
+        submit()
+        for future in completed:
+            trial = flying.pop(future)
+            yield trial, _outcome(future, future.key in late, time_limit, address)
+            submit()
+
+
+def _outcome(future: Any, is_late: bool, time_limit: float | None, address: str) -> Outcome:
+    from distributed import KilledWorker
+
+    if is_late:
+        return {"exit": "time limit", "error": f"ended after {time_limit:g} s"}
+    if future.status in ("cancelled", "lost", "pending"):
+        raise WorkerError(f"{address}: the scheduler was lost; --resume goes on")
+    error = future.exception()
+    if error is None:
+        outcome: Outcome = future.result()
+        return outcome
+    if isinstance(error, KilledWorker):
+        return {"exit": "died", "error": f"{error}"}
+    return {"exit": "error", "error": f"{type(error).__name__}: {error}"}
+
+
+def _fly_on_worker(
+    function: Callable[[Trial], Outcome], trial: Trial, time_limit: float | None, topic: str
+) -> Outcome:
+    with _end_after(time_limit, topic, f"{topic}-{trial.row}"):
+        return function(trial)
+
+
+@contextmanager
+def _end_after(time_limit: float | None, topic: str, key: str) -> Iterator[None]:
+    """End this process, and tell the scheduler why, where a block takes too long."""
+    from distributed import get_worker
+
+    if time_limit is None:
+        yield
+        return
+    worker = get_worker()
+
+    def end() -> None:
+        worker.log_event(topic, key)
+        sleep(FAREWELL)
+        os._exit(1)
+
+    timer = threading.Timer(time_limit, end)
+    timer.daemon = True
+    timer.start()
+    # The timer waits for compiled code that holds the interpreter's lock; this one does not.
+    faulthandler.dump_traceback_later(time_limit + 10 * FAREWELL, exit=True)
+    try:
+        yield
+    finally:
+        timer.cancel()
+        faulthandler.cancel_dump_traceback_later()

@@ -1,0 +1,251 @@
+"""Definition of a campaign: scenarios, values of their keys, and seeds, from which rows follow."""
+
+import json
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from hashlib import sha256
+from math import prod
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy import ndarray as Array
+
+from dynamics.units import Unit
+from sato.campaigns.distributions import Distribution, as_distribution
+from sato.campaigns.trial import FUNCTION, Source, Trial, find_function, generator, name_of_function
+from sato.record import json_default
+from sato.scenario.definition import Convert, Definition, In, NotNegative, Positive, errors_in
+from sato.scenario.errors import InputError, ScenarioError, format_value
+from sato.scenario.file import Mission, Name, load_toml, read_data
+from sato.scenario.overrides import override
+from sato.scenario.table import read_table, write_table
+from sato.systems import definition_of
+
+EXTENDABLE = ("trials", "keep")  # fields that may change when a campaign is resumed
+
+
+def _as_sources(value: Any) -> tuple[Source, ...]:
+    sources = tuple(map(_as_source, value if isinstance(value, list | tuple) else [value]))
+    if not sources:
+        raise InputError("", "must have at least one scenario")
+    return sources
+
+
+def _as_source(value: Any) -> Source:
+    # Files are read here, so that workers on other machines need none.
+    if isinstance(value, Mission) or (isinstance(value, str) and FUNCTION.fullmatch(value)):
+        return value
+    if isinstance(value, Mapping):
+        return dict(value)
+    if callable(value):
+        return name_of_function(value)
+    if isinstance(value, str | Path):
+        return read_data(value)
+    got = f"an object of type {type(value).__name__}"
+    raise InputError("", f"must be a name, a path, a mission, a dict or a function, got {got}")
+
+
+def _as_function(value: Any) -> str:
+    is_name = isinstance(value, str) and (not value or FUNCTION.fullmatch(value))
+    return str(value) if is_name else name_of_function(value)
+
+
+def _as_lists(value: Any) -> dict[str, tuple[Any, ...]]:
+    grid = {}
+    for key, values in _flatten_tables(value or {}):
+        values = values.tolist() if isinstance(values, Array) else values
+        if not isinstance(values, list | tuple | range) or not len(values):
+            raise InputError(key, f"must be a list of values, got {format_value(values) or '[]'}")
+        grid[key] = tuple(part.item() if isinstance(part, np.generic) else part for part in values)
+    return grid
+
+
+def _as_distributions(value: Any) -> dict[str, Distribution]:
+    draws = {}
+    for key, table in _flatten_tables(value or {}):
+        with errors_in(key):
+            draws[key] = as_distribution(table)
+    return draws
+
+
+def _flatten_tables(value: Any, head: str = "") -> Iterator[tuple[str, Any]]:
+    # "swarm.agents" may be a key in quotes, or a key in a table.
+    if not isinstance(value, Mapping):
+        raise InputError("", f"must be a table, got {format_value(value)}")
+    for key, part in value.items():
+        address = f"{head}{key}"
+        if isinstance(part, Mapping) and "kind" not in part:
+            yield from _flatten_tables(part, f"{address}.")
+        else:
+            yield address, part
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Campaign(Definition):
+    """Many runs: scenarios × values of their keys × seeds.
+
+    Row and campaign alone decide the parameters and the seed of a run. A trial has the same seed,
+    and the same drawn values, at every point of the grid and in every scenario, so that points
+    can be compared run by run. More trials add rows after all others.
+    """
+
+    name: Annotated[Name, In("campaign"), "name of the campaign"] = "campaign"
+    scenario: Annotated[
+        Any, In("campaign"), Convert(_as_sources),
+        'scenario, file, or function "module:function" of a generator; or a list of them',
+    ]  # fmt: skip
+    trials: Annotated[int, In("campaign"), Positive, "number of seeds"] = 1
+    seed: Annotated[int, In("campaign"), NotNegative, "first seed"] = 0
+    time_limit: Annotated[
+        float | None, Unit("s"), In("campaign"), Positive, "time after which a run is ended"
+    ] = None
+    columns: Annotated[
+        str, In("campaign"), Convert(_as_function),
+        'function "module:function" of a run, which returns a dict of more columns',
+    ] = ""  # fmt: skip
+    keep: Annotated[
+        Literal["failures", "all", "none"], In("campaign"), "runs whose files are kept"
+    ] = "none"
+    grid: Annotated[Any, Convert(_as_lists), "values of keys, all combined"] = ()
+    draw: Annotated[Any, Convert(_as_distributions), "distributions of keys"] = ()
+
+    def check(self) -> None:
+        """Refuse keys that are given twice."""
+        if both := sorted(set(self.grid) & set(self.draw)):
+            raise InputError(both[0], "stands in [grid] and in [draw]; one of them is enough")
+
+    @property
+    def points(self) -> int:
+        """Number of runs with the same seed."""
+        return len(self.scenario) * prod(map(len, self.grid.values()))
+
+    @property
+    def runs(self) -> int:
+        """Number of runs."""
+        return self.trials * self.points
+
+    def trial(self, row: int, folder: str = "") -> Trial:
+        """Return the run of a row, from 0.
+
+        Args:
+            row: Trials follow each other, and in each the points of the grid, the last key first.
+            folder: Folder of the campaign.
+        """
+        number, point = divmod(row, self.points)
+        shape = [len(self.scenario), *map(len, self.grid.values())]
+        first, *indices = (int(index) for index in np.unravel_index(point, shape))
+        pairs = zip(self.grid.items(), indices, strict=True)
+        rng = generator(self.seed, number, 0)
+        return Trial(
+            row=row,
+            source=self.scenario[first],
+            parameters={key: values[index] for (key, values), index in pairs}
+            | {key: distribution.draw(rng) for key, distribution in self.draw.items()},
+            seed=self.seed + number,
+            stream=(self.seed, number),
+            columns=self.columns,
+            keep=self.keep,
+            folder=folder,
+        )
+
+    def check_keys(self) -> None:
+        """Refuse keys that a scenario does not have, and functions that are not there.
+
+        Raises:
+            InputError: It names the key, and the nearest one.
+        """
+        if self.columns:
+            with errors_in("campaign.columns"):
+                find_function(self.columns)
+        for trial in self._first_trials():
+            data: Any = trial.source
+            if isinstance(data, str):
+                with errors_in("campaign.scenario"):
+                    find_function(data)
+                data = trial._replace(parameters={}).build_mission()
+            data = json.loads(_to_json(data))
+            definition = definition_of(data.pop("system", ""))
+            for key, value in trial.parameters.items():
+                with errors_in("grid" if key in self.grid else "draw"):
+                    override(data, (key, value), definition)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Digest of the first mission of each scenario, which changes when their files do."""
+        texts = []
+        for trial in self._first_trials():
+            try:
+                texts.append(trial.build_mission().to_toml())
+            except InputError as error:
+                texts.append(str(error))
+        return digest("\0".join(texts))
+
+    def _first_trials(self) -> Iterator[Trial]:
+        yield from map(self.trial, range(0, self.points, self.points // len(self.scenario)))
+
+    def to_json(self) -> str:
+        """Write the definition as JSON, with the scenarios, so that it needs no other file."""
+        names = ("name", "scenario", "trials", "seed", "columns", "keep", "grid")
+        plain = {name: getattr(self, name) for name in names}
+        draws = {key: write_table(distribution) for key, distribution in self.draw.items()}
+        return _to_json(plain | {"time_limit": self.time_limit, "draw": draws})
+
+    @classmethod
+    def from_json(cls, text: str) -> "Campaign":
+        """Read what `to_json` wrote."""
+        return cls(**json.loads(text))
+
+    def differences(self, other: "Campaign") -> list[str]:
+        """List the fields that differ, other than those that may when a campaign is resumed."""
+        one, two = json.loads(self.to_json()), json.loads(other.to_json())
+        return [name for name in one if name not in EXTENDABLE and one[name] != two[name]]
+
+
+def read_campaign(path: Path, **changes: Any) -> Campaign:
+    """Read a campaign's file; files that it names lie beside it.
+
+    Args:
+        path: TOML file.
+        changes: Keys of its table [campaign] that are changed; None leaves one as it is.
+
+    Raises:
+        ScenarioError: It cannot be read, or is no campaign.
+    """
+    try:
+        data = load_toml(path.read_text(encoding="utf-8-sig"), str(path))
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not UTF-8 text"
+        raise ScenarioError(f"{path}: cannot be read: {reason}") from error
+    try:
+        table = data.setdefault("campaign", {})
+        if isinstance(table, dict):
+            table.setdefault("name", data.pop("name"))
+            table |= {key: value for key, value in changes.items() if value is not None}
+            given = table.get("scenario")
+            if given is not None:
+                parts = given if isinstance(given, list) else [given]
+                table["scenario"] = [_beside(part, path.parent) for part in parts]
+        campaign: Campaign = read_table(Campaign, data)
+    except InputError as error:
+        raise ScenarioError(f"{path}: {error}") from error
+    return campaign
+
+
+def digest(text: str) -> str:
+    """Return a short digest of a text."""
+    return sha256(text.encode()).hexdigest()[:16]
+
+
+def _beside(name: Any, folder: Path) -> Any:
+    is_file = isinstance(name, str) and (folder / name).is_file()
+    return str(folder / name) if is_file else name
+
+
+def _to_json(value: Any) -> str:
+    def default(part: Any) -> Any:
+        return tomllib.loads(part.to_toml()) if isinstance(part, Mission) else json_default(part)
+
+    return json.dumps(value, default=default)

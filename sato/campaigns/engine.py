@@ -1,0 +1,159 @@
+"""Campaigns flown and resumed: rows that are missing, by processes here or by a cluster."""
+
+import json
+import os
+import sqlite3
+import tomllib
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+from sato.campaigns.definition import Campaign
+from sato.campaigns.local import fly_locally
+from sato.campaigns.table import INTERRUPTED, MEASURED, TABLE_FILE, CampaignTable, TableError
+from sato.campaigns.trial import Outcome, Trial, own_version, run_trial
+from sato.scenario.errors import InputError, join_names
+
+MOST_RUNS = 10**6
+LOCK_FILE = "campaign.lock"
+
+# Called at first and after each row, with the number of rows by exit and of all runs.
+Progress = Callable[[Counter[str], int], object]
+
+
+def fly_campaign(
+    campaign: Campaign,
+    folder: Path,
+    *,
+    resume: bool = False,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    allow_version: bool = False,
+    allow_many: bool = False,
+    progress: Progress = lambda exits, runs: None,
+    function: Callable[[Trial], Outcome] = run_trial,
+) -> None:
+    """Fly the runs of a campaign that its table does not hold yet.
+
+    Args:
+        campaign: Definition.
+        folder: Folder of the table and of runs that are kept.
+        resume: Go on with a table; rows whose worker died are flown again.
+        workers: Number of processes on this machine; one a core if None.
+        scheduler: Address of a Dask scheduler, in place of processes on this machine.
+        allow_version: Resume with another version or with scenarios that have changed.
+        allow_many: Allow more than a million runs.
+        progress: Function called with the rows that there are, by exit, and the number of runs.
+        function: Function of a trial that gives its outcome, importable by name.
+
+    Raises:
+        InputError: The campaign cannot be flown, or the folder holds another one.
+        TableError: The table cannot be written; all rows until then are in it.
+        WorkerError: Workers end at once, or the scheduler cannot be reached.
+    """
+    if campaign.runs > MOST_RUNS and not allow_many:
+        reason = (
+            f"{campaign.runs:,} runs are more than {MOST_RUNS:,}; --yes flies them all the same"
+        )
+        raise InputError("", reason)
+    if workers is not None and workers < 1:
+        raise InputError("workers", f"must be at least 1, got {workers}")
+    campaign.check_keys()
+    folder = folder.resolve()
+    with _only_writer(folder), _open(campaign, folder, resume, allow_version) as table:
+        exits, died, done = table.exits(), table.attempts(), table.numbers_done()
+        rows = (row for row in range(campaign.runs) if not done[row])
+        trials = (campaign.trial(row, str(folder)) for row in rows)
+        if scheduler is None:
+            count = workers or available_cores()
+            flown = fly_locally(function, trials, count, campaign.time_limit)
+        else:
+            from sato.campaigns.cluster import fly_on_cluster
+
+            flown = fly_on_cluster(function, trials, scheduler, campaign.time_limit)
+        with closing(flown):
+            progress(exits, campaign.runs)
+            for trial, outcome in flown:
+                before = died.get(trial.row, 0)
+                table.add(trial, outcome, before + outcome.get("attempts", 1))
+                if before:
+                    exits[INTERRUPTED] -= 1
+                exits[outcome["exit"]] += 1
+                progress(exits, campaign.runs)
+
+
+def fly_again(table: CampaignTable, number: int) -> tuple[Outcome, list[str]]:
+    """Fly a row again from itself, keep the run, and compare the cells.
+
+    Args:
+        table: Table that holds the row.
+        number: Number of the row.
+
+    Returns:
+        The outcome, and the columns that differ; none are compared where the worker of the row
+        died or was ended, for it left no scenario.
+    """
+    row = table.row(number)
+    given = table.campaign.trial(number, str(table.folder.resolve()))._replace(keep="all")
+    text = table.scenario(row)
+    if text is None:
+        return run_trial(given), []
+    given = given._replace(parameters=json.loads(row["parameters"]), seed=row["seed"])
+    outcome = run_trial(given._replace(source=tomllib.loads(text), parameters={}))
+    cells = table.cells(given, outcome)
+    names = {name for name, value in row.items() if value is not None} | set(cells)
+    differing = {name for name in names if cells.get(name) != row.get(name)}
+    return outcome, sorted(differing - {*MEASURED, "version", "error"})
+
+
+def available_cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _open(campaign: Campaign, folder: Path, resume: bool, allow_version: bool) -> CampaignTable:
+    if not resume or not (folder / TABLE_FILE).exists():
+        return CampaignTable.create(folder, campaign)
+    table = CampaignTable(folder, is_writer=True)
+    try:
+        _check_same(campaign, table, allow_version)
+        if campaign.to_json() != table.campaign.to_json() or allow_version:
+            table.redefine(campaign)
+    except BaseException:
+        table.close()
+        raise
+    return table
+
+
+def _check_same(campaign: Campaign, table: CampaignTable, allow_version: bool) -> None:
+    held, now = table.campaign, own_version()
+    other = [name for name in campaign.differences(held) if name != "scenario"]
+    if other:
+        reason = f"holds another campaign, with another {join_names(other, 'and')}"
+        raise InputError("", f"{table.folder}: {reason}; --out takes another place")
+    if campaign.trials < held.trials:
+        reason = f"holds {held.trials} trials, and {campaign.trials} are fewer"
+        raise InputError("campaign.trials", f"{reason}; at least as many would do")
+    if allow_version:
+        return
+    cure = "--allow-version goes on all the same, and rows tell their versions and scenarios"
+    if table.version != now:
+        raise InputError(
+            "", f"{table.folder}: was begun by sato {table.version}, not {now}; {cure}"
+        )
+    if campaign.fingerprint != table.fingerprint or "scenario" in campaign.differences(held):
+        raise InputError("", f"{table.folder}: was begun with another scenario; {cure}")
+
+
+@contextmanager
+def _only_writer(folder: Path) -> Iterator[None]:
+    # A lock of SQLite ends with its process, however that ends, and on every system.
+    folder.mkdir(parents=True, exist_ok=True)
+    with closing(sqlite3.connect(folder / LOCK_FILE, timeout=0, isolation_level=None)) as lock:
+        try:
+            lock.execute("BEGIN EXCLUSIVE")
+        except sqlite3.Error as error:
+            reason = "another process flies this campaign now" if "locked" in str(error) else error
+            raise TableError(f"{folder}: {reason}") from error
+        yield

@@ -1,0 +1,310 @@
+"""Table of a campaign: one SQLite file, a row a run, written by one process."""
+
+import json
+import os
+import sqlite3
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sato.atomic import replace_atomically
+from sato.campaigns.definition import Campaign, digest
+from sato.campaigns.trial import Outcome, Trial, as_cell, own_version
+from sato.scenario.errors import InputError, closest_name
+
+if TYPE_CHECKING:  # slow to import
+    import pandas
+    import xarray
+
+TABLE_FILE = "campaign.sqlite"
+PATIENCE = 30.0  # wait for another program that has locked the table [s]
+MOST_COLUMNS = 1900  # SQLite takes 2,000 and more
+EXITS = ("reached", "not reached", "broken", "refused", "time limit", "died", "error")
+INTERRUPTED = "died"  # exit of rows that are flown again when a campaign is resumed
+# That differ between two runs of the same row.
+MEASURED = ("wall_s", "peak_memory_mib", "worker", "attempts")
+# By name; those of parameters, summary and further columns are added when they are first seen.
+_COLUMNS = {
+    "row": "INTEGER PRIMARY KEY",
+    "exit": "TEXT NOT NULL",
+    "error": "TEXT",
+    "seed": "INTEGER NOT NULL",
+    "parameters": "TEXT NOT NULL",  # JSON
+    "scenario_hash": "TEXT",
+    "version": "TEXT",
+    "wall_s": "REAL",
+    "peak_memory_mib": "REAL",
+    "worker": "TEXT",
+    "attempts": "INTEGER NOT NULL",
+    "warnings": "TEXT",
+}
+_SCHEMA = f"""
+CREATE TABLE campaign (definition TEXT NOT NULL, fingerprint TEXT NOT NULL, version TEXT NOT NULL);
+CREATE TABLE scenarios (hash TEXT PRIMARY KEY, text TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE runs ({", ".join(f"{name} {kind}" for name, kind in _COLUMNS.items())});
+"""
+
+
+class TableError(RuntimeError):
+    """A table that cannot be read or written now; what is in it stays."""
+
+
+class CampaignTable:
+    """Table of a campaign, from which rows are read, and to which one process adds them.
+
+    Args:
+        folder: Folder of the campaign.
+        is_writer: True for the process that adds rows.
+    """
+
+    def __init__(self, folder: Path, is_writer: bool = False) -> None:
+        self.folder, self.path = folder, folder / TABLE_FILE
+        if not self.path.is_file():
+            raise InputError("", f"{folder}: holds no campaign; `sato campaign run` makes one")
+        mode = "rw" if is_writer else "ro"
+        if not (is_writer or os.access(folder, os.W_OK) or _has_journal(self.path)):
+            mode = "ro&immutable=1"  # SQLite writes beside a table in use, also to read it
+        address = f"{self.path.resolve().as_uri()}?mode={mode}"
+        with self._errors():
+            options: Any = {"uri": True, "timeout": PATIENCE, "isolation_level": None}
+            self._connection = sqlite3.connect(address, **options)
+            row = self._connection.execute("SELECT * FROM campaign").fetchone()
+        self.campaign = Campaign.from_json(row[0])
+        self.fingerprint, self.version = str(row[1]), str(row[2])
+        self._names = {name.lower(): name for name in self.columns}
+        if is_writer:
+            self._execute("PRAGMA synchronous = NORMAL")  # a killed process loses nothing
+
+    @classmethod
+    def create(cls, folder: Path, campaign: Campaign) -> "CampaignTable":
+        """Create the table of a campaign, whole or not at all.
+
+        Raises:
+            InputError: The folder holds a campaign.
+            TableError: It cannot be written to.
+        """
+        path = folder / TABLE_FILE
+        if path.exists():
+            cure = "--resume goes on with it, --out takes another place"
+            raise InputError("", f"{folder}: holds a campaign; {cure}")
+        values = (campaign.to_json(), campaign.fingerprint, own_version())
+        with describe_errors(path), replace_atomically(path) as new:
+            connection = sqlite3.connect(new, isolation_level=None)
+            try:
+                connection.execute("PRAGMA journal_mode = WAL")
+                connection.executescript(_SCHEMA)
+                connection.execute("INSERT INTO campaign VALUES (?, ?, ?)", values)
+            finally:
+                connection.close()
+        return cls(folder, is_writer=True)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._connection.close()
+
+    def __enter__(self) -> "CampaignTable":
+        """Use the table, and close it."""
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Close the file."""
+        self.close()
+
+    @property
+    def columns(self) -> list[str]:
+        """Names of all columns."""
+        return [row[1] for row in self._execute("PRAGMA table_info(runs)")]
+
+    @property
+    def parameters(self) -> list[str]:
+        """Names of the columns of parameters."""
+        return [*self.campaign.grid, *self.campaign.draw]
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return int(self._execute("SELECT count(*) FROM runs").fetchone()[0])
+
+    def rows(
+        self, columns: Sequence[str] = (), exits: Sequence[str] = ()
+    ) -> Iterator[dict[str, Any]]:
+        """Read rows one by one, in the order of their numbers.
+
+        Args:
+            columns: Names of columns; all if empty.
+            exits: Exits of the rows; all if empty.
+
+        Raises:
+            InputError: There is no such column.
+        """
+        known = self.columns
+        for name in columns:
+            if name not in known:
+                close = closest_name(name, known)
+                hint = f"did you mean {close}?" if close else f"there are {', '.join(known)}"
+                raise InputError("", f'the table has no column "{name}"; {hint}')
+        names = list(columns) or known
+        where = f"WHERE exit IN ({', '.join('?' * len(exits))})" if exits else ""
+        text = f"SELECT {', '.join(map(_quoted, names))} FROM runs {where} ORDER BY row"
+        with self._errors():
+            for values in self._connection.execute(text, tuple(exits)):
+                yield dict(zip(names, values, strict=True))
+
+    def row(self, number: int) -> dict[str, Any]:
+        """Read one row.
+
+        Raises:
+            InputError: There is no such row.
+        """
+        names = self.columns
+        values = self._execute("SELECT * FROM runs WHERE row = ?", (number,)).fetchone()
+        if values is None:
+            raise InputError("", f"{self.folder}: has no row {number}")
+        return dict(zip(names, values, strict=True))
+
+    def scenario(self, row: dict[str, Any]) -> str | None:
+        """Return the scenario file of a row, as it was flown; None where its worker died."""
+        query = "SELECT text FROM scenarios WHERE hash = ?"
+        found = self._execute(query, (row["scenario_hash"],)).fetchone()
+        return found[0] if found else None
+
+    def exits(self) -> Counter[str]:
+        """Count the rows by exit."""
+        found = dict(self._execute("SELECT exit, count(*) FROM runs GROUP BY exit").fetchall())
+        return Counter({name: found[name] for name in EXITS if name in found})
+
+    def attempts(self) -> dict[int, int]:
+        """Return the attempts of rows that are flown again, by row."""
+        query = "SELECT row, attempts FROM runs WHERE exit = ?"
+        return dict(self._execute(query, (INTERRUPTED,)).fetchall())
+
+    def numbers_done(self) -> bytearray:
+        """Mark the rows that are not flown again: 1 at the number of each."""
+        marks = bytearray(self.campaign.runs)
+        for (row,) in self._execute("SELECT row FROM runs WHERE exit != ?", (INTERRUPTED,)):
+            if row < len(marks):
+                marks[row] = 1
+        return marks
+
+    def to_pandas(self, columns: Sequence[str] = ()) -> "pandas.DataFrame":
+        """Read the table as a data frame, with rows by their numbers."""
+        import pandas
+
+        frame = pandas.DataFrame(self.rows(columns), columns=list(columns) or self.columns)
+        return frame.set_index("row") if "row" in frame else frame
+
+    def to_xarray(self, columns: Sequence[str] = ()) -> "xarray.Dataset":
+        """Read the table as a dataset along the dimension "row"."""
+        names = dict.fromkeys(["row", *columns]) if columns else ()
+        data: xarray.Dataset = self.to_pandas(tuple(names)).to_xarray()
+        return data
+
+    def redefine(self, campaign: Campaign) -> None:
+        """Replace the definition, by one with more trials."""
+        text = "UPDATE campaign SET definition = ?, fingerprint = ?, version = ?"
+        self._execute(text, (campaign.to_json(), campaign.fingerprint, own_version()))
+        self.campaign = campaign
+
+    def add(self, trial: Trial, outcome: Outcome, attempts: int) -> None:
+        """Add the row of a trial, or replace it, in one transaction.
+
+        Raises:
+            TableError: The disk is full, or another program has locked the table.
+        """
+        cells, text = self.cells(trial, outcome), outcome.get("scenario")
+        with self._errors(), self._transaction():
+            if text is not None:
+                values = (cells["scenario_hash"], text)
+                self._connection.execute("INSERT OR IGNORE INTO scenarios VALUES (?, ?)", values)
+            cells = {self._ensure_column(name): value for name, value in cells.items()}
+            cells["attempts"] = attempts
+            names, marks = ", ".join(map(_quoted, cells)), ", ".join("?" * len(cells))
+            command = f"INSERT OR REPLACE INTO runs ({names}) VALUES ({marks})"
+            self._connection.execute(command, tuple(cells.values()))
+
+    def cells(self, trial: Trial, outcome: Outcome) -> dict[str, Any]:
+        """Return the cells of the row of a trial; a name that is taken gets its origin in front."""
+        cells = {key: as_cell(value) for key, value in outcome.items() if key in _COLUMNS}
+        cells |= {"row": trial.row, "seed": trial.seed, "parameters": json.dumps(trial.parameters)}
+        cells.setdefault("version", own_version())
+        if outcome.get("scenario") is not None:
+            cells["scenario_hash"] = digest(outcome["scenario"])
+        summary = {k: v for k, v in outcome.get("summary", {}).items() if k not in _COLUMNS}
+        groups = {
+            "parameters": trial.parameters,
+            "summary": summary,
+            "columns": outcome.get("columns", {}),
+        }
+        taken = {name.lower() for name in _COLUMNS}
+        for origin, group in groups.items():
+            for name, value in group.items():
+                full = f"{origin}.{name}" if name.lower() in taken else name
+                taken.add(full.lower())
+                cells[full] = as_cell(value)
+        return cells
+
+    def _ensure_column(self, name: str) -> str:
+        if name.lower() not in self._names:
+            if len(self._names) >= MOST_COLUMNS:
+                raise TableError(f"{self.path}: more than {MOST_COLUMNS} columns, at {name}")
+            self._connection.execute(f"ALTER TABLE runs ADD COLUMN {_quoted(name)}")
+            self._names[name.lower()] = name
+        return self._names[name.lower()]
+
+    @contextmanager
+    def _transaction(self) -> Iterator[None]:
+        self._connection.execute("BEGIN IMMEDIATE")
+        try:
+            yield
+            self._connection.execute("COMMIT")
+        except BaseException:
+            if self._connection.in_transaction:
+                self._connection.execute("ROLLBACK")
+            self._names = {name.lower(): name for name in self.columns}
+            raise
+
+    def _execute(self, text: str, values: Iterable[Any] = ()) -> sqlite3.Cursor:
+        with self._errors():
+            cursor: sqlite3.Cursor = self._connection.execute(text, tuple(values))
+        return cursor
+
+    def _errors(self) -> AbstractContextManager[None]:
+        return describe_errors(self.path)
+
+
+def open_table(folder: str | Path) -> CampaignTable:
+    """Open the table of a campaign to read it, also while the campaign runs.
+
+    Raises:
+        InputError: The folder holds no campaign.
+        TableError: The file is damaged, or locked by another program.
+    """
+    return CampaignTable(Path(folder))
+
+
+@contextmanager
+def describe_errors(path: Path) -> Iterator[None]:
+    """Make a sentence of what SQLite reports.
+
+    Raises:
+        TableError: Whatever it is.
+    """
+    try:
+        yield
+    except sqlite3.Error as error:
+        text = str(error)
+        if "locked" in text:
+            text = f"another program has locked the table for more than {PATIENCE:g} s"
+        elif "full" in text or "disk I/O" in text:
+            text = f"nothing can be written: {text}"
+        raise TableError(f"{path}: {text}; the rows in it are kept") from error
+
+
+def _has_journal(path: Path) -> bool:
+    journal = Path(f"{path}-wal")
+    return journal.exists() and journal.stat().st_size > 0
+
+
+def _quoted(name: str) -> str:
+    return '"' + name.replace('"', '""') + '"'

@@ -1,0 +1,205 @@
+"""One run of a campaign, as a worker flies it: a trial in, the cells of its row out."""
+
+import json
+import os
+import re
+import socket
+import sys
+import tomllib
+import traceback
+import warnings
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import contextmanager
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from pkgutil import resolve_name
+from time import perf_counter
+from typing import Any, NamedTuple
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from sato.record import json_default
+from sato.resource_usage import peak_memory_mib, reset_peak_memory
+from sato.runs import Run, run
+from sato.scenario.errors import InputError, ScenarioError
+from sato.scenario.file import Mission, from_dict
+
+FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")  # "module:function"
+THREAD_VARIABLES = ("OMP", "OPENBLAS", "MKL", "NUMBA")
+ERROR_LENGTH = 2000  # of the end of a traceback that is kept
+
+Source = str | dict[str, Any] | Mission  # a function, the tables of a scenario, or a mission
+# Cells of a row by column; summary and further columns are dicts of them.
+Outcome = dict[str, Any]
+Flights = Generator[tuple["Trial", Outcome], None, None]  # as they end
+
+
+class Trial(NamedTuple):
+    """Run to be made: all that a worker needs."""
+
+    row: int
+    source: Source
+    parameters: dict[str, Any]  # by key of the scenario
+    seed: int  # of the run
+    stream: tuple[int, int]  # seed of the campaign, and number of the trial
+    columns: str = ""  # "module:function"
+    keep: str = "none"
+    folder: str = ""  # of the campaign
+
+    def build_mission(self) -> Mission:
+        """Build the mission that is flown.
+
+        Raises:
+            InputError: The scenario cannot be flown with these parameters.
+        """
+        source: Any = self.source
+        if isinstance(source, str):
+            source = find_function(source)(generator(*self.stream, 1))
+        if isinstance(source, Mission):
+            if not self.parameters:
+                return source
+            source = tomllib.loads(source.to_toml())
+        return from_dict(source, tuple(self.parameters.items()))
+
+
+@cache
+def own_version() -> str:
+    """Return the version of this toolkit, which takes a millisecond to find."""
+    return version("sato-swarm")
+
+
+def generator(seed: int, *key: int) -> np.random.Generator:
+    """Return the generator of a stream of random numbers, independent of all others."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+
+
+def find_function(name: str) -> Callable[..., Any]:
+    """Import "module:function".
+
+    Raises:
+        InputError: There is no such module or function.
+    """
+    try:
+        found: Callable[..., Any] = resolve_name(name)
+    except (ImportError, AttributeError, ValueError) as error:
+        reason = f"{error}; the module must be beside the campaign's file, or installed"
+        raise InputError("", f'"{name}" cannot be imported: {reason}') from error
+    return found
+
+
+def name_of_function(function: object) -> str:
+    """Return "module:function", by which a worker finds it.
+
+    Raises:
+        InputError: A worker could not import it.
+    """
+    module, name = getattr(function, "__module__", None), getattr(function, "__qualname__", "")
+    is_typed_in = module == "__main__" and not hasattr(sys.modules["__main__"], "__file__")
+    known = None if is_typed_in else sys.modules.get(str(module))
+    if not callable(function) or getattr(known, name, None) is not function:
+        reason = 'must be "module:function", or a function at the top of a module or a script'
+        raise InputError("", f"{reason}, which workers can import, got {function!r}")
+    return f"{module}:{name}"
+
+
+def run_trial(trial: Trial) -> Outcome:
+    """Fly a trial in this process, on one thread; errors become part of the outcome."""
+    reset_peak_memory()
+    began = perf_counter()
+    with threadpool_limits(1), warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        outcome = _fly(trial)
+    if caught:
+        outcome["warnings"] = "; ".join(dict.fromkeys(str(each.message) for each in caught))
+    measured = {"wall_s": perf_counter() - began, "peak_memory_mib": peak_memory_mib()}
+    return outcome | measured | {"worker": f"{socket.gethostname()}:{os.getpid()}"}
+
+
+def _fly(trial: Trial) -> Outcome:
+    outcome: Outcome = {"exit": "error", "error": None, "version": own_version()}
+    try:
+        mission = trial.build_mission()
+        outcome["scenario"] = mission.to_toml()
+        flown = run(mission, seed=trial.seed)
+    except (InputError, ScenarioError) as error:
+        return outcome | {"exit": "refused", "error": str(error)}
+    except Exception:
+        return outcome | {"error": last_lines()}
+    outcome |= {"exit": judge(flown.summary), "error": _reason(flown.summary)}
+    outcome["summary"] = flatten(flown.summary)
+    if trial.columns:
+        outcome["columns"] = _more_columns(trial.columns, flown)
+    if trial.keep == "all" or (trial.keep == "failures" and outcome["exit"] != "reached"):
+        flown.save(Path(trial.folder, "runs", str(trial.row)))
+    return outcome
+
+
+def judge(summary: Mapping[str, Any]) -> str:
+    """Say how a run ended: "reached", "broken", "not reached", or "error" in its check."""
+    if "check_failed" in summary:
+        return "error"
+    if summary.get("broken"):
+        return "broken"
+    return "reached" if summary.get("success") and "stopped" not in summary else "not reached"
+
+
+def flatten(summary: Mapping[str, Any]) -> dict[str, Any]:
+    """Turn a summary into cells: tables key by key, lists as JSON."""
+    cells: dict[str, Any] = {}
+    for key, value in summary.items():
+        if isinstance(value, Mapping):
+            cells |= {f"{key}.{name}": cell for name, cell in flatten(value).items()}
+        else:
+            cells[str(key)] = as_cell(value)
+    return cells
+
+
+def as_cell(value: Any) -> Any:
+    """Convert a value to one that a column can hold; not-a-number is NULL."""
+    if hasattr(value, "tolist"):  # of NumPy
+        value = value.tolist()
+    if isinstance(value, float):
+        return None if value != value else value
+    if isinstance(value, int):  # of 64 bits at most
+        return int(value) if abs(value) < 2**63 else float(value)
+    if value is None or isinstance(value, str):
+        return value
+    return json.dumps(value, default=json_default)
+
+
+@contextmanager
+def one_thread_each() -> Iterator[None]:
+    """Let processes that start meanwhile use one thread each."""
+    before = {name: os.environ.get(name) for name in _THREADS}
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name)
+            if value is not None:
+                os.environ[name] = value
+
+
+def last_lines() -> str:
+    """Return the end of the traceback of the error that is being handled."""
+    return traceback.format_exc()[-ERROR_LENGTH:]
+
+
+_THREADS = [f"{name}_NUM_THREADS" for name in THREAD_VARIABLES]
+
+
+def _reason(summary: Mapping[str, Any]) -> str | None:
+    if summary.get("broken"):
+        return f"broken: {', '.join(summary['broken'])}"
+    return summary.get("check_failed") or summary.get("stopped")
+
+
+def _more_columns(function: str, flown: Run) -> Outcome:
+    # A fault in the user's function is told in the row; the run stands.
+    try:
+        return flatten(dict(find_function(function)(flown)))
+    except Exception:
+        return {"columns_error": last_lines()}

@@ -1,0 +1,147 @@
+"""Commands of campaigns; heavy imports stand inside the commands."""
+
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from time import perf_counter
+from typing import Annotated
+
+from typer import Argument, Exit, Option, Typer, echo
+
+from sato.cli_errors import EXIT_FAILED, EXIT_OK, ensure_writable
+
+campaign_app = Typer(help="Fly many runs, and resume them.", no_args_is_help=True)
+
+CampaignFolder = Annotated[Path, Argument(metavar="DIR", help="Folder of a campaign.")]
+
+
+@campaign_app.command(name="run")
+def run_command(
+    file: Annotated[Path, Argument(metavar="FILE.toml", help="Campaign.")],
+    trials: Annotated[int | None, Option(min=1, help="Number of seeds; the file's.")] = None,
+    resume: Annotated[bool, Option("--resume", help="Go on with the runs in DIR.")] = False,
+    workers: Annotated[
+        int | None, Option(min=1, metavar="W", help="Processes on this machine; one a core.")
+    ] = None,
+    scheduler: Annotated[
+        str | None, Option(metavar="ADDRESS", help="Dask scheduler, in place of processes here.")
+    ] = None,
+    out: Annotated[Path | None, Option(metavar="DIR", help="Folder; runs/NAME.")] = None,
+    keep: Annotated[
+        str | None, Option(metavar="failures|all|none", help="Run files to keep; the file's.")
+    ] = None,
+    yes: Annotated[bool, Option("--yes", help="Fly more than a million runs.")] = False,
+    allow_version: Annotated[
+        bool, Option("--allow-version", help="Resume with another version or scenario.")
+    ] = False,
+) -> None:
+    """Fly a campaign into one table, DIR/campaign.sqlite, a row a run."""
+    from sato.campaigns.definition import read_campaign
+    from sato.campaigns.engine import fly_campaign
+    from sato.scenario.definition import errors_in
+    from sato.scenario.errors import InputError
+
+    sys.path.insert(0, str(file.resolve().parent))  # of functions that it names
+    with errors_in(""):
+        if workers is not None and scheduler is not None:
+            raise InputError("", "--workers are of this machine; a --scheduler has its own")
+        campaign = read_campaign(file, trials=trials, keep=keep)
+        folder = out or Path("runs", campaign.name)
+        ensure_writable(folder)
+    try:
+        with _show_progress() as show, errors_in(""):
+            fly_campaign(
+                campaign,
+                folder,
+                resume=resume,
+                workers=workers,
+                scheduler=scheduler,
+                allow_version=allow_version,
+                allow_many=yes,
+                progress=show,
+            )
+    except KeyboardInterrupt:
+        echo(f"sato: interrupted; {_describe(folder)}; --resume goes on", err=True)
+        raise Exit(EXIT_FAILED) from None
+    echo(_describe(folder))
+    echo(str(folder))
+
+
+@campaign_app.command()
+def status(folder: CampaignFolder) -> None:
+    """Count the rows of a campaign by exit, also while it runs."""
+    echo(_describe(folder))
+
+
+@campaign_app.command()
+def rerun(
+    folder: CampaignFolder, row: Annotated[int, Argument(metavar="ROW", help="Its number.")]
+) -> None:
+    """Fly a row again from itself, into DIR/runs/ROW; exit 1 if its summary differs."""
+    from sato.campaigns.engine import fly_again
+    from sato.campaigns.table import open_table
+
+    with open_table(folder) as table:
+        outcome, differing = fly_again(table, row)
+        is_compared = table.scenario(table.row(row)) is not None
+    echo(f"{outcome['exit']}{': ' if outcome['error'] else ''}{outcome['error'] or ''}")
+    if differing:
+        echo(f"sato: differs from the row in {', '.join(differing)}", err=True)
+    elif is_compared:
+        echo("equal to the row")
+    echo(str(folder / "runs" / str(row)))
+    raise Exit(EXIT_FAILED if differing else EXIT_OK)
+
+
+def _describe(folder: Path) -> str:
+    from sato.campaigns.table import open_table
+
+    with open_table(folder) as table:
+        return describe(table.exits(), table.campaign.runs)
+
+
+def describe(exits: Counter[str], runs: int) -> str:
+    """Say how many runs are done, and how they ended."""
+    counts = ", ".join(f"{count} {name}" for name, count in exits.items())
+    return f"{sum(exits.values())} of {runs} runs{': ' if counts else ''}{counts}"
+
+
+@contextmanager
+def _show_progress() -> Iterator[Callable[[Counter[str], int], None]]:
+    """Show a live line on a terminal, else a line at every tenth."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    console = Console(stderr=True)
+    began, first, tenth = perf_counter(), 0, -1
+    text = TextColumn("{task.fields[line]}", markup=False)
+    with Progress(BarColumn(), text, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task("", total=None, line="")
+
+        def show(exits: Counter[str], runs: int) -> None:
+            nonlocal first, tenth
+            done = sum(exits.values())
+            if tenth < 0:
+                first = done
+            line = _live_line(exits, runs, done - first, perf_counter() - began)
+            if console.is_terminal:
+                bar.update(task, completed=done, total=runs, line=line)
+            elif 10 * done // runs > tenth:
+                echo(line, err=True)
+            tenth = 10 * done // runs
+
+        yield show
+
+
+def _live_line(exits: Counter[str], runs: int, flown: int, elapsed: float) -> str:
+    done = sum(exits.values())
+    parts = [f"{done}/{runs}"]
+    if done:
+        parts.append(f"{100 * exits['reached'] / done:.1f} % reached")
+    if flown:
+        left = round((runs - done) * elapsed / flown)
+        parts.append(f"{flown / elapsed:.3g} runs/s")
+        parts.append(f"{left // 3600}:{left // 60 % 60:02}:{left % 60:02} left")
+    return ", ".join(parts)

@@ -1,0 +1,49 @@
+"""Functions of a trial that fly nothing, for tests of campaigns; and a parent to be killed."""
+
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+from sato.campaigns.definition import Campaign
+from sato.campaigns.engine import fly_campaign
+
+TRIALS = 40
+
+
+def count(trial):
+    """Return a row at once."""
+    summary = {"seed": trial.seed, "half": trial.seed / 2, "legs": [{"steps": trial.row}]}
+    return {"exit": "reached", "error": None, "scenario": f"row {trial.row}", "summary": summary}
+
+
+def die(trial):
+    """End the process at one row, and take too long at another."""
+    if trial.row == 3:
+        os.kill(os.getpid(), signal.SIGKILL)
+    if trial.row == 5:
+        time.sleep(1000)
+    return count(trial)
+
+
+def campaign(**changes):
+    """Define a campaign of which nothing is flown."""
+    return Campaign(**{"scenario": "conflict", "trials": TRIALS} | changes)
+
+
+def more_columns(run):
+    """Add columns to a run, but for one seed."""
+    if run.summary["seed"] == 1:
+        raise KeyError("no such thing")
+    return {"instants": run.data.sizes["time"]}
+
+
+if __name__ == "__main__":
+    fly_campaign(
+        campaign(),
+        Path(sys.argv[1]),
+        workers=2,
+        function=count,
+        progress=lambda exits, runs: print(sum(exits.values()), flush=True),
+    )

@@ -1,0 +1,221 @@
+"""Campaigns: rows follow from the definition, and the table survives what ends its writers."""
+
+import signal
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+import campaign_trials
+import numpy as np
+import pytest
+from campaign_trials import TRIALS, campaign, count, die
+from full_disk import file_size_limit
+from test_cli import call, sentence
+
+import sato
+from sato.campaigns import table as tables
+from sato.campaigns.definition import Campaign, read_campaign
+from sato.campaigns.engine import fly_again, fly_campaign
+from sato.campaigns.table import MEASURED, CampaignTable, TableError, open_table
+from sato.campaigns.trial import run_trial
+from sato.scenario.errors import InputError, ScenarioError
+
+GRID = {"plan.horizon_steps": [1, 2], "swarm.comm_radius_m": [3.0, 3.5, 4.0]}
+FILE = """
+[campaign]
+scenario = "conflict"
+trials = 3
+
+[grid]
+plan.horizon_steps = [1, 2]
+
+[draw]
+"swarm.comm_radius_m" = { kind = "uniform", low = 2.9, high = 3.3 }
+"""
+
+
+def rows(folder):
+    with open_table(folder) as table:
+        return [
+            {k: v for k, v in row.items() if k not in MEASURED and v is not None}
+            for row in table.rows()
+        ]
+
+
+def is_sound(folder):
+    connection = sqlite3.connect(folder / tables.TABLE_FILE)
+    found = connection.execute("PRAGMA integrity_check").fetchone()
+    connection.close()
+    return found == ("ok",)
+
+
+@pytest.fixture
+def flown(tmp_path):
+    fly_campaign(campaign(), tmp_path / "flown", workers=1, function=count)
+    return tmp_path / "flown"
+
+
+def test_a_row_and_the_definition_alone_decide_a_trial():
+    draws = {"model.max_speed_m_s": {"kind": "normal", "mean": 0.5, "deviation": 0.01}}
+    first, more = (campaign(trials=n, grid=GRID, draw=draws, seed=7) for n in (4, 9))
+    trials = [first.trial(row) for row in range(first.runs)]
+    assert trials == [more.trial(row) for row in range(first.runs)]
+    assert len({str(trial.parameters) for trial in trials}) == first.runs == 4 * 6
+    for number in range(4):
+        same = trials[6 * number : 6 * number + 6]
+        assert {trial.seed for trial in same} == {7 + number}
+        assert len({trial.parameters["model.max_speed_m_s"] for trial in same}) == 1
+
+
+def test_every_distribution_stays_within_its_limits(rng):
+    tables = [
+        {"kind": "uniform", "low": 2.0, "high": 3.0},
+        {"kind": "log_uniform", "low": 2.0, "high": 3.0},
+        {"kind": "integers", "low": 2, "high": 3},
+        {"kind": "choice", "values": [2, 2.5, 3]},
+    ]
+    for table in tables:
+        drawn = campaign(draw={"seed_m": table}).draw["seed_m"]
+        values = [drawn.draw(rng) for _ in range(200)]
+        assert 2 <= min(values) < 2.1 and 2.9 < max(values) <= 3
+
+
+def test_a_definition_survives_its_table_and_its_file(tmp_path):
+    (tmp_path / "mine.toml").write_text(FILE)
+    read = read_campaign(tmp_path / "mine.toml")
+    assert (read.name, read.runs) == ("mine", 6)
+    assert Campaign.from_json(read.to_json()).to_json() == read.to_json()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("plan.horizon_steps", "plan.horizon_step", "did you mean plan.horizon_steps?"),
+        ('"swarm.comm_radius_m"', '"swarm.comm_radius"', "has no unit; write comm_radius_m"),
+        ("[1, 2]", "[]", "must be a list of values"),
+        ("uniform", "unifrom", 'did you mean "uniform"?'),
+        ("trials = 3", "trails = 3", "did you mean trials?"),
+        ("trials = 3", "trials = 1_000_000", "--yes"),
+        ('"conflict"', '"here:there"', "cannot be imported"),
+        ("low = 2.9", "low = 9.0", "must be at least low"),
+    ],
+)
+def test_a_faulty_file_is_refused_in_a_sentence(old, new, said, tmp_path):
+    (tmp_path / "mine.toml").write_text(FILE.replace(old, new))
+    result = call("campaign", "run", str(tmp_path / "mine.toml"), "--out", str(tmp_path / "out"))
+    assert result.exit_code == 2
+    assert said in sentence(result)
+    assert not (tmp_path / "out" / tables.TABLE_FILE).exists()
+
+
+def test_a_dead_worker_and_a_time_limit_are_recorded(tmp_path, flown):
+    fly_campaign(campaign(time_limit=2.0), tmp_path / "x", workers=2, function=die)
+    with open_table(tmp_path / "x") as table:
+        assert table.exits() == {"reached": TRIALS - 2, "died": 1, "time limit": 1}
+        assert table.row(3)["exit"] == "died"
+        assert table.row(5)["exit"] == "time limit"
+    fly_campaign(campaign(time_limit=2.0), tmp_path / "x", workers=1, function=count, resume=True)
+    again = rows(tmp_path / "x")
+    assert again[5]["exit"] == "time limit"
+    assert again[:5] + again[6:] == rows(flown)[:5] + rows(flown)[6:]
+
+
+def test_a_killed_campaign_resumes_to_the_undisturbed_table(tmp_path, flown):
+    words = [sys.executable, campaign_trials.__file__, str(tmp_path / "x")]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
+        while process.stdout.readline() not in ("7\n", ""):
+            pass
+        process.send_signal(signal.SIGKILL)
+    with open_table(tmp_path / "x") as table:
+        assert 7 <= len(table) < TRIALS
+    assert is_sound(tmp_path / "x")
+    fly_campaign(campaign(), tmp_path / "x", workers=1, function=count, resume=True)
+    assert rows(tmp_path / "x") == rows(flown)
+
+
+def test_another_campaign_in_the_folder_is_refused(flown):
+    with pytest.raises(InputError, match="holds a campaign; --resume goes on"):
+        fly_campaign(campaign(), flown, function=count)
+    with pytest.raises(InputError, match="holds another campaign, with another grid"):
+        fly_campaign(campaign(grid=GRID), flown, function=count, resume=True)
+    with pytest.raises(InputError, match="fewer"):
+        fly_campaign(campaign(trials=1), flown, function=count, resume=True)
+    other = campaign(scenario="crossing")
+    with pytest.raises(InputError, match="another scenario; --allow-version"):
+        fly_campaign(other, flown, function=count, resume=True)
+    fly_campaign(other, flown, function=count, resume=True, allow_version=True)
+
+
+def test_more_trials_add_rows_after_all_others(flown):
+    before = rows(flown)
+    fly_campaign(campaign(trials=TRIALS + 2), flown, workers=1, function=count, resume=True)
+    assert rows(flown)[:TRIALS] == before
+    assert len(rows(flown)) == TRIALS + 2
+
+
+def test_a_locked_or_full_table_is_told_and_stays_sound(flown, monkeypatch):
+    monkeypatch.setattr(tables, "PATIENCE", 0.01)
+    trial = campaign().trial(0)
+    before = rows(flown)
+    with CampaignTable(flown, is_writer=True) as table:
+        other = sqlite3.connect(flown / tables.TABLE_FILE, isolation_level=None)
+        other.execute("BEGIN IMMEDIATE")
+        with pytest.raises(TableError, match="another program has locked the table"):
+            table.add(trial, count(trial), 1)
+        other.close()
+        large = count(trial) | {"summary": {"new": "x" * 10**6}}
+        with file_size_limit(200_000), pytest.raises(TableError, match="nothing can be written"):
+            table.add(trial, large, 1)
+        table.add(trial, count(trial), 1)
+    assert is_sound(flown)
+    assert rows(flown) == before
+
+
+def test_a_row_is_flown_again_from_itself_alone(tmp_path):
+    (tmp_path / "mine.toml").write_text(FILE)
+    mine = read_campaign(tmp_path / "mine.toml", trials=2)
+    mine = Campaign(
+        **{name: getattr(mine, name) for name in ("scenario", "trials", "grid", "draw")},
+        columns=campaign_trials.more_columns,
+    )
+    with CampaignTable.create(tmp_path / "x", mine) as table:
+        for row in (1, 3):
+            trial = mine.trial(row)
+            table.add(trial, run_trial(trial), 1)
+        assert table.exits() == {"reached": 2}
+        first, second = table.rows()
+        assert first["instants"] > 40 and first["columns_error"] is None
+        assert second["instants"] is None and "no such thing" in second["columns_error"]
+        outcome, differing = fly_again(table, 1)
+        assert (outcome["exit"], differing) == ("reached", [])
+    assert sato.load(tmp_path / "x" / "runs" / "1").check().kept
+
+
+def test_a_mission_that_is_refused_is_a_row():
+    outcome = run_trial(campaign(grid={"swarm.comm_radius_m": [0.1]}).trial(0))
+    assert outcome["exit"] == "refused"
+    assert "comm_radius_m" in outcome["error"]
+
+
+def test_a_function_may_draw_missions():
+    drawn = [campaign(scenario=draw_mission).trial(row).build_mission() for row in (0, 1, 0)]
+    assert drawn[0] == drawn[2] != drawn[1]
+
+
+def draw_mission(rng: np.random.Generator):
+    return sato.read("conflict", [f"comm_radius_m={rng.uniform(3.0, 3.2)}"])
+
+
+def test_commands_tell_the_state_of_a_campaign(flown):
+    assert "40 of 40 runs: 40 reached" in call("campaign", "status", str(flown)).output
+    result = call("campaign", "status", str(Path(flown, "nowhere")))
+    assert result.exit_code == 2
+    assert "holds no campaign" in sentence(result)
+    with open_table(flown) as table, pytest.raises(InputError, match="did you mean half"):
+        list(table.rows(["haf"]))
+
+
+def test_files_that_are_no_campaign_are_refused(tmp_path):
+    with pytest.raises(ScenarioError, match="cannot be read"):
+        read_campaign(tmp_path / "none.toml")
