@@ -24,11 +24,13 @@ from problems.transfer import (
     TransferProblem,
     compute_energy,
     solve_cvxpy,
+    solve_within_speed,
 )
 
 Relaxation = Literal["none", "terminal", "separation"]
 
 RELAXATION_PENALTY = 1e3  # per meter of error, over the fuel that flies a meter
+ROUNDING = 1e-6  # of the way to the goal
 MIN_ENERGY_UNIT = 1e-3  # in which energies are scaled, over that of a step at full control
 
 
@@ -75,8 +77,8 @@ class AvoidanceResult(NamedTuple):
     """Trajectory among half-spaces and the violations that its relaxation admits."""
 
     trajectory: Trajectory
-    terminal_error: float  # ‖x[T] − goal‖_∞ [m or m/s]; 0 where it may not be relaxed
-    slack: float  # largest violation of a half-space [m]; 0 where it may not be relaxed
+    terminal_error: float  # ‖x[T] − goal‖_∞ [m or m/s]; rounding where it may not be relaxed
+    slack: float  # largest violation of a half-space [m]; rounding where it may not be relaxed
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +124,22 @@ class AvoidanceProblem:
             ValueError: The transfer has no steps.
         """
         self.transfer.require_steps()
+        found = solve_within_speed(
+            lambda factor: self.slow_down(factor)._solve(relaxation),
+            lambda result: self.transfer.speed_excess(result.trajectory),
+        )
+        if relaxation == "none" and self.transfer.is_too_fast(found.trajectory.x).any():
+            # Only at full speed does it arrive: less by rounding, and it arrives but for rounding.
+            slower = self.solve("terminal")
+            extent = float(np.abs(self.goal - self.start).max())
+            return slower if slower.terminal_error <= ROUNDING * extent else found
+        return found
+
+    def slow_down(self, factor: float) -> "AvoidanceProblem":
+        """Return the problem with the speed limit times a factor."""
+        return replace(self, transfer=self.transfer.slow_down(factor))
+
+    def _solve(self, relaxation: Relaxation) -> AvoidanceResult:
         if self.transfer.objective == "energy" and (free := self._solve_without_limits()):
             return AvoidanceResult(free, 0.0, 0.0)
         if not self.transfer.is_condensable:
@@ -129,7 +147,7 @@ class AvoidanceProblem:
         (found,) = solve_condensed(
             [self], lambda limited: self.assemble_conic(relaxation, limited[0])
         )
-        return self._make_result(found, relaxation)
+        return self._make_result(found)
 
     def solve_cvxpy(self, relaxation: Relaxation = "none") -> AvoidanceResult:
         """Solve the same problem in CVXPY, for any norms and as a second opinion."""
@@ -138,9 +156,8 @@ class AvoidanceProblem:
         _, u, cost, constraints = self.state_cvxpy(relaxation)
         problem = cp.Problem(cp.Minimize(cost / cost_unit([self])), constraints)
         solve_cvxpy(self, problem, self.solver)
-        return self._make_result(
-            self.transfer.simulate(self.start, np.asarray(u.value)), relaxation
-        )
+        u = self.transfer.control_limit.cut(u.value)
+        return self._make_result(self.transfer.simulate(self.start, u))
 
     def state_cvxpy(self, relaxation: Relaxation = "none") -> tuple[Any, Any, Any, list[Any]]:
         """State the problem in CVXPY: variables x and u, cost and constraints."""
@@ -159,12 +176,9 @@ class AvoidanceProblem:
         error_cost = cp.norm1(cp.multiply(self._terminal_error_weights, terminal_error))
         return x, u, effort + self._penalty * (error_cost + 10 * cp.sum(slack)), limits
 
-    def _make_result(self, found: Trajectory, relaxation: Relaxation) -> AvoidanceResult:
-        terminal_error, slack = 0.0, 0.0
-        if relaxation != "none":
-            terminal_error = float(np.abs(found.x[-1] - self.goal).max())
-        if relaxation == "separation":
-            slack = float(self.half_spaces.violation(found.x, found.u).max(initial=0.0))
+    def _make_result(self, found: Trajectory) -> AvoidanceResult:
+        terminal_error = float(np.abs(found.x[-1] - self.goal).max())
+        slack = float(self.half_spaces.violation(found.x, found.u).max(initial=0.0))
         return AvoidanceResult(found, terminal_error, slack)
 
     def _solve_without_limits(self) -> Trajectory | None:

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 Norm = Literal[1, 2, "inf"]
+LIMIT_TOLERANCE = 1e-9  # relative, by which rounding may exceed a limit in flight
 Bound = float | Float[Array, " m"]  # the same on all axes, or one an axis
 
 
@@ -39,6 +40,11 @@ class Limit:
     def measure(self, v: Float[Array, "*k m"]) -> Float[Array, "*k"]:
         """Compute ‖v / s‖_r, which may be at most L."""
         return vector_norm(v / self.shares, self.norm)
+
+    def cut(self, v: Float[Array, "*k m"]) -> Float[Array, "*k m"]:
+        """Shorten the vectors outside the set, as those of solvers are by rounding."""
+        size = np.maximum(self.measure(v), 1e-300)
+        return np.asarray(v * np.minimum(1.0, self.most / size)[..., None])
 
     def most_along(self, direction: Float[Array, "*k m"]) -> Float[Array, "*k"]:
         """Compute the largest product of a vector in the set with a direction."""

@@ -4,7 +4,7 @@ With a priority, the half-spaces of `avoidance` constrain one of the two agents.
 free to move, and a half-space constrains their relative trajectory.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ from scipy.sparse import block_diag, csc_array, vstack
 from problems.avoidance import AvoidanceProblem, HalfSpaces, cost_unit, solve_condensed
 from problems.conic import ConicProgram
 from problems.convexify import AvoidanceHorizon, convexify
-from problems.transfer import Trajectory, solve_cvxpy
+from problems.transfer import Trajectory, solve_cvxpy, solve_within_speed
 
 
 class RelativeHalfSpaces(NamedTuple):
@@ -98,6 +98,17 @@ class PairProblem:
         """
         for member in self._members:
             member.transfer.require_steps()
+        return solve_within_speed(
+            lambda factor: replace(
+                self, first=self.first.slow_down(factor), second=self.second.slow_down(factor)
+            )._solve(),
+            lambda both: max(
+                member.transfer.speed_excess(trajectory)
+                for member, trajectory in zip(self._members, both, strict=True)
+            ),
+        )
+
+    def _solve(self) -> tuple[Trajectory, Trajectory]:
         if not all(member.transfer.is_condensable for member in self._members):
             return self.solve_cvxpy()
         first, second = solve_condensed(self._members, self._assemble_joint)
@@ -124,7 +135,9 @@ class PairProblem:
         )
         solve_cvxpy(self, problem, self.first.solver)
         first, second = (
-            member.transfer.simulate(member.start, np.asarray(controls.value))
+            member.transfer.simulate(
+                member.start, member.transfer.control_limit.cut(controls.value)
+            )
             for member, controls in zip(self._members, (u, v), strict=True)
         )
         return first, second

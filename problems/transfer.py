@@ -1,11 +1,11 @@
 """Optimal transfer of one agent from a state to a state [Morgan2016, Problem 6]."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf, isfinite
 from types import SimpleNamespace
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -15,13 +15,16 @@ from scipy.sparse import csc_array, triu
 from dynamics import DiscreteModel
 from dynamics.model import ControlSamples, StateSamples
 from problems.conic import ConicProgram, ConicSolution, Infeasible, Unsolved
-from problems.limit import Bound, Limit, Norm, vector_norm
+from problems.limit import LIMIT_TOLERANCE, Bound, Limit, Norm, vector_norm
 from problems.solvers.verified import solve_program
 
 Objective = Literal["fuel", "energy"]
 Solver = Callable[[ConicProgram], ConicSolution]  # raises Infeasible, Unsolved
 
 
+Found = TypeVar("Found")
+
+MAX_SLOWDOWNS = 3  # most solvers take one
 ARRIVAL_TOLERANCE = 1e-9  # of a closed form, relative to the largest state
 
 
@@ -116,7 +119,19 @@ class TransferProblem:
     def is_too_fast(self, x: StateSamples) -> Bool[Array, "*agents inner"]:
         """Find the instants between the ends at which the speed exceeds its limit."""
         speed = self.speed_limit.measure(x[..., 1:-1, self.model.axes :])
-        return np.asarray(speed > self.speed_limit.most * (1 + 1e-9))
+        return np.asarray(speed > self.speed_limit.most * (1 + LIMIT_TOLERANCE))
+
+    def slow_down(self, factor: float) -> "TransferProblem":
+        """Return the problem with the speed limit times a factor."""
+        if factor == 1:
+            return self
+        slower = np.asarray(self.max_speed) * factor
+        return replace(self, max_speed=slower if slower.ndim else float(slower))
+
+    def speed_excess(self, trajectory: "Trajectory") -> float:
+        """Compute the largest speed between the ends, over its limit, minus 1."""
+        speed = self.speed_limit.measure(trajectory.x[1:-1, self.model.axes :])
+        return float(speed.max(initial=0.0)) / self.speed_limit.most - 1
 
     @property
     def is_condensable(self) -> bool:
@@ -189,11 +204,17 @@ class TransferProblem:
             ValueError: There is no step.
         """
         self.require_steps()
+        return solve_within_speed(
+            lambda factor: self.slow_down(factor)._solve_cvxpy(start, target, solver),
+            self.speed_excess,
+        )
+
+    def _solve_cvxpy(self, start: Array, target: Array, solver: Solver) -> Trajectory:
         problem, u = self._cvxpy_problem
         parameters = problem.param_dict
         parameters["start"].value, parameters["target"].value = start, target
         solve_cvxpy(self, problem, solver)
-        return self.simulate(start, np.asarray(u.value))
+        return self.simulate(start, self.control_limit.cut(u.value))
 
     def simulate(self, start: Float[Array, " n"], u: Float[Array, "T m"]) -> Trajectory:
         """Simulate the trajectory of given controls."""
@@ -229,6 +250,33 @@ class TransferProblem:
         if isfinite(self.speed_limit.most) and T > 1:
             limits.append(self.speed_limit.to_cvxpy(x[1:T, n // 2 :]))
         return x, u, effort, limits
+
+
+def solve_within_speed(solve: Callable[[float], Found], excess: Callable[[Found], float]) -> Found:
+    """Solve again with a lower speed limit where a solution exceeds it.
+
+    Solvers keep a limit within their tolerance only. Most solutions keep this one by rounding;
+    where one does not, the limit is lowered by twice as much as it is exceeded by.
+
+    Args:
+        solve: Solves with the speed limit times a factor.
+        excess: Computes the largest speed over the limit, minus 1.
+
+    Returns:
+        The first solution that keeps the limit; the last where that takes more than
+        `MAX_SLOWDOWNS`, or where there is none with a lower limit.
+    """
+    found, factor = solve(1.0), 1.0
+    for _ in range(MAX_SLOWDOWNS):
+        over = excess(found)
+        if over <= LIMIT_TOLERANCE:
+            break
+        factor *= 1 - 2 * min(over, 0.25)
+        try:
+            found = solve(factor)
+        except Unsolved:  # it can be kept at full speed only
+            break
+    return found
 
 
 def compute_fuel(u: ControlSamples, dt: float, norm: Norm) -> Float[Array, "*agents"] | float:

@@ -65,8 +65,7 @@ def controls_at(
     for i in np.flatnonzero(alive).tolist():
         u = plans[i].controls_from(k)
         control[i] = u[0] if len(u) else 0.0
-        limit = mission.control_limit(i)
-        control[i] *= min(1.0, limit.most / max(float(limit.measure(control[i])), 1e-300))
+        control[i] = mission.control_limit(i).cut(control[i])
     return control
 
 

@@ -269,7 +269,8 @@ def _solve_active_set(
         problem = AvoidanceProblem(transfer, nominal.x[0], target, rows, solver)
         result = problem.solve(relaxation)
         trajectory = result.trajectory
-        violation = half_spaces.violation(trajectory.x, trajectory.u) - result.slack
+        violation = half_spaces.violation(trajectory.x, trajectory.u)
+        violation -= result.slack if relaxation == "separation" else 0.0
         if not ((violation > VIOLATION_TOLERANCE * R) & ~active).any():
             return result
 

@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 
 from dynamics.orbit import polar_nodal_scales
 from dynamics.trajectory_geometry import sampled_separations
-from problems.limit import Limit
+from problems.limit import LIMIT_TOLERANCE, Limit
 from sato.check import common
 from sato.check.report import Promise, Report, expect_below, expect_none, expect_small_error
 from sato.network.graph import CommunicationGraph, canonicalize_labels
@@ -171,7 +171,7 @@ def check_control_limit(record: ReconfigurationRecord) -> Promise:
     most = np.broadcast_to([limit.most for limit in limits], is_flying.shape)[is_flying]
     worst = np.argmax(size / most) if len(size) else slice(0)
     allowed = float(np.max(most[worst], initial=0.0))
-    return expect_below("control", size[worst], allowed, 1e-9, "m/s² commanded")
+    return expect_below("control", size[worst], allowed, LIMIT_TOLERANCE, "m/s² commanded")
 
 
 def check_speed_limit(record: ReconfigurationRecord) -> Promise:
@@ -185,13 +185,13 @@ def check_speed_limit(record: ReconfigurationRecord) -> Promise:
     speed = _measure(limits, record.frames.velocity)[alive]
     most = np.array([limit.most for limit in limits])
     if not len(speed) or np.isinf(most).all():
-        return expect_below("speed", speed, most.max(), 1e-9, "m/s flown")
+        return expect_below("speed", speed, most.max(), LIMIT_TOLERANCE, "m/s flown")
     # A vector of length 1 is at most so large in the norm of the limit.
     stretch = np.array([1 / limit.shares.min() for limit in limits])
     stretch *= np.sqrt(record.axes) if record.mission.speed_norm == 1 else 1.0
     allowed = (most + bound_speed_excess(record) * stretch)[alive]
     worst = int(np.argmax(speed - allowed))
-    return expect_below("speed", speed[worst], float(allowed[worst]), 1e-9, "m/s flown")
+    return expect_below("speed", speed[worst], float(allowed[worst]), LIMIT_TOLERANCE, "m/s flown")
 
 
 def _each_agent(record: ReconfigurationRecord, limit_of: Callable[[int], Limit]) -> list[Limit]:
