@@ -96,9 +96,10 @@ def _expression(value: Any) -> Any:
 
 
 def is_symbolic(*values: object) -> bool:
-    """Return True where a value is an expression of CasADi, SX or MX."""
+    """Return True where a value is of CasADi: SX, MX, or numbers as DM."""
     casadi = sys.modules.get("casadi")
-    return casadi is not None and any(isinstance(v, (casadi.SX, casadi.MX)) for v in values)
+    kinds = () if casadi is None else (casadi.SX, casadi.MX, casadi.DM)
+    return any(isinstance(v, kinds) for v in values)
 
 
 def to_array(matrix: Any) -> Array:
@@ -139,11 +140,14 @@ def trace(rate: Callable[..., Any], model: Any, *values: Any) -> Any:
         values: t, x and u, at least one of them an expression.
 
     Raises:
-        ValueError: The size of t, x or u is wrong.
+        ValueError: The size of t, x or u is wrong, or SX and MX are mixed.
         TypeError: The rate uses what symbols do not have.
     """
     import casadi
 
+    kinds = [type(v).__name__ for v in values]
+    if {"SX", "MX"} <= set(kinds):
+        raise ValueError(f"t, x and u must be all SX or all MX, got {', '.join(kinds)}")
     arrays, symbols, expressions = [], [], []
     for name, value, size in zip("txu", values, (1, 2 * model.axes, model.axes), strict=True):
         if is_symbolic(value):

@@ -200,3 +200,11 @@ def test_models_do_not_load_casadi_before_it_is_needed():
     code = "import sys, dynamics; print(dynamics.J2, 'casadi' in sys.modules)"
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert shown.stdout.endswith("J2'> False\n")
+
+
+def test_mixed_symbols_are_refused_and_numbers_of_casadi_are_taken(rng):
+    model, x, u = J2(ORBIT), 1e3 * rng.normal(size=6), rng.normal(size=3)
+    with pytest.raises(ValueError, match="all SX or all MX, got float, SX, MX"):
+        model.rate(0.0, casadi.SX.sym("x", 6), casadi.MX.sym("u", 3))
+    found = model.rate(0.0, casadi.DM(x), casadi.DM(u))
+    assert_allclose(found.full().ravel(), model.rate(0.0, x, u), rtol=1e-12)
