@@ -1,6 +1,7 @@
 """Whatever is in a scenario, it is drawn, or refused in a sentence."""
 
 import runpy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +44,25 @@ def test_numbers_out_of_range_are_refused_by_key(name, setting, message):
     with pytest.raises((sato.ScenarioError, sato.InputError)) as caught:
         sato.read(name, [setting]).draw(np.random.default_rng(0))
     assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("kind", "fields", "message"),
+    [
+        (sato.Loss, {"kind": "agents", "agents": np.array(True)}, "agents: must be a list"),
+        (sato.FormationLeg, {"formation": "Square", "graph": np.array(3)}, "symmetric matrix"),
+        (sato.Leg, {"shape": sato.Ring(spacing=1.0), "steps": np.array(3)}, "steps: must be an"),
+    ],
+)
+def test_arrays_without_axes_are_refused_by_key(kind, fields, message):
+    with pytest.raises(sato.InputError, match=message):
+        kind(**fields)
+
+
+def test_a_norm_that_is_a_table_of_numbers_is_refused():
+    mission = sato.read("crossing")
+    with pytest.raises(sato.InputError, match=r'model.fuel_norm: must be 1, 2 or "inf"'):
+        replace(mission, fuel_norm=np.rec.array([(1, 2.0)]))
 
 
 def test_toml_that_python_cannot_hold_is_refused():

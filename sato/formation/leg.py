@@ -137,8 +137,8 @@ def _as_graph(value: Any) -> Any:
         return EdgeList(value)  # type: ignore[arg-type]
     if not isinstance(value, Array):
         return value
-    n = len(value)
-    if value.dtype != bool or value.shape != (n, n) or (value != value.T).any() or value.trace():
+    is_matrix = value.dtype == bool and value.ndim == 2 and value.shape[0] == value.shape[1]
+    if not is_matrix or (value != value.T).any() or value.trace():
         raise InputError("", "must be a symmetric matrix of True and False, without loops")
     return EdgeList.from_graph(value)
 

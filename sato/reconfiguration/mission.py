@@ -50,7 +50,8 @@ def _norm(value: Any) -> Any:
     # To Python, true is 1.
     if isinstance(value, bool):
         raise InputError("", f'must be 1, 2 or "inf", got {format_value(value)}')
-    return "inf" if value == inf else value  # as `--set control_norm=inf` and numpy.inf have it
+    is_inf = isinstance(value, float) and value == inf
+    return "inf" if is_inf else value  # as `--set control_norm=inf` and numpy.inf have it
 
 
 Norm = Annotated[Literal[1, 2, "inf"], BeforeValidator(_norm)]

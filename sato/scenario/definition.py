@@ -158,7 +158,8 @@ class Field:
     def _check_plain(self, value: Any) -> Any:
         if isinstance(value, np.generic):
             value = value.item()
-        if type(value) in (list, Array) and get_origin(self.hint) is tuple:
+        is_list = type(value) is list or (type(value) is Array and value.ndim > 0)
+        if is_list and get_origin(self.hint) is tuple:
             value = tuple(value if isinstance(value, list) else value.tolist())
         try:
             return check_range(self._adapter.validate_python(value))

@@ -28,21 +28,6 @@ def farthest_point_sampling(points: Float[Array, "k d"], count: int) -> Int[Arra
     return indices
 
 
-def farthest_point_order(points: Float[Array, "k d"]) -> Int[Array, " k"]:
-    """Return the permutation that puts points in farthest-point order.
-
-    No point is farther from the nearest point of a prefix than the points of the prefix are from
-    each other. Ties go to the smaller index.
-
-    Raises:
-        ValueError: A point is not finite.
-    """
-    finite = np.isfinite(points).all(axis=1)
-    if not finite.all():
-        raise ValueError(f"point {int(np.argmin(finite))} is not finite, so it has no place")
-    return farthest_point_sampling(points, len(points))
-
-
 def golden_ratio_order(count: int) -> Int[Array, " count"]:
     """Return the permutation whose every prefix is spread evenly over the indices.
 

@@ -16,7 +16,7 @@ from dynamics.trajectory_geometry import min_distance as least_distance
 from dynamics.units import Length, Unit
 from sato.scenario.definition import Coordinates, Definition, Matrix, Positive, as_array, errors_in
 from sato.scenario.errors import InputError, round_up
-from sato.shapes.ordering import farthest_point_order
+from sato.shapes.ordering import farthest_point_sampling
 
 Size = Annotated[Length, Positive]
 MAX_COORDINATE = 1e9  # largest coordinate whose square is sure not to overflow [m]
@@ -177,7 +177,7 @@ class Points(Shape):
             key, path = ("positions_m", "") if self.file is None else ("file", f"{self.file} ")
             found = f"{path}lists {len(listed)} points"
             raise InputError(key, f"{found}, fewer than the {count} asked for")
-        return np.arange(count) if self.keep_order else farthest_point_order(listed)[:count]
+        return np.arange(count) if self.keep_order else farthest_point_sampling(listed, count)
 
 
 def as_points(value: Any) -> Any:
