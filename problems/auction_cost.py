@@ -144,14 +144,23 @@ def compute_energies(
     """Compute the least control energy, Δt Σ ‖u‖₂² = bᵀ (C Cᵀ)⁻¹ b Δt, without limits [m²/s³].
 
     It is strictly convex in the displacement b: in the assignment of least energy, trajectories
-    of least energy do not cross, whatever the linear dynamics. With too few steps to reach every
-    state it is the energy of coming nearest.
+    of least energy do not cross, whatever the linear dynamics.
+    """
+    b = compute_displacements(steps, start, targets)
+    return least_energies(steps, b.reshape(-1, b.shape[2])).reshape(b.shape[:2])
+
+
+def least_energies(
+    steps: DiscreteModel, displacement: Float[Array, "many n"]
+) -> Float[Array, " many"]:
+    """Compute the least control energy of displacements, without limits [m²/s³].
+
+    With too few steps to reach every state it is the energy of coming nearest.
     """
     C = reachability_matrix(steps).reshape(2 * steps.axes, -1)
-    b = compute_displacements(steps, start, targets)
-    rows = b.reshape(-1, len(C)).T
+    rows = displacement.T
     if np.linalg.matrix_rank(C) == len(C):
         u = np.linalg.solve(np.linalg.qr(C.T)[1].T, rows)  # of the same norm as the controls
     else:
         u = np.linalg.pinv(C) @ rows
-    return np.asarray(steps.dt * (u**2).sum(axis=0).reshape(b.shape[:2]))
+    return np.asarray(steps.dt * (u**2).sum(axis=0))

@@ -25,7 +25,7 @@ def random_mission(rng, steps, factor=1.0, **more):
     targets = rng.permutation(row(agents + int(rng.integers(4)), rng.uniform(2, 12), axes))
     norm = "inf" if moving else [1, 2, "inf"][rng.integers(3)]  # others are solved one by one
     changes = {"control_norm": norm, "max_speed": rng.choice([0.4, 1e3])}
-    leg = Leg(targets, steps, time_factor=factor)
+    leg = Leg(targets, steps, time_factor=factor if steps == "auto" else None)
     return make_mission(start, leg, **(LIMITS | changes | more))
 
 

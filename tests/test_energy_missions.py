@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from random_programs import infeasible_program, random_program
 from reconfiguration_runs import at_rest, fly, leg_to, make_mission, row
+from recorded_run import recorded
 
 import sato
 from dynamics import discretize_zoh
@@ -18,6 +19,9 @@ from problems.solvers import SolverAdapter, load_adapters, solve_clarabel, verif
 from problems.solvers.adapter import SDP
 from problems.solvers.verified import VerifiedSolver
 from sato.reconfiguration.assignment import compute_epsilon
+from sato.reconfiguration.check import ReconfigurationRecord
+from sato.reconfiguration.check.fuel import compute_step_energy
+from sato.reconfiguration.check.promises import check_fuel
 
 
 def crossing_rows(count=4, **changes):
@@ -82,6 +86,22 @@ def test_the_summary_tells_energy_and_its_lower_bound():
     least = summary["energy_lower_bound_m2_s3"]
     assert 0.5 * summary["energy_m2_s3"] < least <= summary["energy_m2_s3"] * (1 + 1e-9)
     assert "solver_fallbacks" not in summary
+    for name in ("energy_m2_s3", "energy_lower_bound_m2_s3"):
+        forged = replace(run, summary=summary | {name: summary[name] * 1.001})
+        [promise] = forged.check().broken
+        assert promise.name == "summary" and name in promise.message
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+def test_no_leg_takes_less_energy_than_its_lower_bound(noise):
+    mission = crossing_rows(objective="energy", disturbance=noise)
+    run = recorded(mission, fly(mission))
+    record, forged = (ReconfigurationRecord.from_dataset(run.data, mission) for _ in range(2))
+    energy, [bound] = float(compute_step_energy(record).sum()), record.energy_bounds
+    assert check_fuel(record).kept
+    assert (bound.bound <= energy * (1 + 1e-9)) == (noise == 0)  # which helps on the way
+    vars(forged)["energy_bounds"] = [bound._replace(bound=energy * (1 + 1e-5))]
+    assert check_fuel(forged).kept == (noise > 0)  # for then it is computed without limits
 
 
 def test_another_solver_flies_the_same_mission_within_its_tolerance():

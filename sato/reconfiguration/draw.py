@@ -23,6 +23,7 @@ from sato.scenario.ranges import check_memory
 from sato.shapes import Points
 
 ARRIVAL_TOLERANCE = 1e-6  # of the least spacing of the targets
+TIME_FACTOR = 1.5  # of automatic steps, over the least
 
 
 def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
@@ -43,7 +44,8 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
         states = np.concatenate([states, *joined])
         if is_auto(asked[k].steps):
             begin = _depart(mission, k, known, states, demand, mission.step * steps)
-            leg = replace(leg, steps=_choose_steps(mission, k, leg, begin, demand[k]))
+            factor = asked[k].time_factor or TIME_FACTOR
+            leg = replace(leg, steps=_choose_steps(mission, k, leg, begin, demand[k], factor))
         steps += leg.steps
         targets = _draw_targets(mission, k, leg, demand[k], mission.step * steps)
         # States of agents that are known to those that join when the next leg begins.
@@ -62,7 +64,9 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
 def _with_placeholders(mission: Reconfiguration) -> Reconfiguration:
     """Return the mission with the fewest steps that it allows, where they are automatic."""
     legs = [
-        replace(leg, steps=_fewest_steps(mission, leg)) if is_auto(leg.steps) else leg
+        replace(leg, steps=_fewest_steps(mission, leg), time_factor=None)
+        if is_auto(leg.steps)
+        else leg
         for leg in mission.legs
     ]
     return replace(mission, legs=tuple(legs))
@@ -94,7 +98,12 @@ def _depart(
 
 
 def _choose_steps(
-    mission: Reconfiguration, number: int, leg: Leg, departure: reach.Departure, demand: int
+    mission: Reconfiguration,
+    number: int,
+    leg: Leg,
+    departure: reach.Departure,
+    demand: int,
+    factor: float,
 ) -> int:
     wanted = None if mission.uses_all_targets(leg) else demand
     if number == 0 and not leg.joins:
@@ -107,7 +116,7 @@ def _choose_steps(
     fixed = targets_after(1)  # but drift-free velocities depend on the time
     after = targets_after if mission.chief is not None else lambda _: fixed
     least = reach.find_least_steps(mission, f"leg.{number}.steps", departure, after)
-    return max(ceil(leg.time_factor * least - 1e-9), _fewest_steps(mission, leg))
+    return max(ceil(factor * least - 1e-9), _fewest_steps(mission, leg))
 
 
 def is_drawn(mission: Reconfiguration) -> bool:
@@ -174,9 +183,10 @@ def _draw_targets(
     with errors_in(where):
         drawn = leg.place(demand, mission.axes, mission.largest_separation)
     placed = np.asarray(drawn.positions)
-    # Any vehicle may have to arrive there.
-    slowest = min(mission.speed_limits, key=lambda limit: float(limit.most * limit.shares.min()))
-    limits = [slowest] * len(placed)
+    limits = [mission.speed_limit(i) for i in range(len(placed))]
+    if mission.assignment != "given":  # any vehicle may have to arrive there
+        limits = [min(mission.speed_limits, key=lambda one: float(one.most * one.shares.min()))]
+        limits *= len(placed)
     return _with_velocities(mission, placed, drawn.velocities, arrival, where, limits, "target")
 
 

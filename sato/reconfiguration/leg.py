@@ -83,7 +83,7 @@ class Leg(Definition):
         joins: Agents that join in this leg.
         choose: Targets that the auction assigns: the first m, or "nearest", any of all M.
             "nearest" by default for a list of points without `keep_order`.
-        time_factor: Steps over the least, where they are automatic.
+        time_factor: Steps over the least, where they are automatic; 1.5 by default.
     """
 
     shape: Annotated[Targets, Convert(as_points), "targets"]
@@ -98,7 +98,9 @@ class Leg(Definition):
         Literal["prefix", "nearest"] | None,
         "bid on the first m targets, or on all M; nearest for a list without keep_order, if absent",
     ] = LATER
-    time_factor: Annotated[float, Ge(1), "with steps auto: steps over the least"] = 1.5
+    time_factor: Annotated[
+        float | None, Ge(1), "with steps auto: steps over the least; 1.5 if absent"
+    ] = None
 
     def completed(self) -> dict[str, Any]:
         """Return the choice of targets where it is not given."""
@@ -113,6 +115,9 @@ class Leg(Definition):
         if self.is_free and self.recount:
             reason = 'has no meaning with choose = "nearest", where agents bid on all targets'
             raise InputError("recount", f'{reason}; leave it out, or choose = "prefix" would do')
+        if self.time_factor is not None and not is_auto(self.steps):
+            reason = f"{self.time_factor:g} has no effect beside steps = {self.steps}"
+            raise InputError("time_factor", f'{reason}; leave it out, or steps = "auto" would do')
         for name, events in (("lose", self.losses), ("join", self.joins)):
             late = max((event.at_step for event in events), default=0)
             if not is_auto(self.steps) and late >= self.steps:

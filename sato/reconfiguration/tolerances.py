@@ -7,9 +7,11 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics.discretize import discretize_zoh
+from dynamics.discretize import discretize_zoh, linearize_along
 from dynamics.j2 import J2
 from dynamics.plant import NonlinearPlant
+from problems.transfer import Trajectory
+from sato.reconfiguration.leg import Leg
 
 if TYPE_CHECKING:
     from sato.reconfiguration.mission import Reconfiguration
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
 
 MARGIN_SIGMAS = 5.0  # of random errors of the distance of two: exceeded once in 10⁶
 TOLERANCE_SIGMAS = 6.0  # of random errors on arrival: exceeded once in 10⁷ arrivals
+CONTROL_ROOM = 0.1  # of the limit, without which a control is no correction
 MAX_MODEL_ERROR = 0.1  # of the collision radius: beyond it a model is doubtful
 
 
@@ -83,12 +86,79 @@ def _largest_error(
 def model_error_on_arrival(mission: "Reconfiguration") -> tuple[float, float]:
     """Return how far, and how fast, a wrong model leaves an agent from its target [m, m/s].
 
-    Its error is corrected until the last plan, and no further; an acceleration that it leaves
-    out gains speed as twice the distance over the time.
+    Its error is corrected until the last plan that can, and no further: it is that of the steps
+    since then, in the trajectories of the assignment of least energy, without regard to others,
+    when a leg ends as planned or up to a whole leg later. Twice, for those who give way.
     """
-    blind = max(1, mission.freeze_steps) + mission.replan_steps - 1
-    wrong = _model_error(mission, blind)
-    return wrong, 2 * wrong / (blind * mission.step)
+    worst, begin, start = np.zeros(2), 0.0, mission.initial_states[mission.alive]
+    for leg in () if mission.flies_model else mission.legs:
+        if paths := _solve_alone(mission, start, leg, begin):
+            steps = min(leg.steps, _uncorrected_steps(mission, paths))
+            for late in (0.0, 0.5, 1.0):
+                t = begin + ((1 + late) * leg.steps - steps) * mission.step
+                error = _errors_along(mission, paths, steps, t).reshape(-1, 2, mission.axes)
+                worst = np.maximum(worst, 2 * np.linalg.norm(error, axis=2).max(axis=0))
+        start, begin = leg.targets, begin + leg.steps * mission.step
+    return float(worst[0]), float(worst[1])
+
+
+def _solve_alone(
+    mission: "Reconfiguration", start: Float[Array, "k n"], leg: Leg, t: float
+) -> list[Trajectory]:
+    """Solve the transfers of an assignment, for the weakest vehicle; without those out of reach."""
+    from scipy.optimize import linear_sum_assignment
+
+    from problems.auction_cost import compute_energies
+    from sato.reconfiguration.solo_trajectories import solve_solo_transfers
+
+    model = discretize_zoh(mission.linear_model, mission.step, leg.steps, t)
+    most = [float(limit.most * limit.shares.min()) for limit in mission.control_limits]
+    transfer = mission.make_transfer(model, int(np.argmin(most)), objective=mission.objective)
+    rows = columns = np.arange(min(len(start), len(leg.targets)))
+    if mission.assignment != "given":
+        rows, columns = linear_sum_assignment(compute_energies(model, start, leg.targets))
+    found, _ = solve_solo_transfers(transfer, start[rows], leg.targets[columns])
+    return [path for path in found if path is not None]
+
+
+def _uncorrected_steps(mission: "Reconfiguration", paths: list[Trajectory]) -> int:
+    """Count the steps before arrival in which an agent may correct nothing.
+
+    Two steps are the least in which a control sets both position and velocity right, if it has
+    room in either direction; those of an agent that brakes with all its control have none.
+    """
+    limit = min(mission.control_limits, key=lambda one: float(one.most * one.shares.min()))
+    u = np.stack([path.u[::-1] for path in paths])
+    used = np.abs(u / limit.shares) if limit.norm == "inf" else limit.measure(u)[..., None]
+    is_free = np.cumsum(used < (1 - CONTROL_ROOM) * limit.most, axis=1) >= 2
+    needed = 1 + int((~is_free.all(axis=2)).sum(axis=1).max())
+    return max(needed, mission.freeze_steps) + mission.replan_steps - 1
+
+
+def _errors_along(
+    mission: "Reconfiguration", paths: list[Trajectory], steps: int, t: float
+) -> Float[Array, "k n"]:
+    """Compute what the plant does otherwise than agents plan in the last steps, from t on."""
+    x = np.stack([path.x[-steps - 1 :] for path in paths])
+    u = np.stack([path.u[-steps:] for path in paths])
+    model = discretize_zoh(mission.linear_model, mission.step, steps, t)
+    planned = x = model.simulate(x[:, 0], u)
+    if mission.nonlinear_model is not None:
+        own = linearize_along(mission.nonlinear_model, x, u, mission.step, t)
+        each = enumerate(zip(x[:, 0], u, strict=True))
+        planned = np.stack([own.for_agent(i).simulate(*path) for i, path in each])
+    # A plant flies as many vehicles as there are; rows of NaN are none.
+    agents, n = mission.initial_states.shape
+    count = -(-len(x) // agents)
+    flown, held = np.full((count * agents, n), np.nan), np.zeros((count * agents, steps, n // 2))
+    flown[: len(x)], held[: len(x)] = x[:, 0], u
+    for k in range(steps):
+        for rows in np.split(np.arange(count * agents), count):
+            now = t + k * mission.step
+            flown[rows] = mission.flown_plant.propagate(
+                flown[rows], held[rows, k], now, mission.step
+            )[-1]
+    return flown[: len(x)] - planned[:, -1]
 
 
 def noise_on_arrival(mission: "Reconfiguration") -> tuple[float, float]:

@@ -281,9 +281,14 @@ def as_array(value: Any, ndim: int) -> Array:
     return array
 
 
-Coordinates = Annotated[
-    tuple[float, ...], BeforeValidator(lambda value: tuple(as_array(value, 1).tolist()))
-]
+def _as_coordinates(value: Any) -> tuple[float, ...]:
+    if isinstance(value, int | float | np.number) and not isinstance(value, bool):
+        one = f"{value:g}"
+        raise InputError("", f"must be a list of numbers such as [{one}, {one}], got {one}")
+    return tuple(as_array(value, 1).tolist())
+
+
+Coordinates = Annotated[tuple[float, ...], BeforeValidator(_as_coordinates)]
 Vector = Annotated[Array, BeforeValidator(lambda value: as_array(value, 1))]
 Matrix = Annotated[Array, BeforeValidator(lambda value: as_array(value, 2))]
 

@@ -28,6 +28,12 @@ def compute_step_fuel(record: ReconfigurationRecord) -> Float[Array, "steps agen
     return vector_norm(u, record.mission.fuel_norm) * record.mission.step
 
 
+def compute_step_energy(record: ReconfigurationRecord) -> Float[Array, "steps agents"]:
+    """Compute the energy of every agent in every step [m²/s³]."""
+    u = np.where(record.is_flying[..., None], record.frames.control[:-1], 0.0)
+    return np.asarray((u**2).sum(axis=2) * record.mission.step)
+
+
 def compute_fuel_bound(record: ReconfigurationRecord, leg: LegRecord) -> FuelBound | None:
     """Compute a lower bound on the fuel of a leg, by the model that all agents share.
 
@@ -48,7 +54,7 @@ def compute_fuel_bound(record: ReconfigurationRecord, leg: LegRecord) -> FuelBou
     assignment, held = costs.compute_assignment(), costs.held
     if np.isnan(assignment.bound):
         return None
-    own, saved = costs.solve_each(held), _correction_fuel(record, leg, held)
+    own, saved = costs.solve_each(held), _correction_cost(record, leg, held, "fuel")
     return FuelBound(assignment.bound, np.flatnonzero(leg.alive), own, saved, assignment)
 
 
@@ -58,8 +64,28 @@ def compute_energy_bound(record: ReconfigurationRecord, leg: LegRecord) -> Assig
     return AssignmentCost(*[np.nan] * 3) if costs is None else costs.compute_assignment()
 
 
+def compute_energy_shortfall(
+    record: ReconfigurationRecord, leg: LegRecord, bound: AssignmentCost
+) -> float:
+    """Compute by how much the energy of a leg is below its lower bound, relative.
+
+    A plant that is not the model may have saved some, as with fuel: √energy is a norm of the
+    controls, so that √bound ≤ √energy + √(energy that moves the model's end to the target),
+    all without limits. It is at most 0 where nothing is wrong, or there is no bound.
+    """
+    used = compute_step_energy(record)[leg.start_index : leg.end_index, leg.alive].sum()
+    least, saved = bound.bound, 0.0
+    if record.mission.has_noise or not record.mission.flies_model:
+        costs = _make_leg_costs(record, leg, "energy", with_limits=False)
+        if costs is None:
+            return 0.0
+        least = costs.compute_assignment().bound
+        saved = _correction_cost(record, leg, costs.held, "energy").sum()
+    return float(np.nan_to_num((least**0.5 - used**0.5 - saved**0.5) / max(least**0.5, 1e-12)))
+
+
 def _make_leg_costs(
-    record: ReconfigurationRecord, leg: LegRecord, objective: "Objective"
+    record: ReconfigurationRecord, leg: LegRecord, objective: "Objective", with_limits: bool = True
 ) -> "_LegCosts | None":
     mission, agents = record.mission, np.flatnonzero(leg.alive)
     targets, first = record.leg_targets(leg), leg.entry_index[agents]
@@ -77,7 +103,7 @@ def _make_leg_costs(
         or ((mission.fuel_norm, mission.control_norm) != (1, "inf") and is_too_large)
     ):
         return None
-    return _LegCosts(record, leg, targets, m, held, objective)
+    return _LegCosts(record, leg, targets, m, held, objective, with_limits)
 
 
 def compute_agent_bounds(record: ReconfigurationRecord) -> Float[Array, " agents"]:
@@ -93,26 +119,33 @@ def compute_agent_bounds(record: ReconfigurationRecord) -> Float[Array, " agents
     return total
 
 
-def _correction_fuel(
-    record: ReconfigurationRecord, leg: LegRecord, held: Int[Array, " survivors"]
+def _correction_cost(
+    record: ReconfigurationRecord,
+    leg: LegRecord,
+    held: Int[Array, " survivors"],
+    objective: "Objective",
 ) -> Float[Array, " survivors"]:
     # With fuel counted as |u|₁, which is at least as much as in the other norms.
+    from problems.auction_cost import least_energies
     from problems.minimum_fuel import solve_minimum_fuel
 
     end = predict_end_states(record, leg, record.frames.control)
     error = record.targets[leg.leg_index, held] - end
     agents, first = np.flatnonzero(leg.alive), leg.entry_index[leg.alive]
-    fuel = np.full(len(held), np.inf)
+    cost = np.full(len(held), np.inf)
     is_known = (held >= 0) & np.isfinite(error).all(axis=1)
     for k in np.unique(first[is_known]):
         rows = np.flatnonzero((first == k) & is_known)
         model = record.model[slice(k, leg.end_index)]
+        if objective == "energy":
+            cost[rows] = least_energies(model, error[rows])
+            continue
         for group in record.mission.group_by_limits(agents[rows]):
             own = rows[group]
             limit = record.mission.control_limit(int(agents[own[0]])).bound
             found = solve_minimum_fuel(model, error[own], limit, np.ones(len(model)))
-            fuel[own] = found.fuel
-    return fuel
+            cost[own] = found.fuel
+    return cost
 
 
 class _LegCosts:
@@ -126,8 +159,9 @@ class _LegCosts:
         target_count: int,
         held: Int[Array, " survivors"],
         objective: "Objective",
+        with_limits: bool,
     ) -> None:
-        from problems.auction_cost import compute_transfer_costs
+        from problems.auction_cost import compute_energies, compute_transfer_costs
 
         mission, first = record.mission, leg.entry_index[leg.alive]
         agents = np.flatnonzero(leg.alive)
@@ -142,6 +176,10 @@ class _LegCosts:
             for own in mission.group_by_limits(agents[together]):
                 rows = together[own]
                 model, one = record.model[slice(k, leg.end_index)], int(agents[rows[0]])
+                if not with_limits:
+                    self.cost[rows] = compute_energies(model, self.start[rows], targets)
+                    self.is_exact[rows] = True
+                    continue
                 problem = mission.make_transfer(model, one, objective=objective)
                 found = compute_transfer_costs(problem, self.start[rows], targets)
                 self.cost[rows] = np.where(found.is_reachable, found.cost, np.inf)

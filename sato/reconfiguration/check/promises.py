@@ -14,7 +14,7 @@ from problems.limit import LIMIT_TOLERANCE, Limit
 from sato.check import common
 from sato.check.report import Promise, Report, expect_below, expect_none, expect_small_error
 from sato.network.graph import CommunicationGraph, canonicalize_labels
-from sato.reconfiguration.check.fuel import compute_step_fuel
+from sato.reconfiguration.check.fuel import compute_energy_shortfall, compute_step_fuel
 from sato.reconfiguration.check.prediction import bound_speed_excess, redraw_disturbances
 from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
 from sato.reconfiguration.check.summary import is_reached, summarize
@@ -300,15 +300,20 @@ def check_fuel(record: ReconfigurationRecord) -> Promise:
     """Check that no leg that was reached burned less than its lower bound.
 
     The bound is that of the shared model. A plant that differs from it may have saved as much
-    as it would cost the model to correct that (`FuelBound.correction_fuel`).
+    as it would cost the model to correct that (`FuelBound.correction_fuel`). Where energy is the
+    objective, so is its bound.
     """
     burned, shortfalls = compute_step_fuel(record), [0.0]
-    for leg, bound in zip(record.leg_records, record.fuel_bounds, strict=True):
-        if bound is not None and is_reached(record, leg):
+    for k, (leg, bound) in enumerate(zip(record.leg_records, record.fuel_bounds, strict=True)):
+        if not is_reached(record, leg):
+            continue
+        if bound is not None:
             used = float(burned[leg.start_index : leg.end_index, bound.agents].sum())
             saved = float(bound.correction_fuel.sum())
             shortfalls.append((bound.total - used - saved) / max(bound.total, 1e-12))
-    text = "a leg's fuel below its lower bound, relative"
+        if record.mission.objective == "energy":
+            shortfalls.append(compute_energy_shortfall(record, leg, record.energy_bounds[k]))
+    text = "a leg's fuel or energy below its lower bound, relative"
     return expect_small_error("fuel", np.maximum(shortfalls, 0), 1e-6, text)
 
 

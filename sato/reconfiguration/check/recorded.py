@@ -128,6 +128,13 @@ class ReconfigurationRecord(
         return [compute_fuel_bound(self, leg) for leg in self.leg_records]
 
     @cached_property
+    def energy_bounds(self) -> list[AssignmentCost]:
+        """Lower bound on the energy of each leg, see `compute_energy_bound`."""
+        from sato.reconfiguration.check.fuel import compute_energy_bound
+
+        return [compute_energy_bound(self, leg) for leg in self.leg_records]
+
+    @cached_property
     def model(self) -> DiscreteModel:
         """Shared model from each instant to the next."""
         steps = len(self.time) - 1

@@ -8,9 +8,8 @@ from numpy import ndarray as Array
 from scipy.spatial import cKDTree
 
 from dynamics.trajectory_geometry import min_distance, sampled_separations
-from problems.transfer import compute_energy
 from sato.check.common import common_summary, drop_non_finite
-from sato.reconfiguration.check.fuel import compute_energy_bound, compute_step_fuel
+from sato.reconfiguration.check.fuel import compute_step_energy, compute_step_fuel
 from sato.reconfiguration.check.prediction import predict_end_states
 from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
 from sato.reconfiguration.feasibility import is_detectable
@@ -34,12 +33,10 @@ def summarize(record: ReconfigurationRecord) -> dict[str, Any]:
     }
     assignments = [bound.assignment if bound else None for bound in record.fuel_bounds]
     if mission.objective == "energy":
-        u = np.where(record.is_flying[..., None], frames.control[:-1], 0.0)
-        energies = [compute_energy_bound(record, leg) for leg in record.leg_records]
-        assignments = list(energies)
-        summary["energy_m2_s3"] = float(np.sum(compute_energy(u, mission.step)))
+        assignments = list(record.energy_bounds)
+        summary["energy_m2_s3"] = float(compute_step_energy(record).sum())
         if len(legs) == len(mission.legs):
-            summary["energy_lower_bound_m2_s3"] = sum(each.bound for each in energies)
+            summary["energy_lower_bound_m2_s3"] = sum(each.bound for each in record.energy_bounds)
     if mission.solver != "clarabel":
         rejected = (e["programs"] for _, e in record.events.of_kind("fallback"))
         summary["solver_fallbacks"] = sum(map(int, rejected))
