@@ -95,3 +95,8 @@ def test_targets_out_of_reach_at_any_time_are_refused():
         make_mission(row(2, 0.0), Leg(row(2, 9.0), "auto"), **(LIMITS | far))
     with pytest.raises(InputError, match="time_factor: must be at least 1, got"):
         Leg(row(2, 9.0), "auto", time_factor=0.5)
+
+
+def test_a_time_factor_beside_a_number_of_steps_is_refused():
+    with pytest.raises(InputError, match="time_factor: 2 has no effect beside steps = 30; leave"):
+        Leg(row(2, 9.0), 30, time_factor=2.0)

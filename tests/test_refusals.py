@@ -36,7 +36,6 @@ def test_mutated_scenarios_are_drawn_or_refused(name):
             "start.positions_m=[[0,0],[1e31,0]]",
             "start.positions_m: must be 0, or",
         ),
-        ("orbit", "max_control_m_s2=2000", "max_control_m_s2: is so large that agent"),
         ("orbit", "leg.shape.radius_m=1e9", "leg.0.shape: lies 1e+06 km from the chief"),
     ],
 )
@@ -93,3 +92,44 @@ def test_memory_is_refused_just_above_what_there_is(monkeypatch):
         check_memory(1001, lambda n: 1000.0 * n**2)
     with pytest.raises(sato.InputError, match="fewer steps, or a shorter flight, would do"):
         check_memory(3, lambda n: 1e10 * n)
+
+
+@pytest.mark.parametrize("power", [6, 24])
+@pytest.mark.parametrize("unit", [1e-3, 1e3])
+def test_a_limit_far_above_what_is_of_use_flies_as_well_as_none(power, unit):
+    swapped = sato.Leg([[unit, unit], [0.0, unit]], 8)
+    mission = sato.Reconfiguration(
+        model=sato.DoubleIntegrator(2),
+        start=[[0.0, 0.0], [unit, 0.0]],
+        legs=[swapped],
+        step=1.0,
+        comm_radius=9 * unit,
+        collision_radius=unit / 10,
+        max_control=unit * 10.0**power,
+        assignment="given",
+        horizon_steps=8,
+        allow_undetectable=True,
+    )
+    run = sato.run(mission)
+    assert run.check().kept and not run.events("slack", "braked", "infeasible")
+    assert run.summary["fuel_m_s"] < 1.5 * run.summary["fuel_lower_bound_m_s"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"max_control_axes": 1.0}, r"max_control_axes_m_s2: must be a list .* \[1, 1\], got 1$"),
+        ({"max_control": 1.0, "priority": 3}, r"swarm\.priority: must be a list of numbers such"),
+    ],
+)
+def test_a_number_in_place_of_a_list_is_refused_in_our_words(changes, message):
+    with pytest.raises(sato.InputError, match=message):
+        sato.Reconfiguration(
+            model=sato.DoubleIntegrator(2),
+            start=[[0.0, 0.0]],
+            legs=[sato.Leg([[1.0, 0.0]], 9)],
+            step=1.0,
+            comm_radius=9.0,
+            collision_radius=1.0,
+            **changes,
+        )

@@ -23,6 +23,7 @@ from sato.scenario.ranges import check_memory
 from sato.shapes import Points
 
 ARRIVAL_TOLERANCE = 1e-6  # of the least spacing of the targets
+CONTROL_FACTOR = 10.0  # times the control that crosses the whole mission within a step
 TIME_FACTOR = 1.5  # of automatic steps, over the least
 
 
@@ -53,7 +54,7 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
         legs.append(with_targets(leg, targets))
     drawn = replace(mission, start=_as_points(start), legs=tuple(legs))
     try:
-        drawn = _resolve(replace(drawn, plant=mission.draw_plant(len(states), rng)))
+        drawn = _resolve(replace(_cut_control(drawn), plant=mission.draw_plant(len(states), rng)))
     except Impact as error:
         reason = f"is so large that {error}"
         raise InputError("model.max_control_m_s2", reason) from error
@@ -299,6 +300,29 @@ def _drift_free_velocities(
     if mission.chief is None:
         return np.zeros_like(placed)
     return mission.chief.drift_free_velocities(placed, t, where, _velocity_times(mission))
+
+
+def _cut_control(mission: Reconfiguration) -> Reconfiguration:
+    """Return the mission with limits of the control not far above all that could be of use.
+
+    That is what takes a vehicle across the whole mission within a step. Programs in which a
+    limit is millions of times what is needed are badly scaled, and their answers are inexact.
+    """
+    states, d = (
+        np.concatenate([mission.initial_states, *(g.targets for g in mission.legs)]),
+        mission.axes,
+    )
+    away = float(np.ptp(states[:, :d], axis=0).max()) + mission.largest_separation
+    fastest = float(np.abs(states[:, d:]).max())
+    most = CONTROL_FACTOR * (away / mission.step**2 + fastest / mission.step)
+    if mission.largest_control.max() <= most:
+        return mission
+    each, axes = mission.max_control, mission.max_control_axes
+    if axes is not None:
+        return replace(mission, max_control_axes=tuple(min(u, most) for u in axes))
+    if isinstance(each, tuple):
+        return replace(mission, max_control=tuple(min(u, most) for u in each))
+    return replace(mission, max_control=most)
 
 
 def _resolve(mission: Reconfiguration) -> Reconfiguration:

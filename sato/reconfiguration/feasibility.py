@@ -254,3 +254,24 @@ def target_demand(mission: "Reconfiguration") -> list[int]:
         believed = max(believed, peak)
         most.append(ever if mission.assignment == "given" else peak if leg.is_free else believed)
     return most
+
+
+def fewest_agents(mission: "Reconfiguration") -> list[int]:
+    """Return the fewest agents that fly each leg from its first step to its end."""
+    fewest: list[int] = []
+    live, known_lost = mission.agent_count, set[int]()
+    for leg in mission.legs:
+        staying = live
+        # At one step agents join before others are lost, as in the flight.
+        events: list[Join | Loss] = [*leg.joins, *leg.losses]
+        for event in sorted(events, key=lambda event: event.at_step):
+            if isinstance(event, Join):
+                live += event.size
+                staying += event.size if event.at_step == 0 else 0
+                continue
+            lost = set(event.agents) - known_lost
+            count = len(lost) if event.kind == "agents" else round((event.share or 0.0) * live)
+            known_lost |= lost
+            live, staying = live - count, staying - count
+        fewest.append(max(staying, 0))
+    return fewest

@@ -158,7 +158,7 @@ def _errors_along(
             flown[rows] = mission.flown_plant.propagate(
                 flown[rows], held[rows, k], now, mission.step
             )[-1]
-    return flown[: len(x)] - planned[:, -1]
+    return np.asarray(flown[: len(x)] - planned[:, -1])
 
 
 def noise_on_arrival(mission: "Reconfiguration") -> tuple[float, float]:

@@ -1,0 +1,65 @@
+"""Reach of the legs after the first: refused before the flight where no choice of targets helps."""
+
+import numpy as np
+import pytest
+from reconfiguration_runs import make_mission, row
+
+from sato import InputError, Join, Leg, Loss
+
+LIMITS = {"comm_radius": 20.0, "max_control": 0.2, "allow_undetectable": True}
+NEAR, FAR = row(3, 3.0), row(3, 30.0)
+ONE_FAR = np.array([[-1.0, 3.0], [1.0, 3.0], [60.0, 3.0]])  # where two can stay
+
+
+def draw(*legs, **changes):
+    return make_mission(row(3, 0.0), Leg(NEAR, 20), *legs, **(LIMITS | changes))
+
+
+@pytest.mark.parametrize("assignment", ["auction", "central", "given"])
+def test_a_leg_out_of_reach_is_refused_with_its_number_and_steps(assignment):
+    least = draw(Leg(FAR, "auto", time_factor=1.0), assignment=assignment).legs[1].steps
+    with pytest.raises(InputError, match=rf"leg\.1\.steps: .* in 20 steps .*steps = {least} "):
+        draw(Leg(FAR, 20), assignment=assignment)
+    assert draw(Leg(FAR, least), assignment=assignment)
+    third = Leg(NEAR, least - 1)
+    with pytest.raises(InputError, match=rf"leg\.2\.steps: .*steps = {least} "):
+        draw(Leg(FAR, least), third, assignment=assignment)
+
+
+def test_a_target_that_none_can_reach_is_refused_where_all_hear_each_other():
+    with pytest.raises(InputError, match=r"target \d of leg 0 is left without a target, for"):
+        draw(Leg(ONE_FAR, 20))
+    # Apart, all may bid on the same target, and find out later.
+    assert draw(Leg(ONE_FAR, 20), comm_radius=0.6)
+
+
+def test_losses_and_joins_change_who_has_to_reach_a_target():
+    for loss in (Loss("middle", share=0.4), Loss("agents", agents=(1,), at_step=7)):
+        assert draw(Leg(ONE_FAR, 20, losses=[loss]))
+    beside = [[60.0, 5.0]]
+    assert draw(
+        Leg(np.vstack([ONE_FAR[:2], [[0.0, 5.0]], [[60.0, 3.0]]]), 20, joins=[Join(1, beside)])
+    )
+    two_far = np.vstack([ONE_FAR[:2], [[60.0, 3.0]], [[62.0, 3.0]]])
+    with pytest.raises(InputError, match=r"leg\.1\.steps: .*without a target"):
+        draw(Leg(two_far, 20, joins=[Join(1, beside)]), assignment="central")
+    with pytest.raises(InputError, match=r"leg\.1\.steps: agent 3 can reach none"):
+        draw(Leg(row(4, 3.0), 20, joins=[Join(1, [[0.0, 60.0]])]))
+    # After a late loss it is not known who is there, but that none is near.
+    lost = Leg(NEAR, 20, losses=[Loss("random", share=0.3)])
+    with pytest.raises(InputError, match=r"leg\.1\.steps: .*can reach none"):
+        make_mission(row(3, 0.0), lost, Leg(FAR, 20), **LIMITS)
+
+
+def test_given_targets_are_held_against_the_limit_of_their_own_vehicle():
+    legs = [Leg(row(2, 3.0), 20), Leg(row(2, 3.0) + np.array([[0.0, 0.0], [0.0, 6.0]]), 20)]
+    given = {"assignment": "given", "max_control": [0.02, 0.2], "comm_radius": 20.0}
+    assert make_mission(row(2, 2.0), *legs, **(LIMITS | given))
+    with pytest.raises(InputError, match=r"leg\.1\.steps: agent 1 can reach none"):
+        make_mission(row(2, 2.0), *legs, **(LIMITS | given | {"max_control": [0.2, 0.02]}))
+    moving = np.hstack([row(2, 3.0), [[0.0, 0.1], [0.0, 0.3]]])
+    speeds = {"max_speed": [0.2, 0.4], "max_control": 0.2}
+    assert make_mission(row(2, 0.0), Leg(moving, 20), **(LIMITS | given | speeds))
+    with pytest.raises(InputError, match=r"target 1 has to be reached at 0.3 m/s"):
+        swapped = {"max_speed": [0.4, 0.2]}
+        make_mission(row(2, 0.0), Leg(moving, 20), **(LIMITS | given | speeds | swapped))
