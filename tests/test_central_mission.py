@@ -149,3 +149,9 @@ def test_lists_of_equal_vehicles_state_the_program_of_one_number(objective, rng)
     split = replace(first.problem, own_transfers=(first.problem.transfer,) * 3,
                     clearances=np.full(3, first.problem.horizon.clearance))  # fmt: skip
     assert solve(first._replace(problem=split)).cost == pytest.approx(solve(first).cost, rel=1e-6)
+
+
+@pytest.mark.parametrize("other", ["crossing", {"system": "reconfiguration"}, None])
+def test_only_reconfigurations_have_a_centralized_problem(other):
+    with pytest.raises(sato.InputError, match="must be a sato.Reconfiguration; sato.read"):
+        sato.central_problem(other)

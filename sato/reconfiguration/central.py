@@ -14,6 +14,7 @@ from problems.centralized import CentralizedProblem
 from problems.convexify import AvoidanceHorizon
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.planning import make_horizon
+from sato.scenario.errors import InputError
 
 
 class CentralMission(NamedTuple):
@@ -40,8 +41,11 @@ def central_problem(mission: Reconfiguration, seed: int = 0) -> CentralMission:
         seed: Random seed, as that of `run`.
 
     Raises:
-        ValueError: The mission has fuel in the Euclidean norm.
+        ValueError: It is no reconfiguration, or has fuel in the Euclidean norm.
     """
+    if not isinstance(mission, Reconfiguration):
+        reason = 'must be a sato.Reconfiguration; sato.read("crossing") returns one'
+        raise InputError("mission", f"{reason}, got an object of type {type(mission).__name__}")
     drawn = mission.draw(np.random.default_rng(seed))
     leg, start = drawn.legs[0], drawn.initial_states[drawn.alive]
     model = discretize_zoh(drawn.linear_model, drawn.step, leg.steps)
