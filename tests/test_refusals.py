@@ -90,7 +90,7 @@ def test_memory_is_refused_just_above_what_there_is(monkeypatch):
     check_memory(1000, lambda n: 1000.0 * n**2)
     with pytest.raises(sato.InputError, match=r"1001 take about 1 GB .* 1 GB; 1000 would do"):
         check_memory(1001, lambda n: 1000.0 * n**2)
-    with pytest.raises(sato.InputError, match="fewer steps, or a shorter flight, would do"):
+    with pytest.raises(sato.InputError, match="fewer steps or targets, or a shorter"):
         check_memory(3, lambda n: 1e10 * n)
 
 

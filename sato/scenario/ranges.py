@@ -57,7 +57,8 @@ def check_memory(agents: int, demand: Callable[[int], float]) -> None:
         middle = (fits + most) // 2
         fits, most = (middle, most) if demand(middle) <= limit else (fits, middle)
     reason = f"{agents} take about {demand(agents) / 1e9:,.0f} GB of memory in a mission this long"
-    cure = f"{fits} would do" if fits > 1 else "fewer steps or targets, or a shorter flight, would do"
+    shorter = "fewer steps or targets, or a shorter flight, would do"
+    cure = f"{fits} would do" if fits > 1 else shorter
     raise InputError("swarm.agents", f"{reason}, and there are {limit / 1e9:,.0f} GB; {cure}")
 
 
