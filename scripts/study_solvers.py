@@ -9,7 +9,7 @@ verified at 1e-6, infeasible programs with a certificate; a new session a progra
 """
 
 from collections import defaultdict
-from time import perf_counter
+from time import process_time
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -47,9 +47,9 @@ def record_run(scenario: str, overrides: list[str]) -> list[ConicProgram]:
 
 def ask(adapter: SolverAdapter, program: ConicProgram, reference: float) -> Answer:
     """Give a program to a solver."""
-    began = perf_counter()
+    began = process_time()
     verdict = VerifiedSolver(adapter.name).answer(program)
-    seconds = perf_counter() - began
+    seconds = process_time() - began
     if verdict.kind == "infeasible":
         return Answer(bool(np.isnan(reference)), np.nan, seconds)
     if verdict.solution is None or verdict.kind != "solved":
@@ -66,8 +66,10 @@ def reference_cost(program: ConicProgram) -> float:
         return np.nan
 
 
-def print_answers(title: str, programs: list[ConicProgram], solvers: list[str]) -> None:
-    """Ask solvers, in turn, and print a row for each."""
+def print_answers(
+    title: str, programs: list[ConicProgram], solvers: list[str]
+) -> dict[str, list[Answer]]:
+    """Ask solvers, in turn, print a row for each, and return their answers."""
     found: dict[str, list[Answer]] = defaultdict(list)
     references = [reference_cost(program) for program in programs]
     for program, reference in track(list(zip(programs, references, strict=True))):
@@ -89,6 +91,7 @@ def print_answers(title: str, programs: list[ConicProgram], solvers: list[str]) 
             f"{1e3 * np.median([one.seconds for one in answers]):.2g}",
         )
     Console(width=100).print(table, f"{len(programs)} programs, {infeasible} of them infeasible")
+    return found
 
 
 def print_flights(scenario: str, overrides: list[str], solvers: list[str]) -> None:
@@ -111,6 +114,7 @@ def main(
     override: Annotated[list[str] | None, typer.Option(help="TABLE.KEY=VALUE")] = None,
 ) -> None:
     """Record the programs of some runs, and compare solvers on them."""
+    total: dict[str, list[Answer]] = defaultdict(list)
     for name in scenario:
         for objective in ("fuel", "energy"):
             for norm in ('"inf"', "2"):
@@ -121,12 +125,14 @@ def main(
                     print(f"{name}, least {objective}, speed norm {norm}: no programs")
                     continue
                 step = max(1, -(-len(programs) // most))
-                print_answers(
-                    f"{name}, least {objective}, speed norm {norm}",
-                    programs[::step],
-                    solver or list(load_adapters()),
-                )
+                title = f"{name}, least {objective}, speed norm {norm}"
+                found = print_answers(title, programs[::step], solver or list(load_adapters()))
+                for each, answers in found.items():
+                    total[each] += answers
                 print_flights(name, chosen, flights or [])
+    for each, answers in total.items():
+        accepted = sum(one.is_accepted for one in answers)
+        print(f"{each}: {accepted} of {len(answers)} accepted, {accepted / len(answers):.1%}")
 
 
 if __name__ == "__main__":
