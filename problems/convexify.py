@@ -111,6 +111,18 @@ def are_hulls_separated(relative: ControlPoints, radius: Separation) -> Bool[Arr
     return separated
 
 
+def separation_violation(relative: ControlPoints, radius: Separation) -> float:
+    """Compute by how much the hulls of the control points enter the circle at most [m].
+
+    Args:
+        relative: Control points; where there are several radii, others come first.
+        radius: Radius of all, or of each other.
+    """
+    near = ~are_balls_separated(relative, radius)
+    inside = _per_piece(radius, near)[near] - hull_distance(relative[near])[0]
+    return float(inside.max(initial=0.0))
+
+
 def _per_piece(radius: Separation, like: Array) -> Array:
     spread = np.reshape(radius, np.shape(radius) + (1,) * (like.ndim - np.ndim(radius)))
     return np.broadcast_to(spread, like.shape)

@@ -266,3 +266,14 @@ def test_cheapest_passing_side_is_chosen():
         other = mover.with_nominal(aside)._replace(has_converged=False)
         round_there, _ = run_scp({0: stands, 1: other}, complete(2))
         assert fuel <= round_there[1].nominal.fuel * (1 + 1e-3)
+
+
+def test_distance_that_no_control_can_keep_counts_as_slack():
+    # One agent has no steps left, and the other begins too close to it.
+    place = np.array([0.0, 0.8 * RADIUS])
+    planners = {0: immobile(0, np.zeros(2)), 1: make_planner(1, place, place * 5)}
+    after, _ = run_scp(planners, complete(2))
+    assert after[0].slack == 0.0
+    assert 0.2 * RADIUS * (1 - 1e-9) <= after[1].slack <= 0.2 * RADIUS * (1 + 1e-5)
+    planners[1] = immobile(1, place)
+    assert run_scp(planners, complete(2))[0][1].slack == pytest.approx(0.2 * RADIUS, rel=1e-12)

@@ -283,8 +283,9 @@ def test_batched_solo_trajectories_equal_single_transfers(rng):
         np.testing.assert_allclose(trajectory.u, transfer.solve(x, y).u, atol=1e-5)
 
 
-@pytest.mark.parametrize("fuel_used", [(0.0, 1.0), (1.0, 0.0)])
-def test_agent_that_burned_more_has_priority(fuel_used):
+@pytest.mark.parametrize("first", [0, 1])
+@pytest.mark.parametrize("was_kept_from_its_target", [False, True])
+def test_agent_that_burned_more_or_was_held_up_has_priority(first, was_kept_from_its_target):
     # [Morgan2016, Remark 5]: two vehicles that must exchange places head-on.
     start = np.array([[-2.0, 0.0], [2.0, 0.0]])
     mission = make_mission(
@@ -294,10 +295,29 @@ def test_agent_that_burned_more_has_priority(fuel_used):
     memory = replace(AgentMemory.initial(np.full(2, 2)), target_index=np.array([0, 1]))
     leg, x = mission.legs[0], mission.initial_states
     context = DecisionContext(mission, leg, graph, x, memory, 0, 0.0)
-    plans, _ = plan_trajectories(context, np.array(fuel_used), {})
+    fuel_used, previous = np.eye(2)[first], {}
+    if was_kept_from_its_target:
+        fuel_used = fuel_used[::-1]
+        astray = Trajectory(x[[first]], np.zeros((0, 2)), 0.0)
+        previous = {first: Plan(astray, None, 0, 0, failure_count=1)}
+    plans, _ = plan_trajectories(context, fuel_used, previous)
     sideways = [np.abs(plans[i].trajectory.x[:, 1]).max() for i in range(2)]
-    first = int(np.argmax(fuel_used))
     assert sideways[first] < 1e-9 < 0.4 < sideways[1 - first]
+
+
+@pytest.mark.parametrize(("hearing", "foresight"), [(4.0, 40), (20.0, 0), (20.0, 40)])
+def test_plan_is_kept_only_while_it_was_found_clear(hearing, foresight):
+    # Of each two that exchange places, none would plan again before it arrives.
+    start = np.array([[-3.5, 0.0], [3.5, 0.1], [0.1, -3.5], [0.0, 3.5]])
+    leg = leg_to(at_rest(start[[1, 0, 3, 2]]), 40)
+    ahead = {"foresight_steps": foresight, "freeze_steps": 40}
+    mission = make_mission(start, leg, assignment="given", comm_radius=hearing, **ahead)
+    frames = fly(mission)
+    assert_reached(mission, frames, 1e-6)
+    is_clear = min_separation(mission, frames) >= 0.5 * (1 - 1e-6)
+    assert is_clear or "slack" in event_kinds(frames)
+    if hearing == 20 and foresight:
+        assert is_clear and event_kinds(frames).count("replan") == 1
 
 
 @pytest.mark.parametrize("change", ["loss", "join"])
@@ -332,7 +352,7 @@ def test_flown_control_stays_within_the_limit_that_a_plan_exceeds(norm, rng):
     mission = make_mission(row(2, 0.0), leg_to(at_rest(row(2, 1.0)), 9), control_norm=norm)
     u = rng.uniform(-1, 1, (2, 2))
     u *= 0.1 * (1 + np.array([[1e-8], [-1e-3]])) / np.linalg.norm(u, float(norm), 1)[:, None]
-    plans = {i: Plan(Trajectory(np.zeros((2, 4)), u[i : i + 1], 0.0), None, 0) for i in range(2)}
+    plans = {i: Plan(Trajectory(np.zeros((2, 4)), u[i : i + 1], 0.0), None, 0, 1) for i in range(2)}
     flown = controls_at(plans, 0, np.ones(2, dtype=bool), mission)
     assert np.linalg.norm(flown, float(norm), 1).max() <= 0.1 * (1 + 1e-15)
     np.testing.assert_allclose(flown, u, rtol=2e-8)

@@ -54,6 +54,7 @@ class Decision(NamedTuple):
     is_finished: bool = False
     diameter: int = 0
     members: tuple[int, ...] = ()  # numbers of the agents of its component
+    first_clock: int = 0  # the clock with the most time left among these
     attempt: Literal["first", "reset", "firm"] = "first"  # of the auction
     table: assignment.CostTable | None = None  # of the auction
     planned_cost: Float[Array, " rows"] | None = None  # to the target that it holds
@@ -105,7 +106,9 @@ class Decision(NamedTuple):
         if isinstance(self.stage, Bidding):
             return self._after_auction(self.stage)
         planners, lost = {self.number: self.stage.planner}, self.stage.unreachable
-        plans, events = planning.make_plans(self.context, planners, lost)
+        count = len(self.context.mission.initial_states)
+        hears_all = self.diameter <= 1 and len(self.members) == count
+        plans, events = planning.make_plans(self.context, planners, lost, self.plans, hears_all)
         return self._replace(plans=plans, events=(*self.events, *events), is_finished=True)
 
     def _enter(self, stage: Any, **changes: Any) -> "Decision":
@@ -121,7 +124,8 @@ class Decision(NamedTuple):
             return self._replace(is_finished=True)
         members = tuple(hello.agent for hello in reports)
         diameter = census.message.max_eccentricity
-        decision = self._replace(members=members, diameter=diameter)
+        first_clock = min(hello.clock for hello in reports)
+        decision = self._replace(members=members, diameter=diameter, first_clock=first_clock)
         if not has_joined and k % mission.auction_steps:
             return decision._begin_exchange()
         if mission.assignment == "given":
@@ -150,7 +154,7 @@ class Decision(NamedTuple):
         cost = planning.remaining_cost(self.plans, self.context)
         memory = replace(memory, claimed_target=target, claim_step=step)
         shared = self._replace(context=self.context._replace(memory=memory), planned_cost=cost)
-        clock = min(hello.clock for hello in reports)
+        clock = self.first_clock
         return shared if clock == memory.clock[self.number] else shared._set_clock(clock)
 
     def _set_clock(self, clock: int) -> "Decision":
@@ -218,5 +222,6 @@ class Decision(NamedTuple):
         return self._replace(context=self.context._replace(memory=memory))
 
     def _begin_exchange(self) -> "Decision":
-        planners, unreachable, _ = planning.plan_alone(self.context, self.spent, self.plans)
+        clocks = np.minimum(self.context.memory.clock, self.first_clock)
+        planners, unreachable, _ = planning.plan_alone(self.context, self.spent, self.plans, clocks)
         return self._enter(Exchange(planners[self.number], unreachable))

@@ -5,7 +5,7 @@ from math import ceil, inf, isfinite
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from dynamics.discretize import discretize_zoh
@@ -15,6 +15,7 @@ from problems.convexify import AvoidanceHorizon
 from problems.transfer import Trajectory, compute_energy, compute_fuel
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.relaxation import list_relaxations
 from sato.reconfiguration.solo_trajectories import relinearize, solve_solo_trajectories
 from sato.reconfiguration.state import AgentMemory, DecisionContext, Event
 from sato.scp import CONVERGENCE_TOLERANCE, FEASIBILITY_TOLERANCE, Planner, resolve_conflicts
@@ -28,6 +29,8 @@ class Plan(NamedTuple):
     trajectory: Trajectory
     target_index: int | None  # None where it ends elsewhere
     planned_at: int  # steps since the start of the leg
+    clear_until: int  # step of the leg until which it keeps clear of all others
+    failure_count: int = 0  # plans of this agent in the leg for which constraints were relaxed
 
     def controls_from(self, k: int) -> Float[Array, "left m"]:
         """Return the controls from a step of the leg on."""
@@ -40,7 +43,7 @@ Plans = dict[int, Plan]  # by the number of the agent
 def is_planning_due(
     mission: Reconfiguration, plans: Plans, memory: AgentMemory, k: int, steps: int
 ) -> Bool[Array, " agents"]:
-    """Find the agents that plan again: those without a plan, and those not about to arrive.
+    """Find the agents that plan again: all but those about to arrive, by a plan clear to its end.
 
     Args:
         mission: Steps before the deadline in which plans are kept.
@@ -49,9 +52,12 @@ def is_planning_due(
         k: Steps since the start of the leg.
         steps: Steps of the leg.
     """
-    rests = [remaining_controls(plans, i, memory, k, steps) for i in range(len(memory.clock))]
-    has_no_plan = np.array([rest is None for rest in rests])
-    return np.asarray((steps - memory.clock >= mission.freeze_steps) | has_no_plan)
+    left = steps - memory.clock
+    is_kept = left < mission.freeze_steps
+    for i in np.flatnonzero(is_kept).tolist():
+        has_plan = remaining_controls(plans, i, memory, k, steps) is not None
+        is_kept[i] = has_plan and (left[i] == 0 or k + left[i] <= plans[i].clear_until)
+    return np.asarray(~is_kept)
 
 
 def controls_at(
@@ -120,19 +126,28 @@ def plan_trajectories(
         previous: Plans that were flown so far.
         solve_count: Programs solved for this replanning already.
     """
-    mission = context.mission
-    planners, unreachable, solo_count = plan_alone(context, spent, previous)
-    resolved = resolve_conflicts(planners, context.graph, mission.orders, mission.bargains)
-    replan = {"solves": solve_count + solo_count + resolved.solve_count}
-    events: list[Event] = [
-        {"kind": "replan", "agents": [], **replan, "exchanges": resolved.round_count}
-    ]
-    plans, relaxed = make_plans(context, resolved.planners, unreachable)
-    return plans, events + relaxed
+    mission, graph = context.mission, context.graph
+    first_clock = -graph.component_max(-context.memory.clock)
+    planners, unreachable, solo_count = plan_alone(context, spent, previous, first_clock)
+    solve_count, rounds, resolved = solve_count + solo_count, 0, dict[int, Planner]()
+    for steps in sorted({planner.horizon.steps for planner in planners.values()}):
+        alike = {i: planner for i, planner in planners.items() if planner.horizon.steps == steps}
+        found = resolve_conflicts(alike, graph, mission.orders, mission.bargains)
+        solve_count, rounds = solve_count + found.solve_count, max(rounds, found.round_count)
+        resolved |= found.planners
+    replan = {"solves": solve_count, "exchanges": rounds}
+    N = len(mission.initial_states)
+    hears_all = bool(graph.adjacency.sum() == N * (N - 1))
+    plans, relaxed = make_plans(context, resolved, unreachable, previous, hears_all)
+    return plans, [{"kind": "replan", "agents": [], **replan}, *relaxed]
 
 
 def make_plans(
-    context: DecisionContext, planners: dict[int, Planner], unreachable: list[int]
+    context: DecisionContext,
+    planners: dict[int, Planner],
+    unreachable: list[int],
+    previous: Plans,
+    hears_all: bool,
 ) -> tuple[Plans, list[Event]]:
     """Make plans of trajectories that are final, and list the constraints that were relaxed.
 
@@ -140,26 +155,32 @@ def make_plans(
         context: Memory and time of the agents that decide.
         planners: Planner of each agent, by its row.
         unreachable: Agents whose targets are out of reach.
+        previous: Plans that were flown so far.
+        hears_all: True where all agents of the mission hear each other, without a relay.
     """
-    target = context.memory.target_index
-    events = _relaxation_events(context.mission, planners, unreachable)
+    mission, k, target = context.mission, context.step_index, context.memory.target_index
+    events = list_relaxations(mission, planners, unreachable)
+    relaxed = {i for event in events for i in event["agents"]}
     # An agent that comes too close to another may still arrive.
     astray = {i for event in events if event["kind"] != "slack" for i in event["agents"]}
-    plans = {
-        i: Plan(planner.nominal, None if i in astray else int(target[i]), context.step_index)
-        for i, planner in planners.items()
-    }
+    plans = {}
+    for i, planner in planners.items():
+        # Agents out of hearing are too far to meet within T_H alone (Proposition 9).
+        clear = planner.horizon.steps if hears_all else mission.horizon_steps
+        failures = previous[i].failure_count if i in previous else 0
+        held = None if i in astray else int(target[i])
+        plans[i] = Plan(planner.nominal, held, k, k + clear, failures + (i in relaxed))
     return plans, events
 
 
 def make_horizon(
     mission: Reconfiguration, time: float, steps_left: int, leg: Leg | None = None
 ) -> AvoidanceHorizon:
-    """Build the avoidance horizon at a time, with so many steps of the leg left as planned.
+    """Build the avoidance horizon at a time, with so many steps of the leg left.
 
     It has T_H steps, or as many as are foreseen among agents within hearing, but does not pass
-    the planned end of the leg, which all agents know. A step is divided so finely that two
-    agents at full speed move by about R_col in a piece.
+    the end of the leg for the last of these. A step is divided so finely that two agents at full
+    speed move by about R_col in a piece.
     """
     fastest = float(mission.top_speeds.max())
     speed = fastest if isfinite(fastest) else 0.0
@@ -176,7 +197,10 @@ def make_horizon(
 
 
 def plan_alone(
-    context: DecisionContext, spent: Float[Array, " agents"], previous: Plans
+    context: DecisionContext,
+    spent: Float[Array, " agents"],
+    previous: Plans,
+    first_clock: Int[Array, " agents"],
 ) -> tuple[dict[int, Planner], list[int], int]:
     """Plan for every agent that decides as if it were alone.
 
@@ -184,6 +208,7 @@ def plan_alone(
         context: States, memory and graph of the agents that decide.
         spent: Fuel or energy spent so far.
         previous: Plans that were flown so far.
+        first_clock: Clock with the most time left in each agent's component.
 
     Returns:
         Planners, agents whose targets are out of reach, and the number of programs solved.
@@ -191,7 +216,12 @@ def plan_alone(
     mission, leg, k = context.mission, context.leg, context.step_index
     memory = context.memory
     is_nonlinear = mission.nonlinear_model is not None
-    horizon = make_horizon(mission, context.time, leg.steps - k, leg)
+    ahead = np.minimum(leg.steps - first_clock, mission.foresight_steps)
+    ahead = np.maximum(ahead, mission.horizon_steps)
+    horizons = {
+        T: make_horizon(mission, context.time, T, leg)
+        for T in set(ahead[context.graph.alive].tolist())
+    }
     planners: dict[int, Planner] = {}
     unreachable: list[int] = []
     solve_count = 0
@@ -204,37 +234,41 @@ def plan_alone(
         unreachable += stranded
         solve_count += count
         x, u = (np.stack(part) for part in zip(*(solo[:2] for solo in solos), strict=True))
-        paths = horizon.control_points(x, u)
-        each = zip(agents, transfers, solos, paths, rests, strict=True)
-        for i, transfer, solo, path, rest in each:
-            own = horizon
+        paths = {T: own.control_points(x, u) for T, own in horizons.items()}
+        each = zip(agents, transfers, solos, rests, strict=True)
+        for row, (i, transfer, solo, rest) in enumerate(each):
+            own = horizons[int(ahead[i])]
+            clearance = own.clearance
             if not mission.has_equal_radii:
                 wider = mission.radii[i] - mission.largest_separation
-                own = horizon.with_clearance(horizon.clearance + float(wider))
+                own = own.with_clearance(own.clearance + float(wider))
             planner = Planner(
-                priority=(_priority_class(mission, i, len(model)), -float(spent[i]), i),
+                priority=(_priority_class(mission, i, len(model), previous), -float(spent[i]), i),
                 target_state=leg.targets[memory.target_index[i]],
                 transfer=transfer,
                 solver=context.solver_of(i),
                 horizon=own,
                 solo=solo,
                 nominal=solo,
-                control_points=path,
+                control_points=paths[int(ahead[i])][row],
                 relinearize=partial(relinearize, context, transfer) if is_nonlinear else None,
             )
             if rest is not None:
                 # Begin with the previous plan, where it kept clear of an agent by another way.
                 prior = transfer.simulate(solo.x[0], rest)
-                if np.abs(prior.x - solo.x).max() > relative * horizon.clearance:
+                if np.abs(prior.x - solo.x).max() > relative * clearance:
                     planner = planner.with_nominal(prior)._replace(has_converged=False)
             planners[i] = planner
     return planners, unreachable, solve_count
 
 
-def _priority_class(mission: Reconfiguration, agent: int, steps: int) -> float | bool:
-    if mission.priority is None:
-        return steps > 0
-    return -mission.priority[agent] if steps else -inf
+def _priority_class(mission: Reconfiguration, i: int, steps: int, previous: Plans) -> float:
+    # Among agents of equal priority, those first that others have kept from their targets.
+    if steps == 0:
+        return -inf
+    failures = previous[i].failure_count if i in previous else 0
+    given = 0.0 if mission.priority is None else mission.priority[i]
+    return -given - failures / (failures + 1)
 
 
 @lru_cache(maxsize=8)  # the same at every replanning of a mission
@@ -246,32 +280,3 @@ def _interpolation_margin(mission: Reconfiguration, own: Leg, h: float) -> float
     x = np.stack([ends, ends], axis=1)
     u = np.broadcast_to(mission.largest_control, (len(ends), 1, mission.axes))
     return 4 * interpolation_error(mission.linear_model, x, u, h)
-
-
-def _relaxation_events(
-    mission: Reconfiguration, planners: dict[int, Planner], unreachable: list[int]
-) -> list[Event]:
-    tolerance = FEASIBILITY_TOLERANCE * mission.least_separation
-    slack = {i: p.slack for i, p in planners.items() if p.slack > tolerance}
-    failed = [i for i, p in planners.items() if p.has_failed]
-    astray = {
-        *unreachable,
-        *failed,
-        *(i for i, p in planners.items() if _misses_target(mission, p)),
-    }
-    beyond = "the target is out of reach in the time that is left"
-    blocked = "no trajectory keeps clear of agents with priority"
-    events: list[Event] = [
-        {"kind": "slack", "agents": list(slack), "amount_m": list(slack.values())},
-        {"kind": "braked", "agents": [i for i in planners if i in astray]},
-        {"kind": "infeasible", "agents": unreachable, "what": beyond},
-        {"kind": "infeasible", "agents": failed, "what": blocked},
-    ]
-    return [event for event in events if event["agents"]]
-
-
-def _misses_target(mission: Reconfiguration, planner: Planner) -> bool:
-    d, error = mission.axes, np.abs(planner.nominal.x[-1] - planner.target_state)
-    is_far = (error[:d] > mission.position_tolerance).any()
-    is_fast = (error[d:] > mission.velocity_tolerance).any()
-    return planner.terminal_error > 0 and bool(is_far or is_fast)

@@ -36,8 +36,8 @@ MAX_SOLVES = 20  # programs, after which an agent stops improving (Proposition 4
 
 
 # Class, −cost spent, number [Remark 5]. Who cannot move any more is of the first class; others are
-# of one, or of the negative priority that a mission gives them.
-Priority = tuple[float | bool, float, int]
+# of the negative priority that a mission gives them.
+Priority = tuple[float, float, int]
 
 
 class TrajectoryMessage(NamedTuple):
@@ -70,7 +70,7 @@ class Planner(NamedTuple):
     last_inbox: tuple[TrajectoryMessage, ...] = ()  # of higher priority, in the last program
     solve_count: int = 0
     terminal_error: float = 0.0  # distance from the target at the end, where relaxed
-    slack: float = 0.0  # largest violation of a half-space, where relaxed [m]
+    slack: float = 0.0  # largest violation of a half-space or a separation [m]
     has_failed: bool = False  # True where no program was feasible
 
     @property
@@ -126,8 +126,15 @@ def update_planner(agent: Planner, inbox: Sequence[TrajectoryMessage]) -> Planne
     above = tuple(message for message in inbox if message.priority < agent.priority)
     if _needs_solve(agent, above):
         agent = _solve_iteration(agent, above)
-    is_final = agent.has_converged and all(message.is_final for message in above)
-    return agent._replace(is_final=is_final)
+    if not (agent.has_converged and all(message.is_final for message in above)):
+        return agent
+    # Half-spaces leave out what no control can change: the first control points, and those after
+    # the last control. So what is flown is verified as it is.
+    lacking = 0.0
+    if above:
+        radii = pair_clearances(above, agent.horizon.clearance)
+        lacking = convexify.separation_violation(agent.control_points - paths_of(above), radii)
+    return agent._replace(is_final=True, slack=max(agent.slack, lacking))
 
 
 def _needs_solve(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> bool:
@@ -208,7 +215,7 @@ def _solve_avoidance(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Pl
         if result is not None:
             return agent.with_result(result)
     # The message must be of what is flown, whatever the agent began with.
-    return agent.with_nominal(agent.nominal)._replace(has_failed=True)
+    return agent.with_nominal(agent.nominal)._replace(has_failed=True, slack=0.0)
 
 
 def minimize_terminal_error(
