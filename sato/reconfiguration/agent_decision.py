@@ -54,7 +54,7 @@ class Decision(NamedTuple):
     is_finished: bool = False
     diameter: int = 0
     members: tuple[int, ...] = ()  # numbers of the agents of its component
-    first_clock: int = 0  # the clock with the most time left among these
+    heard_clock: int = 0  # the clock with the most time left among these
     attempt: Literal["first", "reset", "firm"] = "first"  # of the auction
     table: assignment.CostTable | None = None  # of the auction
     planned_cost: Float[Array, " rows"] | None = None  # to the target that it holds
@@ -124,8 +124,8 @@ class Decision(NamedTuple):
             return self._replace(is_finished=True)
         members = tuple(hello.agent for hello in reports)
         diameter = census.message.max_eccentricity
-        first_clock = min(hello.clock for hello in reports)
-        decision = self._replace(members=members, diameter=diameter, first_clock=first_clock)
+        heard_clock = min(hello.clock for hello in reports)
+        decision = self._replace(members=members, diameter=diameter, heard_clock=heard_clock)
         if not has_joined and k % mission.auction_steps:
             return decision._begin_exchange()
         if mission.assignment == "given":
@@ -154,7 +154,7 @@ class Decision(NamedTuple):
         cost = planning.remaining_cost(self.plans, self.context)
         memory = replace(memory, claimed_target=target, claim_step=step)
         shared = self._replace(context=self.context._replace(memory=memory), planned_cost=cost)
-        clock = self.first_clock
+        clock = self.heard_clock
         return shared if clock == memory.clock[self.number] else shared._set_clock(clock)
 
     def _set_clock(self, clock: int) -> "Decision":
@@ -222,6 +222,6 @@ class Decision(NamedTuple):
         return self._replace(context=self.context._replace(memory=memory))
 
     def _begin_exchange(self) -> "Decision":
-        clocks = np.minimum(self.context.memory.clock, self.first_clock)
-        planners, unreachable, _ = planning.plan_alone(self.context, self.spent, self.plans, clocks)
+        heard = np.full_like(self.context.memory.clock, self.heard_clock)
+        planners, unreachable, _ = planning.plan_alone(self.context, self.spent, self.plans, heard)
         return self._enter(Exchange(planners[self.number], unreachable))

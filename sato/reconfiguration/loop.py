@@ -143,8 +143,8 @@ class _Flight:
                 self._note("reset", decision.was_reset)
             if moved.any():
                 self._note("assignment", moved, target=memory.target_index[moved].tolist())
-        context = context._replace(memory=self.memory)
-        planned, events = planning.plan_trajectories(context, self.spent, self.plans, solves)
+        heard, context = context.memory.clock, context._replace(memory=self.memory)
+        planned, events = planning.plan_trajectories(context, self.spent, self.plans, solves, heard)
         self.plans = self.plans | planned
         self.events += events
         rejected = np.array([own.fallback_count for own in self.solvers]) - fallbacks

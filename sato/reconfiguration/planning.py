@@ -117,6 +117,7 @@ def plan_trajectories(
     spent: Float[Array, " agents"],
     previous: Plans,
     solve_count: int = 0,
+    clocks: Int[Array, " agents"] | None = None,
 ) -> tuple[Plans, list[Event]]:
     """Plan for every agent that decides: alone first, then clear of the others.
 
@@ -125,10 +126,11 @@ def plan_trajectories(
         spent: Fuel or energy spent so far; the agent that has spent less gives way.
         previous: Plans that were flown so far.
         solve_count: Programs solved for this replanning already.
+        clocks: Clock of each agent before it decided; that of its memory by default.
     """
     mission, graph = context.mission, context.graph
-    first_clock = -graph.component_max(-context.memory.clock)
-    planners, unreachable, solo_count = plan_alone(context, spent, previous, first_clock)
+    heard = -graph.component_max(-(context.memory.clock if clocks is None else clocks))
+    planners, unreachable, solo_count = plan_alone(context, spent, previous, heard)
     solve_count, rounds, resolved = solve_count + solo_count, 0, dict[int, Planner]()
     for steps in sorted({planner.horizon.steps for planner in planners.values()}):
         alike = {i: planner for i, planner in planners.items() if planner.horizon.steps == steps}
@@ -200,7 +202,7 @@ def plan_alone(
     context: DecisionContext,
     spent: Float[Array, " agents"],
     previous: Plans,
-    first_clock: Int[Array, " agents"],
+    heard_clock: Int[Array, " agents"],
 ) -> tuple[dict[int, Planner], list[int], int]:
     """Plan for every agent that decides as if it were alone.
 
@@ -208,7 +210,7 @@ def plan_alone(
         context: States, memory and graph of the agents that decide.
         spent: Fuel or energy spent so far.
         previous: Plans that were flown so far.
-        first_clock: Clock with the most time left in each agent's component.
+        heard_clock: Clock with the most time left in each agent's component, as it was announced.
 
     Returns:
         Planners, agents whose targets are out of reach, and the number of programs solved.
@@ -216,6 +218,9 @@ def plan_alone(
     mission, leg, k = context.mission, context.leg, context.step_index
     memory = context.memory
     is_nonlinear = mission.nonlinear_model is not None
+    # Given targets need no agreement: others hear of a reset at the next replan.
+    is_given = mission.assignment == "given"
+    first_clock = heard_clock if is_given else np.minimum(heard_clock, memory.clock)
     ahead = np.minimum(leg.steps - first_clock, mission.foresight_steps)
     ahead = np.maximum(ahead, mission.horizon_steps)
     horizons = {
