@@ -15,6 +15,14 @@ from sato.cli_errors import EXIT_FAILED, EXIT_OK, ensure_writable
 campaign_app = Typer(help="Fly many runs, and resume them.", no_args_is_help=True)
 
 CampaignFolder = Annotated[Path, Argument(metavar="DIR", help="Folder of a campaign.")]
+Words = list[str] | None
+By = Annotated[Words, Option(metavar="COLUMN", help="Group by; repeatable; the file's.")]
+Show = Annotated[
+    Words, Option(metavar="TERM", help="COLUMN[/COLUMN][=VALUE][:STATISTIC]; repeatable.")
+]
+Where = Annotated[
+    Words, Option(metavar="CONDITION", help="COLUMN=VALUE, or <, >=, !=; repeatable.")
+]
 
 
 @campaign_app.command(name="run")
@@ -93,6 +101,79 @@ def rerun(
         echo("equal to the row")
     echo(str(folder / "runs" / str(row)))
     raise Exit(EXIT_FAILED if differing else EXIT_OK)
+
+
+@campaign_app.command()
+def table(
+    folder: CampaignFolder,
+    by: By = None,
+    show: Show = None,
+    where: Where = None,
+    rows: Annotated[bool, Option("--rows", help="List single runs.")] = False,
+    markdown: Annotated[bool, Option("--markdown", help="As a table of Markdown.")] = False,
+) -> None:
+    """Tabulate groups of runs: rates and means with 95 % intervals, and other statistics."""
+    from sato.campaigns.selection import group_runs, list_runs
+    from sato.campaigns.table import open_table
+    from sato.console import print_rows
+    from sato.scenario.definition import errors_in
+
+    with open_table(folder) as campaign, errors_in(""):
+        shown = (list_runs if rows else group_runs)(campaign, by, show or (), where or ())
+    print_rows(*shown.text(), markdown)
+
+
+@campaign_app.command()
+def plot(
+    folder: CampaignFolder,
+    by: By = None,
+    show: Show = None,
+    where: Where = None,
+    scatter: Annotated[
+        tuple[str, str] | None, Option(metavar="X Y", help="Columns or ratios of its axes.")
+    ] = None,
+    pdf: Annotated[bool, Option("--pdf", help="PDF instead of PNG.")] = False,
+) -> None:
+    """Draw rates, distributions, a grid and a scatter plot into the folder."""
+    from sato.campaigns.figures import draw_campaign
+    from sato.campaigns.table import open_table
+    from sato.render import write_figures
+
+    with open_table(folder) as campaign:
+        figures = draw_campaign(campaign, by, show or (), where or (), scatter or ())
+    for path in write_figures(figures, folder, pdf):
+        echo(str(path))
+
+
+@campaign_app.command()
+def export(
+    folder: CampaignFolder,
+    format: Annotated[str, Option(metavar="csv|parquet", help="Parquet needs pyarrow.")] = "csv",
+    out: Annotated[Path | None, Option(metavar="FILE", help="In DIR, if absent.")] = None,
+) -> None:
+    """Write all runs for other tools, a row a run."""
+    from sato.campaigns.export import export as write
+    from sato.campaigns.table import open_table
+
+    path = out or folder / f"campaign.{format}"
+    with open_table(folder) as campaign:
+        ensure_writable(path.parent)
+        echo(str(write(campaign, path, format)))
+
+
+@campaign_app.command()
+def report(
+    folder: CampaignFolder,
+    out: Annotated[Path | None, Option(metavar="FILE.html", help="In DIR, if absent.")] = None,
+) -> None:
+    """Write one HTML file with tables, figures and failed runs, which opens offline."""
+    from sato.campaigns.report import write_report
+    from sato.campaigns.table import open_table
+
+    path = out or folder / "report.html"
+    with open_table(folder) as campaign:
+        ensure_writable(path.parent)
+        echo(str(write_report(campaign, path)))
 
 
 def _describe(folder: Path) -> str:

@@ -1,12 +1,13 @@
 """Progress, summaries and reports on a terminal, and progress in a notebook."""
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
+from rich.box import HEAVY_HEAD, MARKDOWN
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Column, Table
@@ -15,6 +16,9 @@ from dynamics.trajectory_geometry import sampled_separations
 from sato.check.report import Report
 from sato.interfaces import Frame, FrameT, MissionProgress, MissionT
 from sato.summary import format_label, format_value, is_parts, summary_rows
+
+MAX_TABLE = 500  # rows of a table with rules, which takes 1 ms a row
+PIPE_WIDTH = 10_000  # a file or a pipe has no width to which tables must be fitted
 
 
 @contextmanager
@@ -80,6 +84,24 @@ def print_summary(summary: dict[str, Any], folder: Path) -> None:
         table.add_row(label, text)
     console.print(table)
     console.print(f"{folder}", highlight=False, markup=False, soft_wrap=True)
+
+
+def print_rows(head: Sequence[str], rows: Sequence[Sequence[str]], markdown: bool = False) -> None:
+    """Print rows of text under a head; as wide as they are where the output is no terminal."""
+    console = Console(highlight=False, markup=False)
+    if markdown or len(rows) > MAX_TABLE:
+        head = [name.replace("\n", " ") for name in head]
+    if len(rows) > MAX_TABLE:
+        widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
+        for row in (head, *rows):
+            print("  ".join(map(str.ljust, row, widths)).rstrip())
+        return
+    if markdown or not console.is_terminal:
+        console.width = PIPE_WIDTH
+    table = Table(*head, box=MARKDOWN if markdown else HEAVY_HEAD)
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)
 
 
 def print_report(report: Report) -> None:

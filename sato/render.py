@@ -1,7 +1,7 @@
 """Figures and animations of a run: PNG or PDF, and MP4, or GIF where ffmpeg is missing."""
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from errno import EIO
 from pathlib import Path
@@ -45,8 +45,6 @@ def draw_figures(data: "xarray.Dataset", mission: Any) -> dict[str, Figure]:
 def plot(data: "xarray.Dataset", mission: Any, directory: Path, pdf: bool = False) -> list[Path]:
     """Draw every figure of a run into a directory, in place of figures of earlier runs.
 
-    Where one cannot be written, those that were there are kept.
-
     Args:
         data: Dataset of the run.
         mission: Mission that was flown, drawn.
@@ -56,7 +54,22 @@ def plot(data: "xarray.Dataset", mission: Any, directory: Path, pdf: bool = Fals
     Returns:
         The files, in the order of the system's figures.
     """
-    figures = draw_figures(data, mission)
+    return write_figures(draw_figures(data, mission), directory, pdf)
+
+
+def write_figures(figures: Mapping[str, Figure], directory: Path, pdf: bool = False) -> list[Path]:
+    """Write figures into a directory, in place of all that were written before.
+
+    Where one cannot be written, those that were there are kept.
+
+    Args:
+        figures: By name.
+        directory: Made if it is missing.
+        pdf: PDF instead of PNG.
+
+    Returns:
+        The files.
+    """
     directory.mkdir(parents=True, exist_ok=True)
     drawn = (path for end in ("png", "pdf") for path in directory.glob(f"*.{end}"))
     old = {path for path in drawn if _MARK.encode() in path.read_bytes()}

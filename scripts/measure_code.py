@@ -123,7 +123,7 @@ def modules_before_the_loop() -> list[str]:
 def main() -> None:
     """Print the measures."""
     lines: Counter[str] = Counter()
-    for folder in (*PACKAGES, "tests", "scripts"):
+    for folder in (*PACKAGES, "tests", "scripts", "campaigns"):
         lines[folder] = sum(map(code_lines, (ROOT / folder).rglob("*.py")))
     for folder, count in lines.items():
         print(f"{folder}: {count} lines of code")

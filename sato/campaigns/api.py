@@ -17,6 +17,7 @@ def campaign(
     seed: int = 0,
     grid: Mapping[str, Sequence[Any]] | None = None,
     draw: Mapping[str, Any] | None = None,
+    case: Mapping[str, Mapping[str, Any]] | None = None,
     columns: Any = "",
     time_limit: float | None = None,
     keep: Literal["failures", "all", "none"] = "none",
@@ -35,6 +36,7 @@ def campaign(
         seed: First seed.
         grid: Values by key of the scenario, all combined.
         draw: Distributions by key, each as in a file: {"kind": "uniform", "low": 1.0, ...}.
+        case: Values by key that belong together, by a name that the column "case" takes.
         columns: Function of a run that returns a dict of more columns.
         time_limit: Time after which a run is ended [s].
         keep: Runs whose files are kept in the folder.
@@ -56,6 +58,7 @@ def campaign(
         seed=seed,
         grid=grid or (),
         draw=draw or (),
+        case=case or (),
         columns=columns,
         time_limit=time_limit,
         keep=keep,

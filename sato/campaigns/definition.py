@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
+from itertools import combinations
 from math import prod
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -24,7 +25,7 @@ from sato.scenario.overrides import override
 from sato.scenario.table import read_table, write_table
 from sato.systems import definition_of
 
-EXTENDABLE = ("trials", "keep")  # fields that may change when a campaign is resumed
+EXTENDABLE = ("trials", "keep", "by", "show")  # fields that may change when a campaign is resumed
 
 
 def _as_sources(value: Any) -> tuple[Source, ...]:
@@ -61,6 +62,14 @@ def _as_lists(value: Any) -> dict[str, tuple[Any, ...]]:
             raise InputError(key, f"must be a list of values, got {format_value(values) or '[]'}")
         grid[key] = tuple(part.item() if isinstance(part, np.generic) else part for part in values)
     return grid
+
+
+def _as_cases(value: Any) -> dict[str, dict[str, Any]]:
+    cases = {}
+    for name, settings in (value or {}).items():
+        with errors_in(name):
+            cases[name] = dict(_flatten_tables(settings))
+    return cases
 
 
 def _as_distributions(value: Any) -> dict[str, Distribution]:
@@ -109,18 +118,33 @@ class Campaign(Definition):
     keep: Annotated[
         Literal["failures", "all", "none"], In("campaign"), "runs whose files are kept"
     ] = "none"
+    case: Annotated[Any, Convert(_as_cases), "values of keys that belong together, by name"] = ()
     grid: Annotated[Any, Convert(_as_lists), "values of keys, all combined"] = ()
     draw: Annotated[Any, Convert(_as_distributions), "distributions of keys"] = ()
+    by: Annotated[
+        tuple[str, ...], In("table"), "columns by which runs are grouped in tables and figures"
+    ] = ()
+    show: Annotated[
+        tuple[str, ...], In("table"), "columns, ratios and conditions in tables and figures"
+    ] = ()
 
     def check(self) -> None:
         """Refuse keys that are given twice."""
-        if both := sorted(set(self.grid) & set(self.draw)):
-            raise InputError(both[0], "stands in [grid] and in [draw]; one of them is enough")
+        places = {f"case.{name}": settings for name, settings in self.case.items()}
+        places |= {"grid": self.grid, "draw": self.draw}
+        for one, two in combinations(places, 2):
+            both = sorted(set(places[one]) & set(places[two]))
+            if both and not two.startswith("case."):
+                raise InputError(both[0], f"stands in [{one}] and in [{two}]; one is enough")
 
     @property
     def points(self) -> int:
         """Number of runs with the same seed."""
-        return len(self.scenario) * prod(map(len, self.grid.values()))
+        return prod(self._shape)
+
+    @property
+    def _shape(self) -> list[int]:
+        return [len(self.scenario), max(1, len(self.case)), *map(len, self.grid.values())]
 
     @property
     def runs(self) -> int:
@@ -135,14 +159,16 @@ class Campaign(Definition):
             folder: Folder of the campaign.
         """
         number, point = divmod(row, self.points)
-        shape = [len(self.scenario), *map(len, self.grid.values())]
-        first, *indices = (int(index) for index in np.unravel_index(point, shape))
+        first, second, *indices = (int(index) for index in np.unravel_index(point, self._shape))
+        case = list(self.case)[second] if self.case else ""
         pairs = zip(self.grid.items(), indices, strict=True)
         rng = generator(self.seed, number, 0)
         return Trial(
             row=row,
             source=self.scenario[first],
-            parameters={key: values[index] for (key, values), index in pairs}
+            case=case,
+            parameters=self.case.get(case, {})
+            | {key: values[index] for (key, values), index in pairs}
             | {key: distribution.draw(rng) for key, distribution in self.draw.items()},
             seed=self.seed + number,
             stream=(self.seed, number),
@@ -169,7 +195,8 @@ class Campaign(Definition):
             data = json.loads(_to_json(data))
             definition = definition_of(data.pop("system", ""))
             for key, value in trial.parameters.items():
-                with errors_in("grid" if key in self.grid else "draw"):
+                places = {**dict.fromkeys(self.grid, "grid"), **dict.fromkeys(self.draw, "draw")}
+                with errors_in(places.get(key, f"case.{trial.case}")):
                     override(data, (key, value), definition)
 
     @cached_property
@@ -184,11 +211,23 @@ class Campaign(Definition):
         return digest("\0".join(texts))
 
     def _first_trials(self) -> Iterator[Trial]:
-        yield from map(self.trial, range(0, self.points, self.points // len(self.scenario)))
+        step = prod(self._shape[2:])  # the first point of the grid in each scenario and case
+        yield from map(self.trial, range(0, self.points, step))
 
     def to_json(self) -> str:
         """Write the definition as JSON, with the scenarios, so that it needs no other file."""
-        names = ("name", "scenario", "trials", "seed", "columns", "keep", "grid")
+        names = (
+            "name",
+            "scenario",
+            "trials",
+            "seed",
+            "columns",
+            "keep",
+            "case",
+            "grid",
+            "by",
+            "show",
+        )
         plain = {name: getattr(self, name) for name in names}
         draws = {key: write_table(distribution) for key, distribution in self.draw.items()}
         return _to_json(plain | {"time_limit": self.time_limit, "draw": draws})

@@ -32,6 +32,7 @@ _COLUMNS = {
     "error": "TEXT",
     "seed": "INTEGER NOT NULL",
     "parameters": "TEXT NOT NULL",  # JSON
+    "scenario": "TEXT",
     "scenario_hash": "TEXT",
     "version": "TEXT",
     "wall_s": "REAL",
@@ -217,7 +218,8 @@ class CampaignTable:
             if text is not None:
                 values = (cells["scenario_hash"], text)
                 self._connection.execute("INSERT OR IGNORE INTO scenarios VALUES (?, ?)", values)
-            cells = {self._ensure_column(name): value for name, value in cells.items()}
+            known = {name: value for name, value in cells.items() if value is not None}
+            cells = {self._ensure_column(name, value): value for name, value in known.items()}
             cells["attempts"] = attempts
             names, marks = ", ".join(map(_quoted, cells)), ", ".join("?" * len(cells))
             command = f"INSERT OR REPLACE INTO runs ({names}) VALUES ({marks})"
@@ -228,11 +230,12 @@ class CampaignTable:
         cells = {key: as_cell(value) for key, value in outcome.items() if key in _COLUMNS}
         cells |= {"row": trial.row, "seed": trial.seed, "parameters": json.dumps(trial.parameters)}
         cells.setdefault("version", own_version())
+        cells["scenario"] = trial.scenario_name
         if outcome.get("scenario") is not None:
             cells["scenario_hash"] = digest(outcome["scenario"])
         summary = {k: v for k, v in outcome.get("summary", {}).items() if k not in _COLUMNS}
         groups = {
-            "parameters": trial.parameters,
+            "parameters": trial.parameters | ({"case": trial.case} if trial.case else {}),
             "summary": summary,
             "columns": outcome.get("columns", {}),
         }
@@ -244,11 +247,12 @@ class CampaignTable:
                 cells[full] = as_cell(value)
         return cells
 
-    def _ensure_column(self, name: str) -> str:
+    def _ensure_column(self, name: str, value: object) -> str:
         if name.lower() not in self._names:
             if len(self._names) >= MOST_COLUMNS:
                 raise TableError(f"{self.path}: more than {MOST_COLUMNS} columns, at {name}")
-            self._connection.execute(f"ALTER TABLE runs ADD COLUMN {_quoted(name)}")
+            kind = " BOOLEAN" if isinstance(value, bool) else ""  # of which tables show rates
+            self._connection.execute(f"ALTER TABLE runs ADD COLUMN {_quoted(name)}{kind}")
             self._names[name.lower()] = name
         return self._names[name.lower()]
 
@@ -263,6 +267,24 @@ class CampaignTable:
                 self._connection.execute("ROLLBACK")
             self._names = {name.lower(): name for name in self.columns}
             raise
+
+    @property
+    def booleans(self) -> set[str]:
+        """Names of the columns that hold booleans."""
+        rows = self._execute("PRAGMA table_info(runs)")
+        return {name for _, name, kind, *_ in rows if kind == "BOOLEAN"}
+
+    @property
+    def groups(self) -> list[str]:
+        """Columns by which runs are grouped if the file names none: what the campaign varies."""
+        several = {"scenario": len(self.campaign.scenario) > 1, "case": bool(self.campaign.case)}
+        names = [*(name for name, varies in several.items() if varies), *self.campaign.grid]
+        known = self.columns
+        return [name for name in self.campaign.by or names if name in known]
+
+    def query(self, text: str, values: Iterable[Any] = ()) -> sqlite3.Cursor:
+        """Read by a statement of SQL of the table `runs`."""
+        return self._execute(text, values)
 
     def _execute(self, text: str, values: Iterable[Any] = ()) -> sqlite3.Cursor:
         with self._errors():

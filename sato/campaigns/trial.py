@@ -41,12 +41,22 @@ class Trial(NamedTuple):
 
     row: int
     source: Source
-    parameters: dict[str, Any]  # by key of the scenario
+    parameters: dict[str, Any]  # by key of the scenario, those of the case among them
     seed: int  # of the run
     stream: tuple[int, int]  # seed of the campaign, and number of the trial
     columns: str = ""  # "module:function"
     keep: str = "none"
     folder: str = ""  # of the campaign
+    case: str = ""
+
+    @property
+    def scenario_name(self) -> str:
+        """Name of the scenario, or of the function that draws it."""
+        if isinstance(self.source, str):
+            return self.source.partition(":")[2]
+        if isinstance(self.source, Mission):
+            return self.source.name
+        return str(self.source.get("name", ""))
 
     def build_mission(self) -> Mission:
         """Build the mission that is flown.
@@ -162,9 +172,9 @@ def as_cell(value: Any) -> Any:
         value = value.tolist()
     if isinstance(value, float):
         return None if value != value else value
-    if isinstance(value, int):  # of 64 bits at most
+    if isinstance(value, int) and not isinstance(value, bool):  # of 64 bits at most
         return int(value) if abs(value) < 2**63 else float(value)
-    if value is None or isinstance(value, str):
+    if value is None or isinstance(value, str | bool):
         return value
     return json.dumps(value, default=json_default)
 

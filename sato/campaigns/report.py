@@ -1,0 +1,117 @@
+"""Report of a campaign: tables and figures in one HTML file, which asks for nothing else."""
+
+import json
+from base64 import b64encode
+from collections.abc import Iterable, Sequence
+from html import escape
+from pathlib import Path
+
+import tomli_w
+
+from sato.atomic import replace_atomically
+from sato.campaigns.figures import as_png, draw_campaign
+from sato.campaigns.selection import group_runs
+from sato.campaigns.table import CampaignTable
+
+MAX_FAILURES = 500  # that are listed
+CAPTIONS = {
+    "rates": "Rates and means of the groups, with 95 % intervals",
+    "distributions": "Empirical distributions",
+    "grid": "Statistics over the grid",
+    "scatter": "Runs",
+}
+_CSS = """
+body { font: 15px/1.45 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto;
+  padding: 0 1rem; color: #222 }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums }
+th, td { padding: 0.2rem 1.2rem 0.2rem 0; border-bottom: 1px solid #ddd; text-align: left;
+  vertical-align: top; white-space: pre-line }
+div { overflow-x: auto }
+img { max-width: 100%; display: block; margin: 1rem 0 }
+pre { background: #f5f5f5; padding: 0.8rem; overflow-x: auto }
+"""
+
+
+def write_report(table: CampaignTable, path: Path) -> Path:
+    """Write the report of a campaign.
+
+    Args:
+        table: Table of the campaign.
+        path: HTML file; one that is there is replaced once all is written.
+
+    Raises:
+        InputError: The campaign has no runs yet.
+        OSError: The file cannot be written.
+    """
+    figures = draw_campaign(table)
+    text = "\n".join(
+        [
+            *_format_head(table),
+            "<h2>Groups</h2>",
+            "<p>Rates with Wilson’s interval, means ± deviation with Student’s; 95 %.</p>",
+            _format_table(*group_runs(table).text()),
+            *(_format_figure(CAPTIONS[name], as_png(figure)) for name, figure in figures.items()),
+            *_format_failures(table),
+            "<h2>Definition</h2>",
+            f"<pre>{escape(_format_definition(table))}</pre>",
+            "</body></html>\n",
+        ]
+    )
+    with replace_atomically(path) as new:
+        new.write_text(text, encoding="utf-8")
+    return path
+
+
+def _format_head(table: CampaignTable) -> list[str]:
+    name = escape(table.campaign.name)
+    exits = [f"{count} {exit}" for exit, count in table.exits().items()]
+    facts = {
+        "Runs": f"{len(table)} of {table.campaign.runs}: {', '.join(exits)}",
+        "Version": f"sato {table.version}",
+        "Table": str(table.path),
+    }
+    return [
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">',
+        f"<title>{name}</title><style>{_CSS}</style></head>\n<body>\n<h1>{name}</h1>",
+        _format_table([], [[key, value] for key, value in facts.items()]),
+    ]
+
+
+def _format_failures(table: CampaignTable) -> list[str]:
+    failed = "SELECT row, seed, parameters, exit, error FROM runs WHERE exit != 'reached'"
+    rows = list(table.query(f"{failed} ORDER BY row"))
+    lines = [f"<h2>Runs that did not reach it: {len(rows)}</h2>"]
+    if len(rows) > MAX_FAILURES:
+        lines.append(f"<p>The first {MAX_FAILURES}.</p>")
+    head = ["row", "seed", "parameters", "exit", "error", "again"]
+    cells = []
+    for row, seed, parameters, exit, error in rows[:MAX_FAILURES]:
+        values = ", ".join(f"{key} = {value}" for key, value in json.loads(parameters).items())
+        last = (error or "").strip().rpartition("\n")[2]
+        again = f"sato campaign rerun {table.folder} {row}"
+        cells.append([str(row), str(seed), values, exit, last, again])
+    return [*lines, _format_table(head, cells)] if rows else lines
+
+
+def _format_definition(table: CampaignTable) -> str:
+    def known(value: object) -> object:  # TOML has no null
+        if isinstance(value, dict):
+            return {key: known(part) for key, part in value.items() if part not in (None, {}, "")}
+        return [known(part) for part in value] if isinstance(value, list) else value
+
+    definition = known(json.loads(table.campaign.to_json()))
+    assert isinstance(definition, dict)
+    return tomli_w.dumps(definition)
+
+
+def _format_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    def line(cells: Sequence[str], tag: str) -> str:
+        return f"<tr>{''.join(f'<{tag}>{escape(cell)}</{tag}>' for cell in cells)}</tr>"
+
+    lines = [line(head, "th")] if head else []
+    return "\n".join(["<div><table>", *lines, *(line(row, "td") for row in rows), "</table></div>"])
+
+
+def _format_figure(caption: str, png: bytes) -> str:
+    data = b64encode(png).decode()
+    return f'<h2>{caption}</h2>\n<img alt="{caption}" src="data:image/png;base64,{data}">'
