@@ -43,7 +43,7 @@ def test_cases_and_grid_are_all_combined_and_share_their_seeds():
     ("more", "reason"),
     [
         ({"grid": {"plan.step_s": [1.0]}}, r"stands in \[case.slow\] and in \[grid\]"),
-        ({"case": {"slow": {"plan.stop_s": 2.0}}}, 'case.slow.*did you mean plan.step_s'),
+        ({"case": {"slow": {"plan.stop_s": 2.0}}}, "case.slow.*did you mean plan.step_s"),
         ({"case": {"slow": 2.0}}, "case.slow: must be a table"),
     ],
 )
