@@ -75,8 +75,9 @@ def orbiting(rng):
 
 
 def given(rng):
-    legs = [sato.Leg(spread(rng, 4), steps) for steps in (16, 4)]  # the second is out of reach
-    changes = {"assignment": "given", "max_control": 0.3, "comm_radius": 2.5}
+    # Disturbances put the targets of the second leg out of reach.
+    legs = [sato.Leg(spread(rng, 4), 16), sato.Leg(spread(rng, 4), "auto", time_factor=1.0)]
+    changes = {"assignment": "given", "max_control": 0.3, "comm_radius": 2.5, "disturbance": 0.1}
     changes |= {"reset": "need", "objective": "energy"}
     return make_mission(spread(rng, 4), *legs, allow_undetectable=True, **changes)
 

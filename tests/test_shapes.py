@@ -416,3 +416,9 @@ def test_font_may_be_a_file(tmp_path):
     with warnings.catch_warnings(), pytest.raises(ValueError, match="cannot be read"):
         warnings.simplefilter("ignore", ResourceWarning)  # the font library leaves it open
         Text("U", spacing=1.0, font=str(fake)).place(30, 2)
+
+
+def test_too_many_points_to_order_are_refused_with_a_number_that_is_not():
+    points = np.zeros((20_000, 1))
+    with pytest.raises(ValueError, match="20000 of 20000 points are too many .* 10000 would do"):
+        farthest_point_sampling(points, 20_000)

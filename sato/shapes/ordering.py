@@ -1,11 +1,14 @@
 """Orders of points in which every prefix keeps the shape [Gonzalez1985]."""
 
+from math import isqrt
+
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 # Relative: distances that differ by less are equal, so that rounding on a machine decides nothing.
 TIE_TOLERANCE = 1e-9
+MAX_DISTANCES = 2 * 10**8  # computed for an order: 10 s or so
 
 
 def farthest_point_sampling(points: Float[Array, "k d"], count: int) -> Int[Array, " count"]:
@@ -14,7 +17,14 @@ def farthest_point_sampling(points: Float[Array, "k d"], count: int) -> Int[Arra
     The first is the point farthest from the middle of the bounding box. Ties go to the smallest
     index. No remaining point is farther from the chosen ones than their own least distance, so
     every prefix covers the points as evenly as it can.
+
+    Raises:
+        ValueError: There are too many points.
     """
+    if count * len(points) > MAX_DISTANCES:
+        most = min(count - 1, MAX_DISTANCES // len(points), isqrt(MAX_DISTANCES))
+        reason = f"{count} of {len(points)} points are too many to put in order"
+        raise ValueError(f"{reason}; {most} would do")
     axes = np.ascontiguousarray(points.T)
     middle = (axes.min(axis=1) + axes.max(axis=1)) / 2
     chosen = _argmax_with_ties(_squared_distances(axes, middle))
