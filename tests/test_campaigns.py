@@ -14,9 +14,11 @@ from full_disk import file_size_limit
 from test_cli import call, sentence
 
 import sato
+from sato.campaigns import cluster
 from sato.campaigns import table as tables
 from sato.campaigns.definition import Campaign, read_campaign
 from sato.campaigns.engine import fly_again, fly_campaign
+from sato.campaigns.local import WorkerError
 from sato.campaigns.table import MEASURED, CampaignTable, TableError, open_table
 from sato.campaigns.trial import run_trial
 from sato.scenario.errors import InputError, ScenarioError
@@ -132,6 +134,22 @@ def test_a_killed_campaign_resumes_to_the_undisturbed_table(tmp_path, flown):
     assert is_sound(tmp_path / "x")
     fly_campaign(campaign(), tmp_path / "x", workers=1, function=count, resume=True)
     assert rows(tmp_path / "x") == rows(flown)
+
+
+def test_a_dask_cluster_gives_the_rows_of_this_machine(tmp_path, flown):
+    from distributed import LocalCluster
+
+    options = {"processes": False, "n_workers": 2, "threads_per_worker": 1}
+    with LocalCluster(**options, dashboard_address=None) as started:
+        address = started.scheduler_address
+        fly_campaign(campaign(), tmp_path / "x", scheduler=address, function=count)
+    assert rows(tmp_path / "x") == rows(flown)
+
+
+def test_a_scheduler_that_cannot_be_reached_is_told(tmp_path, monkeypatch):
+    monkeypatch.setattr(cluster, "CONNECT_TIMEOUT", 0.1)
+    with pytest.raises(WorkerError, match="no Dask scheduler can be reached"):
+        fly_campaign(campaign(), tmp_path, scheduler="tcp://127.0.0.1:1", function=count)
 
 
 def test_another_campaign_in_the_folder_is_refused(flown):

@@ -4,6 +4,7 @@ import faulthandler
 import os
 import threading
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from itertools import islice
 from time import sleep
@@ -40,51 +41,68 @@ def fly_on_cluster(
         InputError: Dask is not installed, or workers have several threads.
         WorkerError: The scheduler cannot be reached, or was lost.
     """
+    with _connect(address) as client:
+        try:
+            yield from _fly(client, function, trials, time_limit)
+        except (OSError, CancelledError) as error:
+            raise WorkerError(f"{address}: the scheduler was lost; --resume goes on") from error
+
+
+def _connect(address: str) -> Any:
     try:
-        from distributed import Client, as_completed
+        from distributed import Client
     except ImportError as error:
         reason = "a scheduler needs Dask: pip install 'sato-swarm[cluster]'"
         raise InputError("", reason) from error
-    topic, remaining = f"sato-{uuid4().hex}", iter(trials)
     try:
-        client = Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)
-    except (OSError, ValueError) as error:
+        return Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)
+    except Exception as error:  # of many kinds where something else listens there
         raise WorkerError(f"{address}: no Dask scheduler can be reached: {error}") from error
-    with client:
-        if any(threads > 1 for threads in client.nthreads().values()):
-            raise InputError("", "workers must have one thread each: dask worker --nthreads 1")
-        flying: dict[Any, Trial] = {}
-        late: set[str] = set()
-        completed = as_completed(raise_errors=False)
 
-        def submit() -> None:
-            for trial in islice(remaining, max(2, AHEAD * len(client.nthreads())) - len(flying)):
-                arguments = (function, trial, time_limit, topic)
-                key = f"{topic}-{trial.row}"
-                future = client.submit(_fly_on_worker, *arguments, key=key, pure=False)
-                flying[future] = trial
-                completed.add(future)
 
-        def end(event: tuple[float, str]) -> None:
-            late.add(event[1])
-            for future in [future for future in flying if future.key == event[1]]:
-                future.cancel(force=True)
+def _fly(
+    client: Any,
+    function: Callable[[Trial], Outcome],
+    trials: Iterable[Trial],
+    time_limit: float | None,
+) -> Flights:
+    from distributed import as_completed
 
-        client.subscribe_topic(topic, end)
+    if any(threads > 1 for threads in client.nthreads().values()):
+        raise InputError("", "workers must have one thread each: dask worker --nthreads 1")
+    topic, remaining = f"sato-{uuid4().hex}", iter(trials)
+    flying: dict[Any, Trial] = {}
+    late: set[str] = set()  # keys of trials that a worker has ended
+    completed = as_completed(loop=client.loop, raise_errors=False)
+
+    async def end(event: tuple[float, str]) -> None:
+        late.add(event[1])
+        await client.cancel([future for future in [*flying] if future.key == event[1]])
+
+    def submit() -> None:
+        wanted = AHEAD * max(1, len(client.nthreads())) - len(flying)
+        for trial in islice(remaining, max(0, wanted)):
+            arguments = (function, trial, time_limit, topic)
+            key = f"{topic}-{trial.row}"
+            future = client.submit(_fly_on_worker, *arguments, key=key, pure=False)
+            flying[future] = trial
+            completed.add(future)
+
+    client.subscribe_topic(topic, end)
+    submit()
+    for future in completed:
+        trial = flying.pop(future)
+        yield trial, _outcome(future, future.key in late, time_limit)
         submit()
-        for future in completed:
-            trial = flying.pop(future)
-            yield trial, _outcome(future, future.key in late, time_limit, address)
-            submit()
 
 
-def _outcome(future: Any, is_late: bool, time_limit: float | None, address: str) -> Outcome:
+def _outcome(future: Any, is_late: bool, time_limit: float | None) -> Outcome:
     from distributed import KilledWorker
 
     if is_late:
         return {"exit": "time limit", "error": f"ended after {time_limit:g} s"}
     if future.status in ("cancelled", "lost", "pending"):
-        raise WorkerError(f"{address}: the scheduler was lost; --resume goes on")
+        raise CancelledError(future.status)
     error = future.exception()
     if error is None:
         outcome: Outcome = future.result()
