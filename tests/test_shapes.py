@@ -420,5 +420,5 @@ def test_font_may_be_a_file(tmp_path):
 
 def test_too_many_points_to_order_are_refused_with_a_number_that_is_not():
     points = np.zeros((20_000, 1))
-    with pytest.raises(ValueError, match="20000 of 20000 points are too many .* 10000 would do"):
+    with pytest.raises(ValueError, match=r"20000 of 20000 points are too many .* 10000 would do"):
         farthest_point_sampling(points, 20_000)
