@@ -119,7 +119,7 @@ def is_statistic(name: str) -> bool:
 
 
 def wilson_interval(good: int, count: int) -> tuple[float, float]:
-    """Return Wilson's 95 % interval of a rate; NaN without trials.
+    """Return the 95 % interval of a rate [Wilson1927]; NaN without trials.
 
     It is that of `scipy.stats.binomtest`, which takes a second to import.
     """
