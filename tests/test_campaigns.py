@@ -16,6 +16,7 @@ from test_cli import call, sentence
 import sato
 from sato.campaigns import cluster
 from sato.campaigns import table as tables
+from sato.campaigns import trial as trials
 from sato.campaigns.definition import Campaign, read_campaign
 from sato.campaigns.engine import fly_again, fly_campaign
 from sato.campaigns.local import WorkerError
@@ -144,6 +145,31 @@ def test_a_dask_cluster_gives_the_rows_of_this_machine(tmp_path, flown):
         address = started.scheduler_address
         fly_campaign(campaign(), tmp_path / "x", scheduler=address, function=count)
     assert rows(tmp_path / "x") == rows(flown)
+
+
+def test_a_time_limit_needs_workers_that_are_restarted(tmp_path):
+    from distributed import LocalCluster
+
+    options = {"processes": False, "n_workers": 1, "threads_per_worker": 1}
+    with LocalCluster(**options, dashboard_address=None) as started:
+        address = started.scheduler_address
+        with pytest.raises(InputError, match="needs workers with nannies"):
+            fly_campaign(campaign(time_limit=9.0), tmp_path, scheduler=address, function=count)
+
+
+def test_columns_that_no_table_can_hold_are_told_in_the_row(tmp_path):
+    for cells in ({"": 1}, {"a\0b": 1}, {str(k): k for k in range(3000)}, {"x": object()}, None):
+        assert "columns_error" in trials.more_columns(f"{__name__}:echo", cells)
+    cells = trials.more_columns(f"{__name__}:echo", {"x": "\ud800", 'y"': [float("nan")]})
+    mine = campaign()
+    outcome = count(mine.trial(0)) | {"columns": cells}
+    with CampaignTable.create(tmp_path, mine) as table:
+        table.add(mine.trial(0), outcome, 1)
+        assert table.row(0)['y"'] == "[NaN]"
+
+
+def echo(value):
+    return value
 
 
 def test_a_scheduler_that_cannot_be_reached_is_told(tmp_path, monkeypatch):

@@ -107,6 +107,8 @@ def _outcome(future: Any, is_late: bool, time_limit: float | None) -> Outcome:
     if error is None:
         outcome: Outcome = future.result()
         return outcome
+    if isinstance(error, InputError):
+        raise error
     if isinstance(error, KilledWorker):
         return {"exit": "died", "error": f"{error}"}
     return {"exit": "error", "error": f"{type(error).__name__}: {error}"}
@@ -128,6 +130,10 @@ def _end_after(time_limit: float | None, topic: str, key: str) -> Iterator[None]
         yield
         return
     worker = get_worker()
+    if worker.nanny is None:  # nothing would start it again
+        raise InputError(
+            "campaign.time_limit_s", "needs workers with nannies, as `dask worker` has"
+        )
 
     def end() -> None:
         worker.log_event(topic, key)

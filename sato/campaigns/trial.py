@@ -22,12 +22,13 @@ from threadpoolctl import threadpool_limits
 
 from sato.record import json_default
 from sato.resource_usage import peak_memory_mib, reset_peak_memory
-from sato.runs import Run, run
+from sato.runs import run
 from sato.scenario.errors import InputError, ScenarioError
 from sato.scenario.file import Mission, from_dict
 
 FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")  # "module:function"
 THREAD_VARIABLES = ("OMP", "OPENBLAS", "MKL", "NUMBA")
+MOST_CELLS = 1000  # of a function of the user's; SQLite takes 2,000 columns
 ERROR_LENGTH = 2000  # of the end of a traceback that is kept
 
 Source = str | dict[str, Any] | Mission  # a function, the tables of a scenario, or a mission
@@ -119,7 +120,8 @@ def run_trial(trial: Trial) -> Outcome:
     reset_peak_memory()
     began = perf_counter()
     with threadpool_limits(1), warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", UserWarning)  # others depend on what the process did before
         outcome = _fly(trial)
     if caught:
         outcome["warnings"] = "; ".join(dict.fromkeys(str(each.message) for each in caught))
@@ -140,9 +142,12 @@ def _fly(trial: Trial) -> Outcome:
     outcome |= {"exit": judge(flown.summary), "error": _reason(flown.summary)}
     outcome["summary"] = flatten(flown.summary)
     if trial.columns:
-        outcome["columns"] = _more_columns(trial.columns, flown)
+        outcome["columns"] = more_columns(trial.columns, flown)
     if trial.keep == "all" or (trial.keep == "failures" and outcome["exit"] != "reached"):
-        flown.save(Path(trial.folder, "runs", str(trial.row)))
+        try:
+            flown.save(Path(trial.folder, "runs", str(trial.row)))
+        except OSError as error:
+            warnings.warn(f"the run could not be kept: {error}", stacklevel=1)
     return outcome
 
 
@@ -174,7 +179,9 @@ def as_cell(value: Any) -> Any:
         return None if value != value else value
     if isinstance(value, int) and not isinstance(value, bool):  # of 64 bits at most
         return int(value) if abs(value) < 2**63 else float(value)
-    if value is None or isinstance(value, str | bool):
+    if isinstance(value, str):  # without halves of characters, which no file can hold
+        return value.encode(errors="replace").decode()
+    if value is None or isinstance(value, bool):
         return value
     return json.dumps(value, default=json_default)
 
@@ -207,9 +214,12 @@ def _reason(summary: Mapping[str, Any]) -> str | None:
     return summary.get("check_failed") or summary.get("stopped")
 
 
-def _more_columns(function: str, flown: Run) -> Outcome:
-    # A fault in the user's function is told in the row; the run stands.
+def more_columns(function: str, flown: Any) -> Outcome:
+    """Apply a function to a run; a fault in it becomes a column, and the run stands."""
     try:
-        return flatten(dict(find_function(function)(flown)))
+        cells = flatten(dict(find_function(function)(flown)))
+        if len(cells) > MOST_CELLS or not all(name and name.isprintable() for name in cells):
+            raise ValueError(f"must be at most {MOST_CELLS} columns with printable names")
+        return cells
     except Exception:
         return {"columns_error": last_lines()}
