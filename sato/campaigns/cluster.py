@@ -2,6 +2,7 @@
 
 import faulthandler
 import os
+import re
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
@@ -15,7 +16,8 @@ from sato.campaigns.local import AHEAD, WorkerError
 from sato.campaigns.trial import Flights, Outcome, Trial
 from sato.scenario.errors import InputError
 
-CONNECT_TIMEOUT = 8.0  # [s]
+CONNECT_TIMEOUT = 6.0  # [s]
+ADDRESS = re.compile(r"(\w+://)?[\w.\-\[\]:]*\w\]?:\d+")
 FAREWELL = 1.0  # time that the scheduler is given to hear of a time limit [s]
 
 
@@ -38,7 +40,8 @@ def fly_on_cluster(
         time_limit: Time after which a trial is ended [s]; None for no limit.
 
     Raises:
-        InputError: Dask is not installed, or workers have several threads.
+        InputError: Dask is not installed, this is no address, workers have several threads, or no
+            nannies where there is a time limit.
         WorkerError: The scheduler cannot be reached, or was lost.
     """
     with _connect(address) as client:
@@ -49,6 +52,8 @@ def fly_on_cluster(
 
 
 def _connect(address: str) -> Any:
+    if not ADDRESS.fullmatch(address):
+        raise InputError("", f"a scheduler has an address as tcp://HOST:8786, got {address}")
     try:
         from distributed import Client
     except ImportError as error:
