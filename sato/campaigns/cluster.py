@@ -17,7 +17,7 @@ from sato.campaigns.trial import Flights, Outcome, Trial
 from sato.scenario.errors import InputError
 
 CONNECT_TIMEOUT = 6.0  # [s]
-ADDRESS = re.compile(r"(\w+://)?[\w.\-\[\]:]*\w\]?:\d+")
+ADDRESS = re.compile(r"inproc://\S+|(\w+://)?[^/\s]+:\d+")
 FAREWELL = 1.0  # time that the scheduler is given to hear of a time limit [s]
 
 
