@@ -110,7 +110,8 @@ class Statistics:
                 return f"{mean} [{low:.{digits}f}, {high:.{digits}f}]{of}"
         if name == "range":
             return f"{self.quantile(0):.4g} to {self.quantile(1):.4g}"
-        return f"{self.number(name):.4g}"
+        digits = 7 if name in ("least", "largest") else 4  # a limit may be near these
+        return f"{self.number(name):.{digits}g}"
 
 
 def is_statistic(name: str) -> bool:
