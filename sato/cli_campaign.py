@@ -217,10 +217,13 @@ def _show_progress() -> Iterator[Callable[[Counter[str], int], None]]:
 
 
 def _live_line(exits: Counter[str], runs: int, flown: int, elapsed: float) -> str:
+    from sato.campaigns.table import SUCCESSES
+
     done = sum(exits.values())
     parts = [f"{done}/{runs}"]
     if done:
-        parts.append(f"{100 * exits['reached'] / done:.1f} % reached")
+        succeeded = sum(exits[name] for name in SUCCESSES)
+        parts.append(f"{100 * succeeded / done:.1f} % succeeded")
     if flown:
         left = round((runs - done) * elapsed / flown)
         parts.append(f"{flown / elapsed:.3g} runs/s")

@@ -47,3 +47,11 @@ if __name__ == "__main__":
         function=count,
         progress=lambda exits, runs: print(sum(exits.values()), flush=True),
     )
+
+
+def toss(rng, sides, fails=False):
+    """Compute a row without a run."""
+    if fails:
+        raise ZeroDivisionError("as asked")
+    thrown = int(rng.integers(sides))
+    return {"thrown": thrown, "is_first": thrown == 0}

@@ -263,3 +263,30 @@ def test_commands_tell_the_state_of_a_campaign(flown):
 def test_files_that_are_no_campaign_are_refused(tmp_path):
     with pytest.raises(ScenarioError, match="cannot be read"):
         read_campaign(tmp_path / "none.toml")
+
+
+def test_a_function_in_place_of_runs_fills_columns_that_come_again(tmp_path):
+    grid = {"sides": [2, 6], "fails": [False, True]}
+    given = {"function": campaign_trials.toss, "trials": 20, "grid": grid, "workers": 1}
+    with sato.campaign(**given, out=tmp_path) as table:
+        assert dict(table.exits()) == {"done": 40, "error": 40}
+        found = [row for row in table.rows() if row["exit"] == "done"]
+        assert {row["thrown"] for row in found if row["sides"] == 6} > set(range(2))
+        assert all(row["is_first"] == (row["thrown"] == 0) for row in found)
+        outcome, differing = fly_again(table, found[-1]["row"])
+    assert outcome["columns"]["thrown"] == found[-1]["thrown"]
+    assert not differing
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"scenario": "conflict"}, r"campaign\.scenario: is needed, or a function, and not both"),
+        ({"function": ""}, r"campaign\.scenario: is needed, or a function"),
+        ({"keep": "all"}, r"campaign\.function: has no runs"),
+        ({"grid": {"side": [6]}}, r"grid\.side: is no argument of .*; did you mean .sides.\?"),
+    ],
+)
+def test_a_function_beside_what_only_runs_have_is_refused(changes, reason, tmp_path):
+    with pytest.raises(InputError, match=reason):
+        sato.campaign(**{"function": campaign_trials.toss, "out": tmp_path} | changes)

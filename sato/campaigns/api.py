@@ -10,8 +10,9 @@ from sato.campaigns.table import CampaignTable, open_table
 
 
 def campaign(
-    scenario: Any,
+    scenario: Any = (),
     *,
+    function: Any = "",
     out: str | Path,
     trials: int = 1,
     seed: int = 0,
@@ -31,6 +32,8 @@ def campaign(
     Args:
         scenario: Name, file, dict, mission, or function of a generator that returns a mission
             or a dict; or a list of them.
+        function: In place of a scenario, function of a generator and of the keys below, which
+            returns a dict of columns.
         out: Folder of the table.
         trials: Number of seeds, at each point of the grid.
         seed: First seed.
@@ -54,6 +57,7 @@ def campaign(
     defined = Campaign(
         name=Path(out).name,
         scenario=scenario,
+        function=function,
         trials=trials,
         seed=seed,
         grid=grid or (),

@@ -1,5 +1,6 @@
 """Definition of a campaign: scenarios, values of their keys, and seeds, from which rows follow."""
 
+import inspect
 import json
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -19,7 +20,7 @@ from sato.campaigns.distributions import Distribution, as_distribution
 from sato.campaigns.trial import FUNCTION, Source, Trial, find_function, generator, name_of_function
 from sato.record import json_default
 from sato.scenario.definition import Convert, Definition, In, NotNegative, Positive, errors_in
-from sato.scenario.errors import InputError, ScenarioError, format_value
+from sato.scenario.errors import InputError, ScenarioError, closest_name, format_value
 from sato.scenario.file import Mission, Name, load_toml, read_data
 from sato.scenario.overrides import override
 from sato.scenario.table import read_table, write_table
@@ -29,10 +30,7 @@ EXTENDABLE = ("trials", "keep", "by", "show")  # fields that may change when a c
 
 
 def _as_sources(value: Any) -> tuple[Source, ...]:
-    sources = tuple(map(_as_source, value if isinstance(value, list | tuple) else [value]))
-    if not sources:
-        raise InputError("", "must have at least one scenario")
-    return sources
+    return tuple(map(_as_source, value if isinstance(value, list | tuple) else [value]))
 
 
 def _as_source(value: Any) -> Source:
@@ -105,7 +103,12 @@ class Campaign(Definition):
     scenario: Annotated[
         Any, In("campaign"), Convert(_as_sources),
         'scenario, file, or function "module:function" of a generator; or a list of them',
-    ]  # fmt: skip
+    ] = ()  # fmt: skip
+    function: Annotated[
+        str, In("campaign"), Convert(_as_function),
+        'in place of a scenario, function "module:function" of a generator and the keys below, '
+        "which returns a dict of columns",
+    ] = ""  # fmt: skip
     trials: Annotated[int, In("campaign"), Positive, "number of seeds"] = 1
     seed: Annotated[int, In("campaign"), NotNegative, "first seed"] = 0
     time_limit: Annotated[
@@ -129,7 +132,11 @@ class Campaign(Definition):
     ] = ()
 
     def check(self) -> None:
-        """Refuse keys that are given twice."""
+        """Refuse keys that are given twice, and scenarios beside a function."""
+        if bool(self.scenario) == bool(self.function):
+            raise InputError("campaign.scenario", "is needed, or a function, and not both")
+        if self.function and (self.columns or self.keep != "none"):
+            raise InputError("campaign.function", "has no runs for columns and keep")
         places = {f"case.{name}": settings for name, settings in self.case.items()}
         places |= {"grid": self.grid, "draw": self.draw}
         for one, two in combinations(places, 2):
@@ -144,7 +151,7 @@ class Campaign(Definition):
 
     @property
     def _shape(self) -> list[int]:
-        return [len(self.scenario), max(1, len(self.case)), *map(len, self.grid.values())]
+        return [max(1, len(self.scenario)), max(1, len(self.case)), *map(len, self.grid.values())]
 
     @property
     def runs(self) -> int:
@@ -165,13 +172,14 @@ class Campaign(Definition):
         rng = generator(self.seed, number, 0)
         return Trial(
             row=row,
-            source=self.scenario[first],
+            source=self.scenario[first] if self.scenario else {},
             case=case,
             parameters=self.case.get(case, {})
             | {key: values[index] for (key, values), index in pairs}
             | {key: distribution.draw(rng) for key, distribution in self.draw.items()},
             seed=self.seed + number,
             stream=(self.seed, number),
+            function=self.function,
             columns=self.columns,
             keep=self.keep,
             folder=folder,
@@ -186,6 +194,8 @@ class Campaign(Definition):
         if self.columns:
             with errors_in("campaign.columns"):
                 find_function(self.columns)
+        if self.function:
+            return self._check_arguments()
         for trial in self._first_trials():
             data: Any = trial.source
             if isinstance(data, str):
@@ -195,13 +205,28 @@ class Campaign(Definition):
             data = json.loads(_to_json(data))
             definition = definition_of(data.pop("system", ""))
             for key, value in trial.parameters.items():
-                places = {**dict.fromkeys(self.grid, "grid"), **dict.fromkeys(self.draw, "draw")}
-                with errors_in(places.get(key, f"case.{trial.case}")):
+                with errors_in(self._place_of(key, trial)):
                     override(data, (key, value), definition)
+
+    def _check_arguments(self) -> None:
+        with errors_in("campaign.function"):
+            names = list(inspect.signature(find_function(self.function)).parameters)[1:]
+        for trial in self._first_trials():
+            for key in set(trial.parameters) - set(names):
+                near = closest_name(key, names)
+                hint = f'; did you mean "{near}"?' if near else ""
+                with errors_in(self._place_of(key, trial)):
+                    raise InputError(key, f"is no argument of {self.function}{hint}")
+
+    def _place_of(self, key: str, trial: Trial) -> str:
+        places = {**dict.fromkeys(self.grid, "grid"), **dict.fromkeys(self.draw, "draw")}
+        return places.get(key, f"case.{trial.case}")
 
     @cached_property
     def fingerprint(self) -> str:
-        """Digest of the first mission of each scenario, which changes when their files do."""
+        """Digest of the function, or of the first mission of each scenario and case."""
+        if self.function:
+            return digest(inspect.getsource(find_function(self.function)))
         texts = []
         for trial in self._first_trials():
             try:
@@ -216,18 +241,7 @@ class Campaign(Definition):
 
     def to_json(self) -> str:
         """Write the definition as JSON, with the scenarios, so that it needs no other file."""
-        names = (
-            "name",
-            "scenario",
-            "trials",
-            "seed",
-            "columns",
-            "keep",
-            "case",
-            "grid",
-            "by",
-            "show",
-        )
+        names = "name scenario function trials seed columns keep case grid by show".split()
         plain = {name: getattr(self, name) for name in names}
         draws = {key: write_table(distribution) for key, distribution in self.draw.items()}
         return _to_json(plain | {"time_limit": self.time_limit, "draw": draws})

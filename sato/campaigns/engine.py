@@ -92,15 +92,16 @@ def fly_again(table: CampaignTable, number: int) -> tuple[Outcome, list[str]]:
 
     Returns:
         The outcome, and the columns that differ; none are compared where the worker of the row
-        died or was ended, for it left no scenario.
+        died or was ended.
     """
     row = table.row(number)
     given = table.campaign.trial(number, str(table.folder.resolve()))._replace(keep="all")
     text = table.scenario(row)
-    if text is None:
+    if row["exit"] in (INTERRUPTED, "time limit"):
         return run_trial(given), []
     given = given._replace(parameters=json.loads(row["parameters"]), seed=row["seed"])
-    outcome = run_trial(given._replace(source=tomllib.loads(text), parameters={}))
+    whole = given if text is None else given._replace(source=tomllib.loads(text), parameters={})
+    outcome = run_trial(whole)
     cells = table.cells(given, outcome)
     names = {name for name, value in row.items() if value is not None} | set(cells)
     differing = {name for name in names if cells.get(name) != row.get(name)}

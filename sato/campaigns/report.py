@@ -11,7 +11,7 @@ import tomli_w
 from sato.atomic import replace_atomically
 from sato.campaigns.figures import as_png, draw_campaign
 from sato.campaigns.selection import group_runs
-from sato.campaigns.table import CampaignTable
+from sato.campaigns.table import SUCCESSES, CampaignTable
 
 MAX_FAILURES = 500  # that are listed
 CAPTIONS = {
@@ -78,8 +78,8 @@ def _format_head(table: CampaignTable) -> list[str]:
 
 
 def _format_failures(table: CampaignTable) -> list[str]:
-    failed = "SELECT row, seed, parameters, exit, error FROM runs WHERE exit != 'reached'"
-    rows = list(table.query(f"{failed} ORDER BY row"))
+    failed = "SELECT row, seed, parameters, exit, error FROM runs WHERE exit NOT IN (?, ?)"
+    rows = list(table.query(f"{failed} ORDER BY row", SUCCESSES))
     lines = [f"<h2>Runs that did not reach it: {len(rows)}</h2>"]
     if len(rows) > MAX_FAILURES:
         lines.append(f"<p>The first {MAX_FAILURES}.</p>")

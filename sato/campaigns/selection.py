@@ -161,6 +161,8 @@ def parse_terms(table: CampaignTable, show: Sequence[str] = ()) -> list[Term]:
     """Parse terms; those of the campaign's file, or else `DEFAULT_TERMS`, if there are none."""
     known = table.columns
     usual = [text for text, needed in DEFAULT_TERMS.items() if all(n in known for n in needed)]
+    if table.campaign.function:
+        usual = ["exit=done", "wall_s:median"]
     return [parse_term(text, table) for text in show or table.campaign.show or usual]
 
 

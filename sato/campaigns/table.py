@@ -21,7 +21,8 @@ if TYPE_CHECKING:  # slow to import
 TABLE_FILE = "campaign.sqlite"
 PATIENCE = 30.0  # wait for another program that has locked the table [s]
 MOST_COLUMNS = 1900  # SQLite takes 2,000 and more
-EXITS = ("reached", "not reached", "broken", "refused", "time limit", "died", "error")
+EXITS = ("reached", "done", "not reached", "broken", "refused", "time limit", "died", "error")
+SUCCESSES = ("reached", "done")  # of runs, and of functions in place of runs
 INTERRUPTED = "died"  # exit of rows that are flown again when a campaign is resumed
 # That differ between two runs of the same row.
 MEASURED = ("wall_s", "peak_memory_mib", "worker", "attempts")

@@ -45,6 +45,7 @@ class Trial(NamedTuple):
     parameters: dict[str, Any]  # by key of the scenario, those of the case among them
     seed: int  # of the run
     stream: tuple[int, int]  # seed of the campaign, and number of the trial
+    function: str = ""  # "module:function", in place of a run
     columns: str = ""  # "module:function"
     keep: str = "none"
     folder: str = ""  # of the campaign
@@ -122,11 +123,20 @@ def run_trial(trial: Trial) -> Outcome:
     with threadpool_limits(1), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", UserWarning)  # others depend on what the process did before
-        outcome = _fly(trial)
+        outcome = _call(trial) if trial.function else _fly(trial)
     if caught:
         outcome["warnings"] = "; ".join(dict.fromkeys(str(each.message) for each in caught))
     measured = {"wall_s": perf_counter() - began, "peak_memory_mib": peak_memory_mib()}
     return outcome | measured | {"worker": f"{socket.gethostname()}:{os.getpid()}"}
+
+
+def _call(trial: Trial) -> Outcome:
+    outcome: Outcome = {"exit": "error", "error": None, "version": own_version()}
+    try:
+        found = find_function(trial.function)(generator(*trial.stream, 1), **trial.parameters)
+        return outcome | {"exit": "done", "columns": flatten(dict(found))}
+    except Exception:
+        return outcome | {"error": last_lines()}
 
 
 def _fly(trial: Trial) -> Outcome:
