@@ -1,7 +1,7 @@
 """Solutions of the centralized problem: simulated from their controls, with all violations."""
 
 from math import inf, isfinite
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -58,6 +58,9 @@ class NoFeasibleSolution(Unsolved):
         least = min(tried, key=lambda t: t.max_violation if isfinite(t.max_violation) else inf)
         super().__init__(problem, f"none of {len(tried)} solutions is feasible; nearest: {least}")
         self.solutions = tried
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.problem, self.solutions)
 
 
 class CentralizedResult(NamedTuple):

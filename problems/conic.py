@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate, pairwise
 from math import isqrt
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -251,6 +251,10 @@ class Unsolved(RuntimeError):
         """Keep the problem and the reason."""
         super().__init__(reason)
         self.problem = problem
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle by the arguments, so that worker processes can raise it."""
+        return type(self), (self.problem, *self.args), self.__dict__
 
 
 class Infeasible(Unsolved):

@@ -1,5 +1,6 @@
 """Whatever is in a scenario, it is drawn, or refused in a sentence."""
 
+import pickle
 import runpy
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +10,8 @@ import pytest
 
 import sato
 import sato.scenario.ranges
+from problems.conic import Infeasible, Unsolved
+from sato.scenario.errors import InputError
 from sato.scenario.ranges import check_memory
 
 FUZZ = runpy.run_path(str(Path(__file__).parents[1] / "scripts" / "fuzz_scenarios.py"))
@@ -133,3 +136,18 @@ def test_a_number_in_place_of_a_list_is_refused_in_our_words(changes, message):
             collision_radius=1.0,
             **changes,
         )
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        InputError("swarm.agents", "must be positive", is_complete=True),
+        Unsolved("a program", "it stopped"),
+        Infeasible("a program", "by a certificate", np.array([1.0, 2.0])),
+    ],
+)
+def test_errors_survive_the_way_from_a_worker_process(error):
+    again = pickle.loads(pickle.dumps(error))
+    assert (type(again), str(again)) == (type(error), str(error))
+    assert again.__dict__.keys() == error.__dict__.keys()
+    assert all(np.array_equal(again.__dict__[name], error.__dict__[name]) for name in vars(error))

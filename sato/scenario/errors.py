@@ -32,6 +32,10 @@ class InputError(ValueError):
         self.reason = reason
         self.is_complete = is_complete
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle by the arguments, so that worker processes can raise it."""
+        return type(self), (self.key, self.reason, self.is_complete)
+
     def inside(self, table: str) -> "InputError":
         """Return the same error of a key inside a table."""
         if self.is_complete or not table:
