@@ -10,7 +10,8 @@ from dynamics import ClohessyWiltshire, discretize_zoh
 from problems.auction_cost import solve_transfer
 from problems.transfer import TransferProblem
 from sato import InputError, Join, Leg, Loss, Ring
-from sato.reconfiguration.reach import Departure, find_stranded
+from sato.reconfiguration.departure import Departure
+from sato.reconfiguration.reach import find_stranded
 
 LIMITS = {"comm_radius": 60.0, "max_control": 0.2, "max_speed": 0.4, "allow_undetectable": True}
 

@@ -51,6 +51,19 @@ def test_losses_and_joins_change_who_has_to_reach_a_target():
         make_mission(row(3, 0.0), lost, Leg(FAR, 20), **LIMITS)
 
 
+def test_the_first_leg_counts_those_that_join_at_once_and_not_the_lost():
+    far, near = row(1, 60.0), row(1, 6.0)
+    legs = {y: Leg(row(4, 3.0), 20, joins=[Join(1, row(1, y))]) for y in (60.0, 6.0)}
+    assert make_mission(row(3, 0.0), legs[6.0], **LIMITS)
+    with pytest.raises(InputError, match=r"leg\.0\.steps: agent 3 can reach none"):
+        make_mission(row(3, 0.0), legs[60.0], **LIMITS)
+    for loss in (Loss("agents", agents=(1,), at_step=7), Loss("random", share=0.4, at_step=7)):
+        assert make_mission(np.vstack([near, far]), Leg(row(2, 3.0), 20, losses=[loss]), **LIMITS)
+        with pytest.raises(InputError, match=r"leg\.0\.steps: .*can reach none"):
+            start = np.vstack([near, far, far + 2.0])
+            make_mission(start, Leg(row(3, 3.0), 20, losses=[loss]), **LIMITS)
+
+
 def test_given_targets_are_held_against_the_limit_of_their_own_vehicle():
     legs = [Leg(row(2, 3.0), 20), Leg(row(2, 3.0) + np.array([[0.0, 0.0], [0.0, 6.0]]), 20)]
     given = {"assignment": "given", "max_control": [0.02, 0.2], "comm_radius": 20.0}

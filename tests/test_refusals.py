@@ -118,6 +118,29 @@ def test_a_limit_far_above_what_is_of_use_flies_as_well_as_none(power, unit):
     assert run.summary["fuel_m_s"] < 1.5 * run.summary["fuel_lower_bound_m_s"]
 
 
+def test_a_limit_that_a_model_needs_is_not_cut():
+    # At rest 20 km from the chief, a vehicle falls toward it much faster than its way asks for.
+    start, target = np.zeros((2, 6)), np.zeros((2, 6))
+    start[:, 0] = target[:, 0] = 2e4
+    start[:, 1], target[:, 1] = (0.0, 50.0), (100.0, 150.0)
+
+    def draw(max_control):
+        mission = sato.Reconfiguration(
+            model=sato.ClohessyWiltshire(1.1e-3),
+            start=start,
+            legs=[sato.Leg(target, 10)],
+            step=200.0,
+            comm_radius=1e9,
+            allow_undetectable=True,
+            collision_radius=5.0,
+            max_control=max_control,
+        )
+        return mission.draw(np.random.default_rng(0))
+
+    assert draw(0.2).max_control == 0.2
+    assert 1.0 < draw(1e9).max_control < 1e3
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

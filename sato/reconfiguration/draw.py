@@ -1,7 +1,7 @@
-"""Drawing of a mission: starts and targets as states, margins and tolerances as numbers."""
+"""Drawing of a mission: starts and targets as states."""
 
 from dataclasses import replace
-from math import ceil, isfinite
+from math import ceil
 
 import numpy as np
 import scipy
@@ -13,17 +13,17 @@ from dynamics.propagation import Impact
 from dynamics.trajectory_geometry import min_distance
 from problems.limit import Limit
 from sato.reconfiguration import feasibility, reach
+from sato.reconfiguration.departure import Departure, count_wanted, depart
 from sato.reconfiguration.leg import Leg, states_of
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.models import OrbitalModel
+from sato.reconfiguration.resolve import check_margin, resolve
 from sato.reconfiguration.start import Random, Start
 from sato.scenario.definition import errors_in, is_auto
 from sato.scenario.errors import InputError, round_up
 from sato.scenario.ranges import check_memory
 from sato.shapes import Points
 
-ARRIVAL_TOLERANCE = 1e-6  # of the least spacing of the targets
-CONTROL_FACTOR = 10.0  # times the control that crosses the whole mission within a step
 TIME_FACTOR = 1.5  # of automatic steps, over the least
 
 
@@ -54,7 +54,7 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
         legs.append(with_targets(leg, targets))
     drawn = replace(mission, start=_as_points(start), legs=tuple(legs))
     try:
-        drawn = _resolve(replace(_cut_control(drawn), plant=mission.draw_plant(len(states), rng)))
+        drawn = resolve(replace(drawn, plant=mission.draw_plant(len(states), rng)))
     except Impact as error:
         reason = f"is so large that {error}"
         raise InputError("model.max_control_m_s2", reason) from error
@@ -86,13 +86,13 @@ def _depart(
     states: Float[Array, "agents n"],
     demand: list[int],
     begin: float,
-) -> reach.Departure:
+) -> Departure:
     """Return those that begin a leg: agents at first, then any that targets may have."""
     new = sum(join.size for join in mission.legs[number].joins)
-    first = reach.depart(mission, states)
+    first = depart(mission, states)
     if number > 0:
         spare = max(0, len(known) - demand[number - 1], len(known) + new - demand[number])
-        first = reach.Departure(np.arange(len(known)), known, spare, 0, begin)
+        first = Departure(np.arange(len(known)), known, spare, 0, begin)
     agents = np.append(first.agents, np.arange(len(states) - new, len(states)))
     state = np.concatenate([first.state, states[len(states) - new :]])
     return first._replace(agents=agents, state=state)
@@ -102,13 +102,11 @@ def _choose_steps(
     mission: Reconfiguration,
     number: int,
     leg: Leg,
-    departure: reach.Departure,
+    departure: Departure,
     demand: int,
     factor: float,
 ) -> int:
-    wanted = None if mission.uses_all_targets(leg) else demand
-    if number == 0 and not leg.joins:
-        wanted = reach.count_wanted(mission, departure)
+    wanted = count_wanted(mission, number, departure)
 
     def targets_after(steps: int) -> Float[Array, "k n"]:
         arrival = departure.time + steps * mission.step
@@ -153,7 +151,7 @@ def draw_leg(mission: Reconfiguration, leg: Leg, demand: int, instant: int) -> L
         raise InputError("leg.targets", f"{reason}; {demand} or more would do")
     arrival = (instant + leg.steps) * mission.step
     states = _draw_targets(mission, 0, replace(leg, count=count), count, arrival)
-    _check_margin(mission, mission.margin, "takes", min_distance(states[:, : mission.axes]))
+    check_margin(mission, mission.margin, "takes", min_distance(states[:, : mission.axes]))
     return with_targets(leg, states)
 
 
@@ -300,76 +298,6 @@ def _drift_free_velocities(
     if mission.chief is None:
         return np.zeros_like(placed)
     return mission.chief.drift_free_velocities(placed, t, where, _velocity_times(mission))
-
-
-def _cut_control(mission: Reconfiguration) -> Reconfiguration:
-    """Return the mission with limits of the control not far above all that could be of use.
-
-    That is what takes a vehicle across the whole mission within a step. Programs in which a
-    limit is millions of times what is needed are badly scaled, and their answers are inexact.
-    """
-    states, d = (
-        np.concatenate([mission.initial_states, *(g.targets for g in mission.legs)]),
-        mission.axes,
-    )
-    away = float(np.ptp(states[:, :d], axis=0).max()) + mission.largest_separation
-    fastest = float(np.abs(states[:, d:]).max())
-    most = CONTROL_FACTOR * (away / mission.step**2 + fastest / mission.step)
-    if mission.largest_control.max() <= most:
-        return mission
-    each, axes = mission.max_control, mission.max_control_axes
-    if axes is not None:
-        return replace(mission, max_control_axes=tuple(min(u, most) for u in axes))
-    if isinstance(each, tuple):
-        return replace(mission, max_control=tuple(min(u, most) for u in each))
-    return replace(mission, max_control=most)
-
-
-def _resolve(mission: Reconfiguration) -> Reconfiguration:
-    """Return the mission with its margin, tolerances and bid increment as numbers.
-
-    Raises:
-        InputError: The margin leaves no room between the targets.
-    """
-    # A single target has no spacing; the least distance that there may be stands for it.
-    spacing = mission.target_spacing
-    least = ARRIVAL_TOLERANCE * (spacing if isfinite(spacing) else mission.largest_separation)
-    given, margin = mission.position_tolerance, mission.margin
-    is_computed = is_auto(margin)
-    if margin is None:  # wherever the shared model may have errors
-        is_computed = mission.chief is not None or mission.nonlinear_model is not None
-    if margin is None or is_computed:
-        margin = 0.0
-    noise = wrong = (0.0, 0.0)
-    if mission.has_noise or not mission.flies_model:
-        from sato.reconfiguration import tolerances
-
-        noise = tolerances.noise_on_arrival(mission)
-        wrong = wrong if given else tolerances.model_error_on_arrival(mission)
-        margin = tolerances.compute_margin(mission) if is_computed else margin
-    _check_margin(mission, margin, "auto gives" if is_computed else "takes", spacing)
-    increment = mission.epsilon
-    if is_auto(increment) and not isfinite(spacing):
-        increment = mission.tie_break * mission.largest_separation**2 / 2 or increment
-    velocity = mission.velocity_tolerance
-    return replace(
-        mission,
-        position_tolerance=given or least + noise[0] + wrong[0],
-        velocity_tolerance=velocity or (given or least) / mission.step + noise[1] + wrong[1],
-        epsilon=increment,
-        margin=margin,
-    )
-
-
-def _check_margin(mission: Reconfiguration, margin: float, verb: str, spacing: float) -> None:
-    R = mission.largest_separation
-    if margin > (spacing - R) * (1 + 1e-9):
-        raise InputError(
-            "plan.margin_m",
-            f"{verb} {margin:.4g} m beyond the collision radius of {R:g} m, and targets are "
-            f"{spacing:.4g} m apart; a shape with {R + margin:.4g} m, less noise, or "
-            f"margin_m = {spacing - R:.3g} would do",
-        )
 
 
 def _as_points(states: Float[Array, "k n"]) -> Points:

@@ -3,15 +3,14 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
-from math import floor, inf
-from typing import TYPE_CHECKING, NamedTuple
+from math import inf
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from sato.network.graph import CommunicationGraph
-from sato.reconfiguration.feasibility import fewest_agents, target_demand
+from sato.reconfiguration.departure import Departure, count_wanted, depart_leg, room_at_start
 from sato.scenario.errors import InputError, join_names, round_up
 
 if TYPE_CHECKING:
@@ -25,17 +24,6 @@ MAX_SOLVED_PAIRS_TIMES_STEPS = 100_000  # above which bounds alone decide
 MAX_SOLVES = 300  # transfers solved one by one, where no bound decides
 
 
-class Departure(NamedTuple):
-    """Vehicles that begin a leg."""
-
-    agents: Int[Array, " k"]
-    state: Float[Array, "k n"]
-    spare: int = 0  # how many of them need no target of their own
-    lost: int = 0  # how many of those need not reach any target
-    time: float = 0.0  # [s]
-    names: tuple[str, ...] = ()  # of each; by its number if absent
-
-
 def check_reach(mission: "Reconfiguration") -> None:
     """Refuse a drawn mission in which an agent cannot reach a target, whatever the others do.
 
@@ -44,25 +32,17 @@ def check_reach(mission: "Reconfiguration") -> None:
             can be reached for every agent to have one; says for which agent, and what time or
             control would do.
     """
-    departure = depart(mission, mission.initial_states)
-    targets = mission.legs[0].targets[: count_wanted(mission, departure)]
-    _check_leg(mission, 0, departure, targets)
-    demand, fewest = target_demand(mission), fewest_agents(mission)
-    for number in range(1, len(mission.legs)):
-        before, leg = mission.legs[number - 1], mission.legs[number]
-        wanted = None if mission.uses_all_targets(leg) else demand[number]
-        held = None if mission.uses_all_targets(before) else demand[number - 1]
-        begin = sum(leg.steps for leg in mission.legs[:number]) * mission.step
-        state = before.targets[:held]
-        if later := _depart_later(mission, number, state, fewest[number], begin):
-            _check_leg(mission, number, later, leg.targets[:wanted])
+    for number, leg in enumerate(mission.legs):
+        if departure := depart_leg(mission, number):
+            wanted = count_wanted(mission, number, departure)
+            _check_leg(mission, number, departure, leg.targets[:wanted])
 
 
 def _check_leg(
     mission: "Reconfiguration", number: int, departure: Departure, targets: Float[Array, "k n"]
 ) -> None:
     steps, control = mission.legs[number].steps, float(mission.largest_control.max())
-    room = 1.0 if number == 0 else _room_at_start(mission, departure, steps)
+    room = 1.0 if number == 0 else room_at_start(mission, departure, steps)
     fault = find_stranded(mission, departure, targets, steps, room)
     if fault is None:
         return
@@ -82,70 +62,6 @@ def _check_leg(
     cures = cures or ["far more steps, a larger model.max_control_m_s2 or max_speed_m_s"]
     within = f"in {steps} steps of {mission.step:g} s"
     raise InputError(f"leg.{number}.steps", f"{fault} {within}; {join_names(cures)} would do")
-
-
-def _depart_later(
-    mission: "Reconfiguration", number: int, state: Float[Array, "k n"], fewest: int, begin: float
-) -> Departure | None:
-    """Return agents that begin a later leg at these targets of the one before.
-
-    That some have no target among them is known only where all decide together. None where the
-    model is not the same at all times and states, or where any of unequal vehicles may be there.
-    """
-    is_given = mission.assignment == "given"
-    is_equal = len(mission.control_limits) == len(mission.speed_limits) == 1
-    is_fixed = mission.nonlinear_model is None and mission.linear_model.is_time_invariant
-    if not is_fixed or not (is_equal or is_given):
-        return None
-    new = [i for agents, at_step in mission.joining(number) if at_step == 0 for i in agents]
-    agents = np.append(np.arange(len(state)), new).astype(int)
-    there = "agent {}" if is_given else f"the agent at target {{}} of leg {number - 1}"
-    names = tuple(there.format(i) for i in range(len(state))) + tuple(f"agent {i}" for i in new)
-    state = np.concatenate([state, mission.initial_states[new]])
-    spare = lost = max(0, len(agents) - fewest)
-    if mission.assignment == "auction" and (lost or not _is_connected(mission, state)):
-        spare = len(agents)
-    return Departure(agents, state, spare, lost, begin, names)
-
-
-def _is_connected(mission: "Reconfiguration", state: Float[Array, "k n"]) -> bool:
-    present = np.ones(len(state), dtype=bool)
-    position = state[:, : mission.axes]
-    graph = CommunicationGraph.from_positions(position, mission.comm_radius, present)
-    return not graph.component.any()
-
-
-def _room_at_start(mission: "Reconfiguration", departure: Departure, steps: int) -> float:
-    # Agents begin within their tolerances of a target: so much more control makes up for that.
-    from dynamics.discretize import discretize_zoh
-    from problems.minimum_fuel import reachability_matrix
-
-    d = mission.axes
-    model = discretize_zoh(mission.linear_model, mission.step, steps, departure.time)
-    error = np.repeat([mission.position_tolerance, mission.velocity_tolerance], d)
-    C, Phi = (
-        reachability_matrix(model).reshape(2 * d, -1),
-        np.linalg.matrix_power(model.A[0], steps),
-    )
-    control = np.abs(np.linalg.pinv(C) @ Phi) @ error
-    return 1 + float(control.max()) / mission.least_control
-
-
-def depart(mission: "Reconfiguration", state: Float[Array, "k n"]) -> Departure:
-    """Return the agents that begin the first leg; some, not yet known, may be lost before it."""
-    alive, spare = np.ones(mission.agent_count, dtype=bool), 0
-    for loss in (loss for loss in mission.legs[0].losses if loss.at_step == 0):
-        alive[[i for i in loss.agents if i < len(alive)]] = False
-        spare += floor((loss.share or 0.0) * (alive.sum() - spare))
-    live = np.flatnonzero(alive)
-    return Departure(live, state[live], spare, spare)
-
-
-def count_wanted(mission: "Reconfiguration", departure: Departure) -> int | None:
-    """Return how many targets the first auction is about; None for all."""
-    if mission.uses_all_targets(mission.legs[0]):
-        return None
-    return max(mission.target_count or 0, len(departure.agents) - departure.spare)
 
 
 def find_least_steps(

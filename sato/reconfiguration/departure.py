@@ -1,0 +1,98 @@
+"""Departures: vehicles that begin a leg, where, and how many of them need a target."""
+
+from math import floor
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray as Array
+
+from sato.network.graph import CommunicationGraph
+from sato.reconfiguration.feasibility import fewest_agents, target_demand
+
+if TYPE_CHECKING:
+    from sato.reconfiguration.mission import Reconfiguration
+
+
+class Departure(NamedTuple):
+    """Vehicles that begin a leg."""
+
+    agents: Int[Array, " k"]
+    state: Float[Array, "k n"]
+    spare: int = 0  # how many of them need no target of their own
+    lost: int = 0  # how many of those need not reach any target
+    time: float = 0.0  # [s]
+    names: tuple[str, ...] = ()  # of each; by its number if absent
+
+
+def depart(mission: "Reconfiguration", state: Float[Array, "k n"]) -> Departure:
+    """Return the agents that begin the first leg; some, not yet known, may be lost before it."""
+    alive, spare = np.ones(mission.agent_count, dtype=bool), 0
+    for loss in (loss for loss in mission.legs[0].losses if loss.at_step == 0):
+        alive[[i for i in loss.agents if i < len(alive)]] = False
+        spare += floor((loss.share or 0.0) * (alive.sum() - spare))
+    live = np.flatnonzero(alive)
+    return Departure(live, state[live], spare, spare)
+
+
+def count_wanted(mission: "Reconfiguration", number: int, departure: Departure) -> int | None:
+    """Return how many targets the auctions of a leg are about; None for all."""
+    leg = mission.legs[number]
+    if mission.uses_all_targets(leg):
+        return None
+    if number == 0 and not leg.joins:
+        return max(mission.target_count or 0, len(departure.agents) - departure.spare)
+    return target_demand(mission)[number]
+
+
+def depart_leg(mission: "Reconfiguration", number: int) -> Departure | None:
+    """Return the agents that begin a leg of a drawn mission.
+
+    Those of later legs are at targets of the leg before. That some have no target among them is
+    known only where all decide together. None where the model is not the same at all times and
+    states, or where any of unequal vehicles may be there.
+    """
+    new = [i for agents, at_step in mission.joining(number) if at_step == 0 for i in agents]
+    fewest = fewest_agents(mission)[number]
+    if number == 0:
+        agents = np.append(depart(mission, mission.initial_states).agents, new).astype(int)
+        lost = max(0, len(agents) - fewest)
+        return Departure(agents, mission.initial_states[agents], lost, lost)
+    is_given = mission.assignment == "given"
+    is_equal = len(mission.control_limits) == len(mission.speed_limits) == 1
+    is_fixed = mission.nonlinear_model is None and mission.linear_model.is_time_invariant
+    if not is_fixed or not (is_equal or is_given):
+        return None
+    before = mission.legs[number - 1]
+    every = mission.uses_all_targets(before)
+    state = before.targets[: None if every else target_demand(mission)[number - 1]]
+    agents = np.append(np.arange(len(state)), new).astype(int)
+    there = "agent {}" if is_given else f"the agent at target {{}} of leg {number - 1}"
+    names = tuple(there.format(i) for i in range(len(state))) + tuple(f"agent {i}" for i in new)
+    state = np.concatenate([state, mission.initial_states[new]])
+    spare = lost = max(0, len(agents) - fewest)
+    if mission.assignment == "auction" and (lost or not _is_connected(mission, state)):
+        spare = len(agents)
+    begin = sum(leg.steps for leg in mission.legs[:number]) * mission.step
+    return Departure(agents, state, spare, lost, begin, names)
+
+
+def _is_connected(mission: "Reconfiguration", state: Float[Array, "k n"]) -> bool:
+    present = np.ones(len(state), dtype=bool)
+    position = state[:, : mission.axes]
+    graph = CommunicationGraph.from_positions(position, mission.comm_radius, present)
+    return not graph.component.any()
+
+
+def room_at_start(mission: "Reconfiguration", departure: Departure, steps: int) -> float:
+    """Return the factor of the control that makes up for a start within tolerances of a target."""
+    from dynamics.discretize import discretize_zoh
+    from problems.minimum_fuel import reachability_matrix
+
+    d = mission.axes
+    model = discretize_zoh(mission.linear_model, mission.step, steps, departure.time)
+    error = np.repeat([mission.position_tolerance, mission.velocity_tolerance], d)
+    C = reachability_matrix(model).reshape(2 * d, -1)
+    Phi = np.linalg.matrix_power(model.A[0], steps)
+    control = np.abs(np.linalg.pinv(C) @ Phi) @ error
+    return 1 + float(control.max()) / mission.least_control
