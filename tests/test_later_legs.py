@@ -1,9 +1,12 @@
 """Reach of the legs after the first: refused before the flight where no choice of targets helps."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from reconfiguration_runs import make_mission, row
 
+import sato
 from sato import InputError, Join, Leg, Loss
 
 LIMITS = {"comm_radius": 20.0, "max_control": 0.2, "allow_undetectable": True}
@@ -62,6 +65,15 @@ def test_the_first_leg_counts_those_that_join_at_once_and_not_the_lost():
         with pytest.raises(InputError, match=r"leg\.0\.steps: .*can reach none"):
             start = np.vstack([near, far, far + 2.0])
             make_mission(start, Leg(row(3, 3.0), 20, losses=[loss]), **LIMITS)
+
+
+def test_agents_that_know_of_no_loss_choose_among_as_many_targets_as_before():
+    only_first_is_far = Leg(np.vstack([row(1, 60.0), row(2, 3.0)]), 20, choose="prefix")
+    lost = replace(only_first_is_far, losses=(Loss("random", share=0.4),))
+    run = sato.run(make_mission(row(3, 0.0), lost, **LIMITS))
+    assert run.check().kept and not run.events("infeasible")
+    with pytest.raises(InputError, match=r"leg\.0\.steps: agent \d is left without a target"):
+        make_mission(row(3, 0.0), only_first_is_far, **LIMITS)
 
 
 def test_given_targets_are_held_against_the_limit_of_their_own_vehicle():

@@ -35,14 +35,10 @@ def depart(mission: "Reconfiguration", state: Float[Array, "k n"]) -> Departure:
     return Departure(live, state[live], spare, spare)
 
 
-def count_wanted(mission: "Reconfiguration", number: int, departure: Departure) -> int | None:
-    """Return how many targets the auctions of a leg are about; None for all."""
-    leg = mission.legs[number]
-    if mission.uses_all_targets(leg):
-        return None
-    if number == 0 and not leg.joins:
-        return max(mission.target_count or 0, len(departure.agents) - departure.spare)
-    return target_demand(mission)[number]
+def count_wanted(mission: "Reconfiguration", number: int) -> int | None:
+    """Return how many targets the auctions of a leg may be about; None for all."""
+    is_all = mission.uses_all_targets(mission.legs[number])
+    return None if is_all else target_demand(mission)[number]
 
 
 def depart_leg(mission: "Reconfiguration", number: int) -> Departure | None:
@@ -63,9 +59,7 @@ def depart_leg(mission: "Reconfiguration", number: int) -> Departure | None:
     is_fixed = mission.nonlinear_model is None and mission.linear_model.is_time_invariant
     if not is_fixed or not (is_equal or is_given):
         return None
-    before = mission.legs[number - 1]
-    every = mission.uses_all_targets(before)
-    state = before.targets[: None if every else target_demand(mission)[number - 1]]
+    state = mission.legs[number - 1].targets[: count_wanted(mission, number - 1)]
     agents = np.append(np.arange(len(state)), new).astype(int)
     there = "agent {}" if is_given else f"the agent at target {{}} of leg {number - 1}"
     names = tuple(there.format(i) for i in range(len(state))) + tuple(f"agent {i}" for i in new)

@@ -106,7 +106,7 @@ def _choose_steps(
     demand: int,
     factor: float,
 ) -> int:
-    wanted = count_wanted(mission, number, departure)
+    wanted = count_wanted(mission, number)
 
     def targets_after(steps: int) -> Float[Array, "k n"]:
         arrival = departure.time + steps * mission.step

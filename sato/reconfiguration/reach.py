@@ -34,8 +34,7 @@ def check_reach(mission: "Reconfiguration") -> None:
     """
     for number, leg in enumerate(mission.legs):
         if departure := depart_leg(mission, number):
-            wanted = count_wanted(mission, number, departure)
-            _check_leg(mission, number, departure, leg.targets[:wanted])
+            _check_leg(mission, number, departure, leg.targets[: count_wanted(mission, number)])
 
 
 def _check_leg(
@@ -148,14 +147,17 @@ def find_stranded(
         none = np.flatnonzero(~possible.any(axis=1))
         if len(none) > departure.lost:
             return f"{names[none[0]]} can reach none of its targets"
-        if (left := _find_unmatched(sure)).sum() <= spare and len(none) <= departure.lost:
+        unsure = np.flatnonzero(~sure.any(axis=1))
+        if _find_unmatched(sure).sum() <= spare and len(unsure) <= departure.lost:
             return None
         if (left := _find_unmatched(possible)).sum() > spare:
             why = "for the others need all that it can reach,"
             return f"{names[np.flatnonzero(left)[0]]} is left without a target, {why}"
         doubt = np.where(sure, 0, np.where(possible, 1, 1 + len(agents)))
-        rows, columns = linear_sum_assignment(doubt)
-        for i, j in zip(rows.tolist(), columns.tolist(), strict=True):
+        pairs = np.transpose(linear_sum_assignment(doubt)).tolist()
+        if spare > departure.lost:  # some share targets, and each has to reach one
+            pairs += [(i, int(possible[i].argmax())) for i in unsure]
+        for i, j in pairs:
             if possible[i, j] and not sure[i, j]:
                 if solves == MAX_SOLVES:
                     return None
