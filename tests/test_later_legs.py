@@ -67,7 +67,7 @@ def test_the_first_leg_counts_those_that_join_at_once_and_not_the_lost():
             make_mission(start, Leg(row(3, 3.0), 20, losses=[loss]), **LIMITS)
 
 
-def test_agents_that_know_of_no_loss_choose_among_as_many_targets_as_before():
+def test_agents_that_know_of_no_loss_choose_among_as_many_targets():
     only_first_is_far = Leg(np.vstack([row(1, 60.0), row(2, 3.0)]), 20, choose="prefix")
     lost = replace(only_first_is_far, losses=(Loss("random", share=0.4),))
     run = sato.run(make_mission(row(3, 0.0), lost, **LIMITS))
