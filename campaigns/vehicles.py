@@ -13,6 +13,8 @@ RATIO = 3.0  # of the largest radius or limit to the smallest
 RADIUS, CONTROL, SPEED = 0.5, 0.04, 0.25  # the smallest [m, m/s², m/s]
 START_FACTOR, TARGET_FACTOR = 1.1, 1.5  # of the distances apart, over those required
 CROWDING = 5.0  # side of the box for two vehicles, over the largest required distance
+HALVED = np.array([1.0, 1.0, 0.5])
+ALWAYS = 10_000  # steps, more than any leg has
 
 
 def unequal(rng: np.random.Generator) -> sato.Reconfiguration:
@@ -36,7 +38,7 @@ def unequal(rng: np.random.Generator) -> sato.Reconfiguration:
         max_speed=tuple(speed.tolist()),
         horizon_steps=6,
         replan_steps=2,
-        foresight_steps=10_000,
+        foresight_steps=ALWAYS,
     )
 
 
@@ -66,6 +68,47 @@ def automatic(rng: np.random.Generator) -> sato.Reconfiguration:
     )
 
 
+def room(_: np.random.Generator) -> dict[str, Any]:
+    """Return a mission whose limits along z are halved, for starts and targets given by a case."""
+    limits = {
+        "max_control_axes_m_s2": (2.0 * HALVED).tolist(),
+        "max_speed_axes_m_s": (1.0 * HALVED).tolist(),
+        "speed_norm": "inf",
+    }
+    return _room(limits)
+
+
+def ball(_: np.random.Generator) -> dict[str, Any]:
+    """Return a mission whose limits along z are those of x and y."""
+    return _room({"max_control_m_s2": 2.0, "max_speed_m_s": 1.0})
+
+
+def crowd(rng: np.random.Generator) -> sato.Reconfiguration:
+    """Draw 4 to 12 vehicles, 1.1 R apart and farther, with given targets, and how they plan."""
+    axes, count = int(rng.integers(2, 4)), int(rng.integers(4, 13))
+    side, radii = rng.uniform(1.5, 3.0) * count ** (1 / axes), np.full(count, START_FACTOR)
+    start, target = _place(rng, radii, side, axes), _place(rng, radii, side, axes)
+    plans: list[dict[str, int]] = [
+        {},
+        {"foresight_steps": ALWAYS},
+        {"foresight_steps": ALWAYS, "freeze_steps": ALWAYS},
+        {"foresight_steps": ALWAYS, "freeze_steps": 6, "replan_steps": 2},
+        {"freeze_steps": ALWAYS, "horizon_steps": 6, "replan_steps": 3, "auction_steps": 3},
+    ]
+    return sato.Reconfiguration(
+        model=sato.DoubleIntegrator(axes),
+        start=start,
+        legs=(sato.Leg(target, "auto", time_factor=rng.choice([1.2, 1.5, 1.6, 2.0])),),
+        step=1.0,
+        comm_radius=1e3,
+        collision_radius=1.0,
+        max_control=rng.choice([0.05, 0.1, 0.2]),
+        max_speed=rng.choice([0.3, 0.5, 1.0]),
+        assignment="given",
+        **plans[rng.integers(len(plans))],
+    )
+
+
 def judge_steps(run: sato.Run) -> dict[str, Any]:
     """Tell whether one step less than the least of the first leg is refused, and the least not."""
     mission = run.mission
@@ -74,6 +117,28 @@ def judge_steps(run: sato.Run) -> dict[str, Any]:
         "without_resets": not any(leg["resets"] for leg in run.summary["legs"]),
         "least_taken": not _is_refused(mission, least),
         "less_refused": least == 0 or _is_refused(mission, least - 1),
+    }
+
+
+def _room(limits: dict[str, Any]) -> dict[str, Any]:
+    ends = np.eye(2, 3)  # in whose place a case puts others
+    return {
+        "system": "reconfiguration",
+        "name": "room",
+        "swarm": {
+            "start": {"kind": "points", "positions_m": ends.tolist()},
+            "comm_radius_m": 1e3,
+            "collision_radius_m": 0.3,
+        },
+        "model": {"kind": "double_integrator", "dimension": 3, **limits},
+        "leg": [
+            {
+                "shape": {"kind": "points", "positions_m": ends.tolist()},
+                "steps": "auto",
+                "time_factor": 1.6,
+            }
+        ],
+        "plan": {"step_s": 0.2, "assignment": "given", "foresight_steps": ALWAYS},
     }
 
 

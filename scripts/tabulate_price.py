@@ -1,23 +1,25 @@
 """Tables of docs/price.md: python scripts/tabulate_price.py plane.csv j2.csv.
 
-Reads what `price_of_decentralization.py --csv` wrote, and prints Markdown: a row for each number
-of vehicles, and then every instance. With `--best other.csv`, the better of the two optima counts
-where another run of the same instances found one.
+Reads what `sato campaign export` wrote of campaigns/price.toml, and prints Markdown: a row for each
+number of vehicles, and then every instance. With `--best other.csv`, the better of the two optima
+counts where another run of the same instances found one.
 """
 
-from math import isnan
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
+import pandas as pd
 import typer
-from price_of_decentralization import (
-    COLUMNS,
-    PriceResult,
-    format_ratio,
-    group_by_size,
-    read_csv,
-    summary_cells,
-)
+
+COLUMNS = (
+    "model, N", "best / alone", "from SATO", "one order / best", "gave up", "SATO / best", "worst",
+    "gave up", "most padding [R]", "no optimum",
+)  # fmt: skip
+FUELS = ["alone", "printed", "sato"]  # [m/s]
+OPTIMUM = ["central", "from_guess", "padding"]
+# The fuel without avoidance tells instances of different programs apart.
+INSTANCE = ["model", "agents", "number", "seed", "rounded"]
 
 
 def main(
@@ -25,37 +27,50 @@ def main(
     best: Annotated[list[Path] | None, typer.Option(help="more tables, for their optima")] = None,
 ) -> None:
     """Print a table and a list."""
-    rows = [row for path in files for row in read_csv(path)]
-    rows = merge_best_optima(rows, [row for path in best or [] for row in read_csv(path)])
-    groups = group_by_size(sorted(rows, key=lambda row: (row.case.model == "j2", row.case[1:])))
+    rows = pd.concat(map(read_rows, files))
+    optima = pd.concat([rows, *map(read_rows, best or [])]).sort_values("central", kind="stable")
+    optima = optima.drop_duplicates(INSTANCE)[INSTANCE + OPTIMUM]
+    rows = rows.drop(columns=OPTIMUM).merge(optima, on=INSTANCE)
+    rows = rows.sort_values(["model", "agents", "number"], ascending=[False, True, True])
+    rows["ratio"] = rows["sato"] / rows["central"]
+    groups = {f"{m} {n}": rows for (m, n), rows in rows.groupby(["model", "agents"], sort=False)}
     print("|", " | ".join(COLUMNS), "|\n|---|" + "---:|" * (len(COLUMNS) - 1))
     for name, group in groups.items():
         print("|", " | ".join([name, *summary_cells(group)]), "|")
     print("\n```")
     for name, group in groups.items():
-        print(f"{name:8}", *(format_ratio(row.ratio) for row in group))
+        print(f"{name:8}", *map(format_ratio, group["ratio"]))
     print("```")
 
 
-def merge_best_optima(rows: list[PriceResult], others: list[PriceResult]) -> list[PriceResult]:
-    """Return the rows, each with the best optimum that any row of its instance has."""
-    optima: dict[tuple[object, ...], PriceResult] = {}
-    for row in [*rows, *others]:
-        known = optima.setdefault(_instance_key(row), row)
-        if row.central < known.central or isnan(known.central):
-            optima[_instance_key(row)] = row
-    merged = []
-    for row in rows:
-        best = optima[_instance_key(row)]
-        merged.append(
-            row._replace(central=best.central, from_guess=best.from_guess, padding=best.padding)
-        )
-    return merged
+def read_rows(path: Path) -> pd.DataFrame:
+    """Read a table of instances."""
+    try:
+        rows = pd.read_csv(path, keep_default_na=False, na_values=["", "nan"])
+        return rows.assign(rounded=rows["alone"].round(9))[[*INSTANCE, *OPTIMUM, *FUELS]]
+    except (OSError, KeyError, ValueError) as error:
+        raise typer.BadParameter(f"{path} is not a table of instances: {error!r}") from None
 
 
-def _instance_key(row: PriceResult) -> tuple[object, ...]:
-    # The fuel without avoidance tells instances of different programs apart.
-    return *row.case[:4], f"{row.alone:.9f}"
+def summary_cells(rows: pd.DataFrame) -> list[str]:
+    """Format the cells of one number of vehicles."""
+    found = rows[rows["central"].notna()]
+    return [
+        f"{(found['central'] / found['alone']).median():.3f}",
+        str(found["from_guess"].str.startswith("SATO").sum()),
+        format_ratio((found["printed"] / found["central"]).median(), 4),
+        f"{np.isinf(rows['printed']).sum()} of {len(rows)}",
+        format_ratio(found["ratio"].median(), 4),
+        format_ratio(found["ratio"].max(), 4),
+        f"{np.isinf(rows['sato']).sum()} of {len(rows)}",
+        f"{found['padding'].max():.0e}",
+        f"{len(rows) - len(found)} of {len(rows)}",
+    ]
+
+
+def format_ratio(ratio: float, digits: int = 3) -> str:
+    """Format a ratio, or "gave up" where it is infinite and "none" where there is no optimum."""
+    return "gave up" if np.isinf(ratio) else "none" if np.isnan(ratio) else f"{ratio:.{digits}f}"
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ def test_campaign_has_scenarios_keys_and_functions_that_exist(path, monkeypatch)
     campaign = read_campaign(path)
     campaign.check_keys()
     assert f"sato campaign run campaigns/{path.name}" in path.read_text(encoding="utf-8")
-    for row in range(campaign.points):
+    for row in range(0 if campaign.function else campaign.points):
         campaign.trial(row).build_mission()
 
 

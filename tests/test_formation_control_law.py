@@ -19,7 +19,7 @@ from sato.formation.settings import ControlLaw
 from sato.shapes.formation_library import load_formation, random_sparse_graph
 from sato.shapes.random_points import sample_formation
 
-STUDY = runpy.run_path(str(Path(__file__).parents[1] / "scripts" / "study_law_robustness.py"))
+STUDY = runpy.run_path(str(Path(__file__).parents[1] / "campaigns" / "distorted_law.py"))
 simulate_distorted, SHAPE_TOLERANCE = STUDY["simulate_distorted"], STUDY["SHAPE_TOLERANCE"]
 
 

@@ -1,19 +1,15 @@
-"""Robustness of the control law to distorted commands.
-
-    python scripts/study_law_robustness.py --cases 100
+"""Robustness of the control law of formations to distorted commands.
 
 What a vehicle does may be what the law asks of it scaled by any positive factor and turned by
 less than 90°, other ones for each vehicle and every second: the formation still forms
-[Lusk2020, Sec. III-C]. Random formations on complete and on sparse graphs, from random starts.
+[Lusk2020, Sec. III-C].
 """
 
-import argparse
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
-from rich.progress import track
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
@@ -37,6 +33,13 @@ class RobustnessResult(NamedTuple):
     time: float  # until the shape was formed [s]
     error: float  # of the shape in the end [m]
     is_inverted: bool
+
+
+def form(rng: np.random.Generator, turn_deg: float) -> dict[str, Any]:
+    """Follow the law from a random start to a random formation, commands scaled and turned."""
+    found = simulate_distorted(*draw_case(rng), rng, worst=np.deg2rad(turn_deg))
+    is_formed = found.error <= SHAPE_TOLERANCE and not found.is_inverted
+    return {"formed": is_formed, "time_s": found.time, "shape_error_m": found.error}
 
 
 def commands(
@@ -91,31 +94,3 @@ def simulate_distorted(
         position, time = flown.y[:, -1].reshape(-1, 3), time + DISTORTION_PERIOD
         found = compute_shape_error(position, gains.formation.points)
     return RobustnessResult(time, found.error, found.inverted)
-
-
-def main() -> None:
-    """Run the cases and print the statistics."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--cases", type=int, default=100)
-    cases = parser.parse_args().cases
-    done, plain = [], []
-    for seed in track(range(cases), "settling"):
-        rng = np.random.default_rng(seed)
-        gains, start = draw_case(rng)
-        done.append(simulate_distorted(gains, start, rng))
-        plain.append(simulate_distorted(gains, start, rng, worst=0.0))
-    good = [o for o in done if o.error <= SHAPE_TOLERANCE and not o.is_inverted]
-    print(
-        f"{len(good)} of {cases} formed to {1000 * SHAPE_TOLERANCE:g} mm with factors "
-        f"from {SCALE_RANGE[0]:g} to {SCALE_RANGE[1]:g} and turns up to 90°"
-    )
-    for name, outcomes in (("turned", done), ("only scaled", plain)):
-        time = [o.time for o in outcomes if o.error <= SHAPE_TOLERANCE]
-        print(
-            f"{name}: median {np.median(time):.0f} s, longest {max(time):.0f} s, largest error "
-            f"{max(o.error for o in outcomes):.4f} m"
-        )
-
-
-if __name__ == "__main__":
-    main()
