@@ -1,35 +1,50 @@
-"""Judge a run file of a double integrator without this library: python judge.py DIR/run.nc.
+"""Judge a run of a double integrator without this library: python campaigns/judge.py DIR/run.nc.
 
-Reads the file by h5py alone, and computes the least separation of live agents along the
+Takes the recorded data alone, and computes the least separation of live agents along the
 continuous trajectories, the residual of the equations of motion, the errors at the targets,
-and the least distance of survivors to lost vehicles that coast on.
+and the least distance of survivors to lost vehicles, which here coast on from where they fell
+silent.
 """
 
 import json
 import sys
-from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
+import xarray as xr
+
+NAMES = ("time", "position", "velocity", "applied_control", "leg_index", "target_index")
+ROUNDING = 1e-6  # of the collision radius
 
 
-def judge(file: str | Path) -> dict[str, Any]:
-    """Return what the run file itself says about safety and arrival."""
-    with h5py.File(file) as run:
-        names = ("time", "position", "velocity", "applied_control", "leg_index", "target_index")
-        t, x, v, u, leg, target = (run[name][:] for name in names)
-        alive, targets = run["alive"][:].astype(bool), run["target_position"][:]
-        radius = float(np.atleast_1d(run.attrs["collision_radius_m"])[0])
+def judge_run(run: Any) -> dict[str, Any]:
+    """Judge a run of a campaign: whether it collided without a record, too."""
+    found = judge(run.data)
+    is_close = found["separation_m"] < (1 - ROUNDING) * found["collision_radius_m"]
+    is_recorded = run.summary["slack_used"] or run.summary["braked"]
+    return {"judged": found | {"silent_collision": is_close and not is_recorded}}
+
+
+def judge(data: xr.Dataset) -> dict[str, Any]:
+    """Return what the data itself says about safety and arrival."""
+    t, x, v, u, leg, target = (data[name].values for name in NAMES)
+    alive, targets = data["alive"].values.astype(bool), data["target_position"].values
+    radius = float(np.atleast_1d(data.attrs["collision_radius_m"])[0])
     u = np.nan_to_num(u)
     live = np.flatnonzero(alive[-1] & (target[-1] >= 0))
     held = target[-1, live]
     miss = np.linalg.norm(x[-1, live] - targets[leg[-1]][held], axis=1)
+    lost = lost_agents(alive)
+    near = [(each[1], *p) for each in lost for p in passes(each, t, x, v, u, alive, radius)]
+    too_near = [(wreck, survivor) for wreck, survivor, distance in near if distance < radius]
     return {
         "collision_radius_m": radius,
         "steps": len(t) - 1,
         "separation_m": least_separation(t, x, v, u, alive, 3 * radius),
-        "wreck_separation_m": wreck_separation(t, x, v, u, alive, radius),
+        "lost": len(lost),
+        "wreck_separation_m": min((distance for *_, distance in near), default=None),
+        "wrecks_passed_too_close": len({wreck for wreck, _ in too_near}),
+        "survivors_too_close": len({survivor for _, survivor in too_near}),
         "motion_residual": motion_residual(t, x, v, u, alive),
         "largest_miss_m": float(miss.max(initial=0.0)),
         "duplicate_targets": len(held) - len(np.unique(held)),
@@ -68,14 +83,6 @@ def lost_agents(alive: np.ndarray) -> list[tuple[int, int]]:
     return [(int(k) + 1, int(i)) for k, i in np.argwhere(alive[:-1] & ~alive[1:])]
 
 
-def wreck_separation(
-    t: np.ndarray, x: np.ndarray, v: np.ndarray, u: np.ndarray, alive: np.ndarray, radius: float
-) -> float | None:
-    """Return the least distance of survivors to lost agents that coast on [m], if any are lost."""
-    distances = [d for lost in lost_agents(alive) for d in passes(lost, t, x, v, u, alive, radius)]
-    return min((d for _, d in distances), default=None)
-
-
 def passes(
     lost: tuple[int, int],
     t: np.ndarray,
@@ -111,4 +118,4 @@ def motion_residual(
 
 
 if __name__ == "__main__":
-    print(json.dumps(judge(sys.argv[1]), indent=1))
+    print(json.dumps(judge(xr.load_dataset(sys.argv[1])), indent=1))
