@@ -65,6 +65,11 @@ def test_the_first_leg_counts_those_that_join_at_once_and_not_the_lost():
         with pytest.raises(InputError, match=r"leg\.0\.steps: .*can reach none"):
             start = np.vstack([near, far, far + 2.0])
             make_mission(start, Leg(row(3, 3.0), 20, losses=[loss]), **LIMITS)
+    near_one_is_lost = Leg(row(2, 3.0), 20, losses=[Loss("agents", agents=(0,), at_step=7)])
+    for assignment in ("auction", "given"):
+        with pytest.raises(InputError, match=r"leg\.0\.steps: agent 1 can reach none"):
+            start = np.vstack([near, far])
+            make_mission(start, near_one_is_lost, assignment=assignment, **LIMITS)
 
 
 def test_agents_that_know_of_no_loss_choose_among_as_many_targets():

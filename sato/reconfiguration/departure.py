@@ -50,8 +50,10 @@ def depart_leg(mission: "Reconfiguration", number: int) -> Departure | None:
     """
     new = [i for agents, at_step in mission.joining(number) if at_step == 0 for i in agents]
     fewest = fewest_agents(mission)[number]
+    losses = [loss for leg in mission.legs[: number + 1] for loss in leg.losses]
+    named = [i for loss in losses for i in loss.agents]
     if number == 0:
-        agents = np.append(depart(mission, mission.initial_states).agents, new).astype(int)
+        agents = np.setdiff1d([*range(mission.agent_count), *new], named)
         lost = max(0, len(agents) - fewest)
         return Departure(agents, mission.initial_states[agents], lost, lost)
     is_given = mission.assignment == "given"
@@ -60,10 +62,11 @@ def depart_leg(mission: "Reconfiguration", number: int) -> Departure | None:
     if not is_fixed or not (is_equal or is_given):
         return None
     state = mission.legs[number - 1].targets[: count_wanted(mission, number - 1)]
-    agents = np.append(np.arange(len(state)), new).astype(int)
+    held = np.setdiff1d(np.arange(len(state)), named if is_given else [])
+    agents = np.append(held, new).astype(int)
     there = "agent {}" if is_given else f"the agent at target {{}} of leg {number - 1}"
-    names = tuple(there.format(i) for i in range(len(state))) + tuple(f"agent {i}" for i in new)
-    state = np.concatenate([state, mission.initial_states[new]])
+    names = tuple(there.format(i) for i in held) + tuple(f"agent {i}" for i in new)
+    state = np.concatenate([state[held], mission.initial_states[new]])
     spare = lost = max(0, len(agents) - fewest)
     if mission.assignment == "auction" and (lost or not _is_connected(mission, state)):
         spare = len(agents)
