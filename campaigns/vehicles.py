@@ -88,14 +88,7 @@ def crowd(rng: np.random.Generator) -> sato.Reconfiguration:
     axes, count = int(rng.integers(2, 4)), int(rng.integers(4, 13))
     side, radii = rng.uniform(1.5, 3.0) * count ** (1 / axes), np.full(count, START_FACTOR)
     start, target = _place(rng, radii, side, axes), _place(rng, radii, side, axes)
-    plans: list[dict[str, int]] = [
-        {},
-        {"foresight_steps": ALWAYS},
-        {"foresight_steps": ALWAYS, "freeze_steps": ALWAYS},
-        {"foresight_steps": ALWAYS, "freeze_steps": 6, "replan_steps": 2},
-        {"freeze_steps": ALWAYS, "horizon_steps": 6, "replan_steps": 3, "auction_steps": 3},
-    ]
-    return sato.Reconfiguration(
+    mission = sato.Reconfiguration(
         model=sato.DoubleIntegrator(axes),
         start=start,
         legs=(sato.Leg(target, "auto", time_factor=rng.choice([1.2, 1.5, 1.6, 2.0])),),
@@ -105,8 +98,16 @@ def crowd(rng: np.random.Generator) -> sato.Reconfiguration:
         max_control=rng.choice([0.05, 0.1, 0.2]),
         max_speed=rng.choice([0.3, 0.5, 1.0]),
         assignment="given",
-        **plans[rng.integers(len(plans))],
     )
+    steps = _first_leg(mission).steps
+    plans: list[dict[str, int]] = [
+        {},
+        {"foresight_steps": steps},
+        {"foresight_steps": steps, "freeze_steps": steps},
+        {"foresight_steps": steps, "freeze_steps": min(6, steps), "replan_steps": 2},
+        {"freeze_steps": steps, "horizon_steps": 6, "replan_steps": 3, "auction_steps": 3},
+    ]
+    return replace(mission, **plans[rng.integers(len(plans))])
 
 
 def judge_steps(run: sato.Run) -> dict[str, Any]:

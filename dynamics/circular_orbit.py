@@ -96,7 +96,7 @@ class ClohessyWiltshire(CircularOrbitModel):
         z̈ = −n²z        + u_z
 
     Valid while the separation is small against the radius of the orbit. Errors from J2, the
-    eccentricity and second-order terms add up: see `scripts/linear_model_errors.py`.
+    eccentricity and second-order terms add up: see `campaigns/linear-models.toml`.
     """
 
     n: float  # mean motion of the chief [rad/s]
