@@ -145,15 +145,17 @@ class TransferProblem:
         return float(compute_energy(trajectory.u, self.model.dt))
 
     def solve_without_limits(
-        self, start: Float[Array, " n"], targets: Float[Array, "targets n"]
+        self, start: Float[Array, "*many n"], targets: Float[Array, "targets n"]
     ) -> tuple[StateSamples, ControlSamples, Bool[Array, " targets"]]:
         """Compute the trajectories of least energy to some targets, without limits.
+
+        They begin at one state, or each at its own.
 
         Returns:
             States and controls, and True where they arrive and happen to keep all limits.
         """
         T, _, m = self.model.B.shape
-        u = ((targets - self.coast(start)[T]) @ self._energy_gains).reshape(-1, T, m)
+        u = ((targets - self.coast(start)[..., T, :]) @ self._energy_gains).reshape(-1, T, m)
         x = self.model.simulate(np.broadcast_to(start, targets.shape), u)
         error, scale = np.abs(x[:, -1] - targets).max(axis=1), np.abs(x).max(axis=(1, 2))
         keeps_limits = self.control_limit.measure(u).max(axis=1) <= self.control_limit.most

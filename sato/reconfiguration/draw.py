@@ -1,6 +1,7 @@
 """Drawing of a mission: starts and targets as states."""
 
 from dataclasses import replace
+from itertools import accumulate
 from math import ceil
 
 import numpy as np
@@ -84,7 +85,7 @@ def _depart(
     number: int,
     known: Float[Array, "k n"],
     states: Float[Array, "agents n"],
-    demand: list[int],
+    demand: tuple[int, ...],
     begin: float,
 ) -> Departure:
     """Return those that begin a leg: agents at first, then any that targets may have."""
@@ -163,8 +164,7 @@ def with_targets(leg: Leg, states: Float[Array, "targets n"]) -> Leg:
 
 def _leg_times(mission: Reconfiguration) -> list[float]:
     """Return the times at which each leg begins, and the last one ends, as planned [s]."""
-    steps = [leg.steps for leg in mission.legs]
-    return [mission.step * sum(steps[:k]) for k in range(len(steps) + 1)]
+    return [mission.step * k for k in accumulate((leg.steps for leg in mission.legs), initial=0)]
 
 
 def _velocity_times(mission: Reconfiguration) -> list[float]:

@@ -1,5 +1,6 @@
 """Feasibility of a mission: what can be refused before anything is flown."""
 
+from functools import lru_cache
 from math import degrees, floor, inf, pi
 from typing import TYPE_CHECKING, Any
 
@@ -222,7 +223,8 @@ def memory_demand(mission: "Reconfiguration", agents: int) -> float:
     return demand + frames
 
 
-def target_demand(mission: "Reconfiguration") -> list[int]:
+@lru_cache(maxsize=2)  # asked for by each leg of a mission
+def target_demand(mission: "Reconfiguration") -> tuple[int, ...]:
     """Return the fewest targets that each leg must have, whatever is drawn.
 
     That is the most that any agent may believe in, or the most agents where they choose among
@@ -253,10 +255,11 @@ def target_demand(mission: "Reconfiguration") -> list[int]:
         peak = max(peak, live)
         believed = max(believed, peak)
         most.append(ever if mission.assignment == "given" else peak if leg.is_free else believed)
-    return most
+    return tuple(most)
 
 
-def fewest_agents(mission: "Reconfiguration") -> list[int]:
+@lru_cache(maxsize=2)  # asked for by each leg of a mission
+def fewest_agents(mission: "Reconfiguration") -> tuple[int, ...]:
     """Return the fewest agents that fly each leg from its first step to its end."""
     fewest: list[int] = []
     live, known_lost = mission.agent_count, set[int]()
@@ -274,4 +277,4 @@ def fewest_agents(mission: "Reconfiguration") -> list[int]:
             known_lost |= lost
             live, staying = live - count, staying - count
         fewest.append(max(staying, 0))
-    return fewest
+    return tuple(fewest)

@@ -131,6 +131,9 @@ def find_stranded(
     """
     from scipy.optimize import linear_sum_assignment
 
+    at_rest = _are_at_rest(mission, departure.state, targets)
+    if not at_rest and _is_surely_reached(mission, departure, targets, steps, factor):
+        return None
     agents, spare = departure.agents, departure.spare
     names = departure.names or [f"agent {i}" for i in agents]
     bounds = bounds or cache(lambda steps: _bound_controls(mission, departure, targets, steps))
@@ -164,6 +167,42 @@ def find_stranded(
                 one = _select(departure, np.array([i]))
                 possible[i, j] = sure[i, j] = _can_transfer(mission, one, targets[j], steps, factor)
                 solves += 1
+
+
+def _are_at_rest(mission: "Reconfiguration", start: Array, targets: Array) -> bool:
+    # Then closed forms decide.
+    d = mission.axes
+    return mission.is_point_mass and not start[:, d:].any() and not targets[:, d:].any()
+
+
+def _is_surely_reached(
+    mission: "Reconfiguration",
+    departure: Departure,
+    targets: Float[Array, "targets n"],
+    steps: int,
+    factor: float,
+) -> bool:
+    """Return True where the transfers of least energy in all keep the limits of their agents."""
+    from scipy.optimize import linear_sum_assignment
+
+    from dynamics.discretize import discretize_zoh
+
+    agents, state, given = departure.agents, departure.state, mission.assignment == "given"
+    model = discretize_zoh(mission.linear_model, mission.step, steps, departure.time)
+    if len(targets) < (agents.max() + 1 if given else len(agents)):
+        return False
+    transfer = mission.make_transfer(model, int(agents[0]))
+    factor_of_reach = transfer.response_matrices[1]  # energy is the square of L⁻¹ b
+    ends = np.linalg.solve(factor_of_reach, np.vstack([targets, transfer.coast(state)[:, -1]]).T).T
+    goals, free = ends[: len(targets)], ends[len(targets) :]
+    energy = ((goals[None] - free[:, None]) ** 2).sum(axis=2)
+    held = agents if given else linear_sum_assignment(energy)[1]
+    for rows in mission.group_by_limits(agents):
+        transfer = mission.make_transfer(model, int(agents[rows[0]]))
+        transfer = replace(transfer, max_control=factor * transfer.max_control)
+        if not transfer.solve_without_limits(state[rows], targets[held[rows]])[2].all():
+            return False
+    return True
 
 
 def _take(bounds: Callable[[int], Array], rows: Int[Array, " k"], steps: int) -> Array:
@@ -203,7 +242,7 @@ def _bound_reach(
     # The most of a vector along a direction is that of the dual norm; less on a straight line.
     unit = way / np.where(far > 0, far, 1.0)[..., None] + (far == 0)[..., None] * np.eye(d)[0]
     most, V = factor * control.most_along(unit), speed.most_along(unit)
-    if mission.is_point_mass and (ends == 2).all():
+    if _are_at_rest(mission, start, targets):
         strength = factor * control.most / control.measure(unit)
         line = _farthest(strength, steps, h, speed.most / speed.measure(unit))
         widest = factor * control.most / (unit / control.shares).max(axis=2)
