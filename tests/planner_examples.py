@@ -9,7 +9,7 @@ from dynamics.trajectory_geometry import separations
 from problems.avoidance import AvoidanceProblem
 from problems.convexify import AvoidanceHorizon
 from problems.transfer import Trajectory, TransferProblem
-from sato.scp import Planner
+from sato.scp import FEASIBILITY_TOLERANCE, Planner
 from sato.scp.priority_orders import compute_priority_cost
 
 T, STEP, RADIUS = 12, 1.0, 0.5
@@ -101,3 +101,8 @@ def with_previous_plans(planners, former):
         i: p.with_nominal(former[i].nominal)._replace(has_converged=False)
         for i, p in planners.items()
     }
+
+
+def keeps_all(planner):
+    """No constraint is relaxed by more than counts as none."""
+    return max(planner.slack, planner.terminal_error) <= FEASIBILITY_TOLERANCE * RADIUS

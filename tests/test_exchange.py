@@ -11,6 +11,7 @@ from planner_examples import (
     T,
     continuous_separation,
     immobile,
+    keeps_all,
     make_planner,
     make_problem,
     random_swarm,
@@ -65,7 +66,8 @@ def test_continuous_paths_keep_the_collision_radius(rng, axes):
     for _ in range(5):
         planners = random_swarm(rng, 6, axes, box=4.0)
         after, _ = run_scp(planners, complete(len(planners)))
-        assert all(p.slack == 0 and not p.has_failed for p in after.values())
+        ended = [p._replace(terminal_error=0.0) for p in after.values()]
+        assert all(keeps_all(p) and not p.has_failed for p in ended)
         assert continuous_separation(after) >= RADIUS
 
 
@@ -82,10 +84,7 @@ def test_iterates_stay_feasible_and_costs_do_not_rise(rng):
         for _ in range(10):
             after = update_planner(me._replace(is_final=False, has_converged=False), others)
             relative = after.control_points - np.stack([p.control_points for p in others])
-            feasible = (
-                bool(are_hulls_separated(relative, RADIUS).all())
-                and after.terminal_error == after.slack == 0
-            )
+            feasible = bool(are_hulls_separated(relative, RADIUS).all()) and keeps_all(after)
             assert feasible or not costs  # once feasible, always feasible
             if feasible:
                 costs.append(weighted_fuel(after.nominal, me.transfer))
@@ -105,7 +104,7 @@ def test_fixed_point_satisfies_the_kkt_conditions(rng, monkeypatch):
         planners = random_swarm(rng, 5)
         after, _ = run_scp(planners, complete(len(planners)))
         for i, me in after.items():
-            if me.solve_count == 0 or me.solve_count >= 100 or me.terminal_error > 0:
+            if me.solve_count == 0 or me.solve_count >= 100 or not keeps_all(me):
                 continue
             above = np.stack([p.control_points for j, p in after.items() if j < i])
             spaces = convexify(
@@ -145,7 +144,7 @@ def test_agent_with_more_fuel_left_gives_way_also_head_on():
         gives_way = int(np.argmin(spent))
         assert after[1 - gives_way].nominal is pair[1 - gives_way].solo
         assert after[gives_way].solve_count > 0
-        assert after[gives_way].slack == after[gives_way].terminal_error == 0
+        assert keeps_all(after[gives_way])
         assert continuous_separation(after) >= RADIUS
 
 
@@ -159,7 +158,7 @@ def test_agent_keeps_to_the_side_of_its_previous_plan(side):
     x[1:-1, 1] += side  # a plan that passes on that side
     begun = pair[1].with_nominal(Trajectory(x, u, 0.0))._replace(has_converged=False)
     after, _ = run_scp(pair | {1: begun}, complete(len(pair)))
-    assert after[1].terminal_error == after[1].slack == 0
+    assert keeps_all(after[1])
     assert np.sign(after[1].nominal.x[T // 2, 1]) == np.sign(side)
     assert continuous_separation(after) >= RADIUS
 
@@ -178,7 +177,7 @@ def test_terminal_state_is_relaxed_before_separation():
     # An immobile agent is at the target: the other stops short of it.
     parked = immobile(0, [1.0, 0.0]).message._replace(is_final=True)
     me = update_planner(make_planner(1, [-1.0, 0.0], [1.0, 0.0]), [parked])
-    assert me.terminal_error > 0.4 and me.slack == 0
+    assert me.terminal_error > 0.4 and keeps_all(me._replace(terminal_error=0.0))
     assert are_hulls_separated(me.control_points - parked.control_points, RADIUS).all()
     # Another agent flies through it faster than it can move away.
     time = np.arange(2 * T)[:, None] / 2 + np.arange(4) / 6

@@ -26,7 +26,7 @@ FLOWN = Reconfiguration(
     start=np.array([[0.0, 0.0], [1.0, 0.0]]),
     legs=(
         Leg(np.array([[0.0, 1.0], [1.0, 1.0]]), steps=2),
-        Leg(np.array([[0.0, 2.0], [1.0, 2.0], [2.0, 2.0]]), steps=1, count=3),
+        Leg(np.array([[0.0, 1.0], [1.0, 1.0], [2.0, 1.0]]), steps=1, count=3),
     ),
     name="tiny",
     step=1.0,

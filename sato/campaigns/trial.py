@@ -134,7 +134,7 @@ def _call(trial: Trial) -> Outcome:
     outcome: Outcome = {"exit": "error", "error": None, "version": own_version()}
     try:
         found = find_function(trial.function)(generator(*trial.stream, 1), **trial.parameters)
-        return outcome | {"exit": "done", "columns": flatten(dict(found))}
+        return outcome | {"exit": "done", "columns": _as_columns(found)}
     except Exception:
         return outcome | {"error": last_lines()}
 
@@ -227,9 +227,13 @@ def _reason(summary: Mapping[str, Any]) -> str | None:
 def more_columns(function: str, flown: Any) -> Outcome:
     """Apply a function to a run; a fault in it becomes a column, and the run stands."""
     try:
-        cells = flatten(dict(find_function(function)(flown)))
-        if len(cells) > MOST_CELLS or not all(name and name.isprintable() for name in cells):
-            raise ValueError(f"must be at most {MOST_CELLS} columns with printable names")
-        return cells
+        return _as_columns(find_function(function)(flown))
     except Exception:
         return {"columns_error": last_lines()}
+
+
+def _as_columns(found: Any) -> dict[str, Any]:
+    cells = flatten(dict(found))
+    if len(cells) > MOST_CELLS or not all(name and name.isprintable() for name in cells):
+        raise ValueError(f"must be at most {MOST_CELLS} columns with printable names")
+    return cells
