@@ -21,6 +21,7 @@ MAX_CONTROL_FACTOR = 64  # times the control that there is
 CONTROL_PRECISION = 1.01  # relative, of the control that would do
 MAX_PAIRS_TIMES_STEPS = 20_000_000  # above which no longer time is tried
 MAX_SOLVED_PAIRS_TIMES_STEPS = 100_000  # above which bounds alone decide
+MAX_ENERGY_STEPS = 500  # above which the matrices of the least energy are too large
 MAX_SOLVES = 300  # transfers solved one by one, where no bound decides
 
 
@@ -132,7 +133,8 @@ def find_stranded(
     from scipy.optimize import linear_sum_assignment
 
     at_rest = _are_at_rest(mission, departure.state, targets)
-    if not at_rest and _is_surely_reached(mission, departure, targets, steps, factor):
+    is_short = not at_rest and steps <= MAX_ENERGY_STEPS
+    if is_short and _is_surely_reached(mission, departure, targets, steps, factor):
         return None
     agents, spare = departure.agents, departure.spare
     names = departure.names or [f"agent {i}" for i in agents]
