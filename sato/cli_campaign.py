@@ -1,6 +1,5 @@
 """Commands of campaigns; heavy imports stand inside the commands."""
 
-import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -51,7 +50,6 @@ def run_command(
     from sato.scenario.definition import errors_in
     from sato.scenario.errors import InputError
 
-    sys.path.insert(0, str(file.resolve().parent))  # of functions that it names
     with errors_in(""):
         if workers is not None and scheduler is not None:
             raise InputError("", "--workers are of this machine; a --scheduler has its own")
@@ -93,13 +91,13 @@ def rerun(
 
     with open_table(folder) as table:
         outcome, differing = fly_again(table, row)
-        is_compared = table.scenario(table.row(row)) is not None
     echo(f"{outcome['exit']}{': ' if outcome['error'] else ''}{outcome['error'] or ''}")
     if differing:
         echo(f"sato: differs from the row in {', '.join(differing)}", err=True)
-    elif is_compared:
+    elif differing is not None:
         echo("equal to the row")
-    echo(str(folder / "runs" / str(row)))
+    if "summary" in outcome:
+        echo(str(folder / "runs" / str(row)))
     raise Exit(EXIT_FAILED if differing else EXIT_OK)
 
 

@@ -6,6 +6,7 @@ time, memory, worker, attempts and order, or SQLite finds it damaged.
 """
 
 import argparse
+import json
 import os
 import signal
 import sqlite3
@@ -60,14 +61,12 @@ def cluster(home, workers=2):
     """Start a scheduler, and workers that are restarted by their nannies."""
     file, logs = home / "scheduler.json", subprocess.DEVNULL
     file.unlink(missing_ok=True)
-    base = [sys.executable, "-m", "distributed.cli"]
     started = []
 
     def start(name, *words):
-        command = [f"{base[0]}", base[1], f"{base[2]}.dask_{name}", "--scheduler-file", str(file)]
-        process = subprocess.Popen(
-            [*command, *words], cwd=home, env=ENVIRONMENT, stdout=logs, stderr=logs
-        )
+        command = [sys.executable, "-m", f"distributed.cli.dask_{name}"]
+        command += ["--scheduler-file", str(file), *words]
+        process = subprocess.Popen(command, cwd=home, env=ENVIRONMENT, stdout=logs, stderr=logs)
         started.append(process)
         return process
 
@@ -78,20 +77,13 @@ def cluster(home, workers=2):
         sleep(0.3)
         for _ in range(workers):
             start("worker", "--nthreads", "1", "--no-dashboard", "--death-timeout", "60")
-        yield scheduler, started[1:], read_address(file)
+        yield scheduler, started[1:], json.loads(file.read_text())["address"]
     finally:
         for process in started:
             for child in children(process.pid):
                 child.kill()
             process.kill()
             process.wait()
-
-
-def read_address(file):
-    """Read the address of a scheduler from its file."""
-    import json
-
-    return json.loads(file.read_text())["address"]
 
 
 def children(pid):
@@ -192,13 +184,11 @@ def main() -> int:
         place, who = kinds[number % len(kinds)]
         folder = home / str(number)
         done = interrupt(place, who, folder, home, rng)
-        found, died = rows(folder), 0
         with open_table(folder) as table:
             died = table.exits()["died"]
         if died:  # recorded, and flown again when the campaign is resumed
             fly(folder, resume=True)
-            found = rows(folder)
-        is_equal = found == expected and is_sound(folder)
+        is_equal = rows(folder) == expected and is_sound(folder)
         faults += not is_equal
         end = "equal" if is_equal else "DIFFERENT"
         print(f"{place}, {who} killed at {done} of {TRIALS} rows, {died} died: {end}", flush=True)

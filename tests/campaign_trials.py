@@ -8,6 +8,7 @@ from pathlib import Path
 
 from sato.campaigns.definition import Campaign
 from sato.campaigns.engine import fly_campaign
+from sato.campaigns.trial import run_trial
 
 TRIALS = 40
 
@@ -25,6 +26,11 @@ def die(trial):
     if trial.row == 5:
         time.sleep(1000)
     return count(trial)
+
+
+def import_nothing(trial):
+    """Fly a trial with a function that is nowhere."""
+    return run_trial(trial._replace(columns="nowhere:f"))
 
 
 def campaign(**changes):

@@ -1,5 +1,6 @@
 """Campaigns: rows follow from the definition, and the table survives what ends its writers."""
 
+import linecache
 import signal
 import sqlite3
 import subprocess
@@ -9,7 +10,7 @@ from pathlib import Path
 import campaign_trials
 import numpy as np
 import pytest
-from campaign_trials import TRIALS, campaign, count, die
+from campaign_trials import TRIALS, campaign, count, die, import_nothing
 from full_disk import file_size_limit
 from test_cli import call, sentence
 
@@ -71,20 +72,43 @@ def test_a_row_and_the_definition_alone_decide_a_trial():
         assert len({trial.parameters["model.max_speed_m_s"] for trial in same}) == 1
 
 
-def test_every_distribution_stays_within_its_limits(rng):
-    tables = [
-        {"kind": "uniform", "low": 2.0, "high": 3.0},
-        {"kind": "log_uniform", "low": 2.0, "high": 3.0},
-        {"kind": "integers", "low": 2, "high": 3},
-        {"kind": "choice", "values": [2, 2.5, 3]},
-    ]
-    for table in tables:
-        drawn = campaign(draw={"seed_m": table}).draw["seed_m"]
-        values = [drawn.draw(rng) for _ in range(200)]
-        assert 2 <= min(values) < 2.1 and 2.9 < max(values) <= 3
+@pytest.mark.parametrize(
+    ("table", "quartiles"),  # of the distributions, with what 10,000 draws may be off by
+    [
+        ({"kind": "uniform", "low": 1.0, "high": 81.0}, [1, 21, 41, 61, 81]),
+        ({"kind": "log_uniform", "low": 1.0, "high": 81.0}, [1, 3, 9, 27, 81]),
+        ({"kind": "integers", "low": 1, "high": 81}, [1, 21, 41, 61, 81]),
+        ({"kind": "choice", "values": [5, 1]}, [1, 1, None, 5, 5]),
+        ({"kind": "normal", "mean": 9.0, "deviation": 2.0}, [None, 7.651, 9.0, 10.349, None]),
+    ],
+)
+def test_draws_have_the_quartiles_and_limits_of_their_distribution(table, quartiles, rng):
+    drawn = campaign(draw={"x": table}).draw["x"]
+    found = np.quantile([drawn.draw(rng) for _ in range(10_000)], [0, 0.25, 0.5, 0.75, 1])
+    for quartile, expected in zip(found, quartiles, strict=True):
+        assert expected is None or quartile == pytest.approx(expected, rel=0.08)
+    if "low" in table:
+        assert table["low"] <= found[0] and found[-1] <= table["high"]
 
 
-def test_a_definition_survives_its_table_and_its_file(tmp_path):
+@pytest.mark.parametrize(
+    ("table", "reason"),
+    [
+        ({"kind": "integers", "low": 1.5, "high": 3}, "low: must be an integer"),
+        ({"kind": "log_uniform", "low": 0, "high": 3}, "low: must be greater than 0"),
+        ({"kind": "normal", "mean": 0.0, "deviation": -1.0}, "deviation: "),
+        ({"kind": "choice", "values": []}, "at least one value"),
+        ({"kind": "uniform", "low": 0}, "high: is missing"),
+        ({"kind": "uniform", "low": 0, "high": float("nan")}, "high: "),
+        (3, "draw.x: must be a table"),
+    ],
+)
+def test_distribution_with_wrong_numbers_is_refused(table, reason):
+    with pytest.raises(InputError, match=reason):
+        campaign(draw={"x": table})
+
+
+def test_a_definition_survives_its_file_and_its_json(tmp_path):
     (tmp_path / "mine.toml").write_text(FILE)
     read = read_campaign(tmp_path / "mine.toml")
     assert (read.name, read.runs) == ("mine", 6)
@@ -165,7 +189,7 @@ def test_columns_that_no_table_can_hold_are_told_in_the_row(tmp_path):
     outcome = count(mine.trial(0)) | {"columns": cells}
     with CampaignTable.create(tmp_path, mine) as table:
         table.add(mine.trial(0), outcome, 1)
-        assert table.row(0)['y"'] == "[NaN]"
+        assert table.row(0)['y"'] == "[null]"
 
 
 def echo(value):
@@ -176,6 +200,31 @@ def test_a_scheduler_that_cannot_be_reached_is_told(tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "CONNECT_TIMEOUT", 0.1)
     with pytest.raises(WorkerError, match="no Dask scheduler can be reached"):
         fly_campaign(campaign(), tmp_path, scheduler="tcp://127.0.0.1:1", function=count)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_table_without_rows_is_no_campaign_that_could_be_lost(tmp_path):
+    CampaignTable.create(tmp_path, campaign(grid=GRID)).close()
+    fly_campaign(campaign(), tmp_path, workers=1, function=count)
+    with open_table(tmp_path) as table:
+        assert table.exits() == {"reached": TRIALS}
+        assert table.campaign.to_json() == campaign().to_json()
+
+
+def test_a_function_that_workers_cannot_import_ends_the_campaign(tmp_path):
+    with pytest.raises(InputError, match=r"nowhere:f.* cannot be imported"):
+        fly_campaign(campaign(), tmp_path, workers=1, function=import_nothing)
+    with open_table(tmp_path) as table:
+        assert len(table) == 0
+
+
+def test_keys_in_another_order_are_another_campaign(tmp_path):
+    nan = {"plan.horizon_steps": [1, 2], "plan.tie_break": [float("nan")]}
+    fly_campaign(campaign(grid=nan, trials=1), tmp_path, workers=1, function=count)
+    fly_campaign(campaign(grid=nan, trials=2), tmp_path, workers=1, function=count, resume=True)
+    other = campaign(grid=dict(reversed(nan.items())), trials=2)
+    with pytest.raises(InputError, match="with another grid"):
+        fly_campaign(other, tmp_path, function=count, resume=True)
 
 
 def test_another_campaign_in_the_folder_is_refused(flown):
@@ -186,9 +235,12 @@ def test_another_campaign_in_the_folder_is_refused(flown):
     with pytest.raises(InputError, match="fewer"):
         fly_campaign(campaign(trials=1), flown, function=count, resume=True)
     other = campaign(scenario="crossing")
-    with pytest.raises(InputError, match="another scenario; --allow-version"):
+    with pytest.raises(InputError, match="another scenario or function; --allow-version"):
         fly_campaign(other, flown, function=count, resume=True)
     fly_campaign(other, flown, function=count, resume=True, allow_version=True)
+    more = campaign(scenario=["crossing", "conflict"])
+    with pytest.raises(InputError, match="another number of scenarios"):
+        fly_campaign(more, flown, function=count, resume=True, allow_version=True)
 
 
 def test_more_trials_add_rows_after_all_others(flown):
@@ -256,7 +308,7 @@ def test_commands_tell_the_state_of_a_campaign(flown):
     result = call("campaign", "status", str(Path(flown, "nowhere")))
     assert result.exit_code == 2
     assert "holds no campaign" in sentence(result)
-    with open_table(flown) as table, pytest.raises(InputError, match="did you mean half"):
+    with open_table(flown) as table, pytest.raises(InputError, match=r"did you mean .half"):
         list(table.rows(["haf"]))
 
 
@@ -278,6 +330,26 @@ def test_a_function_in_place_of_runs_fills_columns_that_come_again(tmp_path):
     assert not differing
 
 
+def test_a_row_of_a_function_beside_the_file_is_computed_again(tmp_path, monkeypatch):
+    (tmp_path / "beside.py").write_text("def solve(rng, x): return {'y': x + rng.random()}")
+    text = '[campaign]\nfunction = "beside:solve"\n[grid]\nx = [1, 2]\n'
+    (tmp_path / "mine.toml").write_text(text)
+    folder = str(tmp_path / "out")
+    for words in (["run", str(tmp_path / "mine.toml"), "--out", folder], ["rerun", folder, "1"]):
+        with monkeypatch.context() as patch:
+            patch.setattr(sys, "path", [*sys.path])  # as in a process that has just started
+            result = call("campaign", *words)
+        sys.modules.pop("beside")
+        assert result.exit_code == 0
+    assert result.output == "done\nequal to the row\n"
+    (tmp_path / "beside.py").write_text("def solve(rng, x): return {'y': x - rng.random()}")
+    linecache.clearcache()
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, "path", [*sys.path])
+        words = "run", str(tmp_path / "mine.toml"), "--out", folder, "--resume"
+        assert "was begun with another scenario or function" in sentence(call("campaign", *words))
+
+
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
@@ -285,8 +357,15 @@ def test_a_function_in_place_of_runs_fills_columns_that_come_again(tmp_path):
         ({"function": ""}, r"campaign\.scenario: is needed, or a function"),
         ({"keep": "all"}, r"campaign\.function: has no runs"),
         ({"grid": {"side": [6]}}, r"grid\.side: is no argument of .*; did you mean .sides.\?"),
+        ({"grid": {"fails": [True]}}, r"campaign\.function: .*toss: missing .* argument: 'sides'"),
+        ({"function": "math:pi"}, r"campaign\.function: \"math:pi\" is no function"),
+        ({"function": "", "scenario": f"{__name__}:raise_at_once"}, "raises ZeroDivisionError: no"),
     ],
 )
 def test_a_function_beside_what_only_runs_have_is_refused(changes, reason, tmp_path):
     with pytest.raises(InputError, match=reason):
         sato.campaign(**{"function": campaign_trials.toss, "out": tmp_path} | changes)
+
+
+def raise_at_once(rng):
+    raise ZeroDivisionError("no")

@@ -21,10 +21,38 @@ ADDRESS = re.compile(r"inproc://\S+|(\w+://)?[^/\s]+:\d+")
 FAREWELL = 1.0  # time that the scheduler is given to hear of a time limit [s]
 
 
+@contextmanager
+def connect(address: str) -> Iterator[Any]:
+    """Connect to a scheduler.
+
+    Args:
+        address: Address of the scheduler, "tcp://host:8786".
+
+    Raises:
+        InputError: Dask is not installed, this is no address, or workers have several threads.
+        WorkerError: The scheduler cannot be reached.
+    """
+    if not ADDRESS.fullmatch(address):
+        raise InputError("", f"a scheduler has an address as tcp://HOST:8786, got {address}")
+    try:
+        from distributed import Client
+    except ImportError as error:
+        reason = "a scheduler needs Dask: pip install 'sato-swarm[cluster]'"
+        raise InputError("", reason) from error
+    try:
+        client = Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)
+    except Exception as error:  # of many kinds where something else listens there
+        raise WorkerError(f"{address}: no Dask scheduler can be reached: {error}") from error
+    with client:
+        if any(threads > 1 for threads in client.nthreads().values()):
+            raise InputError("", "workers must have one thread each: dask worker --nthreads 1")
+        yield client
+
+
 def fly_on_cluster(
+    client: Any,
     function: Callable[[Trial], Outcome],
     trials: Iterable[Trial],
-    address: str,
     time_limit: float | None,
 ) -> Flights:
     """Fly trials on a cluster, and yield them as they end.
@@ -34,47 +62,18 @@ def fly_on_cluster(
     at the time limit, and its nanny starts another one.
 
     Args:
+        client: Client of a scheduler.
         function: Function of a trial, importable by name on the workers.
         trials: Trials, taken as workers become free.
-        address: Address of the scheduler, "tcp://host:8786".
         time_limit: Time after which a trial is ended [s]; None for no limit.
 
     Raises:
-        InputError: Dask is not installed, this is no address, workers have several threads, or no
-            nannies where there is a time limit.
-        WorkerError: The scheduler cannot be reached, or was lost.
+        InputError: Workers have no nannies where there is a time limit, or a function of the
+            user's cannot be imported by them.
+        WorkerError: The scheduler was lost.
     """
-    with _connect(address) as client:
-        try:
-            yield from _fly(client, function, trials, time_limit)
-        except (OSError, CancelledError) as error:
-            raise WorkerError(f"{address}: the scheduler was lost; --resume goes on") from error
-
-
-def _connect(address: str) -> Any:
-    if not ADDRESS.fullmatch(address):
-        raise InputError("", f"a scheduler has an address as tcp://HOST:8786, got {address}")
-    try:
-        from distributed import Client
-    except ImportError as error:
-        reason = "a scheduler needs Dask: pip install 'sato-swarm[cluster]'"
-        raise InputError("", reason) from error
-    try:
-        return Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)
-    except Exception as error:  # of many kinds where something else listens there
-        raise WorkerError(f"{address}: no Dask scheduler can be reached: {error}") from error
-
-
-def _fly(
-    client: Any,
-    function: Callable[[Trial], Outcome],
-    trials: Iterable[Trial],
-    time_limit: float | None,
-) -> Flights:
     from distributed import as_completed
 
-    if any(threads > 1 for threads in client.nthreads().values()):
-        raise InputError("", "workers must have one thread each: dask worker --nthreads 1")
     topic, remaining = f"sato-{uuid4().hex}", iter(trials)
     flying: dict[Any, Trial] = {}
     late: set[str] = set()  # keys of trials that a worker has ended
@@ -93,12 +92,15 @@ def _fly(
             flying[future] = trial
             completed.add(future)
 
-    client.subscribe_topic(topic, end)
-    submit()
-    for future in completed:
-        trial = flying.pop(future)
-        yield trial, _outcome(future, future.key in late, time_limit)
+    try:
+        client.subscribe_topic(topic, end)
         submit()
+        for future in completed:
+            trial = flying.pop(future)
+            yield trial, _outcome(future, future.key in late, time_limit)
+            submit()
+    except (OSError, CancelledError) as error:
+        raise WorkerError("the scheduler was lost; --resume goes on") from error
 
 
 def _outcome(future: Any, is_late: bool, time_limit: float | None) -> Outcome:

@@ -17,7 +17,15 @@ from numpy import ndarray as Array
 
 from dynamics.units import Unit
 from sato.campaigns.distributions import Distribution, as_distribution
-from sato.campaigns.trial import FUNCTION, Source, Trial, find_function, generator, name_of_function
+from sato.campaigns.trial import (
+    FUNCTION,
+    Source,
+    Trial,
+    add_modules,
+    find_function,
+    generator,
+    name_of_function,
+)
 from sato.record import json_default
 from sato.scenario.definition import Convert, Definition, In, NotNegative, Positive, errors_in
 from sato.scenario.errors import InputError, ScenarioError, closest_name, format_value
@@ -26,7 +34,14 @@ from sato.scenario.overrides import override
 from sato.scenario.table import read_table, write_table
 from sato.systems import definition_of
 
-EXTENDABLE = ("trials", "keep", "by", "show")  # fields that may change when a campaign is resumed
+EXTENDABLE = (
+    "name",
+    "modules",
+    "trials",
+    "keep",
+    "by",
+    "show",
+)  # fields that may change when a campaign is resumed
 
 
 def _as_sources(value: Any) -> tuple[Source, ...]:
@@ -79,12 +94,12 @@ def _as_distributions(value: Any) -> dict[str, Distribution]:
 
 
 def _flatten_tables(value: Any, head: str = "") -> Iterator[tuple[str, Any]]:
-    # "swarm.agents" may be a key in quotes, or a key in a table.
+    # "swarm.agents" may be a key in quotes, or a key in a table; a table with a kind is a value.
     if not isinstance(value, Mapping):
         raise InputError("", f"must be a table, got {format_value(value)}")
     for key, part in value.items():
         address = f"{head}{key}"
-        if isinstance(part, Mapping) and "kind" not in part:
+        if isinstance(part, Mapping) and not isinstance(part.get("kind"), str):
             yield from _flatten_tables(part, f"{address}.")
         else:
             yield address, part
@@ -109,6 +124,9 @@ class Campaign(Definition):
         'in place of a scenario, function "module:function" of a generator and the keys below, '
         "which returns a dict of columns",
     ] = ""  # fmt: skip
+    modules: Annotated[
+        str, In("campaign"), "folder of the modules of functions; that of the file"
+    ] = ""
     trials: Annotated[int, In("campaign"), Positive, "number of seeds"] = 1
     seed: Annotated[int, In("campaign"), NotNegative, "first seed"] = 0
     time_limit: Annotated[
@@ -183,6 +201,7 @@ class Campaign(Definition):
             columns=self.columns,
             keep=self.keep,
             folder=folder,
+            modules=self.modules,
         )
 
     def check_keys(self) -> None:
@@ -191,32 +210,34 @@ class Campaign(Definition):
         Raises:
             InputError: It names the key, and the nearest one.
         """
+        add_modules(self.modules)
         if self.columns:
             with errors_in("campaign.columns"):
                 find_function(self.columns)
         if self.function:
             return self._check_arguments()
         for trial in self._first_trials():
-            data: Any = trial.source
-            if isinstance(data, str):
-                with errors_in("campaign.scenario"):
-                    find_function(data)
-                data = trial._replace(parameters={}).build_mission()
-            data = json.loads(_to_json(data))
-            definition = definition_of(data.pop("system", ""))
+            with errors_in("campaign.scenario"):
+                data = json.loads(_to_json(_tables_of(trial)))
+                definition = definition_of(data.pop("system", ""))
             for key, value in trial.parameters.items():
                 with errors_in(self._place_of(key, trial)):
                     override(data, (key, value), definition)
 
     def _check_arguments(self) -> None:
         with errors_in("campaign.function"):
-            names = list(inspect.signature(find_function(self.function)).parameters)[1:]
+            signature = inspect.signature(find_function(self.function))
+        names = list(signature.parameters)[1:]
         for trial in self._first_trials():
-            for key in set(trial.parameters) - set(names):
-                near = closest_name(key, names)
-                hint = f'; did you mean "{near}"?' if near else ""
-                with errors_in(self._place_of(key, trial)):
-                    raise InputError(key, f"is no argument of {self.function}{hint}")
+            try:
+                signature.bind(None, **trial.parameters)
+            except TypeError as error:
+                for key in set(trial.parameters) - set(names):
+                    near = closest_name(key, names)
+                    hint = f'; did you mean "{near}"?' if near else ""
+                    with errors_in(self._place_of(key, trial)):
+                        raise InputError(key, f"is no argument of {self.function}{hint}") from error
+                raise InputError("campaign.function", f"{self.function}: {error}") from error
 
     def _place_of(self, key: str, trial: Trial) -> str:
         places = {**dict.fromkeys(self.grid, "grid"), **dict.fromkeys(self.draw, "draw")}
@@ -224,11 +245,9 @@ class Campaign(Definition):
 
     @cached_property
     def fingerprint(self) -> str:
-        """Digest of the function, or of the first mission of each scenario and case."""
-        if self.function:
-            return digest(inspect.getsource(find_function(self.function)))
-        texts = []
-        for trial in self._first_trials():
+        """Digest of the functions, and of the first mission of each scenario and case."""
+        texts = [_code_of(name) for name in (self.function, self.columns) if name]
+        for trial in () if self.function else self._first_trials():
             try:
                 texts.append(trial.build_mission().to_toml())
             except InputError as error:
@@ -241,7 +260,7 @@ class Campaign(Definition):
 
     def to_json(self) -> str:
         """Write the definition as JSON, with the scenarios, so that it needs no other file."""
-        names = "name scenario function trials seed columns keep case grid by show".split()
+        names = "name scenario function modules trials seed columns keep case grid by show".split()
         plain = {name: getattr(self, name) for name in names}
         draws = {key: write_table(distribution) for key, distribution in self.draw.items()}
         return _to_json(plain | {"time_limit": self.time_limit, "draw": draws})
@@ -254,7 +273,9 @@ class Campaign(Definition):
     def differences(self, other: "Campaign") -> list[str]:
         """List the fields that differ, other than those that may when a campaign is resumed."""
         one, two = json.loads(self.to_json()), json.loads(other.to_json())
-        return [name for name in one if name not in EXTENDABLE and one[name] != two[name]]
+        # As text: the order of keys decides the rows, and not-a-number is not equal to itself.
+        differing = [name for name in one if json.dumps(one[name]) != json.dumps(two[name])]
+        return [name for name in differing if name not in EXTENDABLE]
 
 
 def read_campaign(path: Path, **changes: Any) -> Campaign:
@@ -277,6 +298,8 @@ def read_campaign(path: Path, **changes: Any) -> Campaign:
         if isinstance(table, dict):
             table.setdefault("name", data.pop("name"))
             table |= {key: value for key, value in changes.items() if value is not None}
+            if isinstance(modules := table.get("modules", ""), str):
+                table["modules"] = str((path.parent / modules).resolve())
             given = table.get("scenario")
             if given is not None:
                 parts = given if isinstance(given, list) else [given]
@@ -290,6 +313,24 @@ def read_campaign(path: Path, **changes: Any) -> Campaign:
 def digest(text: str) -> str:
     """Return a short digest of a text."""
     return sha256(text.encode()).hexdigest()[:16]
+
+
+def _tables_of(trial: Trial) -> Any:
+    if not isinstance(trial.source, str):
+        return trial.source
+    find_function(trial.source)
+    try:
+        return trial._replace(parameters={}).build_mission()
+    except Exception as error:  # whatever a function of the user's raises
+        reason = f"{trial.source} raises {type(error).__name__}: {error}"
+        raise InputError("", reason) from error
+
+
+def _code_of(function: str) -> str:
+    try:
+        return inspect.getsource(find_function(function))
+    except (OSError, TypeError):  # compiled, or a partial function
+        return function
 
 
 def _beside(name: Any, folder: Path) -> Any:

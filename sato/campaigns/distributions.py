@@ -1,21 +1,20 @@
 """Distributions of a key: what the table [draw] of a campaign holds."""
 
 from abc import abstractmethod
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 from math import exp, log
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 from numpy.random import Generator
 
-from sato.scenario.definition import Definition, NotNegative, Positive
-from sato.scenario.errors import InputError, closest_name, format_value, join_names
-from sato.scenario.table import read_table
+from sato.scenario.definition import Definition, Field, NotNegative
+from sato.scenario.errors import InputError
+from sato.scenario.ranges import LARGEST_COUNT
+from sato.scenario.table import choose, read_table
 
 
 class Distribution(Definition):
     """Distribution of the values of a key."""
-
-    kind: ClassVar[str]
 
     @abstractmethod
     def draw(self, rng: Generator) -> Any:
@@ -24,36 +23,29 @@ class Distribution(Definition):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Uniform(Distribution):
-    """Uniform distribution of numbers."""
+    """Uniform distribution of numbers, of the logarithms of numbers, or of integers."""
 
-    kind: ClassVar[str] = "uniform"
+    kind: Annotated[Literal["uniform", "log_uniform", "integers"], "numbers that are drawn"]
     low: Annotated[float, "least value"]
-    high: Annotated[float, "largest value"]
+    high: Annotated[float, "largest value; of integers, it is drawn too"]
 
     def check(self) -> None:
-        """Refuse limits in the wrong order."""
-        _check_order(self.low, self.high)
+        """Refuse limits in the wrong order, and those that the kind cannot have."""
+        if self.kind == "log_uniform" and self.low <= 0:
+            raise InputError("low", f"must be greater than 0, got {self.low:g}")
+        for key, limit in {"low": self.low, "high": self.high}.items():
+            if self.kind == "integers" and (limit % 1 or abs(limit) > LARGEST_COUNT):
+                raise InputError(key, f"must be an integer, at most 1e9 in size, got {limit:g}")
+        if self.low > self.high:
+            raise InputError("high", f"must be at least low, {self.low:g}, got {self.high:g}")
 
     def draw(self, rng: Generator) -> float:
         """Draw a number."""
+        if self.kind == "integers":
+            return int(rng.integers(int(self.low), int(self.high), endpoint=True))
+        if self.kind == "log_uniform":
+            return exp(rng.uniform(log(self.low), log(self.high)))
         return float(rng.uniform(self.low, self.high))
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class LogUniform(Distribution):
-    """Distribution of positive numbers whose logarithms are uniform."""
-
-    kind: ClassVar[str] = "log_uniform"
-    low: Annotated[float, Positive, "least value"]
-    high: Annotated[float, Positive, "largest value"]
-
-    def check(self) -> None:
-        """Refuse limits in the wrong order."""
-        _check_order(self.low, self.high)
-
-    def draw(self, rng: Generator) -> float:
-        """Draw a number."""
-        return exp(rng.uniform(log(self.low), log(self.high)))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -67,23 +59,6 @@ class Normal(Distribution):
     def draw(self, rng: Generator) -> float:
         """Draw a number."""
         return float(rng.normal(self.mean, self.deviation))
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Integers(Distribution):
-    """Uniform distribution of integers."""
-
-    kind: ClassVar[str] = "integers"
-    low: Annotated[int, "least value"]
-    high: Annotated[int, "largest value, which is drawn too"]
-
-    def check(self) -> None:
-        """Refuse limits in the wrong order."""
-        _check_order(self.low, self.high)
-
-    def draw(self, rng: Generator) -> int:
-        """Draw an integer."""
-        return int(rng.integers(self.low, self.high, endpoint=True))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -103,7 +78,7 @@ class Choice(Distribution):
         return self.values[rng.integers(len(self.values))]
 
 
-DISTRIBUTIONS = {each.kind: each for each in (Uniform, LogUniform, Normal, Integers, Choice)}
+_ANY = Field("draw", Uniform | Normal | Choice, MISSING)
 
 
 def as_distribution(value: Any) -> Distribution:
@@ -114,18 +89,5 @@ def as_distribution(value: Any) -> Distribution:
     """
     if isinstance(value, Distribution):
         return value
-    names = join_names(map(format_value, DISTRIBUTIONS), "and")
-    if not isinstance(value, dict) or "kind" not in value:
-        raise InputError("", f"must be a table with a kind; there are {names}")
-    kind = value["kind"]
-    if kind not in DISTRIBUTIONS:
-        close = closest_name(str(kind), DISTRIBUTIONS)
-        hint = f'; did you mean "{close}"?' if close else ""
-        raise InputError("kind", f"there is no kind {format_value(kind)}, only {names}{hint}")
-    found: Distribution = read_table(DISTRIBUTIONS[kind], value)
+    found: Distribution = read_table(choose(_ANY, value), value)
     return found
-
-
-def _check_order(low: float, high: float) -> None:
-    if not low <= high:
-        raise InputError("high", f"must be at least low, {low:g}, got {high:g}")

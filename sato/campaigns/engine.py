@@ -7,12 +7,13 @@ import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
 
 from sato.campaigns.definition import Campaign
 from sato.campaigns.local import fly_locally
 from sato.campaigns.table import INTERRUPTED, MEASURED, TABLE_FILE, CampaignTable, TableError
-from sato.campaigns.trial import Outcome, Trial, own_version, run_trial
+from sato.campaigns.trial import Flights, Outcome, Trial, own_version, run_trial
 from sato.scenario.errors import InputError, join_names
 
 MOST_RUNS = 10**6
@@ -61,29 +62,26 @@ def fly_campaign(
         raise InputError("workers", f"must be at least 1, got {workers}")
     campaign.check_keys()
     folder = folder.resolve()
-    with _only_writer(folder), _open(campaign, folder, resume, allow_version) as table:
+    with (
+        _connected(scheduler, workers) as fly,
+        _only_writer(folder),
+        _open(campaign, folder, resume, allow_version) as table,
+    ):
         exits, died, done = table.exits(), table.attempts(), table.numbers_done()
         rows = (row for row in range(campaign.runs) if not done[row])
         trials = (campaign.trial(row, str(folder)) for row in rows)
-        if scheduler is None:
-            count = workers or available_cores()
-            flown = fly_locally(function, trials, count, campaign.time_limit)
-        else:
-            from sato.campaigns.cluster import fly_on_cluster
-
-            flown = fly_on_cluster(function, trials, scheduler, campaign.time_limit)
-        with closing(flown):
+        with closing(fly(function, trials, campaign.time_limit)) as flown:
             progress(exits, campaign.runs)
             for trial, outcome in flown:
                 before = died.get(trial.row, 0)
-                table.add(trial, outcome, before + outcome.get("attempts", 1))
+                table.add(trial, outcome, before + 1)
                 if before:
                     exits[INTERRUPTED] -= 1
                 exits[outcome["exit"]] += 1
                 progress(exits, campaign.runs)
 
 
-def fly_again(table: CampaignTable, number: int) -> tuple[Outcome, list[str]]:
+def fly_again(table: CampaignTable, number: int) -> tuple[Outcome, list[str] | None]:
     """Fly a row again from itself, keep the run, and compare the cells.
 
     Args:
@@ -91,17 +89,17 @@ def fly_again(table: CampaignTable, number: int) -> tuple[Outcome, list[str]]:
         number: Number of the row.
 
     Returns:
-        The outcome, and the columns that differ; none are compared where the worker of the row
-        died or was ended.
+        The outcome, and the columns that differ; None where the worker of the row died or was
+        ended, and there is nothing to compare.
     """
     row = table.row(number)
-    given = table.campaign.trial(number, str(table.folder.resolve()))._replace(keep="all")
+    given = table.campaign.trial(number, str(table.folder.resolve()))
+    given = given._replace(parameters=json.loads(row["parameters"]), seed=row["seed"], keep="all")
     text = table.scenario(row)
-    if row["exit"] in (INTERRUPTED, "time limit"):
-        return run_trial(given), []
-    given = given._replace(parameters=json.loads(row["parameters"]), seed=row["seed"])
     whole = given if text is None else given._replace(source=tomllib.loads(text), parameters={})
     outcome = run_trial(whole)
+    if row["exit"] in (INTERRUPTED, "time limit"):
+        return outcome, None
     cells = table.cells(given, outcome)
     names = {name for name, value in row.items() if value is not None} | set(cells)
     differing = {name for name in names if cells.get(name) != row.get(name)}
@@ -114,13 +112,16 @@ def available_cores() -> int:
 
 
 def _open(campaign: Campaign, folder: Path, resume: bool, allow_version: bool) -> CampaignTable:
-    if not resume or not (folder / TABLE_FILE).exists():
+    if not (folder / TABLE_FILE).exists():
         return CampaignTable.create(folder, campaign)
     table = CampaignTable(folder, is_writer=True)
     try:
-        _check_same(campaign, table, allow_version)
-        if campaign.to_json() != table.campaign.to_json() or allow_version:
-            table.redefine(campaign)
+        if len(table) and not resume:
+            cure = "--resume goes on with it, --out takes another place"
+            raise InputError("", f"{folder}: holds a campaign; {cure}")
+        if len(table):  # an empty one may be any campaign's
+            _check_same(campaign, table, allow_version)
+        table.redefine(campaign)
     except BaseException:
         table.close()
         raise
@@ -130,6 +131,8 @@ def _open(campaign: Campaign, folder: Path, resume: bool, allow_version: bool) -
 def _check_same(campaign: Campaign, table: CampaignTable, allow_version: bool) -> None:
     held, now = table.campaign, own_version()
     other = [name for name in campaign.differences(held) if name != "scenario"]
+    if len(campaign.scenario) != len(held.scenario):  # rows would be those of others
+        other.append("number of scenarios")
     if other:
         reason = f"holds another campaign, with another {join_names(other, 'and')}"
         raise InputError("", f"{table.folder}: {reason}; --out takes another place")
@@ -144,7 +147,19 @@ def _check_same(campaign: Campaign, table: CampaignTable, allow_version: bool) -
             "", f"{table.folder}: was begun by sato {table.version}, not {now}; {cure}"
         )
     if campaign.fingerprint != table.fingerprint or "scenario" in campaign.differences(held):
-        raise InputError("", f"{table.folder}: was begun with another scenario; {cure}")
+        reason = f"was begun with another scenario or function; {cure}"
+        raise InputError("", f"{table.folder}: {reason}")
+
+
+@contextmanager
+def _connected(scheduler: str | None, workers: int | None) -> Iterator[Callable[..., Flights]]:
+    if scheduler is None:
+        yield partial(fly_locally, workers or available_cores())
+        return
+    from sato.campaigns.cluster import connect, fly_on_cluster
+
+    with connect(scheduler) as client:
+        yield partial(fly_on_cluster, client)
 
 
 @contextmanager

@@ -13,6 +13,7 @@ from typing import Any
 from pebble import ProcessExpired, ProcessFuture, ProcessPool
 
 from sato.campaigns.trial import Flights, Outcome, Trial, one_thread_each
+from sato.scenario.errors import InputError
 
 AHEAD = 2  # trials that each worker has, one of which waits, so that it is never idle
 PRELOADED = ["sato.campaigns.trial", "xarray"]  # by the process from which workers are forked
@@ -25,9 +26,9 @@ class WorkerError(RuntimeError):
 
 
 def fly_locally(
+    workers: int,
     function: Callable[[Trial], Outcome],
     trials: Iterable[Trial],
-    workers: int,
     time_limit: float | None,
 ) -> Flights:
     """Fly trials in processes, and yield them as they end.
@@ -36,12 +37,13 @@ def fly_locally(
     while it takes a trial may leave its pipe locked, and what it took is not known.
 
     Args:
+        workers: Number of processes.
         function: Function of a trial, importable by name.
         trials: Trials, taken as workers become free.
-        workers: Number of processes.
         time_limit: Time after which a trial is ended [s]; None for no limit.
 
     Raises:
+        InputError: A function of the user's cannot be imported by the workers.
         WorkerError: Workers end before they begin.
     """
     context, remaining, futile = _context(), iter(trials), 0
@@ -106,6 +108,8 @@ def _outcome(future: Any, error: BaseException | None, time_limit: float | None)
     if error is None:
         outcome: Outcome = future.result()
         return outcome
+    if isinstance(error, InputError):
+        raise error
     if isinstance(error, TimeoutError):
         return {"exit": "time limit", "error": f"ended after {time_limit:g} s"}
     if isinstance(error, ProcessExpired):

@@ -127,17 +127,10 @@ def quote(column: str, table: CampaignTable) -> str:
     Raises:
         InputError: There is no such column; it names the nearest.
     """
-    known = table.columns
-    whole, _, part = column.partition(".")
-    if column in known:
-        whole, part = column, ""
-    if whole not in known:
-        close = closest_name(column, known)
-        hint = f'did you mean "{close}"?' if close else f"there are {join_names(known, 'and')}"
-        raise InputError("", f'there is no column "{column}"; {hint}')
-    quoted = '"{}"'.format(whole.replace('"', '""'))
-    if not part:
-        return quoted
+    known, (whole, _, part) = table.columns, column.partition(".")
+    if column in known or whole not in known:
+        return table.quote(column)
+    quoted = table.quote(whole)
     keys = re.sub("""["']""", "", part).split(".")
     path = "".join(f"[{key}]" if key.isdigit() else f'."{key}"' for key in keys)
     return f"CASE WHEN json_valid({quoted}) THEN json_extract({quoted}, '${path}') END"

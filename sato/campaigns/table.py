@@ -5,14 +5,15 @@ import os
 import sqlite3
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sato.atomic import replace_atomically
 from sato.campaigns.definition import Campaign, digest
 from sato.campaigns.trial import Outcome, Trial, as_cell, own_version
-from sato.scenario.errors import InputError, closest_name
+from sato.record import json_default
+from sato.scenario.errors import InputError, closest_name, join_names
 
 if TYPE_CHECKING:  # slow to import
     import pandas
@@ -69,7 +70,7 @@ class CampaignTable:
         if not (is_writer or os.access(folder, os.W_OK) or _has_journal(self.path)):
             mode = "ro&immutable=1"  # SQLite writes beside a table in use, also to read it
         address = f"{self.path.resolve().as_uri()}?mode={mode}"
-        with self._errors():
+        with describe_errors(self.path):
             options: Any = {"uri": True, "timeout": PATIENCE, "isolation_level": None}
             self._connection = sqlite3.connect(address, **options)
             row = self._connection.execute("SELECT * FROM campaign").fetchone()
@@ -77,20 +78,16 @@ class CampaignTable:
         self.fingerprint, self.version = str(row[1]), str(row[2])
         self._names = {name.lower(): name for name in self.columns}
         if is_writer:
-            self._execute("PRAGMA synchronous = NORMAL")  # a killed process loses nothing
+            self.query("PRAGMA synchronous = NORMAL")  # a killed process loses nothing
 
     @classmethod
     def create(cls, folder: Path, campaign: Campaign) -> "CampaignTable":
         """Create the table of a campaign, whole or not at all.
 
         Raises:
-            InputError: The folder holds a campaign.
             TableError: It cannot be written to.
         """
         path = folder / TABLE_FILE
-        if path.exists():
-            cure = "--resume goes on with it, --out takes another place"
-            raise InputError("", f"{folder}: holds a campaign; {cure}")
         values = (campaign.to_json(), campaign.fingerprint, own_version())
         with describe_errors(path), replace_atomically(path) as new:
             connection = sqlite3.connect(new, isolation_level=None)
@@ -117,41 +114,39 @@ class CampaignTable:
     @property
     def columns(self) -> list[str]:
         """Names of all columns."""
-        return [row[1] for row in self._execute("PRAGMA table_info(runs)")]
-
-    @property
-    def parameters(self) -> list[str]:
-        """Names of the columns of parameters."""
-        return [*self.campaign.grid, *self.campaign.draw]
+        return [row[1] for row in self.query("PRAGMA table_info(runs)")]
 
     def __len__(self) -> int:
         """Return the number of rows."""
-        return int(self._execute("SELECT count(*) FROM runs").fetchone()[0])
+        return int(self.query("SELECT count(*) FROM runs").fetchone()[0])
 
-    def rows(
-        self, columns: Sequence[str] = (), exits: Sequence[str] = ()
-    ) -> Iterator[dict[str, Any]]:
+    def rows(self, columns: Sequence[str] = ()) -> Iterator[dict[str, Any]]:
         """Read rows one by one, in the order of their numbers.
 
         Args:
             columns: Names of columns; all if empty.
-            exits: Exits of the rows; all if empty.
 
         Raises:
             InputError: There is no such column.
         """
-        known = self.columns
-        for name in columns:
-            if name not in known:
-                close = closest_name(name, known)
-                hint = f"did you mean {close}?" if close else f"there are {', '.join(known)}"
-                raise InputError("", f'the table has no column "{name}"; {hint}')
-        names = list(columns) or known
-        where = f"WHERE exit IN ({', '.join('?' * len(exits))})" if exits else ""
-        text = f"SELECT {', '.join(map(_quoted, names))} FROM runs {where} ORDER BY row"
-        with self._errors():
-            for values in self._connection.execute(text, tuple(exits)):
+        names = list(columns) or self.columns
+        text = f"SELECT {', '.join(map(self.quote, names))} FROM runs ORDER BY row"
+        with describe_errors(self.path):
+            for values in self._connection.execute(text):
                 yield dict(zip(names, values, strict=True))
+
+    def quote(self, column: str) -> str:
+        """Quote the name of a column for SQL.
+
+        Raises:
+            InputError: There is no such column; it names the nearest.
+        """
+        known = self.columns
+        if column not in known:
+            close = closest_name(column, known)
+            hint = f'did you mean "{close}"?' if close else f"there are {join_names(known, 'and')}"
+            raise InputError("", f'there is no column "{column}"; {hint}')
+        return _quoted(column)
 
     def row(self, number: int) -> dict[str, Any]:
         """Read one row.
@@ -160,7 +155,7 @@ class CampaignTable:
             InputError: There is no such row.
         """
         names = self.columns
-        values = self._execute("SELECT * FROM runs WHERE row = ?", (number,)).fetchone()
+        values = self.query("SELECT * FROM runs WHERE row = ?", (number,)).fetchone()
         if values is None:
             raise InputError("", f"{self.folder}: has no row {number}")
         return dict(zip(names, values, strict=True))
@@ -168,23 +163,23 @@ class CampaignTable:
     def scenario(self, row: dict[str, Any]) -> str | None:
         """Return the scenario file of a row, as it was flown; None where its worker died."""
         query = "SELECT text FROM scenarios WHERE hash = ?"
-        found = self._execute(query, (row["scenario_hash"],)).fetchone()
+        found = self.query(query, (row["scenario_hash"],)).fetchone()
         return found[0] if found else None
 
     def exits(self) -> Counter[str]:
         """Count the rows by exit."""
-        found = dict(self._execute("SELECT exit, count(*) FROM runs GROUP BY exit").fetchall())
+        found = dict(self.query("SELECT exit, count(*) FROM runs GROUP BY exit").fetchall())
         return Counter({name: found[name] for name in EXITS if name in found})
 
     def attempts(self) -> dict[int, int]:
         """Return the attempts of rows that are flown again, by row."""
         query = "SELECT row, attempts FROM runs WHERE exit = ?"
-        return dict(self._execute(query, (INTERRUPTED,)).fetchall())
+        return dict(self.query(query, (INTERRUPTED,)).fetchall())
 
     def numbers_done(self) -> bytearray:
         """Mark the rows that are not flown again: 1 at the number of each."""
         marks = bytearray(self.campaign.runs)
-        for (row,) in self._execute("SELECT row FROM runs WHERE exit != ?", (INTERRUPTED,)):
+        for (row,) in self.query("SELECT row FROM runs WHERE exit != ?", (INTERRUPTED,)):
             if row < len(marks):
                 marks[row] = 1
         return marks
@@ -203,9 +198,9 @@ class CampaignTable:
         return data
 
     def redefine(self, campaign: Campaign) -> None:
-        """Replace the definition, by one with more trials."""
+        """Replace the definition, by one with more trials or another version."""
         text = "UPDATE campaign SET definition = ?, fingerprint = ?, version = ?"
-        self._execute(text, (campaign.to_json(), campaign.fingerprint, own_version()))
+        self.query(text, (campaign.to_json(), campaign.fingerprint, own_version()))
         self.campaign = campaign
 
     def add(self, trial: Trial, outcome: Outcome, attempts: int) -> None:
@@ -215,7 +210,7 @@ class CampaignTable:
             TableError: The disk is full, or another program has locked the table.
         """
         cells, text = self.cells(trial, outcome), outcome.get("scenario")
-        with self._errors(), self._transaction():
+        with describe_errors(self.path), self._transaction():
             if text is not None:
                 values = (cells["scenario_hash"], text)
                 self._connection.execute("INSERT OR IGNORE INTO scenarios VALUES (?, ?)", values)
@@ -229,7 +224,11 @@ class CampaignTable:
     def cells(self, trial: Trial, outcome: Outcome) -> dict[str, Any]:
         """Return the cells of the row of a trial; a name that is taken gets its origin in front."""
         cells = {key: as_cell(value) for key, value in outcome.items() if key in _COLUMNS}
-        cells |= {"row": trial.row, "seed": trial.seed, "parameters": json.dumps(trial.parameters)}
+        cells |= {
+            "row": trial.row,
+            "seed": trial.seed,
+            "parameters": json.dumps(trial.parameters, default=json_default),
+        }
         cells.setdefault("version", own_version())
         cells["scenario"] = trial.scenario_name
         if outcome.get("scenario") is not None:
@@ -272,7 +271,7 @@ class CampaignTable:
     @property
     def booleans(self) -> set[str]:
         """Names of the columns that hold booleans."""
-        rows = self._execute("PRAGMA table_info(runs)")
+        rows = self.query("PRAGMA table_info(runs)")
         return {name for _, name, kind, *_ in rows if kind == "BOOLEAN"}
 
     @property
@@ -281,19 +280,13 @@ class CampaignTable:
         several = {"scenario": len(self.campaign.scenario) > 1, "case": bool(self.campaign.case)}
         names = [*(name for name, varies in several.items() if varies), *self.campaign.grid]
         known = self.columns
-        return [name for name in self.campaign.by or names if name in known]
+        return [*self.campaign.by] or [name for name in names if name in known]
 
     def query(self, text: str, values: Iterable[Any] = ()) -> sqlite3.Cursor:
-        """Read by a statement of SQL of the table `runs`."""
-        return self._execute(text, values)
-
-    def _execute(self, text: str, values: Iterable[Any] = ()) -> sqlite3.Cursor:
-        with self._errors():
+        """Execute a statement of SQL, as of the table `runs`."""
+        with describe_errors(self.path):
             cursor: sqlite3.Cursor = self._connection.execute(text, tuple(values))
         return cursor
-
-    def _errors(self) -> AbstractContextManager[None]:
-        return describe_errors(self.path)
 
 
 def open_table(folder: str | Path) -> CampaignTable:

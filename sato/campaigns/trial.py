@@ -27,7 +27,7 @@ from sato.scenario.errors import InputError, ScenarioError
 from sato.scenario.file import Mission, from_dict
 
 FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")  # "module:function"
-THREAD_VARIABLES = ("OMP", "OPENBLAS", "MKL", "NUMBA")
+THREAD_VARIABLES = [f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")]
 MOST_CELLS = 1000  # of a function of the user's; SQLite takes 2,000 columns
 ERROR_LENGTH = 2000  # of the end of a traceback that is kept
 
@@ -50,6 +50,7 @@ class Trial(NamedTuple):
     keep: str = "none"
     folder: str = ""  # of the campaign
     case: str = ""
+    modules: str = ""  # folder of the modules of functions
 
     @property
     def scenario_name(self) -> str:
@@ -87,6 +88,12 @@ def generator(seed: int, *key: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 
+def add_modules(folder: str) -> None:
+    """Let functions be imported from a folder."""
+    if folder and folder not in sys.path:
+        sys.path.insert(0, folder)
+
+
 def find_function(name: str) -> Callable[..., Any]:
     """Import "module:function".
 
@@ -95,9 +102,11 @@ def find_function(name: str) -> Callable[..., Any]:
     """
     try:
         found: Callable[..., Any] = resolve_name(name)
-    except (ImportError, AttributeError, ValueError) as error:
+    except Exception as error:  # whatever a module of the user's raises
         reason = f"{error}; the module must be beside the campaign's file, or installed"
         raise InputError("", f'"{name}" cannot be imported: {reason}') from error
+    if not callable(found):
+        raise InputError("", f'"{name}" is no function')
     return found
 
 
@@ -117,38 +126,44 @@ def name_of_function(function: object) -> str:
 
 
 def run_trial(trial: Trial) -> Outcome:
-    """Fly a trial in this process, on one thread; errors become part of the outcome."""
+    """Fly a trial in this process, on one thread; errors become part of the outcome.
+
+    Raises:
+        InputError: A function cannot be imported here, which no other trial could either.
+    """
+    add_modules(trial.modules)
+    for name in (trial.function, trial.columns, trial.source):
+        if name and isinstance(name, str):
+            find_function(name)
     reset_peak_memory()
     began = perf_counter()
+    outcome: Outcome = {"exit": "error", "error": None, "version": own_version()}
     with threadpool_limits(1), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", UserWarning)  # others depend on what the process did before
-        outcome = _call(trial) if trial.function else _fly(trial)
+        try:
+            (_call if trial.function else _fly)(trial, outcome)
+        except (Exception, SystemExit):  # whatever it is, it ends this run alone
+            outcome |= {"exit": "error", "error": last_lines()}
     if caught:
         outcome["warnings"] = "; ".join(dict.fromkeys(str(each.message) for each in caught))
     measured = {"wall_s": perf_counter() - began, "peak_memory_mib": peak_memory_mib()}
     return outcome | measured | {"worker": f"{socket.gethostname()}:{os.getpid()}"}
 
 
-def _call(trial: Trial) -> Outcome:
-    outcome: Outcome = {"exit": "error", "error": None, "version": own_version()}
-    try:
-        found = find_function(trial.function)(generator(*trial.stream, 1), **trial.parameters)
-        return outcome | {"exit": "done", "columns": _as_columns(found)}
-    except Exception:
-        return outcome | {"error": last_lines()}
+def _call(trial: Trial, outcome: Outcome) -> None:
+    found = find_function(trial.function)(generator(*trial.stream, 1), **trial.parameters)
+    outcome |= {"exit": "done", "columns": _as_columns(found)}
 
 
-def _fly(trial: Trial) -> Outcome:
-    outcome: Outcome = {"exit": "error", "error": None, "version": own_version()}
+def _fly(trial: Trial, outcome: Outcome) -> None:
     try:
         mission = trial.build_mission()
         outcome["scenario"] = mission.to_toml()
         flown = run(mission, seed=trial.seed)
     except (InputError, ScenarioError) as error:
-        return outcome | {"exit": "refused", "error": str(error)}
-    except Exception:
-        return outcome | {"error": last_lines()}
+        outcome |= {"exit": "refused", "error": str(error)}
+        return
     outcome |= {"exit": judge(flown.summary), "error": _reason(flown.summary)}
     outcome["summary"] = flatten(flown.summary)
     if trial.columns:
@@ -158,7 +173,6 @@ def _fly(trial: Trial) -> Outcome:
             flown.save(Path(trial.folder, "runs", str(trial.row)))
         except OSError as error:
             warnings.warn(f"the run could not be kept: {error}", stacklevel=1)
-    return outcome
 
 
 def judge(summary: Mapping[str, Any]) -> str:
@@ -193,14 +207,15 @@ def as_cell(value: Any) -> Any:
         return value.encode(errors="replace").decode()
     if value is None or isinstance(value, bool):
         return value
-    return json.dumps(value, default=json_default)
+    text = json.dumps(value, default=json_default)
+    return json.dumps(json.loads(text, parse_constant=lambda _: None))  # SQLite reads no NaN
 
 
 @contextmanager
 def one_thread_each() -> Iterator[None]:
     """Let processes that start meanwhile use one thread each."""
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
+    os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
     try:
         yield
     finally:
@@ -215,9 +230,6 @@ def last_lines() -> str:
     return traceback.format_exc()[-ERROR_LENGTH:]
 
 
-_THREADS = [f"{name}_NUM_THREADS" for name in THREAD_VARIABLES]
-
-
 def _reason(summary: Mapping[str, Any]) -> str | None:
     if summary.get("broken"):
         return f"broken: {', '.join(summary['broken'])}"
@@ -228,7 +240,7 @@ def more_columns(function: str, flown: Any) -> Outcome:
     """Apply a function to a run; a fault in it becomes a column, and the run stands."""
     try:
         return _as_columns(find_function(function)(flown))
-    except Exception:
+    except (Exception, SystemExit):  # whatever a function of the user's raises
         return {"columns_error": last_lines()}
 
 
