@@ -1,9 +1,11 @@
 """Missions of few vehicles that meet on purpose."""
 
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 from numpy import ndarray as Array
+from swarms import spread
 
 import sato
 
@@ -27,20 +29,28 @@ def wait_for_late_vehicles(_: np.random.Generator) -> sato.Reconfiguration:
     return _meet(start, target, steps=60, comm_radius=3.0, speed=0.3, margin="auto")
 
 
-def _cross_circle(agents: int, _: np.random.Generator) -> sato.Reconfiguration:
-    angle, radius = 2 * np.pi * np.arange(agents) / agents, max(4.0, 1.2 * agents * RADIUS / np.pi)
-    start = radius * np.column_stack([np.cos(angle), np.sin(angle)])
-    return _swap(start, -start, max(40, int(6 * radius / SWAP_SPEED)))
+def _cross_round(axes: int, agents: int, _: np.random.Generator) -> sato.Reconfiguration:
+    unit, radius = spread(agents, axes, 2.4 * RADIUS)
+    radius = max(4.0, radius)
+    return _swap(radius * unit, -radius * unit, max(40, int(6 * radius / SWAP_SPEED)))
 
 
-def _exchange_columns(spacing: float, _: np.random.Generator) -> sato.Reconfiguration:
-    y = spacing * (np.arange(5) - 2)
-    start = np.vstack([np.column_stack([np.full(5, x), y]) for x in (-5.0, 5.0)])
+def _exchange_columns(rows: int, spacing: float, _: np.random.Generator) -> sato.Reconfiguration:
+    y = spacing * (np.arange(rows) - rows // 2)
+    start = np.vstack([np.column_stack([np.full(rows, x), y]) for x in (-5.0, 5.0)])
     return _swap(start, start * [-1, 1], 50)
 
 
-circle_4, circle_8, circle_16, circle_32 = (partial(_cross_circle, n) for n in (4, 8, 16, 32))
-columns_near, columns_far = (partial(_exchange_columns, spacing) for spacing in (0.6, 1.05))
+# By their numbers: "encounters:circle.of_8".
+NUMBERS = 4, 8, 16, 32, 64
+circle, sphere = (
+    SimpleNamespace(**{f"of_{n}": partial(_cross_round, axes, n) for n in NUMBERS})
+    for axes in (2, 3)
+)
+near, far = (
+    SimpleNamespace(**{f"columns_of_{n}": partial(_exchange_columns, n, gap) for n in (5, 10)})
+    for gap in (0.6, 1.05)
+)
 
 
 def _swap(start: Array, target: Array, steps: int) -> sato.Reconfiguration:
@@ -52,7 +62,7 @@ def _meet(
     start: object, target: object, steps: int, comm_radius: float, speed: float, **options: object
 ) -> sato.Reconfiguration:
     return sato.Reconfiguration(
-        model=sato.DoubleIntegrator(2),
+        model=sato.DoubleIntegrator(np.shape(target)[1]),
         start=np.asarray(start),
         legs=[sato.Leg(sato.Points(target, keep_order=True), steps=steps)],
         step=1.0,

@@ -1,45 +1,22 @@
 """Random missions of reconfigurations, drawn for campaigns, and what is asked of them."""
 
+import json
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
+from swarms import place
 
 import sato
 
-RATIO = 3.0  # of the largest radius or limit to the smallest
-RADIUS, CONTROL, SPEED = 0.5, 0.04, 0.25  # the smallest [m, m/s², m/s]
-START_FACTOR, TARGET_FACTOR = 1.1, 1.5  # of the distances apart, over those required
-CROWDING = 5.0  # side of the box for two vehicles, over the largest required distance
+LSC = Path(__file__).parents[1] / "tests" / "data" / "lsc_missions.json"
 HALVED = np.array([1.0, 1.0, 0.5])
-ALWAYS = 10_000  # steps, more than any leg has
-
-
-def unequal(rng: np.random.Generator) -> sato.Reconfiguration:
-    """Draw 3 to 12 vehicles with radii and limits of their own, in the plane or in space."""
-    count, axes = int(rng.integers(3, 13)), int(rng.integers(2, 4))
-    radii, control, speed = (
-        least * rng.uniform(1, RATIO, count) for least in (RADIUS, CONTROL, SPEED)
-    )
-    widest = float(np.sort(radii)[-2:].mean())
-    side = CROWDING * widest * (count / 2) ** (1 / axes)
-    start = _place(rng, START_FACTOR * radii, side, axes)
-    target = _place(rng, np.full(count, TARGET_FACTOR * widest), side, axes)
-    return sato.Reconfiguration(
-        model=sato.DoubleIntegrator(axes),
-        start=start,
-        legs=(sato.Leg(target, steps="auto"),),
-        step=1.0,
-        comm_radius=20 * side,
-        collision_radius=tuple(radii.tolist()),
-        max_control=tuple(control.tolist()),
-        max_speed=tuple(speed.tolist()),
-        horizon_steps=6,
-        replan_steps=2,
-        foresight_steps=ALWAYS,
-    )
+START_FACTOR = 1.1  # of the distances apart, over those required
 
 
 def automatic(rng: np.random.Generator) -> sato.Reconfiguration:
@@ -68,26 +45,11 @@ def automatic(rng: np.random.Generator) -> sato.Reconfiguration:
     )
 
 
-def room(_: np.random.Generator) -> dict[str, Any]:
-    """Return a mission whose limits along z are halved, for starts and targets given by a case."""
-    limits = {
-        "max_control_axes_m_s2": (2.0 * HALVED).tolist(),
-        "max_speed_axes_m_s": (1.0 * HALVED).tolist(),
-        "speed_norm": "inf",
-    }
-    return _room(limits)
-
-
-def ball(_: np.random.Generator) -> dict[str, Any]:
-    """Return a mission whose limits along z are those of x and y."""
-    return _room({"max_control_m_s2": 2.0, "max_speed_m_s": 1.0})
-
-
 def crowd(rng: np.random.Generator) -> sato.Reconfiguration:
     """Draw 4 to 12 vehicles, 1.1 R apart and farther, with given targets, and how they plan."""
     axes, count = int(rng.integers(2, 4)), int(rng.integers(4, 13))
     side, radii = rng.uniform(1.5, 3.0) * count ** (1 / axes), np.full(count, START_FACTOR)
-    start, target = _place(rng, radii, side, axes), _place(rng, radii, side, axes)
+    start, target = place(rng, radii, side, axes), place(rng, radii, side, axes)
     mission = sato.Reconfiguration(
         model=sato.DoubleIntegrator(axes),
         start=start,
@@ -121,40 +83,31 @@ def judge_steps(run: sato.Run) -> dict[str, Any]:
     }
 
 
-def _room(limits: dict[str, Any]) -> dict[str, Any]:
-    ends = np.eye(2, 3)  # in whose place a case puts others
-    return {
-        "system": "reconfiguration",
-        "name": "room",
-        "swarm": {
-            "start": {"kind": "points", "positions_m": ends.tolist()},
-            "comm_radius_m": 1e3,
-            "collision_radius_m": 0.3,
-        },
-        "model": {"kind": "double_integrator", "dimension": 3, **limits},
-        "leg": [
-            {
-                "shape": {"kind": "points", "positions_m": ends.tolist()},
-                "steps": "auto",
-                "time_factor": 1.6,
-            }
-        ],
-        "plan": {"step_s": 0.2, "assignment": "given", "foresight_steps": ALWAYS},
+def _room(case: dict[str, list[list[float]]], _: np.random.Generator) -> sato.Reconfiguration:
+    start, goal = (np.array(case[name]) * HALVED for name in ("start", "goal"))
+    return sato.Reconfiguration(
+        model=sato.DoubleIntegrator(3),
+        start=start,
+        legs=(sato.Leg(sato.Points(goal, keep_order=True), "auto", time_factor=1.6),),
+        step=0.2,
+        comm_radius=1e3,
+        collision_radius=0.3,
+        max_control_axes=tuple(2.0 * HALVED),
+        max_speed_axes=tuple(1.0 * HALVED),
+        speed_norm="inf",
+        assignment="given",
+        foresight_steps=10_000,  # the whole leg
+    )
+
+
+# Missions of the LSC planner [Park2022], by name, with z halved, the limits along z too: a ball
+# stands for the ellipsoid of a quadrotor's downwash.
+lsc = SimpleNamespace(
+    **{
+        name: partial(_room, case)
+        for name, case in json.loads(LSC.read_text(encoding="utf-8"))["missions"].items()
     }
-
-
-def _place(
-    rng: np.random.Generator, radii: Float[Array, " k"], side: float, axes: int
-) -> Float[Array, "k d"]:
-    """Draw points in a box, two at least (R_i + R_j)/2 apart; a larger box where it is full."""
-    placed: list[Array] = []
-    while len(placed) < len(radii):
-        side *= 1.001
-        point, own = rng.uniform(-side / 2, side / 2, axes), radii[len(placed)]
-        required = (radii[: len(placed)] + own) / 2
-        if not placed or (np.linalg.norm(np.array(placed) - point, axis=1) >= required).all():
-            placed.append(point)
-    return np.array(placed)
+)
 
 
 def _scatter(rng: np.random.Generator, count: int, axes: int) -> Float[Array, "count d"]:
