@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated
@@ -69,8 +69,10 @@ def run_command(
                 progress=show,
             )
     except KeyboardInterrupt:
-        echo(f"sato: interrupted; {_describe(folder)}; --resume goes on", err=True)
-        raise Exit(EXIT_FAILED) from None
+        with suppress(InputError):  # there is no table yet
+            echo(f"sato: interrupted; {_describe(folder)}; --resume goes on", err=True)
+            raise Exit(EXIT_FAILED) from None
+        raise
     echo(_describe(folder))
     echo(str(folder))
 

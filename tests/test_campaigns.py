@@ -120,7 +120,10 @@ def test_a_definition_survives_its_file_and_its_json(tmp_path):
     [
         ("plan.horizon_steps", "plan.horizon_step", "did you mean plan.horizon_steps?"),
         ('"swarm.comm_radius_m"', '"swarm.comm_radius"', "has no unit; write comm_radius_m"),
-        ("[1, 2]", "[]", "must be a list of values"),
+        ("[1, 2]", "1", "must be a list of values, got 1"),
+        ("[1, 2]", "[]", "must have at least one value"),
+        ("[1, 2]", "[1979-05-27]", "no table holds datetime.date(1979, 5, 27)"),
+        ("[campaign]", "campaign = 3\n[grid.x]", "campaign: must be a table"),
         ("uniform", "unifrom", 'did you mean "uniform"?'),
         ("trials = 3", "trails = 3", "did you mean trials?"),
         ("trials = 3", "trials = 1_000_000", "--yes"),

@@ -26,7 +26,6 @@ from sato.campaigns.trial import (
     generator,
     name_of_function,
 )
-from sato.record import json_default
 from sato.scenario.definition import Convert, Definition, In, NotNegative, Positive, errors_in
 from sato.scenario.errors import InputError, ScenarioError, closest_name, format_value
 from sato.scenario.file import Mission, Name, load_toml, read_data
@@ -71,8 +70,10 @@ def _as_lists(value: Any) -> dict[str, tuple[Any, ...]]:
     grid = {}
     for key, values in _flatten_tables(value or {}):
         values = values.tolist() if isinstance(values, Array) else values
-        if not isinstance(values, list | tuple | range) or not len(values):
-            raise InputError(key, f"must be a list of values, got {format_value(values) or '[]'}")
+        if not isinstance(values, list | tuple | range):
+            raise InputError(key, f"must be a list of values, got {format_value(values)}")
+        if not values:
+            raise InputError(key, "must have at least one value")
         grid[key] = tuple(part.item() if isinstance(part, np.generic) else part for part in values)
     return grid
 
@@ -210,6 +211,7 @@ class Campaign(Definition):
         Raises:
             InputError: It names the key, and the nearest one.
         """
+        self.to_json()  # refuses values that no table holds
         add_modules(self.modules)
         if self.columns:
             with errors_in("campaign.columns"):
@@ -294,9 +296,9 @@ def read_campaign(path: Path, **changes: Any) -> Campaign:
         reason = getattr(error, "strerror", None) or "not UTF-8 text"
         raise ScenarioError(f"{path}: cannot be read: {reason}") from error
     try:
-        table = data.setdefault("campaign", {})
+        name, table = data.pop("name"), data.setdefault("campaign", {})
         if isinstance(table, dict):
-            table.setdefault("name", data.pop("name"))
+            table.setdefault("name", name)
             table |= {key: value for key, value in changes.items() if value is not None}
             if isinstance(modules := table.get("modules", ""), str):
                 table["modules"] = str((path.parent / modules).resolve())
@@ -340,6 +342,10 @@ def _beside(name: Any, folder: Path) -> Any:
 
 def _to_json(value: Any) -> str:
     def default(part: Any) -> Any:
-        return tomllib.loads(part.to_toml()) if isinstance(part, Mission) else json_default(part)
+        if isinstance(part, Mission):
+            return tomllib.loads(part.to_toml())
+        if isinstance(part, Array | np.generic):
+            return part.tolist()
+        raise InputError("", f"no table holds {part!r}; numbers, texts, lists and tables would do")
 
     return json.dumps(value, default=default)

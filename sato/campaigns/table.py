@@ -66,13 +66,14 @@ class CampaignTable:
         self.folder, self.path = folder, folder / TABLE_FILE
         if not self.path.is_file():
             raise InputError("", f"{folder}: holds no campaign; `sato campaign run` makes one")
-        mode = "rw" if is_writer else "ro"
+        mode = "rw"  # SQLite writes beside a table in use, also to read it
         if not (is_writer or os.access(folder, os.W_OK) or _has_journal(self.path)):
-            mode = "ro&immutable=1"  # SQLite writes beside a table in use, also to read it
+            mode = "ro&immutable=1"
         address = f"{self.path.resolve().as_uri()}?mode={mode}"
         with describe_errors(self.path):
             options: Any = {"uri": True, "timeout": PATIENCE, "isolation_level": None}
             self._connection = sqlite3.connect(address, **options)
+            self._connection.execute(f"PRAGMA query_only = {not is_writer}")
             row = self._connection.execute("SELECT * FROM campaign").fetchone()
         self.campaign = Campaign.from_json(row[0])
         self.fingerprint, self.version = str(row[1]), str(row[2])
