@@ -73,8 +73,8 @@ def build_dataset(
         mission: Mission that was flown, drawn.
         stopped: Reason why the flight ended early; empty where it did not.
         attributes: Name of the scenario, its file as `scenario`, from which the run can be
-            repeated, seed and version; and wall_s and peak_memory_mib, the time [s] and memory
-            [MiB] that the simulation took.
+            repeated, its `origin` (`sato.scenario.origin`), seed and version; and wall_s and
+            peak_memory_mib, the time [s] and memory [MiB] that the simulation took.
     """
     import xarray
 
@@ -140,8 +140,8 @@ def load(path: Path) -> tuple["xarray.Dataset", dict[str, Any]]:
         raise RunFileError(text) from error
     _check_format(file, data)
     beside = file.with_name(SUMMARY_FILE)
-    found = _read_summary(beside) if file.name == RUN_FILE and beside.is_file() else {}
-    return data, found or initial_summary(data.attrs)
+    found = _read_summary(beside) if file.name == RUN_FILE and beside.is_file() else None
+    return data, initial_summary(data.attrs) if found is None else found
 
 
 def compute_digest(data: "xarray.Dataset") -> str:

@@ -25,6 +25,7 @@ from sato.interfaces import Frame, System
 from sato.resource_usage import peak_memory_mib
 from sato.scenario.errors import InputError, ScenarioError, format_value
 from sato.scenario.file import Mission, from_dict, parse, read
+from sato.scenario.origin import Origin
 from sato.summary import summary_rows
 from sato.systems import load_system
 
@@ -133,10 +134,11 @@ def run(
         ValueError: The scenario cannot be flown; nothing was.
     """
     began = perf_counter()
+    overrides = overrides if isinstance(overrides, str) else tuple(overrides)
     # With matrices as small as these, the threads of BLAS only wait for each other.
     with threadpool_limits(1, user_api="blas"):
         mission, drawn, rng = _draw(scenario, seed, overrides)
-        system = load_system(mission.system)
+        system, origin = load_system(mission.system), Origin.of(scenario, overrides)
         for sentence in drawn.warnings():
             warnings.warn(sentence, stacklevel=2)
         callback = progress if callable(progress) else (lambda mission, frame: None)
@@ -153,6 +155,7 @@ def run(
             wall_s=perf_counter() - began,
             peak_memory_mib=peak_memory_mib(),
             scenario=mission.to_toml(),
+            origin=origin.to_json(),
             stopped=stopped,
         )
         return _add_check_results(Run(data, record.initial_summary(data.attrs), mission))

@@ -10,6 +10,8 @@ import numpy as np
 from sato.check import common
 from sato.check.report import Promise, Report, expect_none
 from sato.record import RunFileError, RunRecord, compute_digest, initial_summary
+from sato.scenario.file import load_toml
+from sato.scenario.origin import Origin
 from sato.systems import load_system
 
 if TYPE_CHECKING:
@@ -39,12 +41,26 @@ def verify_run(
         text = "the run file was altered since it was written; fly the scenario again"
         raise RunFileError(f"{text} ({type(error).__name__}: {error})") from error
     text = "alteration of the file since it was written"
-    first = expect_none("unaltered", not is_unaltered, text)
-    report = replace(found, promises=(first, *found.promises))
+    first = expect_none("unaltered", not is_unaltered, text), _check_scenario(data)
+    report = replace(found, promises=(*first, *found.promises))
     if summary is None or mission is None:
         return report
     last = _check_summary(data, summary, report, is_unaltered)
     return replace(report, promises=(*report.promises, last))
+
+
+def _check_scenario(data: "xarray.Dataset") -> Promise:
+    # A file or a mission from Python may be anything, and the report says so.
+    name, text = "scenario", str(data.attrs["scenario"])
+    try:
+        origin, says = Origin.from_json(data.attrs["origin"]), load_toml(text, "run.nc")
+    except (LookupError, TypeError, ValueError):
+        return expect_none(name, 1, "missing record of where the scenario comes from")
+    if (says["name"], says["system"]) != (data.attrs["name"], data.attrs["system"]):
+        return expect_none(name, 1, f"other name or system than in the file: {says['name']}")
+    if not origin.gives(text):
+        return expect_none(name, 1, f"scenario in the file that is not {origin}")
+    return Promise(name, True, 0.0, 0.0, str(origin))
 
 
 def _check(data: "xarray.Dataset", mission: Any) -> Report:
@@ -71,12 +87,14 @@ def _check_without_mission(data: "xarray.Dataset") -> Report:
 def _check_summary(
     data: "xarray.Dataset", summary: Mapping[str, Any], report: Report, is_unaltered: bool
 ) -> Promise:
-    # The summary of a run that is not checked yet has few entries.
-    expected = initial_summary(data.attrs) | report.summary
-    expected["broken"] = [promise.name for promise in report.broken]
-    names = [name for name in summary if is_unaltered or name != "broken"]
-    wrong = [n for n in names if n not in expected or _differs(summary[n], expected[n])]
-    text = "entries of summary.json that differ from the data"
+    first = initial_summary(data.attrs)
+    if not _differs(summary, first):
+        return expect_none("summary", 0, "results in the summary, which is of no check yet")
+    expected = first | report.summary | {"broken": [promise.name for promise in report.broken]}
+    names = [name for name in {**expected, **summary} if is_unaltered or name != "broken"]
+    both = expected.keys() & summary.keys()
+    wrong = [n for n in names if n not in both or _differs(summary[n], expected[n])]
+    text = "entries of summary.json that are missing or differ from the data"
     if wrong:
         text += f": {', '.join(wrong)}"
     return expect_none("summary", len(wrong), text)

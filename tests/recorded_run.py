@@ -14,6 +14,7 @@ from sato.reconfiguration.state import ReconfigurationFrame
 from sato.reconfiguration.system import SYSTEM
 from sato.record import build_dataset, initial_summary
 from sato.runs import Run
+from sato.scenario.origin import Origin
 from sato.shapes import Points
 
 
@@ -27,7 +28,8 @@ def record_run(system, frames, mission, definition=None, **attributes):
         definition: Mission before it was drawn, where the test loads or checks the run.
         attributes: Attributes of the run other than those below.
     """
-    about = {"name": "by hand", "seed": 3, "version": "0", "wall_s": 1.0, "peak_memory_mib": 1.0}
+    about = {"name": mission.name, "seed": 3, "version": "0", "wall_s": 1.0, "peak_memory_mib": 1.0}
+    about |= {"origin": Origin("python").to_json()}
     text = "" if definition is None else definition.to_toml()
     data = build_dataset(system, list(frames), mission, scenario=text, **(about | attributes))
     return Run(data, initial_summary(data.attrs), definition)

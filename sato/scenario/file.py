@@ -179,6 +179,19 @@ def from_dict(
     return mission
 
 
+def spell_out(name: str | Path, overrides: Iterable[str]) -> tuple[str, ...]:
+    """Write overrides of a scenario as "table.key = value", each with all its tables.
+
+    Raises:
+        ScenarioError: There is no such scenario, or it is no TOML.
+        InputError: There is no such key, or there is one in several tables.
+    """
+    data = load_toml(_read_text(name)[0], str(name))
+    definition = definition_of(data.pop("system", ""))
+    written = [(each, each.partition("=")[2].strip()) for each in overrides]
+    return tuple(f"{override(data, each, definition)} = {value}" for each, value in written)
+
+
 def _copied(value: Any, folder: Path | None, key: str = "") -> Any:
     # Files that a scenario names lie beside it, wherever it is run from.
     if isinstance(value, dict):

@@ -32,7 +32,7 @@ class Spot(NamedTuple):
 Setting = str | tuple[str, Any]
 
 
-def override(data: dict[str, Any], setting: Setting, definition: Any) -> None:
+def override(data: dict[str, Any], setting: Setting, definition: Any) -> str:
     """Change a scenario's tables in place.
 
     Args:
@@ -41,6 +41,9 @@ def override(data: dict[str, Any], setting: Setting, definition: Any) -> None:
             the key alone; a list of tables is meant as a whole unless a number picks one of
             them. The value of a text is TOML, or else the bare text.
         definition: Mission of the system, whose keys the tables may have.
+
+    Returns:
+        The key with all its tables, as in "swarm.agents".
 
     Raises:
         InputError: There is no such key, or there is one in several tables.
@@ -65,6 +68,7 @@ def override(data: dict[str, Any], setting: Setting, definition: Any) -> None:
         for old in spot.same_keys(key):
             del table[old]
         table[key] = deepcopy(value)
+    return addresses[0] if address == plain else address  # numbers pick tables of a list
 
 
 def _split(setting: str) -> tuple[str, Any]:

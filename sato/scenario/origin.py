@@ -1,0 +1,63 @@
+"""Origin of a run's scenario: a built-in one, a file or Python, and the overrides."""
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from sato.scenario.errors import ScenarioError
+from sato.scenario.file import read, scenarios, spell_out
+
+
+class Origin(NamedTuple):
+    """Source of a scenario, and what was changed in it."""
+
+    kind: Literal["built-in", "file", "python"]
+    name: str = ""  # of the built-in scenario, or of the file
+    overrides: tuple[str, ...] = ()  # "table.key = value", each with all its tables
+
+    @classmethod
+    def of(cls, scenario: object, overrides: Iterable[str]) -> "Origin":
+        """Return the origin of a scenario that can be read with these overrides."""
+        if not isinstance(scenario, str | Path):
+            return cls("python")
+        settings = spell_out(scenario, overrides)
+        if str(scenario) in scenarios():
+            return cls("built-in", str(scenario), settings)
+        return cls("file", Path(scenario).name, settings)
+
+    @classmethod
+    def from_json(cls, text: str) -> "Origin":
+        """Read what `to_json` wrote.
+
+        Raises:
+            ValueError: It is something else.
+        """
+        match json.loads(text):
+            case {
+                "kind": "built-in" | "file" | "python" as kind,
+                "name": str(name),
+                "overrides": list(overrides),
+            }:
+                return cls(kind, name, tuple(overrides))
+        raise ValueError(f"must be the origin of a scenario, got {text}")
+
+    def to_json(self) -> str:
+        """Write the origin for the attributes of a run file."""
+        return json.dumps(self._asdict())
+
+    def __str__(self) -> str:
+        """Describe the scenario: "random with swarm.agents = 500"."""
+        if self.kind == "python":
+            return "a mission from Python"
+        source = f"the file {self.name}" if self.kind == "file" else self.name
+        return " with ".join(filter(None, [source, ", ".join(self.overrides)]))
+
+    def gives(self, text: str) -> bool:
+        """Tell whether it gives this scenario; a file or Python may give any."""
+        if self.kind != "built-in":
+            return True
+        try:
+            return read(self.name, self.overrides).to_toml() == text
+        except ScenarioError:
+            return False
