@@ -98,7 +98,7 @@ def bent(values, by=1e-6):
         ("yaw_rate", lambda w: bent(w, 2.0), {"turn", "heading"}),
         ("yaw", bent, {"heading", "obedience"}),
         ("stick", bent, {"stick", "obedience"}),
-        ("alive", lambda lives: ~lives, {"alive", "losses"}),
+        ("alive", lambda lives: ~lives, {"alive"}),
         ("component", lambda labels: labels + np.arange(6), {"component"}),
         ("edge_weight", bent, {"weights", "eigenvalues"}),
         ("lambda2", lambda x: x + 1e-6, {"eigenvalues"}),
@@ -133,7 +133,7 @@ def test_missing_and_invented_events_are_detected():
     assert {"stick"} <= broken(retold(run, [e for e in told if e["kind"] == "loss"]), mission)
     more = [*told, {"time": 2.9, "kind": "waypoint", "agents": [0], "number": 2}]
     assert {"stick"} <= broken(retold(run, more), mission)
-    assert {"losses"} <= broken(run, replace(mission, losses=()))
+    assert {"alive"} <= broken(run, replace(mission, losses=()))
 
 
 def test_weights_by_range_alone_lose_connectivity_and_fail():

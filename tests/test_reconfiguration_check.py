@@ -25,11 +25,11 @@ from dynamics.propagation import Impact
 from problems.assignment import solve_assignment
 from problems.conic import Infeasible
 from problems.transfer import TransferProblem
-from sato.check.common import check_times
+from sato.check.common import EventLog, check_times
 from sato.cli import app
 from sato.reconfiguration.check import ReconfigurationRecord
 from sato.reconfiguration.check.fuel import compute_agent_bounds, compute_step_fuel
-from sato.reconfiguration.check.promises import check_assignment
+from sato.reconfiguration.check.legs import check_assignment
 
 STATES = ["position", "velocity"]
 
@@ -101,7 +101,7 @@ def test_another_value_breaks_the_promise_about_it(flown, name, where, value, pr
 @pytest.mark.parametrize("instant", range(23))
 def test_altered_time_or_target_index_is_found_at_any_instant(flown, instant):
     time = altered(flown, "time", instant, by=1e-6).data["time"].values
-    assert not check_times(time, flown.mission.step).kept
+    assert not check_times(EventLog(time, ()), flown.mission.step).kept
     for agent, value in [(0, 8), (3, -1), (2, 5)]:
         if int(flown.data["target_index"][instant, agent]) != value:
             run = altered(flown, "target_index", (instant, agent), value)
@@ -144,11 +144,6 @@ def at_leg_ends(**values):
 )
 def test_events_that_the_instants_contradict_are_found(flown, change, promise):
     assert promise in broken(with_events(flown, change))
-
-
-def test_infeasible_program_breaks_a_promise(flown):
-    event = {"time": 3.0, "kind": "infeasible", "agents": [1], "what": "avoidance"}
-    assert broken(with_events(flown, lambda events: [*events, event])) == {"feasible"}
 
 
 def test_interrupted_run_is_not_complete():
@@ -269,6 +264,8 @@ def test_saved_run_passes_from_its_file_alone(saved):
     said = CliRunner().invoke(app, ["check", str(saved), "--json"])
     assert said.exit_code == 0
     assert json.loads(said.stdout) == json.loads(json.dumps(report.as_dict()))
+    messages = {promise.name: promise.message for promise in report.promises}
+    assert messages["scenario"] == "random with swarm.agents = 8"
     assert json.loads((saved / "summary.json").read_text()).items() >= report.summary.items()
 
 

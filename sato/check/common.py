@@ -1,7 +1,8 @@
 """Events and promises that the runs of every system have."""
 
 import json
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -44,6 +45,33 @@ class EventLog:
         """Return the events of some kinds, each with the index of its instant."""
         timed = zip(self.instants, self.events, strict=True)
         return [(k, event) for k, event in timed if event["kind"] in kinds]
+
+
+Change = tuple[int, str, int]  # instant, "loss" or "join", and agent
+
+
+@dataclass(frozen=True, eq=False)
+class Schedule:
+    """Losses and joins that a run should have had."""
+
+    alive: Alive
+    events: list[Change]
+
+    @classmethod
+    def from_events(
+        cls, start: Bool[Array, " agents"], instants: int, events: list[Change]
+    ) -> "Schedule":
+        """Return the schedule of these events, in the order of time.
+
+        Args:
+            start: True for agents that are there at the start.
+            instants: Number of instants of the run.
+            events: Losses and joins, one an agent.
+        """
+        alive = np.tile(start, (instants, 1))
+        for k, kind, agent in events:
+            alive[k:, agent] = kind == "join"
+        return cls(alive, events)
 
 
 class ClosestPair(NamedTuple):
@@ -131,10 +159,13 @@ def check_attributes(attributes: Mapping[str, Any], expected: Mapping[str, Any])
     return expect_none("attributes", wrong, "radii or limits that are not the scenario's")
 
 
-def check_times(time: Float[Array, " instants"], step: float) -> Promise:
-    """Check that instants are a step [s] apart, from zero on."""
-    errors = time - step * np.arange(len(time))
-    promise = expect_small_error("times", errors, 1e-9 * step, "s off from one step to the next")
+def check_times(log: EventLog, step: float) -> Promise:
+    """Check that instants are a step [s] apart, from zero on, and events at instants."""
+    time = log.time
+    given = np.array([event["time"] for event in log.events], dtype=float)
+    errors = np.concatenate([time - step * np.arange(len(time)), given - time[log.instants]])
+    text = "s off from the steps, of an instant or an event"
+    promise = expect_small_error("times", errors, 1e-9 * step, text)
     is_later = np.diff(time) > 0
     if is_later.all():
         return promise
@@ -150,13 +181,27 @@ def check_finite(alive: Alive, *states: Float[Array, "instants agents ..."]) -> 
     return expect_none("numbers", wrong, "states of live agents that are not finite")
 
 
-def check_alive(alive: Alive, log: EventLog) -> Promise:
-    """Check that agents join and are lost with an event, and only so."""
-    expected = alive[:1].repeat(len(alive), axis=0)
-    for k, event in log.of_kind("loss", "join"):
-        expected[k:, np.asarray(event["agents"], dtype=np.int64)] = event["kind"] == "join"
-    text = "instants of an agent alive or not against the events"
-    return expect_none("alive", expected != alive, text)
+def check_alive(alive: Alive, log: EventLog, schedule: Schedule | None = None) -> Promise:
+    """Check that agents join and are lost as scheduled, each with its event, and only so.
+
+    Args:
+        alive: True for agents that take part, at each instant.
+        log: Events of the run.
+        schedule: Losses and joins of the mission; without it, those of the events are believed.
+    """
+    timed = log.of_kind("loss", "join")
+    found = [(k, event["kind"], int(i)) for k, event in timed for i in event["agents"]]
+    if schedule is None:
+        schedule = Schedule.from_events(alive[0], len(alive), found)
+    odd = _count_differences(found, schedule.events)
+    odd += int((schedule.alive != alive).sum())
+    text = "instants or events of an agent alive or not against the scenario"
+    return expect_none("alive", odd, text)
+
+
+def _count_differences(found: Iterable[object], expected: Iterable[object]) -> int:
+    a, b = Counter(found), Counter(expected)
+    return (a - b).total() + (b - a).total()
 
 
 def check_components(frames: Frame, radius: float) -> Promise:

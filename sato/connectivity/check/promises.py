@@ -49,9 +49,9 @@ def check_run(
     promises = (
         common.check_complete(record.attributes, lacking),
         common.check_attributes(record.attributes, run_attributes(mission)),
-        common.check_times(frames.time, mission.step),
+        common.check_times(record.events, mission.step),
         common.check_finite(frames.alive, *states),
-        common.check_alive(frames.alive, record.events),
+        common.check_alive(frames.alive, record.events, schedule_losses(record)),
         *check_start(record),
         *check_motion(record),
         *check_commands(record),
@@ -63,15 +63,19 @@ def check_run(
     return Report(promises, record.summarize())
 
 
-def check_start(record: ConnectivityRecord) -> Iterator[Promise]:
-    """Check that agents start at rest as the scenario says, and are lost when it says."""
-    mission, frames = record.mission, record.frames
-    expected, start = np.ones_like(frames.alive), mission.initial_position
+def schedule_losses(record: ConnectivityRecord) -> common.Schedule:
+    """Return the losses of the mission, each at the first instant that is not before it."""
+    mission, (instants, agents) = record.mission, record.frames.alive.shape
+    time, events = mission.step * np.arange(instants), list[common.Change]()
     for loss in mission.losses:
-        is_late = mission.step * np.arange(len(expected)) >= loss.time - TOLERANCE
-        expected[is_late, loss.agent] = False
-    text = "times an agent was alive or not against the scenario"
-    yield expect_none("losses", expected != frames.alive, text)
+        is_late = time >= loss.time - TOLERANCE
+        events += [(int(np.argmax(is_late)), "loss", int(loss.agent))] * bool(is_late.any())
+    return common.Schedule.from_events(np.ones(agents, dtype=bool), instants, events)
+
+
+def check_start(record: ConnectivityRecord) -> Iterator[Promise]:
+    """Check that agents start at rest as the scenario says."""
+    mission, frames, start = record.mission, record.frames, record.mission.initial_position
     if frames.position.shape[1:] != start.shape:
         yield expect_none("start", 1, "another number of agents than the scenario's")
         return

@@ -81,7 +81,10 @@ def compute_energy_shortfall(
             return 0.0
         least = costs.compute_assignment().bound
         saved = _correction_cost(record, leg, costs.held, "energy").sum()
-    return float(np.nan_to_num((least**0.5 - used**0.5 - saved**0.5) / max(least**0.5, 1e-12)))
+    most = float(np.linalg.norm(record.mission.largest_control))
+    most *= (record.mission.step * leg.step_count * int(leg.alive.sum())) ** 0.5
+    scale = max(least**0.5, 1e-3 * most)  # a bound that is nearly 0 is known to rounding
+    return float(np.nan_to_num((least**0.5 - used**0.5 - saved**0.5) / scale))
 
 
 def _make_leg_costs(

@@ -4,11 +4,14 @@ Agents may know better than the model that they share, where each linearizes abo
 trajectory; the error of the shared model bounds theirs.
 """
 
+from typing import NamedTuple
+
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from numpy.random import Generator
 
+from sato.check.common import Change, Schedule
 from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
 from sato.reconfiguration.disturbances import disturb_control, draw_losses, measure
 
@@ -79,33 +82,57 @@ def _max_plan_age(record: ReconfigurationRecord) -> Int[Array, " instants"]:
     return age
 
 
-def redraw_disturbances(
-    record: ReconfigurationRecord, rng: Generator
-) -> tuple[Float[Array, "steps agents n"], Float[Array, "steps agents d"]]:
+class Redrawn(NamedTuple):
+    """Losses, joins, noise and errors of a run, as its mission and seed give them."""
+
+    schedule: Schedule
+    measured: Float[Array, "steps agents n"]  # states as measured
+    applied: Float[Array, "steps agents d"]  # controls as applied
+
+
+def redraw(record: ReconfigurationRecord, rng: Generator) -> Redrawn:
     """Draw again, in the order of the loop: losses, measurements, disturbances, thruster errors.
 
+    An event of the mission that comes after the end of its leg is scheduled for instant −1, at
+    which nothing can happen.
+
     Args:
-        record: Run; the agents that are lost are taken from its events.
+        record: Run.
         rng: Generator as the drawing of the mission left it.
-
-    Returns:
-        Measured states and applied controls that the seed gives, for every control step.
     """
+    mission, alive = record.mission, record.mission.alive
     measured, applied = record.state[:-1].copy(), record.frames.control[:-1].copy()
+    expected, events = np.tile(alive, (len(record.time), 1)), list[Change]()
     for leg in record.leg_records:
-        for k in range(leg.start_index, leg.end_index):
-            _redraw_losses(record, leg, k, rng)
-            measured[k] = measure(record.mission, measured[k], rng)
-            applied[k] = disturb_control(record.mission, applied[k], rng)
-    return measured, applied
+        for k in range(leg.start_index, leg.end_index + 1):
+            events += _redraw_changes(record, leg, k, alive, rng)
+            expected[k] = alive
+            if k < leg.end_index:
+                measured[k] = measure(mission, measured[k], rng)
+                applied[k] = disturb_control(mission, applied[k], rng)
+        expected[leg.end_index :] = alive
+        if leg.end_event is not None:
+            due = [at_step for _, at_step in mission.joining(leg.leg_index)]
+            due += [loss.at_step for loss in mission.legs[leg.leg_index].losses]
+            events += [(-1, "", -1) for at_step in due if at_step > leg.step_count]
+    return Redrawn(Schedule(expected, events), measured, applied)
 
 
-def _redraw_losses(record: ReconfigurationRecord, leg: LegRecord, k: int, rng: Generator) -> None:
-    losses = record.mission.legs[leg.leg_index].losses
-    due = [loss for loss in losses if loss.at_step == k - leg.start_index]
-    lost = [event["agents"] for at, event in record.events.of_kind("loss") if at == k]
-    alive = record.frames.alive[k].copy()
-    alive[[i for agents in lost for i in agents]] = True
-    for loss, agents in zip(due, lost, strict=False):
-        draw_losses(loss, record.frames.position[k], alive, rng)
-        alive[agents] = False
+def _redraw_changes(
+    record: ReconfigurationRecord,
+    leg: LegRecord,
+    k: int,
+    alive: Bool[Array, " agents"],
+    rng: Generator,
+) -> list[Change]:
+    # Joins and losses at an instant of a leg, which change `alive` in place.
+    mission, at_step = record.mission, k - leg.start_index
+    joined = [i for agents, at in mission.joining(leg.leg_index) if at == at_step for i in agents]
+    alive[joined] = True
+    changes: list[Change] = [(k, "join", i) for i in joined]
+    for loss in mission.legs[leg.leg_index].losses:
+        if loss.at_step == at_step:
+            lost = draw_losses(loss, record.frames.position[k], alive, rng)
+            alive[lost] = False
+            changes += [(k, "loss", i) for i in lost]
+    return changes

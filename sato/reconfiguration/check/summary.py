@@ -117,11 +117,12 @@ def compute_terminal_errors(
 
 
 def is_reached(record: ReconfigurationRecord, leg: LegRecord) -> bool:
-    """Tell whether every live agent is at the target that it alone holds."""
+    """Tell whether every live agent is at the target that it alone holds, and there is one."""
     position, velocity = compute_terminal_errors(record, leg)
     is_near = position <= record.mission.position_tolerance
     is_near &= velocity <= record.mission.velocity_tolerance
-    return leg.end_event is not None and bool(is_near.all()) and not count_duplicates(leg)
+    is_anyone_there = leg.end_event is not None and bool(leg.alive.any())
+    return is_anyone_there and bool(is_near.all()) and not count_duplicates(leg)
 
 
 def count_duplicates(leg: LegRecord) -> int:

@@ -1,0 +1,90 @@
+"""Promises of legs: their events agree with each other, with the instants and with the mission."""
+
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Bool
+from numpy import ndarray as Array
+
+from sato.check.report import Promise, expect_none
+from sato.network.graph import CommunicationGraph, canonicalize_labels
+from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
+
+
+def check_legs(record: ReconfigurationRecord) -> Promise:
+    """Check that legs follow one another, and that each ends as its last instants show."""
+    legs, expected = record.leg_records, np.zeros(len(record.time), dtype=np.int64)
+    for leg in legs:
+        expected[leg.start_index :] = leg.leg_index
+    wrong = int((expected != record.leg_index).sum())
+    wrong += [leg.leg_index for leg in legs] != list(range(len(legs)))
+    for leg, following in pairwise(legs):
+        wrong += leg.end_event is None or leg.end_index != following.start_index
+    ended = [leg for leg in legs if leg.end_event is not None]
+    wrong += len(record.events.of_kind("leg_end")) - len(ended)
+    wrong += sum(_count_contradictions(record, leg) + _is_odd_length(record, leg) for leg in ended)
+    return expect_none("legs", wrong, "entries of legs and their ends that the instants contradict")
+
+
+def check_assignment(record: ReconfigurationRecord) -> Promise:
+    """Check that targets change by events only, and that lost agents hold none."""
+    expected = np.full_like(record.frames.target_index, -1)
+    for k, event in record.events.of_kind("assignment", "loss"):
+        agents = np.asarray(event["agents"], dtype=np.int64)
+        is_loss = event["kind"] == "loss"
+        expected[k:, agents] = -1 if is_loss else np.asarray(event["target"], dtype=np.int64)
+    is_wrong = expected != record.frames.target_index
+    if record.mission.assignment == "given":
+        is_wrong |= (expected >= 0) & (expected != np.arange(expected.shape[1]))
+    return expect_none("assignment", is_wrong, "targets held against the events or the mission")
+
+
+def check_target_counts(record: ReconfigurationRecord) -> Promise:
+    """Check that target counts change in auctions only, and end as the events of legs say."""
+    expected = np.full_like(record.variables.targets_believed, -1)
+    joins, wrong = {k for k, _ in record.events.of_kind("join")}, 0
+    for leg in record.leg_records:
+        if leg.end_event is not None:
+            expected[leg.leg_index, leg.alive] = leg.target_count[leg.alive]
+        changes = np.diff(record.frames.target_count[leg.start_index : leg.end_index], axis=0)
+        for k in np.flatnonzero(changes.any(axis=1)) + 1:
+            is_auction = k % record.mission.auction_steps == 0 or leg.start_index + k in joins
+            wrong += not is_auction
+    wrong += int((expected != record.variables.targets_believed).sum())
+    return expect_none("believed", wrong, "target counts against the auctions or the events")
+
+
+def _count_contradictions(record: ReconfigurationRecord, leg: LegRecord) -> int:
+    frames = record.frames
+    position = np.where(leg.alive[:, None], frames.position[leg.end_index], np.nan)
+    graph = CommunicationGraph.from_positions(position, record.mission.comm_radius, leg.alive)
+    wrong = int((leg.alive != _find_alive_at_end(record, leg)).sum())
+    labels = canonicalize_labels(leg.component), canonicalize_labels(graph.component)
+    wrong += int((labels[0] != labels[1]).sum())
+    if leg.step_count:
+        last = leg.end_index - 1
+        for held, frame in (
+            (leg.target_index, frames.target_index[last]),
+            (leg.target_count, frames.target_count[last]),
+        ):
+            wrong += int((held != frame)[leg.alive].sum())
+    return wrong
+
+
+def _is_odd_length(record: ReconfigurationRecord, leg: LegRecord) -> bool:
+    """Tell whether a leg ends before its deadline, or long after clocks last began."""
+    steps = record.mission.legs[leg.leg_index].steps
+    begins = [k for k, _ in record.events.of_kind("reset", "join") if k < leg.end_index]
+    last = max([leg.start_index, *begins])
+    return bool(leg.alive.any()) and not leg.start_index <= leg.end_index - steps <= last
+
+
+def _find_alive_at_end(record: ReconfigurationRecord, leg: LegRecord) -> Bool[Array, " agents"]:
+    # The instant before, and the events of the last one until the leg ended.
+    alive: Array = record.frames.alive[max(leg.end_index - 1, 0)].copy()
+    for k, event in record.events.of_kind("loss", "join", "leg_end"):
+        if event is leg.end_event:
+            break
+        if k == leg.end_index:
+            alive[np.asarray(event["agents"], dtype=np.int64)] = event["kind"] == "join"
+    return alive
