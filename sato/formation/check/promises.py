@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     import xarray
 
 RESIDUAL = 1e-10  # of gains, from rounding
-NOISE_ALLOWANCE = 0.05  # by which two may come closer than keep_out, because of noise [m]
+NOISE_SIGMAS = 2.5  # of measured coordinates, by which two may come closer than keep_out
+NOISE_ALLOWANCE = 0.05  # at most so much closer [m]
 ROUNDING_TOLERANCE = 1e-9  # relative, of speeds and accelerations
 
 
@@ -43,7 +44,7 @@ def check_run(data: "xarray.Dataset", mission: Formation, rng: Generator | None 
     promises = (
         common.check_complete(attributes, end),
         common.check_attributes(attributes, collect_attributes(mission)),
-        common.check_times(record.time, mission.frame_period),
+        common.check_times(record.events, mission.frame_period),
         common.check_finite(frames.alive, frames.position, frames.velocity, command, drift),
         common.check_alive(frames.alive, record.events),
         check_connected(record),
@@ -193,10 +194,11 @@ def check_assignment_is_unique(record: FormationRecord) -> Promise:
 def check_separation(record: FormationRecord) -> Promise:
     """Check that no two vehicles come closer in the plane than keep_out, but for noise."""
     keep_out, found = record.mission.keep_out, record.closest_approach
-    allowed = keep_out - NOISE_ALLOWANCE
+    noise = min(NOISE_SIGMAS * record.mission.frames.noise, NOISE_ALLOWANCE)
+    allowed = keep_out - noise
     i, j = found.pair
     text = f"{found.distance:.6g} m between agents {i} and {j} after {found.instant} steps"
-    text += f", with keep_out_m = {keep_out:g} m less {NOISE_ALLOWANCE:g} m for noise"
+    text += f", with keep_out_m = {keep_out:g} m" + f" less {noise:g} m for noise" * (noise > 0)
     return Promise("separation", bool(found.distance >= allowed), found.distance, allowed, text)
 
 
