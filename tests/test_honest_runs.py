@@ -1,0 +1,65 @@
+"""Honest runs are not accused: built-in scenarios, and missions at the edge."""
+
+import numpy as np
+import pytest
+from reconfiguration_runs import row
+from recorded_run import in_order, make_mission, recorded
+
+import sato
+from sato.reconfiguration.leg import Leg
+
+SMALL = {
+    "conflict": [],
+    "crossing": [],
+    "random": ["agents=6", "acceleration_m_s2=1e-4", "position_m=1e-3"],
+    "random3d": ["agents=5"],
+    "random_cw": ["agents=4"],
+    "formation6": ["limit_s=3"],
+    "connectivity": ["duration_s=1", "death=[{robot=2, time_s=0.5}]"],
+}
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_honest_run_of_a_built_in_scenario_is_not_accused(name):
+    run = sato.run(name, seed=1, overrides=SMALL[name])
+    assert run.check().kept, run.check()
+
+
+def pair(*legs):
+    """Two agents a meter apart, as a definition."""
+    return sato.Reconfiguration(
+        model=sato.DoubleIntegrator(2),
+        start=row(2, 0.0),
+        legs=legs,
+        step=1.0,
+        comm_radius=9.0,
+        collision_radius=0.3,
+        max_control=0.2,
+        max_speed=1.0,
+    )
+
+
+@pytest.mark.parametrize("objective", ["fuel", "energy"])
+def test_agents_that_are_at_their_targets_may_burn_nothing(objective):
+    there = np.array([[1.1, 0.3, 0, 0], [4.7, 0.9, 0, 0]])
+    legs = (Leg(in_order(there * (1 + 2.2e-16)), 15),)  # but for rounding
+    mission = make_mission(2, start=there, legs=legs, comm_radius=9.0, objective=objective)
+    run = recorded(mission, own_targets=True, controls=np.zeros((2, 15, 2)))
+    assert run.check().kept, run.check()
+    assert run.check().summary["fuel_m_s"] == 0 < run.check().summary["fuel_lower_bound_m_s"]
+
+
+def test_nobody_left_is_not_reached():
+    everybody = sato.Loss("agents", agents=(0, 1), at_step=2)
+    run = sato.run(pair(Leg(row(2, 1.0), 6, losses=[everybody])))
+    assert run.summary["reached"] is run.summary["success"] is False
+    assert run.summary["legs"][0]["reached"] is False
+    assert {promise.name for promise in run.check().broken} == {"reached"}
+
+
+def test_join_that_never_happens_is_missed():
+    everybody = sato.Loss("agents", agents=(0, 1), at_step=2)
+    join = sato.Join(None, [[3.0, 0.0]], at_step=4)
+    run = sato.run(pair(Leg(row(2, 1.0), 6, losses=[everybody], joins=[join])))
+    assert len(run.events("join")) == 0
+    assert {promise.name for promise in run.check().broken} == {"alive", "reached"}
