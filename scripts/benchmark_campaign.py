@@ -2,7 +2,8 @@
 
 The overhead is the time of the workers that no run used, over the time that runs took, in the
 same campaign: of a run that sleeps 50 ms ± 10 %, and of `conflict`. The memory is that of the
-parent over 10,000 rows. Numba's caches are filled before.
+parent over 10,000 rows. With --seeds, `uiuc` is flown with that many seeds by the workers, and then
+one after another in this process. Numba's caches are filled before.
 """
 
 import argparse
@@ -40,7 +41,7 @@ def resident_mib():
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 2**20
 
 
-def measure(function, runs):
+def measure(function, campaign):
     """Fly a campaign, and return its table's folder, and time and memory at its first rows and end.
 
     Returns:
@@ -52,14 +53,13 @@ def measure(function, runs):
     def note(exits, total):
         marks[sum(exits.values())] = perf_counter() - began, resident_mib()
 
-    campaign = Campaign(scenario="conflict", trials=runs)
     fly_campaign(campaign, folder, workers=WORKERS, function=function, progress=note)
     return folder, marks
 
 
 def print_overhead(name, function, runs):
     """Measure one kind of run."""
-    folder, marks = measure(function, runs)
+    folder, marks = measure(function, Campaign(scenario="conflict", trials=runs))
     with open_table(folder) as table:
         busy = sum(row["wall_s"] for row in table.rows(["wall_s"]))
     end, first = marks[runs][0], marks[2 * WORKERS][0]
@@ -73,16 +73,37 @@ def print_overhead(name, function, runs):
     )
 
 
+def print_speedup(seeds):
+    """Fly seeds of `uiuc` by the workers, and one after another in this process."""
+    sato.run("uiuc")
+    campaign = Campaign(scenario="uiuc", trials=seeds)
+    folder, marks = measure(run_trial, campaign)
+    with open_table(folder) as table:
+        times = [row["wall_s"] for row in table.rows(["row", "wall_s"])]
+    rate = sum(times) / marks[seeds][0]
+    print(f"uiuc: {seeds} seeds in {marks[seeds][0]:.1f} s with {WORKERS} workers", flush=True)
+    began = perf_counter()
+    for row in range(seeds):
+        run_trial(campaign.trial(row))
+        alone = perf_counter() - began
+        factor = rate * alone / sum(times[: row + 1])
+        print(f"the first {row + 1} in {alone:.1f} s in one process: {factor:.2f} times as long")
+
+
 def main() -> int:
     """Print overheads, memory and the time of a status."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=1000)
     parser.add_argument("--rows", type=int, default=10_000)
+    parser.add_argument("--seeds", type=int, default=0)
     given = parser.parse_args()
+    if given.seeds:
+        print_speedup(given.seeds)
+        return 0
     sato.run("conflict")
     print_overhead("sleep", simulate_sleep, given.runs)
     print_overhead("conflict", run_trial, given.runs)
-    folder, marks = measure(simulate_row, given.rows)
+    folder, marks = measure(simulate_row, Campaign(scenario="conflict", trials=given.rows))
     growth = marks[given.rows][1] - marks[100][1]
     began = perf_counter()
     with open_table(folder) as table:
