@@ -253,7 +253,7 @@ class AvoidanceProblem:
         separation = np.hstack(
             [*on_controls, np.zeros((rows, 2 * errors)), -np.eye(rows)[:, :slacks]]
         )
-        speed, speed_rhs = self._limit_speed(U * R[limited, m:], free[limited, m:])
+        speed, speed_rhs = transfer.speed_limit.constrain(U * R[limited, m:], free[limited, m:])
         others = np.zeros((len(speed), 2 * errors + slacks))
         speed = np.hstack([*(-s * speed for s in signs), others])
         cones = len(speed) if transfer.speed_limit.faces is None else 0
@@ -267,19 +267,6 @@ class AvoidanceProblem:
         b = np.concatenate([terminal_rhs, rhs, speed_rhs[:linear], bounds, speed_rhs[linear:]])
         q, nonnegative = np.concatenate([cost, penalty]), rows + linear + len(bounds)
         return ConicProgram(q, A, b, n, nonnegative, (m + 1,) * (cones // (m + 1)), P=P)
-
-    def _limit_speed(
-        self, response: Float[Array, "instants m controls"], drift: Float[Array, "instants m"]
-    ) -> tuple[Float[Array, "rows controls"], Float[Array, " rows"]]:
-        """Return rows and rhs: −rows · u ≤ rhs, or cones (t, y) where the norm is Euclidean."""
-        limit = self.transfer.speed_limit
-        if limit.faces is None:
-            scaled = response / limit.shares[:, None]
-            rows = np.concatenate([np.zeros_like(scaled[:, :1]), scaled], axis=1)
-            rhs = np.insert(drift / limit.shares, 0, limit.most, axis=1)
-        else:
-            rows, rhs = -limit.faces @ response, limit.most - drift @ limit.faces.T
-        return rows.reshape(-1, response.shape[-1]), rhs.ravel()
 
 
 def solve_condensed(

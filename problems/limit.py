@@ -68,6 +68,21 @@ class Limit:
         rows = corners if self.norm == 1 else np.vstack([np.eye(self.axes), -np.eye(self.axes)])
         return np.asarray(rows / self.shares)
 
+    def constrain(
+        self, response: Float[Array, "k m unknowns"], drift: Float[Array, "k m"]
+    ) -> tuple[Float[Array, "rows unknowns"], Float[Array, " rows"]]:
+        """Return rows and rhs: −rows · u ≤ rhs where all response[k] u + drift[k] are in the set.
+
+        Where the norm is Euclidean, rhs + rows · u are cones of m + 1 rows, (t, y) with ‖y‖₂ ≤ t.
+        """
+        if self.faces is None:
+            scaled = response / self.shares[:, None]
+            rows = np.concatenate([np.zeros_like(scaled[:, :1]), scaled], axis=1)
+            rhs = np.insert(drift / self.shares, 0, self.most, axis=1)
+        else:
+            rows, rhs = -self.faces @ response, self.most - drift @ self.faces.T
+        return rows.reshape(-1, response.shape[-1]), rhs.ravel()
+
     def to_cvxpy(self, rows: Any) -> Any:
         """Constrain every row of an expression in CVXPY."""
         import cvxpy as cp

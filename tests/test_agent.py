@@ -14,14 +14,13 @@ from sato.auctions.vsdaa import init_state, run_kernel, run_vsdaa
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration import assignment, planning
 from sato.reconfiguration.agent_inputs import as_instant, as_state, check_agent, check_inbox
-from sato.reconfiguration.agent_stages import BiddingMessage
+from sato.reconfiguration.agent_stages import BiddingMessage, ExchangeMessage
 from sato.reconfiguration.loop import simulate
 from sato.scp import resolve_conflicts
 from sato.scp.exchange import run_batched
-from sato.scp.planner import TrajectoryMessage
 
 ROUNDING = 1e-9  # BLAS rounds a product of one row otherwise than the same row among others
-DECISIONS = {"reset", "slack", "braked", "infeasible"}
+DECISIONS = {"reset", "slack", "braked", "infeasible", "cautious"}
 
 
 def spread(rng, count, axes=2, box=4.0):
@@ -159,7 +158,7 @@ def test_agents_send_the_messages_that_batched_rounds_compute(rng, draw, monkeyp
     monkeypatch.setattr(planning, "resolve_conflicts", record_exchange)
     frames = simulate(mission, np.random.default_rng(1))
     compared = 0
-    for _, (_, _, agents, _, rounds) in zip(range(8), fly_by_messages(mission, 1), strict=False):
+    for _, (_, _, agents, _, rounds) in zip(range(10), fly_by_messages(mission, 1), strict=False):
         auctions.clear()
         exchanges.clear()
         next(frames)
@@ -173,9 +172,9 @@ def test_agents_send_the_messages_that_batched_rounds_compute(rng, draw, monkeyp
                     )
                     for history in heard
                 )
-            for own in by_stage(rounds, i, TrajectoryMessage):
+            for own in by_stage(rounds, i, ExchangeMessage):
                 (history,) = [exchange for exchange in exchanges if i in exchange[0]]
-                for sent, planners in zip(own[1:], history, strict=False):
+                for (sent, _), planners in zip(own[1:], history, strict=False):
                     expected = planners[i].message
                     assert sent.is_final == expected.is_final
                     assert sent.priority == pytest.approx(expected.priority, abs=ROUNDING)

@@ -23,6 +23,7 @@ from sato.reconfiguration.agent_inputs import (
     check_inbox,
     select_messages,
 )
+from sato.reconfiguration.commitment import Commitments, controls_at
 from sato.reconfiguration.draw import draw_leg, is_drawn, with_targets
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
@@ -46,6 +47,7 @@ class FlightMemory(NamedTuple):
     believed: Int[Array, " rows"]  # number of agents it believes in
     memory: AgentMemory  # the row of its number counts
     plans: planning.Plans  # empty, or its own
+    committed: Commitments  # empty, or its own
     leg_start: int | None = None  # instant at which the leg began; None before
     instant: int | None = None  # last control instant; None before the first
     spent: float = 0.0  # fuel [m/s], or energy [m²/s³]
@@ -109,7 +111,7 @@ class Agent:
         self.solver = VerifiedSolver(mission.solver, mission.tolerance or TOLERANCE)
         leg = draw_leg(mission, leg, believed, start or 0) if leg else mission.legs[0]
         leg = self._own_leg(leg)
-        self.memory = FlightMemory(leg, m, begin_memory(mission, leg, m), {}, start)
+        self.memory = FlightMemory(leg, m, begin_memory(mission, leg, m), {}, {}, start)
 
     def step(
         self, time: float, state: ArrayLike, inbox: Sequence[AgentMessage]
@@ -200,8 +202,10 @@ class Agent:
 
     @property
     def has_arrived(self) -> bool:
-        """True from the deadline of the agent's plan on."""
-        return int(self.memory.memory.clock[self.number]) == self.memory.leg.steps
+        """True from the deadline of the agent's plan on, if that leads to its target."""
+        plan, clock = self.memory.plans.get(self.number), self.memory.memory.clock[self.number]
+        is_planned = plan is not None and plan.target_index is not None
+        return bool(clock == self.memory.leg.steps and is_planned)
 
     @property
     def events(self) -> tuple[Event, ...]:
@@ -228,7 +232,8 @@ class Agent:
             [self.solver] * (self.number + 1),
         )
         shared = flown.leg_start, self._checksum(leg)
-        decision = Decision.begin(self.number, context, flown.plans, flown.spent, shared, joins)
+        own = flown.plans, flown.committed, flown.spent
+        decision = Decision.begin(self.number, context, *own, shared, joins)
         flown = flown._replace(instant=instant, decision=decision, heard=None)
         return flown._replace(control=self._planned_control(flown))
 
@@ -274,6 +279,7 @@ class Agent:
         flown = flown._replace(decision=decision, heard=heard)
         if decision.is_finished:
             flown = flown._replace(memory=decision.context.memory, plans=decision.plans)
+            flown = flown._replace(committed=decision.committed)
             flown = flown._replace(control=self._planned_control(flown))
         return flown
 
@@ -284,9 +290,9 @@ class Agent:
         return AgentMessage(self.number, instant, decision.stage_index, decision.stage.message)
 
     def _planned_control(self, flown: FlightMemory) -> Float[Array, " d"]:
-        if not flown.plans:
+        if not flown.committed:
             return np.zeros(self.mission.axes)
-        assert flown.instant is not None and flown.leg_start is not None
-        k, alone = flown.instant - flown.leg_start, self._graph.alive
-        control = planning.controls_at(flown.plans, k, alone, self.mission)
+        assert flown.instant is not None
+        alone = self._graph.alive
+        control = controls_at(flown.committed, flown.instant, alone, self.mission)
         return np.asarray(control[self.number])

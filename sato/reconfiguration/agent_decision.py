@@ -7,7 +7,10 @@ diameter; the agents know it, and each other's reports, from the first stage on.
     census     reports `Hello`                  all know D                        3 D + 1
     terms      reports `AuctionTerms`           all have heard all                D
     auction    bids, reports `AuctionReport`    D rounds after the last stopped
-    exchange   trajectory                       for each when its own is final
+    exchange   trajectory, reports              D rounds after the last was final
+    choice     offer                            D + 1 rounds after the last change
+    reports    reports `ChoiceReport`           all have heard all                D
+    turns      committed trajectory             each cautious agent has had one   as many
 
 The auction begins again from its terms where a winner's cost was only a lower bound, where the
 clock is reset, and where a target out of reach was won. An instant at which none of the component
@@ -29,13 +32,17 @@ from sato.auctions.bidder import VsdaaBidder, WinningBids
 from sato.auctions.vsdaa import VsdaaAuction
 from sato.network.flooding import Census, CensusMessage, Flood, Reports
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration import assignment, planning
+from sato.reconfiguration import assignment, commitment, planning
 from sato.reconfiguration.agent_stages import (
     AuctionTerms,
     Bidding,
+    ChoiceReport,
+    Choosing,
     Exchange,
     Hello,
+    Turns,
     check_census,
+    extend,
 )
 from sato.reconfiguration.state import DecisionContext, Event
 
@@ -48,8 +55,9 @@ class Decision(NamedTuple):
     number: int
     context: DecisionContext  # of the agent alone
     plans: planning.Plans  # empty, or the agent's own
+    committed: commitment.Commitments  # empty, or the agent's own
     spent: Float[Array, " rows"]  # fuel [m/s], or energy [m²/s³]
-    stage: Any  # Census, Flood, Bidding or Exchange
+    stage: Any  # Census, Flood, Bidding, Exchange, Choosing or Turns
     stage_index: int = 0
     is_finished: bool = False
     diameter: int = 0
@@ -58,6 +66,7 @@ class Decision(NamedTuple):
     attempt: Literal["first", "reset", "firm"] = "first"  # of the auction
     table: assignment.CostTable | None = None  # of the auction
     planned_cost: Float[Array, " rows"] | None = None  # to the target that it holds
+    choosing: Choosing | None = None  # once it has chosen
     events: tuple[Event, ...] = ()
 
     @classmethod
@@ -66,6 +75,7 @@ class Decision(NamedTuple):
         number: int,
         context: DecisionContext,
         plans: planning.Plans,
+        committed: commitment.Commitments,
         spent: float,
         leg: tuple[int, int],
         joins: bool,
@@ -76,6 +86,7 @@ class Decision(NamedTuple):
             number: Number of the agent.
             context: State, memory and graph of the agent alone.
             plans: Empty, or the plan of the agent.
+            committed: Empty, or what the agent has committed to.
             spent: Fuel or energy spent so far.
             leg: Instant at which the leg began, and a checksum of its targets.
             joins: True where the agent calls for an auction at once.
@@ -87,7 +98,7 @@ class Decision(NamedTuple):
         clock = int(memory.clock[number])
         hello = Hello(number, leg, bool(due[number]), joins, clock, claims)
         stage = Census(CensusMessage(frozenset([hello])))
-        return cls(number, context, plans, np.full(len(due), spent), stage)
+        return cls(number, context, plans, committed, np.full(len(due), spent), stage)
 
     def update(self, inbox: Sequence[Any]) -> "Decision":
         """Act once, on the messages that neighbors sent in this stage."""
@@ -102,14 +113,60 @@ class Decision(NamedTuple):
         if isinstance(self.stage, Census):
             return self._after_census(self.stage)
         if isinstance(self.stage, Flood):
+            if self.choosing is not None:
+                return self._begin_turns(self.stage.message)
             return self._begin_auction(self.stage)
         if isinstance(self.stage, Bidding):
             return self._after_auction(self.stage)
-        planners, lost = {self.number: self.stage.planner}, self.stage.unreachable
+        if isinstance(self.stage, Exchange):
+            return self._after_exchange(self.stage)
+        if isinstance(self.stage, Choosing):
+            return self._report_choice(self.stage)
+        return self._commit(self.stage)
+
+    def _after_exchange(self, exchange: Exchange) -> "Decision":
+        planners, lost = {self.number: exchange.planner}, exchange.unreachable
         count = len(self.context.mission.initial_states)
         hears_all = self.diameter <= 1 and len(self.members) == count
         plans, events = planning.make_plans(self.context, planners, lost, self.plans, hears_all)
-        return self._replace(plans=plans, events=(*self.events, *events), is_finished=True)
+        decision = self._replace(plans=plans, events=(*self.events, *events))
+        if not self.context.mission.is_point_mass:
+            committed = commitment.commit_unchecked(self.context, plans)
+            return decision._replace(committed=committed, is_finished=True)
+        offers = commitment.make_offers(self.context, plans, self.committed)
+        priority, choice = plans[self.number].priority, int(offers.is_allowed[0].argmax())
+        return decision._enter(Choosing(offers, priority, self.diameter, choice))
+
+    def _report_choice(self, choosing: Choosing) -> "Decision":
+        is_cautious = choosing.choice == choosing.offers.last
+        priority = choosing.priority if is_cautious else None
+        report = ChoiceReport(self.number, priority, int(choosing.offers.steps[0]))
+        flood = Flood(len(self.members), self.diameter, frozenset([report]))
+        return self._enter(flood, choosing=choosing)
+
+    def _begin_turns(self, reports: Reports) -> "Decision":
+        assert self.choosing is not None
+        offers, choice = self.choosing.offers, self.choosing.choice
+        cautious = sorted((r.priority, r.agent) for r in reports if r.priority is not None)
+        steps = max(report.steps for report in reports)
+        horizon = commitment.stopping_horizon(self.context.mission, steps)
+        u = np.pad(offers.u[0, choice], ((0, steps - offers.u.shape[2]), (0, 0)))
+        path = extend(offers.paths[0, choice], len(horizon.fine_model))
+        order, own = tuple(agent for _, agent in cautious), (self.number, self.plans[self.number])
+        clearance = float(offers.clearance[0])
+        turns = Turns(self.context, own[1], own[0], order, horizon, u, path, clearance)
+        return self._enter(turns)
+
+    def _commit(self, turns: Turns) -> "Decision":
+        assert self.choosing is not None
+        flown = self.choosing.offers.plan_steps[self.choosing.choice]
+        plan = commitment.follow(self.context, turns.plan, flown)
+        committed = {self.number: commitment.Commitment(self.context.instant, turns.u)}
+        events = self.events
+        if self.number in turns.order:
+            events = (*events, {"kind": "cautious", "agents": [self.number]})
+        plans = {self.number: plan}
+        return self._replace(plans=plans, committed=committed, events=events, is_finished=True)
 
     def _enter(self, stage: Any, **changes: Any) -> "Decision":
         return self._replace(stage=stage, stage_index=self.stage_index + 1, **changes)
@@ -224,4 +281,5 @@ class Decision(NamedTuple):
     def _begin_exchange(self) -> "Decision":
         heard = np.full_like(self.context.memory.clock, self.heard_clock)
         planners, unreachable, _ = planning.plan_alone(self.context, self.spent, self.plans, heard)
-        return self._enter(Exchange(planners[self.number], unreachable))
+        reports = Flood(len(self.members), self.diameter)
+        return self._enter(Exchange(planners[self.number], unreachable, reports))

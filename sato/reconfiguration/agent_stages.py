@@ -5,12 +5,18 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
 
+from problems import convexify
+from problems.convexify import AvoidanceHorizon
 from sato.auctions.bidder import VsdaaBidder, WinningBids
 from sato.network.flooding import Flood, Reports
 from sato.reconfiguration import assignment
+from sato.reconfiguration.commitment import Offers, improve, next_choice
+from sato.reconfiguration.planning import Plan
 from sato.reconfiguration.state import DecisionContext
-from sato.scp.planner import Planner, TrajectoryMessage, update_planner
+from sato.scp.planner import Planner, Priority, TrajectoryMessage, update_planner
 
 
 class Hello(NamedTuple):
@@ -102,22 +108,155 @@ class Bidding(NamedTuple):
         return AuctionReport(i, bidder.round, won, is_exact, bool(is_lost[i]), bool(resets[i]))
 
 
+class ExchangeReport(NamedTuple):
+    """Report of an agent whose trajectory is final."""
+
+    agent: int
+    round: int  # in which it became final
+
+
+class ExchangeMessage(NamedTuple):
+    """Message of an agent in an exchange of trajectories."""
+
+    trajectory: TrajectoryMessage
+    reports: Reports  # of agents whose trajectories are final
+
+
 class Exchange(NamedTuple):
     """Memory of an agent that exchanges trajectories."""
 
     planner: Planner
     unreachable: list[int]  # the agent's number, if its target is
+    flood: Flood
 
     @property
-    def message(self) -> TrajectoryMessage:
+    def message(self) -> ExchangeMessage:
         """Message to the neighbors."""
-        return self.planner.message
+        return ExchangeMessage(self.planner.message, self.flood.message)
 
     @property
     def is_finished(self) -> bool:
-        """True once the agent's own trajectory is final."""
-        return self.planner.is_final
+        """True once all agents know that all trajectories are final."""
+        return self.flood.is_finished
 
-    def update(self, inbox: Sequence[TrajectoryMessage]) -> "Exchange":
-        """Plan around the neighbors of higher priority."""
-        return self._replace(planner=update_planner(self.planner, inbox))
+    def update(self, inbox: Sequence[ExchangeMessage]) -> "Exchange":
+        """Plan around the neighbors of higher priority; pass on the reports of all."""
+        flood = self.flood.update([message.reports for message in inbox])
+        planner = update_planner(self.planner, [message.trajectory for message in inbox])
+        if planner.is_final and not self.planner.is_final:
+            report = ExchangeReport(planner.priority[2], flood.round)
+            flood = flood._replace(message=flood.message | {report})
+        return self._replace(planner=planner, flood=flood)
+
+
+class OfferMessage(NamedTuple):
+    """Message of an agent that looks for an offer that is clear of all others."""
+
+    priority: Priority
+    path: Float[Array, "pieces 4 d"]  # of its choice
+    is_last: bool  # True where that is the trajectory that it has committed to
+    clearance: float  # that two of the sender's kind would keep [m]
+    last_change: int  # last round in which an agent is known to have changed its choice
+
+
+class Choosing(NamedTuple):
+    """Memory of an agent that looks for an offer that is clear of all others."""
+
+    offers: Offers  # its own
+    priority: Priority
+    diameter: int
+    choice: int
+    round: int = 0
+    last_change: int = 0
+
+    @property
+    def message(self) -> OfferMessage:
+        """Message to the neighbors."""
+        path, is_last = self.offers.paths[0, self.choice], self.choice == self.offers.last
+        clearance = float(self.offers.clearance[0])
+        return OfferMessage(self.priority, path, is_last, clearance, self.last_change)
+
+    @property
+    def is_finished(self) -> bool:
+        """True once all agents know that none changed its choice; in the same round for all."""
+        return self.round > self.last_change + self.diameter
+
+    def update(self, inbox: Sequence[OfferMessage]) -> "Choosing":
+        """Take the next offer where the agent meets another, and is the one that has to."""
+        own, round = self.message, self.round + 1
+        last_change = max([self.last_change, *(message.last_change for message in inbox)])
+        others = [
+            other
+            for other in inbox
+            if (other.is_last or other.priority < own.priority) and not own.is_last
+        ]
+        after = self._replace(round=round, last_change=last_change)
+        if all(keeps_clear(own.path, own.clearance, other) for other in others):
+            return after
+        choice = next_choice(self.offers.is_allowed[0], self.choice)
+        return after._replace(choice=choice, last_change=round)
+
+
+def keeps_clear(path: Array, clearance: float, other: OfferMessage) -> bool:
+    """Return True where the trajectory of an agent with a clearance is clear of another."""
+    pieces = max(len(path), len(other.path))
+    relative = extend(path, pieces) - extend(other.path, pieces)
+    return bool(convexify.are_hulls_separated(relative, (clearance + other.clearance) / 2).all())
+
+
+def extend(path: Float[Array, "pieces 4 d"], pieces: int) -> Float[Array, "_ 4 d"]:
+    """Return the first pieces of a path; after its end an agent rests."""
+    rest = np.broadcast_to(path[-1, -1], (max(pieces - len(path), 0), *path.shape[1:]))
+    return np.concatenate([path[:pieces], rest])
+
+
+class ChoiceReport(NamedTuple):
+    """Report of an agent that has chosen an offer."""
+
+    agent: int
+    priority: Priority | None  # None where it commits to its plan
+    steps: int  # in which all its offers have come to rest
+    round: int = 0
+
+
+class TurnMessage(NamedTuple):
+    """Message of an agent while others change their committed trajectories."""
+
+    path: Float[Array, "pieces 4 d"]  # to which it is committed now
+    clearance: float  # that two of the sender's kind would keep [m]
+
+
+class Turns(NamedTuple):
+    """Memory of an agent while, in turn, all that could not commit to their plans change theirs."""
+
+    context: DecisionContext
+    plan: Plan
+    agent: int
+    order: tuple[int, ...]  # agents whose turns they are
+    horizon: AvoidanceHorizon
+    u: Float[Array, "T m"]  # to which it is committed now
+    path: Float[Array, "pieces 4 d"]
+    clearance: float
+    round: int = 0
+
+    @property
+    def message(self) -> TurnMessage:
+        """Message to the neighbors."""
+        return TurnMessage(self.path, self.clearance)
+
+    @property
+    def is_finished(self) -> bool:
+        """True once all have had their turns."""
+        return self.round == len(self.order)
+
+    def update(self, inbox: Sequence[TurnMessage]) -> "Turns":
+        """Change the committed trajectory in the agent's own turn."""
+        after = self._replace(round=self.round + 1)
+        if self.order[self.round] != self.agent:
+            return after
+        others = np.array([other.path for other in inbox]).reshape(-1, *self.path.shape)
+        clearance = (np.array([other.clearance for other in inbox]) + self.clearance) / 2
+        found = improve(
+            self.context, self.agent, self.plan, self.horizon, self.path, others, clearance
+        )
+        return after if found is None else after._replace(u=found[0], path=found[1])

@@ -11,6 +11,7 @@ from problems.solvers.verified import VerifiedSolver
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration import planning, state
 from sato.reconfiguration.assignment import assign_targets
+from sato.reconfiguration.commitment import Commitments, commit, controls_at
 from sato.reconfiguration.disturbances import disturb_control, draw_losses, measure
 from sato.reconfiguration.mission import Reconfiguration
 
@@ -44,6 +45,7 @@ class _Flight:
         m = np.where(self.alive, mission.target_count or int(self.alive.sum()), 1)
         self.believed, self.memory = m, state.AgentMemory.initial(m)
         self.plans: planning.Plans = {}
+        self.committed: Commitments = {}
         tolerance = mission.tolerance or TOLERANCE
         self.solvers = [VerifiedSolver(mission.solver, tolerance) for _ in m]  # its own each
         self.spent = np.zeros(len(m))  # fuel [m/s], or energy [m²/s³]
@@ -59,7 +61,7 @@ class _Flight:
         self._note("leg_start", self.alive, leg=number)
         for k in range(MAX_LEG_FACTOR * steps + 1):
             joined = self._apply_losses_and_joins(k)
-            if k > 0 and (self.memory.clock[self.alive] >= steps).all():
+            if k > 0 and self._have_arrived().all():
                 break
             if k == MAX_LEG_FACTOR * steps:
                 what = f"the leg is given up after {MAX_LEG_FACTOR} times its steps"
@@ -74,7 +76,7 @@ class _Flight:
                     ),
                     bids,
                 )
-            control = planning.controls_at(self.plans, k, self.alive, mission)
+            control = controls_at(self.committed, self.step_index, self.alive, mission)
             applied = disturb_control(mission, control, self.rng)
             seen = measured if mission.position_noise or mission.velocity_noise else None
             yield self.make_frame(graph, control, applied, seen)
@@ -83,6 +85,12 @@ class _Flight:
         held, believed = memory.target_index.tolist(), memory.target_count.tolist()
         ended = {"leg": number, "target": held, "believed": believed, "component": component}
         self._note("leg_end", self.alive, **ended)
+
+    def _have_arrived(self) -> Array:
+        # Agents whose last plan was not clear may not be where their clocks have them.
+        live, plans = np.flatnonzero(self.alive), self.plans
+        is_planned = [i in plans and plans[i].target_index is not None for i in live.tolist()]
+        return np.asarray((self.memory.clock[live] >= self.leg.steps) & is_planned)
 
     def _note(self, kind: str, agents: Array, **more: object) -> None:
         self.events.append({"kind": kind, "agents": state.to_indices(agents), **more})
@@ -145,8 +153,11 @@ class _Flight:
                 self._note("assignment", moved, target=memory.target_index[moved].tolist())
         heard, context = context.memory.clock, context._replace(memory=self.memory)
         planned, events = planning.plan_trajectories(context, self.spent, self.plans, solves, heard)
-        self.plans = self.plans | planned
+        committed, planned, cautious = commit(context, planned, self.committed)
+        self.plans, self.committed = self.plans | planned, self.committed | committed
         self.events += events
+        if cautious:
+            self.events.append({"kind": "cautious", "agents": cautious})
         rejected = np.array([own.fallback_count for own in self.solvers]) - fallbacks
         if rejected.any():
             reasons = {self.solvers[i].last_rejection for i in np.flatnonzero(rejected)}

@@ -151,7 +151,7 @@ class Reconfiguration(vehicles.Vehicles, Mission):
     bidder_ids: Annotated[bool, PLAN, Key("ids"), "bids carry the bidder; false as printed"] = True
     reset: Annotated[
         Literal["change", "need"], PLAN, "clock starts again with new bidders, or where needed"
-    ] = "change"
+    ] = "need"
     freeze_steps: Annotated[Count, PLAN, "steps before the deadline in which plans are kept"] = 0
     margin: Annotated[
         Automatic, Unit("m"), PLAN, "beyond R_col; auto where the model may err, else 0, if absent"

@@ -19,6 +19,7 @@ from sato.reconfiguration.relaxation import list_relaxations
 from sato.reconfiguration.solo_trajectories import relinearize, solve_solo_trajectories
 from sato.reconfiguration.state import AgentMemory, DecisionContext, Event
 from sato.scp import CONVERGENCE_TOLERANCE, FEASIBILITY_TOLERANCE, Planner, resolve_conflicts
+from sato.scp.planner import Priority
 
 MAX_PIECES = 12  # of the trajectory within a step
 
@@ -31,6 +32,7 @@ class Plan(NamedTuple):
     planned_at: int  # steps since the start of the leg
     clear_until: int  # step of the leg until which it keeps clear of all others
     failure_count: int = 0  # plans of this agent in the leg for which constraints were relaxed
+    priority: Priority = (0.0, 0.0, 0)  # with which it was made
 
     def controls_from(self, k: int) -> Float[Array, "left m"]:
         """Return the controls from a step of the leg on."""
@@ -58,21 +60,6 @@ def is_planning_due(
         has_plan = remaining_controls(plans, i, memory, k, steps) is not None
         is_kept[i] = has_plan and (left[i] == 0 or k + left[i] <= plans[i].clear_until)
     return np.asarray(~is_kept)
-
-
-def controls_at(
-    plans: Plans, k: int, alive: Bool[Array, " agents"], mission: Reconfiguration
-) -> Float[Array, "agents m"]:
-    """Return the controls at a step of the leg: 0 after the end of a plan, NaN if lost.
-
-    Solvers exceed the limit by rounding, which is cut.
-    """
-    control = np.full((len(alive), mission.axes), np.nan)
-    for i in np.flatnonzero(alive).tolist():
-        u = plans[i].controls_from(k)
-        control[i] = u[0] if len(u) else 0.0
-        control[i] = mission.control_limit(i).cut(control[i])
-    return control
 
 
 def remaining_controls(
@@ -171,7 +158,10 @@ def make_plans(
         clear = planner.horizon.steps if hears_all else mission.horizon_steps
         failures = previous[i].failure_count if i in previous else 0
         held = None if i in astray else int(target[i])
-        plans[i] = Plan(planner.nominal, held, k, k + clear, failures + (i in relaxed))
+        failures += i in relaxed
+        plans[i] = Plan(planner.nominal, held, k, k + clear, failures, planner.priority)
+    if mission.is_point_mass:  # a trajectory for which separation was relaxed is not flown
+        events = [event for event in events if event["kind"] == "braked"]
     return plans, events
 
 
@@ -181,13 +171,19 @@ def make_horizon(
     """Build the avoidance horizon at a time, with so many steps of the leg left.
 
     It has T_H steps, or as many as are foreseen among agents within hearing, but does not pass
-    the end of the leg for the last of these. A step is divided so finely that two agents at full
-    speed move by about R_col in a piece.
+    the end of the leg for the last of these.
     """
+    T = max(mission.horizon_steps, min(mission.foresight_steps, steps_left))
+    return divide_horizon(mission, time, T, leg)
+
+
+def divide_horizon(
+    mission: Reconfiguration, time: float, T: int, leg: Leg | None = None
+) -> AvoidanceHorizon:
+    """Divide the steps of a horizon so finely that two agents move by about R_col in a piece."""
     fastest = float(mission.top_speeds.max())
     speed = fastest if isfinite(fastest) else 0.0
     S = min(MAX_PIECES, max(1, ceil(2 * speed * mission.step / mission.least_separation)))
-    T = max(mission.horizon_steps, min(mission.foresight_steps, steps_left))
     margin = mission.margin + _interpolation_margin(
         mission, leg or mission.legs[0], mission.step / S
     )

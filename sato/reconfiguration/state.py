@@ -94,6 +94,11 @@ class DecisionContext(NamedTuple):
     time: float  # since the start of the mission [s]
     solvers: Sequence[Solver] = ()  # of each agent; the default where empty
 
+    @property
+    def instant(self) -> int:
+        """Steps since the start of the mission."""
+        return round(self.time / self.mission.step)
+
     def solver_of(self, agent: int) -> Solver:
         """Return the agent's own solver."""
         return self.solvers[agent] if self.solvers else solve_program

@@ -1,0 +1,106 @@
+"""Predictive safety filter: a stopping trajectory as near as possible to a wanted state."""
+
+from dataclasses import dataclass, replace
+from math import isfinite
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+from scipy.sparse import csc_array
+
+from problems.avoidance import HalfSpaces
+from problems.conic import ConicProgram
+from problems.solvers.verified import solve_program
+from problems.transfer import Solver, Trajectory, TransferProblem, solve_within_speed
+
+FUEL_WEIGHT = 1e-3  # of the fuel, times the duration: far below that of the error
+
+
+@dataclass(frozen=True, eq=False)
+class SafetyFilterProblem:
+    """Trajectory that stops among half-spaces, near a wanted state on its way [Wabersich2021].
+
+        minimize    ‖p[k] − p*‖₁ + Δt ‖v[k] − v*‖₁ + μ Δt Σ ‖u‖₁
+        subject to  x[j+1] = A[j] x[j] + B[j] u[j] + z[j]    (10)
+                    ‖u[j] / U‖_r ≤ 1                         (12)
+                    x[0] = start,  v[T] = 0
+                    ‖v[j] / V‖_s ≤ 1,  j = 1 … T−1           (66)
+                    n · (c(x[j], u[j]) − c̄) ≥ R              (38), (64)
+
+    A stopping trajectory that satisfies all constraints remains feasible when time goes on, so a
+    vehicle that flies one always has an answer.
+    """
+
+    transfer: TransferProblem
+    start: Float[Array, " n"]
+    wanted: Float[Array, " n"]  # (p*, v*)
+    wanted_step: int  # k
+    half_spaces: HalfSpaces
+    solver: Solver = solve_program
+
+    def solve(self) -> Trajectory:
+        """Solve the problem.
+
+        Raises:
+            Infeasible: No trajectory stops within the limits and the half-spaces.
+            Unsolved: The solver stopped for any other reason.
+        """
+        return solve_within_speed(
+            lambda factor: replace(self, transfer=self.transfer.slow_down(factor))._solve(),
+            self.transfer.speed_excess,
+        )
+
+    def _solve(self) -> Trajectory:
+        limit, unknowns = self.transfer.control_limit, self.solver(self.assemble_conic()).x
+        plus, minus = unknowns[: self._controls], unknowns[self._controls : 2 * self._controls]
+        u = limit.most * (plus - minus).reshape(-1, limit.axes) * limit.shares
+        return self.transfer.simulate(self.start, limit.cut(u))
+
+    @property
+    def _controls(self) -> int:
+        return len(self.transfer.model) * self.transfer.model.axes
+
+    def assemble_conic(self) -> ConicProgram:
+        """Assemble the program with the states eliminated.
+
+        Unknowns are u⁺ and u⁻ in units of each axis's limit, then both signs of the error.
+        """
+        transfer, k, dt = self.transfer, self.wanted_step, self.transfer.model.dt
+        (T, n, m), N, limit = transfer.model.B.shape, self._controls, transfer.control_limit
+        free, R = transfer.coast(self.start), limit.most * transfer.response_matrices[0]
+        errors = np.hstack([np.eye(n), -np.eye(n)])
+        zero = np.vstack([_on_both_signs(R[T, m:], 2 * n), np.hstack([R[k], -R[k], errors])])
+        zero_rhs = np.concatenate([-free[T, m:], self.wanted - free[k]])
+        coeffs, rhs = self.half_spaces.condense(transfer, free)
+        breakable = limit.most * np.abs(coeffs).sum(axis=1) > rhs  # most rows hold for any control
+        linear, linear_rhs = [-limit.most * coeffs[breakable]], [rhs[breakable]]
+        cones, cones_rhs = [np.zeros((0, N))], [np.zeros(0)]
+        controls = limit.most * limit.shares[:, None] * np.eye(N).reshape(T, m, N)
+        speeds = transfer.speed_limit, R[1:T, m:], free[1:T, m:]
+        for bound, response, drift in ((limit, controls, np.zeros((T, m))), speeds):
+            # The unknowns' own bounds are those of the norm ∞ of the controls.
+            if isfinite(bound.most) and not (bound is limit and bound.norm == "inf"):
+                rows, rows_rhs = bound.constrain(response, drift)
+                (cones if bound.faces is None else linear).append(-rows)
+                (cones_rhs if bound.faces is None else linear_rhs).append(rows_rhs)
+        inequalities = np.vstack(linear), np.concatenate(linear_rhs)
+        conic = np.vstack(cones), np.concatenate(cones_rhs)
+        count = 2 * N + 2 * n
+        A = np.vstack([
+            zero,
+            _on_both_signs(inequalities[0], 2 * n),
+            np.eye(2 * N, count),
+            -np.eye(count),
+            _on_both_signs(conic[0], 2 * n),
+        ])  # fmt: skip
+        b = [zero_rhs, inequalities[1], np.ones(2 * N), np.zeros(count), conic[1]]
+        weight, fuel = np.repeat([1.0, dt], m), FUEL_WEIGHT * k * dt**2 * limit.most
+        q = np.concatenate([np.tile(fuel * limit.shares, 2 * T), weight, weight])
+        nonnegative, sizes = len(inequalities[1]) + 2 * N + count, len(conic[1]) // (m + 1)
+        rhs = np.concatenate(b)
+        return ConicProgram(q, csc_array(A), rhs, len(zero), nonnegative, (m + 1,) * sizes)
+
+
+def _on_both_signs(rows: Float[Array, "rows controls"], more: int) -> Float[Array, "rows unknowns"]:
+    """Return rows on u⁺ and u⁻, and zeros for further unknowns."""
+    return np.hstack([rows, -rows, np.zeros((len(rows), more))])

@@ -1,0 +1,304 @@
+"""Commitment: agents fly only what they have checked against each other, and can always stop.
+
+Each agent flies a committed trajectory, which ends at rest. At every decision it offers others in
+its place, the best first: the first steps of its plan, and a stop. Agents that hear each other
+agree on offers that keep clear of each other in continuous time, to their ends and ever after; an
+agent without one keeps what it has committed to. Such agents then take turns: each changes its
+committed trajectory towards its plan as far as those of all its neighbors allow [Wabersich2021].
+
+Later points of an offer are at most (R_comm − R)/2 from earlier ones, so that two agents that do
+not hear each other cannot meet before they do. docs/safety.md has the proof.
+"""
+
+from functools import lru_cache
+from math import ceil
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
+
+from problems import convexify
+from problems.conic import Unsolved
+from problems.convexify import AvoidanceHorizon
+from problems.limit import Limit
+from problems.safety_filter import SafetyFilterProblem
+from sato.network.graph import CommunicationGraph
+from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.planning import Plan, Plans, divide_horizon
+from sato.reconfiguration.state import DecisionContext
+from sato.scp.planner import required_separations
+
+REST_TOLERANCE = 1e-12  # of the speed that a step at full control makes: slower is at rest
+REACH_TOLERANCE = 1e-9  # relative
+
+
+class Commitment(NamedTuple):
+    """Controls that an agent flies until it commits to others; after them it rests."""
+
+    first_step: int  # since the start of the mission
+    u: Float[Array, "T m"]
+
+    def controls_from(self, step: int) -> Float[Array, "left m"]:
+        """Return the controls from a step of the mission on."""
+        return self.u[step - self.first_step :]
+
+
+Commitments = dict[int, Commitment]  # by the number of the agent
+
+
+def controls_at(
+    committed: Commitments, step: int, alive: Bool[Array, " agents"], mission: Reconfiguration
+) -> Float[Array, "agents m"]:
+    """Return the controls at a step of the mission: 0 after the last, NaN if lost.
+
+    Solvers exceed the limit by rounding, which is cut.
+    """
+    control = np.full((len(alive), mission.axes), np.nan)
+    for i in np.flatnonzero(alive).tolist():
+        u = committed[i].controls_from(step)
+        control[i] = mission.control_limit(i).cut(u[0]) if len(u) else 0.0
+    return control
+
+
+class Offers(NamedTuple):
+    """Trajectories that agents may commit to, the best first, the committed ones last."""
+
+    agents: Int[Array, " agents"]
+    plan_steps: tuple[int, ...]  # steps of the plan with which each choice begins, 0 for the last
+    steps: Int[Array, " agents"]  # in which all choices of each agent have come to rest, and one
+    horizon: AvoidanceHorizon  # the most of these
+    u: Float[Array, "agents choices T m"]
+    paths: Float[Array, "agents choices pieces 4 d"]
+    is_allowed: Bool[Array, "agents choices"]
+    clearance: Float[Array, " agents"]  # that two of each kind keep [m]
+
+    @property
+    def last(self) -> int:
+        """Choice of the committed trajectory."""
+        return len(self.plan_steps) - 1
+
+
+def stop_at_once(limit: Limit, velocity: Float[Array, " m"], h: float) -> Float[Array, "T m"]:
+    """Return equal controls that bring a double integrator to rest, in the fewest steps."""
+    steps = float(limit.measure(velocity)) / (limit.most * h)
+    count = 0 if steps < REST_TOLERANCE else ceil(steps * (1 - 1e-9))
+    return np.tile(-velocity / (max(count, 1) * h), (count, 1))
+
+
+def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) -> Offers:
+    """Make the offers of the agents that have planned.
+
+    Args:
+        context: States and time of the agents that decide.
+        plans: Their plans.
+        committed: Committed trajectories; an agent without one stops at once.
+    """
+    mission, h, d = context.mission, context.mission.step, context.mission.axes
+    plan_steps = _plan_steps(context)
+    each: list[list[Array]] = []
+    for i, plan in plans.items():
+        limit, velocity = mission.control_limit(i), context.state[i, d:]
+        held = committed[i].controls_from(context.instant) if i in committed else np.zeros((0, d))
+        begun = [limit.cut(plan.trajectory.u[:q]) for q in plan_steps[:-1]]
+        stops = (stop_at_once(limit, velocity + h * u.sum(axis=0), h) for u in (*begun, held))
+        each.append([np.vstack(both) for both in zip((*begun, held), stops, strict=True)])
+    agents, steps = np.array(list(plans)), np.array([1 + max(map(len, own)) for own in each])
+    u = np.zeros((len(each), len(plan_steps), steps.max(), d))
+    for own, filled in zip(each, u, strict=True):
+        for controls, into in zip(own, filled, strict=True):
+            into[: len(controls)] = controls
+    horizon = stopping_horizon(mission, int(steps.max()))
+    start = np.repeat(context.state[agents][:, None], len(plan_steps), axis=1)
+    x = horizon.discrete_model.simulate(start, u)
+    paths = horizon.control_points(x, u)
+    is_allowed = stays_within_reach(mission, horizon, x[..., :d], paths)
+    # Fewer steps than until the next decision are for those that cannot stop within reach.
+    is_whole = np.array(plan_steps) >= steps_to_next(context)
+    has_whole = np.asarray(is_allowed[:, is_whole].any(axis=1))
+    is_allowed &= is_whole | ~has_whole[:, None]
+    is_allowed[:, -1] = True
+    clearance = np.full(len(agents), horizon.clearance)
+    if not mission.has_equal_radii:
+        clearance += mission.radii[agents] - mission.largest_separation
+    return Offers(agents, plan_steps, steps, horizon, u, paths, is_allowed, clearance)
+
+
+def _plan_steps(context: DecisionContext) -> tuple[int, ...]:
+    # As far as avoidance looked, or until the next decision, or less.
+    period = steps_to_next(context)
+    halves = [period >> n for n in range(period.bit_length())]
+    return (*dict.fromkeys([max(period, context.mission.horizon_steps), *halves]), 0)
+
+
+def steps_to_next(context: DecisionContext) -> int:
+    """Return the steps until the agents decide again, at the latest."""
+    period = context.mission.replan_steps
+    return period - context.step_index % period
+
+
+@lru_cache(maxsize=64)
+def stopping_horizon(mission: Reconfiguration, steps: int) -> AvoidanceHorizon:
+    """Return the horizon of so many steps of a double integrator."""
+    return divide_horizon(mission, 0.0, steps)
+
+
+def stays_within_reach(
+    mission: Reconfiguration,
+    horizon: AvoidanceHorizon,
+    position: Float[Array, "*k instants d"],
+    paths: Float[Array, "*k pieces 4 d"],
+) -> Bool[Array, "*k"]:
+    """Find the trajectories on which no later point is too far from an earlier instant.
+
+    Two that do not hear each other then cannot meet before both have decided again.
+    """
+    reach = (mission.comm_radius - horizon.clearance) / 2 * (1 + REACH_TOLERANCE)
+    within = np.ones(position.shape[:-2], dtype=bool)
+    if mission.allow_undetectable:
+        return within
+    for k in range(horizon.steps):
+        later = paths[..., k * horizon.pieces_per_step :, :, :]
+        away = np.linalg.norm(later - position[..., k, None, None, :], axis=-1)
+        within &= away.max(axis=(-2, -1)) <= reach
+    return within
+
+
+def choose_offers(
+    offers: Offers, graph: CommunicationGraph, rank: Int[Array, " agents"]
+) -> Int[Array, " agents"]:
+    """Let all agents agree on offers that are clear of each other.
+
+    All begin with their best. While two are not clear, the one of lower rank takes its next choice,
+    or the other, where it has none. So at the end all are clear that were not committed already.
+    The batched equivalent of `agent_stages.Choosing`.
+    """
+    i, j = np.nonzero(np.triu(graph.adjacency[np.ix_(offers.agents, offers.agents)]))
+    radius = (offers.clearance[i] + offers.clearance[j]) / 2
+    # Most pairs are too far apart to meet by any choice.
+    points = offers.paths.reshape(len(offers.agents), -1, offers.paths.shape[-1])
+    middle = points.mean(axis=1, keepdims=True)
+    extent = np.linalg.norm(points - middle, axis=2).max(axis=1)
+    near = np.linalg.norm(middle[i, 0] - middle[j, 0], axis=1) < extent[i] + extent[j] + radius
+    i, j, radius = i[near], j[near], radius[near]
+    choice, last = offers.is_allowed.argmax(axis=1).astype(np.int64), offers.last
+    changed, is_clear = np.arange(len(i)), np.ones(len(i), dtype=bool)
+    while True:
+        first, second = i[changed], j[changed]
+        relative = offers.paths[first, choice[first]] - offers.paths[second, choice[second]]
+        separated = convexify.are_hulls_separated(relative, radius[changed])
+        is_clear[changed] = separated.all(axis=-1)
+        met = np.flatnonzero(~is_clear & ((choice[i] < last) | (choice[j] < last)))
+        if not len(met):
+            return np.asarray(choice)
+        is_lower = rank[i[met]] > rank[j[met]]
+        lower, higher = np.where(is_lower, (i[met], j[met]), (j[met], i[met]))
+        moved = np.unique(np.where(choice[lower] < last, lower, higher))
+        for a in moved:
+            choice[a] = next_choice(offers.is_allowed[a], int(choice[a]))
+        changed = np.flatnonzero(np.isin(i, moved) | np.isin(j, moved))
+
+
+def next_choice(is_allowed: Bool[Array, " choices"], choice: int) -> int:
+    """Return the next offer that is allowed."""
+    return choice + 1 + int(is_allowed[choice + 1 :].argmax())
+
+
+def commit(
+    context: DecisionContext, plans: Plans, committed: Commitments
+) -> tuple[Commitments, Plans, list[int]]:
+    """Commit the agents that have planned to trajectories that they have checked.
+
+    Args:
+        context: States, graph and time of the agents that decide.
+        plans: Their plans.
+        committed: Committed trajectories.
+
+    Returns:
+        Committed trajectories; the plans, without a target where they are not flown; and the
+        agents that could not commit to their plans.
+    """
+    if not context.mission.is_point_mass or not plans:
+        return commit_unchecked(context, plans), plans, []
+    offers = make_offers(context, plans, committed)
+    order = sorted(range(len(plans)), key=lambda a: plans[int(offers.agents[a])].priority)
+    rank = np.empty(len(order), dtype=int)
+    rank[order] = np.arange(len(order))
+    choice = choose_offers(offers, context.graph, rank)
+    rows = np.arange(len(plans))
+    u, paths = offers.u[rows, choice], offers.paths[rows, choice]
+    adjacent = context.graph.adjacency[np.ix_(offers.agents, offers.agents)]
+    component = context.graph.component[offers.agents]
+    cautious = [a for a in order if choice[a] == offers.last]
+    for a in cautious:
+        near, i = adjacent[a], int(offers.agents[a])
+        T = int(offers.steps[component == component[a]].max())
+        clearance = (offers.clearance[a] + offers.clearance[near]) / 2
+        horizon = stopping_horizon(context.mission, T)
+        pieces = len(horizon.fine_model)
+        others = paths[near, :pieces]
+        found = improve(context, i, plans[i], horizon, paths[a, :pieces], others, clearance)
+        if found is not None:
+            u[a, :T], paths[a, :pieces] = found
+            paths[a, pieces:] = found[1][-1, -1]
+    done = {i: Commitment(context.instant, u[a]) for a, i in enumerate(plans)}
+    followed = {
+        i: follow(context, plan, offers.plan_steps[choice[a]])
+        for a, (i, plan) in enumerate(plans.items())
+    }
+    return done, followed, sorted(offers.agents[cautious].tolist())
+
+
+def commit_unchecked(context: DecisionContext, plans: Plans) -> Commitments:
+    """Commit agents to their plans: those in orbit, where nothing rests."""
+    return {i: Commitment(context.instant, plan.trajectory.u) for i, plan in plans.items()}
+
+
+def follow(context: DecisionContext, plan: Plan, steps: int) -> Plan:
+    """Return a plan of which so many steps are flown; without a target if it is left too early."""
+    if steps < min(steps_to_next(context), len(plan.trajectory.u)):
+        return plan._replace(target_index=None)
+    return plan._replace(clear_until=plan.planned_at + steps)
+
+
+def improve(
+    context: DecisionContext,
+    agent: int,
+    plan: Plan,
+    horizon: AvoidanceHorizon,
+    path: Float[Array, "pieces 4 d"],
+    others: Float[Array, "others pieces 4 d"],
+    clearance: Float[Array, " others"],
+) -> tuple[Float[Array, "T m"], Float[Array, "pieces 4 d"]] | None:
+    """Change a committed trajectory towards the agent's plan.
+
+    Args:
+        context: State of the agent, and its solver.
+        agent: Number of the agent.
+        plan: Its plan.
+        horizon: Horizon in which all have come to rest.
+        path: Control points of its committed trajectory.
+        others: Control points of those of its neighbors.
+        clearance: Distance to keep from each [m].
+
+    Returns:
+        Controls and control points; None where none are found that are safe.
+    """
+    mission, start, T = context.mission, context.state[agent], horizon.steps - 1
+    required = required_separations(clearance)
+    normals = convexify.choose_normals(path - others, required)
+    half_spaces = convexify.convexify(horizon, T, others, normals, required)
+    transfer, k = mission.make_transfer(horizon.discrete_model[:T], agent), steps_to_next(context)
+    wanted = plan.trajectory.x[min(k, len(plan.trajectory.u))]
+    solver = context.solver_of(agent)
+    try:
+        found = SafetyFilterProblem(transfer, start, wanted, min(k, T), half_spaces, solver).solve()
+    except Unsolved:
+        return None
+    # The solver leaves a speed within its tolerance, which the last step takes away.
+    u = np.vstack([found.u, -found.x[-1, mission.axes :] / mission.step])
+    x = horizon.discrete_model.simulate(start, u)
+    path = horizon.control_points(x, u)
+    is_clear = convexify.are_hulls_separated(path - others, clearance).all()
+    is_near = stays_within_reach(mission, horizon, x[:, : mission.axes], path)
+    return (u, path) if is_clear and is_near else None
