@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
+from dynamics.trajectory_geometry import hull_distance
 from problems import convexify
 from problems.conic import Unsolved
 from problems.convexify import AvoidanceHorizon
@@ -31,6 +32,7 @@ from sato.scp.planner import required_separations
 
 REST_TOLERANCE = 1e-12  # of the speed that a step at full control makes: slower is at rest
 REACH_TOLERANCE = 1e-9  # relative
+ROUNDING = 1e-12  # relative, of distances that are computed twice
 
 
 class Commitment(NamedTuple):
@@ -272,6 +274,8 @@ def improve(
 ) -> tuple[Float[Array, "T m"], Float[Array, "pieces 4 d"]] | None:
     """Change a committed trajectory towards the agent's plan.
 
+    From a neighbor that it is too near to, as noise may have it, the change keeps what it had.
+
     Args:
         context: State of the agent, and its solver.
         agent: Number of the agent.
@@ -285,6 +289,8 @@ def improve(
         Controls and control points; None where none are found that are safe.
     """
     mission, start, T = context.mission, context.state[agent], horizon.steps - 1
+    kept = hull_distance(path - others)[0].min(axis=1)
+    clearance = np.minimum(clearance, kept * (1 - ROUNDING))
     required = required_separations(clearance)
     normals = convexify.choose_normals(path - others, required)
     half_spaces = convexify.convexify(horizon, T, others, normals, required)
