@@ -25,8 +25,9 @@ from reconfiguration_runs import at_rest, make_mission
 
 from dynamics.trajectory_geometry import separations
 from sato.network.graph import CommunicationGraph
+from sato.reconfiguration.commitment import Commitment, controls_at
 from sato.reconfiguration.leg import Leg
-from sato.reconfiguration.planning import controls_at, plan_trajectories
+from sato.reconfiguration.planning import plan_trajectories
 from sato.reconfiguration.state import AgentMemory, DecisionContext
 from sato.scp.exchange import run_batched, run_scp
 from sato.scp.priority_orders import (
@@ -249,7 +250,8 @@ def test_replanning_never_raises_the_fuel_of_the_first_plan(bargains):
             plans, events = plan_trajectories(context, spent, plans)
             assert [event["kind"] for event in events] == ["replan"]
             planned.append(spent.sum() + sum(plan.trajectory.fuel for plan in plans.values()))
-        u = controls_at(plans, k, everyone, mission)
+        flown = {i: Commitment(p.planned_at, p.trajectory.u) for i, p in plans.items()}
+        u = controls_at(flown, k, everyone, mission)
         spent = spent + np.abs(u).sum(axis=1)
         x = mission.flown_plant.propagate(x, u, float(k), 1.0)[1]
         path.append(x)

@@ -10,9 +10,10 @@ from reconfiguration_runs import at_rest, fly, leg_to, make_mission, min_separat
 from dynamics import ClohessyWiltshire, DoubleIntegrator, LinearModel, discretize_zoh
 from problems.transfer import Trajectory, TransferProblem
 from sato.network.graph import CommunicationGraph
+from sato.reconfiguration.commitment import Commitment, controls_at
 from sato.reconfiguration.leg import Join, Loss
 from sato.reconfiguration.loop import simulate
-from sato.reconfiguration.planning import Plan, controls_at, plan_trajectories
+from sato.reconfiguration.planning import Plan, plan_trajectories
 from sato.reconfiguration.solo_trajectories import TIE_BREAK_RISE, solve_solo_transfers
 from sato.reconfiguration.state import AgentMemory, DecisionContext
 
@@ -83,7 +84,7 @@ def test_components_that_claim_one_target_resolve_it_when_they_meet():
     # [Morgan2016, Fig. 3b]: out of hearing both choose the only target that they know of.
     start = np.array([[-5.0, 0.0], [5.0, 0.0]])
     targets = at_rest(np.array([[0.0, 0.0], [0.0, 2.0]]))
-    mission = make_mission(start, leg_to(targets, 40), target_count=1)
+    mission = make_mission(start, leg_to(targets, 40), target_count=1, reset="change")
     frames = fly(mission)
     assert frames[0].target_index.tolist() == [0, 0]
     assert frames[0].component.tolist() == [0, 1]
@@ -212,10 +213,8 @@ def test_auction_as_printed_reaches_all_targets():
 def test_loss_is_noticed_at_the_next_auction():
     # Silence is all there is to hear: until then no agent changes its control.
     loss = Loss("agents", agents=(2,), at_step=9)
-    with_loss, without = (
-        fly(make_mission(row(6, 0.0), leg_to(at_rest(row(6, 4.0)), 40, losses=losses)))
-        for losses in (loss, ())
-    )
+    legs = [leg_to(at_rest(row(6, 4.0)), 40, losses=losses) for losses in (loss, ())]
+    with_loss, without = (fly(make_mission(row(6, 0.0), leg, reset="change")) for leg in legs)
     others = [0, 1, 3, 4, 5]
     for k in range(12):
         np.testing.assert_array_equal(with_loss[k].control[others], without[k].control[others])
@@ -341,7 +340,7 @@ def test_events_out_of_hearing_change_nothing(change):
 
 def test_leg_that_outlasts_its_steps_records_the_reset():
     leg = leg_to(at_rest(row(6, 3.0)), 30, joins=Join(1, row(1, -2.0), at_step=13))
-    frames = fly(make_mission(row(4, 0.0), leg))
+    frames = fly(make_mission(row(4, 0.0), leg, reset="change"))
     assert len(frames) > 31
     reset = [(f.time, e["agents"]) for f in frames for e in f.events if e["kind"] == "reset"]
     assert reset[0] == (13.0, [0, 1, 2, 3])
@@ -352,8 +351,8 @@ def test_flown_control_stays_within_the_limit_that_a_plan_exceeds(norm, rng):
     mission = make_mission(row(2, 0.0), leg_to(at_rest(row(2, 1.0)), 9), control_norm=norm)
     u = rng.uniform(-1, 1, (2, 2))
     u *= 0.1 * (1 + np.array([[1e-8], [-1e-3]])) / np.linalg.norm(u, float(norm), 1)[:, None]
-    plans = {i: Plan(Trajectory(np.zeros((2, 4)), u[i : i + 1], 0.0), None, 0, 1) for i in range(2)}
-    flown = controls_at(plans, 0, np.ones(2, dtype=bool), mission)
+    committed = {i: Commitment(0, u[i : i + 1]) for i in range(2)}
+    flown = controls_at(committed, 0, np.ones(2, dtype=bool), mission)
     assert np.linalg.norm(flown, float(norm), 1).max() <= 0.1 * (1 + 1e-15)
     np.testing.assert_allclose(flown, u, rtol=2e-8)
     assert (flown[1] == u[1]).all()

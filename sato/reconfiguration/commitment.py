@@ -10,8 +10,9 @@ Later points of an offer are at most (R_comm − R)/2 from earlier ones, so that
 not hear each other cannot meet before they do. docs/safety.md has the proof.
 """
 
+from collections.abc import Sequence
 from functools import lru_cache
-from math import ceil
+from math import ceil, inf
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +25,8 @@ from problems.conic import Unsolved
 from problems.convexify import AvoidanceHorizon
 from problems.limit import Limit
 from problems.safety_filter import SafetyFilterProblem
+from problems.solvers.verified import solve_program
+from problems.transfer import Solver
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.planning import Plan, Plans, divide_horizon
@@ -88,6 +91,35 @@ def stop_at_once(limit: Limit, velocity: Float[Array, " m"], h: float) -> Float[
     return np.tile(-velocity / (max(count, 1) * h), (count, 1))
 
 
+def end_at_rest(
+    mission: Reconfiguration, agent: int, velocity: Float[Array, " m"], u: Float[Array, "k m"]
+) -> Float[Array, "T m"]:
+    """Return controls, and those that then stop the agent, from a velocity on."""
+    final = velocity + mission.step * u.sum(axis=0)
+    return np.vstack([u, stop_at_once(mission.control_limit(agent), final, mission.step)])
+
+
+def held_controls(
+    mission: Reconfiguration,
+    agent: int,
+    velocity: Float[Array, " m"],
+    committed: Commitments,
+    instant: int,
+) -> Float[Array, "T m"]:
+    """Return what an agent flies if it does not decide again; one without a commitment stops."""
+    none = np.zeros((0, mission.axes))
+    held = committed[agent].controls_from(instant) if agent in committed else none
+    return end_at_rest(mission, agent, velocity, held)
+
+
+def pad_controls(each: Sequence[Float[Array, "_ m"]], steps: int) -> Float[Array, "each T m"]:
+    """Stack controls, with zeros up to so many steps."""
+    u = np.zeros((len(each), steps, each[0].shape[1]))
+    for own, filled in zip(each, u, strict=True):
+        filled[: len(own)] = own
+    return u
+
+
 def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) -> Offers:
     """Make the offers of the agents that have planned.
 
@@ -96,41 +128,35 @@ def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) 
         plans: Their plans.
         committed: Committed trajectories; an agent without one stops at once.
     """
-    mission, h, d = context.mission, context.mission.step, context.mission.axes
-    plan_steps = _plan_steps(context)
+    mission, plan_steps = context.mission, _plan_steps(context)
     each: list[list[Array]] = []
     for i, plan in plans.items():
-        limit, velocity = mission.control_limit(i), context.state[i, d:]
-        held = committed[i].controls_from(context.instant) if i in committed else np.zeros((0, d))
+        limit, velocity = mission.control_limit(i), context.state[i, mission.axes :]
         begun = [limit.cut(plan.trajectory.u[:q]) for q in plan_steps[:-1]]
-        stops = (stop_at_once(limit, velocity + h * u.sum(axis=0), h) for u in (*begun, held))
-        each.append([np.vstack(both) for both in zip((*begun, held), stops, strict=True)])
+        begun = [end_at_rest(mission, i, velocity, u) for u in begun]
+        each.append([*begun, held_controls(mission, i, velocity, committed, context.instant)])
     agents, steps = np.array(list(plans)), np.array([1 + max(map(len, own)) for own in each])
-    u = np.zeros((len(each), len(plan_steps), steps.max(), d))
-    for own, filled in zip(each, u, strict=True):
-        for controls, into in zip(own, filled, strict=True):
-            into[: len(controls)] = controls
+    u = np.stack([pad_controls(own, int(steps.max())) for own in each])
     horizon = stopping_horizon(mission, int(steps.max()))
     start = np.repeat(context.state[agents][:, None], len(plan_steps), axis=1)
     x = horizon.discrete_model.simulate(start, u)
     paths = horizon.control_points(x, u)
-    is_allowed = stays_within_reach(mission, horizon, x[..., :d], paths)
+    is_allowed = stays_within_reach(mission, horizon, x[..., : mission.axes], paths)
     # Fewer steps than until the next decision are for those that cannot stop within reach.
     is_whole = np.array(plan_steps) >= steps_to_next(context)
     has_whole = np.asarray(is_allowed[:, is_whole].any(axis=1))
     is_allowed &= is_whole | ~has_whole[:, None]
     is_allowed[:, -1] = True
-    clearance = np.full(len(agents), horizon.clearance)
-    if not mission.has_equal_radii:
-        clearance += mission.radii[agents] - mission.largest_separation
+    clearance = clearances_of(mission, horizon, agents)
     return Offers(agents, plan_steps, steps, horizon, u, paths, is_allowed, clearance)
 
 
 def _plan_steps(context: DecisionContext) -> tuple[int, ...]:
-    # As far as avoidance looked, or until the next decision, or less.
-    period = steps_to_next(context)
+    # As far as avoidance looked or plans are kept, or until the next decision, or less.
+    mission, period = context.mission, steps_to_next(context)
+    longest = max(period, mission.horizon_steps, mission.freeze_steps)
     halves = [period >> n for n in range(period.bit_length())]
-    return (*dict.fromkeys([max(period, context.mission.horizon_steps), *halves]), 0)
+    return (*dict.fromkeys([longest, *halves]), 0)
 
 
 def steps_to_next(context: DecisionContext) -> int:
@@ -145,6 +171,20 @@ def stopping_horizon(mission: Reconfiguration, steps: int) -> AvoidanceHorizon:
     return divide_horizon(mission, 0.0, steps)
 
 
+def clearances_of(
+    mission: Reconfiguration, horizon: AvoidanceHorizon, agents: Int[Array, " agents"]
+) -> Float[Array, " agents"]:
+    """Return the distance that two of each agent's kind keep [m]."""
+    if mission.has_equal_radii:
+        return np.full(len(agents), horizon.clearance)
+    return np.asarray(horizon.clearance + mission.radii[agents] - mission.largest_separation)
+
+
+def reach_of(mission: Reconfiguration, horizon: AvoidanceHorizon) -> float:
+    """Return how far a committed trajectory may lead from any of its instants [m]."""
+    return inf if mission.allow_undetectable else (mission.comm_radius - horizon.clearance) / 2
+
+
 def stays_within_reach(
     mission: Reconfiguration,
     horizon: AvoidanceHorizon,
@@ -155,10 +195,8 @@ def stays_within_reach(
 
     Two that do not hear each other then cannot meet before both have decided again.
     """
-    reach = (mission.comm_radius - horizon.clearance) / 2 * (1 + REACH_TOLERANCE)
+    reach = reach_of(mission, horizon) * (1 + REACH_TOLERANCE)
     within = np.ones(position.shape[:-2], dtype=bool)
-    if mission.allow_undetectable:
-        return within
     for k in range(horizon.steps):
         later = paths[..., k * horizon.pieces_per_step :, :, :]
         away = np.linalg.norm(later - position[..., k, None, None, :], axis=-1)
@@ -288,23 +326,61 @@ def improve(
     Returns:
         Controls and control points; None where none are found that are safe.
     """
-    mission, start, T = context.mission, context.state[agent], horizon.steps - 1
+    mission, k = context.mission, steps_to_next(context)
     kept = hull_distance(path - others)[0].min(axis=1)
     clearance = np.minimum(clearance, kept * (1 - ROUNDING))
-    required = required_separations(clearance)
-    normals = convexify.choose_normals(path - others, required)
-    half_spaces = convexify.convexify(horizon, T, others, normals, required)
-    transfer, k = mission.make_transfer(horizon.discrete_model[:T], agent), steps_to_next(context)
     wanted = plan.trajectory.x[min(k, len(plan.trajectory.u))]
-    solver = context.solver_of(agent)
+    aim = agent, context.state[agent], wanted, min(k, horizon.steps - 1)
+    found = find_stop(mission, horizon, *aim, path, others, clearance, context.solver_of(agent))
+    if found is None:
+        return None
+    u, x, path = found
+    is_clear = convexify.are_hulls_separated(path - others, clearance).all()
+    is_near = stays_within_reach(mission, horizon, x[:, : mission.axes], path)
+    return (u, path) if is_clear and is_near else None
+
+
+def find_stop(
+    mission: Reconfiguration,
+    horizon: AvoidanceHorizon,
+    agent: int,
+    start: Float[Array, " n"],
+    wanted: Float[Array, " n"],
+    wanted_step: int,
+    nominal: Float[Array, "pieces 4 d"],
+    others: Float[Array, "others pieces 4 d"],
+    clearance: Float[Array, " others"],
+    solver: Solver = solve_program,
+    side: convexify.PassingSide = "same",
+) -> tuple[Float[Array, "T m"], Float[Array, "instants n"], Float[Array, "pieces 4 d"]] | None:
+    """Find a stopping trajectory among others, near a wanted state after some steps.
+
+    Args:
+        mission: Limits.
+        horizon: Horizon in which all have come to rest.
+        agent: Number of the agent.
+        start: State of the agent.
+        wanted: Wanted state.
+        wanted_step: Steps after which it is wanted.
+        nominal: Control points about which the half-spaces are chosen.
+        others: Control points of the others.
+        clearance: Distance to keep from each [m].
+        solver: Solver of the program.
+        side: Side on which to pass others that the nominal meets.
+
+    Returns:
+        Controls, states and control points; None where none is found.
+    """
+    T, required = horizon.steps - 1, required_separations(clearance)
+    normals = convexify.choose_normals(nominal - others, required, side)
+    half_spaces = convexify.convexify(horizon, T, others, normals, required)
+    transfer = mission.make_transfer(horizon.discrete_model[:T], agent)
+    problem = SafetyFilterProblem(transfer, start, wanted, wanted_step, half_spaces, solver)
     try:
-        found = SafetyFilterProblem(transfer, start, wanted, min(k, T), half_spaces, solver).solve()
+        found = problem.solve()
     except Unsolved:
         return None
     # The solver leaves a speed within its tolerance, which the last step takes away.
     u = np.vstack([found.u, -found.x[-1, mission.axes :] / mission.step])
     x = horizon.discrete_model.simulate(start, u)
-    path = horizon.control_points(x, u)
-    is_clear = convexify.are_hulls_separated(path - others, clearance).all()
-    is_near = stays_within_reach(mission, horizon, x[:, : mission.axes], path)
-    return (u, path) if is_clear and is_near else None
+    return u, x, horizon.control_points(x, u)

@@ -15,6 +15,7 @@ from dynamics.trajectory_geometry import min_distance
 from problems.limit import Limit
 from sato.reconfiguration import feasibility, reach
 from sato.reconfiguration.departure import Departure, count_wanted, depart
+from sato.reconfiguration.first_commitment import find_first_commitments
 from sato.reconfiguration.leg import Leg, states_of
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.models import OrbitalModel
@@ -60,6 +61,7 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
         reason = f"is so large that {error}"
         raise InputError("model.max_control_m_s2", reason) from error
     reach.check_reach(drawn)
+    find_first_commitments(drawn)
     return drawn
 
 

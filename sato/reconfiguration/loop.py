@@ -13,6 +13,7 @@ from sato.reconfiguration import planning, state
 from sato.reconfiguration.assignment import assign_targets
 from sato.reconfiguration.commitment import Commitments, commit, controls_at
 from sato.reconfiguration.disturbances import disturb_control, draw_losses, measure
+from sato.reconfiguration.first_commitment import find_first_commitments, has_room
 from sato.reconfiguration.mission import Reconfiguration
 
 MAX_LEG_FACTOR = 20  # times its steps after which a leg is given up
@@ -45,7 +46,8 @@ class _Flight:
         m = np.where(self.alive, mission.target_count or int(self.alive.sum()), 1)
         self.believed, self.memory = m, state.AgentMemory.initial(m)
         self.plans: planning.Plans = {}
-        self.committed: Commitments = {}
+        self.committed: Commitments = find_first_commitments(mission)
+        self.waiting: list[int] = []  # agents that join as soon as there is room
         tolerance = mission.tolerance or TOLERANCE
         self.solvers = [VerifiedSolver(mission.solver, tolerance) for _ in m]  # its own each
         self.spent = np.zeros(len(m))  # fuel [m/s], or energy [m²/s³]
@@ -90,7 +92,7 @@ class _Flight:
         # Agents whose last plan was not clear may not be where their clocks have them.
         live, plans = np.flatnonzero(self.alive), self.plans
         is_planned = [i in plans and plans[i].target_index is not None for i in live.tolist()]
-        return np.asarray((self.memory.clock[live] >= self.leg.steps) & is_planned)
+        return (self.memory.clock[live] >= self.leg.steps) & np.array(is_planned, dtype=bool)
 
     def _note(self, kind: str, agents: Array, **more: object) -> None:
         self.events.append({"kind": kind, "agents": state.to_indices(agents), **more})
@@ -105,10 +107,15 @@ class _Flight:
         self.alive = self.alive.copy()
         joined: list[int] = []
         for agents, at_step in self.mission.joining(self.leg_index):
-            if at_step == k:
-                self.alive[agents] = True
-                self.events.append({"kind": "join", "agents": agents})
-                joined += agents
+            self.waiting += agents if at_step == k else []
+        for i in self.waiting:
+            own = self.x, self.alive, self.committed, self.step_index
+            if has_room(self.mission, i, *own):
+                self.alive[i] = True
+                joined.append(i)
+        if joined:
+            self.events.append({"kind": "join", "agents": joined})
+            self.waiting = [i for i in self.waiting if not self.alive[i]]
         for loss in self.leg.losses:
             if loss.at_step == k:
                 lost = draw_losses(loss, self.x[:, : self.mission.axes], self.alive, self.rng)

@@ -1,0 +1,157 @@
+"""First commitments: how vehicles can stop before they have decided anything.
+
+Vehicles that start at rest stay where they are. Those that start in motion stop at once, or, where
+two of them would come too close, in ways that are found one after another. All initial states are
+known before the flight; a mission without such a set is refused. A vehicle that joins waits until
+it can stop clear of all others.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
+
+from problems import convexify
+from problems.convexify import AvoidanceHorizon
+from sato.reconfiguration.commitment import (
+    Commitment,
+    Commitments,
+    clearances_of,
+    find_stop,
+    held_controls,
+    pad_controls,
+    reach_of,
+    stays_within_reach,
+    stopping_horizon,
+)
+from sato.reconfiguration.mission import Reconfiguration
+from sato.scenario.errors import InputError, round_down, round_up
+from sato.scp.planner import PASSING_SIDES
+
+MAX_SWEEPS = 4  # in which each vehicle that meets another looks for another way to stop
+SLOWER = 2  # times the time of the slowest stop, in which all come to rest
+
+
+def find_first_commitments(mission: Reconfiguration) -> Commitments:
+    """Find stopping trajectories, clear of each other, for all that are there at the start.
+
+    Args:
+        mission: A drawn mission.
+
+    Returns:
+        What each has committed to; nothing where all are at rest, or the mission is in orbit.
+
+    Raises:
+        InputError: A vehicle cannot stop within reach, or two cannot stop clear of each other.
+    """
+    agents, d = np.flatnonzero(mission.alive), mission.axes
+    start = mission.initial_states[agents]
+    if not mission.is_point_mass or not start[:, d:].any():
+        return {}
+    horizon, u, x, paths = _fly_on(mission, agents, start, {}, 0)
+    _check_reach(mission, horizon, agents, x, paths)
+    clearance = clearances_of(mission, horizon, agents)
+    for _ in range(MAX_SWEEPS):
+        meeting = np.flatnonzero(~_are_clear(paths, clearance).all(axis=1))
+        if not len(meeting):
+            return {i: Commitment(0, own) for i, own in zip(agents.tolist(), u, strict=True)}
+        for a in meeting.tolist():
+            others, radii = np.delete(paths, a, axis=0), np.delete(clearance, a)
+            rest = np.concatenate([paths[a, -1, -1], np.zeros(d)])
+            aim = int(agents[a]), start[a], rest, horizon.steps - 1
+            for side in PASSING_SIDES[d]:
+                radius = (radii + clearance[a]) / 2
+                found = find_stop(mission, horizon, *aim, paths[a], others, radius, side=side)
+                if found is not None:
+                    u[a], _, paths[a] = found
+                    break
+    i, j = np.argwhere(~_are_clear(paths, clearance))[0]
+    speeds = np.linalg.norm(start[[i, j], d:], axis=1)
+    raise InputError(
+        "swarm.start",
+        f"agents {agents[i]} and {agents[j]} start at {speeds[0]:.3g} and {speeds[1]:.3g} m/s, and "
+        f"no way is found for all to stop {(clearance[i] + clearance[j]) / 2:.3g} m apart; slower "
+        "starts, starts farther apart, or a larger model.max_control_m_s2 would do",
+    )
+
+
+def has_room(
+    mission: Reconfiguration,
+    agent: int,
+    x: Float[Array, "agents n"],
+    alive: Bool[Array, " agents"],
+    committed: Commitments,
+    instant: int,
+) -> bool:
+    """Tell whether a vehicle that joins can stop at once, clear of what others have committed to.
+
+    Args:
+        mission: A drawn mission.
+        agent: Number of the vehicle.
+        x: States of all; its own is that with which it joins.
+        alive: True for those that are there.
+        committed: What these have committed to.
+        instant: Steps since the start of the mission.
+    """
+    if not mission.is_point_mass:
+        return True
+    agents = np.append(np.flatnonzero(alive), agent)
+    horizon, _, _, paths = _fly_on(mission, agents, x[agents], committed, instant)
+    clearance = clearances_of(mission, horizon, agents)
+    radius = (clearance[:-1] + clearance[-1]) / 2
+    return bool(convexify.are_hulls_separated(paths[:-1] - paths[-1], radius).all())
+
+
+def _fly_on(
+    mission: Reconfiguration,
+    agents: Int[Array, " agents"],
+    state: Float[Array, "agents n"],
+    committed: Commitments,
+    instant: int,
+) -> tuple[AvoidanceHorizon, Array, Array, Array]:
+    """Return the horizon, controls, states and control points of agents that decide no more."""
+    velocity = state[:, mission.axes :]
+    each = [
+        held_controls(mission, i, v, committed, instant)
+        for i, v in zip(agents.tolist(), velocity, strict=True)
+    ]
+    u = pad_controls(each, SLOWER * max(map(len, each)) + mission.horizon_steps)
+    horizon = stopping_horizon(mission, u.shape[1])
+    x = horizon.discrete_model.simulate(state, u)
+    return horizon, u, x, horizon.control_points(x, u)
+
+
+def _check_reach(
+    mission: Reconfiguration,
+    horizon: AvoidanceHorizon,
+    agents: Int[Array, " agents"],
+    x: Float[Array, "agents instants n"],
+    paths: Float[Array, "agents pieces 4 d"],
+) -> None:
+    d = mission.axes
+    position = x[:, 0, :d]
+    apart = np.linalg.norm(position[:, None] - position, axis=2).max()
+    if apart <= mission.comm_radius and len(agents) == mission.vehicle_count:
+        return  # all hear each other
+    far = np.flatnonzero(~stays_within_reach(mission, horizon, x[..., :d], paths))
+    if len(far):
+        a, reach = int(far[0]), reach_of(mission, horizon)
+        way = float(np.linalg.norm(x[a, -1, :d] - position[a]))
+        radius = mission.comm_radius + 2 * (way - reach)
+        slower = float(np.linalg.norm(x[a, 0, d:])) * (reach / way) ** 0.5
+        raise InputError(
+            "swarm.start",
+            f"agent {agents[a]} needs {way:.4g} m to stop, and could meet others that it does not "
+            f"hear within {reach:.4g} m, half of what the communication radius leaves; a start at "
+            f"{round_down(slower)} m/s, or swarm.comm_radius_m = {round_up(radius)} would do",
+        )
+
+
+def _are_clear(
+    paths: Float[Array, "agents pieces 4 d"], clearance: Float[Array, " agents"]
+) -> Bool[Array, "agents agents"]:
+    i, j = np.triu_indices(len(paths), 1)
+    is_clear = np.ones((len(paths), len(paths)), dtype=bool)
+    radius = (clearance[i] + clearance[j]) / 2
+    found = convexify.are_hulls_separated(paths[i] - paths[j], radius).all(axis=-1)
+    is_clear[i, j] = is_clear[j, i] = found
+    return is_clear
