@@ -46,7 +46,9 @@ def test_central_needs_a_target_an_agent():
 
 
 def test_given_targets_are_flown_to_by_their_own_agents():
-    run = sato.run(make_mission(START, Leg(TARGETS, 40), assignment="given", foresight_steps=40, **NEAR))
+    run = sato.run(
+        make_mission(START, Leg(TARGETS, 40), assignment="given", foresight_steps=40, **NEAR)
+    )
     held = run.data.target_index.values
     assert (held == np.arange(5)).all() and run.summary["reached"] and run.check().kept
     np.testing.assert_allclose(run.data.position[-1], TARGETS, atol=1e-4)
@@ -67,7 +69,11 @@ def test_given_targets_are_flown_to_by_their_own_agents():
 def test_lost_agents_leave_given_targets_empty_and_new_ones_have_their_own():
     targets = np.vstack([TARGETS, [[0.0, 9.0]]])
     mission = make_mission(
-        START, Leg(targets, 40, losses=[LOSS], joins=[JOIN]), assignment="given", foresight_steps=40, **NEAR
+        START,
+        Leg(targets, 40, losses=[LOSS], joins=[JOIN]),
+        assignment="given",
+        foresight_steps=40,
+        **NEAR,
     )
     run = sato.run(mission)
     assert run.summary["reached"] and run.check().kept

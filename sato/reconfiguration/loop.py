@@ -92,7 +92,7 @@ class _Flight:
         # Agents whose last plan was not clear may not be where their clocks have them.
         live, plans = np.flatnonzero(self.alive), self.plans
         is_planned = [i in plans and plans[i].target_index is not None for i in live.tolist()]
-        return (self.memory.clock[live] >= self.leg.steps) & np.array(is_planned, dtype=bool)
+        return np.asarray((self.memory.clock[live] >= self.leg.steps) & np.array(is_planned, bool))
 
     def _note(self, kind: str, agents: Array, **more: object) -> None:
         self.events.append({"kind": kind, "agents": state.to_indices(agents), **more})
