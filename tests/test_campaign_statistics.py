@@ -108,7 +108,7 @@ def test_terms_are_what_the_rows_say(table):
     holes = [int(cell["legs"].partition('"holes": ')[2][0]) for cell in ran]
     assert group.cells[3].mean == np.mean([count <= 1 for count in holes])
     assert group.cells[4].number("sum") == sum(cell["fuel_m_s"] > 9 for cell in ran)
-    head, rows = list_runs(table, [], ["fuel_m_s"], ["exit=broken"]).text()
+    head, rows = list_runs(table, [], ["fuel_m_s"], ["exit=broken"])
     assert head == ["row", "seed", "fuel_m_s", "exit", "error"]
     assert {row[-1] for row in rows} == {"it & failed"}
 
