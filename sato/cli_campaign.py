@@ -119,8 +119,9 @@ def table(
     from sato.scenario.definition import errors_in
 
     with open_table(folder) as campaign, errors_in(""):
-        shown = (list_runs if rows else group_runs)(campaign, by, show or (), where or ())
-    print_rows(*shown.text(), markdown)
+        given = campaign, by, show or (), where or ()
+        shown = list_runs(*given) if rows else group_runs(*given).text()
+    print_rows(*shown, markdown)
 
 
 @campaign_app.command()

@@ -9,9 +9,9 @@ from scipy import stats
 
 from sato.campaigns.definition import Campaign
 from sato.campaigns.export import export
-from sato.campaigns.figures import draw_campaign
+from sato.campaigns.figures import draw_campaign, draw_distributions
 from sato.campaigns.report import write_report
-from sato.campaigns.selection import group_runs, list_runs, parse_term
+from sato.campaigns.selection import Group, GroupTable, Term, group_runs, list_runs, parse_term
 from sato.campaigns.statistics import Statistics, wilson_interval
 from sato.campaigns.table import CampaignTable
 from sato.scenario.errors import InputError
@@ -108,7 +108,7 @@ def test_terms_are_what_the_rows_say(table):
     holes = [int(cell["legs"].partition('"holes": ')[2][0]) for cell in ran]
     assert group.cells[3].mean == np.mean([count <= 1 for count in holes])
     assert group.cells[4].number("sum") == sum(cell["fuel_m_s"] > 9 for cell in ran)
-    head, rows = list_runs(table, [], ["fuel_m_s"], ["exit=broken"]).text()
+    head, rows = list_runs(table, [], ["fuel_m_s"], ["exit=broken"])
     assert head == ["row", "seed", "fuel_m_s", "exit", "error"]
     assert {row[-1] for row in rows} == {"it & failed"}
 
@@ -190,7 +190,8 @@ def test_report_fetches_nothing_and_tells_how_to_run_failures_again(table, tmp_p
 def test_figures_show_the_groups_and_the_runs(table):
     figures = draw_campaign(table, show=["good", "fuel_m_s:median", "wall_s"])
     assert list(figures) == ["rates", "distributions", "grid", "scatter"]
-    [ax] = figures["rates"].axes
+    ax, means = figures["rates"].axes
+    assert (ax.get_xlabel(), means.get_xlabel()) == ("good [%]", "wall_s, mean")
     assert [label.get_text() for label in ax.get_yticklabels()][:2] == ["2, fuel", "2, energy"]
     grid = figures["grid"].axes[1].images[0].get_array()
     medians = [g.cells[0].number("median") for g in group_runs(table, None, ["fuel_m_s"]).groups]
@@ -199,3 +200,10 @@ def test_figures_show_the_groups_and_the_runs(table):
     assert drawn == sum(row["fuel_m_s"] is not None for row in table.rows())
     with pytest.raises(InputError, match="nothing to draw"):
         draw_campaign(table, where=["exit=none"])
+
+
+def test_curve_of_a_distribution_ends_at_the_share_that_is_finite():
+    group = Group((), 4, (Statistics.of([1.0, np.inf, 2.0, 3.0]),))
+    term = Term("x", "", (), False, "mean")
+    [line] = draw_distributions(GroupTable((), (term,), (group,))).axes[0].lines
+    assert line.get_ydata()[np.isfinite(line.get_xdata())].max() == 0.75

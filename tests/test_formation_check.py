@@ -257,6 +257,15 @@ def test_agent_commanded_into_others_keeps_out_of_them():
     assert report.kept, report.broken
 
 
+@pytest.mark.parametrize(("noise", "allowance"), [(0.0, 0.0), (0.01, 0.025), (0.1, 0.05)])
+def test_separation_may_lack_what_noise_explains_alone(honest, noise, allowance):
+    data, mission, _ = honest
+    noisy = replace(mission, frames=replace(mission.frames, noise=noise))
+    [near] = [p for p in check_run(data, noisy).promises if p.name == "separation"]
+    assert near.tolerance == pytest.approx(mission.keep_out - allowance, rel=1e-12)
+    assert ("for noise" in near.message) == (noise > 0)
+
+
 def test_legacy_agents_that_meet_break_separation_alone():
     # The paper's avoidance, for agents without an assignment that must cross each other.
     mission, frames = fly("legacy_avoidance=true", "assignment.kind=none", seed=1)

@@ -365,3 +365,7 @@ def test_altered_summary_is_found(saved, tmp_path):
     for name, value in [("reached", False), ("fuel_m_s", 0.1), ("slack_used", 1), ("braked", "no")]:
         [promise] = replace(run, summary=run.summary | {name: value}).check().broken
         assert promise.name == "summary" and promise.message.endswith(name)
+    run.save(tmp_path)
+    (tmp_path / "summary.json").write_text("{}")
+    said = CliRunner().invoke(app, ["check", str(tmp_path)])
+    assert said.exit_code == 1 and "fuel_m_s" in said.stdout

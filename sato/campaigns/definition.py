@@ -4,7 +4,7 @@ import inspect
 import json
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from hashlib import sha256
 from itertools import combinations
@@ -17,30 +17,17 @@ from numpy import ndarray as Array
 
 from dynamics.units import Unit
 from sato.campaigns.distributions import Distribution, as_distribution
-from sato.campaigns.trial import (
-    FUNCTION,
-    Source,
-    Trial,
-    add_modules,
-    find_function,
-    generator,
-    name_of_function,
-)
+from sato.campaigns.functions import FUNCTION, add_modules, find_function, name_of_function
+from sato.campaigns.trial import Source, Trial, generator
 from sato.scenario.definition import Convert, Definition, In, NotNegative, Positive, errors_in
 from sato.scenario.errors import InputError, ScenarioError, closest_name, format_value
-from sato.scenario.file import Mission, Name, load_toml, read_data
+from sato.scenario.file import Mission, Name, load_toml, read_data, read_text
 from sato.scenario.overrides import override
 from sato.scenario.table import read_table, write_table
 from sato.systems import definition_of
 
-EXTENDABLE = (
-    "name",
-    "modules",
-    "trials",
-    "keep",
-    "by",
-    "show",
-)  # fields that may change when a campaign is resumed
+# Fields that may change when a campaign is resumed.
+EXTENDABLE = ("name", "modules", "trials", "keep", "by", "show")
 
 
 def _as_sources(value: Any) -> tuple[Source, ...]:
@@ -74,7 +61,7 @@ def _as_lists(value: Any) -> dict[str, tuple[Any, ...]]:
             raise InputError(key, f"must be a list of values, got {format_value(values)}")
         if not values:
             raise InputError(key, "must have at least one value")
-        grid[key] = tuple(part.item() if isinstance(part, np.generic) else part for part in values)
+        grid[key] = tuple(values)
     return grid
 
 
@@ -229,17 +216,16 @@ class Campaign(Definition):
     def _check_arguments(self) -> None:
         with errors_in("campaign.function"):
             signature = inspect.signature(find_function(self.function))
-        names = list(signature.parameters)[1:]
         for trial in self._first_trials():
             try:
                 signature.bind(None, **trial.parameters)
             except TypeError as error:
-                for key in set(trial.parameters) - set(names):
-                    near = closest_name(key, names)
-                    hint = f'; did you mean "{near}"?' if near else ""
-                    with errors_in(self._place_of(key, trial)):
-                        raise InputError(key, f"is no argument of {self.function}{hint}") from error
-                raise InputError("campaign.function", f"{self.function}: {error}") from error
+                names = list(signature.parameters)[1:]
+                key = next((key for key in trial.parameters if key not in names), "")
+                near = closest_name(key, names)
+                hint = f'; did you mean "{near}"?' if near else ""
+                place = f"{self._place_of(key, trial)}.{key}" if key else "campaign.function"
+                raise InputError(place, f"{self.function} {error}{hint}") from error
 
     def _place_of(self, key: str, trial: Trial) -> str:
         places = {**dict.fromkeys(self.grid, "grid"), **dict.fromkeys(self.draw, "draw")}
@@ -262,10 +248,9 @@ class Campaign(Definition):
 
     def to_json(self) -> str:
         """Write the definition as JSON, with the scenarios, so that it needs no other file."""
-        names = "name scenario function modules trials seed columns keep case grid by show".split()
-        plain = {name: getattr(self, name) for name in names}
+        plain = {field.name: getattr(self, field.name) for field in fields(self)}
         draws = {key: write_table(distribution) for key, distribution in self.draw.items()}
-        return _to_json(plain | {"time_limit": self.time_limit, "draw": draws})
+        return _to_json(plain | {"draw": draws})
 
     @classmethod
     def from_json(cls, text: str) -> "Campaign":
@@ -290,11 +275,7 @@ def read_campaign(path: Path, **changes: Any) -> Campaign:
     Raises:
         ScenarioError: It cannot be read, or is no campaign.
     """
-    try:
-        data = load_toml(path.read_text(encoding="utf-8-sig"), str(path))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise ScenarioError(f"{path}: cannot be read: {reason}") from error
+    data = load_toml(read_text(path), str(path))
     try:
         name, table = data.pop("name"), data.setdefault("campaign", {})
         if isinstance(table, dict):

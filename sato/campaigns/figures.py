@@ -54,18 +54,16 @@ def draw_campaign(
     grouped = group_runs(table, by, show, where)
     if not grouped.groups:
         raise InputError("", f"{table.folder}: has no such runs; there is nothing to draw")
-    rates, numbers = (
-        [n for n, term in enumerate(grouped.terms) if term.is_rate == is_rate]
-        for is_rate in (True, False)
-    )
+    means = [n for n, term in enumerate(grouped.terms) if term.statistic in ("rate", "mean")]
+    numbers = [n for n, term in enumerate(grouped.terms) if not term.is_rate]
     few = grouped
     if len(grouped.groups) > MAX_CURVES:
         few = group_runs(table, (), show, where)
     pair = [parse_term(text, table) for text in scatter] or [grouped.terms[n] for n in numbers[:2]]
     figures = {}
     with matplotlib.rc_context(STYLE):
-        if rates:
-            figures["rates"] = draw_intervals(grouped.of(rates))
+        if means:
+            figures["rates"] = draw_intervals(grouped.of(means))
         if numbers:
             figures["distributions"] = draw_distributions(few.of(numbers))
         if len(grouped.by) == 2:
@@ -109,9 +107,7 @@ def draw_distributions(table: GroupTable) -> Figure:
     figure, axes = _make_panels(len(terms), HEIGHT)
     for column, (ax, term) in enumerate(zip(axes, terms, strict=True)):
         for rank, group in enumerate(groups):
-            values = group.cells[column].values
-            values = values[np.isfinite(values)]
-            if len(values):
+            if len(values := group.cells[column].values):
                 ax.ecdf(values, label=name_group(group.key), markevery=0.2, **_style(rank))
         ax.set(xlabel=term.label, ylim=(-0.02, 1.02))
         ax.set_ylabel("share of runs, at most" if column % COLUMNS == 0 else "")
@@ -157,10 +153,10 @@ def draw_heat_maps(table: GroupTable) -> Figure:
             scale = 100 if term.statistic == "rate" else 1
             values[y, x] = scale * group.cells[column].number(term.statistic)
         limits = {"vmin": 0, "vmax": 100} if term.statistic == "rate" else {}
-        drawn = ax.imshow(values, cmap="cividis", aspect="auto", **limits)
+        drawn = ax.imshow(np.ma.masked_invalid(values), cmap="cividis", aspect="auto", **limits)
         for (y, x), value in np.ndenumerate(values):
-            if np.isfinite(value):
-                color = "white" if drawn.norm(value) < 0.5 else "black"
+            if not np.isnan(value):
+                color = "white" if np.isfinite(value) and drawn.norm(value) < 0.5 else "black"
                 ax.text(x, y, f"{value:.3g}", color=color, ha="center", va="center", fontsize=7)
         ax.set_xticks(range(len(xs)), map(format_value, xs))
         ax.set_yticks(range(len(ys)), map(format_value, ys) if column % COLUMNS == 0 else [])

@@ -5,6 +5,7 @@ from base64 import b64encode
 from collections.abc import Iterable, Sequence
 from html import escape
 from pathlib import Path
+from shlex import quote
 
 import tomli_w
 
@@ -88,7 +89,7 @@ def _format_failures(table: CampaignTable) -> list[str]:
     for row, seed, parameters, exit, error in rows[:MAX_FAILURES]:
         values = ", ".join(f"{key} = {value}" for key, value in json.loads(parameters).items())
         last = (error or "").strip().rpartition("\n")[2]
-        again = f"sato campaign rerun {table.folder} {row}"
+        again = f"sato campaign rerun {quote(str(table.folder.resolve()))} {row}"
         cells.append([str(row), str(seed), values, exit, last, again])
     return [*lines, _format_table(head, cells)] if rows else lines
 

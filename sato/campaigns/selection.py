@@ -72,19 +72,6 @@ class GroupTable(NamedTuple):
         return GroupTable(self.by, tuple(self.terms[n] for n in numbers), tuple(groups))
 
 
-class RunList(NamedTuple):
-    """Single runs, and what is shown of them."""
-
-    head: list[str]
-    rows: list[tuple[Any, ...]]
-
-    def text(self) -> tuple[list[str], list[list[str]]]:
-        """Return the head and the rows, as text; of an error its last line."""
-        return self.head, [
-            [format_value(cell).strip().rpartition("\n")[2] for cell in row] for row in self.rows
-        ]
-
-
 def name_group(key: Sequence[object]) -> str:
     """Name a group by its values."""
     return ", ".join(map(format_value, key)) or "all runs"
@@ -202,12 +189,14 @@ def list_runs(
     by: Sequence[str] | None = None,
     show: Sequence[str] = (),
     where: Sequence[str] = (),
-) -> RunList:
-    """List single runs; arguments as of `group_runs`."""
+) -> tuple[list[str], list[list[str]]]:
+    """List single runs as text, of errors the last line; arguments as of `group_runs`."""
     names = ["row", "seed", *(table.groups if by is None else by)]
     terms = [*column_terms(table, names), *parse_terms(table, show)]
     terms += column_terms(table, ["exit", "error"])
-    return RunList([term.label for term in terms], select(table, terms, where))
+    rows = select(table, terms, where)
+    texts = [[format_value(cell).strip().rpartition("\n")[2] for cell in row] for row in rows]
+    return [term.label for term in terms], texts
 
 
 def _evaluate(term: Term, values: Sequence[Any]) -> Statistics:

@@ -14,7 +14,8 @@ from numpy import ndarray as Array
 
 LEVEL = 0.95  # of all intervals
 NAMES = ("rate", "mean", "median", "least", "largest", "deviation", "range", "sum", "count")
-_QUANTILE = re.compile(r"p(\d\d?)")  # p5 is the quantile of 5 %
+_QUANTILE = re.compile(r"p(100|\d\d?)")  # p5 is the quantile of 5 %
+_PERCENTS = {"least": "p0", "median": "p50", "largest": "p100"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,19 +82,16 @@ class Statistics:
         Raises:
             KeyError: There is no such statistic.
         """
-        if found := _QUANTILE.fullmatch(name):
+        if found := _QUANTILE.fullmatch(_PERCENTS.get(name, name)):
             return self.quantile(int(found[1]) / 100)
         return {
-            "rate": lambda: self.mean,
-            "mean": lambda: self.mean,
-            "deviation": lambda: self.deviation,
-            "least": lambda: self.quantile(0.0),
-            "median": lambda: self.quantile(0.5),
-            "largest": lambda: self.quantile(1.0),
-            "range": lambda: self.quantile(1.0) - self.quantile(0.0),
-            "sum": lambda: float(self.values.sum()),
-            "count": lambda: float(self.count),
-        }[name]()
+            "rate": self.mean,
+            "mean": self.mean,
+            "deviation": self.deviation,
+            "range": self.quantile(1.0) - self.quantile(0.0),
+            "sum": float(self.values.sum()),
+            "count": float(self.count),
+        }[name]
 
     def text(self, name: str) -> str:
         """Format a statistic by its name; rates and means with their intervals."""

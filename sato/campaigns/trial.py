@@ -2,31 +2,28 @@
 
 import json
 import os
-import re
 import socket
-import sys
 import tomllib
 import traceback
 import warnings
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from pkgutil import resolve_name
 from time import perf_counter
 from typing import Any, NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from sato.campaigns.functions import add_modules, find_function
 from sato.record import json_default
 from sato.resource_usage import peak_memory_mib, reset_peak_memory
 from sato.runs import run
 from sato.scenario.errors import InputError, ScenarioError
 from sato.scenario.file import Mission, from_dict
 
-FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")  # "module:function"
 THREAD_VARIABLES = [f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")]
 MOST_CELLS = 1000  # of a function of the user's; SQLite takes 2,000 columns
 ERROR_LENGTH = 2000  # of the end of a traceback that is kept
@@ -86,43 +83,6 @@ def own_version() -> str:
 def generator(seed: int, *key: int) -> np.random.Generator:
     """Return the generator of a stream of random numbers, independent of all others."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
-
-
-def add_modules(folder: str) -> None:
-    """Let functions be imported from a folder."""
-    if folder and folder not in sys.path:
-        sys.path.insert(0, folder)
-
-
-def find_function(name: str) -> Callable[..., Any]:
-    """Import "module:function".
-
-    Raises:
-        InputError: There is no such module or function.
-    """
-    try:
-        found: Callable[..., Any] = resolve_name(name)
-    except Exception as error:  # whatever a module of the user's raises
-        reason = f"{error}; the module must be beside the campaign's file, or installed"
-        raise InputError("", f'"{name}" cannot be imported: {reason}') from error
-    if not callable(found):
-        raise InputError("", f'"{name}" is no function')
-    return found
-
-
-def name_of_function(function: object) -> str:
-    """Return "module:function", by which a worker finds it.
-
-    Raises:
-        InputError: A worker could not import it.
-    """
-    module, name = getattr(function, "__module__", None), getattr(function, "__qualname__", "")
-    is_typed_in = module == "__main__" and not hasattr(sys.modules["__main__"], "__file__")
-    known = None if is_typed_in else sys.modules.get(str(module))
-    if not callable(function) or getattr(known, name, None) is not function:
-        reason = 'must be "module:function", or a function at the top of a module or a script'
-        raise InputError("", f"{reason}, which workers can import, got {function!r}")
-    return f"{module}:{name}"
 
 
 def run_trial(trial: Trial) -> Outcome:

@@ -126,7 +126,11 @@ def _combine_repeats(outcomes: list[SolveOutcome]) -> SolveOutcome:
 
 
 class SolverProcess:
-    """Solver in a process, which starts with the first request and again after every end."""
+    """Solver in a process, which starts with the first request and again after every end.
+
+    A pool of Pebble in its place takes as much code: it keeps no session from the first solve to
+    the second, and does not tell how a process ended that had nothing to do.
+    """
 
     def __init__(self, solver: SolverAdapter, patience: float) -> None:
         """Choose a solver; no process starts yet."""

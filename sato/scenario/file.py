@@ -108,12 +108,20 @@ def _read_text(name: str | Path) -> tuple[str, Path]:
         hint = f"did you mean {close}? Built in" if close else "built in"
         names = join_names(known, "and")
         raise ScenarioError(f'there is no scenario "{name}", and no such file; {hint} are {names}')
+    return read_text(file), file.parent
+
+
+def read_text(file: Path) -> str:
+    """Read a file.
+
+    Raises:
+        ScenarioError: It cannot be read, or is no text.
+    """
     try:
-        text = file.read_text(encoding="utf-8-sig")
+        return file.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise ScenarioError(f"{name}: cannot be read: {reason}") from error
-    return text, file.parent
+        raise ScenarioError(f"{file}: cannot be read: {reason}") from error
 
 
 def parse(
