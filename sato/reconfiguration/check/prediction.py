@@ -103,9 +103,10 @@ def redraw(record: ReconfigurationRecord, rng: Generator) -> Redrawn:
     mission, alive = record.mission, record.mission.alive
     measured, applied = record.state[:-1].copy(), record.frames.control[:-1].copy()
     expected, events = np.tile(alive, (len(record.time), 1)), list[Change]()
+    waiting = list[int]()
     for leg in record.leg_records:
         for k in range(leg.start_index, leg.end_index + 1):
-            events += _redraw_changes(record, leg, k, alive, rng)
+            events += _redraw_changes(record, leg, k, alive, waiting, rng)
             expected[k] = alive
             if k < leg.end_index:
                 measured[k] = measure(mission, measured[k], rng)
@@ -118,16 +119,33 @@ def redraw(record: ReconfigurationRecord, rng: Generator) -> Redrawn:
     return Redrawn(Schedule(expected, events), measured, applied)
 
 
+def _find_joined(record: ReconfigurationRecord, k: int) -> list[int]:
+    return [i for at, event in record.events.of_kind("join") if at == k for i in event["agents"]]
+
+
+def _has_room(
+    record: ReconfigurationRecord, k: int, agent: int, alive: Bool[Array, " agents"]
+) -> bool:
+    # Only vehicles of double integrators wait, and only for others that they hear.
+    mission = record.mission
+    position = mission.initial_states[agent, : record.axes]
+    away = np.linalg.norm(record.frames.position[k, alive] - position, axis=1)
+    return not mission.is_point_mass or bool((away > mission.comm_radius).all())
+
+
 def _redraw_changes(
     record: ReconfigurationRecord,
     leg: LegRecord,
     k: int,
     alive: Bool[Array, " agents"],
+    waiting: list[int],
     rng: Generator,
 ) -> list[Change]:
-    # Joins and losses at an instant of a leg, which change `alive` in place.
+    # Joins and losses at an instant of a leg, which change `alive` and `waiting` in place.
     mission, at_step = record.mission, k - leg.start_index
-    joined = [i for agents, at in mission.joining(leg.leg_index) if at == at_step for i in agents]
+    waiting += [i for agents, at in mission.joining(leg.leg_index) if at == at_step for i in agents]
+    joined = [i for i in waiting if i in _find_joined(record, k) or _has_room(record, k, i, alive)]
+    waiting[:] = [i for i in waiting if i not in joined]
     alive[joined] = True
     changes: list[Change] = [(k, "join", i) for i in joined]
     for loss in mission.legs[leg.leg_index].losses:
