@@ -11,7 +11,7 @@ from math import floor, log
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from scipy.sparse import csc_array, diags_array
 
@@ -71,6 +71,14 @@ class HalfSpaces(NamedTuple):
     def select(self, rows: Array) -> "HalfSpaces":
         """Select rows by a mask or by index."""
         return HalfSpaces(*(field[rows] for field in self))
+
+    def worst_per_step(
+        self, violation: Float[Array, " rows"], tolerance: float
+    ) -> Bool[Array, " rows"]:
+        """Select the rows that are violated most at each step, by more than a tolerance [m]."""
+        worst = np.full(int(self.step_index.max(initial=-1)) + 1, tolerance)
+        np.maximum.at(worst, self.step_index, violation)
+        return np.asarray((violation >= worst[self.step_index]) & (violation > tolerance))
 
 
 class AvoidanceResult(NamedTuple):

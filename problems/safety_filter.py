@@ -13,6 +13,7 @@ from problems.conic import ConicProgram
 from problems.solvers.verified import solve_program
 from problems.transfer import Solver, Trajectory, TransferProblem, solve_within_speed
 
+VIOLATION_TOLERANCE = 1e-9  # of the largest state: a half-space violated by more is added
 FUEL_WEIGHT = 1e-3  # of the fuel, times the duration: far below that of the error
 
 
@@ -45,10 +46,20 @@ class SafetyFilterProblem:
             Infeasible: No trajectory stops within the limits and the half-spaces.
             Unsolved: The solver stopped for any other reason.
         """
-        return solve_within_speed(
-            lambda factor: replace(self, transfer=self.transfer.slow_down(factor))._solve(),
-            self.transfer.speed_excess,
-        )
+        # Few half-spaces are active: add the one that is violated most at each step, until none is.
+        active = np.zeros(len(self.half_spaces.rhs), dtype=bool)
+        while True:
+            problem = replace(self, half_spaces=self.half_spaces.select(active))
+            found = solve_within_speed(problem._slow_down, self.transfer.speed_excess)
+            violation = np.where(active, 0.0, self.half_spaces.violation(found.x, found.u))
+            tolerance = VIOLATION_TOLERANCE * float(np.abs(found.x).max())
+            violated = self.half_spaces.worst_per_step(violation, tolerance)
+            if not violated.any():
+                return found
+            active |= violated
+
+    def _slow_down(self, factor: float) -> Trajectory:
+        return replace(self, transfer=self.transfer.slow_down(factor))._solve()
 
     def _solve(self) -> Trajectory:
         limit, unknowns = self.transfer.control_limit, self.solver(self.assemble_conic()).x

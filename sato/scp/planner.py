@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 from numpy import ndarray as Array
 
 from problems import convexify
@@ -269,8 +269,8 @@ def _solve_active_set(
     active = np.abs(half_spaces.violation(nominal.x, nominal.u)) < ACTIVE_TOLERANCE * R
     violation = half_spaces.violation(agent.solo.x, agent.solo.u)
     while True:
-        active |= _select_worst_per_step(
-            half_spaces.step_index, np.where(active, 0.0, violation), VIOLATION_TOLERANCE * R
+        active |= half_spaces.worst_per_step(
+            np.where(active, 0.0, violation), VIOLATION_TOLERANCE * R
         )
         rows, solver = half_spaces.select(active), agent.solver
         problem = AvoidanceProblem(transfer, nominal.x[0], target, rows, solver)
@@ -280,11 +280,3 @@ def _solve_active_set(
         violation -= result.slack if relaxation == "separation" else 0.0
         if not ((violation > VIOLATION_TOLERANCE * R) & ~active).any():
             return result
-
-
-def _select_worst_per_step(
-    step: Int[Array, " rows"], violation: Float[Array, " rows"], tolerance: float
-) -> Bool[Array, " rows"]:
-    worst = np.full(int(step.max(initial=-1)) + 1, tolerance)
-    np.maximum.at(worst, step, violation)
-    return np.asarray((violation >= worst[step]) & (violation > tolerance))
