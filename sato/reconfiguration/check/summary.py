@@ -40,7 +40,8 @@ def summarize(record: ReconfigurationRecord) -> dict[str, Any]:
     if mission.solver != "clarabel":
         rejected = (e["programs"] for _, e in record.events.of_kind("fallback"))
         summary["solver_fallbacks"] = sum(map(int, rejected))
-    for name, kind in [("slack_used", "slack"), ("braked", "braked"), ("infeasible", "infeasible")]:
+    for kind in ("slack", "braked", "infeasible", "cautious"):
+        name = "slack_used" if kind == "slack" else kind
         summary[name] = sum(max(len(e["agents"]), 1) for _, e in record.events.of_kind(kind))
     unit = "m2_s3" if mission.objective == "energy" else "m_s"
     for leg, cost in zip(legs, assignments, strict=True):
