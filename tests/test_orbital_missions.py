@@ -18,6 +18,7 @@ from dynamics.j2 import J2, invariant_velocity
 from dynamics.orbit import EARTH_J2, EARTH_MU, EARTH_RADIUS, Orbit
 from dynamics.plant import LinearPlant
 from dynamics.tschauner_hempel import TschaunerHempel
+from sato.reconfiguration.estimator import GATE_SIGMAS
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.models import MODELS
 from sato.reconfiguration.tolerances import compute_margin
@@ -284,19 +285,35 @@ def test_margin_is_twice_the_model_error_until_the_next_plan():
     assert drawn(AUTO).margin < dragged <= drawn(AUTO).margin + 1.2 * expected
 
 
+TWO_STEPS = np.hypot(1.5, 0.5) * 60**2  # way of accelerations of two steps [m/(m/s²)]
+
+
+@pytest.mark.parametrize(
+    ("noise", "each"),
+    [
+        ({"thrust_error": 0.05, "pointing_error": 0.02}, 0.01 * 0.07 * TWO_STEPS),
+        ({"disturbance": 1e-4}, 1e-4 * TWO_STEPS),
+    ],
+)
+def test_margin_has_five_sigmas_of_random_errors(noise, each):
+    calm = drawn("plant.kind=model", "replan_steps=2")
+    assert compute_margin(replace(calm, **noise)) == pytest.approx(5 * 2**0.5 * each, rel=0.02)
+
+
 @pytest.mark.parametrize(
     ("noise", "each"),
     [
         ({"position_noise": 2.0}, 2.0),
         ({"velocity_noise": 0.01}, 0.01 * 120),
-        ({"thrust_error": 0.05, "pointing_error": 0.02}, 0.01 * 0.07 * 120**2 / 2),
-        ({"disturbance": 1e-4}, 1e-4 * 120**2 / 2),
         ({"position_noise": 1.0, "velocity_noise": 0.05}, np.hypot(1.0, 6.0)),
     ],
 )
-def test_margin_has_five_sigmas_of_random_errors(noise, each):
+def test_margin_for_measurements_has_five_sigmas_and_at_most_the_gate(noise, each):
     calm = drawn("plant.kind=model", "replan_steps=2")
-    assert compute_margin(replace(calm, **noise)) == pytest.approx(5 * 2**0.5 * each)
+    two = 5 * 2**0.5
+    assert (
+        two * each < compute_margin(replace(calm, **noise)) < 1.02 * (two + 2 * GATE_SIGMAS) * each
+    )
 
 
 def test_margin_beyond_the_target_spacing_is_refused_with_a_cure():
@@ -307,11 +324,13 @@ def test_margin_beyond_the_target_spacing_is_refused_with_a_cure():
     assert "takes 30 m beyond the collision radius" in refusal(near, "margin_m=30")
 
 
-def test_margin_without_a_chief_is_zero_unless_auto():
-    shaken = ["disturbance.position_m=0.02"]
-    assert read("random", shaken).draw(np.random.default_rng(0)).margin == 0.0
-    asked = read("random", [*shaken, "margin_m=auto"]).draw(np.random.default_rng(0))
-    assert asked.margin == pytest.approx(5 * 2**0.5 * 0.02)
+def test_margin_without_a_chief_is_zero_unless_there_is_noise():
+    def margin(*changes):
+        return read("random", changes).draw(np.random.default_rng(0)).margin
+
+    assert margin() == margin("margin_m=auto") == 0.0
+    assert margin("disturbance.acceleration_m_s2=0.01") == pytest.approx(5 * 2**0.5 * 0.005)
+    assert margin("disturbance.acceleration_m_s2=0.01", "margin_m=0.0") == 0.0
 
 
 # Tolerances.

@@ -21,6 +21,7 @@ from sato.reconfiguration.check.promises import (
     check_propagation,
     check_speed_limit,
 )
+from sato.reconfiguration.estimator import GATE_SIGMAS
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.loop import simulate
 from sato.reconfiguration.mission import Reconfiguration
@@ -226,7 +227,7 @@ def test_measurement_noise_adds_to_the_speed_allowance(flown):
     evidence = record_of(flown, mission(velocity_noise=1e-3))
     quiet = bound_speed_excess(record_of(flown))
     added = bound_speed_excess(evidence) - quiet
-    np.testing.assert_allclose(added[1:], 8e-3 * 3**0.5, rtol=1e-2)
+    np.testing.assert_allclose(added[1:], (8 + GATE_SIGMAS) * 1e-3 * 3**0.5, rtol=1e-2)
     assert (added[0] == 0).all()
 
 

@@ -171,6 +171,7 @@ def test_keys_reach_the_mission():
         "disturbance.acceleration_mm_s2=1": ("disturbance", 1e-3),
         "disturbance.position_m=0.1": ("position_noise", 0.1),
         "disturbance.velocity_m_s=0.2": ("velocity_noise", 0.2),
+        "margin_m=0.0": ("margin", 0.0),
         "control_norm=2": ("control_norm", 2),
         'fuel_norm="inf"': ("fuel_norm", "inf"),
     }

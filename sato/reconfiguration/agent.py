@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from problems.conic import TOLERANCE
 from problems.solvers.verified import VerifiedSolver
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration import planning
+from sato.reconfiguration import estimator, planning
 from sato.reconfiguration.agent_decision import Decision
 from sato.reconfiguration.agent_inputs import (
     AgentMessage,
@@ -48,6 +48,7 @@ class FlightMemory(NamedTuple):
     memory: AgentMemory  # the row of its number counts
     plans: planning.Plans  # empty, or its own
     committed: Commitments  # empty, or its own
+    estimate: estimator.Estimate  # of its state
     leg_start: int | None = None  # instant at which the leg began; None before
     instant: int | None = None  # last control instant; None before the first
     spent: float = 0.0  # fuel [m/s], or energy [m²/s³]
@@ -111,7 +112,8 @@ class Agent:
         self.solver = VerifiedSolver(mission.solver, mission.tolerance or TOLERANCE)
         leg = draw_leg(mission, leg, believed, start or 0) if leg else mission.legs[0]
         leg = self._own_leg(leg)
-        self.memory = FlightMemory(leg, m, begin_memory(mission, leg, m), {}, {}, start)
+        known = estimator.Estimate.none(len(alone), mission.axes)
+        self.memory = FlightMemory(leg, m, begin_memory(mission, leg, m), {}, {}, known, start)
 
     def step(
         self, time: float, state: ArrayLike, inbox: Sequence[AgentMessage]
@@ -217,21 +219,14 @@ class Agent:
         joins = flown.instant is None and flown.leg_start not in (None, instant)
         if flown.instant is not None:
             flown = self._end_step(instant)
-        if flown.leg_start is None:
-            flown = flown._replace(leg_start=instant)
-        assert flown.leg_start is not None
-        k = instant - flown.leg_start
-        context = DecisionContext(
-            mission,
-            leg,
-            self._graph,
-            np.tile(state, (self.number + 1, 1)),
-            flown.memory,
-            k,
-            instant * mission.step,
-            [self.solver] * (self.number + 1),
-        )
-        shared = flown.leg_start, self._checksum(leg)
+        measured = np.tile(state, (self.number + 1, 1))
+        estimate = estimator.update(mission, flown.estimate, measured)
+        begun = instant if flown.leg_start is None else flown.leg_start
+        flown = flown._replace(estimate=estimate, leg_start=begun)
+        when, solvers = (instant - begun, instant * mission.step), [self.solver] * len(measured)
+        known = self._graph, estimate.reference, flown.memory
+        context = DecisionContext(mission, leg, *known, *when, solvers)
+        shared = begun, self._checksum(leg)
         own = flown.plans, flown.committed, flown.spent
         decision = Decision.begin(self.number, context, *own, shared, joins)
         flown = flown._replace(instant=instant, decision=decision, heard=None)
@@ -259,7 +254,10 @@ class Agent:
         memory, steps = flown.memory, flown.leg.steps
         if flown.leg_start is not None:
             memory = replace(memory, clock=np.minimum(memory.clock + 1, steps))
-        return flown._replace(memory=memory, spent=flown.spent + float(spent))
+        held = np.tile(flown.control, (self.number + 1, 1))
+        estimate = estimator.predict(mission, flown.estimate, held, flown.instant * mission.step)
+        spent = flown.spent + float(spent)
+        return flown._replace(memory=memory, estimate=estimate, spent=spent)
 
     def _require_finished(self) -> None:
         if self.memory.instant is not None and not self.is_finished:

@@ -9,7 +9,7 @@ from numpy import ndarray as Array
 from problems.conic import TOLERANCE
 from problems.solvers.verified import VerifiedSolver
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration import planning, state
+from sato.reconfiguration import estimator, planning, state
 from sato.reconfiguration.assignment import assign_targets
 from sato.reconfiguration.commitment import Commitments, commit, controls_at
 from sato.reconfiguration.disturbances import disturb_control, draw_losses, measure
@@ -42,6 +42,7 @@ class _Flight:
         self.mission, self.rng = mission, rng
         self.leg, self.leg_index, self.step_index = mission.legs[0], 0, 0
         self.x, self.alive = mission.initial_states, mission.alive
+        self.estimate = estimator.Estimate.none(len(self.x), mission.axes)
         # An agent that joins later knows of itself alone, and learns m from those that it meets.
         m = np.where(self.alive, mission.target_count or int(self.alive.sum()), 1)
         self.believed, self.memory = m, state.AgentMemory.initial(m)
@@ -70,11 +71,13 @@ class _Flight:
                 self._note("infeasible", self.alive, what=what)
                 break
             graph, measured = self.make_graph(), measure(mission, self.x, self.rng)
+            self.estimate = estimator.update(mission, self.estimate, measured)
+            known = self.estimate.reference
             for deciding, bids in self._schedule_decisions(graph, joined, k):
                 time = self.step_index * mission.step
                 self._decide(
                     state.DecisionContext(
-                        mission, self.leg, deciding, measured, self.memory, k, time, self.solvers
+                        mission, self.leg, deciding, known, self.memory, k, time, self.solvers
                     ),
                     bids,
                 )
@@ -174,6 +177,7 @@ class _Flight:
     def _propagate(self, control: Array, applied: Array) -> None:
         mission, steps, clock = self.mission, self.leg.steps, self.memory.clock
         commanded, time = np.nan_to_num(control)[:, None], self.step_index * mission.step
+        self.estimate = estimator.predict(mission, self.estimate, control, time)
         flown = mission.flown_plant.propagate(self.x, np.nan_to_num(applied), time, mission.step)
         self.x = np.where(self.alive[:, None], flown[1], self.x)
         self.spent = self.spent + planning.compute_spent(mission, commanded)

@@ -154,7 +154,10 @@ class Reconfiguration(vehicles.Vehicles, Mission):
     ] = "need"
     freeze_steps: Annotated[Count, PLAN, "steps before the deadline in which plans are kept"] = 0
     margin: Annotated[
-        Automatic, Unit("m"), PLAN, "beyond R_col; auto where the model may err, else 0, if absent"
+        Automatic,
+        Unit("m"),
+        PLAN,
+        "beyond R_col; auto if absent, which is 0 without noise or errors of the model",
     ] = LATER
     allow_undetectable: Annotated[bool, PLAN, "fly where agents could meet unseen"] = False
     position_tolerance: Annotated[

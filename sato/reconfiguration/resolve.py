@@ -27,8 +27,9 @@ def resolve(mission: Reconfiguration) -> Reconfiguration:
     least = ARRIVAL_TOLERANCE * (spacing if isfinite(spacing) else mission.largest_separation)
     given, margin = mission.position_tolerance, mission.margin
     is_computed = is_auto(margin)
-    if margin is None:  # wherever the shared model may have errors
-        is_computed = mission.chief is not None or mission.nonlinear_model is not None
+    if margin is None:  # wherever there is noise, or the shared model may have errors
+        is_orbital = mission.chief is not None or mission.nonlinear_model is not None
+        is_computed = is_orbital or mission.has_noise
     if margin is None or is_computed:
         margin = 0.0
     noise = wrong = (0.0, 0.0)

@@ -88,7 +88,7 @@ class DecisionContext(NamedTuple):
     mission: Reconfiguration
     leg: Leg
     graph: CommunicationGraph  # only agents that decide are alive in it
-    state: Float[Array, "agents n"]  # state that each agent measures of itself
+    state: Float[Array, "agents n"]  # by which each agent plans, see `estimator`
     memory: AgentMemory
     step_index: int  # since the start of the leg
     time: float  # since the start of the mission [s]

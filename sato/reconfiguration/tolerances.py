@@ -1,16 +1,23 @@
 """Errors of a wrong model and of noise, and the margins and tolerances that follow from them."""
 
-from math import ceil
+from math import ceil, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics.discretize import discretize_zoh, linearize_along
+from dynamics.discretize import DiscreteModel, discretize_zoh, linearize_along
 from dynamics.j2 import J2
 from dynamics.plant import NonlinearPlant
 from problems.transfer import Trajectory
+from sato.reconfiguration.estimator import (
+    GATE_SIGMAS,
+    correct,
+    measurement_covariance,
+    model_acceleration,
+    spread,
+)
 from sato.reconfiguration.leg import Leg
 
 if TYPE_CHECKING:
@@ -26,32 +33,54 @@ MAX_MODEL_ERROR = 0.1  # of the collision radius: beyond it a model is doubtful
 def compute_margin(mission: "Reconfiguration") -> float:
     """Compute by how much two agents may come closer than planned until they plan again [m].
 
-        2 max |model − plant| + 5 σ,    both over τ, the time between two plans
+        2 max |model − plant| + max min(5 √2 c, (2 g + 5 √2) s)
+                                 k
 
-    The first is the largest error of the model that all agents share over τ, under full
-    control on all axes, in either direction; twice, for the errors of two may point at each
-    other. An agent that linearizes again plans better than this, but the trajectories between
-    its samples are those of the shared model. It is 0 where the model is what flies. The
-    second is of the distance of two:
+    The first is the largest error of the model that all agents share over the time between two
+    plans, under full control on all axes, in either direction; twice, for the errors of two may
+    point at each other. An agent that linearizes again plans better than this, but the
+    trajectories between its samples are those of the shared model. It is 0 where the model is
+    what flies.
 
-        σ² = 2 (σ_p² + (σ_v τ)² + (U (σ_u + σ_a) τ²/2)² + (σ_w τ²/2)²)
-
-    with U the largest control and σ_p and σ_v of measured positions and velocities, σ_u and
-    σ_a of the size and the direction of thrusts, σ_w of accelerations that disturb.
+    The second is of random errors. An agent measures at instant k; s is the standard deviation
+    of its position a replanning period later in the direction in which it is largest, by all its
+    measurements, and c by the first of them alone, both under full control. The agent flies by
+    a reference that its estimate leaves by g sigmas at most, and where it never does, the
+    reference is the first measurement. Without noise of measurement, the state is known at k.
     """
-    tau = mission.replan_steps * mission.step
+    R, period, two = measurement_covariance(mission), mission.replan_steps, MARGIN_SIGMAS * 2**0.5
+    whole = sum(leg.steps for leg in mission.legs) if R.any() else 1
+    model = discretize_zoh(mission.linear_model, mission.step, whole + period)
+    W, P, first, most = _acceleration_covariance(mission), R, R, 0.0
+    wrong = W + model_acceleration(mission) ** 2 * np.eye(mission.axes) if R.any() else W
+    for k in range(whole):
+        s, c = (_position_sigma(_spread(model[k:], one, W, period)) for one in (P, first))
+        kept = (2 * GATE_SIGMAS + two) * s
+        most = max(most, min(two * c, kept))
+        if not R.any() or kept <= two * c:  # c grows, and s does not
+            break
+        first, P = spread(model, k, first, wrong), correct(spread(model, k, P, wrong), R)
+    return 2 * model_error(mission, period) + most
+
+
+def _acceleration_covariance(mission: "Reconfiguration") -> Float[Array, "d d"]:
+    """Return the covariance of accelerations that are not commanded, under full control."""
     thrust = mission.largest_control.max() * (mission.thrust_error + mission.pointing_error)
-    each = [
-        mission.position_noise,
-        mission.velocity_noise * tau,
-        thrust * tau**2 / 2,
-        mission.disturbance * tau**2 / 2,
-    ]
-    spread = float(np.linalg.norm(each) * 2**0.5)
-    return 2 * _model_error(mission, mission.replan_steps) + MARGIN_SIGMAS * spread
+    return np.asarray(np.eye(mission.axes) * (mission.disturbance**2 + thrust**2))
 
 
-def _model_error(mission: "Reconfiguration", steps: int) -> float:
+def _spread(model: DiscreteModel, P: Array, W: Array, steps: int) -> Float[Array, "n n"]:
+    for k in range(steps):
+        P = spread(model, k, P, W)
+    return P
+
+
+def _position_sigma(P: Float[Array, "n n"]) -> float:
+    d = len(P) // 2
+    return sqrt(max(np.linalg.eigvalsh(P[:d, :d]).max(), 0.0))
+
+
+def model_error(mission: "Reconfiguration", steps: int) -> float:
     """Compute the largest error of the shared model over some steps [m].
 
     It is taken from all starts and targets, at nine instants of the mission.
@@ -166,13 +195,13 @@ def noise_on_arrival(mission: "Reconfiguration") -> tuple[float, float]:
 
     An agent that brakes with all its control corrects nothing, and two steps before that are
     the least in which a control sets both position and velocity right; nor does an agent that
-    keeps its plan at the end correct anything. The error of its last measurement and later
-    disturbances remain, and the thrust errors while it brakes.
+    keeps its plan at the end correct anything. What remains is how far its reference may be
+    from its state until then, by all measurements before, and later disturbances, and the
+    thrust errors while it brakes.
     """
     if not mission.has_noise:
         return 0.0, 0.0
     d = mission.axes
-    noise = np.repeat([mission.position_noise, mission.velocity_noise], d)
     strongest, weakest = mission.largest_control.max(), mission.least_control
     wrong = strongest * np.hypot(mission.thrust_error, mission.pointing_error)
     steps = min(leg.steps for leg in mission.legs)
@@ -180,15 +209,30 @@ def noise_on_arrival(mission: "Reconfiguration") -> tuple[float, float]:
     braking = ceil(min(needed, steps))
     blind = max(braking + 2, mission.freeze_steps) + mission.replan_steps - 1
     thrusting = max(braking, mission.freeze_steps) + mission.replan_steps - 1
+    covariance, sigmas = _final_covariance(mission, max(steps - blind, 0)), TOLERANCE_SIGMAS
+    if covariance.any():
+        sigmas += GATE_SIGMAS
     left = discretize_zoh(mission.linear_model, mission.step, blind)
-    covariance = np.diag(noise**2)
-    for k, (A, B) in enumerate(zip(left.A, left.B, strict=True)):
+    for k in range(blind):
         thrust = wrong if k >= blind - thrusting else 0.0
-        covariance = A @ covariance @ A.T + (mission.disturbance**2 + thrust**2) * B @ B.T
+        W = (mission.disturbance**2 + thrust**2) * np.eye(d)
+        covariance = spread(left, k, covariance, W)
     parts = (covariance[:d, :d], covariance[d:, d:])
     largest = [np.linalg.eigvalsh(part).max() for part in parts]
-    position, velocity = TOLERANCE_SIGMAS * np.sqrt(np.maximum(largest, 0.0))
+    position, velocity = sigmas * np.sqrt(np.maximum(largest, 0.0))
     return float(position), float(velocity)
+
+
+def _final_covariance(mission: "Reconfiguration", steps: int) -> Float[Array, "n n"]:
+    """Return the covariance of an estimate after so many steps; 0 without measurement noise."""
+    P = R = measurement_covariance(mission)
+    if R.any():
+        model = discretize_zoh(mission.linear_model, mission.step, steps)
+        W = _acceleration_covariance(mission)
+        W = W + model_acceleration(mission) ** 2 * np.eye(mission.axes)
+        for k in range(steps):
+            P = correct(spread(model, k, P, W), R)
+    return P
 
 
 def _speed_to_lose(mission: "Reconfiguration", steps: int) -> float:

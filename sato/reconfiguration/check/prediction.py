@@ -14,6 +14,7 @@ from numpy.random import Generator
 from sato.check.common import Change, Schedule
 from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
 from sato.reconfiguration.disturbances import disturb_control, draw_losses, measure
+from sato.reconfiguration.estimator import GATE_SIGMAS, measurement_covariance
 
 SIGMA_BOUND = 8.0  # a normal draw exceeds it once in 10¹⁵
 
@@ -46,13 +47,14 @@ def bound_speed_excess(record: ReconfigurationRecord) -> Float[Array, "instants 
 
     The difference between its recorded velocity and the one that the shared model predicts
     from its recorded state at an earlier instant under the commanded controls, the largest
-    since the last plan; and what noise of the measured state adds there. It contains all that
+    since the last plan; and what noise of the measured state adds there, of which an estimate
+    is off by no more, and a reference by the gate in addition. It contains all that
     the plant, the thrusters and the disturbance did otherwise. Where agents keep their plans
     before the deadline, the last plan may be `freeze_steps` older.
     """
     mission, model, d = record.mission, record.model, record.axes
     velocity, control = record.frames.velocity, record.frames.control
-    sigma = np.repeat([mission.position_noise, mission.velocity_noise], d)
+    sigma = np.diag(measurement_covariance(mission)) ** 0.5
     age, T = _max_plan_age(record), len(model)
     found = np.zeros(record.frames.alive.shape)
     x, Phi = record.state, np.broadcast_to(np.eye(2 * d), (T, 2 * d, 2 * d))
@@ -64,7 +66,7 @@ def bound_speed_excess(record: ReconfigurationRecord) -> Float[Array, "instants 
         x = np.einsum("kab,kib->kia", A, x) + Bu + z[:, None]
         Phi = A @ Phi
         error = np.linalg.norm(velocity[lag:] - x[..., d:], axis=2)
-        noise = SIGMA_BOUND * np.linalg.norm(Phi[:, d:] * sigma, axis=(1, 2))
+        noise = (SIGMA_BOUND + GATE_SIGMAS) * np.linalg.norm(Phi[:, d:] * sigma, axis=(1, 2))
         allowed = np.where(np.isfinite(error), error, 0.0) + noise[:, None]
         is_recent = (age[lag:] >= lag)[:, None]
         found[lag:] = np.maximum(found[lag:], np.where(is_recent, allowed, 0.0))
