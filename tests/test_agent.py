@@ -77,7 +77,7 @@ def given(rng):
     # Disturbances put the targets of the second leg out of reach.
     legs = [sato.Leg(spread(rng, 4), 16), sato.Leg(spread(rng, 4), "auto", time_factor=1.0)]
     changes = {"assignment": "given", "max_control": 0.3, "comm_radius": 2.5, "disturbance": 0.1}
-    changes |= {"reset": "need", "objective": "energy"}
+    changes |= {"reset": "need", "objective": "energy", "margin": 0.0}
     return make_mission(spread(rng, 4), *legs, allow_undetectable=True, **changes)
 
 
