@@ -60,6 +60,13 @@ class Limit:
         return self.most * float(np.linalg.norm(self.shares))
 
     @cached_property
+    def least_length(self) -> float:
+        """Euclidean length of the shortest vector on the boundary of the set."""
+        if self.norm == 1:
+            return self.most / float(np.linalg.norm(1 / self.shares))
+        return self.most * float(self.shares.min())
+
+    @cached_property
     def faces(self) -> Float[Array, "k m"] | None:
         """Rows F with F v ≤ L everywhere in the set, and only there; None for r = 2."""
         if self.norm == 2:

@@ -12,7 +12,7 @@ not hear each other cannot meet before they do. docs/safety.md has the proof.
 
 from collections.abc import Sequence
 from functools import lru_cache
-from math import ceil, inf
+from math import ceil
 from typing import NamedTuple
 
 import numpy as np
@@ -180,11 +180,6 @@ def clearances_of(
     return np.asarray(horizon.clearance + mission.radii[agents] - mission.largest_separation)
 
 
-def reach_of(mission: Reconfiguration, horizon: AvoidanceHorizon) -> float:
-    """Return how far a committed trajectory may lead from any of its instants [m]."""
-    return inf if mission.allow_undetectable else (mission.comm_radius - horizon.clearance) / 2
-
-
 def stays_within_reach(
     mission: Reconfiguration,
     horizon: AvoidanceHorizon,
@@ -195,7 +190,7 @@ def stays_within_reach(
 
     Two that do not hear each other then cannot meet before both have decided again.
     """
-    reach = reach_of(mission, horizon) * (1 + REACH_TOLERANCE)
+    reach = mission.reach_unheard(mission.margin) * (1 + REACH_TOLERANCE)
     within = np.ones(position.shape[:-2], dtype=bool)
     for k in range(horizon.steps):
         later = paths[..., k * horizon.pieces_per_step :, :, :]

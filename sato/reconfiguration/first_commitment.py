@@ -19,7 +19,6 @@ from sato.reconfiguration.commitment import (
     find_stop,
     held_controls,
     pad_controls,
-    reach_of,
     stays_within_reach,
     stopping_horizon,
 )
@@ -134,7 +133,7 @@ def _check_reach(
         return  # all hear each other
     far = np.flatnonzero(~stays_within_reach(mission, horizon, x[..., :d], paths))
     if len(far):
-        a, reach = int(far[0]), reach_of(mission, horizon)
+        a, reach = int(far[0]), mission.reach_unheard(mission.margin)
         way = float(np.linalg.norm(x[a, -1, :d] - position[a]))
         radius = mission.comm_radius + 2 * (way - reach)
         slower = float(np.linalg.norm(x[a, 0, d:])) * (reach / way) ** 0.5

@@ -126,10 +126,12 @@ class Reconfiguration(vehicles.Vehicles, Mission):
     orders: Annotated[Steps, PLAN, "orders of priority that each plan tries"] = 1
     bargains: Annotated[Count, PLAN, "sweeps of negotiation in pairs; with orders above 1"] = 0
     replan_steps: Annotated[
-        Steps, PLAN, "replanning period; 1 where motion is disturbed, else the horizon"
+        Steps,
+        PLAN,
+        "replanning period; 1 where motion is disturbed, else the longest safe",
     ] = LATER
     auction_steps: Annotated[
-        Steps, PLAN, "period of auctions, a multiple of replan_steps; replan_steps if absent"
+        Steps, PLAN, "period of auctions, a multiple of replan_steps; about the horizon if absent"
     ] = LATER
     assignment: Annotated[
         Literal["auction", "given", "central"],
@@ -195,10 +197,17 @@ class Reconfiguration(vehicles.Vehicles, Mission):
             values["agents"] = None if self.start.positions is None else len(self.start.positions)
         if self.replan_steps is None:
             is_disturbed = self.has_noise or not models.flies_model(model, chief, self.plant)
-            values["replan_steps"] = 1 if is_disturbed else self.horizon_steps
+            values["replan_steps"] = 1 if is_disturbed else self._longest_period()
         if self.auction_steps is None:
-            values["auction_steps"] = values.get("replan_steps", self.replan_steps)
+            period = values.get("replan_steps", self.replan_steps)
+            values["auction_steps"] = max(self.horizon_steps // period, 1) * period
         return values
+
+    def _longest_period(self) -> int:
+        # The longest after which a vehicle at full speed can stop within reach.
+        fastest = float(self.top_speeds.max())
+        periods = range(self.horizon_steps, 1, -1)
+        return next((n for n in periods if self.speed_within_reach(n) >= fastest), 1)
 
     def check(self) -> None:
         """Refuse fields that contradict each other, and legs without targets enough."""

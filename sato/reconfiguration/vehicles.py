@@ -1,6 +1,7 @@
 """Limits of the vehicles of a mission: the same for all, one a vehicle, or one an axis."""
 
 from functools import cached_property
+from math import inf
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,6 +36,9 @@ class Vehicles(Motion):
     max_speed_axes: tuple[float, ...] | None
     control_norm: Norm
     speed_norm: Norm
+    comm_radius: float
+    step: float
+    allow_undetectable: bool
 
     @property
     def vehicle_count(self) -> int:
@@ -102,6 +106,25 @@ class Vehicles(Motion):
     def top_speeds(self) -> Float[Array, " vehicles"]:
         """Largest Euclidean speed of each vehicle, or a single one [m/s]."""
         return np.array([limit.largest_length for limit in self.speed_limits])
+
+    def reach_unheard(self, margin: float) -> float:
+        """Return how far vehicles may fly on before they could meet others unheard [m]."""
+        if self.allow_undetectable or self.vehicle_count == 1:
+            return inf
+        return (self.comm_radius - self.largest_separation - margin) / 2
+
+    def speed_within_reach(self, steps: int, margin: float = 0.0) -> float:
+        """Return a speed from which vehicles stop before they meet others that they do not hear.
+
+        They fly on for so many steps h, and stop at their least control U in whole steps:
+
+            V n h + V²/2U + V h/2 ≤ (R_comm − R)/2     [m]
+        """
+        reach = self.reach_unheard(margin)
+        if not self.is_point_mass or reach == inf:
+            return inf
+        U, t = min(limit.least_length for limit in self.control_limits), (steps + 0.5) * self.step
+        return float(U * ((t**2 + 2 * max(reach, 0.0) / U) ** 0.5 - t))
 
     def require_equal_vehicles(self, what: str) -> None:
         """Refuse vehicles with radii or limits of their own.
