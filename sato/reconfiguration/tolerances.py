@@ -54,7 +54,7 @@ def compute_margin(mission: "Reconfiguration") -> float:
     W, P, first, most = _acceleration_covariance(mission), R, R, 0.0
     wrong = W + model_acceleration(mission) ** 2 * np.eye(mission.axes) if R.any() else W
     for k in range(whole):
-        s, c = (_position_sigma(_spread(model[k:], one, W, period)) for one in (P, first))
+        s, c = (_largest_sigmas(_spread(model[k:], one, W, period))[0] for one in (P, first))
         kept = (2 * GATE_SIGMAS + two) * s
         most = max(most, min(two * c, kept))
         if not R.any() or kept <= two * c:  # c grows, and s does not
@@ -75,9 +75,11 @@ def _spread(model: DiscreteModel, P: Array, W: Array, steps: int) -> Float[Array
     return P
 
 
-def _position_sigma(P: Float[Array, "n n"]) -> float:
+def _largest_sigmas(P: Float[Array, "n n"]) -> tuple[float, float]:
+    """Return the largest deviations of the position [m] and of the velocity [m/s]."""
     d = len(P) // 2
-    return sqrt(max(np.linalg.eigvalsh(P[:d, :d]).max(), 0.0))
+    position, velocity = (np.linalg.eigvalsh(part).max() for part in (P[:d, :d], P[d:, d:]))
+    return sqrt(max(position, 0.0)), sqrt(max(velocity, 0.0))
 
 
 def model_error(mission: "Reconfiguration", steps: int) -> float:
@@ -209,18 +211,17 @@ def noise_on_arrival(mission: "Reconfiguration") -> tuple[float, float]:
     braking = ceil(min(needed, steps))
     blind = max(braking + 2, mission.freeze_steps) + mission.replan_steps - 1
     thrusting = max(braking, mission.freeze_steps) + mission.replan_steps - 1
-    covariance, sigmas = _final_covariance(mission, max(steps - blind, 0)), TOLERANCE_SIGMAS
-    if covariance.any():
-        sigmas += GATE_SIGMAS
     left = discretize_zoh(mission.linear_model, mission.step, blind)
+    P = undisturbed = _final_covariance(mission, max(steps - blind, 0))
     for k in range(blind):
         thrust = wrong if k >= blind - thrusting else 0.0
-        W = (mission.disturbance**2 + thrust**2) * np.eye(d)
-        covariance = spread(left, k, covariance, W)
-    parts = (covariance[:d, :d], covariance[d:, d:])
-    largest = [np.linalg.eigvalsh(part).max() for part in parts]
-    position, velocity = sigmas * np.sqrt(np.maximum(largest, 0.0))
-    return float(position), float(velocity)
+        P = spread(left, k, P, (mission.disturbance**2 + thrust**2) * np.eye(d))
+        undisturbed = spread(left, k, undisturbed, np.zeros((d, d)))
+    position, velocity = (
+        TOLERANCE_SIGMAS * random + GATE_SIGMAS * kept
+        for random, kept in zip(_largest_sigmas(P), _largest_sigmas(undisturbed), strict=True)
+    )
+    return position, velocity
 
 
 def _final_covariance(mission: "Reconfiguration", steps: int) -> Float[Array, "n n"]:
