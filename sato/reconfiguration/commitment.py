@@ -35,6 +35,7 @@ from sato.scp.planner import required_separations
 
 REST_TOLERANCE = 1e-12  # of the speed that a step at full control makes: slower is at rest
 REACH_TOLERANCE = 1e-9  # relative
+MAX_PLAN_STEPS = 16  # of what is foreseen, to which agents commit at once
 ROUNDING = 1e-12  # relative, of distances that are computed twice
 
 
@@ -154,7 +155,8 @@ def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) 
 def _plan_steps(context: DecisionContext) -> tuple[int, ...]:
     # As far as avoidance looked or plans are kept, or until the next decision, or less.
     mission, period = context.mission, steps_to_next(context)
-    longest = max(period, mission.horizon_steps, mission.freeze_steps)
+    foreseen = min(mission.foresight_steps, MAX_PLAN_STEPS)
+    longest = max(period, mission.horizon_steps, mission.freeze_steps, foreseen)
     halves = [period >> n for n in range(period.bit_length())]
     return (*dict.fromkeys([longest, *halves]), 0)
 

@@ -128,7 +128,7 @@ class Reconfiguration(vehicles.Vehicles, Mission):
     replan_steps: Annotated[
         Steps,
         PLAN,
-        "replanning period; 1 where motion is disturbed, else the longest safe",
+        "replanning period; if absent, up to half the horizon",
     ] = LATER
     auction_steps: Annotated[
         Steps, PLAN, "period of auctions, a multiple of replan_steps; about the horizon if absent"
@@ -204,9 +204,10 @@ class Reconfiguration(vehicles.Vehicles, Mission):
         return values
 
     def _longest_period(self) -> int:
-        # The longest after which a vehicle at full speed can stop within reach.
+        # Half of the horizon, so that avoidance looks beyond the next decision, or less where a
+        # vehicle at full speed could not stop within reach.
         fastest = float(self.top_speeds.max())
-        periods = range(self.horizon_steps, 1, -1)
+        periods = range(self.horizon_steps // 2, 1, -1)
         return next((n for n in periods if self.speed_within_reach(n) >= fastest), 1)
 
     def check(self) -> None:
