@@ -13,9 +13,8 @@ from dynamics.circular_orbit import ClohessyWiltshire
 from dynamics.propagation import Impact
 from dynamics.trajectory_geometry import min_distance
 from problems.limit import Limit
-from sato.reconfiguration import feasibility, reach
+from sato.reconfiguration import feasibility, first_commitment, reach
 from sato.reconfiguration.departure import Departure, count_wanted, depart
-from sato.reconfiguration.first_commitment import find_first_commitments
 from sato.reconfiguration.leg import Leg, states_of
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.models import OrbitalModel
@@ -61,7 +60,8 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
         reason = f"is so large that {error}"
         raise InputError("model.max_control_m_s2", reason) from error
     reach.check_reach(drawn)
-    find_first_commitments(drawn)
+    first_commitment.check_reach(drawn)
+    first_commitment.find_first_commitments(drawn)
     return drawn
 
 

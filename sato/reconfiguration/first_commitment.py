@@ -40,14 +40,13 @@ def find_first_commitments(mission: Reconfiguration) -> Commitments:
         What each has committed to; nothing where all are at rest, or the mission is in orbit.
 
     Raises:
-        InputError: A vehicle cannot stop within reach, or two cannot stop clear of each other.
+        InputError: Two cannot stop clear of each other.
     """
     agents, d = np.flatnonzero(mission.alive), mission.axes
     start = mission.initial_states[agents]
     if not mission.is_point_mass or not start[:, d:].any():
         return {}
-    horizon, u, x, paths = _fly_on(mission, agents, start, {}, 0)
-    _check_reach(mission, horizon, agents, x, paths)
+    horizon, u, _, paths = _fly_on(mission, agents, start, {}, 0)
     clearance = clearances_of(mission, horizon, agents)
     for _ in range(MAX_SWEEPS):
         meeting = np.flatnonzero(~_are_clear(paths, clearance).all(axis=1))
@@ -119,28 +118,26 @@ def _fly_on(
     return horizon, u, x, horizon.control_points(x, u)
 
 
-def _check_reach(
-    mission: Reconfiguration,
-    horizon: AvoidanceHorizon,
-    agents: Int[Array, " agents"],
-    x: Float[Array, "agents instants n"],
-    paths: Float[Array, "agents pieces 4 d"],
-) -> None:
-    d = mission.axes
-    position = x[:, 0, :d]
-    apart = np.linalg.norm(position[:, None] - position, axis=2).max()
-    if apart <= mission.comm_radius and len(agents) == mission.vehicle_count:
-        return  # all hear each other
+def check_reach(mission: Reconfiguration) -> None:
+    """Refuse a drawn mission in which a vehicle starts or joins too fast to stop within reach.
+
+    Raises:
+        InputError: It could meet another that it does not hear; says what would do.
+    """
+    state, d = mission.initial_states, mission.axes
+    if not mission.is_point_mass or not state[:, d:].any():
+        return
+    horizon, _, x, paths = _fly_on(mission, np.arange(len(state)), state, {}, 0)
     far = np.flatnonzero(~stays_within_reach(mission, horizon, x[..., :d], paths))
     if len(far):
         a, reach = int(far[0]), mission.reach_unheard(mission.margin)
-        way = float(np.linalg.norm(x[a, -1, :d] - position[a]))
+        way = float(np.linalg.norm(x[a, -1, :d] - x[a, 0, :d]))
         radius = mission.comm_radius + 2 * (way - reach)
-        slower = float(np.linalg.norm(x[a, 0, d:])) * (reach / way) ** 0.5
+        slower = float(np.linalg.norm(state[a, d:])) * (reach / way) ** 0.5
         raise InputError(
-            "swarm.start",
-            f"agent {agents[a]} needs {way:.4g} m to stop, and could meet others that it does not "
-            f"hear within {reach:.4g} m, half of what the communication radius leaves; a start at "
+            "swarm.start" if a < mission.agent_count else "leg.join.start",
+            f"agent {a} needs {way:.4g} m to stop, and within {reach:.4g} m, half of what the "
+            "communication radius leaves, it could meet others that it does not hear; a speed of "
             f"{round_down(slower)} m/s, or swarm.comm_radius_m = {round_up(radius)} would do",
         )
 

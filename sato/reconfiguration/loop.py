@@ -64,7 +64,7 @@ class _Flight:
         self._note("leg_start", self.alive, leg=number)
         for k in range(MAX_LEG_FACTOR * steps + 1):
             joined = self._apply_losses_and_joins(k)
-            if k > 0 and self._have_arrived().all():
+            if k > 0 and self._have_arrived(k).all():
                 break
             if k == MAX_LEG_FACTOR * steps:
                 what = f"the leg is given up after {MAX_LEG_FACTOR} times its steps"
@@ -91,8 +91,10 @@ class _Flight:
         ended = {"leg": number, "target": held, "believed": believed, "component": component}
         self._note("leg_end", self.alive, **ended)
 
-    def _have_arrived(self) -> Array:
+    def _have_arrived(self, k: int) -> Array:
         # Agents whose last plan was not clear may not be where their clocks have them.
+        if any(at_step > k for _, at_step in self.mission.joining(self.leg_index)):
+            return np.zeros(1, dtype=bool)
         live, plans = np.flatnonzero(self.alive), self.plans
         is_planned = [i in plans and plans[i].target_index is not None for i in live.tolist()]
         return np.asarray((self.memory.clock[live] >= self.leg.steps) & np.array(is_planned, bool))
