@@ -25,7 +25,7 @@ Covariance = Float[Array, "*agents n n"]
 
 
 class Estimate(NamedTuple):
-    """What agents know of their own states, a row each; NaN before the first measurement."""
+    """Own states as agents know them, a row each; NaN before the first measurement."""
 
     mean: Float[Array, "agents n"]
     covariance: Covariance
