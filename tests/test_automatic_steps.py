@@ -9,7 +9,7 @@ from reconfiguration_runs import make_mission, row
 from dynamics import ClohessyWiltshire, discretize_zoh
 from problems.auction_cost import solve_transfer
 from problems.transfer import TransferProblem
-from sato import InputError, Join, Leg, Loss, Ring
+from sato import InputError, Join, Lattice, Leg, Loss, Ring
 from sato.reconfiguration.departure import Departure
 from sato.reconfiguration.reach import find_stranded
 
@@ -101,3 +101,10 @@ def test_targets_out_of_reach_at_any_time_are_refused():
 def test_a_time_factor_beside_a_number_of_steps_is_refused():
     with pytest.raises(InputError, match="time_factor: 2 has no effect beside steps = 30; leave"):
         Leg(row(2, 9.0), 30, time_factor=2.0)
+
+
+def test_agents_lost_before_others_join_need_no_target_of_their_own():
+    loss, join = Loss("agents", agents=(0,), at_step=4), Join(1, [[5.0, 0.0]], at_step=8)
+    leg = Leg(Lattice(spacing=1.5), "auto", losses=[loss], joins=[join])
+    drawn = make_mission(np.array([[0.0, 0.0], [2.0, 0.0]]), leg, comm_radius=20.0)
+    assert len(drawn.legs[0].targets) == 2 and drawn.legs[0].steps > 8

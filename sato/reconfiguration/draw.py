@@ -98,7 +98,10 @@ def _depart(
         first = Departure(np.arange(len(known)), known, spare, 0, begin)
     agents = np.append(first.agents, np.arange(len(states) - new, len(states)))
     state = np.concatenate([first.state, states[len(states) - new :]])
-    return first._replace(agents=agents, state=state)
+    # Some are lost before others join.
+    excess = max(0, len(agents) - demand[number])
+    spare, lost = max(first.spare, excess), max(first.lost, excess)
+    return first._replace(agents=agents, state=state, spare=spare, lost=lost)
 
 
 def _choose_steps(
