@@ -53,83 +53,84 @@ RATIO = 3.0  # of the largest radius or limit to the smallest
 EARTH = 6378e3  # [m]
 
 
-def _fly(rng: np.random.Generator, **ranges: Range) -> sato.Reconfiguration:
-    drawn = Draw(rng, **ranges)
+def _fly(family: str, rng: np.random.Generator, **ranges: Range) -> sato.Reconfiguration:
+    drawn = Draw(family, rng, **ranges)
     return drawn.mission(drawn.points(drawn.start_gap), drawn.targets())
 
 
-low_thrust = partial(_fly, braking=(10.0, 40.0))
-low_speed = partial(_fly, travel=(0.05, 0.15), room=(1.5, 2.5))
-at_limit = partial(_fly, reach=(1.0, 1.05), room=(3.0, 8.0))
+low_thrust = partial(_fly, "low_thrust", braking=(10.0, 40.0))
+low_speed = partial(_fly, "low_speed", travel=(0.05, 0.15), room=(1.5, 2.5))
+at_limit = partial(_fly, "at_limit", reach=(1.0, 1.05), room=(3.0, 8.0))
 
 
 def default(rng: np.random.Generator) -> sato.Reconfiguration:
     """Draw a swarm, its limits and its targets; everything else is as it is without a key."""
-    drawn = Draw(rng, time=(1.5, 1.5))
+    drawn = Draw("default", rng, time=(1.5, 1.5))
     return drawn.mission(drawn.points(drawn.start_gap), drawn.targets(), assignment="auction")
 
 
 def dense(rng: np.random.Generator) -> sato.Reconfiguration:
     """Draw starts and targets with hardly any room between them."""
     tight = (1.02, 1.1)
-    drawn = Draw(rng, room=(1.6, 2.5), start_gap=tight, target_gap=tight)
-    center = tuple(rng.uniform(-drawn.side / 2, drawn.side / 2, drawn.axes))
+    drawn = Draw("dense", rng, room=(1.6, 2.5), start_gap=tight, target_gap=tight)
+    center = tuple(drawn.rng.uniform(-drawn.side / 2, drawn.side / 2, drawn.axes))
     lattice = sato.Lattice(center=center, spacing=drawn.target_gap * drawn.radius)
     return drawn.mission(drawn.points(drawn.start_gap), lattice, assignment="auction")
 
 
 def short(rng: np.random.Generator) -> sato.Reconfiguration:
     """Draw short horizons and periods of planning."""
-    drawn, horizon = Draw(rng), int(rng.integers(2, 5))
-    plan = {"horizon_steps": horizon, "replan_steps": int(rng.integers(1, horizon + 1))}
+    drawn = Draw("short", rng)
+    horizon = int(drawn.rng.integers(2, 5))
+    plan = {"horizon_steps": horizon, "replan_steps": int(drawn.rng.integers(1, horizon + 1))}
     return drawn.mission(drawn.points(drawn.start_gap), drawn.targets(), **plan)
 
 
 def moving(rng: np.random.Generator) -> sato.Reconfiguration:
     """Draw starts with velocities of any direction."""
-    drawn = Draw(rng, room=(3.0, 6.0))
-    way = rng.normal(size=(drawn.count, drawn.axes))
+    drawn = Draw("moving", rng, room=(3.0, 6.0))
+    way = drawn.rng.normal(size=(drawn.count, drawn.axes))
     way /= np.linalg.norm(way, axis=1, keepdims=True)
-    way *= rng.uniform(0, 0.7 * drawn.speed, (drawn.count, 1))
+    way *= drawn.rng.uniform(0, 0.7 * drawn.speed, (drawn.count, 1))
     return drawn.mission(np.hstack([drawn.points(drawn.start_gap), way]), drawn.targets())
 
 
 def inward(rng: np.random.Generator) -> sato.Reconfiguration:
     """Draw vehicles on a circle or a sphere that fly at its center, and on to the other side."""
-    drawn = Draw(rng)
+    drawn = Draw("inward", rng)
     unit, radius = spread(drawn.count, drawn.axes, drawn.start_gap * drawn.radius)
-    speed = rng.uniform(0.2, 0.8) * drawn.speed
+    speed = drawn.rng.uniform(0.2, 0.8) * drawn.speed
     radius += 1.2 * speed**2 / (2 * drawn.control)
     return drawn.mission(np.hstack([radius * unit, -speed * unit]), -radius * unit)
 
 
 def events(rng: np.random.Generator) -> sato.Reconfiguration:
     """Draw joins and losses at any step, in one leg or two."""
-    drawn = Draw(rng)
-    more, count = int(rng.integers(0, drawn.count // 2 + 1)), drawn.count
+    drawn = Draw("events", rng)
+    more, count = int(drawn.rng.integers(0, drawn.count // 2 + 1)), drawn.count
     start = drawn.points(drawn.start_gap, count + more, 1.5 * drawn.side)
     start = start[np.argsort(np.abs(start).max(axis=1), kind="stable")]
-    lost = rng.choice(count, rng.integers(0, count // 2 + 1), replace=False)
-    number = 2 if rng.random() < 1 / 3 else 1
-    joining, losing = rng.integers(number, size=2)
+    lost = drawn.rng.choice(count, drawn.rng.integers(0, count // 2 + 1), replace=False)
+    number = 2 if drawn.rng.random() < 1 / 3 else 1
+    joining, losing = drawn.rng.integers(number, size=2)
     legs = []
     for leg in range(number):
         happens: dict[str, Any] = {}
         if more and leg == joining:
-            join = sato.Join(more, start[count:], at_step=int(rng.integers(0, 31)))
+            join = sato.Join(more, start[count:], at_step=int(drawn.rng.integers(0, 31)))
             happens["joins"], drawn.count = (join,), count + more
         if len(lost) and leg == losing:
-            loss = {"agents": tuple(lost.tolist()), "at_step": int(rng.integers(0, 31))}
+            loss = {"agents": tuple(lost.tolist()), "at_step": int(drawn.rng.integers(0, 31))}
             happens["losses"] = (sato.Loss("agents", **loss),)
         legs.append(drawn.leg(drawn.targets(), **happens))
     return drawn.mission(start[:count], None, legs=legs)
 
 
 def _disturb(is_measured: bool, is_pushed: bool, rng: np.random.Generator) -> sato.Reconfiguration:
-    drawn = Draw(rng, radius=(0.5, 0.5), step=(0.5, 2.0), target_gap=(1.5, 2.0))
+    drawn = Draw("noise", rng, radius=(0.5, 0.5), step=(0.5, 2.0), target_gap=(1.5, 2.0))
     start, targets = drawn.points(drawn.start_gap), drawn.targets()
-    position, velocity = rng.uniform(0.005, 0.02), rng.uniform(0.002, 0.005)
-    push = rng.uniform(0.002, 0.005)
+    position, velocity = drawn.rng.uniform(0.005, 0.02), drawn.rng.uniform(0.002, 0.005)
+    push = drawn.rng.uniform(0.002, 0.005)
     return drawn.mission(
         start,
         targets,
@@ -157,16 +158,16 @@ def price_noise(rng: np.random.Generator, is_pushed: bool) -> dict[str, Any]:
 
 def in_place(rng: np.random.Generator) -> sato.Reconfiguration:
     """Draw vehicles that are at their targets, or together at those of all."""
-    drawn = Draw(rng)
+    drawn = Draw("in_place", rng)
     start = drawn.points(drawn.start_gap)
-    return drawn.mission(start, start if drawn.is_given else rng.permutation(start))
+    return drawn.mission(start, start if drawn.is_given else drawn.rng.permutation(start))
 
 
 def unequal(rng: np.random.Generator) -> sato.Reconfiguration:
     """Draw vehicles with radii and limits of their own."""
-    drawn = Draw(rng)
+    drawn = Draw("unequal", rng)
     radii, speed, control = (
-        least * rng.uniform(1, RATIO, drawn.count)
+        least * drawn.rng.uniform(1, RATIO, drawn.count)
         for least in (drawn.radius, drawn.speed, drawn.control)
     )
     drawn.side *= float(radii.mean()) / drawn.radius
@@ -183,14 +184,14 @@ def unequal(rng: np.random.Generator) -> sato.Reconfiguration:
 
 def circles(rng: np.random.Generator) -> sato.Reconfiguration:
     """Draw a circle, in the plane or in space, that is crossed."""
-    drawn = Draw(rng)
+    drawn = Draw("circles", rng)
     unit, radius = spread(drawn.count, 2, drawn.target_gap * drawn.radius)
     return _cross(drawn, radius * unit)
 
 
 def spheres(rng: np.random.Generator) -> sato.Reconfiguration:
     """Draw a sphere that is crossed."""
-    drawn = Draw(rng)
+    drawn = Draw("spheres", rng)
     drawn.axes = 3
     unit, radius = spread(drawn.count, 3, drawn.target_gap * drawn.radius)
     return _cross(drawn, radius * unit)
@@ -198,10 +199,11 @@ def spheres(rng: np.random.Generator) -> sato.Reconfiguration:
 
 def corridors(rng: np.random.Generator) -> sato.Reconfiguration:
     """Draw two blocks of lanes that pass through each other."""
-    drawn, lanes = Draw(rng), int(rng.integers(1, 6))
+    drawn = Draw("corridors", rng)
+    lanes = int(drawn.rng.integers(1, 6))
     each = max(1, drawn.count // 2)
     row, lane = np.divmod(np.arange(each), lanes)
-    spacing, between = rng.uniform(1.05, 2.0), rng.uniform(4, 10)
+    spacing, between = drawn.rng.uniform(1.05, 2.0), drawn.rng.uniform(4, 10)
     block = np.column_stack([spacing * row + between / 2, spacing * lane]) * drawn.radius
     return _cross(drawn, np.vstack([block, block * [-1, 1]]), mirror=np.array([-1, 1]))
 
@@ -215,8 +217,9 @@ def _cross(drawn: Draw, start: Array, mirror: Any = -1) -> sato.Reconfiguration:
 
 def clohessy_wiltshire(rng: np.random.Generator) -> sato.Reconfiguration:
     """Draw spacecraft about a circular orbit on bounded orbits, to bounded orbits."""
-    drawn, rate = Draw(rng, **ORBITS), rng.uniform(0.9e-3, 1.2e-3)
-    depth = 150.0 if rng.random() < 0.5 else 0.0
+    drawn = Draw("clohessy_wiltshire", rng, **ORBITS)
+    rate = drawn.rng.uniform(0.9e-3, 1.2e-3)
+    depth = 150.0 if drawn.rng.random() < 0.5 else 0.0
     start, targets = (_orbits(drawn, gap, depth) for gap in (drawn.start_gap, drawn.target_gap))
     drawn.axes = 3
     states = [np.hstack([p, rate * p[:, [1, 0, 2]] * [0.5, -2, 0]]) for p in (start, targets)]
@@ -226,15 +229,16 @@ def clohessy_wiltshire(rng: np.random.Generator) -> sato.Reconfiguration:
 
 def j2(rng: np.random.Generator) -> sato.Reconfiguration:
     """Draw spacecraft about an orbit under J2, without drift at the start and at the end."""
-    drawn, is_deep = Draw(rng, **ORBITS), rng.random() < 1 / 3
-    perigee = EARTH + rng.uniform(300e3, 900e3)
-    eccentricity = rng.uniform(0, 0.1) * (rng.random() < 0.5)
+    drawn = Draw("j2", rng, **ORBITS)
+    is_deep = drawn.rng.random() < 1 / 3
+    perigee = EARTH + drawn.rng.uniform(300e3, 900e3)
+    eccentricity = drawn.rng.uniform(0, 0.1) * (drawn.rng.random() < 0.5)
     chief = sato.Chief(
         semi_major_axis=perigee / (1 - eccentricity),
         eccentricity=eccentricity,
-        inclination=np.radians(rng.uniform(10, 100)),
+        inclination=np.radians(drawn.rng.uniform(10, 100)),
         # Velocities off the plane are large where the latitude is.
-        anomaly=np.radians(rng.uniform(-60, -30) if is_deep else rng.uniform(-180, 180)),
+        anomaly=np.radians(drawn.rng.uniform(*((-60, -30) if is_deep else (-180, 180)))),
     )
     depth = 150.0 if is_deep else 0.0
     start, targets = (_orbits(drawn, gap, depth) for gap in (drawn.start_gap, drawn.target_gap))

@@ -1,6 +1,7 @@
 """Swarms drawn from ranges, which `missions.py` explains, and places for them."""
 
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 from jaxtyping import Float
@@ -28,7 +29,9 @@ HORIZON = 4  # steps, the default
 class Draw:
     """A swarm drawn from the ranges, those of a family in place of the general ones."""
 
-    def __init__(self, rng: np.random.Generator, **ranges: Range) -> None:
+    def __init__(self, family: str, rng: np.random.Generator, **ranges: Range) -> None:
+        # Trials of a campaign give all families the same stream; each takes its own of it.
+        rng = np.random.default_rng([int(rng.integers(2**32)), crc32(family.encode())])
         self.rng, self.axes = rng, int(rng.integers(2, 4))
         self.count = int(np.exp(rng.uniform(np.log(2), np.log(61))))
         for name, (low, high) in (RANGES | ranges).items():
