@@ -110,6 +110,16 @@ def test_collision_is_silent_unless_one_of_the_two_is_named_by_then():
         assert flown(start, control, [event])["silent"] == silent
 
 
+def test_lost_vehicle_is_no_collision_but_a_wreck_that_coasts_on():
+    start, control = passing(0.5)
+    alive = np.ones((13, 2), dtype=bool)
+    alive[3:, 0] = False  # at 1.5 s, with 3 m to go
+    found = flown(start, control, alive=alive)
+    assert found["collisions"] == 0
+    assert found["separation_ratio"] == pytest.approx((3**2 + 0.5**2) ** 0.5)
+    assert found["wreck_ratio"] == pytest.approx(0.5, rel=1e-12)
+
+
 @pytest.mark.parametrize(("more", "excused"), [(-1e-3, 1), (1e-3, 0)])
 def test_pair_that_no_control_keeps_apart_is_excused(more, excused):
     # They close at 1 m/s, and part by √2 · 0.5 m/s² each: least 1 m if 1/(2 √2) m beyond it.
