@@ -164,24 +164,24 @@ def test_a_killed_campaign_resumes_to_the_undisturbed_table(tmp_path, flown):
     assert rows(tmp_path / "x") == rows(flown)
 
 
-def test_a_dask_cluster_gives_the_rows_of_this_machine(tmp_path, flown):
+@pytest.fixture
+def scheduler(monkeypatch):
     from distributed import LocalCluster
 
+    monkeypatch.setattr(cluster, "CONNECT_TIMEOUT", 60.0)  # the machine may be busy
     options = {"processes": False, "n_workers": 2, "threads_per_worker": 1}
     with LocalCluster(**options, dashboard_address=None) as started:
-        address = started.scheduler_address
-        fly_campaign(campaign(), tmp_path / "x", scheduler=address, function=count)
+        yield started.scheduler_address
+
+
+def test_a_dask_cluster_gives_the_rows_of_this_machine(tmp_path, flown, scheduler):
+    fly_campaign(campaign(), tmp_path / "x", scheduler=scheduler, function=count)
     assert rows(tmp_path / "x") == rows(flown)
 
 
-def test_a_time_limit_needs_workers_that_are_restarted(tmp_path):
-    from distributed import LocalCluster
-
-    options = {"processes": False, "n_workers": 1, "threads_per_worker": 1}
-    with LocalCluster(**options, dashboard_address=None) as started:
-        address = started.scheduler_address
-        with pytest.raises(InputError, match="needs workers with nannies"):
-            fly_campaign(campaign(time_limit=9.0), tmp_path, scheduler=address, function=count)
+def test_a_time_limit_needs_workers_that_are_restarted(tmp_path, scheduler):
+    with pytest.raises(InputError, match="needs workers with nannies"):
+        fly_campaign(campaign(time_limit=9.0), tmp_path, scheduler=scheduler, function=count)
 
 
 def test_columns_that_no_table_can_hold_are_told_in_the_row(tmp_path):
