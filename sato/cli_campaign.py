@@ -181,13 +181,9 @@ def _describe(folder: Path) -> str:
     from sato.campaigns.table import open_table
 
     with open_table(folder) as table:
-        return describe(table.exits(), table.campaign.runs)
-
-
-def describe(exits: Counter[str], runs: int) -> str:
-    """Say how many runs are done, and how they ended."""
+        exits, runs = table.exits(), table.campaign.runs
     counts = ", ".join(f"{count} {name}" for name, count in exits.items())
-    return f"{sum(exits.values())} of {runs} runs{': ' if counts else ''}{counts}"
+    return f"{exits.total()} of {runs} runs{': ' if counts else ''}{counts}"
 
 
 @contextmanager
@@ -204,7 +200,7 @@ def _show_progress() -> Iterator[Callable[[Counter[str], int], None]]:
 
         def show(exits: Counter[str], runs: int) -> None:
             nonlocal first, tenth
-            done = sum(exits.values())
+            done = exits.total()
             if tenth < 0:
                 first = done
             line = _live_line(exits, runs, done - first, perf_counter() - began)
@@ -220,7 +216,7 @@ def _show_progress() -> Iterator[Callable[[Counter[str], int], None]]:
 def _live_line(exits: Counter[str], runs: int, flown: int, elapsed: float) -> str:
     from sato.campaigns.table import SUCCESSES
 
-    done = sum(exits.values())
+    done = exits.total()
     parts = [f"{done}/{runs}"]
     if done:
         succeeded = sum(exits[name] for name in SUCCESSES)

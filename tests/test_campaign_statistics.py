@@ -66,6 +66,7 @@ def test_intervals_of_rates_and_means_are_those_of_scipy(rng):
         values = rng.normal(size=count + 1)
         expected = stats.t.interval(0.95, count, values.mean(), stats.sem(values))
         assert Statistics.of(values).interval == pytest.approx(expected)
+        assert Statistics.of(values).number("p37") == pytest.approx(np.quantile(values, 0.37))
 
 
 def test_statistics_ignore_what_is_absent_and_keep_what_is_infinite():

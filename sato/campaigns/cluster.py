@@ -12,7 +12,7 @@ from time import sleep
 from typing import Any
 from uuid import uuid4
 
-from sato.campaigns.local import AHEAD, WorkerError
+from sato.campaigns.local import AHEAD, WorkerError, take_outcome
 from sato.campaigns.trial import Flights, Outcome, Trial
 from sato.scenario.errors import InputError
 
@@ -110,15 +110,9 @@ def _outcome(future: Any, is_late: bool, time_limit: float | None) -> Outcome:
         return {"exit": "time limit", "error": f"ended after {time_limit:g} s"}
     if future.status in ("cancelled", "lost", "pending"):
         raise CancelledError(future.status)
-    error = future.exception()
-    if error is None:
-        outcome: Outcome = future.result()
-        return outcome
-    if isinstance(error, InputError):
-        raise error
-    if isinstance(error, KilledWorker):
+    if isinstance(error := future.exception(), KilledWorker):
         return {"exit": "died", "error": f"{error}"}
-    return {"exit": "error", "error": f"{type(error).__name__}: {error}"}
+    return take_outcome(future)
 
 
 def _fly_on_worker(

@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from concurrent.futures import FIRST_COMPLETED, wait
 from concurrent.futures.process import BrokenProcessPool
-from itertools import chain
 from time import sleep
 from typing import Any
 
@@ -47,6 +46,7 @@ def fly_locally(
         WorkerError: Workers end before they begin.
     """
     context, remaining, futile = _context(), iter(trials), 0
+    again: list[Trial] = []  # trials of processes that died before they began
     flying: dict[ProcessFuture[Outcome], tuple[int, Trial]] = {}
     with one_thread_each():
         pools = [ProcessPool(1, context=context) for _ in range(workers)]
@@ -54,7 +54,10 @@ def fly_locally(
             while True:
                 waiting = Counter(number for number, _ in flying.values())
                 free = [n for ahead in range(AHEAD) for n in range(workers) if waiting[n] <= ahead]
-                for number, trial in zip(free, remaining, strict=False):
+                for number in free:
+                    trial = again.pop() if again else next(remaining, None)
+                    if trial is None:
+                        break
                     if not pools[number].active:  # its process died while it had nothing to do
                         pools[number] = _replace(pools[number], context)
                     future = pools[number].schedule(function, (trial,), timeout=time_limit)
@@ -68,10 +71,9 @@ def fly_locally(
                     number, trial = flying.pop(future)
                     error = future.exception()
                     if isinstance(error, ProcessExpired | BrokenProcessPool):
-                        again = _take_back(flying, number)
+                        again += _take_back(flying, number)
                         if isinstance(error, BrokenProcessPool):  # it had not begun
-                            again, futile = [trial, *again], futile + 1
-                        remaining = chain(again, remaining)
+                            again, futile = [*again, trial], futile + 1
                         pools[number] = _replace(pools[number], context)
                     if futile > MOST_FUTILE * workers:
                         raise WorkerError("workers end before they begin; `sato run` may tell why")
@@ -104,19 +106,29 @@ def _end(pool: ProcessPool) -> None:
     pool.join()
 
 
-def _outcome(future: Any, error: BaseException | None, time_limit: float | None) -> Outcome:
-    if error is None:
-        outcome: Outcome = future.result()
-        return outcome
+def take_outcome(future: Any) -> Outcome:
+    """Return the outcome of a trial, or of an error in its worker.
+
+    Raises:
+        InputError: No other trial could be flown either.
+    """
+    error = future.exception()
     if isinstance(error, InputError):
         raise error
+    if error is not None:
+        return {"exit": "error", "error": f"{type(error).__name__}: {error}"}
+    outcome: Outcome = future.result()
+    return outcome
+
+
+def _outcome(future: Any, error: BaseException | None, time_limit: float | None) -> Outcome:
     if isinstance(error, TimeoutError):
         return {"exit": "time limit", "error": f"ended after {time_limit:g} s"}
     if isinstance(error, ProcessExpired):
         code = error.exitcode or 0
         reason = signal.strsignal(-code) if code < 0 else f"exit code {code}"
         return {"exit": "died", "error": f"the worker died: {reason}"}
-    return {"exit": "error", "error": f"{type(error).__name__}: {error}"}
+    return take_outcome(future)
 
 
 def _context() -> Any:
