@@ -25,6 +25,8 @@ from sato.campaigns.table import MEASURED, CampaignTable, TableError, open_table
 from sato.campaigns.trial import run_trial
 from sato.scenario.errors import InputError, ScenarioError
 
+# Dask warns where the disk is busy.
+pytestmark = pytest.mark.filterwarnings("ignore:Creating scratch directories")
 GRID = {"plan.horizon_steps": [1, 2], "swarm.comm_radius_m": [3.0, 3.5, 4.0]}
 FILE = """
 [campaign]
