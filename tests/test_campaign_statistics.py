@@ -133,6 +133,18 @@ def test_value_of_a_condition_may_hold_signs_of_terms(table):
     assert parse_term("fuel_m_s=1/wall_s<=x", table).parameters[0] == "1/wall_s<=x"
 
 
+def test_column_of_booleans_and_numbers_has_no_rate_but_that_of_a_condition(tmp_path):
+    campaign = Campaign(scenario="conflict", trials=3)
+    with CampaignTable.create(tmp_path, campaign) as written:
+        for row, value in enumerate((True, 7, False)):
+            outcome = {"exit": "reached", "columns": {"good": value}}
+            written.add(campaign.trial(row), outcome, 1)
+        with pytest.raises(InputError, match="good=true would show its rate"):
+            group_runs(written, [], ["good"])
+        [group] = group_runs(written, [], ["good=true"]).groups
+    assert group.cells[0].mean == pytest.approx(1 / 3)
+
+
 def test_condition_is_asked_for_where_a_column_cannot_select(table):
     with pytest.raises(InputError, match="is not a condition"):
         group_runs(table, [], [], ["fuel_m_s"])

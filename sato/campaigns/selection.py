@@ -203,6 +203,9 @@ def _evaluate(term: Term, values: Sequence[Any]) -> Statistics:
     if text := next((value for value in values if isinstance(value, str)), None):
         hint = f"{term.label}={text} would show its rate"
         raise InputError("", f"{term.label} is a text, such as {format_input(text)}; {hint}")
+    if term.is_rate and not set(values) <= {0, 1, None}:
+        reason = "is true or false in some runs, and a number in others"
+        raise InputError("", f"{term.label} {reason}; {term.label}=true would show its rate")
     return Statistics.of(values, term.is_rate)
 
 
