@@ -103,7 +103,7 @@ def fly_again(table: CampaignTable, number: int) -> tuple[Outcome, list[str] | N
     cells = table.cells(given, outcome)
     names = {name for name, value in row.items() if value is not None} | set(cells)
     differing = {name for name in names if cells.get(name) != row.get(name)}
-    return outcome, sorted(differing - {*MEASURED, "version", "error"})
+    return outcome, sorted(differing - {*MEASURED, "version", "error", "columns_error"})
 
 
 def available_cores() -> int:
