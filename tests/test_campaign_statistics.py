@@ -133,7 +133,7 @@ def test_value_of_a_condition_may_hold_signs_of_terms(table):
     assert parse_term("fuel_m_s=1/wall_s<=x", table).parameters[0] == "1/wall_s<=x"
 
 
-def test_column_of_booleans_and_numbers_has_no_rate_but_that_of_a_condition(tmp_path):
+def test_column_of_booleans_and_numbers_has_the_rate_of_a_condition(tmp_path):
     campaign = Campaign(scenario="conflict", trials=3)
     with CampaignTable.create(tmp_path, campaign) as written:
         for row, value in enumerate((True, 7, False)):
