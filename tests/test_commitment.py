@@ -1,4 +1,4 @@
-"""Commitment: a property test for each lemma of docs/safety.md, and random missions to the end."""
+"""Commitment: a property test for each lemma of docs/safety.md."""
 
 from dataclasses import replace
 
@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from commitment_examples import (
     begin,
-    continuous_separation,
     crowd,
     distance,
     least_distances,
@@ -128,7 +127,12 @@ def test_offers_that_are_allowed_stay_within_reach(decisions):
     refused = 0
     for (context, plans, committed), _ in decisions:
         mission, d = context.mission, context.mission.axes
-        offers = commitment.make_offers(context, plans, committed)
+        # At full thrust all the time, some plans lead too far.
+        hasty = {
+            i: plan._replace(trajectory=plan.trajectory._replace(u=np.full((20, d), 1.0)))
+            for i, plan in plans.items()
+        }
+        offers = commitment.make_offers(context, hasty, committed)
         start = np.repeat(context.state[offers.agents][:, None], len(offers.plan_steps), axis=1)
         x = offers.horizon.discrete_model.simulate(start, offers.u)
         dense = sample(x, offers.u, mission.step, 20)
@@ -285,13 +289,3 @@ def test_change_keeps_the_distance_to_a_neighbor_that_is_too_near(goal):
     assert hull_distance(path - paths[1])[0].min() >= kept * (1 - 1e-9)
     end = horizon.discrete_model.simulate(states[0], u)[-1]
     np.testing.assert_allclose(end[2:], 0, atol=1e-12)
-
-
-def test_vehicles_never_come_closer_than_their_distance():
-    cautious = 0
-    for seed in range(40):
-        mission = random_mission(np.random.default_rng([19, seed]))
-        frames = begin(mission, 30)
-        assert continuous_separation(mission, frames) >= 1 - 1e-9, seed
-        cautious += sum(e["kind"] == "cautious" for frame in frames for e in frame.events)
-    assert cautious > 20

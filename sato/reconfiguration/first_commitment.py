@@ -59,7 +59,9 @@ def find_first_commitments(mission: Reconfiguration) -> Commitments:
             for side in PASSING_SIDES[d]:
                 radius = (radii + clearance[a]) / 2
                 found = find_stop(mission, horizon, *aim, paths[a], others, radius, side=side)
-                if found is not None:
+                if found is not None and stays_within_reach(
+                    mission, horizon, found[1][:, :d], found[2]
+                ):
                     u[a], _, paths[a] = found
                     break
     i, j = np.argwhere(~_are_clear(paths, clearance))[0]

@@ -1,0 +1,72 @@
+"""Missions whose vehicles never come too close, and starts from which they could."""
+
+import numpy as np
+import pytest
+from commitment_examples import (
+    begin,
+    continuous_separation,
+    least_distances,
+    random_mission,
+    sample,
+    swarms,
+)
+from reconfiguration_runs import make_mission
+
+import sato
+from sato.reconfiguration.commitment import (
+    pad_controls,
+    stays_within_reach,
+    stop_at_once,
+    stopping_horizon,
+)
+from sato.reconfiguration.first_commitment import find_first_commitments
+
+
+@pytest.mark.parametrize("joins", [False, True])
+def test_start_that_cannot_stop_within_reach_is_refused(joins):
+    # The second stops after 5.25 m; the first does not hear it, and would go to meet it.
+    start = np.array([[0.0, 0.0, 0.0, 0.0], [6.0, 0.0, -1.0, 0.0]])
+    join = sato.Join(1, sato.Points(start[1:, :2], start[1:, 2:]), at_step=0)
+    leg = sato.Leg(np.array([[12.0, 0.0], [-6.0, 3.0]]), 60, joins=(join,) if joins else ())
+    limits = {"max_control": (0.5, 0.1), "max_speed": 1.0, "comm_radius": 4.6}
+    limits |= {"horizon_steps": 2, "auction_steps": 2, "assignment": "given"}
+    place = "leg.join.start" if joins else "swarm.start"
+    with pytest.raises(sato.InputError, match=f"{place}: agent 1 needs .* m to stop"):
+        make_mission(start[:1] if joins else start, leg, **limits)
+
+
+def test_vehicles_never_come_closer_than_their_distance():
+    cautious = 0
+    for seed in range(40):
+        mission = random_mission(np.random.default_rng([19, seed]))
+        frames = begin(mission, 30)
+        assert continuous_separation(mission, frames) >= 1 - 1e-9, seed
+        cautious += sum(e["kind"] == "cautious" for frame in frames for e in frame.events)
+    assert cautious > 20
+
+
+def test_first_commitments_are_clear_within_reach_and_end_at_rest():
+    bent = 0
+    for seed in (59, 371, 432, *range(100)):  # the first three would leave reach to stop clear
+        rng, d = np.random.default_rng([3, seed]), 2
+        n, speed = int(rng.integers(2, 6)), 0.35 if seed == 59 else 0.45
+        places = swarms.place(rng, np.full(n, 0.6), 1.2, d)
+        start = np.hstack([places, rng.normal(0, speed, (n, d))])
+        leg = sato.Leg(3.0 * np.arange(n)[:, None] * np.eye(d)[0], 60)
+        limits = {"max_control": 0.2, "max_speed": 1.0, "horizon_steps": 1, "comm_radius": 2.51}
+        try:
+            mission = make_mission(start, leg, replan_steps=1, auction_steps=1, **limits)
+        except sato.InputError:
+            continue
+        committed = find_first_commitments(mission)
+        u = pad_controls([committed[i].u for i in range(n)], len(committed[0].u))
+        horizon = stopping_horizon(mission, u.shape[1])
+        x = horizon.discrete_model.simulate(start, u)
+        assert np.abs(x[:, -1, d:]).max() <= 1e-12
+        least = least_distances(sample(x, u, mission.step)) + 9 * np.eye(n)
+        assert least.min() >= mission.collision_radius - 1e-9
+        path = horizon.control_points(x, u)
+        assert stays_within_reach(mission, horizon, x[..., :d], path).all()
+        at_once = [stop_at_once(mission.control_limit(i), start[i, d:], 1.0)[0] for i in range(n)]
+        bent += not np.allclose(u[:, 0], at_once)
+    assert bent > 0
