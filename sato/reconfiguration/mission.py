@@ -196,7 +196,8 @@ class Reconfiguration(vehicles.Vehicles, Mission):
         if self.agents is None and isinstance(self.start, Points):
             values["agents"] = None if self.start.positions is None else len(self.start.positions)
         if self.replan_steps is None:
-            is_disturbed = self.has_noise or not models.flies_model(model, chief, self.plant)
+            wrong = self.disturbance, self.thrust_error, self.pointing_error
+            is_disturbed = any(wrong) or not models.flies_model(model, chief, self.plant)
             values["replan_steps"] = 1 if is_disturbed else self._longest_period()
         if self.auction_steps is None:
             period = values.get("replan_steps", self.replan_steps)
