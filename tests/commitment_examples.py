@@ -8,8 +8,9 @@ import numpy as np
 from reconfiguration_runs import make_mission, row
 
 import sato
-from sato.reconfiguration import commitment, loop
-from sato.reconfiguration.commitment import Offers, stop_at_once, stopping_horizon
+from sato.reconfiguration import loop
+from sato.reconfiguration.commitment import Offers
+from sato.reconfiguration.stopping import stop_at_once, stopping_horizon
 
 sys.path.append(str(Path(__file__).parent.parent / "campaigns"))  # as a worker of a campaign has it
 
@@ -74,7 +75,7 @@ def random_reach(rng, mission, horizon):
     factor = (mission.comm_radius - horizon.clearance) / 2 / max(away)
     for more, is_near in ((1e-6, False), (0.0, True)):
         scaled = factor * (1 + more)
-        near = commitment.stays_within_reach(mission, horizon, scaled * x[:, :d], scaled * path)
+        near = stopping.stays_within_reach(mission, horizon, scaled * x[:, :d], scaled * path)
         assert near == is_near
     return factor * x[:, :d], factor * path
 

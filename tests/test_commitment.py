@@ -26,15 +26,10 @@ from problems.limit import Limit
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration import commitment, loop
 from sato.reconfiguration.agent_stages import Choosing
-from sato.reconfiguration.commitment import (
-    Offers,
-    choose_offers,
-    improve,
-    stop_at_once,
-    stopping_horizon,
-)
+from sato.reconfiguration.commitment import Offers, choose_offers, improve
 from sato.reconfiguration.planning import Plan
 from sato.reconfiguration.state import AgentMemory, DecisionContext
+from sato.reconfiguration.stopping import stop_at_once, stopping_horizon
 
 NORMS = (1, 2, "inf")
 ROUNDING = 1e-9

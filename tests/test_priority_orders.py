@@ -25,10 +25,10 @@ from reconfiguration_runs import at_rest, make_mission
 
 from dynamics.trajectory_geometry import separations
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration.commitment import Commitment, controls_at
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.planning import plan_trajectories
 from sato.reconfiguration.state import AgentMemory, DecisionContext
+from sato.reconfiguration.stopping import Commitment, controls_at
 from sato.scp.exchange import run_batched, run_scp
 from sato.scp.priority_orders import (
     component_costs,

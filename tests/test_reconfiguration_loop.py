@@ -10,12 +10,12 @@ from reconfiguration_runs import at_rest, fly, leg_to, make_mission, min_separat
 from dynamics import ClohessyWiltshire, DoubleIntegrator, LinearModel, discretize_zoh
 from problems.transfer import Trajectory, TransferProblem
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration.commitment import Commitment, controls_at
 from sato.reconfiguration.leg import Join, Loss
 from sato.reconfiguration.loop import simulate
 from sato.reconfiguration.planning import Plan, plan_trajectories
 from sato.reconfiguration.solo_trajectories import TIE_BREAK_RISE, solve_solo_transfers
 from sato.reconfiguration.state import AgentMemory, DecisionContext
+from sato.reconfiguration.stopping import Commitment, controls_at
 
 
 def leg_ends(frames):

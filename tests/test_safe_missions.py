@@ -13,13 +13,13 @@ from commitment_examples import (
 from reconfiguration_runs import make_mission
 
 import sato
-from sato.reconfiguration.commitment import (
+from sato.reconfiguration.first_commitment import find_first_commitments
+from sato.reconfiguration.stopping import (
     pad_controls,
     stays_within_reach,
     stop_at_once,
     stopping_horizon,
 )
-from sato.reconfiguration.first_commitment import find_first_commitments
 
 
 @pytest.mark.parametrize("joins", [False, True])

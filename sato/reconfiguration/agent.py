@@ -23,7 +23,6 @@ from sato.reconfiguration.agent_inputs import (
     check_inbox,
     select_messages,
 )
-from sato.reconfiguration.commitment import Commitments, controls_at
 from sato.reconfiguration.draw import draw_leg, is_drawn, with_targets
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
@@ -34,6 +33,7 @@ from sato.reconfiguration.state import (
     begin_memory,
     update_believed,
 )
+from sato.reconfiguration.stopping import Commitments, controls_at
 
 # Fields of the mission that agents must have in common to decide together.
 SHARED = "axes step horizon_steps foresight_steps replan_steps auction_steps freeze_steps".split()

@@ -32,7 +32,7 @@ from sato.auctions.bidder import VsdaaBidder, WinningBids
 from sato.auctions.vsdaa import VsdaaAuction
 from sato.network.flooding import Census, CensusMessage, Flood, Reports
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration import assignment, commitment, planning
+from sato.reconfiguration import assignment, commitment, planning, stopping
 from sato.reconfiguration.agent_stages import (
     AuctionTerms,
     Bidding,
@@ -55,7 +55,7 @@ class Decision(NamedTuple):
     number: int
     context: DecisionContext  # of the agent alone
     plans: planning.Plans  # empty, or the agent's own
-    committed: commitment.Commitments  # empty, or the agent's own
+    committed: stopping.Commitments  # empty, or the agent's own
     spent: Float[Array, " rows"]  # fuel [m/s], or energy [m²/s³]
     stage: Any  # Census, Flood, Bidding, Exchange, Choosing or Turns
     stage_index: int = 0
@@ -75,7 +75,7 @@ class Decision(NamedTuple):
         number: int,
         context: DecisionContext,
         plans: planning.Plans,
-        committed: commitment.Commitments,
+        committed: stopping.Commitments,
         spent: float,
         leg: tuple[int, int],
         joins: bool,
@@ -149,7 +149,7 @@ class Decision(NamedTuple):
         offers, choice = self.choosing.offers, self.choosing.choice
         cautious = sorted((r.priority, r.agent) for r in reports if r.priority is not None)
         steps = max(report.steps for report in reports)
-        horizon = commitment.stopping_horizon(self.context.mission, steps)
+        horizon = stopping.stopping_horizon(self.context.mission, steps)
         u = np.pad(offers.u[0, choice], ((0, steps - offers.u.shape[2]), (0, 0)))
         path = extend(offers.paths[0, choice], len(horizon.fine_model))
         order, own = tuple(agent for _, agent in cautious), (self.number, self.plans[self.number])
@@ -161,7 +161,7 @@ class Decision(NamedTuple):
         assert self.choosing is not None
         flown = self.choosing.offers.plan_steps[self.choosing.choice]
         plan = commitment.follow(self.context, turns.plan, flown)
-        committed = {self.number: commitment.Commitment(self.context.instant, turns.u)}
+        committed = {self.number: stopping.Commitment(self.context.instant, turns.u)}
         events = self.events
         if self.number in turns.order:
             events = (*events, {"kind": "cautious", "agents": [self.number]})

@@ -12,7 +12,8 @@ from numpy import ndarray as Array
 
 from problems import convexify
 from problems.convexify import AvoidanceHorizon
-from sato.reconfiguration.commitment import (
+from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.stopping import (
     Commitment,
     Commitments,
     clearances_of,
@@ -22,7 +23,6 @@ from sato.reconfiguration.commitment import (
     stays_within_reach,
     stopping_horizon,
 )
-from sato.reconfiguration.mission import Reconfiguration
 from sato.scenario.errors import InputError, round_down, round_up
 from sato.scp.planner import PASSING_SIDES
 

@@ -11,10 +11,11 @@ from problems.solvers.verified import VerifiedSolver
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration import estimator, planning, state
 from sato.reconfiguration.assignment import assign_targets
-from sato.reconfiguration.commitment import Commitments, commit, controls_at
+from sato.reconfiguration.commitment import commit
 from sato.reconfiguration.disturbances import disturb_control, draw_losses, measure
 from sato.reconfiguration.first_commitment import find_first_commitments, has_room
 from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.stopping import Commitments, controls_at
 
 MAX_LEG_FACTOR = 20  # times its steps after which a leg is given up
 

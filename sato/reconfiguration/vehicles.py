@@ -109,7 +109,7 @@ class Vehicles(Motion):
 
     def reach_unheard(self, margin: float) -> float:
         """Return how far vehicles may fly on before they could meet others unheard [m]."""
-        if self.allow_undetectable or self.vehicle_count == 1:
+        if self.allow_undetectable:
             return inf
         return (self.comm_radius - self.largest_separation - margin) / 2
 

@@ -1,0 +1,175 @@
+"""Stopping trajectories of double integrators, which are safe for ever once they are clear.
+
+A committed trajectory ends at rest. Later points of it are at most (R_comm − R)/2 from earlier
+instants, so that two vehicles that do not hear each other cannot meet before they do.
+"""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from math import ceil
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
+
+from problems import convexify
+from problems.conic import Unsolved
+from problems.convexify import AvoidanceHorizon
+from problems.limit import Limit
+from problems.safety_filter import SafetyFilterProblem
+from problems.solvers.verified import solve_program
+from problems.transfer import Solver
+from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.planning import divide_horizon
+from sato.scp.planner import required_separations
+
+REST_TOLERANCE = 1e-12  # of the speed that a step at full control makes: slower is at rest
+REACH_TOLERANCE = 1e-9  # relative
+
+
+class Commitment(NamedTuple):
+    """Controls that an agent flies until it commits to others; after them it rests."""
+
+    first_step: int  # since the start of the mission
+    u: Float[Array, "T m"]
+
+    def controls_from(self, step: int) -> Float[Array, "left m"]:
+        """Return the controls from a step of the mission on."""
+        return self.u[step - self.first_step :]
+
+
+Commitments = dict[int, Commitment]  # by the number of the agent
+
+
+def controls_at(
+    committed: Commitments, step: int, alive: Bool[Array, " agents"], mission: Reconfiguration
+) -> Float[Array, "agents m"]:
+    """Return the controls at a step of the mission: 0 after the last, NaN if lost.
+
+    Solvers exceed the limit by rounding, which is cut.
+    """
+    control = np.full((len(alive), mission.axes), np.nan)
+    for i in np.flatnonzero(alive).tolist():
+        u = committed[i].controls_from(step)
+        control[i] = mission.control_limit(i).cut(u[0]) if len(u) else 0.0
+    return control
+
+
+def stop_at_once(limit: Limit, velocity: Float[Array, " m"], h: float) -> Float[Array, "T m"]:
+    """Return equal controls that bring a double integrator to rest, in the fewest steps."""
+    steps = float(limit.measure(velocity)) / (limit.most * h)
+    count = 0 if steps < REST_TOLERANCE else ceil(steps * (1 - 1e-9))
+    return np.tile(-velocity / (max(count, 1) * h), (count, 1))
+
+
+def end_at_rest(
+    mission: Reconfiguration, agent: int, velocity: Float[Array, " m"], u: Float[Array, "k m"]
+) -> Float[Array, "T m"]:
+    """Return controls, and those that then stop the agent, from a velocity on."""
+    final = velocity + mission.step * u.sum(axis=0)
+    return np.vstack([u, stop_at_once(mission.control_limit(agent), final, mission.step)])
+
+
+def held_controls(
+    mission: Reconfiguration,
+    agent: int,
+    velocity: Float[Array, " m"],
+    committed: Commitments,
+    instant: int,
+) -> Float[Array, "T m"]:
+    """Return what an agent flies if it does not decide again; one without a commitment stops."""
+    none = np.zeros((0, mission.axes))
+    held = committed[agent].controls_from(instant) if agent in committed else none
+    return end_at_rest(mission, agent, velocity, held)
+
+
+def pad_controls(each: Sequence[Float[Array, "_ m"]], steps: int) -> Float[Array, "each T m"]:
+    """Stack controls, with zeros up to so many steps."""
+    u = np.zeros((len(each), steps, each[0].shape[1]))
+    for own, filled in zip(each, u, strict=True):
+        filled[: len(own)] = own
+    return u
+
+
+@lru_cache(maxsize=64)
+def stopping_horizon(mission: Reconfiguration, steps: int) -> AvoidanceHorizon:
+    """Return the horizon of so many steps of a double integrator."""
+    return divide_horizon(mission, 0.0, steps)
+
+
+def clearances_of(
+    mission: Reconfiguration, horizon: AvoidanceHorizon, agents: Int[Array, " agents"]
+) -> Float[Array, " agents"]:
+    """Return the distance that two of each agent's kind keep [m]."""
+    if mission.has_equal_radii:
+        return np.full(len(agents), horizon.clearance)
+    return np.asarray(horizon.clearance + mission.radii[agents] - mission.largest_separation)
+
+
+def stays_within_reach(
+    mission: Reconfiguration,
+    horizon: AvoidanceHorizon,
+    position: Float[Array, "*k instants d"],
+    paths: Float[Array, "*k pieces 4 d"],
+) -> Bool[Array, "*k"]:
+    """Find the trajectories on which no later point is too far from an earlier instant.
+
+    Two that do not hear each other then cannot meet before both have decided again.
+    """
+    reach = mission.reach_unheard(mission.margin) * (1 + REACH_TOLERANCE)
+    within = np.ones(position.shape[:-2], dtype=bool)
+    for k in range(horizon.steps):
+        later = paths[..., k * horizon.pieces_per_step :, :, :]
+        away = np.linalg.norm(later - position[..., k, None, None, :], axis=-1)
+        within &= away.max(axis=(-2, -1)) <= reach
+    return within
+
+
+def find_stop(
+    mission: Reconfiguration,
+    horizon: AvoidanceHorizon,
+    agent: int,
+    start: Float[Array, " n"],
+    wanted: Float[Array, " n"],
+    wanted_step: int,
+    nominal: Float[Array, "pieces 4 d"],
+    others: Float[Array, "others pieces 4 d"],
+    clearance: Float[Array, " others"],
+    solver: Solver = solve_program,
+    side: convexify.PassingSide = "same",
+) -> tuple[Float[Array, "T m"], Float[Array, "instants n"], Float[Array, "pieces 4 d"]] | None:
+    """Find a stopping trajectory among others, near a wanted state after some steps.
+
+    Args:
+        mission: Limits.
+        horizon: Horizon in which all have come to rest.
+        agent: Number of the agent.
+        start: State of the agent.
+        wanted: Wanted state.
+        wanted_step: Steps after which it is wanted.
+        nominal: Control points about which the half-spaces are chosen.
+        others: Control points of the others.
+        clearance: Distance to keep from each [m].
+        solver: Solver of the program.
+        side: Side on which to pass others that the nominal meets.
+
+    Returns:
+        Controls, states and control points; None where none is found.
+    """
+    T, required = horizon.steps - 1, required_separations(clearance)
+    normals = convexify.choose_normals(nominal - others, required, side)
+    half_spaces = convexify.convexify(horizon, T, others, normals, required)
+    transfer = mission.make_transfer(horizon.discrete_model[:T], agent)
+    problem = SafetyFilterProblem(transfer, start, wanted, wanted_step, half_spaces, solver)
+    try:
+        found = problem.solve()
+    except Unsolved:
+        return None
+    # The solver leaves a speed within its tolerance, which the last step takes away.
+    last, limit = -found.x[-1, mission.axes :] / mission.step, mission.control_limit(agent)
+    if limit.measure(last) > limit.most:
+        return None
+    u = np.vstack([found.u, last])
+    x = horizon.discrete_model.simulate(start, u)
+    return u, x, horizon.control_points(x, u)
