@@ -8,7 +8,7 @@ import numpy as np
 from reconfiguration_runs import make_mission, row
 
 import sato
-from sato.reconfiguration import loop
+from sato.reconfiguration import loop, stopping
 from sato.reconfiguration.commitment import Offers
 from sato.reconfiguration.stopping import stop_at_once, stopping_horizon
 

@@ -58,8 +58,14 @@ def test_nobody_left_is_not_reached():
 
 
 def test_join_that_never_happens_is_missed():
-    everybody = sato.Loss("agents", agents=(0, 1), at_step=2)
-    join = sato.Join(None, [[3.0, 0.0]], at_step=4)
-    run = sato.run(pair(Leg(row(2, 1.0), 6, losses=[everybody], joins=[join])))
+    stay = Leg(row(3, 0.0), 6, joins=[sato.Join(None, row(1, 0.1), at_step=4)])
+    run = sato.run(pair(stay))
     assert len(run.events("join")) == 0
-    assert {promise.name for promise in run.check().broken} == {"alive", "reached"}
+    assert {promise.name for promise in run.check().broken} == {"alive"}
+
+
+def test_join_waits_until_there_is_room():
+    away = Leg(row(3, 4.0), 30, joins=[sato.Join(None, row(1, 0.1), at_step=1)])
+    run = sato.run(pair(away))
+    (join,) = run.events("join")
+    assert join["time"] > 1.0 and run.check().kept

@@ -179,7 +179,7 @@ def test_model_and_plant_are_as_the_tables_say():
 
 def test_disturbed_motion_is_replanned_every_step_by_default():
     assert drawn().replan_steps == 1
-    assert drawn("plant.kind=model").replan_steps == 4
+    assert drawn("plant.kind=model").replan_steps == 2
     assert drawn("replan_steps=2").replan_steps == 2
 
 

@@ -183,7 +183,7 @@ def decide_again(mission, clock, step, alive=None, planned_fuel=np.inf):
 
 
 def test_change_of_bidders_resets_the_clocks_of_its_component(rng):
-    mission = plan_from(cloud(rng, 6), cloud(rng, 6))
+    mission = plan_from(cloud(rng, 6), cloud(rng, 6), reset="change")
     first, again = decide_again(mission, 5, 5)
     assert not first.was_reset.any()
     assert not again.was_reset.any() and (again.memory.clock == 5).all()
@@ -197,7 +197,8 @@ def test_change_of_bidders_resets_the_clocks_of_its_component(rng):
 
 def test_reset_stays_in_its_component(rng):
     far = np.concatenate([cloud(rng, 4), cloud(rng, 4) + 500.0])
-    mission = plan_from(far, np.concatenate([cloud(rng, 4), cloud(rng, 4) + 500.0]))
+    goals = np.concatenate([cloud(rng, 4), cloud(rng, 4) + 500.0])
+    mission = plan_from(far, goals, reset="change")
     _, after = decide_again(mission, 5, 5, np.arange(8) != 1)
     assert np.flatnonzero(after.was_reset).tolist() == [0, 2, 3]
     assert after.memory.clock[4:].tolist() == [5] * 4

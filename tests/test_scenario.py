@@ -149,7 +149,7 @@ def test_default_box_gives_a_connected_graph(dimension, agents):
 
 def test_defaults_follow_from_the_other_keys():
     mission = drawn()
-    assert (mission.horizon_steps, mission.replan_steps, mission.auction_steps) == (4, 4, 4)
+    assert (mission.horizon_steps, mission.replan_steps, mission.auction_steps) == (4, 1, 4)
     assert mission.target_spacing == pytest.approx(1.5)
     assert mission.position_tolerance == pytest.approx(1.5e-6)
     assert mission.velocity_tolerance == pytest.approx(1.5e-6)
@@ -434,7 +434,7 @@ def test_a_file_gives_errors_and_missions_its_name(tmp_path):
 
 def test_tolerance_grows_with_the_disturbance():
     shaken = drawn("disturbance.acceleration_m_s2=1e-4")
-    assert (shaken.replan_steps, shaken.auction_steps) == (1, 1)
+    assert (shaken.replan_steps, shaken.auction_steps) == (1, 4)
     assert drawn("disturbance.acceleration_m_s2=1e-4", "replan_steps=2").replan_steps == 2
     calm, worse = (drawn(f"disturbance.acceleration_m_s2={a}") for a in (0, 1e-3))
     assert shaken.position_tolerance > 100 * calm.position_tolerance
