@@ -65,7 +65,7 @@ def test_join_that_never_happens_is_missed():
 
 
 def test_join_waits_until_there_is_room():
-    away = Leg(row(3, 4.0), 30, joins=[sato.Join(None, row(1, 0.1), at_step=1)])
+    away = Leg(row(3, 4.0), 30, joins=[sato.Join(None, row(2, 0.2)[:1], at_step=1)])
     run = sato.run(pair(away))
     (join,) = run.events("join")
     assert join["time"] > 1.0 and run.check().kept
