@@ -10,7 +10,7 @@ from commitment_examples import (
     sample,
     swarms,
 )
-from reconfiguration_runs import make_mission
+from reconfiguration_runs import make_mission, row
 
 import sato
 from sato.reconfiguration.first_commitment import find_first_commitments
@@ -70,3 +70,14 @@ def test_first_commitments_are_clear_within_reach_and_end_at_rest():
         at_once = [stop_at_once(mission.control_limit(i), start[i, d:], 1.0)[0] for i in range(n)]
         bent += not np.allclose(u[:, 0], at_once)
     assert bent > 0
+
+
+def test_vehicles_that_wait_for_others_hold_their_targets():
+    # The third joins far away, and has the 20 steps of the leg from there on.
+    targets = np.vstack([row(2, 0.0), [[60.0, 3.0]]])
+    leg = sato.Leg(targets, 20, joins=[sato.Join(1, [[60.0, 0.0]], at_step=18)])
+    mission = make_mission(row(2, 0.0), leg, disturbance=4e-3, replan_steps=1)
+    run = sato.run(mission)
+    away = np.linalg.norm(run.data.position.values[20:, :2] - targets[:2], axis=2)
+    assert len(away) >= 18 and away.max() < 0.05
+    assert run.summary["reached"] and not run.events("reset")

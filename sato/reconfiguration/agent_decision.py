@@ -163,7 +163,7 @@ class Decision(NamedTuple):
         plan = commitment.follow(self.context, turns.plan, flown)
         committed = {self.number: stopping.Commitment(self.context.instant, turns.u)}
         events = self.events
-        if self.number in turns.order:
+        if self.number in turns.order and commitment.leaves_plan(turns.plan):
             events = (*events, {"kind": "cautious", "agents": [self.number]})
         plans = {self.number: plan}
         return self._replace(plans=plans, committed=committed, events=events, is_finished=True)

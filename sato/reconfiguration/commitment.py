@@ -33,6 +33,7 @@ from sato.reconfiguration.stopping import (
     stays_within_reach,
     stopping_horizon,
 )
+from sato.scp.planner import reaches_target
 
 MAX_PLAN_STEPS = 16  # of what is foreseen, to which agents commit at once
 ROUNDING = 1e-12  # relative, of distances that are computed twice
@@ -84,7 +85,18 @@ def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) 
     is_allowed &= is_whole | ~has_whole[:, None]
     is_allowed[:, -1] = True
     clearance = clearances_of(mission, horizon, agents)
+    for row, (i, plan) in enumerate(plans.items()):
+        is_over = len(plan.trajectory.u) == 0
+        if is_over and not reaches_target(plan.trajectory, _rest(context, i), clearance[row]):
+            is_allowed[row, :-1] = False  # it is late, or has drifted: it takes a turn
     return Offers(agents, plan_steps, steps, horizon, u, paths, is_allowed, clearance)
+
+
+def _rest(context: DecisionContext, agent: int) -> Float[Array, " n"]:
+    """Return the state of rest at the target that an agent holds."""
+    rest = context.leg.targets[context.memory.target_index[agent]].copy()
+    rest[context.mission.axes :] = 0.0
+    return np.asarray(rest)
 
 
 def _plan_steps(context: DecisionContext) -> tuple[int, ...]:
@@ -184,7 +196,13 @@ def commit(
         i: follow(context, plan, offers.plan_steps[choice[a]])
         for a, (i, plan) in enumerate(plans.items())
     }
-    return done, followed, sorted(offers.agents[cautious].tolist())
+    left = [int(offers.agents[a]) for a in cautious]
+    return done, followed, sorted(i for i in left if leaves_plan(plans[i]))
+
+
+def leaves_plan(plan: Plan) -> bool:
+    """Tell whether an agent that could not commit to its plan leaves one that has steps."""
+    return len(plan.trajectory.u) > 0
 
 
 def commit_unchecked(context: DecisionContext, plans: Plans) -> Commitments:
@@ -227,7 +245,8 @@ def improve(
     mission, k = context.mission, steps_to_next(context)
     kept = hull_distance(path - others)[0].min(axis=1)
     clearance = np.minimum(clearance, kept * (1 - ROUNDING))
-    wanted = plan.trajectory.x[min(k, len(plan.trajectory.u))]
+    x, steps = plan.trajectory.x, len(plan.trajectory.u)
+    wanted = x[min(k, steps)] if steps else _rest(context, agent)
     aim = agent, context.state[agent], wanted, min(k, horizon.steps - 1)
     found = find_stop(mission, horizon, *aim, path, others, clearance, context.solver_of(agent))
     if found is None:

@@ -47,6 +47,8 @@ def is_planning_due(
 ) -> Bool[Array, " agents"]:
     """Find the agents that plan again: all but those about to arrive, by a plan clear to its end.
 
+    Those that have arrived do so too where noise may take them from their targets.
+
     Args:
         mission: Steps before the deadline in which plans are kept.
         plans: Plans of the agents.
@@ -56,9 +58,10 @@ def is_planning_due(
     """
     left = steps - memory.clock
     is_kept = left < mission.freeze_steps
+    is_over = (left == 0) & ~(mission.is_point_mass and mission.has_noise)
     for i in np.flatnonzero(is_kept).tolist():
         has_plan = remaining_controls(plans, i, memory, k, steps) is not None
-        is_kept[i] = has_plan and (left[i] == 0 or k + left[i] <= plans[i].clear_until)
+        is_kept[i] = has_plan and (is_over[i] or k + left[i] <= plans[i].clear_until)
     return np.asarray(~is_kept)
 
 
