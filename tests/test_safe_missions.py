@@ -73,11 +73,12 @@ def test_first_commitments_are_clear_within_reach_and_end_at_rest():
 
 
 def test_vehicles_that_wait_for_others_hold_their_targets():
-    # The third joins far away, and has the 20 steps of the leg from there on.
+    # The third joins far away, and has the 60 steps of the leg from there on. Vehicles that did
+    # no more than stop would drift by 0.07 m.
     targets = np.vstack([row(2, 0.0), [[60.0, 3.0]]])
-    leg = sato.Leg(targets, 20, joins=[sato.Join(1, [[60.0, 0.0]], at_step=18)])
-    mission = make_mission(row(2, 0.0), leg, disturbance=4e-3, replan_steps=1)
+    leg = sato.Leg(targets, 60, joins=[sato.Join(1, [[60.0, 0.0]], at_step=58)])
+    mission = make_mission(row(2, 0.0), leg, disturbance=4e-3, replan_steps=1, margin=0.1)
     run = sato.run(mission)
-    away = np.linalg.norm(run.data.position.values[20:, :2] - targets[:2], axis=2)
-    assert len(away) >= 18 and away.max() < 0.05
+    away = np.linalg.norm(run.data.position.values[60:, :2] - targets[:2], axis=2)
+    assert len(away) >= 58 and away.max() < 0.03
     assert run.summary["reached"] and not run.events("reset")

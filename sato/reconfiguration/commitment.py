@@ -72,7 +72,9 @@ def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) 
         begun = [limit.cut(plan.trajectory.u[:q]) for q in plan_steps[:-1]]
         begun = [end_at_rest(mission, i, velocity, u) for u in begun]
         each.append([*begun, held_controls(mission, i, velocity, committed, context.instant)])
-    agents, steps = np.array(list(plans)), np.array([1 + max(map(len, own)) for own in each])
+    # An agent that has no steps left needs some to return to its target.
+    longest = [max(mission.horizon_steps, *map(len, own)) for own in each]
+    agents, steps = np.array(list(plans)), 1 + np.array(longest)
     u = np.stack([pad_controls(own, int(steps.max())) for own in each])
     horizon = stopping_horizon(mission, int(steps.max()))
     start = np.repeat(context.state[agents][:, None], len(plan_steps), axis=1)
@@ -242,11 +244,13 @@ def improve(
     Returns:
         Controls and control points; None where none are found that are safe.
     """
-    mission, k = context.mission, steps_to_next(context)
+    mission = context.mission
     kept = hull_distance(path - others)[0].min(axis=1)
     clearance = np.minimum(clearance, kept * (1 - ROUNDING))
-    x, steps = plan.trajectory.x, len(plan.trajectory.u)
-    wanted = x[min(k, steps)] if steps else _rest(context, agent)
+    x, steps, k = plan.trajectory.x, len(plan.trajectory.u), steps_to_next(context)
+    wanted = x[min(k, steps)]
+    if not steps:  # back to the target
+        wanted, k = _rest(context, agent), mission.horizon_steps
     aim = agent, context.state[agent], wanted, min(k, horizon.steps - 1)
     found = find_stop(mission, horizon, *aim, path, others, clearance, context.solver_of(agent))
     if found is None:
