@@ -8,6 +8,7 @@ from reconfiguration_runs import at_rest, fly, leg_to, make_mission, min_separat
 
 from dynamics import ClohessyWiltshire, DoubleIntegrator
 from dynamics.discretize import discretize_zoh
+from dynamics.plant import LinearPlant, Plant
 from sato.reconfiguration.disturbances import disturb_control, measure
 from sato.reconfiguration.estimator import (
     GATE_SIGMAS,
@@ -142,6 +143,20 @@ def test_margin_is_automatic_with_noise_and_grows_with_it():
     louder = replace(loud, position_noise=0.02, velocity_noise=0.006)
     assert compute_margin(louder) == pytest.approx(2 * loud.margin, rel=1e-9)
     assert moving(disturbance=0.004).margin == pytest.approx(5 * 2**0.5 * 0.002)
+
+
+class Windy(Plant):
+    """Double integrators that a wind accelerates."""
+
+    def propagate(self, x, u, t, dt, substeps=1):
+        """Add the wind to the controls."""
+        return LinearPlant(DoubleIntegrator(2)).propagate(x, u + 0.01, t, dt, substeps)
+
+
+def test_margin_is_automatic_where_the_plant_is_not_the_model():
+    mission = moving(plant=Windy())
+    # Two may be moved against each other, by a t²/2 in the step until they plan again.
+    assert mission.margin == pytest.approx(2 * 0.01 * 2**0.5 / 2)
 
 
 def fuel(frames):

@@ -26,11 +26,8 @@ def resolve(mission: Reconfiguration) -> Reconfiguration:
     spacing = mission.target_spacing
     least = ARRIVAL_TOLERANCE * (spacing if isfinite(spacing) else mission.largest_separation)
     given, margin = mission.position_tolerance, mission.margin
-    is_computed = is_auto(margin)
-    if margin is None:  # wherever there is noise, or the shared model may have errors
-        is_orbital = mission.chief is not None or mission.nonlinear_model is not None
-        is_computed = is_orbital or mission.has_noise
-    if margin is None or is_computed:
+    is_computed = margin is None or is_auto(margin)
+    if is_computed:
         margin = 0.0
     noise = wrong = (0.0, 0.0)
     if mission.has_noise or not mission.flies_model:
