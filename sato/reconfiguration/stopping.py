@@ -78,10 +78,15 @@ def held_controls(
     committed: Commitments,
     instant: int,
 ) -> Float[Array, "T m"]:
-    """Return what an agent flies if it does not decide again; one without a commitment stops."""
+    """Return what an agent flies if it does not decide again; one without a commitment stops.
+
+    A speed that noise has left is lost as soon as the committed controls end.
+    """
     none = np.zeros((0, mission.axes))
     held = committed[agent].controls_from(instant) if agent in committed else none
-    return end_at_rest(mission, agent, velocity, held)
+    ends = int(np.flatnonzero(held.any(axis=1)).max(initial=-1)) + 1
+    u = end_at_rest(mission, agent, velocity, held[:ends])
+    return np.vstack([u, held[len(u) :]])
 
 
 def pad_controls(each: Sequence[Float[Array, "_ m"]], steps: int) -> Float[Array, "each T m"]:
