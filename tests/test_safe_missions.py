@@ -10,9 +10,10 @@ from commitment_examples import (
     sample,
     swarms,
 )
-from reconfiguration_runs import make_mission, row
+from reconfiguration_runs import at_rest, fly, leg_to, make_mission, row
 
 import sato
+from sato.reconfiguration import loop
 from sato.reconfiguration.first_commitment import find_first_commitments
 from sato.reconfiguration.stopping import (
     pad_controls,
@@ -82,3 +83,23 @@ def test_vehicles_that_wait_for_others_hold_their_targets():
     away = np.linalg.norm(run.data.position.values[60:, :2] - targets[:2], axis=2)
     assert len(away) >= 58 and away.max() < 0.03
     assert run.summary["reached"] and not run.events("reset")
+
+
+def test_leg_goes_on_where_its_deadline_comes_between_two_auctions():
+    # Six meet in the middle; one of them is not there at the deadline, two steps before an auction.
+    turn = np.arange(6) * np.pi / 3
+    start = 1.6 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    start += np.random.default_rng([5, 3]).normal(0, 0.02, (6, 2))
+    leg = leg_to(at_rest(-start), 14)
+    mission = make_mission(start, leg, assignment="given", max_control=0.2)
+    assert (mission.replan_steps, mission.auction_steps) == (2, 4)
+    away = np.linalg.norm(fly(mission)[-1].position + start, axis=1)
+    assert away.max() <= mission.position_tolerance
+
+
+def test_commitments_do_not_grow_with_noise():
+    leg, noise = leg_to(at_rest(row(3, 3.0)), 20), {"position_noise": 0.01, "velocity_noise": 0.003}
+    mission = make_mission(row(3, 0.0), leg, comm_radius=20.0, replan_steps=1, **noise)
+    flight = loop._Flight(mission, np.random.default_rng(0))
+    steps = [max(len(own.u) for own in flight.committed.values()) for _ in flight.fly_leg(0)]
+    assert len(steps) == 20 and max(steps) == steps[0]

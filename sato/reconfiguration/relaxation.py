@@ -40,4 +40,6 @@ def _misses_target(mission: Reconfiguration, planner: Planner) -> bool:
     d, error = mission.axes, np.abs(planner.nominal.x[-1] - planner.target_state)
     is_far = (error[:d] > mission.position_tolerance).any()
     is_fast = (error[d:] > mission.velocity_tolerance).any()
-    return planner.terminal_error > 0 and bool(is_far or is_fast)
+    # A plan of no steps, made after the deadline, leads nowhere, and none was solved for.
+    is_inexact = planner.terminal_error > 0 or len(planner.nominal.u) == 0
+    return is_inexact and bool(is_far or is_fast)
