@@ -103,3 +103,9 @@ def test_commitments_do_not_grow_with_noise():
     flight = loop._Flight(mission, np.random.default_rng(0))
     steps = [max(len(own.u) for own in flight.committed.values()) for _ in flight.fly_leg(0)]
     assert len(steps) == 20 and max(steps) == steps[0]
+
+
+def test_mission_without_reach_is_refused():
+    changes = {"comm_radius": 1.1, "max_speed": 0.01, "margin": 0.62}
+    with pytest.raises(sato.InputError, match="no more than the 1"):
+        make_mission(2 * row(2, 0.0), sato.Leg(2 * row(2, 1.0), 400), **changes)

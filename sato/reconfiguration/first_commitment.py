@@ -121,18 +121,26 @@ def _fly_on(
 
 
 def check_reach(mission: Reconfiguration) -> None:
-    """Refuse a drawn mission in which a vehicle starts or joins too fast to stop within reach.
+    """Refuse a drawn mission without reach, or in which a vehicle starts too fast to stop within.
 
     Raises:
         InputError: It could meet another that it does not hear; says what would do.
     """
-    state, d = mission.initial_states, mission.axes
+    state, d, reach = mission.initial_states, mission.axes, mission.reach_unheard(mission.margin)
+    if mission.is_point_mass and mission.vehicle_count > 1 and reach <= 0:
+        least = mission.largest_separation + mission.margin
+        raise InputError(
+            "swarm.comm_radius_m",
+            f"{mission.comm_radius:g} is no more than the {least:.4g} m that two keep, the margin "
+            "included, so none could move without meeting others unheard; several times as much "
+            "would do",
+        )
     if not mission.is_point_mass or not state[:, d:].any():
         return
     horizon, _, x, paths = _fly_on(mission, np.arange(len(state)), state, {}, 0)
     far = np.flatnonzero(~stays_within_reach(mission, horizon, x[..., :d], paths))
     if len(far):
-        a, reach = int(far[0]), mission.reach_unheard(mission.margin)
+        a = int(far[0])
         way = float(np.linalg.norm(x[a, -1, :d] - x[a, 0, :d]))
         radius = mission.comm_radius + 2 * (way - reach)
         slower = float(np.linalg.norm(state[a, d:])) * (reach / way) ** 0.5
