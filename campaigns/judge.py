@@ -33,7 +33,7 @@ INSTANTS = 400  # at which excuses are looked for
 
 
 class Flight(NamedTuple):
-    """What was asked for, and what was recorded; in three axes, the last 0 in the plane."""
+    """Mission and record of a flight; in three axes, the last 0 in the plane."""
 
     scenario: dict[str, Any]
     time: Array

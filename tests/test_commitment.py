@@ -64,7 +64,7 @@ def is_over(state):
 
 @pytest.fixture(scope="module")
 def decisions():
-    """What agents decided in random missions: arguments of `commit`, and what it returned."""
+    """Decisions in random missions: arguments of `commit`, and what it returned."""
     taken = []
 
     def note(context, plans, committed):
