@@ -1,6 +1,6 @@
 """Discretization: from equations of motion in continuous time to steps."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from math import inf
@@ -13,6 +13,7 @@ from numpy import ndarray as Array
 from dynamics.model import ControlSamples, LinearModel, NonlinearModel, StateSamples
 
 RTOL, ATOL = 1e-11, 1e-11  # of a step's matrices, in SI units
+SAME_STEP = 1e-10  # relative difference of matrices that are the same but for rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +128,33 @@ def linearize_along(
     A, B = end[..., 1 : 1 + n], end[..., 1 + n :]
     z = end[..., 0] - _matvec(A, x0) - _matvec(B, u)
     return DiscreteModel(A, B, z, dt)
+
+
+def have_equal_steps(
+    one: LinearModel, other: LinearModel, dt: float, times: Sequence[float]
+) -> bool:
+    """Tell whether two models are the same over a step from each of some times, up to rounding.
+
+    Args:
+        one: A model.
+        other: Another one.
+        dt: Length of a step [s].
+        times: Starts of the steps; one step stands for all of two time-invariant models [s].
+    """
+    if one is other or one.axes != other.axes:
+        return one is other
+    is_fixed = one.is_time_invariant and other.is_time_invariant
+    unit = np.repeat([1.0, dt], one.axes)  # makes positions of velocities
+    for t in times[:1] if is_fixed else times:
+        first, second = (discretize_zoh(model, dt, 1, t) for model in (one, other))
+        for a, b, scale in (
+            (first.A, second.A, unit[:, None] / unit),
+            (first.B, second.B, unit[:, None] / dt**2),
+            (first.z, second.z, unit),
+        ):
+            if np.abs(scale * (a - b)).max() > SAME_STEP * np.abs(scale * a).max():
+                return False
+    return True
 
 
 def _validate_steps(dt: float, count: int) -> None:

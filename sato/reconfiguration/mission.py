@@ -95,7 +95,9 @@ class Reconfiguration(vehicles.Vehicles, Mission):
 
     chief: Annotated[Chief | None, In(""), Convert(models.as_chief), "orbit of the chief"] = None
 
-    model: Annotated[models.AnyModel, MODEL, Inline(), "equations of motion"]
+    model: Annotated[
+        models.AnyModel, MODEL, Inline(), Convert(models.as_point_mass), "equations of motion"
+    ]
     max_control: Annotated[
         PerVehicle | None, Unit("m_s2"), MODEL, Positive, "largest acceleration", EACH
     ] = None
@@ -197,7 +199,7 @@ class Reconfiguration(vehicles.Vehicles, Mission):
             values["agents"] = None if self.start.positions is None else len(self.start.positions)
         if self.replan_steps is None:
             wrong = self.disturbance, self.thrust_error, self.pointing_error
-            is_disturbed = any(wrong) or not models.flies_model(model, chief, self.plant)
+            is_disturbed = any(wrong) or not models.flies_model(model, chief, self.plant, self.step)
             values["replan_steps"] = 1 if is_disturbed else self._longest_period()
         if self.auction_steps is None:
             period = values.get("replan_steps", self.replan_steps)
@@ -207,6 +209,7 @@ class Reconfiguration(vehicles.Vehicles, Mission):
     def _longest_period(self) -> int:
         # Half of the horizon, so that avoidance looks beyond the next decision, or less where a
         # vehicle at full speed could not stop within reach.
+        vehicles.check_limits(self)
         fastest = float(self.top_speeds.max())
         periods = range(self.horizon_steps // 2, 1, -1)
         return next((n for n in periods if self.speed_within_reach(n) >= fastest), 1)

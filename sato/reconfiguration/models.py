@@ -10,6 +10,7 @@ from annotated_types import Lt
 
 from dynamics.atmosphere import Atmosphere
 from dynamics.circular_orbit import ClohessyWiltshire, SchweighartSedwick
+from dynamics.discretize import have_equal_steps
 from dynamics.double_integrator import DoubleIntegrator
 from dynamics.inertial import InertialPlant
 from dynamics.j2 import J2
@@ -28,6 +29,7 @@ MODELS: dict[str, Callable[[Orbit], LinearModel]] = {
     "eccentric": TschaunerHempel,
     "j2": lambda orbit: LinearizedModel(J2(orbit)),
 }
+SAMPLED_STEPS = (0, 1, 3, 7, 15, 31, 63, 127, 255, 511, 1023)  # at which models are compared
 AIR = {"density_kg_m3": "density", "altitude_m": "altitude", "scale_height_m": "scale_height"}
 
 
@@ -120,8 +122,6 @@ AnyModel = PointMass | OrbitalModel | LinearModel | NonlinearModel
 
 def as_definition(model: AnyModel, chief: Chief | None) -> tuple[AnyModel, Chief | None]:
     """Return a model of the library as the definition, and the chief, that a file has for it."""
-    if type(model) is DoubleIntegrator:
-        return PointMass(model.axes), chief  # type: ignore[arg-type]
     if type(model) is J2 and chief in (None, Chief.from_orbit(model.orbit)):
         return OrbitalModel("j2"), chief or Chief.from_orbit(model.orbit)
     if type(model) is ClohessyWiltshire and chief is None:
@@ -130,6 +130,11 @@ def as_definition(model: AnyModel, chief: Chief | None) -> tuple[AnyModel, Chief
         if model == ClohessyWiltshire.from_orbit(chief.orbit):
             return OrbitalModel("clohessy_wiltshire"), chief
     return model, chief
+
+
+def as_point_mass(model: Any) -> Any:
+    """Convert a double integrator of the library to its definition."""
+    return PointMass(model.axes) if type(model) is DoubleIntegrator else model  # type: ignore[arg-type]
 
 
 def as_chief(value: Any) -> Any:
@@ -152,12 +157,41 @@ def check_orbital_model(kind: object, has_orbit: bool) -> None:
         )
 
 
-def flies_model(model: AnyModel, chief: Chief | None, plant: PlantSettings | Plant) -> bool:
-    """Tell whether the vehicles do exactly what the shared model says."""
-    if isinstance(plant, Plant):
-        return isinstance(plant, LinearPlant)
+def make_linear_model(model: AnyModel, chief: Chief | None) -> LinearModel:
+    """Make the linear model that all agents share."""
+    if isinstance(model, PointMass):
+        return DoubleIntegrator(model.dimension)
+    if isinstance(model, LinearModel):
+        return model
+    if isinstance(model, NonlinearModel):
+        return LinearizedModel(model)
+    if model.mean_motion is not None:
+        return ClohessyWiltshire(model.mean_motion)
+    assert chief is not None
+    return MODELS[model.kind](chief.orbit)
+
+
+def flies_model(
+    model: AnyModel, chief: Chief | None, plant: PlantSettings | Plant, step: float
+) -> bool:
+    """Tell whether the vehicles do exactly what the shared model says.
+
+    A plant of a linear model does so if its steps are those of the shared model, up to rounding:
+    at the beginning, and 1, 3, 7 … 1023 control steps later.
+
+    Args:
+        model: Model by which vehicles plan.
+        chief: Chief about which they move.
+        plant: Motion that is flown.
+        step: Control step [s].
+    """
     if isinstance(model, NonlinearModel):
         return False
+    if isinstance(plant, Plant):
+        if type(plant) is not LinearPlant:
+            return False
+        times = [k * step for k in SAMPLED_STEPS]
+        return have_equal_steps(plant.model, make_linear_model(model, chief), step, times)
     return plant.kind == "model" or chief is None
 
 
@@ -191,6 +225,7 @@ class Motion:
     model: AnyModel
     chief: Chief | None
     plant: PlantSettings | Plant
+    step: float
 
     @property
     def axes(self) -> int:
@@ -204,24 +239,15 @@ class Motion:
         """True for a double integrator."""
         return isinstance(self.model, PointMass)
 
-    @property
+    @cached_property
     def flies_model(self) -> bool:
         """True where the vehicles do exactly what the shared model says."""
-        return flies_model(self.model, self.chief, self.plant)
+        return flies_model(self.model, self.chief, self.plant, self.step)
 
     @cached_property
     def linear_model(self) -> LinearModel:
         """Model that all agents share, and auctions price by."""
-        if isinstance(self.model, PointMass):
-            return DoubleIntegrator(self.model.dimension)
-        if isinstance(self.model, LinearModel):
-            return self.model
-        if isinstance(self.model, NonlinearModel):
-            return LinearizedModel(self.model)
-        if self.model.mean_motion is not None:
-            return ClohessyWiltshire(self.model.mean_motion)
-        assert self.chief is not None
-        return MODELS[self.model.kind](self.chief.orbit)
+        return make_linear_model(self.model, self.chief)
 
     @cached_property
     def nonlinear_model(self) -> NonlinearModel | None:

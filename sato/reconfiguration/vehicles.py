@@ -37,7 +37,6 @@ class Vehicles(Motion):
     control_norm: Norm
     speed_norm: Norm
     comm_radius: float
-    step: float
     allow_undetectable: bool
 
     @property
