@@ -78,7 +78,7 @@ def decisions():
             begin(random_mission(np.random.default_rng([7, seed])), 25)
         # Far to go, at full speed and with little thrust: reach binds.
         tight = {"comm_radius": 2.2, "horizon_steps": 2, "auction_steps": 2, "max_control": 0.05}
-        begin(make_mission(row(4, 0.0), sato.Leg(row(4, 15.0), 60), **tight), 25)
+        begin(make_mission(row(4, 0.0), sato.Leg(row(4, 15.0), 90), **tight), 25)
     return taken
 
 

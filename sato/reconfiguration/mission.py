@@ -209,10 +209,17 @@ class Reconfiguration(vehicles.Vehicles, Mission):
     def _longest_period(self) -> int:
         # Half of the horizon, so that avoidance looks beyond the next decision, or less where a
         # vehicle at full speed could not stop within reach.
-        vehicles.check_limits(self)
-        fastest = float(self.top_speeds.max())
-        periods = range(self.horizon_steps // 2, 1, -1)
-        return next((n for n in periods if self.speed_within_reach(n) >= fastest), 1)
+        if self.is_point_mass:
+            vehicles.check_limits(self)
+        fastest, margin = float(self.top_speeds.max()), self.known_margin
+        for period in range(self.horizon_steps // 2, 1, -1):
+            if self.is_point_mass and self.has_noise and not self.has_margin:
+                from sato.reconfiguration.tolerances import compute_random_margin
+
+                margin = compute_random_margin(self, period)
+            if self.speed_within_reach(period, margin) >= fastest:
+                return period
+        return 1
 
     def check(self) -> None:
         """Refuse fields that contradict each other, and legs without targets enough."""

@@ -3,14 +3,23 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
-from math import inf
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from sato.reconfiguration.departure import Departure, count_wanted, depart_leg, room_at_start
+from sato.reconfiguration.pair_reach import (
+    are_at_rest,
+    bound_controls,
+    bound_reach,
+    can_transfer,
+    find_unmatched,
+    group_alike,
+    is_surely_reached,
+    select,
+)
 from sato.scenario.errors import InputError, join_names, round_up
 
 if TYPE_CHECKING:
@@ -20,7 +29,6 @@ MAX_TIME_FACTOR = 64  # times the steps that were asked for; beyond, time is not
 MAX_CONTROL_FACTOR = 64  # times the control that there is
 CONTROL_PRECISION = 1.01  # relative, of the control that would do
 MAX_PAIRS_TIMES_STEPS = 20_000_000  # above which no longer time is tried
-MAX_SOLVED_PAIRS_TIMES_STEPS = 100_000  # above which bounds alone decide
 MAX_ENERGY_STEPS = 500  # above which the matrices of the least energy are too large
 MAX_SOLVES = 300  # transfers solved one by one, where no bound decides
 
@@ -47,7 +55,7 @@ def _check_leg(
     if fault is None:
         return
     longest = min(MAX_TIME_FACTOR * steps, _longest(departure, targets))
-    bounds = cache(lambda steps: _bound_controls(mission, departure, targets, steps))
+    bounds = cache(lambda steps: bound_controls(mission, departure, targets, steps))
 
     def is_enough(steps: float, factor: float = 1.0) -> bool:
         return find_stranded(mission, departure, targets, int(steps), factor, bounds) is None
@@ -59,8 +67,13 @@ def _check_leg(
         cures.append(f"model.max_control_m_s2 = {round_up(factor * control)}")
     elif factor:
         cures.append(f"{round_up(factor)} times the limits of the control")
+    within, slow = f"in {steps} steps of {mission.step:g} s", mission.slow_speed
+    if slow is not None:
+        within += f", at {slow:.3g} m/s, from which vehicles stop before they meet others unheard"
+        at_full_speed = replace(mission, allow_undetectable=True)
+        if find_stranded(at_full_speed, departure, targets, steps, room) is None:
+            cures.append(f"swarm.comm_radius_m = {round_up(mission.radius_for_full_speed)}")
     cures = cures or ["far more steps, a larger model.max_control_m_s2 or max_speed_m_s"]
-    within = f"in {steps} steps of {mission.step:g} s"
     raise InputError(f"leg.{number}.steps", f"{fault} {within}; {join_names(cures)} would do")
 
 
@@ -132,17 +145,17 @@ def find_stranded(
     """
     from scipy.optimize import linear_sum_assignment
 
-    at_rest = _are_at_rest(mission, departure.state, targets)
+    at_rest = are_at_rest(mission, departure.state, targets)
     is_short = not at_rest and steps <= MAX_ENERGY_STEPS
-    if is_short and _is_surely_reached(mission, departure, targets, steps, factor):
+    if is_short and is_surely_reached(mission, departure, targets, steps, factor):
         return None
     agents, spare = departure.agents, departure.spare
     names = departure.names or [f"agent {i}" for i in agents]
-    bounds = bounds or cache(lambda steps: _bound_controls(mission, departure, targets, steps))
+    bounds = bounds or cache(lambda steps: bound_controls(mission, departure, targets, steps))
     possible, sure = np.zeros((2, len(agents), len(targets)), dtype=bool)
-    for rows in mission.group_by_limits(agents):
-        part, least = _select(departure, rows), partial(_take, bounds, rows)
-        found = _bound_reach(mission, part, targets, steps, factor, least)
+    for rows in group_alike(mission, departure, factor):
+        part, least = select(departure, rows), partial(_take, bounds, rows)
+        found = bound_reach(mission, part, targets, steps, factor, least)
         possible[rows], sure[rows] = found
     if mission.assignment == "given":
         is_own = agents[:, None] == np.arange(len(targets))
@@ -153,9 +166,9 @@ def find_stranded(
         if len(none) > departure.lost:
             return f"{names[none[0]]} can reach none of its targets"
         unsure = np.flatnonzero(~sure.any(axis=1))
-        if _find_unmatched(sure).sum() <= spare and len(unsure) <= departure.lost:
+        if find_unmatched(sure).sum() <= spare and len(unsure) <= departure.lost:
             return None
-        if (left := _find_unmatched(possible)).sum() > spare:
+        if (left := find_unmatched(possible)).sum() > spare:
             why = "for the others need all that it can reach,"
             return f"{names[np.flatnonzero(left)[0]]} is left without a target, {why}"
         doubt = np.where(sure, 0, np.where(possible, 1, 1 + len(agents)))
@@ -166,150 +179,10 @@ def find_stranded(
             if possible[i, j] and not sure[i, j]:
                 if solves == MAX_SOLVES:
                     return None
-                one = _select(departure, np.array([i]))
-                possible[i, j] = sure[i, j] = _can_transfer(mission, one, targets[j], steps, factor)
+                one = select(departure, np.array([i]))
+                possible[i, j] = sure[i, j] = can_transfer(mission, one, targets[j], steps, factor)
                 solves += 1
-
-
-def _are_at_rest(mission: "Reconfiguration", start: Array, targets: Array) -> bool:
-    # Then closed forms decide.
-    d = mission.axes
-    return mission.is_point_mass and not start[:, d:].any() and not targets[:, d:].any()
-
-
-def _is_surely_reached(
-    mission: "Reconfiguration",
-    departure: Departure,
-    targets: Float[Array, "targets n"],
-    steps: int,
-    factor: float,
-) -> bool:
-    """Return True where the transfers of least energy in all keep the limits of their agents."""
-    from scipy.optimize import linear_sum_assignment
-
-    from dynamics.discretize import discretize_zoh
-
-    agents, state, given = departure.agents, departure.state, mission.assignment == "given"
-    model = discretize_zoh(mission.linear_model, mission.step, steps, departure.time)
-    if len(targets) < (agents.max() + 1 if given else len(agents)):
-        return False
-    transfer = mission.make_transfer(model, int(agents[0]))
-    factor_of_reach = transfer.response_matrices[1]  # energy is the square of L⁻¹ b
-    ends = np.linalg.solve(factor_of_reach, np.vstack([targets, transfer.coast(state)[:, -1]]).T).T
-    goals, free = ends[: len(targets)], ends[len(targets) :]
-    energy = ((goals[None] - free[:, None]) ** 2).sum(axis=2)
-    held = agents if given else linear_sum_assignment(energy)[1]
-    for rows in mission.group_by_limits(agents):
-        transfer = mission.make_transfer(model, int(agents[rows[0]]))
-        transfer = replace(transfer, max_control=factor * transfer.max_control)
-        if not transfer.solve_without_limits(state[rows], targets[held[rows]])[2].all():
-            return False
-    return True
 
 
 def _take(bounds: Callable[[int], Array], rows: Int[Array, " k"], steps: int) -> Array:
     return np.asarray(bounds(steps)[rows])
-
-
-def _select(departure: Departure, rows: Int[Array, " k"]) -> Departure:
-    return departure._replace(agents=departure.agents[rows], state=departure.state[rows])
-
-
-def _find_unmatched(reachable: Bool[Array, "k targets"]) -> Bool[Array, " k"]:
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import maximum_bipartite_matching
-
-    return np.asarray(maximum_bipartite_matching(csr_array(reachable), perm_type="column") < 0)
-
-
-def _bound_reach(
-    mission: "Reconfiguration",
-    departure: Departure,
-    targets: Float[Array, "targets n"],
-    steps: int,
-    factor: float,
-    bounds: Callable[[int], Array],
-) -> tuple[Bool[Array, "k targets"], Bool[Array, "k targets"]]:
-    """Return the pairs that may be within reach, and those that certainly are.
-
-    The vehicles have equal limits. Where there are more than `MAX_SOLVED_PAIRS_TIMES_STEPS`,
-    bounds alone decide, and pairs that are possible count as certain.
-    """
-    start, d, h, agent = departure.state, mission.axes, mission.step, int(departure.agents[0])
-    control, speed = mission.control_limit(agent), mission.speed_limit(agent)
-    starts_at_rest = ~start[:, d:].any(axis=1, keepdims=True)
-    ends = 1.0 * starts_at_rest + ~targets[:, d:].any(axis=1)
-    way = np.abs(targets[None, :, :d] - start[:, None, :d])
-    far = np.linalg.norm(way, axis=2)
-    # The most of a vector along a direction is that of the dual norm; less on a straight line.
-    unit = way / np.where(far > 0, far, 1.0)[..., None] + (far == 0)[..., None] * np.eye(d)[0]
-    most, V = factor * control.most_along(unit), speed.most_along(unit)
-    if _are_at_rest(mission, start, targets):
-        strength = factor * control.most / control.measure(unit)
-        line = _farthest(strength, steps, h, speed.most / speed.measure(unit))
-        widest = factor * control.most / (unit / control.shares).max(axis=2)
-        box = _farthest(widest, steps, h, np.full_like(far, inf))
-        limit = far / (1 + 1e-9)
-        return (limit <= box) & (limit <= _farthest(most, steps, h, V)), limit <= line
-    from dynamics.discretize import discretize_zoh
-    from problems.auction_cost import compute_transfer_costs
-    from problems.transfer import TransferProblem
-
-    # The box of r = ∞ contains the balls of the other norms: out of its reach is out of theirs.
-    possible = bounds(steps) <= factor * control.most * (1 + 1e-9)
-    if _find_unmatched(possible).sum() > departure.spare:
-        return possible, np.zeros_like(possible)
-    if possible.size * steps > MAX_SOLVED_PAIRS_TIMES_STEPS:
-        return possible, possible
-    model = discretize_zoh(mission.linear_model, h, steps, departure.time)
-    transfer = TransferProblem(model, factor * control.bound, speed.bound, speed_norm=speed.norm)
-    found = compute_transfer_costs(transfer, start, targets)
-    possible, sure = found.is_reachable.copy(), found.is_reachable & found.is_exact
-    if mission.is_point_mass and speed.most < inf:
-        # In continuous time, from rest or to rest at one end, or at speed at both.
-        at_full_speed, below = far / V + ends * V / (2 * most), np.sqrt(2 * ends * far / most)
-        least_time = np.where(2 * far * most >= ends * V**2, at_full_speed, below)
-        possible &= least_time <= steps * h * (1 + 1e-9)
-    return possible, sure & possible & (mission.control_norm == "inf")
-
-
-def _bound_controls(
-    mission: "Reconfiguration", departure: Departure, targets: Float[Array, "targets n"], steps: int
-) -> Float[Array, "k targets"]:
-    """Compute lower bounds of the control that each pair takes, without the speed limit."""
-    from dynamics.discretize import discretize_zoh
-    from problems.auction_cost import compute_displacements
-    from problems.reach import bound_least_controls
-
-    model = discretize_zoh(mission.linear_model, mission.step, steps, departure.time)
-    b = compute_displacements(model, departure.state, targets)
-    lower = bound_least_controls(model, b.reshape(-1, b.shape[2]))
-    return np.asarray(lower.reshape(b.shape[:2]))
-
-
-def _farthest(
-    a: Float[Array, "*k"], steps: int, h: float, V: Float[Array, "*k"]
-) -> Float[Array, "*k"]:
-    """Compute the longest way on a line from rest to rest, a held for each step [m].
-
-    The speed after k steps is at most min(k a h, (steps − k) a h, V).
-    """
-    ramp = np.minimum(np.floor(V / (a * h)), steps)  # steps until V
-    with_coast = a * h * ramp * (ramp + 1) + V * (steps - 1 - 2 * ramp)
-    return np.asarray(h * np.where(ramp >= steps // 2, a * h * (steps**2 // 4), with_coast))
-
-
-def _can_transfer(
-    mission: "Reconfiguration",
-    departure: Departure,
-    target: Float[Array, " n"],
-    steps: int,
-    factor: float,
-) -> bool:
-    from dynamics.discretize import discretize_zoh
-    from problems.auction_cost import solve_transfer
-
-    model = discretize_zoh(mission.linear_model, mission.step, steps, departure.time)
-    transfer = mission.make_transfer(model, int(departure.agents[0]))
-    transfer = replace(transfer, max_control=factor * transfer.max_control)
-    return solve_transfer(transfer, departure.state[0], target) is not None

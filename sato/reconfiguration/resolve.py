@@ -25,10 +25,8 @@ def resolve(mission: Reconfiguration) -> Reconfiguration:
     # A single target has no spacing; the least distance that there may be stands for it.
     spacing = mission.target_spacing
     least = ARRIVAL_TOLERANCE * (spacing if isfinite(spacing) else mission.largest_separation)
-    given, margin = mission.position_tolerance, mission.margin
-    is_computed = margin is None or is_auto(margin)
-    if is_computed:
-        margin = 0.0
+    given, margin = mission.position_tolerance, mission.known_margin
+    is_computed = not mission.has_margin
     noise = wrong = (0.0, 0.0)
     if mission.has_noise or not mission.flies_model:
         from sato.reconfiguration import tolerances

@@ -1,8 +1,7 @@
 """State of a reconfiguration: memory of the agents, context of a decision, recorded frame."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from math import inf
+from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -122,21 +121,15 @@ class DecisionContext(NamedTuple):
     def make_transfer(
         self, model: DiscreteModel, agent: int, tie_break_rise: float = 0.0
     ) -> TransferProblem:
-        """Make the transfer problem of an agent over some steps.
-
-        Where it could not stop within reach from full speed, it flies more slowly.
-        """
+        """Make the transfer problem of an agent's plans over some steps."""
         mission = self.mission
-        options = {"objective": mission.objective, "tie_break_rise": tie_break_rise}
-        transfer = mission.make_transfer(model, agent, **options)
-        slow = mission.speed_within_reach(mission.replan_steps, mission.margin)
-        fastest = mission.speed_limit(agent).largest_length
-        if slow >= fastest or slow == 0:
-            return transfer
-        if fastest < inf:
-            return transfer.slow_down(slow / fastest)
-        diagonal = mission.axes**0.5 if mission.speed_norm == "inf" else 1.0
-        return replace(transfer, max_speed=slow / diagonal)
+        return mission.make_transfer(
+            model,
+            agent,
+            max_speed=mission.planned_speed_limit(agent).bound,
+            objective=mission.objective,
+            tie_break_rise=tie_break_rise,
+        )
 
 
 class ReconfigurationFrame(NamedTuple):

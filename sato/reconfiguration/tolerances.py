@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 MARGIN_SIGMAS = 5.0  # of random errors of the distance of two: exceeded once in 10⁶
 TOLERANCE_SIGMAS = 6.0  # of random errors on arrival: exceeded once in 10⁷ arrivals
+LONG_FLIGHT = 1000  # steps, by which random errors no longer grow
 CONTROL_ROOM = 0.1  # of the limit, without which a control is no correction
 MAX_MODEL_ERROR = 0.1  # of the collision radius: beyond it a model is doubtful
 
@@ -40,16 +41,30 @@ def compute_margin(mission: "Reconfiguration") -> float:
     plans, under full control on all axes, in either direction; twice, for the errors of two may
     point at each other. An agent that linearizes again plans better than this, but the
     trajectories between its samples are those of the shared model. It is 0 where the model is
-    what flies.
-
-    The second is of random errors. An agent measures at instant k; s is the standard deviation
-    of its position a replanning period later in the direction in which it is largest, by all its
-    measurements, and c by the first of them alone, both under full control. The agent flies by
-    a reference that its estimate leaves by g sigmas at most, and where it never does, the
-    reference is the first measurement. Without noise of measurement, the state is known at k.
+    what flies. The second is of random errors.
     """
-    R, period, two = measurement_covariance(mission), mission.replan_steps, MARGIN_SIGMAS * 2**0.5
-    whole = sum(leg.steps for leg in mission.legs) if R.any() else 1
+    period, whole = mission.replan_steps, sum(leg.steps for leg in mission.legs)
+    return 2 * model_error(mission, period) + compute_random_margin(mission, period, whole)
+
+
+def compute_random_margin(
+    mission: "Reconfiguration", period: int, whole: int = LONG_FLIGHT
+) -> float:
+    """Compute by how much random errors may bring two agents closer than planned [m].
+
+    An agent measures at instant k; s is the standard deviation of its position a replanning
+    period later in the direction in which it is largest, by all its measurements, and c by the
+    first of them alone, both under full control. The agent flies by a reference that its estimate
+    leaves by g sigmas at most, and where it never does, the reference is the first measurement.
+    Without noise of measurement, the state is known at k.
+
+    Args:
+        mission: Model and noise.
+        period: Steps between two plans.
+        whole: Steps of the flight.
+    """
+    R, two = measurement_covariance(mission), MARGIN_SIGMAS * 2**0.5
+    whole = whole if R.any() else 1
     model = discretize_zoh(mission.linear_model, mission.step, whole + period)
     W, P, first, most = _acceleration_covariance(mission), R, R, 0.0
     wrong = W + model_acceleration(mission) ** 2 * np.eye(mission.axes) if R.any() else W
@@ -60,7 +75,7 @@ def compute_margin(mission: "Reconfiguration") -> float:
         if not R.any() or kept <= two * c:  # c grows, and s does not
             break
         first, P = spread(model, k, first, wrong), correct(spread(model, k, P, wrong), R)
-    return 2 * model_error(mission, period) + most
+    return most
 
 
 def _acceleration_covariance(mission: "Reconfiguration") -> Float[Array, "d d"]:

@@ -1,5 +1,6 @@
 """Limits of the vehicles of a mission: the same for all, one a vehicle, or one an axis."""
 
+from dataclasses import replace
 from functools import cached_property
 from math import inf
 from typing import TYPE_CHECKING, Any
@@ -12,6 +13,7 @@ from dynamics.discretize import DiscreteModel
 from problems.limit import Bound, Limit, Norm
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.models import Motion
+from sato.scenario.definition import is_auto
 from sato.scenario.errors import InputError
 
 if TYPE_CHECKING:
@@ -37,6 +39,8 @@ class Vehicles(Motion):
     control_norm: Norm
     speed_norm: Norm
     comm_radius: float
+    replan_steps: int
+    margin: Any
     allow_undetectable: bool
 
     @property
@@ -106,24 +110,75 @@ class Vehicles(Motion):
         """Largest Euclidean speed of each vehicle, or a single one [m/s]."""
         return np.array([limit.largest_length for limit in self.speed_limits])
 
+    @property
+    def has_margin(self) -> bool:
+        """True where the margin is a number, and not still to be computed."""
+        return self.margin is not None and not is_auto(self.margin)
+
+    @property
+    def known_margin(self) -> float:
+        """Margin beyond the collision radius; 0 while it is still to be computed [m]."""
+        return float(self.margin) if self.has_margin else 0.0
+
     def reach_unheard(self, margin: float) -> float:
         """Return how far vehicles may fly on before they could meet others unheard [m]."""
         if self.allow_undetectable:
             return inf
         return (self.comm_radius - self.largest_separation - margin) / 2
 
-    def speed_within_reach(self, steps: int, margin: float = 0.0) -> float:
+    def speed_within_reach(self, steps: int, margin: float, control_factor: float = 1.0) -> float:
         """Return a speed from which vehicles stop before they meet others that they do not hear.
 
         They fly on for so many steps h, and stop at their least control U in whole steps:
 
             V n h + V²/2U + V h/2 ≤ (R_comm − R)/2     [m]
+
+        Args:
+            steps: Steps h for which they fly on.
+            margin: Margin in R [m].
+            control_factor: Factor of all limits of the control.
         """
         reach = self.reach_unheard(margin)
         if not self.is_point_mass or reach == inf:
             return inf
-        U, t = min(limit.least_length for limit in self.control_limits), (steps + 0.5) * self.step
+        U, t = control_factor * self.least_braking, (steps + 0.5) * self.step
         return float(U * ((t**2 + 2 * max(reach, 0.0) / U) ** 0.5 - t))
+
+    @property
+    def least_braking(self) -> float:
+        """Least deceleration of any vehicle at full control, whatever its direction [m/s²]."""
+        return min(limit.least_length for limit in self.control_limits)
+
+    @property
+    def slow_speed(self) -> float | None:
+        """Speed to which plans keep where vehicles could not stop within reach from more [m/s]."""
+        slow = self.speed_within_reach(self.replan_steps, self.known_margin)
+        return slow if 0 < slow < self.top_speeds.max() else None
+
+    @property
+    def radius_for_full_speed(self) -> float:
+        """Communication radius with which vehicles stop within reach from full speed [m]."""
+        V, t = float(self.top_speeds.max()), (self.replan_steps + 0.5) * self.step
+        way = V * t + V**2 / (2 * self.least_braking)
+        return self.largest_separation + self.known_margin + 2 * way
+
+    def planned_speed_limit(self, agent: int, control_factor: float = 1.0) -> Limit:
+        """Return the limit of the velocity in the plans of an agent [m/s].
+
+        Where it could not stop within reach from full speed, it plans to fly more slowly.
+
+        Args:
+            agent: Number of the agent.
+            control_factor: Factor of all limits of the control.
+        """
+        limit = self.speed_limit(agent)
+        slow = self.speed_within_reach(self.replan_steps, self.known_margin, control_factor)
+        if slow >= limit.largest_length or slow == 0:
+            return limit
+        if limit.largest_length < inf:
+            return replace(limit, bound=limit.bound * (slow / limit.largest_length))
+        diagonal = self.axes**0.5 if self.speed_norm == "inf" else 1.0
+        return replace(limit, bound=slow / diagonal)
 
     def require_equal_vehicles(self, what: str) -> None:
         """Refuse vehicles with radii or limits of their own.
@@ -143,12 +198,13 @@ class Vehicles(Motion):
             raise InputError("swarm.collision_radius_m", f"{reason}; a number would do")
 
     def make_transfer(self, model: DiscreteModel, agent: int, **more: Any) -> "TransferProblem":
-        """Make the transfer problem of an agent over some steps."""
+        """Make the transfer problem of an agent over some steps, up to its full speed."""
         from problems.transfer import TransferProblem
 
-        control, speed = self.control_limit(agent), self.speed_limit(agent)
-        norms = {name: getattr(self, name) for name in ("fuel_norm", "control_norm", "speed_norm")}
-        return TransferProblem(model, control.bound, speed.bound, **norms, **more)
+        names = "fuel_norm", "control_norm", "speed_norm"
+        options = {name: getattr(self, name) for name in names}
+        options |= {"max_speed": self.speed_limit(agent).bound} | more
+        return TransferProblem(model, self.control_limit(agent).bound, **options)
 
     def group_by_limits(self, agents: Int[Array, " k"]) -> list[Int[Array, "..."]]:
         """Group agents that have the same limits, as indices into the agents that are given."""

@@ -1,0 +1,188 @@
+"""Reach of targets by vehicles that are alone: bounds for all pairs, and single transfers."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from math import inf
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
+
+from problems.limit import Limit
+from sato.reconfiguration.departure import Departure
+
+if TYPE_CHECKING:
+    from dynamics.discretize import DiscreteModel
+    from problems.transfer import TransferProblem
+    from sato.reconfiguration.mission import Reconfiguration
+
+MAX_SOLVED_PAIRS_TIMES_STEPS = 100_000  # above which bounds alone decide
+
+
+def is_surely_reached(
+    mission: "Reconfiguration",
+    departure: Departure,
+    targets: Float[Array, "targets n"],
+    steps: int,
+    factor: float,
+) -> bool:
+    """Return True where the transfers of least energy in all keep the limits of their agents."""
+    from scipy.optimize import linear_sum_assignment
+
+    from dynamics.discretize import discretize_zoh
+
+    agents, state, given = departure.agents, departure.state, mission.assignment == "given"
+    model = discretize_zoh(mission.linear_model, mission.step, steps, departure.time)
+    if len(targets) < (agents.max() + 1 if given else len(agents)):
+        return False
+    transfer = _make_transfer(mission, model, departure, factor)
+    factor_of_reach = transfer.response_matrices[1]  # energy is the square of L⁻¹ b
+    ends = np.linalg.solve(factor_of_reach, np.vstack([targets, transfer.coast(state)[:, -1]]).T).T
+    goals, free = ends[: len(targets)], ends[len(targets) :]
+    energy = ((goals[None] - free[:, None]) ** 2).sum(axis=2)
+    held = agents if given else linear_sum_assignment(energy)[1]
+    for rows in group_alike(mission, departure, factor):
+        transfer = _make_transfer(mission, model, select(departure, rows), factor)
+        if not transfer.solve_without_limits(state[rows], targets[held[rows]])[2].all():
+            return False
+    return True
+
+
+def bound_reach(
+    mission: "Reconfiguration",
+    departure: Departure,
+    targets: Float[Array, "targets n"],
+    steps: int,
+    factor: float,
+    bounds: Callable[[int], Array],
+) -> tuple[Bool[Array, "k targets"], Bool[Array, "k targets"]]:
+    """Return the pairs that may be within reach, and those that certainly are.
+
+    The vehicles have equal limits. Where there are more than `MAX_SOLVED_PAIRS_TIMES_STEPS`,
+    bounds alone decide, and pairs that are possible count as certain.
+    """
+    start, d, h, agent = departure.state, mission.axes, mission.step, int(departure.agents[0])
+    control, speed = mission.control_limit(agent), _speed_limit(mission, departure, factor)
+    starts_at_rest = ~start[:, d:].any(axis=1, keepdims=True)
+    ends = 1.0 * starts_at_rest + ~targets[:, d:].any(axis=1)
+    way = np.abs(targets[None, :, :d] - start[:, None, :d])
+    far = np.linalg.norm(way, axis=2)
+    # The most of a vector along a direction is that of the dual norm; less on a straight line.
+    unit = way / np.where(far > 0, far, 1.0)[..., None] + (far == 0)[..., None] * np.eye(d)[0]
+    most, V = factor * control.most_along(unit), speed.most_along(unit)
+    if are_at_rest(mission, start, targets):
+        strength = factor * control.most / control.measure(unit)
+        line = _farthest(strength, steps, h, speed.most / speed.measure(unit))
+        widest = factor * control.most / (unit / control.shares).max(axis=2)
+        box = _farthest(widest, steps, h, np.full_like(far, inf))
+        limit = far / (1 + 1e-9)
+        return (limit <= box) & (limit <= _farthest(most, steps, h, V)), limit <= line
+    from dynamics.discretize import discretize_zoh
+    from problems.auction_cost import compute_transfer_costs
+    from problems.transfer import TransferProblem
+
+    # The box of r = ∞ contains the balls of the other norms: out of its reach is out of theirs.
+    possible = bounds(steps) <= factor * control.most * (1 + 1e-9)
+    if find_unmatched(possible).sum() > departure.spare:
+        return possible, np.zeros_like(possible)
+    if possible.size * steps > MAX_SOLVED_PAIRS_TIMES_STEPS:
+        return possible, possible
+    model = discretize_zoh(mission.linear_model, h, steps, departure.time)
+    transfer = TransferProblem(model, factor * control.bound, speed.bound, speed_norm=speed.norm)
+    found = compute_transfer_costs(transfer, start, targets)
+    possible, sure = found.is_reachable.copy(), found.is_reachable & found.is_exact
+    if mission.is_point_mass and speed.most < inf:
+        # In continuous time, from rest or to rest at one end, or at speed at both.
+        at_full_speed, below = far / V + ends * V / (2 * most), np.sqrt(2 * ends * far / most)
+        least_time = np.where(2 * far * most >= ends * V**2, at_full_speed, below)
+        possible &= least_time <= steps * h * (1 + 1e-9)
+    return possible, sure & possible & (mission.control_norm == "inf")
+
+
+def bound_controls(
+    mission: "Reconfiguration", departure: Departure, targets: Float[Array, "targets n"], steps: int
+) -> Float[Array, "k targets"]:
+    """Compute lower bounds of the control that each pair takes, without the speed limit."""
+    from dynamics.discretize import discretize_zoh
+    from problems.auction_cost import compute_displacements
+    from problems.reach import bound_least_controls
+
+    model = discretize_zoh(mission.linear_model, mission.step, steps, departure.time)
+    b = compute_displacements(model, departure.state, targets)
+    lower = bound_least_controls(model, b.reshape(-1, b.shape[2]))
+    return np.asarray(lower.reshape(b.shape[:2]))
+
+
+def can_transfer(
+    mission: "Reconfiguration",
+    departure: Departure,
+    target: Float[Array, " n"],
+    steps: int,
+    factor: float,
+) -> bool:
+    """Tell whether an agent can reach a target, by the program of its transfer."""
+    from dynamics.discretize import discretize_zoh
+    from problems.auction_cost import solve_transfer
+
+    model = discretize_zoh(mission.linear_model, mission.step, steps, departure.time)
+    transfer = _make_transfer(mission, model, departure, factor)
+    return solve_transfer(transfer, departure.state[0], target) is not None
+
+
+def group_alike(
+    mission: "Reconfiguration", departure: Departure, factor: float
+) -> Iterator[Int[Array, " k"]]:
+    """Group agents that have the same limits, and start faster than they plan to fly or not."""
+    velocity = departure.state[:, mission.axes :]
+    for rows in mission.group_by_limits(departure.agents):
+        planned = mission.planned_speed_limit(int(departure.agents[rows[0]]), factor)
+        is_faster = planned.measure(velocity[rows]) > planned.most
+        yield from (part for part in (rows[is_faster], rows[~is_faster]) if len(part))
+
+
+def select(departure: Departure, rows: Int[Array, " k"]) -> Departure:
+    """Return some of the agents of a departure."""
+    return departure._replace(agents=departure.agents[rows], state=departure.state[rows])
+
+
+def find_unmatched(reachable: Bool[Array, "k targets"]) -> Bool[Array, " k"]:
+    """Find the agents that are left over where as many as can be get a target of their own."""
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import maximum_bipartite_matching
+
+    return np.asarray(maximum_bipartite_matching(csr_array(reachable), perm_type="column") < 0)
+
+
+def are_at_rest(mission: "Reconfiguration", start: Array, targets: Array) -> bool:
+    """Tell whether double integrators move from rest to rest, where closed forms decide."""
+    d = mission.axes
+    return mission.is_point_mass and not start[:, d:].any() and not targets[:, d:].any()
+
+
+def _make_transfer(
+    mission: "Reconfiguration", model: "DiscreteModel", departure: Departure, factor: float
+) -> "TransferProblem":
+    speed = _speed_limit(mission, departure, factor)
+    transfer = mission.make_transfer(model, int(departure.agents[0]), max_speed=speed.bound)
+    return replace(transfer, max_control=factor * transfer.max_control)
+
+
+def _speed_limit(mission: "Reconfiguration", departure: Departure, factor: float) -> Limit:
+    """Return the speed limit of the plans of agents, or their own where they start faster."""
+    agent, velocity = int(departure.agents[0]), departure.state[:, mission.axes :]
+    planned = mission.planned_speed_limit(agent, factor)
+    is_faster = (planned.measure(velocity) > planned.most).any()
+    return mission.speed_limit(agent) if is_faster else planned
+
+
+def _farthest(
+    a: Float[Array, "*k"], steps: int, h: float, V: Float[Array, "*k"]
+) -> Float[Array, "*k"]:
+    """Compute the longest way on a line from rest to rest, a held for each step [m].
+
+    The speed after k steps is at most min(k a h, (steps − k) a h, V).
+    """
+    ramp = np.minimum(np.floor(V / (a * h)), steps)  # steps until V
+    with_coast = a * h * ramp * (ramp + 1) + V * (steps - 1 - 2 * ramp)
+    return np.asarray(h * np.where(ramp >= steps // 2, a * h * (steps**2 // 4), with_coast))
