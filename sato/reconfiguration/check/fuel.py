@@ -1,5 +1,6 @@
 """Fuel and energy of a run, and lower bounds on them."""
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -56,6 +57,33 @@ def compute_fuel_bound(record: ReconfigurationRecord, leg: LegRecord) -> FuelBou
         return None
     own, saved = costs.solve_each(held), _correction_cost(record, leg, held, "fuel")
     return FuelBound(assignment.bound, np.flatnonzero(leg.alive), own, saved, assignment)
+
+
+def compute_asked_bound(
+    record: ReconfigurationRecord, leg: LegRecord, bound: FuelBound | None
+) -> float:
+    """Compute the same bound [m/s] over the steps that were asked for; NaN where there is none.
+
+    Agents that join count from the step at which they were asked to, also if they waited. There is
+    none where one waited beyond its leg, or could not have arrived in time.
+
+    Args:
+        record: Run.
+        leg: Leg.
+        bound: Bound over the time that the leg took.
+    """
+    mission, start, entry = record.mission, leg.start_index, leg.entry_index.copy()
+    for agents, at_step in mission.joining(leg.leg_index):
+        entry[agents] = np.minimum(entry[agents], start + at_step)
+    joining = [i for agents, _ in mission.joining(leg.leg_index) for i in agents]
+    if (np.delete(entry, joining)[np.delete(leg.alive, joining)] > start).any():
+        return np.nan
+    end = min(leg.end_index, start + mission.legs[leg.leg_index].steps)
+    if end == leg.end_index and (entry == leg.entry_index)[leg.alive].all():
+        return np.nan if bound is None else bound.total
+    asked = replace(leg, end_index=end, entry_index=entry)
+    costs = _make_leg_costs(record, asked, "fuel")
+    return np.nan if costs is None else costs.compute_assignment().bound
 
 
 def compute_energy_bound(record: ReconfigurationRecord, leg: LegRecord) -> AssignmentCost:

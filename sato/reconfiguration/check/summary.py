@@ -9,7 +9,11 @@ from scipy.spatial import cKDTree
 
 from dynamics.trajectory_geometry import min_distance, sampled_separations
 from sato.check.common import common_summary, drop_non_finite
-from sato.reconfiguration.check.fuel import compute_step_energy, compute_step_fuel
+from sato.reconfiguration.check.fuel import (
+    compute_asked_bound,
+    compute_step_energy,
+    compute_step_fuel,
+)
 from sato.reconfiguration.check.prediction import predict_end_states
 from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
 from sato.reconfiguration.feasibility import is_detectable
@@ -60,6 +64,10 @@ def summarize(record: ReconfigurationRecord) -> dict[str, Any]:
     known = [bound.total for bound in record.fuel_bounds if bound is not None]
     if len(known) == len(mission.legs):
         summary["fuel_lower_bound_m_s"] = sum(known)
+    bounds = zip(record.leg_records, record.fuel_bounds, strict=True)
+    asked = [compute_asked_bound(record, leg, bound) for leg, bound in bounds]
+    if len(asked) == len(mission.legs):
+        summary["fuel_lower_bound_asked_m_s"] = sum(asked)
     if np.isfinite(mission.top_speeds).all() and not is_detectable(mission):
         summary["undetectable"] = True
     return drop_non_finite(summary)
