@@ -47,7 +47,7 @@ class EventLog:
         return [(k, event) for k, event in timed if event["kind"] in kinds]
 
 
-Change = tuple[int, str, int]  # instant, "loss" or "join", and agent
+Change = tuple[int, str, int]  # instant, "loss", "join" or "refused", and agent
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +189,7 @@ def check_alive(alive: Alive, log: EventLog, schedule: Schedule | None = None) -
         log: Events of the run.
         schedule: Losses and joins of the mission; without it, those of the events are believed.
     """
-    timed = log.of_kind("loss", "join")
+    timed = log.of_kind("loss", "join", "refused")
     found = [(k, event["kind"], int(i)) for k, event in timed for i in event["agents"]]
     if schedule is None:
         schedule = Schedule.from_events(alive[0], len(alive), found)

@@ -56,6 +56,7 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
     reach.check_reach(drawn)
     first_commitment.check_reach(drawn)
     first_commitment.find_first_commitments(drawn)
+    first_commitment.check_room(drawn)
     return drawn
 
 

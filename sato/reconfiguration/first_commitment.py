@@ -3,7 +3,7 @@
 Vehicles that start at rest stay where they are. Those that start in motion stop at once, or, where
 two of them would come too close, in ways that are found one after another. All initial states are
 known before the flight; a mission without such a set is refused. A vehicle that joins waits until
-it can stop clear of all others.
+it can stop clear of all others, or does not join.
 """
 
 import numpy as np
@@ -72,6 +72,50 @@ def find_first_commitments(mission: Reconfiguration) -> Commitments:
         f"no way is found for all to stop {(clearance[i] + clearance[j]) / 2:.3g} m apart; slower "
         "starts, starts farther apart, or a larger model.max_control_m_s2 would do",
     )
+
+
+def admit(
+    mission: Reconfiguration,
+    waiting: list[int],
+    x: Float[Array, "agents n"],
+    alive: Bool[Array, " agents"],
+    committed: Commitments,
+    instant: int,
+) -> list[int]:
+    """Return those of the vehicles that wait to join that have room, one after another.
+
+    Args:
+        mission: A drawn mission.
+        waiting: Numbers of the vehicles.
+        x: States of all, also of those with which they join.
+        alive: True for those that are there.
+        committed: What these have committed to.
+        instant: Steps since the start of the mission.
+    """
+    alive, joined = alive.copy(), list[int]()
+    for i in waiting:
+        if has_room(mission, i, x, alive, committed, instant):
+            alive[i] = True
+            joined.append(i)
+    return joined
+
+
+def check_room(mission: Reconfiguration) -> None:
+    """Refuse a drawn mission in which a vehicle that would not wait has no room at the start.
+
+    Raises:
+        InputError: It has none; says what would do.
+    """
+    due = [i for agents, at_step in mission.joining(0) if at_step == 0 for i in agents]
+    if mission.waits[due].all():
+        return
+    committed, x = find_first_commitments(mission), mission.initial_states
+    joined = admit(mission, due, x, mission.alive, committed, 0)
+    for i in due:
+        if i not in joined and not mission.waits[i]:
+            reason = f'agent {i} cannot join and stop clear of all others, and room = "refuse"'
+            cures = 'another start, a later at_step, or room = "wait" would do'
+            raise InputError("leg.0.join", f"{reason}; {cures}")
 
 
 def has_room(

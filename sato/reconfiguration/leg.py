@@ -50,6 +50,9 @@ class Join(Definition):
     agents: Annotated[int | None, Positive, "how many; as many as the start has, if absent"]
     start: Annotated[Start, Convert(as_points), "positions, or states, at which they join"]
     at_step: Annotated[Count, "control steps after the start of the leg"] = 0
+    room: Annotated[
+        Literal["wait", "refuse"], "without room, join as soon as there is some, or not at all"
+    ] = "wait"
 
     def completed(self) -> dict[str, Any]:
         """Return how many agents the start lists, where it is not given."""

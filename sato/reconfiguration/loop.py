@@ -13,7 +13,7 @@ from sato.reconfiguration import estimator, planning, state
 from sato.reconfiguration.assignment import assign_targets
 from sato.reconfiguration.commitment import commit
 from sato.reconfiguration.disturbances import disturb_control, draw_losses, measure
-from sato.reconfiguration.first_commitment import find_first_commitments, has_room
+from sato.reconfiguration.first_commitment import admit, find_first_commitments
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.stopping import Commitments, controls_at
 
@@ -110,18 +110,17 @@ class _Flight:
 
     def _apply_losses_and_joins(self, k: int) -> list[int]:
         """Return the agents that join at a step of the leg."""
-        self.alive = self.alive.copy()
-        joined: list[int] = []
+        self.alive, waits = self.alive.copy(), self.mission.waits
         for agents, at_step in self.mission.joining(self.leg_index):
             self.waiting += agents if at_step == k else []
-        for i in self.waiting:
-            own = self.x, self.alive, self.committed, self.step_index
-            if has_room(self.mission, i, *own):
-                self.alive[i] = True
-                joined.append(i)
-        if joined:
-            self.events.append({"kind": "join", "agents": joined})
-            self.waiting = [i for i in self.waiting if not self.alive[i]]
+        own = self.x, self.alive, self.committed, self.step_index
+        joined = admit(self.mission, self.waiting, *own)
+        self.alive[joined] = True
+        refused = [i for i in self.waiting if not (self.alive[i] or waits[i])]
+        self.waiting = [i for i in self.waiting if waits[i] and not self.alive[i]]
+        for kind, those in (("join", joined), ("refused", refused)):
+            if those:
+                self.events.append({"kind": kind, "agents": those})
         for loss in self.leg.losses:
             if loss.at_step == k:
                 lost = draw_losses(loss, self.x[:, : self.mission.axes], self.alive, self.rng)

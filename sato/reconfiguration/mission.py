@@ -294,6 +294,13 @@ class Reconfiguration(vehicles.Vehicles, Mission):
         return found
 
     @cached_property
+    def waits(self) -> Bool[Array, " agents"]:
+        """True for agents that wait to join where there is no room; false for all others."""
+        joins = [join for leg in self.legs for join in leg.joins]
+        rooms = np.repeat([join.room == "wait" for join in joins], [join.size for join in joins])
+        return np.concatenate([np.zeros(self.agent_count, dtype=bool), rooms.astype(bool)])
+
+    @cached_property
     def target_spacing(self) -> float:
         """Least distance between two targets of a leg [m]; once drawn."""
         return min(min_distance(leg.targets[:, : self.axes]) for leg in self.legs)

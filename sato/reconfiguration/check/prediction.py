@@ -149,9 +149,10 @@ def _redraw_changes(
     mission, at_step = record.mission, k - leg.start_index
     waiting += [i for agents, at in mission.joining(leg.leg_index) if at == at_step for i in agents]
     joined = [i for i in waiting if i in _find_joined(record, k) or _has_room(record, k, i, alive)]
-    waiting[:] = [i for i in waiting if i not in joined]
-    alive[joined] = True
     changes: list[Change] = [(k, "join", i) for i in joined]
+    changes += [(k, "refused", i) for i in waiting if not (i in joined or mission.waits[i])]
+    waiting[:] = [i for i in waiting if mission.waits[i] and i not in joined]
+    alive[joined] = True
     for loss in mission.legs[leg.leg_index].losses:
         if loss.at_step == at_step:
             lost = draw_losses(loss, record.frames.position[k], alive, rng)
