@@ -139,6 +139,15 @@ def are_balls_separated(relative: ControlPoints, radius: Separation) -> Bool[Arr
     return np.asarray(room >= _per_piece(radius, room))
 
 
+def enclosing_balls(
+    paths: Float[Array, "k *points d"],
+) -> tuple[Float[Array, "k d"], Float[Array, " k"]]:
+    """Return the center and the radius of a ball about all points of each path [m]."""
+    points = paths.reshape(len(paths), -1, paths.shape[-1])
+    middle = points.mean(axis=1)
+    return middle, np.linalg.norm(points - middle[:, None], axis=2).max(axis=1)
+
+
 def convexify(
     horizon: AvoidanceHorizon,
     T: int,

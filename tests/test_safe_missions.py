@@ -1,5 +1,7 @@
 """Missions whose vehicles never come too close, and starts from which they could."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from commitment_examples import (
@@ -13,7 +15,8 @@ from commitment_examples import (
 from reconfiguration_runs import at_rest, fly, leg_to, make_mission, row
 
 import sato
-from sato.reconfiguration import loop
+from problems.convexify import are_hulls_separated
+from sato.reconfiguration import first_commitment, loop
 from sato.reconfiguration.first_commitment import find_first_commitments
 from sato.reconfiguration.stopping import (
     pad_controls,
@@ -71,6 +74,27 @@ def test_first_commitments_are_clear_within_reach_and_end_at_rest():
         at_once = [stop_at_once(mission.control_limit(i), start[i, d:], 1.0)[0] for i in range(n)]
         bent += not np.allclose(u[:, 0], at_once)
     assert bent > 0
+
+
+def test_pairs_that_meet_are_those_of_all_pairs_in_little_memory(rng):
+    for agents, gap in ((60, 2.5), (1000, 12.0)):
+        middle, d = rng.uniform(0, gap * agents**0.5, (agents, 1, 1, 2)), 2
+        paths = middle + np.cumsum(rng.normal(0, 0.02, (agents, 80, 4, d)), axis=1)
+        paths[: agents // 4] += 4 * np.linspace(0, 1, 80)[:, None, None]
+        clearance = rng.uniform(0.5, 1.0, agents)
+        tracemalloc.start()
+        found = first_commitment._find_meeting(paths, clearance)
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert peak < 1e8  # all pairs of 1,000 at once would take 2.6e9
+        met = [
+            [i, j]
+            for i in range(30)
+            for j in range(i + 1, agents)
+            if not are_hulls_separated(paths[i] - paths[j], clearance[[i, j]].mean()).all()
+        ]
+        assert found[found[:, 0] < 30].tolist() == met
+        assert met
 
 
 def test_vehicles_that_wait_for_others_hold_their_targets():

@@ -128,10 +128,8 @@ def choose_offers(
     i, j = np.nonzero(np.triu(graph.adjacency[np.ix_(offers.agents, offers.agents)]))
     radius = (offers.clearance[i] + offers.clearance[j]) / 2
     # Most pairs are too far apart to meet by any choice.
-    points = offers.paths.reshape(len(offers.agents), -1, offers.paths.shape[-1])
-    middle = points.mean(axis=1, keepdims=True)
-    extent = np.linalg.norm(points - middle, axis=2).max(axis=1)
-    near = np.linalg.norm(middle[i, 0] - middle[j, 0], axis=1) < extent[i] + extent[j] + radius
+    middle, extent = convexify.enclosing_balls(offers.paths)
+    near = np.linalg.norm(middle[i] - middle[j], axis=1) < extent[i] + extent[j] + radius
     i, j, radius = i[near], j[near], radius[near]
     choice, last = offers.is_allowed.argmax(axis=1).astype(np.int64), offers.last
     changed, is_clear = np.arange(len(i)), np.ones(len(i), dtype=bool)

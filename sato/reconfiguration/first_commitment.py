@@ -6,7 +6,10 @@ known before the flight; a mission without such a set is refused. A vehicle that
 it can stop clear of all others, or does not join.
 """
 
+from functools import lru_cache
+
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
@@ -14,6 +17,7 @@ from problems import convexify
 from problems.convexify import AvoidanceHorizon
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.stopping import (
+    REACH_TOLERANCE,
     Commitment,
     Commitments,
     clearances_of,
@@ -27,9 +31,11 @@ from sato.scenario.errors import InputError, round_down, round_up
 from sato.scp.planner import PASSING_SIDES
 
 MAX_SWEEPS = 4  # in which each vehicle that meets another looks for another way to stop
+MAX_COORDINATES = 1_000_000  # of pairs of paths that are compared at once
 SLOWER = 2  # times the time of the slowest stop, in which all come to rest
 
 
+@lru_cache(maxsize=2)  # asked for when a mission is drawn, and when it is flown
 def find_first_commitments(mission: Reconfiguration) -> Commitments:
     """Find stopping trajectories, clear of each other, for all that are there at the start.
 
@@ -48,23 +54,26 @@ def find_first_commitments(mission: Reconfiguration) -> Commitments:
         return {}
     horizon, u, _, paths = _fly_on(mission, agents, start, {}, 0)
     clearance = clearances_of(mission, horizon, agents)
+    meeting = _find_meeting(paths, clearance)
     for _ in range(MAX_SWEEPS):
-        meeting = np.flatnonzero(~_are_clear(paths, clearance).all(axis=1))
         if not len(meeting):
-            return {i: Commitment(0, own) for i, own in zip(agents.tolist(), u, strict=True)}
-        for a in meeting.tolist():
-            others, radii = np.delete(paths, a, axis=0), np.delete(clearance, a)
+            break
+        for a in np.unique(meeting).tolist():
+            near = _find_near(mission, start[a, :d], a, paths, clearance)
+            others, radius = paths[near], (clearance[near] + clearance[a]) / 2
             rest = np.concatenate([paths[a, -1, -1], np.zeros(d)])
             aim = int(agents[a]), start[a], rest, horizon.steps - 1
             for side in PASSING_SIDES[d]:
-                radius = (radii + clearance[a]) / 2
                 found = find_stop(mission, horizon, *aim, paths[a], others, radius, side=side)
                 if found is not None and stays_within_reach(
                     mission, horizon, found[1][:, :d], found[2]
                 ):
                     u[a], _, paths[a] = found
                     break
-    i, j = np.argwhere(~_are_clear(paths, clearance))[0]
+        meeting = _find_meeting(paths, clearance)
+    if not len(meeting):
+        return {i: Commitment(0, own) for i, own in zip(agents.tolist(), u, strict=True)}
+    i, j = meeting[0]
     speeds = np.linalg.norm(start[[i, j], d:], axis=1)
     raise InputError(
         "swarm.start",
@@ -196,12 +205,36 @@ def check_reach(mission: Reconfiguration) -> None:
         )
 
 
-def _are_clear(
+def _find_near(
+    mission: Reconfiguration,
+    start: Float[Array, " d"],
+    agent: int,
+    paths: Float[Array, "agents pieces 4 d"],
+    clearance: Float[Array, " agents"],
+) -> Int[Array, " near"]:
+    """Find the others that a vehicle could meet on any way on which it stays within reach."""
+    middle, extent = convexify.enclosing_balls(paths)
+    reach = mission.reach_unheard(mission.margin) * (1 + REACH_TOLERANCE)
+    most = reach + extent + (clearance + clearance[agent]) / 2
+    near = np.flatnonzero(np.linalg.norm(middle - start, axis=1) <= most)
+    return np.asarray(near[near != agent])
+
+
+def _find_meeting(
     paths: Float[Array, "agents pieces 4 d"], clearance: Float[Array, " agents"]
-) -> Bool[Array, "agents agents"]:
-    i, j = np.triu_indices(len(paths), 1)
-    is_clear = np.ones((len(paths), len(paths)), dtype=bool)
+) -> Int[Array, "pairs 2"]:
+    """Find the pairs that are not clear of each other, in order."""
+    middle, extent = convexify.enclosing_balls(paths)
+    most = 2 * float(extent.max()) + float(clearance.max())
+    pairs = scipy.spatial.cKDTree(middle).query_pairs(most, output_type="ndarray")
+    i, j = pairs[np.lexsort(pairs.T[::-1])].T
     radius = (clearance[i] + clearance[j]) / 2
-    found = convexify.are_hulls_separated(paths[i] - paths[j], radius).all(axis=-1)
-    is_clear[i, j] = is_clear[j, i] = found
-    return is_clear
+    near = np.linalg.norm(middle[i] - middle[j], axis=1) <= extent[i] + extent[j] + radius
+    i, j, radius = i[near], j[near], radius[near]
+    met, count = np.zeros(len(i), dtype=bool), max(1, MAX_COORDINATES // paths[0].size)
+    for k in range(0, len(i), count):
+        part = slice(k, k + count)
+        relative = paths[i[part]] - paths[j[part]]
+        is_clear = convexify.are_hulls_separated(relative, radius[part])
+        met[part] = ~is_clear.all(axis=-1)
+    return np.stack([i[met], j[met]], axis=1)
