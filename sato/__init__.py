@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from sato.formation.mission import Formation
     from sato.reconfiguration.agent import Agent
     from sato.reconfiguration.central import central_problem
+    from sato.reconfiguration.first_commitment import find_first_commitments
     from sato.reconfiguration.leg import Join, Leg, Loss
     from sato.reconfiguration.mission import Reconfiguration
     from sato.reconfiguration.models import PlantSettings
@@ -59,6 +60,7 @@ _PUBLIC = {
     "sato.formation.leg": "FormationLeg",
     "sato.formation.mission": "Formation",
     "sato.reconfiguration.agent": "Agent",
+    "sato.reconfiguration.first_commitment": "find_first_commitments",
     "sato.reconfiguration.leg": "Join Leg Loss",
     "sato.reconfiguration.central": "central_problem",
     "sato.reconfiguration.mission": "Reconfiguration",

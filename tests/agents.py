@@ -5,6 +5,7 @@ import numpy as np
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.agent import Agent
 from sato.reconfiguration.disturbances import disturb_control, draw_losses, measure
+from sato.reconfiguration.first_commitment import find_first_commitments
 from sato.reconfiguration.loop import MAX_LEG_FACTOR
 
 
@@ -21,7 +22,9 @@ def fly_by_messages(mission, seed=0):
     """Fly a drawn mission with agents alone; yield states, controls, agents and messages."""
     rng = np.random.default_rng(seed)
     x, alive, n = mission.initial_states, mission.alive, 0
-    agents = {i: Agent(mission, i) for i in np.flatnonzero(alive).tolist()}
+    stops = find_first_commitments(mission)
+    live = np.flatnonzero(alive).tolist()
+    agents = {i: Agent(mission, i, commitment=stops.get(i)) for i in live}
     for number, leg in enumerate(mission.legs):
         if number:
             for agent in agents.values():

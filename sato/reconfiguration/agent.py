@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Literal, NamedTuple
-from zlib import crc32
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -21,9 +20,11 @@ from sato.reconfiguration.agent_inputs import (
     as_state,
     check_agent,
     check_inbox,
+    checksum,
     select_messages,
 )
 from sato.reconfiguration.draw import draw_leg, is_drawn, with_targets
+from sato.reconfiguration.first_commitment import check_stops
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.state import (
@@ -33,11 +34,7 @@ from sato.reconfiguration.state import (
     begin_memory,
     update_believed,
 )
-from sato.reconfiguration.stopping import Commitments, controls_at
-
-# Fields of the mission that agents must have in common to decide together.
-SHARED = "axes step horizon_steps foresight_steps replan_steps auction_steps freeze_steps".split()
-SHARED += "assignment bidder_ids reset objective cost tie_break".split()
+from sato.reconfiguration.stopping import Commitment, Commitments, controls_at
 
 
 class FlightMemory(NamedTuple):
@@ -84,10 +81,12 @@ class Agent:
             agent that joins.
         leg_start: Time at which the leg began, for an agent that joins [s].
         leg: The leg that it joins, if it is not the first of the mission.
+        commitment: How it stops from a start in motion, clear of all others, as
+            `sato.find_first_commitments` has it for each; at once by default.
 
     Raises:
-        ValueError: The mission has no auction, tries several orders of priority, or negotiates; or
-            the number has no entry in its lists.
+        ValueError: The mission has no auction, tries several orders of priority, or negotiates;
+            the number has no entry in its lists; or the commitment is none.
     """
 
     def __init__(
@@ -97,8 +96,9 @@ class Agent:
         target_count: int | None = None,
         leg_start: float | None = None,
         leg: Leg | None = None,
+        commitment: Commitment | None = None,
     ) -> None:
-        check_agent(mission, number, target_count, leg)
+        check_agent(mission, number, target_count, leg, commitment)
         if not is_drawn(mission):
             mission = mission.draw(np.random.default_rng(0))
         believed, start = target_count or mission.target_count or mission.agent_count, None
@@ -113,7 +113,9 @@ class Agent:
         leg = draw_leg(mission, leg, believed, start or 0) if leg else mission.legs[0]
         leg = self._own_leg(leg)
         known = estimator.Estimate.none(len(alone), mission.axes)
-        self.memory = FlightMemory(leg, m, begin_memory(mission, leg, m), {}, {}, known, start)
+        committed = {number: commitment} if commitment else {}
+        memory = begin_memory(mission, leg, m)
+        self.memory = FlightMemory(leg, m, memory, {}, committed, known, start)
 
     def step(
         self, time: float, state: ArrayLike, inbox: Sequence[AgentMessage]
@@ -132,7 +134,8 @@ class Agent:
 
         Raises:
             ValueError: An instant was skipped, or begins before the decision of the last one is
-                made; the state is not one; or neighbors have the same number or another leg.
+                made; the state is not one, or the first is too fast to stop within reach; or
+                neighbors have the same number or another leg.
             OutOfTargets: The network has more agents than there are targets.
         """
         instant = as_instant(self.mission, "time", time)
@@ -219,6 +222,9 @@ class Agent:
         joins = flown.instant is None and flown.leg_start not in (None, instant)
         if flown.instant is not None:
             flown = self._end_step(instant)
+        else:
+            alone = np.array([self.number])
+            check_stops(mission, alone, state[None], "state", flown.committed, instant)
         measured = np.tile(state, (self.number + 1, 1))
         estimate = estimator.update(mission, flown.estimate, measured)
         begun = instant if flown.leg_start is None else flown.leg_start
@@ -226,19 +232,11 @@ class Agent:
         when, solvers = (instant - begun, instant * mission.step), [self.solver] * len(measured)
         known = self._graph, estimate.reference, flown.memory
         context = DecisionContext(mission, leg, *known, *when, solvers)
-        shared = begun, self._checksum(leg)
+        shared = begun, checksum(mission, leg)
         own = flown.plans, flown.committed, flown.spent
         decision = Decision.begin(self.number, context, *own, shared, joins)
         flown = flown._replace(instant=instant, decision=decision, heard=None)
         return flown._replace(control=self._planned_control(flown))
-
-    def _checksum(self, leg: Leg) -> int:
-        """Return a checksum of what agents must have in common to decide together."""
-        mission = self.mission
-        shared = [getattr(mission, name) for name in SHARED]
-        shared += [mission.least_separation, float(mission.top_speeds.max()), leg.steps]
-        own = b"" if mission.assignment == "given" else leg.targets.tobytes()
-        return crc32(repr(shared).encode() + own)
 
     def _end_step(self, instant: int) -> FlightMemory:
         """Count the cost and the time of the step that was flown."""

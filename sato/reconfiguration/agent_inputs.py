@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from math import floor, inf
 from numbers import Integral
 from typing import Any, NamedTuple
+from zlib import crc32
 
 import numpy as np
 from jaxtyping import Float
@@ -11,8 +12,12 @@ from numpy import ndarray as Array
 
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.stopping import Commitment
 
 INSTANT_PRECISION = 1e-6  # of a control step, for times that are sums of steps
+# Fields of the mission that agents must have in common to decide together.
+SHARED = "axes step horizon_steps foresight_steps replan_steps auction_steps freeze_steps".split()
+SHARED += "assignment bidder_ids reset objective cost tie_break".split()
 MAX_NUMBER = 4095  # of an agent: it keeps tables with a row and a column for each number
 
 
@@ -25,8 +30,14 @@ class AgentMessage(NamedTuple):
     content: Any
 
 
-def check_agent(mission: Any, number: Any, target_count: Any = None, leg: Any = None) -> None:
-    """Refuse a mission that an agent cannot fly, and numbers and a leg that it cannot have.
+def check_agent(
+    mission: Any,
+    number: Any,
+    target_count: Any = None,
+    leg: Any = None,
+    commitment: Any = None,
+) -> None:
+    """Refuse a mission that an agent cannot fly, and what else it cannot have.
 
     Raises:
         ValueError: They are.
@@ -46,6 +57,10 @@ def check_agent(mission: Any, number: Any, target_count: Any = None, leg: Any = 
         raise ValueError(f"target_count must be a whole number above 0, got {target_count!r}")
     if leg is not None and not isinstance(leg, Leg):
         raise ValueError(f"leg must be a sato.Leg, got {type(leg).__name__}")
+    if commitment is not None and not isinstance(commitment, Commitment):
+        found = type(commitment).__name__
+        hint = "sato.find_first_commitments(drawn).get(number) would do"
+        raise ValueError(f"commitment must be a Commitment, got {found}; {hint}")
     if mission.orders > 1 or mission.bargains or mission.assignment == "central":
         raise ValueError(
             f"plan.orders = {mission.orders}, plan.bargains = {mission.bargains} and "
@@ -154,3 +169,11 @@ def select_messages(
                 "give all agents the same mission"
             )
     return found
+
+
+def checksum(mission: Reconfiguration, leg: Leg) -> int:
+    """Return a checksum of what agents must have in common to decide together."""
+    shared = [getattr(mission, name) for name in SHARED]
+    shared += [mission.least_separation, float(mission.top_speeds.max()), leg.steps]
+    own = b"" if mission.assignment == "given" else leg.targets.tobytes()
+    return crc32(repr(shared).encode() + own)

@@ -179,7 +179,7 @@ def check_reach(mission: Reconfiguration) -> None:
     Raises:
         InputError: It could meet another that it does not hear; says what would do.
     """
-    state, d, reach = mission.initial_states, mission.axes, mission.reach_unheard(mission.margin)
+    state, reach = mission.initial_states, mission.reach_unheard(mission.margin)
     if mission.is_point_mass and mission.vehicle_count > 1 and reach <= 0:
         least = mission.largest_separation + mission.margin
         raise InputError(
@@ -188,20 +188,49 @@ def check_reach(mission: Reconfiguration) -> None:
             "included, so none could move without meeting others unheard; several times as much "
             "would do",
         )
+    for agents, where in (
+        (np.flatnonzero(mission.alive), "swarm.start"),
+        (np.flatnonzero(~mission.alive), "leg.join.start"),
+    ):
+        check_stops(mission, agents, state[agents], where)
+
+
+def check_stops(
+    mission: Reconfiguration,
+    agents: Int[Array, " agents"],
+    state: Float[Array, "agents n"],
+    where: str,
+    committed: Commitments | None = None,
+    instant: int = 0,
+) -> None:
+    """Refuse states from which vehicles that decide no more do not stop within reach.
+
+    Args:
+        mission: A drawn mission.
+        agents: Numbers of the vehicles.
+        state: States of the vehicles.
+        where: Key of the states, for the error.
+        committed: What they have committed to; those without a commitment stop at once.
+        instant: Steps since the start of the mission.
+
+    Raises:
+        InputError: One does not; says what would do.
+    """
+    d, reach = mission.axes, mission.reach_unheard(mission.margin)
     if not mission.is_point_mass or not state[:, d:].any():
         return
-    horizon, _, x, paths = _fly_on(mission, np.arange(len(state)), state, {}, 0)
+    horizon, _, x, paths = _fly_on(mission, agents, state, committed or {}, instant)
     far = np.flatnonzero(~stays_within_reach(mission, horizon, x[..., :d], paths))
     if len(far):
         a = int(far[0])
         way = float(np.linalg.norm(x[a, -1, :d] - x[a, 0, :d]))
         radius = mission.comm_radius + 2 * (way - reach)
-        slower = float(np.linalg.norm(state[a, d:])) * (reach / way) ** 0.5
+        slower = float(np.linalg.norm(state[a, d:])) * (max(reach, 0.0) / way) ** 0.5
         raise InputError(
-            "swarm.start" if a < mission.agent_count else "leg.join.start",
-            f"agent {a} needs {way:.4g} m to stop, and within {reach:.4g} m, half of what the "
-            "communication radius leaves, it could meet others that it does not hear; a speed of "
-            f"{round_down(slower)} m/s, or swarm.comm_radius_m = {round_up(radius)} would do",
+            where,
+            f"agent {agents[a]} needs {way:.4g} m to stop, and within {reach:.4g} m, half of what "
+            "the communication radius leaves, it could meet others that it does not hear; a speed "
+            f"of {round_down(slower)} m/s, or swarm.comm_radius_m = {round_up(radius)} would do",
         )
 
 
