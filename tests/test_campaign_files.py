@@ -1,12 +1,15 @@
 """Campaigns of the repository, cases of a campaign, and the commands that show one."""
 
+import json
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
 from sato.campaigns.definition import Campaign, read_campaign
-from sato.campaigns.table import CampaignTable
+from sato.campaigns.table import TABLE_FILE, CampaignTable
 from sato.cli import app
 from sato.scenario.errors import InputError
 
@@ -51,6 +54,51 @@ def test_case_with_wrong_keys_is_refused_by_its_name(more, reason):
     given = {"scenario": "conflict", "case": {"slow": {"plan.step_s": 2.0}}} | more
     with pytest.raises(InputError, match=reason):
         Campaign(**given).check_keys()
+
+
+@pytest.mark.parametrize(
+    ("one", "two"),
+    [
+        ("plan.step_s", "step_min"),
+        ("comm_radius_m", "swarm.comm_radius_km"),
+        ("steps", "leg.steps"),
+    ],
+)
+@pytest.mark.parametrize("tables", [("grid", "draw"), ("case", "grid"), ("grid", "grid")])
+def test_one_key_under_two_spellings_is_refused_with_both(one, two, tables):
+    first, second = tables
+    given = {"grid": {one: [2]}, "case": {"a": {one: 2}}}
+    second_values = {"draw": {"kind": "integers", "low": 1, "high": 3}, "grid": [2]}
+    more = {second: {two: second_values[second]}}
+    settings = (
+        {first: given[first]} | more if first != second else {first: given[first] | more[first]}
+    )
+    place = "case.a" if first == "case" else first
+    reason = rf"{two}: stands in \[{second}\], and as {one} in \[{place}\]; one is enough"
+    with pytest.raises(InputError, match=reason):
+        Campaign(scenario="conflict", **settings).check_keys()
+
+
+def test_a_part_of_a_list_may_differ_from_the_rest():
+    grid = {"leg.steps": [20], "leg.0.steps": [30]}
+    campaign = Campaign(scenario="uiuc", grid=grid)
+    campaign.check_keys()
+    assert [leg.steps for leg in campaign.trial(0).build_mission().legs] == [30, 20, 20, 20]
+    with pytest.raises(InputError, match=r"leg\.steps: stands in \[grid\], and as leg\.0\.steps"):
+        Campaign(scenario="uiuc", grid=dict(reversed(grid.items()))).check_keys()
+
+
+def test_a_table_of_a_newer_version_is_refused_with_that_version(tmp_path):
+    campaign = Campaign(scenario="conflict")
+    CampaignTable.create(tmp_path, campaign).close()
+    newer = {**json.loads(campaign.to_json()), "later": 1}
+    with closing(sqlite3.connect(tmp_path / TABLE_FILE)) as connection, connection:
+        values = json.dumps(newer), "9.1"
+        connection.execute("UPDATE campaign SET definition = ?, version = ?", values)
+    shown = CliRunner().invoke(app, ["campaign", "table", str(tmp_path)])
+    assert shown.exit_code == 2
+    text = " ".join(shown.output.split())
+    assert "written by sato 9.1" in text and "later: is a key of another version" in text
 
 
 def test_commands_show_a_campaign_and_write_its_files(tmp_path):

@@ -22,7 +22,7 @@ from sato.campaigns.trial import Source, Trial, generator
 from sato.scenario.definition import Convert, Definition, In, NotNegative, Positive, errors_in
 from sato.scenario.errors import InputError, ScenarioError, closest_name, format_value
 from sato.scenario.file import Mission, Name, load_toml, read_data, read_text
-from sato.scenario.overrides import override
+from sato.scenario.overrides import find_places, override
 from sato.scenario.table import read_table, write_table
 from sato.systems import definition_of
 
@@ -209,9 +209,16 @@ class Campaign(Definition):
             with errors_in("campaign.scenario"):
                 data = json.loads(_to_json(_tables_of(trial)))
                 definition = definition_of(data.pop("system", ""))
+            settings: dict[str, set[Any]] = {}  # the places that each key fills
             for key, value in trial.parameters.items():
                 with errors_in(self._place_of(key, trial)):
+                    settings[key] = find_places(data, key, definition)
                     override(data, (key, value), definition)
+            for one, two in combinations(settings, 2):  # of which the second would win
+                if settings[one] <= settings[two]:
+                    place, other = self._place_of(two, trial), self._place_of(one, trial)
+                    reason = f"stands in [{place}], and as {one} in [{other}]; one is enough"
+                    raise InputError(two, reason)
 
     def _check_arguments(self) -> None:
         with errors_in("campaign.function"):
@@ -254,8 +261,15 @@ class Campaign(Definition):
 
     @classmethod
     def from_json(cls, text: str) -> "Campaign":
-        """Read what `to_json` wrote."""
-        return cls(**json.loads(text))
+        """Read what `to_json` wrote.
+
+        Raises:
+            InputError: It has keys that this version does not know.
+        """
+        plain = json.loads(text)
+        if unknown := sorted(set(plain) - {field.name for field in fields(cls)}):
+            raise InputError(unknown[0], "is a key of another version of sato")
+        return cls(**plain)
 
     def differences(self, other: "Campaign") -> list[str]:
         """List the fields that differ, other than those that may when a campaign is resumed."""

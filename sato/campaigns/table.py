@@ -75,11 +75,22 @@ class CampaignTable:
             self._connection = sqlite3.connect(address, **options)
             self._connection.execute(f"PRAGMA query_only = {not is_writer}")
             row = self._connection.execute("SELECT * FROM campaign").fetchone()
-        self.campaign = Campaign.from_json(row[0])
         self.fingerprint, self.version = str(row[1]), str(row[2])
+        self.campaign = self._read_campaign(row[0])
         self._names = {name.lower(): name for name in self.columns}
         if is_writer:
             self.query("PRAGMA synchronous = NORMAL")  # a killed process loses nothing
+
+    def _read_campaign(self, text: str) -> Campaign:
+        try:
+            return Campaign.from_json(text)
+        except InputError as error:
+            self._connection.close()
+            if self.version == own_version():
+                raise
+            reason = f"was written by sato {self.version}, and this is {own_version()}: {error}"
+            cure = f"sato {self.version} reads it"
+            raise InputError("", f"{self.folder}: {reason}; {cure}") from error
 
     @classmethod
     def create(cls, folder: Path, campaign: Campaign) -> "CampaignTable":

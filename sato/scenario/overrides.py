@@ -49,9 +49,41 @@ def override(data: dict[str, Any], setting: Setting, definition: Any) -> str:
         InputError: There is no such key, or there is one in several tables.
     """
     address, value = _split(setting) if isinstance(setting, str) else setting
+    key, plain = address.split(".")[-1], _without_numbers(address)
+    holders = _find_holders(data, address, definition)
+    for spot in holders:
+        table: Any = data
+        for part in spot.path:
+            table = table.setdefault(part, {}) if isinstance(part, str) else table[part]
+        for old in spot.same_keys(key):
+            del table[old]
+        table[key] = deepcopy(value)
+    # Numbers pick tables of a list.
+    return holders[0].address(key) if address == plain else address
+
+
+def find_places(data: dict[str, Any], address: str, definition: Any) -> set[tuple[Path, str]]:
+    """Return the places of a scenario's tables that a setting of a key changes.
+
+    Args:
+        data: As read from TOML.
+        address: Key, with as many of its tables as it takes, in any unit.
+        definition: Mission of the system, whose keys the tables may have.
+
+    Returns:
+        Path of each table, and the name of the key there, which is the same in all units.
+
+    Raises:
+        InputError: There is no such key, or there is one in several tables.
+    """
+    key = address.split(".")[-1]
+    holders = _find_holders(data, address, definition)
+    return {(spot.path, str(find_key(key, spot.entries))) for spot in holders}
+
+
+def _find_holders(data: dict[str, Any], address: str, definition: Any) -> list[Spot]:
     *tables, key = address.split(".")
-    plain = ".".join(part for part in (*tables, key) if not part.isdigit())
-    spots = list(_spots(definition, data))
+    plain, spots = _without_numbers(address), list(_spots(definition, data))
     holders = [s for s in spots if find_key(key, s.entries) and _ends_with(s.path, tables)]
     if not holders:
         raise _unknown(address, plain, spots)
@@ -61,14 +93,11 @@ def override(data: dict[str, Any], setting: Setting, definition: Any) -> str:
     addresses = list(dict.fromkeys(s.address(key) for s in holders))
     if len(addresses) > 1:
         raise InputError(address, f"stands in several tables; write {join_names(addresses)}")
-    for spot in holders:
-        table: Any = data
-        for part in spot.path:
-            table = table.setdefault(part, {}) if isinstance(part, str) else table[part]
-        for old in spot.same_keys(key):
-            del table[old]
-        table[key] = deepcopy(value)
-    return addresses[0] if address == plain else address  # numbers pick tables of a list
+    return holders
+
+
+def _without_numbers(address: str) -> str:
+    return ".".join(part for part in address.split(".") if not part.isdigit())
 
 
 def _split(setting: str) -> tuple[str, Any]:
