@@ -15,6 +15,7 @@ from sato.reconfiguration.stopping import stop_at_once, stopping_horizon
 sys.path.append(str(Path(__file__).parent.parent / "campaigns"))  # as a worker of a campaign has it
 
 import judge
+import missions
 import swarms
 
 NORMS = (1, 2, "inf")
@@ -141,3 +142,8 @@ def continuous_separation(mission, frames):
         apart = np.pad(cubics[first] - cubics[second], ((0, 0), (0, 0), (0, 3 - d)))
         least = min(least, judge.least_lengths(apart).min())
     return least / mission.largest_separation
+
+
+def random_spacecraft(rng):
+    """A mission of spacecraft about a circular orbit, as campaigns draw them."""
+    return missions.clohessy_wiltshire(rng)

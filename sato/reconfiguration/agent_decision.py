@@ -8,10 +8,12 @@ diameter; the agents know it, and each other's reports, from the first stage on.
     terms      reports `AuctionTerms`           all have heard all                D
     auction    bids, reports `AuctionReport`    D rounds after the last stopped
     exchange   trajectory, reports              D rounds after the last was final
+    holding    committed trajectory, in orbit   all have heard their neighbors    1
     choice     offer                            D + 1 rounds after the last change
     reports    reports `ChoiceReport`           all have heard all                D
     turns      committed trajectory             each cautious agent has had one   as many
 
+Nothing rests in orbit, where the choice is the last stage.
 The auction begins again from its terms where a winner's cost was only a lower bound, where the
 clock is reset, and where a target out of reach was won. An instant at which none of the component
 is due to plan ends with the census.
@@ -40,10 +42,12 @@ from sato.reconfiguration.agent_stages import (
     Choosing,
     Exchange,
     Hello,
+    Holding,
     Turns,
     check_census,
     extend,
 )
+from sato.reconfiguration.orbital_commitment import keep_previous, make_orbital_offers
 from sato.reconfiguration.state import DecisionContext, Event
 
 ALONE = CommunicationGraph(np.zeros((1, 1), dtype=bool), np.ones(1, dtype=bool))
@@ -57,7 +61,7 @@ class Decision(NamedTuple):
     plans: planning.Plans  # empty, or the agent's own
     committed: stopping.Commitments  # empty, or the agent's own
     spent: Float[Array, " rows"]  # fuel [m/s], or energy [m²/s³]
-    stage: Any  # Census, Flood, Bidding, Exchange, Choosing or Turns
+    stage: Any  # Census, Flood, Bidding, Exchange, Holding, Choosing, Turns
     stage_index: int = 0
     is_finished: bool = False
     diameter: int = 0
@@ -66,6 +70,8 @@ class Decision(NamedTuple):
     attempt: Literal["first", "reset", "firm"] = "first"  # of the auction
     table: assignment.CostTable | None = None  # of the auction
     planned_cost: Float[Array, " rows"] | None = None  # to the target that it holds
+    previous: planning.Plan | None = None  # in orbit: its plan before this decision
+    is_unclear: bool = False  # in orbit: what it has committed to is not clear of others
     choosing: Choosing | None = None  # once it has chosen
     events: tuple[Event, ...] = ()
 
@@ -120,6 +126,11 @@ class Decision(NamedTuple):
             return self._after_auction(self.stage)
         if isinstance(self.stage, Exchange):
             return self._after_exchange(self.stage)
+        if isinstance(self.stage, Holding):
+            held = self.stage
+            return self._replace(is_unclear=held.is_unclear)._begin_choice(held.kept_offers)
+        if isinstance(self.stage, Choosing) and not self.context.mission.is_point_mass:
+            return self._commit_in_orbit(self.stage)
         if isinstance(self.stage, Choosing):
             return self._report_choice(self.stage)
         return self._commit(self.stage)
@@ -131,11 +142,14 @@ class Decision(NamedTuple):
         plans, events = planning.make_plans(self.context, planners, lost, self.plans, hears_all)
         decision = self._replace(plans=plans, events=(*self.events, *events))
         if not self.context.mission.is_point_mass:
-            committed = commitment.commit_unchecked(self.context, plans)
-            return decision._replace(committed=committed, is_finished=True)
-        offers = commitment.make_offers(self.context, plans, self.committed)
-        priority, choice = plans[self.number].priority, int(offers.is_allowed[0].argmax())
-        return decision._enter(Choosing(offers, priority, self.diameter, choice))
+            own = self.context, plans, self.committed, self.heard_clock
+            offers = make_orbital_offers(*own)
+            return decision._replace(previous=self.plans.get(self.number))._enter(Holding(offers))
+        return decision._begin_choice(commitment.make_offers(self.context, plans, self.committed))
+
+    def _begin_choice(self, offers: commitment.Offers) -> "Decision":
+        priority, choice = self.plans[self.number].priority, int(offers.is_allowed[0].argmax())
+        return self._enter(Choosing(offers, priority, self.diameter, choice))
 
     def _report_choice(self, choosing: Choosing) -> "Decision":
         is_cautious = choosing.choice == choosing.offers.last
@@ -156,6 +170,16 @@ class Decision(NamedTuple):
         clearance = float(offers.clearance[0])
         turns = Turns(self.context, own[1], own[0], order, horizon, u, path, clearance)
         return self._enter(turns)
+
+    def _commit_in_orbit(self, choosing: Choosing) -> "Decision":
+        choice, plan, i = choosing.choice, self.plans[self.number], self.number
+        committed = {i: stopping.Commitment(self.context.instant, choosing.offers.u[0, choice])}
+        if choice < choosing.offers.last or self.is_unclear:
+            return self._replace(committed=committed, is_finished=True)
+        kept = {i: keep_previous(plan, self.previous)}
+        cautious = {"kind": "cautious", "agents": [i]}
+        events = (*self.events, cautious) if commitment.leaves_plan(plan) else self.events
+        return self._replace(committed=committed, plans=kept, events=events, is_finished=True)
 
     def _commit(self, turns: Turns) -> "Decision":
         assert self.choosing is not None

@@ -16,7 +16,7 @@ from sato.reconfiguration.stopping import Commitment
 
 INSTANT_PRECISION = 1e-6  # of a control step, for times that are sums of steps
 # Fields of the mission that agents must have in common to decide together.
-SHARED = "axes step horizon_steps foresight_steps replan_steps auction_steps freeze_steps".split()
+SHARED = "axes step horizon_steps foresight replan_steps auction_steps freeze_steps".split()
 SHARED += "assignment bidder_ids reset objective cost tie_break".split()
 MAX_NUMBER = 4095  # of an agent: it keeps tables with a row and a column for each number
 

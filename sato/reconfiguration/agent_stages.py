@@ -14,6 +14,7 @@ from sato.auctions.bidder import VsdaaBidder, WinningBids
 from sato.network.flooding import Flood, Reports
 from sato.reconfiguration import assignment
 from sato.reconfiguration.commitment import Offers, improve, next_choice
+from sato.reconfiguration.orbital_commitment import give_up_unclear
 from sato.reconfiguration.planning import Plan
 from sato.reconfiguration.state import DecisionContext
 from sato.scp.planner import Planner, Priority, TrajectoryMessage, update_planner
@@ -149,6 +150,37 @@ class Exchange(NamedTuple):
         return self._replace(planner=planner, flood=flood)
 
 
+class HoldingMessage(NamedTuple):
+    """Message of an agent in orbit: what it has committed to."""
+
+    path: Float[Array, "pieces 4 d"]
+    clearance: float  # that two of the sender's kind would keep [m]
+
+
+class Holding(NamedTuple):
+    """Memory of an agent in orbit that compares what it and its neighbors have committed to."""
+
+    offers: Offers  # its own
+    is_unclear: bool = False  # True where it is not clear of a neighbor's
+    is_finished: bool = False
+
+    @property
+    def message(self) -> HoldingMessage:
+        """Message to the neighbors."""
+        return HoldingMessage(self.offers.paths[0, -1], float(self.offers.clearance[0]))
+
+    @property
+    def kept_offers(self) -> Offers:
+        """Its offers, without what it has committed to where that is not clear."""
+        return give_up_unclear(self.offers, np.array([self.is_unclear]))
+
+    def update(self, inbox: Sequence[HoldingMessage]) -> "Holding":
+        """Compare; all do so in the same round."""
+        own = self.message
+        is_unclear = not all(keeps_clear(own.path, own.clearance, other) for other in inbox)
+        return self._replace(is_unclear=is_unclear, is_finished=True)
+
+
 class OfferMessage(NamedTuple):
     """Message of an agent that looks for an offer that is clear of all others."""
 
@@ -197,7 +229,7 @@ class Choosing(NamedTuple):
         return after._replace(choice=choice, last_change=round)
 
 
-def keeps_clear(path: Array, clearance: float, other: OfferMessage) -> bool:
+def keeps_clear(path: Array, clearance: float, other: HoldingMessage | OfferMessage) -> bool:
     """Return True where the trajectory of an agent with a clearance is clear of another."""
     pieces = max(len(path), len(other.path))
     relative = extend(path, pieces) - extend(other.path, pieces)

@@ -36,6 +36,7 @@ from sato.reconfiguration.stopping import (
 from sato.scp.planner import reaches_target
 
 MAX_PLAN_STEPS = 16  # of what is foreseen, to which agents commit at once
+PAIRS_AT_ONCE = 1000  # whose control points are compared
 ROUNDING = 1e-12  # relative, of distances that are computed twice
 
 
@@ -104,7 +105,7 @@ def _rest(context: DecisionContext, agent: int) -> Float[Array, " n"]:
 def _plan_steps(context: DecisionContext) -> tuple[int, ...]:
     # As far as avoidance looked or plans are kept, or until the next decision, or less.
     mission, period = context.mission, steps_to_next(context)
-    foreseen = min(mission.foresight_steps, MAX_PLAN_STEPS)
+    foreseen = min(mission.foresight, MAX_PLAN_STEPS)
     longest = max(period, mission.horizon_steps, mission.freeze_steps, foreseen)
     halves = [period >> n for n in range(period.bit_length())]
     return (*dict.fromkeys([longest, *halves]), 0)
@@ -125,19 +126,11 @@ def choose_offers(
     or the other, where it has none. So at the end all are clear that were not committed already.
     The batched equivalent of `agent_stages.Choosing`.
     """
-    i, j = np.nonzero(np.triu(graph.adjacency[np.ix_(offers.agents, offers.agents)]))
-    radius = (offers.clearance[i] + offers.clearance[j]) / 2
-    # Most pairs are too far apart to meet by any choice.
-    middle, extent = convexify.enclosing_balls(offers.paths)
-    near = np.linalg.norm(middle[i] - middle[j], axis=1) < extent[i] + extent[j] + radius
-    i, j, radius = i[near], j[near], radius[near]
+    i, j, radius = list_pairs(offers, graph)
     choice, last = offers.is_allowed.argmax(axis=1).astype(np.int64), offers.last
     changed, is_clear = np.arange(len(i)), np.ones(len(i), dtype=bool)
     while True:
-        first, second = i[changed], j[changed]
-        relative = offers.paths[first, choice[first]] - offers.paths[second, choice[second]]
-        separated = convexify.are_hulls_separated(relative, radius[changed])
-        is_clear[changed] = separated.all(axis=-1)
+        is_clear[changed] = are_clear(offers, choice, i[changed], j[changed], radius[changed])
         met = np.flatnonzero(~is_clear & ((choice[i] < last) | (choice[j] < last)))
         if not len(met):
             return np.asarray(choice)
@@ -147,6 +140,40 @@ def choose_offers(
         for a in moved:
             choice[a] = next_choice(offers.is_allowed[a], int(choice[a]))
         changed = np.flatnonzero(np.isin(i, moved) | np.isin(j, moved))
+
+
+def list_pairs(
+    offers: Offers, graph: CommunicationGraph
+) -> tuple[Int[Array, " pairs"], Int[Array, " pairs"], Float[Array, " pairs"]]:
+    """List pairs of agents that hear each other and could meet by some choice, by their rows.
+
+    Returns:
+        Rows of both, and the distance that they keep [m].
+    """
+    i, j = np.nonzero(np.triu(graph.adjacency[np.ix_(offers.agents, offers.agents)]))
+    radius = (offers.clearance[i] + offers.clearance[j]) / 2
+    # Most pairs are too far apart.
+    middle, extent = convexify.enclosing_balls(offers.paths)
+    near = np.linalg.norm(middle[i] - middle[j], axis=1) < extent[i] + extent[j] + radius
+    return i[near], j[near], radius[near]
+
+
+def are_clear(
+    offers: Offers,
+    choice: Int[Array, " agents"],
+    i: Int[Array, " pairs"],
+    j: Int[Array, " pairs"],
+    radius: Float[Array, " pairs"],
+) -> Bool[Array, " pairs"]:
+    """Find the pairs whose choices are clear of each other."""
+    is_clear = np.empty(len(i), dtype=bool)
+    for begin in range(0, len(i), PAIRS_AT_ONCE):
+        some = slice(begin, begin + PAIRS_AT_ONCE)
+        first, second = i[some], j[some]
+        relative = offers.paths[first, choice[first]] - offers.paths[second, choice[second]]
+        separated = convexify.are_hulls_separated(relative, radius[some])
+        is_clear[some] = separated.all(axis=-1)
+    return is_clear
 
 
 def next_choice(is_allowed: Bool[Array, " choices"], choice: int) -> int:
@@ -168,18 +195,16 @@ def commit(
         Committed trajectories; the plans, without a target where they are not flown; and the
         agents that could not commit to their plans.
     """
-    if not context.mission.is_point_mass or not plans:
-        return commit_unchecked(context, plans), plans, []
+    if not plans:
+        return {}, plans, []
     offers = make_offers(context, plans, committed)
-    order = sorted(range(len(plans)), key=lambda a: plans[int(offers.agents[a])].priority)
-    rank = np.empty(len(order), dtype=int)
-    rank[order] = np.arange(len(order))
+    rank = rank_of(offers, plans)
     choice = choose_offers(offers, context.graph, rank)
     rows = np.arange(len(plans))
     u, paths = offers.u[rows, choice], offers.paths[rows, choice]
     adjacent = context.graph.adjacency[np.ix_(offers.agents, offers.agents)]
     component = context.graph.component[offers.agents]
-    cautious = [a for a in order if choice[a] == offers.last]
+    cautious = [a for a in np.argsort(rank).tolist() if choice[a] == offers.last]
     for a in cautious:
         near, i = adjacent[a], int(offers.agents[a])
         T = int(offers.steps[component == component[a]].max())
@@ -200,14 +225,17 @@ def commit(
     return done, followed, sorted(i for i in left if leaves_plan(plans[i]))
 
 
+def rank_of(offers: Offers, plans: Plans) -> Int[Array, " agents"]:
+    """Return the place of each agent in the order of their priorities."""
+    order = sorted(range(len(plans)), key=lambda a: plans[int(offers.agents[a])].priority)
+    rank = np.empty(len(order), dtype=int)
+    rank[order] = np.arange(len(order))
+    return rank
+
+
 def leaves_plan(plan: Plan) -> bool:
     """Tell whether an agent that could not commit to its plan leaves one that has steps."""
     return len(plan.trajectory.u) > 0
-
-
-def commit_unchecked(context: DecisionContext, plans: Plans) -> Commitments:
-    """Commit agents to their plans: those in orbit, where nothing rests."""
-    return {i: Commitment(context.instant, plan.trajectory.u) for i, plan in plans.items()}
 
 
 def follow(context: DecisionContext, plan: Plan, steps: int) -> Plan:

@@ -16,6 +16,8 @@ from numpy import ndarray as Array
 from problems import convexify
 from problems.convexify import AvoidanceHorizon
 from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.orbital_commitment import simulate
+from sato.reconfiguration.planning import divide_horizon
 from sato.reconfiguration.stopping import (
     REACH_TOLERANCE,
     Commitment,
@@ -135,7 +137,9 @@ def has_room(
     committed: Commitments,
     instant: int,
 ) -> bool:
-    """Tell whether a vehicle that joins can stop at once, clear of what others have committed to.
+    """Tell whether a vehicle that joins is clear of what others have committed to.
+
+    That is, if it stops at once or, in orbit, drifts for T_H steps.
 
     Args:
         mission: A drawn mission.
@@ -145,10 +149,9 @@ def has_room(
         committed: What these have committed to.
         instant: Steps since the start of the mission.
     """
-    if not mission.is_point_mass:
-        return True
     agents = np.append(np.flatnonzero(alive), agent)
-    horizon, _, _, paths = _fly_on(mission, agents, x[agents], committed, instant)
+    fly = _fly_on if mission.is_point_mass else _drift_on
+    horizon, *_, paths = fly(mission, agents, x[agents], committed, instant)
     clearance = clearances_of(mission, horizon, agents)
     radius = (clearance[:-1] + clearance[-1]) / 2
     return bool(convexify.are_hulls_separated(paths[:-1] - paths[-1], radius).all())
@@ -171,6 +174,22 @@ def _fly_on(
     horizon = stopping_horizon(mission, u.shape[1])
     x = horizon.discrete_model.simulate(state, u)
     return horizon, u, x, horizon.control_points(x, u)
+
+
+def _drift_on(
+    mission: Reconfiguration,
+    agents: Int[Array, " agents"],
+    state: Float[Array, "agents n"],
+    committed: Commitments,
+    instant: int,
+) -> tuple[AvoidanceHorizon, Array]:
+    """Return T_H steps, and control points over them, of agents in orbit that decide no more."""
+    T, t = mission.horizon_steps, instant * mission.step
+    none = Commitment(instant, np.zeros((0, mission.axes)))
+    held = [committed.get(i, none).controls_from(instant)[:T] for i in agents.tolist()]
+    u, horizon = pad_controls(held, T), divide_horizon(mission, t, T)
+    x = simulate(mission, state, u, t, mission.step)
+    return horizon, horizon.control_points(x, u)
 
 
 def check_reach(mission: Reconfiguration) -> None:

@@ -15,6 +15,7 @@ from sato.reconfiguration.commitment import commit
 from sato.reconfiguration.disturbances import disturb_control, draw_losses, measure
 from sato.reconfiguration.first_commitment import admit, find_first_commitments
 from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.orbital_commitment import commit_in_orbit
 from sato.reconfiguration.stopping import Commitments, controls_at
 
 MAX_LEG_FACTOR = 20  # times its steps after which a leg is given up
@@ -165,7 +166,11 @@ class _Flight:
                 self._note("assignment", moved, target=memory.target_index[moved].tolist())
         heard, context = context.memory.clock, context._replace(memory=self.memory)
         planned, events = planning.plan_trajectories(context, self.spent, self.plans, solves, heard)
-        committed, planned, cautious = commit(context, planned, self.committed)
+        if self.mission.is_point_mass:
+            committed, planned, cautious = commit(context, planned, self.committed)
+        else:
+            held = self.committed, self.plans, heard
+            committed, planned, cautious = commit_in_orbit(context, planned, *held)
         self.plans, self.committed = self.plans | planned, self.committed | committed
         self.events += events
         if cautious:

@@ -44,6 +44,7 @@ else:
 
 SWARM, MODEL, PLAN, NOISE = In("swarm"), In("model"), In("plan"), In("disturbance")
 AUTO: Any = "auto"
+WHOLE_LEG = 10**9  # steps, more than a leg has
 
 
 def _norm(value: Any) -> Any:
@@ -124,7 +125,11 @@ class Reconfiguration(vehicles.Vehicles, Mission):
 
     step: Annotated[Time, PLAN, Positive, "control step Δt"]
     horizon_steps: Annotated[Steps, PLAN, "steps that avoidance looks ahead, T_H"] = 4
-    foresight_steps: Annotated[Count, PLAN, "steps it looks ahead among agents in hearing"] = 0
+    foresight_steps: Annotated[
+        Count | None,
+        PLAN,
+        "steps it looks ahead among agents in hearing; if absent, 0, in orbit the whole leg",
+    ] = None
     orders: Annotated[Steps, PLAN, "orders of priority that each plan tries"] = 1
     bargains: Annotated[Count, PLAN, "sweeps of negotiation in pairs; with orders above 1"] = 0
     replan_steps: Annotated[
@@ -260,6 +265,13 @@ class Reconfiguration(vehicles.Vehicles, Mission):
         """Number of agents at the start."""
         assert self.agents is not None
         return self.agents
+
+    @property
+    def foresight(self) -> int:
+        """Steps that avoidance looks ahead among agents in hearing, but no farther than the leg."""
+        if self.foresight_steps is not None:
+            return self.foresight_steps
+        return 0 if self.is_point_mass else WHOLE_LEG
 
     @property
     def has_noise(self) -> bool:

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from math import pi
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -258,6 +259,17 @@ class Motion:
             return None
         is_own = self.model.kind == "j2" and self.model.relinearize
         return J2(self.chief.orbit) if is_own else None
+
+    @property
+    def orbital_period(self) -> float | None:
+        """Period of the chief, or of the model [s]; None where there is no orbit."""
+        if self.chief is not None:
+            return self.chief.orbit.period
+        model = self.linear_model
+        if isinstance(model, ClohessyWiltshire | SchweighartSedwick):
+            return 2 * pi / model.n
+        orbit = getattr(model, "orbit", None)
+        return orbit.period if isinstance(orbit, Orbit) else None
 
     def draw_plant(self, agents: int, rng: np.random.Generator) -> PlantSettings | Plant:
         """Return the plant, with ballistic coefficients drawn where vehicles have them."""

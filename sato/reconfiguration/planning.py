@@ -33,6 +33,7 @@ class Plan(NamedTuple):
     clear_until: int  # step of the leg until which it keeps clear of all others
     failure_count: int = 0  # plans of this agent in the leg for which constraints were relaxed
     priority: Priority = (0.0, 0.0, 0)  # with which it was made
+    is_clear: bool = False  # of those of all that the agent hears, to its end
 
     def controls_from(self, k: int) -> Float[Array, "left m"]:
         """Return the controls from a step of the leg on."""
@@ -155,14 +156,16 @@ def make_plans(
     relaxed = {i for event in events for i in event["agents"]}
     # An agent that comes too close to another may still arrive.
     astray = {i for event in events if event["kind"] != "slack" for i in event["agents"]}
-    plans = {}
+    plans, has_one_order = {}, mission.orders == 1 and not mission.bargains
     for i, planner in planners.items():
         # Agents out of hearing are too far to meet within T_H alone (Proposition 9).
         clear = planner.horizon.steps if hears_all else mission.horizon_steps
         failures = previous[i].failure_count if i in previous else 0
         held = None if i in astray else int(target[i])
         failures += i in relaxed
-        plans[i] = Plan(planner.nominal, held, k, k + clear, failures, planner.priority)
+        is_clear = has_one_order and planner.is_clear
+        own = planner.nominal, held, k, k + clear, failures, planner.priority
+        plans[i] = Plan(*own, is_clear)
     if mission.is_point_mass:  # a trajectory for which separation was relaxed is not flown
         events = [event for event in events if event["kind"] == "braked"]
     return plans, events
@@ -176,7 +179,7 @@ def make_horizon(
     It has T_H steps, or as many as are foreseen among agents within hearing, but does not pass
     the end of the leg for the last of these.
     """
-    T = max(mission.horizon_steps, min(mission.foresight_steps, steps_left))
+    T = max(mission.horizon_steps, min(mission.foresight, steps_left))
     return divide_horizon(mission, time, T, leg)
 
 
@@ -220,7 +223,7 @@ def plan_alone(
     # Given targets need no agreement: others hear of a reset at the next replan.
     is_given = mission.assignment == "given"
     first_clock = heard_clock if is_given else np.minimum(heard_clock, memory.clock)
-    ahead = np.minimum(leg.steps - first_clock, mission.foresight_steps)
+    ahead = np.minimum(leg.steps - first_clock, mission.foresight)
     ahead = np.maximum(ahead, mission.horizon_steps)
     horizons = {
         T: make_horizon(mission, context.time, T, leg)

@@ -80,6 +80,15 @@ class Planner(NamedTuple):
         return TrajectoryMessage(*parts, self.horizon.clearance)
 
     @property
+    def is_clear(self) -> bool:
+        """True where its final trajectory was found clear, of all with higher priority, to its end.
+
+        Where that is so of all, they are clear of each other.
+        """
+        is_whole = len(self.nominal.u) <= self.horizon.steps
+        return self.is_final and self.slack == 0 and not self.has_failed and is_whole
+
+    @property
     def relinearized(self) -> "Planner":
         """This planner, linearized about its nominal where its model is nonlinear."""
         if self.relinearize is None:

@@ -1,0 +1,284 @@
+"""Commitment in orbit, where nothing rests: to whole plans, and to the free motion after them.
+
+Each agent offers its plan, and what it has committed to: both to the last arrival of all that hear
+each other, and two orbits of free motion after that, if targets keep their distance so long. An
+agent that has not committed to anything drifts. Agents agree on offers as those that can stop do
+(`commitment`).
+
+What an agent has committed to may come too close to another's, of an agent that was out of hearing
+then, or by disturbances. Such an agent has nothing safe to keep, and commits to its plan. A mission
+in which that is so at the start, and plans are not clear of each other either, is refused.
+"""
+
+from functools import lru_cache
+from math import ceil
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
+
+from dynamics.discretize import discretize_zoh
+from dynamics.model import ControlSamples, NonlinearModel, StateSamples
+from problems import convexify
+from sato.network.graph import CommunicationGraph
+from sato.reconfiguration.commitment import (
+    PAIRS_AT_ONCE,
+    Offers,
+    are_clear,
+    choose_offers,
+    leaves_plan,
+    list_pairs,
+    rank_of,
+)
+from sato.reconfiguration.leg import Leg
+from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.planning import Plan, Plans, divide_horizon
+from sato.reconfiguration.state import DecisionContext
+from sato.reconfiguration.stopping import Commitment, Commitments, clearances_of, pad_controls
+from sato.scenario.errors import InputError
+
+FREE_ORBITS = 2.0  # of free motion that are checked
+PIECES_PER_ORBIT = 50  # cubic in time, within 1e-6 of the size of an orbit
+
+
+def make_orbital_offers(
+    context: DecisionContext, plans: Plans, committed: Commitments, heard_clock: int
+) -> Offers:
+    """Offer the plans of agents of one component, and what they have committed to.
+
+    Args:
+        context: States and time of the agents that decide.
+        plans: Their plans.
+        committed: Committed trajectories; an agent without one drifts.
+        heard_clock: Clock with the most time left in their component, as it was announced.
+    """
+    mission, agents = context.mission, np.array(list(plans))
+    none = Commitment(context.instant, np.zeros((0, mission.axes)))
+    planned = [plan.trajectory.u for plan in plans.values()]
+    held = [committed.get(i, none).controls_from(context.instant) for i in plans]
+    # All of a component divide time alike. Given a target, an agent alone knows of its reset.
+    clock = min(heard_clock, *context.memory.clock[agents].tolist())
+    first = 0 if mission.assignment == "given" else clock
+    lengths = map(len, planned + held)
+    steps = max(mission.horizon_steps, context.leg.steps - first, *lengths)
+    x, u = fly_plans(context, plans, steps)
+    held_u = pad_controls(held, steps)
+    held_x = simulate(mission, context.state[agents], held_u, context.time, mission.step)
+    x, u = np.stack([x, held_x], axis=1), np.stack([u, held_u], axis=1)
+    horizon = divide_horizon(mission, context.time, steps, context.leg)
+    end = x[..., -1, :].copy()
+    for a, plan in enumerate(plans.values()):
+        if len(plan.trajectory.u) == steps and plan.target_index is not None:
+            end[a, 0] = context.leg.targets[plan.target_index]
+    count, h = free_motion(mission, context.leg, end_as_asked(context))
+    rest = np.zeros((*u.shape[:2], count, mission.axes))
+    free = simulate(mission, end, rest, context.time + steps * mission.step, h)
+    pieces = horizon.control_points(x, u), cubic_pieces(free, h)
+    return Offers(
+        agents=agents,
+        plan_steps=(steps, 0),
+        steps=np.full(len(agents), steps),
+        horizon=horizon,
+        u=u,
+        paths=np.concatenate(pieces, axis=2),
+        is_allowed=np.ones((len(agents), 2), dtype=bool),
+        clearance=clearances_of(mission, horizon, agents),
+    )
+
+
+def end_as_asked(context: DecisionContext) -> float:
+    """Return the time at which the leg ends as it is asked for [s]."""
+    return context.time + (context.leg.steps - context.step_index) * context.mission.step
+
+
+def fly_plans(
+    context: DecisionContext, plans: Plans, steps: int
+) -> tuple[Float[Array, "agents _ n"], Float[Array, "agents T m"]]:
+    """Return the states and controls of plans, and of free motion after them, over some steps."""
+    mission, each = context.mission, [plan.trajectory for plan in plans.values()]
+    u = pad_controls([own.u for own in each], steps)
+    x = np.empty((len(each), steps + 1, 2 * mission.axes))
+    for own, states in zip(each, x, strict=True):
+        T = len(own.u)
+        after = context.time + T * mission.step
+        states[: T + 1] = own.x
+        states[T:] = simulate(mission, own.x[-1], np.zeros_like(u[0, T:]), after, mission.step)
+    return x, u
+
+
+@lru_cache(maxsize=16)
+def free_motion(mission: Reconfiguration, leg: Leg, t: float) -> tuple[int, float]:
+    """Return into how many pieces the free motion that is checked is divided, and their length [s].
+
+    It ends where the targets do not keep their distance themselves: after two orbits, or sooner
+    where their motion is not bounded. Without an orbit it lasts as long as the leg.
+
+    Args:
+        mission: A drawn mission.
+        leg: Its leg.
+        t: Time at which the leg would end as asked [s].
+    """
+    period = mission.orbital_period
+    h = mission.step if period is None else period / PIECES_PER_ORBIT
+    count = leg.steps if period is None else ceil(FREE_ORBITS * PIECES_PER_ORBIT)
+    rest = np.zeros((len(leg.targets), count, mission.axes))
+    paths = cubic_pieces(simulate(mission, leg.targets, rest, t, h), h)
+    i, j = np.triu_indices(len(paths), 1)
+    radius, clear = mission.largest_separation + mission.margin, np.ones(count, dtype=bool)
+    for begin in range(0, len(i), PAIRS_AT_ONCE):
+        some = slice(begin, begin + PAIRS_AT_ONCE)
+        relative = paths[i[some]] - paths[j[some]]
+        clear &= convexify.are_hulls_separated(relative, radius).all(axis=0)
+    return count if clear.all() else int(clear.argmin()), h
+
+
+def simulate(
+    mission: Reconfiguration,
+    x: Float[Array, "*agents n"],
+    u: Float[Array, "*agents T m"],
+    t: float,
+    h: float,
+) -> StateSamples:
+    """Return the states under held controls by the model that the agents plan by.
+
+    Args:
+        mission: Its model.
+        x: States at the first instant.
+        u: Controls, each held over a step.
+        t: Time of the first instant [s].
+        h: Duration of a step [s].
+    """
+    if mission.nonlinear_model is not None:
+        return simulate_nonlinear(mission.nonlinear_model, x, u, t, h)
+    return discretize_zoh(mission.linear_model, h, u.shape[-2], t).simulate(x, u)
+
+
+def simulate_nonlinear(
+    model: NonlinearModel, x: Float[Array, "*agents n"], u: ControlSamples, t: float, h: float
+) -> StateSamples:
+    """Return the states under held controls, by one step of the classical Runge–Kutta method each.
+
+    In orbit, steps of a fiftieth of a period are off by 1e-6 of what an agent moves.
+    """
+    states = [x]
+    for k in range(u.shape[-2]):
+        held, x, s = u[..., k, :], states[-1], t + k * h
+        k1 = model.rate(s, x, held)
+        k2 = model.rate(s + h / 2, x + h / 2 * k1, held)
+        k3 = model.rate(s + h / 2, x + h / 2 * k2, held)
+        k4 = model.rate(s + h, x + h * k3, held)
+        states.append(x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
+    return np.stack(states, axis=-2)
+
+
+def cubic_pieces(x: StateSamples, h: float) -> Float[Array, "*agents pieces 4 d"]:
+    """Return the control points of the cubics through states at equal instants."""
+    d = x.shape[-1] // 2
+    p, third = x[..., :d], x[..., d:] * h / 3
+    before, after = p[..., :-1, :], p[..., 1:, :]
+    points = before, before + third[..., :-1, :], after - third[..., 1:, :], after
+    return np.stack(points, axis=-2)
+
+
+def give_up_unclear(offers: Offers, is_unclear: Bool[Array, " agents"]) -> Offers:
+    """Let agents whose committed trajectories are not clear of others offer their plans alone."""
+    u, paths = offers.u.copy(), offers.paths.copy()
+    u[is_unclear, 1], paths[is_unclear, 1] = u[is_unclear, 0], paths[is_unclear, 0]
+    return offers._replace(u=u, paths=paths)
+
+
+def commit_in_orbit(
+    context: DecisionContext,
+    plans: Plans,
+    committed: Commitments,
+    previous: Plans,
+    clocks: Int[Array, " agents"],
+) -> tuple[Commitments, Plans, list[int]]:
+    """Commit the agents that have planned to trajectories that they have checked.
+
+    Args:
+        context: States, graph and time of the agents that decide.
+        plans: Their plans.
+        committed: Committed trajectories.
+        previous: Plans before these.
+        clocks: Clock of each agent before it decided.
+
+    Returns:
+        Committed trajectories, the plans that are flown, and the agents that could not commit to
+        theirs.
+    """
+    done: Commitments = {}
+    flown = dict(plans)
+    kept: list[int] = []
+    heard = -context.graph.component_max(-clocks)
+    agents = np.array(list(plans), dtype=int)
+    for component in np.unique(context.graph.component[agents]):
+        members = agents[context.graph.component[agents] == component].tolist()
+        own = {i: plans[i] for i in members}
+        if len(members) == 1 or are_plans_clear(context, own):
+            done |= {i: Commitment(context.instant, plan.trajectory.u) for i, plan in own.items()}
+            continue
+        offers = make_orbital_offers(context, own, committed, int(heard[members[0]]))
+        choice, keeps = choose_in_orbit(offers, context.graph, rank_of(offers, own))
+        if context.instant == 0:
+            check_start(offers, choice, context.graph)
+        u = offers.u[np.arange(len(members)), choice]
+        done |= {i: Commitment(context.instant, u[a]) for a, i in enumerate(members)}
+        kept += offers.agents[keeps].tolist()
+    flown |= {i: keep_previous(plans[i], previous.get(i)) for i in kept}
+    return done, flown, sorted(i for i in kept if leaves_plan(plans[i]))
+
+
+def are_plans_clear(context: DecisionContext, plans: Plans) -> bool:
+    """Tell whether the plans of a component were found clear, as they arrive as asked.
+
+    Then the targets' own motion is what is left to check, which `free_motion` has done.
+    """
+    left = context.leg.steps - context.step_index
+    return all(
+        plan.is_clear and plan.target_index is not None and len(plan.trajectory.u) == left
+        for plan in plans.values()
+    )
+
+
+def choose_in_orbit(
+    offers: Offers, graph: CommunicationGraph, rank: Int[Array, " agents"]
+) -> tuple[Int[Array, " agents"], Bool[Array, " agents"]]:
+    """Let all agents agree on offers.
+
+    The batched equivalent of `agent_stages.Holding` and `Choosing`.
+
+    Returns:
+        Choices, and True for the agents that keep what they have committed to.
+    """
+    i, j, radius = list_pairs(offers, graph)
+    held = np.full(len(offers.agents), offers.last)
+    met = ~are_clear(offers, held, i, j, radius)
+    is_unclear = np.isin(np.arange(len(held)), np.concatenate([i[met], j[met]]))
+    choice = choose_offers(give_up_unclear(offers, is_unclear), graph, rank)
+    choice[is_unclear] = 0
+    return choice, choice == offers.last
+
+
+def check_start(offers: Offers, choice: Int[Array, " agents"], graph: CommunicationGraph) -> None:
+    """Refuse a mission whose first commitments are not clear of each other.
+
+    Raises:
+        InputError: Neither the plans nor the free motion of two agents are.
+    """
+    i, j, radius = list_pairs(offers, graph)
+    met = np.flatnonzero(~are_clear(offers, choice, i, j, radius))
+    if len(met):
+        k = met[0]
+        raise InputError(
+            "swarm.start",
+            f"agents {offers.agents[i[k]]} and {offers.agents[j[k]]} can neither drift nor fly to "
+            f"their targets {radius[k]:.4g} m apart; starts farther apart or without drift, more "
+            "leg.steps or fewer vehicles would do",
+        )
+
+
+def keep_previous(plan: Plan, previous: Plan | None) -> Plan:
+    """Return the plan of an agent that keeps what it had; others have kept it from a new one."""
+    kept = plan._replace(target_index=None) if previous is None else previous
+    return kept._replace(failure_count=plan.failure_count + 1)
