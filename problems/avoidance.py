@@ -68,6 +68,14 @@ class HalfSpaces(NamedTuple):
         coeffs.reshape(-1, T, m)[rows, step] += self.control_coeffs * transfer.control_limit.shares
         return coeffs, (self.state_coeffs * free[step]).sum(1) - self.rhs
 
+    def condense_breakable(
+        self, transfer: TransferProblem, free: Float[Array, "instants n"]
+    ) -> tuple[Float[Array, "rows controls"], Float[Array, " rows"]]:
+        """Condense the rows that some controls within the limit break; most hold for any."""
+        coeffs, rhs = self.condense(transfer, free)
+        breakable = transfer.control_limit.most * np.abs(coeffs).sum(axis=1) > rhs
+        return coeffs[breakable], rhs[breakable]
+
     def select(self, rows: Array) -> "HalfSpaces":
         """Select rows by a mask or by index."""
         return HalfSpaces(*(field[rows] for field in self))
@@ -239,9 +247,7 @@ class AvoidanceProblem:
         U, N, count = transfer.control_limit.most, T * m, self.unknown_controls
         signs, shares = [1, -1][: count // N], np.tile(transfer.control_limit.shares, T)
         free = transfer.coast(self.start)
-        coeffs, rhs = self.half_spaces.condense(transfer, free)
-        breakable = U * np.abs(coeffs).sum(axis=1) > rhs  # most rows hold for any control
-        coeffs, rhs = coeffs[breakable], rhs[breakable]
+        coeffs, rhs = self.half_spaces.condense_breakable(transfer, free)
         rows = len(rhs)
         errors = 0 if relaxation == "none" else n
         slacks = rows if relaxation == "separation" else 0

@@ -82,9 +82,8 @@ class SafetyFilterProblem:
         errors = np.hstack([np.eye(n), -np.eye(n)])
         zero = np.vstack([_on_both_signs(R[T, m:], 2 * n), np.hstack([R[k], -R[k], errors])])
         zero_rhs = np.concatenate([-free[T, m:], self.wanted - free[k]])
-        coeffs, rhs = self.half_spaces.condense(transfer, free)
-        breakable = limit.most * np.abs(coeffs).sum(axis=1) > rhs  # most rows hold for any control
-        linear, linear_rhs = [-limit.most * coeffs[breakable]], [rhs[breakable]]
+        coeffs, rhs = self.half_spaces.condense_breakable(transfer, free)
+        linear, linear_rhs = [-limit.most * coeffs], [rhs]
         cones, cones_rhs = [np.zeros((0, N))], [np.zeros(0)]
         controls = limit.most * limit.shares[:, None] * np.eye(N).reshape(T, m, N)
         speeds = transfer.speed_limit, R[1:T, m:], free[1:T, m:]

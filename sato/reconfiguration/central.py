@@ -55,7 +55,7 @@ def central_problem(mission: Reconfiguration, seed: int = 0) -> CentralMission:
     fine = whole.fine_model[: leg.steps * whole.pieces_per_step]
     clearances = None
     if not drawn.has_equal_radii:
-        clearances = whole.clearance + drawn.radii[agents] - drawn.largest_separation
+        clearances = drawn.own_clearances(whole.clearance, agents)
     problem = CentralizedProblem(
         each[0],
         AvoidanceHorizon(model, fine, whole.clearance),

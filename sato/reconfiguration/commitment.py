@@ -25,7 +25,6 @@ from sato.reconfiguration.state import DecisionContext
 from sato.reconfiguration.stopping import (
     Commitment,
     Commitments,
-    clearances_of,
     end_at_rest,
     find_stop,
     held_controls,
@@ -87,7 +86,7 @@ def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) 
     has_whole = np.asarray(is_allowed[:, is_whole].any(axis=1))
     is_allowed &= is_whole | ~has_whole[:, None]
     is_allowed[:, -1] = True
-    clearance = clearances_of(mission, horizon, agents)
+    clearance = mission.own_clearances(horizon.clearance, agents)
     for row, (i, plan) in enumerate(plans.items()):
         is_over = len(plan.trajectory.u) == 0
         if is_over and not reaches_target(plan.trajectory, _rest(context, i), clearance[row]):

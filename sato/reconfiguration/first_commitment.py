@@ -22,7 +22,6 @@ from sato.reconfiguration.stopping import (
     REACH_TOLERANCE,
     Commitment,
     Commitments,
-    clearances_of,
     find_stop,
     held_controls,
     pad_controls,
@@ -55,7 +54,7 @@ def find_first_commitments(mission: Reconfiguration) -> Commitments:
     if not mission.is_point_mass or not start[:, d:].any():
         return {}
     horizon, u, _, paths = _fly_on(mission, agents, start, {}, 0)
-    clearance = clearances_of(mission, horizon, agents)
+    clearance = mission.own_clearances(horizon.clearance, agents)
     meeting = _find_meeting(paths, clearance)
     for _ in range(MAX_SWEEPS):
         if not len(meeting):
@@ -152,7 +151,7 @@ def has_room(
     agents = np.append(np.flatnonzero(alive), agent)
     fly = _fly_on if mission.is_point_mass else _drift_on
     horizon, *_, paths = fly(mission, agents, x[agents], committed, instant)
-    clearance = clearances_of(mission, horizon, agents)
+    clearance = mission.own_clearances(horizon.clearance, agents)
     radius = (clearance[:-1] + clearance[-1]) / 2
     return bool(convexify.are_hulls_separated(paths[:-1] - paths[-1], radius).all())
 

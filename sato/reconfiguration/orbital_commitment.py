@@ -34,7 +34,7 @@ from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.planning import Plan, Plans, divide_horizon
 from sato.reconfiguration.state import DecisionContext
-from sato.reconfiguration.stopping import Commitment, Commitments, clearances_of, pad_controls
+from sato.reconfiguration.stopping import Commitment, Commitments, pad_controls
 from sato.scenario.errors import InputError
 
 FREE_ORBITS = 2.0  # of free motion that are checked
@@ -82,7 +82,7 @@ def make_orbital_offers(
         u=u,
         paths=np.concatenate(pieces, axis=2),
         is_allowed=np.ones((len(agents), 2), dtype=bool),
-        clearance=clearances_of(mission, horizon, agents),
+        clearance=mission.own_clearances(horizon.clearance, agents),
     )
 
 

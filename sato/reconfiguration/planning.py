@@ -247,8 +247,8 @@ def plan_alone(
             own = horizons[int(ahead[i])]
             clearance = own.clearance
             if not mission.has_equal_radii:
-                wider = mission.radii[i] - mission.largest_separation
-                own = own.with_clearance(own.clearance + float(wider))
+                (wide,) = mission.own_clearances(clearance, np.array([i])).tolist()
+                own = own.with_clearance(wide)
             planner = Planner(
                 priority=(_priority_class(mission, i, len(model), previous), -float(spent[i]), i),
                 target_state=leg.targets[memory.target_index[i]],

@@ -10,7 +10,7 @@ from math import ceil
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from problems import convexify
@@ -101,15 +101,6 @@ def pad_controls(each: Sequence[Float[Array, "_ m"]], steps: int) -> Float[Array
 def stopping_horizon(mission: Reconfiguration, steps: int) -> AvoidanceHorizon:
     """Return the horizon of so many steps of a double integrator."""
     return divide_horizon(mission, 0.0, steps)
-
-
-def clearances_of(
-    mission: Reconfiguration, horizon: AvoidanceHorizon, agents: Int[Array, " agents"]
-) -> Float[Array, " agents"]:
-    """Return the distance that two of each agent's kind keep [m]."""
-    if mission.has_equal_radii:
-        return np.full(len(agents), horizon.clearance)
-    return np.asarray(horizon.clearance + mission.radii[agents] - mission.largest_separation)
 
 
 def stays_within_reach(

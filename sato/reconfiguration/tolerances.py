@@ -67,7 +67,7 @@ def compute_random_margin(
     whole = whole if R.any() else 1
     model = discretize_zoh(mission.linear_model, mission.step, whole + period)
     W, P, first, most = _acceleration_covariance(mission), R, R, 0.0
-    wrong = W + model_acceleration(mission) ** 2 * np.eye(mission.axes) if R.any() else W
+    wrong = _believed_covariance(mission) if R.any() else W
     for k in range(whole):
         s, c = (_largest_sigmas(_spread(model[k:], one, W, period))[0] for one in (P, first))
         kept = (2 * GATE_SIGMAS + two) * s
@@ -82,6 +82,12 @@ def _acceleration_covariance(mission: "Reconfiguration") -> Float[Array, "d d"]:
     """Return the covariance of accelerations that are not commanded, under full control."""
     thrust = mission.largest_control.max() * (mission.thrust_error + mission.pointing_error)
     return np.asarray(np.eye(mission.axes) * (mission.disturbance**2 + thrust**2))
+
+
+def _believed_covariance(mission: "Reconfiguration") -> Float[Array, "d d"]:
+    """Return the same with the errors of the model, by which agents filter their measurements."""
+    wrong = model_acceleration(mission) ** 2 * np.eye(mission.axes)
+    return np.asarray(_acceleration_covariance(mission) + wrong)
 
 
 def _spread(model: DiscreteModel, P: Array, W: Array, steps: int) -> Float[Array, "n n"]:
@@ -244,8 +250,7 @@ def _final_covariance(mission: "Reconfiguration", steps: int) -> Float[Array, "n
     P = R = measurement_covariance(mission)
     if R.any():
         model = discretize_zoh(mission.linear_model, mission.step, steps)
-        W = _acceleration_covariance(mission)
-        W = W + model_acceleration(mission) ** 2 * np.eye(mission.axes)
+        W = _believed_covariance(mission)
         for k in range(steps):
             P = correct(spread(model, k, P, W), R)
     return P

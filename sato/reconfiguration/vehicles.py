@@ -68,6 +68,19 @@ class Vehicles(Motion):
         """Least distance that any two keep [m]."""
         return float(np.sort(np.atleast_1d(self.collision_radius))[:2].mean())
 
+    def own_clearances(
+        self, clearance: float, agents: Int[Array, " agents"]
+    ) -> Float[Array, " agents"]:
+        """Return the distance that two of each agent's kind keep [m].
+
+        Args:
+            clearance: Distance that any two keep, whatever their radii [m].
+            agents: Numbers of the agents.
+        """
+        if self.has_equal_radii:
+            return np.full(len(agents), clearance)
+        return np.asarray(clearance + (self.radii[agents] - self.largest_separation))
+
     @cached_property
     def control_limits(self) -> tuple[Limit, ...]:
         """Limit of each vehicle's acceleration [m/s²]; a single one where all are equal."""
