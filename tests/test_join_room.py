@@ -80,3 +80,25 @@ def test_a_vehicle_without_room_at_its_step_is_refused_and_the_run_is_kept():
         np.where(["refused" in str(e) for e in events], events[:1], events),
     )
     assert "alive" in {promise.name for promise in run.check().broken}
+
+
+def test_a_spacecraft_that_waits_to_join_is_no_fault_of_the_run():
+    start = np.zeros((2, 3))
+    start[1, 1] = 200.0
+    goal = np.vstack([start + np.array([0.0, 400.0, 0.0]), start[:1]])
+    join = sato.Join(1, start[:1] + 5.0, at_step=1)
+    leg = sato.Leg(sato.Points(goal, keep_order=True), 40, joins=[join])
+    limits = {
+        "assignment": "given",
+        "step": 30.0,
+        "comm_radius": 2e3,
+        "max_control": 0.01,
+        "max_speed": 2.0,
+    }
+    mission = make_mission(
+        start, leg, model=sato.ClohessyWiltshire(1.1e-3), collision_radius=20.0, **limits
+    )
+    run = sato.run(mission)
+    (join,) = run.events("join")
+    assert join["time"] > 30.0
+    assert {promise.name for promise in run.check().broken} <= {"reached"}

@@ -130,11 +130,11 @@ def _find_joined(record: ReconfigurationRecord, k: int) -> list[int]:
 def _has_room(
     record: ReconfigurationRecord, k: int, agent: int, alive: Bool[Array, " agents"]
 ) -> bool:
-    # Only vehicles of double integrators wait, and only for others that they hear.
+    # Vehicles wait only for others that they hear; in orbit also for those that drift near later.
     mission = record.mission
     position = mission.initial_states[agent, : record.axes]
     away = np.linalg.norm(record.frames.position[k, alive] - position, axis=1)
-    return not mission.is_point_mass or bool((away > mission.comm_radius).all())
+    return mission.is_point_mass and bool((away > mission.comm_radius).all())
 
 
 def _redraw_changes(
