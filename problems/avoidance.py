@@ -160,9 +160,14 @@ class AvoidanceProblem:
             return AvoidanceResult(free, 0.0, 0.0)
         if not self.transfer.is_condensable:
             return self.solve_cvxpy(relaxation)
-        (found,) = solve_condensed(
-            [self], lambda limited: self.assemble_conic(relaxation, limited[0])
-        )
+        from problems.sparse_avoidance import assemble_sparse, pays_off
+
+        def assemble(limited: list[Array]) -> ConicProgram:
+            if relaxation == "none" and pays_off(self):
+                return assemble_sparse(self, limited[0])
+            return self.assemble_conic(relaxation, limited[0])
+
+        (found,) = solve_condensed([self], assemble)
         return self._make_result(found)
 
     def solve_cvxpy(self, relaxation: Relaxation = "none") -> AvoidanceResult:

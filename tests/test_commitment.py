@@ -72,14 +72,22 @@ def decisions():
         taken.append(((context, plans, dict(committed)), found))
         return found
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(loop, "commit", note)
-        for seed in range(8):
-            begin(random_mission(np.random.default_rng([7, seed])), 25)
-        # Far to go, at full speed and with little thrust: reach binds.
-        tight = {"comm_radius": 2.2, "horizon_steps": 2, "auction_steps": 2, "max_control": 0.05}
-        begin(make_mission(row(4, 0.0), sato.Leg(row(4, 15.0), 90), **tight), 25)
-    return taken
+    with pytest.MonkeyPatch.context() as unkept:
+        # Where plans are kept to their ends, few decisions are left.
+        unkept.setattr(sato.Reconfiguration, "keeps_plans", False)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(loop, "commit", note)
+            for seed in range(8):
+                begin(random_mission(np.random.default_rng([7, seed])), 25)
+            # Far to go, at full speed and with little thrust: reach binds.
+            tight = {
+                "comm_radius": 2.2,
+                "horizon_steps": 2,
+                "auction_steps": 2,
+                "max_control": 0.05,
+            }
+            begin(make_mission(row(4, 0.0), sato.Leg(row(4, 15.0), 90), **tight), 25)
+        yield taken
 
 
 @pytest.mark.parametrize("norm", NORMS)

@@ -7,6 +7,8 @@ diameter; the agents know it, and each other's reports, from the first stage on.
     census     reports `Hello`                  all know D                        3 D + 1
     terms      reports `AuctionTerms`           all have heard all                D
     auction    bids, reports `AuctionReport`    D rounds after the last stopped
+    bending    path                             D + 1 rounds after the last moved
+    meeting    trajectory                       4; only where plans are kept, as bending
     exchange   trajectory, reports              D rounds after the last was final
     holding    committed trajectory, in orbit   all have heard their neighbors    1
     choice     offer                            D + 1 rounds after the last change
@@ -47,8 +49,12 @@ from sato.reconfiguration.agent_stages import (
     check_census,
     extend,
 )
+from sato.reconfiguration.clock import announce_clock
+from sato.reconfiguration.halfway_stages import Bending, Meeting
 from sato.reconfiguration.orbital_commitment import keep_previous, make_orbital_offers
 from sato.reconfiguration.state import DecisionContext, Event
+from sato.scp.halfway import come_after
+from sato.scp.planner import Planner
 
 ALONE = CommunicationGraph(np.zeros((1, 1), dtype=bool), np.ones(1, dtype=bool))
 
@@ -61,7 +67,7 @@ class Decision(NamedTuple):
     plans: planning.Plans  # empty, or the agent's own
     committed: stopping.Commitments  # empty, or the agent's own
     spent: Float[Array, " rows"]  # fuel [m/s], or energy [m²/s³]
-    stage: Any  # Census, Flood, Bidding, Exchange, Holding, Choosing, Turns
+    stage: Any  # Census, Flood, Bidding, Bending, Meeting, Exchange, Holding, Choosing, Turns
     stage_index: int = 0
     is_finished: bool = False
     diameter: int = 0
@@ -124,6 +130,10 @@ class Decision(NamedTuple):
             return self._begin_auction(self.stage)
         if isinstance(self.stage, Bidding):
             return self._after_auction(self.stage)
+        if isinstance(self.stage, Bending):
+            return self._enter(Meeting(self.stage.planner, self.stage.unreachable))
+        if isinstance(self.stage, Meeting):
+            return self._exchange(come_after(self.stage.planner), self.stage.unreachable)
         if isinstance(self.stage, Exchange):
             return self._after_exchange(self.stage)
         if isinstance(self.stage, Holding):
@@ -152,7 +162,8 @@ class Decision(NamedTuple):
         return self._enter(Choosing(offers, priority, self.diameter, choice))
 
     def _report_choice(self, choosing: Choosing) -> "Decision":
-        is_cautious = choosing.choice == choosing.offers.last
+        is_kept = commitment.is_kept(self.context, self.plans[self.number])
+        is_cautious = choosing.choice == choosing.offers.last and not is_kept
         priority = choosing.priority if is_cautious else None
         report = ChoiceReport(self.number, priority, int(choosing.offers.steps[0]))
         flood = Flood(len(self.members), self.diameter, frozenset([report]))
@@ -210,13 +221,18 @@ class Decision(NamedTuple):
         if not has_joined and k % mission.auction_steps:
             return decision._begin_exchange()
         if mission.assignment == "given":
-            return decision._take_given()._begin_exchange()
+            return decision._take_given(reports)._begin_exchange()
         return decision._share_claims(reports)._announce_terms("first")
 
-    def _take_given(self) -> "Decision":
+    def _take_given(self, reports: list[Hello]) -> "Decision":
         """Hold the target that is given, and reset the clock where it is out of reach."""
         cost = planning.remaining_cost(self.plans, self.context)
-        taken = assignment.assign_targets(self.context, cost)
+        steps = self.context.leg.steps
+        due, clock = (
+            np.array(part) for part in zip(*((r.is_due, r.clock) for r in reports), strict=True)
+        )
+        heard = np.full_like(self.context.memory.clock, announce_clock(due, clock, steps).min())
+        taken = assignment.assign_targets(self.context, cost, heard)
         decision = self._replace(context=self.context._replace(memory=taken.memory))
         return decision._note_reset() if taken.was_reset[self.number] else decision
 
@@ -305,5 +321,11 @@ class Decision(NamedTuple):
     def _begin_exchange(self) -> "Decision":
         heard = np.full_like(self.context.memory.clock, self.heard_clock)
         planners, unreachable, _ = planning.plan_alone(self.context, self.spent, self.plans, heard)
+        planner = planners[self.number]
+        if self.context.mission.keeps_plans:
+            return self._enter(Bending(planner, unreachable, self.diameter))
+        return self._exchange(planner, unreachable)
+
+    def _exchange(self, planner: Planner, unreachable: list[int]) -> "Decision":
         reports = Flood(len(self.members), self.diameter)
-        return self._enter(Exchange(planners[self.number], unreachable, reports))
+        return self._enter(Exchange(planner, unreachable, reports))

@@ -20,6 +20,7 @@ from sato.auctions import (
     run_vsdaa,
 )
 from sato.network.graph import CommunicationGraph
+from sato.reconfiguration.clock import set_back, wait
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.state import AgentMemory, DecisionContext
@@ -56,7 +57,9 @@ class CostTable(NamedTuple):
 
 
 def assign_targets(
-    context: DecisionContext, planned_cost: Float[Array, " agents"]
+    context: DecisionContext,
+    planned_cost: Float[Array, " agents"],
+    heard: Int[Array, " agents"] | None = None,
 ) -> AssignmentDecision:
     """Run an auction in every component; reset its clock where the number of bids changed.
 
@@ -68,9 +71,12 @@ def assign_targets(
         context: States, memory and graph of the agents that decide.
         planned_cost: Fuel or energy left in the plan to the target that each holds; infinite
             without a plan.
+        heard: Clock with the most time left of those that plan again in each agent's component.
     """
+    heard = context.memory.clock if heard is None else heard
+    waiting = replace(context.memory, clock=wait(context, heard, np.isfinite(planned_cost)))
     context = context._replace(graph=agreement_graph(context.mission, context.graph))
-    graph, memory = context.graph, share_claims(context.memory, context.graph)
+    graph, memory = context.graph, share_claims(waiting, context.graph)
     was_reset = np.asarray(graph.alive & (memory.clock != context.memory.clock))
     cost = np.where(was_reset, np.inf, planned_cost)
     auction = run_auction(context._replace(memory=memory), cost)
@@ -80,7 +86,7 @@ def assign_targets(
     is_due = graph.component_max(is_due.astype(int)).astype(bool) & graph.alive
     if is_due.any():
         was_reset, cost = was_reset | is_due, np.where(is_due, np.inf, cost)
-        memory = replace(memory, clock=np.where(is_due, 0, memory.clock))
+        memory = replace(memory, clock=set_back(context._replace(memory=memory), is_due))
         auction = run_auction(context._replace(memory=memory), cost)
         solves += auction.solve_count
     if auction.won_unreachable.any():

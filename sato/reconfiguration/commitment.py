@@ -69,7 +69,8 @@ def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) 
     each: list[list[Array]] = []
     for i, plan in plans.items():
         limit, velocity = mission.control_limit(i), context.state[i, mission.axes :]
-        begun = [limit.cut(plan.trajectory.u[:q]) for q in plan_steps[:-1]]
+        rest = plan.controls_from(context.step_index)
+        begun = [limit.cut(rest[:q]) for q in plan_steps[:-1]]
         begun = [end_at_rest(mission, i, velocity, u) for u in begun]
         each.append([*begun, held_controls(mission, i, velocity, committed, context.instant)])
     # An agent that has no steps left needs some to return to its target.
@@ -89,8 +90,9 @@ def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) 
     clearance = mission.own_clearances(horizon.clearance, agents)
     for row, (i, plan) in enumerate(plans.items()):
         is_over = len(plan.trajectory.u) == 0
-        if is_over and not reaches_target(plan.trajectory, _rest(context, i), clearance[row]):
-            is_allowed[row, :-1] = False  # it is late, or has drifted: it takes a turn
+        is_late = is_over and not reaches_target(plan.trajectory, _rest(context, i), clearance[row])
+        if is_late or is_kept(context, plan):  # it is late, or has drifted: it takes a turn
+            is_allowed[row, :-1] = False
     return Offers(agents, plan_steps, steps, horizon, u, paths, is_allowed, clearance)
 
 
@@ -107,6 +109,10 @@ def _plan_steps(context: DecisionContext) -> tuple[int, ...]:
     foreseen = min(mission.foresight, MAX_PLAN_STEPS)
     longest = max(period, mission.horizon_steps, mission.freeze_steps, foreseen)
     halves = [period >> n for n in range(period.bit_length())]
+    if mission.keeps_plans:
+        whole = context.leg.steps
+        halves = [whole >> n for n in range(whole.bit_length()) if whole >> n > period] + halves
+        longest = whole
     return (*dict.fromkeys([longest, *halves]), 0)
 
 
@@ -203,7 +209,9 @@ def commit(
     u, paths = offers.u[rows, choice], offers.paths[rows, choice]
     adjacent = context.graph.adjacency[np.ix_(offers.agents, offers.agents)]
     component = context.graph.component[offers.agents]
-    cautious = [a for a in np.argsort(rank).tolist() if choice[a] == offers.last]
+    kept = {a for a, plan in enumerate(plans.values()) if is_kept(context, plan)}
+    order = [a for a in np.argsort(rank).tolist() if a not in kept]
+    cautious = [a for a in order if choice[a] == offers.last]
     for a in cautious:
         near, i = adjacent[a], int(offers.agents[a])
         T = int(offers.steps[component == component[a]].max())
@@ -232,6 +240,11 @@ def rank_of(offers: Offers, plans: Plans) -> Int[Array, " agents"]:
     return rank
 
 
+def is_kept(context: DecisionContext, plan: Plan) -> bool:
+    """Tell whether a plan is one of an earlier decision, which is flown to its end."""
+    return plan.planned_at < context.step_index
+
+
 def leaves_plan(plan: Plan) -> bool:
     """Tell whether an agent that could not commit to its plan leaves one that has steps."""
     return len(plan.trajectory.u) > 0
@@ -239,8 +252,11 @@ def leaves_plan(plan: Plan) -> bool:
 
 def follow(context: DecisionContext, plan: Plan, steps: int) -> Plan:
     """Return a plan of which so many steps are flown; without a target if it is left too early."""
+    if is_kept(context, plan):
+        return plan
     if steps < min(steps_to_next(context), len(plan.trajectory.u)):
-        return plan._replace(target_index=None)
+        failures = plan.failure_count + context.mission.keeps_plans
+        return plan._replace(target_index=None, failure_count=failures)
     return plan._replace(clear_until=plan.planned_at + steps)
 
 

@@ -11,6 +11,7 @@ from problems.solvers.verified import VerifiedSolver
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration import estimator, planning, state
 from sato.reconfiguration.assignment import assign_targets
+from sato.reconfiguration.clock import announce_clock
 from sato.reconfiguration.commitment import commit
 from sato.reconfiguration.disturbances import disturb_control, draw_losses, measure
 from sato.reconfiguration.first_commitment import admit, find_first_commitments
@@ -156,7 +157,8 @@ class _Flight:
     def _decide(self, context: state.DecisionContext, bids: bool) -> None:
         solves, fallbacks = 0, np.array([own.fallback_count for own in self.solvers])
         if bids:
-            decision = assign_targets(context, planning.remaining_cost(self.plans, context))
+            cost = planning.remaining_cost(self.plans, context)
+            decision = assign_targets(context, cost, self._hear_clocks(context))
             memory, solves = decision.memory, decision.solve_count
             moved = self.alive & (memory.target_index != self.memory.target_index)
             self.memory = memory
@@ -180,6 +182,13 @@ class _Flight:
             reasons = {self.solvers[i].last_rejection for i in np.flatnonzero(rejected)}
             more = {"programs": int(rejected.sum()), "reasons": sorted(reasons)}
             self._note("fallback", rejected > 0, **more)
+
+    def _hear_clocks(self, context: state.DecisionContext) -> Array:
+        """Return the clock with the most time left of those that plan again, as agents hear it."""
+        mission, clock, steps = self.mission, context.memory.clock, self.leg.steps
+        own = self.plans, context.memory, context.step_index, steps
+        announced = announce_clock(planning.is_planning_due(mission, *own), clock, steps)
+        return -context.graph.component_max(-announced)
 
     def _propagate(self, control: Array, applied: Array) -> None:
         mission, steps, clock = self.mission, self.leg.steps, self.memory.clock

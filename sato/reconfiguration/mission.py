@@ -128,7 +128,7 @@ class Reconfiguration(vehicles.Vehicles, Mission):
     foresight_steps: Annotated[
         Count | None,
         PLAN,
-        "steps it looks ahead among agents in hearing; if absent, 0, in orbit the whole leg",
+        "steps it looks ahead among agents in hearing; if absent, 0, or the leg: in orbit, or if plans are kept",
     ] = None
     orders: Annotated[Steps, PLAN, "orders of priority that each plan tries"] = 1
     bargains: Annotated[Count, PLAN, "sweeps of negotiation in pairs; with orders above 1"] = 0
@@ -271,13 +271,23 @@ class Reconfiguration(vehicles.Vehicles, Mission):
         """Steps that avoidance looks ahead among agents in hearing, but no farther than the leg."""
         if self.foresight_steps is not None:
             return self.foresight_steps
-        return 0 if self.is_point_mass else WHOLE_LEG
+        return WHOLE_LEG if self.keeps_plans or not self.is_point_mass else 0
 
     @property
     def has_noise(self) -> bool:
         """True where motion or measurements are disturbed at random."""
         noise = self.position_noise, self.velocity_noise, self.disturbance
         return any((*noise, self.thrust_error, self.pointing_error))
+
+    @property
+    def keeps_plans(self) -> bool:
+        """True where plans that are clear to their ends are flown to their ends.
+
+        Double integrators with given targets and without noise do: nothing changes what they
+        would fly.
+        """
+        is_exact = self.is_point_mass and self.flies_model and not self.has_noise
+        return is_exact and self.assignment == "given" and self.orders == 1
 
     @cached_property
     def initial_states(self) -> Float[Array, "agents n"]:

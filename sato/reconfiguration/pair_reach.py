@@ -73,11 +73,11 @@ def bound_reach(
     most, V = factor * control.most_along(unit), speed.most_along(unit)
     if are_at_rest(mission, start, targets):
         strength = factor * control.most / control.measure(unit)
-        line = _farthest(strength, steps, h, speed.most / speed.measure(unit))
+        line = farthest(strength, steps, h, speed.most / speed.measure(unit))
         widest = factor * control.most / (unit / control.shares).max(axis=2)
-        box = _farthest(widest, steps, h, np.full_like(far, inf))
+        box = farthest(widest, steps, h, np.full_like(far, inf))
         limit = far / (1 + 1e-9)
-        return (limit <= box) & (limit <= _farthest(most, steps, h, V)), limit <= line
+        return (limit <= box) & (limit <= farthest(most, steps, h, V)), limit <= line
     from dynamics.discretize import discretize_zoh
     from problems.auction_cost import compute_transfer_costs
     from problems.transfer import TransferProblem
@@ -176,7 +176,7 @@ def _speed_limit(mission: "Reconfiguration", departure: Departure, factor: float
     return mission.speed_limit(agent) if is_faster else planned
 
 
-def _farthest(
+def farthest(
     a: Float[Array, "*k"], steps: int, h: float, V: Float[Array, "*k"]
 ) -> Float[Array, "*k"]:
     """Compute the longest way on a line from rest to rest, a held for each step [m].

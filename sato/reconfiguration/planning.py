@@ -19,8 +19,10 @@ from sato.reconfiguration.relaxation import list_relaxations
 from sato.reconfiguration.solo_trajectories import relinearize, solve_solo_trajectories
 from sato.reconfiguration.state import AgentMemory, DecisionContext, Event
 from sato.scp import CONVERGENCE_TOLERANCE, FEASIBILITY_TOLERANCE, Planner, resolve_conflicts
+from sato.scp.halfway import meet_halfway
 from sato.scp.planner import Priority
 
+MAX_WAIT = 8  # periods of planning after which an agent without a way looks again
 MAX_PIECES = 12  # of the trajectory within a step
 
 
@@ -58,12 +60,34 @@ def is_planning_due(
         steps: Steps of the leg.
     """
     left = steps - memory.clock
-    is_kept = left < mission.freeze_steps
+    is_kept = (left < mission.freeze_steps) | mission.keeps_plans
     is_over = (left == 0) & ~(mission.is_point_mass and mission.has_noise)
     for i in np.flatnonzero(is_kept).tolist():
+        if mission.keeps_plans and _waits(mission, plans.get(i), k):
+            continue
         has_plan = remaining_controls(plans, i, memory, k, steps) is not None
         is_kept[i] = has_plan and (is_over[i] or k + left[i] <= plans[i].clear_until)
     return np.asarray(~is_kept)
+
+
+def _waits(mission: Reconfiguration, plan: Plan | None, k: int) -> bool:
+    # The more often an agent has found no way, the longer it waits before it looks again.
+    if plan is None or plan.target_index is not None:
+        return False
+    periods = min(plan.failure_count, MAX_WAIT)
+    return k < plan.planned_at + periods * mission.replan_steps
+
+
+def is_held(context: DecisionContext, plans: Plans, i: int) -> bool:
+    """Tell whether an agent holds on to its plan while others decide.
+
+    It does where that is clear to its end; one that rests at its target makes room.
+    """
+    k, steps, memory = context.step_index, context.leg.steps, context.memory
+    if not context.mission.keeps_plans:
+        return False
+    u = remaining_controls(plans, i, memory, k, steps)
+    return u is not None and bool(u.any()) and k + len(u) <= plans[i].clear_until
 
 
 def remaining_controls(
@@ -123,6 +147,8 @@ def plan_trajectories(
     heard = -graph.component_max(-(context.memory.clock if clocks is None else clocks))
     planners, unreachable, solo_count = plan_alone(context, spent, previous, heard)
     solve_count, rounds, resolved = solve_count + solo_count, 0, dict[int, Planner]()
+    if mission.keeps_plans:
+        planners, rounds = meet_halfway(planners, graph)
     for steps in sorted({planner.horizon.steps for planner in planners.values()}):
         alike = {i: planner for i, planner in planners.items() if planner.horizon.steps == steps}
         found = resolve_conflicts(alike, graph, mission.orders, mission.bargains)
@@ -158,6 +184,9 @@ def make_plans(
     astray = {i for event in events if event["kind"] != "slack" for i in event["agents"]}
     plans, has_one_order = {}, mission.orders == 1 and not mission.bargains
     for i, planner in planners.items():
+        if is_held(context, previous, i):
+            plans[i] = previous[i]
+            continue
         # Agents out of hearing are too far to meet within T_H alone (Proposition 9).
         clear = planner.horizon.steps if hears_all else mission.horizon_steps
         failures = previous[i].failure_count if i in previous else 0
@@ -250,7 +279,7 @@ def plan_alone(
                 (wide,) = mission.own_clearances(clearance, np.array([i])).tolist()
                 own = own.with_clearance(wide)
             planner = Planner(
-                priority=(_priority_class(mission, i, len(model), previous), -float(spent[i]), i),
+                priority=(_priority_class(context, i, previous), -float(spent[i]), i),
                 target_state=leg.targets[memory.target_index[i]],
                 transfer=transfer,
                 solver=context.solver_of(i),
@@ -259,6 +288,7 @@ def plan_alone(
                 nominal=solo,
                 control_points=paths[int(ahead[i])][row],
                 relinearize=partial(relinearize, context, transfer) if is_nonlinear else None,
+                in_turn=mission.keeps_plans,
             )
             if rest is not None:
                 # Begin with the previous plan, where it kept clear of an agent by another way.
@@ -269,9 +299,10 @@ def plan_alone(
     return planners, unreachable, solve_count
 
 
-def _priority_class(mission: Reconfiguration, i: int, steps: int, previous: Plans) -> float:
+def _priority_class(context: DecisionContext, i: int, previous: Plans) -> float:
     # Among agents of equal priority, those first that others have kept from their targets.
-    if steps == 0:
+    mission, is_over = context.mission, context.memory.clock[i] == context.leg.steps
+    if is_over or is_held(context, previous, i):
         return -inf
     failures = previous[i].failure_count if i in previous else 0
     given = 0.0 if mission.priority is None else mission.priority[i]

@@ -43,7 +43,12 @@ def solve_solo_trajectories(
     targets = context.leg.targets[context.memory.target_index[agents]]
     solvers = [context.solver_of(i) for i in agents]
     shared = context.make_transfer(model, agents[0], TIE_BREAK_RISE)
-    found, solves = solve_solo_transfers(shared, state, targets, solvers)
+    found = _keep_plans(shared, state, previous) if mission.keeps_plans else [None] * len(agents)
+    new = [row for row, kept in enumerate(found) if kept is None]
+    own = state[new], targets[new], [solvers[row] for row in new]
+    solved, solves = solve_solo_transfers(shared, *own)
+    for row, one in zip(new, solved, strict=True):
+        found[row] = one
     problems = [shared] * len(agents)
     each = list(zip(state, targets, previous, solvers, strict=True))
     if mission.nonlinear_model is not None and len(model):
@@ -59,6 +64,16 @@ def solve_solo_trajectories(
     trajectories = [f or _fallback(problem, *own) for _, problem, f, own in each_found]
     unreachable = [i for i, _, f, (_, _, rest, _) in each_found if f is None and rest is None]
     return problems, trajectories, unreachable, solves + len(unreachable)
+
+
+def _keep_plans(
+    transfer: TransferProblem,
+    start: Float[Array, "agents n"],
+    previous: list[Float[Array, "T m"] | None],
+) -> list[Trajectory | None]:
+    """Return the rests of previous plans; None where there is none."""
+    each = zip(start, previous, strict=True)
+    return [None if rest is None else transfer.simulate(x, rest) for x, rest in each]
 
 
 def solve_solo_transfers(

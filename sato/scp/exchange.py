@@ -48,11 +48,12 @@ def run_batched(
     conflicts = np.asarray(~are_hulls_separated(paths[lower] - paths[upper], radius).all(axis=-1))
     final = np.zeros(len(now), dtype=bool)
     has_deviated = np.array([not follows_solo(agent) for agent in now])
+    in_turn = np.array([agent.in_turn for agent in now])
     while not final.all():
         in_conflict = np.zeros(len(now), dtype=bool)
         in_conflict[lower[conflicts]] = True
         waits = (above & ~final).any(axis=1)
-        acts = ~final & (in_conflict | has_deviated)
+        acts = ~final & (in_conflict | has_deviated) & ~(in_turn & waits)
         acting = np.flatnonzero(acts).tolist()
         messages = {i: agent.message for i, agent in zip(ids, now, strict=True)} if acting else {}
         updated = run_round(graph, {ids[k]: now[k] for k in acting}, update_planner, messages)

@@ -32,6 +32,8 @@ RELAXATION_ORDER: tuple[tuple[Relaxation, convexify.PassingSide, bool], ...] = (
     ("separation", "same", False),
 )
 FEASIBILITY_TOLERANCE = 1e-6  # of R: smaller violations and terminal errors count as none
+RELAXATIONS_IN_TURN = (RELAXATION_ORDER[0], RELAXATION_ORDER[2])  # where all can wait
+MAX_SOLVES_IN_TURN = 4
 MAX_SOLVES = 20  # programs, after which an agent stops improving (Proposition 4 keeps it safe)
 
 
@@ -65,6 +67,7 @@ class Planner(NamedTuple):
     control_points: Float[Array, "pieces 4 d"]  # of the nominal, over the horizon
     relinearize: Callable[[Trajectory], TransferProblem] | None = None  # None: model is linear
     solver: Solver = solve_program  # its own
+    in_turn: bool = False  # True where it plans once those of higher priority have
     is_final: bool = False
     has_converged: bool = True  # True where the nominal solves its last program, or needed none
     last_inbox: tuple[TrajectoryMessage, ...] = ()  # of higher priority, in the last program
@@ -135,7 +138,10 @@ def update_planner(agent: Planner, inbox: Sequence[TrajectoryMessage]) -> Planne
     if agent.is_final:
         return agent
     above = tuple(message for message in inbox if message.priority < agent.priority)
-    if _needs_solve(agent, above):
+    if agent.in_turn and not all(message.is_final for message in above):
+        return agent
+    needs_solve = _is_in_conflict if agent.in_turn else _needs_solve
+    if needs_solve(agent, above):
         agent = _solve_iteration(agent, above)
     if not (agent.has_converged and all(message.is_final for message in above)):
         return agent
@@ -146,6 +152,12 @@ def update_planner(agent: Planner, inbox: Sequence[TrajectoryMessage]) -> Planne
         radii = pair_clearances(above, agent.horizon.clearance)
         lacking = convexify.separation_violation(agent.control_points - paths_of(above), radii)
     return agent._replace(is_final=True, slack=max(agent.slack, lacking))
+
+
+def _is_in_conflict(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> bool:
+    # Those above are final: a trajectory that is clear of them can stay.
+    path, R = agent.control_points, agent.horizon.clearance
+    return len(agent.nominal.u) > 0 and not (agent.has_converged and is_clear(path, above, R))
 
 
 def _needs_solve(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> bool:
@@ -198,13 +210,17 @@ def _solve_iteration(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Pl
     if not is_clear(after.control_points, above, R):
         after = _solve_avoidance(agent.relinearized, above)
     moved = float(np.abs(after.nominal.x - agent.nominal.x).max())
-    has_converged = moved <= CONVERGENCE_TOLERANCE * R or after.solve_count >= MAX_SOLVES
+    most = MAX_SOLVES_IN_TURN if agent.in_turn else MAX_SOLVES
+    has_converged = moved <= CONVERGENCE_TOLERANCE * R or after.solve_count >= most
     return after._replace(has_converged=has_converged, last_inbox=above)
 
 
 def _solve_avoidance(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Planner:
     nominal = agent.control_points
     collides = not is_clear(nominal, above, agent.horizon.clearance)
+    if collides and agent.in_turn:  # a path that was pushed aside, and is no way around
+        agent = agent.with_nominal(agent.solo)
+        nominal = agent.control_points
     sides = PASSING_SIDES[nominal.shape[-1]] if collides else ("same",)
     tried = [solve_around(agent, above, nominal, side) for side in sides]
     feasible = [result for result in tried if result is not None]
@@ -213,7 +229,7 @@ def _solve_avoidance(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Pl
         return agent.with_result(
             min(feasible, key=lambda result: agent.transfer.cost(result.trajectory))
         )
-    for relaxation, side, stops in RELAXATION_ORDER:
+    for relaxation, side, stops in RELAXATIONS_IN_TURN if agent.in_turn else RELAXATION_ORDER:
         agent = agent._replace(solve_count=agent.solve_count + 1)
         if stops:  # come to rest where it is, as nearly as it can
             start, d = agent.nominal.x[0], nominal.shape[-1]
