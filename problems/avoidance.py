@@ -18,6 +18,7 @@ from scipy.sparse import csc_array, diags_array
 from dynamics.model import ControlSamples, StateSamples
 from problems.conic import ConicProgram
 from problems.solvers.verified import solve_program
+from problems.sparse_avoidance import assemble_sparse
 from problems.transfer import (
     Solver,
     Trajectory,
@@ -115,6 +116,7 @@ class AvoidanceProblem:
     goal: Float[Array, " n"]
     half_spaces: HalfSpaces
     solver: Solver = solve_program
+    is_sparse: bool = False  # True where the states are unknowns too, which pays for many steps
 
     @classmethod
     def alone(
@@ -160,10 +162,10 @@ class AvoidanceProblem:
             return AvoidanceResult(free, 0.0, 0.0)
         if not self.transfer.is_condensable:
             return self.solve_cvxpy(relaxation)
-        from problems.sparse_avoidance import assemble_sparse, pays_off
+        is_sparse = self.is_sparse and relaxation == "none" and self.transfer.objective == "fuel"
 
         def assemble(limited: list[Array]) -> ConicProgram:
-            if relaxation == "none" and pays_off(self):
+            if is_sparse:
                 return assemble_sparse(self, limited[0])
             return self.assemble_conic(relaxation, limited[0])
 

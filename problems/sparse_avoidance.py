@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
 from scipy.sparse import block_array, block_diag, coo_array, csc_array, eye_array
 
@@ -12,84 +12,70 @@ from problems.conic import ConicProgram
 if TYPE_CHECKING:
     from problems.avoidance import AvoidanceProblem
 
-FEWEST_STEPS = 24  # with which it is faster than the program without states
-
-
-def pays_off(problem: "AvoidanceProblem") -> bool:
-    """Tell whether a problem is better posed with its states as unknowns."""
-    transfer = problem.transfer
-    return transfer.objective == "fuel" and len(transfer.model) >= FEWEST_STEPS
-
 
 def assemble_sparse(problem: "AvoidanceProblem", limited: Int[Array, " instants"]) -> ConicProgram:
     """Assemble the program of least fuel, with speed limits at some instants.
 
     Unknowns are u⁺ and u⁻ in units of each axis's limit, then the states x[1] … x[T]. The arrival
-    is that of the program without states, so that it is as exact.
+    is that of `AvoidanceProblem.assemble_conic`, without the states, and as exact.
 
     Args:
-        problem: The problem.
+        problem: The problem, of least fuel and without relaxation.
         limited: Instants between the ends with speed limits.
     """
-    transfer, spaces = problem.transfer, problem.half_spaces
-    (T, n, m), limit = transfer.model.B.shape, transfer.control_limit
-    N, U, start = T * m, limit.most, problem.start
-    R, factor = transfer.response_matrices
-    model = transfer.model
-    # x[k+1] − A x[k] − B u[k] = z[k]
-    scaled = U * model.B * limit.shares
-    motion_u = block_diag(list(scaled), format="csc")
-    motion_x = eye_array(T * n, format="csc")
-    if T > 1:
-        below = block_diag(list(model.A[1:]), format="coo")
-        rows, columns = below.coords
-        motion_x = motion_x - csc_array((below.data, (rows + n, columns)), shape=(T * n, T * n))
-    first = model.z.copy()
-    first[0] += model.A[0] @ start
+    transfer, spaces, start = problem.transfer, problem.half_spaces, problem.start
+    model, limit = transfer.model, transfer.control_limit
+    (T, n, m), U = model.B.shape, limit.most
+    N, states, rows = T * m, T * n, len(spaces.rhs)
+    # x[k+1] − A[k] x[k] − B[k] u[k] = z[k]
+    on_controls = block_diag(list(U * model.B * limit.shares), format="csc")
+    later = block_diag([np.zeros((n, n)), *model.A[1:]], format="coo")
+    below = later.data, (later.coords[0], later.coords[1] - n)
+    motion = eye_array(states, format="csc") - csc_array(_keep(below), shape=(states, states))
+    begin = model.z.copy()
+    begin[0] += model.A[0] @ start
+    response, factor = transfer.response_matrices
     whitening = np.linalg.inv(factor)
-    reach = csc_array(whitening @ R[T])
-    goal = whitening @ (problem.goal - transfer.coast(start)[T]) / U
-
-    count = len(spaces.rhs)
-    row, k = np.arange(count), spaces.step_index
-    held = k == 0
-    on_start = np.where(held, spaces.state_coeffs @ start, 0.0)
-    space_x = _scatter(np.where(held[:, None], 0.0, spaces.state_coeffs), row, (k - 1) * n, T * n)
-    space_u = _scatter(U * spaces.control_coeffs * limit.shares, row, k * m, N)
-
+    reach, goal = csc_array(whitening @ response[T]), problem.goal - transfer.coast(start)[T]
+    # Half-spaces at the start constrain its control alone.
+    is_first, instant = spaces.step_index == 0, spaces.step_index * n
+    known = np.where(is_first, spaces.state_coeffs @ start, 0.0)
+    coeffs = np.where(is_first[:, None], 0.0, spaces.state_coeffs)
+    on_x = _place(coeffs, np.maximum(instant - n, 0), states)
+    on_u = _place(U * spaces.control_coeffs * limit.shares, spaces.step_index * m, N)
     unit = np.broadcast_to(np.eye(m), (len(limited), m, m))
-    blocks, speed_rhs = transfer.speed_limit.constrain(unit, np.zeros((len(limited), m)))
-    per = len(blocks) // max(len(limited), 1)
-    at = np.repeat((limited - 1) * n + m, per)
-    speed_x = -_scatter(blocks, np.arange(len(blocks)), at, T * n)
-    is_cone = transfer.speed_limit.faces is None
-    linear, cones = (0, len(blocks)) if is_cone else (len(blocks), 0)
-
-    bounds_u = block_array([[eye_array(2 * N)], [-eye_array(2 * N)]])
-    parts = [
-        [-motion_u, motion_u, motion_x],
-        [reach, -reach, None],
-        [-space_u, space_u, -space_x],
-    ]
-    speeds = [[csc_array((len(blocks), N))] * 2 + [speed_x]] if len(blocks) else []
-    top = block_array([*parts, *(speeds if linear else [])], format="csc")
-    middle = block_array([[bounds_u, csc_array((4 * N, T * n))]], format="csc")
-    bottom = [block_array(speeds, format="csc")] if cones else []
-    from scipy.sparse import vstack
-
-    A = vstack([top, middle, *bottom], format="csc")
-    bounds = np.concatenate([np.ones(2 * N), np.zeros(2 * N)])
-    b = np.concatenate([
-        first.ravel(), goal, on_start - spaces.rhs, speed_rhs[:linear], bounds, speed_rhs[linear:]
-    ])  # fmt: skip
+    speed, speed_rhs = transfer.speed_limit.constrain(unit, np.zeros((len(limited), m)))
+    first = np.repeat((limited - 1) * n + m, len(speed) // max(len(limited), 1))
+    speed_x, none = _place(-speed, first, states), csc_array((len(speed), N))
+    cones = len(speed) if transfer.speed_limit.faces is None else 0
+    bounds = np.vstack([np.ones((2 * N, 1)), np.zeros((2 * N, 1))]).ravel()
+    limits = [[eye_array(N), None, None], [None, eye_array(N), None]]
+    limits += [[-eye_array(N), None, None], [None, -eye_array(N), None]]
+    A = block_array(
+        [
+            [-on_controls, on_controls, motion],
+            [reach, -reach, csc_array((n, states))],
+            [-on_u, on_u, -on_x],
+            *limits,
+            [none, none, speed_x],
+        ],
+        format="csc",
+    )
+    b = [begin.ravel(), whitening @ goal / U, known - spaces.rhs, bounds, speed_rhs]
     weights = np.repeat(transfer.weights, m) * np.tile(limit.shares, T)
-    q = np.concatenate([np.tile(U * model.dt * weights, 2), np.zeros(T * n)])
-    nonnegative = count + linear + len(bounds)
-    return ConicProgram(q, A, b, T * n + n, nonnegative, (m + 1,) * (cones // (m + 1)))
+    q = np.concatenate([np.tile(U * model.dt * weights, 2), np.zeros(states)])
+    nonnegative, sizes = rows + 4 * N + len(speed) - cones, (m + 1,) * (cones // (m + 1))
+    return ConicProgram(q, A, np.concatenate(b), states + n, nonnegative, sizes)
 
 
-def _scatter(blocks: Array, row: Array, column: Array, width: int) -> csc_array:
-    """Place the entries of rows at columns from one on."""
-    own = np.arange(blocks.shape[1])
-    rows, columns = np.repeat(row, len(own)), (np.maximum(column, 0)[:, None] + own).ravel()
-    return csc_array(coo_array((blocks.ravel(), (rows, columns)), shape=(len(blocks), width)))
+def _keep(entries: tuple[Array, tuple[Array, Array]]) -> tuple[Array, tuple[Array, Array]]:
+    data, (row, column) = entries
+    there = column >= 0
+    return data[there], (row[there], column[there])
+
+
+def _place(rows: Float[Array, "k entries"], first: Int[Array, " k"], width: int) -> csc_array:
+    """Place the entries of each row side by side, from a column on."""
+    count, size = rows.shape
+    row, column = np.repeat(np.arange(count), size), (first[:, None] + np.arange(size)).ravel()
+    return csc_array(coo_array((rows.ravel(), (row, column)), shape=(count, width)))

@@ -89,6 +89,14 @@ def crowded(rng):
     return make_mission(spread(rng, 6, box=2.5), leg, assignment="given", **ahead)
 
 
+def exchanged(rng):
+    # Two pairs pass through each other, in hardly more time than each takes alone.
+    block = np.array([[2.0, 0.0], [2.0, 0.6]])
+    start = np.vstack([block, block * [-1, 1]])
+    leg = sato.Leg(listed(start * [-1, 1]), "auto", time_factor=1.1)
+    return make_mission(start, leg, assignment="given", comm_radius=6.0)
+
+
 def warm_started(rng):
     start = 2 * row(5, 0.0)  # programs that differ in b alone
     leg = sato.Leg(start + np.array([0.0, 4.0]) + rng.normal(0.0, 0.1, (5, 2)), 12)
@@ -105,7 +113,7 @@ def warm_started(rng):
 MISSIONS = [disturbed, disconnected, varying, hurried, orbiting, given, warm_started]
 
 
-@pytest.mark.parametrize("draw", [*MISSIONS, crowded])
+@pytest.mark.parametrize("draw", [*MISSIONS, crowded, exchanged])
 def test_agents_fly_as_the_loop_does(rng, draw):
     mission = draw(rng)
     frames = list(simulate(mission, np.random.default_rng(1)))[:40]

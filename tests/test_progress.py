@@ -6,6 +6,9 @@ from planner_examples import continuous_separation, random_swarm
 from reconfiguration_runs import make_mission
 
 import sato
+from problems.avoidance import AvoidanceProblem
+from problems.conic import Unsolved
+from problems.convexify import choose_normals, convexify
 from sato import Leg, Points
 from sato.network.graph import CommunicationGraph
 from sato.scp.halfway import meet_halfway, push_apart
@@ -24,10 +27,6 @@ def circle(count, radius):
     return radius * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-def least_ratio(run):
-    return run.check().separation_ratio
-
-
 def arrives(run, mission):
     ends = run.data.position.values[-1], mission.legs[0].targets[:, : mission.axes]
     np.testing.assert_allclose(*ends, atol=1e-4)
@@ -35,7 +34,7 @@ def arrives(run, mission):
     return run.summary
 
 
-def test_vehicles_on_a_circle_exchange_sides_in_time_at_a_quarter_more():
+def test_vehicles_on_a_circle_exchange_sides_in_time():
     mission = exchange(circle(8, 4.0), 48)
     summary = arrives(sato.run(mission), mission)
     assert summary["legs"][0]["resets"] == 0
@@ -50,3 +49,55 @@ def test_pair_that_meets_in_a_lane_of_parked_vehicles_passes():
     target = np.vstack([-pair, *walls])
     mission = make_mission(start, Leg(Points(target, keep_order=True), 40), **FAR)
     arrives(sato.run(mission), mission)
+
+
+def test_two_that_meet_head_on_are_pushed_to_their_right():
+    path = np.column_stack([np.linspace(-2, 2, 41), np.zeros(41)])
+    for own, other in ((path, -path), (-path, path)):
+        (push,) = push_apart((own - other)[None], np.array([R]))
+        way = own[-1] - own[0]
+        right = np.array([way[1], -way[0]]) / np.linalg.norm(way)
+        assert (push @ right).max() == pytest.approx(R)
+        assert (push @ right).min() >= 0 and np.abs(push @ way).max() <= 1e-12
+
+
+@pytest.mark.parametrize("axes", [2, 3])
+def test_agents_that_meet_halfway_keep_their_distance_and_arrive(rng, axes):
+    met = 0
+    for _ in range(4):
+        planners = random_swarm(rng, 4, axes)
+        graph = CommunicationGraph(~np.eye(4, dtype=bool), np.ones(4, dtype=bool))
+        found, _ = meet_halfway(planners, graph)
+        if all(agent.has_converged for agent in found.values()):
+            assert continuous_separation(found) >= R * (1 - 1e-9)
+            assert all(agent.reaches_target(agent.nominal) for agent in found.values())
+            met += any(found[i].nominal is not planners[i].solo for i in found)
+    assert met
+
+
+def test_program_with_states_has_the_fuel_of_the_one_without(rng):
+    compared = 0
+    for _ in range(6):
+        swarm = random_swarm(rng, 2)
+        agent, other = swarm[0], swarm[1]
+        problems = []
+        for is_sparse in (False, True):
+            normal = choose_normals(
+                agent.control_points[None] - other.control_points, np.array([1.05 * R])
+            )
+            walls = convexify(
+                agent.horizon, len(agent.nominal.u), other.control_points[None], normal
+            )
+            own = agent.transfer, agent.nominal.x[0], agent.target_state, walls
+            problems.append(AvoidanceProblem(*own, is_sparse=is_sparse))
+        try:
+            whole = problems[0].solve()
+        except Unsolved:
+            continue
+        sparse = problems[1].solve()
+        weights = np.repeat(agent.transfer.weights, 2)
+        cost = [weights @ np.abs(each.trajectory.u).ravel() for each in (whole, sparse)]
+        assert cost[1] == pytest.approx(cost[0], rel=1e-5)
+        assert sparse.slack <= 1e-6 and sparse.terminal_error <= 1e-6
+        compared += 1
+    assert compared >= 3

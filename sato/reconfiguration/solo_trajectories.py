@@ -43,7 +43,9 @@ def solve_solo_trajectories(
     targets = context.leg.targets[context.memory.target_index[agents]]
     solvers = [context.solver_of(i) for i in agents]
     shared = context.make_transfer(model, agents[0], TIE_BREAK_RISE)
-    found = _keep_plans(shared, state, previous) if mission.keeps_plans else [None] * len(agents)
+    found: list[Trajectory | None] = [None] * len(agents)
+    if mission.keeps_plans:
+        found = _keep_plans(shared, state, previous)
     new = [row for row, kept in enumerate(found) if kept is None]
     own = state[new], targets[new], [solvers[row] for row in new]
     solved, solves = solve_solo_transfers(shared, *own)

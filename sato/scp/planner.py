@@ -34,6 +34,7 @@ RELAXATION_ORDER: tuple[tuple[Relaxation, convexify.PassingSide, bool], ...] = (
 FEASIBILITY_TOLERANCE = 1e-6  # of R: smaller violations and terminal errors count as none
 RELAXATIONS_IN_TURN = (RELAXATION_ORDER[0], RELAXATION_ORDER[2])  # where all can wait
 MAX_SOLVES_IN_TURN = 4
+SPARSE_STEPS = 24  # with which programs that have the states as unknowns are faster
 MAX_SOLVES = 20  # programs, after which an agent stops improving (Proposition 4 keeps it safe)
 
 
@@ -300,7 +301,8 @@ def _solve_active_set(
             np.where(active, 0.0, violation), VIOLATION_TOLERANCE * R
         )
         rows, solver = half_spaces.select(active), agent.solver
-        problem = AvoidanceProblem(transfer, nominal.x[0], target, rows, solver)
+        is_sparse = agent.in_turn and len(nominal.u) >= SPARSE_STEPS
+        problem = AvoidanceProblem(transfer, nominal.x[0], target, rows, solver, is_sparse)
         result = problem.solve(relaxation)
         trajectory = result.trajectory
         violation = half_spaces.violation(trajectory.x, trajectory.u)
