@@ -128,7 +128,7 @@ class Reconfiguration(vehicles.Vehicles, Mission):
     foresight_steps: Annotated[
         Count | None,
         PLAN,
-        "steps it looks ahead among agents in hearing; if absent, 0, in orbit and for kept plans the leg",
+        "steps it looks ahead in hearing; if absent, 0, in orbit and for kept plans the leg",
     ] = None
     orders: Annotated[Steps, PLAN, "orders of priority that each plan tries"] = 1
     bargains: Annotated[Count, PLAN, "sweeps of negotiation in pairs; with orders above 1"] = 0
