@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from dynamics import DiscreteModel
@@ -23,6 +23,7 @@ ControlPoints = Float[Array, "*pairs 4 d"]  # of relative trajectories
 Separation = float | Float[Array, " others"]  # of all others, or of each [m]
 PassingSide = Literal["same", "opposite", "above", "below"]
 
+MAX_COORDINATES = 1_000_000  # of pairs of paths that are compared at once
 SEPARATION_TOLERANCE = 1e-6  # part of R that planned trajectories keep in addition
 
 
@@ -139,6 +140,29 @@ def are_balls_separated(relative: ControlPoints, radius: Separation) -> Bool[Arr
     reach = np.einsum("...id,...id->...i", offset, offset).max(axis=-1) ** 0.5
     room = np.einsum("...d,...d->...", middle, middle) ** 0.5 - reach
     return np.asarray(room >= _per_piece(radius, room))
+
+
+def are_pairs_separated(
+    paths: Float[Array, "k pieces 4 d"],
+    i: Int[Array, " pairs"],
+    j: Int[Array, " pairs"],
+    radius: Float[Array, " pairs"],
+) -> Bool[Array, "pairs pieces"]:
+    """Return `are_hulls_separated` of each piece for pairs of paths, in little memory.
+
+    Args:
+        paths: Control points [m].
+        i: First path of each pair.
+        j: Second one.
+        radius: Distance that each pair keeps [m].
+    """
+    separated = np.empty((len(i), paths.shape[1]), dtype=bool)
+    count = max(1, MAX_COORDINATES // max(1, paths[0].size)) if len(paths) else 1
+    for begin in range(0, len(i), count):
+        some = slice(begin, begin + count)
+        relative = paths[i[some]] - paths[j[some]]
+        separated[some] = are_hulls_separated(relative, radius[some])
+    return separated
 
 
 def enclosing_balls(

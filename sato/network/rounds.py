@@ -16,6 +16,9 @@ its definition by messages, in `network.flooding`, `auctions.bidder`, `scp.plann
     flood, then sort            schedule_turns
     VsdaaBidder, CbaaBidder     auctions.vsdaa, auctions.cbaa
     update_planner              scp.exchange.run_batched
+    Bending, Meeting            scp.halfway.meet_halfway
+    Choosing, Turns             reconfiguration.commitment.commit
+    Holding, Choosing           reconfiguration.orbital_commitment.commit_in_orbit
     Agent                       assignment.assign_targets, planning.plan_trajectories
 """
 

@@ -35,7 +35,6 @@ from sato.reconfiguration.stopping import (
 from sato.scp.planner import reaches_target
 
 MAX_PLAN_STEPS = 16  # of what is foreseen, to which agents commit at once
-PAIRS_AT_ONCE = 1000  # whose control points are compared
 ROUNDING = 1e-12  # relative, of distances that are computed twice
 
 
@@ -171,14 +170,8 @@ def are_clear(
     radius: Float[Array, " pairs"],
 ) -> Bool[Array, " pairs"]:
     """Find the pairs whose choices are clear of each other."""
-    is_clear = np.empty(len(i), dtype=bool)
-    for begin in range(0, len(i), PAIRS_AT_ONCE):
-        some = slice(begin, begin + PAIRS_AT_ONCE)
-        first, second = i[some], j[some]
-        relative = offers.paths[first, choice[first]] - offers.paths[second, choice[second]]
-        separated = convexify.are_hulls_separated(relative, radius[some])
-        is_clear[some] = separated.all(axis=-1)
-    return is_clear
+    paths = offers.paths[np.arange(len(choice)), choice]
+    return np.asarray(convexify.are_pairs_separated(paths, i, j, radius).all(axis=1))
 
 
 def next_choice(is_allowed: Bool[Array, " choices"], choice: int) -> int:

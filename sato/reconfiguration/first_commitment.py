@@ -22,6 +22,7 @@ from sato.reconfiguration.stopping import (
     REACH_TOLERANCE,
     Commitment,
     Commitments,
+    committed_controls,
     find_stop,
     held_controls,
     pad_controls,
@@ -32,7 +33,6 @@ from sato.scenario.errors import InputError, round_down, round_up
 from sato.scp.planner import PASSING_SIDES
 
 MAX_SWEEPS = 4  # in which each vehicle that meets another looks for another way to stop
-MAX_COORDINATES = 1_000_000  # of pairs of paths that are compared at once
 SLOWER = 2  # times the time of the slowest stop, in which all come to rest
 
 
@@ -184,8 +184,7 @@ def _drift_on(
 ) -> tuple[AvoidanceHorizon, Array]:
     """Return T_H steps, and control points over them, of agents in orbit that decide no more."""
     T, t = mission.horizon_steps, instant * mission.step
-    none = Commitment(instant, np.zeros((0, mission.axes)))
-    held = [committed.get(i, none).controls_from(instant)[:T] for i in agents.tolist()]
+    held = [committed_controls(mission, i, committed, instant)[:T] for i in agents.tolist()]
     u, horizon = pad_controls(held, T), divide_horizon(mission, t, T)
     x = simulate(mission, state, u, t, mission.step)
     return horizon, horizon.control_points(x, u)
@@ -278,10 +277,5 @@ def _find_meeting(
     radius = (clearance[i] + clearance[j]) / 2
     near = np.linalg.norm(middle[i] - middle[j], axis=1) <= extent[i] + extent[j] + radius
     i, j, radius = i[near], j[near], radius[near]
-    met, count = np.zeros(len(i), dtype=bool), max(1, MAX_COORDINATES // paths[0].size)
-    for k in range(0, len(i), count):
-        part = slice(k, k + count)
-        relative = paths[i[part]] - paths[j[part]]
-        is_clear = convexify.are_hulls_separated(relative, radius[part])
-        met[part] = ~is_clear.all(axis=-1)
+    met = ~convexify.are_pairs_separated(paths, i, j, radius).all(axis=1)
     return np.stack([i[met], j[met]], axis=1)

@@ -19,10 +19,10 @@ from numpy import ndarray as Array
 
 from dynamics.discretize import discretize_zoh
 from dynamics.model import ControlSamples, NonlinearModel, StateSamples
+from dynamics.trajectory_geometry import control_points
 from problems import convexify
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.commitment import (
-    PAIRS_AT_ONCE,
     Offers,
     are_clear,
     choose_offers,
@@ -34,7 +34,7 @@ from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.planning import Plan, Plans, divide_horizon
 from sato.reconfiguration.state import DecisionContext
-from sato.reconfiguration.stopping import Commitment, Commitments, pad_controls
+from sato.reconfiguration.stopping import Commitment, Commitments, committed_controls, pad_controls
 from sato.scenario.errors import InputError
 
 FREE_ORBITS = 2.0  # of free motion that are checked
@@ -53,9 +53,8 @@ def make_orbital_offers(
         heard_clock: Clock with the most time left in their component, as it was announced.
     """
     mission, agents = context.mission, np.array(list(plans))
-    none = Commitment(context.instant, np.zeros((0, mission.axes)))
     planned = [plan.trajectory.u for plan in plans.values()]
-    held = [committed.get(i, none).controls_from(context.instant) for i in plans]
+    held = [committed_controls(mission, i, committed, context.instant) for i in plans]
     # All of a component divide time alike. Given a target, an agent alone knows of its reset.
     clock = min(heard_clock, *context.memory.clock[agents].tolist())
     first = 0 if mission.assignment == "given" else clock
@@ -70,10 +69,11 @@ def make_orbital_offers(
     for a, plan in enumerate(plans.values()):
         if len(plan.trajectory.u) == steps and plan.target_index is not None:
             end[a, 0] = context.leg.targets[plan.target_index]
-    count, h = free_motion(mission, context.leg, end_as_asked(context))
+    count, h = free_motion(mission, context.leg, context.instant - context.step_index)
     rest = np.zeros((*u.shape[:2], count, mission.axes))
     free = simulate(mission, end, rest, context.time + steps * mission.step, h)
-    pieces = horizon.control_points(x, u), cubic_pieces(free, h)
+    d = mission.axes
+    pieces = horizon.control_points(x, u), control_points(free[..., :d], free[..., d:], h)
     return Offers(
         agents=agents,
         plan_steps=(steps, 0),
@@ -84,11 +84,6 @@ def make_orbital_offers(
         is_allowed=np.ones((len(agents), 2), dtype=bool),
         clearance=mission.own_clearances(horizon.clearance, agents),
     )
-
-
-def end_as_asked(context: DecisionContext) -> float:
-    """Return the time at which the leg ends as it is asked for [s]."""
-    return context.time + (context.leg.steps - context.step_index) * context.mission.step
 
 
 def fly_plans(
@@ -107,7 +102,7 @@ def fly_plans(
 
 
 @lru_cache(maxsize=16)
-def free_motion(mission: Reconfiguration, leg: Leg, t: float) -> tuple[int, float]:
+def free_motion(mission: Reconfiguration, leg: Leg, begun: int) -> tuple[int, float]:
     """Return into how many pieces the free motion that is checked is divided, and their length [s].
 
     It ends where the targets do not keep their distance themselves: after two orbits, or sooner
@@ -116,19 +111,16 @@ def free_motion(mission: Reconfiguration, leg: Leg, t: float) -> tuple[int, floa
     Args:
         mission: A drawn mission.
         leg: Its leg.
-        t: Time at which the leg would end as asked [s].
+        begun: Instant at which the leg began.
     """
     period = mission.orbital_period
     h = mission.step if period is None else period / PIECES_PER_ORBIT
     count = leg.steps if period is None else ceil(FREE_ORBITS * PIECES_PER_ORBIT)
-    rest = np.zeros((len(leg.targets), count, mission.axes))
-    paths = cubic_pieces(simulate(mission, leg.targets, rest, t, h), h)
-    i, j = np.triu_indices(len(paths), 1)
-    radius, clear = mission.largest_separation + mission.margin, np.ones(count, dtype=bool)
-    for begin in range(0, len(i), PAIRS_AT_ONCE):
-        some = slice(begin, begin + PAIRS_AT_ONCE)
-        relative = paths[i[some]] - paths[j[some]]
-        clear &= convexify.are_hulls_separated(relative, radius).all(axis=0)
+    rest, t = np.zeros((len(leg.targets), count, mission.axes)), (begun + leg.steps) * mission.step
+    x, d = simulate(mission, leg.targets, rest, t, h), mission.axes
+    paths, (i, j) = control_points(x[..., :d], x[..., d:], h), np.triu_indices(len(x), 1)
+    radius = np.full(len(i), mission.largest_separation + mission.margin)
+    clear = convexify.are_pairs_separated(paths, i, j, radius).all(axis=0)
     return count if clear.all() else int(clear.argmin()), h
 
 
@@ -169,15 +161,6 @@ def simulate_nonlinear(
         k4 = model.rate(s + h, x + h * k3, held)
         states.append(x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
     return np.stack(states, axis=-2)
-
-
-def cubic_pieces(x: StateSamples, h: float) -> Float[Array, "*agents pieces 4 d"]:
-    """Return the control points of the cubics through states at equal instants."""
-    d = x.shape[-1] // 2
-    p, third = x[..., :d], x[..., d:] * h / 3
-    before, after = p[..., :-1, :], p[..., 1:, :]
-    points = before, before + third[..., :-1, :], after - third[..., 1:, :], after
-    return np.stack(points, axis=-2)
 
 
 def give_up_unclear(offers: Offers, is_unclear: Bool[Array, " agents"]) -> Offers:

@@ -71,6 +71,15 @@ def end_at_rest(
     return np.vstack([u, stop_at_once(mission.control_limit(agent), final, mission.step)])
 
 
+def committed_controls(
+    mission: Reconfiguration, agent: int, committed: Commitments, instant: int
+) -> Float[Array, "T m"]:
+    """Return the controls that an agent has committed to, from an instant on; none without."""
+    if agent not in committed:
+        return np.zeros((0, mission.axes))
+    return committed[agent].controls_from(instant)
+
+
 def held_controls(
     mission: Reconfiguration,
     agent: int,
@@ -82,8 +91,7 @@ def held_controls(
 
     A speed that noise has left is lost as soon as the committed controls end.
     """
-    none = np.zeros((0, mission.axes))
-    held = committed[agent].controls_from(instant) if agent in committed else none
+    held = committed_controls(mission, agent, committed, instant)
     ends = int(np.flatnonzero(held.any(axis=1)).max(initial=-1)) + 1
     u = end_at_rest(mission, agent, velocity, held[:ends])
     return np.vstack([u, held[len(u) :]])
