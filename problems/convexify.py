@@ -165,6 +165,30 @@ def are_pairs_separated(
     return separated
 
 
+def are_paths_separated(
+    paths: Float[Array, "k pieces 4 d"],
+    i: Int[Array, " pairs"],
+    j: Int[Array, " pairs"],
+    radius: Float[Array, " pairs"],
+) -> Bool[Array, " pairs"]:
+    """Return True where all pieces of a pair are separated; far pairs are found by balls.
+
+    Args:
+        paths: Control points [m].
+        i: First path of each pair.
+        j: Second one.
+        radius: Distance that each pair keeps [m].
+    """
+    if not len(i):
+        return np.ones(0, dtype=bool)
+    middle, extent = enclosing_balls(paths)
+    apart = np.linalg.norm(middle[i] - middle[j], axis=1)
+    separated = np.asarray(apart > extent[i] + extent[j] + radius)
+    near = np.flatnonzero(~separated)
+    separated[near] = are_pairs_separated(paths, i[near], j[near], radius[near]).all(axis=1)
+    return separated
+
+
 def enclosing_balls(
     paths: Float[Array, "k *points d"],
 ) -> tuple[Float[Array, "k d"], Float[Array, " k"]]:

@@ -166,7 +166,7 @@ def test_agents_send_the_messages_that_batched_rounds_compute(rng, draw, monkeyp
     monkeypatch.setattr(planning, "resolve_conflicts", record_exchange)
     frames = simulate(mission, np.random.default_rng(1))
     compared = 0
-    for _, (_, _, agents, _, rounds) in zip(range(10), fly_by_messages(mission, 1), strict=False):
+    for _, (_, _, agents, _, rounds) in zip(range(40), fly_by_messages(mission, 1), strict=False):
         auctions.clear()
         exchanges.clear()
         next(frames)
@@ -180,6 +180,7 @@ def test_agents_send_the_messages_that_batched_rounds_compute(rng, draw, monkeyp
                     )
                     for history in heard
                 )
+                compared += len(own) - 1
             for own in by_stage(rounds, i, ExchangeMessage):
                 (history,) = [exchange for exchange in exchanges if i in exchange[0]]
                 for (sent, _), planners in zip(own[1:], history, strict=False):

@@ -218,7 +218,7 @@ class Decision(NamedTuple):
         diameter = census.message.max_eccentricity
         heard_clock = min(hello.clock for hello in reports)
         decision = self._replace(members=members, diameter=diameter, heard_clock=heard_clock)
-        if not has_joined and k % mission.auction_steps:
+        if not has_joined and k % mission.assignment_steps:
             return decision._begin_exchange()
         if mission.assignment == "given":
             return decision._take_given(reports)._begin_exchange()

@@ -26,7 +26,7 @@ def set_back(context: DecisionContext, is_late: Bool[Array, " agents"]) -> Int[A
         is_late: True for vehicles that cannot arrive in the time that is left.
     """
     clock, steps = np.where(is_late, 0, context.memory.clock), context.leg.steps
-    if context.mission.keeps_plans:
+    if context.mission.has_own_clocks:
         for i in np.flatnonzero(is_late).tolist():
             clock[i] = max(0, steps - ceil(TIME_FACTOR * _count_steps(context, i)))
     return np.asarray(clock)
@@ -60,10 +60,10 @@ def wait(
         has_plan: True for vehicles with a plan that leads to their targets.
     """
     clock, mission, steps = context.memory.clock, context.mission, context.leg.steps
-    if not mission.keeps_plans:
+    if not mission.has_own_clocks:
         return clock
     later = np.where(clock == steps, np.minimum(heard, clock), clock)
-    later = np.where(has_plan, later, np.maximum(clock - mission.auction_steps, 0))
+    later = np.where(has_plan, later, np.maximum(clock - mission.assignment_steps, 0))
     return np.where(context.graph.alive, later, clock)
 
 

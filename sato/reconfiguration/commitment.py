@@ -23,6 +23,7 @@ from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.planning import Plan, Plans
 from sato.reconfiguration.state import DecisionContext
 from sato.reconfiguration.stopping import (
+    REACH_TOLERANCE,
     Commitment,
     Commitments,
     end_at_rest,
@@ -65,22 +66,30 @@ def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) 
         committed: Committed trajectories; an agent without one stops at once.
     """
     mission, plan_steps = context.mission, _plan_steps(context)
-    each: list[list[Array]] = []
-    for i, plan in plans.items():
-        limit, velocity = mission.control_limit(i), context.state[i, mission.axes :]
-        rest = plan.controls_from(context.step_index)
-        begun = [limit.cut(rest[:q]) for q in plan_steps[:-1]]
-        begun = [end_at_rest(mission, i, velocity, u) for u in begun]
-        each.append([*begun, held_controls(mission, i, velocity, committed, context.instant)])
+    each: list[Array] = []
+    owner, index = list[int](), np.empty((len(plans), len(plan_steps)), dtype=int)
+    is_begun = np.zeros(index.shape, dtype=bool)
+    for row, (i, plan) in enumerate(plans.items()):
+        velocity, rest = context.state[i, mission.axes :], plan.controls_from(context.step_index)
+        index[row] = len(each)
+        each.append(held_controls(mission, i, velocity, committed, context.instant))
+        if not is_kept(context, plan):
+            lengths = np.minimum(plan_steps[:-1], len(rest))
+            is_begun[row, :-1] = lengths < _steps_within_reach(context, plan)
+            begun, places = np.unique(lengths[is_begun[row, :-1]], return_inverse=True)
+            index[row, is_begun[row]] = len(each) + places
+            rest = mission.control_limit(i).cut(rest)
+            each += [end_at_rest(mission, i, velocity, rest[:q]) for q in begun]
+        owner += [i] * (len(each) - len(owner))
     # An agent that has no steps left needs some to return to its target.
-    longest = [max(mission.horizon_steps, *map(len, own)) for own in each]
-    agents, steps = np.array(list(plans)), 1 + np.array(longest)
-    u = np.stack([pad_controls(own, int(steps.max())) for own in each])
+    lengths = np.maximum(mission.horizon_steps, [len(u) for u in each])
+    agents, steps = np.array(list(plans)), 1 + lengths[index].max(axis=1)
     horizon = stopping_horizon(mission, int(steps.max()))
-    start = np.repeat(context.state[agents][:, None], len(plan_steps), axis=1)
-    x = horizon.discrete_model.simulate(start, u)
-    paths = horizon.control_points(x, u)
-    is_allowed = stays_within_reach(mission, horizon, x[..., : mission.axes], paths)
+    controls = pad_controls(each, horizon.steps)
+    x = horizon.discrete_model.simulate(context.state[owner], controls)
+    points = horizon.control_points(x, controls)
+    is_near = stays_within_reach(mission, horizon, x[..., : mission.axes], points)
+    u, paths, is_allowed = controls[index], points[index], is_near[index] & is_begun
     # Fewer steps than until the next decision are for those that cannot stop within reach.
     is_whole = np.array(plan_steps) >= steps_to_next(context)
     has_whole = np.asarray(is_allowed[:, is_whole].any(axis=1))
@@ -90,9 +99,18 @@ def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) 
     for row, (i, plan) in enumerate(plans.items()):
         is_over = len(plan.trajectory.u) == 0
         is_late = is_over and not reaches_target(plan.trajectory, _rest(context, i), clearance[row])
-        if is_late or is_kept(context, plan):  # it is late, or has drifted: it takes a turn
+        if is_late:  # it is late, or has drifted: it takes a turn
             is_allowed[row, :-1] = False
     return Offers(agents, plan_steps, steps, horizon, u, paths, is_allowed, clearance)
+
+
+def _steps_within_reach(context: DecisionContext, plan: Plan) -> int:
+    """Return after how many steps a plan is out of reach of where it is now."""
+    mission, k = context.mission, context.step_index - plan.planned_at
+    position = plan.trajectory.x[k:, : mission.axes]
+    away = np.linalg.norm(position - position[0], axis=1)
+    reach = mission.reach_unheard(mission.margin) * (1 + REACH_TOLERANCE)
+    return int(np.append(away > reach, True).argmax())
 
 
 def _rest(context: DecisionContext, agent: int) -> Float[Array, " n"]:
@@ -171,7 +189,7 @@ def are_clear(
 ) -> Bool[Array, " pairs"]:
     """Find the pairs whose choices are clear of each other."""
     paths = offers.paths[np.arange(len(choice)), choice]
-    return np.asarray(convexify.are_pairs_separated(paths, i, j, radius).all(axis=1))
+    return convexify.are_paths_separated(paths, i, j, radius)
 
 
 def next_choice(is_allowed: Bool[Array, " choices"], choice: int) -> int:

@@ -274,8 +274,5 @@ def _find_meeting(
     most = 2 * float(extent.max()) + float(clearance.max())
     pairs = scipy.spatial.cKDTree(middle).query_pairs(most, output_type="ndarray")
     i, j = pairs[np.lexsort(pairs.T[::-1])].T
-    radius = (clearance[i] + clearance[j]) / 2
-    near = np.linalg.norm(middle[i] - middle[j], axis=1) <= extent[i] + extent[j] + radius
-    i, j, radius = i[near], j[near], radius[near]
-    met = ~convexify.are_pairs_separated(paths, i, j, radius).all(axis=1)
+    met = ~convexify.are_paths_separated(paths, i, j, (clearance[i] + clearance[j]) / 2)
     return np.stack([i[met], j[met]], axis=1)

@@ -151,7 +151,7 @@ class _Flight:
         is_due = graph.component_max(due.astype(int)).astype(bool)
         graph = graph.subgraph(is_due | (is_central and bool(is_due[graph.alive].any())))
         if k % self.mission.replan_steps == 0 and graph.alive.any():
-            decisions.append((graph, k % self.mission.auction_steps == 0))
+            decisions.append((graph, k % self.mission.assignment_steps == 0))
         return decisions
 
     def _decide(self, context: state.DecisionContext, bids: bool) -> None:

@@ -283,11 +283,20 @@ class Reconfiguration(vehicles.Vehicles, Mission):
     def keeps_plans(self) -> bool:
         """True where plans that are clear to their ends are flown to their ends.
 
-        Double integrators with given targets and without noise do: nothing changes what they
-        would fly.
+        Double integrators without noise do: nothing changes what they would fly.
         """
         is_exact = self.is_point_mass and self.flies_model and not self.has_noise
-        return is_exact and self.assignment == "given" and self.orders == 1
+        return is_exact and self.assignment != "central" and self.orders == 1
+
+    @property
+    def has_own_clocks(self) -> bool:
+        """True where each agent has a clock of its own, and not one with its component."""
+        return self.keeps_plans and self.assignment == "given"
+
+    @property
+    def assignment_steps(self) -> int:
+        """Steps between decisions on targets and clocks: all that plan again, for kept plans."""
+        return self.replan_steps if self.has_own_clocks else self.auction_steps
 
     @cached_property
     def initial_states(self) -> Float[Array, "agents n"]:

@@ -63,7 +63,7 @@ def is_planning_due(
     is_kept = (left < mission.freeze_steps) | mission.keeps_plans
     is_over = (left == 0) & ~(mission.is_point_mass and mission.has_noise)
     for i in np.flatnonzero(is_kept).tolist():
-        if mission.keeps_plans and _waits(mission, plans.get(i), k):
+        if mission.has_own_clocks and _waits(mission, plans.get(i), k):
             continue
         has_plan = remaining_controls(plans, i, memory, k, steps) is not None
         is_kept[i] = has_plan and (is_over[i] or k + left[i] <= plans[i].clear_until)
@@ -147,12 +147,13 @@ def plan_trajectories(
     heard = -graph.component_max(-(context.memory.clock if clocks is None else clocks))
     planners, unreachable, solo_count = plan_alone(context, spent, previous, heard)
     solve_count, rounds, resolved = solve_count + solo_count, 0, dict[int, Planner]()
-    if mission.keeps_plans:
-        planners, rounds = meet_halfway(planners, graph)
     for steps in sorted({planner.horizon.steps for planner in planners.values()}):
         alike = {i: planner for i, planner in planners.items() if planner.horizon.steps == steps}
+        bends = 0
+        if mission.keeps_plans:
+            alike, bends = meet_halfway(alike, graph)
         found = resolve_conflicts(alike, graph, mission.orders, mission.bargains)
-        solve_count, rounds = solve_count + found.solve_count, max(rounds, found.round_count)
+        solve_count, rounds = solve_count + found.solve_count, max(rounds, bends, found.round_count)
         resolved |= found.planners
     replan = {"solves": solve_count, "exchanges": rounds}
     N = len(mission.initial_states)
@@ -290,7 +291,7 @@ def plan_alone(
                 relinearize=partial(relinearize, context, transfer) if is_nonlinear else None,
                 in_turn=mission.keeps_plans,
             )
-            if rest is not None:
+            if rest is not None and not mission.keeps_plans:
                 # Begin with the previous plan, where it kept clear of an agent by another way.
                 prior = transfer.simulate(solo.x[0], rest)
                 if np.abs(prior.x - solo.x).max() > relative * clearance:

@@ -11,7 +11,7 @@ from dynamics.discretize import DiscreteModel, linearize_along
 from problems.auction_cost import solve_transfer
 from problems.minimum_fuel import solve_minimum_fuel
 from problems.solvers.verified import solve_program
-from problems.transfer import Solver, Trajectory, TransferProblem
+from problems.transfer import Solver, Trajectory, TransferProblem, compute_fuel
 from sato.reconfiguration.state import DecisionContext
 from sato.scp.planner import minimize_terminal_error
 
@@ -74,8 +74,15 @@ def _keep_plans(
     previous: list[Float[Array, "T m"] | None],
 ) -> list[Trajectory | None]:
     """Return the rests of previous plans; None where there is none."""
-    each = zip(start, previous, strict=True)
-    return [None if rest is None else transfer.simulate(x, rest) for x, rest in each]
+    kept: list[Trajectory | None] = [None] * len(previous)
+    rows = [row for row, rest in enumerate(previous) if rest is not None]
+    if rows:
+        u = np.stack([rest for rest in previous if rest is not None])
+        x = transfer.model.simulate(start[rows], u)
+        fuel = compute_fuel(u, transfer.model.dt, transfer.fuel_norm)
+        for row, *own, spent in zip(rows, x, u, fuel.tolist(), strict=True):
+            kept[row] = Trajectory(*own, spent)
+    return kept
 
 
 def solve_solo_transfers(

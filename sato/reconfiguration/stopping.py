@@ -122,11 +122,17 @@ def stays_within_reach(
     Two that do not hear each other then cannot meet before both have decided again.
     """
     reach = mission.reach_unheard(mission.margin) * (1 + REACH_TOLERANCE)
-    within = np.ones(position.shape[:-2], dtype=bool)
-    for k in range(horizon.steps):
-        later = paths[..., k * horizon.pieces_per_step :, :, :]
-        away = np.linalg.norm(later - position[..., k, None, None, :], axis=-1)
-        within &= away.max(axis=(-2, -1)) <= reach
+    # Most trajectories lie in a small box, or lead too far from where they begin.
+    size = np.linalg.norm(np.ptp(paths, axis=(-3, -2)), axis=-1)
+    away = np.linalg.norm(paths - position[..., :1, None, :], axis=-1).max(axis=(-2, -1))
+    within, is_open = np.asarray(size <= reach), np.asarray((size > reach) & (away <= reach))
+    instants, points = position[is_open], paths[is_open]
+    farthest = np.zeros(len(points))
+    for k in range(1, horizon.steps):
+        later = points[:, k * horizon.pieces_per_step :] - instants[:, k, None, None]
+        squares = np.einsum("apcd,apcd->apc", later, later)
+        farthest = np.maximum(farthest, squares.max(axis=(1, 2)))
+    within[is_open] = farthest <= reach**2
     return within
 
 

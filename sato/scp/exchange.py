@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from problems.convexify import are_hulls_separated
+from problems.convexify import are_paths_separated
 from sato.network.graph import CommunicationGraph
 from sato.network.rounds import run_round
 from sato.scp.planner import Planner, follows_solo, update_planner
@@ -38,14 +38,14 @@ def run_batched(
     now = [planners[i] for i in ids]
     if not now:
         return
-    own = np.array([agent.horizon.clearance for agent in now])
+    clearance = np.array([agent.horizon.clearance for agent in now])
     rank = np.empty(len(now), dtype=int)
     rank[sorted(range(len(now)), key=lambda k: now[k].priority)] = np.arange(len(now))
     above = graph.adjacency[np.ix_(ids, ids)] & (rank < rank[:, None])
     lower, upper = np.nonzero(above)
-    radius = (own[lower] + own[upper]) / 2
+    radius = (clearance[lower] + clearance[upper]) / 2
     paths = np.stack([agent.control_points for agent in now])
-    conflicts = np.asarray(~are_hulls_separated(paths[lower] - paths[upper], radius).all(axis=-1))
+    conflicts = ~are_paths_separated(paths, lower, upper, radius)
     final = np.zeros(len(now), dtype=bool)
     has_deviated = np.array([not follows_solo(agent) for agent in now])
     in_turn = np.array([agent.in_turn for agent in now])
@@ -66,7 +66,6 @@ def run_batched(
             now[k], final[k], paths[k] = after, after.is_final, after.control_points
             has_deviated[k] = not follows_solo(after)
         changed = moved[lower] | moved[upper]
-        conflicts[changed] = ~are_hulls_separated(
-            paths[lower[changed]] - paths[upper[changed]], radius[changed]
-        ).all(axis=-1)
+        own = lower[changed], upper[changed], radius[changed]
+        conflicts[changed] = ~are_paths_separated(paths, *own)
         yield dict(zip(ids, now, strict=True))

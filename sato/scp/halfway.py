@@ -9,14 +9,16 @@ at once: two that keep to their sides keep the distance.
 An agent gives way alone to those of a higher class of priority, and to none of a lower one.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import ceil, inf
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
+from scipy.spatial.distance import cdist
 
+from problems import convexify
 from sato.network.graph import CommunicationGraph
 from sato.network.rounds import run_round
 from sato.scp.planner import Planner, TrajectoryMessage, follows_solo, is_clear, solve_around
@@ -44,23 +46,66 @@ def meet_halfway(
 ) -> tuple[dict[int, Planner], int]:
     """Let all agents bend their paths and solve for trajectories, in rounds.
 
+    The batched equivalent of `halfway_stages`: agents that have nothing to change are left out.
+
     Args:
-        planners: Planner of each agent, by its number.
+        planners: Planner of each agent, by its number; of horizons with equal steps.
         graph: Communication graph.
 
     Returns:
         The planners, and the number of rounds.
     """
-    now, rounds = dict(planners), 0
-    while rounds < MAX_BENDS:
-        before, rounds = now, rounds + 1
-        now = run_round(graph, now, bend, {i: path_message(a) for i, a in now.items()})
-        if all(now[i] is before[i] for i in now):
-            break
-    for _ in range(MEETINGS):
-        messages = {i: agent.message for i, agent in now.items()}
-        now = run_round(graph, now, solve_halfway, messages)
-    return {i: come_after(agent) for i, agent in now.items()}, rounds + MEETINGS
+    now, bends = _repeat(MAX_BENDS, _bend_all, dict(planners), graph)
+    now, meetings = _repeat(MEETINGS, _solve_all, now, graph)
+    return {i: come_after(agent) for i, agent in now.items()}, bends + meetings
+
+
+def _repeat(
+    most: int,
+    update: Callable[[dict[int, Planner], CommunicationGraph], dict[int, Planner]],
+    now: dict[int, Planner],
+    graph: CommunicationGraph,
+) -> tuple[dict[int, Planner], int]:
+    """Repeat a round of messages until it changes nothing; return the number of rounds."""
+    for rounds in range(most):
+        updated = update(now, graph)
+        if all(updated[i] is now[i] for i in updated):
+            return now, rounds + 1
+        now = now | updated
+    return now, most
+
+
+def _bend_all(now: dict[int, Planner], graph: CommunicationGraph) -> dict[int, Planner]:
+    ids, paths, own = _stack_paths(now)
+    middle, extent = convexify.enclosing_balls(paths[:, :, 0])
+    apart = cdist(middle, middle)
+    most = extent[:, None] + extent + ROOM * (own[:, None] + own) / 2
+    near = graph.adjacency[np.ix_(ids, ids)] & (apart < most)
+    adjacency = np.zeros_like(graph.adjacency)
+    adjacency[np.ix_(ids, ids)] = near
+    heard = CommunicationGraph(adjacency, graph.alive)
+    acting = {i: now[i] for i, is_near in zip(ids, near.any(axis=1), strict=True) if is_near}
+    return run_round(heard, acting, bend, {i: path_message(now[i]) for i in acting})
+
+
+def _solve_all(now: dict[int, Planner], graph: CommunicationGraph) -> dict[int, Planner]:
+    ids, paths, own = _stack_paths(now)
+    rank = np.array([now[i].priority[0] for i in ids])
+    heard = graph.adjacency[np.ix_(ids, ids)]
+    i, j = np.nonzero(np.triu(heard))
+    meets = ~convexify.are_paths_separated(paths, i, j, (own[i] + own[j]) / 2)
+    i, j = i[meets], j[meets]
+    acts = np.array([not follows_solo(now[k]) for k in ids])
+    acts[i[rank[j] <= rank[i]]] = acts[j[rank[i] <= rank[j]]] = True
+    messages = {k: agent.message for k, agent in now.items()}
+    acting = {k: now[k] for k, is_acting in zip(ids, acts, strict=True) if is_acting}
+    return run_round(graph, acting, solve_halfway, messages)
+
+
+def _stack_paths(now: dict[int, Planner]) -> tuple[list[int], Array, Float[Array, " agents"]]:
+    """Return the agents' numbers, their control points and their clearances [m]."""
+    paths = np.stack([agent.control_points for agent in now.values()])
+    return list(now), paths, np.array([agent.horizon.clearance for agent in now.values()])
 
 
 def path_message(agent: Planner) -> PathMessage:
@@ -88,7 +133,7 @@ def bend(agent: Planner, inbox: Sequence[PathMessage]) -> Planner:
     wanted = np.minimum(ROOM * R, ends)[near]
     push = share[near, None, None] * push_apart(relative[near], wanted)
     count = np.maximum(push.any(axis=2).sum(axis=0), 1)
-    shift = _smooth(agent, push.sum(axis=0) / count[:, None], float(R.max()))
+    shift = _smooth(agent, push.sum(axis=0) / count[:, None], float(R[near].max()))
     return agent._replace(control_points=agent.control_points + _spread(shift), has_converged=False)
 
 

@@ -48,7 +48,7 @@ def check_target_counts(record: ReconfigurationRecord) -> Promise:
             expected[leg.leg_index, leg.alive] = leg.target_count[leg.alive]
         changes = np.diff(record.frames.target_count[leg.start_index : leg.end_index], axis=0)
         for k in np.flatnonzero(changes.any(axis=1)) + 1:
-            is_auction = k % record.mission.auction_steps == 0 or leg.start_index + k in joins
+            is_auction = k % record.mission.assignment_steps == 0 or leg.start_index + k in joins
             wrong += not is_auction
     wrong += int((expected != record.variables.targets_believed).sum())
     return expect_none("believed", wrong, "target counts against the auctions or the events")
