@@ -79,9 +79,9 @@ def _keep_plans(
     if rows:
         u = np.stack([rest for rest in previous if rest is not None])
         x = transfer.model.simulate(start[rows], u)
-        fuel = compute_fuel(u, transfer.model.dt, transfer.fuel_norm)
-        for row, *own, spent in zip(rows, x, u, fuel.tolist(), strict=True):
-            kept[row] = Trajectory(*own, spent)
+        fuel = np.asarray(compute_fuel(u, transfer.model.dt, transfer.fuel_norm))
+        for row, states, own, spent in zip(rows, x, u, fuel.tolist(), strict=True):
+            kept[row] = Trajectory(states, own, spent)
     return kept
 
 
