@@ -1,16 +1,26 @@
 """Avoidance problem with the states as unknowns: sparse, and so faster over many steps."""
 
-from typing import TYPE_CHECKING
+from functools import lru_cache
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
-from scipy.sparse import block_array, block_diag, coo_array, csc_array, eye_array
+from scipy.sparse import block_array, block_diag, coo_array, csr_array, eye_array, vstack
 
 from problems.conic import ConicProgram
+from problems.transfer import TransferProblem
 
 if TYPE_CHECKING:
     from problems.avoidance import AvoidanceProblem
+
+
+class _Rows(NamedTuple):
+    """Constraints that are the same whatever the start, the goal and the half-spaces."""
+
+    motion: csr_array  # and the arrival
+    limits: csr_array
+    whitening: Float[Array, "n n"]
 
 
 def assemble_sparse(problem: "AvoidanceProblem", limited: Int[Array, " instants"]) -> ConicProgram:
@@ -26,56 +36,58 @@ def assemble_sparse(problem: "AvoidanceProblem", limited: Int[Array, " instants"
     transfer, spaces, start = problem.transfer, problem.half_spaces, problem.start
     model, limit = transfer.model, transfer.control_limit
     (T, n, m), U = model.B.shape, limit.most
-    N, states, rows = T * m, T * n, len(spaces.rhs)
+    N, states, fixed = T * m, T * n, _assemble_rows(transfer)
     # x[k+1] − A[k] x[k] − B[k] u[k] = z[k]
-    on_controls = block_diag(list(U * model.B * limit.shares), format="csc")
-    later = block_diag([np.zeros((n, n)), *model.A[1:]], format="coo")
-    below = later.data, (later.coords[0], later.coords[1] - n)
-    motion = eye_array(states, format="csc") - csc_array(_keep(below), shape=(states, states))
     begin = model.z.copy()
     begin[0] += model.A[0] @ start
-    response, factor = transfer.response_matrices
-    whitening = np.linalg.inv(factor)
-    reach, goal = csc_array(whitening @ response[T]), problem.goal - transfer.coast(start)[T]
+    goal = fixed.whitening @ (problem.goal - transfer.coast(start)[T])
     # Half-spaces at the start constrain its control alone.
-    is_first, instant = spaces.step_index == 0, spaces.step_index * n
+    is_first = spaces.step_index == 0
     known = np.where(is_first, spaces.state_coeffs @ start, 0.0)
-    coeffs = np.where(is_first[:, None], 0.0, spaces.state_coeffs)
-    on_x = _place(coeffs, np.maximum(instant - n, 0), states)
-    on_u = _place(U * spaces.control_coeffs * limit.shares, spaces.step_index * m, N)
+    on_u = U * spaces.control_coeffs * limit.shares
+    on_x = np.where(is_first[:, None], 0.0, spaces.state_coeffs)
+    at_u, at_x = spaces.step_index * m, 2 * N + np.maximum(spaces.step_index - 1, 0) * n
+    avoid = _place([(-on_u, at_u), (on_u, N + at_u), (-on_x, at_x)], 2 * N + states)
     unit = np.broadcast_to(np.eye(m), (len(limited), m, m))
     speed, speed_rhs = transfer.speed_limit.constrain(unit, np.zeros((len(limited), m)))
-    first = np.repeat((limited - 1) * n + m, len(speed) // max(len(limited), 1))
-    speed_x, none = _place(-speed, first, states), csc_array((len(speed), N))
+    first = 2 * N + np.repeat((limited - 1) * n + m, len(speed) // max(len(limited), 1))
+    slow = _place([(-speed, first)], 2 * N + states)
     cones = len(speed) if transfer.speed_limit.faces is None else 0
-    bounds = np.vstack([np.ones((2 * N, 1)), np.zeros((2 * N, 1))]).ravel()
-    limits = [[eye_array(N), None, None], [None, eye_array(N), None]]
-    limits += [[-eye_array(N), None, None], [None, -eye_array(N), None]]
-    A = block_array(
-        [
-            [-on_controls, on_controls, motion],
-            [reach, -reach, csc_array((n, states))],
-            [-on_u, on_u, -on_x],
-            *limits,
-            [none, none, speed_x],
-        ],
-        format="csc",
-    )
-    b = [begin.ravel(), whitening @ goal / U, known - spaces.rhs, bounds, speed_rhs]
+    A = vstack([fixed.motion, avoid, fixed.limits, slow], format="csc")
+    bounds = np.repeat([1.0, 0.0], 2 * N)
+    b = [begin.ravel(), goal / U, known - spaces.rhs, bounds, speed_rhs]
     weights = np.repeat(transfer.weights, m) * np.tile(limit.shares, T)
     q = np.concatenate([np.tile(U * model.dt * weights, 2), np.zeros(states)])
-    nonnegative, sizes = rows + 4 * N + len(speed) - cones, (m + 1,) * (cones // (m + 1))
+    nonnegative, sizes = len(known) + 4 * N + len(speed) - cones, (m + 1,) * (cones // (m + 1))
     return ConicProgram(q, A, np.concatenate(b), states + n, nonnegative, sizes)
 
 
-def _keep(entries: tuple[Array, tuple[Array, Array]]) -> tuple[Array, tuple[Array, Array]]:
-    data, (row, column) = entries
-    there = column >= 0
-    return data[there], (row[there], column[there])
+@lru_cache(maxsize=64)
+def _assemble_rows(transfer: TransferProblem) -> _Rows:
+    model, limit = transfer.model, transfer.control_limit
+    (T, n, m), U = model.B.shape, limit.most
+    N, states = T * m, T * n
+    on_controls = block_diag(list(U * model.B * limit.shares))
+    later = block_diag([np.zeros((n, n)), *model.A[1:]], format="coo")
+    is_there = later.coords[1] >= n
+    place = later.coords[0][is_there], later.coords[1][is_there] - n
+    motion = eye_array(states) - coo_array((later.data[is_there], place), shape=(states, states))
+    response, factor = transfer.response_matrices
+    whitening = np.linalg.inv(factor)
+    reach = coo_array(whitening @ response[T])
+    rows = [[-on_controls, on_controls, motion], [reach, -reach, coo_array((n, states))]]
+    controls, none = eye_array(2 * N), coo_array((2 * N, states))
+    limits = [[controls, none], [-controls, none]]
+    return _Rows(block_array(rows, format="csr"), block_array(limits, format="csr"), whitening)
 
 
-def _place(rows: Float[Array, "k entries"], first: Int[Array, " k"], width: int) -> csc_array:
-    """Place the entries of each row side by side, from a column on."""
-    count, size = rows.shape
-    row, column = np.repeat(np.arange(count), size), (first[:, None] + np.arange(size)).ravel()
-    return csc_array(coo_array((rows.ravel(), (row, column)), shape=(count, width)))
+def _place(
+    blocks: list[tuple[Float[Array, "k _"], Int[Array, " k"]]], width: int
+) -> csr_array:
+    """Place the entries of each row of some blocks side by side, from a column on."""
+    data = np.hstack([entries for entries, _ in blocks])
+    column = np.hstack([first[:, None] + np.arange(own.shape[1]) for own, first in blocks])
+    return csr_array(
+        (data.ravel(), column.ravel(), np.arange(0, data.size + 1, data.shape[1])),
+        shape=(len(data), width),
+    )

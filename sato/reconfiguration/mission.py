@@ -296,7 +296,7 @@ class Reconfiguration(vehicles.Vehicles, Mission):
     @property
     def assignment_steps(self) -> int:
         """Steps between decisions on targets and clocks: all that plan again, for kept plans."""
-        return self.replan_steps if self.has_own_clocks else self.auction_steps
+        return self.replan_steps if self.keeps_plans else self.auction_steps
 
     @cached_property
     def initial_states(self) -> Float[Array, "agents n"]:

@@ -66,8 +66,14 @@ def is_planning_due(
         if mission.has_own_clocks and _waits(mission, plans.get(i), k):
             continue
         has_plan = remaining_controls(plans, i, memory, k, steps) is not None
-        is_kept[i] = has_plan and (is_over[i] or k + left[i] <= plans[i].clear_until)
+        is_kept[i] = has_plan and (is_over[i] or _is_clear(mission, plans[i], k, int(left[i])))
     return np.asarray(~is_kept)
+
+
+def _is_clear(mission: Reconfiguration, plan: Plan, k: int, left: int) -> bool:
+    # To its end; or, where it is replaced before that, for as long as it has been flown.
+    ahead = min(left, k - plan.planned_at + 1) if mission.keeps_plans else left
+    return k + ahead <= plan.clear_until
 
 
 def _waits(mission: Reconfiguration, plan: Plan | None, k: int) -> bool:
