@@ -33,11 +33,11 @@ def judge_letters(run: sato.Run) -> dict[str, Any]:
     """Judge a flight of the letters, a loss before the third leg."""
     summary, legs = run.summary, run.summary["legs"]
     lost = sum(len(event["agents"]) for event in run.events("loss"))
-    share = run.mission.legs[2].losses[0].share
+    share, least = run.mission.legs[2].losses[0].share, run.mission.start.min_components
     holes = [0, 0, 123 - (summary["agents"] - lost), 0]
     good = {
-        "scattered at the start": legs[0]["components_at_start"] >= 5,
-        "split by the loss": share < 0.25 or legs[2]["components_at_start"] >= 2,
+        "scattered at the start": legs[0]["components_at_start"] >= least,
+        "split by the loss": share < 0.25 or legs[2]["components_at_start"] >= min(2, least),
         "reached": all(leg["reached"] and not leg["duplicates"] for leg in legs),
         "holes": [leg["holes"] for leg in legs] == holes,
         "gap": legs[3]["gap"] <= 1.5,
