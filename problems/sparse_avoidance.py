@@ -81,9 +81,7 @@ def _assemble_rows(transfer: TransferProblem) -> _Rows:
     return _Rows(block_array(rows, format="csr"), block_array(limits, format="csr"), whitening)
 
 
-def _place(
-    blocks: list[tuple[Float[Array, "k _"], Int[Array, " k"]]], width: int
-) -> csr_array:
+def _place(blocks: list[tuple[Float[Array, "k _"], Int[Array, " k"]]], width: int) -> csr_array:
     """Place the entries of each row of some blocks side by side, from a column on."""
     data = np.hstack([entries for entries, _ in blocks])
     column = np.hstack([first[:, None] + np.arange(own.shape[1]) for own, first in blocks])

@@ -12,7 +12,7 @@ from problems.transfer import Trajectory, TransferProblem
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.leg import Join, Loss
 from sato.reconfiguration.loop import simulate
-from sato.reconfiguration.planning import Plan, plan_trajectories
+from sato.reconfiguration.planning import Plan, give_up_missed, plan_trajectories
 from sato.reconfiguration.solo_trajectories import TIE_BREAK_RISE, solve_solo_transfers
 from sato.reconfiguration.state import AgentMemory, DecisionContext
 from sato.reconfiguration.stopping import Commitment, controls_at
@@ -210,15 +210,15 @@ def test_auction_as_printed_reaches_all_targets():
     assert_reached(mission, fly(mission))
 
 
-def test_loss_is_noticed_at_the_next_auction():
+def test_loss_is_noticed_at_the_next_decision():
     # Silence is all there is to hear: until then no agent changes its control.
     loss = Loss("agents", agents=(2,), at_step=9)
     legs = [leg_to(at_rest(row(6, 4.0)), 40, losses=losses) for losses in (loss, ())]
     with_loss, without = (fly(make_mission(row(6, 0.0), leg, reset="change")) for leg in legs)
     others = [0, 1, 3, 4, 5]
-    for k in range(12):
+    for k in range(10):
         np.testing.assert_array_equal(with_loss[k].control[others], without[k].control[others])
-    assert "reset" in [e["kind"] for e in with_loss[12].events]
+    assert "reset" in [e["kind"] for e in with_loss[10].events]
 
 
 def test_flight_ends_when_all_agents_are_lost():
@@ -287,9 +287,8 @@ def test_batched_solo_trajectories_equal_single_transfers(rng):
 def test_agent_that_burned_more_or_was_held_up_has_priority(first, was_kept_from_its_target):
     # [Morgan2016, Remark 5]: two vehicles that must exchange places head-on.
     start = np.array([[-2.0, 0.0], [2.0, 0.0]])
-    mission = make_mission(
-        start, leg_to(at_rest(start[::-1]), 20), horizon_steps=20, comm_radius=20.0
-    )
+    leg, options = leg_to(at_rest(start[::-1]), 20), {"horizon_steps": 20, "comm_radius": 20.0}
+    mission = make_mission(start, leg, assignment="central", **options)
     graph = CommunicationGraph.from_positions(start, 10.0, np.ones(2, dtype=bool))
     memory = replace(AgentMemory.initial(np.full(2, 2)), target_index=np.array([0, 1]))
     leg, x = mission.legs[0], mission.initial_states
@@ -302,6 +301,15 @@ def test_agent_that_burned_more_or_was_held_up_has_priority(first, was_kept_from
     plans, _ = plan_trajectories(context, fuel_used, previous)
     sideways = [np.abs(plans[i].trajectory.x[:, 1]).max() for i in range(2)]
     assert sideways[first] < 1e-9 < 0.4 < sideways[1 - first]
+
+
+def test_plan_from_which_an_agent_has_strayed_is_given_up():
+    mission = make_mission(row(2, 0.0), leg_to(at_rest(row(2, 4.0)), 20))
+    x = np.linspace(mission.initial_states, mission.legs[0].targets, 21)
+    plans = {i: Plan(Trajectory(x[:, i], np.zeros((20, 2)), 0.0), i, 0, 20) for i in range(2)}
+    strayed = x[7] + [[0.0, 0.0, 0.0, 0.0], [0.0, 1e-3, 0.0, 0.0]]
+    left = give_up_missed(mission, plans, strayed, 7)
+    assert [left[i].target_index for i in range(2)] == [0, None]
 
 
 @pytest.mark.parametrize(("hearing", "foresight"), [(4.0, 40), (20.0, 0), (20.0, 40)])

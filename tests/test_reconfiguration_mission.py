@@ -320,7 +320,8 @@ def test_speed_limit_asks_for_time_at_ends_at_rest_only(v_start, v_end, rng):
 
 @pytest.mark.parametrize("freeze", [0, 4])
 def test_plans_that_reach_their_targets_are_kept_before_the_deadline(freeze):
-    mission = tiny(replan_steps=1, auction_steps=1, freeze_steps=freeze)
+    periods = {"replan_steps": 1, "auction_steps": 1}
+    mission = tiny(assignment="central", freeze_steps=freeze, **periods)
     frames = list(sato.simulate(mission, seed=1))
     planned = [k for k, f in enumerate(frames) for e in f.events if e["kind"] == "replan"]
     assert planned == list(range(20 - max(freeze - 1, 0)))

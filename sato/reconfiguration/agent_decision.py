@@ -104,11 +104,13 @@ class Decision(NamedTuple):
             joins: True where the agent calls for an auction at once.
         """
         mission, memory, k = context.mission, context.memory, context.step_index
+        plans = planning.give_up_missed(mission, plans, context.state, k)
         due = planning.is_planning_due(mission, plans, memory, k, context.leg.steps)
         step, target = (c[number].tolist() for c in (memory.claim_step, memory.claimed_target))
         claims = tuple((a, step[a], target[a]) for a in range(len(step)) if step[a] >= 0)
         clock = int(memory.clock[number])
-        hello = Hello(number, leg, bool(due[number]), joins, clock, claims)
+        bidders = int(memory.bidder_count[number])
+        hello = Hello(number, leg, bool(due[number]), joins, clock, bidders, claims)
         stage = Census(CensusMessage(frozenset([hello])))
         return cls(number, context, plans, committed, np.full(len(due), spent), stage)
 
@@ -211,7 +213,13 @@ class Decision(NamedTuple):
         reports = sorted(census.message.reports)
         check_census(reports)
         has_joined = any(hello.joins for hello in reports)
-        is_due = k % mission.replan_steps == 0 and any(hello.is_due for hello in reports)
+        bidders, size = (
+            np.array([hello.bidder_count for hello in reports]),
+            np.full(len(reports), len(reports)),
+        )
+        is_due = any(hello.is_due for hello in reports)
+        is_due |= bool(planning.has_changed_network(mission, bidders, size).any())
+        is_due &= k % mission.replan_steps == 0
         if not (is_due or has_joined):
             return self._replace(is_finished=True)
         members = tuple(hello.agent for hello in reports)

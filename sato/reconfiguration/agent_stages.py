@@ -28,6 +28,7 @@ class Hello(NamedTuple):
     is_due: bool  # it plans again, if this is an instant to plan
     joins: bool  # it calls for an auction at once
     clock: int
+    bidder_count: int  # in its last auction
     claims: tuple[tuple[int, int, int], ...]  # agent, step and target of each claim that it knows
 
 

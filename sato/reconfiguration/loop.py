@@ -76,6 +76,7 @@ class _Flight:
             graph, measured = self.make_graph(), measure(mission, self.x, self.rng)
             self.estimate = estimator.update(mission, self.estimate, measured)
             known = self.estimate.reference
+            self.plans = planning.give_up_missed(mission, self.plans, known, k)
             for deciding, bids in self._schedule_decisions(graph, joined, k):
                 time = self.step_index * mission.step
                 self._decide(
@@ -139,7 +140,7 @@ class _Flight:
         """Return the components that plan at a step, and whether they bid first.
 
         An agent that joins calls for an auction in its component at once; a loss is silence, and
-        is noticed when the next auction is due. A component that is about to arrive keeps its
+        is noticed when agents plan next. A component that is about to arrive keeps its
         plans: with so few steps left, a small correction takes much control.
         """
         decisions: list[tuple[CommunicationGraph, bool]] = []
@@ -148,6 +149,8 @@ class _Flight:
             beside = np.isin(graph.component, graph.component[joined]) | is_central
             decisions, graph = [(graph.subgraph(beside), True)], graph.subgraph(~beside)
         due = planning.is_planning_due(self.mission, self.plans, self.memory, k, self.leg.steps)
+        size = (graph.component[:, None] == graph.component).sum(axis=1)
+        due = due | planning.has_changed_network(self.mission, self.memory.bidder_count, size)
         is_due = graph.component_max(due.astype(int)).astype(bool)
         graph = graph.subgraph(is_due | (is_central and bool(is_due[graph.alive].any())))
         if k % self.mission.replan_steps == 0 and graph.alive.any():

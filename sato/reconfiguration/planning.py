@@ -70,6 +70,20 @@ def is_planning_due(
     return np.asarray(~is_kept)
 
 
+def has_changed_network(
+    mission: Reconfiguration, bidder_count: Int[Array, " agents"], size: Int[Array, " agents"]
+) -> Bool[Array, " agents"]:
+    """Find the agents that keep plans, and whose network is not the one that bid last.
+
+    Args:
+        mission: Whether targets are assigned by auction, and plans kept.
+        bidder_count: Bidders in the last auction of each agent; 0 before the first.
+        size: Agents in the network of each.
+    """
+    is_asked = mission.keeps_plans and mission.assignment == "auction"
+    return np.asarray(is_asked & (bidder_count > 0) & (bidder_count != size))
+
+
 def _is_clear(mission: Reconfiguration, plan: Plan, k: int, left: int) -> bool:
     # To its end; or, where it is replaced before that, for as long as it has been flown.
     ahead = min(left, k - plan.planned_at + 1) if mission.keeps_plans else left
@@ -82,6 +96,29 @@ def _waits(mission: Reconfiguration, plan: Plan | None, k: int) -> bool:
         return False
     periods = min(plan.failure_count, MAX_WAIT)
     return k < plan.planned_at + periods * mission.replan_steps
+
+
+def give_up_missed(
+    mission: Reconfiguration, plans: Plans, state: Float[Array, "agents n"], k: int
+) -> Plans:
+    """Give up plans that would be kept, but from which their agents have strayed.
+
+    No agent of a mission without noise strays, but one may fly in a world that is not as modeled.
+
+    Args:
+        mission: Whether plans are kept.
+        plans: Plans of the agents.
+        state: State of each.
+        k: Steps since the start of the leg.
+    """
+    if not mission.keeps_plans:
+        return plans
+    allowed, found = FEASIBILITY_TOLERANCE * mission.least_separation, dict(plans)
+    for i, plan in plans.items():
+        x = plan.trajectory.x[min(k - plan.planned_at, len(plan.trajectory.u))]
+        if plan.target_index is not None and np.abs(state[i] - x).max() > allowed:
+            found[i] = plan._replace(target_index=None)
+    return found
 
 
 def is_held(context: DecisionContext, plans: Plans, i: int) -> bool:

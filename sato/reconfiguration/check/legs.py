@@ -42,14 +42,15 @@ def check_assignment(record: ReconfigurationRecord) -> Promise:
 def check_target_counts(record: ReconfigurationRecord) -> Promise:
     """Check that target counts change in auctions only, and end as the events of legs say."""
     expected = np.full_like(record.variables.targets_believed, -1)
-    joins, wrong = {k for k, _ in record.events.of_kind("join")}, 0
+    joins, replans = ({k for k, _ in record.events.of_kind(kind)} for kind in ("join", "replan"))
+    wrong = 0
     for leg in record.leg_records:
         if leg.end_event is not None:
             expected[leg.leg_index, leg.alive] = leg.target_count[leg.alive]
         changes = np.diff(record.frames.target_count[leg.start_index : leg.end_index], axis=0)
         for k in np.flatnonzero(changes.any(axis=1)) + 1:
-            is_auction = k % record.mission.assignment_steps == 0 or leg.start_index + k in joins
-            wrong += not is_auction
+            is_due = k % record.mission.assignment_steps == 0 and leg.start_index + k in replans
+            wrong += not (is_due or leg.start_index + k in joins)
     wrong += int((expected != record.variables.targets_believed).sum())
     return expect_none("believed", wrong, "target counts against the auctions or the events")
 
