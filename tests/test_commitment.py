@@ -27,7 +27,7 @@ from sato.network.graph import CommunicationGraph
 from sato.reconfiguration import commitment, loop
 from sato.reconfiguration.agent_stages import Choosing
 from sato.reconfiguration.commitment import Offers, choose_offers, improve
-from sato.reconfiguration.planning import Plan
+from sato.reconfiguration.plan import Plan
 from sato.reconfiguration.state import AgentMemory, DecisionContext
 from sato.reconfiguration.stopping import stop_at_once, stopping_horizon
 

@@ -12,7 +12,8 @@ from problems.transfer import Trajectory, TransferProblem
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.leg import Join, Loss
 from sato.reconfiguration.loop import simulate
-from sato.reconfiguration.planning import Plan, give_up_missed, plan_trajectories
+from sato.reconfiguration.plan import Plan, give_up_missed
+from sato.reconfiguration.planning import plan_trajectories
 from sato.reconfiguration.solo_trajectories import TIE_BREAK_RISE, solve_solo_transfers
 from sato.reconfiguration.state import AgentMemory, DecisionContext
 from sato.reconfiguration.stopping import Commitment, controls_at

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from problems.conic import TOLERANCE
 from problems.solvers.verified import VerifiedSolver
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration import estimator, planning
+from sato.reconfiguration import estimator
 from sato.reconfiguration.agent_decision import Decision
 from sato.reconfiguration.agent_inputs import (
     AgentMessage,
@@ -27,6 +27,7 @@ from sato.reconfiguration.draw import draw_leg, is_drawn, with_targets
 from sato.reconfiguration.first_commitment import check_stops
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.plan import Plans, compute_spent
 from sato.reconfiguration.state import (
     AgentMemory,
     DecisionContext,
@@ -43,7 +44,7 @@ class FlightMemory(NamedTuple):
     leg: Leg  # under way
     believed: Int[Array, " rows"]  # number of agents it believes in
     memory: AgentMemory  # the row of its number counts
-    plans: planning.Plans  # empty, or its own
+    plans: Plans  # empty, or its own
     committed: Commitments  # empty, or its own
     estimate: estimator.Estimate  # of its state
     leg_start: int | None = None  # instant at which the leg began; None before
@@ -248,7 +249,7 @@ class Agent:
                 f"{flown.instant}: call it at every multiple of plan.step_s = {mission.step:g}"
             )
         self._require_finished()
-        spent = planning.compute_spent(mission, flown.control[None])
+        spent = compute_spent(mission, flown.control[None])
         memory, steps = flown.memory, flown.leg.steps
         if flown.leg_start is not None:
             memory = replace(memory, clock=np.minimum(memory.clock + 1, steps))

@@ -52,6 +52,14 @@ from sato.reconfiguration.agent_stages import (
 from sato.reconfiguration.clock import announce_clock
 from sato.reconfiguration.halfway_stages import Bending, Meeting
 from sato.reconfiguration.orbital_commitment import keep_previous, make_orbital_offers
+from sato.reconfiguration.plan import (
+    Plan,
+    Plans,
+    give_up_missed,
+    has_changed_network,
+    is_planning_due,
+    remaining_cost,
+)
 from sato.reconfiguration.state import DecisionContext, Event
 from sato.scp.halfway import come_after
 from sato.scp.planner import Planner
@@ -64,7 +72,7 @@ class Decision(NamedTuple):
 
     number: int
     context: DecisionContext  # of the agent alone
-    plans: planning.Plans  # empty, or the agent's own
+    plans: Plans  # empty, or the agent's own
     committed: stopping.Commitments  # empty, or the agent's own
     spent: Float[Array, " rows"]  # fuel [m/s], or energy [m²/s³]
     stage: Any  # Census, Flood, Bidding, Bending, Meeting, Exchange, Holding, Choosing, Turns
@@ -76,7 +84,7 @@ class Decision(NamedTuple):
     attempt: Literal["first", "reset", "firm"] = "first"  # of the auction
     table: assignment.CostTable | None = None  # of the auction
     planned_cost: Float[Array, " rows"] | None = None  # to the target that it holds
-    previous: planning.Plan | None = None  # in orbit: its plan before this decision
+    previous: Plan | None = None  # in orbit: its plan before this decision
     is_unclear: bool = False  # in orbit: what it has committed to is not clear of others
     choosing: Choosing | None = None  # once it has chosen
     events: tuple[Event, ...] = ()
@@ -86,7 +94,7 @@ class Decision(NamedTuple):
         cls,
         number: int,
         context: DecisionContext,
-        plans: planning.Plans,
+        plans: Plans,
         committed: stopping.Commitments,
         spent: float,
         leg: tuple[int, int],
@@ -104,8 +112,8 @@ class Decision(NamedTuple):
             joins: True where the agent calls for an auction at once.
         """
         mission, memory, k = context.mission, context.memory, context.step_index
-        plans = planning.give_up_missed(mission, plans, context.state, k)
-        due = planning.is_planning_due(mission, plans, memory, k, context.leg.steps)
+        plans = give_up_missed(mission, plans, context.state, k)
+        due = is_planning_due(mission, plans, memory, k, context.leg.steps)
         step, target = (c[number].tolist() for c in (memory.claim_step, memory.claimed_target))
         claims = tuple((a, step[a], target[a]) for a in range(len(step)) if step[a] >= 0)
         clock = int(memory.clock[number])
@@ -218,7 +226,7 @@ class Decision(NamedTuple):
             np.full(len(reports), len(reports)),
         )
         is_due = any(hello.is_due for hello in reports)
-        is_due |= bool(planning.has_changed_network(mission, bidders, size).any())
+        is_due |= bool(has_changed_network(mission, bidders, size).any())
         is_due &= k % mission.replan_steps == 0
         if not (is_due or has_joined):
             return self._replace(is_finished=True)
@@ -234,7 +242,7 @@ class Decision(NamedTuple):
 
     def _take_given(self, reports: list[Hello]) -> "Decision":
         """Hold the target that is given, and reset the clock where it is out of reach."""
-        cost = planning.remaining_cost(self.plans, self.context)
+        cost = remaining_cost(self.plans, self.context)
         steps = self.context.leg.steps
         due, clock = (
             np.array(part) for part in zip(*((r.is_due, r.clock) for r in reports), strict=True)
@@ -256,7 +264,7 @@ class Decision(NamedTuple):
         target, step = np.full((2, rows, others), -1)
         for a, claim in newest.items():
             step[self.number, a], target[self.number, a] = claim
-        cost = planning.remaining_cost(self.plans, self.context)
+        cost = remaining_cost(self.plans, self.context)
         memory = replace(memory, claimed_target=target, claim_step=step)
         shared = self._replace(context=self.context._replace(memory=memory), planned_cost=cost)
         clock = self.heard_clock

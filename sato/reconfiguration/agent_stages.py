@@ -15,7 +15,7 @@ from sato.network.flooding import Flood, Reports
 from sato.reconfiguration import assignment
 from sato.reconfiguration.commitment import Offers, improve, next_choice
 from sato.reconfiguration.orbital_commitment import give_up_unclear
-from sato.reconfiguration.planning import Plan
+from sato.reconfiguration.plan import Plan
 from sato.reconfiguration.state import DecisionContext
 from sato.scp.planner import Planner, Priority, TrajectoryMessage, update_planner
 

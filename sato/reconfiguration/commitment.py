@@ -20,7 +20,7 @@ from dynamics.trajectory_geometry import hull_distance
 from problems import convexify
 from problems.convexify import AvoidanceHorizon
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration.planning import Plan, Plans
+from sato.reconfiguration.plan import Plan, Plans
 from sato.reconfiguration.state import DecisionContext
 from sato.reconfiguration.stopping import (
     REACH_TOLERANCE,

@@ -17,6 +17,14 @@ from sato.reconfiguration.disturbances import disturb_control, draw_losses, meas
 from sato.reconfiguration.first_commitment import admit, find_first_commitments
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.orbital_commitment import commit_in_orbit
+from sato.reconfiguration.plan import (
+    Plans,
+    compute_spent,
+    give_up_missed,
+    has_changed_network,
+    is_planning_due,
+    remaining_cost,
+)
 from sato.reconfiguration.stopping import Commitments, controls_at
 
 MAX_LEG_FACTOR = 20  # times its steps after which a leg is given up
@@ -49,7 +57,7 @@ class _Flight:
         # An agent that joins later knows of itself alone, and learns m from those that it meets.
         m = np.where(self.alive, mission.target_count or int(self.alive.sum()), 1)
         self.believed, self.memory = m, state.AgentMemory.initial(m)
-        self.plans: planning.Plans = {}
+        self.plans: Plans = {}
         self.committed: Commitments = find_first_commitments(mission)
         self.waiting: list[int] = []  # agents that join as soon as there is room
         tolerance = mission.tolerance or TOLERANCE
@@ -76,7 +84,7 @@ class _Flight:
             graph, measured = self.make_graph(), measure(mission, self.x, self.rng)
             self.estimate = estimator.update(mission, self.estimate, measured)
             known = self.estimate.reference
-            self.plans = planning.give_up_missed(mission, self.plans, known, k)
+            self.plans = give_up_missed(mission, self.plans, known, k)
             for deciding, bids in self._schedule_decisions(graph, joined, k):
                 time = self.step_index * mission.step
                 self._decide(
@@ -148,9 +156,9 @@ class _Flight:
         if joined:
             beside = np.isin(graph.component, graph.component[joined]) | is_central
             decisions, graph = [(graph.subgraph(beside), True)], graph.subgraph(~beside)
-        due = planning.is_planning_due(self.mission, self.plans, self.memory, k, self.leg.steps)
+        due = is_planning_due(self.mission, self.plans, self.memory, k, self.leg.steps)
         size = (graph.component[:, None] == graph.component).sum(axis=1)
-        due = due | planning.has_changed_network(self.mission, self.memory.bidder_count, size)
+        due = due | has_changed_network(self.mission, self.memory.bidder_count, size)
         is_due = graph.component_max(due.astype(int)).astype(bool)
         graph = graph.subgraph(is_due | (is_central and bool(is_due[graph.alive].any())))
         if k % self.mission.replan_steps == 0 and graph.alive.any():
@@ -160,7 +168,7 @@ class _Flight:
     def _decide(self, context: state.DecisionContext, bids: bool) -> None:
         solves, fallbacks = 0, np.array([own.fallback_count for own in self.solvers])
         if bids:
-            cost = planning.remaining_cost(self.plans, context)
+            cost = remaining_cost(self.plans, context)
             decision = assign_targets(context, cost, self._hear_clocks(context))
             memory, solves = decision.memory, decision.solve_count
             moved = self.alive & (memory.target_index != self.memory.target_index)
@@ -190,7 +198,7 @@ class _Flight:
         """Return the clock with the most time left of those that plan again, as agents hear it."""
         mission, clock, steps = self.mission, context.memory.clock, self.leg.steps
         own = self.plans, context.memory, context.step_index, steps
-        announced = announce_clock(planning.is_planning_due(mission, *own), clock, steps)
+        announced = announce_clock(is_planning_due(mission, *own), clock, steps)
         return -context.graph.component_max(-announced)
 
     def _propagate(self, control: Array, applied: Array) -> None:
@@ -199,7 +207,7 @@ class _Flight:
         self.estimate = estimator.predict(mission, self.estimate, control, time)
         flown = mission.flown_plant.propagate(self.x, np.nan_to_num(applied), time, mission.step)
         self.x = np.where(self.alive[:, None], flown[1], self.x)
-        self.spent = self.spent + planning.compute_spent(mission, commanded)
+        self.spent = self.spent + compute_spent(mission, commanded)
         later = np.where(self.alive, np.minimum(clock + 1, steps), 0)
         arrived = self.alive & (later == steps) & (clock < steps)
         if arrived.any():

@@ -32,7 +32,8 @@ from sato.reconfiguration.commitment import (
 )
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
-from sato.reconfiguration.planning import Plan, Plans, divide_horizon
+from sato.reconfiguration.plan import Plan, Plans
+from sato.reconfiguration.planning import divide_horizon
 from sato.reconfiguration.state import DecisionContext
 from sato.reconfiguration.stopping import Commitment, Commitments, committed_controls, pad_controls
 from sato.scenario.errors import InputError

@@ -2,172 +2,24 @@
 
 from functools import lru_cache, partial
 from math import ceil, inf, isfinite
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from dynamics.discretize import discretize_zoh
-from dynamics.model import ControlSamples
 from dynamics.trajectory_geometry import interpolation_error
 from problems.convexify import AvoidanceHorizon
-from problems.transfer import Trajectory, compute_energy, compute_fuel
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.plan import Plan, Plans, is_held, remaining_controls
 from sato.reconfiguration.relaxation import list_relaxations
 from sato.reconfiguration.solo_trajectories import relinearize, solve_solo_trajectories
-from sato.reconfiguration.state import AgentMemory, DecisionContext, Event
+from sato.reconfiguration.state import DecisionContext, Event
 from sato.scp import CONVERGENCE_TOLERANCE, FEASIBILITY_TOLERANCE, Planner, resolve_conflicts
 from sato.scp.halfway import meet_halfway
-from sato.scp.planner import Priority
 
-MAX_WAIT = 8  # periods of planning after which an agent without a way looks again
 MAX_PIECES = 12  # of the trajectory within a step
-
-
-class Plan(NamedTuple):
-    """Planned trajectory of an agent."""
-
-    trajectory: Trajectory
-    target_index: int | None  # None where it ends elsewhere
-    planned_at: int  # steps since the start of the leg
-    clear_until: int  # step of the leg until which it keeps clear of all others
-    failure_count: int = 0  # plans of this agent in the leg for which constraints were relaxed
-    priority: Priority = (0.0, 0.0, 0)  # with which it was made
-    is_clear: bool = False  # of those of all that the agent hears, to its end
-
-    def controls_from(self, k: int) -> Float[Array, "left m"]:
-        """Return the controls from a step of the leg on."""
-        return self.trajectory.u[k - self.planned_at :]
-
-
-Plans = dict[int, Plan]  # by the number of the agent
-
-
-def is_planning_due(
-    mission: Reconfiguration, plans: Plans, memory: AgentMemory, k: int, steps: int
-) -> Bool[Array, " agents"]:
-    """Find the agents that plan again: all but those about to arrive, by a plan clear to its end.
-
-    Those that have arrived do so too where noise may take them from their targets.
-
-    Args:
-        mission: Steps before the deadline in which plans are kept.
-        plans: Plans of the agents.
-        memory: Targets and clocks of the agents.
-        k: Steps since the start of the leg.
-        steps: Steps of the leg.
-    """
-    left = steps - memory.clock
-    is_kept = (left < mission.freeze_steps) | mission.keeps_plans
-    is_over = (left == 0) & ~(mission.is_point_mass and mission.has_noise)
-    for i in np.flatnonzero(is_kept).tolist():
-        if mission.has_own_clocks and _waits(mission, plans.get(i), k):
-            continue
-        has_plan = remaining_controls(plans, i, memory, k, steps) is not None
-        is_kept[i] = has_plan and (is_over[i] or _is_clear(mission, plans[i], k, int(left[i])))
-    return np.asarray(~is_kept)
-
-
-def has_changed_network(
-    mission: Reconfiguration, bidder_count: Int[Array, " agents"], size: Int[Array, " agents"]
-) -> Bool[Array, " agents"]:
-    """Find the agents that keep plans, and whose network is not the one that bid last.
-
-    Args:
-        mission: Whether targets are assigned by auction, and plans kept.
-        bidder_count: Bidders in the last auction of each agent; 0 before the first.
-        size: Agents in the network of each.
-    """
-    is_asked = mission.keeps_plans and mission.assignment == "auction"
-    return np.asarray(is_asked & (bidder_count > 0) & (bidder_count != size))
-
-
-def _is_clear(mission: Reconfiguration, plan: Plan, k: int, left: int) -> bool:
-    # To its end; or, where it is replaced before that, for as long as it has been flown.
-    ahead = min(left, k - plan.planned_at + 1) if mission.keeps_plans else left
-    return k + ahead <= plan.clear_until
-
-
-def _waits(mission: Reconfiguration, plan: Plan | None, k: int) -> bool:
-    # The more often an agent has found no way, the longer it waits before it looks again.
-    if plan is None or plan.target_index is not None:
-        return False
-    periods = min(plan.failure_count, MAX_WAIT)
-    return k < plan.planned_at + periods * mission.replan_steps
-
-
-def give_up_missed(
-    mission: Reconfiguration, plans: Plans, state: Float[Array, "agents n"], k: int
-) -> Plans:
-    """Give up plans that would be kept, but from which their agents have strayed.
-
-    No agent of a mission without noise strays, but one may fly in a world that is not as modeled.
-
-    Args:
-        mission: Whether plans are kept.
-        plans: Plans of the agents.
-        state: State of each.
-        k: Steps since the start of the leg.
-    """
-    if not mission.keeps_plans:
-        return plans
-    allowed, found = FEASIBILITY_TOLERANCE * mission.least_separation, dict(plans)
-    for i, plan in plans.items():
-        x = plan.trajectory.x[min(k - plan.planned_at, len(plan.trajectory.u))]
-        if plan.target_index is not None and np.abs(state[i] - x).max() > allowed:
-            found[i] = plan._replace(target_index=None)
-    return found
-
-
-def is_held(context: DecisionContext, plans: Plans, i: int) -> bool:
-    """Tell whether an agent holds on to its plan while others decide.
-
-    It does where that is clear to its end; one that rests at its target makes room.
-    """
-    k, steps, memory = context.step_index, context.leg.steps, context.memory
-    if not context.mission.keeps_plans:
-        return False
-    u = remaining_controls(plans, i, memory, k, steps)
-    return u is not None and bool(u.any()) and k + len(u) <= plans[i].clear_until
-
-
-def remaining_controls(
-    plans: Plans, i: int, memory: AgentMemory, k: int, steps: int
-) -> Float[Array, "T m"] | None:
-    """Return the rest of an agent's controls, if they reach its target on its clock.
-
-    Args:
-        plans: Plans of the agents.
-        i: Number of the agent.
-        memory: Targets and clocks of the agents.
-        k: Steps since the start of the leg.
-        steps: Steps of the leg.
-    """
-    plan = plans.get(i)
-    if plan is None or plan.target_index != memory.target_index[i]:
-        return None
-    u = plan.controls_from(k)
-    return u if len(u) == steps - memory.clock[i] else None
-
-
-def remaining_cost(plans: Plans, context: DecisionContext) -> Float[Array, " agents"]:
-    """Return the fuel or energy left in each plan; infinite where none reaches the target."""
-    mission, steps, k = context.mission, context.leg.steps, context.step_index
-    cost = np.full(len(context.state), np.inf)
-    for i in plans:
-        u = remaining_controls(plans, i, context.memory, k, steps)
-        if u is not None:
-            cost[i] = compute_spent(mission, u)
-    return cost
-
-
-def compute_spent(mission: Reconfiguration, u: ControlSamples) -> Float[Array, "*agents"] | float:
-    """Compute the fuel [m/s] or energy [m²/s³] of controls, after the mission's objective."""
-    if mission.objective == "energy":
-        return compute_energy(u, mission.step)
-    return compute_fuel(u, mission.step, mission.fuel_norm)
 
 
 def plan_trajectories(
