@@ -9,7 +9,7 @@ from reconfiguration_runs import make_mission, row
 
 import sato
 from sato.reconfiguration import loop, stopping
-from sato.reconfiguration.commitment import Offers
+from sato.reconfiguration.offers import Offers
 from sato.reconfiguration.stopping import stop_at_once, stopping_horizon
 
 sys.path.append(str(Path(__file__).parent.parent / "campaigns"))  # as a worker of a campaign has it

@@ -26,7 +26,8 @@ from problems.limit import Limit
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration import commitment, loop
 from sato.reconfiguration.agent_stages import Choosing
-from sato.reconfiguration.commitment import Offers, choose_offers, improve
+from sato.reconfiguration.commitment import choose_offers, improve
+from sato.reconfiguration.offers import Offers, make_offers
 from sato.reconfiguration.plan import Plan
 from sato.reconfiguration.state import AgentMemory, DecisionContext
 from sato.reconfiguration.stopping import stop_at_once, stopping_horizon
@@ -110,7 +111,7 @@ def test_offers_keep_the_limit_begin_as_planned_and_end_at_rest(decisions):
     for (context, plans, committed), _ in decisions:
         mission, d = context.mission, context.mission.axes
         none = np.zeros((0, d))
-        offers = commitment.make_offers(context, plans, committed)
+        offers = make_offers(context, plans, committed)
         start = np.repeat(context.state[offers.agents][:, None], len(offers.plan_steps), axis=1)
         x = offers.horizon.discrete_model.simulate(start, offers.u)
         for a, i in enumerate(offers.agents.tolist()):
@@ -135,7 +136,7 @@ def test_offers_that_are_allowed_stay_within_reach(decisions):
             i: plan._replace(trajectory=plan.trajectory._replace(u=np.full((20, d), 1.0)))
             for i, plan in plans.items()
         }
-        offers = commitment.make_offers(context, hasty, committed)
+        offers = make_offers(context, hasty, committed)
         start = np.repeat(context.state[offers.agents][:, None], len(offers.plan_steps), axis=1)
         x = offers.horizon.discrete_model.simulate(start, offers.u)
         dense = sample(x, offers.u, mission.step, 20)

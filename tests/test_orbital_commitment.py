@@ -15,7 +15,7 @@ from dynamics.orbit import Orbit
 from dynamics.trajectory_geometry import control_points
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.agent_stages import Choosing, Holding
-from sato.reconfiguration.commitment import Offers
+from sato.reconfiguration.offers import Offers
 from sato.reconfiguration.orbital_commitment import (
     choose_in_orbit,
     free_motion,

@@ -51,6 +51,7 @@ from sato.reconfiguration.agent_stages import (
 )
 from sato.reconfiguration.clock import announce_clock
 from sato.reconfiguration.halfway_stages import Bending, Meeting
+from sato.reconfiguration.offers import Offers, is_kept, make_offers
 from sato.reconfiguration.orbital_commitment import keep_previous, make_orbital_offers
 from sato.reconfiguration.plan import (
     Plan,
@@ -165,15 +166,16 @@ class Decision(NamedTuple):
             own = self.context, plans, self.committed, self.heard_clock
             offers = make_orbital_offers(*own)
             return decision._replace(previous=self.plans.get(self.number))._enter(Holding(offers))
-        return decision._begin_choice(commitment.make_offers(self.context, plans, self.committed))
+        return decision._begin_choice(make_offers(self.context, plans, self.committed))
 
-    def _begin_choice(self, offers: commitment.Offers) -> "Decision":
+    def _begin_choice(self, offers: Offers) -> "Decision":
         priority, choice = self.plans[self.number].priority, int(offers.is_allowed[0].argmax())
         return self._enter(Choosing(offers, priority, self.diameter, choice))
 
     def _report_choice(self, choosing: Choosing) -> "Decision":
-        is_kept = commitment.is_kept(self.context, self.plans[self.number])
-        is_cautious = choosing.choice == choosing.offers.last and not is_kept
+        is_cautious = choosing.choice == choosing.offers.last and not is_kept(
+            self.context, self.plans[self.number]
+        )
         priority = choosing.priority if is_cautious else None
         report = ChoiceReport(self.number, priority, int(choosing.offers.steps[0]))
         flood = Flood(len(self.members), self.diameter, frozenset([report]))
@@ -221,12 +223,9 @@ class Decision(NamedTuple):
         reports = sorted(census.message.reports)
         check_census(reports)
         has_joined = any(hello.joins for hello in reports)
-        bidders, size = (
-            np.array([hello.bidder_count for hello in reports]),
-            np.full(len(reports), len(reports)),
-        )
+        bidders = np.array([hello.bidder_count for hello in reports])
         is_due = any(hello.is_due for hello in reports)
-        is_due |= bool(has_changed_network(mission, bidders, size).any())
+        is_due |= bool(has_changed_network(mission, bidders, len(reports)).any())
         is_due &= k % mission.replan_steps == 0
         if not (is_due or has_joined):
             return self._replace(is_finished=True)

@@ -13,7 +13,8 @@ from problems.convexify import AvoidanceHorizon
 from sato.auctions.bidder import VsdaaBidder, WinningBids
 from sato.network.flooding import Flood, Reports
 from sato.reconfiguration import assignment
-from sato.reconfiguration.commitment import Offers, improve, next_choice
+from sato.reconfiguration.commitment import improve, next_choice
+from sato.reconfiguration.offers import Offers
 from sato.reconfiguration.orbital_commitment import give_up_unclear
 from sato.reconfiguration.plan import Plan
 from sato.reconfiguration.state import DecisionContext

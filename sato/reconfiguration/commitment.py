@@ -10,8 +10,6 @@ Later points of an offer are at most (R_comm − R)/2 from earlier ones, so that
 not hear each other cannot meet before they do. docs/safety.md has the proof.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
@@ -20,123 +18,18 @@ from dynamics.trajectory_geometry import hull_distance
 from problems import convexify
 from problems.convexify import AvoidanceHorizon
 from sato.network.graph import CommunicationGraph
+from sato.reconfiguration.offers import Offers, is_kept, make_offers, rest_at_target, steps_to_next
 from sato.reconfiguration.plan import Plan, Plans
 from sato.reconfiguration.state import DecisionContext
 from sato.reconfiguration.stopping import (
-    REACH_TOLERANCE,
     Commitment,
     Commitments,
-    end_at_rest,
     find_stop,
-    held_controls,
-    pad_controls,
     stays_within_reach,
     stopping_horizon,
 )
-from sato.scp.planner import reaches_target
 
-MAX_PLAN_STEPS = 16  # of what is foreseen, to which agents commit at once
 ROUNDING = 1e-12  # relative, of distances that are computed twice
-
-
-class Offers(NamedTuple):
-    """Trajectories that agents may commit to, the best first, the committed ones last."""
-
-    agents: Int[Array, " agents"]
-    plan_steps: tuple[int, ...]  # steps of the plan with which each choice begins, 0 for the last
-    steps: Int[Array, " agents"]  # in which all choices of each agent have come to rest, and one
-    horizon: AvoidanceHorizon  # the most of these
-    u: Float[Array, "agents choices T m"]
-    paths: Float[Array, "agents choices pieces 4 d"]
-    is_allowed: Bool[Array, "agents choices"]
-    clearance: Float[Array, " agents"]  # that two of each kind keep [m]
-
-    @property
-    def last(self) -> int:
-        """Choice of the committed trajectory."""
-        return len(self.plan_steps) - 1
-
-
-def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) -> Offers:
-    """Make the offers of the agents that have planned.
-
-    Args:
-        context: States and time of the agents that decide.
-        plans: Their plans.
-        committed: Committed trajectories; an agent without one stops at once.
-    """
-    mission, plan_steps = context.mission, _plan_steps(context)
-    each: list[Array] = []
-    owner, index = list[int](), np.empty((len(plans), len(plan_steps)), dtype=int)
-    is_begun = np.zeros(index.shape, dtype=bool)
-    for row, (i, plan) in enumerate(plans.items()):
-        velocity, rest = context.state[i, mission.axes :], plan.controls_from(context.step_index)
-        index[row] = len(each)
-        each.append(held_controls(mission, i, velocity, committed, context.instant))
-        if not is_kept(context, plan):
-            lengths = np.minimum(plan_steps[:-1], len(rest))
-            is_begun[row, :-1] = lengths < _steps_within_reach(context, plan)
-            begun, places = np.unique(lengths[is_begun[row, :-1]], return_inverse=True)
-            index[row, is_begun[row]] = len(each) + places
-            rest = mission.control_limit(i).cut(rest)
-            each += [end_at_rest(mission, i, velocity, rest[:q]) for q in begun]
-        owner += [i] * (len(each) - len(owner))
-    # An agent that has no steps left needs some to return to its target.
-    lengths = np.maximum(mission.horizon_steps, [len(u) for u in each])
-    agents, steps = np.array(list(plans)), 1 + lengths[index].max(axis=1)
-    horizon = stopping_horizon(mission, int(steps.max()))
-    controls = pad_controls(each, horizon.steps)
-    x = horizon.discrete_model.simulate(context.state[owner], controls)
-    points = horizon.control_points(x, controls)
-    is_near = stays_within_reach(mission, horizon, x[..., : mission.axes], points)
-    u, paths, is_allowed = controls[index], points[index], is_near[index] & is_begun
-    # Fewer steps than until the next decision are for those that cannot stop within reach.
-    is_whole = np.array(plan_steps) >= steps_to_next(context)
-    has_whole = np.asarray(is_allowed[:, is_whole].any(axis=1))
-    is_allowed &= is_whole | ~has_whole[:, None]
-    is_allowed[:, -1] = True
-    clearance = mission.own_clearances(horizon.clearance, agents)
-    for row, (i, plan) in enumerate(plans.items()):
-        is_over = len(plan.trajectory.u) == 0
-        is_late = is_over and not reaches_target(plan.trajectory, _rest(context, i), clearance[row])
-        if is_late:  # it is late, or has drifted: it takes a turn
-            is_allowed[row, :-1] = False
-    return Offers(agents, plan_steps, steps, horizon, u, paths, is_allowed, clearance)
-
-
-def _steps_within_reach(context: DecisionContext, plan: Plan) -> int:
-    """Return after how many steps a plan is out of reach of where it is now."""
-    mission, k = context.mission, context.step_index - plan.planned_at
-    position = plan.trajectory.x[k:, : mission.axes]
-    away = np.linalg.norm(position - position[0], axis=1)
-    reach = mission.reach_unheard(mission.margin) * (1 + REACH_TOLERANCE)
-    return int(np.append(away > reach, True).argmax())
-
-
-def _rest(context: DecisionContext, agent: int) -> Float[Array, " n"]:
-    """Return the state of rest at the target that an agent holds."""
-    rest = context.leg.targets[context.memory.target_index[agent]].copy()
-    rest[context.mission.axes :] = 0.0
-    return np.asarray(rest)
-
-
-def _plan_steps(context: DecisionContext) -> tuple[int, ...]:
-    # As far as avoidance looked or plans are kept, or until the next decision, or less.
-    mission, period = context.mission, steps_to_next(context)
-    foreseen = min(mission.foresight, MAX_PLAN_STEPS)
-    longest = max(period, mission.horizon_steps, mission.freeze_steps, foreseen)
-    halves = [period >> n for n in range(period.bit_length())]
-    if mission.keeps_plans:
-        whole = context.leg.steps
-        halves = [whole >> n for n in range(whole.bit_length()) if whole >> n > period] + halves
-        longest = whole
-    return (*dict.fromkeys([longest, *halves]), 0)
-
-
-def steps_to_next(context: DecisionContext) -> int:
-    """Return the steps until the agents decide again, at the latest."""
-    period = context.mission.replan_steps
-    return period - context.step_index % period
 
 
 def choose_offers(
@@ -251,11 +144,6 @@ def rank_of(offers: Offers, plans: Plans) -> Int[Array, " agents"]:
     return rank
 
 
-def is_kept(context: DecisionContext, plan: Plan) -> bool:
-    """Tell whether a plan is one of an earlier decision, which is flown to its end."""
-    return plan.planned_at < context.step_index
-
-
 def leaves_plan(plan: Plan) -> bool:
     """Tell whether an agent that could not commit to its plan leaves one that has steps."""
     return len(plan.trajectory.u) > 0
@@ -302,7 +190,7 @@ def improve(
     x, steps, k = plan.trajectory.x, len(plan.trajectory.u), steps_to_next(context)
     wanted = x[min(k, steps)]
     if not steps:  # back to the target
-        wanted, k = _rest(context, agent), mission.horizon_steps
+        wanted, k = rest_at_target(context, agent), mission.horizon_steps
     aim = agent, context.state[agent], wanted, min(k, horizon.steps - 1)
     found = find_stop(mission, horizon, *aim, path, others, clearance, context.solver_of(agent))
     if found is None:

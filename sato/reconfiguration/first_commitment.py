@@ -19,12 +19,12 @@ from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.orbital_commitment import simulate
 from sato.reconfiguration.planning import divide_horizon
 from sato.reconfiguration.stopping import (
-    REACH_TOLERANCE,
     Commitment,
     Commitments,
     committed_controls,
     find_stop,
     held_controls,
+    longest_way,
     pad_controls,
     stays_within_reach,
     stopping_horizon,
@@ -260,8 +260,7 @@ def _find_near(
 ) -> Int[Array, " near"]:
     """Find the others that a vehicle could meet on any way on which it stays within reach."""
     middle, extent = convexify.enclosing_balls(paths)
-    reach = mission.reach_unheard(mission.margin) * (1 + REACH_TOLERANCE)
-    most = reach + extent + (clearance + clearance[agent]) / 2
+    most = longest_way(mission) + extent + (clearance + clearance[agent]) / 2
     near = np.flatnonzero(np.linalg.norm(middle - start, axis=1) <= most)
     return np.asarray(near[near != agent])
 

@@ -23,7 +23,6 @@ from dynamics.trajectory_geometry import control_points
 from problems import convexify
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.commitment import (
-    Offers,
     are_clear,
     choose_offers,
     leaves_plan,
@@ -32,6 +31,7 @@ from sato.reconfiguration.commitment import (
 )
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.offers import Offers
 from sato.reconfiguration.plan import Plan, Plans
 from sato.reconfiguration.planning import divide_horizon
 from sato.reconfiguration.state import DecisionContext

@@ -61,7 +61,7 @@ def is_planning_due(
 
 
 def has_changed_network(
-    mission: Reconfiguration, bidder_count: Int[Array, " agents"], size: Int[Array, " agents"]
+    mission: Reconfiguration, bidder_count: Int[Array, " agents"], size: Int[Array, " agents"] | int
 ) -> Bool[Array, " agents"]:
     """Find the agents that keep plans, and whose network is not the one that bid last.
 

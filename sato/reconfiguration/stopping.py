@@ -111,6 +111,11 @@ def stopping_horizon(mission: Reconfiguration, steps: int) -> AvoidanceHorizon:
     return divide_horizon(mission, 0.0, steps)
 
 
+def longest_way(mission: Reconfiguration) -> float:
+    """Return how far a later point may be from an earlier instant, rounding included [m]."""
+    return mission.reach_unheard(mission.margin) * (1 + REACH_TOLERANCE)
+
+
 def stays_within_reach(
     mission: Reconfiguration,
     horizon: AvoidanceHorizon,
@@ -121,7 +126,7 @@ def stays_within_reach(
 
     Two that do not hear each other then cannot meet before both have decided again.
     """
-    reach = mission.reach_unheard(mission.margin) * (1 + REACH_TOLERANCE)
+    reach = longest_way(mission)
     # Most trajectories lie in a small box, or lead too far from where they begin.
     size = np.linalg.norm(np.ptp(paths, axis=(-3, -2)), axis=-1)
     away = np.linalg.norm(paths - position[..., :1, None, :], axis=-1).max(axis=(-2, -1))

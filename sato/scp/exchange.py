@@ -38,12 +38,12 @@ def run_batched(
     now = [planners[i] for i in ids]
     if not now:
         return
-    clearance = np.array([agent.horizon.clearance for agent in now])
+    own = np.array([agent.horizon.clearance for agent in now])
     rank = np.empty(len(now), dtype=int)
     rank[sorted(range(len(now)), key=lambda k: now[k].priority)] = np.arange(len(now))
     above = graph.adjacency[np.ix_(ids, ids)] & (rank < rank[:, None])
     lower, upper = np.nonzero(above)
-    radius = (clearance[lower] + clearance[upper]) / 2
+    radius = (own[lower] + own[upper]) / 2
     paths = np.stack([agent.control_points for agent in now])
     conflicts = ~are_paths_separated(paths, lower, upper, radius)
     final = np.zeros(len(now), dtype=bool)
@@ -66,6 +66,7 @@ def run_batched(
             now[k], final[k], paths[k] = after, after.is_final, after.control_points
             has_deviated[k] = not follows_solo(after)
         changed = moved[lower] | moved[upper]
-        own = lower[changed], upper[changed], radius[changed]
-        conflicts[changed] = ~are_paths_separated(paths, *own)
+        conflicts[changed] = ~are_paths_separated(
+            paths, lower[changed], upper[changed], radius[changed]
+        )
         yield dict(zip(ids, now, strict=True))
