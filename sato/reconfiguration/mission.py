@@ -138,7 +138,9 @@ class Reconfiguration(vehicles.Vehicles, Mission):
         "replanning period; if absent, up to half the horizon",
     ] = LATER
     auction_steps: Annotated[
-        Steps, PLAN, "period of auctions, a multiple of replan_steps; about the horizon if absent"
+        Steps,
+        PLAN,
+        "auction period, in replan_steps, where plans are not kept; if absent, the horizon",
     ] = LATER
     assignment: Annotated[
         Literal["auction", "given", "central"],
