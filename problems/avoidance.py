@@ -7,7 +7,7 @@ in continuous time.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from math import floor, log
+from math import floor, inf, log
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -28,7 +28,10 @@ from problems.transfer import (
     solve_within_speed,
 )
 
-Relaxation = Literal["none", "terminal", "separation"]
+Relaxation = Literal["none", "terminal", "half-spaces", "separation"]
+
+ARRIVING = "none", "half-spaces"  # relaxations that keep the terminal state
+AVOIDING_LESS = "half-spaces", "separation"  # those that do not keep the half-spaces
 
 RELAXATION_PENALTY = 1e3  # per meter of error, over the fuel that flies a meter
 ROUNDING = 1e-6  # of the way to the goal
@@ -107,8 +110,7 @@ class AvoidanceProblem:
                     n · (c(x[k], u[k]) − c̄) ≥ R       (38), (64), for each control point
 
     A relaxation admits violations at a penalty far above fuel: "none", of the terminal state
-    ("terminal"), or of the terminal state and, ten times as dear, of the half-spaces
-    ("separation").
+    ("terminal"), of the half-spaces, ten times as dear, or of both ("separation").
     """
 
     transfer: TransferProblem
@@ -162,11 +164,13 @@ class AvoidanceProblem:
             return AvoidanceResult(free, 0.0, 0.0)
         if not self.transfer.is_condensable:
             return self.solve_cvxpy(relaxation)
-        is_sparse = self.is_sparse and relaxation == "none" and self.transfer.objective == "fuel"
+        arrives = relaxation in ARRIVING
+        is_sparse = self.is_sparse and arrives and self.transfer.objective == "fuel"
 
         def assemble(limited: list[Array]) -> ConicProgram:
             if is_sparse:
-                return assemble_sparse(self, limited[0])
+                penalty = 10 * self._penalty if relaxation == "half-spaces" else inf
+                return assemble_sparse(self, limited[0], penalty)
             return self.assemble_conic(relaxation, limited[0])
 
         (found,) = solve_condensed([self], assemble)
@@ -192,9 +196,9 @@ class AvoidanceProblem:
         limits.append(x[len(self.transfer.model)] + terminal_error == self.goal)
         if rows:
             limits.append(self.half_spaces.to_cvxpy(x, u) + slack >= self.half_spaces.rhs)
-        if relaxation == "none":
+        if relaxation in ARRIVING:
             limits.append(terminal_error == 0)
-        if relaxation != "separation":
+        if relaxation not in AVOIDING_LESS:
             limits.append(slack == 0)
         error_cost = cp.norm1(cp.multiply(self._terminal_error_weights, terminal_error))
         return x, u, effort + self._penalty * (error_cost + 10 * cp.sum(slack)), limits
@@ -256,8 +260,8 @@ class AvoidanceProblem:
         free = transfer.coast(self.start)
         coeffs, rhs = self.half_spaces.condense_breakable(transfer, free)
         rows = len(rhs)
-        errors = 0 if relaxation == "none" else n
-        slacks = rows if relaxation == "separation" else 0
+        errors = 0 if relaxation in ARRIVING else n
+        slacks = rows if relaxation in AVOIDING_LESS else 0
 
         weights = np.repeat(transfer.weights, m) * shares
         P, cost = None, np.tile(U * transfer.model.dt * weights, 2)

@@ -1,6 +1,7 @@
 """Avoidance problem with the states as unknowns: sparse, and so faster over many steps."""
 
 from functools import lru_cache
+from math import inf
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -23,15 +24,19 @@ class _Rows(NamedTuple):
     whitening: Float[Array, "n n"]
 
 
-def assemble_sparse(problem: "AvoidanceProblem", limited: Int[Array, " instants"]) -> ConicProgram:
+def assemble_sparse(
+    problem: "AvoidanceProblem", limited: Int[Array, " instants"], penalty: float = inf
+) -> ConicProgram:
     """Assemble the program of least fuel, with speed limits at some instants.
 
-    Unknowns are u⁺ and u⁻ in units of each axis's limit, then the states x[1] … x[T]. The arrival
-    is that of `AvoidanceProblem.assemble_conic`, without the states, and as exact.
+    Unknowns are u⁺ and u⁻ in units of each axis's limit, then the states x[1] … x[T], then the
+    slacks of the half-spaces, if they may be violated. The arrival is that of
+    `AvoidanceProblem.assemble_conic`, without the states, and as exact.
 
     Args:
-        problem: The problem, of least fuel and without relaxation.
+        problem: The problem, of least fuel; its terminal state is not relaxed.
         limited: Instants between the ends with speed limits.
+        penalty: Cost of violating a half-space by a meter [m/s]; infinite where none may be.
     """
     transfer, spaces, start = problem.transfer, problem.half_spaces, problem.start
     model, limit = transfer.model, transfer.control_limit
@@ -48,17 +53,24 @@ def assemble_sparse(problem: "AvoidanceProblem", limited: Int[Array, " instants"
     on_x = np.where(is_first[:, None], 0.0, spaces.state_coeffs)
     at_u, at_x = spaces.step_index * m, 2 * N + np.maximum(spaces.step_index - 1, 0) * n
     avoid = _place([(-on_u, at_u), (on_u, N + at_u), (-on_x, at_x)], 2 * N + states)
+    slacks = len(known) if penalty < inf else 0
     unit = np.broadcast_to(np.eye(m), (len(limited), m, m))
     speed, speed_rhs = transfer.speed_limit.constrain(unit, np.zeros((len(limited), m)))
     first = 2 * N + np.repeat((limited - 1) * n + m, len(speed) // max(len(limited), 1))
     slow = _place([(-speed, first)], 2 * N + states)
     cones = len(speed) if transfer.speed_limit.faces is None else 0
     A = vstack([fixed.motion, avoid, fixed.limits, slow], format="csc")
+    if slacks:
+        own, width = -eye_array(slacks), 2 * N + states
+        rows = [[fixed.motion, None], [avoid, own], [coo_array((slacks, width)), own]]
+        A = block_array([*rows, [fixed.limits, None], [slow, None]], format="csc")
     bounds = np.repeat([1.0, 0.0], 2 * N)
-    b = [begin.ravel(), goal / U, known - spaces.rhs, bounds, speed_rhs]
+    b = [begin.ravel(), goal / U, known - spaces.rhs, np.zeros(slacks), bounds, speed_rhs]
     weights = np.repeat(transfer.weights, m) * np.tile(limit.shares, T)
-    q = np.concatenate([np.tile(U * model.dt * weights, 2), np.zeros(states)])
-    nonnegative, sizes = len(known) + 4 * N + len(speed) - cones, (m + 1,) * (cones // (m + 1))
+    cost = np.tile(U * model.dt * weights, 2), np.zeros(states), np.full(slacks, penalty)
+    q = np.concatenate(cost)
+    nonnegative = len(known) + slacks + 4 * N + len(speed) - cones
+    sizes = (m + 1,) * (cones // (m + 1))
     return ConicProgram(q, A, np.concatenate(b), states + n, nonnegative, sizes)
 
 

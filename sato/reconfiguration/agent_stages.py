@@ -188,6 +188,7 @@ class OfferMessage(NamedTuple):
 
     priority: Priority
     path: Float[Array, "pieces 4 d"]  # of its choice
+    choice: int  # the larger, the shorter it follows its plan
     is_last: bool  # True where that is the trajectory that it has committed to
     clearance: float  # that two of the sender's kind would keep [m]
     last_change: int  # last round in which an agent is known to have changed its choice
@@ -208,7 +209,8 @@ class Choosing(NamedTuple):
         """Message to the neighbors."""
         path, is_last = self.offers.paths[0, self.choice], self.choice == self.offers.last
         clearance = float(self.offers.clearance[0])
-        return OfferMessage(self.priority, path, is_last, clearance, self.last_change)
+        own = self.priority, path, self.choice, is_last, clearance
+        return OfferMessage(*own, self.last_change)
 
     @property
     def is_finished(self) -> bool:
@@ -222,13 +224,20 @@ class Choosing(NamedTuple):
         others = [
             other
             for other in inbox
-            if (other.is_last or other.priority < own.priority) and not own.is_last
+            if (other.is_last or _goes_first(other, own))
+            and not own.is_last
         ]
         after = self._replace(round=round, last_change=last_change)
         if all(keeps_clear(own.path, own.clearance, other) for other in others):
             return after
         choice = next_choice(self.offers.is_allowed[0], self.choice)
         return after._replace(choice=choice, last_change=round)
+
+
+def _goes_first(other: OfferMessage, own: OfferMessage) -> bool:
+    if other.choice == own.choice:
+        return other.priority < own.priority
+    return other.choice > own.choice
 
 
 def keeps_clear(path: Array, clearance: float, other: HoldingMessage | OfferMessage) -> bool:

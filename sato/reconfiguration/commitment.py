@@ -37,8 +37,9 @@ def choose_offers(
 ) -> Int[Array, " agents"]:
     """Let all agents agree on offers that are clear of each other.
 
-    All begin with their best. While two are not clear, the one of lower rank takes its next choice,
-    or the other, where it has none. So at the end all are clear that were not committed already.
+    All begin with their best. While two are not clear, the one that follows its plan for longer
+    takes its next choice, or that of lower rank where both do as long, or the other, where one has
+    none. So at the end all are clear that were not committed already.
     The batched equivalent of `agent_stages.Choosing`.
     """
     i, j, radius = list_pairs(offers, graph)
@@ -49,7 +50,8 @@ def choose_offers(
         met = np.flatnonzero(~is_clear & ((choice[i] < last) | (choice[j] < last)))
         if not len(met):
             return np.asarray(choice)
-        is_lower = rank[i[met]] > rank[j[met]]
+        longer = choice[j[met]] - choice[i[met]]
+        is_lower = np.where(longer == 0, rank[i[met]] > rank[j[met]], longer > 0)
         lower, higher = np.where(is_lower, (i[met], j[met]), (j[met], i[met]))
         moved = np.unique(np.where(choice[lower] < last, lower, higher))
         for a in moved:

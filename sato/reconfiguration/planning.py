@@ -184,13 +184,15 @@ def plan_alone(
                 nominal=solo,
                 control_points=paths[int(ahead[i])][row],
                 relinearize=partial(relinearize, context, transfer) if is_nonlinear else None,
+                has_plan=mission.keeps_plans and rest is not None,
                 in_turn=mission.keeps_plans,
             )
-            if rest is not None and not mission.keeps_plans:
+            if rest is not None:
                 # Begin with the previous plan, where it kept clear of an agent by another way.
                 prior = transfer.simulate(solo.x[0], rest)
                 if np.abs(prior.x - solo.x).max() > relative * clearance:
-                    planner = planner.with_nominal(prior)._replace(has_converged=False)
+                    planner = planner.with_nominal(prior)
+                    planner = planner._replace(has_converged=mission.keeps_plans)
             planners[i] = planner
     return planners, unreachable, solve_count
 

@@ -19,12 +19,16 @@ from numpy import ndarray as Array
 from scipy.spatial.distance import cdist
 
 from problems import convexify
+from problems.avoidance import Relaxation
 from sato.network.graph import CommunicationGraph
 from sato.network.rounds import run_round
-from sato.scp.planner import Planner, TrajectoryMessage, follows_solo, is_clear, solve_around
+from sato.scp.planner import Planner, TrajectoryMessage, is_clear, solve_around
 
 MAX_BENDS = 120  # rounds in which paths push each other aside
-MEETINGS = 4  # rounds in which trajectories are solved for
+MEETINGS = 8  # rounds in which trajectories are solved for
+IMPROVEMENTS = 4  # programs of an agent, after which it acts only where it has to
+IMPROVEMENTS_OF_PLAN = 1  # the same of one that begins with a plan
+RELAXATIONS: tuple[Relaxation, ...] = ("none", "half-spaces")
 ROOM = 1.1  # distance to which paths are pushed, over the one that is kept
 GAIN = 1.7  # by which a push exceeds what is lacking, as others average it
 SMOOTHING = 4.0  # duration of a push, over the time in which full control covers the distance
@@ -38,7 +42,6 @@ class PathMessage(NamedTuple):
     rank: float  # class of priority
     path: Float[Array, "pieces d"]
     clearance: float  # that two of the sender's kind would keep [m]
-    bends: bool  # True where the path has moved
 
 
 def meet_halfway(
@@ -95,7 +98,7 @@ def _solve_all(now: dict[int, Planner], graph: CommunicationGraph) -> dict[int, 
     i, j = np.nonzero(np.triu(heard))
     meets = ~convexify.are_paths_separated(paths, i, j, (own[i] + own[j]) / 2)
     i, j = i[meets], j[meets]
-    acts = np.array([not follows_solo(now[k]) for k in ids])
+    acts = np.array([_improves(now[k]) for k in ids])
     acts[i[rank[j] <= rank[i]]] = acts[j[rank[i] <= rank[j]]] = True
     messages = {k: agent.message for k, agent in now.items()}
     acting = {k: now[k] for k, is_acting in zip(ids, acts, strict=True) if is_acting}
@@ -111,7 +114,7 @@ def _stack_paths(now: dict[int, Planner]) -> tuple[list[int], Array, Float[Array
 def path_message(agent: Planner) -> PathMessage:
     """Return the message of an agent whose path is pushed aside."""
     path, R = agent.control_points[:, 0], agent.horizon.clearance
-    return PathMessage(agent.priority[0], path, R, not agent.has_converged)
+    return PathMessage(agent.priority[0], path, R)
 
 
 def bend(agent: Planner, inbox: Sequence[PathMessage]) -> Planner:
@@ -121,12 +124,11 @@ def bend(agent: Planner, inbox: Sequence[PathMessage]) -> Planner:
     path, last = agent.control_points[:, 0], _pieces_left(agent) - 1
     rank = np.array([other.rank for other in inbox])
     share = np.where(rank == agent.priority[0], 0.5, rank < agent.priority[0])
-    bends = np.array([other.bends for other in inbox]) | (not agent.has_converged)
     R = (np.array([other.clearance for other in inbox]) + agent.horizon.clearance) / 2
     relative = path - np.stack([other.path for other in inbox])
     apart = np.linalg.norm(relative, axis=2)
     ends = np.minimum(apart[:, 0], apart[:, last])
-    wanted = np.minimum(np.where(bends, ROOM, 1.0) * R, ends)
+    wanted = np.minimum(R, ends)
     near = (apart.min(axis=1) < wanted) & (share > 0)
     if not near.any():
         return agent
@@ -193,13 +195,14 @@ def _can_move(agent: Planner) -> bool:
 def solve_halfway(agent: Planner, inbox: Sequence[TrajectoryMessage]) -> Planner:
     """Solve for the trajectory on the agent's side of the planes halfway to all others.
 
-    Where there is none, the agent keeps what it had.
+    Where there is none, it solves for the one that passes them by least, and the others make room
+    in the next round.
     """
     nominal, R = agent.control_points, agent.horizon.clearance
     inbox = [other for other in inbox if other.priority[0] <= agent.priority[0]]
     if not _can_move(agent) or not inbox:
         return agent
-    if follows_solo(agent) and is_clear(nominal, inbox, R):
+    if not _improves(agent) and is_clear(nominal, inbox, R):
         return agent
     middles = [
         other._replace(
@@ -209,9 +212,18 @@ def solve_halfway(agent: Planner, inbox: Sequence[TrajectoryMessage]) -> Planner
         else other
         for other in inbox
     ]
-    result = solve_around(agent, middles, nominal, "same")
-    agent = agent._replace(solve_count=agent.solve_count + 1)
-    return agent if result is None else agent.with_result(result)._replace(has_converged=True)
+    for relaxation in RELAXATIONS:
+        agent = agent._replace(solve_count=agent.solve_count + 1)
+        result = solve_around(agent, middles, nominal, "same", relaxation)
+        if result is not None:
+            return agent.with_result(result)._replace(has_converged=relaxation == "none")
+    return agent
+
+
+def _improves(agent: Planner) -> bool:
+    # Its path was pushed aside, or what it has found may still become better.
+    most = IMPROVEMENTS_OF_PLAN if agent.has_plan else IMPROVEMENTS
+    return not agent.has_converged or 0 < agent.solve_count < most
 
 
 def come_after(agent: Planner) -> Planner:

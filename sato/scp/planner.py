@@ -9,7 +9,13 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from problems import convexify
-from problems.avoidance import AvoidanceProblem, AvoidanceResult, HalfSpaces, Relaxation
+from problems.avoidance import (
+    AVOIDING_LESS,
+    AvoidanceProblem,
+    AvoidanceResult,
+    HalfSpaces,
+    Relaxation,
+)
 from problems.conic import Unsolved
 from problems.solvers.verified import solve_program
 from problems.transfer import Solver, Trajectory, TransferProblem
@@ -68,6 +74,7 @@ class Planner(NamedTuple):
     control_points: Float[Array, "pieces 4 d"]  # of the nominal, over the horizon
     relinearize: Callable[[Trajectory], TransferProblem] | None = None  # None: model is linear
     solver: Solver = solve_program  # its own
+    has_plan: bool = False  # True where it begins with a plan that it keeps if it can
     in_turn: bool = False  # True where it plans once those of higher priority have
     is_final: bool = False
     has_converged: bool = True  # True where the nominal solves its last program, or needed none
@@ -306,6 +313,6 @@ def _solve_active_set(
         result = problem.solve(relaxation)
         trajectory = result.trajectory
         violation = half_spaces.violation(trajectory.x, trajectory.u)
-        violation -= result.slack if relaxation == "separation" else 0.0
+        violation -= result.slack if relaxation in AVOIDING_LESS else 0.0
         if not ((violation > VIOLATION_TOLERANCE * R) & ~active).any():
             return result
