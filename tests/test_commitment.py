@@ -204,41 +204,47 @@ def test_choice_by_messages_is_that_of_all_at_once(rng):
 
 
 def test_step_of_the_filter_is_clear_and_rests_within_its_half_spaces(decisions, monkeypatch):
-    taken, half_spaces = [], []
-
-    def note(*arguments):
-        found = improve(*arguments)
-        taken.append((arguments, found))
-        return found
-
-    def convexified(*arguments):
-        half_spaces.append(convexify_(*arguments))
-        return half_spaces[-1]
-
-    convexify_ = convexify.convexify
-    monkeypatch.setattr(commitment, "improve", note)
-    monkeypatch.setattr(convexify, "convexify", convexified)
+    improved = note_calls(monkeypatch, commitment, "improve")
+    stops = note_calls(monkeypatch, commitment, "find_stop")
+    walls = note_calls(monkeypatch, convexify, "convexify")
     for arguments, _ in decisions:
         commitment.commit(*arguments)
-    moved = 0
-    for ((context, agent, _, horizon, _, others, clearance), found), walls in zip(
-        taken, half_spaces, strict=True
-    ):
+    for (arguments, found), (_, half_spaces) in zip(stops, walls, strict=True):
+        mission, agent, d = arguments[0], arguments[2], arguments[0].axes
+        if found is not None:
+            u, x, _ = found
+            limit = mission.control_limit(agent)
+            assert limit.measure(u).max() <= limit.most * (1 + ROUNDING)
+            assert np.abs(x[-1, d:]).max() <= 1e-12 + ROUNDING * limit.most * mission.step
+            assert half_spaces.violation(x, u).max(initial=0) <= 1e-5 * arguments[1].clearance
+    moved = followed = 0
+    for (context, agent, plan, horizon, _, others, clearance), found in improved:
         if found is None:
             continue
-        mission, d, (u, path) = context.mission, context.mission.axes, found
-        x, limit = horizon.discrete_model.simulate(context.state[agent], u), mission.control_limit
-        assert limit(agent).measure(u).max() <= limit(agent).most * (1 + ROUNDING)
-        assert np.abs(x[-1, d:]).max() <= 1e-12 + ROUNDING * limit(agent).most * mission.step
-        assert walls.violation(x, u).max(initial=0) <= 1e-5 * horizon.clearance
+        mission, d, (u, path, steps) = context.mission, context.mission.axes, found
+        x = horizon.discrete_model.simulate(context.state[agent], u)
+        np.testing.assert_allclose(x[: steps + 1], plan.trajectory.x[: steps + 1], atol=1e-9)
         t, s = np.linspace(0, 1, 40)[:, None], 1 - np.linspace(0, 1, 40)[:, None]
         weights = np.hstack([s**3, 3 * s**2 * t, 3 * s * t**2, t**3])
         apart = np.linalg.norm(weights @ (path - others), axis=-1)
         assert (apart.min(axis=(1, 2)) >= clearance - ROUNDING).all()
         dense, reach = sample(x, u, mission.step), (mission.comm_radius - horizon.clearance) / 2
         assert np.linalg.norm(dense - x[0, :d], axis=1).max() <= reach * (1 + 2 * ROUNDING)
-        moved += 1
-    assert moved >= 10
+        moved, followed = moved + 1, followed + (steps > 0)
+    assert followed >= 2
+    assert moved - followed >= 5
+
+
+def note_calls(monkeypatch, module, name):
+    """Note the arguments and the answers of a function."""
+    calls, function = [], getattr(module, name)
+
+    def note(*arguments):
+        calls.append((arguments, function(*arguments)))
+        return calls[-1][1]
+
+    monkeypatch.setattr(module, name, note)
+    return calls
 
 
 def test_agents_that_do_not_hear_each_other_cannot_meet_unasked(rng):
@@ -288,7 +294,7 @@ def test_change_keeps_the_distance_to_a_neighbor_that_is_too_near(goal):
     far = np.array([0.9])  # to be kept, and more than there is
     found = improve(context, 0, plan, horizon, paths[0], paths[1:], far)
     assert found is not None
-    u, path = found
+    u, path, _ = found
     assert np.abs(path - paths[0]).max() > 1e-3
     assert hull_distance(path - paths[1])[0].min() >= kept * (1 - 1e-9)
     end = horizon.discrete_model.simulate(states[0], u)[-1]

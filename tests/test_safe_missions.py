@@ -39,17 +39,20 @@ def test_start_that_cannot_stop_within_reach_is_refused(joins):
         make_mission(start[:1] if joins else start, leg, **limits)
 
 
-@pytest.mark.parametrize(("keeps_plans", "least"), [(True, 10), (False, 20)])
-def test_vehicles_never_come_closer_than_their_distance(monkeypatch, keeps_plans, least):
+@pytest.mark.parametrize("keeps_plans", [True, False])
+def test_vehicles_never_come_closer_than_their_distance(monkeypatch, keeps_plans):
     if not keeps_plans:
         monkeypatch.setattr(sato.Reconfiguration, "keeps_plans", False)
-    cautious = 0
+    cautious = solves = 0
     for seed in range(40):
         mission = random_mission(np.random.default_rng([19, seed]))
         frames = begin(mission, 30)
         assert continuous_separation(mission, frames) >= 1 - 1e-9, seed
-        cautious += sum(e["kind"] == "cautious" for frame in frames for e in frame.events)
-    assert cautious > least
+        events = [event for frame in frames for event in frame.events]
+        cautious += sum(event["kind"] == "cautious" for event in events)
+        solves += sum(event.get("solves", 0) for event in events)
+    assert solves > 300  # they are in each other's way
+    assert keeps_plans or cautious > 20
 
 
 def test_first_commitments_are_clear_within_reach_and_end_at_rest():

@@ -191,7 +191,8 @@ class Decision(NamedTuple):
         path = extend(offers.paths[0, choice], len(horizon.fine_model))
         order, own = tuple(agent for _, agent in cautious), (self.number, self.plans[self.number])
         clearance = float(offers.clearance[0])
-        turns = Turns(self.context, own[1], own[0], order, horizon, u, path, clearance)
+        flown = offers.plan_steps[choice]
+        turns = Turns(self.context, own[1], own[0], order, horizon, u, path, clearance, flown)
         return self._enter(turns)
 
     def _commit_in_orbit(self, choosing: Choosing) -> "Decision":
@@ -205,12 +206,11 @@ class Decision(NamedTuple):
         return self._replace(committed=committed, plans=kept, events=events, is_finished=True)
 
     def _commit(self, turns: Turns) -> "Decision":
-        assert self.choosing is not None
-        flown = self.choosing.offers.plan_steps[self.choosing.choice]
-        plan = commitment.follow(self.context, turns.plan, flown)
+        plan = commitment.follow(self.context, turns.plan, turns.plan_steps)
         committed = {self.number: stopping.Commitment(self.context.instant, turns.u)}
         events = self.events
-        if self.number in turns.order and commitment.leaves_plan(turns.plan):
+        is_cautious = self.number in turns.order and turns.plan_steps == 0
+        if is_cautious and commitment.leaves_plan(turns.plan):
             events = (*events, {"kind": "cautious", "agents": [self.number]})
         plans = {self.number: plan}
         return self._replace(plans=plans, committed=committed, events=events, is_finished=True)

@@ -189,7 +189,6 @@ class OfferMessage(NamedTuple):
     priority: Priority
     path: Float[Array, "pieces 4 d"]  # of its choice
     choice: int  # the larger, the shorter it follows its plan
-    is_last: bool  # True where that is the trajectory that it has committed to
     clearance: float  # that two of the sender's kind would keep [m]
     last_change: int  # last round in which an agent is known to have changed its choice
 
@@ -207,10 +206,8 @@ class Choosing(NamedTuple):
     @property
     def message(self) -> OfferMessage:
         """Message to the neighbors."""
-        path, is_last = self.offers.paths[0, self.choice], self.choice == self.offers.last
-        clearance = float(self.offers.clearance[0])
-        own = self.priority, path, self.choice, is_last, clearance
-        return OfferMessage(*own, self.last_change)
+        path, clearance = self.offers.paths[0, self.choice], float(self.offers.clearance[0])
+        return OfferMessage(self.priority, path, self.choice, clearance, self.last_change)
 
     @property
     def is_finished(self) -> bool:
@@ -221,14 +218,11 @@ class Choosing(NamedTuple):
         """Take the next offer where the agent meets another, and is the one that has to."""
         own, round = self.message, self.round + 1
         last_change = max([self.last_change, *(message.last_change for message in inbox)])
-        others = [
-            other
-            for other in inbox
-            if (other.is_last or _goes_first(other, own))
-            and not own.is_last
-        ]
+        others = [other for other in inbox if _goes_first(other, own)]
         after = self._replace(round=round, last_change=last_change)
-        if all(keeps_clear(own.path, own.clearance, other) for other in others):
+        if own.choice == self.offers.last or all(
+            keeps_clear(own.path, own.clearance, other) for other in others
+        ):
             return after
         choice = next_choice(self.offers.is_allowed[0], self.choice)
         return after._replace(choice=choice, last_change=round)
@@ -280,6 +274,7 @@ class Turns(NamedTuple):
     u: Float[Array, "T m"]  # to which it is committed now
     path: Float[Array, "pieces 4 d"]
     clearance: float
+    plan_steps: int  # for which that follows the plan
     round: int = 0
 
     @property
@@ -302,4 +297,7 @@ class Turns(NamedTuple):
         found = improve(
             self.context, self.agent, self.plan, self.horizon, self.path, others, clearance
         )
-        return after if found is None else after._replace(u=found[0], path=found[1])
+        if found is None:
+            return after
+        u, path, plan_steps = found
+        return after._replace(u=u, path=path, plan_steps=plan_steps)

@@ -25,6 +25,7 @@ from sato.reconfiguration.stopping import (
     Commitment,
     Commitments,
     find_stop,
+    pad_controls,
     stays_within_reach,
     stopping_horizon,
 )
@@ -38,8 +39,8 @@ def choose_offers(
     """Let all agents agree on offers that are clear of each other.
 
     All begin with their best. While two are not clear, the one that follows its plan for longer
-    takes its next choice, or that of lower rank where both do as long, or the other, where one has
-    none. So at the end all are clear that were not committed already.
+    takes its next choice, or that of lower rank where both do as long. So at the end all are clear
+    that were not committed already.
     The batched equivalent of `agent_stages.Choosing`.
     """
     i, j, radius = list_pairs(offers, graph)
@@ -47,13 +48,12 @@ def choose_offers(
     changed, is_clear = np.arange(len(i)), np.ones(len(i), dtype=bool)
     while True:
         is_clear[changed] = are_clear(offers, choice, i[changed], j[changed], radius[changed])
-        met = np.flatnonzero(~is_clear & ((choice[i] < last) | (choice[j] < last)))
+        met = np.flatnonzero(~is_clear & (np.minimum(choice[i], choice[j]) < last))
         if not len(met):
             return np.asarray(choice)
         longer = choice[j[met]] - choice[i[met]]
         is_lower = np.where(longer == 0, rank[i[met]] > rank[j[met]], longer > 0)
-        lower, higher = np.where(is_lower, (i[met], j[met]), (j[met], i[met]))
-        moved = np.unique(np.where(choice[lower] < last, lower, higher))
+        moved = np.unique(np.where(is_lower, i[met], j[met]))
         for a in moved:
             choice[a] = next_choice(offers.is_allowed[a], int(choice[a]))
         changed = np.flatnonzero(np.isin(i, moved) | np.isin(j, moved))
@@ -118,6 +118,7 @@ def commit(
     kept = {a for a, plan in enumerate(plans.values()) if is_kept(context, plan)}
     order = [a for a in np.argsort(rank).tolist() if a not in kept]
     cautious = [a for a in order if choice[a] == offers.last]
+    flown = np.array(offers.plan_steps)[choice]
     for a in cautious:
         near, i = adjacent[a], int(offers.agents[a])
         T = int(offers.steps[component == component[a]].max())
@@ -127,14 +128,13 @@ def commit(
         others = paths[near, :pieces]
         found = improve(context, i, plans[i], horizon, paths[a, :pieces], others, clearance)
         if found is not None:
-            u[a, :T], paths[a, :pieces] = found
+            u[a, :T], paths[a, :pieces], flown[a] = found
             paths[a, pieces:] = found[1][-1, -1]
     done = {i: Commitment(context.instant, u[a]) for a, i in enumerate(plans)}
     followed = {
-        i: follow(context, plan, offers.plan_steps[choice[a]])
-        for a, (i, plan) in enumerate(plans.items())
+        i: follow(context, plan, int(flown[a])) for a, (i, plan) in enumerate(plans.items())
     }
-    left = [int(offers.agents[a]) for a in cautious]
+    left = [int(offers.agents[a]) for a in cautious if flown[a] == 0]
     return done, followed, sorted(i for i in left if leaves_plan(plans[i]))
 
 
@@ -169,8 +169,8 @@ def improve(
     path: Float[Array, "pieces 4 d"],
     others: Float[Array, "others pieces 4 d"],
     clearance: Float[Array, " others"],
-) -> tuple[Float[Array, "T m"], Float[Array, "pieces 4 d"]] | None:
-    """Change a committed trajectory towards the agent's plan.
+) -> tuple[Float[Array, "T m"], Float[Array, "pieces 4 d"], int] | None:
+    """Change a committed trajectory towards the agent's plan, or to a stop later on it.
 
     From a neighbor that it is too near to, as noise may have it, the change keeps what it had.
 
@@ -184,20 +184,63 @@ def improve(
         clearance: Distance to keep from each [m].
 
     Returns:
-        Controls and control points; None where none are found that are safe.
+        Controls, control points, and the steps for which these follow the plan; None where none
+        are found that are safe.
     """
-    mission = context.mission
+    mission, k, steps = context.mission, steps_to_next(context), len(plan.trajectory.u)
     kept = hull_distance(path - others)[0].min(axis=1)
     clearance = np.minimum(clearance, kept * (1 - ROUNDING))
-    x, steps, k = plan.trajectory.x, len(plan.trajectory.u), steps_to_next(context)
+    stop = _find_stop_on_plan, _find_stop_towards_plan
+    for find, followed in zip(stop, (k, 0), strict=True):
+        u = find(context, agent, plan, horizon, path, others, clearance)
+        if u is None:
+            continue
+        x = horizon.discrete_model.simulate(context.state[agent], u)
+        points = horizon.control_points(x, u)
+        is_clear = convexify.are_hulls_separated(points - others, clearance).all()
+        if is_clear and stays_within_reach(mission, horizon, x[:, : mission.axes], points):
+            return u, points, min(followed, steps)
+    return None
+
+
+def _find_stop_on_plan(
+    context: DecisionContext,
+    agent: int,
+    plan: Plan,
+    horizon: AvoidanceHorizon,
+    path: Float[Array, "pieces 4 d"],
+    others: Float[Array, "others pieces 4 d"],
+    clearance: Float[Array, " others"],
+) -> Float[Array, "T m"] | None:
+    # Where to stop at once would lead into others, an agent may pass them and stop by another way.
+    mission, k = context.mission, steps_to_next(context)
+    own, x = mission.control_limit(agent).cut(plan.trajectory.u), plan.trajectory.x
+    left = horizon.steps - k
+    if left < 2 or len(own) <= k:
+        return None
+    after = stopping_horizon(mission, left)
+    (rest,) = pad_controls([own[k : k + left]], left)
+    nominal = after.control_points(after.discrete_model.simulate(x[k], rest), rest)
+    aim = agent, x[k], x[min(2 * k, len(own))], min(k, left - 1)
+    later = others[:, k * horizon.pieces_per_step :]
+    found = find_stop(mission, after, *aim, nominal, later, clearance, context.solver_of(agent))
+    return None if found is None else np.vstack([own[:k], found[0]])
+
+
+def _find_stop_towards_plan(
+    context: DecisionContext,
+    agent: int,
+    plan: Plan,
+    horizon: AvoidanceHorizon,
+    path: Float[Array, "pieces 4 d"],
+    others: Float[Array, "others pieces 4 d"],
+    clearance: Float[Array, " others"],
+) -> Float[Array, "T m"] | None:
+    mission, k = context.mission, steps_to_next(context)
+    x, steps = plan.trajectory.x, len(plan.trajectory.u)
     wanted = x[min(k, steps)]
     if not steps:  # back to the target
         wanted, k = rest_at_target(context, agent), mission.horizon_steps
     aim = agent, context.state[agent], wanted, min(k, horizon.steps - 1)
     found = find_stop(mission, horizon, *aim, path, others, clearance, context.solver_of(agent))
-    if found is None:
-        return None
-    u, x, path = found
-    is_clear = convexify.are_hulls_separated(path - others, clearance).all()
-    is_near = stays_within_reach(mission, horizon, x[:, : mission.axes], path)
-    return (u, path) if is_clear and is_near else None
+    return None if found is None else found[0]

@@ -4,7 +4,8 @@ By priority the first flies straight and the last goes around all, if it can. Wh
 through one place, all give way instead. In rounds of messages, paths that come too close push each
 other aside, those that meet head-on to their right. Then each agent looks for the trajectory of
 least cost on its side of the planes halfway between its path and those of all others. All do so
-at once: two that keep to their sides keep the distance.
+at once: two that keep to their sides keep the distance. An agent that finds none takes the one that
+enters the others' sides by least, and in the next round these make room for it.
 
 An agent gives way alone to those of a higher class of priority, and to none of a lower one.
 """
@@ -25,7 +26,7 @@ from sato.network.rounds import run_round
 from sato.scp.planner import Planner, TrajectoryMessage, is_clear, solve_around
 
 MAX_BENDS = 120  # rounds in which paths push each other aside
-MEETINGS = 8  # rounds in which trajectories are solved for
+MEETINGS = 6  # rounds in which trajectories are solved for
 IMPROVEMENTS = 4  # programs of an agent, after which it acts only where it has to
 IMPROVEMENTS_OF_PLAN = 1  # the same of one that begins with a plan
 RELAXATIONS: tuple[Relaxation, ...] = ("none", "half-spaces")

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import count
 from typing import NamedTuple
 
 import numpy as np
@@ -41,6 +42,7 @@ FEASIBILITY_TOLERANCE = 1e-6  # of R: smaller violations and terminal errors cou
 RELAXATIONS_IN_TURN = (RELAXATION_ORDER[0], RELAXATION_ORDER[2])  # where all can wait
 MAX_SOLVES_IN_TURN = 4
 SPARSE_STEPS = 24  # with which programs that have the states as unknowns are faster
+PROGRAMS_OF_ATTEMPT = 2  # in which half-spaces are relaxed: others make room before the next
 MAX_SOLVES = 20  # programs, after which an agent stops improving (Proposition 4 keeps it safe)
 
 
@@ -303,7 +305,7 @@ def _solve_active_set(
     R = agent.horizon.clearance
     active = np.abs(half_spaces.violation(nominal.x, nominal.u)) < ACTIVE_TOLERANCE * R
     violation = half_spaces.violation(agent.solo.x, agent.solo.u)
-    while True:
+    for programs in count(1):
         active |= half_spaces.worst_per_step(
             np.where(active, 0.0, violation), VIOLATION_TOLERANCE * R
         )
@@ -314,5 +316,7 @@ def _solve_active_set(
         trajectory = result.trajectory
         violation = half_spaces.violation(trajectory.x, trajectory.u)
         violation -= result.slack if relaxation in AVOIDING_LESS else 0.0
-        if not ((violation > VIOLATION_TOLERANCE * R) & ~active).any():
+        is_enough = relaxation == "half-spaces" and programs == PROGRAMS_OF_ATTEMPT
+        if is_enough or not ((violation > VIOLATION_TOLERANCE * R) & ~active).any():
             return result
+    raise AssertionError  # never: rows are finite
