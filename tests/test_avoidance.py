@@ -95,10 +95,25 @@ def test_relaxations_agree_with_cvxpy(V):
     assert fast.slack > 0.5
 
 
+@pytest.mark.parametrize("is_sparse", [False, True])
+@pytest.mark.parametrize("V", [inf, 0.6])
+def test_half_spaces_are_violated_least_on_the_way_to_the_goal(V, is_sparse):
+    walls = detour(least=4.0)
+    avoid = AvoidanceProblem(
+        TransferProblem(plane, 0.1, V, tie_break_rise=1e-2), start, goal, walls, is_sparse=is_sparse
+    )
+    found, stated = avoid.solve("half-spaces"), avoid.solve_cvxpy("half-spaces")
+    least, sums = (
+        np.maximum(walls.violation(*each.trajectory[:2]), 0).sum() for each in (stated, found)
+    )
+    assert sums == pytest.approx(least, rel=1e-4)
+    assert found.slack > 0.5 and found.terminal_error < 1e-6
+
+
 def test_a_relaxation_changes_nothing_where_the_problem_is_feasible():
     avoid = AvoidanceProblem(TransferProblem(plane, 0.25), start, goal, detour())
     strict = avoid.solve().trajectory.fuel
-    for gives in ("terminal", "separation"):
+    for gives in ("terminal", "half-spaces", "separation"):
         passage = avoid.solve(gives)
         assert passage.trajectory.fuel == pytest.approx(strict, rel=1e-6)
         assert max(passage.terminal_error, passage.slack) < 1e-8
@@ -172,13 +187,13 @@ def test_no_steps_are_refused():
 @pytest.mark.parametrize("speed_norm", [1, 2, "inf"])
 def test_no_solution_exceeds_the_speed_limit(rng, speed_norm, fuel_norm):
     solver = VerifiedSolver("scs", 1e-4)  # whose own accuracy would exceed it
-    for relaxation in ("none", "terminal", "separation"):
+    for relaxation in ("none", "terminal", "half-spaces", "separation"):
         V = rng.uniform(0.2, 0.4)
         transfer = TransferProblem(plane, 0.2, V, fuel_norm=fuel_norm, speed_norm=speed_norm)
         start, goal = np.zeros(4), np.zeros(4)
         goal[:2] = rng.uniform(0.4, 0.5) * V * len(plane) * rng.choice([-1, 1], 2)
         problem = AvoidanceProblem.alone(transfer, start, goal, solver)
-        for factor in (1.0, 3.0) if relaxation != "none" else (1.0,):
+        for factor in (1.0, 3.0) if relaxation in ("terminal", "separation") else (1.0,):
             question = replace(problem, goal=factor * goal)
             found = question.solve(relaxation).trajectory
             assert not transfer.is_too_fast(found.x).any()

@@ -41,6 +41,20 @@ def test_vehicles_on_a_circle_exchange_sides_in_time():
     assert summary["fuel_m_s"] <= 1.3 * summary["fuel_lower_bound_m_s"]
 
 
+def test_vehicles_that_cross_a_sphere_decide_once_for_all():
+    count, golden = 24, np.pi * (1 + 5**0.5)
+    k = np.arange(count)
+    z = 1 - (2 * k + 1) / count
+    unit = np.column_stack([np.cos(golden * k), np.sin(golden * k), z])
+    unit[:, :2] *= np.sqrt(1 - z**2)[:, None]
+    mission = exchange(2.0 * unit, 30, model=sato.DoubleIntegrator(3))
+    run = sato.run(mission)
+    summary = arrives(run, mission)
+    assert summary["cautious"] == summary["legs"][0]["resets"] == 0
+    solves = [event["solves"] for event in run.events() if event["kind"] == "replan"]
+    assert sum(number > 0 for number in solves) == 1
+
+
 def test_pair_that_meets_in_a_lane_of_parked_vehicles_passes():
     x = np.arange(-3.0, 3.5, 0.75)
     walls = [np.column_stack([x, np.full_like(x, y)]) for y in (-0.7, 0.7)]

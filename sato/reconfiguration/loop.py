@@ -98,6 +98,8 @@ class _Flight:
             seen = measured if mission.position_noise or mission.velocity_noise else None
             yield self.make_frame(graph, control, applied, seen)
             self._propagate(control, applied)
+        if number == len(mission.legs) - 1 and self.waiting:
+            self.events.append({"kind": "refused", "agents": self.waiting})
         memory, component = self.memory, self.make_graph().component.tolist()
         held, believed = memory.target_index.tolist(), memory.target_count.tolist()
         ended = {"leg": number, "target": held, "believed": believed, "component": component}

@@ -115,7 +115,7 @@ def redraw(record: ReconfigurationRecord, rng: Generator) -> Redrawn:
                 applied[k] = disturb_control(mission, applied[k], rng)
         expected[leg.end_index :] = alive
         if leg.leg_index == len(mission.legs) - 1 and leg.end_event is not None:
-            events += [(-1, "", -1) for _ in waiting]  # that never joined
+            events += [(leg.end_index, "refused", i) for i in waiting]
         if leg.end_event is not None:
             due = [at_step for _, at_step in mission.joining(leg.leg_index)]
             due += [loss.at_step for loss in mission.legs[leg.leg_index].losses]

@@ -126,12 +126,18 @@ def compute_terminal_errors(
 
 
 def is_reached(record: ReconfigurationRecord, leg: LegRecord) -> bool:
-    """Tell whether every live agent is at the target that it alone holds, and there is one."""
+    """Tell whether every live agent is at the target that it alone holds, and there is one.
+
+    A leg at whose end a vehicle still waits to join is not reached.
+    """
     position, velocity = compute_terminal_errors(record, leg)
     is_near = position <= record.mission.position_tolerance
     is_near &= velocity <= record.mission.velocity_tolerance
     is_anyone_there = leg.end_event is not None and bool(leg.alive.any())
-    return is_anyone_there and bool(is_near.all()) and not count_duplicates(leg)
+    refused = [event for k, event in record.events.of_kind("refused") if k == leg.end_index]
+    waits = any(record.mission.waits[event["agents"]].any() for event in refused)
+    is_all_there = is_anyone_there and not waits
+    return is_all_there and bool(is_near.all()) and not count_duplicates(leg)
 
 
 def count_duplicates(leg: LegRecord) -> int:
