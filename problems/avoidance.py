@@ -30,8 +30,8 @@ from problems.transfer import (
 
 Relaxation = Literal["none", "terminal", "half-spaces", "separation"]
 
-ARRIVING = "none", "half-spaces"  # relaxations that keep the terminal state
-AVOIDING_LESS = "half-spaces", "separation"  # those that do not keep the half-spaces
+KEEPS_TERMINAL_STATE = "none", "half-spaces"
+RELAXES_HALF_SPACES = "half-spaces", "separation"
 
 RELAXATION_PENALTY = 1e3  # per meter of error, over the fuel that flies a meter
 ROUNDING = 1e-6  # of the way to the goal
@@ -164,7 +164,7 @@ class AvoidanceProblem:
             return AvoidanceResult(free, 0.0, 0.0)
         if not self.transfer.is_condensable:
             return self.solve_cvxpy(relaxation)
-        arrives = relaxation in ARRIVING
+        arrives = relaxation in KEEPS_TERMINAL_STATE
         is_sparse = self.is_sparse and arrives and self.transfer.objective == "fuel"
 
         def assemble(limited: list[Array]) -> ConicProgram:
@@ -196,9 +196,9 @@ class AvoidanceProblem:
         limits.append(x[len(self.transfer.model)] + terminal_error == self.goal)
         if rows:
             limits.append(self.half_spaces.to_cvxpy(x, u) + slack >= self.half_spaces.rhs)
-        if relaxation in ARRIVING:
+        if relaxation in KEEPS_TERMINAL_STATE:
             limits.append(terminal_error == 0)
-        if relaxation not in AVOIDING_LESS:
+        if relaxation not in RELAXES_HALF_SPACES:
             limits.append(slack == 0)
         error_cost = cp.norm1(cp.multiply(self._terminal_error_weights, terminal_error))
         return x, u, effort + self._penalty * (error_cost + 10 * cp.sum(slack)), limits
@@ -260,8 +260,8 @@ class AvoidanceProblem:
         free = transfer.coast(self.start)
         coeffs, rhs = self.half_spaces.condense_breakable(transfer, free)
         rows = len(rhs)
-        errors = 0 if relaxation in ARRIVING else n
-        slacks = rows if relaxation in AVOIDING_LESS else 0
+        errors = 0 if relaxation in KEEPS_TERMINAL_STATE else n
+        slacks = rows if relaxation in RELAXES_HALF_SPACES else 0
 
         weights = np.repeat(transfer.weights, m) * shares
         P, cost = None, np.tile(U * transfer.model.dt * weights, 2)

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import count
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy import ndarray as Array
 
 from problems import convexify
 from problems.avoidance import (
-    AVOIDING_LESS,
+    RELAXES_HALF_SPACES,
     AvoidanceProblem,
     AvoidanceResult,
     HalfSpaces,
@@ -42,7 +41,7 @@ FEASIBILITY_TOLERANCE = 1e-6  # of R: smaller violations and terminal errors cou
 RELAXATIONS_IN_TURN = (RELAXATION_ORDER[0], RELAXATION_ORDER[2])  # where all can wait
 MAX_SOLVES_IN_TURN = 4
 SPARSE_STEPS = 24  # with which programs that have the states as unknowns are faster
-PROGRAMS_OF_ATTEMPT = 2  # in which half-spaces are relaxed: others make room before the next
+PROGRAMS_OF_ATTEMPT = 2  # to find a trajectory that others make room for
 MAX_SOLVES = 20  # programs, after which an agent stops improving (Proposition 4 keeps it safe)
 
 
@@ -300,12 +299,14 @@ def _solve_active_set(
     agent: Planner, half_spaces: HalfSpaces, relaxation: Relaxation
 ) -> AvoidanceResult:
     # Few half-spaces are active: begin with those active at the nominal, and add at each step
-    # the one that is violated most, until none is.
+    # the one that is violated most, until none is. An attempt with relaxed half-spaces need not
+    # be exact: the others move before the next.
     transfer, nominal, target = agent.transfer, agent.nominal, agent.target_state
     R = agent.horizon.clearance
     active = np.abs(half_spaces.violation(nominal.x, nominal.u)) < ACTIVE_TOLERANCE * R
     violation = half_spaces.violation(agent.solo.x, agent.solo.u)
-    for programs in count(1):
+    programs = 0
+    while True:
         active |= half_spaces.worst_per_step(
             np.where(active, 0.0, violation), VIOLATION_TOLERANCE * R
         )
@@ -315,8 +316,8 @@ def _solve_active_set(
         result = problem.solve(relaxation)
         trajectory = result.trajectory
         violation = half_spaces.violation(trajectory.x, trajectory.u)
-        violation -= result.slack if relaxation in AVOIDING_LESS else 0.0
+        violation -= result.slack if relaxation in RELAXES_HALF_SPACES else 0.0
+        programs += 1
         is_enough = relaxation == "half-spaces" and programs == PROGRAMS_OF_ATTEMPT
         if is_enough or not ((violation > VIOLATION_TOLERANCE * R) & ~active).any():
             return result
-    raise AssertionError  # never: rows are finite

@@ -73,11 +73,15 @@ def _count_contradictions(record: ReconfigurationRecord, leg: LegRecord) -> int:
 
 
 def _is_odd_length(record: ReconfigurationRecord, leg: LegRecord) -> bool:
-    """Tell whether a leg ends before its deadline, or long after clocks last began."""
-    steps = record.mission.legs[leg.leg_index].steps
+    """Tell whether a leg ends before its deadline, or long after clocks last began.
+
+    One whose last plans were not clear lasts until others are made.
+    """
+    steps, period = record.mission.legs[leg.leg_index].steps, record.mission.replan_steps
     begins = [k for k, _ in record.events.of_kind("reset", "join") if k < leg.end_index]
-    last = max([leg.start_index, *begins])
-    return bool(leg.alive.any()) and not leg.start_index <= leg.end_index - steps <= last
+    braked = [k + period + 1 for k, _ in record.events.of_kind("braked") if k < leg.end_index]
+    latest = max([max([leg.start_index, *begins]) + steps, *braked])
+    return bool(leg.alive.any()) and not leg.start_index + steps <= leg.end_index <= latest
 
 
 def _find_alive_at_end(record: ReconfigurationRecord, leg: LegRecord) -> Bool[Array, " agents"]:
