@@ -57,11 +57,14 @@ def test_nobody_left_is_not_reached():
     assert {promise.name for promise in run.check().broken} == {"reached"}
 
 
-def test_join_that_never_happens_is_missed():
+def test_flight_at_whose_end_a_vehicle_waits_in_vain_is_not_reached():
     stay = Leg(row(3, 0.0), 6, joins=[sato.Join(None, row(1, 0.1), at_step=4)])
     run = sato.run(pair(stay))
+    (refused,) = run.events("refused")
     assert len(run.events("join")) == 0
-    assert {promise.name for promise in run.check().broken} == {"alive"}
+    assert refused["time"] == run.events("leg_end")[0]["time"]
+    assert not run.summary["reached"]
+    assert {promise.name for promise in run.check().broken} == {"reached"}
 
 
 def test_join_waits_until_there_is_room():

@@ -82,17 +82,6 @@ def test_a_vehicle_without_room_at_its_step_is_refused_and_the_run_is_kept():
     assert "alive" in {promise.name for promise in run.check().broken}
 
 
-def test_a_vehicle_that_waits_in_vain_is_refused_at_the_end_of_the_flight():
-    joins = [sato.Join(1, [[-1.0, 0.1]], at_step=1)]
-    places = sato.Points(np.vstack([2 * row(2, 0.0), [[0.0, 3.0]]]), keep_order=True)
-    leg = sato.Leg(places, 8, joins=joins)
-    run = sato.run(make_mission(2 * row(2, 0.0), leg, comm_radius=20.0, assignment="given"))
-    (refused,) = run.events("refused")
-    assert refused["agents"] == [2] and refused["time"] == run.events("leg_end")[0]["time"]
-    assert not run.summary["reached"]
-    assert {promise.name for promise in run.check().broken} == {"reached"}
-
-
 def test_a_spacecraft_that_waits_to_join_is_no_fault_of_the_run():
     start = np.zeros((2, 3))
     start[1, 1] = 200.0
