@@ -169,7 +169,7 @@ class AvoidanceProblem:
 
         def assemble(limited: list[Array]) -> ConicProgram:
             if is_sparse:
-                penalty = 10 * self._penalty if relaxation == "half-spaces" else inf
+                penalty = self._slack_penalty if relaxation in RELAXES_HALF_SPACES else inf
                 return assemble_sparse(self, limited[0], penalty)
             return self.assemble_conic(relaxation, limited[0])
 
@@ -201,7 +201,8 @@ class AvoidanceProblem:
         if relaxation not in RELAXES_HALF_SPACES:
             limits.append(slack == 0)
         error_cost = cp.norm1(cp.multiply(self._terminal_error_weights, terminal_error))
-        return x, u, effort + self._penalty * (error_cost + 10 * cp.sum(slack)), limits
+        penalty = self._penalty * error_cost + self._slack_penalty * cp.sum(slack)
+        return x, u, effort + penalty, limits
 
     def _make_result(self, found: Trajectory) -> AvoidanceResult:
         terminal_error = float(np.abs(found.x[-1] - self.goal).max())
@@ -224,6 +225,10 @@ class AvoidanceProblem:
         is_fuel = self.transfer.objective == "fuel"
         marginal = 1.0 if is_fuel else 2 * self.transfer.control_limit.most
         return marginal * RELAXATION_PENALTY / duration
+
+    @property
+    def _slack_penalty(self) -> float:
+        return 10 * self._penalty
 
     @property
     def _terminal_error_weights(self) -> Array:
@@ -269,7 +274,7 @@ class AvoidanceProblem:
             curvature = np.zeros(N + 2 * errors + slacks)
             curvature[:N] = 2 * transfer.model.dt * U**2 * shares**2
             P, cost = csc_array(diags_array(curvature)), np.zeros(N)
-        penalty = np.repeat([self._penalty, 10 * self._penalty], [2 * errors, slacks])
+        penalty = np.repeat([self._penalty, self._slack_penalty], [2 * errors, slacks])
         whitening, scale = np.linalg.inv(factor), 1 / U
         reach = U * whitening @ R[T]
         unit = (whitening / self._terminal_error_weights)[:, :errors]

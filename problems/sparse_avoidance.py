@@ -59,11 +59,12 @@ def assemble_sparse(
     first = 2 * N + np.repeat((limited - 1) * n + m, len(speed) // max(len(limited), 1))
     slow = _place([(-speed, first)], 2 * N + states)
     cones = len(speed) if transfer.speed_limit.faces is None else 0
-    A = vstack([fixed.motion, avoid, fixed.limits, slow], format="csc")
     if slacks:
         own, width = -eye_array(slacks), 2 * N + states
         rows = [[fixed.motion, None], [avoid, own], [coo_array((slacks, width)), own]]
         A = block_array([*rows, [fixed.limits, None], [slow, None]], format="csc")
+    else:
+        A = vstack([fixed.motion, avoid, fixed.limits, slow], format="csc")
     bounds = np.repeat([1.0, 0.0], 2 * N)
     b = [begin.ravel(), goal / U, known - spaces.rhs, np.zeros(slacks), bounds, speed_rhs]
     weights = np.repeat(transfer.weights, m) * np.tile(limit.shares, T)

@@ -187,12 +187,12 @@ def improve(
         Controls, control points, and the steps for which these follow the plan; None where none
         are found that are safe.
     """
-    mission, k, steps = context.mission, steps_to_next(context), len(plan.trajectory.u)
+    mission, steps = context.mission, len(plan.trajectory.u)
     kept = hull_distance(path - others)[0].min(axis=1)
     clearance = np.minimum(clearance, kept * (1 - ROUNDING))
-    stop = _find_stop_on_plan, _find_stop_towards_plan
-    for find, followed in zip(stop, (k, 0), strict=True):
-        u = find(context, agent, plan, horizon, path, others, clearance)
+    # Where to stop at once would lead into others, an agent may pass them and stop by another way.
+    for followed in (steps_to_next(context), 0):
+        u = _find_stop_after(context, agent, plan, followed, horizon, path, others, clearance)
         if u is None:
             continue
         x = horizon.discrete_model.simulate(context.state[agent], u)
@@ -203,44 +203,30 @@ def improve(
     return None
 
 
-def _find_stop_on_plan(
+def _find_stop_after(
     context: DecisionContext,
     agent: int,
     plan: Plan,
+    k: int,
     horizon: AvoidanceHorizon,
     path: Float[Array, "pieces 4 d"],
     others: Float[Array, "others pieces 4 d"],
     clearance: Float[Array, " others"],
 ) -> Float[Array, "T m"] | None:
-    # Where to stop at once would lead into others, an agent may pass them and stop by another way.
-    mission, k = context.mission, steps_to_next(context)
+    """Find controls that follow the plan for k steps, and then stop near it."""
+    mission, period = context.mission, steps_to_next(context)
     own, x = mission.control_limit(agent).cut(plan.trajectory.u), plan.trajectory.x
-    left = horizon.steps - k
-    if left < 2 or len(own) <= k:
-        return None
-    after = stopping_horizon(mission, left)
-    (rest,) = pad_controls([own[k : k + left]], left)
-    nominal = after.control_points(after.discrete_model.simulate(x[k], rest), rest)
-    aim = agent, x[k], x[min(2 * k, len(own))], min(k, left - 1)
-    later = others[:, k * horizon.pieces_per_step :]
-    found = find_stop(mission, after, *aim, nominal, later, clearance, context.solver_of(agent))
-    return None if found is None else np.vstack([own[:k], found[0]])
-
-
-def _find_stop_towards_plan(
-    context: DecisionContext,
-    agent: int,
-    plan: Plan,
-    horizon: AvoidanceHorizon,
-    path: Float[Array, "pieces 4 d"],
-    others: Float[Array, "others pieces 4 d"],
-    clearance: Float[Array, " others"],
-) -> Float[Array, "T m"] | None:
-    mission, k = context.mission, steps_to_next(context)
-    x, steps = plan.trajectory.x, len(plan.trajectory.u)
-    wanted = x[min(k, steps)]
-    if not steps:  # back to the target
-        wanted, k = rest_at_target(context, agent), mission.horizon_steps
-    aim = agent, context.state[agent], wanted, min(k, horizon.steps - 1)
+    wanted, start = x[min(k + period, len(own))], context.state[agent]
+    if not len(own):  # back to the target
+        wanted, period = rest_at_target(context, agent), mission.horizon_steps
+    if k:
+        left = horizon.steps - k
+        if left < 2 or len(own) <= k:
+            return None
+        start, horizon = x[k], stopping_horizon(mission, left)
+        (rest,) = pad_controls([own[k : k + left]], left)
+        path = horizon.control_points(horizon.discrete_model.simulate(start, rest), rest)
+        others = others[:, k * horizon.pieces_per_step :]
+    aim = agent, start, wanted, min(period, horizon.steps - 1)
     found = find_stop(mission, horizon, *aim, path, others, clearance, context.solver_of(agent))
-    return None if found is None else found[0]
+    return None if found is None else np.vstack([own[:k], found[0]])

@@ -192,7 +192,7 @@ def plan_alone(
                 prior = transfer.simulate(solo.x[0], rest)
                 if np.abs(prior.x - solo.x).max() > relative * clearance:
                     planner = planner.with_nominal(prior)
-                    planner = planner._replace(has_converged=mission.keeps_plans)
+                    planner = planner._replace(has_converged=planner.has_plan)
             planners[i] = planner
     return planners, unreachable, solve_count
 
