@@ -16,9 +16,9 @@ from numpy import ndarray as Array
 from scipy.sparse import csc_array, diags_array
 
 from dynamics.model import ControlSamples, StateSamples
-from problems.conic import ConicProgram
+from problems.conic import ConicProgram, Infeasible, Unsolved
+from problems.constraint_generation import Goal, can_generate, generate_constraints
 from problems.solvers.verified import solve_program
-from problems.sparse_avoidance import assemble_sparse
 from problems.transfer import (
     Solver,
     Trajectory,
@@ -48,8 +48,8 @@ class HalfSpaces(NamedTuple):
 
     def violation(self, x: StateSamples, u: ControlSamples) -> Float[Array, " rows"]:
         """Compute rhs minus the left-hand side of each row; positive where it is violated."""
-        on_x = (self.state_coeffs * x[self.step_index]).sum(1)
-        on_u = (self.control_coeffs * u[self.step_index]).sum(1)
+        on_x = np.einsum("ri,ri->r", self.state_coeffs, x[self.step_index])
+        on_u = np.einsum("ri,ri->r", self.control_coeffs, u[self.step_index])
         return np.asarray(self.rhs - (on_x + on_u))
 
     def to_cvxpy(self, x: Any, u: Any) -> Any:
@@ -84,6 +84,16 @@ class HalfSpaces(NamedTuple):
         """Select rows by a mask or by index."""
         return HalfSpaces(*(field[rows] for field in self))
 
+    def find_peaks(
+        self, violation: Float[Array, " rows"], tolerance: float
+    ) -> Bool[Array, " rows"]:
+        """Find the rows violated most, by more than a tolerance [m], at the steps around theirs."""
+        worst = np.full(int(self.step_index.max(initial=0)) + 3, tolerance)
+        np.maximum.at(worst, self.step_index + 1, violation)
+        peak = (worst[1:-1] >= worst[:-2]) & (worst[1:-1] >= worst[2:]) & (worst[1:-1] > tolerance)
+        at = peak[self.step_index]
+        return np.asarray(at & (violation >= worst[1:-1][self.step_index]))
+
     def worst_per_step(
         self, violation: Float[Array, " rows"], tolerance: float
     ) -> Bool[Array, " rows"]:
@@ -110,7 +120,7 @@ class AvoidanceProblem:
                     n · (c(x[k], u[k]) − c̄) ≥ R       (38), (64), for each control point
 
     A relaxation admits violations at a penalty far above fuel: "none", of the terminal state
-    ("terminal"), of the half-spaces, ten times as dear, or of both ("separation").
+    ("terminal"), of all half-spaces by as much, ten times as dear, or of both ("separation").
     """
 
     transfer: TransferProblem
@@ -118,7 +128,7 @@ class AvoidanceProblem:
     goal: Float[Array, " n"]
     half_spaces: HalfSpaces
     solver: Solver = solve_program
-    is_sparse: bool = False  # True where the states are unknowns too, which pays for many steps
+    tolerance: float = 0.0  # by which a half-space may be violated [m]
 
     @classmethod
     def alone(
@@ -164,16 +174,29 @@ class AvoidanceProblem:
             return AvoidanceResult(free, 0.0, 0.0)
         if not self.transfer.is_condensable:
             return self.solve_cvxpy(relaxation)
-        arrives = relaxation in KEEPS_TERMINAL_STATE
-        is_sparse = self.is_sparse and arrives and self.transfer.objective == "fuel"
+        if can_generate(self.transfer, self.solver):
+            try:
+                return self.generate(relaxation)
+            except Infeasible:
+                raise
+            except Unsolved:  # the conic solver may find an answer
+                pass
+        (found,) = solve_condensed([self], lambda own: self.assemble_conic(relaxation, own[0]))
+        return self._make_result(found)
 
-        def assemble(limited: list[Array]) -> ConicProgram:
-            if is_sparse:
-                penalty = self._slack_penalty if relaxation in RELAXES_HALF_SPACES else inf
-                return assemble_sparse(self, limited[0], penalty)
-            return self.assemble_conic(relaxation, limited[0])
+    def generate(self, relaxation: Relaxation = "none") -> AvoidanceResult:
+        """Solve by constraint generation, where that can be; fast with any number of half-spaces.
 
-        (found,) = solve_condensed([self], assemble)
+        Raises:
+            Infeasible: No trajectory satisfies the constraints that remain.
+            Unsolved: The method stopped without an answer.
+        """
+        terminal = inf if relaxation in KEEPS_TERMINAL_STATE else self._penalty
+        slack = self._slack_penalty if relaxation in RELAXES_HALF_SPACES else inf
+        steps = len(self.transfer.model)
+        goal = Goal(steps, self.goal, terminal * self._terminal_error_weights)
+        constraints = self.half_spaces, self.tolerance, slack
+        found = generate_constraints(self.transfer, self.start, [goal], *constraints)
         return self._make_result(found)
 
     def solve_cvxpy(self, relaxation: Relaxation = "none") -> AvoidanceResult:
@@ -192,7 +215,7 @@ class AvoidanceProblem:
 
         x, u, effort, limits = self.transfer.build_cvxpy(self.start)
         rows = len(self.half_spaces.rhs)
-        terminal_error, slack = cp.Variable(len(self.start)), cp.Variable(rows, nonneg=True)
+        terminal_error, slack = cp.Variable(len(self.start)), cp.Variable(nonneg=True)
         limits.append(x[len(self.transfer.model)] + terminal_error == self.goal)
         if rows:
             limits.append(self.half_spaces.to_cvxpy(x, u) + slack >= self.half_spaces.rhs)
@@ -201,7 +224,7 @@ class AvoidanceProblem:
         if relaxation not in RELAXES_HALF_SPACES:
             limits.append(slack == 0)
         error_cost = cp.norm1(cp.multiply(self._terminal_error_weights, terminal_error))
-        penalty = self._penalty * error_cost + self._slack_penalty * cp.sum(slack)
+        penalty = self._penalty * error_cost + self._slack_penalty * slack
         return x, u, effort + penalty, limits
 
     def _make_result(self, found: Trajectory) -> AvoidanceResult:
@@ -231,7 +254,7 @@ class AvoidanceProblem:
         return 10 * self._penalty
 
     @property
-    def _terminal_error_weights(self) -> Array:
+    def _terminal_error_weights(self) -> Float[Array, " n"]:
         # An error in velocity weighs as the distance that it covers in a step.
         return np.repeat([1.0, self.transfer.model.dt], self.transfer.model.axes)
 
@@ -256,7 +279,7 @@ class AvoidanceProblem:
         """Assemble the program with the states eliminated and speed limits at some instants.
 
         Unknowns are u⁺ and u⁻, or u for least energy, in units of each axis's limit, then both
-        signs of the terminal error in meters, then the slacks of the half-spaces.
+        signs of the terminal error in meters, then the slack of the half-spaces.
         """
         transfer, (R, factor) = self.transfer, self.transfer.response_matrices
         T, n, m = transfer.model.B.shape
@@ -266,7 +289,7 @@ class AvoidanceProblem:
         coeffs, rhs = self.half_spaces.condense_breakable(transfer, free)
         rows = len(rhs)
         errors = 0 if relaxation in KEEPS_TERMINAL_STATE else n
-        slacks = rows if relaxation in RELAXES_HALF_SPACES else 0
+        slacks = int(relaxation in RELAXES_HALF_SPACES)
 
         weights = np.repeat(transfer.weights, m) * shares
         P, cost = None, np.tile(U * transfer.model.dt * weights, 2)
@@ -281,7 +304,7 @@ class AvoidanceProblem:
         terminal = np.hstack([*(s * reach for s in signs), unit, -unit, np.zeros((n, slacks))])
         on_controls = [-s * U * coeffs for s in signs]
         separation = np.hstack(
-            [*on_controls, np.zeros((rows, 2 * errors)), -np.eye(rows)[:, :slacks]]
+            [*on_controls, np.zeros((rows, 2 * errors)), -np.ones((rows, slacks))]
         )
         speed, speed_rhs = transfer.speed_limit.constrain(U * R[limited, m:], free[limited, m:])
         others = np.zeros((len(speed), 2 * errors + slacks))

@@ -1,7 +1,7 @@
 """Predictive safety filter: a stopping trajectory as near as possible to a wanted state."""
 
 from dataclasses import dataclass, replace
-from math import isfinite
+from math import inf, isfinite
 
 import numpy as np
 from jaxtyping import Float
@@ -9,7 +9,8 @@ from numpy import ndarray as Array
 from scipy.sparse import csc_array
 
 from problems.avoidance import HalfSpaces
-from problems.conic import ConicProgram
+from problems.conic import ConicProgram, Infeasible, Unsolved
+from problems.constraint_generation import Goal, can_generate, generate_constraints
 from problems.solvers.verified import solve_program
 from problems.transfer import Solver, Trajectory, TransferProblem, solve_within_speed
 
@@ -46,6 +47,13 @@ class SafetyFilterProblem:
             Infeasible: No trajectory stops within the limits and the half-spaces.
             Unsolved: The solver stopped for any other reason.
         """
+        if can_generate(self.transfer, self.solver):
+            try:
+                return self._generate()
+            except Infeasible:
+                raise
+            except Unsolved:  # the conic solver may find an answer
+                pass
         # Few half-spaces are active: add the one that is violated most at each step, until none is.
         active = np.zeros(len(self.half_spaces.rhs), dtype=bool)
         while True:
@@ -57,6 +65,21 @@ class SafetyFilterProblem:
             if not violated.any():
                 return found
             active |= violated
+
+    def _generate(self) -> Trajectory:
+        transfer, m = self.transfer, self.transfer.model.axes
+        near = np.repeat([1.0, transfer.model.dt], m) / self._fuel_weight
+        slow = np.repeat([0.0, inf], m)
+        wanted = Goal(self.wanted_step, self.wanted, near)
+        rest = Goal(len(transfer.model), np.zeros(2 * m), slow)
+        tolerance = VIOLATION_TOLERANCE * float(np.abs(transfer.coast(self.start)).max())
+        return generate_constraints(
+            transfer, self.start, [wanted, rest], self.half_spaces, tolerance
+        )
+
+    @property
+    def _fuel_weight(self) -> float:
+        return FUEL_WEIGHT * self.wanted_step * self.transfer.model.dt
 
     def _slow_down(self, factor: float) -> Trajectory:
         return replace(self, transfer=self.transfer.slow_down(factor))._solve()
@@ -104,7 +127,7 @@ class SafetyFilterProblem:
             _on_both_signs(conic[0], 2 * n),
         ])  # fmt: skip
         b = [zero_rhs, inequalities[1], np.ones(2 * N), np.zeros(count), conic[1]]
-        weight, fuel = np.repeat([1.0, dt], m), FUEL_WEIGHT * k * dt**2 * limit.most
+        weight, fuel = np.repeat([1.0, dt], m), self._fuel_weight * dt * limit.most
         q = np.concatenate([np.tile(fuel * limit.shares, 2 * T), weight, weight])
         nonnegative, sizes = len(inequalities[1]) + 2 * N + count, len(conic[1]) // (m + 1)
         rhs = np.concatenate(b)

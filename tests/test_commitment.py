@@ -78,7 +78,7 @@ def decisions():
         unkept.setattr(sato.Reconfiguration, "keeps_plans", False)
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(loop, "commit", note)
-            for seed in range(8):
+            for seed in range(20):
                 begin(random_mission(np.random.default_rng([7, seed])), 25)
             # Far to go, at full speed and with little thrust: reach binds.
             tight = {

@@ -6,9 +6,6 @@ from planner_examples import continuous_separation, random_swarm
 from reconfiguration_runs import make_mission
 
 import sato
-from problems.avoidance import AvoidanceProblem
-from problems.conic import Unsolved
-from problems.convexify import choose_normals, convexify
 from sato import Leg, Points
 from sato.network.graph import CommunicationGraph
 from sato.scp.halfway import meet_halfway, push_apart
@@ -87,31 +84,3 @@ def test_agents_that_meet_halfway_keep_their_distance_and_arrive(rng, axes):
             assert all(agent.reaches_target(agent.nominal) for agent in found.values())
             met += any(found[i].nominal is not planners[i].solo for i in found)
     assert met
-
-
-def test_program_with_states_has_the_fuel_of_the_one_without(rng):
-    compared = 0
-    for _ in range(6):
-        swarm = random_swarm(rng, 2)
-        agent, other = swarm[0], swarm[1]
-        problems = []
-        for is_sparse in (False, True):
-            normal = choose_normals(
-                agent.control_points[None] - other.control_points, np.array([1.05 * R])
-            )
-            walls = convexify(
-                agent.horizon, len(agent.nominal.u), other.control_points[None], normal
-            )
-            own = agent.transfer, agent.nominal.x[0], agent.target_state, walls
-            problems.append(AvoidanceProblem(*own, is_sparse=is_sparse))
-        try:
-            whole = problems[0].solve()
-        except Unsolved:
-            continue
-        sparse = problems[1].solve()
-        weights = np.repeat(agent.transfer.weights, 2)
-        cost = [weights @ np.abs(each.trajectory.u).ravel() for each in (whole, sparse)]
-        assert cost[1] == pytest.approx(cost[0], rel=1e-5)
-        assert sparse.slack <= 1e-6 and sparse.terminal_error <= 1e-6
-        compared += 1
-    assert compared >= 3

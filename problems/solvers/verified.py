@@ -45,7 +45,7 @@ class VerifiedSolver:
             ValueError: The solver is not installed, or cannot take the program.
         """
         found = self.answer(problem)
-        if found.kind not in ("solved", "infeasible") and not self._is_default:
+        if found.kind not in ("solved", "infeasible") and not self.is_default:
             self.fallback_count += 1
             self.last_rejection = f"{self._name}: {found.reason}"
             found = VerifiedSolver().answer(problem)
@@ -62,7 +62,8 @@ class VerifiedSolver:
         return self.__dict__ | {"_last": None}
 
     @property
-    def _is_default(self) -> bool:
+    def is_default(self) -> bool:
+        """True where neither a solver nor a tolerance was chosen."""
         return (self._name, self._tolerance) == (DEFAULT_SOLVER, TOLERANCE)
 
     def answer(self, problem: ConicProgram) -> Verification:
@@ -77,7 +78,7 @@ class VerifiedSolver:
         """
         adapter = ADAPTERS[0] if self._name == DEFAULT_SOLVER else load_adapters()[self._name]
         is_open = self._last is not None and problem.differs_in_b_only(self._last[0])
-        if not (is_open or self._is_default):
+        if not (is_open or self.is_default):
             self._last = None
             adapter.require(problem)
         result = _ask(lambda: self._solve(adapter, problem))
@@ -85,12 +86,12 @@ class VerifiedSolver:
         if found.kind in ("solved", "infeasible"):
             return found
         self._last = None  # no start for the next
-        if found.kind == "unproven" or self._is_default or not adapter.certifies_infeasibility:
+        if found.kind == "unproven" or self.is_default or not adapter.certifies_infeasibility:
             return _certify(adapter, problem, found)
         return found
 
     def _solve(self, adapter: SolverAdapter, problem: ConicProgram) -> SolverResult:
-        if self._is_default:
+        if self.is_default:
             return solve_clarabel(problem)
         if self._last is None:
             self._last = problem, adapter.session_factory(problem, ASKED * self._tolerance)

@@ -25,7 +25,7 @@ from sato.network.graph import CommunicationGraph
 from sato.network.rounds import run_round
 from sato.scp.planner import Planner, TrajectoryMessage, is_clear, solve_around
 
-MAX_BENDS = 120  # rounds in which paths push each other aside
+MAX_BENDS = 40  # rounds in which paths push each other aside
 MEETINGS = 6  # rounds in which trajectories are solved for
 IMPROVEMENTS = 4  # programs of an agent, after which it acts only where it has to
 IMPROVEMENTS_OF_PLAN = 1  # the same of one that begins with a plan

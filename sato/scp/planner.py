@@ -16,7 +16,8 @@ from problems.avoidance import (
     HalfSpaces,
     Relaxation,
 )
-from problems.conic import Unsolved
+from problems.conic import Infeasible, Unsolved
+from problems.constraint_generation import can_generate
 from problems.solvers.verified import solve_program
 from problems.transfer import Solver, Trajectory, TransferProblem
 
@@ -40,8 +41,6 @@ RELAXATION_ORDER: tuple[tuple[Relaxation, convexify.PassingSide, bool], ...] = (
 FEASIBILITY_TOLERANCE = 1e-6  # of R: smaller violations and terminal errors count as none
 RELAXATIONS_IN_TURN = (RELAXATION_ORDER[0], RELAXATION_ORDER[2])  # where all can wait
 MAX_SOLVES_IN_TURN = 4
-SPARSE_STEPS = 24  # with which programs that have the states as unknowns are faster
-PROGRAMS_OF_ATTEMPT = 2  # to find a trajectory that others make room for
 MAX_SOLVES = 20  # programs, after which an agent stops improving (Proposition 4 keeps it safe)
 
 
@@ -298,26 +297,26 @@ def solve_around(
 def _solve_active_set(
     agent: Planner, half_spaces: HalfSpaces, relaxation: Relaxation
 ) -> AvoidanceResult:
-    # Few half-spaces are active: begin with those active at the nominal, and add at each step
-    # the one that is violated most, until none is. An attempt with relaxed half-spaces need not
-    # be exact: the others move before the next.
     transfer, nominal, target = agent.transfer, agent.nominal, agent.target_state
     R = agent.horizon.clearance
+    tolerance = VIOLATION_TOLERANCE * R
+    problem = AvoidanceProblem(transfer, nominal.x[0], target, half_spaces, agent.solver, tolerance)
+    if can_generate(transfer, agent.solver):
+        try:
+            return problem.generate(relaxation)
+        except Infeasible:
+            raise
+        except Unsolved:  # the conic solver may find an answer
+            pass
+    # Few half-spaces are active: begin with those active at the nominal, and add at each step
+    # the one that is violated most, until none is.
     active = np.abs(half_spaces.violation(nominal.x, nominal.u)) < ACTIVE_TOLERANCE * R
     violation = half_spaces.violation(agent.solo.x, agent.solo.u)
-    programs = 0
     while True:
-        active |= half_spaces.worst_per_step(
-            np.where(active, 0.0, violation), VIOLATION_TOLERANCE * R
-        )
-        rows, solver = half_spaces.select(active), agent.solver
-        is_sparse = agent.in_turn and len(nominal.u) >= SPARSE_STEPS
-        problem = AvoidanceProblem(transfer, nominal.x[0], target, rows, solver, is_sparse)
-        result = problem.solve(relaxation)
+        active |= half_spaces.worst_per_step(np.where(active, 0.0, violation), tolerance)
+        result = problem.select(active).solve(relaxation)
         trajectory = result.trajectory
         violation = half_spaces.violation(trajectory.x, trajectory.u)
         violation -= result.slack if relaxation in RELAXES_HALF_SPACES else 0.0
-        programs += 1
-        is_enough = relaxation == "half-spaces" and programs == PROGRAMS_OF_ATTEMPT
-        if is_enough or not ((violation > VIOLATION_TOLERANCE * R) & ~active).any():
+        if not ((violation > tolerance) & ~active).any():
             return result

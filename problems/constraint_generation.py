@@ -1,0 +1,129 @@
+"""Trajectories of least fuel by constraint generation: constraints join where they are violated.
+
+A trajectory is subject to thousands of half-spaces, and few of them bind. A program begins with the
+motion alone. The half-spaces that its solution violates most join, and tangents of the speed
+limit, until none is violated; the program goes on from its last basis each time.
+"""
+
+from collections.abc import Sequence
+from math import inf
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray as Array
+
+from problems.conic import Infeasible, Unsolved
+from problems.fuel_program import FuelProgram
+from problems.limit import Limit
+from problems.solvers.verified import VerifiedSolver
+from problems.transfer import Solver, Trajectory, TransferProblem
+
+if TYPE_CHECKING:
+    from problems.avoidance import HalfSpaces
+
+SPEED_ROOM = 1e-6  # of a speed limit, by which its tangents lie inside
+MAX_ROUNDS = 60
+
+
+class Goal(NamedTuple):
+    """State to be in after some steps, and the cost of an error in each of its entries."""
+
+    step: int
+    state: Float[Array, " n"]
+    penalty: Float[
+        Array, " n"
+    ]  # over fuel; infinite where there may be none, zero where it is free
+
+
+def can_generate(transfer: TransferProblem, solver: Solver) -> bool:
+    """Return True where constraint generation serves: norms are linear, and no solver is chosen."""
+    is_default = isinstance(solver, VerifiedSolver) and solver.is_default
+    return transfer.objective == "fuel" and transfer.is_condensable and is_default
+
+
+def generate_constraints(
+    transfer: TransferProblem,
+    start: Float[Array, " n"],
+    goals: Sequence[Goal],
+    spaces: "HalfSpaces",
+    tolerance: float,
+    slack_penalty: float = inf,
+) -> Trajectory:
+    """Find the trajectory of least fuel, and penalties of what it misses, inside half-spaces.
+
+    Args:
+        transfer: Motion, limits and weights of the fuel.
+        start: State at the start.
+        goals: States to be in.
+        spaces: Half-spaces.
+        tolerance: By which a half-space may be violated [m].
+        slack_penalty: Cost of the largest violation beyond it [1/s]; infinite where none may be.
+
+    Raises:
+        Infeasible: No trajectory satisfies the constraints that must hold.
+        Unsolved: The method stopped without an answer.
+    """
+    limit, axes = transfer.control_limit, transfer.model.axes
+    free, response = transfer.coast(start), limit.most * transfer.response_matrices[0]
+    cost = limit.most * transfer.model.dt * np.repeat(transfer.weights, axes)
+    cost = cost * np.tile(limit.shares, len(transfer.model))
+    unit = float(cost.max())
+    program = FuelProgram(cost / unit, slack_penalty / unit)
+    for k, state, penalty in goals:
+        some = penalty > 0
+        error = (free[k] - state)[some]
+        program.add_equations(response[k][some], error, penalty[some] / unit)
+    known, is_last = np.zeros(len(spaces.rhs), dtype=bool), False
+    for _ in range(MAX_ROUNDS):
+        status = program.confirm() if is_last else program.solve()
+        if status == "infeasible":
+            raise Infeasible(transfer, "no trajectory satisfies the constraints")
+        if status == "stopped":
+            break
+        x = free + response @ program.controls
+        u = program.controls.reshape(-1, axes) * limit.most * limit.shares
+        violation = spaces.violation(x, u)
+        new = spaces.find_peaks(np.where(known, 0.0, violation - program.slack), tolerance)
+        fast = np.flatnonzero(transfer.is_too_fast(x)) + 1
+        if not (new.any() or len(fast)):
+            if is_last:
+                return transfer.simulate(start, u)
+            is_last = True
+            continue
+        is_last = False
+        if new.any():
+            known |= new
+            coeffs, rhs = spaces.select(new).condense(transfer, free)
+            program.add_inequalities(coeffs * limit.most, rhs, is_relaxed=slack_penalty < inf)
+        if len(fast):
+            rows, most, at = _list_tangents(transfer.speed_limit, x[fast, axes:], fast)
+            slower = -np.einsum("km,kmj->kj", rows, response[at, axes:])
+            room = SPEED_ROOM * transfer.speed_limit.most
+            offset = most - np.einsum("km,km->k", rows, free[at, axes:]) - room
+            program.add_inequalities(slower, offset, room=room)
+    raise Unsolved(transfer, f"no answer within {program.pivot_count} pivots")
+
+
+def _list_tangents(
+    limit: Limit, v: Float[Array, "k d"], instants: Int[Array, " k"]
+) -> tuple[Float[Array, "rows d"], float, Int[Array, " rows"]]:
+    """List rows F with F v ≤ L in the limit that cut off velocities beyond it.
+
+    Of a ball, a velocity that is too fast is near a corner between two tangents. The tangent at
+    its direction halves the angle between these; those on each side of it halve it once more.
+
+    Returns:
+        F, L, and the instant of each row.
+    """
+    if limit.faces is not None:
+        rows = np.tile(limit.faces, (len(v), 1))
+        return rows, limit.most, np.repeat(instants, len(limit.faces))
+    size = limit.measure(v)[:, None]
+    unit = v / limit.shares / size
+    width = np.sqrt(2 * np.maximum(size / limit.most - 1, 0.0)) / 2
+    # Rows of the last factor are perpendicular to the first, which is the direction itself.
+    across = width[..., None] * np.linalg.svd(unit[:, None, :])[2][:, 1:]
+    ways = np.concatenate([unit[:, None], unit[:, None] + across, unit[:, None] - across], axis=1)
+    ways /= np.linalg.norm(ways, axis=2, keepdims=True) * limit.shares
+    return ways.reshape(-1, v.shape[1]), limit.most, np.repeat(instants, ways.shape[1])

@@ -1,0 +1,379 @@
+"""Linear programs of least fuel to which constraints are added, by the dual simplex method.
+
+    minimize  Σ_j w_j |u_j| + P σ + Σ_i p_i |e_i|
+    subject to  e = E u + g,   C u + h + σ ≥ 0 or C u + h ≥ 0,   |u_j| ≤ 1,  σ ≥ 0
+
+Controls, errors and slacks have piecewise linear costs; the penalties p of equations that must
+hold are infinite. A basis that was optimal stays dual feasible when rows are added, so that a
+program with more of them takes a few pivots from the last answer. The ratio test passes kinks of
+the dual for as long as it ascends [Maros2003]. For many programs with the same few rows, see
+`problems.dual_simplex`.
+"""
+
+from math import inf
+from typing import Literal, no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from problems.conic import TOLERANCE
+
+Status = Literal["optimal", "infeasible", "stopped"]
+
+PRIMAL_TOLERANCE = 1e-10  # largest violation of a bound, for rows of norm 1
+REFRESHED_TOLERANCE = 1e-9  # the same of values that were computed anew
+ZERO_ENTRY = 1e-10  # over the norm of its row: an entry of the tableau that counts as zero
+MIN_RELATIVE_PIVOT = 1e-1  # of the largest entry among the kinks that are passed
+SMALL_PIVOT = 1e-5  # after which the tableau is computed anew
+REFRESH_PIVOTS = 100  # after which the tableau is computed anew
+MAX_PIVOTS = 3000
+FAR = 1e30  # a kink that is never reached
+OPTIMAL, INFEASIBLE, STOPPED = 0, 1, 2
+
+
+class FuelProgram:
+    """Program with the tableau of its basis; variables are the controls, σ and a slack of each row.
+
+    Kinks and slopes of the cost of a variable alternate: kinks[0], slopes[0], kinks[1], … A
+    nonbasic variable is at kinks[place], with a price between the slopes before and after; a
+    basic one is between kinks[place] and kinks[place + 1].
+    """
+
+    def __init__(self, weights: Float[Array, " n"], penalty: float = inf) -> None:
+        """Begin without rows, with all controls zero.
+
+        Args:
+            weights: w, positive, of the order of 1.
+            penalty: P; infinite where σ is zero.
+        """
+        n = len(weights) + 1
+        self._kinks = np.tile([-FAR, -1.0, 0.0, 1.0, FAR], (n, 1))
+        self._kinks[-1] = [-FAR, 0.0, FAR, FAR, FAR]
+        outer = np.full(n, inf)
+        inner = np.append(weights, penalty)
+        self._slopes = np.stack([-outer, -inner, inner, outer], axis=1)
+        self._slopes[-1] = [-inf, penalty, inf, inf]
+        self._place, self._nonbasic = np.full(n, 2), np.arange(n)
+        self._place[-1] = 1
+        self._basic = np.zeros(0, dtype=int)
+        self._coeffs, self._offset, self._room = np.zeros((0, n)), np.zeros(0), np.zeros(0)
+        self._tableau, self._value, self._price = np.zeros((0, n)), np.zeros(0), np.zeros(n)
+        self._ray = np.zeros(n)  # of prices, along which the dual was found unbounded
+        self.pivot_count = 0
+
+    def add_equations(
+        self,
+        coeffs: Float[Array, "k n"],
+        offset: Float[Array, " k"],
+        penalty: Float[Array, " k"],
+    ) -> None:
+        """Add rows coeffs · u + offset = 0, with the penalties of their errors."""
+        size = _row_sizes(coeffs)
+        zero, far, never = np.zeros(len(size)), np.full(len(size), FAR), np.full(len(size), inf)
+        kinks, p = [-far, zero, zero, far, far], penalty * size
+        self._add(coeffs, offset, size, zero, zero, kinks, [-p, zero, p, never])
+
+    def add_inequalities(
+        self,
+        coeffs: Float[Array, "k n"],
+        offset: Float[Array, " k"],
+        is_relaxed: bool = False,
+        room: float = 0.0,
+    ) -> None:
+        """Add rows coeffs · u + offset ≥ 0.
+
+        Args:
+            coeffs: Entries of each row.
+            offset: Constant of each row.
+            is_relaxed: True where rows may be violated by σ.
+            room: By how much each offset is smaller than it has to be.
+        """
+        size = _row_sizes(coeffs)
+        zero, far, never = np.zeros(len(size)), np.full(len(size), FAR), np.full(len(size), inf)
+        kinks, slopes = [-far, zero, far, far, far], [-never, zero, never, never]
+        self._add(coeffs, offset, size, is_relaxed / size, room / size, kinks, slopes)
+
+    def _add(
+        self,
+        coeffs: Float[Array, "k n"],
+        offset: Float[Array, " k"],
+        size: Float[Array, " k"],
+        on_slack: Float[Array, " k"],
+        room: Float[Array, " k"],
+        kinks: list[Array],
+        slopes: list[Array],
+    ) -> None:
+        coeffs, offset = np.column_stack([coeffs / size[:, None], on_slack]), offset / size
+        n, first = self._coeffs.shape[1], len(self._place)
+        at, is_free = self._nonbasic < n, self._basic < n
+        rows = coeffs[:, self._basic[is_free]] @ self._tableau[is_free]
+        rows[:, at] += coeffs[:, self._nonbasic[at]]
+        self._value = np.concatenate([self._value, coeffs @ self._values()[:n] + offset])
+        self._tableau = np.vstack([self._tableau, rows])
+        self._kinks = np.vstack([self._kinks, np.stack(kinks, axis=1)])
+        self._slopes = np.vstack([self._slopes, np.stack(slopes, axis=1)])
+        self._place = np.concatenate([self._place, np.ones(len(size), dtype=int)])
+        self._basic = np.concatenate([self._basic, first + np.arange(len(size))])
+        self._coeffs = np.vstack([self._coeffs, coeffs])
+        self._offset = np.concatenate([self._offset, offset])
+        self._room = np.concatenate([self._room, room])
+
+    def solve(self) -> Status:
+        """Solve the program with all rows that were added, from the last basis.
+
+        Infeasibility is verified, by the ray along which the dual is unbounded; for an optimum, see
+        `confirm`. "stopped" is no answer.
+        """
+        self._ray = np.zeros(len(self._place))
+        status = self._ascend(PRIMAL_TOLERANCE)
+        while status == STOPPED and self._refresh():
+            status = self._ascend(PRIMAL_TOLERANCE)
+        return "optimal" if status == OPTIMAL else self.confirm()
+
+    def confirm(self) -> Status:
+        """Compute the answer anew from its basis, and verify it; an optimum by its dual bound."""
+        while self._refresh():
+            before, status = self.pivot_count, self._ascend(REFRESHED_TOLERANCE)
+            if status == STOPPED or self.pivot_count > before:
+                continue
+            if status == OPTIMAL:
+                return "optimal" if self._is_optimal() else "stopped"
+            return "infeasible" if self._is_unbounded() else "stopped"
+        return "stopped"
+
+    def _ascend(self, tolerance: float) -> int:
+        tableau = self._tableau, self._value, self._price, self._ray, tolerance
+        basis = self._place, self._nonbasic, self._basic
+        status, pivots = _ascend(self._kinks, self._slopes, *basis, *tableau)
+        self.pivot_count += pivots
+        return int(status)
+
+    @property
+    def controls(self) -> Float[Array, " n"]:
+        """Values of the controls, within their bounds."""
+        return np.asarray(np.clip(self._values()[: self._coeffs.shape[1] - 1], -1.0, 1.0))
+
+    @property
+    def slack(self) -> float:
+        """Value of σ."""
+        return float(self._values()[self._coeffs.shape[1] - 1])
+
+    def _values(self) -> Float[Array, " variables"]:
+        value = np.zeros(len(self._place))
+        value[self._nonbasic] = self._kinks[self._nonbasic, self._place[self._nonbasic]]
+        value[self._basic] = self._value
+        return value
+
+    def _refresh(self) -> bool:
+        """Compute the tableau, values and prices from the basis alone; False where that fails."""
+        n = self._coeffs.shape[1]
+        is_row, is_basic_row = self._nonbasic >= n, self._basic >= n
+        free, at = self._basic[~is_basic_row], self._nonbasic[~is_row]
+        tight, loose = self._nonbasic[is_row] - n, self._basic[is_basic_row] - n
+        # Of tight rows, whose slacks are zero: coeffs[free] u[free] = −offset − coeffs[at] u[at].
+        on_known = self._coeffs[np.ix_(tight, at)]
+        constant = self._offset[tight] + on_known @ self._kinks[at, self._place[at]]
+        right = np.column_stack([np.eye(len(tight)), -on_known, -constant])
+        try:
+            solved = np.linalg.solve(self._coeffs[np.ix_(tight, free)], right)
+        except np.linalg.LinAlgError:
+            return False
+        upper = np.empty((len(free), n))
+        upper[:, is_row], upper[:, ~is_row] = np.split(solved[:, :-1], [len(tight)], axis=1)
+        lower = self._coeffs[np.ix_(loose, free)] @ upper
+        lower[:, ~is_row] += self._coeffs[np.ix_(loose, at)]
+        self._tableau[~is_basic_row], self._tableau[is_basic_row] = upper, lower
+        self._value[~is_basic_row] = solved[:, -1]
+        u = self._values()[:n]
+        self._value[is_basic_row] = self._coeffs[loose] @ u + self._offset[loose]
+        self._price = -self._slopes[self._basic, self._place[self._basic]] @ self._tableau
+        return self.pivot_count < MAX_PIVOTS
+
+    def _is_optimal(self) -> bool:
+        """Check the cost against the dual bound, by the rows alone."""
+        n = self._coeffs.shape[1]
+        price = np.zeros(len(self._place))
+        price[self._nonbasic] = self._price
+        price[self._basic] = self._slopes[self._basic, self._place[self._basic]]
+        price, is_equation = self._clip_prices(price)
+        u, weights = np.append(self.controls, max(self.slack, 0.0)), self._slopes[:n, 2]
+        weights = np.append(weights[:-1], self._slopes[n - 1, 1])
+        error = self._coeffs @ u + self._offset
+        violation = np.where(is_equation, np.abs(error), np.maximum(-error, 0.0))
+        is_hard, penalty = np.isinf(self._slopes[n:, 0]), -self._slopes[n:, 0]
+        cost = weights[u != 0] @ np.abs(u[u != 0]) + penalty[~is_hard] @ violation[~is_hard]
+        # No optimum has a larger σ than this one, by which its bound is that of a program with it.
+        most = np.append(np.ones(n - 1), u[-1])
+        drift = np.maximum(np.abs(price @ self._coeffs) - weights, 0.0)
+        bound = price @ self._offset - most @ drift
+        is_met = violation[is_hard].max(initial=0.0) <= 2 * REFRESHED_TOLERANCE
+        return bool(is_met and cost - bound <= TOLERANCE * (1 + cost))
+
+    def _is_unbounded(self) -> bool:
+        """Check that no controls satisfy what a ray of prices adds up to, by the rows alone."""
+        n = self._coeffs.shape[1]
+        ray, _ = self._clip_prices(self._ray / max(np.abs(self._ray[n:]).max(), 1e-300))
+        drift = np.abs(ray @ self._coeffs)
+        most = ray @ (self._offset + self._room) - drift[:-1].sum()
+        return bool(most > REFRESHED_TOLERANCE and drift[-1] == 0)
+
+    def _clip_prices(self, price: Float[Array, " variables"]) -> tuple[Array, Array]:
+        """Return the prices of rows within their bounds, and True for equations."""
+        n = self._coeffs.shape[1]
+        is_equation, low = self._kinks[n:, 2] == 0, self._slopes[n:, 0]
+        return np.clip(price[n:], low, np.where(is_equation, -low, 0.0)), is_equation
+
+
+def _row_sizes(coeffs: Float[Array, "k n"]) -> Float[Array, " k"]:
+    """Return the norms of rows, by which they are scaled; 1 for rows without entries."""
+    norm = np.linalg.norm(coeffs, axis=1)
+    return np.where(norm > ZERO_ENTRY * norm.max(initial=0.0), norm, 1.0)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def _ascend(
+    kinks,
+    slopes,
+    place,
+    nonbasic,
+    basic,
+    tableau,
+    value,
+    price,
+    ray,
+    tolerance,
+):
+    # Pivots until all basic variables are in their segments, or the dual is unbounded along the
+    # ray that is written. Changes all but kinks and slopes; returns the status and the pivots.
+    (m, n), pivots = tableau.shape, 0
+    step, drop, entry = np.empty(2 * n + 2), np.empty(2 * n + 2), np.empty(n + 1)
+    candidate, passed = np.empty(2 * n + 2, np.int64), np.empty(2 * n + 2, np.int64)
+    while pivots < REFRESH_PIVOTS:
+        leaving, violation, sign, norm = _choose_leaving(
+            kinks, place, basic, tableau, value, tolerance
+        )
+        if leaving < 0:
+            return OPTIMAL, pivots
+        own, count = basic[leaving], 0
+        own_price = slopes[own, place[own]]
+        place[own] += sign > 0
+        # The last candidate is the leaving variable itself, which may pass its kink and stay.
+        for j in range(n + 1):
+            entry[j] = sign if j == n else -sign * tableau[leaving, j]
+            if abs(entry[j]) <= ZERO_ENTRY * norm:
+                continue
+            variable = own if j == n else nonbasic[j]
+            at, way = place[variable], 1 if entry[j] > 0 else -1
+            for _ in range(2):
+                bound = slopes[variable, at - (way < 0)]
+                if abs(bound) == np.inf:
+                    break
+                past = bound - (own_price if j == n else price[j])
+                step[count], candidate[count] = max(past / entry[j], 0.0), j
+                length = abs(kinks[variable, at + way] - kinks[variable, at])
+                drop[count] = length * abs(entry[j])
+                count, at = count + 1, at + way
+                if length > 2.0:
+                    break
+        last = _choose_entering(step, drop, candidate, entry, passed, count, violation)
+        if last < 0:
+            place[own] -= sign > 0
+            ray[:] = 0.0
+            for j in range(n):
+                ray[nonbasic[j]] = entry[j]
+            ray[own] = sign
+            return INFEASIBLE, pivots
+        pivots += 1
+        for k in range(last):
+            j = candidate[passed[k]]
+            variable, way = own if j == n else nonbasic[j], 1 if entry[j] > 0 else -1
+            jump = kinks[variable, place[variable] + way] - kinks[variable, place[variable]]
+            place[variable] += way
+            if j < n and jump != 0.0:
+                for i in range(m):
+                    value[i] += tableau[i, j] * jump
+        enter, length = candidate[passed[last]], step[passed[last]]
+        for j in range(n):
+            price[j] -= sign * length * tableau[leaving, j]
+        if enter == n:
+            place[own] -= sign < 0
+            continue
+        variable, pivot = nonbasic[enter], tableau[leaving, enter]
+        start = kinks[variable, place[variable]]
+        move = (kinks[own, place[own]] - value[leaving]) / pivot
+        for i in range(m):
+            value[i] += tableau[i, enter] * move
+        value[leaving] = start + move
+        place[variable] -= entry[enter] < 0
+        basic[leaving], nonbasic[enter] = variable, own
+        price[enter] = own_price + sign * length
+        _exchange(tableau, leaving, enter)
+        if abs(pivot) < SMALL_PIVOT:
+            break
+    return STOPPED, pivots
+
+
+@numba.njit(error_model="numpy")
+@no_type_check
+def _choose_leaving(kinks, place, basic, tableau, value, tolerance):
+    # Steepest ascent: violation over the norm of the row.
+    leaving, largest, sign, norm, steepest = -1, 0.0, 0.0, 0.0, 0.0
+    for i in range(len(basic)):
+        v = basic[i]
+        below, above = kinks[v, place[v]] - value[i], value[i] - kinks[v, place[v] + 1]
+        violation = max(below, above)
+        if violation <= tolerance:
+            continue
+        square = 1.0
+        for j in range(tableau.shape[1]):
+            square += tableau[i, j] ** 2
+        if violation**2 > steepest * square:
+            leaving, largest, steepest = i, violation, violation**2 / square
+            norm = np.sqrt(square)
+            sign = 1.0 if above > below else -1.0
+    return leaving, largest, sign, norm
+
+
+@numba.njit(error_model="numpy")
+@no_type_check
+def _choose_entering(step, drop, candidate, entry, passed, count, slope):
+    # Passes kinks, the nearest first, until the dual descends; then goes back to a safe pivot.
+    # Written: their order. Returns the place of the one that ends the ascent, or −1.
+    largest, last = 0.0, -1
+    for k in range(count):
+        passed[k] = k
+    for k in range(count):
+        first = k
+        for other in range(k + 1, count):
+            if step[passed[other]] < step[passed[first]]:
+                first = other
+        passed[k], passed[first] = passed[first], passed[k]
+        own = abs(entry[candidate[passed[k]]])
+        largest = max(largest, own)
+        if own >= MIN_RELATIVE_PIVOT * largest:
+            last = k
+        slope -= drop[passed[k]]
+        if slope <= 0.0:
+            return last
+    return -1
+
+
+@numba.njit(error_model="numpy")
+@no_type_check
+def _exchange(tableau, leaving, enter):
+    # Exchanges a basic and a nonbasic variable.
+    m, n = tableau.shape
+    pivot = tableau[leaving, enter]
+    for j in range(n):
+        tableau[leaving, j] /= -pivot
+    tableau[leaving, enter] = 1.0 / pivot
+    for i in range(m):
+        factor = tableau[i, enter]
+        if i == leaving or factor == 0.0:
+            continue
+        tableau[i, enter] = 0.0
+        for j in range(n):
+            tableau[i, j] += factor * tableau[leaving, j]
