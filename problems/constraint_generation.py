@@ -22,7 +22,7 @@ from problems.transfer import Solver, Trajectory, TransferProblem
 if TYPE_CHECKING:
     from problems.avoidance import HalfSpaces
 
-SPEED_ROOM = 1e-6  # of a speed limit, by which its tangents lie inside
+SPEED_ROOM = 1e-8  # of a speed limit, by which its tangents lie inside
 MAX_ROUNDS = 60
 
 

@@ -65,11 +65,11 @@ def test_later_turns_use_the_plans_of_earlier_ones():
 
 def test_agents_in_conflict_after_a_round_have_another_turn():
     # With so small an offset, the first agents conflict in round one and not in a later one.
-    planners = antipodal_swarm(6, 1.5)
+    planners = antipodal_swarm(7, 1.5)
     found = solve_roundabout(planners, complete(len(planners)), 0.1)
     assert found.planners.keys() == planners.keys()
-    assert found.round_count % (6 + 2) == 0 and found.round_count > 6 + 2
-    assert found.solve_count == sum(p.solve_count for p in found.planners.values()) > 6
+    assert found.round_count % (7 + 2) == 0 and found.round_count > 7 + 2
+    assert found.solve_count == sum(p.solve_count for p in found.planners.values()) > 7
     assert continuous_separation(found.planners) >= RADIUS
 
 
