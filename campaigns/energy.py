@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from dynamics import ClohessyWiltshire, DiscreteModel, DoubleIntegrator, discretize_zoh
-from problems.avoidance import AvoidanceProblem, HalfSpaces, cost_unit
+from problems.avoidance import AvoidanceProblem, cost_unit
 from problems.conic import ConicProgram, ConicSolution, Unsolved, verify
+from problems.half_spaces import HalfSpaces
 from problems.solvers import load_adapters
 from problems.solvers.verified import solve_program
 from problems.transfer import TransferProblem

@@ -62,13 +62,14 @@ def solve(
 
 
 def _record(overrides: list[str], scenario: str) -> list[ConicProgram]:
-    """Fly a mission with the default solver, and return the programs that it was given."""
+    """Fly a mission with the default conic solver, and return the programs that it was given."""
     asked: list[ConicProgram] = []
 
     def note(program: ConicProgram) -> SolverResult:
         asked.append(program)
         return solve_clarabel(program)
 
-    with patch("problems.solvers.verified.solve_clarabel", note):
+    conic = patch("problems.constraint_generation.can_generate", lambda *_: False)
+    with conic, patch("problems.solvers.verified.solve_clarabel", note):
         sato.run(scenario, overrides=overrides)
     return asked

@@ -11,13 +11,13 @@ from math import floor, inf, log
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
 from scipy.sparse import csc_array, diags_array
 
-from dynamics.model import ControlSamples, StateSamples
-from problems.conic import ConicProgram, Infeasible, Unsolved
-from problems.constraint_generation import Goal, can_generate, generate_constraints
+from problems.conic import ConicProgram
+from problems.constraint_generation import Goal, try_generating
+from problems.half_spaces import HalfSpaces, empty_half_spaces
 from problems.solvers.verified import solve_program
 from problems.transfer import (
     Solver,
@@ -36,71 +36,6 @@ RELAXES_HALF_SPACES = "half-spaces", "separation"
 RELAXATION_PENALTY = 1e3  # per meter of error, over the fuel that flies a meter
 ROUNDING = 1e-6  # of the way to the goal
 MIN_ENERGY_UNIT = 1e-3  # in which energies are scaled, over that of a step at full control
-
-
-class HalfSpaces(NamedTuple):
-    """Linear constraints state_coeffs · x[step] + control_coeffs · u[step] ≥ rhs, one a row."""
-
-    step_index: Int[Array, " rows"]
-    state_coeffs: Float[Array, "rows n"]
-    control_coeffs: Float[Array, "rows m"]
-    rhs: Float[Array, " rows"]
-
-    def violation(self, x: StateSamples, u: ControlSamples) -> Float[Array, " rows"]:
-        """Compute rhs minus the left-hand side of each row; positive where it is violated."""
-        on_x = np.einsum("ri,ri->r", self.state_coeffs, x[self.step_index])
-        on_u = np.einsum("ri,ri->r", self.control_coeffs, u[self.step_index])
-        return np.asarray(self.rhs - (on_x + on_u))
-
-    def to_cvxpy(self, x: Any, u: Any) -> Any:
-        """Express the left-hand sides in CVXPY variables."""
-        import cvxpy as cp
-
-        on_x = cp.sum(cp.multiply(self.state_coeffs, x[self.step_index]), axis=1)
-        return on_x + cp.sum(cp.multiply(self.control_coeffs, u[self.step_index]), axis=1)
-
-    def condense(
-        self, transfer: TransferProblem, free: Float[Array, "instants n"]
-    ) -> tuple[Float[Array, "rows controls"], Float[Array, " rows"]]:
-        """Eliminate the states: coeffs and rhs of −coeffs · u ≤ rhs, given the free motion.
-
-        As in `TransferProblem.response_matrices`, u is in units of each axis's share.
-        """
-        R, (T, _, m) = transfer.response_matrices[0], transfer.model.B.shape
-        rows, step = np.arange(len(self.rhs)), self.step_index
-        coeffs = np.einsum("rn,rnj->rj", self.state_coeffs, R[step])
-        coeffs.reshape(-1, T, m)[rows, step] += self.control_coeffs * transfer.control_limit.shares
-        return coeffs, (self.state_coeffs * free[step]).sum(1) - self.rhs
-
-    def condense_breakable(
-        self, transfer: TransferProblem, free: Float[Array, "instants n"]
-    ) -> tuple[Float[Array, "rows controls"], Float[Array, " rows"]]:
-        """Condense the rows that some controls within the limit break; most hold for any."""
-        coeffs, rhs = self.condense(transfer, free)
-        breakable = transfer.control_limit.most * np.abs(coeffs).sum(axis=1) > rhs
-        return coeffs[breakable], rhs[breakable]
-
-    def select(self, rows: Array) -> "HalfSpaces":
-        """Select rows by a mask or by index."""
-        return HalfSpaces(*(field[rows] for field in self))
-
-    def find_peaks(
-        self, violation: Float[Array, " rows"], tolerance: float
-    ) -> Bool[Array, " rows"]:
-        """Find the rows violated most, by more than a tolerance [m], at the steps around theirs."""
-        worst = np.full(int(self.step_index.max(initial=0)) + 3, tolerance)
-        np.maximum.at(worst, self.step_index + 1, violation)
-        peak = (worst[1:-1] >= worst[:-2]) & (worst[1:-1] >= worst[2:]) & (worst[1:-1] > tolerance)
-        at = peak[self.step_index]
-        return np.asarray(at & (violation >= worst[1:-1][self.step_index]))
-
-    def worst_per_step(
-        self, violation: Float[Array, " rows"], tolerance: float
-    ) -> Bool[Array, " rows"]:
-        """Select the rows that are violated most at each step, by more than a tolerance [m]."""
-        worst = np.full(int(self.step_index.max(initial=-1)) + 1, tolerance)
-        np.maximum.at(worst, self.step_index, violation)
-        return np.asarray((violation >= worst[self.step_index]) & (violation > tolerance))
 
 
 class AvoidanceResult(NamedTuple):
@@ -153,14 +88,37 @@ class AvoidanceProblem:
             Unsolved: The solver stopped for any other reason.
             ValueError: The transfer has no steps.
         """
+        found = self.generate(relaxation)
+        return self.solve_conic(relaxation) if found is None else found
+
+    def generate(self, relaxation: Relaxation = "none") -> AvoidanceResult | None:
+        """Solve by constraint generation, fast with any number of half-spaces.
+
+        None where that cannot be, or where it stops without an answer, see `try_generating`.
+
+        Raises:
+            Infeasible: No trajectory satisfies the constraints that remain.
+            ValueError: The transfer has no steps.
+        """
+        self.transfer.require_steps()
+        terminal = inf if relaxation in KEEPS_TERMINAL_STATE else self._penalty
+        slack = self._slack_penalty if relaxation in RELAXES_HALF_SPACES else inf
+        steps = len(self.transfer.model)
+        goals = [Goal(steps, self.goal, terminal * self._terminal_error_weights)]
+        rest = self.start, goals, self.half_spaces, self.tolerance, slack
+        found = try_generating(self.transfer, self.solver, *rest)
+        return None if found is None else self._make_result(found)
+
+    def solve_conic(self, relaxation: Relaxation = "none") -> AvoidanceResult:
+        """Solve as a conic program with all half-spaces; raises what `solve` does."""
         self.transfer.require_steps()
         found = solve_within_speed(
-            lambda factor: self.slow_down(factor)._solve(relaxation),
+            lambda factor: self.slow_down(factor)._solve_conic(relaxation),
             lambda result: self.transfer.speed_excess(result.trajectory),
         )
         if relaxation == "none" and self.transfer.is_too_fast(found.trajectory.x).any():
             # Only at full speed does it arrive: less by rounding, and it arrives but for rounding.
-            slower = self.solve("terminal")
+            slower = self.solve_conic("terminal")
             extent = float(np.abs(self.goal - self.start).max())
             return slower if slower.terminal_error <= ROUNDING * extent else found
         return found
@@ -169,34 +127,12 @@ class AvoidanceProblem:
         """Return the problem with the speed limit times a factor."""
         return replace(self, transfer=self.transfer.slow_down(factor))
 
-    def _solve(self, relaxation: Relaxation) -> AvoidanceResult:
+    def _solve_conic(self, relaxation: Relaxation) -> AvoidanceResult:
         if self.transfer.objective == "energy" and (free := self._solve_without_limits()):
             return AvoidanceResult(free, 0.0, 0.0)
         if not self.transfer.is_condensable:
             return self.solve_cvxpy(relaxation)
-        if can_generate(self.transfer, self.solver):
-            try:
-                return self.generate(relaxation)
-            except Infeasible:
-                raise
-            except Unsolved:  # the conic solver may find an answer
-                pass
         (found,) = solve_condensed([self], lambda own: self.assemble_conic(relaxation, own[0]))
-        return self._make_result(found)
-
-    def generate(self, relaxation: Relaxation = "none") -> AvoidanceResult:
-        """Solve by constraint generation, where that can be; fast with any number of half-spaces.
-
-        Raises:
-            Infeasible: No trajectory satisfies the constraints that remain.
-            Unsolved: The method stopped without an answer.
-        """
-        terminal = inf if relaxation in KEEPS_TERMINAL_STATE else self._penalty
-        slack = self._slack_penalty if relaxation in RELAXES_HALF_SPACES else inf
-        steps = len(self.transfer.model)
-        goal = Goal(steps, self.goal, terminal * self._terminal_error_weights)
-        constraints = self.half_spaces, self.tolerance, slack
-        found = generate_constraints(self.transfer, self.start, [goal], *constraints)
         return self._make_result(found)
 
     def solve_cvxpy(self, relaxation: Relaxation = "none") -> AvoidanceResult:
@@ -381,9 +317,3 @@ def _stack_with_bounds(above: Array, count: int, below: Array) -> csc_array:
     there = value != 0
     starts = np.concatenate([[0], np.cumsum(there.sum(axis=1))])
     return csc_array((value[there], row[there], starts), shape=(last + len(below), columns))
-
-
-def empty_half_spaces(transfer: TransferProblem) -> HalfSpaces:
-    """Return no half-spaces, for an agent without conflicts."""
-    n, m = transfer.model.B.shape[1:]
-    return HalfSpaces(np.zeros(0, int), np.zeros((0, n)), np.zeros((0, m)), np.zeros(0))

@@ -7,27 +7,29 @@ limit, until none is violated; the program goes on from its last basis each time
 
 from collections.abc import Sequence
 from math import inf
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from problems.conic import Infeasible, Unsolved
-from problems.fuel_program import FuelProgram
+from problems.fuel_program import REFRESHED_TOLERANCE, FuelProgram
+from problems.half_spaces import HalfSpaces
 from problems.limit import Limit
 from problems.solvers.verified import VerifiedSolver
 from problems.transfer import Solver, Trajectory, TransferProblem
 
-if TYPE_CHECKING:
-    from problems.avoidance import HalfSpaces
-
-SPEED_ROOM = 1e-8  # of a speed limit, by which its tangents lie inside
+SPEED_ROOM = 1e-8  # of a speed limit, by which its tangents lie inside, beside rounding
 MAX_ROUNDS = 60
 
 
 class Goal(NamedTuple):
-    """State to be in after some steps, and the cost of an error in each of its entries."""
+    """State to be in after some steps, and the cost of an error in each of its entries.
+
+    A penalty is that of a unit, over fuel; infinite where there may be no error, zero where it is
+    of no matter.
+    """
 
     step: int
     state: Float[Array, " n"]
@@ -36,17 +38,38 @@ class Goal(NamedTuple):
     ]  # over fuel; infinite where there may be none, zero where it is free
 
 
-def can_generate(transfer: TransferProblem, solver: Solver) -> bool:
+def try_generating(
+    transfer: TransferProblem, solver: Solver, *rest: Any, **more: Any
+) -> Trajectory | None:
+    """Return what `generate_constraints` finds, for its further arguments.
+
+    None where norms are not linear, where a solver was chosen, and where the method stops without
+    an answer, which counts as a fallback to the conic solver.
+
+    Raises:
+        Infeasible: No trajectory satisfies the constraints that must hold.
+    """
+    if not isinstance(solver, VerifiedSolver) or not can_generate(transfer, solver):
+        return None
+    try:
+        return generate_constraints(transfer, *rest, **more)
+    except Infeasible:
+        raise
+    except Unsolved as error:
+        solver.count_fallback(f"constraint generation: {error}")
+        return None
+
+
+def can_generate(transfer: TransferProblem, solver: VerifiedSolver) -> bool:
     """Return True where constraint generation serves: norms are linear, and no solver is chosen."""
-    is_default = isinstance(solver, VerifiedSolver) and solver.is_default
-    return transfer.objective == "fuel" and transfer.is_condensable and is_default
+    return transfer.objective == "fuel" and transfer.is_condensable and solver.is_default
 
 
 def generate_constraints(
     transfer: TransferProblem,
     start: Float[Array, " n"],
     goals: Sequence[Goal],
-    spaces: "HalfSpaces",
+    spaces: HalfSpaces,
     tolerance: float,
     slack_penalty: float = inf,
 ) -> Trajectory:
@@ -74,24 +97,26 @@ def generate_constraints(
         some = penalty > 0
         error = (free[k] - state)[some]
         program.add_equations(response[k][some], error, penalty[some] / unit)
-    known, is_last = np.zeros(len(spaces.rhs), dtype=bool), False
+    known, is_confirmed = np.zeros(len(spaces.rhs), dtype=bool), False
     for _ in range(MAX_ROUNDS):
-        status = program.confirm() if is_last else program.solve()
+        status = program.confirm() if is_confirmed else program.solve()
         if status == "infeasible":
             raise Infeasible(transfer, "no trajectory satisfies the constraints")
         if status == "stopped":
             break
-        x = free + response @ program.controls
         u = program.controls.reshape(-1, axes) * limit.most * limit.shares
+        x = free + response @ program.controls
+        if is_confirmed:  # computed anew
+            x = transfer.model.simulate(start, u)
         violation = spaces.violation(x, u)
         new = spaces.find_peaks(np.where(known, 0.0, violation - program.slack), tolerance)
         fast = np.flatnonzero(transfer.is_too_fast(x)) + 1
         if not (new.any() or len(fast)):
-            if is_last:
+            if is_confirmed:
                 return transfer.simulate(start, u)
-            is_last = True
+            is_confirmed = True
             continue
-        is_last = False
+        is_confirmed = False
         if new.any():
             known |= new
             coeffs, rhs = spaces.select(new).condense(transfer, free)
@@ -99,7 +124,7 @@ def generate_constraints(
         if len(fast):
             rows, most, at = _list_tangents(transfer.speed_limit, x[fast, axes:], fast)
             slower = -np.einsum("km,kmj->kj", rows, response[at, axes:])
-            room = SPEED_ROOM * transfer.speed_limit.most
+            room = SPEED_ROOM * most + 3 * REFRESHED_TOLERANCE * np.linalg.norm(slower, axis=1)
             offset = most - np.einsum("km,km->k", rows, free[at, axes:]) - room
             program.add_inequalities(slower, offset, room=room)
     raise Unsolved(transfer, f"no answer within {program.pivot_count} pivots")

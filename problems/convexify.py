@@ -17,7 +17,7 @@ from numpy import ndarray as Array
 from dynamics import DiscreteModel
 from dynamics.model import ControlSamples, StateSamples
 from dynamics.trajectory_geometry import hull_distance
-from problems.avoidance import HalfSpaces
+from problems.half_spaces import HalfSpaces
 
 ControlPoints = Float[Array, "*pairs 4 d"]  # of relative trajectories
 Separation = float | Float[Array, " others"]  # of all others, or of each [m]

@@ -80,7 +80,7 @@ class FuelProgram:
         coeffs: Float[Array, "k n"],
         offset: Float[Array, " k"],
         is_relaxed: bool = False,
-        room: float = 0.0,
+        room: float | Float[Array, " k"] = 0.0,
     ) -> None:
         """Add rows coeffs · u + offset ≥ 0.
 
@@ -88,7 +88,7 @@ class FuelProgram:
             coeffs: Entries of each row.
             offset: Constant of each row.
             is_relaxed: True where rows may be violated by σ.
-            room: By how much each offset is smaller than it has to be.
+            room: Margin that was subtracted from each offset.
         """
         size = _row_sizes(coeffs)
         zero, far, never = np.zeros(len(size)), np.full(len(size), FAR), np.full(len(size), inf)
@@ -127,15 +127,15 @@ class FuelProgram:
         `confirm`. "stopped" is no answer.
         """
         self._ray = np.zeros(len(self._place))
-        status = self._ascend(PRIMAL_TOLERANCE)
+        status = self._pivot(PRIMAL_TOLERANCE)
         while status == STOPPED and self._refresh():
-            status = self._ascend(PRIMAL_TOLERANCE)
+            status = self._pivot(PRIMAL_TOLERANCE)
         return "optimal" if status == OPTIMAL else self.confirm()
 
     def confirm(self) -> Status:
         """Compute the answer anew from its basis, and verify it; an optimum by its dual bound."""
         while self._refresh():
-            before, status = self.pivot_count, self._ascend(REFRESHED_TOLERANCE)
+            before, status = self.pivot_count, self._pivot(REFRESHED_TOLERANCE)
             if status == STOPPED or self.pivot_count > before:
                 continue
             if status == OPTIMAL:
@@ -143,7 +143,7 @@ class FuelProgram:
             return "infeasible" if self._is_unbounded() else "stopped"
         return "stopped"
 
-    def _ascend(self, tolerance: float) -> int:
+    def _pivot(self, tolerance: float) -> int:
         tableau = self._tableau, self._value, self._price, self._ray, tolerance
         basis = self._place, self._nonbasic, self._basic
         status, pivots = _ascend(self._kinks, self._slopes, *basis, *tableau)
@@ -204,20 +204,22 @@ class FuelProgram:
         violation = np.where(is_equation, np.abs(error), np.maximum(-error, 0.0))
         is_hard, penalty = np.isinf(self._slopes[n:, 0]), -self._slopes[n:, 0]
         cost = weights[u != 0] @ np.abs(u[u != 0]) + penalty[~is_hard] @ violation[~is_hard]
-        # No optimum has a larger σ than this one, by which its bound is that of a program with it.
-        most = np.append(np.ones(n - 1), u[-1])
+        # What costs no more has a σ of at most cost / P.
+        most = np.append(np.ones(n - 1), cost / weights[-1])
         drift = np.maximum(np.abs(price @ self._coeffs) - weights, 0.0)
         bound = price @ self._offset - most @ drift
         is_met = violation[is_hard].max(initial=0.0) <= 2 * REFRESHED_TOLERANCE
-        return bool(is_met and cost - bound <= TOLERANCE * (1 + cost))
+        return bool(is_met and abs(cost - bound) <= TOLERANCE * (1 + cost))
 
     def _is_unbounded(self) -> bool:
         """Check that no controls satisfy what a ray of prices adds up to, by the rows alone."""
         n = self._coeffs.shape[1]
         ray, _ = self._clip_prices(self._ray / max(np.abs(self._ray[n:]).max(), 1e-300))
-        drift = np.abs(ray @ self._coeffs)
-        most = ray @ (self._offset + self._room) - drift[:-1].sum()
-        return bool(most > REFRESHED_TOLERANCE and drift[-1] == 0)
+        # What may be violated at a finite price is no reason.
+        is_relaxed = (self._coeffs[:, -1] > 0) & np.isfinite(self._slopes[n - 1, 1])
+        ray[np.isfinite(self._slopes[n:, 0]) | is_relaxed] = 0.0
+        drift = np.abs(ray @ self._coeffs[:, :-1]).sum()
+        return bool(ray @ (self._offset + self._room) - drift > REFRESHED_TOLERANCE)
 
     def _clip_prices(self, price: Float[Array, " variables"]) -> tuple[Array, Array]:
         """Return the prices of rows within their bounds, and True for equations."""
@@ -229,7 +231,7 @@ class FuelProgram:
 def _row_sizes(coeffs: Float[Array, "k n"]) -> Float[Array, " k"]:
     """Return the norms of rows, by which they are scaled; 1 for rows without entries."""
     norm = np.linalg.norm(coeffs, axis=1)
-    return np.where(norm > ZERO_ENTRY * norm.max(initial=0.0), norm, 1.0)
+    return np.where(norm > np.finfo(float).tiny, norm, 1.0)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -276,9 +278,9 @@ def _ascend(
                 length = abs(kinks[variable, at + way] - kinks[variable, at])
                 drop[count] = length * abs(entry[j])
                 count, at = count + 1, at + way
-                if length > 2.0:
+                if length == FAR:
                     break
-        last = _choose_entering(step, drop, candidate, entry, passed, count, violation)
+        last = _choose_entering(step, drop, candidate, entry, passed, count, violation, tolerance)
         if last < 0:
             place[own] -= sign > 0
             ray[:] = 0.0
@@ -339,7 +341,7 @@ def _choose_leaving(kinks, place, basic, tableau, value, tolerance):
 
 @numba.njit(error_model="numpy")
 @no_type_check
-def _choose_entering(step, drop, candidate, entry, passed, count, slope):
+def _choose_entering(step, drop, candidate, entry, passed, count, slope, tolerance):
     # Passes kinks, the nearest first, until the dual descends; then goes back to a safe pivot.
     # Written: their order. Returns the place of the one that ends the ascent, or −1.
     largest, last = 0.0, -1
@@ -358,7 +360,7 @@ def _choose_entering(step, drop, candidate, entry, passed, count, slope):
         slope -= drop[passed[k]]
         if slope <= 0.0:
             return last
-    return -1
+    return last if slope <= tolerance else -1
 
 
 @numba.njit(error_model="numpy")

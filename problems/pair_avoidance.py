@@ -12,9 +12,10 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 from scipy.sparse import block_diag, csc_array, vstack
 
-from problems.avoidance import AvoidanceProblem, HalfSpaces, cost_unit, solve_condensed
+from problems.avoidance import AvoidanceProblem, cost_unit, solve_condensed
 from problems.conic import ConicProgram
 from problems.convexify import AvoidanceHorizon, convexify
+from problems.half_spaces import HalfSpaces
 from problems.transfer import Trajectory, solve_cvxpy, solve_within_speed
 
 

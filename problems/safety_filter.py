@@ -8,9 +8,9 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse import csc_array
 
-from problems.avoidance import HalfSpaces
-from problems.conic import ConicProgram, Infeasible, Unsolved
-from problems.constraint_generation import Goal, can_generate, generate_constraints
+from problems.conic import ConicProgram
+from problems.constraint_generation import Goal, try_generating
+from problems.half_spaces import HalfSpaces
 from problems.solvers.verified import solve_program
 from problems.transfer import Solver, Trajectory, TransferProblem, solve_within_speed
 
@@ -47,13 +47,9 @@ class SafetyFilterProblem:
             Infeasible: No trajectory stops within the limits and the half-spaces.
             Unsolved: The solver stopped for any other reason.
         """
-        if can_generate(self.transfer, self.solver):
-            try:
-                return self._generate()
-            except Infeasible:
-                raise
-            except Unsolved:  # the conic solver may find an answer
-                pass
+        found = self._generate()
+        if found is not None:
+            return found
         # Few half-spaces are active: add the one that is violated most at each step, until none is.
         active = np.zeros(len(self.half_spaces.rhs), dtype=bool)
         while True:
@@ -66,16 +62,15 @@ class SafetyFilterProblem:
                 return found
             active |= violated
 
-    def _generate(self) -> Trajectory:
+    def _generate(self) -> Trajectory | None:
         transfer, m = self.transfer, self.transfer.model.axes
         near = np.repeat([1.0, transfer.model.dt], m) / self._fuel_weight
         slow = np.repeat([0.0, inf], m)
         wanted = Goal(self.wanted_step, self.wanted, near)
         rest = Goal(len(transfer.model), np.zeros(2 * m), slow)
         tolerance = VIOLATION_TOLERANCE * float(np.abs(transfer.coast(self.start)).max())
-        return generate_constraints(
-            transfer, self.start, [wanted, rest], self.half_spaces, tolerance
-        )
+        goals = self.start, [wanted, rest]
+        return try_generating(transfer, self.solver, *goals, self.half_spaces, tolerance)
 
     @property
     def _fuel_weight(self) -> float:

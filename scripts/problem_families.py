@@ -109,7 +109,7 @@ def record_problems() -> Iterator[list[ConicProgram]]:
         asked.append(problem)
         return solve_clarabel(problem)
 
-    conic = patch("problems.avoidance.can_generate", lambda *_: False)
+    conic = patch("problems.constraint_generation.can_generate", lambda *_: False)
     with conic, patch("problems.solvers.verified.solve_clarabel", note):
         yield asked
 

@@ -8,8 +8,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from dynamics import ClohessyWiltshire, DoubleIntegrator, discretize_zoh
-from problems.avoidance import AvoidanceProblem, HalfSpaces, empty_half_spaces
+from problems.avoidance import AvoidanceProblem
 from problems.conic import Infeasible
+from problems.half_spaces import HalfSpaces, empty_half_spaces
 from problems.solvers.verified import VerifiedSolver, solve_program
 from problems.transfer import TransferProblem
 

@@ -9,8 +9,9 @@ from numpy.testing import assert_allclose
 
 from dynamics import ClohessyWiltshire, DoubleIntegrator, discretize_zoh
 from problems.auction_cost import compute_energies, compute_transfer_costs, solve_transfer
-from problems.avoidance import AvoidanceProblem, HalfSpaces
+from problems.avoidance import AvoidanceProblem
 from problems.conic import Infeasible
+from problems.half_spaces import HalfSpaces
 from problems.minimum_fuel import solve_minimum_fuel
 from problems.transfer import TransferProblem, compute_energy
 

@@ -11,9 +11,10 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from dynamics import ClohessyWiltshire, DoubleIntegrator, discretize_zoh
-from problems.avoidance import AvoidanceProblem, HalfSpaces, empty_half_spaces
+from problems.avoidance import AvoidanceProblem
 from problems.conic import Infeasible
 from problems.fixed_size_avoidance import FixedSizeAvoidanceProblem
+from problems.half_spaces import HalfSpaces, empty_half_spaces
 from problems.transfer import TransferProblem
 from sato.cli import app
 from sato.onboard import export, export_c

@@ -8,6 +8,7 @@ from scipy.optimize import linprog
 
 from problems import fuel_program
 from problems.fuel_program import FuelProgram
+from problems.solvers.verified import solve_program
 from sato.scp.exchange import run_scp
 
 PENALTY, ERROR = 9.0, 7.0
@@ -88,12 +89,53 @@ def test_a_row_without_entries_decides_by_its_constant():
         assert program.solve() == expected
 
 
+def test_infeasibility_is_certified_where_other_rows_are_relaxed(rng):
+    """Rows that must hold join after some that need not."""
+    count = 0
+    for _ in range(40):
+        w, E, g, C, h, _ = draw(rng)
+        program = FuelProgram(w, PENALTY)
+        program.add_equations(E, g, np.full(len(g), ERROR))
+        program.add_inequalities(C, h, is_relaxed=True)
+        assert program.solve() == "optimal"
+        row = rng.normal(size=(1, len(w)))
+        program.add_inequalities(row, np.array([-1.001 * np.abs(row).sum()]))
+        assert program.solve() == "infeasible"
+        count += len(h) > 0
+    assert count > 20
+
+
+def test_programs_that_one_point_satisfies_are_solved(rng):
+    for _ in range(50):
+        n = int(rng.integers(2, 20))
+        coeffs, corner = rng.normal(size=(2, n)), rng.choice([-1.0, 1.0], n)
+        coeffs[0] = corner * rng.uniform(0.1, 1.0, n)
+        program = FuelProgram(rng.uniform(0.5, 1.5, n))
+        program.add_equations(coeffs, -coeffs @ corner, np.full(2, np.inf))
+        assert program.solve() == "optimal" == program.confirm()
+        np.testing.assert_allclose(program.controls, corner, atol=1e-7)
+
+
+def test_an_answer_to_another_program_is_no_answer():
+    program = FuelProgram(np.ones(1), 1e6)
+    program.add_inequalities(np.ones((1, 1)), np.array([-0.5]), is_relaxed=True)
+    assert program.solve() == "optimal" == program.confirm()
+    program._slopes[1, 1] = 0.01  # with this penalty it costs less to violate the row
+    assert not program._is_optimal()
+    program = FuelProgram(np.ones(1))
+    program.add_equations(np.ones((1, 1)), np.array([5.0]), np.array([10.0]))
+    assert program.solve() == "optimal"
+    program._ray = np.array([-1.0, 0.0, 1.0])
+    assert not program._is_unbounded()
+
+
 def test_what_stops_without_an_answer_is_solved_by_the_conic_solver(rng, monkeypatch):
     def plan_all():
         swarm = random_swarm(np.random.default_rng(3), 5)
         return {i: own.nominal for i, own in run_scp(swarm, complete(5))[0].items()}
 
-    found = plan_all()
+    found, before = plan_all(), solve_program.fallback_count
     monkeypatch.setattr(fuel_program, "MAX_PIVOTS", 1)
     for i, trajectory in plan_all().items():
         assert trajectory.fuel == pytest.approx(found[i].fuel, rel=1e-5)
+    assert solve_program.fallback_count > before

@@ -8,8 +8,9 @@ from numpy.testing import assert_allclose
 
 from dynamics import ClohessyWiltshire, DoubleIntegrator, discretize_zoh
 from problems.auction_cost import compute_transfer_costs
-from problems.avoidance import AvoidanceProblem, HalfSpaces
+from problems.avoidance import AvoidanceProblem
 from problems.conic import Infeasible
+from problems.half_spaces import HalfSpaces
 from problems.limit import Limit
 from problems.pair_avoidance import PairProblem, RelativeHalfSpaces
 from problems.transfer import TransferProblem

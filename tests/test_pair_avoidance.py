@@ -7,9 +7,10 @@ import pytest
 from numpy.testing import assert_allclose
 from planner_examples import RADIUS, T, make_planner, make_problem
 
-from problems.avoidance import AvoidanceProblem, HalfSpaces, empty_half_spaces
+from problems.avoidance import AvoidanceProblem
 from problems.conic import Infeasible
 from problems.convexify import choose_normals, convexify
+from problems.half_spaces import HalfSpaces, empty_half_spaces
 from problems.pair_avoidance import PairProblem, RelativeHalfSpaces
 from problems.transfer import TransferProblem
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from dynamics import DoubleIntegrator, discretize_zoh
-from problems.avoidance import HalfSpaces, empty_half_spaces
 from problems.conic import TOLERANCE, Infeasible
+from problems.half_spaces import HalfSpaces, empty_half_spaces
 from problems.limit import LIMIT_TOLERANCE, Limit
 from problems.safety_filter import FUEL_WEIGHT, SafetyFilterProblem
 from problems.transfer import TransferProblem

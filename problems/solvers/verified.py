@@ -46,8 +46,7 @@ class VerifiedSolver:
         """
         found = self.answer(problem)
         if found.kind not in ("solved", "infeasible") and not self.is_default:
-            self.fallback_count += 1
-            self.last_rejection = f"{self._name}: {found.reason}"
+            self.count_fallback(f"{self._name}: {found.reason}")
             found = VerifiedSolver().answer(problem)
             both = f"{self.last_rejection}; {DEFAULT_SOLVER}: {found.reason}"
             found = found._replace(reason=both)
@@ -56,6 +55,11 @@ class VerifiedSolver:
         if found.solution is None or found.kind != "solved":
             raise Unsolved(problem, found.reason)
         return found.solution
+
+    def count_fallback(self, reason: str) -> None:
+        """Count a program that is given to the default solver, and keep the reason."""
+        self.fallback_count += 1
+        self.last_rejection = reason
 
     def __getstate__(self) -> dict[str, object]:
         """Leave out the session, which few libraries can copy."""

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from problems.avoidance import HalfSpaces
+from problems.half_spaces import HalfSpaces
 
 LIBRARY = "libsato_onboard.so"
 SOLVED, UNSOLVED, INVALID_INPUT = 0, 1, 2  # as in sato_onboard.h

@@ -8,9 +8,9 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.discretize import discretize_zoh
-from problems.avoidance import HalfSpaces
 from problems.convexify import AvoidanceHorizon, are_hulls_separated, choose_normals, convexify
 from problems.fixed_size_avoidance import FixedSizeAvoidanceProblem
+from problems.half_spaces import HalfSpaces
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.planning import make_horizon
 from sato.reconfiguration.solo_trajectories import TIE_BREAK_RISE

@@ -153,9 +153,9 @@ class Reconfiguration(vehicles.Vehicles, Mission):
     objective: Annotated[
         Literal["fuel", "energy"], PLAN, "fuel, or energy Δt Σ ‖u‖², that paths and targets cost"
     ] = "fuel"
-    solver: Annotated[str, PLAN, "solver of transfers and avoidance, see `sato compare`"] = (
-        "clarabel"
-    )
+    solver: Annotated[
+        str, PLAN, "solver of transfers and avoidance; clarabel: by simplex where linear"
+    ] = "clarabel"
     tolerance: Annotated[
         float | None, PLAN, Positive, Lt(1), "relative, of its answers; 1e-6 if absent"
     ] = None

@@ -9,15 +9,9 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from problems import convexify
-from problems.avoidance import (
-    RELAXES_HALF_SPACES,
-    AvoidanceProblem,
-    AvoidanceResult,
-    HalfSpaces,
-    Relaxation,
-)
-from problems.conic import Infeasible, Unsolved
-from problems.constraint_generation import can_generate
+from problems.avoidance import RELAXES_HALF_SPACES, AvoidanceProblem, AvoidanceResult, Relaxation
+from problems.conic import Unsolved
+from problems.half_spaces import HalfSpaces
 from problems.solvers.verified import solve_program
 from problems.transfer import Solver, Trajectory, TransferProblem
 
@@ -301,20 +295,16 @@ def _solve_active_set(
     R = agent.horizon.clearance
     tolerance = VIOLATION_TOLERANCE * R
     problem = AvoidanceProblem(transfer, nominal.x[0], target, half_spaces, agent.solver, tolerance)
-    if can_generate(transfer, agent.solver):
-        try:
-            return problem.generate(relaxation)
-        except Infeasible:
-            raise
-        except Unsolved:  # the conic solver may find an answer
-            pass
+    found = problem.generate(relaxation)
+    if found is not None:
+        return found
     # Few half-spaces are active: begin with those active at the nominal, and add at each step
     # the one that is violated most, until none is.
     active = np.abs(half_spaces.violation(nominal.x, nominal.u)) < ACTIVE_TOLERANCE * R
     violation = half_spaces.violation(agent.solo.x, agent.solo.u)
     while True:
         active |= half_spaces.worst_per_step(np.where(active, 0.0, violation), tolerance)
-        result = problem.select(active).solve(relaxation)
+        result = problem.select(active).solve_conic(relaxation)
         trajectory = result.trajectory
         violation = half_spaces.violation(trajectory.x, trajectory.u)
         violation -= result.slack if relaxation in RELAXES_HALF_SPACES else 0.0
