@@ -33,14 +33,10 @@ class Goal(NamedTuple):
 
     step: int
     state: Float[Array, " n"]
-    penalty: Float[
-        Array, " n"
-    ]  # over fuel; infinite where there may be none, zero where it is free
+    penalty: Float[Array, " n"]
 
 
-def try_generating(
-    transfer: TransferProblem, solver: Solver, *rest: Any, **more: Any
-) -> Trajectory | None:
+def try_generating(transfer: TransferProblem, solver: Solver, *rest: Any) -> Trajectory | None:
     """Return what `generate_constraints` finds, for its further arguments.
 
     None where norms are not linear, where a solver was chosen, and where the method stops without
@@ -52,7 +48,7 @@ def try_generating(
     if not isinstance(solver, VerifiedSolver) or not can_generate(transfer, solver):
         return None
     try:
-        return generate_constraints(transfer, *rest, **more)
+        return generate_constraints(transfer, *rest)
     except Infeasible:
         raise
     except Unsolved as error:
@@ -105,15 +101,14 @@ def generate_constraints(
         if status == "stopped":
             break
         u = program.controls.reshape(-1, axes) * limit.most * limit.shares
-        x = free + response @ program.controls
-        if is_confirmed:  # computed anew
-            x = transfer.model.simulate(start, u)
+        flown = transfer.simulate(start, u) if is_confirmed else None
+        x = free + response @ program.controls if flown is None else flown.x
         violation = spaces.violation(x, u)
         new = spaces.find_peaks(np.where(known, 0.0, violation - program.slack), tolerance)
         fast = np.flatnonzero(transfer.is_too_fast(x)) + 1
         if not (new.any() or len(fast)):
-            if is_confirmed:
-                return transfer.simulate(start, u)
+            if flown is not None:
+                return flown
             is_confirmed = True
             continue
         is_confirmed = False

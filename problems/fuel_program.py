@@ -49,12 +49,11 @@ class FuelProgram:
             penalty: P; infinite where σ is zero.
         """
         n = len(weights) + 1
-        self._kinks = np.tile([-FAR, -1.0, 0.0, 1.0, FAR], (n, 1))
-        self._kinks[-1] = [-FAR, 0.0, FAR, FAR, FAR]
-        outer = np.full(n, inf)
-        inner = np.append(weights, penalty)
-        self._slopes = np.stack([-outer, -inner, inner, outer], axis=1)
-        self._slopes[-1] = [-inf, penalty, inf, inf]
+        controls, slack = [-FAR, -1.0, 0.0, 1.0, FAR], [-FAR, 0.0, FAR, FAR, FAR]
+        self._kinks = np.vstack([np.tile(controls, (n - 1, 1)), slack])
+        never = np.full(n - 1, inf)
+        slopes = np.stack([-never, -weights, weights, never], axis=1)
+        self._slopes = np.vstack([slopes, [-inf, penalty, inf, inf]])
         self._place, self._nonbasic = np.full(n, 2), np.arange(n)
         self._place[-1] = 1
         self._basic = np.zeros(0, dtype=int)
@@ -70,10 +69,7 @@ class FuelProgram:
         penalty: Float[Array, " k"],
     ) -> None:
         """Add rows coeffs · u + offset = 0, with the penalties of their errors."""
-        size = _row_sizes(coeffs)
-        zero, far, never = np.zeros(len(size)), np.full(len(size), FAR), np.full(len(size), inf)
-        kinks, p = [-far, zero, zero, far, far], penalty * size
-        self._add(coeffs, offset, size, zero, zero, kinks, [-p, zero, p, never])
+        self._add(coeffs, offset, [-FAR, 0.0, 0.0, FAR, FAR], penalty)
 
     def add_inequalities(
         self,
@@ -90,35 +86,36 @@ class FuelProgram:
             is_relaxed: True where rows may be violated by σ.
             room: Margin that was subtracted from each offset.
         """
-        size = _row_sizes(coeffs)
-        zero, far, never = np.zeros(len(size)), np.full(len(size), FAR), np.full(len(size), inf)
-        kinks, slopes = [-far, zero, far, far, far], [-never, zero, never, never]
-        self._add(coeffs, offset, size, is_relaxed / size, room / size, kinks, slopes)
+        never = np.full(len(coeffs), inf)
+        self._add(coeffs, offset, [-FAR, 0.0, FAR, FAR, FAR], never, is_relaxed, room)
 
     def _add(
         self,
         coeffs: Float[Array, "k n"],
         offset: Float[Array, " k"],
-        size: Float[Array, " k"],
-        on_slack: Float[Array, " k"],
-        room: Float[Array, " k"],
-        kinks: list[Array],
-        slopes: list[Array],
+        kinks: list[float],
+        penalty: Float[Array, " k"],
+        is_relaxed: bool = False,
+        room: float | Float[Array, " k"] = 0.0,
     ) -> None:
-        coeffs, offset = np.column_stack([coeffs / size[:, None], on_slack]), offset / size
+        norm = np.linalg.norm(coeffs, axis=1)
+        size = np.where(norm > np.finfo(float).tiny, norm, 1.0)
+        coeffs = np.column_stack([coeffs, np.full(len(size), is_relaxed)]) / size[:, None]
+        offset, p = offset / size, penalty * size
+        zero, never = np.zeros(len(size)), np.full(len(size), inf)
         n, first = self._coeffs.shape[1], len(self._place)
         at, is_free = self._nonbasic < n, self._basic < n
         rows = coeffs[:, self._basic[is_free]] @ self._tableau[is_free]
         rows[:, at] += coeffs[:, self._nonbasic[at]]
         self._value = np.concatenate([self._value, coeffs @ self._values()[:n] + offset])
         self._tableau = np.vstack([self._tableau, rows])
-        self._kinks = np.vstack([self._kinks, np.stack(kinks, axis=1)])
-        self._slopes = np.vstack([self._slopes, np.stack(slopes, axis=1)])
+        self._kinks = np.vstack([self._kinks, np.tile(kinks, (len(size), 1))])
+        self._slopes = np.vstack([self._slopes, np.stack([-p, zero, p, never], axis=1)])
         self._place = np.concatenate([self._place, np.ones(len(size), dtype=int)])
         self._basic = np.concatenate([self._basic, first + np.arange(len(size))])
         self._coeffs = np.vstack([self._coeffs, coeffs])
         self._offset = np.concatenate([self._offset, offset])
-        self._room = np.concatenate([self._room, room])
+        self._room = np.concatenate([self._room, room / size])
 
     def solve(self) -> Status:
         """Solve the program with all rows that were added, from the last basis.
@@ -198,8 +195,8 @@ class FuelProgram:
         price[self._nonbasic] = self._price
         price[self._basic] = self._slopes[self._basic, self._place[self._basic]]
         price, is_equation = self._clip_prices(price)
-        u, weights = np.append(self.controls, max(self.slack, 0.0)), self._slopes[:n, 2]
-        weights = np.append(weights[:-1], self._slopes[n - 1, 1])
+        u = np.append(self.controls, max(self.slack, 0.0))
+        weights = np.append(self._slopes[: n - 1, 2], self._slopes[n - 1, 1])
         error = self._coeffs @ u + self._offset
         violation = np.where(is_equation, np.abs(error), np.maximum(-error, 0.0))
         is_hard, penalty = np.isinf(self._slopes[n:, 0]), -self._slopes[n:, 0]
@@ -226,12 +223,6 @@ class FuelProgram:
         n = self._coeffs.shape[1]
         is_equation, low = self._kinks[n:, 2] == 0, self._slopes[n:, 0]
         return np.clip(price[n:], low, np.where(is_equation, -low, 0.0)), is_equation
-
-
-def _row_sizes(coeffs: Float[Array, "k n"]) -> Float[Array, " k"]:
-    """Return the norms of rows, by which they are scaled; 1 for rows without entries."""
-    norm = np.linalg.norm(coeffs, axis=1)
-    return np.where(norm > np.finfo(float).tiny, norm, 1.0)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -60,19 +60,23 @@ class HalfSpaces(NamedTuple):
         self, violation: Float[Array, " rows"], tolerance: float
     ) -> Bool[Array, " rows"]:
         """Find the rows violated most, by more than a tolerance [m], at the steps around theirs."""
-        worst = np.full(int(self.step_index.max(initial=0)) + 3, tolerance)
-        np.maximum.at(worst, self.step_index + 1, violation)
-        peak = (worst[1:-1] >= worst[:-2]) & (worst[1:-1] >= worst[2:]) & (worst[1:-1] > tolerance)
-        at = peak[self.step_index]
-        return np.asarray(at & (violation >= worst[1:-1][self.step_index]))
+        worst = np.pad(self._worst_at_steps(violation, tolerance), 1, constant_values=tolerance)
+        is_peak = (worst[1:-1] >= worst[:-2]) & (worst[1:-1] >= worst[2:])
+        return np.asarray(self.worst_per_step(violation, tolerance) & is_peak[self.step_index])
 
     def worst_per_step(
         self, violation: Float[Array, " rows"], tolerance: float
     ) -> Bool[Array, " rows"]:
         """Select the rows that are violated most at each step, by more than a tolerance [m]."""
+        worst = self._worst_at_steps(violation, tolerance)
+        return np.asarray((violation >= worst[self.step_index]) & (violation > tolerance))
+
+    def _worst_at_steps(
+        self, violation: Float[Array, " rows"], tolerance: float
+    ) -> Float[Array, " steps"]:
         worst = np.full(int(self.step_index.max(initial=-1)) + 1, tolerance)
         np.maximum.at(worst, self.step_index, violation)
-        return np.asarray((violation >= worst[self.step_index]) & (violation > tolerance))
+        return worst
 
 
 def empty_half_spaces(transfer: TransferProblem) -> HalfSpaces:
