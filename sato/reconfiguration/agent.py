@@ -36,6 +36,7 @@ from sato.reconfiguration.state import (
     update_believed,
 )
 from sato.reconfiguration.stopping import Commitment, Commitments, controls_at
+from sato.reconfiguration.tracking import add_feedback
 
 
 class FlightMemory(NamedTuple):
@@ -237,7 +238,7 @@ class Agent:
         own = flown.plans, flown.committed, flown.spent
         decision = Decision.begin(self.number, context, *own, shared, joins)
         flown = flown._replace(instant=instant, decision=decision, heard=None)
-        return flown._replace(control=self._planned_control(flown))
+        return flown._replace(control=self._control(flown))
 
     def _end_step(self, instant: int) -> FlightMemory:
         """Count the cost and the time of the step that was flown."""
@@ -253,8 +254,9 @@ class Agent:
         memory, steps = flown.memory, flown.leg.steps
         if flown.leg_start is not None:
             memory = replace(memory, clock=np.minimum(memory.clock + 1, steps))
-        held = np.tile(flown.control, (self.number + 1, 1))
-        estimate = estimator.predict(mission, flown.estimate, held, flown.instant * mission.step)
+        held, time = np.tile(flown.control, (self.number + 1, 1)), flown.instant * mission.step
+        planned = self._planned_controls(flown)
+        estimate = estimator.predict(mission, flown.estimate, held, planned, time)
         spent = flown.spent + float(spent)
         return flown._replace(memory=memory, estimate=estimate, spent=spent)
 
@@ -277,7 +279,7 @@ class Agent:
         if decision.is_finished:
             flown = flown._replace(memory=decision.context.memory, plans=decision.plans)
             flown = flown._replace(committed=decision.committed)
-            flown = flown._replace(control=self._planned_control(flown))
+            flown = flown._replace(control=self._control(flown))
         return flown
 
     @property
@@ -286,10 +288,14 @@ class Agent:
         assert decision is not None and instant is not None
         return AgentMessage(self.number, instant, decision.stage_index, decision.stage.message)
 
-    def _planned_control(self, flown: FlightMemory) -> Float[Array, " d"]:
-        if not flown.committed:
-            return np.zeros(self.mission.axes)
-        assert flown.instant is not None
-        alone = self._graph.alive
-        control = controls_at(flown.committed, flown.instant, alone, self.mission)
+    def _control(self, flown: FlightMemory) -> Float[Array, " d"]:
+        planned, known = self._planned_controls(flown), flown.estimate
+        control = add_feedback(self.mission, planned, known.reference, known.mean)
         return np.asarray(control[self.number])
+
+    def _planned_controls(self, flown: FlightMemory) -> Float[Array, "rows d"]:
+        alone = self._graph.alive
+        if not flown.committed:
+            return np.zeros((len(alone), self.mission.axes))
+        assert flown.instant is not None
+        return controls_at(flown.committed, flown.instant, alone, self.mission)

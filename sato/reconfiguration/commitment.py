@@ -215,7 +215,7 @@ def _find_stop_after(
 ) -> Float[Array, "T m"] | None:
     """Find controls that follow the plan for k steps, and then stop near it."""
     mission, period = context.mission, steps_to_next(context)
-    own, x = mission.control_limit(agent).cut(plan.trajectory.u), plan.trajectory.x
+    own, x = mission.planned_control_limit(agent).cut(plan.trajectory.u), plan.trajectory.x
     wanted, start = x[min(k + period, len(own))], context.state[agent]
     if not len(own):  # back to the target
         wanted, period = rest_at_target(context, agent), mission.horizon_steps

@@ -18,6 +18,7 @@ from dynamics.plant import NonlinearPlant
 if TYPE_CHECKING:
     from sato.reconfiguration.mission import Reconfiguration
 
+JUMP_SIGMAS = 8.0  # of the distance from a reference, from which it is given up
 GATE_SIGMAS = 3.0  # of the estimate, from which a reference is given up
 NOISE_FLOOR = 1e-3  # a velocity is measured no better than by a position so much better in a step
 
@@ -48,24 +49,38 @@ def update(
     """
     R = measurement_covariance(mission)
     if not R.any():
-        return estimate._replace(reference=measured)
+        estimate = estimate._replace(mean=measured)
+        return estimate._replace(reference=_keep_reference(mission, estimate))
     is_new = np.isnan(estimate.mean).any(axis=1)[:, None]
     before = np.where(is_new[..., None], R, estimate.covariance)
     mean = np.where(is_new, measured, estimate.mean)
-    reference = np.where(is_new, measured, estimate.reference)
     P = np.where(is_new[..., None], R, correct(before, R))
     # The gain K = P R⁻¹ is that of the covariance after the measurement.
     mean = mean + np.einsum("kab,b,kb->ka", P, 1 / np.diag(R), measured - mean)
-    off = mean - reference
-    distance = np.einsum("ka,ka->k", off, np.linalg.solve(P, off[..., None])[..., 0])
-    is_kept = distance <= GATE_SIGMAS**2
-    return Estimate(mean, P, np.where(is_kept[:, None], reference, mean))
+    found = Estimate(mean, P, np.where(is_new, measured, estimate.reference))
+    return found._replace(reference=_keep_reference(mission, found))
+
+
+def _keep_reference(mission: "Reconfiguration", estimate: Estimate) -> Float[Array, "agents n"]:
+    """Return the references, or estimates where these are too far from them, or they are none."""
+    mean, P, reference = estimate
+    off, tube = mean - reference, mission.tube
+    if tube is not None:
+        away = np.linalg.norm(off[:, : mission.axes], axis=1)
+        is_kept = away <= JUMP_SIGMAS * tube.position
+    elif measurement_covariance(mission).any():
+        distance = np.einsum("ka,ka->k", off, np.linalg.solve(P, off[..., None])[..., 0])
+        is_kept = distance <= GATE_SIGMAS**2
+    else:
+        return mean
+    return np.where(is_kept[:, None], reference, mean)
 
 
 def predict(
     mission: "Reconfiguration",
     estimate: Estimate,
     control: Float[Array, "agents d"],
+    planned: Float[Array, "agents d"],
     time: float,
 ) -> Estimate:
     """Predict estimates and references a step ahead; those without a control are forgotten.
@@ -74,13 +89,14 @@ def predict(
         mission: Model and noise.
         estimate: What the agents know at the beginning of the step.
         control: Commanded in the step; NaN for agents that are not there [m/s²].
+        planned: The same without feedback [m/s²].
         time: Beginning of the step [s].
     """
-    if not measurement_covariance(mission).any():
+    if not (measurement_covariance(mission).any() or mission.tube):
         return estimate
     model, count = discretize_zoh(mission.linear_model, mission.step, 1, time), len(control)
     x = np.concatenate([estimate.mean, estimate.reference])
-    u = np.tile(control, (2, 1))
+    u = np.concatenate([control, planned])
     x = np.where(np.isfinite(u).all(axis=1)[:, None], x, np.nan)
     if mission.nonlinear_model is not None:
         plant = NonlinearPlant(mission.nonlinear_model)
@@ -94,12 +110,14 @@ def predict(
 @lru_cache(maxsize=8)
 def measurement_covariance(mission: "Reconfiguration") -> Float[Array, "n n"]:
     """Return the covariance R of a measurement, which is regular if it is not 0."""
+    return np.diag(np.repeat(np.square(measurement_deviations(mission)), mission.axes))
+
+
+def measurement_deviations(mission: "Reconfiguration") -> tuple[float, float]:
+    """Return the standard deviations of measured positions [m] and velocities [m/s]."""
     position, velocity, h = mission.position_noise, mission.velocity_noise, mission.step
-    position, velocity = (
-        max(position, NOISE_FLOOR * velocity * h),
-        max(velocity, NOISE_FLOOR * position / h),
-    )
-    return np.diag(np.repeat([position**2, velocity**2], mission.axes))
+    floors = NOISE_FLOOR * velocity * h, NOISE_FLOOR * position / h
+    return max(position, floors[0]), max(velocity, floors[1])
 
 
 def correct(P: Covariance, R: Float[Array, "n n"]) -> Covariance:

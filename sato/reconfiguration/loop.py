@@ -26,6 +26,7 @@ from sato.reconfiguration.plan import (
     remaining_cost,
 )
 from sato.reconfiguration.stopping import Commitments, controls_at
+from sato.reconfiguration.tracking import add_feedback
 
 MAX_LEG_FACTOR = 20  # times its steps after which a leg is given up
 
@@ -93,11 +94,12 @@ class _Flight:
                     ),
                     bids,
                 )
-            control = controls_at(self.committed, self.step_index, self.alive, mission)
+            planned = controls_at(self.committed, self.step_index, self.alive, mission)
+            control = add_feedback(mission, planned, known, self.estimate.mean)
             applied = disturb_control(mission, control, self.rng)
             seen = measured if mission.position_noise or mission.velocity_noise else None
             yield self.make_frame(graph, control, applied, seen)
-            self._propagate(control, applied)
+            self._propagate(planned, control, applied)
         if number == len(mission.legs) - 1 and self.waiting:
             self.events.append({"kind": "refused", "agents": self.waiting})
         memory, component = self.memory, self.make_graph().component.tolist()
@@ -203,10 +205,10 @@ class _Flight:
         announced = announce_clock(is_planning_due(mission, *own), clock, steps)
         return -context.graph.component_max(-announced)
 
-    def _propagate(self, control: Array, applied: Array) -> None:
+    def _propagate(self, planned: Array, control: Array, applied: Array) -> None:
         mission, steps, clock = self.mission, self.leg.steps, self.memory.clock
         commanded, time = np.nan_to_num(control)[:, None], self.step_index * mission.step
-        self.estimate = estimator.predict(mission, self.estimate, control, time)
+        self.estimate = estimator.predict(mission, self.estimate, control, planned, time)
         flown = mission.flown_plant.propagate(self.x, np.nan_to_num(applied), time, mission.step)
         self.x = np.where(self.alive[:, None], flown[1], self.x)
         self.spent = self.spent + compute_spent(mission, commanded)

@@ -20,6 +20,7 @@ from sato.reconfiguration.leg import Count, Leg, Steps, states_of
 from sato.reconfiguration.models import PlantSettings
 from sato.reconfiguration.orbit import Chief
 from sato.reconfiguration.start import Start, start_without_files
+from sato.reconfiguration.tracking import Tube, compute_tube
 from sato.scenario.definition import (
     EACH,
     LATER,
@@ -206,7 +207,8 @@ class Reconfiguration(vehicles.Vehicles, Mission):
             values["agents"] = None if self.start.positions is None else len(self.start.positions)
         if self.replan_steps is None:
             wrong = self.disturbance, self.thrust_error, self.pointing_error
-            is_disturbed = any(wrong) or not models.flies_model(model, chief, self.plant, self.step)
+            is_exact = models.flies_model(model, chief, self.plant, self.step)
+            is_disturbed = not is_exact or (any(wrong) and not self.is_point_mass)
             values["replan_steps"] = 1 if is_disturbed else self._longest_period()
         if self.auction_steps is None:
             period = values.get("replan_steps", self.replan_steps)
@@ -281,13 +283,28 @@ class Reconfiguration(vehicles.Vehicles, Mission):
         noise = self.position_noise, self.velocity_noise, self.disturbance
         return any((*noise, self.thrust_error, self.pointing_error))
 
+    @cached_property
+    def tube(self) -> Tube | None:
+        """Deviations from references; None where agents plan from their estimates.
+
+        Double integrators have references if they fly as modeled, but for noise.
+        """
+        if not (self.is_point_mass and self.flies_model and self.has_noise):
+            return None
+        from sato.reconfiguration.estimator import measurement_deviations
+        from sato.reconfiguration.tolerances import largest_disturbance
+
+        noise = measurement_deviations(self)
+        return compute_tube(self.step, *noise, largest_disturbance(self))
+
     @property
     def keeps_plans(self) -> bool:
         """True where plans that are clear to their ends are flown to their ends.
 
-        Double integrators without noise do: nothing changes what they would fly.
+        Double integrators do, if they fly as modeled: nothing changes what they, or with noise
+        their references, would fly.
         """
-        is_exact = self.is_point_mass and self.flies_model and not self.has_noise
+        is_exact = self.is_point_mass and self.flies_model
         return is_exact and self.assignment != "central" and self.orders == 1
 
     @property

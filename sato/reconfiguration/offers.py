@@ -93,7 +93,7 @@ def _list_controls(
         index[row] = len(each)
         each.append(held_controls(mission, i, velocity, committed, context.instant))
         if not is_kept(context, plan):
-            rest = mission.control_limit(i).cut(plan.controls_from(context.step_index))
+            rest = mission.planned_control_limit(i).cut(plan.controls_from(context.step_index))
             lengths = np.minimum(plan_steps[:-1], len(rest))
             is_begun[row, :-1] = lengths < _steps_within_reach(context, plan)
             begun, places = np.unique(lengths[is_begun[row, :-1]], return_inverse=True)

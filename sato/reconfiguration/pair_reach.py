@@ -1,7 +1,6 @@
 """Reach of targets by vehicles that are alone: bounds for all pairs, and single transfers."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from math import inf
 from typing import TYPE_CHECKING
 
@@ -63,7 +62,7 @@ def bound_reach(
     bounds alone decide, and pairs that are possible count as certain.
     """
     start, d, h, agent = departure.state, mission.axes, mission.step, int(departure.agents[0])
-    control, speed = mission.control_limit(agent), _speed_limit(mission, departure, factor)
+    control, speed = mission.planned_control_limit(agent), _speed_limit(mission, departure, factor)
     starts_at_rest = ~start[:, d:].any(axis=1, keepdims=True)
     ends = 1.0 * starts_at_rest + ~targets[:, d:].any(axis=1)
     way = np.abs(targets[None, :, :d] - start[:, None, :d])
@@ -164,8 +163,9 @@ def _make_transfer(
     mission: "Reconfiguration", model: "DiscreteModel", departure: Departure, factor: float
 ) -> "TransferProblem":
     speed = _speed_limit(mission, departure, factor)
-    transfer = mission.make_transfer(model, int(departure.agents[0]), max_speed=speed.bound)
-    return replace(transfer, max_control=factor * transfer.max_control)
+    agent = int(departure.agents[0])
+    most = factor * mission.planned_control_limit(agent).bound
+    return mission.make_transfer(model, agent, max_control=most, max_speed=speed.bound)
 
 
 def _speed_limit(mission: "Reconfiguration", departure: Departure, factor: float) -> Limit:

@@ -52,7 +52,7 @@ def controls_at(
     control = np.full((len(alive), mission.axes), np.nan)
     for i in np.flatnonzero(alive).tolist():
         u = committed[i].controls_from(step)
-        control[i] = mission.control_limit(i).cut(u[0]) if len(u) else 0.0
+        control[i] = mission.planned_control_limit(i).cut(u[0]) if len(u) else 0.0
     return control
 
 
@@ -68,7 +68,7 @@ def end_at_rest(
 ) -> Float[Array, "T m"]:
     """Return controls, and those that then stop the agent, from a velocity on."""
     final = velocity + mission.step * u.sum(axis=0)
-    return np.vstack([u, stop_at_once(mission.control_limit(agent), final, mission.step)])
+    return np.vstack([u, stop_at_once(mission.planned_control_limit(agent), final, mission.step)])
 
 
 def committed_controls(
@@ -175,14 +175,15 @@ def find_stop(
     T, required = horizon.steps - 1, required_separations(clearance)
     normals = convexify.choose_normals(nominal - others, required, side)
     half_spaces = convexify.convexify(horizon, T, others, normals, required)
-    transfer = mission.make_transfer(horizon.discrete_model[:T], agent)
+    limit = mission.planned_control_limit(agent)
+    transfer = mission.make_transfer(horizon.discrete_model[:T], agent, max_control=limit.bound)
     problem = SafetyFilterProblem(transfer, start, wanted, wanted_step, half_spaces, solver)
     try:
         found = problem.solve()
     except Unsolved:
         return None
     # The solver leaves a speed within its tolerance, which the last step takes away.
-    last, limit = -found.x[-1, mission.axes :] / mission.step, mission.control_limit(agent)
+    last = -found.x[-1, mission.axes :] / mission.step
     if limit.measure(last) > limit.most:
         return None
     u = np.vstack([found.u, last])

@@ -64,6 +64,8 @@ def compute_random_margin(
         whole: Steps of the flight.
     """
     R, two = measurement_covariance(mission), MARGIN_SIGMAS * 2**0.5
+    if mission.tube is not None:
+        return two * mission.tube.position
     whole = whole if R.any() else 1
     model = discretize_zoh(mission.linear_model, mission.step, whole + period)
     W, P, first, most = _acceleration_covariance(mission), R, R, 0.0
@@ -79,9 +81,13 @@ def compute_random_margin(
 
 
 def _acceleration_covariance(mission: "Reconfiguration") -> Float[Array, "d d"]:
-    """Return the covariance of accelerations that are not commanded, under full control."""
+    return np.asarray(np.eye(mission.axes) * largest_disturbance(mission) ** 2)
+
+
+def largest_disturbance(mission: "Reconfiguration") -> float:
+    """Return the deviation of accelerations that are not commanded, under full control [m/s²]."""
     thrust = mission.largest_control.max() * (mission.thrust_error + mission.pointing_error)
-    return np.asarray(np.eye(mission.axes) * (mission.disturbance**2 + thrust**2))
+    return float(np.hypot(mission.disturbance, thrust))
 
 
 def _believed_covariance(mission: "Reconfiguration") -> Float[Array, "d d"]:
@@ -224,6 +230,8 @@ def noise_on_arrival(mission: "Reconfiguration") -> tuple[float, float]:
     """
     if not mission.has_noise:
         return 0.0, 0.0
+    if mission.tube is not None:
+        return TOLERANCE_SIGMAS * mission.tube.position, TOLERANCE_SIGMAS * mission.tube.velocity
     d = mission.axes
     strongest, weakest = mission.largest_control.max(), mission.least_control
     wrong = strongest * np.hypot(mission.thrust_error, mission.pointing_error)

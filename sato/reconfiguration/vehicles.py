@@ -13,6 +13,7 @@ from dynamics.discretize import DiscreteModel
 from problems.limit import Bound, Limit, Norm
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.models import Motion
+from sato.reconfiguration.tracking import MAX_RESERVE, RESERVE_SIGMAS, Tube
 from sato.scenario.definition import is_auto
 from sato.scenario.errors import InputError
 
@@ -42,6 +43,7 @@ class Vehicles(Motion):
     replan_steps: int
     margin: Any
     allow_undetectable: bool
+    tube: Tube | None
 
     @property
     def vehicle_count(self) -> int:
@@ -97,6 +99,17 @@ class Vehicles(Motion):
         """Return the limit of an agent's acceleration [m/s²]."""
         return self.control_limits[agent % len(self.control_limits)]
 
+    def planned_control_limit(self, agent: int) -> Limit:
+        """Return the limit of the acceleration in the plans of an agent [m/s²].
+
+        They leave a part of it to the feedback that keeps it near its reference.
+        """
+        limit = self.control_limit(agent)
+        if self.tube is None:
+            return limit
+        share = RESERVE_SIGMAS * self.tube.feedback / float(limit.most * limit.shares.min())
+        return replace(limit, bound=limit.bound * (1 - min(share, MAX_RESERVE)))
+
     def speed_limit(self, agent: int) -> Limit:
         """Return the limit of an agent's velocity [m/s]."""
         return self.speed_limits[agent % len(self.speed_limits)]
@@ -137,7 +150,8 @@ class Vehicles(Motion):
         """Return how far vehicles may fly on before they could meet others unheard [m]."""
         if self.allow_undetectable:
             return inf
-        return (self.comm_radius - self.largest_separation - margin) / 2
+        error = 0.0 if self.tube is None else margin  # of the references of those who hear nobody
+        return (self.comm_radius - self.largest_separation - margin - error) / 2
 
     def speed_within_reach(self, steps: int, margin: float, control_factor: float = 1.0) -> float:
         """Return a speed from which vehicles stop before they meet others that they do not hear.
@@ -160,7 +174,8 @@ class Vehicles(Motion):
     @property
     def least_braking(self) -> float:
         """Least deceleration of any vehicle at full control, whatever its direction [m/s²]."""
-        return min(limit.least_length for limit in self.control_limits)
+        agents = range(len(self.control_limits))
+        return min(self.planned_control_limit(i).least_length for i in agents)
 
     @property
     def slow_speed(self) -> float | None:
@@ -211,13 +226,14 @@ class Vehicles(Motion):
             raise InputError("swarm.collision_radius_m", f"{reason}; a number would do")
 
     def make_transfer(self, model: DiscreteModel, agent: int, **more: Any) -> "TransferProblem":
-        """Make the transfer problem of an agent over some steps, up to its full speed."""
+        """Make the transfer problem of an agent over some steps, up to its own limits."""
         from problems.transfer import TransferProblem
 
         names = "fuel_norm", "control_norm", "speed_norm"
-        options = {name: getattr(self, name) for name in names}
-        options |= {"max_speed": self.speed_limit(agent).bound} | more
-        return TransferProblem(model, self.control_limit(agent).bound, **options)
+        options: dict[str, Any] = {name: getattr(self, name) for name in names}
+        options |= {"max_control": self.control_limit(agent).bound}
+        options |= {"max_speed": self.speed_limit(agent).bound}
+        return TransferProblem(model, **(options | more))
 
     def group_by_limits(self, agents: Int[Array, " k"]) -> list[Int[Array, "..."]]:
         """Group agents that have the same limits, as indices into the agents that are given."""

@@ -53,6 +53,8 @@ def bound_speed_excess(record: ReconfigurationRecord) -> Float[Array, "instants 
     before the deadline, the last plan may be `freeze_steps` older.
     """
     mission, model, d = record.mission, record.model, record.axes
+    if mission.tube is not None:
+        return np.full(record.frames.alive.shape, SIGMA_BOUND * d**0.5 * mission.tube.velocity)
     velocity, control = record.frames.velocity, record.frames.control
     sigma = np.diag(measurement_covariance(mission)) ** 0.5
     age, T = _max_plan_age(record), len(model)
