@@ -21,6 +21,8 @@ from problems.solvers.verified import VerifiedSolver
 from problems.transfer import Solver, Trajectory, TransferProblem
 
 SPEED_ROOM = 1e-8  # of a speed limit, by which its tangents lie inside, beside rounding
+TIE_BREAK = 1e-7  # of the weights, which makes optima unique, at the cost of at most this part
+GOLDEN = (5**0.5 - 1) / 2  # multiples of which differ from each other, modulo 1
 MAX_ROUNDS = 60
 
 
@@ -87,6 +89,7 @@ def generate_constraints(
     free, response = transfer.coast(start), limit.most * transfer.response_matrices[0]
     cost = limit.most * transfer.model.dt * np.repeat(transfer.weights, axes)
     cost = cost * np.tile(limit.shares, len(transfer.model))
+    cost = cost * (1 + TIE_BREAK * (np.arange(len(cost)) * GOLDEN % 1))
     unit = float(cost.max())
     program = FuelProgram(cost / unit, slack_penalty / unit)
     for k, state, penalty in goals:
