@@ -9,7 +9,8 @@ from agents import decide, fly_by_messages
 from reconfiguration_runs import make_mission, row
 
 import sato
-from dynamics import ClohessyWiltshire
+from dynamics import ClohessyWiltshire, DoubleIntegrator
+from dynamics.plant import LinearPlant, Plant
 from sato.auctions.vsdaa import init_state, run_kernel, run_vsdaa
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration import assignment, planning
@@ -73,10 +74,21 @@ def orbiting(rng):
     return make_mission(spread(rng, 4, 3), leg, model=model, max_control=0.3, objective="energy")
 
 
+WIND = np.array([0.05, 0.0])
+
+
+class Windy(Plant):
+    """Double integrators that a wind accelerates."""
+
+    def propagate(self, x, u, t, dt, substeps=1):
+        """Add the wind to the controls."""
+        return LinearPlant(DoubleIntegrator(2)).propagate(x, u + WIND, t, dt, substeps)
+
+
 def given(rng):
-    # Disturbances put the targets of the second leg out of reach.
+    # Wind puts the targets of the second leg out of reach.
     legs = [sato.Leg(spread(rng, 4), 16), sato.Leg(spread(rng, 4), "auto", time_factor=1.0)]
-    changes = {"assignment": "given", "max_control": 0.3, "comm_radius": 2.5, "disturbance": 0.1}
+    changes = {"assignment": "given", "max_control": 0.3, "comm_radius": 2.5, "plant": Windy()}
     changes |= {"reset": "need", "objective": "energy", "margin": 0.0}
     return make_mission(spread(rng, 4), *legs, allow_undetectable=True, **changes)
 

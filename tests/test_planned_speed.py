@@ -14,8 +14,9 @@ NORMS = (1, 2, "inf")
 
 def slow_speed(mission):
     """The speed from which all stop within reach after a period: V n h + V²/2U + V h/2 = r."""
-    h, r = mission.step, (mission.comm_radius - mission.largest_separation - mission.margin) / 2
-    U = min(limit.least_length for limit in mission.control_limits)
+    margins = mission.margin * (2 if mission.has_noise else 1)  # of references, and of hearing
+    h, r = mission.step, (mission.comm_radius - mission.largest_separation - margins) / 2
+    U = mission.planned_control_limit(0).least_length
     return max(np.roots([1 / (2 * U), (mission.replan_steps + 0.5) * h, -r]))
 
 

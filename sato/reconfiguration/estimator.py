@@ -14,13 +14,13 @@ from numpy import ndarray as Array
 
 from dynamics.discretize import DiscreteModel, discretize_zoh
 from dynamics.plant import NonlinearPlant
+from sato.reconfiguration.tracking import measurement_deviations
 
 if TYPE_CHECKING:
     from sato.reconfiguration.mission import Reconfiguration
 
 JUMP_SIGMAS = 8.0  # of the distance from a reference, from which it is given up
 GATE_SIGMAS = 3.0  # of the estimate, from which a reference is given up
-NOISE_FLOOR = 1e-3  # a velocity is measured no better than by a position so much better in a step
 
 Covariance = Float[Array, "*agents n n"]
 
@@ -111,13 +111,6 @@ def predict(
 def measurement_covariance(mission: "Reconfiguration") -> Float[Array, "n n"]:
     """Return the covariance R of a measurement, which is regular if it is not 0."""
     return np.diag(np.repeat(np.square(measurement_deviations(mission)), mission.axes))
-
-
-def measurement_deviations(mission: "Reconfiguration") -> tuple[float, float]:
-    """Return the standard deviations of measured positions [m] and velocities [m/s]."""
-    position, velocity, h = mission.position_noise, mission.velocity_noise, mission.step
-    floors = NOISE_FLOOR * velocity * h, NOISE_FLOOR * position / h
-    return max(position, floors[0]), max(velocity, floors[1])
 
 
 def correct(P: Covariance, R: Float[Array, "n n"]) -> Covariance:

@@ -198,10 +198,10 @@ def check_reach(mission: Reconfiguration) -> None:
     """
     state, reach = mission.initial_states, mission.reach_unheard(mission.margin)
     if mission.is_point_mass and mission.vehicle_count > 1 and reach <= 0:
-        least = mission.largest_separation + mission.margin
+        least = mission.comm_radius - 2 * reach
         raise InputError(
             "swarm.comm_radius_m",
-            f"{mission.comm_radius:g} is no more than the {least:.4g} m that two keep, the margin "
+            f"{mission.comm_radius:g} is no more than the {least:.4g} m that two keep, margins "
             "included, so none could move without meeting others unheard; several times as much "
             "would do",
         )

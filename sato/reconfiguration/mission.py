@@ -20,7 +20,7 @@ from sato.reconfiguration.leg import Count, Leg, Steps, states_of
 from sato.reconfiguration.models import PlantSettings
 from sato.reconfiguration.orbit import Chief
 from sato.reconfiguration.start import Start, start_without_files
-from sato.reconfiguration.tracking import Tube, compute_tube
+from sato.reconfiguration.tracking import MAX_RESERVE
 from sato.scenario.definition import (
     EACH,
     LATER,
@@ -217,11 +217,13 @@ class Reconfiguration(vehicles.Vehicles, Mission):
 
     def _longest_period(self) -> int:
         # Half of the horizon, so that avoidance looks beyond the next decision, or less where a
-        # vehicle at full speed could not stop within reach.
+        # vehicle at full speed could not stop within reach, or auctions come more often.
         if self.is_point_mass:
             vehicles.check_limits(self)
         fastest, margin = float(self.top_speeds.max()), self.known_margin
         for period in range(self.horizon_steps // 2, 1, -1):
+            if (self.auction_steps or period) % period:
+                continue
             if self.is_point_mass and self.has_noise and not self.has_margin:
                 from sato.reconfiguration.tolerances import compute_random_margin
 
@@ -245,6 +247,13 @@ class Reconfiguration(vehicles.Vehicles, Mission):
 
     def warnings(self) -> list[str]:
         """List doubts about a drawn mission, a sentence each."""
+        enough, least = self.reserve / MAX_RESERVE, self.least_control
+        if enough > least:
+            return [
+                f"feedback takes up to {self.reserve:.3g} m/s² for noise, of {least:.3g}: agents "
+                "may stray farther than plan.margin_m allows for; "
+                f"model.max_control_m_s2 = {enough:.3g}, or less noise, would do"
+            ]
         if self.chief is None or self.nonlinear_model is not None or self.flies_model:
             return []
         from sato.reconfiguration.tolerances import model_doubts
@@ -276,26 +285,6 @@ class Reconfiguration(vehicles.Vehicles, Mission):
         if self.foresight_steps is not None:
             return self.foresight_steps
         return WHOLE_LEG if self.keeps_plans or not self.is_point_mass else 0
-
-    @property
-    def has_noise(self) -> bool:
-        """True where motion or measurements are disturbed at random."""
-        noise = self.position_noise, self.velocity_noise, self.disturbance
-        return any((*noise, self.thrust_error, self.pointing_error))
-
-    @cached_property
-    def tube(self) -> Tube | None:
-        """Deviations from references; None where agents plan from their estimates.
-
-        Double integrators have references if they fly as modeled, but for noise.
-        """
-        if not (self.is_point_mass and self.flies_model and self.has_noise):
-            return None
-        from sato.reconfiguration.estimator import measurement_deviations
-        from sato.reconfiguration.tolerances import largest_disturbance
-
-        noise = measurement_deviations(self)
-        return compute_tube(self.step, *noise, largest_disturbance(self))
 
     @property
     def keeps_plans(self) -> bool:

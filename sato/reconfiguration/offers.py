@@ -121,7 +121,7 @@ def rest_at_target(context: DecisionContext, agent: int) -> Float[Array, " n"]:
 def _plan_steps(context: DecisionContext) -> tuple[int, ...]:
     # As far as avoidance looked or plans are kept, or until the next decision, or less.
     mission, period = context.mission, steps_to_next(context)
-    foreseen = min(mission.foresight, MAX_PLAN_STEPS)
+    foreseen = min(mission.foresight, MAX_PLAN_STEPS) if mission.flies_model else 0
     longest = max(period, mission.horizon_steps, mission.freeze_steps, foreseen)
     halves = [period >> n for n in range(period.bit_length())]
     if mission.keeps_plans:

@@ -19,6 +19,7 @@ from sato.reconfiguration.estimator import (
     spread,
 )
 from sato.reconfiguration.leg import Leg
+from sato.reconfiguration.tracking import largest_disturbance
 
 if TYPE_CHECKING:
     from sato.reconfiguration.mission import Reconfiguration
@@ -82,12 +83,6 @@ def compute_random_margin(
 
 def _acceleration_covariance(mission: "Reconfiguration") -> Float[Array, "d d"]:
     return np.asarray(np.eye(mission.axes) * largest_disturbance(mission) ** 2)
-
-
-def largest_disturbance(mission: "Reconfiguration") -> float:
-    """Return the deviation of accelerations that are not commanded, under full control [m/s²]."""
-    thrust = mission.largest_control.max() * (mission.thrust_error + mission.pointing_error)
-    return float(np.hypot(mission.disturbance, thrust))
 
 
 def _believed_covariance(mission: "Reconfiguration") -> Float[Array, "d d"]:
@@ -230,12 +225,11 @@ def noise_on_arrival(mission: "Reconfiguration") -> tuple[float, float]:
     """
     if not mission.has_noise:
         return 0.0, 0.0
-    if mission.tube is not None:
-        return TOLERANCE_SIGMAS * mission.tube.position, TOLERANCE_SIGMAS * mission.tube.velocity
-    d = mission.axes
+    d, steps = mission.axes, min(leg.steps for leg in mission.legs)
+    if (tube := mission.tube_after(steps)) is not None:
+        return TOLERANCE_SIGMAS * tube.position, TOLERANCE_SIGMAS * tube.velocity
     strongest, weakest = mission.largest_control.max(), mission.least_control
     wrong = strongest * np.hypot(mission.thrust_error, mission.pointing_error)
-    steps = min(leg.steps for leg in mission.legs)
     needed = _speed_to_lose(mission, steps) / (weakest * mission.step)
     braking = ceil(min(needed, steps))
     blind = max(braking + 2, mission.freeze_steps) + mission.replan_steps - 1

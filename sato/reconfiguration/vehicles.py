@@ -13,7 +13,14 @@ from dynamics.discretize import DiscreteModel
 from problems.limit import Bound, Limit, Norm
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.models import Motion
-from sato.reconfiguration.tracking import MAX_RESERVE, RESERVE_SIGMAS, Tube
+from sato.reconfiguration.tracking import (
+    MAX_RESERVE,
+    RESERVE_SIGMAS,
+    Tube,
+    compute_tube,
+    largest_disturbance,
+    measurement_deviations,
+)
 from sato.scenario.definition import is_auto
 from sato.scenario.errors import InputError
 
@@ -43,7 +50,32 @@ class Vehicles(Motion):
     replan_steps: int
     margin: Any
     allow_undetectable: bool
-    tube: Tube | None
+    disturbance: float
+    position_noise: float
+    velocity_noise: float
+    thrust_error: float
+    pointing_error: float
+
+    @property
+    def has_noise(self) -> bool:
+        """True where motion or measurements are disturbed at random."""
+        noise = self.position_noise, self.velocity_noise, self.disturbance
+        return any((*noise, self.thrust_error, self.pointing_error))
+
+    @cached_property
+    def tube(self) -> Tube | None:
+        """Deviations from references; None where agents plan from their estimates."""
+        return self.tube_after(0)
+
+    def tube_after(self, steps: int) -> Tube | None:
+        """Return deviations from references that are at least so many steps old.
+
+        Double integrators have references if they fly as modeled, but for noise.
+        """
+        if not (self.is_point_mass and self.flies_model and self.has_noise):
+            return None
+        measured, pushed = measurement_deviations(self), largest_disturbance(self)
+        return compute_tube(self.step, *measured, pushed, steps)
 
     @property
     def vehicle_count(self) -> int:
@@ -105,10 +137,13 @@ class Vehicles(Motion):
         They leave a part of it to the feedback that keeps it near its reference.
         """
         limit = self.control_limit(agent)
-        if self.tube is None:
-            return limit
-        share = RESERVE_SIGMAS * self.tube.feedback / float(limit.most * limit.shares.min())
-        return replace(limit, bound=limit.bound * (1 - min(share, MAX_RESERVE)))
+        share = min(self.reserve / float(limit.most * limit.shares.min()), MAX_RESERVE)
+        return replace(limit, bound=limit.bound * (1 - share)) if share else limit
+
+    @property
+    def reserve(self) -> float:
+        """Acceleration along each axis that feedback takes for noise [m/s²]."""
+        return 0.0 if self.tube is None else RESERVE_SIGMAS * self.tube.feedback
 
     def speed_limit(self, agent: int) -> Limit:
         """Return the limit of an agent's velocity [m/s]."""
@@ -150,8 +185,11 @@ class Vehicles(Motion):
         """Return how far vehicles may fly on before they could meet others unheard [m]."""
         if self.allow_undetectable:
             return inf
-        error = 0.0 if self.tube is None else margin  # of the references of those who hear nobody
-        return (self.comm_radius - self.largest_separation - margin - error) / 2
+        return (self.comm_radius - self._distance_unheard(margin)) / 2
+
+    def _distance_unheard(self, margin: float) -> float:
+        # Of references, which those that do not hear each other may have nearer than they are.
+        return self.largest_separation + margin * (1 if self.tube is None else 2)
 
     def speed_within_reach(self, steps: int, margin: float, control_factor: float = 1.0) -> float:
         """Return a speed from which vehicles stop before they meet others that they do not hear.
@@ -188,7 +226,7 @@ class Vehicles(Motion):
         """Communication radius with which vehicles stop within reach from full speed [m]."""
         V, t = float(self.top_speeds.max()), (self.replan_steps + 0.5) * self.step
         way = V * t + V**2 / (2 * self.least_braking)
-        return self.largest_separation + self.known_margin + 2 * way
+        return self._distance_unheard(self.known_margin) + 2 * way
 
     def planned_speed_limit(self, agent: int, control_factor: float = 1.0) -> Limit:
         """Return the limit of the velocity in the plans of an agent [m/s].
