@@ -91,7 +91,7 @@ def test_the_default_period_leaves_room_for_the_margin():
     changes = {"horizon_steps": 6, "comm_radius": 5.4, "max_control": 0.06}
     changes |= {"replan_steps": None, "auction_steps": None}
     periods = []
-    for more in ({}, {"margin": 0.4}, {"position_noise": 0.03, "velocity_noise": 0.02}):
+    for more in ({}, {"margin": 0.4}, {"position_noise": 0.01, "velocity_noise": 0.003}):
         mission = make_mission(row(2, 0.0), sato.Leg(row(2, 2.0), 30), **changes, **more)
         periods.append(mission.replan_steps)
         assert slow_speed(mission) >= 0.4
