@@ -1,7 +1,8 @@
 """Half-spaces for the control points of a trajectory: collision constraints, made convex."""
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, no_type_check
 
+import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
@@ -20,9 +21,8 @@ class HalfSpaces(NamedTuple):
 
     def violation(self, x: StateSamples, u: ControlSamples) -> Float[Array, " rows"]:
         """Compute rhs minus the left-hand side of each row; positive where it is violated."""
-        on_x = np.einsum("ri,ri->r", self.state_coeffs, x[self.step_index])
-        on_u = np.einsum("ri,ri->r", self.control_coeffs, u[self.step_index])
-        return np.asarray(self.rhs - (on_x + on_u))
+        x, u = (np.ascontiguousarray(part, dtype=float) for part in (x, u))
+        return np.asarray(_violation(*self, x, u))
 
     def to_cvxpy(self, x: Any, u: Any) -> Any:
         """Express the left-hand sides in CVXPY variables."""
@@ -60,26 +60,48 @@ class HalfSpaces(NamedTuple):
         self, violation: Float[Array, " rows"], tolerance: float
     ) -> Bool[Array, " rows"]:
         """Find the rows violated most, by more than a tolerance [m], at the steps around theirs."""
-        worst = np.pad(self._worst_at_steps(violation, tolerance), 1, constant_values=tolerance)
-        is_peak = (worst[1:-1] >= worst[:-2]) & (worst[1:-1] >= worst[2:])
-        return np.asarray(self.worst_per_step(violation, tolerance) & is_peak[self.step_index])
+        return np.asarray(_peaks(self.step_index, violation, tolerance, True))
 
     def worst_per_step(
         self, violation: Float[Array, " rows"], tolerance: float
     ) -> Bool[Array, " rows"]:
         """Select the rows that are violated most at each step, by more than a tolerance [m]."""
-        worst = self._worst_at_steps(violation, tolerance)
-        return np.asarray((violation >= worst[self.step_index]) & (violation > tolerance))
-
-    def _worst_at_steps(
-        self, violation: Float[Array, " rows"], tolerance: float
-    ) -> Float[Array, " steps"]:
-        worst = np.full(int(self.step_index.max(initial=-1)) + 1, tolerance)
-        np.maximum.at(worst, self.step_index, violation)
-        return worst
+        return np.asarray(_peaks(self.step_index, violation, tolerance, False))
 
 
 def empty_half_spaces(transfer: TransferProblem) -> HalfSpaces:
     """Return no half-spaces, for an agent without conflicts."""
     n, m = transfer.model.B.shape[1:]
     return HalfSpaces(np.zeros(0, int), np.zeros((0, n)), np.zeros((0, m)), np.zeros(0))
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _violation(step_index, state_coeffs, control_coeffs, rhs, x, u):
+    found = rhs.copy()
+    for row in range(len(rhs)):
+        k = step_index[row]
+        for i in range(x.shape[1]):
+            found[row] -= state_coeffs[row, i] * x[k, i]
+        for i in range(u.shape[1]):
+            found[row] -= control_coeffs[row, i] * u[k, i]
+    return found
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _peaks(step_index, violation, tolerance, among_neighbors):
+    # The largest violations of each step, above a tolerance; of peaks alone if among neighbors.
+    rows, steps = len(violation), 0
+    for row in range(rows):
+        steps = max(steps, step_index[row] + 1)
+    worst = np.full(steps + 2, tolerance)
+    for row in range(rows):
+        k = step_index[row] + 1
+        worst[k] = max(worst[k], violation[row])
+    found = np.zeros(rows, np.bool_)
+    for row in range(rows):
+        k = step_index[row] + 1
+        is_peak = not among_neighbors or (worst[k] >= worst[k - 1] and worst[k] >= worst[k + 1])
+        found[row] = is_peak and violation[row] > tolerance and violation[row] >= worst[k]
+    return found
