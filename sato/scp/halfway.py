@@ -23,7 +23,13 @@ from problems import convexify
 from problems.avoidance import Relaxation
 from sato.network.graph import CommunicationGraph
 from sato.network.rounds import run_round
-from sato.scp.planner import Planner, TrajectoryMessage, is_clear, solve_around
+from sato.scp.planner import (
+    VIOLATION_TOLERANCE,
+    Planner,
+    TrajectoryMessage,
+    is_clear,
+    solve_around,
+)
 
 MAX_BENDS = 40  # rounds in which paths push each other aside
 MEETINGS = 6  # rounds in which trajectories are solved for
@@ -213,11 +219,14 @@ def solve_halfway(agent: Planner, inbox: Sequence[TrajectoryMessage]) -> Planner
         else other
         for other in inbox
     ]
-    for relaxation in RELAXATIONS:
+    # One that found none in the last round is likely to find none.
+    least = VIOLATION_TOLERANCE * R
+    relaxations = RELAXATIONS[1:] if agent.slack > least else RELAXATIONS
+    for relaxation in relaxations:
         agent = agent._replace(solve_count=agent.solve_count + 1)
         result = solve_around(agent, middles, nominal, "same", relaxation)
         if result is not None:
-            return agent.with_result(result)._replace(has_converged=relaxation == "none")
+            return agent.with_result(result)._replace(has_converged=result.slack <= least)
     return agent
 
 
