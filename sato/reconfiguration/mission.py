@@ -19,6 +19,7 @@ from sato.reconfiguration import feasibility, models, vehicles
 from sato.reconfiguration.leg import Count, Leg, Steps, states_of
 from sato.reconfiguration.models import PlantSettings
 from sato.reconfiguration.orbit import Chief
+from sato.reconfiguration.planned_limits import PlannedLimits
 from sato.reconfiguration.start import Start, start_without_files
 from sato.reconfiguration.tracking import MAX_RESERVE
 from sato.scenario.definition import (
@@ -60,7 +61,7 @@ Norm = Annotated[Literal[1, 2, "inf"], BeforeValidator(_norm)]
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class Reconfiguration(vehicles.Vehicles, Mission):
+class Reconfiguration(PlannedLimits, Mission):
     """A swarm that takes up one shape after another [Morgan2016, Method 3].
 
     Args:

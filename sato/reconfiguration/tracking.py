@@ -17,7 +17,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 if TYPE_CHECKING:
-    from sato.reconfiguration.vehicles import Vehicles
+    from sato.reconfiguration.planned_limits import PlannedLimits
 
 CONTROL_WEIGHT = 3.0  # of (u Δt²)², over the square of the distance from the reference
 NOISE_FLOOR = 1e-3  # a velocity is measured no better than by a position so much better in a step
@@ -78,21 +78,21 @@ def compute_tube(
     return Tube(*np.sqrt(most).tolist())
 
 
-def measurement_deviations(mission: "Vehicles") -> tuple[float, float]:
+def measurement_deviations(mission: "PlannedLimits") -> tuple[float, float]:
     """Return the standard deviations of measured positions [m] and velocities [m/s]."""
     position, velocity, h = mission.position_noise, mission.velocity_noise, mission.step
     floors = NOISE_FLOOR * velocity * h, NOISE_FLOOR * position / h
     return max(position, floors[0]), max(velocity, floors[1])
 
 
-def largest_disturbance(mission: "Vehicles") -> float:
+def largest_disturbance(mission: "PlannedLimits") -> float:
     """Return the deviation of accelerations that are not commanded, under full control [m/s²]."""
     thrust = mission.largest_control.max() * (mission.thrust_error + mission.pointing_error)
     return float(np.hypot(mission.disturbance, thrust))
 
 
 def add_feedback(
-    mission: "Vehicles",
+    mission: "PlannedLimits",
     control: Float[Array, "agents d"],
     reference: Float[Array, "agents n"],
     mean: Float[Array, "agents n"],

@@ -1,0 +1,142 @@
+"""Limits of plans: what noise, margins and the reach of hearing leave of those of the vehicles."""
+
+from dataclasses import replace
+from functools import cached_property
+from math import inf
+from typing import Any
+
+from problems.limit import Limit
+from sato.reconfiguration.tracking import (
+    MAX_RESERVE,
+    RESERVE_SIGMAS,
+    Tube,
+    compute_tube,
+    largest_disturbance,
+    measurement_deviations,
+)
+from sato.reconfiguration.vehicles import Vehicles
+from sato.scenario.definition import is_auto
+
+
+class PlannedLimits(Vehicles):
+    """Properties that follow from the limits of a mission, its noise and its margin."""
+
+    comm_radius: float
+    replan_steps: int
+    margin: Any
+    allow_undetectable: bool
+    disturbance: float
+    position_noise: float
+    velocity_noise: float
+    thrust_error: float
+    pointing_error: float
+
+    @property
+    def has_noise(self) -> bool:
+        """True where motion or measurements are disturbed at random."""
+        noise = self.position_noise, self.velocity_noise, self.disturbance
+        return any((*noise, self.thrust_error, self.pointing_error))
+
+    @cached_property
+    def tube(self) -> Tube | None:
+        """Deviations from references; None where agents plan from their estimates."""
+        return self.tube_after(0)
+
+    def tube_after(self, steps: int) -> Tube | None:
+        """Return deviations from references that are at least so many steps old.
+
+        Double integrators have references if they fly as modeled, but for noise.
+        """
+        if not (self.is_point_mass and self.flies_model and self.has_noise):
+            return None
+        measured, pushed = measurement_deviations(self), largest_disturbance(self)
+        return compute_tube(self.step, *measured, pushed, steps)
+
+    def planned_control_limit(self, agent: int) -> Limit:
+        """Return the limit of the acceleration in the plans of an agent [m/s²].
+
+        They leave a part of it to the feedback that keeps it near its reference.
+        """
+        limit = self.control_limit(agent)
+        share = min(self.reserve / float(limit.most * limit.shares.min()), MAX_RESERVE)
+        return replace(limit, bound=limit.bound * (1 - share)) if share else limit
+
+    @property
+    def reserve(self) -> float:
+        """Acceleration along each axis that feedback takes for noise [m/s²]."""
+        return 0.0 if self.tube is None else RESERVE_SIGMAS * self.tube.feedback
+
+    @property
+    def has_margin(self) -> bool:
+        """True where the margin is a number, and not still to be computed."""
+        return self.margin is not None and not is_auto(self.margin)
+
+    @property
+    def known_margin(self) -> float:
+        """Margin beyond the collision radius; 0 while it is still to be computed [m]."""
+        return float(self.margin) if self.has_margin else 0.0
+
+    def reach_unheard(self, margin: float) -> float:
+        """Return how far vehicles may fly on before they could meet others unheard [m]."""
+        if self.allow_undetectable:
+            return inf
+        return (self.comm_radius - self._distance_unheard(margin)) / 2
+
+    def _distance_unheard(self, margin: float) -> float:
+        # Of references, which those that do not hear each other may have nearer than they are.
+        return self.largest_separation + margin * (1 if self.tube is None else 2)
+
+    def speed_within_reach(self, steps: int, margin: float, control_factor: float = 1.0) -> float:
+        """Return a speed from which vehicles stop before they meet others that they do not hear.
+
+        They fly on for so many steps h, and stop at their least control U in whole steps:
+
+            V n h + V²/2U + V h/2 ≤ (R_comm − R)/2     [m]
+
+        Args:
+            steps: Steps h for which they fly on.
+            margin: Margin in R [m].
+            control_factor: Factor of all limits of the control.
+        """
+        reach = self.reach_unheard(margin)
+        if not self.is_point_mass or reach == inf:
+            return inf
+        U, t = control_factor * self.least_braking, (steps + 0.5) * self.step
+        return float(U * ((t**2 + 2 * max(reach, 0.0) / U) ** 0.5 - t))
+
+    @property
+    def least_braking(self) -> float:
+        """Least deceleration of any vehicle at full control, whatever its direction [m/s²]."""
+        agents = range(len(self.control_limits))
+        return min(self.planned_control_limit(i).least_length for i in agents)
+
+    @property
+    def slow_speed(self) -> float | None:
+        """Speed to which plans keep where vehicles could not stop within reach from more [m/s]."""
+        slow = self.speed_within_reach(self.replan_steps, self.known_margin)
+        return slow if 0 < slow < self.top_speeds.max() else None
+
+    @property
+    def radius_for_full_speed(self) -> float:
+        """Communication radius with which vehicles stop within reach from full speed [m]."""
+        V, t = float(self.top_speeds.max()), (self.replan_steps + 0.5) * self.step
+        way = V * t + V**2 / (2 * self.least_braking)
+        return self._distance_unheard(self.known_margin) + 2 * way
+
+    def planned_speed_limit(self, agent: int, control_factor: float = 1.0) -> Limit:
+        """Return the limit of the velocity in the plans of an agent [m/s].
+
+        Where it could not stop within reach from full speed, it plans to fly more slowly.
+
+        Args:
+            agent: Number of the agent.
+            control_factor: Factor of all limits of the control.
+        """
+        limit = self.speed_limit(agent)
+        slow = self.speed_within_reach(self.replan_steps, self.known_margin, control_factor)
+        if slow >= limit.largest_length or slow == 0:
+            return limit
+        if limit.largest_length < inf:
+            return replace(limit, bound=limit.bound * (slow / limit.largest_length))
+        diagonal = self.axes**0.5 if self.speed_norm == "inf" else 1.0
+        return replace(limit, bound=slow / diagonal)
