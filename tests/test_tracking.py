@@ -8,7 +8,7 @@ from reconfiguration_runs import at_rest, fly, leg_to, make_mission, min_separat
 from scipy.linalg import solve_discrete_lyapunov
 
 from sato.reconfiguration.disturbances import disturb_control, measure
-from sato.reconfiguration.estimator import JUMP_SIGMAS, Estimate, predict, update
+from sato.reconfiguration.estimator import MAX_DEVIATION, Estimate, predict, update
 from sato.reconfiguration.tolerances import MARGIN_SIGMAS
 from sato.reconfiguration.tracking import add_feedback, feedback_gain
 
@@ -28,14 +28,14 @@ def far(**changes):
     return make_mission(row(3, 0.0), leg_to(at_rest(row(3, 3.0)), 60), comm_radius=20.0, **changes)
 
 
-def track(mission, rng, agents):
+def track(mission, rng, agents, way=(1.0, 0.0)):
     """States and estimates of agents that start, and brake again, as hard as plans may."""
-    x, estimate = np.zeros((agents, 4)), Estimate.none(agents, 2)
+    x, estimate = np.zeros((agents, 2 * mission.axes)), Estimate.none(agents, mission.axes)
     most = mission.planned_control_limit(0).most
     for k in range(STEPS):
         estimate = update(mission, estimate, measure(mission, x, rng))
         yield x, estimate
-        planned = np.tile([most * (k < 4) - most * (10 <= k < 14), 0.0], (agents, 1))
+        planned = np.tile(most * ((k < 4) - (10 <= k < 14.0)) * np.array(way), (agents, 1))
         control = add_feedback(mission, planned, estimate.reference, estimate.mean)
         estimate = predict(mission, estimate, control, planned, k * mission.step)
         x = mission.flown_plant.propagate(x, disturb_control(mission, control, rng), 0.0, 1.0)[-1]
@@ -48,6 +48,22 @@ def test_margin_covers_two_agents_and_is_not_far_above(rng, errors):
         error = (x - estimate.reference)[:, :2]
         worst = max(worst, np.abs(error[::2] - error[1::2]).max())
     assert worst < mission.margin < 2 * worst
+
+
+@pytest.mark.parametrize(
+    ("norm", "way"), [("inf", (1.0, 1.0)), (2, (0.8, 0.6)), (1, (0.5, 0.5)), (1, (1.0, 0.0))]
+)
+@pytest.mark.parametrize(
+    "errors", [{"thrust_error": 0.05}, {"pointing_error": 0.05}, {"disturbance": 0.01}]
+)
+def test_margin_has_five_sigmas_whatever_the_direction(rng, norm, way, errors):
+    mission, most = moving(control_norm=norm, **errors), 0.0
+    for x, estimate in track(mission, rng, 4000, way):
+        error = (x - estimate.reference)[:, :2]
+        for unit in (np.array(way), np.array([-way[1], way[0]])):
+            off = (error[::2] - error[1::2]) @ unit / np.linalg.norm(unit)
+            most = max(most, off.std())
+    assert MARGIN_SIGMAS * most < 1.05 * mission.margin
 
 
 @pytest.mark.parametrize("errors", ERRORS)
@@ -63,7 +79,7 @@ def test_deviations_are_those_of_the_closed_loop_at_rest():
     A, B = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[0.5], [1.0]])
     S = solve_discrete_lyapunov(A - B @ K, 0.004**2 * B @ B.T)
     expected = *np.diag(S) ** 0.5, (K @ S @ K.T).item() ** 0.5
-    np.testing.assert_allclose(mission.tube, expected, rtol=1e-6)
+    np.testing.assert_allclose(mission.tracking, expected, rtol=1e-6)
     assert mission.margin == pytest.approx(MARGIN_SIGMAS * (2 * S[0, 0]) ** 0.5)
 
 
@@ -73,12 +89,12 @@ def test_gain_does_not_depend_on_units(factor):
     np.testing.assert_allclose(feedback_gain(factor) * [factor**2, factor], here, rtol=1e-12)
     calm = moving(**NOISE)
     slow = replace(calm, step=factor, velocity_noise=calm.velocity_noise / factor)
-    assert slow.tube.position == pytest.approx(calm.tube.position, rel=1e-9)
+    assert slow.tracking.position == pytest.approx(calm.tracking.position, rel=1e-9)
 
 
 def test_margin_is_automatic_with_noise_and_grows_with_it():
     calm, loud = moving(), moving(**NOISE)
-    assert calm.margin == 0.0 and calm.tube is None
+    assert calm.margin == 0.0 and calm.tracking is None
     assert loud.margin >= 5 * 2**0.5 * NOISE["position_noise"]
     louder = moving(position_noise=0.02, velocity_noise=0.006)
     assert louder.margin == pytest.approx(2 * loud.margin, rel=1e-9)
@@ -94,19 +110,26 @@ def test_plans_leave_control_for_the_feedback_and_flights_keep_the_limit():
 
 
 def test_control_that_is_weak_against_noise_is_doubted():
-    weak, strong = (far(disturbance=noise, margin=0.1) for noise in (0.03, 0.01))
+    weak, strong = (far(disturbance=noise) for noise in (0.03, 0.01))
     assert weak.planned_control_limit(0).most == pytest.approx(0.1 / 4)
     assert not strong.warnings()
     (doubt,) = weak.warnings()
     assert "max_control_m_s2 = 0.17" in doubt
     assert not replace(weak, max_control=0.18).warnings()
+    (doubt,) = far(thrust_error=0.3, max_speed=0.2).warnings()
+    assert "max_control" not in doubt
+
+
+def test_margin_below_that_of_the_noise_is_doubted():
+    (doubt,) = moving(**NOISE, margin=0.0).warnings()
+    assert doubt.startswith("plan.margin_m = 0 m is less than the 0.07")
 
 
 @pytest.mark.parametrize(("sigmas", "is_kept"), [(0.99, True), (1.01, False)])
 def test_reference_that_noise_does_not_explain_is_given_up(rng, sigmas, is_kept):
     mission, mean = moving(disturbance=0.004), rng.normal(size=(1, 4))
     way = rng.normal(size=2)
-    way *= sigmas * JUMP_SIGMAS * mission.tube.position / np.linalg.norm(way)
+    way *= sigmas * MAX_DEVIATION * mission.tracking.position / np.linalg.norm(way)
     reference = mean + np.append(way, [0.0, 0.0])
     after = update(mission, Estimate(mean, np.zeros((1, 4, 4)), reference), mean)
     np.testing.assert_array_equal(after.reference, reference if is_kept else mean)

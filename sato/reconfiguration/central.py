@@ -50,7 +50,12 @@ def central_problem(mission: Reconfiguration, seed: int = 0) -> CentralMission:
     leg, start = drawn.legs[0], drawn.initial_states[drawn.alive]
     model = discretize_zoh(drawn.linear_model, drawn.step, leg.steps)
     agents = np.flatnonzero(drawn.alive)
-    each = tuple(drawn.make_transfer(model, i, objective=drawn.objective) for i in agents.tolist())
+    each = tuple(
+        drawn.make_transfer(
+            model, i, objective=drawn.objective, max_control=drawn.control_limit(i).bound
+        )
+        for i in agents.tolist()
+    )
     whole = make_horizon(replace(drawn, foresight_steps=leg.steps), 0.0, leg.steps)
     fine = whole.fine_model[: leg.steps * whole.pieces_per_step]
     clearances = None

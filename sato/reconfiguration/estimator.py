@@ -1,8 +1,9 @@
-"""Estimation: each agent filters what it measures of itself, and corrects what noise is not.
+"""Estimation: each agent filters what it measures of itself, and keeps a reference for its plans.
 
 The filter is that of [Kalman1960], by the model that all agents share. An agent plans from its
-reference, the state at which it would be without noise. While its estimate differs from that by
-no more than the estimate may err, the reference stays, and no control is spent on noise.
+reference, the state at which it would be without noise. Double integrators follow theirs by
+feedback, see `tracking`. For all others, it stays while the estimate differs from it by no more
+than the estimate may err, and no control is spent on noise.
 """
 
 from functools import lru_cache
@@ -19,8 +20,8 @@ from sato.reconfiguration.tracking import measurement_deviations
 if TYPE_CHECKING:
     from sato.reconfiguration.mission import Reconfiguration
 
-JUMP_SIGMAS = 8.0  # of the distance from a reference, from which it is given up
-GATE_SIGMAS = 3.0  # of the estimate, from which a reference is given up
+MAX_DEVIATION = 8.0  # standard deviations, from which a reference that is tracked is given up
+GATE_SIGMAS = 3.0  # of the estimate, from which any other reference is given up
 
 Covariance = Float[Array, "*agents n n"]
 
@@ -44,8 +45,9 @@ def update(
 ) -> Estimate:
     """Take in what the agents measure; references jump to estimates that differ too much.
 
-    Those of which δᵀ P⁻¹ δ > g², δ the difference and P the covariance of the estimate. Without
-    noise of measurement, the reference is what is measured.
+    With δ the difference and P the covariance of the estimate, those of which δᵀ P⁻¹ δ > g²; where
+    no measurement has noise, all. A reference that is tracked jumps only where its distance is 8
+    times the standard deviation of `TrackingDeviations`.
     """
     R = measurement_covariance(mission)
     if not R.any():
@@ -64,10 +66,10 @@ def update(
 def _keep_reference(mission: "Reconfiguration", estimate: Estimate) -> Float[Array, "agents n"]:
     """Return the references, or estimates where these are too far from them, or they are none."""
     mean, P, reference = estimate
-    off, tube = mean - reference, mission.tube
-    if tube is not None:
+    off, tracking = mean - reference, mission.tracking
+    if tracking is not None:
         away = np.linalg.norm(off[:, : mission.axes], axis=1)
-        is_kept = away <= JUMP_SIGMAS * tube.position
+        is_kept = away <= MAX_DEVIATION * tracking.position
     elif measurement_covariance(mission).any():
         distance = np.einsum("ka,ka->k", off, np.linalg.solve(P, off[..., None])[..., 0])
         is_kept = distance <= GATE_SIGMAS**2
@@ -92,7 +94,7 @@ def predict(
         planned: The same without feedback [m/s²].
         time: Beginning of the step [s].
     """
-    if not (measurement_covariance(mission).any() or mission.tube):
+    if not (measurement_covariance(mission).any() or mission.tracking):
         return estimate
     model, count = discretize_zoh(mission.linear_model, mission.step, 1, time), len(control)
     x = np.concatenate([estimate.mean, estimate.reference])

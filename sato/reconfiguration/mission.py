@@ -21,7 +21,6 @@ from sato.reconfiguration.models import PlantSettings
 from sato.reconfiguration.orbit import Chief
 from sato.reconfiguration.planned_limits import PlannedLimits
 from sato.reconfiguration.start import Start, start_without_files
-from sato.reconfiguration.tracking import MAX_RESERVE
 from sato.scenario.definition import (
     EACH,
     LATER,
@@ -248,18 +247,13 @@ class Reconfiguration(PlannedLimits, Mission):
 
     def warnings(self) -> list[str]:
         """List doubts about a drawn mission, a sentence each."""
-        enough, least = self.reserve / MAX_RESERVE, self.least_control
-        if enough > least:
-            return [
-                f"feedback takes up to {self.reserve:.3g} m/s² for noise, of {least:.3g}: agents "
-                "may stray farther than plan.margin_m allows for; "
-                f"model.max_control_m_s2 = {enough:.3g}, or less noise, would do"
-            ]
+        from sato.reconfiguration import tolerances
+
+        if self.tracking is not None:
+            return tolerances.tracking_doubts(self)
         if self.chief is None or self.nonlinear_model is not None or self.flies_model:
             return []
-        from sato.reconfiguration.tolerances import model_doubts
-
-        return model_doubts(self, self.chief)
+        return tolerances.model_doubts(self, self.chief)
 
     def without_files(self) -> "Reconfiguration":
         """Return the same mission with the contents of files and fonts."""

@@ -3,19 +3,23 @@
 from dataclasses import replace
 from functools import cached_property
 from math import inf
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from dynamics.discretize import DiscreteModel
 from problems.limit import Limit
 from sato.reconfiguration.tracking import (
     MAX_RESERVE,
     RESERVE_SIGMAS,
-    Tube,
-    compute_tube,
+    TrackingDeviations,
+    compute_deviations,
     largest_disturbance,
     measurement_deviations,
 )
 from sato.reconfiguration.vehicles import Vehicles
 from sato.scenario.definition import is_auto
+
+if TYPE_CHECKING:
+    from problems.transfer import TransferProblem
 
 
 class PlannedLimits(Vehicles):
@@ -38,11 +42,11 @@ class PlannedLimits(Vehicles):
         return any((*noise, self.thrust_error, self.pointing_error))
 
     @cached_property
-    def tube(self) -> Tube | None:
+    def tracking(self) -> TrackingDeviations | None:
         """Deviations from references; None where agents plan from their estimates."""
-        return self.tube_after(0)
+        return self.tracking_after(0)
 
-    def tube_after(self, steps: int) -> Tube | None:
+    def tracking_after(self, steps: int) -> TrackingDeviations | None:
         """Return deviations from references that are at least so many steps old.
 
         Double integrators have references if they fly as modeled, but for noise.
@@ -50,7 +54,7 @@ class PlannedLimits(Vehicles):
         if not (self.is_point_mass and self.flies_model and self.has_noise):
             return None
         measured, pushed = measurement_deviations(self), largest_disturbance(self)
-        return compute_tube(self.step, *measured, pushed, steps)
+        return compute_deviations(self.step, *measured, pushed, steps)
 
     def planned_control_limit(self, agent: int) -> Limit:
         """Return the limit of the acceleration in the plans of an agent [m/s²].
@@ -58,13 +62,15 @@ class PlannedLimits(Vehicles):
         They leave a part of it to the feedback that keeps it near its reference.
         """
         limit = self.control_limit(agent)
-        share = min(self.reserve / float(limit.most * limit.shares.min()), MAX_RESERVE)
+        # Of the sum of all axes, the feedback is that of each times the root of their number.
+        wide = self.axes**0.5 if limit.norm == 1 else 1.0
+        share = min(wide * self.reserve / float(limit.most * limit.shares.min()), MAX_RESERVE)
         return replace(limit, bound=limit.bound * (1 - share)) if share else limit
 
     @property
     def reserve(self) -> float:
         """Acceleration along each axis that feedback takes for noise [m/s²]."""
-        return 0.0 if self.tube is None else RESERVE_SIGMAS * self.tube.feedback
+        return 0.0 if self.tracking is None else RESERVE_SIGMAS * self.tracking.feedback
 
     @property
     def has_margin(self) -> bool:
@@ -83,13 +89,13 @@ class PlannedLimits(Vehicles):
         return (self.comm_radius - self._distance_unheard(margin)) / 2
 
     def _distance_unheard(self, margin: float) -> float:
-        # Of references, which those that do not hear each other may have nearer than they are.
-        return self.largest_separation + margin * (1 if self.tube is None else 2)
+        # The references of two may be nearer than these by a margin, and keep another.
+        return self.largest_separation + margin * (1 if self.tracking is None else 2)
 
     def speed_within_reach(self, steps: int, margin: float, control_factor: float = 1.0) -> float:
         """Return a speed from which vehicles stop before they meet others that they do not hear.
 
-        They fly on for so many steps h, and stop at their least control U in whole steps:
+        They fly on for so many steps h, and stop at the least control U of plans in whole steps:
 
             V n h + V²/2U + V h/2 ≤ (R_comm − R)/2     [m]
 
@@ -106,7 +112,7 @@ class PlannedLimits(Vehicles):
 
     @property
     def least_braking(self) -> float:
-        """Least deceleration of any vehicle at full control, whatever its direction [m/s²]."""
+        """Least deceleration of any vehicle in plans, whatever its direction [m/s²]."""
         agents = range(len(self.control_limits))
         return min(self.planned_control_limit(i).least_length for i in agents)
 
@@ -140,3 +146,13 @@ class PlannedLimits(Vehicles):
             return replace(limit, bound=limit.bound * (slow / limit.largest_length))
         diagonal = self.axes**0.5 if self.speed_norm == "inf" else 1.0
         return replace(limit, bound=slow / diagonal)
+
+    def make_transfer(self, model: DiscreteModel, agent: int, **more: Any) -> "TransferProblem":
+        """Make the transfer problem of an agent over some steps, at its full speed at most."""
+        from problems.transfer import TransferProblem
+
+        names = "fuel_norm", "control_norm", "speed_norm"
+        options: dict[str, Any] = {name: getattr(self, name) for name in names}
+        options |= {"max_control": self.planned_control_limit(agent).bound}
+        options |= {"max_speed": self.speed_limit(agent).bound}
+        return TransferProblem(model, **(options | more))

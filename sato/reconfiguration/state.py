@@ -126,7 +126,6 @@ class DecisionContext(NamedTuple):
         return mission.make_transfer(
             model,
             agent,
-            max_control=mission.planned_control_limit(agent).bound,
             max_speed=mission.planned_speed_limit(agent).bound,
             objective=mission.objective,
             tie_break_rise=tie_break_rise,

@@ -176,7 +176,7 @@ def find_stop(
     normals = convexify.choose_normals(nominal - others, required, side)
     half_spaces = convexify.convexify(horizon, T, others, normals, required)
     limit = mission.planned_control_limit(agent)
-    transfer = mission.make_transfer(horizon.discrete_model[:T], agent, max_control=limit.bound)
+    transfer = mission.make_transfer(horizon.discrete_model[:T], agent)
     problem = SafetyFilterProblem(transfer, start, wanted, wanted_step, half_spaces, solver)
     try:
         found = problem.solve()

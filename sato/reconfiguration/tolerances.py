@@ -19,7 +19,7 @@ from sato.reconfiguration.estimator import (
     spread,
 )
 from sato.reconfiguration.leg import Leg
-from sato.reconfiguration.tracking import largest_disturbance
+from sato.reconfiguration.tracking import MAX_RESERVE, largest_disturbance
 
 if TYPE_CHECKING:
     from sato.reconfiguration.mission import Reconfiguration
@@ -65,8 +65,8 @@ def compute_random_margin(
         whole: Steps of the flight.
     """
     R, two = measurement_covariance(mission), MARGIN_SIGMAS * 2**0.5
-    if mission.tube is not None:
-        return two * mission.tube.position
+    if mission.tracking is not None:
+        return two * mission.tracking.position
     whole = whole if R.any() else 1
     model = discretize_zoh(mission.linear_model, mission.step, whole + period)
     W, P, first, most = _acceleration_covariance(mission), R, R, 0.0
@@ -226,8 +226,9 @@ def noise_on_arrival(mission: "Reconfiguration") -> tuple[float, float]:
     if not mission.has_noise:
         return 0.0, 0.0
     d, steps = mission.axes, min(leg.steps for leg in mission.legs)
-    if (tube := mission.tube_after(steps)) is not None:
-        return TOLERANCE_SIGMAS * tube.position, TOLERANCE_SIGMAS * tube.velocity
+    joins = [leg.steps - join.at_step for leg in mission.legs for join in leg.joins]
+    if (found := mission.tracking_after(max(min([steps, *joins]), 0))) is not None:
+        return TOLERANCE_SIGMAS * found.position, TOLERANCE_SIGMAS * found.velocity
     strongest, weakest = mission.largest_control.max(), mission.least_control
     wrong = strongest * np.hypot(mission.thrust_error, mission.pointing_error)
     needed = _speed_to_lose(mission, steps) / (weakest * mission.step)
@@ -306,3 +307,23 @@ def model_doubts(mission: "Reconfiguration", chief: "Chief") -> list[str]:
         f"which starts {away:.4g} m from the chief: more than a tenth of the collision radius of "
         f"{mission.least_separation:g} m; {cure} would do"
     ]
+
+
+def tracking_doubts(mission: "Reconfiguration") -> list[str]:
+    """List doubts about the margin and the control of agents that follow references."""
+    doubts, needed = list[str](), compute_margin(mission)
+    if mission.margin < needed * (1 - 1e-9):
+        doubts.append(
+            f"plan.margin_m = {mission.margin:.3g} m is less than the {needed:.3g} m by which "
+            'noise may bring two agents closer than planned; margin_m = "auto" would do'
+        )
+    enough, least = mission.reserve / MAX_RESERVE, mission.least_control
+    if enough > least:
+        # Errors of thrusts grow with the control.
+        has_own = mission.thrust_error or mission.pointing_error
+        cure = "" if has_own else f"model.max_control_m_s2 = {enough:.3g}, or "
+        doubts.append(
+            f"feedback takes up to {mission.reserve:.3g} m/s² for noise, of {least:.3g}: agents "
+            f"may deviate by more than the margin; {cure}less noise would do"
+        )
+    return doubts

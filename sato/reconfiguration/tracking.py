@@ -26,7 +26,7 @@ RESERVE_SIGMAS = 4.0  # of the feedback, which plans leave of the limit of the c
 MAX_RESERVE = 0.75  # of the limit
 
 
-class Tube(NamedTuple):
+class TrackingDeviations(NamedTuple):
     """Largest standard deviations of agents from their references, along an axis."""
 
     position: float  # [m]
@@ -51,9 +51,9 @@ def _axis(h: float) -> tuple[Float[Array, "2 2"], Float[Array, "2 1"]]:
 
 
 @lru_cache(maxsize=8)
-def compute_tube(
+def compute_deviations(
     step: float, position: float, velocity: float, acceleration: float, begin: int = 0
-) -> Tube:
+) -> TrackingDeviations:
     """Compute how far agents are from their references.
 
     The error is that of an estimate, which begins with the first measurement, plus the distance of
@@ -75,7 +75,7 @@ def compute_tube(
         before = A @ P @ A.T + W
         P = R if is_exact else before - before @ np.linalg.solve(before + R, before)
         S = closed @ S @ closed.T + before - P
-    return Tube(*np.sqrt(most).tolist())
+    return TrackingDeviations(*np.sqrt(most).tolist())
 
 
 def measurement_deviations(mission: "PlannedLimits") -> tuple[float, float]:
@@ -86,8 +86,13 @@ def measurement_deviations(mission: "PlannedLimits") -> tuple[float, float]:
 
 
 def largest_disturbance(mission: "PlannedLimits") -> float:
-    """Return the deviation of accelerations that are not commanded, under full control [m/s²]."""
-    thrust = mission.largest_control.max() * (mission.thrust_error + mission.pointing_error)
+    """Return the deviation of accelerations that are not commanded, in the worst direction [m/s²].
+
+    Under full control.
+    """
+    most = max(limit.largest_length for limit in mission.control_limits)
+    # Errors of size are along the thrust, and those of direction across it.
+    thrust = most * max(mission.thrust_error, mission.pointing_error)
     return float(np.hypot(mission.disturbance, thrust))
 
 
@@ -105,7 +110,7 @@ def add_feedback(
         reference: References of the agents.
         mean: Their estimates.
     """
-    if mission.tube is None:
+    if mission.tracking is None:
         return control
     off = (reference - mean).reshape(len(control), 2, -1)
     wanted = control + np.einsum("p,apd->ad", feedback_gain(mission.step), off)

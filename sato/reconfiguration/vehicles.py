@@ -7,14 +7,13 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
-from dynamics.discretize import DiscreteModel
 from problems.limit import Bound, Limit, Norm
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.models import Motion
 from sato.scenario.errors import InputError
 
 if TYPE_CHECKING:
-    from problems.transfer import TransferProblem
+    pass
 
 PerVehicle = float | tuple[float, ...]  # the same for all, or an entry for each
 
@@ -132,16 +131,6 @@ class Vehicles(Motion):
         if not self.has_equal_radii:
             reason = f"is a list, and {what} is for vehicles with equal radii"
             raise InputError("swarm.collision_radius_m", f"{reason}; a number would do")
-
-    def make_transfer(self, model: DiscreteModel, agent: int, **more: Any) -> "TransferProblem":
-        """Make the transfer problem of an agent over some steps, up to its own limits."""
-        from problems.transfer import TransferProblem
-
-        names = "fuel_norm", "control_norm", "speed_norm"
-        options: dict[str, Any] = {name: getattr(self, name) for name in names}
-        options |= {"max_control": self.control_limit(agent).bound}
-        options |= {"max_speed": self.speed_limit(agent).bound}
-        return TransferProblem(model, **(options | more))
 
     def group_by_limits(self, agents: Int[Array, " k"]) -> list[Int[Array, "..."]]:
         """Group agents that have the same limits, as indices into the agents that are given."""

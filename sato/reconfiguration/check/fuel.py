@@ -211,7 +211,11 @@ class _LegCosts:
                     self.cost[rows] = compute_energies(model, self.start[rows], targets)
                     self.is_exact[rows] = True
                     continue
-                problem = mission.make_transfer(model, one, objective=objective)
+                own_limits = {
+                    "max_control": mission.control_limit(one).bound,
+                    "objective": objective,
+                }
+                problem = mission.make_transfer(model, one, **own_limits)
                 found = compute_transfer_costs(problem, self.start[rows], targets)
                 self.cost[rows] = np.where(found.is_reachable, found.cost, np.inf)
                 self.is_exact[rows] = found.is_exact

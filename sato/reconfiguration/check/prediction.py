@@ -50,11 +50,12 @@ def bound_speed_excess(record: ReconfigurationRecord) -> Float[Array, "instants 
     since the last plan; and what noise of the measured state adds there, of which an estimate
     is off by no more, and a reference by the gate in addition. It contains all that
     the plant, the thrusters and the disturbance did otherwise. Where agents keep their plans
-    before the deadline, the last plan may be `freeze_steps` older.
+    before the deadline, the last plan may be `freeze_steps` older. Agents that follow references
+    may be faster by what `TrackingDeviations` allow.
     """
     mission, model, d = record.mission, record.model, record.axes
-    if mission.tube is not None:
-        return np.full(record.frames.alive.shape, SIGMA_BOUND * d**0.5 * mission.tube.velocity)
+    if mission.tracking is not None:
+        return np.full(record.frames.alive.shape, SIGMA_BOUND * d**0.5 * mission.tracking.velocity)
     velocity, control = record.frames.velocity, record.frames.control
     sigma = np.diag(measurement_covariance(mission)) ** 0.5
     age, T = _max_plan_age(record), len(model)

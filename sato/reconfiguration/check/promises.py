@@ -170,7 +170,7 @@ def check_speed_limit(record: ReconfigurationRecord) -> Promise:
 
     That is the difference of the plant, the thrusters and the disturbance from the shared
     model since the last plan, recomputed to the last digit, and the possible effect of noise
-    in the measured state, see `bound_speed_excess`.
+    in the measured state; or what noise takes it from its reference, see `bound_speed_excess`.
     """
     limits, alive = _each_agent(record, record.mission.speed_limit), record.frames.alive
     speed = _measure(limits, record.frames.velocity)[alive]
