@@ -291,7 +291,7 @@ TWO_STEPS = np.hypot(1.5, 0.5) * 60**2  # way of accelerations of two steps [m/(
 @pytest.mark.parametrize(
     ("noise", "each"),
     [
-        ({"thrust_error": 0.05, "pointing_error": 0.02}, 0.01 * 0.07 * TWO_STEPS),
+        ({"thrust_error": 0.05, "pointing_error": 0.02}, 0.01 * 3**0.5 * 0.05 * TWO_STEPS),
         ({"disturbance": 1e-4}, 1e-4 * TWO_STEPS),
     ],
 )
