@@ -152,7 +152,7 @@ def test_bad_input_is_refused_in_a_sentence_and_nothing_is_written(home, setting
         ("absent.toml", None, "no such file"),
         ("broken.toml", b"swarm = ", "is not TOML"),
         ("binary.toml", b"\xff\xfe\x00", "not UTF-8"),
-        ("empty.toml", b"", 'system: there is no system ""'),
+        ("empty.toml", b"", 'system: is missing; "reconfiguration", '),
         ("other.toml", b'system = "reconfigurtion"', 'there is no system "reconfigurtion"'),
         ("short.toml", b'system = "reconfiguration"', "model.kind: is missing"),
     ],

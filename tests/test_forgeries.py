@@ -237,7 +237,7 @@ FORGERIES = {
     "an assignment left out": (without("assignment"), "assignment"),
     "a target held": (changed("target_index", (9, 1), 1), "assignment"),
     "targets": (changed("target_position", (0, 0), 1e-6), "targets"),
-    "a target count": (changed("target_count", (9, 1), 1), "believed"),
+    "a target count": (changed("target_count", (27, 1), 1), "believed"),
     "a final target count": (changed("targets_believed", (0, 1), 1), "believed"),
     "a component": (changed("component", (9, 1), 1), "component"),
     "a leg": (changed("leg_index", 9, 1), "legs"),

@@ -352,7 +352,25 @@ def test_leg_that_outlasts_its_steps_records_the_reset():
     frames = fly(make_mission(row(4, 0.0), leg, reset="change"))
     assert len(frames) > 31
     reset = [(f.time, e["agents"]) for f in frames for e in f.events if e["kind"] == "reset"]
-    assert reset[0] == (13.0, [0, 1, 2, 3])
+    assert reset[0] == (13.0, [0, 1, 2, 3, 4])
+
+
+@pytest.mark.parametrize("at_step", [1, 5, 15])
+def test_join_with_time_enough_keeps_the_deadline_of_the_leg(at_step):
+    leg = leg_to(at_rest(row(6, 3.0)), 30, joins=Join(start=row(2, 1.0), at_step=at_step))
+    mission = make_mission(row(4, 0.0), leg, comm_radius=20.0)
+    frames = fly(mission)
+    assert len(frames) == 31 and frames[-1].alive.all()
+    assert not [e for f in frames for e in f.events if e["kind"] == "reset"]
+    away = frames[-1].position - mission.legs[0].targets[frames[-1].target_index, :2]
+    assert np.abs(away).max() <= mission.position_tolerance
+
+
+def test_join_without_time_enough_begins_the_clock_again():
+    leg = leg_to(at_rest(row(6, 3.0)), 30, joins=Join(start=row(2, 1.0), at_step=29))
+    frames = fly(make_mission(row(4, 0.0), leg, comm_radius=20.0))
+    assert [f.time for f in frames for e in f.events if e["kind"] == "reset"] == [29.0]
+    assert len(frames) == 29 + 31
 
 
 @pytest.mark.parametrize("norm", [1, 2, "inf"])

@@ -231,6 +231,9 @@ class Agent:
         estimate = estimator.update(mission, flown.estimate, measured)
         begun = instant if flown.leg_start is None else flown.leg_start
         flown = flown._replace(estimate=estimate, leg_start=begun)
+        if flown.instant is None:  # the deadline of the leg is that of all
+            clock = np.full_like(flown.memory.clock, min(instant - begun, leg.steps))
+            flown = flown._replace(memory=replace(flown.memory, clock=clock))
         when, solvers = (instant - begun, instant * mission.step), [self.solver] * len(measured)
         known = self._graph, estimate.reference, flown.memory
         context = DecisionContext(mission, leg, *known, *when, solvers)

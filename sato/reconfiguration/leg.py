@@ -47,8 +47,10 @@ class Loss(Definition):
 class Join(Definition):
     """Agents that join the swarm."""
 
-    agents: Annotated[int | None, Positive, "how many; as many as the start has, if absent"]
-    start: Annotated[Start, Convert(as_points), "positions, or states, at which they join"]
+    agents: Annotated[int | None, Positive, "how many; as many as the start lists, if absent"] = (
+        LATER
+    )
+    start: Annotated[Start, Convert(as_points), "positions, or states, at which they join"] = LATER
     at_step: Annotated[Count, "control steps after the start of the leg"] = 0
     room: Annotated[
         Literal["wait", "refuse"], "without room, join as soon as there is some, or not at all"
@@ -60,7 +62,9 @@ class Join(Definition):
         return {} if self.agents or listed is None else {"agents": len(listed)}
 
     def check(self) -> None:
-        """Refuse an unknown number of agents."""
+        """Refuse a missing start, and an unknown number of agents."""
+        if self.start is None:
+            raise InputError("start", "is missing, and has no default")
         if self.agents is None:
             raise InputError("agents", "is missing, and has no default")
 

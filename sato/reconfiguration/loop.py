@@ -131,6 +131,10 @@ class _Flight:
         own = self.x, self.alive, self.committed, self.step_index
         joined = admit(self.mission, self.waiting, *own)
         self.alive[joined] = True
+        if joined:  # the deadline of the leg is that of all
+            clock = self.memory.clock.copy()
+            clock[joined] = min(k, self.leg.steps)
+            self.memory = replace(self.memory, clock=clock)
         refused = [i for i in self.waiting if not (self.alive[i] or waits[i])]
         self.waiting = [i for i in self.waiting if waits[i] and not self.alive[i]]
         for kind, those in (("join", joined), ("refused", refused)):

@@ -55,7 +55,7 @@ def check_margin(mission: Reconfiguration, margin: float, verb: str, spacing: fl
         InputError: It does not; says what would do.
     """
     R = mission.largest_separation
-    if margin > (spacing - R) * (1 + 1e-9):
+    if margin > (spacing - R) * (1 + 1e-9) + 1e-9 * R:
         raise InputError(
             "plan.margin_m",
             f"{verb} {margin:.4g} m beyond the collision radius of {R:g} m, and targets are "

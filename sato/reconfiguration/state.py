@@ -141,7 +141,7 @@ class ReconfigurationFrame(NamedTuple):
     alive: Alive
     component: Component
     control: Annotated[Vectors, "m/s2", "commanded control, held to the next instant", HELD]
-    applied_control: Annotated[Vectors, "m/s2", "control with thrust errors", HELD]
+    applied_control: Annotated[Vectors, "m/s2", "control with thrust errors and disturbances", HELD]
     leg_index: Annotated[int, "1", "leg under way; at the end, the last one"]
     target_index: Annotated[Indices, "1", "index of the target that the agent holds, -1 none"]
     target_count: Annotated[Indices, "1", "number of targets that the agent bids on"]

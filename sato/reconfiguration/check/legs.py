@@ -78,7 +78,7 @@ def _is_odd_length(record: ReconfigurationRecord, leg: LegRecord) -> bool:
     One whose last plans were not clear lasts until others are made.
     """
     steps, period = record.mission.legs[leg.leg_index].steps, record.mission.replan_steps
-    begins = [k for k, _ in record.events.of_kind("reset", "join") if k < leg.end_index]
+    begins = [k for k, _ in record.events.of_kind("reset") if k < leg.end_index]
     braked = [k + period + 1 for k, _ in record.events.of_kind("braked") if k < leg.end_index]
     latest = max([max([leg.start_index, *begins]) + steps, *braked])
     return bool(leg.alive.any()) and not leg.start_index + steps <= leg.end_index <= latest

@@ -34,6 +34,9 @@ def summarize(record: ReconfigurationRecord) -> dict[str, Any]:
         **_summarize_radii(record),
         "solves": sum(int(event["solves"]) for _, event in record.events.of_kind("replan")),
         "fuel_m_s": float(compute_step_fuel(record).sum()),
+        "margin_m": float(mission.margin),
+        "position_tolerance_m": float(mission.position_tolerance),
+        "velocity_tolerance_m_s": float(mission.velocity_tolerance),
     }
     assignments = [bound.assignment if bound else None for bound in record.fuel_bounds]
     if mission.objective == "energy":
