@@ -5,6 +5,8 @@ are relative to these axes, which rotate with ω = (ω_x, 0, ω_z).
 """
 
 from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy import ndarray as Array
@@ -31,27 +33,55 @@ class J2(NonlinearModel):
 
     def rate(self, t: Times, x: States, u: Controls) -> Rates:
         """Return the rate of change of one state or of many."""
-        chief = self.orbit.elements_at(t)
-        omega, centrifugal = _rotation_matrices(chief, self.orbit)
-        pole = _earth_axis(chief)
+        chief, pole, omega, centrifugal, gravity = _axes_at(self.orbit, t)
         l, v = x[..., :3], x[..., 3:]  # noqa: E741
-        g = gravity_acceleration(_from_earth_center(chief, l), pole, self.orbit)
-        g = g - gravity_acceleration(_from_earth_center(chief, np.zeros(3)), pole, self.orbit)
+        g = gravity_acceleration(_from_earth_center(chief, l), pole, self.orbit) - gravity
         a = g + u - _matvec(centrifugal, l) - 2 * _matvec(omega, v)
         return np.concatenate([np.broadcast_to(v, a.shape), a], axis=-1)
 
     def jacobian(self, t: Times, x: States, u: Controls) -> Jacobian:
         """Return ∂f/∂x and ∂f/∂u."""
-        chief = self.orbit.elements_at(t)
-        omega, centrifugal = _rotation_matrices(chief, self.orbit)
-        R = _from_earth_center(chief, x[..., :3])
-        gradient = gravity_gradient(R, _earth_axis(chief), self.orbit)
+        chief, pole, omega, centrifugal, _ = _axes_at(self.orbit, t)
+        gradient = gravity_gradient(_from_earth_center(chief, x[..., :3]), pole, self.orbit)
         B = np.zeros((*gradient.shape[:-2], 6, 3))
         A = np.zeros((*gradient.shape[:-2], 6, 6), gradient.dtype)
         A[..., :3, 3:] = B[..., 3:, :] = np.eye(3)
         A[..., 3:, :3] = gradient - centrifugal
         A[..., 3:, 3:] = -2 * omega
         return A, B
+
+
+class _Axes(NamedTuple):
+    """The chief and its LVLH axes, at one time or at many."""
+
+    chief: Array  # polar-nodal elements
+    pole: Array  # unit vector along the Earth's axis
+    omega: Array  # [ω]×
+    centrifugal: Array  # [α]× + [ω]×²
+    gravity: Array  # of the chief
+
+
+def _axes_at(orbit: Orbit, t: Times) -> _Axes:
+    times = np.asarray(t)
+    if times.dtype == object:
+        return _compute_axes(orbit, times)
+    times = times.astype(float)
+    return _known_axes(orbit, times.tobytes(), times.shape)
+
+
+@lru_cache(maxsize=64)  # agents linearize about their own trajectories at the same times
+def _known_axes(orbit: Orbit, times: bytes, shape: tuple[int, ...]) -> _Axes:
+    axes = _compute_axes(orbit, np.frombuffer(times).reshape(shape))
+    for part in axes:
+        part.setflags(write=False)
+    return axes
+
+
+def _compute_axes(orbit: Orbit, times: Array) -> _Axes:
+    chief = orbit.elements_at(times)
+    pole, at_chief = _earth_axis(chief), _from_earth_center(chief, np.zeros(3))
+    gravity = gravity_acceleration(at_chief, pole, orbit)
+    return _Axes(chief, pole, *_rotation_matrices(chief, orbit), gravity)
 
 
 def gravity_acceleration(R: Vectors, pole: Vectors, orbit: Orbit) -> Vectors:
