@@ -22,7 +22,6 @@ from problems.transfer import Solver, Trajectory, TransferProblem
 
 SPEED_ROOM = 1e-8  # of a speed limit, by which its tangents lie inside, beside rounding
 TIE_BREAK = 1e-7  # of the weights, which makes optima unique, at the cost of at most this part
-GOLDEN = (5**0.5 - 1) / 2  # multiples of which differ from each other, modulo 1
 MAX_ROUNDS = 60
 
 
@@ -89,7 +88,12 @@ def generate_constraints(
     free, response = transfer.coast(start), limit.most * transfer.response_matrices[0]
     cost = limit.most * transfer.model.dt * np.repeat(transfer.weights, axes)
     cost = cost * np.tile(limit.shares, len(transfer.model))
-    cost = cost * (1 + TIE_BREAK * (np.arange(len(cost)) * GOLDEN % 1))
+    # More in the middle than at the ends, later than before, and along later axes.
+    time = np.repeat(np.arange(1, len(transfer.model) + 1) / (len(transfer.model) + 1), axes)
+    uneven = (
+        time * (1 - time) * (1 + time / 4) * np.tile(1 + np.arange(axes) / 8, len(time) // axes)
+    )
+    cost = cost * (1 + TIE_BREAK * uneven)
     unit = float(cost.max())
     program = FuelProgram(cost / unit, slack_penalty / unit)
     for k, state, penalty in goals:

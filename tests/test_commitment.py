@@ -20,8 +20,6 @@ from messages import run_rounds
 from reconfiguration_runs import leg_to, make_mission, row
 
 import sato
-from dynamics import DoubleIntegrator
-from dynamics.plant import LinearPlant, Plant
 from dynamics.trajectory_geometry import hull_distance
 from problems import convexify
 from problems.limit import Limit
@@ -36,7 +34,6 @@ from sato.reconfiguration.stopping import stop_at_once, stopping_horizon
 
 NORMS = (1, 2, "inf")
 ROUNDING = 1e-9
-WIND = np.array([0.01, 0.0])
 
 
 def decide_by_messages(offers, graph, rank):
@@ -302,25 +299,3 @@ def test_change_keeps_the_distance_to_a_neighbor_that_is_too_near(goal):
     assert hull_distance(path - paths[1])[0].min() >= kept * (1 - 1e-9)
     end = horizon.discrete_model.simulate(states[0], u)[-1]
     np.testing.assert_allclose(end[2:], 0, atol=1e-12)
-
-
-class Windy(Plant):
-    """Double integrators that a wind accelerates."""
-
-    def propagate(self, x, u, t, dt, substeps=1):
-        """Add the wind to the controls."""
-        return LinearPlant(DoubleIntegrator(2)).propagate(x, u + WIND, t, dt, substeps)
-
-
-@pytest.mark.parametrize(("plant", "most"), [({}, 14), ({"plant": Windy()}, 4)])
-def test_plants_that_err_are_committed_to_no_longer_than_the_horizon(plant, most, monkeypatch):
-    # The margin covers their errors until the next decision, and not for all that is foreseen.
-    mission, found = crowd(foresight_steps=16, comm_radius=20.0, **plant), []
-
-    def record(*known):
-        found.append(make_offers(*known).plan_steps[0])
-        return make_offers(*known)
-
-    monkeypatch.setattr(commitment, "make_offers", record)
-    begin(mission, 3)
-    assert found[0] == most

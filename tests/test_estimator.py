@@ -7,6 +7,7 @@ from reconfiguration_runs import at_rest, leg_to, make_mission, row
 from dynamics import ClohessyWiltshire, DoubleIntegrator
 from dynamics.discretize import discretize_zoh
 from dynamics.plant import LinearPlant, Plant
+from sato.reconfiguration import commitment
 from sato.reconfiguration.disturbances import disturb_control, measure
 from sato.reconfiguration.estimator import (
     GATE_SIGMAS,
@@ -16,6 +17,8 @@ from sato.reconfiguration.estimator import (
     predict,
     update,
 )
+from sato.reconfiguration.loop import simulate
+from sato.reconfiguration.offers import make_offers
 
 NOISE = {"position_noise": 0.01, "velocity_noise": 0.003}
 ERRORS = {"disturbance": 0.004, "thrust_error": 0.1, "pointing_error": 0.05}
@@ -143,3 +146,17 @@ def test_margin_is_automatic_where_the_plant_is_not_the_model():
     mission = moving(plant=Windy())
     # Two may be moved against each other, by a t²/2 in the step until they plan again.
     assert mission.margin == pytest.approx(2 * 0.01 * 2**0.5 / 2)
+
+
+@pytest.mark.parametrize(("plant", "most"), [({}, 20), ({"plant": Windy()}, 4)])
+def test_plants_that_err_are_committed_to_no_longer_than_the_horizon(plant, most, monkeypatch):
+    # The margin covers their errors until the next decision, and not for all that is foreseen.
+    mission, found = moving(foresight_steps=16, **plant), []
+
+    def record(*known):
+        found.append(make_offers(*known).plan_steps[0])
+        return make_offers(*known)
+
+    monkeypatch.setattr(commitment, "make_offers", record)
+    next(simulate(mission, np.random.default_rng(0)))
+    assert found == [most]
