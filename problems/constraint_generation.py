@@ -88,12 +88,10 @@ def generate_constraints(
     free, response = transfer.coast(start), limit.most * transfer.response_matrices[0]
     cost = limit.most * transfer.model.dt * np.repeat(transfer.weights, axes)
     cost = cost * np.tile(limit.shares, len(transfer.model))
-    # More in the middle than at the ends, later than before, and along later axes.
-    time = np.repeat(np.arange(1, len(transfer.model) + 1) / (len(transfer.model) + 1), axes)
-    uneven = (
-        time * (1 - time) * (1 + time / 4) * np.tile(1 + np.arange(axes) / 8, len(time) // axes)
-    )
-    cost = cost * (1 + TIE_BREAK * uneven)
+    # Of equal optima one is the best: burns cost more in the middle, and along later axes.
+    steps = len(transfer.model)
+    time, axis = (np.arange(1, steps + 1) / (steps + 1))[:, None], np.arange(axes) / 8
+    cost = cost * (1 + TIE_BREAK * (time * (1 - time) * (1 + time / 4) * (1 + axis)).ravel())
     unit = float(cost.max())
     program = FuelProgram(cost / unit, slack_penalty / unit)
     for k, state, penalty in goals:
