@@ -32,6 +32,7 @@ class Model(ABC):
     def __init_subclass__(cls) -> None:
         """Let the rate of every model take CasADi symbols."""
         if "rate" in cls.__dict__:
+            # A decorator for all subclasses, which none can forget.
             cls.rate = _take_symbols(cls.rate)  # type: ignore[method-assign]
 
     @abstractmethod

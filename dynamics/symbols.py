@@ -160,7 +160,7 @@ def trace(rate: Callable[..., Any], model: Any, *values: Any) -> Any:
         arrays.append(entries if name == "t" else entries[None])  # one instant, stacked
     try:
         found = rate(model, *arrays)
-    except Exception as error:
+    except Exception as error:  # whatever NumPy or the user's model raises for symbols
         if isinstance(error, ValueError):
             raise
         raise TypeError(

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from mpl_toolkits.mplot3d.art3d import Line3DCollection  # type: ignore[import-untyped]
+from mpl_toolkits.mplot3d.art3d import Line3DCollection  # type: ignore[import-untyped]  # no stubs
 from numpy import ndarray as Array
 
 from sato.figures.style import GRAY

@@ -51,8 +51,8 @@ def is_planning_due(
     """
     left = steps - memory.clock
     is_kept = (left < mission.freeze_steps) | mission.keeps_plans
-    strays = mission.is_point_mass and mission.has_noise and mission.tracking is None
-    is_over = (left == 0) & ~strays
+    deviates = mission.is_point_mass and mission.has_noise and mission.tracking is None
+    is_over = (left == 0) & ~deviates
     for i in np.flatnonzero(is_kept).tolist():
         if mission.has_own_clocks and _waits(mission, plans.get(i), k):
             continue
