@@ -5,6 +5,8 @@ from typing import no_type_check
 import numba
 import numpy as np
 
+ROUNDING = 1e-15  # relative: a distance that is this near to that of a corner is that of the corner
+
 # (3 over i)(3 over j) / (6 over i + j)
 _PRODUCT_WEIGHTS = np.outer([1.0, 3.0, 3.0, 1.0], [1.0, 3.0, 3.0, 1.0]) / np.array(
     [[1, 6, 15, 20], [6, 15, 20, 15], [15, 20, 15, 6], [20, 15, 6, 1]]
@@ -90,68 +92,134 @@ def _refine_by_newton(r, t):
     return best, at
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def min_norm_points(points):
     """Return the distance of each hull of four points from the origin, and its nearest point."""
     count, _, d = points.shape
     distance, nearest = np.zeros(count), np.zeros((count, d))
-    best, n, zero = np.empty(d), np.empty(d), np.zeros(d)
+    scratch = np.empty((4, d))
     for q in range(count):
-        b = points[q]
-        least = 0.0
-        _copy(best, zero)
-        for i in range(4):
-            _copy(n, b[i])
-            least = _update_best_normal(b, n, least, best)
-            for j in range(i):
-                if d == 2:
-                    n[0], n[1] = b[j, 1] - b[i, 1], b[i, 0] - b[j, 0]
-                    least = _update_best_normal(b, n, least, best)
-                    continue
-                _copy(n, b[i])
-                _orthogonalize(n, b[j] - b[i])
-                least = _update_best_normal(b, n, least, best)
-                for m in range(j):
-                    e, f = b[j] - b[i], b[m] - b[i]
-                    n[0] = e[1] * f[2] - e[2] * f[1]
-                    n[1] = e[2] * f[0] - e[0] * f[2]
-                    n[2] = e[0] * f[1] - e[1] * f[0]
-                    least = _update_best_normal(b, n, least, best)
+        least = _hull_distance(points[q], np.inf, nearest[q], scratch)
         distance[q] = least
         for a in range(d):
-            nearest[q, a] = least * best[a]
+            nearest[q, a] *= least
     return distance, nearest
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def are_outside(points, radius, is_exact):
+    """Return True where the hull of four points, or else a ball about it, is outside a circle.
+
+    Args:
+        points: Corners of each hull, (hulls, 4, d).
+        radius: Radius of the circle about the origin, of each hull.
+        is_exact: True where hulls are to be compared, False for balls.
+    """
+    count, _, d = points.shape
+    outside = np.empty(count, np.bool_)
+    best, scratch = np.empty(d), np.empty((4, d))
+    for q in range(count):
+        outside[q] = _is_ball_outside(points[q], radius[q])
+        if is_exact and not outside[q]:
+            outside[q] = _hull_distance(points[q], radius[q], best, scratch) >= radius[q]
+    return outside
+
+
+@numba.njit(error_model="numpy")
+@no_type_check
+def _is_ball_outside(b, radius):
+    # The ball is about the mean of the points.
+    d, extent, distance = b.shape[1], 0.0, 0.0
+    for i in range(4):
+        square = 0.0
+        for a in range(d):
+            middle = (b[0, a] + b[1, a] + b[2, a] + b[3, a]) / 4
+            square += (b[i, a] - middle) ** 2
+            if i == 0:
+                distance += middle**2
+        extent = max(extent, square)
+    return np.sqrt(distance) - np.sqrt(extent) >= radius
+
+
+@numba.njit(error_model="numpy")
+@no_type_check
+def _hull_distance(b, enough, best, scratch):
+    # The best normal is written. The search ends at a distance that is enough; no point of the
+    # hull is nearer than the nearest corner if that is the best.
+    d, least, n = b.shape[1], 0.0, scratch[0]
+    e, f, unit = scratch[1], scratch[2], scratch[3]
+    for a in range(d):
+        best[a] = 0.0
+    for i in range(4):
+        square = 0.0
+        for a in range(d):
+            square += b[i, a] ** 2
+        enough = min(enough, np.sqrt(square) * (1 - ROUNDING))
+    for i in range(4):
+        least = _update_best_normal(b, b[i], least, best, unit)
+    for i in range(4):
+        for j in range(i):
+            if least >= enough:
+                return least
+            for a in range(d):
+                e[a], n[a] = b[j, a] - b[i, a], b[i, a]
+            if d == 2:
+                n[0], n[1] = e[1], -e[0]
+                least = _update_best_normal(b, n, least, best, unit)
+                continue
+            _orthogonalize(n, e)
+            least = _update_best_normal(b, n, least, best, unit)
+            for m in range(j):
+                for a in range(d):
+                    f[a] = b[m, a] - b[i, a]
+                n[0] = e[1] * f[2] - e[2] * f[1]
+                n[1] = e[2] * f[0] - e[0] * f[2]
+                n[2] = e[0] * f[1] - e[1] * f[0]
+                least = _update_best_normal(b, n, least, best, unit)
+    return least
 
 
 @numba.njit(error_model="numpy")
 @no_type_check
 def _orthogonalize(n, e):
     # Subtract the projection of n on e; twice, so that n is orthogonal to rounding.
-    size = (e * e).sum()
+    size = 0.0
+    for a in range(len(e)):
+        size += e[a] * e[a]
     if size > 0.0:
         for _ in range(2):
-            n -= e * ((n * e).sum() / size)
+            along = 0.0
+            for a in range(len(e)):
+                along += n[a] * e[a]
+            for a in range(len(e)):
+                n[a] -= e[a] * (along / size)
 
 
 @numba.njit(error_model="numpy")
 @no_type_check
-def _update_best_normal(b, n, least, best):
+def _update_best_normal(b, n, least, best, unit):
     # Both sides of the line or plane with normal n.
-    size = np.sqrt((n * n).sum())
+    square = 0.0
+    for a in range(len(n)):
+        square += n[a] * n[a]
+    size = np.sqrt(square)
     if size < 1e-150:
         return least
+    for a in range(len(n)):
+        unit[a] = n[a] / size
     low, high = np.inf, -np.inf
     for i in range(4):
         projection = 0.0
         for a in range(len(n)):
-            projection += n[a] / size * b[i, a]
+            projection += unit[a] * b[i, a]
         low, high = min(low, projection), max(high, projection)
     found = max(low, -high)
     if found > least:
-        sense = size if low > least else -size
+        sense = 1.0 if low > least else -1.0
         for a in range(len(n)):
-            best[a] = n[a] / sense
+            best[a] = sense * unit[a]
         return low if low > least else -high
     return least
 

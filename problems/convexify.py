@@ -17,7 +17,7 @@ from numpy import ndarray as Array
 from dynamics import DiscreteModel
 from dynamics.model import ControlSamples, StateSamples
 from dynamics.trajectory_geometry import hull_distance
-from problems.half_spaces import HalfSpaces
+from problems.half_spaces import HalfSpaces, separate_points
 
 ControlPoints = Float[Array, "*pairs 4 d"]  # of relative trajectories
 Separation = float | Float[Array, " others"]  # of all others, or of each [m]
@@ -105,11 +105,18 @@ def are_hulls_separated(relative: ControlPoints, radius: Separation) -> Bool[Arr
         relative: Control points; where there are several radii, others come first.
         radius: Radius of all, or of each other.
     """
-    separated = are_balls_separated(relative, radius)
-    near = ~separated
-    if near.any():
-        separated[near] = hull_distance(relative[near])[0] >= _per_piece(radius, near)[near]
-    return separated
+    return _are_outside(relative, radius, is_exact=True)
+
+
+def _are_outside(
+    relative: ControlPoints, radius: Separation, is_exact: bool
+) -> Bool[Array, "*pairs"]:
+    from dynamics.bezier_kernels import are_outside  # compiles, so it is imported late
+
+    shape, (corners, d) = relative.shape[:-2], relative.shape[-2:]
+    flat = np.ascontiguousarray(relative).reshape(-1, corners, d)
+    per_piece = np.ascontiguousarray(_per_piece(radius, shape)).ravel()
+    return np.asarray(are_outside(flat, per_piece, is_exact)).reshape(shape)
 
 
 def separation_violation(relative: ControlPoints, radius: Separation) -> float:
@@ -120,13 +127,13 @@ def separation_violation(relative: ControlPoints, radius: Separation) -> float:
         radius: Radius of all, or of each other.
     """
     near = ~are_balls_separated(relative, radius)
-    inside = _per_piece(radius, near)[near] - hull_distance(relative[near])[0]
+    inside = _per_piece(radius, near.shape)[near] - hull_distance(relative[near])[0]
     return float(inside.max(initial=0.0))
 
 
-def _per_piece(radius: Separation, like: Array) -> Array:
-    spread = np.reshape(radius, np.shape(radius) + (1,) * (like.ndim - np.ndim(radius)))
-    return np.broadcast_to(spread, like.shape)
+def _per_piece(radius: Separation, shape: tuple[int, ...]) -> Array:
+    spread = np.reshape(radius, np.shape(radius) + (1,) * (len(shape) - np.ndim(radius)))
+    return np.broadcast_to(np.asarray(spread, dtype=float), shape)
 
 
 def are_balls_separated(relative: ControlPoints, radius: Separation) -> Bool[Array, "*pairs"]:
@@ -134,12 +141,7 @@ def are_balls_separated(relative: ControlPoints, radius: Separation) -> Bool[Arr
 
     Sufficient for `are_hulls_separated`, and much faster.
     """
-    # Sums over so few entries take NumPy's reductions several times as long.
-    middle = np.einsum("...id->...d", relative) / 4
-    offset = relative - middle[..., None, :]
-    reach = np.einsum("...id,...id->...i", offset, offset).max(axis=-1) ** 0.5
-    room = np.einsum("...d,...d->...", middle, middle) ** 0.5 - reach
-    return np.asarray(room >= _per_piece(radius, room))
+    return _are_outside(relative, radius, is_exact=False)
 
 
 def are_pairs_separated(
@@ -214,24 +216,13 @@ def convexify(
         normal: Unit normals n of the half-spaces, see `choose_normals`.
         separation: Required distances; that of the horizon by default.
     """
-    P, Q, r = horizon.control_point_maps
-    d, S = r.shape[-1], r.shape[1]
-    T = min(T, len(P))
-    n = normal.reshape(len(others), len(P), S, d)[:, :T]
-    other_points = others.reshape(len(others), len(P), S, 4, d)[:, :T]
-    on_state = np.einsum("aksd,ksidn->aksin", n, P[:T])
-    on_control = np.einsum("aksd,ksidm->aksim", n, Q[:T])
-    products = np.einsum("aksd,aksid->aksi", n, other_points - r[:T])
+    P, Q, r = (part[:T] for part in horizon.control_point_maps)
     required = horizon.required_separation if separation is None else separation
-    rhs = _per_piece(required, products) + products
-    step = np.broadcast_to(np.arange(T)[:, None, None], rhs.shape[1:])
-    movable = (step > 0) | np.any(Q[:T] != 0, axis=(3, 4))
-    rows = np.broadcast_to(movable, rhs.shape).ravel()
-    return HalfSpaces(
-        np.broadcast_to(step, rhs.shape).ravel()[rows],
-        on_state.reshape(-1, 2 * d)[rows],
-        on_control.reshape(-1, d)[rows],
-        rhs.ravel()[rows],
+    return separate_points(
+        (P, Q, r),
+        np.ascontiguousarray(normal),
+        np.ascontiguousarray(others),
+        np.ascontiguousarray(np.broadcast_to(np.asarray(required, dtype=float), len(others))),
     )
 
 

@@ -75,6 +75,53 @@ def empty_half_spaces(transfer: TransferProblem) -> HalfSpaces:
     return HalfSpaces(np.zeros(0, int), np.zeros((0, n)), np.zeros((0, m)), np.zeros(0))
 
 
+def separate_points(
+    maps: tuple[Array, Array, Array],
+    normal: Float[Array, "others pieces d"],
+    points: Float[Array, "others pieces 4 d"],
+    separation: Float[Array, " others"],
+) -> HalfSpaces:
+    """List the half-spaces n·(P x + Q u + r − c̄) ≥ R of all points that a control can move.
+
+    Args:
+        maps: P, Q and r of each control point, (T, S, 4, d, ·), of the first pieces.
+        normal: Unit normals n.
+        points: Control points c̄ of others [m].
+        separation: Required distance R from each [m].
+    """
+    P, Q, r = maps
+    movable = np.any(Q != 0, axis=(3, 4))
+    movable[1:] = True
+    return HalfSpaces(*_separate(P, Q, r, movable, normal, points, separation))
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _separate(P, Q, r, movable, normal, points, separation):
+    T, S, _, d, n = P.shape
+    rows = len(points) * movable.sum()
+    step_index, rhs = np.empty(rows, np.int64), np.empty(rows)
+    state_coeffs, control_coeffs = np.zeros((rows, n)), np.zeros((rows, d))
+    row = 0
+    for other in range(len(points)):
+        for k in range(T):
+            for s in range(S):
+                piece = k * S + s
+                for i in range(4):
+                    if not movable[k, s, i]:
+                        continue
+                    step_index[row], rhs[row] = k, separation[other]
+                    for a in range(d):
+                        along = normal[other, piece, a]
+                        rhs[row] += along * (points[other, piece, i, a] - r[k, s, i, a])
+                        for j in range(n):
+                            state_coeffs[row, j] += along * P[k, s, i, a, j]
+                        for j in range(d):
+                            control_coeffs[row, j] += along * Q[k, s, i, a, j]
+                    row += 1
+    return step_index, state_coeffs, control_coeffs, rhs
+
+
 @numba.njit(cache=True, nogil=True)
 @no_type_check
 def _violation(step_index, state_coeffs, control_coeffs, rhs, x, u):

@@ -15,7 +15,7 @@ from math import ceil, inf
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from scipy.spatial.distance import cdist
 
@@ -87,15 +87,19 @@ def _repeat(
 
 def _bend_all(now: dict[int, Planner], graph: CommunicationGraph) -> dict[int, Planner]:
     ids, paths, own = _stack_paths(now)
-    middle, extent = convexify.enclosing_balls(paths[:, :, 0])
-    apart = cdist(middle, middle)
-    most = extent[:, None] + extent + ROOM * (own[:, None] + own) / 2
-    near = graph.adjacency[np.ix_(ids, ids)] & (apart < most)
-    adjacency = np.zeros_like(graph.adjacency)
-    adjacency[np.ix_(ids, ids)] = near
-    heard = CommunicationGraph(adjacency, graph.alive)
-    acting = {i: now[i] for i, is_near in zip(ids, near.any(axis=1), strict=True) if is_near}
-    return run_round(heard, acting, bend, {i: path_message(now[i]) for i in acting})
+    path = paths[:, :, 0]
+    middle, extent = convexify.enclosing_balls(path)
+    most = extent[:, None] + extent + (own[:, None] + own) / 2
+    near = graph.adjacency[np.ix_(ids, ids)] & (cdist(middle, middle) < most)
+    i, j = np.nonzero(np.triu(near))
+    apart, R = np.linalg.norm(path[i] - path[j], axis=2), (own[i] + own[j]) / 2
+    last = np.array([_pieces_left(agent) - 1 for agent in now.values()])
+    met = _are_too_near(apart, R, last[i]) | _are_too_near(apart, R, last[j])
+    adjacency, ids_met = np.zeros_like(graph.adjacency), np.array(ids)[np.stack([i, j])[:, met]]
+    adjacency[ids_met[0], ids_met[1]] = adjacency[ids_met[1], ids_met[0]] = True
+    acting = {k: now[k] for k in np.unique(ids_met).tolist()}
+    messages = {k: path_message(now[k]) for k in acting}
+    return run_round(CommunicationGraph(adjacency, graph.alive), acting, bend, messages)
 
 
 def _solve_all(now: dict[int, Planner], graph: CommunicationGraph) -> dict[int, Planner]:
@@ -134,16 +138,24 @@ def bend(agent: Planner, inbox: Sequence[PathMessage]) -> Planner:
     R = (np.array([other.clearance for other in inbox]) + agent.horizon.clearance) / 2
     relative = path - np.stack([other.path for other in inbox])
     apart = np.linalg.norm(relative, axis=2)
-    ends = np.minimum(apart[:, 0], apart[:, last])
-    wanted = np.minimum(R, ends)
-    near = (apart.min(axis=1) < wanted) & (share > 0)
+    near = _are_too_near(apart, R, last) & (share > 0)
     if not near.any():
         return agent
-    wanted = np.minimum(ROOM * R, ends)[near]
+    wanted = np.minimum(ROOM * R, np.minimum(apart[:, 0], apart[:, last]))[near]
     push = share[near, None, None] * push_apart(relative[near], wanted)
     count = np.maximum(push.any(axis=2).sum(axis=0), 1)
     shift = _smooth(agent, push.sum(axis=0) / count[:, None], float(R[near].max()))
     return agent._replace(control_points=agent.control_points + _spread(shift), has_converged=False)
+
+
+def _are_too_near(
+    apart: Float[Array, "others pieces"],
+    wanted: Float[Array, " others"],
+    last: int | Int[Array, " others"],
+) -> Bool[Array, " others"]:
+    """Find paths that come nearer than wanted, and than where they begin and end in a last piece."""
+    ends = np.minimum(apart[:, 0], apart[np.arange(len(apart)), last])
+    return np.asarray(apart.min(axis=1) < np.minimum(wanted, ends))
 
 
 def push_apart(
