@@ -18,6 +18,7 @@ bound, which certifies that b is unreachable.
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -136,8 +137,7 @@ def _solve_decoupled(
     u, dual = np.zeros((len(b), T * i)), np.zeros(len(b))
     w = np.outer(weight, limit.shares).ravel()
     if len(Q) > 0:
-        x, λ, status = _solve_parallel(Q, w, transformed / U, batches)
-        is_certified, bound = _certify(Q, w, transformed / U, x, λ, status)
+        x, is_certified, bound = _solve_parallel(Q, w, transformed / U, batches)
         u, dual = U * x, U * bound
         for q in np.flatnonzero(~is_certified):
             u[q], dual[q] = _solve_with_highs(Q, transformed[q], U, w)
@@ -147,8 +147,10 @@ def _solve_decoupled(
 
 def _solve_parallel(
     Q: Float[Array, "m N"], w: Float[Array, " N"], b: Float[Array, "programs m"], batches: int
-) -> tuple[Array, Array, Array]:
+) -> tuple[Float[Array, "programs N"], Bool[Array, " programs"], Float[Array, " programs"]]:
+    """Return the solutions, True where they are certified, and the bounds of the cost."""
     x, λ, status = np.zeros((len(b), len(w))), np.zeros(b.shape), np.zeros(len(b), np.int64)
+    is_certified, bound = np.zeros(len(b), dtype=bool), np.zeros(len(b))
     batches = max(1, min(len(b), batches))
     starts = np.arange(batches + 1) * len(b) // batches
     threads = os.cpu_count() or 1
@@ -157,13 +159,17 @@ def _solve_parallel(
     def solve_some(task: int) -> None:
         own = starts[task * batches // tasks : (task + 1) * batches // tasks + 1]
         solve_batches(Q, w, b, own, MAX_PIVOTS, x, λ, status)
+        for first, last in pairwise(own):  # few enough to stay in the cache of a core
+            few = slice(first, last)
+            parts = b[few], x[few], λ[few], status[few]
+            is_certified[few], bound[few] = _certify(Q, w, *parts)
 
     if tasks == 1:
         solve_some(0)
     else:
         with ThreadPoolExecutor(threads) as pool:
             list(pool.map(solve_some, range(tasks)))
-    return x, λ, status
+    return x, is_certified, bound
 
 
 def _certify(
