@@ -30,7 +30,12 @@ SMALL_PIVOT = 1e-5  # after which the tableau is computed anew
 REFRESH_PIVOTS = 100  # after which the tableau is computed anew
 MAX_PIVOTS = 3000
 FAR = 1e30  # a kink that is never reached
+TINY = float(np.finfo(float).tiny)
 OPTIMAL, INFEASIBLE, STOPPED = 0, 1, 2
+BY_ROW = (  # arrays that grow with the rows
+    *("_kinks", "_slopes", "_place", "_basic", "_coeffs", "_offset", "_room", "_tableau"),
+    "_value",
+)
 
 
 class FuelProgram:
@@ -98,24 +103,22 @@ class FuelProgram:
         is_relaxed: bool = False,
         room: float | Float[Array, " k"] = 0.0,
     ) -> None:
-        norm = np.linalg.norm(coeffs, axis=1)
-        size = np.where(norm > np.finfo(float).tiny, norm, 1.0)
-        coeffs = np.column_stack([coeffs, np.full(len(size), is_relaxed)]) / size[:, None]
-        offset, p = offset / size, penalty * size
-        zero, never = np.zeros(len(size)), np.full(len(size), inf)
-        n, first = self._coeffs.shape[1], len(self._place)
-        at, is_free = self._nonbasic < n, self._basic < n
-        rows = coeffs[:, self._basic[is_free]] @ self._tableau[is_free]
-        rows[:, at] += coeffs[:, self._nonbasic[at]]
-        self._value = np.concatenate([self._value, coeffs @ self._values()[:n] + offset])
-        self._tableau = np.vstack([self._tableau, rows])
-        self._kinks = np.vstack([self._kinks, np.tile(kinks, (len(size), 1))])
-        self._slopes = np.vstack([self._slopes, np.stack([-p, zero, p, never], axis=1)])
-        self._place = np.concatenate([self._place, np.ones(len(size), dtype=int)])
-        self._basic = np.concatenate([self._basic, first + np.arange(len(size))])
-        self._coeffs = np.vstack([self._coeffs, coeffs])
-        self._offset = np.concatenate([self._offset, offset])
-        self._room = np.concatenate([self._room, room / size])
+        first, room = len(self._basic), np.broadcast_to(room, len(offset))
+        for name in BY_ROW:
+            self._extend(name, len(offset))
+        given = np.ascontiguousarray(coeffs), offset, np.array(kinks), penalty, room, is_relaxed
+        costs, basis = (self._kinks, self._slopes), (self._place, self._nonbasic, self._basic)
+        rows = self._coeffs, self._offset, self._room, self._tableau, self._value
+        _append(first, *given, *costs, *basis, *rows)
+
+    def _extend(self, name: str, more: int) -> None:
+        """Extend an array by rows, in place where there is memory for them."""
+        array: Array = getattr(self, name)
+        count, memory = len(array), array if array.base is None else array.base
+        if len(memory) < count + more:
+            memory = np.empty((2 * (count + more), *array.shape[1:]), dtype=array.dtype)
+            memory[:count] = array
+        setattr(self, name, memory[: count + more])
 
     def solve(self) -> Status:
         """Solve the program with all rows that were added, from the last basis.
@@ -223,6 +226,61 @@ class FuelProgram:
         n = self._coeffs.shape[1]
         is_equation, low = self._kinks[n:, 2] == 0, self._slopes[n:, 0]
         return np.clip(price[n:], low, np.where(is_equation, -low, 0.0)), is_equation
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def _append(
+    first,
+    coeffs,
+    offset,
+    row_kinks,
+    penalty,
+    room,
+    is_relaxed,
+    kinks,
+    slopes,
+    place,
+    nonbasic,
+    basic,
+    own_coeffs,
+    own_offset,
+    own_room,
+    tableau,
+    value,
+):
+    # Writes the rows from the first on, scaled to a norm of 1, with their slacks in the basis.
+    n = tableau.shape[1]
+    x = np.empty(n)
+    for j in range(n):
+        if nonbasic[j] < n:
+            x[nonbasic[j]] = kinks[nonbasic[j], place[nonbasic[j]]]
+    for i in range(first):
+        if basic[i] < n:
+            x[basic[i]] = value[i]
+    for k in range(len(offset)):
+        row, slack, square = first + k, n + first + k, 0.0
+        for j in range(n - 1):
+            square += coeffs[k, j] ** 2
+        size = np.sqrt(square) if square > TINY else 1.0
+        for j in range(n - 1):
+            own_coeffs[row, j] = coeffs[k, j] / size
+        own_coeffs[row, n - 1] = is_relaxed / size
+        own_offset[row], own_room[row] = offset[k] / size, room[k] / size
+        value[row] = own_offset[row]
+        for j in range(n):
+            value[row] += own_coeffs[row, j] * x[j]
+            is_control = nonbasic[j] < n
+            tableau[row, j] = own_coeffs[row, nonbasic[j]] if is_control else 0.0
+        for i in range(first):
+            if basic[i] < n and own_coeffs[row, basic[i]] != 0.0:
+                for j in range(n):
+                    tableau[row, j] += own_coeffs[row, basic[i]] * tableau[i, j]
+        for j in range(len(row_kinks)):
+            kinks[slack, j] = row_kinks[j]
+        slopes[slack, 0], slopes[slack, 1] = -penalty[k] * size, 0.0
+        slopes[slack, 2], slopes[slack, 3] = penalty[k] * size, np.inf
+        place[slack], basic[row] = 1, slack
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
