@@ -8,7 +8,8 @@ from reconfiguration_runs import make_mission
 import sato
 from sato import Leg, Points
 from sato.network.graph import CommunicationGraph
-from sato.scp.halfway import meet_halfway, push_apart
+from sato.scp.bending import push_apart
+from sato.scp.halfway import meet_halfway
 
 R = 0.5
 FAR = {"comm_radius": 50.0, "max_speed": 0.5, "assignment": "given"}

@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from sato.scp.halfway import MAX_BENDS, MEETINGS, PathMessage, bend, path_message, solve_halfway
+from sato.scp.bending import PathMessage, bend, path_message
+from sato.scp.halfway import MAX_BENDS, MEETINGS, solve_halfway
 from sato.scp.planner import Planner, TrajectoryMessage
 
 

@@ -1,0 +1,171 @@
+"""Bending of paths: those that come too close push each other aside, head-on to the right."""
+
+from collections.abc import Sequence
+from math import ceil, inf
+from typing import NamedTuple, no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
+from scipy.spatial.distance import cdist
+
+from problems import convexify
+from sato.network.graph import CommunicationGraph
+from sato.network.rounds import run_round
+from sato.scp.planner import Planner
+
+ROOM = 1.1  # distance to which paths are pushed, over the one that is kept
+GAIN = 1.7  # by which a push exceeds what is lacking, as others average it
+SMOOTHING = 4.0  # duration of a push, over the time in which full control covers the distance
+SLOW = 0.02  # of the distance, moved in a piece: two that are slower push straight apart
+TOUCH = 1e-3  # of the distance: two that miss each other by less meet head-on
+TINY = 1e-300
+
+
+class PathMessage(NamedTuple):
+    """Message of an agent while paths push each other aside."""
+
+    rank: float  # class of priority
+    path: Float[Array, "pieces d"]
+    clearance: float  # that two of the sender's kind would keep [m]
+
+
+def bend_all(now: dict[int, Planner], graph: CommunicationGraph) -> dict[int, Planner]:
+    """Bend the paths of all agents in one round, those alone that are too near to others."""
+    ids, paths, own = stack_paths(now)
+    path = paths[:, :, 0]
+    middle, extent = convexify.enclosing_balls(path)
+    most = extent[:, None] + extent + (own[:, None] + own) / 2
+    near = graph.adjacency[np.ix_(ids, ids)] & (cdist(middle, middle) < most)
+    i, j = np.nonzero(np.triu(near))
+    apart, R = np.linalg.norm(path[i] - path[j], axis=2), (own[i] + own[j]) / 2
+    last = np.array([_pieces_left(agent) - 1 for agent in now.values()])
+    met = _are_too_near(apart, R, last[i]) | _are_too_near(apart, R, last[j])
+    adjacency, ids_met = np.zeros_like(graph.adjacency), np.array(ids)[np.stack([i, j])[:, met]]
+    adjacency[ids_met[0], ids_met[1]] = adjacency[ids_met[1], ids_met[0]] = True
+    acting = {k: now[k] for k in np.unique(ids_met).tolist()}
+    messages = {k: path_message(now[k]) for k in acting}
+    return run_round(CommunicationGraph(adjacency, graph.alive), acting, bend, messages)
+
+
+def stack_paths(now: dict[int, Planner]) -> tuple[list[int], Array, Float[Array, " agents"]]:
+    """Return the agents' numbers, their control points and their clearances [m]."""
+    paths = np.stack([agent.control_points for agent in now.values()])
+    return list(now), paths, np.array([agent.horizon.clearance for agent in now.values()])
+
+
+def path_message(agent: Planner) -> PathMessage:
+    """Return the message of an agent whose path is pushed aside."""
+    path, R = agent.control_points[:, 0], agent.horizon.clearance
+    return PathMessage(agent.priority[0], path, R)
+
+
+def bend(agent: Planner, inbox: Sequence[PathMessage]) -> Planner:
+    """Push the path of an agent away from those that it is too near to."""
+    if not can_move(agent) or not inbox:
+        return agent
+    path, last = agent.control_points[:, 0], _pieces_left(agent) - 1
+    rank = np.array([other.rank for other in inbox])
+    share = np.where(rank == agent.priority[0], 0.5, rank < agent.priority[0])
+    R = (np.array([other.clearance for other in inbox]) + agent.horizon.clearance) / 2
+    relative = path - np.stack([other.path for other in inbox])
+    apart = np.linalg.norm(relative, axis=2)
+    near = _are_too_near(apart, R, last) & (share > 0)
+    if not near.any():
+        return agent
+    wanted = np.minimum(ROOM * R, np.minimum(apart[:, 0], apart[:, last]))[near]
+    push = share[near, None, None] * push_apart(relative[near], wanted)
+    count = np.maximum(push.any(axis=2).sum(axis=0), 1)
+    shift = _smooth(agent, push.sum(axis=0) / count[:, None], float(R[near].max()))
+    return agent._replace(control_points=agent.control_points + _spread(shift), has_converged=False)
+
+
+def _are_too_near(
+    apart: Float[Array, "others pieces"],
+    wanted: Float[Array, " others"],
+    last: int | Int[Array, " others"],
+) -> Bool[Array, " others"]:
+    """Find paths that come nearer than wanted, and than at their starts and in a last piece."""
+    ends = np.minimum(apart[:, 0], apart[np.arange(len(apart)), last])
+    return np.asarray(apart.min(axis=1) < np.minimum(wanted, ends))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def push_apart(relative, wanted):
+    """Return what keeps a path at wanted distances of others, across the relative motion [m].
+
+    Two that meet head-on go each to its right.
+
+    Args:
+        relative: Path less those of others, (others, pieces, d) [m].
+        wanted: Distance from each other [m].
+    """
+    others, pieces, d = relative.shape
+    push, along, way = np.zeros(relative.shape), np.empty(d), np.empty(d)
+    for i in range(others):
+        R = wanted[i]
+        for k in range(pieces):
+            before, after = max(k - 1, 0), min(k + 1, pieces - 1)
+            span = max(after - before, 1)
+            apart, speed, ahead, miss = 0.0, 0.0, 0.0, 0.0
+            for a in range(d):
+                apart += relative[i, k, a] ** 2
+                along[a] = (relative[i, after, a] - relative[i, before, a]) / span
+                speed += along[a] ** 2
+            apart, speed = np.sqrt(apart), np.sqrt(speed)
+            if apart >= R:
+                continue
+            for a in range(d):
+                along[a] /= max(speed, TINY)
+                ahead += relative[i, k, a] * along[a]
+            for a in range(d):
+                way[a] = relative[i, k, a] - ahead * along[a]
+                miss += way[a] ** 2
+            miss = np.sqrt(miss)
+            lacking = np.sqrt(max(R**2 - ahead**2, 0.0)) - miss
+            if speed < SLOW * R:
+                lacking = R - apart
+                for a in range(d):
+                    way[a] = relative[i, k, a]
+            elif miss < TOUCH * R:
+                for a in range(2, d):
+                    way[a] = 0.0
+                is_vertical = along[0] == 0.0 and along[1] == 0.0
+                way[0], way[1] = 1.0 if is_vertical else along[1], -along[0]
+            size = 0.0
+            for a in range(d):
+                size += way[a] ** 2
+            for a in range(d):
+                push[i, k, a] = max(lacking, 0.0) * way[a] / max(np.sqrt(size), TINY)
+    return push
+
+
+def _smooth(agent: Planner, push: Float[Array, "pieces d"], R: float) -> Float[Array, "k d"]:
+    """Spread a push over the time that it takes to follow it; none at the ends."""
+    pieces, h = len(push), agent.horizon.fine_model.dt
+    wide = max(2, ceil(SMOOTHING * (R / agent.transfer.control_limit.least_length) ** 0.5 / h))
+    window = np.hanning(2 * wide + 1)
+    spread = [np.convolve(one, window)[wide : wide + pieces] for one in push.T]
+    smooth = np.stack(spread, axis=1)
+    largest, now = (np.linalg.norm(part, axis=1).max() for part in (push, smooth))
+    k, end = np.arange(pieces + 1), _pieces_left(agent)
+    ramp = np.minimum(1.0, np.minimum(k, np.maximum(end - k, 0)) / wide) ** 2
+    shift = np.vstack([smooth, smooth[-1]]) * ramp[:, None]
+    return np.asarray(GAIN * largest / max(now, 1e-300) * shift)
+
+
+def _spread(shift: Float[Array, "k d"]) -> Float[Array, "pieces 4 d"]:
+    """Interpolate shifts at the beginning of each piece to its four control points."""
+    third = np.linspace(0.0, 1.0, 4)[:, None]
+    return np.asarray(shift[:-1, None] * (1 - third) + shift[1:, None] * third)
+
+
+def _pieces_left(agent: Planner) -> int:
+    return min(len(agent.nominal.u), agent.horizon.steps) * agent.horizon.pieces_per_step
+
+
+def can_move(agent: Planner) -> bool:
+    """Return True for an agent that has steps left and gives way to others."""
+    return len(agent.nominal.u) > 0 and agent.priority[0] > -inf
