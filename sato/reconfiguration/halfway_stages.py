@@ -6,6 +6,7 @@ from typing import NamedTuple
 from sato.scp.bending import PathMessage, bend, path_message
 from sato.scp.halfway import MAX_BENDS, MEETINGS, solve_halfway
 from sato.scp.planner import Planner, TrajectoryMessage
+from sato.scp.spreading import spread_out
 
 
 class BendingMessage(NamedTuple):
@@ -22,7 +23,7 @@ class Bending(NamedTuple):
     unreachable: list[int]  # the agent's number, if its target is
     diameter: int
     round: int = 0
-    last_change: int = 0
+    last_change: int = 1  # paths spread in the first round
 
     @property
     def message(self) -> BendingMessage:
@@ -39,8 +40,9 @@ class Bending(NamedTuple):
         round, last_change = self.round + 1, self.last_change
         last_change = max([last_change, *(message.last_change for message in inbox)])
         planner = self.planner
-        if round <= MAX_BENDS:
-            planner = bend(planner, [message.path for message in inbox])
+        if round <= 1 + MAX_BENDS:
+            update = spread_out if round == 1 else bend
+            planner = update(planner, [message.path for message in inbox])
         if planner is not self.planner:
             last_change = round
         return self._replace(planner=planner, round=round, last_change=last_change)

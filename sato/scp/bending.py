@@ -29,6 +29,8 @@ class PathMessage(NamedTuple):
     rank: float  # class of priority
     path: Float[Array, "pieces d"]
     clearance: float  # that two of the sender's kind would keep [m]
+    target: Float[Array, " d"]  # position [m]
+    is_delayed: bool
 
 
 def bend_all(now: dict[int, Planner], graph: CommunicationGraph) -> dict[int, Planner]:
@@ -40,7 +42,7 @@ def bend_all(now: dict[int, Planner], graph: CommunicationGraph) -> dict[int, Pl
     near = graph.adjacency[np.ix_(ids, ids)] & (cdist(middle, middle) < most)
     i, j = np.nonzero(np.triu(near))
     apart, R = np.linalg.norm(path[i] - path[j], axis=2), (own[i] + own[j]) / 2
-    last = np.array([_pieces_left(agent) - 1 for agent in now.values()])
+    last = np.array([count_pieces_left(agent) - 1 for agent in now.values()])
     met = _are_too_near(apart, R, last[i]) | _are_too_near(apart, R, last[j])
     adjacency, ids_met = np.zeros_like(graph.adjacency), np.array(ids)[np.stack([i, j])[:, met]]
     adjacency[ids_met[0], ids_met[1]] = adjacency[ids_met[1], ids_met[0]] = True
@@ -57,15 +59,15 @@ def stack_paths(now: dict[int, Planner]) -> tuple[list[int], Array, Float[Array,
 
 def path_message(agent: Planner) -> PathMessage:
     """Return the message of an agent whose path is pushed aside."""
-    path, R = agent.control_points[:, 0], agent.horizon.clearance
-    return PathMessage(agent.priority[0], path, R)
+    path, target = agent.control_points[:, 0], agent.target_state[: agent.control_points.shape[-1]]
+    return PathMessage(agent.priority[0], path, agent.horizon.clearance, target, agent.is_delayed)
 
 
 def bend(agent: Planner, inbox: Sequence[PathMessage]) -> Planner:
     """Push the path of an agent away from those that it is too near to."""
     if not can_move(agent) or not inbox:
         return agent
-    path, last = agent.control_points[:, 0], _pieces_left(agent) - 1
+    path, last = agent.control_points[:, 0], count_pieces_left(agent) - 1
     rank = np.array([other.rank for other in inbox])
     share = np.where(rank == agent.priority[0], 0.5, rank < agent.priority[0])
     R = (np.array([other.clearance for other in inbox]) + agent.horizon.clearance) / 2
@@ -78,7 +80,9 @@ def bend(agent: Planner, inbox: Sequence[PathMessage]) -> Planner:
     push = share[near, None, None] * push_apart(relative[near], wanted)
     count = np.maximum(push.any(axis=2).sum(axis=0), 1)
     shift = _smooth(agent, push.sum(axis=0) / count[:, None], float(R[near].max()))
-    return agent._replace(control_points=agent.control_points + _spread(shift), has_converged=False)
+    return agent._replace(
+        control_points=agent.control_points + spread_shift(shift), has_converged=False
+    )
 
 
 def _are_too_near(
@@ -150,19 +154,20 @@ def _smooth(agent: Planner, push: Float[Array, "pieces d"], R: float) -> Float[A
     spread = [np.convolve(one, window)[wide : wide + pieces] for one in push.T]
     smooth = np.stack(spread, axis=1)
     largest, now = (np.linalg.norm(part, axis=1).max() for part in (push, smooth))
-    k, end = np.arange(pieces + 1), _pieces_left(agent)
+    k, end = np.arange(pieces + 1), count_pieces_left(agent)
     ramp = np.minimum(1.0, np.minimum(k, np.maximum(end - k, 0)) / wide) ** 2
     shift = np.vstack([smooth, smooth[-1]]) * ramp[:, None]
     return np.asarray(GAIN * largest / max(now, 1e-300) * shift)
 
 
-def _spread(shift: Float[Array, "k d"]) -> Float[Array, "pieces 4 d"]:
+def spread_shift(shift: Float[Array, "k d"]) -> Float[Array, "pieces 4 d"]:
     """Interpolate shifts at the beginning of each piece to its four control points."""
     third = np.linspace(0.0, 1.0, 4)[:, None]
     return np.asarray(shift[:-1, None] * (1 - third) + shift[1:, None] * third)
 
 
-def _pieces_left(agent: Planner) -> int:
+def count_pieces_left(agent: Planner) -> int:
+    """Count the pieces of an agent's path before its last step."""
     return min(len(agent.nominal.u), agent.horizon.steps) * agent.horizon.pieces_per_step
 
 

@@ -26,6 +26,7 @@ from sato.scp.planner import (
     is_clear,
     solve_around,
 )
+from sato.scp.spreading import spread_all
 
 MAX_BENDS = 40  # rounds in which paths push each other aside
 MEETINGS = 6  # rounds in which trajectories are solved for
@@ -48,9 +49,9 @@ def meet_halfway(
     Returns:
         The planners, and the number of rounds.
     """
-    now, bends = _repeat(MAX_BENDS, bend_all, dict(planners), graph)
+    now, bends = _repeat(MAX_BENDS, bend_all, spread_all(dict(planners), graph), graph)
     now, meetings = _repeat(MEETINGS, _solve_all, now, graph)
-    return {i: come_after(agent) for i, agent in now.items()}, bends + meetings
+    return {i: come_after(agent) for i, agent in now.items()}, 1 + bends + meetings
 
 
 def _repeat(

@@ -69,6 +69,7 @@ class Planner(NamedTuple):
     relinearize: Callable[[Trajectory], TransferProblem] | None = None  # None: model is linear
     solver: Solver = solve_program  # its own
     has_plan: bool = False  # True where it begins with a plan that it keeps if it can
+    is_delayed: bool = False  # True where others have kept it from its target
     in_turn: bool = False  # True where it plans once those of higher priority have
     is_final: bool = False
     has_converged: bool = True  # True where the nominal solves its last program, or needed none

@@ -1,0 +1,77 @@
+"""Spreading of paths to dense crowds of targets, between which nobody can pass.
+
+Where the targets of a crowd in the plane are less than 2 R apart, those that have arrived close the
+ways to the others. Once one is delayed, the paths of all lead to the crowd as if it were so much
+larger that each can pass between any two, and from there to their targets at the same pace.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+from scipy.spatial.distance import cdist
+
+from sato.network.graph import CommunicationGraph, label_components
+from sato.network.rounds import run_round
+from sato.scp.bending import PathMessage, can_move, count_pieces_left, path_message, spread_shift
+from sato.scp.planner import Planner
+
+PASSAGE = 2.0  # of R, between two that one more can pass
+NEIGHBORS = 2.5  # least mean number within a passage in a crowd; on a ring there are two
+MIN_GROWTH = 0.05  # of a crowd that is worth the way
+MIN_PIECES = 8  # of a path that has the time for it
+SPREAD, GATHER = 0.5, 0.6  # of the way, after which the crowd is spread, and begins to gather
+
+
+def spread_all(now: dict[int, Planner], graph: CommunicationGraph) -> dict[int, Planner]:
+    """Spread the paths of all agents in one round, where they hear of one that is delayed."""
+    delayed = np.zeros(len(graph.alive), dtype=bool)
+    delayed[[i for i, agent in now.items() if agent.is_delayed]] = True
+    hears = delayed | (graph.adjacency & delayed).any(axis=1)
+    acting = {i: agent for i, agent in now.items() if hears[i]}
+    messages = {i: path_message(agent) for i, agent in now.items()} if acting else {}
+    return now | run_round(graph, acting, spread_out, messages)
+
+
+def spread_out(agent: Planner, inbox: Sequence[PathMessage]) -> Planner:
+    """Spread the path of an agent with a target in a crowd, where any that it hears is delayed."""
+    own, pieces = path_message(agent), count_pieces_left(agent)
+    heard = [own, *inbox]
+    if not (can_move(agent) and any(message.is_delayed for message in heard)):
+        return agent
+    clearance = max(message.clearance for message in heard)
+    growth = find_growth(np.stack([message.target for message in heard]), clearance)
+    if growth is None or pieces < MIN_PIECES:
+        return agent
+    along = np.arange(len(own.path) + 1) / pieces
+    share = np.where(along < GATHER, _rise(along / SPREAD), _rise((1 - along) / (1 - GATHER)))
+    path = agent.control_points + spread_shift(share[:, None] * growth)
+    return agent._replace(control_points=path, has_converged=False)
+
+
+def find_growth(targets: Float[Array, "heard d"], clearance: float) -> Float[Array, " d"] | None:
+    """Find by how much the first target moves in a crowd that grows until all can pass.
+
+    None where it is in no crowd in the plane, or where that is large enough.
+
+    Args:
+        targets: Targets [m].
+        clearance: R, that two keep [m].
+    """
+    apart = cdist(targets, targets)
+    near = (apart < PASSAGE * clearance) & ~np.eye(len(targets), dtype=bool)
+    label = label_components(near, np.ones(len(targets), dtype=bool))
+    crowd = np.flatnonzero(label == label[0])
+    count = near[crowd].sum()
+    if targets.shape[1] != 2 or count < NEIGHBORS * len(crowd):
+        return None
+    gap = float(apart[near & (label == label[0])[:, None]].min())
+    growth = PASSAGE * clearance / max(gap, clearance) - 1
+    return growth * (targets[0] - targets[crowd].mean(axis=0)) if growth > MIN_GROWTH else None
+
+
+def _rise(x: Float[Array, " k"]) -> Float[Array, " k"]:
+    """Rise smoothly from 0 to 1 as x does."""
+    x = np.clip(x, 0.0, 1.0)
+    return np.asarray(x * x * (3 - 2 * x))
