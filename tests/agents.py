@@ -6,7 +6,7 @@ from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.agent import Agent
 from sato.reconfiguration.disturbances import disturb_control, draw_losses, measure
 from sato.reconfiguration.first_commitment import find_first_commitments
-from sato.reconfiguration.loop import MAX_LEG_FACTOR
+from sato.reconfiguration.leg import MAX_LEG_FACTOR
 
 
 def decide(agents, time, states, graph):

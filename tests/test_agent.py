@@ -109,6 +109,16 @@ def exchanged(rng):
     return make_mission(start, leg, assignment="given", comm_radius=6.0)
 
 
+def packed(rng):
+    # A crowd is delayed, and its paths spread.
+    places = np.array([[a + b / 2, b * 3**0.5 / 2] for a in range(-4, 5) for b in range(-4, 5)])
+    places = 0.575 * places[np.argsort(np.linalg.norm(places, axis=1), kind="stable")][:10]
+    rng = np.random.default_rng(7)
+    start = rng.permutation(places) * 1.2 + rng.uniform(0, 1.0, 2)
+    leg = sato.Leg(listed(places), "auto", time_factor=1.1)
+    return make_mission(start, leg, assignment="given", max_speed=0.3, comm_radius=3.0)
+
+
 def warm_started(rng):
     start = 2 * row(5, 0.0)  # programs that differ in b alone
     leg = sato.Leg(start + np.array([0.0, 4.0]) + rng.normal(0.0, 0.1, (5, 2)), 12)
@@ -125,7 +135,7 @@ def warm_started(rng):
 MISSIONS = [disturbed, disconnected, varying, hurried, orbiting, given, warm_started]
 
 
-@pytest.mark.parametrize("draw", [*MISSIONS, crowded, exchanged])
+@pytest.mark.parametrize("draw", [*MISSIONS, crowded, exchanged, packed])
 def test_agents_fly_as_the_loop_does(rng, draw):
     mission = draw(rng)
     frames = list(simulate(mission, np.random.default_rng(1)))[:40]
@@ -354,3 +364,20 @@ def test_agents_of_different_legs_refuse_to_decide_together():
     agents[2].set_targets(row(4, 1.0), 20)
     with pytest.raises(ValueError, match="agents 0 and 2 hear each other and do not fly the same"):
         first_instant(mission, agents, 1.0)
+
+
+def test_agents_take_a_given_target_of_their_own_in_flight():
+    start = row(2, 0.0)
+    mission = make_mission(start, sato.Leg(row(2, 4.0), 30), assignment="given")
+    agents = {i: sato.Agent(mission, i) for i in range(2)}
+    graph = CommunicationGraph(~np.eye(2, dtype=bool), np.ones(2, dtype=bool))
+    x = np.hstack([start, 0 * start])
+    for k in range(60):
+        if k == 20:
+            for i, agent in agents.items():
+                agent.set_targets([[3.0 * i, 7.0]], 30)
+        *_, _ = decide(agents, k * mission.step, x, graph)
+        u = np.array([agent.memory.control for agent in agents.values()])
+        x = LinearPlant(DoubleIntegrator(2)).propagate(x, u, 0.0, mission.step)[1]
+    np.testing.assert_allclose(x[:, :2], [[0.0, 7.0], [3.0, 7.0]], atol=1e-5)
+    assert all(agent.has_arrived for agent in agents.values())

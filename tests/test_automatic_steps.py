@@ -9,7 +9,7 @@ from reconfiguration_runs import make_mission, row
 from dynamics import ClohessyWiltshire, discretize_zoh
 from problems.auction_cost import solve_transfer
 from problems.transfer import TransferProblem
-from sato import InputError, Join, Lattice, Leg, Loss, Ring
+from sato import InputError, Join, Lattice, Leg, Loss, Ring, run
 from sato.reconfiguration.departure import Departure
 from sato.reconfiguration.reach import find_stranded
 
@@ -108,3 +108,11 @@ def test_agents_lost_before_others_join_need_no_target_of_their_own():
     leg = Leg(Lattice(spacing=1.5), "auto", losses=[loss], joins=[join])
     drawn = make_mission(np.array([[0.0, 0.0], [2.0, 0.0]]), leg, comm_radius=20.0)
     assert len(drawn.legs[0].targets) == 2 and drawn.legs[0].steps > 8
+
+
+def test_legs_without_vehicles_have_automatic_steps():
+    lost = Loss("agents", agents=(0, 1, 2), at_step=0)
+    legs = [Leg(row(3, 4.0), "auto", losses=(lost,)), Leg(row(3, 0.0), "auto")]
+    mission = make_mission(row(3, 0.0), *legs)
+    assert mission.legs[1].steps >= 1
+    assert not run(mission).summary["reached"]

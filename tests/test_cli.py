@@ -110,7 +110,7 @@ REFUSED = [
     ("plan.step_s=nan", "plan.step_s", "finite", "nan"),
     ("max_control_m_s2=inf", "model.max_control_m_s2", "finite"),
     ("positions_m=[[0,0],[2,nan],[4,0]]", "swarm.start.positions_m", "finite", "[1, 1]"),
-    ("shape.spacing_m=0.3", "leg.0.shape", "0.3", "0.5 m"),
+    ("shape.spacing_m=0.3", "leg.0.shape", "0.3 m", "0.5000005 m"),
     ("shape={kind='text',text='I',height_m=0.4}", "leg.0.shape", "height", "would do"),
     ("shape={kind='points',positions_m=[[0,0],[0.1,0],[4,0]]}", "leg.0.shape", "0.1 m apart"),
     ("shape={kind='points',positions_m=[[0,0]]}", "leg.0.shape", "lists 1"),

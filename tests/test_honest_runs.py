@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
+import reconfiguration_runs
 from reconfiguration_runs import row
 from recorded_run import in_order, make_mission, recorded
 
 import sato
+from sato.reconfiguration import loop
+from sato.reconfiguration.check import legs
 from sato.reconfiguration.leg import Leg
 
 SMALL = {
@@ -72,3 +75,15 @@ def test_join_waits_until_there_is_room():
     run = sato.run(pair(away))
     (join,) = run.events("join")
     assert join["time"] > 1.0 and run.check().kept
+
+
+def test_leg_that_is_given_up_contradicts_nothing(monkeypatch):
+    for module in (loop, legs):
+        monkeypatch.setattr(module, "MAX_LEG_FACTOR", 5)
+    places = 0.501 * np.stack(np.meshgrid(range(3), range(3)), axis=-1).reshape(-1, 2)
+    swapped = np.vstack([places[[1, 0]], places[2:]])
+    leg = sato.Leg(sato.Points(swapped, keep_order=True), 6)
+    run = sato.run(reconfiguration_runs.make_mission(places, leg, assignment="given"))
+    assert run.summary["legs"][0]["steps"] == 30 and not run.summary["reached"]
+    broken = {promise.name for promise in run.check().promises if not promise.kept}
+    assert broken == {"reached"}

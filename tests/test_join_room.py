@@ -102,3 +102,13 @@ def test_a_spacecraft_that_waits_to_join_is_no_fault_of_the_run():
     (join,) = run.events("join")
     assert join["time"] > 30.0
     assert {promise.name for promise in run.check().broken} <= {"reached"}
+
+
+def test_vehicles_wait_for_room_also_from_the_first_step():
+    start, targets = 4 * row(2, 0.0), 2 * row(4, 9.0)
+    places = (start[:1], [[9.0, 0.0]], [[9.1, 0.0]])
+    joins = [sato.Join(start=place, at_step=0) for place in places]
+    leg = sato.Leg(np.vstack([targets, [[9.0, 9.0]]]), 60, joins=joins)
+    run = sato.run(make_mission(start, leg))
+    assert run.summary["reached"] and run.check().kept
+    assert run.data["alive"].values[0].tolist() == [True, True, False, True, False]

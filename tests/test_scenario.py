@@ -226,8 +226,8 @@ def test_joining_agents_start_clear_of_the_others():
 
 
 def test_joining_on_top_of_another_agent_is_refused():
-    join = "leg.0.join={agents=1,start={kind='points',positions_m=[[2.1,0]]}}"
-    assert "leg.0.join.0.start: agent 0 starts 0.1 m from an agent that is there" in refusal(join)
+    join = "leg.0.join={agents=1,start={kind='points',positions_m=[[2.1,0]]},room='refuse'}"
+    assert "leg.0.join.0.start: agent 3 starts 0.1 m from an agent that is there" in refusal(join)
 
 
 JOINS_LATE = "leg.0.join={agents=2,start={kind='lattice',spacing_m=9},at_step=1}"

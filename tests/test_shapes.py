@@ -327,6 +327,14 @@ def test_too_small_a_spacing_is_refused(tmp_path):
         Points(file=listing(tmp_path, "0,0\n1,0\n")).place(2, 2, 2.0)
 
 
+@given(st.floats(0.01, 100.0))
+def test_spacing_that_a_refusal_names_would_do(needed):
+    with pytest.raises(ValueError, match="a spacing of") as refused:
+        Ring(spacing=needed / 2).place(5, 2, needed)
+    (named,) = re.findall(r"a spacing of ([\d.e+-]+) m", str(refused.value))
+    assert Ring(spacing=float(named)).place(5, 2, needed).shape == (5, 2)
+
+
 @pytest.mark.parametrize(
     ("kind", "given", "message"),
     [

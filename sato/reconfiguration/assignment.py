@@ -188,6 +188,8 @@ def compute_epsilon(mission: Reconfiguration, leg: Leg) -> float:
     """Compute the bid increment ε [m] from the mission alone, the same for all agents."""
     if not is_auto(mission.epsilon):
         return mission.epsilon
+    if mission.assignment == "given":
+        return 1.0  # nobody bids, and an agent may know its own target alone
     position = leg.targets[:, : mission.axes]
     weight = 1.0 if _bids_energy(mission) else mission.tie_break
     if weight == 0:

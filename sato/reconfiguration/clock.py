@@ -80,7 +80,7 @@ def _count_steps(context: DecisionContext, agent: int) -> int:
     way = target[:d] - model.simulate(state, stop)[-1, :d]
     far = np.linalg.norm(way)
     unit = way / far if far > 0 else np.eye(d)[0]
-    strength, fastest = (one.most / one.measure(unit) for one in (control, speed))
+    strength, fastest = (np.asarray(one.most / one.measure(unit)) for one in (control, speed))
 
     def fly(count: int) -> float:
         return float(farthest(strength, count, mission.step, fastest))

@@ -15,6 +15,8 @@ from sato.scenario.errors import InputError
 from sato.shapes import Lattice, Picture, Points, Polygon, Ring, Text
 from sato.shapes.shape import as_points
 
+MAX_LEG_FACTOR = 20  # times its steps after which a leg is given up
+
 Steps = Annotated[int, Positive]
 if TYPE_CHECKING:
     Duration = int  # once the mission is drawn

@@ -15,6 +15,7 @@ from sato.reconfiguration.clock import announce_clock
 from sato.reconfiguration.commitment import commit
 from sato.reconfiguration.disturbances import disturb_control, draw_losses, measure
 from sato.reconfiguration.first_commitment import admit, find_first_commitments
+from sato.reconfiguration.leg import MAX_LEG_FACTOR
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.orbital_commitment import commit_in_orbit
 from sato.reconfiguration.plan import (
@@ -27,8 +28,6 @@ from sato.reconfiguration.plan import (
 )
 from sato.reconfiguration.stopping import Commitments, controls_at
 from sato.reconfiguration.tracking import add_feedback
-
-MAX_LEG_FACTOR = 20  # times its steps after which a leg is given up
 
 
 def simulate(

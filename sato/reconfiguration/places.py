@@ -9,6 +9,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.circular_orbit import ClohessyWiltshire
+from problems.convexify import SEPARATION_TOLERANCE
 from problems.limit import Limit
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
@@ -35,8 +36,9 @@ def draw_targets(
         InputError: They cannot be placed, or are too fast.
     """
     where = f"leg.{number}.shape"
+    needed = mission.largest_separation * (1 + SEPARATION_TOLERANCE)  # as plans keep it
     with errors_in(where):
-        drawn = leg.place(demand, mission.axes, mission.largest_separation)
+        drawn = leg.place(demand, mission.axes, needed)
     placed = np.asarray(drawn.positions)
     limits = [mission.speed_limit(i) for i in range(len(placed))]
     if mission.assignment != "given":  # any vehicle may have to arrive there
@@ -72,6 +74,8 @@ def draw_joins(
     for i, join in enumerate(leg.joins):
         beside = [states for at_step, states in drawn if at_step == join.at_step]
         there = [known if join.at_step == 0 else known[:0], *beside]
+        if join.room == "wait" and isinstance(join.start, Points):
+            there = [known[:0]]
         occupied = np.concatenate(there)[:, : mission.axes]
         where, t = f"leg.{number}.join.{i}.start", begin + join.at_step * mission.step
         agents = range(first, first + join.size)
@@ -123,14 +127,28 @@ def draw_start(
         # Any may stand where others are already.
         others = np.full(len(occupied), mission.radii.max())
         radii = np.concatenate([mission.radii[agents.start : agents.stop], others])
-        _check_separation(placed, occupied, radii)
+        _check_separation(placed, occupied, radii, agents.start)
     limits = [mission.speed_limit(i) for i in agents]
     return _with_velocities(mission, placed, velocity, t, where, limits)
 
 
 def _check_separation(
-    placed: Float[Array, "count d"], occupied: Float[Array, "k d"], radii: Float[Array, " both"]
+    placed: Float[Array, "count d"],
+    occupied: Float[Array, "k d"],
+    radii: Float[Array, " both"],
+    first: int,
 ) -> None:
+    """Refuse starts that are too near to each other, or to places that are occupied.
+
+    Args:
+        placed: Starts [m].
+        occupied: Places of others [m].
+        radii: R of the vehicles at both [m].
+        first: Number of the first vehicle that starts.
+
+    Raises:
+        InputError: Two are too near.
+    """
     together = np.concatenate([placed, occupied])
     pairs = scipy.spatial.cKDTree(together).query_pairs(radii.max(), output_type="ndarray")
     pairs = pairs[pairs[:, 0] < len(placed)]  # the others were there before
@@ -141,9 +159,10 @@ def _check_separation(
         pairs, distance, required = pairs[is_close], distance[is_close], required[is_close]
         worst = int(np.argmin(distance / required))
         i, j = pairs[worst]
-        other = f"agent {j}" if j < len(placed) else "an agent that is there already"
-        reason = f"agent {i} starts {distance[worst]:.4g} m from {other}"
-        raise InputError("", f"{reason}, closer than the collision radius of {required[worst]:g} m")
+        other = f"agent {first + j}" if j < len(placed) else "an agent that is there already"
+        found = f"agent {first + i} starts {distance[worst]:.8g} m from {other}"
+        reason = f"{found}, closer than the collision radius of {required[worst]:g} m"
+        raise InputError("", f"{reason}; {round_up(required[worst])} m or more would do")
 
 
 def _with_velocities(

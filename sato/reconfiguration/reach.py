@@ -110,7 +110,7 @@ def find_least_steps(
 
 
 def _longest(departure: Departure, targets: Float[Array, "targets n"]) -> int:
-    return MAX_PAIRS_TIMES_STEPS // (len(departure.agents) * len(targets))
+    return MAX_PAIRS_TIMES_STEPS // max(1, len(departure.agents) * len(targets))
 
 
 def _find_least(

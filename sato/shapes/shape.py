@@ -103,11 +103,11 @@ class Shape(Definition):
             scale = size / drawn_size
         reached = drawn * scale
         if reached < needed * (1 - 1e-9):
-            cure = f"a spacing of {needed:.4g} m"
+            cure = f"a spacing of {round_up(needed)} m"
             if name and spacing is None:
                 cure = f"a {name} of {round_up(drawn_size * scale * needed / reached)} m"
-            found = f"{len(points)} targets are {reached:.5g} m apart"
-            raise ValueError(f"{found}, and they need {needed:.5g} m: {cure} would do")
+            found = f"{len(points)} targets are {reached:.8g} m apart"
+            raise ValueError(f"{found}, and they need {needed:.8g} m: {cure} would do")
         stays = self.is_absolute and self.center is None
         return np.asarray((points - middle) * scale + (middle * scale if stays else 0.0))
 

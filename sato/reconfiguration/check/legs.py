@@ -9,6 +9,7 @@ from numpy import ndarray as Array
 from sato.check.report import Promise, expect_none
 from sato.network.graph import CommunicationGraph, canonicalize_labels
 from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
+from sato.reconfiguration.leg import MAX_LEG_FACTOR
 
 
 def check_legs(record: ReconfigurationRecord) -> Promise:
@@ -75,13 +76,15 @@ def _count_contradictions(record: ReconfigurationRecord, leg: LegRecord) -> int:
 def _is_odd_length(record: ReconfigurationRecord, leg: LegRecord) -> bool:
     """Tell whether a leg ends before its deadline, or long after clocks last began.
 
-    One whose last plans were not clear lasts until others are made.
+    One whose last plans were not clear lasts until others are made, or until it is given up.
     """
     steps, period = record.mission.legs[leg.leg_index].steps, record.mission.replan_steps
     begins = [k for k, _ in record.events.of_kind("reset") if k < leg.end_index]
     braked = [k + period + 1 for k, _ in record.events.of_kind("braked") if k < leg.end_index]
     latest = max([max([leg.start_index, *begins]) + steps, *braked])
-    return bool(leg.alive.any()) and not leg.start_index + steps <= leg.end_index <= latest
+    given_up = leg.start_index + MAX_LEG_FACTOR * steps
+    is_due = leg.start_index + steps <= leg.end_index <= latest or leg.end_index == given_up
+    return bool(leg.alive.any()) and not is_due
 
 
 def _find_alive_at_end(record: ReconfigurationRecord, leg: LegRecord) -> Bool[Array, " agents"]:

@@ -151,11 +151,14 @@ def _redraw_changes(
     # Joins and losses at an instant of a leg, which change `alive` and `waiting` in place.
     mission, at_step = record.mission, k - leg.start_index
     waiting += [i for agents, at in mission.joining(leg.leg_index) if at == at_step for i in agents]
-    joined = [i for i in waiting if i in _find_joined(record, k) or _has_room(record, k, i, alive)]
+    joined = list[int]()
+    for i in waiting:  # one after another, as later ones wait for those
+        if i in _find_joined(record, k) or _has_room(record, k, i, alive):
+            joined.append(i)
+            alive[i] = True
     changes: list[Change] = [(k, "join", i) for i in joined]
     changes += [(k, "refused", i) for i in waiting if not (i in joined or mission.waits[i])]
     waiting[:] = [i for i in waiting if mission.waits[i] and i not in joined]
-    alive[joined] = True
     for loss in mission.legs[leg.leg_index].losses:
         if loss.at_step == at_step:
             lost = draw_losses(loss, record.frames.position[k], alive, rng)
