@@ -351,7 +351,7 @@ def test_spacing_that_a_refusal_names_would_do(needed):
         (Ring, {"radius": 1.0, "normal": (0, 0, 0)}, "normal must be three finite"),
         (Polygon, {"vertices": [(0, 0), (1, 1)]}, "at least three vertices"),
         (Polygon, {"vertices": [(0, 0), (1, 1), (2, 2)]}, "encloses no area"),
-        (Points, {"positions": [(0, 0)]}, "lists 1 points, fewer than the 5 asked for"),
+        (Points, {"positions": [(0, 0)]}, "lists 1 points, fewer than the 5 needed"),
     ],
 )
 def test_impossible_shape_is_refused_with_a_reason(kind, given, message):
@@ -395,7 +395,7 @@ def test_unusable_picture_is_refused_with_a_reason(tmp_path):
         ("0,0\n\n1,nan\n", "line 3: a coordinate is not finite"),
         ("0,0\n1,inf\n", "line 2: a coordinate is not finite"),
         ("5,5\n0,0\n# again\n5,5.0\n", "lines 1 and 4 are the same point"),
-        ("0,0\n", "lists 1 points, fewer than the 2 asked for"),
+        ("0,0\n", "lists 1 points, fewer than the 2 needed"),
     ],
 )
 def test_invalid_list_is_refused_with_the_line(tmp_path, content, message):

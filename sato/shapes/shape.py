@@ -176,7 +176,7 @@ class Points(Shape):
         if len(listed) < count:
             key, path = ("positions_m", "") if self.file is None else ("file", f"{self.file} ")
             found = f"{path}lists {len(listed)} points"
-            raise InputError(key, f"{found}, fewer than the {count} asked for")
+            raise InputError(key, f"{found}, fewer than the {count} needed")
         return np.arange(count) if self.keep_order else farthest_point_sampling(listed, count)
 
 
