@@ -156,6 +156,8 @@ def _hull_distance(b, enough, best, scratch):
         square = 0.0
         for a in range(d):
             square += b[i, a] ** 2
+        if not square < np.inf:
+            return 0.0  # not a number, of which nothing is known
         enough = min(enough, np.sqrt(square) * (1 - ROUNDING))
     for i in range(4):
         least = _update_best_normal(b, b[i], least, best, unit)

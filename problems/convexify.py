@@ -115,7 +115,7 @@ def _are_outside(
 
     shape, (corners, d) = relative.shape[:-2], relative.shape[-2:]
     flat = np.ascontiguousarray(relative).reshape(-1, corners, d)
-    per_piece = np.ascontiguousarray(_per_piece(radius, shape)).ravel()
+    per_piece = _per_piece(radius, shape).flatten()
     return np.asarray(are_outside(flat, per_piece, is_exact)).reshape(shape)
 
 
@@ -222,7 +222,7 @@ def convexify(
         (P, Q, r),
         np.ascontiguousarray(normal),
         np.ascontiguousarray(others),
-        np.ascontiguousarray(np.broadcast_to(np.asarray(required, dtype=float), len(others))),
+        np.full(len(others), required, dtype=float),
     )
 
 

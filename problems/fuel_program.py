@@ -32,10 +32,8 @@ MAX_PIVOTS = 3000
 FAR = 1e30  # a kink that is never reached
 TINY = float(np.finfo(float).tiny)
 OPTIMAL, INFEASIBLE, STOPPED = 0, 1, 2
-BY_ROW = (  # arrays that grow with the rows
-    *("_kinks", "_slopes", "_place", "_basic", "_coeffs", "_offset", "_room", "_tableau"),
-    "_value",
-)
+# Arrays that grow with the rows: each is all of its memory, or the first part of it.
+BY_ROW = tuple("_kinks _slopes _place _basic _coeffs _offset _room _tableau _value".split())
 
 
 class FuelProgram:
@@ -103,7 +101,7 @@ class FuelProgram:
         is_relaxed: bool = False,
         room: float | Float[Array, " k"] = 0.0,
     ) -> None:
-        first, room = len(self._basic), np.broadcast_to(room, len(offset))
+        first, room = len(self._basic), np.full(len(offset), room, dtype=float)
         for name in BY_ROW:
             self._extend(name, len(offset))
         given = np.ascontiguousarray(coeffs), offset, np.array(kinks), penalty, room, is_relaxed

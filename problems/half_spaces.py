@@ -90,6 +90,13 @@ def separate_points(
         separation: Required distance R from each [m].
     """
     P, Q, r = maps
+    pieces = P.shape[0] * P.shape[1]
+    is_short = min(normal.shape[1], points.shape[1]) < pieces
+    if is_short or not len(normal) == len(points) == len(separation):
+        raise ValueError(
+            f"{pieces} pieces need as many normals and points of each other, got normals of shape "
+            f"{normal.shape} and points of shape {points.shape} for {len(separation)} others"
+        )
     movable = np.any(Q != 0, axis=(3, 4))
     movable[1:] = True
     return HalfSpaces(*_separate(P, Q, r, movable, normal, points, separation))

@@ -110,7 +110,7 @@ def exchanged(rng):
 
 
 def packed(rng):
-    # A crowd is delayed, and its paths spread.
+    # One is delayed, and paths to the dense group of targets spread.
     places = np.array([[a + b / 2, b * 3**0.5 / 2] for a in range(-4, 5) for b in range(-4, 5)])
     places = 0.575 * places[np.argsort(np.linalg.norm(places, axis=1), kind="stable")][:10]
     rng = np.random.default_rng(7)
@@ -376,7 +376,7 @@ def test_agents_take_a_given_target_of_their_own_in_flight():
         if k == 20:
             for i, agent in agents.items():
                 agent.set_targets([[3.0 * i, 7.0]], 30)
-        *_, _ = decide(agents, k * mission.step, x, graph)
+        list(decide(agents, k * mission.step, x, graph))
         u = np.array([agent.memory.control for agent in agents.values()])
         x = LinearPlant(DoubleIntegrator(2)).propagate(x, u, 0.0, mission.step)[1]
     np.testing.assert_allclose(x[:, :2], [[0.0, 7.0], [3.0, 7.0]], atol=1e-5)

@@ -23,6 +23,7 @@ from dynamics.trajectory_geometry import (
     sampled_separations,
     separations,
 )
+from problems.convexify import are_balls_separated, are_hulls_separated
 
 number = st.floats(-10, 10, allow_subnormal=False).map(lambda v: 0.0 if abs(v) < 1e-9 else v)
 hulls = st.sampled_from([2, 3]).flatmap(lambda d: arrays(float, (4, d), elements=number))
@@ -234,3 +235,19 @@ def test_each_piece_may_have_its_own_duration(rng):
     one = separations(position, velocity, alive, 0.7)
     each = separations(position, velocity, alive, np.full(4, 0.7))
     assert_array_equal(one.distance, each.distance)
+
+
+@given(hulls)
+def test_hulls_are_separated_up_to_their_distance_and_no_farther(b):
+    distance, _ = hull_distance(b)
+    assert are_hulls_separated(b, float(distance) * (1 - 1e-14))
+    assert not are_hulls_separated(b, float(distance) * (1 + 1e-14) + 1e-300)
+    ball = np.linalg.norm(b.mean(axis=0)) - np.linalg.norm(b - b.mean(axis=0), axis=1).max()
+    assert are_balls_separated(b, ball - 1e-9) and not are_balls_separated(b, ball + 1e-9)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_nothing_is_separated_from_what_is_not_a_number(d):
+    b = np.full((4, d), 5.0)
+    b[2, 0] = np.nan
+    assert not are_hulls_separated(b, 1.0) and not are_balls_separated(b, 1.0)

@@ -17,7 +17,7 @@ class BendingMessage(NamedTuple):
 
 
 class Bending(NamedTuple):
-    """Memory of an agent while paths push each other aside."""
+    """Memory of an agent while paths spread, in the first round, and push each other aside."""
 
     planner: Planner
     unreachable: list[int]  # the agent's number, if its target is
@@ -36,7 +36,7 @@ class Bending(NamedTuple):
         return self.round > self.last_change + self.diameter
 
     def update(self, inbox: Sequence[BendingMessage]) -> "Bending":
-        """Push the path away from those that it is too near to."""
+        """Spread the path, or push it away from those that it is too near to."""
         round, last_change = self.round + 1, self.last_change
         last_change = max([last_change, *(message.last_change for message in inbox)])
         planner = self.planner

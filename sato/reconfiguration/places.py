@@ -75,7 +75,7 @@ def draw_joins(
         beside = [states for at_step, states in drawn if at_step == join.at_step]
         there = [known if join.at_step == 0 else known[:0], *beside]
         if join.room == "wait" and isinstance(join.start, Points):
-            there = [known[:0]]
+            there = [known[:0]]  # they wait for all others; what is drawn is drawn apart from them
         occupied = np.concatenate(there)[:, : mission.axes]
         where, t = f"leg.{number}.join.{i}.start", begin + join.at_step * mission.step
         agents = range(first, first + join.size)
@@ -162,7 +162,7 @@ def _check_separation(
         other = f"agent {first + j}" if j < len(placed) else "an agent that is there already"
         found = f"agent {first + i} starts {distance[worst]:.8g} m from {other}"
         reason = f"{found}, closer than the collision radius of {required[worst]:g} m"
-        raise InputError("", f"{reason}; {round_up(required[worst])} m or more would do")
+        raise InputError("", f"{reason}; starts farther apart would do")
 
 
 def _with_velocities(

@@ -185,7 +185,7 @@ def plan_alone(
                 control_points=paths[int(ahead[i])][row],
                 relinearize=partial(relinearize, context, transfer) if is_nonlinear else None,
                 has_plan=mission.keeps_plans and rest is not None,
-                is_delayed=_is_delayed(context, i, previous),
+                is_delayed=rest is None and _count_failures(previous, i) > 0,
                 in_turn=mission.keeps_plans,
             )
             if rest is not None:
@@ -200,22 +200,16 @@ def plan_alone(
 
 def _priority_class(context: DecisionContext, i: int, previous: Plans) -> float:
     # Among agents of equal priority, those first that others have kept from their targets.
-    if _is_settled(context, i, previous):
+    mission, is_over = context.mission, context.memory.clock[i] == context.leg.steps
+    if is_over or is_held(context, previous, i):
         return -inf
-    failures = previous[i].failure_count if i in previous else 0
-    given = 0.0 if context.mission.priority is None else context.mission.priority[i]
+    failures = _count_failures(previous, i)
+    given = 0.0 if mission.priority is None else mission.priority[i]
     return -given - failures / (failures + 1)
 
 
-def _is_delayed(context: DecisionContext, i: int, previous: Plans) -> bool:
-    has_failed = i in previous and previous[i].failure_count > 0
-    return has_failed and not _is_settled(context, i, previous)
-
-
-def _is_settled(context: DecisionContext, i: int, previous: Plans) -> bool:
-    # It has no time left, or a plan that it holds on to.
-    is_over = context.memory.clock[i] == context.leg.steps
-    return bool(is_over or is_held(context, previous, i))
+def _count_failures(previous: Plans, i: int) -> int:
+    return previous[i].failure_count if i in previous else 0
 
 
 @lru_cache(maxsize=8)  # the same at every replanning of a mission

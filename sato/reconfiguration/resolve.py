@@ -7,9 +7,10 @@ import numpy as np
 
 from dynamics.discretize import discretize_zoh
 from problems.auction_cost import compute_energies
+from problems.convexify import SEPARATION_TOLERANCE
 from sato.reconfiguration.mission import Reconfiguration
 from sato.scenario.definition import is_auto
-from sato.scenario.errors import InputError
+from sato.scenario.errors import InputError, round_down, round_up
 
 ARRIVAL_TOLERANCE = 1e-6  # of the least spacing of the targets
 CONTROL_FACTOR = 10.0  # times a control that is enough for any way of the mission
@@ -54,13 +55,15 @@ def check_margin(mission: Reconfiguration, margin: float, verb: str, spacing: fl
     Raises:
         InputError: It does not; says what would do.
     """
-    R = mission.largest_separation
-    if margin > (spacing - R) * (1 + 1e-9) + 1e-9 * R:
+    R, kept = mission.largest_separation, 1 + SEPARATION_TOLERANCE
+    if margin > 0 and (R + margin) * kept > spacing * (1 + 1e-9):
+        least, room = round_up((R + margin) * kept), spacing / kept - R
+        most = round_down(room) if room > 0 else "0"
+        cures = f"a shape with {least} m, less noise, or margin_m = {most} would do"
         raise InputError(
             "plan.margin_m",
             f"{verb} {margin:.4g} m beyond the collision radius of {R:g} m, and targets are "
-            f"{spacing:.4g} m apart; a shape with {R + margin:.4g} m, less noise, or "
-            f"margin_m = {spacing - R:.3g} would do",
+            f"{spacing:.8g} m apart; {cures}",
         )
 
 

@@ -20,7 +20,7 @@ GAIN = 1.7  # by which a push exceeds what is lacking, as others average it
 SMOOTHING = 4.0  # duration of a push, over the time in which full control covers the distance
 SLOW = 0.02  # of the distance, moved in a piece: two that are slower push straight apart
 TOUCH = 1e-3  # of the distance: two that miss each other by less meet head-on
-TINY = 1e-300
+TINY = 1e-300  # in place of zero, to divide by
 
 
 class PathMessage(NamedTuple):
@@ -81,7 +81,7 @@ def bend(agent: Planner, inbox: Sequence[PathMessage]) -> Planner:
     count = np.maximum(push.any(axis=2).sum(axis=0), 1)
     shift = _smooth(agent, push.sum(axis=0) / count[:, None], float(R[near].max()))
     return agent._replace(
-        control_points=agent.control_points + spread_shift(shift), has_converged=False
+        control_points=agent.control_points + interpolate_shift(shift), has_converged=False
     )
 
 
@@ -147,7 +147,7 @@ def push_apart(relative, wanted):
 
 
 def _smooth(agent: Planner, push: Float[Array, "pieces d"], R: float) -> Float[Array, "k d"]:
-    """Spread a push over the time that it takes to follow it; none at the ends."""
+    """Smooth a push over the time that it takes to follow it; none at the ends."""
     pieces, h = len(push), agent.horizon.fine_model.dt
     wide = max(2, ceil(SMOOTHING * (R / agent.transfer.control_limit.least_length) ** 0.5 / h))
     window = np.hanning(2 * wide + 1)
@@ -157,17 +157,17 @@ def _smooth(agent: Planner, push: Float[Array, "pieces d"], R: float) -> Float[A
     k, end = np.arange(pieces + 1), count_pieces_left(agent)
     ramp = np.minimum(1.0, np.minimum(k, np.maximum(end - k, 0)) / wide) ** 2
     shift = np.vstack([smooth, smooth[-1]]) * ramp[:, None]
-    return np.asarray(GAIN * largest / max(now, 1e-300) * shift)
+    return np.asarray(GAIN * largest / max(now, TINY) * shift)
 
 
-def spread_shift(shift: Float[Array, "k d"]) -> Float[Array, "pieces 4 d"]:
+def interpolate_shift(shift: Float[Array, "k d"]) -> Float[Array, "pieces 4 d"]:
     """Interpolate shifts at the beginning of each piece to its four control points."""
     third = np.linspace(0.0, 1.0, 4)[:, None]
     return np.asarray(shift[:-1, None] * (1 - third) + shift[1:, None] * third)
 
 
 def count_pieces_left(agent: Planner) -> int:
-    """Count the pieces of an agent's path before its last step."""
+    """Count the pieces of an agent's path to the end of its last step, within the horizon."""
     return min(len(agent.nominal.u), agent.horizon.steps) * agent.horizon.pieces_per_step
 
 

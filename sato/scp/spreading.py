@@ -1,8 +1,9 @@
-"""Spreading of paths to dense crowds of targets, between which nobody can pass.
+"""Spreading of paths to dense groups of targets, between which nobody can pass.
 
-Where the targets of a crowd in the plane are less than 2 R apart, those that have arrived close the
-ways to the others. Once one is delayed, the paths of all lead to the crowd as if it were so much
-larger that each can pass between any two, and from there to their targets at the same pace.
+Where targets of a group in the plane are less than 2 R apart, those that have arrived close the
+ways to the others. Once one is delayed, the paths of those that hear it lead to their targets as if
+the group were so much larger that each can pass between any two, and from there gather at the same
+pace. Each knows of the group what it hears: where that is not all, it spreads about another center.
 """
 
 from collections.abc import Sequence
@@ -14,14 +15,20 @@ from scipy.spatial.distance import cdist
 
 from sato.network.graph import CommunicationGraph, label_components
 from sato.network.rounds import run_round
-from sato.scp.bending import PathMessage, can_move, count_pieces_left, path_message, spread_shift
+from sato.scp.bending import (
+    PathMessage,
+    can_move,
+    count_pieces_left,
+    interpolate_shift,
+    path_message,
+)
 from sato.scp.planner import Planner
 
 PASSAGE = 2.0  # of R, between two that one more can pass
-NEIGHBORS = 2.5  # least mean number within a passage in a crowd; on a ring there are two
-MIN_GROWTH = 0.05  # of a crowd that is worth the way
+NEIGHBORS = 2.5  # least mean number within a passage in a dense group; on a ring there are two
+MIN_GROWTH = 0.05  # of a group that is worth the way
 MIN_PIECES = 8  # of a path that has the time for it
-SPREAD, GATHER = 0.5, 0.6  # of the way, after which the crowd is spread, and begins to gather
+SPREAD, GATHER = 0.5, 0.6  # of the way, after which the group is spread, and begins to gather
 
 
 def spread_all(now: dict[int, Planner], graph: CommunicationGraph) -> dict[int, Planner]:
@@ -35,40 +42,47 @@ def spread_all(now: dict[int, Planner], graph: CommunicationGraph) -> dict[int, 
 
 
 def spread_out(agent: Planner, inbox: Sequence[PathMessage]) -> Planner:
-    """Spread the path of an agent with a target in a crowd, where any that it hears is delayed."""
-    own, pieces = path_message(agent), count_pieces_left(agent)
-    heard = [own, *inbox]
-    if not (can_move(agent) and any(message.is_delayed for message in heard)):
+    """Spread the path that an agent would take alone, where any that it hears is delayed.
+
+    Its target is in a dense group. One to which all that it hears give way flies straight.
+    """
+    rank, pieces = agent.priority[0], count_pieces_left(agent)
+    is_asked = agent.is_delayed or any(message.is_delayed for message in inbox)
+    gives_way = can_move(agent) and any(message.rank <= rank for message in inbox)
+    if not (is_asked and gives_way and pieces >= MIN_PIECES):
         return agent
+    heard = [path_message(agent), *inbox]
     clearance = max(message.clearance for message in heard)
-    growth = find_growth(np.stack([message.target for message in heard]), clearance)
-    if growth is None or pieces < MIN_PIECES:
+    shift = find_shift(np.stack([message.target for message in heard]), clearance)
+    if shift is None:
         return agent
-    along = np.arange(len(own.path) + 1) / pieces
+    alone = agent.horizon.control_points(agent.solo.x, agent.solo.u)
+    along = np.arange(len(alone) + 1) / pieces
     share = np.where(along < GATHER, _rise(along / SPREAD), _rise((1 - along) / (1 - GATHER)))
-    path = agent.control_points + spread_shift(share[:, None] * growth)
+    path = alone + interpolate_shift(share[:, None] * shift)
     return agent._replace(control_points=path, has_converged=False)
 
 
-def find_growth(targets: Float[Array, "heard d"], clearance: float) -> Float[Array, " d"] | None:
-    """Find by how much the first target moves in a crowd that grows until all can pass.
+def find_shift(targets: Float[Array, "heard d"], clearance: float) -> Float[Array, " d"] | None:
+    """Find by how much the first target moves in a group that grows until all can pass [m].
 
-    None where it is in no crowd in the plane, or where that is large enough.
+    None where it is in no dense group in the plane, or where that is large enough.
 
     Args:
         targets: Targets [m].
         clearance: R, that two keep [m].
     """
+    if targets.shape[1] != 2:
+        return None
     apart = cdist(targets, targets)
     near = (apart < PASSAGE * clearance) & ~np.eye(len(targets), dtype=bool)
     label = label_components(near, np.ones(len(targets), dtype=bool))
-    crowd = np.flatnonzero(label == label[0])
-    count = near[crowd].sum()
-    if targets.shape[1] != 2 or count < NEIGHBORS * len(crowd):
+    group = np.flatnonzero(label == label[0])
+    if near[group].sum() < NEIGHBORS * len(group):
         return None
     gap = float(apart[near & (label == label[0])[:, None]].min())
     growth = PASSAGE * clearance / max(gap, clearance) - 1
-    return growth * (targets[0] - targets[crowd].mean(axis=0)) if growth > MIN_GROWTH else None
+    return growth * (targets[0] - targets[group].mean(axis=0)) if growth > MIN_GROWTH else None
 
 
 def _rise(x: Float[Array, " k"]) -> Float[Array, " k"]:

@@ -82,9 +82,10 @@ def _is_odd_length(record: ReconfigurationRecord, leg: LegRecord) -> bool:
     begins = [k for k, _ in record.events.of_kind("reset") if k < leg.end_index]
     braked = [k + period + 1 for k, _ in record.events.of_kind("braked") if k < leg.end_index]
     latest = max([max([leg.start_index, *begins]) + steps, *braked])
-    given_up = leg.start_index + MAX_LEG_FACTOR * steps
-    is_due = leg.start_index + steps <= leg.end_index <= latest or leg.end_index == given_up
-    return bool(leg.alive.any()) and not is_due
+    most = leg.start_index + MAX_LEG_FACTOR * steps
+    gives_up = [k for k, _ in record.events.of_kind("infeasible") if k == leg.end_index == most]
+    latest = min(max([latest, *gives_up]), most)
+    return bool(leg.alive.any()) and not leg.start_index + steps <= leg.end_index <= latest
 
 
 def _find_alive_at_end(record: ReconfigurationRecord, leg: LegRecord) -> Bool[Array, " agents"]:
