@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from reconfiguration_runs import make_mission
 
 import sato
 from dynamics.trajectory_geometry import control_points, evaluate_bezier, separations
@@ -206,3 +207,19 @@ def test_starts_are_checked_pair_by_pair():
         sato.run(
             mission(collision_radius=(0.4, 1.2, 0.4, 0.4), assignment="given", **LIMITS | radii)
         )
+
+
+def test_given_targets_of_unequal_vehicles_keep_the_distance_of_their_pair():
+    start = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 0.6]])
+    radii = {"collision_radius": (2.0, 0.5, 0.5), "comm_radius": 40.0, "max_speed": 1.0}
+    for targets in (start + np.array([0.0, 6.0]), start):
+        mission = make_mission(start, sato.Leg(targets, "auto"), assignment="given", **radii)
+        run = sato.run(mission)
+        assert run.summary["reached"] and run.check().kept
+    near = start - [[0, 0], [3, 0], [3, 0]]  # 1 m from the first, where the two keep 1.25 m
+    with pytest.raises(InputError, match=r"target 0 is 1 m from target 1, .* 1\.2500012 m"):
+        make_mission(start, sato.Leg(near, "auto"), assignment="given", **radii)
+    with pytest.raises(InputError, match=r"3 targets are 0\.6 m apart"):
+        make_mission(start, sato.Leg(start, "auto"), **radii)
+    with pytest.raises(InputError, match=r"takes 0\.2 m beyond the collision radius of 0\.5 m"):
+        make_mission(start, sato.Leg(start, "auto"), assignment="given", margin=0.2, **radii)

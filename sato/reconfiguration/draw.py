@@ -8,7 +8,6 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.propagation import Impact
-from dynamics.trajectory_geometry import min_distance
 from sato.reconfiguration import feasibility, first_commitment, reach
 from sato.reconfiguration.departure import Departure, count_wanted, depart
 from sato.reconfiguration.leg import Leg, states_of
@@ -176,7 +175,7 @@ def draw_leg(mission: Reconfiguration, leg: Leg, demand: int, instant: int) -> L
         raise InputError("leg.targets", f"{reason}; {demand} or more would do")
     arrival = (instant + leg.steps) * mission.step
     states = draw_targets(mission, 0, replace(leg, count=count), count, arrival)
-    check_margin(mission, mission.margin, "takes", min_distance(states[:, : mission.axes]))
+    check_margin(mission.margin, "takes", *mission.find_tightest(states))
     return with_targets(leg, states)
 
 

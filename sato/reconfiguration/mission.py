@@ -338,3 +338,19 @@ class Reconfiguration(PlannedLimits, Mission):
     def target_spacing(self) -> float:
         """Least distance between two targets of a leg [m]; once drawn."""
         return min(min_distance(leg.targets[:, : self.axes]) for leg in self.legs)
+
+    @property
+    def keeps_targets_by_pair(self) -> bool:
+        """True where it is known which two vehicles stand at two targets, and they are unequal."""
+        return self.assignment == "given" and not self.has_equal_radii
+
+    def find_tightest(self, targets: Float[Array, "targets n"]) -> tuple[float, float]:
+        """Find the two targets with the least room: their distance, and R of their vehicles [m]."""
+        place, R = targets[:, : self.axes], self.largest_separation
+        if not self.keeps_targets_by_pair or len(place) == 1:
+            return min_distance(place), R
+        i, j = np.triu_indices(min(len(place), self.vehicle_count), 1)
+        distance = np.linalg.norm(place[i] - place[j], axis=1)
+        kept = (self.radii[i] + self.radii[j]) / 2
+        k = int((distance - kept).argmin())
+        return float(distance[k]), float(kept[k])

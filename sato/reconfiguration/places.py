@@ -36,10 +36,14 @@ def draw_targets(
         InputError: They cannot be placed, or are too fast.
     """
     where = f"leg.{number}.shape"
-    needed = mission.largest_separation * (1 + SEPARATION_TOLERANCE)  # as plans keep it
+    kept = 1 + SEPARATION_TOLERANCE  # times R, by plans
+    needed = 0.0 if mission.keeps_targets_by_pair else mission.largest_separation * kept
     with errors_in(where):
         drawn = leg.place(demand, mission.axes, needed)
-    placed = np.asarray(drawn.positions)
+        placed = np.asarray(drawn.positions)
+        if mission.keeps_targets_by_pair:
+            radii = kept * mission.radii[: len(placed)]
+            _check_separation(placed[: len(radii)], placed[:0], radii, "target", 0)
     limits = [mission.speed_limit(i) for i in range(len(placed))]
     if mission.assignment != "given":  # any vehicle may have to arrive there
         limits = [min(mission.speed_limits, key=lambda one: float(one.most * one.shares.min()))]
@@ -127,7 +131,7 @@ def draw_start(
         # Any may stand where others are already.
         others = np.full(len(occupied), mission.radii.max())
         radii = np.concatenate([mission.radii[agents.start : agents.stop], others])
-        _check_separation(placed, occupied, radii, agents.start)
+        _check_separation(placed, occupied, radii, "agent", agents.start)
     limits = [mission.speed_limit(i) for i in agents]
     return _with_velocities(mission, placed, velocity, t, where, limits)
 
@@ -136,15 +140,17 @@ def _check_separation(
     placed: Float[Array, "count d"],
     occupied: Float[Array, "k d"],
     radii: Float[Array, " both"],
+    noun: str,
     first: int,
 ) -> None:
-    """Refuse starts that are too near to each other, or to places that are occupied.
+    """Refuse starts or targets that are too near to each other, or to places that are occupied.
 
     Args:
-        placed: Starts [m].
+        placed: Starts or targets [m].
         occupied: Places of others [m].
         radii: R of the vehicles at both [m].
-        first: Number of the first vehicle that starts.
+        noun: "agent" or "target", for the error.
+        first: Number of the first one.
 
     Raises:
         InputError: Two are too near.
@@ -159,10 +165,11 @@ def _check_separation(
         pairs, distance, required = pairs[is_close], distance[is_close], required[is_close]
         worst = int(np.argmin(distance / required))
         i, j = pairs[worst]
-        other = f"agent {first + j}" if j < len(placed) else "an agent that is there already"
-        found = f"agent {first + i} starts {distance[worst]:.8g} m from {other}"
-        reason = f"{found}, closer than the collision radius of {required[worst]:g} m"
-        raise InputError("", f"{reason}; starts farther apart would do")
+        other = f"{noun} {first + j}" if j < len(placed) else "an agent that is there already"
+        verb = "starts" if noun == "agent" else "is"
+        found = f"{noun} {first + i} {verb} {distance[worst]:.8g} m from {other}"
+        reason = f"{found}, closer than the collision radius of {required[worst]:.8g} m"
+        raise InputError("", f"{reason}; {noun}s farther apart would do")
 
 
 def _with_velocities(

@@ -35,7 +35,8 @@ def resolve(mission: Reconfiguration) -> Reconfiguration:
         noise = tolerances.noise_on_arrival(mission)
         wrong = wrong if given else tolerances.model_error_on_arrival(mission)
         margin = tolerances.compute_margin(mission) if is_computed else margin
-    check_margin(mission, margin, "auto gives" if is_computed else "takes", spacing)
+    tightest = min(map(mission.find_tightest, (leg.targets for leg in mission.legs)), key=_room)
+    check_margin(margin, "auto gives" if is_computed else "takes", *tightest)
     increment = mission.epsilon
     if is_auto(increment) and not isfinite(spacing):
         increment = mission.tie_break * mission.largest_separation**2 / 2 or increment
@@ -49,13 +50,24 @@ def resolve(mission: Reconfiguration) -> Reconfiguration:
     )
 
 
-def check_margin(mission: Reconfiguration, margin: float, verb: str, spacing: float) -> None:
-    """Refuse a margin that leaves no room between targets at this spacing [m].
+def _room(pair: tuple[float, float]) -> float:
+    distance, R = pair
+    return distance - R
+
+
+def check_margin(margin: float, verb: str, spacing: float, R: float) -> None:
+    """Refuse a margin that leaves no room between two targets.
+
+    Args:
+        margin: Margin [m].
+        verb: How it comes about, for the error.
+        spacing: Distance of the two [m].
+        R: Distance that their vehicles keep without a margin [m].
 
     Raises:
         InputError: It does not; says what would do.
     """
-    R, kept = mission.largest_separation, 1 + SEPARATION_TOLERANCE
+    kept = 1 + SEPARATION_TOLERANCE
     if margin > 0 and (R + margin) * kept > spacing * (1 + 1e-9):
         least, room = round_up((R + margin) * kept), spacing / kept - R
         most = round_down(room) if room > 0 else "0"
