@@ -17,6 +17,7 @@ from problems.solvers.verified import solve_program
 from problems.transfer import Solver, Trajectory, TransferProblem, compute_energy, tie_break_weights
 
 TIE_BREAK_RISE = 1e-7  # makes optima unique, at the cost of at most this part of the fuel
+MAX_COORDINATES = 500_000  # of controls that are simulated at once
 
 
 class TransferCosts(NamedTuple):
@@ -71,10 +72,11 @@ def compute_transfer_costs(
     fuel, u = found.fuel.reshape(shape), found.u.reshape(*shape, len(steps), steps.axes)
     reachable, exact = np.isfinite(fuel), np.ones(shape, dtype=bool)
     if isfinite(transfer.speed_limit.most):
-        exact = ~reachable
-        for i, x0 in enumerate(start):
-            x = steps.simulate(np.broadcast_to(x0, targets.shape), u[i])
-            exact[i] |= ~transfer.is_too_fast(x).any(axis=1)
+        exact, count = ~reachable, max(1, MAX_COORDINATES // max(1, u[0].size))
+        for first in range(0, len(start), count):
+            few = slice(first, first + count)
+            x0 = np.broadcast_to(start[few, None], (*u[few].shape[:2], start.shape[1]))
+            exact[few] |= ~transfer.is_too_fast(steps.simulate(x0, u[few])).any(axis=2)
     return TransferCosts(np.where(reachable, fuel, unreachable), reachable, exact)
 
 

@@ -170,11 +170,11 @@ def _choose_leaving(kinks, place, basic, tableau, value, tolerance):
         v = basic[i]
         below, above = kinks[v, place[v]] - value[i], value[i] - kinks[v, place[v] + 1]
         violation = max(below, above)
-        if violation <= tolerance:
+        if violation <= tolerance or violation**2 <= steepest:
             continue
-        square = 1.0
-        for j in range(tableau.shape[1]):
-            square += tableau[i, j] ** 2
+        square, row = 1.0, tableau[i]
+        for j in range(len(row)):
+            square += row[j] ** 2
         if violation**2 > steepest * square:
             leaving, largest, steepest = i, violation, violation**2 / square
             norm = np.sqrt(square)
@@ -211,14 +211,15 @@ def _choose_entering(step, drop, candidate, entry, passed, count, slope, toleran
 def _exchange(tableau, leaving, enter):
     # Exchanges a basic and a nonbasic variable.
     m, n = tableau.shape
-    pivot = tableau[leaving, enter]
+    pivot, row = tableau[leaving, enter], tableau[leaving].copy()
     for j in range(n):
-        tableau[leaving, j] /= -pivot
-    tableau[leaving, enter] = 1.0 / pivot
+        row[j] /= -pivot
+    row[enter] = 1.0 / pivot
     for i in range(m):
-        factor = tableau[i, enter]
-        if i == leaving or factor == 0.0:
+        factor, own = tableau[i, enter], tableau[i]
+        if factor == 0.0:
             continue
-        tableau[i, enter] = 0.0
+        own[enter] = 0.0
         for j in range(n):
-            tableau[i, j] += factor * tableau[leaving, j]
+            own[j] += factor * row[j]
+    tableau[leaving] = row

@@ -6,7 +6,7 @@ from itertools import product
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 Norm = Literal[1, 2, "inf"]
@@ -40,6 +40,15 @@ class Limit:
     def measure(self, v: Float[Array, "*k m"]) -> Float[Array, "*k"]:
         """Compute ‖v / s‖_r, which may be at most L."""
         return vector_norm(v / self.shares, self.norm)
+
+    def is_exceeded(self, v: Float[Array, "*k m"]) -> Bool[Array, "*k"]:
+        """Tell which vectors exceed the limit by more than rounding."""
+        most = self.most * (1 + LIMIT_TOLERANCE)
+        if self.norm != 2:
+            return np.asarray(self.measure(v) > most)
+        scaled = v if np.ndim(self.bound) == 0 else v / self.shares
+        # NumPy's norm takes several times as long.
+        return np.asarray(np.einsum("...m,...m->...", scaled, scaled) > most**2)
 
     def cut(self, v: Float[Array, "*k m"]) -> Float[Array, "*k m"]:
         """Shorten the vectors outside the set, as those of solvers are by rounding."""

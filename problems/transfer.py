@@ -118,8 +118,7 @@ class TransferProblem:
 
     def is_too_fast(self, x: StateSamples) -> Bool[Array, "*agents inner"]:
         """Find the instants between the ends at which the speed exceeds its limit."""
-        speed = self.speed_limit.measure(x[..., 1:-1, self.model.axes :])
-        return np.asarray(speed > self.speed_limit.most * (1 + LIMIT_TOLERANCE))
+        return self.speed_limit.is_exceeded(x[..., 1:-1, self.model.axes :])
 
     def slow_down(self, factor: float) -> "TransferProblem":
         """Return the problem with the speed limit times a factor."""
