@@ -129,7 +129,8 @@ def stays_within_reach(
     reach = longest_way(mission)
     # Most trajectories lie in a small box, or lead too far from where they begin.
     size = np.linalg.norm(np.ptp(paths, axis=(-3, -2)), axis=-1)
-    away = np.linalg.norm(paths - position[..., :1, None, :], axis=-1).max(axis=(-2, -1))
+    ahead = paths - position[..., :1, None, :]
+    away = np.sqrt(np.einsum("...d,...d->...", ahead, ahead).max(axis=(-2, -1)))
     within, is_open = np.asarray(size <= reach), np.asarray((size > reach) & (away <= reach))
     instants, points = position[is_open], paths[is_open]
     farthest = np.zeros(len(points))
