@@ -105,9 +105,10 @@ def generate_constraints(
             raise Infeasible(transfer, "no trajectory satisfies the constraints")
         if status == "stopped":
             break
-        u = program.controls.reshape(-1, axes) * limit.most * limit.shares
+        shares = program.controls
+        u = shares.reshape(-1, axes) * limit.most * limit.shares
         flown = transfer.simulate(start, u) if is_confirmed else None
-        x = free + response @ program.controls if flown is None else flown.x
+        x = free + response @ shares if flown is None else flown.x
         violation = spaces.violation(x, u)
         new = spaces.find_peaks(np.where(known, 0.0, violation - program.slack), tolerance)
         fast = np.flatnonzero(transfer.is_too_fast(x)) + 1

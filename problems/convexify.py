@@ -252,7 +252,7 @@ def choose_normals(
         for a in conflicts:
             hulls = relative[a], distance[a], nearest[a]
             displaced[a] += _passing_displacement(*hulls, float(required[a]), side)
-        distance, nearest = hull_distance(displaced)
+        distance[conflicts], nearest[conflicts] = hull_distance(displaced[conflicts])
     inside = distance <= 0
     # Here even the displacement does not suffice.
     nearest[inside] = displaced[inside].mean(axis=-2)
