@@ -72,7 +72,7 @@ def compute_transfer_costs(
     fuel, u = found.fuel.reshape(shape), found.u.reshape(*shape, len(steps), steps.axes)
     reachable, exact = np.isfinite(fuel), np.ones(shape, dtype=bool)
     if isfinite(transfer.speed_limit.most):
-        exact, count = ~reachable, max(1, MAX_COORDINATES // max(1, u[0].size))
+        exact, count = ~reachable, max(1, MAX_COORDINATES * len(u) // max(1, u.size))
         for first in range(0, len(start), count):
             few = slice(first, first + count)
             x0 = np.broadcast_to(start[few, None], (*u[few].shape[:2], start.shape[1]))

@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import minimize
 
 from dynamics import ClohessyWiltshire, DoubleIntegrator, discretize_zoh
+from problems import auction_cost
 from problems.assignment import solve_assignment
 from problems.auction_cost import (
     compute_displacements,
@@ -206,3 +207,20 @@ def test_energy_with_too_few_steps_is_that_of_coming_nearest(rng):
     miss = lambda v: ((targets[1] - free - one.B[0] @ v) ** 2).sum()  # noqa: E731
     best = minimize(miss, np.zeros(2), tol=1e-12).x
     assert away == pytest.approx(best @ best, rel=1e-5)
+
+
+def test_costs_do_not_depend_on_how_many_are_simulated_at_once(rng, monkeypatch):
+    transfer = TransferProblem(plane, 0.05, 0.03)
+    start, targets = random_states(rng, plane, 0.3)
+    whole = compute_transfer_costs(transfer, start, targets)
+    assert 0 < whole.is_exact.sum() < whole.is_exact.size
+    monkeypatch.setattr(auction_cost, "MAX_COORDINATES", 1)
+    for part, same in zip(compute_transfer_costs(transfer, start, targets), whole, strict=True):
+        assert_array_equal(part, same)
+
+
+@pytest.mark.parametrize(("agents", "targets"), [(0, 3), (2, 0), (0, 0)])
+def test_costs_of_no_agents_or_targets_are_an_empty_table(agents, targets):
+    transfer = TransferProblem(plane, 0.05, 0.1)
+    found = compute_transfer_costs(transfer, np.zeros((agents, 4)), np.ones((targets, 4)))
+    assert all(part.shape == (agents, targets) for part in found)

@@ -216,6 +216,14 @@ def test_given_targets_of_unequal_vehicles_keep_the_distance_of_their_pair():
         mission = make_mission(start, sato.Leg(targets, "auto"), assignment="given", **radii)
         run = sato.run(mission)
         assert run.summary["reached"] and run.check().kept
+    alone = make_mission(
+        start[:1],
+        sato.Leg(start[:1], 5),
+        assignment="given",
+        collision_radius=(2.0,),
+        max_speed=0.1,
+    )
+    assert alone.find_tightest(np.hstack([start, 0 * start])) == (pytest.approx(0.6), 2.0)
     near = start - [[0, 0], [3, 0], [3, 0]]  # 1 m from the first, where the two keep 1.25 m
     with pytest.raises(InputError, match=r"target 0 is 1 m from target 1, .* 1\.2500012 m"):
         make_mission(start, sato.Leg(near, "auto"), assignment="given", **radii)

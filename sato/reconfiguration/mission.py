@@ -347,9 +347,10 @@ class Reconfiguration(PlannedLimits, Mission):
     def find_tightest(self, targets: Float[Array, "targets n"]) -> tuple[float, float]:
         """Find the two targets with the least room: their distance, and R of their vehicles [m]."""
         place, R = targets[:, : self.axes], self.largest_separation
-        if not self.keeps_targets_by_pair or len(place) == 1:
+        count = min(len(place), self.vehicle_count)
+        if not self.keeps_targets_by_pair or count < 2:
             return min_distance(place), R
-        i, j = np.triu_indices(min(len(place), self.vehicle_count), 1)
+        i, j = np.triu_indices(count, 1)
         distance = np.linalg.norm(place[i] - place[j], axis=1)
         kept = (self.radii[i] + self.radii[j]) / 2
         k = int((distance - kept).argmin())
