@@ -99,6 +99,13 @@ class CommunicationGraph:
         result[self.alive] = largest[self.component[self.alive]]
         return result
 
+    def component_any(self, is_true: Bool[Array, " agents"]) -> Bool[Array, " agents"]:
+        """Return True for all agents in whose components one is; agents not alive keep their own.
+
+        The batched equivalent of a flood with `or`.
+        """
+        return self.component_max(is_true.astype(np.int64)).astype(bool)
+
 
 def label_components(adjacency: Bool[Array, "n n"], alive: Bool[Array, " n"]) -> Int[Array, " n"]:
     """Label the connected components in order of their lowest member; −1 where not alive.

@@ -43,12 +43,11 @@ from sato.reconfiguration.agent_stages import (
     ChoiceReport,
     Choosing,
     Exchange,
-    Hello,
     Holding,
     Turns,
-    check_census,
     extend,
 )
+from sato.reconfiguration.census import Hello, check_census, has_changed_network
 from sato.reconfiguration.clock import announce_clock
 from sato.reconfiguration.halfway_stages import Bending, Meeting
 from sato.reconfiguration.offers import Offers, is_kept, make_offers
@@ -56,8 +55,9 @@ from sato.reconfiguration.orbital_commitment import keep_previous, make_orbital_
 from sato.reconfiguration.plan import (
     Plan,
     Plans,
+    asks_for_changes,
     give_up_missed,
-    has_changed_network,
+    is_auction_due,
     is_planning_due,
     remaining_cost,
 )
@@ -114,12 +114,12 @@ class Decision(NamedTuple):
         """
         mission, memory, k = context.mission, context.memory, context.step_index
         plans = give_up_missed(mission, plans, context.state, k)
-        due = is_planning_due(mission, plans, memory, k, context.leg.steps)
+        own = mission, plans, memory, k, context.leg.steps
+        due, bids = is_planning_due(*own), is_auction_due(*own)
         step, target = (c[number].tolist() for c in (memory.claim_step, memory.claimed_target))
         claims = tuple((a, step[a], target[a]) for a in range(len(step)) if step[a] >= 0)
         clock = int(memory.clock[number])
-        bidders = int(memory.bidder_count[number])
-        hello = Hello(number, leg, bool(due[number]), joins, clock, bidders, claims)
+        hello = Hello(number, leg, bool(due[number]), bool(bids[number]), joins, clock, claims)
         stage = Census(CensusMessage(frozenset([hello])))
         return cls(number, context, plans, committed, np.full(len(due), spent), stage)
 
@@ -223,21 +223,27 @@ class Decision(NamedTuple):
         reports = sorted(census.message.reports)
         check_census(reports)
         has_joined = any(hello.joins for hello in reports)
-        bidders = np.array([hello.bidder_count for hello in reports])
-        is_due = any(hello.is_due for hello in reports)
-        is_due |= bool(has_changed_network(mission, bidders, len(reports)).any())
-        is_due &= k % mission.replan_steps == 0
+        is_new = asks_for_changes(mission) and has_changed_network(reports)
+        is_due = k % mission.replan_steps == 0 and (is_new or any(r.is_due for r in reports))
         if not (is_due or has_joined):
             return self._replace(is_finished=True)
         members = tuple(hello.agent for hello in reports)
         diameter = census.message.max_eccentricity
         heard_clock = min(hello.clock for hello in reports)
         decision = self._replace(members=members, diameter=diameter, heard_clock=heard_clock)
-        if not has_joined and k % mission.assignment_steps:
-            return decision._begin_exchange()
-        if mission.assignment == "given":
-            return decision._take_given(reports)._begin_exchange()
-        return decision._share_claims(reports)._announce_terms("first")
+        if has_joined or is_new or any(hello.bids for hello in reports):
+            if mission.assignment == "given":
+                return decision._take_given(reports)._begin_exchange()
+            return decision._share_claims(reports)._announce_terms("first")
+        return (
+            decision._keep_targets(reports) if mission.keeps_plans else decision
+        )._begin_exchange()
+
+    def _keep_targets(self, reports: list[Hello]) -> "Decision":
+        """Claim again the targets that all hold, as `keep_targets`."""
+        decision, i = self._share_claims(reports), self.number
+        target = decision.context.memory.claimed_target[i, list(self.members)]
+        return decision._claim(dict(zip(self.members, target.tolist(), strict=True)))
 
     def _take_given(self, reports: list[Hello]) -> "Decision":
         """Hold the target that is given, and reset the clock where it is out of reach."""
@@ -319,18 +325,22 @@ class Decision(NamedTuple):
 
     def _remember(self, bidder: VsdaaBidder, reports: Reports) -> "Decision":
         memory = self.context.memory
-        target, step = memory.claimed_target.copy(), memory.claim_step.copy()
-        for report in reports:
-            target[self.number, report.agent] = report.target_index
-            step[self.number, report.agent] = self.context.step_index
         memory = replace(
             memory,
-            target_index=np.full(len(target), bidder.target_index),
-            target_count=np.full(len(target), bidder.target_count),
-            bidder_count=np.full(len(target), bidder.bids.winner_count),
-            claimed_target=target,
-            claim_step=step,
+            target_index=np.full_like(memory.clock, bidder.target_index),
+            target_count=np.full_like(memory.clock, bidder.target_count),
+            bidder_count=np.full_like(memory.clock, bidder.bids.winner_count),
         )
+        decision = self._replace(context=self.context._replace(memory=memory))
+        return decision._claim({report.agent: report.target_index for report in reports})
+
+    def _claim(self, held: dict[int, int]) -> "Decision":
+        """Note the targets that all agents of the component hold now."""
+        memory = self.context.memory
+        target, step = memory.claimed_target.copy(), memory.claim_step.copy()
+        target[self.number, list(held)] = list(held.values())
+        step[self.number, list(held)] = self.context.step_index
+        memory = replace(memory, claimed_target=target, claim_step=step)
         return self._replace(context=self.context._replace(memory=memory))
 
     def _begin_exchange(self) -> "Decision":

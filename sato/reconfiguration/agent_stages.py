@@ -1,7 +1,6 @@
 """Stages of the decision of one agent: its messages and its memory in each."""
 
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -19,33 +18,6 @@ from sato.reconfiguration.orbital_commitment import give_up_unclear
 from sato.reconfiguration.plan import Plan
 from sato.reconfiguration.state import DecisionContext
 from sato.scp.planner import Planner, Priority, TrajectoryMessage, update_planner
-
-
-class Hello(NamedTuple):
-    """Report of an agent at the beginning of an instant."""
-
-    agent: int
-    leg: tuple[int, int]  # instant at which it began; checksum of targets, steps and mission
-    is_due: bool  # it plans again, if this is an instant to plan
-    joins: bool  # it calls for an auction at once
-    clock: int
-    bidder_count: int  # in its last auction
-    claims: tuple[tuple[int, int, int], ...]  # agent, step and target of each claim that it knows
-
-
-def check_census(reports: list[Hello]) -> None:
-    """Refuse a component that cannot decide together."""
-    first = reports[0]
-    for hello, other in pairwise(reports):
-        if hello.agent == other.agent:
-            raise ValueError(f"two agents have the number {hello.agent}: give each its own")
-    for hello in reports:
-        if hello.leg != first.leg:
-            raise ValueError(
-                f"agents {first.agent} and {hello.agent} hear each other and do not fly the same "
-                "leg of the same mission: give all agents the same targets and steps, between the "
-                "same two instants, and missions with the same plan, limits and radii"
-            )
 
 
 class AuctionTerms(NamedTuple):

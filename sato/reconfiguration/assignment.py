@@ -83,14 +83,14 @@ def assign_targets(
     solves = auction.solve_count
     counted = auction.outcome.bidder_count
     is_due = graph.alive & needs_reset(context.mission, memory, counted, auction.won_unreachable)
-    is_due = graph.component_max(is_due.astype(int)).astype(bool) & graph.alive
+    is_due = graph.component_any(is_due) & graph.alive
     if is_due.any():
         was_reset, cost = was_reset | is_due, np.where(is_due, np.inf, cost)
         memory = replace(memory, clock=set_back(context._replace(memory=memory), is_due))
         auction = run_auction(context._replace(memory=memory), cost)
         solves += auction.solve_count
     if auction.won_unreachable.any():
-        is_firm = graph.component_max(auction.won_unreachable.astype(int)).astype(bool)
+        is_firm = graph.component_any(auction.won_unreachable)
         auction = run_auction(context._replace(memory=memory), cost, is_firm)
         solves += auction.solve_count
     memory = _remember(context._replace(memory=memory), auction.outcome)
@@ -140,17 +140,30 @@ def share_claims(memory: AgentMemory, graph: CommunicationGraph) -> AgentMemory:
     return replace(memory, claimed_target=target, claim_step=step, clock=clock)
 
 
-def _remember(context: DecisionContext, auction: VsdaaResult) -> AgentMemory:
-    graph, memory, alive = context.graph, context.memory, context.graph.alive
+def keep_targets(context: DecisionContext) -> AgentMemory:
+    """Claim again, in every component, the targets that its agents hold."""
+    return _claim(context, share_claims(context.memory, context.graph))
+
+
+def _claim(context: DecisionContext, memory: AgentMemory) -> AgentMemory:
+    graph, alive = context.graph, context.graph.alive
     together = (graph.component[:, None] == graph.component) & alive[:, None] & alive
     return replace(
+        memory,
+        claimed_target=np.where(together, memory.target_index, memory.claimed_target),
+        claim_step=np.where(together, context.step_index, memory.claim_step),
+    )
+
+
+def _remember(context: DecisionContext, auction: VsdaaResult) -> AgentMemory:
+    memory, alive = context.memory, context.graph.alive
+    held = replace(
         memory,
         target_index=np.where(alive, auction.target_index, memory.target_index),
         target_count=np.where(alive, auction.target_count, memory.target_count),
         bidder_count=np.where(alive, auction.bidder_count, memory.bidder_count),
-        claimed_target=np.where(together, auction.target_index, memory.claimed_target),
-        claim_step=np.where(together, context.step_index, memory.claim_step),
     )
+    return _claim(context, held)
 
 
 def run_auction(

@@ -10,7 +10,7 @@ from problems.conic import TOLERANCE
 from problems.solvers.verified import VerifiedSolver
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration import estimator, planning, state
-from sato.reconfiguration.assignment import assign_targets
+from sato.reconfiguration.assignment import assign_targets, keep_targets
 from sato.reconfiguration.clock import announce_clock
 from sato.reconfiguration.commitment import commit
 from sato.reconfiguration.disturbances import disturb_control, draw_losses, measure
@@ -20,9 +20,11 @@ from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.orbital_commitment import commit_in_orbit
 from sato.reconfiguration.plan import (
     Plans,
+    asks_for_changes,
     compute_spent,
     give_up_missed,
     has_changed_network,
+    is_auction_due,
     is_planning_due,
     remaining_cost,
 )
@@ -163,14 +165,18 @@ class _Flight:
         if joined:
             beside = np.isin(graph.component, graph.component[joined]) | is_central
             decisions, graph = [(graph.subgraph(beside), True)], graph.subgraph(~beside)
-        due = is_planning_due(self.mission, self.plans, self.memory, k, self.leg.steps)
-        size = (graph.component[:, None] == graph.component).sum(axis=1)
-        due = due | has_changed_network(self.mission, self.memory.bidder_count, size)
-        is_due = graph.component_max(due.astype(int)).astype(bool)
-        graph = graph.subgraph(is_due | (is_central and bool(is_due[graph.alive].any())))
-        if k % self.mission.replan_steps == 0 and graph.alive.any():
-            decisions.append((graph, k % self.mission.assignment_steps == 0))
-        return decisions
+        if k % self.mission.replan_steps:
+            return decisions
+        own = self.mission, self.plans, self.memory, k, self.leg.steps
+        is_new = np.zeros(len(self.x), dtype=bool)
+        if asks_for_changes(self.mission):
+            together = graph.component[:, None] == graph.component
+            is_new = has_changed_network(self.memory.claim_step, together)
+        is_due = graph.component_any(is_planning_due(*own) | is_new)
+        is_due |= is_central and bool(is_due[graph.alive].any())
+        bids = graph.component_any(is_auction_due(*own) | is_new)
+        parts = (graph.subgraph(is_due & bids), True), (graph.subgraph(is_due & ~bids), False)
+        return [*decisions, *((part, bid) for part, bid in parts if part.alive.any())]
 
     def _decide(self, context: state.DecisionContext, bids: bool) -> None:
         solves, fallbacks = 0, np.array([own.fallback_count for own in self.solvers])
@@ -184,6 +190,8 @@ class _Flight:
                 self._note("reset", decision.was_reset)
             if moved.any():
                 self._note("assignment", moved, target=memory.target_index[moved].tolist())
+        elif self.mission.keeps_plans:
+            self.memory = keep_targets(context)
         heard, context = context.memory.clock, context._replace(memory=self.memory)
         planned, events = planning.plan_trajectories(context, self.spent, self.plans, solves, heard)
         if self.mission.is_point_mass:

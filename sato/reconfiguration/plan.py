@@ -61,18 +61,48 @@ def is_planning_due(
     return np.asarray(~is_kept)
 
 
-def has_changed_network(
-    mission: Reconfiguration, bidder_count: Int[Array, " agents"], size: Int[Array, " agents"] | int
+def is_auction_due(
+    mission: Reconfiguration, plans: Plans, memory: AgentMemory, k: int, steps: int
 ) -> Bool[Array, " agents"]:
-    """Find the agents that keep plans, and whose network is not the one that bid last.
+    """Find the agents that call for an auction when they plan again.
+
+    Where plans are kept, these are the agents without a plan to their targets. While all fly plans
+    of least fuel to targets that cost the least together, these targets go on to cost the least:
+    the cost of any other falls by no more than an agent spends.
 
     Args:
-        mission: Whether targets are assigned by auction, and plans kept.
-        bidder_count: Bidders in the last auction of each agent; 0 before the first.
-        size: Agents in the network of each.
+        mission: Whether targets are assigned by auction, how often, and whether plans are kept.
+        plans: Plans of the agents.
+        memory: Targets and clocks of the agents.
+        k: Steps since the start of the leg.
+        steps: Steps of the leg.
     """
-    is_asked = mission.keeps_plans and mission.assignment == "auction"
-    return np.asarray(is_asked & (bidder_count > 0) & (bidder_count != size))
+    if not asks_for_changes(mission):
+        return np.full(len(memory.clock), k % mission.assignment_steps == 0)
+    each = range(len(memory.clock))
+    return np.array([remaining_controls(plans, i, memory, k, steps) is None for i in each])
+
+
+def asks_for_changes(mission: Reconfiguration) -> bool:
+    """Tell whether agents bid again where their network is not the one that they decided in last.
+
+    They do where they keep plans; elsewhere they bid again soon.
+    """
+    return mission.keeps_plans and mission.assignment == "auction"
+
+
+def has_changed_network(
+    claim_step: Int[Array, "agents agents"], is_beside: Bool[Array, "agents agents"]
+) -> Bool[Array, " agents"]:
+    """Find the agents whose network is not the one that they decided in last.
+
+    Args:
+        claim_step: Step of the latest claim of each other, as each agent knows; −1 never.
+        is_beside: True for the others in the network of each, and for itself.
+    """
+    own = claim_step.diagonal()[:, None]
+    was_beside = claim_step == own  # all of a network claim in the same step
+    return np.asarray((own[:, 0] >= 0) & (was_beside != is_beside).any(axis=1))
 
 
 def _is_clear(mission: Reconfiguration, plan: Plan, k: int, left: int) -> bool:
