@@ -195,10 +195,10 @@ def enclosing_balls(
     paths: Float[Array, "k *points d"],
 ) -> tuple[Float[Array, "k d"], Float[Array, " k"]]:
     """Return the center and the radius of a ball about all points of each path [m]."""
-    points = paths.reshape(len(paths), -1, paths.shape[-1])
-    middle = points.mean(axis=1)
-    away = points - middle[:, None]  # of which NumPy's norm takes several times as long
-    return middle, np.sqrt(np.einsum("kpd,kpd->kp", away, away).max(axis=1))
+    axes = np.ascontiguousarray(paths.reshape(len(paths), -1, paths.shape[-1]).transpose(0, 2, 1))
+    middle = axes.mean(axis=2)
+    squares = ((axes - middle[..., None]) ** 2).sum(axis=1)
+    return middle, np.sqrt(squares.max(axis=1))
 
 
 def convexify(

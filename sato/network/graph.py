@@ -7,6 +7,7 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
+from scipy.spatial.distance import cdist
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +50,7 @@ class CommunicationGraph:
             raise ValueError(f"the communication radius must be positive, got {radius} m")
         adjacency = np.zeros((len(alive), len(alive)), dtype=bool)
         live = np.flatnonzero(alive)
-        apart = position[live, None, :] - position[None, live, :]
-        in_range = np.einsum("ijk,ijk->ij", apart, apart) <= radius**2
+        in_range = cdist(position[live], position[live], "sqeuclidean") <= radius**2
         np.fill_diagonal(in_range, False)
         adjacency[np.ix_(live, live)] = in_range
         return cls(adjacency, alive.copy())

@@ -89,16 +89,16 @@ def _list_controls(
     index = np.empty((len(plans), len(plan_steps)), dtype=int)
     is_begun = np.zeros(index.shape, dtype=bool)
     for row, (i, plan) in enumerate(plans.items()):
-        velocity = context.state[i, mission.axes :]
+        velocity, limit = context.state[i, mission.axes :], mission.planned_control_limit(i)
         index[row] = len(each)
         each.append(held_controls(mission, i, velocity, committed, context.instant))
         if not is_kept(context, plan):
-            rest = mission.planned_control_limit(i).cut(plan.controls_from(context.step_index))
+            rest = limit.cut(plan.controls_from(context.step_index))
             lengths = np.minimum(plan_steps[:-1], len(rest))
             is_begun[row, :-1] = lengths < _steps_within_reach(context, plan)
             begun, places = np.unique(lengths[is_begun[row, :-1]], return_inverse=True)
             index[row, is_begun[row]] = len(each) + places
-            each += [end_at_rest(mission, i, velocity, rest[:q]) for q in begun]
+            each += [end_at_rest(limit, velocity, rest[:q], mission.step) for q in begun]
         owner += [i] * (len(each) - len(owner))
     return each, owner, index, is_begun
 

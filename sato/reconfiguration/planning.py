@@ -188,12 +188,11 @@ def plan_alone(
                 is_delayed=rest is None and _count_failures(previous, i) > 0,
                 in_turn=mission.keeps_plans,
             )
-            if rest is not None:
+            if rest is not None and not mission.keeps_plans:
                 # Begin with the previous plan, where it kept clear of an agent by another way.
                 prior = transfer.simulate(solo.x[0], rest)
                 if np.abs(prior.x - solo.x).max() > relative * clearance:
-                    planner = planner.with_nominal(prior)
-                    planner = planner._replace(has_converged=planner.has_plan)
+                    planner = planner.with_nominal(prior)._replace(has_converged=False)
             planners[i] = planner
     return planners, unreachable, solve_count
 

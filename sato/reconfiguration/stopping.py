@@ -64,11 +64,10 @@ def stop_at_once(limit: Limit, velocity: Float[Array, " m"], h: float) -> Float[
 
 
 def end_at_rest(
-    mission: Reconfiguration, agent: int, velocity: Float[Array, " m"], u: Float[Array, "k m"]
+    limit: Limit, velocity: Float[Array, " m"], u: Float[Array, "k m"], h: float
 ) -> Float[Array, "T m"]:
-    """Return controls, and those that then stop the agent, from a velocity on."""
-    final = velocity + mission.step * u.sum(axis=0)
-    return np.vstack([u, stop_at_once(mission.planned_control_limit(agent), final, mission.step)])
+    """Return controls, and those that then stop a double integrator, from a velocity on."""
+    return np.concatenate([u, stop_at_once(limit, velocity + h * u.sum(axis=0), h)])
 
 
 def committed_controls(
@@ -93,8 +92,8 @@ def held_controls(
     """
     held = committed_controls(mission, agent, committed, instant)
     ends = int(np.flatnonzero(held.any(axis=1)).max(initial=-1)) + 1
-    u = end_at_rest(mission, agent, velocity, held[:ends])
-    return np.vstack([u, held[len(u) :]])
+    u = end_at_rest(mission.planned_control_limit(agent), velocity, held[:ends], mission.step)
+    return np.concatenate([u, held[len(u) :]])
 
 
 def pad_controls(each: Sequence[Float[Array, "_ m"]], steps: int) -> Float[Array, "each T m"]:
@@ -128,7 +127,8 @@ def stays_within_reach(
     """
     reach = longest_way(mission)
     # Most trajectories lie in a small box, or lead too far from where they begin.
-    size = np.linalg.norm(np.ptp(paths, axis=(-3, -2)), axis=-1)
+    axes = (paths[..., axis] for axis in range(paths.shape[-1]))  # each by itself is far faster
+    size = np.linalg.norm([np.ptp(own, axis=(-2, -1)) for own in axes], axis=0)
     ahead = paths - position[..., :1, None, :]
     away = np.sqrt(np.einsum("...d,...d->...", ahead, ahead).max(axis=(-2, -1)))
     within, is_open = np.asarray(size <= reach), np.asarray((size > reach) & (away <= reach))

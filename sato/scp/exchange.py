@@ -58,7 +58,9 @@ def run_batched(
         messages = {i: agent.message for i, agent in zip(ids, now, strict=True)} if acting else {}
         updated = run_round(graph, {ids[k]: now[k] for k in acting}, update_planner, messages)
         final = final | (~acts & ~waits)
-        now = [a._replace(is_final=True) if f else a for a, f in zip(now, final, strict=True)]
+        for k in np.flatnonzero(final).tolist():
+            if not now[k].is_final:
+                now[k] = now[k]._replace(is_final=True)
         moved = np.zeros(len(now), dtype=bool)
         for k in acting:
             after = updated[ids[k]]
