@@ -59,7 +59,8 @@ def bound_reach(
     """Return the pairs that may be within reach, and those that certainly are.
 
     The vehicles have equal limits. Where there are more than `MAX_SOLVED_PAIRS_TIMES_STEPS`,
-    bounds alone decide, and pairs that are possible count as certain.
+    bounds alone decide, and pairs that are possible count as certain. With given targets,
+    few pairs matter, and closed forms alone make one certain.
     """
     start, d, h, agent = departure.state, mission.axes, mission.step, int(departure.agents[0])
     control, speed = mission.planned_control_limit(agent), _speed_limit(mission, departure, factor)
@@ -83,20 +84,20 @@ def bound_reach(
 
     # The box of r = ∞ contains the balls of the other norms: out of its reach is out of theirs.
     possible = bounds(steps) <= factor * control.most * (1 + 1e-9)
-    if find_unmatched(possible).sum() > departure.spare:
+    if mission.is_point_mass and speed.most < inf:
+        # In continuous time, from rest or to rest at one end, or at speed at both.
+        at_full_speed, below = far / V + ends * V / (2 * most), np.sqrt(2 * ends * far / most)
+        least_time = np.where(2 * far * most >= ends * V**2, at_full_speed, below)
+        possible &= least_time <= steps * h * (1 + 1e-9)
+    if mission.assignment == "given" or find_unmatched(possible).sum() > departure.spare:
         return possible, np.zeros_like(possible)
     if possible.size * steps > MAX_SOLVED_PAIRS_TIMES_STEPS:
         return possible, possible
     model = discretize_zoh(mission.linear_model, h, steps, departure.time)
     transfer = TransferProblem(model, factor * control.bound, speed.bound, speed_norm=speed.norm)
     found = compute_transfer_costs(transfer, start, targets)
-    possible, sure = found.is_reachable.copy(), found.is_reachable & found.is_exact
-    if mission.is_point_mass and speed.most < inf:
-        # In continuous time, from rest or to rest at one end, or at speed at both.
-        at_full_speed, below = far / V + ends * V / (2 * most), np.sqrt(2 * ends * far / most)
-        least_time = np.where(2 * far * most >= ends * V**2, at_full_speed, below)
-        possible &= least_time <= steps * h * (1 + 1e-9)
-    return possible, sure & possible & (mission.control_norm == "inf")
+    possible &= found.is_reachable
+    return possible, possible & found.is_exact & (mission.control_norm == "inf")
 
 
 def bound_controls(
