@@ -177,6 +177,25 @@ def test_assigned_squared_distances_do_not_cross(rng):
 
 
 @all_models
+def test_targets_of_least_cost_keep_it_while_plans_are_flown(rng, steps, size, U):
+    # The cost of no target falls by more than its agent spends, that of its own by as much.
+    start, targets = random_states(rng, steps, size / 3, 6, 6)
+    costs = compute_transfer_costs(TransferProblem(steps, U), start, targets)
+    assert costs.is_reachable.all()
+    held = solve_assignment(costs.cost)
+    plans = [
+        TransferProblem(steps, U).solve(x, targets[j]) for x, j in zip(start, held, strict=True)
+    ]
+    for flown in (1, 5, 11):
+        later = np.array([plan.x[flown] for plan in plans])
+        left = compute_transfer_costs(TransferProblem(steps[flown:], U), later, targets)
+        spent = [steps.dt * np.abs(plan.u[:flown]).sum() for plan in plans]
+        assert (left.cost >= costs.cost - np.array(spent)[:, None] - 1e-6 * costs.cost).all()
+        best = left.cost[range(6), solve_assignment(left.cost)].sum()
+        assert left.cost[range(6), held].sum() == pytest.approx(best, rel=1e-6)
+
+
+@all_models
 def test_energy_is_that_of_the_least_squares_control(rng, steps, size, U):
     start, targets = random_states(rng, steps, size, 2, 2)
     E = compute_energies(steps, start, targets)

@@ -58,6 +58,19 @@ def test_reach_with_a_speed_limit_is_that_of_the_transfer_problem(norm, speed, o
     assert len(both) == 2
 
 
+@pytest.mark.parametrize("assignment", ["given", "auction"])
+def test_least_steps_of_many_in_motion_keep_the_speed_limit(assignment):
+    # Too many pairs for programs: 60 on a ring fly at its center, and on to the other side.
+    angle = 2 * np.pi * np.arange(60) / 60
+    unit = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    start, speed = np.hstack([20 * unit, -0.1 * unit]), 0.4
+    far = -20 * unit if assignment == "given" else -20 * unit + [60.0, 0.0]
+    leg, changes = Leg(far, "auto", time_factor=1.0), LIMITS | {"comm_radius": 200.0}
+    mission = make_mission(start, leg, assignment=assignment, **changes)
+    least = 40 if assignment == "given" else 20  # [m], of any of them
+    assert mission.legs[0].steps >= least / speed
+
+
 def test_later_legs_begin_at_the_targets_of_the_leg_before():
     legs = [Leg(row(2, y), "auto", time_factor=1.0) for y in (2.0, 20.0, 21.0)]
     drawn = make_mission(row(2, 0.0), *legs, **LIMITS)

@@ -10,9 +10,12 @@ from reconfiguration_runs import at_rest, fly, leg_to, make_mission, min_separat
 from dynamics import ClohessyWiltshire, DoubleIntegrator, LinearModel, discretize_zoh
 from problems.transfer import Trajectory, TransferProblem
 from sato.network.graph import CommunicationGraph
+from sato.reconfiguration import census, loop
+from sato.reconfiguration.assignment import assign_targets
+from sato.reconfiguration.census import Hello
 from sato.reconfiguration.leg import Join, Loss
 from sato.reconfiguration.loop import simulate
-from sato.reconfiguration.plan import Plan, give_up_missed
+from sato.reconfiguration.plan import Plan, give_up_missed, has_changed_network
 from sato.reconfiguration.planning import plan_trajectories
 from sato.reconfiguration.solo_trajectories import TIE_BREAK_RISE, solve_solo_transfers
 from sato.reconfiguration.state import AgentMemory, DecisionContext
@@ -326,6 +329,53 @@ def test_plan_is_kept_only_while_it_was_found_clear(hearing, foresight):
     assert is_clear or "slack" in event_kinds(frames)
     if hearing == 20 and foresight:
         assert is_clear and event_kinds(frames).count("replan") == 1
+
+
+def count_auctions(monkeypatch, mission):
+    """Return the numbers of decisions and of auctions in a flight."""
+    auctions = []
+
+    def assign(context, *known):
+        auctions.append(context.step_index)
+        return assign_targets(context, *known)
+
+    monkeypatch.setattr(loop, "assign_targets", assign)
+    frames = fly(mission)
+    assert_reached(mission, frames, 1e-6)
+    return event_kinds(frames).count("replan"), auctions
+
+
+def test_network_whose_plans_lead_to_targets_does_not_bid_again(monkeypatch):
+    mission = make_mission(row(9, 0.0), leg_to(at_rest(row(9, 4.0)), 40), max_speed=0.4)
+    decisions, auctions = count_auctions(monkeypatch, mission)
+    assert decisions > 3 and auctions == [0]
+
+
+def test_loss_in_a_network_that_keeps_its_plans_calls_for_an_auction(monkeypatch):
+    loss = Loss("agents", agents=(4,), at_step=9)
+    mission = make_mission(row(9, 0.0), leg_to(at_rest(row(9, 4.0)), 40, losses=loss))
+    period = mission.replan_steps
+    _, auctions = count_auctions(monkeypatch, mission)
+    assert auctions[:2] == [0, -(-9 // period) * period]
+
+
+def test_network_of_the_same_size_with_another_member_has_changed():
+    # 0 and 1 decided in step 6, and before that 1 and 2 in step 4.
+    claim_step = np.array([[6, 6, 4], [6, 6, 4], [-1, 4, 4]])
+    beside = np.array([[1, 1, 0], [1, 1, 0], [0, 0, 1]], dtype=bool)
+    np.testing.assert_array_equal(has_changed_network(claim_step, beside), [False, False, True])
+    exchanged = np.array([[1, 0, 1], [0, 1, 0], [1, 0, 1]], dtype=bool)
+    assert has_changed_network(claim_step, exchanged).all()
+    assert not has_changed_network(np.full((3, 3), -1), beside).any()
+    for changed, numbers in ((False, (0, 1)), (True, (0, 2)), (True, (1,)), (True, (0, 1, 2))):
+        hellos = [
+            Hello(i, (0, 0), False, False, False, 0, claims_of(claim_step[i])) for i in numbers
+        ]
+        assert census.has_changed_network(hellos) is changed
+
+
+def claims_of(step):
+    return tuple((a, k, a) for a, k in enumerate(step.tolist()) if k >= 0)
 
 
 @pytest.mark.parametrize("change", ["loss", "join"])

@@ -298,7 +298,7 @@ class Reconfiguration(PlannedLimits, Mission):
 
     @property
     def assignment_steps(self) -> int:
-        """Steps between decisions on targets and clocks: all that plan again, for kept plans."""
+        """Steps between decisions on targets and clocks; where plans are kept, at the shortest."""
         return self.replan_steps if self.keeps_plans else self.auction_steps
 
     @cached_property
