@@ -23,13 +23,13 @@ from problems.auction_cost import (
 from problems.transfer import TransferProblem
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.assignment import (
-    CostTable,
     assign_targets,
     compute_bid_costs,
     compute_epsilon,
     share_claims,
 )
 from sato.reconfiguration.state import AgentMemory, DecisionContext
+from sato.reconfiguration.target_costs import CostTable
 
 LIMITS = {
     "comm_radius": 100.0,

@@ -36,7 +36,7 @@ from sato.auctions.bidder import VsdaaBidder, WinningBids
 from sato.auctions.vsdaa import VsdaaAuction
 from sato.network.flooding import Census, CensusMessage, Flood, Reports
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration import assignment, commitment, planning, stopping
+from sato.reconfiguration import assignment, commitment, planning, stopping, target_costs
 from sato.reconfiguration.agent_stages import (
     AuctionTerms,
     Bidding,
@@ -83,7 +83,7 @@ class Decision(NamedTuple):
     members: tuple[int, ...] = ()  # numbers of the agents of its component
     heard_clock: int = 0  # the clock with the most time left among these
     attempt: Literal["first", "reset", "firm"] = "first"  # of the auction
-    table: assignment.CostTable | None = None  # of the auction
+    table: target_costs.CostTable | None = None  # of the auction
     planned_cost: Float[Array, " rows"] | None = None  # to the target that it holds
     previous: Plan | None = None  # in orbit: its plan before this decision
     is_unclear: bool = False  # in orbit: what it has committed to is not clear of others
@@ -285,13 +285,13 @@ class Decision(NamedTuple):
 
     def _announce_terms(self, attempt: Literal["first", "reset", "firm"]) -> "Decision":
         assert self.planned_cost is not None
-        table = assignment.compute_costs(self.context, self.planned_cost)
+        table = target_costs.compute_costs(self.context, self.planned_cost)
         return self._replace(attempt=attempt, table=table)._repeat_terms()
 
     def _repeat_terms(self) -> "Decision":
         assert self.table is not None
         m, i = int(self.context.memory.target_count[self.number]), self.number
-        terms = AuctionTerms(i, m, assignment.cost_range(self.table, i)[1])
+        terms = AuctionTerms(i, m, target_costs.cost_range(self.table, i)[1])
         return self._enter(Flood(len(self.members), self.diameter, frozenset([terms])))
 
     def _begin_auction(self, flood: Flood) -> "Decision":
@@ -313,9 +313,9 @@ class Decision(NamedTuple):
     def _after_auction(self, bidding: Bidding) -> "Decision":
         reports, won = bidding.flood.message, bidding.bidder.target_index
         if not all(report.is_exact for report in reports):
-            table = assignment.CostTable(*(part.copy() for part in bidding.table))
+            table = target_costs.CostTable(*(part.copy() for part in bidding.table))
             if not table.is_exact[self.number, won]:
-                assignment.refine_cost(self.context, table, self.number, won)
+                target_costs.refine_cost(self.context, table, self.number, won)
             return self._replace(table=table)._repeat_terms()
         if self.attempt == "first" and any(report.needs_reset for report in reports):
             return self._set_clock(0)._announce_terms("reset")

@@ -11,7 +11,7 @@ from problems import convexify
 from problems.convexify import AvoidanceHorizon
 from sato.auctions.bidder import VsdaaBidder, WinningBids
 from sato.network.flooding import Flood, Reports
-from sato.reconfiguration import assignment
+from sato.reconfiguration import assignment, target_costs
 from sato.reconfiguration.commitment import improve, next_choice
 from sato.reconfiguration.offers import Offers
 from sato.reconfiguration.orbital_commitment import give_up_unclear
@@ -51,7 +51,7 @@ class Bidding(NamedTuple):
     """Memory of an agent in an auction."""
 
     context: DecisionContext
-    table: assignment.CostTable
+    table: target_costs.CostTable
     bidder: VsdaaBidder
     flood: Flood
 

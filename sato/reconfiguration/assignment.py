@@ -1,4 +1,4 @@
-"""Assignment of targets: costs, claims, the auction, the clock [Morgan2016, Method 3, l. 3-13]."""
+"""Assignment of targets: claims, the auction, the clock [Morgan2016, Method 3, l. 3-13]."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,9 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from dynamics.discretize import DiscreteModel
 from dynamics.trajectory_geometry import min_distance
-from problems import auction_cost
 from sato.auctions import (
     VsdaaAuction,
     VsdaaResult,
@@ -24,6 +22,13 @@ from sato.reconfiguration.clock import set_back, wait
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.state import AgentMemory, DecisionContext
+from sato.reconfiguration.target_costs import (
+    CostTable,
+    bids_energy,
+    compute_costs,
+    cost_range,
+    refine_cost,
+)
 from sato.scenario.definition import is_auto
 
 RELATIVE_EPSILON = 0.01  # ε over the extent of the shape, where no tie-break gives a scale
@@ -46,14 +51,6 @@ class AuctionResult(NamedTuple):
     outcome: VsdaaResult
     won_unreachable: Bool[Array, " agents"]  # the agent won a target out of its reach
     solve_count: int
-
-
-class CostTable(NamedTuple):
-    """Costs of all targets for all agents, before the rules of bidding."""
-
-    cost: Float[Array, "agents targets"]  # [m]; where out of reach, the tie-break alone
-    is_reachable: Bool[Array, "agents targets"]
-    is_exact: Bool[Array, "agents targets"]  # else a lower bound, and perhaps out of reach
 
 
 def assign_targets(
@@ -204,7 +201,7 @@ def compute_epsilon(mission: Reconfiguration, leg: Leg) -> float:
     if mission.assignment == "given":
         return 1.0  # nobody bids, and an agent may know its own target alone
     position = leg.targets[:, : mission.axes]
-    weight = 1.0 if _bids_energy(mission) else mission.tie_break
+    weight = 1.0 if bids_energy(mission) else mission.tie_break
     if weight == 0:
         extent = float(np.linalg.norm(np.ptp(position, axis=0)))
         return RELATIVE_EPSILON * (extent if extent > 0 else 1.0)
@@ -227,12 +224,6 @@ def compute_bid_costs(
         firm = firm_penalty(ranges[is_near].tolist()) if is_own_firm else None
         bid[i] = apply_bidding_rules(table, memory, i, is_near, firm)
     return bid
-
-
-def cost_range(table: CostTable, i: int) -> tuple[float, float]:
-    """Compute the largest of an agent's costs within its reach, and less the smallest."""
-    cost = table.cost[i][table.is_reachable[i]]
-    return (float(cost.max()), float(cost.max() - cost.min())) if len(cost) else (0.0, 0.0)
 
 
 def firm_penalty(ranges: Sequence[float]) -> float:
@@ -289,98 +280,3 @@ def _claimed_by_absent(
     np.maximum.at(here, target[known & is_near], step[known & is_near])
     np.maximum.at(away, target[known & ~is_near], step[known & ~is_near])
     return away > here
-
-
-def compute_costs(context: DecisionContext, planned_cost: Float[Array, " agents"]) -> CostTable:
-    """Compute the costs of all agents that decide.
-
-    Args:
-        context: States and memory of the agents that decide.
-        planned_cost: Fuel or energy left in the plan to the target that each holds; infinite
-            without a plan.
-    """
-    mission, leg, memory = context.mission, context.leg, context.memory
-    shape = (len(context.state), len(leg.targets))
-    table = CostTable(np.zeros(shape), np.ones(shape, dtype=bool), np.ones(shape, dtype=bool))
-    for clock, agents in context.group_agents():
-        model, x = context.remaining_model(clock), context.state[agents]
-        for whole, part in zip(table, _costs_of(context, model, agents, x), strict=True):
-            whole[agents] = part
-    # A plan that was found stays feasible: where it is tight, rounding must not say otherwise.
-    for i in np.flatnonzero(np.isfinite(planned_cost)):
-        j = memory.target_index[i]
-        if not table.is_reachable[i, j]:
-            model, x = context.remaining_model(int(memory.clock[i])), context.state[[i]]
-            distance = auction_cost.compute_distances(model, x, leg.targets[[j]])[0, 0]
-            by_plan = _cost_scale(mission, leg, model) * planned_cost[i]
-            table.cost[i, j] += by_plan if mission.cost == "fuel" else distance
-            table.is_reachable[i, j] = table.is_exact[i, j] = True
-    return table
-
-
-def _costs_of(
-    context: DecisionContext,
-    model: DiscreteModel,
-    agents: Int[Array, " k"],
-    state: Float[Array, "k n"],
-) -> CostTable:
-    """Compute the costs for agents on one clock and with equal limits."""
-    mission, leg = context.mission, context.leg
-    d, tie = mission.axes, _tie_break(mission, leg, model, state)
-    if len(model) == 0:
-        error = np.abs(state[:, None] - leg.targets)
-        is_there = error[..., :d].max(axis=2) <= mission.position_tolerance
-        is_there &= error[..., d:].max(axis=2) <= mission.velocity_tolerance
-        return CostTable(tie, is_there, np.ones_like(is_there))
-    transfer = context.make_transfer(model, int(agents[0]))
-    found = auction_cost.compute_transfer_costs(
-        transfer, state, leg.targets, [context.solver_of(i) for i in agents.tolist()]
-    )
-    cost = _cost_scale(mission, leg, model) * found.cost
-    if mission.cost == "distance":
-        cost = auction_cost.compute_distances(model, state, leg.targets)
-    cost = np.where(found.is_reachable, cost, 0.0) + tie
-    return CostTable(cost, found.is_reachable, found.is_exact)
-
-
-def refine_cost(context: DecisionContext, table: CostTable, i: int, j: int) -> None:
-    """Make the cost of target j for agent i exact."""
-    mission, leg, x = context.mission, context.leg, context.state[i]
-    model = context.remaining_model(int(context.memory.clock[i]))
-    problem = context.make_transfer(model, i)
-    transfer = auction_cost.solve_transfer(problem, x, leg.targets[j], context.solver_of(i))
-    tie = _tie_break(mission, leg, model, x[None])[0, j]
-    table.is_exact[i, j], table.is_reachable[i, j] = True, transfer is not None
-    if transfer is None:
-        table.cost[i, j] = tie
-    elif mission.cost == "fuel":
-        table.cost[i, j] = _cost_scale(mission, leg, model) * problem.cost(transfer) + tie
-
-
-def _cost_scale(mission: Reconfiguration, leg: Leg, model: DiscreteModel) -> float:
-    # From rest to rest a meter on one axis takes 2/τ of fuel: with this factor it costs 1.
-    # A double integrator spends 12 d²/τ³ of energy over d, which costs d².
-    if mission.objective == "energy":
-        return (len(model) * mission.step) ** 3 / 12
-    return leg.steps * mission.step / 2
-
-
-def _tie_break(
-    mission: Reconfiguration, leg: Leg, model: DiscreteModel, state: Float[Array, "k n"]
-) -> Float[Array, "k targets"]:
-    """Compute w times the squared distance, or in orbit the least control energy on its scale.
-
-    An energy, which is strictly convex, needs none [m].
-    """
-    if _bids_energy(mission) or (len(model) == 0 and not mission.is_point_mass):
-        return np.zeros((len(state), len(leg.targets)))
-    if mission.is_point_mass:
-        return mission.tie_break * auction_cost.compute_distances(model, state, leg.targets) ** 2
-    # From rest to rest over d a double integrator spends 12 d²/τ³.
-    duration = len(model) * mission.step
-    energy = auction_cost.compute_energies(model, state, leg.targets)
-    return mission.tie_break * (duration**3 / 12 * energy)
-
-
-def _bids_energy(mission: Reconfiguration) -> bool:
-    return mission.objective == "energy" and mission.cost != "distance"
