@@ -16,7 +16,7 @@ from sato.network.graph import CommunicationGraph
 from sato.reconfiguration import assignment, planning
 from sato.reconfiguration.agent_inputs import as_instant, as_state, check_agent, check_inbox
 from sato.reconfiguration.agent_stages import BiddingMessage, ExchangeMessage
-from sato.reconfiguration.loop import simulate
+from sato.reconfiguration.loop import _Flight, simulate
 from sato.scp import resolve_conflicts
 from sato.scp.exchange import run_batched
 
@@ -153,6 +153,23 @@ def test_agents_fly_as_the_loop_does(rng, draw):
             events = [(e["kind"], i) for i, agent in agents.items() for e in agent.events]
             assert sorted(events) == expected
     assert flown >= len(frames) - 1
+
+
+def test_agents_that_keep_their_targets_claim_them_again():
+    # Two networks; as vehicles hear no farther, they commit again every few steps.
+    start = np.vstack([row(4, 0.0), row(2, 7.0)])
+    leg = sato.Leg(listed(start + np.array([[1.0, 2.0]] * 4 + [[1.0, -1.0]] * 2)), 50)
+    mission = make_mission(start, leg, comm_radius=2.5, max_speed=0.2)
+    flight, renewed = _Flight(mission, np.random.default_rng(0)), set()
+    for _, (_, _, agents, _, _) in zip(flight.fly_leg(0), fly_by_messages(mission), strict=False):
+        for i, agent in agents.items():
+            own, memory = agent.memory.memory, flight.memory
+            heard = slice(own.claim_step.shape[1])
+            assert own.claim_step[i].tolist() == memory.claim_step[i, heard].tolist()
+            assert own.claimed_target[i].tolist() == memory.claimed_target[i, heard].tolist()
+            assert (memory.claim_step[i, own.claim_step.shape[1] :] == -1).all()
+        renewed.add(int(flight.memory.claim_step[0, 0]))
+    assert len(renewed) > 4
 
 
 def by_stage(rounds, agent, kind):

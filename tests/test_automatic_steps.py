@@ -71,6 +71,16 @@ def test_least_steps_of_many_in_motion_keep_the_speed_limit(assignment):
     assert mission.legs[0].steps >= least / speed
 
 
+def test_far_given_targets_of_many_in_motion_have_automatic_steps():
+    angle = 2 * np.pi * np.arange(300) / 300
+    unit = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    leg = Leg(60 * unit + [60.0, 0.0], "auto", time_factor=1.0)
+    changes = LIMITS | {"comm_radius": 400.0, "max_control": 0.1}
+    start = np.hstack([60 * unit, -0.1 * unit])
+    mission = make_mission(start, leg, assignment="given", **changes)
+    assert 60 / 0.4 <= mission.legs[0].steps <= 170
+
+
 def test_later_legs_begin_at_the_targets_of_the_leg_before():
     legs = [Leg(row(2, y), "auto", time_factor=1.0) for y in (2.0, 20.0, 21.0)]
     drawn = make_mission(row(2, 0.0), *legs, **LIMITS)

@@ -16,6 +16,7 @@ diameter; the agents know it, and each other's reports, from the first stage on.
     turns      committed trajectory             each cautious agent has had one   as many
 
 Nothing rests in orbit, where the choice is the last stage.
+Terms and auction are left out where plans are kept and no agent calls for an auction.
 The auction begins again from its terms where a winner's cost was only a lower bound, where the
 clock is reset, and where a target out of reach was won. An instant at which none of the component
 is due to plan ends with the census.
@@ -55,7 +56,7 @@ from sato.reconfiguration.orbital_commitment import keep_previous, make_orbital_
 from sato.reconfiguration.plan import (
     Plan,
     Plans,
-    asks_for_changes,
+    bids_on_change,
     give_up_missed,
     is_auction_due,
     is_planning_due,
@@ -115,11 +116,12 @@ class Decision(NamedTuple):
         mission, memory, k = context.mission, context.memory, context.step_index
         plans = give_up_missed(mission, plans, context.state, k)
         own = mission, plans, memory, k, context.leg.steps
-        due, bids = is_planning_due(*own), is_auction_due(*own)
+        due, auction_due = is_planning_due(*own), is_auction_due(*own)
         step, target = (c[number].tolist() for c in (memory.claim_step, memory.claimed_target))
         claims = tuple((a, step[a], target[a]) for a in range(len(step)) if step[a] >= 0)
         clock = int(memory.clock[number])
-        hello = Hello(number, leg, bool(due[number]), bool(bids[number]), joins, clock, claims)
+        is_due = bool(due[number]), bool(auction_due[number])
+        hello = Hello(number, leg, *is_due, joins, clock, claims)
         stage = Census(CensusMessage(frozenset([hello])))
         return cls(number, context, plans, committed, np.full(len(due), spent), stage)
 
@@ -222,28 +224,28 @@ class Decision(NamedTuple):
         mission, k = self.context.mission, self.context.step_index
         reports = sorted(census.message.reports)
         check_census(reports)
-        has_joined = any(hello.joins for hello in reports)
-        is_new = asks_for_changes(mission) and has_changed_network(reports)
-        is_due = k % mission.replan_steps == 0 and (is_new or any(r.is_due for r in reports))
-        if not (is_due or has_joined):
+        has_joined, is_new = any(hello.joins for hello in reports), False
+        if k % mission.replan_steps == 0:
+            is_new = bids_on_change(mission) and has_changed_network(reports)
+        elif not has_joined:
+            return self._replace(is_finished=True)
+        if not (has_joined or is_new or any(hello.is_due for hello in reports)):
             return self._replace(is_finished=True)
         members = tuple(hello.agent for hello in reports)
         diameter = census.message.max_eccentricity
         heard_clock = min(hello.clock for hello in reports)
         decision = self._replace(members=members, diameter=diameter, heard_clock=heard_clock)
-        if has_joined or is_new or any(hello.bids for hello in reports):
-            if mission.assignment == "given":
-                return decision._take_given(reports)._begin_exchange()
-            return decision._share_claims(reports)._announce_terms("first")
-        return (
-            decision._keep_targets(reports) if mission.keeps_plans else decision
-        )._begin_exchange()
+        if not (has_joined or is_new or any(hello.is_auction_due for hello in reports)):
+            kept = decision._keep_targets() if bids_on_change(mission) else decision
+            return kept._begin_exchange()
+        if mission.assignment == "given":
+            return decision._take_given(reports)._begin_exchange()
+        return decision._share_claims(reports)._announce_terms("first")
 
-    def _keep_targets(self, reports: list[Hello]) -> "Decision":
+    def _keep_targets(self) -> "Decision":
         """Claim again the targets that all hold, as `keep_targets`."""
-        decision, i = self._share_claims(reports), self.number
-        target = decision.context.memory.claimed_target[i, list(self.members)]
-        return decision._claim(dict(zip(self.members, target.tolist(), strict=True)))
+        target = self.context.memory.claimed_target[self.number, list(self.members)]
+        return self._claim(dict(zip(self.members, target.tolist(), strict=True)))
 
     def _take_given(self, reports: list[Hello]) -> "Decision":
         """Hold the target that is given, and reset the clock where it is out of reach."""

@@ -138,8 +138,8 @@ def share_claims(memory: AgentMemory, graph: CommunicationGraph) -> AgentMemory:
 
 
 def keep_targets(context: DecisionContext) -> AgentMemory:
-    """Claim again, in every component, the targets that its agents hold."""
-    return _claim(context, share_claims(context.memory, context.graph))
+    """Claim again, in components that have not changed, the targets that their agents hold."""
+    return _claim(context, context.memory)
 
 
 def _claim(context: DecisionContext, memory: AgentMemory) -> AgentMemory:

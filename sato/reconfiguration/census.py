@@ -10,10 +10,15 @@ class Hello(NamedTuple):
     agent: int
     leg: tuple[int, int]  # instant at which it began; checksum of targets, steps and mission
     is_due: bool  # it plans again, if this is an instant to plan
-    bids: bool  # it calls for an auction, if this is an instant to plan
+    is_auction_due: bool  # it calls for an auction, if this is an instant to plan
     joins: bool  # it calls for an auction at once
     clock: int
     claims: tuple[tuple[int, int, int], ...]  # agent, step and target of each claim that it knows
+
+    @property
+    def claim_step(self) -> int:
+        """Step of its own latest claim; −1 never."""
+        return next((step for agent, step, _ in self.claims if agent == self.agent), -1)
 
 
 def check_census(reports: list[Hello]) -> None:
@@ -32,11 +37,9 @@ def check_census(reports: list[Hello]) -> None:
 
 
 def has_changed_network(reports: list[Hello]) -> bool:
-    """Tell whether an agent decided among others before, as `plan.has_changed_network`."""
-    members = {hello.agent for hello in reports}
-    for hello in reports:
-        step = {agent: at_step for agent, at_step, _ in hello.claims}
-        own = step.get(hello.agent)
-        if own is not None and members != {agent for agent in step if step[agent] == own}:
-            return True
-    return False
+    """Tell whether the agents did not decide together last, as `plan.has_changed_network`."""
+    steps = {hello.claim_step for hello in reports}
+    if len(steps) > 1 or steps == {-1}:
+        return len(steps) > 1
+    together = {agent for agent, step, _ in reports[0].claims if step in steps}
+    return together != {hello.agent for hello in reports}

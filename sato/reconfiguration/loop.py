@@ -20,7 +20,7 @@ from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.orbital_commitment import commit_in_orbit
 from sato.reconfiguration.plan import (
     Plans,
-    asks_for_changes,
+    bids_on_change,
     compute_spent,
     give_up_missed,
     has_changed_network,
@@ -169,7 +169,7 @@ class _Flight:
             return decisions
         own = self.mission, self.plans, self.memory, k, self.leg.steps
         is_new = np.zeros(len(self.x), dtype=bool)
-        if asks_for_changes(self.mission):
+        if bids_on_change(self.mission):
             together = graph.component[:, None] == graph.component
             is_new = has_changed_network(self.memory.claim_step, together)
         is_due = graph.component_any(is_planning_due(*own) | is_new)
@@ -190,7 +190,7 @@ class _Flight:
                 self._note("reset", decision.was_reset)
             if moved.any():
                 self._note("assignment", moved, target=memory.target_index[moved].tolist())
-        elif self.mission.keeps_plans:
+        elif bids_on_change(self.mission):
             self.memory = keep_targets(context)
         heard, context = context.memory.clock, context._replace(memory=self.memory)
         planned, events = planning.plan_trajectories(context, self.spent, self.plans, solves, heard)

@@ -298,7 +298,7 @@ class Reconfiguration(PlannedLimits, Mission):
 
     @property
     def assignment_steps(self) -> int:
-        """Steps between decisions on targets and clocks; where plans are kept, at the shortest."""
+        """Steps between decisions on targets and clocks; the least between two, for kept plans."""
         return self.replan_steps if self.keeps_plans else self.auction_steps
 
     @cached_property

@@ -59,8 +59,8 @@ def bound_reach(
     """Return the pairs that may be within reach, and those that certainly are.
 
     The vehicles have equal limits. Where there are more than `MAX_SOLVED_PAIRS_TIMES_STEPS`,
-    bounds alone decide, and pairs that are possible count as certain. With given targets,
-    few pairs matter, and closed forms alone make one certain.
+    bounds alone decide, and pairs that are possible count as certain. Given targets of vehicles
+    in motion are left to single transfers.
     """
     start, d, h, agent = departure.state, mission.axes, mission.step, int(departure.agents[0])
     control, speed = mission.planned_control_limit(agent), _speed_limit(mission, departure, factor)

@@ -66,9 +66,8 @@ def is_auction_due(
 ) -> Bool[Array, " agents"]:
     """Find the agents that call for an auction when they plan again.
 
-    Where plans are kept, these are the agents without a plan to their targets. While all fly plans
-    of least fuel to targets that cost the least together, these targets go on to cost the least:
-    the cost of any other falls by no more than an agent spends.
+    Those without a plan to their targets, where plans are kept and targets are assigned by auction;
+    elsewhere all, every so many steps.
 
     Args:
         mission: Whether targets are assigned by auction, how often, and whether plans are kept.
@@ -77,17 +76,14 @@ def is_auction_due(
         k: Steps since the start of the leg.
         steps: Steps of the leg.
     """
-    if not asks_for_changes(mission):
+    if not bids_on_change(mission):
         return np.full(len(memory.clock), k % mission.assignment_steps == 0)
     each = range(len(memory.clock))
     return np.array([remaining_controls(plans, i, memory, k, steps) is None for i in each])
 
 
-def asks_for_changes(mission: Reconfiguration) -> bool:
-    """Tell whether agents bid again where their network is not the one that they decided in last.
-
-    They do where they keep plans; elsewhere they bid again soon.
-    """
+def bids_on_change(mission: Reconfiguration) -> bool:
+    """Tell whether agents bid only where it is called for, or where their network has changed."""
     return mission.keeps_plans and mission.assignment == "auction"
 
 

@@ -54,7 +54,7 @@ def _check_leg(
     fault = find_stranded(mission, departure, targets, steps, room)
     if fault is None:
         return
-    longest = min(MAX_TIME_FACTOR * steps, _longest(departure, targets))
+    longest = min(MAX_TIME_FACTOR * steps, _longest(mission, departure, targets))
     bounds = cache(lambda steps: bound_controls(mission, departure, targets, steps))
 
     def is_enough(steps: float, factor: float = 1.0) -> bool:
@@ -101,7 +101,7 @@ def find_least_steps(
         targets = targets_after(int(steps))
         return find_stranded(mission, departure, targets, int(steps)) is None
 
-    longest = _longest(departure, targets_after(1))
+    longest = _longest(mission, departure, targets_after(1))
     least = 1 if is_enough(1) else _find_least(is_enough, 1, longest)
     if least is None:
         reason = f"no time of up to {longest} steps is enough for all to reach targets"
@@ -109,19 +109,22 @@ def find_least_steps(
     return int(least)
 
 
-def _longest(departure: Departure, targets: Float[Array, "targets n"]) -> int:
-    return MAX_PAIRS_TIMES_STEPS // max(1, len(departure.agents) * len(targets))
+def _longest(
+    mission: "Reconfiguration", departure: Departure, targets: Float[Array, "targets n"]
+) -> int:
+    each = 1 if mission.assignment == "given" else len(targets)
+    return MAX_PAIRS_TIMES_STEPS // max(1, len(departure.agents) * each)
 
 
 def _find_least(
     does: Callable[[float], bool], low: float, most: float, precision: float | None = None
 ) -> float | None:
     # The least value above one that does not do: a whole number, or with a relative precision.
-    high = 2 * low
+    high = min(2 * low, most)
     while not does(high):
-        low, high = high, 2 * high
-        if high > most:
+        if high >= most:
             return None
+        low, high = high, min(2 * high, most)
     while high - low > 1 if precision is None else high > low * precision:
         middle = (low + high) // 2 if precision is None else (low * high) ** 0.5
         low, high = (low, middle) if does(middle) else (middle, high)
@@ -182,6 +185,8 @@ def find_stranded(
                 one = select(departure, np.array([i]))
                 possible[i, j] = sure[i, j] = can_transfer(mission, one, targets[j], steps, factor)
                 solves += 1
+                if not possible[i].any():
+                    break
 
 
 def _take(bounds: Callable[[int], Array], rows: Int[Array, " k"], steps: int) -> Array:
