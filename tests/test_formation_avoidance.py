@@ -7,9 +7,10 @@ from hypothesis import strategies as st
 
 from sato.formation import avoidance
 from sato.formation.avoidance import avoid_collisions, limit_approach
+from sato.formation.sectors import leave_sectors
 from sato.formation.settings import CollisionAvoidance
 
-KEEP_OUT = 1.2
+KEEP_OUT, MAX_SPEED = 1.2, 0.5
 OURS = CollisionAvoidance()
 LEGACY = CollisionAvoidance(avoidance_range=1.5, legacy=True)
 FAULTY = LEGACY._replace(unwrapped_angles=True)
@@ -17,11 +18,20 @@ SEEDS = st.integers(0, 2**32 - 1)
 MANY = settings(max_examples=200)
 
 
-def avoided(u, others, rules):
+def avoided(u, others, rules, v=(0.0, 0.0), velocities=0.0):
     """Return the velocity after avoidance, and whether it was changed."""
-    v, others = np.array([*u, 0.1]), np.asarray(others, dtype=float)
-    changed = avoid_collisions(v, others, len(others), KEEP_OUT, rules, np.zeros(20), np.zeros(20))
-    return v[:2], bool(changed)
+    w, others = np.array([*u, 0.1]), np.asarray(others, dtype=float)
+    seen = np.hstack([others, np.broadcast_to(velocities, others.shape)])
+    own = seen, len(seen), KEEP_OUT, rules
+    if rules.legacy:
+        changed = leave_sectors(w, *own, planes())
+    else:
+        changed = avoid_collisions(w, np.array(v, dtype=float), *own, MAX_SPEED, planes())
+    return w[:2], bool(changed)
+
+
+def planes():
+    return np.zeros((50, 3))
 
 
 def max_approach_speed(distance):
@@ -30,7 +40,7 @@ def max_approach_speed(distance):
 
 def limited(u, others, rules=OURS):
     v = np.array(u, dtype=float)
-    limit_approach(v, others, len(others), KEEP_OUT, rules)
+    limit_approach(v, others, len(others), KEEP_OUT, rules, planes())
     return v
 
 
@@ -153,9 +163,11 @@ def test_no_agent_is_approached_too_fast_where_that_is_possible(seed):
     u, others = random_others(seed)
     normals, most = bounds(others)
     assume(nearest_of_all(u, normals, most) is not None)
-    v, changed = avoided(u, others, OURS)
+    rng = np.random.default_rng(seed)
+    flown, velocities = rng.uniform(-0.5, 0.5, 2), rng.uniform(-0.5, 0.5, others.shape)
+    v, changed = avoided(u, others, OURS, flown, velocities)
     assert np.all(normals @ v <= most + 1e-8)
-    assert changed == bool(np.any(normals @ u > most + 1e-12))
+    assert changed == (v.tolist() != u.tolist())
 
 
 @given(SEEDS)
@@ -167,15 +179,51 @@ def test_between_agents_too_close_none_is_approached(seed):
 
 
 def test_agents_out_of_range_change_nothing():
-    for rules in (OURS, LEGACY):
-        v, changed = avoided([0.3, 0.1], np.array([[rules.avoidance_range + 0.01, 0.0]]), rules)
-        assert not changed and v.tolist() == [0.3, 0.1]
+    far = np.array([[OURS.avoidance_range + 0.01, 0.0]])
+    assert limited([0.3, 0.1], far).tolist() == [0.3, 0.1]
+    assert avoided([0.3, 0.1], far, LEGACY) == (pytest.approx([0.3, 0.1]), False)
 
 
-def test_of_two_equal_turns_the_right_one_is_taken():
-    v, changed = avoided([0.5, 0.0], [[1.3, 0.0]], OURS)
-    assert changed and v[1] < 0
-    assert np.linalg.norm(v) == pytest.approx(0.5)
+def least_distance(p, w, horizon):
+    """Least distance of two within a time, one at p that is approached with a velocity w."""
+    t = np.clip(p @ w / max(w @ w, 1e-300), 0.0, horizon)
+    return np.linalg.norm(p - w * t)
+
+
+def shared(p, v, other, horizon=8.0, radius=1.25):
+    """Normal n and bound b of the velocities n·u ≤ b of one of two agents."""
+    plane = np.zeros(3)
+    avoidance._share_avoidance(np.array(v), np.array([*p, *other]), radius, horizon, plane)
+    return plane[:2], plane[2]
+
+
+@MANY
+@given(SEEDS)
+def test_two_that_share_the_avoidance_keep_clear_for_its_time(seed):
+    rng = np.random.default_rng(seed)
+    p, v, other = rng.uniform(-4, 4, 2), *rng.uniform(-0.5, 0.5, (2, 2))
+    assume(np.linalg.norm(p) > 1.26)
+    (n, b), (m, c) = shared(p, v, other), shared(-p, other, v)
+    one, two = rng.uniform(-0.6, 0.6, (2, 2))
+    one -= max(n @ one - b, 0.0) * n  # projected onto what each may fly
+    two -= max(m @ two - c, 0.0) * m
+    assert least_distance(p, one - two, 8.0) >= 1.25 - 1e-9
+    # Each does no more than half: together they just pass.
+    both = v - other - 2 * (n @ v - b) * n
+    assert n == pytest.approx(-m) and least_distance(p, both, 8.0) == pytest.approx(1.25)
+
+
+def test_command_that_passes_all_others_is_flown():
+    p, v, other = np.array([[2.5, 0.0]]), np.array([0.4, 0.0]), np.array([0.45, 0.0])
+    assert avoided(v, p, OURS, v, other) == (pytest.approx(v), False)  # they fly ahead, and faster
+    assert avoided(v, p, OURS, v, -other)[1]
+
+
+def test_two_that_meet_head_on_turn_to_the_right_alike():
+    p, v = np.array([[2.5, 0.0]]), np.array([0.4, 0.0])
+    one, two = avoided(v, p, OURS, v, -v)[0], avoided(-v, -p, OURS, -v, v)[0]
+    assert one == pytest.approx(-two) and one[1] < -0.02
+    assert least_distance(p[0], one - two, 8.0) >= KEEP_OUT
 
 
 def test_agent_at_rest_too_close_to_another_separates():

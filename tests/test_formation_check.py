@@ -79,7 +79,6 @@ ALTERED = {
     "leg": ("leg_index", at(70, 1), "legs"),
     "all commands": ("velocity_command", lambda u: 9 + 0 * u, "legs"),
     "a command of NaN": ("velocity_command", at((70, 2, 1), np.nan), "numbers"),
-    "the avoidance": ("avoiding", lambda avoids: avoids | True, "legs"),
     "a point": ("point_index", at((70, 2), 1), "assignment"),
     "two points": ("point_index", swapped, "assignment"),
     "a point for two": ("point_index", lambda p: 0 * p, "points"),

@@ -1,45 +1,64 @@
-"""Collision avoidance of one agent: turn the velocity command, or stop.
+"""Collision avoidance of one agent: the closest velocity that lets all pass and stop in time.
 
-An agent senses those around it, relative to itself. Each of them forbids a sector of
-directions; of the directions that remain the closest is taken, if it is at most 90° from the
-command [Lusk2020, eq. 11].
+An agent senses those around it, relative to itself. Each of them makes two half-planes of its
+velocities. In one, it approaches no faster than both can brake, which keeps them apart. In the
+other, it does half of what keeps both clear for some time if they fly on, which lets them pass
+[vandenBerg2011].
 """
 
-from math import acos, asin, atan2, cos, pi, sin, sqrt
+from math import atan2, cos, pi, sin, sqrt
 
 import numba
 import numpy as np
 
+SPEED_SIDES = 8  # of the polygon of speeds
+SHORTEST_HORIZON = 0.25  # [s]
+
 
 @numba.njit(cache=True)
-def avoid_collisions(u, others, count, keep_out, rules, center, half):
-    """Turn a velocity, or stop it, so that it approaches no other agent too fast.
+def avoid_collisions(u, v, others, count, keep_out, rules, max_speed, planes):
+    """Replace a velocity by the closest one with which the agent passes all others.
+
+    Where others leave no such velocity, they are to be passed for a shorter time; where none is
+    left at all, the agent comes as near to standing still as it may. A command that has to change
+    is turned to the right first, so that two that meet head-on pass.
 
     Args:
-        u: Velocity, (3,), changed in place; its vertical part is left alone [m/s].
-        others: Relative positions of the others in the plane, (≥ count, 2) [m].
+        u: Wanted velocity, (≥ 2,), changed in place; its vertical part is left alone [m/s].
+        v: Velocity flown, (2,) [m/s].
+        others: Relative positions and velocities of the others, (≥ count, 4) [m, m/s].
         count: Number of others.
         keep_out: Least distance of two agents [m].
         rules: Numbers of the avoidance, a `CollisionAvoidance`.
-        center: Buffer for the centers of the sectors, (≥ count,).
-        half: Buffer for their half-angles, (≥ count,).
+        max_speed: Largest speed [m/s].
+        planes: Buffer for half-planes n·u ≤ b, (≥ 2 count + 8, 3).
 
     Returns:
         True where the velocity was changed.
     """
-    speed = sqrt(u[0] ** 2 + u[1] ** 2)
-    sectors = _forbidden_sectors(others, count, speed, keep_out, rules, center, half)
-    heading = atan2(u[1], u[0])
-    if not _is_forbidden(heading, center, half, sectors):
+    if count == 0:
         return False
-    turn = _smallest_turn(heading, center, half, sectors, rules)
-    if abs(turn) <= pi / 2 + 1e-9 and speed > 0:
-        u[0], u[1] = speed * cos(heading + turn), speed * sin(heading + turn)
-        return True
-    if rules.legacy:
-        u[:] = 0.0
-    else:
-        limit_approach(u, others, count, keep_out, rules)
+    _bound_approach(others, count, keep_out, rules, -np.inf, planes)
+    rows = 2 * count + SPEED_SIDES
+    horizon, bias = rules.horizon, rules.right_turn_bias
+    x, y = u[0], u[1]
+    heading = atan2(y, x) if x != 0 or y != 0 else atan2(others[0, 1], others[0, 0])
+    for k in range(SPEED_SIDES):
+        angle = heading + 2 * pi * k / SPEED_SIDES
+        planes[rows - 1 - k] = cos(angle), sin(angle), max_speed
+    while horizon >= SHORTEST_HORIZON:
+        for k in range(count):
+            _share_avoidance(v, others[k], keep_out + rules.margin, horizon, planes[count + k])
+        if horizon == rules.horizon:
+            if _holds(x, y, planes, rows):
+                return False
+            x, y = x * cos(bias) + y * sin(bias), y * cos(bias) - x * sin(bias)
+        u[0], u[1], found = _project(x, y, planes, rows)
+        if found:
+            return True
+        horizon /= 2
+    u[0] = u[1] = 0.0
+    limit_approach(u, others, count, keep_out, rules, planes)
     return True
 
 
@@ -56,59 +75,7 @@ def max_approach_speed(distance, keep_out, rules):
 
 
 @numba.njit(cache=True)
-def _forbidden_sectors(others, count, speed, keep_out, rules, center, half):
-    # Directions in which this speed approaches another agent faster than it can brake. In
-    # [Lusk2020]'s code: directions that pass within the keep-out distance of a body at rest.
-    sectors = 0
-    for k in range(count):
-        d = sqrt(others[k, 0] ** 2 + others[k, 1] ** 2)
-        allowed = max_approach_speed(d, keep_out, rules)
-        if d >= rules.avoidance_range or (allowed >= speed and not rules.legacy):
-            continue
-        center[sectors] = atan2(others[k, 1], others[k, 0])
-        if rules.legacy:
-            half[sectors] = asin(min(1.0, keep_out / d)) if d > 0 else pi / 2
-        else:
-            # A speed too small to separate as fast as required is forbidden in all directions.
-            half[sectors] = acos(allowed / speed) if allowed > -speed else 2 * pi
-        sectors += 1
-    return sectors
-
-
-@numba.njit(cache=True)
-def _wrap_angle(angle):
-    return (angle + pi) % (2 * pi) - pi
-
-
-@numba.njit(cache=True)
-def _is_forbidden(heading, center, half, sectors):
-    for k in range(sectors):
-        if abs(_wrap_angle(heading - center[k])) < half[k] - 1e-9:
-            return True
-    return False
-
-
-@numba.njit(cache=True)
-def _smallest_turn(heading, center, half, sectors, rules):
-    # Candidates are the edges of sectors that lie in no other sector; 2π where there is none.
-    best, least = 2 * pi, np.inf
-    for k in range(sectors):
-        for side in (-1, 1):
-            edge = _wrap_angle(center[k] + side * half[k])
-            turn = _wrap_angle(edge - heading)
-            too_far = not rules.legacy and abs(turn) > pi / 2
-            if too_far or _is_forbidden(edge, center, half, sectors):
-                continue
-            effort = abs(edge - heading) if rules.unwrapped_angles else abs(turn)
-            if not rules.legacy and turn > 0:
-                effort += rules.right_turn_bias
-            if effort < least:
-                best, least = turn, effort
-    return best
-
-
-@numba.njit(cache=True)
-def limit_approach(u, others, count, keep_out, rules):
+def limit_approach(u, others, count, keep_out, rules, planes):
     """Project a velocity onto those that approach no other agent too fast.
 
     Each of the others bounds the speed towards it, which makes a half-plane of velocities; the
@@ -118,35 +85,87 @@ def limit_approach(u, others, count, keep_out, rules):
 
     Args:
         u: Velocity, (≥ 2,), changed in place; its vertical part is left alone [m/s].
-        others: Relative positions of the others in the plane, (≥ count, 2) [m].
+        others: Relative positions of the others in the plane, (≥ count, ≥ 2) [m].
         count: Number of others.
         keep_out: Least distance of two agents [m].
         rules: Numbers of the avoidance, a `CollisionAvoidance`.
+        planes: Buffer for half-planes, (≥ count, 3).
 
     Returns:
         True where the velocity was changed.
     """
-    x, y, found = _project_velocity(u[0], u[1], others, count, keep_out, rules, -np.inf)
+    _bound_approach(others, count, keep_out, rules, -np.inf, planes)
+    x, y, found = _project(u[0], u[1], planes, count)
     if not found:
-        x, y, _ = _project_velocity(u[0], u[1], others, count, keep_out, rules, 0.0)
+        _bound_approach(others, count, keep_out, rules, 0.0, planes)
+        x, y, _ = _project(u[0], u[1], planes, count)
     changed = x != u[0] or y != u[1]
     u[0], u[1] = x, y
     return changed
 
 
 @numba.njit(cache=True)
-def _project_velocity(u_x, u_y, others, count, keep_out, rules, least):
+def _bound_approach(others, count, keep_out, rules, least, planes):
+    # Directions towards the others, and the largest speed in each.
+    for k in range(count):
+        x, y = others[k, 0], others[k, 1]
+        d = sqrt(x**2 + y**2)
+        if 0 < d < rules.avoidance_range:
+            planes[k] = x / d, y / d, max(least, max_approach_speed(d, keep_out, rules))
+        else:
+            planes[k] = 1.0, 0.0, np.inf
+
+
+@numba.njit(cache=True)
+def _share_avoidance(v, other, radius, horizon, plane):
+    """Make the half-plane of velocities that do half of what avoids another in some time.
+
+    Relative velocities that lead within the radius make a cone, cut off by the circle of those
+    that only do so later. The nearest point of its boundary says how the relative velocity has to
+    change, and each of the two changes by half.
+    """
+    x, y = other[0], other[1]
+    w_x, w_y = v[0] - other[2], v[1] - other[3]  # relative velocity of approach
+    c_x, c_y = w_x - x / horizon, w_y - y / horizon
+    square, size = x**2 + y**2, sqrt(c_x**2 + c_y**2)
+    along = c_x * x + c_y * y
+    if square <= radius**2:  # too near to pass: braking alone counts
+        plane[0], plane[1], plane[2] = 1.0, 0.0, np.inf
+        return
+    if along < 0 and along**2 > (radius * size) ** 2:
+        n_x, n_y = c_x / size, c_y / size
+        change = radius / horizon - size
+    else:
+        leg = sqrt(square - radius**2)
+        side = 1.0 if x * c_y - y * c_x > 0 else -1.0
+        n_x = -side * (y * leg + side * x * radius) / square
+        n_y = side * (x * leg - side * y * radius) / square
+        change = -(w_x * n_x + w_y * n_y)
+    plane[0], plane[1] = -n_x, -n_y
+    plane[2] = -(n_x * v[0] + n_y * v[1] + change / 2)
+
+
+@numba.njit(cache=True)
+def _holds(x, y, planes, rows):
+    for k in range(rows):
+        if planes[k, 0] * x + planes[k, 1] * y > planes[k, 2] + 1e-12:
+            return False
+    return True
+
+
+@numba.njit(cache=True)
+def _project(u_x, u_y, planes, rows):
     # Returns the closest velocity in the half-planes, and whether there is one. Half-planes
     # are added one by one: where the closest velocity so far is outside the next one, the new
     # closest lies on its edge, in the interval that the earlier ones leave there.
     x, y = u_x, u_y
-    for k in range(count):
-        n_x, n_y, bound = _approach_half_plane(others[k], keep_out, rules, least)
+    for k in range(rows):
+        n_x, n_y, bound = planes[k]
         if x * n_x + y * n_y <= bound:
             continue
         low, high = -np.inf, np.inf
         for i in range(k):
-            m_x, m_y, limit = _approach_half_plane(others[i], keep_out, rules, least)
+            m_x, m_y, limit = planes[i]
             across = m_y * n_x - m_x * n_y
             room = limit - bound * (m_x * n_x + m_y * n_y)
             if across > 1e-12:
@@ -160,12 +179,3 @@ def _project_velocity(u_x, u_y, others, count, keep_out, rules, least):
         along = min(max(u_y * n_x - u_x * n_y, low), high)
         x, y = bound * n_x - along * n_y, bound * n_y + along * n_x
     return x, y, True
-
-
-@numba.njit(cache=True)
-def _approach_half_plane(other, keep_out, rules, least):
-    # Direction towards another agent, and the largest speed in it.
-    d = sqrt(other[0] ** 2 + other[1] ** 2)
-    if not 0 < d < rules.avoidance_range:
-        return 1.0, 0.0, np.inf
-    return other[0] / d, other[1] / d, max(least, max_approach_speed(d, keep_out, rules))

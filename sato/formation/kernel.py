@@ -14,12 +14,12 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 from numpy import ndarray as Array
 
-from sato.formation.avoidance import avoid_collisions, limit_approach
+from sato.formation.avoidance import SPEED_SIDES, avoid_collisions, limit_approach
 from sato.formation.control_law import FormationData, compute_velocity_command
 from sato.formation.mission import Formation
+from sato.formation.sectors import leave_sectors
 from sato.formation.settings import CollisionAvoidance, ControlLaw, CoordinateFrames
-
-BLOCKED_SPEED_SHARE = 0.2  # of the largest speed: slower than this an agent counts as stopped
+from sato.formation.supervisor import BLOCKED_SPEED_SHARE
 
 
 class KernelParameters(NamedTuple):
@@ -38,6 +38,7 @@ class KernelParameters(NamedTuple):
     step: float  # of control [s]
 
     noise: float  # standard deviation of a measured coordinate [m]
+    track_gains: tuple[float, float]  # of position and of velocity, see `compute_track_gains`
     steps_per_message: int  # control steps between two position messages
     message_delay: int  # messages by which a message arrives late
     message_loss: float  # probability that a message is lost
@@ -51,10 +52,34 @@ class KernelParameters(NamedTuple):
             FormationData.from_gains(mission.gains[leg]),
             **same,
             noise=mission.frames.noise,
+            track_gains=compute_track_gains(
+                mission.frames.noise, mission.max_acceleration, mission.step
+            ),
             steps_per_message=max(1, round(1 / (radio.message_rate * mission.step))),
             message_delay=radio.delay_rounds,
             message_loss=radio.loss_probability,
         )
+
+
+def compute_track_gains(noise: float, acceleration: float, step: float) -> tuple[float, float]:
+    """Compute the gains of the steady Kalman filter of a motion at random accelerations.
+
+    The filter of [Kalata1984]: a position is predicted, and corrected by α of what the measurement
+    differs, the velocity by β of that over a step.
+
+    Args:
+        noise: Standard deviation of a measured coordinate [m].
+        acceleration: Standard deviation of an acceleration, held for a step [m/s²].
+        step: Time between two measurements [s].
+
+    Returns:
+        α and β; without noise, differences of positions.
+    """
+    if noise == 0:
+        return 1.0, 1.0
+    index = acceleration * step**2 / noise
+    root = (4 + index - (8 * index + index**2) ** 0.5) / 4
+    return 1 - root**2, 2 * (1 + root**2) - 4 * root
 
 
 class Roles(NamedTuple):
@@ -77,6 +102,7 @@ class FormationState(NamedTuple):
     sent: Float[Array, "ring agents 3"]  # last positions sent, each in the sender's frame [m]
     received: Float[Array, "agents agents 3"]  # [i, j]: last of j's to reach i; NaN none [m]
     velocity_command: Float[Array, "agents 3"]  # of the control law, in the own frame [m/s]
+    tracks: Float[Array, "agents agents 4"]  # [i, j]: j as i tracks it; NaN out of range [m, m/s]
     avoiding: Bool[Array, " agents"]
     blocked_time: Float[Array, " agents"]  # stopped so long; negative: still wanders so long [s]
     wander_direction: Complex[Array, " agents"]  # in the own frame
@@ -94,6 +120,7 @@ class FormationState(NamedTuple):
             sent=np.full((message_delay + 1, n, 3), np.nan),
             received=np.full((n, n, 3), np.nan),
             velocity_command=command,
+            tracks=np.full((n, n, 4), np.nan),
             avoiding=np.zeros(n, dtype=bool),
             blocked_time=np.zeros(n),
             wander_direction=np.ones(n, dtype=complex),
@@ -179,29 +206,72 @@ def _sense_nearby(i, state, swarm, others, rng):
 
 
 @numba.njit
-def _update_velocity(i, state, swarm, others, buffer, rng):
+def _track_nearby(i, v, state, swarm, others, rng):
+    """Track the agents within range of agent i, in its own frame, by positions that it measures.
+
+    Args:
+        i: The agent.
+        v: Its own velocity, in its own frame [m/s].
+        state: A `FormationState`, whose tracks are changed in place.
+        swarm: Constants, `KernelParameters`.
+        others: Filled with relative positions and velocities of those within range.
+        rng: Generator for noise.
+
+    Returns:
+        Number of agents within range.
+    """
+    frames, noise, count, h = swarm.coordinate_frames, swarm.noise, 0, swarm.step
+    reach, own = swarm.avoidance.avoidance_range, np.conj(frames.rotation[i])
+    on_position, on_velocity = swarm.track_gains
+    for j in range(len(state.position)):
+        x = state.position[j, 0] - state.position[i, 0]
+        y = state.position[j, 1] - state.position[i, 1]
+        track = state.tracks[i, j]
+        if j == i or x * x + y * y >= reach * reach:
+            track[0] = np.nan
+            continue
+        flat = own * complex(x, y)
+        is_new = np.isnan(track[0])
+        for a, measured in enumerate((flat.real, flat.imag)):
+            if noise > 0:
+                measured += noise * rng.standard_normal()
+            if is_new:
+                track[a], track[2 + a] = measured, 0.0
+                continue
+            predicted = track[a] + h * (track[2 + a] - v[a])
+            track[a] = predicted + on_position * (measured - predicted)
+            track[2 + a] += on_velocity / h * (measured - predicted)
+        others[count] = track
+        count += 1
+    return count
+
+
+@numba.njit
+def _update_velocity(i, state, swarm, others, planes, rng):
     # Limits of speed, then avoidance, then limits of acceleration.
     rules, keep_out = swarm.avoidance, swarm.keep_out
     heading = swarm.coordinate_frames.rotation[i]
     u = state.velocity_command[i].copy()
     _clip_speed(u, swarm.max_speed)
     u[2] = min(max(u[2], -swarm.max_climb), swarm.max_climb)
-    wanders = not rules.legacy and _wander(i, u, state, swarm, rng)
-    count = _sense_nearby(i, state, swarm, others, rng)
-    avoids = avoid_collisions(u, others, count, keep_out, rules, buffer[0], buffer[1])
-    state.avoiding[i] = avoids or wanders
     true = state.velocity[i]
     flat = np.conj(heading) * complex(true[0], true[1])
     v = np.array([flat.real, flat.imag])
     most = swarm.max_acceleration * swarm.step
     if rules.legacy:
+        count = _sense_nearby(i, state, swarm, others, rng)
+        state.avoiding[i] = leave_sectors(u, others, count, keep_out, rules, planes)
         for a in range(2):
             v[a] += min(max(u[a] - v[a], -most), most)
     else:
+        wanders = _wander(i, u, state, swarm, rng)
+        count = _track_nearby(i, v, state, swarm, others, rng)
+        own = v, others, count, keep_out, rules, swarm.max_speed, planes
+        state.avoiding[i] = avoid_collisions(u, *own) or wanders
         w = v.copy()
         _step_towards(w, u, most)
         # While the velocity turns, others must not be approached too fast either.
-        if limit_approach(w, others, count, keep_out, rules):
+        if limit_approach(w, others, count, keep_out, rules, planes):
             u[0], u[1] = w[0], w[1]
         _clip_speed(u, swarm.max_speed)  # also where an agent has to separate from others
         _step_towards(v, u, most)
@@ -225,7 +295,11 @@ def _wander(i, u, state, swarm, rng):
     stopped = state.avoiding[i] and commanded > BLOCKED_SPEED_SHARE * max_speed > flown
     state.blocked_time[i] = state.blocked_time[i] + step if stopped else 0.0
     if state.blocked_time[i] > swarm.avoidance.blocked_time:
-        angle = 2 * np.pi * rng.random()
+        away = complex(0.0, 0.0)  # from the middle of those that it tracks
+        for track in state.tracks[i]:
+            if not np.isnan(track[0]):
+                away -= complex(track[0], track[1])
+        angle = np.angle(away) + np.pi * (rng.random() - 0.5)
         state.wander_direction[i] = complex(np.cos(angle), np.sin(angle))
         state.blocked_time[i] = -swarm.avoidance.wander_time
     return False
@@ -262,7 +336,8 @@ def _compile_kernel(stamp: int) -> Any:
             rng: Generator for noise and lost messages.
         """
         n = len(state.position) if stamp >= 0 else 0
-        relative, others, buffer = np.zeros((n, 3)), np.zeros((n, 2)), np.zeros((2, n))
+        relative, others = np.zeros((n, 3)), np.zeros((n, 4))
+        planes = np.zeros((2 * n + SPEED_SIDES, 3))
         near = np.zeros(n, dtype=np.int64)
         formation, law, legacy = swarm.formation, swarm.control_law, swarm.avoidance.legacy
         for number in range(first, first + steps):
@@ -280,7 +355,7 @@ def _compile_kernel(stamp: int) -> Any:
                     k = _locate_neighbors(i, state, roles, swarm, relative, near)
                     compute_velocity_command(me, relative, near[:k], formation, law, legacy, u)
             for i in range(n):
-                _update_velocity(i, state, swarm, others, buffer, rng)
+                _update_velocity(i, state, swarm, others, planes, rng)
             v = state.velocity
             length = np.sqrt(v[:, 0] * v[:, 0] + v[:, 1] * v[:, 1] + v[:, 2] * v[:, 2])
             state.position[:] += v * swarm.step
@@ -290,6 +365,6 @@ def _compile_kernel(stamp: int) -> Any:
     return simulate_steps
 
 
-KERNEL_FILES = ("avoidance", "control_law", "kernel", "settings")
+KERNEL_FILES = ("avoidance", "control_law", "kernel", "sectors", "settings")
 _SOURCES = (Path(__file__).with_name(f"{name}.py").read_bytes() for name in KERNEL_FILES)
 simulate_steps = _compile_kernel(crc32(b"".join(_SOURCES)))

@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 from sato.formation.assignment import AssignmentResult, assign_points
 from sato.formation.kernel import FormationState, KernelParameters, Roles, simulate_steps
 from sato.formation.mission import Formation
-from sato.formation.supervisor import FlightCourse, Phase
+from sato.formation.supervisor import FlightCourse, Phase, find_blocked
 from sato.interfaces import Alive, Component, Events, Indices, Position, Time, Vectors, Velocity
 
 
@@ -82,7 +82,8 @@ class _Simulation(FlightCourse):
                 roles = roles._replace(commanded_agent=command.agent, operator_velocity=velocity)
         first = self.instant * steps
         simulate_steps(self.state, roles, self.parameters, first, steps, self.rng)
-        return self.state.velocity_command, self.state.avoiding.copy()
+        state = self.state
+        return state.velocity_command, find_blocked(self.mission, state.velocity, state.avoiding)
 
     def frames(self) -> Iterator[FormationFrame]:
         state, n = self.state, self.mission.agents

@@ -17,6 +17,7 @@ from sato.formation.mission import Formation
 from sato.formation.settings import SupervisorSettings
 
 TIME_TOLERANCE = 1e-9  # [s]
+BLOCKED_SPEED_SHARE = 0.2  # of the largest speed: slower than this an agent counts as stopped
 
 
 class Phase(Enum):
@@ -25,45 +26,65 @@ class Phase(Enum):
     WAITING = "waiting"  # for the first assignment
     FLYING = "flying"
     CONVERGED = "converged"  # all are slow, which has to last
-    GRIDLOCKED = "gridlocked"  # some agent does nothing but avoid others
+    GRIDLOCKED = "gridlocked"  # all agents that have to move are blocked
     COMPLETED = "completed"
     ABORTED = "given up"
+
+
+def find_blocked(
+    mission: Formation, velocity: Float[Array, "agents 3"], avoiding: Bool[Array, " agents"]
+) -> Bool[Array, " agents"]:
+    """Find the agents that others stop; in [Lusk2020]'s trials, all that avoid others.
+
+    Args:
+        mission: Largest speed, and the avoidance.
+        velocity: Velocities flown [m/s].
+        avoiding: True for agents that change their command to avoid others.
+    """
+    if mission.avoidance.legacy:
+        return avoiding.copy()
+    speed = np.hypot(velocity[:, 0], velocity[:, 1])
+    return np.asarray(avoiding & (speed < BLOCKED_SPEED_SHARE * mission.max_speed))
 
 
 class Supervisor:
     """Observer of a swarm that takes up one formation."""
 
-    def __init__(self, settings: SupervisorSettings, period: float) -> None:
+    def __init__(self, settings: SupervisorSettings, period: float, legacy: bool = False) -> None:
         """Begin in the phase of waiting.
 
         Args:
             settings: When a formation is converged, and a swarm gridlocked.
             period: Time between two observations [s].
+            legacy: True where one blocked agent makes a gridlock; else all that have to move.
         """
+        self._legacy = legacy
         self.phase, self.time_in_phase = Phase.WAITING, 0.0  # [s]
         self._settings, self._period = settings, period
         window = max(1, round(settings.averaging_window / period))
         self._speeds: deque[Array] = deque(maxlen=window)
-        self._avoiding: deque[Array] = deque(maxlen=window)
+        self._blocked: deque[Array] = deque(maxlen=window)
 
     def mark_assigned(self) -> None:
         """Note that every agent knows its point."""
         if self.phase is Phase.WAITING:
             self._enter(Phase.FLYING)
 
-    def observe(self, speed: Float[Array, " agents"], avoiding: Bool[Array, " agents"]) -> Phase:
+    def observe(self, speed: Float[Array, " agents"], blocked: Bool[Array, " agents"]) -> Phase:
         """Add an observation, and return the phase that it leads to.
 
         Args:
             speed: Speed that the control law commands each agent, before limits [m/s].
-            avoiding: True for agents that change their command to avoid others.
+            blocked: True for agents that others block, see `find_blocked`.
         """
         settings, phase = self._settings, self.phase
         self._speeds.append(speed)
-        self._avoiding.append(avoiding)
+        self._blocked.append(blocked)
         self.time_in_phase += self._period
-        is_slow = bool((np.mean(self._speeds, axis=0) < settings.convergence_speed).all())
-        is_stuck = bool((np.mean(self._avoiding, axis=0) > settings.gridlock_share).any())
+        is_blocked = np.mean(self._blocked, axis=0) > settings.gridlock_share
+        has_arrived = np.mean(self._speeds, axis=0) < settings.convergence_speed
+        is_slow = bool(has_arrived.all())
+        is_stuck = bool(is_blocked.any() if self._legacy else (is_blocked | has_arrived).all())
         if phase is Phase.CONVERGED:
             if not is_slow:
                 self._enter(Phase.FLYING)
@@ -106,7 +127,7 @@ class FlightCourse:
         """Let all agents take the points of the last auction."""
 
     def advance(self) -> tuple[Float[Array, "agents 3"], Bool[Array, " agents"]]:
-        """Fly to the next instant; return velocity commands, and who avoids others there."""
+        """Fly to the next instant; return velocity commands, and the agents that are blocked."""
         raise NotImplementedError
 
     @property
@@ -147,7 +168,8 @@ class FlightCourse:
 
     def _fly_leg(self) -> Iterator[tuple[dict[str, Any], ...]]:
         mission, settings = self.mission, self.mission.assignment
-        supervisor = Supervisor(mission.supervision, mission.frame_period)
+        legacy = mission.avoidance.legacy
+        supervisor = Supervisor(mission.supervision, mission.frame_period, legacy)
         # Time of the next auction, and when all will know the outcome of the last. Messages take
         # time: until then agents go on as before.
         due, known = self.time + settings.first_delay, np.inf
@@ -166,14 +188,14 @@ class FlightCourse:
                 self.assign()
                 supervisor.mark_assigned()
                 known = np.inf
-            command, avoiding = self.advance()
+            command, blocked = self.advance()
             self.instant += 1
             before = supervisor.phase
             speed = np.sqrt(np.einsum("ij,ij->i", command, command))
-            self.phase = supervisor.observe(speed, avoiding)
+            self.phase = supervisor.observe(speed, blocked)
             if self.phase is not before and Phase.GRIDLOCKED in (before, self.phase):
                 kind = "gridlock" if self.phase is Phase.GRIDLOCKED else "gridlock_end"
-                self.note(kind, np.flatnonzero(avoiding).tolist(), leg=self.leg)
+                self.note(kind, np.flatnonzero(blocked).tolist(), leg=self.leg)
             is_over = self.phase in (Phase.COMPLETED, Phase.ABORTED)
             is_over |= self.time >= mission.supervision.time_limit - TIME_TOLERANCE
             if is_over:

@@ -14,7 +14,7 @@ from sato.check import common
 from sato.formation.loop import FormationFrame
 from sato.formation.mission import Formation
 from sato.formation.record import GAIN_PARTS, FormationVariables
-from sato.formation.supervisor import FlightCourse, Phase
+from sato.formation.supervisor import FlightCourse, Phase, find_blocked
 from sato.record import RunRecord
 
 
@@ -104,7 +104,9 @@ class _RecordedCourse(FlightCourse):
 
     def advance(self) -> tuple[Array, Array]:
         k = min(self.instant + 1, len(self.frames.avoiding) - 1)
-        return self.frames.velocity_command[k], self.frames.avoiding[k]
+        frames = self.frames
+        blocked = find_blocked(self.mission, frames.velocity[k], frames.avoiding[k])
+        return frames.velocity_command[k], blocked
 
 
 def summarize(record: FormationRecord) -> dict[str, Any]:
