@@ -22,6 +22,9 @@ from sato.formation.settings import CollisionAvoidance, ControlLaw, CoordinateFr
 from sato.formation.supervisor import BLOCKED_SPEED_SHARE
 
 
+MAX_WANDERS = 8  # after which wandering takes no longer
+
+
 class KernelParameters(NamedTuple):
     """Constants of the flight to one formation."""
 
@@ -106,6 +109,7 @@ class FormationState(NamedTuple):
     avoiding: Bool[Array, " agents"]
     blocked_time: Float[Array, " agents"]  # stopped so long; negative: still wanders so long [s]
     wander_direction: Complex[Array, " agents"]  # in the own frame
+    wander_count: Int[Array, " agents"]  # times that the agent has wandered
 
     @classmethod
     def at_rest(cls, position: Float[Array, "agents 3"], message_delay: int) -> "FormationState":
@@ -124,6 +128,7 @@ class FormationState(NamedTuple):
             avoiding=np.zeros(n, dtype=bool),
             blocked_time=np.zeros(n),
             wander_direction=np.ones(n, dtype=complex),
+            wander_count=np.zeros(n, dtype=np.int64),
         )
 
 
@@ -299,9 +304,10 @@ def _wander(i, u, state, swarm, rng):
         for track in state.tracks[i]:
             if not np.isnan(track[0]):
                 away -= complex(track[0], track[1])
-        angle = np.angle(away) + np.pi * (rng.random() - 0.5)
+        angle = np.angle(away) + np.pi / 2 * (rng.random() - 0.5)
         state.wander_direction[i] = complex(np.cos(angle), np.sin(angle))
-        state.blocked_time[i] = -swarm.avoidance.wander_time
+        state.wander_count[i] = min(state.wander_count[i] + 1, MAX_WANDERS)
+        state.blocked_time[i] = -swarm.avoidance.wander_time * state.wander_count[i]
     return False
 
 

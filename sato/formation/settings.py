@@ -28,12 +28,14 @@ class CollisionAvoidance(NamedTuple):
     avoidance_range: Annotated[Length, Key("notice"), Positive, "range of the avoidance"] = 3.0
     margin: Annotated[Length, NotNegative, "distance kept beyond keep_out_m, for noise"] = 0.05
     braking: Annotated[Acceleration, Key("brake"), Positive, "assumed deceleration"] = 0.25
-    horizon: Annotated[Time, Key("ahead"), Positive, "time for which others are to be passed"] = 8.0
+    horizon: Annotated[Time, Key("ahead"), Positive, "time for which others are to be passed"] = 2.0
     right_turn_bias: Annotated[
         Angle, Key("aside"), NotNegative, "turn to the right of a command that has to change"
     ] = 0.2
-    blocked_time: Annotated[Time, Positive, "time for which a vehicle lets others stop it"] = 1.5
-    wander_time: Annotated[Time, Positive, "time of flight away from them then"] = 4.0
+    blocked_time: Annotated[Time, Positive, "time for which a vehicle lets others stop it"] = 3.0
+    wander_time: Annotated[
+        Time, Positive, "time of flight away from them then; longer each time"
+    ] = 4.0
     legacy: Annotated[
         bool, Key("legacy_avoidance"), "avoidance, limits and size control of the paper's code"
     ] = False
