@@ -223,7 +223,7 @@ def test_two_that_meet_head_on_turn_to_the_right_alike():
     p, v = np.array([[2.5, 0.0]]), np.array([0.4, 0.0])
     one, two = avoided(v, p, OURS, v, -v)[0], avoided(-v, -p, OURS, -v, v)[0]
     assert one == pytest.approx(-two) and one[1] < -0.02
-    assert least_distance(p[0], one - two, 8.0) >= KEEP_OUT
+    assert least_distance(p[0], one - two, OURS.horizon) >= KEEP_OUT
 
 
 def test_agent_at_rest_too_close_to_another_separates():

@@ -21,7 +21,6 @@ from sato.formation.sectors import leave_sectors
 from sato.formation.settings import CollisionAvoidance, ControlLaw, CoordinateFrames
 from sato.formation.supervisor import BLOCKED_SPEED_SHARE
 
-
 MAX_WANDERS = 8  # after which wandering takes no longer
 
 
