@@ -30,5 +30,5 @@ def fly(rng: np.random.Generator, agents: int, noise_m: float) -> dict[str, Any]
         ),
         seed=int(rng.integers(2**32)),
     )
-    names = "success", "min_separation_m", "time_s", "gridlocked_s", "path_m"
+    names = "success", "min_separation_m", "time_s", "path_m"
     return {name: flown.summary[name] for name in names}

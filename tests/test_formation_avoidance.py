@@ -213,6 +213,37 @@ def test_two_that_share_the_avoidance_keep_clear_for_its_time(seed):
     assert n == pytest.approx(-m) and least_distance(p, both, 8.0) == pytest.approx(1.25)
 
 
+def passing(u, v, others, velocities, horizon):
+    """Normals and bounds of all that a velocity has to keep: approach, passing, speed."""
+    normals, most = bounds(others)
+    shares = [shared(p, v, w, horizon) for p, w in zip(others, velocities, strict=True)]
+    sides = angle(u) + 2 * np.pi * np.arange(8) / 8
+    normals = [*normals, *(n for n, _ in shares), *np.stack([np.cos(sides), np.sin(sides)], axis=1)]
+    most = [*most, *(b for _, b in shares), *[MAX_SPEED] * 8]
+    kept = np.isfinite(most)
+    return np.array(normals)[kept], np.array(most)[kept]
+
+
+@settings(max_examples=60, deadline=None)
+@given(SEEDS)
+def test_velocity_is_the_nearest_with_which_all_are_passed_for_longest(seed):
+    u, others = random_others(seed, most=5)
+    near = np.linalg.norm(others, axis=1) < OURS.avoidance_range
+    assume(near.any())
+    others, rng = others[near], np.random.default_rng(seed)
+    v, velocities = rng.uniform(-0.4, 0.4, 2), rng.uniform(-0.4, 0.4, others.shape)
+    turned = np.array([[np.cos(0.2), np.sin(0.2)], [-np.sin(0.2), np.cos(0.2)]]) @ u
+    normals, most = passing(u, v, others, velocities, OURS.horizon)
+    expected = u if np.all(normals @ u <= most) else None
+    for halved in range(4):
+        if expected is None:
+            own = passing(u, v, others, velocities, OURS.horizon / 2**halved)
+            expected = nearest_of_all(turned, *own)
+    if expected is None:
+        expected = limited([0.0, 0.0], others)
+    assert avoided(u, others, OURS, v, velocities)[0] == pytest.approx(expected, abs=1e-6)
+
+
 def test_command_that_passes_all_others_is_flown():
     p, v, other = np.array([[2.5, 0.0]]), np.array([0.4, 0.0]), np.array([0.45, 0.0])
     assert avoided(v, p, OURS, v, other) == (pytest.approx(v), False)  # they fly ahead, and faster

@@ -275,6 +275,12 @@ def test_legacy_agents_that_meet_break_separation_alone():
     assert "1.2 m" in near.message
 
 
+def test_altered_avoidance_of_a_legacy_flight_breaks_its_gridlocks():
+    mission, frames = fly("legacy_avoidance=true", "assignment.kind=none", seed=1)
+    data = altered(dataset(mission, frames), "avoiding", lambda avoids: avoids | True)
+    assert "legs" in broken(data, mission)
+
+
 def test_saved_run_is_checked_from_its_own_scenario(tmp_path):
     run = sato.run(parse(FIVE), seed=2)
     assert run.check().kept and run.summary["success"]

@@ -318,9 +318,26 @@ def test_blocked_agent_wanders_for_a_while_in_one_direction():
     assert (speed[begins - waited + 1 : begins + 1] < slow).all()
     assert speed[blocked < 0].max() > slow  # perhaps not the first time
     assert (blocked[begins : ends - 1] < 0).all() and blocked[ends] == 0
-    # It flies in one direction, as far as the others allow, and keeps out of them.
+    # It flies in one direction, away from their middle, and keeps out of them.
+    away = -np.sum(states[begins].position[1:4, :2] - states[begins].position[0, :2], axis=0)
+    direction = states[begins].wander_direction[0]
+    assert abs(np.angle(direction / complex(*away))) <= np.pi / 4 + 0.01
     assert len({state.wander_direction[0] for state in states[begins:ends]}) == 1
     assert min(separations(state.position[:4]).min() for state in states) >= KEEP_OUT
+
+
+@pytest.mark.parametrize(("before", "times"), [(0, 1), (1, 2), (6, 7), (7, 8), (8, 8)])
+def test_agent_that_is_blocked_again_wanders_for_longer(before, times):
+    start = np.array([[0.0, 0, 1], [1.26, 0, 1], [0, 1.26, 1], [0, -1.26, 1]])
+    data, _ = towards(np.zeros((4, 3)))
+    state = FormationState.at_rest(np.concatenate([start, start + np.array([60.0, 0, 0])]), 0)
+    state.avoiding[0], state.blocked_time[0] = True, RULES.blocked_time
+    state.wander_count[0] = before
+    own_roles, rng = roles(active=np.arange(8) == 0), np.random.default_rng(0)
+    simulate_steps(state, own_roles, swarm(frames(), data), 0, 1, rng)
+    assert state.blocked_time[0] == pytest.approx(-times * RULES.wander_time)
+    state.begin_way(np.array([0]))
+    assert state.blocked_time[0] == state.wander_count[0] == 0
 
 
 def test_agent_that_never_wanders_stays_blocked():

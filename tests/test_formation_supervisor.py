@@ -5,8 +5,10 @@ from itertools import groupby
 import numpy as np
 import pytest
 
+from sato.formation.leg import FormationLeg
+from sato.formation.mission import Formation, legacy_formation
 from sato.formation.settings import SupervisorSettings
-from sato.formation.supervisor import Phase, Supervisor
+from sato.formation.supervisor import Phase, Supervisor, find_blocked
 
 SETTINGS = SupervisorSettings(
     convergence_speed=1.0,
@@ -70,6 +72,24 @@ def test_phases_follow_from_speeds_and_avoidance(case):
         phases += observe(supervisor, *part)
     found = [(phase.value, len(list(each))) for phase, each in groupby(phases)]
     assert ", ".join(f"{name} {count}" for name, count in found) == expected
+
+
+@pytest.mark.parametrize(("legacy", "expected"), [(True, "gridlocked"), (False, "flying")])
+def test_one_blocked_among_moving_agents_is_a_gridlock_as_printed_alone(legacy, expected):
+    supervisor = Supervisor(SETTINGS, PERIOD, legacy)
+    supervisor.mark_assigned()
+    assert observe(supervisor, 2, 5 * FAST, AVOIDING)[-1].value == expected
+    assert observe(supervisor, 1, 5 * FAST, ~FREE)[-1].value == "gridlocked"
+
+
+def test_blocked_agents_avoid_others_and_hardly_move():
+    points = np.array([[0.0, 0, 1], [3, 0, 1], [0, 3, 1], [3, 3, 1]])
+    ours = Formation(start=points, legs=[FormationLeg(points)])
+    velocity = np.array([[0.09, 0, 0.3], [0, 0.11, 0], [0.0, 0, 0], [0.09, 0, 0]])
+    avoiding = np.array([True, True, False, True])
+    assert find_blocked(ours, velocity, avoiding).tolist() == [True, False, False, True]
+    printed = legacy_formation(points, [FormationLeg(points)])
+    assert find_blocked(printed, velocity, avoiding).tolist() == avoiding.tolist()
 
 
 def test_convergence_is_of_the_mean_over_the_window():

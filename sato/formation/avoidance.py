@@ -12,7 +12,7 @@ import numba
 import numpy as np
 
 SPEED_SIDES = 8  # of the polygon of speeds
-SHORTEST_HORIZON = 0.25  # [s]
+HALVINGS = 3  # of the time for which others are to be passed
 
 
 @numba.njit(cache=True)
@@ -46,10 +46,10 @@ def avoid_collisions(u, v, others, count, keep_out, rules, max_speed, planes):
     for k in range(SPEED_SIDES):
         angle = heading + 2 * pi * k / SPEED_SIDES
         planes[rows - 1 - k] = cos(angle), sin(angle), max_speed
-    while horizon >= SHORTEST_HORIZON:
+    for halved in range(HALVINGS + 1):
         for k in range(count):
             _share_avoidance(v, others[k], keep_out + rules.margin, horizon, planes[count + k])
-        if horizon == rules.horizon:
+        if halved == 0:
             if _holds(x, y, planes, rows):
                 return False
             x, y = x * cos(bias) + y * sin(bias), y * cos(bias) - x * sin(bias)

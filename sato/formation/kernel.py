@@ -18,8 +18,12 @@ from sato.formation.avoidance import SPEED_SIDES, avoid_collisions, limit_approa
 from sato.formation.control_law import FormationData, compute_velocity_command
 from sato.formation.mission import Formation
 from sato.formation.sectors import leave_sectors
-from sato.formation.settings import CollisionAvoidance, ControlLaw, CoordinateFrames
-from sato.formation.supervisor import BLOCKED_SPEED_SHARE
+from sato.formation.settings import (
+    BLOCKED_SPEED_SHARE,
+    CollisionAvoidance,
+    ControlLaw,
+    CoordinateFrames,
+)
 
 MAX_WANDERS = 8  # after which wandering takes no longer
 
@@ -75,13 +79,13 @@ def compute_track_gains(noise: float, acceleration: float, step: float) -> tuple
         step: Time between two measurements [s].
 
     Returns:
-        α and β; without noise, differences of positions.
+        α and β, which is at most 1, as for differences of positions without noise.
     """
     if noise == 0:
         return 1.0, 1.0
     index = acceleration * step**2 / noise
     root = (4 + index - (8 * index + index**2) ** 0.5) / 4
-    return 1 - root**2, 2 * (1 + root**2) - 4 * root
+    return 1 - root**2, min(1.0, 2 * (1 + root**2) - 4 * root)
 
 
 class Roles(NamedTuple):
@@ -108,7 +112,7 @@ class FormationState(NamedTuple):
     avoiding: Bool[Array, " agents"]
     blocked_time: Float[Array, " agents"]  # stopped so long; negative: still wanders so long [s]
     wander_direction: Complex[Array, " agents"]  # in the own frame
-    wander_count: Int[Array, " agents"]  # times that the agent has wandered
+    wander_count: Int[Array, " agents"]  # times that the agent has wandered on its way
 
     @classmethod
     def at_rest(cls, position: Float[Array, "agents 3"], message_delay: int) -> "FormationState":
@@ -129,6 +133,10 @@ class FormationState(NamedTuple):
             wander_direction=np.ones(n, dtype=complex),
             wander_count=np.zeros(n, dtype=np.int64),
         )
+
+    def begin_way(self, agents: Int[Array, " k"]) -> None:
+        """Let agents forget that others have blocked them, as they hold other points now."""
+        self.blocked_time[agents], self.wander_count[agents] = 0.0, 0
 
 
 @numba.njit
@@ -355,6 +363,7 @@ def _compile_kernel(stamp: int) -> Any:
                 u[:] = 0.0
                 if i == roles.commanded_agent:
                     u[:] = roles.operator_velocity
+                    state.blocked_time[i] = 0.0  # it does not wander
                 elif roles.is_active[i]:
                     me = roles.assignment[i]
                     k = _locate_neighbors(i, state, roles, swarm, relative, near)

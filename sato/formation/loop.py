@@ -57,6 +57,7 @@ class _Simulation(FlightCourse):
         self.roles = Roles(points, holder, np.full(len(points), False), -1, np.zeros(3))
         self.parameters = KernelParameters.for_leg(self.mission, self.leg)
         self.auction_count = 0
+        self.state.begin_way(points)
 
     def hold_auction(self) -> int:
         self.outcome = assign_points(
@@ -71,6 +72,7 @@ class _Simulation(FlightCourse):
         if len(changed) or not self.roles.is_active.any():
             point = assignment.tolist()
             self.note("assignment", changed.tolist(), point=point, rounds=rounds)
+        self.state.begin_way(changed)
         is_active = np.full(len(assignment), True)
         self.roles = Roles(assignment, holder, is_active, -1, np.zeros(3))
 

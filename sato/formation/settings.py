@@ -13,6 +13,8 @@ from dynamics.units import Acceleration, Angle, Length, Speed, Time, Unit
 from sato.scenario.definition import Coordinates, Definition, Key, NotNegative, Positive, as_array
 from sato.scenario.errors import InputError
 
+BLOCKED_SPEED_SHARE = 0.2  # of the largest speed: slower than this an agent counts as stopped
+
 
 class ControlLaw(NamedTuple):
     """Numbers of the control law [Lusk2020, eq. 2, and Sec. III-C for the size]."""
@@ -61,7 +63,7 @@ class SupervisorSettings(NamedTuple):
     convergence_speed: Annotated[Speed, Key("settled"), Positive, "largest speed on arrival"] = 0.15
     averaging_window: Annotated[Time, Positive, "time of averages of speed and avoidance"] = 1.0
     convergence_time: Annotated[Time, NotNegative, "time for which all must have arrived"] = 1.0
-    gridlock_share: Annotated[float, Positive, Le(1), "share of avoidance in a gridlock"] = 0.95
+    gridlock_share: Annotated[float, Positive, Le(1), "share of time blocked in a gridlock"] = 0.95
     gridlock_timeout: Annotated[Time, Key("patience"), Positive, "longest gridlock"] = 90.0
     hover_time: Annotated[Time, Key("hover"), NotNegative, "hovering before and after legs"] = 5.0
     time_limit: Annotated[Time, Key("limit"), Positive, "longest flight, then given up"] = 600.0

@@ -14,10 +14,9 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from sato.formation.mission import Formation
-from sato.formation.settings import SupervisorSettings
+from sato.formation.settings import BLOCKED_SPEED_SHARE, SupervisorSettings
 
 TIME_TOLERANCE = 1e-9  # [s]
-BLOCKED_SPEED_SHARE = 0.2  # of the largest speed: slower than this an agent counts as stopped
 
 
 class Phase(Enum):
