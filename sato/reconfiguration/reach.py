@@ -113,7 +113,7 @@ def _longest(
     mission: "Reconfiguration", departure: Departure, targets: Float[Array, "targets n"]
 ) -> int:
     each = 1 if mission.assignment == "given" else len(targets)
-    return MAX_PAIRS_TIMES_STEPS // max(1, len(departure.agents) * each)
+    return max(1, MAX_PAIRS_TIMES_STEPS // max(1, len(departure.agents) * each))
 
 
 def _find_least(
