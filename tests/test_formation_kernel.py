@@ -16,9 +16,9 @@ from sato.formation.kernel import (
     FormationState,
     KernelParameters,
     Roles,
-    compute_track_gains,
     simulate_steps,
 )
+from sato.formation.sensing import compute_track_gains
 from sato.formation.settings import CollisionAvoidance, ControlLaw, CoordinateFrames, FrameSettings
 from sato.shapes.formation_library import random_sparse_graph
 from sato.shapes.random_points import sample_formation, sample_positions

@@ -18,6 +18,14 @@ from sato.formation.avoidance import SPEED_SIDES, avoid_collisions, limit_approa
 from sato.formation.control_law import FormationData, compute_velocity_command
 from sato.formation.mission import Formation
 from sato.formation.sectors import leave_sectors
+from sato.formation.sensing import (
+    compute_track_gains,
+    exchange_positions,
+    locate_neighbors,
+    measure_own_position,
+    sense_nearby,
+    track_nearby,
+)
 from sato.formation.settings import (
     BLOCKED_SPEED_SHARE,
     CollisionAvoidance,
@@ -65,27 +73,6 @@ class KernelParameters(NamedTuple):
             message_delay=radio.delay_rounds,
             message_loss=radio.loss_probability,
         )
-
-
-def compute_track_gains(noise: float, acceleration: float, step: float) -> tuple[float, float]:
-    """Compute the gains of the steady Kalman filter of a motion at random accelerations.
-
-    The filter of [Kalata1984]: a position is predicted, and corrected by α of what the measurement
-    differs, the velocity by β of that over a step.
-
-    Args:
-        noise: Standard deviation of a measured coordinate [m].
-        acceleration: Standard deviation of an acceleration, held for a step [m/s²].
-        step: Time between two measurements [s].
-
-    Returns:
-        α and β, which is at most 1, as for differences of positions without noise.
-    """
-    if noise == 0:
-        return 1.0, 1.0
-    index = acceleration * step**2 / noise
-    root = (4 + index - (8 * index + index**2) ** 0.5) / 4
-    return 1 - root**2, min(1.0, 2 * (1 + root**2) - 4 * root)
 
 
 class Roles(NamedTuple):
@@ -140,125 +127,6 @@ class FormationState(NamedTuple):
 
 
 @numba.njit
-def _measure_own_position(state, swarm, rng):
-    """Measure each agent's position in its own frame, with odometry drift and noise."""
-    frames, measured = swarm.coordinate_frames, state.measured_position
-    offset = state.position - frames.origin
-    flat = (offset[:, 0] + 1j * offset[:, 1]) * np.conj(frames.rotation)
-    measured[:, 0], measured[:, 1], measured[:, 2] = flat.real, flat.imag, offset[:, 2]
-    measured += state.drift
-    if swarm.noise > 0:
-        measured += swarm.noise * rng.standard_normal(measured.shape)
-
-
-@numba.njit
-def _exchange_positions(state, roles, swarm, message, rng):
-    """Send each agent's position to the agents that hold the neighboring points."""
-    ring = len(state.sent)
-    state.sent[message % ring] = state.measured_position
-    arriving = state.sent[(message - swarm.message_delay) % ring]
-    for i in range(len(state.position)):
-        for point in swarm.formation.neighbors[roles.assignment[i]]:
-            if point < 0:
-                break
-            if swarm.message_loss == 0 or rng.random() >= swarm.message_loss:
-                j = roles.holder[i, point]
-                state.received[i, j] = arriving[j]
-
-
-@numba.njit
-def _locate_neighbors(i, state, roles, swarm, relative, near):
-    """Locate the holders of neighboring points relative to agent i, in its own frame.
-
-    Their own estimates are used, and the poses of their frames in its own, which it knows.
-
-    Returns:
-        Number of neighbors heard; the first so many of `near` are their points.
-    """
-    frames, own_position, k = swarm.coordinate_frames, state.measured_position[i], 0
-    own = np.conj(frames.rotation[i])
-    for point in swarm.formation.neighbors[roles.assignment[i]]:
-        if point < 0:
-            break
-        j = roles.holder[i, point]
-        heard = state.received[i, j]
-        if j == i or np.isnan(heard[0]):
-            continue
-        o_x = frames.origin[j, 0] - frames.origin[i, 0]
-        o_y = frames.origin[j, 1] - frames.origin[i, 1]
-        flat = own * (frames.rotation[j] * complex(heard[0], heard[1]) + complex(o_x, o_y))
-        relative[point, 0] = flat.real - own_position[0]
-        relative[point, 1] = flat.imag - own_position[1]
-        relative[point, 2] = heard[2] + frames.origin[j, 2] - frames.origin[i, 2] - own_position[2]
-        near[k] = point
-        k += 1
-    return k
-
-
-@numba.njit
-def _sense_nearby(i, state, swarm, others, rng):
-    """Sense the agents within range of agent i, in its own frame; odometry does not matter here.
-
-    Returns:
-        Number of agents sensed; the first so many rows of `others` are their positions.
-    """
-    frames, noise, count = swarm.coordinate_frames, swarm.noise, 0
-    reach, own = swarm.avoidance.avoidance_range, np.conj(frames.rotation[i])
-    for j in range(len(state.position)):
-        x = state.position[j, 0] - state.position[i, 0]
-        y = state.position[j, 1] - state.position[i, 1]
-        if j != i and x * x + y * y < reach * reach:
-            flat = own * complex(x, y)
-            others[count, 0], others[count, 1] = flat.real, flat.imag
-            if noise > 0:
-                others[count, 0] += noise * rng.standard_normal()
-                others[count, 1] += noise * rng.standard_normal()
-            count += 1
-    return count
-
-
-@numba.njit
-def _track_nearby(i, v, state, swarm, others, rng):
-    """Track the agents within range of agent i, in its own frame, by positions that it measures.
-
-    Args:
-        i: The agent.
-        v: Its own velocity, in its own frame [m/s].
-        state: A `FormationState`, whose tracks are changed in place.
-        swarm: Constants, `KernelParameters`.
-        others: Filled with relative positions and velocities of those within range.
-        rng: Generator for noise.
-
-    Returns:
-        Number of agents within range.
-    """
-    frames, noise, count, h = swarm.coordinate_frames, swarm.noise, 0, swarm.step
-    reach, own = swarm.avoidance.avoidance_range, np.conj(frames.rotation[i])
-    on_position, on_velocity = swarm.track_gains
-    for j in range(len(state.position)):
-        x = state.position[j, 0] - state.position[i, 0]
-        y = state.position[j, 1] - state.position[i, 1]
-        track = state.tracks[i, j]
-        if j == i or x * x + y * y >= reach * reach:
-            track[0] = np.nan
-            continue
-        flat = own * complex(x, y)
-        is_new = np.isnan(track[0])
-        for a, measured in enumerate((flat.real, flat.imag)):
-            if noise > 0:
-                measured += noise * rng.standard_normal()
-            if is_new:
-                track[a], track[2 + a] = measured, 0.0
-                continue
-            predicted = track[a] + h * (track[2 + a] - v[a])
-            track[a] = predicted + on_position * (measured - predicted)
-            track[2 + a] += on_velocity / h * (measured - predicted)
-        others[count] = track
-        count += 1
-    return count
-
-
-@numba.njit
 def _update_velocity(i, state, swarm, others, planes, rng):
     # Limits of speed, then avoidance, then limits of acceleration.
     rules, keep_out = swarm.avoidance, swarm.keep_out
@@ -271,13 +139,13 @@ def _update_velocity(i, state, swarm, others, planes, rng):
     v = np.array([flat.real, flat.imag])
     most = swarm.max_acceleration * swarm.step
     if rules.legacy:
-        count = _sense_nearby(i, state, swarm, others, rng)
+        count = sense_nearby(i, state, swarm, others, rng)
         state.avoiding[i] = leave_sectors(u, others, count, keep_out, rules, planes)
         for a in range(2):
             v[a] += min(max(u[a] - v[a], -most), most)
     else:
         wanders = _wander(i, u, state, swarm, rng)
-        count = _track_nearby(i, v, state, swarm, others, rng)
+        count = track_nearby(i, v, state, swarm, others, rng)
         own = v, others, count, keep_out, rules, swarm.max_speed, planes
         state.avoiding[i] = avoid_collisions(u, *own) or wanders
         w = v.copy()
@@ -354,10 +222,10 @@ def _compile_kernel(stamp: int) -> Any:
         near = np.zeros(n, dtype=np.int64)
         formation, law, legacy = swarm.formation, swarm.control_law, swarm.avoidance.legacy
         for number in range(first, first + steps):
-            _measure_own_position(state, swarm, rng)
+            measure_own_position(state, swarm, rng)
             message, rest = divmod(number, swarm.steps_per_message)
             if rest == 0:
-                _exchange_positions(state, roles, swarm, message, rng)
+                exchange_positions(state, roles, swarm, message, rng)
             for i in range(n):
                 u = state.velocity_command[i]
                 u[:] = 0.0
@@ -366,7 +234,7 @@ def _compile_kernel(stamp: int) -> Any:
                     state.blocked_time[i] = 0.0  # it does not wander
                 elif roles.is_active[i]:
                     me = roles.assignment[i]
-                    k = _locate_neighbors(i, state, roles, swarm, relative, near)
+                    k = locate_neighbors(i, state, roles, swarm, relative, near)
                     compute_velocity_command(me, relative, near[:k], formation, law, legacy, u)
             for i in range(n):
                 _update_velocity(i, state, swarm, others, planes, rng)
@@ -379,6 +247,6 @@ def _compile_kernel(stamp: int) -> Any:
     return simulate_steps
 
 
-KERNEL_FILES = ("avoidance", "control_law", "kernel", "sectors", "settings")
+KERNEL_FILES = ("avoidance", "control_law", "kernel", "sectors", "sensing", "settings")
 _SOURCES = (Path(__file__).with_name(f"{name}.py").read_bytes() for name in KERNEL_FILES)
 simulate_steps = _compile_kernel(crc32(b"".join(_SOURCES)))
