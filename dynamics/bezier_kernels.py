@@ -1,4 +1,4 @@
-"""Compiled kernels for Bézier curves: closest approach of two, distance of a hull."""
+"""Compiled kernels for Bézier curves: closest approach of two, distance of a hull, of a body."""
 
 from typing import no_type_check
 
@@ -6,6 +6,9 @@ import numba
 import numpy as np
 
 ROUNDING = 1e-15  # relative: a distance that is this near to that of a corner is that of the corner
+BODY_PRECISION = 1e-12  # relative, of the distance of a hull from a body
+MAX_CORNERS = 8  # of a body's surface that are nearest, kept at once
+MAX_SUPPORTS = 100  # corners that are looked for, after which the distance is only a lower bound
 
 # (3 over i)(3 over j) / (6 over i + j)
 _PRODUCT_WEIGHTS = np.outer([1.0, 3.0, 3.0, 1.0], [1.0, 3.0, 3.0, 1.0]) / np.array(
@@ -152,16 +155,17 @@ def _hull_distance(b, enough, best, scratch):
     e, f, unit = scratch[1], scratch[2], scratch[3]
     for a in range(d):
         best[a] = 0.0
-    for i in range(4):
+    corners = len(b)
+    for i in range(corners):
         square = 0.0
         for a in range(d):
             square += b[i, a] ** 2
         if not square < np.inf:
             return 0.0  # not a number, of which nothing is known
         enough = min(enough, np.sqrt(square) * (1 - ROUNDING))
-    for i in range(4):
+    for i in range(corners):
         least = _update_best_normal(b, b[i], least, best, unit)
-    for i in range(4):
+    for i in range(corners):
         for j in range(i):
             if least >= enough:
                 return least
@@ -212,7 +216,7 @@ def _update_best_normal(b, n, least, best, unit):
     for a in range(len(n)):
         unit[a] = n[a] / size
     low, high = np.inf, -np.inf
-    for i in range(4):
+    for i in range(len(b)):
         projection = 0.0
         for a in range(len(n)):
             projection += unit[a] * b[i, a]
@@ -224,6 +228,65 @@ def _update_best_normal(b, n, least, best, unit):
             best[a] = sense * unit[a]
         return low if low > least else -high
     return least
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def body_distances(points, corners, body):
+    """Return the distance of hulls of points from bodies, and the vector of that length.
+
+    The vector leads from the nearest point of the body to that of the hull. No distance is above
+    the true one, by the algorithm of Gilbert, Johnson and Keerthi: n·(b − c) ≥ distance for all
+    points b and corners c, with n the direction of the vector.
+
+    Args:
+        points: Corners of each hull, (hulls, points, d).
+        corners: Corners of each body, of which it is the hull, (bodies, corners, d).
+        body: Index of the body of each hull.
+    """
+    count, size, d = points.shape
+    distance, nearest = np.zeros(count), np.zeros((count, d))
+    n, scratch, kept = np.empty(d), np.empty((4, d)), np.empty((MAX_CORNERS, d))
+    for q in range(count):
+        b, c = points[q], corners[body[q]]
+        for a in range(d):
+            n[a] = b[:, a].mean() - c[:, a].mean()
+        total, least, found = 0, 0.0, 0.0
+        for _ in range(MAX_SUPPORTS):
+            length = np.sqrt((n * n).sum())
+            if length == 0.0:
+                n[0] = length = 1.0
+            low, high, first, last = np.inf, -np.inf, 0, 0
+            for i in range(size):
+                along = (n * b[i]).sum() / length
+                if along < low:
+                    low, first = along, i
+            for i in range(len(c)):
+                along = (n * c[i]).sum() / length
+                if along > high:
+                    high, last = along, i
+            if low - high > least:
+                least = low - high
+                for a in range(d):
+                    nearest[q, a] = n[a] * (least / length)
+            if total > 0 and least >= found * (1 - BODY_PRECISION):
+                break
+            if total == MAX_CORNERS:
+                break
+            for a in range(d):
+                kept[total, a] = b[first, a] - c[last, a]
+            total += 1
+            found = _hull_distance(kept[:total], np.inf, n, scratch)
+            if found == 0.0:
+                break
+            left = 0  # those on the face that is nearest stay
+            for i in range(total):
+                if (n * kept[i]).sum() <= found * (1 + 1e-9):
+                    _copy(kept[left], kept[i])
+                    left += 1
+            total = left
+        distance[q] = least
+    return distance, nearest
 
 
 @numba.njit(error_model="numpy")

@@ -105,12 +105,13 @@ def separations(
     alive: Bool[Array, "instants agents"],
     h: Duration,
     radii: Float[Array, " agents"] | None = None,
+    is_adrift: Bool[Array, "instants agents"] | None = None,
 ) -> Separations:
     """Return the minimum distance of any two agents in every piece, exact for cubics.
 
     An agent counts in a piece if it is alive at the start and its states at both ends are
     finite, also where it is lost at the end. With radii R, distances are relative to that
-    which a pair keeps, (R_i + R_j)/2.
+    which a pair keeps, (R_i + R_j)/2. Lost agents that are adrift count beside live ones.
     """
     K = len(position) - 1
     by_agent = np.moveaxis(position, 0, 1), np.moveaxis(velocity, 0, 1)
@@ -125,6 +126,14 @@ def separations(
             else:
                 distance, fraction, pair = _closest_relative_approach(points, radii[agents])
             found.distance[k], found.fraction[k], found.pair[k] = distance, fraction, agents[pair]
+        if is_adrift is None or not is_adrift[k].any():
+            continue
+        lost = np.flatnonzero(is_adrift[k] & np.isfinite(b[k]).all(axis=(1, 2)))
+        pairs = np.stack(np.meshgrid(agents, lost), axis=-1).reshape(-1, 2)
+        if len(pairs):
+            distance, fraction, pair = _closest_pair(np.ascontiguousarray(b[k]), pairs, radii)
+            if distance < found.distance[k]:
+                found.distance[k], found.fraction[k], found.pair[k] = distance, fraction, pair
     return found
 
 
@@ -252,11 +261,18 @@ def _closest_approach(b: Float[Array, "agents 4 d"]) -> tuple[float, float, Int[
 def _closest_relative_approach(
     b: Float[Array, "agents 4 d"], radii: Float[Array, " agents"]
 ) -> tuple[float, float, Int[Array, " 2"]]:
+    return _closest_pair(b, np.stack(np.triu_indices(len(b), 1), axis=1), radii)
+
+
+def _closest_pair(
+    b: Float[Array, "agents 4 d"],
+    pairs: Int[Array, "pairs 2"],
+    radii: Float[Array, " agents"] | None,
+) -> tuple[float, float, Int[Array, " 2"]]:
     # As `_closest_approach`, pair after pair, those that may be nearest first.
     from dynamics.bezier_kernels import closest_pair
 
-    pairs = np.stack(np.triu_indices(len(b), 1), axis=1)
-    required = radii[pairs].mean(axis=1)
+    required = np.ones(len(pairs)) if radii is None else radii[pairs].mean(axis=1)
     middle = (b[:, 0] + b[:, 3]) / 2
     reach = np.linalg.norm(b - middle[:, None], axis=2).max(axis=1)
     between = np.linalg.norm(middle[pairs[:, 0]] - middle[pairs[:, 1]], axis=1)

@@ -227,6 +227,32 @@ def convexify(
     )
 
 
+def convexify_end(
+    horizon: AvoidanceHorizon,
+    T: int,
+    others: Float[Array, "others pieces 4 d"],
+    normal: Float[Array, "others pieces d"],
+    separation: Float[Array, " others"],
+) -> HalfSpaces:
+    """Constrain where an agent comes to rest, while others move on to the end of the horizon.
+
+    Args:
+        horizon: Avoidance horizon and its pieces.
+        T: Steps after which the agent rests.
+        others: Control points c̄ of the others [m].
+        normal: Unit normals n of the half-spaces.
+        separation: Required distances.
+    """
+    P, Q, r = (part[T - 1, -1, -1] for part in horizon.control_point_maps)
+    later = slice(T * horizon.pieces_per_step, None)
+    n = normal[:, later]
+    farthest = np.einsum("opd,opid->opi", n, others[:, later]).max(axis=2)
+    rhs = farthest + separation[:, None] - n @ r
+    step_index = np.full(rhs.size, T - 1)
+    flat = n.reshape(-1, n.shape[2])
+    return HalfSpaces(step_index, flat @ P, flat @ Q, rhs.flatten())
+
+
 def choose_normals(
     relative: Float[Array, "above pieces 4 d"], separation: Separation, side: PassingSide = "same"
 ) -> Float[Array, "above pieces d"]:
@@ -270,15 +296,44 @@ def _passing_displacement(
     if side == "opposite":
         displacement = -(separation + closest) * across
     elif side != "same":
-        up = np.cross(across, relative[p, -1] - relative[p, 0])
-        size = float(np.linalg.norm(up))
-        beside = _perpendicular(np.tile(across, (4, 1)) * np.arange(4)[:, None])
-        up = up / size if size > 0 else beside
+        up = _above(relative[p], across)
         displacement = (separation**2 - closest**2) ** 0.5 * (up if side == "above" else -up)
-    # Control points stand at thirds of a piece; a constant control displaces quadratically.
-    time = np.arange(len(relative))[:, None] + np.arange(4) / 3
-    ramp = np.minimum(1.0, time / (p + 0.5)) ** 2
-    return np.asarray(1.2 * ramp[..., None] * displacement)
+    return rise_before(p, len(relative)) * displacement
+
+
+def across_motion(
+    piece: Float[Array, "4 d"], nearest: Float[Array, " d"], side: PassingSide
+) -> Float[Array, " d"]:
+    """Return the unit vector to a side of an obstacle, across the motion past it.
+
+    Args:
+        piece: Piece of the relative trajectory that is nearest [m].
+        nearest: Its vector from the obstacle, 0 where it is inside [m].
+        side: Side.
+    """
+    size = float(np.linalg.norm(nearest))
+    across = nearest / size if size > 0 else _perpendicular(piece)
+    if side in ("above", "below"):
+        across = _above(piece, across)
+    return across if side in ("same", "above") else -across
+
+
+def rise_before(p: int, pieces: int) -> Float[Array, "pieces 4 1"]:
+    """Return factors of a displacement that has its size from piece p on, and some beyond.
+
+    Control points stand at thirds of a piece; a constant control displaces quadratically.
+    """
+    time = np.arange(pieces)[:, None] + np.arange(4) / 3
+    return np.asarray(1.2 * (np.minimum(1.0, time / (p + 0.5)) ** 2)[..., None])
+
+
+def _above(piece: Float[Array, "4 d"], across: Float[Array, " d"]) -> Float[Array, " d"]:
+    """Return the unit vector across the motion and another vector that is across it."""
+    up = np.cross(across, piece[-1] - piece[0])
+    size = float(np.linalg.norm(up))
+    if size > 0:
+        return np.asarray(up / size)
+    return _perpendicular(np.tile(across, (4, 1)) * np.arange(4)[:, None])
 
 
 def _perpendicular(piece: Float[Array, "4 d"]) -> Float[Array, " d"]:

@@ -56,6 +56,10 @@ class HalfSpaces(NamedTuple):
         """Select rows by a mask or by index."""
         return HalfSpaces(*(field[rows] for field in self))
 
+    def join(self, others: "HalfSpaces") -> "HalfSpaces":
+        """Return these rows and those of others."""
+        return HalfSpaces(*(np.concatenate(both) for both in zip(self, others, strict=True)))
+
     def find_peaks(
         self, violation: Float[Array, " rows"], tolerance: float
     ) -> Bool[Array, " rows"]:

@@ -208,7 +208,7 @@ class Decision(NamedTuple):
         return self._replace(committed=committed, plans=kept, events=events, is_finished=True)
 
     def _commit(self, turns: Turns) -> "Decision":
-        plan = commitment.follow(self.context, turns.plan, turns.plan_steps)
+        plan = commitment.follow(self.context, turns.plan, turns.plan_steps, turns.u)
         committed = {self.number: stopping.Commitment(self.context.instant, turns.u)}
         events = self.events
         is_cautious = self.number in turns.order and turns.plan_steps == 0

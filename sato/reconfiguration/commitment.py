@@ -10,6 +10,8 @@ Later points of an offer are at most (R_comm − R)/2 from earlier ones, so that
 not hear each other cannot meet before they do. docs/safety.md has the proof.
 """
 
+from itertools import product
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
@@ -17,6 +19,7 @@ from numpy import ndarray as Array
 from dynamics.trajectory_geometry import hull_distance
 from problems import convexify
 from problems.convexify import AvoidanceHorizon
+from problems.obstacle_paths import ObstaclePaths, is_path_clear
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.offers import Offers, is_kept, make_offers, rest_at_target, steps_to_next
 from sato.reconfiguration.plan import Plan, Plans
@@ -29,8 +32,10 @@ from sato.reconfiguration.stopping import (
     stays_within_reach,
     stopping_horizon,
 )
+from sato.scp.planner import FEASIBILITY_TOLERANCE, PASSING_SIDES
 
 ROUNDING = 1e-12  # relative, of distances that are computed twice
+SAME_SIDE: tuple[convexify.PassingSide, ...] = ("same",)
 
 
 def choose_offers(
@@ -132,7 +137,7 @@ def commit(
             paths[a, pieces:] = found[1][-1, -1]
     done = {i: Commitment(context.instant, u[a]) for a, i in enumerate(plans)}
     followed = {
-        i: follow(context, plan, int(flown[a])) for a, (i, plan) in enumerate(plans.items())
+        i: follow(context, plan, int(flown[a]), u[a]) for a, (i, plan) in enumerate(plans.items())
     }
     left = [int(offers.agents[a]) for a in cautious if flown[a] == 0]
     return done, followed, sorted(i for i in left if leaves_plan(plans[i]))
@@ -151,14 +156,32 @@ def leaves_plan(plan: Plan) -> bool:
     return len(plan.trajectory.u) > 0
 
 
-def follow(context: DecisionContext, plan: Plan, steps: int) -> Plan:
-    """Return a plan of which so many steps are flown; without a target if it is left too early."""
+def follow(
+    context: DecisionContext, plan: Plan, steps: int, u: Float[Array, "T m"]
+) -> Plan:
+    """Return a plan of which so many steps are flown; without a target if it is left too early.
+
+    Args:
+        context: Time and surroundings.
+        plan: Plan of the agent.
+        steps: Steps for which it is flown.
+        u: Controls to which the agent has committed.
+    """
     if is_kept(context, plan):
         return plan
-    if steps < min(steps_to_next(context), len(plan.trajectory.u)):
+    if is_kept_away(context, plan, u) or steps < min(steps_to_next(context), len(plan.trajectory.u)):
         failures = plan.failure_count + context.mission.keeps_plans
         return plan._replace(target_index=None, failure_count=failures)
     return plan._replace(clear_until=plan.planned_at + steps)
+
+
+def is_kept_away(context: DecisionContext, plan: Plan, u: Float[Array, "T m"]) -> bool:
+    """Tell whether an agent whose time is over is not at its target, or makes way for something."""
+    if context.surroundings is None or plan.target_index is None or len(plan.trajectory.u):
+        return False
+    d, target = context.mission.axes, context.leg.targets[plan.target_index]
+    away = float(np.abs(plan.trajectory.x[-1, :d] - target[:d]).max())
+    return away > FEASIBILITY_TOLERANCE * context.mission.least_separation or bool(u.any())
 
 
 def improve(
@@ -190,14 +213,20 @@ def improve(
     mission, steps = context.mission, len(plan.trajectory.u)
     kept = hull_distance(path - others)[0].min(axis=1)
     clearance = np.minimum(clearance, kept * (1 - ROUNDING))
+    obstacles, sides = context.known_obstacles(agent, horizon), SAME_SIDE
+    if not is_path_clear(path, obstacles):  # something comes its way
+        sides = PASSING_SIDES[mission.axes]
     # Where to stop at once would lead into others, an agent may pass them and stop by another way.
-    for followed in (steps_to_next(context), 0):
-        u = _find_stop_after(context, agent, plan, followed, horizon, path, others, clearance)
+    for followed, side in product((steps_to_next(context), 0), sides):
+        u = _find_stop_after(
+            context, agent, plan, followed, horizon, path, others, clearance, obstacles, side
+        )
         if u is None:
             continue
         x = horizon.discrete_model.simulate(context.state[agent], u)
         points = horizon.control_points(x, u)
         is_clear = convexify.are_hulls_separated(points - others, clearance).all()
+        is_clear = is_clear and is_path_clear(points, obstacles)
         if is_clear and stays_within_reach(mission, horizon, x[:, : mission.axes], points):
             return u, points, min(followed, steps)
     return None
@@ -212,6 +241,8 @@ def _find_stop_after(
     path: Float[Array, "pieces 4 d"],
     others: Float[Array, "others pieces 4 d"],
     clearance: Float[Array, " others"],
+    obstacles: ObstaclePaths | None,
+    side: convexify.PassingSide,
 ) -> Float[Array, "T m"] | None:
     """Find controls that follow the plan for k steps, and then stop near it."""
     mission, period = context.mission, steps_to_next(context)
@@ -227,6 +258,9 @@ def _find_stop_after(
         (rest,) = pad_controls([own[k : k + left]], left)
         path = horizon.control_points(horizon.discrete_model.simulate(start, rest), rest)
         others = others[:, k * horizon.pieces_per_step :]
+        if obstacles is not None:
+            obstacles = obstacles.after_pieces(k * horizon.pieces_per_step)
     aim = agent, start, wanted, min(period, horizon.steps - 1)
-    found = find_stop(mission, horizon, *aim, path, others, clearance, context.solver_of(agent))
+    passing = context.solver_of(agent), side, obstacles
+    found = find_stop(mission, horizon, *aim, path, others, clearance, *passing)
     return None if found is None else np.vstack([own[:k], found[0]])

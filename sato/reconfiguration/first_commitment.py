@@ -15,6 +15,7 @@ from numpy import ndarray as Array
 
 from problems import convexify
 from problems.convexify import AvoidanceHorizon
+from problems.obstacle_paths import is_path_clear
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.orbital_commitment import simulate
 from sato.reconfiguration.planning import divide_horizon
@@ -29,6 +30,7 @@ from sato.reconfiguration.stopping import (
     stays_within_reach,
     stopping_horizon,
 )
+from sato.reconfiguration.surroundings import count_escape_steps, find_surroundings
 from sato.scenario.errors import InputError, round_down, round_up
 from sato.scp.planner import PASSING_SIDES
 
@@ -51,27 +53,52 @@ def find_first_commitments(mission: Reconfiguration) -> Commitments:
     """
     agents, d = np.flatnonzero(mission.alive), mission.axes
     start = mission.initial_states[agents]
-    if not mission.is_point_mass or not start[:, d:].any():
+    around = find_surroundings(mission) if mission.has_surroundings else None
+    is_still = not start[:, d:].any() and (around is None or not around.state[:, d:].any())
+    if not mission.is_point_mass or is_still:
         return {}
-    horizon, u, _, paths = _fly_on(mission, agents, start, {}, 0)
+    around = around and around.seen_from(mission, mission.initial_states)
+    steps = count_escape_steps(mission, around)
+    horizon, u, _, paths = _fly_on(mission, agents, start, {}, 0, steps)
     clearance = mission.own_clearances(horizon.clearance, agents)
-    meeting = _find_meeting(paths, clearance)
+    flown = around and around.fly(mission, horizon)
+    obstacles = [
+        around and around.known_to(mission, i, flown, horizon.clearance) for i in agents.tolist()
+    ]
+
+    def find_met() -> set[int]:
+        return {
+            a
+            for a, (path, own) in enumerate(zip(paths, obstacles, strict=True))
+            if not is_path_clear(path, own)
+        }
+
+    meeting, met = _find_meeting(paths, clearance), find_met()
     for _ in range(MAX_SWEEPS):
-        if not len(meeting):
+        if not (len(meeting) or met):
             break
-        for a in np.unique(meeting).tolist():
+        for a in sorted(met.union(meeting.flatten().tolist())):
             near = _find_near(mission, start[a, :d], a, paths, clearance)
             others, radius = paths[near], (clearance[near] + clearance[a]) / 2
             rest = np.concatenate([paths[a, -1, -1], np.zeros(d)])
             aim = int(agents[a]), start[a], rest, horizon.steps - 1
             for side in PASSING_SIDES[d]:
-                found = find_stop(mission, horizon, *aim, paths[a], others, radius, side=side)
+                more = {"side": side, "obstacles": obstacles[a]}
+                found = find_stop(mission, horizon, *aim, paths[a], others, radius, **more)
                 if found is not None and stays_within_reach(
                     mission, horizon, found[1][:, :d], found[2]
                 ):
                     u[a], _, paths[a] = found
                     break
-        meeting = _find_meeting(paths, clearance)
+        meeting, met = _find_meeting(paths, clearance), find_met()
+    if met:
+        a = min(met)
+        raise InputError(
+            "obstacle",
+            f"one comes to the start of agent {agents[a]} within {steps * mission.step:.4g} s, and "
+            "no way is found out of its way; another start, an obstacle that comes later or more "
+            "slowly, or a larger model.max_control_m_s2 would do",
+        )
     if not len(meeting):
         return {i: Commitment(0, own) for i, own in zip(agents.tolist(), u, strict=True)}
     i, j = meeting[0]
@@ -162,14 +189,19 @@ def _fly_on(
     state: Float[Array, "agents n"],
     committed: Commitments,
     instant: int,
+    least: int = 0,
 ) -> tuple[AvoidanceHorizon, Array, Array, Array]:
-    """Return the horizon, controls, states and control points of agents that decide no more."""
+    """Return the horizon, controls, states and control points of agents that decide no more.
+
+    Over so many steps at least.
+    """
     velocity = state[:, mission.axes :]
     each = [
         held_controls(mission, i, v, committed, instant)
         for i, v in zip(agents.tolist(), velocity, strict=True)
     ]
-    u = pad_controls(each, SLOWER * max(map(len, each)) + mission.horizon_steps)
+    steps = SLOWER * max(map(len, each)) + mission.horizon_steps
+    u = pad_controls(each, max(steps, least))
     horizon = stopping_horizon(mission, u.shape[1])
     x = horizon.discrete_model.simulate(state, u)
     return horizon, u, x, horizon.control_points(x, u)

@@ -29,7 +29,7 @@ Targets = Points | Text | Ring | Lattice | Polygon | Picture
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Loss(Definition):
-    """Agents that fall silent and vanish."""
+    """Agents that fall silent, and vanish or fly on without control."""
 
     kind: Annotated[
         Literal["middle", "random", "agents"], "nearest the center, drawn, or named one by one"
@@ -37,6 +37,9 @@ class Loss(Definition):
     share: Annotated[float | None, Positive, Lt(1), "of the live agents"] = None
     agents: Annotated[Indices, "indices, for kind agents"] = ()
     at_step: Annotated[Count, "control steps after the start of the leg"] = 0
+    body: Annotated[
+        Literal["vanish", "coast"], "a lost agent is gone, or flies on without control"
+    ] = "vanish"
 
     def check(self) -> None:
         """Refuse a loss of no agents."""

@@ -29,6 +29,7 @@ from sato.reconfiguration.plan import (
     remaining_cost,
 )
 from sato.reconfiguration.stopping import Commitments, controls_at
+from sato.reconfiguration.surroundings import find_surroundings
 from sato.reconfiguration.tracking import add_feedback
 
 
@@ -61,6 +62,8 @@ class _Flight:
         self.believed, self.memory = m, state.AgentMemory.initial(m)
         self.plans: Plans = {}
         self.committed: Commitments = find_first_commitments(mission)
+        self.surroundings = find_surroundings(mission) if mission.has_surroundings else None
+        self.is_adrift = np.zeros(len(m), dtype=bool)  # lost vehicles that fly without control
         self.waiting: list[int] = []  # agents that join as soon as there is room
         tolerance = mission.tolerance or TOLERANCE
         self.solvers = [VerifiedSolver(mission.solver, tolerance) for _ in m]  # its own each
@@ -87,11 +90,20 @@ class _Flight:
             self.estimate = estimator.update(mission, self.estimate, measured)
             known = self.estimate.reference
             self.plans = give_up_missed(mission, self.plans, known, k)
+            self._look_around(known, k)
             for deciding, bids in self._schedule_decisions(graph, joined, k):
                 time = self.step_index * mission.step
                 self._decide(
                     state.DecisionContext(
-                        mission, self.leg, deciding, known, self.memory, k, time, self.solvers
+                        mission,
+                        self.leg,
+                        deciding,
+                        known,
+                        self.memory,
+                        k,
+                        time,
+                        self.solvers,
+                        self.surroundings,
                     ),
                     bids,
                 )
@@ -107,6 +119,17 @@ class _Flight:
         held, believed = memory.target_index.tolist(), memory.target_count.tolist()
         ended = {"leg": number, "target": held, "believed": believed, "component": component}
         self._note("leg_end", self.alive, **ended)
+
+    def _look_around(self, known: Array, k: int) -> None:
+        """See what is near, and give up plans that it closes."""
+        before = self.surroundings
+        if before is None:
+            return
+        self.surroundings = before.seen_from(self.mission, self.x)
+        is_new = (self.surroundings.is_known & ~before.is_known).any(axis=1) | (k == 0)
+        own = self.surroundings, known, self.step_index, k
+        seen_by = np.flatnonzero(is_new).tolist()
+        self.plans = planning.give_up_closed(self.mission, self.plans, *own, seen_by)
 
     def _have_arrived(self, k: int) -> Array:
         # Agents whose last plan was not clear may not be where their clocks have them.
@@ -148,7 +171,12 @@ class _Flight:
                 self.memory = replace(
                     self.memory, target_index=np.where(self.alive, self.memory.target_index, -1)
                 )
-                self.events.append({"kind": "loss", "agents": sorted(lost)})
+                event = {"kind": "loss", "agents": sorted(lost)}
+                coasts = loss.body == "coast"
+                self.events.append(event | ({"body": "coast"} if coasts else {}))
+                if coasts and self.surroundings is not None:
+                    self.is_adrift[lost] = True
+                    self.surroundings = self.surroundings.with_lost(sorted(lost), self.x)
         return joined
 
     def _schedule_decisions(
@@ -221,7 +249,9 @@ class _Flight:
         commanded, time = np.nan_to_num(control)[:, None], self.step_index * mission.step
         self.estimate = estimator.predict(mission, self.estimate, control, planned, time)
         flown = mission.flown_plant.propagate(self.x, np.nan_to_num(applied), time, mission.step)
-        self.x = np.where(self.alive[:, None], flown[1], self.x)
+        self.x = np.where((self.alive | self.is_adrift)[:, None], flown[1], self.x)
+        if self.surroundings is not None:
+            self.surroundings = self.surroundings.after(mission, self.x)
         self.spent = self.spent + compute_spent(mission, commanded)
         later = np.where(self.alive, np.minimum(clock + 1, steps), 0)
         arrived = self.alive & (later == steps) & (clock < steps)

@@ -15,6 +15,7 @@ from pydantic import Field as Constraint
 from dynamics.plant import Plant
 from dynamics.trajectory_geometry import min_distance
 from dynamics.units import Acceleration, Angle, Key, Length, Speed, Time, Unit
+from sato.obstacles import Box, Ellipsoid, Polytope, Sphere
 from sato.reconfiguration import feasibility, models, vehicles
 from sato.reconfiguration.leg import Count, Leg, Steps, states_of
 from sato.reconfiguration.models import PlantSettings
@@ -28,6 +29,7 @@ from sato.scenario.definition import (
     Coordinates,
     In,
     Inline,
+    Matrix,
     NotNegative,
     Positive,
 )
@@ -84,6 +86,9 @@ class Reconfiguration(PlannedLimits, Mission):
         "least distance of two, R_col; (R_i + R_j)/2 of a list",
         EACH,
     ]
+    sensing_radius: Annotated[
+        Length | None, SWARM, Positive, "obstacles and lost vehicles are seen; comm radius if absent"
+    ] = None
     priority: Annotated[
         Coordinates | None, SWARM, "one a vehicle; the lower gives way, else who spent less"
     ] = None
@@ -121,6 +126,14 @@ class Reconfiguration(PlannedLimits, Mission):
     control_norm: Annotated[Norm, MODEL, "norm of the acceleration's limit"] = "inf"
     speed_norm: Annotated[Norm, MODEL, "norm of the velocity's limit"] = 2
     fuel_norm: Annotated[Norm, MODEL, "norm of the acceleration in the fuel"] = 1
+
+    box: Annotated[
+        Matrix | None, Unit("m"), MODEL, "allowed positions: lowest and highest corner"
+    ] = None
+
+    obstacles: Annotated[
+        tuple[Sphere | Box | Ellipsoid | Polytope, ...], In(""), Key("obstacle"), "obstacles"
+    ] = ()
 
     plant: Annotated[PlantSettings | Plant, In(""), "motion that is flown"] = PlantSettings()
 
@@ -267,6 +280,17 @@ class Reconfiguration(PlannedLimits, Mission):
             legs.append(replace(leg, shape=shape, joins=joins))
         start = start_without_files(self.start, self.agent_count, self.axes)
         return replace(self, start=start, legs=tuple(legs))
+
+    @property
+    def sight(self) -> float:
+        """Distance within which obstacles and lost vehicles are seen [m]."""
+        return self.comm_radius if self.sensing_radius is None else self.sensing_radius
+
+    @property
+    def has_surroundings(self) -> bool:
+        """True where there is anything to avoid but each other."""
+        has_wrecks = any(loss.body == "coast" for leg in self.legs for loss in leg.losses)
+        return bool(self.obstacles) or self.box is not None or has_wrecks
 
     @property
     def agent_count(self) -> int:

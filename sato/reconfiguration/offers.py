@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from problems.convexify import AvoidanceHorizon
+from problems.obstacle_paths import is_path_clear
 from sato.reconfiguration.plan import Plan, Plans
 from sato.reconfiguration.state import DecisionContext
 from sato.reconfiguration.stopping import (
@@ -18,6 +19,7 @@ from sato.reconfiguration.stopping import (
     stays_within_reach,
     stopping_horizon,
 )
+from sato.reconfiguration.surroundings import count_escape_steps
 from sato.scp.planner import reaches_target
 
 MAX_PLAN_STEPS = 16  # of what is foreseen, to which agents commit at once
@@ -53,6 +55,7 @@ def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) 
     each, owner, index, is_begun = _list_controls(context, plans, committed, plan_steps)
     # An agent that has no steps left needs some to return to its target.
     lengths = np.maximum(mission.horizon_steps, [len(u) for u in each])
+    lengths += count_escape_steps(mission, context.surroundings)
     agents, steps = np.array(list(plans)), 1 + lengths[index].max(axis=1)
     horizon = stopping_horizon(mission, int(steps.max()))
     controls = pad_controls(each, horizon.steps)
@@ -60,6 +63,7 @@ def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) 
     points = horizon.control_points(x, controls)
     is_near = stays_within_reach(mission, horizon, x[..., : mission.axes], points)
     u, paths, is_allowed = controls[index], points[index], is_near[index] & is_begun
+    is_allowed &= _avoids_obstacles(context, horizon, agents, paths, is_allowed)
     # Fewer steps than until the next decision are for those that cannot stop within reach.
     is_whole = np.array(plan_steps) >= steps_to_next(context)
     has_whole = np.asarray(is_allowed[:, is_whole].any(axis=1))
@@ -74,6 +78,26 @@ def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) 
         if is_late:  # it is late, or has drifted: it takes a turn
             is_allowed[row, :-1] = False
     return Offers(agents, plan_steps, steps, horizon, u, paths, is_allowed, clearance)
+
+
+def _avoids_obstacles(
+    context: DecisionContext,
+    horizon: AvoidanceHorizon,
+    agents: Int[Array, " agents"],
+    paths: Float[Array, "agents choices pieces 4 d"],
+    is_asked: Bool[Array, "agents choices"],
+) -> Bool[Array, "agents choices"]:
+    """Find the offers that are clear of all that an agent knows."""
+    is_clear = np.ones(is_asked.shape, dtype=bool)
+    around = context.surroundings
+    if around is None:
+        return is_clear
+    flown = around.fly(context.mission, horizon)
+    for row, i in enumerate(agents.tolist()):
+        obstacles = around.known_to(context.mission, i, flown, horizon.clearance)
+        for choice in np.flatnonzero(is_asked[row]).tolist():
+            is_clear[row, choice] = is_path_clear(paths[row, choice], obstacles)
+    return is_clear
 
 
 def _list_controls(

@@ -11,6 +11,7 @@ from numpy import ndarray as Array
 from dynamics.circular_orbit import ClohessyWiltshire
 from problems.convexify import SEPARATION_TOLERANCE
 from problems.limit import Limit
+from sato.reconfiguration.blocked import check_starts, place_targets
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.models import OrbitalModel
@@ -39,7 +40,7 @@ def draw_targets(
     kept = 1 + SEPARATION_TOLERANCE  # times R, by plans
     needed = 0.0 if mission.keeps_targets_by_pair else mission.largest_separation * kept
     with errors_in(where):
-        drawn = leg.place(demand, mission.axes, needed)
+        drawn = place_targets(mission, leg, demand, needed)
         placed = np.asarray(drawn.positions)
         if mission.keeps_targets_by_pair:
             radii = kept * mission.radii[: len(placed)]
@@ -132,6 +133,7 @@ def draw_start(
         others = np.full(len(occupied), mission.radii.max())
         radii = np.concatenate([mission.radii[agents.start : agents.stop], others])
         _check_separation(placed, occupied, radii, "agent", agents.start)
+        check_starts(mission, placed, agents, "")
     limits = [mission.speed_limit(i) for i in agents]
     return _with_velocities(mission, placed, velocity, t, where, limits)
 

@@ -10,14 +10,17 @@ from numpy import ndarray as Array
 from dynamics.discretize import discretize_zoh
 from dynamics.trajectory_geometry import interpolation_error
 from problems.convexify import AvoidanceHorizon
+from problems.obstacle_paths import is_path_clear
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.plan import Plan, Plans, is_held, remaining_controls
 from sato.reconfiguration.relaxation import list_relaxations
 from sato.reconfiguration.solo_trajectories import relinearize, solve_solo_trajectories
 from sato.reconfiguration.state import DecisionContext, Event
+from sato.reconfiguration.surroundings import Surroundings
 from sato.scp import CONVERGENCE_TOLERANCE, FEASIBILITY_TOLERANCE, Planner, resolve_conflicts
 from sato.scp.halfway import meet_halfway
+from sato.scp.routes import go_around
 
 MAX_PIECES = 12  # of the trajectory within a step
 
@@ -156,7 +159,8 @@ def plan_alone(
     }
     planners: dict[int, Planner] = {}
     unreachable: list[int] = []
-    solve_count = 0
+    solve_count, around = 0, context.surroundings
+    flown = {T: around.fly(mission, own) for T, own in horizons.items()} if around else {}
     # The first agent may have given way by little in a negotiation, and others count on it.
     relative = FEASIBILITY_TOLERANCE if mission.bargains else CONVERGENCE_TOLERANCE
     for clock, group in context.group_agents():
@@ -174,6 +178,10 @@ def plan_alone(
             if not mission.has_equal_radii:
                 (wide,) = mission.own_clearances(clearance, np.array([i])).tolist()
                 own = own.with_clearance(wide)
+            obstacles = None
+            if around is not None:
+                steps = int(ahead[i])
+                obstacles = around.known_to(mission, i, flown[steps], clearance)
             planner = Planner(
                 priority=(_priority_class(context, i, previous), -float(spent[i]), i),
                 target_state=leg.targets[memory.target_index[i]],
@@ -187,7 +195,10 @@ def plan_alone(
                 has_plan=mission.keeps_plans and rest is not None,
                 is_delayed=rest is None and _count_failures(previous, i) > 0,
                 in_turn=mission.keeps_plans,
+                obstacles=obstacles,
             )
+            if obstacles is not None and rest is None:
+                planner = go_around(planner)
             if rest is not None and not mission.keeps_plans:
                 # Begin with the previous plan, where it kept clear of an agent by another way.
                 prior = transfer.simulate(solo.x[0], rest)
@@ -209,6 +220,41 @@ def _priority_class(context: DecisionContext, i: int, previous: Plans) -> float:
 
 def _count_failures(previous: Plans, i: int) -> int:
     return previous[i].failure_count if i in previous else 0
+
+
+def give_up_closed(
+    mission: Reconfiguration,
+    plans: Plans,
+    around: Surroundings,
+    state: Float[Array, "agents n"],
+    instant: int,
+    k: int,
+    agents: list[int],
+) -> Plans:
+    """Give up plans that are closed by what some agents have seen only now.
+
+    Args:
+        mission: Model.
+        plans: Plans of all.
+        around: Surroundings at this instant.
+        state: State of each agent.
+        instant: Steps since the start of the mission.
+        k: Steps since the start of the leg.
+        agents: Numbers of the agents.
+    """
+    found = dict(plans)
+    for i in agents:
+        plan = plans.get(i)
+        if plan is None or plan.target_index is None:
+            continue
+        u = plan.controls_from(k)
+        horizon = divide_horizon(mission, instant * mission.step, len(u) + 1)
+        x = plan.trajectory.x[k - plan.planned_at :] if len(u) else state[i][None]
+        path = horizon.control_points(x, u)
+        obstacles = around.known_to(mission, i, around.fly(mission, horizon), horizon.clearance)
+        if not is_path_clear(path, obstacles):
+            found[i] = plan._replace(target_index=None)
+    return found
 
 
 @lru_cache(maxsize=8)  # the same at every replanning of a mission

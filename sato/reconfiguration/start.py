@@ -10,6 +10,7 @@ from numpy import ndarray as Array
 
 from dynamics.units import Length, Unit
 from sato.network.graph import CommunicationGraph
+from sato.reconfiguration.blocked import is_free
 from sato.scenario.definition import Coordinates, Definition, NotNegative, Positive
 from sato.scenario.errors import InputError, round_up
 from sato.shapes import Lattice, Picture, Points, Polygon, Ring, Shape, Text
@@ -73,10 +74,18 @@ class Random(Definition):
         half = np.array([box, box, box if self.depth is None else self.depth])[:axes] / 2
         center = center_in(self.center, axes)
         components = 0
+
+        def sample() -> Float[Array, " axes"]:
+            for _ in range(MAX_DRAWS):
+                place = center + rng.uniform(-half, half)
+                if is_free(mission, place):
+                    return place
+            raise InputError("box_m", f"obstacles fill a box of {box:.4g} m; a larger one would do")
+
         for _ in range(MAX_DRAWS):
             try:
                 drawn = sample_separated(
-                    lambda: center + rng.uniform(-half, half),
+                    sample,
                     count,
                     self.separation,
                     occupied,

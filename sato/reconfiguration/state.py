@@ -9,6 +9,8 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from dynamics.discretize import DiscreteModel, discretize_zoh
+from problems.convexify import AvoidanceHorizon
+from problems.obstacle_paths import ObstaclePaths
 from problems.solvers.verified import solve_program
 from problems.transfer import Solver, TransferProblem
 from sato.interfaces import (
@@ -25,6 +27,7 @@ from sato.interfaces import (
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.surroundings import Surroundings
 
 Event = dict[str, Any]  # {"kind": …, "agents": […], …}
 
@@ -93,6 +96,7 @@ class DecisionContext(NamedTuple):
     step_index: int  # since the start of the leg
     time: float  # since the start of the mission [s]
     solvers: Sequence[Solver] = ()  # of each agent; the default where empty
+    surroundings: Surroundings | None = None
 
     @property
     def instant(self) -> int:
@@ -102,6 +106,16 @@ class DecisionContext(NamedTuple):
     def solver_of(self, agent: int) -> Solver:
         """Return the agent's own solver."""
         return self.solvers[agent] if self.solvers else solve_program
+
+    def known_obstacles(
+        self, agent: int, horizon: AvoidanceHorizon
+    ) -> ObstaclePaths | None:
+        """Return what an agent knows of its surroundings, over a horizon that begins now."""
+        around = self.surroundings
+        if around is None:
+            return None
+        flown = around.fly(self.mission, horizon)
+        return around.known_to(self.mission, agent, flown, horizon.clearance)
 
     def group_agents(self) -> list[tuple[int, Int[Array, "..."]]]:
         """Group the agents that decide by their clocks and limits."""

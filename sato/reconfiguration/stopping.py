@@ -18,6 +18,7 @@ from problems.conic import Unsolved
 from problems.convexify import AvoidanceHorizon
 from problems.limit import Limit
 from problems.safety_filter import SafetyFilterProblem
+from problems.obstacle_paths import ObstaclePaths, support_obstacles
 from problems.solvers.verified import solve_program
 from problems.transfer import Solver
 from sato.reconfiguration.mission import Reconfiguration
@@ -154,6 +155,7 @@ def find_stop(
     clearance: Float[Array, " others"],
     solver: Solver = solve_program,
     side: convexify.PassingSide = "same",
+    obstacles: ObstaclePaths | None = None,
 ) -> tuple[Float[Array, "T m"], Float[Array, "instants n"], Float[Array, "pieces 4 d"]] | None:
     """Find a stopping trajectory among others, near a wanted state after some steps.
 
@@ -169,6 +171,7 @@ def find_stop(
         clearance: Distance to keep from each [m].
         solver: Solver of the program.
         side: Side on which to pass others that the nominal meets.
+        obstacles: Obstacles over the horizon.
 
     Returns:
         Controls, states and control points; None where none is found.
@@ -176,6 +179,12 @@ def find_stop(
     T, required = horizon.steps - 1, required_separations(clearance)
     normals = convexify.choose_normals(nominal - others, required, side)
     half_spaces = convexify.convexify(horizon, T, others, normals, required)
+    if obstacles is not None:
+        required = required_separations(obstacles.clearance)
+        about = support_obstacles(nominal, obstacles, side)
+        beside = convexify.convexify(horizon, T, *about, required)
+        rest = convexify.convexify_end(horizon, T, *about, required)
+        half_spaces = half_spaces.join(beside).join(rest)
     limit = mission.planned_control_limit(agent)
     transfer = mission.make_transfer(horizon.discrete_model[:T], agent)
     problem = SafetyFilterProblem(transfer, start, wanted, wanted_step, half_spaces, solver)

@@ -11,6 +11,7 @@ from numpy import ndarray as Array
 from scipy.spatial.distance import cdist
 
 from problems import convexify
+from problems.obstacle_paths import nearest_points
 from sato.network.graph import CommunicationGraph
 from sato.network.rounds import run_round
 from sato.scp.planner import Planner
@@ -46,7 +47,8 @@ def bend_all(now: dict[int, Planner], graph: CommunicationGraph) -> dict[int, Pl
     met = _are_too_near(apart, R, last[i]) | _are_too_near(apart, R, last[j])
     adjacency, ids_met = np.zeros_like(graph.adjacency), np.array(ids)[np.stack([i, j])[:, met]]
     adjacency[ids_met[0], ids_met[1]] = adjacency[ids_met[1], ids_met[0]] = True
-    acting = {k: now[k] for k in np.unique(ids_met).tolist()}
+    beside = [k for k, agent in now.items() if agent.obstacles is not None]
+    acting = {k: now[k] for k in sorted({*ids_met.flatten().tolist(), *beside})}
     messages = {k: path_message(now[k]) for k in acting}
     return run_round(CommunicationGraph(adjacency, graph.alive), acting, bend, messages)
 
@@ -64,7 +66,8 @@ def path_message(agent: Planner) -> PathMessage:
 
 
 def bend(agent: Planner, inbox: Sequence[PathMessage]) -> Planner:
-    """Push the path of an agent away from those that it is too near to."""
+    """Push the path of an agent away from those, and from obstacles, that it is too near to."""
+    inbox = [*inbox, *obstacle_messages(agent)]
     if not can_move(agent) or not inbox:
         return agent
     path, last = agent.control_points[:, 0], count_pieces_left(agent) - 1
@@ -83,6 +86,16 @@ def bend(agent: Planner, inbox: Sequence[PathMessage]) -> Planner:
     return agent._replace(
         control_points=agent.control_points + interpolate_shift(shift), has_converged=False
     )
+
+
+def obstacle_messages(agent: Planner) -> list[PathMessage]:
+    """Return what obstacles would say, if each were its point that is nearest to the agent."""
+    obstacles, own = agent.obstacles, agent.horizon.clearance
+    if obstacles is None:
+        return []
+    nearest, target = nearest_points(agent.control_points, obstacles), agent.target_state
+    each = zip(nearest, (2 * obstacles.clearance - own).tolist(), strict=True)
+    return [PathMessage(-inf, path, R, target, False) for path, R in each]
 
 
 def _are_too_near(

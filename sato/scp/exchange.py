@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from problems.convexify import are_paths_separated
+from problems.obstacle_paths import is_path_clear
 from sato.network.graph import CommunicationGraph
 from sato.network.rounds import run_round
 from sato.scp.planner import Planner, follows_solo, update_planner
@@ -48,9 +49,10 @@ def run_batched(
     conflicts = ~are_paths_separated(paths, lower, upper, radius)
     final = np.zeros(len(now), dtype=bool)
     has_deviated = np.array([not follows_solo(agent) for agent in now])
+    meets = np.array([not is_path_clear(agent.control_points, agent.obstacles) for agent in now])
     in_turn = np.array([agent.in_turn for agent in now])
     while not final.all():
-        in_conflict = np.zeros(len(now), dtype=bool)
+        in_conflict = meets.copy()
         in_conflict[lower[conflicts]] = True
         waits = (above & ~final).any(axis=1)
         acts = ~final & (in_conflict | has_deviated) & ~(in_turn & waits)
@@ -67,6 +69,7 @@ def run_batched(
             moved[k] = after.control_points is not now[k].control_points
             now[k], final[k], paths[k] = after, after.is_final, after.control_points
             has_deviated[k] = not follows_solo(after)
+            meets[k] = not is_path_clear(after.control_points, after.obstacles)
         changed = moved[lower] | moved[upper]
         conflicts[changed] = ~are_paths_separated(
             paths, lower[changed], upper[changed], radius[changed]

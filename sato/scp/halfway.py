@@ -24,7 +24,6 @@ from sato.scp.planner import (
     VIOLATION_TOLERANCE,
     Planner,
     TrajectoryMessage,
-    is_clear,
     solve_around,
 )
 from sato.scp.spreading import spread_all
@@ -77,7 +76,7 @@ def _solve_all(now: dict[int, Planner], graph: CommunicationGraph) -> dict[int, 
     i, j = np.nonzero(np.triu(heard))
     meets = ~convexify.are_paths_separated(paths, i, j, (own[i] + own[j]) / 2)
     i, j = i[meets], j[meets]
-    acts = np.array([_improves(now[k]) for k in ids])
+    acts = np.array([_improves(own) or not own.is_clear([]) for own in now.values()])
     acts[i[rank[j] <= rank[i]]] = acts[j[rank[i] <= rank[j]]] = True
     messages = {k: agent.message for k, agent in now.items()}
     acting = {k: now[k] for k, is_acting in zip(ids, acts, strict=True) if is_acting}
@@ -92,9 +91,9 @@ def solve_halfway(agent: Planner, inbox: Sequence[TrajectoryMessage]) -> Planner
     """
     nominal, R = agent.control_points, agent.horizon.clearance
     inbox = [other for other in inbox if other.priority[0] <= agent.priority[0]]
-    if not can_move(agent) or not inbox:
+    if not can_move(agent) or not (inbox or agent.obstacles):
         return agent
-    if not _improves(agent) and is_clear(nominal, inbox, R):
+    if not _improves(agent) and agent.is_clear(inbox):
         return agent
     middles = [
         other._replace(

@@ -5,13 +5,20 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from problems import convexify
 from problems.avoidance import RELAXES_HALF_SPACES, AvoidanceProblem, AvoidanceResult, Relaxation
 from problems.conic import Unsolved
 from problems.half_spaces import HalfSpaces
+from problems.obstacle_paths import (
+    ObstaclePaths,
+    are_pieces_clear,
+    is_path_clear,
+    support_obstacles,
+    violation,
+)
 from problems.solvers.verified import solve_program
 from problems.transfer import Solver, Trajectory, TransferProblem
 
@@ -66,6 +73,8 @@ class Planner(NamedTuple):
     solo: Trajectory  # optimal without the others: iterate 0
     nominal: Trajectory
     control_points: Float[Array, "pieces 4 d"]  # of the nominal, over the horizon
+    obstacles: ObstaclePaths | None = None  # that it knows, over the horizon
+    route: Float[Array, "pieces 4 d"] | None = None  # around these, where `solo` is not clear
     relinearize: Callable[[Trajectory], TransferProblem] | None = None  # None: model is linear
     solver: Solver = solve_program  # its own
     has_plan: bool = False  # True where it begins with a plan that it keeps if it can
@@ -121,6 +130,18 @@ class Planner(NamedTuple):
             terminal_error=result.terminal_error, slack=result.slack, has_failed=False
         )
 
+    @property
+    def restarted(self) -> "Planner":
+        """This planner with its solo trajectory as the nominal, or the way around obstacles."""
+        if self.route is None:
+            return self.with_nominal(self.solo)
+        return self._replace(nominal=self.solo, control_points=self.route, has_converged=False)
+
+    def is_clear(self, messages: Sequence[TrajectoryMessage]) -> bool:
+        """Return True where its nominal keeps clear of the senders and of obstacles."""
+        path, obstacles = self.control_points, self.obstacles
+        return is_path_clear(path, obstacles) and is_clear(path, messages, self.horizon.clearance)
+
     def reaches_target(self, trajectory: Trajectory) -> bool:
         """Return True where a trajectory ends at the target."""
         return reaches_target(trajectory, self.target_state, self.horizon.clearance)
@@ -150,24 +171,24 @@ def update_planner(agent: Planner, inbox: Sequence[TrajectoryMessage]) -> Planne
         return agent
     # Half-spaces leave out what no control can change: the first control points, and those after
     # the last control. So what is flown is verified as it is.
-    lacking = 0.0
+    lacking = violation(agent.control_points, agent.obstacles)
     if above:
         radii = pair_clearances(above, agent.horizon.clearance)
-        lacking = convexify.separation_violation(agent.control_points - paths_of(above), radii)
+        of_others = convexify.separation_violation(agent.control_points - paths_of(above), radii)
+        lacking = max(lacking, of_others)
     return agent._replace(is_final=True, slack=max(agent.slack, lacking))
 
 
 def _is_in_conflict(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> bool:
     # Those above are final: a trajectory that is clear of them can stay.
-    path, R = agent.control_points, agent.horizon.clearance
-    return len(agent.nominal.u) > 0 and not (agent.has_converged and is_clear(path, above, R))
+    return len(agent.nominal.u) > 0 and not (agent.has_converged and agent.is_clear(above))
 
 
 def _needs_solve(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> bool:
     if len(agent.nominal.u) == 0:
         return False
     if follows_solo(agent):
-        return not is_clear(agent.control_points, above, agent.horizon.clearance)
+        return not agent.is_clear(above)
     is_unchanged = len(above) == len(agent.last_inbox) and all(
         np.array_equal(a.control_points, b.control_points)
         for a, b in zip(above, agent.last_inbox, strict=True)
@@ -210,7 +231,7 @@ def is_clear(
 def _solve_iteration(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Planner:
     R = agent.horizon.clearance
     after = agent.with_result(AvoidanceResult(agent.solo, 0.0, 0.0))
-    if not is_clear(after.control_points, above, R):
+    if not after.is_clear(above):
         after = _solve_avoidance(agent.relinearized, above)
     moved = float(np.abs(after.nominal.x - agent.nominal.x).max())
     most = MAX_SOLVES_IN_TURN if agent.in_turn else MAX_SOLVES
@@ -219,10 +240,9 @@ def _solve_iteration(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Pl
 
 
 def _solve_avoidance(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Planner:
-    nominal = agent.control_points
-    collides = not is_clear(nominal, above, agent.horizon.clearance)
+    nominal, collides = agent.control_points, not agent.is_clear(above)
     if collides and agent.in_turn:  # a path that was pushed aside, and is no way around
-        agent = agent.with_nominal(agent.solo)
+        agent = agent.restarted
         nominal = agent.control_points
     sides = PASSING_SIDES[nominal.shape[-1]] if collides else ("same",)
     tried = [solve_around(agent, above, nominal, side) for side in sides]
@@ -270,13 +290,21 @@ def solve_around(
 
     Agents that do not come near the agent's own path need no half-spaces at first.
     """
-    horizon, T = agent.horizon, len(agent.nominal.u)
-    others, clear = paths_of(messages), pair_clearances(messages, horizon.clearance)
+    horizon, T, bodies = agent.horizon, len(agent.nominal.u), agent.obstacles
+    others = np.array([message.control_points for message in messages])
+    others = others.reshape(-1, *nominal.shape)
+    clear = pair_clearances(messages, horizon.clearance)
     near, required = NEARBY_FACTOR * clear, required_separations(clear)
     constrained = ~convexify.are_balls_separated(agent.control_points - others, near).all(axis=1)
+    beside = None if bodies is None else _find_met(agent.control_points, bodies, NEARBY_FACTOR)
     while True:
         paths, kept = others[constrained], required[constrained]
         normal = convexify.choose_normals(nominal - paths, kept, side)
+        if bodies is not None:
+            of_bodies = support_obstacles(nominal, bodies.select(beside), side)
+            paths = np.concatenate([paths, of_bodies[0]])
+            normal = np.concatenate([normal, of_bodies[1]])
+            kept = np.append(kept, required_separations(bodies.clearance[beside]))
         half_spaces = convexify.convexify(horizon, T, paths, normal, kept)
         try:
             result = _solve_active_set(agent, half_spaces, relaxation)
@@ -284,9 +312,22 @@ def solve_around(
             return None
         path = horizon.control_points(result.trajectory.x, result.trajectory.u)
         is_met = ~convexify.are_hulls_separated(path - others, clear).all(axis=1)
-        if not (is_met & ~constrained).any():
-            return result
+        is_new = bool((is_met & ~constrained).any())
         constrained = constrained | is_met
+        if bodies is not None:
+            met = _find_met(path, bodies)
+            is_new |= bool((met & ~beside).any())
+            beside = beside | met
+        if not is_new:
+            return result
+
+
+def _find_met(
+    path: Float[Array, "pieces 4 d"], obstacles: ObstaclePaths, factor: float = 1.0
+) -> Bool[Array, " obstacles"]:
+    """Find the obstacles that a path comes nearer to than the clearance, times a factor."""
+    wide = obstacles._replace(clearance=factor * obstacles.clearance)
+    return np.asarray(~are_pieces_clear(path, wide).all(axis=1))
 
 
 def _solve_active_set(

@@ -12,6 +12,7 @@ from dynamics.trajectory_geometry import sampled_separations
 from problems.limit import LIMIT_TOLERANCE, Limit
 from sato.check import common
 from sato.check.report import Promise, Report, expect_below, expect_none, expect_small_error
+from sato.reconfiguration.check.clearance import find_clearance, find_excess
 from sato.reconfiguration.check.fuel import compute_energy_shortfall, compute_step_fuel
 from sato.reconfiguration.check.legs import check_assignment, check_legs, check_target_counts
 from sato.reconfiguration.check.prediction import bound_speed_excess, redraw
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
 PROMISES = tuple(
     "complete attributes times chief numbers start alive component flight applied measured control"
-    " speed targets legs assignment believed separation reached fuel".split()
+    " speed targets legs assignment believed separation obstacles reached fuel".split()
 )
 # Rounding in one step, relative to the largest position, speed or control.
 ROUNDING_TOLERANCE = 1e-10
@@ -67,6 +68,7 @@ def check_run(data: "xarray.Dataset", mission: Reconfiguration, rng: np.random.G
         check_assignment(record),
         check_target_counts(record),
         check_separation(record),
+        check_obstacles(record),
         check_arrival(record),
         check_fuel(record),
     )
@@ -116,10 +118,11 @@ def check_propagation(record: ReconfigurationRecord) -> Promise:
     )
     scale = np.repeat([p + v * step, v + u * step], record.axes) + 1e-300
     errors = (record.repropagate()[:, 1] - x[1:]) / scale
-    # Lost agents stay where they are, so that every number of the file is checked.
-    is_absent = ~frames.alive[:-1] & ~frames.alive[1:]
+    # Lost agents stay where they are or drift, so that every number of the file is checked.
+    is_adrift = record.is_adrift[:-1]
+    is_absent = ~frames.alive[:-1] & ~frames.alive[1:] & ~is_adrift
     moved = np.nan_to_num((x[1:] - x[:-1]) / scale)
-    errors = np.concatenate([errors[record.is_flying], moved[is_absent]])
+    errors = np.concatenate([errors[record.is_flying | is_adrift], moved[is_absent]])
     text = "relative error of a step propagated again under its applied control"
     return expect_small_error("flight", errors, ROUNDING_TOLERANCE, text)
 
@@ -241,6 +244,24 @@ def _least_relative(
     i, j = np.triu_indices(len(radii), 1)
     distance = np.linalg.norm(position[:, i] - position[:, j], axis=2) / ((radii[i] + radii[j]) / 2)
     return float(np.min(distance, where=alive[:, i] & alive[:, j], initial=np.inf))
+
+
+def check_obstacles(record: ReconfigurationRecord) -> Promise:
+    """Check that no agent comes closer than R to an obstacle, or leaves the allowed positions."""
+    error = record.pieces.error
+    beyond, agent = find_excess(record)
+    if beyond > ROUNDING_TOLERANCE * float(np.abs(record.frames.position).max()) + error:
+        text = f"agent {agent} is {beyond:.3g} m out of the allowed positions"
+        return Promise("obstacles", False, beyond, 0.0, text)
+    found = find_clearance(record)
+    if found is None:
+        return Promise("obstacles", True, 0.0, 0.0, "there are none")
+    radius = float(record.mission.radii[found.agent])
+    kind = record.mission.obstacles[found.obstacle].kind
+    where = f"agent {found.agent} and obstacle {found.obstacle}, a {kind}, at {found.time:.4g} s"
+    text = f"{found.distance:.9g} m between {where}, {radius:g} m allowed"
+    is_kept = found.room - error >= -1e-9 * radius
+    return Promise("obstacles", bool(is_kept), found.distance, radius * (1 - 1e-9), text)
 
 
 def check_arrival(record: ReconfigurationRecord) -> Promise:

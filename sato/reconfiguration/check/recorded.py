@@ -65,6 +65,16 @@ class FuelBound(NamedTuple):
     assignment: AssignmentCost
 
 
+class Pieces(NamedTuple):
+    """Cubic pieces of all trajectories, by the states at their ends."""
+
+    state: Float[Array, "instants agents n"]
+    alive: Bool[Array, "instants agents"]
+    is_adrift: Bool[Array, "instants agents"]
+    duration: float  # of each [s]
+    error: float  # largest distance of a trajectory from its piece [m]
+
+
 class ReconfigurationRecord(
     RunRecord[Reconfiguration, ReconfigurationFrame, ReconfigurationVariables]
 ):
@@ -148,11 +158,13 @@ class ReconfigurationRecord(
     def repropagate(self, pieces: int = 1) -> Float[Array, "steps {pieces}+1 agents n"]:
         """Propagate every recorded state by the plant under the applied control of its step.
 
-        NaN for agents that do not fly, or without a finite control.
+        NaN for agents that do not fly, or without a finite control; lost ones may drift.
         """
         plant, step, x = self.mission.flown_plant, self.mission.step, self.state
-        is_missing = ~self.is_flying | ~np.isfinite(self.frames.applied_control[:-1]).all(axis=2)
-        controls = np.where(is_missing[..., None], 0.0, self.frames.applied_control[:-1])
+        has_control = np.isfinite(self.frames.applied_control[:-1]).all(axis=2)
+        is_missing = ~self.is_adrift[:-1] & ~(self.is_flying & has_control)
+        is_free = is_missing | self.is_adrift[:-1]
+        controls = np.where(is_free[..., None], 0.0, self.frames.applied_control[:-1])
         found = np.empty((len(controls), pieces + 1, *x.shape[1:]))
         for k, u in enumerate(controls):
             found[k] = plant.propagate(x[k], u, k * step, step, pieces)
@@ -178,15 +190,98 @@ class ReconfigurationRecord(
     def _compute_separations(
         self, radii: Float[Array, " agents"] | None
     ) -> tuple[trajectory_geometry.Separations, float]:
-        pieces, d = self.pieces_per_step, self.axes
-        h = self.mission.step / pieces
-        x = np.repeat(self.state, pieces, axis=0)[: len(self.is_flying) * pieces + 1]
-        if pieces > 1:
-            within = x[:-1].reshape(-1, pieces, *x.shape[1:])
-            within[:, 1:] = self.repropagate(pieces)[:, 1:-1]
-        alive = np.vstack([np.repeat(self.is_flying, pieces, axis=0), self.frames.alive[-1:]])
-        found = trajectory_geometry.separations(x[..., :d], x[..., d:], alive, h, radii)
-        return found, 2 * self._interpolation_error(x, pieces)
+        d, (x, alive, adrift, h, error) = self.axes, self.pieces
+        own = x[..., :d], x[..., d:], alive, h, radii, adrift
+        return trajectory_geometry.separations(*own), 2 * error
+
+    @cached_property
+    def pieces(self) -> "Pieces":
+        """States at the ends of all cubic pieces."""
+        count = self.pieces_per_step
+        x = np.repeat(self.state, count, axis=0)[: len(self.is_flying) * count + 1]
+        if count > 1:
+            within = x[:-1].reshape(-1, count, *x.shape[1:])
+            within[:, 1:] = self.repropagate(count)[:, 1:-1]
+        alive = np.vstack([np.repeat(self.is_flying, count, axis=0), self.frames.alive[-1:]])
+        adrift = np.vstack([np.repeat(self.is_adrift[:-1], count, axis=0), self.is_adrift[-1:]])
+        error = self._interpolation_error(x, count)
+        return Pieces(x, alive, adrift, self.mission.step / count, error)
+
+    @cached_property
+    def is_adrift(self) -> Bool[Array, "instants agents"]:
+        """True for agents that are lost, and fly on without control."""
+        found = np.zeros_like(self.frames.alive)
+        for k, event in self.events.of_kind("loss"):
+            if event.get("body") == "coast":
+                found[k:, np.asarray(event["agents"], dtype=int)] = True
+        return found
+
+    @property
+    def is_flying(self) -> Bool[Array, "steps agents"]:
+        """True for agents that fly a step: alive at its start, also if they are lost at its end."""
+        return self.frames.alive[:-1]
+
+    def repropagate(self, pieces: int = 1) -> Float[Array, "steps {pieces}+1 agents n"]:
+        """Propagate every recorded state by the plant under the applied control of its step.
+
+        NaN for agents that do not fly, or without a finite control; lost ones may drift.
+        """
+        plant, step, x = self.mission.flown_plant, self.mission.step, self.state
+        has_control = np.isfinite(self.frames.applied_control[:-1]).all(axis=2)
+        is_missing = ~self.is_adrift[:-1] & ~(self.is_flying & has_control)
+        is_free = is_missing | self.is_adrift[:-1]
+        controls = np.where(is_free[..., None], 0.0, self.frames.applied_control[:-1])
+        found = np.empty((len(controls), pieces + 1, *x.shape[1:]))
+        for k, u in enumerate(controls):
+            found[k] = plant.propagate(x[k], u, k * step, step, pieces)
+        found[np.broadcast_to(is_missing[:, None], found.shape[:3])] = np.nan
+        return found
+
+    @cached_property
+    def separations(self) -> tuple[trajectory_geometry.Separations, float]:
+        """Least separation in every piece, and an allowance for the interpolation error [m].
+
+        Pieces lie between states of the plant itself. Two agents may have been closer by twice
+        the interpolation error: it is bounded where the plant is a time-invariant linear model
+        (`interpolation_error_bound`), and measured elsewhere (`sampled_interpolation_error`).
+        """
+        return self._compute_separations(None)
+
+    @cached_property
+    def relative_separations(self) -> tuple[trajectory_geometry.Separations, float]:
+        """The same, relative to the distance that each pair keeps."""
+        found, error = self._compute_separations(self.mission.radii)
+        return found, error / self.mission.least_separation
+
+    def _compute_separations(
+        self, radii: Float[Array, " agents"] | None
+    ) -> tuple[trajectory_geometry.Separations, float]:
+        d, (x, alive, adrift, h, error) = self.axes, self.pieces
+        own = x[..., :d], x[..., d:], alive, h, radii, adrift
+        return trajectory_geometry.separations(*own), 2 * error
+
+    @cached_property
+    def pieces(self) -> "Pieces":
+        """States at the ends of all cubic pieces."""
+        count = self.pieces_per_step
+        x = np.repeat(self.state, count, axis=0)[: len(self.is_flying) * count + 1]
+        if count > 1:
+            within = x[:-1].reshape(-1, count, *x.shape[1:])
+            within[:, 1:] = self.repropagate(count)[:, 1:-1]
+        alive = np.vstack([np.repeat(self.is_flying, count, axis=0), self.frames.alive[-1:]])
+        adrift = np.vstack([np.repeat(self.is_adrift[:-1], count, axis=0), self.is_adrift[-1:]])
+        error = self._interpolation_error(x, count)
+        return Pieces(x, alive, adrift, self.mission.step / count, error)
+
+    @cached_property
+    def is_adrift(self) -> Bool[Array, "instants agents"]:
+        """True for agents that are lost, and fly on without control."""
+        found = np.zeros_like(self.frames.alive)
+        bodies = [loss.body for leg in self.mission.legs for loss in leg.losses]
+        for (k, event), body in zip(self.events.of_kind("loss"), bodies, strict=False):
+            if body == "coast":
+                found[k:, np.asarray(event["agents"], dtype=int)] = True
+        return found
 
     @cached_property
     def pieces_per_step(self) -> int:

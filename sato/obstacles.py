@@ -1,0 +1,291 @@
+"""Obstacles: convex, at rest or at constant velocity, as scenarios of any system have them."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import pi, sqrt
+from typing import Annotated, ClassVar
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from dynamics.units import Length, Unit
+from sato.scenario.definition import Coordinates, Definition, Matrix, Positive
+from sato.scenario.errors import InputError
+
+CIRCLE_CORNERS, SPHERE_CORNERS = 24, 200  # of the polytopes about ellipsoids
+LEAST_THICKNESS = 1e-6  # of the size of a polytope, below which it has no volume
+Points = Float[Array, "*k d"]
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Obstacle(Definition):
+    """Convex body that vehicles keep clear of.
+
+    It is the convex hull of `corners`, about the point `place`, and all within `thickness` of it.
+    """
+
+    velocity: Annotated[
+        Coordinates | None, Unit("m_s"), "constant velocity; at rest if absent"
+    ] = None
+    known: Annotated[bool, "known before the flight, else once it is within sensing radius"] = True
+
+    @property
+    def thickness(self) -> float:
+        """Radius of the ball by which the hull of the corners is thickened [m]."""
+        return 0.0
+
+    @property
+    def place(self) -> Float[Array, " d"]:
+        """Its middle at the start of the mission [m]."""
+        raise NotImplementedError
+
+    @property
+    def corners(self) -> Float[Array, "corners d"]:
+        """Corners of a polytope that contains it, but for the radius, from its middle [m]."""
+        raise NotImplementedError
+
+    def nearest(self, points: Points) -> Points:
+        """Find its points that are nearest to others, at the start; of one inside, itself [m]."""
+        raise NotImplementedError
+
+    def distances(self, points: Points) -> Float[Array, "*k"]:
+        """Compute the distance of points from it at the start, 0 inside [m]."""
+        return np.asarray(np.linalg.norm(points - self.nearest(points), axis=-1))
+
+    @property
+    def axes(self) -> int:
+        """Axes of space."""
+        return len(self.place)
+
+    @property
+    def drift(self) -> Float[Array, " d"]:
+        """Its velocity [m/s]."""
+        return np.zeros(self.axes) if self.velocity is None else np.array(self.velocity)
+
+    def place_at(self, time: float) -> Float[Array, " d"]:
+        """Return its middle at a time since the start of the mission [m]."""
+        return np.asarray(self.place + time * self.drift)
+
+    def check(self) -> None:
+        """Refuse lists of unequal lengths."""
+        if self.axes not in (2, 3):
+            raise InputError("", f"has {self.axes} coordinates, and space has 2 or 3")
+        if self.velocity is not None and len(self.velocity) != self.axes:
+            reason = f"has {len(self.velocity)} entries, and the obstacle {self.axes} coordinates"
+            raise InputError("velocity_m_s", reason)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Sphere(Obstacle):
+    """Sphere, or in the plane a circle."""
+
+    kind: ClassVar[str] = "sphere"
+    center: Annotated[Coordinates, Unit("m"), "center"]
+    radius: Annotated[Length, Positive, "radius"]
+
+    @property
+    def thickness(self) -> float:  # noqa: D102
+        return self.radius
+
+    @property
+    def place(self) -> Float[Array, " d"]:  # noqa: D102
+        return np.array(self.center)
+
+    @property
+    def corners(self) -> Float[Array, "1 d"]:  # noqa: D102
+        return np.zeros((1, self.axes))
+
+    def nearest(self, points: Points) -> Points:  # noqa: D102
+        offset = points - self.place
+        away = np.maximum(np.linalg.norm(offset, axis=-1, keepdims=True), self.radius)
+        surface = self.place + offset * (self.radius / away)
+        return np.where(away > self.radius, surface, points)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Box(Obstacle):
+    """Box with sides along the axes, or in the plane a rectangle."""
+
+    kind: ClassVar[str] = "box"
+    low: Annotated[Coordinates, Unit("m"), "lowest corner"]
+    high: Annotated[Coordinates, Unit("m"), "highest corner"]
+
+    def check(self) -> None:
+        """Refuse corners that are not in order."""
+        if len(self.high) != len(self.low):
+            reason = f"has {len(self.high)} coordinates, and low_m {len(self.low)}"
+            raise InputError("high_m", reason)
+        if not (np.array(self.low) < self.high).all():
+            raise InputError("low_m", "must be less than high_m along every axis")
+        super().check()
+
+    @property
+    def place(self) -> Float[Array, " d"]:  # noqa: D102
+        return (np.array(self.low) + self.high) / 2
+
+    @property
+    def corners(self) -> Float[Array, "corners d"]:  # noqa: D102
+        half = (np.array(self.high) - self.low) / 2
+        signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * self.axes, indexing="ij"), axis=-1)
+        return np.asarray(signs.reshape(-1, self.axes) * half)
+
+    def nearest(self, points: Points) -> Points:  # noqa: D102
+        return np.clip(points, self.low, self.high)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Ellipsoid(Obstacle):
+    """Ellipsoid with semi-axes along the axes of space, or in the plane an ellipse.
+
+    Vehicles plan about a polytope that contains it, and is larger by up to 1 % in the plane and
+    2 % in space.
+    """
+
+    kind: ClassVar[str] = "ellipsoid"
+    center: Annotated[Coordinates, Unit("m"), "center"]
+    semi_axes: Annotated[Coordinates, Unit("m"), "semi-axis along each axis"]
+
+    def check(self) -> None:
+        """Refuse semi-axes that are not positive."""
+        if len(self.semi_axes) != len(self.center):
+            reason = f"has {len(self.semi_axes)} entries, and center_m {len(self.center)}"
+            raise InputError("semi_axes_m", reason)
+        if min(self.semi_axes) <= 0:
+            raise InputError("semi_axes_m", f"must be positive, got {min(self.semi_axes):g}")
+        super().check()
+
+    @property
+    def place(self) -> Float[Array, " d"]:  # noqa: D102
+        return np.array(self.center)
+
+    @property
+    def corners(self) -> Float[Array, "corners d"]:  # noqa: D102
+        return polytope_about_ball(self.axes) * np.array(self.semi_axes)
+
+    def nearest(self, points: Points) -> Points:
+        """Find its points that are nearest to others, at the start; of one inside, itself [m].
+
+        The nearest point is a² x/(a² + t) for each semi-axis a, with the root t > 0 of its
+        equation, found by bisection.
+        """
+        offset, a = points - self.place, np.array(self.semi_axes)
+        low = np.zeros(offset.shape[:-1])
+        high = np.linalg.norm(offset * a, axis=-1)
+        outside = ((offset / a) ** 2).sum(axis=-1) > 1
+        for _ in range(80):
+            t = (low + high) / 2
+            is_low = ((a * offset / (a**2 + t[..., None])) ** 2).sum(axis=-1) > 1
+            low, high = np.where(is_low, t, low), np.where(is_low, high, t)
+        surface = self.place + a**2 * offset / (a**2 + high[..., None])
+        return np.where(outside[..., None], surface, points)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Polytope(Obstacle):
+    """Convex polytope: the hull of its corners, or the points within all of its faces."""
+
+    kind: ClassVar[str] = "polytope"
+    points: Annotated[Matrix | None, Unit("m"), "corners"] = None
+    normals: Annotated[Matrix | None, "normal n of each face, outwards, instead of corners"] = None
+    offsets: Annotated[Coordinates | None, Unit("m"), "n·x at each face, for unit normals n"] = None
+
+    def check(self) -> None:
+        """Refuse what is no convex polytope with a volume."""
+        if (self.points is None) == (self.normals is None):
+            reason = "needs points_m, or normals and offsets_m, and not both"
+            raise InputError("points_m", reason)
+        if self.normals is not None and len(self.offsets or ()) != len(self.normals):
+            reason = f"has {len(self.offsets or ())} entries for {len(self.normals)} normals"
+            raise InputError("offsets_m", reason)
+        if self.normals is not None and self.normals.shape[1] not in (2, 3):
+            raise InputError("normals", f"have {self.normals.shape[1]} coordinates, not 2 or 3")
+        listed = self._listed
+        if listed.shape[1] not in (2, 3):
+            raise InputError("points_m", f"have {listed.shape[1]} coordinates, not 2 or 3")
+        size = np.linalg.svd(listed - listed.mean(axis=0), compute_uv=False)
+        if len(listed) <= listed.shape[1] or size[-1] <= LEAST_THICKNESS * size[0]:
+            raise InputError("points_m", "have no volume; corners on all sides of it would do")
+        from scipy.spatial import ConvexHull
+
+        inside = np.setdiff1d(np.arange(len(listed)), ConvexHull(listed).vertices)
+        if self.points is not None and len(inside):
+            reason = f"point {inside[0]} is within the hull of the others"
+            cure = "without it, or as several convex obstacles, they would do"
+            raise InputError("points_m", f"are not the corners of a convex body: {reason}; {cure}")
+        super().check()
+
+    @cached_property
+    def _listed(self) -> Float[Array, "corners d"]:
+        if self.points is not None:
+            return np.asarray(self.points)
+        return intersect_half_spaces(np.asarray(self.normals), np.array(self.offsets))
+
+    @property
+    def place(self) -> Float[Array, " d"]:  # noqa: D102
+        return np.asarray(self._listed.mean(axis=0))
+
+    @property
+    def corners(self) -> Float[Array, "corners d"]:  # noqa: D102
+        return self._listed - self.place
+
+    def nearest(self, points: Points) -> Points:  # noqa: D102
+        from dynamics.bezier_kernels import body_distances  # compiles, so it is imported late
+
+        flat = np.ascontiguousarray(points, dtype=float).reshape(-1, 1, self.axes)
+        body = np.zeros(len(flat), dtype=int)
+        _, vector = body_distances(flat, np.ascontiguousarray(self._listed[None]), body)
+        return np.asarray(points - vector.reshape(points.shape))
+
+
+def intersect_half_spaces(
+    normals: Float[Array, "faces d"], offsets: Float[Array, " faces"]
+) -> Float[Array, "corners d"]:
+    """Find the corners of the points x with n·x ≤ offset for all faces.
+
+    Raises:
+        InputError: These are none, have no volume, or are unbounded.
+    """
+    from scipy.optimize import linprog
+    from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
+
+    length = np.linalg.norm(normals, axis=1)
+    if not (length > 0).all():
+        raise InputError("normals", "must not be zero")
+    unit, d = normals / length[:, None], normals.shape[1]
+    # The largest ball within all faces; a cube bounds it where they do not.
+    wide = 1e6 * (1 + np.abs(offsets).max())
+    A = np.hstack([unit, np.ones((len(unit), 1))])
+    bounds = [(-wide, wide)] * d + [(0, wide)]
+    found = linprog(-np.eye(d + 1)[d], A, offsets, bounds=bounds)
+    if found.status != 0 or found.x[d] <= LEAST_THICKNESS * np.abs(offsets).max():
+        raise InputError("offsets_m", "leave no volume within all faces; larger ones would do")
+    try:
+        corners = HalfspaceIntersection(np.column_stack([unit, -offsets]), found.x[:d])
+        listed = corners.intersections
+        if not np.isfinite(listed).all() or np.abs(listed).max() > wide / 2:
+            raise InputError("normals", "leave the body unbounded; faces on all sides would do")
+        return np.asarray(listed[ConvexHull(listed).vertices])
+    except QhullError as error:
+        raise InputError("normals", "leave the body unbounded, or flat") from error
+
+
+def polytope_about_ball(axes: int) -> Float[Array, "corners d"]:
+    """Return the corners of a polytope that contains the ball of radius 1, and is not much larger.
+
+    In space they are on a spiral with equal areas (Fibonacci's).
+    """
+    if axes == 2:
+        angle = 2 * pi * np.arange(CIRCLE_CORNERS) / CIRCLE_CORNERS
+        return np.stack([np.cos(angle), np.sin(angle)], axis=1) / np.cos(pi / CIRCLE_CORNERS)
+    from scipy.spatial import ConvexHull
+
+    k = np.arange(SPHERE_CORNERS)
+    z, angle = 1 - (2 * k + 1) / SPHERE_CORNERS, pi * (3 - sqrt(5)) * k
+    flat = np.sqrt(1 - z**2)
+    points = np.stack([flat * np.cos(angle), flat * np.sin(angle), z], axis=1)
+    nearest = -ConvexHull(points).equations[:, -1].max()
+    return np.asarray(points / nearest)
+
+
+AnyObstacle = Sphere | Box | Ellipsoid | Polytope

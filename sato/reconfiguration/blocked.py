@@ -1,0 +1,131 @@
+"""Starts and targets that obstacles block, or that are outside of the allowed positions."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray as Array
+
+from problems.convexify import SEPARATION_TOLERANCE
+from sato.scenario.errors import InputError
+from sato.shapes import Points
+
+if TYPE_CHECKING:
+    from sato.reconfiguration.leg import Leg
+    from sato.reconfiguration.mission import Reconfiguration
+
+MAX_LEFT_OUT = 20  # times that a shape is drawn with more targets, for those that are left out
+
+
+def check_starts(
+    mission: "Reconfiguration", placed: Float[Array, "k d"], agents: Sequence[int], where: str
+) -> None:
+    """Refuse starts in obstacles or out of bounds, and those that an obstacle moves through.
+
+    Args:
+        mission: Obstacles and allowed positions.
+        placed: Starts [m].
+        agents: Number of each agent.
+        where: Key of the starts, for the error.
+
+    Raises:
+        InputError: One is; says where.
+    """
+    if len(placed):
+        radii = mission.radii[list(agents)]
+        needed = radii * (1 - 1e-9)
+        if reason := find_fault(mission, placed, needed, [f"agent {i} starts" for i in agents]):
+            raise InputError(where, f"{reason}; another start, or a smaller obstacle, would do")
+
+
+def place_targets(
+    mission: "Reconfiguration", leg: "Leg", demand: int, needed: float
+) -> Points:
+    """Return the targets of a leg, of a shape without those that are blocked.
+
+    Args:
+        mission: Obstacles that are known and at rest, and allowed positions.
+        leg: The leg.
+        demand: Least number of targets.
+        needed: Least distance of two [m].
+
+    Raises:
+        InputError: A target of a list is blocked, or too few of a shape are left.
+    """
+    drawn = leg.place(demand, mission.axes, needed)
+    if not (mission.obstacles or mission.box is not None):
+        return drawn
+    asked = len(np.asarray(drawn.positions))
+    wanted = demand if leg.count else asked
+    for _ in range(MAX_LEFT_OUT):
+        placed = np.asarray(drawn.positions)
+        is_given = mission.assignment == "given" and len(placed) == len(mission.radii)
+        radii = mission.radii if is_given else np.full(len(placed), mission.radii.max())
+        blocked = are_blocked(mission, placed, radii)
+        if not blocked.any():
+            return drawn
+        if isinstance(leg.shape, Points) or is_given:
+            names = [f"target {j} is" for j in range(len(placed))]
+            needed = radii * (1 + SEPARATION_TOLERANCE)
+            reason = find_fault(mission, placed, needed, names)
+            reason = reason or f"target {blocked.argmax()} is in a margin about an obstacle"
+            raise InputError("", f"{reason}; another target, or a smaller obstacle, would do")
+        left = ~blocked
+        if left.sum() >= wanted:
+            speed = drawn.velocities
+            kept = None if speed is None else np.asarray(speed)[left]
+            return replace(drawn, positions=placed[left], velocities=kept)
+        asked += wanted - int(left.sum())
+        drawn = replace(leg, count=asked).place(asked, mission.axes, needed)
+    raise InputError("", f"obstacles leave fewer than {wanted} targets; another place would do")
+
+
+def is_free(mission: "Reconfiguration", place: Float[Array, " d"]) -> bool:
+    """Tell whether any vehicle may start at a place."""
+    if not (mission.obstacles or mission.box is not None):
+        return True
+    return find_fault(mission, place[None], mission.radii.max(keepdims=True), [""]) is None
+
+
+def are_blocked(
+    mission: "Reconfiguration", placed: Float[Array, "k d"], radii: Float[Array, " k"]
+) -> Bool[Array, " k"]:
+    """Find the places that known obstacles at rest block, or that are out of bounds."""
+    needed = (radii + mission.known_margin) * (1 + SEPARATION_TOLERANCE)
+    blocked = ~are_inside(mission, placed, mission.known_margin)
+    for obstacle in mission.obstacles:
+        if obstacle.known and not obstacle.drift.any():
+            blocked |= obstacle.distances(placed) < needed
+    return blocked
+
+
+def are_inside(
+    mission: "Reconfiguration", placed: Float[Array, "k d"], margin: float = 0.0
+) -> Bool[Array, " k"]:
+    """Find the places that are within the allowed positions, by a margin."""
+    if mission.box is None:
+        return np.ones(len(placed), dtype=bool)
+    low, high = np.asarray(mission.box)
+    return np.asarray(((placed >= low + margin) & (placed <= high - margin)).all(axis=1))
+
+
+def find_fault(
+    mission: "Reconfiguration",
+    placed: Float[Array, "k d"],
+    needed: Float[Array, " k"],
+    names: list[str],
+) -> str | None:
+    """Say which place is nearer to an obstacle than is needed, or out of bounds; None if none."""
+    outside = np.flatnonzero(~are_inside(mission, placed))
+    if len(outside):
+        return f"{names[outside[0]]} outside of the allowed positions, model.box_m"
+    for number, obstacle in enumerate(mission.obstacles):
+        away = obstacle.distances(placed)
+        near = np.flatnonzero(away < needed)
+        if len(near):
+            i = int(near[0])
+            found = f"{names[i]} {away[i]:.8g} m from obstacle {number}, a {obstacle.kind}"
+            return f"{found}, and has to keep {needed[i]:.8g} m"
+    return None
