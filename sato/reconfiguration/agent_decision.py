@@ -212,7 +212,7 @@ class Decision(NamedTuple):
         committed = {self.number: stopping.Commitment(self.context.instant, turns.u)}
         events = self.events
         is_cautious = self.number in turns.order and turns.plan_steps == 0
-        if is_cautious and commitment.leaves_plan(turns.plan):
+        if is_cautious and commitment.leaves_plan(turns.plan, plan):
             events = (*events, {"kind": "cautious", "agents": [self.number]})
         plans = {self.number: plan}
         return self._replace(plans=plans, committed=committed, events=events, is_finished=True)

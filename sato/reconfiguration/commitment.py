@@ -140,7 +140,7 @@ def commit(
         i: follow(context, plan, int(flown[a]), u[a]) for a, (i, plan) in enumerate(plans.items())
     }
     left = [int(offers.agents[a]) for a in cautious if flown[a] == 0]
-    return done, followed, sorted(i for i in left if leaves_plan(plans[i]))
+    return done, followed, sorted(i for i in left if leaves_plan(plans[i], followed[i]))
 
 
 def rank_of(offers: Offers, plans: Plans) -> Int[Array, " agents"]:
@@ -151,9 +151,13 @@ def rank_of(offers: Offers, plans: Plans) -> Int[Array, " agents"]:
     return rank
 
 
-def leaves_plan(plan: Plan) -> bool:
-    """Tell whether an agent that could not commit to its plan leaves one that has steps."""
-    return len(plan.trajectory.u) > 0
+def leaves_plan(plan: Plan, followed: Plan | None = None) -> bool:
+    """Tell whether an agent that could not commit to its plan leaves one that has steps.
+
+    Or leaves its target, by what it follows instead.
+    """
+    is_away = followed is not None and followed.target_index != plan.target_index
+    return len(plan.trajectory.u) > 0 or is_away
 
 
 def follow(

@@ -18,6 +18,7 @@ from sato.reconfiguration.stopping import (
     pad_controls,
     stays_within_reach,
     stopping_horizon,
+    trim_rest,
 )
 from sato.reconfiguration.surroundings import count_escape_steps
 from sato.scp.planner import reaches_target
@@ -54,8 +55,9 @@ def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) 
     mission, plan_steps = context.mission, _plan_steps(context)
     each, owner, index, is_begun = _list_controls(context, plans, committed, plan_steps)
     # An agent that has no steps left needs some to return to its target.
+    if escape := count_escape_steps(mission, context.surroundings):
+        each = [np.concatenate([trim_rest(u), np.zeros((escape, mission.axes))]) for u in each]
     lengths = np.maximum(mission.horizon_steps, [len(u) for u in each])
-    lengths += count_escape_steps(mission, context.surroundings)
     agents, steps = np.array(list(plans)), 1 + lengths[index].max(axis=1)
     horizon = stopping_horizon(mission, int(steps.max()))
     controls = pad_controls(each, horizon.steps)

@@ -92,9 +92,14 @@ def held_controls(
     A speed that noise has left is lost as soon as the committed controls end.
     """
     held = committed_controls(mission, agent, committed, instant)
-    ends = int(np.flatnonzero(held.any(axis=1)).max(initial=-1)) + 1
-    u = end_at_rest(mission.planned_control_limit(agent), velocity, held[:ends], mission.step)
+    limit = mission.planned_control_limit(agent)
+    u = end_at_rest(limit, velocity, trim_rest(held), mission.step)
     return np.concatenate([u, held[len(u) :]])
+
+
+def trim_rest(u: Float[Array, "T m"]) -> Float[Array, "_ m"]:
+    """Return controls without the zeros at their end."""
+    return u[: int(np.flatnonzero(u.any(axis=1)).max(initial=-1)) + 1]
 
 
 def pad_controls(each: Sequence[Float[Array, "_ m"]], steps: int) -> Float[Array, "each T m"]:

@@ -80,7 +80,8 @@ def _is_odd_length(record: ReconfigurationRecord, leg: LegRecord) -> bool:
     """
     steps, period = record.mission.legs[leg.leg_index].steps, record.mission.replan_steps
     begins = [k for k, _ in record.events.of_kind("reset") if k < leg.end_index]
-    braked = [k + period + 1 for k, _ in record.events.of_kind("braked") if k < leg.end_index]
+    left = ("braked", "cautious") if record.mission.has_surroundings else ("braked",)
+    braked = [k + period + 1 for k, _ in record.events.of_kind(*left) if k < leg.end_index]
     latest = max([max([leg.start_index, *begins]) + steps, *braked])
     most = leg.start_index + MAX_LEG_FACTOR * steps
     gives_up = [k for k, _ in record.events.of_kind("infeasible") if k == leg.end_index == most]
