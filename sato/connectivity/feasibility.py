@@ -7,11 +7,11 @@ import numpy as np
 from scipy.spatial.distance import pdist, squareform
 
 from problems.interaction_graph import algebraic_connectivity, interaction_graph
-from sato.connectivity.obstacles import Obstacles, obstacle_distances
+from sato.connectivity.obstacles import Obstacles, Plane, obstacle_distances
 from sato.connectivity.power_iteration import spectral_radius
 from sato.connectivity.settings import MAX_ROW_AGE, PowerIterationGains, complete_gains
 from sato.network.graph import label_components
-from sato.scenario.definition import fields_of
+from sato.scenario.definition import errors_in, fields_of
 from sato.scenario.errors import InputError, join_names
 
 if TYPE_CHECKING:
@@ -103,6 +103,24 @@ def _check_power_iteration(mission: "Connectivity") -> None:
             f"is {radius:.4g}, and must be below 1; {join_names(cures, 'and')} would do, and are "
             "taken where none are given",
         )
+
+
+def check_obstacles(mission: "Connectivity") -> None:
+    """Refuse obstacles that are flat, move, or are not known beforehand.
+
+    Raises:
+        InputError: One is; says which.
+    """
+    for number, obstacle in enumerate(mission.obstacles):
+        if isinstance(obstacle, Plane):
+            continue
+        with errors_in(f"obstacle.{number}"):
+            if obstacle.axes != 3:
+                raise InputError("", f"has {obstacle.axes} coordinates, and space has 3")
+            if obstacle.drift.any():
+                raise InputError("velocity_m_s", "obstacles rest in this system; leave it out")
+            if not obstacle.known:
+                raise InputError("known", "robots see all obstacles in range; leave it out")
 
 
 def check_start(mission: "Connectivity") -> None:

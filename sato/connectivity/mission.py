@@ -15,9 +15,10 @@ from dynamics.quadrotor import Quadrotor
 from dynamics.units import Key, Length, Time, Unit
 from problems.interaction_graph import Camera
 from sato.connectivity import feasibility, settings
-from sato.connectivity.obstacles import Box, Obstacles, Plane, RandomSpheres, Sphere
+from sato.connectivity.obstacles import Obstacles, Plane, RandomSpheres
 from sato.connectivity.start import Poses, RandomPoses, as_poses
 from sato.connectivity.stick import RecordedStick, WaypointStick
+from sato.obstacles import Box, Sphere
 from sato.scenario.definition import (
     LATER,
     Convert,
@@ -131,6 +132,7 @@ class Connectivity(Mission):
         feasibility.check_settings(self)
         feasibility.check_sampling(self)
         feasibility.check_losses(self)
+        feasibility.check_obstacles(self)
         if np.ndim(self.yaw_error) and np.shape(self.yaw_error) != (self.agents, self.agents):
             raise InputError("swarm.yaw_error_rad", f"needs {self.agents} x {self.agents} errors")
         if isinstance(self.start, Poses):

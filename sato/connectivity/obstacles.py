@@ -10,7 +10,8 @@ from annotated_types import Le, Len
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from dynamics.units import Length, Unit
+from dynamics.units import Unit
+from sato.obstacles import Box, Sphere
 from sato.scenario.definition import Coordinates, Definition, NotNegative, Positive
 from sato.scenario.errors import InputError
 
@@ -20,29 +21,6 @@ REPULSION_CLEARANCE = 0.5  # beyond the distance at which repulsion is infinite,
 MAX_DRAWS = 10_000  # of one sphere, before it is given up
 Point = Annotated[Coordinates, Len(3, 3)]
 Points = Float[Array, "*#k 3"]
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Sphere(Definition):
-    """Sphere."""
-
-    kind: ClassVar[str] = "sphere"
-    center: Annotated[Point, Unit("m"), "center"]
-    radius: Annotated[Length, Positive, "radius"]
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Box(Definition):
-    """Box with sides along the axes."""
-
-    kind: ClassVar[str] = "box"
-    low: Annotated[Point, Unit("m"), "lowest corner"]
-    high: Annotated[Point, Unit("m"), "highest corner"]
-
-    def check(self) -> None:
-        """Refuse corners that are not in order."""
-        if not (np.array(self.low) < self.high).all():
-            raise InputError("low_m", "must be less than high_m along every axis")
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -18,6 +18,7 @@ from sato.auctions import (
     run_vsdaa,
 )
 from sato.network.graph import CommunicationGraph
+from sato.reconfiguration.blocked_targets import agree_on_blocked, put_last
 from sato.reconfiguration.clock import set_back, wait
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
@@ -43,6 +44,7 @@ class AssignmentDecision(NamedTuple):
     memory: AgentMemory
     was_reset: Bool[Array, " agents"]  # the clock was set back
     solve_count: int
+    blocked: Bool[Array, "agents targets"] | None = None  # targets that were left out
 
 
 class AuctionResult(NamedTuple):
@@ -51,6 +53,7 @@ class AuctionResult(NamedTuple):
     outcome: VsdaaResult
     won_unreachable: Bool[Array, " agents"]  # the agent won a target out of its reach
     solve_count: int
+    blocked: Bool[Array, "agents targets"] | None = None
 
 
 def assign_targets(
@@ -91,7 +94,7 @@ def assign_targets(
         auction = run_auction(context._replace(memory=memory), cost, is_firm)
         solves += auction.solve_count
     memory = _remember(context._replace(memory=memory), auction.outcome)
-    return AssignmentDecision(memory, was_reset, solves)
+    return AssignmentDecision(memory, was_reset, solves, auction.blocked)
 
 
 def agreement_graph(mission: Reconfiguration, graph: CommunicationGraph) -> CommunicationGraph:
@@ -178,20 +181,50 @@ def run_auction(
     mission, graph, memory = context.mission, context.graph, context.memory
     epsilon, live = compute_epsilon(mission, context.leg), np.flatnonzero(graph.alive)
     table, solves = compute_costs(context, planned_cost), 0
+    blocked = find_left_out(context)
+    order, count = order_targets(memory.target_count, blocked)
     while True:
         cost = compute_bid_costs(table, memory, graph, is_firm)
         auction = METHODS[mission.assignment](
-            VsdaaAuction(cost, graph, memory.target_count, epsilon, mission.bidder_ids)
+            VsdaaAuction(take(cost, order), graph, count, epsilon, mission.bidder_ids)
         )
+        if order is not None:
+            place = np.maximum(auction.target_index, 0)
+            index = np.take_along_axis(order, place[:, None], axis=1)[:, 0]
+            auction = auction._replace(target_index=np.where(graph.alive, index, -1))
         won = auction.target_index[live]
         inexact = ~table.is_exact[live, won]
         if not inexact.any():
             lost = np.zeros(len(graph.alive), dtype=bool)
             lost[live] = ~table.is_reachable[live, won]
-            return AuctionResult(auction, lost, solves)
+            return AuctionResult(auction, lost, solves, blocked)
         solves += int(inexact.sum())
         for i, j in zip(live[inexact].tolist(), won[inexact].tolist(), strict=True):
             refine_cost(context, table, i, j)
+
+
+def find_left_out(context: DecisionContext) -> Bool[Array, "agents targets"] | None:
+    """Find the targets that each agent leaves out of an auction; None where there are none."""
+    return None if context.mission.assignment == "given" else agree_on_blocked(context)
+
+
+def order_targets(
+    count: Int[Array, "*agents"], blocked: Bool[Array, "*agents targets"] | None
+) -> tuple[Int[Array, "*agents targets"] | None, Int[Array, "*agents"]]:
+    """Return the targets in the order in which agents bid on them, and on how many.
+
+    Those that are blocked come last; None where none is.
+    """
+    if blocked is None:
+        return None, count
+    return put_last(blocked), np.minimum(count, np.maximum((~blocked).sum(axis=-1), 1))
+
+
+def take(
+    cost: Float[Array, "*agents targets"], order: Int[Array, "*agents targets"] | None
+) -> Float[Array, "*agents targets"]:
+    """Return costs in another order of the targets."""
+    return cost if order is None else np.take_along_axis(cost, order, axis=-1)
 
 
 def compute_epsilon(mission: Reconfiguration, leg: Leg) -> float:

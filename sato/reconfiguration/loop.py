@@ -77,6 +77,7 @@ class _Flight:
         steps, recount = self.leg.steps, self.leg.recount
         self.believed = state.update_believed(mission, self.believed, self.memory, flown, recount)
         self.memory, self.plans = state.begin_memory(mission, self.leg, self.believed), {}
+        self.left_out: set[int] = set()  # targets that some agents know to be blocked
         self._note("leg_start", self.alive, leg=number)
         for k in range(MAX_LEG_FACTOR * steps + 1):
             joined = self._apply_losses_and_joins(k)
@@ -216,6 +217,7 @@ class _Flight:
             self.memory = memory
             if decision.was_reset.any():
                 self._note("reset", decision.was_reset)
+            self._note_blocked(decision.blocked)
             if moved.any():
                 self._note("assignment", moved, target=memory.target_index[moved].tolist())
         elif bids_on_change(self.mission):
@@ -236,6 +238,17 @@ class _Flight:
             reasons = {self.solvers[i].last_rejection for i in np.flatnonzero(rejected)}
             more = {"programs": int(rejected.sum()), "reasons": sorted(reasons)}
             self._note("fallback", rejected > 0, **more)
+
+    def _note_blocked(self, blocked: Array | None) -> None:
+        """Note the targets that are left out from now on."""
+        if blocked is None:
+            return
+        new = blocked.any(axis=0)
+        new[list(self.left_out)] = False
+        if new.any():
+            self.left_out.update(state.to_indices(new))
+            agents = blocked[:, new].any(axis=1)
+            self._note("blocked", agents, targets=state.to_indices(new))
 
     def _hear_clocks(self, context: state.DecisionContext) -> Array:
         """Return the clock with the most time left of those that plan again, as agents hear it."""

@@ -21,6 +21,8 @@ from dynamics.discretize import discretize_zoh
 from dynamics.model import ControlSamples, NonlinearModel, StateSamples
 from dynamics.trajectory_geometry import control_points
 from problems import convexify
+from problems.convexify import AvoidanceHorizon
+from problems.obstacle_paths import ObstaclePaths, are_pieces_clear
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.commitment import (
     are_clear,
@@ -36,6 +38,7 @@ from sato.reconfiguration.plan import Plan, Plans
 from sato.reconfiguration.planning import divide_horizon
 from sato.reconfiguration.state import DecisionContext
 from sato.reconfiguration.stopping import Commitment, Commitments, committed_controls, pad_controls
+from sato.reconfiguration.surroundings import Surroundings
 from sato.scenario.errors import InputError
 
 FREE_ORBITS = 2.0  # of free motion that are checked
@@ -75,16 +78,94 @@ def make_orbital_offers(
     free = simulate(mission, end, rest, context.time + steps * mission.step, h)
     d = mission.axes
     pieces = horizon.control_points(x, u), control_points(free[..., :d], free[..., d:], h)
+    paths = np.concatenate(pieces, axis=2)
     return Offers(
         agents=agents,
         plan_steps=(steps, 0),
         steps=np.full(len(agents), steps),
         horizon=horizon,
         u=u,
-        paths=np.concatenate(pieces, axis=2),
-        is_allowed=np.ones((len(agents), 2), dtype=bool),
+        paths=paths,
+        is_allowed=_avoid_obstacles(context, horizon, agents, paths, (count, h)),
         clearance=mission.own_clearances(horizon.clearance, agents),
     )
+
+
+def _avoid_obstacles(
+    context: DecisionContext,
+    horizon: AvoidanceHorizon,
+    agents: Int[Array, " agents"],
+    paths: Float[Array, "agents 2 pieces 4 d"],
+    free: tuple[int, float],
+) -> Bool[Array, "agents 2"]:
+    """Allow the plans that are clear of all that an agent knows for longer than what it flies."""
+    mission, around = context.mission, context.surroundings
+    allowed = np.ones((len(agents), 2), dtype=bool)
+    if around is None:
+        return allowed
+    flown = drift_on(context, around, horizon, free)
+    for row, i in enumerate(agents.tolist()):
+        known = around.known_to(mission, i, flown, horizon.clearance)
+        if known is not None:
+            clear = [are_pieces_clear(path, known).all(axis=0) for path in paths[row]]
+            first = [len(own) if own.all() else int(own.argmin()) for own in clear]
+            allowed[row, 0] = first[0] >= first[1]
+    return allowed
+
+
+def drift_on(
+    context: DecisionContext,
+    around: Surroundings,
+    horizon: AvoidanceHorizon,
+    free: tuple[int, float],
+) -> ObstaclePaths | None:
+    """Return the motion of all that does not decide over a horizon, and free motion after it.
+
+    Args:
+        context: Time.
+        around: Surroundings.
+        horizon: Horizon.
+        free: Number of pieces after it, and their length [s].
+    """
+    flown, mission, d = around.fly(context.mission, horizon), context.mission, context.mission.axes
+    if flown is None:
+        return None
+    (count, h), T = free, horizon.steps
+    later = np.repeat(flown.paths[:, -1:, -1:], 4, axis=2)
+    time = (np.arange(count)[:, None] + np.linspace(0.0, 1.0, 4)) * h
+    after = later + time[..., None] * flown.velocity[:, None, None]
+    lost = around.vehicle >= 0
+    if lost.any():
+        rest = np.zeros((int(lost.sum()), T, d))
+        end = simulate(mission, around.state[lost], rest, context.time, mission.step)[:, -1]
+        rest = np.zeros((int(lost.sum()), count, d))
+        x = simulate(mission, end, rest, context.time + T * mission.step, h)
+        after[lost] = control_points(x[..., :d], x[..., d:], h)
+    return flown._replace(paths=np.concatenate([flown.paths, after], axis=1))
+
+
+def arrive_among(
+    context: DecisionContext, agent: int, steps: int
+) -> tuple[Float[Array, "targets pieces 4 d"], ObstaclePaths]:
+    """Return the motion of all targets from arrival on, and that of what an agent knows.
+
+    Args:
+        context: Time, leg and surroundings.
+        agent: Number of the agent.
+        steps: Steps until it arrives.
+    """
+    mission, around, d = context.mission, context.surroundings, context.mission.axes
+    assert around is not None
+    horizon = divide_horizon(mission, context.time, steps, context.leg)
+    count, h = free_motion(mission, context.leg, context.instant - context.step_index)
+    flown = drift_on(context, around, horizon, (count, h))
+    known = around.known_to(mission, agent, flown, horizon.clearance)
+    assert known is not None
+    rest = np.zeros((len(context.leg.targets), count, d))
+    begin = context.time + steps * mission.step
+    x = simulate(mission, context.leg.targets, rest, begin, h)
+    paths = control_points(x[..., :d], x[..., d:], h)
+    return paths, known.after_pieces(len(horizon.fine_model))
 
 
 def fly_plans(

@@ -11,7 +11,7 @@ from numpy import ndarray as Array
 from dynamics.circular_orbit import ClohessyWiltshire
 from problems.convexify import SEPARATION_TOLERANCE
 from problems.limit import Limit
-from sato.reconfiguration.blocked import check_starts, place_targets
+from sato.reconfiguration.allowed_places import check_starts, place_targets
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.models import OrbitalModel

@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 
 from dynamics.units import Length, Unit
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration.blocked import is_free
+from sato.reconfiguration.allowed_places import is_free
 from sato.scenario.definition import Coordinates, Definition, NotNegative, Positive
 from sato.scenario.errors import InputError, round_up
 from sato.shapes import Lattice, Picture, Points, Polygon, Ring, Shape, Text

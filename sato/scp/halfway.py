@@ -76,7 +76,7 @@ def _solve_all(now: dict[int, Planner], graph: CommunicationGraph) -> dict[int, 
     i, j = np.nonzero(np.triu(heard))
     meets = ~convexify.are_paths_separated(paths, i, j, (own[i] + own[j]) / 2)
     i, j = i[meets], j[meets]
-    acts = np.array([_improves(own) or not own.is_clear([]) for own in now.values()])
+    acts = np.array([_improves(own) or not own.keeps_clear([]) for own in now.values()])
     acts[i[rank[j] <= rank[i]]] = acts[j[rank[i] <= rank[j]]] = True
     messages = {k: agent.message for k, agent in now.items()}
     acting = {k: now[k] for k, is_acting in zip(ids, acts, strict=True) if is_acting}
@@ -93,7 +93,7 @@ def solve_halfway(agent: Planner, inbox: Sequence[TrajectoryMessage]) -> Planner
     inbox = [other for other in inbox if other.priority[0] <= agent.priority[0]]
     if not can_move(agent) or not (inbox or agent.obstacles):
         return agent
-    if not _improves(agent) and agent.is_clear(inbox):
+    if not _improves(agent) and agent.keeps_clear(inbox):
         return agent
     middles = [
         other._replace(

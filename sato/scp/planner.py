@@ -137,7 +137,7 @@ class Planner(NamedTuple):
             return self.with_nominal(self.solo)
         return self._replace(nominal=self.solo, control_points=self.route, has_converged=False)
 
-    def is_clear(self, messages: Sequence[TrajectoryMessage]) -> bool:
+    def keeps_clear(self, messages: Sequence[TrajectoryMessage]) -> bool:
         """Return True where its nominal keeps clear of the senders and of obstacles."""
         path, obstacles = self.control_points, self.obstacles
         return is_path_clear(path, obstacles) and is_clear(path, messages, self.horizon.clearance)
@@ -181,14 +181,14 @@ def update_planner(agent: Planner, inbox: Sequence[TrajectoryMessage]) -> Planne
 
 def _is_in_conflict(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> bool:
     # Those above are final: a trajectory that is clear of them can stay.
-    return len(agent.nominal.u) > 0 and not (agent.has_converged and agent.is_clear(above))
+    return len(agent.nominal.u) > 0 and not (agent.has_converged and agent.keeps_clear(above))
 
 
 def _needs_solve(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> bool:
     if len(agent.nominal.u) == 0:
         return False
     if follows_solo(agent):
-        return not agent.is_clear(above)
+        return not agent.keeps_clear(above)
     is_unchanged = len(above) == len(agent.last_inbox) and all(
         np.array_equal(a.control_points, b.control_points)
         for a, b in zip(above, agent.last_inbox, strict=True)
@@ -231,7 +231,7 @@ def is_clear(
 def _solve_iteration(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Planner:
     R = agent.horizon.clearance
     after = agent.with_result(AvoidanceResult(agent.solo, 0.0, 0.0))
-    if not after.is_clear(above):
+    if not after.keeps_clear(above):
         after = _solve_avoidance(agent.relinearized, above)
     moved = float(np.abs(after.nominal.x - agent.nominal.x).max())
     most = MAX_SOLVES_IN_TURN if agent.in_turn else MAX_SOLVES
@@ -240,7 +240,7 @@ def _solve_iteration(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Pl
 
 
 def _solve_avoidance(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Planner:
-    nominal, collides = agent.control_points, not agent.is_clear(above)
+    nominal, collides = agent.control_points, not agent.keeps_clear(above)
     if collides and agent.in_turn:  # a path that was pushed aside, and is no way around
         agent = agent.restarted
         nominal = agent.control_points

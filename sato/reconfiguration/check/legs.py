@@ -11,6 +11,8 @@ from sato.network.graph import CommunicationGraph, canonicalize_labels
 from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
 from sato.reconfiguration.leg import MAX_LEG_FACTOR
 
+BLOCKED_TOLERANCE = 0.05  # ellipsoids are taken for polytopes about them
+
 
 def check_legs(record: ReconfigurationRecord) -> Promise:
     """Check that legs follow one another, and that each ends as its last instants show."""
@@ -54,6 +56,26 @@ def check_target_counts(record: ReconfigurationRecord) -> Promise:
             wrong += not (is_due or leg.start_index + k in joins)
     wrong += int((expected != record.variables.targets_believed).sum())
     return expect_none("believed", wrong, "target counts against the auctions or the events")
+
+
+def check_blocked(record: ReconfigurationRecord) -> Promise:
+    """Check that targets were left out only where something else was too near to them.
+
+    In orbit, where what drifts may come near later, only that there was something.
+    """
+    mission, wrong = record.mission, 0
+    radius = (float(mission.radii.max()) + mission.margin) * (1 + BLOCKED_TOLERANCE)
+    for k, event in record.events.of_kind("blocked"):
+        leg = int(record.leg_index[k])
+        places = record.targets[leg, np.asarray(event["targets"], dtype=int), : record.axes]
+        lost = record.frames.position[k, record.is_adrift[k]]
+        away = np.linalg.norm(places[:, None] - lost, axis=2).min(axis=1, initial=np.inf)
+        for obstacle in mission.obstacles:
+            moved = places - record.time[k] * obstacle.drift
+            away = np.minimum(away, obstacle.distances(moved))
+        near = away <= radius if mission.is_point_mass else np.isfinite(away)
+        wrong += int((~near).sum())
+    return expect_none("blocked", wrong, "targets left out that nothing blocked")
 
 
 def _count_contradictions(record: ReconfigurationRecord, leg: LegRecord) -> int:

@@ -14,7 +14,12 @@ from sato.check import common
 from sato.check.report import Promise, Report, expect_below, expect_none, expect_small_error
 from sato.reconfiguration.check.clearance import find_clearance, find_excess
 from sato.reconfiguration.check.fuel import compute_energy_shortfall, compute_step_fuel
-from sato.reconfiguration.check.legs import check_assignment, check_legs, check_target_counts
+from sato.reconfiguration.check.legs import (
+    check_assignment,
+    check_blocked,
+    check_legs,
+    check_target_counts,
+)
 from sato.reconfiguration.check.prediction import bound_speed_excess, redraw
 from sato.reconfiguration.check.recorded import ReconfigurationRecord
 from sato.reconfiguration.check.summary import is_reached, summarize
@@ -27,7 +32,7 @@ if TYPE_CHECKING:
 
 PROMISES = tuple(
     "complete attributes times chief numbers start alive component flight applied measured control"
-    " speed targets legs assignment believed separation obstacles reached fuel".split()
+    " speed targets legs assignment blocked believed separation obstacles reached fuel".split()
 )
 # Rounding in one step, relative to the largest position, speed or control.
 ROUNDING_TOLERANCE = 1e-10
@@ -66,6 +71,7 @@ def check_run(data: "xarray.Dataset", mission: Reconfiguration, rng: np.random.G
         check_targets(record),
         check_legs(record),
         check_assignment(record),
+        check_blocked(record),
         check_target_counts(record),
         check_separation(record),
         check_obstacles(record),

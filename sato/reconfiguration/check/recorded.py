@@ -150,6 +150,12 @@ class ReconfigurationRecord(
         steps = len(self.time) - 1
         return discretize_zoh(self.mission.linear_model, self.mission.step, steps)
 
+    def find_left_out(self, leg: LegRecord) -> Int[Array, " targets"]:
+        """Find the targets of a leg that agents left out, as they were blocked."""
+        events = self.events.of_kind("blocked")
+        found = [e["targets"] for k, e in events if leg.start_index <= k < leg.end_index]
+        return np.unique(np.concatenate([np.zeros(0), *found])).astype(int)
+
     @property
     def is_flying(self) -> Bool[Array, "steps agents"]:
         """True for agents that fly a step: alive at its start, also if they are lost at its end."""

@@ -158,11 +158,15 @@ def _measure_shape(record: ReconfigurationRecord, leg: LegRecord) -> dict[str, f
     is_given = record.mission.assignment == "given"
     if record.mission.legs[leg.leg_index].is_free and not is_given:
         return {}
-    m, distance = leg.largest_target_count, _distances_to_agents(record, leg)
+    left_out = record.find_left_out(leg)
+    distance = _distances_to_agents(record, leg)
+    is_open = ~np.isin(np.arange(len(distance)), left_out)
+    m, distance = leg.largest_target_count, distance[is_open]
     is_hole = ~(distance[:m] <= record.mission.position_tolerance)
-    spacing = min_distance(record.leg_targets(leg)[:m, : record.axes])
+    spacing = min_distance(record.leg_targets(leg)[is_open][:m, : record.axes])
     gap = float(distance.max(initial=0.0)) / spacing if np.isfinite(spacing) else np.nan
-    return {"holes": int(is_hole.sum()), "gap": gap}
+    found = {"holes": int(is_hole.sum()), "gap": gap}
+    return found | ({"blocked": len(left_out)} if len(left_out) else {})
 
 
 def _distances_to_agents(record: ReconfigurationRecord, leg: LegRecord) -> Float[Array, " targets"]:

@@ -1,4 +1,7 @@
-"""Starts and targets that obstacles block, or that are outside of the allowed positions."""
+"""Starts and targets that obstacles block, or that are outside of the allowed positions.
+
+Targets of shapes that known obstacles block are left out when a mission is drawn.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
