@@ -152,13 +152,6 @@ def _pass_by(
     return rise_before(p, len(relative)) * (max(lacking, 0.0) * way)
 
 
-def are_places_clear(
-    places: Float[Array, "places d"], obstacles: ObstaclePaths
-) -> Bool[Array, " places"]:
-    """Tell which places keep the distance from obstacles as they stand at first."""
-    return segments_clear(places, places, obstacles)
-
-
 def pad_corners(each: list[Float[Array, "_ d"]]) -> Float[Array, "obstacles corners d"]:
     """Stack corners, with the first ones repeated up to the largest number."""
     most = max(map(len, each))

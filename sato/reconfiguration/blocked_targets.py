@@ -4,11 +4,13 @@ Agents of one network bid on the targets that none of them knows to be blocked, 
 if the others stood at the end of the list.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from problems.obstacle_paths import are_places_clear, is_path_clear
+from problems.obstacle_paths import ObstaclePaths, is_path_clear
 from sato.reconfiguration.orbital_commitment import arrive_among
 from sato.reconfiguration.planning import divide_horizon
 from sato.reconfiguration.state import DecisionContext
@@ -17,42 +19,56 @@ from sato.scp.planner import required_separations
 AT_REST = 1e-6  # of the radius in a step: what moves more slowly stays where it is
 
 
-def find_blocked(context: DecisionContext, agent: int) -> Bool[Array, " targets"]:
-    """Find the targets that what an agent knows blocks.
+class Places(NamedTuple):
+    """Targets as agents would stand there from arrival on, and all that does not decide."""
 
-    That is what rests too near to a target, or in orbit drifts too near to the bounded motion of
-    the target, once that begins.
+    paths: Float[Array, "targets pieces 4 d"]
+    others: ObstaclePaths | None  # without clearances
+    clearance: float  # that any two vehicles keep [m]
+
+
+def find_places(context: DecisionContext, steps: int) -> Places:
+    """Return the places that agents would take up after some steps.
+
+    In orbit they move on with their targets. Elsewhere they rest, and only what rests too can
+    block them.
     """
     mission, around, targets = context.mission, context.surroundings, context.leg.targets
-    blocked = np.zeros(len(targets), dtype=bool)
-    if around is None or not around.is_known[agent].any():
-        return blocked
-    d = mission.axes
+    assert around is not None
     if not mission.is_point_mass:
-        left = context.leg.steps - int(context.memory.clock[agent])
-        states, known = arrive_among(context, agent, max(1, left))
-        paths, clearance = states, required_separations(known.clearance)
-        wide = known._replace(clearance=clearance)
-        return np.array([not is_path_clear(path, wide) for path in paths])
+        return Places(*arrive_among(context, steps))
     horizon = divide_horizon(mission, context.time, 1)
-    known = around.known_to(mission, agent, around.fly(mission, horizon), horizon.clearance)
-    assert known is not None
-    speed = np.linalg.norm(known.velocity, axis=1)
-    known = known.select(speed * mission.step <= AT_REST * mission.least_separation)
-    if len(known.paths):
-        wide = known._replace(clearance=required_separations(known.clearance))
-        blocked |= ~are_places_clear(targets[:, :d], wide)
-    return blocked
+    here = np.repeat(targets[:, None, None, : mission.axes], 4, axis=2)
+    flown = around.fly(mission, horizon)
+    if flown is not None:
+        is_still = np.linalg.norm(flown.velocity, axis=1) * mission.step <= AT_REST * mission.least_separation
+        far = np.where(is_still, 0.0, np.inf)[:, None, None, None]
+        flown = flown._replace(paths=flown.paths[:, :1] + far)
+    return Places(here, flown, horizon.clearance)
+
+
+def find_blocked(context: DecisionContext, agent: int, places: Places) -> Bool[Array, " targets"]:
+    """Find the targets at which an agent would come too near to what it knows."""
+    around = context.surroundings
+    assert around is not None
+    known = around.known_to(context.mission, agent, places.others, places.clearance)
+    if known is None:
+        return np.zeros(len(places.paths), dtype=bool)
+    wide = known._replace(clearance=required_separations(known.clearance))
+    return np.array([not is_path_clear(path, wide) for path in places.paths])
 
 
 def agree_on_blocked(context: DecisionContext) -> Bool[Array, "agents targets"] | None:
     """Find the targets that any agent of each one's component knows to be blocked; None if none."""
-    graph = context.graph
+    graph, clock, places = context.graph, context.memory.clock, dict[int, Places]()
     if context.surroundings is None:
         return None
     blocked = np.zeros((len(graph.alive), len(context.leg.targets)), dtype=bool)
     for i in np.flatnonzero(graph.alive).tolist():
-        blocked[i] = find_blocked(context, i)
+        steps = max(1, context.leg.steps - int(clock[i]))
+        if steps not in places:
+            places[steps] = find_places(context, steps)
+        blocked[i] = find_blocked(context, i, places[steps])
     for c in range(graph.component.max(initial=-1) + 1):
         members = np.flatnonzero(graph.component == c)
         blocked[members] = blocked[members].any(axis=0)

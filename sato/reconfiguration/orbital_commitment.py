@@ -38,7 +38,7 @@ from sato.reconfiguration.plan import Plan, Plans
 from sato.reconfiguration.planning import divide_horizon
 from sato.reconfiguration.state import DecisionContext
 from sato.reconfiguration.stopping import Commitment, Commitments, committed_controls, pad_controls
-from sato.reconfiguration.surroundings import Surroundings
+from sato.reconfiguration.surroundings import Surroundings, count_escape_steps
 from sato.scenario.errors import InputError
 
 FREE_ORBITS = 2.0  # of free motion that are checked
@@ -107,7 +107,8 @@ def _avoid_obstacles(
     for row, i in enumerate(agents.tolist()):
         known = around.known_to(mission, i, flown, horizon.clearance)
         if known is not None:
-            clear = [are_pieces_clear(path, known).all(axis=0) for path in paths[row]]
+            each = paths[row, :, : known.paths.shape[1]]
+            clear = [are_pieces_clear(path, known).all(axis=0) for path in each]
             first = [len(own) if own.all() else int(own.argmin()) for own in clear]
             allowed[row, 0] = first[0] >= first[1]
     return allowed
@@ -119,7 +120,9 @@ def drift_on(
     horizon: AvoidanceHorizon,
     free: tuple[int, float],
 ) -> ObstaclePaths | None:
-    """Return the motion of all that does not decide over a horizon, and free motion after it.
+    """Return the motion of all that does not decide over a horizon, and a while after it.
+
+    What comes near later than it takes to get out of its way is for later decisions.
 
     Args:
         context: Time.
@@ -131,6 +134,8 @@ def drift_on(
     if flown is None:
         return None
     (count, h), T = free, horizon.steps
+    escape = count_escape_steps(mission, around) * mission.step
+    count = min(count, ceil(escape / h))
     later = np.repeat(flown.paths[:, -1:, -1:], 4, axis=2)
     time = (np.arange(count)[:, None] + np.linspace(0.0, 1.0, 4)) * h
     after = later + time[..., None] * flown.velocity[:, None, None]
@@ -145,27 +150,28 @@ def drift_on(
 
 
 def arrive_among(
-    context: DecisionContext, agent: int, steps: int
-) -> tuple[Float[Array, "targets pieces 4 d"], ObstaclePaths]:
-    """Return the motion of all targets from arrival on, and that of what an agent knows.
+    context: DecisionContext, steps: int
+) -> tuple[Float[Array, "targets pieces 4 d"], ObstaclePaths | None, float]:
+    """Return the motion of all targets from arrival on, and of what does not decide.
 
     Args:
         context: Time, leg and surroundings.
-        agent: Number of the agent.
-        steps: Steps until it arrives.
+        steps: Steps until agents arrive.
+
+    Returns:
+        Control points of the targets; the motion of all others, without clearances; and the
+        clearance that any two vehicles keep [m].
     """
     mission, around, d = context.mission, context.surroundings, context.mission.axes
     assert around is not None
     horizon = divide_horizon(mission, context.time, steps, context.leg)
     count, h = free_motion(mission, context.leg, context.instant - context.step_index)
     flown = drift_on(context, around, horizon, (count, h))
-    known = around.known_to(mission, agent, flown, horizon.clearance)
-    assert known is not None
-    rest = np.zeros((len(context.leg.targets), count, d))
+    later = flown and flown.after_pieces(len(horizon.fine_model))
+    rest = np.zeros((len(context.leg.targets), len(later.paths[0]) if later else 0, d))
     begin = context.time + steps * mission.step
     x = simulate(mission, context.leg.targets, rest, begin, h)
-    paths = control_points(x[..., :d], x[..., d:], h)
-    return paths, known.after_pieces(len(horizon.fine_model))
+    return control_points(x[..., :d], x[..., d:], h), later, horizon.clearance
 
 
 def fly_plans(
