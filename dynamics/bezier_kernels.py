@@ -6,7 +6,7 @@ import numba
 import numpy as np
 
 ROUNDING = 1e-15  # relative: a distance that is this near to that of a corner is that of the corner
-BODY_PRECISION = 1e-12  # relative, of the distance of a hull from a body
+BODY_PRECISION = 1e-14  # relative, of the distance of a hull from a body
 MAX_CORNERS = 8  # of a body's surface that are nearest, kept at once
 MAX_SUPPORTS = 100  # corners that are looked for, after which the distance is only a lower bound
 
@@ -265,16 +265,21 @@ def body_distances(points, corners, body):
                 along = (n * c[i]).sum() / length
                 if along > high:
                     high, last = along, i
-            if low - high > least:
-                least = low - high
+            if low - high > least * (1 - BODY_PRECISION):  # later normals are more precise
+                least = max(low - high, 0.0)
                 for a in range(d):
                     nearest[q, a] = n[a] * (least / length)
-            if total > 0 and least >= found * (1 - BODY_PRECISION):
-                break
-            if total == MAX_CORNERS:
-                break
+            is_known = total == MAX_CORNERS
             for a in range(d):
-                kept[total, a] = b[first, a] - c[last, a]
+                scratch[0, a] = b[first, a] - c[last, a]
+            for i in range(total):
+                is_same = True
+                for a in range(d):
+                    is_same = is_same and kept[i, a] == scratch[0, a]
+                is_known = is_known or is_same
+            if is_known:
+                break
+            _copy(kept[total], scratch[0])
             total += 1
             found = _hull_distance(kept[:total], np.inf, n, scratch)
             if found == 0.0:

@@ -5,6 +5,7 @@ distance over a piece where the hull of its control points does, from the hull o
 the frame of the obstacle.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +33,10 @@ class ObstaclePaths(NamedTuple):
     def select(self, rows: Array) -> "ObstaclePaths":
         """Keep some obstacles, by a mask or by index."""
         return ObstaclePaths(*(part[rows] for part in self))
+
+    def until_piece(self, count: int) -> "ObstaclePaths":
+        """Return the same for the first pieces."""
+        return self._replace(paths=self.paths[:, :count])
 
     def after_pieces(self, count: int) -> "ObstaclePaths":
         """Return the same, later by some pieces."""
@@ -152,7 +157,7 @@ def _pass_by(
     return rise_before(p, len(relative)) * (max(lacking, 0.0) * way)
 
 
-def pad_corners(each: list[Float[Array, "_ d"]]) -> Float[Array, "obstacles corners d"]:
+def pad_corners(each: Sequence[Float[Array, "_ d"]]) -> Float[Array, "obstacles corners d"]:
     """Stack corners, with the first ones repeated up to the largest number."""
     most = max(map(len, each))
     return np.stack([np.concatenate([c, np.repeat(c[:1], most - len(c), axis=0)]) for c in each])

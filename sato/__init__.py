@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from sato.connectivity.mission import AgentLoss, Connectivity
     from sato.formation.leg import FormationLeg
     from sato.formation.mission import Formation
+    from sato.obstacles import Box, Ellipsoid, Polytope, Sphere
     from sato.reconfiguration.agent import Agent
     from sato.reconfiguration.central import central_problem
     from sato.reconfiguration.first_commitment import find_first_commitments
@@ -59,6 +60,7 @@ _PUBLIC = {
     "sato.connectivity.mission": "AgentLoss Connectivity",
     "sato.formation.leg": "FormationLeg",
     "sato.formation.mission": "Formation",
+    "sato.obstacles": "Box Ellipsoid Polytope Sphere",
     "sato.reconfiguration.agent": "Agent",
     "sato.reconfiguration.first_commitment": "find_first_commitments",
     "sato.reconfiguration.leg": "Join Leg Loss",

@@ -1,6 +1,9 @@
 """Simulator of agents by messages alone, for comparison with the batched loop."""
 
+from dataclasses import replace
+
 import numpy as np
+from numpy.linalg import norm
 
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.agent import Agent
@@ -9,13 +12,34 @@ from sato.reconfiguration.first_commitment import find_first_commitments
 from sato.reconfiguration.leg import MAX_LEG_FACTOR
 
 
-def decide(agents, time, states, graph):
+def decide(agents, time, states, graph, seen=None):
     """Call all agents in rounds until all have finished; yield the messages after each round."""
-    sent = {}
+    sent, seen = {}, seen or {}
     while not sent or not all(agent.is_finished for agent in agents.values()):
         inbox = {i: [sent[j] for j in graph.neighbors[i] if j in sent] for i in agents}
-        sent = {i: agent.step(time, states[i], inbox[i])[1] for i, agent in agents.items()}
+        sent = {
+            i: agent.step(time, states[i], inbox[i], seen.get(i, ()))[1]
+            for i, agent in agents.items()
+        }
         yield sent
+
+
+class Watch:
+    """What each agent has seen of spheres that are not known, and of vehicles that are adrift."""
+
+    def __init__(self, mission):
+        self.mission, self.adrift, self.seen = mission, [], {}
+
+    def look(self, x, agents, time):
+        """Return all that each has seen so far, as it is now."""
+        d, unknown = self.mission.axes, [o for o in self.mission.obstacles if not o.known]
+        now = [replace(o, center=tuple(o.place_at(time).tolist())) for o in unknown]
+        now += [x[lost] for lost in self.adrift]
+        for i in agents:
+            away = [o.distances(x[i, :d]) if hasattr(o, "kind") else norm(o[:d] - x[i, :d]) for o in now]
+            near = {n for n, distance in enumerate(away) if distance <= self.mission.sight}
+            self.seen[i] = self.seen.get(i, set()) | near
+        return {i: [now[n] for n in sorted(self.seen[i])] for i in agents}
 
 
 def fly_by_messages(mission, seed=0):
@@ -25,6 +49,7 @@ def fly_by_messages(mission, seed=0):
     stops = find_first_commitments(mission)
     live = np.flatnonzero(alive).tolist()
     agents = {i: Agent(mission, i, commitment=stops.get(i)) for i in live}
+    watch = Watch(mission)
     for number, leg in enumerate(mission.legs):
         if number:
             for agent in agents.values():
@@ -37,12 +62,16 @@ def fly_by_messages(mission, seed=0):
                     agents |= {i: Agent(mission, i, 1, begin, leg) for i in joined}
             for loss in leg.losses:
                 if loss.at_step == k:
-                    alive[draw_losses(loss, x[:, : mission.axes], alive, rng)] = False
+                    lost = draw_losses(loss, x[:, : mission.axes], alive, rng)
+                    alive[lost] = False
+                    watch.adrift += sorted(lost) if loss.body == "coast" else []
             agents = {i: agent for i, agent in agents.items() if alive[i]}
             graph = CommunicationGraph.from_positions(
                 x[:, : mission.axes], mission.comm_radius, alive
             )
-            rounds = list(decide(agents, n * mission.step, measure(mission, x, rng), graph))
+            seen = watch.look(x, agents, n * mission.step)
+            measured = measure(mission, x, rng)
+            rounds = list(decide(agents, n * mission.step, measured, graph, seen))
             control = np.full((len(x), mission.axes), np.nan)
             for i, agent in agents.items():
                 control[i] = agent.memory.control
@@ -51,7 +80,8 @@ def fly_by_messages(mission, seed=0):
             flown = mission.flown_plant.propagate(
                 x, np.nan_to_num(applied), n * mission.step, mission.step
             )
-            x, n = np.where(alive[:, None], flown[1], x), n + 1
+            moves = alive | np.isin(np.arange(len(x)), watch.adrift)
+            x, n = np.where(moves[:, None], flown[1], x), n + 1
             clocks = [int(agent.memory.memory.clock[i]) + 1 for i, agent in agents.items()]
             if min(clocks) >= leg.steps:
                 break

@@ -132,10 +132,31 @@ def warm_started(rng):
     return make_mission(start, leg, comm_radius=20.0, **changes)
 
 
+def surrounded(rng):
+    # Two die and coast on; one obstacle comes by, another is seen only when it is near.
+    passing = sato.Sphere((-4.0, 1.0), 0.4, velocity=(0.15, 0.0))
+    hidden = sato.Sphere((0.2, -0.2), 0.3, known=False)
+    loss = sato.Loss("agents", agents=(1, 4), at_step=5, body="coast")
+    places = spread(rng, 20, box=6.0)
+    places = places[hidden.distances(places) > 0.6]
+    start, targets = places[:6], places[6:14]
+    changes = {"obstacles": (passing, hidden), "box": [[-5.0, -5.0], [5.0, 5.0]]}
+    changes |= {"sensing_radius": 1.5, "max_control": 0.3, "comm_radius": 6.0}
+    return make_mission(start, sato.Leg(targets, 30, losses=(loss,)), **changes)
+
+
+def drifting(rng):
+    # Two of six spacecraft fall silent on their way.
+    loss = sato.Loss("agents", agents=(0, 3), at_step=4, body="coast")
+    leg = sato.Leg(spread(rng, 8, 3), 12, losses=(loss,))
+    model = ClohessyWiltshire(1e-3)
+    return make_mission(spread(rng, 6, 3), leg, model=model, max_control=0.3)
+
+
 MISSIONS = [disturbed, disconnected, varying, hurried, orbiting, given, warm_started]
 
 
-@pytest.mark.parametrize("draw", [*MISSIONS, crowded, exchanged, packed])
+@pytest.mark.parametrize("draw", [*MISSIONS, crowded, exchanged, packed, surrounded, drifting])
 def test_agents_fly_as_the_loop_does(rng, draw):
     mission = draw(rng)
     frames = list(simulate(mission, np.random.default_rng(1)))[:40]

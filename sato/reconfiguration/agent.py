@@ -28,6 +28,7 @@ from sato.reconfiguration.first_commitment import check_stops
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.plan import Plans, compute_spent
+from sato.reconfiguration.planning import give_up_closed
 from sato.reconfiguration.state import (
     AgentMemory,
     DecisionContext,
@@ -36,6 +37,7 @@ from sato.reconfiguration.state import (
     update_believed,
 )
 from sato.reconfiguration.stopping import Commitment, Commitments, controls_at
+from sato.reconfiguration.surroundings import Sensed, sense_surroundings
 from sato.reconfiguration.tracking import add_feedback
 
 
@@ -53,6 +55,7 @@ class FlightMemory(NamedTuple):
     spent: float = 0.0  # fuel [m/s], or energy [m²/s³]
     control: Float[Array, " d"] | None = None  # held now [m/s²]
     decision: Decision | None = None
+    seen_count: int = 0  # things that it has seen
     heard: frozenset[int] | None = None  # agents in the last round of an instant; None in the first
 
 
@@ -120,7 +123,11 @@ class Agent:
         self.memory = FlightMemory(leg, m, memory, {}, committed, known, start)
 
     def step(
-        self, time: float, state: ArrayLike, inbox: Sequence[AgentMessage]
+        self,
+        time: float,
+        state: ArrayLike,
+        inbox: Sequence[AgentMessage],
+        seen: Sequence[Sensed] = (),
     ) -> tuple[Float[Array, " d"], AgentMessage]:
         """Act in one round of messages.
 
@@ -130,6 +137,9 @@ class Agent:
                 control instant count.
             inbox: Messages that the neighbors returned in the last round; those of earlier
                 stages are ignored.
+            seen: All that the agent has seen so far and its mission does not list as known, as it
+                is now: obstacles, and states of lost vehicles (position and velocity); those of
+                the first call at a control instant count.
 
         Returns:
             The acceleration to hold until the next instant [m/s²], and a message to all neighbors.
@@ -143,7 +153,7 @@ class Agent:
         instant = as_instant(self.mission, "time", time)
         check_inbox(self.number, inbox)
         if instant != self.memory.instant:
-            self.memory = self._begin_instant(instant, as_state(self.mission, state))
+            self.memory = self._begin_instant(instant, as_state(self.mission, state), seen)
         else:
             self.memory = self._hear(inbox)
         assert self.memory.control is not None
@@ -219,7 +229,9 @@ class Agent:
         """Constraints relaxed, and clocks reset, in the last decision."""
         return self.memory.decision.events if self.memory.decision else ()
 
-    def _begin_instant(self, instant: int, state: Array) -> FlightMemory:
+    def _begin_instant(
+        self, instant: int, state: Array, seen: Sequence[Sensed]
+    ) -> FlightMemory:
         flown, mission, leg = self.memory, self.mission, self.memory.leg
         joins = flown.instant is None and flown.leg_start not in (None, instant)
         if flown.instant is not None:
@@ -236,7 +248,11 @@ class Agent:
             flown = flown._replace(memory=replace(flown.memory, clock=clock))
         when, solvers = (instant - begun, instant * mission.step), [self.solver] * len(measured)
         known = self._graph, estimate.reference, flown.memory
-        context = DecisionContext(mission, leg, *known, *when, solvers)
+        around = sense_surroundings(mission, when[1], len(measured), seen)
+        context = DecisionContext(mission, leg, *known, *when, solvers, around)
+        if len(seen) > flown.seen_count:
+            closed = give_up_closed(context, flown.plans, [self.number])
+            flown = flown._replace(plans=closed, seen_count=len(seen))
         shared = begun, checksum(mission, leg)
         own = flown.plans, flown.committed, flown.spent
         decision = Decision.begin(self.number, context, *own, shared, joins)

@@ -82,6 +82,7 @@ class Decision(NamedTuple):
     is_finished: bool = False
     diameter: int = 0
     members: tuple[int, ...] = ()  # numbers of the agents of its component
+    blocked: tuple[int, ...] = ()  # targets that any of these knows to be blocked
     heard_clock: int = 0  # the clock with the most time left among these
     attempt: Literal["first", "reset", "firm"] = "first"  # of the auction
     table: target_costs.CostTable | None = None  # of the auction
@@ -121,7 +122,9 @@ class Decision(NamedTuple):
         claims = tuple((a, step[a], target[a]) for a in range(len(step)) if step[a] >= 0)
         clock = int(memory.clock[number])
         is_due = bool(due[number]), bool(auction_due[number])
-        hello = Hello(number, leg, *is_due, joins, clock, claims)
+        left_out = assignment.find_left_out(context)
+        blocked = () if left_out is None else tuple(np.flatnonzero(left_out[number]).tolist())
+        hello = Hello(number, leg, *is_due, joins, clock, claims, blocked)
         stage = Census(CensusMessage(frozenset([hello])))
         return cls(number, context, plans, committed, np.full(len(due), spent), stage)
 
@@ -234,7 +237,9 @@ class Decision(NamedTuple):
         members = tuple(hello.agent for hello in reports)
         diameter = census.message.max_eccentricity
         heard_clock = min(hello.clock for hello in reports)
+        blocked = tuple(sorted({j for hello in reports for j in hello.blocked}))
         decision = self._replace(members=members, diameter=diameter, heard_clock=heard_clock)
+        decision = decision._replace(blocked=blocked)
         if not (has_joined or is_new or any(hello.is_auction_due for hello in reports)):
             kept = decision._keep_targets() if bids_on_change(mission) else decision
             return kept._begin_exchange()
@@ -305,15 +310,20 @@ class Decision(NamedTuple):
         is_near = np.isin(np.arange(memory.claim_step.shape[1]), self.members)
         cost = assignment.apply_bidding_rules(table, memory, self.number, is_near, firm)
         m = max(terms.target_count for terms in flood.message)
+        order = np.arange(len(cost))
+        if self.blocked:
+            left_out = np.isin(order, self.blocked)
+            order, counts = assignment.order_targets(np.array(m), left_out)
+            cost, m = cost[order], int(counts)
         epsilon = assignment.compute_epsilon(mission, self.context.leg)
         VsdaaAuction(cost[None], ALONE, np.array([m]), epsilon)  # checks its data
         empty, rules = WinningBids.empty(len(cost)), (epsilon, mission.bidder_ids)
         bidder = VsdaaBidder(self.number, cost, *rules, 2 * self.diameter, m, empty)
         reports = Flood(len(self.members), self.diameter)
-        return self._enter(Bidding(self.context, table, bidder, reports))
+        return self._enter(Bidding(self.context, table, bidder, order, reports))
 
     def _after_auction(self, bidding: Bidding) -> "Decision":
-        reports, won = bidding.flood.message, bidding.bidder.target_index
+        reports, won = bidding.flood.message, bidding.target_index
         if not all(report.is_exact for report in reports):
             table = target_costs.CostTable(*(part.copy() for part in bidding.table))
             if not table.is_exact[self.number, won]:
@@ -323,13 +333,13 @@ class Decision(NamedTuple):
             return self._set_clock(0)._announce_terms("reset")
         if self.attempt != "firm" and any(report.won_unreachable for report in reports):
             return self._announce_terms("firm")
-        return self._remember(bidding.bidder, reports)._begin_exchange()
+        return self._remember(bidding, reports)._begin_exchange()
 
-    def _remember(self, bidder: VsdaaBidder, reports: Reports) -> "Decision":
-        memory = self.context.memory
+    def _remember(self, bidding: Bidding, reports: Reports) -> "Decision":
+        memory, bidder = self.context.memory, bidding.bidder
         memory = replace(
             memory,
-            target_index=np.full_like(memory.clock, bidder.target_index),
+            target_index=np.full_like(memory.clock, bidding.target_index),
             target_count=np.full_like(memory.clock, bidder.target_count),
             bidder_count=np.full_like(memory.clock, bidder.bids.winner_count),
         )

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from problems import convexify
@@ -53,7 +53,14 @@ class Bidding(NamedTuple):
     context: DecisionContext
     table: target_costs.CostTable
     bidder: VsdaaBidder
+    order: Int[Array, " targets"]  # in which it bids on them
     flood: Flood
+
+    @property
+    def target_index(self) -> int:
+        """Target for which it has the standing bid; −1 none."""
+        place = self.bidder.target_index
+        return int(self.order[place]) if place >= 0 else -1
 
     @property
     def message(self) -> BiddingMessage:
@@ -75,7 +82,8 @@ class Bidding(NamedTuple):
         return self._replace(bidder=bidder, flood=flood)
 
     def _report(self, bidder: VsdaaBidder) -> AuctionReport:
-        won, (mission, memory) = bidder.target_index, (self.context.mission, self.context.memory)
+        mission, memory = self.context.mission, self.context.memory
+        won = self._replace(bidder=bidder).target_index
         i, is_lost = bidder.agent_id, ~self.table.is_reachable[:, won]
         counted = np.full(len(is_lost), bidder.bids.winner_count)
         resets = assignment.needs_reset(mission, memory, counted, is_lost)

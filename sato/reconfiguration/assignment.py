@@ -53,7 +53,6 @@ class AuctionResult(NamedTuple):
     outcome: VsdaaResult
     won_unreachable: Bool[Array, " agents"]  # the agent won a target out of its reach
     solve_count: int
-    blocked: Bool[Array, "agents targets"] | None = None
 
 
 def assign_targets(
@@ -77,9 +76,10 @@ def assign_targets(
     waiting = replace(context.memory, clock=wait(context, heard, np.isfinite(planned_cost)))
     context = context._replace(graph=agreement_graph(context.mission, context.graph))
     graph, memory = context.graph, share_claims(waiting, context.graph)
+    blocked = find_left_out(context)
     was_reset = np.asarray(graph.alive & (memory.clock != context.memory.clock))
     cost = np.where(was_reset, np.inf, planned_cost)
-    auction = run_auction(context._replace(memory=memory), cost)
+    auction = run_auction(context._replace(memory=memory), cost, None, blocked)
     solves = auction.solve_count
     counted = auction.outcome.bidder_count
     is_due = graph.alive & needs_reset(context.mission, memory, counted, auction.won_unreachable)
@@ -87,14 +87,14 @@ def assign_targets(
     if is_due.any():
         was_reset, cost = was_reset | is_due, np.where(is_due, np.inf, cost)
         memory = replace(memory, clock=set_back(context._replace(memory=memory), is_due))
-        auction = run_auction(context._replace(memory=memory), cost)
+        auction = run_auction(context._replace(memory=memory), cost, None, blocked)
         solves += auction.solve_count
     if auction.won_unreachable.any():
         is_firm = graph.component_any(auction.won_unreachable)
-        auction = run_auction(context._replace(memory=memory), cost, is_firm)
+        auction = run_auction(context._replace(memory=memory), cost, is_firm, blocked)
         solves += auction.solve_count
     memory = _remember(context._replace(memory=memory), auction.outcome)
-    return AssignmentDecision(memory, was_reset, solves, auction.blocked)
+    return AssignmentDecision(memory, was_reset, solves, blocked)
 
 
 def agreement_graph(mission: Reconfiguration, graph: CommunicationGraph) -> CommunicationGraph:
@@ -170,6 +170,7 @@ def run_auction(
     context: DecisionContext,
     planned_cost: Float[Array, " agents"],
     is_firm: Bool[Array, " agents"] | None = None,
+    blocked: Bool[Array, "agents targets"] | None = None,
 ) -> AuctionResult:
     """Run an auction in every component, refining costs until all winners' costs are exact.
 
@@ -181,23 +182,25 @@ def run_auction(
     mission, graph, memory = context.mission, context.graph, context.memory
     epsilon, live = compute_epsilon(mission, context.leg), np.flatnonzero(graph.alive)
     table, solves = compute_costs(context, planned_cost), 0
-    blocked = find_left_out(context)
-    order, count = order_targets(memory.target_count, blocked)
+    count, order = memory.target_count, None
+    if blocked is not None:
+        order, count = order_targets(count, blocked)
     while True:
         cost = compute_bid_costs(table, memory, graph, is_firm)
+        if order is not None:
+            cost = np.take_along_axis(cost, order, axis=1)
         auction = METHODS[mission.assignment](
-            VsdaaAuction(take(cost, order), graph, count, epsilon, mission.bidder_ids)
+            VsdaaAuction(cost, graph, count, epsilon, mission.bidder_ids)
         )
         if order is not None:
-            place = np.maximum(auction.target_index, 0)
-            index = np.take_along_axis(order, place[:, None], axis=1)[:, 0]
+            index = order[np.arange(len(order)), np.maximum(auction.target_index, 0)]
             auction = auction._replace(target_index=np.where(graph.alive, index, -1))
         won = auction.target_index[live]
         inexact = ~table.is_exact[live, won]
         if not inexact.any():
             lost = np.zeros(len(graph.alive), dtype=bool)
             lost[live] = ~table.is_reachable[live, won]
-            return AuctionResult(auction, lost, solves, blocked)
+            return AuctionResult(auction, lost, solves)
         solves += int(inexact.sum())
         for i, j in zip(live[inexact].tolist(), won[inexact].tolist(), strict=True):
             refine_cost(context, table, i, j)
@@ -209,22 +212,14 @@ def find_left_out(context: DecisionContext) -> Bool[Array, "agents targets"] | N
 
 
 def order_targets(
-    count: Int[Array, "*agents"], blocked: Bool[Array, "*agents targets"] | None
-) -> tuple[Int[Array, "*agents targets"] | None, Int[Array, "*agents"]]:
+    count: Int[Array, "*agents"], blocked: Bool[Array, "*agents targets"]
+) -> tuple[Int[Array, "*agents targets"], Int[Array, "*agents"]]:
     """Return the targets in the order in which agents bid on them, and on how many.
 
-    Those that are blocked come last; None where none is.
+    Those that are blocked come last.
     """
-    if blocked is None:
-        return None, count
-    return put_last(blocked), np.minimum(count, np.maximum((~blocked).sum(axis=-1), 1))
-
-
-def take(
-    cost: Float[Array, "*agents targets"], order: Int[Array, "*agents targets"] | None
-) -> Float[Array, "*agents targets"]:
-    """Return costs in another order of the targets."""
-    return cost if order is None else np.take_along_axis(cost, order, axis=-1)
+    open_count = np.maximum((~blocked).sum(axis=-1), 1)
+    return put_last(blocked), np.minimum(count, open_count)
 
 
 def compute_epsilon(mission: Reconfiguration, leg: Leg) -> float:

@@ -40,19 +40,19 @@ def find_places(context: DecisionContext, steps: int) -> Places:
     horizon = divide_horizon(mission, context.time, 1)
     here = np.repeat(targets[:, None, None, : mission.axes], 4, axis=2)
     flown = around.fly(mission, horizon)
-    if flown is not None:
-        is_still = np.linalg.norm(flown.velocity, axis=1) * mission.step <= AT_REST * mission.least_separation
-        far = np.where(is_still, 0.0, np.inf)[:, None, None, None]
-        flown = flown._replace(paths=flown.paths[:, :1] + far)
-    return Places(here, flown, horizon.clearance)
+    now = flown and flown._replace(paths=flown.paths[:, :1])
+    return Places(here, now, horizon.clearance)
 
 
 def find_blocked(context: DecisionContext, agent: int, places: Places) -> Bool[Array, " targets"]:
     """Find the targets at which an agent would come too near to what it knows."""
-    around = context.surroundings
+    mission, around = context.mission, context.surroundings
     assert around is not None
-    known = around.known_to(context.mission, agent, places.others, places.clearance)
-    if known is None:
+    known = around.known_to(mission, agent, places.others, places.clearance)
+    if known is not None and mission.is_point_mass:
+        way = np.linalg.norm(known.velocity, axis=1) * mission.step
+        known = known.select(way <= AT_REST * mission.least_separation)
+    if known is None or not len(known.paths):
         return np.zeros(len(places.paths), dtype=bool)
     wide = known._replace(clearance=required_separations(known.clearance))
     return np.array([not is_path_clear(path, wide) for path in places.paths])

@@ -14,6 +14,7 @@ class Hello(NamedTuple):
     joins: bool  # it calls for an auction at once
     clock: int
     claims: tuple[tuple[int, int, int], ...]  # agent, step and target of each claim that it knows
+    blocked: tuple[int, ...] = ()  # targets that it knows to be blocked
 
     @property
     def claim_step(self) -> int:

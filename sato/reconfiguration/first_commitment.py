@@ -30,7 +30,7 @@ from sato.reconfiguration.stopping import (
     stays_within_reach,
     stopping_horizon,
 )
-from sato.reconfiguration.surroundings import count_escape_steps, find_surroundings
+from sato.reconfiguration.surroundings import find_surroundings
 from sato.scenario.errors import InputError, round_down, round_up
 from sato.scp.planner import PASSING_SIDES
 
@@ -53,12 +53,12 @@ def find_first_commitments(mission: Reconfiguration) -> Commitments:
     """
     agents, d = np.flatnonzero(mission.alive), mission.axes
     start = mission.initial_states[agents]
-    around = find_surroundings(mission) if mission.has_surroundings else None
+    around = find_surroundings(mission)
     is_still = not start[:, d:].any() and (around is None or not around.state[:, d:].any())
     if not mission.is_point_mass or is_still:
         return {}
     around = around and around.seen_from(mission, mission.initial_states)
-    steps = count_escape_steps(mission, around)
+    steps = max((around.escape_steps(mission, i) for i in agents.tolist()), default=0) if around else 0
     horizon, u, _, paths = _fly_on(mission, agents, start, {}, 0, steps)
     clearance = mission.own_clearances(horizon.clearance, agents)
     flown = around and around.fly(mission, horizon)

@@ -62,7 +62,7 @@ class _Flight:
         self.believed, self.memory = m, state.AgentMemory.initial(m)
         self.plans: Plans = {}
         self.committed: Commitments = find_first_commitments(mission)
-        self.surroundings = find_surroundings(mission) if mission.has_surroundings else None
+        self.surroundings = find_surroundings(mission)
         self.is_adrift = np.zeros(len(m), dtype=bool)  # lost vehicles that fly without control
         self.waiting: list[int] = []  # agents that join as soon as there is room
         tolerance = mission.tolerance or TOLERANCE
@@ -91,23 +91,13 @@ class _Flight:
             self.estimate = estimator.update(mission, self.estimate, measured)
             known = self.estimate.reference
             self.plans = give_up_missed(mission, self.plans, known, k)
-            self._look_around(known, k)
+            seen_by = self._look_around()
+            time = self.step_index * mission.step
+            rest = self.memory, k, time, self.solvers, self.surroundings
+            context = state.DecisionContext(mission, self.leg, graph, known, *rest)
+            self.plans = planning.give_up_closed(context, self.plans, seen_by)
             for deciding, bids in self._schedule_decisions(graph, joined, k):
-                time = self.step_index * mission.step
-                self._decide(
-                    state.DecisionContext(
-                        mission,
-                        self.leg,
-                        deciding,
-                        known,
-                        self.memory,
-                        k,
-                        time,
-                        self.solvers,
-                        self.surroundings,
-                    ),
-                    bids,
-                )
+                self._decide(context._replace(graph=deciding, memory=self.memory), bids)
             planned = controls_at(self.committed, self.step_index, self.alive, mission)
             control = add_feedback(mission, planned, known, self.estimate.mean)
             applied = disturb_control(mission, control, self.rng)
@@ -121,16 +111,14 @@ class _Flight:
         ended = {"leg": number, "target": held, "believed": believed, "component": component}
         self._note("leg_end", self.alive, **ended)
 
-    def _look_around(self, known: Array, k: int) -> None:
-        """See what is near, and give up plans that it closes."""
+    def _look_around(self) -> list[int]:
+        """Let agents see what is near; return those that see something new."""
         before = self.surroundings
         if before is None:
-            return
+            return []
         self.surroundings = before.seen_from(self.mission, self.x)
-        is_new = (self.surroundings.is_known & ~before.is_known).any(axis=1) | (k == 0)
-        own = self.surroundings, known, self.step_index, k
-        seen_by = np.flatnonzero(is_new).tolist()
-        self.plans = planning.give_up_closed(self.mission, self.plans, *own, seen_by)
+        is_new = self.alive & (self.surroundings.is_known & ~before.is_known).any(axis=1)
+        return state.to_indices(is_new)
 
     def _have_arrived(self, k: int) -> Array:
         # Agents whose last plan was not clear may not be where their clocks have them.
@@ -177,7 +165,7 @@ class _Flight:
                 self.events.append(event | ({"body": "coast"} if coasts else {}))
                 if coasts and self.surroundings is not None:
                     self.is_adrift[lost] = True
-                    self.surroundings = self.surroundings.with_lost(sorted(lost), self.x)
+                    self.surroundings = self.surroundings.with_lost(sorted(lost), self.x[sorted(lost)])
         return joined
 
     def _schedule_decisions(

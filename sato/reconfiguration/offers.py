@@ -20,9 +20,9 @@ from sato.reconfiguration.stopping import (
     stopping_horizon,
     trim_rest,
 )
-from sato.reconfiguration.surroundings import count_escape_steps
 from sato.scp.planner import reaches_target
 
+NEGLIGIBLE = 1e-9  # of the largest control: what is less is rounding
 MAX_PLAN_STEPS = 16  # of what is foreseen, to which agents commit at once
 
 
@@ -55,8 +55,10 @@ def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) 
     mission, plan_steps = context.mission, _plan_steps(context)
     each, owner, index, is_begun = _list_controls(context, plans, committed, plan_steps)
     # An agent that has no steps left needs some to return to its target.
-    if escape := count_escape_steps(mission, context.surroundings):
-        each = [np.concatenate([trim_rest(u), np.zeros((escape, mission.axes))]) for u in each]
+    if around := context.surroundings:
+        escapes = [around.escape_steps(mission, i) for i in owner]
+        least = NEGLIGIBLE * float(mission.largest_control.max())
+        each = [_rest_after(u, k, least) if k else u for u, k in zip(each, escapes, strict=True)]
     lengths = np.maximum(mission.horizon_steps, [len(u) for u in each])
     agents, steps = np.array(list(plans)), 1 + lengths[index].max(axis=1)
     horizon = stopping_horizon(mission, int(steps.max()))
@@ -65,7 +67,7 @@ def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) 
     points = horizon.control_points(x, controls)
     is_near = stays_within_reach(mission, horizon, x[..., : mission.axes], points)
     u, paths, is_allowed = controls[index], points[index], is_near[index] & is_begun
-    is_allowed &= _avoids_obstacles(context, horizon, agents, paths, is_allowed)
+    is_allowed &= _avoids_obstacles(context, horizon, agents, steps, paths, is_allowed)
     # Fewer steps than until the next decision are for those that cannot stop within reach.
     is_whole = np.array(plan_steps) >= steps_to_next(context)
     has_whole = np.asarray(is_allowed[:, is_whole].any(axis=1))
@@ -82,10 +84,17 @@ def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) 
     return Offers(agents, plan_steps, steps, horizon, u, paths, is_allowed, clearance)
 
 
+def _rest_after(u: Float[Array, "T m"], steps: int, least: float) -> Float[Array, "_ m"]:
+    """Return controls, and so many steps of rest after all that are not less than a number."""
+    moving, (T, m) = trim_rest(np.where(np.abs(u) < least, 0.0, u)), u.shape
+    return np.concatenate([u, np.zeros((max(len(moving) + steps - T, 0), m))])
+
+
 def _avoids_obstacles(
     context: DecisionContext,
     horizon: AvoidanceHorizon,
     agents: Int[Array, " agents"],
+    steps: Int[Array, " agents"],
     paths: Float[Array, "agents choices pieces 4 d"],
     is_asked: Bool[Array, "agents choices"],
 ) -> Bool[Array, "agents choices"]:
@@ -96,9 +105,11 @@ def _avoids_obstacles(
         return is_clear
     flown = around.fly(context.mission, horizon)
     for row, i in enumerate(agents.tolist()):
-        obstacles = around.known_to(context.mission, i, flown, horizon.clearance)
+        known = around.known_to(context.mission, i, flown, horizon.clearance)
+        ahead = int(steps[row]) * horizon.pieces_per_step
+        known = known and known.until_piece(ahead)
         for choice in np.flatnonzero(is_asked[row]).tolist():
-            is_clear[row, choice] = is_path_clear(paths[row, choice], obstacles)
+            is_clear[row, choice] = is_path_clear(paths[row, choice, :ahead], known)
     return is_clear
 
 

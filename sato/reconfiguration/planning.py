@@ -17,7 +17,6 @@ from sato.reconfiguration.plan import Plan, Plans, is_held, remaining_controls
 from sato.reconfiguration.relaxation import list_relaxations
 from sato.reconfiguration.solo_trajectories import relinearize, solve_solo_trajectories
 from sato.reconfiguration.state import DecisionContext, Event
-from sato.reconfiguration.surroundings import Surroundings
 from sato.scp import CONVERGENCE_TOLERANCE, FEASIBILITY_TOLERANCE, Planner, resolve_conflicts
 from sato.scp.halfway import meet_halfway
 from sato.scp.routes import go_around
@@ -222,37 +221,23 @@ def _count_failures(previous: Plans, i: int) -> int:
     return previous[i].failure_count if i in previous else 0
 
 
-def give_up_closed(
-    mission: Reconfiguration,
-    plans: Plans,
-    around: Surroundings,
-    state: Float[Array, "agents n"],
-    instant: int,
-    k: int,
-    agents: list[int],
-) -> Plans:
-    """Give up plans that are closed by what some agents have seen only now.
+def give_up_closed(context: DecisionContext, plans: Plans, agents: list[int]) -> Plans:
+    """Give up plans that are closed by what their agents have seen only now.
 
     Args:
-        mission: Model.
-        plans: Plans of all.
-        around: Surroundings at this instant.
-        state: State of each agent.
-        instant: Steps since the start of the mission.
-        k: Steps since the start of the leg.
-        agents: Numbers of the agents.
+        context: States and surroundings.
+        plans: Plans of the agents.
+        agents: Numbers of the agents that have seen something.
     """
-    found = dict(plans)
+    found, k = dict(plans), context.step_index
     for i in agents:
         plan = plans.get(i)
         if plan is None or plan.target_index is None:
             continue
         u = plan.controls_from(k)
-        horizon = divide_horizon(mission, instant * mission.step, len(u) + 1)
-        x = plan.trajectory.x[k - plan.planned_at :] if len(u) else state[i][None]
-        path = horizon.control_points(x, u)
-        obstacles = around.known_to(mission, i, around.fly(mission, horizon), horizon.clearance)
-        if not is_path_clear(path, obstacles):
+        horizon = divide_horizon(context.mission, context.time, len(u) + 1)
+        x = plan.trajectory.x[k - plan.planned_at :] if len(u) else context.state[i][None]
+        if not is_path_clear(horizon.control_points(x, u), context.known_obstacles(i, horizon)):
             found[i] = plan._replace(target_index=None)
     return found
 

@@ -1,5 +1,6 @@
 """Surroundings: all that does not decide, but can be hit, and which agent knows of it."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -8,10 +9,13 @@ from numpy import ndarray as Array
 
 from problems.convexify import AvoidanceHorizon
 from problems.obstacle_paths import ObstaclePaths, pad_corners
+from sato.obstacles import Obstacle
 from sato.reconfiguration.mission import Reconfiguration
 
 ESCAPE_FACTOR = 2.0  # of the way out of what moves, for others that are in it
 WALL_FACTOR = 100.0  # size of the walls about the allowed positions, over that of these
+
+Sensed = Obstacle | Sequence[float] | Array  # an obstacle, or the state of a lost vehicle
 
 
 class Surroundings(NamedTuple):
@@ -21,11 +25,24 @@ class Surroundings(NamedTuple):
     """
 
     state: Float[Array, "bodies n"]  # of a point of each, now
-    corners: Float[Array, "bodies corners d"]  # from that point [m]
+    corners: tuple[Float[Array, "_ d"], ...]  # of each, from that point [m]
     thickness: Float[Array, " bodies"]  # beyond the hull of the corners [m]
     is_wall: Bool[Array, " bodies"]
     vehicle: Int[Array, " bodies"]  # number of the lost vehicle; −1 for all others
     is_known: Bool[Array, "agents bodies"]
+
+    def join(self, other: "Surroundings") -> "Surroundings":
+        """Return all of two."""
+        parts = zip(self[:-1], other[:-1], strict=True)
+        both = [a + b if isinstance(a, tuple) else np.concatenate([a, b]) for a, b in parts]
+        return Surroundings(*both, np.hstack([self.is_known, other.is_known]))
+
+    def with_lost(self, lost: Sequence[int], x: Float[Array, "lost n"]) -> "Surroundings":
+        """Return the same with vehicles that were lost, which nobody has seen yet."""
+        points = (np.zeros((1, x.shape[1] // 2)),) * len(lost)
+        none, unseen = np.zeros(len(lost)), np.zeros((len(self.is_known), len(lost)), dtype=bool)
+        new = Surroundings(x, points, none, none.astype(bool), np.array(lost, dtype=int), unseen)
+        return self.join(new)
 
     def after(self, mission: Reconfiguration, x: Float[Array, "agents n"]) -> "Surroundings":
         """Return the same after a step, in which lost vehicles have moved to their states in x."""
@@ -44,21 +61,9 @@ class Surroundings(NamedTuple):
         d = mission.axes
         away = x[:, None, :d] - self.state[:, :d]
         body = np.tile(np.arange(len(self.state)), len(x))
-        gap, _ = body_distances(away.reshape(-1, 1, d), np.ascontiguousarray(self.corners), body)
+        gap, _ = body_distances(away.reshape(-1, 1, d), pad_corners(self.corners), body)
         is_seen = gap.reshape(away.shape[:2]) - self.thickness <= mission.sight
         return self._replace(is_known=self.is_known | is_seen)
-
-    def with_lost(self, lost: list[int], x: Float[Array, "agents n"]) -> "Surroundings":
-        """Return the same with vehicles that were lost, which nobody has seen yet."""
-        corners, count = np.zeros((len(lost), *self.corners.shape[1:])), len(lost)
-        return Surroundings(
-            np.concatenate([self.state, x[lost]]),
-            np.concatenate([self.corners, corners]),
-            np.append(self.thickness, np.zeros(count)),
-            np.append(self.is_wall, np.zeros(count, dtype=bool)),
-            np.append(self.vehicle, np.array(lost, dtype=int)),
-            np.hstack([self.is_known, np.zeros((len(self.is_known), count), dtype=bool)]),
-        )
 
     def fly(self, mission: Reconfiguration, horizon: AvoidanceHorizon) -> ObstaclePaths | None:
         """Return the motion of all over a horizon that begins now; without clearances."""
@@ -73,7 +78,7 @@ class Surroundings(NamedTuple):
             u = np.zeros((int(adrift.sum()), horizon.steps, d))
             x = horizon.discrete_model.simulate(self.state[adrift], u)
             paths[adrift] = horizon.control_points(x, u)
-        return ObstaclePaths(paths, self.corners, np.zeros(len(paths)), velocity)
+        return ObstaclePaths(paths, pad_corners(self.corners), np.zeros(len(paths)), velocity)
 
     def known_to(
         self, mission: Reconfiguration, agent: int, paths: ObstaclePaths | None, clearance: float
@@ -86,7 +91,7 @@ class Surroundings(NamedTuple):
             paths: Motion of all over a horizon.
             clearance: Clearance of the horizon [m].
         """
-        rows = np.flatnonzero(self.is_known[agent]) if paths is not None else []
+        rows = np.flatnonzero(self.is_known[agent])
         if paths is None or not len(rows):
             return None
         own = float(mission.own_clearances(clearance, np.array([agent]))[0])
@@ -96,63 +101,102 @@ class Surroundings(NamedTuple):
         keeps[is_lost] = (own + mission.own_clearances(clearance, self.vehicle[is_lost])) / 2
         return paths._replace(clearance=keeps).select(rows)
 
+    def escape_steps(self, mission: Reconfiguration, agent: int) -> int:
+        """Count the steps in which an agent gets out of the way of what it knows to move.
 
-def find_surroundings(mission: Reconfiguration) -> Surroundings:
-    """Return the surroundings at the start of a drawn mission."""
-    d, count = mission.axes, len(mission.initial_states)
-    walls = _build_walls(mission)
-    obstacles = mission.obstacles
-    places = [np.concatenate([one.place, one.drift]) for one in obstacles]
-    places += [np.concatenate([place, np.zeros(d)]) for place, _ in walls]
-    corners = [one.corners for one in obstacles] + [own for _, own in walls]
-    is_wall = np.arange(len(places)) >= len(obstacles)
-    thickness = [one.thickness for one in obstacles] + [_wall_distance(mission)] * len(walls)
-    known = np.array([one.known for one in obstacles] + [True] * len(walls), dtype=bool)
-    return Surroundings(
-        np.array(places).reshape(-1, 2 * d),
-        pad_corners(corners) if corners else np.zeros((0, 1, d)),
-        np.array(thickness, dtype=float),
-        is_wall,
-        np.full(len(places), -1),
-        np.tile(known, (count, 1)),
-    )
+        0 where nothing does. What it commits to is clear for so long after it has come to rest.
+        """
+        moves = self.is_known[agent] & self.state[:, mission.axes :].any(axis=1)
+        if not moves.any():
+            return 0
+        each = zip(self.corners, self.thickness, moves, strict=True)
+        size = max(np.linalg.norm(c, axis=1).max() + t for c, t, is_moving in each if is_moving)
+        return count_escape_steps(mission, float(size))
 
 
-def count_escape_steps(mission: Reconfiguration, around: Surroundings | None) -> int:
-    """Count the steps in which vehicles get out of the way of what moves; 0 where nothing does.
+def count_escape_steps(mission: Reconfiguration, size: float) -> int:
+    """Count the steps in which vehicles get out of the way of what moves.
 
-    From rest, twice as far as the largest is wide at the least control, decisions included. What
-    vehicles commit to is clear of all that moves for so long after they have come to rest.
+    From rest, twice as far as it is wide, at the least control, and two decisions.
+
+    Args:
+        mission: Limits of the vehicles.
+        size: Radius of what moves [m].
     """
-    d = mission.axes
-    if around is None or not around.state[:, d:].any():
-        return 0
-    moves = around.state[:, d:].any(axis=1)
-    size = np.linalg.norm(around.corners[moves], axis=2).max() + around.thickness[moves].max()
     way = ESCAPE_FACTOR * 2 * (size + mission.largest_separation)
     U, V = mission.least_braking, float(mission.top_speeds.min())
     time = 2 * (way / U) ** 0.5 if way < V**2 / U else way / V + V / U
     return 2 * mission.replan_steps + int(np.ceil(time / mission.step))
 
 
-def _wall_distance(mission: Reconfiguration) -> float:
-    return mission.largest_separation
+def find_surroundings(mission: Reconfiguration) -> Surroundings | None:
+    """Return the surroundings at the start of a drawn mission; None where there are never any."""
+    if not mission.has_surroundings:
+        return None
+    around = _place_known(mission, 0.0, len(mission.initial_states))
+    hidden = [one for one in mission.obstacles if not one.known]
+    unseen = _place(hidden, mission.axes, 0.0, len(mission.initial_states))
+    unseen.is_known[:] = False
+    return around.join(unseen)
 
 
-def _build_walls(
-    mission: Reconfiguration,
-) -> list[tuple[Float[Array, " d"], Float[Array, "corners d"]]]:
+def sense_surroundings(
+    mission: Reconfiguration, time: float, rows: int, seen: Sequence[Sensed]
+) -> Surroundings | None:
+    """Return what one agent knows of its surroundings; None where there is nothing.
+
+    Args:
+        mission: A drawn mission.
+        time: Time since the start of the mission [s].
+        rows: Rows of the agent's arrays.
+        seen: Obstacles that it has seen, as they are now, and states of lost vehicles.
+    """
+    obstacles = [one for one in seen if isinstance(one, Obstacle)]
+    around = _place_known(mission, time, rows).join(_place(obstacles, mission.axes, 0.0, rows))
+    lost = [np.asarray(one, dtype=float) for one in seen if not isinstance(one, Obstacle)]
+    if lost:  # of the agent's own kind
+        around = around.with_lost([rows - 1] * len(lost), np.stack(lost))
+    around.is_known[:] = True
+    return around if len(around.state) else None
+
+
+def _place_known(mission: Reconfiguration, time: float, rows: int) -> Surroundings:
+    known = [one for one in mission.obstacles if one.known]
+    return _place(known, mission.axes, time, rows).join(_build_walls(mission, rows))
+
+
+def _place(obstacles: Sequence[Obstacle], axes: int, time: float, rows: int) -> Surroundings:
+    """Return obstacles at a time, all of them known."""
+    count = len(obstacles)
+    each = [np.concatenate([one.place_at(time), one.drift]) for one in obstacles]
+    return Surroundings(
+        np.array(each).reshape(-1, 2 * axes),
+        tuple(one.corners for one in obstacles),
+        np.array([one.thickness for one in obstacles]),
+        np.zeros(count, dtype=bool),
+        np.full(count, -1),
+        np.ones((rows, count), dtype=bool),
+    )
+
+
+def _build_walls(mission: Reconfiguration, rows: int) -> Surroundings:
     """Build flat walls as far outside of the allowed positions as vehicles keep from them."""
+    d, away = mission.axes, mission.largest_separation
+    none = _place([], d, 0.0, rows)
     if mission.box is None:
-        return []
-    low, high = (np.array(side) for side in mission.box)
+        return none
+    low, high = np.asarray(mission.box)
     middle, half = (low + high) / 2, WALL_FACTOR * (high - low)
-    signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * len(low), indexing="ij"), axis=-1)
-    walls = []
-    for axis in range(len(low)):
-        corners = np.unique(signs.reshape(-1, len(low)) * half * (np.arange(len(low)) != axis), axis=0)
-        for edge, way in ((low, -1.0), (high, 1.0)):
-            place = middle.copy()
-            place[axis] = edge[axis] + way * _wall_distance(mission)
-            walls.append((place, corners))
-    return walls
+    signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * d, indexing="ij"), axis=-1).reshape(-1, d)
+    state, corners = np.tile(np.append(middle, np.zeros(d)), (2 * d, 1)), []
+    for axis in range(d):
+        state[2 * axis, axis], state[2 * axis + 1, axis] = low[axis] - away, high[axis] + away
+        corners += 2 * [np.unique(signs * half * (np.arange(d) != axis), axis=0)]
+    return Surroundings(
+        state,
+        tuple(corners),
+        np.full(2 * d, away),
+        np.ones(2 * d, dtype=bool),
+        np.full(2 * d, -1),
+        np.ones((rows, 2 * d), dtype=bool),
+    )

@@ -43,7 +43,7 @@ def find_excess(record: ReconfigurationRecord) -> tuple[float, int]:
         return 0.0, -1
     d, (low, high) = record.axes, np.asarray(record.mission.box)
     x = np.moveaxis(record.pieces.state, 0, 1)
-    b = np.moveaxis(control_points(x[..., :d], x[..., d:], record.pieces.duration), 3, 0)
+    b = np.moveaxis(control_points(x[..., :d], x[..., d:], record.pieces.duration), 2, 0)
     p, q, r = b[1] - b[0], b[2] - b[1], b[3] - b[2]
     curve, slope = p - 2 * q + r, q - p
     with np.errstate(divide="ignore", invalid="ignore"):
