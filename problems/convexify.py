@@ -29,11 +29,16 @@ SEPARATION_TOLERANCE = 1e-6  # part of R that planned trajectories keep in addit
 
 @dataclass(frozen=True, eq=False)
 class AvoidanceHorizon:
-    """Steps of collision avoidance, divided into pieces between the samples."""
+    """Steps of collision avoidance, divided into pieces between the samples.
+
+    Two vehicles may keep an ellipsoid instead of a ball: control points are scaled along the axes,
+    so that it becomes a ball.
+    """
 
     discrete_model: DiscreteModel  # the next T_H steps
     fine_model: DiscreteModel  # the same time span, each step divided into equal pieces
     clearance: float  # R_col, the margin and the interpolation error of the pieces [m]
+    scale: tuple[float, ...] | None = None  # of control points, along each axis
 
     def with_clearance(self, clearance: float) -> "AvoidanceHorizon":
         """Return the horizon of a vehicle with another clearance."""
@@ -77,7 +82,18 @@ class AvoidanceHorizon:
                     x_i, u_i, z_i = (x, u, z) if i < 2 else after
                     P[k, s, i], Q[k, s, i], r[k, s, i] = pick[i] @ x_i, pick[i] @ u_i, pick[i] @ z_i
                 x, u, z = after
-        return P, Q, r
+        if self.scale is None:
+            return P, Q, r
+        wide = np.array(self.scale)
+        return P * wide[:, None], Q * wide[:, None], r * wide
+
+    def scale_points(self, points: Float[Array, "*k d"]) -> Float[Array, "*k d"]:
+        """Return positions as control points have them."""
+        return points if self.scale is None else points * np.array(self.scale)
+
+    def unscale_points(self, points: Float[Array, "*k d"]) -> Float[Array, "*k d"]:
+        """Return control points as positions [m]."""
+        return points if self.scale is None else points / np.array(self.scale)
 
     def control_points(
         self, x: StateSamples, u: ControlSamples

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from functools import cached_property
 from math import pi, sqrt
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -53,6 +53,14 @@ class Obstacle(Definition):
         """Compute the distance of points from it at the start, 0 inside [m]."""
         return np.asarray(np.linalg.norm(points - self.nearest(points), axis=-1))
 
+    def scaled(self, factors: tuple[float, ...]) -> "Obstacle":
+        """Return the same in space that is scaled along its axes."""
+        raise NotImplementedError
+
+    def _scale_velocity(self, factors: tuple[float, ...]) -> dict[str, Any]:
+        drift = None if self.velocity is None else self.drift * np.array(factors)
+        return {"velocity": drift, "known": self.known}
+
     @property
     def axes(self) -> int:
         """Axes of space."""
@@ -88,6 +96,11 @@ class Sphere(Obstacle):
     def thickness(self) -> float:  # noqa: D102
         return self.radius
 
+    def scaled(self, factors: tuple[float, ...]) -> "Ellipsoid":  # noqa: D102
+        wide = np.array(factors)
+        own = self.place * wide, self.radius * wide
+        return Ellipsoid(*own, **self._scale_velocity(factors))
+
     @property
     def place(self) -> Float[Array, " d"]:  # noqa: D102
         return np.array(self.center)
@@ -119,6 +132,10 @@ class Box(Obstacle):
         if not (np.array(self.low) < self.high).all():
             raise InputError("low_m", "must be less than high_m along every axis")
         super().check()
+
+    def scaled(self, factors: tuple[float, ...]) -> "Box":  # noqa: D102
+        low, high = (np.array(side) * factors for side in (self.low, self.high))
+        return Box(low, high, **self._scale_velocity(factors))
 
     @property
     def place(self) -> Float[Array, " d"]:  # noqa: D102
@@ -154,6 +171,10 @@ class Ellipsoid(Obstacle):
         if min(self.semi_axes) <= 0:
             raise InputError("semi_axes_m", f"must be positive, got {min(self.semi_axes):g}")
         super().check()
+
+    def scaled(self, factors: tuple[float, ...]) -> "Ellipsoid":  # noqa: D102
+        own = (np.array(part) * factors for part in (self.center, self.semi_axes))
+        return Ellipsoid(*own, **self._scale_velocity(factors))
 
     @property
     def place(self) -> Float[Array, " d"]:  # noqa: D102
@@ -220,6 +241,9 @@ class Polytope(Obstacle):
         if self.points is not None:
             return np.asarray(self.points)
         return intersect_half_spaces(np.asarray(self.normals), np.array(self.offsets))
+
+    def scaled(self, factors: tuple[float, ...]) -> "Polytope":  # noqa: D102
+        return Polytope(self._listed * np.array(factors), **self._scale_velocity(factors))
 
     @property
     def place(self) -> Float[Array, " d"]:  # noqa: D102

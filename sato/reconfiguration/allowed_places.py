@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from problems.convexify import SEPARATION_TOLERANCE
+from sato.obstacles import Obstacle
 from sato.scenario.errors import InputError
 from sato.shapes import Points
 
@@ -100,8 +101,17 @@ def are_blocked(
     blocked = ~are_inside(mission, placed, mission.known_margin)
     for obstacle in mission.obstacles:
         if obstacle.known and not obstacle.drift.any():
-            blocked |= obstacle.distances(placed) < needed
+            blocked |= measure_distances(mission, obstacle, placed) < needed
     return blocked
+
+
+def measure_distances(
+    mission: "Reconfiguration", obstacle: Obstacle, placed: Float[Array, "k d"]
+) -> Float[Array, " k"]:
+    """Measure distances from an obstacle, of which vehicles keep R [m]."""
+    if mission.separation_scale is None:
+        return obstacle.distances(placed)
+    return obstacle.scaled(mission.separation_scale).distances(mission.scale_separations(placed))
 
 
 def are_inside(
@@ -125,7 +135,7 @@ def find_fault(
     if len(outside):
         return f"{names[outside[0]]} outside of the allowed positions, model.box_m"
     for number, obstacle in enumerate(mission.obstacles):
-        away = obstacle.distances(placed)
+        away = measure_distances(mission, obstacle, placed)
         near = np.flatnonzero(away < needed)
         if len(near):
             i = int(near[0])

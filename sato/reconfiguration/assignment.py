@@ -219,7 +219,7 @@ def order_targets(
     Those that are blocked come last.
     """
     open_count = np.maximum((~blocked).sum(axis=-1), 1)
-    return put_last(blocked), np.minimum(count, open_count)
+    return put_last(blocked), np.asarray(np.minimum(count, open_count))
 
 
 def compute_epsilon(mission: Reconfiguration, leg: Leg) -> float:

@@ -38,7 +38,7 @@ def find_places(context: DecisionContext, steps: int) -> Places:
     if not mission.is_point_mass:
         return Places(*arrive_among(context, steps))
     horizon = divide_horizon(mission, context.time, 1)
-    here = np.repeat(targets[:, None, None, : mission.axes], 4, axis=2)
+    here = horizon.scale_points(np.repeat(targets[:, None, None, : mission.axes], 4, axis=2))
     flown = around.fly(mission, horizon)
     now = flown and flown._replace(paths=flown.paths[:, :1])
     return Places(here, now, horizon.clearance)

@@ -78,9 +78,10 @@ def find_first_commitments(mission: Reconfiguration) -> Commitments:
         if not (len(meeting) or met):
             break
         for a in sorted(met.union(meeting.flatten().tolist())):
-            near = _find_near(mission, start[a, :d], a, paths, clearance)
+            here = horizon.scale_points(start[a, :d])
+            near = _find_near(mission, here, a, paths, clearance)
             others, radius = paths[near], (clearance[near] + clearance[a]) / 2
-            rest = np.concatenate([paths[a, -1, -1], np.zeros(d)])
+            rest = np.concatenate([horizon.unscale_points(paths[a, -1, -1]), np.zeros(d)])
             aim = int(agents[a]), start[a], rest, horizon.steps - 1
             for side in PASSING_SIDES[d]:
                 more = {"side": side, "obstacles": obstacles[a]}
@@ -292,7 +293,8 @@ def _find_near(
 ) -> Int[Array, " near"]:
     """Find the others that a vehicle could meet on any way on which it stays within reach."""
     middle, extent = convexify.enclosing_balls(paths)
-    most = longest_way(mission) + extent + (clearance + clearance[agent]) / 2
+    wide = max(mission.separation_scale or (1.0,))
+    most = wide * longest_way(mission) + extent + (clearance + clearance[agent]) / 2
     near = np.flatnonzero(np.linalg.norm(middle - start, axis=1) <= most)
     return np.asarray(near[near != agent])
 

@@ -127,6 +127,9 @@ class Reconfiguration(PlannedLimits, Mission):
     speed_norm: Annotated[Norm, MODEL, "norm of the velocity's limit"] = 2
     fuel_norm: Annotated[Norm, MODEL, "norm of the acceleration in the fuel"] = 1
 
+    separation_axes: Annotated[
+        Coordinates | None, MODEL, "semi-axes of the ellipsoid that two keep, over R; a ball if absent"
+    ] = None
     box: Annotated[
         Matrix | None, Unit("m"), MODEL, "allowed positions: lowest and highest corner"
     ] = None
@@ -361,7 +364,8 @@ class Reconfiguration(PlannedLimits, Mission):
     @cached_property
     def target_spacing(self) -> float:
         """Least distance between two targets of a leg [m]; once drawn."""
-        return min(min_distance(leg.targets[:, : self.axes]) for leg in self.legs)
+        places = (leg.targets[:, : self.axes] for leg in self.legs)
+        return min(min_distance(self.scale_separations(place)) for place in places)
 
     @property
     def keeps_targets_by_pair(self) -> bool:
@@ -370,7 +374,7 @@ class Reconfiguration(PlannedLimits, Mission):
 
     def find_tightest(self, targets: Float[Array, "targets n"]) -> tuple[float, float]:
         """Find the two targets with the least room: their distance, and R of their vehicles [m]."""
-        place, R = targets[:, : self.axes], self.largest_separation
+        place, R = self.scale_separations(targets[:, : self.axes]), self.largest_separation
         count = min(len(place), self.vehicle_count)
         if not self.keeps_targets_by_pair or count < 2:
             return min_distance(place), R

@@ -38,13 +38,15 @@ def draw_targets(
     """
     where = f"leg.{number}.shape"
     kept = 1 + SEPARATION_TOLERANCE  # times R, by plans
-    needed = 0.0 if mission.keeps_targets_by_pair else mission.largest_separation * kept
+    checked = mission.keeps_targets_by_pair or mission.separation_axes is not None
+    needed = 0.0 if checked else mission.largest_separation * kept
     with errors_in(where):
         drawn = place_targets(mission, leg, demand, needed)
         placed = np.asarray(drawn.positions)
-        if mission.keeps_targets_by_pair:
-            radii = kept * mission.radii[: len(placed)]
-            _check_separation(placed[: len(radii)], placed[:0], radii, "target", 0)
+        if checked:
+            widest = np.full(len(placed), mission.largest_separation)
+            radii = mission.radii[: len(placed)] if mission.keeps_targets_by_pair else widest
+            _check_separation(mission, placed[: len(radii)], placed[:0], kept * radii, "target", 0)
     limits = [mission.speed_limit(i) for i in range(len(placed))]
     if mission.assignment != "given":  # any vehicle may have to arrive there
         limits = [min(mission.speed_limits, key=lambda one: float(one.most * one.shares.min()))]
@@ -128,17 +130,19 @@ def draw_start(
             start = replace(start, keep_order=True)
             placed, velocity = start.place(count, axes), start.place_velocities(count, axes)
         else:
-            placed = start.place(count, axes, mission.largest_separation)
+            needed = mission.largest_separation if mission.separation_axes is None else 0.0
+            placed = start.place(count, axes, needed)
         # Any may stand where others are already.
         others = np.full(len(occupied), mission.radii.max())
         radii = np.concatenate([mission.radii[agents.start : agents.stop], others])
-        _check_separation(placed, occupied, radii, "agent", agents.start)
+        _check_separation(mission, placed, occupied, radii, "agent", agents.start)
         check_starts(mission, placed, agents, "")
     limits = [mission.speed_limit(i) for i in agents]
     return _with_velocities(mission, placed, velocity, t, where, limits)
 
 
 def _check_separation(
+    mission: Reconfiguration,
     placed: Float[Array, "count d"],
     occupied: Float[Array, "k d"],
     radii: Float[Array, " both"],
@@ -148,6 +152,7 @@ def _check_separation(
     """Refuse starts or targets that are too near to each other, or to places that are occupied.
 
     Args:
+        mission: The ellipsoid that two keep.
         placed: Starts or targets [m].
         occupied: Places of others [m].
         radii: R of the vehicles at both [m].
@@ -157,7 +162,7 @@ def _check_separation(
     Raises:
         InputError: Two are too near.
     """
-    together = np.concatenate([placed, occupied])
+    together = mission.scale_separations(np.concatenate([placed, occupied]))
     pairs = scipy.spatial.cKDTree(together).query_pairs(radii.max(), output_type="ndarray")
     pairs = pairs[pairs[:, 0] < len(placed)]  # the others were there before
     distance = np.linalg.norm(together[pairs[:, 0]] - together[pairs[:, 1]], axis=1)

@@ -90,7 +90,8 @@ class PlannedLimits(Vehicles):
 
     def _distance_unheard(self, margin: float) -> float:
         # The references of two may be nearer than these by a margin, and keep another.
-        return self.largest_separation + margin * (1 if self.tracking is None else 2)
+        kept = self.largest_separation + margin * (1 if self.tracking is None else 2)
+        return kept * self.widest_axis
 
     def speed_within_reach(self, steps: int, margin: float, control_factor: float = 1.0) -> float:
         """Return a speed from which vehicles stop before they meet others that they do not hear.

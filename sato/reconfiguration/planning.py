@@ -124,6 +124,7 @@ def divide_horizon(
         discretize_zoh(mission.linear_model, mission.step, T, time),
         discretize_zoh(mission.linear_model, mission.step / S, T * S, time),
         mission.largest_separation + margin,
+        mission.separation_scale,
     )
 
 

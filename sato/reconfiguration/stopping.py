@@ -133,6 +133,7 @@ def stays_within_reach(
     """
     reach = longest_way(mission)
     # Most trajectories lie in a small box, or lead too far from where they begin.
+    paths = horizon.unscale_points(paths)
     axes = (paths[..., axis] for axis in range(paths.shape[-1]))  # each by itself is far faster
     size = np.linalg.norm([np.ptp(own, axis=(-2, -1)) for own in axes], axis=0)
     ahead = paths - position[..., :1, None, :]

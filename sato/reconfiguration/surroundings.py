@@ -9,7 +9,7 @@ from numpy import ndarray as Array
 
 from problems.convexify import AvoidanceHorizon
 from problems.obstacle_paths import ObstaclePaths, pad_corners
-from sato.obstacles import Obstacle
+from sato.obstacles import Obstacle, polytope_about_ball
 from sato.reconfiguration.mission import Reconfiguration
 
 ESCAPE_FACTOR = 2.0  # of the way out of what moves, for others that are in it
@@ -78,7 +78,12 @@ class Surroundings(NamedTuple):
             u = np.zeros((int(adrift.sum()), horizon.steps, d))
             x = horizon.discrete_model.simulate(self.state[adrift], u)
             paths[adrift] = horizon.control_points(x, u)
-        return ObstaclePaths(paths, pad_corners(self.corners), np.zeros(len(paths)), velocity)
+        paths, corners = horizon.scale_points(paths), self.corners
+        if horizon.scale is not None:  # balls become ellipsoids
+            ball, each = polytope_about_ball(d), zip(self.corners, self.thickness, strict=True)
+            thick = [c if r == 0 else (c[:, None] + r * ball).reshape(-1, d) for c, r in each]
+            corners = tuple(horizon.scale_points(own) for own in thick)
+        return ObstaclePaths(paths, pad_corners(corners), np.zeros(len(paths)), velocity)
 
     def known_to(
         self, mission: Reconfiguration, agent: int, paths: ObstaclePaths | None, clearance: float
@@ -95,8 +100,9 @@ class Surroundings(NamedTuple):
         if paths is None or not len(rows):
             return None
         own = float(mission.own_clearances(clearance, np.array([agent]))[0])
-        keeps = own + self.thickness
-        keeps[self.is_wall] -= mission.radii[agent]
+        is_ball = mission.separation_axes is None
+        keeps = np.where(is_ball, own + self.thickness, own)
+        keeps[self.is_wall] = own - mission.radii[agent] + mission.largest_separation
         is_lost = self.vehicle >= 0
         keeps[is_lost] = (own + mission.own_clearances(clearance, self.vehicle[is_lost])) / 2
         return paths._replace(clearance=keeps).select(rows)
@@ -190,12 +196,13 @@ def _build_walls(mission: Reconfiguration, rows: int) -> Surroundings:
     signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * d, indexing="ij"), axis=-1).reshape(-1, d)
     state, corners = np.tile(np.append(middle, np.zeros(d)), (2 * d, 1)), []
     for axis in range(d):
-        state[2 * axis, axis], state[2 * axis + 1, axis] = low[axis] - away, high[axis] + away
+        wide = away / (mission.separation_scale or np.ones(d))[axis]
+        state[2 * axis, axis], state[2 * axis + 1, axis] = low[axis] - wide, high[axis] + wide
         corners += 2 * [np.unique(signs * half * (np.arange(d) != axis), axis=0)]
     return Surroundings(
         state,
         tuple(corners),
-        np.full(2 * d, away),
+        np.zeros(2 * d),
         np.ones(2 * d, dtype=bool),
         np.full(2 * d, -1),
         np.ones((rows, 2 * d), dtype=bool),

@@ -34,6 +34,23 @@ class Vehicles(Motion):
     max_speed_axes: tuple[float, ...] | None
     control_norm: Norm
     speed_norm: Norm
+    separation_axes: tuple[float, ...] | None
+
+    @property
+    def separation_scale(self) -> tuple[float, ...] | None:
+        """Factors by which the ellipsoid that two keep becomes a ball; None where it is one."""
+        axes = self.separation_axes
+        return None if axes is None else tuple(1.0 / a for a in axes)
+
+    @property
+    def widest_axis(self) -> float:
+        """Largest semi-axis of the ellipsoid that two keep, over R."""
+        return 1.0 if self.separation_axes is None else max(self.separation_axes)
+
+    def scale_separations(self, vectors: Float[Array, "*k d"]) -> Float[Array, "*k d"]:
+        """Return vectors between vehicles whose lengths two keep R apart."""
+        scale = self.separation_scale
+        return vectors if scale is None else vectors * np.array(scale)
 
     @property
     def vehicle_count(self) -> int:
@@ -49,6 +66,11 @@ class Vehicles(Motion):
     def has_equal_radii(self) -> bool:
         """True where all pairs keep the same distance."""
         return not isinstance(self.collision_radius, tuple)
+
+    @property
+    def has_own_separations(self) -> bool:
+        """True where the distance that two keep depends on the pair, or on the direction."""
+        return not self.has_equal_radii or self.separation_axes is not None
 
     @property
     def largest_separation(self) -> float:
@@ -171,6 +193,15 @@ def check_limits(mission: Any) -> None:
     if mission.agents is None:
         return
     count = mission.vehicle_count
+    if (axes := mission.separation_axes) is not None:
+        if len(axes) != mission.axes:
+            reason = f"has {len(axes)} entries, and the model has {mission.axes} axes"
+            raise InputError("model.separation_axes", reason)
+        if min(axes) <= 0:
+            raise InputError("model.separation_axes", f"must be greater than 0, got {min(axes):g}")
+        if not mission.is_point_mass:
+            reason = "is for double integrators; swarm.collision_radius_m would do"
+            raise InputError("model.separation_axes", reason)
     for where, value in (
         ("swarm.collision_radius_m", mission.collision_radius),
         ("swarm.priority", mission.priority),

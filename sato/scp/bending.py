@@ -61,7 +61,8 @@ def stack_paths(now: dict[int, Planner]) -> tuple[list[int], Array, Float[Array,
 
 def path_message(agent: Planner) -> PathMessage:
     """Return the message of an agent whose path is pushed aside."""
-    path, target = agent.control_points[:, 0], agent.target_state[: agent.control_points.shape[-1]]
+    path, d = agent.control_points[:, 0], agent.control_points.shape[-1]
+    target = agent.horizon.scale_points(agent.target_state[:d])
     return PathMessage(agent.priority[0], path, agent.horizon.clearance, target, agent.is_delayed)
 
 

@@ -40,7 +40,8 @@ def go_around(agent: Planner) -> Planner:
     if not len(still.paths) or len(agent.nominal.u) == 0 or is_path_clear(alone, still):
         return agent
     d = alone.shape[-1]
-    way = find_route(alone[0, 0], agent.target_state[:d], still)
+    target = agent.horizon.scale_points(agent.target_state[:d])
+    way = find_route(alone[0, 0], target, still)
     if way is None:
         return agent
     route = follow_route(way, alone)

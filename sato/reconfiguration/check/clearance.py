@@ -61,9 +61,12 @@ def find_excess(record: ReconfigurationRecord) -> tuple[float, int]:
 
 
 def _approach(record: ReconfigurationRecord, number: int) -> Clearance:
-    d, h, obstacle = record.axes, record.pieces.duration, record.mission.obstacles[number]
-    x = np.moveaxis(record.pieces.state, 0, 1)
-    paths = np.moveaxis(control_points(x[..., :d], x[..., d:], h), 0, 1)
+    d, h, mission = record.axes, record.pieces.duration, record.mission
+    obstacle, x = mission.obstacles[number], np.moveaxis(record.pieces.state, 0, 1)
+    if mission.separation_scale is not None:
+        obstacle = obstacle.scaled(mission.separation_scale)
+    paths = control_points(x[..., :d], x[..., d:], h)
+    paths = np.moveaxis(mission.scale_separations(paths), 0, 1)
     is_there = record.pieces.alive[:-1] & np.isfinite(paths).all(axis=(2, 3))
     k, i = np.nonzero(is_there)
     thirds = h * (k[:, None] + np.linspace(0.0, 1.0, 4))

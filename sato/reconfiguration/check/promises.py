@@ -217,7 +217,7 @@ def check_targets(record: ReconfigurationRecord) -> Promise:
 
 def check_separation(record: ReconfigurationRecord) -> Promise:
     """Check that no two agents come closer than R_col, at samples or between them."""
-    if not record.mission.has_equal_radii:
+    if record.mission.has_own_separations:
         return _check_relative_separation(record)
     found, error = record.separations
     radius = record.mission.largest_separation
@@ -235,10 +235,12 @@ def check_separation(record: ReconfigurationRecord) -> Promise:
 def _check_relative_separation(record: ReconfigurationRecord) -> Promise:
     found, error = record.relative_separations
     frames, radii = record.frames, record.mission.radii
-    least = min(found.minimum.distance, _least_relative(frames.position, frames.alive, radii))
+    position = record.mission.scale_separations(frames.position)
+    least = min(found.minimum.distance, _least_relative(position, frames.alive, radii))
     i, j = found.minimum.pair
     k = max(found.minimum.piece, 0) // record.pieces_per_step
-    text = f"{least:.9g} of (R_i + R_j)/2 between agents {i} and {j} in step {k}, 1 allowed"
+    what = "(R_i + R_j)/2" if record.mission.separation_axes is None else "the ellipsoid"
+    text = f"{least:.9g} of {what} between agents {i} and {j} in step {k}, 1 allowed"
     return Promise("separation", bool(least - error >= 1 - 1e-9), least, 1 - 1e-9, text)
 
 

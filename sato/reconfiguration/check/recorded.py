@@ -189,7 +189,7 @@ class ReconfigurationRecord(
 
     @cached_property
     def relative_separations(self) -> tuple[trajectory_geometry.Separations, float]:
-        """The same, relative to the distance that each pair keeps."""
+        """The same, relative to the distance that each pair keeps, in the direction between them."""
         found, error = self._compute_separations(self.mission.radii)
         return found, error / self.mission.least_separation
 
@@ -197,8 +197,11 @@ class ReconfigurationRecord(
         self, radii: Float[Array, " agents"] | None
     ) -> tuple[trajectory_geometry.Separations, float]:
         d, (x, alive, adrift, h, error) = self.axes, self.pieces
-        own = x[..., :d], x[..., d:], alive, h, radii, adrift
-        return trajectory_geometry.separations(*own), 2 * error
+        parts = x[..., :d], x[..., d:]
+        if radii is not None:
+            parts = tuple(self.mission.scale_separations(part) for part in parts)
+            error = error * max(self.mission.separation_scale or (1.0,))
+        return trajectory_geometry.separations(*parts, alive, h, radii, adrift), 2 * error
 
     @cached_property
     def pieces(self) -> "Pieces":
@@ -219,73 +222,6 @@ class ReconfigurationRecord(
         found = np.zeros_like(self.frames.alive)
         for k, event in self.events.of_kind("loss"):
             if event.get("body") == "coast":
-                found[k:, np.asarray(event["agents"], dtype=int)] = True
-        return found
-
-    @property
-    def is_flying(self) -> Bool[Array, "steps agents"]:
-        """True for agents that fly a step: alive at its start, also if they are lost at its end."""
-        return self.frames.alive[:-1]
-
-    def repropagate(self, pieces: int = 1) -> Float[Array, "steps {pieces}+1 agents n"]:
-        """Propagate every recorded state by the plant under the applied control of its step.
-
-        NaN for agents that do not fly, or without a finite control; lost ones may drift.
-        """
-        plant, step, x = self.mission.flown_plant, self.mission.step, self.state
-        has_control = np.isfinite(self.frames.applied_control[:-1]).all(axis=2)
-        is_missing = ~self.is_adrift[:-1] & ~(self.is_flying & has_control)
-        is_free = is_missing | self.is_adrift[:-1]
-        controls = np.where(is_free[..., None], 0.0, self.frames.applied_control[:-1])
-        found = np.empty((len(controls), pieces + 1, *x.shape[1:]))
-        for k, u in enumerate(controls):
-            found[k] = plant.propagate(x[k], u, k * step, step, pieces)
-        found[np.broadcast_to(is_missing[:, None], found.shape[:3])] = np.nan
-        return found
-
-    @cached_property
-    def separations(self) -> tuple[trajectory_geometry.Separations, float]:
-        """Least separation in every piece, and an allowance for the interpolation error [m].
-
-        Pieces lie between states of the plant itself. Two agents may have been closer by twice
-        the interpolation error: it is bounded where the plant is a time-invariant linear model
-        (`interpolation_error_bound`), and measured elsewhere (`sampled_interpolation_error`).
-        """
-        return self._compute_separations(None)
-
-    @cached_property
-    def relative_separations(self) -> tuple[trajectory_geometry.Separations, float]:
-        """The same, relative to the distance that each pair keeps."""
-        found, error = self._compute_separations(self.mission.radii)
-        return found, error / self.mission.least_separation
-
-    def _compute_separations(
-        self, radii: Float[Array, " agents"] | None
-    ) -> tuple[trajectory_geometry.Separations, float]:
-        d, (x, alive, adrift, h, error) = self.axes, self.pieces
-        own = x[..., :d], x[..., d:], alive, h, radii, adrift
-        return trajectory_geometry.separations(*own), 2 * error
-
-    @cached_property
-    def pieces(self) -> "Pieces":
-        """States at the ends of all cubic pieces."""
-        count = self.pieces_per_step
-        x = np.repeat(self.state, count, axis=0)[: len(self.is_flying) * count + 1]
-        if count > 1:
-            within = x[:-1].reshape(-1, count, *x.shape[1:])
-            within[:, 1:] = self.repropagate(count)[:, 1:-1]
-        alive = np.vstack([np.repeat(self.is_flying, count, axis=0), self.frames.alive[-1:]])
-        adrift = np.vstack([np.repeat(self.is_adrift[:-1], count, axis=0), self.is_adrift[-1:]])
-        error = self._interpolation_error(x, count)
-        return Pieces(x, alive, adrift, self.mission.step / count, error)
-
-    @cached_property
-    def is_adrift(self) -> Bool[Array, "instants agents"]:
-        """True for agents that are lost, and fly on without control."""
-        found = np.zeros_like(self.frames.alive)
-        bodies = [loss.body for leg in self.mission.legs for loss in leg.losses]
-        for (k, event), body in zip(self.events.of_kind("loss"), bodies, strict=False):
-            if body == "coast":
                 found[k:, np.asarray(event["agents"], dtype=int)] = True
         return found
 

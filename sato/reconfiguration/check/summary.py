@@ -81,10 +81,10 @@ def summarize(record: ReconfigurationRecord) -> dict[str, Any]:
 
 def _summarize_radii(record: ReconfigurationRecord) -> dict[str, Any]:
     radius = record.mission.collision_radius
-    if not isinstance(radius, tuple):
-        return {"collision_radius_m": radius}
-    least = record.relative_separations[0].minimum.distance
-    return {"collision_radius_m": list(radius), "min_relative_separation": least}
+    found = {"collision_radius_m": list(radius) if isinstance(radius, tuple) else radius}
+    if record.mission.has_own_separations:
+        found["min_relative_separation"] = record.relative_separations[0].minimum.distance
+    return found
 
 
 def summarize_leg(record: ReconfigurationRecord, leg: LegRecord) -> dict[str, Any]:
