@@ -13,6 +13,10 @@ the moment when both are there: p and v apart, for some t,
 
 in orbit with the transition matrix of Clohessy and Wiltshire. A collision is silent where no slack,
 braking or infeasibility of one of the two is recorded by then.
+
+Of obstacles, which are spheres and boxes here, vehicles keep R_i; the same excuse counts, with U = 0
+for the obstacle. Lost vehicles that coast are avoided as others are, and excused from the instant
+of the loss, with U = 0. Where two keep an ellipsoid, space is scaled so that it is a ball.
 """
 
 import json
@@ -79,6 +83,13 @@ class Flight(NamedTuple):
         return np.linalg.norm(values, ord=np.inf if norm == "inf" else norm, axis=-1) / most
 
     @property
+    def scale(self) -> Array:
+        """Factors of a state that make a ball of the ellipsoid that two keep."""
+        axes = self.scenario["model"].get("separation_axes", [1.0] * self.axes)
+        each = 1 / np.array([*axes, 1.0][:3])
+        return np.concatenate([each, each])
+
+    @property
     def strength(self) -> Array:
         """Largest Euclidean acceleration of each vehicle."""
         model, count = self.scenario["model"], self.alive.shape[1]
@@ -97,14 +108,14 @@ def judge(data: xr.Dataset) -> dict[str, Any]:
     """Return what the data itself says about safety, motion, limits and arrival."""
     flight = Flight.from_dataset(data)
     motion = Motion.from_dataset(data, flight.scenario)
-    path = motion.sample(flight.state[:-1], flight.applied)
+    path = motion.sample(flight.state[:-1], flight.applied) * flight.scale
     piece = motion.step / (path.shape[1] - 1)
     excused, alive = find_excused(flight, motion.rate), flight.alive
     found = closest_approaches(path, piece, alive, alive, flight.radii, ~excused)
     plea = closest_approaches(path, piece, alive, alive, flight.radii, excused)
     close = {pair: k for pair, (ratio, k) in found.items() if ratio < 1 - ROUNDING}
     events = [json.loads(str(text)) for text in data["event"].values]
-    residual = _residual(flight, motion, path)
+    residual = _residual(flight, motion, path / flight.scale)
     usage = flight.usage("max_control", "m_s2", "inf", flight.control)
     speed = flight.usage("max_speed", "m_s", 2, flight.state[..., 3:])
     is_noisy = flight.noise("acceleration_m_s2", "velocity_m_s", "thrust", "pointing_rad")
@@ -114,7 +125,8 @@ def judge(data: xr.Dataset) -> dict[str, Any]:
         "collisions": len(close),
         "silent": sum(_is_silent(pair, flight.time[k + 1], events) for pair, k in close.items()),
         "excused": sum(ratio < 1 - ROUNDING for ratio, _ in plea.values()),
-        "wreck_ratio": wreck_ratio(flight, motion),
+        **judge_wrecks(flight, motion),
+        **judge_obstacles(flight, path, piece),
         "residual": residual,
         "follows": residual <= ROUNDING,
         "control_usage": float((usage * alive[:-1]).max(initial=0.0)),
@@ -138,16 +150,22 @@ def find_excused(flight: Flight, rate: float) -> Array:
     for k in np.unique(begin[met]):
         i, j = (part[met & (begin == k)] for part in (first, second))
         apart, control = flight.state[k, i] - flight.state[k, j], flight.strength
-        control = control[i] + control[j]
-        latest = float((np.linalg.norm(apart[:, 3:], axis=1) / control).max(initial=0.0))
-        times = np.linspace(0.0, latest, INSTANTS)
-        change = transition_matrices(rate, times)
-        push = np.linalg.norm(change[:, :3, 3:], ord=2, axis=(1, 2))
-        push = np.append(0.0, np.cumsum((push[1:] + push[:-1]) / 2 * np.diff(times)))
-        free = np.linalg.norm(np.einsum("tab,pb->tpa", change[:, :3], apart), axis=2)
         needed = (flight.radii[i] + flight.radii[j]) / 2
-        excused[i, j] = (free + push[:, None] * control < needed).any(axis=0)
+        excused[i, j] = are_unavoidable(
+            apart * flight.scale, control[i] + control[j], needed, rate
+        )
     return excused
+
+
+def are_unavoidable(apart: Array, control: Array, needed: Array, rate: float) -> Array:
+    """Tell which pairs no control could keep apart, by their states from each other."""
+    latest = float((np.linalg.norm(apart[:, 3:], axis=1) / control).max(initial=0.0))
+    times = np.linspace(0.0, latest, INSTANTS)
+    change = transition_matrices(rate, times)
+    push = np.linalg.norm(change[:, :3, 3:], ord=2, axis=(1, 2))
+    push = np.append(0.0, np.cumsum((push[1:] + push[:-1]) / 2 * np.diff(times)))
+    free = np.linalg.norm(np.einsum("tab,pb->tpa", change[:, :3], apart), axis=2)
+    return (free + push[:, None] * control < needed).any(axis=0)
 
 
 Approaches = dict[tuple[int, int], tuple[float, int]]  # by pair: over its distance, at a step
@@ -224,22 +242,93 @@ def least_lengths(cubics: Array) -> Array:
     return np.linalg.norm(powers @ cubics, axis=2).min(axis=1)
 
 
-def wreck_ratio(flight: Flight, motion: Motion) -> float | None:
-    """Return the least distance of survivors to lost vehicles that coast, over (R_i + R_j)/2."""
+def judge_wrecks(flight: Flight, motion: Motion) -> dict[str, Any]:
+    """Judge the distances of survivors to lost vehicles as these coast, over (R_i + R_j)/2."""
     lost = np.logical_or.accumulate(~flight.alive[1:] & flight.alive[:-1], axis=0)
     if not lost.any():
-        return None
+        return {"wreck_ratio": None, "wreck_collisions": 0, "wreck_excused": 0, "wreck_pairs": 0}
     state, applied, wreck = flight.state[:-1].copy(), flight.applied.copy(), lost[:-1]
     for k, gone in enumerate(wreck, start=1):
         applied[k, gone] = 0.0
         before = motion.sample(state[k - 1 : k], applied[k - 1 : k], k - 1)[0, -1]
         state[k] = np.where(gone[:, None], before, state[k])
-    path = motion.sample(state, applied)
+    path = motion.sample(state, applied) * flight.scale
     wreck = np.concatenate([np.zeros_like(wreck[:1]), wreck])
     wanted = np.ones((len(flight.radii), len(flight.radii)), dtype=bool)
     piece = motion.step / (path.shape[1] - 1)
     found = closest_approaches(path, piece, flight.alive, wreck, flight.radii, wanted)
-    return min((ratio for ratio, _ in found.values()), default=None)
+    excused = 0
+    close = [pair for pair, (ratio, _) in found.items() if ratio < 1 - ROUNDING]
+    for pair in close:
+        gone, live = pair if wreck[-1, pair[0]] else pair[::-1]
+        begin = max(int(wreck[:, gone].argmax()), int(flight.alive[:, live].argmax()))
+        apart = (state[begin, live] - state[begin, gone])[None] * flight.scale
+        needed = np.array([(flight.radii[live] + flight.radii[gone]) / 2])
+        control = flight.strength[live : live + 1]
+        excused += bool(are_unavoidable(apart, control, needed, motion.rate)[0])
+    both = closest_approaches(path, piece, wreck, wreck, flight.radii, wanted)
+    coasts = any("coast" in str(leg.get("lose", "")) for leg in flight.scenario["leg"])
+    return {
+        "wreck_ratio": min((ratio for ratio, _ in found.values()), default=None),
+        "wreck_collisions": (len(close) - excused) * coasts,
+        "wreck_excused": excused * coasts,
+        "wreck_pairs": sum(ratio < 1 - ROUNDING for ratio, _ in both.values()) * coasts,
+    }
+
+
+def judge_obstacles(flight: Flight, path: Array, piece: float) -> dict[str, Any]:
+    """Judge the distances of live vehicles from obstacles, less R_i, over R_i."""
+    least, close, excused, rate = np.inf, 0, 0, 0.0
+    steps, samples, vehicles, _ = path.shape
+    time = np.arange(steps)[:, None] * piece * (samples - 1) + np.arange(samples) * piece
+    for one in flight.scenario.get("obstacle", []):
+        low, high, radius = _read_obstacle(one)
+        middle = (low + high) / 2
+        drift = np.pad(np.array(one.get("velocity_m_s", [0.0, 0.0])), (0, 3))[:3]
+        begin = np.concatenate([middle, drift]) * flight.scale
+        if flight.scale.min() < 1:
+            raise ValueError("obstacles beside ellipsoids are not judged")
+        for i in range(vehicles):
+            there = np.flatnonzero(flight.alive[:-1, i])
+            apart = path[there, :, i] - begin - np.pad(time[there, :, None] * drift, [(0, 0)] * 2 + [(0, 3)])
+            cubics = hermite(np.moveaxis(apart, 1, 0), piece).reshape(-1, 4, 3)
+            away = _distances(cubics, (high - low) / 2) - radius
+            ratio = float(away.min(initial=np.inf)) / flight.radii[i]
+            least = min(least, ratio)
+            if ratio < 1 - ROUNDING:
+                first, needed = apart[:1, 0], np.array([flight.radii[i] + radius])
+                control = flight.strength[i : i + 1]
+                is_ball = not (high > low).any()
+                plea = is_ball and bool(are_unavoidable(first, control, needed, rate)[0])
+                close, excused = close + (not plea), excused + plea
+    found = {"obstacle_collisions": close, "obstacle_excused": excused}
+    return {"obstacle_ratio": least if np.isfinite(least) else None, **found}
+
+
+def _read_obstacle(one: dict[str, Any]) -> tuple[Array, Array, float]:
+    if one["kind"] == "sphere":
+        center = np.array(one["center_m"])
+        center = np.pad(center, (0, 3 - len(center)))
+        return center, center, float(one["radius_m"])
+    if one["kind"] == "box":
+        low, high = np.array(one["low_m"]), np.array(one["high_m"])
+        flat = (0, 3 - len(low))
+        return np.pad(low, flat), np.pad(high, flat), 0.0
+    raise ValueError(f"an obstacle of the kind {one['kind']} is not judged")
+
+
+def _distances(cubics: Array, half: Array) -> Array:
+    """Return the least distances of cubics from a box about the origin, 0 inside."""
+    if not half.any():
+        return least_lengths(cubics)
+    low, high = np.zeros(len(cubics)), np.ones(len(cubics))
+    for _ in range(6):  # the least of many samples, and then between its neighbors
+        times = np.linspace(low, high, 33)
+        at = np.einsum("sqp,qpa->sqa", times[..., None] ** np.arange(4), cubics)
+        away = np.linalg.norm(np.maximum(np.abs(at) - half, 0.0), axis=2)
+        k, rows = away.argmin(axis=0), np.arange(len(cubics))
+        low, high = times[np.maximum(k - 1, 0), rows], times[np.minimum(k + 1, 32), rows]
+    return away.min(axis=0)
 
 
 def judge_arrival(data: xr.Dataset, flight: Flight) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 
 from sato.figures.axes import add_axes, draw_paths, set_axis_bounds
 from sato.reconfiguration.check.recorded import ReconfigurationRecord
-from sato.reconfiguration.figures.scene import TRAIL_COLOR, Scene, Snapshot, draw_swarm, pluralize
+from sato.reconfiguration.figures.scene import TRAIL_COLOR, Scene, draw_swarm, pluralize
 
 TRAIL_STEPS, TRAIL_POINTS = 12, 49  # control steps behind an agent, and points in them
 FRAMES_PER_STEP = 8  # frames a control step, at most
@@ -47,7 +47,7 @@ class SwarmAnimation:
         ax.clear()
         set_axis_bounds(ax, self._space)
         draw_paths(ax, self._space, trail, TRAIL_COLOR)
-        draw_swarm(ax, Snapshot("", trail[-1], component, scene.targets[leg]), self._space)
+        draw_swarm(ax, scene.snapshot_at("", instant, component, leg), self._space)
         time = scene.view.format_time(round(instant) * record.mission.step)
         count = len(np.unique(component[component >= 0]))
         ax.set_title(

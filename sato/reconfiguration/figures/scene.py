@@ -6,15 +6,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 from matplotlib.collections import EllipseCollection
+from matplotlib.patches import Polygon
 from numpy import ndarray as Array
+from scipy.spatial import ConvexHull
 
 from dynamics.trajectory_geometry import control_points, evaluate_bezier
 from sato.figures.axes import ORBITAL_PLANE, AxisBounds, Projection
-from sato.figures.style import GRAY, ISOLATED, LIGHT_GRAY, style_components
+from sato.figures.style import DARK_GRAY, GRAY, ISOLATED, LIGHT_GRAY, style_components
+from sato.obstacles import polytope_about_ball
 from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
 
 POINTS_PER_STEP = 6  # of a trajectory
 TRAIL_COLOR = "#9fb4c2"
+OBSTACLE_STYLE: dict[str, Any] = {"fc": "#e4e4e4", "ec": GRAY, "lw": 0.5}
+LOST_STYLE: dict[str, Any] = {"color": DARK_GRAY, "mew": 1.1}
 
 
 class Snapshot(NamedTuple):
@@ -24,6 +29,8 @@ class Snapshot(NamedTuple):
     position: Float[Array, "agents d"]  # [m]
     component: Int[Array, " agents"]  # −1 while not alive
     targets: Float[Array, "targets d"]  # [m]
+    outlines: tuple[Float[Array, "_ d"], ...] = ()  # points on the surface of each obstacle [m]
+    lost: Float[Array, "_ d"] | None = None  # agents that are lost and coast [m]
 
 
 class Scene:
@@ -62,8 +69,26 @@ class Scene:
         component = self.record.frames.component[k]
         if k == leg.end_index and leg.end_event is not None:
             component = np.where(leg.alive, leg.component, -1)
-        position = self.view.project(self.record.frames.position[k])
-        return Snapshot(title, position, component, self.targets[leg.leg_index])
+        return self.snapshot_at(title, float(k), component, leg.leg_index)
+
+    def snapshot_at(
+        self, title: str, instant: float, component: Int[Array, " agents"], leg: int
+    ) -> Snapshot:
+        """Return the swarm at an instant, counted in control steps, and all about it."""
+        record, k = self.record, int(instant)
+        (position,) = self.positions_at(np.array([instant]))
+        outlines = self.outlines_at(instant * record.mission.step)
+        lost = position[record.is_adrift[k] & (component < 0)]
+        return Snapshot(title, position, component, self.targets[leg], outlines, lost)
+
+    def outlines_at(self, time: float) -> tuple[Float[Array, "_ d"], ...]:
+        """Return points on the surface of each obstacle at a time [s], projected."""
+        ball = polytope_about_ball(self.record.axes)
+        unit, found = ball / np.linalg.norm(ball, axis=1, keepdims=True), []
+        for one in self.record.mission.obstacles:
+            farthest = one.corners[(one.corners @ unit.T).argmax(axis=0)]
+            found.append(self.view.project(one.place_at(time) + farthest + one.thickness * unit))
+        return tuple(found)
 
     def _used_targets(self, leg: int) -> Float[Array, "targets d"]:
         # Those that agents bid on; all if the leg did not end.
@@ -96,7 +121,8 @@ def interpolate_positions(
     k = instants.astype(int)
     fraction = np.repeat((instants - k)[:, None], record.frames.position.shape[1], axis=1)
     found = evaluate_bezier(pieces[k], fraction)
-    return np.where(record.frames.alive[k][..., None], found, np.nan)
+    is_there = record.frames.alive[k] | record.is_adrift[k]
+    return np.where(is_there[..., None], found, np.nan)
 
 
 def draw_swarm(
@@ -112,12 +138,15 @@ def draw_swarm(
         radius: Radius of circles about the agents [m]; none without it.
     """
     scale, _ = space.unit
+    draw_obstacles(ax, shot.outlines, space)
     mark = {"ls": "", "marker": "x", "color": LIGHT_GRAY, "mew": 0.6, "zorder": 1}
     ax.plot(*shot.targets.T / scale, ms=0.9 * size, **mark, label="target")
     for members, look, name in style_components(shot.component):
         at, color = shot.position[members] / scale, look.color
         ms = 0.75 * size if look is ISOLATED else size
         ax.plot(*at.T, look.marker, ms=ms, color=color, mew=0, zorder=3, label=name)
+    if shot.lost is not None and len(shot.lost):
+        ax.plot(*shot.lost.T / scale, "x", ms=1.2 * size, **LOST_STYLE, zorder=2, label="lost")
     if radius is not None:
         at = shot.position[shot.component >= 0] / scale
         wide = np.full(len(at), 2 * radius / scale)
@@ -125,6 +154,24 @@ def draw_swarm(
                                     offset_transform=ax.transData, facecolors="none",
                                     edgecolors=GRAY, linestyles=":", linewidths=0.5)  # fmt: skip
         ax.add_collection(circles)
+
+
+def draw_obstacles(
+    ax: Any, outlines: tuple[Float[Array, "_ d"], ...], space: AxisBounds, **style: Any
+) -> None:
+    """Draw convex obstacles by points on their surfaces, cut off at the bounds."""
+    scale, _ = space.unit
+    for points in outlines:
+        shown = np.clip(points, space.low, space.high)
+        if not np.ptp(shown, axis=0).all():
+            continue
+        hull, at = ConvexHull(shown), shown / scale
+        if at.shape[1] == 2:
+            look = OBSTACLE_STYLE | {"label": "obstacle"} | style
+            ax.add_patch(Polygon(at[hull.vertices], zorder=0.8, **look))
+        else:
+            look = {"shade": False, "color": LIGHT_GRAY, "ec": GRAY, "lw": 0.1, "alpha": 0.5}
+            ax.plot_trisurf(*at.T, triangles=hull.simplices, **(look | style))
 
 
 def pluralize(count: int, noun: str) -> str:

@@ -16,7 +16,15 @@ from sato.figures.axes import (
 )
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, RED
 from sato.reconfiguration.check.recorded import ReconfigurationRecord
-from sato.reconfiguration.figures.scene import TRAIL_COLOR, Scene, Snapshot, draw_swarm, pluralize
+from sato.reconfiguration.figures.scene import (
+    LOST_STYLE,
+    TRAIL_COLOR,
+    Scene,
+    Snapshot,
+    draw_obstacles,
+    draw_swarm,
+    pluralize,
+)
 
 MAX_CIRCLE_RATIO = 0.2  # of the axes, above which communication circles hide too much
 SNAPSHOT_FRACTIONS = (0, 1 / 3, 2 / 3, 1)  # of a leg
@@ -86,6 +94,13 @@ def plot_trajectories(record: ReconfigurationRecord) -> Figure:
         if changes.any():
             draw_paths(ax, space, path[:, changes], RED, label="changed its target")
         draw_ends(ax, space, path, "black")
+        begin, end = (k * record.mission.step for k in (leg.start_index, leg.end_index))
+        draw_obstacles(ax, scene.outlines_at(begin), space)
+        if any(one.drift.any() for one in record.mission.obstacles):
+            draw_obstacles(ax, scene.outlines_at(end), space, alpha=0.5)
+        lost = path[-1, record.is_adrift[leg.end_index]] / space.unit[0]
+        if len(lost):
+            ax.plot(*lost.T, "x", ms=4, **LOST_STYLE, zorder=4, label="lost")
     add_legend(figure)
     return figure
 
