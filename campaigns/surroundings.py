@@ -5,7 +5,7 @@
                 and targets at least R from these, and 2 R apart; in twice the least time alone
     passing     the same among 3 that move at 0.1 to 0.5 V any way, none over a start in 3 s
     surrounded  a mission of a family of `missions.py`, with 0 to 5 spheres and boxes of 0.5 to 2 R,
-                of which one in three moves at up to V/2, away from starts for as long as a vehicle
+                of which one in three moves at 0.1 to 0.5 V, away from starts for as long as a vehicle
                 needs to move by 2 R from rest, and, where at rest, from targets; one in two loses
                 up to a quarter of its vehicles at a step of 0 to 30, which coast. In orbit there
                 are no obstacles but the chief, a sphere of R, where nothing is within 2 R of it
@@ -112,7 +112,7 @@ def _draw_obstacles(rng: np.random.Generator, drawn: sato.Reconfiguration) -> li
             center, size = rng.uniform(low - R, high + R), R * rng.uniform(0.5, 2.0, d)
             is_moving, is_box = rng.random() < 1 / 3, rng.random() < 0.5
             way = rng.normal(size=d)
-            way *= is_moving * rng.uniform(0, 0.5) * float(drawn.top_speeds.min()) / np.linalg.norm(way)
+            way *= is_moving * rng.uniform(0.1, 0.5) * float(drawn.top_speeds.min()) / np.linalg.norm(way)
             wide = float(np.linalg.norm(size)) if is_box else float(size[0])
             swept = center + np.linspace(0.0, escape, 25)[:, None] * way
             near = np.linalg.norm(start - swept[:, None], axis=2).min(initial=np.inf)

@@ -80,6 +80,17 @@ def are_pieces_clear(
     return clear
 
 
+def select_near(
+    path: Float[Array, "pieces 4 d"], obstacles: ObstaclePaths, factor: float
+) -> ObstaclePaths:
+    """Keep the obstacles that a path may come nearer to than the clearance, times a factor."""
+    relative = path - obstacles.paths
+    middle = relative.mean(axis=2)
+    extent = np.linalg.norm(relative - middle[:, :, None], axis=3).max(axis=2)
+    away = (np.linalg.norm(middle, axis=2) - extent).min(axis=1) - obstacles.size
+    return obstacles.select(away < factor * obstacles.clearance)
+
+
 def is_path_clear(path: Float[Array, "pieces 4 d"], obstacles: ObstaclePaths | None) -> bool:
     """Tell whether a path keeps the distance from all obstacles."""
     return obstacles is None or bool(are_pieces_clear(path, obstacles).all())

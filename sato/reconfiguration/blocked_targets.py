@@ -16,8 +16,6 @@ from sato.reconfiguration.planning import divide_horizon
 from sato.reconfiguration.state import DecisionContext
 from sato.scp.planner import required_separations
 
-AT_REST = 1e-6  # of the radius in a step: what moves more slowly stays where it is
-
 
 class Places(NamedTuple):
     """Targets as agents would stand there from arrival on, and all that does not decide."""
@@ -27,21 +25,26 @@ class Places(NamedTuple):
     clearance: float  # that any two vehicles keep [m]
 
 
-def find_places(context: DecisionContext, steps: int) -> Places:
+def find_places(context: DecisionContext, steps: int, escape: int) -> Places:
     """Return the places that agents would take up after some steps.
 
-    In orbit they move on with their targets. Elsewhere they rest, and only what rests too can
-    block them.
+    In orbit they move on with their targets, and elsewhere they rest.
+
+    Args:
+        context: Time, targets and surroundings.
+        steps: Steps until they arrive.
+        escape: Steps after that in which they could get out of the way of what moves.
     """
     mission, around, targets = context.mission, context.surroundings, context.leg.targets
     assert around is not None
     if not mission.is_point_mass:
         return Places(*arrive_among(context, steps))
-    horizon = divide_horizon(mission, context.time, 1)
-    here = horizon.scale_points(np.repeat(targets[:, None, None, : mission.axes], 4, axis=2))
-    flown = around.fly(mission, horizon)
-    now = flown and flown._replace(paths=flown.paths[:, :1])
-    return Places(here, now, horizon.clearance)
+    horizon = divide_horizon(mission, context.time, steps + max(escape, 1))
+    flown, begin = around.fly(mission, horizon), steps * horizon.pieces_per_step
+    later = flown and flown.after_pieces(begin)
+    shape = len(targets), len(horizon.fine_model) - begin, 4, mission.axes
+    here = np.broadcast_to(targets[:, None, None, : mission.axes], shape)
+    return Places(horizon.scale_points(here), later, horizon.clearance)
 
 
 def find_blocked(context: DecisionContext, agent: int, places: Places) -> Bool[Array, " targets"]:
@@ -49,10 +52,7 @@ def find_blocked(context: DecisionContext, agent: int, places: Places) -> Bool[A
     mission, around = context.mission, context.surroundings
     assert around is not None
     known = around.known_to(mission, agent, places.others, places.clearance)
-    if known is not None and mission.is_point_mass:
-        way = np.linalg.norm(known.velocity, axis=1) * mission.step
-        known = known.select(way <= AT_REST * mission.least_separation)
-    if known is None or not len(known.paths):
+    if known is None:
         return np.zeros(len(places.paths), dtype=bool)
     wide = known._replace(clearance=required_separations(known.clearance))
     return np.array([not is_path_clear(path, wide) for path in places.paths])
@@ -60,15 +60,16 @@ def find_blocked(context: DecisionContext, agent: int, places: Places) -> Bool[A
 
 def agree_on_blocked(context: DecisionContext) -> Bool[Array, "agents targets"] | None:
     """Find the targets that any agent of each one's component knows to be blocked; None if none."""
-    graph, clock, places = context.graph, context.memory.clock, dict[int, Places]()
-    if context.surroundings is None:
+    graph, clock, around = context.graph, context.memory.clock, context.surroundings
+    places: dict[tuple[int, int], Places] = {}
+    if around is None:
         return None
     blocked = np.zeros((len(graph.alive), len(context.leg.targets)), dtype=bool)
     for i in np.flatnonzero(graph.alive).tolist():
-        steps = max(1, context.leg.steps - int(clock[i]))
-        if steps not in places:
-            places[steps] = find_places(context, steps)
-        blocked[i] = find_blocked(context, i, places[steps])
+        when = max(1, context.leg.steps - int(clock[i])), around.escape_steps(context.mission, i)
+        if when not in places:
+            places[when] = find_places(context, *when)
+        blocked[i] = find_blocked(context, i, places[when])
     for c in range(graph.component.max(initial=-1) + 1):
         members = np.flatnonzero(graph.component == c)
         blocked[members] = blocked[members].any(axis=0)

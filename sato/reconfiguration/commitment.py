@@ -264,7 +264,9 @@ def _find_stop_after(
         others = others[:, k * horizon.pieces_per_step :]
         if obstacles is not None:
             obstacles = obstacles.after_pieces(k * horizon.pieces_per_step)
-    aim = agent, start, wanted, min(period, horizon.steps - 1)
-    passing = context.solver_of(agent), side, obstacles
+    around = context.surroundings
+    rest_steps = around.escape_steps(mission, agent) if around else 0
+    aim = agent, start, wanted, min(period, max(horizon.steps - 1 - rest_steps, 1))
+    passing = context.solver_of(agent), side, obstacles, rest_steps
     found = find_stop(mission, horizon, *aim, path, others, clearance, *passing)
     return None if found is None else np.vstack([own[:k], found[0]])

@@ -85,9 +85,12 @@ def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) 
 
 
 def _rest_after(u: Float[Array, "T m"], steps: int, least: float) -> Float[Array, "_ m"]:
-    """Return controls, and so many steps of rest after all that are not less than a number."""
+    """Return controls, and so many steps of rest after all that are not less than a number.
+
+    Before these there are as many steps at least, in which an agent may get out of the way.
+    """
     moving, (T, m) = trim_rest(np.where(np.abs(u) < least, 0.0, u)), u.shape
-    return np.concatenate([u, np.zeros((max(len(moving) + steps - T, 0), m))])
+    return np.concatenate([u, np.zeros((max(max(len(moving), steps) + steps - T, 0), m))])
 
 
 def _avoids_obstacles(

@@ -162,6 +162,7 @@ def find_stop(
     solver: Solver = solve_program,
     side: convexify.PassingSide = "same",
     obstacles: ObstaclePaths | None = None,
+    rest_steps: int = 0,
 ) -> tuple[Float[Array, "T m"], Float[Array, "instants n"], Float[Array, "pieces 4 d"]] | None:
     """Find a stopping trajectory among others, near a wanted state after some steps.
 
@@ -178,19 +179,23 @@ def find_stop(
         solver: Solver of the program.
         side: Side on which to pass others that the nominal meets.
         obstacles: Obstacles over the horizon.
+        rest_steps: Steps at the end of the horizon for which the agent rests already.
 
     Returns:
         Controls, states and control points; None where none is found.
     """
-    T, required = horizon.steps - 1, required_separations(clearance)
+    T = max(horizon.steps - 1 - rest_steps, 1)
+    required = required_separations(clearance)
     normals = convexify.choose_normals(nominal - others, required, side)
     half_spaces = convexify.convexify(horizon, T, others, normals, required)
     if obstacles is not None:
-        required = required_separations(obstacles.clearance)
+        kept = required_separations(obstacles.clearance)
         about = support_obstacles(nominal, obstacles, side)
-        beside = convexify.convexify(horizon, T, *about, required)
-        rest = convexify.convexify_end(horizon, T, *about, required)
-        half_spaces = half_spaces.join(beside).join(rest)
+        half_spaces = half_spaces.join(convexify.convexify(horizon, T, *about, kept))
+        half_spaces = half_spaces.join(convexify.convexify_end(horizon, T, *about, kept))
+    if rest_steps:
+        rest = convexify.convexify_end(horizon, T, others, normals, required)
+        half_spaces = half_spaces.join(rest)
     limit = mission.planned_control_limit(agent)
     transfer = mission.make_transfer(horizon.discrete_model[:T], agent)
     problem = SafetyFilterProblem(transfer, start, wanted, wanted_step, half_spaces, solver)
@@ -202,6 +207,6 @@ def find_stop(
     last = -found.x[-1, mission.axes :] / mission.step
     if limit.measure(last) > limit.most:
         return None
-    u = np.vstack([found.u, last])
+    u = np.vstack([found.u, last, np.zeros((horizon.steps - T - 1, mission.axes))])
     x = horizon.discrete_model.simulate(start, u)
     return u, x, horizon.control_points(x, u)

@@ -11,7 +11,7 @@ from numpy import ndarray as Array
 from scipy.spatial.distance import cdist
 
 from problems import convexify
-from problems.obstacle_paths import nearest_points
+from problems.obstacle_paths import nearest_points, select_near
 from sato.network.graph import CommunicationGraph
 from sato.network.rounds import run_round
 from sato.scp.planner import Planner
@@ -91,9 +91,9 @@ def bend(agent: Planner, inbox: Sequence[PathMessage]) -> Planner:
 
 def obstacle_messages(agent: Planner) -> list[PathMessage]:
     """Return what obstacles would say, if each were its point that is nearest to the agent."""
-    obstacles, own = agent.obstacles, agent.horizon.clearance
-    if obstacles is None:
+    if agent.obstacles is None:
         return []
+    obstacles, own = select_near(agent.control_points, agent.obstacles, ROOM), agent.horizon.clearance
     nearest, target = nearest_points(agent.control_points, obstacles), agent.target_state
     each = zip(nearest, (2 * obstacles.clearance - own).tolist(), strict=True)
     return [PathMessage(-inf, path, R, target, False) for path, R in each]

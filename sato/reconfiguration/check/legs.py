@@ -8,8 +8,10 @@ from numpy import ndarray as Array
 
 from sato.check.report import Promise, expect_none
 from sato.network.graph import CommunicationGraph, canonicalize_labels
+from sato.reconfiguration.allowed_places import measure_distances
 from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
 from sato.reconfiguration.leg import MAX_LEG_FACTOR
+from sato.reconfiguration.surroundings import count_escape_steps
 
 BLOCKED_TOLERANCE = 0.05  # ellipsoids are taken for polytopes about them
 
@@ -59,22 +61,29 @@ def check_target_counts(record: ReconfigurationRecord) -> Promise:
 
 
 def check_blocked(record: ReconfigurationRecord) -> Promise:
-    """Check that targets were left out only where something else was too near to them.
+    """Check that targets were left out only where something else comes too near to them.
 
-    In orbit, where what drifts may come near later, only that there was something.
+    By the deadline and what it takes to get out of its way. In orbit, where what drifts may come
+    near later, only that there was something.
     """
-    mission, wrong = record.mission, 0
+    mission, wrong, d = record.mission, 0, record.axes
     radius = (float(mission.radii.max()) + mission.margin) * (1 + BLOCKED_TOLERANCE)
+    sizes = [float(np.linalg.norm(one.corners, axis=1).max()) for one in mission.obstacles]
+    escape = count_escape_steps(mission, max(sizes, default=0.0))
     for k, event in record.events.of_kind("blocked"):
         leg = int(record.leg_index[k])
-        places = record.targets[leg, np.asarray(event["targets"], dtype=int), : record.axes]
-        lost = record.frames.position[k, record.is_adrift[k]]
-        away = np.linalg.norm(places[:, None] - lost, axis=2).min(axis=1, initial=np.inf)
-        for obstacle in mission.obstacles:
-            moved = places - record.time[k] * obstacle.drift
-            away = np.minimum(away, obstacle.distances(moved))
-        near = away <= radius if mission.is_point_mass else np.isfinite(away)
-        wrong += int((~near).sum())
+        places = record.targets[leg, np.asarray(event["targets"], dtype=int), :d]
+        lost, away = record.state[k, record.is_adrift[k]], np.full(len(places), np.inf)
+        for step in range(mission.legs[leg].steps + escape + 1):
+            time = step * mission.step
+            at = lost[:, :d] + time * lost[:, d:]
+            near = np.linalg.norm(mission.scale_separations(places[:, None] - at), axis=2)
+            away = np.minimum(away, near.min(axis=1, initial=np.inf))
+            for obstacle in mission.obstacles:
+                moved = places - (record.time[k] + time) * obstacle.drift
+                away = np.minimum(away, measure_distances(mission, obstacle, moved))
+        is_near = away <= radius if mission.is_point_mass else np.isfinite(away)
+        wrong += int((~is_near).sum())
     return expect_none("blocked", wrong, "targets left out that nothing blocked")
 
 
