@@ -151,9 +151,7 @@ def find_excused(flight: Flight, rate: float) -> Array:
         i, j = (part[met & (begin == k)] for part in (first, second))
         apart, control = flight.state[k, i] - flight.state[k, j], flight.strength
         needed = (flight.radii[i] + flight.radii[j]) / 2
-        excused[i, j] = are_unavoidable(
-            apart * flight.scale, control[i] + control[j], needed, rate
-        )
+        excused[i, j] = are_unavoidable(apart * flight.scale, control[i] + control[j], needed, rate)
     return excused
 
 
@@ -290,7 +288,11 @@ def judge_obstacles(flight: Flight, path: Array, piece: float) -> dict[str, Any]
             raise ValueError("obstacles beside ellipsoids are not judged")
         for i in range(vehicles):
             there = np.flatnonzero(flight.alive[:-1, i])
-            apart = path[there, :, i] - begin - np.pad(time[there, :, None] * drift, [(0, 0)] * 2 + [(0, 3)])
+            apart = (
+                path[there, :, i]
+                - begin
+                - np.pad(time[there, :, None] * drift, [(0, 0)] * 2 + [(0, 3)])
+            )
             cubics = hermite(np.moveaxis(apart, 1, 0), piece).reshape(-1, 4, 3)
             away = _distances(cubics, (high - low) / 2) - radius
             ratio = float(away.min(initial=np.inf)) / flight.radii[i]

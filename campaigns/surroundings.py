@@ -1,14 +1,14 @@
 """Random missions among obstacles and lost vehicles.
 
-    forest      16 vehicles in a box of 12 m in the plane, or of 8 m in space, with R = 0.5 m,
-                V = 1 m/s and U = 0.5 m/s² along each axis, among 10 spheres of 0.3 to 1 m; starts
-                and targets at least R from these, and 2 R apart; in twice the least time alone
-    passing     the same among 3 that move at 0.1 to 0.5 V any way, none over a start in 3 s
-    surrounded  a mission of a family of `missions.py`, with 0 to 5 spheres and boxes of 0.5 to 2 R,
-                of which one in three moves at 0.1 to 0.5 V, away from starts for as long as a vehicle
-                needs to move by 2 R from rest, and, where at rest, from targets; one in two loses
-                up to a quarter of its vehicles at a step of 0 to 30, which coast. In orbit there
-                are no obstacles but the chief, a sphere of R, where nothing is within 2 R of it
+forest      16 vehicles in a box of 12 m in the plane, or of 8 m in space, with R = 0.5 m,
+            V = 1 m/s and U = 0.5 m/s² along each axis, among 10 spheres of 0.3 to 1 m; starts
+            and targets at least R from these, and 2 R apart; in twice the least time alone
+passing     the same among 3 that move at 0.1 to 0.5 V any way, none over a start in 3 s
+surrounded  a mission of a family of `missions.py`, with 0 to 5 spheres and boxes of 0.5 to 2 R,
+            of which one in three moves at 0.1 to 0.5 V, away from starts for as long as a vehicle
+            needs to move by 2 R from rest, and, where at rest, from targets; one in two loses
+            up to a quarter of its vehicles at a step of 0 to 30, which coast. In orbit there
+            are no obstacles but the chief, a sphere of R, where nothing is within 2 R of it
 """
 
 from collections.abc import Callable
@@ -32,7 +32,9 @@ FAMILIES = (
 MAX_DRAWS = 10_000
 
 
-def _stand(axes: int, is_given: bool, moving: bool, rng: np.random.Generator) -> sato.Reconfiguration:
+def _stand(
+    axes: int, is_given: bool, moving: bool, rng: np.random.Generator
+) -> sato.Reconfiguration:
     side, count = SIDES[axes], 3 if moving else 10
     centers = rng.uniform(-side / 2, side / 2, (count, axes))
     radii, way = rng.uniform(0.3, 1.0, count), rng.normal(size=(count, axes))
@@ -57,7 +59,9 @@ def _stand(axes: int, is_given: bool, moving: bool, rng: np.random.Generator) ->
     )
 
 
-def _scatter(rng: np.random.Generator, side: float, centers: Array, apart: Array, way: Array) -> Array:
+def _scatter(
+    rng: np.random.Generator, side: float, centers: Array, apart: Array, way: Array
+) -> Array:
     """Draw places 2 R from each other, and clear of spheres that go a way."""
     found: list[Array] = []
     shares = np.linspace(0.0, 1.0, 13)[:, None, None]
@@ -88,16 +92,24 @@ def _surround(family: str, rng: np.random.Generator) -> sato.Reconfiguration:
     mission = getattr(missions, family)(rng)
     drawn = mission.draw(np.random.default_rng(0))
     changes: dict[str, Any] = {}
-    if not isinstance(mission.model, sato.ClohessyWiltshire | sato.J2):
+    if drawn.is_point_mass:
         changes["obstacles"] = _draw_obstacles(rng, drawn)
     if rng.random() < 0.5 and not mission.legs[0].losses:
         count = mission.agent_count
         lost = rng.choice(count, int(rng.integers(0, max(2, count // 4 + 1))), replace=False)
         if 0 < len(lost) < count:
-            loss = sato.Loss("agents", agents=tuple(lost.tolist()), at_step=int(rng.integers(0, 31)), body="coast")
+            loss = sato.Loss(
+                "agents",
+                agents=tuple(lost.tolist()),
+                at_step=int(rng.integers(0, 31)),
+                body="coast",
+            )
             changes["legs"] = (replace(mission.legs[0], losses=(loss,)), *mission.legs[1:])
     legs = changes.get("legs", mission.legs)
-    coasting = [replace(leg, losses=tuple(replace(loss, body="coast") for loss in leg.losses)) for leg in legs]
+    coasting = [
+        replace(leg, losses=tuple(replace(loss, body="coast") for loss in leg.losses))
+        for leg in legs
+    ]
     return replace(mission, **(changes | {"legs": tuple(coasting)}))
 
 
@@ -112,7 +124,12 @@ def _draw_obstacles(rng: np.random.Generator, drawn: sato.Reconfiguration) -> li
             center, size = rng.uniform(low - R, high + R), R * rng.uniform(0.5, 2.0, d)
             is_moving, is_box = rng.random() < 1 / 3, rng.random() < 0.5
             way = rng.normal(size=d)
-            way *= is_moving * rng.uniform(0.1, 0.5) * float(drawn.top_speeds.min()) / np.linalg.norm(way)
+            way *= (
+                is_moving
+                * rng.uniform(0.1, 0.5)
+                * float(drawn.top_speeds.min())
+                / np.linalg.norm(way)
+            )
             wide = float(np.linalg.norm(size)) if is_box else float(size[0])
             swept = center + np.linspace(0.0, escape, 25)[:, None] * way
             near = np.linalg.norm(start - swept[:, None], axis=2).min(initial=np.inf)

@@ -15,7 +15,6 @@ from swarms import place
 import sato
 
 LSC = Path(__file__).parents[1] / "tests" / "data" / "lsc_missions.json"
-HALVED = np.array([1.0, 1.0, 0.5])
 START_FACTOR = 1.1  # of the distances apart, over those required
 
 
@@ -84,7 +83,7 @@ def judge_steps(run: sato.Run) -> dict[str, Any]:
 
 
 def _room(case: dict[str, list[list[float]]], _: np.random.Generator) -> sato.Reconfiguration:
-    start, goal = (np.array(case[name]) * HALVED for name in ("start", "goal"))
+    start, goal = (np.array(case[name]) for name in ("start", "goal"))
     return sato.Reconfiguration(
         model=sato.DoubleIntegrator(3),
         start=start,
@@ -92,16 +91,16 @@ def _room(case: dict[str, list[list[float]]], _: np.random.Generator) -> sato.Re
         step=0.2,
         comm_radius=1e3,
         collision_radius=0.3,
-        max_control_axes=tuple(2.0 * HALVED),
-        max_speed_axes=tuple(1.0 * HALVED),
+        separation_axes=(1.0, 1.0, 2.0),
+        max_control=2.0,
+        max_speed=1.0,
         speed_norm="inf",
         assignment="given",
         foresight_steps=10_000,  # the whole leg
     )
 
 
-# Missions of the LSC planner [Park2022], by name, with z halved, the limits along z too: a ball
-# stands for the ellipsoid of a quadrotor's downwash.
+# Missions of the LSC planner [Park2022], by name, with the ellipsoid of a quadrotor's downwash.
 lsc = SimpleNamespace(
     **{
         name: partial(_room, case)

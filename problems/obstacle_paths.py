@@ -181,5 +181,3 @@ def segments_clear(
     points = begin[:, None] + np.linspace(0.0, 1.0, 4)[:, None] * (end - begin)[:, None]
     still = obstacles._replace(paths=np.repeat(obstacles.paths[:, :1, :1], 4, axis=2))
     return np.asarray(are_pieces_clear(points, still).all(axis=0))
-
-

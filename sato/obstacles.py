@@ -25,9 +25,9 @@ class Obstacle(Definition):
     It is the convex hull of `corners`, about the point `place`, and all within `thickness` of it.
     """
 
-    velocity: Annotated[
-        Coordinates | None, Unit("m_s"), "constant velocity; at rest if absent"
-    ] = None
+    velocity: Annotated[Coordinates | None, Unit("m_s"), "constant velocity; at rest if absent"] = (
+        None
+    )
     known: Annotated[bool, "known before the flight, else once it is within sensing radius"] = True
 
     @property

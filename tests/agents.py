@@ -36,7 +36,9 @@ class Watch:
         now = [replace(o, center=tuple(o.place_at(time).tolist())) for o in unknown]
         now += [x[lost] for lost in self.adrift]
         for i in agents:
-            away = [o.distances(x[i, :d]) if hasattr(o, "kind") else norm(o[:d] - x[i, :d]) for o in now]
+            away = [
+                o.distances(x[i, :d]) if hasattr(o, "kind") else norm(o[:d] - x[i, :d]) for o in now
+            ]
             near = {n for n, distance in enumerate(away) if distance <= self.mission.sight}
             self.seen[i] = self.seen.get(i, set()) | near
         return {i: [now[n] for n in sorted(self.seen[i])] for i in agents}

@@ -229,9 +229,7 @@ class Agent:
         """Constraints relaxed, and clocks reset, in the last decision."""
         return self.memory.decision.events if self.memory.decision else ()
 
-    def _begin_instant(
-        self, instant: int, state: Array, seen: Sequence[Sensed]
-    ) -> FlightMemory:
+    def _begin_instant(self, instant: int, state: Array, seen: Sequence[Sensed]) -> FlightMemory:
         flown, mission, leg = self.memory, self.mission, self.memory.leg
         joins = flown.instant is None and flown.leg_start not in (None, instant)
         if flown.instant is not None:
@@ -252,6 +250,7 @@ class Agent:
         context = DecisionContext(mission, leg, *known, *when, solvers, around)
         if len(seen) > flown.seen_count:
             closed = give_up_closed(context, flown.plans, [self.number])
+            joins |= closed.get(self.number) is not flown.plans.get(self.number)
             flown = flown._replace(plans=closed, seen_count=len(seen))
         shared = begun, checksum(mission, leg)
         own = flown.plans, flown.committed, flown.spent

@@ -340,7 +340,7 @@ class Decision(NamedTuple):
         memory = replace(
             memory,
             target_index=np.full_like(memory.clock, bidding.target_index),
-            target_count=np.full_like(memory.clock, bidder.target_count),
+            target_count=np.maximum(memory.target_count, bidder.target_count),
             bidder_count=np.full_like(memory.clock, bidder.bids.winner_count),
         )
         decision = self._replace(context=self.context._replace(memory=memory))

@@ -44,9 +44,7 @@ def check_starts(
             raise InputError(where, f"{reason}; another start, or a smaller obstacle, would do")
 
 
-def place_targets(
-    mission: "Reconfiguration", leg: "Leg", demand: int, needed: float
-) -> Points:
+def place_targets(mission: "Reconfiguration", leg: "Leg", demand: int, needed: float) -> Points:
     """Return the targets of a leg, of a shape without those that are blocked.
 
     Args:

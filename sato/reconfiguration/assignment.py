@@ -194,7 +194,10 @@ def run_auction(
         )
         if order is not None:
             index = order[np.arange(len(order)), np.maximum(auction.target_index, 0)]
-            auction = auction._replace(target_index=np.where(graph.alive, index, -1))
+            auction = auction._replace(
+                target_index=np.where(graph.alive, index, -1),
+                target_count=np.maximum(auction.target_count, memory.target_count),
+            )
         won = auction.target_index[live]
         inexact = ~table.is_exact[live, won]
         if not inexact.any():

@@ -28,6 +28,7 @@ from sato.reconfiguration.stopping import (
     Commitment,
     Commitments,
     find_stop,
+    find_way_aside,
     pad_controls,
     stays_within_reach,
     stopping_horizon,
@@ -35,7 +36,8 @@ from sato.reconfiguration.stopping import (
 from sato.scp.planner import FEASIBILITY_TOLERANCE, PASSING_SIDES
 
 ROUNDING = 1e-12  # relative, of distances that are computed twice
-SAME_SIDE: tuple[convexify.PassingSide, ...] = ("same",)
+SAME_SIDE: convexify.PassingSide = "same"
+MAX_WAYS_ASIDE = 3  # that are looked for, one about another, where something comes an agent's way
 
 
 def choose_offers(
@@ -160,9 +162,7 @@ def leaves_plan(plan: Plan, followed: Plan | None = None) -> bool:
     return len(plan.trajectory.u) > 0 or is_away
 
 
-def follow(
-    context: DecisionContext, plan: Plan, steps: int, u: Float[Array, "T m"]
-) -> Plan:
+def follow(context: DecisionContext, plan: Plan, steps: int, u: Float[Array, "T m"]) -> Plan:
     """Return a plan of which so many steps are flown; without a target if it is left too early.
 
     Args:
@@ -173,7 +173,9 @@ def follow(
     """
     if is_kept(context, plan):
         return plan
-    if is_kept_away(context, plan, u) or steps < min(steps_to_next(context), len(plan.trajectory.u)):
+    if is_kept_away(context, plan, u) or steps < min(
+        steps_to_next(context), len(plan.trajectory.u)
+    ):
         failures = plan.failure_count + context.mission.keeps_plans
         return plan._replace(target_index=None, failure_count=failures)
     return plan._replace(clear_until=plan.planned_at + steps)
@@ -217,13 +219,23 @@ def improve(
     mission, steps = context.mission, len(plan.trajectory.u)
     kept = hull_distance(path - others)[0].min(axis=1)
     clearance = np.minimum(clearance, kept * (1 - ROUNDING))
-    obstacles, sides = context.known_obstacles(agent, horizon), SAME_SIDE
-    if not is_path_clear(path, obstacles):  # something comes its way
-        sides = PASSING_SIDES[mission.axes]
+    obstacles = context.known_obstacles(agent, horizon)
+    is_safe = is_path_clear(path, obstacles)
     # Where to stop at once would lead into others, an agent may pass them and stop by another way.
-    for followed, side in product((steps_to_next(context), 0), sides):
+    tries = [(steps_to_next(context), SAME_SIDE), (0, SAME_SIDE)]
+    if not is_safe:  # something comes its way
+        tries = list(product((steps_to_next(context), 0), PASSING_SIDES[mission.axes]))
+    about = path
+    for attempt in range(len(tries) + (0 if is_safe else MAX_WAYS_ASIDE)):
+        followed, side = tries[attempt] if attempt < len(tries) else (0, SAME_SIDE)
+        if attempt >= len(tries):
+            own = agent, context.state[agent], about, others, clearance, obstacles
+            aside = find_way_aside(mission, horizon, *own, context.solver_of(agent))
+            if aside is None:
+                return None
+            about = aside
         u = _find_stop_after(
-            context, agent, plan, followed, horizon, path, others, clearance, obstacles, side
+            context, agent, plan, followed, horizon, about, others, clearance, obstacles, side
         )
         if u is None:
             continue

@@ -27,6 +27,7 @@ def check(mission: "Reconfiguration") -> None:
     _check_noise(mission)
     _check_detectable(mission)
     _check_axes(mission)
+    _check_surroundings(mission)
     _check_legs(mission)
 
 
@@ -103,6 +104,32 @@ def _check_noise(mission: "Reconfiguration") -> None:
         most = f"at most pointing_deg = {degrees(MAX_POINTING_ERROR):.0f} would do"
         reason = f"{pointing:.4g} is {degrees(pointing):.4g} degrees; {most}"
         raise InputError("disturbance.pointing_rad", reason)
+
+
+def _check_surroundings(mission: "Reconfiguration") -> None:
+    """Refuse obstacles and bounds of other axes than the model's, and what is not supported.
+
+    Raises:
+        InputError: They are; says which.
+    """
+    d, box = mission.axes, mission.box
+    if box is not None:
+        if box.shape != (2, d):
+            reason = f"needs a lowest and a highest corner with {d} coordinates each"
+            raise InputError("model.box_m", f"{reason}, got shape {box.shape}")
+        if not (box[0] < box[1]).all():
+            raise InputError("model.box_m", "must have a lowest corner below the highest one")
+    for number, obstacle in enumerate(mission.obstacles):
+        if obstacle.axes != d:
+            reason = f"has {obstacle.axes} coordinates, and the model has {d} axes"
+            raise InputError(f"obstacle.{number}", reason)
+    if mission.has_surroundings and mission.bargains:
+        reason = "in a negotiation vehicles keep clear of each other alone"
+        raise InputError("plan.bargains", f"{reason}; bargains = 0 would do among obstacles")
+    is_seen_later = mission.sensing_radius is not None
+    if is_seen_later and not mission.has_unseen:
+        reason = "has no effect where all is known, and no lost vehicle coasts; leave it out"
+        raise InputError("swarm.sensing_radius_m", reason)
 
 
 def is_detectable(mission: "Reconfiguration") -> bool:

@@ -58,7 +58,9 @@ def find_first_commitments(mission: Reconfiguration) -> Commitments:
     if not mission.is_point_mass or is_still:
         return {}
     around = around and around.seen_from(mission, mission.initial_states)
-    steps = max((around.escape_steps(mission, i) for i in agents.tolist()), default=0) if around else 0
+    steps = (
+        max((around.escape_steps(mission, i) for i in agents.tolist()), default=0) if around else 0
+    )
     horizon, u, _, paths = _fly_on(mission, agents, start, {}, 0, steps)
     clearance = mission.own_clearances(horizon.clearance, agents)
     flown = around and around.fly(mission, horizon)
@@ -230,6 +232,13 @@ def check_reach(mission: Reconfiguration) -> None:
         InputError: It could meet another that it does not hear; says what would do.
     """
     state, reach = mission.initial_states, mission.reach_unheard(mission.margin)
+    kept = mission.largest_separation * mission.widest_axis
+    if mission.is_point_mass and mission.has_unseen and mission.sight - kept <= 0:
+        raise InputError(
+            "swarm.sensing_radius_m",
+            f"{mission.sight:g} is no more than the {kept:.4g} m that vehicles keep, so none could "
+            "stop before it meets what it sees; several times as much would do",
+        )
     if mission.is_point_mass and mission.vehicle_count > 1 and reach <= 0:
         least = mission.comm_radius - 2 * reach
         raise InputError(

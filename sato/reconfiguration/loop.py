@@ -95,8 +95,10 @@ class _Flight:
             time = self.step_index * mission.step
             rest = self.memory, k, time, self.solvers, self.surroundings
             context = state.DecisionContext(mission, self.leg, graph, known, *rest)
-            self.plans = planning.give_up_closed(context, self.plans, seen_by)
-            for deciding, bids in self._schedule_decisions(graph, joined, k):
+            closed = planning.give_up_closed(context, self.plans, seen_by)
+            alarmed = [i for i in seen_by if closed.get(i) is not self.plans.get(i)]
+            self.plans = closed
+            for deciding, bids in self._schedule_decisions(graph, [*joined, *alarmed], k):
                 self._decide(context._replace(graph=deciding, memory=self.memory), bids)
             planned = controls_at(self.committed, self.step_index, self.alive, mission)
             control = add_feedback(mission, planned, known, self.estimate.mean)
@@ -165,22 +167,24 @@ class _Flight:
                 self.events.append(event | ({"body": "coast"} if coasts else {}))
                 if coasts and self.surroundings is not None:
                     self.is_adrift[lost] = True
-                    self.surroundings = self.surroundings.with_lost(sorted(lost), self.x[sorted(lost)])
+                    self.surroundings = self.surroundings.with_lost(
+                        sorted(lost), self.x[sorted(lost)]
+                    )
         return joined
 
     def _schedule_decisions(
-        self, graph: CommunicationGraph, joined: list[int], k: int
+        self, graph: CommunicationGraph, called: list[int], k: int
     ) -> list[tuple[CommunicationGraph, bool]]:
         """Return the components that plan at a step, and whether they bid first.
 
-        An agent that joins calls for an auction in its component at once; a loss is silence, and
-        is noticed when agents plan next. A component that is about to arrive keeps its
+        An agent that joins, or sees that its plan is closed, calls for an auction in its component
+        at once; a loss is silence, and is noticed when agents plan next. A component that is about to arrive keeps its
         plans: with so few steps left, a small correction takes much control.
         """
         decisions: list[tuple[CommunicationGraph, bool]] = []
         is_central = self.mission.assignment == "central"
-        if joined:
-            beside = np.isin(graph.component, graph.component[joined]) | is_central
+        if called:
+            beside = np.isin(graph.component, graph.component[called]) | is_central
             decisions, graph = [(graph.subgraph(beside), True)], graph.subgraph(~beside)
         if k % self.mission.replan_steps:
             return decisions

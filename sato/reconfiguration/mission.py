@@ -87,7 +87,11 @@ class Reconfiguration(PlannedLimits, Mission):
         EACH,
     ]
     sensing_radius: Annotated[
-        Length | None, SWARM, Positive, "obstacles and lost vehicles are seen; comm radius if absent"
+        float | None,
+        Unit("m"),
+        SWARM,
+        Positive,
+        "obstacles not known, and lost vehicles, are seen within; comm_radius_m if absent",
     ] = None
     priority: Annotated[
         Coordinates | None, SWARM, "one a vehicle; the lower gives way, else who spent less"
@@ -128,7 +132,9 @@ class Reconfiguration(PlannedLimits, Mission):
     fuel_norm: Annotated[Norm, MODEL, "norm of the acceleration in the fuel"] = 1
 
     separation_axes: Annotated[
-        Coordinates | None, MODEL, "semi-axes of the ellipsoid that two keep, over R; a ball if absent"
+        Coordinates | None,
+        MODEL,
+        "semi-axes of the ellipsoid that two keep, over R; a ball if absent",
     ] = None
     box: Annotated[
         Matrix | None, Unit("m"), MODEL, "allowed positions: lowest and highest corner"
@@ -292,8 +298,13 @@ class Reconfiguration(PlannedLimits, Mission):
     @property
     def has_surroundings(self) -> bool:
         """True where there is anything to avoid but each other."""
-        has_wrecks = any(loss.body == "coast" for leg in self.legs for loss in leg.losses)
-        return bool(self.obstacles) or self.box is not None or has_wrecks
+        return bool(self.obstacles) or self.box is not None or self.has_unseen
+
+    @property
+    def has_unseen(self) -> bool:
+        """True where there is anything that agents do not know of before they see it."""
+        coasts = any(loss.body == "coast" for leg in self.legs for loss in leg.losses)
+        return coasts or not all(obstacle.known for obstacle in self.obstacles)
 
     @property
     def agent_count(self) -> int:

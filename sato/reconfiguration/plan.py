@@ -109,7 +109,7 @@ def _is_clear(mission: Reconfiguration, plan: Plan, k: int, left: int) -> bool:
 
 def _waits(mission: Reconfiguration, plan: Plan | None, k: int) -> bool:
     # The more often an agent has found no way, the longer it waits before it looks again.
-    if plan is None or plan.target_index is not None:
+    if plan is None or plan.target_index is not None or mission.has_surroundings:
         return False
     periods = min(plan.failure_count, MAX_WAIT)
     return k < plan.planned_at + periods * mission.replan_steps

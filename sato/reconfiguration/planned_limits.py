@@ -26,6 +26,8 @@ class PlannedLimits(Vehicles):
     """Properties that follow from the limits of a mission, its noise and its margin."""
 
     comm_radius: float
+    sight: float
+    has_unseen: bool
     replan_steps: int
     margin: Any
     allow_undetectable: bool
@@ -83,10 +85,15 @@ class PlannedLimits(Vehicles):
         return float(self.margin) if self.has_margin else 0.0
 
     def reach_unheard(self, margin: float) -> float:
-        """Return how far vehicles may fly on before they could meet others unheard [m]."""
+        """Return how far vehicles may fly on before they could meet what they do not know [m].
+
+        Others that they do not hear, which fly as far; or what rests beyond their sensing radius.
+        """
         if self.allow_undetectable:
             return inf
-        return (self.comm_radius - self._distance_unheard(margin)) / 2
+        kept = self._distance_unheard(margin)
+        unseen = self.sight - kept if self.has_unseen else inf
+        return min((self.comm_radius - kept) / 2, unseen)
 
     def _distance_unheard(self, margin: float) -> float:
         # The references of two may be nearer than these by a margin, and keep another.

@@ -235,8 +235,9 @@ def give_up_closed(context: DecisionContext, plans: Plans, agents: list[int]) ->
         plan = plans.get(i)
         if plan is None or plan.target_index is None:
             continue
-        u = plan.controls_from(k)
-        horizon = divide_horizon(context.mission, context.time, len(u) + 1)
+        u, around = plan.controls_from(k), context.surroundings
+        ahead = max(1, around.escape_steps(context.mission, i) if around else 0)
+        horizon = divide_horizon(context.mission, context.time, len(u) + ahead)
         x = plan.trajectory.x[k - plan.planned_at :] if len(u) else context.state[i][None]
         if not is_path_clear(horizon.control_points(x, u), context.known_obstacles(i, horizon)):
             found[i] = plan._replace(target_index=None)

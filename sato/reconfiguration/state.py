@@ -107,9 +107,7 @@ class DecisionContext(NamedTuple):
         """Return the agent's own solver."""
         return self.solvers[agent] if self.solvers else solve_program
 
-    def known_obstacles(
-        self, agent: int, horizon: AvoidanceHorizon
-    ) -> ObstaclePaths | None:
+    def known_obstacles(self, agent: int, horizon: AvoidanceHorizon) -> ObstaclePaths | None:
         """Return what an agent knows of its surroundings, over a horizon that begins now."""
         around = self.surroundings
         if around is None:

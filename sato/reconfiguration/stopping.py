@@ -18,6 +18,7 @@ from problems.conic import Unsolved
 from problems.convexify import AvoidanceHorizon
 from problems.limit import Limit
 from problems.safety_filter import SafetyFilterProblem
+from problems.avoidance import AvoidanceProblem
 from problems.obstacle_paths import ObstaclePaths, support_obstacles
 from problems.solvers.verified import solve_program
 from problems.transfer import Solver
@@ -147,6 +148,46 @@ def stays_within_reach(
         farthest = np.maximum(farthest, squares.max(axis=(1, 2)))
     within[is_open] = farthest <= reach**2
     return within
+
+
+def find_way_aside(
+    mission: Reconfiguration,
+    horizon: AvoidanceHorizon,
+    agent: int,
+    start: Float[Array, " n"],
+    nominal: Float[Array, "pieces 4 d"],
+    others: Float[Array, "others pieces 4 d"],
+    clearance: Float[Array, " others"],
+    obstacles: ObstaclePaths,
+    solver: Solver,
+) -> Float[Array, "pieces 4 d"] | None:
+    """Find a path that comes least too near to others and obstacles; None where none is found.
+
+    It is a nominal for `find_stop`, of which the nominal itself shows no way.
+
+    Args:
+        mission: Limits.
+        horizon: Horizon.
+        agent: Number of the agent.
+        start: State of the agent.
+        nominal: Control points about which the half-spaces are chosen.
+        others: Control points of the others.
+        clearance: Distance to keep from each [m].
+        obstacles: Obstacles over the horizon.
+        solver: Solver of the program.
+    """
+    T, required = horizon.steps - 1, required_separations(clearance)
+    normals = convexify.choose_normals(nominal - others, required)
+    kept, about = required_separations(obstacles.clearance), support_obstacles(nominal, obstacles)
+    half_spaces = convexify.convexify(horizon, T, others, normals, required)
+    half_spaces = half_spaces.join(convexify.convexify(horizon, T, *about, kept))
+    rest = np.concatenate([horizon.unscale_points(nominal[-1, -1]), np.zeros(mission.axes)])
+    transfer = mission.make_transfer(horizon.discrete_model[:T], agent)
+    try:
+        found = AvoidanceProblem(transfer, start, rest, half_spaces, solver).solve("separation")
+    except Unsolved:
+        return None
+    return horizon.control_points(found.trajectory.x, found.trajectory.u)
 
 
 def find_stop(

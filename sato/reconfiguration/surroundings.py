@@ -13,6 +13,7 @@ from sato.obstacles import Obstacle, polytope_about_ball
 from sato.reconfiguration.mission import Reconfiguration
 
 ESCAPE_FACTOR = 2.0  # of the way out of what moves, for others that are in it
+AT_REST = 1e-6  # of R in a step: what moves more slowly stays where it is
 WALL_FACTOR = 100.0  # size of the walls about the allowed positions, over that of these
 
 Sensed = Obstacle | Sequence[float] | Array  # an obstacle, or the state of a lost vehicle
@@ -112,7 +113,8 @@ class Surroundings(NamedTuple):
 
         0 where nothing does. What it commits to is clear for so long after it has come to rest.
         """
-        moves = self.is_known[agent] & self.state[:, mission.axes :].any(axis=1)
+        way = mission.step * np.linalg.norm(self.state[:, mission.axes :], axis=1)
+        moves = self.is_known[agent] & (way > AT_REST * mission.least_separation)
         if not moves.any():
             return 0
         each = zip(self.corners, self.thickness, moves, strict=True)

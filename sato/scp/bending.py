@@ -93,7 +93,10 @@ def obstacle_messages(agent: Planner) -> list[PathMessage]:
     """Return what obstacles would say, if each were its point that is nearest to the agent."""
     if agent.obstacles is None:
         return []
-    obstacles, own = select_near(agent.control_points, agent.obstacles, ROOM), agent.horizon.clearance
+    obstacles, own = (
+        select_near(agent.control_points, agent.obstacles, ROOM),
+        agent.horizon.clearance,
+    )
     nearest, target = nearest_points(agent.control_points, obstacles), agent.target_state
     each = zip(nearest, (2 * obstacles.clearance - own).tolist(), strict=True)
     return [PathMessage(-inf, path, R, target, False) for path, R in each]

@@ -83,7 +83,11 @@ def _approach(record: ReconfigurationRecord, number: int) -> Clearance:
             best = Clearance(*own, number, float(time[q] + width / 2))
         left = lower - radius < best.room - PRECISION * record.mission.least_separation
         pieces, width = _halve(pieces[left]), width / 2
-        time, i, radius = np.append(time[left], time[left] + width), np.tile(i[left], 2), np.tile(radius[left], 2)
+        time, i, radius = (
+            np.append(time[left], time[left] + width),
+            np.tile(i[left], 2),
+            np.tile(radius[left], 2),
+        )
     return best
 
 

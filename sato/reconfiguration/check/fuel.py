@@ -123,6 +123,8 @@ def _make_leg_costs(
     held = leg.target_index[agents]
     held[held >= len(targets)] = -1
     m = max(leg.largest_target_count, len(agents))
+    if len(record.find_left_out(leg)):  # others may stand in for those, so all count
+        m = len(targets)
     # Every target that an agent holds is counted too, for that agent's own bound.
     targets = targets[: max(m, int(held.max(initial=-1)) + 1)]
     is_too_large = len(agents) * len(targets) > MAX_PAIRS
