@@ -14,9 +14,9 @@ the moment when both are there: p and v apart, for some t,
 in orbit with the transition matrix of Clohessy and Wiltshire. A collision is silent where no slack,
 braking or infeasibility of one of the two is recorded by then.
 
-Of obstacles, which are spheres and boxes here, vehicles keep R_i; the same excuse counts, with U = 0
-for the obstacle. Lost vehicles that coast are avoided as others are, and excused from the instant
-of the loss, with U = 0. Where two keep an ellipsoid, space is scaled so that it is a ball.
+Of obstacles, which are spheres and boxes here, vehicles keep R_i; the same excuse counts, with
+U = 0 for the obstacle. Lost vehicles that coast are avoided as others are, and excused from the
+instant of the loss, with U = 0. Where two keep an ellipsoid, space is scaled so that it is a ball.
 """
 
 import json
@@ -265,7 +265,7 @@ def judge_wrecks(flight: Flight, motion: Motion) -> dict[str, Any]:
         control = flight.strength[live : live + 1]
         excused += bool(are_unavoidable(apart, control, needed, motion.rate)[0])
     both = closest_approaches(path, piece, wreck, wreck, flight.radii, wanted)
-    coasts = any("coast" in str(leg.get("lose", "")) for leg in flight.scenario["leg"])
+    coasts = any("coast" in str(leg.get("lose", "")) for leg in flight.scenario.get("leg", []))
     return {
         "wreck_ratio": min((ratio for ratio, _ in found.values()), default=None),
         "wreck_collisions": (len(close) - excused) * coasts,

@@ -26,8 +26,8 @@ import sato
 RADIUS, SPEED, CONTROL, COUNT = 0.5, 1.0, 0.5, 16
 SIDES = {2: 12.0, 3: 8.0}  # of the box [m]
 FAMILIES = (
-    "default dense short low_thrust low_speed at_limit events noise in_place unequal circles spheres "
-    "corridors clohessy_wiltshire j2"
+    "default dense short low_thrust low_speed at_limit events noise in_place unequal circles "
+    "spheres corridors clohessy_wiltshire j2"
 ).split()
 MAX_DRAWS = 10_000
 

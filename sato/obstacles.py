@@ -57,8 +57,8 @@ class Obstacle(Definition):
         """Return the same in space that is scaled along its axes."""
         raise NotImplementedError
 
-    def _scale_velocity(self, factors: tuple[float, ...]) -> dict[str, Any]:
-        drift = None if self.velocity is None else self.drift * np.array(factors)
+    def _scale_motion(self, factors: tuple[float, ...]) -> dict[str, Any]:
+        drift = None if self.velocity is None else _scale(self.velocity, factors)
         return {"velocity": drift, "known": self.known}
 
     @property
@@ -97,9 +97,8 @@ class Sphere(Obstacle):
         return self.radius
 
     def scaled(self, factors: tuple[float, ...]) -> "Ellipsoid":  # noqa: D102
-        wide = np.array(factors)
-        own = self.place * wide, self.radius * wide
-        return Ellipsoid(*own, **self._scale_velocity(factors))
+        semi_axes = tuple(self.radius * f for f in factors)
+        return Ellipsoid(_scale(self.center, factors), semi_axes, **self._scale_motion(factors))
 
     @property
     def place(self) -> Float[Array, " d"]:  # noqa: D102
@@ -134,8 +133,8 @@ class Box(Obstacle):
         super().check()
 
     def scaled(self, factors: tuple[float, ...]) -> "Box":  # noqa: D102
-        low, high = (np.array(side) * factors for side in (self.low, self.high))
-        return Box(low, high, **self._scale_velocity(factors))
+        sides = _scale(self.low, factors), _scale(self.high, factors)
+        return Box(*sides, **self._scale_motion(factors))
 
     @property
     def place(self) -> Float[Array, " d"]:  # noqa: D102
@@ -148,7 +147,7 @@ class Box(Obstacle):
         return np.asarray(signs.reshape(-1, self.axes) * half)
 
     def nearest(self, points: Points) -> Points:  # noqa: D102
-        return np.clip(points, self.low, self.high)
+        return np.asarray(np.clip(points, self.low, self.high))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -173,8 +172,8 @@ class Ellipsoid(Obstacle):
         super().check()
 
     def scaled(self, factors: tuple[float, ...]) -> "Ellipsoid":  # noqa: D102
-        own = (np.array(part) * factors for part in (self.center, self.semi_axes))
-        return Ellipsoid(*own, **self._scale_velocity(factors))
+        own = _scale(self.center, factors), _scale(self.semi_axes, factors)
+        return Ellipsoid(*own, **self._scale_motion(factors))
 
     @property
     def place(self) -> Float[Array, " d"]:  # noqa: D102
@@ -182,7 +181,7 @@ class Ellipsoid(Obstacle):
 
     @property
     def corners(self) -> Float[Array, "corners d"]:  # noqa: D102
-        return polytope_about_ball(self.axes) * np.array(self.semi_axes)
+        return np.asarray(polytope_about_ball(self.axes) * np.array(self.semi_axes))
 
     def nearest(self, points: Points) -> Points:
         """Find its points that are nearest to others, at the start; of one inside, itself [m].
@@ -243,7 +242,7 @@ class Polytope(Obstacle):
         return intersect_half_spaces(np.asarray(self.normals), np.array(self.offsets))
 
     def scaled(self, factors: tuple[float, ...]) -> "Polytope":  # noqa: D102
-        return Polytope(self._listed * np.array(factors), **self._scale_velocity(factors))
+        return Polytope(self._listed * np.array(factors), **self._scale_motion(factors))
 
     @property
     def place(self) -> Float[Array, " d"]:  # noqa: D102
@@ -251,7 +250,7 @@ class Polytope(Obstacle):
 
     @property
     def corners(self) -> Float[Array, "corners d"]:  # noqa: D102
-        return self._listed - self.place
+        return np.asarray(self._listed - self.place)
 
     def nearest(self, points: Points) -> Points:  # noqa: D102
         from dynamics.bezier_kernels import body_distances  # compiles, so it is imported late
@@ -260,6 +259,10 @@ class Polytope(Obstacle):
         body = np.zeros(len(flat), dtype=int)
         _, vector = body_distances(flat, np.ascontiguousarray(self._listed[None]), body)
         return np.asarray(points - vector.reshape(points.shape))
+
+
+def _scale(vector: tuple[float, ...], factors: tuple[float, ...]) -> tuple[float, ...]:
+    return tuple(x * f for x, f in zip(vector, factors, strict=True))
 
 
 def intersect_half_spaces(
@@ -300,16 +303,17 @@ def polytope_about_ball(axes: int) -> Float[Array, "corners d"]:
     In space they are on a spiral with equal areas (Fibonacci's).
     """
     if axes == 2:
-        angle = 2 * pi * np.arange(CIRCLE_CORNERS) / CIRCLE_CORNERS
-        return np.stack([np.cos(angle), np.sin(angle)], axis=1) / np.cos(pi / CIRCLE_CORNERS)
+        turn = 2 * pi * np.arange(CIRCLE_CORNERS) / CIRCLE_CORNERS
+        around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+        return np.asarray(around / np.cos(pi / CIRCLE_CORNERS))
     from scipy.spatial import ConvexHull
 
     k = np.arange(SPHERE_CORNERS)
     z, angle = 1 - (2 * k + 1) / SPHERE_CORNERS, pi * (3 - sqrt(5)) * k
     flat = np.sqrt(1 - z**2)
-    points = np.stack([flat * np.cos(angle), flat * np.sin(angle), z], axis=1)
-    nearest = -ConvexHull(points).equations[:, -1].max()
-    return np.asarray(points / nearest)
+    about = np.stack([flat * np.cos(angle), flat * np.sin(angle), z], axis=1)
+    nearest = -ConvexHull(about).equations[:, -1].max()
+    return np.asarray(about / nearest)
 
 
 AnyObstacle = Sphere | Box | Ellipsoid | Polytope

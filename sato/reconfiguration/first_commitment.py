@@ -86,8 +86,16 @@ def find_first_commitments(mission: Reconfiguration) -> Commitments:
             rest = np.concatenate([horizon.unscale_points(paths[a, -1, -1]), np.zeros(d)])
             aim = int(agents[a]), start[a], rest, horizon.steps - 1
             for side in PASSING_SIDES[d]:
-                more = {"side": side, "obstacles": obstacles[a]}
-                found = find_stop(mission, horizon, *aim, paths[a], others, radius, **more)
+                found = find_stop(
+                    mission,
+                    horizon,
+                    *aim,
+                    paths[a],
+                    others,
+                    radius,
+                    side=side,
+                    obstacles=obstacles[a],
+                )
                 if found is not None and stays_within_reach(
                     mission, horizon, found[1][:, :d], found[2]
                 ):

@@ -178,8 +178,8 @@ class _Flight:
         """Return the components that plan at a step, and whether they bid first.
 
         An agent that joins, or sees that its plan is closed, calls for an auction in its component
-        at once; a loss is silence, and is noticed when agents plan next. A component that is about to arrive keeps its
-        plans: with so few steps left, a small correction takes much control.
+        at once; a loss is silence, and is noticed when agents plan next. A component that is about
+        to arrive keeps its plans: with so few steps left, a small correction takes much control.
         """
         decisions: list[tuple[CommunicationGraph, bool]] = []
         is_central = self.mission.assignment == "central"
@@ -235,11 +235,11 @@ class _Flight:
         """Note the targets that are left out from now on."""
         if blocked is None:
             return
-        new = blocked.any(axis=0)
+        new = np.asarray(blocked.any(axis=0))
         new[list(self.left_out)] = False
         if new.any():
             self.left_out.update(state.to_indices(new))
-            agents = blocked[:, new].any(axis=1)
+            agents = np.asarray(blocked[:, new].any(axis=1))
             self._note("blocked", agents, targets=state.to_indices(new))
 
     def _hear_clocks(self, context: state.DecisionContext) -> Array:

@@ -291,20 +291,9 @@ class Reconfiguration(PlannedLimits, Mission):
         return replace(self, start=start, legs=tuple(legs))
 
     @property
-    def sight(self) -> float:
-        """Distance within which obstacles and lost vehicles are seen [m]."""
-        return self.comm_radius if self.sensing_radius is None else self.sensing_radius
-
-    @property
     def has_surroundings(self) -> bool:
         """True where there is anything to avoid but each other."""
         return bool(self.obstacles) or self.box is not None or self.has_unseen
-
-    @property
-    def has_unseen(self) -> bool:
-        """True where there is anything that agents do not know of before they see it."""
-        coasts = any(loss.body == "coast" for leg in self.legs for loss in leg.losses)
-        return coasts or not all(obstacle.known for obstacle in self.obstacles)
 
     @property
     def agent_count(self) -> int:

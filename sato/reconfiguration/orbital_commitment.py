@@ -108,7 +108,7 @@ def _avoid_obstacles(
         known = around.known_to(mission, i, flown, horizon.clearance)
         if known is not None:
             each = paths[row, :, : known.paths.shape[1]]
-            clear = [are_pieces_clear(path, known).all(axis=0) for path in each]
+            clear = [np.asarray(are_pieces_clear(path, known).all(axis=0)) for path in each]
             first = [len(own) if own.all() else int(own.argmin()) for own in clear]
             allowed[row, 0] = first[0] >= first[1]
     return allowed

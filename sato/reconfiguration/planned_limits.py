@@ -26,8 +26,8 @@ class PlannedLimits(Vehicles):
     """Properties that follow from the limits of a mission, its noise and its margin."""
 
     comm_radius: float
-    sight: float
-    has_unseen: bool
+    sensing_radius: float | None
+    obstacles: tuple[Any, ...]
     replan_steps: int
     margin: Any
     allow_undetectable: bool
@@ -36,6 +36,17 @@ class PlannedLimits(Vehicles):
     velocity_noise: float
     thrust_error: float
     pointing_error: float
+
+    @property
+    def sight(self) -> float:
+        """Distance within which what is not known is seen [m]."""
+        return self.comm_radius if self.sensing_radius is None else self.sensing_radius
+
+    @property
+    def has_unseen(self) -> bool:
+        """True where there is anything that agents do not know of before they see it."""
+        coasts = any(loss.body == "coast" for leg in self.legs for loss in leg.losses)
+        return coasts or not all(obstacle.known for obstacle in self.obstacles)
 
     @property
     def has_noise(self) -> bool:

@@ -14,12 +14,12 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from problems import convexify
+from problems.avoidance import AvoidanceProblem
 from problems.conic import Unsolved
 from problems.convexify import AvoidanceHorizon
 from problems.limit import Limit
-from problems.safety_filter import SafetyFilterProblem
-from problems.avoidance import AvoidanceProblem
 from problems.obstacle_paths import ObstaclePaths, support_obstacles
+from problems.safety_filter import SafetyFilterProblem
 from problems.solvers.verified import solve_program
 from problems.transfer import Solver
 from sato.reconfiguration.mission import Reconfiguration

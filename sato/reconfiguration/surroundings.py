@@ -34,9 +34,14 @@ class Surroundings(NamedTuple):
 
     def join(self, other: "Surroundings") -> "Surroundings":
         """Return all of two."""
-        parts = zip(self[:-1], other[:-1], strict=True)
-        both = [a + b if isinstance(a, tuple) else np.concatenate([a, b]) for a, b in parts]
-        return Surroundings(*both, np.hstack([self.is_known, other.is_known]))
+        return Surroundings(
+            np.concatenate([self.state, other.state]),
+            self.corners + other.corners,
+            np.append(self.thickness, other.thickness),
+            np.append(self.is_wall, other.is_wall),
+            np.append(self.vehicle, other.vehicle),
+            np.hstack([self.is_known, other.is_known]),
+        )
 
     def with_lost(self, lost: Sequence[int], x: Float[Array, "lost n"]) -> "Surroundings":
         """Return the same with vehicles that were lost, which nobody has seen yet."""

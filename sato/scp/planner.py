@@ -296,7 +296,9 @@ def solve_around(
     clear = pair_clearances(messages, horizon.clearance)
     near, required = NEARBY_FACTOR * clear, required_separations(clear)
     constrained = ~convexify.are_balls_separated(agent.control_points - others, near).all(axis=1)
-    beside = None if bodies is None else _find_met(agent.control_points, bodies, NEARBY_FACTOR)
+    beside = np.zeros(0, dtype=bool)
+    if bodies is not None:
+        beside = _find_met(agent.control_points, bodies, NEARBY_FACTOR)
     while True:
         paths, kept = others[constrained], required[constrained]
         normal = convexify.choose_normals(nominal - paths, kept, side)

@@ -35,7 +35,8 @@ class Roadmap(NamedTuple):
 def go_around(agent: Planner) -> Planner:
     """Begin with the shortest way around obstacles at rest, where the solo trajectory meets any."""
     assert agent.obstacles is not None
-    still = agent.obstacles.select(~agent.obstacles.velocity.any(axis=1))
+    is_still = np.asarray(~agent.obstacles.velocity.any(axis=1))
+    still = agent.obstacles.select(is_still)
     alone = agent.horizon.control_points(agent.solo.x, agent.solo.u)
     if not len(still.paths) or len(agent.nominal.u) == 0 or is_path_clear(alone, still):
         return agent

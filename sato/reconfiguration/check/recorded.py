@@ -189,7 +189,7 @@ class ReconfigurationRecord(
 
     @cached_property
     def relative_separations(self) -> tuple[trajectory_geometry.Separations, float]:
-        """The same, relative to the distance that each pair keeps, in the direction between them."""
+        """The same, relative to the distance that each pair keeps in its direction."""
         found, error = self._compute_separations(self.mission.radii)
         return found, error / self.mission.least_separation
 
@@ -197,11 +197,11 @@ class ReconfigurationRecord(
         self, radii: Float[Array, " agents"] | None
     ) -> tuple[trajectory_geometry.Separations, float]:
         d, (x, alive, adrift, h, error) = self.axes, self.pieces
-        parts = x[..., :d], x[..., d:]
+        p, v = x[..., :d], x[..., d:]
         if radii is not None:
-            parts = tuple(self.mission.scale_separations(part) for part in parts)
+            p, v = self.mission.scale_separations(p), self.mission.scale_separations(v)
             error = error * max(self.mission.separation_scale or (1.0,))
-        return trajectory_geometry.separations(*parts, alive, h, radii, adrift), 2 * error
+        return trajectory_geometry.separations(p, v, alive, h, radii, adrift), 2 * error
 
     @cached_property
     def pieces(self) -> "Pieces":
