@@ -322,6 +322,8 @@ def across_motion(
 ) -> Float[Array, " d"]:
     """Return the unit vector to a side of an obstacle, across the motion past it.
 
+    Of several obstacles all are passed above, or all below.
+
     Args:
         piece: Piece of the relative trajectory that is nearest [m].
         nearest: Its vector from the obstacle, 0 where it is inside [m].
@@ -330,7 +332,8 @@ def across_motion(
     size = float(np.linalg.norm(nearest))
     across = nearest / size if size > 0 else _perpendicular(piece)
     if side in ("above", "below"):
-        across = _above(piece, across)
+        up = _above(piece, across)
+        across = up if up[2] >= 0 else -up
     return across if side in ("same", "above") else -across
 
 

@@ -10,6 +10,7 @@ Later points of an offer are at most (R_comm − R)/2 from earlier ones, so that
 not hear each other cannot meet before they do. docs/safety.md has the proof.
 """
 
+from collections.abc import Iterator
 from itertools import product
 
 import numpy as np
@@ -36,7 +37,6 @@ from sato.reconfiguration.stopping import (
 from sato.scp.planner import FEASIBILITY_TOLERANCE, PASSING_SIDES
 
 ROUNDING = 1e-12  # relative, of distances that are computed twice
-SAME_SIDE: convexify.PassingSide = "same"
 MAX_WAYS_ASIDE = 3  # that are looked for, one about another, where something comes an agent's way
 
 
@@ -220,24 +220,11 @@ def improve(
     kept = hull_distance(path - others)[0].min(axis=1)
     clearance = np.minimum(clearance, kept * (1 - ROUNDING))
     obstacles = context.known_obstacles(agent, horizon)
-    is_safe = is_path_clear(path, obstacles)
     # Where to stop at once would lead into others, an agent may pass them and stop by another way.
-    tries = [(steps_to_next(context), SAME_SIDE), (0, SAME_SIDE)]
-    if not is_safe:  # something comes its way
-        tries = list(product((steps_to_next(context), 0), PASSING_SIDES[mission.axes]))
-    about = path
-    for attempt in range(len(tries) + (0 if is_safe else MAX_WAYS_ASIDE)):
-        followed, side = tries[attempt] if attempt < len(tries) else (0, SAME_SIDE)
-        if attempt >= len(tries):
-            assert obstacles is not None
-            own = agent, context.state[agent], about, others, clearance, obstacles
-            aside = find_way_aside(mission, horizon, *own, context.solver_of(agent))
-            if aside is None:
-                return None
-            about = aside
-        u = _find_stop_after(
-            context, agent, plan, followed, horizon, about, others, clearance, obstacles, side
-        )
+    own = context, agent, horizon, path, others, clearance, obstacles
+    for followed, about, side in _list_ways(*own):
+        near = about, others, clearance, obstacles, side
+        u = _find_stop_after(context, agent, plan, followed, horizon, *near)
         if u is None:
             continue
         x = horizon.discrete_model.simulate(context.state[agent], u)
@@ -247,6 +234,36 @@ def improve(
         if is_clear and stays_within_reach(mission, horizon, x[:, : mission.axes], points):
             return u, points, min(followed, steps)
     return None
+
+
+def _list_ways(
+    context: DecisionContext,
+    agent: int,
+    horizon: AvoidanceHorizon,
+    path: Float[Array, "pieces 4 d"],
+    others: Float[Array, "others pieces 4 d"],
+    clearance: Float[Array, " others"],
+    obstacles: ObstaclePaths | None,
+) -> Iterator[tuple[int, Float[Array, "pieces 4 d"], convexify.PassingSide]]:
+    """List steps of the plan to follow, a nominal, and a side, in the order in which to try them.
+
+    Where something comes an agent's way, all sides, and then ways aside, one about another.
+    """
+    period = steps_to_next(context)
+    if obstacles is None or is_path_clear(path, obstacles):
+        yield period, path, "same"
+        yield 0, path, "same"
+        return
+    for followed, side in product((period, 0), PASSING_SIDES[context.mission.axes]):
+        yield followed, path, side
+    start, solver = context.state[agent], context.solver_of(agent)
+    for _ in range(MAX_WAYS_ASIDE):
+        own = agent, start, path, others, clearance, obstacles, solver
+        aside = find_way_aside(context.mission, horizon, *own)
+        if aside is None:
+            return
+        path = aside
+        yield 0, path, "same"
 
 
 def _find_stop_after(
