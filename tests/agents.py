@@ -34,10 +34,11 @@ class Watch:
         """Return all that each has seen so far, as it is now."""
         d, unknown = self.mission.axes, [o for o in self.mission.obstacles if not o.known]
         now = [replace(o, center=tuple(o.place_at(time).tolist())) for o in unknown]
-        now += [x[lost] for lost in self.adrift]
+        now += [(lost, x[lost]) for lost in self.adrift]
         for i in agents:
             away = [
-                o.distances(x[i, :d]) if hasattr(o, "kind") else norm(o[:d] - x[i, :d]) for o in now
+                norm(o[1][:d] - x[i, :d]) if isinstance(o, tuple) else o.distances(x[i, :d])
+                for o in now
             ]
             near = {n for n, distance in enumerate(away) if distance <= self.mission.sight}
             self.seen[i] = self.seen.get(i, set()) | near

@@ -142,6 +142,7 @@ def surrounded(rng):
     start, targets = places[:6], places[6:14]
     changes = {"obstacles": (passing, hidden), "box": [[-5.0, -5.0], [5.0, 5.0]]}
     changes |= {"sensing_radius": 1.5, "max_control": 0.3, "comm_radius": 6.0}
+    changes["collision_radius"] = [0.3, 0.5, 0.4, 0.35, 0.45, 0.5]
     return make_mission(start, sato.Leg(targets, 30, losses=(loss,)), **changes)
 
 

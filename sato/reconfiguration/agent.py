@@ -138,8 +138,8 @@ class Agent:
             inbox: Messages that the neighbors returned in the last round; those of earlier
                 stages are ignored.
             seen: All that the agent has seen so far and its mission does not list as known, as it
-                is now: obstacles, and states of lost vehicles (position and velocity); those of
-                the first call at a control instant count.
+                is now: obstacles, and the number and the state of each lost vehicle; those of the
+                first call at a control instant count.
 
         Returns:
             The acceleration to hold until the next instant [m/s²], and a message to all neighbors.

@@ -44,6 +44,28 @@ def check_starts(
             raise InputError(where, f"{reason}; another start, or a smaller obstacle, would do")
 
 
+def check_margin_to_obstacles(mission: "Reconfiguration") -> None:
+    """Refuse starts and targets of a drawn mission that the margin puts too near to an obstacle.
+
+    Raises:
+        InputError: One is; says where, and what would do.
+    """
+    if mission.margin <= 0 or not (mission.obstacles or mission.box is not None):
+        return
+    d, widest = mission.axes, mission.radii.max()
+    states = [("swarm.start", "agent {} starts", mission.initial_states, mission.radii)]
+    for number, leg in enumerate(mission.legs):
+        radii = np.full(len(leg.targets), widest)
+        states.append((f"leg.{number}.shape", "target {} is", leg.targets, radii))
+    for where, name, each, radii in states:
+        names = [name.format(i) for i in range(len(each))]
+        needed = (radii + mission.margin) * (1 - 1e-9)
+        reason = find_fault(mission, each[:, :d], needed, names, mission.margin)
+        if reason:
+            noise = f"with a margin of {mission.margin:.4g} m, {reason}"
+            raise InputError(where, f"{noise}; farther away, or less noise, would do")
+
+
 def place_targets(mission: "Reconfiguration", leg: "Leg", demand: int, needed: float) -> Points:
     """Return the targets of a leg, of a shape without those that are blocked.
 
@@ -126,9 +148,10 @@ def find_fault(
     placed: Float[Array, "k d"],
     needed: Float[Array, " k"],
     names: list[str],
+    margin: float = 0.0,
 ) -> str | None:
     """Say which place is nearer to an obstacle than is needed, or out of bounds; None if none."""
-    outside = np.flatnonzero(~are_inside(mission, placed))
+    outside = np.flatnonzero(~are_inside(mission, placed, margin))
     if len(outside):
         return f"{names[outside[0]]} outside of the allowed positions, model.box_m"
     for number, obstacle in enumerate(mission.obstacles):

@@ -156,7 +156,7 @@ def rank_of(offers: Offers, plans: Plans) -> Int[Array, " agents"]:
 def leaves_plan(plan: Plan, followed: Plan | None = None) -> bool:
     """Tell whether an agent that could not commit to its plan leaves one that has steps.
 
-    Or leaves its target, by what it follows instead.
+    One that is over has none; what it follows instead may leave the target.
     """
     is_away = followed is not None and followed.target_index != plan.target_index
     return len(plan.trajectory.u) > 0 or is_away

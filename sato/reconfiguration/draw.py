@@ -9,6 +9,7 @@ from numpy import ndarray as Array
 
 from dynamics.propagation import Impact
 from sato.reconfiguration import feasibility, first_commitment, reach
+from sato.reconfiguration.allowed_places import check_margin_to_obstacles
 from sato.reconfiguration.departure import Departure, count_wanted, depart
 from sato.reconfiguration.leg import Leg, states_of
 from sato.reconfiguration.mission import Reconfiguration
@@ -52,6 +53,7 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
     drawn = replace(mission, start=as_listed_points(start), legs=tuple(legs))
     drawn = replace(drawn, plant=mission.draw_plant(len(states), rng))
     drawn = _resolve(drawn, departures, factors, demand)
+    check_margin_to_obstacles(drawn)
     reach.check_reach(drawn)
     first_commitment.check_reach(drawn)
     first_commitment.find_first_commitments(drawn)

@@ -30,7 +30,7 @@ from sato.reconfiguration.stopping import (
     stays_within_reach,
     stopping_horizon,
 )
-from sato.reconfiguration.surroundings import find_surroundings
+from sato.reconfiguration.surroundings import Surroundings, find_surroundings
 from sato.scenario.errors import InputError, round_down, round_up
 from sato.scp.planner import PASSING_SIDES
 
@@ -129,6 +129,7 @@ def admit(
     alive: Bool[Array, " agents"],
     committed: Commitments,
     instant: int,
+    around: Surroundings | None = None,
 ) -> list[int]:
     """Return those of the vehicles that wait to join that have room, one after another.
 
@@ -139,10 +140,11 @@ def admit(
         alive: True for those that are there.
         committed: What these have committed to.
         instant: Steps since the start of the mission.
+        around: Surroundings at this instant.
     """
     alive, joined = alive.copy(), list[int]()
     for i in waiting:
-        if has_room(mission, i, x, alive, committed, instant):
+        if has_room(mission, i, x, alive, committed, instant, around):
             alive[i] = True
             joined.append(i)
     return joined
@@ -158,7 +160,7 @@ def check_room(mission: Reconfiguration) -> None:
     if mission.waits[due].all():
         return
     committed, x = find_first_commitments(mission), mission.initial_states
-    joined = admit(mission, due, x, mission.alive, committed, 0)
+    joined = admit(mission, due, x, mission.alive, committed, 0, find_surroundings(mission))
     for i in due:
         if i not in joined and not mission.waits[i]:
             reason = f'agent {i} cannot join and stop clear of all others, and room = "refuse"'
@@ -173,8 +175,9 @@ def has_room(
     alive: Bool[Array, " agents"],
     committed: Commitments,
     instant: int,
+    around: Surroundings | None = None,
 ) -> bool:
-    """Tell whether a vehicle that joins is clear of what others have committed to.
+    """Tell whether a vehicle that joins is clear of what others have committed to, and all else.
 
     That is, if it stops at once or, in orbit, drifts for T_H steps.
 
@@ -185,10 +188,20 @@ def has_room(
         alive: True for those that are there.
         committed: What these have committed to.
         instant: Steps since the start of the mission.
+        around: Surroundings at this instant, of which it need not know.
     """
     agents = np.append(np.flatnonzero(alive), agent)
-    fly = _fly_on if mission.is_point_mass else _drift_on
-    horizon, *_, paths = fly(mission, agents, x[agents], committed, instant)
+    if around is not None:
+        around = around._replace(is_known=np.ones_like(around.is_known))
+    escape = around.escape_steps(mission, agent) if around else 0
+    if mission.is_point_mass:
+        horizon, *_, paths = _fly_on(mission, agents, x[agents], committed, instant, escape)
+    else:
+        horizon, paths = _drift_on(mission, agents, x[agents], committed, instant)
+    if around is not None:
+        flown = around.fly(mission, horizon)
+        if not is_path_clear(paths[-1], around.known_to(mission, agent, flown, horizon.clearance)):
+            return False
     clearance = mission.own_clearances(horizon.clearance, agents)
     radius = (clearance[:-1] + clearance[-1]) / 2
     return bool(convexify.are_hulls_separated(paths[:-1] - paths[-1], radius).all())

@@ -98,6 +98,8 @@ class _Flight:
             closed = planning.give_up_closed(context, self.plans, seen_by)
             alarmed = [i for i in seen_by if closed.get(i) is not self.plans.get(i)]
             self.plans = closed
+            if alarmed:
+                self.events.append({"kind": "closed", "agents": alarmed})
             for deciding, bids in self._schedule_decisions(graph, [*joined, *alarmed], k):
                 self._decide(context._replace(graph=deciding, memory=self.memory), bids)
             planned = controls_at(self.committed, self.step_index, self.alive, mission)
@@ -143,7 +145,7 @@ class _Flight:
         self.alive, waits = self.alive.copy(), self.mission.waits
         for agents, at_step in self.mission.joining(self.leg_index):
             self.waiting += agents if at_step == k else []
-        own = self.x, self.alive, self.committed, self.step_index
+        own = self.x, self.alive, self.committed, self.step_index, self.surroundings
         joined = admit(self.mission, self.waiting, *own)
         self.alive[joined] = True
         if joined:  # the deadline of the leg is that of all

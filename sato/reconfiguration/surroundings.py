@@ -6,8 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
+from numpy.typing import ArrayLike
 
-from problems.convexify import AvoidanceHorizon
+from problems.convexify import SEPARATION_TOLERANCE, AvoidanceHorizon
 from problems.obstacle_paths import ObstaclePaths, pad_corners
 from sato.obstacles import Obstacle, polytope_about_ball
 from sato.reconfiguration.mission import Reconfiguration
@@ -16,7 +17,7 @@ ESCAPE_FACTOR = 2.0  # of the way out of what moves, for others that are in it
 AT_REST = 1e-6  # of R in a step: what moves more slowly stays where it is
 WALL_FACTOR = 100.0  # size of the walls about the allowed positions, over that of these
 
-Sensed = Obstacle | Sequence[float] | Array  # an obstacle, or the state of a lost vehicle
+Sensed = Obstacle | tuple[int, ArrayLike]  # or the number of a lost vehicle, and its state
 
 
 class Surroundings(NamedTuple):
@@ -162,13 +163,14 @@ def sense_surroundings(
         mission: A drawn mission.
         time: Time since the start of the mission [s].
         rows: Rows of the agent's arrays.
-        seen: Obstacles that it has seen, as they are now, and states of lost vehicles.
+        seen: Obstacles that it has seen, as they are now, and numbers and states of lost vehicles.
     """
     obstacles = [one for one in seen if isinstance(one, Obstacle)]
     around = _place_known(mission, time, rows).join(_place(obstacles, mission.axes, 0.0, rows))
-    lost = [np.asarray(one, dtype=float) for one in seen if not isinstance(one, Obstacle)]
-    if lost:  # of the agent's own kind
-        around = around.with_lost([rows - 1] * len(lost), np.stack(lost))
+    lost = [one for one in seen if not isinstance(one, Obstacle)]
+    if lost:
+        states = np.array([state for _, state in lost], dtype=float)
+        around = around.with_lost([number for number, _ in lost], states)
     around.is_known[:] = True
     return around if len(around.state) else None
 
@@ -203,7 +205,9 @@ def _build_walls(mission: Reconfiguration, rows: int) -> Surroundings:
     signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * d, indexing="ij"), axis=-1).reshape(-1, d)
     state, corners = np.tile(np.append(middle, np.zeros(d)), (2 * d, 1)), []
     for axis in range(d):
-        wide = away / (mission.separation_scale or np.ones(d))[axis]
+        # A target on the bounds is as far from a wall as plans keep.
+        wide = away * (1 + 2 * SEPARATION_TOLERANCE)
+        wide = wide / (mission.separation_scale or np.ones(d))[axis]
         state[2 * axis, axis], state[2 * axis + 1, axis] = low[axis] - wide, high[axis] + wide
         corners += 2 * [np.unique(signs * half * (np.arange(d) != axis), axis=0)]
     return Surroundings(

@@ -47,7 +47,8 @@ def check_assignment(record: ReconfigurationRecord) -> Promise:
 def check_target_counts(record: ReconfigurationRecord) -> Promise:
     """Check that target counts change in auctions only, and end as the events of legs say."""
     expected = np.full_like(record.variables.targets_believed, -1)
-    joins, replans = ({k for k, _ in record.events.of_kind(kind)} for kind in ("join", "replan"))
+    calls = {k for k, _ in record.events.of_kind("join", "closed")}
+    replans = {k for k, _ in record.events.of_kind("replan")}
     wrong = 0
     for leg in record.leg_records:
         if leg.end_event is not None:
@@ -55,8 +56,7 @@ def check_target_counts(record: ReconfigurationRecord) -> Promise:
         changes = np.diff(record.frames.target_count[leg.start_index : leg.end_index], axis=0)
         for k in np.flatnonzero(changes.any(axis=1)) + 1:
             is_due = k % record.mission.assignment_steps == 0 and leg.start_index + k in replans
-            is_called = leg.start_index + k in joins or record.mission.has_surroundings
-            wrong += not (is_due or (is_called and leg.start_index + k in replans))
+            wrong += not (is_due or leg.start_index + k in calls)
     wrong += int((expected != record.variables.targets_believed).sum())
     return expect_none("believed", wrong, "target counts against the auctions or the events")
 

@@ -135,6 +135,8 @@ def _has_room(
 ) -> bool:
     # Vehicles wait only for others that they hear; in orbit also for those that drift near later.
     mission = record.mission
+    if mission.has_surroundings:  # for which it may have to wait
+        return False
     position = mission.initial_states[agent, : record.axes]
     away = np.linalg.norm(record.frames.position[k, alive] - position, axis=1)
     return mission.is_point_mass and bool((away > mission.comm_radius).all())
