@@ -68,15 +68,12 @@ def are_pieces_clear(
     path: Float[Array, "pieces 4 d"], obstacles: ObstaclePaths
 ) -> Bool[Array, "obstacles pieces"]:
     """Tell which pieces of a path keep the distance from each obstacle."""
-    relative = path - obstacles.paths
-    middle = relative.mean(axis=2)
-    extent = np.linalg.norm(relative - middle[:, :, None], axis=3).max(axis=2)
-    far = np.linalg.norm(middle, axis=2) - extent - obstacles.size[:, None]
-    clear = np.asarray(far >= obstacles.clearance[:, None])
+    clear = np.asarray(_bound_gaps(path, obstacles) >= obstacles.clearance[:, None])
     for a in np.flatnonzero(~clear.all(axis=1)):
         near = ~clear[a]
         one = obstacles.select(np.array([a]))
-        clear[a, near] = measure_gaps(relative[a, near][None], one)[0][0] >= one.clearance[0]
+        relative = path[near] - np.broadcast_to(obstacles.paths[a], path.shape)[near]
+        clear[a, near] = measure_gaps(relative[None], one)[0][0] >= one.clearance[0]
     return clear
 
 
@@ -84,11 +81,36 @@ def select_near(
     path: Float[Array, "pieces 4 d"], obstacles: ObstaclePaths, factor: float
 ) -> ObstaclePaths:
     """Keep the obstacles that a path may come nearer to than the clearance, times a factor."""
-    relative = path - obstacles.paths
-    middle = relative.mean(axis=2)
-    extent = np.linalg.norm(relative - middle[:, :, None], axis=3).max(axis=2)
-    away = (np.linalg.norm(middle, axis=2) - extent).min(axis=1) - obstacles.size
-    return obstacles.select(away < factor * obstacles.clearance)
+    away = _bound_gaps(path, obstacles).min(axis=1)
+    return obstacles.select(np.asarray(away < factor * obstacles.clearance))
+
+
+def _bound_gaps(
+    path: Float[Array, "pieces 4 d"], obstacles: ObstaclePaths
+) -> Float[Array, "obstacles pieces"]:
+    """Bound the distance of each piece from each obstacle from below, by balls about both [m]."""
+    (middle, extent), (of_others, about) = _enclose_pieces(path), _enclose_pieces(obstacles.paths)
+    apart = _length(middle - of_others)
+    return np.asarray(apart - extent - about - obstacles.size[:, None])
+
+
+def _enclose_pieces(
+    paths: Float[Array, "*k 4 d"],
+) -> tuple[Float[Array, "*k d"], Float[Array, "*k"]]:
+    """Return the middle of the ends of each piece, and the radius of a ball about it [m]."""
+    middle = (paths[..., 0, :] + paths[..., 3, :]) / 2
+    extent = _length(paths[..., 0, :] - middle)
+    for n in (1, 2, 3):
+        extent = np.maximum(extent, _length(paths[..., n, :] - middle))
+    return middle, extent
+
+
+def _length(vectors: Float[Array, "*k d"]) -> Float[Array, "*k"]:
+    # Axis by axis: reductions over a short last axis are far slower.
+    squares = vectors[..., 0] ** 2
+    for axis in range(1, vectors.shape[-1]):
+        squares = squares + vectors[..., axis] ** 2
+    return np.asarray(np.sqrt(squares))
 
 
 def is_path_clear(path: Float[Array, "pieces 4 d"], obstacles: ObstaclePaths | None) -> bool:
