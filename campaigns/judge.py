@@ -125,8 +125,9 @@ def judge(data: xr.Dataset) -> dict[str, Any]:
         "collisions": len(close),
         "silent": sum(_is_silent(pair, flight.time[k + 1], events) for pair, k in close.items()),
         "excused": sum(ratio < 1 - ROUNDING for ratio, _ in plea.values()),
-        **judge_wrecks(flight, motion),
+        **judge_wrecks(flight, motion, events),
         **judge_obstacles(flight, path, piece),
+        "box_excess": _box_excess(flight),
         "residual": residual,
         "follows": residual <= ROUNDING,
         "control_usage": float((usage * alive[:-1]).max(initial=0.0)),
@@ -240,8 +241,11 @@ def least_lengths(cubics: Array) -> Array:
     return np.linalg.norm(powers @ cubics, axis=2).min(axis=1)
 
 
-def judge_wrecks(flight: Flight, motion: Motion) -> dict[str, Any]:
-    """Judge the distances of survivors to lost vehicles as these coast, over (R_i + R_j)/2."""
+def judge_wrecks(flight: Flight, motion: Motion, events: list[dict[str, Any]]) -> dict[str, Any]:
+    """Judge the distances of survivors to lost vehicles as these coast, over (R_i + R_j)/2.
+
+    What comes too near is counted where the mission lets them coast.
+    """
     lost = np.logical_or.accumulate(~flight.alive[1:] & flight.alive[:-1], axis=0)
     if not lost.any():
         return {"wreck_ratio": None, "wreck_collisions": 0, "wreck_excused": 0, "wreck_pairs": 0}
@@ -255,8 +259,13 @@ def judge_wrecks(flight: Flight, motion: Motion) -> dict[str, Any]:
     wanted = np.ones((len(flight.radii), len(flight.radii)), dtype=bool)
     piece = motion.step / (path.shape[1] - 1)
     found = closest_approaches(path, piece, flight.alive, wreck, flight.radii, wanted)
+    coasting = {i for e in events if e.get("body") == "coast" for i in e["agents"]}
     excused = 0
-    close = [pair for pair, (ratio, _) in found.items() if ratio < 1 - ROUNDING]
+    close = [
+        pair
+        for pair, (ratio, _) in found.items()
+        if ratio < 1 - ROUNDING and any(i in coasting and wreck[-1, i] for i in pair)
+    ]
     for pair in close:
         gone, live = pair if wreck[-1, pair[0]] else pair[::-1]
         begin = max(int(wreck[:, gone].argmax()), int(flight.alive[:, live].argmax()))
@@ -265,12 +274,16 @@ def judge_wrecks(flight: Flight, motion: Motion) -> dict[str, Any]:
         control = flight.strength[live : live + 1]
         excused += bool(are_unavoidable(apart, control, needed, motion.rate)[0])
     both = closest_approaches(path, piece, wreck, wreck, flight.radii, wanted)
-    coasts = any("coast" in str(leg.get("lose", "")) for leg in flight.scenario.get("leg", []))
+    pairs = [
+        pair
+        for pair, (ratio, _) in both.items()
+        if ratio < 1 - ROUNDING and all(i in coasting for i in pair)
+    ]
     return {
         "wreck_ratio": min((ratio for ratio, _ in found.values()), default=None),
-        "wreck_collisions": (len(close) - excused) * coasts,
-        "wreck_excused": excused * coasts,
-        "wreck_pairs": sum(ratio < 1 - ROUNDING for ratio, _ in both.values()) * coasts,
+        "wreck_collisions": len(close) - excused,
+        "wreck_excused": excused,
+        "wreck_pairs": len(pairs),
     }
 
 
@@ -305,6 +318,16 @@ def judge_obstacles(flight: Flight, path: Array, piece: float) -> dict[str, Any]
                 close, excused = close + (not plea), excused + plea
     found = {"obstacle_collisions": close, "obstacle_excused": excused}
     return {"obstacle_ratio": least if np.isfinite(least) else None, **found}
+
+
+def _box_excess(flight: Flight) -> float | None:
+    """Return by how much live vehicles leave the allowed positions at instants, over R."""
+    if "box_m" not in flight.scenario["model"]:
+        return None
+    low, high = np.array(flight.scenario["model"]["box_m"])
+    place = flight.state[..., : flight.axes]
+    beyond = np.maximum(low - place, place - high).max(axis=2) / flight.radii
+    return float(np.max(beyond, where=flight.alive, initial=-np.inf))
 
 
 def _read_obstacle(one: dict[str, Any]) -> tuple[Array, Array, float]:
