@@ -77,6 +77,8 @@ class Scene:
         """Return the swarm at an instant, counted in control steps, and all about it."""
         record, k = self.record, int(instant)
         (position,) = self.positions_at(np.array([instant]))
+        if instant == k:  # those that are lost at this instant too
+            position = self.view.project(record.frames.position[k])
         outlines = self.outlines_at(instant * record.mission.step)
         lost = position[record.is_adrift[k] & (component < 0)]
         return Snapshot(title, position, component, self.targets[leg], outlines, lost)
