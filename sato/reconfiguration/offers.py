@@ -54,11 +54,11 @@ def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) 
     """
     mission, plan_steps = context.mission, _plan_steps(context)
     each, owner, index, is_begun = _list_controls(context, plans, committed, plan_steps)
-    # An agent that has no steps left needs some to return to its target.
     if around := context.surroundings:
         escapes = [around.escape_steps(mission, i) for i in owner]
         least = NEGLIGIBLE * float(mission.largest_control.max())
         each = [_rest_after(u, k, least) if k else u for u, k in zip(each, escapes, strict=True)]
+    # An agent that has no steps left needs some to return to its target.
     lengths = np.maximum(mission.horizon_steps, [len(u) for u in each])
     agents, steps = np.array(list(plans)), 1 + lengths[index].max(axis=1)
     horizon = stopping_horizon(mission, int(steps.max()))

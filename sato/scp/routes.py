@@ -16,6 +16,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from problems.obstacle_paths import ObstaclePaths, is_path_clear, segments_clear
+from sato.obstacles import polytope_about_ball
 from sato.scp.planner import Planner
 
 ROOM = 1.02  # distance of the points from obstacles, over the clearance, at corners of their hull
@@ -117,8 +118,6 @@ def build_roadmap(
         corners: Corners from that point [m].
         clearance: Distance to keep from each [m].
     """
-    from sato.obstacles import polytope_about_ball
-
     d = place.shape[1]
     ways = polytope_about_ball(d)
     unit = ways / np.linalg.norm(ways, axis=1, keepdims=True)
