@@ -52,18 +52,19 @@ def check_margin_to_obstacles(mission: "Reconfiguration") -> None:
     """
     if mission.margin <= 0 or not (mission.obstacles or mission.box is not None):
         return
-    d, widest = mission.axes, mission.radii.max()
-    states = [("swarm.start", "agent {} starts", mission.initial_states, mission.radii)]
+    d, start, margin = mission.axes, mission.initial_states, mission.margin
+    names = [f"with a margin of {margin:.4g} m, agent {i} starts" for i in range(len(start))]
+    needed = (mission.radii + margin) * (1 - 1e-9)
+    cure = "farther away, or less noise, would do"
+    if reason := find_fault(mission, start[:, :d], needed, names, margin):
+        raise InputError("swarm.start", f"{reason}; {cure}")
     for number, leg in enumerate(mission.legs):
-        radii = np.full(len(leg.targets), widest)
-        states.append((f"leg.{number}.shape", "target {} is", leg.targets, radii))
-    for where, name, each, radii in states:
-        names = [name.format(i) for i in range(len(each))]
-        needed = (radii + mission.margin) * (1 - 1e-9)
-        reason = find_fault(mission, each[:, :d], needed, names, mission.margin)
-        if reason:
-            noise = f"with a margin of {mission.margin:.4g} m, {reason}"
-            raise InputError(where, f"{noise}; farther away, or less noise, would do")
+        radii = np.full(len(leg.targets), mission.radii.max())
+        blocked = are_blocked(mission, leg.targets[:, :d], radii)
+        if blocked.any():
+            where = "too near to an obstacle or to the bounds"
+            reason = f"with a margin of {margin:.4g} m, target {blocked.argmax()} is {where}"
+            raise InputError(f"leg.{number}.shape", f"{reason}; {cure}")
 
 
 def place_targets(mission: "Reconfiguration", leg: "Leg", demand: int, needed: float) -> Points:
