@@ -12,7 +12,14 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from problems.convexify import SEPARATION_TOLERANCE, PassingSide, across_motion, rise_before
+from problems.convexify import (
+    SEPARATION_TOLERANCE,
+    PassingSide,
+    across_motion,
+    are_balls_separated,
+    choose_normals,
+    rise_before,
+)
 
 INSIDE = 1e-9  # of the clearance: a path that is nearer than this is taken as inside
 
@@ -23,7 +30,7 @@ class ObstaclePaths(NamedTuple):
     paths: Float[Array, "obstacles pieces 4 d"]  # control points of a point of each [m]
     corners: Float[Array, "obstacles corners d"]  # from that point [m]
     clearance: Float[Array, " obstacles"]  # that the agent keeps from the hull of the corners [m]
-    velocity: Float[Array, "obstacles d"]  # after the horizon [m/s]
+    velocity: Float[Array, "obstacles d"]  # now [m/s]
 
     @property
     def size(self) -> Float[Array, " obstacles"]:
@@ -68,7 +75,7 @@ def are_pieces_clear(
     path: Float[Array, "pieces 4 d"], obstacles: ObstaclePaths
 ) -> Bool[Array, "obstacles pieces"]:
     """Tell which pieces of a path keep the distance from each obstacle."""
-    clear = np.asarray(_bound_gaps(path, obstacles) >= obstacles.clearance[:, None])
+    clear = _are_far(path, obstacles)
     for a in np.flatnonzero(~clear.all(axis=1)):
         near = ~clear[a]
         one = obstacles.select(np.array([a]))
@@ -81,36 +88,16 @@ def select_near(
     path: Float[Array, "pieces 4 d"], obstacles: ObstaclePaths, factor: float
 ) -> ObstaclePaths:
     """Keep the obstacles that a path may come nearer to than the clearance, times a factor."""
-    away = _bound_gaps(path, obstacles).min(axis=1)
-    return obstacles.select(np.asarray(away < factor * obstacles.clearance))
+    is_far = _are_far(path, obstacles, factor).all(axis=1)
+    return obstacles.select(np.asarray(~is_far))
 
 
-def _bound_gaps(
-    path: Float[Array, "pieces 4 d"], obstacles: ObstaclePaths
-) -> Float[Array, "obstacles pieces"]:
-    """Bound the distance of each piece from each obstacle from below, by balls about both [m]."""
-    (middle, extent), (of_others, about) = _enclose_pieces(path), _enclose_pieces(obstacles.paths)
-    apart = _length(middle - of_others)
-    return np.asarray(apart - extent - about - obstacles.size[:, None])
-
-
-def _enclose_pieces(
-    paths: Float[Array, "*k 4 d"],
-) -> tuple[Float[Array, "*k d"], Float[Array, "*k"]]:
-    """Return the middle of the ends of each piece, and the radius of a ball about it [m]."""
-    middle = (paths[..., 0, :] + paths[..., 3, :]) / 2
-    extent = _length(paths[..., 0, :] - middle)
-    for n in (1, 2, 3):
-        extent = np.maximum(extent, _length(paths[..., n, :] - middle))
-    return middle, extent
-
-
-def _length(vectors: Float[Array, "*k d"]) -> Float[Array, "*k"]:
-    # Axis by axis: reductions over a short last axis are far slower.
-    squares = vectors[..., 0] ** 2
-    for axis in range(1, vectors.shape[-1]):
-        squares = squares + vectors[..., axis] ** 2
-    return np.asarray(np.sqrt(squares))
+def _are_far(
+    path: Float[Array, "pieces 4 d"], obstacles: ObstaclePaths, factor: float = 1.0
+) -> Bool[Array, "obstacles pieces"]:
+    """Find the pieces that keep the clearance, times a factor, by balls about all."""
+    wide = factor * obstacles.clearance + obstacles.size
+    return are_balls_separated(path - obstacles.paths, wide)
 
 
 def is_path_clear(path: Float[Array, "pieces 4 d"], obstacles: ObstaclePaths | None) -> bool:
@@ -170,6 +157,37 @@ def support_obstacles(
     corner = np.einsum("ovd,opd->opv", obstacles.corners, normal).argmax(axis=2)
     support = np.take_along_axis(obstacles.corners, corner[..., None], axis=1)
     return obstacles.paths + support[:, :, None], normal
+
+
+def choose_half_spaces(
+    nominal: Float[Array, "pieces 4 d"],
+    others: Float[Array, "others pieces 4 d"],
+    required: Float[Array, " others"],
+    obstacles: ObstaclePaths | None,
+    side: PassingSide = "same",
+) -> tuple[Float[Array, "all pieces 4 d"], Float[Array, "all pieces d"], Float[Array, " all"]]:
+    """Choose half-spaces between a nominal path, other agents and then obstacles.
+
+    Args:
+        nominal: Control points [m].
+        others: Control points of the other agents [m].
+        required: Distance that planned trajectories keep from each [m].
+        obstacles: Obstacles.
+        side: Side on which to pass those that the nominal meets.
+
+    Returns:
+        Control points, unit normals and required distances, as `convexify` takes them.
+    """
+    normals = choose_normals(nominal - others, required, side)
+    if obstacles is None:
+        return others, normals, required
+    support, across = support_obstacles(nominal, obstacles, side)
+    kept = obstacles.clearance * (1 + SEPARATION_TOLERANCE)
+    return (
+        np.concatenate([others, support]),
+        np.concatenate([normals, across]),
+        np.append(required, kept),
+    )
 
 
 def _pass_by(

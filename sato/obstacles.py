@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from math import pi, sqrt
 from typing import Annotated, Any, ClassVar
 
@@ -143,8 +144,7 @@ class Box(Obstacle):
     @property
     def corners(self) -> Float[Array, "corners d"]:  # noqa: D102
         half = (np.array(self.high) - self.low) / 2
-        signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * self.axes, indexing="ij"), axis=-1)
-        return np.asarray(signs.reshape(-1, self.axes) * half)
+        return np.asarray(corners_of_cube(self.axes) * half)
 
     def nearest(self, points: Points) -> Points:  # noqa: D102
         return np.asarray(np.clip(points, self.low, self.high))
@@ -295,6 +295,11 @@ def intersect_half_spaces(
         return np.asarray(listed[ConvexHull(listed).vertices])
     except QhullError as error:
         raise InputError("normals", "leave the body unbounded, or flat") from error
+
+
+def corners_of_cube(axes: int) -> Float[Array, "corners d"]:
+    """Return the corners of the cube from −1 to 1 along each axis."""
+    return np.array(list(product((-1.0, 1.0), repeat=axes)))
 
 
 def polytope_about_ball(axes: int) -> Float[Array, "corners d"]:

@@ -25,7 +25,7 @@ def decide(agents, time, states, graph, seen=None):
 
 
 class Watch:
-    """What each agent has seen of spheres that are not known, and of vehicles that are adrift."""
+    """Sightings of each agent: of spheres that are not known, and of vehicles that are adrift."""
 
     def __init__(self, mission):
         self.mission, self.adrift, self.seen = mission, [], {}

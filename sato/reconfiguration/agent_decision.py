@@ -48,6 +48,7 @@ from sato.reconfiguration.agent_stages import (
     Turns,
     extend,
 )
+from sato.reconfiguration.blocked_targets import agree_on_blocked, order_targets
 from sato.reconfiguration.census import Hello, check_census, has_changed_network
 from sato.reconfiguration.clock import announce_clock
 from sato.reconfiguration.halfway_stages import Bending, Meeting
@@ -122,7 +123,7 @@ class Decision(NamedTuple):
         claims = tuple((a, step[a], target[a]) for a in range(len(step)) if step[a] >= 0)
         clock = int(memory.clock[number])
         is_due = bool(due[number]), bool(auction_due[number])
-        left_out = assignment.find_left_out(context)
+        left_out = agree_on_blocked(context)
         blocked = () if left_out is None else tuple(np.flatnonzero(left_out[number]).tolist())
         hello = Hello(number, leg, *is_due, joins, clock, claims, blocked)
         stage = Census(CensusMessage(frozenset([hello])))
@@ -313,7 +314,7 @@ class Decision(NamedTuple):
         order = np.arange(len(cost))
         if self.blocked:
             left_out = np.isin(order, self.blocked)
-            order, counts = assignment.order_targets(np.array(m), left_out)
+            order, counts = order_targets(np.array(m), left_out)
             cost, m = cost[order], int(counts)
         epsilon = assignment.compute_epsilon(mission, self.context.leg)
         VsdaaAuction(cost[None], ALONE, np.array([m]), epsilon)  # checks its data

@@ -24,24 +24,21 @@ MAX_LEFT_OUT = 20  # times that a shape is drawn with more targets, for those th
 
 
 def check_starts(
-    mission: "Reconfiguration", placed: Float[Array, "k d"], agents: Sequence[int], where: str
+    mission: "Reconfiguration", placed: Float[Array, "k d"], agents: Sequence[int]
 ) -> None:
-    """Refuse starts in obstacles or out of bounds, and those that an obstacle moves through.
+    """Refuse starts in obstacles or out of bounds.
 
     Args:
         mission: Obstacles and allowed positions.
         placed: Starts [m].
         agents: Number of each agent.
-        where: Key of the starts, for the error.
 
     Raises:
         InputError: One is; says where.
     """
-    if len(placed):
-        radii = mission.radii[list(agents)]
-        needed = radii * (1 - 1e-9)
-        if reason := find_fault(mission, placed, needed, [f"agent {i} starts" for i in agents]):
-            raise InputError(where, f"{reason}; another start, or a smaller obstacle, would do")
+    needed = mission.radii[list(agents)] * (1 - 1e-9)
+    if reason := find_fault(mission, placed, needed, [f"agent {i} starts" for i in agents]):
+        raise InputError("", f"{reason}; another start, or a smaller obstacle, would do")
 
 
 def check_margin_to_obstacles(mission: "Reconfiguration") -> None:
@@ -50,7 +47,7 @@ def check_margin_to_obstacles(mission: "Reconfiguration") -> None:
     Raises:
         InputError: One is; says where, and what would do.
     """
-    if mission.margin <= 0 or not (mission.obstacles or mission.box is not None):
+    if mission.margin <= 0:
         return
     d, start, margin = mission.axes, mission.initial_states, mission.margin
     names = [f"with a margin of {margin:.4g} m, agent {i} starts" for i in range(len(start))]
@@ -80,8 +77,6 @@ def place_targets(mission: "Reconfiguration", leg: "Leg", demand: int, needed: f
         InputError: A target of a list is blocked, or too few of a shape are left.
     """
     drawn = leg.place(demand, mission.axes, needed)
-    if not (mission.obstacles or mission.box is not None):
-        return drawn
     asked = len(np.asarray(drawn.positions))
     wanted = demand if leg.count else asked
     for _ in range(MAX_LEFT_OUT):
@@ -108,8 +103,6 @@ def place_targets(mission: "Reconfiguration", leg: "Leg", demand: int, needed: f
 
 def is_free(mission: "Reconfiguration", place: Float[Array, " d"]) -> bool:
     """Tell whether any vehicle may start at a place."""
-    if not (mission.obstacles or mission.box is not None):
-        return True
     return find_fault(mission, place[None], mission.radii.max(keepdims=True), [""]) is None
 
 

@@ -18,7 +18,7 @@ from sato.auctions import (
     run_vsdaa,
 )
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration.blocked_targets import agree_on_blocked, put_last
+from sato.reconfiguration.blocked_targets import agree_on_blocked, order_targets
 from sato.reconfiguration.clock import set_back, wait
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
@@ -76,7 +76,7 @@ def assign_targets(
     waiting = replace(context.memory, clock=wait(context, heard, np.isfinite(planned_cost)))
     context = context._replace(graph=agreement_graph(context.mission, context.graph))
     graph, memory = context.graph, share_claims(waiting, context.graph)
-    blocked = find_left_out(context)
+    blocked = agree_on_blocked(context)
     was_reset = np.asarray(graph.alive & (memory.clock != context.memory.clock))
     cost = np.where(was_reset, np.inf, planned_cost)
     auction = run_auction(context._replace(memory=memory), cost, None, blocked)
@@ -207,22 +207,6 @@ def run_auction(
         solves += int(inexact.sum())
         for i, j in zip(live[inexact].tolist(), won[inexact].tolist(), strict=True):
             refine_cost(context, table, i, j)
-
-
-def find_left_out(context: DecisionContext) -> Bool[Array, "agents targets"] | None:
-    """Find the targets that each agent leaves out of an auction; None where there are none."""
-    return None if context.mission.assignment == "given" else agree_on_blocked(context)
-
-
-def order_targets(
-    count: Int[Array, "*agents"], blocked: Bool[Array, "*agents targets"]
-) -> tuple[Int[Array, "*agents targets"], Int[Array, "*agents"]]:
-    """Return the targets in the order in which agents bid on them, and on how many.
-
-    Those that are blocked come last.
-    """
-    open_count = np.maximum((~blocked).sum(axis=-1), 1)
-    return put_last(blocked), np.asarray(np.minimum(count, open_count))
 
 
 def compute_epsilon(mission: Reconfiguration, leg: Leg) -> float:

@@ -59,10 +59,13 @@ def find_blocked(context: DecisionContext, agent: int, places: Places) -> Bool[A
 
 
 def agree_on_blocked(context: DecisionContext) -> Bool[Array, "agents targets"] | None:
-    """Find the targets that any agent of each one's component knows to be blocked; None if none."""
+    """Find the targets that any agent of each one's component knows to be blocked; None if none.
+
+    None too where targets are given.
+    """
     graph, clock, around = context.graph, context.memory.clock, context.surroundings
     places: dict[tuple[int, int], Places] = {}
-    if around is None:
+    if around is None or context.mission.assignment == "given":
         return None
     blocked = np.zeros((len(graph.alive), len(context.leg.targets)), dtype=bool)
     for i in np.flatnonzero(graph.alive).tolist():
@@ -76,6 +79,13 @@ def agree_on_blocked(context: DecisionContext) -> Bool[Array, "agents targets"] 
     return blocked if blocked.any() else None
 
 
-def put_last(blocked: Bool[Array, "*agents targets"]) -> Int[Array, "*agents targets"]:
-    """Return the targets in their order, those that are blocked after all others."""
-    return np.argsort(blocked, axis=-1, kind="stable")
+def order_targets(
+    count: Int[Array, "*agents"], blocked: Bool[Array, "*agents targets"]
+) -> tuple[Int[Array, "*agents targets"], Int[Array, "*agents"]]:
+    """Return the targets in the order in which agents bid on them, and on how many.
+
+    Those that are blocked come last.
+    """
+    open_count = np.maximum((~blocked).sum(axis=-1), 1)
+    order = np.argsort(blocked, axis=-1, kind="stable")
+    return order, np.asarray(np.minimum(count, open_count))

@@ -126,8 +126,7 @@ def _check_surroundings(mission: "Reconfiguration") -> None:
     if mission.has_surroundings and mission.bargains:
         reason = "in a negotiation vehicles keep clear of each other alone"
         raise InputError("plan.bargains", f"{reason}; bargains = 0 would do among obstacles")
-    is_seen_later = mission.sensing_radius is not None
-    if is_seen_later and not mission.has_unseen:
+    if mission.sensing_radius is not None and not mission.has_unseen:
         reason = "has no effect where all is known, and no lost vehicle coasts; leave it out"
         raise InputError("swarm.sensing_radius_m", reason)
 

@@ -63,7 +63,6 @@ class _Flight:
         self.plans: Plans = {}
         self.committed: Commitments = find_first_commitments(mission)
         self.surroundings = find_surroundings(mission)
-        self.is_adrift = np.zeros(len(m), dtype=bool)  # lost vehicles that fly without control
         self.waiting: list[int] = []  # agents that join as soon as there is room
         tolerance = mission.tolerance or TOLERANCE
         self.solvers = [VerifiedSolver(mission.solver, tolerance) for _ in m]  # its own each
@@ -164,14 +163,12 @@ class _Flight:
                 self.memory = replace(
                     self.memory, target_index=np.where(self.alive, self.memory.target_index, -1)
                 )
-                event = {"kind": "loss", "agents": sorted(lost)}
-                coasts = loss.body == "coast"
-                self.events.append(event | ({"body": "coast"} if coasts else {}))
-                if coasts and self.surroundings is not None:
-                    self.is_adrift[lost] = True
-                    self.surroundings = self.surroundings.with_lost(
-                        sorted(lost), self.x[sorted(lost)]
-                    )
+                event: state.Event = {"kind": "loss", "agents": sorted(lost)}
+                if loss.body == "coast" and self.surroundings is not None:
+                    gone = sorted(lost)
+                    self.surroundings = self.surroundings.with_lost(gone, self.x[gone])
+                    event |= {"body": "coast"}
+                self.events.append(event)
         return joined
 
     def _schedule_decisions(
@@ -256,9 +253,11 @@ class _Flight:
         commanded, time = np.nan_to_num(control)[:, None], self.step_index * mission.step
         self.estimate = estimator.predict(mission, self.estimate, control, planned, time)
         flown = mission.flown_plant.propagate(self.x, np.nan_to_num(applied), time, mission.step)
-        self.x = np.where((self.alive | self.is_adrift)[:, None], flown[1], self.x)
-        if self.surroundings is not None:
-            self.surroundings = self.surroundings.after(mission, self.x)
+        around, moves = self.surroundings, self.alive.copy()
+        if around is not None:
+            moves[around.vehicle[around.is_lost]] = True
+        self.x = np.where(moves[:, None], flown[1], self.x)
+        self.surroundings = around and around.after(mission, self.x)
         self.spent = self.spent + compute_spent(mission, commanded)
         later = np.where(self.alive, np.minimum(clock + 1, steps), 0)
         arrived = self.alive & (later == steps) & (clock < steps)

@@ -15,7 +15,7 @@ from pydantic import Field as Constraint
 from dynamics.plant import Plant
 from dynamics.trajectory_geometry import min_distance
 from dynamics.units import Acceleration, Angle, Key, Length, Speed, Time, Unit
-from sato.obstacles import Box, Ellipsoid, Polytope, Sphere
+from sato.obstacles import AnyObstacle
 from sato.reconfiguration import feasibility, models, vehicles
 from sato.reconfiguration.leg import Count, Leg, Steps, states_of
 from sato.reconfiguration.models import PlantSettings
@@ -140,9 +140,7 @@ class Reconfiguration(PlannedLimits, Mission):
         Matrix | None, Unit("m"), MODEL, "allowed positions: lowest and highest corner"
     ] = None
 
-    obstacles: Annotated[
-        tuple[Sphere | Box | Ellipsoid | Polytope, ...], In(""), Key("obstacle"), "obstacles"
-    ] = ()
+    obstacles: Annotated[tuple[AnyObstacle, ...], In(""), Key("obstacle"), "obstacles"] = ()
 
     plant: Annotated[PlantSettings | Plant, In(""), "motion that is flown"] = PlantSettings()
 

@@ -139,7 +139,7 @@ def drift_on(
     later = np.repeat(flown.paths[:, -1:, -1:], 4, axis=2)
     time = (np.arange(count)[:, None] + np.linspace(0.0, 1.0, 4)) * h
     after = later + time[..., None] * flown.velocity[:, None, None]
-    lost = around.vehicle >= 0
+    lost = around.is_lost
     if lost.any():
         rest = np.zeros((int(lost.sum()), T, d))
         end = simulate(mission, around.state[lost], rest, context.time, mission.step)[:, -1]

@@ -136,7 +136,7 @@ def draw_start(
         others = np.full(len(occupied), mission.radii.max())
         radii = np.concatenate([mission.radii[agents.start : agents.stop], others])
         _check_separation(mission, placed, occupied, radii, "agent", agents.start)
-        check_starts(mission, placed, agents, "")
+        check_starts(mission, placed, agents)
     limits = [mission.speed_limit(i) for i in agents]
     return _with_velocities(mission, placed, velocity, t, where, limits)
 

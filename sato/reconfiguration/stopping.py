@@ -18,7 +18,7 @@ from problems.avoidance import AvoidanceProblem
 from problems.conic import Unsolved
 from problems.convexify import AvoidanceHorizon
 from problems.limit import Limit
-from problems.obstacle_paths import ObstaclePaths, support_obstacles
+from problems.obstacle_paths import ObstaclePaths, choose_half_spaces
 from problems.safety_filter import SafetyFilterProblem
 from problems.solvers.verified import solve_program
 from problems.transfer import Solver
@@ -177,10 +177,8 @@ def find_way_aside(
         solver: Solver of the program.
     """
     T, required = horizon.steps - 1, required_separations(clearance)
-    normals = convexify.choose_normals(nominal - others, required)
-    kept, about = required_separations(obstacles.clearance), support_obstacles(nominal, obstacles)
-    half_spaces = convexify.convexify(horizon, T, others, normals, required)
-    half_spaces = half_spaces.join(convexify.convexify(horizon, T, *about, kept))
+    between = choose_half_spaces(nominal, others, required, obstacles)
+    half_spaces = convexify.convexify(horizon, T, *between)
     rest = np.concatenate([horizon.unscale_points(nominal[-1, -1]), np.zeros(mission.axes)])
     transfer = mission.make_transfer(horizon.discrete_model[:T], agent)
     try:
@@ -226,16 +224,14 @@ def find_stop(
         Controls, states and control points; None where none is found.
     """
     T = max(horizon.steps - 1 - rest_steps, 1)
-    required = required_separations(clearance)
-    normals = convexify.choose_normals(nominal - others, required, side)
-    half_spaces = convexify.convexify(horizon, T, others, normals, required)
+    required, count = required_separations(clearance), len(others)
+    between = choose_half_spaces(nominal, others, required, obstacles, side)
+    half_spaces = convexify.convexify(horizon, T, *between)
     if obstacles is not None:
-        kept = required_separations(obstacles.clearance)
-        about = support_obstacles(nominal, obstacles, side)
-        half_spaces = half_spaces.join(convexify.convexify(horizon, T, *about, kept))
-        half_spaces = half_spaces.join(convexify.convexify_end(horizon, T, *about, kept))
+        rest = convexify.convexify_end(horizon, T, *(part[count:] for part in between))
+        half_spaces = half_spaces.join(rest)
     if rest_steps:
-        rest = convexify.convexify_end(horizon, T, others, normals, required)
+        rest = convexify.convexify_end(horizon, T, *(part[:count] for part in between))
         half_spaces = half_spaces.join(rest)
     limit = mission.planned_control_limit(agent)
     transfer = mission.make_transfer(horizon.discrete_model[:T], agent)

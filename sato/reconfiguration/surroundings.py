@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from problems.convexify import SEPARATION_TOLERANCE, AvoidanceHorizon
 from problems.obstacle_paths import ObstaclePaths, pad_corners
-from sato.obstacles import Obstacle, polytope_about_ball
+from sato.obstacles import Obstacle, corners_of_cube, polytope_about_ball
 from sato.reconfiguration.mission import Reconfiguration
 
 ESCAPE_FACTOR = 2.0  # of the way out of what moves, for others that are in it
@@ -32,6 +32,11 @@ class Surroundings(NamedTuple):
     is_wall: Bool[Array, " bodies"]
     vehicle: Int[Array, " bodies"]  # number of the lost vehicle; −1 for all others
     is_known: Bool[Array, "agents bodies"]
+
+    @property
+    def is_lost(self) -> Bool[Array, " bodies"]:
+        """True for vehicles that were lost."""
+        return np.asarray(self.vehicle >= 0)
 
     def join(self, other: "Surroundings") -> "Surroundings":
         """Return all of two."""
@@ -55,8 +60,7 @@ class Surroundings(NamedTuple):
         """Return the same after a step, in which lost vehicles have moved to their states in x."""
         d, state = mission.axes, self.state.copy()
         state[:, :d] += mission.step * state[:, d:]
-        is_lost = self.vehicle >= 0
-        state[is_lost] = x[self.vehicle[is_lost]]
+        state[self.is_lost] = x[self.vehicle[self.is_lost]]
         return self._replace(state=state)
 
     def seen_from(self, mission: Reconfiguration, x: Float[Array, "agents n"]) -> "Surroundings":
@@ -80,7 +84,7 @@ class Surroundings(NamedTuple):
         time = (np.arange(pieces)[:, None] + np.linspace(0.0, 1.0, 4)) * horizon.fine_model.dt
         place, velocity = self.state[:, :d], self.state[:, d:]
         paths = place[:, None, None] + time[..., None] * velocity[:, None, None]
-        adrift = (self.vehicle >= 0) & (not mission.is_point_mass)
+        adrift = self.is_lost & (not mission.is_point_mass)
         if adrift.any():
             u = np.zeros((int(adrift.sum()), horizon.steps, d))
             x = horizon.discrete_model.simulate(self.state[adrift], u)
@@ -110,8 +114,8 @@ class Surroundings(NamedTuple):
         is_ball = mission.separation_axes is None
         keeps = np.where(is_ball, own + self.thickness, own)
         keeps[self.is_wall] = own - mission.radii[agent] + mission.largest_separation
-        is_lost = self.vehicle >= 0
-        keeps[is_lost] = (own + mission.own_clearances(clearance, self.vehicle[is_lost])) / 2
+        of_lost = mission.own_clearances(clearance, self.vehicle[self.is_lost])
+        keeps[self.is_lost] = (own + of_lost) / 2
         return paths._replace(clearance=keeps).select(rows)
 
     def escape_steps(self, mission: Reconfiguration, agent: int) -> int:
@@ -202,14 +206,13 @@ def _build_walls(mission: Reconfiguration, rows: int) -> Surroundings:
         return none
     low, high = np.asarray(mission.box)
     middle, half = (low + high) / 2, WALL_FACTOR * (high - low)
-    signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * d, indexing="ij"), axis=-1).reshape(-1, d)
     state, corners = np.tile(np.append(middle, np.zeros(d)), (2 * d, 1)), []
     for axis in range(d):
         # A target on the bounds is as far from a wall as plans keep.
         wide = away * (1 + 2 * SEPARATION_TOLERANCE)
         wide = wide / (mission.separation_scale or np.ones(d))[axis]
         state[2 * axis, axis], state[2 * axis + 1, axis] = low[axis] - wide, high[axis] + wide
-        corners += 2 * [np.unique(signs * half * (np.arange(d) != axis), axis=0)]
+        corners += 2 * [np.unique(corners_of_cube(d) * half * (np.arange(d) != axis), axis=0)]
     return Surroundings(
         state,
         tuple(corners),

@@ -15,8 +15,8 @@ from problems.half_spaces import HalfSpaces
 from problems.obstacle_paths import (
     ObstaclePaths,
     are_pieces_clear,
+    choose_half_spaces,
     is_path_clear,
-    support_obstacles,
     violation,
 )
 from problems.solvers.verified import solve_program
@@ -301,13 +301,9 @@ def solve_around(
         beside = _find_met(agent.control_points, bodies, NEARBY_FACTOR)
     while True:
         paths, kept = others[constrained], required[constrained]
-        normal = convexify.choose_normals(nominal - paths, kept, side)
-        if bodies is not None:
-            of_bodies = support_obstacles(nominal, bodies.select(beside), side)
-            paths = np.concatenate([paths, of_bodies[0]])
-            normal = np.concatenate([normal, of_bodies[1]])
-            kept = np.append(kept, required_separations(bodies.clearance[beside]))
-        half_spaces = convexify.convexify(horizon, T, paths, normal, kept)
+        known = None if bodies is None else bodies.select(beside)
+        between = choose_half_spaces(nominal, paths, kept, known, side)
+        half_spaces = convexify.convexify(horizon, T, *between)
         try:
             result = _solve_active_set(agent, half_spaces, relaxation)
         except Unsolved:

@@ -13,7 +13,7 @@ from problems.convexify import SEPARATION_TOLERANCE
 from problems.limit import LIMIT_TOLERANCE, Limit
 from sato.check import common
 from sato.check.report import Promise, Report, expect_below, expect_none, expect_small_error
-from sato.reconfiguration.check.clearance import find_clearance, find_excess
+from sato.reconfiguration.check.clearance import find_excess
 from sato.reconfiguration.check.fuel import compute_energy_shortfall, compute_step_fuel
 from sato.reconfiguration.check.legs import (
     check_assignment,
@@ -265,7 +265,7 @@ def check_obstacles(record: ReconfigurationRecord) -> Promise:
     if beyond > spare + rounding + error:
         text = f"agent {agent} is {beyond:.3g} m out of the allowed positions"
         return Promise("obstacles", False, beyond, 0.0, text)
-    found = find_clearance(record)
+    found = record.clearance
     if found is None:
         return Promise("obstacles", True, 0.0, 0.0, "there are none")
     radius = float(record.mission.radii[found.agent])

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -16,6 +16,9 @@ from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.record import ReconfigurationVariables
 from sato.reconfiguration.state import ReconfigurationFrame
 from sato.record import RunRecord
+
+if TYPE_CHECKING:
+    from sato.reconfiguration.check.clearance import Clearance
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +132,13 @@ class ReconfigurationRecord(
             names = ("target", "believed", "component")
             targets, counts, component = (np.asarray(event[n], dtype=np.int64) for n in names)
         return LegRecord(leg, start, end, event, entry, alive, targets, counts, component)
+
+    @cached_property
+    def clearance(self) -> "Clearance | None":
+        """Nearest approach to an obstacle, see `find_clearance`."""
+        from sato.reconfiguration.check.clearance import find_clearance
+
+        return find_clearance(self)
 
     @cached_property
     def fuel_bounds(self) -> list[FuelBound | None]:

@@ -9,7 +9,6 @@ from scipy.spatial import cKDTree
 
 from dynamics.trajectory_geometry import min_distance, sampled_separations
 from sato.check.common import common_summary, drop_non_finite
-from sato.reconfiguration.check.clearance import find_clearance
 from sato.reconfiguration.check.fuel import (
     compute_asked_bound,
     compute_step_energy,
@@ -39,8 +38,8 @@ def summarize(record: ReconfigurationRecord) -> dict[str, Any]:
         "position_tolerance_m": float(mission.position_tolerance),
         "velocity_tolerance_m_s": float(mission.velocity_tolerance),
     }
-    if (nearest := find_clearance(record)) is not None:
-        summary["min_obstacle_distance_m"] = nearest.distance
+    if record.clearance is not None:
+        summary["min_obstacle_distance_m"] = record.clearance.distance
     assignments = [bound.assignment if bound else None for bound in record.fuel_bounds]
     if mission.objective == "energy":
         assignments = list(record.energy_bounds)
