@@ -10,6 +10,7 @@ zero-order hold. Otherwise its error is at most max |p⁗| h⁴/384: `interpolat
 bounds it for time-invariant models, `sampled_interpolation_error` estimates it from samples.
 """
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -74,6 +75,28 @@ def evaluate_bezier(points: Float[Array, "*k 4 d"], fraction: Scalars) -> Float[
     s = 1 - t
     b = np.moveaxis(points, -2, 0)
     return np.asarray(s**3 * b[0] + 3 * s**2 * t * b[1] + 3 * s * t**2 * b[2] + t**3 * b[3])
+
+
+def divide_pieces(points: Float[Array, "*k 4 d"], parts: int) -> Float[Array, "*k parts 4 d"]:
+    """Return the control points of equal parts of every piece."""
+    return np.asarray(np.einsum("pij,...jd->...pid", division_matrices(parts), points))
+
+
+@lru_cache
+def division_matrices(parts: int) -> Float[Array, "parts 4 4"]:
+    """Return the weights of the control points of a piece in those of its equal parts.
+
+    A control point of a part is the value of the polar form at its two ends [Farin2002, sec. 4.4].
+    """
+    found = np.empty((parts, 4, 4))
+    for part in range(parts):
+        ends = part / parts, (part + 1) / parts
+        for i in range(4):
+            weights = np.ones(1)
+            for t in np.repeat(ends, (3 - i, i)):
+                weights = np.convolve(weights, [1 - t, t])
+            found[part, i] = weights
+    return found
 
 
 def hull_distance(points: Float[Array, "*k 4 d"]) -> tuple[Float[Array, "*k"], Array]:

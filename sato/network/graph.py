@@ -61,6 +61,12 @@ class CommunicationGraph:
         return CommunicationGraph(self.adjacency & kept & kept[:, None], kept)
 
     @cached_property
+    def relayed(self) -> "CommunicationGraph":
+        """Graph in which all of a component exchange messages, as others pass them on."""
+        beside = self.alive & (self.component[:, None] == self.component)
+        return CommunicationGraph(beside & ~np.eye(len(beside), dtype=bool), self.alive)
+
+    @cached_property
     def neighbors(self) -> tuple[Int[Array, " _"], ...]:
         """Neighbors of each agent, in ascending order."""
         return tuple(np.flatnonzero(row) for row in self.adjacency)

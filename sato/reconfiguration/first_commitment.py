@@ -16,8 +16,8 @@ from numpy import ndarray as Array
 from problems import convexify
 from problems.convexify import AvoidanceHorizon
 from problems.obstacle_paths import is_path_clear
+from sato.reconfiguration.free_motion import simulate
 from sato.reconfiguration.mission import Reconfiguration
-from sato.reconfiguration.orbital_commitment import simulate
 from sato.reconfiguration.planning import divide_horizon
 from sato.reconfiguration.stopping import (
     Commitment,

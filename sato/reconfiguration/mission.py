@@ -191,6 +191,21 @@ class Reconfiguration(PlannedLimits, Mission):
         PLAN,
         "beyond R_col; auto if absent, which is 0 without noise or errors of the model",
     ] = LATER
+    passive_safety: Annotated[
+        float | None,
+        Unit("m"),
+        PLAN,
+        Positive,
+        "in orbit: distance that drifts keep after a loss of thrust at any step; if absent, none",
+    ] = None
+    passive_safety_time: Annotated[
+        float | None,
+        Unit("s"),
+        Key("passive_safety"),
+        PLAN,
+        Positive,
+        "time for which they keep it; two orbits if absent",
+    ] = None
     allow_undetectable: Annotated[bool, PLAN, "fly where agents could meet unseen"] = False
     position_tolerance: Annotated[
         Length, PLAN, Positive, "distance within which a target counts as reached"

@@ -10,17 +10,13 @@ then, or by disturbances. Such an agent has nothing safe to keep, and commits to
 in which that is so at the start, and plans are not clear of each other either, is refused.
 """
 
-from functools import lru_cache
 from math import ceil
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from dynamics.discretize import discretize_zoh
-from dynamics.model import ControlSamples, NonlinearModel, StateSamples
 from dynamics.trajectory_geometry import control_points
-from problems import convexify
 from problems.convexify import AvoidanceHorizon
 from problems.obstacle_paths import ObstaclePaths, are_pieces_clear
 from sato.network.graph import CommunicationGraph
@@ -31,8 +27,7 @@ from sato.reconfiguration.commitment import (
     list_pairs,
     rank_of,
 )
-from sato.reconfiguration.leg import Leg
-from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.free_motion import free_motion, simulate
 from sato.reconfiguration.offers import Offers
 from sato.reconfiguration.plan import Plan, Plans
 from sato.reconfiguration.planning import divide_horizon
@@ -40,9 +35,6 @@ from sato.reconfiguration.state import DecisionContext
 from sato.reconfiguration.stopping import Commitment, Commitments, committed_controls, pad_controls
 from sato.reconfiguration.surroundings import Surroundings, count_escape_steps
 from sato.scenario.errors import InputError
-
-FREE_ORBITS = 2.0  # of free motion that are checked
-PIECES_PER_ORBIT = 50  # cubic in time, within 1e-6 of the size of an orbit
 
 
 def make_orbital_offers(
@@ -187,68 +179,6 @@ def fly_plans(
         states[: T + 1] = own.x
         states[T:] = simulate(mission, own.x[-1], np.zeros_like(u[0, T:]), after, mission.step)
     return x, u
-
-
-@lru_cache(maxsize=16)
-def free_motion(mission: Reconfiguration, leg: Leg, begun: int) -> tuple[int, float]:
-    """Return into how many pieces the free motion that is checked is divided, and their length [s].
-
-    It ends where the targets do not keep their distance themselves: after two orbits, or sooner
-    where their motion is not bounded. Without an orbit it lasts as long as the leg.
-
-    Args:
-        mission: A drawn mission.
-        leg: Its leg.
-        begun: Instant at which the leg began.
-    """
-    period = mission.orbital_period
-    h = mission.step if period is None else period / PIECES_PER_ORBIT
-    count = leg.steps if period is None else ceil(FREE_ORBITS * PIECES_PER_ORBIT)
-    rest, t = np.zeros((len(leg.targets), count, mission.axes)), (begun + leg.steps) * mission.step
-    x, d = simulate(mission, leg.targets, rest, t, h), mission.axes
-    paths, (i, j) = control_points(x[..., :d], x[..., d:], h), np.triu_indices(len(x), 1)
-    radius = np.full(len(i), mission.largest_separation + mission.margin)
-    clear = convexify.are_pairs_separated(paths, i, j, radius).all(axis=0)
-    return count if clear.all() else int(clear.argmin()), h
-
-
-def simulate(
-    mission: Reconfiguration,
-    x: Float[Array, "*agents n"],
-    u: Float[Array, "*agents T m"],
-    t: float,
-    h: float,
-) -> StateSamples:
-    """Return the states under held controls by the model that the agents plan by.
-
-    Args:
-        mission: Its model.
-        x: States at the first instant.
-        u: Controls, each held over a step.
-        t: Time of the first instant [s].
-        h: Duration of a step [s].
-    """
-    if mission.nonlinear_model is not None:
-        return simulate_nonlinear(mission.nonlinear_model, x, u, t, h)
-    return discretize_zoh(mission.linear_model, h, u.shape[-2], t).simulate(x, u)
-
-
-def simulate_nonlinear(
-    model: NonlinearModel, x: Float[Array, "*agents n"], u: ControlSamples, t: float, h: float
-) -> StateSamples:
-    """Return the states under held controls, by one step of the classical Runge–Kutta method each.
-
-    In orbit, steps of a fiftieth of a period are off by 1e-6 of what an agent moves.
-    """
-    states = [x]
-    for k in range(u.shape[-2]):
-        held, x, s = u[..., k, :], states[-1], t + k * h
-        k1 = model.rate(s, x, held)
-        k2 = model.rate(s + h / 2, x + h / 2 * k1, held)
-        k3 = model.rate(s + h / 2, x + h / 2 * k2, held)
-        k4 = model.rate(s + h, x + h * k3, held)
-        states.append(x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
-    return np.stack(states, axis=-2)
 
 
 def give_up_unclear(offers: Offers, is_unclear: Bool[Array, " agents"]) -> Offers:

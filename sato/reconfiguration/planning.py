@@ -11,9 +11,12 @@ from dynamics.discretize import discretize_zoh
 from dynamics.trajectory_geometry import interpolation_error
 from problems.convexify import AvoidanceHorizon
 from problems.obstacle_paths import is_path_clear
+from problems.transfer import Trajectory
+from sato.reconfiguration.free_motion import simulate
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
-from sato.reconfiguration.plan import Plan, Plans, is_held, remaining_controls
+from sato.reconfiguration.passive_safety import list_arrivals, look_ahead, make_passive
+from sato.reconfiguration.plan import Plan, Plans, compute_spent, is_held, remaining_controls
 from sato.reconfiguration.relaxation import list_relaxations
 from sato.reconfiguration.solo_trajectories import relinearize, solve_solo_trajectories
 from sato.reconfiguration.state import DecisionContext, Event
@@ -41,6 +44,8 @@ def plan_trajectories(
         clocks: Clock of each agent before it decided; that of its memory by default.
     """
     mission, graph = context.mission, context.graph
+    if mission.passive_safety is not None:
+        graph = graph.relayed
     heard = -graph.component_max(-(context.memory.clock if clocks is None else clocks))
     planners, unreachable, solo_count = plan_alone(context, spent, previous, heard)
     solve_count, rounds, resolved = solve_count + solo_count, 0, dict[int, Planner]()
@@ -157,6 +162,8 @@ def plan_alone(
         T: make_horizon(mission, context.time, T, leg)
         for T in set(ahead[context.graph.alive].tolist())
     }
+    looks = {T: look_ahead(context, T) for T in horizons}
+    arrivals = {T: own and list_arrivals(context, own) for T, own in looks.items()}
     planners: dict[int, Planner] = {}
     unreachable: list[int] = []
     solve_count, around = 0, context.surroundings
@@ -199,13 +206,26 @@ def plan_alone(
             )
             if obstacles is not None and rest is None:
                 planner = go_around(planner)
-            if rest is not None and not mission.keeps_plans:
+            if (look := looks[int(ahead[i])]) is not None:
+                passive = make_passive(context, i, look, arrivals[int(ahead[i])])
+                planner = planner._replace(passive=passive, in_turn=True)
+                prior = solo if rest is None else _fly_on(context, i, rest)
+                planner = planner.with_nominal(prior)
+                planner = planner._replace(has_converged=planner.reaches_target(prior))
+            elif rest is not None and not mission.keeps_plans:
                 # Begin with the previous plan, where it kept clear of an agent by another way.
                 prior = transfer.simulate(solo.x[0], rest)
                 if np.abs(prior.x - solo.x).max() > relative * clearance:
                     planner = planner.with_nominal(prior)._replace(has_converged=False)
             planners[i] = planner
     return planners, unreachable, solve_count
+
+
+def _fly_on(context: DecisionContext, agent: int, u: Float[Array, "T m"]) -> Trajectory:
+    """Return the trajectory of an agent along the rest of its plan."""
+    mission = context.mission
+    x = simulate(mission, context.state[agent], u, context.time, mission.step)
+    return Trajectory(x, u, float(compute_spent(mission, u)))
 
 
 def _priority_class(context: DecisionContext, i: int, previous: Plans) -> float:

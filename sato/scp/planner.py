@@ -11,6 +11,7 @@ from numpy import ndarray as Array
 from problems import convexify
 from problems.avoidance import RELAXES_HALF_SPACES, AvoidanceProblem, AvoidanceResult, Relaxation
 from problems.conic import Unsolved
+from problems.drifts import Drifts
 from problems.half_spaces import HalfSpaces
 from problems.obstacle_paths import (
     ObstaclePaths,
@@ -21,6 +22,7 @@ from problems.obstacle_paths import (
 )
 from problems.solvers.verified import solve_program
 from problems.transfer import Solver, Trajectory, TransferProblem
+from sato.scp.passive_safety import PassiveSafety
 
 ACTIVE_TOLERANCE = 1e-3  # of R: a half-space with less room than this may be active
 VIOLATION_TOLERANCE = 1e-7  # of R: a half-space violated by more joins the program
@@ -57,6 +59,7 @@ class TrajectoryMessage(NamedTuple):
     control_points: Float[Array, "pieces 4 d"]
     is_final: bool
     clearance: float  # that two of the sender's kind would keep [m]
+    drifts: Drifts | None = None  # where it is to be passively safe
 
 
 class Planner(NamedTuple):
@@ -74,6 +77,7 @@ class Planner(NamedTuple):
     nominal: Trajectory
     control_points: Float[Array, "pieces 4 d"]  # of the nominal, over the horizon
     obstacles: ObstaclePaths | None = None  # that it knows, over the horizon
+    passive: PassiveSafety | None = None
     route: Float[Array, "pieces 4 d"] | None = None  # around these, where `solo` is not clear
     relinearize: Callable[[Trajectory], TransferProblem] | None = None  # None: model is linear
     solver: Solver = solve_program  # its own
@@ -92,7 +96,8 @@ class Planner(NamedTuple):
     def message(self) -> TrajectoryMessage:
         """Message to the neighbors."""
         parts = self.priority, self.control_points, self.is_final
-        return TrajectoryMessage(*parts, self.horizon.clearance)
+        drifts = self.passive and self.passive.own
+        return TrajectoryMessage(*parts, self.horizon.clearance, drifts)
 
     @property
     def is_clear(self) -> bool:
@@ -122,6 +127,7 @@ class Planner(NamedTuple):
         return self._replace(
             nominal=trajectory,
             control_points=self.horizon.control_points(trajectory.x, trajectory.u),
+            passive=self.passive and self.passive.follow(trajectory),
         )
 
     def with_result(self, result: AvoidanceResult) -> "Planner":
@@ -140,7 +146,10 @@ class Planner(NamedTuple):
     def keeps_clear(self, messages: Sequence[TrajectoryMessage]) -> bool:
         """Return True where its nominal keeps clear of the senders and of obstacles."""
         path, obstacles = self.control_points, self.obstacles
-        return is_path_clear(path, obstacles) and is_clear(path, messages, self.horizon.clearance)
+        is_apart = is_path_clear(path, obstacles) and is_clear(
+            path, messages, self.horizon.clearance
+        )
+        return is_apart and (self.passive is None or self.passive.is_safe(drifts_of(messages)))
 
     def reaches_target(self, trajectory: Trajectory) -> bool:
         """Return True where a trajectory ends at the target."""
@@ -176,6 +185,8 @@ def update_planner(agent: Planner, inbox: Sequence[TrajectoryMessage]) -> Planne
         radii = pair_clearances(above, agent.horizon.clearance)
         of_others = convexify.separation_violation(agent.control_points - paths_of(above), radii)
         lacking = max(lacking, of_others)
+    if agent.passive is not None and not agent.passive.is_safe(drifts_of(above)):
+        agent = agent._replace(has_failed=True)
     return agent._replace(is_final=True, slack=max(agent.slack, lacking))
 
 
@@ -201,9 +212,19 @@ def follows_solo(agent: Planner) -> bool:
     return agent.solve_count == 0 and agent.nominal is agent.solo and agent.has_converged
 
 
+def must_decide(agent: Planner) -> bool:
+    """Return True where an agent may have something to solve that paths alone do not show."""
+    return not follows_solo(agent) or agent.passive is not None
+
+
 def paths_of(messages: Sequence[TrajectoryMessage]) -> Float[Array, "others pieces 4 d"]:
     """Stack the control points of messages; at least one."""
     return np.stack([message.control_points for message in messages])
+
+
+def drifts_of(messages: Sequence[TrajectoryMessage]) -> dict[int, Drifts]:
+    """Return the drifts of the senders that are to be passively safe, by their numbers."""
+    return {m.priority[2]: m.drifts for m in messages if m.drifts is not None}
 
 
 def pair_clearances(
@@ -234,17 +255,18 @@ def _solve_iteration(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Pl
     if not after.keeps_clear(above):
         after = _solve_avoidance(agent.relinearized, above)
     moved = float(np.abs(after.nominal.x - agent.nominal.x).max())
-    most = MAX_SOLVES_IN_TURN if agent.in_turn else MAX_SOLVES
+    most = MAX_SOLVES_IN_TURN if agent.in_turn and agent.passive is None else MAX_SOLVES
     has_converged = moved <= CONVERGENCE_TOLERANCE * R or after.solve_count >= most
     return after._replace(has_converged=has_converged, last_inbox=above)
 
 
 def _solve_avoidance(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Planner:
     nominal, collides = agent.control_points, not agent.keeps_clear(above)
-    if collides and agent.in_turn:  # a path that was pushed aside, and is no way around
+    begins = agent.passive is None or agent.solve_count == 0
+    if collides and agent.in_turn and begins:  # a path that was pushed aside, and is no way around
         agent = agent.restarted
         nominal = agent.control_points
-    sides = PASSING_SIDES[nominal.shape[-1]] if collides else ("same",)
+    sides = PASSING_SIDES[nominal.shape[-1]] if collides and begins else ("same",)
     tried = [solve_around(agent, above, nominal, side) for side in sides]
     feasible = [result for result in tried if result is not None]
     agent = agent._replace(solve_count=agent.solve_count + len(sides))
@@ -252,7 +274,8 @@ def _solve_avoidance(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Pl
         return agent.with_result(
             min(feasible, key=lambda result: agent.transfer.cost(result.trajectory))
         )
-    for relaxation, side, stops in RELAXATIONS_IN_TURN if agent.in_turn else RELAXATION_ORDER:
+    relaxations = RELAXATIONS_IN_TURN if agent.in_turn else RELAXATION_ORDER
+    for relaxation, side, stops in relaxations if agent.passive is None else ():
         agent = agent._replace(solve_count=agent.solve_count + 1)
         if stops:  # come to rest where it is, as nearly as it can
             start, d = agent.nominal.x[0], nominal.shape[-1]
@@ -299,11 +322,15 @@ def solve_around(
     beside = np.zeros(0, dtype=bool)
     if bodies is not None:
         beside = _find_met(agent.control_points, bodies, NEARBY_FACTOR)
+    passive, drifts = agent.passive, drifts_of(messages)
+    met_adrift = passive and passive.find_encounters(drifts)
     while True:
         paths, kept = others[constrained], required[constrained]
         known = None if bodies is None else bodies.select(beside)
         between = choose_half_spaces(nominal, paths, kept, known, side)
         half_spaces = convexify.convexify(horizon, T, *between)
+        if passive is not None:
+            half_spaces = half_spaces.join(passive.constrain(drifts, met_adrift, side))
         try:
             result = _solve_active_set(agent, half_spaces, relaxation)
         except Unsolved:
@@ -316,6 +343,10 @@ def solve_around(
             met = _find_met(path, bodies)
             is_new |= bool((met & ~beside).any())
             beside = beside | met
+        if passive is not None:
+            more = passive.find_new(drifts, result.trajectory, met_adrift)
+            is_new |= more is not None
+            met_adrift = more or met_adrift
         if not is_new:
             return result
 

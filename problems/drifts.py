@@ -1,0 +1,290 @@
+"""Passive safety: motion without thrust from each step of a plan, and half-spaces about it.
+
+A vehicle that loses all thrust at step k drifts on from x[k]. It is passively safe where each of
+these drifts keeps a distance from the paths of all others, and from their free motion after it
+[Guffanti2023]. About its nominal a drift is linear in x[k], so distances of drifts become
+half-spaces on states, as those of paths do.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray as Array
+
+from dynamics.discretize import DiscreteModel
+from dynamics.model import ControlSamples, StateSamples
+from dynamics.trajectory_geometry import divide_pieces, division_matrices
+from problems.convexify import (
+    AvoidanceHorizon,
+    PassingSide,
+    are_balls_separated,
+    are_hulls_separated,
+    choose_normals,
+)
+from problems.half_spaces import HalfSpaces
+
+PARTS = 4  # into which pieces that come near are divided: hulls are wider than what they hold
+NEARBY_FACTOR = 2.0  # times the distance: what comes nearer is constrained from the first
+PLANNED_FACTOR = 1.002  # times the distance, which is planned: drifts are not quite linear
+KEPT_FACTOR = 1.001  # times the distance, which is verified: pieces are not quite cubic
+
+Paths = Float[Array, "others pieces 4 d"]
+FreeMotion = Callable[[StateSamples, float, float], StateSamples]  # from a time [s], for a time [s]
+
+
+class Drifts(NamedTuple):
+    """Motion of a vehicle as planned, and without thrust from each step of the plan on."""
+
+    path: Float[Array, "*agents pieces 4 d"]  # control points of the plan and of what follows [m]
+    drifts: Float[Array, "*agents drifts 4 d"]  # of all pieces of all drifts [m]
+
+
+class Encounters(NamedTuple):
+    """Pieces of drifts in which another may come near."""
+
+    other: Int[Array, " encounters"]
+    drift: Int[Array, " encounters"]  # index of a piece of a drift
+
+    def join(self, more: "Encounters") -> "Encounters":
+        """Return these and more, each once."""
+        pairs = np.concatenate([np.stack(self), np.stack(more)], axis=1)
+        return Encounters(*np.unique(pairs, axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class DriftHorizon:
+    """Pieces of the time over which drifts are looked at: steps of the plan, and parts after it."""
+
+    steps: AvoidanceHorizon  # of the plan, a piece each
+    later: DiscreteModel  # of the time after it, about the reference
+    move: FreeMotion
+    time: float  # at which the plan begins [s]
+    duration: float  # of a drift [s]
+    distance: float  # to keep [m]
+
+    @cached_property
+    def lengths(self) -> Float[Array, " pieces"]:
+        """Length of each piece [s]."""
+        step = self.steps.discrete_model.dt
+        return np.repeat([step, self.later.dt], [self.steps.steps, len(self.later)])
+
+    @cached_property
+    def begins(self) -> Float[Array, " pieces"]:
+        """Time at which each piece begins, after the plan does [s]."""
+        return np.append(0.0, np.cumsum(self.lengths)[:-1])
+
+    @property
+    def step(self) -> Int[Array, " drifts"]:
+        """Step at which the thrust is lost, of each piece of a drift."""
+        return self._pieces[0]
+
+    @property
+    def piece(self) -> Int[Array, " drifts"]:
+        """Piece of time in which each piece of a drift is."""
+        return self._pieces[1]
+
+    @cached_property
+    def _pieces(self) -> tuple[Int[Array, " drifts"], Int[Array, " drifts"]]:
+        k, begins = np.arange(self.steps.steps)[:, None], self.begins
+        ends = k * self.steps.discrete_model.dt + self.duration
+        # No control can change the drift from the first state; from the last the plan follows it.
+        is_drift = (k > 0) & (np.arange(len(begins)) >= k) & (begins < ends)
+        step, piece = np.nonzero(is_drift)
+        return step, piece
+
+    @cached_property
+    def _transitions(self) -> tuple[Float[Array, "pieces+1 n n"], Float[Array, "T n n"]]:
+        """Transition matrices from the first instant to all, and the inverses of those to steps."""
+        found = [np.eye(self.later.A.shape[-1])]
+        for A in np.concatenate([self.steps.discrete_model.A, self.later.A]):
+            found.append(A @ found[-1])
+        return np.stack(found), np.linalg.inv(np.stack(found[: self.steps.steps]))
+
+    def follow(self, x: StateSamples, u: ControlSamples) -> Drifts:
+        """Return the motion along plans, and from each of their steps without thrust.
+
+        Args:
+            x: States; after the last one vehicles move freely.
+            u: Controls.
+        """
+        T, (n, d) = self.steps.steps, (x.shape[-1], u.shape[-1])
+        begin = np.zeros((*x.shape[:-2], T + 1, len(self.lengths), n))
+        end, moving = np.zeros_like(begin), x[..., :0, :]
+        for p, (t, h) in enumerate(zip(self.begins, self.lengths, strict=True)):
+            if p <= T:
+                own = x[..., p, :] if p < x.shape[-2] else moving[..., -1, :]
+                moving = np.concatenate([moving, own[..., None, :]], axis=-2)
+            count = moving.shape[-2]
+            begin[..., :count, p, :] = moving
+            moving = self.move(moving, self.time + t, h)
+            end[..., :count, p, :] = moving
+        k, p = self.step, self.piece
+        drifts = _join(begin[..., k, p, :], end[..., k, p, :], self.lengths[p], d)
+        p = np.arange(len(self.lengths))
+        k, count = np.minimum(p, T), min(T, u.shape[-2])
+        first, last = begin[..., k, p, :], end[..., k, p, :]
+        last[..., :count, :] = x[..., 1 : count + 1, :]
+        return Drifts(_join(first, last, self.lengths, d), drifts)
+
+    def predict(
+        self, own: Drifts, nominal: StateSamples, x: StateSamples, u: ControlSamples
+    ) -> Drifts:
+        """Return the motion along a plan near its nominal, by the linear model.
+
+        Args:
+            own: Motion along the nominal.
+            nominal: States of the nominal.
+            x: States of the plan.
+            u: Its controls.
+        """
+        moved = np.zeros((self.steps.steps, x.shape[-1]))
+        count = min(len(u), len(moved))
+        moved[:count] = x[:count] - nominal[:count]
+        moves = np.einsum("rjdn,rn->rjd", self._all_maps, moved[self.step])
+        path = own.path.copy()
+        d = u.shape[-1]
+        path[:count] = _join(x[:count], x[1 : count + 1], self.lengths[:count], d)
+        return Drifts(path, own.drifts + moves)
+
+    @cached_property
+    def _all_maps(self) -> Float[Array, "drifts 4 d n"]:
+        return self._drift_maps(np.arange(len(self.step)))
+
+    def find_encounters(
+        self, own: Drifts, others: Drifts, later: Paths, factor: float
+    ) -> tuple[Encounters, Encounters]:
+        """Find where a vehicle or others drift nearer than the distance, times a factor.
+
+        Args:
+            own: Motion of the vehicle.
+            others: Motion of those whose paths it knows.
+            later: Motion after the plan of those of which it only knows that.
+            factor: Factor.
+
+        Returns:
+            Encounters of its own drifts, with the others of both kinds, and with others' drifts.
+        """
+        drifting = self._relative_drifts(own, others, later)
+        following = own.path[self.piece] - others.drifts
+        is_planned = self.piece < self.steps.steps  # what comes after no control can change
+        is_after = np.arange(len(drifting)) >= len(others.path)
+        is_known = ~(is_after[:, None] & is_planned)
+        return (
+            self._find_near(drifting, is_known, factor),
+            self._find_near(following, np.broadcast_to(is_planned, following.shape[:2]), factor),
+        )
+
+    def _relative_drifts(
+        self, own: Drifts, others: Drifts, later: Paths
+    ) -> Float[Array, "all drifts 4 d"]:
+        before = np.zeros((len(later), self.steps.steps, *later.shape[2:]))
+        paths = np.concatenate([others.path, np.concatenate([before, later], axis=1)])
+        return own.drifts - paths[:, self.piece]
+
+    def _find_near(self, relative: Array, is_asked: Array, factor: float) -> Encounters:
+        radius = factor * self.distance
+        other, drift = np.nonzero(is_asked & ~are_balls_separated(relative, radius))
+        parts = divide_pieces(relative[other, drift], PARTS)
+        near = ~are_hulls_separated(parts, radius).all(axis=1)
+        return Encounters(other[near], drift[near])
+
+    def constrain(
+        self,
+        own: Drifts,
+        others: Drifts,
+        later: Paths,
+        encounters: tuple[Encounters, Encounters],
+        x: StateSamples,
+        u: ControlSamples,
+        side: PassingSide = "same",
+    ) -> HalfSpaces:
+        """Constrain a plan so that it keeps the distance in encounters [Morgan2016, eq. 64].
+
+        Args:
+            own: Motion of the vehicle along its nominal.
+            others: Motion of those whose paths it knows.
+            later: Motion after the plan of those of which it only knows that.
+            encounters: Of its own drifts, and of others' drifts.
+            x: States of the nominal.
+            u: Controls of the nominal.
+            side: Side on which to pass.
+        """
+        drifting, following = encounters
+        (other, drift), (met, theirs) = drifting, following
+        relative = self._relative_drifts(own, others, later)[other, drift]
+        P = self._drift_maps(drift)
+        own_rows = self._make_rows(drifting, self.step[drift], relative, P, None, x, u, side)
+        k = self.piece[theirs]
+        relative = (own.path[self.piece] - others.drifts)[met, theirs]
+        P, Q, _ = (part[k, 0] for part in self.steps.control_point_maps)
+        return own_rows.join(self._make_rows(following, k, relative, P, Q, x, u, side))
+
+    def _drift_maps(self, drift: Int[Array, " rows"]) -> Float[Array, "rows 4 d n"]:
+        """Return the matrices that take the state at which thrust is lost to control points."""
+        piece, (to, back) = self.piece[drift], self._transitions
+        n = to.shape[-1]
+        third = (self.lengths[piece] / 3)[:, None, None]
+        first, last = (to[piece + i] @ back[self.step[drift]] for i in (0, 1))
+        p, v = slice(n // 2), slice(n // 2, n)
+        points = first[:, p], first[:, p] + third * first[:, v], last[:, p] - third * last[:, v]
+        return np.stack([*points, last[:, p]], axis=1)
+
+    def _make_rows(
+        self,
+        encounters: Encounters,
+        step: Int[Array, " rows"],
+        relative: Float[Array, "rows 4 d"],
+        P: Float[Array, "rows 4 d n"],
+        Q: Float[Array, "rows 4 d m"] | None,
+        x: StateSamples,
+        u: ControlSamples,
+        side: PassingSide,
+    ) -> HalfSpaces:
+        required = PLANNED_FACTOR * self.distance
+        points = divide_pieces(relative, PARTS)
+        normal = np.empty((*points.shape[:2], points.shape[-1]))
+        for run in _list_runs(encounters, self.step, self.piece):
+            each = points[run].reshape(1, -1, *points.shape[2:])
+            normal[run] = choose_normals(each, required, side).reshape(normal[run].shape)
+        movable = step < len(u)
+        step, normal, points, P = step[movable], normal[movable], points[movable], P[movable]
+        weights = division_matrices(PARTS)[:, :, :, None] * normal[:, :, None, None]
+        on_x = np.einsum("rsijd,rjdn->rsin", weights, P)
+        rhs = required - np.einsum("rsd,rsid->rsi", normal, points)
+        rhs += np.einsum("rsin,rn->rsi", on_x, x[step])
+        on_u = np.zeros((*on_x.shape[:3], u.shape[-1]))
+        if Q is not None:
+            on_u = np.einsum("rsijd,rjdm->rsim", weights, Q[movable])
+            rhs += np.einsum("rsim,rm->rsi", on_u, u[step])
+        each = on_x.shape[1] * on_x.shape[2]
+        return HalfSpaces(
+            np.repeat(step, each),
+            on_x.reshape(-1, x.shape[-1]),
+            on_u.reshape(-1, u.shape[-1]),
+            rhs.flatten(),
+        )
+
+
+def _join(first: Array, last: Array, length: Float[Array, " pieces"], d: int) -> Array:
+    """Return the control points of pieces between two states."""
+    third = (length / 3)[:, None]
+    p, v = slice(d), slice(d, 2 * d)
+    inner = first[..., p] + third * first[..., v], last[..., p] - third * last[..., v]
+    return np.stack([first[..., p], *inner, last[..., p]], axis=-2)
+
+
+def _list_runs(
+    encounters: Encounters, step: Int[Array, " drifts"], piece: Int[Array, " drifts"]
+) -> list[Int[Array, " rows"]]:
+    """Group encounters that follow each other along one drift."""
+    other, drift = encounters
+    if not len(other):
+        return []
+    order = np.lexsort((drift, other))
+    same = (np.diff(other[order]) == 0) & (np.diff(drift[order]) == 1)
+    same &= np.diff(step[drift[order]]) == 0
+    return np.split(order, 1 + np.flatnonzero(~same))

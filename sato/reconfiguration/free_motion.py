@@ -1,0 +1,80 @@
+"""Motion by the model that agents plan by, and for how long targets keep their distance in it."""
+
+from functools import lru_cache
+from math import ceil
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from dynamics.discretize import discretize_zoh
+from dynamics.model import ControlSamples, NonlinearModel, StateSamples
+from dynamics.trajectory_geometry import control_points
+from problems import convexify
+from sato.reconfiguration.leg import Leg
+from sato.reconfiguration.mission import Reconfiguration
+
+FREE_ORBITS = 2.0  # of free motion that are checked
+PIECES_PER_ORBIT = 50  # cubic in time, within 1e-6 of the size of an orbit
+
+
+@lru_cache(maxsize=16)
+def free_motion(mission: Reconfiguration, leg: Leg, begun: int) -> tuple[int, float]:
+    """Return into how many pieces the free motion that is checked is divided, and their length [s].
+
+    It ends where the targets do not keep their distance themselves: after two orbits, or sooner
+    where their motion is not bounded. Without an orbit it lasts as long as the leg.
+
+    Args:
+        mission: A drawn mission.
+        leg: Its leg.
+        begun: Instant at which the leg began.
+    """
+    period = mission.orbital_period
+    h = mission.step if period is None else period / PIECES_PER_ORBIT
+    count = leg.steps if period is None else ceil(FREE_ORBITS * PIECES_PER_ORBIT)
+    rest, t = np.zeros((len(leg.targets), count, mission.axes)), (begun + leg.steps) * mission.step
+    x, d = simulate(mission, leg.targets, rest, t, h), mission.axes
+    paths, (i, j) = control_points(x[..., :d], x[..., d:], h), np.triu_indices(len(x), 1)
+    radius = np.full(len(i), mission.largest_separation + mission.margin)
+    clear = convexify.are_pairs_separated(paths, i, j, radius).all(axis=0)
+    return count if clear.all() else int(clear.argmin()), h
+
+
+def simulate(
+    mission: Reconfiguration,
+    x: Float[Array, "*agents n"],
+    u: Float[Array, "*agents T m"],
+    t: float,
+    h: float,
+) -> StateSamples:
+    """Return the states under held controls by the model that the agents plan by.
+
+    Args:
+        mission: Its model.
+        x: States at the first instant.
+        u: Controls, each held over a step.
+        t: Time of the first instant [s].
+        h: Duration of a step [s].
+    """
+    if mission.nonlinear_model is not None:
+        return simulate_nonlinear(mission.nonlinear_model, x, u, t, h)
+    return discretize_zoh(mission.linear_model, h, u.shape[-2], t).simulate(x, u)
+
+
+def simulate_nonlinear(
+    model: NonlinearModel, x: Float[Array, "*agents n"], u: ControlSamples, t: float, h: float
+) -> StateSamples:
+    """Return the states under held controls, by one step of the classical Runge–Kutta method each.
+
+    In orbit, steps of a fiftieth of a period are off by 1e-6 of what an agent moves.
+    """
+    states = [x]
+    for k in range(u.shape[-2]):
+        held, x, s = u[..., k, :], states[-1], t + k * h
+        k1 = model.rate(s, x, held)
+        k2 = model.rate(s + h / 2, x + h / 2 * k1, held)
+        k3 = model.rate(s + h / 2, x + h / 2 * k2, held)
+        k4 = model.rate(s + h, x + h * k3, held)
+        states.append(x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
+    return np.stack(states, axis=-2)
