@@ -69,7 +69,7 @@ def _axes_at(orbit: Orbit, t: Times) -> _Axes:
     return _known_axes(orbit, times.tobytes(), times.shape)
 
 
-@lru_cache(maxsize=64)  # agents linearize about their own trajectories at the same times
+@lru_cache(maxsize=512)  # agents linearize and drift along their own trajectories at the same times
 def _known_axes(orbit: Orbit, times: bytes, shape: tuple[int, ...]) -> _Axes:
     axes = _compute_axes(orbit, np.frombuffer(times).reshape(shape))
     for part in axes:

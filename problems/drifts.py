@@ -17,7 +17,7 @@ from numpy import ndarray as Array
 
 from dynamics.discretize import DiscreteModel
 from dynamics.model import ControlSamples, StateSamples
-from dynamics.trajectory_geometry import divide_pieces, division_matrices
+from dynamics.trajectory_geometry import divide_pieces, division_matrices, hull_distance
 from problems.convexify import (
     AvoidanceHorizon,
     PassingSide,
@@ -244,14 +244,19 @@ class DriftHorizon:
         u: ControlSamples,
         side: PassingSide,
     ) -> HalfSpaces:
-        required = PLANNED_FACTOR * self.distance
         points = divide_pieces(relative, PARTS)
         normal = np.empty((*points.shape[:2], points.shape[-1]))
-        for run in _list_runs(encounters, self.step, self.piece):
+        required = np.empty(len(points))
+        for run in _list_runs(encounters, self.step):
             each = points[run].reshape(1, -1, *points.shape[2:])
-            normal[run] = choose_normals(each, required, side).reshape(normal[run].shape)
+            # What is kept already is enough: at the last steps hardly anything can change it.
+            least = float(hull_distance(each)[0].min())
+            kept = least >= KEPT_FACTOR * self.distance
+            required[run] = min(PLANNED_FACTOR * self.distance, least if kept else np.inf)
+            normal[run] = choose_normals(each, required[run[0]], side).reshape(normal[run].shape)
         movable = step < len(u)
         step, normal, points, P = step[movable], normal[movable], points[movable], P[movable]
+        required = required[movable, None, None]
         weights = division_matrices(PARTS)[:, :, :, None] * normal[:, :, None, None]
         on_x = np.einsum("rsijd,rjdn->rsin", weights, P)
         rhs = required - np.einsum("rsd,rsid->rsi", normal, points)
@@ -278,7 +283,7 @@ def _join(first: Array, last: Array, length: Float[Array, " pieces"], d: int) ->
 
 
 def _list_runs(
-    encounters: Encounters, step: Int[Array, " drifts"], piece: Int[Array, " drifts"]
+    encounters: Encounters, step: Int[Array, " drifts"]
 ) -> list[Int[Array, " rows"]]:
     """Group encounters that follow each other along one drift."""
     other, drift = encounters

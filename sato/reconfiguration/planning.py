@@ -15,7 +15,7 @@ from problems.transfer import Trajectory
 from sato.reconfiguration.free_motion import simulate
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
-from sato.reconfiguration.passive_safety import list_arrivals, look_ahead, make_passive
+from sato.reconfiguration.passive_safety import look_ahead
 from sato.reconfiguration.plan import Plan, Plans, compute_spent, is_held, remaining_controls
 from sato.reconfiguration.relaxation import list_relaxations
 from sato.reconfiguration.solo_trajectories import relinearize, solve_solo_trajectories
@@ -25,6 +25,7 @@ from sato.scp.halfway import meet_halfway
 from sato.scp.routes import go_around
 
 MAX_PIECES = 12  # of the trajectory within a step
+FINE_STEPS = 4  # of the integration of a plan that is flown on, in a step
 
 
 def plan_trajectories(
@@ -162,8 +163,7 @@ def plan_alone(
         T: make_horizon(mission, context.time, T, leg)
         for T in set(ahead[context.graph.alive].tolist())
     }
-    looks = {T: look_ahead(context, T) for T in horizons}
-    arrivals = {T: own and list_arrivals(context, own) for T, own in looks.items()}
+    drifting = look_ahead(context, np.minimum(heard_clock, memory.clock))
     planners: dict[int, Planner] = {}
     unreachable: list[int] = []
     solve_count, around = 0, context.surroundings
@@ -206,8 +206,8 @@ def plan_alone(
             )
             if obstacles is not None and rest is None:
                 planner = go_around(planner)
-            if (look := looks[int(ahead[i])]) is not None:
-                passive = make_passive(context, i, look, arrivals[int(ahead[i])])
+            if drifting is not None:
+                passive = drifting[int(context.graph.component[i])].knowledge_of(context, i)
                 planner = planner._replace(passive=passive, in_turn=True)
                 prior = solo if rest is None else _fly_on(context, i, rest)
                 planner = planner.with_nominal(prior)
@@ -223,8 +223,9 @@ def plan_alone(
 
 def _fly_on(context: DecisionContext, agent: int, u: Float[Array, "T m"]) -> Trajectory:
     """Return the trajectory of an agent along the rest of its plan."""
-    mission = context.mission
-    x = simulate(mission, context.state[agent], u, context.time, mission.step)
+    mission, fine = context.mission, np.repeat(u, FINE_STEPS, axis=0)
+    h = mission.step / FINE_STEPS
+    x = simulate(mission, context.state[agent], fine, context.time, h)[::FINE_STEPS]
     return Trajectory(x, u, float(compute_spent(mission, u)))
 
 

@@ -43,6 +43,9 @@ RELAXATION_ORDER: tuple[tuple[Relaxation, convexify.PassingSide, bool], ...] = (
 )
 FEASIBILITY_TOLERANCE = 1e-6  # of R: smaller violations and terminal errors count as none
 RELAXATIONS_IN_TURN = (RELAXATION_ORDER[0], RELAXATION_ORDER[2])  # where all can wait
+RELAXATIONS_ADRIFT: tuple[tuple[Relaxation, convexify.PassingSide, bool], ...] = (
+    ("half-spaces", "same", False),
+)
 MAX_SOLVES_IN_TURN = 4
 MAX_SOLVES = 20  # programs, after which an agent stops improving (Proposition 4 keeps it safe)
 
@@ -275,7 +278,9 @@ def _solve_avoidance(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Pl
             min(feasible, key=lambda result: agent.transfer.cost(result.trajectory))
         )
     relaxations = RELAXATIONS_IN_TURN if agent.in_turn else RELAXATION_ORDER
-    for relaxation, side, stops in relaxations if agent.passive is None else ():
+    if agent.passive is not None:  # the next iteration begins nearer to what is asked
+        relaxations = RELAXATIONS_ADRIFT
+    for relaxation, side, stops in relaxations:
         agent = agent._replace(solve_count=agent.solve_count + 1)
         if stops:  # come to rest where it is, as nearly as it can
             start, d = agent.nominal.x[0], nominal.shape[-1]
