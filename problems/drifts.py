@@ -9,7 +9,7 @@ half-spaces on states, as those of paths do.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -41,6 +41,10 @@ class Drifts(NamedTuple):
 
     path: Float[Array, "*agents pieces 4 d"]  # control points of the plan and of what follows [m]
     drifts: Float[Array, "*agents drifts 4 d"]  # of all pieces of all drifts [m]
+
+    def take(self, rows: Any) -> "Drifts":
+        """Return those of some agents, by index."""
+        return Drifts(*(part[rows] for part in self))
 
 
 class Encounters(NamedTuple):
@@ -282,9 +286,7 @@ def _join(first: Array, last: Array, length: Float[Array, " pieces"], d: int) ->
     return np.stack([first[..., p], *inner, last[..., p]], axis=-2)
 
 
-def _list_runs(
-    encounters: Encounters, step: Int[Array, " drifts"]
-) -> list[Int[Array, " rows"]]:
+def _list_runs(encounters: Encounters, step: Int[Array, " drifts"]) -> list[Int[Array, " rows"]]:
     """Group encounters that follow each other along one drift."""
     other, drift = encounters
     if not len(other):

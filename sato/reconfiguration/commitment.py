@@ -76,6 +76,8 @@ def list_pairs(
     """
     i, j = np.nonzero(np.triu(graph.adjacency[np.ix_(offers.agents, offers.agents)]))
     radius = (offers.clearance[i] + offers.clearance[j]) / 2
+    if offers.drifts is not None:  # they may meet far away
+        return i, j, radius
     # Most pairs are too far apart.
     middle, extent = convexify.enclosing_balls(offers.paths)
     near = np.linalg.norm(middle[i] - middle[j], axis=1) < extent[i] + extent[j] + radius
@@ -91,7 +93,8 @@ def are_clear(
 ) -> Bool[Array, " pairs"]:
     """Find the pairs whose choices are clear of each other."""
     paths = offers.paths[np.arange(len(choice)), choice]
-    return convexify.are_paths_separated(paths, i, j, radius)
+    clear = convexify.are_paths_separated(paths, i, j, radius)
+    return clear if offers.drifts is None else clear & offers.drifts.are_safe(choice, i, j)
 
 
 def next_choice(is_allowed: Bool[Array, " choices"], choice: int) -> int:

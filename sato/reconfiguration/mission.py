@@ -322,6 +322,11 @@ class Reconfiguration(PlannedLimits, Mission):
         return WHOLE_LEG if self.keeps_plans or not self.is_point_mass else 0
 
     @property
+    def is_passively_safe(self) -> bool:
+        """True where drifts after a loss of thrust keep a distance."""
+        return self.passive_safety is not None
+
+    @property
     def keeps_plans(self) -> bool:
         """True where plans that are clear to their ends are flown to their ends.
 

@@ -8,6 +8,7 @@ from numpy import ndarray as Array
 
 from problems.convexify import AvoidanceHorizon
 from problems.obstacle_paths import is_path_clear
+from sato.reconfiguration.passive_safety import OfferedDrifts
 from sato.reconfiguration.plan import Plan, Plans
 from sato.reconfiguration.state import DecisionContext
 from sato.reconfiguration.stopping import (
@@ -37,6 +38,7 @@ class Offers(NamedTuple):
     paths: Float[Array, "agents choices pieces 4 d"]
     is_allowed: Bool[Array, "agents choices"]
     clearance: Float[Array, " agents"]  # that two of each kind keep [m]
+    drifts: OfferedDrifts | None = None  # where agents are to be passively safe
 
     @property
     def last(self) -> int:

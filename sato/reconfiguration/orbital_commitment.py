@@ -18,6 +18,7 @@ from numpy import ndarray as Array
 
 from dynamics.trajectory_geometry import control_points
 from problems.convexify import AvoidanceHorizon
+from problems.drifts import Drifts
 from problems.obstacle_paths import ObstaclePaths, are_pieces_clear
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.commitment import (
@@ -29,6 +30,7 @@ from sato.reconfiguration.commitment import (
 )
 from sato.reconfiguration.free_motion import free_motion, simulate
 from sato.reconfiguration.offers import Offers
+from sato.reconfiguration.passive_safety import offer_drifts
 from sato.reconfiguration.plan import Plan, Plans
 from sato.reconfiguration.planning import divide_horizon
 from sato.reconfiguration.state import DecisionContext
@@ -80,6 +82,7 @@ def make_orbital_offers(
         paths=paths,
         is_allowed=_avoid_obstacles(context, horizon, agents, paths, (count, h)),
         clearance=mission.own_clearances(horizon.clearance, agents),
+        drifts=offer_drifts(context, steps, x, u),
     )
 
 
@@ -183,8 +186,13 @@ def fly_plans(
 
 def give_up_unclear(offers: Offers, is_unclear: Bool[Array, " agents"]) -> Offers:
     """Let agents whose committed trajectories are not clear of others offer their plans alone."""
-    u, paths = offers.u.copy(), offers.paths.copy()
-    u[is_unclear, 1], paths[is_unclear, 1] = u[is_unclear, 0], paths[is_unclear, 0]
+    drifts = offers.drifts and offers.drifts.drifts
+    parts = [part.copy() for part in (offers.u, offers.paths, *(drifts or ()))]
+    for part in parts:
+        part[is_unclear, 1] = part[is_unclear, 0]
+    u, paths, *own = parts
+    if offers.drifts is not None:
+        offers = offers._replace(drifts=offers.drifts._replace(drifts=Drifts(*own)))
     return offers._replace(u=u, paths=paths)
 
 
@@ -210,6 +218,7 @@ def commit_in_orbit(
     """
     done: Commitments = {}
     flown = dict(plans)
+    graph = context.graph.relayed if context.mission.is_passively_safe else context.graph
     kept: list[int] = []
     heard = -context.graph.component_max(-clocks)
     agents = np.array(list(plans), dtype=int)
@@ -220,9 +229,9 @@ def commit_in_orbit(
             done |= {i: Commitment(context.instant, plan.trajectory.u) for i, plan in own.items()}
             continue
         offers = make_orbital_offers(context, own, committed, int(heard[members[0]]))
-        choice, keeps = choose_in_orbit(offers, context.graph, rank_of(offers, own))
+        choice, keeps = choose_in_orbit(offers, graph, rank_of(offers, own))
         if context.instant == 0:
-            check_start(offers, choice, context.graph)
+            check_start(offers, choice, graph)
         u = offers.u[np.arange(len(members)), choice]
         done |= {i: Commitment(context.instant, u[a]) for a, i in enumerate(members)}
         kept += offers.agents[keeps].tolist()

@@ -11,12 +11,10 @@ from dynamics.discretize import discretize_zoh
 from dynamics.trajectory_geometry import interpolation_error
 from problems.convexify import AvoidanceHorizon
 from problems.obstacle_paths import is_path_clear
-from problems.transfer import Trajectory
-from sato.reconfiguration.free_motion import simulate
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
-from sato.reconfiguration.passive_safety import look_ahead
-from sato.reconfiguration.plan import Plan, Plans, compute_spent, is_held, remaining_controls
+from sato.reconfiguration.passive_safety import begin_passively_safe
+from sato.reconfiguration.plan import Plan, Plans, is_held, remaining_controls
 from sato.reconfiguration.relaxation import list_relaxations
 from sato.reconfiguration.solo_trajectories import relinearize, solve_solo_trajectories
 from sato.reconfiguration.state import DecisionContext, Event
@@ -25,7 +23,6 @@ from sato.scp.halfway import meet_halfway
 from sato.scp.routes import go_around
 
 MAX_PIECES = 12  # of the trajectory within a step
-FINE_STEPS = 4  # of the integration of a plan that is flown on, in a step
 
 
 def plan_trajectories(
@@ -45,7 +42,7 @@ def plan_trajectories(
         clocks: Clock of each agent before it decided; that of its memory by default.
     """
     mission, graph = context.mission, context.graph
-    if mission.passive_safety is not None:
+    if mission.is_passively_safe:
         graph = graph.relayed
     heard = -graph.component_max(-(context.memory.clock if clocks is None else clocks))
     planners, unreachable, solo_count = plan_alone(context, spent, previous, heard)
@@ -163,7 +160,6 @@ def plan_alone(
         T: make_horizon(mission, context.time, T, leg)
         for T in set(ahead[context.graph.alive].tolist())
     }
-    drifting = look_ahead(context, np.minimum(heard_clock, memory.clock))
     planners: dict[int, Planner] = {}
     unreachable: list[int] = []
     solve_count, around = 0, context.surroundings
@@ -206,27 +202,16 @@ def plan_alone(
             )
             if obstacles is not None and rest is None:
                 planner = go_around(planner)
-            if drifting is not None:
-                passive = drifting[int(context.graph.component[i])].knowledge_of(context, i)
-                planner = planner._replace(passive=passive, in_turn=True)
-                prior = solo if rest is None else _fly_on(context, i, rest)
-                planner = planner.with_nominal(prior)
-                planner = planner._replace(has_converged=planner.reaches_target(prior))
-            elif rest is not None and not mission.keeps_plans:
+            if rest is not None and not (mission.keeps_plans or mission.is_passively_safe):
                 # Begin with the previous plan, where it kept clear of an agent by another way.
                 prior = transfer.simulate(solo.x[0], rest)
                 if np.abs(prior.x - solo.x).max() > relative * clearance:
                     planner = planner.with_nominal(prior)._replace(has_converged=False)
             planners[i] = planner
+    if mission.is_passively_safe:
+        clocks = np.minimum(heard_clock, memory.clock)
+        planners = begin_passively_safe(context, planners, previous, clocks)
     return planners, unreachable, solve_count
-
-
-def _fly_on(context: DecisionContext, agent: int, u: Float[Array, "T m"]) -> Trajectory:
-    """Return the trajectory of an agent along the rest of its plan."""
-    mission, fine = context.mission, np.repeat(u, FINE_STEPS, axis=0)
-    h = mission.step / FINE_STEPS
-    x = simulate(mission, context.state[agent], fine, context.time, h)[::FINE_STEPS]
-    return Trajectory(x, u, float(compute_spent(mission, u)))
 
 
 def _priority_class(context: DecisionContext, i: int, previous: Plans) -> float:

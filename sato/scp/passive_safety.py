@@ -23,9 +23,9 @@ class PassiveSafety(NamedTuple):
     nominal: Trajectory | None = None
     own: Drifts | None = None
 
-    def follow(self, nominal: Trajectory) -> "PassiveSafety":
-        """Return the same about another nominal."""
-        own = self.horizon.follow(nominal.x, nominal.u)
+    def follow(self, nominal: Trajectory, known: Drifts | None = None) -> "PassiveSafety":
+        """Return the same about another nominal, whose drifts may be known."""
+        own = known or self.horizon.follow(nominal.x, nominal.u)
         return self._replace(nominal=nominal, own=own)
 
     def is_safe(self, others: Mapping[int, Drifts]) -> bool:

@@ -125,12 +125,12 @@ class Planner(NamedTuple):
         """This planner with equal weights of all steps."""
         return self._replace(transfer=replace(self.transfer, tie_break_rise=0.0))
 
-    def with_nominal(self, trajectory: Trajectory) -> "Planner":
-        """Replace the nominal and its control points."""
+    def with_nominal(self, trajectory: Trajectory, drifts: Drifts | None = None) -> "Planner":
+        """Replace the nominal, its control points and its drifts, which may be known."""
         return self._replace(
             nominal=trajectory,
             control_points=self.horizon.control_points(trajectory.x, trajectory.u),
-            passive=self.passive and self.passive.follow(trajectory),
+            passive=self.passive and self.passive.follow(trajectory, drifts),
         )
 
     def with_result(self, result: AvoidanceResult) -> "Planner":
