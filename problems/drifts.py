@@ -78,8 +78,10 @@ class DriftHorizon:
 
     @cached_property
     def begins(self) -> Float[Array, " pieces"]:
-        """Time at which each piece begins, after the plan does [s]."""
-        return np.append(0.0, np.cumsum(self.lengths)[:-1])
+        """Time at which each piece begins [s]; after the plan the same whenever it is made."""
+        T, dt = self.steps.steps, self.steps.discrete_model.dt
+        later = (self.time + T * dt) + np.arange(len(self.later)) * self.later.dt
+        return np.append(self.time + np.arange(T) * dt, later)
 
     @property
     def step(self) -> Int[Array, " drifts"]:
@@ -94,7 +96,7 @@ class DriftHorizon:
     @cached_property
     def _pieces(self) -> tuple[Int[Array, " drifts"], Int[Array, " drifts"]]:
         k, begins = np.arange(self.steps.steps)[:, None], self.begins
-        ends = k * self.steps.discrete_model.dt + self.duration
+        ends = self.time + k * self.steps.discrete_model.dt + self.duration
         # No control can change the drift from the first state; from the last the plan follows it.
         is_drift = (k > 0) & (np.arange(len(begins)) >= k) & (begins < ends)
         step, piece = np.nonzero(is_drift)
@@ -124,7 +126,7 @@ class DriftHorizon:
                 moving = np.concatenate([moving, own[..., None, :]], axis=-2)
             count = moving.shape[-2]
             begin[..., :count, p, :] = moving
-            moving = self.move(moving, self.time + t, h)
+            moving = self.move(moving, t, h)
             end[..., :count, p, :] = moving
         k, p = self.step, self.piece
         drifts = _join(begin[..., k, p, :], end[..., k, p, :], self.lengths[p], d)
