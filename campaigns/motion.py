@@ -77,6 +77,18 @@ class Motion(NamedTuple):
         moved = np.einsum("sab,kvb->ksva", free, state)
         return moved + np.einsum("sab,kvb->ksva", held, applied)
 
+    def drift(self, state: Array, times: Array, first: int = 0) -> Array:
+        """Return free motion from recorded states at some times: steps, times, vehicles, 6.
+
+        Args:
+            state: Steps, vehicles, 6.
+            times: After each instant, from 0 on [s].
+            first: Number of the first step.
+        """
+        if self.chief is not None:
+            return self._integrate(state, np.zeros_like(state[..., :3]), times, first)[0]
+        return np.einsum("sab,kvb->ksva", transition_matrices(self.rate, times), state)
+
     def chief_error(self) -> float:
         """Return the largest error of the chief's recorded orbit from instant to instant [m]."""
         if self.chief is None:
