@@ -117,24 +117,32 @@ class DriftHorizon:
             x: States; after the last one vehicles move freely.
             u: Controls.
         """
-        T, (n, d) = self.steps.steps, (x.shape[-1], u.shape[-1])
-        begin = np.zeros((*x.shape[:-2], T + 1, len(self.lengths), n))
-        end, moving = np.zeros_like(begin), x[..., :0, :]
-        for p, (t, h) in enumerate(zip(self.begins, self.lengths, strict=True)):
-            if p <= T:
-                own = x[..., p, :] if p < x.shape[-2] else moving[..., -1, :]
-                moving = np.concatenate([moving, own[..., None, :]], axis=-2)
-            count = moving.shape[-2]
-            begin[..., :count, p, :] = moving
-            moving = self.move(moving, t, h)
-            end[..., :count, p, :] = moving
+        d, pieces = u.shape[-1], np.arange(len(self.lengths))
+        begin, end = self._move(x)
         k, p = self.step, self.piece
         drifts = _join(begin[..., k, p, :], end[..., k, p, :], self.lengths[p], d)
-        p = np.arange(len(self.lengths))
-        k, count = np.minimum(p, T), min(T, u.shape[-2])
-        first, last = begin[..., k, p, :], end[..., k, p, :]
-        last[..., :count, :] = x[..., 1 : count + 1, :]
-        return Drifts(_join(first, last, self.lengths, d), drifts)
+        last = np.minimum(pieces, self.steps.steps)  # from which step on the plan moves freely
+        first, after = begin[..., last, pieces, :], end[..., last, pieces, :]
+        count = min(self.steps.steps, u.shape[-2])
+        after[..., :count, :] = x[..., 1 : count + 1, :]
+        return Drifts(_join(first, after, self.lengths, d), drifts)
+
+    def _move(
+        self, x: StateSamples
+    ) -> tuple[Float[Array, "*agents steps pieces n"], Float[Array, "*agents steps pieces n"]]:
+        """Return the states at which pieces of free motion from each state begin, and end."""
+        T, n = self.steps.steps, x.shape[-1]
+        begin = np.zeros((*x.shape[:-2], T + 1, len(self.lengths), n))
+        end, moving = np.zeros_like(begin), x[..., :0, :]
+        for piece, (t, h) in enumerate(zip(self.begins, self.lengths, strict=True)):
+            if piece <= T:
+                own = x[..., piece, :] if piece < x.shape[-2] else moving[..., -1, :]
+                moving = np.concatenate([moving, own[..., None, :]], axis=-2)
+            count = moving.shape[-2]
+            begin[..., :count, piece, :] = moving
+            moving = self.move(moving, t, h)
+            end[..., :count, piece, :] = moving
+        return begin, end
 
     def predict(
         self, own: Drifts, nominal: StateSamples, x: StateSamples, u: ControlSamples
@@ -184,12 +192,17 @@ class DriftHorizon:
             self._find_near(following, np.broadcast_to(is_planned, following.shape[:2]), factor),
         )
 
+    def find_drifting(self, own: Drifts, paths: Paths) -> Encounters:
+        """Find where a vehicle drifts nearer to whole paths than the distance that is kept."""
+        relative = own.drifts - paths[:, self.piece]
+        return self._find_near(relative, np.ones(relative.shape[:2], dtype=bool), KEPT_FACTOR)
+
     def _relative_drifts(
         self, own: Drifts, others: Drifts, later: Paths
     ) -> Float[Array, "all drifts 4 d"]:
         before = np.zeros((len(later), self.steps.steps, *later.shape[2:]))
         paths = np.concatenate([others.path, np.concatenate([before, later], axis=1)])
-        return own.drifts - paths[:, self.piece]
+        return np.asarray(own.drifts - paths[:, self.piece])
 
     def _find_near(self, relative: Array, is_asked: Array, factor: float) -> Encounters:
         radius = factor * self.distance

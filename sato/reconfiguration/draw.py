@@ -8,7 +8,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.propagation import Impact
-from sato.reconfiguration import feasibility, first_commitment, reach
+from sato.reconfiguration import feasibility, first_commitment, passive_requirements, reach
 from sato.reconfiguration.allowed_places import check_margin_to_obstacles
 from sato.reconfiguration.departure import Departure, count_wanted, depart
 from sato.reconfiguration.leg import Leg, states_of
@@ -58,6 +58,7 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
     first_commitment.check_reach(drawn)
     first_commitment.find_first_commitments(drawn)
     first_commitment.check_room(drawn)
+    passive_requirements.check_targets(drawn)
     return drawn
 
 

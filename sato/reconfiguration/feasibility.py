@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sato.reconfiguration import passive_requirements
 from sato.reconfiguration.leg import Join, Leg, Loss
 from sato.scenario.definition import is_auto
 from sato.scenario.errors import InputError, closest_name, join_names, round_down, round_up
@@ -28,6 +29,7 @@ def check(mission: "Reconfiguration") -> None:
     _check_detectable(mission)
     _check_axes(mission)
     _check_surroundings(mission)
+    passive_requirements.check(mission)
     _check_legs(mission)
 
 

@@ -282,8 +282,10 @@ class Reconfiguration(PlannedLimits, Mission):
 
     def warnings(self) -> list[str]:
         """List doubts about a drawn mission, a sentence each."""
-        from sato.reconfiguration import tolerances
+        from sato.reconfiguration import passive_requirements, tolerances
 
+        if self.is_passively_safe:  # in which case it flies as it plans
+            return passive_requirements.list_doubts(self)
         if self.tracking is not None:
             return tolerances.tracking_doubts(self)
         if self.chief is None or self.nonlinear_model is not None or self.flies_model:
@@ -316,8 +318,11 @@ class Reconfiguration(PlannedLimits, Mission):
 
     @property
     def foresight(self) -> int:
-        """Steps that avoidance looks ahead among agents in hearing, but no farther than the leg."""
-        if self.foresight_steps is not None:
+        """Steps that avoidance looks ahead among agents in hearing, but no farther than the leg.
+
+        Where drifts keep a distance from the plans of others, these go to the end of the leg.
+        """
+        if self.foresight_steps is not None and not self.is_passively_safe:
             return self.foresight_steps
         return WHOLE_LEG if self.keeps_plans or not self.is_point_mass else 0
 

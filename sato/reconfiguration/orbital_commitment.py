@@ -278,6 +278,14 @@ def check_start(offers: Offers, choice: Int[Array, " agents"], graph: Communicat
     """
     i, j, radius = list_pairs(offers, graph)
     met = np.flatnonzero(~are_clear(offers, choice, i, j, radius))
+    if len(met) and offers.drifts is not None:
+        k, distance = met[0], offers.drifts.distance
+        raise InputError(
+            "plan.passive_safety_m",
+            f"agents {offers.agents[i[k]]} and {offers.agents[j[k]]} find no plans from every step "
+            f"of which they drift {distance:g} m apart; a smaller distance, a shorter "
+            "passive_safety_min, other starts or more leg.steps would do",
+        )
     if len(met):
         k = met[0]
         raise InputError(

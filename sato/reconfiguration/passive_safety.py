@@ -11,9 +11,10 @@ from dynamics.discretize import discretize_zoh
 from dynamics.model import StateSamples
 from dynamics.trajectory_geometry import control_points
 from problems.convexify import AvoidanceHorizon
-from problems.drifts import KEPT_FACTOR, DriftHorizon, Drifts
+from problems.drifts import DriftHorizon, Drifts
 from problems.transfer import Trajectory
 from sato.reconfiguration.free_motion import FREE_ORBITS, simulate
+from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.plan import Plans, compute_spent, remaining_controls
 from sato.reconfiguration.state import DecisionContext
@@ -32,31 +33,46 @@ class DriftOutlook(NamedTuple):
     horizon: DriftHorizon
     arrivals: Float[Array, "targets later 4 d"]  # control points of free motion from targets [m]
 
-    def knowledge_of(self, context: DecisionContext, agent: int) -> PassiveSafety:
-        """Return what an agent knows of the others in its network: the targets they claim."""
+    def begin(
+        self, context: DecisionContext, planner: Planner, nominal: Trajectory, own: Drifts
+    ) -> Planner:
+        """Let an agent begin with a nominal; of others in its network it knows the targets."""
+        agent = planner.priority[2]
         graph, target = context.graph, context.memory.target_index
         network = np.flatnonzero(graph.alive & (graph.component == graph.component[agent]))
         others = [j for j in network.tolist() if j != agent and target[j] >= 0]
-        return PassiveSafety(self.horizon, {j: self.arrivals[target[j]] for j in others})
+        arrivals = {j: self.arrivals[target[j]] for j in others}
+        return planner._replace(
+            nominal=nominal,
+            control_points=planner.horizon.control_points(nominal.x, nominal.u),
+            passive=PassiveSafety(self.horizon, arrivals, nominal, own),
+            in_turn=True,
+            has_converged=planner.reaches_target(nominal),
+        )
 
 
 class OfferedDrifts(NamedTuple):
     """Drifts of the trajectories that agents may commit to."""
 
     horizon: DriftHorizon
-    drifts: Drifts  # of agents and choices
+    drifts: Drifts  # of each agent and choice
+
+    @property
+    def distance(self) -> float:
+        """Distance that is asked for [m]."""
+        return self.horizon.distance - DRIFT_ERROR
 
     def are_safe(
         self, choice: Int[Array, " agents"], i: Int[Array, " pairs"], j: Int[Array, " pairs"]
     ) -> Bool[Array, " pairs"]:
         """Find the pairs whose choices keep clear of each other's drifts."""
         own = self.drifts.take((np.arange(len(choice)), choice))
-        none = own.path[:0, self.horizon.steps.steps :]
-        found = [
-            self.horizon.find_encounters(own.take(a), own.take([b]), none, KEPT_FACTOR)
-            for a, b in zip(i.tolist(), j.tolist(), strict=True)
-        ]
-        return np.array([not any(len(each.drift) for each in both) for both in found], dtype=bool)
+        pairs = zip(i.tolist(), j.tolist(), strict=True)
+        return np.array([self._is_safe(own, a, b) for a, b in pairs], dtype=bool)
+
+    def _is_safe(self, own: Drifts, a: int, b: int) -> bool:
+        near = (self.horizon.find_drifting(own.take(n), own.path[[m]]) for n, m in ((a, b), (b, a)))
+        return not any(len(each.drift) for each in near)
 
 
 def offer_drifts(
@@ -85,28 +101,24 @@ def begin_passively_safe(
     """
     graph, steps = context.graph, context.leg.steps
     left = graph.component_max(steps - clocks)
-    outlooks = {T: _look_ahead(context, T) for T in {int(left[i]) for i in planners}}
-    own = previous, context.memory, context.step_index, steps
-    rests = {i: remaining_controls(own[0], i, *own[1:]) for i in planners}
-    u = {i: own.solo.u if rests[i] is None else rests[i] for i, own in planners.items()}
+    lengths = {int(left[i]) for i in planners}
+    own = context.mission, context.leg, context.time
+    outlooks = {T: DriftOutlook(*follow_targets(*own, T)) for T in lengths}
     alike = dict[tuple[int, int, bool], list[int]]()
-    for i in planners:
-        alike.setdefault((int(left[i]), len(u[i]), rests[i] is None), []).append(i)
+    controls = dict[int, Float[Array, "T m"]]()
+    for i, planner in planners.items():
+        rest = remaining_controls(previous, i, context.memory, context.step_index, steps)
+        controls[i] = planner.solo.u if rest is None else rest
+        alike.setdefault((int(left[i]), len(controls[i]), rest is None), []).append(i)
     begun = dict[int, Planner]()
     for (T, _, is_new), agents in alike.items():  # at once: it is one integration
-        controls = np.stack([u[i] for i in agents])
+        u = np.stack([controls[i] for i in agents])
         x = np.stack([planners[i].solo.x for i in agents])
-        x = x if is_new else _fly_on(context, agents, controls)
-        followed = outlooks[T].horizon.follow(x, controls)
-        fuel = compute_spent(context.mission, controls)
+        x = x if is_new else _fly_on(context, agents, u)
+        followed = outlooks[T].horizon.follow(x, u)
         for row, i in enumerate(agents):
-            nominal = Trajectory(x[row], controls[row], float(fuel[row]))
-            planner = planners[i]._replace(
-                passive=outlooks[T].knowledge_of(context, i),
-                in_turn=True,
-                has_converged=planners[i].reaches_target(nominal),
-            )
-            begun[i] = planner.with_nominal(nominal, followed.take(row))
+            nominal = Trajectory(x[row], u[row], float(compute_spent(context.mission, u[row])))
+            begun[i] = outlooks[T].begin(context, planners[i], nominal, followed.take(row))
     return {i: begun[i] for i in planners}
 
 
@@ -119,13 +131,15 @@ def _fly_on(
     return simulate(mission, context.state[agents], fine, context.time, h)[:, ::FINE_STEPS]
 
 
-def _look_ahead(context: DecisionContext, steps: int) -> DriftOutlook:
-    mission, d = context.mission, context.mission.axes
-    horizon = make_horizon(mission, context.time, steps)
-    h, begin = horizon.later.dt, context.time + steps * mission.step
-    rest = np.zeros((len(context.leg.targets), len(horizon.later), d))
-    states = simulate(mission, context.leg.targets, rest, begin, h)
-    return DriftOutlook(horizon, control_points(states[..., :d], states[..., d:], h))
+def follow_targets(
+    mission: Reconfiguration, leg: Leg, time: float, steps: int
+) -> tuple[DriftHorizon, Float[Array, "targets later 4 d"]]:
+    """Return over what time drifts are looked at, and the free motion of all targets then."""
+    horizon, d = make_horizon(mission, time, steps), mission.axes
+    h, begin = horizon.later.dt, time + steps * mission.step
+    rest = np.zeros((len(leg.targets), len(horizon.later), d))
+    states = simulate(mission, leg.targets, rest, begin, h)
+    return horizon, control_points(states[..., :d], states[..., d:], h)
 
 
 def make_horizon(mission: Reconfiguration, time: float, steps: int) -> DriftHorizon:

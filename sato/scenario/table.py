@@ -147,7 +147,7 @@ def unknown_key(address: str, known: Collection[str]) -> InputError:
     if renamed in {name.rsplit(".", 1)[-1] for name in known}:
         return InputError(address, f"is now called {renamed}")
     base, unit = split_unit(address)
-    similar = {split_unit(name)[0]: name for name in known if name != address}
+    similar = {split_unit(name)[0]: name for name in reversed([*known]) if name != address}
     if base in similar:
         fault = "has no unit" if unit is None else "has the wrong unit"
         return InputError(address, f"{fault}; write {similar[base].rsplit('.', 1)[-1]}")

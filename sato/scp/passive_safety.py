@@ -12,21 +12,18 @@ from problems.drifts import KEPT_FACTOR, NEARBY_FACTOR, DriftHorizon, Drifts, En
 from problems.half_spaces import HalfSpaces
 from problems.transfer import Trajectory
 
-BothEncounters = tuple[Encounters, Encounters]  # in its own drifts, and in those of others
-
 
 class PassiveSafety(NamedTuple):
     """Drifts of an agent, and what it knows of the others: where they move freely in the end."""
 
     horizon: DriftHorizon
     arrivals: Mapping[int, Float[Array, "later 4 d"]]  # by number, all others
-    nominal: Trajectory | None = None
-    own: Drifts | None = None
+    nominal: Trajectory
+    own: Drifts  # along the nominal
 
-    def follow(self, nominal: Trajectory, known: Drifts | None = None) -> "PassiveSafety":
-        """Return the same about another nominal, whose drifts may be known."""
-        own = known or self.horizon.follow(nominal.x, nominal.u)
-        return self._replace(nominal=nominal, own=own)
+    def follow(self, nominal: Trajectory) -> "PassiveSafety":
+        """Return the same about another nominal."""
+        return self._replace(nominal=nominal, own=self.horizon.follow(nominal.x, nominal.u))
 
     def is_safe(self, others: Mapping[int, Drifts]) -> bool:
         """Tell whether all drifts keep the distance, and the plan from the drifts of others.
@@ -34,43 +31,52 @@ class PassiveSafety(NamedTuple):
         Args:
             others: Drifts of those that it must avoid, by number; the rest avoid it.
         """
-        found = self._find(self.own, others, KEPT_FACTOR)
-        return not any(len(each.drift) for each in found)
+        return self.find_conflicts(others, KEPT_FACTOR).size == 0
 
-    def find_encounters(self, others: Mapping[int, Drifts]) -> BothEncounters:
-        """Find where half-spaces are needed at first."""
-        return self._find(self.own, others, NEARBY_FACTOR)
-
-    def find_new(
-        self, others: Mapping[int, Drifts], found: Trajectory, known: BothEncounters
-    ) -> BothEncounters | None:
-        """Add the encounters of a solution; None where there are no new ones."""
-        assert self.own is not None and self.nominal is not None
-        own = self.horizon.predict(self.own, self.nominal.x, found.x, found.u)
-        more = self._find(own, others, KEPT_FACTOR)
-        joined = known[0].join(more[0]), known[1].join(more[1])
-        is_new = any(len(a.drift) > len(b.drift) for a, b in zip(joined, known, strict=True))
-        return joined if is_new else None
-
-    def constrain(
-        self, others: Mapping[int, Drifts], encounters: BothEncounters, side: PassingSide
-    ) -> HalfSpaces:
-        """Constrain the plan in encounters."""
-        assert self.own is not None and self.nominal is not None
-        x, u = self.nominal[:2]
-        return self.horizon.constrain(self.own, *self._stack(others), encounters, x, u, side)
-
-    def _find(
-        self, own: Drifts | None, others: Mapping[int, Drifts], factor: float
-    ) -> BothEncounters:
-        assert own is not None
-        return self.horizon.find_encounters(own, *self._stack(others), factor)
-
-    def _stack(self, others: Mapping[int, Drifts]) -> tuple[Drifts, Float[Array, "rest later 4 d"]]:
+    def find_conflicts(
+        self, others: Mapping[int, Drifts], factor: float = NEARBY_FACTOR
+    ) -> "DriftConflicts":
+        """Find where drifts are nearer than the distance, times a factor."""
         rest = [path for i, path in self.arrivals.items() if i not in others]
-        shape = len(self.horizon.later), 4, self.horizon.steps.discrete_model.axes
-        later = np.array(rest).reshape(len(rest), *shape)
-        path = np.array([each.path for each in others.values()])
-        drifts = np.array([each.drifts for each in others.values()])
-        paths = path.reshape(len(others), len(self.horizon.lengths), *shape[1:])
-        return Drifts(paths, drifts.reshape(len(others), len(self.horizon.step), *shape[1:])), later
+        each = list(others.values())
+        known = Drifts(
+            _stack(self.own.path, [one.path for one in each]),
+            _stack(self.own.drifts, [one.drifts for one in each]),
+        )
+        later = _stack(self.own.path[self.horizon.steps.steps :], rest)
+        found = self.horizon.find_encounters(self.own, known, later, factor)
+        return DriftConflicts(self, known, later, *found)
+
+
+class DriftConflicts(NamedTuple):
+    """Where an agent or others may drift too near, and half-spaces against it."""
+
+    agent: PassiveSafety
+    others: Drifts  # of those whose paths it knows
+    later: Float[Array, "rest later 4 d"]  # of those of which it knows only what follows
+    drifting: Encounters  # in its own drifts
+    following: Encounters  # of its plan, in the drifts of others
+
+    @property
+    def size(self) -> int:
+        """Number of encounters."""
+        return len(self.drifting.drift) + len(self.following.drift)
+
+    def with_solution(self, found: Trajectory) -> "DriftConflicts":
+        """Add the encounters of a solution."""
+        horizon, nominal = self.agent.horizon, self.agent.nominal
+        own = horizon.predict(self.agent.own, nominal.x, found.x, found.u)
+        more = horizon.find_encounters(own, self.others, self.later, KEPT_FACTOR)
+        drifting, following = self.drifting.join(more[0]), self.following.join(more[1])
+        return self._replace(drifting=drifting, following=following)
+
+    def constrain(self, side: PassingSide) -> HalfSpaces:
+        """Constrain the plan in all encounters, on a side of those that the nominal meets."""
+        own, nominal = self.agent.own, self.agent.nominal
+        known = self.others, self.later, (self.drifting, self.following)
+        return self.agent.horizon.constrain(own, *known, nominal.x, nominal.u, side)
+
+
+def _stack(like: Float[Array, "pieces 4 d"], each: list[Array]) -> Float[Array, "k pieces 4 d"]:
+    """Stack arrays of a shape, perhaps none."""
+    return np.array(each).reshape(-1, *like.shape)

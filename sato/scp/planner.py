@@ -125,12 +125,12 @@ class Planner(NamedTuple):
         """This planner with equal weights of all steps."""
         return self._replace(transfer=replace(self.transfer, tie_break_rise=0.0))
 
-    def with_nominal(self, trajectory: Trajectory, drifts: Drifts | None = None) -> "Planner":
-        """Replace the nominal, its control points and its drifts, which may be known."""
+    def with_nominal(self, trajectory: Trajectory) -> "Planner":
+        """Replace the nominal, its control points and its drifts."""
         return self._replace(
             nominal=trajectory,
             control_points=self.horizon.control_points(trajectory.x, trajectory.u),
-            passive=self.passive and self.passive.follow(trajectory, drifts),
+            passive=self.passive and self.passive.follow(trajectory),
         )
 
     def with_result(self, result: AvoidanceResult) -> "Planner":
@@ -327,15 +327,14 @@ def solve_around(
     beside = np.zeros(0, dtype=bool)
     if bodies is not None:
         beside = _find_met(agent.control_points, bodies, NEARBY_FACTOR)
-    passive, drifts = agent.passive, drifts_of(messages)
-    met_adrift = passive and passive.find_encounters(drifts)
+    adrift = agent.passive and agent.passive.find_conflicts(drifts_of(messages))
     while True:
         paths, kept = others[constrained], required[constrained]
         known = None if bodies is None else bodies.select(beside)
         between = choose_half_spaces(nominal, paths, kept, known, side)
         half_spaces = convexify.convexify(horizon, T, *between)
-        if passive is not None:
-            half_spaces = half_spaces.join(passive.constrain(drifts, met_adrift, side))
+        if adrift is not None:
+            half_spaces = half_spaces.join(adrift.constrain(side))
         try:
             result = _solve_active_set(agent, half_spaces, relaxation)
         except Unsolved:
@@ -348,10 +347,9 @@ def solve_around(
             met = _find_met(path, bodies)
             is_new |= bool((met & ~beside).any())
             beside = beside | met
-        if passive is not None:
-            more = passive.find_new(drifts, result.trajectory, met_adrift)
-            is_new |= more is not None
-            met_adrift = more or met_adrift
+        if adrift is not None:
+            before, adrift = adrift.size, adrift.with_solution(result.trajectory)
+            is_new |= adrift.size > before
         if not is_new:
             return result
 

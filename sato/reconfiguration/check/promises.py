@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 
 PROMISES = tuple(
     "complete attributes times chief numbers start alive component flight applied measured control"
-    " speed targets legs assignment blocked believed separation obstacles reached fuel".split()
+    " speed targets legs assignment blocked believed separation obstacles drifts reached"
+    " fuel".split()
 )
 # Rounding in one step, relative to the largest position, speed or control.
 ROUNDING_TOLERANCE = 1e-10
@@ -76,6 +77,7 @@ def check_run(data: "xarray.Dataset", mission: Reconfiguration, rng: np.random.G
         check_target_counts(record),
         check_separation(record),
         check_obstacles(record),
+        check_drifts(record),
         check_arrival(record),
         check_fuel(record),
     )
@@ -274,6 +276,18 @@ def check_obstacles(record: ReconfigurationRecord) -> Promise:
     text = f"{found.distance:.9g} m between {where}, {radius:g} m allowed"
     is_kept = found.room - error >= -1e-9 * radius
     return Promise("obstacles", bool(is_kept), found.distance, radius * (1 - 1e-9), text)
+
+
+def check_drifts(record: ReconfigurationRecord) -> Promise:
+    """Check that no agent drifts too near to another after a loss of thrust at any step."""
+    found, allowed = record.drift_approach, record.mission.passive_safety
+    if allowed is None or found is None:
+        return Promise("drifts", True, 0.0, 0.0, "no loss of thrust is looked at")
+    text = (
+        f"{found.distance:.9g} m between agent {found.agent}, without thrust from step "
+        f"{found.step} on, and agent {found.other}, {allowed:g} m allowed"
+    )
+    return Promise("drifts", found.distance >= allowed, found.distance, allowed, text)
 
 
 def check_arrival(record: ReconfigurationRecord) -> Promise:

@@ -19,6 +19,7 @@ from sato.record import RunRecord
 
 if TYPE_CHECKING:
     from sato.reconfiguration.check.clearance import Clearance
+    from sato.reconfiguration.check.drifts import DriftApproach
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +133,13 @@ class ReconfigurationRecord(
             names = ("target", "believed", "component")
             targets, counts, component = (np.asarray(event[n], dtype=np.int64) for n in names)
         return LegRecord(leg, start, end, event, entry, alive, targets, counts, component)
+
+    @cached_property
+    def drift_approach(self) -> "DriftApproach | None":
+        """Nearest approach after a loss of thrust; None where that is not asked for."""
+        from sato.reconfiguration.check.drifts import find_drift_approach
+
+        return find_drift_approach(self) if self.mission.is_passively_safe else None
 
     @cached_property
     def clearance(self) -> "Clearance | None":

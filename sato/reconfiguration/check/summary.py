@@ -40,6 +40,8 @@ def summarize(record: ReconfigurationRecord) -> dict[str, Any]:
     }
     if record.clearance is not None:
         summary["min_obstacle_distance_m"] = record.clearance.distance
+    if record.drift_approach is not None:
+        summary["min_drift_separation_m"] = record.drift_approach.distance
     assignments = [bound.assignment if bound else None for bound in record.fuel_bounds]
     if mission.objective == "energy":
         assignments = list(record.energy_bounds)

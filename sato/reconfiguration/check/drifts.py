@@ -1,0 +1,91 @@
+"""Drifts after a loss of all thrust, from each recorded step, by the plant."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray as Array
+
+from dynamics.model import StateSamples
+from dynamics.trajectory_geometry import divide_pieces, evaluate_bezier, hull_distance
+from problems.drifts import DriftHorizon, Drifts
+from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
+from sato.reconfiguration.passive_safety import make_horizon
+
+PRECISION = 1e-6  # of the distance, over that which is asked for
+CHANGES = "loss", "join", "assignment", "reset", "closed"  # after which others fly other plans
+
+
+class DriftApproach(NamedTuple):
+    """Nearest approach of a vehicle that drifts to another that flies on."""
+
+    distance: float  # [m]
+    agent: int  # that lost its thrust
+    other: int
+    step: int  # of the run, at which it lost it
+
+
+def find_drift_approach(record: ReconfigurationRecord) -> DriftApproach | None:
+    """Find the nearest approach after a loss of thrust at any step but the first of a leg.
+
+    Others fly as recorded to the end of the leg, and freely after it; so losses count from the
+    step on after which no plans have changed. None where no drift counts.
+    """
+    found = [_find_in_leg(record, leg) for leg in record.leg_records if leg.end_event is not None]
+    return min((each for each in found if each is not None), default=None)
+
+
+def follow_leg(record: ReconfigurationRecord, leg: LegRecord) -> tuple[DriftHorizon, Drifts]:
+    """Return the drifts of the vehicles that are there at the end of a leg, by the plant."""
+    mission, plant, d = record.mission, record.mission.flown_plant, record.axes
+
+    def move(x: StateSamples, t: float, length: float) -> StateSamples:
+        flat = x.reshape(-1, 2 * d)
+        if not len(flat):
+            return x
+        moved = plant.propagate(flat, np.zeros((len(flat), d)), t, length)[1]
+        return np.asarray(moved.reshape(x.shape))
+
+    time = leg.start_index * mission.step
+    horizon = replace(make_horizon(mission, time, leg.step_count), move=move)
+    flown = slice(leg.start_index, leg.end_index)
+    x = np.moveaxis(record.state[leg.start_index : leg.end_index + 1, leg.alive], 0, 1)
+    u = np.moveaxis(record.frames.applied_control[flown, leg.alive], 0, 1)
+    return horizon, horizon.follow(x, u)
+
+
+def _find_in_leg(record: ReconfigurationRecord, leg: LegRecord) -> DriftApproach | None:
+    agents, changes = np.flatnonzero(leg.alive), record.events.of_kind(*CHANGES)
+    since = max((k for k, _ in changes if leg.start_index <= k < leg.end_index), default=0)
+    if (leg.entry_index[agents] > leg.start_index).any():
+        return None
+    horizon, drifts = follow_leg(record, leg)
+    counts = np.flatnonzero(leg.start_index + horizon.step > since)
+    best = DriftApproach(np.inf, -1, -1, -1)
+    for row, i in enumerate(agents.tolist()):
+        others = np.flatnonzero(agents != i)
+        relative = drifts.drifts[row, counts] - drifts.path[others][:, horizon.piece[counts]]
+        distance, other, drift = _approach(relative, best.distance, horizon.distance)
+        if distance < best.distance:
+            step = leg.start_index + int(horizon.step[counts[drift]])
+            best = DriftApproach(distance, i, int(agents[others[other]]), step)
+    return best if best.agent >= 0 else None
+
+
+def _approach(
+    relative: Float[Array, "others drifts 4 d"], enough: float, scale: float
+) -> tuple[float, int, int]:
+    """Return the least distance from the origin, if it is below a number, and in which piece."""
+    found = enough, -1, -1
+    index: Int[Array, "k 2"] = np.argwhere(np.ones(relative.shape[:2], dtype=bool))
+    pieces = relative.reshape(-1, *relative.shape[2:])
+    while len(pieces):
+        distance = np.linalg.norm(evaluate_bezier(pieces, np.full(len(pieces), 0.5)), axis=1)
+        k = int(distance.argmin())
+        if distance[k] < found[0]:
+            found = float(distance[k]), int(index[k, 0]), int(index[k, 1])
+        left = hull_distance(pieces)[0] < found[0] - PRECISION * scale
+        pieces = divide_pieces(pieces[left], 2).reshape(-1, *relative.shape[2:])
+        index = np.repeat(index[left], 2, axis=0)
+    return found

@@ -1,0 +1,89 @@
+"""Passive safety: which missions can have it, and which targets."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from problems.convexify import are_pairs_separated
+from problems.drifts import KEPT_FACTOR
+from sato.network.graph import label_components
+from sato.reconfiguration.models import PlantSettings
+from sato.scenario.errors import InputError
+
+if TYPE_CHECKING:
+    from sato.reconfiguration.mission import Reconfiguration
+
+
+def check(mission: "Reconfiguration") -> None:
+    """Refuse passive safety where drifts cannot be foreseen for as long as it takes.
+
+    Raises:
+        InputError: They cannot; says why.
+    """
+    if mission.passive_safety is None:
+        if mission.passive_safety_time is not None:
+            reason = "has no effect without plan.passive_safety_m; give both, or none"
+            raise InputError("plan.passive_safety_min", reason)
+        return
+    for is_so, reason in (
+        (mission.orbital_period is None, "is for orbits, where nothing can stop; leave it out"),
+        (mission.has_noise, "needs a flight without [disturbance]: in two orbits an error of 1 mm/s"
+         " becomes 30 m"),
+        (not _is_foreseen(mission), 'needs the motion that is flown: model.kind = "j2" without drag'
+         ' or a plant of your own, or plant = "model"'),
+        (mission.orders > 1, "knows one order of priority; plan.orders = 1 would do"),
+    ):  # fmt: skip
+        if is_so:
+            raise InputError("plan.passive_safety_m", reason)
+
+
+def _is_foreseen(mission: "Reconfiguration") -> bool:
+    if mission.nonlinear_model is None:
+        return mission.flies_model
+    return isinstance(mission.plant, PlantSettings) and mission.plant.ballistic is None
+
+
+def check_targets(mission: "Reconfiguration") -> None:
+    """Refuse targets that do not keep the distance themselves for as long as drifts are to.
+
+    Args:
+        mission: A drawn mission.
+
+    Raises:
+        InputError: Two targets of a leg do not.
+    """
+    if mission.passive_safety is None:
+        return
+    from sato.reconfiguration.passive_safety import follow_targets
+
+    begun = 0
+    for number, leg in enumerate(mission.legs):
+        horizon, arrivals = follow_targets(mission, leg, begun * mission.step, leg.steps)
+        begun += leg.steps
+        i, j = np.triu_indices(len(arrivals), 1)
+        clear = are_pairs_separated(
+            arrivals, i, j, np.full(len(i), KEPT_FACTOR * horizon.distance)
+        ).all(axis=1)
+        if not clear.all():
+            a = int(clear.argmin())
+            raise InputError(
+                "plan.passive_safety_m",
+                f"targets {i[a]} and {j[a]} of leg {number} come within "
+                f"{mission.passive_safety:g} m of each other as they drift; a smaller distance, a "
+                "wider shape or fewer targets would do",
+            )
+
+
+def list_doubts(mission: "Reconfiguration") -> list[str]:
+    """List doubts about the passive safety of a drawn mission."""
+    alive = mission.alive
+    place = mission.initial_states[:, : mission.axes]
+    apart = np.linalg.norm(place[:, None] - place, axis=2)
+    component = label_components((apart <= mission.comm_radius) & alive & alive[:, None], alive)
+    count = len(set(component[alive].tolist()))
+    if mission.passive_safety is None or count <= 1:
+        return []
+    return [
+        f"the starts form {count} networks, and a drift is clear only of those in its own; a "
+        "larger swarm.comm_radius_m would make it one"
+    ]
