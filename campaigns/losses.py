@@ -16,6 +16,7 @@ from motion import Motion
 from numpy import ndarray as Array
 
 ORBITS = 2.0  # of drift, where the mission does not say how long
+THRUST = 1e-6  # of the largest control: less is none
 BEND = 0.05  # by which a path between two samples may differ from a line [m]
 
 
@@ -27,7 +28,7 @@ def judge_run(run: Any) -> dict[str, Any]:
 def judge_drifts(data: xr.Dataset, distance: float = 50.0) -> dict[str, Any]:
     """Return how near vehicles drift to others that fly on, and how often nearer than a distance.
 
-    Losses before the first thrust can change nothing, and are counted apart.
+    Losses of a vehicle before its first thrust change nothing, and are counted apart.
     """
     flight = Flight.from_dataset(data)
     motion = Motion.from_dataset(data, flight.scenario)
@@ -50,12 +51,14 @@ def judge_drifts(data: xr.Dataset, distance: float = 50.0) -> dict[str, Any]:
         least[k] = _pass(relative)
     is_self = np.eye(least.shape[1], dtype=bool)
     least[:, is_self] = np.inf
-    later = least[1:].min(initial=np.inf)
+    is_thrust = np.abs(flight.applied).max(axis=2) > THRUST * flight.strength
+    has_thrust = np.vstack([np.zeros_like(is_thrust[:1]), np.logical_or.accumulate(is_thrust)[:-1]])
+    near = least < distance + BEND
     return {
-        "least_m": float(later),
-        "below": int((least[1:] < distance + BEND).sum()),
-        "pairs_below": int((least[1:] < distance + BEND).any(axis=0).sum()),
-        "below_before_thrust": int((least[0] < distance + BEND).sum()),
+        "least_m": float(least[has_thrust].min(initial=np.inf)),
+        "below": int(near[has_thrust].sum()),
+        "pairs_below": int((near & has_thrust[..., None]).any(axis=0).sum()),
+        "below_before_thrust": int(near[~has_thrust].sum()),
     }
 
 

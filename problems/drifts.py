@@ -12,7 +12,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from dynamics.discretize import DiscreteModel
@@ -97,8 +97,7 @@ class DriftHorizon:
     def _pieces(self) -> tuple[Int[Array, " drifts"], Int[Array, " drifts"]]:
         k, begins = np.arange(self.steps.steps)[:, None], self.begins
         ends = self.time + k * self.steps.discrete_model.dt + self.duration
-        # No control can change the drift from the first state; from the last the plan follows it.
-        is_drift = (k > 0) & (np.arange(len(begins)) >= k) & (begins < ends)
+        is_drift = (np.arange(len(begins)) >= k) & (begins < ends)
         step, piece = np.nonzero(is_drift)
         return step, piece
 
@@ -169,40 +168,42 @@ class DriftHorizon:
         return self._drift_maps(np.arange(len(self.step)))
 
     def find_encounters(
-        self, own: Drifts, others: Drifts, later: Paths, factor: float
+        self, own: Drifts, others: Drifts, is_above: Bool[Array, " others"], factor: float
     ) -> tuple[Encounters, Encounters]:
         """Find where a vehicle or others drift nearer than the distance, times a factor.
 
+        It keeps clear of the plans of those above and of their drifts. Of the rest it knows where
+        they move freely after their plans, and where they drift from now on, which no control of
+        theirs can change.
+
         Args:
             own: Motion of the vehicle.
-            others: Motion of those whose paths it knows.
-            later: Motion after the plan of those of which it only knows that.
+            others: Motion of the others.
+            is_above: True for those whose plans and drifts are known.
             factor: Factor.
 
         Returns:
-            Encounters of its own drifts, with the others of both kinds, and with others' drifts.
+            Encounters of its own drifts with the plans of others, and of its plan with theirs.
         """
-        drifting = self._relative_drifts(own, others, later)
-        following = own.path[self.piece] - others.drifts
-        is_planned = self.piece < self.steps.steps  # what comes after no control can change
-        is_after = np.arange(len(drifting)) >= len(others.path)
-        is_known = ~(is_after[:, None] & is_planned)
+        is_now, is_planned = self.step == 0, self.piece < self.steps.steps
+        known = is_above[:, None]
         return (
-            self._find_near(drifting, is_known, factor),
-            self._find_near(following, np.broadcast_to(is_planned, following.shape[:2]), factor),
+            self._find_near(
+                own.drifts - others.path[:, self.piece], ~is_now & (known | ~is_planned), factor
+            ),
+            self._find_near(
+                own.path[self.piece] - others.drifts, is_planned & (known | is_now), factor
+            ),
         )
 
     def find_drifting(self, own: Drifts, paths: Paths) -> Encounters:
-        """Find where a vehicle drifts nearer to whole paths than the distance that is kept."""
-        relative = own.drifts - paths[:, self.piece]
-        return self._find_near(relative, np.ones(relative.shape[:2], dtype=bool), KEPT_FACTOR)
+        """Find where a vehicle drifts nearer to whole paths than the distance that is kept.
 
-    def _relative_drifts(
-        self, own: Drifts, others: Drifts, later: Paths
-    ) -> Float[Array, "all drifts 4 d"]:
-        before = np.zeros((len(later), self.steps.steps, *later.shape[2:]))
-        paths = np.concatenate([others.path, np.concatenate([before, later], axis=1)])
-        return np.asarray(own.drifts - paths[:, self.piece])
+        From now on it drifts as it does; others can only keep their plans clear of that.
+        """
+        relative = own.drifts - paths[:, self.piece]
+        asked = (self.step > 0) | (self.piece < self.steps.steps)
+        return self._find_near(relative, np.broadcast_to(asked, relative.shape[:2]), KEPT_FACTOR)
 
     def _find_near(self, relative: Array, is_asked: Array, factor: float) -> Encounters:
         radius = factor * self.distance
@@ -215,7 +216,6 @@ class DriftHorizon:
         self,
         own: Drifts,
         others: Drifts,
-        later: Paths,
         encounters: tuple[Encounters, Encounters],
         x: StateSamples,
         u: ControlSamples,
@@ -225,22 +225,20 @@ class DriftHorizon:
 
         Args:
             own: Motion of the vehicle along its nominal.
-            others: Motion of those whose paths it knows.
-            later: Motion after the plan of those of which it only knows that.
-            encounters: Of its own drifts, and of others' drifts.
+            others: Motion of the others.
+            encounters: Of its own drifts with plans of others, and of its plan with their drifts.
             x: States of the nominal.
             u: Controls of the nominal.
             side: Side on which to pass.
         """
         drifting, following = encounters
         (other, drift), (met, theirs) = drifting, following
-        relative = self._relative_drifts(own, others, later)[other, drift]
-        P = self._drift_maps(drift)
-        own_rows = self._make_rows(drifting, self.step[drift], relative, P, None, x, u, side)
-        k = self.piece[theirs]
-        relative = (own.path[self.piece] - others.drifts)[met, theirs]
+        relative = own.drifts[drift] - others.path[other, self.piece[drift]]
+        P, k = self._drift_maps(drift), self.piece[theirs]
+        rows = self._make_rows(drifting, self.step[drift], relative, P, None, x, u, side)
+        relative = own.path[k] - others.drifts[met, theirs]
         P, Q, _ = (part[k, 0] for part in self.steps.control_point_maps)
-        return own_rows.join(self._make_rows(following, k, relative, P, Q, x, u, side))
+        return rows.join(self._make_rows(following, k, relative, P, Q, x, u, side))
 
     def _drift_maps(self, drift: Int[Array, " rows"]) -> Float[Array, "rows 4 d n"]:
         """Return the matrices that take the state at which thrust is lost to control points."""

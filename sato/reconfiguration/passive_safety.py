@@ -27,30 +27,6 @@ STEPS_PER_ORBIT = 120  # of the integration: within 2e-7
 DRIFT_ERROR = 0.02  # of drifts of up to 50 km in two orbits, both together [m]
 
 
-class DriftOutlook(NamedTuple):
-    """Time over which the agents of a network look at drifts, and the motion of all targets."""
-
-    horizon: DriftHorizon
-    arrivals: Float[Array, "targets later 4 d"]  # control points of free motion from targets [m]
-
-    def begin(
-        self, context: DecisionContext, planner: Planner, nominal: Trajectory, own: Drifts
-    ) -> Planner:
-        """Let an agent begin with a nominal; of others in its network it knows the targets."""
-        agent = planner.priority[2]
-        graph, target = context.graph, context.memory.target_index
-        network = np.flatnonzero(graph.alive & (graph.component == graph.component[agent]))
-        others = [j for j in network.tolist() if j != agent and target[j] >= 0]
-        arrivals = {j: self.arrivals[target[j]] for j in others}
-        return planner._replace(
-            nominal=nominal,
-            control_points=planner.horizon.control_points(nominal.x, nominal.u),
-            passive=PassiveSafety(self.horizon, arrivals, nominal, own),
-            in_turn=True,
-            has_converged=planner.reaches_target(nominal),
-        )
-
-
 class OfferedDrifts(NamedTuple):
     """Drifts of the trajectories that agents may commit to."""
 
@@ -99,27 +75,63 @@ def begin_passively_safe(
         previous: Plans that were flown so far.
         clocks: Clock of each agent; all of a network look as far as the one with most time left.
     """
-    graph, steps = context.graph, context.leg.steps
-    left = graph.component_max(steps - clocks)
-    lengths = {int(left[i]) for i in planners}
-    own = context.mission, context.leg, context.time
-    outlooks = {T: DriftOutlook(*follow_targets(*own, T)) for T in lengths}
-    alike = dict[tuple[int, int, bool], list[int]]()
-    controls = dict[int, Float[Array, "T m"]]()
+    component, found = context.graph.component, dict[int, Planner]()
+    for network in np.unique(component[list(planners)]):
+        members = {i: own for i, own in planners.items() if component[i] == network}
+        steps = int((context.leg.steps - clocks[list(members)]).max())
+        own = context.mission, context.leg, context.time, steps
+        horizon, arrivals = follow_targets(*own)
+        begun = _follow_nominals(context, members, previous, horizon)
+        known = {
+            i: _foresee(horizon, drifts, arrivals, int(context.memory.target_index[i]))
+            for i, (_, drifts) in begun.items()
+        }
+        for i, (nominal, drifts) in begun.items():
+            others = {j: each for j, each in known.items() if j != i}
+            found[i] = planners[i]._replace(
+                nominal=nominal,
+                control_points=planners[i].horizon.control_points(nominal.x, nominal.u),
+                passive=PassiveSafety(horizon, others, nominal, drifts),
+                in_turn=True,
+                has_converged=planners[i].reaches_target(nominal),
+            )
+    return {i: found[i] for i in planners}
+
+
+def _follow_nominals(
+    context: DecisionContext,
+    planners: dict[int, Planner],
+    previous: Plans,
+    horizon: DriftHorizon,
+) -> dict[int, tuple[Trajectory, Drifts]]:
+    """Return the nominal with which each agent begins, and its drifts."""
+    u, alike = dict[int, Float[Array, "T m"]](), dict[tuple[int, bool], list[int]]()
+    own = context.memory, context.step_index, context.leg.steps
     for i, planner in planners.items():
-        rest = remaining_controls(previous, i, context.memory, context.step_index, steps)
-        controls[i] = planner.solo.u if rest is None else rest
-        alike.setdefault((int(left[i]), len(controls[i]), rest is None), []).append(i)
-    begun = dict[int, Planner]()
-    for (T, _, is_new), agents in alike.items():  # at once: it is one integration
-        u = np.stack([controls[i] for i in agents])
-        x = np.stack([planners[i].solo.x for i in agents])
-        x = x if is_new else _fly_on(context, agents, u)
-        followed = outlooks[T].horizon.follow(x, u)
+        rest = remaining_controls(previous, i, *own)
+        u[i] = planner.solo.u if rest is None else rest
+        alike.setdefault((len(u[i]), rest is None), []).append(i)
+    found = dict[int, tuple[Trajectory, Drifts]]()
+    for (_, is_new), agents in alike.items():  # at once: it is one integration
+        controls = np.stack([u[i] for i in agents])
+        if is_new:
+            x = np.stack([planners[i].solo.x for i in agents])
+        else:
+            x = _fly_on(context, agents, controls)
+        followed = horizon.follow(x, controls)
         for row, i in enumerate(agents):
-            nominal = Trajectory(x[row], u[row], float(compute_spent(context.mission, u[row])))
-            begun[i] = outlooks[T].begin(context, planners[i], nominal, followed.take(row))
-    return {i: begun[i] for i in planners}
+            fuel = float(compute_spent(context.mission, u[i]))
+            found[i] = Trajectory(x[row], u[i], fuel), followed.take(row)
+    return found
+
+
+def _foresee(
+    horizon: DriftHorizon, own: Drifts, arrivals: Float[Array, "targets later 4 d"], target: int
+) -> Drifts:
+    """Return what others know of an agent that tells them its state and its target, and no plan."""
+    path, T = np.zeros_like(own.path), horizon.steps.steps
+    path[T:] = arrivals[target] if target >= 0 else own.path[T:]
+    return Drifts(path, np.where((horizon.step == 0)[:, None, None], own.drifts, 0.0))
 
 
 def _fly_on(

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool
 from numpy import ndarray as Array
 
 from problems.convexify import PassingSide
@@ -14,10 +14,10 @@ from problems.transfer import Trajectory
 
 
 class PassiveSafety(NamedTuple):
-    """Drifts of an agent, and what it knows of the others: where they move freely in the end."""
+    """Drifts of an agent, and what it knows of all others before they plan."""
 
     horizon: DriftHorizon
-    arrivals: Mapping[int, Float[Array, "later 4 d"]]  # by number, all others
+    others: Mapping[int, Drifts]  # by number: only from now on, and from the end of plans on
     nominal: Trajectory
     own: Drifts  # along the nominal
 
@@ -25,35 +25,35 @@ class PassiveSafety(NamedTuple):
         """Return the same about another nominal."""
         return self._replace(nominal=nominal, own=self.horizon.follow(nominal.x, nominal.u))
 
-    def is_safe(self, others: Mapping[int, Drifts]) -> bool:
+    def is_safe(self, above: Mapping[int, Drifts]) -> bool:
         """Tell whether all drifts keep the distance, and the plan from the drifts of others.
 
         Args:
-            others: Drifts of those that it must avoid, by number; the rest avoid it.
+            above: Motion of those that it must avoid, by number; the rest avoid it.
         """
-        return self.find_conflicts(others, KEPT_FACTOR).size == 0
+        return self.find_conflicts(above, KEPT_FACTOR).size == 0
 
     def find_conflicts(
-        self, others: Mapping[int, Drifts], factor: float = NEARBY_FACTOR
+        self, above: Mapping[int, Drifts], factor: float = NEARBY_FACTOR
     ) -> "DriftConflicts":
         """Find where drifts are nearer than the distance, times a factor."""
-        rest = [path for i, path in self.arrivals.items() if i not in others]
-        each = list(others.values())
-        known = Drifts(
-            _stack(self.own.path, [one.path for one in each]),
-            _stack(self.own.drifts, [one.drifts for one in each]),
+        each = [above.get(i, known) for i, known in self.others.items()]
+        parts = (
+            np.array([one[n] for one in each]).reshape(-1, *own.shape)
+            for n, own in enumerate(self.own)
         )
-        later = _stack(self.own.path[self.horizon.steps.steps :], rest)
-        found = self.horizon.find_encounters(self.own, known, later, factor)
-        return DriftConflicts(self, known, later, *found)
+        others = Drifts(*parts)
+        is_above = np.array([i in above for i in self.others], dtype=bool)
+        found = self.horizon.find_encounters(self.own, others, is_above, factor)
+        return DriftConflicts(self, others, is_above, *found)
 
 
 class DriftConflicts(NamedTuple):
     """Where an agent or others may drift too near, and half-spaces against it."""
 
     agent: PassiveSafety
-    others: Drifts  # of those whose paths it knows
-    later: Float[Array, "rest later 4 d"]  # of those of which it knows only what follows
+    others: Drifts
+    is_above: Bool[Array, " others"]  # True for those whose plans and drifts are known
     drifting: Encounters  # in its own drifts
     following: Encounters  # of its plan, in the drifts of others
 
@@ -66,17 +66,12 @@ class DriftConflicts(NamedTuple):
         """Add the encounters of a solution."""
         horizon, nominal = self.agent.horizon, self.agent.nominal
         own = horizon.predict(self.agent.own, nominal.x, found.x, found.u)
-        more = horizon.find_encounters(own, self.others, self.later, KEPT_FACTOR)
+        more = horizon.find_encounters(own, self.others, self.is_above, KEPT_FACTOR)
         drifting, following = self.drifting.join(more[0]), self.following.join(more[1])
         return self._replace(drifting=drifting, following=following)
 
     def constrain(self, side: PassingSide) -> HalfSpaces:
         """Constrain the plan in all encounters, on a side of those that the nominal meets."""
-        own, nominal = self.agent.own, self.agent.nominal
-        known = self.others, self.later, (self.drifting, self.following)
-        return self.agent.horizon.constrain(own, *known, nominal.x, nominal.u, side)
-
-
-def _stack(like: Float[Array, "pieces 4 d"], each: list[Array]) -> Float[Array, "k pieces 4 d"]:
-    """Stack arrays of a shape, perhaps none."""
-    return np.array(each).reshape(-1, *like.shape)
+        own, nominal, met = self.agent.own, self.agent.nominal, (self.drifting, self.following)
+        horizon = self.agent.horizon
+        return horizon.constrain(own, self.others, met, nominal.x, nominal.u, side)

@@ -14,6 +14,7 @@ from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
 from sato.reconfiguration.passive_safety import make_horizon
 
 PRECISION = 1e-6  # of the distance, over that which is asked for
+THRUST = 1e-6  # of the largest control: less is none
 CHANGES = "loss", "join", "assignment", "reset", "closed"  # after which others fly other plans
 
 
@@ -27,10 +28,11 @@ class DriftApproach(NamedTuple):
 
 
 def find_drift_approach(record: ReconfigurationRecord) -> DriftApproach | None:
-    """Find the nearest approach after a loss of thrust at any step but the first of a leg.
+    """Find the nearest approach after a loss of thrust at any step after a vehicle's first thrust.
 
-    Others fly as recorded to the end of the leg, and freely after it; so losses count from the
-    step on after which no plans have changed. None where no drift counts.
+    Before that it drifts as it began. Others fly as recorded to the end of the leg, and freely
+    after it; so losses count from the step on after which no plans have changed. None where no
+    drift counts.
     """
     found = [_find_in_leg(record, leg) for leg in record.leg_records if leg.end_event is not None]
     return min((each for each in found if each is not None), default=None)
@@ -61,9 +63,13 @@ def _find_in_leg(record: ReconfigurationRecord, leg: LegRecord) -> DriftApproach
     if (leg.entry_index[agents] > leg.start_index).any():
         return None
     horizon, drifts = follow_leg(record, leg)
-    counts = np.flatnonzero(leg.start_index + horizon.step > since)
+    flown = record.frames.applied_control[leg.start_index : leg.end_index, agents]
+    thrusts = (np.abs(flown) > THRUST * record.mission.largest_control.max()).any(axis=2)
+    first = np.where(thrusts.any(axis=0), thrusts.argmax(axis=0), leg.step_count)
     best = DriftApproach(np.inf, -1, -1, -1)
     for row, i in enumerate(agents.tolist()):
+        is_later = (horizon.step > first[row]) & (leg.start_index + horizon.step > since)
+        counts = np.flatnonzero(is_later)
         others = np.flatnonzero(agents != i)
         relative = drifts.drifts[row, counts] - drifts.path[others][:, horizon.piece[counts]]
         distance, other, drift = _approach(relative, best.distance, horizon.distance)
