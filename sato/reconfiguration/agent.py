@@ -90,8 +90,9 @@ class Agent:
             `sato.find_first_commitments` has it for each; at once by default.
 
     Raises:
-        ValueError: The mission has no auction, tries several orders of priority, or negotiates;
-            the number has no entry in its lists; or the commitment is none.
+        ValueError: The mission has no auction, tries several orders of priority, negotiates, or
+            is to be passively safe; the number has no entry in its lists; or the commitment is
+            none.
     """
 
     def __init__(

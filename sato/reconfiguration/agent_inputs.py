@@ -61,6 +61,11 @@ def check_agent(
         found = type(commitment).__name__
         hint = "sato.find_first_commitments(drawn).get(number) would do"
         raise ValueError(f"commitment must be a Commitment, got {found}; {hint}")
+    if mission.is_passively_safe:
+        raise ValueError(
+            "plan.passive_safety_m: drifts lead beyond hearing, and an agent hears only its "
+            "neighbors' plans; leave it out, or fly the mission by sato.run"
+        )
     if mission.orders > 1 or mission.bargains or mission.assignment == "central":
         raise ValueError(
             f"plan.orders = {mission.orders}, plan.bargains = {mission.bargains} and "

@@ -4,7 +4,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from dynamics.model import StateSamples
@@ -27,6 +27,13 @@ class DriftApproach(NamedTuple):
     step: int  # of the run, at which it lost it
 
 
+class FlownDrifts(NamedTuple):
+    """Drifts from each step of a leg as it was flown, of the agents that are there at its end."""
+
+    horizon: DriftHorizon
+    drifts: Drifts
+
+
 def find_drift_approach(record: ReconfigurationRecord) -> DriftApproach | None:
     """Find the nearest approach after a loss of thrust at any step after a vehicle's first thrust.
 
@@ -34,11 +41,29 @@ def find_drift_approach(record: ReconfigurationRecord) -> DriftApproach | None:
     after it; so losses count from the step on after which no plans have changed. None where no
     drift counts.
     """
-    found = [_find_in_leg(record, leg) for leg in record.leg_records if leg.end_event is not None]
-    return min((each for each in found if each is not None), default=None)
+    best: DriftApproach | None = None
+    for leg in record.leg_records:
+        if leg.end_event is None or (leg.entry_index[leg.alive] > leg.start_index).any():
+            continue
+        flown, enough = follow_leg(record, leg), np.inf if best is None else best.distance
+        for row, first in enumerate(find_first_losses(record, leg)):
+            found = approach_others(flown, leg, row, flown.horizon.step > first, enough)
+            if found is not None:
+                best, enough = found, found.distance
+    return best
 
 
-def follow_leg(record: ReconfigurationRecord, leg: LegRecord) -> tuple[DriftHorizon, Drifts]:
+def find_first_losses(record: ReconfigurationRecord, leg: LegRecord) -> Int[Array, " survivors"]:
+    """Find the last step of a leg at which a loss of thrust of each agent does not count yet."""
+    changes = [k - leg.start_index for k, _ in record.events.of_kind(*CHANGES)]
+    since = max((k for k in changes if 0 <= k < leg.step_count), default=0)
+    flown = record.frames.applied_control[leg.start_index : leg.end_index, leg.alive]
+    thrusts = (np.abs(flown) > THRUST * record.mission.largest_control.max()).any(axis=2)
+    first = np.where(thrusts.any(axis=0), thrusts.argmax(axis=0), leg.step_count)
+    return np.maximum(first, since)
+
+
+def follow_leg(record: ReconfigurationRecord, leg: LegRecord) -> FlownDrifts:
     """Return the drifts of the vehicles that are there at the end of a leg, by the plant."""
     mission, plant, d = record.mission, record.mission.flown_plant, record.axes
 
@@ -54,29 +79,33 @@ def follow_leg(record: ReconfigurationRecord, leg: LegRecord) -> tuple[DriftHori
     flown = slice(leg.start_index, leg.end_index)
     x = np.moveaxis(record.state[leg.start_index : leg.end_index + 1, leg.alive], 0, 1)
     u = np.moveaxis(record.frames.applied_control[flown, leg.alive], 0, 1)
-    return horizon, horizon.follow(x, u)
+    return FlownDrifts(horizon, horizon.follow(x, u))
 
 
-def _find_in_leg(record: ReconfigurationRecord, leg: LegRecord) -> DriftApproach | None:
-    agents, changes = np.flatnonzero(leg.alive), record.events.of_kind(*CHANGES)
-    since = max((k for k, _ in changes if leg.start_index <= k < leg.end_index), default=0)
-    if (leg.entry_index[agents] > leg.start_index).any():
+def approach_others(
+    flown: FlownDrifts,
+    leg: LegRecord,
+    row: int,
+    counts: Bool[Array, " drifts"],
+    enough: float = np.inf,
+) -> DriftApproach | None:
+    """Return the nearest approach of one agent's drifts to others, if it is below a number [m].
+
+    Args:
+        flown: Drifts of the agents at the end of a leg.
+        leg: The leg.
+        row: Row of the agent among these.
+        counts: True for the pieces of drifts that count.
+        enough: The number.
+    """
+    (horizon, drifts), agents = flown, np.flatnonzero(leg.alive)
+    pieces, others = np.flatnonzero(counts), np.flatnonzero(np.arange(len(agents)) != row)
+    relative = drifts.drifts[row, pieces] - drifts.path[others][:, horizon.piece[pieces]]
+    distance, other, drift = _approach(relative, enough, horizon.distance)
+    if other < 0:
         return None
-    horizon, drifts = follow_leg(record, leg)
-    flown = record.frames.applied_control[leg.start_index : leg.end_index, agents]
-    thrusts = (np.abs(flown) > THRUST * record.mission.largest_control.max()).any(axis=2)
-    first = np.where(thrusts.any(axis=0), thrusts.argmax(axis=0), leg.step_count)
-    best = DriftApproach(np.inf, -1, -1, -1)
-    for row, i in enumerate(agents.tolist()):
-        is_later = (horizon.step > first[row]) & (leg.start_index + horizon.step > since)
-        counts = np.flatnonzero(is_later)
-        others = np.flatnonzero(agents != i)
-        relative = drifts.drifts[row, counts] - drifts.path[others][:, horizon.piece[counts]]
-        distance, other, drift = _approach(relative, best.distance, horizon.distance)
-        if distance < best.distance:
-            step = leg.start_index + int(horizon.step[counts[drift]])
-            best = DriftApproach(distance, i, int(agents[others[other]]), step)
-    return best if best.agent >= 0 else None
+    step = leg.start_index + int(horizon.step[pieces[drift]])
+    return DriftApproach(distance, int(agents[row]), int(agents[others[other]]), step)
 
 
 def _approach(

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from sato.interfaces import FigureFactories
 from sato.reconfiguration.check import ReconfigurationRecord
-from sato.reconfiguration.figures import half_space, measures, snapshots
+from sato.reconfiguration.figures import drifts, half_space, measures, snapshots
 from sato.reconfiguration.figures.animation import SwarmAnimation
 from sato.reconfiguration.figures.scene import has_chief
 from sato.reconfiguration.mission import Reconfiguration
@@ -32,6 +32,8 @@ def make_figures(data: "xarray.Dataset", mission: Reconfiguration) -> FigureFact
     """Prepare the figures of a run; those of `ORBIT_FIGURES` only where it has a chief."""
     record = ReconfigurationRecord.from_dataset(data, mission)
     drawn = FIGURES | ORBIT_FIGURES if has_chief(record) else FIGURES
+    if mission.is_passively_safe:
+        drawn = drawn | {"drifts": drifts.plot_drifts}
     return {name: partial(draw, record) for name, draw in drawn.items()}
 
 
