@@ -102,7 +102,7 @@ class DriftHorizon:
         return step, piece
 
     @cached_property
-    def _transitions(self) -> tuple[Float[Array, "pieces+1 n n"], Float[Array, "T n n"]]:
+    def _transitions(self) -> tuple[Float[Array, "instants n n"], Float[Array, "steps n n"]]:
         """Transition matrices from the first instant to all, and the inverses of those to steps."""
         found = [np.eye(self.later.A.shape[-1])]
         for A in np.concatenate([self.steps.discrete_model.A, self.later.A]):

@@ -121,7 +121,8 @@ def _follow_nominals(
         followed = horizon.follow(x, controls)
         for row, i in enumerate(agents):
             fuel = float(compute_spent(context.mission, u[i]))
-            found[i] = Trajectory(x[row], u[i], fuel), followed.take(row)
+            nominal = planners[i].solo if is_new else Trajectory(x[row], u[i], fuel)
+            found[i] = nominal, followed.take(row)
     return found
 
 

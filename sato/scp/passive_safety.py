@@ -23,6 +23,8 @@ class PassiveSafety(NamedTuple):
 
     def follow(self, nominal: Trajectory) -> "PassiveSafety":
         """Return the same about another nominal."""
+        if nominal is self.nominal:
+            return self
         return self._replace(nominal=nominal, own=self.horizon.follow(nominal.x, nominal.u))
 
     def is_safe(self, above: Mapping[int, Drifts]) -> bool:

@@ -254,8 +254,10 @@ def is_clear(
 
 def _solve_iteration(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Planner:
     R = agent.horizon.clearance
-    after = agent.with_result(AvoidanceResult(agent.solo, 0.0, 0.0))
-    if not after.keeps_clear(above):
+    after = None
+    if agent.passive is None or agent.solve_count == 0:  # those above do not move any more
+        after = agent.with_result(AvoidanceResult(agent.solo, 0.0, 0.0))
+    if after is None or not after.keeps_clear(above):
         after = _solve_avoidance(agent.relinearized, above)
     moved = float(np.abs(after.nominal.x - agent.nominal.x).max())
     most = MAX_SOLVES_IN_TURN if agent.in_turn and agent.passive is None else MAX_SOLVES
