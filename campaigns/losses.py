@@ -5,6 +5,7 @@ others fly as recorded, and freely after the end. Between samples, 5 s apart at 
 move past each other on a line, but for a few centimeters.
 """
 
+import json
 import tomllib
 from math import ceil
 from typing import Any
@@ -28,7 +29,8 @@ def judge_run(run: Any) -> dict[str, Any]:
 def judge_drifts(data: xr.Dataset, distance: float = 50.0) -> dict[str, Any]:
     """Return how near vehicles drift to others that fly on, and how often nearer than a distance.
 
-    Losses of a vehicle before its first thrust change nothing, and are counted apart.
+    Losses of a vehicle before its first thrust change nothing, and are counted apart, as those are
+    after which others change what they fly.
     """
     flight = Flight.from_dataset(data)
     motion = Motion.from_dataset(data, flight.scenario)
@@ -53,6 +55,7 @@ def judge_drifts(data: xr.Dataset, distance: float = 50.0) -> dict[str, Any]:
     least[:, is_self] = np.inf
     is_thrust = np.abs(flight.applied).max(axis=2) > THRUST * flight.strength
     has_thrust = np.vstack([np.zeros_like(is_thrust[:1]), np.logical_or.accumulate(is_thrust)[:-1]])
+    has_thrust[: 1 + _last_change(data, flight, plan)] = False
     near = least < distance + BEND
     return {
         "least_m": float(least[has_thrust].min(initial=np.inf)),
@@ -60,6 +63,18 @@ def judge_drifts(data: xr.Dataset, distance: float = 50.0) -> dict[str, Any]:
         "pairs_below": int((near & has_thrust[..., None]).any(axis=0).sum()),
         "below_before_thrust": int(near[~has_thrust].sum()),
     }
+
+
+def _last_change(data: xr.Dataset, flight: Flight, plan: dict[str, Any]) -> int:
+    """Return the step at which others last changed what they fly, 0 where they never did."""
+    found, step = 0, plan["step_s"]
+    for event in (json.loads(str(text)) for text in data["event"].values):
+        k = round(event["time"] / step)
+        if event["kind"] in ("loss", "join", "assignment", "reset", "closed"):
+            found = max(found, k)
+        elif event["kind"] == "cautious":  # at the next decision those change to their plans
+            found = max(found, k + plan.get("replan_steps", 1))
+    return min(found, len(flight.time) - 2)
 
 
 def _mean_rate(motion: Motion) -> float:

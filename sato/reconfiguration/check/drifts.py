@@ -56,6 +56,9 @@ def find_drift_approach(record: ReconfigurationRecord) -> DriftApproach | None:
 def find_first_losses(record: ReconfigurationRecord, leg: LegRecord) -> Int[Array, " survivors"]:
     """Find the last step of a leg at which a loss of thrust of each agent does not count yet."""
     changes = [k - leg.start_index for k, _ in record.events.of_kind(*CHANGES)]
+    period = record.mission.replan_steps
+    # Those that could not commit to their plans do so at the next decision, or at a later one.
+    changes += [k - leg.start_index + period for k, _ in record.events.of_kind("cautious")]
     since = max((k for k in changes if 0 <= k < leg.step_count), default=0)
     flown = record.frames.applied_control[leg.start_index : leg.end_index, leg.alive]
     thrusts = (np.abs(flown) > THRUST * record.mission.largest_control.max()).any(axis=2)

@@ -1,0 +1,181 @@
+"""Passive safety: after a loss of all thrust at any step, drifts keep clear of all others."""
+
+import sys
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sato
+from problems.drifts import Drifts
+from sato.reconfiguration.check.drifts import find_drift_approach
+from sato.reconfiguration.check.promises import check_drifts
+from sato.reconfiguration.check.recorded import ReconfigurationRecord
+from sato.reconfiguration.passive_requirements import list_doubts
+from sato.reconfiguration.passive_safety import OfferedDrifts, make_horizon
+
+sys.path.append(str(Path(__file__).parent.parent / "campaigns"))  # as a worker of a campaign has it
+
+import losses
+
+SAFE = ["swarm.agents=6", "plan.passive_safety_m=50", "plan.passive_safety_min=100"]
+
+
+def fly(scenario="orbit", seed=1, *changes):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return sato.run(scenario, seed=seed, overrides=[*SAFE, *changes])
+
+
+@pytest.fixture(scope="module")
+def safe():
+    return fly()
+
+
+@pytest.fixture(scope="module")
+def unsafe():
+    """The same without passive safety, and with a mission that asks for it."""
+    run = fly("orbit", 1, "plan.passive_safety_m=0.001")
+    return replace(run, mission=replace(run.mission, passive_safety=50.0))
+
+
+def sample_drifts(run, every=20.0, duration=6000.0):
+    """Least sampled distance after each loss: steps, agents, by propagation one by one."""
+    mission, data = run.drawn_mission, run.data
+    x = np.concatenate([data.position, data.velocity], axis=2)
+    u, (T, N) = data.applied_control.values, (len(x) - 1, x.shape[1])
+    grid = np.arange(0.0, T * mission.step + duration + every, every)
+    plans = [x[0]]
+    for t in grid[:-1]:
+        k = int(t // mission.step + 1e-9)
+        state = x[k] if k <= T and abs(t - k * mission.step) < 1e-6 else plans[-1]
+        control = u[k] if k < T else np.zeros((N, 3))
+        plans.append(mission.flown_plant.propagate(state, control, t, every)[1])
+    plans, least = np.array(plans), np.empty((T, N))
+    for k in range(T):
+        first = round(k * mission.step / every)
+        times = grid[first : first + round(duration / every)]
+        moved = mission.flown_plant.propagate(
+            x[k], np.zeros((N, 3)), times[0], times[-1] - times[0], len(times) - 1
+        )
+        away = np.linalg.norm(
+            moved[:, :, None, :3] - plans[first : first + len(times), None, :, :3], axis=3
+        )
+        away[:, np.arange(N), np.arange(N)] = np.inf
+        least[k] = away.min(axis=(0, 2))
+    return least
+
+
+def read(run):
+    return ReconfigurationRecord.from_dataset(run.data, run.drawn_mission)
+
+
+def test_all_drifts_after_a_thrust_keep_the_distance(safe):
+    least = sample_drifts(safe)
+    thrusts = np.abs(safe.data.applied_control.values[:-1]).max(axis=2) > 1e-8
+    after = np.vstack([np.zeros_like(thrusts[:1]), np.logical_or.accumulate(thrusts)[:-1]])
+    assert after.sum() > 100 and (least[after] >= 50.0).all()
+    assert safe.summary["reached"] and safe.check().kept
+
+
+def test_without_passive_safety_drifts_come_nearer(unsafe):
+    assert sample_drifts(unsafe)[1:].min() < 20.0
+
+
+def test_least_distance_of_drifts_is_that_of_samples(safe, unsafe):
+    for run in (safe, unsafe):
+        found = find_drift_approach(read(run))
+        sampled = sample_drifts(run)[found.step, found.agent]
+        # Two pass each other by up to 10 m/s between samples.
+        assert found.distance <= sampled <= np.hypot(found.distance, 120.0)
+
+
+def test_check_refuses_a_flight_that_is_not_passively_safe(safe, unsafe):
+    assert check_drifts(read(safe)).kept
+    promise = check_drifts(read(unsafe))
+    assert not promise.kept and promise.value < 20.0
+
+
+def test_judge_of_campaigns_finds_the_distance_of_the_check(safe, unsafe):
+    for run in (safe, unsafe):
+        text = (
+            run.mission.to_toml() if hasattr(run.mission, "to_toml") else run.data.attrs["scenario"]
+        )
+        data = run.data.assign_attrs(scenario=text)
+        judged, own = losses.judge_drifts(data), find_drift_approach(read(run))
+        assert judged["least_m"] == pytest.approx(own.distance, abs=0.1)
+        assert (judged["below"] > 0) == (own.distance < 50.0)
+
+
+def test_passive_safety_costs_little_fuel(safe, unsafe):
+    assert (
+        unsafe.summary["fuel_m_s"] <= safe.summary["fuel_m_s"] <= 1.01 * unsafe.summary["fuel_m_s"]
+    )
+
+
+@pytest.mark.parametrize("seed", [2, 6])
+def test_drifts_about_an_ellipse_and_out_of_the_plane_keep_the_distance(seed):
+    run = fly(("eccentric", "orbit3d")[seed // 4], seed)
+    assert run.summary["reached"] and run.summary["min_drift_separation_m"] >= 50.0
+    assert losses.judge_drifts(run.data)["below"] == 0
+
+
+def test_vehicles_stay_passively_safe_after_others_are_lost():
+    lose = 'leg.0.lose=[{kind="agents",agents=[2],at_step=6,body="coast"}]'
+    run = fly("orbit", 1, lose, "swarm.agents=7")
+    assert run.check().kept and run.summary["min_drift_separation_m"] >= 50.0
+
+
+def test_linear_model_that_is_flown_can_be_passively_safe():
+    run = fly("random_cw", 0, "plan.passive_safety_m=1")
+    assert run.check().kept and run.summary["min_drift_separation_m"] >= 1.0
+
+
+def test_offers_are_safe_where_no_drift_meets_the_other_path(safe):
+    mission = replace(safe.drawn_mission, passive_safety=400.0)
+    horizon, rng = make_horizon(mission, 0.0, 4), np.random.default_rng(1)
+    d, found = mission.axes, []
+    for _ in range(60):
+        x = np.repeat(mission.initial_states[:2, None], 5, axis=1)
+        x[1, :, 1] = x[0, :, 1] + 500.0
+        x[..., d : d + 2] += rng.normal(0, 0.3, (2, 1, 2)) * (np.arange(5) > 0)[:, None]
+        drifts = horizon.follow(x, np.zeros((2, 4, d)))
+        own = OfferedDrifts(horizon, Drifts(*(part[:, None] for part in drifts)))
+        safe = own.are_safe(np.zeros(2, int), np.array([0]), np.array([1]))[0]
+        paths = drifts.path[:, horizon.piece]
+        apart = np.linalg.norm(drifts.drifts - paths[::-1], axis=3)[:, horizon.step > 0]
+        found.append(safe)
+        assert not safe or apart.min() >= 400.0
+        assert safe == own.are_safe(np.zeros(2, int), np.array([1]), np.array([0]))[0]
+    assert 5 < sum(found) < 55
+
+
+def test_agent_by_messages_refuses_passive_safety(safe):
+    with pytest.raises(ValueError, match="drifts lead beyond hearing"):
+        sato.Agent(safe.mission, 0)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "changes", "reason"),
+    [
+        ("orbit", ["plan.passive_safety_min=9"], "has no effect without plan.passive_safety_m"),
+        ("crossing", ["plan.passive_safety_m=1"], "is for orbits"),
+        ("orbit", [*SAFE, "disturbance.velocity_mm_s=1"], "an error of 1 mm/s"),
+        ("orbit", [*SAFE, "model.kind=clohessy_wiltshire"], 'model.kind = "j2"'),
+        ("orbit", [*SAFE, "plant.drag=true", "plant.ballistic_m2_kg=0.01"], "without drag"),
+        ("orbit", [*SAFE, "plan.orders=2"], "plan.orders = 1 would do"),
+        ("orbit", [*SAFE, "plan.passive_safety_m=900"], "targets . and . of leg 0 come within"),
+        ("orbit", ["swarm.agents=6", "plan.passive_safety=50"], "write passive_safety_m"),
+    ],
+)
+def test_passive_safety_that_cannot_be_is_refused_with_a_reason(scenario, changes, reason):
+    with pytest.raises(ValueError, match=reason):
+        sato.run(scenario, overrides=changes)
+
+
+def test_starts_out_of_hearing_of_each_other_are_doubted(safe):
+    assert list_doubts(safe.drawn_mission) == []
+    near = replace(safe.drawn_mission, comm_radius=10.0, allow_undetectable=True)
+    assert "6 networks" in list_doubts(near)[0]
