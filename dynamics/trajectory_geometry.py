@@ -86,7 +86,7 @@ def divide_pieces(points: Float[Array, "*k 4 d"], parts: int) -> Float[Array, "*
 def division_matrices(parts: int) -> Float[Array, "parts 4 4"]:
     """Return the weights of the control points of a piece in those of its equal parts.
 
-    A control point of a part is the value of the polar form at its two ends [Farin2002, sec. 4.4].
+    A control point of a part is the value of the polar form at its two ends [Farin2002].
     """
     found = np.empty((parts, 4, 4))
     for part in range(parts):

@@ -51,7 +51,7 @@ class PassiveSafety(NamedTuple):
 
 
 class DriftConflicts(NamedTuple):
-    """Where an agent or others may drift too near, and half-spaces against it."""
+    """Encounters in which an agent or others drift too near, and half-spaces against them."""
 
     agent: PassiveSafety
     others: Drifts
