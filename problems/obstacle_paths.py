@@ -45,6 +45,12 @@ class ObstaclePaths(NamedTuple):
         """Return the same for the first pieces."""
         return self._replace(paths=self.paths[:, :count])
 
+    def held_after(self, count: int) -> "ObstaclePaths":
+        """Return the same, as if obstacles stood still after the first pieces."""
+        paths = self.paths.copy()
+        paths[:, count:] = self.paths[:, count - 1 : count, -1:]
+        return self._replace(paths=paths)
+
     def after_pieces(self, count: int) -> "ObstaclePaths":
         """Return the same, later by some pieces."""
         return self._replace(paths=self.paths[:, count:])

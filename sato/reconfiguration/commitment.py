@@ -37,6 +37,7 @@ from sato.reconfiguration.stopping import (
 from sato.scp.planner import FEASIBILITY_TOLERANCE, PASSING_SIDES
 
 ROUNDING = 1e-12  # relative, of distances that are computed twice
+SHARES_OF_ESCAPE = 1.0, 0.5, 0.25  # of the time to get out of the way, that is looked ahead at rest
 MAX_WAYS_ASIDE = 3  # that are looked for, one about another, where something comes an agent's way
 
 
@@ -219,14 +220,33 @@ def improve(
         Controls, control points, and the steps for which these follow the plan; None where none
         are found that are safe.
     """
-    mission, steps = context.mission, len(plan.trajectory.u)
     kept = hull_distance(path - others)[0].min(axis=1)
     clearance = np.minimum(clearance, kept * (1 - ROUNDING))
-    obstacles = context.known_obstacles(agent, horizon)
+    for rest_steps, obstacles in _list_looks(context, agent, horizon, path):
+        around = clearance, obstacles, rest_steps
+        found = _improve_among(context, agent, plan, horizon, path, others, *around)
+        if found is not None:
+            return found
+    return None
+
+
+def _improve_among(
+    context: DecisionContext,
+    agent: int,
+    plan: Plan,
+    horizon: AvoidanceHorizon,
+    path: Float[Array, "pieces 4 d"],
+    others: Float[Array, "others pieces 4 d"],
+    clearance: Float[Array, " others"],
+    obstacles: ObstaclePaths | None,
+    rest_steps: int,
+) -> tuple[Float[Array, "T m"], Float[Array, "pieces 4 d"], int] | None:
+    """Change a committed trajectory among obstacles, to one that rests some steps at the end."""
+    mission, steps = context.mission, len(plan.trajectory.u)
     # Where to stop at once would lead into others, an agent may pass them and stop by another way.
     own = context, agent, horizon, path, others, clearance, obstacles
-    for followed, about, side in _list_ways(*own):
-        near = about, others, clearance, obstacles, side
+    for followed, about, side in _list_ways(*own, rest_steps):
+        near = about, others, clearance, obstacles, side, rest_steps
         u = _find_stop_after(context, agent, plan, followed, horizon, *near)
         if u is None:
             continue
@@ -239,6 +259,33 @@ def improve(
     return None
 
 
+def _list_looks(
+    context: DecisionContext,
+    agent: int,
+    horizon: AvoidanceHorizon,
+    path: Float[Array, "pieces 4 d"],
+) -> Iterator[tuple[int, ObstaclePaths | None]]:
+    """List how many steps an agent rests at the end, and obstacles as they count, the best first.
+
+    Others may move for long. What moves counts until the agent, at rest, could get out of its way,
+    or, where that is too far to go at once, for a part of that time; not if it comes later.
+    """
+    obstacles, around = context.known_obstacles(agent, horizon), context.surroundings
+    escape = around.escape_steps(context.mission, agent) if around else 0
+    if obstacles is None or not escape:
+        yield 0, obstacles
+        return
+    is_moving, S = (path != path[-1, -1]).any(axis=(1, 2)), horizon.pieces_per_step
+    moving = int(np.flatnonzero(is_moving).max(initial=-1)) // S + 1
+    for share in SHARES_OF_ESCAPE:
+        ahead = max(1, int(share * escape))
+        last = max(moving, steps_to_next(context) + ahead)
+        known = obstacles.held_after(min((last + 1 + ahead) * S, len(path)))
+        if share < 1 and is_path_clear(path, known):
+            return
+        yield max(ahead, horizon.steps - 1 - last), known
+
+
 def _list_ways(
     context: DecisionContext,
     agent: int,
@@ -247,6 +294,7 @@ def _list_ways(
     others: Float[Array, "others pieces 4 d"],
     clearance: Float[Array, " others"],
     obstacles: ObstaclePaths | None,
+    rest_steps: int,
 ) -> Iterator[tuple[int, Float[Array, "pieces 4 d"], convexify.PassingSide]]:
     """List steps of the plan to follow, a nominal, and a side, in the order in which to try them.
 
@@ -261,7 +309,7 @@ def _list_ways(
         yield followed, path, side
     start, solver = context.state[agent], context.solver_of(agent)
     for _ in range(MAX_WAYS_ASIDE):
-        own = agent, start, path, others, clearance, obstacles, solver
+        own = agent, start, path, others, clearance, obstacles, solver, rest_steps
         aside = find_way_aside(context.mission, horizon, *own)
         if aside is None:
             return
@@ -280,6 +328,7 @@ def _find_stop_after(
     clearance: Float[Array, " others"],
     obstacles: ObstaclePaths | None,
     side: convexify.PassingSide,
+    rest_steps: int,
 ) -> Float[Array, "T m"] | None:
     """Find controls that follow the plan for k steps, and then stop near it."""
     mission, period = context.mission, steps_to_next(context)
@@ -297,8 +346,6 @@ def _find_stop_after(
         others = others[:, k * horizon.pieces_per_step :]
         if obstacles is not None:
             obstacles = obstacles.after_pieces(k * horizon.pieces_per_step)
-    around = context.surroundings
-    rest_steps = around.escape_steps(mission, agent) if around else 0
     aim = agent, start, wanted, min(period, max(horizon.steps - 1 - rest_steps, 1))
     passing = context.solver_of(agent), side, obstacles, rest_steps
     found = find_stop(mission, horizon, *aim, path, others, clearance, *passing)

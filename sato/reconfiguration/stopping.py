@@ -160,6 +160,7 @@ def find_way_aside(
     clearance: Float[Array, " others"],
     obstacles: ObstaclePaths,
     solver: Solver,
+    rest_steps: int,
 ) -> Float[Array, "pieces 4 d"] | None:
     """Find a path that comes least too near to others and obstacles; None where none is found.
 
@@ -175,8 +176,9 @@ def find_way_aside(
         clearance: Distance to keep from each [m].
         obstacles: Obstacles over the horizon.
         solver: Solver of the program.
+        rest_steps: Steps at the end of the horizon for which the agent rests already.
     """
-    T, required = horizon.steps - 1, required_separations(clearance)
+    T, required = max(horizon.steps - 1 - rest_steps, 1), required_separations(clearance)
     between = choose_half_spaces(nominal, others, required, obstacles)
     half_spaces = convexify.convexify(horizon, T, *between)
     rest = np.concatenate([horizon.unscale_points(nominal[-1, -1]), np.zeros(mission.axes)])
