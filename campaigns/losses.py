@@ -29,8 +29,8 @@ def judge_run(run: Any) -> dict[str, Any]:
 def judge_drifts(data: xr.Dataset, distance: float = 50.0) -> dict[str, Any]:
     """Return how near vehicles drift to others that fly on, and how often nearer than a distance.
 
-    Losses of a vehicle before its first thrust change nothing, and are counted apart, as those are
-    after which others change what they fly.
+    Losses of a vehicle before its first thrust change nothing, and are counted apart. So are those
+    up to the last step at which others changed what they fly: they would have flown otherwise.
     """
     flight = Flight.from_dataset(data)
     motion = Motion.from_dataset(data, flight.scenario)
@@ -53,15 +53,22 @@ def judge_drifts(data: xr.Dataset, distance: float = 50.0) -> dict[str, Any]:
         least[k] = _pass(relative)
     is_self = np.eye(least.shape[1], dtype=bool)
     least[:, is_self] = np.inf
+    is_gone = ~flight.alive[-1]
+    least[:, is_gone], least[:, :, is_gone] = np.inf, np.inf
     is_thrust = np.abs(flight.applied).max(axis=2) > THRUST * flight.strength
     has_thrust = np.vstack([np.zeros_like(is_thrust[:1]), np.logical_or.accumulate(is_thrust)[:-1]])
+    has_thrust &= flight.alive[-1]
+    near, is_left_out = least < distance + BEND, has_thrust.copy()
     has_thrust[: 1 + _last_change(data, flight, plan)] = False
-    near = least < distance + BEND
+    is_left_out &= ~has_thrust
     return {
         "least_m": float(least[has_thrust].min(initial=np.inf)),
         "below": int(near[has_thrust].sum()),
         "pairs_below": int((near & has_thrust[..., None]).any(axis=0).sum()),
-        "below_before_thrust": int(near[~has_thrust].sum()),
+        "losses": int(has_thrust.sum()),
+        "left_out": int(is_left_out.sum()),
+        "below_left_out": int(near[is_left_out].sum()),
+        "below_before_thrust": int(near[~has_thrust & ~is_left_out].sum()),
     }
 
 

@@ -51,7 +51,7 @@ class Encounters(NamedTuple):
     """Pieces of drifts in which another may come near."""
 
     other: Int[Array, " encounters"]
-    drift: Int[Array, " encounters"]  # index of a piece of a drift
+    row: Int[Array, " encounters"]  # of the piece among those of all drifts
 
     def join(self, more: "Encounters") -> "Encounters":
         """Return these and more, each once."""
@@ -196,7 +196,7 @@ class DriftHorizon:
             ),
         )
 
-    def find_drifting(self, own: Drifts, paths: Paths) -> Encounters:
+    def find_near_paths(self, own: Drifts, paths: Paths) -> Encounters:
         """Find where a vehicle drifts nearer to whole paths than the distance that is kept.
 
         From now on it drifts as it does; others can only keep their plans clear of that.
@@ -207,10 +207,10 @@ class DriftHorizon:
 
     def _find_near(self, relative: Array, is_asked: Array, factor: float) -> Encounters:
         radius = factor * self.distance
-        other, drift = np.nonzero(is_asked & ~are_balls_separated(relative, radius))
-        parts = divide_pieces(relative[other, drift], PARTS)
+        other, row = np.nonzero(is_asked & ~are_balls_separated(relative, radius))
+        parts = divide_pieces(relative[other, row], PARTS)
         near = ~are_hulls_separated(parts, radius).all(axis=1)
-        return Encounters(other[near], drift[near])
+        return Encounters(other[near], row[near])
 
     def constrain(
         self,
@@ -231,21 +231,21 @@ class DriftHorizon:
             u: Controls of the nominal.
             side: Side on which to pass.
         """
-        drifting, following = encounters
-        (other, drift), (met, theirs) = drifting, following
-        relative = own.drifts[drift] - others.path[other, self.piece[drift]]
-        P, k = self._drift_maps(drift), self.piece[theirs]
-        rows = self._make_rows(drifting, self.step[drift], relative, P, None, x, u, side)
+        of_drifts, of_plan = encounters
+        (other, row), (met, theirs) = of_drifts, of_plan
+        relative = own.drifts[row] - others.path[other, self.piece[row]]
+        P, k = self._drift_maps(row), self.piece[theirs]
+        rows = self._make_rows(of_drifts, self.step[row], relative, P, None, x, u, side)
         relative = own.path[k] - others.drifts[met, theirs]
         P, Q, _ = (part[k, 0] for part in self.steps.control_point_maps)
-        return rows.join(self._make_rows(following, k, relative, P, Q, x, u, side))
+        return rows.join(self._make_rows(of_plan, k, relative, P, Q, x, u, side))
 
-    def _drift_maps(self, drift: Int[Array, " rows"]) -> Float[Array, "rows 4 d n"]:
+    def _drift_maps(self, rows: Int[Array, " rows"]) -> Float[Array, "rows 4 d n"]:
         """Return the matrices that take the state at which thrust is lost to control points."""
-        piece, (to, back) = self.piece[drift], self._transitions
+        piece, (to, back) = self.piece[rows], self._transitions
         n = to.shape[-1]
         third = (self.lengths[piece] / 3)[:, None, None]
-        first, last = (to[piece + i] @ back[self.step[drift]] for i in (0, 1))
+        first, last = (to[piece + i] @ back[self.step[rows]] for i in (0, 1))
         p, v = slice(n // 2), slice(n // 2, n)
         points = first[:, p], first[:, p] + third * first[:, v], last[:, p] - third * last[:, v]
         return np.stack([*points, last[:, p]], axis=1)
@@ -301,10 +301,10 @@ def _join(first: Array, last: Array, length: Float[Array, " pieces"], d: int) ->
 
 def _list_runs(encounters: Encounters, step: Int[Array, " drifts"]) -> list[Int[Array, " rows"]]:
     """Group encounters that follow each other along one drift."""
-    other, drift = encounters
+    other, row = encounters
     if not len(other):
         return []
-    order = np.lexsort((drift, other))
-    same = (np.diff(other[order]) == 0) & (np.diff(drift[order]) == 1)
-    same &= np.diff(step[drift[order]]) == 0
+    order = np.lexsort((row, other))
+    same = (np.diff(other[order]) == 0) & (np.diff(row[order]) == 1)
+    same &= np.diff(step[row[order]]) == 0
     return np.split(order, 1 + np.flatnonzero(~same))

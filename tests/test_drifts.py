@@ -105,11 +105,9 @@ def test_plans_within_the_half_spaces_keep_their_distance(seed, side):
         moved = HORIZON.follow(*plan)
         # Encounter by encounter, as each has rows of its own: 16, of its control points.
         is_kept = kept.reshape(-1, 16).all(axis=1)
-        first = len(met[0].drift)
-        drifting = (
-            moved.drifts[met[0].drift] - stacked.path[met[0].other, HORIZON.piece[met[0].drift]]
-        )
-        following = moved.path[HORIZON.piece[met[1].drift]] - stacked.drifts[met[1]]
+        first = len(met[0].row)
+        drifting = moved.drifts[met[0].row] - stacked.path[met[0].other, HORIZON.piece[met[0].row]]
+        following = moved.path[HORIZON.piece[met[1].row]] - stacked.drifts[met[1]]
         for relative, safe in ((drifting, is_kept[:first]), (following, is_kept[first:])):
             assert (least(relative)[safe] >= HORIZON.distance).all()
 
@@ -121,9 +119,9 @@ def test_nominal_that_keeps_the_distance_satisfies_its_half_spaces():
         (x, u), other = draw_plan(rng), HORIZON.follow(*draw_plan(rng))
         own, others = HORIZON.follow(x, u), Drifts(*(part[None] for part in other))
         met = HORIZON.find_encounters(own, others, np.ones(1, dtype=bool), 4.0)
-        if any(len(e.drift) for e in HORIZON.find_encounters(own, others, np.ones(1, bool), 1.001)):
+        if any(len(e.row) for e in HORIZON.find_encounters(own, others, np.ones(1, bool), 1.001)):
             continue
-        found += sum(len(each.drift) for each in met)
+        found += sum(len(each.row) for each in met)
         assert HORIZON.constrain(own, others, met, x, u).violation(x, u).max(initial=-1) <= 1e-9
     assert found > 50
 
@@ -139,7 +137,7 @@ def test_encounters_are_all_that_sampling_finds():
             (following, own.path[HORIZON.piece] - other.drifts, HORIZON.piece < STEPS),
         ):
             near = np.flatnonzero((least(relative) < HORIZON.distance) & asked)
-            assert np.isin(near, found.drift).all()
+            assert np.isin(near, found.row).all()
 
 
 def test_those_below_count_from_now_on_and_after_their_plans():
@@ -148,9 +146,9 @@ def test_those_below_count_from_now_on_and_after_their_plans():
     own = HORIZON.follow(x, u)
     others = Drifts(own.path[None], own.drifts[None])  # at the same places at all times
     drifting, following = HORIZON.find_encounters(own, others, np.zeros(1, dtype=bool), 1.0)
-    assert (HORIZON.piece[drifting.drift] >= STEPS).all() and len(drifting.drift)
-    assert (HORIZON.step[following.drift] == 0).all()
-    assert (HORIZON.piece[following.drift] < STEPS).all() and len(following.drift)
+    assert (HORIZON.piece[drifting.row] >= STEPS).all() and len(drifting.row)
+    assert (HORIZON.step[following.row] == 0).all()
+    assert (HORIZON.piece[following.row] < STEPS).all() and len(following.row)
 
 
 @pytest.mark.parametrize("begin", [0.1, 61.7, 7140.3])

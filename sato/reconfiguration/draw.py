@@ -58,6 +58,7 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
     first_commitment.check_reach(drawn)
     first_commitment.find_first_commitments(drawn)
     first_commitment.check_room(drawn)
+    passive_requirements.check_network(drawn)
     passive_requirements.check_targets(drawn)
     return drawn
 

@@ -282,10 +282,8 @@ class Reconfiguration(PlannedLimits, Mission):
 
     def warnings(self) -> list[str]:
         """List doubts about a drawn mission, a sentence each."""
-        from sato.reconfiguration import passive_requirements, tolerances
+        from sato.reconfiguration import tolerances
 
-        if self.is_passively_safe:  # in which case it flies as it plans
-            return passive_requirements.list_doubts(self)
         if self.tracking is not None:
             return tolerances.tracking_doubts(self)
         if self.chief is None or self.nonlinear_model is not None or self.flies_model:

@@ -279,7 +279,7 @@ def check_start(offers: Offers, choice: Int[Array, " agents"], graph: Communicat
     i, j, radius = list_pairs(offers, graph)
     met = np.flatnonzero(~are_clear(offers, choice, i, j, radius))
     if len(met) and offers.drifts is not None:
-        k, distance = met[0], offers.drifts.distance
+        k, distance = met[0], offers.drifts.horizon.distance
         raise InputError(
             "plan.passive_safety_m",
             f"agents {offers.agents[i[k]]} and {offers.agents[j[k]]} find no plans from every step "

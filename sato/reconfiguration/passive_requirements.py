@@ -13,6 +13,8 @@ from sato.scenario.errors import InputError
 if TYPE_CHECKING:
     from sato.reconfiguration.mission import Reconfiguration
 
+MAX_ORBITS = 15.0  # of drift: about a day in low orbits
+
 
 def check(mission: "Reconfiguration") -> None:
     """Refuse passive safety where drifts cannot be foreseen for as long as it takes.
@@ -29,12 +31,19 @@ def check(mission: "Reconfiguration") -> None:
         (mission.orbital_period is None, "is for orbits, where nothing can stop; leave it out"),
         (mission.has_noise, "needs a flight without [disturbance]: in two orbits an error of 1 mm/s"
          " becomes 30 m"),
-        (not _is_foreseen(mission), 'needs the motion that is flown: model.kind = "j2" without drag'
-         ' or a plant of your own, or plant = "model"'),
+        (not _is_foreseen(mission), 'needs the motion that is flown: model.kind = "j2" with neither'
+         ' drag nor a plant of your own, or plant = "model"'),
+        (_lasts_too_long(mission), f"is for drifts of up to {MAX_ORBITS:g} orbits; a shorter"
+         " plan.passive_safety_min would do"),
         (mission.orders > 1, "knows one order of priority; plan.orders = 1 would do"),
     ):  # fmt: skip
         if is_so:
             raise InputError("plan.passive_safety_m", reason)
+
+
+def _lasts_too_long(mission: "Reconfiguration") -> bool:
+    period, duration = mission.orbital_period, mission.passive_safety_time
+    return period is not None and duration is not None and duration > MAX_ORBITS * period
 
 
 def _is_foreseen(mission: "Reconfiguration") -> bool:
@@ -74,16 +83,22 @@ def check_targets(mission: "Reconfiguration") -> None:
             )
 
 
-def list_doubts(mission: "Reconfiguration") -> list[str]:
-    """List doubts about the passive safety of a drawn mission."""
-    alive = mission.alive
-    place = mission.initial_states[:, : mission.axes]
+def check_network(mission: "Reconfiguration") -> None:
+    """Refuse starts in several networks: a drift leads far, and nobody knows of another network.
+
+    Args:
+        mission: A drawn mission.
+
+    Raises:
+        InputError: There are several.
+    """
+    place = mission.initial_states[mission.alive, : mission.axes]
     apart = np.linalg.norm(place[:, None] - place, axis=2)
-    component = label_components((apart <= mission.comm_radius) & alive & alive[:, None], alive)
-    count = len(set(component[alive].tolist()))
-    if mission.passive_safety is None or count <= 1:
-        return []
-    return [
-        f"the starts form {count} networks, and a drift is clear only of those in its own; a "
-        "larger swarm.comm_radius_m would make it one"
-    ]
+    everyone = np.ones(len(place), dtype=bool)
+    count = len(set(label_components(apart <= mission.comm_radius, everyone).tolist()))
+    if mission.is_passively_safe and count > 1:
+        raise InputError(
+            "plan.passive_safety_m",
+            f"needs all vehicles in one network, and the starts form {count}; a larger "
+            "swarm.comm_radius_m, more vehicles or starts nearer to each other would do",
+        )

@@ -24,7 +24,7 @@ from sato.scp.planner import Planner
 FINE_STEPS = 4  # of the integration of a plan that is flown on, in a step
 PIECES_PER_ORBIT = 60  # of a circular orbit: cubics are within 3e-7 of what a vehicle drifts
 STEPS_PER_ORBIT = 120  # of the integration: within 2e-7
-DRIFT_ERROR = 0.02  # of drifts of up to 50 km in two orbits, both together [m]
+DRIFT_ERROR = 0.01  # of drifts of up to 25 km an orbit, both together, in each orbit [m]
 
 
 class OfferedDrifts(NamedTuple):
@@ -32,11 +32,6 @@ class OfferedDrifts(NamedTuple):
 
     horizon: DriftHorizon
     drifts: Drifts  # of each agent and choice
-
-    @property
-    def distance(self) -> float:
-        """Distance that is asked for [m]."""
-        return self.horizon.distance - DRIFT_ERROR
 
     def are_safe(
         self, choice: Int[Array, " agents"], i: Int[Array, " pairs"], j: Int[Array, " pairs"]
@@ -47,8 +42,10 @@ class OfferedDrifts(NamedTuple):
         return np.array([self._is_safe(own, a, b) for a, b in pairs], dtype=bool)
 
     def _is_safe(self, own: Drifts, a: int, b: int) -> bool:
-        near = (self.horizon.find_drifting(own.take(n), own.path[[m]]) for n, m in ((a, b), (b, a)))
-        return not any(len(each.drift) for each in near)
+        near = (
+            self.horizon.find_near_paths(own.take(n), own.path[[m]]) for n, m in ((a, b), (b, a))
+        )
+        return not any(len(each.row) for each in near)
 
 
 def offer_drifts(
@@ -93,7 +90,7 @@ def begin_passively_safe(
                 control_points=planners[i].horizon.control_points(nominal.x, nominal.u),
                 passive=PassiveSafety(horizon, others, nominal, drifts),
                 in_turn=True,
-                has_converged=planners[i].reaches_target(nominal),
+                has_converged=len(nominal.u) == 0 or planners[i].reaches_target(nominal),
             )
     return {i: found[i] for i in planners}
 
@@ -170,7 +167,7 @@ def make_horizon(mission: Reconfiguration, time: float, steps: int) -> DriftHori
 
     plan = discretize_zoh(model, dt, steps, time)
     later = discretize_zoh(model, h, ceil(duration / h), time + steps * dt)
-    distance = mission.passive_safety + DRIFT_ERROR
+    distance = mission.passive_safety + DRIFT_ERROR * max(1.0, duration / period)
     piecewise = AvoidanceHorizon(plan, plan, distance)
     return DriftHorizon(piecewise, later, move, time, duration, distance)
 

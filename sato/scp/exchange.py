@@ -8,7 +8,7 @@ from problems.convexify import are_paths_separated
 from problems.obstacle_paths import is_path_clear
 from sato.network.graph import CommunicationGraph
 from sato.network.rounds import run_round
-from sato.scp.planner import Planner, must_decide, update_planner
+from sato.scp.planner import Planner, may_have_to_solve, update_planner
 
 
 def run_scp(
@@ -48,7 +48,7 @@ def run_batched(
     paths = np.stack([agent.control_points for agent in now])
     conflicts = ~are_paths_separated(paths, lower, upper, radius)
     final = np.zeros(len(now), dtype=bool)
-    has_deviated = np.array([must_decide(agent) for agent in now])
+    has_deviated = np.array([may_have_to_solve(agent) for agent in now])
     meets = np.array([not is_path_clear(agent.control_points, agent.obstacles) for agent in now])
     in_turn = np.array([agent.in_turn for agent in now])
     while not final.all():
@@ -68,7 +68,7 @@ def run_batched(
             after = updated[ids[k]]
             moved[k] = after.control_points is not now[k].control_points
             now[k], final[k], paths[k] = after, after.is_final, after.control_points
-            has_deviated[k] = must_decide(after)
+            has_deviated[k] = may_have_to_solve(after)
             meets[k] = not is_path_clear(after.control_points, after.obstacles)
         changed = moved[lower] | moved[upper]
         conflicts[changed] = ~are_paths_separated(

@@ -56,24 +56,24 @@ class DriftConflicts(NamedTuple):
     agent: PassiveSafety
     others: Drifts
     is_above: Bool[Array, " others"]  # True for those whose plans and drifts are known
-    drifting: Encounters  # in its own drifts
-    following: Encounters  # of its plan, in the drifts of others
+    of_drifts: Encounters  # of its own drifts with plans of others
+    of_plan: Encounters  # of its plan with drifts of others
 
     @property
     def size(self) -> int:
         """Number of encounters."""
-        return len(self.drifting.drift) + len(self.following.drift)
+        return len(self.of_drifts.row) + len(self.of_plan.row)
 
     def with_solution(self, found: Trajectory) -> "DriftConflicts":
         """Add the encounters of a solution."""
         horizon, nominal = self.agent.horizon, self.agent.nominal
         own = horizon.predict(self.agent.own, nominal.x, found.x, found.u)
         more = horizon.find_encounters(own, self.others, self.is_above, KEPT_FACTOR)
-        drifting, following = self.drifting.join(more[0]), self.following.join(more[1])
-        return self._replace(drifting=drifting, following=following)
+        of_drifts, of_plan = self.of_drifts.join(more[0]), self.of_plan.join(more[1])
+        return self._replace(of_drifts=of_drifts, of_plan=of_plan)
 
     def constrain(self, side: PassingSide) -> HalfSpaces:
         """Constrain the plan in all encounters, on a side of those that the nominal meets."""
-        own, nominal, met = self.agent.own, self.agent.nominal, (self.drifting, self.following)
+        own, nominal, met = self.agent.own, self.agent.nominal, (self.of_drifts, self.of_plan)
         horizon = self.agent.horizon
         return horizon.constrain(own, self.others, met, nominal.x, nominal.u, side)

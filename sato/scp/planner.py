@@ -43,7 +43,7 @@ RELAXATION_ORDER: tuple[tuple[Relaxation, convexify.PassingSide, bool], ...] = (
 )
 FEASIBILITY_TOLERANCE = 1e-6  # of R: smaller violations and terminal errors count as none
 RELAXATIONS_IN_TURN = (RELAXATION_ORDER[0], RELAXATION_ORDER[2])  # where all can wait
-RELAXATIONS_ADRIFT: tuple[tuple[Relaxation, convexify.PassingSide, bool], ...] = (
+RELAXATIONS_FOR_DRIFTS: tuple[tuple[Relaxation, convexify.PassingSide, bool], ...] = (
     ("half-spaces", "same", False),
 )
 MAX_SOLVES_IN_TURN = 4
@@ -215,7 +215,7 @@ def follows_solo(agent: Planner) -> bool:
     return agent.solve_count == 0 and agent.nominal is agent.solo and agent.has_converged
 
 
-def must_decide(agent: Planner) -> bool:
+def may_have_to_solve(agent: Planner) -> bool:
     """Return True where an agent may have something to solve that paths alone do not show."""
     return not follows_solo(agent) or agent.passive is not None
 
@@ -281,7 +281,7 @@ def _solve_avoidance(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Pl
         )
     relaxations = RELAXATIONS_IN_TURN if agent.in_turn else RELAXATION_ORDER
     if agent.passive is not None:  # the next iteration begins nearer to what is asked
-        relaxations = RELAXATIONS_ADRIFT
+        relaxations = RELAXATIONS_FOR_DRIFTS
     for relaxation, side, stops in relaxations:
         agent = agent._replace(solve_count=agent.solve_count + 1)
         if stops:  # come to rest where it is, as nearly as it can
@@ -329,14 +329,14 @@ def solve_around(
     beside = np.zeros(0, dtype=bool)
     if bodies is not None:
         beside = _find_met(agent.control_points, bodies, NEARBY_FACTOR)
-    adrift = agent.passive and agent.passive.find_conflicts(drifts_of(messages))
+    in_drifts = agent.passive and agent.passive.find_conflicts(drifts_of(messages))
     while True:
         paths, kept = others[constrained], required[constrained]
         known = None if bodies is None else bodies.select(beside)
         between = choose_half_spaces(nominal, paths, kept, known, side)
         half_spaces = convexify.convexify(horizon, T, *between)
-        if adrift is not None:
-            half_spaces = half_spaces.join(adrift.constrain(side))
+        if in_drifts is not None:
+            half_spaces = half_spaces.join(in_drifts.constrain(side))
         try:
             result = _solve_active_set(agent, half_spaces, relaxation)
         except Unsolved:
@@ -349,9 +349,9 @@ def solve_around(
             met = _find_met(path, bodies)
             is_new |= bool((met & ~beside).any())
             beside = beside | met
-        if adrift is not None:
-            before, adrift = adrift.size, adrift.with_solution(result.trajectory)
-            is_new |= adrift.size > before
+        if in_drifts is not None:
+            before, in_drifts = in_drifts.size, in_drifts.with_solution(result.trajectory)
+            is_new |= in_drifts.size > before
         if not is_new:
             return result
 

@@ -27,6 +27,14 @@ class DriftApproach(NamedTuple):
     step: int  # of the run, at which it lost it
 
 
+class DriftApproaches(NamedTuple):
+    """Losses of thrust that a run may have had after a vehicle's first thrust in a leg."""
+
+    nearest: DriftApproach | None  # of those that count; None where none does
+    counted: int
+    left_out: int  # at and before steps at which others have changed what they fly
+
+
 class FlownDrifts(NamedTuple):
     """Drifts from each step of a leg as it was flown, of the agents that are there at its end."""
 
@@ -34,23 +42,25 @@ class FlownDrifts(NamedTuple):
     drifts: Drifts
 
 
-def find_drift_approach(record: ReconfigurationRecord) -> DriftApproach | None:
+def find_drift_approaches(record: ReconfigurationRecord) -> DriftApproaches:
     """Find the nearest approach after a loss of thrust at any step after a vehicle's first thrust.
 
     Before that it drifts as it began. Others fly as recorded to the end of the leg, and freely
-    after it; so losses count from the step on after which no plans have changed. None where no
-    drift counts.
+    after it; so losses count from the step on after which no plans have changed.
     """
-    best: DriftApproach | None = None
+    nearest, enough, counted, left_out = None, np.inf, 0, 0
     for leg in record.leg_records:
-        if leg.end_event is None or (leg.entry_index[leg.alive] > leg.start_index).any():
+        if leg.end_event is None:
             continue
-        flown, enough = follow_leg(record, leg), np.inf if best is None else best.distance
-        for row, first in enumerate(find_first_losses(record, leg)):
-            found = approach_others(flown, leg, row, flown.horizon.step > first, enough)
+        flown, first = follow_leg(record, leg), find_first_losses(record, leg)
+        thrust = _find_first_thrusts(record, leg)
+        counted += int((leg.step_count - 1 - first).clip(0).sum())
+        left_out += int((first - thrust).clip(0, leg.step_count - 1 - thrust).clip(0).sum())
+        for row, step in enumerate(first.tolist()):
+            found = approach_others(flown, leg, row, flown.horizon.step > step, enough)
             if found is not None:
-                best, enough = found, found.distance
-    return best
+                nearest, enough = found, found.distance
+    return DriftApproaches(nearest, counted, left_out)
 
 
 def find_first_losses(record: ReconfigurationRecord, leg: LegRecord) -> Int[Array, " survivors"]:
@@ -60,10 +70,15 @@ def find_first_losses(record: ReconfigurationRecord, leg: LegRecord) -> Int[Arra
     # Those that could not commit to their plans do so at the next decision, or at a later one.
     changes += [k - leg.start_index + period for k, _ in record.events.of_kind("cautious")]
     since = max((k for k in changes if 0 <= k < leg.step_count), default=0)
+    return np.asarray(np.maximum(_find_first_thrusts(record, leg), since))
+
+
+def _find_first_thrusts(record: ReconfigurationRecord, leg: LegRecord) -> Int[Array, " survivors"]:
+    """Find the step of a leg at which each agent thrusts for the first time."""
     flown = record.frames.applied_control[leg.start_index : leg.end_index, leg.alive]
     thrusts = (np.abs(flown) > THRUST * record.mission.largest_control.max()).any(axis=2)
     first = np.where(thrusts.any(axis=0), thrusts.argmax(axis=0), leg.step_count)
-    return np.maximum(first, since)
+    return np.asarray(first)
 
 
 def follow_leg(record: ReconfigurationRecord, leg: LegRecord) -> FlownDrifts:

@@ -280,14 +280,18 @@ def check_obstacles(record: ReconfigurationRecord) -> Promise:
 
 def check_drifts(record: ReconfigurationRecord) -> Promise:
     """Check that no agent drifts too near to another after a loss of thrust at any step."""
-    found, allowed = record.drift_approach, record.mission.passive_safety
+    found, allowed = record.drift_approaches, record.mission.passive_safety
     if allowed is None or found is None:
-        return Promise("drifts", True, 0.0, 0.0, "no loss of thrust is looked at")
+        return Promise("drifts", True, 0.0, 0.0, "no loss of thrust is asked for")
+    losses = f"{found.counted} losses of thrust, {found.left_out} more as others changed plans"
+    if found.nearest is None:
+        return Promise("drifts", True, 0.0, allowed, losses)
+    distance, agent, other, step = found.nearest
     text = (
-        f"{found.distance:.9g} m between agent {found.agent}, without thrust from step "
-        f"{found.step} on, and agent {found.other}, {allowed:g} m allowed"
+        f"{distance:.9g} m between agent {agent}, without thrust from step {step} on, and agent "
+        f"{other}, {allowed:g} m allowed; of {losses}"
     )
-    return Promise("drifts", found.distance >= allowed, found.distance, allowed, text)
+    return Promise("drifts", distance >= allowed, distance, allowed, text)
 
 
 def check_arrival(record: ReconfigurationRecord) -> Promise:

@@ -19,7 +19,7 @@ from sato.record import RunRecord
 
 if TYPE_CHECKING:
     from sato.reconfiguration.check.clearance import Clearance
-    from sato.reconfiguration.check.drifts import DriftApproach
+    from sato.reconfiguration.check.drifts import DriftApproaches
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,11 +135,11 @@ class ReconfigurationRecord(
         return LegRecord(leg, start, end, event, entry, alive, targets, counts, component)
 
     @cached_property
-    def drift_approach(self) -> "DriftApproach | None":
-        """Nearest approach after a loss of thrust; None where that is not asked for."""
-        from sato.reconfiguration.check.drifts import find_drift_approach
+    def drift_approaches(self) -> "DriftApproaches | None":
+        """Approaches after a loss of thrust; None where that is not asked for."""
+        from sato.reconfiguration.check.drifts import find_drift_approaches
 
-        return find_drift_approach(self) if self.mission.is_passively_safe else None
+        return find_drift_approaches(self) if self.mission.is_passively_safe else None
 
     @cached_property
     def clearance(self) -> "Clearance | None":

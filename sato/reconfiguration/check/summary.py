@@ -40,8 +40,9 @@ def summarize(record: ReconfigurationRecord) -> dict[str, Any]:
     }
     if record.clearance is not None:
         summary["min_obstacle_distance_m"] = record.clearance.distance
-    if record.drift_approach is not None:
-        summary["min_drift_separation_m"] = record.drift_approach.distance
+    if (drifts := record.drift_approaches) is not None:
+        summary["min_drift_separation_m"] = drifts.nearest.distance if drifts.nearest else np.nan
+        summary["drift_losses"], summary["drift_losses_left_out"] = drifts[1:]
     assignments = [bound.assignment if bound else None for bound in record.fuel_bounds]
     if mission.objective == "energy":
         assignments = list(record.energy_bounds)

@@ -29,7 +29,8 @@ KILOMETER = 1000.0  # [m]
 
 def plot_drifts(record: ReconfigurationRecord) -> Figure:
     """Plot the drifts of the vehicle that comes nearest to another, and the distances of all."""
-    leg, nearest = record.leg_records[0], record.drift_approach
+    approaches, leg = record.drift_approaches, record.leg_records[0]
+    nearest = None if approaches is None else approaches.nearest
     if nearest is not None:
         leg = next(each for each in record.leg_records if nearest.step <= each.end_index)
     flown, agents = follow_leg(record, leg), np.flatnonzero(leg.alive)
