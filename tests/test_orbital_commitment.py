@@ -15,12 +15,9 @@ from dynamics.orbit import Orbit
 from dynamics.trajectory_geometry import control_points
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.agent_stages import Choosing, Holding
+from sato.reconfiguration.free_motion import free_motion, simulate_nonlinear
 from sato.reconfiguration.offers import Offers
-from sato.reconfiguration.orbital_commitment import (
-    choose_in_orbit,
-    free_motion,
-    simulate_nonlinear,
-)
+from sato.reconfiguration.orbital_commitment import choose_in_orbit
 
 ALL = np.ones(6, dtype=bool)
 ORBIT = Orbit.from_elements(6878e3, 0.02, np.pi / 4)
