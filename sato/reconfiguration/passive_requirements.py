@@ -6,7 +6,7 @@ import numpy as np
 
 from problems.convexify import are_pairs_separated
 from problems.drifts import KEPT_FACTOR
-from sato.network.graph import label_components
+from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.models import PlantSettings
 from sato.scenario.errors import InputError
 
@@ -92,11 +92,12 @@ def check_network(mission: "Reconfiguration") -> None:
     Raises:
         InputError: There are several.
     """
-    place = mission.initial_states[mission.alive, : mission.axes]
-    apart = np.linalg.norm(place[:, None] - place, axis=2)
-    everyone = np.ones(len(place), dtype=bool)
-    count = len(set(label_components(apart <= mission.comm_radius, everyone).tolist()))
-    if mission.is_passively_safe and count > 1:
+    if mission.passive_safety is None:
+        return
+    place, alive = mission.initial_states[:, : mission.axes], mission.alive
+    graph = CommunicationGraph.from_positions(place, mission.comm_radius, alive)
+    count = len(np.unique(graph.component[alive]))
+    if count > 1:
         raise InputError(
             "plan.passive_safety_m",
             f"needs all vehicles in one network, and the starts form {count}; a larger "
