@@ -112,7 +112,7 @@ def test_free_motion_is_checked_as_long_as_targets_keep_their_distance():
         options = {"step": 30.0, "comm_radius": 3e3, "collision_radius": 50.0}
         options |= {"max_control": 0.01, "max_speed": 3.0, "model": sato.ClohessyWiltshire(rate)}
         mission = make_mission(bounded, leg, **options)
-        count, h = free_motion(mission, mission.legs[0], 0)
+        count, h = free_motion(mission, mission.legs[0], mission.legs[0].steps)
         assert share[0] <= count * h * rate / (4 * np.pi) <= share[1] + 1e-9
 
 

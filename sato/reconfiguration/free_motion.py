@@ -19,7 +19,7 @@ PIECES_PER_ORBIT = 50  # cubic in time, within 1e-6 of the size of an orbit
 
 
 @lru_cache(maxsize=16)
-def free_motion(mission: Reconfiguration, leg: Leg, begun: int) -> tuple[int, float]:
+def free_motion(mission: Reconfiguration, leg: Leg, arrival: int) -> tuple[int, float]:
     """Return into how many pieces the free motion that is checked is divided, and their length [s].
 
     It ends where the targets do not keep their distance themselves: after two orbits, or sooner
@@ -28,12 +28,12 @@ def free_motion(mission: Reconfiguration, leg: Leg, begun: int) -> tuple[int, fl
     Args:
         mission: A drawn mission.
         leg: Its leg.
-        begun: Instant at which the leg began.
+        arrival: Instant at which vehicles take up its targets.
     """
     period = mission.orbital_period
     h = mission.step if period is None else period / PIECES_PER_ORBIT
     count = leg.steps if period is None else ceil(FREE_ORBITS * PIECES_PER_ORBIT)
-    rest, t = np.zeros((len(leg.targets), count, mission.axes)), (begun + leg.steps) * mission.step
+    rest, t = np.zeros((len(leg.targets), count, mission.axes)), arrival * mission.step
     x, d = simulate(mission, leg.targets, rest, t, h), mission.axes
     paths, (i, j) = control_points(x[..., :d], x[..., d:], h), np.triu_indices(len(x), 1)
     radius = np.full(len(i), mission.largest_separation + mission.margin)

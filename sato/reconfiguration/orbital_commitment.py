@@ -67,7 +67,7 @@ def make_orbital_offers(
     for a, plan in enumerate(plans.values()):
         if len(plan.trajectory.u) == steps and plan.target_index is not None:
             end[a, 0] = context.leg.targets[plan.target_index]
-    count, h = free_motion(mission, context.leg, context.instant - context.step_index)
+    count, h = free_motion(mission, context.leg, context.instant + steps)
     rest = np.zeros((*u.shape[:2], count, mission.axes))
     free = simulate(mission, end, rest, context.time + steps * mission.step, h)
     d = mission.axes
@@ -160,7 +160,7 @@ def arrive_among(
     mission, around, d = context.mission, context.surroundings, context.mission.axes
     assert around is not None
     horizon = divide_horizon(mission, context.time, steps, context.leg)
-    count, h = free_motion(mission, context.leg, context.instant - context.step_index)
+    count, h = free_motion(mission, context.leg, context.instant + steps)
     flown = drift_on(context, around, horizon, (count, h))
     later = flown and flown.after_pieces(len(horizon.fine_model))
     rest = np.zeros((len(context.leg.targets), len(later.paths[0]) if later else 0, d))
