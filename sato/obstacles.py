@@ -302,21 +302,24 @@ def corners_of_cube(axes: int) -> Float[Array, "corners d"]:
     return np.array(list(product((-1.0, 1.0), repeat=axes)))
 
 
-def polytope_about_ball(axes: int) -> Float[Array, "corners d"]:
-    """Return the corners of a polytope that contains the ball of radius 1, and is not much larger.
-
-    In space they are on a spiral with equal areas (Fibonacci's).
-    """
+def spread_directions(axes: int, count: int) -> Float[Array, "count d"]:
+    """Return directions that are spread evenly; in space on the spiral of Fibonacci."""
+    k = np.arange(count)
     if axes == 2:
-        turn = 2 * pi * np.arange(CIRCLE_CORNERS) / CIRCLE_CORNERS
-        around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-        return np.asarray(around / np.cos(pi / CIRCLE_CORNERS))
+        turn = 2 * pi * k / count
+        return np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    z, angle = 1 - (2 * k + 1) / count, pi * (3 - sqrt(5)) * k
+    flat = np.sqrt(1 - z**2)
+    return np.stack([flat * np.cos(angle), flat * np.sin(angle), z], axis=1)
+
+
+def polytope_about_ball(axes: int) -> Float[Array, "corners d"]:
+    """Return the corners of a polytope that just contains the ball of radius 1."""
+    if axes == 2:
+        return np.asarray(spread_directions(2, CIRCLE_CORNERS) / np.cos(pi / CIRCLE_CORNERS))
     from scipy.spatial import ConvexHull
 
-    k = np.arange(SPHERE_CORNERS)
-    z, angle = 1 - (2 * k + 1) / SPHERE_CORNERS, pi * (3 - sqrt(5)) * k
-    flat = np.sqrt(1 - z**2)
-    about = np.stack([flat * np.cos(angle), flat * np.sin(angle), z], axis=1)
+    about = spread_directions(axes, SPHERE_CORNERS)
     nearest = -ConvexHull(about).equations[:, -1].max()
     return np.asarray(about / nearest)
 

@@ -12,6 +12,7 @@ not hear each other cannot meet before they do. docs/safety.md has the proof.
 
 from collections.abc import Iterator
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -24,12 +25,12 @@ from problems.obstacle_paths import ObstaclePaths, is_path_clear
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.offers import Offers, is_kept, make_offers, rest_at_target, steps_to_next
 from sato.reconfiguration.plan import Plan, Plans
+from sato.reconfiguration.sampled_stops import sample_stops
 from sato.reconfiguration.state import DecisionContext
 from sato.reconfiguration.stopping import (
     Commitment,
     Commitments,
     find_stop,
-    find_way_aside,
     pad_controls,
     stays_within_reach,
     stopping_horizon,
@@ -38,7 +39,15 @@ from sato.scp.planner import FEASIBILITY_TOLERANCE, PASSING_SIDES
 
 ROUNDING = 1e-12  # relative, of distances that are computed twice
 SHARES_OF_ESCAPE = 1.0, 0.5, 0.25  # of the time to get out of the way, that is looked ahead at rest
-MAX_WAYS_ASIDE = 3  # that are looked for, one about another, where something comes an agent's way
+
+
+class Avoided(NamedTuple):
+    """What a change of a committed trajectory has to be clear of."""
+
+    others: Float[Array, "others pieces 4 d"]  # committed trajectories of neighbors
+    clearance: Float[Array, " others"]  # to keep from each [m]
+    obstacles: ObstaclePaths | None
+    rest_steps: int  # at the end of the horizon, for which the agent rests already
 
 
 def choose_offers(
@@ -223,39 +232,15 @@ def improve(
     kept = hull_distance(path - others)[0].min(axis=1)
     clearance = np.minimum(clearance, kept * (1 - ROUNDING))
     for rest_steps, obstacles in _list_looks(context, agent, horizon, path):
-        around = clearance, obstacles, rest_steps
-        found = _improve_among(context, agent, plan, horizon, path, others, *around)
-        if found is not None:
-            return found
-    return None
-
-
-def _improve_among(
-    context: DecisionContext,
-    agent: int,
-    plan: Plan,
-    horizon: AvoidanceHorizon,
-    path: Float[Array, "pieces 4 d"],
-    others: Float[Array, "others pieces 4 d"],
-    clearance: Float[Array, " others"],
-    obstacles: ObstaclePaths | None,
-    rest_steps: int,
-) -> tuple[Float[Array, "T m"], Float[Array, "pieces 4 d"], int] | None:
-    """Change a committed trajectory among obstacles, to one that rests some steps at the end."""
-    mission, steps = context.mission, len(plan.trajectory.u)
-    # Where to stop at once would lead into others, an agent may pass them and stop by another way.
-    own = context, agent, horizon, path, others, clearance, obstacles
-    for followed, about, side in _list_ways(*own, rest_steps):
-        near = about, others, clearance, obstacles, side, rest_steps
-        u = _find_stop_after(context, agent, plan, followed, horizon, *near)
-        if u is None:
-            continue
-        x = horizon.discrete_model.simulate(context.state[agent], u)
-        points = horizon.control_points(x, u)
-        is_clear = bool(convexify.are_hulls_separated(points - others, clearance).all())
-        is_clear = is_clear and is_path_clear(points, obstacles)
-        if is_clear and stays_within_reach(mission, horizon, x[:, : mission.axes], points):
-            return u, points, min(followed, steps)
+        avoided = Avoided(others, clearance, obstacles, rest_steps)
+        for followed, u in _list_changes(context, agent, plan, horizon, path, avoided):
+            x = horizon.discrete_model.simulate(context.state[agent], u)
+            points = horizon.control_points(x, u)
+            is_clear = bool(convexify.are_hulls_separated(points - others, clearance).all())
+            is_clear = is_clear and is_path_clear(points, obstacles)
+            position = x[:, : context.mission.axes]
+            if is_clear and stays_within_reach(context.mission, horizon, position, points):
+                return u, points, min(followed, len(plan.trajectory.u))
     return None
 
 
@@ -286,35 +271,30 @@ def _list_looks(
         yield max(ahead, horizon.steps - 1 - last), known
 
 
-def _list_ways(
+def _list_changes(
     context: DecisionContext,
     agent: int,
+    plan: Plan,
     horizon: AvoidanceHorizon,
     path: Float[Array, "pieces 4 d"],
-    others: Float[Array, "others pieces 4 d"],
-    clearance: Float[Array, " others"],
-    obstacles: ObstaclePaths | None,
-    rest_steps: int,
-) -> Iterator[tuple[int, Float[Array, "pieces 4 d"], convexify.PassingSide]]:
-    """List steps of the plan to follow, a nominal, and a side, in the order in which to try them.
+    avoided: Avoided,
+) -> Iterator[tuple[int, Float[Array, "T m"]]]:
+    """List steps of the plan to follow, and controls, in the order in which to try them.
 
-    Where something comes an agent's way, all sides, and then ways aside, one about another.
+    Where something comes an agent's way, it may pass on all sides, or stop elsewhere.
     """
-    period = steps_to_next(context)
-    if obstacles is None or is_path_clear(path, obstacles):
-        yield period, path, "same"
-        yield 0, path, "same"
-        return
-    for followed, side in product((period, 0), PASSING_SIDES[context.mission.axes]):
-        yield followed, path, side
-    start, solver = context.state[agent], context.solver_of(agent)
-    for _ in range(MAX_WAYS_ASIDE):
-        own = agent, start, path, others, clearance, obstacles, solver, rest_steps
-        aside = find_way_aside(context.mission, horizon, *own)
-        if aside is None:
-            return
-        path = aside
-        yield 0, path, "same"
+    mission, period, obstacles = context.mission, steps_to_next(context), avoided.obstacles
+    is_met = obstacles is not None and not is_path_clear(path, obstacles)
+    sides: tuple[convexify.PassingSide, ...] = PASSING_SIDES[mission.axes] if is_met else ("same",)
+    for followed, side in product((period, 0), sides):
+        u = _find_stop_after(context, agent, plan, followed, horizon, path, avoided, side)
+        if u is not None:
+            yield followed, u
+    if obstacles is not None and is_met:
+        start, rest_steps = context.state[agent], avoided.rest_steps
+        others = avoided.others, avoided.clearance, obstacles
+        for u in sample_stops(mission, horizon, agent, start, *others, rest_steps):
+            yield 0, u
 
 
 def _find_stop_after(
@@ -324,14 +304,12 @@ def _find_stop_after(
     k: int,
     horizon: AvoidanceHorizon,
     path: Float[Array, "pieces 4 d"],
-    others: Float[Array, "others pieces 4 d"],
-    clearance: Float[Array, " others"],
-    obstacles: ObstaclePaths | None,
+    avoided: Avoided,
     side: convexify.PassingSide,
-    rest_steps: int,
 ) -> Float[Array, "T m"] | None:
     """Find controls that follow the plan for k steps, and then stop near it."""
     mission, period = context.mission, steps_to_next(context)
+    others, clearance, obstacles, rest_steps = avoided
     own, x = mission.planned_control_limit(agent).cut(plan.trajectory.u), plan.trajectory.x
     wanted, start = x[min(k + period, len(own))], context.state[agent]
     if not len(own):  # back to the target

@@ -14,7 +14,6 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from problems import convexify
-from problems.avoidance import AvoidanceProblem
 from problems.conic import Unsolved
 from problems.convexify import AvoidanceHorizon
 from problems.limit import Limit
@@ -148,46 +147,6 @@ def stays_within_reach(
         farthest = np.maximum(farthest, squares.max(axis=(1, 2)))
     within[is_open] = farthest <= reach**2
     return within
-
-
-def find_way_aside(
-    mission: Reconfiguration,
-    horizon: AvoidanceHorizon,
-    agent: int,
-    start: Float[Array, " n"],
-    nominal: Float[Array, "pieces 4 d"],
-    others: Float[Array, "others pieces 4 d"],
-    clearance: Float[Array, " others"],
-    obstacles: ObstaclePaths,
-    solver: Solver,
-    rest_steps: int,
-) -> Float[Array, "pieces 4 d"] | None:
-    """Find a path that comes least too near to others and obstacles; None where none is found.
-
-    It is a nominal for `find_stop`, of which the nominal itself shows no way.
-
-    Args:
-        mission: Limits.
-        horizon: Horizon.
-        agent: Number of the agent.
-        start: State of the agent.
-        nominal: Control points about which the half-spaces are chosen.
-        others: Control points of the others.
-        clearance: Distance to keep from each [m].
-        obstacles: Obstacles over the horizon.
-        solver: Solver of the program.
-        rest_steps: Steps at the end of the horizon for which the agent rests already.
-    """
-    T, required = max(horizon.steps - 1 - rest_steps, 1), required_separations(clearance)
-    between = choose_half_spaces(nominal, others, required, obstacles)
-    half_spaces = convexify.convexify(horizon, T, *between)
-    rest = np.concatenate([horizon.unscale_points(nominal[-1, -1]), np.zeros(mission.axes)])
-    transfer = mission.make_transfer(horizon.discrete_model[:T], agent)
-    try:
-        found = AvoidanceProblem(transfer, start, rest, half_spaces, solver).solve("separation")
-    except Unsolved:
-        return None
-    return horizon.control_points(found.trajectory.x, found.trajectory.u)
 
 
 def find_stop(
