@@ -14,8 +14,10 @@ diameter; the agents know it, and each other's reports, from the first stage on.
     choice     offer                            D + 1 rounds after the last change
     reports    reports `ChoiceReport`           all have heard all                D
     turns      committed trajectory             each cautious agent has had one   as many
+    evasion    reports `EvasionReport`          all have heard all                D
 
-Nothing rests in orbit, where the choice is the last stage.
+Nothing rests in orbit, where the choice is the last stage. Evasion follows where something comes
+over what an agent has chosen; from the reports all compute the same changes.
 Terms and auction are left out where plans are kept and no agent calls for an auction.
 The auction begins again from its terms where a winner's cost was only a lower bound, where the
 clock is reset, and where a target out of reach was won. An instant at which none of the component
@@ -37,7 +39,14 @@ from sato.auctions.bidder import VsdaaBidder, WinningBids
 from sato.auctions.vsdaa import VsdaaAuction
 from sato.network.flooding import Census, CensusMessage, Flood, Reports
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration import assignment, commitment, planning, stopping, target_costs
+from sato.reconfiguration import (
+    assignment,
+    commitment,
+    evasion,
+    planning,
+    stopping,
+    target_costs,
+)
 from sato.reconfiguration.agent_stages import (
     AuctionTerms,
     Bidding,
@@ -91,6 +100,8 @@ class Decision(NamedTuple):
     previous: Plan | None = None  # in orbit: its plan before this decision
     is_unclear: bool = False  # in orbit: what it has committed to is not clear of others
     choosing: Choosing | None = None  # once it has chosen
+    is_evading: bool = False  # something comes over what an agent of its component has chosen
+    turns: Turns | None = None  # once all have had theirs, if they evade then
     events: tuple[Event, ...] = ()
 
     @classmethod
@@ -142,6 +153,8 @@ class Decision(NamedTuple):
         if isinstance(self.stage, Census):
             return self._after_census(self.stage)
         if isinstance(self.stage, Flood):
+            if self.turns is not None:
+                return self._after_evasion(self.turns, self.stage.message)
             if self.choosing is not None:
                 return self._begin_turns(self.stage.message)
             return self._begin_auction(self.stage)
@@ -160,7 +173,7 @@ class Decision(NamedTuple):
             return self._commit_in_orbit(self.stage)
         if isinstance(self.stage, Choosing):
             return self._report_choice(self.stage)
-        return self._commit(self.stage)
+        return self._begin_evasion(self.stage) if self.is_evading else self._commit(self.stage)
 
     def _after_exchange(self, exchange: Exchange) -> "Decision":
         planners, lost = {self.number: exchange.planner}, exchange.unreachable
@@ -183,7 +196,12 @@ class Decision(NamedTuple):
             self.context, self.plans[self.number]
         )
         priority = choosing.priority if is_cautious else None
-        report = ChoiceReport(self.number, priority, int(choosing.offers.steps[0]))
+        offers, steps = choosing.offers, int(choosing.offers.steps[0])
+        horizon = stopping.stopping_horizon(self.context.mission, steps)
+        chosen = offers.paths[0, choosing.choice, : len(horizon.fine_model)]
+        is_met = choosing.choice == offers.last
+        is_met = is_met and evasion.is_met(self.context, self.number, horizon, chosen)
+        report = ChoiceReport(self.number, priority, steps, is_met)
         flood = Flood(len(self.members), self.diameter, frozenset([report]))
         return self._enter(flood, choosing=choosing)
 
@@ -199,7 +217,7 @@ class Decision(NamedTuple):
         clearance = float(offers.clearance[0])
         flown = offers.plan_steps[choice]
         turns = Turns(self.context, own[1], own[0], order, horizon, u, path, clearance, flown)
-        return self._enter(turns)
+        return self._enter(turns, is_evading=any(report.is_met for report in reports))
 
     def _commit_in_orbit(self, choosing: Choosing) -> "Decision":
         choice, plan, i = choosing.choice, self.plans[self.number], self.number
@@ -211,11 +229,22 @@ class Decision(NamedTuple):
         events = (*self.events, cautious) if commitment.leaves_plan(plan) else self.events
         return self._replace(committed=committed, plans=kept, events=events, is_finished=True)
 
-    def _commit(self, turns: Turns) -> "Decision":
-        plan = commitment.follow(self.context, turns.plan, turns.plan_steps, turns.u)
-        committed = {self.number: stopping.Commitment(self.context.instant, turns.u)}
-        events = self.events
-        is_cautious = self.number in turns.order and turns.plan_steps == 0
+    def _begin_evasion(self, turns: Turns) -> "Decision":
+        own = turns.agent, turns.plan.priority, turns.horizon, turns.u, turns.path, turns.clearance
+        reports = frozenset([evasion.make_report(self.context, *own)])
+        return self._enter(Flood(len(self.members), self.diameter, reports), turns=turns)
+
+    def _after_evasion(self, turns: Turns, reports: Reports) -> "Decision":
+        mission, horizon = self.context.mission, turns.horizon
+        changed = evasion.find_evasions(mission, horizon, list(reports)).get(self.number)
+        return self._commit(turns, None if changed is None else changed.u)
+
+    def _commit(self, turns: Turns, evading: Float[Array, "T m"] | None = None) -> "Decision":
+        u, is_cautious = turns.u, self.number in turns.order and turns.plan_steps == 0
+        plan, events = commitment.follow(self.context, turns.plan, turns.plan_steps, u), self.events
+        if evading is not None:
+            u, plan, is_cautious = evading, commitment.leave(self.context, turns.plan), True
+        committed = {self.number: stopping.Commitment(self.context.instant, u)}
         if is_cautious and commitment.leaves_plan(turns.plan, plan):
             events = (*events, {"kind": "cautious", "agents": [self.number]})
         plans = {self.number: plan}

@@ -233,6 +233,7 @@ class ChoiceReport(NamedTuple):
     agent: int
     priority: Priority | None  # None where it commits to its plan
     steps: int  # in which all its offers have come to rest
+    is_met: bool  # something comes over what it has chosen
     round: int = 0
 
 

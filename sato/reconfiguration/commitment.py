@@ -23,9 +23,9 @@ from problems import convexify
 from problems.convexify import AvoidanceHorizon
 from problems.obstacle_paths import ObstaclePaths, is_path_clear
 from sato.network.graph import CommunicationGraph
+from sato.reconfiguration.evasion import ROUNDING, find_evasions, is_met, list_looks, make_report
 from sato.reconfiguration.offers import Offers, is_kept, make_offers, rest_at_target, steps_to_next
 from sato.reconfiguration.plan import Plan, Plans
-from sato.reconfiguration.sampled_stops import sample_stops
 from sato.reconfiguration.state import DecisionContext
 from sato.reconfiguration.stopping import (
     Commitment,
@@ -36,9 +36,6 @@ from sato.reconfiguration.stopping import (
     stopping_horizon,
 )
 from sato.scp.planner import FEASIBILITY_TOLERANCE, PASSING_SIDES
-
-ROUNDING = 1e-12  # relative, of distances that are computed twice
-SHARES_OF_ESCAPE = 1.0, 0.5, 0.25  # of the time to get out of the way, that is looked ahead at rest
 
 
 class Avoided(NamedTuple):
@@ -154,8 +151,49 @@ def commit(
     followed = {
         i: follow(context, plan, int(flown[a]), u[a]) for a, (i, plan) in enumerate(plans.items())
     }
-    left = [int(offers.agents[a]) for a in cautious if flown[a] == 0]
+    evaded = _list_evasions(context, plans, offers, u, paths, choice)
+    done |= {i: Commitment(context.instant, own) for i, own in evaded.items()}
+    followed |= {i: leave(context, plans[i]) for i in evaded}
+    left = {int(offers.agents[a]) for a in cautious if flown[a] == 0}.union(evaded)
     return done, followed, sorted(i for i in left if leaves_plan(plans[i], followed[i]))
+
+
+def _list_evasions(
+    context: DecisionContext,
+    plans: Plans,
+    offers: Offers,
+    u: Float[Array, "agents T m"],
+    paths: Float[Array, "agents pieces 4 d"],
+    choice: Int[Array, " agents"],
+) -> dict[int, Float[Array, "_ m"]]:
+    """List new controls in the components in which something came over what an agent chose."""
+    mission, component = context.mission, context.graph.component[offers.agents]
+    found: dict[int, Array] = {}
+    met = set()
+    for a in np.flatnonzero(choice == offers.last) if context.surroundings else ():
+        horizon = stopping_horizon(mission, int(offers.steps[a]))
+        chosen = offers.paths[a, choice[a], : len(horizon.fine_model)]
+        if component[a] not in met and is_met(context, int(offers.agents[a]), horizon, chosen):
+            met.add(component[a])
+    for c in sorted(met):
+        rows = np.flatnonzero(component == c)
+        horizon = stopping_horizon(mission, int(offers.steps[rows].max()))
+        T, pieces = horizon.steps, len(horizon.fine_model)
+        reports = [
+            make_report(
+                context,
+                i := int(offers.agents[a]),
+                plans[i].priority,
+                horizon,
+                u[a, :T],
+                paths[a, :pieces],
+                float(offers.clearance[a]),
+            )
+            for a in rows
+        ]
+        after = find_evasions(mission, horizon, reports)
+        found |= {i: report.u for i, report in after.items()}
+    return found
 
 
 def rank_of(offers: Offers, plans: Plans) -> Int[Array, " agents"]:
@@ -189,9 +227,14 @@ def follow(context: DecisionContext, plan: Plan, steps: int, u: Float[Array, "T 
     if is_kept_away(context, plan, u) or steps < min(
         steps_to_next(context), len(plan.trajectory.u)
     ):
-        failures = plan.failure_count + context.mission.keeps_plans
-        return plan._replace(target_index=None, failure_count=failures)
+        return leave(context, plan)
     return plan._replace(clear_until=plan.planned_at + steps)
+
+
+def leave(context: DecisionContext, plan: Plan) -> Plan:
+    """Return a plan that is not flown."""
+    failures = plan.failure_count + context.mission.keeps_plans
+    return plan._replace(target_index=None, failure_count=failures)
 
 
 def is_kept_away(context: DecisionContext, plan: Plan, u: Float[Array, "T m"]) -> bool:
@@ -231,7 +274,9 @@ def improve(
     """
     kept = hull_distance(path - others)[0].min(axis=1)
     clearance = np.minimum(clearance, kept * (1 - ROUNDING))
-    for rest_steps, obstacles in _list_looks(context, agent, horizon, path):
+    for n, (rest_steps, obstacles) in enumerate(list_looks(context, agent, horizon, path)):
+        if n and is_path_clear(path, obstacles):
+            return None
         avoided = Avoided(others, clearance, obstacles, rest_steps)
         for followed, u in _list_changes(context, agent, plan, horizon, path, avoided):
             x = horizon.discrete_model.simulate(context.state[agent], u)
@@ -244,33 +289,6 @@ def improve(
     return None
 
 
-def _list_looks(
-    context: DecisionContext,
-    agent: int,
-    horizon: AvoidanceHorizon,
-    path: Float[Array, "pieces 4 d"],
-) -> Iterator[tuple[int, ObstaclePaths | None]]:
-    """List how many steps an agent rests at the end, and obstacles as they count, the best first.
-
-    Others may move for long. What moves counts until the agent, at rest, could get out of its way,
-    or, where that is too far to go at once, for a part of that time; not if it comes later.
-    """
-    obstacles, around = context.known_obstacles(agent, horizon), context.surroundings
-    escape = around.escape_steps(context.mission, agent) if around else 0
-    if obstacles is None or not escape:
-        yield 0, obstacles
-        return
-    is_moving, S = (path != path[-1, -1]).any(axis=(1, 2)), horizon.pieces_per_step
-    moving = int(np.flatnonzero(is_moving).max(initial=-1)) // S + 1
-    for share in SHARES_OF_ESCAPE:
-        ahead = max(1, int(share * escape))
-        last = max(moving, steps_to_next(context) + ahead)
-        known = obstacles.held_after(min((last + 1 + ahead) * S, len(path)))
-        if share < 1 and is_path_clear(path, known):
-            return
-        yield max(ahead, horizon.steps - 1 - last), known
-
-
 def _list_changes(
     context: DecisionContext,
     agent: int,
@@ -281,20 +299,17 @@ def _list_changes(
 ) -> Iterator[tuple[int, Float[Array, "T m"]]]:
     """List steps of the plan to follow, and controls, in the order in which to try them.
 
-    Where something comes an agent's way, it may pass on all sides, or stop elsewhere.
+    Where something comes an agent's way, it may pass on all sides.
     """
     mission, period, obstacles = context.mission, steps_to_next(context), avoided.obstacles
-    is_met = obstacles is not None and not is_path_clear(path, obstacles)
-    sides: tuple[convexify.PassingSide, ...] = PASSING_SIDES[mission.axes] if is_met else ("same",)
+    is_clear = is_path_clear(path, obstacles)
+    sides: tuple[convexify.PassingSide, ...] = (
+        ("same",) if is_clear else PASSING_SIDES[mission.axes]
+    )
     for followed, side in product((period, 0), sides):
         u = _find_stop_after(context, agent, plan, followed, horizon, path, avoided, side)
         if u is not None:
             yield followed, u
-    if obstacles is not None and is_met:
-        start, rest_steps = context.state[agent], avoided.rest_steps
-        others = avoided.others, avoided.clearance, obstacles
-        for u in sample_stops(mission, horizon, agent, start, *others, rest_steps):
-            yield 0, u
 
 
 def _find_stop_after(

@@ -16,6 +16,7 @@ from numpy import ndarray as Array
 from problems import convexify
 from problems.convexify import AvoidanceHorizon
 from problems.obstacle_paths import is_path_clear
+from sato.reconfiguration.evasion import EvasionReport, find_evasions
 from sato.reconfiguration.free_motion import simulate
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.planning import divide_horizon
@@ -102,6 +103,16 @@ def find_first_commitments(mission: Reconfiguration) -> Commitments:
                     u[a], _, paths[a] = found
                     break
         meeting, met = _find_meeting(paths, clearance), find_met()
+    if met and not len(meeting):
+        each = zip(agents.tolist(), start, u, paths, clearance.tolist(), obstacles, strict=True)
+        reports = [
+            EvasionReport(i, (0.0, 0.0, i), x, own, path, kept, ((0, known),))
+            for i, x, own, path, kept, known in each
+        ]
+        for i, report in find_evasions(mission, horizon, reports).items():
+            a = int(np.flatnonzero(agents == i)[0])
+            u[a], paths[a] = report.u, report.path
+        met = find_met()
     if met:
         a = min(met)
         raise InputError(
