@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from agents import decide, fly_by_messages
-from reconfiguration_runs import make_mission, row
+from reconfiguration_runs import crowd_in_the_way, make_mission, row
 
 import sato
 from dynamics import ClohessyWiltshire, DoubleIntegrator
@@ -155,9 +155,10 @@ def drifting(rng):
 
 
 MISSIONS = [disturbed, disconnected, varying, hurried, orbiting, given, warm_started]
+OTHERS = [crowded, exchanged, packed, surrounded, crowd_in_the_way, drifting]
 
 
-@pytest.mark.parametrize("draw", [*MISSIONS, crowded, exchanged, packed, surrounded, drifting])
+@pytest.mark.parametrize("draw", [*MISSIONS, *OTHERS])
 def test_agents_fly_as_the_loop_does(rng, draw):
     mission = draw(rng)
     frames = list(simulate(mission, np.random.default_rng(1)))[:40]

@@ -15,7 +15,7 @@ from dynamics.orbit import Orbit
 from dynamics.trajectory_geometry import control_points
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.agent_stages import Choosing, Holding
-from sato.reconfiguration.free_motion import free_motion, simulate_nonlinear
+from sato.reconfiguration.free_motion import free_motion, simulate, simulate_nonlinear
 from sato.reconfiguration.offers import Offers
 from sato.reconfiguration.orbital_commitment import choose_in_orbit
 
@@ -114,6 +114,26 @@ def test_free_motion_is_checked_as_long_as_targets_keep_their_distance():
         mission = make_mission(bounded, leg, **options)
         count, h = free_motion(mission, mission.legs[0], mission.legs[0].steps)
         assert share[0] <= count * h * rate / (4 * np.pi) <= share[1] + 1e-9
+
+
+def test_free_motion_is_checked_from_the_instant_of_arrival():
+    # About an oblate Earth targets at rest cross at other times if they are taken up later.
+    across = np.stack(np.meshgrid(80.0 * np.arange(5), 110.0 * np.arange(5)), axis=-1)
+    across = across.reshape(-1, 2) + np.random.default_rng(0).normal(0.0, 8.0, (25, 2))
+    targets = np.pad(across, ((0, 0), (0, 4)))
+    options = {"step": 60.0, "comm_radius": 3e3, "collision_radius": 20.0, "max_speed": 5.0}
+    options |= {"max_control": 0.05, "model": J2(ORBIT)}
+    mission = make_mission(targets, leg_to(targets, 20), **options)
+    leg, d = mission.legs[0], mission.axes
+    counts = []
+    for arrival in (20, 45, 60, 75):
+        count, h = free_motion(mission, leg, arrival)
+        rest = np.zeros((25, count, d))
+        x = simulate(mission, leg.targets, rest, arrival * mission.step, h)
+        apart = np.linalg.norm(x[:, None, :, :d] - x[None, :, :, :d], axis=-1)
+        assert apart[np.triu_indices(25, 1)].min() >= 20.0
+        counts.append(count)
+    assert len(set(counts)) > 1
 
 
 @pytest.mark.parametrize("seed", range(6))
