@@ -249,10 +249,10 @@ class Agent:
         known = self._graph, estimate.reference, flown.memory
         around = sense_surroundings(mission, when[1], len(measured), seen)
         context = DecisionContext(mission, leg, *known, *when, solvers, around)
-        if len(seen) > flown.seen_count:
-            closed = give_up_closed(context, flown.plans, [self.number])
-            joins |= closed.get(self.number) is not flown.plans.get(self.number)
-            flown = flown._replace(plans=closed, seen_count=len(seen))
+        sees_new = [self.number] if len(seen) > flown.seen_count else []
+        closed = give_up_closed(context, flown.plans, sees_new)
+        joins |= closed.get(self.number) is not flown.plans.get(self.number)
+        flown = flown._replace(plans=closed, seen_count=len(seen))
         shared = begun, checksum(mission, leg)
         own = flown.plans, flown.committed, flown.spent
         decision = Decision.begin(self.number, context, *own, shared, joins)

@@ -33,7 +33,7 @@ DIRECTIONS = {2: 24, 3: 40}  # of places around, by the number of axes
 DISTANCES, DURATIONS = 8, 16  # of places around, and until rest
 NEAREST = 0.25  # of R: distance of the nearest places
 MAX_TRIED = 100  # ways out of an agent that are tried, those of least change first
-MAX_TRIED_APART = 10  # other stops, of one in its way
+MAX_APART = 20  # other stops, of one in its way
 
 Look = tuple[int, ObstaclePaths | None]  # steps for which to rest at the end, and what to avoid
 
@@ -151,26 +151,34 @@ def _change_together(
 ) -> dict[int, EvasionReport] | None:
     """Change the controls of an agent, and of all that are met then; None where one cannot.
 
-    One that cannot fly the same change may stop in another way, clear of all.
+    One that cannot fly the same change stops in another way, which those that it meets fly then.
     """
     before, clearance = (np.array([getattr(r, k) for r in now]) for k in ("path", "clearance"))
-    after, changed, left = before.copy(), dict[int, EvasionReport](), [row]
+    after, changed, left = before.copy(), dict[int, EvasionReport](), {row: change}
     while left:
-        a = left.pop()
+        a, asked = left.popitem()
         apart = (clearance + clearance[a]) / 2
-        report = _change(mission, horizon, now[a], change)
-        if report is None and a != row:
-            report = _stop_apart(
-                mission, horizon, now[a], np.delete(after, a, 0), np.delete(apart, a)
-            )
+        report = _change(mission, horizon, now[a], asked)
+        if a != row and (report is None or not _are_apart(report.path, after, apart, [*changed])):
+            report = _stop_apart(mission, horizon, now, a, after, apart, [*changed])
         if report is None:
             return None
         changed[a], after[a] = report, report.path
         is_met = ~_keep_clear(after, before, a, apart)
         is_met[[*changed, *left]] = False
-        left += np.flatnonzero(is_met).tolist()
+        left |= dict.fromkeys(np.flatnonzero(is_met).tolist(), report.u - now[a].u)
     kept = (_keep_clear(after, before, a, (clearance + clearance[a]) / 2) for a in changed)
     return changed if all(own.all() for own in kept) else None
+
+
+def _are_apart(
+    path: Float[Array, "pieces 4 d"],
+    paths: Float[Array, "agents pieces 4 d"],
+    clearance: Float[Array, " agents"],
+    rows: list[int],
+) -> bool:
+    """Tell whether a path is clear of those of some agents."""
+    return bool(convexify.are_hulls_separated(path - paths[rows], clearance[rows]).all())
 
 
 def _change(
@@ -194,16 +202,21 @@ def _change(
 def _stop_apart(
     mission: Reconfiguration,
     horizon: AvoidanceHorizon,
-    own: EvasionReport,
-    others: Float[Array, "others pieces 4 d"],
-    clearance: Float[Array, " others"],
+    now: list[EvasionReport],
+    row: int,
+    paths: Float[Array, "agents pieces 4 d"],
+    clearance: Float[Array, " agents"],
+    rows: list[int],
 ) -> EvasionReport | None:
-    """Find a stop of an agent that is clear of all others; None where none is found."""
-    for u in islice(list_stops(mission, horizon, own, others, clearance), MAX_TRIED_APART):
+    """Find a stop of an agent that is clear of some others, if possible of all; None without."""
+    found, own, everyone = None, now[row], [a for a in range(len(now)) if a != row]
+    for u in islice(list_stops(mission, horizon, own, paths[rows], clearance[rows]), MAX_APART):
         report = _change(mission, horizon, own, u - own.u)
-        if report and convexify.are_hulls_separated(report.path - others, clearance).all():
-            return report
-    return None
+        if report and _are_apart(report.path, paths, clearance, rows):
+            if _are_apart(report.path, paths, clearance, everyone):
+                return report
+            found = found or report
+    return found
 
 
 def _keep_clear(

@@ -95,7 +95,7 @@ class _Flight:
             rest = self.memory, k, time, self.solvers, self.surroundings
             context = state.DecisionContext(mission, self.leg, graph, known, *rest)
             closed = planning.give_up_closed(context, self.plans, seen_by)
-            alarmed = [i for i in seen_by if closed.get(i) is not self.plans.get(i)]
+            alarmed = [i for i, plan in closed.items() if plan is not self.plans[i]]
             self.plans = closed
             if alarmed:
                 self.events.append({"kind": "closed", "agents": alarmed})
@@ -125,11 +125,17 @@ class _Flight:
 
     def _have_arrived(self, k: int) -> Array:
         # Agents whose last plan was not clear may not be where their clocks have them.
-        if any(at_step > k for _, at_step in self.mission.joining(self.leg_index)):
+        is_due = any(at_step > k for _, at_step in self.mission.joining(self.leg_index))
+        if is_due or (self.waiting and self._has_moving()):
             return np.zeros(1, dtype=bool)
         live, plans = np.flatnonzero(self.alive), self.plans
         is_planned = [i in plans and plans[i].target_index is not None for i in live.tolist()]
         return np.asarray((self.memory.clock[live] >= self.leg.steps) & np.array(is_planned, bool))
+
+    def _has_moving(self) -> bool:
+        """Tell whether anything moves but the agents, and may leave room for those that wait."""
+        around = self.surroundings
+        return around is not None and bool(around.state[:, self.mission.axes :].any())
 
     def _note(self, kind: str, agents: Array, **more: object) -> None:
         self.events.append({"kind": kind, "agents": state.to_indices(agents), **more})

@@ -228,22 +228,25 @@ def _count_failures(previous: Plans, i: int) -> int:
     return previous[i].failure_count if i in previous else 0
 
 
-def give_up_closed(context: DecisionContext, plans: Plans, agents: list[int]) -> Plans:
-    """Give up plans that are closed by what their agents have seen only now.
+def give_up_closed(context: DecisionContext, plans: Plans, seen_by: list[int]) -> Plans:
+    """Give up plans that are closed by what agents have seen only now, or that comes over rest.
 
     Args:
         context: States and surroundings.
         plans: Plans of the agents.
-        agents: Numbers of the agents that have seen something.
+        seen_by: Numbers of the agents that have seen something new.
     """
+    mission, around = context.mission, context.surroundings
     found, k = dict(plans), context.step_index
-    for i in agents:
+    for i in np.flatnonzero(context.graph.alive).tolist() if around else ():
         plan = plans.get(i)
         if plan is None or plan.target_index is None:
             continue
-        u, around = plan.controls_from(k), context.surroundings
-        ahead = max(1, around.escape_steps(context.mission, i) if around else 0)
-        horizon = divide_horizon(context.mission, context.time, len(u) + ahead)
+        u, escape = plan.controls_from(k), around.escape_steps(mission, i) if around else 0
+        has_arrived = mission.is_point_mass and escape > 0 and not len(u)
+        if not (has_arrived or i in seen_by):
+            continue
+        horizon = divide_horizon(mission, context.time, len(u) + max(1, escape))
         x = plan.trajectory.x[k - plan.planned_at :] if len(u) else context.state[i][None]
         if not is_path_clear(horizon.control_points(x, u), context.known_obstacles(i, horizon)):
             found[i] = plan._replace(target_index=None)
