@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from reconfiguration_runs import crowd_in_the_way
+from reconfiguration_runs import crowd_in_the_way, make_mission
 
 import sato
 from dynamics import DoubleIntegrator
 from dynamics.discretize import discretize_zoh
 from sato.reconfiguration import commitment
 from sato.reconfiguration.evasion import move_and_rest
+from sato.shapes.shape import Points
 
 R = 0.5
 
@@ -64,3 +65,20 @@ def test_agents_in_the_way_change_as_the_one_that_evades(monkeypatch):
         assert apart[np.triu_indices(len(now), 1)].min() >= R * (1 - 1e-9)
         for report in after.values():
             assert not mission.planned_control_limit(report.agent).is_exceeded(report.u).any()
+
+
+def test_vehicles_that_have_arrived_evade_while_others_wait_to_join(rng):
+    # One sphere passes the place of the join until about 20 s, and another the targets from 10 s.
+    places = np.array([[-1.5, 0.0], [0.0, 0.0], [1.5, 0.0], [3.0, 0.0]])
+    places += rng.normal(0.0, 0.02, places.shape)
+    join = sato.Join(1, Points(places[3:] + [0.0, 1.0]), at_step=5)
+    passing = sato.Sphere((3.2, -3.0), 0.3, velocity=(0.0, 0.25))
+    coming = sato.Sphere((-5.5, 0.1), 0.3, velocity=(0.3, 0.0))
+    limits = {"max_control": 0.2, "max_speed": 0.6, "collision_radius": R, "comm_radius": 9.0}
+    leg, obstacles = sato.Leg(places, 8, joins=(join,)), (passing, coming)
+    run = sato.run(make_mission(places[:3], leg, obstacles=obstacles, **limits), seed=0)
+    joined = int(run.data.alive.values[:, 3].argmax())
+    assert joined > 8
+    assert run.summary["min_obstacle_distance_m"] >= R
+    assert run.summary["min_separation_m"] >= R
+    assert run.summary["reached"]
