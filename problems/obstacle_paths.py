@@ -90,6 +90,22 @@ def are_pieces_clear(
     return clear
 
 
+def are_points_clear(
+    points: Float[Array, "ways pieces d"], obstacles: ObstaclePaths, one: int
+) -> Bool[Array, "ways pieces"]:
+    """Tell which points, at the beginnings of pieces, keep the distance from an obstacle."""
+    relative, corners = points - obstacles.paths[one, :, 0], obstacles.corners[one : one + 1]
+    away = np.linalg.norm(relative, axis=-1)
+    clear = np.asarray(away >= obstacles.clearance[one] + obstacles.size[one])
+    if corners.any() and not clear.all():
+        from dynamics.bezier_kernels import body_distances  # compiles, so it is imported late
+
+        near = np.ascontiguousarray(relative[~clear][:, None])
+        gap, _ = body_distances(near, np.ascontiguousarray(corners), np.zeros(len(near), int))
+        clear[~clear] = gap.ravel() >= obstacles.clearance[one]
+    return clear
+
+
 def select_near(
     path: Float[Array, "pieces 4 d"], obstacles: ObstaclePaths, factor: float
 ) -> ObstaclePaths:

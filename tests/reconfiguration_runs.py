@@ -4,7 +4,7 @@ import numpy as np
 
 from dynamics import DoubleIntegrator
 from dynamics.trajectory_geometry import separations
-from sato.obstacles import Sphere
+from sato.obstacles import Box, Sphere
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.loop import simulate
 from sato.reconfiguration.mission import Reconfiguration
@@ -50,15 +50,18 @@ def make_mission(start, *legs, **changes):
     return Reconfiguration(**(values | changes)).draw(np.random.default_rng(0))
 
 
-def crowd_in_the_way(rng):
-    """Nine vehicles in a square that nobody crosses, and a sphere that comes over them unseen."""
+def crowd_in_the_way(rng, *, is_box=False, **changes):
+    """Nine vehicles in a square that nobody crosses, and a body that comes over them unseen."""
     side = 1.06 * 0.5 * np.arange(3)
     places = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
     places += rng.normal(0.0, 0.004, places.shape)
-    passing = Sphere((-3.0, 0.5 + rng.normal(0.0, 0.2)), 0.4, velocity=(0.25, 0.0), known=False)
+    center, moves = np.array([-3.0, 0.5 + rng.normal(0.0, 0.2)]), {"velocity": (0.25, 0.0)}
+    passing = Sphere(tuple(center), 0.4, known=False, **moves)
+    if is_box:
+        passing = Box(tuple(center - 0.3), tuple(center + 0.3), known=False, **moves)
     limits = {"max_control": 0.2, "max_speed": 0.6, "collision_radius": 0.5}
     radii = {"comm_radius": 8.0, "sensing_radius": 2.5}
-    return make_mission(places, Leg(places, 16), obstacles=(passing,), **limits, **radii)
+    return make_mission(places, Leg(places, 16), obstacles=(passing,), **(limits | radii | changes))
 
 
 def fly(mission, seed=0):

@@ -19,7 +19,7 @@ from numpy import ndarray as Array
 from dynamics.trajectory_geometry import hull_distance
 from problems import convexify
 from problems.convexify import AvoidanceHorizon
-from problems.obstacle_paths import ObstaclePaths, is_path_clear
+from problems.obstacle_paths import ObstaclePaths, are_points_clear, is_path_clear
 from sato.obstacles import spread_directions
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.offers import steps_to_next
@@ -31,6 +31,7 @@ ROUNDING = 1e-12  # relative, of distances that are computed twice
 SHARES_OF_ESCAPE = 1.0, 0.5, 0.25  # of the time to get out of the way, that is looked ahead at rest
 DIRECTIONS = {2: 24, 3: 40}  # of places around, by the number of axes
 DISTANCES, DURATIONS = 8, 16  # of places around, and until rest
+AT_REST = 1e-9  # of the clearance: paths that stay so near to their ends are at rest
 NEAREST = 0.25  # of R: distance of the nearest places
 MAX_TRIED = 100  # ways out of an agent that are tried, those of least change first
 MAX_APART = 20  # other stops, of one in its way
@@ -64,20 +65,26 @@ def list_looks(
     or, where that is too far to go at once, for a part of that time; not if it comes later. The
     last is the first of which the committed path is clear.
     """
-    obstacles, around = context.known_obstacles(agent, horizon), context.surroundings
-    escape = around.escape_steps(context.mission, agent) if around else 0
-    if obstacles is None or not escape:
+    obstacles, shares = context.known_obstacles(agent, horizon), _count_ahead(context, agent)
+    if obstacles is None or not any(shares):
         yield 0, obstacles
         return
-    is_moving, S = (path != path[-1, -1]).any(axis=(1, 2)), horizon.pieces_per_step
+    away, S = np.abs(path - path[-1, -1]).max(axis=(1, 2)), horizon.pieces_per_step
+    is_moving = away > AT_REST * horizon.clearance
     moving = int(np.flatnonzero(is_moving).max(initial=-1)) // S + 1
-    for share in SHARES_OF_ESCAPE:
-        ahead = max(1, int(share * escape))
+    for ahead in shares:
         last = max(moving, steps_to_next(context) + ahead)
         known = obstacles.held_after(min((last + 1 + ahead) * S, len(path)))
         yield max(ahead, horizon.steps - 1 - last), known
         if is_path_clear(path, known):
             return
+
+
+def _count_ahead(context: DecisionContext, agent: int) -> list[int]:
+    """Count the steps at rest that an agent looks ahead, the best first; 0 where nothing moves."""
+    around = context.surroundings
+    escape = around.escape_steps(context.mission, agent) if around else 0
+    return [max(1, int(share * escape)) if escape else 0 for share in SHARES_OF_ESCAPE]
 
 
 def is_met(
@@ -101,6 +108,10 @@ def make_report(
 ) -> EvasionReport:
     """Return the report of an agent on what it has committed to."""
     looks = tuple(list_looks(context, agent, horizon, path))
+    rest_steps, obstacles = looks[-1]
+    if not is_path_clear(path, obstacles):  # it may move for longer than it would have
+        rest_steps = _count_ahead(context, agent)[-1]
+        looks = (*looks, (rest_steps, context.known_obstacles(agent, horizon)))
     return EvasionReport(agent, priority, context.state[agent], u, path, clearance, looks)
 
 
@@ -133,10 +144,10 @@ def _evade(
     for look in own.looks:
         if is_path_clear(own.path, look[1]):
             return {}
-        asked = [*now]
-        asked[row] = replace(own, looks=(look,))
-        for u in islice(list_stops(mission, horizon, asked[row]), MAX_TRIED):
-            changed = _change_together(mission, horizon, asked, row, u - own.u)
+        each = [*now]
+        each[row] = replace(own, looks=(look,))
+        for u in islice(list_stops(mission, horizon, each[row]), MAX_TRIED):
+            changed = _change_together(mission, horizon, each, row, u - own.u)
             if changed is not None:
                 return changed | {row: replace(changed[row], looks=own.looks)}
     return {}
@@ -156,17 +167,19 @@ def _change_together(
     before, clearance = (np.array([getattr(r, k) for r in now]) for k in ("path", "clearance"))
     after, changed, left = before.copy(), dict[int, EvasionReport](), {row: change}
     while left:
-        a, asked = left.popitem()
+        a, wanted = left.popitem()
         apart = (clearance + clearance[a]) / 2
-        report = _change(mission, horizon, now[a], asked)
-        if a != row and (report is None or not _are_apart(report.path, after, apart, [*changed])):
+        report = _change(mission, horizon, now[a], wanted)
+        after[a] = before[a] if report is None else report.path
+        keeps = _keep_clear(after, before, a, apart)
+        if a != row and (report is None or not keeps[[*changed]].all()):
             report = _stop_apart(mission, horizon, now, a, after, apart, [*changed])
         if report is None:
             return None
         changed[a], after[a] = report, report.path
-        is_met = ~_keep_clear(after, before, a, apart)
-        is_met[[*changed, *left]] = False
-        left |= dict.fromkeys(np.flatnonzero(is_met).tolist(), report.u - now[a].u)
+        meets = ~_keep_clear(after, before, a, apart)
+        meets[[*changed, *left]] = False
+        left |= dict.fromkeys(np.flatnonzero(meets).tolist(), report.u - now[a].u)
     kept = (_keep_clear(after, before, a, (clearance + clearance[a]) / 2) for a in changed)
     return changed if all(own.all() for own in kept) else None
 
@@ -209,7 +222,8 @@ def _stop_apart(
     rows: list[int],
 ) -> EvasionReport | None:
     """Find a stop of an agent that is clear of some others, if possible of all; None without."""
-    found, own, everyone = None, now[row], [a for a in range(len(now)) if a != row]
+    own, found = now[row], None
+    everyone = [a for a in range(len(now)) if a != row]
     for u in islice(list_stops(mission, horizon, own, paths[rows], clearance[rows]), MAX_APART):
         report = _change(mission, horizon, own, u - own.u)
         if report and _are_apart(report.path, paths, clearance, rows):
@@ -255,8 +269,8 @@ def list_stops(
 ) -> Iterator[Float[Array, "T m"]]:
     """List stops of an agent, those of least change first.
 
-    They are clear of others and of lost vehicles at the beginnings of all pieces; whether in
-    between, too, and of all else, is for the caller to check.
+    They are clear of others and of obstacles at the beginnings of all pieces; whether in between,
+    too, is for the caller to check.
 
     Args:
         mission: Limits.
@@ -277,12 +291,12 @@ def list_stops(
     if not len(u):
         return
     points = horizon.control_points(x, u)[:, :, 0]
-    avoided = list(zip(() if others is None else others, clearance, strict=True))
-    if obstacles is not None:
-        is_point = obstacles.size == 0.0
-        avoided += zip(obstacles.paths[is_point], obstacles.clearance[is_point], strict=True)
-    for path, distance in avoided:
+    for path, distance in zip(() if others is None else others, clearance, strict=True):
         is_clear = (np.linalg.norm(points - path[:, 0], axis=2) >= distance).all(axis=1)
+        u, points = u[is_clear], points[is_clear]
+    for one in range(0 if obstacles is None else len(obstacles.paths)):
+        assert obstacles is not None
+        is_clear = are_points_clear(points, obstacles, one).all(axis=1)
         u, points = u[is_clear], points[is_clear]
     yield from u[np.argsort(np.abs(u - own.u).sum(axis=(1, 2)), kind="stable")]
 

@@ -14,7 +14,7 @@ from sato.reconfiguration.assignment import assign_targets, keep_targets
 from sato.reconfiguration.clock import announce_clock
 from sato.reconfiguration.commitment import commit
 from sato.reconfiguration.disturbances import disturb_control, draw_losses, measure
-from sato.reconfiguration.first_commitment import admit, find_first_commitments
+from sato.reconfiguration.first_commitment import admit, find_first_commitments, has_room
 from sato.reconfiguration.leg import MAX_LEG_FACTOR
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.orbital_commitment import commit_in_orbit
@@ -126,16 +126,18 @@ class _Flight:
     def _have_arrived(self, k: int) -> Array:
         # Agents whose last plan was not clear may not be where their clocks have them.
         is_due = any(at_step > k for _, at_step in self.mission.joining(self.leg_index))
-        if is_due or (self.waiting and self._has_moving()):
+        if is_due or self._are_joins_passed():
             return np.zeros(1, dtype=bool)
         live, plans = np.flatnonzero(self.alive), self.plans
         is_planned = [i in plans and plans[i].target_index is not None for i in live.tolist()]
         return np.asarray((self.memory.clock[live] >= self.leg.steps) & np.array(is_planned, bool))
 
-    def _has_moving(self) -> bool:
-        """Tell whether anything moves but the agents, and may leave room for those that wait."""
-        around = self.surroundings
-        return around is not None and bool(around.state[:, self.mission.axes :].any())
+    def _are_joins_passed(self) -> bool:
+        """Tell whether it is something that passes, and no agent, for which one waits to join."""
+        nobody, k, around = np.zeros_like(self.alive), self.step_index, self.surroundings
+        return not all(
+            has_room(self.mission, i, self.x, nobody, {}, k, around) for i in self.waiting
+        )
 
     def _note(self, kind: str, agents: Array, **more: object) -> None:
         self.events.append({"kind": kind, "agents": state.to_indices(agents), **more})

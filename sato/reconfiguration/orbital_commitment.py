@@ -67,7 +67,9 @@ def make_orbital_offers(
     for a, plan in enumerate(plans.values()):
         if len(plan.trajectory.u) == steps and plan.target_index is not None:
             end[a, 0] = context.leg.targets[plan.target_index]
-    count, h = free_motion(mission, context.leg, context.instant + steps)
+    begun = context.step_index if mission.assignment == "given" else clock
+    arrival = context.instant + context.leg.steps - begun
+    count, h = free_motion(mission, context.leg, arrival)
     rest = np.zeros((*u.shape[:2], count, mission.axes))
     free = simulate(mission, end, rest, context.time + steps * mission.step, h)
     d = mission.axes

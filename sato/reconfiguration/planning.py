@@ -247,7 +247,11 @@ def give_up_closed(context: DecisionContext, plans: Plans, seen_by: list[int]) -
         if not (has_arrived or i in seen_by):
             continue
         horizon = divide_horizon(mission, context.time, len(u) + max(1, escape))
-        x = plan.trajectory.x[k - plan.planned_at :] if len(u) else context.state[i][None]
+        x = plan.trajectory.x[k - plan.planned_at :]
+        if has_arrived:
+            x = np.append(context.state[i, : mission.axes], np.zeros(mission.axes))[None]
+        elif not len(u):
+            x = context.state[i][None]
         if not is_path_clear(horizon.control_points(x, u), context.known_obstacles(i, horizon)):
             found[i] = plan._replace(target_index=None)
     return found
