@@ -39,7 +39,7 @@ from sato.scp.planner import FEASIBILITY_TOLERANCE, PASSING_SIDES
 
 
 class Avoided(NamedTuple):
-    """What a change of a committed trajectory has to be clear of."""
+    """Neighbors and obstacles of which a changed trajectory has to be clear."""
 
     others: Float[Array, "others pieces 4 d"]  # committed trajectories of neighbors
     clearance: Float[Array, " others"]  # to keep from each [m]

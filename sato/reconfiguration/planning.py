@@ -238,11 +238,13 @@ def give_up_closed(context: DecisionContext, plans: Plans, seen_by: list[int]) -
     """
     mission, around = context.mission, context.surroundings
     found, k = dict(plans), context.step_index
-    for i in np.flatnonzero(context.graph.alive).tolist() if around else ():
+    if around is None:
+        return found
+    for i in np.flatnonzero(context.graph.alive).tolist():
         plan = plans.get(i)
         if plan is None or plan.target_index is None:
             continue
-        u, escape = plan.controls_from(k), around.escape_steps(mission, i) if around else 0
+        u, escape = plan.controls_from(k), around.escape_steps(mission, i)
         has_arrived = mission.is_point_mass and escape > 0 and not len(u)
         if not (has_arrived or i in seen_by):
             continue
