@@ -197,10 +197,7 @@ class Decision(NamedTuple):
         )
         priority = choosing.priority if is_cautious else None
         offers, steps = choosing.offers, int(choosing.offers.steps[0])
-        horizon = stopping.stopping_horizon(self.context.mission, steps)
-        chosen = offers.paths[0, choosing.choice, : len(horizon.fine_model)]
-        is_met = choosing.choice == offers.last
-        is_met = is_met and evasion.is_met(self.context, self.number, horizon, chosen)
+        is_met = evasion.is_met(self.context, offers, 0, choosing.choice)
         report = ChoiceReport(self.number, priority, steps, is_met)
         flood = Flood(len(self.members), self.diameter, frozenset([report]))
         return self._enter(flood, choosing=choosing)

@@ -169,12 +169,7 @@ def _list_evasions(
     """List new controls in the components in which something came over what an agent chose."""
     mission, component = context.mission, context.graph.component[offers.agents]
     found: dict[int, Array] = {}
-    met = set()
-    for a in np.flatnonzero(choice == offers.last) if context.surroundings else ():
-        horizon = stopping_horizon(mission, int(offers.steps[a]))
-        chosen = offers.paths[a, choice[a], : len(horizon.fine_model)]
-        if component[a] not in met and is_met(context, int(offers.agents[a]), horizon, chosen):
-            met.add(component[a])
+    met = {component[a] for a in range(len(plans)) if is_met(context, offers, a, int(choice[a]))}
     for c in sorted(met):
         rows = np.flatnonzero(component == c)
         horizon = stopping_horizon(mission, int(offers.steps[rows].max()))

@@ -22,9 +22,9 @@ from problems.convexify import AvoidanceHorizon
 from problems.obstacle_paths import ObstaclePaths, are_points_clear, is_path_clear
 from sato.obstacles import spread_directions
 from sato.reconfiguration.mission import Reconfiguration
-from sato.reconfiguration.offers import steps_to_next
+from sato.reconfiguration.offers import Offers, steps_to_next
 from sato.reconfiguration.state import DecisionContext
-from sato.reconfiguration.stopping import longest_way, stays_within_reach
+from sato.reconfiguration.stopping import longest_way, stays_within_reach, stopping_horizon
 from sato.scp.planner import Priority
 
 ROUNDING = 1e-12  # relative, of distances that are computed twice
@@ -87,14 +87,16 @@ def _count_ahead(context: DecisionContext, agent: int) -> list[int]:
     return [max(1, int(share * escape)) if escape else 0 for share in SHARES_OF_ESCAPE]
 
 
-def is_met(
-    context: DecisionContext,
-    agent: int,
-    horizon: AvoidanceHorizon,
-    path: Float[Array, "pieces 4 d"],
-) -> bool:
-    """Tell whether something that an agent knows comes over its trajectory within a horizon."""
-    return not is_path_clear(path, context.known_obstacles(agent, horizon))
+def is_met(context: DecisionContext, offers: Offers, row: int, choice: int) -> bool:
+    """Tell whether something that an agent knows comes over what it has chosen.
+
+    What is offered in place of what it had is clear of all.
+    """
+    if choice < offers.last or context.surroundings is None:
+        return False
+    horizon = stopping_horizon(context.mission, int(offers.steps[row]))
+    chosen = offers.paths[row, choice, : len(horizon.fine_model)]
+    return not is_path_clear(chosen, context.known_obstacles(int(offers.agents[row]), horizon))
 
 
 def make_report(
@@ -174,12 +176,13 @@ def _change_together(
         keeps = _keep_clear(after, before, a, apart)
         if a != row and (report is None or not keeps[[*changed]].all()):
             report = _stop_apart(mission, horizon, now, a, after, apart, [*changed])
+            after[a] = before[a] if report is None else report.path
+            keeps = _keep_clear(after, before, a, apart)
         if report is None:
             return None
-        changed[a], after[a] = report, report.path
-        meets = ~_keep_clear(after, before, a, apart)
-        meets[[*changed, *left]] = False
-        left |= dict.fromkeys(np.flatnonzero(meets).tolist(), report.u - now[a].u)
+        changed[a] = report
+        keeps[[*changed, *left]] = True
+        left |= dict.fromkeys(np.flatnonzero(~keeps).tolist(), report.u - now[a].u)
     kept = (_keep_clear(after, before, a, (clearance + clearance[a]) / 2) for a in changed)
     return changed if all(own.all() for own in kept) else None
 
